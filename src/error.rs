@@ -1,0 +1,92 @@
+//! Errors of the library. Each says what was wrong, where, and what would do instead.
+
+use std::path::{Path, PathBuf};
+
+/// Result of the library's functions.
+pub type Result<T> = std::result::Result<T, Error>;
+
+/// What can go wrong.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// A file could not be opened, read or written.
+    #[error("{}: cannot {action}: {source}", path.display())]
+    Io {
+        /// The file or directory.
+        path: PathBuf,
+        /// What was tried: "read", "create", "rename" ...
+        action: &'static str,
+        /// The operating system's reason.
+        source: std::io::Error,
+    },
+    /// A text file is malformed; `line` counts from 1, or is 0 when the fault has no line.
+    #[error("{}:{line}: {message}", path.display())]
+    Parse {
+        /// The file.
+        path: PathBuf,
+        /// Line number from 1, or 0.
+        line: usize,
+        /// What is wrong and what was expected.
+        message: String,
+    },
+    /// An element symbol or number that is not known.
+    #[error("unknown element `{0}`; symbols such as `Sr` or atomic numbers 1-{max} are known", max = crate::structure::elements::MAX_ATOMIC_NUMBER)]
+    UnknownElement(String),
+    /// A setting is outside its limits.
+    #[error("{what} = {value}: {expected}")]
+    Invalid {
+        /// Name of the setting, with its unit.
+        what: &'static str,
+        /// The value given.
+        value: String,
+        /// What is allowed, and what to do.
+        expected: String,
+    },
+    /// The detector asks for angles that the grid does not carry.
+    #[error(
+        "detector `{name}` reaches {outer_mrad:.1} mrad, but the grid carries scattering only to \
+         {limit_mrad:.1} mrad (sampling {sampling_angstrom:.4} A); use a sampling of \
+         {needed_angstrom:.4} A or finer, or an outer angle up to {limit_mrad:.1} mrad"
+    )]
+    DetectorBeyondBandLimit {
+        /// Detector name.
+        name: String,
+        /// Requested outer angle.
+        outer_mrad: f64,
+        /// The grid's band limit.
+        limit_mrad: f64,
+        /// The grid's coarser sampling.
+        sampling_angstrom: f64,
+        /// Sampling that would carry the outer angle.
+        needed_angstrom: f64,
+    },
+    /// HDF5 library failure.
+    #[error("{}: HDF5: {source}", path.display())]
+    Hdf5 {
+        /// The file.
+        path: PathBuf,
+        /// The library's reason.
+        source: hdf5::Error,
+    },
+    /// The user asked to stop.
+    #[error("interrupted")]
+    Interrupted,
+}
+
+impl Error {
+    /// Builds an [`Error::Io`].
+    pub fn io(path: &Path, action: &'static str, source: std::io::Error) -> Self {
+        Error::Io { path: path.to_owned(), action, source }
+    }
+    /// Builds an [`Error::Invalid`].
+    pub fn invalid(what: &'static str, value: impl ToString, expected: impl Into<String>) -> Self {
+        Error::Invalid { what, value: value.to_string(), expected: expected.into() }
+    }
+    /// Builds an [`Error::Parse`].
+    pub fn parse(path: &Path, line: usize, message: impl Into<String>) -> Self {
+        Error::Parse { path: path.to_owned(), line, message: message.into() }
+    }
+    /// Builds an [`Error::Hdf5`].
+    pub fn hdf5(path: &Path, source: hdf5::Error) -> Self {
+        Error::Hdf5 { path: path.to_owned(), source }
+    }
+}

@@ -1,0 +1,3 @@
+//! The `stemgen` program.
+
+fn main() {}

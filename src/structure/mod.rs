@@ -1,0 +1,44 @@
+//! Atoms in a cell: the model, readers and writers, supercells.
+
+pub mod elements;
+
+use crate::error::{Error, Result};
+
+/// One atom (or a partially occupied site).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Atom {
+    /// Atomic number.
+    pub number: u8,
+    /// Cartesian position in Angstrom.
+    pub position: [f64; 3],
+    /// Fraction of the site that this atom occupies, in (0, 1].
+    pub occupancy: f64,
+}
+
+/// Atoms in a (triclinic) cell; the beam runs along +z.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Structure {
+    /// Cell vectors as rows, in Angstrom.
+    pub cell: [[f64; 3]; 3],
+    /// The atoms.
+    pub atoms: Vec<Atom>,
+}
+
+impl Structure {
+    /// The edge lengths of the cell if its vectors lie along x, y and z to within `1e-4` A.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for any other cell.
+    pub fn orthogonal_box(&self) -> Result<[f64; 3]> {
+        let off = (0..3).any(|i| (0..3).any(|j| i != j && self.cell[i][j].abs() > 1e-4));
+        let lengths = [self.cell[0][0], self.cell[1][1], self.cell[2][2]];
+        if off || lengths.iter().any(|&l| l <= 0.0) {
+            return Err(Error::invalid(
+                "cell",
+                format!("{:?}", self.cell),
+                "the simulation needs a box with edges along x, y and z; --zone u,v,w builds one",
+            ));
+        }
+        Ok(lengths)
+    }
+}
