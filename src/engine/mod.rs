@@ -1,0 +1,45 @@
+//! Simulation of detector images from atoms.
+
+/// A lattice site as the engine sees it: where it is on average, and how it vibrates.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Site {
+    /// Mean position in Angstrom, in the frame of the simulated box; the beam runs along +z.
+    pub position: [f64; 3],
+    /// Atomic number.
+    pub number: u8,
+    /// Standard deviation of each Cartesian component of the thermal displacement, in Angstrom.
+    pub sigma_angstrom: f64,
+    /// Names the site for the random numbers: its displacement in configuration `c` depends on
+    /// (seed, c, key) only, whichever box the site is simulated in.
+    pub key: u64,
+}
+
+/// A rectangular raster of probe positions: `origin + (column, row) * step`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Scan {
+    /// Position (x, y) of the first probe in Angstrom.
+    pub origin_angstrom: [f64; 2],
+    /// Distance (x, y) between neighbouring probes in Angstrom.
+    pub step_angstrom: [f64; 2],
+    /// Number of probes (rows along y, columns along x).
+    pub shape: [usize; 2],
+}
+
+impl Scan {
+    /// Number of probe positions.
+    pub fn len(&self) -> usize {
+        self.shape[0] * self.shape[1]
+    }
+    /// Whether there is no probe position.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+    /// Position (x, y) of probe `index` (row-major) in Angstrom.
+    pub fn position(&self, index: usize) -> [f64; 2] {
+        let (row, column) = (index / self.shape[1], index % self.shape[1]);
+        [
+            self.origin_angstrom[0] + column as f64 * self.step_angstrom[0],
+            self.origin_angstrom[1] + row as f64 * self.step_angstrom[1],
+        ]
+    }
+}
