@@ -1,0 +1,128 @@
+"""Writes src/potential/data/{lobato,kirkland,peng}.csv and tests/golden/scattering_factors.csv.
+
+Usage: pip install abtem==1.0.11 && python tests/golden/make_scattering_tables.py
+
+The tables are published numbers; abTEM happens to carry them in a form that can be read by a program.
+"""
+
+import json
+from pathlib import Path
+
+import abtem
+import numpy as np
+from abtem.parametrizations import validate_parametrization
+from ase.data import atomic_numbers
+
+ROOT = Path(__file__).resolve().parents[2]
+DATA = Path(abtem.__path__[0]) / "parametrizations" / "data"
+BOHR = 0.529177210903
+
+COMMON = """\
+# {title}
+#
+# formula:  {formula}
+# units:    f_e in A; q = 1/d = 2 sin(theta_Bragg)/lambda = (scattering angle)/lambda in 1/A
+#           {units}
+# This is the first Born scattering factor for the rest mass of the electron. The projected potential of an
+# atom has the two-dimensional Fourier transform (exp(-2 pi i q.r) convention)
+# V(q) = h^2/(2 pi m0 e) f_e(q) = 2 pi a0 e/(4 pi eps0) f_e(q) = 47.87765 V A^2 x f_e(q), in V A^3.
+# valid:    {valid}
+# paper:    {paper}
+# source:   abTEM {version}, parametrizations/data/{file}; numbers as they stand there, unscaled
+"""
+
+TABLES = {
+    "lobato": dict(
+        file="lobato.json",
+        title="Electron scattering factors of neutral atoms, Lobato & Van Dyck",
+        formula="f_e(q) = sum_{i=1..5} a_i (2 + b_i q^2) / (1 + b_i q^2)^2",
+        units="a_i in A, b_i in A^2",
+        valid="0 <= q <= 12 1/A; beyond that it tends to Z/(2 pi^2 a0 q^2), the bare nucleus",
+        paper="I. Lobato & D. Van Dyck, Acta Cryst. A70 (2014) 636-649",
+        columns=[f"{p}{i}" for p in "ab" for i in range(1, 6)],
+    ),
+    "kirkland": dict(
+        file="kirkland.json",
+        title="Electron scattering factors of neutral atoms, Kirkland",
+        formula="f_e(q) = sum_{i=1..3} a_i / (q^2 + b_i) + sum_{i=1..3} c_i exp(-d_i q^2)",
+        units="a_i in 1/A, b_i in 1/A^2, c_i in A, d_i in A^2",
+        valid="0 <= q <= 12 1/A",
+        paper="E. J. Kirkland, Advanced Computing in Electron Microscopy, 2nd ed. (2010), appendix C",
+        columns=[f"{p}{i}" for p in "abcd" for i in range(1, 4)],
+    ),
+    "peng": dict(
+        file="peng_high.json",
+        title="Electron scattering factors of neutral atoms, Peng, Ren, Dudarev & Whelan",
+        formula="f_e(q) = sum_{i=1..5} a_i exp(-b_i s^2),  s = q/2 = sin(theta_Bragg)/lambda",
+        units="a_i in A, b_i in A^2 (as published, for s; divide by 4 for q)",
+        valid="0 <= s <= 6 1/A, that is q <= 12 1/A (the table for large s; also International Tables C, table 4.3.2.3)",
+        paper="L.-M. Peng, G. Ren, S. L. Dudarev & M. J. Whelan, Acta Cryst. A52 (1996) 257-276",
+        columns=[f"{p}{i}" for p in "ab" for i in range(1, 6)],
+    ),
+}
+
+ELEMENTS = "H C O Al Si Ti Fe Cu Sr Ag Pt Au U".split()
+Q = [0.0, 0.05, 0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0]
+
+def formula(name, row, q):
+    """The formula in the header of the table, written out; checked against abTEM's own evaluation."""
+    q2 = np.asarray(q, float) ** 2
+    p = [np.array(r)[:, None] for r in row]
+    if name == "lobato":
+        return (p[0] * (2 + p[1] * q2) / (1 + p[1] * q2) ** 2).sum(0)
+    if name == "kirkland":
+        return (p[0] / (q2 + p[1]) + p[2] * np.exp(-p[3] * q2)).sum(0)
+    return (p[0] * np.exp(-p[1] * q2 / 4)).sum(0)
+
+
+def tables():
+    for name, t in TABLES.items():
+        data = json.loads((DATA / t["file"]).read_text())
+        out = ROOT / "src/potential/data" / f"{name}.csv"
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with out.open("w") as f:
+            f.write(COMMON.format(version=abtem.__version__, **t))
+            f.write("Z,symbol," + ",".join(t["columns"]) + "\n")
+            for symbol, rows in sorted(data.items(), key=lambda kv: atomic_numbers[kv[0]]):
+                numbers = [x for r in rows for x in r]
+                assert len(numbers) == len(t["columns"]), symbol
+                f.write(f"{atomic_numbers[symbol]},{symbol}," + ",".join(f"{x:.15g}" for x in numbers) + "\n")
+        z = sorted(atomic_numbers[s] for s in data)
+        assert z == list(range(1, len(z) + 1))
+        print(out.name, "Z = 1 ..", z[-1])
+        if name == "lobato":  # the Mott-Bethe tail
+            worst = max(abs(sum(np.array(r[0]) / r[1]) * 2 * np.pi**2 * BOHR / atomic_numbers[s] - 1) for s, r in data.items())
+            print("  worst relative deviation from the Mott-Bethe tail:", worst)
+
+
+def values():
+    """f_e(q) evaluated by abTEM's own functions."""
+    abtem.config.set({"precision": "float64"})
+    lines = [
+        "# Electron scattering factors f_e(q) of neutral atoms.",
+        "# f_e in A, q = 1/d in 1/A (q = 2 s, s = sin(theta_Bragg)/lambda).",
+        f"# source abtem: abTEM {abtem.__version__}, Parametrization.scattering_factor(symbol)(q^2), float64. That function takes the square of",
+        "#   q and returns A: no factor is needed. (abTEM's projected_scattering_factor is the same divided by its constant kappa,",
+        "#   1/kappa = 2 pi a0 e/(4 pi eps0) = 47.87765 V A^2, hence in V A^3.)",
+    ]
+    rows = []
+    for name, t in TABLES.items():
+        p = validate_parametrization(name)
+        data = json.loads((DATA / t["file"]).read_text())
+        for s in ELEMENTS:
+            f = p.scattering_factor(s)(np.array(Q) ** 2)
+            np.testing.assert_allclose(f, formula(name, data[s], Q), rtol=1e-12)
+            v = p.projected_scattering_factor(s)(np.array(Q) ** 2)
+            np.testing.assert_allclose(v, f * 47.87765, rtol=2e-6)
+            rows += [f"abtem,{name},{atomic_numbers[s]},{s},{q:g},{x:.9e}" for q, x in zip(Q, f)]
+    published = Path(__file__).with_name("published_scattering_factors.txt")
+    if published.exists():
+        for line in published.read_text().splitlines():
+            (lines if line.startswith("#") else rows).append(line)
+    lines.append("source,parametrization,Z,symbol,q,f_e")
+    (Path(__file__).parent / "scattering_factors.csv").write_text("\n".join(lines + rows) + "\n")
+
+
+if __name__ == "__main__":
+    tables()
+    values()
