@@ -2,11 +2,17 @@
 //! specimens ("worlds").
 //!
 //! Data flows one way: recipe -> specimen -> slices -> engine -> detector image -> tiles -> file.
-//! A module uses only those above it in this list.
+//! From the ground up: `error`, `constants`, `rng`, `progress`, `fft`; `structure`, `potential`;
+//! `optics`, `detect`, `phonons`; `engine`.
 
+pub mod constants;
+pub mod detect;
 pub mod engine;
 pub mod error;
 pub mod fft;
+pub mod optics;
+pub mod phonons;
+pub mod potential;
 pub mod progress;
 pub mod rng;
 pub mod structure;

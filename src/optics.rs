@@ -1,0 +1,225 @@
+//! The probe-forming (or imaging) lens: aperture and aberrations.
+
+use crate::constants::wavelength_angstrom;
+use crate::error::{Error, Result};
+use num_complex::Complex64;
+use serde::{Deserialize, Serialize};
+use std::f64::consts::PI;
+
+/// One aberration coefficient `C_nm` in polar notation.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Aberration {
+    /// Order n: the phase grows as angle^(n + 1).
+    pub order: u8,
+    /// Azimuthal symmetry m.
+    pub symmetry: u8,
+    /// Magnitude in Angstrom.
+    pub magnitude_angstrom: f64,
+    /// Azimuth in radians, from +x towards +y; ignored for m = 0.
+    pub azimuth_rad: f64,
+}
+
+/// The aberration function of a lens, to fifth order:
+/// `chi = (2 pi / lambda) sum_nm C_nm alpha^(n+1) cos(m (phi - phi_nm)) / (n + 1)`
+/// (O. L. Krivanek, N. Dellby, A. R. Lupini, Ultramicroscopy 78 (1999) 1).
+///
+/// `C10` is minus the defocus: positive defocus is underfocus.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Aberrations(pub Vec<Aberration>);
+
+const KNOWN: [(u8, u8); 14] = [
+    (1, 0),
+    (1, 2),
+    (2, 1),
+    (2, 3),
+    (3, 0),
+    (3, 2),
+    (3, 4),
+    (4, 1),
+    (4, 3),
+    (4, 5),
+    (5, 0),
+    (5, 2),
+    (5, 4),
+    (5, 6),
+];
+
+impl Aberration {
+    /// Reads `C12=30@0.3`: 30 Angstrom at an azimuth of 0.3 rad.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for anything else, naming the coefficients that exist.
+    pub fn parse(text: &str) -> Result<Self> {
+        let bad = || {
+            let names: Vec<String> = KNOWN.iter().map(|(n, m)| format!("C{n}{m}")).collect();
+            let known = names.join(" ");
+            Error::invalid(
+                "aberration",
+                text,
+                format!("write C12=30@0.3 (30 A at an azimuth of 0.3 rad) with one of {known}"),
+            )
+        };
+        let (name, value) = text.split_once('=').ok_or_else(bad)?;
+        let nm = name.trim().strip_prefix(['C', 'c']).ok_or_else(bad)?;
+        let known = KNOWN.iter().find(|(n, m)| nm == format!("{n}{m}"));
+        let &(order, symmetry) = known.ok_or_else(bad)?;
+        let (magnitude, azimuth) = value.split_once('@').unwrap_or((value, "0"));
+        let number = |s: &str| s.trim().parse().ok().filter(|v: &f64| v.is_finite());
+        Ok(Aberration {
+            order,
+            symmetry,
+            magnitude_angstrom: number(magnitude).ok_or_else(bad)?,
+            azimuth_rad: number(azimuth).ok_or_else(bad)?,
+        })
+    }
+}
+
+impl Aberrations {
+    /// A defocus (positive: underfocus) in Angstrom, and nothing else.
+    pub fn defocus(defocus_angstrom: f64) -> Self {
+        let mut a = Aberrations::default();
+        a.add_defocus(defocus_angstrom);
+        a
+    }
+
+    /// Adds `C10 = -defocus`.
+    pub fn add_defocus(&mut self, defocus_angstrom: f64) {
+        if defocus_angstrom != 0.0 {
+            self.0.push(Aberration {
+                order: 1,
+                symmetry: 0,
+                magnitude_angstrom: -defocus_angstrom,
+                azimuth_rad: 0.0,
+            });
+        }
+    }
+
+    /// `chi` in radians at angle `alpha` (rad) and azimuth `phi` (rad).
+    pub fn chi(&self, wavelength_angstrom: f64, alpha: f64, phi: f64) -> f64 {
+        let term = |a: &Aberration| {
+            let power = i32::from(a.order) + 1;
+            let turn = (f64::from(a.symmetry) * (phi - a.azimuth_rad)).cos();
+            a.magnitude_angstrom * alpha.powi(power) * turn / f64::from(power)
+        };
+        2.0 * PI / wavelength_angstrom * self.0.iter().map(term).sum::<f64>()
+    }
+}
+
+/// How the aperture ends.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ApertureEdge {
+    /// Falls linearly over one Fourier pixel, so that the effective radius is exact on any grid.
+    #[default]
+    Soft,
+    /// Ones strictly inside, zero elsewhere.
+    Hard,
+}
+
+/// Beam energy, aperture and aberrations.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Optics {
+    /// Beam energy in eV.
+    pub energy_ev: f64,
+    /// Convergence semiangle (for imaging: objective aperture) in mrad.
+    pub semiangle_mrad: f64,
+    /// Aberrations of the lens.
+    #[serde(default)]
+    pub aberrations: Aberrations,
+    /// Edge of the aperture.
+    #[serde(default)]
+    pub edge: ApertureEdge,
+}
+
+impl Default for Optics {
+    fn default() -> Self {
+        Optics {
+            energy_ev: 200e3,
+            semiangle_mrad: 21.0,
+            aberrations: Aberrations::default(),
+            edge: ApertureEdge::Soft,
+        }
+    }
+}
+
+impl Optics {
+    /// Electron wavelength in Angstrom.
+    pub fn wavelength_angstrom(&self) -> f64 {
+        wavelength_angstrom(self.energy_ev)
+    }
+
+    /// # Errors
+    /// [`Error::Invalid`] when energy or semiangle are out of range.
+    pub fn validate(&self) -> Result<()> {
+        if !(1e3..=3e6).contains(&self.energy_ev) {
+            let kev = format!("{}", self.energy_ev / 1e3);
+            return Err(Error::invalid("energy (keV)", kev, "must be between 1 and 3000"));
+        }
+        if !(self.semiangle_mrad > 0.0 && self.semiangle_mrad < 500.0) {
+            let expected = "must be above 0 and below 500";
+            return Err(Error::invalid("semiangle (mrad)", self.semiangle_mrad, expected));
+        }
+        Ok(())
+    }
+
+    /// Amplitude of the lens' transfer, `A exp(-i chi)`, at spatial frequency `k` (1/Angstrom) on a
+    /// Fourier grid of spacing `dk` (1/Angstrom).
+    pub fn transfer(&self, k: [f64; 2], dk: [f64; 2]) -> Complex64 {
+        let lambda = self.wavelength_angstrom();
+        let alpha = lambda * k[0].hypot(k[1]);
+        let phi = k[1].atan2(k[0]);
+        let limit = self.semiangle_mrad * 1e-3;
+        let amplitude = match self.edge {
+            _ if alpha == 0.0 => 1.0,
+            ApertureEdge::Soft => {
+                let width = lambda * (dk[0] * phi.cos()).hypot(dk[1] * phi.sin());
+                ((limit - alpha) / width + 0.5).clamp(0.0, 1.0)
+            }
+            ApertureEdge::Hard => f64::from(u8::from(alpha < limit)),
+        };
+        if amplitude == 0.0 {
+            return Complex64::ZERO;
+        }
+        Complex64::from_polar(amplitude, -self.aberrations.chi(lambda, alpha, phi))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parses_coefficients() {
+        let a = Aberration::parse("C12=30@0.3").unwrap();
+        assert_eq!((a.order, a.symmetry, a.magnitude_angstrom, a.azimuth_rad), (1, 2, 30.0, 0.3));
+        assert_eq!(Aberration::parse("C30=1e5").unwrap().magnitude_angstrom, 1e5);
+        for bad in ["C11=3", "C12", "12=3", "C12=x", "C12=1@nan", ""] {
+            let message = Aberration::parse(bad).unwrap_err().to_string();
+            assert!(message.contains("C56"), "{message}");
+        }
+    }
+
+    /// Scherzer defocus balances C_s: chi = -2 pi / 3 at its minimum (Kirkland 2010, sec. 3.2).
+    #[test]
+    fn scherzer_phase() {
+        let lambda = wavelength_angstrom(200e3);
+        let cs = 1.3e7;
+        let defocus = (1.5 * cs * lambda).sqrt();
+        let mut a = Aberrations::defocus(defocus);
+        a.0.push(Aberration::parse("C30=1.3e7").unwrap());
+        let lowest = (0..3000).map(|i| a.chi(lambda, f64::from(i) * 5e-6, 0.4)).fold(0.0, f64::min);
+        assert!((lowest + 2.25 * PI / 3.0).abs() < 1e-3, "{lowest}");
+    }
+
+    #[test]
+    fn soft_edge_is_half_at_the_semiangle() {
+        let o = Optics::default();
+        let k = 0.021 / o.wavelength_angstrom();
+        assert!((o.transfer([k, 0.0], [0.1, 0.2]).norm() - 0.5).abs() < 1e-12);
+        assert_eq!(
+            o.transfer([0.0, k + 0.11], [0.1, 0.2]).norm(),
+            0.5 - 0.11 / 0.2 + 0.0_f64.max(0.0)
+        );
+        assert_eq!(o.transfer([0.0, k + 0.21], [0.1, 0.2]).norm(), 0.0);
+    }
+}

@@ -1,0 +1,5 @@
+//! From atoms to projected potentials: scattering factors, slices, structure factors.
+
+pub mod projected;
+pub mod scattering;
+pub mod slices;

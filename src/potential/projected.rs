@@ -1,0 +1,319 @@
+//! Projected potentials of slices by structure factors.
+//!
+//! `V(k) = (h^2 / 2 pi m e) / area  sum_species f(k) sum_atoms exp(-2 pi i k.r)`: every atom stands
+//! exactly where it is, with no spreading over pixels. The sum over atoms separates into
+//! `exp(-2 pi i kx x) exp(-2 pi i ky y)` and is a matrix product.
+
+use super::scattering::{Parametrization, ScatteringFactor};
+use super::slices::Slices;
+use crate::constants::POTENTIAL_PER_SCATTERING_FACTOR;
+use crate::error::Result;
+use crate::fft::{Buffer, Fft2, Scratch, frequency};
+use num_complex::{Complex32, Complex64};
+use serde::{Deserialize, Serialize};
+use std::f64::consts::PI;
+
+/// How an atom is distributed over slices.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Projection {
+    /// The whole atom goes into the slice that holds its nucleus.
+    #[default]
+    Infinite,
+    /// Each slice gets the part of the atom between its boundaries.
+    Finite,
+}
+
+/// Reach of an atom along the beam with finite projection, in Angstrom: the slices at this distance
+/// take the rest of it, so that nothing is lost.
+const FINITE_REACH_ANGSTROM: f64 = 8.0;
+/// Points of the radial table of one atom's part in one slice.
+const RADIAL_POINTS: usize = 4096;
+
+/// An atom where it is in this configuration.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PlacedAtom {
+    /// Position in Angstrom.
+    pub position: [f64; 3],
+    /// Atomic number.
+    pub number: u8,
+}
+
+/// Computes projected potentials on one grid.
+pub struct Projector {
+    fft: Fft2,
+    extent: [f64; 2],
+    species: Vec<Species>,
+}
+
+struct Species {
+    number: u8,
+    factor: ScatteringFactor,
+    /// `V(k)` of one atom in V Angstrom, on the half plane kx >= 0: ny rows of nx / 2 + 1.
+    half_plane: Vec<f32>,
+}
+
+/// Work space of one thread.
+pub struct ProjectorScratch {
+    fft: Scratch,
+    sum: Vec<Complex32>,
+    species_sum: Vec<Complex32>,
+}
+
+impl Projector {
+    /// For a cell of `extent` (x, y) Angstrom and the given elements.
+    ///
+    /// # Errors
+    /// An element that the table lacks.
+    pub fn new(
+        (ny, nx): (usize, usize),
+        extent: [f64; 2],
+        parametrization: Parametrization,
+        elements: &[u8],
+    ) -> Result<Self> {
+        let mut species = Vec::new();
+        for &number in elements {
+            let factor = ScatteringFactor::new(parametrization, number)?;
+            let mut half_plane = Vec::with_capacity(ny * (nx / 2 + 1));
+            let unit = POTENTIAL_PER_SCATTERING_FACTOR / (extent[0] * extent[1]);
+            for iy in 0..ny {
+                for ix in 0..=nx / 2 {
+                    let q2 = k2(iy, ix, (ny, nx), extent);
+                    let unpaired = (ny % 2 == 0 && iy == ny / 2) || (nx % 2 == 0 && ix == nx / 2);
+                    half_plane.push(if unpaired { 0.0 } else { (unit * factor.at(q2)) as f32 });
+                }
+            }
+            species.push(Species { number, factor, half_plane });
+        }
+        Ok(Projector { fft: Fft2::new(ny, nx), extent, species })
+    }
+
+    /// The transform of this grid.
+    pub fn fft(&self) -> &Fft2 {
+        &self.fft
+    }
+
+    /// Work space for one thread.
+    pub fn scratch(&self) -> ProjectorScratch {
+        let (ny, nx) = self.fft.shape();
+        let zeros = vec![Complex32::ZERO; ny * (nx / 2 + 1)];
+        ProjectorScratch { fft: self.fft.scratch(), sum: zeros.clone(), species_sum: zeros }
+    }
+
+    /// Projected potential of `atoms`, all of which belong to the slice, in V Angstrom: the real
+    /// parts of `out` (the imaginary parts vanish but for rounding).
+    pub fn infinite(&self, atoms: &[PlacedAtom], out: &mut Buffer, scratch: &mut ProjectorScratch) {
+        scratch.sum.fill(Complex32::ZERO);
+        for species in &self.species {
+            let positions: Vec<[f64; 3]> =
+                atoms.iter().filter(|a| a.number == species.number).map(|a| a.position).collect();
+            if positions.is_empty() {
+                continue;
+            }
+            self.phase_sum(&positions, &mut scratch.species_sum);
+            let terms = scratch.species_sum.iter().zip(&species.half_plane);
+            for (s, (p, f)) in scratch.sum.iter_mut().zip(terms) {
+                *s += p * f;
+            }
+        }
+        self.to_real_space(out, scratch);
+    }
+
+    /// Projected potential of slice `index` with finite projection; `atoms` are those of the whole
+    /// specimen. As [`Projector::infinite`] otherwise.
+    pub fn finite(
+        &self,
+        atoms: &[PlacedAtom],
+        slices: &Slices,
+        index: usize,
+        out: &mut Buffer,
+        scratch: &mut ProjectorScratch,
+    ) {
+        scratch.sum.fill(Complex32::ZERO);
+        for atom in atoms {
+            let reach =
+                atom.position[2] - FINITE_REACH_ANGSTROM..atom.position[2] + FINITE_REACH_ANGSTROM;
+            let (first, last) = (slices.index(reach.start), slices.index(reach.end));
+            if !(first..=last).contains(&index) {
+                continue;
+            }
+            let far = 1e3;
+            let below =
+                if index == first { -far } else { slices.boundaries[index] - atom.position[2] };
+            let above =
+                if index == last { far } else { slices.boundaries[index + 1] - atom.position[2] };
+            if let Some(s) = self.species.iter().find(|s| s.number == atom.number) {
+                self.add_part(s, atom.position, [below, above], &mut scratch.sum);
+            }
+        }
+        self.to_real_space(out, scratch);
+    }
+
+    /// Adds the part of one atom between `z[0]` and `z[1]` (relative to its nucleus).
+    fn add_part(&self, species: &Species, at: [f64; 3], z: [f64; 2], sum: &mut [Complex32]) {
+        let (ny, nx) = self.fft.shape();
+        let half = nx / 2 + 1;
+        let shape = (ny, nx);
+        let top = k2(ny / 2, nx / 2, shape, self.extent).sqrt() * 1.001;
+        let unit = POTENTIAL_PER_SCATTERING_FACTOR / (self.extent[0] * self.extent[1]);
+        let step = top / (RADIAL_POINTS - 2) as f64;
+        let table: Vec<f32> = (0..RADIAL_POINTS)
+            .map(|i| {
+                let q = i as f64 * step;
+                (unit * species.factor.between(q * q, z[0], z[1])) as f32
+            })
+            .collect();
+        let x = phases(at[0] / self.extent[0], nx, 0..half);
+        let y = phases(at[1] / self.extent[1], ny, 0..ny);
+        for iy in (0..ny).filter(|iy| ny % 2 == 1 || *iy != ny / 2) {
+            let row = &mut sum[iy * half..][..nx.div_ceil(2)];
+            for (ix, s) in row.iter_mut().enumerate() {
+                let q = (k2(iy, ix, shape, self.extent).sqrt() / step) as f32;
+                let (i, t) = (q as usize, q.fract());
+                let f = table[i] + t * (table[i + 1] - table[i]);
+                *s += x[ix] * y[iy] * f;
+            }
+        }
+    }
+
+    /// `sum_atoms exp(-2 pi i k.r)` on the half plane.
+    fn phase_sum(&self, positions: &[[f64; 3]], out: &mut [Complex32]) {
+        let (ny, nx) = self.fft.shape();
+        let half = nx / 2 + 1;
+        let n = positions.len();
+        let mut along_y = Vec::with_capacity(n * ny);
+        let mut along_x = Vec::with_capacity(n * half);
+        for p in positions {
+            along_y.extend(phases(p[1] / self.extent[1], ny, 0..ny));
+            along_x.extend(phases(p[0] / self.extent[0], nx, 0..half));
+        }
+        // out[iy, ix] = sum_n along_y[n, iy] along_x[n, ix]
+        assert_eq!(out.len(), ny * half);
+        // All three matrices are as large as the dimensions and strides say.
+        unsafe {
+            gemm::gemm(
+                ny,
+                half,
+                n,
+                out.as_mut_ptr(),
+                1,
+                half as isize,
+                false,
+                along_y.as_ptr(),
+                ny as isize,
+                1,
+                along_x.as_ptr(),
+                1,
+                half as isize,
+                Complex32::ZERO,
+                Complex32::ONE,
+                false,
+                false,
+                false,
+                gemm::Parallelism::None,
+            );
+        }
+    }
+
+    /// Completes the half plane by Hermitian symmetry and transforms.
+    fn to_real_space(&self, out: &mut Buffer, scratch: &mut ProjectorScratch) {
+        let (ny, nx) = self.fft.shape();
+        let (half, stride) = (nx / 2 + 1, self.fft.stride());
+        for iy in 0..ny {
+            let row = &mut out[iy * stride..][..nx];
+            row[..half].copy_from_slice(&scratch.sum[iy * half..][..half]);
+            let mirrored = &scratch.sum[(ny - iy) % ny * half..][..half];
+            for ix in half..nx {
+                row[ix] = mirrored[nx - ix].conj();
+            }
+        }
+        self.fft.inverse(out, &mut scratch.fft);
+    }
+}
+
+/// Squared spatial frequency of bin (iy, ix) in 1/Angstrom^2.
+fn k2(iy: usize, ix: usize, (ny, nx): (usize, usize), extent: [f64; 2]) -> f64 {
+    let ky = frequency(iy, ny) as f64 / extent[1];
+    let kx = frequency(ix, nx) as f64 / extent[0];
+    kx * kx + ky * ky
+}
+
+/// `exp(-2 pi i f u)` for the frequencies f of the given bins of a grid of `n`, `u` the position in
+/// units of the period.
+fn phases(u: f64, n: usize, bins: std::ops::Range<usize>) -> Vec<Complex32> {
+    let step = Complex64::from_polar(1.0, -2.0 * PI * u.rem_euclid(1.0));
+    let mut positive = Vec::with_capacity(n / 2 + 1);
+    let mut w = Complex64::ONE;
+    for _ in 0..=n / 2 {
+        positive.push(w);
+        w *= step;
+    }
+    bins.map(|i| {
+        let f = frequency(i, n);
+        let w = positive[f.unsigned_abs() as usize];
+        let w = if f < 0 { w.conj() } else { w };
+        Complex32::new(w.re as f32, w.im as f32)
+    })
+    .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::potential::slices::Slicing;
+
+    fn projector(n: usize) -> Projector {
+        Projector::new((n, n), [6.0, 5.0], Parametrization::Lobato, &[8, 38]).unwrap()
+    }
+
+    fn real(p: &Projector, b: &Buffer) -> Vec<f32> {
+        let (ny, nx) = p.fft.shape();
+        (0..ny * nx).map(|i| b[i / nx * p.fft.stride() + i % nx].re).collect()
+    }
+
+    #[test]
+    fn mean_potential_is_the_forward_scattering_and_shifts_are_exact() {
+        let p = projector(60);
+        let mut out = p.fft.buffer();
+        let mut scratch = p.scratch();
+        let at = |x: f64, y: f64| [PlacedAtom { position: [x, y, 0.0], number: 38 }];
+        p.infinite(&at(3.0, 2.5), &mut out, &mut scratch);
+        let centred = real(&p, &out);
+        let mean = centred.iter().sum::<f32>() / centred.len() as f32;
+        let f0 = ScatteringFactor::new(Parametrization::Lobato, 38).unwrap().at(0.0);
+        let expected = POTENTIAL_PER_SCATTERING_FACTOR * f0 / 30.0;
+        assert!((f64::from(mean) / expected - 1.0).abs() < 1e-5);
+        // one pixel further along x, with a wrap around the cell's edge along y
+        p.infinite(&at(3.1, 2.5 - 5.0 * 3.0), &mut out, &mut scratch);
+        let shifted = real(&p, &out);
+        let top = centred.iter().fold(0.0, |a: f32, b| a.max(*b));
+        for y in 0..60 {
+            for x in 0..60 {
+                let error = shifted[y * 60 + (x + 1) % 60] - centred[y * 60 + x];
+                assert!(error.abs() < 2e-6 * top);
+            }
+        }
+    }
+
+    #[test]
+    fn finite_slices_add_up_to_the_infinite_projection() {
+        let p = projector(40);
+        let atoms = [
+            PlacedAtom { position: [1.23, 4.9, 2.1], number: 38 },
+            PlacedAtom { position: [5.5, 0.4, 6.02], number: 8 },
+        ];
+        let slices = Slices::new(Slicing::Thickness(2.0), 24.0, &[2.1, 6.02]).unwrap();
+        let (mut out, mut scratch) = (p.fft.buffer(), p.scratch());
+        let mut sum = vec![0.0; 1600];
+        for i in 0..slices.len() {
+            p.finite(&atoms, &slices, i, &mut out, &mut scratch);
+            sum.iter_mut().zip(real(&p, &out)).for_each(|(s, v)| *s += v);
+        }
+        p.infinite(&atoms, &mut out, &mut scratch);
+        let whole = real(&p, &out);
+        let top = whole.iter().fold(0.0, |a: f32, b| a.max(*b));
+        for (s, w) in sum.iter().zip(&whole) {
+            assert!((s - w).abs() < 1e-5 * top, "{s} {w}");
+        }
+    }
+}

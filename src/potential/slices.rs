@@ -1,0 +1,222 @@
+//! Where the specimen is cut into slices.
+
+use crate::error::{Error, Result};
+use serde::{Deserialize, Serialize};
+
+/// How to cut.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "snake_case")]
+pub enum Slicing {
+    /// One slice per atomic plane, cut midway between planes; specimens without planes are cut
+    /// evenly into slices of at most [`PLANELESS_THICKNESS_ANGSTROM`].
+    #[default]
+    Planes,
+    /// Slices of equal thickness, as near as possible to and at most this many Angstrom.
+    Thickness(f64),
+}
+
+/// Thickness of slices where there are no planes to centre.
+pub const PLANELESS_THICKNESS_ANGSTROM: f64 = 1.0;
+/// Atoms nearer than this along the beam belong to the same plane.
+const SAME_PLANE_ANGSTROM: f64 = 0.25;
+/// Atoms that chain together over more than this form no plane.
+const MAX_PLANE_SPREAD_ANGSTROM: f64 = 0.7;
+/// An atom this near to a face of the cell would leave it by thermal motion.
+const FACE_ROOM_ANGSTROM: f64 = 0.5;
+
+/// Slices of a specimen: slice i holds the atoms with `boundaries[i] <= z < boundaries[i + 1]`, and
+/// its projected potential acts at `planes[i]`.
+///
+/// Waves are propagated from plane to plane, so that moving a boundary within a gap between atomic
+/// planes changes nothing.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Slices {
+    /// n + 1 positions along the beam in Angstrom; the first is the entrance surface, the last the
+    /// exit surface.
+    pub boundaries: Vec<f64>,
+    /// n positions where the slices' potentials act, in Angstrom.
+    pub planes: Vec<f64>,
+}
+
+impl Slices {
+    /// Cuts a cell of height `height` (Angstrom, periodic) whose atoms have mean heights `z`.
+    ///
+    /// When atoms lie on a face of the cell, the window of one period that is cut into slices
+    /// starts half a gap before the first plane (at most 1 A), so that no atom crosses a face by
+    /// thermal motion.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a thickness that is not positive or a height that is not.
+    pub fn new(slicing: Slicing, height: f64, z: &[f64]) -> Result<Self> {
+        if !(height > 0.0 && height.is_finite()) {
+            return Err(Error::invalid("cell height (A)", height, "must be positive"));
+        }
+        let mut z: Vec<f64> = z.iter().map(|z| wrap(*z, 0.0, height)).collect();
+        z.sort_by(f64::total_cmp);
+        let entrance = entrance(&z, height);
+        z.iter_mut().for_each(|v| *v = wrap(*v, entrance, height));
+        z.sort_by(f64::total_cmp);
+        match slicing {
+            Slicing::Planes => Ok(match planes(&z) {
+                Some(planes) if !planes.is_empty() => Self::around(&planes, entrance, height),
+                _ => Self::even(PLANELESS_THICKNESS_ANGSTROM, entrance, height),
+            }),
+            Slicing::Thickness(t) if t > 0.0 && t.is_finite() => {
+                Ok(Self::even(t, entrance, height))
+            }
+            Slicing::Thickness(t) => {
+                Err(Error::invalid("slice thickness (A)", t, "must be positive"))
+            }
+        }
+    }
+
+    fn even(thickness: f64, entrance: f64, height: f64) -> Self {
+        let n = (height / thickness - 1e-6).ceil().max(1.0);
+        let edge = |i: f64| entrance + height * i / n;
+        let count = n as usize;
+        Slices {
+            boundaries: (0..=count).map(|i| edge(i as f64)).collect(),
+            planes: (0..count).map(|i| edge(i as f64 + 0.5)).collect(),
+        }
+    }
+
+    fn around(planes: &[f64], entrance: f64, height: f64) -> Self {
+        let mut boundaries = vec![entrance];
+        boundaries.extend(planes.windows(2).map(|w| 0.5 * (w[0] + w[1])));
+        boundaries.push(entrance + height);
+        Slices { boundaries, planes: planes.to_vec() }
+    }
+
+    /// Number of slices.
+    pub fn len(&self) -> usize {
+        self.planes.len()
+    }
+
+    /// Whether there is no slice (never, for slices made by [`Slices::new`]).
+    pub fn is_empty(&self) -> bool {
+        self.planes.is_empty()
+    }
+
+    /// The entrance surface.
+    pub fn entrance(&self) -> f64 {
+        self.boundaries[0]
+    }
+
+    /// Total thickness in Angstrom.
+    pub fn thickness(&self) -> f64 {
+        self.boundaries[self.len()] - self.boundaries[0]
+    }
+
+    /// The window of one period into which atoms are wrapped by their mean height.
+    pub fn wrap(&self, mean_z: f64) -> f64 {
+        wrap(mean_z, self.entrance(), self.thickness())
+    }
+
+    /// The slice that holds height `z`; beyond the surfaces, the first or last one, so that an atom
+    /// displaced out of the specimen is kept.
+    pub fn index(&self, z: f64) -> usize {
+        let inner = &self.boundaries[1..self.len()];
+        inner.partition_point(|b| *b <= z)
+    }
+}
+
+fn wrap(z: f64, start: f64, period: f64) -> f64 {
+    let r = (z - start).rem_euclid(period);
+    // rounding may give r = period for tiny negative arguments
+    start + if r >= period { 0.0 } else { r }
+}
+
+/// Start of the slab for sorted heights in [0, height).
+fn entrance(z: &[f64], height: f64) -> f64 {
+    let (Some(&first), Some(&last)) = (z.first(), z.last()) else { return 0.0 };
+    if first >= FACE_ROOM_ANGSTROM && last <= height - FACE_ROOM_ANGSTROM {
+        return 0.0;
+    }
+    // the widest gap that touches or is near the face, searched cyclically
+    let near = |v: f64| v < 2.0 || v > height - 2.0;
+    let mut best = (first + height - last, last - height);
+    for w in z.windows(2) {
+        if near(w[0]) && near(w[1]) && w[1] - w[0] > best.0 + 1e-9 {
+            let lower = if w[0] > height / 2.0 { w[0] - height } else { w[0] };
+            best = (w[1] - w[0], lower);
+        }
+    }
+    best.1 + best.0 - (0.5 * best.0).min(1.0)
+}
+
+/// Heights of atomic planes for sorted heights, or `None` when the atoms form none.
+fn planes(z: &[f64]) -> Option<Vec<f64>> {
+    let mut planes = Vec::new();
+    let mut start = 0;
+    for i in 1..=z.len() {
+        if i == z.len() || z[i] - z[i - 1] > SAME_PLANE_ANGSTROM {
+            let group = &z[start..i];
+            if group[group.len() - 1] - group[0] > MAX_PLANE_SPREAD_ANGSTROM {
+                return None;
+            }
+            planes.push(group.iter().sum::<f64>() / group.len() as f64);
+            start = i;
+        }
+    }
+    Some(planes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn perovskite_planes_are_centred_wherever_the_cell_starts() {
+        let a = 3.905;
+        for shift in [0.0, 0.3, a / 4.0, 1.9, -0.001] {
+            let z: Vec<f64> = (0..20).map(|i| f64::from(i) * a / 2.0 + shift).collect();
+            let s = Slices::new(Slicing::Planes, 10.0 * a, &z).unwrap();
+            assert_eq!(s.len(), 20);
+            assert!((s.thickness() - 10.0 * a).abs() < 1e-9);
+            for i in 0..20 {
+                let (low, high) = (s.boundaries[i], s.boundaries[i + 1]);
+                let room = (s.planes[i] - low).min(high - s.planes[i]);
+                assert!(room > 0.29, "{shift}: slice {i} {low} {} {high}", s.planes[i]);
+            }
+            let mut count = vec![0; 20];
+            z.iter().for_each(|z| count[s.index(s.wrap(*z))] += 1);
+            assert_eq!(count, vec![1; 20], "{shift}");
+            // an atom displaced out of the slab stays in the surface slice
+            assert_eq!(s.index(s.entrance() - 0.1), 0);
+            assert_eq!(s.index(s.entrance() + s.thickness() + 0.1), 19);
+        }
+    }
+
+    #[test]
+    fn requested_thickness_is_an_upper_limit_and_centres_planes_at_half_a_cell() {
+        let a = 3.905;
+        let z: Vec<f64> = (0..20).map(|i| f64::from(i) * a / 2.0).collect();
+        let s = Slices::new(Slicing::Thickness(a / 2.0), 10.0 * a, &z).unwrap();
+        assert_eq!(s.len(), 20);
+        for z in &z {
+            let plane = s.planes[s.index(s.wrap(*z))];
+            assert!((plane - s.wrap(*z)).abs() < 1e-9);
+        }
+        let s = Slices::new(Slicing::Thickness(1.0), 10.0 * a, &z).unwrap();
+        assert_eq!(s.len(), 40);
+        for bad in [0.0, -1.0, f64::NAN] {
+            assert!(Slices::new(Slicing::Thickness(bad), 10.0, &z).is_err());
+        }
+    }
+
+    #[test]
+    fn amorphous_and_empty_cells_are_cut_evenly() {
+        let z: Vec<f64> = (0..500).map(|i| f64::from(i) * 0.0997).collect();
+        assert_eq!(Slices::new(Slicing::Planes, 50.0, &z).unwrap().len(), 50);
+        assert_eq!(Slices::new(Slicing::Planes, 5.0, &[]).unwrap().len(), 5);
+    }
+
+    #[test]
+    fn a_slab_in_vacuum_keeps_its_surfaces() {
+        let s = Slices::new(Slicing::Planes, 20.0, &[5.0, 7.0, 9.0]).unwrap();
+        assert_eq!(s.boundaries, vec![0.0, 6.0, 8.0, 20.0]);
+        assert_eq!(s.planes, vec![5.0, 7.0, 9.0]);
+        let s = Slices::new(Slicing::Planes, 20.0, &[0.0, 2.0]).unwrap();
+        assert_eq!(s.entrance(), -1.0);
+    }
+}
