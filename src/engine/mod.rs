@@ -1,4 +1,18 @@
-//! Simulation of detector images from atoms.
+//! Simulation of detector images from atoms: plan, then execute.
+
+mod images;
+mod imaging;
+mod multislice;
+pub mod plan;
+mod prism;
+pub mod settings;
+mod stepper;
+mod transmission;
+
+pub use images::{Images, diffraction, exit_wave, simulate};
+pub use imaging::lens_image;
+pub use plan::Plan;
+pub use settings::{Algorithm, BeyondLimit, GridChoice, Phonons, Settings};
 
 /// A lattice site as the engine sees it: where it is on average, and how it vibrates.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,0 +1,163 @@
+//! Executes a plan: configurations, averages, images.
+
+use super::multislice::Multislice;
+use super::plan::Plan;
+use super::prism::Prism;
+use super::settings::Algorithm;
+use super::stepper::{Specimen, Stepper};
+use super::transmission::TransmissionBuilder;
+use super::{Scan, Site};
+use crate::error::{Error, Result};
+use crate::fft::Buffer;
+use crate::progress::Progress;
+use ndarray::{Array2, Array4, ArrayView2, s};
+use num_complex::Complex32;
+use std::collections::BTreeSet;
+
+/// Detector images, as fractions of the incident beam, averaged over phonon configurations.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Images {
+    /// (thickness, detector, row = y, column = x)
+    pub data: Array4<f32>,
+    /// Detector names.
+    pub detectors: Vec<String>,
+    /// Thicknesses in Angstrom.
+    pub thicknesses_angstrom: Vec<f64>,
+}
+
+impl Images {
+    /// The image of a detector at a recorded thickness.
+    pub fn image(&self, thickness: usize, detector: usize) -> ArrayView2<'_, f32> {
+        self.data.slice(s![thickness, detector, .., ..])
+    }
+}
+
+/// Simulates the images of a scan.
+///
+/// The cell is periodic along x and y; sites outside are wrapped. The result is the same bytes for
+/// any number of threads.
+///
+/// # Errors
+/// An element that the tables lack, or [`Error::Interrupted`].
+pub fn simulate(
+    plan: &Plan,
+    sites: &[Site],
+    scan: &Scan,
+    progress: &dyn Progress,
+) -> Result<Images> {
+    let builder = TransmissionBuilder::new(plan, &elements(sites))?;
+    let configurations = plan.settings.configurations();
+    let records = plan.record_after.len();
+    let detectors = plan.settings.detectors.len();
+    let mut sum = vec![0.0_f64; scan.len() * records * detectors];
+    let units = (plan.beams + scan.len()) * records.max(1);
+    let units = if plan.beams > 0 { units } else { scan.len() };
+    let unit = if plan.beams > 0 { "waves and probes" } else { "probes" };
+    progress.start("simulating", unit, units as u64 * u64::from(configurations));
+    let engine = match plan.settings.algorithm {
+        Algorithm::Prism { .. } => Engine::Prism(Box::new(Prism::new(plan))),
+        _ => Engine::Multislice(Box::new(Multislice::new(plan))),
+    };
+    for configuration in 0..configurations {
+        let transmission = builder.build(sites, configuration, progress)?;
+        let values = match &engine {
+            Engine::Multislice(m) => m.run(&transmission, builder.stride(), scan, progress)?,
+            Engine::Prism(p) => p.run(&transmission, builder.stride(), scan, progress)?,
+        };
+        sum.iter_mut().zip(values).for_each(|(s, v)| *s += v);
+    }
+    progress.finish();
+    let [rows, columns] = scan.shape;
+    let n = f64::from(configurations);
+    let data = Array4::from_shape_fn((records, detectors, rows, columns), |(t, d, y, x)| {
+        (sum[((y * columns + x) * records + t) * detectors + d] / n) as f32
+    });
+    Ok(Images {
+        data,
+        detectors: plan.settings.detectors.iter().map(|d| d.name.clone()).collect(),
+        thicknesses_angstrom: plan.thicknesses_angstrom(),
+    })
+}
+
+enum Engine<'a> {
+    Multislice(Box<Multislice<'a>>),
+    Prism(Box<Prism<'a>>),
+}
+
+/// Diffraction intensity of one probe (configuration 0) at the last recorded thickness: fraction of
+/// the beam per pixel of the plan's wave grid, FFT order, rows = ky.
+///
+/// # Errors
+/// As [`simulate`]; plans for PRISM have no single probe and are refused.
+pub fn diffraction(
+    plan: &Plan,
+    sites: &[Site],
+    position_angstrom: [f64; 2],
+    progress: &dyn Progress,
+) -> Result<Array2<f32>> {
+    if matches!(plan.settings.algorithm, Algorithm::Prism { .. }) {
+        return Err(Error::invalid("algorithm", "prism", "use multislice for single patterns"));
+    }
+    let builder = TransmissionBuilder::new(plan, &elements(sites))?;
+    let transmission = builder.build(sites, 0, progress)?;
+    let engine = Multislice::new(plan);
+    let patterns = engine.diffraction(&transmission, builder.stride(), position_angstrom);
+    let last = patterns.into_iter().next_back().unwrap_or_default();
+    let shape = plan.wave_grid.shape();
+    Array2::from_shape_vec(shape, last)
+        .map_err(|e| Error::invalid("pattern", e, "has the shape of the wave grid"))
+}
+
+/// The exit wave of a plane wave along the beam through one phonon configuration, on the plan's
+/// grid, at the exit surface: (row = y, column = x), mean intensity 1 where nothing is absorbed.
+///
+/// # Errors
+/// As [`simulate`].
+pub fn exit_wave(
+    plan: &Plan,
+    sites: &[Site],
+    configuration: u32,
+    progress: &dyn Progress,
+) -> Result<Array2<Complex32>> {
+    if plan.wave_grid != plan.grid {
+        return Err(Error::invalid("algorithm", "window", "use multislice for plane waves"));
+    }
+    let builder = TransmissionBuilder::new(plan, &elements(sites))?;
+    let transmission = builder.build(sites, configuration, progress)?;
+    let stepper = Stepper::new(plan);
+    let fft = stepper.fft();
+    let (mut wave, mut scratch): (Buffer, _) = (fft.buffer(), fft.scratch());
+    // A plane wave is 1 in the first column of every row once rows are transformed.
+    let (ny, nx) = fft.shape();
+    for y in 0..ny {
+        wave[y * fft.stride()] = Complex32::ONE;
+    }
+    let shape = plan.grid.shape();
+    for (i, data) in transmission.iter().enumerate() {
+        let specimen = Specimen { data, stride: builder.stride(), shape, origin: (0, 0) };
+        stepper.transmit(&mut wave, specimen, &mut scratch);
+        if i + 1 < transmission.len() {
+            stepper.propagate(&mut wave, i, &mut scratch);
+        }
+    }
+    let slices = &plan.slices;
+    let to_exit = slices.boundaries[slices.len()] - slices.planes[slices.len() - 1];
+    stepper.propagate_by(&mut wave, &stepper.propagator(to_exit), &mut scratch);
+    let mut out = Array2::zeros((ny, nx));
+    let band = stepper.band();
+    for y in 0..ny {
+        let row = &mut wave[y * fft.stride()..][..fft.stride()];
+        if let [low, high] = band {
+            row[low.end..high.start].fill(Complex32::ZERO);
+        }
+        fft.row(row, true, &mut scratch);
+        for x in 0..nx {
+            out[[y, x]] = row[x];
+        }
+    }
+    Ok(out)
+}
+
+fn elements(sites: &[Site]) -> Vec<u8> {
+    sites.iter().map(|s| s.number).collect::<BTreeSet<u8>>().into_iter().collect()
+}

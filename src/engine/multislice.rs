@@ -1,0 +1,252 @@
+//! Plain multislice of probes, on the full grid or in windows.
+
+use super::Scan;
+use super::plan::{Grid, Plan};
+use super::settings::Algorithm;
+use super::stepper::{Specimen, Stepper};
+use crate::detect::DetectorMap;
+use crate::error::{Error, Result};
+use crate::fft::{Buffer, Fft2, Scratch, frequency};
+use crate::progress::Progress;
+use num_complex::{Complex32, Complex64};
+use rayon::prelude::*;
+use std::f64::consts::PI;
+
+/// Propagates probes through given transmission functions.
+pub(super) struct Multislice<'a> {
+    plan: &'a Plan,
+    stepper: Stepper,
+    map: DetectorMap,
+    probe: Spectrum,
+}
+
+/// The probe in Fourier space, for a position at `centre`.
+struct Spectrum {
+    /// (iy, ix, amplitude); squared amplitudes sum to the fraction of the beam inside the grid.
+    entries: Vec<(usize, usize, Complex64)>,
+    centre: [f64; 2],
+}
+
+/// One thread's arrays.
+pub(super) struct Workspace {
+    wave: Buffer,
+    copy: Buffer,
+    scratch: Scratch,
+}
+
+impl<'a> Multislice<'a> {
+    pub fn new(plan: &'a Plan) -> Self {
+        let stepper = Stepper::new(plan);
+        let grid = plan.wave_grid;
+        let wavelength = plan.settings.optics.wavelength_angstrom();
+        let map = DetectorMap::new(
+            &plan.settings.detectors,
+            grid.shape(),
+            stepper.fft().stride(),
+            plan.band_limit_mrad,
+            |iy, ix| {
+                let [kx, ky] = grid.k(iy, ix);
+                kx.hypot(ky) * wavelength * 1e3
+            },
+        );
+        let probe = match plan.settings.algorithm {
+            Algorithm::Window { .. } => Spectrum::windowed(plan),
+            _ => Spectrum::full(plan, &grid),
+        };
+        Multislice { plan, stepper, map, probe }
+    }
+
+    /// Intensities as (probe, recorded thickness, detector), row-major.
+    pub fn run(
+        &self,
+        transmission: &[Buffer],
+        stride: usize,
+        scan: &Scan,
+        progress: &dyn Progress,
+    ) -> Result<Vec<f64>> {
+        let detectors = self.plan.settings.detectors.len();
+        let per_probe = detectors * self.plan.record_after.len();
+        let mut out = vec![0.0; scan.len() * per_probe];
+        out.par_chunks_mut(per_probe).enumerate().try_for_each_init(
+            || self.workspace(),
+            |w, (i, values)| {
+                if progress.interrupted() {
+                    return Err(Error::Interrupted);
+                }
+                let origin = self.start(w, scan.position(i));
+                self.through(w, transmission, stride, origin, |r, psi, scale| {
+                    self.map.collect(psi, scale, &mut values[r * detectors..][..detectors]);
+                });
+                progress.advance(1);
+                Ok(())
+            },
+        )?;
+        Ok(out)
+    }
+
+    pub fn workspace(&self) -> Workspace {
+        let fft = self.stepper.fft();
+        Workspace { wave: fft.buffer(), copy: fft.buffer(), scratch: fft.scratch() }
+    }
+
+    /// Puts a probe at `position` (Angstrom) into the wave; returns the pixel (row, column) of the
+    /// transmission grid under the wave's first pixel.
+    fn start(&self, w: &mut Workspace, position: [f64; 2]) -> (usize, usize) {
+        let (cell, grid) = (&self.plan.transmission_grid, &self.plan.wave_grid);
+        let pixel = grid.sampling_angstrom();
+        let mut origin = [0; 2];
+        let mut local = position;
+        for i in 0..2 {
+            if grid.points[i] < cell.points[i] {
+                let centre = (position[i] / pixel[i]).round() as i64;
+                let first = centre - grid.points[i] as i64 / 2;
+                local[i] = position[i] - first as f64 * pixel[i];
+                origin[i] = first.rem_euclid(cell.points[i] as i64) as usize;
+            }
+        }
+        let shift = [0, 1].map(|i| (local[i] - self.probe.centre[i]) / grid.extent_angstrom[i]);
+        let phases = [0, 1].map(|i| shift_phases(shift[i], grid.points[i]));
+        let stride = self.stepper.fft().stride();
+        w.wave.fill(Complex32::ZERO);
+        for &(iy, ix, amplitude) in &self.probe.entries {
+            let c = amplitude * phases[0][ix] * phases[1][iy];
+            w.wave[iy * stride + ix] = Complex32::new(c.re as f32, c.im as f32);
+        }
+        self.stepper.columns(&mut w.wave, true, &mut w.scratch);
+        (origin[1], origin[0])
+    }
+
+    /// Steps the wave through all slices; `record(r, psi, scale)` receives the Fourier coefficients
+    /// at the r-th recorded thickness, whose squared moduli times `scale` are fractions of the beam.
+    fn through(
+        &self,
+        w: &mut Workspace,
+        transmission: &[Buffer],
+        stride: usize,
+        origin: (usize, usize),
+        mut record: impl FnMut(usize, &[Complex32], f64),
+    ) {
+        let shape = self.plan.transmission_grid.shape();
+        let (ny, nx) = self.stepper.fft().shape();
+        let scale = 1.0 / ((nx * ny) as f64).powi(2);
+        let Some(&last) = self.plan.record_after.last() else { return };
+        for (i, data) in transmission.iter().enumerate().take(last + 1) {
+            let specimen = Specimen { data, stride, shape, origin };
+            self.stepper.transmit(&mut w.wave, specimen, &mut w.scratch);
+            if let Ok(r) = self.plan.record_after.binary_search(&i) {
+                w.copy.copy_from_slice(&w.wave);
+                self.stepper.columns(&mut w.copy, false, &mut w.scratch);
+                record(r, &w.copy, scale);
+            }
+            if i < last {
+                self.stepper.propagate(&mut w.wave, i, &mut w.scratch);
+            }
+        }
+    }
+
+    /// Diffraction intensity of one probe per recorded thickness: fraction of the beam per pixel of
+    /// the wave grid, FFT order, row-major without padding; zero beyond the band limit.
+    pub fn diffraction(
+        &self,
+        transmission: &[Buffer],
+        stride: usize,
+        position: [f64; 2],
+    ) -> Vec<Vec<f32>> {
+        let grid = self.plan.wave_grid;
+        let (ny, nx) = grid.shape();
+        let row_stride = self.stepper.fft().stride();
+        let mut out = vec![vec![0.0; nx * ny]; self.plan.record_after.len()];
+        let mut w = self.workspace();
+        let origin = self.start(&mut w, position);
+        self.through(&mut w, transmission, stride, origin, |r, psi, scale| {
+            for iy in 0..ny {
+                for ix in 0..nx {
+                    let [kx, ky] = grid.k(iy, ix);
+                    if kx.hypot(ky) < self.plan.band_limit {
+                        let p = f64::from(psi[iy * row_stride + ix].norm_sqr());
+                        out[r][iy * nx + ix] = (p * scale) as f32;
+                    }
+                }
+            }
+        });
+        out
+    }
+}
+
+impl Spectrum {
+    /// The probe on `grid`, at the origin, with total intensity 1, at the first slice's plane.
+    fn full(plan: &Plan, grid: &Grid) -> Self {
+        let optics = &plan.settings.optics;
+        let wavelength = optics.wavelength_angstrom();
+        let entry = plan.slices.planes[0] - plan.slices.entrance();
+        let (ny, nx) = grid.shape();
+        let mut entries = Vec::new();
+        for iy in 0..ny {
+            for ix in 0..nx {
+                let k = grid.k(iy, ix);
+                let amplitude = optics.transfer(k, grid.dk());
+                if amplitude != Complex64::ZERO {
+                    let phase = -PI * wavelength * entry * (k[0] * k[0] + k[1] * k[1]);
+                    entries.push((iy, ix, amplitude * Complex64::from_polar(1.0, phase)));
+                }
+            }
+        }
+        let norm = entries.iter().map(|e| e.2.norm_sqr()).sum::<f64>().sqrt();
+        entries.iter_mut().for_each(|e| e.2 /= norm);
+        Spectrum { entries, centre: [0.0; 2] }
+    }
+
+    /// The probe made with norm 1 in a box of four windows, cropped to the window and limited to
+    /// low angles; not renormalised, since what is cropped never reaches the specimen in the window.
+    fn windowed(plan: &Plan) -> Self {
+        let window = plan.wave_grid;
+        let factor = 4;
+        let large = Grid {
+            points: window.points.map(|n| factor * n),
+            extent_angstrom: window.extent_angstrom.map(|l| factor as f64 * l),
+        };
+        let full = Self::full(plan, &large);
+        let (my, mx) = large.shape();
+        let (ny, nx) = window.shape();
+        let fft = Fft2::new(my, mx);
+        let (mut wave, mut scratch) = (fft.buffer(), fft.scratch());
+        let pixel = window.sampling_angstrom();
+        let centre = [0, 1].map(|i| (window.points[i] / 2) as f64 * pixel[i]);
+        let phases =
+            [0, 1].map(|i| shift_phases(centre[i] / large.extent_angstrom[i], large.points[i]));
+        for &(iy, ix, a) in &full.entries {
+            let c = a * phases[0][ix] * phases[1][iy];
+            wave[iy * fft.stride() + ix] = Complex32::new(c.re as f32, c.im as f32);
+        }
+        fft.inverse(&mut wave, &mut scratch);
+        let small = Fft2::new(ny, nx);
+        let mut cropped = small.buffer();
+        for y in 0..ny {
+            cropped[y * small.stride()..][..nx].copy_from_slice(&wave[y * fft.stride()..][..nx]);
+        }
+        small.forward(&mut cropped, &mut small.scratch());
+        let optics = &plan.settings.optics;
+        let keep = (optics.semiangle_mrad * 2.0).max(optics.semiangle_mrad + 20.0) * 1e-3
+            / optics.wavelength_angstrom();
+        let keep = keep.min(plan.band_limit);
+        // Fourier coefficients on the window, times n / m: intensities then are fractions of the beam
+        let scale = 1.0 / ((nx * ny) as f64 * (mx * my) as f64).sqrt();
+        let mut entries = Vec::new();
+        for iy in 0..ny {
+            for ix in 0..nx {
+                let [kx, ky] = window.k(iy, ix);
+                if kx.hypot(ky) < keep {
+                    let v = cropped[iy * small.stride() + ix];
+                    let v = Complex64::new(f64::from(v.re), f64::from(v.im));
+                    entries.push((iy, ix, v * scale));
+                }
+            }
+        }
+        Spectrum { entries, centre }
+    }
+}
+
+/// `exp(-2 pi i f u)` for all FFT frequencies f of n bins.
+pub(super) fn shift_phases(u: f64, n: usize) -> Vec<Complex64> {
+    (0..n).map(|i| Complex64::from_polar(1.0, -2.0 * PI * u * frequency(i, n) as f64)).collect()
+}

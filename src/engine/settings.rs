@@ -1,0 +1,159 @@
+//! What is to be simulated.
+
+use crate::detect::Detector;
+use crate::error::{Error, Result};
+use crate::optics::Optics;
+use crate::potential::projected::Projection;
+use crate::potential::scattering::Parametrization;
+use crate::potential::slices::Slicing;
+use serde::{Deserialize, Serialize};
+
+/// The algorithm.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "name", rename_all = "lowercase")]
+pub enum Algorithm {
+    /// Each probe is propagated on the full grid: exact.
+    Multislice,
+    /// Plane waves are propagated and probes are put together from every `interpolation[i]`-th of
+    /// them along axis i (x, y), in a window of extent / interpolation. Exact for [1, 1]
+    /// (C. Ophus, Adv. Struct. Chem. Imaging 3 (2017) 13).
+    Prism {
+        /// Interpolation factors along x and y.
+        interpolation: [usize; 2],
+    },
+    /// Each probe is propagated in a small window of the specimen that follows it, on a coarser grid
+    /// that holds just the band limit.
+    Window {
+        /// Edge of the window in Angstrom.
+        width_angstrom: f64,
+    },
+}
+
+/// How fine the grid is.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum GridChoice {
+    /// The coarsest fast grid that carries all detectors.
+    Auto,
+    /// At most this many Angstrom per pixel.
+    Sampling(f64),
+    /// Exactly this many points along (x, y).
+    Points([usize; 2]),
+}
+
+/// What to do with a detector beyond the band limit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum BeyondLimit {
+    /// Refuse.
+    Error,
+    /// Say how much of the annulus is empty and go on.
+    Warn,
+}
+
+/// Frozen phonons.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Phonons {
+    /// Number of configurations averaged.
+    pub configurations: u32,
+    /// Seed of the displacements.
+    pub seed: u64,
+}
+
+/// Everything but the atoms and the probe positions.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Settings {
+    /// Probe-forming optics.
+    pub optics: Optics,
+    /// Detectors, all collected in one pass.
+    pub detectors: Vec<Detector>,
+    /// Scattering factors.
+    pub parametrization: Parametrization,
+    /// Infinite or finite projection.
+    pub projection: Projection,
+    /// Slices.
+    pub slicing: Slicing,
+    /// Grid.
+    pub grid: GridChoice,
+    /// Algorithm.
+    pub algorithm: Algorithm,
+    /// Radius of the anti-aliasing disk in units of the Nyquist frequency. 2/3 excludes aliasing
+    /// altogether; larger values trade aliasing at the highest angles for smaller grids.
+    pub band_fraction: f64,
+    /// Phonons; `None` takes the atoms exactly as given.
+    pub phonons: Option<Phonons>,
+    /// Thicknesses in Angstrom at which images are recorded, each moved to the nearest slice
+    /// boundary; empty: at the exit surface only.
+    pub thicknesses_angstrom: Vec<f64>,
+    /// Detectors beyond the band limit.
+    pub beyond_limit: BeyondLimit,
+}
+
+/// The exact anti-aliasing limit (Kirkland 2010, sec. 6.8).
+pub const EXACT_BAND_FRACTION: f64 = 2.0 / 3.0;
+
+impl Default for Settings {
+    /// 200 kV, 21 mrad, HAADF 68-200 mrad, plain multislice, no phonons.
+    fn default() -> Self {
+        Settings {
+            optics: Optics::default(),
+            detectors: vec![Detector::new("HAADF", 68.0, 200.0)],
+            parametrization: Parametrization::default(),
+            projection: Projection::default(),
+            slicing: Slicing::default(),
+            grid: GridChoice::Auto,
+            algorithm: Algorithm::Multislice,
+            band_fraction: EXACT_BAND_FRACTION,
+            phonons: None,
+            thicknesses_angstrom: Vec::new(),
+            beyond_limit: BeyondLimit::Error,
+        }
+    }
+}
+
+impl Settings {
+    /// Checks what does not depend on the specimen.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] naming the setting and its limits.
+    pub fn validate(&self) -> Result<()> {
+        self.optics.validate()?;
+        if self.detectors.is_empty() {
+            return Err(Error::invalid("detectors", "none", "give at least one"));
+        }
+        for (i, d) in self.detectors.iter().enumerate() {
+            if !(d.inner_mrad >= 0.0 && d.outer_mrad > d.inner_mrad && d.outer_mrad.is_finite()) {
+                let value = format!("{} = {}-{} mrad", d.name, d.inner_mrad, d.outer_mrad);
+                return Err(Error::invalid("detector", value, "needs 0 <= inner < outer"));
+            }
+            if self.detectors[..i].iter().any(|e| e.name == d.name) {
+                return Err(Error::invalid("detector name", &d.name, "is used twice"));
+            }
+        }
+        if !(0.1..=0.95).contains(&self.band_fraction) {
+            let expected = "must be between 0.1 and 0.95; 2/3 excludes aliasing";
+            return Err(Error::invalid("band fraction", self.band_fraction, expected));
+        }
+        if let Some(p) = self.phonons
+            && !(1..1 << 20).contains(&p.configurations)
+        {
+            let expected = "must be at least 1 and below 2^20";
+            return Err(Error::invalid("phonon configurations", p.configurations, expected));
+        }
+        match self.algorithm {
+            Algorithm::Prism { interpolation: [fx, fy] } if fx == 0 || fy == 0 => {
+                let value = format!("{fx},{fy}");
+                Err(Error::invalid("interpolation", value, "factors must be at least 1"))
+            }
+            Algorithm::Window { width_angstrom: w } if !(2.0..1000.0).contains(&w) => {
+                Err(Error::invalid("window (A)", w, "must be between 2 and 1000; 11.7 is usual"))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Number of phonon configurations simulated.
+    pub fn configurations(&self) -> u32 {
+        self.phonons.map_or(1, |p| p.configurations)
+    }
+}

@@ -1,0 +1,153 @@
+//! The multislice step: transmit, propagate.
+//!
+//! Between steps a wave is kept with its rows Fourier-transformed and its columns in real space.
+//! One step is then two passes over memory: along rows (inverse transform, multiply by the
+//! transmission function, transform), and down columns (transform, multiply by the Fresnel
+//! propagator and the anti-aliasing disk, inverse transform). Columns beyond the disk are skipped.
+
+use super::plan::{Grid, Plan};
+use crate::fft::columns::DiskMultiplier;
+use crate::fft::{Fft2, Scratch};
+use num_complex::Complex32;
+use std::f64::consts::PI;
+use std::ops::Range;
+
+/// Steps waves through the slices of a plan.
+pub(super) struct Stepper {
+    fft: Fft2,
+    grid: Grid,
+    wavelength: f64,
+    band_limit: f64,
+    band: Vec<Range<usize>>,
+    dead: Range<usize>,
+    /// Propagators for the distinct distances between planes, in Angstrom.
+    propagators: Vec<(f64, DiskMultiplier)>,
+    /// Which of them leads from slice i to slice i + 1.
+    next: Vec<usize>,
+}
+
+/// The part of a transmission function under a wave.
+#[derive(Clone, Copy)]
+pub(super) struct Specimen<'a> {
+    pub data: &'a [Complex32],
+    pub stride: usize,
+    /// (rows, columns)
+    pub shape: (usize, usize),
+    /// Pixel (row, column) under the wave's first pixel.
+    pub origin: (usize, usize),
+}
+
+impl Stepper {
+    pub fn new(plan: &Plan) -> Self {
+        let grid = plan.wave_grid;
+        let (ny, nx) = grid.shape();
+        let fft = Fft2::new(ny, nx);
+        let reach = (plan.band_limit * grid.extent_angstrom[0]) as usize;
+        let band = fft.band_columns(reach.min(nx / 2));
+        let dead = match band.as_slice() {
+            [low, high] => low.end..high.start,
+            _ => 0..0,
+        };
+        let wavelength = plan.settings.optics.wavelength_angstrom();
+        let mut stepper = Stepper {
+            fft,
+            grid,
+            wavelength,
+            band_limit: plan.band_limit,
+            band,
+            dead,
+            propagators: Vec::new(),
+            next: Vec::new(),
+        };
+        for pair in plan.slices.planes.windows(2) {
+            let index = stepper.propagator_index(pair[1] - pair[0]);
+            stepper.next.push(index);
+        }
+        stepper
+    }
+
+    pub fn fft(&self) -> &Fft2 {
+        &self.fft
+    }
+
+    pub fn band(&self) -> &[Range<usize>] {
+        &self.band
+    }
+
+    fn propagator_index(&mut self, distance: f64) -> usize {
+        let same = |p: &(f64, DiskMultiplier)| (p.0 - distance).abs() < 1e-9;
+        self.propagators.iter().position(same).unwrap_or_else(|| {
+            let made = self.propagator(distance);
+            self.propagators.push((distance, made));
+            self.propagators.len() - 1
+        })
+    }
+
+    /// `exp(-i pi lambda dz k^2)` inside the disk, divided by the number of pixels.
+    pub fn propagator(&self, distance: f64) -> DiskMultiplier {
+        let (ny, nx) = self.grid.shape();
+        let axis = |n: usize, dk: f64, scale: f64| {
+            let k2: Vec<f64> =
+                (0..n).map(|i| (crate::fft::frequency(i, n) as f64 * dk).powi(2)).collect();
+            let phase = |k2: &f64| {
+                let (sin, cos) = (-PI * self.wavelength * distance * k2).sin_cos();
+                Complex32::new((scale * cos) as f32, (scale * sin) as f32)
+            };
+            (k2.iter().map(phase).collect::<Vec<_>>(), k2)
+        };
+        let dk = self.grid.dk();
+        let (row, row_k2) = axis(ny, dk[1], 1.0);
+        let (column, column_k2) = axis(nx, dk[0], 1.0 / (nx * ny) as f64);
+        let limit = self.band_limit * self.band_limit;
+        self.fft.multiplier(&row, &row_k2, &column, &column_k2, limit)
+    }
+
+    /// Rows back to real space, times the transmission function, rows forward.
+    pub fn transmit(&self, wave: &mut [Complex32], t: Specimen<'_>, scratch: &mut Scratch) {
+        let (ny, nx) = self.fft.shape();
+        let mut at = t.origin.0;
+        for row in wave.chunks_exact_mut(self.fft.stride()).take(ny) {
+            let source = &t.data[at * t.stride..][..t.shape.1];
+            row[self.dead.clone()].fill(Complex32::ZERO);
+            self.fft.row(row, true, scratch);
+            let split = nx.min(t.shape.1 - t.origin.1);
+            multiply(&mut row[..split], &source[t.origin.1..]);
+            multiply(&mut row[split..nx], source);
+            self.fft.row(row, false, scratch);
+            at += 1;
+            if at == t.shape.0 {
+                at = 0;
+            }
+        }
+    }
+
+    /// From plane `slice` to the next.
+    pub fn propagate(&self, wave: &mut [Complex32], slice: usize, scratch: &mut Scratch) {
+        self.propagate_by(wave, &self.propagators[self.next[slice]].1, scratch);
+    }
+
+    /// By a prepared propagator.
+    pub fn propagate_by(
+        &self,
+        wave: &mut [Complex32],
+        propagator: &DiskMultiplier,
+        scratch: &mut Scratch,
+    ) {
+        self.fft.convolve_columns(wave, &self.band, propagator, scratch);
+    }
+
+    /// Transforms the columns inside the band, forward or back. After the forward transform the
+    /// array holds the wave's Fourier coefficients times the number of pixels; elements beyond the
+    /// band are meaningless.
+    pub fn columns(&self, wave: &mut [Complex32], inverse: bool, scratch: &mut Scratch) {
+        for range in &self.band {
+            self.fft.some_columns(wave, range.clone(), inverse, scratch);
+        }
+    }
+}
+
+fn multiply(row: &mut [Complex32], by: &[Complex32]) {
+    for (a, b) in row.iter_mut().zip(by) {
+        *a *= b;
+    }
+}

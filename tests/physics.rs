@@ -1,0 +1,344 @@
+//! Conservation laws, limits and published numbers.
+
+use stemgen::detect::Detector;
+use stemgen::engine::{
+    Algorithm, GridChoice, Phonons, Plan, Scan, Settings, Site, diffraction, exit_wave, lens_image,
+    simulate,
+};
+use stemgen::optics::{Aberration, Aberrations, ApertureEdge, Optics};
+use stemgen::potential::scattering::Parametrization;
+use stemgen::potential::slices::Slicing;
+use stemgen::progress::Silent;
+
+const A: f64 = 3.905;
+
+/// SrTiO3 [001], nx x ny x nz cells, the first plane a quarter cell below the surface.
+fn srtio3(cells: [usize; 3]) -> (Vec<Site>, [f64; 3]) {
+    let basis: [(u8, [f64; 3], f64); 5] = [
+        (38, [0.0, 0.0, 0.0], 0.084),
+        (22, [0.5, 0.5, 0.5], 0.060),
+        (8, [0.5, 0.5, 0.0], 0.085),
+        (8, [0.5, 0.0, 0.5], 0.085),
+        (8, [0.0, 0.5, 0.5], 0.085),
+    ];
+    let mut sites = Vec::new();
+    for ix in 0..cells[0] {
+        for iy in 0..cells[1] {
+            for iz in 0..cells[2] {
+                for (number, p, sigma_angstrom) in basis {
+                    let position = [
+                        (ix as f64 + p[0]) * A,
+                        (iy as f64 + p[1]) * A,
+                        (iz as f64 + p[2] + 0.25) * A,
+                    ];
+                    let key = sites.len() as u64;
+                    sites.push(Site { position, number, sigma_angstrom, key });
+                }
+            }
+        }
+    }
+    (sites, cells.map(|n| n as f64 * A))
+}
+
+fn plan(settings: &Settings, sites: &[Site], cell: [f64; 3]) -> Plan {
+    let z: Vec<f64> = sites.iter().map(|s| s.position[2]).collect();
+    Plan::new(settings, cell, &z).unwrap()
+}
+
+fn unit_cell_scan(n: usize) -> Scan {
+    let step = A / n as f64;
+    Scan { origin_angstrom: [A, A], step_angstrom: [step, step], shape: [n, n] }
+}
+
+fn four_detectors() -> Vec<Detector> {
+    vec![
+        Detector::new("BF", 0.0, 10.0),
+        Detector::new("ABF", 10.0, 21.0),
+        Detector::new("ADF", 30.0, 68.0),
+        Detector::new("HAADF", 68.0, 200.0),
+    ]
+}
+
+fn largest_difference(a: &ndarray::ArrayView2<f32>, b: &ndarray::ArrayView2<f32>) -> f32 {
+    let top = b.iter().fold(0.0_f32, |m, v| m.max(*v));
+    a.iter().zip(b).map(|(x, y)| (x - y).abs() / top).fold(0.0, f32::max)
+}
+
+#[test]
+fn prism_without_interpolation_is_multislice() {
+    let (sites, cell) = srtio3([3, 3, 4]);
+    let base = Settings {
+        detectors: four_detectors(),
+        phonons: Some(Phonons { configurations: 1, seed: 3 }),
+        thicknesses_angstrom: vec![2.0 * A, 4.0 * A],
+        ..Settings::default()
+    };
+    let scan = unit_cell_scan(5);
+    let run = |algorithm| {
+        let settings = Settings { algorithm, ..base.clone() };
+        simulate(&plan(&settings, &sites, cell), &sites, &scan, &Silent).unwrap()
+    };
+    let exact = run(Algorithm::Multislice);
+    let prism = run(Algorithm::Prism { interpolation: [1, 1] });
+    for t in 0..2 {
+        for d in 0..4 {
+            let error = largest_difference(&prism.image(t, d), &exact.image(t, d));
+            assert!(error < 1e-5, "thickness {t}, detector {d}: {error}");
+        }
+    }
+}
+
+#[test]
+fn prism_with_aberrations_and_different_factors_per_axis_stays_close() {
+    let (sites, cell) = srtio3([6, 6, 3]);
+    let mut optics = Optics::default();
+    for text in ["C10=-60", "C12=20@0.4", "C21=1e3@1.1", "C30=5e4"] {
+        optics.aberrations.0.push(Aberration::parse(text).unwrap());
+    }
+    let base = Settings { detectors: four_detectors(), optics, ..Settings::default() };
+    let scan = unit_cell_scan(3);
+    let run = |algorithm| {
+        let settings = Settings { algorithm, ..base.clone() };
+        simulate(&plan(&settings, &sites, cell), &sites, &scan, &Silent).unwrap()
+    };
+    let exact = run(Algorithm::Multislice);
+    for (interpolation, tolerance) in [([1, 1], 1e-5), ([1, 2], 0.02), ([2, 2], 0.03)] {
+        let prism = run(Algorithm::Prism { interpolation });
+        let error = largest_difference(&prism.image(0, 3), &exact.image(0, 3));
+        assert!(error < tolerance, "{interpolation:?}: {error}");
+    }
+}
+
+#[test]
+fn vacuum_conserves_intensity() {
+    let all = Settings {
+        detectors: vec![Detector::new("all", 0.0, 190.0)],
+        slicing: Slicing::Thickness(1.0),
+        ..Settings::default()
+    };
+    for algorithm in [Algorithm::Multislice, Algorithm::Prism { interpolation: [1, 1] }] {
+        let settings = Settings { algorithm, ..all.clone() };
+        let plan = plan(&settings, &[], [12.0, 13.0, 100.0]);
+        assert_eq!(plan.slices.len(), 100);
+        let scan = Scan { origin_angstrom: [3.3, 4.4], step_angstrom: [0.7; 2], shape: [2, 2] };
+        let images = simulate(&plan, &[], &scan, &Silent).unwrap();
+        for v in &images.data {
+            assert!((v - 1.0).abs() < 1e-6, "{v}");
+        }
+    }
+}
+
+#[test]
+fn moving_boundaries_within_gaps_changes_nothing() {
+    let (sites, cell) = srtio3([3, 3, 3]);
+    let settings =
+        Settings { phonons: Some(Phonons { configurations: 1, seed: 5 }), ..Settings::default() };
+    let scan = unit_cell_scan(3);
+    let reference = plan(&settings, &sites, cell);
+    let mut moved = reference.clone();
+    for (i, b) in moved.slices.boundaries.iter_mut().enumerate().skip(1).take(5) {
+        *b += if i % 2 == 0 { 0.4 } else { -0.45 };
+    }
+    let a = simulate(&reference, &sites, &scan, &Silent).unwrap();
+    let b = simulate(&moved, &sites, &scan, &Silent).unwrap();
+    assert_eq!(a.data, b.data);
+    // and the check can fail: a boundary that passes an atomic plane does change the image
+    moved.slices.boundaries[2] += 2.0;
+    moved.slices.boundaries[3] += 2.0;
+    moved.slices.boundaries[4] += 1.2;
+    let c = simulate(&moved, &sites, &scan, &Silent).unwrap();
+    assert!(largest_difference(&c.image(0, 0), &a.image(0, 0)) > 1e-3);
+}
+
+#[test]
+fn where_the_cell_starts_does_not_matter() {
+    let (mut sites, cell) = srtio3([3, 3, 3]);
+    let settings =
+        Settings { phonons: Some(Phonons { configurations: 1, seed: 5 }), ..Settings::default() };
+    let scan = unit_cell_scan(3);
+    let a = simulate(&plan(&settings, &sites, cell), &sites, &scan, &Silent).unwrap();
+    // planes on the faces of the cell, and atoms listed in another period along x and z
+    for (i, s) in sites.iter_mut().enumerate() {
+        s.position[2] -= 0.25 * A;
+        if i % 3 == 0 {
+            s.position[0] += cell[0];
+            s.position[2] -= cell[2];
+        }
+    }
+    let b = simulate(&plan(&settings, &sites, cell), &sites, &scan, &Silent).unwrap();
+    assert!(largest_difference(&b.image(0, 0), &a.image(0, 0)) < 1e-5);
+}
+
+#[test]
+fn translating_the_specimen_translates_the_image() {
+    let (sites, cell) = srtio3([3, 3, 3]);
+    let settings = Settings {
+        detectors: four_detectors(),
+        phonons: Some(Phonons { configurations: 1, seed: 9 }),
+        ..Settings::default()
+    };
+    let shift = [1.234, -2.777];
+    let moved: Vec<Site> = sites
+        .iter()
+        .map(|s| {
+            let [x, y, z] = s.position;
+            Site { position: [x + shift[0], y + shift[1], z], ..*s }
+        })
+        .collect();
+    let scan = unit_cell_scan(3);
+    let o = scan.origin_angstrom;
+    let moved_scan = Scan { origin_angstrom: [o[0] + shift[0], o[1] + shift[1]], ..scan };
+    for algorithm in [Algorithm::Multislice, Algorithm::Prism { interpolation: [1, 1] }] {
+        let settings = Settings { algorithm, ..settings.clone() };
+        let plan = plan(&settings, &sites, cell);
+        let a = simulate(&plan, &sites, &scan, &Silent).unwrap();
+        let b = simulate(&plan, &moved, &moved_scan, &Silent).unwrap();
+        for d in 0..4 {
+            // transmission functions are products on the grid: not exactly band-limited
+            let error = largest_difference(&b.image(0, d), &a.image(0, d));
+            assert!(error < 2e-3, "{algorithm:?}, detector {d}: {error}");
+        }
+    }
+}
+
+#[test]
+fn threads_do_not_change_a_byte() {
+    let (sites, cell) = srtio3([3, 3, 2]);
+    for algorithm in [
+        Algorithm::Multislice,
+        Algorithm::Prism { interpolation: [1, 1] },
+        Algorithm::Window { width_angstrom: 7.8 },
+    ] {
+        let settings = Settings {
+            algorithm,
+            phonons: Some(Phonons { configurations: 2, seed: 1 }),
+            ..Settings::default()
+        };
+        let plan = plan(&settings, &sites, cell);
+        let run = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| simulate(&plan, &sites, &unit_cell_scan(4), &Silent).unwrap())
+        };
+        assert_eq!(run(1).data, run(2).data);
+        assert_eq!(run(2).data, run(3).data);
+    }
+}
+
+#[test]
+fn windows_agree_with_the_full_grid() {
+    let (sites, cell) = srtio3([5, 5, 10]);
+    let base =
+        Settings { phonons: Some(Phonons { configurations: 1, seed: 2 }), ..Settings::default() };
+    let scan = unit_cell_scan(6);
+    let run = |algorithm| {
+        let settings = Settings { algorithm, ..base.clone() };
+        simulate(&plan(&settings, &sites, cell), &sites, &scan, &Silent).unwrap()
+    };
+    let exact = run(Algorithm::Multislice);
+    let e = exact.image(0, 0);
+    let mean = e.mean().unwrap();
+    for (width_angstrom, tolerance) in [(11.7, 0.006), (7.8, 0.015)] {
+        let window = run(Algorithm::Window { width_angstrom });
+        let square: f32 =
+            window.image(0, 0).iter().zip(&e).map(|(a, b)| (a - b).powi(2)).sum::<f32>();
+        let rms = (square / 36.0).sqrt() / mean;
+        println!("window {width_angstrom}: rms {rms}");
+        assert!(rms < tolerance, "{width_angstrom}: {rms}");
+    }
+}
+
+#[test]
+fn intensity_is_never_gained_and_patterns_sum_to_detectors() {
+    let (sites, cell) = srtio3([3, 3, 3]);
+    let settings = Settings {
+        detectors: vec![Detector::new("HAADF", 68.0, 200.0), Detector::new("all", 0.0, 200.0)],
+        ..Settings::default()
+    };
+    let plan = plan(&settings, &sites, cell);
+    let scan = Scan { origin_angstrom: [A, A], step_angstrom: [1.0; 2], shape: [1, 1] };
+    let images = simulate(&plan, &sites, &scan, &Silent).unwrap();
+    let pattern = diffraction(&plan, &sites, [A, A], &Silent).unwrap();
+    let all = images.image(0, 1)[[0, 0]];
+    assert!(all < 1.0 && all > 0.9, "{all}");
+    let sum: f32 = pattern
+        .indexed_iter()
+        .filter(|((y, x), _)| {
+            let [kx, ky] = plan.wave_grid.k(*y, *x);
+            kx.hypot(ky) * plan.settings.optics.wavelength_angstrom() < 0.2
+        })
+        .map(|(_, v)| v)
+        .sum();
+    assert!((sum - all).abs() < 1e-5, "{sum} {all}");
+}
+
+/// HAADF of single atoms grows as a power of Z between 1.5 and 2 (Krivanek et al., Nature 464
+/// (2010) 571: 1.64 for 58-200 mrad).
+#[test]
+fn single_atom_haadf_exponent() {
+    let numbers: [u8; 7] = [6, 8, 14, 22, 38, 47, 79];
+    let haadf: Vec<f64> = numbers
+        .iter()
+        .map(|&number| {
+            let site = Site { position: [6.0, 6.0, 1.0], number, sigma_angstrom: 0.08, key: 0 };
+            let settings = Settings {
+                phonons: Some(Phonons { configurations: 1, seed: 0 }),
+                ..Settings::default()
+            };
+            let plan = plan(&settings, &[site], [12.0, 12.0, 2.0]);
+            // integrated over the probe position, the cross section
+            let scan = Scan { origin_angstrom: [4.5; 2], step_angstrom: [0.3; 2], shape: [11, 11] };
+            let images = simulate(&plan, &[site], &scan, &Silent).unwrap();
+            images.data.iter().map(|v| f64::from(*v)).sum()
+        })
+        .collect();
+    let x: Vec<f64> = numbers.iter().map(|z| f64::from(*z).ln()).collect();
+    let y: Vec<f64> = haadf.iter().map(|v| v.ln()).collect();
+    let n = x.len() as f64;
+    let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
+    let slope = x.iter().zip(&y).map(|(a, b)| (a - mx) * (b - my)).sum::<f64>()
+        / x.iter().map(|a| (a - mx).powi(2)).sum::<f64>();
+    println!("exponent {slope}");
+    assert!((1.5..2.0).contains(&slope), "{slope}");
+}
+
+/// Kirkland, Advanced Computing in Electron Microscopy (2010), fig. 5.12: bright-field image of C, Si,
+/// Cu, Au and U atoms 10 A apart; 200 kV, C_s 1.3 mm, defocus 700 A, aperture 10.37 mrad: the image
+/// ranges from 0.72 to 1.03.
+#[test]
+fn kirkland_figure_5_12() {
+    let numbers = [6, 14, 29, 79, 92];
+    let sites: Vec<Site> = numbers
+        .iter()
+        .enumerate()
+        .map(|(i, &number)| Site {
+            position: [5.0 + 10.0 * i as f64, 25.0, 1.0],
+            number,
+            sigma_angstrom: 0.0,
+            key: i as u64,
+        })
+        .collect();
+    let mut aberrations = Aberrations::defocus(700.0);
+    aberrations.0.push(Aberration::parse("C30=1.3e7").unwrap());
+    let optics = Optics {
+        semiangle_mrad: 10.37,
+        aberrations,
+        edge: ApertureEdge::Hard,
+        ..Optics::default()
+    };
+    let settings = Settings {
+        optics: optics.clone(),
+        parametrization: Parametrization::Kirkland,
+        grid: GridChoice::Points([512, 512]),
+        detectors: vec![Detector::new("unused", 0.0, 10.0)],
+        ..Settings::default()
+    };
+    let mut plan = plan(&settings, &sites, [50.0, 50.0, 2.0]);
+    // the book focuses on the atoms
+    plan.slices.boundaries = vec![1.0 - 1e-9, 1.0 + 1e-9];
+    let exit = exit_wave(&plan, &sites, 0, &Silent).unwrap();
+    let image = lens_image(&exit, [50.0, 50.0], &optics);
+    let low = image.iter().fold(f32::MAX, |a, b| a.min(*b));
+    let high = image.iter().fold(0.0_f32, |a, b| a.max(*b));
+    println!("extrema {low} {high}");
+    assert!((low - 0.72).abs() < 0.01 && (high - 1.03).abs() < 0.01, "{low} {high}");
+}
