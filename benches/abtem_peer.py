@@ -6,7 +6,7 @@
 SrTiO3 [001], 8 x 8 x 10 cells (31.24 x 31.24 x 39.05 A), one static configuration, 200 kV, 21 mrad, 640 x 640 pixels (0.0488 A; the
 usual 0.05 A would be 625, which f = 2 does not divide and whose limit falls just short of 167 mrad), 1 A slices,
 HAADF 68-167 mrad, scan over the whole cell (104 points: 0.30 A). Prints one line of JSON:
-wall_s (everything after the imports and a warm-up of FFT plans and compiled functions), its parts for PRISM, peak_rss_mb, settings.
+wall_s (everything after the imports and a warm-up that compiles functions), cpu_s (all threads), parts, peak_rss_mb, settings.
 abTEM's defaults are kept (float32, downsample "cutoff", chunk sizes) except the number of threads.
 """
 
@@ -84,9 +84,9 @@ def simulate(atoms, scan_points, points, parts):
 simulate(unit * (args.interpolation * 2, args.interpolation * 2, 1), 4, 2, {})
 points = args.points or args.scan
 parts = {}
-begin = time.perf_counter()
+begin, cpu = time.perf_counter(), time.process_time()
 image = simulate(unit * tuple(args.cells), args.scan, points, parts)
-wall = time.perf_counter() - begin
+wall, cpu = time.perf_counter() - begin, time.process_time() - cpu
 if args.image:
     np.save(args.image, np.ascontiguousarray(image.T, dtype=np.float32))
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1024**2 if sys.platform == "darwin" else 1024)
@@ -94,6 +94,7 @@ print(
     json.dumps(
         {
             "wall_s": round(wall, 3),
+            "cpu_s": round(cpu, 3),
             **{k: round(v, 3) if isinstance(v, float) else v for k, v in parts.items()},
             "probes": points * points,
             "peak_rss_mb": round(peak, 1),
