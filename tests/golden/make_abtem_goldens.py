@@ -298,9 +298,9 @@ def case_srtio3_001_aberrated():
     scan = grid_scan((A_STO, A_STO), (8, 8))
     arrays = {"perfect": multislice(exact, scan)}
     arrays.update({k: multislice(exact, scan, **v) for k, v in ABERRATIONS.items()})
-    p, beams = abtem.SMatrix(semiangle_cutoff=SEMIANGLE, energy=ENERGY, potential=exact, downsample=False), None
+    matrix = abtem.SMatrix(semiangle_cutoff=SEMIANGLE, energy=ENERGY, potential=exact, downsample=False)
     ctf = abtem.CTF(energy=ENERGY, semiangle_cutoff=SEMIANGLE, **THIRD_ORDER)
-    prism3 = stack(p.scan(scan=scan, detectors=detectors(), ctf=ctf, lazy=False))
+    prism3 = stack(matrix.scan(scan=scan, detectors=detectors(), ctf=ctf, lazy=False))
     print("  PRISM f=1 with aberrations against multislice:", abs(prism3 - arrays["third_order"]).max())
     described = {k: IMAGES + "; aberrations: " + k for k in arrays}
     save(name, arrays, described, settings_for(atoms, gpts, dz, n, scan, aberrations_A_rad={"perfect": {}, **ABERRATIONS}), atoms)
