@@ -46,7 +46,8 @@ else:
     dask.config.set(scheduler="threads", num_workers=args.threads)
 
 A = 3.905
-sites = [(0, 0, 0.25), (0.5, 0.5, 0.75), (0.5, 0.5, 0.25), (0.5, 0, 0.75), (0, 0.5, 0.75)]
+# Planes at 1/8 and 5/8: in the middle of slices, with four slices to the cell (abTEM rounds 1 A to 0.976 A).
+sites = [(0, 0, 0.125), (0.5, 0.5, 0.625), (0.5, 0.5, 0.125), (0.5, 0, 0.625), (0, 0.5, 0.625)]
 unit = Atoms("SrTiO3", scaled_positions=sites, cell=[A] * 3, pbc=True)
 
 

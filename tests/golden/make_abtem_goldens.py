@@ -11,7 +11,7 @@ Why the settings are what they are
   assignment of atoms to slices can differ between two programs.
 * "exact" potentials. abTEM's own Potential divides by a factor meant to undo the spreading of an atom over
   pixels, sin(x)/x with x = |k| dx (no pi). For an atom on a grid point there is nothing to undo, so this raises
-  the high frequencies: HAADF 0.7-1.4 % too high here. The arrays without a suffix are therefore made with
+  the high frequencies: HAADF 0.4-1.3 % too high here. The arrays without a suffix are therefore made with
   abTEM's scattering factors summed with exact phases (function exact_slices) and handed to abTEM as a PotentialArray;
   probe, transmission, propagation, detection are abTEM's. Arrays with the suffix `_as_shipped` use abtem.Potential.
 * Grids: abTEM's anti-aliasing disk ends at 2/3 of Nyquist with a cosine taper from 0.64667 to 0.66667 Nyquist. Every grid
