@@ -64,6 +64,9 @@ CONVENTIONS = {
     "before any propagation, last slice propagates too",
     "antialias": "kc = 0.6666666 * Nyquist and taper = 0.02 * Nyquist, both of the coarser axis: 1 for k <= kc - taper, "
     "(1 + cos(pi (k - kc + taper)/taper))/2 up to kc, 0 beyond",
+    "prism": "beams are the pixels of the window's Fourier grid (1/window apart) where the aperture, one such pixel soft, is above 0; each starts as "
+    "exp(2 pi i k.r); a probe is sum_k c(k) exp(-2 pi i k.r0) S_k with c = A exp(-i chi)/sqrt(sum |c|^2), cut to the window whose first pixel is "
+    "rint(r0/pixel - n//2), n pixels wide, S periodic; its Fourier transform over the window, sum of |.|^2 in vacuum 1, goes to the detectors",
     "detectors": "pixels of the exit wave's Fourier grid with inner <= alpha < outer, each whole; intensity as a fraction of the beam",
 }
 
