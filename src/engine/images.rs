@@ -119,7 +119,7 @@ pub fn exit_wave(
     configuration: u32,
     progress: &dyn Progress,
 ) -> Result<Array2<Complex32>> {
-    if plan.wave_grid != plan.grid {
+    if plan.wave_grid != plan.transmission_grid {
         return Err(Error::invalid("algorithm", "window", "use multislice for plane waves"));
     }
     let builder = TransmissionBuilder::new(plan, &elements(sites))?;
@@ -132,7 +132,7 @@ pub fn exit_wave(
     for y in 0..ny {
         wave[y * fft.stride()] = Complex32::ONE;
     }
-    let shape = plan.grid.shape();
+    let shape = plan.wave_grid.shape();
     for (i, data) in transmission.iter().enumerate() {
         let specimen = Specimen { data, stride: builder.stride(), shape, origin: (0, 0) };
         stepper.transmit(&mut wave, specimen, &mut scratch);

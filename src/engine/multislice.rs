@@ -196,15 +196,11 @@ impl Spectrum {
         Spectrum { entries, centre: [0.0; 2] }
     }
 
-    /// The probe made with norm 1 in a box of four windows, cropped to the window and limited to
-    /// low angles; not renormalised, since what is cropped never reaches the specimen in the window.
+    /// The probe of plain multislice in the same cell, with norm 1, cropped to the window and limited
+    /// to low angles; not renormalised, since what is cropped never meets the atoms in the window.
     fn windowed(plan: &Plan) -> Self {
         let window = plan.wave_grid;
-        let factor = 4;
-        let large = Grid {
-            points: window.points.map(|n| factor * n),
-            extent_angstrom: window.extent_angstrom.map(|l| factor as f64 * l),
-        };
+        let large = plan.transmission_grid;
         let full = Self::full(plan, &large);
         let (my, mx) = large.shape();
         let (ny, nx) = window.shape();

@@ -53,10 +53,9 @@ pub struct Plan {
     /// The settings it was made from.
     #[serde(skip)]
     pub settings: Settings,
-    /// Grid of the potentials, over the whole cell.
-    pub grid: Grid,
-    /// Grid of the transmission functions, over the whole cell: the same as `grid`, or coarser for
-    /// [`Algorithm::Window`].
+    /// Grid of the potentials, over the whole cell, finer than the next by the oversampling.
+    pub potential_grid: Grid,
+    /// Grid of the transmission functions, over the whole cell.
     pub transmission_grid: Grid,
     /// Grid in which waves are propagated: the whole cell or a window.
     pub wave_grid: Grid,
@@ -109,9 +108,10 @@ impl Plan {
             }
             _ => (grid, grid),
         };
+        let potential_points = grid.points.map(|n| n * settings.oversampling);
         let mut plan = Plan {
             settings: settings.clone(),
-            grid,
+            potential_grid: Grid { points: potential_points, ..grid },
             transmission_grid,
             wave_grid,
             band_limit,
@@ -141,7 +141,8 @@ impl Plan {
     pub fn prism_beams(&self) -> Vec<[i64; 2]> {
         let Algorithm::Prism { interpolation } = self.settings.algorithm else { return Vec::new() };
         let optics = &self.settings.optics;
-        let dk: [f64; 2] = [0, 1].map(|i| interpolation[i] as f64 / self.grid.extent_angstrom[i]);
+        let dk: [f64; 2] =
+            [0, 1].map(|i| interpolation[i] as f64 / self.wave_grid.extent_angstrom[i]);
         let radius = optics.semiangle_mrad * 1e-3 / optics.wavelength_angstrom();
         let reach = dk.map(|d| (radius / d) as i64 + 1);
         let mut beams = Vec::new();
@@ -158,16 +159,16 @@ impl Plan {
 
     fn prism_exit_grid(&self, interpolation: [usize; 2]) -> Grid {
         let points = [0, 1].map(|i| {
-            let half = (self.band_limit * self.grid.extent_angstrom[i]) as usize;
-            good_size(2 * half + 2, interpolation[i]).min(self.grid.points[i])
+            let half = (self.band_limit * self.wave_grid.extent_angstrom[i]) as usize;
+            good_size(2 * half + 2, interpolation[i]).min(self.wave_grid.points[i])
         });
-        Grid { points, ..self.grid }
+        Grid { points, ..self.wave_grid }
     }
 
     /// Bytes that the largest arrays will take on `threads` threads.
     pub fn memory_bytes(&self, threads: usize, probes: usize) -> u64 {
         let size = |g: &Grid| (g.points[0] * g.points[1] * 8) as u64;
-        let fine = size(&self.grid);
+        let fine = size(&self.potential_grid);
         let transmission = size(&self.transmission_grid) * self.slices.len() as u64;
         let exit = self.exit_grid.as_ref().map_or(0, |g| size(g) * self.beams as u64);
         let waves = size(&self.wave_grid) * 4 * threads as u64;
@@ -183,7 +184,7 @@ impl Plan {
         };
         let waves = if self.beams > 0 { self.beams } else { probes };
         let propagation = (waves * self.slices.len()) as f64 * 2.0 * fft(&self.wave_grid);
-        let potentials = self.slices.len() as f64 * 4.0 * fft(&self.grid);
+        let potentials = self.slices.len() as f64 * 4.0 * fft(&self.potential_grid);
         let reduction = match (&self.exit_grid, self.settings.algorithm) {
             (Some(g), Algorithm::Prism { interpolation }) => {
                 let window =
@@ -343,7 +344,8 @@ mod tests {
     fn default_grid_carries_200_mrad() {
         let plan = Plan::new(&Settings::default(), CELL, &heights()).unwrap();
         assert!(plan.band_limit_mrad >= 200.0, "{}", plan.band_limit_mrad);
-        assert_eq!(plan.grid.points, [480, 480]);
+        assert_eq!(plan.wave_grid.points, [480, 480]);
+        assert_eq!(plan.potential_grid.points, [960, 960]);
         assert_eq!(plan.slices.len(), 20);
         assert_eq!(plan.record_after, vec![19]);
     }

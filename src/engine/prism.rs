@@ -58,7 +58,7 @@ impl<'a> Prism<'a> {
             unreachable!("the engine starts PRISM for PRISM plans only")
         };
         let stepper = Stepper::new(plan);
-        let exit = plan.exit_grid.unwrap_or(plan.grid);
+        let exit = plan.exit_grid.unwrap_or(plan.wave_grid);
         let window = Grid {
             points: [0, 1].map(|i| exit.points[i] / interpolation[i]),
             extent_angstrom: [0, 1].map(|i| exit.extent_angstrom[i] / interpolation[i] as f64),
@@ -127,7 +127,7 @@ impl<'a> Prism<'a> {
         progress: &dyn Progress,
     ) -> Result<()> {
         let s = &self.plan.slices;
-        let shape = self.plan.grid.shape();
+        let shape = self.plan.wave_grid.shape();
         let plane = self.exit_fft.stride() * self.exit.points[1];
         let to_exit = s.boundaries[slices.end] - s.planes[slices.end - 1];
         let to_plane = s.planes[slices.start] - s.boundaries[slices.start];
@@ -172,8 +172,8 @@ impl<'a> Prism<'a> {
 
     /// `exp(2 pi i k.r)` at the first plane, in the stepper's representation.
     fn plane_wave(&self, w: &mut Workspace, beam: [i64; 2], distance: f64) {
-        let [nx, ny] = self.plan.grid.points;
-        let dk = self.plan.grid.dk();
+        let [nx, ny] = self.plan.wave_grid.points;
+        let dk = self.plan.wave_grid.dk();
         let k = [0, 1].map(|i| beam[i] as f64 * dk[i]);
         let at = (beam[1].rem_euclid(ny as i64) as usize, beam[0].rem_euclid(nx as i64) as usize);
         w.wave.fill(Complex32::ZERO);
@@ -185,10 +185,10 @@ impl<'a> Prism<'a> {
     fn compress(&self, w: &mut Workspace, kept: &mut [Complex32], distance: f64) {
         self.stepper.columns(&mut w.wave, false, &mut w.scratch);
         let (from, to) = (self.stepper.fft().stride(), self.exit_fft.stride());
-        let [nx, ny] = self.plan.grid.points;
+        let [nx, ny] = self.plan.wave_grid.points;
         let scale = 1.0 / (nx * ny) as f64;
         kept.fill(Complex32::ZERO);
-        crop_spectrum(&self.plan.grid, self.exit.points, self.plan.band_limit, |a, b, k| {
+        crop_spectrum(&self.plan.wave_grid, self.exit.points, self.plan.band_limit, |a, b, k| {
             kept[b.0 * to + b.1] = w.wave[a.0 * from + a.1] * self.fresnel(distance, k, scale);
         });
         self.exit_fft.inverse(kept, &mut w.exit_scratch);
@@ -201,7 +201,7 @@ impl<'a> Prism<'a> {
         let [nx, ny] = self.exit.points;
         let scale = 1.0 / (nx * ny) as f64;
         w.wave.fill(Complex32::ZERO);
-        crop_spectrum(&self.exit, self.plan.grid.points, self.plan.band_limit, |a, b, k| {
+        crop_spectrum(&self.exit, self.plan.wave_grid.points, self.plan.band_limit, |a, b, k| {
             w.wave[b.0 * to + b.1] = kept[a.0 * from + a.1] * self.fresnel(distance, k, scale);
         });
         self.stepper.columns(&mut w.wave, true, &mut w.scratch);

@@ -30,7 +30,7 @@ struct Workspace {
 
 impl<'a> TransmissionBuilder<'a> {
     pub fn new(plan: &'a Plan, elements: &[u8]) -> Result<Self> {
-        let grid = &plan.grid;
+        let grid = &plan.potential_grid;
         let settings = &plan.settings;
         let (shape, extent) = (grid.shape(), grid.extent_angstrom);
         let projector = Projector::new(shape, extent, settings.parametrization, elements)?;
@@ -107,16 +107,17 @@ impl<'a> TransmissionBuilder<'a> {
             }
             fft.row(row, false, &mut w.fine);
         }
-        let limit = (self.plan.band_limit * self.plan.grid.extent_angstrom[0]) as usize;
+        let limit = (self.plan.band_limit * self.plan.potential_grid.extent_angstrom[0]) as usize;
         for range in fft.band_columns(limit) {
             fft.some_columns(data, range, false, &mut w.fine);
         }
         let mut out = self.coarse.buffer();
-        let points = [self.plan.grid.points, self.plan.transmission_grid.points];
+        let points = self.plan.transmission_grid.points;
         let (from, to) = (fft.stride(), self.coarse.stride());
-        let scale = 1.0 / (nx * ny) as f32;
-        crop_spectrum(&self.plan.grid, points[1], self.plan.band_limit, |a, b, _| {
-            out[b.0 * to + b.1] = data[a.0 * from + a.1] * scale;
+        // Divided, not multiplied by a rounded reciprocal: vacuum then transmits exactly 1.
+        let pixels = (nx * ny) as f32;
+        crop_spectrum(&self.plan.potential_grid, points, self.plan.band_limit, |a, b, _| {
+            out[b.0 * to + b.1] = data[a.0 * from + a.1] / pixels;
         });
         self.coarse.inverse(&mut out, &mut w.coarse);
         out
