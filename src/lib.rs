@@ -4,6 +4,7 @@
 //! Data flows one way: recipe -> specimen -> slices -> engine -> detector image -> tiles -> file.
 //! A module uses only those above it in this list.
 
+pub mod atomic;
 pub mod engine;
 pub mod error;
 pub mod progress;
