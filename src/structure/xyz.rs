@@ -5,7 +5,7 @@ use super::elements::symbol;
 use super::read::Text;
 use super::{Atom, Structure};
 use crate::atomic;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use std::fmt::Write;
 use std::path::Path;
 
@@ -207,6 +207,7 @@ fn to_extxyz(structure: &Structure) -> String {
 mod tests {
     use super::super::read::{Format, parse};
     use super::*;
+    use crate::error::Error;
 
     fn read(body: &str) -> Result<Structure> {
         parse(Format::ExtXyz, body.as_bytes(), Path::new("t.xyz"))
