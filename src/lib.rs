@@ -5,6 +5,7 @@
 //! From the ground up: `error`, `constants`, `rng`, `progress`, `fft`; `structure`, `potential`;
 //! `optics`, `detect`, `phonons`; `engine`.
 
+pub mod atomic;
 pub mod constants;
 pub mod detect;
 pub mod engine;

@@ -1,6 +1,19 @@
 //! Atoms in a cell: the model, readers and writers, supercells.
 
+mod cif;
 pub mod elements;
+pub mod lattice;
+mod neighbors;
+mod occupancy;
+mod orient;
+mod poscar;
+mod read;
+mod supercell;
+mod xyz;
+
+pub use neighbors::min_pair_distance;
+pub use read::{Format, parse, read};
+pub use xyz::write_extxyz;
 
 use crate::error::{Error, Result};
 

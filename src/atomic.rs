@@ -1,0 +1,55 @@
+//! Files that appear complete or not at all.
+
+use crate::error::{Error, Result};
+use std::io::Write;
+use std::path::Path;
+
+/// Writes `bytes` to a temporary file beside `path`, syncs it and renames it to `path`, which it
+/// replaces if it exists.
+///
+/// # Errors
+/// [`Error::Io`] naming the directory or the file.
+pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
+    let directory = match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    };
+    let mut file = create(directory).map_err(|e| Error::io(directory, "create a file in", e))?;
+    file.write_all(bytes).map_err(|e| Error::io(path, "write", e))?;
+    file.as_file().sync_all().map_err(|e| Error::io(path, "write", e))?;
+    file.persist(path).map_err(|e| Error::io(path, "create", e.error))?;
+    Ok(())
+}
+
+fn create(directory: &Path) -> std::io::Result<tempfile::NamedTempFile> {
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".stemgen-").suffix(".partial");
+    // The umask applies; without this the file would stay private to its owner.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    builder.tempfile_in(directory)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn replaces_and_leaves_nothing_behind() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.txt");
+        write(&path, b"one").unwrap();
+        write(&path, b"two").unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), b"two");
+        assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_target_that_is_a_directory_is_an_error_that_leaves_nothing() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("d");
+        std::fs::create_dir(&path).unwrap();
+        assert!(write(&path, b"one").is_err());
+        assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 1);
+    }
+}

@@ -1,0 +1,81 @@
+//! Three-vectors, and cells whose vectors are the rows of a matrix.
+
+/// A Cartesian or fractional vector.
+pub type Vec3 = [f64; 3];
+/// Three row vectors.
+pub type Mat3 = [Vec3; 3];
+
+/// Scalar product.
+pub fn dot(a: Vec3, b: Vec3) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// Vector product.
+pub fn cross(a: Vec3, b: Vec3) -> Vec3 {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+/// Length.
+pub fn norm(a: Vec3) -> f64 {
+    dot(a, a).sqrt()
+}
+
+/// Difference `a - b`.
+pub fn subtract(a: Vec3, b: Vec3) -> Vec3 {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+/// The row vector `v` times the matrix `m`: fractional to Cartesian when `m` is a cell.
+pub fn row_times(v: Vec3, m: &Mat3) -> Vec3 {
+    std::array::from_fn(|j| v[0] * m[0][j] + v[1] * m[1][j] + v[2] * m[2][j])
+}
+
+/// Signed volume of the cell; negative when its vectors are left-handed.
+pub fn determinant(m: &Mat3) -> f64 {
+    dot(m[0], cross(m[1], m[2]))
+}
+
+/// The inverse matrix (Cartesian to fractional), or `None` for a flat cell.
+pub fn inverse(m: &Mat3) -> Option<Mat3> {
+    let volume = determinant(m);
+    if volume == 0.0 || !volume.is_finite() {
+        return None;
+    }
+    let columns = [cross(m[1], m[2]), cross(m[2], m[0]), cross(m[0], m[1])];
+    Some(std::array::from_fn(|i| std::array::from_fn(|j| columns[j][i] / volume)))
+}
+
+/// Distances between opposite faces of the cell.
+pub fn face_distances(m: &Mat3) -> Vec3 {
+    let volume = determinant(m).abs();
+    std::array::from_fn(|i| volume / norm(cross(m[(i + 1) % 3], m[(i + 2) % 3])))
+}
+
+/// The fractional coordinate moved into [0, 1); what lies within `1e-9` below 1 becomes 0.
+pub fn wrap_unit(x: f64) -> f64 {
+    let wrapped = x - x.floor();
+    if wrapped >= 1.0 - 1e-9 { 0.0 } else { wrapped }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn inverse_undoes_the_cell() {
+        let cell = [[3.0, 0.1, 0.0], [-1.0, 2.0, 0.3], [0.2, 0.4, 5.0]];
+        let back = row_times(row_times([0.1, 0.7, -0.4], &cell), &inverse(&cell).unwrap());
+        for (x, expected) in back.iter().zip([0.1, 0.7, -0.4]) {
+            assert!((x - expected).abs() < 1e-14);
+        }
+        assert_eq!(inverse(&[[1.0, 2.0, 3.0], [2.0, 4.0, 6.0], [0.0, 0.0, 1.0]]), None);
+    }
+
+    #[test]
+    fn wrapping_puts_rounding_errors_at_zero() {
+        assert_eq!(wrap_unit(-1e-17), 0.0);
+        assert_eq!(wrap_unit(1.25), 0.25);
+        assert_eq!(wrap_unit(-0.25), 0.75);
+        assert_eq!(wrap_unit(0.9999999999), 0.0);
+    }
+}

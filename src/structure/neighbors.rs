@@ -1,0 +1,195 @@
+//! Pairs of near atoms in a periodic cell, by cell lists.
+
+use super::Structure;
+use super::lattice::{Mat3, Vec3, determinant, face_distances, inverse, norm, row_times, subtract};
+
+/// Atoms sorted into boxes along the cell vectors.
+struct Boxes {
+    counts: [i64; 3],
+    /// How many boxes away a neighbour can be.
+    reach: [i64; 3],
+    /// Atom numbers, sorted by box; `starts[b]..starts[b + 1]` are those of box `b`.
+    order: Vec<usize>,
+    starts: Vec<usize>,
+    /// Box of each atom.
+    home: Vec<[i64; 3]>,
+    /// Cartesian positions inside the cell.
+    positions: Vec<Vec3>,
+}
+
+impl Boxes {
+    fn new(structure: &Structure, inverse: &Mat3, cutoff: f64) -> Self {
+        let n = structure.atoms.len();
+        let widths = face_distances(&structure.cell);
+        // Boxes of about one atom: smaller ones would cost memory and gain nothing.
+        let edge = cutoff.max((determinant(&structure.cell).abs() / n as f64).cbrt());
+        let counts = widths.map(|w| ((w / edge) as i64).max(1));
+        let reach = std::array::from_fn(|i| (cutoff * counts[i] as f64 / widths[i]).ceil() as i64);
+        let mut home = Vec::with_capacity(n);
+        let mut positions = Vec::with_capacity(n);
+        for atom in &structure.atoms {
+            let fraction = row_times(atom.position, inverse).map(|x| x - x.floor());
+            home.push(std::array::from_fn(|i| {
+                ((fraction[i] * counts[i] as f64) as i64).min(counts[i] - 1)
+            }));
+            positions.push(row_times(fraction, &structure.cell));
+        }
+        let mut boxes =
+            Boxes { counts, reach, order: (0..n).collect(), starts: vec![], home, positions };
+        let of: Vec<usize> = boxes.home.iter().map(|&b| boxes.number(b)).collect();
+        boxes.order.sort_by_key(|&atom| of[atom]);
+        boxes.starts = vec![0; counts.iter().product::<i64>() as usize + 1];
+        for &b in &of {
+            boxes.starts[b + 1] += 1;
+        }
+        for b in 1..boxes.starts.len() {
+            boxes.starts[b] += boxes.starts[b - 1];
+        }
+        boxes
+    }
+
+    fn number(&self, b: [i64; 3]) -> usize {
+        ((b[0] * self.counts[1] + b[1]) * self.counts[2] + b[2]) as usize
+    }
+}
+
+/// Calls `visit(i, j, distance)` for every pair with `i <= j` and `distance <= cutoff` Angstrom,
+/// once for each periodic image; `i == j` stands for an atom and its own image. A pair of images
+/// may be visited from either side.
+pub(super) fn for_each_pair(
+    structure: &Structure,
+    cutoff: f64,
+    mut visit: impl FnMut(usize, usize, f64),
+) {
+    let Some(inverse) = inverse(&structure.cell).filter(|_| !structure.atoms.is_empty()) else {
+        return;
+    };
+    let boxes = Boxes::new(structure, &inverse, cutoff);
+    let [rx, ry, rz] = boxes.reach;
+    for i in 0..structure.atoms.len() {
+        for dx in -rx..=rx {
+            for dy in -ry..=ry {
+                for dz in -rz..=rz {
+                    visit_box(structure, &boxes, i, [dx, dy, dz], cutoff, &mut visit);
+                }
+            }
+        }
+    }
+}
+
+fn visit_box(
+    structure: &Structure,
+    boxes: &Boxes,
+    i: usize,
+    offset: [i64; 3],
+    cutoff: f64,
+    visit: &mut impl FnMut(usize, usize, f64),
+) {
+    let target: [i64; 3] = std::array::from_fn(|a| boxes.home[i][a] + offset[a]);
+    let turns: [i64; 3] = std::array::from_fn(|a| target[a].div_euclid(boxes.counts[a]));
+    let inside = std::array::from_fn(|a| target[a].rem_euclid(boxes.counts[a]));
+    let number = boxes.number(inside);
+    let members = &boxes.order[boxes.starts[number]..boxes.starts[number + 1]];
+    if members.is_empty() {
+        return;
+    }
+    let shift = row_times(turns.map(|t| t as f64), &structure.cell);
+    let here = subtract(boxes.positions[i], shift);
+    for &j in members {
+        if j < i || (j == i && turns == [0; 3]) {
+            continue;
+        }
+        let distance = norm(subtract(boxes.positions[j], here));
+        if distance <= cutoff {
+            visit(i, j, distance);
+        }
+    }
+}
+
+/// The smallest distance in Angstrom between two atoms, periodic images included; `None` without
+/// atoms. Sites with partial occupancy count as atoms, so resolve them first.
+pub fn min_pair_distance(structure: &Structure) -> Option<f64> {
+    let count = structure.atoms.len();
+    if count == 0 {
+        return None;
+    }
+    // No packing of points is denser than close packing, so this reaches one pair at least.
+    let per_atom = determinant(&structure.cell).abs() / count as f64;
+    let cutoff = (std::f64::consts::SQRT_2 * per_atom).cbrt() * (1.0 + 1e-9);
+    let mut smallest = f64::INFINITY;
+    for_each_pair(structure, cutoff, |_, _, distance| smallest = smallest.min(distance));
+    Some(smallest).filter(|d| d.is_finite())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Atom;
+    use super::*;
+    use crate::rng::{Purpose, normal3, uniform};
+
+    fn atom(position: Vec3) -> Atom {
+        Atom { number: 14, position, occupancy: 1.0 }
+    }
+
+    /// Every pair through every image within three cells.
+    fn slow(structure: &Structure) -> f64 {
+        let mut smallest = f64::INFINITY;
+        for (i, a) in structure.atoms.iter().enumerate() {
+            for (j, b) in structure.atoms.iter().enumerate() {
+                for n in 0..343 {
+                    let turn = [n / 49 - 3, n / 7 % 7 - 3, n % 7 - 3];
+                    if i == j && turn == [0; 3] {
+                        continue;
+                    }
+                    let shift = row_times(turn.map(f64::from), &structure.cell);
+                    let d: Vec3 = std::array::from_fn(|k| b.position[k] + shift[k] - a.position[k]);
+                    smallest = smallest.min(norm(d));
+                }
+            }
+        }
+        smallest
+    }
+
+    #[test]
+    fn equals_the_direct_sum_in_random_cells() {
+        for case in 0..60u64 {
+            let mut cell: Mat3 =
+                std::array::from_fn(|i| normal3(case, Purpose::Phonon, 0, i as u64));
+            for i in 0..3 {
+                cell[i][i] += 6.0;
+            }
+            let n = 1 + case % 12;
+            let atoms = (0..n)
+                .map(|i| {
+                    let u = |k: u32| 3.0 * uniform(case, Purpose::Defect, k, i) - 1.0;
+                    atom(row_times([u(0), u(1), u(2)], &cell))
+                })
+                .map(|mut a| {
+                    // The direct sum needs atoms inside the cell.
+                    let f = row_times(a.position, &inverse(&cell).unwrap()).map(|x| x - x.floor());
+                    a.position = row_times(f, &cell);
+                    a
+                })
+                .collect();
+            let structure = Structure { cell, atoms };
+            let (fast, slow) = (min_pair_distance(&structure).unwrap(), slow(&structure));
+            assert!((fast - slow).abs() < 1e-9, "case {case}: {fast} {slow}");
+        }
+    }
+
+    #[test]
+    fn one_atom_sees_its_own_image() {
+        let cell = [[2.0, 2.0, 0.0], [2.0, 0.0, 2.0], [0.0, 2.0, 2.0]];
+        let fcc = Structure { cell, atoms: vec![atom([0.3, 0.0, 7.0])] };
+        assert!((min_pair_distance(&fcc).unwrap() - 8f64.sqrt()).abs() < 1e-12);
+        assert_eq!(min_pair_distance(&Structure { cell, atoms: vec![] }), None);
+    }
+
+    #[test]
+    fn pairs_across_a_face_are_found() {
+        let cell = [[50.0, 0.0, 0.0], [0.0, 60.0, 0.0], [0.0, 0.0, 70.0]];
+        let atoms = vec![atom([0.1, 59.9, 0.0]), atom([49.9, 0.1, 69.9]), atom([20.0, 20.0, 20.0])];
+        let d = min_pair_distance(&Structure { cell, atoms }).unwrap();
+        assert!((d - 0.3).abs() < 1e-9, "{d}");
+    }
+}

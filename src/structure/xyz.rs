@@ -1,0 +1,259 @@
+//! Extended XYZ, as the Atomic Simulation Environment and OVITO write it: the number of atoms, a
+//! line of `key=value`, one line per atom.
+
+use super::elements::symbol;
+use super::read::Text;
+use super::{Atom, Structure};
+use crate::atomic;
+use crate::error::Result;
+use std::fmt::Write;
+use std::path::Path;
+
+/// Where the columns of an atom's line stand.
+struct Columns {
+    element: usize,
+    position: usize,
+    occupancy: Option<usize>,
+    count: usize,
+}
+
+/// Reads a file of exactly one frame.
+pub(super) fn parse(text: &Text) -> Result<Structure> {
+    let mut lines = text.lines();
+    let (_, first) = lines.next().unwrap_or((1, ""));
+    let count: usize = first.trim().parse().map_err(|_| {
+        text.error(1, format!("expected the number of atoms, found `{}`", first.trim()))
+    })?;
+    let header = lines.next().map(|(_, line)| line).unwrap_or("");
+    let pairs = key_values(header);
+    let cell = lattice(text, &pairs)?;
+    let columns = columns(text, &pairs)?;
+    let mut atoms = Vec::new();
+    for index in 0..count {
+        let Some((line, row)) = lines.next().filter(|(_, row)| !row.trim().is_empty()) else {
+            let message = format!(
+                "line 1 announces {count} atoms, but only {index} follow; the file may be cut off"
+            );
+            return Err(text.error(index + 3, message));
+        };
+        atoms.push((line, atom(text, &columns, line, row)?));
+    }
+    if let Some((line, row)) = lines.find(|(_, row)| !row.trim().is_empty()) {
+        return Err(text.error(line, surplus(row, count)));
+    }
+    text.finish(cell, atoms)
+}
+
+fn surplus(row: &str, count: usize) -> String {
+    if row.trim().parse::<usize>().is_ok() {
+        "a second frame begins here, but a structure is one frame; keep the one to be simulated \
+         and remove the others"
+            .to_owned()
+    } else {
+        format!("line 1 announces {count} atoms, but more lines follow; correct the number")
+    }
+}
+
+fn lattice(text: &Text, pairs: &[(String, String)]) -> Result<[[f64; 3]; 3]> {
+    let value = find(pairs, "lattice").ok_or_else(|| {
+        text.error(
+            2,
+            "no cell; add Lattice=\"ax ay az bx by bz cx cy cz\" in Angstrom to this line \
+             (surround a cluster with vacuum)",
+        )
+    })?;
+    let words: Vec<&str> = value.split_whitespace().collect();
+    if words.len() != 9 {
+        let message = format!("Lattice has {} numbers, expected 9", words.len());
+        return Err(text.error(2, message));
+    }
+    let mut cell = [[0.0; 3]; 3];
+    for (i, word) in words.iter().enumerate() {
+        cell[i / 3][i % 3] = text.number(2, "Lattice", word)?;
+    }
+    text.check_cell(2, &cell)?;
+    Ok(cell)
+}
+
+fn columns(text: &Text, pairs: &[(String, String)]) -> Result<Columns> {
+    let properties = find(pairs, "properties").unwrap_or("species:S:1:pos:R:3");
+    let fields: Vec<&str> = properties.split(':').collect();
+    let wrong = |why: String| text.error(2, format!("Properties={properties}: {why}"));
+    let (mut named, mut count) = (Vec::new(), 0usize);
+    for triple in fields.chunks(3) {
+        let width = match triple {
+            [_, kind, width] if ["S", "I", "R", "L"].contains(kind) => width.parse().ok(),
+            _ => None,
+        };
+        let Some(width @ 1..=1000) = width else {
+            let part = triple.join(":");
+            return Err(wrong(format!("`{part}` is not name:kind:columns, kind S, I, R or L")));
+        };
+        named.push((triple[0].to_ascii_lowercase(), count, width));
+        count += width;
+    }
+    let column = |names: &[&str], width: usize| -> Result<Option<usize>> {
+        let found = names.iter().find_map(|n| named.iter().find(|(name, _, _)| name == n));
+        match found {
+            Some((name, _, w)) if *w != width => {
+                Err(wrong(format!("`{name}` has {w} columns, expected {width}")))
+            }
+            other => Ok(other.map(|(_, start, _)| *start)),
+        }
+    };
+    let element =
+        column(&["species", "element", "symbol", "z", "numbers", "atomic_numbers"], 1)?
+            .ok_or_else(|| wrong("no elements; expected `species:S:1` or `Z:I:1`".to_owned()))?;
+    let position = column(&["pos", "positions"], 3)?
+        .ok_or_else(|| wrong("no positions; expected `pos:R:3`".to_owned()))?;
+    let occupancy = column(&["occupancy", "occupancies"], 1)?;
+    Ok(Columns { element, position, occupancy, count })
+}
+
+fn atom(text: &Text, columns: &Columns, line: usize, row: &str) -> Result<Atom> {
+    let words: Vec<&str> = row.split_whitespace().collect();
+    // Extra words are tolerated only where no `Properties` could have announced them.
+    if words.len() < columns.count {
+        let message = format!("this atom has {} columns, expected {}", words.len(), columns.count);
+        return Err(text.error(line, message));
+    }
+    let mut position = [0.0; 3];
+    for (axis, x) in position.iter_mut().enumerate() {
+        let name = ["position x", "position y", "position z"][axis];
+        *x = text.number(line, name, words[columns.position + axis])?;
+    }
+    let occupancy = match columns.occupancy {
+        Some(column) => text.occupancy(line, text.number(line, "occupancy", words[column])?)?,
+        None => 1.0,
+    };
+    Ok(Atom { number: text.element(line, words[columns.element])?, position, occupancy })
+}
+
+fn find<'a>(pairs: &'a [(String, String)], key: &str) -> Option<&'a str> {
+    pairs.iter().find(|(k, _)| k == key).map(|(_, v)| v.as_str())
+}
+
+/// Splits `key=value key="quoted value" flag`; keys become lower case.
+fn key_values(line: &str) -> Vec<(String, String)> {
+    let mut pairs = Vec::new();
+    let mut rest = line.trim_start();
+    while !rest.is_empty() {
+        let end = rest.find(|c: char| c == '=' || c.is_whitespace()).unwrap_or(rest.len());
+        let key = rest[..end].to_ascii_lowercase();
+        rest = &rest[end..];
+        let mut value = String::new();
+        if let Some(after) = rest.strip_prefix('=') {
+            (value, rest) = take_value(after);
+        }
+        pairs.push((key, value));
+        rest = rest.trim_start();
+    }
+    pairs
+}
+
+/// The value at the start of `rest`, and what follows it.
+fn take_value(rest: &str) -> (String, &str) {
+    let close = match rest.chars().next() {
+        Some(quote @ ('"' | '\'')) => quote,
+        Some('{') => '}',
+        _ => {
+            let end = rest.find(char::is_whitespace).unwrap_or(rest.len());
+            return (rest[..end].to_owned(), &rest[end..]);
+        }
+    };
+    let mut value = String::new();
+    let mut escaped = false;
+    for (i, c) in rest.char_indices().skip(1) {
+        match c {
+            '\\' if !escaped => escaped = true,
+            c if c == close && !escaped => return (value, &rest[i + 1..]),
+            c => {
+                value.push(c);
+                escaped = false;
+            }
+        }
+    }
+    (value, "")
+}
+
+/// Writes the structure as extended XYZ, through a temporary file, so that `path` is either
+/// complete or untouched. Numbers are written so that reading returns the same bits.
+///
+/// # Errors
+/// [`Error::Io`].
+pub fn write_extxyz(path: &Path, structure: &Structure) -> Result<()> {
+    atomic::write(path, to_extxyz(structure).as_bytes())
+}
+
+fn to_extxyz(structure: &Structure) -> String {
+    let partial = structure.atoms.iter().any(|a| a.occupancy != 1.0);
+    let lattice: Vec<String> = structure.cell.iter().flatten().map(f64::to_string).collect();
+    let occupancy = if partial { ":occupancy:R:1" } else { "" };
+    let mut out = format!(
+        "{}\nLattice=\"{}\" Properties=species:S:1:pos:R:3{occupancy} pbc=\"T T T\"\n",
+        structure.atoms.len(),
+        lattice.join(" ")
+    );
+    for atom in &structure.atoms {
+        let [x, y, z] = atom.position;
+        // Writing to a String cannot fail.
+        let _ = write!(out, "{} {x} {y} {z}", symbol(atom.number));
+        let _ = if partial { writeln!(out, " {}", atom.occupancy) } else { writeln!(out) };
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::read::{Format, parse};
+    use super::*;
+    use crate::error::Error;
+
+    fn read(body: &str) -> Result<Structure> {
+        parse(Format::ExtXyz, body.as_bytes(), Path::new("t.xyz"))
+    }
+
+    #[test]
+    fn columns_may_stand_in_any_order() {
+        let s = read(
+            "2\nenergy=-1.5 Properties=tag:I:2:pos:R:3:occupancy:R:1:Z:I:1 \
+             Lattice='4 0 0 0 5 0 0 0 6' pbc=\"T T F\"\n0 0 1 2 3 0.5 38\n0 0 2 2 3.5 1 8\n",
+        )
+        .unwrap();
+        assert_eq!(s.cell, [[4.0, 0.0, 0.0], [0.0, 5.0, 0.0], [0.0, 0.0, 6.0]]);
+        assert_eq!(s.atoms[0], Atom { number: 38, position: [1.0, 2.0, 3.0], occupancy: 0.5 });
+        assert_eq!(s.atoms[1].number, 8);
+    }
+
+    #[test]
+    fn quoted_values_may_hold_escapes_and_equals() {
+        let pairs = key_values(r#"flag a="x \"y\" =" B={1 2} c=3"#);
+        let text: Vec<String> = pairs.iter().map(|(k, v)| format!("{k}>{v}")).collect();
+        assert_eq!(text, ["flag>", "a>x \"y\" =", "b>1 2", "c>3"]);
+    }
+
+    #[test]
+    fn writing_and_reading_keeps_every_bit() {
+        let s = Structure {
+            cell: [[3.9050000000000002, 0.0, 0.1], [0.0, 4.0, 0.0], [-1.0 / 3.0, 0.0, 5.0]],
+            atoms: vec![
+                Atom { number: 38, position: [0.1 + 0.2, 1.0 / 3.0, 1e-17], occupancy: 1.0 },
+                Atom { number: 8, position: [2.0, -1.0, 1.5], occupancy: 0.1 + 0.2 },
+            ],
+        };
+        assert_eq!(read(&to_extxyz(&s)).unwrap(), s);
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("s.xyz");
+        write_extxyz(&path, &s).unwrap();
+        assert_eq!(super::super::read(&path).unwrap(), s);
+        assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_missing_directory_is_named() {
+        let s = Structure { cell: [[1.0; 3]; 3], atoms: vec![] };
+        let error = write_extxyz(Path::new("no/such/dir/s.xyz"), &s).unwrap_err();
+        assert!(matches!(error, Error::Io { .. }));
+        assert!(error.to_string().contains("no/such/dir"), "{error}");
+    }
+}
