@@ -3,6 +3,7 @@
 
 use super::settings::{Algorithm, BeyondLimit, GridChoice, Settings};
 use crate::error::{Error, Result};
+use crate::fft::columns::Disk;
 use crate::fft::{frequency, good_size};
 use crate::potential::slices::Slices;
 use serde::Serialize;
@@ -61,7 +62,7 @@ pub struct Plan {
     pub wave_grid: Grid,
     /// Radius of the anti-aliasing disk in 1/Angstrom.
     pub band_limit: f64,
-    /// The same as an angle in mrad.
+    /// The largest angle in mrad that is carried in full: the band limit less the taper.
     pub band_limit_mrad: f64,
     /// Slices.
     pub slices: Slices,
@@ -115,7 +116,7 @@ impl Plan {
             transmission_grid,
             wave_grid,
             band_limit,
-            band_limit_mrad: band_limit * wavelength * 1e3,
+            band_limit_mrad: (band_limit - settings.band_taper * grid.nyquist()) * wavelength * 1e3,
             record_after: record_after(&settings.thicknesses_angstrom, &slices)?,
             slices,
             beams: 0,
@@ -129,6 +130,12 @@ impl Plan {
         plan.check_aperture()?;
         plan.warn_about_aliasing();
         Ok(plan)
+    }
+
+    /// The anti-aliasing disk.
+    pub fn disk(&self) -> Disk {
+        let full = self.band_limit_mrad * 1e-3 / self.settings.optics.wavelength_angstrom();
+        Disk { limit_k2: self.band_limit * self.band_limit, full_k2: full * full }
     }
 
     /// Thicknesses of the recorded images in Angstrom.
@@ -239,7 +246,8 @@ fn choose_grid(settings: &Settings, extent: [f64; 2], multiple: [usize; 2]) -> R
                 GridChoice::Sampling(s) => s,
                 _ => {
                     let angle = outermost.max(settings.optics.semiangle_mrad * 1.1) * 1e-3;
-                    settings.band_fraction * wavelength / (2.0 * angle * BAND_MARGIN)
+                    (settings.band_fraction - settings.band_taper) * wavelength
+                        / (2.0 * angle * BAND_MARGIN)
                 }
             };
             if !(1e-4..10.0).contains(&sampling) {
@@ -260,7 +268,7 @@ fn choose_grid(settings: &Settings, extent: [f64; 2], multiple: [usize; 2]) -> R
 fn band_limit(settings: &Settings, grid: &Grid) -> Result<(f64, Vec<String>)> {
     let wavelength = settings.optics.wavelength_angstrom();
     let limit = settings.band_fraction * grid.nyquist();
-    let limit_mrad = limit * wavelength * 1e3;
+    let limit_mrad = (limit - settings.band_taper * grid.nyquist()) * wavelength * 1e3;
     let mut warnings = Vec::new();
     for d in settings.detectors.iter().filter(|d| d.outer_mrad > limit_mrad) {
         let [x, y] = grid.sampling_angstrom();

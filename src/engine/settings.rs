@@ -80,6 +80,9 @@ pub struct Settings {
     /// Radius of the anti-aliasing disk in units of the Nyquist frequency. 2/3 excludes aliasing
     /// altogether; larger values trade aliasing at the highest angles for smaller grids.
     pub band_fraction: f64,
+    /// Width of the soft edge inside the anti-aliasing disk, in units of the Nyquist frequency; 0 for
+    /// a hard edge. abTEM has 0.02. Detectors have to end below it.
+    pub band_taper: f64,
     /// The potential and `exp(i sigma V)` are computed on a grid this many times finer along each
     /// axis, then band-limited. 1: on the grid itself, as abTEM does; where atoms stand between
     /// grid points, `exp` of the sampled potential is then off by up to 0.5 % of the image.
@@ -108,6 +111,7 @@ impl Default for Settings {
             grid: GridChoice::Auto,
             algorithm: Algorithm::Multislice,
             band_fraction: EXACT_BAND_FRACTION,
+            band_taper: 0.0,
             oversampling: 2,
             phonons: None,
             thicknesses_angstrom: Vec::new(),
@@ -138,6 +142,10 @@ impl Settings {
         if !(0.1..=0.95).contains(&self.band_fraction) {
             let expected = "must be between 0.1 and 0.95; 2/3 excludes aliasing";
             return Err(Error::invalid("band fraction", self.band_fraction, expected));
+        }
+        if !(0.0..0.5 * self.band_fraction).contains(&self.band_taper) {
+            let expected = "must be at least 0 and below half the band fraction";
+            return Err(Error::invalid("band taper", self.band_taper, expected));
         }
         if !(1..=8).contains(&self.oversampling) {
             let expected = "must be between 1 and 8";

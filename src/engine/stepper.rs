@@ -6,7 +6,7 @@
 //! propagator and the anti-aliasing disk, inverse transform). Columns beyond the disk are skipped.
 
 use super::plan::{Grid, Plan};
-use crate::fft::columns::DiskMultiplier;
+use crate::fft::columns::{Disk, DiskMultiplier};
 use crate::fft::{Fft2, Scratch};
 use num_complex::Complex32;
 use std::f64::consts::PI;
@@ -17,7 +17,7 @@ pub(super) struct Stepper {
     fft: Fft2,
     grid: Grid,
     wavelength: f64,
-    band_limit: f64,
+    disk: Disk,
     band: Vec<Range<usize>>,
     dead: Range<usize>,
     /// Propagators for the distinct distances between planes, in Angstrom.
@@ -53,7 +53,7 @@ impl Stepper {
             fft,
             grid,
             wavelength,
-            band_limit: plan.band_limit,
+            disk: plan.disk(),
             band,
             dead,
             propagators: Vec::new(),
@@ -98,8 +98,7 @@ impl Stepper {
         let dk = self.grid.dk();
         let (row, row_k2) = axis(ny, dk[1], 1.0);
         let (column, column_k2) = axis(nx, dk[0], 1.0 / (nx * ny) as f64);
-        let limit = self.band_limit * self.band_limit;
-        self.fft.multiplier(&row, &row_k2, &column, &column_k2, limit)
+        self.fft.multiplier(&row, &row_k2, &column, &column_k2, self.disk)
     }
 
     /// Rows back to real space, times the transmission function, rows forward.

@@ -116,8 +116,10 @@ impl<'a> TransmissionBuilder<'a> {
         let (from, to) = (fft.stride(), self.coarse.stride());
         // Divided, not multiplied by a rounded reciprocal: vacuum then transmits exactly 1.
         let pixels = (nx * ny) as f32;
-        crop_spectrum(&self.plan.potential_grid, points, self.plan.band_limit, |a, b, _| {
-            out[b.0 * to + b.1] = data[a.0 * from + a.1] / pixels;
+        let disk = self.plan.disk();
+        crop_spectrum(&self.plan.potential_grid, points, self.plan.band_limit, |a, b, k| {
+            let weight = disk.weight(k[0] * k[0] + k[1] * k[1]) as f32;
+            out[b.0 * to + b.1] = data[a.0 * from + a.1] / pixels * weight;
         });
         self.coarse.inverse(&mut out, &mut w.coarse);
         out

@@ -31,36 +31,65 @@ pub struct ColumnPlan {
     order: Vec<usize>,
 }
 
+/// An anti-aliasing disk in frequency space.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Disk {
+    /// Squared radius: zero from here on.
+    pub limit_k2: f64,
+    /// Squared radius below which the disk is one. Between the two it falls as the smooth step
+    /// `u^2 (3 - 2 u)` of the squared frequency, a cosine taper to 1 %.
+    pub full_k2: f64,
+}
+
+impl Disk {
+    /// One below `limit`, zero from there on.
+    pub fn hard(limit: f64) -> Self {
+        Disk { limit_k2: limit * limit, full_k2: limit * limit }
+    }
+
+    /// The weight at squared frequency `k2`.
+    pub fn weight(&self, k2: f64) -> f64 {
+        let u = ((self.limit_k2 - k2) * self.slope()).clamp(0.0, 1.0);
+        u * u * (3.0 - 2.0 * u)
+    }
+
+    /// Steep but finite for a hard edge, so that no weight is NaN.
+    fn slope(&self) -> f64 {
+        (self.limit_k2 - self.full_k2).max(1e-20).recip()
+    }
+}
+
 /// A multiplier in frequency space that is separable but for a disk:
-/// `row[ky] * column[kx]` where `kx^2 + ky^2 < limit^2`, zero elsewhere.
+/// `row[ky] * column[kx] * disk(kx^2 + ky^2)`.
 #[derive(Debug, Clone)]
 pub struct DiskMultiplier {
     row: Vec<[f32; 2]>,
     row_room: Vec<f32>,
     column: Vec<[f32; 2]>,
     column_k2: Vec<[f32; 2]>,
+    slope: f32,
 }
 
 impl DiskMultiplier {
     /// `row` and `column` are indexed by FFT frequency; `row_k2`, `column_k2` hold the squared
-    /// frequencies, `limit_k2` the squared radius of the disk, `order` the frequency index at each
-    /// position of a transformed column.
+    /// frequencies, `order` the frequency index at each position of a transformed column.
     pub fn new(
         order: &[usize],
         row: &[Complex32],
         row_k2: &[f64],
         column: &[Complex32],
         column_k2: &[f64],
-        limit_k2: f64,
+        disk: Disk,
     ) -> Self {
         let padded = column.len() + lanes();
         let column_at = |x: usize| column.get(x).map_or([0.0; 2], |c| [c.re, c.im]);
         let k2_at = |x: usize| column_k2.get(x).map_or([f32::INFINITY; 2], |&k| [k as f32; 2]);
         DiskMultiplier {
             row: order.iter().map(|&y| [row[y].re, row[y].im]).collect(),
-            row_room: order.iter().map(|&y| (limit_k2 - row_k2[y]) as f32).collect(),
+            row_room: order.iter().map(|&y| (disk.limit_k2 - row_k2[y]) as f32).collect(),
             column: (0..padded).map(column_at).collect(),
             column_k2: (0..padded).map(k2_at).collect(),
+            slope: disk.slope() as f32,
         }
     }
 
@@ -69,12 +98,9 @@ impl DiskMultiplier {
         let [re, im] = self.column[x];
         for (y, v) in column.iter_mut().enumerate() {
             let [a, b] = self.row[y];
-            let inside = self.column_k2[x][0] < self.row_room[y];
-            *v = if inside {
-                *v * (Complex32::new(re, im) * Complex32::new(a, b))
-            } else {
-                Complex32::ZERO
-            };
+            let u = ((self.row_room[y] - self.column_k2[x][0]) * self.slope).clamp(0.0, 1.0);
+            let weight = u * u * (3.0 - 2.0 * u);
+            *v *= Complex32::new(re, im) * Complex32::new(a, b) * weight;
         }
     }
 }
@@ -489,13 +515,17 @@ impl<S: Simd> Block<'_, S> {
                 x[q] = *p.add(q);
             }
             dft::<S, R>(s, &mut x);
-            let zero = s.splat_f32s(0.0);
+            let (zero, one) = (s.splat_f32s(0.0), s.splat_f32s(1.0));
+            let (two, three) = (s.splat_f32s(2.0), s.splat_f32s(3.0));
+            let slope = s.splat_f32s(m.slope);
             for q in 0..R {
+                let room = s.splat_f32s(*m.row_room.as_ptr().add(base + q));
+                let u = s.mul_f32s(s.sub_f32s(room, k2), slope);
+                let u = s.min_f32s(s.max_f32s(u, zero), one);
+                let weight = s.mul_f32s(s.mul_f32s(u, u), s.negate_mul_add_f32s(two, u, three));
                 let row = splat(s, *m.row.as_ptr().add(base + q));
-                let inside = s.less_than_f32s(k2, s.splat_f32s(*m.row_room.as_ptr().add(base + q)));
-                let factor = mul(s, column, row);
-                let v = mul(s, x[q], factor);
-                x[q] = (s.select_f32s(inside, v.0, zero), s.select_f32s(inside, v.1, zero));
+                let v = mul(s, x[q], mul(s, column, row));
+                x[q] = (s.mul_f32s(v.0, weight), s.mul_f32s(v.1, weight));
             }
             inverse_dft::<S, R>(s, &mut x);
             for q in 0..R {

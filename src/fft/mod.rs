@@ -8,7 +8,7 @@
 mod butterfly;
 pub mod columns;
 
-use columns::{ColumnPlan, DiskMultiplier};
+use columns::{ColumnPlan, Disk, DiskMultiplier};
 use num_complex::Complex32;
 use rustfft::{Fft, FftPlanner};
 use std::ops::{Deref, DerefMut, Range};
@@ -190,7 +190,7 @@ impl Fft2 {
         row_k2: &[f64],
         column: &[Complex32],
         column_k2: &[f64],
-        limit_k2: f64,
+        disk: Disk,
     ) -> DiskMultiplier {
         let natural: Vec<usize>;
         let order = match &self.columns {
@@ -200,7 +200,7 @@ impl Fft2 {
                 &natural
             }
         };
-        DiskMultiplier::new(order, row, row_k2, column, column_k2, limit_k2)
+        DiskMultiplier::new(order, row, row_k2, column, column_k2, disk)
     }
 
     /// Transforms columns, multiplies and transforms back, unnormalised. Columns outside `ranges`
@@ -362,8 +362,8 @@ mod tests {
             let phase = |n: usize| -> Vec<Complex32> {
                 k2(n).iter().map(|k| Complex32::from_polar(1.0, 40.0 * *k as f32)).collect()
             };
-            let limit = 0.09;
-            let prepare = |f: &Fft2| f.multiplier(&phase(ny), &k2(ny), &phase(nx), &k2(nx), limit);
+            let disk = Disk { limit_k2: 0.09, full_k2: 0.08 };
+            let prepare = |f: &Fft2| f.multiplier(&phase(ny), &k2(ny), &phase(nx), &k2(nx), disk);
             let (mut a, mut b) = (filled(&fast), filled(&fast));
             let mut scratch = fast.scratch();
             scratch.column_floats().fill(f32::NAN);

@@ -79,8 +79,7 @@ impl Projector {
             for iy in 0..ny {
                 for ix in 0..=nx / 2 {
                     let q2 = k2(iy, ix, (ny, nx), extent);
-                    let unpaired = (ny % 2 == 0 && iy == ny / 2) || (nx % 2 == 0 && ix == nx / 2);
-                    half_plane.push(if unpaired { 0.0 } else { (unit * factor.at(q2)) as f32 });
+                    half_plane.push((unit * factor.at(q2)) as f32);
                 }
             }
             species.push(Species { number, factor, half_plane });
@@ -101,7 +100,7 @@ impl Projector {
     }
 
     /// Projected potential of `atoms`, all of which belong to the slice, in V Angstrom: the real
-    /// parts of `out` (the imaginary parts vanish but for rounding).
+    /// parts of `out`.
     pub fn infinite(&self, atoms: &[PlacedAtom], out: &mut Buffer, scratch: &mut ProjectorScratch) {
         scratch.sum.fill(Complex32::ZERO);
         for species in &self.species {
@@ -165,8 +164,8 @@ impl Projector {
             .collect();
         let x = phases(at[0] / self.extent[0], nx, 0..half);
         let y = phases(at[1] / self.extent[1], ny, 0..ny);
-        for iy in (0..ny).filter(|iy| ny % 2 == 1 || *iy != ny / 2) {
-            let row = &mut sum[iy * half..][..nx.div_ceil(2)];
+        for iy in 0..ny {
+            let row = &mut sum[iy * half..][..half];
             for (ix, s) in row.iter_mut().enumerate() {
                 let q = (k2(iy, ix, shape, self.extent).sqrt() / step) as f32;
                 let (i, t) = (q as usize, q.fract());
@@ -215,7 +214,8 @@ impl Projector {
         }
     }
 
-    /// Completes the half plane by Hermitian symmetry and transforms.
+    /// Completes the half plane by Hermitian symmetry and transforms. The Nyquist frequencies of even
+    /// grids have no partner, hence an imaginary part that is to be ignored.
     fn to_real_space(&self, out: &mut Buffer, scratch: &mut ProjectorScratch) {
         let (ny, nx) = self.fft.shape();
         let (half, stride) = (nx / 2 + 1, self.fft.stride());

@@ -1,0 +1,230 @@
+//! Comparison with arrays that abTEM 1.0.11 computed; see `golden/README.md`.
+
+use ndarray::{Array1, Array2, Array3, Axis};
+use ndarray_npy::NpzReader;
+use serde_json::Value;
+use std::fs::File;
+use std::path::PathBuf;
+use stemgen::detect::Detector;
+use stemgen::engine::{Algorithm, GridChoice, Plan, Scan, Settings, Site, diffraction, simulate};
+use stemgen::optics::{Aberration, Aberrations};
+use stemgen::potential::slices::Slicing;
+use stemgen::progress::Silent;
+use stemgen::structure;
+
+struct Golden {
+    name: &'static str,
+    json: Value,
+    sites: Vec<Site>,
+    cell: [f64; 3],
+}
+
+fn folder() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/golden")
+}
+
+impl Golden {
+    fn load(name: &'static str) -> Self {
+        let text = std::fs::read_to_string(folder().join(format!("{name}.json"))).unwrap();
+        let json: Value = serde_json::from_str(&text).unwrap();
+        let atoms = structure::read(&folder().join(json["atoms"].as_str().unwrap())).unwrap();
+        let cell = atoms.orthogonal_box().unwrap();
+        let sites = atoms.atoms.iter().enumerate().map(|(i, a)| Site {
+            position: a.position,
+            number: a.number,
+            sigma_angstrom: 0.0,
+            key: i as u64,
+        });
+        Golden { name, sites: sites.collect(), cell, json }
+    }
+
+    fn array3(&self, name: &str) -> Array3<f32> {
+        let file = File::open(folder().join(format!("{}.npz", self.name))).unwrap();
+        NpzReader::new(file).unwrap().by_name(&format!("{name}.npy")).unwrap()
+    }
+
+    fn array2(&self, name: &str) -> Array2<f32> {
+        let file = File::open(folder().join(format!("{}.npz", self.name))).unwrap();
+        NpzReader::new(file).unwrap().by_name(&format!("{name}.npy")).unwrap()
+    }
+
+    fn pair(&self, value: &Value) -> [f64; 2] {
+        [value[0].as_f64().unwrap(), value[1].as_f64().unwrap()]
+    }
+
+    /// abTEM's settings: its grid, its slices, `exp` on the grid itself. abTEM focuses on the plane
+    /// of the first slice, we on the entrance surface half a slice before it.
+    fn settings(&self) -> Settings {
+        let slice = self.json["slice_thickness_A"].as_f64().unwrap();
+        let points = self.pair(&self.json["gpts_xy"]).map(|n| n as usize);
+        let detectors = ["bf", "abf", "adf", "haadf"].map(|name| {
+            let [inner, outer] = self.pair(&self.json["detectors_mrad"][name]);
+            Detector::new(name, inner, outer)
+        });
+        let mut settings = Settings {
+            detectors: detectors.to_vec(),
+            grid: GridChoice::Points(points),
+            slicing: Slicing::Thickness(slice),
+            oversampling: 1,
+            band_taper: 0.02,
+            ..Settings::default()
+        };
+        settings.optics.aberrations = Aberrations::defocus(slice / 2.0);
+        settings
+    }
+
+    fn scan(&self) -> Scan {
+        let scan = &self.json["scan"];
+        let [nx, ny] = self.pair(&scan["points_xy"]).map(|n| n as usize);
+        Scan {
+            origin_angstrom: self.pair(&scan["start_A"]),
+            step_angstrom: self.pair(&scan["step_xy_A"]),
+            shape: [ny, nx],
+        }
+    }
+
+    fn plan(&self, settings: &Settings) -> Plan {
+        let z: Vec<f64> = self.sites.iter().map(|s| s.position[2]).collect();
+        Plan::new(settings, self.cell, &z).unwrap()
+    }
+
+    /// Largest difference of each detector's image in units of its maximum.
+    fn errors(&self, settings: &Settings, reference: &str) -> Vec<f32> {
+        let expected = self.array3(reference);
+        let images = simulate(&self.plan(settings), &self.sites, &self.scan(), &Silent).unwrap();
+        let error = |d: usize| {
+            let (ours, theirs) = (images.image(0, d), expected.index_axis(Axis(0), d));
+            assert_eq!(ours.dim(), theirs.dim());
+            let top = theirs.iter().fold(0.0_f32, |m, v| m.max(*v));
+            ours.iter().zip(theirs).map(|(a, b)| (a - b).abs() / top).fold(0.0, f32::max)
+        };
+        let errors: Vec<f32> = (0..4).map(error).collect();
+        println!(
+            "{} {reference}: BF, ABF, ADF, HAADF off by {errors:.6?} of the maximum",
+            self.name
+        );
+        errors
+    }
+
+    fn check(&self, settings: &Settings, reference: &str, tolerance: f32) {
+        let errors = self.errors(settings, reference);
+        assert!(errors.iter().all(|e| *e < tolerance), "{} {reference}: {errors:?}", self.name);
+    }
+}
+
+/// The promise is 0.2 %; in fact it is 0.002 %.
+const TOLERANCE: f32 = 2e-4;
+
+fn prism(f: usize) -> Algorithm {
+    Algorithm::Prism { interpolation: [f, f] }
+}
+
+#[test]
+fn srtio3_multislice_and_prism() {
+    let g = Golden::load("srtio3_001");
+    g.check(&g.settings(), "multislice", TOLERANCE);
+    g.check(&Settings { algorithm: prism(1), ..g.settings() }, "prism_f1", TOLERANCE);
+}
+
+#[test]
+fn srtio3_with_missing_atoms_by_prism_f2() {
+    let g = Golden::load("srtio3_prism_f2");
+    g.check(&g.settings(), "multislice", TOLERANCE);
+    g.check(&Settings { algorithm: prism(2), ..g.settings() }, "prism_f2", 2e-3);
+}
+
+#[test]
+fn si_110() {
+    let g = Golden::load("si_110");
+    g.check(&g.settings(), "multislice", TOLERANCE);
+}
+
+/// abTEM as shipped sharpens potentials by a correction for bilinear spreading that it applies to
+/// atoms on grid points as well; the difference is known and stays where it is.
+#[test]
+fn abtem_as_shipped_differs_by_its_pixel_correction() {
+    for name in ["srtio3_001", "si_110"] {
+        let g = Golden::load(name);
+        let errors = g.errors(&g.settings(), "multislice_as_shipped");
+        assert!(errors[..3].iter().all(|e| *e < 2e-3), "{errors:?}");
+        assert!((1e-3..2e-2).contains(&errors[3]), "{errors:?}");
+    }
+}
+
+#[test]
+fn aberrated_probes() {
+    let g = Golden::load("srtio3_001_aberrated");
+    for set in ["perfect", "third_order", "all_orders"] {
+        let mut settings = g.settings();
+        let coefficients = g.json["aberrations_A_rad"][set].as_object().unwrap();
+        for (name, value) in coefficients.iter().filter(|(name, _)| name.starts_with('C')) {
+            let azimuth =
+                coefficients.get(&name.replace('C', "phi")).map_or(0.0, |v| v.as_f64().unwrap());
+            let text = format!("{name}={}@{azimuth}", value.as_f64().unwrap());
+            settings.optics.aberrations.0.push(Aberration::parse(&text).unwrap());
+        }
+        if set != "perfect" {
+            assert!(settings.optics.aberrations.0.len() > 3, "{coefficients:?}");
+        }
+        g.check(&settings, set, TOLERANCE);
+        // PRISM is right with aberrations too
+        g.check(&Settings { algorithm: prism(1), ..settings }, set, TOLERANCE);
+    }
+}
+
+#[test]
+fn diffraction_pattern_pixel_by_pixel() {
+    let g = Golden::load("exit_intensity");
+    let expected = g.array2("intensity");
+    let plan = g.plan(&g.settings());
+    let pattern = diffraction(&plan, &g.sites, g.pair(&g.json["position_A"]), &Silent).unwrap();
+    let (ny, nx) = pattern.dim();
+    let half = expected.nrows() as i64 / 2;
+    let top = expected.iter().fold(0.0_f32, |m, v| m.max(*v));
+    for ((y, x), e) in expected.indexed_iter() {
+        let iy = (y as i64 - half).rem_euclid(ny as i64) as usize;
+        let ix = (x as i64 - half).rem_euclid(nx as i64) as usize;
+        let error = (pattern[[iy, ix]] - e).abs() / top;
+        assert!(error < 1e-5, "{y},{x}: {} {e}", pattern[[iy, ix]]);
+    }
+}
+
+/// HAADF of displaced atoms against abTEM refined in the grid.
+#[test]
+fn displaced_atoms_on_the_default_grid() {
+    let g = Golden::load("displaced_refined");
+    let positions: Vec<[f64; 2]> =
+        g.json["positions_A"].as_array().unwrap().iter().map(|p| g.pair(p)).collect();
+    let slice = g.json["slice_thickness_A"].as_f64().unwrap();
+    let mut base = Settings { slicing: Slicing::Thickness(slice), ..Settings::default() };
+    base.optics.aberrations = Aberrations::defocus(slice / 2.0);
+    let haadf = |settings: &Settings| -> Array1<f32> {
+        let plan = g.plan(settings);
+        let one = |p: &[f64; 2]| {
+            let scan = Scan { origin_angstrom: *p, step_angstrom: [1.0; 2], shape: [1, 1] };
+            simulate(&plan, &g.sites, &scan, &Silent).unwrap().data[[0, 0, 0, 0]]
+        };
+        positions.iter().map(one).collect()
+    };
+    let show = |name: &str, values: &Array1<f32>, reference: &Array1<f32>| {
+        let percent = |(v, r): (&f32, &f32)| 100.0 * (v / r - 1.0);
+        let errors: Vec<f32> = values.iter().zip(reference).map(percent).collect();
+        println!("{name:>24}: {errors:.2?} %");
+        errors
+    };
+    let refined = g.array2("exact_1920").column(3).to_owned();
+    let shipped = g.array2("as_shipped_2400").column(3).to_owned();
+    println!("{:>24}  {refined:.5?}", "refined");
+    show("abTEM 480", &g.array2("as_shipped_480").column(3).to_owned(), &refined);
+    show("abTEM 960", &g.array2("as_shipped_960").column(3).to_owned(), &refined);
+    show("abTEM 2400", &shipped, &refined);
+    show("exact_480", &g.array2("exact_480").column(3).to_owned(), &refined);
+    show("exact_960", &g.array2("exact_960").column(3).to_owned(), &refined);
+    for n in [480] {
+        for oversampling in [1, 2, 3] {
+            let settings =
+                Settings { grid: GridChoice::Points([n, n]), oversampling, ..base.clone() };
+            show(&format!("ours {n} x{oversampling}"), &haadf(&settings), &refined);
+        }
+    }
+}
