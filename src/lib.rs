@@ -8,6 +8,7 @@ pub mod atomic;
 pub mod engine;
 pub mod error;
 pub mod progress;
+pub mod render;
 pub mod rng;
 pub mod structure;
 
