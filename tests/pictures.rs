@@ -115,7 +115,7 @@ fn markers_stand_on_their_pixel() {
     picture.markers[0].shape = Shape::Circle;
     let image = picture.render().unwrap();
     let red_at = |x: usize, y: usize| image.pixels[3 * (y * image.width + x)] > 160;
-    assert!(red_at(134, 304) && red_at(104, 274) && !(image.pixels[3 * (304 * 400 + 104)] > 160));
+    assert!(red_at(134, 304) && red_at(104, 274) && !red_at(104, 304));
     picture.markers[0].position = [1e300, -1e300];
     picture.render().unwrap();
     picture.markers[0].position = [f64::NAN, 0.0];

@@ -13,11 +13,18 @@ use Part::{Arc, Line};
 /// Space between glyphs, in heights of a digit.
 const GAP: f64 = 0.2;
 /// Width of a space, in heights of a digit.
-const SPACE: f64 = 0.16;
+const SPACE: f64 = 0.3;
 
 /// Width and parts of a character; `None` if the font lacks it.
 fn glyph(character: char) -> Option<(f64, Vec<Part>)> {
-    let circle = |x, y, rx, ry| Arc([x, y], [rx, ry], 0.0, 360.0);
+    digit(character).or_else(|| letter(character))
+}
+
+fn circle(x: f64, y: f64, rx: f64, ry: f64) -> Part {
+    Arc([x, y], [rx, ry], 0.0, 360.0)
+}
+
+fn digit(character: char) -> Option<(f64, Vec<Part>)> {
     Some(match character {
         '0' => (0.58, vec![circle(0.29, 0.5, 0.29, 0.5)]),
         '1' => (0.3, vec![Line(&[[0.0, 0.8], [0.26, 1.0], [0.26, 0.0]])]),
@@ -51,6 +58,12 @@ fn glyph(character: char) -> Option<(f64, Vec<Part>)> {
         '9' => {
             (0.6, vec![circle(0.3, 0.69, 0.3, 0.31), Arc([0.08, 0.69], [0.52, 0.69], 0.0, -75.0)])
         }
+        _ => return None,
+    })
+}
+
+fn letter(character: char) -> Option<(f64, Vec<Part>)> {
+    Some(match character {
         '.' => (0.04, vec![Line(&[[0.02, 0.01], [0.02, 0.02]])]),
         'n' => (
             0.46,

@@ -52,7 +52,7 @@ pub(super) fn draw_marker(image: &mut RgbImage, marker: &Marker, scale: Scale) -
             vec![vec![end(-1.0, -1.0), end(1.0, 1.0)], vec![end(-1.0, 1.0), end(1.0, -1.0)]]
         }
     };
-    let thickness = (size[0].max(size[1]) / 500.0).clamp(1.2, 4.0);
+    let thickness = (size[0].max(size[1]) / 400.0).clamp(1.2, 6.0);
     image.stroke(&lines, thickness + 1.6, BLACK, 0.5);
     image.stroke(&lines, thickness, marker.color, 1.0);
     Ok(())
@@ -116,7 +116,7 @@ pub(super) fn draw_bar(image: &mut RgbImage, angstrom_per_pixel: f64) -> Option<
     image.fill([left, bottom - at.thickness], [left + pixels, bottom], 0.0, WHITE, 1.0);
     let start =
         [low[0] + at.padding + (content - text_width) / 2.0, bottom - at.thickness - at.gap];
-    image.stroke(&font::lines(&label, start, at.digit), 0.125 * at.digit, WHITE, 1.0);
+    image.stroke(&font::lines(&label, start, at.digit), 0.135 * at.digit, WHITE, 1.0);
     Some(length)
 }
 
