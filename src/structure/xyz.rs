@@ -183,7 +183,7 @@ fn take_value(rest: &str) -> (String, &str) {
 /// complete or untouched. Numbers are written so that reading returns the same bits.
 ///
 /// # Errors
-/// [`Error::Io`].
+/// [`crate::Error::Io`].
 pub fn write_extxyz(path: &Path, structure: &Structure) -> Result<()> {
     atomic::write(path, to_extxyz(structure).as_bytes())
 }
