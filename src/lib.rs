@@ -15,6 +15,7 @@ pub mod optics;
 pub mod phonons;
 pub mod potential;
 pub mod progress;
+pub mod render;
 pub mod rng;
 pub mod structure;
 

@@ -1,4 +1,7 @@
 //! Atoms in a cell: the model, readers and writers, supercells.
+//!
+//! [`read`] takes CIF, extended XYZ and POSCAR files; [`Structure::oriented`] turns a crystal so that
+//! the beam runs along a zone axis; [`Structure::resolve_occupancy`] draws mixed sites.
 
 mod cif;
 pub mod elements;

@@ -20,7 +20,8 @@ const REPORT_INDEX: i64 = 6;
 impl Structure {
     /// The orthogonal supercell whose z axis is the lattice direction `zone` and whose y axis is
     /// `up`, or else the shortest lattice vector perpendicular to the zone; x completes a
-    /// right-handed box. Angles within 1 mrad of 90 degrees are taken as right, and the atoms are
+    /// right-handed box. Indices refer to the vectors of this cell, so that the direction `[11-20]` of a
+    /// hexagonal crystal is `[110]`. Angles within 1 mrad of 90 degrees are taken as right, and the atoms are
     /// strained accordingly. A cell that is such a box already is returned as it is.
     ///
     /// # Errors

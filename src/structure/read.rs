@@ -146,7 +146,7 @@ impl<'a> Text<'a> {
     /// occupancy 0 are dropped.
     pub fn finish(&self, cell: [[f64; 3]; 3], atoms: Vec<(usize, Atom)>) -> Result<Structure> {
         if let Some((line, atom)) =
-            atoms.iter().find(|(_, a)| a.position.iter().any(|x| x.abs().is_nan() || x.abs() > 1e7))
+            atoms.iter().find(|(_, a)| a.position.iter().any(|x| x.is_nan() || x.abs() > 1e7))
         {
             let message = format!("position {:?} A is absurdly far away", atom.position);
             return Err(self.error(*line, message));

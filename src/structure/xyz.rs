@@ -15,6 +15,8 @@ struct Columns {
     position: usize,
     occupancy: Option<usize>,
     count: usize,
+    /// Whether the file itself announces the columns.
+    announced: bool,
 }
 
 /// Reads a file of exactly one frame.
@@ -107,13 +109,14 @@ fn columns(text: &Text, pairs: &[(String, String)]) -> Result<Columns> {
     let position = column(&["pos", "positions"], 3)?
         .ok_or_else(|| wrong("no positions; expected `pos:R:3`".to_owned()))?;
     let occupancy = column(&["occupancy", "occupancies"], 1)?;
-    Ok(Columns { element, position, occupancy, count })
+    let announced = find(pairs, "properties").is_some();
+    Ok(Columns { element, position, occupancy, count, announced })
 }
 
 fn atom(text: &Text, columns: &Columns, line: usize, row: &str) -> Result<Atom> {
     let words: Vec<&str> = row.split_whitespace().collect();
-    // Extra words are tolerated only where no `Properties` could have announced them.
-    if words.len() < columns.count {
+    // Plain XYZ files may have anything after the position.
+    if words.len() < columns.count || (columns.announced && words.len() > columns.count) {
         let message = format!("this atom has {} columns, expected {}", words.len(), columns.count);
         return Err(text.error(line, message));
     }
@@ -180,7 +183,7 @@ fn take_value(rest: &str) -> (String, &str) {
 /// complete or untouched. Numbers are written so that reading returns the same bits.
 ///
 /// # Errors
-/// [`Error::Io`].
+/// [`crate::Error::Io`].
 pub fn write_extxyz(path: &Path, structure: &Structure) -> Result<()> {
     atomic::write(path, to_extxyz(structure).as_bytes())
 }
