@@ -9,5 +9,6 @@ pub mod error;
 pub mod progress;
 pub mod rng;
 pub mod structure;
+pub mod world;
 
 pub use error::{Error, Result};
