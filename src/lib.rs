@@ -6,6 +6,7 @@
 
 pub mod engine;
 pub mod error;
+pub mod io;
 pub mod progress;
 pub mod rng;
 pub mod structure;
