@@ -231,7 +231,7 @@ impl Recipe {
     /// # Errors
     /// [`Error::Parse`] with the line, for bad syntax, unknown keys and values out of limits.
     pub fn from_toml_str(name: &str, text: &str, difficulty: Option<Difficulty>) -> Result<Self> {
-        let source = Source { path: PathBuf::from(name), text };
+        let source = Source { path: PathBuf::from(name), text, difficulty };
         let mut table: toml::Table =
             toml::from_str(text).map_err(|e| source.syntax_error(&e, text))?;
         let tiers = table.remove("difficulty");
@@ -308,6 +308,7 @@ pub(super) struct Fault {
 struct Source<'a> {
     path: PathBuf,
     text: &'a str,
+    difficulty: Option<Difficulty>,
 }
 
 impl Source<'_> {
@@ -323,7 +324,7 @@ impl Source<'_> {
         tiers: Option<toml::Value>,
         difficulty: Option<Difficulty>,
     ) -> Result<Option<toml::Table>> {
-        let line = self.line_of("[difficulty");
+        let line = self.line_of("difficulty");
         let fail = |message: String| Err(Error::parse(&self.path, line, message));
         let mut tiers = match (tiers, difficulty) {
             (None, None) => return Ok(None),
@@ -365,10 +366,27 @@ impl Source<'_> {
         Error::parse(&self.path, self.line_of(key), message)
     }
 
-    /// First line that mentions `key` before a comment, or 0.
+    /// The line that mentions `key`: in the table of the difficulty if there, else the first. 0 if
+    /// there is none.
     fn line_of(&self, key: &str) -> usize {
-        let mentions = |line: &str| line.split('#').next().unwrap_or("").contains(key);
-        self.text.lines().position(mentions).map_or(0, |i| i + 1)
+        let word = |c: char| c.is_alphanumeric() || c == '_' || c == '-';
+        let mentions = |line: &str| {
+            let code = line.split('#').next().unwrap_or("");
+            code.split(|c| !word(c)).any(|w| w == key)
+        };
+        let header = self.difficulty.map(|d| format!("[difficulty.{}", d.name()));
+        let (mut first, mut inside) = (0, false);
+        for (n, line) in self.text.lines().enumerate() {
+            if line.starts_with('[') {
+                inside = header.as_ref().is_some_and(|h| line.starts_with(h));
+            }
+            match mentions(line) {
+                true if inside => return n + 1,
+                true if first == 0 => first = n + 1,
+                _ => {}
+            }
+        }
+        first
     }
 }
 
