@@ -133,7 +133,7 @@ fn threads_change_nothing() {
     assert_equal_data(&one, &four);
 }
 
-/// Collects warnings; asks to stop after a number of questions.
+/// Collects warnings.
 #[derive(Default)]
 struct Listener(Mutex<Vec<String>>);
 
@@ -206,6 +206,21 @@ fn missing_tile(path: &Path) {
     remove().unwrap();
     let message = WorldFile::open(path).err().unwrap().to_string();
     assert!(message.contains("0 of 1 tiles"), "{message}");
+}
+
+#[test]
+fn values_set_afterwards_are_checked() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("w.h5");
+    let mut recipe = recipe(1, 1);
+    (recipe.field.overlap_px, recipe.lattice.a_angstrom) = (500, f64::NAN);
+    let error = build(&recipe, &Spots::new(), &path, &options(), &Silent).unwrap_err();
+    assert!(error.to_string().contains("field.overlap_px = 500"), "{error}");
+    let wide = BuildOptions { subtile_nm: 1.0, subtile_overlap_nm: 0.9, ..options() };
+    let recipe = self::recipe(1, 1);
+    let error = build(&recipe, &Spots::new(), &path, &wide, &Silent).unwrap_err();
+    assert!(error.to_string().contains("three times as wide"), "{error}");
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
 }
 
 #[test]

@@ -13,9 +13,11 @@ const GOOD: &str = include_str!("../generate/srtio3.toml");
 fn changed(changes: &str) -> String {
     let mut text = String::new();
     let removed: Vec<&str> = changes.lines().filter_map(|l| l.strip_prefix("# remove: ")).collect();
-    for line in GOOD.lines().filter(|l| !removed.iter().any(|r| l.starts_with(r))) {
-        text += line;
-        text += "\n";
+    for line in GOOD.lines() {
+        if !removed.iter().any(|r| line.starts_with(r)) {
+            text += line;
+            text += "\n";
+        }
         for (head, body) in sections(changes) {
             if line.trim() == head {
                 text += &body;

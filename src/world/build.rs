@@ -115,19 +115,14 @@ pub fn build(
     let (size, overlap) = (options.subtile_nm, options.subtile_overlap_nm);
     let partition = Partition::new(shape, field.pixel_nm(), size, overlap)?;
     let store = Store::open(output, &job.key(&partition), progress)?;
-    let resumed = job.simulate(&partition, &store)?;
-    let mosaic = Mosaic::new(recipe, &partition, &store, options.noise);
-    let partial = beside(output, ".partial");
-    let written = job.write_file(&partial, &mosaic, options, started).and_then(|written| {
-        check_output(output, options.overwrite)?;
-        fs::rename(&partial, output).map_err(|e| Error::io(output, "write", e))?;
-        Ok(written)
+    let done = job.simulate(&partition, &store).and_then(|resumed| {
+        let mosaic = Mosaic::new(recipe, &partition, &store, options.noise);
+        Ok((resumed, job.publish(output, &mosaic, options, started)?))
     });
-    if written.is_err() {
-        // What is there is of no use; the reason for the failure matters more.
-        let _ = fs::remove_file(&partial);
-    }
-    let (counts, range) = written?;
+    let (resumed, (counts, range)) = done.inspect_err(|_| {
+        let kept = "keeps the sub-tiles done so far; the same command goes on from there";
+        progress.warn(&format!("{} {kept}", store.folder().display()));
+    })?;
     store.remove()?;
     Ok(Summary {
         path: output.to_owned(),
@@ -238,6 +233,27 @@ impl Job<'_> {
             key: s.key,
         };
         present.map(site).collect()
+    }
+
+    /// Writes the file under another name and puts it in place when it is complete.
+    fn publish(
+        &self,
+        output: &Path,
+        mosaic: &Mosaic,
+        options: &BuildOptions,
+        started: Instant,
+    ) -> Result<(Counts, [f32; 2])> {
+        let partial = beside(output, ".partial");
+        let written = self.write_file(&partial, mosaic, options, started).and_then(|written| {
+            check_output(output, options.overwrite)?;
+            fs::rename(&partial, output).map_err(|e| Error::io(output, "write", e))?;
+            Ok(written)
+        });
+        if written.is_err() {
+            // What is there is of no use; the reason for the failure matters more.
+            let _ = fs::remove_file(&partial);
+        }
+        written
     }
 
     fn write_file(

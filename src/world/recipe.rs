@@ -251,6 +251,16 @@ impl Recipe {
         Ok(recipe)
     }
 
+    /// Checks every value against its limits, as needed after changing some.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] that names the key.
+    pub fn check(&self) -> Result<()> {
+        recipe_check::check(self).map_err(|Fault { key, value, expected }| {
+            Error::invalid("recipe", format!("{key} = {value}"), expected)
+        })
+    }
+
     /// The same specimen and pixel, but only the central `rows` x `columns` tiles. Where the
     /// difference is odd, the part lies half a tile up and left of the centre.
     ///

@@ -111,8 +111,9 @@ pub trait Specimen: Send + Sync {
 /// The specimen that a recipe describes.
 ///
 /// # Errors
-/// [`crate::Error::Invalid`] when the recipe lacks what its structure needs.
+/// [`crate::Error::Invalid`] when a value of the recipe is outside its limits.
 pub fn specimen(recipe: &Recipe) -> Result<Box<dyn Specimen>> {
+    recipe.check()?;
     match recipe.structure {
         StructureKind::PerovskiteGrains => {
             Ok(Box::new(super::perovskite::PerovskiteGrains::new(recipe)?))

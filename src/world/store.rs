@@ -69,6 +69,11 @@ impl Store {
         write_atomic(&self.path(index), &bytes)
     }
 
+    /// The work folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
     /// The path of the file of a sub-tile.
     pub fn path(&self, index: usize) -> PathBuf {
         self.folder.join(format!("subtile_{index:06}.bin"))
