@@ -101,6 +101,22 @@ def check_sites(file, height, width, pixel):
     check_columns(truth["columns"], columns, types, xy)
 
 
+def check_registration(file, image, pixel):
+    """Sr columns are bright where the ground truth says they are, to half a pixel on average."""
+    truth = file["ground_truth"]
+    sr = truth["atom_positions"][...][truth["atomic_numbers"][...] == 38]
+    near = np.rint(sr / pixel).astype(int)
+    height, width = image.shape
+    near = near[((near >= 10) & (near < [width - 10, height - 10])).all(axis=1)]
+    check(image[near[:, 1], near[:, 0]].mean() > 1.5 * image.mean(), "Sr columns are not bright: x, y or origin differ")
+    steps = np.arange(-10, 11)
+    patches = image[near[:, 1, None, None] + steps[:, None], near[:, 0, None, None] + steps]
+    mean = patches.mean(axis=0) - patches.mean(axis=0).min()
+    mean = np.where(mean > 0.6 * mean.max(), mean, 0)
+    shift = np.array([(mean.sum(axis=0) * steps).sum(), (mean.sum(axis=1) * steps).sum()]) / mean.sum()
+    check((abs(shift) < 0.5).all(), f"the image is shifted by {shift} px against the ground truth")
+
+
 def check_columns(group, columns, types, xy):
     m = group["position"].shape[0]
     position = dataset(group, "position", (m, 2), np.float32)[...]
@@ -127,6 +143,7 @@ def main(path):
             check(abs(error.std() / sigma - 1) < 0.05, f"noise {error.std()}, expected {sigma}")
             check(abs(error.mean()) < 5 * sigma / np.sqrt(image.size), "noise: its mean is not 0")
         check_overview(file, image)
+        check_registration(file, image * scale + offset, pixel)
         check_sites(file, height, width, pixel)
         valid = dataset(file, "valid_region", (height, width), np.bool_)
         check(valid[...].all(), "valid_region: not all true")
