@@ -2,8 +2,8 @@
 //! specimens ("worlds").
 //!
 //! Data flows one way: recipe -> specimen -> slices -> engine -> detector image -> tiles -> file.
-//! From the ground up: `error`, `constants`, `rng`, `progress`, `fft`; `structure`, `potential`;
-//! `optics`, `detect`, `phonons`; `engine`.
+//! From the ground up: `error`, `constants`, `rng`, `progress`, `atomic`, `fft`; `structure`,
+//! `potential`; `optics`, `detect`, `phonons`; `engine`; `io`, `render`; `world`.
 
 pub mod atomic;
 pub mod constants;
@@ -11,6 +11,7 @@ pub mod detect;
 pub mod engine;
 pub mod error;
 pub mod fft;
+pub mod io;
 pub mod optics;
 pub mod phonons;
 pub mod potential;
@@ -18,5 +19,6 @@ pub mod progress;
 pub mod render;
 pub mod rng;
 pub mod structure;
+pub mod world;
 
 pub use error::{Error, Result};

@@ -1,0 +1,42 @@
+//! Names and types of what a world file holds. Positions are in nm.
+
+use hdf5::types::FixedAscii;
+
+/// Group whose attributes describe the world.
+pub const METADATA: &str = "metadata";
+/// Low-resolution overview, normalised like the tiles.
+pub const OVERVIEW: &str = "overview";
+/// Pixels that one pixel of the overview averages, along each axis.
+pub const OVERVIEW_FACTOR: usize = 8;
+/// Group of normalised tiles.
+pub const TILES: &str = "tiles";
+/// Group of noiseless tiles, in fractions of the beam.
+pub const CLEAN: &str = "clean";
+/// Group of the ground truth.
+pub const TRUTH: &str = "ground_truth";
+/// Which pixels show specimen.
+pub const VALID_REGION: &str = "valid_region";
+/// Group of polylines below the ground truth.
+pub const GRAIN_BOUNDARIES: &str = "grain_boundaries";
+/// Group of projected atomic columns below the ground truth.
+pub const COLUMNS: &str = "columns";
+
+/// `defect_types`: `""`, `"vacancy_O"`, `"substitution_Ge"`.
+pub type DefectName = FixedAscii<16>;
+/// Composition of a column, vacant sites left out: `"O25 Ti26"`.
+pub type Composition = FixedAscii<32>;
+
+/// Codes of `atom_types`.
+pub mod atom_type {
+    /// The atom that belongs there.
+    pub const PRISTINE: i32 = 0;
+    /// No atom.
+    pub const VACANCY: i32 = 1;
+    /// Another element.
+    pub const SUBSTITUTION: i32 = 2;
+}
+
+/// Name of the dataset of a tile.
+pub fn tile_name(row: usize, column: usize) -> String {
+    format!("{row}_{column}")
+}

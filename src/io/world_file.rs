@@ -1,0 +1,322 @@
+//! Reads a world file.
+
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use hdf5::types::VarLenUnicode;
+use hdf5::{Dataset, File, Group, H5Type};
+use ndarray::{Array2, s};
+
+use super::At;
+use super::schema::{self, DefectName};
+use crate::error::{Error, Result};
+
+/// What describes a world. Other programs may write fewer attributes: those are `None`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WorldMetadata {
+    /// Edge of a pixel in nm.
+    pub pixel_size_nm: f64,
+    /// Edge of a tile in pixels.
+    pub tile_size_px: usize,
+    /// Pixels that neighbouring tiles share.
+    pub overlap_px: usize,
+    /// Rows and columns of tiles.
+    pub grid_shape: [usize; 2],
+    /// Height and width in nm.
+    pub fov_nm: [f64; 2],
+    /// Fraction of the beam = value * scale + offset.
+    pub scaling: Option<[f64; 2]>,
+    /// Resolved recipe as TOML.
+    pub recipe: Option<String>,
+    /// Version of stemgen that built it.
+    pub version: Option<String>,
+    /// Engine that simulated it.
+    pub engine: Option<String>,
+    /// Settings of the engine as JSON.
+    pub engine_parameters: Option<String>,
+    /// Electrons per square Angstrom.
+    pub dose_electrons_per_angstrom2: Option<f64>,
+    /// Seed of all random numbers.
+    pub seed: Option<u64>,
+    /// Time that the last run of the build took, in s.
+    pub wall_time_s: Option<f64>,
+}
+
+/// Sites of a world, in the order of the file.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct GroundTruth {
+    /// (x, y) in nm from the centre of pixel (0, 0).
+    pub positions: Vec<[f32; 2]>,
+    /// Depth in nm; empty when the file has none (as those below).
+    pub z: Vec<f32>,
+    /// Codes of [`schema::atom_type`].
+    pub types: Vec<i32>,
+    /// True where a defect.
+    pub defects: Vec<bool>,
+    /// Atomic numbers.
+    pub numbers: Vec<i32>,
+    /// Names of the defects.
+    pub defect_names: Vec<String>,
+    /// Index of the column.
+    pub columns: Vec<i32>,
+}
+
+/// A world file, open for reading.
+pub struct WorldFile {
+    path: PathBuf,
+    file: File,
+    metadata: WorldMetadata,
+}
+
+impl WorldFile {
+    /// Opens a world and checks that it is one, and whole.
+    ///
+    /// # Errors
+    /// [`Error::Io`], or [`Error::Invalid`] for a foreign, truncated or incomplete file.
+    pub fn open(path: &Path) -> Result<Self> {
+        std::fs::File::open(path).map_err(|e| Error::io(path, "read", e))?;
+        let file = File::open(path).map_err(|e| {
+            let reason = "is not HDF5, or is truncated; copy or build it again";
+            not_a_world(path, format!("{reason} ({})", first_line(&e)))
+        })?;
+        let metadata = read_metadata(path, &file)?;
+        let world = WorldFile { path: path.to_owned(), file, metadata };
+        world.check()?;
+        Ok(world)
+    }
+
+    /// What describes the world.
+    pub fn metadata(&self) -> &WorldMetadata {
+        &self.metadata
+    }
+
+    /// Height and width in pixels.
+    pub fn shape(&self) -> [usize; 2] {
+        let m = &self.metadata;
+        m.grid_shape.map(|n| n * (m.tile_size_px - m.overlap_px) + m.overlap_px)
+    }
+
+    /// A normalised tile.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] outside the grid or for a damaged tile.
+    pub fn tile(&self, row: usize, column: usize) -> Result<Array2<f32>> {
+        self.tile_of(schema::TILES, row, column)
+    }
+
+    /// Whether the file holds noiseless tiles.
+    pub fn has_clean(&self) -> bool {
+        self.file.link_exists(schema::CLEAN)
+    }
+
+    /// A noiseless tile in fractions of the beam.
+    ///
+    /// # Errors
+    /// As [`WorldFile::tile`], also when the world was built without.
+    pub fn clean_tile(&self, row: usize, column: usize) -> Result<Array2<f32>> {
+        self.tile_of(schema::CLEAN, row, column)
+    }
+
+    /// The normalised image of some rows and columns of pixels.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] outside the image, or for a damaged tile.
+    pub fn stitched(&self, rows: Range<usize>, columns: Range<usize>) -> Result<Array2<f32>> {
+        let [height, width] = self.shape();
+        let inside = |r: &Range<usize>, n| r.start <= r.end && r.end <= n;
+        if !inside(&rows, height) || !inside(&columns, width) {
+            let expected = format!("the image has {height} x {width} pixels");
+            return Err(Error::invalid("region", format!("{rows:?} x {columns:?}"), expected));
+        }
+        let stride = self.metadata.tile_size_px - self.metadata.overlap_px;
+        let tiles = |range: &Range<usize>, n: usize| {
+            (range.start / stride).min(n - 1)..range.end.div_ceil(stride).min(n)
+        };
+        let mut out = Array2::zeros((rows.len(), columns.len()));
+        for r in tiles(&rows, self.metadata.grid_shape[0]) {
+            for c in tiles(&columns, self.metadata.grid_shape[1]) {
+                let tile = self.tile(r, c)?;
+                let (ys, xs) =
+                    (common(&rows, r * stride, &tile, 0), common(&columns, c * stride, &tile, 1));
+                let from = tile.slice(s![
+                    ys.start - r * stride..ys.end - r * stride,
+                    xs.start - c * stride..xs.end - c * stride
+                ]);
+                let to = s![
+                    ys.start - rows.start..ys.end - rows.start,
+                    xs.start - columns.start..xs.end - columns.start
+                ];
+                out.slice_mut(to).assign(&from);
+            }
+        }
+        Ok(out)
+    }
+
+    /// The overview.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a damaged file.
+    pub fn overview(&self) -> Result<Array2<f32>> {
+        self.dataset(schema::OVERVIEW)?.read_2d().at(&self.path)
+    }
+
+    /// Number of lattice sites.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a damaged file.
+    pub fn site_count(&self) -> Result<usize> {
+        Ok(self.truth_dataset("atom_types")?.size())
+    }
+
+    /// The sites `range`.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a range beyond the end or a damaged file.
+    pub fn truth(&self, range: Range<usize>) -> Result<GroundTruth> {
+        let count = self.site_count()?;
+        if range.start > range.end || range.end > count {
+            let expected = format!("the world has {count} sites");
+            return Err(Error::invalid("range of sites", format!("{range:?}"), expected));
+        }
+        let positions = self.truth_dataset("atom_positions")?;
+        let pairs: Array2<f32> = positions.read_slice(s![range.clone(), ..]).at(&self.path)?;
+        let names: Vec<DefectName> = self.optional("defect_types", &range)?;
+        Ok(GroundTruth {
+            positions: pairs.rows().into_iter().map(|r| [r[0], r[1]]).collect(),
+            types: self.required("atom_types", &range)?,
+            defects: self.required("defect_mask", &range)?,
+            z: self.optional("atom_z", &range)?,
+            numbers: self.optional("atomic_numbers", &range)?,
+            defect_names: names.iter().map(|n| n.as_str().to_owned()).collect(),
+            columns: self.optional("atom_columns", &range)?,
+        })
+    }
+
+    /// Polylines between grains, (x, y) in nm.
+    ///
+    /// # Errors
+    /// [`Error::Hdf5`] for a damaged file.
+    pub fn boundaries(&self) -> Result<Vec<Vec<[f32; 2]>>> {
+        let name = format!("{}/{}", schema::TRUTH, schema::GRAIN_BOUNDARIES);
+        let Ok(group) = self.file.group(&name) else { return Ok(Vec::new()) };
+        let read = |n: u64| -> hdf5::Result<Vec<[f32; 2]>> {
+            let points: Array2<f32> = group.dataset(&n.to_string())?.read_2d()?;
+            Ok(points.rows().into_iter().map(|p| [p[0], p[1]]).collect())
+        };
+        (0..group.len()).map(read).collect::<hdf5::Result<_>>().at(&self.path)
+    }
+
+    fn tile_of(&self, group: &str, row: usize, column: usize) -> Result<Array2<f32>> {
+        let name = format!("{group}/{}", schema::tile_name(row, column));
+        let dataset = self.dataset(&name)?;
+        let size = self.metadata.tile_size_px;
+        if dataset.shape() != [size, size] {
+            let found = format!("/{name} has shape {:?}, not {size} x {size}", dataset.shape());
+            return Err(not_a_world(&self.path, found));
+        }
+        dataset.read_2d().at(&self.path)
+    }
+
+    fn dataset(&self, name: &str) -> Result<Dataset> {
+        let missing = |_| not_a_world(&self.path, format!("has no dataset /{name}"));
+        self.file.dataset(name).map_err(missing)
+    }
+
+    fn truth_dataset(&self, name: &str) -> Result<Dataset> {
+        self.dataset(&format!("{}/{name}", schema::TRUTH))
+    }
+
+    fn required<T: H5Type>(&self, name: &str, range: &Range<usize>) -> Result<Vec<T>> {
+        let array = self.truth_dataset(name)?.read_slice_1d(range.clone()).at(&self.path)?;
+        Ok(array.into_iter().collect())
+    }
+
+    fn optional<T: H5Type>(&self, name: &str, range: &Range<usize>) -> Result<Vec<T>> {
+        match self.file.link_exists(&format!("{}/{name}", schema::TRUTH)) {
+            true => self.required(name, range),
+            false => Ok(Vec::new()),
+        }
+    }
+
+    /// All tiles there, and lists of the ground truth equally long.
+    fn check(&self) -> Result<()> {
+        let tiles = self.file.group(schema::TILES);
+        let tiles = tiles.map_err(|_| not_a_world(&self.path, "has no group /tiles"))?;
+        let [rows, columns] = self.metadata.grid_shape;
+        if tiles.len() != (rows * columns) as u64 {
+            let found = format!("has {} of {} tiles", tiles.len(), rows * columns);
+            return Err(not_a_world(&self.path, found));
+        }
+        let count = self.site_count()?;
+        let lengths = [self.truth_dataset("defect_mask")?.shape(), vec![count]];
+        let pairs = self.truth_dataset("atom_positions")?.shape();
+        if lengths[0] != lengths[1] || pairs != [count, 2] {
+            return Err(not_a_world(&self.path, "has lists of sites of unequal length"));
+        }
+        Ok(())
+    }
+}
+
+fn common(range: &Range<usize>, start: usize, tile: &Array2<f32>, axis: usize) -> Range<usize> {
+    let from = range.start.max(start);
+    from..range.end.min(start + tile.shape()[axis]).max(from)
+}
+
+fn not_a_world(path: &Path, what: impl Into<String>) -> Error {
+    Error::invalid("world file", path.display(), what)
+}
+
+fn first_line(error: &hdf5::Error) -> String {
+    error.to_string().lines().next().unwrap_or_default().to_owned()
+}
+
+fn read_metadata(path: &Path, file: &File) -> Result<WorldMetadata> {
+    let group = file.group(schema::METADATA);
+    let group =
+        group.map_err(|_| not_a_world(path, "is not a world: it has no group /metadata"))?;
+    let missing = |name: &str| not_a_world(path, format!("/metadata has no usable `{name}`"));
+    let need = |name: &str| number::<f64>(&group, name).ok_or_else(|| missing(name));
+    let pair = |name: &str| {
+        let values: Option<Vec<f64>> = group.attr(name).and_then(|a| a.read_raw()).ok();
+        values.and_then(|v| <[f64; 2]>::try_from(v).ok()).ok_or_else(|| missing(name))
+    };
+    let size = |value: f64, name: &str| match (0.0..1e9).contains(&value) {
+        true => Ok(value as usize),
+        false => Err(missing(name)),
+    };
+    let grid = pair("grid_shape")?;
+    let scaling = file
+        .group(schema::TILES)
+        .ok()
+        .and_then(|t| Some([number::<f64>(&t, "scale")?, number::<f64>(&t, "offset")?]));
+    let metadata = WorldMetadata {
+        pixel_size_nm: need("pixel_size_nm")?,
+        tile_size_px: size(need("tile_size_px")?, "tile_size_px")?,
+        overlap_px: size(need("overlap_px")?, "overlap_px")?,
+        grid_shape: [size(grid[0], "grid_shape")?, size(grid[1], "grid_shape")?],
+        fov_nm: pair("fov_nm")?,
+        scaling,
+        recipe: string(&group, "recipe"),
+        version: string(&group, "stemgen_version"),
+        engine: string(&group, "engine"),
+        engine_parameters: string(&group, "engine_parameters"),
+        dose_electrons_per_angstrom2: number(&group, "dose_electrons_per_angstrom2"),
+        seed: number(&group, "seed"),
+        wall_time_s: number(&group, "wall_time_s"),
+    };
+    if metadata.overlap_px >= metadata.tile_size_px {
+        return Err(missing("overlap_px"));
+    }
+    if metadata.grid_shape.contains(&0) || metadata.grid_shape.iter().any(|n| *n > 100_000) {
+        return Err(missing("grid_shape"));
+    }
+    Ok(metadata)
+}
+
+fn number<T: H5Type>(group: &Group, name: &str) -> Option<T> {
+    group.attr(name).and_then(|a| a.read_scalar()).ok()
+}
+
+fn string(group: &Group, name: &str) -> Option<String> {
+    number::<VarLenUnicode>(group, name).map(|s| s.as_str().to_owned())
+}

@@ -1,0 +1,316 @@
+//! Builds a world: simulate sub-tile by sub-tile, then write the file.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use ndarray::Array2;
+
+use super::assemble::Mosaic;
+use super::recipe::Recipe;
+use super::specimen::{BEYOND_FIELD_NM, Region, SiteKind, Specimen, specimen};
+use super::store::{Store, beside};
+use super::subprogress::SubProgress;
+use super::subtiles::{Partition, SubTile};
+use super::truth::{self, Counts};
+use crate::engine::{Scan, Site};
+use crate::error::{Error, Result};
+use crate::io::{Header, WorldFile, WorldWriter};
+use crate::progress::Progress;
+use crate::structure::elements;
+
+/// Simulates sub-tiles.
+pub trait SubTileEngine {
+    /// Name of the method.
+    fn name(&self) -> String;
+    /// Settings that decide the image. A build resumes only under the same.
+    fn parameters(&self) -> serde_json::Value;
+    /// Specimen that is needed beyond the scanned area on each side, in Angstrom.
+    fn margin_angstrom(&self) -> f64;
+    /// Mean HAADF image over all phonon configurations, as fraction of the beam, of `scan.shape`.
+    /// The box holds the specimen from the entrance surface z = 0 to its exit surface.
+    ///
+    /// # Errors
+    /// Whatever keeps the engine from it; [`Error::Interrupted`] when asked to stop.
+    fn image(
+        &self,
+        sites: &[Site],
+        box_angstrom: [f64; 3],
+        scan: &Scan,
+        progress: &dyn Progress,
+    ) -> Result<Array2<f32>>;
+}
+
+/// How to build.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BuildOptions {
+    /// Add Poisson noise.
+    pub noise: bool,
+    /// Also store the noiseless tiles.
+    pub keep_clean: bool,
+    /// Replace an existing file.
+    pub overwrite: bool,
+    /// Largest width of a sub-tile in nm.
+    pub subtile_nm: f64,
+    /// Overlap of sub-tiles in nm.
+    pub subtile_overlap_nm: f64,
+}
+
+impl Default for BuildOptions {
+    fn default() -> Self {
+        BuildOptions {
+            noise: true,
+            keep_clean: false,
+            overwrite: false,
+            subtile_nm: 7.0,
+            subtile_overlap_nm: 1.0,
+        }
+    }
+}
+
+/// What was built.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Summary {
+    /// The file.
+    pub path: PathBuf,
+    /// Rows and columns of tiles.
+    pub grid: [usize; 2],
+    /// Height and width in nm.
+    pub fov_nm: [f64; 2],
+    /// Lattice sites, vacancies and columns listed.
+    pub counts: Counts,
+    /// Sub-tiles in all.
+    pub subtiles: usize,
+    /// Sub-tiles that an earlier run had left.
+    pub subtiles_resumed: usize,
+    /// Least and greatest value of the stored image, in fractions of the beam.
+    pub range: [f32; 2],
+    /// Time of this run in s.
+    pub wall_time_s: f64,
+}
+
+/// Builds the world of `recipe` into the file `output`. Finished sub-tiles are kept in the folder
+/// `<output>.work` until the file is complete; a build that finds them goes on from there.
+///
+/// # Errors
+/// [`Error::Invalid`] when `output` exists, [`Error::Interrupted`] when asked to stop, and those of
+/// the engine, the file system and HDF5.
+pub fn build(
+    recipe: &Recipe,
+    engine: &dyn SubTileEngine,
+    output: &Path,
+    options: &BuildOptions,
+    progress: &dyn Progress,
+) -> Result<Summary> {
+    let started = Instant::now();
+    check_output(output, options.overwrite)?;
+    let margin = engine.margin_angstrom();
+    if !(0.0..=BEYOND_FIELD_NM * 10.0).contains(&margin) {
+        let expected = format!("the specimen goes on for {} A around it", BEYOND_FIELD_NM * 10.0);
+        return Err(Error::invalid("engine margin (A)", margin, expected));
+    }
+    let job = Job { recipe, engine, specimen: specimen(recipe)?, progress };
+    let field = &recipe.field;
+    let shape = field.pixels(field.built_grid());
+    let (size, overlap) = (options.subtile_nm, options.subtile_overlap_nm);
+    let partition = Partition::new(shape, field.pixel_nm(), size, overlap)?;
+    let store = Store::open(output, &job.key(&partition), progress)?;
+    let done = job.simulate(&partition, &store).and_then(|resumed| {
+        let mosaic = Mosaic::new(recipe, &partition, &store, options.noise);
+        Ok((resumed, job.publish(output, &mosaic, options, started)?))
+    });
+    let (resumed, (counts, range)) = done.inspect_err(|_| {
+        let kept = "keeps the sub-tiles done so far; the same command goes on from there";
+        progress.warn(&format!("{} {kept}", store.folder().display()));
+    })?;
+    store.remove()?;
+    Ok(Summary {
+        path: output.to_owned(),
+        grid: field.built_grid(),
+        fov_nm: shape.map(|n| n as f64 * field.pixel_nm()),
+        counts,
+        subtiles: partition.len(),
+        subtiles_resumed: resumed,
+        range,
+        wall_time_s: started.elapsed().as_secs_f64(),
+    })
+}
+
+fn check_output(output: &Path, overwrite: bool) -> Result<()> {
+    let refuse = |why: &str| Err(Error::invalid("output", output.display(), why));
+    if output.is_dir() {
+        return refuse("is a folder; name a file in it, such as world.h5");
+    }
+    if output.exists() && !overwrite {
+        return refuse("exists; name another file, or replace it with --overwrite");
+    }
+    let parent = output.parent().filter(|p| !p.as_os_str().is_empty());
+    match parent {
+        Some(parent) if !parent.is_dir() => {
+            fs::create_dir_all(parent).map_err(|e| Error::io(parent, "create", e))
+        }
+        _ => Ok(()),
+    }
+}
+
+struct Job<'a> {
+    recipe: &'a Recipe,
+    engine: &'a dyn SubTileEngine,
+    specimen: Box<dyn Specimen>,
+    progress: &'a dyn Progress,
+}
+
+impl Job<'_> {
+    /// All that decides the image of a sub-tile.
+    fn key(&self, partition: &Partition) -> String {
+        let key = serde_json::json!({
+            "stemgen": env!("CARGO_PKG_VERSION"),
+            "recipe": self.recipe.to_toml(),
+            "engine": self.engine.name(),
+            "parameters": self.engine.parameters(),
+            "partition": format!("{partition:?}"),
+        });
+        key.to_string()
+    }
+
+    /// Simulates what is missing; returns how many sub-tiles were there.
+    fn simulate(&self, partition: &Partition, store: &Store) -> Result<usize> {
+        let probes = partition.subtiles().map(|t| t.rows.len() * t.columns.len()).sum::<usize>();
+        self.progress.start("simulating", "probe", probes as u64);
+        let mut resumed = 0;
+        for tile in partition.subtiles() {
+            if self.progress.interrupted() {
+                return Err(Error::Interrupted);
+            }
+            let share = SubProgress::new(self.progress, tile.rows.len() * tile.columns.len());
+            if store.load(tile.index, tile.shape()).is_some() {
+                resumed += 1;
+            } else {
+                store.save(tile.index, &self.simulate_one(&tile, &share)?)?;
+            }
+            share.complete();
+        }
+        self.progress.finish();
+        Ok(resumed)
+    }
+
+    fn simulate_one(&self, tile: &SubTile, progress: &dyn Progress) -> Result<Array2<f32>> {
+        let field = &self.recipe.field;
+        let (first, pixel) = (field.crop_origin_px(), field.pixel_nm());
+        let margin_nm = self.engine.margin_angstrom() * 0.1;
+        let start = [first[0] + tile.rows.start, first[1] + tile.columns.start];
+        let area = Region::of_pixels(start, tile.shape(), pixel).grown(margin_nm);
+        let scan = Scan {
+            origin_angstrom: [10.0 * margin_nm + 5.0 * pixel; 2],
+            step_angstrom: [10.0 * pixel; 2],
+            shape: tile.shape(),
+        };
+        let size = |r: [f64; 2]| 10.0 * (r[1] - r[0]);
+        let size = [size(area.x), size(area.y), 10.0 * self.specimen.thickness_nm()];
+        let image = self.engine.image(&self.atoms(&area), size, &scan, progress)?;
+        if image.shape() != scan.shape {
+            let expected = format!("the engine was asked for {:?}", scan.shape);
+            return Err(Error::invalid("shape of image", format!("{:?}", image.shape()), expected));
+        }
+        match image.iter().find(|v| !v.is_finite()) {
+            Some(bad) => {
+                let place = format!("sub-tile {} of engine {}", tile.index, self.engine.name());
+                Err(Error::invalid("intensity", bad, format!("{place}: must be finite")))
+            }
+            None => Ok(image),
+        }
+    }
+
+    /// The atoms of an area, relative to its corner.
+    fn atoms(&self, area: &Region) -> Vec<Site> {
+        let corner = [area.x[0], area.y[0], 0.0];
+        let sigmas = &self.recipe.phonons.sigma_angstrom;
+        let present = self.specimen.sites(area).into_iter().filter(|s| s.kind != SiteKind::Vacancy);
+        let site = |s: super::SpecimenSite| Site {
+            position: [0, 1, 2].map(|k| 10.0 * (s.position_nm[k] - corner[k])),
+            number: s.number,
+            sigma_angstrom: sigmas.get(elements::symbol(s.number)).copied().unwrap_or(0.0),
+            key: s.key,
+        };
+        present.map(site).collect()
+    }
+
+    /// Writes the file under another name and puts it in place when it is complete.
+    fn publish(
+        &self,
+        output: &Path,
+        mosaic: &Mosaic,
+        options: &BuildOptions,
+        started: Instant,
+    ) -> Result<(Counts, [f32; 2])> {
+        let partial = beside(output, ".partial");
+        let written = self.write_file(&partial, mosaic, options, started).and_then(|written| {
+            check_output(output, options.overwrite)?;
+            fs::rename(&partial, output).map_err(|e| Error::io(output, "write", e))?;
+            Ok(written)
+        });
+        if written.is_err() {
+            // What is there is of no use; the reason for the failure matters more.
+            let _ = fs::remove_file(&partial);
+        }
+        written
+    }
+
+    fn write_file(
+        &self,
+        path: &Path,
+        mosaic: &Mosaic,
+        options: &BuildOptions,
+        started: Instant,
+    ) -> Result<(Counts, [f32; 2])> {
+        let writer = WorldWriter::create(path, &self.header(options.noise), options.keep_clean)?;
+        let range = mosaic.range(self.progress)?;
+        mosaic.write(&writer, range, options.keep_clean, self.progress)?;
+        let counts = truth::write(&*self.specimen, &self.recipe.field, &writer, self.progress)?;
+        writer.finish(started.elapsed().as_secs_f64())?;
+        verify(path, counts)?;
+        Ok((counts, range))
+    }
+
+    fn header(&self, noise: bool) -> Header {
+        let recipe = self.recipe;
+        let field = &recipe.field;
+        let shape = field.pixels(field.built_grid());
+        Header {
+            pixel_size_nm: field.pixel_nm(),
+            tile_size_px: field.tile_px,
+            overlap_px: field.overlap_px,
+            grid_shape: field.built_grid(),
+            fov_nm: shape.map(|n| n as f64 * field.pixel_nm()),
+            origin_px: field.crop_origin_px(),
+            thickness_nm: self.specimen.thickness_nm(),
+            dose: recipe.dose.electrons_per_angstrom2,
+            noise,
+            seed: recipe.seed,
+            texts: vec![
+                ("material", recipe.id.clone()),
+                ("zone_axis", recipe.zone_axis.clone()),
+                ("recipe", recipe.to_toml()),
+                ("stemgen_version", env!("CARGO_PKG_VERSION").into()),
+                ("engine", self.engine.name()),
+                ("engine_parameters", self.engine.parameters().to_string()),
+            ],
+        }
+    }
+}
+
+/// Reads back every tile: a write that failed without a word is found here.
+fn verify(path: &Path, counts: Counts) -> Result<()> {
+    let world = WorldFile::open(path)?;
+    let [rows, columns] = world.metadata().grid_shape;
+    for r in 0..rows {
+        for c in 0..columns {
+            world.tile(r, c)?;
+        }
+    }
+    let found = world.site_count()? as u64;
+    match found == counts.sites {
+        true => Ok(()),
+        false => Err(Error::invalid("sites in file", found, format!("{} written", counts.sites))),
+    }
+}

@@ -1,0 +1,26 @@
+//! Worlds: from a recipe to a specimen, its simulated image, and one file with the ground truth.
+//!
+//! recipe -> specimen -> sub-tiles -> engine -> blended image -> noise -> tiles -> file. A sub-tile
+//! is saved as soon as it is computed, so an interrupted build goes on where it was.
+
+mod assemble;
+pub mod boundary;
+pub mod build;
+pub mod coincidence;
+pub mod crystal;
+pub mod noise;
+pub mod perovskite;
+pub mod recipe;
+mod recipe_check;
+pub mod relax;
+pub mod specimen;
+mod store;
+mod subprogress;
+pub mod subtiles;
+mod truth;
+pub mod vacancies;
+
+pub use build::{BuildOptions, SubTileEngine, Summary, build};
+pub use recipe::{Difficulty, Recipe};
+pub use specimen::{Region, SiteKind, Specimen, SpecimenSite, specimen};
+pub use truth::Counts;

@@ -1,0 +1,82 @@
+//! Poisson noise of a finite dose.
+
+use ndarray::Array2;
+use rand_distr::{Distribution, Poisson};
+use rayon::prelude::*;
+
+use crate::rng::{ItemRng, Purpose};
+
+/// Draws the electrons of each pixel.
+#[derive(Debug, Clone, Copy)]
+pub struct Noise {
+    /// Seed of the world.
+    pub seed: u64,
+    /// Electrons that fall on one pixel: dose times pixel area.
+    pub electrons_per_pixel: f64,
+    /// Row and column of pixel (0, 0) in the full field.
+    pub origin_px: [usize; 2],
+    /// Width of the full field in pixels.
+    pub full_width_px: usize,
+}
+
+impl Noise {
+    /// Replaces fractions of the beam by counted electrons over the electrons of a pixel. The
+    /// numbers of a pixel depend on the seed and its place in the full field only.
+    pub fn apply(&self, band: &mut Array2<f32>, first_row: usize) {
+        let lines: Vec<_> = band.outer_iter_mut().collect();
+        lines.into_par_iter().enumerate().for_each(|(k, mut line)| {
+            let row = self.origin_px[0] + first_row + k;
+            let start = (row * self.full_width_px + self.origin_px[1]) as u64;
+            for (column, value) in line.iter_mut().enumerate() {
+                let expected = f64::from(*value) * self.electrons_per_pixel;
+                let counted = self.draw(expected, start + column as u64);
+                *value = (counted / self.electrons_per_pixel) as f32;
+            }
+        });
+    }
+
+    fn draw(&self, expected: f64, pixel: u64) -> f64 {
+        match Poisson::new(expected) {
+            Ok(poisson) => poisson.sample(&mut ItemRng::new(self.seed, Purpose::Dose, pixel)),
+            // Not positive: no electrons.
+            Err(_) => 0.0,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn mean_and_variance_are_those_of_poisson() {
+        for expected in [0.3, 4.0, 400.0] {
+            let noise = Noise {
+                seed: 5,
+                electrons_per_pixel: 1000.0,
+                origin_px: [3, 7],
+                full_width_px: 900,
+            };
+            let mut band = Array2::from_elem((200, 500), (expected / 1000.0) as f32);
+            noise.apply(&mut band, 11);
+            let n = band.len() as f64;
+            let counts = band.mapv(|v| f64::from(v) * 1000.0);
+            let mean = counts.sum() / n;
+            let variance = counts.mapv(|c| (c - mean) * (c - mean)).sum() / n;
+            assert!((mean - expected).abs() < 4.0 * (expected / n).sqrt(), "{mean} {expected}");
+            assert!((variance / expected - 1.0).abs() < 0.03, "{variance} {expected}");
+        }
+    }
+
+    #[test]
+    fn a_band_has_the_noise_of_the_whole() {
+        let noise =
+            Noise { seed: 5, electrons_per_pixel: 50.0, origin_px: [0, 0], full_width_px: 40 };
+        let mut whole = Array2::from_elem((20, 40), 0.1f32);
+        noise.apply(&mut whole, 0);
+        let part = Noise { origin_px: [0, 6], ..noise };
+        let mut band = Array2::from_elem((5, 30), 0.1f32);
+        part.apply(&mut band, 8);
+        assert_eq!(whole.slice(ndarray::s![8..13, 6..36]), band);
+    }
+}

@@ -1,0 +1,122 @@
+//! Specimens: all lattice sites of a full field, asked for region by region.
+
+use super::recipe::{Recipe, StructureKind};
+use crate::error::Result;
+
+/// How far the specimen goes on beyond the field on every side, in nm.
+pub const BEYOND_FIELD_NM: f64 = 12.0;
+
+/// A rectangle `x[0] <= x < x[1]`, `y[0] <= y < y[1]` in nm.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Region {
+    /// Horizontal range in nm.
+    pub x: [f64; 2],
+    /// Vertical range in nm.
+    pub y: [f64; 2],
+}
+
+impl Region {
+    /// Whether a point (x, y) in nm lies inside.
+    pub fn contains(&self, [x, y]: [f64; 2]) -> bool {
+        self.x[0] <= x && x < self.x[1] && self.y[0] <= y && y < self.y[1]
+    }
+    /// The region with `nm` more on every side.
+    pub fn grown(&self, nm: f64) -> Region {
+        Region { x: [self.x[0] - nm, self.x[1] + nm], y: [self.y[0] - nm, self.y[1] + nm] }
+    }
+    /// The part that also lies in `other`; may be empty.
+    pub fn intersection(&self, other: &Region) -> Region {
+        let cut = |a: [f64; 2], b: [f64; 2]| [a[0].max(b[0]), a[1].min(b[1])];
+        Region { x: cut(self.x, other.x), y: cut(self.y, other.y) }
+    }
+    /// The area that the pixels `rows` x `columns` from pixel (row, column) `first` cover.
+    pub fn of_pixels(first: [usize; 2], shape: [usize; 2], pixel_nm: f64) -> Region {
+        let edge = |p: usize| (p as f64 - 0.5) * pixel_nm;
+        let range = |i: usize| [edge(first[i]), edge(first[i] + shape[i])];
+        Region { x: range(1), y: range(0) }
+    }
+}
+
+/// What a lattice site holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SiteKind {
+    /// The atom that belongs there.
+    Pristine,
+    /// Nothing.
+    Vacancy,
+    /// Another element.
+    Substitution,
+}
+
+/// A lattice site of the specimen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SpecimenSite {
+    /// Unique in the specimen, whichever region is asked for.
+    pub key: u64,
+    /// Mean position in nm: x and y from the centre of pixel (0, 0) of the full field, z from the
+    /// entrance surface.
+    pub position_nm: [f64; 3],
+    /// Atomic number; of a vacancy, that of the missing atom.
+    pub number: u8,
+    /// What the site holds.
+    pub kind: SiteKind,
+}
+
+/// A projected atomic column and its sites.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AtomColumn {
+    /// Unique in the specimen.
+    pub id: u64,
+    /// Position (x, y) in nm, before relaxation.
+    pub position_nm: [f64; 2],
+    /// Its sites in [`Sites::sites`], by ascending z.
+    pub sites: std::ops::Range<usize>,
+}
+
+/// The columns of a region, complete, and their sites.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Sites {
+    /// Columns whose position lies in the region.
+    pub columns: Vec<AtomColumn>,
+    /// Sites of all of them.
+    pub sites: Vec<SpecimenSite>,
+}
+
+/// A boundary between grains.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GrainBoundary {
+    /// Corners (x, y) in nm of the full field.
+    pub line_nm: Vec<[f64; 2]>,
+    /// Rotation between the grains in degrees.
+    pub misorientation_deg: f64,
+    /// Coincidence index, where there is one.
+    pub sigma: Option<u32>,
+}
+
+/// A specimen of the full field.
+pub trait Specimen: Send + Sync {
+    /// The columns whose position lies in a region. The specimen ends [`BEYOND_FIELD_NM`] outside
+    /// the field; a region has the same sites whichever way it is asked for.
+    fn query(&self, region: &Region) -> Sites;
+    /// The sites of those columns.
+    fn sites(&self, region: &Region) -> Vec<SpecimenSite> {
+        self.query(region).sites
+    }
+    /// Thickness in nm.
+    fn thickness_nm(&self) -> f64;
+    /// Boundaries between grains.
+    fn boundaries(&self) -> Vec<GrainBoundary>;
+}
+
+/// The specimen that a recipe describes.
+///
+/// # Errors
+/// [`crate::Error::Invalid`] when a value of the recipe is outside its limits.
+pub fn specimen(recipe: &Recipe) -> Result<Box<dyn Specimen>> {
+    recipe.check()?;
+    match recipe.structure {
+        StructureKind::PerovskiteGrains => {
+            Ok(Box::new(super::perovskite::PerovskiteGrains::new(recipe)?))
+        }
+    }
+}
