@@ -65,7 +65,7 @@ impl Golden {
             detectors: detectors.to_vec(),
             grid: GridChoice::Points(points),
             slicing: Slicing::Thickness(slice),
-            oversampling: 1,
+            oversampling: Some(1),
             band_taper: 0.02,
             ..Settings::default()
         };

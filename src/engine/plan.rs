@@ -1,7 +1,10 @@
 //! The plan of a simulation: grid, slices, band limit, beams, memory. Nothing is simulated here,
 //! so a plan can be shown and tested without running it.
 
-use super::settings::{Algorithm, BeyondLimit, GridChoice, Settings};
+use super::settings::{
+    AUTO_ANGLE_MARGIN, Algorithm, BeyondLimit, EXACT_BAND_FRACTION, GridChoice,
+    POTENTIAL_SAMPLING_ANGSTROM, Settings,
+};
 use crate::error::{Error, Result};
 use crate::fft::columns::Disk;
 use crate::fft::{frequency, good_size};
@@ -80,7 +83,7 @@ pub struct Plan {
 /// Aliasing-tolerant fraction of Nyquist of the windowed engine's coarse grid; the transmission
 /// functions are band-limited beforehand on the fine grid.
 const WINDOW_BAND_FRACTION: f64 = 0.98;
-/// Room above the outermost detector angle when the program chooses the grid.
+/// Room above the outermost detector angle in the samplings that errors advise.
 const BAND_MARGIN: f64 = 1.0005;
 
 impl Plan {
@@ -109,7 +112,10 @@ impl Plan {
             }
             _ => (grid, grid),
         };
-        let potential_points = grid.points.map(|n| n * settings.oversampling);
+        let [x, y] = grid.sampling_angstrom();
+        let finer = (x.max(y) / POTENTIAL_SAMPLING_ANGSTROM - 1e-3).ceil().max(1.0) as usize;
+        let oversampling = settings.oversampling.unwrap_or(finer);
+        let potential_points = grid.points.map(|n| n * oversampling);
         let mut plan = Plan {
             settings: settings.clone(),
             potential_grid: Grid { points: potential_points, ..grid },
@@ -217,7 +223,7 @@ impl Plan {
 
     fn warn_about_aliasing(&mut self) {
         let fraction = self.settings.band_fraction;
-        if fraction > super::settings::EXACT_BAND_FRACTION + 1e-9 {
+        if fraction > EXACT_BAND_FRACTION + 1e-9 {
             self.warnings.push(format!(
                 "band fraction {fraction:.3} above 2/3: intensity may be aliased at the highest \
                  angles (0.02 % of SrTiO3 HAADF at 0.8, 0.5-0.8 % at 0.98)"
@@ -245,9 +251,9 @@ fn choose_grid(settings: &Settings, extent: [f64; 2], multiple: [usize; 2]) -> R
             let sampling = match choice {
                 GridChoice::Sampling(s) => s,
                 _ => {
-                    let angle = outermost.max(settings.optics.semiangle_mrad * 1.1) * 1e-3;
-                    (settings.band_fraction - settings.band_taper) * wavelength
-                        / (2.0 * angle * BAND_MARGIN)
+                    let angle =
+                        outermost.max(settings.optics.semiangle_mrad) * AUTO_ANGLE_MARGIN * 1e-3;
+                    (settings.band_fraction - settings.band_taper) * wavelength / (2.0 * angle)
                 }
             };
             if !(1e-4..10.0).contains(&sampling) {
@@ -352,8 +358,8 @@ mod tests {
     fn default_grid_carries_200_mrad() {
         let plan = Plan::new(&Settings::default(), CELL, &heights()).unwrap();
         assert!(plan.band_limit_mrad >= 200.0, "{}", plan.band_limit_mrad);
-        assert_eq!(plan.wave_grid.points, [480, 480]);
-        assert_eq!(plan.potential_grid.points, [960, 960]);
+        assert_eq!(plan.wave_grid.points, [576, 576]);
+        assert_eq!(plan.potential_grid.points, [1728, 1728]);
         assert_eq!(plan.slices.len(), 20);
         assert_eq!(plan.record_after, vec![19]);
     }

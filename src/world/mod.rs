@@ -13,6 +13,7 @@ pub mod perovskite;
 pub mod recipe;
 mod recipe_check;
 pub mod relax;
+pub mod simulator;
 pub mod specimen;
 mod store;
 mod subprogress;
@@ -22,5 +23,6 @@ pub mod vacancies;
 
 pub use build::{BuildOptions, SubTileEngine, Summary, build};
 pub use recipe::{Difficulty, Recipe};
+pub use simulator::Simulator;
 pub use specimen::{Region, SiteKind, Specimen, SpecimenSite, specimen};
 pub use truth::Counts;
