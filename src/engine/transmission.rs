@@ -158,7 +158,7 @@ pub(super) fn crop_spectrum(
 #[inline]
 fn exp_i(phase: f32) -> Complex32 {
     let n = (phase * std::f32::consts::FRAC_2_PI).round_ties_even();
-    let r = ((phase - n * 1.570_312_5) - n * 4.838_267_4e-4) - n * -4.371_139e-8;
+    let r = ((phase - n * 1.570_312_5) - n * 4.837_513e-4) - n * 7.549_79e-8;
     let r2 = r * r;
     let sin = ((-1.951_529_6e-4 * r2 + 8.332_161e-3) * r2 - 0.166_666_55) * r2 * r + r;
     let cos =
