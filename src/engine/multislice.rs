@@ -4,7 +4,7 @@ use super::Scan;
 use super::plan::{Grid, Plan};
 use super::settings::Algorithm;
 use super::stepper::{Specimen, Stepper};
-use crate::detect::DetectorMap;
+use crate::detect::{DetectorMap, Pattern};
 use crate::error::{Error, Result};
 use crate::fft::{Buffer, Fft2, Scratch, frequency};
 use crate::progress::Progress;
@@ -41,9 +41,12 @@ impl<'a> Multislice<'a> {
         let wavelength = plan.settings.optics.wavelength_angstrom();
         let map = DetectorMap::new(
             &plan.settings.detectors,
-            grid.shape(),
-            stepper.fft().stride(),
-            plan.band_limit_mrad,
+            Pattern {
+                shape: grid.shape(),
+                stride: stepper.fft().stride(),
+                limit_mrad: plan.band_limit_mrad,
+                ramp_mrad: plan.detector_ramp_mrad(),
+            },
             |iy, ix| {
                 let [kx, ky] = grid.k(iy, ix);
                 kx.hypot(ky) * wavelength * 1e3

@@ -10,7 +10,7 @@ use super::plan::{Grid, Plan};
 use super::settings::Algorithm;
 use super::stepper::{Specimen, Stepper};
 use super::transmission::crop_spectrum;
-use crate::detect::DetectorMap;
+use crate::detect::{DetectorMap, Pattern};
 use crate::error::{Error, Result};
 use crate::fft::{Buffer, Fft2, Scratch};
 use crate::progress::Progress;
@@ -78,9 +78,12 @@ impl<'a> Prism<'a> {
         let wavelength = optics.wavelength_angstrom();
         let map = DetectorMap::new(
             &plan.settings.detectors,
-            (wy, wx),
-            window_fft.stride(),
-            plan.band_limit_mrad,
+            Pattern {
+                shape: (wy, wx),
+                stride: window_fft.stride(),
+                limit_mrad: plan.band_limit_mrad,
+                ramp_mrad: 0.0,
+            },
             |iy, ix| {
                 let [kx, ky] = window.k(iy, ix);
                 kx.hypot(ky) * wavelength * 1e3
