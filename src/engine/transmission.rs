@@ -33,7 +33,8 @@ impl<'a> TransmissionBuilder<'a> {
         let grid = &plan.potential_grid;
         let settings = &plan.settings;
         let (shape, extent) = (grid.shape(), grid.extent_angstrom);
-        let projector = Projector::new(shape, extent, settings.parametrization, elements)?;
+        let sharpen = settings.abtem_pixel_correction;
+        let projector = Projector::new(shape, extent, settings.parametrization, elements, sharpen)?;
         let (ny, nx) = plan.transmission_grid.shape();
         let sigma = interaction_parameter(settings.optics.energy_ev) as f32;
         Ok(TransmissionBuilder { plan, projector, coarse: Fft2::new(ny, nx), sigma })
