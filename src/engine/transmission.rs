@@ -45,13 +45,14 @@ impl<'a> TransmissionBuilder<'a> {
         self.coarse.stride()
     }
 
-    /// The transmission functions of one phonon configuration, one per slice.
+    /// The transmission functions of one phonon configuration, one per slice; `None` where no atom
+    /// is, so that waves pass in one step.
     pub fn build(
         &self,
         sites: &[Site],
         configuration: u32,
         progress: &dyn Progress,
-    ) -> Result<Vec<Buffer>> {
+    ) -> Result<Vec<Option<Buffer>>> {
         let by_slice = self.place(sites, configuration);
         let all: Vec<PlacedAtom> = by_slice.iter().flatten().copied().collect();
         let workspace = || Workspace {
@@ -68,6 +69,9 @@ impl<'a> TransmissionBuilder<'a> {
                 }
                 match self.plan.settings.projection {
                     Projection::Infinite => {
+                        if by_slice[i].is_empty() {
+                            return Ok(None);
+                        }
                         self.projector.infinite(&by_slice[i], &mut w.potential, &mut w.projector);
                     }
                     Projection::Finite => {
@@ -75,7 +79,7 @@ impl<'a> TransmissionBuilder<'a> {
                         self.projector.finite(&all, slices, i, &mut w.potential, &mut w.projector);
                     }
                 }
-                Ok(self.transmission(w))
+                Ok(Some(self.transmission(w)))
             })
             .collect()
     }
