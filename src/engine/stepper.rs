@@ -11,6 +11,7 @@ use super::plan::{Grid, Plan};
 use crate::fft::columns::{Disk, DiskMultiplier};
 use crate::fft::{Buffer, Fft2, Scratch};
 use num_complex::Complex32;
+use pulp::{Arch, Simd, WithSimd};
 use std::f64::consts::PI;
 use std::ops::Range;
 
@@ -149,14 +150,15 @@ impl Stepper {
         scratch: &mut Scratch,
     ) {
         let (ny, nx) = self.fft.shape();
+        let arch = Arch::new();
         let mut at = t.origin.0;
         for row in wave.chunks_exact_mut(self.fft.stride()).take(ny) {
             let source = &data[at * t.stride..][..t.shape.1];
             row[self.dead.clone()].fill(Complex32::ZERO);
             self.fft.row(row, true, scratch);
             let split = nx.min(t.shape.1 - t.origin.1);
-            multiply(&mut row[..split], &source[t.origin.1..]);
-            multiply(&mut row[split..nx], source);
+            arch.dispatch(Multiply { row: &mut row[..split], by: &source[t.origin.1..] });
+            arch.dispatch(Multiply { row: &mut row[split..nx], by: source });
             self.fft.row(row, false, scratch);
             at += 1;
             if at == t.shape.0 {
@@ -192,8 +194,24 @@ impl Stepper {
     }
 }
 
-fn multiply(row: &mut [Complex32], by: &[Complex32]) {
-    for (a, b) in row.iter_mut().zip(by) {
-        *a *= b;
+/// Element by element.
+struct Multiply<'a> {
+    row: &'a mut [Complex32],
+    by: &'a [Complex32],
+}
+
+impl WithSimd for Multiply<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let n = self.row.len().min(self.by.len());
+        let (a, a_rest) = S::as_mut_simd_c32s(&mut self.row[..n]);
+        let (b, b_rest) = S::as_simd_c32s(&self.by[..n]);
+        for (x, y) in a.iter_mut().zip(b) {
+            *x = simd.mul_c32s(*x, *y);
+        }
+        for (x, y) in a_rest.iter_mut().zip(b_rest) {
+            *x *= y;
+        }
     }
 }

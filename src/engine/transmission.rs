@@ -106,10 +106,13 @@ impl<'a> TransmissionBuilder<'a> {
         let fft = self.projector.fft();
         let (ny, nx) = fft.shape();
         let data = &mut w.potential;
+        let arch = pulp::Arch::new();
         for row in data.chunks_exact_mut(fft.stride()).take(ny) {
-            for v in &mut row[..nx] {
-                *v = exp_i(self.sigma * v.re);
-            }
+            arch.dispatch(|| {
+                for v in &mut row[..nx] {
+                    *v = exp_i(self.sigma * v.re);
+                }
+            });
             fft.row(row, false, &mut w.fine);
         }
         let limit = (self.plan.band_limit * self.plan.potential_grid.extent_angstrom[0]) as usize;
