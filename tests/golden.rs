@@ -6,6 +6,7 @@ use serde_json::Value;
 use std::fs::File;
 use std::path::PathBuf;
 use stemgen::detect::Detector;
+use stemgen::engine::settings::EXACT_BAND_FRACTION;
 use stemgen::engine::{Algorithm, GridChoice, Plan, Scan, Settings, Site, diffraction, simulate};
 use stemgen::optics::{Aberration, Aberrations};
 use stemgen::potential::slices::Slicing;
@@ -67,6 +68,7 @@ impl Golden {
             slicing: Slicing::Thickness(slice),
             oversampling: Some(1),
             band_taper: 0.02,
+            band_fraction: EXACT_BAND_FRACTION,
             ..Settings::default()
         };
         settings.optics.aberrations = Aberrations::defocus(slice / 2.0);

@@ -1,6 +1,7 @@
 //! Conservation laws, limits and published numbers.
 
 use stemgen::detect::Detector;
+use stemgen::engine::settings::EXACT_BAND_FRACTION;
 use stemgen::engine::{
     Algorithm, GridChoice, Phonons, Plan, Scan, Settings, Site, diffraction, exit_wave, lens_image,
     simulate,
@@ -252,6 +253,21 @@ fn windows_agree_with_the_full_grid() {
 }
 
 #[test]
+fn default_band_fraction_is_exact_to_a_thousandth() {
+    let (sites, cell) = srtio3([5, 5, 10]);
+    let base =
+        Settings { phonons: Some(Phonons { configurations: 1, seed: 2 }), ..Settings::default() };
+    let exact_grid = Settings { band_fraction: EXACT_BAND_FRACTION, ..base.clone() };
+    let run = |settings: &Settings| {
+        simulate(&plan(settings, &sites, cell), &sites, &unit_cell_scan(4), &Silent).unwrap()
+    };
+    let (a, b) = (run(&base), run(&exact_grid));
+    let error = largest_difference(&a.image(0, 0), &b.image(0, 0));
+    println!("band fraction 0.8 against 2/3: {error}");
+    assert!(error < 1e-3, "{error}");
+}
+
+#[test]
 fn intensity_is_never_gained_and_patterns_sum_to_detectors() {
     let (sites, cell) = srtio3([3, 3, 3]);
     let settings = Settings {
@@ -264,15 +280,15 @@ fn intensity_is_never_gained_and_patterns_sum_to_detectors() {
     let pattern = diffraction(&plan, &sites, [A, A], &Silent).unwrap();
     let all = images.image(0, 1)[[0, 0]];
     assert!(all < 1.0 && all > 0.9, "{all}");
-    let sum: f32 = pattern
+    let sum: f64 = pattern
         .indexed_iter()
         .filter(|((y, x), _)| {
             let [kx, ky] = plan.wave_grid.k(*y, *x);
             kx.hypot(ky) * plan.settings.optics.wavelength_angstrom() < 0.2
         })
-        .map(|(_, v)| v)
+        .map(|(_, v)| f64::from(*v))
         .sum();
-    assert!((sum - all).abs() < 1e-5, "{sum} {all}");
+    assert!((sum - f64::from(all)).abs() < 1e-5, "{sum} {all}");
 }
 
 /// HAADF of single atoms grows as a power of Z between 1.5 and 2 (Krivanek et al., Nature 464
