@@ -9,7 +9,7 @@ use super::{estimate, imaging, output, pictures, text};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
-use stemgen::engine::Plan;
+use stemgen::engine::{Algorithm, Plan};
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
 use stemgen::world::subtiles::Partition;
@@ -19,9 +19,11 @@ use stemgen::world::{
 
 /// Sub-tiles in nm; 4 nm take below 2 GB of memory on two threads.
 const SUBTILE_NM: f64 = 4.0;
+/// Sub-tiles of PRISM in nm, whose plane waves take the memory.
+const PRISM_SUBTILE_NM: f64 = 2.5;
 /// Sub-tiles of the published worlds in nm.
 const PUBLISHED_SUBTILE_NM: f64 = 7.0;
-/// Interpolation of PRISM unless another is asked for: windows of 13 A in sub-tiles of 4 nm.
+/// Interpolation of PRISM unless another is asked for: windows of 10 A in sub-tiles of 2.5 nm.
 const INTERPOLATION: [usize; 2] = [4, 4];
 
 const EXAMPLES: &str = "\
@@ -96,7 +98,8 @@ struct Method {
     /// [default: default]
     #[arg(long, value_name = "NAME")]
     profile: Option<Profile>,
-    /// Largest width of a sub-tile, which is simulated at once, in nm [default: 4; published: 7]
+    /// Largest width of a sub-tile, which is simulated at once, in nm [default: 4;
+    /// prism: 2.5; published: 7]
     #[arg(long, value_name = "NM", value_parser = values::finite, allow_negative_numbers = true)]
     subtile: Option<f64>,
     /// Overlap of sub-tiles in nm
@@ -217,8 +220,12 @@ impl Build {
         self.output.clone().unwrap_or_else(default)
     }
 
-    fn subtile_nm(&self) -> f64 {
-        let default = if self.published() { PUBLISHED_SUBTILE_NM } else { SUBTILE_NM };
+    fn subtile_nm(&self, simulator: &Simulator) -> f64 {
+        let default = match simulator.settings().algorithm {
+            _ if self.published() => PUBLISHED_SUBTILE_NM,
+            Algorithm::Prism { .. } => PRISM_SUBTILE_NM,
+            _ => SUBTILE_NM,
+        };
         self.method.subtile.unwrap_or(default)
     }
 
@@ -226,7 +233,7 @@ impl Build {
         let field = &recipe.field;
         let pixels = field.pixels(field.built_grid());
         let pixel = field.pixel_nm();
-        let (size, overlap) = (self.subtile_nm(), self.method.subtile_overlap);
+        let (size, overlap) = (self.subtile_nm(simulator), self.method.subtile_overlap);
         let partition = Partition::new(pixels, pixel, size, overlap)?;
         let [rows, columns] = partition.subtiles().next().map_or([1, 1], |t| t.shape());
         let plan = subtile_plan(recipe, simulator, [rows, columns])?;
@@ -261,7 +268,7 @@ impl Build {
             noise: !self.no_noise,
             keep_clean: self.keep_clean,
             overwrite: self.overwrite,
-            subtile_nm: self.subtile_nm(),
+            subtile_nm: self.subtile_nm(simulator),
             subtile_overlap_nm: self.method.subtile_overlap,
         };
         let done = stemgen::world::build(recipe, simulator, path, &options, reporter);
