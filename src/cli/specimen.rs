@@ -13,7 +13,7 @@ use stemgen::structure::{self, Structure, elements};
 #[command(next_help_heading = "Specimen")]
 pub struct SpecimenArgs {
     /// Crystal or specimen: CIF, extended XYZ (.xyz, .extxyz) or POSCAR (.vasp, .poscar, POSCAR*)
-    #[arg(value_name = "STRUCTURE")]
+    #[arg(value_name = "STRUCTURE", help_heading = None)]
     pub structure: PathBuf,
     /// Lattice direction along the beam; builds an orthogonal box
     #[arg(long, value_name = "U,V,W", value_parser = values::direction, allow_hyphen_values = true)]
