@@ -52,58 +52,99 @@ impl Detector {
     pub fn contains(&self, theta_mrad: f64) -> bool {
         self.inner_mrad <= theta_mrad && theta_mrad < self.outer_mrad
     }
+
+    /// How much of a pixel at `theta_mrad` counts, with edges `ramp_mrad` wide.
+    fn weight(&self, theta_mrad: f64, ramp_mrad: f64) -> f64 {
+        if ramp_mrad <= 0.0 {
+            return f64::from(u8::from(self.contains(theta_mrad)));
+        }
+        let inside = |room: f64| (room / ramp_mrad + 0.5).clamp(0.0, 1.0);
+        let inner = if self.inner_mrad > 0.0 { inside(theta_mrad - self.inner_mrad) } else { 1.0 };
+        inner * inside(self.outer_mrad - theta_mrad)
+    }
 }
 
-/// The pixels of a diffraction pattern that each detector collects, as runs along rows.
+/// The pixels of a diffraction pattern that each detector collects.
 #[derive(Debug, Clone)]
 pub struct DetectorMap {
-    /// Per detector: (first element, length).
-    runs: Vec<Vec<(usize, usize)>>,
+    per_detector: Vec<Pixels>,
+}
+
+#[derive(Debug, Clone, Default)]
+struct Pixels {
+    /// Whole pixels as runs along rows: (first element, length).
+    runs: Vec<(usize, usize)>,
+    /// Pixels on the edges: (element, weight).
+    edges: Vec<(usize, f32)>,
+}
+
+/// A diffraction pattern in FFT order.
+#[derive(Debug, Clone, Copy)]
+pub struct Pattern {
+    /// (rows, columns)
+    pub shape: (usize, usize),
+    /// Elements from row to row.
+    pub stride: usize,
+    /// Only pixels below this angle count.
+    pub limit_mrad: f64,
+    /// Width of the linear ramp by which pixels on a detector's edge count in part; 0 takes each
+    /// pixel wholly or not at all, as abTEM does.
+    pub ramp_mrad: f64,
 }
 
 impl DetectorMap {
-    /// Maps detectors onto a pattern of `ny` rows and `nx` columns in FFT order, `stride` elements
-    /// from row to row, with `theta_mrad(iy, ix)` the scattering angle of a pixel. Only pixels below
-    /// `limit_mrad` count.
+    /// Maps detectors onto a pattern with `theta_mrad(iy, ix)` the scattering angle of a pixel.
     pub fn new(
         detectors: &[Detector],
-        (ny, nx): (usize, usize),
-        stride: usize,
-        limit_mrad: f64,
+        pattern: Pattern,
         theta_mrad: impl Fn(usize, usize) -> f64,
     ) -> Self {
-        let mut runs = vec![Vec::new(); detectors.len()];
-        for iy in 0..ny {
-            for ix in 0..nx {
+        let mut per_detector = vec![Pixels::default(); detectors.len()];
+        for iy in 0..pattern.shape.0 {
+            for ix in 0..pattern.shape.1 {
                 let theta = theta_mrad(iy, ix);
-                if theta >= limit_mrad {
+                if theta >= pattern.limit_mrad {
                     continue;
                 }
-                let at = iy * stride + ix;
-                for (d, list) in detectors.iter().zip(&mut runs) {
-                    if d.contains(theta) {
-                        match list.last_mut() {
-                            Some((first, len)) if *first + *len == at => *len += 1,
-                            _ => list.push((at, 1)),
-                        }
-                    }
+                for (d, pixels) in detectors.iter().zip(&mut per_detector) {
+                    pixels.add(iy * pattern.stride + ix, d.weight(theta, pattern.ramp_mrad));
                 }
             }
         }
-        DetectorMap { runs }
+        DetectorMap { per_detector }
     }
 
     /// Intensity on each detector: the sum of `scale |psi|^2` over its pixels.
     pub fn collect(&self, psi: &[Complex32], scale: f64, out: &mut [f64]) {
-        for (list, value) in self.runs.iter().zip(out) {
-            let sum: f64 = list.iter().map(|&(at, n)| f64::from(power(&psi[at..at + n]))).sum();
+        for (pixels, value) in self.per_detector.iter().zip(out) {
+            let whole = |&(at, n): &(usize, usize)| f64::from(power(&psi[at..at + n]));
+            let part = |&(at, w): &(usize, f32)| f64::from(w * psi[at].norm_sqr());
+            let sum = pixels.runs.iter().map(whole).sum::<f64>()
+                + pixels.edges.iter().map(part).sum::<f64>();
             *value = sum * scale;
         }
     }
 
     /// Number of pixels of each detector.
-    pub fn pixels(&self) -> Vec<usize> {
-        self.runs.iter().map(|r| r.iter().map(|&(_, n)| n).sum()).collect()
+    pub fn pixels(&self) -> Vec<f64> {
+        let count = |p: &Pixels| {
+            let whole: usize = p.runs.iter().map(|r| r.1).sum();
+            whole as f64 + p.edges.iter().map(|e| f64::from(e.1)).sum::<f64>()
+        };
+        self.per_detector.iter().map(count).collect()
+    }
+}
+
+impl Pixels {
+    fn add(&mut self, at: usize, weight: f64) {
+        if weight >= 1.0 {
+            match self.runs.last_mut() {
+                Some((first, len)) if *first + *len == at => *len += 1,
+                _ => self.runs.push((at, 1)),
+            }
+        } else if weight > 0.0 {
+            self.edges.push((at, weight as f32));
+        }
     }
 }
 
@@ -133,15 +174,18 @@ mod tests {
         let theta = |iy, ix| {
             2.0 * (crate::fft::frequency(iy, ny) as f64).hypot(crate::fft::frequency(ix, nx) as f64)
         };
-        let map = DetectorMap::new(&detectors, (ny, nx), stride, 1e9, theta);
-        let psi: Vec<Complex32> =
-            (0..ny * stride).map(|i| Complex32::new((i % 13) as f32, 1.0)).collect();
-        let mut sums = [0.0; 4];
-        map.collect(&psi, 2.0, &mut sums);
-        assert!((sums[0] + sums[1] + sums[2] - sums[3]).abs() < 1e-6 * sums[3]);
-        assert!(sums[..3].iter().all(|s| *s > 0.0));
-        let p = map.pixels();
-        assert_eq!(p[0] + p[1] + p[2], p[3]);
+        for ramp_mrad in [0.0, 2.0] {
+            let pattern = Pattern { shape: (ny, nx), stride, limit_mrad: 1e9, ramp_mrad };
+            let map = DetectorMap::new(&detectors, pattern, theta);
+            let psi: Vec<Complex32> =
+                (0..ny * stride).map(|i| Complex32::new((i % 13) as f32, 1.0)).collect();
+            let mut sums = [0.0; 4];
+            map.collect(&psi, 2.0, &mut sums);
+            assert!((sums[0] + sums[1] + sums[2] - sums[3]).abs() < 1e-6 * sums[3]);
+            assert!(sums[..3].iter().all(|s| *s > 0.0));
+            let p = map.pixels();
+            assert!((p[0] + p[1] + p[2] - p[3]).abs() < 1e-3);
+        }
         // exactly on the inner edge belongs to the outer annulus
         assert!(!detectors[0].contains(10.0) && detectors[1].contains(10.0));
     }

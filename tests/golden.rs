@@ -112,7 +112,7 @@ impl Golden {
     }
 }
 
-/// The promise is 0.2 %; in fact it is 0.002 %.
+/// The promise is 0.2 %.
 const TOLERANCE: f32 = 2e-4;
 
 fn prism(f: usize) -> Algorithm {
@@ -139,15 +139,16 @@ fn si_110() {
     g.check(&g.settings(), "multislice", TOLERANCE);
 }
 
-/// abTEM as shipped sharpens potentials by a correction for bilinear spreading that it applies to
-/// atoms on grid points as well; the difference is known and stays where it is.
+/// abTEM as shipped sharpens potentials to make up for spreading atoms over pixels, also those on grid
+/// points. The same correction reproduces its images; without it they differ by up to 1.3 %.
 #[test]
-fn abtem_as_shipped_differs_by_its_pixel_correction() {
+fn abtem_as_shipped() {
     for name in ["srtio3_001", "si_110"] {
         let g = Golden::load(name);
+        let sharpened = Settings { abtem_pixel_correction: true, ..g.settings() };
+        g.check(&sharpened, "multislice_as_shipped", TOLERANCE);
         let errors = g.errors(&g.settings(), "multislice_as_shipped");
-        assert!(errors[..3].iter().all(|e| *e < 2e-3), "{errors:?}");
-        assert!((1e-3..2e-2).contains(&errors[3]), "{errors:?}");
+        assert!((2e-3..2e-2).contains(&errors[3]), "{errors:?}");
     }
 }
 
@@ -212,19 +213,25 @@ fn displaced_atoms_on_the_default_grid() {
         println!("{name:>24}: {errors:.2?} %");
         errors
     };
-    let refined = g.array2("exact_1920").column(3).to_owned();
-    let shipped = g.array2("as_shipped_2400").column(3).to_owned();
-    println!("{:>24}  {refined:.5?}", "refined");
-    show("abTEM 480", &g.array2("as_shipped_480").column(3).to_owned(), &refined);
-    show("abTEM 960", &g.array2("as_shipped_960").column(3).to_owned(), &refined);
-    show("abTEM 2400", &shipped, &refined);
-    show("exact_480", &g.array2("exact_480").column(3).to_owned(), &refined);
-    show("exact_960", &g.array2("exact_960").column(3).to_owned(), &refined);
-    for n in [480] {
-        for oversampling in [1, 2, 3] {
-            let settings =
-                Settings { grid: GridChoice::Points([n, n]), oversampling, ..base.clone() };
-            show(&format!("ours {n} x{oversampling}"), &haadf(&settings), &refined);
-        }
+    // Towards an infinitely fine grid: the error of `exp` on the grid falls with the square of the
+    // pixel.
+    let (coarse, fine) = (g.array2("exact_960"), g.array2("exact_1920"));
+    let limit = (&fine.column(3) * 4.0 - coarse.column(3)) / 3.0;
+    println!("{:>24}  {limit:.5?}", "limit");
+    for name in ["as_shipped_480", "as_shipped_960", "as_shipped_1920", "as_shipped_2400"] {
+        show(&format!("abTEM {name}"), &g.array2(name).column(3).to_owned(), &limit);
+    }
+    for name in ["exact_480", "exact_960", "exact_1920"] {
+        show(&format!("abTEM {name}"), &g.array2(name).column(3).to_owned(), &limit);
+    }
+    let errors = show("default", &haadf(&base), &limit);
+    assert!(errors.iter().all(|e| e.abs() < 0.5), "{errors:?}");
+    let world = Settings { oversampling: Some(2), ..base.clone() };
+    show("default, potentials x2", &haadf(&world), &limit);
+    for width_angstrom in [7.8, 11.7, 15.6] {
+        let windows = Settings { algorithm: Algorithm::Window { width_angstrom }, ..base.clone() };
+        show(&format!("window {width_angstrom}"), &haadf(&windows), &limit);
+        let windows = Settings { oversampling: Some(2), ..windows };
+        show(&format!("window {width_angstrom} x2"), &haadf(&windows), &limit);
     }
 }

@@ -54,13 +54,13 @@ pub fn simulate(
     let units = if plan.beams > 0 { units } else { scan.len() };
     let unit = if plan.beams > 0 { "waves and probes" } else { "probes" };
     progress.start("simulating", unit, units as u64 * u64::from(configurations));
-    let engine = match plan.settings.algorithm {
+    let mut engine = match plan.settings.algorithm {
         Algorithm::Prism { .. } => Engine::Prism(Box::new(Prism::new(plan))),
         _ => Engine::Multislice(Box::new(Multislice::new(plan))),
     };
     for configuration in 0..configurations {
         let transmission = builder.build(sites, configuration, progress)?;
-        let values = match &engine {
+        let values = match &mut engine {
             Engine::Multislice(m) => m.run(&transmission, builder.stride(), scan, progress)?,
             Engine::Prism(p) => p.run(&transmission, builder.stride(), scan, progress)?,
         };
@@ -100,7 +100,7 @@ pub fn diffraction(
     }
     let builder = TransmissionBuilder::new(plan, &elements(sites))?;
     let transmission = builder.build(sites, 0, progress)?;
-    let engine = Multislice::new(plan);
+    let mut engine = Multislice::new(plan);
     let patterns = engine.diffraction(&transmission, builder.stride(), position_angstrom);
     let last = patterns.into_iter().next_back().unwrap_or_default();
     let shape = plan.wave_grid.shape();
@@ -124,25 +124,21 @@ pub fn exit_wave(
     }
     let builder = TransmissionBuilder::new(plan, &elements(sites))?;
     let transmission = builder.build(sites, configuration, progress)?;
-    let stepper = Stepper::new(plan);
+    let mut stepper = Stepper::new(plan);
+    let slices = &plan.slices;
+    let (legs, end) = stepper.route(slices.entrance(), 0..slices.len(), &transmission);
+    let to_exit = stepper.propagator(slices.boundaries[slices.len()] - end);
     let fft = stepper.fft();
     let (mut wave, mut scratch): (Buffer, _) = (fft.buffer(), fft.scratch());
-    // A plane wave is 1 in the first column of every row once rows are transformed.
     let (ny, nx) = fft.shape();
-    for y in 0..ny {
-        wave[y * fft.stride()] = Complex32::ONE;
+    wave[0] = Complex32::ONE;
+    stepper.start(&mut wave, &mut scratch);
+    let (stride, shape) = (builder.stride(), plan.wave_grid.shape());
+    let specimen = Specimen { transmission: &transmission, stride, shape, origin: (0, 0) };
+    for leg in legs {
+        stepper.travel(&mut wave, leg, specimen, &mut scratch);
     }
-    let shape = plan.wave_grid.shape();
-    for (i, data) in transmission.iter().enumerate() {
-        let specimen = Specimen { data, stride: builder.stride(), shape, origin: (0, 0) };
-        stepper.transmit(&mut wave, specimen, &mut scratch);
-        if i + 1 < transmission.len() {
-            stepper.propagate(&mut wave, i, &mut scratch);
-        }
-    }
-    let slices = &plan.slices;
-    let to_exit = slices.boundaries[slices.len()] - slices.planes[slices.len() - 1];
-    stepper.propagate_by(&mut wave, &stepper.propagator(to_exit), &mut scratch);
+    stepper.propagate_by(&mut wave, &to_exit, &mut scratch);
     let mut out = Array2::zeros((ny, nx));
     let band = stepper.band();
     for y in 0..ny {

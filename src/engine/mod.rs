@@ -5,7 +5,9 @@ mod imaging;
 mod multislice;
 pub mod plan;
 mod prism;
+mod prism_reduce;
 pub mod settings;
+mod speed;
 mod stepper;
 mod transmission;
 
@@ -13,6 +15,7 @@ pub use images::{Images, diffraction, exit_wave, simulate};
 pub use imaging::lens_image;
 pub use plan::Plan;
 pub use settings::{Algorithm, BeyondLimit, GridChoice, Phonons, Settings};
+pub use speed::{Speed, measure_speed};
 
 /// A lattice site as the engine sees it: where it is on average, and how it vibrates.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -3,8 +3,8 @@
 use super::Scan;
 use super::plan::{Grid, Plan};
 use super::settings::Algorithm;
-use super::stepper::{Specimen, Stepper};
-use crate::detect::DetectorMap;
+use super::stepper::{Leg, Specimen, Stepper};
+use crate::detect::{DetectorMap, Pattern};
 use crate::error::{Error, Result};
 use crate::fft::{Buffer, Fft2, Scratch, frequency};
 use crate::progress::Progress;
@@ -41,9 +41,12 @@ impl<'a> Multislice<'a> {
         let wavelength = plan.settings.optics.wavelength_angstrom();
         let map = DetectorMap::new(
             &plan.settings.detectors,
-            grid.shape(),
-            stepper.fft().stride(),
-            plan.band_limit_mrad,
+            Pattern {
+                shape: grid.shape(),
+                stride: stepper.fft().stride(),
+                limit_mrad: plan.band_limit_mrad,
+                ramp_mrad: plan.detector_ramp_mrad(),
+            },
             |iy, ix| {
                 let [kx, ky] = grid.k(iy, ix);
                 kx.hypot(ky) * wavelength * 1e3
@@ -58,24 +61,27 @@ impl<'a> Multislice<'a> {
 
     /// Intensities as (probe, recorded thickness, detector), row-major.
     pub fn run(
-        &self,
-        transmission: &[Buffer],
+        &mut self,
+        transmission: &[Option<Buffer>],
         stride: usize,
         scan: &Scan,
         progress: &dyn Progress,
     ) -> Result<Vec<f64>> {
         let detectors = self.plan.settings.detectors.len();
         let per_probe = detectors * self.plan.record_after.len();
+        let legs = self.route(transmission);
+        let this = &*self;
         let mut out = vec![0.0; scan.len() * per_probe];
         out.par_chunks_mut(per_probe).enumerate().try_for_each_init(
-            || self.workspace(),
+            || this.workspace(),
             |w, (i, values)| {
                 if progress.interrupted() {
                     return Err(Error::Interrupted);
                 }
-                let origin = self.start(w, scan.position(i));
-                self.through(w, transmission, stride, origin, |r, psi, scale| {
-                    self.map.collect(psi, scale, &mut values[r * detectors..][..detectors]);
+                let origin = this.start(w, scan.position(i));
+                let specimen = this.specimen(transmission, stride, origin);
+                this.through(w, &legs, specimen, |r, psi, scale| {
+                    this.map.collect(psi, scale, &mut values[r * detectors..][..detectors]);
                 });
                 progress.advance(1);
                 Ok(())
@@ -112,43 +118,58 @@ impl<'a> Multislice<'a> {
             let c = amplitude * phases[0][ix] * phases[1][iy];
             w.wave[iy * stride + ix] = Complex32::new(c.re as f32, c.im as f32);
         }
-        self.stepper.columns(&mut w.wave, true, &mut w.scratch);
+        self.stepper.start(&mut w.wave, &mut w.scratch);
         (origin[1], origin[0])
     }
 
-    /// Steps the wave through all slices; `record(r, psi, scale)` receives the Fourier coefficients
-    /// at the r-th recorded thickness, whose squared moduli times `scale` are fractions of the beam.
+    fn specimen<'b>(
+        &self,
+        transmission: &'b [Option<Buffer>],
+        stride: usize,
+        origin: (usize, usize),
+    ) -> Specimen<'b> {
+        Specimen { transmission, stride, shape: self.plan.transmission_grid.shape(), origin }
+    }
+
+    /// The legs through the slices up to each recorded thickness.
+    fn route(&mut self, transmission: &[Option<Buffer>]) -> Vec<Vec<Leg>> {
+        let mut at = self.plan.slices.entrance();
+        let mut first = 0;
+        let mut routes = Vec::new();
+        for &last in &self.plan.record_after {
+            let (legs, end) = self.stepper.route(at, first..last + 1, transmission);
+            routes.push(legs);
+            (at, first) = (end, last + 1);
+        }
+        routes
+    }
+
+    /// Takes the wave along the legs; `record(r, psi, scale)` receives the Fourier coefficients at the
+    /// r-th recorded thickness, whose squared moduli times `scale` are fractions of the beam.
     fn through(
         &self,
         w: &mut Workspace,
-        transmission: &[Buffer],
-        stride: usize,
-        origin: (usize, usize),
+        routes: &[Vec<Leg>],
+        specimen: Specimen<'_>,
         mut record: impl FnMut(usize, &[Complex32], f64),
     ) {
-        let shape = self.plan.transmission_grid.shape();
         let (ny, nx) = self.stepper.fft().shape();
         let scale = 1.0 / ((nx * ny) as f64).powi(2);
-        let Some(&last) = self.plan.record_after.last() else { return };
-        for (i, data) in transmission.iter().enumerate().take(last + 1) {
-            let specimen = Specimen { data, stride, shape, origin };
-            self.stepper.transmit(&mut w.wave, specimen, &mut w.scratch);
-            if let Ok(r) = self.plan.record_after.binary_search(&i) {
-                w.copy.copy_from_slice(&w.wave);
-                self.stepper.columns(&mut w.copy, false, &mut w.scratch);
-                record(r, &w.copy, scale);
+        for (r, legs) in routes.iter().enumerate() {
+            for leg in legs {
+                self.stepper.travel(&mut w.wave, *leg, specimen, &mut w.scratch);
             }
-            if i < last {
-                self.stepper.propagate(&mut w.wave, i, &mut w.scratch);
-            }
+            w.copy.copy_from_slice(&w.wave);
+            self.stepper.columns(&mut w.copy, false, &mut w.scratch);
+            record(r, &w.copy, scale);
         }
     }
 
     /// Diffraction intensity of one probe per recorded thickness: fraction of the beam per pixel of
     /// the wave grid, FFT order, row-major without padding; zero beyond the band limit.
     pub fn diffraction(
-        &self,
-        transmission: &[Buffer],
+        &mut self,
+        transmission: &[Option<Buffer>],
         stride: usize,
         position: [f64; 2],
     ) -> Vec<Vec<f32>> {
@@ -156,9 +177,11 @@ impl<'a> Multislice<'a> {
         let (ny, nx) = grid.shape();
         let row_stride = self.stepper.fft().stride();
         let mut out = vec![vec![0.0; nx * ny]; self.plan.record_after.len()];
+        let routes = self.route(transmission);
         let mut w = self.workspace();
         let origin = self.start(&mut w, position);
-        self.through(&mut w, transmission, stride, origin, |r, psi, scale| {
+        let specimen = self.specimen(transmission, stride, origin);
+        self.through(&mut w, &routes, specimen, |r, psi, scale| {
             for iy in 0..ny {
                 for ix in 0..nx {
                     let [kx, ky] = grid.k(iy, ix);
@@ -174,11 +197,9 @@ impl<'a> Multislice<'a> {
 }
 
 impl Spectrum {
-    /// The probe on `grid`, at the origin, with total intensity 1, at the first slice's plane.
+    /// The probe on `grid`, at the origin, with total intensity 1, at the entrance surface.
     fn full(plan: &Plan, grid: &Grid) -> Self {
         let optics = &plan.settings.optics;
-        let wavelength = optics.wavelength_angstrom();
-        let entry = plan.slices.planes[0] - plan.slices.entrance();
         let (ny, nx) = grid.shape();
         let mut entries = Vec::new();
         for iy in 0..ny {
@@ -186,8 +207,7 @@ impl Spectrum {
                 let k = grid.k(iy, ix);
                 let amplitude = optics.transfer(k, grid.dk());
                 if amplitude != Complex64::ZERO {
-                    let phase = -PI * wavelength * entry * (k[0] * k[0] + k[1] * k[1]);
-                    entries.push((iy, ix, amplitude * Complex64::from_polar(1.0, phase)));
+                    entries.push((iy, ix, amplitude));
                 }
             }
         }

@@ -144,6 +144,16 @@ impl Plan {
         Disk { limit_k2: self.band_limit * self.band_limit, full_k2: full * full }
     }
 
+    /// Width of the detectors' edges in mrad: one Fourier pixel in windows, whose pixels are coarse;
+    /// none on the full grid.
+    pub fn detector_ramp_mrad(&self) -> f64 {
+        if self.wave_grid == self.transmission_grid {
+            return 0.0;
+        }
+        let [x, y] = self.wave_grid.dk();
+        x.max(y) * self.settings.optics.wavelength_angstrom() * 1e3
+    }
+
     /// Thicknesses of the recorded images in Angstrom.
     pub fn thicknesses_angstrom(&self) -> Vec<f64> {
         let entrance = self.slices.entrance();

@@ -92,6 +92,10 @@ pub struct Settings {
     /// [`POTENTIAL_SAMPLING_ANGSTROM`]. With 1, on the grid itself, as in abTEM, the exponential is
     /// aliased: the HAADF of heavy columns is then 1-4 % too high at 0.02-0.04 A.
     pub oversampling: Option<usize>,
+    /// Multiplies potentials by `u / sin u`, `u` = spatial frequency times pixel, as abTEM 1.0.11
+    /// does to make up for spreading atoms over pixels (also those that it does not spread). Wrong,
+    /// but needed to reproduce abTEM's images; with `oversampling` 1 and atoms on grid points.
+    pub abtem_pixel_correction: bool,
     /// Phonons; `None` takes the atoms exactly as given.
     pub phonons: Option<Phonons>,
     /// Thicknesses in Angstrom at which images are recorded, each moved to the nearest slice
@@ -120,6 +124,7 @@ impl Default for Settings {
             band_fraction: EXACT_BAND_FRACTION,
             band_taper: 0.0,
             oversampling: None,
+            abtem_pixel_correction: false,
             phonons: None,
             thicknesses_angstrom: Vec::new(),
             beyond_limit: BeyondLimit::Error,

@@ -1,13 +1,15 @@
 //! The multislice step: transmit, propagate.
 //!
-//! Between steps a wave is kept with its rows Fourier-transformed and its columns in real space.
-//! One step is then two passes over memory: along rows (inverse transform, multiply by the
-//! transmission function, transform), and down columns (transform, multiply by the Fresnel
-//! propagator and the anti-aliasing disk, inverse transform). Columns beyond the disk are skipped.
+//! Between steps a wave is kept with its rows Fourier-transformed (unnormalised) and its columns in
+//! real space. One step is then two passes over memory: down columns (transform, multiply by the
+//! Fresnel propagator and the anti-aliasing disk, inverse transform), and along rows (inverse
+//! transform, multiply by the transmission function, transform). Columns beyond the disk are skipped.
+//! Step and transforms together leave the norm as it is; propagation alone divides by the row length,
+//! which the transforms of rows make good.
 
 use super::plan::{Grid, Plan};
 use crate::fft::columns::{Disk, DiskMultiplier};
-use crate::fft::{Fft2, Scratch};
+use crate::fft::{Buffer, Fft2, Scratch};
 use num_complex::Complex32;
 use std::f64::consts::PI;
 use std::ops::Range;
@@ -20,16 +22,26 @@ pub(super) struct Stepper {
     disk: Disk,
     band: Vec<Range<usize>>,
     dead: Range<usize>,
-    /// Propagators for the distinct distances between planes, in Angstrom.
+    planes: Vec<f64>,
+    /// Propagators for the distinct distances met so far, in Angstrom.
     propagators: Vec<(f64, DiskMultiplier)>,
-    /// Which of them leads from slice i to slice i + 1.
-    next: Vec<usize>,
 }
 
-/// The part of a transmission function under a wave.
+/// One leg of a wave's way: on to a slice that holds atoms, and through it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Leg {
+    /// The slice.
+    pub slice: usize,
+    /// The propagator to its plane.
+    propagator: usize,
+}
+
+/// Transmission functions and where a wave stands on them.
 #[derive(Clone, Copy)]
 pub(super) struct Specimen<'a> {
-    pub data: &'a [Complex32],
+    /// One per slice.
+    pub transmission: &'a [Option<Buffer>],
+    /// Elements from row to row.
     pub stride: usize,
     /// (rows, columns)
     pub shape: (usize, usize),
@@ -49,21 +61,48 @@ impl Stepper {
             _ => 0..0,
         };
         let wavelength = plan.settings.optics.wavelength_angstrom();
-        let mut stepper = Stepper {
+        Stepper {
             fft,
             grid,
             wavelength,
             disk: plan.disk(),
             band,
             dead,
+            planes: plan.slices.planes.clone(),
             propagators: Vec::new(),
-            next: Vec::new(),
-        };
-        for pair in plan.slices.planes.windows(2) {
-            let index = stepper.propagator_index(pair[1] - pair[0]);
-            stepper.next.push(index);
         }
-        stepper
+    }
+
+    /// The legs of a wave that starts at height `start` (Angstrom) and passes the given slices, with
+    /// the height of the plane where it ends. Empty slices are passed in one step, which is exact.
+    pub fn route(
+        &mut self,
+        start: f64,
+        slices: Range<usize>,
+        transmission: &[Option<Buffer>],
+    ) -> (Vec<Leg>, f64) {
+        let mut at = start;
+        let mut legs = Vec::new();
+        for slice in slices.filter(|&i| transmission[i].is_some()) {
+            let propagator = self.propagator_index(self.planes[slice] - at);
+            legs.push(Leg { slice, propagator });
+            at = self.planes[slice];
+        }
+        (legs, at)
+    }
+
+    /// Takes a wave along one leg.
+    pub fn travel(
+        &self,
+        wave: &mut [Complex32],
+        leg: Leg,
+        specimen: Specimen<'_>,
+        scratch: &mut Scratch,
+    ) {
+        self.propagate_by(wave, &self.propagators[leg.propagator].1, scratch);
+        if let Some(t) = &specimen.transmission[leg.slice] {
+            self.transmit(wave, t, specimen, scratch);
+        }
     }
 
     pub fn fft(&self) -> &Fft2 {
@@ -101,12 +140,18 @@ impl Stepper {
         self.fft.multiplier(&row, &row_k2, &column, &column_k2, self.disk)
     }
 
-    /// Rows back to real space, times the transmission function, rows forward.
-    pub fn transmit(&self, wave: &mut [Complex32], t: Specimen<'_>, scratch: &mut Scratch) {
+    /// Rows back to real space, times the transmission function `data`, rows forward.
+    pub fn transmit(
+        &self,
+        wave: &mut [Complex32],
+        data: &[Complex32],
+        t: Specimen<'_>,
+        scratch: &mut Scratch,
+    ) {
         let (ny, nx) = self.fft.shape();
         let mut at = t.origin.0;
         for row in wave.chunks_exact_mut(self.fft.stride()).take(ny) {
-            let source = &t.data[at * t.stride..][..t.shape.1];
+            let source = &data[at * t.stride..][..t.shape.1];
             row[self.dead.clone()].fill(Complex32::ZERO);
             self.fft.row(row, true, scratch);
             let split = nx.min(t.shape.1 - t.origin.1);
@@ -120,12 +165,7 @@ impl Stepper {
         }
     }
 
-    /// From plane `slice` to the next.
-    pub fn propagate(&self, wave: &mut [Complex32], slice: usize, scratch: &mut Scratch) {
-        self.propagate_by(wave, &self.propagators[self.next[slice]].1, scratch);
-    }
-
-    /// By a prepared propagator.
+    /// Propagates by a prepared propagator.
     pub fn propagate_by(
         &self,
         wave: &mut [Complex32],
@@ -133,6 +173,13 @@ impl Stepper {
         scratch: &mut Scratch,
     ) {
         self.fft.convolve_columns(wave, &self.band, propagator, scratch);
+    }
+
+    /// Brings Fourier coefficients into the form that the steps need.
+    pub fn start(&self, wave: &mut [Complex32], scratch: &mut Scratch) {
+        self.columns(wave, true, scratch);
+        let row_length = self.fft.shape().1 as f32;
+        wave.iter_mut().for_each(|v| *v *= row_length);
     }
 
     /// Transforms the columns inside the band, forward or back. After the forward transform the

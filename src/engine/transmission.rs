@@ -33,7 +33,8 @@ impl<'a> TransmissionBuilder<'a> {
         let grid = &plan.potential_grid;
         let settings = &plan.settings;
         let (shape, extent) = (grid.shape(), grid.extent_angstrom);
-        let projector = Projector::new(shape, extent, settings.parametrization, elements)?;
+        let sharpen = settings.abtem_pixel_correction;
+        let projector = Projector::new(shape, extent, settings.parametrization, elements, sharpen)?;
         let (ny, nx) = plan.transmission_grid.shape();
         let sigma = interaction_parameter(settings.optics.energy_ev) as f32;
         Ok(TransmissionBuilder { plan, projector, coarse: Fft2::new(ny, nx), sigma })
@@ -44,13 +45,14 @@ impl<'a> TransmissionBuilder<'a> {
         self.coarse.stride()
     }
 
-    /// The transmission functions of one phonon configuration, one per slice.
+    /// The transmission functions of one phonon configuration, one per slice; `None` where no atom
+    /// is, so that waves pass in one step.
     pub fn build(
         &self,
         sites: &[Site],
         configuration: u32,
         progress: &dyn Progress,
-    ) -> Result<Vec<Buffer>> {
+    ) -> Result<Vec<Option<Buffer>>> {
         let by_slice = self.place(sites, configuration);
         let all: Vec<PlacedAtom> = by_slice.iter().flatten().copied().collect();
         let workspace = || Workspace {
@@ -67,6 +69,9 @@ impl<'a> TransmissionBuilder<'a> {
                 }
                 match self.plan.settings.projection {
                     Projection::Infinite => {
+                        if by_slice[i].is_empty() {
+                            return Ok(None);
+                        }
                         self.projector.infinite(&by_slice[i], &mut w.potential, &mut w.projector);
                     }
                     Projection::Finite => {
@@ -74,7 +79,7 @@ impl<'a> TransmissionBuilder<'a> {
                         self.projector.finite(&all, slices, i, &mut w.potential, &mut w.projector);
                     }
                 }
-                Ok(self.transmission(w))
+                Ok(Some(self.transmission(w)))
             })
             .collect()
     }
@@ -158,7 +163,7 @@ pub(super) fn crop_spectrum(
 #[inline]
 fn exp_i(phase: f32) -> Complex32 {
     let n = (phase * std::f32::consts::FRAC_2_PI).round_ties_even();
-    let r = ((phase - n * 1.570_312_5) - n * 4.838_267_4e-4) - n * -4.371_139e-8;
+    let r = ((phase - n * 1.570_312_5) - n * 4.837_513e-4) - n * 7.549_79e-8;
     let r2 = r * r;
     let sin = ((-1.951_529_6e-4 * r2 + 8.332_161e-3) * r2 - 0.166_666_55) * r2 * r + r;
     let cos =

@@ -61,7 +61,8 @@ pub struct ProjectorScratch {
 }
 
 impl Projector {
-    /// For a cell of `extent` (x, y) Angstrom and the given elements.
+    /// For a cell of `extent` (x, y) Angstrom and the given elements; for the last argument see
+    /// [`crate::engine::Settings::abtem_pixel_correction`] (infinite projection only).
     ///
     /// # Errors
     /// An element that the table lacks.
@@ -70,7 +71,13 @@ impl Projector {
         extent: [f64; 2],
         parametrization: Parametrization,
         elements: &[u8],
+        abtem_pixel_correction: bool,
     ) -> Result<Self> {
+        let sharpening = |iy, ix| {
+            let u =
+                (frequency(iy, ny) as f64 / ny as f64).hypot(frequency(ix, nx) as f64 / nx as f64);
+            if abtem_pixel_correction && u > 0.0 { u / u.sin() } else { 1.0 }
+        };
         let mut species = Vec::new();
         for &number in elements {
             let factor = ScatteringFactor::new(parametrization, number)?;
@@ -79,7 +86,7 @@ impl Projector {
             for iy in 0..ny {
                 for ix in 0..=nx / 2 {
                     let q2 = k2(iy, ix, (ny, nx), extent);
-                    half_plane.push((unit * factor.at(q2)) as f32);
+                    half_plane.push((unit * factor.at(q2) * sharpening(iy, ix)) as f32);
                 }
             }
             species.push(Species { number, factor, half_plane });
@@ -263,7 +270,7 @@ mod tests {
     use crate::potential::slices::Slicing;
 
     fn projector(n: usize) -> Projector {
-        Projector::new((n, n), [6.0, 5.0], Parametrization::Lobato, &[8, 38]).unwrap()
+        Projector::new((n, n), [6.0, 5.0], Parametrization::Lobato, &[8, 38], false).unwrap()
     }
 
     fn real(p: &Projector, b: &Buffer) -> Vec<f32> {

@@ -1,0 +1,40 @@
+//! GFLOP/s of the propagation loop beside those of its Fourier transforms alone.
+//!
+//! `cargo bench --bench propagation`. Nominal operations, `5 N log2 N` a transform: skipping columns
+//! beyond the band limit lets the loop exceed the plain transforms.
+
+use std::time::Duration;
+use stemgen::detect::Detector;
+use stemgen::engine::{Algorithm, GridChoice, Plan, Settings, measure_speed};
+use stemgen::potential::slices::Slicing;
+
+fn main() {
+    println!(
+        "{:>14} {:>8} {:>14} {:>14} {:>7}",
+        "grid", "threads", "loop GFLOP/s", "FFT GFLOP/s", "ratio"
+    );
+    for n in [128, 192, 256, 320, 384, 480, 512, 576, 625, 640, 768, 960, 1152, 1400, 1536] {
+        for threads in [1, 2] {
+            let settings = Settings {
+                grid: GridChoice::Points([n, n]),
+                detectors: vec![Detector::new("d", 0.0, 60.0)],
+                slicing: Slicing::Thickness(1.0),
+                algorithm: Algorithm::Multislice,
+                oversampling: Some(1),
+                ..Settings::default()
+            };
+            let side = n as f64 * 0.05;
+            let plan = Plan::new(&settings, [side, side, 2.0], &[]).expect("a valid plan");
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+            let speed =
+                pool.expect("threads").install(|| measure_speed(&plan, Duration::from_secs(2)));
+            println!(
+                "{:>14} {threads:>8} {:>14.1} {:>14.1} {:>7.2}",
+                format!("{n} x {n}"),
+                speed.step_gflops,
+                speed.fft_gflops,
+                speed.step_gflops / speed.fft_gflops
+            );
+        }
+    }
+}

@@ -1,0 +1,276 @@
+//! From exit waves of plane waves to images: the reduction of PRISM.
+//!
+//! A probe at (x, y) is `sum_k A(k) exp(-2 pi i (kx x + ky y)) S_k`, cut to a window. On a raster the sum
+//! separates: first over kx for each column of the raster, then over ky for each probe. With n beams
+//! across the aperture that is n instead of about 0.8 n^2 products per probe and pixel.
+
+use super::Scan;
+use super::prism::Prism;
+use crate::error::{Error, Result};
+use crate::progress::Progress;
+use num_complex::{Complex32, Complex64};
+use rayon::prelude::*;
+use std::f64::consts::PI;
+use std::ops::Range;
+
+/// Bytes that one thread may use for sums over kx.
+const PARTIAL_SUM_BYTES: usize = 192 << 20;
+/// Raster columns, or rows, that are summed together have windows that start at most this many pixels
+/// apart.
+const SPREAD_PIXELS: i64 = 16;
+/// Most raster columns, or rows, summed together.
+const MOST_TOGETHER: usize = 16;
+
+/// Neighbouring lines of the raster (columns or rows), and the pixels of their windows.
+#[derive(Debug, Clone, PartialEq)]
+struct Band {
+    lines: Range<usize>,
+    /// First pixel of the union of windows on the exit grid, not wrapped.
+    first: i64,
+    /// Its length.
+    len: usize,
+}
+
+/// Matrix product `out[m, x] (+)= a[m, k] b[k, x]`, all row-major with the given row strides.
+fn multiply(
+    (m, n, k): (usize, usize, usize),
+    (out, out_stride): (&mut [Complex32], usize),
+    (a, a_stride): (&[Complex32], usize),
+    (b, b_stride): (&[Complex32], usize),
+) {
+    if m == 0 || n == 0 || k == 0 {
+        return;
+    }
+    assert!(out.len() >= (m - 1) * out_stride + n);
+    assert!(a.len() >= (m - 1) * a_stride + k);
+    assert!(b.len() >= (k - 1) * b_stride + n);
+    // The assertions cover every element that dimensions and strides reach.
+    unsafe {
+        gemm::gemm(
+            m,
+            n,
+            k,
+            out.as_mut_ptr(),
+            1,
+            out_stride as isize,
+            false,
+            a.as_ptr(),
+            1,
+            a_stride as isize,
+            b.as_ptr(),
+            1,
+            b_stride as isize,
+            Complex32::ZERO,
+            Complex32::ONE,
+            false,
+            false,
+            false,
+            gemm::Parallelism::None,
+        );
+    }
+}
+
+impl Prism<'_> {
+    /// Images from exit waves: (probe, intensities on the detectors).
+    pub(super) fn reduce(
+        &self,
+        waves: &[Complex32],
+        scan: &Scan,
+        progress: &dyn Progress,
+    ) -> Result<Vec<(usize, Vec<f64>)>> {
+        let [rows, columns] = scan.shape;
+        let one = self.runs().len() * self.exit.points[1] * (self.window.points[0] + 16) * 8;
+        let together = (PARTIAL_SUM_BYTES / one).clamp(1, MOST_TOGETHER);
+        let across = self.bands(0, columns, together, |c| scan.position(c)[0]);
+        let down = self.bands(1, rows, MOST_TOGETHER, |r| scan.position(r * columns)[1]);
+        let per_band: Result<Vec<Vec<(usize, Vec<f64>)>>> = across
+            .par_iter()
+            .map(|band| self.reduce_columns(waves, scan, band, &down, progress))
+            .collect();
+        Ok(per_band?.into_iter().flatten().collect())
+    }
+
+    /// Ranges of beams with the same ky.
+    fn runs(&self) -> Vec<Range<usize>> {
+        let mut runs: Vec<Range<usize>> = Vec::new();
+        for (i, beam) in self.beams.iter().enumerate() {
+            match runs.last_mut() {
+                Some(run) if self.beams[run.start][1] == beam[1] => run.end = i + 1,
+                _ => runs.push(i..i + 1),
+            }
+        }
+        runs
+    }
+
+    /// First pixel along `axis` of the window of a probe at `position`.
+    fn window_start(&self, axis: usize, position: f64) -> i64 {
+        if self.window.points[axis] == self.exit.points[axis] {
+            return 0;
+        }
+        let pixel = self.exit.sampling_angstrom()[axis];
+        (position / pixel).round() as i64 - self.window.points[axis] as i64 / 2
+    }
+
+    /// Groups neighbouring lines of the raster, in a way that depends on the raster only.
+    fn bands(
+        &self,
+        axis: usize,
+        lines: usize,
+        most: usize,
+        position: impl Fn(usize) -> f64,
+    ) -> Vec<Band> {
+        let window = self.window.points[axis];
+        let mut bands: Vec<Band> = Vec::new();
+        for line in 0..lines {
+            let start = self.window_start(axis, position(line));
+            if let Some(band) = bands.last_mut() {
+                let (low, high) = (
+                    band.first.min(start),
+                    (band.first + band.len as i64).max(start + window as i64),
+                );
+                let spread = high - low - window as i64;
+                if band.lines.len() < most && spread <= SPREAD_PIXELS {
+                    *band = Band {
+                        lines: band.lines.start..line + 1,
+                        first: low,
+                        len: (high - low) as usize,
+                    };
+                    continue;
+                }
+            }
+            bands.push(Band { lines: line..line + 1, first: start, len: window });
+        }
+        bands
+    }
+
+    /// All probes on a band of raster columns.
+    fn reduce_columns(
+        &self,
+        waves: &[Complex32],
+        scan: &Scan,
+        band: &Band,
+        down: &[Band],
+        progress: &dyn Progress,
+    ) -> Result<Vec<(usize, Vec<f64>)>> {
+        let partial = self.sum_over_kx(waves, scan, band);
+        let runs = self.runs().len();
+        let column_size = runs * self.exit.points[1] * band.len;
+        let (mut wave, mut scratch) = (self.window_fft.buffer(), self.window_fft.scratch());
+        let mut images = Vec::new();
+        for (i, column) in band.lines.clone().enumerate() {
+            let offset = (self.window_start(0, scan.position(column)[0]) - band.first) as usize;
+            let sums = &partial[i * column_size..][..column_size];
+            for rows in down {
+                if progress.interrupted() {
+                    return Err(Error::Interrupted);
+                }
+                let region = self.sum_over_ky(sums, scan, band.len, rows);
+                for (j, row) in rows.lines.clone().enumerate() {
+                    let probe = row * scan.shape[1] + column;
+                    let top = (self.window_start(1, scan.position(probe)[1]) - rows.first) as usize;
+                    let area = rows.len * band.len;
+                    let source = &region[j * area + top * band.len + offset..];
+                    for (y, line) in wave
+                        .chunks_exact_mut(self.window_fft.stride())
+                        .take(self.window.points[1])
+                        .enumerate()
+                    {
+                        let from = &source[y * band.len..][..self.window.points[0]];
+                        line[..self.window.points[0]].copy_from_slice(from);
+                    }
+                    self.window_fft.forward(&mut wave, &mut scratch);
+                    let mut values = vec![0.0; self.plan.settings.detectors.len()];
+                    let pixels = (self.window.points[0] * self.window.points[1]) as f64;
+                    self.map.collect(&wave, 1.0 / (pixels * pixels), &mut values);
+                    images.push((probe, values));
+                }
+                progress.advance(rows.lines.len() as u64);
+            }
+        }
+        Ok(images)
+    }
+
+    /// `sum_kx A(k) exp(-2 pi i kx x) S_k` as (raster column, ky, y, x within the band).
+    fn sum_over_kx(&self, waves: &[Complex32], scan: &Scan, band: &Band) -> Vec<Complex32> {
+        let runs = self.runs();
+        let [nx, ny] = self.exit.points;
+        let (plane, stride) = (self.exit_plane(), self.exit_fft.stride());
+        let count = band.lines.len();
+        let column_size = runs.len() * ny * band.len;
+        let mut out = vec![Complex32::ZERO; count * column_size];
+        for (r, run) in runs.iter().enumerate() {
+            let k = run.len();
+            let coefficients: Vec<Complex32> = band
+                .lines
+                .clone()
+                .flat_map(|c| run.clone().map(move |b| (c, b)))
+                .map(|(c, b)| {
+                    let u = scan.position(c)[0] / self.exit.extent_angstrom[0];
+                    single(self.amplitudes[b] * turn(self.beams[b][0], u))
+                })
+                .collect();
+            for y in 0..ny {
+                let mut x = 0;
+                while x < band.len {
+                    let column = (band.first + x as i64).rem_euclid(nx as i64) as usize;
+                    let n = (band.len - x).min(nx - column);
+                    let source = &waves[run.start * plane + y * stride + column..];
+                    let target = &mut out[(r * ny + y) * band.len + x..];
+                    multiply(
+                        (count, n, k),
+                        (target, column_size),
+                        (&coefficients, k),
+                        (source, plane),
+                    );
+                    x += n;
+                }
+            }
+        }
+        out
+    }
+
+    /// `sum_ky exp(-2 pi i ky y) sums` as (raster row, y within the rows' band, x), for one column.
+    fn sum_over_ky(
+        &self,
+        sums: &[Complex32],
+        scan: &Scan,
+        width: usize,
+        rows: &Band,
+    ) -> Vec<Complex32> {
+        let runs = self.runs();
+        let ny = self.exit.points[1];
+        let coefficients: Vec<Complex32> = rows
+            .lines
+            .clone()
+            .flat_map(|row| {
+                let u = scan.position(row * scan.shape[1])[1] / self.exit.extent_angstrom[1];
+                runs.iter().map(move |run| (u, run.start))
+            })
+            .map(|(u, b)| single(turn(self.beams[b][1], u)))
+            .collect();
+        let area = rows.len * width;
+        let mut out = vec![Complex32::ZERO; rows.lines.len() * area];
+        let mut y = 0;
+        while y < rows.len {
+            let line = (rows.first + y as i64).rem_euclid(ny as i64) as usize;
+            let n = (rows.len - y).min(ny - line);
+            multiply(
+                (rows.lines.len(), n * width, runs.len()),
+                (&mut out[y * width..], area),
+                (&coefficients, runs.len()),
+                (&sums[line * width..], ny * width),
+            );
+            y += n;
+        }
+        out
+    }
+}
+
+/// `exp(-2 pi i f u)`
+fn turn(f: i64, u: f64) -> Complex64 {
+    Complex64::from_polar(1.0, -2.0 * PI * u * f as f64)
+}
+
+fn single(c: Complex64) -> Complex32 {
+    Complex32::new(c.re as f32, c.im as f32)
+}

@@ -1,0 +1,58 @@
+//! How fast this machine propagates waves.
+
+use super::plan::Plan;
+use super::stepper::{Specimen, Stepper};
+use num_complex::Complex32;
+use rayon::prelude::*;
+use std::time::{Duration, Instant};
+
+/// Speed of the propagation loop, and of its Fourier transforms alone.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Speed {
+    /// Multislice steps per second, all threads together.
+    pub steps_per_s: f64,
+    /// The same in nominal operations, `2 * 5 N log2 N` a step, in GFLOP/s.
+    pub step_gflops: f64,
+    /// Forward and inverse transforms of the same arrays with nothing between them, in nominal
+    /// GFLOP/s.
+    pub fft_gflops: f64,
+}
+
+/// Measures the plan's multislice step for about `duration` on the current rayon threads.
+pub fn measure_speed(plan: &Plan, duration: Duration) -> Speed {
+    let stepper = Stepper::new(plan);
+    let fft = stepper.fft();
+    let shape = plan.wave_grid.shape();
+    let mut ones = fft.buffer();
+    ones.fill(Complex32::ONE);
+    let specimen = Specimen { transmission: &[], stride: fft.stride(), shape, origin: (0, 0) };
+    let propagator = stepper.propagator(1.0);
+    let threads = rayon::current_num_threads();
+    let rate = |body: &(dyn Fn(&mut [Complex32], &mut crate::fft::Scratch) + Sync)| {
+        let per_thread = (0..threads).into_par_iter().map(|_| {
+            let (mut wave, mut scratch) = (fft.buffer(), fft.scratch());
+            wave[0] = Complex32::ONE;
+            body(&mut wave, &mut scratch);
+            let (start, mut count) = (Instant::now(), 0);
+            while start.elapsed() < duration / 2 {
+                body(&mut wave, &mut scratch);
+                count += 1;
+            }
+            f64::from(count) / start.elapsed().as_secs_f64()
+        });
+        per_thread.sum::<f64>()
+    };
+    let steps_per_s = rate(&|wave, scratch| {
+        stepper.transmit(wave, &ones, specimen, scratch);
+        stepper.propagate_by(wave, &propagator, scratch);
+    });
+    let scale = 1.0 / (shape.0 * shape.1) as f32;
+    let pairs_per_s = rate(&|wave, scratch| {
+        fft.forward(wave, scratch);
+        fft.inverse(wave, scratch);
+        // keep the numbers in range without a pass over memory
+        wave[0] *= scale;
+    });
+    let flops = 2.0 * fft.nominal_flops() * 1e-9;
+    Speed { steps_per_s, step_gflops: steps_per_s * flops, fft_gflops: pairs_per_s * flops }
+}
