@@ -376,7 +376,8 @@ impl Built {
             0 => String::new(),
             n => format!(", {n} of them from an earlier run"),
         };
-        lines.add("engine", format!("{}, {} sub-tiles{resumed}", self.engine, self.subtiles));
+        let plural = if self.subtiles == 1 { "sub-tile" } else { "sub-tiles" };
+        lines.add("engine", format!("{}, {} {plural}{resumed}", self.engine, self.subtiles));
         lines.add("time", text::duration(self.wall_time_s));
         let size = text::bytes(self.file_bytes);
         lines.add("file", format!("{} ({size})", self.output.display()));

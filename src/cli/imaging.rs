@@ -151,7 +151,7 @@ pub fn settings(
     let default = Settings::default();
     Ok(Settings {
         optics: microscope.optics(),
-        detectors: if given.is_empty() { default.detectors } else { given.clone() },
+        detectors: if given.is_empty() { default.detectors.clone() } else { given.clone() },
         parametrization: numerics.parametrization.into(),
         projection: numerics.projection.into(),
         slicing: numerics.slice_thickness.map_or(Slicing::Planes, Slicing::Thickness),
@@ -166,5 +166,6 @@ pub fn settings(
             true => BeyondLimit::Warn,
             false => BeyondLimit::Error,
         },
+        ..default
     })
 }
