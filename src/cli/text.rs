@@ -27,7 +27,11 @@ pub fn bytes(n: u64) -> String {
         value /= 1000.0;
         unit += 1;
     }
-    if unit == 0 { format!("{n} B") } else { format!("{} {}", significant(value, 2), units[unit]) }
+    match unit {
+        0 => format!("{n} B"),
+        _ if value < 9.95 => format!("{value:.1} {}", units[unit]),
+        _ => format!("{value:.0} {}", units[unit]),
+    }
 }
 
 /// `0.4 s`, `45 s`, `3 min 20 s`, `2 h 05 min`, `3 d 04 h`.
