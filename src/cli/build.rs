@@ -102,10 +102,9 @@ struct Method {
     /// prism: 2.5; published: 7]
     #[arg(long, value_name = "NM", value_parser = values::finite, allow_negative_numbers = true)]
     subtile: Option<f64>,
-    /// Overlap of sub-tiles in nm
-    #[arg(long, value_name = "NM", default_value_t = 1.0, value_parser = values::finite)]
-    #[arg(allow_negative_numbers = true)]
-    subtile_overlap: f64,
+    /// Overlap of sub-tiles in nm [default: a quarter of the sub-tile, at most 1]
+    #[arg(long, value_name = "NM", value_parser = values::finite, allow_negative_numbers = true)]
+    subtile_overlap: Option<f64>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -220,20 +219,22 @@ impl Build {
         self.output.clone().unwrap_or_else(default)
     }
 
-    fn subtile_nm(&self, simulator: &Simulator) -> f64 {
+    /// Width and overlap of sub-tiles.
+    fn subtile_nm(&self, simulator: &Simulator) -> [f64; 2] {
         let default = match simulator.settings().algorithm {
             _ if self.published() => PUBLISHED_SUBTILE_NM,
             Algorithm::Prism { .. } => PRISM_SUBTILE_NM,
             _ => SUBTILE_NM,
         };
-        self.method.subtile.unwrap_or(default)
+        let size = self.method.subtile.unwrap_or(default);
+        [size, self.method.subtile_overlap.unwrap_or((0.25 * size).clamp(0.0, 1.0))]
     }
 
     fn plan(&self, recipe: &Recipe, simulator: &Simulator, path: &Path) -> anyhow::Result<DryRun> {
         let field = &recipe.field;
         let pixels = field.pixels(field.built_grid());
         let pixel = field.pixel_nm();
-        let (size, overlap) = (self.subtile_nm(simulator), self.method.subtile_overlap);
+        let [size, overlap] = self.subtile_nm(simulator);
         let partition = Partition::new(pixels, pixel, size, overlap)?;
         let [rows, columns] = partition.subtiles().next().map_or([1, 1], |t| t.shape());
         let plan = subtile_plan(recipe, simulator, [rows, columns])?;
@@ -264,12 +265,13 @@ impl Build {
         path: &Path,
         reporter: &Reporter,
     ) -> anyhow::Result<Summary> {
+        let [subtile_nm, subtile_overlap_nm] = self.subtile_nm(simulator);
         let options = BuildOptions {
             noise: !self.no_noise,
             keep_clean: self.keep_clean,
             overwrite: self.overwrite,
-            subtile_nm: self.subtile_nm(simulator),
-            subtile_overlap_nm: self.method.subtile_overlap,
+            subtile_nm,
+            subtile_overlap_nm,
         };
         let done = stemgen::world::build(recipe, simulator, path, &options, reporter);
         done.map_err(|error| match error {

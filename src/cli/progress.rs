@@ -183,7 +183,8 @@ impl Stage {
 }
 
 impl Meter {
-    /// Units per second; unknown during the first second.
+    /// Units per second since the first sample, which comes with the first unit, so that what had to
+    /// be prepared does not count; unknown at first.
     fn rate(&mut self, now: Instant, done: u64) -> Option<f64> {
         if self.samples.back().is_none_or(|(t, _)| now > *t + Duration::from_secs(1)) {
             self.samples.push_back((now, done));
@@ -192,8 +193,6 @@ impl Meter {
             self.samples.pop_front();
         }
         let &(then, before) = self.samples.front()?;
-        // The first sample is taken with the first unit, which the time since the start has made.
-        let (then, before) = if self.samples.len() == 1 { (self.begun, 0) } else { (then, before) };
         let seconds = now.saturating_duration_since(then).as_secs_f64();
         (seconds > 1.0).then(|| done.saturating_sub(before) as f64 / seconds)
     }

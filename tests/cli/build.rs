@@ -60,6 +60,26 @@ fn a_dry_run_tells_the_plan() {
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
 }
 
+#[test]
+fn every_method_has_fitting_defaults() {
+    let folder = tempfile::tempdir().unwrap();
+    let methods: [&[&str]; 7] = [
+        &["--engine", "prism"],
+        &["--engine", "multislice"],
+        &["--engine", "window", "--window", "9"],
+        &["--interpolation", "2,3"],
+        &["--subtile", "2"],
+        &["--profile", "default"],
+        &["--profile", "published"],
+    ];
+    for method in methods {
+        let mut command = stemgen(folder.path());
+        command.args(["build", "srtio3", "--difficulty", "hard", "--dry-run"]).args(method);
+        let plan = json(&mut command);
+        assert!(plan["estimated_time_s"].as_f64().unwrap() > 0.0, "{method:?}");
+    }
+}
+
 /// Waits until `done` or a minute is over.
 fn wait_for(done: impl Fn() -> bool) -> bool {
     let begun = Instant::now();
