@@ -10,15 +10,38 @@ use std::path::Path;
 /// # Errors
 /// [`Error::Io`] naming the directory or the file.
 pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
-    let directory = match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
-    let mut file = create(directory).map_err(|e| Error::io(directory, "create a file in", e))?;
+    let mut file = beside(path)?;
     file.write_all(bytes).map_err(|e| Error::io(path, "write", e))?;
     file.as_file().sync_all().map_err(|e| Error::io(path, "write", e))?;
     file.persist(path).map_err(|e| Error::io(path, "create", e.error))?;
     Ok(())
+}
+
+/// Has `write` fill a temporary file beside `path`, given its name, and then syncs and renames it.
+/// An existing file is replaced only if `overwrite`.
+///
+/// # Errors
+/// [`Error::Io`], and those of `write`.
+pub fn write_with(
+    path: &Path,
+    overwrite: bool,
+    write: impl FnOnce(&Path) -> Result<()>,
+) -> Result<()> {
+    let file = beside(path)?;
+    write(file.path())?;
+    file.as_file().sync_all().map_err(|e| Error::io(path, "write", e))?;
+    let persisted = if overwrite { file.persist(path) } else { file.persist_noclobber(path) };
+    persisted.map_err(|e| Error::io(path, "create", e.error))?;
+    Ok(())
+}
+
+/// An empty temporary file in the directory of `path`.
+fn beside(path: &Path) -> Result<tempfile::NamedTempFile> {
+    let directory = match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    };
+    create(directory).map_err(|e| Error::io(directory, "create a file in", e))
 }
 
 fn create(directory: &Path) -> std::io::Result<tempfile::NamedTempFile> {

@@ -83,11 +83,11 @@ impl Prism<'_> {
         let together = (PARTIAL_SUM_BYTES / one).clamp(1, MOST_TOGETHER);
         let across = self.bands(0, columns, together, |c| scan.position(c)[0]);
         let down = self.bands(1, rows, MOST_TOGETHER, |r| scan.position(r * columns)[1]);
-        let per_band: Result<Vec<Vec<(usize, Vec<f64>)>>> = across
+        let per_band = across
             .par_iter()
             .map(|band| self.reduce_columns(waves, scan, band, &down, progress))
-            .collect();
-        Ok(per_band?.into_iter().flatten().collect())
+            .collect::<Result<Vec<_>>>()?;
+        Ok(per_band.into_iter().flatten().collect())
     }
 
     /// Ranges of beams with the same ky.

@@ -237,7 +237,7 @@ impl Fft2 {
         let low = (m + 1).next_multiple_of(lanes);
         let high = m.next_multiple_of(lanes);
         if low + high >= self.nx {
-            return vec![0..self.nx.next_multiple_of(lanes)];
+            return std::iter::once(0..self.nx.next_multiple_of(lanes)).collect();
         }
         vec![0..low, self.nx - high..self.nx]
     }

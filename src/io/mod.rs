@@ -1,5 +1,6 @@
-//! Files in HDF5. The schema of a world is written and read here only.
+//! Files in HDF5. Schemas are written and read here only.
 
+pub mod image_file;
 pub mod schema;
 mod world_file;
 mod world_writer;

@@ -338,11 +338,11 @@ fn pairs(values: &[[f32; 2]]) -> hdf5::Result<ArrayView2<'_, f32>> {
         .map_err(|e| hdf5::Error::Internal(e.to_string()))
 }
 
-fn number<T: H5Type>(at: &hdf5::Location, name: &str, value: T) -> hdf5::Result<()> {
+pub(super) fn number<T: H5Type>(at: &hdf5::Location, name: &str, value: T) -> hdf5::Result<()> {
     at.new_attr::<T>().create(name)?.write_scalar(&value)
 }
 
-fn text(at: &hdf5::Location, name: &str, value: &str) -> hdf5::Result<()> {
+pub(super) fn text(at: &hdf5::Location, name: &str, value: &str) -> hdf5::Result<()> {
     let value: VarLenUnicode =
         value.parse().map_err(|_| hdf5::Error::Internal(format!("`{name}` holds a NUL")))?;
     number(at, name, value)

@@ -70,14 +70,19 @@ impl Simulator {
         &self.settings
     }
 
-    /// The plan for a sub-tile of `scanned_angstrom` (x, y) in a specimen of the given thickness,
-    /// without atoms: for showing grids and memory.
+    /// The plan for a sub-tile of `scanned_angstrom` (x, y) in a specimen of the given thickness
+    /// whose atoms have mean heights `z` (Angstrom): for showing grids and memory.
     ///
     /// # Errors
     /// As [`Plan::new`].
-    pub fn plan(&self, scanned_angstrom: [f64; 2], thickness_angstrom: f64) -> Result<Plan> {
+    pub fn plan(
+        &self,
+        scanned_angstrom: [f64; 2],
+        thickness_angstrom: f64,
+        z: &[f64],
+    ) -> Result<Plan> {
         let side = scanned_angstrom.map(|l| l + 2.0 * self.margin_angstrom());
-        Plan::new(&self.settings, [side[0], side[1], thickness_angstrom], &[])
+        Plan::new(&self.settings, [side[0], side[1], thickness_angstrom], z)
     }
 }
 

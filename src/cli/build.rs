@@ -1,0 +1,391 @@
+//! `stemgen build`.
+
+use super::common::Common;
+use super::hints::hinted;
+use super::progress::Reporter;
+use super::show::{Lines, PlanReport};
+use super::values::{self, Engine, Tier};
+use super::{estimate, imaging, output, pictures, text};
+use clap::{Args, ValueEnum};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use stemgen::engine::{Algorithm, Plan};
+use stemgen::io::WorldFile;
+use stemgen::progress::Progress;
+use stemgen::world::subtiles::Partition;
+use stemgen::world::{
+    BuildOptions, Difficulty, Recipe, Region, Simulator, SubTileEngine, Summary, specimen,
+};
+
+/// Sub-tiles in nm; 4 nm take below 2 GB of memory on two threads.
+const SUBTILE_NM: f64 = 4.0;
+/// Sub-tiles of PRISM in nm, whose plane waves take the memory.
+const PRISM_SUBTILE_NM: f64 = 2.5;
+/// Sub-tiles of the published worlds in nm.
+const PUBLISHED_SUBTILE_NM: f64 = 7.0;
+/// Interpolation of PRISM unless another is asked for: windows of 10 A in sub-tiles of 2.5 nm.
+const INTERPOLATION: [usize; 2] = [4, 4];
+
+const EXAMPLES: &str = "\
+Examples:
+  The central 2 x 2 tiles of the easy SrTiO3 world, with a picture beside:
+    stemgen build srtio3 --difficulty easy --grid 2x2
+  What would the whole world take?
+    stemgen build srtio3 --difficulty hard --dry-run
+  Another specimen of the same kind, and the noiseless image with it:
+    stemgen build srtio3 --difficulty medium --grid 4x4 --seed 7 --keep-clean -o seven.h5
+  From a recipe of your own, with the settings of the published worlds:
+    stemgen build --recipe mine.toml --difficulty easy --profile published
+
+Finished sub-tiles are kept in FILE.work until the world is complete: after Ctrl-C or a power
+failure the same command goes on from there.";
+
+/// Build a world: a whole annotated specimen and its image
+#[derive(Debug, Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Build {
+    /// Material: srtio3
+    #[arg(value_name = "MATERIAL", required_unless_present = "recipe")]
+    material: Option<String>,
+    /// How many defects and how much dose
+    #[arg(long, value_name = "TIER", required_unless_present = "recipe")]
+    difficulty: Option<Tier>,
+    /// Recipe (TOML) in place of MATERIAL; without --difficulty if it has no tiers
+    #[arg(long, value_name = "FILE", conflicts_with = "material")]
+    recipe: Option<PathBuf>,
+    /// Build only the central tiles, rows x columns [default: the whole field]
+    #[arg(long, value_name = "RxC", value_parser = values::rows_columns)]
+    grid: Option<[usize; 2]>,
+    /// Seed of all random numbers [default: that of the recipe]
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// Leave out the Poisson noise
+    #[arg(long)]
+    no_noise: bool,
+    /// Also store the noiseless tiles
+    #[arg(long)]
+    keep_clean: bool,
+    #[command(flatten)]
+    method: Method,
+    /// File to write [default: worlds/MATERIAL_TIER[_RxC].h5]
+    #[arg(short, long, value_name = "FILE.h5", help_heading = "Results")]
+    output: Option<PathBuf>,
+    /// Replace existing files
+    #[arg(long, help_heading = "Results")]
+    overwrite: bool,
+    /// Leave out the picture
+    #[arg(long, help_heading = "Results")]
+    no_png: bool,
+    #[command(flatten)]
+    common: Common,
+}
+
+/// How it is simulated.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Method")]
+struct Method {
+    /// How probes are propagated [default: window]
+    #[arg(long, value_name = "NAME", conflicts_with = "profile")]
+    engine: Option<Engine>,
+    /// Width of the window that follows each probe, in A [default: 11.7]
+    #[arg(long, value_name = "A", value_parser = values::finite, allow_negative_numbers = true)]
+    #[arg(conflicts_with_all = ["interpolation", "profile"])]
+    window: Option<f64>,
+    /// PRISM interpolation factor, or one for x and one for y [default: 4]
+    #[arg(long, value_name = "F[,FY]", value_parser = values::factors, conflicts_with = "profile")]
+    interpolation: Option<[usize; 2]>,
+    /// `published`: the coarser settings of the published worlds (PRISM, 0.05 A, slices of 1 A)
+    /// [default: default]
+    #[arg(long, value_name = "NAME")]
+    profile: Option<Profile>,
+    /// Largest width of a sub-tile, which is simulated at once, in nm [default: 4;
+    /// prism: 2.5; published: 7]
+    #[arg(long, value_name = "NM", value_parser = values::finite, allow_negative_numbers = true)]
+    subtile: Option<f64>,
+    /// Overlap of sub-tiles in nm [default: a quarter of the sub-tile, at most 1]
+    #[arg(long, value_name = "NM", value_parser = values::finite, allow_negative_numbers = true)]
+    subtile_overlap: Option<f64>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Profile {
+    /// Carries all scattering to the detector
+    Default,
+    /// As the published STEMGym worlds
+    Published,
+}
+
+#[derive(Serialize)]
+struct DryRun {
+    material: String,
+    zone_axis: String,
+    tiles: [usize; 2],
+    pixels: [usize; 2],
+    pixel_nm: f64,
+    fov_nm: [f64; 2],
+    thickness_nm: f64,
+    dose_electrons_per_angstrom2: f64,
+    subtiles: usize,
+    subtile_nm: [f64; 2],
+    #[serde(flatten)]
+    plan: PlanReport,
+    output: PathBuf,
+}
+
+#[derive(Serialize)]
+struct Built {
+    output: PathBuf,
+    file_bytes: u64,
+    picture: Option<PathBuf>,
+    material: String,
+    difficulty: Option<Difficulty>,
+    seed: u64,
+    tiles: [usize; 2],
+    pixels: [usize; 2],
+    fov_nm: [f64; 2],
+    sites: u64,
+    vacancies: u64,
+    columns: u64,
+    grain_boundaries: usize,
+    dose_electrons_per_angstrom2: Option<f64>,
+    engine: String,
+    subtiles: usize,
+    subtiles_resumed: usize,
+    wall_time_s: f64,
+}
+
+impl Build {
+    /// Runs the subcommand.
+    pub fn run(self) -> anyhow::Result<()> {
+        let reporter = self.common.start()?;
+        let recipe = self.recipe()?;
+        let simulator = self.simulator(&recipe)?;
+        let path = self.output(&recipe);
+        let report = self.plan(&recipe, &simulator, &path)?;
+        if self.common.dry_run {
+            return self.common.print(&report, &report.text());
+        }
+        output::check(&path, self.overwrite)?;
+        let picture = (!self.no_png).then(|| path.with_extension("png"));
+        if let Some(picture) = &picture {
+            output::check(picture, self.overwrite)?;
+        }
+        report.plan.warnings.iter().for_each(|w| reporter.warn(w));
+        let summary = self.build(&recipe, &simulator, &path, &reporter)?;
+        let world = WorldFile::open(&path)?;
+        if let Some(picture) = &picture {
+            pictures::write_world(picture, &world)?;
+        }
+        let built = self.built(&recipe, &simulator, &summary, &world, picture)?;
+        self.common.print(&built, &built.text())
+    }
+
+    fn recipe(&self) -> anyhow::Result<Recipe> {
+        let difficulty = self.difficulty.map(Difficulty::from);
+        let mut recipe = match (&self.recipe, &self.material, difficulty) {
+            (Some(file), _, _) => Recipe::from_file(file, difficulty)?,
+            (None, Some(material), Some(difficulty)) => Recipe::load(material, difficulty)?,
+            _ => anyhow::bail!("MATERIAL and --difficulty, or --recipe, are needed"),
+        };
+        recipe.seed = self.seed.unwrap_or(recipe.seed);
+        if let Some([rows, columns]) = self.grid {
+            recipe = recipe.with_grid(rows, columns)?;
+        }
+        recipe.check()?;
+        Ok(recipe)
+    }
+
+    fn published(&self) -> bool {
+        self.method.profile == Some(Profile::Published)
+    }
+
+    fn simulator(&self, recipe: &Recipe) -> anyhow::Result<Simulator> {
+        if self.published() {
+            return Ok(Simulator::published(recipe));
+        }
+        let m = &self.method;
+        let (window, factors) = (m.window, m.interpolation);
+        let algorithm =
+            imaging::algorithm(m.engine, window, factors, Engine::Window, INTERPOLATION)?;
+        Ok(Simulator::new(recipe, algorithm))
+    }
+
+    fn output(&self, recipe: &Recipe) -> PathBuf {
+        let default = || {
+            let tier = recipe.tier.map(|t| format!("_{}", t.name())).unwrap_or_default();
+            let grid = self.grid.map(|[r, c]| format!("_{r}x{c}")).unwrap_or_default();
+            Path::new("worlds").join(format!("{}{tier}{grid}.h5", recipe.id))
+        };
+        self.output.clone().unwrap_or_else(default)
+    }
+
+    /// Width and overlap of sub-tiles.
+    fn subtile_nm(&self, simulator: &Simulator) -> [f64; 2] {
+        let default = match simulator.settings().algorithm {
+            _ if self.published() => PUBLISHED_SUBTILE_NM,
+            Algorithm::Prism { .. } => PRISM_SUBTILE_NM,
+            _ => SUBTILE_NM,
+        };
+        let size = self.method.subtile.unwrap_or(default);
+        [size, self.method.subtile_overlap.unwrap_or((0.25 * size).clamp(0.0, 1.0))]
+    }
+
+    fn plan(&self, recipe: &Recipe, simulator: &Simulator, path: &Path) -> anyhow::Result<DryRun> {
+        let field = &recipe.field;
+        let pixels = field.pixels(field.built_grid());
+        let pixel = field.pixel_nm();
+        let [size, overlap] = self.subtile_nm(simulator);
+        let partition = Partition::new(pixels, pixel, size, overlap)?;
+        let [rows, columns] = partition.subtiles().next().map_or([1, 1], |t| t.shape());
+        let plan = subtile_plan(recipe, simulator, [rows, columns])?;
+        let runs = if self.common.dry_run { partition.len() } else { 0 };
+        let mut report = PlanReport::new(&plan, rows * columns, runs);
+        let remedy = "a smaller --subtile or fewer --threads take less";
+        report.warnings.extend(estimate::memory_warning(report.memory_bytes, remedy));
+        Ok(DryRun {
+            material: recipe.id.clone(),
+            zone_axis: recipe.zone_axis.clone(),
+            tiles: field.built_grid(),
+            pixels,
+            pixel_nm: pixel,
+            fov_nm: pixels.map(|n| n as f64 * pixel),
+            thickness_nm: field.thickness_nm,
+            dose_electrons_per_angstrom2: recipe.dose.electrons_per_angstrom2,
+            subtiles: partition.len(),
+            subtile_nm: [rows, columns].map(|n| n as f64 * pixel),
+            plan: report,
+            output: path.to_owned(),
+        })
+    }
+
+    fn build(
+        &self,
+        recipe: &Recipe,
+        simulator: &Simulator,
+        path: &Path,
+        reporter: &Reporter,
+    ) -> anyhow::Result<Summary> {
+        let [subtile_nm, subtile_overlap_nm] = self.subtile_nm(simulator);
+        let options = BuildOptions {
+            noise: !self.no_noise,
+            keep_clean: self.keep_clean,
+            overwrite: self.overwrite,
+            subtile_nm,
+            subtile_overlap_nm,
+        };
+        let done = stemgen::world::build(recipe, simulator, path, &options, reporter);
+        done.map_err(|error| match error {
+            stemgen::Error::Interrupted => {
+                let kept = format!(
+                    "{}.work keeps the finished sub-tiles; the same command goes on from there",
+                    path.display()
+                );
+                hinted(error, kept)
+            }
+            other => other.into(),
+        })
+    }
+
+    fn built(
+        &self,
+        recipe: &Recipe,
+        simulator: &Simulator,
+        summary: &Summary,
+        world: &WorldFile,
+        picture: Option<PathBuf>,
+    ) -> anyhow::Result<Built> {
+        let dose = recipe.dose.electrons_per_angstrom2;
+        Ok(Built {
+            output: summary.path.clone(),
+            file_bytes: output::size(&summary.path),
+            picture,
+            material: recipe.id.clone(),
+            difficulty: recipe.tier,
+            seed: recipe.seed,
+            tiles: summary.grid,
+            pixels: world.shape(),
+            fov_nm: summary.fov_nm,
+            sites: summary.counts.sites,
+            vacancies: summary.counts.vacancies,
+            columns: summary.counts.columns,
+            grain_boundaries: world.boundaries()?.len(),
+            dose_electrons_per_angstrom2: (!self.no_noise).then_some(dose),
+            engine: simulator.name(),
+            subtiles: summary.subtiles,
+            subtiles_resumed: summary.subtiles_resumed,
+            wall_time_s: summary.wall_time_s,
+        })
+    }
+}
+
+/// The plan of a sub-tile of so many pixels.
+fn subtile_plan(
+    recipe: &Recipe,
+    simulator: &Simulator,
+    [rows, columns]: [usize; 2],
+) -> anyhow::Result<Plan> {
+    let specimen = specimen(recipe)?;
+    let pixel = recipe.field.pixel_nm();
+    let somewhere = Region::of_pixels(recipe.field.crop_origin_px(), [rows, columns], pixel);
+    let z: Vec<f64> = specimen.sites(&somewhere).iter().map(|s| 10.0 * s.position_nm[2]).collect();
+    let size = [columns, rows].map(|n| 10.0 * pixel * n as f64);
+    Ok(simulator.plan(size, 10.0 * specimen.thickness_nm(), &z)?)
+}
+
+impl DryRun {
+    fn text(&self) -> String {
+        let mut lines = Lines::default();
+        lines.add("material", format!("{} {}", self.material, self.zone_axis));
+        let ([rows, columns], [ny, nx], [h, w]) = (self.tiles, self.pixels, self.fov_nm);
+        let pixel = self.pixel_nm;
+        lines.add("tiles", format!("{rows} x {columns}, {ny} x {nx} pixels of {pixel:.5} nm"));
+        lines.add("field", format!("{h:.2} x {w:.2} nm, {} nm thick", self.thickness_nm));
+        let [h, w] = self.subtile_nm;
+        lines.add("sub-tiles", format!("{} of {h:.2} x {w:.2} nm", self.subtiles));
+        lines.add("probes", format!("{} per sub-tile", text::count(self.plan.probes as u64)));
+        self.plan.lines(&mut lines);
+        self.plan.costs(&mut lines);
+        lines
+            .add("output", format!("{} (nothing was simulated or written)", self.output.display()));
+        lines.text()
+    }
+}
+
+impl Built {
+    fn text(&self) -> String {
+        let mut lines = Lines::default();
+        let tier = self.difficulty.map(|d| format!(", {}", d.name())).unwrap_or_default();
+        lines.add("world", format!("{}{tier}, seed {}", self.material, self.seed));
+        let ([rows, columns], [ny, nx], [h, w]) = (self.tiles, self.pixels, self.fov_nm);
+        lines.add("tiles", format!("{rows} x {columns}: {ny} x {nx} pixels, {h:.2} x {w:.2} nm"));
+        let [sites, vacancies, all] = [self.sites, self.vacancies, self.columns].map(text::count);
+        let boundaries = match self.grain_boundaries {
+            1 => "1 grain boundary".into(),
+            n => format!("{n} grain boundaries"),
+        };
+        lines.add(
+            "holds",
+            format!("{sites} sites in {all} columns, {vacancies} vacancies, {boundaries}"),
+        );
+        lines.add(
+            "dose",
+            match self.dose_electrons_per_angstrom2 {
+                Some(dose) => format!("{dose} electrons per square Angstrom"),
+                None => "no noise".into(),
+            },
+        );
+        let resumed = match self.subtiles_resumed {
+            0 => String::new(),
+            n => format!(", {n} of them from an earlier run"),
+        };
+        let plural = if self.subtiles == 1 { "sub-tile" } else { "sub-tiles" };
+        lines.add("engine", format!("{}, {} {plural}{resumed}", self.engine, self.subtiles));
+        lines.add("time", text::duration(self.wall_time_s));
+        let size = text::bytes(self.file_bytes);
+        lines.add("file", format!("{} ({size})", self.output.display()));
+        if let Some(picture) = &self.picture {
+            lines.add("picture", picture.display().to_string());
+        }
+        lines.text()
+    }
+}

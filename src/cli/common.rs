@@ -1,0 +1,42 @@
+//! Options that all subcommands share.
+
+use super::progress::Reporter;
+use anyhow::Context;
+use clap::Args;
+
+/// Running and reporting.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Running")]
+pub struct Common {
+    /// Number of threads; all processors by default. The result is the same for any number
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=4096))]
+    pub threads: Option<u16>,
+    /// Show the plan (grid, band limit, slices, memory, estimated time) and stop
+    #[arg(long)]
+    pub dry_run: bool,
+    /// Print the summary, or the plan of --dry-run, as JSON on standard output
+    #[arg(long)]
+    pub json: bool,
+    /// Print nothing but errors (and what --json asks for)
+    #[arg(short, long)]
+    pub quiet: bool,
+}
+
+impl Common {
+    /// Sets the number of threads and takes over Ctrl-C.
+    pub fn start(&self) -> anyhow::Result<Reporter> {
+        let threads = self.threads.map_or(0, usize::from);
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+        pool.build_global().context("cannot start the threads")?;
+        Reporter::new(self.quiet)
+    }
+
+    /// Prints the summary as asked for.
+    pub fn print(&self, json: &impl serde::Serialize, text: &str) -> anyhow::Result<()> {
+        match (self.json, self.quiet) {
+            (true, _) => super::text::print(&serde_json::to_string_pretty(json)?),
+            (false, true) => Ok(()),
+            (false, false) => super::text::print(text),
+        }
+    }
+}

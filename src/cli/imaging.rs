@@ -1,0 +1,171 @@
+//! Options of the microscope and of the engine.
+
+use super::values::{self, Engine, ParametrizationName, ProjectionName};
+use anyhow::bail;
+use clap::Args;
+use stemgen::detect::Detector;
+use stemgen::engine::settings::EXACT_BAND_FRACTION;
+use stemgen::engine::{Algorithm, BeyondLimit, GridChoice, Phonons, Settings};
+use stemgen::optics::{Aberration, Aberrations, Optics};
+use stemgen::potential::slices::Slicing;
+use stemgen::world::simulator::WINDOW_ANGSTROM;
+
+/// The microscope.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Microscope")]
+pub struct MicroscopeArgs {
+    /// Beam energy in keV (the accelerating voltage in kV)
+    #[arg(long, value_name = "KV", default_value_t = 200.0, value_parser = values::finite)]
+    #[arg(allow_negative_numbers = true)]
+    pub energy: f64,
+    /// Convergence semiangle; the objective aperture with --plane-wave
+    #[arg(long, value_name = "MRAD", default_value_t = 21.0, value_parser = values::finite)]
+    #[arg(allow_negative_numbers = true)]
+    pub semiangle: f64,
+    /// Defocus; positive is underfocus
+    #[arg(long, value_name = "A", default_value_t = 0.0, value_parser = values::finite)]
+    #[arg(allow_negative_numbers = true)]
+    pub defocus: f64,
+    /// Aberration coefficient in A, with azimuth in rad: C12=30@0.3, C30=1e5 (repeatable)
+    #[arg(long, value_name = "Cnm=A[@RAD]", value_parser = values::aberration)]
+    pub aberration: Vec<Aberration>,
+    /// Annular detector, inner and outer angle in mrad; BF=0-20, ABF=10-20, ADF=40-100
+    /// (repeatable) [default: HAADF=68-200]
+    #[arg(long, value_name = "NAME=IN-OUT", value_parser = values::detector)]
+    pub detector: Vec<Detector>,
+    /// Go on when a detector reaches beyond what the grid carries
+    #[arg(long)]
+    pub allow_empty_angles: bool,
+}
+
+/// The engine.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Numerics")]
+pub struct NumericsArgs {
+    /// How probes are propagated [default: multislice]
+    #[arg(long, value_name = "NAME")]
+    pub algorithm: Option<Engine>,
+    /// PRISM interpolation factor, or one for x and one for y [default: 1]
+    #[arg(long, value_name = "F[,FY]", value_parser = values::factors, conflicts_with = "window")]
+    pub interpolation: Option<[usize; 2]>,
+    /// Width of the window that follows each probe, in A [default: 11.7]
+    #[arg(long, value_name = "A", value_parser = values::finite, allow_negative_numbers = true)]
+    pub window: Option<f64>,
+    /// Pixel of the grid in A, at most [default: carries 1.2 times the outermost detector angle]
+    #[arg(long, value_name = "A", value_parser = values::finite, allow_negative_numbers = true)]
+    #[arg(conflicts_with = "gpts")]
+    pub sampling: Option<f64>,
+    /// Grid points along x and y
+    #[arg(long, value_name = "NX,NY", value_parser = values::counts2)]
+    pub gpts: Option<[usize; 2]>,
+    /// Slices of equal thickness, at most so many A [default: one slice per atomic plane]
+    #[arg(long, value_name = "A", value_parser = values::finite, allow_negative_numbers = true)]
+    pub slice_thickness: Option<f64>,
+    /// How an atom is distributed over slices
+    #[arg(long, value_name = "NAME", default_value = "infinite")]
+    pub projection: ProjectionName,
+    /// Table of scattering factors
+    #[arg(long, value_name = "NAME", default_value = "lobato")]
+    pub parametrization: ParametrizationName,
+    /// Radius of the anti-aliasing disk, in units of Nyquist [default: 2/3, without aliasing]
+    #[arg(long, value_name = "F", value_parser = values::finite, allow_negative_numbers = true)]
+    pub band_fraction: Option<f64>,
+    /// Width of the soft edge inside that disk, in units of Nyquist
+    #[arg(long, value_name = "F", default_value_t = 0.0, value_parser = values::finite)]
+    #[arg(allow_negative_numbers = true)]
+    pub band_taper: f64,
+    /// Potentials on a grid so many times finer [default: finer than 0.0125 A]
+    #[arg(long, value_name = "N")]
+    pub oversampling: Option<usize>,
+}
+
+impl NumericsArgs {
+    /// The algorithm that the options stand for.
+    pub fn algorithm(&self) -> anyhow::Result<Algorithm> {
+        algorithm(self.algorithm, self.window, self.interpolation, Engine::Multislice, [1, 1])
+    }
+}
+
+/// The algorithm `named`, or else the one that `--window` or `--interpolation` implies, or else
+/// `default`. `factors` are the interpolation factors unless given.
+pub fn algorithm(
+    named: Option<Engine>,
+    window: Option<f64>,
+    interpolation: Option<[usize; 2]>,
+    default: Engine,
+    factors: [usize; 2],
+) -> anyhow::Result<Algorithm> {
+    let implied = match (window, interpolation) {
+        (Some(_), _) => Engine::Window,
+        (None, Some(_)) => Engine::Prism,
+        (None, None) => named.unwrap_or(default),
+    };
+    let engine = named.unwrap_or(implied);
+    if window.is_some() && engine != Engine::Window {
+        bail!("--window belongs to the algorithm `window`, not to `{}`", name(engine));
+    }
+    if interpolation.is_some() && engine != Engine::Prism {
+        bail!("--interpolation belongs to the algorithm `prism`, not to `{}`", name(engine));
+    }
+    Ok(match engine {
+        Engine::Multislice => Algorithm::Multislice,
+        Engine::Prism => Algorithm::Prism { interpolation: interpolation.unwrap_or(factors) },
+        Engine::Window => Algorithm::Window { width_angstrom: window.unwrap_or(WINDOW_ANGSTROM) },
+    })
+}
+
+fn name(engine: Engine) -> &'static str {
+    match engine {
+        Engine::Multislice => "multislice",
+        Engine::Prism => "prism",
+        Engine::Window => "window",
+    }
+}
+
+impl MicroscopeArgs {
+    fn optics(&self) -> Optics {
+        let mut aberrations = Aberrations::defocus(self.defocus);
+        aberrations.0.extend(self.aberration.iter().copied());
+        Optics {
+            energy_ev: self.energy * 1e3,
+            semiangle_mrad: self.semiangle,
+            aberrations,
+            ..Optics::default()
+        }
+    }
+}
+
+/// The settings of the engine for a scan.
+pub fn settings(
+    microscope: &MicroscopeArgs,
+    numerics: &NumericsArgs,
+    phonons: Option<Phonons>,
+    thicknesses_angstrom: Vec<f64>,
+) -> anyhow::Result<Settings> {
+    let grid = match (numerics.sampling, numerics.gpts) {
+        (_, Some(points)) => GridChoice::Points(points),
+        (Some(sampling), None) => GridChoice::Sampling(sampling),
+        (None, None) => GridChoice::Auto,
+    };
+    let given = &microscope.detector;
+    let default = Settings::default();
+    Ok(Settings {
+        optics: microscope.optics(),
+        detectors: if given.is_empty() { default.detectors.clone() } else { given.clone() },
+        parametrization: numerics.parametrization.into(),
+        projection: numerics.projection.into(),
+        slicing: numerics.slice_thickness.map_or(Slicing::Planes, Slicing::Thickness),
+        grid,
+        algorithm: numerics.algorithm()?,
+        band_fraction: numerics.band_fraction.unwrap_or(EXACT_BAND_FRACTION),
+        band_taper: numerics.band_taper,
+        oversampling: numerics.oversampling,
+        phonons,
+        thicknesses_angstrom,
+        beyond_limit: match microscope.allow_empty_angles {
+            true => BeyondLimit::Warn,
+            false => BeyondLimit::Error,
+        },
+        ..default
+    })
+}

@@ -1,0 +1,63 @@
+//! The command line: one file per subcommand.
+
+mod build;
+mod common;
+mod estimate;
+mod hints;
+mod imaging;
+mod output;
+mod pictures;
+mod plane_wave;
+mod progress;
+mod scan;
+mod show;
+mod simulate;
+mod specimen;
+mod text;
+mod values;
+
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+
+/// Simulates STEM images and generates whole annotated specimens (worlds).
+#[derive(Debug, Parser)]
+#[command(name = "stemgen", version, max_term_width = 100, after_help = EXAMPLES)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  stemgen simulate si.cif --repeat 3,3,10 --scan-end 5.431,5.431 --png
+  stemgen build srtio3 --difficulty easy --grid 2x2
+
+`stemgen COMMAND --help` explains every option, with more examples.";
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Simulate(Box<simulate::Simulate>),
+    Build(Box<build::Build>),
+}
+
+/// Runs the program and reports what went wrong.
+pub fn main() -> ExitCode {
+    let (name, result) = match Cli::parse().command {
+        Command::Simulate(command) => ("simulate", command.run()),
+        Command::Build(command) => ("build", command.run()),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => hints::report(&error, name),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_definition_of_the_command_line_is_consistent() {
+        super::Cli::command().debug_assert();
+    }
+}

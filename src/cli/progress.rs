@@ -1,0 +1,225 @@
+//! Progress on standard error: bars on a terminal, lines elsewhere; Ctrl-C.
+
+use super::text;
+use anyhow::Context;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::collections::VecDeque;
+use std::io::IsTerminal;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+use stemgen::progress::Progress;
+
+/// Exit code after Ctrl-C, as shells have it.
+pub const INTERRUPTED: u8 = 130;
+/// Lines of progress: the first after, then every.
+const FIRST_LINE: Duration = Duration::from_secs(3);
+const LINE_EVERY: Duration = Duration::from_secs(8);
+/// The rate is that of the last so many seconds.
+const RATE_WINDOW: Duration = Duration::from_secs(60);
+/// A single report of so many units is work that an earlier run has done; it says nothing about
+/// the rate.
+const FOUND_DONE: u64 = 2000;
+
+/// Draws progress and notes interruptions.
+pub struct Reporter {
+    mode: Mode,
+    interrupted: Arc<AtomicBool>,
+    begun: Instant,
+    done: AtomicU64,
+    found: AtomicU64,
+    /// Milliseconds since `begun` before which there is nothing to draw.
+    next_ms: AtomicU64,
+    stage: Mutex<Option<Stage>>,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Mode {
+    Quiet,
+    Lines,
+    Bars,
+}
+
+struct Stage {
+    name: String,
+    unit: String,
+    total: u64,
+    meter: Meter,
+    last_line: Option<Instant>,
+    bar: Option<ProgressBar>,
+}
+
+/// Rate of the recent past.
+struct Meter {
+    begun: Instant,
+    samples: VecDeque<(Instant, u64)>,
+}
+
+impl Reporter {
+    /// Takes over Ctrl-C and SIGTERM.
+    pub fn new(quiet: bool) -> anyhow::Result<Self> {
+        let mode = match (quiet, std::io::stderr().is_terminal()) {
+            (true, _) => Mode::Quiet,
+            (false, true) => Mode::Bars,
+            (false, false) => Mode::Lines,
+        };
+        let interrupted = Arc::new(AtomicBool::new(false));
+        let flag = Arc::clone(&interrupted);
+        let handler = move || {
+            if flag.swap(true, Relaxed) {
+                std::process::exit(i32::from(INTERRUPTED));
+            }
+            text::complain("\nstopping; press Ctrl-C again to stop at once");
+        };
+        ctrlc::set_handler(handler).context("cannot listen for Ctrl-C")?;
+        Ok(Reporter {
+            mode,
+            interrupted,
+            begun: Instant::now(),
+            done: AtomicU64::new(0),
+            found: AtomicU64::new(0),
+            next_ms: AtomicU64::new(0),
+            stage: Mutex::new(None),
+        })
+    }
+
+    fn stage(&self) -> MutexGuard<'_, Option<Stage>> {
+        // What is drawn is right even if another thread panicked while drawing.
+        self.stage.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn draw(&self) {
+        let Ok(mut guard) = self.stage.try_lock() else { return };
+        let Some(stage) = guard.as_mut() else { return };
+        let now = Instant::now();
+        let done = self.done.load(Relaxed).min(stage.total);
+        let rate = stage.meter.rate(now, done.saturating_sub(self.found.load(Relaxed)));
+        match &stage.bar {
+            Some(bar) => {
+                bar.set_position(done);
+                bar.set_message(stage.describe(done, rate));
+            }
+            None => stage.line(now, done, rate),
+        }
+    }
+}
+
+impl Progress for Reporter {
+    fn start(&self, name: &str, unit: &str, total: u64) {
+        let bar = (self.mode == Mode::Bars).then(|| new_bar(name, total));
+        let meter = Meter { begun: Instant::now(), samples: VecDeque::new() };
+        let plural = if unit.ends_with('s') { unit.to_owned() } else { format!("{unit}s") };
+        let (name, last_line) = (name.to_owned(), None);
+        let stage = Stage { name, unit: plural, total, meter, last_line, bar };
+        self.done.store(0, Relaxed);
+        self.found.store(0, Relaxed);
+        self.next_ms.store(0, Relaxed);
+        *self.stage() = Some(stage);
+    }
+
+    fn advance(&self, n: u64) {
+        self.done.fetch_add(n, Relaxed);
+        if n >= FOUND_DONE {
+            self.found.fetch_add(n, Relaxed);
+        }
+        let now = self.begun.elapsed().as_millis() as u64;
+        let next = self.next_ms.load(Relaxed);
+        let pause = if self.mode == Mode::Bars { 100 } else { 1000 };
+        if self.mode != Mode::Quiet
+            && now >= next
+            && self.next_ms.compare_exchange(next, now + pause, Relaxed, Relaxed).is_ok()
+        {
+            self.draw();
+        }
+    }
+
+    fn finish(&self) {
+        if let Some(Stage { bar: Some(bar), .. }) = self.stage().take() {
+            bar.finish_and_clear();
+        }
+    }
+
+    fn warn(&self, message: &str) {
+        // After Ctrl-C the error and its hint say what matters.
+        if self.mode == Mode::Quiet || self.interrupted() {
+            return;
+        }
+        let print = || text::complain(&format!("warning: {message}"));
+        match self.stage().as_ref().and_then(|s| s.bar.as_ref()) {
+            Some(bar) => bar.suspend(print),
+            None => print(),
+        }
+    }
+
+    fn interrupted(&self) -> bool {
+        self.interrupted.load(Relaxed)
+    }
+}
+
+impl Stage {
+    fn describe(&self, done: u64, rate: Option<f64>) -> String {
+        let of = format!("{} of {} {}", text::count(done), text::count(self.total), self.unit);
+        match rate {
+            Some(rate) if rate > 0.0 => {
+                let left = text::duration((self.total - done) as f64 / rate);
+                format!("{of}, {} per s, {left} left", text::significant(rate, 2))
+            }
+            _ => of,
+        }
+    }
+
+    fn line(&mut self, now: Instant, done: u64, rate: Option<f64>) {
+        let due = match self.last_line {
+            Some(last) => now >= last + LINE_EVERY,
+            None => now >= self.meter.begun + FIRST_LINE,
+        };
+        if due {
+            self.last_line = Some(now);
+            let percent = 100.0 * done as f64 / self.total.max(1) as f64;
+            let text = self.describe(done, rate);
+            text::complain(&format!("{}: {percent:.0} %, {text}", self.name));
+        }
+    }
+}
+
+impl Meter {
+    /// Units per second since the first sample, which comes with the first unit, so that what had to
+    /// be prepared does not count; unknown at first.
+    fn rate(&mut self, now: Instant, done: u64) -> Option<f64> {
+        if self.samples.back().is_none_or(|(t, _)| now > *t + Duration::from_secs(1)) {
+            self.samples.push_back((now, done));
+        }
+        while self.samples.len() > 2 && now > self.samples[1].0 + RATE_WINDOW {
+            self.samples.pop_front();
+        }
+        let &(then, before) = self.samples.front()?;
+        let seconds = now.saturating_duration_since(then).as_secs_f64();
+        (seconds > 1.0).then(|| done.saturating_sub(before) as f64 / seconds)
+    }
+}
+
+fn new_bar(name: &str, total: u64) -> ProgressBar {
+    let bar = ProgressBar::with_draw_target(Some(total), ProgressDrawTarget::stderr_with_hz(10));
+    let style = ProgressStyle::with_template("{prefix} {wide_bar} {percent:>3} %  {msg}");
+    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+    bar.set_prefix(name.to_owned());
+    bar
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_rate_is_that_of_the_recent_past() {
+        let begun = Instant::now();
+        let mut meter = Meter { begun, samples: VecDeque::new() };
+        let at = |s: u64| begun + Duration::from_secs(s);
+        assert_eq!(meter.rate(at(0), 0), None);
+        for s in 1..=100 {
+            meter.rate(at(s), 10 * s);
+        }
+        let fast = (101..=200).filter_map(|s| meter.rate(at(s), 1000 + 50 * (s - 100))).last();
+        assert!((fast.unwrap() - 50.0).abs() < 1e-9, "{fast:?}");
+    }
+}

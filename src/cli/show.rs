@@ -1,0 +1,189 @@
+//! Plans as text and as JSON, for `--dry-run`.
+
+use super::{estimate, text};
+use serde::Serialize;
+use stemgen::engine::plan::Grid;
+use stemgen::engine::{Plan, Scan};
+
+/// What a simulation will do.
+#[derive(Debug, Serialize)]
+pub struct PlanReport {
+    /// Algorithm and its parameters.
+    pub algorithm: stemgen::engine::Algorithm,
+    /// Grid of the waves.
+    pub wave_grid: GridReport,
+    /// Grid of the transmission functions.
+    pub transmission_grid: GridReport,
+    /// Grid of the potentials.
+    pub potential_grid: GridReport,
+    /// Largest angle carried, in mrad.
+    pub band_limit_mrad: f64,
+    /// Electron wavelength in Angstrom.
+    pub wavelength_angstrom: f64,
+    /// Slices.
+    pub slices: SliceReport,
+    /// Thicknesses recorded, in Angstrom.
+    pub thicknesses_angstrom: Vec<f64>,
+    /// Plane waves of PRISM, or 0.
+    pub beams: usize,
+    /// Phonon configurations.
+    pub configurations: u32,
+    /// Probes per simulation.
+    pub probes: usize,
+    /// The largest arrays, in bytes.
+    pub memory_bytes: u64,
+    /// Threads.
+    pub threads: usize,
+    /// Estimated time in seconds, from the speed of transforms measured now.
+    pub estimated_time_s: f64,
+    /// Things to know.
+    pub warnings: Vec<String>,
+}
+
+/// A grid.
+#[derive(Debug, Serialize)]
+pub struct GridReport {
+    points: [usize; 2],
+    extent_angstrom: [f64; 2],
+    sampling_angstrom: [f64; 2],
+}
+
+/// Slices.
+#[derive(Debug, Serialize)]
+pub struct SliceReport {
+    count: usize,
+    thinnest_angstrom: f64,
+    thickest_angstrom: f64,
+}
+
+impl From<&Grid> for GridReport {
+    fn from(grid: &Grid) -> Self {
+        GridReport {
+            points: grid.points,
+            extent_angstrom: grid.extent_angstrom,
+            sampling_angstrom: grid.sampling_angstrom(),
+        }
+    }
+}
+
+impl GridReport {
+    fn text(&self) -> String {
+        let [nx, ny] = self.points;
+        let [lx, ly] = self.extent_angstrom;
+        let [sx, sy] = self.sampling_angstrom;
+        format!("{nx} x {ny} points over {lx:.2} x {ly:.2} A ({sx:.4} x {sy:.4} A)")
+    }
+}
+
+impl PlanReport {
+    /// Of a plan that runs `runs` times, for `probes` probes each.
+    pub fn new(plan: &Plan, probes: usize, runs: usize) -> Self {
+        let thickness = plan.slices.boundaries.windows(2).map(|w| w[1] - w[0]);
+        let slices = SliceReport {
+            count: plan.slices.len(),
+            thinnest_angstrom: thickness.clone().fold(f64::INFINITY, f64::min),
+            thickest_angstrom: thickness.fold(0.0, f64::max),
+        };
+        let threads = estimate::threads();
+        PlanReport {
+            algorithm: plan.settings.algorithm,
+            wave_grid: (&plan.wave_grid).into(),
+            transmission_grid: (&plan.transmission_grid).into(),
+            potential_grid: (&plan.potential_grid).into(),
+            band_limit_mrad: plan.band_limit_mrad,
+            wavelength_angstrom: plan.settings.optics.wavelength_angstrom(),
+            slices,
+            thicknesses_angstrom: plan.thicknesses_angstrom(),
+            beams: plan.beams,
+            configurations: plan.settings.configurations(),
+            probes,
+            memory_bytes: plan.memory_bytes(threads, probes),
+            threads,
+            estimated_time_s: estimate::seconds(plan, probes, runs),
+            warnings: plan.warnings.clone(),
+        }
+    }
+
+    /// Name and value, line by line.
+    pub fn lines(&self, out: &mut Lines) {
+        out.add("algorithm", algorithm(&self.algorithm));
+        out.add("wave grid", self.wave_grid.text());
+        if self.transmission_grid.points != self.wave_grid.points {
+            out.add("transmission grid", self.transmission_grid.text());
+        }
+        out.add("potential grid", self.potential_grid.text());
+        out.add("band limit", format!("{:.1} mrad", self.band_limit_mrad));
+        let s = &self.slices;
+        let range = match s.thickest_angstrom - s.thinnest_angstrom < 1e-3 {
+            true => format!("{:.3} A", s.thickest_angstrom),
+            false => format!("{:.3} to {:.3} A", s.thinnest_angstrom, s.thickest_angstrom),
+        };
+        out.add("slices", format!("{} of {range}", s.count));
+        let recorded = self.thicknesses_angstrom.iter().map(|t| format!("{t:.2}"));
+        out.add("recorded at", format!("{} A", recorded.collect::<Vec<_>>().join(", ")));
+        if self.beams > 0 {
+            out.add("beams", text::count(self.beams as u64));
+        }
+        out.add(
+            "phonons",
+            match self.configurations {
+                1 => "1 configuration".into(),
+                n => format!("{n} configurations"),
+            },
+        );
+    }
+
+    /// Memory, time and warnings.
+    pub fn costs(&self, out: &mut Lines) {
+        out.add("memory", format!("about {}", text::bytes(self.memory_bytes)));
+        let plural = if self.threads == 1 { "thread" } else { "threads" };
+        let time = text::duration(self.estimated_time_s);
+        out.add(
+            "time",
+            format!(
+                "about {time} on {} {plural} (estimate from a short measurement)",
+                self.threads
+            ),
+        );
+        for warning in &self.warnings {
+            out.add("warning", warning.clone());
+        }
+    }
+}
+
+/// One line about an algorithm.
+pub fn algorithm(algorithm: &stemgen::engine::Algorithm) -> String {
+    use stemgen::engine::Algorithm::{Multislice, Prism, Window};
+    match algorithm {
+        Multislice => "multislice".into(),
+        Prism { interpolation: [x, y] } => format!("PRISM, interpolation {x},{y}"),
+        Window { width_angstrom } => format!("window of {width_angstrom} A"),
+    }
+}
+
+/// One line about a scan.
+pub fn scan(scan: &Scan) -> String {
+    let [rows, columns] = scan.shape;
+    let [x, y] = scan.step_angstrom;
+    let [x0, y0] = scan.origin_angstrom;
+    let n = text::count(scan.len() as u64);
+    format!("{n}: {columns} x {rows}, {x:.4} x {y:.4} A apart, from {x0:.3}, {y0:.3} A")
+}
+
+/// A table of names and values.
+#[derive(Debug, Default)]
+pub struct Lines(Vec<(&'static str, String)>);
+
+impl Lines {
+    /// Adds a line.
+    pub fn add(&mut self, name: &'static str, value: impl Into<String>) {
+        self.0.push((name, value.into()));
+    }
+
+    /// The table, names and values in columns.
+    pub fn text(&self) -> String {
+        let width = self.0.iter().map(|(name, _)| name.len()).max().unwrap_or(0);
+        let lines = self.0.iter().map(|(name, value)| format!("{name:width$}  {value}"));
+        lines.collect::<Vec<_>>().join("\n")
+    }
+}

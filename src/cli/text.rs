@@ -1,0 +1,105 @@
+//! Standard output, and numbers for people.
+
+use anyhow::Context;
+use std::io::{ErrorKind, Write};
+
+/// Prints a line on standard output. A reader that has closed the pipe (`| head`) is no fault.
+pub fn print(text: &str) -> anyhow::Result<()> {
+    let mut out = std::io::stdout().lock();
+    match writeln!(out, "{text}").and_then(|()| out.flush()) {
+        Err(e) if e.kind() == ErrorKind::BrokenPipe => Ok(()),
+        other => other.context("cannot write to standard output"),
+    }
+}
+
+/// Prints a line on standard error, if anybody is there.
+pub fn complain(text: &str) {
+    // Nothing is left to tell the failure to.
+    let _ = writeln!(std::io::stderr().lock(), "{text}");
+}
+
+/// `1.3 GB`.
+pub fn bytes(n: u64) -> String {
+    let units = ["B", "kB", "MB", "GB", "TB"];
+    let mut value = n as f64;
+    let mut unit = 0;
+    while value >= 999.5 && unit + 1 < units.len() {
+        value /= 1000.0;
+        unit += 1;
+    }
+    match unit {
+        0 => format!("{n} B"),
+        _ if value < 9.95 => format!("{value:.1} {}", units[unit]),
+        _ => format!("{value:.0} {}", units[unit]),
+    }
+}
+
+/// `0.4 s`, `45 s`, `3 min 20 s`, `2 h 05 min`, `3 d 04 h`.
+pub fn duration(seconds: f64) -> String {
+    let whole = seconds.max(0.0).round().min(1e15) as u64;
+    match whole {
+        0..10 => format!("{seconds:.1} s"),
+        10..100 => format!("{whole} s"),
+        100..6000 => format!("{} min {:02} s", whole / 60, whole % 60),
+        6000..360_000 => format!("{} h {:02} min", whole / 3600, whole % 3600 / 60),
+        _ => format!("{} d {:02} h", whole / 86_400, whole % 86_400 / 3600),
+    }
+}
+
+/// At least `digits` significant digits, without an exponent for usual sizes.
+pub fn significant(value: f64, digits: i32) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return format!("{value}");
+    }
+    let magnitude = value.abs().log10().floor() as i32;
+    if magnitude < -4 {
+        return format!("{value:.*e}", (digits - 1).max(0) as usize);
+    }
+    format!("{value:.*}", (digits - 1 - magnitude).max(0) as usize)
+}
+
+/// Whole numbers with a space between thousands: `12 345`.
+pub fn count(n: u64) -> String {
+    let digits = n.to_string();
+    let mut out = String::new();
+    for (i, c) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) && digits.len() > 4 {
+            out.push(' ');
+        }
+        out.push(c);
+    }
+    out
+}
+
+/// The command line as typed, quoted for a shell where need be.
+pub fn command_line() -> String {
+    let quote = |a: std::ffi::OsString| {
+        let text = a.to_string_lossy().into_owned();
+        let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,=@:+%".contains(c);
+        match !text.is_empty() && text.chars().all(plain) {
+            true => text,
+            false => format!("'{}'", text.replace('\'', r"'\''").replace('\0', "")),
+        }
+    };
+    let program = std::iter::once("stemgen".to_owned());
+    program.chain(std::env::args_os().skip(1).map(quote)).collect::<Vec<_>>().join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_readable() {
+        assert_eq!(bytes(12), "12 B");
+        assert_eq!(bytes(1_340_000_000), "1.3 GB");
+        assert_eq!(bytes(999_900), "1.0 MB");
+        assert_eq!(duration(0.04), "0.0 s");
+        assert_eq!(duration(200.0), "3 min 20 s");
+        assert_eq!(duration(7500.0), "2 h 05 min");
+        assert_eq!(significant(0.012345, 3), "0.0123");
+        assert_eq!(significant(1234.5, 3), "1234");
+        assert_eq!(significant(0.000012345, 3), "1.23e-5");
+        assert_eq!((count(1234), count(1_234_567)), ("1234".into(), "1 234 567".into()));
+    }
+}

@@ -1,0 +1,200 @@
+//! Parsers of option values. Their messages follow clap's `invalid value '...' for '...': `.
+
+use clap::ValueEnum;
+use std::collections::BTreeMap;
+use std::str::FromStr;
+use stemgen::detect::Detector;
+use stemgen::optics::Aberration;
+use stemgen::potential::projected::Projection;
+use stemgen::potential::scattering::Parametrization;
+use stemgen::structure::elements;
+use stemgen::world::Difficulty;
+
+type Parsed<T> = Result<T, String>;
+
+fn numbers<T: FromStr, const N: usize>(text: &str, separator: char, form: &str) -> Parsed<[T; N]> {
+    let parse = |part: &str| part.trim().parse().map_err(|_| format!("write {form}"));
+    let parts = text.split(separator).map(parse).collect::<Parsed<Vec<T>>>()?;
+    parts.try_into().map_err(|_| format!("write {form}"))
+}
+
+/// A finite number.
+pub fn finite(text: &str) -> Parsed<f64> {
+    let value = text.trim().parse().ok().filter(|v: &f64| v.is_finite());
+    value.ok_or_else(|| "write a number, such as 12.5".into())
+}
+
+/// `X,Y`.
+pub fn point(text: &str) -> Parsed<[f64; 2]> {
+    let point = numbers(text, ',', "two numbers, such as 0,3.9")?;
+    let finite = point.iter().all(|v: &f64| v.is_finite());
+    finite.then_some(point).ok_or_else(|| "both numbers must be finite".into())
+}
+
+/// `NX,NY`.
+pub fn counts2(text: &str) -> Parsed<[usize; 2]> {
+    numbers(text, ',', "two whole numbers, such as 512,512")
+}
+
+/// `NX,NY,NZ`.
+pub fn counts3(text: &str) -> Parsed<[usize; 3]> {
+    numbers(text, ',', "three whole numbers, such as 3,3,10")
+}
+
+/// `u,v,w`.
+pub fn direction(text: &str) -> Parsed<[i32; 3]> {
+    numbers(text, ',', "three whole numbers, such as 1,1,0")
+}
+
+/// `F` or `FX,FY`.
+pub fn factors(text: &str) -> Parsed<[usize; 2]> {
+    let form = "one or two whole numbers from 1 up, such as 4 or 4,2";
+    let both = if text.contains(',') { text.to_owned() } else { format!("{text},{text}") };
+    let factors: [usize; 2] = numbers(&both, ',', form)?;
+    (!factors.contains(&0)).then_some(factors).ok_or_else(|| format!("write {form}"))
+}
+
+/// `RxC`.
+pub fn rows_columns(text: &str) -> Parsed<[usize; 2]> {
+    numbers(&text.to_ascii_lowercase(), 'x', "rows x columns, such as 2x2")
+}
+
+/// `C12=30@0.3`.
+pub fn aberration(text: &str) -> Parsed<Aberration> {
+    Aberration::parse(text).map_err(|e| e.to_string())
+}
+
+/// `HAADF=68-200`.
+pub fn detector(text: &str) -> Parsed<Detector> {
+    let detector = Detector::parse(text).map_err(|e| e.to_string())?;
+    match detector.name.contains(|c: char| c.is_ascii_alphanumeric()) {
+        true => Ok(detector),
+        false => Err("the name needs a letter or digit".into()),
+    }
+}
+
+/// Standard deviations of thermal displacements in Angstrom.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Sigmas {
+    /// The same for all elements.
+    All(f64),
+    /// By atomic number.
+    ByElement(BTreeMap<u8, f64>),
+}
+
+/// Largest standard deviation accepted, in Angstrom: above, the crystal has melted.
+const LARGEST_SIGMA: f64 = 1.0;
+
+/// `0.08` or `Sr=0.084,O=0.085`.
+pub fn sigmas(text: &str) -> Parsed<Sigmas> {
+    let sigma = |text: &str| {
+        let value = finite(text).ok().filter(|v| (0.0..=LARGEST_SIGMA).contains(v));
+        value.ok_or_else(|| format!("`{text}`: write a length from 0 to {LARGEST_SIGMA} A"))
+    };
+    if !text.contains('=') {
+        return Ok(Sigmas::All(sigma(text)?));
+    }
+    let mut map = BTreeMap::new();
+    for part in text.split(',').filter(|p| !p.trim().is_empty()) {
+        let (symbol, value) =
+            part.split_once('=').ok_or_else(|| format!("`{part}`: write Sr=0.084,O=0.085"))?;
+        let number = elements::atomic_number(symbol).map_err(|e| e.to_string())?;
+        if map.insert(number, sigma(value)?).is_some() {
+            return Err(format!("{} is given twice", elements::symbol(number)));
+        }
+    }
+    Ok(Sigmas::ByElement(map))
+}
+
+/// Engines.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Engine {
+    /// Every probe on the full grid: exact
+    Multislice,
+    /// Probes put together from plane waves; exact with --interpolation 1
+    Prism,
+    /// Every probe in a small window that follows it
+    Window,
+}
+
+/// How an atom is distributed over slices.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ProjectionName {
+    /// The whole atom into the slice of its nucleus
+    Infinite,
+    /// Each slice gets its part of the atom
+    Finite,
+}
+
+impl From<ProjectionName> for Projection {
+    fn from(name: ProjectionName) -> Self {
+        match name {
+            ProjectionName::Infinite => Projection::Infinite,
+            ProjectionName::Finite => Projection::Finite,
+        }
+    }
+}
+
+/// Tables of scattering factors.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ParametrizationName {
+    /// Lobato & Van Dyck 2014
+    Lobato,
+    /// Kirkland 2010
+    Kirkland,
+    /// Peng et al. 1996
+    Peng,
+}
+
+impl From<ParametrizationName> for Parametrization {
+    fn from(name: ParametrizationName) -> Self {
+        match name {
+            ParametrizationName::Lobato => Parametrization::Lobato,
+            ParametrizationName::Kirkland => Parametrization::Kirkland,
+            ParametrizationName::Peng => Parametrization::Peng,
+        }
+    }
+}
+
+/// Tiers of a recipe.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Tier {
+    /// Many defects, much dose
+    Easy,
+    /// Between
+    Medium,
+    /// Few defects, little dose
+    Hard,
+}
+
+impl From<Tier> for Difficulty {
+    fn from(tier: Tier) -> Self {
+        match tier {
+            Tier::Easy => Difficulty::Easy,
+            Tier::Medium => Difficulty::Medium,
+            Tier::Hard => Difficulty::Hard,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_read_and_bad_ones_explained() {
+        assert_eq!(factors("4"), Ok([4, 4]));
+        assert_eq!(factors("4,2"), Ok([4, 2]));
+        assert!(factors("0").is_err() && factors("1,2,3").is_err());
+        assert_eq!(rows_columns("2X3"), Ok([2, 3]));
+        assert_eq!(direction("-1,1,0"), Ok([-1, 1, 0]));
+        assert!(point("1,nan").is_err() && finite("inf").is_err());
+        assert_eq!(sigmas("0.08"), Ok(Sigmas::All(0.08)));
+        let both = BTreeMap::from([(8, 0.085), (38, 0.084)]);
+        assert_eq!(sigmas("Sr=0.084, O=0.085"), Ok(Sigmas::ByElement(both)));
+        for bad in ["", "-1", "Xx=0.1", "Sr=", "Sr=0.1,Sr=0.2", "Sr=0.1,O", "5"] {
+            assert!(sigmas(bad).is_err(), "{bad}");
+        }
+        assert!(detector("..=1-2").is_err());
+    }
+}

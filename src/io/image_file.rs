@@ -1,0 +1,175 @@
+//! Files of simulated images. Their schema is here only.
+//!
+//! - `/` attributes: `format` ("stemgen images"), `format_version`, `stemgen_version`,
+//!   `command_line`, `settings` (JSON), `structure_file`, `wavelength_angstrom`, `band_limit_mrad`,
+//!   `wall_time_s`;
+//! - `/images/NAME`: float32, always (thickness, y, x), with `units`, `axes`, `sampling_angstrom` and
+//!   `origin_angstrom` as (y, x), `thicknesses_angstrom`, and `inner_mrad`, `outer_mrad` of a
+//!   detector;
+//! - `/exit_wave` of a plane wave: complex64, (configuration, y, x), with `sampling_angstrom`;
+//! - `/specimen`: `cell` (rows are vectors) and `positions` in Angstrom, `numbers`,
+//!   `sigma_angstrom`; mean positions of the atoms that were simulated.
+
+use std::path::Path;
+
+use hdf5::types::VarLenUnicode;
+use hdf5::{File, Group};
+use ndarray::{ArrayView1, ArrayView2, ArrayView3};
+use num_complex::Complex32;
+
+use super::At;
+use super::world_writer::{number, text};
+use crate::atomic;
+use crate::engine::Site;
+use crate::error::Result;
+
+/// Version of this schema.
+const FORMAT_VERSION: i64 = 1;
+const DEFLATE: u8 = 1;
+
+/// What is stored besides images.
+#[derive(Debug, Clone)]
+pub struct Origin<'a> {
+    /// The command as typed.
+    pub command_line: String,
+    /// Settings as JSON.
+    pub settings: String,
+    /// Name of the file of the structure.
+    pub structure_file: String,
+    /// Electron wavelength in Angstrom.
+    pub wavelength_angstrom: f64,
+    /// Largest angle carried, in mrad.
+    pub band_limit_mrad: f64,
+    /// Time taken in s.
+    pub wall_time_s: f64,
+    /// Edges of the box in Angstrom.
+    pub box_angstrom: [f64; 3],
+    /// The atoms.
+    pub sites: &'a [Site],
+}
+
+/// One image per thickness.
+#[derive(Debug, Clone)]
+pub struct ImageStack<'a> {
+    /// Name of the dataset.
+    pub name: &'a str,
+    /// (thickness, y, x)
+    pub data: ArrayView3<'a, f32>,
+    /// What the values are fractions of.
+    pub units: &'a str,
+    /// Pixel (x, y) in Angstrom.
+    pub step_angstrom: [f64; 2],
+    /// Position (x, y) of the first pixel in Angstrom.
+    pub origin_angstrom: [f64; 2],
+    /// Thicknesses in Angstrom.
+    pub thicknesses_angstrom: &'a [f64],
+    /// Inner and outer angle of the detector in mrad.
+    pub annulus_mrad: Option<[f64; 2]>,
+}
+
+/// Exit waves of a plane wave.
+#[derive(Debug, Clone, Copy)]
+pub struct ExitWaves<'a> {
+    /// (configuration, y, x)
+    pub data: ArrayView3<'a, Complex32>,
+    /// Pixel (x, y) in Angstrom.
+    pub step_angstrom: [f64; 2],
+}
+
+/// Writes a file of images. It appears complete or not at all; an existing one is replaced only if
+/// `overwrite`.
+///
+/// # Errors
+/// [`crate::Error::Io`], [`crate::Error::Hdf5`].
+pub fn write_images(
+    path: &Path,
+    overwrite: bool,
+    origin: &Origin,
+    images: &[ImageStack],
+    exit_waves: Option<ExitWaves>,
+) -> Result<()> {
+    atomic::write_with(path, overwrite, |temporary| {
+        let write = || -> hdf5::Result<()> {
+            let file = File::create(temporary)?;
+            write_origin(&file, origin)?;
+            write_specimen(&file.create_group("specimen")?, origin)?;
+            let group = file.create_group("images")?;
+            images.iter().try_for_each(|stack| write_stack(&group, stack))?;
+            if let Some(waves) = exit_waves {
+                write_waves(&file, waves)?;
+            }
+            file.flush()
+        };
+        write().at(path)
+    })
+}
+
+fn write_origin(file: &File, o: &Origin) -> hdf5::Result<()> {
+    text(file, "format", "stemgen images")?;
+    number(file, "format_version", FORMAT_VERSION)?;
+    text(file, "stemgen_version", env!("CARGO_PKG_VERSION"))?;
+    text(file, "command_line", &o.command_line)?;
+    text(file, "settings", &o.settings)?;
+    text(file, "structure_file", &o.structure_file)?;
+    number(file, "wavelength_angstrom", o.wavelength_angstrom)?;
+    number(file, "band_limit_mrad", o.band_limit_mrad)?;
+    number(file, "wall_time_s", o.wall_time_s)
+}
+
+fn write_specimen(group: &Group, o: &Origin) -> hdf5::Result<()> {
+    let [x, y, z] = o.box_angstrom;
+    let cell = ndarray::arr2(&[[x, 0.0, 0.0], [0.0, y, 0.0], [0.0, 0.0, z]]);
+    let cell = group.new_dataset_builder().with_data(&cell).create("cell")?;
+    text(&cell, "units", "Angstrom")?;
+    let positions: Vec<[f64; 3]> = o.sites.iter().map(|s| s.position).collect();
+    let rows = ArrayView2::from_shape((positions.len(), 3), positions.as_flattened())
+        .map_err(|e| hdf5::Error::Internal(e.to_string()))?;
+    let positions = group.new_dataset_builder().with_data(rows).create("positions")?;
+    text(&positions, "units", "Angstrom")?;
+    text(&positions, "axes", "x, y, z; the beam runs along +z")?;
+    let numbers: Vec<i32> = o.sites.iter().map(|s| i32::from(s.number)).collect();
+    group.new_dataset_builder().with_data(&numbers).create("numbers")?;
+    let sigmas: Vec<f64> = o.sites.iter().map(|s| s.sigma_angstrom).collect();
+    group.new_dataset_builder().with_data(&sigmas).create("sigma_angstrom").map(drop)
+}
+
+fn write_stack(group: &Group, stack: &ImageStack) -> hdf5::Result<()> {
+    let data = stack.data.as_standard_layout();
+    let (_, rows, columns) = stack.data.dim();
+    let builder = group.new_dataset_builder().chunk((1, rows, columns)).shuffle().deflate(DEFLATE);
+    let dataset = builder.with_data(&data).create(stack.name)?;
+    text(&dataset, "units", stack.units)?;
+    axes(&dataset, ["thickness", "y", "x"])?;
+    let [x, y] = stack.step_angstrom;
+    array(&dataset, "sampling_angstrom", &[y, x])?;
+    let [x, y] = stack.origin_angstrom;
+    array(&dataset, "origin_angstrom", &[y, x])?;
+    array(&dataset, "thicknesses_angstrom", stack.thicknesses_angstrom)?;
+    match stack.annulus_mrad {
+        None => Ok(()),
+        Some([inner, outer]) => {
+            number(&dataset, "inner_mrad", inner)?;
+            number(&dataset, "outer_mrad", outer)
+        }
+    }
+}
+
+fn write_waves(file: &File, waves: ExitWaves) -> hdf5::Result<()> {
+    let data = waves.data.as_standard_layout();
+    let dataset = file.new_dataset_builder().with_data(&data).create("exit_wave")?;
+    text(&dataset, "units", "amplitude; that of the incident wave is 1")?;
+    axes(&dataset, ["configuration", "y", "x"])?;
+    let [x, y] = waves.step_angstrom;
+    array(&dataset, "sampling_angstrom", &[y, x])
+}
+
+fn axes(at: &hdf5::Location, names: [&str; 3]) -> hdf5::Result<()> {
+    let bad = |_| hdf5::Error::Internal("axis holds a NUL".into());
+    let names = names.iter().map(|n| n.parse().map_err(bad));
+    let names = names.collect::<hdf5::Result<Vec<VarLenUnicode>>>()?;
+    at.new_attr_builder().with_data(&names).create("axes").map(drop)
+}
+
+fn array(at: &hdf5::Location, name: &str, values: &[f64]) -> hdf5::Result<()> {
+    at.new_attr_builder().with_data(ArrayView1::from(values)).create(name).map(drop)
+}

@@ -1,0 +1,118 @@
+//! `stemgen build`.
+
+use super::{file, json, python, stderr, stdout, stemgen};
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+fn tiny(folder: &Path) -> Command {
+    let mut command = stemgen(folder);
+    command.args(["build", "--recipe", &file("tests/cli/tiny.toml")]);
+    command
+}
+
+/// Small sub-tiles, so that there are many.
+const SUBTILES: [&str; 4] = ["--subtile", "0.6", "--subtile-overlap", "0.1"];
+
+#[test]
+fn a_world_is_built_with_its_picture() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = tiny(folder.path()).args(["--seed", "7", "--keep-clean"]).output().unwrap();
+    assert!(run.status.success(), "{}", stderr(&run));
+    let told = stdout(&run);
+    for part in ["2 x 2: 28 x 28 pixels", "worlds/tiny.h5", "worlds/tiny.png", "window, 1 sub-tile"]
+    {
+        assert!(told.contains(part), "{part}: {told}");
+    }
+    let digest = python("digest.py", &[&folder.path().join("worlds/tiny.h5")]);
+    for part in ["clean/1_1 (16, 16) float32", "ground_truth/atom_positions", "overview"] {
+        assert!(digest.contains(part), "{digest}");
+    }
+    let again = tiny(folder.path()).output().unwrap();
+    assert_eq!(again.status.code(), Some(1));
+    assert!(stderr(&again).contains("--overwrite"), "{}", stderr(&again));
+    let summary = json(tiny(folder.path()).args(["--overwrite", "--no-noise", "--quiet"]));
+    assert_eq!(summary["dose_electrons_per_angstrom2"], serde_json::Value::Null);
+}
+
+#[test]
+fn threads_change_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, threads) in [("one.h5", "1"), ("two.h5", "2")] {
+        let mut command = tiny(folder.path());
+        let run = command.args(SUBTILES).args(["-o", name, "--threads", threads]).output().unwrap();
+        assert!(run.status.success(), "{}", stderr(&run));
+    }
+    let digest = |name: &str| python("digest.py", &[&folder.path().join(name)]);
+    assert_eq!(digest("one.h5"), digest("two.h5"));
+}
+
+#[test]
+fn a_dry_run_tells_the_plan() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = stemgen(folder.path());
+    command.args(["build", "srtio3", "--difficulty", "easy", "--grid", "2x2", "--dry-run"]);
+    let plan = json(&mut command);
+    assert_eq!((&plan["tiles"], &plan["subtiles"]), (&serde_json::json!([2, 2]), &4.into()));
+    assert_eq!((&plan["slices"]["count"], &plan["configurations"]), (&52.into(), &4.into()));
+    assert!(plan["memory_bytes"].as_f64().unwrap() < 2e9 * plan["threads"].as_f64().unwrap());
+    assert_eq!(plan["output"], "worlds/srtio3_easy_2x2.h5");
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+}
+
+#[test]
+fn every_method_has_fitting_defaults() {
+    let folder = tempfile::tempdir().unwrap();
+    let methods: [&[&str]; 7] = [
+        &["--engine", "prism"],
+        &["--engine", "multislice"],
+        &["--engine", "window", "--window", "9"],
+        &["--interpolation", "2,3"],
+        &["--subtile", "2"],
+        &["--profile", "default"],
+        &["--profile", "published"],
+    ];
+    for method in methods {
+        let mut command = stemgen(folder.path());
+        command.args(["build", "srtio3", "--difficulty", "hard", "--dry-run"]).args(method);
+        let plan = json(&mut command);
+        assert!(plan["estimated_time_s"].as_f64().unwrap() > 0.0, "{method:?}");
+    }
+}
+
+/// Waits until `done` or a minute is over.
+fn wait_for(done: impl Fn() -> bool) -> bool {
+    let begun = Instant::now();
+    while begun.elapsed() < Duration::from_secs(60) {
+        if done() {
+            return true;
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    false
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupted_build_leaves_no_file_and_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let recipe = std::fs::read_to_string(file("tests/cli/tiny.toml")).unwrap();
+    let slow = recipe.replace("configurations = 1", "configurations = 12");
+    std::fs::write(folder.path().join("slow.toml"), slow).unwrap();
+    let arguments = [&["build", "--recipe", "slow.toml", "-o", "w.h5"][..], &SUBTILES].concat();
+    let mut command = stemgen(folder.path());
+    let child = command.args(&arguments).stderr(Stdio::piped()).stdout(Stdio::null());
+    let child = child.spawn().unwrap();
+    let first = folder.path().join("w.h5.work/subtile_000000.bin");
+    assert!(wait_for(|| first.exists()));
+    let kill = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(kill.success());
+    let stopped = child.wait_with_output().unwrap();
+    let told = stderr(&stopped);
+    assert_eq!(stopped.status.code(), Some(130), "{told}");
+    assert!(told.contains("error: interrupted") && told.contains("goes on from there"), "{told}");
+    assert!(!folder.path().join("w.h5").exists() && first.exists());
+    let summary = json(stemgen(folder.path()).args(&arguments));
+    assert!(summary["subtiles_resumed"].as_u64().unwrap() >= 1, "{summary}");
+    assert!(folder.path().join("w.h5").exists() && !folder.path().join("w.h5.work").exists());
+}

@@ -1,0 +1,96 @@
+//! Whatever is wrong: one error, one hint, a code that is not 0, and no panic.
+
+use super::{file, stderr, stemgen};
+use std::path::Path;
+
+/// Runs and returns what stands on standard error.
+fn fails(folder: &Path, arguments: &[&str]) -> String {
+    let output = stemgen(folder).args(arguments).output().unwrap();
+    let told = stderr(&output);
+    let code = output.status.code();
+    assert!(code == Some(1) || code == Some(2), "{arguments:?}: {code:?} {told}");
+    assert!(!told.contains("panicked"), "{told}");
+    assert_eq!(told.matches("error: ").count(), 1, "{told}");
+    if code == Some(1) {
+        assert_eq!(told.lines().filter(|l| l.starts_with("hint: ")).count(), 1, "{told}");
+    }
+    told
+}
+
+#[test]
+fn bad_input_is_explained() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    std::fs::write(here.join("there.h5"), "precious").unwrap();
+    let odd = "1\nLattice=\"4 0 0 0 4 0 0 0 4\" Properties=species:S:1:pos:R:3\nXx 0 0 0\n";
+    std::fs::write(here.join("odd.xyz"), odd).unwrap();
+    let cif = std::fs::read_to_string(file("structures/si.cif")).unwrap();
+    std::fs::write(here.join("cut.cif"), &cif[..cif.len() - 10]).unwrap();
+    let tilted = "1\nLattice=\"4 1 0 0 4 0 0 0 4\" Properties=species:S:1:pos:R:3\nSi 0 0 0\n";
+    std::fs::write(here.join("tilted.xyz"), tilted).unwrap();
+    let si = &file("structures/si.cif");
+    let srtio3 = &file("structures/srtio3.cif");
+    let cases: [(&[&str], &[&str]); 19] = [
+        (&["none.cif"], &["none.cif", "check the name"]),
+        (&["there.h5"], &["there.h5", ".cif"]),
+        (&["odd.xyz"], &["odd.xyz:3", "Xx"]),
+        (&["cut.cif"], &["cut.cif:"]),
+        (&["tilted.xyz"], &["--zone"]),
+        (&[si, "--sampling", "0.05"], &["`HAADF` reaches 200.0 mrad", "--sampling 0.041"]),
+        (&[si, "--sampling", "-0.05"], &["-0.05", "--sampling"]),
+        (&[si, "--sampling", "1e-9"], &["--sampling"]),
+        (&[si, "--energy", "0"], &["energy", "--energy"]),
+        (&[si, "--output", "there.h5"], &["exists", "--overwrite"]),
+        (&[si, "--output", "there.h5/x.h5"], &["there.h5"]),
+        (&[si, "--detector", "HAADF=200-68"], &["HAADF=200-68"]),
+        (&[si, "--scan-step", "-1"], &["--scan-step"]),
+        (&[si, "--repeat", "0,1,1"], &["--repeat"]),
+        (&[si, "--repeat", "99999,99999,99999"], &["--repeat"]),
+        (&[si, "--thicknesses", "80"], &["5.431", "--repeat"]),
+        (&[si, "--zone", "0,0,0"], &["zone"]),
+        (&[si, "--algorithm", "multislice", "--window", "9"], &["--window"]),
+        (&[srtio3, "--phonons", "2", "--sigma", "Sr=0.1,Ti=0.1"], &["for O"]),
+    ];
+    for (arguments, parts) in cases {
+        let told = fails(here, &[&["simulate"], arguments].concat());
+        for part in parts {
+            assert!(told.contains(part), "{arguments:?}: no `{part}` in\n{told}");
+        }
+    }
+    assert_eq!(std::fs::read(here.join("there.h5")).unwrap(), b"precious");
+    assert_eq!(std::fs::read_dir(here).unwrap().count(), 4, "nothing was written");
+}
+
+#[test]
+fn bad_builds_are_explained() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("bad.toml"), "version = 1\nsede = 3\n").unwrap();
+    let easy = ["--difficulty", "easy"];
+    let cases: [(&[&str], &str); 7] = [
+        (&["srtio4"], "srtio3"),
+        (&["srtio3", "--grid", "99x1"], "40x40"),
+        (&["srtio3", "--grid", "2"], "rows x columns"),
+        (&["srtio3", "--subtile", "-1"], "--subtile"),
+        (&["srtio3", "--window", "1"], "--window"),
+        (&["--recipe", "none.toml"], "none.toml"),
+        (&["--recipe", "bad.toml"], "bad.toml"),
+    ];
+    for (arguments, part) in cases {
+        let told = fails(folder.path(), &[&["build"], arguments, &easy].concat());
+        assert!(told.contains(part), "{arguments:?}: no `{part}` in\n{told}");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_folder_that_is_read_only_is_found_before_simulating() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::set_permissions(folder.path(), PermissionsExt::from_mode(0o555)).unwrap();
+    let probe = std::fs::write(folder.path().join("probe"), "");
+    if probe.is_ok() {
+        return; // root may write anywhere
+    }
+    let told = fails(folder.path(), &["simulate", &file("structures/si.cif")]);
+    assert!(told.contains("--output"), "{told}");
+}

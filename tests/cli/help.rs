@@ -1,0 +1,41 @@
+//! `--help` is compared with stored text; `STEMGEN_UPDATE=1 cargo test --test cli` renews it.
+
+use super::{file, stderr, stdout, stemgen};
+use std::path::Path;
+
+fn compare(name: &str, arguments: &[&str]) {
+    let output = stemgen(Path::new(".")).args(arguments).arg("--help").output().unwrap();
+    assert!(output.status.success());
+    let trimmed: Vec<String> = stdout(&output).lines().map(|l| l.trim_end().to_owned()).collect();
+    let text = trimmed.join("\n") + "\n";
+    let path = file(&format!("tests/cli/help/{name}.txt"));
+    if std::env::var_os("STEMGEN_UPDATE").is_some() {
+        std::fs::write(&path, &text).unwrap();
+    }
+    let stored = std::fs::read_to_string(&path).unwrap();
+    assert!(text == stored, "{path} differs; STEMGEN_UPDATE=1 renews it. Now:\n{text}");
+}
+
+#[test]
+fn help_is_as_stored() {
+    compare("stemgen", &[]);
+    compare("simulate", &["simulate"]);
+    compare("build", &["build"]);
+}
+
+#[test]
+fn usage_errors_leave_with_2() {
+    let bad: [&[&str]; 6] = [
+        &[],
+        &["simulat"],
+        &["simulate"],
+        &["simulate", "si.cif", "--repeat", "3,3"],
+        &["simulate", "si.cif", "--phonons", "3"],
+        &["build", "srtio3"],
+    ];
+    for arguments in bad {
+        let output = stemgen(Path::new(".")).args(arguments).output().unwrap();
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+        assert!(!stderr(&output).contains("panicked"));
+    }
+}

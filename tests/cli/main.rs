@@ -1,0 +1,57 @@
+//! The program as a user meets it.
+
+mod build;
+mod errors;
+mod help;
+mod simulate;
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+/// The program, run in `folder`.
+fn stemgen(folder: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_stemgen"));
+    command.current_dir(folder).stdin(std::process::Stdio::null());
+    command
+}
+
+/// A file of this repository.
+fn file(name: &str) -> String {
+    format!("{}/{name}", env!("CARGO_MANIFEST_DIR"))
+}
+
+fn stdout(output: &Output) -> String {
+    String::from_utf8(output.stdout.clone()).unwrap()
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+/// Runs the program and returns its standard output, which must be JSON.
+fn json(command: &mut Command) -> serde_json::Value {
+    let output = command.arg("--json").output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    serde_json::from_str(&stdout(&output)).unwrap()
+}
+
+/// Runs a script of this folder with a Python that has h5py; returns what it prints.
+fn python(script: &str, arguments: &[&Path]) -> String {
+    let script = file(&format!("tests/cli/{script}"));
+    let run = Command::new(interpreter()).arg(script).args(arguments).output().unwrap();
+    assert!(run.status.success(), "{}{}", stdout(&run), stderr(&run));
+    stdout(&run)
+}
+
+fn interpreter() -> PathBuf {
+    let chosen = std::env::var_os("STEMGEN_PYTHON").map(PathBuf::from);
+    let candidates = chosen.into_iter().chain(["/usr/bin/python3".into(), "python3".into()]);
+    let works = |p: &PathBuf| {
+        let run = Command::new(p).args(["-c", "import h5py, numpy"]).output();
+        run.is_ok_and(|o| o.status.success())
+    };
+    candidates
+        .into_iter()
+        .find(works)
+        .expect("no Python with h5py: apt-get install python3-h5py, or name one in STEMGEN_PYTHON")
+}
