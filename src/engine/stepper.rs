@@ -155,6 +155,8 @@ impl Stepper {
         for row in wave.chunks_exact_mut(self.fft.stride()).take(ny) {
             let source = &data[at * t.stride..][..t.shape.1];
             row[self.dead.clone()].fill(Complex32::ZERO);
+            let next = (at + PREFETCH_ROWS) % t.shape.0 * t.stride + t.origin.1;
+            prefetch(&data[next..(next + nx).min(data.len())]);
             self.fft.row(row, true, scratch);
             let split = nx.min(t.shape.1 - t.origin.1);
             arch.dispatch(Multiply { row: &mut row[..split], by: &source[t.origin.1..] });
@@ -192,6 +194,22 @@ impl Stepper {
             self.fft.some_columns(wave, range.clone(), inverse, scratch);
         }
     }
+}
+
+/// The transforms of this many rows take longer than a row needs to arrive from memory.
+const PREFETCH_ROWS: usize = 6;
+
+/// Asks for data that will be read soon.
+#[inline]
+fn prefetch(data: &[Complex32]) {
+    #[cfg(target_arch = "x86_64")]
+    for line in data.chunks(8) {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        // A hint, which reads nothing.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(line.as_ptr().cast()) };
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = data;
 }
 
 /// Element by element.
