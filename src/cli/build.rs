@@ -12,6 +12,7 @@ use std::path::{Path, PathBuf};
 use stemgen::engine::{Algorithm, Plan};
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
+use stemgen::world::simulator::WINDOW_ANGSTROM;
 use stemgen::world::subtiles::Partition;
 use stemgen::world::{
     BuildOptions, Difficulty, Recipe, Region, Simulator, SubTileEngine, Summary, specimen,
@@ -87,7 +88,7 @@ struct Method {
     /// How probes are propagated [default: window]
     #[arg(long, value_name = "NAME", conflicts_with = "profile")]
     engine: Option<Engine>,
-    /// Width of the window that follows each probe, in A [default: 11.7]
+    /// Width of the window that follows each probe, in A [default: 7.8]
     #[arg(long, value_name = "A", value_parser = values::finite, allow_negative_numbers = true)]
     #[arg(conflicts_with_all = ["interpolation", "profile"])]
     window: Option<f64>,
@@ -205,8 +206,14 @@ impl Build {
         }
         let m = &self.method;
         let (window, factors) = (m.window, m.interpolation);
-        let algorithm =
-            imaging::algorithm(m.engine, window, factors, Engine::Window, INTERPOLATION)?;
+        let algorithm = imaging::algorithm(
+            m.engine,
+            window,
+            factors,
+            Engine::Window,
+            WINDOW_ANGSTROM,
+            INTERPOLATION,
+        )?;
         Ok(Simulator::new(recipe, algorithm))
     }
 

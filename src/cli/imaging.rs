@@ -4,11 +4,13 @@ use super::values::{self, Engine, ParametrizationName, ProjectionName};
 use anyhow::bail;
 use clap::Args;
 use stemgen::detect::Detector;
-use stemgen::engine::settings::EXACT_BAND_FRACTION;
+use stemgen::engine::settings::DEFAULT_BAND_FRACTION;
 use stemgen::engine::{Algorithm, BeyondLimit, GridChoice, Phonons, Settings};
 use stemgen::optics::{Aberration, Aberrations, Optics};
 use stemgen::potential::slices::Slicing;
-use stemgen::world::simulator::WINDOW_ANGSTROM;
+
+/// Window of `simulate --algorithm window` in Angstrom.
+const WINDOW_ANGSTROM: f64 = 11.7;
 
 /// The microscope.
 #[derive(Debug, Args)]
@@ -67,7 +69,8 @@ pub struct NumericsArgs {
     /// Table of scattering factors
     #[arg(long, value_name = "NAME", default_value = "lobato")]
     pub parametrization: ParametrizationName,
-    /// Radius of the anti-aliasing disk, in units of Nyquist [default: 2/3, without aliasing]
+    /// Radius of the anti-aliasing disk, in units of Nyquist [default: 0.8; 2/3 excludes
+    /// aliasing altogether]
     #[arg(long, value_name = "F", value_parser = values::finite, allow_negative_numbers = true)]
     pub band_fraction: Option<f64>,
     /// Width of the soft edge inside that disk, in units of Nyquist
@@ -82,7 +85,14 @@ pub struct NumericsArgs {
 impl NumericsArgs {
     /// The algorithm that the options stand for.
     pub fn algorithm(&self) -> anyhow::Result<Algorithm> {
-        algorithm(self.algorithm, self.window, self.interpolation, Engine::Multislice, [1, 1])
+        algorithm(
+            self.algorithm,
+            self.window,
+            self.interpolation,
+            Engine::Multislice,
+            WINDOW_ANGSTROM,
+            [1, 1],
+        )
     }
 }
 
@@ -93,6 +103,7 @@ pub fn algorithm(
     window: Option<f64>,
     interpolation: Option<[usize; 2]>,
     default: Engine,
+    width_angstrom: f64,
     factors: [usize; 2],
 ) -> anyhow::Result<Algorithm> {
     let implied = match (window, interpolation) {
@@ -110,7 +121,7 @@ pub fn algorithm(
     Ok(match engine {
         Engine::Multislice => Algorithm::Multislice,
         Engine::Prism => Algorithm::Prism { interpolation: interpolation.unwrap_or(factors) },
-        Engine::Window => Algorithm::Window { width_angstrom: window.unwrap_or(WINDOW_ANGSTROM) },
+        Engine::Window => Algorithm::Window { width_angstrom: window.unwrap_or(width_angstrom) },
     })
 }
 
@@ -157,7 +168,7 @@ pub fn settings(
         slicing: numerics.slice_thickness.map_or(Slicing::Planes, Slicing::Thickness),
         grid,
         algorithm: numerics.algorithm()?,
-        band_fraction: numerics.band_fraction.unwrap_or(EXACT_BAND_FRACTION),
+        band_fraction: numerics.band_fraction.unwrap_or(DEFAULT_BAND_FRACTION),
         band_taper: numerics.band_taper,
         oversampling: numerics.oversampling,
         phonons,
