@@ -7,8 +7,12 @@ use std::fs::File;
 use std::path::PathBuf;
 use stemgen::detect::Detector;
 use stemgen::engine::settings::EXACT_BAND_FRACTION;
-use stemgen::engine::{Algorithm, GridChoice, Plan, Scan, Settings, Site, diffraction, simulate};
+use stemgen::engine::{
+    Algorithm, BeyondLimit, GridChoice, Plan, Scan, Settings, Site, diffraction, simulate,
+};
 use stemgen::optics::{Aberration, Aberrations};
+use stemgen::potential::projected::{PlacedAtom, Projector};
+use stemgen::potential::scattering::{Parametrization, ScatteringFactor};
 use stemgen::potential::slices::Slicing;
 use stemgen::progress::Silent;
 use stemgen::structure;
@@ -58,12 +62,8 @@ impl Golden {
     fn settings(&self) -> Settings {
         let slice = self.json["slice_thickness_A"].as_f64().unwrap();
         let points = self.pair(&self.json["gpts_xy"]).map(|n| n as usize);
-        let detectors = ["bf", "abf", "adf", "haadf"].map(|name| {
-            let [inner, outer] = self.pair(&self.json["detectors_mrad"][name]);
-            Detector::new(name, inner, outer)
-        });
         let mut settings = Settings {
-            detectors: detectors.to_vec(),
+            detectors: four(self),
             grid: GridChoice::Points(points),
             slicing: Slicing::Thickness(slice),
             oversampling: Some(1),
@@ -112,6 +112,14 @@ impl Golden {
         let errors = self.errors(settings, reference);
         assert!(errors.iter().all(|e| *e < tolerance), "{} {reference}: {errors:?}", self.name);
     }
+}
+
+fn four(g: &Golden) -> Vec<Detector> {
+    let detector = |name| {
+        let [inner, outer] = g.pair(&g.json["detectors_mrad"][name]);
+        Detector::new(name, inner, outer)
+    };
+    ["bf", "abf", "adf", "haadf"].map(detector).to_vec()
 }
 
 /// The promise is 0.2 %.
@@ -189,6 +197,94 @@ fn diffraction_pattern_pixel_by_pixel() {
         let ix = (x as i64 - half).rem_euclid(nx as i64) as usize;
         let error = (pattern[[iy, ix]] - e).abs() / top;
         assert!(error < 1e-5, "{y},{x}: {} {e}", pattern[[iy, ix]]);
+    }
+}
+
+/// Projected potentials of single planes and of atoms off the grid.
+#[test]
+fn projected_potentials() {
+    let g = Golden::load("potential_srtio3");
+    let place = |&(number, x, y): &(u8, f64, f64)| PlacedAtom { position: [x, y, 0.0], number };
+    let plane = |upper: bool| -> Vec<PlacedAtom> {
+        let atoms = g.sites.iter().filter(|s| (s.position[2] > 2.0) == upper);
+        atoms.map(|s| PlacedAtom { position: s.position, number: s.number }).collect()
+    };
+    let loose = [(38, 0.513, 0.171), (22, 2.207, 3.049), (8, 3.333, 1.618)].map(|a| place(&a));
+    let (square, oblong) = (([3.905, 3.905], plane(false)), ([4.0, 5.0], loose.to_vec()));
+    let cases = [
+        ("sr_o_lobato", Parametrization::Lobato, &square, false),
+        ("sr_o_kirkland", Parametrization::Kirkland, &square, false),
+        ("sr_o_peng", Parametrization::Peng, &square, false),
+        ("sr_o_lobato_as_shipped", Parametrization::Lobato, &square, true),
+        ("ti_o2_lobato", Parametrization::Lobato, &([3.905, 3.905], plane(true)), false),
+        ("off_grid", Parametrization::Lobato, &oblong, false),
+    ];
+    for (name, parametrization, (extent, atoms), sharpened) in cases {
+        let expected = g.array2(name);
+        let elements = [8, 22, 38];
+        let projector =
+            Projector::new(expected.dim(), *extent, parametrization, &elements, sharpened).unwrap();
+        let (mut out, mut scratch) = (projector.fft().buffer(), projector.scratch());
+        projector.infinite(atoms, &mut out, &mut scratch);
+        let top = expected.iter().fold(0.0_f32, |m, v| m.max(*v));
+        for ((y, x), e) in expected.indexed_iter() {
+            let v = out[y * projector.fft().stride() + x].re;
+            assert!((v - e).abs() < 1e-5 * top, "{name} at {y},{x}: {v} {e}");
+        }
+    }
+}
+
+/// The tables as abTEM evaluates them, hydrogen in closed form, and Doyle & Turner's fits.
+#[test]
+fn scattering_factors() {
+    let text = std::fs::read_to_string(folder().join("scattering_factors.csv")).unwrap();
+    let mut counts = [0; 2];
+    for line in text.lines().filter(|l| !l.starts_with('#') && !l.starts_with("source")) {
+        let fields: Vec<&str> = line.split(',').collect();
+        let [source, table, number, _, q, expected] = fields[..] else { panic!("{line}") };
+        let parametrization = match table {
+            "kirkland" => Parametrization::Kirkland,
+            "peng" => Parametrization::Peng,
+            _ => Parametrization::Lobato,
+        };
+        let (q, expected): (f64, f64) = (q.parse().unwrap(), expected.parse().unwrap());
+        let factor = ScatteringFactor::new(parametrization, number.parse().unwrap()).unwrap();
+        let error = (factor.at(q * q) / expected - 1.0).abs();
+        let (tolerance, kind) = if source == "abtem" { (1e-7, 0) } else { (0.04, 1) };
+        assert!(error < tolerance, "{line}: {error}");
+        counts[kind] += 1;
+    }
+    assert!(counts[0] > 500 && counts[1] > 20, "{counts:?}");
+}
+
+/// Potentials on a finer grid, limited after the exponential.
+#[test]
+fn oversampled_transmission_functions() {
+    let g = Golden::load("displaced_bandlimit");
+    let expected = g.array2("t_960_limited");
+    let slice = g.json["slice_thickness_A"].as_f64().unwrap();
+    let mut settings = Settings {
+        detectors: four(&g),
+        beyond_limit: BeyondLimit::Warn,
+        grid: GridChoice::Points([480, 480]),
+        slicing: Slicing::Thickness(slice),
+        oversampling: Some(2),
+        band_taper: 0.02,
+        band_fraction: EXACT_BAND_FRACTION,
+        ..Settings::default()
+    };
+    settings.optics.aberrations = Aberrations::defocus(slice / 2.0);
+    let plan = g.plan(&settings);
+    for (i, p) in g.json["positions_A"].as_array().unwrap().iter().enumerate() {
+        let scan = Scan { origin_angstrom: g.pair(p), step_angstrom: [1.0; 2], shape: [1, 1] };
+        let images = simulate(&plan, &g.sites, &scan, &Silent).unwrap();
+        for d in 0..4 {
+            let (ours, theirs) = (images.data[[0, d, 0, 0]], expected[[i, d]]);
+            assert!(
+                (ours / theirs - 1.0).abs() < 1e-3,
+                "position {i}, detector {d}: {ours} {theirs}"
+            );
+        }
     }
 }
 

@@ -44,7 +44,7 @@ impl<'a> Multislice<'a> {
             Pattern {
                 shape: grid.shape(),
                 stride: stepper.fft().stride(),
-                limit_mrad: plan.band_limit_mrad,
+                limit_mrad: plan.cutoff_mrad(),
                 ramp_mrad: plan.detector_ramp_mrad(),
             },
             |iy, ix| {

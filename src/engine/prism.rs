@@ -67,7 +67,7 @@ impl<'a> Prism<'a> {
             Pattern {
                 shape: (wy, wx),
                 stride: window_fft.stride(),
-                limit_mrad: plan.band_limit_mrad,
+                limit_mrad: plan.cutoff_mrad(),
                 ramp_mrad: 0.0,
             },
             |iy, ix| {
@@ -122,6 +122,7 @@ impl<'a> Prism<'a> {
         let (entrance, exit) = (edges[slices.start], edges[slices.end]);
         let (legs, end) = self.stepper.route(entrance, slices.clone(), specimen.transmission);
         let this = &*self;
+        let to_exit = this.fresnel(exit - end);
         let (plane, fft) = (this.exit_plane(), this.stepper.fft());
         let workspace = || Workspace {
             wave: fft.buffer(),
@@ -142,18 +143,24 @@ impl<'a> Prism<'a> {
                 for leg in &legs {
                     this.stepper.travel(&mut w.wave, *leg, specimen, &mut w.scratch);
                 }
-                this.compress(w, kept, exit - end);
+                this.compress(w, kept, &to_exit);
                 progress.advance(1);
                 Ok(())
             },
         )
     }
 
-    fn fresnel(&self, distance: f64, k: [f64; 2], scale: f64) -> Complex32 {
+    /// `exp(-i pi lambda dz k^2)` over the number of pixels, in the order of [`crop_spectrum`].
+    fn fresnel(&self, distance: f64) -> Vec<Complex32> {
         let wavelength = self.plan.settings.optics.wavelength_angstrom();
-        let c =
-            Complex64::from_polar(scale, -PI * wavelength * distance * (k[0] * k[0] + k[1] * k[1]));
-        Complex32::new(c.re as f32, c.im as f32)
+        let [nx, ny] = self.plan.wave_grid.points;
+        let mut factors = Vec::new();
+        crop_spectrum(&self.plan.wave_grid, self.exit.points, self.plan.band_limit, |_, _, k| {
+            let phase = -PI * wavelength * distance * (k[0] * k[0] + k[1] * k[1]);
+            let c = Complex64::from_polar(1.0 / (nx * ny) as f64, phase);
+            factors.push(Complex32::new(c.re as f32, c.im as f32));
+        });
+        factors
     }
 
     /// `exp(2 pi i k.r)` in the stepper's representation.
@@ -166,14 +173,15 @@ impl<'a> Prism<'a> {
     }
 
     /// From the stepper's wave (rows transformed) to the exit grid in real space.
-    fn compress(&self, w: &mut Workspace, kept: &mut [Complex32], distance: f64) {
+    fn compress(&self, w: &mut Workspace, kept: &mut [Complex32], fresnel: &[Complex32]) {
         self.stepper.columns(&mut w.wave, false, &mut w.scratch);
         let (from, to) = (self.stepper.fft().stride(), self.exit_fft.stride());
-        let [nx, ny] = self.plan.wave_grid.points;
-        let scale = 1.0 / (nx * ny) as f64;
         kept.fill(Complex32::ZERO);
-        crop_spectrum(&self.plan.wave_grid, self.exit.points, self.plan.band_limit, |a, b, k| {
-            kept[b.0 * to + b.1] = w.wave[a.0 * from + a.1] * self.fresnel(distance, k, scale);
+        let mut factors = fresnel.iter();
+        crop_spectrum(&self.plan.wave_grid, self.exit.points, self.plan.band_limit, |a, b, _| {
+            if let Some(factor) = factors.next() {
+                kept[b.0 * to + b.1] = w.wave[a.0 * from + a.1] * factor;
+            }
         });
         self.exit_fft.inverse(kept, &mut w.exit_scratch);
     }

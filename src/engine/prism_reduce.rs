@@ -31,6 +31,13 @@ struct Band {
     len: usize,
 }
 
+/// One thread's sums, kept from band to band: fresh memory costs as much as the products.
+#[derive(Default)]
+struct Sums {
+    partial: Vec<Complex32>,
+    region: Vec<Complex32>,
+}
+
 /// Matrix product `out[m, x] (+)= a[m, k] b[k, x]`, all row-major with the given row strides.
 fn multiply(
     (m, n, k): (usize, usize, usize),
@@ -85,7 +92,9 @@ impl Prism<'_> {
         let down = self.bands(1, rows, MOST_TOGETHER, |r| scan.position(r * columns)[1]);
         let per_band = across
             .par_iter()
-            .map(|band| self.reduce_columns(waves, scan, band, &down, progress))
+            .map_init(Sums::default, |sums, band| {
+                self.reduce_columns(waves, scan, band, &down, sums, progress)
+            })
             .collect::<Result<Vec<_>>>()?;
         Ok(per_band.into_iter().flatten().collect())
     }
@@ -150,9 +159,10 @@ impl Prism<'_> {
         scan: &Scan,
         band: &Band,
         down: &[Band],
+        Sums { partial, region }: &mut Sums,
         progress: &dyn Progress,
     ) -> Result<Vec<(usize, Vec<f64>)>> {
-        let partial = self.sum_over_kx(waves, scan, band);
+        self.sum_over_kx(waves, scan, band, partial);
         let runs = self.runs().len();
         let column_size = runs * self.exit.points[1] * band.len;
         let (mut wave, mut scratch) = (self.window_fft.buffer(), self.window_fft.scratch());
@@ -164,7 +174,7 @@ impl Prism<'_> {
                 if progress.interrupted() {
                     return Err(Error::Interrupted);
                 }
-                let region = self.sum_over_ky(sums, scan, band.len, rows);
+                self.sum_over_ky(sums, scan, band.len, rows, region);
                 for (j, row) in rows.lines.clone().enumerate() {
                     let probe = row * scan.shape[1] + column;
                     let top = (self.window_start(1, scan.position(probe)[1]) - rows.first) as usize;
@@ -191,13 +201,13 @@ impl Prism<'_> {
     }
 
     /// `sum_kx A(k) exp(-2 pi i kx x) S_k` as (raster column, ky, y, x within the band).
-    fn sum_over_kx(&self, waves: &[Complex32], scan: &Scan, band: &Band) -> Vec<Complex32> {
+    fn sum_over_kx(&self, waves: &[Complex32], scan: &Scan, band: &Band, out: &mut Vec<Complex32>) {
         let runs = self.runs();
         let [nx, ny] = self.exit.points;
         let (plane, stride) = (self.exit_plane(), self.exit_fft.stride());
         let count = band.lines.len();
         let column_size = runs.len() * ny * band.len;
-        let mut out = vec![Complex32::ZERO; count * column_size];
+        out.resize(count * column_size, Complex32::ZERO);
         for (r, run) in runs.iter().enumerate() {
             let k = run.len();
             let coefficients: Vec<Complex32> = band
@@ -226,7 +236,6 @@ impl Prism<'_> {
                 }
             }
         }
-        out
     }
 
     /// `sum_ky exp(-2 pi i ky y) sums` as (raster row, y within the rows' band, x), for one column.
@@ -236,7 +245,8 @@ impl Prism<'_> {
         scan: &Scan,
         width: usize,
         rows: &Band,
-    ) -> Vec<Complex32> {
+        out: &mut Vec<Complex32>,
+    ) {
         let runs = self.runs();
         let ny = self.exit.points[1];
         let coefficients: Vec<Complex32> = rows
@@ -249,7 +259,7 @@ impl Prism<'_> {
             .map(|(u, b)| single(turn(self.beams[b][1], u)))
             .collect();
         let area = rows.len * width;
-        let mut out = vec![Complex32::ZERO; rows.lines.len() * area];
+        out.resize(rows.lines.len() * area, Complex32::ZERO);
         let mut y = 0;
         while y < rows.len {
             let line = (rows.first + y as i64).rem_euclid(ny as i64) as usize;
@@ -262,7 +272,6 @@ impl Prism<'_> {
             );
             y += n;
         }
-        out
     }
 }
 

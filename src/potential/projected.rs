@@ -221,8 +221,7 @@ impl Projector {
         }
     }
 
-    /// Completes the half plane by Hermitian symmetry and transforms. The Nyquist frequencies of even
-    /// grids have no partner, hence an imaginary part that is to be ignored.
+    /// Completes the half plane by Hermitian symmetry and transforms.
     fn to_real_space(&self, out: &mut Buffer, scratch: &mut ProjectorScratch) {
         let (ny, nx) = self.fft.shape();
         let (half, stride) = (nx / 2 + 1, self.fft.stride());
@@ -258,7 +257,12 @@ fn phases(u: f64, n: usize, bins: std::ops::Range<usize>) -> Vec<Complex32> {
     bins.map(|i| {
         let f = frequency(i, n);
         let w = positive[f.unsigned_abs() as usize];
-        let w = if f < 0 { w.conj() } else { w };
+        let w = match f {
+            // The Nyquist frequency of an even grid stands for both signs.
+            _ if 2 * f.unsigned_abs() as usize == n => Complex64::new(w.re, 0.0),
+            f if f < 0 => w.conj(),
+            _ => w,
+        };
         Complex32::new(w.re as f32, w.im as f32)
     })
     .collect()

@@ -309,22 +309,6 @@ def case_srtio3_001_aberrated():
     save(name, arrays, described, settings_for(atoms, gpts, dz, n, scan, aberrations_A_rad={"perfect": {}, **ABERRATIONS}), atoms)
 
 
-def case_probe():
-    """|psi|^2 of probes alone, in a cell that is not square. 21 mrad needs only a coarse grid."""
-    extent, gpts, at = (11.715, 15.62), (96, 128), (4.1, 9.3)
-    arrays = {}
-    for k, v in {"perfect": {}, **ABERRATIONS}.items():
-        probe = abtem.Probe(energy=ENERGY, semiangle_cutoff=SEMIANGLE, extent=extent, gpts=gpts, **v)
-        wave = probe.build(scan=np.array(at), lazy=False).array.reshape(gpts)
-        intensity = abs(wave) ** 2
-        arrays[k] = (intensity / intensity.sum()).T
-        # abTEM: sum |fft(psi)|^2 = 1, that is sum |psi|^2 = 1/(number of pixels)
-        np.testing.assert_allclose(intensity.sum(), 1 / np.prod(gpts), rtol=1e-6)
-    described = {k: "[y, x] |psi|^2, sum over the pixels 1; aberrations: " + k for k in arrays}
-    settings = {"extent_A": extent, "gpts_xy": gpts, "position_A": at, "aberrations_A_rad": {"perfect": {}, **ABERRATIONS}}
-    save("probe", arrays, described, settings)
-
-
 def case_exit_intensity():
     """One exit wave, pixel by pixel: the diffraction pattern at a position without symmetry, 3.9 nm."""
     name, dz, at = "exit_intensity", A_STO / 2, (0.3 * A_STO, 0.2 * A_STO)
