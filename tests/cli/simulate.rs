@@ -69,11 +69,11 @@ fn a_dry_run_tells_the_numbers_and_writes_nothing() {
     let mut command = stemgen(folder.path());
     command.arg("simulate").arg(file("structures/srtio3.cif"));
     let plan = json(command.args(["--repeat", "5,5,10", "--dry-run"]));
-    assert_eq!(plan["wave_grid"]["points"], serde_json::json!([576, 576]));
-    assert_eq!(plan["potential_grid"]["points"], serde_json::json!([1728, 1728]));
+    assert_eq!(plan["wave_grid"]["points"], serde_json::json!([480, 480]));
+    assert_eq!(plan["potential_grid"]["points"], serde_json::json!([1920, 1920]));
     let number = |key: &str| plan[key].as_f64().unwrap();
     assert!((number("wavelength_angstrom") - 0.025079).abs() < 1e-6);
-    // (2/3) wavelength / (2 pixel), with pixels of 19.525 A / 576
+    // 0.8 wavelength / (2 pixel), with pixels of 19.525 A / 480
     assert!((number("band_limit_mrad") - 246.6).abs() < 0.1, "{}", plan["band_limit_mrad"]);
     assert_eq!(plan["slices"]["count"], 20);
     let thickest = plan["slices"]["thickest_angstrom"].as_f64().unwrap();
