@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use hdf5::types::VarLenUnicode;
 use hdf5::{Dataset, File, Group, H5Type};
@@ -68,6 +69,26 @@ pub struct WorldFile {
     metadata: WorldMetadata,
 }
 
+/// How long to wait for a lock. HDF5 locks what it writes, and a process that is being started at that
+/// moment by another thread holds the lock for an instant longer.
+const LOCK_PATIENCE: Duration = Duration::from_secs(5);
+
+fn is_locked(error: &hdf5::Error) -> bool {
+    error.to_string().contains("unable to lock file")
+}
+
+fn open_unlocked(path: &Path) -> hdf5::Result<File> {
+    let start = Instant::now();
+    loop {
+        match File::open(path) {
+            Err(e) if is_locked(&e) && start.elapsed() < LOCK_PATIENCE => {
+                std::thread::sleep(Duration::from_millis(20));
+            }
+            result => return result,
+        }
+    }
+}
+
 impl WorldFile {
     /// Opens a world and checks that it is one, and whole.
     ///
@@ -75,8 +96,12 @@ impl WorldFile {
     /// [`Error::Io`], or [`Error::Invalid`] for a foreign, truncated or incomplete file.
     pub fn open(path: &Path) -> Result<Self> {
         std::fs::File::open(path).map_err(|e| Error::io(path, "read", e))?;
-        let file = File::open(path).map_err(|e| {
-            let reason = "is not HDF5, or is truncated; copy or build it again";
+        let file = open_unlocked(path).map_err(|e| {
+            let reason = if is_locked(&e) {
+                "is locked by another program that writes it; try again when that has ended"
+            } else {
+                "is not HDF5, or is truncated; copy or build it again"
+            };
             not_a_world(path, format!("{reason} ({})", first_line(&e)))
         })?;
         let metadata = read_metadata(path, &file)?;
