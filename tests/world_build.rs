@@ -1,6 +1,8 @@
 //! Worlds as files: schema, resume, overwriting, faults. The engine is a stand-in.
 
 mod common;
+#[path = "common/python.rs"]
+mod python;
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -25,23 +27,9 @@ fn work_folder(output: &Path) -> PathBuf {
     PathBuf::from(format!("{}.work", output.display()))
 }
 
-/// A Python that has h5py.
-fn python() -> PathBuf {
-    let chosen = std::env::var_os("STEMGEN_PYTHON").map(PathBuf::from);
-    let candidates = chosen.into_iter().chain(["/usr/bin/python3".into(), "python3".into()]);
-    let works = |p: &PathBuf| {
-        let run = Command::new(p).args(["-c", "import h5py, numpy"]).output();
-        run.is_ok_and(|o| o.status.success())
-    };
-    candidates
-        .into_iter()
-        .find(works)
-        .expect("no Python with h5py: apt-get install python3-h5py, or name one in STEMGEN_PYTHON")
-}
-
 fn assert_schema(path: &Path) {
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/schema/check_world.py");
-    let run = Command::new(python()).arg(script).arg(path).output().unwrap();
+    let run = Command::new(python::with_h5py()).arg(script).arg(path).output().unwrap();
     let text = String::from_utf8_lossy(&run.stdout) + String::from_utf8_lossy(&run.stderr);
     assert!(run.status.success(), "{text}");
 }

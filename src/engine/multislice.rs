@@ -4,7 +4,7 @@ use super::Scan;
 use super::plan::{Grid, Plan};
 use super::settings::Algorithm;
 use super::stepper::{Leg, Specimen, Stepper};
-use crate::detect::{DetectorMap, Pattern};
+use crate::detect::DetectorMap;
 use crate::error::{Error, Result};
 use crate::fft::{Buffer, Fft2, Scratch, frequency};
 use crate::progress::Progress;
@@ -38,20 +38,7 @@ impl<'a> Multislice<'a> {
     pub fn new(plan: &'a Plan) -> Self {
         let stepper = Stepper::new(plan);
         let grid = plan.wave_grid;
-        let wavelength = plan.settings.optics.wavelength_angstrom();
-        let map = DetectorMap::new(
-            &plan.settings.detectors,
-            Pattern {
-                shape: grid.shape(),
-                stride: stepper.fft().stride(),
-                limit_mrad: plan.cutoff_mrad(),
-                ramp_mrad: plan.detector_ramp_mrad(),
-            },
-            |iy, ix| {
-                let [kx, ky] = grid.k(iy, ix);
-                kx.hypot(ky) * wavelength * 1e3
-            },
-        );
+        let map = plan.detector_map(&grid, stepper.fft().stride(), plan.detector_ramp_mrad());
         let probe = match plan.settings.algorithm {
             Algorithm::Window { .. } => Spectrum::windowed(plan),
             _ => Spectrum::full(plan, &grid),

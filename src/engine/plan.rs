@@ -4,6 +4,7 @@
 use super::settings::{
     AUTO_ANGLE_MARGIN, Algorithm, BeyondLimit, GridChoice, POTENTIAL_SAMPLING_ANGSTROM, Settings,
 };
+use crate::detect::{DetectorMap, Pattern};
 use crate::error::{Error, Result};
 use crate::fft::columns::Disk;
 use crate::fft::{frequency, good_size};
@@ -148,6 +149,17 @@ impl Plan {
     /// The angle in mrad from which on nothing is carried.
     pub fn cutoff_mrad(&self) -> f64 {
         self.band_limit * self.settings.optics.wavelength_angstrom() * 1e3
+    }
+
+    /// The detectors on a diffraction pattern of `grid`, `stride` elements from row to row.
+    pub(super) fn detector_map(&self, grid: &Grid, stride: usize, ramp_mrad: f64) -> DetectorMap {
+        let wavelength = self.settings.optics.wavelength_angstrom();
+        let limit_mrad = self.cutoff_mrad();
+        let pattern = Pattern { shape: grid.shape(), stride, limit_mrad, ramp_mrad };
+        DetectorMap::new(&self.settings.detectors, pattern, |iy, ix| {
+            let [kx, ky] = grid.k(iy, ix);
+            kx.hypot(ky) * wavelength * 1e3
+        })
     }
 
     /// Width of the detectors' edges in mrad: one Fourier pixel in windows, whose pixels are coarse;

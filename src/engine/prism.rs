@@ -9,7 +9,7 @@ use super::plan::{Grid, Plan};
 use super::settings::Algorithm;
 use super::stepper::{Specimen, Stepper};
 use super::transmission::crop_spectrum;
-use crate::detect::{DetectorMap, Pattern};
+use crate::detect::DetectorMap;
 use crate::error::{Error, Result};
 use crate::fft::{Buffer, Fft2, Scratch};
 use crate::progress::Progress;
@@ -61,20 +61,7 @@ impl<'a> Prism<'a> {
         let (ny, nx) = exit.shape();
         let (wy, wx) = window.shape();
         let window_fft = Fft2::new(wy, wx);
-        let wavelength = optics.wavelength_angstrom();
-        let map = DetectorMap::new(
-            &plan.settings.detectors,
-            Pattern {
-                shape: (wy, wx),
-                stride: window_fft.stride(),
-                limit_mrad: plan.cutoff_mrad(),
-                ramp_mrad: 0.0,
-            },
-            |iy, ix| {
-                let [kx, ky] = window.k(iy, ix);
-                kx.hypot(ky) * wavelength * 1e3
-            },
-        );
+        let map = plan.detector_map(&window, window_fft.stride(), 0.0);
         let exit_fft = Fft2::new(ny, nx);
         Prism { plan, stepper, beams, amplitudes, exit, exit_fft, window, window_fft, map }
     }

@@ -3,9 +3,11 @@
 mod build;
 mod errors;
 mod help;
+#[path = "../common/python.rs"]
+mod interpreter;
 mod simulate;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Output};
 
 /// The program, run in `folder`.
@@ -38,20 +40,7 @@ fn json(command: &mut Command) -> serde_json::Value {
 /// Runs a script of this folder with a Python that has h5py; returns what it prints.
 fn python(script: &str, arguments: &[&Path]) -> String {
     let script = file(&format!("tests/cli/{script}"));
-    let run = Command::new(interpreter()).arg(script).args(arguments).output().unwrap();
+    let run = Command::new(interpreter::with_h5py()).arg(script).args(arguments).output().unwrap();
     assert!(run.status.success(), "{}{}", stdout(&run), stderr(&run));
     stdout(&run)
-}
-
-fn interpreter() -> PathBuf {
-    let chosen = std::env::var_os("STEMGEN_PYTHON").map(PathBuf::from);
-    let candidates = chosen.into_iter().chain(["/usr/bin/python3".into(), "python3".into()]);
-    let works = |p: &PathBuf| {
-        let run = Command::new(p).args(["-c", "import h5py, numpy"]).output();
-        run.is_ok_and(|o| o.status.success())
-    };
-    candidates
-        .into_iter()
-        .find(works)
-        .expect("no Python with h5py: apt-get install python3-h5py, or name one in STEMGEN_PYTHON")
 }
