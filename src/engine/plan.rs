@@ -6,7 +6,7 @@ use super::settings::{
 };
 use crate::detect::{DetectorMap, Pattern};
 use crate::error::{Error, Result};
-use crate::fft::columns::Disk;
+use crate::fft::multiplier::Disk;
 use crate::fft::{frequency, good_size};
 use crate::potential::slices::Slices;
 use serde::Serialize;

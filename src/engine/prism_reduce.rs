@@ -5,7 +5,7 @@
 //! across the aperture that is n instead of about 0.8 n^2 products per probe and pixel.
 
 use super::Scan;
-use super::prism::Prism;
+use super::prism::{Prism, single};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use num_complex::{Complex32, Complex64};
@@ -278,8 +278,4 @@ impl Prism<'_> {
 /// `exp(-2 pi i f u)`
 fn turn(f: i64, u: f64) -> Complex64 {
     Complex64::from_polar(1.0, -2.0 * PI * u * f as f64)
-}
-
-fn single(c: Complex64) -> Complex32 {
-    Complex32::new(c.re as f32, c.im as f32)
 }

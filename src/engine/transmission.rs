@@ -4,6 +4,7 @@ use super::Site;
 use super::plan::{Grid, Plan};
 use crate::constants::interaction_parameter;
 use crate::error::{Error, Result};
+use crate::fft::radix::lanes;
 use crate::fft::{Buffer, Fft2, Scratch};
 use crate::phonons::displaced;
 use crate::potential::projected::{PlacedAtom, Projection, Projector, ProjectorScratch};
@@ -11,12 +12,32 @@ use crate::progress::Progress;
 use num_complex::Complex32;
 use rayon::prelude::*;
 
+/// Transmission functions of all slices.
+pub(super) struct Transmission {
+    /// `None` where no atom is, so that waves pass in one step.
+    pub slices: Vec<Option<Buffer>>,
+    pub layout: Layout,
+}
+
+/// How a transmission function is stored.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Layout {
+    /// In blocks of rows as [`Fft2::arrange_block`] makes them, for waves over the whole cell.
+    Arranged,
+    /// Row by row, going on periodically beyond the cell, so that no window leaves the array.
+    Padded {
+        /// Elements from row to row.
+        stride: usize,
+    },
+}
+
 /// Makes transmission functions for one plan.
 pub(super) struct TransmissionBuilder<'a> {
     plan: &'a Plan,
     projector: Projector,
     /// Transform of the transmission grid, over the whole cell.
     coarse: Fft2,
+    layout: Layout,
     sigma: f32,
 }
 
@@ -37,22 +58,23 @@ impl<'a> TransmissionBuilder<'a> {
         let projector = Projector::new(shape, extent, settings.parametrization, elements, sharpen)?;
         let (ny, nx) = plan.transmission_grid.shape();
         let sigma = interaction_parameter(settings.optics.energy_ev) as f32;
-        Ok(TransmissionBuilder { plan, projector, coarse: Fft2::new(ny, nx), sigma })
+        let layout = if plan.wave_grid == plan.transmission_grid {
+            Layout::Arranged
+        } else {
+            // An odd number of 128-byte lines: rows then fall into different cache sets.
+            let most = nx + plan.wave_grid.points[0] + lanes();
+            Layout::Padded { stride: (most.div_ceil(16) | 1) * 16 }
+        };
+        Ok(TransmissionBuilder { plan, projector, coarse: Fft2::new(ny, nx), layout, sigma })
     }
 
-    /// Elements from one row of a transmission function to the next.
-    pub fn stride(&self) -> usize {
-        self.coarse.stride()
-    }
-
-    /// The transmission functions of one phonon configuration, one per slice; `None` where no atom
-    /// is, so that waves pass in one step.
+    /// The transmission functions of one phonon configuration.
     pub fn build(
         &self,
         sites: &[Site],
         configuration: u32,
         progress: &dyn Progress,
-    ) -> Result<Vec<Option<Buffer>>> {
+    ) -> Result<Transmission> {
         let by_slice = self.place(sites, configuration);
         let all: Vec<PlacedAtom> = by_slice.iter().flatten().copied().collect();
         let workspace = || Workspace {
@@ -61,7 +83,7 @@ impl<'a> TransmissionBuilder<'a> {
             fine: self.projector.fft().scratch(),
             coarse: self.coarse.scratch(),
         };
-        (0..by_slice.len())
+        let slices: Result<Vec<Option<Buffer>>> = (0..by_slice.len())
             .into_par_iter()
             .map_init(workspace, |w, i| {
                 if progress.interrupted() {
@@ -79,9 +101,35 @@ impl<'a> TransmissionBuilder<'a> {
                         self.projector.finite(&all, slices, i, &mut w.potential, &mut w.projector);
                     }
                 }
-                Ok(Some(self.transmission(w)))
+                let t = self.transmission(w);
+                Ok(Some(match self.layout {
+                    Layout::Arranged => self.arranged(&t),
+                    Layout::Padded { stride } => self.padded(&t, stride),
+                }))
             })
-            .collect()
+            .collect();
+        Ok(Transmission { slices: slices?, layout: self.layout })
+    }
+
+    fn arranged(&self, t: &[Complex32]) -> Buffer {
+        let (fft, rows) = (&self.coarse, lanes());
+        let len = fft.arranged_len();
+        let mut out = Buffer::zeros(fft.row_blocks() * len);
+        for (b, block) in out.chunks_exact_mut(len).take(fft.row_blocks()).enumerate() {
+            fft.arrange_block(&t[b * rows * fft.stride()..], fft.stride(), block);
+        }
+        out
+    }
+
+    fn padded(&self, t: &[Complex32], stride: usize) -> Buffer {
+        let (ny, nx) = self.coarse.shape();
+        let rows = ny + self.plan.wave_grid.points[1] + lanes();
+        let mut out = Buffer::zeros(rows * stride);
+        for (y, row) in out.chunks_exact_mut(stride).take(rows).enumerate() {
+            let source = &t[y % ny * self.coarse.stride()..][..nx];
+            row.chunks_mut(nx).for_each(|part| part.copy_from_slice(&source[..part.len()]));
+        }
+        out
     }
 
     /// Displaces the atoms and sorts them into slices.
@@ -113,8 +161,8 @@ impl<'a> TransmissionBuilder<'a> {
                     *v = exp_i(self.sigma * v.re);
                 }
             });
-            fft.row(row, false, &mut w.fine);
         }
+        fft.all_rows(data, false, &mut w.fine);
         let limit = (self.plan.band_limit * self.plan.potential_grid.extent_angstrom[0]) as usize;
         for range in fft.band_columns(limit) {
             fft.some_columns(data, range, false, &mut w.fine);
