@@ -151,6 +151,12 @@ fn si_110() {
     g.check(&Settings { algorithm: prism(1), ..g.settings() }, "multislice", TOLERANCE);
 }
 
+#[test]
+fn si_110_with_missing_atoms_by_prism_f2() {
+    let g = Golden::load("si_110_prism_f2");
+    g.check(&Settings { algorithm: prism(2), ..g.settings() }, "prism_f2", 2e-3);
+}
+
 /// abTEM as shipped sharpens potentials to make up for spreading atoms over pixels, also those on grid
 /// points. The same correction reproduces its images; without it they differ by up to 1.3 %.
 #[test]
