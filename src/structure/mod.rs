@@ -14,6 +14,7 @@ mod read;
 mod supercell;
 mod xyz;
 
+pub(crate) use neighbors::for_each_pair;
 pub use neighbors::min_pair_distance;
 pub use read::{Format, parse, read};
 pub use xyz::write_extxyz;
