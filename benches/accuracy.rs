@@ -144,9 +144,6 @@ fn run(case: &Case, asked: &[(f64, f64)]) {
                 let sums = pairs().fold((0.0, 0.0), |s, (a, b)| (s.0 + a, s.1 + b));
                 100.0 * (sums.0 / sums.1 - 1.0)
             };
-            let offset = a.iter().zip(b).map(|(a, b)| a - b).sum::<f32>() / a.len() as f32;
-            let rest = (square / a.len() as f32 - offset * offset).sqrt();
-            print!(" [{:+.2} {:.2}]", 100.0 * offset / mean, 100.0 * rest / mean);
             print!(
                 "  | {:>4.0} A: rms {:.2} %, bright {:+.2} %, dark {:+.2} %",
                 reference.thicknesses_angstrom[t],

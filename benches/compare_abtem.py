@@ -6,7 +6,8 @@
 
 SrTiO3 [001], 31 x 31 x 39 A, PRISM f = 2, 0.05 A, 1 A slices, one configuration, HAADF 68-167 mrad. Both carry scattering to
 171 mrad: abTEM on 640 x 640 pixels, stemgen on the same grid (band fraction 2/3) and on 540 x 540 pixels (0.79, as it chooses
-by itself). Wall time of stemgen is that of the whole process.
+by itself). Beside it the windowed engine, with potentials converged in the grid and scattering up to 1.2 times 200 mrad, at
+two widths (errors: `cargo bench --bench accuracy`). Wall time of stemgen is that of the whole process.
 """
 
 import argparse
@@ -80,6 +81,10 @@ def main():
             "stemgen, same grid": ours + exact,
             "stemgen, 540 x 540": ours + ["--gpts", f"{coarse},{coarse}", "--band-fraction", "0.789"],
         }
+        common = ours[:3] + ours[ours.index("--scan-points"):]
+        for width in ("5.9", "7.8"):
+            runs[f"stemgen, window {width} A"] = common + ["--algorithm", "window", "--window", width,
+                                                           "--detector", "HAADF=68-200"]
         figures = {name: [] for name in runs}
         for _ in range(args.rounds):
             for name, command in runs.items():

@@ -4,8 +4,8 @@ use super::values::{self, Engine, ParametrizationName, ProjectionName};
 use anyhow::bail;
 use clap::Args;
 use stemgen::detect::Detector;
-use stemgen::engine::settings::DEFAULT_BAND_FRACTION;
-use stemgen::engine::{Algorithm, BeyondLimit, GridChoice, Phonons, Settings};
+use stemgen::engine::settings::{AUTO_ANGLE_MARGIN, DEFAULT_BAND_FRACTION};
+use stemgen::engine::{Algorithm, BeyondLimit, GridChoice, Phonons, Settings, window_for};
 use stemgen::optics::{Aberration, Aberrations, Optics};
 use stemgen::potential::slices::Slicing;
 
@@ -45,15 +45,21 @@ pub struct MicroscopeArgs {
 #[command(next_help_heading = "Numerics")]
 pub struct NumericsArgs {
     /// How probes are propagated [default: multislice]
-    #[arg(long, value_name = "NAME")]
+    #[arg(long = "engine", visible_alias = "algorithm", value_name = "NAME")]
     pub algorithm: Option<Engine>,
+    /// Take the narrowest window whose error is at most so many per cent of the mean image (rms): 2.1, 0.8,
+    /// 0.4 or 0.3 and above; for HAADF
+    #[arg(long, value_name = "PERCENT", value_parser = values::percent, allow_negative_numbers = true)]
+    #[arg(conflicts_with_all = ["window", "interpolation"])]
+    pub accuracy: Option<f64>,
     /// PRISM interpolation factor, or one for x and one for y [default: 1]
     #[arg(long, value_name = "F[,FY]", value_parser = values::factors, conflicts_with = "window")]
     pub interpolation: Option<[usize; 2]>,
     /// Width of the window that follows each probe, in A [default: 11.7]
     #[arg(long, value_name = "A", value_parser = values::finite, allow_negative_numbers = true)]
     pub window: Option<f64>,
-    /// Pixel of the grid in A, at most [default: carries 1.2 times the outermost detector angle]
+    /// Pixel of the grid in A, at most [default: carries the outermost detector angle times
+    /// --angle-margin]
     #[arg(long, value_name = "A", value_parser = values::finite, allow_negative_numbers = true)]
     #[arg(conflicts_with = "gpts")]
     pub sampling: Option<f64>,
@@ -77,14 +83,25 @@ pub struct NumericsArgs {
     #[arg(long, value_name = "F", default_value_t = 0.0, value_parser = values::finite)]
     #[arg(allow_negative_numbers = true)]
     pub band_taper: f64,
-    /// Potentials on a grid so many times finer [default: finer than 0.0125 A]
+    /// Exponentiate potentials on a grid so many times finer [default: smoothed potentials, with the
+    /// cores of the atoms put back in closed form]
     #[arg(long, value_name = "N")]
     pub oversampling: Option<usize>,
+    /// The grid carries so many times the outermost detector angle
+    #[arg(long, value_name = "F", default_value_t = AUTO_ANGLE_MARGIN, value_parser = values::finite)]
+    #[arg(allow_negative_numbers = true)]
+    pub angle_margin: f64,
+    /// Windows: leave out what the probe's tail outside would have scattered
+    #[arg(long)]
+    pub no_tail: bool,
 }
 
 impl NumericsArgs {
     /// The algorithm that the options stand for.
     pub fn algorithm(&self) -> anyhow::Result<Algorithm> {
+        if self.accuracy.is_some() && !matches!(self.algorithm, None | Some(Engine::Window)) {
+            bail!("--accuracy chooses a window; leave out --engine, or take --engine window");
+        }
         algorithm(
             self.algorithm,
             self.window,
@@ -146,6 +163,25 @@ impl MicroscopeArgs {
     }
 }
 
+/// Takes the window that the accuracy asks for; says what about its error was not measured.
+pub fn choose_window(
+    accuracy: Option<f64>,
+    settings: &mut Settings,
+    thickness_angstrom: f64,
+) -> anyhow::Result<Option<String>> {
+    let Some(accuracy) = accuracy else { return Ok(None) };
+    let choice = window_for(accuracy, settings, thickness_angstrom)?;
+    settings.algorithm = Algorithm::Window { width_angstrom: choice.width_angstrom };
+    let beyond = choice.beyond_measured;
+    Ok((!beyond.is_empty()).then(|| {
+        format!(
+            "an error of {accuracy} % was not measured for {}; the window was widened to {:.1} A, which              should do. Check with --engine multislice on a few probes",
+            beyond.join(", "),
+            choice.width_angstrom
+        )
+    }))
+}
+
 /// The settings of the engine for a scan.
 pub fn settings(
     microscope: &MicroscopeArgs,
@@ -168,6 +204,8 @@ pub fn settings(
         slicing: numerics.slice_thickness.map_or(Slicing::Planes, Slicing::Thickness),
         grid,
         algorithm: numerics.algorithm()?,
+        angle_margin: numerics.angle_margin,
+        tail_correction: !numerics.no_tail,
         band_fraction: numerics.band_fraction.unwrap_or(DEFAULT_BAND_FRACTION),
         band_taper: numerics.band_taper,
         oversampling: numerics.oversampling,

@@ -138,7 +138,10 @@ impl Simulate {
         if self.results.plane_wave {
             settings = plane_wave::settings(settings)?;
         }
+        let accuracy = self.numerics.accuracy;
+        let warning = imaging::choose_window(accuracy, &mut settings, specimen.size[2])?;
         let mut plan = Plan::new(&settings, specimen.size, &specimen.heights)?;
+        plan.warnings.extend(warning);
         let scan = self.scan(&plan, &specimen)?;
         self.add_warnings(&mut plan, &specimen, &scan);
         if self.common.dry_run {

@@ -24,6 +24,12 @@ pub fn finite(text: &str) -> Parsed<f64> {
     value.ok_or_else(|| "write a number, such as 12.5".into())
 }
 
+/// A number with or without a per cent sign.
+pub fn percent(text: &str) -> Parsed<f64> {
+    finite(text.trim().trim_end_matches('%'))
+        .map_err(|_: String| "write per cent, such as 1 or 0.5%".into())
+}
+
 /// `X,Y`.
 pub fn point(text: &str) -> Parsed<[f64; 2]> {
     let point = numbers(text, ',', "two numbers, such as 0,3.9")?;

@@ -1,5 +1,6 @@
 //! Simulation of detector images from atoms: plan, then execute.
 
+mod accuracy;
 mod exponential;
 mod images;
 mod imaging;
@@ -13,6 +14,7 @@ mod stepper;
 mod tail;
 mod transmission;
 
+pub use accuracy::{WindowChoice, window_for};
 pub use images::{Images, diffraction, exit_wave, simulate};
 pub use imaging::lens_image;
 pub use plan::Plan;

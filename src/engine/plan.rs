@@ -446,7 +446,7 @@ mod tests {
         let plan = Plan::new(&Settings::default(), CELL, &heights()).unwrap();
         assert!(plan.band_limit_mrad >= 200.0, "{}", plan.band_limit_mrad);
         assert_eq!(plan.wave_grid.points, [480, 480]);
-        assert_eq!(plan.potential_grid.points, [1920, 1920]);
+        assert_eq!(plan.potential_grid.points, [480, 480]);
         assert_eq!(plan.slices.len(), 20);
         assert_eq!(plan.record_after, vec![19]);
     }

@@ -25,7 +25,7 @@ impl ColumnPlan {
 
     /// Number of `f32` that the scratch of every call must have room for.
     pub fn scratch_len(&self) -> usize {
-        self.plan.len() * 2 * lanes()
+        self.plan.points() * 2 * lanes()
     }
 
     /// Frequency index found at each position after the forward passes.
@@ -68,7 +68,7 @@ impl ColumnPlan {
         scratch: &mut [f32],
     ) {
         let end = columns.start + columns.len().next_multiple_of(lanes());
-        assert!(end <= stride && data.len() >= self.plan.len() * stride, "rows are not padded");
+        assert!(end <= stride && data.len() >= self.plan.points() * stride, "rows are not padded");
         assert!(scratch.len() >= self.scratch_len());
         // Complex32 is repr(C) of two f32.
         let data: &mut [f32] = unsafe {

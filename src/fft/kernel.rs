@@ -59,7 +59,7 @@ impl<S: Simd> Kernel<'_, S> {
         unsafe {
             for stage in &self.plan.stages()[from..] {
                 let mut at = 0;
-                while at < self.plan.len() {
+                while at < self.plan.points() {
                     by_radix!(stage.radix, self.forward(stage, at));
                     at += stage.len;
                 }
@@ -71,7 +71,7 @@ impl<S: Simd> Kernel<'_, S> {
     #[inline(always)]
     pub unsafe fn convolve_inner<M: Middle<S>>(&self, middle: &M) {
         let first = self.plan.stages()[0].radix;
-        let sub = self.plan.len() / first;
+        let sub = self.plan.points() / first;
         for part in 0..first {
             unsafe { self.convolve_part(1, part * sub, middle) };
         }

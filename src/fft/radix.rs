@@ -79,7 +79,7 @@ impl RadixPlan {
     }
 
     /// Numbers transformed.
-    pub fn len(&self) -> usize {
+    pub fn points(&self) -> usize {
         self.n
     }
 

@@ -33,12 +33,12 @@ impl RowPlan {
 
     /// Number of `f32` that scratch must have room for. A tile may reach beyond the last column.
     pub fn scratch_len(&self) -> usize {
-        (self.plan.len() + tile::MOST_COLUMNS) * 2 * lanes()
+        (self.plan.points() + tile::MOST_COLUMNS) * 2 * lanes()
     }
 
     /// Number of `f32` of a block in the order of [`RowPlan::arrange`].
     pub fn arranged_len(&self) -> usize {
-        self.plan.len() * 2 * lanes()
+        self.plan.points() * 2 * lanes()
     }
 
     /// Transforms a block of rows in place, natural order to natural order, unnormalised.
@@ -81,7 +81,7 @@ impl RowPlan {
 
     /// Columns with the last tile.
     fn padded(&self) -> usize {
-        self.plan.len().next_multiple_of((lanes() / 2).max(1))
+        self.plan.points().next_multiple_of((lanes() / 2).max(1))
     }
 
     fn check(&self, rows: &[Complex32], stride: usize, scratch: &[f32]) {
@@ -180,7 +180,7 @@ impl<S: Simd> Block<'_, S> {
     #[inline(always)]
     unsafe fn convolve(&self, live: &[Range<usize>], by: &Arranged) {
         unsafe {
-            let (simd, n) = (self.kernel.simd, self.kernel.plan.len());
+            let (simd, n) = (self.kernel.simd, self.kernel.plan.points());
             let zero = simd.splat_f32s(0.0);
             let mut filled = 0;
             let padded = n.next_multiple_of(tile::columns::<S>());
@@ -213,7 +213,7 @@ impl<S: Simd> Block<'_, S> {
     #[inline(always)]
     unsafe fn transform(&self, position: &[usize], inverse: bool) {
         unsafe {
-            let n = self.kernel.plan.len();
+            let n = self.kernel.plan.points();
             self.load(0..n, inverse);
             self.kernel.forward_from(0);
             let zero = self.kernel.simd.splat_f32s(0.0);

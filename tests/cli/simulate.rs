@@ -70,7 +70,7 @@ fn a_dry_run_tells_the_numbers_and_writes_nothing() {
     command.arg("simulate").arg(file("structures/srtio3.cif"));
     let plan = json(command.args(["--repeat", "5,5,10", "--dry-run"]));
     assert_eq!(plan["wave_grid"]["points"], serde_json::json!([480, 480]));
-    assert_eq!(plan["potential_grid"]["points"], serde_json::json!([1920, 1920]));
+    assert_eq!(plan["potential_grid"]["points"], serde_json::json!([480, 480]));
     let number = |key: &str| plan[key].as_f64().unwrap();
     assert!((number("wavelength_angstrom") - 0.025079).abs() < 1e-6);
     // 0.8 wavelength / (2 pixel), with pixels of 19.525 A / 480

@@ -1,0 +1,143 @@
+//! The window for a requested accuracy.
+//!
+//! Errors are rms differences from the full grid over a raster, divided by the mean image. They were measured
+//! (`cargo bench --bench accuracy`) for HAADF 68-200 mrad at 200 kV, 21 mrad, in focus, at 40 and 100 A (Pt: 13
+//! and 33 A), two phonon configurations each, on SrTiO3 [001], BaTiO3, Si0.9Ge0.1 [110], GaN [11-20] and a Pt
+//! sphere; the table holds the largest.
+
+use super::settings::Settings;
+use crate::error::{Error, Result};
+
+/// (error in per cent, width of the window in Angstrom)
+const MEASURED: [(f64, f64); 4] = [(2.1, 5.9), (0.8, 7.8), (0.4, 9.8), (0.3, 11.7)];
+/// Semiangle and wavelength (Angstrom) of the measurements.
+const MEASURED_SEMIANGLE_MRAD: f64 = 21.0;
+const MEASURED_WAVELENGTH_ANGSTROM: f64 = 0.025_08;
+/// Thickness in Angstrom up to which the errors were measured.
+const MEASURED_THICKNESS_ANGSTROM: f64 = 102.0;
+/// Share of a probe's geometric spread, semiangle times what is beyond the measured thickness, by which a
+/// window grows: SrTiO3 of 195 A then stays below the errors of 100 A.
+const SPREAD: f64 = 1.2;
+/// Pixels of a window's diffraction pattern are too coarse for detectors that begin at fewer semiangles.
+const LEAST_INNER_SEMIANGLES: f64 = 2.0;
+
+/// A window and what was not measured about it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WindowChoice {
+    /// Width in Angstrom.
+    pub width_angstrom: f64,
+    /// Why its error is an extrapolation; empty within the range of the measurements.
+    pub beyond_measured: Vec<String>,
+}
+
+/// The narrowest window whose error is at most `accuracy_percent`, widened for thickness, defocus, aberrations and
+/// small apertures.
+///
+/// # Errors
+/// [`Error::Invalid`] for an accuracy that no window was measured to have, and for detectors at angles too low for
+/// windows; both name the engine to take instead.
+pub fn window_for(
+    accuracy_percent: f64,
+    settings: &Settings,
+    thickness_angstrom: f64,
+) -> Result<WindowChoice> {
+    let optics = &settings.optics;
+    optics.validate()?;
+    let least = LEAST_INNER_SEMIANGLES * optics.semiangle_mrad;
+    if let Some(d) = settings.detectors.iter().find(|d| d.inner_mrad < least) {
+        let value = format!("{} = {}-{} mrad", d.name, d.inner_mrad, d.outer_mrad);
+        let expected = format!(
+            "windows are for detectors that begin at {least:.0} mrad (two semiangles) or more; use \
+             the engine multislice or prism"
+        );
+        return Err(Error::invalid("detector", value, expected));
+    }
+    let fits = MEASURED.iter().find(|(error, _)| accuracy_percent >= *error);
+    let Some(&(_, base)) = fits.filter(|_| accuracy_percent.is_finite()) else {
+        let best = MEASURED[MEASURED.len() - 1].0;
+        let expected = format!(
+            "windows were measured to be right to {best} % at best; use the engine multislice, or \
+             --window with a width of your own"
+        );
+        return Err(Error::invalid("accuracy (%)", accuracy_percent, expected));
+    };
+    let wavelength = optics.wavelength_angstrom();
+    // The probe's size goes with wavelength over semiangle.
+    let size = wavelength
+        / optics.semiangle_mrad
+        / (MEASURED_WAVELENGTH_ANGSTROM / MEASURED_SEMIANGLE_MRAD);
+    let beyond = (thickness_angstrom - MEASURED_THICKNESS_ANGSTROM).max(0.0);
+    let blur = geometric_radius(settings);
+    let width_angstrom =
+        base * size.max(1.0) + SPREAD * optics.semiangle_mrad * 1e-3 * beyond + 2.0 * blur;
+    let mut notes = Vec::new();
+    let mut note = |is: bool, text: String| {
+        if is {
+            notes.push(text);
+        }
+    };
+    note(beyond > 0.0, format!("thickness {thickness_angstrom:.0} A (measured: to 100 A)"));
+    note(blur > 0.5, format!("a probe blurred by {blur:.1} A (measured: in focus)"));
+    note((size - 1.0).abs() > 0.15, "energy or semiangle (measured: 200 kV, 21 mrad)".into());
+    let inner = settings.detectors.iter().map(|d| d.inner_mrad).fold(f64::INFINITY, f64::min);
+    note(inner < 60.0, format!("inner angle {inner} mrad (measured: 68 mrad)"));
+    Ok(WindowChoice { width_angstrom, beyond_measured: notes })
+}
+
+/// Largest distance in Angstrom by which aberrations, defocus included, displace rays within the aperture:
+/// `|grad chi| / 2 pi` with respect to k.
+fn geometric_radius(settings: &Settings) -> f64 {
+    let optics = &settings.optics;
+    let wavelength = optics.wavelength_angstrom();
+    let k_max = optics.semiangle_mrad * 1e-3 / wavelength;
+    let chi = |kx: f64, ky: f64| {
+        optics.aberrations.chi(wavelength, kx.hypot(ky) * wavelength, ky.atan2(kx))
+    };
+    let step = 1e-4 * k_max;
+    let mut most = 0.0_f64;
+    for ring in 1..=10 {
+        for spoke in 0..48 {
+            let (sin, cos) = (std::f64::consts::TAU * f64::from(spoke) / 48.0).sin_cos();
+            let k = k_max * f64::from(ring) / 10.0;
+            let (x, y) = (k * cos, k * sin);
+            let slope_x = chi(x + step, y) - chi(x - step, y);
+            let slope_y = chi(x, y + step) - chi(x, y - step);
+            most = most.max(slope_x.hypot(slope_y) / (2.0 * step));
+        }
+    }
+    most / std::f64::consts::TAU
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::detect::Detector;
+    use crate::optics::Aberrations;
+
+    #[test]
+    fn windows_grow_with_what_spreads_a_probe() {
+        let plain = Settings::default();
+        let width = |s: &Settings, t: f64| window_for(1.0, s, t).unwrap().width_angstrom;
+        assert_eq!(width(&plain, 100.0), 7.8);
+        assert!(window_for(1.0, &plain, 100.0).unwrap().beyond_measured.is_empty());
+        let mut defocused = plain.clone();
+        defocused.optics.aberrations = Aberrations::defocus(60.0);
+        // geometric optics: 60 A times 21 mrad on either side
+        assert!((width(&defocused, 100.0) - (7.8 + 2.0 * 60.0 * 0.021)).abs() < 1e-3);
+        assert!((width(&plain, 195.0) - 10.14).abs() < 0.05);
+        let mut small = plain.clone();
+        small.optics.semiangle_mrad = 10.5;
+        assert!((width(&small, 100.0) - 15.6).abs() < 0.02);
+        assert_eq!(window_for(1.0, &defocused, 195.0).unwrap().beyond_measured.len(), 2);
+    }
+
+    #[test]
+    fn what_windows_cannot_do_is_refused() {
+        let plain = Settings::default();
+        assert!(window_for(0.1, &plain, 50.0).is_err());
+        assert!(window_for(f64::NAN, &plain, 50.0).is_err());
+        let bf = Settings { detectors: vec![Detector::new("BF", 0.0, 20.0)], ..plain };
+        let error = window_for(1.0, &bf, 50.0).unwrap_err().to_string();
+        assert!(error.contains("BF") && error.contains("prism"), "{error}");
+    }
+}
