@@ -201,7 +201,7 @@ fn values_set_afterwards_are_checked() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("w.h5");
     let mut recipe = recipe(1, 1);
-    (recipe.field.overlap_px, recipe.lattice.a_angstrom) = (500, f64::NAN);
+    (recipe.field.overlap_px, recipe.optics.energy_kv) = (500, f64::NAN);
     let error = build(&recipe, &Spots::new(), &path, &options(), &Silent).unwrap_err();
     assert!(error.to_string().contains("field.overlap_px = 500"), "{error}");
     let wide = BuildOptions { subtile_nm: 1.0, subtile_overlap_nm: 0.9, ..options() };

@@ -6,7 +6,7 @@ mod world_file;
 mod world_writer;
 
 pub use world_file::{GroundTruth, WorldFile, WorldMetadata};
-pub use world_writer::{Header, TruthBatch, WorldWriter};
+pub use world_writer::{Header, LineKind, ParticleBatch, TruthBatch, WorldWriter};
 
 use std::path::Path;
 

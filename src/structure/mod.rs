@@ -6,6 +6,7 @@
 mod cif;
 pub mod elements;
 pub mod lattice;
+pub mod library;
 mod neighbors;
 mod occupancy;
 mod orient;
@@ -14,7 +15,7 @@ mod read;
 mod supercell;
 mod xyz;
 
-pub use neighbors::min_pair_distance;
+pub use neighbors::{min_pair_distance, shortest_distances};
 pub use read::{Format, parse, read};
 pub use xyz::write_extxyz;
 

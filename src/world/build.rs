@@ -19,6 +19,9 @@ use crate::io::{Header, WorldFile, WorldWriter};
 use crate::progress::Progress;
 use crate::structure::elements;
 
+/// Atoms are never further than this from the position of their column.
+const DISPLACED_NM: f64 = 0.1;
+
 /// Simulates sub-tiles.
 pub trait SubTileEngine {
     /// Name of the method.
@@ -105,7 +108,7 @@ pub fn build(
     let started = Instant::now();
     check_output(output, options.overwrite)?;
     let margin = engine.margin_angstrom();
-    if !(0.0..=BEYOND_FIELD_NM * 10.0).contains(&margin) {
+    if !(0.0..=(BEYOND_FIELD_NM - DISPLACED_NM) * 10.0).contains(&margin) {
         let expected = format!("the specimen goes on for {} A around it", BEYOND_FIELD_NM * 10.0);
         return Err(Error::invalid("engine margin (A)", margin, expected));
     }
@@ -225,7 +228,11 @@ impl Job<'_> {
     fn atoms(&self, area: &Region) -> Vec<Site> {
         let corner = [area.x[0], area.y[0], 0.0];
         let sigmas = &self.recipe.phonons.sigma_angstrom;
-        let present = self.specimen.sites(area).into_iter().filter(|s| s.kind != SiteKind::Vacancy);
+        // A displaced atom may lie on the other side of the edge than its column.
+        let sites = self.specimen.sites(&area.grown(DISPLACED_NM)).into_iter();
+        let present = sites.filter(|s| {
+            s.kind != SiteKind::Vacancy && area.contains([s.position_nm[0], s.position_nm[1]])
+        });
         let site = |s: super::SpecimenSite| Site {
             position: [0, 1, 2].map(|k| 10.0 * (s.position_nm[k] - corner[k])),
             number: s.number,

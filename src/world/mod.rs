@@ -8,8 +8,11 @@ pub mod boundary;
 pub mod build;
 pub mod coincidence;
 pub mod crystal;
+pub mod crystal_source;
+pub mod defects;
+pub mod grains;
 pub mod noise;
-pub mod perovskite;
+mod orientation;
 pub mod recipe;
 mod recipe_check;
 pub mod relax;
@@ -18,11 +21,14 @@ pub mod specimen;
 mod store;
 mod subprogress;
 pub mod subtiles;
+pub mod tables;
 mod truth;
 pub mod vacancies;
 
 pub use build::{BuildOptions, SubTileEngine, Summary, build};
 pub use recipe::{Difficulty, Recipe};
 pub use simulator::Simulator;
-pub use specimen::{Region, SiteKind, Specimen, SpecimenSite, specimen};
+pub use specimen::{
+    Boundary, BoundaryKind, ParticleTruth, Region, SiteKind, Specimen, SpecimenSite, specimen,
+};
 pub use truth::Counts;

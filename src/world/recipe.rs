@@ -1,12 +1,16 @@
 //! Recipes: what a world is made of, as TOML with one table per difficulty.
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use super::crystal::ColumnCrystal;
+use super::crystal_source::CrystalSource;
+use super::orientation;
 use super::recipe_check;
+pub use super::tables::*;
 use crate::error::{Error, Result};
+use crate::structure::Structure;
 
 /// Recipes that come with the program: name and text.
 const BUILT_IN: [(&str, &str); 1] = [("srtio3", include_str!("../../generate/srtio3.toml"))];
@@ -58,20 +62,35 @@ pub struct Recipe {
     pub tier: Option<Difficulty>,
     /// Which specimen builder the recipe is for.
     pub structure: StructureKind,
-    /// Direction of the beam in the crystal, as text.
+    /// Direction of the beam in the crystal, as text: `[001]`, `[11-20]`.
     pub zone_axis: String,
+    /// Direction along +y, perpendicular to the zone; the shortest such when absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub y_axis: Option<String>,
     /// Seed of all random numbers.
     pub seed: u64,
+    /// The crystal.
+    pub crystal: CrystalSource,
     /// Field of view, tiles and thickness.
     pub field: Field,
-    /// The crystal.
-    pub lattice: Lattice,
-    /// Grain boundaries.
+    /// Grain boundaries (`grains`).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub boundaries: Option<Boundaries>,
+    /// Domains of a second phase (`domains`).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub domains: Option<Domains>,
+    /// Composition of an alloy (`epitaxy`).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub alloy: Option<Alloy>,
+    /// Quantum wells of the alloy (`epitaxy`).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub wells: Option<Wells>,
     /// Vacancies.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vacancies: Option<Vacancies>,
+    /// Random substitutions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub substitutions: Option<Substitutions>,
     /// Thermal vibration.
     pub phonons: Phonons,
     /// The probe.
@@ -80,119 +99,6 @@ pub struct Recipe {
     pub detector: Detector,
     /// Noise.
     pub dose: Dose,
-}
-
-/// Specimen builders.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum StructureKind {
-    /// Perovskite seen along \[001\], in grains rotated about the beam.
-    PerovskiteGrains,
-}
-
-/// Field of view, tiles and thickness.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Field {
-    /// Height and width of the full field in nm.
-    pub fov_nm: [f64; 2],
-    /// Rows and columns of tiles of the full field.
-    pub grid: [usize; 2],
-    /// Rows and columns of tiles of the central part that is built; all when absent.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub crop: Option<[usize; 2]>,
-    /// Edge of a tile in pixels.
-    pub tile_px: usize,
-    /// Pixels shared by neighbouring tiles.
-    pub overlap_px: usize,
-    /// Thickness along the beam in nm, rounded to whole unit cells.
-    pub thickness_nm: f64,
-}
-
-/// A cubic perovskite ABX3.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Lattice {
-    /// Edge of the unit cell in Angstrom.
-    pub a_angstrom: f64,
-    /// Symbol of the element at the corner.
-    pub a_site: String,
-    /// Symbol of the element in the centre.
-    pub b_site: String,
-    /// Symbol of the element at the faces.
-    pub x_site: String,
-}
-
-/// Straight symmetric tilt boundaries along y, equally spaced in x.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Boundaries {
-    /// Number of boundaries.
-    pub count: usize,
-    /// Rotation between neighbouring grains in degrees.
-    pub misorientation_deg: f64,
-    /// Coincidence index; the exact coincidence angle then replaces `misorientation_deg`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub sigma: Option<u32>,
-    /// Least distance per pair of elements (`"Ti-O"`) in Angstrom.
-    pub min_distance_angstrom: BTreeMap<String, f64>,
-}
-
-/// Vacancies of one element.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Vacancies {
-    /// Symbol of the element that is missing.
-    pub element: String,
-    /// Vacant fraction of all its sites.
-    pub rate: f64,
-    /// Share of the vacancies gathered about the boundaries.
-    pub cluster_fraction: f64,
-    /// Standard deviation of their distance from the boundary in nm.
-    pub cluster_sigma_nm: f64,
-    /// Upper limit of the local vacancy probability.
-    pub max_probability: f64,
-    /// Distance by which cations beside a vacancy move away from it, in Angstrom.
-    #[serde(default)]
-    pub relaxation_angstrom: f64,
-}
-
-/// Thermal vibration.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Phonons {
-    /// Number of frozen configurations averaged.
-    pub configurations: usize,
-    /// Standard deviation of each Cartesian component in Angstrom, per element.
-    pub sigma_angstrom: BTreeMap<String, f64>,
-}
-
-/// The probe.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Optics {
-    /// Accelerating voltage in kV.
-    pub energy_kv: f64,
-    /// Convergence semi-angle in mrad.
-    pub convergence_mrad: f64,
-}
-
-/// The annular detector.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Detector {
-    /// Inner angle in mrad.
-    pub inner_mrad: f64,
-    /// Outer angle in mrad.
-    pub outer_mrad: f64,
-}
-
-/// Noise.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Dose {
-    /// Electrons per square Angstrom of the field.
-    pub electrons_per_angstrom2: f64,
 }
 
 impl Recipe {
@@ -241,14 +147,54 @@ impl Recipe {
         if let Some(difficulty) = difficulty {
             table.insert("tier".into(), difficulty.name().into());
         }
-        let recipe: Recipe =
+        let mut recipe: Recipe =
             table.try_into().map_err(|e: toml::de::Error| source.value_error(e.message()))?;
+        recipe.read_crystals(source.path.parent().unwrap_or(Path::new(""))).map_err(
+            |e| match e {
+                Error::Invalid { value, expected, .. } => {
+                    let line = source.line_of("crystal");
+                    Error::parse(&source.path, line, format!("crystal = {value}: {expected}"))
+                }
+                other => other,
+            },
+        )?;
         recipe_check::check(&recipe).map_err(|fault| {
             let line = source.line_of(fault.key.rsplit('.').next().unwrap_or_default());
             let Fault { key, value, expected } = fault;
             Error::parse(&source.path, line, format!("{key} = {value}: {expected}"))
         })?;
         Ok(recipe)
+    }
+
+    /// Reads the files of crystals that are not the program's, relative to `folder`.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for an unknown crystal, [`Error::Io`].
+    pub fn read_crystals(&mut self, folder: &Path) -> Result<()> {
+        self.crystal.read(folder)?;
+        if let Some(domains) = &mut self.domains {
+            domains.crystal.read(folder)?;
+        }
+        match &mut self.alloy {
+            Some(alloy) => alloy.end_member.read(folder),
+            None => Ok(()),
+        }
+    }
+
+    /// The crystal in a box whose z axis is the zone axis.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] when no such box exists, and those of the crystal's file.
+    pub fn oriented_crystal(&self) -> Result<Structure> {
+        oriented(&self.crystal, &self.zone_axis, self.y_axis.as_deref())
+    }
+
+    /// That crystal as columns.
+    ///
+    /// # Errors
+    /// As [`Recipe::oriented_crystal`] and [`ColumnCrystal::new`].
+    pub fn column_crystal(&self) -> Result<ColumnCrystal> {
+        ColumnCrystal::new(&self.oriented_crystal()?)
     }
 
     /// Checks every value against its limits, as needed after changing some.
@@ -279,30 +225,6 @@ impl Recipe {
     /// The resolved recipe as TOML; [`Recipe::from_toml_str`] with no difficulty reads it back.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).unwrap_or_else(|e| format!("# cannot be written as TOML: {e}\n"))
-    }
-}
-
-impl Field {
-    /// Rows and columns of the tiles that are built.
-    pub fn built_grid(&self) -> [usize; 2] {
-        self.crop.unwrap_or(self.grid)
-    }
-    /// Height and width in pixels that `grid` tiles cover.
-    pub fn pixels(&self, grid: [usize; 2]) -> [usize; 2] {
-        grid.map(|n| n * self.stride_px() + self.overlap_px)
-    }
-    /// Distance between neighbouring tiles in pixels.
-    pub fn stride_px(&self) -> usize {
-        self.tile_px - self.overlap_px
-    }
-    /// Edge of a (square) pixel in nm: width of the full field over its pixels.
-    pub fn pixel_nm(&self) -> f64 {
-        self.fov_nm[1] / self.pixels(self.grid)[1] as f64
-    }
-    /// Row and column, in pixels of the full field, of the first pixel that is built.
-    pub fn crop_origin_px(&self) -> [usize; 2] {
-        let built = self.built_grid();
-        [0, 1].map(|i| (self.grid[i] - built[i]) / 2 * self.stride_px())
     }
 }
 
@@ -398,6 +320,23 @@ impl Source<'_> {
         }
         first
     }
+}
+
+/// A crystal turned so that the beam runs along `zone_axis`.
+///
+/// # Errors
+/// As [`Structure::oriented`], and those of the crystal's file.
+pub(super) fn oriented(
+    crystal: &CrystalSource,
+    zone_axis: &str,
+    y_axis: Option<&str>,
+) -> Result<Structure> {
+    let zone = orientation::parse(zone_axis).map_err(|e| Error::invalid("zone", zone_axis, e))?;
+    let up = match y_axis {
+        Some(text) => Some(orientation::parse(text).map_err(|e| Error::invalid("up", text, e))?),
+        None => None,
+    };
+    crystal.structure()?.oriented(zone, up)
 }
 
 /// Lays `over` over `base`, table by table.

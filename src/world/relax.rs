@@ -1,23 +1,48 @@
-//! Outward relaxation of the cations beside a vacancy.
+//! Outward relaxation of the atoms beside a vacancy.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
 use super::specimen::{SiteKind, SpecimenSite};
 
-/// Cations nearer than this to a vacancy move, in units of the cell edge: between the nearest
-/// cations of an anion (0.5 and 0.71) and the next (1.1).
-pub const REACH: f64 = 0.8;
+/// Neighbours up to this many times the shortest distance of their pair of elements move: more than
+/// the nearest shell, less than the next.
+const SHELL: f64 = 1.15;
 
-/// Moves every site that is not of `element` by `distance_nm` away from each vacancy within
-/// `reach_nm`. The result does not depend on the order of `vacant`.
+/// How far from a vacancy of one element atoms of the others move.
+#[derive(Debug, Clone, Default)]
+pub struct Reach(BTreeMap<u8, f64>);
+
+impl Reach {
+    /// For vacancies of `element`; `shortest` are the shortest distances in the crystal in Angstrom.
+    pub fn new(element: u8, shortest: &BTreeMap<(u8, u8), f64>) -> Self {
+        let of = |(&(a, b), d): (&(u8, u8), &f64)| {
+            let other = if a == element { b } else { a };
+            ((a == element || b == element) && other != element).then_some((other, 0.1 * SHELL * d))
+        };
+        Reach(shortest.iter().filter_map(of).collect())
+    }
+    /// For atoms of `number`, in nm.
+    fn of(&self, number: u8) -> f64 {
+        self.0.get(&number).copied().unwrap_or(0.0)
+    }
+    /// The greatest, in nm.
+    pub fn greatest_nm(&self) -> f64 {
+        self.0.values().copied().fold(0.0, f64::max)
+    }
+}
+
+/// Moves every site within `reach` of a vacancy by `distance_nm` away from it. The result does not depend on the order of `vacant`.
 pub fn outward(
     sites: &mut [SpecimenSite],
     vacant: &[SpecimenSite],
-    element: u8,
     distance_nm: f64,
-    reach_nm: f64,
+    reach: &Reach,
 ) {
-    let cell = |p: [f64; 3]| p.map(|v| (v / reach_nm).floor() as i64);
+    let edge = reach.greatest_nm();
+    if edge <= 0.0 {
+        return;
+    }
+    let cell = |p: [f64; 3]| p.map(|v| (v / edge).floor() as i64);
     let mut cells: HashMap<[i64; 3], Vec<&SpecimenSite>> = HashMap::new();
     for vacancy in vacant {
         cells.entry(cell(vacancy.position_nm)).or_default().push(vacancy);
@@ -25,8 +50,8 @@ pub fn outward(
     let around = |[i, j, k]: [i64; 3]| {
         (0..27).map(move |n| [i + n % 3 - 1, j + n / 3 % 3 - 1, k + n / 9 - 1])
     };
-    for site in sites.iter_mut().filter(|s| s.number != element && s.kind != SiteKind::Vacancy) {
-        let from = site.position_nm;
+    for site in sites.iter_mut().filter(|s| s.kind != SiteKind::Vacancy) {
+        let (from, reach_nm) = (site.position_nm, reach.of(site.number));
         let near = around(cell(from)).filter_map(|c| cells.get(&c)).flatten();
         let away = |v: &&SpecimenSite| {
             let d = [0, 1, 2].map(|k| from[k] - v.position_nm[k]);

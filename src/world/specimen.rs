@@ -1,5 +1,6 @@
 //! Specimens: all lattice sites of a full field, asked for region by region.
 
+use super::grains::Grains;
 use super::recipe::{Recipe, StructureKind};
 use crate::error::Result;
 
@@ -82,15 +83,45 @@ pub struct Sites {
     pub sites: Vec<SpecimenSite>,
 }
 
-/// A boundary between grains.
+/// A line between grains or phases.
 #[derive(Debug, Clone, PartialEq)]
-pub struct GrainBoundary {
+pub struct Boundary {
     /// Corners (x, y) in nm of the full field.
     pub line_nm: Vec<[f64; 2]>,
-    /// Rotation between the grains in degrees.
-    pub misorientation_deg: f64,
-    /// Coincidence index, where there is one.
-    pub sigma: Option<u32>,
+    /// What it separates.
+    pub kind: BoundaryKind,
+}
+
+/// What a boundary separates.
+#[derive(Debug, Clone, PartialEq)]
+pub enum BoundaryKind {
+    /// Two grains.
+    Grain {
+        /// Rotation between the grains in degrees.
+        misorientation_deg: f64,
+        /// Coincidence index, where there is one.
+        sigma: Option<u32>,
+    },
+    /// Two phases.
+    Phase {
+        /// The phases left and right of the line, as in [`Specimen::phases`].
+        sides: [usize; 2],
+        /// Standard deviation of the transition in nm (see [`super::recipe::Domains`]): 0 if abrupt.
+        sharpness_sigma_nm: f64,
+    },
+}
+
+/// A particle, as the ground truth lists it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ParticleTruth {
+    /// Centre (x, y, z) in nm of the full field.
+    pub centre_nm: [f64; 3],
+    /// Diameter in nm.
+    pub diameter_nm: f64,
+    /// Shape: `wulff`, `icosahedron`, `decahedron` ... (at most 16 ASCII characters).
+    pub morphology: String,
+    /// Rotation from the particle's own axes to those of the field as a unit quaternion (w, x, y, z).
+    pub orientation: [f64; 4],
 }
 
 /// A specimen of the full field.
@@ -104,8 +135,23 @@ pub trait Specimen: Send + Sync {
     }
     /// Thickness in nm.
     fn thickness_nm(&self) -> f64;
-    /// Boundaries between grains.
-    fn boundaries(&self) -> Vec<GrainBoundary>;
+    /// Boundaries between grains and phases.
+    fn boundaries(&self) -> Vec<Boundary> {
+        Vec::new()
+    }
+    /// Names of the phases; empty when there is only one. Their indices are the codes of the
+    /// phase map.
+    fn phases(&self) -> Vec<String> {
+        Vec::new()
+    }
+    /// The phase at a point (x, y) in nm, as an index into [`Specimen::phases`].
+    fn phase_at(&self, _position_nm: [f64; 2]) -> usize {
+        0
+    }
+    /// Particles whose centre lies in the specimen.
+    fn particles(&self) -> Vec<ParticleTruth> {
+        Vec::new()
+    }
 }
 
 /// The specimen that a recipe describes.
@@ -115,8 +161,10 @@ pub trait Specimen: Send + Sync {
 pub fn specimen(recipe: &Recipe) -> Result<Box<dyn Specimen>> {
     recipe.check()?;
     match recipe.structure {
-        StructureKind::PerovskiteGrains => {
-            Ok(Box::new(super::perovskite::PerovskiteGrains::new(recipe)?))
+        StructureKind::Grains => Ok(Box::new(Grains::new(recipe)?)),
+        StructureKind::Domains | StructureKind::Epitaxy => {
+            let expected = "this kind has no builder yet";
+            Err(crate::Error::invalid("structure", recipe.structure.name(), expected))
         }
     }
 }

@@ -1,24 +1,27 @@
-//! A perovskite seen along \[001\], in grains that are rotated alternately about the beam.
+//! A crystal in grains that are rotated alternately about the beam, with straight symmetric tilt
+//! boundaries.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
 use super::boundary::{self, Fate, MinDistances, ON_PLANE};
 use super::coincidence::{self, HalfAngle};
-use super::crystal::{ColumnCrystal, ColumnIndex, Grain};
-use super::recipe::Recipe;
-use super::relax;
+use super::crystal::{Chain, ColumnCrystal, ColumnIndex, Grain};
+use super::defects::Defects;
+use super::recipe::{Boundaries, Recipe};
+use super::relax::{self, Reach};
 use super::specimen::{
-    AtomColumn, BEYOND_FIELD_NM, GrainBoundary, Region, SiteKind, Sites, Specimen, SpecimenSite,
+    AtomColumn, BEYOND_FIELD_NM, Boundary, BoundaryKind, Region, SiteKind, Sites, Specimen,
+    SpecimenSite,
 };
-use super::vacancies::{DistanceHistogram, VacancyProfile};
 use crate::error::{Error, Result};
-use crate::rng::{self, Purpose};
-use crate::structure::elements;
+use crate::structure::shortest_distances;
 
 const NM: f64 = 0.1;
+/// Pairs further apart than this in the crystal have no room to come too close, in Angstrom.
+pub(super) const PAIR_CUTOFF_ANGSTROM: f64 = 6.0;
 
 /// See the module.
-pub struct PerovskiteGrains {
+pub struct Grains {
     crystal: ColumnCrystal,
     cells_along_beam: usize,
     grains: Vec<Grain>,
@@ -29,68 +32,77 @@ pub struct PerovskiteGrains {
     reach: f64,
     extent: Region,
     field: Region,
-    misorientation_deg: f64,
-    sigma: Option<u32>,
-    vacancies: Option<(u8, VacancyProfile)>,
-    relaxation: f64,
-    seed: u64,
+    kind: BoundaryKind,
+    defects: Defects,
+    relaxation: Option<(f64, Reach)>,
 }
 
 /// A column that is there.
 struct Present {
-    id: u64,
-    kind: usize,
+    index: ColumnIndex,
     /// Angstrom.
     position: [f64; 2],
-    kept: u8,
+    kept: u64,
 }
 
-impl PerovskiteGrains {
-    /// Lays out grains and boundaries and fits the vacancies of the full field.
+impl Grains {
+    /// Lays out grains and boundaries and fits the defects of the full field.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for another zone axis, missing tables, or a vacancy rate without room.
+    /// [`Error::Invalid`] for a crystal that has no mirror plane where boundaries need one, or a
+    /// vacancy rate without room.
     pub fn new(recipe: &Recipe) -> Result<Self> {
-        if recipe.zone_axis != "[001]" {
-            let expected = "perovskite-grains are seen along \"[001]\"";
-            return Err(Error::invalid("zone_axis", &recipe.zone_axis, expected));
-        }
-        let l = &recipe.lattice;
-        let [na, nb, nx] = [&l.a_site, &l.b_site, &l.x_site].map(|s| elements::atomic_number(s));
-        let numbers = [na?, nb?, nx?];
-        let shape = recipe.field.pixels(recipe.field.grid);
-        let field = Region::of_pixels([0, 0], shape, recipe.field.pixel_nm());
-        let mut specimen = PerovskiteGrains {
-            crystal: ColumnCrystal::perovskite(l.a_angstrom, numbers),
-            cells_along_beam: cells(recipe.field.thickness_nm * 10.0 / l.a_angstrom),
+        let structure = recipe.oriented_crystal()?;
+        let shortest = shortest_distances(&structure, PAIR_CUTOFF_ANGSTROM);
+        let crystal = ColumnCrystal::new(&structure)?;
+        let field = recipe.field.full_region();
+        let mut specimen = Grains {
+            cells_along_beam: crystal.cells_along_beam(recipe.field.thickness_nm),
+            crystal,
             grains: Vec::new(),
             planes: Vec::new(),
             fates: HashMap::new(),
             reach: 0.0,
             extent: field.grown(BEYOND_FIELD_NM),
             field,
-            misorientation_deg: 0.0,
-            sigma: None,
-            vacancies: None,
-            relaxation: recipe.vacancies.as_ref().map_or(0.0, |v| v.relaxation_angstrom),
-            seed: recipe.seed,
+            kind: BoundaryKind::Grain { misorientation_deg: 0.0, sigma: None },
+            defects: Defects::default(),
+            relaxation: None,
         };
-        specimen.lay_out(recipe, numbers[2])?;
-        specimen.fit_vacancies(recipe)?;
+        specimen.lay_out(recipe.boundaries.as_ref(), &shortest)?;
+        specimen.defects = Defects::fit(recipe, |element, histogram| {
+            specimen.for_each_column(&specimen.field, |column| {
+                let chains = specimen.chains(&column).filter(|(_, c)| c.number == element).count();
+                histogram.add(specimen.distance_nm(column.position[0]), chains as u64);
+            });
+        })?;
+        if let Some(v) = recipe.vacancies.as_ref().filter(|v| v.relaxation_angstrom > 0.0) {
+            let element = specimen.defects.vacant_element().unwrap_or_default();
+            specimen.relaxation = Some((v.relaxation_angstrom, Reach::new(element, &shortest)));
+        }
         Ok(specimen)
     }
 
-    fn lay_out(&mut self, recipe: &Recipe, anion: u8) -> Result<()> {
+    fn lay_out(
+        &mut self,
+        boundaries: Option<&Boundaries>,
+        shortest: &BTreeMap<(u8, u8), f64>,
+    ) -> Result<()> {
         let centre_y = 0.5 * (self.field.y[0] + self.field.y[1]) / NM;
         let left_edge = self.field.x[0] / NM;
         let width = (self.field.x[1] - self.field.x[0]) / NM;
-        let boundaries = recipe.boundaries.as_ref().filter(|b| b.count > 0);
-        let Some(boundaries) = boundaries else {
-            let (origin, x) =
-                ([left_edge + 0.5 * width, centre_y], [f64::NEG_INFINITY, f64::INFINITY]);
-            self.grains = vec![Grain { origin, rotation: [1.0, 0.0], x }];
+        let everywhere = [f64::NEG_INFINITY, f64::INFINITY];
+        let Some(boundaries) = boundaries.filter(|b| b.count > 0) else {
+            let origin = [left_edge + 0.5 * width, centre_y];
+            self.grains =
+                vec![Grain { origin, rotation: [1.0, 0.0], mirrored: false, x: everywhere }];
             return Ok(());
         };
+        if !self.crystal.has_mirror_x() {
+            let expected = "symmetric tilt boundaries need a crystal with a mirror plane \
+                            perpendicular to x; choose another y_axis, or count = 0";
+            return Err(Error::invalid("boundaries.count", boundaries.count, expected));
+        }
         let coincidence = match boundaries.sigma {
             Some(sigma) => Some(
                 coincidence::half_angle(sigma, boundaries.misorientation_deg)
@@ -100,39 +112,31 @@ impl PerovskiteGrains {
         };
         let half = coincidence
             .map_or(0.5 * boundaries.misorientation_deg.to_radians(), HalfAngle::radians);
-        (self.misorientation_deg, self.sigma) = (2.0 * half.to_degrees(), boundaries.sigma);
+        self.kind = BoundaryKind::Grain {
+            misorientation_deg: 2.0 * half.to_degrees(),
+            sigma: boundaries.sigma,
+        };
         let target = |k: usize| left_edge + width * k as f64 / (boundaries.count + 1) as f64;
         let mut grain = Grain {
             origin: [target(1), centre_y],
             rotation: [libm::cos(half), libm::sin(half)],
-            x: [f64::NEG_INFINITY, f64::INFINITY],
+            mirrored: false,
+            x: everywhere,
         };
         for k in 1..=boundaries.count {
-            let plane = snap(&grain, self.crystal.a, target(k), coincidence);
+            let plane = snap(&grain, self.crystal.cell, target(k), coincidence);
             grain.x[1] = plane;
             self.grains.push(grain);
             self.planes.push(plane);
-            grain = grain.mirrored(plane);
+            grain = grain.mirror_image(plane);
         }
         self.grains.push(grain);
-        let limits = MinDistances::new(&boundaries.min_distance_angstrom);
+        let limits = MinDistances::new(&boundaries.min_distance_angstrom, shortest);
         self.reach = limits.greatest();
         let span = self.extent.y.map(|y| y / NM);
         for (left, grain) in self.grains[..boundaries.count].iter().enumerate() {
-            self.fates.extend(boundary::resolve(&self.crystal, grain, left, span, anion, &limits));
+            self.fates.extend(boundary::resolve(&self.crystal, grain, left, span, &limits));
         }
-        Ok(())
-    }
-
-    fn fit_vacancies(&mut self, recipe: &Recipe) -> Result<()> {
-        let Some(vacancies) = &recipe.vacancies else { return Ok(()) };
-        let element = elements::atomic_number(&vacancies.element)?;
-        let mut histogram = DistanceHistogram::default();
-        self.for_each_column(&self.field, |column| {
-            let chains = self.chains(&column).filter(|(_, c)| c.number == element).count();
-            histogram.add(self.distance_nm(column.position[0]), chains as u64);
-        });
-        self.vacancies = Some((element, VacancyProfile::fit(vacancies, &histogram)?));
         Ok(())
     }
 
@@ -141,12 +145,9 @@ impl PerovskiteGrains {
         self.planes.iter().map(|p| (x - p).abs() * NM).fold(f64::INFINITY, f64::min)
     }
 
-    fn chains(
-        &self,
-        column: &Present,
-    ) -> impl Iterator<Item = (usize, &super::crystal::Chain)> + use<'_> {
+    fn chains(&self, column: &Present) -> impl Iterator<Item = (usize, &Chain)> + use<'_> {
         let kept = column.kept;
-        let chains = &self.crystal.columns[column.kind].chains;
+        let chains = &self.crystal.columns[column.index.kind].chains;
         chains.iter().enumerate().filter(move |(n, _)| kept >> n & 1 == 1)
     }
 
@@ -163,7 +164,7 @@ impl PerovskiteGrains {
             if x[0] > x[1] {
                 continue;
             }
-            let [is, js] = grain.cells(self.crystal.a, [x, y]);
+            let [is, js] = grain.cells(self.crystal.cell, [x, y]);
             for i in is {
                 for j in js.clone() {
                     for kind in 0..self.crystal.columns.len() {
@@ -183,19 +184,18 @@ impl PerovskiteGrains {
     fn column(&self, grain: &Grain, index: ColumnIndex) -> Option<Present> {
         let xy = self.crystal.columns[index.kind].xy;
         let (u, v) = (index.cell[0] as f64 + xy[0], index.cell[1] as f64 + xy[1]);
-        let mut position = grain.position(self.crystal.a, u, v);
+        let mut position = grain.position(self.crystal.cell, u, v);
         let x = position[0];
         if x <= grain.x[0] + ON_PLANE || x > grain.x[1] + ON_PLANE {
             return None;
         }
-        let id = index.id();
         let near = x < grain.x[0] + self.reach + ON_PLANE || x > grain.x[1] - self.reach - ON_PLANE;
-        let mut kept = u8::MAX;
-        if let Some(fate) = near.then(|| self.fates.get(&id)).flatten() {
+        let mut kept = u64::MAX;
+        if let Some(fate) = near.then(|| self.fates.get(&index.id())).flatten() {
             position[0] = fate.x.unwrap_or(x);
             kept = fate.kept;
         }
-        (kept != 0).then_some(Present { id, kind: index.kind, position, kept })
+        (kept != 0).then_some(Present { index, position, kept })
     }
 
     fn unrelaxed(&self, region: &Region) -> Sites {
@@ -203,71 +203,56 @@ impl PerovskiteGrains {
         self.for_each_column(region, |column| {
             let first = out.sites.len();
             let [x, y] = column.position.map(|v| v * NM);
-            let probability = self.vacancies.map(|(element, profile)| {
-                (element, profile.probability(self.distance_nm(column.position[0])))
-            });
+            let defects = self.defects.at(self.distance_nm(column.position[0]));
             for cell in 0..self.cells_along_beam {
-                for (chain_number, chain) in self.chains(&column) {
-                    let key = column.id << 16 | (cell as u64) << 4 | chain_number as u64;
-                    let drawn = || rng::uniform(self.seed, Purpose::Defect, 0, key);
-                    let vacant = probability.is_some_and(|(e, p)| e == chain.number && drawn() < p);
-                    let kind = if vacant { SiteKind::Vacancy } else { SiteKind::Pristine };
-                    let z = (cell as f64 + chain.z) * self.crystal.a * NM;
-                    let number = chain.number;
+                for (_, chain) in self.chains(&column) {
+                    let key = column.index.key(chain, cell);
+                    let (kind, number) = defects.of(key, chain.number);
+                    let z = (cell as f64 + chain.z) * self.crystal.cell[2] * NM;
                     out.sites.push(SpecimenSite { key, position_nm: [x, y, z], number, kind });
                 }
             }
             let sites = first..out.sites.len();
-            out.columns.push(AtomColumn { id: column.id, position_nm: [x, y], sites });
+            out.columns.push(AtomColumn { id: column.index.id(), position_nm: [x, y], sites });
         });
         out
     }
 }
 
-impl Specimen for PerovskiteGrains {
+impl Specimen for Grains {
     fn query(&self, region: &Region) -> Sites {
         let mut sites = self.unrelaxed(region);
-        if let (true, Some((element, _))) = (self.relaxation > 0.0, self.vacancies) {
-            let reach_nm = relax::REACH * self.crystal.a * NM;
-            let around = self.unrelaxed(&region.grown(reach_nm));
+        if let Some((distance, reach)) = &self.relaxation {
+            let around = self.unrelaxed(&region.grown(reach.greatest_nm()));
             let vacant: Vec<_> =
                 around.sites.into_iter().filter(|s| s.kind == SiteKind::Vacancy).collect();
-            relax::outward(&mut sites.sites, &vacant, element, self.relaxation * NM, reach_nm);
+            relax::outward(&mut sites.sites, &vacant, distance * NM, reach);
         }
         sites
     }
 
     fn thickness_nm(&self) -> f64 {
-        self.cells_along_beam as f64 * self.crystal.a * NM
+        self.cells_along_beam as f64 * self.crystal.cell[2] * NM
     }
 
-    fn boundaries(&self) -> Vec<GrainBoundary> {
+    fn boundaries(&self) -> Vec<Boundary> {
         let line = |&plane: &f64| self.field.y.map(|y| [plane * NM, y]).to_vec();
-        let boundary = |plane| GrainBoundary {
-            line_nm: line(plane),
-            misorientation_deg: self.misorientation_deg,
-            sigma: self.sigma,
-        };
+        let boundary = |plane| Boundary { line_nm: line(plane), kind: self.kind.clone() };
         self.planes.iter().map(boundary).collect()
     }
 }
 
-/// Nearest whole number of cells, at least one.
-fn cells(thickness: f64) -> usize {
-    (thickness.round() as usize).max(1)
-}
-
 /// The mirror plane nearest to `target` (all in Angstrom): a lattice line of the coincidence
 /// boundary, or the line through a lattice point within 5 nm of the middle of the field.
-fn snap(grain: &Grain, a: f64, target: f64, coincidence: Option<HalfAngle>) -> f64 {
+fn snap(grain: &Grain, cell: [f64; 3], target: f64, coincidence: Option<HalfAngle>) -> f64 {
     if let Some(half) = coincidence {
-        let spacing = half.line_spacing() * a;
+        let spacing = half.line_spacing() * cell[0];
         return grain.origin[0] + ((target - grain.origin[0]) / spacing).round() * spacing;
     }
     let y = [grain.origin[1] - 50.0, grain.origin[1] + 50.0];
-    let [is, js] = grain.cells(a, [[target - a, target + a], y]);
+    let [is, js] = grain.cells(cell, [[target - cell[0], target + cell[0]], y]);
     let points = is.flat_map(|i| js.clone().map(move |j| (i, j)));
-    let candidates = points.map(|(i, j)| grain.position(a, i as f64, j as f64));
+    let candidates = points.map(|(i, j)| grain.position(cell, i as f64, j as f64));
     candidates
         .filter(|p| (y[0]..=y[1]).contains(&p[1]))
         .map(|p| p[0])
