@@ -222,7 +222,35 @@ impl WorldFile {
     /// # Errors
     /// [`Error::Hdf5`] for a damaged file.
     pub fn boundaries(&self) -> Result<Vec<Vec<[f32; 2]>>> {
-        let name = format!("{}/{}", schema::TRUTH, schema::GRAIN_BOUNDARIES);
+        self.lines(schema::GRAIN_BOUNDARIES)
+    }
+
+    /// Polylines between phases, (x, y) in nm.
+    ///
+    /// # Errors
+    /// [`Error::Hdf5`] for a damaged file.
+    pub fn phase_boundaries(&self) -> Result<Vec<Vec<[f32; 2]>>> {
+        self.lines(schema::PHASE_BOUNDARIES)
+    }
+
+    /// Phase of the pixels of some rows and columns; `None` in a world of one phase.
+    ///
+    /// # Errors
+    /// [`Error::Hdf5`] outside the image, or for a damaged file.
+    pub fn phase_map(
+        &self,
+        rows: Range<usize>,
+        columns: Range<usize>,
+    ) -> Result<Option<Array2<i32>>> {
+        if !self.file.link_exists(&format!("{}/{}", schema::TRUTH, schema::PHASE_MAP)) {
+            return Ok(None);
+        }
+        let map = self.truth_dataset(schema::PHASE_MAP)?;
+        map.read_slice_2d(s![rows, columns]).map(Some).at(&self.path)
+    }
+
+    fn lines(&self, group: &str) -> Result<Vec<Vec<[f32; 2]>>> {
+        let name = format!("{}/{group}", schema::TRUTH);
         let Ok(group) = self.file.group(&name) else { return Ok(Vec::new()) };
         let read = |n: u64| -> hdf5::Result<Vec<[f32; 2]>> {
             let points: Array2<f32> = group.dataset(&n.to_string())?.read_2d()?;

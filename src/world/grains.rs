@@ -4,19 +4,18 @@
 use std::collections::{BTreeMap, HashMap};
 
 use super::boundary::{self, Fate, MinDistances, ON_PLANE};
+use super::coherent::NM;
 use super::coincidence::{self, HalfAngle};
 use super::crystal::{Chain, ColumnCrystal, ColumnIndex, Grain};
 use super::defects::Defects;
 use super::recipe::{Boundaries, Recipe};
 use super::relax::{self, Reach};
 use super::specimen::{
-    AtomColumn, BEYOND_FIELD_NM, Boundary, BoundaryKind, Region, SiteKind, Sites, Specimen,
-    SpecimenSite,
+    BEYOND_FIELD_NM, Boundary, BoundaryKind, Region, SiteKind, Sites, Specimen, SpecimenSite,
 };
 use crate::error::{Error, Result};
 use crate::structure::shortest_distances;
 
-const NM: f64 = 0.1;
 /// Pairs further apart than this in the crystal have no room to come too close, in Angstrom.
 pub(super) const PAIR_CUTOFF_ANGSTROM: f64 = 6.0;
 
@@ -201,19 +200,17 @@ impl Grains {
     fn unrelaxed(&self, region: &Region) -> Sites {
         let mut out = Sites::default();
         self.for_each_column(region, |column| {
-            let first = out.sites.len();
             let [x, y] = column.position.map(|v| v * NM);
             let defects = self.defects.at(self.distance_nm(column.position[0]));
-            for cell in 0..self.cells_along_beam {
-                for (_, chain) in self.chains(&column) {
-                    let key = column.index.key(chain, cell);
-                    let (kind, number) = defects.of(key, chain.number);
-                    let z = (cell as f64 + chain.z) * self.crystal.cell[2] * NM;
-                    out.sites.push(SpecimenSite { key, position_nm: [x, y, z], number, kind });
-                }
-            }
-            let sites = first..out.sites.len();
-            out.columns.push(AtomColumn { id: column.index.id(), position_nm: [x, y], sites });
+            let cells = 0..self.cells_along_beam;
+            let sites = cells.flat_map(|cell| self.chains(&column).map(move |(_, c)| (cell, c)));
+            let sites = sites.map(|(cell, chain)| {
+                let key = column.index.key(chain, cell);
+                let (kind, number) = defects.of(key, chain.number);
+                let z = (cell as f64 + chain.z) * self.crystal.cell[2] * NM;
+                SpecimenSite { key, position_nm: [x, y, z], number, kind }
+            });
+            out.push_column(column.index.id(), [x, y], sites);
         });
         out
     }

@@ -13,7 +13,12 @@ use crate::error::{Error, Result};
 use crate::structure::Structure;
 
 /// Recipes that come with the program: name and text.
-const BUILT_IN: [(&str, &str); 1] = [("srtio3", include_str!("../../generate/srtio3.toml"))];
+const BUILT_IN: [(&str, &str); 4] = [
+    ("srtio3", include_str!("../../generate/srtio3.toml")),
+    ("batio3", include_str!("../../generate/batio3.toml")),
+    ("sige", include_str!("../../generate/sige.toml")),
+    ("gan", include_str!("../../generate/gan.toml")),
+];
 
 /// A tier of difficulty.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

@@ -6,7 +6,7 @@ use super::coincidence;
 use super::crystal::{ColumnCrystal, MOST_CELLS};
 use super::grains::PAIR_CUTOFF_ANGSTROM;
 use super::recipe::{
-    Alloy, Boundaries, Domains, Fault, Field, Profile, Recipe, StructureKind, Substitutions,
+    self, Alloy, Boundaries, Domains, Fault, Field, Profile, Recipe, StructureKind, Substitutions,
     Vacancies, Wells,
 };
 use crate::error::Error;
@@ -101,11 +101,16 @@ fn check_specimen(recipe: &Recipe) -> std::result::Result<Vec<String>, Fault> {
         StructureKind::Domains => {
             let domains = needed("domains", recipe.domains.as_ref())?;
             check_domains(domains, &recipe.field)?;
+            let y_axis = domains.y_axis.as_deref();
+            recipe::oriented(&domains.crystal, &domains.zone_axis, y_axis)
+                .map_err(|e| crystal_fault("domains.crystal", e))?;
         }
         StructureKind::Epitaxy => {
             let alloy = needed("alloy", recipe.alloy.as_ref())?;
             check_alloy(alloy, &symbols)?;
             symbols.push(alloy.guest.clone());
+            recipe::oriented(&alloy.end_member, &recipe.zone_axis, recipe.y_axis.as_deref())
+                .map_err(|e| crystal_fault("alloy.end_member", e))?;
             check_wells(alloy, recipe.wells.as_ref(), &recipe.field)?;
         }
     }
@@ -271,8 +276,8 @@ fn check_wells(alloy: &Alloy, wells: Option<&Wells>, field: &Field) -> Checked {
         );
         return fault("wells.width_nm", wells.width_nm, expected);
     }
-    // Interfaces never touch: deviations beyond three sigma are rare, and cut off at four.
-    let most = wells.width_nm.min(part - wells.width_nm) / 8.0;
+    // The two sides of a well or barrier meet at 2.8 standard deviations of their distance.
+    let most = wells.width_nm.min(part - wells.width_nm) / 4.0;
     within("wells.roughness_nm", wells.roughness_nm, 0.0, most)?;
     within("wells.roughness_correlation_nm", wells.roughness_correlation_nm, 0.5, 1000.0)
 }

@@ -1,5 +1,7 @@
 //! Specimens: all lattice sites of a full field, asked for region by region.
 
+use super::domains::Domains;
+use super::epitaxy::Epitaxy;
 use super::grains::Grains;
 use super::recipe::{Recipe, StructureKind};
 use crate::error::Result;
@@ -68,7 +70,7 @@ pub struct SpecimenSite {
 pub struct AtomColumn {
     /// Unique in the specimen.
     pub id: u64,
-    /// Position (x, y) in nm, before relaxation.
+    /// Position (x, y) in nm: the mean of its sites, before relaxation.
     pub position_nm: [f64; 2],
     /// Its sites in [`Sites::sites`], by ascending z.
     pub sites: std::ops::Range<usize>,
@@ -81,6 +83,20 @@ pub struct Sites {
     pub columns: Vec<AtomColumn>,
     /// Sites of all of them.
     pub sites: Vec<SpecimenSite>,
+}
+
+impl Sites {
+    /// Adds a column and its sites.
+    pub fn push_column(
+        &mut self,
+        id: u64,
+        position_nm: [f64; 2],
+        sites: impl Iterator<Item = SpecimenSite>,
+    ) {
+        let first = self.sites.len();
+        self.sites.extend(sites);
+        self.columns.push(AtomColumn { id, position_nm, sites: first..self.sites.len() });
+    }
 }
 
 /// A line between grains or phases.
@@ -162,9 +178,7 @@ pub fn specimen(recipe: &Recipe) -> Result<Box<dyn Specimen>> {
     recipe.check()?;
     match recipe.structure {
         StructureKind::Grains => Ok(Box::new(Grains::new(recipe)?)),
-        StructureKind::Domains | StructureKind::Epitaxy => {
-            let expected = "this kind has no builder yet";
-            Err(crate::Error::invalid("structure", recipe.structure.name(), expected))
-        }
+        StructureKind::Domains => Ok(Box::new(Domains::new(recipe)?)),
+        StructureKind::Epitaxy => Ok(Box::new(Epitaxy::new(recipe)?)),
     }
 }
