@@ -136,8 +136,8 @@ impl Specimen for Domains {
     }
 
     fn phase_at(&self, position_nm: [f64; 2]) -> usize {
-        let left = |line: &&WavyLine| line.x(position_nm[1]) <= position_nm[0];
-        self.lattice.stretch.lines.iter().filter(left).count() % 2
+        let lines = &self.lattice.stretch.lines;
+        lines.iter().filter(|line| line.is_left_of(position_nm)).count() % 2
     }
 }
 

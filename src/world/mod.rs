@@ -35,6 +35,7 @@ pub use build::{BuildOptions, SubTileEngine, Summary, build};
 pub use recipe::{Difficulty, Recipe};
 pub use simulator::Simulator;
 pub use specimen::{
-    Boundary, BoundaryKind, ParticleTruth, Region, SiteKind, Specimen, SpecimenSite, specimen,
+    AtomColumn, Boundary, BoundaryKind, ParticleTruth, Region, SiteKind, Sites, Specimen,
+    SpecimenSite, specimen,
 };
 pub use truth::Counts;

@@ -21,7 +21,7 @@ const BUILT_IN: [(&str, &str); 4] = [
 ];
 
 /// A tier of difficulty.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Difficulty {
     /// Many defects, much dose.

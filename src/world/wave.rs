@@ -7,13 +7,15 @@ use super::specimen::Region;
 /// Waves on one boundary, of which the field holds 1, 2 ... whole periods.
 const HARMONICS: u32 = 3;
 /// Distance between the corners of the polyline in nm.
-const STEP_NM: f64 = 0.25;
+const STEP_NM: f64 = 0.5;
 const TURN: f64 = 2.0 * std::f64::consts::PI;
 
 /// The line x = `mean_x` + excursion(y), in nm.
 #[derive(Debug, Clone)]
 pub struct WavyLine {
     mean_x: f64,
+    /// No less than any excursion.
+    amplitude: f64,
     y0: f64,
     height: f64,
     /// Amplitude and phase of each harmonic.
@@ -40,12 +42,14 @@ impl WavyLine {
             [weight / f64::from(n * n), phase]
         };
         let harmonics = (1..=HARMONICS).map(harmonic).collect();
-        let mut line = WavyLine { mean_x, y0: field.y[0], height, harmonics, corners: vec![] };
+        let mut line =
+            WavyLine { mean_x, amplitude, y0: field.y[0], height, harmonics, corners: vec![] };
         let samples = 4096;
         let at = |k: u32| line.excursion(line.y0 + height * f64::from(k) / f64::from(samples))[0];
         let greatest = (0..samples).map(at).fold(0.0, |g: f64, e| g.max(e.abs()));
         line.harmonics.iter_mut().for_each(|h| h[0] *= amplitude / greatest);
         let count = ((height + 2.0 * beyond) / STEP_NM).ceil() as usize;
+        line.amplitude = line.harmonics.iter().map(|h| h[0].abs()).sum();
         line.corners = (0..=count)
             .map(|k| field.y[0] - beyond + STEP_NM * k as f64)
             .map(|y| [line.x(y), y])
@@ -70,6 +74,14 @@ impl WavyLine {
         self.mean_x + self.excursion(y)[0]
     }
 
+    /// Whether the line lies at or left of a point.
+    pub fn is_left_of(&self, [x, y]: [f64; 2]) -> bool {
+        match (x - self.mean_x).abs() > self.amplitude {
+            true => x > self.mean_x,
+            false => self.x(y) <= x,
+        }
+    }
+
     /// x of the line, and the cosine of the angle between its normal and x.
     pub fn x_and_cosine(&self, y: f64) -> [f64; 2] {
         let [excursion, slope] = self.excursion(y);
@@ -78,7 +90,8 @@ impl WavyLine {
 
     /// Corners of the line between `y[0]` and `y[1]`, those two included.
     pub fn polyline(&self, y: [f64; 2]) -> Vec<[f64; 2]> {
-        let inside = self.corners.iter().filter(|c| y[0] < c[1] && c[1] < y[1]);
+        let apart = 0.01 * STEP_NM;
+        let inside = self.corners.iter().filter(|c| y[0] + apart < c[1] && c[1] < y[1] - apart);
         let mut line = vec![[self.x(y[0]), y[0]]];
         line.extend(inside);
         line.push([self.x(y[1]), y[1]]);
