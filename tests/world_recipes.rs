@@ -6,7 +6,8 @@
 
 use std::path::Path;
 
-use stemgen::world::{Difficulty, Recipe, specimen};
+use stemgen::structure::{Atom, Structure, elements, min_pair_distance, shortest_distances};
+use stemgen::world::{Difficulty, Recipe, Region, SiteKind, specimen};
 
 const GOOD: &str = include_str!("../generate/srtio3.toml");
 
@@ -131,4 +132,106 @@ fn a_difficulty_is_asked_for_where_there_are_some() {
     assert!(error(GOOD, None).contains("say which difficulty"));
     let plain = Recipe::load("srtio3", Difficulty::Easy).unwrap().to_toml();
     assert!(error(&plain, Some(Difficulty::Easy)).contains("no [difficulty.easy]"));
+}
+
+/// The text of the first block of some language in a Markdown text.
+fn block<'t>(markdown: &'t str, language: &str) -> &'t str {
+    let start = markdown.split(&format!("```{language}\n")).nth(1).unwrap();
+    start.split("```").next().unwrap()
+}
+
+#[test]
+fn the_recipe_of_the_documentation_needs_only_a_crystal() {
+    let text = include_str!("../generate/README.md");
+    let folder = tempfile::tempdir().unwrap();
+    let (cif, toml) = (folder.path().join("ceo2.cif"), folder.path().join("ceo2.toml"));
+    std::fs::write(&cif, block(text, "cif")).unwrap();
+    std::fs::write(&toml, block(text, "toml")).unwrap();
+    let recipe = Recipe::from_file(&toml, None).unwrap();
+    let ceria = specimen(&recipe).unwrap();
+    // The resolved recipe holds the crystal.
+    std::fs::remove_file(&cif).unwrap();
+    assert_eq!(Recipe::from_toml_str("elsewhere", &recipe.to_toml(), None).unwrap(), recipe);
+    let sites = ceria.sites(&recipe.field.full_region());
+    let count = |number: u8, kind: SiteKind| {
+        sites.iter().filter(|s| s.number == number && s.kind == kind).count() as f64
+    };
+    let (cerium, gadolinium) = (count(58, SiteKind::Pristine), count(64, SiteKind::Substitution));
+    let (oxygen, vacant) = (count(8, SiteKind::Pristine), count(8, SiteKind::Vacancy));
+    assert_eq!(sites.len() as f64, cerium + gadolinium + oxygen + vacant);
+    let near = |found: f64, expected: f64, n: f64| {
+        let error = (expected * (1.0 - expected) / n).sqrt();
+        assert!((found - expected).abs() < 3.0 * error, "{found}, expected {expected}");
+    };
+    near(gadolinium / (cerium + gadolinium), 0.10, cerium + gadolinium);
+    near(vacant / (oxygen + vacant), 0.025, oxygen + vacant);
+    // Four formula units per cell, but for the little that a boundary costs.
+    let field = recipe.field.full_region();
+    let volume = (field.x[1] - field.x[0]) * (field.y[1] - field.y[0]) * ceria.thickness_nm();
+    let density = (cerium + gadolinium) / volume * 0.54113f64.powi(3) / 4.0;
+    assert!((0.99..1.001).contains(&density), "{density}");
+    let ratio = (oxygen + vacant) / (cerium + gadolinium);
+    assert!((1.98..2.01).contains(&ratio), "{ratio}");
+    assert_eq!(ceria.boundaries().len(), 1);
+    let atoms = ceria.sites(&Region { x: [24.0, 26.0], y: [10.0, 13.0] }).into_iter();
+    let atoms = atoms.map(|s| Atom {
+        number: s.number,
+        position: s.position_nm.map(|v| 10.0 * v),
+        occupancy: 1.0,
+    });
+    let cell = [[2000.0, 0.0, 0.0], [0.0, 2000.0, 0.0], [0.0, 0.0, 2000.0]];
+    let shortest = shortest_distances(&Structure { cell, atoms: atoms.collect() }, 4.0);
+    let least =
+        |a: u8, b: u8| shortest.iter().filter(|(p, _)| **p == (a, b)).map(|(_, d)| *d).next();
+    assert!(least(8, 58).unwrap() > 0.8 * 2.343 - 1e-3 && least(58, 58).unwrap() > 3.0 - 1e-6);
+}
+
+#[test]
+fn other_crystals_make_grains() {
+    // (crystal, zone axis, y axis, distance of nearest neighbours in Angstrom)
+    let cases = [
+        ("pt", "[001]", "[010]", 2.774),
+        ("pt", "[111]", "[11-2]", 2.774),
+        ("si", "[110]", "[1-10]", 2.352),
+        ("gan", "[11-20]", "[0001]", 1.95),
+        ("gan", "[0001]", "[1-100]", 1.95),
+        ("gaas", "[001]", "[110]", 2.448),
+    ];
+    for (crystal, zone, y, nearest) in cases {
+        let text = block(include_str!("../generate/README.md"), "toml")
+            .replace("\"ceo2.cif\"", &format!("\"{crystal}\""))
+            .replace("[001]", zone)
+            .replace("[010]", y)
+            .replace("sigma = 5\n", "")
+            .replace("[boundaries.min_distance_angstrom]\nCe-Ce = 3.0\n", "");
+        let mut table: toml::Table = toml::from_str(&text).unwrap();
+        ["vacancies", "substitutions"].iter().for_each(|t| drop(table.remove(*t)));
+        let structure = stemgen::structure::library::crystal(crystal).unwrap();
+        let symbols = structure.atoms.iter().map(|a| elements::symbol(a.number).to_owned());
+        let sigmas: toml::Table = symbols.map(|s| (s, toml::Value::Float(0.07))).collect();
+        table["phonons"]["sigma_angstrom"] = toml::Value::Table(sigmas);
+        let recipe = Recipe::from_toml_str("r.toml", &table.to_string(), None).unwrap();
+        let grains = specimen(&recipe).unwrap_or_else(|e| panic!("{crystal} {zone}: {e}"));
+        for x in [10.0, 24.0] {
+            let region = Region { x: [x, x + 2.0], y: [8.0, 14.0] };
+            let sites = grains.sites(&region);
+            let density = sites.len() as f64 / (12.0 * grains.thickness_nm());
+            let cell = stemgen::structure::lattice::determinant(&structure.cell) * 1e-3;
+            let perfect = structure.atoms.len() as f64 / cell;
+            // Two nanometres about a boundary lack a few columns.
+            let lost = 1.0 - density / perfect;
+            let most = if x < 20.0 { 0.05 } else { 0.12 };
+            assert!((-0.05..most).contains(&lost), "{crystal} {zone} at {x}: {lost}");
+            let atoms = sites.iter().map(|s| Atom {
+                number: s.number,
+                position: s.position_nm.map(|v| 10.0 * v),
+                occupancy: 1.0,
+            });
+            let box_ = [[2000.0, 0.0, 0.0], [0.0, 2000.0, 0.0], [0.0, 0.0, 2000.0]];
+            let found =
+                min_pair_distance(&Structure { cell: box_, atoms: atoms.collect() }).unwrap();
+            let least = if x < 20.0 { 0.99 } else { 0.8 };
+            assert!(found > least * nearest - 0.01, "{crystal} {zone} at {x}: {found}");
+        }
+    }
 }

@@ -51,13 +51,13 @@ impl<S: Stretch> Coherent<S> {
         (cell as f64 + chain.z) * self.crystal.cell[2] * NM
     }
 
-    /// Calls `f(column, reference position)` for the columns of the specimen whose position, as `at`
-    /// returns it for them, lies in `region`.
-    pub fn for_each_column(
+    /// Calls `f(column, position, more)` for the columns of the specimen whose position lies in `region`;
+    /// `place` tells it, and more, from the position in the reference lattice.
+    pub fn for_each_column<T>(
         &self,
         region: &Region,
-        at: impl Fn(ColumnIndex, [f64; 2]) -> [f64; 2],
-        mut f: impl FnMut(ColumnIndex, [f64; 2]),
+        place: impl Fn(ColumnIndex, [f64; 2]) -> ([f64; 2], T),
+        mut f: impl FnMut(ColumnIndex, [f64; 2], T),
     ) {
         let region = region.intersection(&self.extent);
         if region.x[0] >= region.x[1] || region.y[0] >= region.y[1] {
@@ -72,9 +72,9 @@ impl<S: Stretch> Coherent<S> {
             for j in cell(y[0], 1) as i64 - 1..=cell(y[1], 1) as i64 {
                 for kind in 0..self.crystal.columns.len() {
                     let index = ColumnIndex { grain: 0, kind, cell: [i, j] };
-                    let reference = self.reference(index);
-                    if region.contains(at(index, reference)) {
-                        f(index, reference);
+                    let (position, more) = place(index, self.reference(index));
+                    if region.contains(position) {
+                        f(index, position, more);
                     }
                 }
             }

@@ -63,54 +63,49 @@ impl Domains {
             defects: Defects::default(),
         };
         specimen.defects = Defects::fit(recipe, |element, histogram| {
-            specimen.for_each_column(&specimen.lattice.field, |index, position, _| {
+            specimen.for_each_column(&specimen.lattice.field, |index, _, (ideal, _)| {
                 let chains = &specimen.lattice.crystal.columns[index.kind].chains;
                 let count = chains.iter().filter(|c| c.number == element).count();
-                histogram.add(specimen.lattice.stretch.distance(position), count as u64);
+                histogram.add(specimen.lattice.stretch.distance(ideal), count as u64);
             });
         })?;
         Ok(specimen)
     }
 
-    /// Calls `f(column, position before displacement, order parameter)`.
-    fn for_each_column(&self, region: &Region, mut f: impl FnMut(ColumnIndex, [f64; 2], f64)) {
-        let place = |reference: [f64; 2]| {
-            let position = [self.lattice.stretch.to_field(reference), reference[1]];
-            (position, self.lattice.stretch.at(position))
+    /// Calls `f(column, its position, and that before displacement with the order parameter there)`.
+    fn for_each_column(
+        &self,
+        region: &Region,
+        f: impl FnMut(ColumnIndex, [f64; 2], ([f64; 2], f64)),
+    ) {
+        let place = |index: ColumnIndex, reference: [f64; 2]| {
+            let stretch = &self.lattice.stretch;
+            let ideal = [stretch.to_field(reference), reference[1]];
+            let order = stretch.at(ideal);
+            let shift = self.column_shifts[index.kind];
+            ([0, 1].map(|k| ideal[k] + order * shift[k]), (ideal, order))
         };
-        let displaced = |index: ColumnIndex, reference| {
-            let (position, order) = place(reference);
-            self.displaced(index, position, order)
-        };
-        self.lattice.for_each_column(region, displaced, |index, reference| {
-            let (position, order) = place(reference);
-            f(index, position, order);
-        });
-    }
-
-    fn displaced(&self, index: ColumnIndex, position: [f64; 2], order: f64) -> [f64; 2] {
-        let shift = self.column_shifts[index.kind];
-        [0, 1].map(|k| position[k] + order * shift[k])
+        self.lattice.for_each_column(region, place, f);
     }
 }
 
 impl Specimen for Domains {
     fn query(&self, region: &Region) -> Sites {
         let mut out = Sites::default();
-        self.for_each_column(region, |index, position, order| {
-            let defects = self.defects.at(self.lattice.stretch.distance(position));
+        self.for_each_column(region, |index, column, ([x, y], order)| {
+            let defects = self.defects.at(self.lattice.stretch.distance([x, y]));
             let chains = &self.lattice.crystal.columns[index.kind].chains;
             let cells = 0..self.lattice.cells_along_beam;
             let sites = cells.flat_map(|cell| chains.iter().map(move |chain| (cell, chain)));
             let sites = sites.map(|(cell, chain)| {
                 let key = index.key(chain, cell);
                 let (kind, number) = defects.of(key, chain.number);
-                let ideal = [position[0], position[1], self.lattice.height(cell, chain)];
+                let ideal = [x, y, self.lattice.height(cell, chain)];
                 let shift = self.shifts[chain.site];
                 let position_nm = [0, 1, 2].map(|k| ideal[k] + order * shift[k]);
                 SpecimenSite { key, position_nm, number, kind }
             });
-            out.push_column(index.id(), self.displaced(index, position, order), sites);
+            out.push_column(index.id(), column, sites);
         });
         out
     }
@@ -169,20 +164,17 @@ impl OrderParameter {
         }
     }
 
-    /// Sum over the boundaries of `f(distance / sigma, sigma along x)`, with alternating sign.
-    fn sum(&self, [x, y]: [f64; 2], f: impl Fn(f64, f64) -> f64) -> f64 {
-        let mut sign = -1.0;
-        let term = |line: &WavyLine| {
-            let [middle, cosine] = line.x_and_cosine(y);
-            let sigma = self.sigma / cosine;
-            sign = -sign;
-            sign * f((x - middle) / sigma, sigma)
+    /// The boundaries where they cross `y`: their x, and the width of the transition along x.
+    fn crossings(&self, y: f64) -> Vec<[f64; 2]> {
+        let crossing = |line: &WavyLine| {
+            let [x, cosine] = line.x_and_cosine(y);
+            [x, self.sigma / cosine]
         };
-        self.lines.iter().map(term).sum()
+        self.lines.iter().map(crossing).collect()
     }
 
-    fn at(&self, position: [f64; 2]) -> f64 {
-        self.sum(position, |z, _| normal_cdf(z)).clamp(0.0, 1.0)
+    fn at(&self, [x, y]: [f64; 2]) -> f64 {
+        order(&self.crossings(y), x)
     }
 
     /// Distance from the nearest boundary in nm.
@@ -191,18 +183,38 @@ impl OrderParameter {
     }
 }
 
+/// Sum over the crossings of `f(z, sigma)`, z being the distance in units of sigma, with alternating
+/// sign.
+fn alternating(crossings: &[[f64; 2]], x: f64, f: impl Fn(f64, f64) -> f64) -> f64 {
+    let term = |(k, [middle, sigma]): (usize, &[f64; 2])| {
+        let value = f((x - middle) / sigma, *sigma);
+        if k % 2 == 0 { value } else { -value }
+    };
+    crossings.iter().enumerate().map(term).sum()
+}
+
+/// The order parameter.
+fn order(crossings: &[[f64; 2]], x: f64) -> f64 {
+    alternating(crossings, x, |z, _| normal_cdf(z)).clamp(0.0, 1.0)
+}
+
+/// Its integral over x.
+fn integral(crossings: &[[f64; 2]], x: f64) -> f64 {
+    alternating(crossings, x, |z, sigma| sigma * normal_cdf_integral(z))
+}
+
 impl Stretch for OrderParameter {
-    fn to_reference(&self, position: [f64; 2]) -> f64 {
-        let integral = self.sum(position, |z, sigma| sigma * normal_cdf_integral(z));
-        position[0] - self.strain * integral
+    fn to_reference(&self, [x, y]: [f64; 2]) -> f64 {
+        x - self.strain * integral(&self.crossings(y), x)
     }
 
     fn to_field(&self, [reference, y]: [f64; 2]) -> f64 {
+        let crossings = self.crossings(y);
         // Newton's method on a function whose slope is 1 but for a few per cent.
         let mut x = reference;
         for _ in 0..20 {
-            let slope = 1.0 - self.strain * self.at([x, y]);
-            let step = (reference - self.to_reference([x, y])) / slope;
+            let slope = 1.0 - self.strain * order(&crossings, x);
+            let step = (reference - x + self.strain * integral(&crossings, x)) / slope;
             x += step;
             if step.abs() < 1e-12 {
                 break;

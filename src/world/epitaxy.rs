@@ -7,7 +7,7 @@
 
 use super::coherent::{Coherent, NM, Stretch};
 use super::composition::Composition;
-use super::crystal::{Chain, ColumnCrystal};
+use super::crystal::{ColumnCrystal, ColumnIndex};
 use super::defects::Defects;
 use super::recipe::{self, Alloy, Profile, Recipe, Wells};
 use super::specimen::{
@@ -102,33 +102,23 @@ impl Epitaxy {
     /// Share of the field's host sites that lie in wells.
     fn share_of_wells(&self) -> f64 {
         let [mut inside, mut all] = [0u64; 2];
-        self.for_each_site(&self.lattice.field, |chain, position| {
-            if chain.number == self.host {
-                all += 1;
-                inside += u64::from(self.composition.holds_well(position));
+        self.for_each_column(&self.lattice.field, |index, [x, y]| {
+            let chains = &self.lattice.crystal.columns[index.kind].chains;
+            for chain in chains.iter().filter(|c| c.number == self.host) {
+                for cell in 0..self.lattice.cells_along_beam {
+                    let z = self.lattice.height(cell, chain);
+                    all += 1;
+                    inside += u64::from(self.composition.holds_well([x, y, z]));
+                }
             }
         });
         inside as f64 / all.max(1) as f64
     }
 
-    fn for_each_site(&self, region: &Region, mut f: impl FnMut(&Chain, [f64; 3])) {
-        self.lattice.for_each_column(
-            region,
-            |_, at| self.place(at),
-            |index, reference| {
-                let [x, y] = self.place(reference);
-                for cell in 0..self.lattice.cells_along_beam {
-                    for chain in &self.lattice.crystal.columns[index.kind].chains {
-                        f(chain, [x, y, self.lattice.height(cell, chain)]);
-                    }
-                }
-            },
-        );
-    }
-
-    /// Position of a column from that in the reference lattice.
-    fn place(&self, reference: [f64; 2]) -> [f64; 2] {
-        [self.lattice.stretch.to_field(reference), reference[1]]
+    /// Calls `f(column, position)`.
+    fn for_each_column(&self, region: &Region, mut f: impl FnMut(ColumnIndex, [f64; 2])) {
+        let place = |_, at: [f64; 2]| ([self.lattice.stretch.to_field(at), at[1]], ());
+        self.lattice.for_each_column(region, place, |index, position, ()| f(index, position));
     }
 }
 
@@ -136,30 +126,25 @@ impl Specimen for Epitaxy {
     fn query(&self, region: &Region) -> Sites {
         let mut out = Sites::default();
         let defects = self.defects.at(f64::INFINITY);
-        self.lattice.for_each_column(
-            region,
-            |_, at| self.place(at),
-            |index, reference| {
-                let [x, y] = self.place(reference);
-                let chains = &self.lattice.crystal.columns[index.kind].chains;
-                let cells = 0..self.lattice.cells_along_beam;
-                let sites = cells.flat_map(|cell| chains.iter().map(move |chain| (cell, chain)));
-                let sites = sites.map(|(cell, chain)| {
-                    let key = index.key(chain, cell);
-                    let z = self.lattice.height(cell, chain);
-                    let (mut kind, mut number) = defects.of(key, chain.number);
-                    if kind == SiteKind::Pristine && number == self.host {
-                        let fraction = self.composition.at([x, y, z]);
-                        let drawn = || rng::uniform(self.seed, Purpose::Defect, GUEST_DRAW, key);
-                        if fraction > 0.0 && drawn() < fraction {
-                            (kind, number) = (SiteKind::Substitution, self.guest);
-                        }
+        self.for_each_column(region, |index, [x, y]| {
+            let chains = &self.lattice.crystal.columns[index.kind].chains;
+            let cells = 0..self.lattice.cells_along_beam;
+            let sites = cells.flat_map(|cell| chains.iter().map(move |chain| (cell, chain)));
+            let sites = sites.map(|(cell, chain)| {
+                let key = index.key(chain, cell);
+                let z = self.lattice.height(cell, chain);
+                let (mut kind, mut number) = defects.of(key, chain.number);
+                if kind == SiteKind::Pristine && number == self.host {
+                    let fraction = self.composition.at([x, y, z]);
+                    let drawn = || rng::uniform(self.seed, Purpose::Defect, GUEST_DRAW, key);
+                    if fraction > 0.0 && drawn() < fraction {
+                        (kind, number) = (SiteKind::Substitution, self.guest);
                     }
-                    SpecimenSite { key, position_nm: [x, y, z], number, kind }
-                });
-                out.push_column(index.id(), [x, y], sites);
-            },
-        );
+                }
+                SpecimenSite { key, position_nm: [x, y, z], number, kind }
+            });
+            out.push_column(index.id(), [x, y], sites);
+        });
         out
     }
 
