@@ -1,6 +1,6 @@
 //! GFLOP/s of the propagation loop beside those of its Fourier transforms alone.
 //!
-//! `cargo bench --bench propagation`. Nominal operations, `5 N log2 N` a transform: skipping columns
+//! `cargo bench --bench propagation [-- SIZE ...]`. Nominal operations, `5 N log2 N` a transform: skipping columns
 //! beyond the band limit lets the loop exceed the plain transforms.
 
 use std::time::Duration;
@@ -8,12 +8,17 @@ use stemgen::detect::Detector;
 use stemgen::engine::{Algorithm, GridChoice, Plan, Settings, measure_speed};
 use stemgen::potential::slices::Slicing;
 
+const SIZES: [usize; 15] =
+    [128, 160, 192, 256, 320, 384, 480, 512, 540, 640, 768, 960, 1152, 1400, 1536];
+
 fn main() {
+    let asked: Vec<usize> = std::env::args().filter_map(|a| a.parse().ok()).collect();
+    let sizes = if asked.is_empty() { SIZES.to_vec() } else { asked };
     println!(
         "{:>14} {:>8} {:>14} {:>14} {:>7}",
         "grid", "threads", "loop GFLOP/s", "FFT GFLOP/s", "ratio"
     );
-    for n in [128, 192, 256, 320, 384, 480, 512, 576, 625, 640, 768, 960, 1152, 1400, 1536] {
+    for n in sizes {
         for threads in [1, 2] {
             let settings = Settings {
                 grid: GridChoice::Points([n, n]),
@@ -27,7 +32,7 @@ fn main() {
             let plan = Plan::new(&settings, [side, side, 2.0], &[]).expect("a valid plan");
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
             let speed =
-                pool.expect("threads").install(|| measure_speed(&plan, Duration::from_secs(2)));
+                pool.expect("threads").install(|| measure_speed(&plan, Duration::from_secs(1)));
             println!(
                 "{:>14} {threads:>8} {:>14.1} {:>14.1} {:>7.2}",
                 format!("{n} x {n}"),

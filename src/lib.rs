@@ -12,6 +12,7 @@ pub mod engine;
 pub mod error;
 pub mod fft;
 pub mod io;
+mod matrix;
 pub mod optics;
 pub mod phonons;
 pub mod potential;

@@ -8,7 +8,6 @@ use super::stepper::{Specimen, Stepper};
 use super::transmission::TransmissionBuilder;
 use super::{Scan, Site};
 use crate::error::{Error, Result};
-use crate::fft::Buffer;
 use crate::progress::Progress;
 use ndarray::{Array2, Array4, ArrayView2, s};
 use num_complex::Complex32;
@@ -61,8 +60,8 @@ pub fn simulate(
     for configuration in 0..configurations {
         let transmission = builder.build(sites, configuration, progress)?;
         let values = match &mut engine {
-            Engine::Multislice(m) => m.run(&transmission, builder.stride(), scan, progress)?,
-            Engine::Prism(p) => p.run(&transmission, builder.stride(), scan, progress)?,
+            Engine::Multislice(m) => m.run(&transmission, scan, progress)?,
+            Engine::Prism(p) => p.run(&transmission, scan, progress)?,
         };
         sum.iter_mut().zip(values).for_each(|(s, v)| *s += v);
     }
@@ -101,7 +100,7 @@ pub fn diffraction(
     let builder = TransmissionBuilder::new(plan, &elements(sites))?;
     let transmission = builder.build(sites, 0, progress)?;
     let mut engine = Multislice::new(plan);
-    let patterns = engine.diffraction(&transmission, builder.stride(), position_angstrom);
+    let patterns = engine.diffraction(&transmission, position_angstrom);
     let last = patterns.into_iter().next_back().unwrap_or_default();
     let shape = plan.wave_grid.shape();
     Array2::from_shape_vec(shape, last)
@@ -129,26 +128,26 @@ pub fn exit_wave(
     let (legs, end) = stepper.route(slices.entrance(), 0..slices.len(), &transmission);
     let to_exit = stepper.propagator(slices.boundaries[slices.len()] - end);
     let fft = stepper.fft();
-    let (mut wave, mut scratch): (Buffer, _) = (fft.buffer(), fft.scratch());
+    let (mut waves, mut w) = ([fft.buffer()], stepper.workspace());
     let (ny, nx) = fft.shape();
-    wave[0] = Complex32::ONE;
-    stepper.start(&mut wave, &mut scratch);
-    let (stride, shape) = (builder.stride(), plan.wave_grid.shape());
-    let specimen = Specimen { transmission: &transmission, stride, shape, origin: (0, 0) };
+    waves[0][0] = Complex32::ONE;
+    stepper.start(&mut waves[0], &mut w.fft);
+    let specimen = Specimen { transmission: &transmission, origin: (0, 0) };
     for leg in legs {
-        stepper.travel(&mut wave, leg, specimen, &mut scratch);
+        stepper.travel(&mut waves, leg, specimen, &mut w);
     }
-    stepper.propagate_by(&mut wave, &to_exit, &mut scratch);
-    let mut out = Array2::zeros((ny, nx));
-    let band = stepper.band();
-    for y in 0..ny {
-        let row = &mut wave[y * fft.stride()..][..fft.stride()];
-        if let [low, high] = band {
+    let [mut wave] = waves;
+    stepper.propagate_by(&mut wave, &to_exit, &mut w.fft);
+    if let [low, high] = stepper.band() {
+        for row in wave.chunks_exact_mut(fft.stride()) {
             row[low.end..high.start].fill(Complex32::ZERO);
         }
-        fft.row(row, true, &mut scratch);
+    }
+    fft.all_rows(&mut wave, true, &mut w.fft);
+    let mut out = Array2::zeros((ny, nx));
+    for y in 0..ny {
         for x in 0..nx {
-            out[[y, x]] = row[x];
+            out[[y, x]] = wave[y * fft.stride() + x];
         }
     }
     Ok(out)

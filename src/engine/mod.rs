@@ -1,5 +1,6 @@
 //! Simulation of detector images from atoms: plan, then execute.
 
+mod exponential;
 mod images;
 mod imaging;
 mod multislice;

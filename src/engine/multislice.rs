@@ -3,13 +3,15 @@
 use super::Scan;
 use super::plan::{Grid, Plan};
 use super::settings::Algorithm;
-use super::stepper::{Leg, Specimen, Stepper};
+use super::stepper::{self, Leg, Specimen, Stepper};
+use super::transmission::Transmission;
 use crate::detect::DetectorMap;
 use crate::error::{Error, Result};
-use crate::fft::{Buffer, Fft2, Scratch, frequency};
+use crate::fft::{Buffer, Fft2, frequency};
 use crate::progress::Progress;
 use num_complex::{Complex32, Complex64};
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
 /// Propagates probes through given transmission functions.
@@ -29,10 +31,22 @@ struct Spectrum {
 
 /// One thread's arrays.
 pub(super) struct Workspace {
-    wave: Buffer,
+    waves: Vec<Buffer>,
     copy: Buffer,
-    scratch: Scratch,
+    step: stepper::Workspace,
 }
+
+/// Probes that are propagated together, on the same part of the specimen.
+#[derive(Debug, PartialEq)]
+struct Group {
+    /// Pixel (row, column) of the transmission grid under the waves' first pixel.
+    origin: (usize, usize),
+    /// Index in the scan, and position within the wave in Angstrom.
+    probes: Vec<(usize, [f64; 2])>,
+}
+
+/// Windows begin at multiples of about this, so that neighbouring probes share one.
+const WINDOW_STEP_ANGSTROM: f64 = 0.4;
 
 impl<'a> Multislice<'a> {
     pub fn new(plan: &'a Plan) -> Self {
@@ -49,8 +63,7 @@ impl<'a> Multislice<'a> {
     /// Intensities as (probe, recorded thickness, detector), row-major.
     pub fn run(
         &mut self,
-        transmission: &[Option<Buffer>],
-        stride: usize,
+        transmission: &Transmission,
         scan: &Scan,
         progress: &dyn Progress,
     ) -> Result<Vec<f64>> {
@@ -58,68 +71,80 @@ impl<'a> Multislice<'a> {
         let per_probe = detectors * self.plan.record_after.len();
         let legs = self.route(transmission);
         let this = &*self;
-        let mut out = vec![0.0; scan.len() * per_probe];
-        out.par_chunks_mut(per_probe).enumerate().try_for_each_init(
+        let groups = this.groups((0..scan.len()).map(|i| scan.position(i)));
+        let values = groups.par_iter().map_init(
             || this.workspace(),
-            |w, (i, values)| {
+            |w, group| {
                 if progress.interrupted() {
                     return Err(Error::Interrupted);
                 }
-                let origin = this.start(w, scan.position(i));
-                let specimen = this.specimen(transmission, stride, origin);
-                this.through(w, &legs, specimen, |r, psi, scale| {
-                    this.map.collect(psi, scale, &mut values[r * detectors..][..detectors]);
+                let mut values = vec![0.0; group.probes.len() * per_probe];
+                let specimen = Specimen { transmission, origin: group.origin };
+                this.through(w, &legs, specimen, &group.probes, |probe, r, psi, scale| {
+                    let at = probe * per_probe + r * detectors;
+                    this.map.collect(psi, scale, &mut values[at..at + detectors]);
                 });
-                progress.advance(1);
-                Ok(())
+                progress.advance(group.probes.len() as u64);
+                Ok(values)
             },
-        )?;
+        );
+        let values = values.collect::<Result<Vec<_>>>()?;
+        let mut out = vec![0.0; scan.len() * per_probe];
+        for (group, values) in groups.iter().zip(&values) {
+            for ((i, _), values) in group.probes.iter().zip(values.chunks_exact(per_probe)) {
+                out[i * per_probe..][..per_probe].copy_from_slice(values);
+            }
+        }
         Ok(out)
     }
 
     pub fn workspace(&self) -> Workspace {
         let fft = self.stepper.fft();
-        Workspace { wave: fft.buffer(), copy: fft.buffer(), scratch: fft.scratch() }
+        let waves = vec![fft.buffer(); self.stepper.group()];
+        Workspace { waves, copy: fft.buffer(), step: self.stepper.workspace() }
     }
 
-    /// Puts a probe at `position` (Angstrom) into the wave; returns the pixel (row, column) of the
-    /// transmission grid under the wave's first pixel.
-    fn start(&self, w: &mut Workspace, position: [f64; 2]) -> (usize, usize) {
+    /// Sorts probes by their window, in a way that depends on the positions only.
+    fn groups(&self, positions: impl Iterator<Item = [f64; 2]>) -> Vec<Group> {
         let (cell, grid) = (&self.plan.transmission_grid, &self.plan.wave_grid);
         let pixel = grid.sampling_angstrom();
-        let mut origin = [0; 2];
-        let mut local = position;
-        for i in 0..2 {
-            if grid.points[i] < cell.points[i] {
-                let centre = (position[i] / pixel[i]).round() as i64;
-                let first = centre - grid.points[i] as i64 / 2;
-                local[i] = position[i] - first as f64 * pixel[i];
-                origin[i] = first.rem_euclid(cell.points[i] as i64) as usize;
+        let mut by_window: BTreeMap<[i64; 2], Vec<(usize, [f64; 2])>> = BTreeMap::new();
+        for (i, position) in positions.enumerate() {
+            let mut first = [0; 2];
+            for k in [0, 1].into_iter().filter(|&k| grid.points[k] < cell.points[k]) {
+                let step = (WINDOW_STEP_ANGSTROM / pixel[k]).round().max(1.0);
+                let centre = (position[k] / pixel[k] / step).round() * step;
+                first[k] = centre as i64 - grid.points[k] as i64 / 2;
             }
+            let local = [0, 1].map(|k| position[k] - first[k] as f64 * pixel[k]);
+            by_window.entry([first[1], first[0]]).or_default().push((i, local));
         }
-        let shift = [0, 1].map(|i| (local[i] - self.probe.centre[i]) / grid.extent_angstrom[i]);
-        let phases = [0, 1].map(|i| shift_phases(shift[i], grid.points[i]));
-        let stride = self.stepper.fft().stride();
-        w.wave.fill(Complex32::ZERO);
-        for &(iy, ix, amplitude) in &self.probe.entries {
-            let c = amplitude * phases[0][ix] * phases[1][iy];
-            w.wave[iy * stride + ix] = Complex32::new(c.re as f32, c.im as f32);
-        }
-        self.stepper.start(&mut w.wave, &mut w.scratch);
-        (origin[1], origin[0])
+        let wrap = |i: i64, axis: usize| i.rem_euclid(cell.points[axis] as i64) as usize;
+        let most = self.stepper.group();
+        let split = |([y, x], probes): ([i64; 2], Vec<_>)| {
+            let origin = (wrap(y, 1), wrap(x, 0));
+            let group = move |part: &[_]| Group { origin, probes: part.to_vec() };
+            probes.chunks(most).map(group).collect::<Vec<_>>()
+        };
+        by_window.into_iter().flat_map(split).collect()
     }
 
-    fn specimen<'b>(
-        &self,
-        transmission: &'b [Option<Buffer>],
-        stride: usize,
-        origin: (usize, usize),
-    ) -> Specimen<'b> {
-        Specimen { transmission, stride, shape: self.plan.transmission_grid.shape(), origin }
+    /// Puts a probe at `position` (Angstrom, within the wave) into a wave.
+    fn start(&self, wave: &mut [Complex32], position: [f64; 2], w: &mut stepper::Workspace) {
+        let grid = &self.plan.wave_grid;
+        let shift = [0, 1].map(|i| (position[i] - self.probe.centre[i]) / grid.extent_angstrom[i]);
+        let phases = [0, 1].map(|i| shift_phases(shift[i], grid.points[i]));
+        let stride = self.stepper.fft().stride();
+        wave.fill(Complex32::ZERO);
+        for &(iy, ix, amplitude) in &self.probe.entries {
+            let c = amplitude * phases[0][ix] * phases[1][iy];
+            wave[iy * stride + ix] = Complex32::new(c.re as f32, c.im as f32);
+        }
+        self.stepper.start(wave, &mut w.fft);
     }
 
     /// The legs through the slices up to each recorded thickness.
-    fn route(&mut self, transmission: &[Option<Buffer>]) -> Vec<Vec<Leg>> {
+    fn route(&mut self, transmission: &Transmission) -> Vec<Vec<Leg>> {
         let mut at = self.plan.slices.entrance();
         let mut first = 0;
         let mut routes = Vec::new();
@@ -131,24 +156,31 @@ impl<'a> Multislice<'a> {
         routes
     }
 
-    /// Takes the wave along the legs; `record(r, psi, scale)` receives the Fourier coefficients at the
-    /// r-th recorded thickness, whose squared moduli times `scale` are fractions of the beam.
+    /// Takes probes along the legs; `record(probe, r, psi, scale)` receives the Fourier coefficients at
+    /// the r-th recorded thickness, whose squared moduli times `scale` are fractions of the beam.
     fn through(
         &self,
-        w: &mut Workspace,
+        Workspace { waves, copy, step }: &mut Workspace,
         routes: &[Vec<Leg>],
         specimen: Specimen<'_>,
-        mut record: impl FnMut(usize, &[Complex32], f64),
+        probes: &[(usize, [f64; 2])],
+        mut record: impl FnMut(usize, usize, &[Complex32], f64),
     ) {
         let (ny, nx) = self.stepper.fft().shape();
         let scale = 1.0 / ((nx * ny) as f64).powi(2);
+        let waves = &mut waves[..probes.len()];
+        for (wave, (_, position)) in waves.iter_mut().zip(probes) {
+            self.start(wave, *position, step);
+        }
         for (r, legs) in routes.iter().enumerate() {
             for leg in legs {
-                self.stepper.travel(&mut w.wave, *leg, specimen, &mut w.scratch);
+                self.stepper.travel(waves, *leg, specimen, step);
             }
-            w.copy.copy_from_slice(&w.wave);
-            self.stepper.columns(&mut w.copy, false, &mut w.scratch);
-            record(r, &w.copy, scale);
+            for (probe, wave) in waves.iter().enumerate() {
+                copy.copy_from_slice(wave);
+                self.stepper.columns(copy, false, &mut step.fft);
+                record(probe, r, copy, scale);
+            }
         }
     }
 
@@ -156,8 +188,7 @@ impl<'a> Multislice<'a> {
     /// the wave grid, FFT order, row-major without padding; zero beyond the band limit.
     pub fn diffraction(
         &mut self,
-        transmission: &[Option<Buffer>],
-        stride: usize,
+        transmission: &Transmission,
         position: [f64; 2],
     ) -> Vec<Vec<f32>> {
         let grid = self.plan.wave_grid;
@@ -166,9 +197,9 @@ impl<'a> Multislice<'a> {
         let mut out = vec![vec![0.0; nx * ny]; self.plan.record_after.len()];
         let routes = self.route(transmission);
         let mut w = self.workspace();
-        let origin = self.start(&mut w, position);
-        let specimen = self.specimen(transmission, stride, origin);
-        self.through(&mut w, &routes, specimen, |r, psi, scale| {
+        let group = self.groups(std::iter::once(position)).remove(0);
+        let specimen = Specimen { transmission, origin: group.origin };
+        self.through(&mut w, &routes, specimen, &group.probes, |_, r, psi, scale| {
             for iy in 0..ny {
                 for ix in 0..nx {
                     let [kx, ky] = grid.k(iy, ix);

@@ -7,8 +7,8 @@
 use super::Scan;
 use super::plan::{Grid, Plan};
 use super::settings::Algorithm;
-use super::stepper::{Specimen, Stepper};
-use super::transmission::crop_spectrum;
+use super::stepper::{self, Specimen, Stepper};
+use super::transmission::{Transmission, crop_spectrum};
 use crate::detect::DetectorMap;
 use crate::error::{Error, Result};
 use crate::fft::{Buffer, Fft2, Scratch};
@@ -33,9 +33,9 @@ pub(super) struct Prism<'a> {
 }
 
 struct Workspace {
-    wave: Buffer,
-    scratch: Scratch,
-    exit_scratch: Scratch,
+    waves: Vec<Buffer>,
+    step: stepper::Workspace,
+    exit: Scratch,
 }
 
 impl<'a> Prism<'a> {
@@ -69,8 +69,7 @@ impl<'a> Prism<'a> {
     /// Intensities as (probe, recorded thickness, detector), row-major.
     pub fn run(
         &mut self,
-        transmission: &[Option<Buffer>],
-        stride: usize,
+        transmission: &Transmission,
         scan: &Scan,
         progress: &dyn Progress,
     ) -> Result<Vec<f64>> {
@@ -79,8 +78,7 @@ impl<'a> Prism<'a> {
         let mut waves = Buffer::zeros(self.exit_plane() * self.beams.len());
         let mut out = vec![0.0; scan.len() * detectors * records];
         let mut first = 0;
-        let specimen =
-            Specimen { transmission, stride, shape: self.plan.wave_grid.shape(), origin: (0, 0) };
+        let specimen = Specimen { transmission, origin: (0, 0) };
         for (r, &last) in self.plan.record_after.iter().enumerate() {
             self.propagate(&mut waves, specimen, first..last + 1, progress)?;
             first = last + 1;
@@ -111,30 +109,36 @@ impl<'a> Prism<'a> {
         let this = &*self;
         let to_exit = this.fresnel(exit - end);
         let (plane, fft) = (this.exit_plane(), this.stepper.fft());
+        let group = this.stepper.group();
         let workspace = || Workspace {
-            wave: fft.buffer(),
-            scratch: fft.scratch(),
-            exit_scratch: this.exit_fft.scratch(),
+            waves: vec![fft.buffer(); group],
+            step: this.stepper.workspace(),
+            exit: this.exit_fft.scratch(),
         };
-        waves[..plane * this.beams.len()].par_chunks_mut(plane).enumerate().try_for_each_init(
-            workspace,
-            |w, (b, kept)| {
-                if progress.interrupted() {
-                    return Err(Error::Interrupted);
+        let groups = waves[..plane * this.beams.len()].par_chunks_mut(plane * group);
+        groups.zip(this.beams.par_chunks(group)).try_for_each_init(workspace, |w, (kept, beams)| {
+            if progress.interrupted() {
+                return Err(Error::Interrupted);
+            }
+            let Workspace { waves, step, exit } = w;
+            let waves = &mut waves[..beams.len()];
+            for ((wave, kept), beam) in
+                waves.iter_mut().zip(kept.chunks_exact_mut(plane)).zip(beams)
+            {
+                match slices.start {
+                    0 => this.plane_wave(wave, *beam),
+                    _ => this.expand(wave, kept, step, exit),
                 }
-                if slices.start == 0 {
-                    this.plane_wave(w, this.beams[b]);
-                } else {
-                    this.expand(w, kept);
-                }
-                for leg in &legs {
-                    this.stepper.travel(&mut w.wave, *leg, specimen, &mut w.scratch);
-                }
-                this.compress(w, kept, &to_exit);
-                progress.advance(1);
-                Ok(())
-            },
-        )
+            }
+            for leg in &legs {
+                this.stepper.travel(waves, *leg, specimen, step);
+            }
+            for (wave, kept) in waves.iter_mut().zip(kept.chunks_exact_mut(plane)) {
+                this.compress(wave, kept, &to_exit, step, exit);
+            }
+            progress.advance(beams.len() as u64);
+            Ok(())
+        })
     }
 
     /// `exp(-i pi lambda dz k^2)` over the number of pixels, in the order of [`crop_spectrum`].
@@ -150,39 +154,59 @@ impl<'a> Prism<'a> {
         factors
     }
 
-    /// `exp(2 pi i k.r)` in the stepper's representation.
-    fn plane_wave(&self, w: &mut Workspace, beam: [i64; 2]) {
+    /// `exp(2 pi i k.r)` in the stepper's representation: one column.
+    fn plane_wave(&self, wave: &mut [Complex32], beam: [i64; 2]) {
         let [nx, ny] = self.plan.wave_grid.points;
-        let at = (beam[1].rem_euclid(ny as i64) as usize, beam[0].rem_euclid(nx as i64) as usize);
-        w.wave.fill(Complex32::ZERO);
-        w.wave[at.0 * self.stepper.fft().stride() + at.1] = Complex32::ONE;
-        self.stepper.start(&mut w.wave, &mut w.scratch);
+        let column = beam[0].rem_euclid(nx as i64) as usize;
+        wave.fill(Complex32::ZERO);
+        let stride = self.stepper.fft().stride();
+        for (y, row) in wave.chunks_exact_mut(stride).take(ny).enumerate() {
+            let turns = (beam[1] * y as i64).rem_euclid(ny as i64) as f64 / ny as f64;
+            row[column] = single(Complex64::from_polar(nx as f64, 2.0 * PI * turns));
+        }
     }
 
     /// From the stepper's wave (rows transformed) to the exit grid in real space.
-    fn compress(&self, w: &mut Workspace, kept: &mut [Complex32], fresnel: &[Complex32]) {
-        self.stepper.columns(&mut w.wave, false, &mut w.scratch);
+    fn compress(
+        &self,
+        wave: &mut [Complex32],
+        kept: &mut [Complex32],
+        fresnel: &[Complex32],
+        w: &mut stepper::Workspace,
+        exit: &mut Scratch,
+    ) {
+        self.stepper.columns(wave, false, &mut w.fft);
         let (from, to) = (self.stepper.fft().stride(), self.exit_fft.stride());
         kept.fill(Complex32::ZERO);
         let mut factors = fresnel.iter();
         crop_spectrum(&self.plan.wave_grid, self.exit.points, self.plan.band_limit, |a, b, _| {
             if let Some(factor) = factors.next() {
-                kept[b.0 * to + b.1] = w.wave[a.0 * from + a.1] * factor;
+                kept[b.0 * to + b.1] = wave[a.0 * from + a.1] * factor;
             }
         });
-        self.exit_fft.inverse(kept, &mut w.exit_scratch);
+        self.exit_fft.inverse(kept, exit);
     }
 
     /// The reverse of [`Prism::compress`], to go on with further slices.
-    fn expand(&self, w: &mut Workspace, kept: &mut [Complex32]) {
-        self.exit_fft.forward(kept, &mut w.exit_scratch);
+    fn expand(
+        &self,
+        wave: &mut [Complex32],
+        kept: &mut [Complex32],
+        w: &mut stepper::Workspace,
+        exit: &mut Scratch,
+    ) {
+        self.exit_fft.forward(kept, exit);
         let (from, to) = (self.exit_fft.stride(), self.stepper.fft().stride());
         let [nx, ny] = self.exit.points;
         let scale = 1.0 / (nx * ny) as f32;
-        w.wave.fill(Complex32::ZERO);
+        wave.fill(Complex32::ZERO);
         crop_spectrum(&self.exit, self.plan.wave_grid.points, self.plan.band_limit, |a, b, _| {
-            w.wave[b.0 * to + b.1] = kept[a.0 * from + a.1] * scale;
+            wave[b.0 * to + b.1] = kept[a.0 * from + a.1] * scale;
         });
-        self.stepper.start(&mut w.wave, &mut w.scratch);
+        self.stepper.start(wave, &mut w.fft);
     }
+}
+
+pub(super) fn single(c: Complex64) -> Complex32 {
+    Complex32::new(c.re as f32, c.im as f32)
 }

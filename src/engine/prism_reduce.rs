@@ -5,8 +5,9 @@
 //! across the aperture that is n instead of about 0.8 n^2 products per probe and pixel.
 
 use super::Scan;
-use super::prism::Prism;
+use super::prism::{Prism, single};
 use crate::error::{Error, Result};
+use crate::matrix::multiply;
 use crate::progress::Progress;
 use num_complex::{Complex32, Complex64};
 use rayon::prelude::*;
@@ -36,45 +37,6 @@ struct Band {
 struct Sums {
     partial: Vec<Complex32>,
     region: Vec<Complex32>,
-}
-
-/// Matrix product `out[m, x] (+)= a[m, k] b[k, x]`, all row-major with the given row strides.
-fn multiply(
-    (m, n, k): (usize, usize, usize),
-    (out, out_stride): (&mut [Complex32], usize),
-    (a, a_stride): (&[Complex32], usize),
-    (b, b_stride): (&[Complex32], usize),
-) {
-    if m == 0 || n == 0 || k == 0 {
-        return;
-    }
-    assert!(out.len() >= (m - 1) * out_stride + n);
-    assert!(a.len() >= (m - 1) * a_stride + k);
-    assert!(b.len() >= (k - 1) * b_stride + n);
-    // The assertions cover every element that dimensions and strides reach.
-    unsafe {
-        gemm::gemm(
-            m,
-            n,
-            k,
-            out.as_mut_ptr(),
-            1,
-            out_stride as isize,
-            false,
-            a.as_ptr(),
-            1,
-            a_stride as isize,
-            b.as_ptr(),
-            1,
-            b_stride as isize,
-            Complex32::ZERO,
-            Complex32::ONE,
-            false,
-            false,
-            false,
-            gemm::Parallelism::None,
-        );
-    }
 }
 
 impl Prism<'_> {
@@ -229,7 +191,7 @@ impl Prism<'_> {
                     multiply(
                         (count, n, k),
                         (target, column_size),
-                        (&coefficients, k),
+                        (&coefficients, [k, 1]),
                         (source, plane),
                     );
                     x += n;
@@ -267,7 +229,7 @@ impl Prism<'_> {
             multiply(
                 (rows.lines.len(), n * width, runs.len()),
                 (&mut out[y * width..], area),
-                (&coefficients, runs.len()),
+                (&coefficients, [runs.len(), 1]),
                 (&sums[line * width..], ny * width),
             );
             y += n;
@@ -278,8 +240,4 @@ impl Prism<'_> {
 /// `exp(-2 pi i f u)`
 fn turn(f: i64, u: f64) -> Complex64 {
     Complex64::from_polar(1.0, -2.0 * PI * u * f as f64)
-}
-
-fn single(c: Complex64) -> Complex32 {
-    Complex32::new(c.re as f32, c.im as f32)
 }

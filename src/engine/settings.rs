@@ -89,10 +89,12 @@ pub struct Settings {
     /// Width of the soft edge inside the anti-aliasing disk, in units of the Nyquist frequency; 0 for
     /// a hard edge. abTEM has 0.02. Detectors have to end below it.
     pub band_taper: f64,
-    /// The potential and `exp(i sigma V)` are computed on a grid this many times finer along each
-    /// axis, then band-limited; `None` takes the factor that makes that grid finer than
-    /// [`POTENTIAL_SAMPLING_ANGSTROM`]. With 1, on the grid itself, as in abTEM, the exponential is
-    /// aliased: the HAADF of heavy columns is then 1-4 % too high at 0.02-0.04 A.
+    /// `None` smooths potentials before `exp(i sigma V)` and puts the cores of the atoms back in closed
+    /// form ([`crate::potential::cores`]); where that does not apply (finite projection, heavy atoms
+    /// on top of each other in one slice), as with a number that makes the grid finer than
+    /// [`POTENTIAL_SAMPLING_ANGSTROM`]. A number exponentiates potentials on a grid so many times
+    /// finer along each axis, then limits the band. With 1, on the grid itself, as in abTEM, the
+    /// exponential is aliased: the HAADF of heavy columns is then 1-4 % too high at 0.02-0.04 A.
     pub oversampling: Option<usize>,
     /// Multiplies potentials by `u / sin u`, `u` = spatial frequency times pixel, as abTEM 1.0.11
     /// does to make up for spreading atoms over pixels (also those that it does not spread). Wrong,

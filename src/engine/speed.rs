@@ -1,7 +1,9 @@
 //! How fast this machine propagates waves.
 
 use super::plan::Plan;
-use super::stepper::{Specimen, Stepper};
+use super::stepper::{Stepper, Workspace};
+use super::transmission::Layout;
+use crate::fft::Buffer;
 use num_complex::Complex32;
 use rayon::prelude::*;
 use std::time::{Duration, Instant};
@@ -23,35 +25,36 @@ pub fn measure_speed(plan: &Plan, duration: Duration) -> Speed {
     let stepper = Stepper::new(plan);
     let fft = stepper.fft();
     let shape = plan.wave_grid.shape();
-    let mut ones = fft.buffer();
+    let mut ones = Buffer::zeros(fft.row_blocks() * fft.arranged_len());
     ones.fill(Complex32::ONE);
-    let specimen = Specimen { transmission: &[], stride: fft.stride(), shape, origin: (0, 0) };
     let propagator = stepper.propagator(1.0);
     let threads = rayon::current_num_threads();
-    let rate = |body: &(dyn Fn(&mut [Complex32], &mut crate::fft::Scratch) + Sync)| {
+    let rate = |body: &(dyn Fn(&mut [Buffer], &mut Workspace) + Sync)| {
         let per_thread = (0..threads).into_par_iter().map(|_| {
-            let (mut wave, mut scratch) = (fft.buffer(), fft.scratch());
-            wave[0] = Complex32::ONE;
-            body(&mut wave, &mut scratch);
+            let (mut waves, mut w) = (vec![fft.buffer(); stepper.group()], stepper.workspace());
+            waves.iter_mut().for_each(|wave| wave[0] = Complex32::ONE);
+            body(&mut waves, &mut w);
             let (start, mut count) = (Instant::now(), 0);
             while start.elapsed() < duration / 2 {
-                body(&mut wave, &mut scratch);
-                count += 1;
+                body(&mut waves, &mut w);
+                count += waves.len() as u32;
             }
             f64::from(count) / start.elapsed().as_secs_f64()
         });
         per_thread.sum::<f64>()
     };
-    let steps_per_s = rate(&|wave, scratch| {
-        stepper.transmit(wave, &ones, specimen, scratch);
-        stepper.propagate_by(wave, &propagator, scratch);
+    let steps_per_s = rate(&|waves, w| {
+        stepper.transmit(waves, &ones, Layout::Arranged, (0, 0), w);
+        waves.iter_mut().for_each(|wave| stepper.propagate_by(wave, &propagator, &mut w.fft));
     });
     let scale = 1.0 / (shape.0 * shape.1) as f32;
-    let pairs_per_s = rate(&|wave, scratch| {
-        fft.forward(wave, scratch);
-        fft.inverse(wave, scratch);
-        // keep the numbers in range without a pass over memory
-        wave[0] *= scale;
+    let pairs_per_s = rate(&|waves, w| {
+        for wave in waves {
+            fft.forward(wave, &mut w.fft);
+            fft.inverse(wave, &mut w.fft);
+            // keep the numbers in range without a pass over memory
+            wave[0] *= scale;
+        }
     });
     let flops = 2.0 * fft.nominal_flops() * 1e-9;
     Speed { steps_per_s, step_gflops: steps_per_s * flops, fft_gflops: pairs_per_s * flops }

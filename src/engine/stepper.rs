@@ -4,14 +4,16 @@
 //! real space. One step is then two passes over memory: down columns (transform, multiply by the
 //! Fresnel propagator and the anti-aliasing disk, inverse transform), and along rows (inverse
 //! transform, multiply by the transmission function, transform). Columns beyond the disk are skipped.
+//! Waves that meet the same part of the specimen step together, so that it is read once for all.
 //! Step and transforms together leave the norm as it is; propagation alone divides by the row length,
 //! which the transforms of rows make good.
 
 use super::plan::{Grid, Plan};
-use crate::fft::columns::{Disk, DiskMultiplier};
+use super::transmission::{Layout, Transmission};
+use crate::fft::multiplier::{Disk, DiskMultiplier};
+use crate::fft::radix::lanes;
 use crate::fft::{Buffer, Fft2, Scratch};
 use num_complex::Complex32;
-use pulp::{Arch, Simd, WithSimd};
 use std::f64::consts::PI;
 use std::ops::Range;
 
@@ -22,7 +24,6 @@ pub(super) struct Stepper {
     wavelength: f64,
     disk: Disk,
     band: Vec<Range<usize>>,
-    dead: Range<usize>,
     planes: Vec<f64>,
     /// Propagators for the distinct distances met so far, in Angstrom.
     propagators: Vec<(f64, DiskMultiplier)>,
@@ -37,18 +38,27 @@ pub(super) struct Leg {
     propagator: usize,
 }
 
-/// Transmission functions and where a wave stands on them.
+/// Transmission functions and where waves stand on them.
 #[derive(Clone, Copy)]
 pub(super) struct Specimen<'a> {
-    /// One per slice.
-    pub transmission: &'a [Option<Buffer>],
-    /// Elements from row to row.
-    pub stride: usize,
-    /// (rows, columns)
-    pub shape: (usize, usize),
-    /// Pixel (row, column) under the wave's first pixel.
+    pub transmission: &'a Transmission,
+    /// Pixel (row, column) under the waves' first pixel.
     pub origin: (usize, usize),
 }
+
+/// One thread's work space.
+pub(super) struct Workspace {
+    pub fft: Scratch,
+    /// A block of rows of a transmission function.
+    block: Buffer,
+}
+
+/// Waves of up to this many bytes together stay in a core's cache.
+const GROUP_BYTES: usize = 1 << 20;
+/// Larger waves: enough that reading the specimen from memory does not matter.
+const LARGE_GROUP: usize = 4;
+/// Beyond this, more waves together gain nothing.
+const MOST_TOGETHER: usize = 16;
 
 impl Stepper {
     pub fn new(plan: &Plan) -> Self {
@@ -57,10 +67,6 @@ impl Stepper {
         let fft = Fft2::new(ny, nx);
         let reach = (plan.band_limit * grid.extent_angstrom[0]) as usize;
         let band = fft.band_columns(reach.min(nx / 2));
-        let dead = match band.as_slice() {
-            [low, high] => low.end..high.start,
-            _ => 0..0,
-        };
         let wavelength = plan.settings.optics.wavelength_angstrom();
         Stepper {
             fft,
@@ -68,7 +74,6 @@ impl Stepper {
             wavelength,
             disk: plan.disk(),
             band,
-            dead,
             planes: plan.slices.planes.clone(),
             propagators: Vec::new(),
         }
@@ -80,11 +85,11 @@ impl Stepper {
         &mut self,
         start: f64,
         slices: Range<usize>,
-        transmission: &[Option<Buffer>],
+        transmission: &Transmission,
     ) -> (Vec<Leg>, f64) {
         let mut at = start;
         let mut legs = Vec::new();
-        for slice in slices.filter(|&i| transmission[i].is_some()) {
+        for slice in slices.filter(|&i| transmission.slices[i].is_some()) {
             let propagator = self.propagator_index(self.planes[slice] - at);
             legs.push(Leg { slice, propagator });
             at = self.planes[slice];
@@ -92,17 +97,29 @@ impl Stepper {
         (legs, at)
     }
 
-    /// Takes a wave along one leg.
+    /// How many waves should step together.
+    pub fn group(&self) -> usize {
+        let wave = self.fft.buffer_len() * size_of::<Complex32>();
+        (GROUP_BYTES / wave).clamp(LARGE_GROUP, MOST_TOGETHER)
+    }
+
+    pub fn workspace(&self) -> Workspace {
+        Workspace { fft: self.fft.scratch(), block: Buffer::zeros(self.fft.arranged_len()) }
+    }
+
+    /// Takes waves along one leg.
     pub fn travel(
         &self,
-        wave: &mut [Complex32],
+        waves: &mut [Buffer],
         leg: Leg,
         specimen: Specimen<'_>,
-        scratch: &mut Scratch,
+        w: &mut Workspace,
     ) {
-        self.propagate_by(wave, &self.propagators[leg.propagator].1, scratch);
-        if let Some(t) = &specimen.transmission[leg.slice] {
-            self.transmit(wave, t, specimen, scratch);
+        for wave in &mut *waves {
+            self.propagate_by(wave, &self.propagators[leg.propagator].1, &mut w.fft);
+        }
+        if let Some(t) = &specimen.transmission.slices[leg.slice] {
+            self.transmit(waves, t, specimen.transmission.layout, specimen.origin, w);
         }
     }
 
@@ -141,31 +158,42 @@ impl Stepper {
         self.fft.multiplier(&row, &row_k2, &column, &column_k2, self.disk)
     }
 
-    /// Rows back to real space, times the transmission function `data`, rows forward.
+    /// Rows back to real space, times the transmission function `t`, rows forward.
     pub fn transmit(
         &self,
-        wave: &mut [Complex32],
-        data: &[Complex32],
-        t: Specimen<'_>,
-        scratch: &mut Scratch,
+        waves: &mut [Buffer],
+        t: &[Complex32],
+        layout: Layout,
+        origin: (usize, usize),
+        w: &mut Workspace,
     ) {
-        let (ny, nx) = self.fft.shape();
-        let arch = Arch::new();
-        let mut at = t.origin.0;
-        for row in wave.chunks_exact_mut(self.fft.stride()).take(ny) {
-            let source = &data[at * t.stride..][..t.shape.1];
-            row[self.dead.clone()].fill(Complex32::ZERO);
-            let next = (at + PREFETCH_ROWS) % t.shape.0 * t.stride + t.origin.1;
-            prefetch(&data[next..(next + nx).min(data.len())]);
-            self.fft.row(row, true, scratch);
-            let split = nx.min(t.shape.1 - t.origin.1);
-            arch.dispatch(Multiply { row: &mut row[..split], by: &source[t.origin.1..] });
-            arch.dispatch(Multiply { row: &mut row[split..nx], by: source });
-            self.fft.row(row, false, scratch);
-            at += 1;
-            if at == t.shape.0 {
-                at = 0;
+        let (rows, stride) = (lanes(), self.fft.stride());
+        let arranged = self.fft.arranged_len();
+        for b in 0..self.fft.row_blocks() {
+            let by = match layout {
+                Layout::Arranged => &t[b * arranged..][..arranged],
+                Layout::Padded { stride } => {
+                    let first = (origin.0 + b * rows) * stride + origin.1;
+                    let area = &t[first..];
+                    if b + 1 < self.fft.row_blocks() {
+                        self.prefetch(&area[rows * stride..], stride);
+                    }
+                    self.fft.arrange_block(area, stride, &mut w.block);
+                    &w.block
+                }
+            };
+            for wave in &mut *waves {
+                let block = &mut wave[b * rows * stride..][..rows * stride];
+                self.fft.convolve_block(block, &self.band, by, &mut w.fft);
             }
+        }
+    }
+
+    /// Asks for a block of rows that will be read soon.
+    fn prefetch(&self, rows: &[Complex32], stride: usize) {
+        let columns = self.fft.shape().1;
+        for row in rows.chunks(stride).take(lanes()) {
+            prefetch(&row[..columns.min(row.len())]);
         }
     }
 
@@ -196,40 +224,15 @@ impl Stepper {
     }
 }
 
-/// The transforms of this many rows take longer than a row needs to arrive from memory.
-const PREFETCH_ROWS: usize = 6;
-
 /// Asks for data that will be read soon.
 #[inline]
 fn prefetch(data: &[Complex32]) {
     #[cfg(target_arch = "x86_64")]
     for line in data.chunks(8) {
-        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        use std::arch::x86_64::{_MM_HINT_T1, _mm_prefetch};
         // A hint, which reads nothing.
-        unsafe { _mm_prefetch::<_MM_HINT_T0>(line.as_ptr().cast()) };
+        unsafe { _mm_prefetch::<_MM_HINT_T1>(line.as_ptr().cast()) };
     }
     #[cfg(not(target_arch = "x86_64"))]
     let _ = data;
-}
-
-/// Element by element.
-struct Multiply<'a> {
-    row: &'a mut [Complex32],
-    by: &'a [Complex32],
-}
-
-impl WithSimd for Multiply<'_> {
-    type Output = ();
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let n = self.row.len().min(self.by.len());
-        let (a, a_rest) = S::as_mut_simd_c32s(&mut self.row[..n]);
-        let (b, b_rest) = S::as_simd_c32s(&self.by[..n]);
-        for (x, y) in a.iter_mut().zip(b) {
-            *x = simd.mul_c32s(*x, *y);
-        }
-        for (x, y) in a_rest.iter_mut().zip(b_rest) {
-            *x *= y;
-        }
-    }
 }

@@ -2,14 +2,22 @@
 //!
 //! Arrays are row-major with x (the column index) fastest; rows are padded to [`Fft2::stride`]
 //! elements. Transforms are unnormalised and in natural order: `forward` multiplies by
-//! `exp(-2 pi i ...)`, and `inverse(forward(a)) = nx ny a`. Rows are transformed by `rustfft`;
-//! columns by SIMD blocks ([`columns`]), or by `rustfft` when the length has a prime factor above 5.
+//! `exp(-2 pi i ...)`, and `inverse(forward(a)) = nx ny a`. Rows and columns are transformed in SIMD
+//! blocks ([`rows`], [`columns`]), or one by one by `rustfft` when the length has a prime factor above 5.
 
 mod butterfly;
 pub mod columns;
+mod kernel;
+pub mod multiplier;
+pub mod radix;
+pub mod rows;
+mod tile;
 
-use columns::{ColumnPlan, Disk, DiskMultiplier};
+use columns::ColumnPlan;
+use multiplier::{Disk, DiskMultiplier};
 use num_complex::Complex32;
+use radix::lanes;
+use rows::RowPlan;
 use rustfft::{Fft, FftPlanner};
 use std::ops::{Deref, DerefMut, Range};
 use std::sync::Arc;
@@ -49,8 +57,8 @@ impl DerefMut for Buffer {
 
 /// Work space of [`Fft2`]; its contents do not matter.
 pub struct Scratch {
-    rows: Vec<Complex32>,
-    columns: Buffer,
+    single: Vec<Complex32>,
+    block: Buffer,
 }
 
 enum Columns {
@@ -65,6 +73,8 @@ pub struct Fft2 {
     stride: usize,
     row_forward: Arc<dyn Fft<f32>>,
     row_inverse: Arc<dyn Fft<f32>>,
+    /// `None`: rows one by one.
+    rows: Option<RowPlan>,
     columns: Columns,
 }
 
@@ -74,8 +84,8 @@ impl Fft2 {
         Self::with_kernel(ny, nx, true)
     }
 
-    /// As [`Fft2::new`]; with `blocked = false` columns are transformed one by one by `rustfft`,
-    /// the plain reference for the SIMD kernel.
+    /// As [`Fft2::new`]; with `blocked = false` rows and columns are transformed one by one by
+    /// `rustfft`, the plain reference for the SIMD kernels.
     pub fn with_kernel(ny: usize, nx: usize, blocked: bool) -> Self {
         assert!(ny > 0 && nx > 0, "empty transform");
         let mut planner = FftPlanner::new();
@@ -93,6 +103,7 @@ impl Fft2 {
             stride: (nx.div_ceil(16) | 1) * 16,
             row_forward: planner.plan_fft_forward(nx),
             row_inverse: planner.plan_fft_inverse(nx),
+            rows: RowPlan::new(nx).filter(|_| blocked),
             columns,
         }
     }
@@ -107,15 +118,20 @@ impl Fft2 {
         self.stride
     }
 
-    /// A zeroed array of this plan's shape.
+    /// A zeroed array of this plan's shape, with room for whole blocks of rows.
     pub fn buffer(&self) -> Buffer {
-        Buffer::zeros(self.ny * self.stride)
+        Buffer::zeros(self.buffer_len())
+    }
+
+    /// Elements of [`Fft2::buffer`].
+    pub fn buffer_len(&self) -> usize {
+        self.ny.next_multiple_of(lanes()) * self.stride
     }
 
     /// Work space for one thread.
     pub fn scratch(&self) -> Scratch {
         let row = self.row_forward.get_inplace_scratch_len();
-        let rows = row.max(self.row_inverse.get_inplace_scratch_len());
+        let row = row.max(self.row_inverse.get_inplace_scratch_len());
         let (single, columns) = match &self.columns {
             Columns::Blocked(plan) => (0, plan.scratch_len() / 2),
             Columns::Single { forward, inverse } => {
@@ -123,7 +139,9 @@ impl Fft2 {
                 (inner.max(inverse.get_inplace_scratch_len()), self.ny)
             }
         };
-        Scratch { rows: vec![Complex32::ZERO; rows.max(single)], columns: Buffer::zeros(columns) }
+        let rows = self.rows.as_ref().map_or(0, |plan| plan.scratch_len() / 2);
+        let single = vec![Complex32::ZERO; row.max(single)];
+        Scratch { single, block: Buffer::zeros(columns.max(rows)) }
     }
 
     /// Floating-point operations of one transform by the usual count, `5 N log2 N`.
@@ -132,10 +150,74 @@ impl Fft2 {
         5.0 * n * n.log2()
     }
 
-    /// The transform of one row of `nx` elements in place.
-    pub fn row(&self, row: &mut [Complex32], inverse: bool, scratch: &mut Scratch) {
+    /// Transforms all rows in place.
+    pub fn all_rows(&self, data: &mut [Complex32], inverse: bool, scratch: &mut Scratch) {
+        let mut done = 0;
+        if let Some(plan) = &self.rows {
+            let whole = self.ny / lanes() * lanes();
+            for block in data[..whole * self.stride].chunks_exact_mut(lanes() * self.stride) {
+                plan.transform(block, self.stride, inverse, scratch.block_floats());
+            }
+            done = whole;
+        }
+        for row in data.chunks_exact_mut(self.stride).take(self.ny).skip(done) {
+            self.single_row(row, inverse, scratch);
+        }
+    }
+
+    fn single_row(&self, row: &mut [Complex32], inverse: bool, scratch: &mut Scratch) {
         let fft = if inverse { &self.row_inverse } else { &self.row_forward };
-        fft.process_with_scratch(&mut row[..self.nx], &mut scratch.rows);
+        fft.process_with_scratch(&mut row[..self.nx], &mut scratch.single);
+    }
+
+    /// Blocks of rows in [`Fft2::buffer`].
+    pub fn row_blocks(&self) -> usize {
+        self.ny.div_ceil(lanes())
+    }
+
+    /// Elements of a block of rows that [`Fft2::arrange_block`] has prepared.
+    pub fn arranged_len(&self) -> usize {
+        self.nx * lanes()
+    }
+
+    /// Prepares a block of [`lanes`] rows of real-space factors, `stride` elements apart, for
+    /// [`Fft2::convolve_block`]. Rows need room for a vector beyond the last column.
+    pub fn arrange_block(&self, rows: &[Complex32], stride: usize, out: &mut [Complex32]) {
+        match &self.rows {
+            Some(plan) => plan.arrange(rows, stride, floats(out)),
+            None => {
+                for (row, out) in rows.chunks(stride).zip(out.chunks_exact_mut(self.nx)) {
+                    out.copy_from_slice(&row[..self.nx]);
+                }
+            }
+        }
+    }
+
+    /// Takes a block of rows (whole rows, [`Fft2::stride`] apart) back to real space, multiplies it and
+    /// transforms it forward, unnormalised. Columns outside `live` are taken as zero and are
+    /// meaningless afterwards.
+    pub fn convolve_block(
+        &self,
+        rows: &mut [Complex32],
+        live: &[Range<usize>],
+        by: &[Complex32],
+        scratch: &mut Scratch,
+    ) {
+        let Some(plan) = &self.rows else {
+            for (row, by) in rows.chunks_exact_mut(self.stride).zip(by.chunks_exact(self.nx)) {
+                let mut end = 0;
+                for range in live {
+                    row[end..range.start].fill(Complex32::ZERO);
+                    end = range.end;
+                }
+                row[end.min(self.nx)..].fill(Complex32::ZERO);
+                self.single_row(row, true, scratch);
+                row.iter_mut().zip(by).for_each(|(v, t)| *v *= t);
+                self.single_row(row, false, scratch);
+            }
+            return;
+        };
+        plan.convolve(rows, self.stride, live, const_floats(by), scratch.block_floats());
     }
 
     /// Transforms all columns in place.
@@ -153,14 +235,14 @@ impl Fft2 {
     ) {
         match &self.columns {
             Columns::Blocked(plan) => {
-                plan.transform(data, self.stride, range, inverse, scratch.column_floats())
+                plan.transform(data, self.stride, range, inverse, scratch.block_floats())
             }
             Columns::Single { forward, inverse: backward } => {
                 let fft = if inverse { backward } else { forward };
                 for x in range {
-                    self.gather(data, x, &mut scratch.columns);
-                    fft.process_with_scratch(&mut scratch.columns[..self.ny], &mut scratch.rows);
-                    self.scatter(data, x, &scratch.columns);
+                    self.gather(data, x, &mut scratch.block);
+                    fft.process_with_scratch(&mut scratch.block[..self.ny], &mut scratch.single);
+                    self.scatter(data, x, &scratch.block);
                 }
             }
         }
@@ -177,9 +259,7 @@ impl Fft2 {
     }
 
     fn both(&self, data: &mut [Complex32], inverse: bool, scratch: &mut Scratch) {
-        for row in data.chunks_exact_mut(self.stride).take(self.ny) {
-            self.row(row, inverse, scratch);
-        }
+        self.all_rows(data, inverse, scratch);
         self.all_columns(data, inverse, scratch);
     }
 
@@ -215,16 +295,16 @@ impl Fft2 {
         for range in ranges.iter().cloned() {
             match &self.columns {
                 Columns::Blocked(plan) => {
-                    plan.convolve(data, self.stride, range, multiplier, scratch.column_floats())
+                    plan.convolve(data, self.stride, range, multiplier, scratch.block_floats())
                 }
                 Columns::Single { forward, inverse } => {
                     for x in range.filter(|&x| x < self.nx) {
-                        self.gather(data, x, &mut scratch.columns);
-                        let column = &mut scratch.columns[..self.ny];
-                        forward.process_with_scratch(column, &mut scratch.rows);
+                        self.gather(data, x, &mut scratch.block);
+                        let column = &mut scratch.block[..self.ny];
+                        forward.process_with_scratch(column, &mut scratch.single);
                         multiplier.apply(x, column);
-                        inverse.process_with_scratch(column, &mut scratch.rows);
-                        self.scatter(data, x, &scratch.columns);
+                        inverse.process_with_scratch(column, &mut scratch.single);
+                        self.scatter(data, x, &scratch.block);
                     }
                 }
             }
@@ -233,7 +313,7 @@ impl Fft2 {
 
     /// Column ranges that cover the frequencies `-m..=m`, in whole SIMD vectors and disjoint.
     pub fn band_columns(&self, m: usize) -> Vec<Range<usize>> {
-        let lanes = columns::lanes();
+        let lanes = radix::lanes();
         let low = (m + 1).next_multiple_of(lanes);
         let high = m.next_multiple_of(lanes);
         if low + high >= self.nx {
@@ -256,11 +336,19 @@ impl Fft2 {
 }
 
 impl Scratch {
-    fn column_floats(&mut self) -> &mut [f32] {
-        let data: &mut [Complex32] = &mut self.columns;
-        // Complex32 is repr(C) of two f32.
-        unsafe { std::slice::from_raw_parts_mut(data.as_mut_ptr().cast(), data.len() * 2) }
+    fn block_floats(&mut self) -> &mut [f32] {
+        floats(&mut self.block)
     }
+}
+
+/// Real and imaginary parts in turn.
+fn floats(data: &mut [Complex32]) -> &mut [f32] {
+    // Complex32 is repr(C) of two f32.
+    unsafe { std::slice::from_raw_parts_mut(data.as_mut_ptr().cast(), data.len() * 2) }
+}
+
+fn const_floats(data: &[Complex32]) -> &[f32] {
+    unsafe { std::slice::from_raw_parts(data.as_ptr().cast(), data.len() * 2) }
 }
 
 /// The FFT frequency index of bin `i` of `n`: 0, 1, ..., -2, -1.
@@ -332,7 +420,7 @@ mod tests {
             for inverse in [false, true] {
                 let (mut a, mut b) = (filled(&fast), filled(&fast));
                 let mut scratch = fast.scratch();
-                scratch.column_floats().fill(f32::NAN);
+                scratch.block_floats().fill(f32::NAN);
                 fast.both(&mut a, inverse, &mut scratch);
                 plain.both(&mut b, inverse, &mut plain.scratch());
                 assert_close(&fast, &a, &b, 1e-6);
@@ -367,7 +455,7 @@ mod tests {
             let prepare = |f: &Fft2| f.multiplier(&phase(ny), &k2(ny), &phase(nx), &k2(nx), disk);
             let (mut a, mut b) = (filled(&fast), filled(&fast));
             let mut scratch = fast.scratch();
-            scratch.column_floats().fill(f32::NAN);
+            scratch.block_floats().fill(f32::NAN);
             let all = fast.band_columns(nx / 2);
             fast.convolve_columns(&mut a, &all, &prepare(&fast), &mut scratch);
             plain.convolve_columns(&mut b, &all, &prepare(&plain), &mut plain.scratch());
@@ -383,7 +471,7 @@ mod tests {
                 let ranges = fft.band_columns(m);
                 let mut seen = vec![0; fft.stride()];
                 for r in &ranges {
-                    let end = r.start + r.len().next_multiple_of(columns::lanes());
+                    let end = r.start + r.len().next_multiple_of(lanes());
                     seen[r.start..end].iter_mut().for_each(|n| *n += 1);
                 }
                 assert!(seen.iter().all(|&n| n <= 1), "{nx} {m} {ranges:?}");

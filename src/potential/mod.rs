@@ -1,5 +1,6 @@
 //! From atoms to projected potentials: scattering factors, slices, structure factors.
 
+pub mod cores;
 pub mod projected;
 pub mod scattering;
 pub mod slices;

@@ -9,6 +9,7 @@ use super::slices::Slices;
 use crate::constants::POTENTIAL_PER_SCATTERING_FACTOR;
 use crate::error::Result;
 use crate::fft::{Buffer, Fft2, Scratch, frequency};
+use crate::matrix::multiply;
 use num_complex::{Complex32, Complex64};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
@@ -39,6 +40,20 @@ pub struct PlacedAtom {
     pub number: u8,
 }
 
+/// What is done to the potentials of atoms (infinite projection only).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Shape {
+    /// Nothing.
+    AsIs,
+    /// Multiplied by `exp(-q^2 / 2 cutoff^2)` in Fourier space.
+    Smoothed {
+        /// 1/Angstrom
+        cutoff: f64,
+    },
+    /// See [`crate::engine::Settings::abtem_pixel_correction`].
+    AbtemPixelCorrection,
+}
+
 /// Computes projected potentials on one grid.
 pub struct Projector {
     fft: Fft2,
@@ -61,8 +76,7 @@ pub struct ProjectorScratch {
 }
 
 impl Projector {
-    /// For a cell of `extent` (x, y) Angstrom and the given elements; for the last argument see
-    /// [`crate::engine::Settings::abtem_pixel_correction`] (infinite projection only).
+    /// For a cell of `extent` (x, y) Angstrom and the given elements.
     ///
     /// # Errors
     /// An element that the table lacks.
@@ -71,12 +85,16 @@ impl Projector {
         extent: [f64; 2],
         parametrization: Parametrization,
         elements: &[u8],
-        abtem_pixel_correction: bool,
+        shape: Shape,
     ) -> Result<Self> {
-        let sharpening = |iy, ix| {
-            let u =
-                (frequency(iy, ny) as f64 / ny as f64).hypot(frequency(ix, nx) as f64 / nx as f64);
-            if abtem_pixel_correction && u > 0.0 { u / u.sin() } else { 1.0 }
+        let reshaped = |iy, ix, q2: f64| match shape {
+            Shape::AsIs => 1.0,
+            Shape::Smoothed { cutoff } => (-0.5 * q2 / (cutoff * cutoff)).exp(),
+            Shape::AbtemPixelCorrection => {
+                let part = |i, n| frequency(i, n) as f64 / n as f64;
+                let u = part(iy, ny).hypot(part(ix, nx));
+                if u > 0.0 { u / u.sin() } else { 1.0 }
+            }
         };
         let mut species = Vec::new();
         for &number in elements {
@@ -86,7 +104,7 @@ impl Projector {
             for iy in 0..ny {
                 for ix in 0..=nx / 2 {
                     let q2 = k2(iy, ix, (ny, nx), extent);
-                    half_plane.push((unit * factor.at(q2) * sharpening(iy, ix)) as f32);
+                    half_plane.push((unit * factor.at(q2) * reshaped(iy, ix, q2)) as f32);
                 }
             }
             species.push(Species { number, factor, half_plane });
@@ -193,32 +211,7 @@ impl Projector {
             along_y.extend(phases(p[1] / self.extent[1], ny, 0..ny));
             along_x.extend(phases(p[0] / self.extent[0], nx, 0..half));
         }
-        // out[iy, ix] = sum_n along_y[n, iy] along_x[n, ix]
-        assert_eq!(out.len(), ny * half);
-        // All three matrices are as large as the dimensions and strides say.
-        unsafe {
-            gemm::gemm(
-                ny,
-                half,
-                n,
-                out.as_mut_ptr(),
-                1,
-                half as isize,
-                false,
-                along_y.as_ptr(),
-                ny as isize,
-                1,
-                along_x.as_ptr(),
-                1,
-                half as isize,
-                Complex32::ZERO,
-                Complex32::ONE,
-                false,
-                false,
-                false,
-                gemm::Parallelism::None,
-            );
-        }
+        multiply((ny, half, n), (out, half), (&along_y, [1, ny]), (&along_x, half));
     }
 
     /// Completes the half plane by Hermitian symmetry and transforms.
@@ -246,7 +239,7 @@ fn k2(iy: usize, ix: usize, (ny, nx): (usize, usize), extent: [f64; 2]) -> f64 {
 
 /// `exp(-2 pi i f u)` for the frequencies f of the given bins of a grid of `n`, `u` the position in
 /// units of the period.
-fn phases(u: f64, n: usize, bins: std::ops::Range<usize>) -> Vec<Complex32> {
+pub(super) fn phases(u: f64, n: usize, bins: std::ops::Range<usize>) -> Vec<Complex32> {
     let step = Complex64::from_polar(1.0, -2.0 * PI * u.rem_euclid(1.0));
     let mut positive = Vec::with_capacity(n / 2 + 1);
     let mut w = Complex64::ONE;
@@ -274,7 +267,7 @@ mod tests {
     use crate::potential::slices::Slicing;
 
     fn projector(n: usize) -> Projector {
-        Projector::new((n, n), [6.0, 5.0], Parametrization::Lobato, &[8, 38], false).unwrap()
+        Projector::new((n, n), [6.0, 5.0], Parametrization::Lobato, &[8, 38], Shape::AsIs).unwrap()
     }
 
     fn real(p: &Projector, b: &Buffer) -> Vec<f32> {

@@ -83,6 +83,20 @@ impl ScatteringFactor {
         self.terms.iter().map(term).sum()
     }
 
+    /// The projected potential at distance `r` (Angstrom, above 0) from the axis, in units of
+    /// [`POTENTIAL_PER_SCATTERING_FACTOR`](crate::constants::POTENTIAL_PER_SCATTERING_FACTOR):
+    /// `2 pi int f(q) J0(2 pi q r) q dq` in 1/Angstrom, in closed form.
+    pub fn projected(&self, r: f64) -> f64 {
+        let term = |t: &Term| match *t {
+            Term::Lorentzian { a, b } => 2.0 * PI * a * puruspe::Kn(0, 2.0 * PI * b.sqrt() * r),
+            Term::SquaredLorentzian { a, b } => {
+                2.0 * PI * a * (PI * r / b.sqrt()) * puruspe::Kn(1, 2.0 * PI * b.sqrt() * r)
+            }
+            Term::Gaussian { a, b } => a * PI / b * (-(PI * r).powi(2) / b).exp(),
+        };
+        self.terms.iter().map(term).sum()
+    }
+
     /// The part of `f` that belongs to the potential between `z1` and `z2` (Angstrom, measured from
     /// the nucleus along the beam), at transverse `q2`: `f_slab(q) = int_z1^z2 dz int dk_z f exp(2 pi
     /// i k_z z)`. From minus to plus infinity it is [`ScatteringFactor::at`].

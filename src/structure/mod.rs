@@ -15,6 +15,7 @@ mod read;
 mod supercell;
 mod xyz;
 
+pub(crate) use neighbors::for_each_pair;
 pub use neighbors::{min_pair_distance, shortest_distances};
 pub use read::{Format, parse, read};
 pub use xyz::write_extxyz;

@@ -58,7 +58,7 @@ impl Boxes {
 /// Calls `visit(i, j, distance)` for every pair with `i <= j` and `distance <= cutoff` Angstrom,
 /// once for each periodic image; `i == j` stands for an atom and its own image. A pair of images
 /// may be visited from either side.
-pub(super) fn for_each_pair(
+pub(crate) fn for_each_pair(
     structure: &Structure,
     cutoff: f64,
     mut visit: impl FnMut(usize, usize, f64),

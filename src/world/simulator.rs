@@ -48,8 +48,6 @@ impl Simulator {
                 seed: recipe.seed,
             }),
             algorithm,
-            // Potentials of a whole sub-tile: twice the grid keeps them within memory.
-            oversampling: Some(2),
             ..Settings::default()
         };
         Simulator { settings }

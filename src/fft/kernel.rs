@@ -1,0 +1,209 @@
+//! In-place passes of a Fourier transform over numbers in SIMD lanes, one transform per lane.
+//!
+//! Decimation in frequency forward, in time backward: a transform, a multiplication and the inverse
+//! transform never undo the digit-reversed order in the middle, and the innermost pass does all
+//! three in registers.
+
+use super::butterfly::{Lanes, dft, inverse_dft, mul, mul_conj, splat};
+use super::radix::{RadixPlan, Stage};
+use pulp::Simd;
+
+/// What happens between a transform and its inverse, at a position of the plan's order.
+pub trait Middle<S: Simd> {
+    /// # Safety
+    /// `position` must be below the plan's length.
+    unsafe fn apply(&self, simd: S, position: usize, v: Lanes<S>) -> Lanes<S>;
+}
+
+/// The numbers under transformation.
+pub struct Kernel<'a, S: Simd> {
+    pub simd: S,
+    pub plan: &'a RadixPlan,
+    /// As many elements as the plan has numbers.
+    pub data: *mut Lanes<S>,
+}
+
+/// Calls a method that is generic over the radix.
+macro_rules! by_radix {
+    ($radix:expr, $self:ident.$method:ident($($arg:expr),*)) => {
+        match $radix {
+            2 => $self.$method::<2>($($arg),*),
+            3 => $self.$method::<3>($($arg),*),
+            4 => $self.$method::<4>($($arg),*),
+            5 => $self.$method::<5>($($arg),*),
+            _ => $self.$method::<8>($($arg),*),
+        }
+    };
+}
+/// As [`by_radix`], for methods that take a second generic argument.
+macro_rules! by_radix_with {
+    ($radix:expr, $self:ident.$method:ident($($arg:expr),*)) => {
+        match $radix {
+            2 => $self.$method::<2, _>($($arg),*),
+            3 => $self.$method::<3, _>($($arg),*),
+            4 => $self.$method::<4, _>($($arg),*),
+            5 => $self.$method::<5, _>($($arg),*),
+            _ => $self.$method::<8, _>($($arg),*),
+        }
+    };
+}
+pub(super) use by_radix;
+
+/// `data` is raw because passes read and write with strides that slices would check at every access:
+/// every method needs it to hold the plan's numbers.
+#[allow(clippy::missing_safety_doc)]
+impl<S: Simd> Kernel<'_, S> {
+    /// Stages `from..` forward.
+    #[inline(always)]
+    pub unsafe fn forward_from(&self, from: usize) {
+        unsafe {
+            for stage in &self.plan.stages()[from..] {
+                let mut at = 0;
+                while at < self.plan.len() {
+                    by_radix!(stage.radix, self.forward(stage, at));
+                    at += stage.len;
+                }
+            }
+        }
+    }
+
+    /// All stages after the first forward, `middle`, and back to the first.
+    #[inline(always)]
+    pub unsafe fn convolve_inner<M: Middle<S>>(&self, middle: &M) {
+        let first = self.plan.stages()[0].radix;
+        let sub = self.plan.len() / first;
+        for part in 0..first {
+            unsafe { self.convolve_part(1, part * sub, middle) };
+        }
+    }
+
+    /// The first stage, in place.
+    #[inline(always)]
+    pub unsafe fn first_forward(&self) {
+        let stage = &self.plan.stages()[0];
+        unsafe { by_radix!(stage.radix, self.forward(stage, 0)) }
+    }
+
+    /// The last inverse stage, in place.
+    #[inline(always)]
+    pub unsafe fn last_inverse(&self) {
+        let stage = &self.plan.stages()[0];
+        unsafe { by_radix!(stage.radix, self.inverse(stage, 0)) }
+    }
+
+    #[inline(always)]
+    unsafe fn convolve_part<M: Middle<S>>(&self, level: usize, base: usize, middle: &M) {
+        // At most 7 levels below the first; written as loops over positions rather than by
+        // recursion, which could not be inlined into the SIMD context.
+        unsafe {
+            let stages = self.plan.stages();
+            let last = stages.len() - 1;
+            let len = stages[level].len;
+            for l in level..last {
+                let mut at = base;
+                while at < base + len {
+                    by_radix!(stages[l].radix, self.forward(&stages[l], at));
+                    at += stages[l].len;
+                }
+            }
+            by_radix_with!(stages[last].radix, self.innermost(base..base + len, middle));
+            for l in (level..last).rev() {
+                let mut at = base;
+                while at < base + len {
+                    by_radix!(stages[l].radix, self.inverse(&stages[l], at));
+                    at += stages[l].len;
+                }
+            }
+        }
+    }
+
+    /// Butterfly and twiddle factors of a forward stage.
+    #[inline(always)]
+    pub unsafe fn twiddled<const R: usize>(&self, x: &mut [Lanes<S>; R], stage: &Stage, j: usize) {
+        unsafe {
+            dft::<S, R>(self.simd, x);
+            let w = stage.twiddles.as_ptr().add(j * (R - 1));
+            for q in 1..R {
+                x[q] = mul(self.simd, x[q], splat(self.simd, *w.add(q - 1)));
+            }
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn forward<const R: usize>(&self, stage: &Stage, base: usize) {
+        unsafe {
+            let sub = stage.len / R;
+            for j in 0..sub {
+                let p = self.data.add(base + j);
+                let mut x = [*p; R];
+                for q in 1..R {
+                    x[q] = *p.add(q * sub);
+                }
+                self.twiddled(&mut x, stage, j);
+                for q in 0..R {
+                    *p.add(q * sub) = x[q];
+                }
+            }
+        }
+    }
+
+    /// Twiddle factors and butterfly of an inverse stage.
+    #[inline(always)]
+    pub unsafe fn untwiddled<const R: usize>(
+        &self,
+        stage: &Stage,
+        base: usize,
+        j: usize,
+    ) -> [Lanes<S>; R] {
+        unsafe {
+            let sub = stage.len / R;
+            let p = self.data.add(base + j);
+            let w = stage.twiddles.as_ptr().add(j * (R - 1));
+            let mut x = [*p; R];
+            for q in 1..R {
+                x[q] = mul_conj(self.simd, *p.add(q * sub), splat(self.simd, *w.add(q - 1)));
+            }
+            inverse_dft::<S, R>(self.simd, &mut x);
+            x
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn inverse<const R: usize>(&self, stage: &Stage, base: usize) {
+        unsafe {
+            let sub = stage.len / R;
+            for j in 0..sub {
+                let x = self.untwiddled::<R>(stage, base, j);
+                for q in 0..R {
+                    *self.data.add(base + j + q * sub) = x[q];
+                }
+            }
+        }
+    }
+
+    /// Final forward stage, multiplication and first inverse stage without leaving registers.
+    #[inline(always)]
+    unsafe fn innermost<const R: usize, M: Middle<S>>(
+        &self,
+        range: std::ops::Range<usize>,
+        middle: &M,
+    ) {
+        unsafe {
+            for base in range.step_by(R) {
+                let p = self.data.add(base);
+                let mut x = [*p; R];
+                for q in 1..R {
+                    x[q] = *p.add(q);
+                }
+                dft::<S, R>(self.simd, &mut x);
+                for q in 0..R {
+                    x[q] = middle.apply(self.simd, base + q, x[q]);
+                }
+                inverse_dft::<S, R>(self.simd, &mut x);
+                for q in 0..R {
+                    *p.add(q) = x[q];
+                }
+            }
+        }
+    }
+}

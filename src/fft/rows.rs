@@ -1,0 +1,242 @@
+//! Fourier transforms along the rows of a matrix, one SIMD lane per row.
+//!
+//! As many rows as the vector unit has lanes are transposed on their way into cache, transformed
+//! together, and transposed back.
+
+use super::butterfly::{Lanes, mul};
+use super::kernel::{Kernel, Middle};
+use super::radix::{RadixPlan, lanes};
+use super::tile;
+use num_complex::Complex32;
+use pulp::{Arch, Simd, WithSimd};
+use std::ops::Range;
+
+/// How to transform blocks of [`lanes`] rows of `n` columns.
+#[derive(Debug, Clone)]
+pub struct RowPlan {
+    plan: RadixPlan,
+    /// Where each column is found after the forward passes.
+    position: Vec<usize>,
+}
+
+/// A block of rows as [`RowPlan`] multiplies with it.
+pub type Arranged = [f32];
+
+impl RowPlan {
+    /// A plan for `n` columns, or `None` when [`RadixPlan`] cannot have one.
+    pub fn new(n: usize) -> Option<Self> {
+        let plan = RadixPlan::new(n)?;
+        let mut position = vec![0; n];
+        plan.order().iter().enumerate().for_each(|(at, &column)| position[column] = at);
+        Some(RowPlan { plan, position })
+    }
+
+    /// Number of `f32` that scratch must have room for. A tile may reach beyond the last column.
+    pub fn scratch_len(&self) -> usize {
+        (self.plan.len() + tile::MOST_COLUMNS) * 2 * lanes()
+    }
+
+    /// Number of `f32` of a block in the order of [`RowPlan::arrange`].
+    pub fn arranged_len(&self) -> usize {
+        self.plan.len() * 2 * lanes()
+    }
+
+    /// Transforms a block of rows in place, natural order to natural order, unnormalised.
+    pub fn transform(
+        &self,
+        rows: &mut [Complex32],
+        stride: usize,
+        inverse: bool,
+        scratch: &mut [f32],
+    ) {
+        self.check(rows, stride, scratch);
+        self.dispatch(rows, stride, Task::Transform { inverse }, scratch);
+    }
+
+    /// Puts a block of rows, real-space factors, into the order of [`RowPlan::convolve`].
+    pub fn arrange(&self, rows: &[Complex32], stride: usize, out: &mut Arranged) {
+        assert!(
+            rows.len() >= (lanes() - 1) * stride + self.padded()
+                && out.len() >= self.arranged_len()
+        );
+        let rows = rows.as_ptr().cast::<f32>();
+        Arch::new().dispatch(Arrange { plan: self, rows, stride: 2 * stride, out });
+    }
+
+    /// Inverse transform of a block of rows, multiplication, and forward transform, unnormalised.
+    /// Columns outside `live` are taken as zero and are left alone; `live` ranges are rounded up to
+    /// whole vectors.
+    pub fn convolve(
+        &self,
+        rows: &mut [Complex32],
+        stride: usize,
+        live: &[Range<usize>],
+        by: &Arranged,
+        scratch: &mut [f32],
+    ) {
+        self.check(rows, stride, scratch);
+        assert!(by.len() >= self.arranged_len());
+        self.dispatch(rows, stride, Task::Convolve { live, by }, scratch);
+    }
+
+    /// Columns with the last tile.
+    fn padded(&self) -> usize {
+        self.plan.len().next_multiple_of((lanes() / 2).max(1))
+    }
+
+    fn check(&self, rows: &[Complex32], stride: usize, scratch: &[f32]) {
+        assert!(self.padded() <= stride && rows.len() >= lanes() * stride, "rows are not padded");
+        assert!(scratch.len() >= self.scratch_len());
+    }
+
+    fn dispatch(&self, rows: &mut [Complex32], stride: usize, task: Task<'_>, scratch: &mut [f32]) {
+        // Complex32 is repr(C) of two f32.
+        let data = rows.as_mut_ptr().cast::<f32>();
+        Arch::new().dispatch(Run { plan: self, data, stride: 2 * stride, task, scratch });
+    }
+}
+
+struct Arrange<'a> {
+    plan: &'a RowPlan,
+    rows: *const f32,
+    stride: usize,
+    out: &'a mut [f32],
+}
+
+impl WithSimd for Arrange<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let out: *mut Lanes<S> = self.out.as_mut_ptr().cast();
+        let position = &self.plan.position;
+        for first in (0..position.len()).step_by(tile::columns::<S>()) {
+            // RowPlan::arrange checked the lengths.
+            let values = unsafe { tile::load(simd, self.rows.add(2 * first), self.stride) };
+            for (v, &at) in values.iter().zip(&position[first..]).take(tile::columns::<S>()) {
+                unsafe { out.add(at).write_unaligned(*v) };
+            }
+        }
+    }
+}
+
+enum Task<'a> {
+    Convolve { live: &'a [Range<usize>], by: &'a Arranged },
+    Transform { inverse: bool },
+}
+
+struct Run<'a> {
+    plan: &'a RowPlan,
+    data: *mut f32,
+    stride: usize,
+    task: Task<'a>,
+    scratch: &'a mut [f32],
+}
+
+impl WithSimd for Run<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let (scratch, _) = S::as_mut_simd_f32s(self.scratch);
+        let kernel =
+            Kernel { simd, plan: &self.plan.plan, data: scratch.as_mut_ptr().cast::<Lanes<S>>() };
+        let block = Block { kernel: &kernel, rows: self.data, stride: self.stride };
+        // Bounds were checked by RowPlan's methods.
+        unsafe {
+            match self.task {
+                Task::Convolve { live, by } => block.convolve(live, by),
+                Task::Transform { inverse } => block.transform(&self.plan.position, inverse),
+            }
+        }
+    }
+}
+
+struct Block<'a, S: Simd> {
+    kernel: &'a Kernel<'a, S>,
+    rows: *mut f32,
+    stride: usize,
+}
+
+/// Exchanges real and imaginary parts, which turns forward transforms into inverse ones.
+#[inline(always)]
+fn swap<S: Simd>(v: Lanes<S>) -> Lanes<S> {
+    (v.1, v.0)
+}
+
+impl<S: Simd> Block<'_, S> {
+    /// Transposes columns into scratch, `swapped` or not.
+    #[inline(always)]
+    unsafe fn load(&self, columns: Range<usize>, swapped: bool) {
+        for first in columns.step_by(tile::columns::<S>()) {
+            unsafe {
+                let tile = tile::load(self.kernel.simd, self.rows.add(2 * first), self.stride);
+                for c in 0..tile::columns::<S>() {
+                    let v = if swapped { swap::<S>(tile[c]) } else { tile[c] };
+                    *self.kernel.data.add(first + c) = v;
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn convolve(&self, live: &[Range<usize>], by: &Arranged) {
+        unsafe {
+            let (simd, n) = (self.kernel.simd, self.kernel.plan.len());
+            let zero = simd.splat_f32s(0.0);
+            let mut filled = 0;
+            let padded = n.next_multiple_of(tile::columns::<S>());
+            let live = live.iter().map(|r| r.start..r.end.min(padded));
+            for range in live.clone() {
+                for x in filled..range.start {
+                    *self.kernel.data.add(x) = (zero, zero);
+                }
+                filled = range.end;
+                self.load(range, true);
+            }
+            for x in filled..n {
+                *self.kernel.data.add(x) = (zero, zero);
+            }
+            self.kernel.first_forward();
+            self.kernel.convolve_inner(&Multiply { by: by.as_ptr().cast() });
+            self.kernel.last_inverse();
+            for range in live {
+                for first in range.step_by(tile::columns::<S>()) {
+                    let mut v = [(zero, zero); tile::MOST_COLUMNS];
+                    for c in 0..tile::columns::<S>() {
+                        v[c] = swap::<S>(*self.kernel.data.add(first + c));
+                    }
+                    tile::store::<S>(&v, self.rows.add(2 * first), self.stride);
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn transform(&self, position: &[usize], inverse: bool) {
+        unsafe {
+            let n = self.kernel.plan.len();
+            self.load(0..n, inverse);
+            self.kernel.forward_from(0);
+            let zero = self.kernel.simd.splat_f32s(0.0);
+            for first in (0..n).step_by(tile::columns::<S>()) {
+                let mut v = [(zero, zero); tile::MOST_COLUMNS];
+                for c in 0..tile::columns::<S>().min(n - first) {
+                    let value = *self.kernel.data.add(*position.get_unchecked(first + c));
+                    v[c] = if inverse { swap::<S>(value) } else { value };
+                }
+                tile::store::<S>(&v, self.rows.add(2 * first), self.stride);
+            }
+        }
+    }
+}
+
+/// Multiplication by arranged factors, between an inverse and a forward transform.
+struct Multiply<S: Simd> {
+    by: *const Lanes<S>,
+}
+
+impl<S: Simd> Middle<S> for Multiply<S> {
+    #[inline(always)]
+    unsafe fn apply(&self, simd: S, position: usize, v: Lanes<S>) -> Lanes<S> {
+        unsafe { swap::<S>(mul(simd, swap::<S>(v), self.by.add(position).read_unaligned())) }
+    }
+}
