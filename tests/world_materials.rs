@@ -548,6 +548,44 @@ fn another_seed_bends_the_boundaries_otherwise_and_keeps_the_rate() {
     assert_rate(oxygen, 0.015, 3.0, "seed 2");
 }
 
+#[test]
+fn vacancies_and_relaxation_work_in_every_kind_of_specimen() {
+    for (material, element) in [("batio3", "O"), ("gan", "N"), ("sige", "Si")] {
+        let mut recipe = Recipe::load(material, Difficulty::Easy).unwrap();
+        recipe.vacancies = Some(stemgen::world::recipe::Vacancies {
+            element: element.into(),
+            rate: 0.05,
+            cluster_fraction: 0.0,
+            cluster_sigma_nm: 5.0,
+            max_probability: 0.25,
+            relaxation_angstrom: 0.0,
+        });
+        let region = Region { x: [36.0, 42.0], y: [30.0, 36.0] };
+        let rigid = specimen(&recipe).unwrap().sites(&region);
+        let sites = rigid.iter().filter(|s| s.number == number(element)).count() as u64;
+        let vacant = rigid.iter().filter(|s| s.kind == SiteKind::Vacancy).count() as u64;
+        assert!(rigid.iter().all(|s| s.kind != SiteKind::Vacancy || s.number == number(element)));
+        if material != "sige" {
+            assert_rate([sites, vacant], 0.05, 4.0, material);
+        }
+        recipe.vacancies.as_mut().unwrap().relaxation_angstrom = 0.1;
+        let relaxed = specimen(&recipe).unwrap().sites(&region);
+        let moved = rigid.iter().zip(&relaxed).filter(|(a, b)| a.position_nm != b.position_nm);
+        let moved: Vec<_> = moved.map(|(a, _)| a).collect();
+        // Ti has 6 O beside it, Ga 4 N; Si only has Ge to move.
+        assert!(moved.iter().all(|s| s.number != number(element)), "{material}");
+        let bonded = if material == "batio3" { TI } else { 31 };
+        let share = moved.iter().filter(|s| s.number == bonded).count() as f64
+            / rigid.iter().filter(|s| s.number == bonded).count() as f64;
+        let expected = match material {
+            "batio3" => 1.0 - 0.95f64.powi(6),
+            "gan" => 1.0 - 0.95f64.powi(4),
+            _ => continue,
+        };
+        assert!((share - expected).abs() < 0.03, "{material}: {share} {expected}");
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(60))]
     /// A region shows the same sites as the two halves that it falls into, and no key twice.

@@ -74,9 +74,12 @@ fn rate(recipe: &Recipe) -> f64 {
     vacancies.or(recipe.alloy.as_ref().map(|a| a.rate)).unwrap()
 }
 
+/// Name, rates of the tiers, pixel in nm, thermal displacements in Angstrom.
+type Material = (&'static str, [f64; 3], f64, &'static [(&'static str, f64)]);
+
 #[test]
 fn tiers_differ_as_in_the_table() {
-    let materials: [(&str, [f64; 3], f64, &[(&str, f64)]); 4] = [
+    let materials: [Material; 4] = [
         ("SrTiO3", [0.05, 0.03, 0.01], 0.02015, &[("Sr", 0.084), ("Ti", 0.060), ("O", 0.085)]),
         ("batio3", [0.04, 0.03, 0.015], 0.02015, &[("Ba", 0.080), ("Ti", 0.080), ("O", 0.090)]),
         ("sige", [0.05, 0.03, 0.01], 0.02013, &[("Si", 0.078), ("Ge", 0.085)]),

@@ -149,6 +149,7 @@ struct Built {
     substitutions: u64,
     columns: u64,
     grain_boundaries: usize,
+    phase_boundaries: usize,
     dose_electrons_per_angstrom2: Option<f64>,
     engine: String,
     subtiles: usize,
@@ -318,6 +319,7 @@ impl Build {
             substitutions: summary.counts.substitutions,
             columns: summary.counts.columns,
             grain_boundaries: world.boundaries()?.len(),
+            phase_boundaries: world.phase_boundaries()?.len(),
             dose_electrons_per_angstrom2: (!self.no_noise).then_some(dose),
             engine: simulator.name(),
             subtiles: summary.subtiles,
@@ -367,15 +369,18 @@ impl Built {
         lines.add("world", format!("{}{tier}, seed {}", self.material, self.seed));
         let ([rows, columns], [ny, nx], [h, w]) = (self.tiles, self.pixels, self.fov_nm);
         lines.add("tiles", format!("{rows} x {columns}: {ny} x {nx} pixels, {h:.2} x {w:.2} nm"));
-        let [sites, vacancies, all] = [self.sites, self.vacancies, self.columns].map(text::count);
-        let boundaries = match self.grain_boundaries {
-            1 => "1 grain boundary".into(),
-            n => format!("{n} grain boundaries"),
-        };
-        lines.add(
-            "holds",
-            format!("{sites} sites in {all} columns, {vacancies} vacancies, {boundaries}"),
-        );
+        let found = [
+            (self.vacancies, "vacancy", "vacancies"),
+            (self.substitutions, "substitution", "substitutions"),
+            (self.grain_boundaries as u64, "grain boundary", "grain boundaries"),
+            (self.phase_boundaries as u64, "phase boundary", "phase boundaries"),
+        ];
+        let found = found.into_iter().filter(|(n, _, _)| *n > 0).map(|(n, one, many)| {
+            format!(", {} {}", text::count(n), if n == 1 { one } else { many })
+        });
+        let [sites, columns] = [self.sites, self.columns].map(text::count);
+        let found: String = found.collect();
+        lines.add("holds", format!("{sites} sites in {columns} columns{found}"));
         lines.add(
             "dose",
             match self.dose_electrons_per_angstrom2 {

@@ -8,7 +8,7 @@ use ndarray::Array2;
 
 use super::assemble::Mosaic;
 use super::recipe::Recipe;
-use super::specimen::{BEYOND_FIELD_NM, Region, SiteKind, Specimen, specimen};
+use super::specimen::{BEYOND_FIELD_NM, DISPLACED_NM, Region, SiteKind, Specimen, specimen};
 use super::store::{Store, beside};
 use super::subprogress::SubProgress;
 use super::subtiles::{Partition, SubTile};
@@ -18,9 +18,6 @@ use crate::error::{Error, Result};
 use crate::io::{Header, WorldFile, WorldWriter};
 use crate::progress::Progress;
 use crate::structure::elements;
-
-/// Atoms are never further than this from the position of their column.
-const DISPLACED_NM: f64 = 0.1;
 
 /// Simulates sub-tiles.
 pub trait SubTileEngine {

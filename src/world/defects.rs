@@ -48,11 +48,6 @@ impl Defects {
         Ok(Defects { seed: recipe.seed, vacancies, substitutions })
     }
 
-    /// The element that is missing at vacancies.
-    pub fn vacant_element(&self) -> Option<u8> {
-        self.vacancies.map(|(element, _)| element)
-    }
-
     /// The rule for sites at `distance_nm` from the nearest boundary.
     pub fn at(&self, distance_nm: f64) -> LocalDefects {
         let vacancies = self.vacancies.map(|(e, profile)| (e, profile.probability(distance_nm)));

@@ -9,14 +9,13 @@ use super::coincidence::{self, HalfAngle};
 use super::crystal::{Chain, ColumnCrystal, ColumnIndex, Grain};
 use super::defects::Defects;
 use super::recipe::{Boundaries, Recipe};
-use super::relax::{self, Reach};
 use super::specimen::{
-    BEYOND_FIELD_NM, Boundary, BoundaryKind, Region, SiteKind, Sites, Specimen, SpecimenSite,
+    BEYOND_FIELD_NM, Boundary, BoundaryKind, Region, Sites, Specimen, SpecimenSite,
 };
 use crate::error::{Error, Result};
 use crate::structure::shortest_distances;
 
-/// Pairs further apart than this in the crystal have no room to come too close, in Angstrom.
+/// Pairs of neighbours are nearer than this in every crystal, in Angstrom.
 pub(super) const PAIR_CUTOFF_ANGSTROM: f64 = 6.0;
 
 /// See the module.
@@ -33,7 +32,6 @@ pub struct Grains {
     field: Region,
     kind: BoundaryKind,
     defects: Defects,
-    relaxation: Option<(f64, Reach)>,
 }
 
 /// A column that is there.
@@ -66,7 +64,6 @@ impl Grains {
             field,
             kind: BoundaryKind::Grain { misorientation_deg: 0.0, sigma: None },
             defects: Defects::default(),
-            relaxation: None,
         };
         specimen.lay_out(recipe.boundaries.as_ref(), &shortest)?;
         specimen.defects = Defects::fit(recipe, |element, histogram| {
@@ -75,10 +72,6 @@ impl Grains {
                 histogram.add(specimen.distance_nm(column.position[0]), chains as u64);
             });
         })?;
-        if let Some(v) = recipe.vacancies.as_ref().filter(|v| v.relaxation_angstrom > 0.0) {
-            let element = specimen.defects.vacant_element().unwrap_or_default();
-            specimen.relaxation = Some((v.relaxation_angstrom, Reach::new(element, &shortest)));
-        }
         Ok(specimen)
     }
 
@@ -196,8 +189,10 @@ impl Grains {
         }
         (kept != 0).then_some(Present { index, position, kept })
     }
+}
 
-    fn unrelaxed(&self, region: &Region) -> Sites {
+impl Specimen for Grains {
+    fn query(&self, region: &Region) -> Sites {
         let mut out = Sites::default();
         self.for_each_column(region, |column| {
             let [x, y] = column.position.map(|v| v * NM);
@@ -213,19 +208,6 @@ impl Grains {
             out.push_column(column.index.id(), [x, y], sites);
         });
         out
-    }
-}
-
-impl Specimen for Grains {
-    fn query(&self, region: &Region) -> Sites {
-        let mut sites = self.unrelaxed(region);
-        if let Some((distance, reach)) = &self.relaxation {
-            let around = self.unrelaxed(&region.grown(reach.greatest_nm()));
-            let vacant: Vec<_> =
-                around.sites.into_iter().filter(|s| s.kind == SiteKind::Vacancy).collect();
-            relax::outward(&mut sites.sites, &vacant, distance * NM, reach);
-        }
-        sites
     }
 
     fn thickness_nm(&self) -> f64 {

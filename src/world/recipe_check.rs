@@ -116,6 +116,10 @@ fn check_specimen(recipe: &Recipe) -> std::result::Result<Vec<String>, Fault> {
     }
     if let Some(vacancies) = &recipe.vacancies {
         check_vacancies(vacancies, &symbols)?;
+        if recipe.structure == StructureKind::Epitaxy && vacancies.cluster_fraction > 0.0 {
+            let expected = "expected 0: structure = \"epitaxy\" has nothing that they gather about";
+            return fault("vacancies.cluster_fraction", vacancies.cluster_fraction, expected);
+        }
     }
     if let Some(substitutions) = &recipe.substitutions {
         check_substitutions(substitutions, &symbols)?;

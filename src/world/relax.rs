@@ -2,11 +2,68 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use super::specimen::{SiteKind, SpecimenSite};
+use super::grains::PAIR_CUTOFF_ANGSTROM;
+use super::recipe::Recipe;
+use super::specimen::{
+    Boundary, DISPLACED_NM, ParticleTruth, Region, SiteKind, Sites, Specimen, SpecimenSite,
+};
+use crate::error::Result;
+use crate::structure::{elements, shortest_distances};
 
 /// Neighbours up to this many times the shortest distance of their pair of elements move: more than
 /// the nearest shell, less than the next.
 const SHELL: f64 = 1.15;
+
+/// A specimen whose atoms move away from the vacancies beside them.
+pub struct Relaxed {
+    inner: Box<dyn Specimen>,
+    distance_nm: f64,
+    reach: Reach,
+}
+
+impl Relaxed {
+    /// Relaxes `inner` by `vacancies.relaxation_angstrom` of the recipe; returns it as it is if that is 0.
+    ///
+    /// # Errors
+    /// As [`Recipe::oriented_crystal`].
+    pub fn of(inner: Box<dyn Specimen>, recipe: &Recipe) -> Result<Box<dyn Specimen>> {
+        let vacancies = recipe.vacancies.as_ref().filter(|v| v.relaxation_angstrom > 0.0);
+        let Some(vacancies) = vacancies else { return Ok(inner) };
+        let element = elements::atomic_number(&vacancies.element)?;
+        let shortest = shortest_distances(&recipe.oriented_crystal()?, PAIR_CUTOFF_ANGSTROM);
+        Ok(Box::new(Relaxed {
+            inner,
+            distance_nm: 0.1 * vacancies.relaxation_angstrom,
+            reach: Reach::new(element, &shortest),
+        }))
+    }
+}
+
+impl Specimen for Relaxed {
+    fn query(&self, region: &Region) -> Sites {
+        let mut sites = self.inner.query(region);
+        // The columns whose vacancies reach into the region, wherever their sites lie.
+        let around = self.inner.sites(&region.grown(self.reach.greatest_nm() + DISPLACED_NM));
+        let vacant: Vec<_> = around.into_iter().filter(|s| s.kind == SiteKind::Vacancy).collect();
+        outward(&mut sites.sites, &vacant, self.distance_nm, &self.reach);
+        sites
+    }
+    fn thickness_nm(&self) -> f64 {
+        self.inner.thickness_nm()
+    }
+    fn boundaries(&self) -> Vec<Boundary> {
+        self.inner.boundaries()
+    }
+    fn phases(&self) -> Vec<String> {
+        self.inner.phases()
+    }
+    fn phase_at(&self, position_nm: [f64; 2]) -> usize {
+        self.inner.phase_at(position_nm)
+    }
+    fn particles(&self) -> Vec<ParticleTruth> {
+        self.inner.particles()
+    }
+}
 
 /// How far from a vacancy of one element atoms of the others move.
 #[derive(Debug, Clone, Default)]

@@ -4,8 +4,11 @@ use super::domains::Domains;
 use super::epitaxy::Epitaxy;
 use super::grains::Grains;
 use super::recipe::{Recipe, StructureKind};
+use super::relax::Relaxed;
 use crate::error::Result;
 
+/// Sites are never further than this from the position of their column, in nm.
+pub const DISPLACED_NM: f64 = 0.1;
 /// How far the specimen goes on beyond the field on every side, in nm.
 pub const BEYOND_FIELD_NM: f64 = 12.0;
 
@@ -176,9 +179,10 @@ pub trait Specimen: Send + Sync {
 /// [`crate::Error::Invalid`] when a value of the recipe is outside its limits.
 pub fn specimen(recipe: &Recipe) -> Result<Box<dyn Specimen>> {
     recipe.check()?;
-    match recipe.structure {
-        StructureKind::Grains => Ok(Box::new(Grains::new(recipe)?)),
-        StructureKind::Domains => Ok(Box::new(Domains::new(recipe)?)),
-        StructureKind::Epitaxy => Ok(Box::new(Epitaxy::new(recipe)?)),
-    }
+    let rigid: Box<dyn Specimen> = match recipe.structure {
+        StructureKind::Grains => Box::new(Grains::new(recipe)?),
+        StructureKind::Domains => Box::new(Domains::new(recipe)?),
+        StructureKind::Epitaxy => Box::new(Epitaxy::new(recipe)?),
+    };
+    Relaxed::of(rigid, recipe)
 }
