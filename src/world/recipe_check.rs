@@ -9,8 +9,12 @@ use super::recipe::{
     self, Alloy, Boundaries, Domains, Fault, Field, Profile, Recipe, StructureKind, Substitutions,
     Vacancies, Wells,
 };
+use super::specimen::BEYOND_FIELD_NM;
 use crate::error::Error;
 use crate::structure::{Structure, elements, shortest_distances};
+
+/// Points of all interfaces together.
+const MOST_INTERFACE_POINTS: f64 = 2e7;
 
 type Checked = std::result::Result<(), Fault>;
 
@@ -91,7 +95,8 @@ fn check_specimen(recipe: &Recipe) -> std::result::Result<Vec<String>, Fault> {
     let mut elements: Vec<u8> = crystal.chains().map(|c| c.number).collect();
     elements.sort_unstable();
     elements.dedup();
-    let mut symbols: Vec<String> = elements.iter().map(|&n| elements::symbol(n).into()).collect();
+    let lattice: Vec<String> = elements.iter().map(|&n| elements::symbol(n).into()).collect();
+    let mut symbols = lattice.clone();
     match recipe.structure {
         StructureKind::Grains => {
             if let Some(boundaries) = &recipe.boundaries {
@@ -115,14 +120,14 @@ fn check_specimen(recipe: &Recipe) -> std::result::Result<Vec<String>, Fault> {
         }
     }
     if let Some(vacancies) = &recipe.vacancies {
-        check_vacancies(vacancies, &symbols)?;
+        check_vacancies(vacancies, &lattice)?;
         if recipe.structure == StructureKind::Epitaxy && vacancies.cluster_fraction > 0.0 {
             let expected = "expected 0: structure = \"epitaxy\" has nothing that they gather about";
             return fault("vacancies.cluster_fraction", vacancies.cluster_fraction, expected);
         }
     }
     if let Some(substitutions) = &recipe.substitutions {
-        check_substitutions(substitutions, &symbols)?;
+        check_substitutions(substitutions, &lattice)?;
         symbols.push(substitutions.by.clone());
     }
     symbols.sort();
@@ -283,7 +288,12 @@ fn check_wells(alloy: &Alloy, wells: Option<&Wells>, field: &Field) -> Checked {
     // The two sides of a well or barrier meet at 2.8 standard deviations of their distance.
     let most = wells.width_nm.min(part - wells.width_nm) / 4.0;
     within("wells.roughness_nm", wells.roughness_nm, 0.0, most)?;
-    within("wells.roughness_correlation_nm", wells.roughness_correlation_nm, 0.5, 1000.0)
+    // Interfaces are tabulated six times per correlation length.
+    let area = (field.fov_nm[0] + 2.0 * BEYOND_FIELD_NM) * field.thickness_nm;
+    let points = 2.0 * wells.count as f64 * 36.0 * area;
+    let least = (points / MOST_INTERFACE_POINTS).sqrt().max(0.5);
+    let key = "wells.roughness_correlation_nm";
+    within(key, wells.roughness_correlation_nm, least, least.max(1000.0))
 }
 
 fn check_vacancies(v: &Vacancies, elements: &[String]) -> Checked {
