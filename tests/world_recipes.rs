@@ -238,3 +238,70 @@ fn other_crystals_make_grains() {
         }
     }
 }
+
+/// Paths of all numbers in a table.
+fn numbers(value: &toml::Value, path: &[String], out: &mut Vec<Vec<String>>) {
+    match value {
+        toml::Value::Table(table) => {
+            for (key, value) in table {
+                numbers(value, &[path, &[key.clone()]].concat(), out);
+            }
+        }
+        toml::Value::Integer(_) | toml::Value::Float(_) => out.push(path.to_vec()),
+        toml::Value::Array(items) if items.iter().all(|i| !i.is_str()) => out.push(path.to_vec()),
+        _ => {}
+    }
+}
+
+fn entry<'t>(value: &'t mut toml::Value, path: &[String]) -> &'t mut toml::Value {
+    path.iter().fold(value, |value, key| value.get_mut(key).unwrap())
+}
+
+#[test]
+fn no_number_makes_it_panic() {
+    let floats = [-1.0, 1e-300, 0.3, 1e9, f64::NAN, f64::INFINITY];
+    let integers = [-1, 0, 7, i64::MAX];
+    let (mut good, mut bad) = (0, 0);
+    for material in ["srtio3", "batio3", "sige", "gan"] {
+        let mut small = Recipe::load(material, Difficulty::Medium).unwrap();
+        (small.field.fov_nm, small.field.grid) = ([8.0, 8.0], [3, 3]);
+        small.field.thickness_nm = 1.0;
+        if let Some(wells) = &mut small.wells {
+            wells.count = 1;
+        }
+        if let Some(domains) = &mut small.domains {
+            domains.sharpness_sigma_px = 20.0;
+        }
+        small.check().unwrap();
+        let base: toml::Value = toml::from_str(&small.to_toml()).unwrap();
+        let mut paths = Vec::new();
+        numbers(&base, &[], &mut paths);
+        for path in paths {
+            let values = floats.map(toml::Value::Float).into_iter();
+            for value in values.chain(integers.map(toml::Value::Integer)) {
+                let mut changed = base.clone();
+                let target = entry(&mut changed, &path);
+                *target = match target {
+                    toml::Value::Array(items) => vec![value.clone(); items.len()].into(),
+                    _ => value.clone(),
+                };
+                let text = toml::to_string(&changed).unwrap();
+                let made = Recipe::from_toml_str("r.toml", &text, None).and_then(|r| {
+                    let region = Region { x: [1.0, 3.0], y: [1.0, 2.0] };
+                    Ok(specimen(&r)?.sites(&region.intersection(&r.field.full_region())))
+                });
+                match made {
+                    Ok(sites) => {
+                        let finite = |s: &stemgen::world::SpecimenSite| {
+                            s.position_nm.iter().all(|v| v.is_finite())
+                        };
+                        assert!(sites.iter().all(finite), "{material} {path:?} = {value}");
+                        good += 1;
+                    }
+                    Err(_) => bad += 1,
+                }
+            }
+        }
+    }
+    assert!(good > 200 && bad > 500, "{good} {bad}");
+}
