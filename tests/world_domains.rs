@@ -5,7 +5,7 @@ mod specimens;
 
 use std::collections::BTreeMap;
 
-use specimens::{CASES, Case, assert_rate, by_parts, cases, normal_cdf, shortest};
+use specimens::{CASES, Case, assert_rate, by_parts, cases, normal_cdf, shortest, signed_distance};
 use stemgen::world::{BoundaryKind, Difficulty, Recipe, Region, SiteKind, SpecimenSite, specimen};
 
 const TI: u8 = 22;
@@ -14,27 +14,6 @@ const OXYGEN: u8 = 8;
 
 fn lines(case: &Case) -> Vec<Vec<[f64; 2]>> {
     case.specimen.boundaries().into_iter().map(|b| b.line_nm).collect()
-}
-
-/// Distance of a point from the corners and segments of the lines, and whether it lies to the right
-/// of the nearest.
-fn signed_distance(lines: &[Vec<[f64; 2]>], [x, y]: [f64; 2]) -> (usize, f64) {
-    let mut best = (0, f64::INFINITY);
-    for (n, line) in lines.iter().enumerate() {
-        for s in line.windows(2) {
-            if s[0][1] - y > best.1.abs() || y - s[1][1] > best.1.abs() {
-                continue;
-            }
-            let (d, q) = ([s[1][0] - s[0][0], s[1][1] - s[0][1]], [x - s[0][0], y - s[0][1]]);
-            let t = ((d[0] * q[0] + d[1] * q[1]) / (d[0] * d[0] + d[1] * d[1])).clamp(0.0, 1.0);
-            let distance = (q[0] - t * d[0]).hypot(q[1] - t * d[1]);
-            if distance < best.1.abs() {
-                let side = d[1] * q[0] - d[0] * q[1];
-                best = (n, distance.copysign(side));
-            }
-        }
-    }
-    best
 }
 
 #[test]
