@@ -65,7 +65,7 @@ fn whole(folder: &Path, material: &str, difficulty: Difficulty) -> Built {
     let name = format!("{material} {}", difficulty.name());
     let path = folder.join(format!("{name}.h5"));
     let engine = Flat::default();
-    let options = BuildOptions { noise: false, subtile_nm: 30.0, ..BuildOptions::default() };
+    let options = BuildOptions { noise: false, subtile_nm: 7.0, ..BuildOptions::default() };
     build(&recipe, &engine, &path, &options, &Silent).unwrap();
     let world = WorldFile::open(&path).unwrap();
     let truth = world.truth(0..world.site_count().unwrap()).unwrap();

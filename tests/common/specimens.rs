@@ -85,7 +85,8 @@ pub fn signed_distance(lines: &[Vec<[f64; 2]>], [x, y]: [f64; 2]) -> (usize, f64
             }
             let (d, q) = ([s[1][0] - s[0][0], s[1][1] - s[0][1]], [x - s[0][0], y - s[0][1]]);
             let t = ((d[0] * q[0] + d[1] * q[1]) / (d[0] * d[0] + d[1] * d[1])).clamp(0.0, 1.0);
-            let distance = (q[0] - t * d[0]).hypot(q[1] - t * d[1]);
+            let (dx, dy) = (q[0] - t * d[0], q[1] - t * d[1]);
+            let distance = (dx * dx + dy * dy).sqrt();
             if distance < best.1.abs() {
                 let side = d[1] * q[0] - d[0] * q[1];
                 best = (n, distance.copysign(side));
