@@ -1,9 +1,7 @@
 //! The plan of a simulation: grid, slices, band limit, beams, memory. Nothing is simulated here,
 //! so a plan can be shown and tested without running it.
 
-use super::settings::{
-    AUTO_ANGLE_MARGIN, Algorithm, BeyondLimit, GridChoice, POTENTIAL_SAMPLING_ANGSTROM, Settings,
-};
+use super::settings::{Algorithm, BeyondLimit, GridChoice, POTENTIAL_SAMPLING_ANGSTROM, Settings};
 use crate::detect::{DetectorMap, Pattern};
 use crate::error::{Error, Result};
 use crate::fft::multiplier::Disk;
@@ -87,6 +85,8 @@ pub struct Plan {
 /// Aliasing-tolerant fraction of Nyquist of the windowed engine's coarse grid; the transmission
 /// functions are band-limited beforehand on the fine grid.
 const WINDOW_BAND_FRACTION: f64 = 0.98;
+/// Windows may be narrower than asked for by this factor, where that makes a faster length do.
+const WINDOW_WIDTH_TOLERANCE: f64 = 0.985;
 /// Up to here the band fraction was found not to matter (0.1 % of HAADF).
 const WELL_TRIED_BAND_FRACTION: f64 = 0.9;
 /// Room above the outermost detector angle in the samplings that errors advise.
@@ -111,7 +111,12 @@ impl Plan {
             _ => [1, 1],
         };
         let grid = choose_grid(settings, extent, interpolation)?;
-        let (band_limit, warnings) = band_limit(settings, &grid)?;
+        let (mut band_limit, warnings) = band_limit(settings, &grid)?;
+        if let (Algorithm::Window { .. }, GridChoice::Auto) = (settings.algorithm, settings.grid) {
+            // Windows have a grid of their own: no more than what was asked for.
+            let taper = settings.band_fraction / (settings.band_fraction - settings.band_taper);
+            band_limit = carried_mrad(settings) * 1e-3 / wavelength * taper;
+        }
         let (transmission_grid, wave_grid) = match settings.algorithm {
             Algorithm::Window { width_angstrom } => {
                 window_grids(grid.extent_angstrom, band_limit, width_angstrom)
@@ -275,8 +280,13 @@ impl Plan {
     }
 }
 
-fn choose_grid(settings: &Settings, extent: [f64; 2], multiple: [usize; 2]) -> Result<Grid> {
+/// The angle that grids of the program's choice carry.
+fn carried_mrad(settings: &Settings) -> f64 {
     let outermost = settings.detectors.iter().map(|d| d.outer_mrad).fold(0.0, f64::max);
+    outermost.max(settings.optics.semiangle_mrad) * settings.angle_margin.max(BAND_MARGIN)
+}
+
+fn choose_grid(settings: &Settings, extent: [f64; 2], multiple: [usize; 2]) -> Result<Grid> {
     let wavelength = settings.optics.wavelength_angstrom();
     let points = match settings.grid {
         GridChoice::Points(points) => {
@@ -294,8 +304,7 @@ fn choose_grid(settings: &Settings, extent: [f64; 2], multiple: [usize; 2]) -> R
             let sampling = match choice {
                 GridChoice::Sampling(s) => s,
                 _ => {
-                    let angle =
-                        outermost.max(settings.optics.semiangle_mrad) * AUTO_ANGLE_MARGIN * 1e-3;
+                    let angle = carried_mrad(settings) * 1e-3;
                     (settings.band_fraction - settings.band_taper) * wavelength / (2.0 * angle)
                 }
             };
@@ -367,19 +376,34 @@ fn band_limit(settings: &Settings, grid: &Grid) -> Result<(f64, Vec<String>)> {
     Ok((limit, warnings))
 }
 
+/// Whether `n` has no prime factor above 5.
+fn smooth(mut n: usize) -> bool {
+    for p in [2, 3, 5] {
+        while n.is_multiple_of(p) {
+            n /= p;
+        }
+    }
+    n == 1
+}
+
 /// The coarse grid of the whole cell and the window, with the same pixels.
 fn window_grids(extent: [f64; 2], band_limit: f64, width: f64) -> (Grid, Grid) {
     let coarsest = WINDOW_BAND_FRACTION / (2.0 * band_limit);
     let mut cell = Grid { points: [0; 2], extent_angstrom: extent };
     let mut window = cell;
     for i in 0..2 {
-        let n = good_size((extent[i] / coarsest).ceil() as usize, 1);
-        let pixel = extent[i] / n as f64;
-        let wanted = good_size((width / pixel - 1e-6).ceil() as usize, 1);
-        let w = wanted.min(n);
+        let least = (extent[i] / coarsest).ceil() as usize;
+        // The window is transformed for every probe, the cell once a slice: a fast length for the one,
+        // any product of 2, 3 and 5 for the other.
+        let window_points = |n: usize| {
+            let wanted = width * WINDOW_WIDTH_TOLERANCE * n as f64 / extent[i];
+            good_size(wanted.ceil() as usize, 1).min(n)
+        };
+        let candidates = (least..=least + least / 8 + 8).filter(|&n| smooth(n));
+        let n = candidates.min_by_key(|&n| (window_points(n), n)).unwrap_or(least);
         cell.points[i] = n;
-        window.points[i] = w;
-        window.extent_angstrom[i] = pixel * w as f64;
+        window.points[i] = window_points(n);
+        window.extent_angstrom[i] = extent[i] * window.points[i] as f64 / n as f64;
     }
     (cell, window)
 }

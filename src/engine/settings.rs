@@ -79,6 +79,9 @@ pub struct Settings {
     pub slicing: Slicing,
     /// Grid.
     pub grid: GridChoice,
+    /// On grids that the program chooses, the band limit is this many times the outermost detector
+    /// angle: scattering beyond the detector that comes back to it is then carried.
+    pub angle_margin: f64,
     /// Algorithm.
     pub algorithm: Algorithm,
     /// Radius of the anti-aliasing disk in units of the Nyquist frequency. 2/3
@@ -126,6 +129,7 @@ impl Default for Settings {
             projection: Projection::default(),
             slicing: Slicing::default(),
             grid: GridChoice::Auto,
+            angle_margin: AUTO_ANGLE_MARGIN,
             algorithm: Algorithm::Multislice,
             band_fraction: DEFAULT_BAND_FRACTION,
             band_taper: 0.0,
@@ -145,6 +149,9 @@ impl Settings {
     /// [`Error::Invalid`] naming the setting and its limits.
     pub fn validate(&self) -> Result<()> {
         self.optics.validate()?;
+        if !(1.0..=3.0).contains(&self.angle_margin) {
+            return Err(Error::invalid("angle margin", self.angle_margin, "must be from 1 to 3"));
+        }
         if self.detectors.is_empty() {
             return Err(Error::invalid("detectors", "none", "give at least one"));
         }
