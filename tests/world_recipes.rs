@@ -244,7 +244,8 @@ fn numbers(value: &toml::Value, path: &[String], out: &mut Vec<Vec<String>>) {
     match value {
         toml::Value::Table(table) => {
             for (key, value) in table {
-                numbers(value, &[path, &[key.clone()]].concat(), out);
+                let deeper = [path, std::slice::from_ref(key)].concat();
+                numbers(value, &deeper, out);
             }
         }
         toml::Value::Integer(_) | toml::Value::Float(_) => out.push(path.to_vec()),

@@ -13,10 +13,7 @@ use super::specimen::BEYOND_FIELD_NM;
 use crate::error::Error;
 use crate::structure::{Structure, elements, shortest_distances};
 
-/// Points of all interfaces together.
-const MOST_INTERFACE_POINTS: f64 = 2e7;
-
-type Checked = std::result::Result<(), Fault>;
+pub(super) type Checked = std::result::Result<(), Fault>;
 
 /// Cells along the beam that a key can tell apart.
 const MOST_CELLS_ALONG_BEAM: f64 = 4000.0;
@@ -95,8 +92,7 @@ fn check_specimen(recipe: &Recipe) -> std::result::Result<Vec<String>, Fault> {
     let mut elements: Vec<u8> = crystal.chains().map(|c| c.number).collect();
     elements.sort_unstable();
     elements.dedup();
-    let lattice: Vec<String> = elements.iter().map(|&n| elements::symbol(n).into()).collect();
-    let mut symbols = lattice.clone();
+    let mut symbols: Vec<String> = elements.iter().map(|&n| elements::symbol(n).into()).collect();
     match recipe.structure {
         StructureKind::Grains => {
             if let Some(boundaries) = &recipe.boundaries {
@@ -113,26 +109,35 @@ fn check_specimen(recipe: &Recipe) -> std::result::Result<Vec<String>, Fault> {
         StructureKind::Epitaxy => {
             let alloy = needed("alloy", recipe.alloy.as_ref())?;
             check_alloy(alloy, &symbols)?;
-            symbols.push(alloy.guest.clone());
             recipe::oriented(&alloy.end_member, &recipe.zone_axis, recipe.y_axis.as_deref())
                 .map_err(|e| crystal_fault("alloy.end_member", e))?;
             check_wells(alloy, recipe.wells.as_ref(), &recipe.field)?;
         }
     }
+    check_defects(recipe, &mut symbols)?;
+    symbols.extend(recipe.alloy.iter().map(|alloy| alloy.guest.clone()));
+    symbols.sort();
+    symbols.dedup();
+    Ok(symbols)
+}
+
+/// Defects of a crystal that holds the elements `symbols`; adds those that come in by substitution.
+pub(super) fn check_defects(recipe: &Recipe, symbols: &mut Vec<String>) -> Checked {
     if let Some(vacancies) = &recipe.vacancies {
-        check_vacancies(vacancies, &lattice)?;
-        if recipe.structure == StructureKind::Epitaxy && vacancies.cluster_fraction > 0.0 {
-            let expected = "expected 0: structure = \"epitaxy\" has nothing that they gather about";
+        check_vacancies(vacancies, symbols)?;
+        let uniform = recipe.structure == StructureKind::Epitaxy;
+        if uniform && vacancies.cluster_fraction > 0.0 {
+            let kind = recipe.structure.name();
+            let expected =
+                format!("expected 0: structure = \"{kind}\" has nothing that they gather about");
             return fault("vacancies.cluster_fraction", vacancies.cluster_fraction, expected);
         }
     }
     if let Some(substitutions) = &recipe.substitutions {
-        check_substitutions(substitutions, &lattice)?;
+        check_substitutions(substitutions, symbols)?;
         symbols.push(substitutions.by.clone());
     }
-    symbols.sort();
-    symbols.dedup();
-    Ok(symbols)
+    Ok(())
 }
 
 fn needed<'t, T>(key: &str, table: Option<&'t T>) -> std::result::Result<&'t T, Fault> {
@@ -267,6 +272,9 @@ fn check_alloy(alloy: &Alloy, crystal: &[String]) -> Checked {
     }
     Ok(())
 }
+
+/// Points of all rough interfaces together.
+const MOST_INTERFACE_POINTS: f64 = 2e7;
 
 fn check_wells(alloy: &Alloy, wells: Option<&Wells>, field: &Field) -> Checked {
     if alloy.profile != Profile::Wells {
