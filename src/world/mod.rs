@@ -17,6 +17,7 @@ pub mod epitaxy;
 pub mod grains;
 pub mod noise;
 mod orientation;
+mod overrides;
 pub mod recipe;
 mod recipe_check;
 pub mod relax;
@@ -32,6 +33,7 @@ pub mod vacancies;
 mod wave;
 
 pub use build::{BuildOptions, SubTileEngine, Summary, build};
+pub use overrides::Override;
 pub use recipe::{Difficulty, Recipe};
 pub use simulator::Simulator;
 pub use specimen::{

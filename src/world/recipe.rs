@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::crystal::ColumnCrystal;
 use super::crystal_source::CrystalSource;
 use super::orientation;
+use super::overrides::Override;
 use super::recipe_check;
 pub use super::tables::*;
 use crate::error::{Error, Result};
@@ -153,7 +154,7 @@ impl Recipe {
             table.insert("tier".into(), difficulty.name().into());
         }
         let mut recipe: Recipe =
-            table.try_into().map_err(|e: toml::de::Error| source.value_error(e.message()))?;
+            table.try_into().map_err(|e: toml::de::Error| source.value_error(&e))?;
         recipe.read_crystals(source.path.parent().unwrap_or(Path::new(""))).map_err(
             |e| match e {
                 Error::Invalid { value, expected, .. } => {
@@ -200,6 +201,32 @@ impl Recipe {
     /// As [`Recipe::oriented_crystal`] and [`ColumnCrystal::new`].
     pub fn column_crystal(&self) -> Result<ColumnCrystal> {
         ColumnCrystal::new(&self.oriented_crystal()?)
+    }
+
+    /// The recipe with some values changed, in the order given.
+    ///
+    /// # Errors
+    /// [`Error::Set`] that names the change at fault; [`Error::Invalid`] when values that were not
+    /// changed no longer fit.
+    pub fn with_overrides(&self, changes: &[Override]) -> Result<Self> {
+        if changes.is_empty() {
+            return Ok(self.clone());
+        }
+        let mut table: toml::Table = toml::from_str(&self.to_toml())
+            .map_err(|e| Error::invalid("recipe", &self.id, e.message()))?;
+        changes.iter().for_each(|change| change.apply(&mut table));
+        let mut recipe: Recipe = table.try_into().map_err(|e: toml::de::Error| {
+            let (key, message) = explain(&e);
+            at_fault(changes, key, message)
+        })?;
+        recipe.read_crystals(Path::new(""))?;
+        recipe_check::check(&recipe).map_err(|Fault { key, value, expected }| {
+            match changes.iter().rev().find(|c| c.concerns(&key)) {
+                Some(change) => change.error(format!("{key} = {value}: {expected}")),
+                None => Error::invalid("recipe", format!("{key} = {value}"), expected),
+            }
+        })?;
+        Ok(recipe)
     }
 
     /// Checks every value against its limits, as needed after changing some.
@@ -283,24 +310,15 @@ impl Source<'_> {
         }
     }
 
-    /// An error of deserialisation; serde's list of fields yields the nearest known key.
-    fn value_error(&self, message: &str) -> Error {
-        let quoted: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
-        match quoted.split_first() {
-            Some((key, known)) if message.starts_with("unknown field") => {
-                self.unknown_key(key, known.iter().copied())
-            }
-            Some((key, _)) => Error::parse(&self.path, self.line_of(key), message.trim()),
-            None => Error::parse(&self.path, 0, message.trim()),
-        }
+    /// An error of deserialisation.
+    fn value_error(&self, error: &toml::de::Error) -> Error {
+        let (key, explained) = explain(error);
+        let last = key.as_deref().and_then(|key| key.rsplit('.').next());
+        Error::parse(&self.path, last.map_or(0, |key| self.line_of(key)), explained)
     }
 
     fn unknown_key<'k>(&self, key: &str, known: impl Iterator<Item = &'k str> + Clone) -> Error {
-        let message = match recipe_check::nearest(key, known.clone()) {
-            Some(near) => format!("unknown key `{key}`; did you mean `{near}`?"),
-            None => format!("unknown key `{key}`; known: {}", known.collect::<Vec<_>>().join(", ")),
-        };
-        Error::parse(&self.path, self.line_of(key), message)
+        Error::parse(&self.path, self.line_of(key), unknown_key(key, known))
     }
 
     /// The line that mentions `key`: in the table of the difficulty if there, else the first. 0 if
@@ -344,8 +362,52 @@ pub(super) fn oriented(
     crystal.structure()?.oriented(zone, up)
 }
 
+/// The dotted key that an error of deserialisation is about, if any, and what to say of it; serde's
+/// list of fields yields the nearest known key.
+fn explain(error: &toml::de::Error) -> (Option<String>, String) {
+    let text = error.to_string();
+    let place = text.lines().find_map(|l| l.strip_prefix("in `")?.strip_suffix('`'));
+    let quoted: Vec<&str> = error.message().split('`').skip(1).step_by(2).collect();
+    let within = |key: &str| place.map_or(key.to_owned(), |place| format!("{place}.{key}"));
+    let message = error.message().trim();
+    match quoted.split_first() {
+        Some((key, known)) if message.starts_with("unknown field") => {
+            (Some(within(key)), unknown_key(key, known.iter().copied()))
+        }
+        Some((key, _)) if message.starts_with("missing field") => {
+            (Some(within(key)), message.to_owned())
+        }
+        _ => {
+            let message = message
+                .replace("expected f64", "expected a number")
+                .replace("expected usize", "expected a whole number")
+                .replace("expected u64", "expected a whole number")
+                .replace("expected u32", "expected a whole number");
+            let prefix = place.map(|place| format!("{place}: ")).unwrap_or_default();
+            (place.map(str::to_owned), prefix + &message)
+        }
+    }
+}
+
+fn unknown_key<'k>(key: &str, known: impl Iterator<Item = &'k str> + Clone) -> String {
+    match recipe_check::nearest(key, known.clone()) {
+        Some(near) => format!("unknown key `{key}`; did you mean `{near}`?"),
+        None => format!("unknown key `{key}`; known: {}", known.collect::<Vec<_>>().join(", ")),
+    }
+}
+
+/// The error of the change that a fault of `key` comes from: the last that sets it, or a part of it,
+/// or else the last of all.
+fn at_fault(changes: &[Override], key: Option<String>, message: String) -> Error {
+    let named = key.and_then(|key| changes.iter().rev().find(|c| c.concerns(&key)));
+    match named.or(changes.last()) {
+        Some(change) => change.error(message),
+        None => Error::invalid("recipe", "", message),
+    }
+}
+
 /// Lays `over` over `base`, table by table.
-fn merge(base: &mut toml::Table, over: toml::Table) {
+pub(super) fn merge(base: &mut toml::Table, over: toml::Table) {
     for (key, value) in over {
         match (base.get_mut(&key), value) {
             (Some(toml::Value::Table(inner)), toml::Value::Table(more)) => merge(inner, more),
