@@ -3,8 +3,9 @@
 use super::common::Common;
 use super::hints::hinted;
 use super::progress::Reporter;
+use super::recipe_args::RecipeArgs;
 use super::show::{Lines, PlanReport};
-use super::values::{self, Engine, Tier};
+use super::values::{self, Engine};
 use super::{estimate, imaging, output, pictures, text};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
@@ -45,21 +46,8 @@ failure the same command goes on from there.";
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Build {
-    /// Material: srtio3
-    #[arg(value_name = "MATERIAL", required_unless_present = "recipe")]
-    material: Option<String>,
-    /// How many defects and how much dose
-    #[arg(long, value_name = "TIER", required_unless_present = "recipe")]
-    difficulty: Option<Tier>,
-    /// Recipe (TOML) in place of MATERIAL; without --difficulty if it has no tiers
-    #[arg(long, value_name = "FILE", conflicts_with = "material")]
-    recipe: Option<PathBuf>,
-    /// Build only the central tiles, rows x columns [default: the whole field]
-    #[arg(long, value_name = "RxC", value_parser = values::rows_columns)]
-    grid: Option<[usize; 2]>,
-    /// Seed of all random numbers [default: that of the recipe]
-    #[arg(long, value_name = "N")]
-    seed: Option<u64>,
+    #[command(flatten)]
+    recipe: RecipeArgs,
     /// Leave out the Poisson noise
     #[arg(long)]
     no_noise: bool,
@@ -161,7 +149,7 @@ impl Build {
     /// Runs the subcommand.
     pub fn run(self) -> anyhow::Result<()> {
         let reporter = self.common.start()?;
-        let recipe = self.recipe()?;
+        let recipe = self.recipe.resolve()?;
         let simulator = self.simulator(&recipe)?;
         let path = self.output(&recipe);
         let report = self.plan(&recipe, &simulator, &path)?;
@@ -181,21 +169,6 @@ impl Build {
         }
         let built = self.built(&recipe, &simulator, &summary, &world, picture)?;
         self.common.print(&built, &built.text())
-    }
-
-    fn recipe(&self) -> anyhow::Result<Recipe> {
-        let difficulty = self.difficulty.map(Difficulty::from);
-        let mut recipe = match (&self.recipe, &self.material, difficulty) {
-            (Some(file), _, _) => Recipe::from_file(file, difficulty)?,
-            (None, Some(material), Some(difficulty)) => Recipe::load(material, difficulty)?,
-            _ => anyhow::bail!("MATERIAL and --difficulty, or --recipe, are needed"),
-        };
-        recipe.seed = self.seed.unwrap_or(recipe.seed);
-        if let Some([rows, columns]) = self.grid {
-            recipe = recipe.with_grid(rows, columns)?;
-        }
-        recipe.check()?;
-        Ok(recipe)
     }
 
     fn published(&self) -> bool {
@@ -220,11 +193,7 @@ impl Build {
     }
 
     fn output(&self, recipe: &Recipe) -> PathBuf {
-        let default = || {
-            let tier = recipe.tier.map(|t| format!("_{}", t.name())).unwrap_or_default();
-            let grid = self.grid.map(|[r, c]| format!("_{r}x{c}")).unwrap_or_default();
-            Path::new("worlds").join(format!("{}{tier}{grid}.h5", recipe.id))
-        };
+        let default = || Path::new("worlds").join(self.recipe.stem(recipe) + ".h5");
         self.output.clone().unwrap_or_else(default)
     }
 

@@ -9,10 +9,12 @@ mod output;
 mod pictures;
 mod plane_wave;
 mod progress;
+mod recipe_args;
 mod scan;
 mod show;
+mod show_recipe;
 mod simulate;
-mod specimen;
+mod structure_args;
 mod text;
 mod values;
 
@@ -38,6 +40,7 @@ Examples:
 enum Command {
     Simulate(Box<simulate::Simulate>),
     Build(Box<build::Build>),
+    ShowRecipe(Box<show_recipe::ShowRecipe>),
 }
 
 /// Runs the program and reports what went wrong.
@@ -45,6 +48,7 @@ pub fn main() -> ExitCode {
     let (name, result) = match Cli::parse().command {
         Command::Simulate(command) => ("simulate", command.run()),
         Command::Build(command) => ("build", command.run()),
+        Command::ShowRecipe(command) => ("show-recipe", command.run()),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

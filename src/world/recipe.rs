@@ -113,19 +113,27 @@ impl Recipe {
         BUILT_IN.iter().map(|(name, _)| *name)
     }
 
-    /// A recipe that comes with the program.
+    /// A recipe that comes with the program, at one of its [`Recipe::tiers`].
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for an unknown material, naming the nearest; [`Error::Parse`] for a tier
+    /// that it lacks.
+    pub fn load(material: &str, difficulty: impl Into<Option<Difficulty>>) -> Result<Self> {
+        let (name, text) = built_in_text(material)?;
+        Recipe::from_toml_str(&format!("generate/{name}.toml"), text, difficulty.into())
+    }
+
+    /// The tiers of a recipe that comes with the program; none if it describes a single world.
     ///
     /// # Errors
     /// [`Error::Invalid`] for an unknown material, naming the nearest.
-    pub fn load(material: &str, difficulty: Difficulty) -> Result<Self> {
-        let known = BUILT_IN.iter().find(|(name, _)| *name == material.to_ascii_lowercase());
-        let (name, text) = known.ok_or_else(|| {
-            let near = recipe_check::nearest(material, Recipe::built_in());
-            let names = Recipe::built_in().collect::<Vec<_>>().join(", ");
-            let hint = near.map(|n| format!("did you mean `{n}`? ")).unwrap_or_default();
-            Error::invalid("material", material, format!("{hint}known materials: {names}"))
-        })?;
-        Recipe::from_toml_str(&format!("generate/{name}.toml"), text, Some(difficulty))
+    pub fn tiers(material: &str) -> Result<Vec<Difficulty>> {
+        let (_, text) = built_in_text(material)?;
+        let table: toml::Table =
+            toml::from_str(text).map_err(|e| Error::invalid("recipe", material, e.message()))?;
+        let tiers = table.get("difficulty").and_then(toml::Value::as_table);
+        let there = |d: &Difficulty| tiers.is_some_and(|t| t.contains_key(d.name()));
+        Ok(Difficulty::ALL.into_iter().filter(there).collect())
     }
 
     /// Reads a recipe from a file.
@@ -360,6 +368,17 @@ pub(super) fn oriented(
         None => None,
     };
     crystal.structure()?.oriented(zone, up)
+}
+
+/// Name and text of a recipe that comes with the program.
+fn built_in_text(material: &str) -> Result<(&'static str, &'static str)> {
+    let known = BUILT_IN.iter().find(|(name, _)| *name == material.to_ascii_lowercase());
+    known.copied().ok_or_else(|| {
+        let near = recipe_check::nearest(material, Recipe::built_in());
+        let names = Recipe::built_in().collect::<Vec<_>>().join(", ");
+        let hint = near.map(|n| format!("did you mean `{n}`? ")).unwrap_or_default();
+        Error::invalid("material", material, format!("{hint}known materials: {names}"))
+    })
 }
 
 /// The dotted key that an error of deserialisation is about, if any, and what to say of it; serde's

@@ -11,7 +11,7 @@ use stemgen::structure::{self, Structure, elements};
 /// The specimen.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Specimen")]
-pub struct SpecimenArgs {
+pub struct StructureArgs {
     /// Crystal or specimen: CIF, extended XYZ (.xyz, .extxyz) or POSCAR (.vasp, .poscar, POSCAR*)
     #[arg(value_name = "STRUCTURE", help_heading = None)]
     pub structure: PathBuf,
@@ -47,7 +47,7 @@ pub struct Prepared {
     pub heights: Vec<f64>,
 }
 
-impl SpecimenArgs {
+impl StructureArgs {
     /// Reads, turns and repeats the structure, and draws the atoms of mixed sites.
     pub fn prepare(&self) -> anyhow::Result<Prepared> {
         let mut structure = structure::read(&self.structure)?;
