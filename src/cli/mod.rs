@@ -14,6 +14,7 @@ mod scan;
 mod show;
 mod show_recipe;
 mod simulate;
+mod specimen;
 mod structure_args;
 mod text;
 mod values;
@@ -40,6 +41,7 @@ Examples:
 enum Command {
     Simulate(Box<simulate::Simulate>),
     Build(Box<build::Build>),
+    Specimen(Box<specimen::SpecimenCommand>),
     ShowRecipe(Box<show_recipe::ShowRecipe>),
 }
 
@@ -48,6 +50,7 @@ pub fn main() -> ExitCode {
     let (name, result) = match Cli::parse().command {
         Command::Simulate(command) => ("simulate", command.run()),
         Command::Build(command) => ("build", command.run()),
+        Command::Specimen(command) => ("specimen", command.run()),
         Command::ShowRecipe(command) => ("show-recipe", command.run()),
     };
     match result {

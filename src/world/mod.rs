@@ -14,6 +14,7 @@ pub mod crystal_source;
 pub mod defects;
 pub mod domains;
 pub mod epitaxy;
+mod export;
 pub mod grains;
 pub mod noise;
 mod orientation;
@@ -33,6 +34,7 @@ pub mod vacancies;
 mod wave;
 
 pub use build::{BuildOptions, SubTileEngine, Summary, build};
+pub use export::{ExportOptions, ExportSummary, export};
 pub use overrides::Override;
 pub use recipe::{Difficulty, Recipe};
 pub use simulator::Simulator;

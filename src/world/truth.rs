@@ -1,6 +1,7 @@
 //! Ground truth: the sites of the built field, stripe by stripe.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 use ndarray::Array2;
 use rayon::prelude::*;
@@ -49,27 +50,62 @@ pub fn write(
         writer.create_phase_map(&phases)?;
     }
     let mut counts = Counts::default();
-    progress.start("ground truth", "row", shape[0] as u64);
-    for row in (0..shape[0]).step_by(STRIPE_PX) {
-        if progress.interrupted() {
-            return Err(Error::Interrupted);
-        }
-        let rows = STRIPE_PX.min(shape[0] - row);
-        let stripe = Region::of_pixels([first[0] + row, first[1]], [rows, shape[1]], pixel);
-        writer.append(&batch(&specimen.query(&stripe), origin, &mut counts))?;
+    for_each_stripe(specimen, field, "ground truth", progress, |stripe| {
+        writer.append(&batch(&stripe.sites, origin, &mut counts))?;
         if phases.len() > 1 {
+            let (row, size) = (stripe.rows.start, [stripe.rows.len(), shape[1]]);
             let corner = [first[0] + row, first[1]];
-            writer.phase_rows(row, phase_rows(specimen, corner, [rows, shape[1]], pixel).view())?;
+            writer.phase_rows(row, phase_rows(specimen, corner, size, pixel).view())?;
         }
-        progress.advance(rows as u64);
-    }
+        Ok(())
+    })?;
     let built = Region::of_pixels(first, shape, pixel);
     for boundary in specimen.boundaries() {
         write_boundary(&boundary, &phases, &built, origin, writer)?;
     }
     write_particles(specimen, &built, origin, writer)?;
-    progress.finish();
     Ok(counts)
+}
+
+/// Some rows of pixels of the built field and the sites there.
+pub(super) struct Stripe {
+    pub rows: Range<usize>,
+    pub sites: Sites,
+}
+
+/// Calls `visit` with the sites of the built field, stripe by stripe from the top: the order of the
+/// ground truth. Some stripes are made at once, so memory holds that many for each thread.
+///
+/// # Errors
+/// Those of `visit`, and [`Error::Interrupted`].
+pub(super) fn for_each_stripe(
+    specimen: &dyn Specimen,
+    field: &Field,
+    stage: &str,
+    progress: &dyn Progress,
+    mut visit: impl FnMut(&Stripe) -> Result<()>,
+) -> Result<()> {
+    let shape = field.pixels(field.built_grid());
+    let (first, pixel) = (field.crop_origin_px(), field.pixel_nm());
+    let stripes: Vec<usize> = (0..shape[0]).step_by(STRIPE_PX).collect();
+    progress.start(stage, "row", shape[0] as u64);
+    for rows in stripes.chunks(rayon::current_num_threads()) {
+        if progress.interrupted() {
+            return Err(Error::Interrupted);
+        }
+        let stripe = |&row: &usize| {
+            let rows = row..shape[0].min(row + STRIPE_PX);
+            let area =
+                Region::of_pixels([first[0] + row, first[1]], [rows.len(), shape[1]], pixel);
+            Stripe { rows, sites: specimen.query(&area) }
+        };
+        for stripe in rows.par_iter().map(stripe).collect::<Vec<Stripe>>() {
+            visit(&stripe)?;
+            progress.advance(stripe.rows.len() as u64);
+        }
+    }
+    progress.finish();
+    Ok(())
 }
 
 fn batch(sites: &Sites, origin: [f64; 2], counts: &mut Counts) -> TruthBatch {
@@ -159,7 +195,8 @@ fn push_column(
     batch.column_compositions.push(Composition::from_ascii(&text).unwrap_or_default());
 }
 
-fn code(kind: SiteKind) -> i32 {
+/// Code of [`atom_type`].
+pub(super) fn code(kind: SiteKind) -> i32 {
     match kind {
         SiteKind::Pristine => atom_type::PRISTINE,
         SiteKind::Vacancy => atom_type::VACANCY,
@@ -167,7 +204,8 @@ fn code(kind: SiteKind) -> i32 {
     }
 }
 
-fn defect_name(site: &SpecimenSite) -> DefectName {
+/// Name of the defect of a site; empty for none.
+pub(super) fn defect_name(site: &SpecimenSite) -> DefectName {
     let symbol = elements::symbol(site.number);
     let name = match site.kind {
         SiteKind::Pristine => return DefectName::default(),

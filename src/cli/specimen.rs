@@ -1,0 +1,154 @@
+//! `stemgen specimen`.
+
+use super::common::Common;
+use super::recipe_args::RecipeArgs;
+use super::show::Lines;
+use super::{output, text, values};
+use clap::Args;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::time::Instant;
+use stemgen::world::{ExportOptions, ExportSummary, Recipe, specimen};
+
+const EXAMPLES: &str = "\
+Examples:
+  The atoms of the central 2 x 2 tiles of the easy SrTiO3 world, with a picture:
+    stemgen specimen srtio3 --difficulty easy --grid 2x2 -o atoms.extxyz --png
+  The whole field, vacant sites included, in the order of the world's ground truth:
+    stemgen specimen srtio3 --difficulty hard --vacancies -o atoms.extxyz
+  Another rate, as CIF, simulated right away:
+    stemgen specimen srtio3 --difficulty easy --grid 1x1 --set vacancies.rate=0.2 -o dirty.cif
+    stemgen simulate dirty.cif --png
+
+The columns of the file are species, position, occupancy, atom_type (0 pristine, 1 vacancy, 2
+substitution), defect_type, and column, the index of the atomic column in the world's ground truth. The
+field is cut out of a larger specimen, so its edges do not fit together: the cell is --vacuum wider.";
+
+/// Write the atoms of a specimen, each with its defect
+#[derive(Debug, Args)]
+#[command(after_help = EXAMPLES)]
+pub struct SpecimenCommand {
+    #[command(flatten)]
+    recipe: RecipeArgs,
+    /// Write vacant sites too, as species X with occupancy 0 (in CIF with the missing element)
+    #[arg(long)]
+    vacancies: bool,
+    /// Space without atoms between opposite edges of the cell, in A
+    #[arg(long, value_name = "A", default_value_t = 2.0, value_parser = values::finite)]
+    #[arg(allow_negative_numbers = true)]
+    vacuum: f64,
+    /// File to write, extended XYZ (.extxyz, .xyz) or CIF [default: MATERIAL_TIER[_RxC].extxyz]
+    #[arg(short, long, value_name = "FILE", help_heading = "Results")]
+    output: Option<PathBuf>,
+    /// Also draw the projected specimen, as PNG beside the file
+    #[arg(long, help_heading = "Results")]
+    png: bool,
+    /// Replace existing files
+    #[arg(long, help_heading = "Results")]
+    overwrite: bool,
+    #[command(flatten)]
+    common: Common,
+}
+
+#[derive(Serialize)]
+struct Written {
+    output: PathBuf,
+    file_bytes: u64,
+    picture: Option<PathBuf>,
+    material: String,
+    difficulty: Option<&'static str>,
+    seed: u64,
+    tiles: [usize; 2],
+    fov_nm: [f64; 2],
+    thickness_nm: f64,
+    cell_angstrom: [f64; 3],
+    sites: u64,
+    rows: u64,
+    columns: u64,
+    atoms: BTreeMap<&'static str, u64>,
+    defects: BTreeMap<String, u64>,
+    boundaries: usize,
+    wall_time_s: f64,
+}
+
+impl SpecimenCommand {
+    /// Runs the subcommand.
+    pub fn run(self) -> anyhow::Result<()> {
+        let begun = Instant::now();
+        let reporter = self.common.start()?;
+        let recipe = self.recipe.resolve()?;
+        let path = self.output(&recipe);
+        stemgen::io::writable(&path)?;
+        output::check(&path, self.overwrite)?;
+        let specimen = specimen(&recipe)?;
+        let options = ExportOptions {
+            vacancies: self.vacancies,
+            vacuum_angstrom: self.vacuum,
+            overwrite: self.overwrite,
+        };
+        let summary =
+            stemgen::world::export(&*specimen, &recipe, &path, &options, &reporter, |_| {})?;
+        let field = &recipe.field;
+        let shape = field.pixels(field.built_grid());
+        let ExportSummary { sites, rows, columns, atoms, defects, cell_angstrom } = summary;
+        let written = Written {
+            file_bytes: output::size(&path),
+            output: path,
+            picture: None,
+            material: recipe.id.clone(),
+            difficulty: recipe.tier.map(|t| t.name()),
+            seed: recipe.seed,
+            tiles: field.built_grid(),
+            fov_nm: shape.map(|n| n as f64 * field.pixel_nm()),
+            thickness_nm: specimen.thickness_nm(),
+            cell_angstrom,
+            sites,
+            rows,
+            columns,
+            atoms,
+            defects,
+            boundaries: specimen.boundaries().len(),
+            wall_time_s: begun.elapsed().as_secs_f64(),
+        };
+        self.common.print(&written, &written.text())
+    }
+
+    fn output(&self, recipe: &Recipe) -> PathBuf {
+        let default = || PathBuf::from(self.recipe.stem(recipe) + ".extxyz");
+        self.output.clone().unwrap_or_else(default)
+    }
+}
+
+impl Written {
+    fn text(&self) -> String {
+        let mut lines = Lines::default();
+        let tier = self.difficulty.map(|t| format!(", {t}")).unwrap_or_default();
+        lines.add("specimen", format!("{}{tier}, seed {}", self.material, self.seed));
+        let ([rows, columns], [h, w]) = (self.tiles, self.fov_nm);
+        lines.add(
+            "field",
+            format!(
+                "{rows} x {columns} tiles: {h:.2} x {w:.2} nm, {:.3} nm thick",
+                self.thickness_nm
+            ),
+        );
+        let list = |counts: &mut dyn Iterator<Item = (&str, u64)>| {
+            let each = counts.map(|(name, n)| format!("{name} {}", text::count(n)));
+            each.collect::<Vec<_>>().join(", ")
+        };
+        lines.add("atoms", list(&mut self.atoms.iter().map(|(name, n)| (*name, *n))));
+        let defects = list(&mut self.defects.iter().map(|(name, n)| (name.as_str(), *n)));
+        lines.add("defects", if defects.is_empty() { "none".into() } else { defects });
+        let [sites, columns] = [self.sites, self.columns].map(text::count);
+        lines.add("sites", format!("{sites} in {columns} columns"));
+        lines.add("boundaries", self.boundaries.to_string());
+        lines.add("time", text::duration(self.wall_time_s));
+        let size = text::bytes(self.file_bytes);
+        lines.add("file", format!("{} ({size})", self.output.display()));
+        if let Some(picture) = &self.picture {
+            lines.add("picture", picture.display().to_string());
+        }
+        lines.text()
+    }
+}
