@@ -4,6 +4,7 @@ mod canvas;
 mod colormap;
 mod font;
 mod image;
+mod letters;
 mod overlay;
 mod resample;
 
