@@ -9,7 +9,7 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Instant;
-use stemgen::world::{ExportOptions, ExportSummary, Recipe, specimen};
+use stemgen::world::{Drawing, ExportOptions, ExportSummary, Recipe, export, specimen};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -81,21 +81,32 @@ impl SpecimenCommand {
         let path = self.output(&recipe);
         stemgen::io::writable(&path)?;
         output::check(&path, self.overwrite)?;
+        let picture = self.png.then(|| path.with_extension("png"));
+        if let Some(picture) = &picture {
+            output::check(picture, self.overwrite)?;
+        }
         let specimen = specimen(&recipe)?;
         let options = ExportOptions {
             vacancies: self.vacancies,
             vacuum_angstrom: self.vacuum,
             overwrite: self.overwrite,
         };
-        let summary =
-            stemgen::world::export(&*specimen, &recipe, &path, &options, &reporter, |_| {})?;
+        let mut drawing = picture.as_ref().map(|_| Drawing::new(&*specimen, &recipe));
+        let summary = export(&*specimen, &recipe, &path, &options, &reporter, |sites| {
+            if let Some(drawing) = &mut drawing {
+                drawing.add(sites);
+            }
+        })?;
+        if let (Some(picture), Some(drawing)) = (&picture, drawing) {
+            drawing.finish(&summary).write_png(picture)?;
+        }
         let field = &recipe.field;
         let shape = field.pixels(field.built_grid());
         let ExportSummary { sites, rows, columns, atoms, defects, cell_angstrom } = summary;
         let written = Written {
             file_bytes: output::size(&path),
             output: path,
-            picture: None,
+            picture,
             material: recipe.id.clone(),
             difficulty: recipe.tier.map(|t| t.name()),
             seed: recipe.seed,

@@ -14,6 +14,7 @@ pub mod crystal_source;
 pub mod defects;
 pub mod domains;
 pub mod epitaxy;
+mod drawing;
 mod export;
 pub mod grains;
 pub mod noise;
@@ -34,6 +35,7 @@ pub mod vacancies;
 mod wave;
 
 pub use build::{BuildOptions, SubTileEngine, Summary, build};
+pub use drawing::Drawing;
 pub use export::{ExportOptions, ExportSummary, export};
 pub use overrides::Override;
 pub use recipe::{Difficulty, Recipe};
