@@ -5,6 +5,7 @@ mod common;
 mod estimate;
 mod hints;
 mod imaging;
+mod list;
 mod output;
 mod pictures;
 mod plane_wave;
@@ -33,6 +34,8 @@ struct Cli {
 const EXAMPLES: &str = "\
 Examples:
   stemgen simulate si.cif --repeat 3,3,10 --scan-end 5.431,5.431 --png
+  stemgen list
+  stemgen specimen srtio3 --difficulty easy --grid 2x2 -o atoms.extxyz --png
   stemgen build srtio3 --difficulty easy --grid 2x2
 
 `stemgen COMMAND --help` explains every option, with more examples.";
@@ -42,6 +45,7 @@ enum Command {
     Simulate(Box<simulate::Simulate>),
     Build(Box<build::Build>),
     Specimen(Box<specimen::SpecimenCommand>),
+    List(Box<list::List>),
     ShowRecipe(Box<show_recipe::ShowRecipe>),
 }
 
@@ -51,6 +55,7 @@ pub fn main() -> ExitCode {
         Command::Simulate(command) => ("simulate", command.run()),
         Command::Build(command) => ("build", command.run()),
         Command::Specimen(command) => ("specimen", command.run()),
+        Command::List(command) => ("list", command.run()),
         Command::ShowRecipe(command) => ("show-recipe", command.run()),
     };
     match result {

@@ -89,7 +89,12 @@ impl<'a> Drawing<'a> {
                 true => palette::VACANCY,
                 false => palette::SUBSTITUTION,
             };
-            let text = format!("{}: {count}", name.replace('_', " "));
+            let element = name.split('_').nth(1).unwrap_or_default();
+            let sites = count + summary.atoms.get(element).copied().unwrap_or(0);
+            let text = match name.starts_with("vacancy") {
+                true => format!("{element} vacancies: {count} of {sites}"),
+                false => format!("{}: {count}", name.replace('_', " ")),
+            };
             let swatch = if scene.has_rings() { Swatch::Ring(color) } else { Swatch::Area(color) };
             scene.legend(swatch, text);
         }

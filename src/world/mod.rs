@@ -7,6 +7,7 @@ mod assemble;
 pub mod boundary;
 pub mod build;
 mod coherent;
+mod census;
 pub mod coincidence;
 mod composition;
 pub mod crystal;
@@ -35,6 +36,7 @@ pub mod vacancies;
 mod wave;
 
 pub use build::{BuildOptions, SubTileEngine, Summary, build};
+pub use census::{counted_sites, estimated_sites};
 pub use drawing::Drawing;
 pub use export::{ExportOptions, ExportSummary, export};
 pub use overrides::Override;
