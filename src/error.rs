@@ -51,9 +51,10 @@ pub enum Error {
     },
     /// A disk has no room for what will be written.
     #[error(
-        "{}: about {needed_bytes} bytes are needed and {free_bytes} are free; free some space, or \
-         name another place",
-        path.display()
+        "{}: about {} are needed and {} are free; free some space, or name another place",
+        path.display(),
+        megabytes(*needed_bytes),
+        megabytes(*free_bytes)
     )]
     DiskSpace {
         /// The folder.
@@ -128,4 +129,11 @@ impl Error {
 /// `:12`, or nothing where there is no line.
 fn at_line(line: usize) -> String {
     if line == 0 { String::new() } else { format!(":{line}") }
+}
+
+fn megabytes(bytes: u64) -> String {
+    match bytes {
+        1_000_000_000.. => format!("{:.1} GB", bytes as f64 / 1e9),
+        _ => format!("{:.1} MB", bytes as f64 / 1e6),
+    }
 }

@@ -7,12 +7,15 @@ use std::time::Instant;
 use ndarray::Array2;
 
 use super::assemble::Mosaic;
+use super::census::estimated_sites;
+use super::footprint;
 use super::recipe::Recipe;
 use super::specimen::{BEYOND_FIELD_NM, DISPLACED_NM, Region, SiteKind, Specimen, specimen};
 use super::store::{Store, beside};
 use super::subprogress::SubProgress;
 use super::subtiles::{Partition, SubTile};
 use super::truth::{self, Counts};
+use crate::disk::{self, OutputLock};
 use crate::engine::{Scan, Site};
 use crate::error::{Error, Result};
 use crate::io::{Header, WorldFile, WorldWriter};
@@ -93,8 +96,9 @@ pub struct Summary {
 /// `<output>.work` until the file is complete; a build that finds them goes on from there.
 ///
 /// # Errors
-/// [`Error::Invalid`] when `output` exists, [`Error::Interrupted`] when asked to stop, and those of
-/// the engine, the file system and HDF5.
+/// [`Error::Invalid`] when `output` exists, [`Error::Locked`] when another process builds it,
+/// [`Error::DiskSpace`] when there is no room for it, [`Error::Interrupted`] when asked to stop, and
+/// those of the recipe, the engine, the file system and HDF5.
 pub fn build(
     recipe: &Recipe,
     engine: &dyn SubTileEngine,
@@ -103,7 +107,9 @@ pub fn build(
     progress: &dyn Progress,
 ) -> Result<Summary> {
     let started = Instant::now();
+    recipe.check()?;
     check_output(output, options.overwrite)?;
+    let _lock = OutputLock::hold(output)?;
     let margin = engine.margin_angstrom();
     if !(0.0..=(BEYOND_FIELD_NM - DISPLACED_NM) * 10.0).contains(&margin) {
         let expected = format!("the specimen goes on for {} A around it", BEYOND_FIELD_NM * 10.0);
@@ -114,6 +120,10 @@ pub fn build(
     let shape = field.pixels(field.built_grid());
     let (size, overlap) = (options.subtile_nm, options.subtile_overlap_nm);
     let partition = Partition::new(shape, field.pixel_nm(), size, overlap)?;
+    let sites = estimated_sites(&*job.specimen, field);
+    let needed = footprint::world_bytes(field, sites, options.keep_clean);
+    let done = footprint::folder_bytes(&beside(output, ".work"));
+    disk::check_space(output, needed.saturating_sub(done))?;
     let store = Store::open(output, &job.key(&partition), progress)?;
     let done = job.simulate(&partition, &store).and_then(|resumed| {
         let mosaic = Mosaic::new(recipe, &partition, &store, options.noise);

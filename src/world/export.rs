@@ -5,12 +5,15 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
+use super::census::estimated_sites;
+use super::footprint;
 use super::recipe::Recipe;
 use super::specimen::{AtomColumn, Region, SiteKind, Sites, Specimen};
 use super::truth;
 use crate::atomic;
+use crate::disk::{self, OutputLock};
 use crate::error::{Error, Result};
-use crate::io::{AtomRow, AtomsHeader, AtomsWriter, RowFormat};
+use crate::io::{AtomRow, AtomsHeader, AtomsWriter, RowFormat, writable};
 use crate::progress::Progress;
 use crate::structure::elements;
 
@@ -57,8 +60,8 @@ pub struct ExportSummary {
 /// `visit` sees all sites, in the same order, with positions in nm in the full field.
 ///
 /// # Errors
-/// [`Error::Invalid`] for another ending or a vacuum out of limits, [`Error::Interrupted`], and those
-/// of the file system. There is never half a file at `path`.
+/// [`Error::Invalid`] for another ending or a vacuum out of limits, [`Error::Locked`],
+/// [`Error::DiskSpace`], [`Error::Interrupted`], and those of the file system. There is never half a file at `path`.
 pub fn export(
     specimen: &dyn Specimen,
     recipe: &Recipe,
@@ -71,6 +74,9 @@ pub fn export(
         let expected = "expected a length from 0 to 10000";
         return Err(Error::invalid("vacuum (A)", options.vacuum_angstrom, expected));
     }
+    let _lock = OutputLock::hold(path)?;
+    let sites = estimated_sites(specimen, &recipe.field);
+    disk::check_space(path, footprint::atoms_bytes(writable(path)?, sites))?;
     let frame = Frame::new(specimen, recipe, options);
     let mut summary = ExportSummary { cell_angstrom: frame.cell, ..ExportSummary::default() };
     atomic::write_with(path, options.overwrite, |temporary| {

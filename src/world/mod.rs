@@ -18,6 +18,7 @@ pub mod epitaxy;
 mod drawing;
 mod export;
 pub mod grains;
+pub mod footprint;
 pub mod noise;
 mod orientation;
 mod overrides;
