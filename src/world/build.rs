@@ -290,6 +290,15 @@ impl Job<'_> {
         let recipe = self.recipe;
         let field = &recipe.field;
         let shape = field.pixels(field.built_grid());
+        let mut texts = vec![
+            ("material", recipe.id.clone()),
+            ("zone_axis", recipe.zone_axis.clone()),
+            ("recipe", recipe.to_toml()),
+            ("stemgen_version", env!("CARGO_PKG_VERSION").into()),
+            ("engine", self.engine.name()),
+            ("engine_parameters", self.engine.parameters().to_string()),
+        ];
+        texts.extend(recipe.source.iter().map(|source| ("source", source.clone())));
         Header {
             pixel_size_nm: field.pixel_nm(),
             tile_size_px: field.tile_px,
@@ -301,14 +310,7 @@ impl Job<'_> {
             dose: recipe.dose.electrons_per_angstrom2,
             noise,
             seed: recipe.seed,
-            texts: vec![
-                ("material", recipe.id.clone()),
-                ("zone_axis", recipe.zone_axis.clone()),
-                ("recipe", recipe.to_toml()),
-                ("stemgen_version", env!("CARGO_PKG_VERSION").into()),
-                ("engine", self.engine.name()),
-                ("engine_parameters", self.engine.parameters().to_string()),
-            ],
+            texts,
         }
     }
 }

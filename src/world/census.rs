@@ -50,8 +50,8 @@ pub fn counted_sites(
     progress: &dyn Progress,
 ) -> Result<u64> {
     let mut count = 0;
-    truth::for_each_stripe(specimen, field, "counting sites", progress, |sites| {
-        count += sites.sites.len() as u64;
+    truth::for_each_stripe(specimen, field, "counting sites", progress, |stripe| {
+        count += stripe.sites.sites.len() as u64;
         Ok(())
     })?;
     Ok(count)

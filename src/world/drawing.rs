@@ -26,7 +26,10 @@ impl<'a> Drawing<'a> {
         let field = &recipe.field;
         let shape = field.pixels(field.built_grid());
         let built = Region::of_pixels(field.crop_origin_px(), shape, field.pixel_nm());
-        let scene = Scene::new([built.x[1] - built.x[0], built.y[1] - built.y[0]], SIDE);
+        let mut scene = Scene::new([built.x[1] - built.x[0], built.y[1] - built.y[0]], SIDE);
+        if specimen.phases().len() > 1 {
+            scene.tint(|[x, y]| ground(specimen.phase_at([x + built.x[0], y + built.y[0]])));
+        }
         let symbols = recipe.phonons.sigma_angstrom.keys();
         let mut numbers: Vec<u8> =
             symbols.filter_map(|s| elements::atomic_number(s).ok()).collect();
@@ -68,6 +71,11 @@ impl<'a> Drawing<'a> {
                 boundary.line_nm.iter().map(|[x, y]| [x - corner[0], y - corner[1]]).collect();
             self.scene.line(&points, palette::LINE);
         }
+        for particle in self.specimen.particles() {
+            let [x, y, _] = particle.centre_nm;
+            let centre = [x - corner[0], y - corner[1]];
+            self.scene.circle(centre, 0.5 * particle.diameter_nm, palette::LINE);
+        }
         self.scene.render()
     }
 
@@ -98,8 +106,23 @@ impl<'a> Drawing<'a> {
             let swatch = if scene.has_rings() { Swatch::Ring(color) } else { Swatch::Area(color) };
             scene.legend(swatch, text);
         }
+        for (code, name) in self.specimen.phases().iter().enumerate() {
+            scene.legend(Swatch::Area(ground(code)), name.replace('_', " "));
+        }
         if !self.specimen.boundaries().is_empty() {
             scene.legend(Swatch::Line(palette::LINE), "boundary");
         }
+        let particles = self.specimen.particles();
+        let inside = |c: [f64; 3]| self.built.contains([c[0], c[1]]);
+        match particles.iter().filter(|p| inside(p.centre_nm)).count() {
+            0 => {}
+            1 => scene.legend(Swatch::Ring(palette::LINE), "1 particle"),
+            n => scene.legend(Swatch::Ring(palette::LINE), format!("{n} particles")),
+        }
     }
+}
+
+/// Colour of the ground of a phase.
+fn ground(code: usize) -> [u8; 3] {
+    palette::PHASES[code % palette::PHASES.len()]
 }

@@ -14,11 +14,13 @@ use crate::error::{Error, Result};
 use crate::structure::Structure;
 
 /// Recipes that come with the program: name and text.
-const BUILT_IN: [(&str, &str); 4] = [
+const BUILT_IN: &[(&str, &str)] = &[
     ("srtio3", include_str!("../../generate/srtio3.toml")),
     ("batio3", include_str!("../../generate/batio3.toml")),
     ("sige", include_str!("../../generate/sige.toml")),
     ("gan", include_str!("../../generate/gan.toml")),
+    ("replay", include_str!("../../generate/replay.toml")),
+    ("test", include_str!("../../generate/test.toml")),
 ];
 
 /// A tier of difficulty.
@@ -66,6 +68,10 @@ pub struct Recipe {
     /// The tier that this recipe was resolved for, if any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tier: Option<Difficulty>,
+    /// Where readers should say that the data come from, where it matters: `synthetic_replay`. Becomes
+    /// an attribute of the file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub source: Option<String>,
     /// Which specimen builder the recipe is for.
     pub structure: StructureKind,
     /// Direction of the beam in the crystal, as text: `[001]`, `[11-20]`.

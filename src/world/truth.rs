@@ -95,8 +95,7 @@ pub(super) fn for_each_stripe(
         }
         let stripe = |&row: &usize| {
             let rows = row..shape[0].min(row + STRIPE_PX);
-            let area =
-                Region::of_pixels([first[0] + row, first[1]], [rows.len(), shape[1]], pixel);
+            let area = Region::of_pixels([first[0] + row, first[1]], [rows.len(), shape[1]], pixel);
             Stripe { rows, sites: specimen.query(&area) }
         };
         for stripe in rows.par_iter().map(stripe).collect::<Vec<Stripe>>() {
