@@ -31,6 +31,8 @@ pub struct WorldMetadata {
     pub recipe: Option<String>,
     /// Version of stemgen that built it.
     pub version: Option<String>,
+    /// Where the data come from, if the recipe says so: `synthetic_replay`.
+    pub source: Option<String>,
     /// Engine that simulated it.
     pub engine: Option<String>,
     /// Settings of the engine as JSON.
@@ -351,6 +353,7 @@ fn read_metadata(path: &Path, file: &File) -> Result<WorldMetadata> {
         scaling,
         recipe: string(&group, "recipe"),
         version: string(&group, "stemgen_version"),
+        source: string(&group, "source"),
         engine: string(&group, "engine"),
         engine_parameters: string(&group, "engine_parameters"),
         dose_electrons_per_angstrom2: number(&group, "dose_electrons_per_angstrom2"),
