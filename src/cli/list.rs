@@ -56,7 +56,10 @@ struct Row {
 struct Rate {
     /// Dotted key of the recipe.
     key: String,
+    /// Whose sites.
     element: Option<String>,
+    /// What stands on them instead; nothing for vacancies.
+    by: Option<String>,
     rate: f64,
 }
 
@@ -108,8 +111,13 @@ impl List {
 fn rates(recipe: &Recipe) -> Vec<Rate> {
     fn walk(table: &toml::Table, path: &str, out: &mut Vec<Rate>) {
         if let Some(rate) = table.get("rate").and_then(toml::Value::as_float) {
-            let element = table.get("element").and_then(toml::Value::as_str).map(str::to_owned);
-            out.push(Rate { key: format!("{path}.rate"), element, rate });
+            let text = |key: &str| table.get(key).and_then(toml::Value::as_str).map(str::to_owned);
+            out.push(Rate {
+                key: format!("{path}.rate"),
+                element: text("element").or_else(|| text("host")),
+                by: text("by").or_else(|| text("guest")),
+                rate,
+            });
         }
         for (key, value) in table {
             if let toml::Value::Table(inner) = value {
@@ -127,9 +135,12 @@ fn rates(recipe: &Recipe) -> Vec<Rate> {
 
 impl Rate {
     fn text(&self) -> String {
-        let table = self.key.trim_end_matches(".rate");
-        let of = self.element.as_ref().map(|e| format!("{e} ")).unwrap_or_default();
-        format!("{of}{table} {} %", text::significant(100.0 * self.rate, 2))
+        let percent = format!("{} %", text::significant(100.0 * self.rate, 2));
+        match (&self.element, &self.by) {
+            (Some(element), Some(by)) => format!("{by} for {element} {percent}"),
+            (Some(element), None) => format!("{element} vacancies {percent}"),
+            _ => format!("{} {percent}", self.key.trim_end_matches(".rate")),
+        }
     }
 }
 

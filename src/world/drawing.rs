@@ -97,11 +97,14 @@ impl<'a> Drawing<'a> {
                 true => palette::VACANCY,
                 false => palette::SUBSTITUTION,
             };
-            let element = name.split('_').nth(1).unwrap_or_default();
-            let sites = count + summary.atoms.get(element).copied().unwrap_or(0);
-            let text = match name.starts_with("vacancy") {
-                true => format!("{element} vacancies: {count} of {sites}"),
-                false => format!("{}: {count}", name.replace('_', " ")),
+            let (kind, element) = name.split_once('_').unwrap_or((name, ""));
+            let text = match kind {
+                "vacancy" => {
+                    let sites = count + summary.atoms.get(element).copied().unwrap_or(0);
+                    let percent = 100.0 * *count as f64 / sites as f64;
+                    format!("{element} vacancies: {count} ({percent:.2} %)")
+                }
+                _ => format!("{element} {kind}s: {count}"),
             };
             let swatch = if scene.has_rings() { Swatch::Ring(color) } else { Swatch::Area(color) };
             scene.legend(swatch, text);

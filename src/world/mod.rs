@@ -6,16 +6,16 @@
 mod assemble;
 pub mod boundary;
 pub mod build;
-mod coherent;
 mod census;
+mod coherent;
 pub mod coincidence;
 mod composition;
 pub mod crystal;
 pub mod crystal_source;
 pub mod defects;
 pub mod domains;
-pub mod epitaxy;
 mod drawing;
+pub mod epitaxy;
 mod export;
 pub mod footprint;
 pub mod grains;
