@@ -19,6 +19,7 @@ mod specimen;
 mod structure_args;
 mod text;
 mod values;
+mod view;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -37,6 +38,7 @@ Examples:
   stemgen list
   stemgen specimen srtio3 --difficulty easy --grid 2x2 -o atoms.extxyz --png
   stemgen build srtio3 --difficulty easy --grid 2x2
+  stemgen view worlds/srtio3_easy_2x2.h5 --overlay defects
 
 `stemgen COMMAND --help` explains every option, with more examples.";
 
@@ -45,6 +47,7 @@ enum Command {
     Simulate(Box<simulate::Simulate>),
     Build(Box<build::Build>),
     Specimen(Box<specimen::SpecimenCommand>),
+    View(Box<view::View>),
     List(Box<list::List>),
     ShowRecipe(Box<show_recipe::ShowRecipe>),
 }
@@ -55,6 +58,7 @@ pub fn main() -> ExitCode {
         Command::Simulate(command) => ("simulate", command.run()),
         Command::Build(command) => ("build", command.run()),
         Command::Specimen(command) => ("specimen", command.run()),
+        Command::View(command) => ("view", command.run()),
         Command::List(command) => ("list", command.run()),
         Command::ShowRecipe(command) => ("show-recipe", command.run()),
     };

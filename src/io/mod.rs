@@ -7,7 +7,7 @@ mod world_file;
 mod world_writer;
 
 pub use atoms::{AtomRow, AtomsHeader, AtomsWriter, RowFormat, writable};
-pub use world_file::{GroundTruth, WorldFile, WorldMetadata};
+pub use world_file::{GroundTruth, WorldColumn, WorldFile, WorldMetadata};
 pub use world_writer::{Header, LineKind, ParticleBatch, TruthBatch, WorldWriter};
 
 use std::path::Path;

@@ -84,6 +84,31 @@ impl Scene {
         }
     }
 
+    /// A field whose ground is a picture, drawn with so many pixels per nm.
+    pub fn over(picture: RgbImage, pixels_per_nm: f64) -> Self {
+        Scene {
+            pixels_per_nm,
+            atoms: Vec::new(),
+            ground: picture,
+            rings: Vec::new(),
+            densities: Vec::new(),
+            strokes: Vec::new(),
+            legend: Vec::new(),
+        }
+    }
+
+    /// Mixes colours into the ground: those of positions in nm, where there is one.
+    pub fn wash(&mut self, color: impl Fn([f64; 2]) -> Option<[u8; 3]>, alpha: f64) {
+        for y in 0..self.ground.height {
+            for x in 0..self.ground.width {
+                let at = [x, y].map(|p| (p as f64 + 0.5) / self.pixels_per_nm);
+                if let Some(color) = color(at) {
+                    self.ground.blend(x, y, color, alpha);
+                }
+            }
+        }
+    }
+
     /// Tints the ground: `color` of positions in nm.
     pub fn tint(&mut self, color: impl Fn([f64; 2]) -> [u8; 3]) {
         let width = self.ground.width;
