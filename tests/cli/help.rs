@@ -22,6 +22,7 @@ fn help_is_as_stored() {
     compare("simulate", &["simulate"]);
     compare("build", &["build"]);
     compare("specimen", &["specimen"]);
+    compare("view", &["view"]);
     compare("list", &["list"]);
     compare("show-recipe", &["show-recipe"]);
 }

@@ -9,6 +9,7 @@ mod interpreter;
 mod recipes;
 mod simulate;
 mod specimen;
+mod view;
 
 use std::path::Path;
 use std::process::{Command, Output};

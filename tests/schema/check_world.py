@@ -13,6 +13,7 @@ MATERIALS = {
     "sige": ({14, 32}, {b"substitution_Ge"}, None, 14),
     "gan": ({7, 31, 49}, {b"substitution_In"}, {0, 1}, 31),
 }
+MATERIALS["test"] = MATERIALS["replay"] = MATERIALS["srtio3"]
 
 faults = []
 
