@@ -23,9 +23,7 @@ pub struct Drawing<'a> {
 impl<'a> Drawing<'a> {
     /// Begins with the phases.
     pub fn new(specimen: &'a dyn Specimen, recipe: &'a Recipe) -> Self {
-        let field = &recipe.field;
-        let shape = field.pixels(field.built_grid());
-        let built = Region::of_pixels(field.crop_origin_px(), shape, field.pixel_nm());
+        let built = recipe.field.built_region();
         let mut scene = Scene::new([built.x[1] - built.x[0], built.y[1] - built.y[0]], SIDE);
         if specimen.phases().len() > 1 {
             scene.tint(|[x, y]| ground(specimen.phase_at([x + built.x[0], y + built.y[0]])));

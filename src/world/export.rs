@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::census::estimated_sites;
 use super::footprint;
 use super::recipe::Recipe;
-use super::specimen::{AtomColumn, Region, SiteKind, Sites, Specimen};
+use super::specimen::{AtomColumn, SiteKind, Sites, Specimen};
 use super::truth;
 use crate::atomic;
 use crate::disk::{self, OutputLock};
@@ -122,9 +122,7 @@ struct Frame {
 
 impl Frame {
     fn new(specimen: &dyn Specimen, recipe: &Recipe, options: &ExportOptions) -> Self {
-        let field = &recipe.field;
-        let shape = field.pixels(field.built_grid());
-        let built = Region::of_pixels(field.crop_origin_px(), shape, field.pixel_nm());
+        let built = recipe.field.built_region();
         let vacuum = options.vacuum_angstrom;
         let edge = |range: [f64; 2]| 10.0 * (range[1] - range[0]) + vacuum;
         Frame {

@@ -76,6 +76,7 @@ impl Override {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::world::{Difficulty, Recipe};
 
     fn parsed(text: &str) -> (Vec<String>, Value) {
         let change: Override = text.parse().unwrap();
@@ -116,5 +117,52 @@ mod tests {
             assert!(change.concerns(key), "{key}");
         }
         assert!(!change.concerns("v.ww.rate") && !change.concerns("w"));
+    }
+
+    fn overridden(changes: &[&str]) -> crate::Result<Recipe> {
+        let changes: Vec<Override> =
+            changes.iter().map(|c| c.parse()).collect::<crate::Result<_>>()?;
+        Recipe::load("srtio3", Difficulty::Easy).unwrap().with_overrides(&changes)
+    }
+
+    #[test]
+    fn values_can_be_changed_one_by_one() {
+        let changes = ["vacancies.rate=0.02", "dose.electrons_per_angstrom2=700", "seed=9"];
+        let recipe = overridden(&changes).unwrap();
+        let vacancies = recipe.vacancies.as_ref().unwrap();
+        assert_eq!((vacancies.rate, vacancies.cluster_fraction), (0.02, 0.6));
+        assert_eq!((recipe.dose.electrons_per_angstrom2, recipe.seed), (700.0, 9));
+        assert_eq!(Recipe::from_toml_str("copy", &recipe.to_toml(), None).unwrap(), recipe);
+        let last =
+            overridden(&["seed=3", "vacancies={rate=0.1, element=\"Ti\"}", "seed=4"]).unwrap();
+        let vacancies = last.vacancies.as_ref().unwrap();
+        assert_eq!((last.seed, vacancies.rate, vacancies.element.as_str()), (4, 0.1, "Ti"));
+    }
+
+    #[test]
+    fn changes_that_do_not_fit_are_named() {
+        let cases: [(&[&str], &[&str]); 9] = [
+            (
+                &["vacancies.rat=0.1", "seed=2"],
+                &["--set vacancies.rat=0.1", "did you mean `rate`?"],
+            ),
+            (&["vacances.rate=0.1"], &["did you mean `vacancies`?"]),
+            (
+                &["seed=2", "vacancies.rate=abc", "field.grid=[40, 40]"],
+                &["--set vacancies.rate=abc"],
+            ),
+            (&["boundaries.count=1.5"], &["boundaries.count", "expected a whole number"]),
+            (&["vacancies.rate=-1", "seed=2"], &["--set vacancies.rate=-1", "from 0", "to 0.25"]),
+            (&["vacancies=3"], &["--set vacancies=3"]),
+            (&["field.grid=[2]"], &["--set field.grid=[2]", "length 2"]),
+            (&["vacancies.max_probability=0.01"], &["vacancies.rate = 0.05"]),
+            (&["vacancies"], &["write key=value"]),
+        ];
+        for (changes, parts) in cases {
+            let message = overridden(changes).unwrap_err().to_string();
+            for part in parts {
+                assert!(message.contains(part), "{changes:?}: no `{part}` in {message}");
+            }
+        }
     }
 }
