@@ -13,10 +13,12 @@ use std::path::{Path, PathBuf};
 use stemgen::engine::{Algorithm, Plan};
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
+use stemgen::world::footprint::world_bytes;
 use stemgen::world::simulator::WINDOW_ANGSTROM;
 use stemgen::world::subtiles::Partition;
 use stemgen::world::{
-    BuildOptions, Difficulty, Recipe, Region, Simulator, SubTileEngine, Summary, specimen,
+    BuildOptions, Difficulty, Recipe, Region, Simulator, Specimen, SubTileEngine, Summary,
+    estimated_sites, specimen,
 };
 
 /// Sub-tiles in nm; 4 nm take below 2 GB of memory on two threads.
@@ -118,6 +120,7 @@ struct DryRun {
     subtile_nm: [f64; 2],
     #[serde(flatten)]
     plan: PlanReport,
+    disk_bytes: u64,
     output: PathBuf,
 }
 
@@ -215,7 +218,9 @@ impl Build {
         let [size, overlap] = self.subtile_nm(simulator);
         let partition = Partition::new(pixels, pixel, size, overlap)?;
         let [rows, columns] = partition.subtiles().next().map_or([1, 1], |t| t.shape());
-        let plan = subtile_plan(recipe, simulator, [rows, columns])?;
+        let specimen = specimen(recipe)?;
+        let plan = subtile_plan(&*specimen, recipe, simulator, [rows, columns])?;
+        let sites = estimated_sites(&*specimen, field);
         let runs = if self.common.dry_run { partition.len() } else { 0 };
         let mut report = PlanReport::new(&plan, rows * columns, runs);
         let remedy = "a smaller --subtile or fewer --threads take less";
@@ -232,6 +237,7 @@ impl Build {
             subtiles: partition.len(),
             subtile_nm: [rows, columns].map(|n| n as f64 * pixel),
             plan: report,
+            disk_bytes: world_bytes(field, sites, self.keep_clean),
             output: path.to_owned(),
         })
     }
@@ -300,11 +306,11 @@ impl Build {
 
 /// The plan of a sub-tile of so many pixels.
 fn subtile_plan(
+    specimen: &dyn Specimen,
     recipe: &Recipe,
     simulator: &Simulator,
     [rows, columns]: [usize; 2],
 ) -> anyhow::Result<Plan> {
-    let specimen = specimen(recipe)?;
     let pixel = recipe.field.pixel_nm();
     let somewhere = Region::of_pixels(recipe.field.crop_origin_px(), [rows, columns], pixel);
     let z: Vec<f64> = specimen.sites(&somewhere).iter().map(|s| 10.0 * s.position_nm[2]).collect();
@@ -325,6 +331,7 @@ impl DryRun {
         lines.add("probes", format!("{} per sub-tile", text::count(self.plan.probes as u64)));
         self.plan.lines(&mut lines);
         self.plan.costs(&mut lines);
+        lines.add("disk", format!("at most about {}", text::bytes(self.disk_bytes)));
         lines
             .add("output", format!("{} (nothing was simulated or written)", self.output.display()));
         lines.text()

@@ -9,7 +9,12 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Instant;
-use stemgen::world::{Drawing, ExportOptions, ExportSummary, Recipe, export, specimen};
+use stemgen::io::writable;
+use stemgen::structure::Format;
+use stemgen::world::footprint::atoms_bytes;
+use stemgen::world::{
+    Drawing, ExportOptions, ExportSummary, Recipe, Specimen, estimated_sites, export, specimen,
+};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -52,6 +57,18 @@ pub struct SpecimenCommand {
 }
 
 #[derive(Serialize)]
+struct Planned {
+    material: String,
+    difficulty: Option<&'static str>,
+    tiles: [usize; 2],
+    fov_nm: [f64; 2],
+    thickness_nm: f64,
+    estimated_sites: u64,
+    estimated_file_bytes: u64,
+    output: PathBuf,
+}
+
+#[derive(Serialize)]
 struct Written {
     output: PathBuf,
     file_bytes: u64,
@@ -79,13 +96,18 @@ impl SpecimenCommand {
         let reporter = self.common.start()?;
         let recipe = self.recipe.resolve()?;
         let path = self.output(&recipe);
-        stemgen::io::writable(&path)?;
-        output::check(&path, self.overwrite)?;
+        let format = writable(&path)?;
         let picture = self.png.then(|| path.with_extension("png"));
-        if let Some(picture) = &picture {
-            output::check(picture, self.overwrite)?;
+        if !self.common.dry_run {
+            for path in [Some(&path), picture.as_ref()].into_iter().flatten() {
+                output::check(path, self.overwrite)?;
+            }
         }
         let specimen = specimen(&recipe)?;
+        if self.common.dry_run {
+            let planned = planned(&*specimen, &recipe, format, path);
+            return self.common.print(&planned, &planned.text());
+        }
         let options = ExportOptions {
             vacancies: self.vacancies,
             vacuum_angstrom: self.vacuum,
@@ -128,6 +150,40 @@ impl SpecimenCommand {
     fn output(&self, recipe: &Recipe) -> PathBuf {
         let default = || PathBuf::from(self.recipe.stem(recipe) + ".extxyz");
         self.output.clone().unwrap_or_else(default)
+    }
+}
+
+/// What would be written.
+fn planned(specimen: &dyn Specimen, recipe: &Recipe, format: Format, output: PathBuf) -> Planned {
+    let field = &recipe.field;
+    let sites = estimated_sites(specimen, field);
+    Planned {
+        material: recipe.id.clone(),
+        difficulty: recipe.tier.map(|t| t.name()),
+        tiles: field.built_grid(),
+        fov_nm: field.pixels(field.built_grid()).map(|n| n as f64 * field.pixel_nm()),
+        thickness_nm: specimen.thickness_nm(),
+        estimated_sites: sites,
+        estimated_file_bytes: atoms_bytes(format, sites),
+        output,
+    }
+}
+
+impl Planned {
+    fn text(&self) -> String {
+        let mut lines = Lines::default();
+        let tier = self.difficulty.map(|t| format!(", {t}")).unwrap_or_default();
+        lines.add("specimen", format!("{}{tier}", self.material));
+        let ([rows, columns], [h, w]) = (self.tiles, self.fov_nm);
+        let thick = self.thickness_nm;
+        lines.add(
+            "field",
+            format!("{rows} x {columns} tiles: {h:.2} x {w:.2} nm, {thick:.3} nm thick"),
+        );
+        lines.add("sites", format!("about {}", text::count(self.estimated_sites)));
+        lines.add("file size", format!("at most about {}", text::bytes(self.estimated_file_bytes)));
+        lines.add("output", format!("{} (nothing was written)", self.output.display()));
+        lines.text()
     }
 }
 

@@ -24,7 +24,12 @@ fn read(folder: &Path, name: &str) -> Structure {
 fn atoms_are_read_again_from_both_formats() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
+    let plan = json(tiny(here, "specimen").args(["-o", "a.extxyz", "--dry-run"]));
+    assert_eq!(std::fs::read_dir(here).unwrap().count(), 0, "a dry run writes nothing");
     let summary = json(tiny(here, "specimen").args(["-o", "a.extxyz"]));
+    assert_eq!(plan["estimated_sites"], summary["sites"]);
+    let rows = summary["file_bytes"].as_u64().unwrap() - 2000;
+    assert!(plan["estimated_file_bytes"].as_u64().unwrap() > rows, "{plan} {summary}");
     let vacant = summary["defects"]["vacancy_O"].as_u64().unwrap();
     let oxygen = summary["atoms"]["O"].as_u64().unwrap();
     assert!((vacant as f64 / (vacant + oxygen) as f64 - 0.2).abs() < 0.15, "{summary}");
