@@ -13,10 +13,14 @@ const SAMPLES: usize = 8;
 /// Width of a sample in nm.
 const SAMPLE_NM: f64 = 2.5;
 
-/// Number of lattice sites in the built field, from samples that cover 400 nm2 of it; exact where the
-/// field is not larger. Within about 1 % where the density is even.
+/// Number of lattice sites in the built field: what the specimen expects, or else from samples that
+/// cover 400 nm2 of it (exact where the field is not larger). Within about 1 % where the density is
+/// even.
 pub fn estimated_sites(specimen: &dyn Specimen, field: &Field) -> u64 {
     let built = field.built_region();
+    if let Some(known) = specimen.expected_sites(&built) {
+        return known;
+    }
     let extent = [built.x[1] - built.x[0], built.y[1] - built.y[0]];
     let width = SAMPLE_NM * SAMPLES as f64;
     if extent.iter().any(|e| *e <= width) {

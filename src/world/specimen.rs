@@ -152,6 +152,11 @@ pub trait Specimen: Send + Sync {
     fn sites(&self, region: &Region) -> Vec<SpecimenSite> {
         self.query(region).sites
     }
+    /// Number of sites in a region, of a specimen that knows it to within a few percent without making
+    /// them, and takes long to make them.
+    fn expected_sites(&self, _region: &Region) -> Option<u64> {
+        None
+    }
     /// Thickness in nm.
     fn thickness_nm(&self) -> f64;
     /// Boundaries between grains and phases.
