@@ -19,7 +19,7 @@ pub enum Error {
         source: std::io::Error,
     },
     /// A text file is malformed; `line` counts from 1, or is 0 when the fault has no line.
-    #[error("{}:{line}: {message}", path.display())]
+    #[error("{}{}: {message}", path.display(), at_line(*line))]
     Parse {
         /// The file.
         path: PathBuf,
@@ -40,6 +40,37 @@ pub enum Error {
         value: String,
         /// What is allowed, and what to do.
         expected: String,
+    },
+    /// A changed value of a recipe does not fit.
+    #[error("--set {assignment}: {message}")]
+    Set {
+        /// The assignment, `key=value`.
+        assignment: String,
+        /// What is wrong and what was expected.
+        message: String,
+    },
+    /// A disk has no room for what will be written.
+    #[error(
+        "{}: about {} are needed and {} are free; free some space, or name another place",
+        path.display(),
+        megabytes(*needed_bytes),
+        megabytes(*free_bytes)
+    )]
+    DiskSpace {
+        /// The folder.
+        path: PathBuf,
+        /// Estimate of what will be written.
+        needed_bytes: u64,
+        /// What is free.
+        free_bytes: u64,
+    },
+    /// Another process is writing the same output.
+    #[error("{}: is being written by {holder}; wait for it, or name another output", path.display())]
+    Locked {
+        /// The output.
+        path: PathBuf,
+        /// Who holds the lock.
+        holder: String,
     },
     /// The detector asks for angles that the grid does not carry.
     #[error(
@@ -85,8 +116,24 @@ impl Error {
     pub fn parse(path: &Path, line: usize, message: impl Into<String>) -> Self {
         Error::Parse { path: path.to_owned(), line, message: message.into() }
     }
+    /// Builds an [`Error::Set`].
+    pub fn set(assignment: &str, message: impl Into<String>) -> Self {
+        Error::Set { assignment: assignment.to_owned(), message: message.into() }
+    }
     /// Builds an [`Error::Hdf5`].
     pub fn hdf5(path: &Path, source: hdf5::Error) -> Self {
         Error::Hdf5 { path: path.to_owned(), source }
+    }
+}
+
+/// `:12`, or nothing where there is no line.
+fn at_line(line: usize) -> String {
+    if line == 0 { String::new() } else { format!(":{line}") }
+}
+
+fn megabytes(bytes: u64) -> String {
+    match bytes {
+        1_000_000_000.. => format!("{:.1} GB", bytes as f64 / 1e9),
+        _ => format!("{:.1} MB", bytes as f64 / 1e6),
     }
 }

@@ -2,12 +2,13 @@
 //! specimens ("worlds").
 //!
 //! Data flows one way: recipe -> specimen -> slices -> engine -> detector image -> tiles -> file.
-//! From the ground up: `error`, `constants`, `rng`, `progress`, `atomic`, `fft`; `structure`,
+//! From the ground up: `error`, `constants`, `rng`, `progress`, `atomic`, `disk`, `fft`; `structure`,
 //! `potential`; `optics`, `detect`, `phonons`; `engine`; `io`, `render`; `world`.
 
 pub mod atomic;
 pub mod constants;
 pub mod detect;
+pub mod disk;
 pub mod engine;
 pub mod error;
 pub mod fft;

@@ -18,6 +18,8 @@ pub enum Purpose {
     Dose = 3,
     /// Which atom stands on a partially occupied site.
     Occupancy = 4,
+    /// Waves of phase boundaries and roughness of interfaces.
+    Interface = 5,
 }
 
 const MULTIPLIERS: [u32; 2] = [0xD251_1F53, 0xCD9E_8D57];

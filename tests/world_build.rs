@@ -57,15 +57,22 @@ fn assert_equal_data(a: &Path, b: &Path) {
 #[test]
 fn h5py_finds_the_published_schema() {
     let folder = tempfile::tempdir().unwrap();
-    for (name, noise, keep_clean) in [("a.h5", true, true), ("b.h5", false, false)] {
-        let path = folder.path().join(name);
+    let cases = [
+        ("srtio3", true, true),
+        ("batio3", false, false),
+        ("sige", true, true),
+        ("gan", true, false),
+    ];
+    for (material, noise, keep_clean) in cases {
+        let path = folder.path().join(format!("{material}.h5"));
         let options = BuildOptions { noise, keep_clean, ..options() };
-        let summary = build(&recipe(2, 3), &Spots::new(), &path, &options, &Silent).unwrap();
+        let recipe = Recipe::load(material, Difficulty::Easy).unwrap().with_grid(2, 3).unwrap();
+        let summary = build(&recipe, &Spots::new(), &path, &options, &Silent).unwrap();
         assert_eq!(summary.grid, [2, 3]);
         assert!(summary.subtiles > 6 && summary.subtiles_resumed == 0, "{summary:?}");
         assert_schema(&path);
     }
-    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 2, "nothing else is left");
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 4, "nothing else is left");
 }
 
 #[test]
@@ -201,7 +208,7 @@ fn values_set_afterwards_are_checked() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("w.h5");
     let mut recipe = recipe(1, 1);
-    (recipe.field.overlap_px, recipe.lattice.a_angstrom) = (500, f64::NAN);
+    (recipe.field.overlap_px, recipe.optics.energy_kv) = (500, f64::NAN);
     let error = build(&recipe, &Spots::new(), &path, &options(), &Silent).unwrap_err();
     assert!(error.to_string().contains("field.overlap_px = 500"), "{error}");
     let wide = BuildOptions { subtile_nm: 1.0, subtile_overlap_nm: 0.9, ..options() };

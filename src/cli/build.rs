@@ -3,8 +3,9 @@
 use super::common::Common;
 use super::hints::hinted;
 use super::progress::Reporter;
+use super::recipe_args::RecipeArgs;
 use super::show::{Lines, PlanReport};
-use super::values::{self, Engine, Tier};
+use super::values::{self, Engine};
 use super::{estimate, imaging, output, pictures, text};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
@@ -12,10 +13,12 @@ use std::path::{Path, PathBuf};
 use stemgen::engine::{Algorithm, Plan};
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
+use stemgen::world::footprint::world_bytes;
 use stemgen::world::simulator::WINDOW_ANGSTROM;
 use stemgen::world::subtiles::Partition;
 use stemgen::world::{
-    BuildOptions, Difficulty, Recipe, Region, Simulator, SubTileEngine, Summary, specimen,
+    BuildOptions, Difficulty, Recipe, Region, Simulator, Specimen, SubTileEngine, Summary,
+    estimated_sites, specimen,
 };
 
 /// Sub-tiles in nm; 4 nm take below 2 GB of memory on two threads.
@@ -45,21 +48,8 @@ failure the same command goes on from there.";
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Build {
-    /// Material: srtio3
-    #[arg(value_name = "MATERIAL", required_unless_present = "recipe")]
-    material: Option<String>,
-    /// How many defects and how much dose
-    #[arg(long, value_name = "TIER", required_unless_present = "recipe")]
-    difficulty: Option<Tier>,
-    /// Recipe (TOML) in place of MATERIAL; without --difficulty if it has no tiers
-    #[arg(long, value_name = "FILE", conflicts_with = "material")]
-    recipe: Option<PathBuf>,
-    /// Build only the central tiles, rows x columns [default: the whole field]
-    #[arg(long, value_name = "RxC", value_parser = values::rows_columns)]
-    grid: Option<[usize; 2]>,
-    /// Seed of all random numbers [default: that of the recipe]
-    #[arg(long, value_name = "N")]
-    seed: Option<u64>,
+    #[command(flatten)]
+    recipe: RecipeArgs,
     /// Leave out the Poisson noise
     #[arg(long)]
     no_noise: bool,
@@ -130,6 +120,7 @@ struct DryRun {
     subtile_nm: [f64; 2],
     #[serde(flatten)]
     plan: PlanReport,
+    disk_bytes: u64,
     output: PathBuf,
 }
 
@@ -146,8 +137,10 @@ struct Built {
     fov_nm: [f64; 2],
     sites: u64,
     vacancies: u64,
+    substitutions: u64,
     columns: u64,
     grain_boundaries: usize,
+    phase_boundaries: usize,
     dose_electrons_per_angstrom2: Option<f64>,
     engine: String,
     subtiles: usize,
@@ -159,7 +152,7 @@ impl Build {
     /// Runs the subcommand.
     pub fn run(self) -> anyhow::Result<()> {
         let reporter = self.common.start()?;
-        let recipe = self.recipe()?;
+        let recipe = self.recipe.resolve()?;
         let simulator = self.simulator(&recipe)?;
         let path = self.output(&recipe);
         let report = self.plan(&recipe, &simulator, &path)?;
@@ -179,21 +172,6 @@ impl Build {
         }
         let built = self.built(&recipe, &simulator, &summary, &world, picture)?;
         self.common.print(&built, &built.text())
-    }
-
-    fn recipe(&self) -> anyhow::Result<Recipe> {
-        let difficulty = self.difficulty.map(Difficulty::from);
-        let mut recipe = match (&self.recipe, &self.material, difficulty) {
-            (Some(file), _, _) => Recipe::from_file(file, difficulty)?,
-            (None, Some(material), Some(difficulty)) => Recipe::load(material, difficulty)?,
-            _ => anyhow::bail!("MATERIAL and --difficulty, or --recipe, are needed"),
-        };
-        recipe.seed = self.seed.unwrap_or(recipe.seed);
-        if let Some([rows, columns]) = self.grid {
-            recipe = recipe.with_grid(rows, columns)?;
-        }
-        recipe.check()?;
-        Ok(recipe)
     }
 
     fn published(&self) -> bool {
@@ -218,11 +196,7 @@ impl Build {
     }
 
     fn output(&self, recipe: &Recipe) -> PathBuf {
-        let default = || {
-            let tier = recipe.tier.map(|t| format!("_{}", t.name())).unwrap_or_default();
-            let grid = self.grid.map(|[r, c]| format!("_{r}x{c}")).unwrap_or_default();
-            Path::new("worlds").join(format!("{}{tier}{grid}.h5", recipe.id))
-        };
+        let default = || Path::new("worlds").join(self.recipe.stem(recipe) + ".h5");
         self.output.clone().unwrap_or_else(default)
     }
 
@@ -244,7 +218,9 @@ impl Build {
         let [size, overlap] = self.subtile_nm(simulator);
         let partition = Partition::new(pixels, pixel, size, overlap)?;
         let [rows, columns] = partition.subtiles().next().map_or([1, 1], |t| t.shape());
-        let plan = subtile_plan(recipe, simulator, [rows, columns])?;
+        let specimen = specimen(recipe)?;
+        let plan = subtile_plan(&*specimen, recipe, simulator, [rows, columns])?;
+        let sites = estimated_sites(&*specimen, field);
         let runs = if self.common.dry_run { partition.len() } else { 0 };
         let mut report = PlanReport::new(&plan, rows * columns, runs);
         let remedy = "a smaller --subtile or fewer --threads take less";
@@ -261,6 +237,7 @@ impl Build {
             subtiles: partition.len(),
             subtile_nm: [rows, columns].map(|n| n as f64 * pixel),
             plan: report,
+            disk_bytes: world_bytes(field, sites, self.keep_clean),
             output: path.to_owned(),
         })
     }
@@ -314,8 +291,10 @@ impl Build {
             fov_nm: summary.fov_nm,
             sites: summary.counts.sites,
             vacancies: summary.counts.vacancies,
+            substitutions: summary.counts.substitutions,
             columns: summary.counts.columns,
             grain_boundaries: world.boundaries()?.len(),
+            phase_boundaries: world.phase_boundaries()?.len(),
             dose_electrons_per_angstrom2: (!self.no_noise).then_some(dose),
             engine: simulator.name(),
             subtiles: summary.subtiles,
@@ -327,11 +306,11 @@ impl Build {
 
 /// The plan of a sub-tile of so many pixels.
 fn subtile_plan(
+    specimen: &dyn Specimen,
     recipe: &Recipe,
     simulator: &Simulator,
     [rows, columns]: [usize; 2],
 ) -> anyhow::Result<Plan> {
-    let specimen = specimen(recipe)?;
     let pixel = recipe.field.pixel_nm();
     let somewhere = Region::of_pixels(recipe.field.crop_origin_px(), [rows, columns], pixel);
     let z: Vec<f64> = specimen.sites(&somewhere).iter().map(|s| 10.0 * s.position_nm[2]).collect();
@@ -352,6 +331,7 @@ impl DryRun {
         lines.add("probes", format!("{} per sub-tile", text::count(self.plan.probes as u64)));
         self.plan.lines(&mut lines);
         self.plan.costs(&mut lines);
+        lines.add("disk", format!("at most about {}", text::bytes(self.disk_bytes)));
         lines
             .add("output", format!("{} (nothing was simulated or written)", self.output.display()));
         lines.text()
@@ -365,15 +345,18 @@ impl Built {
         lines.add("world", format!("{}{tier}, seed {}", self.material, self.seed));
         let ([rows, columns], [ny, nx], [h, w]) = (self.tiles, self.pixels, self.fov_nm);
         lines.add("tiles", format!("{rows} x {columns}: {ny} x {nx} pixels, {h:.2} x {w:.2} nm"));
-        let [sites, vacancies, all] = [self.sites, self.vacancies, self.columns].map(text::count);
-        let boundaries = match self.grain_boundaries {
-            1 => "1 grain boundary".into(),
-            n => format!("{n} grain boundaries"),
-        };
-        lines.add(
-            "holds",
-            format!("{sites} sites in {all} columns, {vacancies} vacancies, {boundaries}"),
-        );
+        let found = [
+            (self.vacancies, "vacancy", "vacancies"),
+            (self.substitutions, "substitution", "substitutions"),
+            (self.grain_boundaries as u64, "grain boundary", "grain boundaries"),
+            (self.phase_boundaries as u64, "phase boundary", "phase boundaries"),
+        ];
+        let found = found.into_iter().filter(|(n, _, _)| *n > 0).map(|(n, one, many)| {
+            format!(", {} {}", text::count(n), if n == 1 { one } else { many })
+        });
+        let [sites, columns] = [self.sites, self.columns].map(text::count);
+        let found: String = found.collect();
+        lines.add("holds", format!("{sites} sites in {columns} columns{found}"));
         lines.add(
             "dose",
             match self.dose_electrons_per_angstrom2 {

@@ -11,7 +11,7 @@ pub struct Common {
     /// Number of threads; all processors by default. The result is the same for any number
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=4096))]
     pub threads: Option<u16>,
-    /// Show the plan (grid, band limit, slices, memory, estimated time) and stop
+    /// Show what would be done, and what it would take, and stop
     #[arg(long)]
     pub dry_run: bool,
     /// Print the summary, or the plan of --dry-run, as JSON on standard output

@@ -51,6 +51,12 @@ fn hint(error: &Error) -> Option<String> {
         Error::Parse { .. } => {
             Some("the file is not as expected there; mend or export it again".into())
         }
+        Error::Set { .. } => {
+            Some("`stemgen show-recipe` with the same MATERIAL prints all keys and values".into())
+        }
+        Error::DiskSpace { .. } | Error::Locked { .. } => {
+            Some("--output names another place".into())
+        }
         Error::UnknownElement(_) => Some("elements H to Lr can be simulated".into()),
         Error::Invalid { what, .. } => Some(format!("see {}", flag(what)?)),
         Error::DetectorBeyondBandLimit { needed_angstrom, .. } => Some(format!(

@@ -5,16 +5,21 @@ mod common;
 mod estimate;
 mod hints;
 mod imaging;
+mod list;
 mod output;
 mod pictures;
 mod plane_wave;
 mod progress;
+mod recipe_args;
 mod scan;
 mod show;
+mod show_recipe;
 mod simulate;
 mod specimen;
+mod structure_args;
 mod text;
 mod values;
+mod view;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -30,7 +35,10 @@ struct Cli {
 const EXAMPLES: &str = "\
 Examples:
   stemgen simulate si.cif --repeat 3,3,10 --scan-end 5.431,5.431 --png
+  stemgen list
+  stemgen specimen srtio3 --difficulty easy --grid 2x2 -o atoms.extxyz --png
   stemgen build srtio3 --difficulty easy --grid 2x2
+  stemgen view worlds/srtio3_easy_2x2.h5 --overlay defects
 
 `stemgen COMMAND --help` explains every option, with more examples.";
 
@@ -38,6 +46,10 @@ Examples:
 enum Command {
     Simulate(Box<simulate::Simulate>),
     Build(Box<build::Build>),
+    Specimen(Box<specimen::SpecimenCommand>),
+    View(Box<view::View>),
+    List(Box<list::List>),
+    ShowRecipe(Box<show_recipe::ShowRecipe>),
 }
 
 /// Runs the program and reports what went wrong.
@@ -45,6 +57,10 @@ pub fn main() -> ExitCode {
     let (name, result) = match Cli::parse().command {
         Command::Simulate(command) => ("simulate", command.run()),
         Command::Build(command) => ("build", command.run()),
+        Command::Specimen(command) => ("specimen", command.run()),
+        Command::View(command) => ("view", command.run()),
+        Command::List(command) => ("list", command.run()),
+        Command::ShowRecipe(command) => ("show-recipe", command.run()),
     };
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -51,7 +51,7 @@ fn resampled(image: ArrayView2<f32>, [x, y]: [f64; 2]) -> (Array2<f32>, f64) {
 
 /// The rows of an image with `size` pixels each, by Lanczos interpolation over three pixels: near
 /// what belongs to an image sampled at its Nyquist limit.
-fn interpolate(image: ArrayView2<f32>, size: usize) -> Array2<f32> {
+pub fn interpolate(image: ArrayView2<f32>, size: usize) -> Array2<f32> {
     let (rows, columns) = image.dim();
     let mut out = Array2::zeros((rows, size));
     for i in 0..size {

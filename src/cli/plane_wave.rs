@@ -1,6 +1,6 @@
 //! Conventional imaging: a plane wave and an objective lens.
 
-use super::specimen::Prepared;
+use super::structure_args::Prepared;
 use anyhow::bail;
 use ndarray::{Array3, Axis};
 use num_complex::Complex32;

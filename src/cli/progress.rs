@@ -13,7 +13,7 @@ use stemgen::progress::Progress;
 /// Exit code after Ctrl-C, as shells have it.
 pub const INTERRUPTED: u8 = 130;
 /// Lines of progress: the first after, then every.
-const FIRST_LINE: Duration = Duration::from_secs(3);
+const FIRST_LINE: Duration = Duration::from_secs(2);
 const LINE_EVERY: Duration = Duration::from_secs(8);
 /// The rate is that of the last so many seconds.
 const RATE_WINDOW: Duration = Duration::from_secs(60);

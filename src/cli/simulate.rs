@@ -6,7 +6,7 @@ use super::plane_wave::{self, Conventional};
 use super::progress::Reporter;
 use super::scan::ScanArgs;
 use super::show::{self, Lines, PlanReport};
-use super::specimen::{Prepared, SpecimenArgs};
+use super::structure_args::{Prepared, StructureArgs};
 use super::{estimate, output, pictures, text, values};
 use anyhow::bail;
 use clap::Args;
@@ -42,7 +42,7 @@ the atoms that were simulated below /specimen, and the settings as attributes.";
 #[command(after_help = EXAMPLES)]
 pub struct Simulate {
     #[command(flatten)]
-    specimen: SpecimenArgs,
+    specimen: StructureArgs,
     #[command(flatten)]
     microscope: MicroscopeArgs,
     #[command(flatten)]

@@ -1,119 +1,221 @@
-//! Options that prepare the specimen.
+//! `stemgen specimen`.
 
-use super::values::{self, Sigmas};
-use anyhow::{Context, bail};
+use super::common::Common;
+use super::recipe_args::RecipeArgs;
+use super::show::Lines;
+use super::{output, text, values};
 use clap::Args;
+use serde::Serialize;
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
-use stemgen::engine::{Phonons, Site};
-use stemgen::structure::{self, Structure, elements};
+use std::path::PathBuf;
+use std::time::Instant;
+use stemgen::io::writable;
+use stemgen::structure::Format;
+use stemgen::world::footprint::atoms_bytes;
+use stemgen::world::{
+    Drawing, ExportOptions, ExportSummary, Recipe, Specimen, estimated_sites, export, specimen,
+};
 
-/// The specimen.
+const EXAMPLES: &str = "\
+Examples:
+  The atoms of the central 2 x 2 tiles of the easy SrTiO3 world, with a picture:
+    stemgen specimen srtio3 --difficulty easy --grid 2x2 -o atoms.extxyz --png
+  The whole field, vacant sites included, in the order of the world's ground truth:
+    stemgen specimen srtio3 --difficulty hard --vacancies -o atoms.extxyz
+  Another rate, as CIF, simulated right away:
+    stemgen specimen srtio3 --difficulty easy --grid 1x1 --set vacancies.rate=0.2 -o dirty.cif
+    stemgen simulate dirty.cif --png
+
+The columns of the file are species, position, occupancy, atom_type (0 pristine, 1 vacancy, 2
+substitution), defect_type, and column, the index of the atomic column in the world's ground truth. The
+field is cut out of a larger specimen, so its edges do not fit together: the cell is --vacuum wider.";
+
+/// Write the atoms of a specimen, each with its defect
 #[derive(Debug, Args)]
-#[command(next_help_heading = "Specimen")]
-pub struct SpecimenArgs {
-    /// Crystal or specimen: CIF, extended XYZ (.xyz, .extxyz) or POSCAR (.vasp, .poscar, POSCAR*)
-    #[arg(value_name = "STRUCTURE", help_heading = None)]
-    pub structure: PathBuf,
-    /// Lattice direction along the beam; builds an orthogonal box
-    #[arg(long, value_name = "U,V,W", value_parser = values::direction, allow_hyphen_values = true)]
-    pub zone: Option<[i32; 3]>,
-    /// Lattice direction along +y, perpendicular to the zone
-    #[arg(long, value_name = "U,V,W", value_parser = values::direction, allow_hyphen_values = true)]
-    pub up: Option<[i32; 3]>,
-    /// Repeat the cell (after --zone) along x, y and the beam
-    #[arg(long, value_name = "NX,NY,NZ", value_parser = values::counts3)]
-    pub repeat: Option<[usize; 3]>,
-    /// Average over N frozen-phonon configurations; needs --sigma. Default: atoms exactly as given
-    #[arg(long, value_name = "N", requires = "sigma")]
-    pub phonons: Option<u32>,
-    /// Standard deviation of each Cartesian component of the thermal displacement in A: one
-    /// number, or one for each element (Sr=0.084,O=0.085)
-    #[arg(long, value_name = "A", value_parser = values::sigmas, requires = "phonons")]
-    pub sigma: Option<Sigmas>,
-    /// Seed of the thermal displacements and of mixed sites
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    pub seed: u64,
+#[command(after_help = EXAMPLES)]
+pub struct SpecimenCommand {
+    #[command(flatten)]
+    recipe: RecipeArgs,
+    /// Write vacant sites too, as species X with occupancy 0 (in CIF with the missing element)
+    #[arg(long)]
+    vacancies: bool,
+    /// Space without atoms between opposite edges of the cell, in A
+    #[arg(long, value_name = "A", default_value_t = 2.0, value_parser = values::finite)]
+    #[arg(allow_negative_numbers = true)]
+    vacuum: f64,
+    /// File to write, extended XYZ (.extxyz, .xyz) or CIF [default: MATERIAL_TIER[_RxC].extxyz]
+    #[arg(short, long, value_name = "FILE", help_heading = "Results")]
+    output: Option<PathBuf>,
+    /// Also draw the projected specimen, as PNG beside the file
+    #[arg(long, help_heading = "Results")]
+    png: bool,
+    /// Replace existing files
+    #[arg(long, help_heading = "Results")]
+    overwrite: bool,
+    #[command(flatten)]
+    common: Common,
 }
 
-/// A specimen ready for the engine.
-#[derive(Debug)]
-pub struct Prepared {
-    /// Edges of the box in Angstrom.
-    pub size: [f64; 3],
-    /// The atoms.
-    pub sites: Vec<Site>,
-    /// Mean heights of the atoms in Angstrom.
-    pub heights: Vec<f64>,
+#[derive(Serialize)]
+struct Planned {
+    material: String,
+    difficulty: Option<&'static str>,
+    tiles: [usize; 2],
+    fov_nm: [f64; 2],
+    thickness_nm: f64,
+    estimated_sites: u64,
+    estimated_file_bytes: u64,
+    output: PathBuf,
 }
 
-impl SpecimenArgs {
-    /// Reads, turns and repeats the structure, and draws the atoms of mixed sites.
-    pub fn prepare(&self) -> anyhow::Result<Prepared> {
-        let mut structure = structure::read(&self.structure)?;
-        if self.zone.is_some() || self.up.is_some() {
-            structure = structure.oriented(self.zone.unwrap_or([0, 0, 1]), self.up)?;
-        }
-        if let Some(count) = self.repeat {
-            structure = structure.repeat(count)?;
-        }
-        let structure = structure.resolve_occupancy(self.seed)?;
-        if structure.atoms.is_empty() {
-            bail!("{}: no atoms to simulate", self.structure.display());
-        }
-        let size = structure.orthogonal_box()?;
-        let sites = self.sites(&structure)?;
-        let heights = sites.iter().map(|s| s.position[2]).collect();
-        Ok(Prepared { size, sites, heights })
-    }
+#[derive(Serialize)]
+struct Written {
+    output: PathBuf,
+    file_bytes: u64,
+    picture: Option<PathBuf>,
+    material: String,
+    difficulty: Option<&'static str>,
+    seed: u64,
+    tiles: [usize; 2],
+    fov_nm: [f64; 2],
+    thickness_nm: f64,
+    cell_angstrom: [f64; 3],
+    sites: u64,
+    rows: u64,
+    columns: u64,
+    atoms: BTreeMap<&'static str, u64>,
+    defects: BTreeMap<String, u64>,
+    boundaries: usize,
+    wall_time_s: f64,
+}
 
-    /// The settings of the phonons.
-    pub fn phonons(&self) -> Option<Phonons> {
-        self.phonons.map(|configurations| Phonons { configurations, seed: self.seed })
-    }
-
-    fn sites(&self, structure: &Structure) -> anyhow::Result<Vec<Site>> {
-        let site = |(key, atom): (usize, &structure::Atom)| {
-            Ok(Site {
-                position: atom.position,
-                number: atom.number,
-                sigma_angstrom: self.sigma_of(atom.number)?,
-                key: key as u64,
-            })
+impl SpecimenCommand {
+    /// Runs the subcommand.
+    pub fn run(self) -> anyhow::Result<()> {
+        let begun = Instant::now();
+        let reporter = self.common.start()?;
+        let recipe = self.recipe.resolve()?;
+        let path = self.output(&recipe);
+        let format = writable(&path)?;
+        let picture = self.png.then(|| path.with_extension("png"));
+        if !self.common.dry_run {
+            for path in [Some(&path), picture.as_ref()].into_iter().flatten() {
+                output::check(path, self.overwrite)?;
+            }
+        }
+        let specimen = specimen(&recipe)?;
+        if self.common.dry_run {
+            let planned = planned(&*specimen, &recipe, format, path);
+            return self.common.print(&planned, &planned.text());
+        }
+        let options = ExportOptions {
+            vacancies: self.vacancies,
+            vacuum_angstrom: self.vacuum,
+            overwrite: self.overwrite,
         };
-        structure.atoms.iter().enumerate().map(site).collect()
-    }
-
-    fn sigma_of(&self, number: u8) -> anyhow::Result<f64> {
-        match &self.sigma {
-            None => Ok(0.0),
-            Some(Sigmas::All(sigma)) => Ok(*sigma),
-            Some(Sigmas::ByElement(map)) => map.get(&number).copied().with_context(|| {
-                let symbol = elements::symbol(number);
-                format!("--sigma has no value for {symbol}; add {symbol}=..., in A")
-            }),
+        let mut drawing = picture.as_ref().map(|_| Drawing::new(&*specimen, &recipe));
+        let summary = export(&*specimen, &recipe, &path, &options, &reporter, |sites| {
+            if let Some(drawing) = &mut drawing {
+                drawing.add(sites);
+            }
+        })?;
+        if let (Some(picture), Some(drawing)) = (&picture, drawing) {
+            drawing.finish(&summary).write_png(picture)?;
         }
+        let field = &recipe.field;
+        let shape = field.pixels(field.built_grid());
+        let ExportSummary { sites, rows, columns, atoms, defects, cell_angstrom } = summary;
+        let written = Written {
+            file_bytes: output::size(&path),
+            output: path,
+            picture,
+            material: recipe.id.clone(),
+            difficulty: recipe.tier.map(|t| t.name()),
+            seed: recipe.seed,
+            tiles: field.built_grid(),
+            fov_nm: shape.map(|n| n as f64 * field.pixel_nm()),
+            thickness_nm: specimen.thickness_nm(),
+            cell_angstrom,
+            sites,
+            rows,
+            columns,
+            atoms,
+            defects,
+            boundaries: specimen.boundaries().len(),
+            wall_time_s: begun.elapsed().as_secs_f64(),
+        };
+        self.common.print(&written, &written.text())
     }
 
-    /// Name of the structure without folder and ending.
-    pub fn stem(&self) -> PathBuf {
-        PathBuf::from(self.structure.file_stem().unwrap_or("structure".as_ref()))
-    }
-
-    /// Name of the file.
-    pub fn file_name(&self) -> String {
-        let name = self.structure.file_name().map(Path::new).unwrap_or(&self.structure);
-        name.display().to_string()
+    fn output(&self, recipe: &Recipe) -> PathBuf {
+        let default = || PathBuf::from(self.recipe.stem(recipe) + ".extxyz");
+        self.output.clone().unwrap_or_else(default)
     }
 }
 
-impl Prepared {
-    /// Number of atoms of each element: `Ti 3, O 9`.
-    pub fn composition(&self) -> BTreeMap<&'static str, usize> {
-        let mut counts = BTreeMap::new();
-        for site in &self.sites {
-            *counts.entry(elements::symbol(site.number)).or_insert(0) += 1;
+/// What would be written.
+fn planned(specimen: &dyn Specimen, recipe: &Recipe, format: Format, output: PathBuf) -> Planned {
+    let field = &recipe.field;
+    let sites = estimated_sites(specimen, field);
+    Planned {
+        material: recipe.id.clone(),
+        difficulty: recipe.tier.map(|t| t.name()),
+        tiles: field.built_grid(),
+        fov_nm: field.pixels(field.built_grid()).map(|n| n as f64 * field.pixel_nm()),
+        thickness_nm: specimen.thickness_nm(),
+        estimated_sites: sites,
+        estimated_file_bytes: atoms_bytes(format, sites),
+        output,
+    }
+}
+
+impl Planned {
+    fn text(&self) -> String {
+        let mut lines = Lines::default();
+        let tier = self.difficulty.map(|t| format!(", {t}")).unwrap_or_default();
+        lines.add("specimen", format!("{}{tier}", self.material));
+        let ([rows, columns], [h, w]) = (self.tiles, self.fov_nm);
+        let thick = self.thickness_nm;
+        lines.add(
+            "field",
+            format!("{rows} x {columns} tiles: {h:.2} x {w:.2} nm, {thick:.3} nm thick"),
+        );
+        lines.add("sites", format!("about {}", text::count(self.estimated_sites)));
+        lines.add("file size", format!("at most about {}", text::bytes(self.estimated_file_bytes)));
+        lines.add("output", format!("{} (nothing was written)", self.output.display()));
+        lines.text()
+    }
+}
+
+impl Written {
+    fn text(&self) -> String {
+        let mut lines = Lines::default();
+        let tier = self.difficulty.map(|t| format!(", {t}")).unwrap_or_default();
+        lines.add("specimen", format!("{}{tier}, seed {}", self.material, self.seed));
+        let ([rows, columns], [h, w]) = (self.tiles, self.fov_nm);
+        lines.add(
+            "field",
+            format!(
+                "{rows} x {columns} tiles: {h:.2} x {w:.2} nm, {:.3} nm thick",
+                self.thickness_nm
+            ),
+        );
+        let list = |counts: &mut dyn Iterator<Item = (&str, u64)>| {
+            let each = counts.map(|(name, n)| format!("{name} {}", text::count(n)));
+            each.collect::<Vec<_>>().join(", ")
+        };
+        lines.add("atoms", list(&mut self.atoms.iter().map(|(name, n)| (*name, *n))));
+        let defects = list(&mut self.defects.iter().map(|(name, n)| (name.as_str(), *n)));
+        lines.add("defects", if defects.is_empty() { "none".into() } else { defects });
+        let [sites, columns] = [self.sites, self.columns].map(text::count);
+        lines.add("sites", format!("{sites} in {columns} columns"));
+        lines.add("boundaries", self.boundaries.to_string());
+        lines.add("time", text::duration(self.wall_time_s));
+        let size = text::bytes(self.file_bytes);
+        lines.add("file", format!("{} ({size})", self.output.display()));
+        if let Some(picture) = &self.picture {
+            lines.add("picture", picture.display().to_string());
         }
-        counts
+        lines.text()
     }
 }

@@ -37,6 +37,26 @@ pub fn point(text: &str) -> Parsed<[f64; 2]> {
     finite.then_some(point).ok_or_else(|| "both numbers must be finite".into())
 }
 
+/// `X0,Y0,X1,Y1`.
+pub fn rectangle(text: &str) -> Parsed<[f64; 4]> {
+    let corners: [f64; 4] = numbers(text, ',', "four numbers X0,Y0,X1,Y1, such as 10,10,20,20")?;
+    match corners {
+        [x0, y0, x1, y1] if x0 < x1 && y0 < y1 && corners.iter().all(|v| v.is_finite()) => {
+            Ok(corners)
+        }
+        _ => Err("the second corner must lie right of and below the first".into()),
+    }
+}
+
+/// `LOW,HIGH` in percent.
+pub fn percentiles(text: &str) -> Parsed<[f64; 2]> {
+    let form = "two percentages, such as 0.1,99.9";
+    match numbers(text, ',', form)? {
+        [low, high] if 0.0 <= low && low < high && high <= 100.0 => Ok([low, high]),
+        _ => Err("the percentages must rise, from 0 to 100".into()),
+    }
+}
+
 /// `NX,NY`.
 pub fn counts2(text: &str) -> Parsed<[usize; 2]> {
     numbers(text, ',', "two whole numbers, such as 512,512")
@@ -194,6 +214,10 @@ mod tests {
         assert!(factors("0").is_err() && factors("1,2,3").is_err());
         assert_eq!(rows_columns("2X3"), Ok([2, 3]));
         assert_eq!(direction("-1,1,0"), Ok([-1, 1, 0]));
+        assert_eq!(rectangle("0,1,2,3.5"), Ok([0.0, 1.0, 2.0, 3.5]));
+        assert!(rectangle("0,1,0,2").is_err() && rectangle("0,1,2").is_err());
+        assert_eq!(percentiles("1,99"), Ok([1.0, 99.0]));
+        assert!(percentiles("99,1").is_err() && percentiles("0,101").is_err());
         assert!(point("1,nan").is_err() && finite("inf").is_err());
         assert_eq!(sigmas("0.08"), Ok(Sigmas::All(0.08)));
         let both = BTreeMap::from([(8, 0.085), (38, 0.084)]);

@@ -1,12 +1,14 @@
-//! Files in HDF5. Schemas are written and read here only.
+//! Files of images and worlds (HDF5, schemas written and read here only) and of their atoms.
 
+mod atoms;
 pub mod image_file;
 pub mod schema;
 mod world_file;
 mod world_writer;
 
-pub use world_file::{GroundTruth, WorldFile, WorldMetadata};
-pub use world_writer::{Header, TruthBatch, WorldWriter};
+pub use atoms::{AtomRow, AtomsHeader, AtomsWriter, RowFormat, writable};
+pub use world_file::{GroundTruth, WorldColumn, WorldFile, WorldMetadata};
+pub use world_writer::{Header, LineKind, ParticleBatch, TruthBatch, WorldWriter};
 
 use std::path::Path;
 

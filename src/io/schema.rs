@@ -18,11 +18,19 @@ pub const TRUTH: &str = "ground_truth";
 pub const VALID_REGION: &str = "valid_region";
 /// Group of polylines below the ground truth.
 pub const GRAIN_BOUNDARIES: &str = "grain_boundaries";
+/// Group of polylines between phases below the ground truth.
+pub const PHASE_BOUNDARIES: &str = "phase_boundaries";
+/// Phase of every pixel, below the ground truth; only where there is more than one.
+pub const PHASE_MAP: &str = "phase_map";
+/// Group of particles below the ground truth; only where there are some.
+pub const PARTICLES: &str = "particles";
 /// Group of projected atomic columns below the ground truth.
 pub const COLUMNS: &str = "columns";
 
 /// `defect_types`: `""`, `"vacancy_O"`, `"substitution_Ge"`.
 pub type DefectName = FixedAscii<16>;
+/// Shape of a particle: `wulff`.
+pub type Morphology = FixedAscii<16>;
 /// Composition of a column, vacant sites left out: `"O25 Ti26"`.
 pub type Composition = FixedAscii<32>;
 

@@ -10,6 +10,7 @@ use ndarray::{Array2, s};
 
 use super::At;
 use super::schema::{self, DefectName};
+use super::world_writer::ParticleBatch;
 use crate::error::{Error, Result};
 
 /// What describes a world. Other programs may write fewer attributes: those are `None`.
@@ -31,6 +32,8 @@ pub struct WorldMetadata {
     pub recipe: Option<String>,
     /// Version of stemgen that built it.
     pub version: Option<String>,
+    /// Where the data come from, if the recipe says so: `synthetic_replay`.
+    pub source: Option<String>,
     /// Engine that simulated it.
     pub engine: Option<String>,
     /// Settings of the engine as JSON.
@@ -60,6 +63,19 @@ pub struct GroundTruth {
     pub defect_names: Vec<String>,
     /// Index of the column.
     pub columns: Vec<i32>,
+}
+
+/// An atomic column of a world.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WorldColumn {
+    /// (x, y) in nm from the centre of pixel (0, 0).
+    pub position_nm: [f32; 2],
+    /// Lattice sites.
+    pub sites: i32,
+    /// Vacant ones.
+    pub vacancies: i32,
+    /// Those with another element.
+    pub substitutions: i32,
 }
 
 /// A world file, open for reading.
@@ -147,6 +163,27 @@ impl WorldFile {
     /// # Errors
     /// [`Error::Invalid`] outside the image, or for a damaged tile.
     pub fn stitched(&self, rows: Range<usize>, columns: Range<usize>) -> Result<Array2<f32>> {
+        self.stitched_of(schema::TILES, rows, columns)
+    }
+
+    /// The noiseless image of some rows and columns of pixels, in fractions of the beam.
+    ///
+    /// # Errors
+    /// As [`WorldFile::stitched`], also when the world was built without.
+    pub fn stitched_clean(&self, rows: Range<usize>, columns: Range<usize>) -> Result<Array2<f32>> {
+        if !self.has_clean() {
+            let expected = "holds no noiseless image; build it with --keep-clean";
+            return Err(not_a_world(&self.path, expected));
+        }
+        self.stitched_of(schema::CLEAN, rows, columns)
+    }
+
+    fn stitched_of(
+        &self,
+        group: &str,
+        rows: Range<usize>,
+        columns: Range<usize>,
+    ) -> Result<Array2<f32>> {
         let [height, width] = self.shape();
         let inside = |r: &Range<usize>, n| r.start <= r.end && r.end <= n;
         if !inside(&rows, height) || !inside(&columns, width) {
@@ -160,7 +197,7 @@ impl WorldFile {
         let mut out = Array2::zeros((rows.len(), columns.len()));
         for r in tiles(&rows, self.metadata.grid_shape[0]) {
             for c in tiles(&columns, self.metadata.grid_shape[1]) {
-                let tile = self.tile(r, c)?;
+                let tile = self.tile_of(group, r, c)?;
                 let (ys, xs) =
                     (common(&rows, r * stride, &tile, 0), common(&columns, c * stride, &tile, 1));
                 let from = tile.slice(s![
@@ -217,12 +254,94 @@ impl WorldFile {
         })
     }
 
+    /// All atomic columns; none in a file of another program that does not list them.
+    ///
+    /// # Errors
+    /// [`Error::Hdf5`] or [`Error::Invalid`] for a damaged file.
+    pub fn columns(&self) -> Result<Vec<WorldColumn>> {
+        let name = format!("{}/{}", schema::TRUTH, schema::COLUMNS);
+        let Ok(group) = self.file.group(&name) else { return Ok(Vec::new()) };
+        let read = || -> hdf5::Result<(Array2<f32>, [Vec<i32>; 3])> {
+            let list = |name| group.dataset(name)?.read_raw::<i32>();
+            let counts = [list("number_of_sites")?, list("vacancies")?, list("substitutions")?];
+            Ok((group.dataset("position")?.read_2d()?, counts))
+        };
+        let (positions, [sites, vacancies, substitutions]) = read().at(&self.path)?;
+        let n = positions.nrows();
+        if positions.ncols() != 2
+            || [&sites, &vacancies, &substitutions].iter().any(|l| l.len() != n)
+        {
+            return Err(not_a_world(&self.path, "has lists of columns of unequal length"));
+        }
+        let column = |i: usize| WorldColumn {
+            position_nm: [positions[(i, 0)], positions[(i, 1)]],
+            sites: sites[i],
+            vacancies: vacancies[i],
+            substitutions: substitutions[i],
+        };
+        Ok((0..n).map(column).collect())
+    }
+
     /// Polylines between grains, (x, y) in nm.
     ///
     /// # Errors
     /// [`Error::Hdf5`] for a damaged file.
     pub fn boundaries(&self) -> Result<Vec<Vec<[f32; 2]>>> {
-        let name = format!("{}/{}", schema::TRUTH, schema::GRAIN_BOUNDARIES);
+        self.lines(schema::GRAIN_BOUNDARIES)
+    }
+
+    /// Polylines between phases, (x, y) in nm.
+    ///
+    /// # Errors
+    /// [`Error::Hdf5`] for a damaged file.
+    pub fn phase_boundaries(&self) -> Result<Vec<Vec<[f32; 2]>>> {
+        self.lines(schema::PHASE_BOUNDARIES)
+    }
+
+    /// Phase of the pixels of some rows and columns; `None` in a world of one phase.
+    ///
+    /// # Errors
+    /// [`Error::Hdf5`] outside the image, or for a damaged file.
+    pub fn phase_map(
+        &self,
+        rows: Range<usize>,
+        columns: Range<usize>,
+    ) -> Result<Option<Array2<i32>>> {
+        if !self.file.link_exists(&format!("{}/{}", schema::TRUTH, schema::PHASE_MAP)) {
+            return Ok(None);
+        }
+        let map = self.truth_dataset(schema::PHASE_MAP)?;
+        map.read_slice_2d(s![rows, columns]).map(Some).at(&self.path)
+    }
+
+    /// Particles that reach into the image; none in a world without.
+    ///
+    /// # Errors
+    /// [`Error::Hdf5`] for a damaged file.
+    pub fn particles(&self) -> Result<ParticleBatch> {
+        let name = format!("{}/{}", schema::TRUTH, schema::PARTICLES);
+        let Ok(group) = self.file.group(&name) else { return Ok(ParticleBatch::default()) };
+        let read = || -> hdf5::Result<ParticleBatch> {
+            let centres: Array2<f32> = group.dataset("centre")?.read_2d()?;
+            let turns: Array2<f32> = group.dataset("orientation")?.read_2d()?;
+            let at =
+                |a: &Array2<f32>, i: usize, k: usize| a.get((i, k)).copied().unwrap_or(f32::NAN);
+            Ok(ParticleBatch {
+                centres: (0..centres.nrows())
+                    .map(|i| [0, 1, 2].map(|k| at(&centres, i, k)))
+                    .collect(),
+                diameters: group.dataset("diameter")?.read_raw()?,
+                morphologies: group.dataset("morphology")?.read_raw()?,
+                orientations: (0..turns.nrows())
+                    .map(|i| [0, 1, 2, 3].map(|k| at(&turns, i, k)))
+                    .collect(),
+            })
+        };
+        read().at(&self.path)
+    }
+
+    fn lines(&self, group: &str) -> Result<Vec<Vec<[f32; 2]>>> {
+        let name = format!("{}/{group}", schema::TRUTH);
         let Ok(group) = self.file.group(&name) else { return Ok(Vec::new()) };
         let read = |n: u64| -> hdf5::Result<Vec<[f32; 2]>> {
             let points: Array2<f32> = group.dataset(&n.to_string())?.read_2d()?;
@@ -323,6 +442,7 @@ fn read_metadata(path: &Path, file: &File) -> Result<WorldMetadata> {
         scaling,
         recipe: string(&group, "recipe"),
         version: string(&group, "stemgen_version"),
+        source: string(&group, "source"),
         engine: string(&group, "engine"),
         engine_parameters: string(&group, "engine_parameters"),
         dose_electrons_per_angstrom2: number(&group, "dose_electrons_per_angstrom2"),

@@ -7,7 +7,7 @@ use hdf5::{Dataset, Extents, File, Group, H5Type};
 use ndarray::{ArrayView1, ArrayView2};
 
 use super::At;
-use super::schema::{self, Composition, DefectName};
+use super::schema::{self, Composition, DefectName, Morphology};
 use crate::error::{Error, Result};
 
 /// Entries of a chunk of the ground truth.
@@ -39,6 +39,28 @@ pub struct Header {
     pub seed: u64,
     /// Texts: name and value.
     pub texts: Vec<(&'static str, String)>,
+}
+
+/// What a polyline of the ground truth separates.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum LineKind<'a> {
+    /// Two grains: rotation in degrees and coincidence index.
+    Grains(f64, Option<u32>),
+    /// Two phases: names left and right of it, and the width of the transition in nm.
+    Phases([&'a str; 2], f64),
+}
+
+/// Particles, entry by entry.
+#[derive(Debug, Clone, Default)]
+pub struct ParticleBatch {
+    /// Centres (x, y, z) in nm.
+    pub centres: Vec<[f32; 3]>,
+    /// Diameters in nm.
+    pub diameters: Vec<f32>,
+    /// Shapes.
+    pub morphologies: Vec<Morphology>,
+    /// Unit quaternions (w, x, y, z).
+    pub orientations: Vec<[f32; 4]>,
 }
 
 /// Sites of some columns, in the order of the file.
@@ -88,7 +110,8 @@ struct Truth {
     column_pairs: Dataset,
     column_counts: [Dataset; 3],
     column_compositions: Dataset,
-    boundaries: Group,
+    grain_boundaries: Group,
+    phase_boundaries: Group,
 }
 
 impl WorldWriter {
@@ -184,19 +207,87 @@ impl WorldWriter {
         self.truth.append(batch).at(&self.path)
     }
 
-    /// A polyline between two grains.
+    /// A polyline between two grains or phases.
     ///
     /// # Errors
     /// [`Error::Hdf5`].
-    pub fn boundary(&self, line: &[[f32; 2]], degrees: f64, sigma: Option<u32>) -> Result<()> {
+    pub fn boundary(&self, line: &[[f32; 2]], kind: LineKind) -> Result<()> {
+        let group = match kind {
+            LineKind::Grains(..) => &self.truth.grain_boundaries,
+            LineKind::Phases(..) => &self.truth.phase_boundaries,
+        };
         let write = || {
-            let group = &self.truth.boundaries;
-            let view = pairs(line)?;
+            let view = rows(line)?;
             let builder = group.new_dataset_builder().with_data(view);
             let dataset = builder.create(group.len().to_string().as_str())?;
             text(&dataset, "unit", "nm")?;
-            number(&dataset, "misorientation_deg", degrees)?;
-            sigma.map_or(Ok(()), |s| number(&dataset, "sigma", s))
+            match kind {
+                LineKind::Grains(degrees, sigma) => {
+                    number(&dataset, "misorientation_deg", degrees)?;
+                    sigma.map_or(Ok(()), |s| number(&dataset, "sigma", s))
+                }
+                LineKind::Phases([left, right], sigma_nm) => {
+                    text(&dataset, "left", left)?;
+                    text(&dataset, "right", right)?;
+                    number(&dataset, "sharpness_sigma_nm", sigma_nm)
+                }
+            }
+        };
+        write().at(&self.path)
+    }
+
+    /// Adds the phase map, to be filled row by row; `phases` are the names of its codes.
+    ///
+    /// # Errors
+    /// [`Error::Hdf5`].
+    pub fn create_phase_map(&self, phases: &[String]) -> Result<()> {
+        let write = || {
+            let (shape, chunk) = (self.valid.shape(), self.valid.chunk().unwrap_or_default());
+            let name = schema::PHASE_MAP;
+            let map = compressed::<i32>(&self.truth.group, name, shape.into(), &chunk)?;
+            let codes: Vec<String> =
+                phases.iter().enumerate().map(|(code, name)| format!("{code} {name}")).collect();
+            text(&map, "codes", &codes.join(", "))
+        };
+        write().at(&self.path)
+    }
+
+    /// Rows of the phase map, from row `first`.
+    ///
+    /// # Errors
+    /// [`Error::Hdf5`].
+    pub fn phase_rows(&self, first: usize, rows: ArrayView2<i32>) -> Result<()> {
+        let write = || {
+            let map = self.truth.group.dataset(schema::PHASE_MAP)?;
+            map.write_slice(rows, ndarray::s![first..first + rows.nrows(), ..])
+        };
+        write().at(&self.path)
+    }
+
+    /// All particles.
+    ///
+    /// # Errors
+    /// [`Error::Hdf5`].
+    pub fn particles(&self, particles: &ParticleBatch) -> Result<()> {
+        let write = || {
+            let group = self.truth.group.create_group(schema::PARTICLES)?;
+            let new = || group.new_dataset_builder();
+            let centres = new().with_data(rows(&particles.centres)?).create("centre")?;
+            text(&centres, "unit", "nm")?;
+            text(
+                &centres,
+                "axes",
+                "(x, y, z): x with the column, y with the row, z with the beam",
+            )?;
+            let diameters = new().with_data(&particles.diameters).create("diameter")?;
+            text(&diameters, "unit", "nm")?;
+            new().with_data(&particles.morphologies).create("morphology")?;
+            let turns = new().with_data(rows(&particles.orientations)?).create("orientation")?;
+            text(
+                &turns,
+                "components",
+                "unit quaternion (w, x, y, z) from the particle to the field",
+            )
         };
         write().at(&self.path)
     }
@@ -239,7 +330,8 @@ impl Truth {
                 growing::<i32>(&columns, "substitutions", &list)?,
             ],
             column_compositions: growing::<Composition>(&columns, "composition", &list)?,
-            boundaries: group.create_group(schema::GRAIN_BOUNDARIES)?,
+            grain_boundaries: group.create_group(schema::GRAIN_BOUNDARIES)?,
+            phase_boundaries: group.create_group(schema::PHASE_BOUNDARIES)?,
             group,
         };
         text(&truth.z, "unit", "nm")?;
@@ -330,11 +422,11 @@ fn append_pairs(dataset: &Dataset, values: &[[f32; 2]]) -> hdf5::Result<()> {
         return Ok(());
     }
     dataset.resize((start + values.len(), 2))?;
-    dataset.write_slice(pairs(values)?, ndarray::s![start..start + values.len(), ..])
+    dataset.write_slice(rows(values)?, ndarray::s![start..start + values.len(), ..])
 }
 
-fn pairs(values: &[[f32; 2]]) -> hdf5::Result<ArrayView2<'_, f32>> {
-    ArrayView2::from_shape((values.len(), 2), values.as_flattened())
+fn rows<const N: usize>(values: &[[f32; N]]) -> hdf5::Result<ArrayView2<'_, f32>> {
+    ArrayView2::from_shape((values.len(), N), values.as_flattened())
         .map_err(|e| hdf5::Error::Internal(e.to_string()))
 }
 

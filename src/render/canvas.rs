@@ -21,6 +21,12 @@ pub struct RgbImage {
 }
 
 impl RgbImage {
+    /// An image of one colour.
+    pub(super) fn filled(width: usize, height: usize, color: [u8; 3]) -> Self {
+        let pixels = color.repeat(width * height);
+        RgbImage { width, height, pixels, bar_angstrom: None }
+    }
+
     /// Writes a PNG through a temporary file, so that `path` is either complete or untouched.
     ///
     /// # Errors
@@ -43,7 +49,7 @@ impl RgbImage {
     }
 
     /// Mixes `color` into one pixel.
-    fn blend(&mut self, x: usize, y: usize, color: [u8; 3], alpha: f64) {
+    pub(super) fn blend(&mut self, x: usize, y: usize, color: [u8; 3], alpha: f64) {
         let start = 3 * (y * self.width + x);
         for (old, new) in self.pixels[start..start + 3].iter_mut().zip(color) {
             let mixed = f64::from(*old) + (f64::from(new) - f64::from(*old)) * alpha;
@@ -101,6 +107,22 @@ impl RgbImage {
         });
     }
 
+    /// Draws a circle.
+    pub(super) fn ring(
+        &mut self,
+        center: Point,
+        radius: f64,
+        thickness: f64,
+        color: [u8; 3],
+        alpha: f64,
+    ) {
+        let reach = radius + thickness;
+        let (low, high) = (center.map(|c| c - reach), center.map(|c| c + reach));
+        self.paint(low, high, color, alpha, |p| {
+            ((p[0] - center[0]).hypot(p[1] - center[1]) - radius).abs() - thickness / 2.0
+        });
+    }
+
     /// Fills a rectangle with round corners.
     pub(super) fn fill(
         &mut self,
@@ -137,7 +159,7 @@ mod tests {
     use super::*;
 
     fn black(width: usize, height: usize) -> RgbImage {
-        RgbImage { width, height, pixels: vec![0; 3 * width * height], bar_angstrom: None }
+        RgbImage::filled(width, height, [0; 3])
     }
 
     #[test]

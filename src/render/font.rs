@@ -1,9 +1,11 @@
-//! A stroke font for the labels of scale bars: digits and units.
+//! A stroke font: layout, digits and the letters of units. The other letters are in `letters`.
 
 use super::canvas::Point;
+use super::letters;
 
 /// Part of a glyph; x to the right and y up from the base line, in heights of a digit.
-enum Part {
+pub(super) enum Part {
+    /// Straight lines through points.
     Line(&'static [Point]),
     /// Centre, half axes, and angles from and to in degrees.
     Arc(Point, Point, f64, f64),
@@ -17,10 +19,10 @@ const SPACE: f64 = 0.3;
 
 /// Width and parts of a character; `None` if the font lacks it.
 fn glyph(character: char) -> Option<(f64, Vec<Part>)> {
-    digit(character).or_else(|| letter(character))
+    digit(character).or_else(|| unit(character)).or_else(|| letters::glyph(character))
 }
 
-fn circle(x: f64, y: f64, rx: f64, ry: f64) -> Part {
+pub(super) fn circle(x: f64, y: f64, rx: f64, ry: f64) -> Part {
     Arc([x, y], [rx, ry], 0.0, 360.0)
 }
 
@@ -62,7 +64,7 @@ fn digit(character: char) -> Option<(f64, Vec<Part>)> {
     })
 }
 
-fn letter(character: char) -> Option<(f64, Vec<Part>)> {
+fn unit(character: char) -> Option<(f64, Vec<Part>)> {
     Some(match character {
         '.' => (0.04, vec![Line(&[[0.02, 0.01], [0.02, 0.02]])]),
         'n' => (
@@ -148,7 +150,9 @@ mod tests {
 
     #[test]
     fn glyphs_stay_in_their_width() {
-        for c in "0123456789.nm\u{b5}\u{c5}".chars() {
+        let printable = (' '..='~').filter(|c| !" \"#$&'*;<>?@\\^`{|}~!".contains(*c));
+        for c in printable.chain("\u{b5}\u{c5}".chars()) {
+            assert!(glyph(c).is_some(), "{c}");
             let text = c.to_string();
             let right = width(&text, 1.0);
             for [x, y] in lines(&text, [0.0, 0.0], 1.0).into_iter().flatten() {

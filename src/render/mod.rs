@@ -1,14 +1,18 @@
-//! Pictures for people: 8-bit PNG files with contrast, scale bar and markers.
+//! Pictures for people: 8-bit PNG files with contrast, scale bar and markers, and drawings
+//! of specimens.
 
 mod canvas;
 mod colormap;
 mod font;
 mod image;
+mod letters;
 mod overlay;
 mod resample;
+mod scene;
 
 pub use canvas::RgbImage;
 pub use colormap::Colormap;
 pub use image::{Contrast, Picture};
 pub use overlay::{Marker, Shape};
 pub use resample::Enlarge;
+pub use scene::{Scene, Swatch, palette};

@@ -6,6 +6,7 @@
 mod cif;
 pub mod elements;
 pub mod lattice;
+pub mod library;
 mod neighbors;
 mod occupancy;
 mod orient;
@@ -15,7 +16,7 @@ mod supercell;
 mod xyz;
 
 pub(crate) use neighbors::for_each_pair;
-pub use neighbors::min_pair_distance;
+pub use neighbors::{min_pair_distance, shortest_distances};
 pub use read::{Format, parse, read};
 pub use xyz::write_extxyz;
 

@@ -1,5 +1,7 @@
 //! Pairs of near atoms in a periodic cell, by cell lists.
 
+use std::collections::BTreeMap;
+
 use super::Structure;
 use super::lattice::{Mat3, Vec3, determinant, face_distances, inverse, norm, row_times, subtract};
 
@@ -119,6 +121,18 @@ pub fn min_pair_distance(structure: &Structure) -> Option<f64> {
     let mut smallest = f64::INFINITY;
     for_each_pair(structure, cutoff, |_, _, distance| smallest = smallest.min(distance));
     Some(smallest).filter(|d| d.is_finite())
+}
+
+/// The shortest distance in Angstrom of every pair of elements that comes within `cutoff`, the lower
+/// atomic number first.
+pub fn shortest_distances(structure: &Structure, cutoff: f64) -> BTreeMap<(u8, u8), f64> {
+    let mut shortest = BTreeMap::new();
+    for_each_pair(structure, cutoff, |i, j, distance| {
+        let (a, b) = (structure.atoms[i].number, structure.atoms[j].number);
+        let entry = shortest.entry((a.min(b), a.max(b))).or_insert(distance);
+        *entry = f64::min(*entry, distance);
+    });
+    shortest
 }
 
 #[cfg(test)]

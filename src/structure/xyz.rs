@@ -9,6 +9,9 @@ use crate::error::Result;
 use std::fmt::Write;
 use std::path::Path;
 
+/// Species of a site without atom, as the Atomic Simulation Environment has it.
+const VACANT: &str = "X";
+
 /// Where the columns of an atom's line stand.
 struct Columns {
     element: usize,
@@ -38,7 +41,7 @@ pub(super) fn parse(text: &Text) -> Result<Structure> {
             );
             return Err(text.error(index + 3, message));
         };
-        atoms.push((line, atom(text, &columns, line, row)?));
+        atoms.extend(atom(text, &columns, line, row)?.map(|atom| (line, atom)));
     }
     if let Some((line, row)) = lines.find(|(_, row)| !row.trim().is_empty()) {
         return Err(text.error(line, surplus(row, count)));
@@ -113,7 +116,8 @@ fn columns(text: &Text, pairs: &[(String, String)]) -> Result<Columns> {
     Ok(Columns { element, position, occupancy, count, announced })
 }
 
-fn atom(text: &Text, columns: &Columns, line: usize, row: &str) -> Result<Atom> {
+/// The atom of a line; none for a vacant site of the species `X`.
+fn atom(text: &Text, columns: &Columns, line: usize, row: &str) -> Result<Option<Atom>> {
     let words: Vec<&str> = row.split_whitespace().collect();
     // Plain XYZ files may have anything after the position.
     if words.len() < columns.count || (columns.announced && words.len() > columns.count) {
@@ -129,7 +133,11 @@ fn atom(text: &Text, columns: &Columns, line: usize, row: &str) -> Result<Atom> 
         Some(column) => text.occupancy(line, text.number(line, "occupancy", words[column])?)?,
         None => 1.0,
     };
-    Ok(Atom { number: text.element(line, words[columns.element])?, position, occupancy })
+    let species = words[columns.element];
+    if occupancy == 0.0 && species == VACANT {
+        return Ok(None);
+    }
+    Ok(Some(Atom { number: text.element(line, species)?, position, occupancy }))
 }
 
 fn find<'a>(pairs: &'a [(String, String)], key: &str) -> Option<&'a str> {

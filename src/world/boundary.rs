@@ -7,6 +7,7 @@
 use std::collections::{BTreeMap, HashMap};
 
 use super::crystal::{Chain, ColumnCrystal, ColumnIndex, Grain};
+use super::recipe::DEFAULT_MIN_DISTANCE;
 use crate::structure::elements;
 
 /// Positions closer than this to a mirror plane lie on it, in Angstrom.
@@ -17,14 +18,17 @@ pub const ON_PLANE: f64 = 1e-6;
 pub struct MinDistances(HashMap<(u8, u8), f64>);
 
 impl MinDistances {
-    /// From a recipe's table (`"Ti-O"`), checked before.
-    pub fn new(table: &BTreeMap<String, f64>) -> Self {
+    /// Those of a recipe's table (`"Ti-O"`, checked before); for other pairs the default share of
+    /// `shortest`, the shortest distances in the crystal.
+    pub fn new(table: &BTreeMap<String, f64>, shortest: &BTreeMap<(u8, u8), f64>) -> Self {
         let number = |s: &str| elements::atomic_number(s).unwrap_or(0);
-        let pairs = table.iter().filter_map(|(pair, &d)| {
+        let both = |a, b, d| [((a, b), d), ((b, a), d)];
+        let default = shortest.iter().flat_map(|(&(a, b), d)| both(a, b, d * DEFAULT_MIN_DISTANCE));
+        let given = table.iter().filter_map(|(pair, &d)| {
             let (a, b) = pair.split_once('-')?;
-            Some([((number(a), number(b)), d), ((number(b), number(a)), d)])
+            Some(both(number(a), number(b), d))
         });
-        MinDistances(pairs.flatten().collect())
+        MinDistances(default.chain(given.flatten()).collect())
     }
     /// Least distance between two elements.
     pub fn get(&self, a: u8, b: u8) -> f64 {
@@ -42,7 +46,7 @@ pub struct Fate {
     /// Where it is now (x in Angstrom), if it moved.
     pub x: Option<f64>,
     /// Bit `n` is set when chain `n` is still there.
-    pub kept: u8,
+    pub kept: u64,
 }
 
 /// One chain of a column together with its mirror image.
@@ -61,19 +65,19 @@ impl Unit {
         if self.merged { &[0.0] } else { &[-1.0, 1.0] }
     }
 
-    /// Cations before anions, atoms at their lattice sites before moved ones, heavy before light,
-    /// far from the plane before near; then along the boundary.
-    fn rank(&self, anion: u8) -> (bool, bool, u8, i64, i64) {
+    /// All others before the lightest element (the anions of an oxide), atoms at their lattice sites
+    /// before moved ones, heavy before light, far from the plane before near; then along the boundary.
+    fn rank(&self, lightest: Option<u8>) -> (bool, bool, u8, i64, i64) {
         let fixed = |v: f64| (v * 1e5).round() as i64;
         let moved = self.merged && self.depth > ON_PLANE;
         let light = u8::MAX - self.chain.number;
-        (self.chain.number == anion, moved, light, -fixed(self.depth), fixed(self.y))
+        (Some(self.chain.number) == lightest, moved, light, -fixed(self.depth), fixed(self.y))
     }
 
-    fn too_close(&self, other: &Unit, a: f64, limits: &MinDistances) -> bool {
+    fn too_close(&self, other: &Unit, period: f64, limits: &MinDistances) -> bool {
         let limit = limits.get(self.chain.number, other.chain.number);
         let turns = (self.chain.z - other.chain.z).abs();
-        let (dy, dz) = (self.y - other.y, turns.min(1.0 - turns) * a);
+        let (dy, dz) = (self.y - other.y, turns.min(1.0 - turns) * period);
         self.offsets().iter().any(|s| {
             other.offsets().iter().any(|o| {
                 let dx = s * self.depth - o * other.depth;
@@ -90,14 +94,14 @@ pub fn resolve(
     grain: &Grain,
     left: usize,
     span: [f64; 2],
-    anion: u8,
     limits: &MinDistances,
 ) -> HashMap<u64, Fate> {
     let mut units = units(crystal, grain, left, span, limits);
-    units.sort_by_key(|u| u.rank(anion));
+    let lightest = crystal.lightest();
+    units.sort_by_key(|u| u.rank(lightest));
     let mut fates: HashMap<u64, Fate> = HashMap::new();
     for unit in &units {
-        let mirror = unit.index.mirrored(crystal).id();
+        let mirror = mirror_image(unit.index).id();
         let moved = unit.merged.then_some(grain.x[1]);
         fates.entry(unit.index.id()).or_insert(Fate { x: moved, kept: 0 });
         fates.entry(mirror).or_insert(Fate { x: None, kept: 0 });
@@ -107,11 +111,11 @@ pub fn resolve(
     for unit in &units {
         let bin = (unit.y / reach).floor() as i64;
         let mut near = (bin - 1..=bin + 1).filter_map(|b| accepted.get(&b)).flatten();
-        if near.any(|other| unit.too_close(other, crystal.a, limits)) {
+        if near.any(|other| unit.too_close(other, crystal.cell[2], limits)) {
             continue;
         }
         accepted.entry(bin).or_default().push(unit);
-        let bit = 1 << unit.chain_number;
+        let bit = 1u64 << unit.chain_number;
         let mut keep = |id: u64| {
             if let Some(fate) = fates.get_mut(&id) {
                 fate.kept |= bit;
@@ -119,10 +123,15 @@ pub fn resolve(
         };
         keep(unit.index.id());
         if !unit.merged {
-            keep(unit.index.mirrored(crystal).id());
+            keep(mirror_image(unit.index).id());
         }
     }
     fates
+}
+
+/// The same column of the next grain.
+fn mirror_image(index: ColumnIndex) -> ColumnIndex {
+    ColumnIndex { grain: index.grain + 1, ..index }
 }
 
 /// The chains of the left grain within reach of the boundary.
@@ -135,12 +144,12 @@ fn units(
 ) -> Vec<Unit> {
     let plane = grain.x[1];
     let mut units = Vec::new();
-    let [is, js] = grain.cells(crystal.a, [[plane - limits.greatest(), plane], span]);
+    let [is, js] = grain.cells(crystal.cell, [[plane - limits.greatest(), plane], span]);
     for i in is {
         for j in js.clone() {
             for (kind, column) in crystal.columns.iter().enumerate() {
                 let (u, v) = (i as f64 + column.xy[0], j as f64 + column.xy[1]);
-                let [x, y] = grain.position(crystal.a, u, v);
+                let [x, y] = grain.position(crystal.cell, u, v);
                 let depth = plane - x;
                 if depth < -ON_PLANE
                     || depth > limits.greatest()

@@ -7,12 +7,15 @@ use std::time::Instant;
 use ndarray::Array2;
 
 use super::assemble::Mosaic;
+use super::census::estimated_sites;
+use super::footprint;
 use super::recipe::Recipe;
-use super::specimen::{BEYOND_FIELD_NM, Region, SiteKind, Specimen, specimen};
+use super::specimen::{BEYOND_FIELD_NM, DISPLACED_NM, Region, SiteKind, Specimen, specimen};
 use super::store::{Store, beside};
 use super::subprogress::SubProgress;
 use super::subtiles::{Partition, SubTile};
 use super::truth::{self, Counts};
+use crate::disk::{self, OutputLock};
 use crate::engine::{Scan, Site};
 use crate::error::{Error, Result};
 use crate::io::{Header, WorldFile, WorldWriter};
@@ -93,8 +96,9 @@ pub struct Summary {
 /// `<output>.work` until the file is complete; a build that finds them goes on from there.
 ///
 /// # Errors
-/// [`Error::Invalid`] when `output` exists, [`Error::Interrupted`] when asked to stop, and those of
-/// the engine, the file system and HDF5.
+/// [`Error::Invalid`] when `output` exists, [`Error::Locked`] when another process builds it,
+/// [`Error::DiskSpace`] when there is no room for it, [`Error::Interrupted`] when asked to stop, and
+/// those of the recipe, the engine, the file system and HDF5.
 pub fn build(
     recipe: &Recipe,
     engine: &dyn SubTileEngine,
@@ -103,9 +107,11 @@ pub fn build(
     progress: &dyn Progress,
 ) -> Result<Summary> {
     let started = Instant::now();
+    recipe.check()?;
     check_output(output, options.overwrite)?;
+    let _lock = OutputLock::hold(output)?;
     let margin = engine.margin_angstrom();
-    if !(0.0..=BEYOND_FIELD_NM * 10.0).contains(&margin) {
+    if !(0.0..=(BEYOND_FIELD_NM - DISPLACED_NM) * 10.0).contains(&margin) {
         let expected = format!("the specimen goes on for {} A around it", BEYOND_FIELD_NM * 10.0);
         return Err(Error::invalid("engine margin (A)", margin, expected));
     }
@@ -114,6 +120,10 @@ pub fn build(
     let shape = field.pixels(field.built_grid());
     let (size, overlap) = (options.subtile_nm, options.subtile_overlap_nm);
     let partition = Partition::new(shape, field.pixel_nm(), size, overlap)?;
+    let sites = estimated_sites(&*job.specimen, field);
+    let needed = footprint::world_bytes(field, sites, options.keep_clean);
+    let done = footprint::folder_bytes(&beside(output, ".work"));
+    disk::check_space(output, needed.saturating_sub(done))?;
     let store = Store::open(output, &job.key(&partition), progress)?;
     let done = job.simulate(&partition, &store).and_then(|resumed| {
         let mosaic = Mosaic::new(recipe, &partition, &store, options.noise);
@@ -225,7 +235,11 @@ impl Job<'_> {
     fn atoms(&self, area: &Region) -> Vec<Site> {
         let corner = [area.x[0], area.y[0], 0.0];
         let sigmas = &self.recipe.phonons.sigma_angstrom;
-        let present = self.specimen.sites(area).into_iter().filter(|s| s.kind != SiteKind::Vacancy);
+        // A displaced atom may lie on the other side of the edge than its column.
+        let sites = self.specimen.sites(&area.grown(DISPLACED_NM)).into_iter();
+        let present = sites.filter(|s| {
+            s.kind != SiteKind::Vacancy && area.contains([s.position_nm[0], s.position_nm[1]])
+        });
         let site = |s: super::SpecimenSite| Site {
             position: [0, 1, 2].map(|k| 10.0 * (s.position_nm[k] - corner[k])),
             number: s.number,
@@ -276,6 +290,15 @@ impl Job<'_> {
         let recipe = self.recipe;
         let field = &recipe.field;
         let shape = field.pixels(field.built_grid());
+        let mut texts = vec![
+            ("material", recipe.id.clone()),
+            ("zone_axis", recipe.zone_axis.clone()),
+            ("recipe", recipe.to_toml()),
+            ("stemgen_version", env!("CARGO_PKG_VERSION").into()),
+            ("engine", self.engine.name()),
+            ("engine_parameters", self.engine.parameters().to_string()),
+        ];
+        texts.extend(recipe.source.iter().map(|source| ("source", source.clone())));
         Header {
             pixel_size_nm: field.pixel_nm(),
             tile_size_px: field.tile_px,
@@ -287,14 +310,7 @@ impl Job<'_> {
             dose: recipe.dose.electrons_per_angstrom2,
             noise,
             seed: recipe.seed,
-            texts: vec![
-                ("material", recipe.id.clone()),
-                ("zone_axis", recipe.zone_axis.clone()),
-                ("recipe", recipe.to_toml()),
-                ("stemgen_version", env!("CARGO_PKG_VERSION").into()),
-                ("engine", self.engine.name()),
-                ("engine_parameters", self.engine.parameters().to_string()),
-            ],
+            texts,
         }
     }
 }

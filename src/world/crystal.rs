@@ -1,4 +1,16 @@
-//! Crystals seen along a symmetry axis: a square lattice of columns, periodic along the beam.
+//! Crystals as specimens see them: columns of atoms along the beam on a rectangular lattice.
+
+use crate::error::{Error, Result};
+use crate::structure::Structure;
+
+/// Atoms of one column are this near in projection, in Angstrom.
+const SAME_COLUMN_ANGSTROM: f64 = 0.02;
+/// Fractions of the cell that count as equal.
+const SAME_FRACTION: f64 = 1e-3;
+/// Sites of a cell that a key can tell apart.
+const MOST_SITES: usize = 1 << SITE_BITS;
+/// Chains of one column that [`super::boundary::Fate`] can tell apart.
+const MOST_CHAINS: usize = 64;
 
 /// A row of equal atoms along the beam, one per unit cell.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -7,12 +19,14 @@ pub struct Chain {
     pub z: f64,
     /// Atomic number.
     pub number: u8,
+    /// Which site of the cell it is.
+    pub site: usize,
 }
 
 /// A column of the unit cell: the chains that share a projected position.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ColumnKind {
-    /// Position in the cell, as fractions; each is 0 or 1/2.
+    /// Position in the cell, as fractions.
     pub xy: [f64; 2],
     /// The chains, by ascending height.
     pub chains: Vec<Chain>,
@@ -21,26 +35,125 @@ pub struct ColumnKind {
 /// A crystal as columns.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ColumnCrystal {
-    /// Edge of the cubic cell in Angstrom.
-    pub a: f64,
+    /// Edges of the rectangular cell along x, y and the beam in Angstrom.
+    pub cell: [f64; 3],
     /// Columns of one cell.
     pub columns: Vec<ColumnKind>,
 }
 
 impl ColumnCrystal {
-    /// The cubic perovskite ABX3 along \[001\]. Planes lie at a/4 (AX) and 3a/4 (BX2), so that
-    /// slices of a/2 from the entrance surface have them in their middle.
-    pub fn perovskite(a: f64, [na, nb, nx]: [u8; 3]) -> Self {
-        let chain = |z, number| Chain { z, number };
-        let columns = vec![
-            ColumnKind { xy: [0.0, 0.0], chains: vec![chain(0.25, na)] },
-            ColumnKind { xy: [0.5, 0.5], chains: vec![chain(0.25, nx), chain(0.75, nb)] },
-            ColumnKind { xy: [0.5, 0.0], chains: vec![chain(0.75, nx)] },
-            ColumnKind { xy: [0.0, 0.5], chains: vec![chain(0.75, nx)] },
-        ];
-        ColumnCrystal { a, columns }
+    /// From a crystal in a box with edges along x, y and the beam. Heights are shifted so that the
+    /// entrance surface lies in the middle of the widest gap between atomic planes.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for another cell, partly occupied sites, or too many of them.
+    pub fn new(structure: &Structure) -> Result<Self> {
+        let cell = structure.orthogonal_box()?;
+        if structure.atoms.iter().any(|a| a.occupancy < 1.0) {
+            let expected = "specimens are built from fully occupied sites; give one element per \
+                            site and mix with [substitutions] or [vacancies]";
+            return Err(Error::invalid("crystal", "partial occupancy", expected));
+        }
+        if structure.atoms.len() > MOST_SITES {
+            let expected = format!("at most {MOST_SITES} in the cell along this zone axis");
+            return Err(Error::invalid("sites of the crystal", structure.atoms.len(), expected));
+        }
+        let fraction = |position: [f64; 3]| [0, 1, 2].map(|k| wrap(position[k] / cell[k]));
+        let sites: Vec<[f64; 3]> = structure.atoms.iter().map(|a| fraction(a.position)).collect();
+        let entrance = widest_gap(sites.iter().map(|s| s[2]).collect());
+        let mut columns: Vec<ColumnKind> = Vec::new();
+        for (site, (at, atom)) in sites.iter().zip(&structure.atoms).enumerate() {
+            let chain = Chain { z: wrap(at[2] - entrance), number: atom.number, site };
+            let same = |c: &&mut ColumnKind| {
+                let d = [0, 1].map(|k| apart(c.xy[k], at[k]) * cell[k]);
+                d[0] * d[0] + d[1] * d[1] < SAME_COLUMN_ANGSTROM * SAME_COLUMN_ANGSTROM
+            };
+            match columns.iter_mut().find(same) {
+                Some(column) => column.chains.push(chain),
+                None => columns.push(ColumnKind { xy: [at[0], at[1]], chains: vec![chain] }),
+            }
+        }
+        for column in &mut columns {
+            column.chains.sort_by(|a, b| a.z.total_cmp(&b.z));
+            if column.chains.len() > MOST_CHAINS {
+                let expected = format!("at most {MOST_CHAINS} in one column of the cell");
+                return Err(Error::invalid("sites of a column", column.chains.len(), expected));
+            }
+        }
+        Ok(ColumnCrystal { cell, columns })
+    }
+
+    /// All chains.
+    pub fn chains(&self) -> impl Iterator<Item = &Chain> {
+        self.columns.iter().flat_map(|c| &c.chains)
+    }
+
+    /// The lightest element, if there are several: atoms of it make room for others.
+    pub fn lightest(&self) -> Option<u8> {
+        let least = self.chains().map(|c| c.number).min();
+        least.filter(|_| self.chains().map(|c| c.number).max() != least)
+    }
+
+    /// Number of cells along the beam in `thickness_nm`, at least one.
+    pub fn cells_along_beam(&self, thickness_nm: f64) -> usize {
+        ((thickness_nm * 10.0 / self.cell[2]).round() as usize).max(1)
+    }
+
+    /// Whether the mirror image in a plane perpendicular to x is the same crystal, moved at most.
+    pub fn has_mirror_x(&self) -> bool {
+        let atoms: Vec<([f64; 3], u8)> = self
+            .columns
+            .iter()
+            .flat_map(|c| c.chains.iter().map(|n| ([c.xy[0], c.xy[1], n.z], n.number)))
+            .collect();
+        let Some(&(first, element)) = atoms.first() else { return true };
+        let mirrored = |[x, y, z]: [f64; 3]| [-x, y, z];
+        let fits = |shift: [f64; 3]| {
+            atoms.iter().all(|&(at, number)| {
+                let image = mirrored(at);
+                let same =
+                    |p: [f64; 3]| (0..3).all(|k| apart(p[k], image[k] + shift[k]) < SAME_FRACTION);
+                atoms.iter().any(|&(p, n)| n == number && same(p))
+            })
+        };
+        let image = mirrored(first);
+        let candidates = atoms.iter().filter(|(_, n)| *n == element);
+        candidates.map(|(p, _)| [0, 1, 2].map(|k| p[k] - image[k])).any(fits)
     }
 }
+
+/// The fraction moved into [0, 1), rounding errors at zero.
+fn wrap(x: f64) -> f64 {
+    crate::structure::lattice::wrap_unit(x)
+}
+
+/// Distance of two fractions of a period.
+fn apart(a: f64, b: f64) -> f64 {
+    let d = (a - b).rem_euclid(1.0);
+    d.min(1.0 - d)
+}
+
+/// Middle of the widest gap between fractional heights: of equal ones, that at the end of the cell.
+fn widest_gap(mut z: Vec<f64>) -> f64 {
+    z.sort_by(f64::total_cmp);
+    let (Some(first), Some(last)) = (z.first(), z.last()) else { return 0.0 };
+    let mut widest = (first + 1.0 - last, 0.5 * (first + last - 1.0));
+    for pair in z.windows(2) {
+        if pair[1] - pair[0] > widest.0 + SAME_FRACTION {
+            widest = (pair[1] - pair[0], 0.5 * (pair[0] + pair[1]));
+        }
+    }
+    widest.1
+}
+
+/// Cells are counted from -2^16 to 2^16 across the beam.
+const CELL_BITS: u32 = 17;
+/// Cells along the beam.
+const DEPTH_BITS: u32 = 12;
+const SITE_BITS: u32 = 10;
+
+/// Largest number of cells from the origin of a grain that a key can tell apart.
+pub const MOST_CELLS: i64 = 1 << (CELL_BITS - 1);
 
 /// Which column of a specimen: grain, kind of column, and unit cell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -53,22 +166,22 @@ pub struct ColumnIndex {
     pub cell: [i64; 2],
 }
 
-/// Cells are counted from -2^17 to 2^17.
-const CELL_BITS: u32 = 18;
-
 impl ColumnIndex {
-    /// A number below 2^48 that is unique in the specimen.
+    /// A number that is unique in the specimen.
     pub fn id(self) -> u64 {
-        let cell = |n: i64| (n + (1 << (CELL_BITS - 1))) as u64 & ((1 << CELL_BITS) - 1);
-        let [i, j] = self.cell;
-        ((self.grain as u64) << 40 | (self.kind as u64) << 36) | cell(i) << CELL_BITS | cell(j)
+        self.pack(self.kind)
     }
 
-    /// The column at the mirror image of this one, in the next grain (see [`Grain::mirrored`]).
-    pub fn mirrored(self, crystal: &ColumnCrystal) -> Self {
-        let half = crystal.columns[self.kind].xy[0] > 0.25;
+    /// The key of the atom of `chain` in cell `depth` along the beam; unique in the specimen.
+    pub fn key(self, chain: &Chain, depth: usize) -> u64 {
+        self.pack(chain.site) << DEPTH_BITS | depth as u64
+    }
+
+    fn pack(self, number: usize) -> u64 {
+        let cell = |n: i64| (n + MOST_CELLS) as u64 & ((1 << CELL_BITS) - 1);
         let [i, j] = self.cell;
-        ColumnIndex { grain: self.grain + 1, kind: self.kind, cell: [-i - i64::from(half), j] }
+        let front = (self.grain as u64) << SITE_BITS | number as u64;
+        front << (2 * CELL_BITS) | cell(i) << CELL_BITS | cell(j)
     }
 }
 
@@ -79,36 +192,42 @@ pub struct Grain {
     pub origin: [f64; 2],
     /// Cosine and sine of the rotation.
     pub rotation: [f64; 2],
+    /// Whether it is the mirror image (x to -x) of the lattice so rotated.
+    pub mirrored: bool,
     /// The grain spans `x[0] < x <= x[1]`, in Angstrom.
     pub x: [f64; 2],
 }
 
 impl Grain {
-    /// Position of the point (u, v) in Angstrom; u and v in units of the cell edge `a`.
-    pub fn position(&self, a: f64, u: f64, v: f64) -> [f64; 2] {
+    /// Position of the point (u, v) in Angstrom; u and v in units of the edges of `cell`.
+    pub fn position(&self, cell: [f64; 3], u: f64, v: f64) -> [f64; 2] {
         let [c, s] = self.rotation;
-        [self.origin[0] + a * (c * u - s * v), self.origin[1] + a * (s * u + c * v)]
+        let (u, v) = (cell[0] * u, cell[1] * v);
+        let dx = c * u - s * v;
+        let x = if self.mirrored { self.origin[0] - dx } else { self.origin[0] + dx };
+        [x, self.origin[1] + (s * u + c * v)]
     }
 
-    /// The mirror image about the line `x = plane`.
-    pub fn mirrored(&self, plane: f64) -> Grain {
-        let [c, s] = self.rotation;
+    /// The mirror image about the line `x = plane`: the same cells lie at mirrored places.
+    pub fn mirror_image(&self, plane: f64) -> Grain {
         Grain {
             origin: [2.0 * plane - self.origin[0], self.origin[1]],
-            rotation: [c, -s],
+            rotation: self.rotation,
+            mirrored: !self.mirrored,
             x: [plane, f64::INFINITY],
         }
     }
 
     /// Ranges of cells (i, j) that cover a rectangle `[[x0, x1], [y0, y1]]` in Angstrom.
-    pub fn cells(&self, a: f64, rect: [[f64; 2]; 2]) -> [std::ops::RangeInclusive<i64>; 2] {
+    pub fn cells(&self, cell: [f64; 3], rect: [[f64; 2]; 2]) -> [std::ops::RangeInclusive<i64>; 2] {
         let [c, s] = self.rotation;
         let mut low = [f64::INFINITY; 2];
         let mut high = [f64::NEG_INFINITY; 2];
         for x in rect[0] {
             for y in rect[1] {
-                let (dx, dy) = (x - self.origin[0], y - self.origin[1]);
-                let uv = [(c * dx + s * dy) / a, (c * dy - s * dx) / a];
+                let right = x - self.origin[0];
+                let (dx, dy) = (if self.mirrored { -right } else { right }, y - self.origin[1]);
+                let uv = [(c * dx + s * dy) / cell[0], (c * dy - s * dx) / cell[1]];
                 for k in 0..2 {
                     low[k] = f64::min(low[k], uv[k]);
                     high[k] = f64::max(high[k], uv[k]);
@@ -116,5 +235,55 @@ impl Grain {
             }
         }
         [0, 1].map(|k| low[k].floor() as i64 - 1..=high[k].ceil() as i64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::structure::library;
+
+    fn seen(name: &str, zone: [i32; 3], up: [i32; 3]) -> ColumnCrystal {
+        ColumnCrystal::new(&library::crystal(name).unwrap().oriented(zone, Some(up)).unwrap())
+            .unwrap()
+    }
+
+    #[test]
+    fn strontium_titanate_has_its_planes_in_the_middle_of_slices() {
+        let c = seen("srtio3", [0, 0, 1], [0, 1, 0]);
+        let heights = |k: usize| c.columns[k].chains.iter().map(|n| (n.z, n.number)).collect();
+        let all: Vec<Vec<(f64, u8)>> = (0..4).map(heights).collect();
+        assert_eq!(all[0], [(0.25, 38)]);
+        assert_eq!(all[1], [(0.25, 8), (0.75, 22)]);
+        assert_eq!([&all[2], &all[3]], [&[(0.75, 8)], &[(0.75, 8)]]);
+        assert_eq!(c.lightest(), Some(8));
+        assert_eq!(c.cells_along_beam(10.0), 26);
+    }
+
+    #[test]
+    fn dumbbells_and_mirrors() {
+        let si = seen("si", [1, 1, 0], [1, -1, 0]);
+        // Half of [110] is a lattice vector too, so each column of the box holds two atoms.
+        assert!(si.columns.len() == 8 && si.columns.iter().all(|c| c.chains.len() == 2));
+        assert!(si.lightest().is_none() && si.has_mirror_x());
+        // The polar axis along x has no mirror across it; across the beam it has.
+        assert!(!seen("gan", [1, 1, 0], [1, -1, 0]).has_mirror_x());
+        assert!(seen("gan", [1, 1, 0], [0, 0, 1]).has_mirror_x());
+    }
+
+    #[test]
+    fn cells_cover_what_a_grain_shows_and_its_mirror_image_agrees() {
+        let rotation = [0.8, 0.6];
+        let left = Grain { origin: [1.0, 2.0], rotation, mirrored: false, x: [0.0, 9.0] };
+        let right = left.mirror_image(9.0);
+        let cell = [3.0, 4.0, 5.0];
+        for (u, v) in [(2.5, -1.25), (-4.0, 7.0)] {
+            let (l, r) = (left.position(cell, u, v), right.position(cell, u, v));
+            assert!((l[0] + r[0] - 18.0).abs() < 1e-12 && l[1] == r[1]);
+            for (grain, p) in [(left, l), (right, r)] {
+                let [is, js] = grain.cells(cell, [[p[0], p[0]], [p[1], p[1]]]);
+                assert!(is.contains(&(u.floor() as i64)) && js.contains(&(v.floor() as i64)));
+            }
+        }
     }
 }

@@ -6,23 +6,45 @@
 mod assemble;
 pub mod boundary;
 pub mod build;
+mod census;
+mod coherent;
 pub mod coincidence;
+mod composition;
 pub mod crystal;
+pub mod crystal_source;
+pub mod defects;
+pub mod domains;
+mod drawing;
+pub mod epitaxy;
+mod export;
+pub mod footprint;
+pub mod grains;
 pub mod noise;
-pub mod perovskite;
+mod orientation;
+mod overrides;
 pub mod recipe;
 mod recipe_check;
 pub mod relax;
+mod roughness;
 pub mod simulator;
 pub mod specimen;
 mod store;
 mod subprogress;
 pub mod subtiles;
+pub mod tables;
 mod truth;
 pub mod vacancies;
+mod wave;
 
 pub use build::{BuildOptions, SubTileEngine, Summary, build};
+pub use census::{counted_sites, estimated_sites};
+pub use drawing::Drawing;
+pub use export::{ExportOptions, ExportSummary, export};
+pub use overrides::Override;
 pub use recipe::{Difficulty, Recipe};
 pub use simulator::Simulator;
-pub use specimen::{Region, SiteKind, Specimen, SpecimenSite, specimen};
+pub use specimen::{
+    AtomColumn, Boundary, BoundaryKind, ParticleTruth, Region, SiteKind, Sites, Specimen,
+    SpecimenSite, specimen,
+};
 pub use truth::Counts;

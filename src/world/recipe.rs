@@ -1,18 +1,30 @@
 //! Recipes: what a world is made of, as TOML with one table per difficulty.
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use super::crystal::ColumnCrystal;
+use super::crystal_source::CrystalSource;
+use super::orientation;
+use super::overrides::Override;
 use super::recipe_check;
+pub use super::tables::*;
 use crate::error::{Error, Result};
+use crate::structure::Structure;
 
 /// Recipes that come with the program: name and text.
-const BUILT_IN: [(&str, &str); 1] = [("srtio3", include_str!("../../generate/srtio3.toml"))];
+const BUILT_IN: &[(&str, &str)] = &[
+    ("srtio3", include_str!("../../generate/srtio3.toml")),
+    ("batio3", include_str!("../../generate/batio3.toml")),
+    ("sige", include_str!("../../generate/sige.toml")),
+    ("gan", include_str!("../../generate/gan.toml")),
+    ("replay", include_str!("../../generate/replay.toml")),
+    ("test", include_str!("../../generate/test.toml")),
+];
 
 /// A tier of difficulty.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Difficulty {
     /// Many defects, much dose.
@@ -56,22 +68,41 @@ pub struct Recipe {
     /// The tier that this recipe was resolved for, if any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tier: Option<Difficulty>,
+    /// Where readers should say that the data come from, where it matters: `synthetic_replay`. Becomes
+    /// an attribute of the file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub source: Option<String>,
     /// Which specimen builder the recipe is for.
     pub structure: StructureKind,
-    /// Direction of the beam in the crystal, as text.
+    /// Direction of the beam in the crystal, as text: `[001]`, `[11-20]`.
     pub zone_axis: String,
+    /// Direction along +y, perpendicular to the zone; the shortest such when absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub y_axis: Option<String>,
     /// Seed of all random numbers.
     pub seed: u64,
+    /// The crystal.
+    pub crystal: CrystalSource,
     /// Field of view, tiles and thickness.
     pub field: Field,
-    /// The crystal.
-    pub lattice: Lattice,
-    /// Grain boundaries.
+    /// Grain boundaries (`grains`).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub boundaries: Option<Boundaries>,
+    /// Domains of a second phase (`domains`).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub domains: Option<Domains>,
+    /// Composition of an alloy (`epitaxy`).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub alloy: Option<Alloy>,
+    /// Quantum wells of the alloy (`epitaxy`).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub wells: Option<Wells>,
     /// Vacancies.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vacancies: Option<Vacancies>,
+    /// Random substitutions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub substitutions: Option<Substitutions>,
     /// Thermal vibration.
     pub phonons: Phonons,
     /// The probe.
@@ -82,138 +113,33 @@ pub struct Recipe {
     pub dose: Dose,
 }
 
-/// Specimen builders.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum StructureKind {
-    /// Perovskite seen along \[001\], in grains rotated about the beam.
-    PerovskiteGrains,
-}
-
-/// Field of view, tiles and thickness.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Field {
-    /// Height and width of the full field in nm.
-    pub fov_nm: [f64; 2],
-    /// Rows and columns of tiles of the full field.
-    pub grid: [usize; 2],
-    /// Rows and columns of tiles of the central part that is built; all when absent.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub crop: Option<[usize; 2]>,
-    /// Edge of a tile in pixels.
-    pub tile_px: usize,
-    /// Pixels shared by neighbouring tiles.
-    pub overlap_px: usize,
-    /// Thickness along the beam in nm, rounded to whole unit cells.
-    pub thickness_nm: f64,
-}
-
-/// A cubic perovskite ABX3.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Lattice {
-    /// Edge of the unit cell in Angstrom.
-    pub a_angstrom: f64,
-    /// Symbol of the element at the corner.
-    pub a_site: String,
-    /// Symbol of the element in the centre.
-    pub b_site: String,
-    /// Symbol of the element at the faces.
-    pub x_site: String,
-}
-
-/// Straight symmetric tilt boundaries along y, equally spaced in x.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Boundaries {
-    /// Number of boundaries.
-    pub count: usize,
-    /// Rotation between neighbouring grains in degrees.
-    pub misorientation_deg: f64,
-    /// Coincidence index; the exact coincidence angle then replaces `misorientation_deg`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub sigma: Option<u32>,
-    /// Least distance per pair of elements (`"Ti-O"`) in Angstrom.
-    pub min_distance_angstrom: BTreeMap<String, f64>,
-}
-
-/// Vacancies of one element.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Vacancies {
-    /// Symbol of the element that is missing.
-    pub element: String,
-    /// Vacant fraction of all its sites.
-    pub rate: f64,
-    /// Share of the vacancies gathered about the boundaries.
-    pub cluster_fraction: f64,
-    /// Standard deviation of their distance from the boundary in nm.
-    pub cluster_sigma_nm: f64,
-    /// Upper limit of the local vacancy probability.
-    pub max_probability: f64,
-    /// Distance by which cations beside a vacancy move away from it, in Angstrom.
-    #[serde(default)]
-    pub relaxation_angstrom: f64,
-}
-
-/// Thermal vibration.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Phonons {
-    /// Number of frozen configurations averaged.
-    pub configurations: usize,
-    /// Standard deviation of each Cartesian component in Angstrom, per element.
-    pub sigma_angstrom: BTreeMap<String, f64>,
-}
-
-/// The probe.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Optics {
-    /// Accelerating voltage in kV.
-    pub energy_kv: f64,
-    /// Convergence semi-angle in mrad.
-    pub convergence_mrad: f64,
-}
-
-/// The annular detector.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Detector {
-    /// Inner angle in mrad.
-    pub inner_mrad: f64,
-    /// Outer angle in mrad.
-    pub outer_mrad: f64,
-}
-
-/// Noise.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Dose {
-    /// Electrons per square Angstrom of the field.
-    pub electrons_per_angstrom2: f64,
-}
-
 impl Recipe {
     /// Names of the recipes that come with the program.
     pub fn built_in() -> impl Iterator<Item = &'static str> {
         BUILT_IN.iter().map(|(name, _)| *name)
     }
 
-    /// A recipe that comes with the program.
+    /// A recipe that comes with the program, at one of its [`Recipe::tiers`].
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for an unknown material, naming the nearest; [`Error::Parse`] for a tier
+    /// that it lacks.
+    pub fn load(material: &str, difficulty: impl Into<Option<Difficulty>>) -> Result<Self> {
+        let (name, text) = built_in_text(material)?;
+        Recipe::from_toml_str(&format!("generate/{name}.toml"), text, difficulty.into())
+    }
+
+    /// The tiers of a recipe that comes with the program; none if it describes a single world.
     ///
     /// # Errors
     /// [`Error::Invalid`] for an unknown material, naming the nearest.
-    pub fn load(material: &str, difficulty: Difficulty) -> Result<Self> {
-        let known = BUILT_IN.iter().find(|(name, _)| *name == material.to_ascii_lowercase());
-        let (name, text) = known.ok_or_else(|| {
-            let near = recipe_check::nearest(material, Recipe::built_in());
-            let names = Recipe::built_in().collect::<Vec<_>>().join(", ");
-            let hint = near.map(|n| format!("did you mean `{n}`? ")).unwrap_or_default();
-            Error::invalid("material", material, format!("{hint}known materials: {names}"))
-        })?;
-        Recipe::from_toml_str(&format!("generate/{name}.toml"), text, Some(difficulty))
+    pub fn tiers(material: &str) -> Result<Vec<Difficulty>> {
+        let (_, text) = built_in_text(material)?;
+        let table: toml::Table =
+            toml::from_str(text).map_err(|e| Error::invalid("recipe", material, e.message()))?;
+        let tiers = table.get("difficulty").and_then(toml::Value::as_table);
+        let there = |d: &Difficulty| tiers.is_some_and(|t| t.contains_key(d.name()));
+        Ok(Difficulty::ALL.into_iter().filter(there).collect())
     }
 
     /// Reads a recipe from a file.
@@ -241,12 +167,78 @@ impl Recipe {
         if let Some(difficulty) = difficulty {
             table.insert("tier".into(), difficulty.name().into());
         }
-        let recipe: Recipe =
-            table.try_into().map_err(|e: toml::de::Error| source.value_error(e.message()))?;
+        let mut recipe: Recipe =
+            table.try_into().map_err(|e: toml::de::Error| source.value_error(&e))?;
+        recipe.read_crystals(source.path.parent().unwrap_or(Path::new(""))).map_err(
+            |e| match e {
+                Error::Invalid { value, expected, .. } => {
+                    let line = source.line_of("crystal");
+                    Error::parse(&source.path, line, format!("crystal = {value}: {expected}"))
+                }
+                other => other,
+            },
+        )?;
         recipe_check::check(&recipe).map_err(|fault| {
             let line = source.line_of(fault.key.rsplit('.').next().unwrap_or_default());
             let Fault { key, value, expected } = fault;
             Error::parse(&source.path, line, format!("{key} = {value}: {expected}"))
+        })?;
+        Ok(recipe)
+    }
+
+    /// Reads the files of crystals that are not the program's, relative to `folder`.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for an unknown crystal, [`Error::Io`].
+    pub fn read_crystals(&mut self, folder: &Path) -> Result<()> {
+        self.crystal.read(folder)?;
+        if let Some(domains) = &mut self.domains {
+            domains.crystal.read(folder)?;
+        }
+        match &mut self.alloy {
+            Some(alloy) => alloy.end_member.read(folder),
+            None => Ok(()),
+        }
+    }
+
+    /// The crystal in a box whose z axis is the zone axis.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] when no such box exists, and those of the crystal's file.
+    pub fn oriented_crystal(&self) -> Result<Structure> {
+        oriented(&self.crystal, &self.zone_axis, self.y_axis.as_deref())
+    }
+
+    /// That crystal as columns.
+    ///
+    /// # Errors
+    /// As [`Recipe::oriented_crystal`] and [`ColumnCrystal::new`].
+    pub fn column_crystal(&self) -> Result<ColumnCrystal> {
+        ColumnCrystal::new(&self.oriented_crystal()?)
+    }
+
+    /// The recipe with some values changed, in the order given.
+    ///
+    /// # Errors
+    /// [`Error::Set`] that names the change at fault; [`Error::Invalid`] when values that were not
+    /// changed no longer fit.
+    pub fn with_overrides(&self, changes: &[Override]) -> Result<Self> {
+        if changes.is_empty() {
+            return Ok(self.clone());
+        }
+        let mut table: toml::Table = toml::from_str(&self.to_toml())
+            .map_err(|e| Error::invalid("recipe", &self.id, e.message()))?;
+        changes.iter().for_each(|change| change.apply(&mut table));
+        let mut recipe: Recipe = table.try_into().map_err(|e: toml::de::Error| {
+            let (key, message) = explain(&e);
+            at_fault(changes, key, message)
+        })?;
+        recipe.read_crystals(Path::new(""))?;
+        recipe_check::check(&recipe).map_err(|Fault { key, value, expected }| {
+            match changes.iter().rev().find(|c| c.concerns(&key)) {
+                Some(change) => change.error(format!("{key} = {value}: {expected}")),
+                None => Error::invalid("recipe", format!("{key} = {value}"), expected),
+            }
         })?;
         Ok(recipe)
     }
@@ -279,30 +271,6 @@ impl Recipe {
     /// The resolved recipe as TOML; [`Recipe::from_toml_str`] with no difficulty reads it back.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).unwrap_or_else(|e| format!("# cannot be written as TOML: {e}\n"))
-    }
-}
-
-impl Field {
-    /// Rows and columns of the tiles that are built.
-    pub fn built_grid(&self) -> [usize; 2] {
-        self.crop.unwrap_or(self.grid)
-    }
-    /// Height and width in pixels that `grid` tiles cover.
-    pub fn pixels(&self, grid: [usize; 2]) -> [usize; 2] {
-        grid.map(|n| n * self.stride_px() + self.overlap_px)
-    }
-    /// Distance between neighbouring tiles in pixels.
-    pub fn stride_px(&self) -> usize {
-        self.tile_px - self.overlap_px
-    }
-    /// Edge of a (square) pixel in nm: width of the full field over its pixels.
-    pub fn pixel_nm(&self) -> f64 {
-        self.fov_nm[1] / self.pixels(self.grid)[1] as f64
-    }
-    /// Row and column, in pixels of the full field, of the first pixel that is built.
-    pub fn crop_origin_px(&self) -> [usize; 2] {
-        let built = self.built_grid();
-        [0, 1].map(|i| (self.grid[i] - built[i]) / 2 * self.stride_px())
     }
 }
 
@@ -356,24 +324,15 @@ impl Source<'_> {
         }
     }
 
-    /// An error of deserialisation; serde's list of fields yields the nearest known key.
-    fn value_error(&self, message: &str) -> Error {
-        let quoted: Vec<&str> = message.split('`').skip(1).step_by(2).collect();
-        match quoted.split_first() {
-            Some((key, known)) if message.starts_with("unknown field") => {
-                self.unknown_key(key, known.iter().copied())
-            }
-            Some((key, _)) => Error::parse(&self.path, self.line_of(key), message.trim()),
-            None => Error::parse(&self.path, 0, message.trim()),
-        }
+    /// An error of deserialisation.
+    fn value_error(&self, error: &toml::de::Error) -> Error {
+        let (key, explained) = explain(error);
+        let last = key.as_deref().and_then(|key| key.rsplit('.').next());
+        Error::parse(&self.path, last.map_or(0, |key| self.line_of(key)), explained)
     }
 
     fn unknown_key<'k>(&self, key: &str, known: impl Iterator<Item = &'k str> + Clone) -> Error {
-        let message = match recipe_check::nearest(key, known.clone()) {
-            Some(near) => format!("unknown key `{key}`; did you mean `{near}`?"),
-            None => format!("unknown key `{key}`; known: {}", known.collect::<Vec<_>>().join(", ")),
-        };
-        Error::parse(&self.path, self.line_of(key), message)
+        Error::parse(&self.path, self.line_of(key), unknown_key(key, known))
     }
 
     /// The line that mentions `key`: in the table of the difficulty if there, else the first. 0 if
@@ -400,8 +359,80 @@ impl Source<'_> {
     }
 }
 
+/// A crystal turned so that the beam runs along `zone_axis`.
+///
+/// # Errors
+/// As [`Structure::oriented`], and those of the crystal's file.
+pub(super) fn oriented(
+    crystal: &CrystalSource,
+    zone_axis: &str,
+    y_axis: Option<&str>,
+) -> Result<Structure> {
+    let zone = orientation::parse(zone_axis).map_err(|e| Error::invalid("zone", zone_axis, e))?;
+    let up = match y_axis {
+        Some(text) => Some(orientation::parse(text).map_err(|e| Error::invalid("up", text, e))?),
+        None => None,
+    };
+    crystal.structure()?.oriented(zone, up)
+}
+
+/// Name and text of a recipe that comes with the program.
+fn built_in_text(material: &str) -> Result<(&'static str, &'static str)> {
+    let known = BUILT_IN.iter().find(|(name, _)| *name == material.to_ascii_lowercase());
+    known.copied().ok_or_else(|| {
+        let near = recipe_check::nearest(material, Recipe::built_in());
+        let names = Recipe::built_in().collect::<Vec<_>>().join(", ");
+        let hint = near.map(|n| format!("did you mean `{n}`? ")).unwrap_or_default();
+        Error::invalid("material", material, format!("{hint}known materials: {names}"))
+    })
+}
+
+/// The dotted key that an error of deserialisation is about, if any, and what to say of it; serde's
+/// list of fields yields the nearest known key.
+fn explain(error: &toml::de::Error) -> (Option<String>, String) {
+    let text = error.to_string();
+    let place = text.lines().find_map(|l| l.strip_prefix("in `")?.strip_suffix('`'));
+    let quoted: Vec<&str> = error.message().split('`').skip(1).step_by(2).collect();
+    let within = |key: &str| place.map_or(key.to_owned(), |place| format!("{place}.{key}"));
+    let message = error.message().trim();
+    match quoted.split_first() {
+        Some((key, known)) if message.starts_with("unknown field") => {
+            (Some(within(key)), unknown_key(key, known.iter().copied()))
+        }
+        Some((key, _)) if message.starts_with("missing field") => {
+            (Some(within(key)), message.to_owned())
+        }
+        _ => {
+            let message = message
+                .replace("expected f64", "expected a number")
+                .replace("expected usize", "expected a whole number")
+                .replace("expected u64", "expected a whole number")
+                .replace("expected u32", "expected a whole number");
+            let prefix = place.map(|place| format!("{place}: ")).unwrap_or_default();
+            (place.map(str::to_owned), prefix + &message)
+        }
+    }
+}
+
+fn unknown_key<'k>(key: &str, known: impl Iterator<Item = &'k str> + Clone) -> String {
+    match recipe_check::nearest(key, known.clone()) {
+        Some(near) => format!("unknown key `{key}`; did you mean `{near}`?"),
+        None => format!("unknown key `{key}`; known: {}", known.collect::<Vec<_>>().join(", ")),
+    }
+}
+
+/// The error of the change that a fault of `key` comes from: the last that sets it, or a part of it,
+/// or else the last of all.
+fn at_fault(changes: &[Override], key: Option<String>, message: String) -> Error {
+    let named = key.and_then(|key| changes.iter().rev().find(|c| c.concerns(&key)));
+    match named.or(changes.last()) {
+        Some(change) => change.error(message),
+        None => Error::invalid("recipe", "", message),
+    }
+}
+
 /// Lays `over` over `base`, table by table.
-fn merge(base: &mut toml::Table, over: toml::Table) {
+pub(super) fn merge(base: &mut toml::Table, over: toml::Table) {
     for (key, value) in over {
         match (base.get_mut(&key), value) {
             (Some(toml::Value::Table(inner)), toml::Value::Table(more)) => merge(inner, more),

@@ -1,8 +1,14 @@
 //! Specimens: all lattice sites of a full field, asked for region by region.
 
+use super::domains::Domains;
+use super::epitaxy::Epitaxy;
+use super::grains::Grains;
 use super::recipe::{Recipe, StructureKind};
+use super::relax::Relaxed;
 use crate::error::Result;
 
+/// Sites are never further than this from the position of their column, in nm.
+pub const DISPLACED_NM: f64 = 0.1;
 /// How far the specimen goes on beyond the field on every side, in nm.
 pub const BEYOND_FIELD_NM: f64 = 12.0;
 
@@ -67,7 +73,7 @@ pub struct SpecimenSite {
 pub struct AtomColumn {
     /// Unique in the specimen.
     pub id: u64,
-    /// Position (x, y) in nm, before relaxation.
+    /// Position (x, y) in nm: the mean of its sites, before relaxation.
     pub position_nm: [f64; 2],
     /// Its sites in [`Sites::sites`], by ascending z.
     pub sites: std::ops::Range<usize>,
@@ -82,15 +88,59 @@ pub struct Sites {
     pub sites: Vec<SpecimenSite>,
 }
 
-/// A boundary between grains.
+impl Sites {
+    /// Adds a column and its sites.
+    pub fn push_column(
+        &mut self,
+        id: u64,
+        position_nm: [f64; 2],
+        sites: impl Iterator<Item = SpecimenSite>,
+    ) {
+        let first = self.sites.len();
+        self.sites.extend(sites);
+        self.columns.push(AtomColumn { id, position_nm, sites: first..self.sites.len() });
+    }
+}
+
+/// A line between grains or phases.
 #[derive(Debug, Clone, PartialEq)]
-pub struct GrainBoundary {
+pub struct Boundary {
     /// Corners (x, y) in nm of the full field.
     pub line_nm: Vec<[f64; 2]>,
-    /// Rotation between the grains in degrees.
-    pub misorientation_deg: f64,
-    /// Coincidence index, where there is one.
-    pub sigma: Option<u32>,
+    /// What it separates.
+    pub kind: BoundaryKind,
+}
+
+/// What a boundary separates.
+#[derive(Debug, Clone, PartialEq)]
+pub enum BoundaryKind {
+    /// Two grains.
+    Grain {
+        /// Rotation between the grains in degrees.
+        misorientation_deg: f64,
+        /// Coincidence index, where there is one.
+        sigma: Option<u32>,
+    },
+    /// Two phases.
+    Phase {
+        /// The phases left and right of the line, as in [`Specimen::phases`].
+        sides: [usize; 2],
+        /// Standard deviation of the transition in nm (see [`super::recipe::Domains`]): 0 if abrupt.
+        sharpness_sigma_nm: f64,
+    },
+}
+
+/// A particle, as the ground truth lists it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ParticleTruth {
+    /// Centre (x, y, z) in nm of the full field.
+    pub centre_nm: [f64; 3],
+    /// Diameter in nm.
+    pub diameter_nm: f64,
+    /// Shape: `wulff`, `icosahedron`, `decahedron` ... (at most 16 ASCII characters).
+    pub morphology: String,
+    /// Rotation from the particle's own axes to those of the field as a unit quaternion (w, x, y, z).
+    pub orientation: [f64; 4],
 }
 
 /// A specimen of the full field.
@@ -102,10 +152,30 @@ pub trait Specimen: Send + Sync {
     fn sites(&self, region: &Region) -> Vec<SpecimenSite> {
         self.query(region).sites
     }
+    /// Number of sites in a region, of a specimen that knows it to within a few percent without making
+    /// them, and takes long to make them.
+    fn expected_sites(&self, _region: &Region) -> Option<u64> {
+        None
+    }
     /// Thickness in nm.
     fn thickness_nm(&self) -> f64;
-    /// Boundaries between grains.
-    fn boundaries(&self) -> Vec<GrainBoundary>;
+    /// Boundaries between grains and phases.
+    fn boundaries(&self) -> Vec<Boundary> {
+        Vec::new()
+    }
+    /// Names of the phases; empty when there is only one. Their indices are the codes of the
+    /// phase map.
+    fn phases(&self) -> Vec<String> {
+        Vec::new()
+    }
+    /// The phase at a point (x, y) in nm, as an index into [`Specimen::phases`].
+    fn phase_at(&self, _position_nm: [f64; 2]) -> usize {
+        0
+    }
+    /// Particles whose centre lies in the specimen.
+    fn particles(&self) -> Vec<ParticleTruth> {
+        Vec::new()
+    }
 }
 
 /// The specimen that a recipe describes.
@@ -114,9 +184,10 @@ pub trait Specimen: Send + Sync {
 /// [`crate::Error::Invalid`] when a value of the recipe is outside its limits.
 pub fn specimen(recipe: &Recipe) -> Result<Box<dyn Specimen>> {
     recipe.check()?;
-    match recipe.structure {
-        StructureKind::PerovskiteGrains => {
-            Ok(Box::new(super::perovskite::PerovskiteGrains::new(recipe)?))
-        }
-    }
+    let rigid: Box<dyn Specimen> = match recipe.structure {
+        StructureKind::Grains => Box::new(Grains::new(recipe)?),
+        StructureKind::Domains => Box::new(Domains::new(recipe)?),
+        StructureKind::Epitaxy => Box::new(Epitaxy::new(recipe)?),
+    };
+    Relaxed::of(rigid, recipe)
 }

@@ -1,12 +1,18 @@
 //! Ground truth: the sites of the built field, stripe by stripe.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
+
+use ndarray::Array2;
+use rayon::prelude::*;
 
 use super::recipe::Field;
-use super::specimen::{AtomColumn, GrainBoundary, Region, SiteKind, Sites, Specimen, SpecimenSite};
+use super::specimen::{
+    AtomColumn, Boundary, BoundaryKind, Region, SiteKind, Sites, Specimen, SpecimenSite,
+};
 use crate::error::{Error, Result};
-use crate::io::schema::{Composition, DefectName, atom_type};
-use crate::io::{TruthBatch, WorldWriter};
+use crate::io::schema::{Composition, DefectName, Morphology, atom_type};
+use crate::io::{LineKind, ParticleBatch, TruthBatch, WorldWriter};
 use crate::progress::Progress;
 use crate::structure::elements;
 
@@ -20,11 +26,13 @@ pub struct Counts {
     pub sites: u64,
     /// Vacant ones.
     pub vacancies: u64,
+    /// Those that hold another element.
+    pub substitutions: u64,
     /// Atomic columns.
     pub columns: u64,
 }
 
-/// Writes sites, columns and boundaries.
+/// Writes sites, columns, boundaries, phases and particles.
 ///
 /// # Errors
 /// Those of the writer, and [`Error::Interrupted`].
@@ -37,23 +45,66 @@ pub fn write(
     let shape = field.pixels(field.built_grid());
     let (first, pixel) = (field.crop_origin_px(), field.pixel_nm());
     let origin = [first[1] as f64 * pixel, first[0] as f64 * pixel];
+    let phases = specimen.phases();
+    if phases.len() > 1 {
+        writer.create_phase_map(&phases)?;
+    }
     let mut counts = Counts::default();
-    progress.start("ground truth", "row", shape[0] as u64);
-    for row in (0..shape[0]).step_by(STRIPE_PX) {
+    for_each_stripe(specimen, field, "ground truth", progress, |stripe| {
+        writer.append(&batch(&stripe.sites, origin, &mut counts))?;
+        if phases.len() > 1 {
+            let (row, size) = (stripe.rows.start, [stripe.rows.len(), shape[1]]);
+            let corner = [first[0] + row, first[1]];
+            writer.phase_rows(row, phase_rows(specimen, corner, size, pixel).view())?;
+        }
+        Ok(())
+    })?;
+    let built = Region::of_pixels(first, shape, pixel);
+    for boundary in specimen.boundaries() {
+        write_boundary(&boundary, &phases, &built, origin, writer)?;
+    }
+    write_particles(specimen, &built, origin, writer)?;
+    Ok(counts)
+}
+
+/// Some rows of pixels of the built field and the sites there.
+pub(super) struct Stripe {
+    pub rows: Range<usize>,
+    pub sites: Sites,
+}
+
+/// Calls `visit` with the sites of the built field, stripe by stripe from the top: the order of the
+/// ground truth. Some stripes are made at once, so memory holds that many for each thread.
+///
+/// # Errors
+/// Those of `visit`, and [`Error::Interrupted`].
+pub(super) fn for_each_stripe(
+    specimen: &dyn Specimen,
+    field: &Field,
+    stage: &str,
+    progress: &dyn Progress,
+    mut visit: impl FnMut(&Stripe) -> Result<()>,
+) -> Result<()> {
+    let shape = field.pixels(field.built_grid());
+    let (first, pixel) = (field.crop_origin_px(), field.pixel_nm());
+    let stripes: Vec<usize> = (0..shape[0]).step_by(STRIPE_PX).collect();
+    progress.start(stage, "row", shape[0] as u64);
+    for rows in stripes.chunks(rayon::current_num_threads()) {
         if progress.interrupted() {
             return Err(Error::Interrupted);
         }
-        let rows = STRIPE_PX.min(shape[0] - row);
-        let stripe = Region::of_pixels([first[0] + row, first[1]], [rows, shape[1]], pixel);
-        writer.append(&batch(&specimen.query(&stripe), origin, &mut counts))?;
-        progress.advance(rows as u64);
-    }
-    let built = Region::of_pixels(first, shape, pixel);
-    for boundary in specimen.boundaries() {
-        write_boundary(&boundary, &built, origin, writer)?;
+        let stripe = |&row: &usize| {
+            let rows = row..shape[0].min(row + STRIPE_PX);
+            let area = Region::of_pixels([first[0] + row, first[1]], [rows.len(), shape[1]], pixel);
+            Stripe { rows, sites: specimen.query(&area) }
+        };
+        for stripe in rows.par_iter().map(stripe).collect::<Vec<Stripe>>() {
+            visit(&stripe)?;
+            progress.advance(stripe.rows.len() as u64);
+        }
     }
     progress.finish();
-    Ok(counts)
+    Ok(())
 }
 
 fn batch(sites: &Sites, origin: [f64; 2], counts: &mut Counts) -> TruthBatch {
@@ -75,8 +126,51 @@ fn batch(sites: &Sites, origin: [f64; 2], counts: &mut Counts) -> TruthBatch {
         push_column(&mut batch, column, members, shifted(column.position_nm));
     }
     counts.sites += sites.sites.len() as u64;
-    counts.vacancies += sites.sites.iter().filter(|s| s.kind == SiteKind::Vacancy).count() as u64;
+    let of = |kind| sites.sites.iter().filter(|s| s.kind == kind).count() as u64;
+    counts.vacancies += of(SiteKind::Vacancy);
+    counts.substitutions += of(SiteKind::Substitution);
     batch
+}
+
+/// Phases at the centres of pixels.
+fn phase_rows(
+    specimen: &dyn Specimen,
+    first: [usize; 2],
+    shape: [usize; 2],
+    pixel_nm: f64,
+) -> Array2<i32> {
+    let mut map = Array2::zeros(shape);
+    let lines: Vec<_> = map.outer_iter_mut().collect();
+    lines.into_par_iter().enumerate().for_each(|(row, mut line)| {
+        for (column, phase) in line.iter_mut().enumerate() {
+            let at = [first[1] + column, first[0] + row].map(|p| p as f64 * pixel_nm);
+            *phase = specimen.phase_at(at) as i32;
+        }
+    });
+    map
+}
+
+/// Writes the particles whose centre lies in the built field.
+fn write_particles(
+    specimen: &dyn Specimen,
+    built: &Region,
+    origin: [f64; 2],
+    writer: &WorldWriter,
+) -> Result<()> {
+    let all = specimen.particles();
+    if all.is_empty() {
+        return Ok(());
+    }
+    let mut batch = ParticleBatch::default();
+    for particle in all.iter().filter(|p| built.contains([p.centre_nm[0], p.centre_nm[1]])) {
+        let [x, y, z] = particle.centre_nm;
+        batch.centres.push([(x - origin[0]) as f32, (y - origin[1]) as f32, z as f32]);
+        batch.diameters.push(particle.diameter_nm as f32);
+        let morphology = Morphology::from_ascii(&particle.morphology);
+        batch.morphologies.push(morphology.unwrap_or_default());
+        batch.orientations.push(particle.orientation.map(|q| q as f32));
+    }
+    writer.particles(&batch)
 }
 
 fn push_column(
@@ -100,7 +194,8 @@ fn push_column(
     batch.column_compositions.push(Composition::from_ascii(&text).unwrap_or_default());
 }
 
-fn code(kind: SiteKind) -> i32 {
+/// Code of [`atom_type`].
+pub(super) fn code(kind: SiteKind) -> i32 {
     match kind {
         SiteKind::Pristine => atom_type::PRISTINE,
         SiteKind::Vacancy => atom_type::VACANCY,
@@ -108,7 +203,8 @@ fn code(kind: SiteKind) -> i32 {
     }
 }
 
-fn defect_name(site: &SpecimenSite) -> DefectName {
+/// Name of the defect of a site; empty for none.
+pub(super) fn defect_name(site: &SpecimenSite) -> DefectName {
     let symbol = elements::symbol(site.number);
     let name = match site.kind {
         SiteKind::Pristine => return DefectName::default(),
@@ -120,7 +216,8 @@ fn defect_name(site: &SpecimenSite) -> DefectName {
 
 /// Writes the parts of a boundary that lie in the built field.
 fn write_boundary(
-    boundary: &GrainBoundary,
+    boundary: &Boundary,
+    phases: &[String],
     built: &Region,
     origin: [f64; 2],
     writer: &WorldWriter,
@@ -134,9 +231,18 @@ fn write_boundary(
             _ => lines.push(vec![from, to]),
         }
     }
+    let name = |phase: usize| phases.get(phase).map_or("", String::as_str);
+    let kind = match boundary.kind {
+        BoundaryKind::Grain { misorientation_deg, sigma } => {
+            LineKind::Grains(misorientation_deg, sigma)
+        }
+        BoundaryKind::Phase { sides, sharpness_sigma_nm } => {
+            LineKind::Phases(sides.map(name), sharpness_sigma_nm)
+        }
+    };
     for line in lines {
         let points: Vec<[f32; 2]> = line.into_iter().map(shifted).collect();
-        writer.boundary(&points, boundary.misorientation_deg, boundary.sigma)?;
+        writer.boundary(&points, kind)?;
     }
     Ok(())
 }

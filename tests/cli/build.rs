@@ -36,6 +36,20 @@ fn a_world_is_built_with_its_picture() {
 }
 
 #[test]
+fn the_test_world_has_the_published_schema() {
+    let folder = tempfile::tempdir().unwrap();
+    let built = json(stemgen(folder.path()).args(["build", "test", "--keep-clean"]));
+    assert_eq!(
+        (&built["output"], &built["grain_boundaries"]),
+        (&"worlds/test.h5".into(), &1.into())
+    );
+    assert_eq!(built["tiles"], serde_json::json!([2, 3]));
+    assert!(built["vacancies"].as_u64().unwrap() > 50, "{built}");
+    let told = python("../schema/check_world.py", &[&folder.path().join("worlds/test.h5")]);
+    assert!(told.contains("the schema holds"), "{told}");
+}
+
+#[test]
 fn threads_change_nothing() {
     let folder = tempfile::tempdir().unwrap();
     for (name, threads) in [("one.h5", "1"), ("two.h5", "2")] {

@@ -1,21 +1,6 @@
 //! Whatever is wrong: one error, one hint, a code that is not 0, and no panic.
 
-use super::{file, stderr, stemgen};
-use std::path::Path;
-
-/// Runs and returns what stands on standard error.
-fn fails(folder: &Path, arguments: &[&str]) -> String {
-    let output = stemgen(folder).args(arguments).output().unwrap();
-    let told = stderr(&output);
-    let code = output.status.code();
-    assert!(code == Some(1) || code == Some(2), "{arguments:?}: {code:?} {told}");
-    assert!(!told.contains("panicked"), "{told}");
-    assert_eq!(told.matches("error: ").count(), 1, "{told}");
-    if code == Some(1) {
-        assert_eq!(told.lines().filter(|l| l.starts_with("hint: ")).count(), 1, "{told}");
-    }
-    told
-}
+use super::{fails, file, stemgen};
 
 #[test]
 fn bad_input_is_explained() {
@@ -52,7 +37,7 @@ fn bad_input_is_explained() {
         (&[srtio3, "--phonons", "2", "--sigma", "Sr=0.1,Ti=0.1"], &["for O"]),
     ];
     for (arguments, parts) in cases {
-        let told = fails(here, &[&["simulate"], arguments].concat());
+        let told = fails(stemgen(here).arg("simulate").args(arguments));
         for part in parts {
             assert!(told.contains(part), "{arguments:?}: no `{part}` in\n{told}");
         }
@@ -76,7 +61,7 @@ fn bad_builds_are_explained() {
         (&["--recipe", "bad.toml"], "bad.toml"),
     ];
     for (arguments, part) in cases {
-        let told = fails(folder.path(), &[&["build"], arguments, &easy].concat());
+        let told = fails(stemgen(folder.path()).arg("build").args(arguments).args(easy));
         assert!(told.contains(part), "{arguments:?}: no `{part}` in\n{told}");
     }
 }
@@ -91,6 +76,6 @@ fn a_folder_that_is_read_only_is_found_before_simulating() {
     if probe.is_ok() {
         return; // root may write anywhere
     }
-    let told = fails(folder.path(), &["simulate", &file("structures/si.cif")]);
+    let told = fails(stemgen(folder.path()).args(["simulate", &file("structures/si.cif")]));
     assert!(told.contains("--output"), "{told}");
 }

@@ -1,11 +1,15 @@
 //! The program as a user meets it.
 
 mod build;
+mod checks;
 mod errors;
 mod help;
 #[path = "../common/python.rs"]
 mod interpreter;
+mod recipes;
 mod simulate;
+mod specimen;
+mod view;
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -28,6 +32,20 @@ fn stdout(output: &Output) -> String {
 
 fn stderr(output: &Output) -> String {
     String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+/// Runs a command that has to fail, with one error and one hint; returns what it says.
+fn fails(command: &mut Command) -> String {
+    let output = command.output().unwrap();
+    let told = stderr(&output);
+    let code = output.status.code();
+    assert!(code == Some(1) || code == Some(2), "{command:?}: {code:?} {told}");
+    assert!(!told.contains("panicked"), "{told}");
+    assert_eq!(told.matches("error: ").count(), 1, "{told}");
+    if code == Some(1) {
+        assert_eq!(told.lines().filter(|l| l.starts_with("hint: ")).count(), 1, "{told}");
+    }
+    told
 }
 
 /// Runs the program and returns its standard output, which must be JSON.

@@ -6,6 +6,15 @@ import sys
 import h5py
 import numpy as np
 
+# Elements, defects, phases, and the element whose columns are bright.
+MATERIALS = {
+    "srtio3": ({8, 22, 38}, {b"vacancy_O"}, None, 38),
+    "batio3": ({8, 22, 56}, {b"vacancy_O"}, {0, 1}, 56),
+    "sige": ({14, 32}, {b"substitution_Ge"}, None, 14),
+    "gan": ({7, 31, 49}, {b"substitution_In"}, {0, 1}, 31),
+}
+MATERIALS["test"] = MATERIALS["replay"] = MATERIALS["srtio3"]
+
 faults = []
 
 
@@ -95,21 +104,32 @@ def check_sites(file, height, width, pixel):
     check(inside.all(), "atom_positions: outside the field")
     check(n > 0 and set(types) <= {0, 1, 2} and (mask == (types != 0)).all(), "atom_types, defect_mask: differ")
     check((names[types == 0] == b"").all(), "defect_types: a pristine site has one")
-    check(set(names[types == 1]) <= {b"vacancy_O"} and (numbers[types == 1] == 8).all(), "vacancies: not of O")
-    check(set(numbers) == {8, 22, 38}, "atomic_numbers: not those of SrTiO3")
+    material = file["metadata"].attrs["material"]
+    elements, defects, phases, _ = MATERIALS[material]
+    check(set(names[types != 0]) == defects, f"defect_types: {set(names[types != 0])}, expected {defects}")
+    for name in set(names[types != 0]):
+        check(set(names[types == {b"v": 1, b"s": 2}[name[:1]]]) == {name}, f"{name}: wrong atom_types")
+    check(set(numbers) == elements, f"atomic_numbers: not those of {material}")
     check(z.min() > 0 and z.max() < 11, "atom_z: outside the specimen")
     check_columns(truth["columns"], columns, types, xy)
+    if phases:
+        found = dataset(truth, "phase_map", (height, width), np.int32)
+        check(set(np.unique(found)) <= phases and "codes" in found.attrs, "phase_map: wrong values")
+    else:
+        check("phase_map" not in truth, "phase_map: there is but one phase")
 
 
 def check_registration(file, image, pixel):
-    """Sr columns are bright where the ground truth says they are, to half a pixel on average."""
+    """Heavy columns are bright where the ground truth says they are, to half a pixel on average."""
     truth = file["ground_truth"]
-    sr = truth["atom_positions"][...][truth["atomic_numbers"][...] == 38]
-    near = np.rint(sr / pixel).astype(int)
+    heavy = MATERIALS[file["metadata"].attrs["material"]][3]
+    sites = truth["atom_positions"][...][truth["atomic_numbers"][...] == heavy]
+    near = np.rint(sites / pixel).astype(int)
     height, width = image.shape
     near = near[((near >= 10) & (near < [width - 10, height - 10])).all(axis=1)]
-    check(image[near[:, 1], near[:, 0]].mean() > 1.5 * image.mean(), "Sr columns are not bright: x, y or origin differ")
-    steps = np.arange(-10, 11)
+    check(image[near[:, 1], near[:, 0]].mean() > 1.5 * image.mean(), "columns are not bright: x, y or origin differ")
+    reach = int(0.13 / pixel)
+    steps = np.arange(-reach, reach + 1)
     patches = image[near[:, 1, None, None] + steps[:, None], near[:, 0, None, None] + steps]
     mean = patches.mean(axis=0) - patches.mean(axis=0).min()
     mean = np.where(mean > 0.6 * mean.max(), mean, 0)
@@ -121,7 +141,9 @@ def check_columns(group, columns, types, xy):
     m = group["position"].shape[0]
     position = dataset(group, "position", (m, 2), np.float32)[...]
     check(columns.min() == 0 and columns.max() == m - 1, "atom_columns: not indices of columns")
-    check((position[columns] == xy).all(), "columns/position: not that of the sites")
+    mean = np.stack([np.bincount(columns, weights=xy[:, k]) for k in (0, 1)], axis=1)
+    mean /= np.bincount(columns)[:, None]
+    check(np.allclose(position, mean, atol=1e-5), "columns/position: not the mean of the sites")
     for name, members in [("number_of_sites", types >= 0), ("vacancies", types == 1), ("substitutions", types == 2)]:
         counts = dataset(group, name, (m,), np.int32)[...]
         check((counts == np.bincount(columns[members], minlength=m)).all(), f"columns/{name}: wrong counts")
@@ -147,9 +169,11 @@ def main(path):
         check_sites(file, height, width, pixel)
         valid = dataset(file, "valid_region", (height, width), np.bool_)
         check(valid[...].all(), "valid_region: not all true")
-        for line in file["ground_truth/grain_boundaries"].values():
-            check(line.dtype == np.float32 and line.shape[1:] == (2,), f"{line.name}: not a polyline")
-            check(line.attrs["unit"] == "nm" and line.attrs["sigma"] == 5, f"{line.name}: attributes")
+        for group, names in [("grain_boundaries", {"misorientation_deg", "sigma"}),
+                             ("phase_boundaries", {"left", "right", "sharpness_sigma_nm"})]:
+            for line in file["ground_truth"][group].values():
+                check(line.dtype == np.float32 and line.shape[1:] == (2,), f"{line.name}: not a polyline")
+                check(line.attrs["unit"] == "nm" and set(line.attrs) == names | {"unit"}, f"{line.name}: attributes")
 
 
 main(sys.argv[1])

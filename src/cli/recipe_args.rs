@@ -1,0 +1,70 @@
+//! Options that choose a recipe and change it.
+
+use super::hints::hinted;
+use super::values::{self, Tier};
+use anyhow::anyhow;
+use clap::Args;
+use std::path::PathBuf;
+use stemgen::world::{Difficulty, Override, Recipe};
+
+/// The recipe.
+#[derive(Debug, Args)]
+pub struct RecipeArgs {
+    /// Material or other recipe that comes with the program; `stemgen list` shows them
+    #[arg(value_name = "MATERIAL", required_unless_present = "recipe")]
+    material: Option<String>,
+    /// How many defects and how much dose, where the recipe has tiers
+    #[arg(long, value_name = "TIER")]
+    difficulty: Option<Tier>,
+    /// Recipe (TOML) in place of MATERIAL; without --difficulty if it has no tiers
+    #[arg(long, value_name = "FILE", conflicts_with = "material")]
+    recipe: Option<PathBuf>,
+    /// Change a value of the recipe, such as vacancies.rate=0.02 (repeatable); `stemgen show-recipe`
+    /// prints all keys
+    #[arg(long, value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// Only the central tiles, rows x columns [default: the whole field]
+    #[arg(long, value_name = "RxC", value_parser = values::rows_columns)]
+    grid: Option<[usize; 2]>,
+    /// Seed of all random numbers [default: that of the recipe]
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+}
+
+impl RecipeArgs {
+    /// The recipe, resolved, changed and checked.
+    pub fn resolve(&self) -> anyhow::Result<Recipe> {
+        let changes: Vec<Override> =
+            self.set.iter().map(|text| text.parse()).collect::<stemgen::Result<_>>()?;
+        let mut recipe = self.chosen()?.with_overrides(&changes)?;
+        recipe.seed = self.seed.unwrap_or(recipe.seed);
+        if let Some([rows, columns]) = self.grid {
+            recipe = recipe.with_grid(rows, columns)?;
+        }
+        recipe.check()?;
+        Ok(recipe)
+    }
+
+    fn chosen(&self) -> anyhow::Result<Recipe> {
+        let difficulty = self.difficulty.map(Difficulty::from);
+        let material = match (&self.recipe, &self.material) {
+            (Some(file), _) => return Ok(Recipe::from_file(file, difficulty)?),
+            (None, Some(material)) => material,
+            (None, None) => anyhow::bail!("MATERIAL or --recipe is needed"),
+        };
+        let tiers = Recipe::tiers(material)?;
+        if difficulty.is_none() && !tiers.is_empty() {
+            let names: Vec<&str> = tiers.iter().map(|t| t.name()).collect();
+            let fault = anyhow!("{material} comes in tiers, and none is chosen");
+            return Err(hinted(fault, format!("add --difficulty {}", names.join("|"))));
+        }
+        Ok(Recipe::load(material, difficulty)?)
+    }
+
+    /// `MATERIAL[_TIER][_RxC]`, the usual beginning of the name of a result.
+    pub fn stem(&self, recipe: &Recipe) -> String {
+        let tier = recipe.tier.map(|t| format!("_{}", t.name())).unwrap_or_default();
+        let grid = self.grid.map(|[r, c]| format!("_{r}x{c}")).unwrap_or_default();
+        format!("{}{tier}{grid}", recipe.id)
+    }
+}

@@ -1,0 +1,119 @@
+//! Options that prepare the specimen.
+
+use super::values::{self, Sigmas};
+use anyhow::{Context, bail};
+use clap::Args;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use stemgen::engine::{Phonons, Site};
+use stemgen::structure::{self, Structure, elements};
+
+/// The specimen.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Specimen")]
+pub struct StructureArgs {
+    /// Crystal or specimen: CIF, extended XYZ (.xyz, .extxyz) or POSCAR (.vasp, .poscar, POSCAR*)
+    #[arg(value_name = "STRUCTURE", help_heading = None)]
+    pub structure: PathBuf,
+    /// Lattice direction along the beam; builds an orthogonal box
+    #[arg(long, value_name = "U,V,W", value_parser = values::direction, allow_hyphen_values = true)]
+    pub zone: Option<[i32; 3]>,
+    /// Lattice direction along +y, perpendicular to the zone
+    #[arg(long, value_name = "U,V,W", value_parser = values::direction, allow_hyphen_values = true)]
+    pub up: Option<[i32; 3]>,
+    /// Repeat the cell (after --zone) along x, y and the beam
+    #[arg(long, value_name = "NX,NY,NZ", value_parser = values::counts3)]
+    pub repeat: Option<[usize; 3]>,
+    /// Average over N frozen-phonon configurations; needs --sigma. Default: atoms exactly as given
+    #[arg(long, value_name = "N", requires = "sigma")]
+    pub phonons: Option<u32>,
+    /// Standard deviation of each Cartesian component of the thermal displacement in A: one
+    /// number, or one for each element (Sr=0.084,O=0.085)
+    #[arg(long, value_name = "A", value_parser = values::sigmas, requires = "phonons")]
+    pub sigma: Option<Sigmas>,
+    /// Seed of the thermal displacements and of mixed sites
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+}
+
+/// A specimen ready for the engine.
+#[derive(Debug)]
+pub struct Prepared {
+    /// Edges of the box in Angstrom.
+    pub size: [f64; 3],
+    /// The atoms.
+    pub sites: Vec<Site>,
+    /// Mean heights of the atoms in Angstrom.
+    pub heights: Vec<f64>,
+}
+
+impl StructureArgs {
+    /// Reads, turns and repeats the structure, and draws the atoms of mixed sites.
+    pub fn prepare(&self) -> anyhow::Result<Prepared> {
+        let mut structure = structure::read(&self.structure)?;
+        if self.zone.is_some() || self.up.is_some() {
+            structure = structure.oriented(self.zone.unwrap_or([0, 0, 1]), self.up)?;
+        }
+        if let Some(count) = self.repeat {
+            structure = structure.repeat(count)?;
+        }
+        let structure = structure.resolve_occupancy(self.seed)?;
+        if structure.atoms.is_empty() {
+            bail!("{}: no atoms to simulate", self.structure.display());
+        }
+        let size = structure.orthogonal_box()?;
+        let sites = self.sites(&structure)?;
+        let heights = sites.iter().map(|s| s.position[2]).collect();
+        Ok(Prepared { size, sites, heights })
+    }
+
+    /// The settings of the phonons.
+    pub fn phonons(&self) -> Option<Phonons> {
+        self.phonons.map(|configurations| Phonons { configurations, seed: self.seed })
+    }
+
+    fn sites(&self, structure: &Structure) -> anyhow::Result<Vec<Site>> {
+        let site = |(key, atom): (usize, &structure::Atom)| {
+            Ok(Site {
+                position: atom.position,
+                number: atom.number,
+                sigma_angstrom: self.sigma_of(atom.number)?,
+                key: key as u64,
+            })
+        };
+        structure.atoms.iter().enumerate().map(site).collect()
+    }
+
+    fn sigma_of(&self, number: u8) -> anyhow::Result<f64> {
+        match &self.sigma {
+            None => Ok(0.0),
+            Some(Sigmas::All(sigma)) => Ok(*sigma),
+            Some(Sigmas::ByElement(map)) => map.get(&number).copied().with_context(|| {
+                let symbol = elements::symbol(number);
+                format!("--sigma has no value for {symbol}; add {symbol}=..., in A")
+            }),
+        }
+    }
+
+    /// Name of the structure without folder and ending.
+    pub fn stem(&self) -> PathBuf {
+        PathBuf::from(self.structure.file_stem().unwrap_or("structure".as_ref()))
+    }
+
+    /// Name of the file.
+    pub fn file_name(&self) -> String {
+        let name = self.structure.file_name().map(Path::new).unwrap_or(&self.structure);
+        name.display().to_string()
+    }
+}
+
+impl Prepared {
+    /// Number of atoms of each element: `Ti 3, O 9`.
+    pub fn composition(&self) -> BTreeMap<&'static str, usize> {
+        let mut counts = BTreeMap::new();
+        for site in &self.sites {
+            *counts.entry(elements::symbol(site.number)).or_insert(0) += 1;
+        }
+        counts
+    }
+}

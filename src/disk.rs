@@ -1,0 +1,191 @@
+//! Before hours of work: is there room for the result, and is nobody else writing it?
+
+use crate::error::{Error, Result};
+use std::fs::File;
+use std::io::{Read, Seek, Write};
+use std::path::{Path, PathBuf};
+
+/// The folder of a file.
+fn folder(path: &Path) -> &Path {
+    match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    }
+}
+
+/// Bytes that may still be written on the disk of an existing folder; unknown where the system does
+/// not say.
+pub fn free_bytes(folder: &Path) -> Option<u64> {
+    #[cfg(unix)]
+    {
+        let found = rustix::fs::statvfs(folder).ok()?;
+        found.f_bavail.checked_mul(found.f_frsize)
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = folder;
+        None
+    }
+}
+
+/// Fails if the disk of `output` has less than `needed_bytes` free. The folder has to exist.
+///
+/// # Errors
+/// [`Error::DiskSpace`] naming the folder, what is needed and what is free.
+pub fn check_space(output: &Path, needed_bytes: u64) -> Result<()> {
+    let path = folder(output);
+    match free_bytes(path) {
+        Some(free_bytes) if free_bytes < needed_bytes => {
+            Err(Error::DiskSpace { path: path.to_owned(), needed_bytes, free_bytes })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// The right to write an output: a locked file `<output>.lock` beside it, which names the holder. The
+/// system gives the lock back when the process ends, however that happens; the file goes when this is
+/// dropped.
+#[derive(Debug)]
+pub struct OutputLock {
+    path: PathBuf,
+    /// Holds the lock while open.
+    _file: File,
+}
+
+impl OutputLock {
+    /// Locks `output` for this process. The folder has to exist. Where the system has no locks, there
+    /// is none.
+    ///
+    /// # Errors
+    /// [`Error::Locked`] naming the holder, [`Error::Io`].
+    pub fn hold(output: &Path) -> Result<Self> {
+        let mut name = output.as_os_str().to_owned();
+        name.push(".lock");
+        let path = PathBuf::from(name);
+        loop {
+            let fail = |e| Error::io(&path, "create", e);
+            let mut file = File::options()
+                .read(true)
+                .write(true)
+                .create(true)
+                .truncate(false)
+                .open(&path)
+                .map_err(fail)?;
+            if !try_lock(&file).map_err(fail)? {
+                let mut holder = String::new();
+                // The lock itself is certain; who holds it is courtesy.
+                let _ = file.read_to_string(&mut holder);
+                let holder = match holder.trim() {
+                    "" => "another process".to_owned(),
+                    text => text.to_owned(),
+                };
+                return Err(Error::Locked { path: output.to_owned(), holder });
+            }
+            // The last holder may have removed the file between opening and locking.
+            if !is_still(&file, &path) {
+                continue;
+            }
+            let write = |file: &mut File| {
+                file.set_len(0)?;
+                file.rewind()?;
+                writeln!(file, "{}", myself())?;
+                file.flush()
+            };
+            write(&mut file).map_err(fail)?;
+            return Ok(OutputLock { path, _file: file });
+        }
+    }
+}
+
+impl Drop for OutputLock {
+    fn drop(&mut self) {
+        // A lock file that stays behind holds nothing.
+        let _ = std::fs::remove_file(&self.path);
+    }
+}
+
+/// This process, for others to find: `process 1234 on host (stemgen build srtio3 ...)`.
+fn myself() -> String {
+    let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+    let on = match host.trim() {
+        "" => String::new(),
+        host => format!(" on {host}"),
+    };
+    let words: Vec<String> =
+        std::env::args_os().skip(1).map(|a| a.to_string_lossy().into_owned()).collect();
+    let command = match words.is_empty() {
+        true => String::new(),
+        false => format!(" ({})", words.join(" ").replace('\n', " ")),
+    };
+    format!("process {}{on}{command}", std::process::id())
+}
+
+#[cfg(unix)]
+fn try_lock(file: &File) -> std::io::Result<bool> {
+    use rustix::fs::{FlockOperation, flock};
+    match flock(file, FlockOperation::NonBlockingLockExclusive) {
+        Ok(()) => Ok(true),
+        Err(rustix::io::Errno::WOULDBLOCK) => Ok(false),
+        // File systems without locks.
+        Err(rustix::io::Errno::NOTSUP | rustix::io::Errno::NOSYS | rustix::io::Errno::NOLCK) => {
+            Ok(true)
+        }
+        Err(e) => Err(e.into()),
+    }
+}
+
+#[cfg(not(unix))]
+fn try_lock(_: &File) -> std::io::Result<bool> {
+    Ok(true)
+}
+
+/// Whether `path` names the open file.
+fn is_still(file: &File, path: &Path) -> bool {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        let id = |m: std::io::Result<std::fs::Metadata>| m.ok().map(|m| (m.dev(), m.ino()));
+        let open = id(file.metadata());
+        open.is_some() && open == id(std::fs::metadata(path))
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = (file, path);
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_full_disk_is_found_before_writing() {
+        let folder = tempfile::tempdir().unwrap();
+        let output = folder.path().join("w.h5");
+        check_space(&output, 1).unwrap();
+        if free_bytes(folder.path()).is_none() {
+            return;
+        }
+        let message = check_space(&output, 1 << 62).unwrap_err().to_string();
+        assert!(message.contains(&folder.path().display().to_string()), "{message}");
+        assert!(message.contains("needed") && message.contains("free"), "{message}");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn an_output_is_held_by_one_and_given_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let output = folder.path().join("w.h5");
+        let first = OutputLock::hold(&output).unwrap();
+        let message = OutputLock::hold(&output).unwrap_err().to_string();
+        let own = format!("process {}", std::process::id());
+        assert!(message.contains("w.h5") && message.contains(&own), "{message}");
+        OutputLock::hold(&folder.path().join("other.h5")).unwrap();
+        drop(first);
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+        // What a process that was killed leaves behind.
+        std::fs::write(folder.path().join("w.h5.lock"), "process 1").unwrap();
+        OutputLock::hold(&output).unwrap();
+    }
+}

@@ -1,0 +1,70 @@
+//! Lattice directions as text: `[001]`, `[1-10]`, `[11-20]`, `[3 0 -12]`.
+
+/// The indices of a direction. Single digits stand together, others with spaces or commas between;
+/// four indices \[UVTW\] of a hexagonal lattice become the three \[2U+V U+2V W\] (reduced).
+///
+/// # Errors
+/// A sentence that says how directions are written.
+pub fn parse(text: &str) -> Result<[i32; 3], String> {
+    let expected = "expected a lattice direction such as \"[001]\", \"[11-20]\" or \"[3 0 -12]\"";
+    let inner = text.trim().strip_prefix('[').and_then(|t| t.strip_suffix(']'));
+    let Some(inner) = inner else { return Err(expected.into()) };
+    let indices = match inner.contains([' ', ',']) {
+        true => inner
+            .split([' ', ','])
+            .filter(|w| !w.is_empty())
+            .map(|w| w.parse::<i32>().ok().filter(|n| n.abs() <= 100))
+            .collect::<Option<Vec<i32>>>(),
+        false => digits(inner),
+    };
+    let three = match indices.ok_or(expected)?[..] {
+        [u, v, w] => [u, v, w],
+        [u, v, t, w] if u + v + t == 0 => [2 * u + v, u + 2 * v, w],
+        [_, _, _, _] => return Err("the first three of four indices must add to 0".into()),
+        _ => return Err(expected.into()),
+    };
+    let divisor = three.iter().fold(0, |a, &b| gcd(a, b));
+    match divisor {
+        0 => Err(expected.into()),
+        _ => Ok(three.map(|n| n / divisor)),
+    }
+}
+
+/// Single digits, each with its sign.
+fn digits(text: &str) -> Option<Vec<i32>> {
+    let mut out = Vec::new();
+    let mut sign = 1;
+    for c in text.chars() {
+        match c.to_digit(10) {
+            Some(d) => {
+                out.push(sign * d as i32);
+                sign = 1;
+            }
+            None if c == '-' && sign == 1 => sign = -1,
+            None => return None,
+        }
+    }
+    (sign == 1).then_some(out)
+}
+
+fn gcd(a: i32, b: i32) -> i32 {
+    if b == 0 { a.abs() } else { gcd(b, a % b) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn directions_are_read() {
+        assert_eq!(parse("[001]"), Ok([0, 0, 1]));
+        assert_eq!(parse("[1-10]"), Ok([1, -1, 0]));
+        assert_eq!(parse("[11-20]"), Ok([1, 1, 0]));
+        assert_eq!(parse("[0001]"), Ok([0, 0, 1]));
+        assert_eq!(parse("[1-100]"), Ok([1, -1, 0]));
+        assert_eq!(parse("[3, 0,-12]"), Ok([1, 0, -4]));
+        for bad in ["001", "[01]", "[000]", "[1120]", "[11-]", "[1--10]", "[a b c]", "[1 2 900]"] {
+            assert!(parse(bad).is_err(), "{bad}");
+        }
+    }
+}

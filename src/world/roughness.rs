@@ -1,0 +1,156 @@
+//! Rough interfaces: Gaussian random surfaces.
+
+use crate::rng::{Purpose, normal3, uniform};
+
+/// Waves that are summed; their wave vectors are normally distributed.
+const WAVES: u64 = 64;
+/// First item of the random phases, beyond those of the wave vectors.
+const PHASES: u64 = 1 << 32;
+/// Grid steps per correlation length.
+const STEPS: f64 = 6.0;
+
+/// Deviation of an interface from its mean plane as a function of y and z, all in nm.
+#[derive(Debug)]
+pub struct Roughness {
+    start: f64,
+    step: [f64; 2],
+    /// Points along z.
+    depth: usize,
+    /// Row by row: y, then z.
+    heights: Vec<f64>,
+    means: Vec<f64>,
+    greatest: f64,
+}
+
+impl Roughness {
+    /// Interface number `number` for `y` within `range` and `z` within `0..thickness`: correlation
+    /// exp(-r^2 / 2 length^2), and within `field` and the thickness a mean of 0 and a standard deviation of
+    /// `rms`.
+    pub fn new(
+        range: [f64; 2],
+        field: [f64; 2],
+        thickness: f64,
+        rms: f64,
+        length: f64,
+        seed: u64,
+        number: u32,
+    ) -> Self {
+        let steps = |span: f64| (span * STEPS / length).ceil().max(1.0);
+        let [across, along] = [steps(range[1] - range[0]), steps(thickness)];
+        let step = [(range[1] - range[0]) / across, thickness / along];
+        let depth = along as usize + 1;
+        let waves: Vec<[f64; 3]> = (0..WAVES)
+            .map(|n| {
+                let [ky, kz, _] = normal3(seed, Purpose::Interface, number, n);
+                let phase = uniform(seed, Purpose::Interface, number, PHASES + n);
+                [ky / length, kz / length, 2.0 * std::f64::consts::PI * phase]
+            })
+            .collect();
+        let height = |i: usize, k: usize| -> f64 {
+            let (y, z) = (range[0] + i as f64 * step[0], k as f64 * step[1]);
+            waves.iter().map(|[ky, kz, phase]| libm::cos(ky * y + kz * z + phase)).sum()
+        };
+        let rows = across as usize + 1;
+        let mut heights: Vec<f64> = (0..rows)
+            .flat_map(|i| (0..depth).map(move |k| (i, k)))
+            .map(|(i, k)| height(i, k))
+            .collect();
+        let inside = |i: usize| {
+            let y = range[0] + i as f64 * step[0];
+            field[0] <= y && y < field[1]
+        };
+        let of_field = || (0..rows).filter(|&i| inside(i)).flat_map(|i| i * depth..(i + 1) * depth);
+        let count = of_field().count().max(1) as f64;
+        let mean = of_field().map(|n| heights[n]).sum::<f64>() / count;
+        let variance = of_field().map(|n| (heights[n] - mean).powi(2)).sum::<f64>() / count;
+        let scale = if variance > 0.0 { rms / variance.sqrt() } else { 0.0 };
+        heights.iter_mut().for_each(|h| *h = (*h - mean) * scale);
+        let means =
+            heights.chunks(depth).map(|row| row.iter().sum::<f64>() / depth as f64).collect();
+        let greatest = heights.iter().fold(0.0, |g: f64, h| g.max(h.abs()));
+        Roughness { start: range[0], step, depth, heights, means, greatest }
+    }
+
+    /// The deviation at a point, between the points of the grid by linear interpolation.
+    pub fn at(&self, y: f64, z: f64) -> f64 {
+        let rows = self.means.len();
+        let (i, s) = split((y - self.start) / self.step[0], rows);
+        let (k, t) = split(z / self.step[1], self.depth);
+        let row = |i: usize| {
+            let n = i * self.depth + k;
+            self.heights[n] + t * (self.heights[n + 1] - self.heights[n])
+        };
+        row(i) + s * (row(i + 1) - row(i))
+    }
+
+    /// Its mean along the beam.
+    pub fn mean_along_beam(&self, y: f64) -> f64 {
+        let (i, s) = split((y - self.start) / self.step[0], self.means.len());
+        self.means[i] + s * (self.means[i + 1] - self.means[i])
+    }
+
+    /// The greatest deviation.
+    pub fn greatest(&self) -> f64 {
+        self.greatest
+    }
+
+    /// The values of y in a range at which [`Roughness::mean_along_beam`] has its corners, and its ends.
+    pub fn corners(&self, [first, last]: [f64; 2]) -> Vec<f64> {
+        let grid = (0..self.means.len()).map(|i| self.start + i as f64 * self.step[0]);
+        let mut out = vec![first];
+        out.extend(grid.filter(|y| first < *y && *y < last));
+        out.push(last);
+        out
+    }
+}
+
+/// Interval and place in it, of `count` points.
+fn split(at: f64, count: usize) -> (usize, f64) {
+    let at = at.clamp(0.0, (count - 1) as f64);
+    let n = (at as usize).min(count - 2);
+    (n, at - n as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn statistics_are_those_asked_for() {
+        // Many correlation lengths, so that the realised correlation is near its mean.
+        let (rms, length) = (0.5, 1.0);
+        let (mut covariance, mut count) = ([0.0; 2], 0.0);
+        for number in 0..40 {
+            let r = Roughness::new([-5.0, 85.0], [0.0, 80.0], 10.0, rms, length, 4, number);
+            let mut sums = [0.0; 2];
+            for i in 0..480 {
+                for k in 0..60 {
+                    let (y, z) = ((f64::from(i) + 0.5) / 6.0, f64::from(k) / 6.0);
+                    let h = r.at(y, z);
+                    sums[0] += h;
+                    sums[1] += h * h;
+                    covariance[0] += h * r.at(y, z + length);
+                    covariance[1] += h * r.at(y + length, z);
+                    count += 1.0;
+                }
+            }
+            assert!(
+                (sums[0] / 28_800.0).abs() < 0.03 && (sums[1] / 28_800.0 / 0.25 - 1.0).abs() < 0.06
+            );
+        }
+        for c in covariance {
+            let found = c / count / 0.25;
+            assert!((found - (-0.5f64).exp()).abs() < 0.05, "{found}");
+        }
+    }
+
+    #[test]
+    fn the_projection_is_the_mean() {
+        let r = Roughness::new([0.0, 20.0], [0.0, 20.0], 10.0, 0.25, 3.0, 1, 0);
+        let y = 7.3;
+        let mean: f64 =
+            (0..10_000).map(|k| r.at(y, (f64::from(k) + 0.5) * 1e-3)).sum::<f64>() / 1e4;
+        assert!((mean - r.mean_along_beam(y)).abs() < 0.02);
+        assert!(r.greatest() < 1.5);
+    }
+}

@@ -1,0 +1,69 @@
+//! What is checked before any work begins.
+
+use super::{fails, file, stemgen};
+use std::process::Stdio;
+use std::time::{Duration, Instant};
+
+/// A field of so many sites that no usual disk has room for them.
+const ENDLESS: [&str; 7] = [
+    "srtio3",
+    "--difficulty",
+    "easy",
+    "--set",
+    "field.fov_nm=[1000, 1000]",
+    "--set",
+    "field.thickness_nm=1500",
+];
+
+#[test]
+fn a_disk_that_is_too_small_is_found() {
+    let folder = tempfile::tempdir().unwrap();
+    match stemgen::disk::free_bytes(folder.path()) {
+        Some(free) if free < 1_000_000_000_000 => {}
+        _ => return, // unknown, or larger than what is asked for
+    }
+    for subcommand in ["specimen", "build"] {
+        let mut command = stemgen(folder.path());
+        let told = fails(command.arg(subcommand).args(ENDLESS).args(["-o", "a.xyz"]));
+        for part in ["needed", "free", "GB"] {
+            assert!(told.contains(part), "{subcommand}: no `{part}` in\n{told}");
+        }
+    }
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "nothing is left");
+}
+
+#[cfg(unix)]
+#[test]
+fn the_second_build_is_told_who_builds() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = ["build", "--recipe", &file("tests/cli/tiny.toml"), "-o", "w.h5", "--quiet"];
+    let slow = ["--set", "phonons.configurations=500"];
+    let mut command = stemgen(folder.path());
+    let mut first = command.args(arguments).args(slow).stderr(Stdio::null()).spawn().unwrap();
+    let begun = Instant::now();
+    while !folder.path().join("w.h5.work").exists() {
+        assert!(begun.elapsed() < Duration::from_secs(60));
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    let told = fails(stemgen(folder.path()).args(arguments));
+    first.kill().unwrap();
+    first.wait().unwrap();
+    assert!(told.contains("w.h5") && told.contains(&format!("process {}", first.id())), "{told}");
+    assert!(told.contains("phonons.configurations=500"), "the command is shown: {told}");
+    assert!(!folder.path().join("w.h5").exists());
+    // A lock dies with its holder.
+    let run = stemgen(folder.path()).args(arguments).status().unwrap();
+    assert!(run.success() && !folder.path().join("w.h5.lock").exists());
+}
+
+#[test]
+fn a_place_that_cannot_be_written_is_found() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("file"), "").unwrap();
+    for subcommand in ["specimen", "build"] {
+        let mut command = stemgen(folder.path());
+        command.args([subcommand, "test", "-o", "file/a.xyz"]);
+        let told = fails(&mut command);
+        assert!(told.contains("file: cannot create"), "{told}");
+    }
+}

@@ -1,0 +1,120 @@
+//! `stemgen view`.
+
+use super::{fails, file, stderr, stemgen};
+use std::path::Path;
+use stemgen::io::WorldFile;
+use stemgen::render::palette;
+
+const VACANCIES: &str = "vacancies={element=\"O\", rate=0.4, cluster_fraction=0.0, \
+                         cluster_sigma_nm=1.0, max_probability=0.5}";
+
+/// A tiny world with vacancies, `w.h5`.
+fn build(folder: &Path) -> WorldFile {
+    let mut command = stemgen(folder);
+    command.args(["build", "--recipe", &file("tests/cli/tiny.toml"), "--set", VACANCIES]);
+    let run = command.args(["-o", "w.h5", "--no-png", "--quiet"]).output().unwrap();
+    assert!(run.status.success(), "{}", stderr(&run));
+    WorldFile::open(&folder.join("w.h5")).unwrap()
+}
+
+struct Decoded {
+    width: usize,
+    height: usize,
+    pixels: Vec<u8>,
+}
+
+impl Decoded {
+    fn at(&self, [x, y]: [f64; 2]) -> [u8; 3] {
+        let start = 3 * (y.round() as usize * self.width + x.round() as usize);
+        [self.pixels[start], self.pixels[start + 1], self.pixels[start + 2]]
+    }
+}
+
+fn view(folder: &Path, arguments: &[&str]) -> Decoded {
+    let mut command = stemgen(folder);
+    command.args(["view", "w.h5", "-o", "v.png", "--overwrite", "--quiet"]);
+    let run = command.args(arguments).output().unwrap();
+    assert!(run.status.success() && run.stdout.is_empty(), "{}", stderr(&run));
+    let file = std::fs::File::open(folder.join("v.png")).unwrap();
+    let mut reader = png::Decoder::new(std::io::BufReader::new(file)).read_info().unwrap();
+    let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+    let info = reader.next_frame(&mut pixels).unwrap();
+    Decoded { width: info.width as usize, height: info.height as usize, pixels }
+}
+
+#[test]
+fn atoms_and_rings_stand_where_the_truth_says() {
+    let folder = tempfile::tempdir().unwrap();
+    let world = build(folder.path());
+    let pixel = world.metadata().pixel_size_nm;
+    let side = pixel * world.shape()[0] as f64;
+    let picture = view(folder.path(), &["--size", "1400"]);
+    assert_eq!((picture.width, picture.height), (1400, 1400), "no legend without overlays");
+    let place = |[x, y]: [f32; 2], corner: f64, scale: f64| {
+        [x, y].map(|v| (f64::from(v) + 0.5 * pixel - corner) * scale - 0.5)
+    };
+    // Strontium scatters most.
+    let columns = world.columns().unwrap();
+    let inside = |at: [f64; 2], size: f64| at.iter().all(|v| (30.0..size - 30.0).contains(v));
+    let light = |p: [u8; 3]| u32::from(p[0]);
+    let truth = world.truth(0..world.site_count().unwrap()).unwrap();
+    let mut bright = Vec::new();
+    for (i, _) in truth.numbers.iter().enumerate().filter(|(_, n)| **n == 38) {
+        let at = place(truth.positions[i], 0.0, 1400.0 / side);
+        if inside(at, 1400.0) && at[1] < 1000.0 {
+            bright.push(light(picture.at(at)));
+        }
+    }
+    let mean = f64::from(bright.iter().sum::<u32>()) / bright.len() as f64;
+    let all: f64 = picture.pixels.iter().map(|p| f64::from(*p)).sum();
+    let dark = all / picture.pixels.len() as f64;
+    assert!(bright.len() > 4 && mean > 2.5 * dark, "{mean} at strontium, {dark} on average");
+    // Rings of a part: from pixel 3 to pixel 25 of 28.
+    let (from, to) = (2.6 * pixel, 24.4 * pixel);
+    let part = format!("{from},{from},{to},{to}");
+    let picture =
+        view(folder.path(), &["--region", &part, "--overlay", "defects", "--size", "700"]);
+    assert!(picture.height == 700 && picture.width > 720, "a legend beside it");
+    let mut found = 0;
+    for column in columns.iter().filter(|c| c.vacancies > 0) {
+        let scale = 700.0 / (22.0 * pixel);
+        let [x, y] = place(column.position_nm, 3.0 * pixel, scale);
+        let right = [x + 0.085 * scale, y];
+        if inside(right, 700.0) && inside([x, y], 700.0) && y < 550.0 {
+            let color = picture.at(right);
+            let share = f64::from(column.vacancies) / f64::from(column.sites);
+            let least = if share > 0.4 { 60 } else { 110 };
+            let far = (0..3).map(|k| color[k].abs_diff(palette::VACANCY[k])).max().unwrap();
+            assert!(far < least, "{color:?} beside {column:?}");
+            found += 1;
+        }
+    }
+    assert!(found > 2, "{found} rings");
+}
+
+#[test]
+fn bad_requests_are_explained() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    build(here);
+    std::fs::write(here.join("text.h5"), "no world").unwrap();
+    let bytes = std::fs::read(here.join("w.h5")).unwrap();
+    std::fs::write(here.join("cut.h5"), &bytes[..bytes.len() / 2]).unwrap();
+    std::fs::write(here.join("there.png"), "precious").unwrap();
+    let cases: [(&[&str], &str); 9] = [
+        (&["none.h5"], "none.h5"),
+        (&["text.h5"], "is not HDF5"),
+        (&["cut.h5"], "truncated"),
+        (&["w.h5", "--clean"], "--keep-clean"),
+        (&["w.h5", "--overlay", "particles"], "no particles"),
+        (&["w.h5", "--overlay", "phases"], "no phases"),
+        (&["w.h5", "--overlay", "columns", "--region", "9,9,10,10"], "0,0 to 1.40,1.40"),
+        (&["w.h5", "--region", "1,1,0,0"], "right of and below"),
+        (&["w.h5", "-o", "there.png"], "--overwrite"),
+    ];
+    for (arguments, part) in cases {
+        let told = fails(stemgen(here).arg("view").args(arguments));
+        assert!(told.contains(part), "{arguments:?}: no `{part}` in\n{told}");
+    }
+    assert_eq!(std::fs::read_dir(here).unwrap().count(), 4, "nothing was written");
+}
