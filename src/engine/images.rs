@@ -6,7 +6,7 @@ use super::prism::Prism;
 use super::settings::Algorithm;
 use super::stepper::{Specimen, Stepper};
 use super::transmission::TransmissionBuilder;
-use super::{Scan, Site};
+use super::{Scan, Site, tail};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use ndarray::{Array2, Array4, ArrayView2, s};
@@ -65,9 +65,12 @@ pub fn simulate(
         };
         sum.iter_mut().zip(values).for_each(|(s, v)| *s += v);
     }
+    let n = f64::from(configurations);
+    if let Some(tail) = tail::tail(plan, sites, scan)? {
+        sum.iter_mut().zip(tail).for_each(|(s, t)| *s += n * t);
+    }
     progress.finish();
     let [rows, columns] = scan.shape;
-    let n = f64::from(configurations);
     let data = Array4::from_shape_fn((records, detectors, rows, columns), |(t, d, y, x)| {
         (sum[((y * columns + x) * records + t) * detectors + d] / n) as f32
     });

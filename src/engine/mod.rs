@@ -10,6 +10,7 @@ mod prism_reduce;
 pub mod settings;
 mod speed;
 mod stepper;
+mod tail;
 mod transmission;
 
 pub use images::{Images, diffraction, exit_wave, simulate};

@@ -23,9 +23,9 @@ pub(super) struct Multislice<'a> {
 }
 
 /// The probe in Fourier space, for a position at `centre`.
-struct Spectrum {
+pub(super) struct Spectrum {
     /// (iy, ix, amplitude); squared amplitudes sum to the fraction of the beam inside the grid.
-    entries: Vec<(usize, usize, Complex64)>,
+    pub entries: Vec<(usize, usize, Complex64)>,
     centre: [f64; 2],
 }
 
@@ -216,7 +216,7 @@ impl<'a> Multislice<'a> {
 
 impl Spectrum {
     /// The probe on `grid`, at the origin, with total intensity 1, at the entrance surface.
-    fn full(plan: &Plan, grid: &Grid) -> Self {
+    pub fn full(plan: &Plan, grid: &Grid) -> Self {
         let optics = &plan.settings.optics;
         let (ny, nx) = grid.shape();
         let mut entries = Vec::new();

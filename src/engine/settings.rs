@@ -84,6 +84,9 @@ pub struct Settings {
     pub angle_margin: f64,
     /// Algorithm.
     pub algorithm: Algorithm,
+    /// Adds what the part of a probe outside its window would have scattered onto the detectors
+    /// (windows only), as from free atoms; see the source of `engine::tail`.
+    pub tail_correction: bool,
     /// Radius of the anti-aliasing disk in units of the Nyquist frequency. 2/3
     /// ([`EXACT_BAND_FRACTION`]) excludes aliasing altogether; since transmission functions are
     /// band-limited beforehand, [`DEFAULT_BAND_FRACTION`] changes HAADF by less than 0.1 % on the
@@ -131,6 +134,7 @@ impl Default for Settings {
             grid: GridChoice::Auto,
             angle_margin: AUTO_ANGLE_MARGIN,
             algorithm: Algorithm::Multislice,
+            tail_correction: true,
             band_fraction: DEFAULT_BAND_FRACTION,
             band_taper: 0.0,
             oversampling: None,

@@ -226,6 +226,30 @@ impl Smooth {
     }
 }
 
+/// Cross section in Angstrom^2 of one atom for scattering into angles of `k` from `inner` to `outer`
+/// (1/Angstrom): `int |F[exp(i v) - 1](k)|^2 d^2k`.
+pub fn cross_section(factor: &ScatteringFactor, sigma: f64, inner: f64, outer: f64) -> f64 {
+    let unit = sigma * POTENTIAL_PER_SCATTERING_FACTOR;
+    // Out to 6 A: what is beyond scatters to smaller angles.
+    let points: Vec<(f64, Complex64)> = radial_points(2.0)
+        .into_iter()
+        .map(|(r, weight)| {
+            let wave = Complex64::from_polar(1.0, unit * factor.projected(r)) - 1.0;
+            (r, wave * (2.0 * PI * r * weight))
+        })
+        .collect();
+    let intervals = 64;
+    let step = (outer - inner) / intervals as f64;
+    (0..=intervals)
+        .map(|i| {
+            let k = inner + i as f64 * step;
+            let amplitude: Complex64 =
+                points.iter().map(|(r, c)| c * libm::j0(2.0 * PI * k * r)).sum();
+            amplitude.norm_sqr() * 2.0 * PI * k * simpson(i, intervals) * step
+        })
+        .sum()
+}
+
 /// Radii and weights of an integral over r: logarithmic near the nucleus, where the phase goes like
 /// log r, then uniform out to where smoothing no longer matters.
 fn radial_points(cutoff: f64) -> Vec<(f64, f64)> {
@@ -291,6 +315,22 @@ mod tests {
                 }
             }
         }
+    }
+
+    /// A weak atom scatters as in the first Born approximation.
+    #[test]
+    fn cross_section_of_weak_atoms_is_that_of_born() {
+        let factor = ScatteringFactor::new(Parametrization::Lobato, 8).unwrap();
+        let (inner, outer) = (2.7, 8.0);
+        let ours = cross_section(&factor, 1e-6, inner, outer);
+        let born: f64 = (0..2000)
+            .map(|i| {
+                let k = inner + (outer - inner) * (i as f64 + 0.5) / 2000.0;
+                let f = 1e-6 * POTENTIAL_PER_SCATTERING_FACTOR * factor.at(k * k);
+                f * f * 2.0 * PI * k * (outer - inner) / 2000.0
+            })
+            .sum();
+        assert!((ours / born - 1.0).abs() < 1e-3, "{ours} {born}");
     }
 
     /// At k = 0 and small phases D is the integral of what smoothing took away, which is nothing.
