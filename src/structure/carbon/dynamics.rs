@@ -125,10 +125,11 @@ pub fn relax(network: &mut Network, roles: Roles, steps: usize, tolerance: f64) 
     greatest
 }
 
-/// Molecular dynamics of a whole network under a thermostat that follows `temperature(step)` in K;
+/// Molecular dynamics under a thermostat that follows `temperature(step)` in K;
 /// time step `femtoseconds`. Velocities start from random numbers of `seed` and pass into the next call by `velocities`.
 pub fn heat(
     network: &mut Network,
+    roles: Roles,
     velocities: &mut Vec<Vec3>,
     seed: u64,
     femtoseconds: f64,
@@ -139,14 +140,14 @@ pub fn heat(
     const THERMOSTAT: f64 = 40.0;
     /// No atom moves farther in one step, in Angstrom.
     const LONGEST_STEP: f64 = 0.1;
-    let count = network.positions.len();
+    let count = roles.mobile;
     if velocities.is_empty() {
         let speed = (BOLTZMANN * temperature(steps.start) / MASS_U * ACCELERATION).sqrt();
         let velocity =
             |i| normal3(seed, Purpose::Carbon, 1, i as u64).map(|n| n * speed);
         *velocities = (0..count).map(velocity).collect();
     }
-    let mut mover = Mover::new(network, Roles { mobile: count, active: count });
+    let mut mover = Mover::new(network, roles);
     mover.update();
     let kick = 0.5 * femtoseconds * ACCELERATION / MASS_U;
     for n in steps {

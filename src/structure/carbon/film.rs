@@ -27,6 +27,9 @@ const NODE: f64 = 4.5;
 const FARTHEST: f64 = 3.0;
 /// No two atoms are nearer than this, in Angstrom.
 pub const LEAST_DISTANCE: f64 = 1.3;
+/// Cells reach this far beyond their edges, in Angstrom: as many atoms more as seams and faces lose, so that the
+/// density is that of the block.
+const OVERLAP: f64 = 0.1;
 /// Steps of relaxation.
 const STEPS: usize = 120;
 /// Pieces kept in memory; about 100 MB.
@@ -167,7 +170,7 @@ impl Film {
                 let u = from[0] + f64::from(image % 2) * EDGE_ANGSTROM;
                 let v = mirror * (from[1] + f64::from(image / 2) * EDGE_ANGSTROM);
                 let local = [cosine * u - sine * v + 0.5 * CELL, sine * u + cosine * v + 0.5 * CELL];
-                if local.iter().all(|l| (0.0..CELL).contains(l)) {
+                if local.iter().all(|l| (-OVERLAP..CELL + OVERLAP).contains(l)) {
                     atoms.push([corner[0] + local[0], corner[1] + local[1], z]);
                 }
             }
