@@ -17,6 +17,8 @@ pub mod epitaxy;
 pub mod grains;
 pub mod noise;
 mod orientation;
+pub mod particles;
+mod particles_check;
 pub mod recipe;
 mod recipe_check;
 pub mod relax;

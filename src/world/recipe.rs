@@ -13,11 +13,12 @@ use crate::error::{Error, Result};
 use crate::structure::Structure;
 
 /// Recipes that come with the program: name and text.
-const BUILT_IN: [(&str, &str); 4] = [
+const BUILT_IN: [(&str, &str); 5] = [
     ("srtio3", include_str!("../../generate/srtio3.toml")),
     ("batio3", include_str!("../../generate/batio3.toml")),
     ("sige", include_str!("../../generate/sige.toml")),
     ("gan", include_str!("../../generate/gan.toml")),
+    ("pt", include_str!("../../generate/pt.toml")),
 ];
 
 /// A tier of difficulty.
@@ -67,7 +68,7 @@ pub struct Recipe {
     pub tier: Option<Difficulty>,
     /// Which specimen builder the recipe is for.
     pub structure: StructureKind,
-    /// Direction of the beam in the crystal, as text: `[001]`, `[11-20]`.
+    /// Direction of the beam in the crystal, as text: `[001]`, `[11-20]`; `none` for particles.
     pub zone_axis: String,
     /// Direction along +y, perpendicular to the zone; the shortest such when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -90,6 +91,9 @@ pub struct Recipe {
     /// Quantum wells of the alloy (`epitaxy`).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wells: Option<Wells>,
+    /// Particles on a film (`particles`).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub particles: Option<Particles>,
     /// Vacancies.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vacancies: Option<Vacancies>,

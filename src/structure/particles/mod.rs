@@ -69,6 +69,31 @@ pub struct Metal {
 }
 
 impl Metal {
+    /// The metal of a crystal, and its atomic number.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] unless the cell is cubic with one element at the corner and the centres of its faces.
+    pub fn of(structure: &Structure, surface_energy_ratio: f64) -> Result<(u8, Metal)> {
+        let Some(first) = structure.atoms.first() else { return not_a_metal("no atoms") };
+        let a = structure.cell[0][0];
+        let cubic = structure.orthogonal_box().is_ok_and(|b| b.iter().all(|e| (e - a).abs() < 1e-4));
+        let half = |v: f64| (2.0 * v / a).round();
+        let mut corners: Vec<[i64; 3]> = Vec::new();
+        for atom in &structure.atoms {
+            let d: Vec3 = std::array::from_fn(|k| atom.position[k] - first.position[k]);
+            let off = d.iter().any(|v| (2.0 * v / a - half(*v)).abs() > 1e-3);
+            if off || atom.number != first.number || atom.occupancy < 1.0 {
+                return not_a_metal("other atoms or places");
+            }
+            corners.push(d.map(|v| half(v) as i64 & 1));
+        }
+        corners.sort_unstable();
+        match cubic && corners == [[0, 0, 0], [0, 1, 1], [1, 0, 1], [1, 1, 0]] {
+            true => Ok((first.number, Metal { a, surface_energy_ratio })),
+            false => not_a_metal("another cell"),
+        }
+    }
+
     /// Distance of nearest neighbours in the bulk, in Angstrom.
     pub fn bond(&self) -> f64 {
         self.a * std::f64::consts::FRAC_1_SQRT_2
@@ -85,6 +110,12 @@ impl Metal {
         let d = 10.0 * diameter_nm / self.a;
         4.0 * std::f64::consts::PI / 6.0 * d * d * d
     }
+}
+
+fn not_a_metal<T>(found: &str) -> Result<T> {
+    let expected = "particles need a face-centred cubic metal: a cubic cell with one element at the corner and the \
+                    centres of the faces, such as \"pt\"";
+    Err(Error::invalid("crystal", found, expected))
 }
 
 /// The atoms of a particle.
@@ -141,9 +172,11 @@ impl Cluster {
 /// Diameters nearer than this to the one asked for will do, in nm.
 const TOLERANCE_NM: f64 = 0.04;
 
-/// A way to make clusters: how many atoms it yields, and the cluster.
+/// A way to make a cluster.
 pub trait Candidate {
+    /// Number of atoms.
     fn count(&self) -> usize;
+    /// The cluster.
     fn cluster(&self, metal: &Metal) -> Cluster;
 }
 
