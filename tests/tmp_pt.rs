@@ -33,3 +33,15 @@ fn look() {
         let status = std::fs::read_to_string("/proc/self/status").unwrap(); println!("{}", status.lines().find(|l| l.starts_with("VmHWM")).unwrap()); }
     }
 }
+#[test]
+fn rows() {
+    let recipe = Recipe::load("pt", Difficulty::Easy).unwrap();
+    let s = specimen(&recipe).unwrap();
+    for p in s.particles() {
+        let r = 0.75 * p.diameter_nm;
+        let q = s.query(&Region { x: [p.centre_nm[0] - r, p.centre_nm[0] + r], y: [p.centre_nm[1] - r, p.centre_nm[1] + r] });
+        let mut h = std::collections::BTreeMap::new();
+        for c in q.columns.iter().filter(|c| c.id >> 60 == 1) { *h.entry(c.sites.len()).or_insert(0) += 1; }
+        println!("{} {:.2} {:?}", p.morphology, p.diameter_nm, h);
+    }
+}

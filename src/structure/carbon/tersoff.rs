@@ -36,6 +36,7 @@ struct Bond {
     /// Unit vector towards it.
     u: Vec3,
     r: f64,
+    inverse: f64,
     cut: f64,
     cut_slope: f64,
 }
@@ -79,7 +80,8 @@ pub fn half_bonds(network: &Network, near: &Neighbours, i: usize, forces: &mut [
         if square < CUTOFF * CUTOFF && count < MOST {
             let r = square.sqrt().max(1e-3);
             let [cut, cut_slope] = cutoff(r);
-            bonds[count] = Bond { to, u: d.map(|v| v / r), r, cut, cut_slope };
+            let inverse = 1.0 / r;
+            bonds[count] = Bond { to, u: d.map(|v| v * inverse), r, inverse, cut, cut_slope };
             count += 1;
         }
     }
@@ -115,9 +117,9 @@ pub fn half_bonds(network: &Network, near: &Neighbours, i: usize, forces: &mut [
             let turn = weight * other.cut * slope;
             let stretch = weight * other.cut_slope * g;
             for k in 0..3 {
-                gradient[k] += turn * (other.u[k] - cosine * bond.u[k]) / bond.r;
-                let on_other =
-                    turn * (bond.u[k] - cosine * other.u[k]) / other.r + stretch * other.u[k];
+                gradient[k] += turn * (other.u[k] - cosine * bond.u[k]) * bond.inverse;
+                let on_other = turn * (bond.u[k] - cosine * other.u[k]) * other.inverse
+                    + stretch * other.u[k];
                 forces[other.to][k] -= on_other;
                 own[k] += on_other;
             }
