@@ -9,7 +9,6 @@ use std::sync::OnceLock;
 use rayon::prelude::*;
 
 use super::defects::{Defects, LocalDefects};
-use super::particles_check::CIRCLE;
 use super::recipe::{Particles, Recipe};
 use super::specimen::{
     AtomColumn, BEYOND_FIELD_NM, ParticleTruth, Region, SiteKind, Sites, Specimen, SpecimenSite,
@@ -297,7 +296,6 @@ fn place(particles: &mut [Particle], field: &Region, table: &Particles, seed: u6
     let mut placed: Vec<usize> = Vec::new();
     for &index in &order {
         let radius = particles[index].radius;
-        debug_assert!(2.0 * radius < CIRCLE * particles[index].diameter_nm / NM + 6.0);
         let free = |centre: &[f64; 2]| {
             placed.iter().all(|&other| {
                 let other = &particles[other];
@@ -314,7 +312,9 @@ fn place(particles: &mut [Particle], field: &Region, table: &Particles, seed: u6
             };
             [within(field.x, w[0]), within(field.y, w[1])]
         };
-        let Some(found) = (0..TRIES).map(centre).find(|c| free(c)) else {
+        let inside = [field.x, field.y].iter().all(|r| (r[1] - r[0]) / NM > 2.0 * radius);
+        let tries = if inside { 0..TRIES } else { 0..0 };
+        let Some(found) = tries.map(centre).find(|c| free(c)) else {
             let expected = format!(
                 "after {} no place was found for another of diameter {:.2} nm, {} nm from the others; lower it, or \
                  particles.diameter_nm or particles.gap_nm, or raise field.fov_nm",

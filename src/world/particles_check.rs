@@ -8,8 +8,8 @@ use crate::structure::particles::Metal;
 
 /// Share of the field that circles can be strewn over in reasonable time; random strewing ends at 0.547.
 const MOST_COVERED: f64 = 0.4;
-/// Circle around a particle over its diameter: no shape is longer.
-pub(super) const CIRCLE: f64 = 1.35;
+/// Circle around a particle over its diameter; particles of few atoms are longer, and may find no place.
+const CIRCLE: f64 = 1.35;
 
 /// Checks what belongs to particles; returns all elements that the specimen may hold.
 pub(super) fn check(recipe: &Recipe) -> std::result::Result<Vec<String>, Fault> {
