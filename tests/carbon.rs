@@ -35,7 +35,8 @@ struct Measured {
 impl Measured {
     fn new(network: &Network, chosen: impl Fn(&[f64; 3]) -> bool) -> Self {
         let near = Neighbours::new(network, 3.2);
-        let mut m = Measured { least: f64::INFINITY, distances: vec![0.0; 161], ..Measured::default() };
+        let mut m =
+            Measured { least: f64::INFINITY, distances: vec![0.0; 161], ..Measured::default() };
         let mut angles = Vec::new();
         for i in (0..network.positions.len()).filter(|&i| chosen(&network.positions[i])) {
             m.atoms += 1.0;
@@ -101,7 +102,12 @@ fn the_block_is_a_network_of_threefold_carbon() {
     assert!((2.45..2.56).contains(&second), "{second}");
     assert!((2.94..3.3).contains(&m.mean_coordination()), "{}", m.mean_coordination());
     assert!(m.coordination[3] > 0.8 && m.coordination[0] + m.coordination[1] < 0.005);
-    assert!((116.0..120.0).contains(&m.angle) && m.angle_spread < 8.0, "{} {}", m.angle, m.angle_spread);
+    assert!(
+        (116.0..120.0).contains(&m.angle) && m.angle_spread < 8.0,
+        "{} {}",
+        m.angle,
+        m.angle_spread
+    );
     // Nothing between the first and the second shell.
     assert!(m.pairs(1.86, 2.04) < 0.02, "{}", m.pairs(1.86, 2.04));
 }
@@ -182,7 +188,8 @@ fn no_repetition_shows_in_the_autocorrelation() {
 #[ignore = "long"]
 fn no_repetition_shows_in_a_field_of_60_nm() {
     let atoms = positions(&FILM, [[0.0, 600.0]; 2]);
-    let (found, density) = (repetition(&atoms, 600.0), atoms.len() as f64 / (6e2 * 6e2 * THICKNESS));
+    let (found, density) =
+        (repetition(&atoms, 600.0), atoms.len() as f64 / (6e2 * 6e2 * THICKNESS));
     println!("{} atoms, {} g/cm3, autocorrelation {found}", atoms.len(), density / PER_DENSITY);
     assert!(found < 0.012, "{found}");
 }
@@ -202,9 +209,8 @@ fn thin_films_have_their_thickness() {
     for thickness in [10.0, 30.0, 70.0] {
         let atoms = positions(&Film::new(3, thickness), [[10.0, 40.0]; 2]);
         assert!(atoms.iter().all(|p| (0.0..=thickness).contains(&p[2])));
-        let [low, high] = atoms.iter().fold([thickness, 0.0], |e: [f64; 2], p| {
-            [e[0].min(p[2]), e[1].max(p[2])]
-        });
+        let [low, high] =
+            atoms.iter().fold([thickness, 0.0], |e: [f64; 2], p| [e[0].min(p[2]), e[1].max(p[2])]);
         assert!(low < 0.5 && high > thickness - 0.5, "{low} {high}");
     }
 }

@@ -181,5 +181,8 @@ proptest! {
 #[test]
 fn a_range_without_any_particle_is_named() {
     let error = build(Morphology::Icosahedral, &PLATINUM, 0.2, [0.2, 0.25]).unwrap_err();
-    assert!(error.to_string().contains("no particle has a diameter from 0.2 to 0.25 nm"), "{error}");
+    assert!(
+        error.to_string().contains("no particle has a diameter from 0.2 to 0.25 nm"),
+        "{error}"
+    );
 }

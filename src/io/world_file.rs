@@ -10,6 +10,7 @@ use ndarray::{Array2, s};
 
 use super::At;
 use super::schema::{self, DefectName};
+use super::world_writer::ParticleBatch;
 use crate::error::{Error, Result};
 
 /// What describes a world. Other programs may write fewer attributes: those are `None`.
@@ -247,6 +248,32 @@ impl WorldFile {
         }
         let map = self.truth_dataset(schema::PHASE_MAP)?;
         map.read_slice_2d(s![rows, columns]).map(Some).at(&self.path)
+    }
+
+    /// Particles that reach into the image; none in a world without.
+    ///
+    /// # Errors
+    /// [`Error::Hdf5`] for a damaged file.
+    pub fn particles(&self) -> Result<ParticleBatch> {
+        let name = format!("{}/{}", schema::TRUTH, schema::PARTICLES);
+        let Ok(group) = self.file.group(&name) else { return Ok(ParticleBatch::default()) };
+        let read = || -> hdf5::Result<ParticleBatch> {
+            let centres: Array2<f32> = group.dataset("centre")?.read_2d()?;
+            let turns: Array2<f32> = group.dataset("orientation")?.read_2d()?;
+            let at =
+                |a: &Array2<f32>, i: usize, k: usize| a.get((i, k)).copied().unwrap_or(f32::NAN);
+            Ok(ParticleBatch {
+                centres: (0..centres.nrows())
+                    .map(|i| [0, 1, 2].map(|k| at(&centres, i, k)))
+                    .collect(),
+                diameters: group.dataset("diameter")?.read_raw()?,
+                morphologies: group.dataset("morphology")?.read_raw()?,
+                orientations: (0..turns.nrows())
+                    .map(|i| [0, 1, 2, 3].map(|k| at(&turns, i, k)))
+                    .collect(),
+            })
+        };
+        read().at(&self.path)
     }
 
     fn lines(&self, group: &str) -> Result<Vec<Vec<[f32; 2]>>> {

@@ -81,7 +81,8 @@ impl ParticlesOnCarbon {
             return Err(Error::invalid("particles", "(missing)", "this structure needs the table"));
         };
         let (number, metal) = Metal::of(&recipe.crystal.structure()?, table.surface_energy_ratio)?;
-        let made = (0..table.count).into_par_iter().map(|k| Particle::new(k, table, &metal, recipe.seed));
+        let made =
+            (0..table.count).into_par_iter().map(|k| Particle::new(k, table, &metal, recipe.seed));
         let mut particles = made.collect::<Result<Vec<_>>>()?;
         let field = recipe.field.full_region();
         place(&mut particles, &field, table, recipe.seed)?;
@@ -215,9 +216,10 @@ impl Particle {
 
     /// Extent along the beam.
     fn tall(&self) -> f64 {
-        let ends = self.atoms.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |e, p| {
-            [e[0].min(p[2]), e[1].max(p[2])]
-        });
+        let ends = self
+            .atoms
+            .iter()
+            .fold([f64::INFINITY, f64::NEG_INFINITY], |e, p| [e[0].min(p[2]), e[1].max(p[2])]);
         ends[1] - ends[0]
     }
 
@@ -257,7 +259,9 @@ fn orientation(morphology: Morphology, max_tilt_deg: f64, seed: u64, index: u64)
 
 /// Sorts the atoms by rows along the beam, each by ascending z, and returns the rows.
 fn rows(atoms: &mut Vec<[f64; 3]>, a: f64) -> Vec<std::ops::Range<usize>> {
-    atoms.sort_by(|p, q| p[2].total_cmp(&q[2]).then(p[0].total_cmp(&q[0])).then(p[1].total_cmp(&q[1])));
+    atoms.sort_by(|p, q| {
+        p[2].total_cmp(&q[2]).then(p[0].total_cmp(&q[0])).then(p[1].total_cmp(&q[1]))
+    });
     let slope = libm::tan(ROW_TILT_DEG.to_radians());
     let mut before = vec![None; atoms.len()];
     let mut after = vec![None; atoms.len()];

@@ -14,7 +14,8 @@ const CIRCLE: f64 = 1.35;
 /// Checks what belongs to particles; returns all elements that the specimen may hold.
 pub(super) fn check(recipe: &Recipe) -> std::result::Result<Vec<String>, Fault> {
     if recipe.zone_axis != "none" || recipe.y_axis.is_some() {
-        let expected = "particles have orientations of their own; expected zone_axis = \"none\" and no y_axis";
+        let expected =
+            "particles have orientations of their own; expected zone_axis = \"none\" and no y_axis";
         return fault("zone_axis", &recipe.zone_axis, expected);
     }
     let particles = needed("particles", recipe.particles.as_ref())?;
@@ -72,7 +73,8 @@ fn check_particles(p: &Particles, recipe: &Recipe) -> Checked {
     let room = recipe.field.fov_nm.map(|v| v - circle);
     let each = std::f64::consts::FRAC_PI_4 * (circle + p.gap_nm) * (circle + p.gap_nm);
     let area = recipe.field.fov_nm[0] * recipe.field.fov_nm[1];
-    let most = (MOST_COVERED * area / each).max(if room.iter().all(|r| *r > 0.0) { 1.0 } else { 0.0 });
+    let most =
+        (MOST_COVERED * area / each).max(if room.iter().all(|r| *r > 0.0) { 1.0 } else { 0.0 });
     if p.count as f64 > most {
         let expected = format!(
             "{} x {} nm have room for at most {} particles of up to {high} nm (particles.diameter_nm), {} nm \

@@ -143,8 +143,7 @@ pub fn heat(
     let count = roles.mobile;
     if velocities.is_empty() {
         let speed = (BOLTZMANN * temperature(steps.start) / MASS_U * ACCELERATION).sqrt();
-        let velocity =
-            |i| normal3(seed, Purpose::Carbon, 1, i as u64).map(|n| n * speed);
+        let velocity = |i| normal3(seed, Purpose::Carbon, 1, i as u64).map(|n| n * speed);
         *velocities = (0..count).map(velocity).collect();
     }
     let mut mover = Mover::new(network, roles);

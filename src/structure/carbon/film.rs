@@ -169,7 +169,8 @@ impl Film {
             for image in 0..4 {
                 let u = from[0] + f64::from(image % 2) * EDGE_ANGSTROM;
                 let v = mirror * (from[1] + f64::from(image / 2) * EDGE_ANGSTROM);
-                let local = [cosine * u - sine * v + 0.5 * CELL, sine * u + cosine * v + 0.5 * CELL];
+                let local =
+                    [cosine * u - sine * v + 0.5 * CELL, sine * u + cosine * v + 0.5 * CELL];
                 if local.iter().all(|l| (-OVERLAP..CELL + OVERLAP).contains(l)) {
                     atoms.push([corner[0] + local[0], corner[1] + local[1], z]);
                 }
@@ -190,7 +191,8 @@ impl Film {
                 let from = if other.0 == Zone::Cell { owner(p) } else { other };
                 let far = distance(&area, p);
                 // A node finds its seams as they are after relaxation, not as they were cut.
-                let replaced = piece.0 == Zone::Node && other.0 == Zone::Cell && from.0 != Zone::Cell;
+                let replaced =
+                    piece.0 == Zone::Node && other.0 == Zone::Cell && from.0 != Zone::Cell;
                 if from == piece {
                     mobile.push(*p);
                 } else if !replaced && far < CUTOFF + DRIFT {
@@ -247,7 +249,8 @@ fn around((zone, i, j): Piece) -> Vec<Piece> {
 fn pieces_near(area: &Rectangle) -> Vec<Piece> {
     let range = |k: usize| {
         let [low, high] = area[k];
-        ((low - NODE - FARTHEST) / CELL).floor() as i64..=((high + NODE + FARTHEST) / CELL).floor() as i64 + 1
+        ((low - NODE - FARTHEST) / CELL).floor() as i64
+            ..=((high + NODE + FARTHEST) / CELL).floor() as i64 + 1
     };
     let mut pieces = Vec::new();
     for zone in [Zone::Cell, Zone::SeamX, Zone::SeamY, Zone::Node] {
@@ -255,7 +258,8 @@ fn pieces_near(area: &Rectangle) -> Vec<Piece> {
         for j in range(1) {
             for i in range(0) {
                 let own = rectangle((zone, i, j));
-                if (0..2).all(|k| own[k][0] - reach < area[k][1] && area[k][0] <= own[k][1] + reach) {
+                if (0..2).all(|k| own[k][0] - reach < area[k][1] && area[k][0] <= own[k][1] + reach)
+                {
                     pieces.push((zone, i, j));
                 }
             }

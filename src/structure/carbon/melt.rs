@@ -48,7 +48,8 @@ impl Melt {
             MELT_K * libm::exp(cooled * libm::log(SOLID_K / MELT_K))
         };
         let range = self.done..until.min(steps);
-        let all = Roles { mobile: self.network.positions.len(), active: self.network.positions.len() };
+        let all =
+            Roles { mobile: self.network.positions.len(), active: self.network.positions.len() };
         heat(&mut self.network, all, &mut self.velocities, self.seed, STEP_FS, range, temperature);
         self.done = until;
     }

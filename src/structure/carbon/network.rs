@@ -47,9 +47,10 @@ impl Network {
     fn structure(&self, margin: f64) -> Structure {
         let mut cell = [[0.0; 3]; 3];
         for k in 0..3 {
-            let ends = self.positions.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |e, p| {
-                [e[0].min(p[k]), e[1].max(p[k])]
-            });
+            let ends = self
+                .positions
+                .iter()
+                .fold([f64::INFINITY, f64::NEG_INFINITY], |e, p| [e[0].min(p[k]), e[1].max(p[k])]);
             let free = ends[1] - ends[0] + margin;
             cell[k][k] = if self.period[k].is_finite() { self.period[k] } else { free };
         }

@@ -5,8 +5,8 @@
 //! the bond order b falls with the number of competing neighbours and their angles.
 
 use super::Vec3;
-use super::network::{Network, Neighbours};
-use crate::structure::lattice::{dot};
+use super::network::{Neighbours, Network};
+use crate::structure::lattice::dot;
 
 /// All lengths of the potential are multiplied by this, so that the bonds of graphite have 1.42 A and not
 /// 1.46; the energies stay the same.
@@ -104,9 +104,8 @@ pub fn half_bonds(network: &Network, near: &Neighbours, i: usize, forces: &mut [
         let attraction = -B_EV * libm::exp(-MU * bond.r);
         let pair = repulsion + b * attraction;
         energy += 0.5 * bond.cut * pair;
-        let radial = 0.5
-            * (bond.cut_slope * pair
-                + bond.cut * (-LAMBDA * repulsion - MU * b * attraction));
+        let radial =
+            0.5 * (bond.cut_slope * pair + bond.cut * (-LAMBDA * repulsion - MU * b * attraction));
         let mut gradient = bond.u.map(|u| radial * u);
         let weight = 0.5 * bond.cut * attraction * b_slope;
         for (m, other) in bonds.iter().enumerate() {
@@ -118,8 +117,8 @@ pub fn half_bonds(network: &Network, near: &Neighbours, i: usize, forces: &mut [
             let stretch = weight * other.cut_slope * g;
             for k in 0..3 {
                 gradient[k] += turn * (other.u[k] - cosine * bond.u[k]) * bond.inverse;
-                let on_other = turn * (bond.u[k] - cosine * other.u[k]) * other.inverse
-                    + stretch * other.u[k];
+                let on_other =
+                    turn * (bond.u[k] - cosine * other.u[k]) * other.inverse + stretch * other.u[k];
                 forces[other.to][k] -= on_other;
                 own[k] += on_other;
             }
@@ -144,9 +143,8 @@ mod tests {
     fn energy(network: &Network) -> (f64, Vec<Vec3>) {
         let near = Neighbours::new(network, CUTOFF + 0.1);
         let mut forces = vec![[0.0; 3]; network.positions.len()];
-        let energy = (0..network.positions.len())
-            .map(|i| half_bonds(network, &near, i, &mut forces))
-            .sum();
+        let energy =
+            (0..network.positions.len()).map(|i| half_bonds(network, &near, i, &mut forces)).sum();
         (energy, forces)
     }
 

@@ -1,6 +1,6 @@
 //! Marks' decahedra.
 
-use super::{Cluster, Metal, Candidate, Vec3};
+use super::{Candidate, Cluster, Metal, Vec3};
 
 /// Five crystals about a common axis. Seen along it, each fills a wedge with rows of atoms (i, j), i steps along one side of it
 /// and j along the other; the row has `axis - i - j` atoms, so that {111} facets cap it.
@@ -50,7 +50,8 @@ impl Candidate for Decahedron {
             [ACROSS * libm::cos(angle), ACROSS * libm::sin(angle)]
         };
         for crystal in 0..5 {
-            let (e, f) = (side(2.0 * f64::from(crystal) - 1.0), side(2.0 * f64::from(crystal) + 1.0));
+            let (e, f) =
+                (side(2.0 * f64::from(crystal) - 1.0), side(2.0 * f64::from(crystal) + 1.0));
             for [i, j] in self.rows() {
                 let at = [0, 1].map(|k| i as f64 * e[k] + j as f64 * f[k]);
                 row(at, self.axis - i - j);

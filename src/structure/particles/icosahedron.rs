@@ -1,6 +1,6 @@
 //! Mackay's icosahedra, whole or with a part of the next shell.
 
-use super::{Cluster, Metal, Candidate, Vec3};
+use super::{Candidate, Cluster, Metal, Vec3};
 use crate::structure::lattice::{dot, norm, subtract};
 
 /// Closed shells about an atom, and facets of one more.

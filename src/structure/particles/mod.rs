@@ -76,7 +76,8 @@ impl Metal {
     pub fn of(structure: &Structure, surface_energy_ratio: f64) -> Result<(u8, Metal)> {
         let Some(first) = structure.atoms.first() else { return not_a_metal("no atoms") };
         let a = structure.cell[0][0];
-        let cubic = structure.orthogonal_box().is_ok_and(|b| b.iter().all(|e| (e - a).abs() < 1e-4));
+        let cubic =
+            structure.orthogonal_box().is_ok_and(|b| b.iter().all(|e| (e - a).abs() < 1e-4));
         let half = |v: f64| (2.0 * v / a).round();
         let mut corners: Vec<[i64; 3]> = Vec::new();
         for atom in &structure.atoms {
@@ -222,7 +223,8 @@ fn choose<R: Candidate>(
     let best = scored.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, cluster)| cluster);
     best.ok_or_else(|| {
         let [low, high] = limits_nm;
-        let expected = format!("no particle has a diameter from {low} to {high} nm; widen the range");
+        let expected =
+            format!("no particle has a diameter from {low} to {high} nm; widen the range");
         Error::invalid("diameter_nm", diameter_nm, expected)
     })
 }

@@ -1,6 +1,6 @@
 //! Truncated octahedra.
 
-use super::{Cluster, Metal, Candidate, Vec3};
+use super::{Candidate, Cluster, Metal, Vec3};
 
 /// The lattice points of a face-centred cubic crystal within planes about a centre: {111} at one distance, {100}
 /// at another (G. Wulff, Z. Kristallogr. 34, 449 (1901)).
