@@ -13,6 +13,7 @@ use stemgen::progress::Silent;
 use stemgen::structure::particles::rotation::Rotation;
 use stemgen::structure::particles::{Metal, Morphology};
 use stemgen::world::particles::ROW_TILT_DEG;
+use stemgen::world::specimen::DISPLACED_NM;
 use stemgen::world::{
     BuildOptions, Difficulty, ParticleTruth, Recipe, Region, SiteKind, Specimen, SpecimenSite,
     build, specimen,
@@ -237,6 +238,12 @@ fn columns_are_rows_along_the_beam() {
                     let most = step * ROW_TILT_DEG.to_radians().tan() + 0.0101;
                     assert!(step > 0.2 && off < most, "{}: {step} {off}", case.name);
                 }
+                let mean =
+                    |k: usize| row.iter().map(|s| s.position_nm[k]).sum::<f64>() / row.len() as f64;
+                let off = |s: &SpecimenSite| {
+                    (s.position_nm[0] - mean(0)).hypot(s.position_nm[1] - mean(1))
+                };
+                assert!(row.iter().all(|s| off(s) < DISPLACED_NM), "{}", case.name);
                 alone += usize::from(row.len() == 1);
                 sites += row.len();
             }

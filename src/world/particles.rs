@@ -1,9 +1,11 @@
 //! Metal particles on a film of amorphous carbon.
 //!
 //! The particles lie on the film's side towards the gun. A column of the ground truth is a row of atoms of a particle that runs
-//! along the beam to within [`ROW_TILT_DEG`], with steps of at most [`ROW_STEP`] cell edges; atoms of the carbon and of particles
-//! that are seen along no such row are columns by themselves.
+//! along the beam to within [`ROW_TILT_DEG`], with steps of at most [`ROW_STEP`] cell edges, and of which no atom lies farther
+//! than [`DISPLACED_NM`] from the mean, seen along the beam. Atoms in no such row, and those of the carbon, are columns by
+//! themselves.
 
+use std::ops::Range;
 use std::sync::OnceLock;
 
 use rayon::prelude::*;
@@ -11,7 +13,8 @@ use rayon::prelude::*;
 use super::defects::{Defects, LocalDefects};
 use super::recipe::{Particles, Recipe};
 use super::specimen::{
-    AtomColumn, BEYOND_FIELD_NM, ParticleTruth, Region, SiteKind, Sites, Specimen, SpecimenSite,
+    AtomColumn, BEYOND_FIELD_NM, DISPLACED_NM, ParticleTruth, Region, SiteKind, Sites, Specimen,
+    SpecimenSite,
 };
 use crate::error::{Error, Result};
 use crate::rng::{Purpose, uniform, words};
@@ -19,8 +22,7 @@ use crate::structure::carbon::film::{Film, FilmAtom};
 use crate::structure::particles::rotation::Rotation;
 use crate::structure::particles::{Metal, Morphology, build};
 
-/// Rows of atoms this near to the beam are columns: the twin crystals of one particle differ by less than half of it, and
-/// it is more than the tilt of the particles on the easy tier.
+/// Rows of atoms this near to the beam are columns: more than the tilt of the particles on the easy tier.
 pub const ROW_TILT_DEG: f64 = 3.0;
 /// Longest step in a row, in cell edges: that of [111].
 pub const ROW_STEP: f64 = 1.75;
@@ -61,7 +63,7 @@ struct Particle {
     radius: f64,
     /// Height of the centre, and columns as ranges of `atoms` (sorted accordingly); known once it lies on the film.
     height: OnceLock<f64>,
-    rows: Vec<std::ops::Range<usize>>,
+    rows: Vec<Range<usize>>,
 }
 
 /// Draws about particles.
@@ -258,7 +260,7 @@ fn orientation(morphology: Morphology, max_tilt_deg: f64, seed: u64, index: u64)
 }
 
 /// Sorts the atoms by rows along the beam, each by ascending z, and returns the rows.
-fn rows(atoms: &mut Vec<[f64; 3]>, a: f64) -> Vec<std::ops::Range<usize>> {
+fn rows(atoms: &mut Vec<[f64; 3]>, a: f64) -> Vec<Range<usize>> {
     atoms.sort_by(|p, q| {
         p[2].total_cmp(&q[2]).then(p[0].total_cmp(&q[0])).then(p[1].total_cmp(&q[1]))
     });
@@ -287,10 +289,24 @@ fn rows(atoms: &mut Vec<[f64; 3]>, a: f64) -> Vec<std::ops::Range<usize>> {
             sorted.push(atoms[i]);
             next = after[i];
         }
-        rows.push(start..sorted.len());
+        push_row(start..sorted.len(), &sorted, &mut rows);
     }
     *atoms = sorted;
     rows
+}
+
+/// Adds a row; one that runs too far to the side for a column is cut in halves.
+fn push_row(row: Range<usize>, atoms: &[[f64; 3]], rows: &mut Vec<Range<usize>>) {
+    let members = &atoms[row.clone()];
+    let mean = |k: usize| members.iter().map(|p| p[k]).sum::<f64>() / members.len() as f64;
+    let centre = [mean(0), mean(1)];
+    let most = 0.99 * DISPLACED_NM / NM;
+    if members.iter().all(|p| (p[0] - centre[0]).hypot(p[1] - centre[1]) < most) {
+        return rows.push(row);
+    }
+    let middle = (row.start + row.end) / 2;
+    push_row(row.start..middle, atoms, rows);
+    push_row(middle..row.end, atoms, rows);
 }
 
 /// Strews the particles over the field, the largest first, so that their circles keep the gap.

@@ -9,7 +9,7 @@ use crate::rng::{Purpose, normal3};
 use crate::structure::lattice::{dot, norm};
 
 /// Reach of the neighbour lists beyond the cutoff, in Angstrom.
-const SKIN: f64 = 0.5;
+const SKIN: f64 = 0.8;
 /// eV/(A u) in A/fs^2.
 const ACCELERATION: f64 = 9.648_533e-3;
 /// Mass of carbon in u.
