@@ -192,6 +192,8 @@ fn no_repetition_shows_in_a_field_of_60_nm() {
         (repetition(&atoms, 600.0), atoms.len() as f64 / (6e2 * 6e2 * THICKNESS));
     println!("{} atoms, {} g/cm3, autocorrelation {found}", atoms.len(), density / PER_DENSITY);
     assert!(found < 0.012, "{found}");
+    let least = Measured::new(&free(atoms), |_| true).least;
+    assert!(least >= LEAST_DISTANCE, "{least}");
 }
 
 #[test]

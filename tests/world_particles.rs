@@ -455,24 +455,31 @@ fn recipes_that_cannot_be_are_told_why() {
     }
 }
 
-/// Room for all by area, but none is found by chance: an error, too.
+/// What the limits cannot foresee: no particle of this size, no place for so many.
 #[test]
-fn particles_that_find_no_place_are_named() {
+fn particles_that_cannot_be_made_or_placed_are_named() {
     let mut recipe = Recipe::load("pt", Difficulty::Easy).unwrap();
-    recipe.field.fov_nm = [6.6; 2];
+    let error = |recipe: &Recipe| specimen(recipe).err().unwrap().to_string();
+    recipe.particles.as_mut().unwrap().diameter_nm = [0.95, 0.951];
+    let message = error(&recipe);
+    assert!(message.contains("particles.diameter_nm = [0.95, 0.951]: no "), "{message}");
+    // Two circles of 1.2 nm, 100 nm apart, fit by area but not into the field.
     let particles = recipe.particles.as_mut().unwrap();
-    (particles.count, particles.diameter_nm) = (2, [1.0, 1.5]);
-    particles.gap_nm = 0.4;
+    (particles.diameter_nm, particles.count, particles.gap_nm) = ([1.0, 1.5], 1, 100.0);
     assert!(specimen(&recipe).is_ok());
+    recipe.particles.as_mut().unwrap().count = 2;
+    let message = recipe.check().unwrap_err().to_string();
+    assert!(
+        message.contains("particles.count = 2: 60 x 60 nm have room for at most 1"),
+        "{message}"
+    );
+    // A strip with the area for them, but narrower than any.
     let particles = recipe.particles.as_mut().unwrap();
-    (particles.count, particles.gap_nm) = (1, 0.3);
-    particles.diameter_nm = [4.7, 4.8];
-    particles.morphologies = vec![Morphology::Decahedral];
-    let message = match specimen(&recipe) {
-        Ok(_) => String::new(),
-        Err(e) => e.to_string(),
-    };
-    assert!(message.is_empty() || message.contains("particles.count = 1"), "{message}");
+    (particles.diameter_nm, particles.gap_nm) = ([1.5, 2.0], 0.3);
+    recipe.field.grid = [1, 40];
+    recipe.field.fov_nm = [60.0 * 128.0 / 4964.0, 60.0];
+    let message = error(&recipe);
+    assert!(message.contains("particles.count = 2: after 0 no place was found"), "{message}");
 }
 
 proptest! {

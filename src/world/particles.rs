@@ -19,6 +19,7 @@ use super::specimen::{
 use crate::error::{Error, Result};
 use crate::rng::{Purpose, uniform, words};
 use crate::structure::carbon::film::{Film, FilmAtom};
+use crate::structure::carbon::network::CARBON;
 use crate::structure::particles::rotation::Rotation;
 use crate::structure::particles::{Metal, Morphology, build};
 
@@ -169,8 +170,12 @@ impl Specimen for ParticlesOnCarbon {
             let at = [position_nm[0], position_nm[1]];
             if region.contains(at) {
                 let first = out.sites.len();
-                let number = crate::structure::carbon::network::CARBON;
-                out.sites.push(SpecimenSite { key, position_nm, number, kind: SiteKind::Pristine });
+                out.sites.push(SpecimenSite {
+                    key,
+                    position_nm,
+                    number: CARBON,
+                    kind: SiteKind::Pristine,
+                });
                 out.columns.push(AtomColumn { id: key, position_nm: at, sites: first..first + 1 });
             }
         }
@@ -198,7 +203,11 @@ impl Particle {
         let drawn = |what: u32| uniform(seed, Purpose::Particle, what, index as u64);
         let [low, high] = table.diameter_nm;
         let wanted = low + (high - low) * drawn(draw::DIAMETER);
-        let cluster = build(morphology, metal, wanted, table.diameter_nm)?;
+        let cluster = build(morphology, metal, wanted, table.diameter_nm).map_err(|_| {
+            let expected =
+                format!("no {} particle has a diameter between; widen it", morphology.name());
+            Error::invalid("particles.diameter_nm", format!("[{low}, {high}]"), expected)
+        })?;
         let rotation = orientation(morphology, table.max_tilt_deg, seed, index as u64);
         let mut atoms: Vec<[f64; 3]> =
             cluster.positions.iter().map(|&p| rotation.apply(p)).collect();
@@ -301,7 +310,9 @@ fn push_row(row: Range<usize>, atoms: &[[f64; 3]], rows: &mut Vec<Range<usize>>)
     let mean = |k: usize| members.iter().map(|p| p[k]).sum::<f64>() / members.len() as f64;
     let centre = [mean(0), mean(1)];
     let most = 0.99 * DISPLACED_NM / NM;
-    if members.iter().all(|p| (p[0] - centre[0]).hypot(p[1] - centre[1]) < most) {
+    let square =
+        |p: &[f64; 3]| (0..2).map(|k| (p[k] - centre[k]) * (p[k] - centre[k])).sum::<f64>();
+    if members.iter().all(|p| square(p) < most * most) {
         return rows.push(row);
     }
     let middle = (row.start + row.end) / 2;

@@ -55,7 +55,7 @@ fn check_film(thickness_nm: f64) -> Checked {
 
 fn check_particles(p: &Particles, recipe: &Recipe) -> Checked {
     let [low, high] = p.diameter_nm;
-    if !(low <= high) {
+    if low > high {
         let expected = "expected the least diameter first, then the greatest";
         return fault("particles.diameter_nm", format!("[{low}, {high}]"), expected);
     }

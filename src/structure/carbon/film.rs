@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use super::Vec3;
 use super::block::{self, EDGE_ANGSTROM};
 use super::dynamics::{Roles, relax};
-use super::network::Network;
+use super::network::{Neighbours, Network};
 use super::tersoff::CUTOFF;
 use crate::rng::{Purpose, words};
 
@@ -49,6 +49,8 @@ enum Zone {
 }
 
 type Piece = (Zone, i64, i64);
+/// The atoms of a piece, once it is made.
+type Atoms = Arc<OnceLock<Vec<Vec3>>>;
 
 /// An atom of the film.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -68,7 +70,7 @@ pub struct Film {
 
 #[derive(Default)]
 struct Kept {
-    pieces: HashMap<Piece, (Arc<OnceLock<Vec<Vec3>>>, u64)>,
+    pieces: HashMap<Piece, (Atoms, u64)>,
     clock: u64,
 }
 
@@ -135,7 +137,7 @@ impl Film {
     }
 
     /// A piece, made if it is not there.
-    fn piece(&self, piece: Piece) -> Arc<OnceLock<Vec<Vec3>>> {
+    fn piece(&self, piece: Piece) -> Atoms {
         let cell = {
             // A panic elsewhere leaves the table whole: entries are inserted and removed at once.
             let mut kept = self.pieces.lock().unwrap_or_else(|e| e.into_inner());
@@ -211,7 +213,7 @@ impl Film {
 
     /// What is left of the mobile atoms without those that were thrown out or are too near to others.
     fn cleared(&self, before: &[Vec3], roles: Roles, network: Network) -> Vec<Vec3> {
-        let near = super::network::Neighbours::new(&network, LEAST_DISTANCE);
+        let near = Neighbours::new(&network, LEAST_DISTANCE);
         let mut kept = vec![true; network.positions.len()];
         for i in 0..roles.mobile {
             let moved = |k: usize| network.positions[i][k] - before[i][k];
@@ -275,7 +277,7 @@ fn key((zone, i, j): Piece, n: usize) -> u64 {
 
 impl Kept {
     /// The entry of a piece, most recently used now.
-    fn take(&mut self, piece: Piece) -> Arc<OnceLock<Vec<Vec3>>> {
+    fn take(&mut self, piece: Piece) -> Atoms {
         self.clock += 1;
         let clock = self.clock;
         let entry = self.pieces.entry(piece).or_default();

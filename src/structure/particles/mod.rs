@@ -102,7 +102,7 @@ impl Metal {
 
     /// Diameter in nm of `count` atoms.
     pub fn diameter_nm(&self, count: usize) -> f64 {
-        let volume = count as f64 * self.a.powi(3) / 4.0;
+        let volume = count as f64 * self.a * self.a * self.a / 4.0;
         0.1 * libm::cbrt(6.0 * volume / std::f64::consts::PI)
     }
 
