@@ -314,7 +314,9 @@ fn built(folder: &Path, difficulty: Difficulty, grid: [usize; 2]) -> (Recipe, Wo
     let recipe = recipe.with_grid(grid[0], grid[1]).unwrap();
     let path = folder.join(format!("{}{}.h5", difficulty.name(), grid[0]));
     let options = BuildOptions { subtile_nm: 30.0, ..BuildOptions::default() };
-    build(&recipe, &Spots::new(), &path, &options, &Silent).unwrap();
+    // Small spots are soon drawn.
+    let engine = Spots { sigma: 0.05, ..Spots::new() };
+    build(&recipe, &engine, &path, &options, &Silent).unwrap();
     (recipe, WorldFile::open(&path).unwrap())
 }
 
