@@ -26,15 +26,10 @@ pub(super) fn check(recipe: &Recipe) -> std::result::Result<Vec<String>, Fault> 
     check_particles(particles, recipe)?;
     let mut symbols = vec![elements::symbol(number).to_owned()];
     check_defects(recipe, &mut symbols)?;
-    if let Some(v) = &recipe.vacancies {
-        let nowhere = "particles have no boundaries to gather vacancies about; expected 0";
-        if v.cluster_fraction != 0.0 {
-            return fault("vacancies.cluster_fraction", v.cluster_fraction, nowhere);
-        }
-        if v.relaxation_angstrom != 0.0 {
-            let expected = "only cations beside the vacancies of an anion are moved; expected 0";
-            return fault("vacancies.relaxation_angstrom", v.relaxation_angstrom, expected);
-        }
+    let relaxation = recipe.vacancies.as_ref().map_or(0.0, |v| v.relaxation_angstrom);
+    if relaxation != 0.0 {
+        let expected = "only atoms of other elements beside a vacancy are moved; expected 0";
+        return fault("vacancies.relaxation_angstrom", relaxation, expected);
     }
     symbols.push("C".to_owned());
     symbols.sort();
@@ -59,8 +54,8 @@ fn check_particles(p: &Particles, recipe: &Recipe) -> Checked {
         let expected = "expected the least diameter first, then the greatest";
         return fault("particles.diameter_nm", format!("[{low}, {high}]"), expected);
     }
-    within("particles.diameter_nm", low, 0.8, 20.0)?;
-    within("particles.diameter_nm", high, 0.8, 20.0)?;
+    within("particles.diameter_nm", low, 0.8, 10.0)?;
+    within("particles.diameter_nm", high, 0.8, 10.0)?;
     if p.morphologies.is_empty() {
         let expected = "expected some of \"wulff\", \"icosahedral\", \"decahedral\"";
         return fault("particles.morphologies", "[]", expected);
