@@ -20,6 +20,10 @@ pub enum Purpose {
     Occupancy = 4,
     /// Waves of phase boundaries and roughness of interfaces.
     Interface = 5,
+    /// Atoms of the random network of carbon.
+    Carbon = 16,
+    /// Nanoparticles: where, how large, how turned.
+    Particle = 17,
 }
 
 const MULTIPLIERS: [u32; 2] = [0xD251_1F53, 0xCD9E_8D57];

@@ -3,6 +3,7 @@
 //! [`read`] takes CIF, extended XYZ and POSCAR files; [`Structure::oriented`] turns a crystal so that
 //! the beam runs along a zone axis; [`Structure::resolve_occupancy`] draws mixed sites.
 
+pub mod carbon;
 mod cif;
 pub mod elements;
 pub mod lattice;
@@ -10,6 +11,7 @@ pub mod library;
 mod neighbors;
 mod occupancy;
 mod orient;
+pub mod particles;
 mod poscar;
 mod read;
 mod supercell;

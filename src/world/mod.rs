@@ -22,6 +22,8 @@ pub mod grains;
 pub mod noise;
 mod orientation;
 mod overrides;
+pub mod particles;
+mod particles_check;
 pub mod recipe;
 mod recipe_check;
 pub mod relax;

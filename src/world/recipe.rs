@@ -19,6 +19,7 @@ const BUILT_IN: &[(&str, &str)] = &[
     ("batio3", include_str!("../../generate/batio3.toml")),
     ("sige", include_str!("../../generate/sige.toml")),
     ("gan", include_str!("../../generate/gan.toml")),
+    ("pt", include_str!("../../generate/pt.toml")),
     ("replay", include_str!("../../generate/replay.toml")),
     ("test", include_str!("../../generate/test.toml")),
 ];
@@ -74,7 +75,7 @@ pub struct Recipe {
     pub source: Option<String>,
     /// Which specimen builder the recipe is for.
     pub structure: StructureKind,
-    /// Direction of the beam in the crystal, as text: `[001]`, `[11-20]`.
+    /// Direction of the beam in the crystal, as text: `[001]`, `[11-20]`; `none` for particles.
     pub zone_axis: String,
     /// Direction along +y, perpendicular to the zone; the shortest such when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -97,6 +98,9 @@ pub struct Recipe {
     /// Quantum wells of the alloy (`epitaxy`).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub wells: Option<Wells>,
+    /// Particles on a film (`particles`).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub particles: Option<Particles>,
     /// Vacancies.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vacancies: Option<Vacancies>,

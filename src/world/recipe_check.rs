@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use super::coincidence;
 use super::crystal::{ColumnCrystal, MOST_CELLS};
 use super::grains::PAIR_CUTOFF_ANGSTROM;
+use super::particles_check;
 use super::recipe::{
     self, Alloy, Boundaries, Domains, Fault, Field, Profile, Recipe, StructureKind, Substitutions,
     Vacancies, Wells,
@@ -67,14 +68,15 @@ fn check_field(field: &Field) -> Checked {
 
 /// A table that the specimen builder does not read would be silently without effect.
 fn check_tables(recipe: &Recipe) -> Checked {
-    use StructureKind::{Domains, Epitaxy, Grains};
+    use StructureKind::{Domains, Epitaxy, Grains, Particles};
     let tables = [
         ("boundaries", recipe.boundaries.is_some(), &[Grains][..]),
         ("domains", recipe.domains.is_some(), &[Domains]),
         ("alloy", recipe.alloy.is_some(), &[Epitaxy]),
         ("wells", recipe.wells.is_some(), &[Epitaxy]),
-        ("vacancies", recipe.vacancies.is_some(), &[Grains, Domains, Epitaxy]),
-        ("substitutions", recipe.substitutions.is_some(), &[Grains, Domains, Epitaxy]),
+        ("particles", recipe.particles.is_some(), &[Particles]),
+        ("vacancies", recipe.vacancies.is_some(), &[Grains, Domains, Epitaxy, Particles]),
+        ("substitutions", recipe.substitutions.is_some(), &[Grains, Domains, Epitaxy, Particles]),
     ];
     for (name, given, kinds) in tables {
         if given && !kinds.contains(&recipe.structure) {
@@ -88,6 +90,9 @@ fn check_tables(recipe: &Recipe) -> Checked {
 
 /// Checks what belongs to the kind of specimen; returns all elements that it may hold.
 fn check_specimen(recipe: &Recipe) -> std::result::Result<Vec<String>, Fault> {
+    if recipe.structure == StructureKind::Particles {
+        return particles_check::check(recipe);
+    }
     let (structure, crystal) = check_crystal(recipe)?;
     let mut elements: Vec<u8> = crystal.chains().map(|c| c.number).collect();
     elements.sort_unstable();
@@ -113,6 +118,8 @@ fn check_specimen(recipe: &Recipe) -> std::result::Result<Vec<String>, Fault> {
                 .map_err(|e| crystal_fault("alloy.end_member", e))?;
             check_wells(alloy, recipe.wells.as_ref(), &recipe.field)?;
         }
+        // Returned above.
+        StructureKind::Particles => {}
     }
     check_defects(recipe, &mut symbols)?;
     symbols.extend(recipe.alloy.iter().map(|alloy| alloy.guest.clone()));
@@ -125,7 +132,7 @@ fn check_specimen(recipe: &Recipe) -> std::result::Result<Vec<String>, Fault> {
 pub(super) fn check_defects(recipe: &Recipe, symbols: &mut Vec<String>) -> Checked {
     if let Some(vacancies) = &recipe.vacancies {
         check_vacancies(vacancies, symbols)?;
-        let uniform = recipe.structure == StructureKind::Epitaxy;
+        let uniform = matches!(recipe.structure, StructureKind::Epitaxy | StructureKind::Particles);
         if uniform && vacancies.cluster_fraction > 0.0 {
             let kind = recipe.structure.name();
             let expected =
@@ -140,7 +147,7 @@ pub(super) fn check_defects(recipe: &Recipe, symbols: &mut Vec<String>) -> Check
     Ok(())
 }
 
-fn needed<'t, T>(key: &str, table: Option<&'t T>) -> std::result::Result<&'t T, Fault> {
+pub(super) fn needed<'t, T>(key: &str, table: Option<&'t T>) -> std::result::Result<&'t T, Fault> {
     match table {
         Some(table) => Ok(table),
         None => fault(key, "(missing)", "this structure needs the table"),
@@ -171,7 +178,7 @@ fn check_crystal(recipe: &Recipe) -> std::result::Result<(Structure, ColumnCryst
 }
 
 /// An error of the crystal as a fault of the key that it comes from.
-fn crystal_fault(table: &str, error: Error) -> Fault {
+pub(super) fn crystal_fault(table: &str, error: Error) -> Fault {
     let sibling = |name: &str| match table.rsplit_once('.') {
         Some((parent, _)) => format!("{parent}.{name}"),
         None => name.to_owned(),
@@ -359,14 +366,14 @@ fn check_elements(
     Ok(())
 }
 
-fn within(key: &str, value: f64, low: f64, high: f64) -> Checked {
+pub(super) fn within(key: &str, value: f64, low: f64, high: f64) -> Checked {
     match (low..=high).contains(&value) {
         true => Ok(()),
         false => fault(key, value, format!("expected a value from {low:.6} to {high:.6}")),
     }
 }
 
-fn fault<T>(
+pub(super) fn fault<T>(
     key: &str,
     value: impl ToString,
     expected: impl Into<String>,

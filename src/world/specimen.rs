@@ -3,6 +3,7 @@
 use super::domains::Domains;
 use super::epitaxy::Epitaxy;
 use super::grains::Grains;
+use super::particles::ParticlesOnCarbon;
 use super::recipe::{Recipe, StructureKind};
 use super::relax::Relaxed;
 use crate::error::Result;
@@ -137,7 +138,7 @@ pub struct ParticleTruth {
     pub centre_nm: [f64; 3],
     /// Diameter in nm.
     pub diameter_nm: f64,
-    /// Shape: `wulff`, `icosahedron`, `decahedron` ... (at most 16 ASCII characters).
+    /// Shape: `wulff`, `icosahedral`, `decahedral` ... (at most 16 ASCII characters).
     pub morphology: String,
     /// Rotation from the particle's own axes to those of the field as a unit quaternion (w, x, y, z).
     pub orientation: [f64; 4],
@@ -188,6 +189,7 @@ pub fn specimen(recipe: &Recipe) -> Result<Box<dyn Specimen>> {
         StructureKind::Grains => Box::new(Grains::new(recipe)?),
         StructureKind::Domains => Box::new(Domains::new(recipe)?),
         StructureKind::Epitaxy => Box::new(Epitaxy::new(recipe)?),
+        StructureKind::Particles => Box::new(ParticlesOnCarbon::new(recipe)?),
     };
     Relaxed::of(rigid, recipe)
 }

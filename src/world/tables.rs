@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::crystal_source::CrystalSource;
 use super::specimen::Region;
+use crate::structure::particles::Morphology;
 
 /// Specimen builders.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -18,6 +19,8 @@ pub enum StructureKind {
     /// A crystal grown along +x, of which one element is partly replaced: a composition gradient, or
     /// quantum wells.
     Epitaxy,
+    /// Metal particles on a film of amorphous carbon.
+    Particles,
 }
 
 impl StructureKind {
@@ -27,6 +30,7 @@ impl StructureKind {
             StructureKind::Grains => "grains",
             StructureKind::Domains => "domains",
             StructureKind::Epitaxy => "epitaxy",
+            StructureKind::Particles => "particles",
         }
     }
 }
@@ -46,7 +50,8 @@ pub struct Field {
     pub tile_px: usize,
     /// Pixels shared by neighbouring tiles.
     pub overlap_px: usize,
-    /// Thickness along the beam in nm, rounded to whole cells of a crystal.
+    /// Thickness along the beam in nm, rounded to whole cells of a crystal; of particles on a film, that of
+    /// the film.
     pub thickness_nm: f64,
 }
 
@@ -139,6 +144,29 @@ pub struct Wells {
     pub roughness_nm: f64,
     /// Correlation length of the roughness in nm: its correlation falls as exp(-r^2 / 2 L^2).
     pub roughness_correlation_nm: f64,
+}
+
+/// Particles of the recipe's crystal, a face-centred cubic metal, on a film of amorphous carbon. They lie on its side
+/// towards the gun, each wholly inside the full field.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Particles {
+    /// Number of particles in the full field.
+    pub count: usize,
+    /// Shapes, in equal shares.
+    pub morphologies: Vec<Morphology>,
+    /// Least and greatest diameter in nm: that of the sphere which as many atoms of the bulk metal fill. Between
+    /// them every diameter is as likely.
+    pub diameter_nm: [f64; 2],
+    /// Greatest angle between the beam and a zone axis of the particle in degrees; all directions within are as likely. From
+    /// 90 on, all orientations are.
+    pub max_tilt_deg: f64,
+    /// Least distance between the circles around two particles, seen along the beam, in nm.
+    pub gap_nm: f64,
+    /// Surface energy of {100} over that of {111}.
+    pub surface_energy_ratio: f64,
+    /// Distance of each particle's nearest atom from the carbon, in Angstrom.
+    pub contact_angstrom: f64,
 }
 
 /// Vacancies of one element.

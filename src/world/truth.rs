@@ -8,7 +8,8 @@ use rayon::prelude::*;
 
 use super::recipe::Field;
 use super::specimen::{
-    AtomColumn, Boundary, BoundaryKind, Region, SiteKind, Sites, Specimen, SpecimenSite,
+    AtomColumn, Boundary, BoundaryKind, ParticleTruth, Region, SiteKind, Sites, Specimen,
+    SpecimenSite,
 };
 use crate::error::{Error, Result};
 use crate::io::schema::{Composition, DefectName, Morphology, atom_type};
@@ -150,7 +151,7 @@ fn phase_rows(
     map
 }
 
-/// Writes the particles whose centre lies in the built field.
+/// Writes the particles that reach into the built field.
 fn write_particles(
     specimen: &dyn Specimen,
     built: &Region,
@@ -162,7 +163,10 @@ fn write_particles(
         return Ok(());
     }
     let mut batch = ParticleBatch::default();
-    for particle in all.iter().filter(|p| built.contains([p.centre_nm[0], p.centre_nm[1]])) {
+    let reaches = |p: &&ParticleTruth| {
+        built.grown(0.5 * p.diameter_nm).contains([p.centre_nm[0], p.centre_nm[1]])
+    };
+    for particle in all.iter().filter(reaches) {
         let [x, y, z] = particle.centre_nm;
         batch.centres.push([(x - origin[0]) as f32, (y - origin[1]) as f32, z as f32]);
         batch.diameters.push(particle.diameter_nm as f32);

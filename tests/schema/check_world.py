@@ -12,6 +12,7 @@ MATERIALS = {
     "batio3": ({8, 22, 56}, {b"vacancy_O"}, {0, 1}, 56),
     "sige": ({14, 32}, {b"substitution_Ge"}, None, 14),
     "gan": ({7, 31, 49}, {b"substitution_In"}, {0, 1}, 31),
+    "pt": ({6, 78}, {b"vacancy_Pt"}, None, 78),
 }
 MATERIALS["test"] = MATERIALS["replay"] = MATERIALS["srtio3"]
 

@@ -1,0 +1,102 @@
+//! Carbon atoms and who is near whom.
+
+use super::Vec3;
+use crate::structure::neighbors::for_each_pair;
+use crate::structure::{Atom, Structure};
+
+/// Atomic number of carbon.
+pub const CARBON: u8 = 6;
+
+/// Atoms in Angstrom, in a box that may be periodic.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Network {
+    /// Positions in Angstrom.
+    pub positions: Vec<Vec3>,
+    /// Period along each axis in Angstrom; infinite where there is none.
+    pub period: Vec3,
+}
+
+impl Network {
+    /// From atom `i` to the nearest image of `j`. Neither may be farther than a period outside the box.
+    pub fn vector(&self, i: usize, j: usize) -> Vec3 {
+        let (from, to) = (self.positions[i], self.positions[j]);
+        std::array::from_fn(|k| {
+            let (d, period) = (to[k] - from[k], self.period[k]);
+            if d > 0.5 * period {
+                d - period
+            } else if d < -0.5 * period {
+                d + period
+            } else {
+                d
+            }
+        })
+    }
+
+    /// Moves every atom into the box.
+    pub fn wrap(&mut self) {
+        for p in &mut self.positions {
+            for k in 0..3 {
+                if self.period[k].is_finite() {
+                    p[k] -= self.period[k] * (p[k] / self.period[k]).floor();
+                }
+            }
+        }
+    }
+
+    /// The atoms as a structure; without periods, in a cell with vacuum of `margin` Angstrom.
+    fn structure(&self, margin: f64) -> Structure {
+        let mut cell = [[0.0; 3]; 3];
+        for k in 0..3 {
+            let ends = self
+                .positions
+                .iter()
+                .fold([f64::INFINITY, f64::NEG_INFINITY], |e, p| [e[0].min(p[k]), e[1].max(p[k])]);
+            let free = ends[1] - ends[0] + margin;
+            cell[k][k] = if self.period[k].is_finite() { self.period[k] } else { free };
+        }
+        let atom = |&position: &Vec3| Atom { number: CARBON, position, occupancy: 1.0 };
+        Structure { cell, atoms: self.positions.iter().map(atom).collect() }
+    }
+}
+
+/// Lists of neighbours, each pair in both.
+#[derive(Debug, Clone)]
+pub struct Neighbours {
+    starts: Vec<u32>,
+    list: Vec<u32>,
+}
+
+impl Neighbours {
+    /// Pairs up to `reach` Angstrom apart.
+    pub fn new(network: &Network, reach: f64) -> Self {
+        let count = network.positions.len();
+        let mut pairs: Vec<[u32; 2]> = Vec::with_capacity(4 * count);
+        for_each_pair(&network.structure(2.0 * reach), reach, |i, j, _| {
+            if i != j {
+                pairs.push([i as u32, j as u32]);
+            }
+        });
+        let mut starts = vec![0u32; count + 1];
+        for &[i, j] in &pairs {
+            starts[i as usize + 1] += 1;
+            starts[j as usize + 1] += 1;
+        }
+        for i in 0..count {
+            starts[i + 1] += starts[i];
+        }
+        let mut next = starts.clone();
+        let mut list = vec![0; 2 * pairs.len()];
+        for [i, j] in pairs {
+            for (from, to) in [(i, j), (j, i)] {
+                list[next[from as usize] as usize] = to;
+                next[from as usize] += 1;
+            }
+        }
+        Neighbours { starts, list }
+    }
+
+    /// Neighbours of atom `i`.
+    pub fn of(&self, i: usize) -> &[u32] {
+        &self.list[self.starts[i] as usize..self.starts[i + 1] as usize]
+    }
+}

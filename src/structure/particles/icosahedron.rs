@@ -1,0 +1,142 @@
+//! Mackay's icosahedra, whole or with a part of the next shell.
+
+use super::{Candidate, Cluster, Metal, Vec3};
+use crate::structure::lattice::{dot, norm, subtract};
+
+/// Closed shells about an atom, and facets of one more.
+///
+/// A. L. Mackay, Acta Cryst. 15, 916 (1962). Shells grow facet by facet, as the mass spectra of clusters show: T. P. Martin,
+/// Phys. Rep. 273, 199 (1996).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Icosahedron {
+    /// Closed shells about the central atom.
+    pub shells: usize,
+    /// Facets of the next shell, 0 to 19, beginning around one vertex.
+    pub facets: usize,
+}
+
+/// Radial over tangential distance of neighbours: circumscribed radius over edge of an icosahedron, sin 72 degrees.
+const RATIO: f64 = 0.951_056_516_295_153_6;
+/// Tangential distance in units of the bulk bond: the least energy of springs between neighbours, half of them radial.
+const TANGENTIAL: f64 = (1.0 + RATIO) / (1.0 + RATIO * RATIO);
+
+/// The vertices, at distance 1.
+fn vertices() -> [Vec3; 12] {
+    let (height, width) = (1.0 / 5f64.sqrt(), 2.0 / 5f64.sqrt());
+    std::array::from_fn(|n| match n {
+        0 => [0.0, 0.0, 1.0],
+        11 => [0.0, 0.0, -1.0],
+        _ => {
+            let upper = n <= 5;
+            let turn = (n - 1) % 5;
+            let angle = std::f64::consts::PI / 5.0 * (2 * turn + usize::from(!upper)) as f64;
+            let z = if upper { height } else { -height };
+            [width * libm::cos(angle), width * libm::sin(angle), z]
+        }
+    })
+}
+
+/// Triples of neighbouring vertices, from the top down.
+fn faces(v: &[Vec3; 12]) -> Vec<[usize; 3]> {
+    let near = |a: usize, b: usize| norm(subtract(v[a], v[b])) < 1.1;
+    let mut faces = Vec::new();
+    for a in 0..12 {
+        for b in a + 1..12 {
+            for c in b + 1..12 {
+                if near(a, b) && near(b, c) && near(a, c) {
+                    faces.push([a, b, c]);
+                }
+            }
+        }
+    }
+    let height = |f: &[usize; 3]| f.iter().map(|&n| v[n][2]).sum::<f64>();
+    // Stable: facets of the same ring keep their order.
+    faces.sort_by(|a, b| ((height(b) * 1e6).round()).total_cmp(&(height(a) * 1e6).round()));
+    faces
+}
+
+/// Five-fold, three-fold and two-fold axis.
+pub(super) fn axes() -> [Vec3; 3] {
+    let v = vertices();
+    let sum = |of: &[usize]| [0, 1, 2].map(|k| of.iter().map(|&n| v[n][k]).sum::<f64>());
+    [v[0], sum(&[0, 1, 2]), sum(&[0, 1])]
+}
+
+/// A lattice point of a shell: vertices and how many steps towards each; the numbers add to the shell's.
+type Place = [(usize, usize); 3];
+
+/// The atoms of `shell` that belong to `facets` (by rank): the vertex only if three of its facets are there, for it would
+/// else hang on fewer than five neighbours.
+fn places(shell: usize, faces: &[[usize; 3]], facets: usize) -> Vec<Place> {
+    let mut out: Vec<Place> = Vec::new();
+    for face in &faces[..facets] {
+        for i in 0..=shell {
+            for j in 0..=shell - i {
+                let steps = [i, j, shell - i - j];
+                let mut place = [0, 1, 2].map(|k| (face[k], steps[k]));
+                // The same atom has the same name in all its facets.
+                place.iter_mut().filter(|(_, n)| *n == 0).for_each(|p| p.0 = usize::MAX);
+                place.sort_unstable();
+                out.push(place);
+            }
+        }
+    }
+    out.sort_unstable();
+    let mut kept: Vec<Place> = Vec::new();
+    for group in out.chunk_by(|a, b| a == b) {
+        let vertex = group[0].iter().any(|(_, n)| *n == shell);
+        if !vertex || group.len() >= 3 {
+            kept.push(group[0]);
+        }
+    }
+    kept
+}
+
+impl Candidate for Icosahedron {
+    fn count(&self) -> usize {
+        let n = self.shells;
+        let closed = (10 * n * n * n + 15 * n * n + 11 * n) / 3 + 1;
+        match self.facets {
+            0 => closed,
+            _ => closed + places(n + 1, &faces(&vertices()), self.facets).len(),
+        }
+    }
+
+    fn cluster(&self, metal: &Metal) -> Cluster {
+        let v = vertices();
+        let faces = faces(&v);
+        let radial = TANGENTIAL * RATIO * metal.bond();
+        let mut positions = vec![[0.0; 3]];
+        for shell in 1..=self.shells + 1 {
+            let facets = if shell > self.shells { self.facets } else { 20 };
+            for place in places(shell, &faces, facets) {
+                let steps = place.iter().filter(|(_, n)| *n > 0);
+                let mut at = [0.0; 3];
+                for &(vertex, n) in steps {
+                    (0..3).for_each(|k| at[k] += radial * n as f64 * v[vertex][k]);
+                }
+                positions.push(at);
+            }
+        }
+        debug_assert!(positions.iter().all(|p| dot(*p, *p).is_finite()));
+        Cluster::centred(positions)
+    }
+}
+
+/// Icosahedra of about this diameter.
+pub(super) fn candidates(metal: &Metal, diameter_nm: f64) -> Vec<Icosahedron> {
+    let wanted = metal.count(diameter_nm);
+    let mut out = Vec::new();
+    for shells in 1.. {
+        let closed = Icosahedron { shells, facets: 0 }.count() as f64;
+        if closed > 2.0 * wanted {
+            break;
+        }
+        let next = Icosahedron { shells: shells + 1, facets: 0 }.count() as f64;
+        if next < 0.5 * wanted {
+            continue;
+        }
+        out.extend((0..20).map(|facets| Icosahedron { shells, facets }));
+    }
+    out
+}

@@ -1,0 +1,230 @@
+//! Nanoparticles of face-centred cubic metals: Wulff polyhedra, icosahedra and decahedra.
+//!
+//! Of all clusters of a shape whose diameter is near enough to the one asked for, the one with the least
+//! surface energy is taken ([`build`]). The diameter of N atoms is that of the sphere which N atoms of
+//! the bulk metal would fill.
+
+mod decahedron;
+mod icosahedron;
+pub mod rotation;
+mod wulff;
+
+use super::lattice::Vec3;
+use super::neighbors::for_each_pair;
+use super::{Atom, Structure};
+use crate::error::{Error, Result};
+
+pub use decahedron::Decahedron;
+pub use icosahedron::Icosahedron;
+pub use wulff::Wulff;
+
+/// Shape of a particle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Morphology {
+    /// Single crystal bounded by {111} and {100}: the truncated octahedron of Wulff's construction. Its frame
+    /// is that of the cubic cell.
+    Wulff,
+    /// Mackay's icosahedron: twenty strained tetrahedra. A five-fold axis lies along z, a vertex of the upper ring towards x.
+    Icosahedral,
+    /// Marks' decahedron: five strained crystals about a common [110] axis, which lies along z; the {100} facet of the first
+    /// faces x.
+    Decahedral,
+}
+
+impl Morphology {
+    /// All shapes.
+    pub const ALL: [Morphology; 3] =
+        [Morphology::Wulff, Morphology::Icosahedral, Morphology::Decahedral];
+
+    /// The name that recipes and files use.
+    pub fn name(self) -> &'static str {
+        match self {
+            Morphology::Wulff => "wulff",
+            Morphology::Icosahedral => "icosahedral",
+            Morphology::Decahedral => "decahedral",
+        }
+    }
+
+    /// Directions in the frame of the particle along which rows of atoms are seen end on.
+    ///
+    /// Wulff: [100], [110], [111]. Icosahedron: five-fold, three-fold and two-fold axis. Decahedron: the five-fold axis, and
+    /// of the first crystal the [001] and [110] that are normal to it.
+    pub fn zone_axes(self) -> [Vec3; 3] {
+        match self {
+            Morphology::Wulff => [[1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [1.0, 1.0, 1.0]],
+            Morphology::Icosahedral => icosahedron::axes(),
+            Morphology::Decahedral => [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        }
+    }
+}
+
+/// The metal of which particles are made.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Metal {
+    /// Edge of the cubic cell in Angstrom.
+    pub a: f64,
+    /// Surface energy of {100} over that of {111}.
+    pub surface_energy_ratio: f64,
+}
+
+impl Metal {
+    /// The metal of a crystal, and its atomic number.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] unless the cell is cubic with one element at the corner and the centres of its faces.
+    pub fn of(structure: &Structure, surface_energy_ratio: f64) -> Result<(u8, Metal)> {
+        let Some(first) = structure.atoms.first() else { return not_a_metal("no atoms") };
+        let a = structure.cell[0][0];
+        let cubic =
+            structure.orthogonal_box().is_ok_and(|b| b.iter().all(|e| (e - a).abs() < 1e-4));
+        let half = |v: f64| (2.0 * v / a).round();
+        let mut corners: Vec<[i64; 3]> = Vec::new();
+        for atom in &structure.atoms {
+            let d: Vec3 = std::array::from_fn(|k| atom.position[k] - first.position[k]);
+            let off = d.iter().any(|v| (2.0 * v / a - half(*v)).abs() > 1e-3);
+            if off || atom.number != first.number || atom.occupancy < 1.0 {
+                return not_a_metal("other atoms or places");
+            }
+            corners.push(d.map(|v| half(v) as i64 & 1));
+        }
+        corners.sort_unstable();
+        match cubic && corners == [[0, 0, 0], [0, 1, 1], [1, 0, 1], [1, 1, 0]] {
+            true => Ok((first.number, Metal { a, surface_energy_ratio })),
+            false => not_a_metal("another cell"),
+        }
+    }
+
+    /// Distance of nearest neighbours in the bulk, in Angstrom.
+    pub fn bond(&self) -> f64 {
+        self.a * std::f64::consts::FRAC_1_SQRT_2
+    }
+
+    /// Diameter in nm of `count` atoms.
+    pub fn diameter_nm(&self, count: usize) -> f64 {
+        let volume = count as f64 * self.a * self.a * self.a / 4.0;
+        0.1 * libm::cbrt(6.0 * volume / std::f64::consts::PI)
+    }
+
+    /// Number of atoms that fill a sphere of this diameter.
+    pub fn count(&self, diameter_nm: f64) -> f64 {
+        let d = 10.0 * diameter_nm / self.a;
+        4.0 * std::f64::consts::PI / 6.0 * d * d * d
+    }
+}
+
+fn not_a_metal<T>(found: &str) -> Result<T> {
+    let expected = "particles need a face-centred cubic metal: a cubic cell with one element at the corner and the \
+                    centres of the faces, such as \"pt\"";
+    Err(Error::invalid("crystal", found, expected))
+}
+
+/// The atoms of a particle.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Cluster {
+    /// Positions in Angstrom about the mean of all, in the frame of the particle.
+    pub positions: Vec<Vec3>,
+}
+
+/// Atoms nearer than this are neighbours, in units of the bulk bond: between the longest bond of an icosahedron (1.02)
+/// and the second neighbours (1.37 and more).
+pub const NEIGHBOUR: f64 = 1.2;
+
+impl Cluster {
+    fn centred(mut positions: Vec<Vec3>) -> Self {
+        let n = positions.len().max(1) as f64;
+        let mean = [0, 1, 2].map(|k| positions.iter().map(|p| p[k]).sum::<f64>() / n);
+        positions.iter_mut().for_each(|p| (0..3).for_each(|k| p[k] -= mean[k]));
+        Cluster { positions }
+    }
+
+    /// Number of nearest neighbours of each atom.
+    pub fn coordination(&self, metal: &Metal) -> Vec<usize> {
+        let reach = NEIGHBOUR * metal.bond();
+        let size = self.radius() * 2.0 + 2.0 * reach;
+        let cell = [[size, 0.0, 0.0], [0.0, size, 0.0], [0.0, 0.0, size]];
+        let atom = |&position: &Vec3| Atom { number: 1, position, occupancy: 1.0 };
+        let structure = Structure { cell, atoms: self.positions.iter().map(atom).collect() };
+        let mut counts = vec![0; self.positions.len()];
+        for_each_pair(&structure, reach, |i, j, _| {
+            counts[i] += 1;
+            counts[j] += 1;
+        });
+        counts
+    }
+
+    /// Greatest distance of an atom from the centre, in Angstrom.
+    pub fn radius(&self) -> f64 {
+        let square = |p: &Vec3| p.iter().map(|v| v * v).sum::<f64>();
+        self.positions.iter().map(square).fold(0.0, f64::max).sqrt()
+    }
+
+    /// Energy that broken bonds cost, over the area: the sum of `sqrt(12) - sqrt(coordination)` (the energy
+    /// of a bond falls as the root of the coordination number in the second-moment approximation of tight binding, F. Ducastelle,
+    /// J. Phys. (Paris) 31, 1055 (1970)) divided by `N^(2/3)`.
+    fn surface_energy(&self, metal: &Metal) -> f64 {
+        let counts = self.coordination(metal);
+        let missing: f64 = counts.iter().map(|&c| 12f64.sqrt() - (c as f64).sqrt()).sum();
+        let edge = libm::cbrt(self.positions.len() as f64);
+        missing / (edge * edge)
+    }
+}
+
+/// Diameters nearer than this to the one asked for will do, in nm.
+const TOLERANCE_NM: f64 = 0.04;
+
+/// A way to make a cluster.
+pub trait Candidate {
+    /// Number of atoms.
+    fn count(&self) -> usize;
+    /// The cluster.
+    fn cluster(&self, metal: &Metal) -> Cluster;
+}
+
+/// The particle of a shape whose diameter in nm is nearest to `diameter_nm` and within `limits_nm`: of
+/// those within 0.04 nm of it, that of the least surface energy.
+///
+/// # Errors
+/// [`Error::Invalid`] if no cluster has a diameter within the limits.
+pub fn build(
+    morphology: Morphology,
+    metal: &Metal,
+    diameter_nm: f64,
+    limits_nm: [f64; 2],
+) -> Result<Cluster> {
+    match morphology {
+        Morphology::Wulff => {
+            choose(wulff::candidates(metal, diameter_nm), metal, diameter_nm, limits_nm)
+        }
+        Morphology::Icosahedral => {
+            choose(icosahedron::candidates(metal, diameter_nm), metal, diameter_nm, limits_nm)
+        }
+        Morphology::Decahedral => {
+            choose(decahedron::candidates(metal, diameter_nm), metal, diameter_nm, limits_nm)
+        }
+    }
+}
+
+fn choose<R: Candidate>(
+    mut candidates: Vec<R>,
+    metal: &Metal,
+    diameter_nm: f64,
+    limits_nm: [f64; 2],
+) -> Result<Cluster> {
+    let diameter = |r: &R| metal.diameter_nm(r.count());
+    let off = |r: &R| (diameter(r) - diameter_nm).abs();
+    candidates.retain(|r| (limits_nm[0]..=limits_nm[1]).contains(&diameter(r)));
+    let nearest = candidates.iter().map(off).fold(f64::INFINITY, f64::min);
+    candidates.retain(|r| off(r) <= nearest.max(TOLERANCE_NM));
+    let scored = candidates.into_iter().map(|r| {
+        let cluster = r.cluster(metal);
+        (cluster.surface_energy(metal), cluster)
+    });
+    let best = scored.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, cluster)| cluster);
+    best.ok_or_else(|| {
+        let [low, high] = limits_nm;
+        let expected =
+            format!("no particle has a diameter from {low} to {high} nm; widen the range");
+        Error::invalid("diameter_nm", diameter_nm, expected)
+    })
+}

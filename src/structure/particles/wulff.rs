@@ -1,0 +1,93 @@
+//! Truncated octahedra.
+
+use super::{Candidate, Cluster, Metal, Vec3};
+
+/// The lattice points of a face-centred cubic crystal within planes about a centre: {111} at one distance, {100}
+/// at another (G. Wulff, Z. Kristallogr. 34, 449 (1901)).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Wulff {
+    /// The centre in units of the cell edge, from a lattice point.
+    pub centre: Vec3,
+    /// Distance of the {111} planes from it in Angstrom.
+    pub distance: f64,
+    count: usize,
+}
+
+/// Finest division of the cell edge for centres.
+const DIVISIONS: i32 = 8;
+
+/// Distance at which the planes have to stand so that the point is just inside, in Angstrom.
+fn depth(metal: &Metal, p: Vec3) -> f64 {
+    let [x, y, z] = p.map(f64::abs);
+    let octahedral = (x + y + z) / 3f64.sqrt();
+    octahedral.max(x.max(y).max(z) / metal.surface_energy_ratio)
+}
+
+/// Lattice points up to `reach` Angstrom from the centre along each axis, relative to it.
+fn points(metal: &Metal, centre: Vec3, reach: f64) -> Vec<Vec3> {
+    let half = 0.5 * metal.a;
+    let most = (reach / half).ceil() as i32 + 2;
+    let mut out = Vec::new();
+    for i in -most..=most {
+        for j in -most..=most {
+            for k in (-most..=most).filter(|k| (i + j + k) % 2 == 0) {
+                let lattice = [i, j, k].map(|n| f64::from(n) * half);
+                out.push([0, 1, 2].map(|n| lattice[n] - metal.a * centre[n]));
+            }
+        }
+    }
+    out
+}
+
+impl Wulff {
+    /// The cluster of the planes {111} at `distance` Angstrom from `centre` (in units of the cell edge) and {100} at
+    /// `surface_energy_ratio` times that.
+    pub fn new(metal: &Metal, centre: Vec3, distance: f64) -> Self {
+        let mut wulff = Wulff { centre, distance, count: 0 };
+        wulff.count = wulff.cluster(metal).positions.len();
+        wulff
+    }
+}
+
+impl Candidate for Wulff {
+    fn count(&self) -> usize {
+        self.count
+    }
+    fn cluster(&self, metal: &Metal) -> Cluster {
+        let reach = self.distance * metal.surface_energy_ratio.max(1.0);
+        let inside = |p: &Vec3| depth(metal, *p) < self.distance + 1e-6;
+        let all = points(metal, self.centre, reach);
+        Cluster::centred(all.into_iter().filter(inside).collect())
+    }
+}
+
+/// Clusters of about this diameter, about centres all over the cell.
+pub(super) fn candidates(metal: &Metal, diameter_nm: f64) -> Vec<Wulff> {
+    let wanted = metal.count(diameter_nm);
+    let reach = 7.0 * diameter_nm;
+    let mut out = Vec::new();
+    for centre in centres() {
+        let mut depths: Vec<f64> =
+            points(metal, centre, reach).into_iter().map(|p| depth(metal, p)).collect();
+        depths.retain(|&d| d < reach);
+        depths.sort_by(f64::total_cmp);
+        // Shells end where the next point lies deeper.
+        let ends = (1..depths.len()).filter(|&n| depths[n] > depths[n - 1] + 1e-6);
+        let near = ends.filter(|&n| (0.8..1.25).contains(&(n as f64 / wanted)));
+        out.extend(near.map(|n| Wulff { centre, distance: depths[n - 1], count: n }));
+    }
+    out
+}
+
+/// Centres that differ by more than a symmetry of the crystal.
+fn centres() -> Vec<Vec3> {
+    let mut out = Vec::new();
+    for i in 0..=DIVISIONS / 2 {
+        for j in 0..=i {
+            for k in 0..=j {
+                out.push([i, j, k].map(|n| f64::from(n) / f64::from(DIVISIONS)));
+            }
+        }
+    }
+    out
+}
