@@ -19,6 +19,7 @@ use super::specimen::{
 use crate::error::{Error, Result};
 use crate::rng::{Purpose, uniform, words};
 use crate::structure::carbon::film::{Film, FilmAtom};
+use crate::structure::carbon::block::DENSITY;
 use crate::structure::carbon::network::CARBON;
 use crate::structure::particles::rotation::Rotation;
 use crate::structure::particles::{Metal, Morphology, build};
@@ -45,6 +46,8 @@ pub struct ParticlesOnCarbon {
     /// Depth of the film's upper face and of the box in Angstrom.
     face: f64,
     depth: f64,
+    /// Of the film.
+    thickness: f64,
     contact: f64,
     number: u8,
     defects: LocalDefects,
@@ -97,6 +100,7 @@ impl ParticlesOnCarbon {
             film: Film::new(recipe.seed, thickness),
             face,
             depth: face + thickness + VACUUM,
+            thickness,
             contact: table.contact_angstrom,
             number,
             defects: Defects::fit(recipe, |_, _| {})?.at(f64::INFINITY),
@@ -180,6 +184,15 @@ impl Specimen for ParticlesOnCarbon {
             }
         }
         out
+    }
+
+    fn expected_sites(&self, region: &Region) -> Option<u64> {
+        // g/cm3 to atoms per nm3
+        let carbon = DENSITY * 602.214_076 / 12.011;
+        let area = (region.x[1] - region.x[0]) * (region.y[1] - region.y[0]);
+        let inside = |p: &&Particle| region.contains(p.centre.map(|c| c * NM));
+        let metal: usize = self.particles.iter().filter(inside).map(|p| p.atoms.len()).sum();
+        Some((carbon * area * self.thickness * NM).round() as u64 + metal as u64)
     }
 
     fn thickness_nm(&self) -> f64 {
