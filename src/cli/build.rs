@@ -82,6 +82,11 @@ struct Method {
     #[arg(long, value_name = "A", value_parser = values::finite, allow_negative_numbers = true)]
     #[arg(conflicts_with_all = ["interpolation", "profile"])]
     window: Option<f64>,
+    /// Take the narrowest window whose error is at most so many per cent of the mean image (rms): 2.1, 0.8,
+    /// 0.4 or 0.3 and above
+    #[arg(long, value_name = "PERCENT", value_parser = values::percent, allow_negative_numbers = true)]
+    #[arg(conflicts_with_all = ["window", "interpolation", "profile"])]
+    accuracy: Option<f64>,
     /// PRISM interpolation factor, or one for x and one for y [default: 4]
     #[arg(long, value_name = "F[,FY]", value_parser = values::factors, conflicts_with = "profile")]
     interpolation: Option<[usize; 2]>,
@@ -153,7 +158,8 @@ impl Build {
     pub fn run(self) -> anyhow::Result<()> {
         let reporter = self.common.start()?;
         let recipe = self.recipe.resolve()?;
-        let simulator = self.simulator(&recipe)?;
+        let (simulator, warning) = self.simulator(&recipe)?;
+        warning.iter().for_each(|w| reporter.warn(w));
         let path = self.output(&recipe);
         let report = self.plan(&recipe, &simulator, &path)?;
         if self.common.dry_run {
@@ -178,12 +184,14 @@ impl Build {
         self.method.profile == Some(Profile::Published)
     }
 
-    fn simulator(&self, recipe: &Recipe) -> anyhow::Result<Simulator> {
+    /// The engine, and what is to be said of its accuracy.
+    fn simulator(&self, recipe: &Recipe) -> anyhow::Result<(Simulator, Option<String>)> {
         if self.published() {
-            return Ok(Simulator::published(recipe));
+            return Ok((Simulator::published(recipe), None));
         }
         let m = &self.method;
         let (window, factors) = (m.window, m.interpolation);
+        imaging::check_accuracy(m.accuracy, m.engine)?;
         let algorithm = imaging::algorithm(
             m.engine,
             window,
@@ -192,7 +200,10 @@ impl Build {
             WINDOW_ANGSTROM,
             INTERPOLATION,
         )?;
-        Ok(Simulator::new(recipe, algorithm))
+        let mut settings = Simulator::new(recipe, algorithm).settings().clone();
+        let thickness = recipe.field.thickness_nm * 10.0;
+        let warning = imaging::choose_window(m.accuracy, &mut settings, thickness)?;
+        Ok((Simulator::new(recipe, settings.algorithm), warning))
     }
 
     fn output(&self, recipe: &Recipe) -> PathBuf {

@@ -99,9 +99,7 @@ pub struct NumericsArgs {
 impl NumericsArgs {
     /// The algorithm that the options stand for.
     pub fn algorithm(&self) -> anyhow::Result<Algorithm> {
-        if self.accuracy.is_some() && !matches!(self.algorithm, None | Some(Engine::Window)) {
-            bail!("--accuracy chooses a window; leave out --engine, or take --engine window");
-        }
+        check_accuracy(self.accuracy, self.algorithm)?;
         algorithm(
             self.algorithm,
             self.window,
@@ -161,6 +159,14 @@ impl MicroscopeArgs {
             ..Optics::default()
         }
     }
+}
+
+/// Refuses an accuracy for engines that have no windows.
+pub fn check_accuracy(accuracy: Option<f64>, engine: Option<Engine>) -> anyhow::Result<()> {
+    if accuracy.is_some() && !matches!(engine, None | Some(Engine::Window)) {
+        bail!("--accuracy chooses a window; leave out --engine, or take --engine window");
+    }
+    Ok(())
 }
 
 /// Takes the window that the accuracy asks for; says what about its error was not measured.

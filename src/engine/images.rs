@@ -134,7 +134,7 @@ pub fn exit_wave(
     let (mut waves, mut w) = ([fft.buffer()], stepper.workspace());
     let (ny, nx) = fft.shape();
     waves[0][0] = Complex32::ONE;
-    stepper.start(&mut waves[0], &mut w.fft);
+    stepper.start(&mut waves[0], stepper.band(), &mut w.fft);
     let specimen = Specimen { transmission: &transmission, origin: (0, 0) };
     for leg in legs {
         stepper.travel(&mut waves, leg, specimen, &mut w);

@@ -13,6 +13,7 @@ use num_complex::{Complex32, Complex64};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
+use std::ops::Range;
 
 /// Propagates probes through given transmission functions.
 pub(super) struct Multislice<'a> {
@@ -20,6 +21,8 @@ pub(super) struct Multislice<'a> {
     stepper: Stepper,
     map: DetectorMap,
     probe: Spectrum,
+    /// Columns that hold the probe's spectrum.
+    probe_columns: Vec<Range<usize>>,
 }
 
 /// The probe in Fourier space, for a position at `centre`.
@@ -57,7 +60,11 @@ impl<'a> Multislice<'a> {
             Algorithm::Window { .. } => Spectrum::windowed(plan),
             _ => Spectrum::full(plan, &grid),
         };
-        Multislice { plan, stepper, map, probe }
+        let nx = grid.points[0];
+        let column = |e: &(usize, usize, Complex64)| frequency(e.1, nx).unsigned_abs() as usize;
+        let reach = probe.entries.iter().map(column).max().unwrap_or(0);
+        let probe_columns = stepper.fft().band_columns(reach);
+        Multislice { plan, stepper, map, probe, probe_columns }
     }
 
     /// Intensities as (probe, recorded thickness, detector), row-major.
@@ -140,7 +147,7 @@ impl<'a> Multislice<'a> {
             let c = amplitude * phases[0][ix] * phases[1][iy];
             wave[iy * stride + ix] = Complex32::new(c.re as f32, c.im as f32);
         }
-        self.stepper.start(wave, &mut w.fft);
+        self.stepper.start(wave, &self.probe_columns, &mut w.fft);
     }
 
     /// The legs through the slices up to each recorded thickness.

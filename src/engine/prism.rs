@@ -203,7 +203,7 @@ impl<'a> Prism<'a> {
         crop_spectrum(&self.exit, self.plan.wave_grid.points, self.plan.band_limit, |a, b, _| {
             wave[b.0 * to + b.1] = kept[a.0 * from + a.1] * scale;
         });
-        self.stepper.start(wave, &mut w.fft);
+        self.stepper.start(wave, self.stepper.band(), &mut w.fft);
     }
 }
 

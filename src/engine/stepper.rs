@@ -207,11 +207,16 @@ impl Stepper {
         self.fft.convolve_columns(wave, &self.band, propagator, scratch);
     }
 
-    /// Brings Fourier coefficients into the form that the steps need.
-    pub fn start(&self, wave: &mut [Complex32], scratch: &mut Scratch) {
-        self.columns(wave, true, scratch);
+    /// Brings Fourier coefficients into the form that the steps need. Columns outside `live`
+    /// (see [`Fft2::band_columns`]) have to be zero.
+    pub fn start(&self, wave: &mut [Complex32], live: &[Range<usize>], scratch: &mut Scratch) {
         let row_length = self.fft.shape().1 as f32;
-        wave.iter_mut().for_each(|v| *v *= row_length);
+        for range in live {
+            for row in wave.chunks_exact_mut(self.fft.stride()) {
+                row[range.clone()].iter_mut().for_each(|v| *v *= row_length);
+            }
+            self.fft.some_columns(wave, range.clone(), true, scratch);
+        }
     }
 
     /// Transforms the columns inside the band, forward or back. After the forward transform the

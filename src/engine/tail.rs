@@ -16,7 +16,7 @@ use crate::fft::{Buffer, Fft2, Scratch, frequency};
 use crate::potential::cores::cross_section;
 use crate::potential::scattering::ScatteringFactor;
 use num_complex::{Complex32, Complex64};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::PI;
 
 /// Detectors that begin at fewer semiangles see the tail itself: they are left alone.
@@ -65,16 +65,14 @@ fn cross_sections(plan: &Plan, sites: &[Site], detector: &Detector) -> Result<BT
     let optics = &plan.settings.optics;
     let per_mrad = 1e-3 / optics.wavelength_angstrom();
     let outer = detector.outer_mrad.min(plan.cutoff_mrad());
-    let mut sections = BTreeMap::new();
-    for site in sites {
-        if !sections.contains_key(&site.number) {
-            let factor = ScatteringFactor::new(plan.settings.parametrization, site.number)?;
-            let sigma = interaction_parameter(optics.energy_ev);
-            let range = [detector.inner_mrad, outer].map(|angle| angle * per_mrad);
-            sections.insert(site.number, cross_section(&factor, sigma, range[0], range[1]));
-        }
-    }
-    Ok(sections)
+    let sigma = interaction_parameter(optics.energy_ev);
+    let range = [detector.inner_mrad, outer].map(|angle| angle * per_mrad);
+    let elements: BTreeSet<u8> = sites.iter().map(|s| s.number).collect();
+    let section = |number: u8| {
+        let factor = ScatteringFactor::new(plan.settings.parametrization, number)?;
+        Ok((number, cross_section(&factor, sigma, range[0], range[1])))
+    };
+    elements.into_iter().map(section).collect()
 }
 
 /// The transmission grid of the whole cell, with the middle of the window.
