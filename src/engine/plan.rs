@@ -2,6 +2,7 @@
 //! so a plan can be shown and tested without running it.
 
 use super::settings::{Algorithm, BeyondLimit, GridChoice, POTENTIAL_SAMPLING_ANGSTROM, Settings};
+use super::stepper;
 use crate::detect::{DetectorMap, Pattern};
 use crate::error::{Error, Result};
 use crate::fft::multiplier::Disk;
@@ -230,9 +231,16 @@ impl Plan {
     pub fn memory_bytes(&self, threads: usize, probes: usize) -> u64 {
         let size = |g: &Grid| (g.points[0] * g.points[1] * 8) as u64;
         let fine = size(&self.potential_grid);
-        let transmission = size(&self.transmission_grid) * self.slices.len() as u64;
+        // windows go on beyond the cell
+        let padding = match self.wave_grid == self.transmission_grid {
+            true => [0, 0],
+            false => self.wave_grid.points,
+        };
+        let [nx, ny] = [0, 1].map(|i| self.transmission_grid.points[i] + padding[i]);
+        let transmission = (nx * ny * 8 * self.slices.len()) as u64;
         let exit = self.exit_grid.as_ref().map_or(0, |g| size(g) * self.beams as u64);
-        let waves = size(&self.wave_grid) * 4 * threads as u64;
+        let wave = size(&self.wave_grid);
+        let waves = wave * (stepper::group(wave as usize) as u64 + 2) * threads as u64;
         let images = (probes * self.settings.detectors.len() * self.record_after.len() * 16) as u64;
         transmission + exit + waves + fine * 5 * threads as u64 + images
     }

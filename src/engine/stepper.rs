@@ -60,6 +60,11 @@ const LARGE_GROUP: usize = 4;
 /// Beyond this, more waves together gain nothing.
 const MOST_TOGETHER: usize = 16;
 
+/// How many waves of so many bytes each should step together.
+pub(super) fn group(wave_bytes: usize) -> usize {
+    (GROUP_BYTES / wave_bytes.max(1)).clamp(LARGE_GROUP, MOST_TOGETHER)
+}
+
 impl Stepper {
     pub fn new(plan: &Plan) -> Self {
         let grid = plan.wave_grid;
@@ -99,8 +104,7 @@ impl Stepper {
 
     /// How many waves should step together.
     pub fn group(&self) -> usize {
-        let wave = self.fft.buffer_len() * size_of::<Complex32>();
-        (GROUP_BYTES / wave).clamp(LARGE_GROUP, MOST_TOGETHER)
+        group(self.fft.buffer_len() * size_of::<Complex32>())
     }
 
     pub fn workspace(&self) -> Workspace {

@@ -285,18 +285,18 @@ def case_si_110():
 def case_si_110_prism_f2():
     """PRISM f = 2 of Si [110], 10.0 nm, a quarter of the atoms missing (see srtio3_prism_f2), windows of 10.9 x 11.5 A."""
     name, dz = "si_110_prism_f2", B_SI / 2
-    atoms, gpts, n = si_110(4, 6, 26), (480, 540), 52
+    atoms, gpts, n = si_110(4, 6, 26), (560, 600), 52
     rng = np.random.default_rng(2)
     keep = np.ones(len(atoms), bool)
     keep[rng.choice(len(atoms), len(atoms) // 4, replace=False)] = False
     atoms = rounded(atoms[keep])
     exact, _ = potentials(atoms, gpts, dz, n)
-    # every 12th and 9th pixel
+    # every 14th and 10th pixel
     scan = abtem.GridScan(start=(0, 0), end=(2 * A_SI, 2 * B_SI), gpts=(20, 20), endpoint=False)
     p2, beams = prism(exact, scan, 2)
     print("  f=2 beams:", beams)
     described = {"prism_f2": "[detector, y, x], fractions of the beam; abtem.SMatrix, interpolation 2, downsample=False"}
-    extra = {"prism_beams": {"f2": beams}, "window_A": [2 * A_SI, 3 * B_SI], "window_gpts_xy": [240, 270]}
+    extra = {"prism_beams": {"f2": beams}, "window_A": [2 * A_SI, 3 * B_SI], "window_gpts_xy": [280, 300]}
     save(name, {"prism_f2": p2}, described, settings_for(atoms, gpts, dz, n, scan, **extra), atoms)
 
 
