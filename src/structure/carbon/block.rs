@@ -1,6 +1,6 @@
 //! The periodic block of amorphous carbon that comes with the program.
 //!
-//! `examples/amorphous_carbon.rs` made it ([`super::melt`]). Positions are stored as sixteen-bit fractions of the
+//! `structures/amorphous_carbon.rs` made it ([`super::melt`]). Positions are stored as sixteen-bit fractions of the
 //! edge, little-endian, three an atom: steps of 0.001 A.
 
 use std::sync::LazyLock;
