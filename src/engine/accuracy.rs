@@ -18,8 +18,9 @@ const MEASURED_THICKNESS_ANGSTROM: f64 = 102.0;
 /// Share of a probe's geometric spread, semiangle times what is beyond the measured thickness, by which a
 /// window grows: SrTiO3 of 195 A then stays below the errors of 100 A.
 const SPREAD: f64 = 1.2;
-/// Pixels of a window's diffraction pattern are too coarse for detectors that begin at fewer semiangles.
-const LEAST_INNER_SEMIANGLES: f64 = 2.0;
+/// Windows are for detectors that begin at this many semiangles or more: below, pixels of their diffraction pattern are
+/// too coarse, and the tail of the probe itself is seen.
+pub(super) const LEAST_INNER_SEMIANGLES: f64 = 2.0;
 
 /// A window and what was not measured about it.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,7 +1,7 @@
 //! From the atoms of a slice to the Fourier coefficients of its band-limited `exp(i sigma V)`.
 
 use super::plan::{Grid, Plan};
-use super::transmission::crop_spectrum;
+use super::transmission::{crop_spectrum, disk_reach};
 use crate::constants::interaction_parameter;
 use crate::error::Result;
 use crate::fft::{Buffer, Scratch};
@@ -131,15 +131,6 @@ impl Exponential {
             fft.some_columns(data, range, false, &mut w.fft);
         }
     }
-}
-
-/// Largest frequency (x, y) that [`crop_spectrum`] visits.
-fn disk_reach(grid: &Grid, points: [usize; 2], limit: f64) -> [usize; 2] {
-    let dk = grid.dk();
-    [0, 1].map(|i| {
-        let most = (grid.points[i].min(points[i]) - 1) / 2;
-        ((limit / dk[i]) as usize).min(most)
-    })
 }
 
 /// `exp(i phase)` to 1e-7 for |phase| below 1e3: reduction by pi/2 in three parts and polynomials

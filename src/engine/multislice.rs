@@ -2,12 +2,13 @@
 
 use super::Scan;
 use super::plan::{Grid, Plan};
+use super::prism::single;
 use super::settings::Algorithm;
 use super::stepper::{self, Leg, Specimen, Stepper};
 use super::transmission::Transmission;
 use crate::detect::DetectorMap;
 use crate::error::{Error, Result};
-use crate::fft::{Buffer, Fft2, frequency};
+use crate::fft::{Buffer, Fft2, Scratch, frequency};
 use crate::progress::Progress;
 use num_complex::{Complex32, Complex64};
 use rayon::prelude::*;
@@ -26,9 +27,9 @@ pub(super) struct Multislice<'a> {
 }
 
 /// The probe in Fourier space, for a position at `centre`.
-pub(super) struct Spectrum {
+struct Spectrum {
     /// (iy, ix, amplitude); squared amplitudes sum to the fraction of the beam inside the grid.
-    pub entries: Vec<(usize, usize, Complex64)>,
+    entries: Vec<(usize, usize, Complex64)>,
     centre: [f64; 2],
 }
 
@@ -223,7 +224,7 @@ impl<'a> Multislice<'a> {
 
 impl Spectrum {
     /// The probe on `grid`, at the origin, with total intensity 1, at the entrance surface.
-    pub fn full(plan: &Plan, grid: &Grid) -> Self {
+    fn full(plan: &Plan, grid: &Grid) -> Self {
         let optics = &plan.settings.optics;
         let (ny, nx) = grid.shape();
         let mut entries = Vec::new();
@@ -246,20 +247,10 @@ impl Spectrum {
     fn windowed(plan: &Plan) -> Self {
         let window = plan.wave_grid;
         let large = plan.transmission_grid;
-        let full = Self::full(plan, &large);
         let (my, mx) = large.shape();
         let (ny, nx) = window.shape();
         let fft = Fft2::new(my, mx);
-        let (mut wave, mut scratch) = (fft.buffer(), fft.scratch());
-        let pixel = window.sampling_angstrom();
-        let centre = [0, 1].map(|i| (window.points[i] / 2) as f64 * pixel[i]);
-        let phases =
-            [0, 1].map(|i| shift_phases(centre[i] / large.extent_angstrom[i], large.points[i]));
-        for &(iy, ix, a) in &full.entries {
-            let c = a * phases[0][ix] * phases[1][iy];
-            wave[iy * fft.stride() + ix] = Complex32::new(c.re as f32, c.im as f32);
-        }
-        fft.inverse(&mut wave, &mut scratch);
+        let wave = probe_in_cell(plan, &fft, &mut fft.scratch());
         let small = Fft2::new(ny, nx);
         let mut cropped = small.buffer();
         for y in 0..ny {
@@ -283,11 +274,30 @@ impl Spectrum {
                 }
             }
         }
-        Spectrum { entries, centre }
+        Spectrum { entries, centre: window_centre(plan) }
     }
 }
 
+/// The middle of the window in Angstrom, from its first pixel.
+pub(super) fn window_centre(plan: &Plan) -> [f64; 2] {
+    let pixel = plan.wave_grid.sampling_angstrom();
+    [0, 1].map(|i| (plan.wave_grid.points[i] / 2) as f64 * pixel[i])
+}
+
+/// The probe of the whole cell in real space, at the middle of a window that begins at pixel (0, 0);
+/// `fft` is that of the cell.
+pub(super) fn probe_in_cell(plan: &Plan, fft: &Fft2, scratch: &mut Scratch) -> Buffer {
+    let (cell, centre) = (&plan.transmission_grid, window_centre(plan));
+    let phases = [0, 1].map(|i| shift_phases(centre[i] / cell.extent_angstrom[i], cell.points[i]));
+    let mut wave = fft.buffer();
+    for (iy, ix, a) in Spectrum::full(plan, cell).entries {
+        wave[iy * fft.stride() + ix] = single(a * phases[0][ix] * phases[1][iy]);
+    }
+    fft.inverse(&mut wave, scratch);
+    wave
+}
+
 /// `exp(-2 pi i f u)` for all FFT frequencies f of n bins.
-pub(super) fn shift_phases(u: f64, n: usize) -> Vec<Complex64> {
+fn shift_phases(u: f64, n: usize) -> Vec<Complex64> {
     (0..n).map(|i| Complex64::from_polar(1.0, -2.0 * PI * u * frequency(i, n) as f64)).collect()
 }

@@ -6,8 +6,10 @@
 //! thickness, s_a the atom's cross section for the detector. Without it windows of 7.8 A read 0.8 % of the
 //! mean image too low everywhere, which between columns is 3-5 %.
 
-use super::multislice::{Spectrum, shift_phases};
+use super::accuracy::LEAST_INNER_SEMIANGLES;
+use super::multislice::{probe_in_cell, window_centre};
 use super::plan::Plan;
+use super::prism::single;
 use super::{Scan, Site};
 use crate::constants::interaction_parameter;
 use crate::detect::Detector;
@@ -18,9 +20,6 @@ use crate::potential::scattering::ScatteringFactor;
 use num_complex::{Complex32, Complex64};
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::PI;
-
-/// Detectors that begin at fewer semiangles see the tail itself: they are left alone.
-const LEAST_INNER_SEMIANGLES: f64 = 2.0;
 
 /// Whether a detector sees the scattering of the tail only.
 fn applies(detector: &Detector, plan: &Plan) -> bool {
@@ -85,24 +84,15 @@ struct Cell {
 
 impl Cell {
     fn new(plan: &Plan) -> Self {
-        let (grid, window) = (&plan.transmission_grid, &plan.wave_grid);
+        let grid = &plan.transmission_grid;
         let (ny, nx) = grid.shape();
-        let pixel = grid.sampling_angstrom();
-        let centre = [0, 1].map(|i| (window.points[i] / 2) as f64 * pixel[i]);
+        let (pixel, centre) = (grid.sampling_angstrom(), window_centre(plan));
         Cell { fft: Fft2::new(ny, nx), pixel, centre, dk: grid.dk() }
     }
 
     /// Fourier coefficients of the probe outside the window.
     fn outside(&self, plan: &Plan, scratch: &mut Scratch) -> Buffer {
-        let grid = &plan.transmission_grid;
-        let phases =
-            [0, 1].map(|i| shift_phases(self.centre[i] / grid.extent_angstrom[i], grid.points[i]));
-        let mut wave = self.fft.buffer();
-        for (iy, ix, a) in Spectrum::full(plan, grid).entries {
-            let c = a * phases[0][ix] * phases[1][iy];
-            wave[iy * self.fft.stride() + ix] = Complex32::new(c.re as f32, c.im as f32);
-        }
-        self.fft.inverse(&mut wave, scratch);
+        let mut wave = probe_in_cell(plan, &self.fft, scratch);
         let [wx, wy] = plan.wave_grid.points;
         for row in wave.chunks_exact_mut(self.fft.stride()).take(wy) {
             row[..wx].fill(Complex32::ZERO);
@@ -119,7 +109,7 @@ impl Cell {
         let axis = |n: usize, dk: f64| -> Vec<Complex32> {
             let phase = |i| -PI * wavelength * distance * (frequency(i, n) as f64 * dk).powi(2);
             let factor = |i| Complex64::from_polar(1.0, phase(i));
-            (0..n).map(factor).map(|c| Complex32::new(c.re as f32, c.im as f32)).collect()
+            (0..n).map(factor).map(single).collect()
         };
         let (along_x, along_y) = (axis(nx, self.dk[0]), axis(ny, self.dk[1]));
         for (row, fy) in wave.chunks_exact_mut(self.fft.stride()).zip(&along_y) {

@@ -76,7 +76,8 @@ impl<'a> TransmissionBuilder<'a> {
     ) -> Result<Transmission> {
         let by_slice = self.place(sites, configuration);
         let all: Vec<PlacedAtom> = by_slice.iter().flatten().copied().collect();
-        if self.oversampled.get().is_none() && !by_slice.iter().all(|s| self.usual.suits(s)) {
+        let too_close: Vec<bool> = by_slice.par_iter().map(|s| !self.usual.suits(s)).collect();
+        if self.oversampled.get().is_none() && too_close.contains(&true) {
             let grid = self.plan.oversampled_grid();
             let made = Exponential::new(self.plan, grid, None, &self.elements)?;
             self.oversampled.get_or_init(|| made);
@@ -97,18 +98,17 @@ impl<'a> TransmissionBuilder<'a> {
                     Projection::Infinite => SliceAtoms::Whole(&by_slice[i]),
                     Projection::Finite => SliceAtoms::Parts { all: &all, slice: i },
                 };
-                Ok(Some(self.slice(atoms, w)))
+                Ok(Some(self.slice(atoms, too_close[i], w)))
             })
             .collect();
         Ok(Transmission { slices: slices?, layout: self.layout })
     }
 
     /// One band-limited transmission function.
-    fn slice(&self, atoms: SliceAtoms<'_>, w: &mut Workspace) -> Buffer {
+    fn slice(&self, atoms: SliceAtoms<'_>, too_close: bool, w: &mut Workspace) -> Buffer {
         let mut t = self.coarse.buffer();
         let stride = self.coarse.stride();
         let put = |(iy, ix): (usize, usize), value| t[iy * stride + ix] = value;
-        let too_close = matches!(atoms, SliceAtoms::Whole(a) if !self.usual.suits(a));
         match (self.oversampled.get(), &mut w.oversampled) {
             (Some(fine), Some(w)) if too_close => fine.coefficients(self.plan, atoms, w, put),
             _ => self.usual.coefficients(self.plan, atoms, &mut w.usual, put),
@@ -169,10 +169,7 @@ pub(super) fn crop_spectrum(
     mut copy: impl FnMut((usize, usize), (usize, usize), [f64; 2]),
 ) {
     let dk = grid.dk();
-    let reach = [0, 1].map(|i| {
-        let most = (grid.points[i].min(points[i]) as i64 - 1) / 2;
-        ((limit / dk[i]) as i64).min(most)
-    });
+    let reach = disk_reach(grid, points, limit).map(|n| n as i64);
     let bin = |f: i64, n: usize| f.rem_euclid(n as i64) as usize;
     for fy in -reach[1]..=reach[1] {
         for fx in -reach[0]..=reach[0] {
@@ -184,4 +181,13 @@ pub(super) fn crop_spectrum(
             }
         }
     }
+}
+
+/// Largest frequency (x, y) that [`crop_spectrum`] visits.
+pub(super) fn disk_reach(grid: &Grid, points: [usize; 2], limit: f64) -> [usize; 2] {
+    let dk = grid.dk();
+    [0, 1].map(|i| {
+        let most = (grid.points[i].min(points[i]) - 1) / 2;
+        ((limit / dk[i]) as usize).min(most)
+    })
 }
