@@ -3,7 +3,7 @@
 //!
 //! Data flows one way: recipe -> specimen -> slices -> engine -> detector image -> tiles -> file.
 //! From the ground up: `error`, `constants`, `rng`, `progress`, `atomic`, `disk`, `fft`; `structure`,
-//! `potential`; `optics`, `detect`, `phonons`; `engine`; `io`, `render`; `world`.
+//! `potential`; `optics`, `resample`, `detect`, `phonons`; `engine`; `io`, `render`; `world`.
 
 pub mod atomic;
 pub mod constants;
@@ -19,6 +19,7 @@ pub mod phonons;
 pub mod potential;
 pub mod progress;
 pub mod render;
+pub mod resample;
 pub mod rng;
 pub mod structure;
 pub mod world;
