@@ -21,7 +21,7 @@ const TAPS: usize = 2 * HALF_WIDTH;
 const PHASES: usize = 512;
 /// Step times band limit of the default: rms errors are then 0.06 % of the contrast (see [`Kernel`]).
 const DEFAULT_PRODUCT: f64 = 0.42;
-/// Largest step times band limit that is accepted: errors are 0.3 % there, and 0.5 is Nyquist's.
+/// Largest step times band limit that is accepted: errors are 0.4 % there, and 0.5 is Nyquist's.
 const MOST_PRODUCT: f64 = 0.475;
 /// The kernel passes frequencies up to this share of the band limit best. Images hold little beyond, since
 /// the transfer of a round aperture falls off towards its limit; chosen for the least rms error.
@@ -50,7 +50,7 @@ pub enum Edge {
 /// | step x band limit | 0.335 | 0.37 | 0.40 | 0.42 | 0.435 | 0.45 | 0.47 |
 /// |---|---|---|---|---|---|---|---|
 /// | step in A at 200 kV, 21 mrad | 0.20 | 0.22 | 0.24 | 0.25 | 0.26 | 0.27 | 0.28 |
-/// | error, % | 0.006 | 0.013 | 0.04 | 0.06 | 0.11 | 0.17 | 0.26 |
+/// | error, % | 0.006 | 0.014 | 0.037 | 0.064 | 0.11 | 0.20 | 0.35 |
 #[derive(Debug, Clone)]
 pub struct Kernel {
     /// Weights of the samples for each phase and for 1; each row adds to 1.
