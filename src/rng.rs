@@ -24,6 +24,10 @@ pub enum Purpose {
     Carbon = 16,
     /// Nanoparticles: where, how large, how turned.
     Particle = 17,
+    /// Contents of the pool of units.
+    Pool = 32,
+    /// Phonons of library sheets, and which of them a unit of a world takes.
+    Library = 33,
 }
 
 const MULTIPLIERS: [u32; 2] = [0xD251_1F53, 0xCD9E_8D57];

@@ -14,6 +14,7 @@ use stemgen::engine::{Algorithm, Plan};
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
 use stemgen::world::footprint::world_bytes;
+use stemgen::world::mosaic::{Cache, MosaicEngine};
 use stemgen::world::simulator::WINDOW_ANGSTROM;
 use stemgen::world::subtiles::Partition;
 use stemgen::world::{
@@ -27,6 +28,9 @@ const SUBTILE_NM: f64 = 4.0;
 const PRISM_SUBTILE_NM: f64 = 2.5;
 /// Sub-tiles of the published worlds in nm.
 const PUBLISHED_SUBTILE_NM: f64 = 7.0;
+/// Sub-tiles of mosaics in nm, and their overlap.
+const MOSAIC_SUBTILE_NM: f64 = 8.0;
+const MOSAIC_OVERLAP_NM: f64 = 0.5;
 /// Interpolation of PRISM unless another is asked for: windows of 10 A in sub-tiles of 2.5 nm.
 const INTERPOLATION: [usize; 2] = [4, 4];
 
@@ -75,7 +79,7 @@ pub struct Build {
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Method")]
 struct Method {
-    /// How probes are propagated [default: window]
+    /// How images are made [default: mosaic, or window where a field is too small for it to pay]
     #[arg(long, value_name = "NAME", conflicts_with = "profile")]
     engine: Option<Engine>,
     /// Width of the window that follows each probe, in A [default: 7.8]
@@ -94,8 +98,11 @@ struct Method {
     /// [default: default]
     #[arg(long, value_name = "NAME")]
     profile: Option<Profile>,
-    /// Largest width of a sub-tile, which is simulated at once, in nm [default: 4;
-    /// prism: 2.5; published: 7]
+    /// Neither read nor keep the mosaic's simulations in the cache (see `stemgen cache`)
+    #[arg(long)]
+    no_cache: bool,
+    /// Largest width of a sub-tile, which is simulated at once, in nm [default: mosaic: 8; window,
+    /// multislice: 4; prism: 2.5; published: 7]
     #[arg(long, value_name = "NM", value_parser = values::finite, allow_negative_numbers = true)]
     subtile: Option<f64>,
     /// Overlap of sub-tiles in nm [default: a quarter of the sub-tile, at most 1]
@@ -148,6 +155,7 @@ struct Built {
     phase_boundaries: usize,
     dose_electrons_per_angstrom2: Option<f64>,
     engine: String,
+    library: Option<[usize; 2]>,
     subtiles: usize,
     subtiles_resumed: usize,
     wall_time_s: f64,
@@ -171,7 +179,8 @@ impl Build {
             output::check(picture, self.overwrite)?;
         }
         report.plan.warnings.iter().for_each(|w| reporter.warn(w));
-        let summary = self.build(&recipe, &simulator, &path, &reporter)?;
+        let engine = self.engine(simulator.clone());
+        let summary = self.build(&recipe, &*engine, &simulator, &path, &reporter)?;
         let world = WorldFile::open(&path)?;
         if let Some(picture) = &picture {
             pictures::write_world(picture, &world)?;
@@ -215,11 +224,13 @@ impl Build {
     fn subtile_nm(&self, simulator: &Simulator) -> [f64; 2] {
         let default = match simulator.settings().algorithm {
             _ if self.published() => PUBLISHED_SUBTILE_NM,
+            _ if self.is_mosaic() => MOSAIC_SUBTILE_NM,
             Algorithm::Prism { .. } => PRISM_SUBTILE_NM,
             _ => SUBTILE_NM,
         };
         let size = self.method.subtile.unwrap_or(default);
-        [size, self.method.subtile_overlap.unwrap_or((0.25 * size).clamp(0.0, 1.0))]
+        let most = if self.is_mosaic() { MOSAIC_OVERLAP_NM } else { 1.0 };
+        [size, self.method.subtile_overlap.unwrap_or((0.25 * size).clamp(0.0, most))]
     }
 
     fn plan(&self, recipe: &Recipe, simulator: &Simulator, path: &Path) -> anyhow::Result<DryRun> {
@@ -253,9 +264,25 @@ impl Build {
         })
     }
 
+    /// Whether units that repeat share simulations.
+    fn is_mosaic(&self) -> bool {
+        let implied = self.method.interpolation.is_none() && !self.published();
+        self.method.engine.map_or(implied, |e| e == Engine::Mosaic)
+    }
+
+    fn engine(&self, simulator: Simulator) -> Box<dyn SubTileEngine> {
+        if !self.is_mosaic() {
+            return Box::new(simulator);
+        }
+        let cache = if self.method.no_cache { Cache::none() } else { Cache::of_user() };
+        let always = self.method.engine == Some(Engine::Mosaic);
+        Box::new(MosaicEngine { simulator, cache, always })
+    }
+
     fn build(
         &self,
         recipe: &Recipe,
+        engine: &dyn SubTileEngine,
         simulator: &Simulator,
         path: &Path,
         reporter: &Reporter,
@@ -268,7 +295,7 @@ impl Build {
             subtile_nm,
             subtile_overlap_nm,
         };
-        let done = stemgen::world::build(recipe, simulator, path, &options, reporter);
+        let done = stemgen::world::build(recipe, engine, path, &options, reporter);
         done.map_err(|error| match error {
             stemgen::Error::Interrupted => {
                 let kept = format!(
@@ -307,7 +334,8 @@ impl Build {
             grain_boundaries: world.boundaries()?.len(),
             phase_boundaries: world.phase_boundaries()?.len(),
             dose_electrons_per_angstrom2: (!self.no_noise).then_some(dose),
-            engine: simulator.name(),
+            engine: summary.engine.clone(),
+            library: summary.library,
             subtiles: summary.subtiles,
             subtiles_resumed: summary.subtiles_resumed,
             wall_time_s: summary.wall_time_s,
@@ -381,6 +409,11 @@ impl Built {
         };
         let plural = if self.subtiles == 1 { "sub-tile" } else { "sub-tiles" };
         lines.add("engine", format!("{}, {} {plural}{resumed}", self.engine, self.subtiles));
+        if let Some([images, simulated]) = self.library {
+            let images = text::count(images as u64);
+            let simulated = text::count(simulated as u64);
+            lines.add("library", format!("{images} images, {simulated} of them simulated now"));
+        }
         lines.add("time", text::duration(self.wall_time_s));
         let size = text::bytes(self.file_bytes);
         lines.add("file", format!("{} ({size})", self.output.display()));

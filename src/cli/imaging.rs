@@ -100,6 +100,9 @@ impl NumericsArgs {
     /// The algorithm that the options stand for.
     pub fn algorithm(&self) -> anyhow::Result<Algorithm> {
         check_accuracy(self.accuracy, self.algorithm)?;
+        if self.algorithm == Some(Engine::Mosaic) {
+            bail!("--engine mosaic is for worlds (`stemgen build`); take window, prism or multislice");
+        }
         algorithm(
             self.algorithm,
             self.window,
@@ -127,7 +130,7 @@ pub fn algorithm(
         (None, None) => named.unwrap_or(default),
     };
     let engine = named.unwrap_or(implied);
-    if window.is_some() && engine != Engine::Window {
+    if window.is_some() && !matches!(engine, Engine::Window | Engine::Mosaic) {
         bail!("--window belongs to the algorithm `window`, not to `{}`", name(engine));
     }
     if interpolation.is_some() && engine != Engine::Prism {
@@ -136,7 +139,9 @@ pub fn algorithm(
     Ok(match engine {
         Engine::Multislice => Algorithm::Multislice,
         Engine::Prism => Algorithm::Prism { interpolation: interpolation.unwrap_or(factors) },
-        Engine::Window => Algorithm::Window { width_angstrom: window.unwrap_or(width_angstrom) },
+        Engine::Window | Engine::Mosaic => {
+            Algorithm::Window { width_angstrom: window.unwrap_or(width_angstrom) }
+        }
     })
 }
 
@@ -145,6 +150,7 @@ fn name(engine: Engine) -> &'static str {
         Engine::Multislice => "multislice",
         Engine::Prism => "prism",
         Engine::Window => "window",
+        Engine::Mosaic => "mosaic",
     }
 }
 
@@ -163,7 +169,7 @@ impl MicroscopeArgs {
 
 /// Refuses an accuracy for engines that have no windows.
 pub fn check_accuracy(accuracy: Option<f64>, engine: Option<Engine>) -> anyhow::Result<()> {
-    if accuracy.is_some() && !matches!(engine, None | Some(Engine::Window)) {
+    if accuracy.is_some() && !matches!(engine, None | Some(Engine::Window | Engine::Mosaic)) {
         bail!("--accuracy chooses a window; leave out --engine, or take --engine window");
     }
     Ok(())

@@ -141,6 +141,8 @@ pub enum Engine {
     Prism,
     /// Every probe in a small window that follows it
     Window,
+    /// Worlds only: columns with like contents and surroundings share simulations in windows
+    Mosaic,
 }
 
 /// How an atom is distributed over slices.

@@ -6,11 +6,12 @@ use std::time::Instant;
 
 use ndarray::Array2;
 
-use super::assemble::Mosaic;
 use super::census::estimated_sites;
 use super::footprint;
+use super::mosaic::{Mosaic, MosaicEngine};
 use super::recipe::Recipe;
 use super::specimen::{BEYOND_FIELD_NM, DISPLACED_NM, Region, SiteKind, Specimen, specimen};
+use super::stitch::WorldImage;
 use super::store::{Store, beside};
 use super::subprogress::SubProgress;
 use super::subtiles::{Partition, SubTile};
@@ -42,6 +43,10 @@ pub trait SubTileEngine {
         scan: &Scan,
         progress: &dyn Progress,
     ) -> Result<Array2<f32>>;
+    /// The mosaic that makes images in place of [`SubTileEngine::image`], if it is one.
+    fn mosaic(&self) -> Option<&MosaicEngine> {
+        None
+    }
 }
 
 /// How to build.
@@ -82,6 +87,10 @@ pub struct Summary {
     pub fov_nm: [f64; 2],
     /// Lattice sites, vacancies and columns listed.
     pub counts: Counts,
+    /// Name of the method.
+    pub engine: String,
+    /// Images of the mosaic's library, and how many of them had to be simulated.
+    pub library: Option<[usize; 2]>,
     /// Sub-tiles in all.
     pub subtiles: usize,
     /// Sub-tiles that an earlier run had left.
@@ -115,19 +124,25 @@ pub fn build(
         let expected = format!("the specimen goes on for {} A around it", BEYOND_FIELD_NM * 10.0);
         return Err(Error::invalid("engine margin (A)", margin, expected));
     }
-    let job = Job { recipe, engine, specimen: specimen(recipe)?, progress };
+    let specimen = specimen(recipe)?;
     let field = &recipe.field;
     let shape = field.pixels(field.built_grid());
     let (size, overlap) = (options.subtile_nm, options.subtile_overlap_nm);
     let partition = Partition::new(shape, field.pixel_nm(), size, overlap)?;
-    let sites = estimated_sites(&*job.specimen, field);
+    let sites = estimated_sites(&*specimen, field);
     let needed = footprint::world_bytes(field, sites, options.keep_clean);
     let done = footprint::folder_bytes(&beside(output, ".work"));
     disk::check_space(output, needed.saturating_sub(done))?;
+    let mosaic = match engine.mosaic() {
+        Some(engine) => Mosaic::prepare(engine, &*specimen, recipe, progress)?,
+        None => None,
+    };
+    let library = mosaic.as_ref().map(|m| [m.images(), m.simulated]);
+    let job = Job { recipe, engine, specimen: &*specimen, mosaic, progress };
     let store = Store::open(output, &job.key(&partition), progress)?;
     let done = job.simulate(&partition, &store).and_then(|resumed| {
-        let mosaic = Mosaic::new(recipe, &partition, &store, options.noise);
-        Ok((resumed, job.publish(output, &mosaic, options, started)?))
+        let image = WorldImage::new(recipe, &partition, &store, options.noise);
+        Ok((resumed, job.publish(output, &image, options, started)?))
     });
     let (resumed, (counts, range)) = done.inspect_err(|_| {
         let kept = "keeps the sub-tiles done so far; the same command goes on from there";
@@ -139,6 +154,8 @@ pub fn build(
         grid: field.built_grid(),
         fov_nm: shape.map(|n| n as f64 * field.pixel_nm()),
         counts,
+        engine: job.engine_name(),
+        library,
         subtiles: partition.len(),
         subtiles_resumed: resumed,
         range,
@@ -166,17 +183,26 @@ fn check_output(output: &Path, overwrite: bool) -> Result<()> {
 struct Job<'a> {
     recipe: &'a Recipe,
     engine: &'a dyn SubTileEngine,
-    specimen: Box<dyn Specimen>,
+    specimen: &'a dyn Specimen,
+    mosaic: Option<Mosaic<'a>>,
     progress: &'a dyn Progress,
 }
 
 impl Job<'_> {
+    /// Name of the method that makes the image.
+    fn engine_name(&self) -> String {
+        match (&self.mosaic, self.engine.mosaic()) {
+            (None, Some(unused)) => unused.simulator.name(),
+            _ => self.engine.name(),
+        }
+    }
+
     /// All that decides the image of a sub-tile.
     fn key(&self, partition: &Partition) -> String {
         let key = serde_json::json!({
             "stemgen": env!("CARGO_PKG_VERSION"),
             "recipe": self.recipe.to_toml(),
-            "engine": self.engine.name(),
+            "engine": self.engine_name(),
             "parameters": self.engine.parameters(),
             "partition": format!("{partition:?}"),
         });
@@ -186,7 +212,11 @@ impl Job<'_> {
     /// Simulates what is missing; returns how many sub-tiles were there.
     fn simulate(&self, partition: &Partition, store: &Store) -> Result<usize> {
         let probes = partition.subtiles().map(|t| t.rows.len() * t.columns.len()).sum::<usize>();
-        self.progress.start("simulating", "probe", probes as u64);
+        let (stage, unit) = match self.mosaic {
+            Some(_) => ("assembling", "pixel"),
+            None => ("simulating", "probe"),
+        };
+        self.progress.start(stage, unit, probes as u64);
         let mut resumed = 0;
         for tile in partition.subtiles() {
             if self.progress.interrupted() {
@@ -209,6 +239,9 @@ impl Job<'_> {
         let (first, pixel) = (field.crop_origin_px(), field.pixel_nm());
         let margin_nm = self.engine.margin_angstrom() * 0.1;
         let start = [first[0] + tile.rows.start, first[1] + tile.columns.start];
+        if let Some(mosaic) = &self.mosaic {
+            return mosaic.image(start, tile.shape(), progress);
+        }
         let area = Region::of_pixels(start, tile.shape(), pixel).grown(margin_nm);
         let scan = Scan {
             origin_angstrom: [10.0 * margin_nm + 5.0 * pixel; 2],
@@ -253,12 +286,12 @@ impl Job<'_> {
     fn publish(
         &self,
         output: &Path,
-        mosaic: &Mosaic,
+        image: &WorldImage,
         options: &BuildOptions,
         started: Instant,
     ) -> Result<(Counts, [f32; 2])> {
         let partial = beside(output, ".partial");
-        let written = self.write_file(&partial, mosaic, options, started).and_then(|written| {
+        let written = self.write_file(&partial, image, options, started).and_then(|written| {
             check_output(output, options.overwrite)?;
             fs::rename(&partial, output).map_err(|e| Error::io(output, "write", e))?;
             Ok(written)
@@ -273,14 +306,14 @@ impl Job<'_> {
     fn write_file(
         &self,
         path: &Path,
-        mosaic: &Mosaic,
+        image: &WorldImage,
         options: &BuildOptions,
         started: Instant,
     ) -> Result<(Counts, [f32; 2])> {
         let writer = WorldWriter::create(path, &self.header(options.noise), options.keep_clean)?;
-        let range = mosaic.range(self.progress)?;
-        mosaic.write(&writer, range, options.keep_clean, self.progress)?;
-        let counts = truth::write(&*self.specimen, &self.recipe.field, &writer, self.progress)?;
+        let range = image.range(self.progress)?;
+        image.write(&writer, range, options.keep_clean, self.progress)?;
+        let counts = truth::write(self.specimen, &self.recipe.field, &writer, self.progress)?;
         writer.finish(started.elapsed().as_secs_f64())?;
         verify(path, counts)?;
         Ok((counts, range))
@@ -295,7 +328,7 @@ impl Job<'_> {
             ("zone_axis", recipe.zone_axis.clone()),
             ("recipe", recipe.to_toml()),
             ("stemgen_version", env!("CARGO_PKG_VERSION").into()),
-            ("engine", self.engine.name()),
+            ("engine", self.engine_name()),
             ("engine_parameters", self.engine.parameters().to_string()),
         ];
         texts.extend(recipe.source.iter().map(|source| ("source", source.clone())));

@@ -64,6 +64,13 @@ pub struct LocalDefects {
 }
 
 impl LocalDefects {
+    /// How often a site where `element` belongs is a defect.
+    pub fn rate(&self, element: u8) -> f64 {
+        let vacant = self.vacancies.filter(|(e, _)| *e == element).map_or(0.0, |(_, p)| p);
+        let replaced = self.substitutions.filter(|(e, _, _)| *e == element);
+        vacant + (1.0 - vacant) * replaced.map_or(0.0, |(_, _, rate)| rate)
+    }
+
     /// Kind of the site `key` where element `number` belongs, and the element that it holds (of a
     /// vacancy, the one that is missing).
     pub fn of(&self, key: u64, number: u8) -> (SiteKind, u8) {

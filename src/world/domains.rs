@@ -105,7 +105,7 @@ impl Specimen for Domains {
                 let position_nm = [0, 1, 2].map(|k| ideal[k] + order * shift[k]);
                 SpecimenSite { key, position_nm, number, kind }
             });
-            out.push_column(index.id(), column, sites);
+            out.push_column(index.id(), column, None, sites);
         });
         out
     }

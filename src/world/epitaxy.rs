@@ -143,7 +143,7 @@ impl Specimen for Epitaxy {
                 }
                 SpecimenSite { key, position_nm: [x, y, z], number, kind }
             });
-            out.push_column(index.id(), [x, y], sites);
+            out.push_column(index.id(), [x, y], None, sites);
         });
         out
     }

@@ -4,13 +4,16 @@
 use std::collections::{BTreeMap, HashMap};
 
 use super::boundary::{self, Fate, MinDistances, ON_PLANE};
+use super::boundary_motif::{BoundaryColumn, BoundaryMotif, SLOT_REACH_ANGSTROM, reach_angstrom};
 use super::coherent::NM;
 use super::coincidence::{self, HalfAngle};
+use super::contents::Contents;
 use super::crystal::{Chain, ColumnCrystal, ColumnIndex, Grain};
 use super::defects::Defects;
 use super::recipe::{Boundaries, Recipe};
+use super::sheet::{Family, Sheet};
 use super::specimen::{
-    BEYOND_FIELD_NM, Boundary, BoundaryKind, Region, Sites, Specimen, SpecimenSite,
+    BEYOND_FIELD_NM, Boundary, BoundaryKind, Region, SiteKind, Sites, Specimen, SpecimenSite, UnitTag,
 };
 use crate::error::{Error, Result};
 use crate::structure::shortest_distances;
@@ -32,6 +35,21 @@ pub struct Grains {
     field: Region,
     kind: BoundaryKind,
     defects: Defects,
+    /// What units hold; `None` draws each site by itself.
+    contents: Option<Contents>,
+    motifs: Vec<BoundaryMotif>,
+    /// For each boundary that repeats: its motif, the directions of the motif's axes, and a lattice point on
+    /// the plane.
+    repeating: Vec<Option<Repeat>>,
+}
+
+/// How a boundary shows a motif.
+#[derive(Debug, Clone, Copy)]
+struct Repeat {
+    motif: usize,
+    flip: [f64; 2],
+    /// y in Angstrom of a lattice point on the plane.
+    origin: f64,
 }
 
 /// A column that is there.
@@ -64,6 +82,9 @@ impl Grains {
             field,
             kind: BoundaryKind::Grain { misorientation_deg: 0.0, sigma: None },
             defects: Defects::default(),
+            contents: None,
+            motifs: Vec::new(),
+            repeating: Vec::new(),
         };
         specimen.lay_out(recipe.boundaries.as_ref(), &shortest)?;
         specimen.defects = Defects::fit(recipe, |element, histogram| {
@@ -72,6 +93,8 @@ impl Grains {
                 histogram.add(specimen.distance_nm(column.position[0]), chains as u64);
             });
         })?;
+        specimen.contents = Contents::new(recipe, &specimen.crystal)?;
+        specimen.find_motifs(recipe);
         Ok(specimen)
     }
 
@@ -143,6 +166,146 @@ impl Grains {
         chains.iter().enumerate().filter(move |(n, _)| kept >> n & 1 == 1)
     }
 
+    /// Place of a column in the library.
+    fn tag(&self, column: &Present) -> Option<UnitTag> {
+        let contents = self.contents.as_ref()?;
+        let (kind, member, first) = contents.unit_of(column.index);
+        let members = &contents.units.kinds[kind];
+        let grain = &self.grains[column.index.grain];
+        let centre = centre(members.iter().map(|m| {
+            let xy = self.crystal.columns[m.kind].xy;
+            let at = |k: usize| (first.cell[k] + m.cell[k]) as f64 + xy[k];
+            grain.position(self.crystal.cell, at(0), at(1))
+        }));
+        let element = contents.process.map_or(0, |p| p.element);
+        let rate_at = |x: f64| self.defects.at(self.distance_nm(x)).rate(element);
+        let nearest = self.nearest_plane(centre[0]);
+        if let Some(plane) = nearest.filter(|n| (centre[0] - self.planes[*n]).abs() <= SLOT_REACH_ANGSTROM) {
+            let repeat = self.repeating.get(plane).copied().flatten()?;
+            let motif = &self.motifs[repeat.motif];
+            let [x, y] = column.position;
+            let seen = [repeat.flip[0] * (x - self.planes[plane]), repeat.flip[1] * (y - repeat.origin)];
+            let slot = motif.slot(seen, self.chains(column).map(|(n, _)| n))?;
+            let (rate, around) = (rate_at(x), rate_at(self.planes[plane]));
+            let entry = motif.draw(slot, column.index.id(), rate, around)?;
+            return Some(UnitTag {
+                id: column.index.id(),
+                member: [0, 1],
+                centre_nm: column.position.map(|v| v * NM),
+                family: Family { motif: 1 + repeat.motif, structure: 0, bin: entry.bin },
+                entry,
+                frame: [[repeat.flip[0], 0.0], [0.0, repeat.flip[1]]],
+            });
+        }
+        let entry = contents.draw(kind, first, rate_at(centre[0]))?;
+        let ([c, s], x) = (grain.rotation, if grain.mirrored { -1.0 } else { 1.0 });
+        Some(UnitTag {
+            id: first.id(),
+            member: [member, members.len()],
+            centre_nm: centre.map(|v| v * NM),
+            family: Family { motif: 0, structure: 0, bin: entry.bin },
+            entry,
+            frame: [[x * c, -x * s], [s, c]],
+        })
+    }
+
+    fn nearest_plane(&self, x: f64) -> Option<usize> {
+        let distance = |n: &usize| (x - self.planes[*n]).abs();
+        (0..self.planes.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)))
+    }
+
+    fn pattern(&self, tag: &UnitTag) -> &[u16] {
+        match (tag.family.motif, &self.contents) {
+            (0, Some(contents)) => contents.pattern(tag.entry),
+            (0, None) => &[],
+            (motif, _) => {
+                let patterns = self.motifs[motif - 1].pool.patterns(tag.entry.kind, tag.entry.bin);
+                &patterns.cells[tag.entry.cell]
+            }
+        }
+    }
+
+    /// The number among the unit's sites of an atom of a chain, given by its number in the kind of column and among
+    /// the chains that are there.
+    fn site(&self, tag: &UnitTag, kind: usize, [chain, there]: [usize; 2], depth: usize) -> Option<usize> {
+        match tag.family.motif {
+            0 => self.contents.as_ref()?.site(kind, chain, depth),
+            motif => self.motifs[motif - 1].site(tag.entry.kind, there, depth),
+        }
+    }
+
+    fn holds(&self, pattern: &[u16], site: Option<usize>, number: u8) -> (SiteKind, u8) {
+        let process = self.contents.as_ref().and_then(|c| c.process);
+        match (site, process) {
+            (Some(site), Some(process)) if pattern.contains(&(site as u16)) => process.defect(),
+            _ => (SiteKind::Pristine, number),
+        }
+    }
+
+    /// Finds the repeating patterns of the boundaries.
+    fn find_motifs(&mut self, recipe: &Recipe) {
+        let Some(contents) = &self.contents else { return };
+        let coincidence = recipe.boundaries.as_ref().and_then(|b| {
+            coincidence::half_angle(b.sigma?, b.misorientation_deg).ok()
+        });
+        let single = contents.units.kinds.iter().all(|m| m.len() == 1);
+        let Some(half) = coincidence.filter(|_| single && self.reach < SLOT_REACH_ANGSTROM) else { return };
+        let period = half.period() * self.crystal.cell[0];
+        let mut motifs: Vec<BoundaryMotif> = Vec::new();
+        for plane in 0..self.planes.len() {
+            let found = self.origin_on(plane, period).map(|origin| {
+                let columns = self.period_of(plane, origin, period);
+                let flips = [[1.0, 1.0], [-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0]];
+                let known = motifs.iter().enumerate().find_map(|(motif, m)| {
+                    let flip = flips.into_iter().find(|flip| shows(m, &columns, *flip))?;
+                    Some(Repeat { motif, flip, origin })
+                });
+                known.unwrap_or_else(|| {
+                    let (depth, process) = (self.cells_along_beam, contents.process);
+                    let stream = (recipe.seed, motifs.len() as u64);
+                    let n = recipe.phonons.configurations;
+                    motifs.push(BoundaryMotif::new(columns, period, depth, process, n, stream));
+                    Repeat { motif: motifs.len() - 1, flip: [1.0; 2], origin }
+                })
+            });
+            self.repeating.push(found);
+        }
+        self.motifs = motifs;
+    }
+
+    /// y of the lattice point on a boundary's plane that is nearest above the middle of the field.
+    fn origin_on(&self, plane: usize, period: f64) -> Option<f64> {
+        let (grain, x) = (&self.grains[plane], self.planes[plane]);
+        let middle = 0.5 * (self.field.y[0] + self.field.y[1]) / NM;
+        let cell = self.crystal.cell;
+        let [is, js] = grain.cells(cell, [[x, x], [middle, middle + period]]);
+        let points = is.flat_map(|i| js.clone().map(move |j| (i, j)));
+        let points = points.map(|(i, j)| grain.position(cell, i as f64, j as f64));
+        let on = points.filter(|p| (p[0] - x).abs() < ON_PLANE && p[1] >= middle - ON_PLANE);
+        on.map(|p| p[1]).min_by(f64::total_cmp)
+    }
+
+    /// The columns around a boundary from `origin` up to one period on.
+    fn period_of(&self, plane: usize, origin: f64, period: f64) -> Vec<BoundaryColumn> {
+        let (x, reach) = (self.planes[plane], reach_angstrom());
+        // A little lower, so that rounding does not count a column twice or never.
+        let low = origin - 1e-3;
+        let rect = [[x - reach, x + reach], [low, low + period]];
+        let region = Region { x: rect[0].map(|v| v * NM), y: rect[1].map(|v| v * NM) };
+        let mut columns = Vec::new();
+        self.for_each_column(&region, |column| {
+            let position = [column.position[0] - x, column.position[1] - origin];
+            // Rounded, so that worlds of other seeds and fields have the same sheets.
+            let position = position.map(|v| (v * 1e6).round() * 1e-6);
+            let chains = self.chains(&column).map(|(n, c)| (n, *c)).collect();
+            columns.push(BoundaryColumn { position, chains });
+        });
+        columns.sort_by(|a, b| {
+            a.position[1].total_cmp(&b.position[1]).then(a.position[0].total_cmp(&b.position[0]))
+        });
+        columns
+    }
+
     /// Calls `f` for the columns that lie in `region`, in the order of grains and cells.
     fn for_each_column(&self, region: &Region, mut f: impl FnMut(Present)) {
         let region = region.intersection(&self.extent);
@@ -196,18 +359,44 @@ impl Specimen for Grains {
         let mut out = Sites::default();
         self.for_each_column(region, |column| {
             let [x, y] = column.position.map(|v| v * NM);
+            let tag = self.tag(&column);
+            let pattern = tag.map(|t| self.pattern(&t));
             let defects = self.defects.at(self.distance_nm(column.position[0]));
             let cells = 0..self.cells_along_beam;
-            let sites = cells.flat_map(|cell| self.chains(&column).map(move |(_, c)| (cell, c)));
-            let sites = sites.map(|(cell, chain)| {
-                let key = column.index.key(chain, cell);
-                let (kind, number) = defects.of(key, chain.number);
+            let sites = cells.flat_map(|cell| {
+                self.chains(&column).enumerate().map(move |(there, (n, c))| (cell, there, n, c))
+            });
+            let sites = sites.map(|(cell, there, number, chain)| {
                 let z = (cell as f64 + chain.z) * self.crystal.cell[2] * NM;
+                let key = column.index.key(chain, cell);
+                let (kind, number) = match (&tag, pattern) {
+                    (Some(tag), Some(pattern)) => {
+                        let site = self.site(tag, column.index.kind, [number, there], cell);
+                        self.holds(pattern, site, chain.number)
+                    }
+                    _ => defects.of(key, chain.number),
+                };
                 SpecimenSite { key, position_nm: [x, y, z], number, kind }
             });
-            out.push_column(column.index.id(), [x, y], sites);
+            out.push_column(column.index.id(), [x, y], tag, sites);
         });
         out
+    }
+
+    fn sheet(&self, family: Family) -> Option<Sheet> {
+        let contents = self.contents.as_ref()?;
+        if family.motif > 0 {
+            let motif = self.motifs.get(family.motif - 1)?;
+            return Some(motif.sheet(&self.crystal, self.cells_along_beam, family.bin));
+        }
+        let [a, b, c] = self.crystal.cell;
+        let place = |depth: usize, kind: usize, chain: usize| {
+            let column = &self.crystal.columns[kind];
+            let z = (depth as f64 + column.chains[chain].z) * c;
+            [column.xy[0] * a, column.xy[1] * b, z]
+        };
+        let cell = ([a, b], family.bin);
+        Some(Sheet::lattice(contents, &self.crystal, cell, self.cells_along_beam, place))
     }
 
     fn thickness_nm(&self) -> f64 {
@@ -219,6 +408,23 @@ impl Specimen for Grains {
         let boundary = |plane| Boundary { line_nm: line(plane), kind: self.kind.clone() };
         self.planes.iter().map(boundary).collect()
     }
+}
+
+/// Whether all columns near a boundary are slots of a motif, and as many, when seen along its axes.
+fn shows(motif: &BoundaryMotif, columns: &[BoundaryColumn], flip: [f64; 2]) -> bool {
+    let near = columns.iter().filter(|c| c.position[0].abs() <= SLOT_REACH_ANGSTROM);
+    let mut count = 0;
+    let all = near.into_iter().all(|c| {
+        count += 1;
+        let seen = [0, 1].map(|k| flip[k] * c.position[k]);
+        motif.slot(seen, c.chains.iter().map(|(n, _)| *n)).is_some()
+    });
+    all && count == motif.len()
+}
+
+fn centre(positions: impl ExactSizeIterator<Item = [f64; 2]>) -> [f64; 2] {
+    let count = positions.len() as f64;
+    positions.fold([0.0; 2], |sum, p| [0, 1].map(|k| sum[k] + p[k] / count))
 }
 
 /// The mirror plane nearest to `target` (all in Angstrom): a lattice line of the coincidence

@@ -3,13 +3,14 @@
 //! recipe -> specimen -> sub-tiles -> engine -> blended image -> noise -> tiles -> file. A sub-tile
 //! is saved as soon as it is computed, so an interrupted build goes on where it was.
 
-mod assemble;
 pub mod boundary;
+mod boundary_motif;
 pub mod build;
 mod census;
 mod coherent;
 pub mod coincidence;
 mod composition;
+pub mod contents;
 pub mod crystal;
 pub mod crystal_source;
 pub mod defects;
@@ -19,22 +20,27 @@ pub mod epitaxy;
 mod export;
 pub mod footprint;
 pub mod grains;
+pub mod mosaic;
 pub mod noise;
 mod orientation;
 mod overrides;
 pub mod particles;
+mod pool;
 mod particles_check;
 pub mod recipe;
 mod recipe_check;
 pub mod relax;
 mod roughness;
+pub mod sheet;
 pub mod simulator;
 pub mod specimen;
+mod stitch;
 mod store;
 mod subprogress;
 pub mod subtiles;
 pub mod tables;
 mod truth;
+mod units;
 pub mod vacancies;
 mod wave;
 

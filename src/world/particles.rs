@@ -152,7 +152,7 @@ impl ParticlesOnCarbon {
                 out.sites.push(SpecimenSite { key: key(n), position_nm, number, kind });
             }
             let sites = first..out.sites.len();
-            out.columns.push(AtomColumn { id: key(row.start), position_nm: at, sites });
+            out.columns.push(AtomColumn { id: key(row.start), position_nm: at, sites, unit: None });
         }
     }
 }
@@ -180,7 +180,7 @@ impl Specimen for ParticlesOnCarbon {
                     number: CARBON,
                     kind: SiteKind::Pristine,
                 });
-                out.columns.push(AtomColumn { id: key, position_nm: at, sites: first..first + 1 });
+                out.columns.push(AtomColumn { id: key, position_nm: at, sites: first..first + 1, unit: None });
             }
         }
         out

@@ -64,6 +64,12 @@ impl Simulator {
         simulator
     }
 
+    /// The same for atoms that are displaced already.
+    #[must_use]
+    pub fn without_phonons(&self) -> Self {
+        Simulator { settings: Settings { phonons: None, ..self.settings.clone() } }
+    }
+
     /// The engine settings.
     pub fn settings(&self) -> &Settings {
         &self.settings

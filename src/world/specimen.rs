@@ -1,11 +1,13 @@
 //! Specimens: all lattice sites of a full field, asked for region by region.
 
+use super::contents::Entry;
 use super::domains::Domains;
 use super::epitaxy::Epitaxy;
 use super::grains::Grains;
 use super::particles::ParticlesOnCarbon;
 use super::recipe::{Recipe, StructureKind};
 use super::relax::Relaxed;
+use super::sheet::{Family, Sheet};
 use crate::error::Result;
 
 /// Sites are never further than this from the position of their column, in nm.
@@ -78,6 +80,25 @@ pub struct AtomColumn {
     pub position_nm: [f64; 2],
     /// Its sites in [`Sites::sites`], by ascending z.
     pub sites: std::ops::Range<usize>,
+    /// Its place in the library of the mosaic; `None` where nothing repeats.
+    pub unit: Option<UnitTag>,
+}
+
+/// Which unit (columns too close to be told apart) a column belongs to, and where its like is in the library.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct UnitTag {
+    /// Unique in the specimen: the same for all columns of the unit.
+    pub id: u64,
+    /// Which column of the unit this is, and of how many.
+    pub member: [usize; 2],
+    /// Centre (x, y) of the unit in nm.
+    pub centre_nm: [f64; 2],
+    /// Sheets that show units with such surroundings.
+    pub family: Family,
+    /// Its contents, and where they are in the sheets.
+    pub entry: Entry,
+    /// Carries directions in the sheet over to the field: rows of an orthogonal matrix.
+    pub frame: [[f64; 2]; 2],
 }
 
 /// The columns of a region, complete, and their sites.
@@ -95,11 +116,12 @@ impl Sites {
         &mut self,
         id: u64,
         position_nm: [f64; 2],
+        unit: Option<UnitTag>,
         sites: impl Iterator<Item = SpecimenSite>,
     ) {
         let first = self.sites.len();
         self.sites.extend(sites);
-        self.columns.push(AtomColumn { id, position_nm, sites: first..self.sites.len() });
+        self.columns.push(AtomColumn { id, position_nm, sites: first..self.sites.len(), unit });
     }
 }
 
@@ -172,6 +194,10 @@ pub trait Specimen: Send + Sync {
     /// The phase at a point (x, y) in nm, as an index into [`Specimen::phases`].
     fn phase_at(&self, _position_nm: [f64; 2]) -> usize {
         0
+    }
+    /// The sheet in which units of a family are simulated, for specimens that tag columns with units.
+    fn sheet(&self, _family: Family) -> Option<Sheet> {
+        None
     }
     /// Particles whose centre lies in the specimen.
     fn particles(&self) -> Vec<ParticleTruth> {

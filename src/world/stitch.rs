@@ -14,7 +14,7 @@ use crate::io::schema::OVERVIEW_FACTOR;
 use crate::progress::Progress;
 
 /// The image of a world, computed band by band from the sub-tiles on disk.
-pub struct Mosaic<'a> {
+pub struct WorldImage<'a> {
     partition: &'a Partition,
     store: &'a Store,
     noise: Option<Noise>,
@@ -24,13 +24,13 @@ pub struct Mosaic<'a> {
     stride: usize,
 }
 
-impl<'a> Mosaic<'a> {
+impl<'a> WorldImage<'a> {
     /// The image of the built part of a field.
     pub fn new(recipe: &Recipe, partition: &'a Partition, store: &'a Store, noise: bool) -> Self {
         let field = &recipe.field;
         let pixel_angstrom = 10.0 * field.pixel_nm();
         let dose = recipe.dose.electrons_per_angstrom2;
-        Mosaic {
+        WorldImage {
             partition,
             store,
             noise: noise.then(|| Noise {

@@ -1,0 +1,168 @@
+//! What the units of a lattice hold, drawn from a pool, and how the pool is laid out in sheets.
+
+use super::crystal::{ColumnCrystal, ColumnIndex};
+use super::pool::{self, Pool};
+use super::recipe::Recipe;
+use super::specimen::SiteKind;
+use super::units::{Member, Units};
+use crate::error::Result;
+use crate::structure::elements;
+
+/// Least width of the periodic part of a sheet in Angstrom: more than twice the reach of a probe.
+pub const SHEET_ANGSTROM: f64 = 19.0;
+/// Patches that the sheets of a bin hold, all kinds of units and phonon configurations together. The mean
+/// square of the phonon spread of one kind of column is then known to 5 %.
+const PATCHES_PER_BIN: usize = 3500;
+
+/// The one kind of defect in a specimen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Process {
+    /// Atomic number of the element concerned.
+    pub element: u8,
+    /// What replaces it; `None` for vacancies.
+    pub by: Option<u8>,
+}
+
+impl Process {
+    /// What a defective site holds (of a vacancy, the element that is missing).
+    pub fn defect(self) -> (SiteKind, u8) {
+        match self.by {
+            Some(by) => (SiteKind::Substitution, by),
+            None => (SiteKind::Vacancy, self.element),
+        }
+    }
+}
+
+/// Where a unit's contents lie in the pool, and its image in the library.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Entry {
+    /// Bin of rates.
+    pub bin: usize,
+    /// Kind of unit.
+    pub kind: usize,
+    /// Cell among all sheets of the bin.
+    pub cell: usize,
+}
+
+/// Contents of the units of a crystal.
+#[derive(Debug)]
+pub struct Contents {
+    /// The units of the crystal's cell.
+    pub units: Units,
+    /// The kind of defect, if any.
+    pub process: Option<Process>,
+    /// Patterns of defects.
+    pub pool: Pool,
+    /// Cells of a sheet along x and y.
+    pub sheet_cells: [usize; 2],
+    /// For each kind of column, the defective chains' place among those of its unit.
+    places: Vec<Vec<Option<usize>>>,
+    /// Chains of each kind of unit that may be defects.
+    per_cell: Vec<usize>,
+    seed: u64,
+}
+
+impl Contents {
+    /// For a recipe with at most one kind of defect; `None` for others, whose sites are drawn one by one.
+    ///
+    /// # Errors
+    /// [`crate::Error::UnknownElement`].
+    pub fn new(recipe: &Recipe, crystal: &ColumnCrystal) -> Result<Option<Self>> {
+        let Ok(process) = process(recipe)? else { return Ok(None) };
+        let depth = crystal.cells_along_beam(recipe.field.thickness_nm);
+        let units = Units::new(crystal);
+        let mut per_cell = vec![0; units.kinds.len()];
+        let mut places = vec![Vec::new(); crystal.columns.len()];
+        for (kind, members) in units.kinds.iter().enumerate() {
+            for Member { kind: column, .. } in members {
+                for chain in &crystal.columns[*column].chains {
+                    let concerned = process.is_some_and(|p| p.element == chain.number);
+                    places[*column].push(concerned.then_some(per_cell[kind]));
+                    per_cell[kind] += usize::from(concerned);
+                }
+            }
+        }
+        let sheet_cells =
+            [0, 1].map(|k| (SHEET_ANGSTROM / crystal.cell[k]).ceil().max(1.0) as usize);
+        let per_sheet = sheet_cells[0] * sheet_cells[1];
+        let configurations = recipe.phonons.configurations.max(1);
+        let sheets = sheets(per_sheet * units.kinds.len(), configurations);
+        let sites = per_cell.iter().map(|n| n * depth).collect();
+        let pool = Pool::new(sites, sheets * per_sheet, 0);
+        let seed = recipe.seed;
+        Ok(Some(Contents { units, process, pool, sheet_cells, places, per_cell, seed }))
+    }
+
+    /// The unit to which a column belongs: its kind, which member the column is, and the index of its first
+    /// member, which names it.
+    pub fn unit_of(&self, index: ColumnIndex) -> (usize, usize, ColumnIndex) {
+        let (unit, number) = self.units.of_column[index.kind];
+        let member = self.units.kinds[unit][number];
+        let cell = [0, 1].map(|k| index.cell[k] - member.cell[k]);
+        (unit, number, ColumnIndex { kind: self.units.kinds[unit][0].kind, cell, ..index })
+    }
+
+    /// The number among the unit's sites of the atom of chain `chain` of a column in cell `depth`, if it
+    /// may be a defect.
+    pub fn site(&self, column: usize, chain: usize, depth: usize) -> Option<usize> {
+        let place = self.places[column][chain]?;
+        let (unit, _) = self.units.of_column[column];
+        Some(depth * self.per_cell[unit] + place)
+    }
+
+    /// Draws what the unit named by `index` holds, in the bin nearest to its rate.
+    pub fn draw(&self, kind: usize, index: ColumnIndex, rate: f64) -> Option<Entry> {
+        let allowed = vec![true; self.pool.sites(kind)];
+        self.draw_among(kind, index, rate, rate, &allowed)
+    }
+
+    /// The same where only some sites may be defects; `around` is the rate in the surroundings.
+    pub fn draw_among(
+        &self,
+        kind: usize,
+        index: ColumnIndex,
+        rate: f64,
+        around: f64,
+        allowed: &[bool],
+    ) -> Option<Entry> {
+        let who = (self.seed, index.id());
+        let mut bins = vec![pool::bin_of(around), pool::bin_of(0.5 * (around + rate))];
+        bins.push(pool::bin_of(rate));
+        bins.dedup();
+        let found = bins.into_iter().find_map(|bin| {
+            Some((bin, self.pool.draw(kind, bin, rate, allowed, who)?))
+        });
+        found.map(|(bin, cell)| Entry { bin, kind, cell })
+    }
+
+    /// The defective sites of an entry, ascending.
+    pub fn pattern(&self, entry: Entry) -> &[u16] {
+        &self.pool.patterns(entry.kind, entry.bin).cells[entry.cell]
+    }
+}
+
+/// Sheets of a bin that hold `units` units each.
+pub fn sheets(units: usize, configurations: usize) -> usize {
+    PATCHES_PER_BIN.div_ceil(units.max(1) * configurations)
+}
+
+/// The only kind of defect of a recipe, if there is one; `Err` for several.
+fn process(recipe: &Recipe) -> Result<std::result::Result<Option<Process>, ()>> {
+    let number = elements::atomic_number;
+    let mut found = Vec::new();
+    if let Some(v) = recipe.vacancies.as_ref().filter(|v| v.rate > 0.0) {
+        found.push(Process { element: number(&v.element)?, by: None });
+    }
+    if let Some(s) = recipe.substitutions.as_ref().filter(|s| s.rate > 0.0) {
+        found.push(Process { element: number(&s.element)?, by: Some(number(&s.by)?) });
+    }
+    if let Some(a) = recipe.alloy.as_ref().filter(|a| a.rate > 0.0) {
+        found.push(Process { element: number(&a.host)?, by: Some(number(&a.guest)?) });
+    }
+    // Atoms that move away from vacancies are not on their lattice sites.
+    let relaxed = recipe.vacancies.as_ref().is_some_and(|v| v.relaxation_angstrom > 0.0);
+    Ok(match (found.len(), relaxed) {
+        (0 | 1, false) => Ok(found.pop()),
+        _ => Err(()),
+    })
+}

@@ -1,0 +1,50 @@
+//! The atoms of a world, configuration by configuration.
+
+use super::library::Library;
+use crate::engine::Site;
+use crate::phonons::displaced;
+use crate::world::specimen::{DISPLACED_NM, Region, SiteKind, Specimen};
+
+/// The atoms of `area` in phonon configuration `configuration` of a mosaic, displaced, in Angstrom from the
+/// area's corner: those of units with a place in the library move as in the sheets that their images
+/// come from, others as in all engines. `sigma` gives standard deviations in Angstrom.
+pub fn definite_atoms(
+    specimen: &dyn Specimen,
+    library: &Library,
+    area: &Region,
+    (seed, configuration): (u64, usize),
+    sigma: &dyn Fn(u8) -> f64,
+) -> Vec<Site> {
+    // A displaced atom may lie on the other side of the edge than its column.
+    let sites = specimen.query(&area.grown(DISPLACED_NM));
+    let mut atoms = Vec::new();
+    for column in &sites.columns {
+        let tag = column.unit.and_then(|tag| Some((tag, library.shelf(tag.family)?)));
+        let single = tag.map(|(tag, shelf)| {
+            let singles = shelf.singles(tag.entry, (seed, tag.id), library.configurations());
+            (tag, shelf, singles[configuration])
+        });
+        for (n, site) in sites.sites[column.sites.clone()].iter().enumerate() {
+            let [x, y, z] = site.position_nm;
+            if site.kind == SiteKind::Vacancy || !area.contains([x, y]) {
+                continue;
+            }
+            let mean = [10.0 * (x - area.x[0]), 10.0 * (y - area.y[0]), 10.0 * z];
+            let still = Site { position: mean, number: site.number, sigma_angstrom: 0.0, key: site.key };
+            let position = match &single {
+                Some((tag, shelf, single)) => {
+                    let [a, b, c] = shelf.displacement(*single, tag.member[0], n);
+                    let [u, v] = tag.frame;
+                    let moved = [u[0] * a + u[1] * b, v[0] * a + v[1] * b, c];
+                    std::array::from_fn(|k| mean[k] + sigma(site.number) * moved[k])
+                }
+                None => {
+                    let site = Site { sigma_angstrom: sigma(site.number), ..still };
+                    displaced(&site, seed, configuration as u32)
+                }
+            };
+            atoms.push(Site { position, ..still });
+        }
+    }
+    atoms
+}

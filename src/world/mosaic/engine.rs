@@ -1,0 +1,232 @@
+//! The engine of `stemgen build`: library, assembly, and direct simulation of what does not repeat.
+
+use std::collections::BTreeMap;
+
+use ndarray::Array2;
+
+use super::assembly::Assembly;
+use super::atoms::definite_atoms;
+use super::cache::Cache;
+use super::library::Library;
+use super::survey::{Survey, survey};
+use crate::engine::{Scan, Site};
+use crate::error::{Error, Result};
+use crate::progress::Progress;
+use crate::resample::{Kernel, image_band_limit};
+use crate::structure::elements;
+use crate::world::build::SubTileEngine;
+use crate::world::recipe::Recipe;
+use crate::world::sheet::sample_angstrom;
+use crate::world::simulator::Simulator;
+use crate::world::specimen::{Region, Specimen};
+
+/// Edge in pixels of the blocks in which pixels that need direct simulation are gathered.
+const BLOCK_PX: usize = 48;
+/// Tells shelves that a library is worth its cost: it takes fewer probes than this share of the field's.
+const WORTH: f64 = 0.8;
+
+/// How a mosaic is made.
+#[derive(Debug, Clone)]
+pub struct MosaicEngine {
+    /// Simulates sheets, and what does not repeat.
+    pub simulator: Simulator,
+    /// Where images of sheets are kept.
+    pub cache: Cache,
+    /// Make a library even for fields that take less without one.
+    pub always: bool,
+}
+
+impl SubTileEngine for MosaicEngine {
+    fn name(&self) -> String {
+        "mosaic".into()
+    }
+    fn parameters(&self) -> serde_json::Value {
+        self.simulator.parameters()
+    }
+    fn margin_angstrom(&self) -> f64 {
+        self.simulator.margin_angstrom()
+    }
+    fn image(
+        &self,
+        sites: &[Site],
+        box_angstrom: [f64; 3],
+        scan: &Scan,
+        progress: &dyn Progress,
+    ) -> Result<Array2<f32>> {
+        self.simulator.image(sites, box_angstrom, scan, progress)
+    }
+    fn mosaic(&self) -> Option<&MosaicEngine> {
+        Some(self)
+    }
+}
+
+/// A field's library, ready to make images from.
+pub struct Mosaic<'a> {
+    specimen: &'a dyn Specimen,
+    recipe: &'a Recipe,
+    simulator: &'a Simulator,
+    library: Library,
+    kernel: Kernel,
+    /// What the field holds.
+    pub survey: Survey,
+    /// Images of sheets that were simulated, not read from the cache.
+    pub simulated: usize,
+}
+
+impl<'a> Mosaic<'a> {
+    /// Surveys the field and fills the library. `None` where simulating the field itself takes less.
+    ///
+    /// # Errors
+    /// Those of the engine, and [`Error::Interrupted`].
+    pub fn prepare(
+        engine: &'a MosaicEngine,
+        specimen: &'a dyn Specimen,
+        recipe: &'a Recipe,
+        progress: &dyn Progress,
+    ) -> Result<Option<Self>> {
+        let settings = engine.simulator.settings();
+        let survey = survey(specimen, &recipe.field);
+        let mut library = Library::new(specimen, survey.families.iter().copied(), settings)?;
+        if !(engine.always || worth(&library, &survey, recipe)) {
+            return Ok(None);
+        }
+        let kernel = Kernel::new(
+            sample_angstrom(&settings.optics),
+            image_band_limit(&settings.optics),
+        )?;
+        let sigma = sigma(recipe);
+        let simulated = library.fill(&recipe.id, &sigma, &engine.cache, progress)?;
+        let simulator = &engine.simulator;
+        Ok(Some(Mosaic { specimen, recipe, simulator, library, kernel, survey, simulated }))
+    }
+
+    /// Number of images of sheets.
+    pub fn images(&self) -> usize {
+        self.library.len()
+    }
+
+    /// Probes that the library takes.
+    pub fn library_probes(&self) -> usize {
+        self.library.probes()
+    }
+
+    /// The noiseless image of `shape` pixels from pixel `first` (row, column) of the full field.
+    ///
+    /// # Errors
+    /// Those of the engine, and [`Error::Interrupted`].
+    pub fn image(
+        &self,
+        first: [usize; 2],
+        shape: [usize; 2],
+        progress: &dyn Progress,
+    ) -> Result<Array2<f32>> {
+        if progress.interrupted() {
+            return Err(Error::Interrupted);
+        }
+        let pixel = self.recipe.field.pixel_nm();
+        let assembly = Assembly::new(self.specimen, first, shape, pixel);
+        let mut image = assembly.image(&self.library, &self.kernel, self.recipe.seed, None);
+        let missing = assembly.missing();
+        for (block, pixels) in blocks(&missing, first, shape) {
+            let direct = self.direct(block, progress)?;
+            for (pixel, weight) in pixels {
+                let [row, column] = [pixel / shape[1], pixel % shape[1]];
+                let at = [first[0] + row - block[0], first[1] + column - block[1]];
+                image[[row, column]] += weight * f64::from(direct[at]);
+            }
+        }
+        Ok(image.mapv(|v| v as f32))
+    }
+
+    /// One configuration of the image, without what does not repeat; for checks.
+    pub fn configuration(&self, first: [usize; 2], shape: [usize; 2], which: usize) -> Array2<f64> {
+        let pixel = self.recipe.field.pixel_nm();
+        let assembly = Assembly::new(self.specimen, first, shape, pixel);
+        assembly.image(&self.library, &self.kernel, self.recipe.seed, Some(which))
+    }
+
+    /// The atoms of an area in one configuration (see [`definite_atoms`]).
+    pub fn atoms(&self, area: &Region, configuration: usize) -> Vec<Site> {
+        let which = (self.recipe.seed, configuration);
+        definite_atoms(self.specimen, &self.library, area, which, &sigma(self.recipe))
+    }
+
+    /// Simulates the pixels [row, column, rows, columns] of the full field with the atoms of the mosaic.
+    fn direct(&self, block: [usize; 4], progress: &dyn Progress) -> Result<Array2<f32>> {
+        let [row, column, rows, columns] = block;
+        let pixel = self.recipe.field.pixel_nm();
+        let margin_nm = 0.1 * self.simulator.margin_angstrom();
+        let area = Region::of_pixels([row, column], [rows, columns], pixel).grown(margin_nm);
+        let size = |r: [f64; 2]| 10.0 * (r[1] - r[0]);
+        let size = [size(area.x), size(area.y), 10.0 * self.specimen.thickness_nm()];
+        let scan = Scan {
+            origin_angstrom: [10.0 * margin_nm + 5.0 * pixel; 2],
+            step_angstrom: [10.0 * pixel; 2],
+            shape: [rows, columns],
+        };
+        let still = self.simulator.without_phonons();
+        let configurations = self.library.configurations();
+        let mut sum = Array2::<f64>::zeros((rows, columns));
+        for configuration in 0..configurations {
+            let atoms = self.atoms(&area, configuration);
+            let image = still.image(&atoms, size, &scan, &Quiet(progress))?;
+            sum.zip_mut_with(&image, |s, v| *s += f64::from(*v));
+        }
+        Ok(sum.mapv(|s| (s / configurations as f64) as f32))
+    }
+}
+
+/// Whether the library takes clearly fewer probes than the field.
+fn worth(library: &Library, survey: &Survey, recipe: &Recipe) -> bool {
+    let [rows, columns] = recipe.field.pixels(recipe.field.built_grid());
+    let all = (survey.tagged + survey.untagged).max(1) as f64;
+    let repeating = (rows * columns * library.configurations()) as f64 * survey.tagged as f64 / all;
+    survey.tagged > 0 && (library.probes() as f64) < WORTH * repeating
+}
+
+/// Standard deviation of each Cartesian component of the displacements in Angstrom, by element.
+fn sigma(recipe: &Recipe) -> impl Fn(u8) -> f64 {
+    let sigmas = recipe.phonons.sigma_angstrom.clone();
+    move |number| sigmas.get(elements::symbol(number)).copied().unwrap_or(0.0)
+}
+
+type Block = [usize; 4];
+
+/// Gathers pixels into the least rectangles [row, column, rows, columns] within blocks of the full field.
+fn blocks(
+    missing: &std::collections::HashMap<usize, f64>,
+    first: [usize; 2],
+    shape: [usize; 2],
+) -> Vec<(Block, Vec<(usize, f64)>)> {
+    let mut by_block: BTreeMap<[usize; 2], Vec<(usize, f64)>> = BTreeMap::new();
+    for (&pixel, &weight) in missing {
+        let at = [first[0] + pixel / shape[1], first[1] + pixel % shape[1]];
+        by_block.entry(at.map(|v| v / BLOCK_PX)).or_default().push((pixel, weight));
+    }
+    let rectangle = |pixels: &Vec<(usize, f64)>| {
+        let range = |of: &dyn Fn(usize) -> usize| {
+            let low = pixels.iter().map(|p| of(p.0)).min().unwrap_or(0);
+            let high = pixels.iter().map(|p| of(p.0)).max().unwrap_or(0);
+            [low, high - low + 1]
+        };
+        let rows = range(&|p| first[0] + p / shape[1]);
+        let columns = range(&|p| first[1] + p % shape[1]);
+        [rows[0], columns[0], rows[1], columns[1]]
+    };
+    by_block.into_values().map(|pixels| (rectangle(&pixels), pixels)).collect()
+}
+
+/// Passes on only the wish to stop: pixels are counted elsewhere.
+struct Quiet<'a>(&'a dyn Progress);
+
+impl Progress for Quiet<'_> {
+    fn start(&self, _: &str, _: &str, _: u64) {}
+    fn advance(&self, _: u64) {}
+    fn finish(&self) {}
+    fn warn(&self, message: &str) {
+        self.0.warn(message);
+    }
+    fn interrupted(&self) -> bool {
+        self.0.interrupted()
+    }
+}

@@ -1,0 +1,368 @@
+//! The library: images of the sheets, one for each sheet and phonon configuration.
+
+use std::collections::BTreeMap;
+
+use ndarray::Array2;
+use sha2::{Digest, Sha256};
+
+use super::cache::Cache;
+use crate::engine::{Plan, Scan, Settings, Site, simulate};
+use crate::error::{Error, Result};
+use crate::progress::Progress;
+use crate::rng::{self, Purpose};
+use crate::structure::elements;
+use crate::world::contents::Entry;
+use crate::world::sheet::{Family, Sheet, SheetSite, SheetUnit, sample_angstrom};
+use crate::world::specimen::{SiteKind, Specimen};
+use crate::world::subprogress::SubProgress;
+
+/// Version of what sheets hold; a change makes older caches useless.
+const VERSION: u32 = 1;
+/// Draw of [`Purpose::Library`] for the contents of surroundings.
+const SURROUNDINGS_DRAW: u32 = 1 << 20;
+
+/// Sheets of one family, and where their samples lie.
+pub struct Shelf {
+    /// Geometry.
+    pub sheet: Sheet,
+    /// Distance of samples along x and y in Angstrom.
+    pub step_angstrom: [f64; 2],
+    /// Samples (rows, columns).
+    pub shape: [usize; 2],
+    /// Seed of the phonons of each sheet.
+    seeds: Vec<u64>,
+    /// Digest of the geometry and contents of each sheet.
+    digests: Vec<String>,
+    /// Index of the unit of each kind and cell.
+    index: BTreeMap<(usize, usize), usize>,
+    /// Entries without defects, by kind.
+    pristine: BTreeMap<usize, Vec<usize>>,
+    /// Images by sheet and configuration; empty until simulated or read.
+    images: Vec<Vec<Array2<f32>>>,
+    /// Their means over the configurations.
+    means: Vec<Array2<f32>>,
+}
+
+/// One configuration of one unit: where its image is, and its displacements.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Single {
+    /// Sheet.
+    pub sheet: usize,
+    /// Index of the unit in the sheet.
+    pub unit: usize,
+    /// Phonon configuration of the sheet.
+    pub configuration: usize,
+}
+
+impl Shelf {
+    /// The sheets of a family, yet without images.
+    fn new(sheet: Sheet, family: Family, settings: &Settings) -> Self {
+        let largest = sample_angstrom(&settings.optics);
+        let per_cell = sheet.cell.map(|edge| (edge / largest).ceil());
+        let step_angstrom = [0, 1].map(|k| sheet.cell[k] / per_cell[k]);
+        let samples = |k: usize| {
+            let n = (sheet.scanned[k] / step_angstrom[k]).round() as usize;
+            if sheet.periodic[k] { n } else { n + 1 }
+        };
+        let index = sheet.units.iter().enumerate().map(|(n, u)| ((u.kind, u.cell), n)).collect();
+        let mut pristine = BTreeMap::<usize, Vec<usize>>::new();
+        for number in 0..sheet.count {
+            for unit in sheet.units.iter().filter(|u| u.patterns[number].is_empty()) {
+                pristine.entry(unit.kind).or_default().push(number * sheet.cells + unit.cell);
+            }
+        }
+        let digests: Vec<String> =
+            (0..sheet.count).map(|n| hex(&Sha256::digest(description(&sheet, family, n)))).collect();
+        let seed = |d: &String| u64::from_str_radix(&d[..16], 16).unwrap_or_default();
+        Shelf {
+            shape: [samples(1), samples(0)],
+            step_angstrom,
+            seeds: digests.iter().map(seed).collect(),
+            digests,
+            index,
+            pristine,
+            images: vec![Vec::new(); sheet.count],
+            means: Vec::new(),
+            sheet,
+        }
+    }
+
+    /// Number of samples of one image.
+    pub fn samples(&self) -> usize {
+        self.shape[0] * self.shape[1]
+    }
+
+    /// The image of one configuration of a sheet: (row = y, column = x), fractions of the beam.
+    pub fn image(&self, sheet: usize, configuration: usize) -> &Array2<f32> {
+        &self.images[sheet][configuration]
+    }
+
+    /// The mean over all configurations of a sheet.
+    pub fn mean(&self, sheet: usize) -> &Array2<f32> {
+        &self.means[sheet]
+    }
+
+    /// Number of configurations of a sheet.
+    pub fn configurations(&self, sheet: usize) -> usize {
+        self.images[sheet].len()
+    }
+
+    /// The unit of an entry, and its sheet.
+    fn locate(&self, kind: usize, cell: usize) -> (usize, usize) {
+        let at = (kind, cell % self.sheet.cells);
+        (cell / self.sheet.cells, self.index.get(&at).copied().unwrap_or_default())
+    }
+
+    /// Position of a unit in samples (x, y).
+    pub fn position(&self, unit: usize) -> [f64; 2] {
+        let centre = self.sheet.units[unit].centre;
+        [0, 1].map(|k| (centre[k] - self.sheet.scan_origin[k]) / self.step_angstrom[k])
+    }
+
+    /// The configurations that the unit `id` of a world is averaged over. Units without defects take
+    /// different ones of all units like them; others have all those of their entry.
+    pub fn singles(&self, entry: Entry, (seed, id): (u64, u64), configurations: usize) -> Vec<Single> {
+        let own = |cell: usize| self.locate(entry.kind, cell);
+        let (sheet, unit) = own(entry.cell);
+        let pristine = self.sheet.units[unit].patterns[sheet].is_empty();
+        let Some(alike) = self.pristine.get(&entry.kind).filter(|_| pristine) else {
+            return (0..configurations).map(|configuration| Single { sheet, unit, configuration }).collect();
+        };
+        let all = alike.len() * configurations;
+        let mut taken: Vec<usize> = Vec::with_capacity(configurations);
+        let mut draw = 0;
+        while taken.len() < configurations {
+            for word in rng::words(seed, Purpose::Library, draw, id) {
+                let pick = (u64::from(word) * all as u64 >> 32) as usize;
+                if taken.len() < configurations && !taken.contains(&pick) {
+                    taken.push(pick);
+                }
+            }
+            draw += 1;
+        }
+        let single = |pick: usize| {
+            let (sheet, unit) = own(alike[pick / configurations]);
+            Single { sheet, unit, configuration: pick % configurations }
+        };
+        taken.into_iter().map(single).collect()
+    }
+
+    /// Displacement, in standard deviations and along the axes of the sheet, of site `site` of column
+    /// `member` of a unit.
+    pub fn displacement(&self, single: Single, member: usize, site: usize) -> [f64; 3] {
+        let key = unit_key(single.unit, member, site);
+        rng::normal3(self.seeds[single.sheet], Purpose::Library, single.configuration as u32, key)
+    }
+
+    /// The atoms of one configuration of a sheet, displaced; `sigma` gives the standard deviation in
+    /// Angstrom of each element.
+    fn atoms(&self, sheet: usize, configuration: usize, sigma: &dyn Fn(u8) -> f64) -> Vec<Site> {
+        let mut atoms = Vec::new();
+        let seed = self.seeds[sheet];
+        let mut add = |site: &SheetSite, key: u64, defect: bool| {
+            let process = self.sheet.process.filter(|_| defect);
+            let (kind, number) = process.map_or((SiteKind::Pristine, site.number), |p| p.defect());
+            if kind == SiteKind::Vacancy {
+                return;
+            }
+            let n = rng::normal3(seed, Purpose::Library, configuration as u32, key);
+            let position = std::array::from_fn(|k| site.position[k] + sigma(number) * n[k]);
+            atoms.push(Site { position, number, sigma_angstrom: 0.0, key });
+        };
+        for (n, unit) in self.sheet.units.iter().enumerate() {
+            let pattern = &unit.patterns[sheet];
+            for (member, sites) in unit.members.iter().enumerate() {
+                for (i, site) in sites.iter().enumerate() {
+                    let defect = site.defect.is_some_and(|d| pattern.contains(&(d as u16)));
+                    add(site, unit_key(n, member, i), defect);
+                }
+            }
+        }
+        for (n, column) in self.sheet.surroundings.iter().enumerate() {
+            for (i, site) in column.iter().enumerate() {
+                let key = 1 << 48 | unit_key(n, 0, i);
+                let drawn = || rng::uniform(seed, Purpose::Library, SURROUNDINGS_DRAW, key);
+                add(site, key, site.defect.is_some() && drawn() < self.sheet.rate);
+            }
+        }
+        atoms
+    }
+
+    /// Simulates one configuration of a sheet.
+    fn simulate(
+        &self,
+        (sheet, configuration): (usize, usize),
+        settings: &Settings,
+        sigma: &dyn Fn(u8) -> f64,
+        progress: &dyn Progress,
+    ) -> Result<Array2<f32>> {
+        let heights = self.sheet.units.iter().flat_map(|u| u.members.iter().flatten());
+        let heights: Vec<f64> = heights.map(|s| s.position[2]).collect();
+        let plan = Plan::new(settings, self.sheet.box_angstrom, &heights)?;
+        let scan = Scan {
+            origin_angstrom: self.sheet.scan_origin,
+            step_angstrom: self.step_angstrom,
+            shape: self.shape,
+        };
+        let images = simulate(&plan, &self.atoms(sheet, configuration, sigma), &scan, progress)?;
+        Ok(images.image(0, 0).to_owned())
+    }
+}
+
+/// All sheets that a world needs.
+pub struct Library {
+    shelves: BTreeMap<Family, Shelf>,
+    /// Settings of the engine, for given displacements.
+    settings: Settings,
+    configurations: usize,
+}
+
+impl Library {
+    /// The sheets of some families of a specimen, yet without images.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a family that the specimen lacks.
+    pub fn new(
+        specimen: &dyn Specimen,
+        families: impl Iterator<Item = Family>,
+        settings: &Settings,
+    ) -> Result<Self> {
+        let configurations = settings.configurations() as usize;
+        let settings = Settings { phonons: None, ..settings.clone() };
+        let shelf = |family: Family| {
+            let sheet = specimen.sheet(family).ok_or_else(|| {
+                let expected = "the specimen has no sheet of this family";
+                Error::invalid("library", format!("{family:?}"), expected)
+            })?;
+            Ok((family, Shelf::new(sheet.rounded(), family, &settings)))
+        };
+        let shelves = families.map(shelf).collect::<Result<_>>()?;
+        Ok(Library { shelves, settings, configurations })
+    }
+
+    /// The sheets of a family.
+    pub fn shelf(&self, family: Family) -> Option<&Shelf> {
+        self.shelves.get(&family)
+    }
+
+    /// Phonon configurations of each sheet.
+    pub fn configurations(&self) -> usize {
+        self.configurations
+    }
+
+    /// Probes that all its images take.
+    pub fn probes(&self) -> usize {
+        let of = |s: &Shelf| s.samples() * s.sheet.count * self.configurations;
+        self.shelves.values().map(of).sum()
+    }
+
+    /// Number of images.
+    pub fn len(&self) -> usize {
+        self.shelves.values().map(|s| s.sheet.count * self.configurations).sum()
+    }
+
+    /// Reads the images from the cache, and simulates those that it lacks. Returns how many it lacked.
+    ///
+    /// # Errors
+    /// Those of the engine, [`Error::Interrupted`]. A cache that cannot be written is a warning.
+    pub fn fill(
+        &mut self,
+        material: &str,
+        sigma: &dyn Fn(u8) -> f64,
+        cache: &Cache,
+        progress: &dyn Progress,
+    ) -> Result<usize> {
+        let mut missing = 0;
+        let probes = self.probes();
+        progress.start("library", "probe", probes as u64);
+        for (family, shelf) in &mut self.shelves {
+            for sheet in 0..shelf.sheet.count {
+                for configuration in 0..self.configurations {
+                    if progress.interrupted() {
+                        return Err(Error::Interrupted);
+                    }
+                    let key = key(&self.settings, sigma, shelf, sheet, configuration);
+                    let share = SubProgress::new(progress, shelf.samples());
+                    let image = match cache.load(material, &key, shelf.shape) {
+                        Some(image) => image,
+                        None => {
+                            missing += 1;
+                            let which = (sheet, configuration);
+                            let image = shelf.simulate(which, &self.settings, sigma, &share)?;
+                            let about = format!("{family:?}, sheet {sheet}, configuration {configuration}");
+                            cache.save(material, &key, &about, &image, progress);
+                            image
+                        }
+                    };
+                    share.complete();
+                    shelf.images[sheet].push(image);
+                }
+            }
+            shelf.means = shelf.images.iter().map(|images| mean(images, shelf.shape)).collect();
+        }
+        progress.finish();
+        Ok(missing)
+    }
+}
+
+fn mean(images: &[Array2<f32>], shape: [usize; 2]) -> Array2<f32> {
+    let mut sum = Array2::<f64>::zeros(shape);
+    for image in images {
+        sum.zip_mut_with(image, |s, v| *s += f64::from(*v));
+    }
+    sum.mapv(|s| (s / images.len().max(1) as f64) as f32)
+}
+
+fn unit_key(unit: usize, member: usize, site: usize) -> u64 {
+    (unit as u64) << 24 | (member as u64) << 16 | site as u64
+}
+
+/// All that decides the atoms of a sheet, but their displacements.
+fn description(sheet: &Sheet, family: Family, number: usize) -> String {
+    use std::fmt::Write;
+    let mut text = format!("{VERSION} {:?} {:?} {:?} ", sheet.box_angstrom, sheet.process, sheet.rate);
+    let _ = write!(text, "{} {number} {:?} ", family.motif > 0, sheet.scan_origin);
+    let column = |text: &mut String, sites: &Vec<SheetSite>| {
+        for s in sites {
+            let [x, y, z] = s.position;
+            let _ = write!(text, "{x:.5} {y:.5} {z:.5} {} {:?};", s.number, s.defect);
+        }
+    };
+    for SheetUnit { members, patterns, .. } in &sheet.units {
+        members.iter().for_each(|m| column(&mut text, m));
+        let _ = write!(text, "{:?}|", patterns[number]);
+    }
+    sheet.surroundings.iter().for_each(|c| column(&mut text, c));
+    text
+}
+
+/// All that decides one image.
+fn key(
+    settings: &Settings,
+    sigma: &dyn Fn(u8) -> f64,
+    shelf: &Shelf,
+    sheet: usize,
+    configuration: usize,
+) -> String {
+    let mut numbers: Vec<u8> =
+        shelf.sheet.units.iter().flat_map(|u| u.members.iter().flatten()).map(|s| s.number).collect();
+    numbers.extend(shelf.sheet.process.map(|p| p.defect().1));
+    numbers.sort_unstable();
+    numbers.dedup();
+    let sigmas: Vec<_> = numbers.iter().map(|n| (elements::symbol(*n), sigma(*n))).collect();
+    let text = serde_json::json!({
+        "stemgen": env!("CARGO_PKG_VERSION"),
+        "library": VERSION,
+        "settings": settings,
+        "sigma_angstrom": sigmas,
+        "sheet": shelf.digests[sheet],
+        "step_angstrom": shelf.step_angstrom,
+        "shape": shelf.shape,
+        "configuration": configuration,
+    });
+    hex(&Sha256::digest(text.to_string()))
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|b| format!("{b:02x}")).collect()
+}
