@@ -28,6 +28,8 @@ pub enum Purpose {
     Pool = 32,
     /// Phonons of library sheets, and which of them a unit of a world takes.
     Library = 33,
+    /// Regions of audits.
+    Audit = 34,
 }
 
 const MULTIPLIERS: [u32; 2] = [0xD251_1F53, 0xCD9E_8D57];

@@ -185,7 +185,7 @@ impl Build {
         if let Some(picture) = &picture {
             pictures::write_world(picture, &world)?;
         }
-        let built = self.built(&recipe, &simulator, &summary, &world, picture)?;
+        let built = self.built(&recipe, &summary, &world, picture)?;
         self.common.print(&built, &built.text())
     }
 
@@ -311,7 +311,6 @@ impl Build {
     fn built(
         &self,
         recipe: &Recipe,
-        simulator: &Simulator,
         summary: &Summary,
         world: &WorldFile,
         picture: Option<PathBuf>,

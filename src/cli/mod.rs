@@ -1,6 +1,8 @@
 //! The command line: one file per subcommand.
 
+mod audit;
 mod build;
+mod cache;
 mod common;
 mod estimate;
 mod hints;
@@ -48,6 +50,8 @@ enum Command {
     Build(Box<build::Build>),
     Specimen(Box<specimen::SpecimenCommand>),
     View(Box<view::View>),
+    Audit(Box<audit::AuditCommand>),
+    Cache(Box<cache::CacheCommand>),
     List(Box<list::List>),
     ShowRecipe(Box<show_recipe::ShowRecipe>),
 }
@@ -59,6 +63,8 @@ pub fn main() -> ExitCode {
         Command::Build(command) => ("build", command.run()),
         Command::Specimen(command) => ("specimen", command.run()),
         Command::View(command) => ("view", command.run()),
+        Command::Audit(command) => ("audit", command.run()),
+        Command::Cache(command) => ("cache", command.run()),
         Command::List(command) => ("list", command.run()),
         Command::ShowRecipe(command) => ("show-recipe", command.run()),
     };

@@ -45,6 +45,24 @@ impl RecipeArgs {
         Ok(recipe)
     }
 
+    /// The same, or the recipe of a world file named in place of a material, and the engine of that world.
+    pub fn resolve_or_world(&self) -> anyhow::Result<(Recipe, Option<String>)> {
+        let file = self.material.as_ref().map(PathBuf::from);
+        let Some(file) = file.filter(|f| f.extension().is_some_and(|e| e == "h5" || e == "hdf5")) else {
+            return Ok((self.resolve()?, None));
+        };
+        if self.difficulty.is_some() || !self.set.is_empty() || self.grid.is_some() || self.seed.is_some() {
+            anyhow::bail!("{}: a world has its recipe; leave out --difficulty, --set, --grid and --seed", file.display());
+        }
+        let world = stemgen::io::WorldFile::open(&file)?;
+        let metadata = world.metadata();
+        let Some(text) = &metadata.recipe else {
+            anyhow::bail!("{}: holds no recipe; it was not built by stemgen", file.display());
+        };
+        let recipe = Recipe::from_toml_str(&file.display().to_string(), text, None)?;
+        Ok((recipe, metadata.engine.clone()))
+    }
+
     fn chosen(&self) -> anyhow::Result<Recipe> {
         let difficulty = self.difficulty.map(Difficulty::from);
         let material = match (&self.recipe, &self.material) {

@@ -172,12 +172,12 @@ pub fn scan(scan: &Scan) -> String {
 
 /// A table of names and values.
 #[derive(Debug, Default)]
-pub struct Lines(Vec<(&'static str, String)>);
+pub struct Lines(Vec<(String, String)>);
 
 impl Lines {
     /// Adds a line.
-    pub fn add(&mut self, name: &'static str, value: impl Into<String>) {
-        self.0.push((name, value.into()));
+    pub fn add(&mut self, name: impl Into<String>, value: impl Into<String>) {
+        self.0.push((name.into(), value.into()));
     }
 
     /// The table, names and values in columns.

@@ -11,8 +11,8 @@ use crate::structure::elements;
 /// Least width of the periodic part of a sheet in Angstrom: more than twice the reach of a probe.
 pub const SHEET_ANGSTROM: f64 = 19.0;
 /// Patches that the sheets of a bin hold, all kinds of units and phonon configurations together. The mean
-/// square of the phonon spread of one kind of column is then known to 5 %.
-const PATCHES_PER_BIN: usize = 3500;
+/// square of the phonon spread of one kind of four is then known to 7 % in each bin.
+const PATCHES_PER_BIN: usize = 1800;
 
 /// The one kind of defect in a specimen.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -3,6 +3,7 @@
 //! recipe -> specimen -> sub-tiles -> engine -> blended image -> noise -> tiles -> file. A sub-tile
 //! is saved as soon as it is computed, so an interrupted build goes on where it was.
 
+pub mod audit;
 pub mod boundary;
 mod boundary_motif;
 pub mod build;

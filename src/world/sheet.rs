@@ -72,9 +72,9 @@ pub struct Sheet {
     pub surroundings: Vec<Vec<SheetSite>>,
 }
 
-/// Largest distance between samples of an image that is interpolated with an error of 0.1 % of its contrast.
+/// Largest distance between samples of an image that is interpolated with an error of 0.2 % of its contrast at most.
 pub fn sample_angstrom(optics: &Optics) -> f64 {
-    0.435 / crate::resample::image_band_limit(optics)
+    0.45 / crate::resample::image_band_limit(optics)
 }
 
 impl Sheet {

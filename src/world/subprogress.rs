@@ -52,3 +52,18 @@ impl Progress for SubProgress<'_> {
         self.outer.interrupted()
     }
 }
+
+/// Passes on only the wish to stop: pixels are counted elsewhere.
+pub struct Quiet<'a>(pub &'a dyn Progress);
+
+impl Progress for Quiet<'_> {
+    fn start(&self, _: &str, _: &str, _: u64) {}
+    fn advance(&self, _: u64) {}
+    fn finish(&self) {}
+    fn warn(&self, message: &str) {
+        self.0.warn(message);
+    }
+    fn interrupted(&self) -> bool {
+        self.0.interrupted()
+    }
+}

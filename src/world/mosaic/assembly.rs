@@ -102,13 +102,13 @@ impl Assembly {
         missing
     }
 
-    /// The image, mean over all configurations or of one of them, without what [`Assembly::missing`] lists.
+    /// The image, mean over the first `configurations`, without what [`Assembly::missing`] lists.
     pub fn image(
         &self,
         library: &Library,
         kernel: &Kernel,
         seed: u64,
-        configuration: Option<usize>,
+        configurations: usize,
     ) -> Array2<f64> {
         let mut of_unit: Vec<Vec<&Share>> = self.units.iter().map(|_| Vec::new()).collect();
         for share in &self.shares {
@@ -120,9 +120,7 @@ impl Assembly {
                 return vec![0.0; shares.len()];
             };
             let mut singles = shelf.singles(tag.entry, (seed, tag.id), library.configurations());
-            if let Some(one) = configuration {
-                singles = vec![singles[one]];
-            }
+            singles.truncate(configurations);
             let offsets: Vec<[f64; 2]> =
                 shares.iter().map(|s| self.offset(s.pixel, unit, &tag, shelf)).collect();
             values(shelf, &singles, &offsets, kernel)

@@ -10,7 +10,7 @@ use crate::world::specimen::{DISPLACED_NM, Region, SiteKind, Specimen};
 /// come from, others as in all engines. `sigma` gives standard deviations in Angstrom.
 pub fn definite_atoms(
     specimen: &dyn Specimen,
-    library: &Library,
+    library: Option<&Library>,
     area: &Region,
     (seed, configuration): (u64, usize),
     sigma: &dyn Fn(u8) -> f64,
@@ -19,10 +19,10 @@ pub fn definite_atoms(
     let sites = specimen.query(&area.grown(DISPLACED_NM));
     let mut atoms = Vec::new();
     for column in &sites.columns {
-        let tag = column.unit.and_then(|tag| Some((tag, library.shelf(tag.family)?)));
-        let single = tag.map(|(tag, shelf)| {
+        let single = library.zip(column.unit).and_then(|(library, tag)| {
+            let shelf = library.shelf(tag.family)?;
             let singles = shelf.singles(tag.entry, (seed, tag.id), library.configurations());
-            (tag, shelf, singles[configuration])
+            Some((tag, shelf, singles[configuration]))
         });
         for (n, site) in sites.sites[column.sites.clone()].iter().enumerate() {
             let [x, y, z] = site.position_nm;

@@ -19,6 +19,7 @@ use crate::world::recipe::Recipe;
 use crate::world::sheet::sample_angstrom;
 use crate::world::simulator::Simulator;
 use crate::world::specimen::{Region, Specimen};
+use crate::world::subprogress::Quiet;
 
 /// Edge in pixels of the blocks in which pixels that need direct simulation are gathered.
 const BLOCK_PX: usize = 48;
@@ -120,39 +121,53 @@ impl<'a> Mosaic<'a> {
         shape: [usize; 2],
         progress: &dyn Progress,
     ) -> Result<Array2<f32>> {
+        let image = self.mean_of(first, shape, self.library.configurations(), progress)?;
+        Ok(image.mapv(|v| v as f32))
+    }
+
+    /// The same, mean over the first `configurations` only.
+    ///
+    /// # Errors
+    /// As [`Mosaic::image`].
+    pub fn mean_of(
+        &self,
+        first: [usize; 2],
+        shape: [usize; 2],
+        configurations: usize,
+        progress: &dyn Progress,
+    ) -> Result<Array2<f64>> {
         if progress.interrupted() {
             return Err(Error::Interrupted);
         }
         let pixel = self.recipe.field.pixel_nm();
         let assembly = Assembly::new(self.specimen, first, shape, pixel);
-        let mut image = assembly.image(&self.library, &self.kernel, self.recipe.seed, None);
+        let seed = self.recipe.seed;
+        let mut image = assembly.image(&self.library, &self.kernel, seed, configurations);
         let missing = assembly.missing();
         for (block, pixels) in blocks(&missing, first, shape) {
-            let direct = self.direct(block, progress)?;
+            let direct = self.direct(block, configurations, progress)?;
             for (pixel, weight) in pixels {
                 let [row, column] = [pixel / shape[1], pixel % shape[1]];
                 let at = [first[0] + row - block[0], first[1] + column - block[1]];
                 image[[row, column]] += weight * f64::from(direct[at]);
             }
         }
-        Ok(image.mapv(|v| v as f32))
-    }
-
-    /// One configuration of the image, without what does not repeat; for checks.
-    pub fn configuration(&self, first: [usize; 2], shape: [usize; 2], which: usize) -> Array2<f64> {
-        let pixel = self.recipe.field.pixel_nm();
-        let assembly = Assembly::new(self.specimen, first, shape, pixel);
-        assembly.image(&self.library, &self.kernel, self.recipe.seed, Some(which))
+        Ok(image)
     }
 
     /// The atoms of an area in one configuration (see [`definite_atoms`]).
     pub fn atoms(&self, area: &Region, configuration: usize) -> Vec<Site> {
         let which = (self.recipe.seed, configuration);
-        definite_atoms(self.specimen, &self.library, area, which, &sigma(self.recipe))
+        definite_atoms(self.specimen, Some(&self.library), area, which, &sigma(self.recipe))
     }
 
     /// Simulates the pixels [row, column, rows, columns] of the full field with the atoms of the mosaic.
-    fn direct(&self, block: [usize; 4], progress: &dyn Progress) -> Result<Array2<f32>> {
+    fn direct(
+        &self,
+        block: Block,
+        configurations: usize,
+        progress: &dyn Progress,
+    ) -> Result<Array2<f32>> {
         let [row, column, rows, columns] = block;
         let pixel = self.recipe.field.pixel_nm();
         let margin_nm = 0.1 * self.simulator.margin_angstrom();
@@ -165,7 +180,6 @@ impl<'a> Mosaic<'a> {
             shape: [rows, columns],
         };
         let still = self.simulator.without_phonons();
-        let configurations = self.library.configurations();
         let mut sum = Array2::<f64>::zeros((rows, columns));
         for configuration in 0..configurations {
             let atoms = self.atoms(&area, configuration);
@@ -188,6 +202,16 @@ fn worth(library: &Library, survey: &Survey, recipe: &Recipe) -> bool {
 fn sigma(recipe: &Recipe) -> impl Fn(u8) -> f64 {
     let sigmas = recipe.phonons.sigma_angstrom.clone();
     move |number| sigmas.get(elements::symbol(number)).copied().unwrap_or(0.0)
+}
+
+/// The atoms of an area, displaced as by engines that simulate the field itself.
+pub fn atoms_by_seed(
+    specimen: &dyn Specimen,
+    area: &Region,
+    which: (u64, usize),
+    recipe: &Recipe,
+) -> Vec<Site> {
+    definite_atoms(specimen, None, area, which, &sigma(recipe))
 }
 
 type Block = [usize; 4];
@@ -214,19 +238,4 @@ fn blocks(
         [rows[0], columns[0], rows[1], columns[1]]
     };
     by_block.into_values().map(|pixels| (rectangle(&pixels), pixels)).collect()
-}
-
-/// Passes on only the wish to stop: pixels are counted elsewhere.
-struct Quiet<'a>(&'a dyn Progress);
-
-impl Progress for Quiet<'_> {
-    fn start(&self, _: &str, _: &str, _: u64) {}
-    fn advance(&self, _: u64) {}
-    fn finish(&self) {}
-    fn warn(&self, message: &str) {
-        self.0.warn(message);
-    }
-    fn interrupted(&self) -> bool {
-        self.0.interrupted()
-    }
 }

@@ -16,6 +16,5 @@ mod engine;
 mod library;
 mod survey;
 
-pub use atoms::definite_atoms;
 pub use cache::{Cache, Holding, VARIABLE as CACHE_VARIABLE};
-pub use engine::{Mosaic, MosaicEngine};
+pub use engine::{Mosaic, MosaicEngine, atoms_by_seed};

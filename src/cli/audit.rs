@@ -1,0 +1,144 @@
+//! `stemgen audit`.
+
+use super::common::Common;
+use super::recipe_args::RecipeArgs;
+use super::show::Lines;
+use super::values;
+use anyhow::bail;
+use clap::Args;
+use stemgen::engine::Algorithm;
+use stemgen::world::audit::{Audit, AuditOptions, Source, audit};
+use stemgen::world::mosaic::{Cache, Mosaic, MosaicEngine};
+use stemgen::world::simulator::WINDOW_ANGSTROM;
+use stemgen::world::{Simulator, specimen};
+
+const EXAMPLES: &str = "\
+Examples:
+  Three regions of a world, drawn at random:
+    stemgen audit worlds/srtio3_hard.h5
+  A region at a place of interest, such as a boundary, 5 nm from the left and 2.5 nm from the upper edge:
+    stemgen audit worlds/srtio3_hard.h5 --at 5,2.5
+  What the error of a world would be, before it is built:
+    stemgen audit srtio3 --difficulty easy --configurations 1
+
+Each region is simulated again by plain multislice on the full grid, with the very same atoms in each phonon
+configuration. Errors are those of the method: noise is left out.";
+
+/// Check a world against the exact engine, with the same atoms
+#[derive(Debug, Args)]
+#[command(after_help = EXAMPLES)]
+pub struct AuditCommand {
+    #[command(flatten)]
+    recipe: RecipeArgs,
+    /// Number of regions, drawn at random
+    #[arg(long, value_name = "N", default_value_t = 3)]
+    #[arg(value_parser = clap::value_parser!(u16).range(1..=1000))]
+    regions: u16,
+    /// Centre of a region in nm from the upper left corner, in place of random ones (repeatable)
+    #[arg(long, value_name = "X,Y", value_parser = values::point)]
+    at: Vec<[f64; 2]>,
+    /// Edge of a region in nm
+    #[arg(long, value_name = "NM", default_value_t = 1.0, value_parser = values::finite)]
+    size: f64,
+    /// Compare every how many-th pixel along each axis
+    #[arg(long, value_name = "N", default_value_t = 2)]
+    #[arg(value_parser = clap::value_parser!(u16).range(1..=100))]
+    stride: u16,
+    /// Phonon configurations to average [default: as many as the world]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    configurations: Option<u16>,
+    /// Seed of the places
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    audit_seed: u64,
+    /// Neither read nor keep simulations in the cache
+    #[arg(long)]
+    no_cache: bool,
+    #[command(flatten)]
+    common: Common,
+}
+
+impl AuditCommand {
+    /// Runs the subcommand.
+    pub fn run(self) -> anyhow::Result<()> {
+        let reporter = self.common.start()?;
+        let (recipe, engine) = self.recipe.resolve_or_world()?;
+        if self.common.dry_run {
+            bail!("--dry-run: an audit has no plan to show; --configurations 1 --regions 1 is a quick one");
+        }
+        let simulator = Simulator::new(&recipe, Algorithm::Window { width_angstrom: WINDOW_ANGSTROM });
+        let options = AuditOptions {
+            regions: self.regions.into(),
+            size_nm: self.size,
+            stride: self.stride.into(),
+            seed: self.audit_seed,
+            at_nm: self.at.clone(),
+            configurations: self.configurations.map(usize::from),
+        };
+        let specimen = specimen(&recipe)?;
+        let direct = match engine.as_deref() {
+            None | Some("mosaic") => None,
+            Some("window") => Some(simulator.clone()),
+            Some(other) => bail!("the world was made with `{other}`, which is what audits compare with"),
+        };
+        let found = match direct {
+            Some(simulator) => {
+                let source = Source::Direct(&simulator);
+                audit(&recipe, &*specimen, &source, &options, &reporter)?
+            }
+            None => {
+                let cache = if self.no_cache { Cache::none() } else { Cache::of_user() };
+                let engine = MosaicEngine { simulator, cache, always: true };
+                match Mosaic::prepare(&engine, &*specimen, &recipe, &reporter)? {
+                    Some(mosaic) => {
+                        let source = Source::Mosaic(&mosaic);
+                        audit(&recipe, &*specimen, &source, &options, &reporter)?
+                    }
+                    None => bail!("nothing in this specimen repeats"),
+                }
+            }
+        };
+        self.common.print(&found, &text(&found))
+    }
+}
+
+fn text(audit: &Audit) -> String {
+    let mut lines = Lines::default();
+    let [n, all] = audit.configurations;
+    lines.add("compared", format!("{} with {}, mean of {n} of {all} configurations", audit.engine, audit.reference));
+    lines.add("bright columns", format!("{:.2} % rms of their intensity", audit.bright_rms_percent));
+    let all = format!("{:.2} % rms, worst {:.2} %, of the brightest column", audit.all_rms_percent, audit.worst_percent);
+    lines.add("all pixels", all);
+    for region in &audit.regions {
+        let [x, y] = region.centre_nm;
+        lines.add(
+            "region",
+            format!(
+                "at {x:.2}, {y:.2} nm: {} bright columns {:.2} % (mean {:+.2} %), off them {:.2} %, all {:.2} %, worst {:.2} %",
+                region.bright_columns,
+                region.bright_rms_percent,
+                region.bright_mean_percent,
+                region.off_columns_rms_percent,
+                region.all_rms_percent,
+                region.worst_percent
+            ),
+        );
+    }
+    for kind in &audit.kinds {
+        let [ours, exact] = kind.neighbours;
+        lines.add(
+            kind.kind.clone(),
+            format!(
+                "{} columns: mean {:+.2} %, variance {:+.1} %, correlation {:.4}, neighbours {ours:.2} ({exact:.2})",
+                kind.columns,
+                100.0 * (kind.mean_ratio - 1.0),
+                100.0 * (kind.variance_ratio - 1.0),
+                kind.correlation
+            ),
+        );
+    }
+    for band in &audit.power {
+        let [low, high] = band.band;
+        lines.add("power", format!("{low}-{high} 1/A: {:+.2} %", 100.0 * (band.ratio - 1.0)));
+    }
+    lines.text()
+}
