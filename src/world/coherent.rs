@@ -7,6 +7,7 @@
 use super::crystal::{Chain, ColumnCrystal, ColumnIndex};
 use super::recipe::Field;
 use super::specimen::{BEYOND_FIELD_NM, Region};
+use super::units::Member;
 
 pub(super) const NM: f64 = 0.1;
 
@@ -46,6 +47,22 @@ impl<S: Stretch> Coherent<S> {
         self.cells_along_beam as f64 * self.crystal.cell[2] * NM
     }
 
+    /// Centre in nm of a unit whose first member lies in the cell of `first`; `place` gives the position of a column.
+    pub fn centre(
+        &self,
+        members: &[Member],
+        first: ColumnIndex,
+        place: impl Fn(ColumnIndex) -> [f64; 2],
+    ) -> [f64; 2] {
+        let mut sum = [0.0; 2];
+        for member in members {
+            let cell = [0, 1].map(|k| first.cell[k] + member.cell[k]);
+            let at = place(ColumnIndex { kind: member.kind, cell, ..first });
+            sum = [0, 1].map(|k| sum[k] + at[k] / members.len() as f64);
+        }
+        sum
+    }
+
     /// Height in nm of the atom of `chain` in cell `cell` along the beam.
     pub fn height(&self, cell: usize, chain: &Chain) -> f64 {
         (cell as f64 + chain.z) * self.crystal.cell[2] * NM
@@ -81,7 +98,8 @@ impl<S: Stretch> Coherent<S> {
         }
     }
 
-    fn reference(&self, index: ColumnIndex) -> [f64; 2] {
+    /// Place of a column in the reference lattice, in nm.
+    pub fn reference(&self, index: ColumnIndex) -> [f64; 2] {
         let xy = self.crystal.columns[index.kind].xy;
         [0, 1].map(|k| self.origin[k] + (index.cell[k] as f64 + xy[k]) * self.crystal.cell[k] * NM)
     }

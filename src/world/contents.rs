@@ -135,6 +135,22 @@ impl Contents {
         found.map(|(bin, cell)| Entry { bin, kind, cell })
     }
 
+    /// What a site of a unit holds: the atom of chain `chain` of a column of kind `column` in cell `depth` along
+    /// the beam, where `number` belongs.
+    pub fn holds(
+        &self,
+        entry: Entry,
+        [column, chain, depth]: [usize; 3],
+        number: u8,
+    ) -> (SiteKind, u8) {
+        match (self.site(column, chain, depth), self.process) {
+            (Some(site), Some(process)) if self.pattern(entry).contains(&(site as u16)) => {
+                process.defect()
+            }
+            _ => (SiteKind::Pristine, number),
+        }
+    }
+
     /// The defective sites of an entry, ascending.
     pub fn pattern(&self, entry: Entry) -> &[u16] {
         &self.pool.patterns(entry.kind, entry.bin).cells[entry.cell]

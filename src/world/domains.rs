@@ -6,11 +6,13 @@
 //! and the beam the second phase is strained to the period of the first.
 
 use super::coherent::{Coherent, NM, Stretch};
+use super::contents::Contents;
 use super::crystal::{ColumnCrystal, ColumnIndex};
 use super::defects::Defects;
 use super::recipe::{self, Recipe};
+use super::sheet::{Family, Sheet};
 use super::specimen::{
-    BEYOND_FIELD_NM, Boundary, BoundaryKind, Region, Sites, Specimen, SpecimenSite,
+    BEYOND_FIELD_NM, Boundary, BoundaryKind, Region, Sites, Specimen, SpecimenSite, UnitTag,
 };
 use super::wave::{WavyLine, normal_cdf, normal_cdf_integral};
 use crate::error::{Error, Result};
@@ -21,6 +23,9 @@ const LARGEST_SHIFT: f64 = 0.1;
 /// Ratio of the edges of the two cells.
 const LARGEST_STRETCH: f64 = 0.1;
 
+/// Steps of the order parameter in which the library has sheets: between them atoms are less than 0.02 A off.
+const ORDER_STEPS: f64 = 4.0;
+
 /// See the module.
 pub struct Domains {
     lattice: Coherent<OrderParameter>,
@@ -30,6 +35,8 @@ pub struct Domains {
     column_shifts: Vec<[f64; 2]>,
     phases: [String; 2],
     defects: Defects,
+    /// What units hold; `None` draws each site by itself.
+    contents: Option<Contents>,
 }
 
 impl Domains {
@@ -61,7 +68,9 @@ impl Domains {
             column_shifts,
             phases: domains.phases.clone(),
             defects: Defects::default(),
+            contents: None,
         };
+        specimen.contents = Contents::new(recipe, &specimen.lattice.crystal)?;
         specimen.defects = Defects::fit(recipe, |element, histogram| {
             specimen.for_each_column(&specimen.lattice.field, |index, _, (ideal, _)| {
                 let chains = &specimen.lattice.crystal.columns[index.kind].chains;
@@ -78,14 +87,41 @@ impl Domains {
         region: &Region,
         f: impl FnMut(ColumnIndex, [f64; 2], ([f64; 2], f64)),
     ) {
-        let place = |index: ColumnIndex, reference: [f64; 2]| {
-            let stretch = &self.lattice.stretch;
-            let ideal = [stretch.to_field(reference), reference[1]];
-            let order = stretch.at(ideal);
-            let shift = self.column_shifts[index.kind];
-            ([0, 1].map(|k| ideal[k] + order * shift[k]), (ideal, order))
-        };
+        let place = |index: ColumnIndex, reference: [f64; 2]| self.place(index, reference);
         self.lattice.for_each_column(region, place, f);
+    }
+
+    /// Position of a column from its place in the reference lattice, that before displacement, and the order
+    /// parameter there.
+    fn place(&self, index: ColumnIndex, reference: [f64; 2]) -> ([f64; 2], ([f64; 2], f64)) {
+        let stretch = &self.lattice.stretch;
+        let ideal = [stretch.to_field(reference), reference[1]];
+        let order = stretch.at(ideal);
+        let shift = self.column_shifts[index.kind];
+        ([0, 1].map(|k| ideal[k] + order * shift[k]), (ideal, order))
+    }
+
+    /// Place of a column in the library.
+    fn tag(&self, index: ColumnIndex) -> Option<UnitTag> {
+        let contents = self.contents.as_ref()?;
+        let (kind, member, first) = contents.unit_of(index);
+        let members = &contents.units.kinds[kind];
+        let centre = self.lattice.centre(members, first, |column| {
+            self.place(column, self.lattice.reference(column)).0
+        });
+        let stretch = &self.lattice.stretch;
+        let element = contents.process.map_or(0, |p| p.element);
+        let rate = self.defects.at(stretch.distance(centre)).rate(element);
+        let entry = contents.draw(kind, first, rate)?;
+        let structure = (stretch.at(centre) * ORDER_STEPS).round() as usize;
+        Some(UnitTag {
+            id: first.id(),
+            member: [member, members.len()],
+            centre_nm: centre,
+            family: Family { motif: 0, structure, bin: entry.bin },
+            entry,
+            frame: [[1.0, 0.0], [0.0, 1.0]],
+        })
     }
 }
 
@@ -94,20 +130,43 @@ impl Specimen for Domains {
         let mut out = Sites::default();
         self.for_each_column(region, |index, column, ([x, y], order)| {
             let defects = self.defects.at(self.lattice.stretch.distance([x, y]));
+            let tag = self.tag(index);
+            let contents = self.contents.as_ref().zip(tag);
             let chains = &self.lattice.crystal.columns[index.kind].chains;
             let cells = 0..self.lattice.cells_along_beam;
-            let sites = cells.flat_map(|cell| chains.iter().map(move |chain| (cell, chain)));
-            let sites = sites.map(|(cell, chain)| {
+            let sites =
+                cells.flat_map(|cell| chains.iter().enumerate().map(move |(n, c)| (cell, n, c)));
+            let sites = sites.map(|(cell, n, chain)| {
                 let key = index.key(chain, cell);
-                let (kind, number) = defects.of(key, chain.number);
+                let (kind, number) = match &contents {
+                    Some((c, tag)) => c.holds(tag.entry, [index.kind, n, cell], chain.number),
+                    None => defects.of(key, chain.number),
+                };
                 let ideal = [x, y, self.lattice.height(cell, chain)];
                 let shift = self.shifts[chain.site];
                 let position_nm = [0, 1, 2].map(|k| ideal[k] + order * shift[k]);
                 SpecimenSite { key, position_nm, number, kind }
             });
-            out.push_column(index.id(), column, None, sites);
+            out.push_column(index.id(), column, tag, sites);
         });
         out
+    }
+
+    fn sheet(&self, family: Family) -> Option<Sheet> {
+        let contents = self.contents.as_ref()?;
+        let crystal = &self.lattice.crystal;
+        let order = family.structure as f64 / ORDER_STEPS;
+        let along = crystal.cell[0] / (1.0 - self.lattice.stretch.strain * order);
+        let cell = [along, crystal.cell[1]];
+        let place = |depth: usize, kind: usize, number: usize| {
+            let chain = &crystal.columns[kind].chains[number];
+            let xy = crystal.columns[kind].xy;
+            let ideal = [xy[0] * cell[0], xy[1] * cell[1], self.lattice.height(depth, chain) / NM];
+            let shift = self.shifts[chain.site];
+            [0, 1, 2].map(|k| ideal[k] + order * shift[k] / NM)
+        };
+        let depth = self.lattice.cells_along_beam;
+        Some(Sheet::lattice(contents, crystal, (cell, family.bin), depth, place))
     }
 
     fn thickness_nm(&self) -> f64 {

@@ -7,11 +7,15 @@
 
 use super::coherent::{Coherent, NM, Stretch};
 use super::composition::Composition;
+use super::contents::Contents;
 use super::crystal::{ColumnCrystal, ColumnIndex};
 use super::defects::Defects;
+use super::pool;
 use super::recipe::{self, Alloy, Profile, Recipe, Wells};
+use super::sheet::{Family, Sheet};
 use super::specimen::{
     BEYOND_FIELD_NM, Boundary, BoundaryKind, Region, SiteKind, Sites, Specimen, SpecimenSite,
+    UnitTag,
 };
 use crate::error::{Error, Result};
 use crate::rng::{self, Purpose};
@@ -34,6 +38,9 @@ pub struct Epitaxy {
     guest: u8,
     defects: Defects,
     seed: u64,
+    spacing: Spacing,
+    /// What units hold; `None` draws each site by itself.
+    contents: Option<Contents>,
 }
 
 impl Epitaxy {
@@ -61,9 +68,12 @@ impl Epitaxy {
             guest: number(&alloy.guest)?,
             defects: Defects::default(),
             seed: recipe.seed,
+            spacing,
+            contents: None,
         };
+        specimen.contents = Contents::new(recipe, &specimen.lattice.crystal)?;
         if let (Profile::Wells, Some(wells)) = (alloy.profile, wells) {
-            specimen.fill_wells(alloy, wells, &spacing)?;
+            specimen.fill_wells(alloy, wells)?;
         }
         specimen.defects = Defects::fit(recipe, |element, histogram| {
             let sites = specimen.lattice.crystal.chains().filter(|c| c.number == element).count();
@@ -75,7 +85,7 @@ impl Epitaxy {
     /// Sets the fraction of guests in the wells to that which makes the mean over the field's host sites
     /// the rate. The lattice depends on the fraction, and the number of planes in the wells on the
     /// lattice, hence the iteration.
-    fn fill_wells(&mut self, alloy: &Alloy, wells: &Wells, spacing: &Spacing) -> Result<()> {
+    fn fill_wells(&mut self, alloy: &Alloy, wells: &Wells) -> Result<()> {
         let mut last = f64::NAN;
         for _ in 0..FILLINGS {
             let share = self.share_of_wells();
@@ -92,7 +102,7 @@ impl Epitaxy {
                 break;
             }
             last = fraction;
-            self.lattice.stretch = spacing.stretch(&self.composition, &self.lattice.field);
+            self.lattice.stretch = self.spacing.stretch(&self.composition, &self.lattice.field);
         }
         // Where the last lattice moved a plane across an interface, the share is that of this lattice.
         self.composition.set_fraction((alloy.rate / self.share_of_wells()).min(1.0));
@@ -115,6 +125,55 @@ impl Epitaxy {
         inside as f64 / all.max(1) as f64
     }
 
+    /// Place of a column in the library.
+    fn tag(&self, index: ColumnIndex) -> Option<UnitTag> {
+        let contents = self.contents.as_ref()?;
+        let (kind, member, first) = contents.unit_of(index);
+        let members = &contents.units.kinds[kind];
+        let position = |column: ColumnIndex| {
+            let at = self.lattice.reference(column);
+            [self.lattice.stretch.to_field(at), at[1]]
+        };
+        let centre = self.lattice.centre(members, first, position);
+        let entry = match contents.process.filter(|p| p.element == self.host && p.by.is_some()) {
+            None => contents.draw(kind, first, self.defects.at(f64::INFINITY).rate(
+                contents.process.map_or(0, |p| p.element),
+            ))?,
+            Some(_) => {
+                let around = self.composition.mean(centre[0]);
+                let (rate, allowed) = self.open_sites(contents, kind, centre);
+                contents.draw_among(kind, first, rate, around, &allowed)?
+            }
+        };
+        Some(UnitTag {
+            id: first.id(),
+            member: [member, members.len()],
+            centre_nm: centre,
+            family: Family { motif: 0, structure: 0, bin: entry.bin },
+            entry,
+            frame: [[1.0, 0.0], [0.0, 1.0]],
+        })
+    }
+
+    /// The sites of a unit at `centre` that guests may take, and how often they take each.
+    fn open_sites(&self, contents: &Contents, kind: usize, centre: [f64; 2]) -> (f64, Vec<bool>) {
+        let mut allowed = vec![false; contents.pool.sites(kind)];
+        let mut rate = 0.0_f64;
+        for member in &contents.units.kinds[kind] {
+            let chains = &self.lattice.crystal.columns[member.kind].chains;
+            for (n, chain) in chains.iter().enumerate() {
+                for cell in 0..self.lattice.cells_along_beam {
+                    let Some(site) = contents.site(member.kind, n, cell) else { continue };
+                    let z = self.lattice.height(cell, chain);
+                    let here = self.composition.at([centre[0], centre[1], z]);
+                    allowed[site] = here > 0.0;
+                    rate = rate.max(here);
+                }
+            }
+        }
+        (rate, allowed)
+    }
+
     /// Calls `f(column, position)`.
     fn for_each_column(&self, region: &Region, mut f: impl FnMut(ColumnIndex, [f64; 2])) {
         let place = |_, at: [f64; 2]| ([self.lattice.stretch.to_field(at), at[1]], ());
@@ -129,10 +188,18 @@ impl Specimen for Epitaxy {
         self.for_each_column(region, |index, [x, y]| {
             let chains = &self.lattice.crystal.columns[index.kind].chains;
             let cells = 0..self.lattice.cells_along_beam;
-            let sites = cells.flat_map(|cell| chains.iter().map(move |chain| (cell, chain)));
-            let sites = sites.map(|(cell, chain)| {
+            let tag = self.tag(index);
+            let contents = self.contents.as_ref().zip(tag);
+            let sites =
+                cells.flat_map(|cell| chains.iter().enumerate().map(move |(n, c)| (cell, n, c)));
+            let sites = sites.map(|(cell, n, chain)| {
                 let key = index.key(chain, cell);
                 let z = self.lattice.height(cell, chain);
+                if let Some((contents, tag)) = &contents {
+                    let place = [index.kind, n, cell];
+                    let (kind, number) = contents.holds(tag.entry, place, chain.number);
+                    return SpecimenSite { key, position_nm: [x, y, z], number, kind };
+                }
                 let (mut kind, mut number) = defects.of(key, chain.number);
                 if kind == SiteKind::Pristine && number == self.host {
                     let fraction = self.composition.at([x, y, z]);
@@ -143,9 +210,24 @@ impl Specimen for Epitaxy {
                 }
                 SpecimenSite { key, position_nm: [x, y, z], number, kind }
             });
-            out.push_column(index.id(), [x, y], None, sites);
+            out.push_column(index.id(), [x, y], tag, sites);
         });
         out
+    }
+
+    fn sheet(&self, family: Family) -> Option<Sheet> {
+        let contents = self.contents.as_ref()?;
+        let crystal = &self.lattice.crystal;
+        let alloy = contents.process.is_some_and(|p| p.element == self.host && p.by.is_some());
+        let fraction = if alloy { pool::rate_of(family.bin) } else { 0.0 };
+        let cell = [crystal.cell[0] * self.spacing.relative(fraction), crystal.cell[1]];
+        let place = |depth: usize, kind: usize, number: usize| {
+            let column = &crystal.columns[kind];
+            let z = self.lattice.height(depth, &column.chains[number]) / NM;
+            [column.xy[0] * cell[0], column.xy[1] * cell[1], z]
+        };
+        let depth = self.lattice.cells_along_beam;
+        Some(Sheet::lattice(contents, crystal, (cell, family.bin), depth, place))
     }
 
     fn thickness_nm(&self) -> f64 {
