@@ -7,14 +7,17 @@ use super::recipe_args::RecipeArgs;
 use super::show::{Lines, PlanReport};
 use super::values::{self, Engine};
 use super::{estimate, imaging, output, pictures, text};
+use anyhow::bail;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use stemgen::engine::{Algorithm, Plan};
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
+use stemgen::world::audit::{Audit, AuditOptions};
 use stemgen::world::footprint::world_bytes;
-use stemgen::world::mosaic::{Cache, MosaicEngine};
+use stemgen::world::method::Check;
+use stemgen::world::mosaic::{Cache, Mosaic, MosaicEngine, Outlook};
 use stemgen::world::simulator::WINDOW_ANGSTROM;
 use stemgen::world::subtiles::Partition;
 use stemgen::world::{
@@ -28,6 +31,8 @@ const SUBTILE_NM: f64 = 4.0;
 const PRISM_SUBTILE_NM: f64 = 2.5;
 /// Sub-tiles of the published worlds in nm.
 const PUBLISHED_SUBTILE_NM: f64 = 7.0;
+/// Edge of audited regions in nm.
+const AUDIT_NM: f64 = 0.8;
 /// Sub-tiles of mosaics in nm, and their overlap.
 const MOSAIC_SUBTILE_NM: f64 = 8.0;
 const MOSAIC_OVERLAP_NM: f64 = 0.5;
@@ -98,6 +103,16 @@ struct Method {
     /// [default: default]
     #[arg(long, value_name = "NAME")]
     profile: Option<Profile>,
+    /// Regions of a mosaic that are simulated exactly beforehand, with the same atoms; the file tells the
+    /// error found. 0 leaves it out
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(value_parser = clap::value_parser!(u16).range(0..=1000))]
+    audit: u16,
+    /// Widen the windows, or leave the mosaic, until the audit's errors (rms at bright columns, and over all
+    /// pixels of the brightest column) are at most so many per cent
+    #[arg(long, value_name = "PERCENT", value_parser = values::percent, allow_negative_numbers = true)]
+    #[arg(conflicts_with_all = ["profile", "interpolation"])]
+    max_error: Option<f64>,
     /// Neither read nor keep the mosaic's simulations in the cache (see `stemgen cache`)
     #[arg(long)]
     no_cache: bool,
@@ -132,6 +147,8 @@ struct DryRun {
     subtile_nm: [f64; 2],
     #[serde(flatten)]
     plan: PlanReport,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    mosaic: Option<Outlook>,
     disk_bytes: u64,
     output: PathBuf,
 }
@@ -156,6 +173,7 @@ struct Built {
     dose_electrons_per_angstrom2: Option<f64>,
     engine: String,
     library: Option<[usize; 2]>,
+    audit: Option<Audit>,
     subtiles: usize,
     subtiles_resumed: usize,
     wall_time_s: f64,
@@ -245,6 +263,18 @@ impl Build {
         let sites = estimated_sites(&*specimen, field);
         let runs = if self.common.dry_run { partition.len() } else { 0 };
         let mut report = PlanReport::new(&plan, rows * columns, runs);
+        let mosaic = match self.common.dry_run && self.is_mosaic() {
+            true => Some(Mosaic::outlook(&self.mosaic(simulator.clone()), &*specimen, recipe)?),
+            false => None,
+        };
+        if let Some(mosaic) = mosaic.as_ref().filter(|m| m.pays) {
+            // Probes decide: those of the library's missing images, and of what does not repeat.
+            let all = (rows * columns * partition.len()) as f64;
+            let configurations = f64::from(simulator.settings().configurations());
+            let columns = (mosaic.columns + mosaic.unique_columns).max(1) as f64;
+            let unique = mosaic.unique_columns as f64 / columns;
+            report.estimated_time_s *= mosaic.missing_probes as f64 / (all * configurations) + unique;
+        }
         let remedy = "a smaller --subtile or fewer --threads take less";
         report.warnings.extend(estimate::memory_warning(report.memory_bytes, remedy));
         Ok(DryRun {
@@ -259,6 +289,7 @@ impl Build {
             subtiles: partition.len(),
             subtile_nm: [rows, columns].map(|n| n as f64 * pixel),
             plan: report,
+            mosaic,
             disk_bytes: world_bytes(field, sites, self.keep_clean),
             output: path.to_owned(),
         })
@@ -270,13 +301,31 @@ impl Build {
         self.method.engine.map_or(implied, |e| e == Engine::Mosaic)
     }
 
+    /// How a mosaic is checked before the world is made of it.
+    fn check(&self) -> anyhow::Result<Check> {
+        let regions = usize::from(self.method.audit);
+        if self.method.max_error.is_some() && !self.is_mosaic() {
+            bail!("--max-error is for mosaics; leave out --engine, or see `stemgen audit`");
+        }
+        if self.method.max_error.is_some() && regions == 0 {
+            bail!("--max-error needs an audit; leave out --audit 0");
+        }
+        let audit = AuditOptions { regions, size_nm: AUDIT_NM, ..AuditOptions::default() };
+        let max_error_percent = self.method.max_error;
+        Ok(Check { audit: (regions > 0).then_some(audit), max_error_percent })
+    }
+
     fn engine(&self, simulator: Simulator) -> Box<dyn SubTileEngine> {
         if !self.is_mosaic() {
             return Box::new(simulator);
         }
+        Box::new(self.mosaic(simulator))
+    }
+
+    fn mosaic(&self, simulator: Simulator) -> MosaicEngine {
         let cache = if self.method.no_cache { Cache::none() } else { Cache::of_user() };
         let always = self.method.engine == Some(Engine::Mosaic);
-        Box::new(MosaicEngine { simulator, cache, always })
+        MosaicEngine { simulator, cache, always }
     }
 
     fn build(
@@ -294,6 +343,7 @@ impl Build {
             overwrite: self.overwrite,
             subtile_nm,
             subtile_overlap_nm,
+            check: self.check()?,
         };
         let done = stemgen::world::build(recipe, engine, path, &options, reporter);
         done.map_err(|error| match error {
@@ -335,11 +385,29 @@ impl Build {
             dose_electrons_per_angstrom2: (!self.no_noise).then_some(dose),
             engine: summary.engine.clone(),
             library: summary.library,
+            audit: summary.audit.clone(),
             subtiles: summary.subtiles,
             subtiles_resumed: summary.subtiles_resumed,
             wall_time_s: summary.wall_time_s,
         })
     }
+}
+
+fn mosaic_line(mosaic: &Outlook) -> String {
+    if !mosaic.pays {
+        return "does not pay for so small a field: every sub-tile is simulated".into();
+    }
+    let count = |n: usize| text::count(n as u64);
+    let unique = match mosaic.unique_columns {
+        0 => String::new(),
+        n => format!("; {} columns are like no other", text::count(n)),
+    };
+    format!(
+        "library of {} images, {} of them to simulate ({} probes){unique}",
+        count(mosaic.images),
+        count(mosaic.missing),
+        count(mosaic.missing_probes)
+    )
 }
 
 /// The plan of a sub-tile of so many pixels.
@@ -368,6 +436,9 @@ impl DryRun {
         lines.add("sub-tiles", format!("{} of {h:.2} x {w:.2} nm", self.subtiles));
         lines.add("probes", format!("{} per sub-tile", text::count(self.plan.probes as u64)));
         self.plan.lines(&mut lines);
+        if let Some(mosaic) = &self.mosaic {
+            lines.add("mosaic", mosaic_line(mosaic));
+        }
         self.plan.costs(&mut lines);
         lines.add("disk", format!("at most about {}", text::bytes(self.disk_bytes)));
         lines
@@ -412,6 +483,13 @@ impl Built {
             let images = text::count(images as u64);
             let simulated = text::count(simulated as u64);
             lines.add("library", format!("{images} images, {simulated} of them simulated now"));
+        }
+        if let Some(audit) = &self.audit {
+            let found = format!(
+                "{:.2} % rms at bright columns, {:.2} % over all pixels, against multislice of the same atoms",
+                audit.bright_rms_percent, audit.all_rms_percent
+            );
+            lines.add("audit", found);
         }
         lines.add("time", text::duration(self.wall_time_s));
         let size = text::bytes(self.file_bytes);

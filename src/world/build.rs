@@ -7,8 +7,10 @@ use std::time::Instant;
 use ndarray::Array2;
 
 use super::census::estimated_sites;
+use super::audit::Audit;
 use super::footprint;
-use super::mosaic::{Mosaic, MosaicEngine};
+use super::method::{Check, Method};
+use super::mosaic::MosaicEngine;
 use super::recipe::Recipe;
 use super::specimen::{BEYOND_FIELD_NM, DISPLACED_NM, Region, SiteKind, Specimen, specimen};
 use super::stitch::WorldImage;
@@ -62,6 +64,8 @@ pub struct BuildOptions {
     pub subtile_nm: f64,
     /// Overlap of sub-tiles in nm.
     pub subtile_overlap_nm: f64,
+    /// How a mosaic is checked.
+    pub check: Check,
 }
 
 impl Default for BuildOptions {
@@ -72,12 +76,13 @@ impl Default for BuildOptions {
             overwrite: false,
             subtile_nm: 7.0,
             subtile_overlap_nm: 1.0,
+            check: Check::default(),
         }
     }
 }
 
 /// What was built.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct Summary {
     /// The file.
     pub path: PathBuf,
@@ -89,6 +94,8 @@ pub struct Summary {
     pub counts: Counts,
     /// Name of the method.
     pub engine: String,
+    /// The audit made before, if one was asked for.
+    pub audit: Option<Audit>,
     /// Images of the mosaic's library, and how many of them had to be simulated.
     pub library: Option<[usize; 2]>,
     /// Sub-tiles in all.
@@ -133,12 +140,13 @@ pub fn build(
     let needed = footprint::world_bytes(field, sites, options.keep_clean);
     let done = footprint::folder_bytes(&beside(output, ".work"));
     disk::check_space(output, needed.saturating_sub(done))?;
-    let mosaic = match engine.mosaic() {
-        Some(engine) => Mosaic::prepare(engine, &*specimen, recipe, progress)?,
-        None => None,
+    let check = &options.check;
+    let (method, audit) = Method::prepare(engine, &*specimen, recipe, check, progress)?;
+    let library = match &method {
+        Method::Mosaic(m) => Some([m.images(), m.simulated]),
+        _ => None,
     };
-    let library = mosaic.as_ref().map(|m| [m.images(), m.simulated]);
-    let job = Job { recipe, engine, specimen: &*specimen, mosaic, progress };
+    let job = Job { recipe, method, specimen: &*specimen, audit, progress };
     let store = Store::open(output, &job.key(&partition), progress)?;
     let done = job.simulate(&partition, &store).and_then(|resumed| {
         let image = WorldImage::new(recipe, &partition, &store, options.noise);
@@ -154,7 +162,8 @@ pub fn build(
         grid: field.built_grid(),
         fov_nm: shape.map(|n| n as f64 * field.pixel_nm()),
         counts,
-        engine: job.engine_name(),
+        engine: job.method.name(),
+        audit: job.audit,
         library,
         subtiles: partition.len(),
         subtiles_resumed: resumed,
@@ -182,28 +191,20 @@ fn check_output(output: &Path, overwrite: bool) -> Result<()> {
 
 struct Job<'a> {
     recipe: &'a Recipe,
-    engine: &'a dyn SubTileEngine,
+    method: Method<'a>,
     specimen: &'a dyn Specimen,
-    mosaic: Option<Mosaic<'a>>,
+    audit: Option<Audit>,
     progress: &'a dyn Progress,
 }
 
 impl Job<'_> {
-    /// Name of the method that makes the image.
-    fn engine_name(&self) -> String {
-        match (&self.mosaic, self.engine.mosaic()) {
-            (None, Some(unused)) => unused.simulator.name(),
-            _ => self.engine.name(),
-        }
-    }
-
     /// All that decides the image of a sub-tile.
     fn key(&self, partition: &Partition) -> String {
         let key = serde_json::json!({
             "stemgen": env!("CARGO_PKG_VERSION"),
             "recipe": self.recipe.to_toml(),
-            "engine": self.engine_name(),
-            "parameters": self.engine.parameters(),
+            "engine": self.method.name(),
+            "parameters": self.method.parameters(),
             "partition": format!("{partition:?}"),
         });
         key.to_string()
@@ -212,9 +213,9 @@ impl Job<'_> {
     /// Simulates what is missing; returns how many sub-tiles were there.
     fn simulate(&self, partition: &Partition, store: &Store) -> Result<usize> {
         let probes = partition.subtiles().map(|t| t.rows.len() * t.columns.len()).sum::<usize>();
-        let (stage, unit) = match self.mosaic {
-            Some(_) => ("assembling", "pixel"),
-            None => ("simulating", "probe"),
+        let (stage, unit) = match self.method {
+            Method::Mosaic(_) => ("assembling", "pixel"),
+            _ => ("simulating", "probe"),
         };
         self.progress.start(stage, unit, probes as u64);
         let mut resumed = 0;
@@ -237,11 +238,13 @@ impl Job<'_> {
     fn simulate_one(&self, tile: &SubTile, progress: &dyn Progress) -> Result<Array2<f32>> {
         let field = &self.recipe.field;
         let (first, pixel) = (field.crop_origin_px(), field.pixel_nm());
-        let margin_nm = self.engine.margin_angstrom() * 0.1;
         let start = [first[0] + tile.rows.start, first[1] + tile.columns.start];
-        if let Some(mosaic) = &self.mosaic {
-            return mosaic.image(start, tile.shape(), progress);
-        }
+        let engine: &dyn SubTileEngine = match &self.method {
+            Method::Mosaic(mosaic) => return mosaic.image(start, tile.shape(), progress),
+            Method::SubTiles(engine) => *engine,
+            Method::Instead(simulator) => simulator,
+        };
+        let margin_nm = engine.margin_angstrom() * 0.1;
         let area = Region::of_pixels(start, tile.shape(), pixel).grown(margin_nm);
         let scan = Scan {
             origin_angstrom: [10.0 * margin_nm + 5.0 * pixel; 2],
@@ -250,14 +253,14 @@ impl Job<'_> {
         };
         let size = |r: [f64; 2]| 10.0 * (r[1] - r[0]);
         let size = [size(area.x), size(area.y), 10.0 * self.specimen.thickness_nm()];
-        let image = self.engine.image(&self.atoms(&area), size, &scan, progress)?;
+        let image = engine.image(&self.atoms(&area), size, &scan, progress)?;
         if image.shape() != scan.shape {
             let expected = format!("the engine was asked for {:?}", scan.shape);
             return Err(Error::invalid("shape of image", format!("{:?}", image.shape()), expected));
         }
         match image.iter().find(|v| !v.is_finite()) {
             Some(bad) => {
-                let place = format!("sub-tile {} of engine {}", tile.index, self.engine.name());
+                let place = format!("sub-tile {} of engine {}", tile.index, engine.name());
                 Err(Error::invalid("intensity", bad, format!("{place}: must be finite")))
             }
             None => Ok(image),
@@ -328,9 +331,11 @@ impl Job<'_> {
             ("zone_axis", recipe.zone_axis.clone()),
             ("recipe", recipe.to_toml()),
             ("stemgen_version", env!("CARGO_PKG_VERSION").into()),
-            ("engine", self.engine_name()),
-            ("engine_parameters", self.engine.parameters().to_string()),
+            ("engine", self.method.name()),
+            ("engine_parameters", self.method.parameters().to_string()),
         ];
+        let audit = self.audit.as_ref().and_then(|a| serde_json::to_string(a).ok());
+        texts.extend(audit.map(|audit| ("audit", audit)));
         texts.extend(recipe.source.iter().map(|source| ("source", source.clone())));
         Header {
             pixel_size_nm: field.pixel_nm(),

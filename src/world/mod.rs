@@ -21,6 +21,7 @@ pub mod epitaxy;
 mod export;
 pub mod footprint;
 pub mod grains;
+pub mod method;
 pub mod mosaic;
 pub mod noise;
 mod orientation;

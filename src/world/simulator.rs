@@ -70,6 +70,13 @@ impl Simulator {
         Simulator { settings: Settings { phonons: None, ..self.settings.clone() } }
     }
 
+    /// The same with windows of another width.
+    #[must_use]
+    pub fn with_window(&self, width_angstrom: f64) -> Self {
+        let algorithm = Algorithm::Window { width_angstrom };
+        Simulator { settings: Settings { algorithm, ..self.settings.clone() } }
+    }
+
     /// The engine settings.
     pub fn settings(&self) -> &Settings {
         &self.settings

@@ -65,7 +65,7 @@ impl SubTileEngine for MosaicEngine {
 pub struct Mosaic<'a> {
     specimen: &'a dyn Specimen,
     recipe: &'a Recipe,
-    simulator: &'a Simulator,
+    simulator: Simulator,
     library: Library,
     kernel: Kernel,
     /// What the field holds.
@@ -80,7 +80,7 @@ impl<'a> Mosaic<'a> {
     /// # Errors
     /// Those of the engine, and [`Error::Interrupted`].
     pub fn prepare(
-        engine: &'a MosaicEngine,
+        engine: &MosaicEngine,
         specimen: &'a dyn Specimen,
         recipe: &'a Recipe,
         progress: &dyn Progress,
@@ -97,8 +97,32 @@ impl<'a> Mosaic<'a> {
         )?;
         let sigma = sigma(recipe);
         let simulated = library.fill(&recipe.id, &sigma, &engine.cache, progress)?;
-        let simulator = &engine.simulator;
+        let simulator = engine.simulator.clone();
         Ok(Some(Mosaic { specimen, recipe, simulator, library, kernel, survey, simulated }))
+    }
+
+    /// What making the mosaic of a field will take.
+    ///
+    /// # Errors
+    /// Those of the plan.
+    pub fn outlook(engine: &MosaicEngine, specimen: &dyn Specimen, recipe: &Recipe) -> Result<Outlook> {
+        let settings = engine.simulator.settings();
+        let survey = survey(specimen, &recipe.field);
+        let library = Library::new(specimen, survey.families.iter().copied(), settings)?;
+        let missing = library.missing(&recipe.id, &sigma(recipe), &engine.cache);
+        Ok(Outlook {
+            pays: engine.always || worth(&library, &survey, recipe),
+            images: library.len(),
+            missing: missing.len(),
+            missing_probes: missing.iter().sum(),
+            columns: survey.tagged,
+            unique_columns: survey.untagged,
+        })
+    }
+
+    /// Settings that decide the image.
+    pub fn parameters(&self) -> serde_json::Value {
+        self.simulator.parameters()
     }
 
     /// Number of images of sheets.
@@ -188,6 +212,23 @@ impl<'a> Mosaic<'a> {
         }
         Ok(sum.mapv(|s| (s / configurations as f64) as f32))
     }
+}
+
+/// What a mosaic will take.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct Outlook {
+    /// Whether it takes less than simulating the field itself.
+    pub pays: bool,
+    /// Images of sheets.
+    pub images: usize,
+    /// Those that the cache lacks.
+    pub missing: usize,
+    /// Probes that they take.
+    pub missing_probes: usize,
+    /// Columns with a place in the library.
+    pub columns: u64,
+    /// Columns that are simulated where they lie.
+    pub unique_columns: u64,
 }
 
 /// Whether the library takes clearly fewer probes than the field.

@@ -261,6 +261,22 @@ impl Library {
         self.shelves.values().map(|s| s.sheet.count * self.configurations).sum()
     }
 
+    /// Probes of each image that the cache lacks.
+    pub fn missing(&self, material: &str, sigma: &dyn Fn(u8) -> f64, cache: &Cache) -> Vec<usize> {
+        let mut missing = Vec::new();
+        for shelf in self.shelves.values() {
+            for sheet in 0..shelf.sheet.count {
+                for configuration in 0..self.configurations {
+                    let key = key(&self.settings, sigma, shelf, sheet, configuration);
+                    if cache.load(material, &key, shelf.shape).is_none() {
+                        missing.push(shelf.samples());
+                    }
+                }
+            }
+        }
+        missing
+    }
+
     /// Reads the images from the cache, and simulates those that it lacks. Returns how many it lacked.
     ///
     /// # Errors

@@ -17,4 +17,4 @@ mod library;
 mod survey;
 
 pub use cache::{Cache, Holding, VARIABLE as CACHE_VARIABLE};
-pub use engine::{Mosaic, MosaicEngine, atoms_by_seed};
+pub use engine::{Mosaic, MosaicEngine, Outlook, atoms_by_seed};
