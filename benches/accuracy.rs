@@ -7,7 +7,7 @@
 
 use std::path::Path;
 use std::time::Instant;
-use stemgen::engine::{Algorithm, Phonons, Plan, Scan, Settings, Site, simulate};
+use stemgen::engine::{Algorithm, Phonons, Plan, ProbeBox, Scan, Settings, Site, simulate};
 use stemgen::progress::Silent;
 use stemgen::structure::{self, elements};
 
@@ -122,7 +122,8 @@ fn run(case: &Case, asked: &[(f64, f64)]) {
         let ms = start.elapsed().as_secs_f64() * 1e3 / (2 * scan.len()) as f64;
         (images, ms, plan)
     };
-    let (reference, ms, plan) = image(&base);
+    let (reference, ms, plan) =
+        image(&Settings { probe_box: Some(ProbeBox::Large), ..base.clone() });
     println!(
         "{}: {:.1} x {:.1} x {:.1} A, full grid {}^2, {ms:.1} ms per probe",
         case.name, size[0], size[1], size[2], plan.wave_grid.points[0]

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 
 /// Samples on either side of a position that its value depends on. Interpolated areas need as many samples
 /// beyond their first and last ones, but for periodic images.
-pub const HALF_WIDTH: usize = 6;
+pub const HALF_WIDTH: usize = 8;
 const TAPS: usize = 2 * HALF_WIDTH;
 /// Steps of the tabulated kernel between two samples; linear interpolation between them is right to 2e-6.
 const PHASES: usize = 512;

@@ -3,8 +3,8 @@
 use stemgen::detect::Detector;
 use stemgen::engine::settings::EXACT_BAND_FRACTION;
 use stemgen::engine::{
-    Algorithm, GridChoice, Images, Phonons, Plan, Scan, Settings, Site, diffraction, exit_wave,
-    lens_image, simulate, window_for,
+    Algorithm, GridChoice, Images, Phonons, Plan, ProbeBox, Scan, Settings, Site, diffraction,
+    exit_wave, lens_image, simulate, window_for,
 };
 use stemgen::optics::{Aberration, Aberrations, ApertureEdge, Optics};
 use stemgen::potential::scattering::Parametrization;
@@ -245,7 +245,7 @@ fn windows_agree_with_the_full_grid() {
     let run = |settings: &Settings| {
         simulate(&plan(settings, &sites, cell), &sites, &scan, &Silent).unwrap()
     };
-    let exact = run(&base);
+    let exact = run(&Settings { probe_box: Some(ProbeBox::Large), ..base.clone() });
     for accuracy in [0.4, 0.8, 2.1] {
         let choice = window_for(accuracy, &base, cell[2]).unwrap();
         let algorithm = Algorithm::Window { width_angstrom: choice.width_angstrom };

@@ -63,9 +63,12 @@ impl AuditCommand {
         let reporter = self.common.start()?;
         let (recipe, engine) = self.recipe.resolve_or_world()?;
         if self.common.dry_run {
-            bail!("--dry-run: an audit has no plan to show; --configurations 1 --regions 1 is a quick one");
+            bail!(
+                "--dry-run: an audit has no plan to show; --configurations 1 --regions 1 is a quick one"
+            );
         }
-        let simulator = Simulator::new(&recipe, Algorithm::Window { width_angstrom: WINDOW_ANGSTROM });
+        let simulator =
+            Simulator::new(&recipe, Algorithm::Window { width_angstrom: WINDOW_ANGSTROM });
         let options = AuditOptions {
             regions: self.regions.into(),
             size_nm: self.size,
@@ -78,7 +81,9 @@ impl AuditCommand {
         let direct = match engine.as_deref() {
             None | Some("mosaic") => None,
             Some("window") => Some(simulator.clone()),
-            Some(other) => bail!("the world was made with `{other}`, which is what audits compare with"),
+            Some(other) => {
+                bail!("the world was made with `{other}`, which is what audits compare with")
+            }
         };
         let found = match direct {
             Some(simulator) => {
@@ -104,9 +109,16 @@ impl AuditCommand {
 fn text(audit: &Audit) -> String {
     let mut lines = Lines::default();
     let [n, all] = audit.configurations;
-    lines.add("compared", format!("{} with {}, mean of {n} of {all} configurations", audit.engine, audit.reference));
-    lines.add("bright columns", format!("{:.2} % rms of their intensity", audit.bright_rms_percent));
-    let all = format!("{:.2} % rms, worst {:.2} %, of the brightest column", audit.all_rms_percent, audit.worst_percent);
+    lines.add(
+        "compared",
+        format!("{} with {}, mean of {n} of {all} configurations", audit.engine, audit.reference),
+    );
+    lines
+        .add("bright columns", format!("{:.2} % rms of their intensity", audit.bright_rms_percent));
+    let all = format!(
+        "{:.2} % rms, worst {:.2} %, of the brightest column",
+        audit.all_rms_percent, audit.worst_percent
+    );
     lines.add("all pixels", all);
     for region in &audit.regions {
         let [x, y] = region.centre_nm;

@@ -273,7 +273,8 @@ impl Build {
             let configurations = f64::from(simulator.settings().configurations());
             let columns = (mosaic.columns + mosaic.unique_columns).max(1) as f64;
             let unique = mosaic.unique_columns as f64 / columns;
-            report.estimated_time_s *= mosaic.missing_probes as f64 / (all * configurations) + unique;
+            report.estimated_time_s *=
+                mosaic.missing_probes as f64 / (all * configurations) + unique;
         }
         let remedy = "a smaller --subtile or fewer --threads take less";
         report.warnings.extend(estimate::memory_warning(report.memory_bytes, remedy));

@@ -79,14 +79,20 @@ impl CacheCommand {
 impl Report {
     fn text(&self, removed: bool) -> String {
         let mut lines = Lines::default();
-        let folder = self.folder.as_ref().map_or("none (neither $STEMGEN_CACHE nor $HOME is set)".into(), |f| {
-            f.display().to_string()
-        });
+        let folder = self
+            .folder
+            .as_ref()
+            .map_or("none (neither $STEMGEN_CACHE nor $HOME is set)".into(), |f| {
+                f.display().to_string()
+            });
         lines.add("folder", folder);
         for h in &self.materials {
             let images = text::count(h.images as u64);
             let verb = if removed { " removed" } else { "" };
-            lines.add(h.material.clone(), format!("{images} images, {}{verb}", text::bytes(h.bytes)));
+            lines.add(
+                h.material.clone(),
+                format!("{images} images, {}{verb}", text::bytes(h.bytes)),
+            );
         }
         if self.materials.is_empty() {
             lines.add("holds", "nothing");

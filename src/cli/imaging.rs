@@ -1,6 +1,6 @@
 //! Options of the microscope and of the engine.
 
-use super::values::{self, Engine, ParametrizationName, ProjectionName};
+use super::values::{self, Engine, ParametrizationName, ProbeBoxName, ProjectionName};
 use anyhow::bail;
 use clap::Args;
 use stemgen::detect::Detector;
@@ -91,7 +91,11 @@ pub struct NumericsArgs {
     #[arg(long, value_name = "F", default_value_t = AUTO_ANGLE_MARGIN, value_parser = values::finite)]
     #[arg(allow_negative_numbers = true)]
     pub angle_margin: f64,
-    /// Windows: leave out what the probe's tail outside would have scattered
+    /// Where the probe has norm 1: in the cell, as is usual, though a small cell makes bright columns too bright
+    /// (by 1 % in 20 A), or in a large box, as in an infinite specimen [default: cell; windows: large]
+    #[arg(long, value_name = "NAME")]
+    pub probe_box: Option<ProbeBoxName>,
+    /// Windows and large boxes: leave out what the probe's tail outside would have scattered
     #[arg(long)]
     pub no_tail: bool,
 }
@@ -101,7 +105,9 @@ impl NumericsArgs {
     pub fn algorithm(&self) -> anyhow::Result<Algorithm> {
         check_accuracy(self.accuracy, self.algorithm)?;
         if self.algorithm == Some(Engine::Mosaic) {
-            bail!("--engine mosaic is for worlds (`stemgen build`); take window, prism or multislice");
+            bail!(
+                "--engine mosaic is for worlds (`stemgen build`); take window, prism or multislice"
+            );
         }
         algorithm(
             self.algorithm,
@@ -217,6 +223,7 @@ pub fn settings(
         grid,
         algorithm: numerics.algorithm()?,
         angle_margin: numerics.angle_margin,
+        probe_box: numerics.probe_box.map(Into::into),
         tail_correction: !numerics.no_tail,
         band_fraction: numerics.band_fraction.unwrap_or(DEFAULT_BAND_FRACTION),
         band_taper: numerics.band_taper,

@@ -48,11 +48,19 @@ impl RecipeArgs {
     /// The same, or the recipe of a world file named in place of a material, and the engine of that world.
     pub fn resolve_or_world(&self) -> anyhow::Result<(Recipe, Option<String>)> {
         let file = self.material.as_ref().map(PathBuf::from);
-        let Some(file) = file.filter(|f| f.extension().is_some_and(|e| e == "h5" || e == "hdf5")) else {
+        let Some(file) = file.filter(|f| f.extension().is_some_and(|e| e == "h5" || e == "hdf5"))
+        else {
             return Ok((self.resolve()?, None));
         };
-        if self.difficulty.is_some() || !self.set.is_empty() || self.grid.is_some() || self.seed.is_some() {
-            anyhow::bail!("{}: a world has its recipe; leave out --difficulty, --set, --grid and --seed", file.display());
+        if self.difficulty.is_some()
+            || !self.set.is_empty()
+            || self.grid.is_some()
+            || self.seed.is_some()
+        {
+            anyhow::bail!(
+                "{}: a world has its recipe; leave out --difficulty, --set, --grid and --seed",
+                file.display()
+            );
         }
         let world = stemgen::io::WorldFile::open(&file)?;
         let metadata = world.metadata();

@@ -145,6 +145,24 @@ pub enum Engine {
     Mosaic,
 }
 
+/// Where the probe has norm 1.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ProbeBoxName {
+    /// In the simulated cell
+    Cell,
+    /// In a box of 75 A or more
+    Large,
+}
+
+impl From<ProbeBoxName> for stemgen::engine::ProbeBox {
+    fn from(name: ProbeBoxName) -> Self {
+        match name {
+            ProbeBoxName::Cell => Self::Cell,
+            ProbeBoxName::Large => Self::Large,
+        }
+    }
+}
+
 /// How an atom is distributed over slices.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum ProjectionName {

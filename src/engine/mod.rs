@@ -18,7 +18,7 @@ pub use accuracy::{WindowChoice, window_for};
 pub use images::{Images, diffraction, exit_wave, simulate};
 pub use imaging::lens_image;
 pub use plan::Plan;
-pub use settings::{Algorithm, BeyondLimit, GridChoice, Phonons, Settings};
+pub use settings::{Algorithm, BeyondLimit, GridChoice, Phonons, ProbeBox, Settings};
 pub use speed::{Speed, measure_speed};
 
 /// A lattice site as the engine sees it: where it is on average, and how it vibrates.

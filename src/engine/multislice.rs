@@ -57,10 +57,9 @@ impl<'a> Multislice<'a> {
         let stepper = Stepper::new(plan);
         let grid = plan.wave_grid;
         let map = plan.detector_map(&grid, stepper.fft().stride(), plan.detector_ramp_mrad());
-        let probe = match plan.settings.algorithm {
-            Algorithm::Window { .. } => Spectrum::windowed(plan),
-            _ => Spectrum::full(plan, &grid),
-        };
+        let cropped = plan.settings.large_probe_box()
+            || matches!(plan.settings.algorithm, Algorithm::Window { .. });
+        let probe = if cropped { Spectrum::windowed(plan) } else { Spectrum::full(plan, &grid) };
         let nx = grid.points[0];
         let column = |e: &(usize, usize, Complex64)| frequency(e.1, nx).unsigned_abs() as usize;
         let reach = probe.entries.iter().map(column).max().unwrap_or(0);
@@ -223,7 +222,7 @@ impl<'a> Multislice<'a> {
 }
 
 impl Spectrum {
-    /// The probe on `grid`, at the origin, with total intensity 1, at the entrance surface.
+    /// The probe on `grid`, at the origin and the entrance surface, with the norm that the settings ask for.
     fn full(plan: &Plan, grid: &Grid) -> Self {
         let optics = &plan.settings.optics;
         let (ny, nx) = grid.shape();
@@ -237,20 +236,22 @@ impl Spectrum {
                 }
             }
         }
-        let norm = entries.iter().map(|e| e.2.norm_sqr()).sum::<f64>().sqrt();
+        // The edge of the aperture is soft: its amplitudes add to the area of the aperture, their squares to less.
+        let large = plan.settings.large_probe_box();
+        let share = |a: Complex64| if large { a.norm() } else { a.norm_sqr() };
+        let norm = entries.iter().map(|e| share(e.2)).sum::<f64>().sqrt();
         entries.iter_mut().for_each(|e| e.2 /= norm);
         Spectrum { entries, centre: [0.0; 2] }
     }
 
-    /// The probe of plain multislice in the same cell, with norm 1, cropped to the window and limited
+    /// The probe of plain multislice in a large box, with norm 1, cropped to the window and limited
     /// to low angles; not renormalised, since what is cropped never meets the atoms in the window.
     fn windowed(plan: &Plan) -> Self {
         let window = plan.wave_grid;
-        let large = plan.transmission_grid;
-        let (my, mx) = large.shape();
+        let (my, mx) = probe_grid(plan).shape();
         let (ny, nx) = window.shape();
         let fft = Fft2::new(my, mx);
-        let wave = probe_in_cell(plan, &fft, &mut fft.scratch());
+        let wave = probe_in_box(plan, &fft, &mut fft.scratch());
         let small = Fft2::new(ny, nx);
         let mut cropped = small.buffer();
         for y in 0..ny {
@@ -284,13 +285,33 @@ pub(super) fn window_centre(plan: &Plan) -> [f64; 2] {
     [0, 1].map(|i| (plan.wave_grid.points[i] / 2) as f64 * pixel[i])
 }
 
-/// The probe of the whole cell in real space, at the middle of a window that begins at pixel (0, 0);
-/// `fft` is that of the cell.
-pub(super) fn probe_in_cell(plan: &Plan, fft: &Fft2, scratch: &mut Scratch) -> Buffer {
-    let (cell, centre) = (&plan.transmission_grid, window_centre(plan));
-    let phases = [0, 1].map(|i| shift_phases(centre[i] / cell.extent_angstrom[i], cell.points[i]));
+/// Width in Angstrom of the large box of [`super::settings::ProbeBox`].
+const PROBE_BOX_ANGSTROM: f64 = 75.0;
+
+/// The pixels of the cell, over several cells where one is small.
+pub(super) fn probe_grid(plan: &Plan) -> Grid {
+    let cell = plan.transmission_grid;
+    if !plan.settings.large_probe_box() {
+        return cell;
+    }
+    let times = cell.extent_angstrom.map(|l| {
+        // lengths that transforms like
+        let cells = [1usize, 2, 3, 4, 5, 6, 8, 10, 12, 15, 16, 20];
+        cells.into_iter().find(|n| *n as f64 * l >= PROBE_BOX_ANGSTROM).unwrap_or(20)
+    });
+    Grid {
+        points: [0, 1].map(|k| cell.points[k] * times[k]),
+        extent_angstrom: [0, 1].map(|k| cell.extent_angstrom[k] * times[k] as f64),
+    }
+}
+
+/// The probe in real space on [`probe_grid`] at the middle of a window that begins at pixel (0, 0);
+/// `fft` is that of the grid.
+pub(super) fn probe_in_box(plan: &Plan, fft: &Fft2, scratch: &mut Scratch) -> Buffer {
+    let (grid, centre) = (probe_grid(plan), window_centre(plan));
+    let phases = [0, 1].map(|i| shift_phases(centre[i] / grid.extent_angstrom[i], grid.points[i]));
     let mut wave = fft.buffer();
-    for (iy, ix, a) in Spectrum::full(plan, cell).entries {
+    for (iy, ix, a) in Spectrum::full(plan, &grid).entries {
         wave[iy * fft.stride() + ix] = single(a * phases[0][ix] * phases[1][iy]);
     }
     fft.inverse(&mut wave, scratch);

@@ -45,6 +45,19 @@ pub enum GridChoice {
 /// Room above the outermost detector angle on grids that the program chooses.
 pub const AUTO_ANGLE_MARGIN: f64 = 1.2;
 
+/// Where the probe has norm 1.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ProbeBox {
+    /// In the simulated cell, as is usual. The aperture then has an edge one Fourier pixel wide, and the cell holds
+    /// the tails of its neighbours' probes: its middle is too bright by the fraction `wavelength / (3 semiangle L)`, L being
+    /// the width of the cell (2 % for 20 A at 200 kV and 21 mrad; bright columns 1.1 % more than in a cell of 39 A).
+    Cell,
+    /// In a large box, from which it is cropped: as in an infinite specimen. What its tail scatters outside the cell is
+    /// added as from free atoms.
+    Large,
+}
+
 /// What to do with a detector beyond the band limit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -84,6 +97,9 @@ pub struct Settings {
     pub angle_margin: f64,
     /// Algorithm.
     pub algorithm: Algorithm,
+    /// Where the probe has norm 1; `None`: in a large box with windows, in the cell with the other algorithms.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub probe_box: Option<ProbeBox>,
     /// Adds what the part of a probe outside its window would have scattered onto the detectors
     /// (windows only), as from free atoms; see the source of `engine::tail`.
     pub tail_correction: bool,
@@ -134,6 +150,7 @@ impl Default for Settings {
             grid: GridChoice::Auto,
             angle_margin: AUTO_ANGLE_MARGIN,
             algorithm: Algorithm::Multislice,
+            probe_box: None,
             tail_correction: true,
             band_fraction: DEFAULT_BAND_FRACTION,
             band_taper: 0.0,
@@ -188,6 +205,11 @@ impl Settings {
             return Err(Error::invalid("phonon configurations", p.configurations, expected));
         }
         match self.algorithm {
+            Algorithm::Prism { .. } if self.large_probe_box() => {
+                let expected =
+                    "PRISM makes probes in the cell; use the engine multislice or window";
+                Err(Error::invalid("probe box", "large", expected))
+            }
             Algorithm::Prism { interpolation: [fx, fy] } if fx == 0 || fy == 0 => {
                 let value = format!("{fx},{fy}");
                 Err(Error::invalid("interpolation", value, "factors must be at least 1"))
@@ -197,6 +219,12 @@ impl Settings {
             }
             _ => Ok(()),
         }
+    }
+
+    /// Whether probes are made in a box larger than the cell.
+    pub fn large_probe_box(&self) -> bool {
+        let windows = matches!(self.algorithm, Algorithm::Window { .. });
+        self.probe_box.map_or(windows, |b| b == ProbeBox::Large)
     }
 
     /// Number of phonon configurations simulated.

@@ -7,8 +7,8 @@
 //! mean image too low everywhere, which between columns is 3-5 %.
 
 use super::accuracy::LEAST_INNER_SEMIANGLES;
-use super::multislice::{probe_in_cell, window_centre};
-use super::plan::Plan;
+use super::multislice::{probe_grid, probe_in_box, window_centre};
+use super::plan::{Grid, Plan};
 use super::prism::single;
 use super::{Scan, Site};
 use crate::constants::interaction_parameter;
@@ -32,20 +32,24 @@ fn applies(detector: &Detector, plan: &Plan) -> bool {
 /// # Errors
 /// An element that the tables lack.
 pub(super) fn tail(plan: &Plan, sites: &[Site], scan: &Scan) -> Result<Option<Vec<f64>>> {
-    if plan.wave_grid == plan.transmission_grid || !plan.settings.tail_correction {
+    let all = plan.wave_grid == plan.transmission_grid && !plan.settings.large_probe_box();
+    if all || !plan.settings.tail_correction {
         return Ok(None);
     }
     let detectors = &plan.settings.detectors;
     let thicknesses = plan.thicknesses_angstrom();
-    let cell = Cell::new(plan);
+    let (cell, around) =
+        (Cell::new(plan, &plan.transmission_grid), Cell::new(plan, &probe_grid(plan)));
     let mut scratch = cell.fft.scratch();
-    let outside = cell.outside(plan, &mut scratch);
+    let mut larger = around.fft.scratch();
+    let outside = around.outside(plan, &mut larger);
     let mut out = vec![0.0; scan.len() * thicknesses.len() * detectors.len()];
     for (d, detector) in detectors.iter().enumerate().filter(|(_, d)| applies(d, plan)) {
         let sections = cross_sections(plan, sites, detector)?;
         for (r, &thickness) in thicknesses.iter().enumerate() {
             let mut tail = outside.clone();
-            cell.travel(&mut tail, 0.5 * thickness, plan, &mut scratch);
+            around.travel(&mut tail, 0.5 * thickness, plan, &mut larger);
+            let mut tail = cell.folded(&tail, &around);
             let last = plan.slices.boundaries[plan.record_after[r] + 1];
             let inside = sites.iter().filter(|s| plan.slices.wrap(s.position[2]) < last);
             let atoms = inside.map(|s| (s.position, sections.get(&s.number).copied()));
@@ -74,7 +78,7 @@ fn cross_sections(plan: &Plan, sites: &[Site], detector: &Detector) -> Result<BT
     elements.into_iter().map(section).collect()
 }
 
-/// The transmission grid of the whole cell, with the middle of the window.
+/// A grid of the whole cell or more, with the middle of the window.
 struct Cell {
     fft: Fft2,
     pixel: [f64; 2],
@@ -83,8 +87,7 @@ struct Cell {
 }
 
 impl Cell {
-    fn new(plan: &Plan) -> Self {
-        let grid = &plan.transmission_grid;
+    fn new(plan: &Plan, grid: &Grid) -> Self {
         let (ny, nx) = grid.shape();
         let (pixel, centre) = (grid.sampling_angstrom(), window_centre(plan));
         Cell { fft: Fft2::new(ny, nx), pixel, centre, dk: grid.dk() }
@@ -92,7 +95,7 @@ impl Cell {
 
     /// Fourier coefficients of the probe outside the window.
     fn outside(&self, plan: &Plan, scratch: &mut Scratch) -> Buffer {
-        let mut wave = probe_in_cell(plan, &self.fft, scratch);
+        let mut wave = probe_in_box(plan, &self.fft, scratch);
         let [wx, wy] = plan.wave_grid.points;
         for row in wave.chunks_exact_mut(self.fft.stride()).take(wy) {
             row[..wx].fill(Complex32::ZERO);
@@ -120,6 +123,20 @@ impl Cell {
         let pixels = (nx * ny) as f32;
         let scale = 1.0 / (pixels * pixels * pixels);
         wave.iter_mut().for_each(|v| *v = Complex32::new(v.norm_sqr() * scale, 0.0));
+    }
+
+    /// The sum over this cell's places of what a larger box of several cells holds.
+    fn folded(&self, large: &[Complex32], of: &Cell) -> Buffer {
+        let mut out = self.fft.buffer();
+        let ((ny, nx), (my, mx)) = (self.fft.shape(), of.fft.shape());
+        for y in 0..my {
+            let row = &large[y * of.fft.stride()..][..mx];
+            let line = &mut out[y % ny * self.fft.stride()..][..nx];
+            for part in row.chunks_exact(nx) {
+                line.iter_mut().zip(part).for_each(|(to, from)| *to += from);
+            }
+        }
+        out
     }
 
     /// `sum_a s_a P(r_a - shift)` for every shift of the tail's intensity P.

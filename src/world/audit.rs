@@ -158,9 +158,10 @@ pub fn audit(
 ) -> Result<Audit> {
     let all = recipe.phonons.configurations.max(1);
     let configurations = options.configurations.unwrap_or(all).clamp(1, all);
-    let reference = Simulator::new(recipe, Algorithm::Multislice).without_phonons();
+    let reference = Simulator::new(recipe, Algorithm::Multislice).with_large_probe_box();
     let places = places(recipe, options)?;
-    let points: usize = places.iter().map(|p| points(p.shape, options.stride).iter().product::<usize>()).sum();
+    let points: usize =
+        places.iter().map(|p| points(p.shape, options.stride).iter().product::<usize>()).sum();
     progress.start("auditing", "probe", (points * configurations) as u64);
     let mut regions = Vec::new();
     let mut columns = Vec::new();
@@ -267,7 +268,7 @@ impl Job<'_> {
                 Ok(thin(mosaic.mean_of(first, shape, configurations, progress)?))
             }
             Source::Direct(simulator) => {
-                self.simulated(&simulator.without_phonons(), stride, configurations, &Quiet(progress))
+                self.simulated(simulator, stride, configurations, &Quiet(progress))
             }
         }
     }
@@ -311,7 +312,7 @@ impl Job<'_> {
                     self.recipe,
                 ),
             };
-            let image = simulator.image(&atoms, size, &scan, &share)?;
+            let image = simulator.displaced(&atoms, size, &scan, &share)?;
             share.complete();
             sum.zip_mut_with(&image, |s, v| *s += f64::from(*v) / configurations as f64);
         }
@@ -330,8 +331,11 @@ impl Job<'_> {
             let mut near = [0.0; 3];
             for ((i, j), value) in ours.indexed_iter() {
                 let d = [at[0] - j as f64 * pixel, at[1] - i as f64 * pixel];
-                let weight = (-(d[0] * d[0] + d[1] * d[1]) / (2.0 * COLUMN_ANGSTROM * COLUMN_ANGSTROM / 4.0)).exp();
-                near = [near[0] + weight, near[1] + weight * value, near[2] + weight * exact[[i, j]]];
+                let weight = (-(d[0] * d[0] + d[1] * d[1])
+                    / (2.0 * COLUMN_ANGSTROM * COLUMN_ANGSTROM / 4.0))
+                    .exp();
+                near =
+                    [near[0] + weight, near[1] + weight * value, near[2] + weight * exact[[i, j]]];
             }
             if near[0] > 1e-3 {
                 let sites = &sites.sites[column.sites.clone()];
@@ -354,7 +358,13 @@ fn kind(sites: &[super::SpecimenSite], recipe: &Recipe) -> String {
     };
     let mut symbols: Vec<String> = sites
         .iter()
-        .map(|s| if s.kind == SiteKind::Substitution { host(s.number) } else { elements::symbol(s.number).into() })
+        .map(|s| {
+            if s.kind == SiteKind::Substitution {
+                host(s.number)
+            } else {
+                elements::symbol(s.number).into()
+            }
+        })
         .collect();
     symbols.sort();
     symbols.dedup();
@@ -461,7 +471,10 @@ fn kind_audit(kind: &str, points: &[(usize, &ColumnPoint)]) -> KindAudit {
         mean_ratio: safe(a, b),
         variance_ratio: safe(aa, bb),
         correlation: safe(ab, (aa * bb).sqrt()),
-        neighbours: [safe(pairs[0] / f64::max(count, 1.0), aa), safe(pairs[1] / f64::max(count, 1.0), bb)],
+        neighbours: [
+            safe(pairs[0] / f64::max(count, 1.0), aa),
+            safe(pairs[1] / f64::max(count, 1.0), bb),
+        ],
     }
 }
 
@@ -479,9 +492,7 @@ fn power(regions: &[RegionAudit], step: f64) -> Vec<PowerBand> {
                 Complex::from((image[[i, j]] - mean) * hann(i, rows) * hann(j, columns))
             });
             for ((i, j), value) in transformed(windowed).indexed_iter() {
-                let k = |i: usize, n: usize| {
-                    crate::fft::frequency(i, n) as f64 / (n as f64 * step)
-                };
+                let k = |i: usize, n: usize| crate::fft::frequency(i, n) as f64 / (n as f64 * step);
                 let k = k(i, rows).hypot(k(j, columns));
                 if let Some(band) = BANDS.windows(2).position(|b| b[0] <= k && k < b[1]) {
                     sums[band][which] += value.norm_sqr();

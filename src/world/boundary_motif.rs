@@ -15,7 +15,7 @@ use super::sheet::{Sheet, SheetSite, SheetUnit};
 /// nearer than a probe in a crystal feels.
 pub const SLOT_REACH_ANGSTROM: f64 = 5.0;
 /// Scanned beyond the slots, for the ramps to the crystal's units and for interpolation between samples.
-const SCAN_BEYOND_ANGSTROM: f64 = 3.3;
+const SCAN_BEYOND_ANGSTROM: f64 = 3.7;
 /// Specimen beyond the scan: half a window, and the reach of potentials.
 const SPECIMEN_BEYOND_ANGSTROM: f64 = 7.5;
 /// Positions that count as equal, in Angstrom.

@@ -6,8 +6,8 @@ use std::time::Instant;
 
 use ndarray::Array2;
 
-use super::census::estimated_sites;
 use super::audit::Audit;
+use super::census::estimated_sites;
 use super::footprint;
 use super::method::{Check, Method};
 use super::mosaic::MosaicEngine;

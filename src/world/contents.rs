@@ -129,9 +129,9 @@ impl Contents {
         let mut bins = vec![pool::bin_of(around), pool::bin_of(0.5 * (around + rate))];
         bins.push(pool::bin_of(rate));
         bins.dedup();
-        let found = bins.into_iter().find_map(|bin| {
-            Some((bin, self.pool.draw(kind, bin, rate, allowed, who)?))
-        });
+        let found = bins
+            .into_iter()
+            .find_map(|bin| Some((bin, self.pool.draw(kind, bin, rate, allowed, who)?)));
         found.map(|(bin, cell)| Entry { bin, kind, cell })
     }
 

@@ -106,9 +106,9 @@ impl Domains {
         let contents = self.contents.as_ref()?;
         let (kind, member, first) = contents.unit_of(index);
         let members = &contents.units.kinds[kind];
-        let centre = self.lattice.centre(members, first, |column| {
-            self.place(column, self.lattice.reference(column)).0
-        });
+        let centre = self
+            .lattice
+            .centre(members, first, |column| self.place(column, self.lattice.reference(column)).0);
         let stretch = &self.lattice.stretch;
         let element = contents.process.map_or(0, |p| p.element);
         let rate = self.defects.at(stretch.distance(centre)).rate(element);

@@ -136,9 +136,11 @@ impl Epitaxy {
         };
         let centre = self.lattice.centre(members, first, position);
         let entry = match contents.process.filter(|p| p.element == self.host && p.by.is_some()) {
-            None => contents.draw(kind, first, self.defects.at(f64::INFINITY).rate(
-                contents.process.map_or(0, |p| p.element),
-            ))?,
+            None => contents.draw(
+                kind,
+                first,
+                self.defects.at(f64::INFINITY).rate(contents.process.map_or(0, |p| p.element)),
+            )?,
             Some(_) => {
                 let around = self.composition.mean(centre[0]);
                 let (rate, allowed) = self.open_sites(contents, kind, centre);

@@ -13,7 +13,8 @@ use super::defects::Defects;
 use super::recipe::{Boundaries, Recipe};
 use super::sheet::{Family, Sheet};
 use super::specimen::{
-    BEYOND_FIELD_NM, Boundary, BoundaryKind, Region, SiteKind, Sites, Specimen, SpecimenSite, UnitTag,
+    BEYOND_FIELD_NM, Boundary, BoundaryKind, Region, SiteKind, Sites, Specimen, SpecimenSite,
+    UnitTag,
 };
 use crate::error::{Error, Result};
 use crate::structure::shortest_distances;
@@ -180,11 +181,14 @@ impl Grains {
         let element = contents.process.map_or(0, |p| p.element);
         let rate_at = |x: f64| self.defects.at(self.distance_nm(x)).rate(element);
         let nearest = self.nearest_plane(centre[0]);
-        if let Some(plane) = nearest.filter(|n| (centre[0] - self.planes[*n]).abs() <= SLOT_REACH_ANGSTROM) {
+        if let Some(plane) =
+            nearest.filter(|n| (centre[0] - self.planes[*n]).abs() <= SLOT_REACH_ANGSTROM)
+        {
             let repeat = self.repeating.get(plane).copied().flatten()?;
             let motif = &self.motifs[repeat.motif];
             let [x, y] = column.position;
-            let seen = [repeat.flip[0] * (x - self.planes[plane]), repeat.flip[1] * (y - repeat.origin)];
+            let seen =
+                [repeat.flip[0] * (x - self.planes[plane]), repeat.flip[1] * (y - repeat.origin)];
             let slot = motif.slot(seen, self.chains(column).map(|(n, _)| n))?;
             let (rate, around) = (rate_at(x), rate_at(self.planes[plane]));
             let entry = motif.draw(slot, column.index.id(), rate, around)?;
@@ -227,7 +231,13 @@ impl Grains {
 
     /// The number among the unit's sites of an atom of a chain, given by its number in the kind of column and among
     /// the chains that are there.
-    fn site(&self, tag: &UnitTag, kind: usize, [chain, there]: [usize; 2], depth: usize) -> Option<usize> {
+    fn site(
+        &self,
+        tag: &UnitTag,
+        kind: usize,
+        [chain, there]: [usize; 2],
+        depth: usize,
+    ) -> Option<usize> {
         match tag.family.motif {
             0 => self.contents.as_ref()?.site(kind, chain, depth),
             motif => self.motifs[motif - 1].site(tag.entry.kind, there, depth),
@@ -245,11 +255,14 @@ impl Grains {
     /// Finds the repeating patterns of the boundaries.
     fn find_motifs(&mut self, recipe: &Recipe) {
         let Some(contents) = &self.contents else { return };
-        let coincidence = recipe.boundaries.as_ref().and_then(|b| {
-            coincidence::half_angle(b.sigma?, b.misorientation_deg).ok()
-        });
+        let coincidence = recipe
+            .boundaries
+            .as_ref()
+            .and_then(|b| coincidence::half_angle(b.sigma?, b.misorientation_deg).ok());
         let single = contents.units.kinds.iter().all(|m| m.len() == 1);
-        let Some(half) = coincidence.filter(|_| single && self.reach < SLOT_REACH_ANGSTROM) else { return };
+        let Some(half) = coincidence.filter(|_| single && self.reach < SLOT_REACH_ANGSTROM) else {
+            return;
+        };
         let period = half.period() * self.crystal.cell[0];
         let mut motifs: Vec<BoundaryMotif> = Vec::new();
         for plane in 0..self.planes.len() {

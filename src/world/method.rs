@@ -66,13 +66,16 @@ impl<'a> Method<'a> {
         let (Some(simulator), Some(options)) = (last, &check.audit) else {
             return Ok((Method::SubTiles(engine), None));
         };
-        progress.warn("mosaics are not as right as --max-error asks here; the field itself is simulated");
+        progress.warn(
+            "mosaics are not as right as --max-error asks here; the field itself is simulated",
+        );
         let found = audit(recipe, specimen, &Source::Direct(&simulator), options, progress)?;
         if accepted(Some(&found), check.max_error_percent, progress) {
             return Ok((Method::Instead(simulator), Some(found)));
         }
         let asked = check.max_error_percent.unwrap_or_default();
-        let expected = "no window is as right here; use --engine multislice, or prism with --interpolation 1";
+        let expected =
+            "no window is as right here; use --engine multislice, or prism with --interpolation 1";
         Err(Error::invalid("largest error (%)", asked, expected))
     }
 
@@ -98,7 +101,9 @@ impl<'a> Method<'a> {
 /// The engine, and with wider windows those that follow.
 fn widening(engine: &MosaicEngine, more: bool) -> Vec<MosaicEngine> {
     let mut engines = vec![engine.clone()];
-    let Algorithm::Window { width_angstrom } = engine.simulator.settings().algorithm else { return engines };
+    let Algorithm::Window { width_angstrom } = engine.simulator.settings().algorithm else {
+        return engines;
+    };
     for width in WIDER.into_iter().filter(|w| more && *w > width_angstrom) {
         let simulator = engine.simulator.with_window(width);
         engines.push(MosaicEngine { simulator, ..engine.clone() });

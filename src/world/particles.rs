@@ -180,7 +180,12 @@ impl Specimen for ParticlesOnCarbon {
                     number: CARBON,
                     kind: SiteKind::Pristine,
                 });
-                out.columns.push(AtomColumn { id: key, position_nm: at, sites: first..first + 1, unit: None });
+                out.columns.push(AtomColumn {
+                    id: key,
+                    position_nm: at,
+                    sites: first..first + 1,
+                    unit: None,
+                });
             }
         }
         out

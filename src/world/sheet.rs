@@ -109,7 +109,9 @@ impl Sheet {
                 });
                 let members: Vec<Vec<SheetSite>> = columns.collect();
                 let centre = centre(&members);
-                let of = |sheet: usize| contents.pool.patterns(kind, bin).cells[sheet * cells + n].clone();
+                let of = |sheet: usize| {
+                    contents.pool.patterns(kind, bin).cells[sheet * cells + n].clone()
+                };
                 let patterns = (0..count).map(of).collect();
                 units.push(SheetUnit { kind, cell: n, centre, members, patterns });
             }

@@ -1,11 +1,12 @@
 //! The engine behind a world.
 
 use super::build::SubTileEngine;
+use super::mosaic::DisplacedAtoms;
 use super::recipe::Recipe;
 use crate::detect::Detector;
 use crate::engine::settings::EXACT_BAND_FRACTION;
 use crate::engine::{
-    Algorithm, BeyondLimit, GridChoice, Phonons, Plan, Scan, Settings, Site, simulate,
+    Algorithm, BeyondLimit, GridChoice, Phonons, Plan, ProbeBox, Scan, Settings, Site, simulate,
 };
 use crate::error::Result;
 use crate::optics::Optics;
@@ -64,10 +65,28 @@ impl Simulator {
         simulator
     }
 
-    /// The same for atoms that are displaced already.
+    /// The image of one phonon configuration, given by its atoms; see [`SubTileEngine::image`].
+    ///
+    /// # Errors
+    /// As there.
+    pub fn displaced(
+        &self,
+        atoms: &DisplacedAtoms,
+        box_angstrom: [f64; 3],
+        scan: &Scan,
+        progress: &dyn Progress,
+    ) -> Result<Array2<f32>> {
+        let settings = Settings { phonons: None, ..self.settings.clone() };
+        let plan = Plan::new(&settings, box_angstrom, &atoms.heights)?;
+        let images = simulate(&plan, &atoms.sites, scan, progress)?;
+        Ok(images.data.index_axis_move(Axis(0), 0).index_axis_move(Axis(0), 0))
+    }
+
+    /// The same with probes as in an infinite specimen (see [`ProbeBox`]).
     #[must_use]
-    pub fn without_phonons(&self) -> Self {
-        Simulator { settings: Settings { phonons: None, ..self.settings.clone() } }
+    pub fn with_large_probe_box(&self) -> Self {
+        let probe_box = Some(ProbeBox::Large);
+        Simulator { settings: Settings { probe_box, ..self.settings.clone() } }
     }
 
     /// The same with windows of another width.

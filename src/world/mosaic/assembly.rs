@@ -125,8 +125,7 @@ impl Assembly {
                 shares.iter().map(|s| self.offset(s.pixel, unit, &tag, shelf)).collect();
             values(shelf, &singles, &offsets, kernel)
         };
-        let values: Vec<Vec<f64>> =
-            self.units.par_iter().zip(&of_unit).map(patch).collect();
+        let values: Vec<Vec<f64>> = self.units.par_iter().zip(&of_unit).map(patch).collect();
         // Summed unit by unit, so that the bytes do not depend on threads.
         let mut image = Array2::zeros(self.shape);
         let pixels = image.as_slice_mut().unwrap_or_default();
@@ -214,9 +213,6 @@ fn values(shelf: &Shelf, singles: &[Single], offsets: &[[f64; 2]], kernel: &Kern
 /// The number of configurations if `singles` are all of one unit, else 0.
 fn shelf_configurations(shelf: &Shelf, singles: &[Single]) -> usize {
     let first = singles[0];
-    let same = singles
-        .iter()
-        .enumerate()
-        .all(|(n, s)| *s == Single { configuration: n, ..first });
+    let same = singles.iter().enumerate().all(|(n, s)| *s == Single { configuration: n, ..first });
     if same { shelf.configurations(first.sheet) } else { 0 }
 }

@@ -5,6 +5,15 @@ use crate::engine::Site;
 use crate::phonons::displaced;
 use crate::world::specimen::{DISPLACED_NM, Region, SiteKind, Specimen};
 
+/// Displaced atoms of an area.
+#[derive(Debug, Default)]
+pub struct DisplacedAtoms {
+    /// The atoms where they are, in Angstrom from the area's corner.
+    pub sites: Vec<Site>,
+    /// Their mean heights, which decide where slices are cut.
+    pub heights: Vec<f64>,
+}
+
 /// The atoms of `area` in phonon configuration `configuration` of a mosaic, displaced, in Angstrom from the
 /// area's corner: those of units with a place in the library move as in the sheets that their images
 /// come from, others as in all engines. `sigma` gives standard deviations in Angstrom.
@@ -14,10 +23,10 @@ pub fn definite_atoms(
     area: &Region,
     (seed, configuration): (u64, usize),
     sigma: &dyn Fn(u8) -> f64,
-) -> Vec<Site> {
+) -> DisplacedAtoms {
     // A displaced atom may lie on the other side of the edge than its column.
     let sites = specimen.query(&area.grown(DISPLACED_NM));
-    let mut atoms = Vec::new();
+    let mut atoms = DisplacedAtoms::default();
     for column in &sites.columns {
         let single = library.zip(column.unit).and_then(|(library, tag)| {
             let shelf = library.shelf(tag.family)?;
@@ -30,7 +39,8 @@ pub fn definite_atoms(
                 continue;
             }
             let mean = [10.0 * (x - area.x[0]), 10.0 * (y - area.y[0]), 10.0 * z];
-            let still = Site { position: mean, number: site.number, sigma_angstrom: 0.0, key: site.key };
+            let still =
+                Site { position: mean, number: site.number, sigma_angstrom: 0.0, key: site.key };
             let position = match &single {
                 Some((tag, shelf, single)) => {
                     let [a, b, c] = shelf.displacement(*single, tag.member[0], n);
@@ -43,7 +53,8 @@ pub fn definite_atoms(
                     displaced(&site, seed, configuration as u32)
                 }
             };
-            atoms.push(Site { position, ..still });
+            atoms.sites.push(Site { position, ..still });
+            atoms.heights.push(mean[2]);
         }
     }
     atoms

@@ -50,7 +50,8 @@ impl Cache {
     /// The user's cache: `$STEMGEN_CACHE`, or `stemgen` in `$XDG_CACHE_HOME` or `~/.cache`; none where neither
     /// is known.
     pub fn of_user() -> Self {
-        let variable = |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
+        let variable =
+            |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
         let home = || Some(variable("HOME")?.join(".cache"));
         let shared = || Some(variable("XDG_CACHE_HOME").or_else(home)?.join("stemgen"));
         Cache { folder: variable(VARIABLE).or_else(shared) }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use ndarray::Array2;
 
 use super::assembly::Assembly;
-use super::atoms::definite_atoms;
+use super::atoms::{DisplacedAtoms, definite_atoms};
 use super::cache::Cache;
 use super::library::Library;
 use super::survey::{Survey, survey};
@@ -91,10 +91,8 @@ impl<'a> Mosaic<'a> {
         if !(engine.always || worth(&library, &survey, recipe)) {
             return Ok(None);
         }
-        let kernel = Kernel::new(
-            sample_angstrom(&settings.optics),
-            image_band_limit(&settings.optics),
-        )?;
+        let kernel =
+            Kernel::new(sample_angstrom(&settings.optics), image_band_limit(&settings.optics))?;
         let sigma = sigma(recipe);
         let simulated = library.fill(&recipe.id, &sigma, &engine.cache, progress)?;
         let simulator = engine.simulator.clone();
@@ -105,7 +103,11 @@ impl<'a> Mosaic<'a> {
     ///
     /// # Errors
     /// Those of the plan.
-    pub fn outlook(engine: &MosaicEngine, specimen: &dyn Specimen, recipe: &Recipe) -> Result<Outlook> {
+    pub fn outlook(
+        engine: &MosaicEngine,
+        specimen: &dyn Specimen,
+        recipe: &Recipe,
+    ) -> Result<Outlook> {
         let settings = engine.simulator.settings();
         let survey = survey(specimen, &recipe.field);
         let library = Library::new(specimen, survey.families.iter().copied(), settings)?;
@@ -180,7 +182,7 @@ impl<'a> Mosaic<'a> {
     }
 
     /// The atoms of an area in one configuration (see [`definite_atoms`]).
-    pub fn atoms(&self, area: &Region, configuration: usize) -> Vec<Site> {
+    pub fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
         let which = (self.recipe.seed, configuration);
         definite_atoms(self.specimen, Some(&self.library), area, which, &sigma(self.recipe))
     }
@@ -203,11 +205,10 @@ impl<'a> Mosaic<'a> {
             step_angstrom: [10.0 * pixel; 2],
             shape: [rows, columns],
         };
-        let still = self.simulator.without_phonons();
         let mut sum = Array2::<f64>::zeros((rows, columns));
         for configuration in 0..configurations {
             let atoms = self.atoms(&area, configuration);
-            let image = still.image(&atoms, size, &scan, &Quiet(progress))?;
+            let image = self.simulator.displaced(&atoms, size, &scan, &Quiet(progress))?;
             sum.zip_mut_with(&image, |s, v| *s += f64::from(*v));
         }
         Ok(sum.mapv(|s| (s / configurations as f64) as f32))
@@ -251,7 +252,7 @@ pub fn atoms_by_seed(
     area: &Region,
     which: (u64, usize),
     recipe: &Recipe,
-) -> Vec<Site> {
+) -> DisplacedAtoms {
     definite_atoms(specimen, None, area, which, &sigma(recipe))
 }
 

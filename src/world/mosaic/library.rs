@@ -17,7 +17,7 @@ use crate::world::specimen::{SiteKind, Specimen};
 use crate::world::subprogress::SubProgress;
 
 /// Version of what sheets hold; a change makes older caches useless.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 /// Draw of [`Purpose::Library`] for the contents of surroundings.
 const SURROUNDINGS_DRAW: u32 = 1 << 20;
 
@@ -71,8 +71,9 @@ impl Shelf {
                 pristine.entry(unit.kind).or_default().push(number * sheet.cells + unit.cell);
             }
         }
-        let digests: Vec<String> =
-            (0..sheet.count).map(|n| hex(&Sha256::digest(description(&sheet, family, n)))).collect();
+        let digests: Vec<String> = (0..sheet.count)
+            .map(|n| hex(&Sha256::digest(description(&sheet, family, n))))
+            .collect();
         let seed = |d: &String| u64::from_str_radix(&d[..16], 16).unwrap_or_default();
         Shelf {
             shape: [samples(1), samples(0)],
@@ -121,12 +122,19 @@ impl Shelf {
 
     /// The configurations that the unit `id` of a world is averaged over. Units without defects take
     /// different ones of all units like them; others have all those of their entry.
-    pub fn singles(&self, entry: Entry, (seed, id): (u64, u64), configurations: usize) -> Vec<Single> {
+    pub fn singles(
+        &self,
+        entry: Entry,
+        (seed, id): (u64, u64),
+        configurations: usize,
+    ) -> Vec<Single> {
         let own = |cell: usize| self.locate(entry.kind, cell);
         let (sheet, unit) = own(entry.cell);
         let pristine = self.sheet.units[unit].patterns[sheet].is_empty();
         let Some(alike) = self.pristine.get(&entry.kind).filter(|_| pristine) else {
-            return (0..configurations).map(|configuration| Single { sheet, unit, configuration }).collect();
+            return (0..configurations)
+                .map(|configuration| Single { sheet, unit, configuration })
+                .collect();
         };
         let all = alike.len() * configurations;
         let mut taken: Vec<usize> = Vec::with_capacity(configurations);
@@ -305,7 +313,8 @@ impl Library {
                             missing += 1;
                             let which = (sheet, configuration);
                             let image = shelf.simulate(which, &self.settings, sigma, &share)?;
-                            let about = format!("{family:?}, sheet {sheet}, configuration {configuration}");
+                            let about =
+                                format!("{family:?}, sheet {sheet}, configuration {configuration}");
                             cache.save(material, &key, &about, &image, progress);
                             image
                         }
@@ -336,7 +345,8 @@ fn unit_key(unit: usize, member: usize, site: usize) -> u64 {
 /// All that decides the atoms of a sheet, but their displacements.
 fn description(sheet: &Sheet, family: Family, number: usize) -> String {
     use std::fmt::Write;
-    let mut text = format!("{VERSION} {:?} {:?} {:?} ", sheet.box_angstrom, sheet.process, sheet.rate);
+    let mut text =
+        format!("{VERSION} {:?} {:?} {:?} ", sheet.box_angstrom, sheet.process, sheet.rate);
     let _ = write!(text, "{} {number} {:?} ", family.motif > 0, sheet.scan_origin);
     let column = |text: &mut String, sites: &Vec<SheetSite>| {
         for s in sites {
@@ -360,8 +370,13 @@ fn key(
     sheet: usize,
     configuration: usize,
 ) -> String {
-    let mut numbers: Vec<u8> =
-        shelf.sheet.units.iter().flat_map(|u| u.members.iter().flatten()).map(|s| s.number).collect();
+    let mut numbers: Vec<u8> = shelf
+        .sheet
+        .units
+        .iter()
+        .flat_map(|u| u.members.iter().flatten())
+        .map(|s| s.number)
+        .collect();
     numbers.extend(shelf.sheet.process.map(|p| p.defect().1));
     numbers.sort_unstable();
     numbers.dedup();

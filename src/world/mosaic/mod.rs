@@ -16,5 +16,6 @@ mod engine;
 mod library;
 mod survey;
 
+pub use atoms::DisplacedAtoms;
 pub use cache::{Cache, Holding, VARIABLE as CACHE_VARIABLE};
 pub use engine::{Mosaic, MosaicEngine, Outlook, atoms_by_seed};

@@ -45,6 +45,10 @@ pub fn survey(specimen: &dyn Specimen, field: &Field) -> Survey {
     };
     (0..count).into_par_iter().map(stripe).reduce(Survey::default, |mut a, b| {
         a.families.extend(b.families);
-        Survey { tagged: a.tagged + b.tagged, untagged: a.untagged + b.untagged, families: a.families }
+        Survey {
+            tagged: a.tagged + b.tagged,
+            untagged: a.untagged + b.untagged,
+            families: a.families,
+        }
     })
 }
