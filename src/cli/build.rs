@@ -11,7 +11,7 @@ use anyhow::bail;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
-use stemgen::engine::{Algorithm, Plan};
+use stemgen::engine::{Algorithm, Plan, Settings, window_for};
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
 use stemgen::world::audit::{Audit, AuditOptions};
@@ -36,6 +36,8 @@ const AUDIT_NM: f64 = 0.8;
 /// Sub-tiles of mosaics in nm, and their overlap.
 const MOSAIC_SUBTILE_NM: f64 = 8.0;
 const MOSAIC_OVERLAP_NM: f64 = 0.5;
+/// Error of windows unless another is asked for (see `--accuracy`).
+const DEFAULT_ACCURACY_PERCENT: f64 = 0.8;
 /// Interpolation of PRISM unless another is asked for: windows of 10 A in sub-tiles of 2.5 nm.
 const INTERPOLATION: [usize; 2] = [4, 4];
 
@@ -229,8 +231,39 @@ impl Build {
         )?;
         let mut settings = Simulator::new(recipe, algorithm).settings().clone();
         let thickness = recipe.field.thickness_nm * 10.0;
+        let free = m.engine.is_none() && window.is_none() && factors.is_none();
+        if free && m.accuracy.is_none() {
+            return self.by_rule(recipe, &settings, thickness);
+        }
         let warning = imaging::choose_window(m.accuracy, &mut settings, thickness)?;
         Ok((Simulator::new(recipe, settings.algorithm), warning))
+    }
+
+    /// The engine where none is asked for: windows as wide as the specimen is thick, PRISM for detectors at low
+    /// angles, which windows and mosaics cannot do.
+    fn by_rule(
+        &self,
+        recipe: &Recipe,
+        settings: &Settings,
+        thickness: f64,
+    ) -> anyhow::Result<(Simulator, Option<String>)> {
+        match window_for(DEFAULT_ACCURACY_PERCENT, settings, thickness) {
+            Ok(choice) => {
+                let width_angstrom = choice.width_angstrom;
+                let warning = (!choice.beyond_measured.is_empty()).then(|| {
+                    format!(
+                        "windows of {width_angstrom:.1} A: their error was not measured for {}; the audit tells it",
+                        choice.beyond_measured.join(", ")
+                    )
+                });
+                Ok((Simulator::new(recipe, Algorithm::Window { width_angstrom }), warning))
+            }
+            Err(why) => {
+                let algorithm = Algorithm::Prism { interpolation: INTERPOLATION };
+                let warning = format!("neither mosaic nor windows: {why}; PRISM is used");
+                Ok((Simulator::new(recipe, algorithm), Some(warning)))
+            }
+        }
     }
 
     fn output(&self, recipe: &Recipe) -> PathBuf {
@@ -242,12 +275,12 @@ impl Build {
     fn subtile_nm(&self, simulator: &Simulator) -> [f64; 2] {
         let default = match simulator.settings().algorithm {
             _ if self.published() => PUBLISHED_SUBTILE_NM,
-            _ if self.is_mosaic() => MOSAIC_SUBTILE_NM,
+            _ if self.is_mosaic(simulator) => MOSAIC_SUBTILE_NM,
             Algorithm::Prism { .. } => PRISM_SUBTILE_NM,
             _ => SUBTILE_NM,
         };
         let size = self.method.subtile.unwrap_or(default);
-        let most = if self.is_mosaic() { MOSAIC_OVERLAP_NM } else { 1.0 };
+        let most = if self.is_mosaic(simulator) { MOSAIC_OVERLAP_NM } else { 1.0 };
         [size, self.method.subtile_overlap.unwrap_or((0.25 * size).clamp(0.0, most))]
     }
 
@@ -263,7 +296,7 @@ impl Build {
         let sites = estimated_sites(&*specimen, field);
         let runs = if self.common.dry_run { partition.len() } else { 0 };
         let mut report = PlanReport::new(&plan, rows * columns, runs);
-        let mosaic = match self.common.dry_run && self.is_mosaic() {
+        let mosaic = match self.common.dry_run && self.is_mosaic(simulator) {
             true => Some(Mosaic::outlook(&self.mosaic(simulator.clone()), &*specimen, recipe)?),
             false => None,
         };
@@ -297,15 +330,16 @@ impl Build {
     }
 
     /// Whether units that repeat share simulations.
-    fn is_mosaic(&self) -> bool {
-        let implied = self.method.interpolation.is_none() && !self.published();
+    fn is_mosaic(&self, simulator: &Simulator) -> bool {
+        let windows = matches!(simulator.settings().algorithm, Algorithm::Window { .. });
+        let implied = windows && !self.published();
         self.method.engine.map_or(implied, |e| e == Engine::Mosaic)
     }
 
     /// How a mosaic is checked before the world is made of it.
-    fn check(&self) -> anyhow::Result<Check> {
+    fn check(&self, simulator: &Simulator) -> anyhow::Result<Check> {
         let regions = usize::from(self.method.audit);
-        if self.method.max_error.is_some() && !self.is_mosaic() {
+        if self.method.max_error.is_some() && !self.is_mosaic(simulator) {
             bail!("--max-error is for mosaics; leave out --engine, or see `stemgen audit`");
         }
         if self.method.max_error.is_some() && regions == 0 {
@@ -317,7 +351,7 @@ impl Build {
     }
 
     fn engine(&self, simulator: Simulator) -> Box<dyn SubTileEngine> {
-        if !self.is_mosaic() {
+        if !self.is_mosaic(&simulator) {
             return Box::new(simulator);
         }
         Box::new(self.mosaic(simulator))
@@ -344,7 +378,7 @@ impl Build {
             overwrite: self.overwrite,
             subtile_nm,
             subtile_overlap_nm,
-            check: self.check()?,
+            check: self.check(simulator)?,
         };
         let done = stemgen::world::build(recipe, engine, path, &options, reporter);
         done.map_err(|error| match error {

@@ -46,10 +46,10 @@ impl<'a> Method<'a> {
         progress: &dyn Progress,
     ) -> Result<(Self, Option<Audit>)> {
         let Some(mosaic) = engine.mosaic() else { return Ok((Method::SubTiles(engine), None)) };
-        let mut last = None;
+        let mut widest = mosaic.simulator.clone();
         for engine in widening(mosaic, check.max_error_percent.is_some()) {
             let Some(prepared) = Mosaic::prepare(&engine, specimen, recipe, progress)? else {
-                return Ok((Method::Instead(engine.simulator), None));
+                break;
             };
             let found = match &check.audit {
                 Some(options) => {
@@ -61,22 +61,22 @@ impl<'a> Method<'a> {
             if accepted(found.as_ref(), check.max_error_percent, progress) {
                 return Ok((Method::Mosaic(Box::new(prepared)), found));
             }
-            last = Some(engine.simulator);
+            widest = engine.simulator;
         }
-        let (Some(simulator), Some(options)) = (last, &check.audit) else {
-            return Ok((Method::SubTiles(engine), None));
+        let audited = (&check.audit, check.max_error_percent);
+        let (Some(options), Some(limit)) = audited else {
+            return Ok((Method::Instead(widest), None));
         };
-        progress.warn(
-            "mosaics are not as right as --max-error asks here; the field itself is simulated",
-        );
-        let found = audit(recipe, specimen, &Source::Direct(&simulator), options, progress)?;
-        if accepted(Some(&found), check.max_error_percent, progress) {
-            return Ok((Method::Instead(simulator), Some(found)));
+        for engine in widening(&MosaicEngine { simulator: widest, ..mosaic.clone() }, true) {
+            let simulator = engine.simulator;
+            let found = audit(recipe, specimen, &Source::Direct(&simulator), options, progress)?;
+            if accepted(Some(&found), Some(limit), progress) {
+                return Ok((Method::Instead(simulator), Some(found)));
+            }
         }
-        let asked = check.max_error_percent.unwrap_or_default();
         let expected =
             "no window is as right here; use --engine multislice, or prism with --interpolation 1";
-        Err(Error::invalid("largest error (%)", asked, expected))
+        Err(Error::invalid("largest error (%)", limit, expected))
     }
 
     /// Its name.

@@ -1,0 +1,173 @@
+//! Mosaics: worlds put together from a library of exactly simulated units.
+
+use std::collections::HashMap;
+
+use stemgen::engine::Algorithm;
+use stemgen::io::WorldFile;
+use stemgen::progress::Silent;
+use stemgen::world::audit::{AuditOptions, Source, audit};
+use stemgen::world::method::Check;
+use stemgen::world::mosaic::{Cache, Mosaic, MosaicEngine};
+use stemgen::world::{
+    BuildOptions, Difficulty, Recipe, Region, Simulator, SiteKind, build, specimen,
+};
+
+/// SrTiO3 as thin and with a detector as narrow as to take seconds; a boundary where `count` is 1.
+fn recipe(count: usize, rate: f64) -> Recipe {
+    let text = format!(
+        r#"
+        version = 1
+        id = "thin"
+        structure = "grains"
+        zone_axis = "[001]"
+        y_axis = "[010]"
+        crystal = "srtio3"
+        seed = 3
+        field = {{ fov_nm = [6.2, 6.2], grid = [3, 3], tile_px = 106, overlap_px = 4, thickness_nm = 0.8 }}
+        boundaries = {{ count = {count}, misorientation_deg = 36.87, sigma = 5, min_distance_angstrom = {{ Sr-Sr = 2.2 }} }}
+        vacancies = {{ element = "O", rate = {rate}, cluster_fraction = 0.0, cluster_sigma_nm = 1.0, max_probability = 0.3 }}
+        phonons = {{ configurations = 6, sigma_angstrom = {{ Sr = 0.084, Ti = 0.060, O = 0.085 }} }}
+        optics = {{ energy_kv = 200.0, convergence_mrad = 21.0 }}
+        detector = {{ inner_mrad = 50.0, outer_mrad = 90.0 }}
+        dose = {{ electrons_per_angstrom2 = 1e5 }}
+        "#
+    );
+    Recipe::from_toml_str("thin.toml", &text, None).unwrap()
+}
+
+fn engine(recipe: &Recipe, cache: Cache) -> MosaicEngine {
+    let simulator = Simulator::new(recipe, Algorithm::Window { width_angstrom: 7.8 });
+    MosaicEngine { simulator, cache, always: true }
+}
+
+#[test]
+fn a_mosaic_is_the_exact_image_of_its_atoms() {
+    let recipe = recipe(1, 0.04);
+    let specimen = specimen(&recipe).unwrap();
+    let engine = engine(&recipe, Cache::none());
+    let mosaic = Mosaic::prepare(&engine, &*specimen, &recipe, &Silent).unwrap().unwrap();
+    assert!(mosaic.survey.families.len() >= 2, "crystal and boundary: {:?}", mosaic.survey);
+    assert!(mosaic.survey.untagged * 100 < mosaic.survey.tagged, "{:?}", mosaic.survey);
+    // One region on the boundary, one beside it.
+    let options = AuditOptions {
+        at_nm: vec![[3.1, 3.1], [1.2, 4.0]],
+        configurations: Some(1),
+        ..AuditOptions::default()
+    };
+    let found = audit(&recipe, &*specimen, &Source::Mosaic(&mosaic), &options, &Silent).unwrap();
+    println!("{found:?}");
+    assert!(found.bright_rms_percent < 1.0, "{}", found.bright_rms_percent);
+    assert!(found.all_rms_percent < 0.8, "{}", found.all_rms_percent);
+    for kind in found.kinds.iter().filter(|k| k.kind != "O") {
+        // Column by column the phonons and vacancies are those of the exact image.
+        assert!(kind.columns > 5 && kind.correlation > 0.98, "{kind:?}");
+        assert!((kind.variance_ratio - 1.0).abs() < 0.15, "{kind:?}");
+    }
+    // The check can fail: other configurations are other atoms.
+    let other = AuditOptions { configurations: Some(6), ..options };
+    let mean = audit(&recipe, &*specimen, &Source::Mosaic(&mosaic), &other, &Silent).unwrap();
+    let (one, six) = (&found.regions[1].ours, &mean.regions[1].ours);
+    let spread = (one - six).mapv(|d| d * d).mean().unwrap().sqrt() / six.mean().unwrap();
+    assert!(spread > 0.01, "{spread}");
+}
+
+#[test]
+fn bytes_depend_neither_on_threads_nor_on_the_cache() {
+    let folder = tempfile::tempdir().unwrap();
+    let recipe = recipe(0, 0.0);
+    let options = BuildOptions {
+        keep_clean: true,
+        subtile_nm: 3.0,
+        subtile_overlap_nm: 0.4,
+        check: Check::default(),
+        ..BuildOptions::default()
+    };
+    let cache = Cache::at(folder.path().join("cache"));
+    let cases = [("cold", 1, cache.clone()), ("warm", 3, cache), ("none", 2, Cache::none())];
+    let mut images = HashMap::new();
+    for (name, threads, cache) in cases {
+        let path = folder.path().join(format!("{name}.h5"));
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let engine = engine(&recipe, cache);
+        let done = pool.install(|| build(&recipe, &engine, &path, &options, &Silent)).unwrap();
+        let [all, simulated] = done.library.unwrap();
+        assert_eq!(simulated, if name == "warm" { 0 } else { all }, "{name}");
+        assert_eq!(done.engine, "mosaic");
+        let world = WorldFile::open(&path).unwrap();
+        let tiles: Vec<_> = (0..9)
+            .map(|n| (world.tile(n / 3, n % 3).unwrap(), world.clean_tile(n / 3, n % 3).unwrap()))
+            .collect();
+        images.insert(name, tiles);
+    }
+    assert_eq!(images["cold"], images["warm"]);
+    assert_eq!(images["cold"], images["none"]);
+}
+
+#[test]
+fn what_a_column_holds_is_what_its_sheet_shows() {
+    for (material, difficulty) in [
+        ("srtio3", Difficulty::Easy),
+        ("batio3", Difficulty::Hard),
+        ("sige", Difficulty::Easy),
+        ("gan", Difficulty::Medium),
+    ] {
+        let recipe = Recipe::load(material, difficulty).unwrap();
+        let specimen = specimen(&recipe).unwrap();
+        let field = recipe.field.full_region();
+        let centre = [0.5 * (field.x[0] + field.x[1]), 0.5 * (field.y[0] + field.y[1])];
+        let region =
+            Region { x: [centre[0] - 4.0, centre[0] + 4.0], y: [centre[1] - 1.0, centre[1] + 1.0] };
+        let sites = specimen.query(&region);
+        let mut sheets = HashMap::new();
+        let (mut compared, mut defects) = (0, 0);
+        for column in &sites.columns {
+            let Some(tag) = column.unit else { continue };
+            let sheet = sheets
+                .entry(tag.family)
+                .or_insert_with(|| specimen.sheet(tag.family).unwrap().rounded());
+            let (number, cell) = (tag.entry.cell / sheet.cells, tag.entry.cell % sheet.cells);
+            let unit = sheet.units.iter().find(|u| u.kind == tag.entry.kind && u.cell == cell);
+            let unit = unit.unwrap();
+            let shown = &unit.members[tag.member[0]];
+            let held = &sites.sites[column.sites.clone()];
+            assert_eq!(shown.len(), held.len(), "{material}");
+            for (a, b) in shown.iter().zip(held) {
+                let defect = a.defect.is_some_and(|d| unit.patterns[number].contains(&(d as u16)));
+                assert_eq!(defect, b.kind != SiteKind::Pristine, "{material}");
+                let d = [0, 1].map(|k| {
+                    let from_centre = a.position[k] - unit.centre[k];
+                    let field = 10.0 * (b.position_nm[k] - tag.centre_nm[k]);
+                    (from_centre, field)
+                });
+                let frame = tag.frame;
+                for k in 0..2 {
+                    let turned = frame[k][0] * d[0].0 + frame[k][1] * d[1].0;
+                    // Strain and order parameter come in steps.
+                    assert!((turned - d[k].1).abs() < 0.04, "{material}: {turned} {}", d[k].1);
+                }
+                assert!((a.position[2] - 10.0 * b.position_nm[2]).abs() < 0.06, "{material}");
+                defects += usize::from(defect);
+            }
+            compared += 1;
+        }
+        assert!(
+            compared > 100 && compared * 100 > sites.columns.len() * 95,
+            "{material} {compared}"
+        );
+        assert!(defects > 0, "{material}");
+    }
+}
+
+#[test]
+fn small_fields_are_simulated_as_they_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let recipe = recipe(0, 0.0).with_grid(1, 1).unwrap();
+    let engine = MosaicEngine { always: false, ..engine(&recipe, Cache::none()) };
+    let specimen = specimen(&recipe).unwrap();
+    let outlook = Mosaic::outlook(&engine, &*specimen, &recipe).unwrap();
+    assert!(!outlook.pays && outlook.missing == outlook.images, "{outlook:?}");
+    let path = folder.path().join("w.h5");
+    let done = build(&recipe, &engine, &path, &BuildOptions::default(), &Silent).unwrap();
+    assert_eq!((done.engine.as_str(), done.library), ("window", None));
+    assert_eq!(WorldFile::open(&path).unwrap().metadata().engine.as_deref(), Some("window"));
+}
