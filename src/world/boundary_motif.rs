@@ -76,10 +76,11 @@ impl BoundaryMotif {
     /// The slot at `position` (relative to a lattice point on the plane), if the column there has these chains.
     pub fn slot(&self, [x, y]: [f64; 2], chains: impl Iterator<Item = usize>) -> Option<usize> {
         let y = y.rem_euclid(self.period);
-        let around = [-1, 0, 1].map(|i| [-1, 0, 1].map(|j| [i, j]));
-        let found = around.as_flattened().iter().find_map(|[i, j]| {
-            let y = (y + f64::from(*j) * SAME).rem_euclid(self.period);
-            self.lookup.get(&rounded([x + f64::from(*i) * SAME, y])).copied()
+        // Rounding may lead to the next bin, and over the end of the period.
+        let near = (0..27).map(|n| (n % 3 - 1, n / 3 % 3 - 1, f64::from(n as i32 / 9 - 1)));
+        let found = near.into_iter().find_map(|(i, j, turn)| {
+            let [a, b] = rounded([x, y + turn * self.period]);
+            self.lookup.get(&[a + i, b + j]).copied()
         })?;
         let slot = &self.slots[found];
         let dy = (slot.position[1] - y).rem_euclid(self.period);

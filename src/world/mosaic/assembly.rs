@@ -15,8 +15,8 @@ use crate::world::specimen::{Region, Specimen, UnitTag};
 const SOFTNESS: f64 = 0.15;
 /// Weights below this are left out.
 const LEAST_WEIGHT: f64 = 1e-4;
-/// Edge in Angstrom of the bins in which columns are looked up; every point of a specimen has a column nearer.
-const BIN_ANGSTROM: f64 = 4.0;
+/// Edge in Angstrom of the bins in which columns are looked up: those that share a pixel are nearer.
+const BIN_ANGSTROM: f64 = 3.0;
 
 /// A unit of the world.
 struct Unit {
@@ -65,26 +65,18 @@ impl Assembly {
             bins.entry(at.map(|v| (v / BIN_ANGSTROM).floor() as i64)).or_default().push((unit, at));
         }
         let pixel_angstrom = 10.0 * pixel_nm;
-        let near = |at: [f64; 2]| {
-            let [i, j] = at.map(|v| (v / BIN_ANGSTROM).floor() as i64);
-            let around = (0..9).map(move |n| [i + n % 3 - 1, j + n / 3 - 1]);
-            around.filter_map(|bin| bins.get(&bin)).flatten()
-        };
         let row = |row: usize| {
-            let mut shares = Vec::new();
-            let mut nearest: Vec<(usize, f64)> = Vec::new();
+            let (mut shares, mut near, mut bin) = (Vec::new(), Vec::new(), None);
             for column in 0..shape[1] {
                 let at = [first[1] + column, first[0] + row].map(|p| p as f64 * pixel_angstrom);
-                nearest.clear();
-                for (unit, position) in near(at) {
-                    let d = [0, 1].map(|k| at[k] - position[k]);
-                    let d2 = d[0] * d[0] + d[1] * d[1];
-                    match nearest.iter_mut().find(|(n, _)| n == unit) {
-                        Some((_, best)) => *best = best.min(d2),
-                        None => nearest.push((*unit, d2)),
-                    }
+                let here = at.map(|v| (v / BIN_ANGSTROM).floor() as i64);
+                if bin != Some(here) {
+                    bin = Some(here);
+                    let around = (0..9).map(|n| [here[0] + n % 3 - 1, here[1] + n / 3 - 1]);
+                    near.clear();
+                    near.extend(around.filter_map(|b| bins.get(&b)).flatten());
                 }
-                push_shares(row * shape[1] + column, &nearest, &mut shares);
+                push_shares(row * shape[1] + column, at, &near, &mut shares);
             }
             shares
         };
@@ -148,12 +140,26 @@ impl Assembly {
     }
 }
 
-fn push_shares(pixel: usize, nearest: &[(usize, f64)], shares: &mut Vec<Share>) {
-    let least = nearest.iter().map(|(_, d2)| *d2).fold(f64::INFINITY, f64::min);
-    let raw = |d2: f64| libm::exp(-(d2 - least) / (2.0 * SOFTNESS));
-    let kept = || nearest.iter().filter(|(_, d2)| raw(*d2) > LEAST_WEIGHT);
-    let total: f64 = kept().map(|(_, d2)| raw(*d2)).sum();
-    shares.extend(kept().map(|&(unit, d2)| Share { pixel, unit, weight: raw(d2) / total }));
+/// Shares of the columns `near` (their units and positions) in a pixel at `at`.
+fn push_shares(pixel: usize, at: [f64; 2], near: &[(usize, [f64; 2])], shares: &mut Vec<Share>) {
+    let square = |p: &[f64; 2]| (at[0] - p[0]).powi(2) + (at[1] - p[1]).powi(2);
+    let least = near.iter().map(|(_, p)| square(p)).fold(f64::INFINITY, f64::min);
+    let reach = least - 2.0 * SOFTNESS * LEAST_WEIGHT.ln();
+    let start = shares.len();
+    for (unit, position) in near {
+        let d2 = square(position);
+        if d2 > reach {
+            continue;
+        }
+        let weight = libm::exp(-(d2 - least) / (2.0 * SOFTNESS));
+        // A unit counts from the nearest of its columns.
+        match shares[start..].iter_mut().find(|s| s.unit == *unit) {
+            Some(share) => share.weight = share.weight.max(weight),
+            None => shares.push(Share { pixel, unit: *unit, weight }),
+        }
+    }
+    let total: f64 = shares[start..].iter().map(|s| s.weight).sum();
+    shares[start..].iter_mut().for_each(|s| s.weight /= total);
 }
 
 /// The mean image of some configurations of a unit at `offsets` from its centre.
