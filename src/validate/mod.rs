@@ -77,6 +77,18 @@ impl Check {
         Check { what: what.into(), value, unit, limit, verdict }
     }
 
+    /// How near the number is to its limit: above 1 it is beyond; 0 without a limit.
+    pub fn strain(&self) -> f64 {
+        let strain = match self.limit {
+            Limit::AtMost(high) if high > 0.0 => self.value.abs() / high,
+            Limit::AtLeast(low) if self.value > 0.0 => low / self.value,
+            Limit::Between(low, high) => (2.0 * self.value - low - high).abs() / (high - low),
+            Limit::Open => 0.0,
+            _ => f64::from(u8::from(self.verdict == Verdict::Fail)),
+        };
+        if strain.is_finite() { strain } else { f64::MAX }
+    }
+
     /// A number to be known, without a limit.
     pub fn shown(what: impl Into<String>, value: f64, unit: &'static str) -> Self {
         Check::new(what, value, unit, Limit::Open)
@@ -208,6 +220,12 @@ mod tests {
         assert_eq!(verdict(2.0, Limit::Between(1.0, 3.0)), Verdict::Pass);
         assert_eq!(verdict(9.0, Limit::Open), Verdict::Shown);
         assert_eq!(verdict(f64::NAN, Limit::Open), Verdict::Fail);
+        let strain = |value, limit| Check::new("n", value, "", limit).strain();
+        assert_eq!(strain(0.5, Limit::AtMost(2.0)), 0.25);
+        assert_eq!(strain(4.0, Limit::AtLeast(1.0)), 0.25);
+        assert_eq!(strain(2.0, Limit::Between(1.0, 3.0)), 0.0);
+        assert_eq!(strain(3.0, Limit::Between(1.0, 3.0)), 1.0);
+        assert_eq!(strain(f64::NAN, Limit::AtMost(1.0)), f64::MAX);
         assert_eq!(overall(&[Verdict::Pass, Verdict::Shown]), Verdict::Pass);
         assert_eq!(overall(&[Verdict::Pass, Verdict::Fail]), Verdict::Fail);
     }

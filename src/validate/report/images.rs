@@ -12,13 +12,16 @@ use crate::render::{Colormap, RgbImage};
 use crate::validate::{ImagePair, Plot, Series, Style};
 
 /// Longer and shorter side of an image in the page, in pixels.
-const SIDES: [f64; 2] = [230.0, 70.0];
+const SIDES: [f64; 2] = [250.0, 80.0];
 /// Orders of magnitude that a logarithmic image shows.
 const DECADES: f64 = 6.0;
 const TITLE: u32 = 26;
 const LEFT: u32 = 52;
 const BELOW: u32 = 40;
-const BAR: u32 = 96;
+const BAR: u32 = 104;
+/// Between the ticks of a colour scale and its name.
+const BAR_LABELS: u32 = 62;
+const BAR_WIDTH: i32 = 16;
 
 type Drawn<T> = std::result::Result<T, Box<dyn std::error::Error>>;
 
@@ -30,13 +33,15 @@ struct Inset {
 }
 
 /// Images, colour scales and profiles, as HTML.
-pub fn figure(pair: &ImagePair) -> Result<String> {
+/// The profiles are shown without a click if `open`.
+pub fn figure(pair: &ImagePair, open: bool) -> Result<String> {
     let drawing = panels(pair)?;
     let title = escape(&pair.title);
     let profiles: String = profiles(pair).iter().map(plot::figure).collect::<Result<_>>()?;
+    let open = if open { " open" } else { "" };
     Ok(format!(
         "<figure class=\"images\"><figcaption>{title}</figcaption>{drawing}</figure>\n\
-         <details><summary>profiles of {title}</summary><div class=\"row\">{profiles}</div></details>\n"
+         <details{open}><summary>profiles of {title}</summary><div class=\"row\">{profiles}</div></details>\n"
     ))
 }
 
@@ -91,10 +96,10 @@ fn image(area: &Area, pair: &ImagePair, title: &str, png: Vec<u8>) -> Drawn<Inse
         .y_labels(5)
         .x_label_formatter(&Axis::label)
         .y_label_formatter(&Axis::label)
-        .label_style(("sans-serif", 12))
-        .axis_desc_style(("sans-serif", 13))
+        .label_style(("sans-serif", 14))
+        .axis_desc_style(("sans-serif", 15))
         .draw()?;
-    let style = ("sans-serif", 14).into_font().color(&BLACK);
+    let style = ("sans-serif", 16).into_font().color(&BLACK);
     area.draw_text(title, &style, (LEFT as i32, 6))?;
     let (x, y) = chart.plotting_area().get_pixel_range();
     Ok(Inset { x: (x.start, x.end), y: (y.start, y.end), png })
@@ -105,8 +110,8 @@ fn colour_bar(area: &Area, scale: &Scale, unit: &str) -> Drawn<Inset> {
     let mut chart = ChartBuilder::on(area)
         .margin_top(TITLE)
         .margin_bottom(BELOW)
-        .margin_right(width as i32 - 14 - 62)
-        .set_label_area_size(LabelAreaPosition::Right, 62)
+        .margin_right(width as i32 - BAR_WIDTH - BAR_LABELS as i32)
+        .set_label_area_size(LabelAreaPosition::Right, BAR_LABELS)
         .build_cartesian_2d(Axis::linear(0.0, 1.0), scale.axis)?;
     chart
         .configure_mesh()
@@ -115,8 +120,8 @@ fn colour_bar(area: &Area, scale: &Scale, unit: &str) -> Drawn<Inset> {
         .y_labels(5)
         .y_desc(unit)
         .y_label_formatter(&Axis::label)
-        .label_style(("sans-serif", 12))
-        .axis_desc_style(("sans-serif", 12))
+        .label_style(("sans-serif", 14))
+        .axis_desc_style(("sans-serif", 14))
         .draw()?;
     let ramp = Array2::from_shape_fn((128, 1), |(i, _)| scale.value(1.0 - i as f64 / 127.0));
     let (x, y) = chart.plotting_area().get_pixel_range();

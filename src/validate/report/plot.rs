@@ -22,15 +22,15 @@ pub const COLORS: [RGBColor; 7] = [
 
 /// A plot with its legend, as HTML.
 pub fn figure(plot: &Plot) -> Result<String> {
-    let drawing = svg((620, 340), |area| {
+    let drawing = svg((560, 330), |area| {
         area.fill(&WHITE)?;
         let all = || plot.series.iter().flat_map(|s| &s.points);
         let x = Axis::around(all().map(|p| p.0), plot.logarithmic[0]);
         let y = Axis::around(all().map(|p| p.1), plot.logarithmic[1]);
         let mut chart = ChartBuilder::on(area)
             .margin(10)
-            .x_label_area_size(42)
-            .y_label_area_size(66)
+            .x_label_area_size(46)
+            .y_label_area_size(74)
             .build_cartesian_2d(x, y)?;
         chart
             .configure_mesh()
@@ -40,8 +40,8 @@ pub fn figure(plot: &Plot) -> Result<String> {
             .y_labels(7)
             .x_label_formatter(&Axis::label)
             .y_label_formatter(&Axis::label)
-            .label_style(("sans-serif", 13))
-            .axis_desc_style(("sans-serif", 14))
+            .label_style(("sans-serif", 15))
+            .axis_desc_style(("sans-serif", 16))
             .light_line_style(WHITE)
             .bold_line_style(BLACK.mix(0.10))
             .draw()?;

@@ -2,10 +2,10 @@
 
 use serde::Serialize;
 
-use super::page::{checks, escape, page, verdict};
+use super::page::{checks, escape, limit, page, verdict};
 use super::{Origin, images, number, plot};
 use crate::error::Result;
-use crate::validate::{Figure, Outcome, Verdict, overall};
+use crate::validate::{Check, Figure, Outcome, Verdict, overall};
 
 /// Everything that was found, as `--json` prints it.
 #[derive(Debug, Serialize)]
@@ -61,8 +61,7 @@ pub fn suite_page(report: &Report) -> Result<String> {
     let mut body = format!(
         "<h1>stemgen: validation {}</h1>\n<blockquote>{}</blockquote>\n\
          <p class=\"meta\">Command: <code>{}</code>, {} s. Images are fractions of the incident beam; x points right, y down. \
-         &ldquo;Of the maximum&rdquo; and &ldquo;of the mean&rdquo; refer to the reference image. The colours of a difference end at the \
-         tolerance unless the title says otherwise, so that what fails is seen.</p>\n",
+         &ldquo;Of the maximum&rdquo; and &ldquo;of the mean&rdquo; refer to the reference image.</p>\n",
         verdict(report.verdict),
         escape(&report.summary),
         escape(&report.origin.command_line),
@@ -84,9 +83,10 @@ pub fn suite_page(report: &Report) -> Result<String> {
 
 fn contents(cases: &[Outcome]) -> String {
     let row = |c: &Outcome| {
-        let worst = c.checks.iter().find(|k| k.verdict == Verdict::Fail).or(c.checks.first());
-        let worst =
-            worst.map_or(String::new(), |k| format!("{}: {} {}", k.what, number(k.value), k.unit));
+        let near = |a: &&Check, b: &&Check| a.strain().total_cmp(&b.strain());
+        let worst = c.checks.iter().max_by(near).map_or(String::new(), |k| {
+            format!("{}: {} {} ({})", k.what, number(k.value), k.unit, limit(k))
+        });
         format!(
             "<tr><td>{}</td><td><a href=\"#{}\">{}</a></td><td>{}</td></tr>\n",
             verdict(c.verdict),
@@ -96,7 +96,9 @@ fn contents(cases: &[Outcome]) -> String {
         )
     };
     let rows: String = cases.iter().map(row).collect();
-    format!("<table><tr><th></th><th>case</th><th>one of its numbers</th></tr>\n{rows}</table>\n")
+    format!(
+        "<table><tr><th></th><th>case</th><th>the number nearest to its limit</th></tr>\n{rows}</table>\n"
+    )
 }
 
 fn section(case: &Outcome) -> Result<String> {
@@ -112,7 +114,8 @@ fn section(case: &Outcome) -> Result<String> {
         case.wall_time_s,
         checks(&case.checks)
     );
-    let figures: Vec<String> = case.figures.iter().map(figure).collect::<Result<_>>()?;
+    let figures = case.figures.iter().enumerate().map(|(i, f)| figure(f, i == 0));
+    let figures: Vec<String> = figures.collect::<Result<_>>()?;
     let (first, rest) = figures.split_at(figures.len().min(FIGURES_OPEN));
     html += &first.concat();
     if !rest.is_empty() {
@@ -128,9 +131,9 @@ fn section(case: &Outcome) -> Result<String> {
 /// Figures of a case that need no click.
 const FIGURES_OPEN: usize = 2;
 
-fn figure(figure: &Figure) -> Result<String> {
+fn figure(figure: &Figure, open: bool) -> Result<String> {
     match figure {
-        Figure::Images(pair) => images::figure(pair),
+        Figure::Images(pair) => images::figure(pair, open),
         Figure::Plot(p) => plot::figure(p),
     }
 }

@@ -176,8 +176,9 @@ fn pair(
     tolerance: f64,
 ) -> Figure {
     let top = reference.iter().fold(0.0_f64, |m, v| m.max(*v));
+    let share = 100.0 * tolerance;
     Figure::Images(Box::new(ImagePair {
-        title: title.into(),
+        title: format!("{} (colours of the difference: {share} % of the maximum)", title.into()),
         ours,
         reference,
         step: scan.step_angstrom,
@@ -215,6 +216,7 @@ fn compare_all<'a>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::validate::Verdict;
 
     #[test]
     fn names_are_unique_and_selection_works() {
@@ -229,5 +231,26 @@ mod tests {
         assert_eq!(selected(&[all[3].name.to_owned()], true).unwrap()[0].name, all[3].name);
         let told = selected(&["nonsense".into()], false).err().unwrap().to_string();
         assert!(told.contains(all[0].name), "{told}");
+    }
+
+    /// The same comparison passes and fails.
+    #[test]
+    fn another_image_fails() {
+        let g = crate::validate::golden::Golden::load("srtio3_001").unwrap();
+        let exact = g.images("multislice").unwrap();
+        let shipped = g.images("multislice_as_shipped").unwrap();
+        let images = Images {
+            data: exact.mapv(|v| v as f32).insert_axis(ndarray::Axis(0)),
+            detectors: g.detectors().into_iter().map(|d| d.name).collect(),
+            thicknesses_angstrom: vec![101.53],
+        };
+        let verdict = |references: &ndarray::Array3<f64>| {
+            let mut f = Findings::default();
+            compare_all(&mut f, "", &images, references.outer_iter(), &g.scan(), [2e-4; 4]);
+            assert_eq!((f.checks.len(), f.figures.len()), (4, 4));
+            overall(f.checks.iter().map(|c| &c.verdict))
+        };
+        assert_eq!(verdict(&exact), Verdict::Pass);
+        assert_eq!(verdict(&shipped), Verdict::Fail);
     }
 }

@@ -31,7 +31,7 @@ pub fn cases() -> Vec<Case> {
             group: Group::Published,
             about: "Cross sections of seven elements (the image of one atom, integrated over the probe's position) at 200 kV, 21 mrad, \
                     68-200 mrad; the exponent is the slope of a straight line through their logarithms.",
-            source: "S. J. Pennycook: between 1.5 and 2. O. L. Krivanek et al., Nature 464 (2010) 571: 1.64 for 58-200 mrad at 60 kV.",
+            source: "O. L. Krivanek et al., Nature 464 (2010) 571: 1.64, for 58-200 mrad; usual values lie between 1.5 and 2.",
             quick: true,
             seconds: 2.0,
             simulations: NUMBERS.len(),

@@ -6,22 +6,26 @@ use std::path::Path;
 use ndarray::{Array2, s};
 use serde::Serialize;
 
-use super::spectrum::{Bands, Collector, SEGMENT, Spectrum};
+use super::spectrum::{Bands, Collector, Spectrum};
 use crate::constants::wavelength_angstrom;
 use crate::error::{Error, Result};
 use crate::io::schema::atom_type;
 use crate::io::{WorldColumn, WorldFile};
 use crate::progress::Progress;
+use crate::rng::philox4x32_10;
 
 /// Blocks along an axis, and the smallest edge of one in pixels.
 const BLOCKS: usize = 16;
 const SMALLEST_BLOCK_PX: usize = 8;
 /// Sites read at a time.
 const SITES_AT_ONCE: usize = 1 << 20;
-/// Rows of the image read at a time: two segments.
-const STRIP: usize = 2 * SEGMENT;
+/// Rows of the image read at a time; whole segments.
+const STRIP: usize = 128;
 /// Radius about a column whose pixels count for its intensity.
 const COLUMN_RADIUS_NM: f64 = 0.05;
+/// Distances are spread by this much, so that those of a perfect lattice, which differ by rounding only, do not
+/// look different.
+const DISTANCE_RESOLUTION_NM: f32 = 1e-3;
 /// Neighbours further than this are taken for that far.
 const FARTHEST_NEIGHBOUR_NM: f64 = 1.0;
 
@@ -144,7 +148,7 @@ pub fn measure(
         sites: per_area(&sites.counts),
         columns: per_area(&column_counts),
         intensity: image.blocks,
-        neighbours_nm: with_blocks(nearest(&columns)),
+        neighbours_nm: with_blocks(spread(nearest(&columns))),
         intensities: with_blocks(image.columns),
         spectrum: image.spectrum,
         site_counts: sites.counts,
@@ -324,6 +328,15 @@ fn around(strip: &Array2<f64>, first: usize, [x, y]: [f32; 2], pixel_nm: f64) ->
         }
     }
     (if count > 0.0 { sum / count } else { value }) as f32
+}
+
+/// Adds up to half of [`DISTANCE_RESOLUTION_NM`] to each distance, up or down.
+fn spread(mut distances: Vec<f32>) -> Vec<f32> {
+    for (i, d) in distances.iter_mut().enumerate() {
+        let word = philox4x32_10([i as u32, (i >> 32) as u32, 0, 0], [0x6e6e, 0])[0];
+        *d += DISTANCE_RESOLUTION_NM * (word as f32 / u32::MAX as f32 - 0.5);
+    }
+    distances
 }
 
 /// Distance of each point to the nearest other one, in nm.

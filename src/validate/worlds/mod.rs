@@ -103,7 +103,7 @@ pub fn compare(a: &Path, b: &Path, alpha: f64, progress: &dyn Progress) -> Resul
             "of a world is positive",
         ));
     }
-    let frequencies = spectrum::Bands::common(pixels);
+    let frequencies = spectrum::Bands::common(pixels, worlds.each_ref().map(|w| w.shape()));
     let rows = worlds.iter().map(|w| w.shape()[0] as u64).sum();
     progress.start("reading", "rows", rows);
     let [first, second] = &worlds;

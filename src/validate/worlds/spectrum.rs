@@ -10,8 +10,10 @@ use serde::Serialize;
 
 use super::super::statistics::Ratio;
 
-/// Edge of a segment in pixels.
-pub const SEGMENT: usize = 64;
+/// Edges of a segment in pixels; the smaller one for small images.
+const SEGMENTS: [usize; 2] = [64, 32];
+/// An image has to hold so many segments of an edge.
+const ENOUGH: usize = 16;
 
 /// Bands of spatial frequency that two images share.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -20,15 +22,22 @@ pub struct Bands {
     pub width: f64,
     /// Number of bands; band `i` is centred at `(i + 1) width`.
     pub count: usize,
+    /// Edge of a segment in pixels.
+    pub segment: usize,
 }
 
 impl Bands {
-    /// For images with these pixels (nm).
-    pub fn common(pixels: [f64; 2]) -> Self {
+    /// For images with these pixels (nm) and shapes (pixels).
+    pub fn common(pixels: [f64; 2], shapes: [[usize; 2]; 2]) -> Self {
+        let held = |edge: usize| {
+            shapes.map(|[rows, columns]| (rows / edge) * (columns / edge)).into_iter().min()
+        };
+        let [large, small] = SEGMENTS;
+        let segment = if held(large) >= Some(ENOUGH) { large } else { small };
         let [a, b] = pixels;
-        let width = 1.0 / (SEGMENT as f64 * a.min(b));
+        let width = 1.0 / (segment as f64 * a.min(b));
         let nyquist = 0.5 / a.max(b);
-        Bands { width, count: ((nyquist / width + 1e-9) as usize).max(1) }
+        Bands { width, count: ((nyquist / width + 1e-9) as usize).max(1), segment }
     }
 
     fn of(&self, frequency: f64) -> Option<usize> {
@@ -92,15 +101,16 @@ pub struct Collector {
 
 impl Collector {
     pub fn new(bands: Bands, pixel_nm: f64, limit: f64) -> Self {
-        let hann = |i: usize| (PI * (i as f64 + 0.5) / SEGMENT as f64).sin().powi(2);
+        let n = bands.segment;
+        let hann = |i: usize| (PI * (i as f64 + 0.5) / n as f64).sin().powi(2);
         // The noise needs frequencies of its own: the corners of the square at least.
         let corner = 0.5 / pixel_nm * 2.0_f64.sqrt();
         Collector {
             bands,
             pixel_nm,
             limit: limit.min(0.85 * corner),
-            fft: FftPlanner::new().plan_fft_forward(SEGMENT),
-            window: (0..SEGMENT).map(hann).collect(),
+            fft: FftPlanner::new().plan_fft_forward(n),
+            window: (0..n).map(hann).collect(),
             segments: Vec::new(),
             noise: Vec::new(),
         }
@@ -108,13 +118,14 @@ impl Collector {
 
     /// Takes the whole segments of a strip of the image.
     pub fn add(&mut self, strip: ArrayView2<f64>) {
-        for segment in strip.exact_chunks((SEGMENT, SEGMENT)) {
+        let n = self.bands.segment;
+        for segment in strip.exact_chunks((n, n)) {
             self.segment(segment);
         }
     }
 
     fn segment(&mut self, values: ArrayView2<f64>) {
-        let n = SEGMENT;
+        let n = self.bands.segment;
         let mean = values.sum() / (n * n) as f64;
         let mut data: Vec<Complex64> = values
             .indexed_iter()
@@ -173,9 +184,17 @@ mod tests {
     }
 
     fn spectrum(image: &Array2<f64>) -> Spectrum {
-        let mut collector = Collector::new(Bands::common([PIXEL; 2]), PIXEL, 16.7);
+        let mut collector = Collector::new(Bands::common([PIXEL; 2], [[256; 2]; 2]), PIXEL, 16.7);
         collector.add(image.view());
         collector.finish()
+    }
+
+    #[test]
+    fn small_images_have_smaller_segments() {
+        assert_eq!(Bands::common([0.02, 0.02], [[256, 256], [512, 300]]).segment, 64);
+        let small = Bands::common([0.02, 0.04], [[256, 256], [184, 184]]);
+        assert_eq!((small.segment, small.count), (32, 8));
+        assert!((small.width - 1.0 / 0.64).abs() < 1e-12);
     }
 
     #[test]
