@@ -3,7 +3,7 @@
 
 use ndarray::{Array1, ArrayView2, Axis};
 use stemgen::engine::settings::EXACT_BAND_FRACTION;
-use stemgen::engine::{Algorithm, BeyondLimit, GridChoice, Scan, Settings, simulate};
+use stemgen::engine::{Algorithm, BeyondLimit, GridChoice, ProbeBox, Scan, Settings, simulate};
 use stemgen::optics::{Aberration, Aberrations};
 use stemgen::potential::slices::Slicing;
 use stemgen::progress::Silent;
@@ -84,7 +84,10 @@ fn windows_of_displaced_atoms() {
     let limit: Array1<f64> = (haadf("exact_1920") * 4.0 - haadf("exact_960")) / 3.0;
     let base = Settings { detectors: Settings::default().detectors, ..g.converged_settings() };
     for (width_angstrom, tolerance) in [(7.8, 0.03), (11.7, 0.015)] {
-        let settings = Settings { algorithm: Algorithm::Window { width_angstrom }, ..base.clone() };
+        let algorithm = Algorithm::Window { width_angstrom };
+        // abTEM's probe has norm 1 in the cell.
+        let probe_box = Some(ProbeBox::Cell);
+        let settings = Settings { algorithm, probe_box, ..base.clone() };
         let plan = g.plan(&settings).unwrap();
         let one = |origin_angstrom| {
             let scan = Scan { origin_angstrom, step_angstrom: [1.0; 2], shape: [1, 1] };
