@@ -82,10 +82,11 @@ impl Validate {
         if self.list || (self.common.dry_run && !self.reference.given()) {
             return self.list(&cases).map(|()| ExitCode::SUCCESS);
         }
+        let prepared = self.reference.prepare(&reporter)?;
         if !self.common.dry_run {
             output::check(&self.output, self.overwrite)?;
         }
-        let (subject, outcomes) = match self.reference.prepare(&reporter)? {
+        let (subject, outcomes) = match prepared {
             Some(prepared) if self.common.dry_run => {
                 let (json, text) = prepared.planned();
                 self.common.print(&json, &text)?;
@@ -136,6 +137,7 @@ fn summary(report: &Report, output: &Path) -> String {
             let value = text::significant(check.value, 3);
             out += &format!("      {}: {value} {}\n", check.what, check.unit);
         }
+        case.notes.iter().for_each(|note| out += &format!("      note: {note}\n"));
     }
     let (word, time) = (word(report.verdict), text::duration(report.wall_time_s));
     format!("{out}{}\n{word} in {time}; report: {}", report.summary, output.display())

@@ -19,6 +19,8 @@ use stemgen::validate::{Lab, Outcome};
 
 /// abTEM's slice thickness unless another is asked for, in Angstrom.
 const ABTEM_SLICE_ANGSTROM: f64 = 1.0;
+const REMEDY: &str = "ours is converged in the grid, abTEM's images carry the error of theirs; --like-abtem with the --gpts and \
+                      --slice-thickness of the reference computes as abTEM does, and tells whether that explains it";
 /// How far pixels of a file and of the options may differ.
 const SAME_PIXEL: f64 = 1e-3;
 
@@ -90,6 +92,7 @@ pub struct PreparedReference {
     units: Units,
     tolerance: f64,
     source: String,
+    remedy: Option<String>,
 }
 
 /// Options as if none had been given.
@@ -165,6 +168,7 @@ impl ReferenceArgs {
             scan,
             units,
             tolerance: self.tolerance / 100.0,
+            remedy: (!self.like_abtem).then(|| REMEDY.to_owned()),
         }))
     }
 
@@ -332,6 +336,7 @@ impl PreparedReference {
             name: self.name,
             about,
             source: self.source,
+            remedy: self.remedy,
         };
         let outcome = user::compare(&Lab::new(reporter, probes), &comparison)?;
         reporter.finish();

@@ -192,6 +192,8 @@ pub struct Outcome {
     pub verdict: Verdict,
     /// Numbers.
     pub checks: Vec<Check>,
+    /// What may explain a failure.
+    pub notes: Vec<String>,
     /// Time taken in s.
     pub wall_time_s: f64,
     /// Figures; not part of the JSON.

@@ -8,7 +8,7 @@ use std::time::Instant;
 use ndarray::{Array2, ArrayView2, Axis as Dimension, Ix2, s};
 
 use super::difference::{Difference, best_gain};
-use super::{Check, Figure, Findings, ImagePair, Lab, Limit, Outcome, overall};
+use super::{Check, Figure, Findings, ImagePair, Lab, Limit, Outcome, Verdict, overall};
 use crate::engine::{Plan, Scan, Site};
 use crate::error::Result;
 use crate::io::arrays::{Axis, ForeignArray};
@@ -220,6 +220,8 @@ pub struct Comparison<'a> {
     pub about: String,
     /// The file.
     pub source: String,
+    /// What to try if the images differ.
+    pub remedy: Option<String>,
 }
 
 /// Simulates and compares.
@@ -246,11 +248,14 @@ pub fn compare(lab: &Lab, c: &Comparison) -> Result<Outcome> {
         Check::shown("ours is brighter on average by", 100.0 * d.bias, "%"),
         Check::shown("correlation coefficient", d.correlation, ""),
     ]);
-    let mut about = c.about.clone();
-    for better in better_otherwise(&ours, &reference) {
-        about += &format!(
-            " The reference {better} agrees much better: is the orientation or the scan right?"
-        );
+    let verdict = overall(findings.checks.iter().map(|c| &c.verdict));
+    let mut notes = Vec::new();
+    if verdict == Verdict::Fail {
+        let better = better_otherwise(&ours, &reference);
+        notes.extend(better.map(|how| {
+            format!("the reference {how} agrees much better: is the orientation or the scan right?")
+        }));
+        notes.extend(c.remedy.clone());
     }
     let top = reference.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
     findings.figures.push(Figure::Images(Box::new(ImagePair {
@@ -268,10 +273,11 @@ pub fn compare(lab: &Lab, c: &Comparison) -> Result<Outcome> {
         name: c.name.clone(),
         title: format!("{} against {}", images.detectors[0], c.name),
         group: "Your reference".into(),
-        about,
+        about: c.about.clone(),
         source: c.source.clone(),
-        verdict: overall(findings.checks.iter().map(|c| &c.verdict)),
+        verdict,
         checks: findings.checks,
+        notes,
         figures: findings.figures,
         wall_time_s: begun.elapsed().as_secs_f64(),
     })
@@ -282,8 +288,8 @@ const MUCH_BETTER: f64 = 3.0;
 /// Pixels by which the reference is moved.
 const SHIFTS: i64 = 6;
 
-/// Transpositions, mirrors and shifts of the reference that agree much better.
-fn better_otherwise(ours: &Array2<f64>, reference: &Array2<f64>) -> Vec<String> {
+/// A transposition, mirror or shift of the reference that agrees much better.
+fn better_otherwise(ours: &Array2<f64>, reference: &Array2<f64>) -> Option<String> {
     let rms = |image: ArrayView2<f64>| Difference::between(ours.view(), image).rms;
     let now = rms(reference.view());
     let mut found: Vec<(f64, String)> = Vec::new();
@@ -305,7 +311,7 @@ fn better_otherwise(ours: &Array2<f64>, reference: &Array2<f64>) -> Vec<String> 
         }
     }
     let best = found.into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
-    best.filter(|(rms, _)| MUCH_BETTER * rms < now).map(|(_, name)| name).into_iter().collect()
+    best.filter(|(rms, _)| MUCH_BETTER * rms < now).map(|(_, name)| name)
 }
 
 #[cfg(test)]
@@ -389,10 +395,10 @@ mod tests {
     fn a_better_orientation_is_found() {
         let ours = Array2::from_shape_fn((9, 9), |(y, x)| ((x * x + 3 * y) % 7) as f64 + 1.0);
         let of = |reference: &Array2<f64>| better_otherwise(&ours, reference);
-        assert!(of(&ours).is_empty());
-        assert_eq!(of(&ours.t().to_owned()), ["transposed"]);
-        assert_eq!(of(&ours.slice(s![..;-1, ..]).to_owned()), ["mirrored along y"]);
+        assert_eq!(of(&ours), None);
+        assert_eq!(of(&ours.t().to_owned()), Some("transposed".into()));
+        assert_eq!(of(&ours.slice(s![..;-1, ..]).to_owned()), Some("mirrored along y".into()));
         let moved = Array2::from_shape_fn((9, 9), |(y, x)| ours[[y, (x + 2) % 9]]);
-        assert_eq!(of(&moved), ["moved by 2, 0 pixels (x, y)"]);
+        assert_eq!(of(&moved), Some("moved by 2, 0 pixels (x, y)".into()));
     }
 }

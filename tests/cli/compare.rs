@@ -20,10 +20,12 @@ const FIELD: [&str; 8] = [
 ];
 
 fn build(folder: &Path, name: &str, changes: &[&str]) {
+    build_from(folder, &file("tests/cli/tiny.toml"), name, changes);
+}
+
+fn build_from(folder: &Path, recipe: &str, name: &str, changes: &[&str]) {
     let mut command = stemgen(folder);
-    command
-        .args(["build", "--recipe", &file("tests/cli/tiny.toml"), "--set", VACANCIES])
-        .args(FIELD);
+    command.args(["build", "--recipe", recipe, "--set", VACANCIES]).args(FIELD);
     for change in changes {
         command.args(["--set", change]);
     }
@@ -57,15 +59,12 @@ fn worlds_are_the_same_or_different() {
     build(f, "seed.h5", &["seed=77"]);
     build(f, "dose.h5", &["seed=3", "dose.electrons_per_angstrom2=1e5"]);
     build(f, "rate.h5", &["seed=4", "vacancies.rate=0.35"]);
-    build(
-        f,
-        "material.h5",
-        &[
-            "seed=5",
-            "crystal=\"batio3_cubic\"",
-            "phonons.sigma_angstrom={Ba=0.08, Ti=0.08, O=0.09}",
-        ],
-    );
+    let tiny = std::fs::read_to_string(file("tests/cli/tiny.toml")).unwrap();
+    let other = tiny.replace("\"srtio3\"", "\"batio3_cubic\"");
+    let other =
+        other.replace("Sr = 0.084, Ti = 0.060, O = 0.085", "Ba = 0.08, Ti = 0.08, O = 0.09");
+    std::fs::write(f.join("other.toml"), other).unwrap();
+    build_from(f, "other.toml", "material.h5", &["seed=5"]);
 
     let (code, lines) = compare(f, "a.h5");
     assert!(code == 0 && of(&lines, "different").is_empty(), "{lines:?}");
@@ -109,7 +108,7 @@ fn worlds_are_the_same_or_different() {
         .unwrap();
     let (value, error) =
         (dose["a"]["value"].as_f64().unwrap(), dose["a"]["error"].as_f64().unwrap());
-    assert!((value / 2e5 - 1.0).abs() < 0.05 && error < 0.05 * value, "{dose}");
+    assert!((value - 2e5).abs() < 4.0 * error && error < 0.1 * value, "{dose}");
     assert_eq!(report["alpha"].as_f64().unwrap(), DEFAULT_ALPHA);
 }
 

@@ -160,8 +160,8 @@ fn a_different_image_fails_with_3_and_says_what_may_be_wrong() {
     assert_eq!(run.status.code(), Some(3), "{}", stderr(&run));
     let report: serde_json::Value = serde_json::from_str(&stdout(&run)).unwrap();
     assert_eq!(report["verdict"], "fail");
-    let about = report["cases"][0]["about"].as_str().unwrap();
-    assert!(about.contains("transposed agrees much better"), "{about}");
+    let note = report["cases"][0]["notes"][0].as_str().unwrap();
+    assert!(note.contains("transposed agrees much better"), "{note}");
     // another microscope
     let mut command =
         against(folder.path(), &image, &["--axes", "xy", "--defocus", "60", "--quiet"]);

@@ -114,6 +114,9 @@ fn section(case: &Outcome) -> Result<String> {
         case.wall_time_s,
         checks(&case.checks)
     );
+    for note in &case.notes {
+        html += &format!("<p class=\"about\"><b>Note:</b> {}</p>\n", escape(note));
+    }
     let figures = case.figures.iter().enumerate().map(|(i, f)| figure(f, i == 0));
     let figures: Vec<String> = figures.collect::<Result<_>>()?;
     let (first, rest) = figures.split_at(figures.len().min(FIGURES_OPEN));

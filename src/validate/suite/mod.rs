@@ -123,6 +123,7 @@ impl Case {
             verdict: overall(findings.checks.iter().map(|c| &c.verdict)),
             checks: findings.checks,
             figures: findings.figures,
+            notes: Vec::new(),
             wall_time_s: begun.elapsed().as_secs_f64(),
         })
     }
