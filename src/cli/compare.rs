@@ -18,10 +18,10 @@ Examples:
   For a script:
     stemgen compare a.h5 b.h5 --json --quiet -o a_b.html; echo $?
 
-Every line has a test: z of a difference of rates, whose errors come from the scatter of blocks of the
-field; the two-sample Kolmogorov-Smirnov distance, whose significance comes from exchanging blocks; the
-largest z of the ratio of power spectra. A line is `different` where chance would do as much between
-equal worlds with a probability below --alpha.
+Every line has a test: z of a difference of rates, whose errors come from the scatter of blocks of
+the field; the two-sample Kolmogorov-Smirnov distance, whose significance comes from exchanging
+blocks; the largest z of the ratio of power spectra. A line is `different` where chance would do as
+much between equal worlds with a probability below --alpha.
 
 Exit code: 0 if nothing differs, 3 if something does, 1 on errors.";
 

@@ -24,10 +24,10 @@ Examples:
     stemgen validate --quick
     stemgen validate --case refined-image --case kirkland-5-12 -o two.html
     stemgen validate --list
-  An image that you computed with abTEM, measurement.to_zarr(\"haadf.zarr\"), of atoms.xyz:
+  An image of atoms.xyz that you computed with abTEM, measurement.to_zarr(\"haadf.zarr\"):
     stemgen validate --reference haadf.zarr --structure atoms.xyz --detector HAADF=68-200
-  The same from np.save(\"haadf.npy\", measurement.array), which does not tell axes and pixels, with abTEM's
-  own numerics (its grid, slices and potentials):
+  The same from np.save(\"haadf.npy\", measurement.array), which does not tell axes and pixels, with
+  abTEM's own numerics (its grid, slices and potentials):
     stemgen validate --reference haadf.npy --axes xy --structure atoms.xyz --scan-end 3.905,3.905 \\
       --like-abtem --gpts 300,300 --slice-thickness 1.9525
 
