@@ -12,7 +12,7 @@ th{border-bottom:1px solid #999;font-weight:600}td.n,th.n{text-align:right;font-
 .v{font-weight:700;padding:.05em .5em;border-radius:.3em;white-space:nowrap}
 .pass{background:#d8f0df;color:#0b5a26}.fail{background:#f9d5d0;color:#8c1507}.shown{background:#e8e8e8;color:#444}
 figure{margin:1em 0}figcaption{font-weight:600;margin-bottom:.2em}.legend span{margin-right:1.4em;white-space:nowrap}
-.row{display:flex;flex-wrap:wrap;gap:1em}svg{max-width:100%;height:auto}details{margin:.3em 0 .8em}
+.row{display:flex;flex-wrap:wrap;gap:1em}.row figure{max-width:570px}svg{max-width:100%;height:auto}details{margin:.3em 0 .8em}
 summary{cursor:pointer;color:#225}blockquote{border-left:4px solid #bbb;margin:1em 0;padding:.2em 1em;max-width:62em}
 a{color:#0a58a5}code{background:#f2f2f2;padding:0 .25em}";
 

@@ -177,7 +177,7 @@ fn pictures(worlds: [&WorldFile; 2]) -> Result<String> {
         let png = rendered.encode().map_err(super::undrawable)?;
         let data = base64::engine::general_purpose::STANDARD.encode(png);
         html += &format!(
-            "<figure><figcaption>{name}: the middle, {columns} x {rows} px{bar}; black {}, white {} of the beam</figcaption>\
+            "<figure><figcaption>{name}: the middle, {columns} x {rows} px{bar}; of the beam: black {}, white {}</figcaption>\
              <img alt=\"{name}\" src=\"data:image/png;base64,{data}\"></figure>\n",
             number(f64::from(min)),
             number(f64::from(max))
