@@ -3,7 +3,7 @@
 //!
 //! Data flows one way: recipe -> specimen -> slices -> engine -> detector image -> tiles -> file.
 //! From the ground up: `error`, `constants`, `rng`, `progress`, `atomic`, `disk`, `fft`; `structure`,
-//! `potential`; `optics`, `resample`, `detect`, `phonons`; `engine`; `io`, `render`; `world`.
+//! `potential`; `optics`, `resample`, `detect`, `phonons`; `engine`; `io`, `render`; `world`; `validate`.
 
 pub mod atomic;
 pub mod constants;
@@ -22,6 +22,7 @@ pub mod render;
 pub mod resample;
 pub mod rng;
 pub mod structure;
+pub mod validate;
 pub mod world;
 
 pub use error::{Error, Result};

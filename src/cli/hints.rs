@@ -108,6 +108,8 @@ fn flag(what: &str) -> Option<&'static str> {
         "repeat" | "number of atoms in the supercell" => "--repeat",
         "grid" => "--grid",
         "sub-tile (nm)" => "--subtile and --subtile-overlap",
+        "case" => "--case, and --list for what there is",
+        "alpha" => "--alpha",
         "material" => "MATERIAL, and --recipe for a recipe of your own",
         _ => return None,
     })

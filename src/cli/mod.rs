@@ -4,6 +4,7 @@ mod audit;
 mod build;
 mod cache;
 mod common;
+mod compare;
 mod estimate;
 mod hints;
 mod imaging;
@@ -20,6 +21,8 @@ mod simulate;
 mod specimen;
 mod structure_args;
 mod text;
+mod validate;
+mod validate_reference;
 mod values;
 mod view;
 
@@ -41,6 +44,7 @@ Examples:
   stemgen specimen srtio3 --difficulty easy --grid 2x2 -o atoms.extxyz --png
   stemgen build srtio3 --difficulty easy --grid 2x2
   stemgen view worlds/srtio3_easy_2x2.h5 --overlay defects
+  stemgen validate --quick
 
 `stemgen COMMAND --help` explains every option, with more examples.";
 
@@ -52,26 +56,28 @@ enum Command {
     View(Box<view::View>),
     Audit(Box<audit::AuditCommand>),
     Cache(Box<cache::CacheCommand>),
+    Validate(Box<validate::Validate>),
+    Compare(Box<compare::Compare>),
     List(Box<list::List>),
     ShowRecipe(Box<show_recipe::ShowRecipe>),
 }
 
 /// Runs the program and reports what went wrong.
 pub fn main() -> ExitCode {
+    let done = |()| ExitCode::SUCCESS;
     let (name, result) = match Cli::parse().command {
-        Command::Simulate(command) => ("simulate", command.run()),
-        Command::Build(command) => ("build", command.run()),
-        Command::Specimen(command) => ("specimen", command.run()),
-        Command::View(command) => ("view", command.run()),
-        Command::Audit(command) => ("audit", command.run()),
-        Command::Cache(command) => ("cache", command.run()),
-        Command::List(command) => ("list", command.run()),
-        Command::ShowRecipe(command) => ("show-recipe", command.run()),
+        Command::Simulate(command) => ("simulate", command.run().map(done)),
+        Command::Build(command) => ("build", command.run().map(done)),
+        Command::Specimen(command) => ("specimen", command.run().map(done)),
+        Command::View(command) => ("view", command.run().map(done)),
+        Command::Audit(command) => ("audit", command.run().map(done)),
+        Command::Cache(command) => ("cache", command.run().map(done)),
+        Command::Validate(command) => ("validate", command.run()),
+        Command::Compare(command) => ("compare", command.run()),
+        Command::List(command) => ("list", command.run().map(done)),
+        Command::ShowRecipe(command) => ("show-recipe", command.run().map(done)),
     };
-    match result {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => hints::report(&error, name),
-    }
+    result.unwrap_or_else(|error| hints::report(&error, name))
 }
 
 #[cfg(test)]

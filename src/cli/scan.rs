@@ -10,7 +10,7 @@ use stemgen::optics::Optics;
 const MOST_PROBES: f64 = 1e9;
 
 /// The scan.
-#[derive(Debug, Args)]
+#[derive(Debug, Clone, Args)]
 #[command(next_help_heading = "Scan")]
 pub struct ScanArgs {
     /// First probe position in A [default: 0,0]

@@ -132,7 +132,7 @@ impl Simulate {
         let reporter = self.common.start()?;
         let specimen = self.specimen.prepare()?;
         let thicknesses = self.results.thicknesses.clone();
-        let phonons = self.specimen.phonons();
+        let phonons = self.specimen.options.phonons();
         let mut settings =
             imaging::settings(&self.microscope, &self.numerics, phonons, thicknesses)?;
         if self.results.plane_wave {
@@ -184,7 +184,7 @@ impl Simulate {
         let [x, y, _] = specimen.size;
         if !self.results.plane_wave && x.min(y) < NARROW_CELL_ANGSTROM {
             let times = [x, y].map(|l| (1.5 * NARROW_CELL_ANGSTROM / l).ceil());
-            let given = self.specimen.repeat.unwrap_or([1; 3]);
+            let given = self.specimen.options.repeat.unwrap_or([1; 3]);
             let [nx, ny] = [0, 1].map(|i| times[i] * given[i] as f64);
             plan.warnings.push(format!(
                 "the cell of {x:.2} x {y:.2} A is narrow: a probe meets its own periodic images; \

@@ -15,6 +15,14 @@ pub struct StructureArgs {
     /// Crystal or specimen: CIF, extended XYZ (.xyz, .extxyz) or POSCAR (.vasp, .poscar, POSCAR*)
     #[arg(value_name = "STRUCTURE", help_heading = None)]
     pub structure: PathBuf,
+    #[command(flatten)]
+    pub options: SpecimenArgs,
+}
+
+/// What is made of the structure.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Specimen")]
+pub struct SpecimenArgs {
     /// Lattice direction along the beam; builds an orthogonal box
     #[arg(long, value_name = "U,V,W", value_parser = values::direction, allow_hyphen_values = true)]
     pub zone: Option<[i32; 3]>,
@@ -48,9 +56,27 @@ pub struct Prepared {
 }
 
 impl StructureArgs {
-    /// Reads, turns and repeats the structure, and draws the atoms of mixed sites.
+    /// Reads and prepares the structure.
     pub fn prepare(&self) -> anyhow::Result<Prepared> {
-        let mut structure = structure::read(&self.structure)?;
+        self.options.prepare(&self.structure)
+    }
+
+    /// Name of the structure without folder and ending.
+    pub fn stem(&self) -> PathBuf {
+        PathBuf::from(self.structure.file_stem().unwrap_or("structure".as_ref()))
+    }
+
+    /// Name of the file.
+    pub fn file_name(&self) -> String {
+        let name = self.structure.file_name().map(Path::new).unwrap_or(&self.structure);
+        name.display().to_string()
+    }
+}
+
+impl SpecimenArgs {
+    /// Reads, turns and repeats the structure, and draws the atoms of mixed sites.
+    pub fn prepare(&self, file: &Path) -> anyhow::Result<Prepared> {
+        let mut structure = structure::read(file)?;
         if self.zone.is_some() || self.up.is_some() {
             structure = structure.oriented(self.zone.unwrap_or([0, 0, 1]), self.up)?;
         }
@@ -59,7 +85,7 @@ impl StructureArgs {
         }
         let structure = structure.resolve_occupancy(self.seed)?;
         if structure.atoms.is_empty() {
-            bail!("{}: no atoms to simulate", self.structure.display());
+            bail!("{}: no atoms to simulate", file.display());
         }
         let size = structure.orthogonal_box()?;
         let sites = self.sites(&structure)?;
@@ -93,17 +119,6 @@ impl StructureArgs {
                 format!("--sigma has no value for {symbol}; add {symbol}=..., in A")
             }),
         }
-    }
-
-    /// Name of the structure without folder and ending.
-    pub fn stem(&self) -> PathBuf {
-        PathBuf::from(self.structure.file_stem().unwrap_or("structure".as_ref()))
-    }
-
-    /// Name of the file.
-    pub fn file_name(&self) -> String {
-        let name = self.structure.file_name().map(Path::new).unwrap_or(&self.structure);
-        name.display().to_string()
     }
 }
 

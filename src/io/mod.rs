@@ -1,5 +1,6 @@
 //! Files of images and worlds (HDF5, schemas written and read here only) and of their atoms.
 
+pub mod arrays;
 mod atoms;
 pub mod image_file;
 pub mod schema;

@@ -37,7 +37,7 @@ impl RgbImage {
         atomic::write(path, &bytes)
     }
 
-    fn encode(&self) -> std::result::Result<Vec<u8>, png::EncodingError> {
+    pub(crate) fn encode(&self) -> std::result::Result<Vec<u8>, png::EncodingError> {
         let mut bytes = Vec::new();
         let mut encoder = png::Encoder::new(&mut bytes, self.width as u32, self.height as u32);
         encoder.set_color(png::ColorType::Rgb);

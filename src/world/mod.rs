@@ -38,7 +38,7 @@ pub mod simulator;
 pub mod specimen;
 mod stitch;
 mod store;
-mod subprogress;
+pub(crate) mod subprogress;
 pub mod subtiles;
 pub mod tables;
 mod truth;

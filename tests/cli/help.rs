@@ -23,6 +23,8 @@ fn help_is_as_stored() {
     compare("build", &["build"]);
     compare("specimen", &["specimen"]);
     compare("view", &["view"]);
+    compare("validate", &["validate"]);
+    compare("compare", &["compare"]);
     compare("list", &["list"]);
     compare("show-recipe", &["show-recipe"]);
 }

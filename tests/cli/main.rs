@@ -2,6 +2,7 @@
 
 mod build;
 mod checks;
+mod compare;
 mod errors;
 mod help;
 #[path = "../common/python.rs"]
@@ -9,6 +10,7 @@ mod interpreter;
 mod recipes;
 mod simulate;
 mod specimen;
+mod validate;
 mod view;
 
 use std::path::Path;

@@ -457,6 +457,50 @@ def case_displaced_bandlimit():
     save("displaced_bandlimit", arrays, described, {"atoms": base["atoms"], "cell_A": base["cell_A"], **settings})
 
 
+def case_displaced_image():
+    """An image of displaced atoms, against which abTEM's grid error and the place of slice boundaries are measured. `exact_*` are to be
+    extrapolated to an infinitely fine grid; `as_shipped_*` is what a user of abTEM gets; `boundary_*` is the same with the atomic planes on the
+    boundaries of slices, as in a cell whose first plane lies at z = 0 (here one slice below the surface, so that no atom changes sides)."""
+    name, dz, n = "displaced_image", A_STO / 2, 20
+    atoms = srtio3(3, 3, 10)
+    sigma = {"Sr": 0.084, "Ti": 0.060, "O": 0.085}  # per Cartesian component, A
+    rng = np.random.default_rng(20261121)
+    shift = rng.normal(size=(len(atoms), 3)) * np.array([sigma[s] for s in atoms.symbols])[:, None]
+    atoms.positions += shift
+    x, y, z = atoms.positions.T
+    atoms.positions[:] = np.stack([x % (3 * A_STO), y % (3 * A_STO), z], axis=1)
+    rounded(atoms, 6)
+    assert 0 < z.min() and z.max() < n * dz
+    scan = grid_scan((A_STO, A_STO), (10, 8))
+    moved = atoms.copy()
+    moved.positions[:, 2] += dz / 2
+    moved.cell[2, 2] += dz
+    arrays, described = {}, {}
+
+    def shipped(atoms, pixels, n, projection):
+        return abtem.Potential(atoms, gpts=(pixels, pixels), slice_thickness=(dz,) * n, projection=projection)
+
+    def add(key, potential, what):
+        start = time.time()
+        arrays[key] = multislice(potential, scan)
+        described[key] = f"{IMAGES}; {what}"
+        print(f"  {key} {time.time() - start:.0f} s", flush=True)
+
+    for pixels in (288, 576):
+        add(f"as_shipped_{pixels}", shipped(atoms, pixels, n, "infinite"), f"abtem.Potential, {pixels} x {pixels} pixels")
+        for projection in ("infinite", "finite"):
+            what = f"abtem.Potential, {pixels} x {pixels} pixels, {projection} projection, planes on slice boundaries"
+            add(f"boundary_{projection}_{pixels}", shipped(moved, pixels, n + 1, projection), what)
+    for pixels in (576, 1152):
+        array = exact_slices(atoms, (pixels, pixels), dz, n)
+        exact = abtem.PotentialArray(array, slice_thickness=(dz,) * n, extent=tuple(atoms.cell.lengths()[:2]))
+        add(f"exact_{pixels}", exact, f"exact potentials, {pixels} x {pixels} pixels")
+    add("as_shipped_1152", shipped(atoms, 1152, n, "infinite"), "abtem.Potential, 1152 x 1152 pixels")
+    extra = {"sigma_per_component_A": sigma, "rng": "numpy default_rng(20261121); the displaced positions are in the xyz file"}
+    settings = settings_for(atoms, (1152, 1152), dz, n, scan, **extra)
+    save(name, arrays, described, settings, atoms)
+
+
 CASES = {k[5:]: v for k, v in globals().items() if k.startswith("case_")}
 
 

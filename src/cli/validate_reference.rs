@@ -1,0 +1,345 @@
+//! Comparison with an image of another program.
+
+use super::hints::hinted;
+use super::imaging::{self, MicroscopeArgs, NumericsArgs};
+use super::progress::Reporter;
+use super::scan::ScanArgs;
+use super::show::{self, Lines, PlanReport};
+use super::structure_args::{Prepared, SpecimenArgs};
+use super::values;
+use anyhow::{anyhow, bail};
+use clap::{Args, ValueEnum};
+use std::path::PathBuf;
+use stemgen::engine::{GridChoice, Plan, Scan, Settings};
+use stemgen::io::arrays::{self, ForeignArray};
+use stemgen::progress::Progress;
+use stemgen::validate::golden::like_abtem;
+use stemgen::validate::user::{self, Comparison, Order, Reference, Units};
+use stemgen::validate::{Lab, Outcome};
+
+/// abTEM's slice thickness unless another is asked for, in Angstrom.
+const ABTEM_SLICE_ANGSTROM: f64 = 1.0;
+const REMEDY: &str = "ours is converged in the grid, abTEM's images carry the error of theirs; --like-abtem with the --gpts and \
+                      --slice-thickness of the reference computes as abTEM does, and tells whether that explains it";
+/// How far pixels of a file and of the options may differ.
+const SAME_PIXEL: f64 = 1e-3;
+
+/// Your own reference.
+#[derive(Debug, Args)]
+pub struct ReferenceArgs {
+    /// Compare with this image instead: .npy, .npz, .tif, .h5 or a zarr folder
+    #[arg(long, value_name = "FILE", requires = "structure", help_heading = "Your reference")]
+    reference: Option<PathBuf>,
+    /// Atoms that the reference shows: CIF, extended XYZ or POSCAR
+    #[arg(long, value_name = "FILE", requires = "reference", help_heading = "Your reference")]
+    structure: Option<PathBuf>,
+    /// Array of the file, where it holds several
+    #[arg(long, value_name = "NAME", requires = "reference", help_heading = "Your reference")]
+    dataset: Option<String>,
+    /// Which image of a stack, from 0; one number for each dimension that is not x or y
+    #[arg(long, value_name = "I,J,...", value_delimiter = ',', requires = "reference")]
+    #[arg(help_heading = "Your reference")]
+    index: Vec<usize>,
+    /// Order of the dimensions, where the file does not say; abTEM's arrays are xy
+    #[arg(long, value_name = "ORDER", requires = "reference", help_heading = "Your reference")]
+    axes: Option<AxesName>,
+    /// What the values are
+    #[arg(long, value_name = "NAME", default_value = "fraction", help_heading = "Your reference")]
+    units: UnitsName,
+    /// Largest difference allowed, in per cent of the maximum of the reference
+    #[arg(long, value_name = "PERCENT", default_value = "1", value_parser = values::percent)]
+    #[arg(allow_negative_numbers = true, help_heading = "Your reference")]
+    tolerance: f64,
+    /// Compute as abTEM does: potentials on the grid of the wave with its pixel correction, slices of
+    /// --slice-thickness [default: 1 A], its anti-aliasing and focus; needs --gpts or --sampling
+    #[arg(long, requires = "reference", help_heading = "Your reference")]
+    like_abtem: bool,
+    #[command(flatten)]
+    specimen: Option<SpecimenArgs>,
+    #[command(flatten)]
+    microscope: Option<MicroscopeArgs>,
+    #[command(flatten)]
+    scan: Option<ScanArgs>,
+    #[command(flatten)]
+    numerics: Option<NumericsArgs>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum AxesName {
+    /// First index along x
+    Xy,
+    /// First index along y
+    Yx,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum UnitsName {
+    /// Fractions of the beam
+    Fraction,
+    /// Per cent of the beam
+    Percent,
+    /// Anything proportional: the factor is fitted
+    Fitted,
+}
+
+/// Everything that a comparison needs.
+pub struct PreparedReference {
+    name: String,
+    reference: Reference,
+    specimen: Prepared,
+    plan: Plan,
+    scan: Scan,
+    units: Units,
+    tolerance: f64,
+    source: String,
+    remedy: Option<String>,
+}
+
+/// Options as if none had been given.
+fn defaults<T: Args>() -> anyhow::Result<T> {
+    let command = T::augment_args(clap::Command::new("defaults").no_binary_name(true));
+    let matches = command.try_get_matches_from(std::iter::empty::<String>())?;
+    Ok(T::from_arg_matches(&matches)?)
+}
+
+impl ReferenceArgs {
+    /// Whether a reference was given.
+    pub fn given(&self) -> bool {
+        self.reference.is_some()
+    }
+
+    /// Reads and plans; `None` without a reference.
+    pub fn prepare(self, reporter: &Reporter) -> anyhow::Result<Option<PreparedReference>> {
+        let (Some(path), Some(structure)) = (&self.reference, &self.structure) else {
+            return self.refuse_options().map(|()| None);
+        };
+        if !(self.tolerance > 0.0 && self.tolerance <= 100.0) {
+            bail!("--tolerance {}: write per cent above 0 and up to 100", self.tolerance);
+        }
+        let array = arrays::read(path, self.dataset.as_deref())?;
+        let options = |given: Option<SpecimenArgs>| given.map_or_else(defaults, Ok);
+        let specimen_args = options(self.specimen)?;
+        let microscope: MicroscopeArgs = self.microscope.map_or_else(defaults, Ok)?;
+        let numerics: NumericsArgs = self.numerics.map_or_else(defaults, Ok)?;
+        let specimen = specimen_args.prepare(structure)?;
+        let phonons = specimen_args.phonons();
+        let mut settings = imaging::settings(&microscope, &numerics, phonons, Vec::new())?;
+        if settings.detectors.len() > 1 {
+            let fault = anyhow!("{} detectors for one reference", settings.detectors.len());
+            return Err(hinted(
+                fault,
+                "give the one --detector that the reference was computed with",
+            ));
+        }
+        agree(&array, &settings)?;
+        if self.like_abtem {
+            settings = abtem_settings(&settings, &numerics, specimen.size)?;
+        }
+        let warning = imaging::choose_window(numerics.accuracy, &mut settings, specimen.size[2])?;
+        let plan = Plan::new(&settings, specimen.size, &specimen.heights)?;
+        plan.warnings.iter().chain(&warning).for_each(|w| reporter.warn(w));
+        let size = [specimen.size[0], specimen.size[1]];
+        let scan_args = self.scan.as_ref();
+        let asked = match scan_args {
+            Some(args) if args.scan_points.is_some() || args.scan_step.is_some() => {
+                Some(args.scan(size, &settings.optics)?)
+            }
+            _ => None,
+        };
+        let order = self.axes.map(|a| if a == AxesName::Xy { Order::Xy } else { Order::Yx });
+        let pixels = asked.map(|s| [s.shape[1], s.shape[0]]);
+        let mut reference = user::reference(&array, order, &self.index, pixels)?;
+        let units = match self.units {
+            UnitsName::Fraction => Units::Fraction,
+            UnitsName::Percent => Units::Percent,
+            UnitsName::Fitted => Units::Fitted,
+        };
+        user::in_fractions(&array, &mut reference.data, units)?;
+        let scan = match scan_args {
+            Some(args) => given_scan(args, size, &settings, &array, &reference)?,
+            None => told_scan(size, &array, &reference)?,
+        };
+        Ok(Some(PreparedReference {
+            name: path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned(),
+            source: format!("{} (x and y: {})", path.display(), reference.orientation),
+            reference,
+            specimen,
+            plan,
+            scan,
+            units,
+            tolerance: self.tolerance / 100.0,
+            remedy: (!self.like_abtem).then(|| REMEDY.to_owned()),
+        }))
+    }
+
+    /// Options of an image make no sense for the suite.
+    fn refuse_options(&self) -> anyhow::Result<()> {
+        let given = [
+            (self.specimen.is_some(), "options of the specimen"),
+            (self.microscope.is_some(), "options of the microscope"),
+            (self.scan.is_some(), "options of the scan"),
+            (self.numerics.is_some(), "options of the numerics"),
+        ];
+        match given.iter().find(|(given, _)| *given) {
+            None => Ok(()),
+            Some((_, which)) => {
+                let hint =
+                    "they belong to --reference FILE --structure FILE; the suite has its own";
+                Err(hinted(anyhow!("{which} without a reference"), hint))
+            }
+        }
+    }
+}
+
+/// Refuses settings that the file contradicts.
+fn agree(array: &ForeignArray, settings: &Settings) -> anyhow::Result<()> {
+    let optics = &settings.optics;
+    let told = [
+        (array.energy_ev.map(|e| e / 1e3), optics.energy_ev / 1e3, "keV", "--energy"),
+        (array.semiangle_mrad, optics.semiangle_mrad, "mrad", "--semiangle"),
+    ];
+    for (told, ours, unit, option) in told {
+        if let Some(told) = told.filter(|t| (t / ours - 1.0).abs() > 1e-6) {
+            let fault = anyhow!(
+                "{} was computed with {told} {unit}, not with {ours} {unit}",
+                array.path.display()
+            );
+            return Err(hinted(fault, format!("{option} {told}")));
+        }
+    }
+    Ok(())
+}
+
+fn abtem_settings(
+    settings: &Settings,
+    numerics: &NumericsArgs,
+    size: [f64; 3],
+) -> anyhow::Result<Settings> {
+    let points = match (numerics.gpts, numerics.sampling) {
+        (Some(points), _) => points,
+        (None, Some(sampling)) => [0, 1].map(|i| (size[i] / sampling - 1e-9).ceil() as usize),
+        (None, None) => {
+            let fault = anyhow!("--like-abtem needs abTEM's grid");
+            return Err(hinted(
+                fault,
+                "give the --gpts or the --sampling of the abTEM calculation",
+            ));
+        }
+    };
+    let thickness = numerics.slice_thickness.unwrap_or(ABTEM_SLICE_ANGSTROM);
+    // Slices of equal thickness; the focus moves by half of one.
+    let slice = size[2] / (size[2] / thickness - 1e-9).ceil().max(1.0);
+    let settings = like_abtem(settings, GridChoice::Points(points), slice);
+    Ok(Settings { abtem_pixel_correction: true, ..settings })
+}
+
+/// The scan that the file tells, or else one over the whole cell.
+fn told_scan(size: [f64; 2], array: &ForeignArray, reference: &Reference) -> anyhow::Result<Scan> {
+    if let Some(scan) = user::scan(reference) {
+        return Ok(scan);
+    }
+    let (rows, columns) = reference.data.dim();
+    let step_angstrom = [size[0] / columns as f64, size[1] / rows as f64];
+    let ratio = step_angstrom[0] / step_angstrom[1];
+    if !(0.5..=2.0).contains(&ratio) {
+        let fault = array.error(format!(
+            "has {columns} x {rows} pixels (x, y) and does not say where they are; over the whole cell of {:.3} x \
+             {:.3} A they would be {:.3} x {:.3} A",
+            size[0], size[1], step_angstrom[0], step_angstrom[1]
+        ));
+        return Err(hinted(
+            fault,
+            "--scan-start and --scan-end tell which part was scanned; is --axes right?",
+        ));
+    }
+    Ok(Scan { origin_angstrom: [0.0; 2], step_angstrom, shape: [rows, columns] })
+}
+
+/// The scan of the options, which must be that of the file.
+fn given_scan(
+    args: &ScanArgs,
+    size: [f64; 2],
+    settings: &Settings,
+    array: &ForeignArray,
+    reference: &Reference,
+) -> anyhow::Result<Scan> {
+    let (rows, columns) = reference.data.dim();
+    let scan = match args.scan_step.is_none() && args.scan_points.is_none() {
+        true => {
+            let points = ScanArgs { scan_points: Some([columns, rows]), ..args.clone() };
+            points.scan(size, &settings.optics)?
+        }
+        false => args.scan(size, &settings.optics)?,
+    };
+    if scan.shape != [rows, columns] {
+        let fault = array.error(format!(
+            "has {columns} x {rows} pixels (x, y), but the scan has {} x {}",
+            scan.shape[1], scan.shape[0]
+        ));
+        return Err(hinted(
+            fault,
+            "mend --scan-points or --scan-step, or leave them out; is --axes right?",
+        ));
+    }
+    if let Some(told) = reference.step_angstrom {
+        for i in 0..2 {
+            if (scan.step_angstrom[i] / told[i] - 1.0).abs() > SAME_PIXEL {
+                let fault = array.error(format!(
+                    "has pixels of {:.4} x {:.4} A, but the scan has {:.4} x {:.4} A",
+                    told[0], told[1], scan.step_angstrom[0], scan.step_angstrom[1]
+                ));
+                return Err(hinted(fault, "leave the options of the scan out: the file tells it"));
+            }
+        }
+    }
+    Ok(scan)
+}
+
+impl PreparedReference {
+    /// What would be done.
+    pub fn planned(&self) -> (PlanReport, String) {
+        let report = PlanReport::new(&self.plan, self.scan.len(), 1);
+        let mut lines = Lines::default();
+        lines.add("reference", self.source.clone());
+        lines.add("atoms", self.specimen.sites.len().to_string());
+        report.lines(&mut lines);
+        lines.add("probes", show::scan(&self.scan));
+        report.costs(&mut lines);
+        (report, lines.text())
+    }
+
+    /// Simulates and compares.
+    pub fn run(self, reporter: &Reporter) -> anyhow::Result<Outcome> {
+        let settings = &self.plan.settings;
+        let detector = &settings.detectors[0];
+        let [x, y, z] = self.specimen.size;
+        let about = format!(
+            "{} ({:.0}-{:.0} mrad) of {} atoms in {x:.3} x {y:.3} x {z:.3} A; {} kV, {} mrad. Ours: {}. Probes: {}.",
+            detector.name,
+            detector.inner_mrad,
+            detector.outer_mrad,
+            self.specimen.sites.len(),
+            settings.optics.energy_ev / 1e3,
+            settings.optics.semiangle_mrad,
+            serde_json::to_string(settings)?,
+            show::scan(&self.scan),
+        );
+        let probes = self.scan.len();
+        reporter.start("simulating", "probes", probes as u64);
+        let comparison = Comparison {
+            plan: &self.plan,
+            sites: &self.specimen.sites,
+            scan: &self.scan,
+            reference: &self.reference,
+            units: self.units,
+            tolerance: self.tolerance,
+            name: self.name,
+            about,
+            source: self.source,
+            remedy: self.remedy,
+        };
+        let outcome = user::compare(&Lab::new(reporter, probes), &comparison)?;
+        reporter.finish();
+        Ok(outcome)
+    }
+}

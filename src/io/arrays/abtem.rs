@@ -1,0 +1,32 @@
+//! abTEM's description of a measurement (1.0.11), as zarr and TIFF files hold it.
+
+use serde_json::Value;
+
+use super::{Axis, ForeignArray};
+
+/// Takes over what a description says, if it fits the array.
+pub fn describe(array: &mut ForeignArray, metadata: &Value) {
+    let number = |key: &str| metadata[key].as_f64();
+    array.energy_ev = number("energy");
+    array.semiangle_mrad = number("semiangle_cutoff");
+    let axes = &metadata["axes"];
+    let count = array.data.ndim();
+    if axes.as_object().is_some_and(|a| a.len() == count) {
+        array.axes = (0..count).map(|i| axis(&axes[format!("axis_{i}")])).collect();
+    }
+}
+
+fn axis(value: &Value) -> Option<Axis> {
+    // Labels of reciprocal space say so in their unit, and have no place in an image.
+    let unit = match value["units"].as_str() {
+        Some("\u{c5}" | "A" | "Angstrom") => Some(1.0),
+        Some("nm") => Some(10.0),
+        _ => None,
+    };
+    let length = |key: &str| Some(value[key].as_f64()? * unit?);
+    Some(Axis {
+        label: value["label"].as_str()?.to_owned(),
+        sampling_angstrom: length("sampling"),
+        origin_angstrom: length("offset").unwrap_or(0.0),
+    })
+}

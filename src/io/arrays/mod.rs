@@ -1,0 +1,121 @@
+//! Images of other programs: NumPy, zarr, TIFF and HDF5 files, with what they say of their axes.
+//!
+//! | file | what tells the axes |
+//! |---|---|
+//! | `.npy`, `.npz` | nothing |
+//! | zarr, format 2 or 3 (`measurement.to_zarr`) | abTEM's metadata |
+//! | `.tif`, `.tiff` (`measurement.to_tiff`) | abTEM's metadata in the description |
+//! | `.h5`, `.hdf5` | the attributes of [`super::image_file`]; nothing in other files |
+
+mod abtem;
+mod hdf;
+mod numpy;
+mod tagged;
+mod zarr;
+
+use std::path::{Path, PathBuf};
+
+use ndarray::ArrayD;
+
+use crate::error::{Error, Result};
+pub(crate) use numpy::unpack as unpack_npz;
+
+/// What a file says of one dimension of an array.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Axis {
+    /// `x`, `y`, `thickness` ...; may be empty.
+    pub label: String,
+    /// Distance of neighbouring entries in Angstrom.
+    pub sampling_angstrom: Option<f64>,
+    /// Position of the first entry in Angstrom.
+    pub origin_angstrom: f64,
+}
+
+/// An array of another program.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ForeignArray {
+    /// The file.
+    pub path: PathBuf,
+    /// Name of the array in the file; empty if it has none.
+    pub name: String,
+    /// The values, in the order of the file.
+    pub data: ArrayD<f64>,
+    /// One for each dimension, if the file describes them.
+    pub axes: Option<Vec<Axis>>,
+    /// Beam energy, if the file tells it.
+    pub energy_ev: Option<f64>,
+    /// Convergence semiangle, if the file tells it.
+    pub semiangle_mrad: Option<f64>,
+}
+
+/// Reads an array of real numbers with at least two dimensions. `name` chooses among several.
+///
+/// # Errors
+/// [`Error::Io`]; [`Error::Parse`] for a foreign or damaged file, or when the name is missing or wrong:
+/// it lists what there is.
+pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
+    let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, "read", e))?;
+    if metadata.is_dir() {
+        return zarr::read(path, name);
+    }
+    let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+    match ending.as_deref() {
+        Some("npy") => numpy::read_npy(path, name),
+        Some("npz") => numpy::read_npz(path, name),
+        Some("tif" | "tiff") => tagged::read(path, name),
+        Some("h5" | "hdf5" | "hdf" | "he5" | "emd") => hdf::read(path, name),
+        _ => Err(Error::parse(
+            path,
+            0,
+            "not a known kind of image; expected .npy, .npz, .tif, .h5 or a zarr folder",
+        )),
+    }
+}
+
+impl ForeignArray {
+    fn plain(path: &Path, name: &str, data: ArrayD<f64>) -> Self {
+        ForeignArray {
+            path: path.to_owned(),
+            name: name.to_owned(),
+            data,
+            axes: None,
+            energy_ev: None,
+            semiangle_mrad: None,
+        }
+    }
+
+    /// An error that names this array's file.
+    pub fn error(&self, message: impl Into<String>) -> Error {
+        Error::parse(&self.path, 0, message)
+    }
+}
+
+/// The array called `name`, or the only one there is.
+fn choose<'a>(path: &Path, found: &'a [String], name: Option<&str>) -> Result<&'a str> {
+    const SHOWN: usize = 12;
+    let mut listed = found.iter().take(SHOWN).cloned().collect::<Vec<_>>().join(", ");
+    if found.len() > SHOWN {
+        listed += &format!(" and {} more", found.len() - SHOWN);
+    }
+    let refuse = |message: String| Err(Error::parse(path, 0, message));
+    let plain = |n: &str| n.trim_matches('/').to_owned();
+    match (found, name) {
+        ([], _) => refuse("holds no array of real numbers with two dimensions or more".into()),
+        (_, Some(name)) => match found.iter().find(|n| plain(n) == plain(name)) {
+            Some(found) => Ok(found),
+            None => refuse(format!("holds no image `{name}`; there are: {listed}")),
+        },
+        ([only], None) => Ok(only),
+        (_, None) => {
+            refuse(format!("holds several arrays; --dataset NAME chooses one of: {listed}"))
+        }
+    }
+}
+
+/// Refuses a name where there is nothing to choose.
+fn nameless(path: &Path, name: Option<&str>) -> Result<()> {
+    match name {
+        None => Ok(()),
+        Some(name) => Err(Error::parse(path, 0, format!("holds one array only, and no `{name}`"))),
+    }
+}

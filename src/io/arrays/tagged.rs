@@ -1,0 +1,81 @@
+//! TIFF.
+
+use std::fs::File;
+use std::io::{BufReader, Read, Seek};
+use std::path::Path;
+
+use ndarray::{ArrayD, IxDyn};
+use tiff::ColorType;
+use tiff::decoder::{Decoder, DecodingResult};
+use tiff::tags::Tag;
+
+use super::{ForeignArray, abtem, nameless};
+use crate::error::{Error, Result};
+
+pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
+    nameless(path, name)?;
+    let file = File::open(path).map_err(|e| Error::io(path, "read", e))?;
+    let bad = |e: tiff::TiffError| Error::parse(path, 0, format!("is no readable TIFF ({e})"));
+    let mut decoder = Decoder::new(BufReader::new(file)).map_err(bad)?;
+    let description = decoder.get_tag_ascii_string(Tag::ImageDescription).unwrap_or_default();
+    let (mut pages, mut values, mut shape) = (0, Vec::new(), (0, 0));
+    loop {
+        let page = page(&mut decoder).map_err(bad)?;
+        let Some((size, content)) = page else {
+            let message = "holds colours; expected grey values. tifffile takes a last axis of 3 or 4 for \
+                           colours: save one image at a time, or photometric=\"minisblack\"";
+            return Err(Error::parse(path, 0, message));
+        };
+        if pages > 0 && size != shape {
+            return Err(Error::parse(path, 0, "holds images of different sizes"));
+        }
+        shape = size;
+        values.extend(content);
+        pages += 1;
+        if !decoder.more_images() {
+            break;
+        }
+        decoder.next_image().map_err(bad)?;
+    }
+    let (width, height) = (shape.0 as usize, shape.1 as usize);
+    let dimensions = match pages {
+        1 => IxDyn(&[height, width]),
+        n => IxDyn(&[n, height, width]),
+    };
+    let data = ArrayD::from_shape_vec(dimensions, values)
+        .map_err(|e| Error::parse(path, 0, format!("is a damaged TIFF ({e})")))?;
+    let mut array = ForeignArray::plain(path, "", data);
+    if let Ok(metadata) = serde_json::from_str(&description) {
+        abtem::describe(&mut array, &metadata);
+    }
+    Ok(array)
+}
+
+type Page = ((u32, u32), Vec<f64>);
+
+/// Size and values of the current page; `None` for colours.
+fn page<R: Read + Seek>(decoder: &mut Decoder<R>) -> tiff::TiffResult<Option<Page>> {
+    if !matches!(decoder.colortype()?, ColorType::Gray(_)) {
+        return Ok(None);
+    }
+    let size = decoder.dimensions()?;
+    macro_rules! widened {
+        ($values:expr) => {
+            $values.into_iter().map(|v| v as f64).collect()
+        };
+    }
+    let values = match decoder.read_image()? {
+        DecodingResult::U8(v) => widened!(v),
+        DecodingResult::U16(v) => widened!(v),
+        DecodingResult::U32(v) => widened!(v),
+        DecodingResult::U64(v) => widened!(v),
+        DecodingResult::I8(v) => widened!(v),
+        DecodingResult::I16(v) => widened!(v),
+        DecodingResult::I32(v) => widened!(v),
+        DecodingResult::I64(v) => widened!(v),
+        DecodingResult::F16(v) => v.into_iter().map(f64::from).collect(),
+        DecodingResult::F32(v) => widened!(v),
+        DecodingResult::F64(v) => v,
+    };
+    Ok(Some((size, values)))
+}

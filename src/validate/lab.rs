@@ -1,0 +1,56 @@
+//! Where cases run: simulations that share one progress bar.
+
+use crate::engine::{Images, Plan, Scan, Settings, Site, simulate};
+use crate::error::Result;
+use crate::progress::Progress;
+use crate::world::subprogress::SubProgress;
+
+/// Runs simulations, and reports each as a share of the whole.
+pub struct Lab<'a> {
+    progress: &'a dyn Progress,
+    /// Units of progress that one simulation stands for.
+    units: usize,
+}
+
+impl<'a> Lab<'a> {
+    /// Each simulation counts `units` towards `progress`.
+    pub fn new(progress: &'a dyn Progress, units: usize) -> Self {
+        Lab { progress, units }
+    }
+
+    /// Progress of one simulation; call [`SubProgress::complete`] at its end.
+    pub(crate) fn share(&self) -> SubProgress<'a> {
+        SubProgress::new(self.progress, self.units)
+    }
+
+    /// Plans and simulates.
+    ///
+    /// # Errors
+    /// As [`Plan::new`] and [`simulate`].
+    pub fn simulate(
+        &self,
+        settings: &Settings,
+        sites: &[Site],
+        cell_angstrom: [f64; 3],
+        scan: &Scan,
+    ) -> Result<Images> {
+        self.execute(&plan(settings, sites, cell_angstrom)?, sites, scan)
+    }
+
+    /// Simulates.
+    ///
+    /// # Errors
+    /// As [`simulate`].
+    pub fn execute(&self, plan: &Plan, sites: &[Site], scan: &Scan) -> Result<Images> {
+        let share = self.share();
+        let images = simulate(plan, sites, scan, &share)?;
+        share.complete();
+        Ok(images)
+    }
+}
+
+/// A plan for the mean heights of the sites.
+pub fn plan(settings: &Settings, sites: &[Site], cell_angstrom: [f64; 3]) -> Result<Plan> {
+    let z: Vec<f64> = sites.iter().map(|s| s.position[2]).collect();
+    Plan::new(settings, cell_angstrom, &z)
+}

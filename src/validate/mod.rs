@@ -1,0 +1,234 @@
+//! Is it right? The shipped suite of checks, comparison with an image of another program, and comparison of
+//! two worlds; and the reports that show them.
+//!
+//! The suite ([`suite::cases`]) is one list that users run (`stemgen validate`) and tests run. Each case
+//! returns [`Findings`]: numbers with their limits, and figures. [`user`] compares an image that somebody
+//! else computed; [`worlds`] compares two world files by statistics. [`report`] makes one HTML page of any.
+
+pub mod difference;
+pub mod golden;
+mod lab;
+pub mod report;
+pub mod statistics;
+pub mod suite;
+pub mod user;
+pub mod worlds;
+
+pub use lab::Lab;
+
+use ndarray::Array2;
+use serde::Serialize;
+
+/// What a check or a case comes to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Verdict {
+    /// Within all limits.
+    Pass,
+    /// Beyond a limit.
+    Fail,
+    /// A number without a limit.
+    Shown,
+}
+
+/// What a number may be.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Limit {
+    /// At most this.
+    AtMost(f64),
+    /// At least this.
+    AtLeast(f64),
+    /// From the first to the second.
+    Between(f64, f64),
+    /// Anything: the number is there to be known.
+    Open,
+}
+
+/// A number with its limit.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Check {
+    /// What was measured.
+    pub what: String,
+    /// The number.
+    pub value: f64,
+    /// Its unit; empty for none.
+    pub unit: &'static str,
+    /// What it may be.
+    pub limit: Limit,
+    /// Whether it is.
+    pub verdict: Verdict,
+}
+
+impl Check {
+    /// Judges a number. One that is not finite fails whatever the limit.
+    pub fn new(what: impl Into<String>, value: f64, unit: &'static str, limit: Limit) -> Self {
+        let good = match limit {
+            Limit::AtMost(high) => value <= high,
+            Limit::AtLeast(low) => value >= low,
+            Limit::Between(low, high) => (low..=high).contains(&value),
+            Limit::Open => true,
+        };
+        let verdict = match (limit, good && value.is_finite()) {
+            (_, false) => Verdict::Fail,
+            (Limit::Open, true) => Verdict::Shown,
+            (_, true) => Verdict::Pass,
+        };
+        Check { what: what.into(), value, unit, limit, verdict }
+    }
+
+    /// How near the number is to its limit: above 1 it is beyond; 0 without a limit.
+    pub fn strain(&self) -> f64 {
+        let strain = match self.limit {
+            Limit::AtMost(high) if high > 0.0 => self.value.abs() / high,
+            Limit::AtLeast(low) if self.value > 0.0 => low / self.value,
+            Limit::Between(low, high) => (2.0 * self.value - low - high).abs() / (high - low),
+            Limit::Open => 0.0,
+            _ => f64::from(u8::from(self.verdict == Verdict::Fail)),
+        };
+        if strain.is_finite() { strain } else { f64::MAX }
+    }
+
+    /// A number to be known, without a limit.
+    pub fn shown(what: impl Into<String>, value: f64, unit: &'static str) -> Self {
+        Check::new(what, value, unit, Limit::Open)
+    }
+}
+
+/// Two images of the same pixels.
+#[derive(Debug, Clone)]
+pub struct ImagePair {
+    /// What is shown.
+    pub title: String,
+    /// Our image: row = y, column = x.
+    pub ours: Array2<f64>,
+    /// The reference.
+    pub reference: Array2<f64>,
+    /// Distance of pixels along x and y, in `axis_unit`.
+    pub step: [f64; 2],
+    /// Position (x, y) of the first pixel, in `axis_unit`.
+    pub origin: [f64; 2],
+    /// Unit of the axes: `A`, `1/A`.
+    pub axis_unit: &'static str,
+    /// Unit of the values.
+    pub unit: &'static str,
+    /// Colours of the difference end at plus and minus so much.
+    pub difference_scale: f64,
+    /// Whether colours follow the logarithm.
+    pub logarithmic: bool,
+}
+
+/// How a series is drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Style {
+    /// A line.
+    Line,
+    /// A broken line.
+    Dashed,
+    /// Points.
+    Points,
+    /// Points joined by a line.
+    Both,
+}
+
+/// Points of one kind.
+#[derive(Debug, Clone)]
+pub struct Series {
+    /// For the legend.
+    pub name: String,
+    /// (x, y)
+    pub points: Vec<(f64, f64)>,
+    /// How it is drawn.
+    pub style: Style,
+}
+
+/// A plot of series.
+#[derive(Debug, Clone)]
+pub struct Plot {
+    /// What is shown.
+    pub title: String,
+    /// Quantity and unit along x.
+    pub x: String,
+    /// Quantity and unit along y.
+    pub y: String,
+    /// Whether x and y are logarithmic.
+    pub logarithmic: [bool; 2],
+    /// What is drawn.
+    pub series: Vec<Series>,
+}
+
+/// Something to look at.
+#[derive(Debug, Clone)]
+pub enum Figure {
+    /// Images with their difference and profiles.
+    Images(Box<ImagePair>),
+    /// A plot.
+    Plot(Plot),
+}
+
+/// What a case found.
+#[derive(Debug, Clone, Default)]
+pub struct Findings {
+    /// Numbers.
+    pub checks: Vec<Check>,
+    /// Figures.
+    pub figures: Vec<Figure>,
+}
+
+/// A case that was run.
+#[derive(Debug, Clone, Serialize)]
+pub struct Outcome {
+    /// Name, as for `--case`.
+    pub name: String,
+    /// One line.
+    pub title: String,
+    /// What it belongs to.
+    pub group: String,
+    /// What is compared with what, and how.
+    pub about: String,
+    /// Where the reference comes from.
+    pub source: String,
+    /// Fail if any check failed.
+    pub verdict: Verdict,
+    /// Numbers.
+    pub checks: Vec<Check>,
+    /// What may explain a failure.
+    pub notes: Vec<String>,
+    /// Time taken in s.
+    pub wall_time_s: f64,
+    /// Figures; not part of the JSON.
+    #[serde(skip)]
+    pub figures: Vec<Figure>,
+}
+
+/// Fail if one of these failed.
+pub fn overall<'a>(verdicts: impl IntoIterator<Item = &'a Verdict>) -> Verdict {
+    match verdicts.into_iter().any(|v| *v == Verdict::Fail) {
+        true => Verdict::Fail,
+        false => Verdict::Pass,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_number_is_judged() {
+        let verdict = |value, limit| Check::new("n", value, "", limit).verdict;
+        assert_eq!(verdict(1.0, Limit::AtMost(1.0)), Verdict::Pass);
+        assert_eq!(verdict(1.1, Limit::AtMost(1.0)), Verdict::Fail);
+        assert_eq!(verdict(0.9, Limit::AtLeast(1.0)), Verdict::Fail);
+        assert_eq!(verdict(2.0, Limit::Between(1.0, 3.0)), Verdict::Pass);
+        assert_eq!(verdict(9.0, Limit::Open), Verdict::Shown);
+        assert_eq!(verdict(f64::NAN, Limit::Open), Verdict::Fail);
+        let strain = |value, limit| Check::new("n", value, "", limit).strain();
+        assert_eq!(strain(0.5, Limit::AtMost(2.0)), 0.25);
+        assert_eq!(strain(4.0, Limit::AtLeast(1.0)), 0.25);
+        assert_eq!(strain(2.0, Limit::Between(1.0, 3.0)), 0.0);
+        assert_eq!(strain(3.0, Limit::Between(1.0, 3.0)), 1.0);
+        assert_eq!(strain(f64::NAN, Limit::AtMost(1.0)), f64::MAX);
+        assert_eq!(overall(&[Verdict::Pass, Verdict::Shown]), Verdict::Pass);
+        assert_eq!(overall(&[Verdict::Pass, Verdict::Fail]), Verdict::Fail);
+    }
+}

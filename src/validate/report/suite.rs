@@ -1,0 +1,142 @@
+//! The report of the suite, and of a user's image.
+
+use serde::Serialize;
+
+use super::page::{checks, escape, limit, page, verdict};
+use super::{Origin, images, number, plot};
+use crate::error::Result;
+use crate::validate::{Check, Figure, Outcome, Verdict, overall};
+
+/// Everything that was found, as `--json` prints it.
+#[derive(Debug, Serialize)]
+pub struct Report {
+    /// Fail if any case failed.
+    pub verdict: Verdict,
+    /// A sentence or two that can be cited.
+    pub summary: String,
+    /// Where and when.
+    #[serde(flatten)]
+    pub origin: Origin,
+    /// Time taken in s.
+    pub wall_time_s: f64,
+    /// The cases.
+    pub cases: Vec<Outcome>,
+}
+
+impl Report {
+    /// Gathers outcomes; `subject` names what was compared: `its shipped references`.
+    pub fn new(subject: &str, origin: Origin, cases: Vec<Outcome>) -> Self {
+        let failed: Vec<&str> =
+            cases.iter().filter(|c| c.verdict == Verdict::Fail).map(|c| c.name.as_str()).collect();
+        let numbers: Vec<_> = cases.iter().flat_map(|c| &c.checks).collect();
+        let judged = numbers.iter().filter(|c| c.verdict != Verdict::Shown).count();
+        let good = numbers.iter().filter(|c| c.verdict == Verdict::Pass).count();
+        let mut summary = format!(
+            "stemgen {} was checked against {subject} on {} ({}): {} of {} cases passed, {good} of {judged} numbers \
+             lay within their limits.",
+            origin.stemgen_version,
+            origin.date,
+            origin.machine,
+            cases.len() - failed.len(),
+            cases.len(),
+        );
+        if !failed.is_empty() {
+            summary += &format!(" Failed: {}.", failed.join(", "));
+        }
+        Report {
+            verdict: overall(cases.iter().map(|c| &c.verdict)),
+            summary,
+            wall_time_s: cases.iter().map(|c| c.wall_time_s).sum(),
+            origin,
+            cases,
+        }
+    }
+}
+
+/// The report as one HTML page.
+///
+/// # Errors
+/// [`crate::Error::Invalid`] for a figure that cannot be drawn.
+pub fn suite_page(report: &Report) -> Result<String> {
+    let mut body = format!(
+        "<h1>stemgen: validation {}</h1>\n<blockquote>{}</blockquote>\n\
+         <p class=\"meta\">Command: <code>{}</code>, {} s. Images are fractions of the incident beam; x points right, y down. \
+         &ldquo;Of the maximum&rdquo; and &ldquo;of the mean&rdquo; refer to the reference image.</p>\n",
+        verdict(report.verdict),
+        escape(&report.summary),
+        escape(&report.origin.command_line),
+        number((10.0 * report.wall_time_s).round() / 10.0),
+    );
+    if report.cases.len() > 1 {
+        body += &contents(&report.cases);
+    }
+    let mut group = "";
+    for case in &report.cases {
+        if case.group != group {
+            body += &format!("<h2>{}</h2>\n", escape(&case.group));
+            group = &case.group;
+        }
+        body += &section(case)?;
+    }
+    Ok(page("stemgen: validation", &body))
+}
+
+fn contents(cases: &[Outcome]) -> String {
+    let row = |c: &Outcome| {
+        let near = |a: &&Check, b: &&Check| a.strain().total_cmp(&b.strain());
+        let worst = c.checks.iter().max_by(near).map_or(String::new(), |k| {
+            format!("{}: {} {} ({})", k.what, number(k.value), k.unit, limit(k))
+        });
+        format!(
+            "<tr><td>{}</td><td><a href=\"#{}\">{}</a></td><td>{}</td></tr>\n",
+            verdict(c.verdict),
+            escape(&c.name),
+            escape(&c.title),
+            escape(&worst)
+        )
+    };
+    let rows: String = cases.iter().map(row).collect();
+    format!(
+        "<table><tr><th></th><th>case</th><th>the number nearest to its limit</th></tr>\n{rows}</table>\n"
+    )
+}
+
+fn section(case: &Outcome) -> Result<String> {
+    let mut html = format!(
+        "<section id=\"{}\"><h3>{} {}</h3>\n<p class=\"about\">{}</p>\n<p class=\"source\">Reference: {} \
+         (<code>--case {}</code>, {:.1} s)</p>\n{}",
+        escape(&case.name),
+        escape(&case.title),
+        verdict(case.verdict),
+        escape(&case.about),
+        escape(&case.source),
+        escape(&case.name),
+        case.wall_time_s,
+        checks(&case.checks)
+    );
+    for note in &case.notes {
+        html += &format!("<p class=\"about\"><b>Note:</b> {}</p>\n", escape(note));
+    }
+    let figures = case.figures.iter().enumerate().map(|(i, f)| figure(f, i == 0));
+    let figures: Vec<String> = figures.collect::<Result<_>>()?;
+    let (first, rest) = figures.split_at(figures.len().min(FIGURES_OPEN));
+    html += &first.concat();
+    if !rest.is_empty() {
+        let more = rest.len();
+        html += &format!(
+            "<details><summary>{more} more figures</summary>{}</details>\n",
+            rest.concat()
+        );
+    }
+    Ok(html + "</section>\n")
+}
+
+/// Figures of a case that need no click.
+const FIGURES_OPEN: usize = 2;
+
+fn figure(figure: &Figure, open: bool) -> Result<String> {
+    match figure {
+        Figure::Images(pair) => images::figure(pair, open),
+        Figure::Plot(p) => plot::figure(p),
+    }
+}

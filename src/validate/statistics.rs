@@ -1,0 +1,208 @@
+//! Statistical tests.
+
+use serde::Serialize;
+
+use crate::rng::philox4x32_10;
+
+/// Probability that a normal variable lies further from its mean than `z` standard deviations, on either
+/// side.
+pub fn two_sided(z: f64) -> f64 {
+    libm::erfc(z.abs() / std::f64::consts::SQRT_2)
+}
+
+/// A sum over blocks divided by another: defects per site, intensity per pixel.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Ratio {
+    /// The ratio.
+    pub value: f64,
+    /// Its standard error, from the scatter of the blocks.
+    pub error: f64,
+}
+
+impl Ratio {
+    /// Of (numerator, denominator) of each block. Neighbouring sites are not independent (defects
+    /// cluster, grains differ); whole blocks nearly are, so that the error holds all the same
+    /// (W. G. Cochran, Sampling Techniques, 3rd ed. (1977), sec. 6.3).
+    pub fn of_blocks(blocks: &[(f64, f64)]) -> Self {
+        let n = blocks.len() as f64;
+        let (top, bottom) = blocks.iter().fold((0.0, 0.0), |s, b| (s.0 + b.0, s.1 + b.1));
+        let value = top / bottom;
+        let square: f64 = blocks.iter().map(|b| (b.0 - value * b.1).powi(2)).sum();
+        Ratio { value, error: (square * n / (n - 1.0)).sqrt() / bottom.abs() }
+    }
+
+    /// Difference in standard errors; zero for equal values.
+    pub fn z(self, other: Ratio, least_error: f64) -> f64 {
+        let difference = self.value - other.value;
+        match difference {
+            0.0 => 0.0,
+            d => d / self.error.hypot(other.error).max(least_error),
+        }
+    }
+}
+
+/// The standard error of a difference of two rates of independent events, `a.0` of `a.1` and `b.0` of `b.1`.
+pub fn binomial_error(a: (f64, f64), b: (f64, f64)) -> f64 {
+    let rate = (a.0 + b.0) / (a.1 + b.1);
+    (rate * (1.0 - rate) * (1.0 / a.1 + 1.0 / b.1)).sqrt()
+}
+
+/// Result of a two-sample Kolmogorov-Smirnov test.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Ks {
+    /// Largest distance of the cumulative distributions.
+    pub distance: f64,
+    /// Share of random relabellings of the blocks with a distance at least as large.
+    pub p: f64,
+}
+
+/// A sample: the block and the value of each item.
+pub type Sample = [(u32, f32)];
+
+/// Classes that values are sorted into.
+const CLASSES: usize = 400;
+
+/// Two-sample Kolmogorov-Smirnov distance whose significance is found by exchanging whole blocks between the
+/// samples (`blocks` are their numbers), since items of a block are not independent.
+///
+/// Values are sorted into 400 classes that hold equal shares of both samples together.
+pub fn kolmogorov_smirnov(a: &Sample, b: &Sample, blocks: [usize; 2], permutations: u32) -> Ks {
+    let edges = edges(a, b);
+    if a.is_empty() || b.is_empty() || edges.is_empty() {
+        let distance = if a.is_empty() == b.is_empty() { 0.0 } else { 1.0 };
+        return Ks { distance, p: if distance == 0.0 { 1.0 } else { 0.0 } };
+    }
+    let mut table = vec![[0.0_f64; CLASSES + 1]; blocks[0] + blocks[1]];
+    let class = |v: f32| edges.partition_point(|e| *e < v);
+    a.iter().for_each(|(block, v)| table[*block as usize][class(*v)] += 1.0);
+    b.iter().for_each(|(block, v)| table[blocks[0] + *block as usize][class(*v)] += 1.0);
+    table.retain(|counts| counts.iter().any(|c| *c > 0.0));
+    let filled: std::collections::BTreeSet<u32> = a.iter().map(|(block, _)| *block).collect();
+    let first = filled.len();
+    let mut total = [0.0; CLASSES + 1];
+    table.iter().for_each(|t| total.iter_mut().zip(t).for_each(|(s, v)| *s += v));
+    let mut order: Vec<usize> = (0..table.len()).collect();
+    let distance = |order: &[usize]| {
+        let mut part = [0.0; CLASSES + 1];
+        for &i in &order[..first] {
+            part.iter_mut().zip(&table[i]).for_each(|(s, v)| *s += v);
+        }
+        largest_gap(&part, &total)
+    };
+    let found = distance(&order);
+    let mut larger = 0;
+    for permutation in 0..permutations {
+        shuffle(&mut order, permutation);
+        larger += u32::from(distance(&order) >= found - 1e-12);
+    }
+    Ks { distance: found, p: f64::from(larger + 1) / f64::from(permutations + 1) }
+}
+
+/// Edges of classes with equal shares of the pooled values.
+fn edges(a: &Sample, b: &Sample) -> Vec<f32> {
+    let mut pooled: Vec<f32> =
+        a.iter().chain(b).map(|(_, v)| *v).filter(|v| v.is_finite()).collect();
+    pooled.sort_unstable_by(f32::total_cmp);
+    let mut edges: Vec<f32> =
+        (1..CLASSES).filter_map(|i| pooled.get(i * pooled.len() / CLASSES).copied()).collect();
+    edges.dedup();
+    edges
+}
+
+/// Distance of the distributions of a part and of the rest.
+fn largest_gap(part: &[f64], total: &[f64]) -> f64 {
+    let (n, all): (f64, f64) = (part.iter().sum(), total.iter().sum());
+    if n == 0.0 || n == all {
+        return 0.0;
+    }
+    let (mut left, mut right, mut gap) = (0.0, 0.0, 0.0_f64);
+    for (p, t) in part.iter().zip(total) {
+        left += p / n;
+        right += (t - p) / (all - n);
+        gap = gap.max((left - right).abs());
+    }
+    gap
+}
+
+/// Fisher and Yates, from counters: the same order whenever it is asked for.
+fn shuffle(order: &mut [usize], permutation: u32) {
+    for i in (1..order.len()).rev() {
+        let word = philox4x32_10([i as u32, permutation, 0, 0], [0x5374_656d, 0x4b53]);
+        let random = u64::from(word[0]) << 32 | u64::from(word[1]);
+        let j = (u128::from(random) * (i as u128 + 1)) >> 64;
+        order.swap(i, j as usize);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Uniform numbers in [0, 1).
+    fn noise(n: usize, seed: u32) -> Vec<f32> {
+        let word = |i: usize| philox4x32_10([i as u32, 0, 0, 0], [seed, 7])[0];
+        (0..n).map(|i| (f64::from(word(i)) / 4_294_967_296.0) as f32).collect()
+    }
+
+    fn sample(values: Vec<f32>, per_block: usize) -> Vec<(u32, f32)> {
+        values.into_iter().enumerate().map(|(i, v)| ((i / per_block) as u32, v)).collect()
+    }
+
+    #[test]
+    fn the_normal_distribution_is_that_of_the_tables() {
+        for (z, p) in [(1.959_964, 0.05), (2.575_829, 0.01), (3.290_527, 0.001), (0.0, 1.0)] {
+            assert!((two_sided(z) - p).abs() < 1e-6, "{z}: {}", two_sided(z));
+        }
+    }
+
+    #[test]
+    fn the_error_of_a_ratio_is_that_of_repeated_samples() {
+        // 100 blocks of 50 trials of probability 0.3: the rate scatters by sqrt(0.3 0.7 / 5000)
+        let expected = (0.3_f64 * 0.7 / 5000.0).sqrt();
+        let of = |seed| {
+            let draws = noise(5000, seed);
+            let count = |b: &[f32]| b.iter().filter(|v| **v < 0.3).count() as f64;
+            Ratio::of_blocks(&draws.chunks(50).map(|b| (count(b), 50.0)).collect::<Vec<_>>())
+        };
+        let all: Vec<Ratio> = (0..200).map(of).collect();
+        let mean = all.iter().map(|r| r.error).sum::<f64>() / 200.0;
+        assert!((mean / expected - 1.0).abs() < 0.03, "{mean} {expected}");
+        let large = all.windows(2).filter(|w| two_sided(w[0].z(w[1], 0.0)) < 0.05).count();
+        assert!((2..=20).contains(&large), "about 5 % of 199: {large}");
+        assert!((binomial_error((300.0, 1000.0), (300.0, 1000.0)) - 0.0205).abs() < 1e-4);
+    }
+
+    #[test]
+    fn equal_distributions_are_equal_and_others_are_not() {
+        let (a, b) = (sample(noise(3000, 1), 50), sample(noise(3000, 2), 50));
+        let same = kolmogorov_smirnov(&a, &b, [60, 60], 999);
+        assert!(same.p > 0.01 && same.distance < 0.05, "{same:?}");
+        assert_eq!(kolmogorov_smirnov(&a, &a, [60, 60], 999).p, 1.0);
+        let moved = sample(noise(3000, 2).iter().map(|v| v + 0.1).collect(), 50);
+        let moved = kolmogorov_smirnov(&a, &moved, [60, 60], 999);
+        assert!(moved.p == 0.001 && (moved.distance - 0.1).abs() < 0.03, "{moved:?}");
+        assert_eq!(kolmogorov_smirnov(&a, &[], [60, 60], 99).p, 0.0);
+    }
+
+    /// Values that are the same within a block: the textbook formula takes 3000 items for independent and
+    /// finds a difference; exchanging blocks does not.
+    #[test]
+    fn blocks_keep_dependent_values_together() {
+        let blocky = |seed| {
+            let levels = noise(60, seed);
+            sample((0..3000).map(|i| levels[i / 50]).collect(), 50)
+        };
+        let mut found = 0;
+        for seed in 0..20 {
+            let ks =
+                kolmogorov_smirnov(&blocky(2 * seed + 1), &blocky(2 * seed + 2), [60, 60], 199);
+            found += u32::from(ks.p < 0.05);
+            let effective: f64 = 1500.0;
+            if seed == 0 {
+                let textbook = 2.0 * (-2.0 * (effective.sqrt() * ks.distance).powi(2)).exp();
+                assert!(textbook < 0.01, "{textbook} {ks:?}");
+            }
+        }
+        assert!(found <= 4, "{found} of 20");
+    }
+}

@@ -1,0 +1,272 @@
+//! abTEM with the same numerics: static atoms on grid points, its grid, its slices.
+
+use ndarray::{Array2, Axis};
+
+use super::{ABTEM, Case, FRACTION, Group, compare_all, percent, shown_percent};
+use crate::engine::{Algorithm, Settings, diffraction};
+use crate::error::Result;
+use crate::optics::Aberration;
+use crate::potential::projected::{PlacedAtom, Projector, Shape};
+use crate::potential::scattering::Parametrization;
+use crate::validate::difference::Difference;
+use crate::validate::golden::Golden;
+use crate::validate::{Figure, Findings, ImagePair, Lab};
+
+/// What is promised of images with the same numerics, of the maximum.
+const SAME: f64 = 2e-4;
+
+pub fn cases() -> Vec<Case> {
+    let case = |name, title, about, quick, seconds, simulations, run| Case {
+        name,
+        title,
+        group: Group::Abtem,
+        about,
+        source: ABTEM,
+        quick,
+        seconds,
+        simulations,
+        run,
+    };
+    vec![
+        case("abtem-srtio3", "SrTiO3 [001], 10.2 nm, multislice", SRTIO3, true, 5.0, 2, srtio3),
+        case("abtem-si110", "Si [110], 10.0 nm, multislice", SI110, true, 9.0, 2, si110),
+        case("abtem-prism", "SrTiO3 [001], 10.2 nm, PRISM f = 1", PRISM, false, 6.0, 1, prism_f1),
+        case(
+            "abtem-prism-f2",
+            "SrTiO3 with missing Sr, PRISM f = 2",
+            PRISM_F2,
+            false,
+            15.0,
+            2,
+            prism_f2,
+        ),
+        case(
+            "abtem-prism-f2-si110",
+            "Si [110] with missing atoms, PRISM f = 2",
+            PRISM_F2_SI,
+            false,
+            30.0,
+            1,
+            prism_f2_si,
+        ),
+        case(
+            "abtem-aberrations",
+            "Aberrated probes up to fifth order",
+            ABERRATED,
+            false,
+            1.5,
+            3,
+            aberrated,
+        ),
+        case(
+            "abtem-diffraction",
+            "A diffraction pattern, pixel by pixel",
+            DIFFRACTION,
+            true,
+            0.2,
+            1,
+            pattern,
+        ),
+        case(
+            "abtem-potentials",
+            "Projected potentials of atomic planes",
+            POTENTIALS,
+            true,
+            0.1,
+            0,
+            potentials,
+        ),
+    ]
+}
+
+const SRTIO3: &str = "12 x 12 probes over one unit cell, four detectors, 200 kV, 21 mrad. Both programs use a grid of 300 x 300 \
+    over 11.7 A, 52 slices with an atomic plane in the middle of each, and atoms on grid points, so that neither placement nor \
+    slicing can differ. First with potentials from structure factors with exact phases in both; then abTEM as shipped, whose \
+    potentials carry a correction for spreading atoms over pixels even where nothing was spread: with the same correction we \
+    agree, and what the correction itself does is shown as a number.";
+const SI110: &str = "As SrTiO3, with a cell, a grid, a pixel and a raster that are not square, so that a transposition would show.";
+const PRISM: &str = "The same images by PRISM without interpolation, which should be multislice.";
+const PRISM_F2: &str = "A quarter of the Sr atoms is missing, since a perfect crystal cannot test the cropping of PRISM. Windows \
+    of 11.7 A in a cell of 23.4 A, 3.9 nm thick; also the exact multislice of the same specimen.";
+const PRISM_F2_SI: &str = "A quarter of the atoms is missing; windows of 10.9 x 11.5 A, 10.0 nm thick. ADF and HAADF differ by more \
+    than elsewhere; why is not known.";
+const ABERRATED: &str = "8 x 8 probes, 3.9 nm of SrTiO3: no aberrations, coefficients up to third order, and all of abTEM's up to \
+    fifth; each turns the edge of the aperture by about a radian or more, so that a wrong sign, order or angle would show. \
+    abTEM's plain multislice is the reference (its PRISM normalises aberrated probes wrongly).";
+const DIFFRACTION: &str =
+    "One probe at a position without symmetry on 3.9 nm of SrTiO3; all pixels inside 120 mrad.";
+const POTENTIALS: &str =
+    "Single planes of SrTiO3 by three parametrizations, and atoms off the grid on an oblong grid.";
+
+fn srtio3(lab: &Lab) -> Result<Findings> {
+    multislice(lab, "srtio3_001")
+}
+
+fn si110(lab: &Lab) -> Result<Findings> {
+    multislice(lab, "si_110")
+}
+
+/// Exact potentials, and abTEM as shipped.
+fn multislice(lab: &Lab, name: &str) -> Result<Findings> {
+    let mut f = against(lab, name, &[("multislice", "", Algorithm::Multislice, [SAME; 4])])?;
+    let g = Golden::load(name)?;
+    let shipped = g.images("multislice_as_shipped")?;
+    let sharpened = Settings { abtem_pixel_correction: true, ..g.settings() };
+    let images = lab.execute(&g.plan(&sharpened)?, &g.sites, &g.scan())?;
+    compare_all(&mut f, "as shipped, ", &images, shipped.outer_iter(), &g.scan(), [SAME; 4]);
+    let exact = g.images("multislice")?;
+    let effect = Difference::between(shipped.index_axis(Axis(0), 3), exact.index_axis(Axis(0), 3));
+    let what = "what abTEM's correction adds to HAADF, largest, of the maximum";
+    f.checks.push(shown_percent(what, effect.largest));
+    Ok(f)
+}
+
+fn prism_f1(lab: &Lab) -> Result<Findings> {
+    against(lab, "srtio3_001", &[("prism_f1", "", prism(1), [SAME; 4])])
+}
+
+fn prism_f2(lab: &Lab) -> Result<Findings> {
+    let runs = [
+        ("multislice", "multislice, ", Algorithm::Multislice, [SAME; 4]),
+        ("prism_f2", "PRISM f = 2, ", prism(2), [2e-3; 4]),
+    ];
+    against(lab, "srtio3_prism_f2", &runs)
+}
+
+fn prism_f2_si(lab: &Lab) -> Result<Findings> {
+    against(lab, "si_110_prism_f2", &[("prism_f2", "", prism(2), [1e-3, 1e-3, 5e-3, 1.2e-2])])
+}
+
+fn prism(f: usize) -> Algorithm {
+    Algorithm::Prism { interpolation: [f, f] }
+}
+
+type Run = (&'static str, &'static str, Algorithm, [f64; 4]);
+
+fn against(lab: &Lab, name: &str, runs: &[Run]) -> Result<Findings> {
+    let g = Golden::load(name)?;
+    let mut findings = Findings::default();
+    for &(array, label, algorithm, tolerances) in runs {
+        let settings = Settings { algorithm, ..g.settings() };
+        let images = lab.execute(&g.plan(&settings)?, &g.sites, &g.scan())?;
+        let references = g.images(array)?;
+        compare_all(&mut findings, label, &images, references.outer_iter(), &g.scan(), tolerances);
+    }
+    Ok(findings)
+}
+
+fn aberrated(lab: &Lab) -> Result<Findings> {
+    let g = Golden::load("srtio3_001_aberrated")?;
+    let mut findings = Findings::default();
+    for (set, label) in [
+        ("perfect", "no aberrations, "),
+        ("third_order", "third order, "),
+        ("all_orders", "fifth order, "),
+    ] {
+        let mut settings = g.settings();
+        settings.optics.aberrations.0.extend(coefficients(&g, set)?);
+        let images = lab.execute(&g.plan(&settings)?, &g.sites, &g.scan())?;
+        let references = g.images(set)?;
+        compare_all(&mut findings, label, &images, references.outer_iter(), &g.scan(), [SAME; 4]);
+    }
+    Ok(findings)
+}
+
+/// Aberrations of a set, `C12` with its angle `phi12`.
+fn coefficients(g: &Golden, set: &str) -> Result<Vec<Aberration>> {
+    let set = &g.json["aberrations_A_rad"][set];
+    let names = set.as_object().into_iter().flatten().filter(|(name, _)| name.starts_with('C'));
+    let one = |(name, value): (&String, &serde_json::Value)| {
+        let azimuth = set[name.replace('C', "phi")].as_f64().unwrap_or(0.0);
+        Aberration::parse(&format!("{name}={}@{azimuth}", value.as_f64().unwrap_or(f64::NAN)))
+    };
+    names.map(one).collect()
+}
+
+fn pattern(lab: &Lab) -> Result<Findings> {
+    let g = Golden::load("exit_intensity")?;
+    let reference = g.matrix("intensity")?;
+    let share = lab.share();
+    let at = Golden::pair(&g.json["position_A"]);
+    let plan = g.plan(&g.settings())?;
+    let pattern = diffraction(&plan, &g.sites, at, &share)?;
+    share.complete();
+    let half = reference.nrows() as i64 / 2;
+    let (ny, nx) = pattern.dim();
+    let wrap = |i: usize, n: usize| (i as i64 - half).rem_euclid(n as i64) as usize;
+    let ours = Array2::from_shape_fn(reference.dim(), |(y, x)| {
+        f64::from(pattern[[wrap(y, ny), wrap(x, nx)]])
+    });
+    let difference = Difference::between(ours.view(), reference.view());
+    let top = reference.iter().fold(0.0_f64, |m, v| m.max(*v));
+    let dk = plan.wave_grid.dk();
+    let figure = ImagePair {
+        title: "intensity in the detector plane".into(),
+        ours,
+        reference,
+        step: dk,
+        origin: dk.map(|d| -(half as f64) * d),
+        axis_unit: "1/A",
+        unit: FRACTION,
+        difference_scale: 1e-5 * top,
+        logarithmic: true,
+    };
+    Ok(Findings {
+        checks: vec![percent("largest difference, of the maximum", difference.largest, 1e-5)],
+        figures: vec![Figure::Images(Box::new(figure))],
+    })
+}
+
+fn potentials(_: &Lab) -> Result<Findings> {
+    let g = Golden::load("potential_srtio3")?;
+    let plane = |upper: bool| -> Vec<PlacedAtom> {
+        let atoms = g.sites.iter().filter(|s| (s.position[2] > 2.0) == upper);
+        atoms.map(|s| PlacedAtom { position: s.position, number: s.number }).collect()
+    };
+    let loose = [(38, 0.513, 0.171), (22, 2.207, 3.049), (8, 3.333, 1.618)];
+    let loose = loose.map(|(number, x, y)| PlacedAtom { position: [x, y, 0.0], number });
+    let cell = [g.cell_angstrom[0], g.cell_angstrom[1]];
+    let (square, oblong) = ((cell, plane(false)), ([4.0, 5.0], loose.to_vec()));
+    let upper = (cell, plane(true));
+    let cases = [
+        ("sr_o_lobato", "SrO, Lobato", Parametrization::Lobato, &square, Shape::AsIs),
+        ("sr_o_kirkland", "SrO, Kirkland", Parametrization::Kirkland, &square, Shape::AsIs),
+        ("sr_o_peng", "SrO, Peng", Parametrization::Peng, &square, Shape::AsIs),
+        (
+            "sr_o_lobato_as_shipped",
+            "SrO, as abTEM ships it",
+            Parametrization::Lobato,
+            &square,
+            Shape::AbtemPixelCorrection,
+        ),
+        ("ti_o2_lobato", "TiO2, Lobato", Parametrization::Lobato, &upper, Shape::AsIs),
+        ("off_grid", "Sr, Ti and O off the grid", Parametrization::Lobato, &oblong, Shape::AsIs),
+    ];
+    let mut findings = Findings::default();
+    for (name, title, parametrization, (extent, atoms), shape) in cases {
+        let reference = g.matrix(name)?;
+        let (ny, nx) = reference.dim();
+        let projector = Projector::new((ny, nx), *extent, parametrization, &[8, 22, 38], shape)?;
+        let (mut out, mut scratch) = (projector.fft().buffer(), projector.scratch());
+        projector.infinite(atoms, &mut out, &mut scratch);
+        let stride = projector.fft().stride();
+        let ours = Array2::from_shape_fn((ny, nx), |(y, x)| f64::from(out[y * stride + x].re));
+        let difference = Difference::between(ours.view(), reference.view());
+        let what = format!("{title}: largest difference, of the maximum");
+        findings.checks.push(percent(what, difference.largest, 1e-5));
+        if name == "off_grid" {
+            findings.figures.push(Figure::Images(Box::new(ImagePair {
+                title: title.into(),
+                difference_scale: 1e-5 * reference.iter().fold(0.0, |m: f64, v| m.max(*v)),
+                ours,
+                reference,
+                step: [extent[0] / nx as f64, extent[1] / ny as f64],
+                origin: [0.0; 2],
+                axis_unit: "A",
+                unit: "V A",
+                logarithmic: false,
+            })));
+        }
+    }
+    Ok(findings)
+}

@@ -1,0 +1,420 @@
+//! What is measured of one world.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::path::Path;
+
+use ndarray::{Array2, s};
+use serde::Serialize;
+
+use super::spectrum::{Bands, Collector, Spectrum};
+use crate::constants::wavelength_angstrom;
+use crate::error::{Error, Result};
+use crate::io::schema::atom_type;
+use crate::io::{WorldColumn, WorldFile};
+use crate::progress::Progress;
+use crate::rng::philox4x32_10;
+
+/// Blocks along an axis, and the smallest edge of one in pixels.
+const BLOCKS: usize = 16;
+const SMALLEST_BLOCK_PX: usize = 8;
+/// Sites read at a time.
+const SITES_AT_ONCE: usize = 1 << 20;
+/// Rows of the image read at a time; whole segments.
+const STRIP: usize = 128;
+/// Radius about a column whose pixels count for its intensity.
+const COLUMN_RADIUS_NM: f64 = 0.05;
+/// Distances are spread by this much, so that those of a perfect lattice, which differ by rounding only, do not
+/// look different.
+const DISTANCE_RESOLUTION_NM: f32 = 1e-3;
+/// Neighbours further than this are taken for that far.
+const FARTHEST_NEIGHBOUR_NM: f64 = 1.0;
+
+/// Measurements of a world. Pairs (numerator, denominator) are per block.
+#[derive(Debug, Clone, Serialize)]
+pub struct Measured {
+    /// The file.
+    pub path: String,
+    /// What the file says of its contents: material, seed, dose ...
+    pub notes: BTreeMap<String, String>,
+    /// Height and width in pixels.
+    pub shape: [usize; 2],
+    /// Edge of a pixel in nm.
+    pub pixel_nm: f64,
+    /// Number of blocks.
+    pub blocks: usize,
+    /// Atomic numbers of all sites; empty where the file has none.
+    pub elements: BTreeSet<u8>,
+    /// Defects and sites, by name of the defect.
+    #[serde(skip)]
+    pub defects: BTreeMap<String, Vec<(f64, f64)>>,
+    /// Sites and area in nm2.
+    #[serde(skip)]
+    pub sites: Vec<(f64, f64)>,
+    /// Columns and area in nm2.
+    #[serde(skip)]
+    pub columns: Vec<(f64, f64)>,
+    /// Intensity and pixels.
+    #[serde(skip)]
+    pub intensity: Vec<(f64, f64)>,
+    /// Distance of each column to its nearest neighbour.
+    #[serde(skip)]
+    pub neighbours_nm: Vec<(u32, f32)>,
+    /// Mean intensity about each column, in fractions of the beam.
+    #[serde(skip)]
+    pub intensities: Vec<(u32, f32)>,
+    /// Power spectrum of the image.
+    #[serde(skip)]
+    pub spectrum: Spectrum,
+    /// Sites in each block.
+    #[serde(skip)]
+    site_counts: Vec<f64>,
+}
+
+impl Measured {
+    /// The rates of a defect that this world does not have.
+    pub fn no_defects(&self) -> Vec<(f64, f64)> {
+        self.site_counts.iter().map(|n| (0.0, *n)).collect()
+    }
+}
+
+/// How a field is divided.
+#[derive(Clone, Copy)]
+struct Blocks {
+    count: [usize; 2],
+    shape: [usize; 2],
+    pixel_nm: f64,
+}
+
+impl Blocks {
+    fn new(shape: [usize; 2], pixel_nm: f64) -> Self {
+        let count = shape.map(|n| (n / SMALLEST_BLOCK_PX).clamp(1, BLOCKS));
+        Blocks { count, shape, pixel_nm }
+    }
+
+    fn len(&self) -> usize {
+        self.count[0] * self.count[1]
+    }
+
+    /// The block of a pixel; positions beyond the edge belong to the block there.
+    fn of_pixel(&self, row: f64, column: f64) -> usize {
+        let index = |at: f64, axis: usize| {
+            let i = at * self.count[axis] as f64 / self.shape[axis] as f64;
+            (i.max(0.0) as usize).min(self.count[axis] - 1)
+        };
+        index(row, 0) * self.count[1] + index(column, 1)
+    }
+
+    fn of(&self, [x, y]: [f32; 2]) -> usize {
+        self.of_pixel(f64::from(y) / self.pixel_nm + 0.5, f64::from(x) / self.pixel_nm + 0.5)
+    }
+
+    fn area_nm2(&self) -> f64 {
+        let pixels = (self.shape[0] * self.shape[1]) as f64;
+        pixels * self.pixel_nm * self.pixel_nm / self.len() as f64
+    }
+}
+
+/// Reads and measures a world.
+///
+/// # Errors
+/// Those of reading; [`Error::Invalid`] for an image with values that are not finite.
+pub fn measure(
+    world: &WorldFile,
+    path: &Path,
+    bands: &Bands,
+    progress: &dyn Progress,
+) -> Result<Measured> {
+    let metadata = world.metadata();
+    let blocks = Blocks::new(world.shape(), metadata.pixel_size_nm);
+    let sites = Sites::read(world, blocks)?;
+    let columns = columns(world, &sites)?;
+    let places: Vec<u32> = columns.iter().map(|at| blocks.of(*at) as u32).collect();
+    let mut column_counts = vec![0.0; blocks.len()];
+    places.iter().for_each(|b| column_counts[*b as usize] += 1.0);
+    let image = Image::read(world, path, blocks, bands, &columns, progress)?;
+    let area = blocks.area_nm2();
+    let per_area = |counts: &[f64]| counts.iter().map(|n| (*n, area)).collect();
+    let with_blocks = |values: Vec<f32>| places.iter().copied().zip(values).collect::<Vec<_>>();
+    let rates =
+        |counts: &Vec<f64>| counts.iter().copied().zip(sites.counts.iter().copied()).collect();
+    Ok(Measured {
+        path: path.display().to_string(),
+        notes: notes(world),
+        shape: world.shape(),
+        pixel_nm: metadata.pixel_size_nm,
+        blocks: blocks.len(),
+        elements: sites.elements,
+        defects: sites.defects.iter().map(|(name, counts)| (name.clone(), rates(counts))).collect(),
+        sites: per_area(&sites.counts),
+        columns: per_area(&column_counts),
+        intensity: image.blocks,
+        neighbours_nm: with_blocks(spread(nearest(&columns))),
+        intensities: with_blocks(image.columns),
+        spectrum: image.spectrum,
+        site_counts: sites.counts,
+    })
+}
+
+fn notes(world: &WorldFile) -> BTreeMap<String, String> {
+    let m = world.metadata();
+    let recipe = recipe(world);
+    let mut notes = BTreeMap::new();
+    let mut add = |name: &str, value: Option<String>| {
+        value.map(|v| notes.insert(name.to_owned(), v));
+    };
+    add("recipe", recipe.as_ref().and_then(|r| Some(r.get("id")?.as_str()?.to_owned())));
+    add("engine", m.engine.clone());
+    add("stemgen", m.version.clone());
+    add("seed", m.seed.map(|s| s.to_string()));
+    add("dose", m.dose_electrons_per_angstrom2.map(|d| format!("{d} electrons per A2")));
+    add("source", m.source.clone());
+    notes
+}
+
+fn recipe(world: &WorldFile) -> Option<toml::Table> {
+    world.metadata().recipe.as_ref()?.parse().ok()
+}
+
+/// Spatial frequency (1/nm) above which an incoherent image holds noise only: twice the semiangle over the
+/// wavelength. Infinite where the file does not tell.
+fn optical_limit(world: &WorldFile) -> f64 {
+    let told = || {
+        let recipe = recipe(world)?;
+        let optics = recipe.get("optics")?;
+        let number = |key: &str| {
+            let v = optics.get(key)?;
+            v.as_float().or_else(|| v.as_integer().map(|i| i as f64))
+        };
+        let wavelength_nm = wavelength_angstrom(number("energy_kv")? * 1e3) / 10.0;
+        Some(2e-3 * number("convergence_mrad")? / wavelength_nm)
+    };
+    told().unwrap_or(f64::INFINITY)
+}
+
+#[derive(Default)]
+struct Sites {
+    counts: Vec<f64>,
+    elements: BTreeSet<u8>,
+    defects: BTreeMap<String, Vec<f64>>,
+    /// Positions, kept only where the file lists no columns.
+    positions: Vec<[f32; 2]>,
+}
+
+impl Sites {
+    fn read(world: &WorldFile, blocks: Blocks) -> Result<Self> {
+        let keep = world.columns()?.is_empty();
+        let mut sites = Sites { counts: vec![0.0; blocks.len()], ..Sites::default() };
+        let count = world.site_count()?;
+        for start in (0..count).step_by(SITES_AT_ONCE) {
+            let part = world.truth(start..(start + SITES_AT_ONCE).min(count))?;
+            sites.elements.extend(part.numbers.iter().filter_map(|z| u8::try_from(*z).ok()));
+            for (i, at) in part.positions.iter().enumerate() {
+                let block = blocks.of(*at);
+                sites.counts[block] += 1.0;
+                let kind = match part.types.get(i).copied().unwrap_or_default() {
+                    atom_type::PRISTINE => continue,
+                    atom_type::VACANCY => "vacancy",
+                    _ => "substitution",
+                };
+                let name = part.defect_names.get(i).filter(|n| !n.is_empty());
+                let name = name.map_or(kind, String::as_str);
+                if !sites.defects.contains_key(name) {
+                    sites.defects.insert(name.to_owned(), vec![0.0; blocks.len()]);
+                }
+                if let Some(counts) = sites.defects.get_mut(name) {
+                    counts[block] += 1.0;
+                }
+            }
+            if keep {
+                sites.positions.extend(part.positions);
+            }
+        }
+        Ok(sites)
+    }
+}
+
+/// Positions of the atomic columns; in a file that lists none, those of the sites.
+fn columns(world: &WorldFile, sites: &Sites) -> Result<Vec<[f32; 2]>> {
+    let columns: Vec<WorldColumn> = world.columns()?;
+    Ok(match columns.is_empty() {
+        true => sites.positions.clone(),
+        false => columns.iter().map(|c| c.position_nm).collect(),
+    })
+}
+
+struct Image {
+    /// Intensity and pixels of each block.
+    blocks: Vec<(f64, f64)>,
+    /// Mean intensity about each column.
+    columns: Vec<f32>,
+    spectrum: Spectrum,
+}
+
+impl Image {
+    /// Reads strips of rows, each with what columns at its edges need.
+    fn read(
+        world: &WorldFile,
+        path: &Path,
+        blocks: Blocks,
+        bands: &Bands,
+        columns: &[[f32; 2]],
+        progress: &dyn Progress,
+    ) -> Result<Self> {
+        let [height, width] = world.shape();
+        let pixel_nm = blocks.pixel_nm;
+        let [scale, offset] = world.metadata().scaling.unwrap_or([1.0, 0.0]);
+        let margin = (COLUMN_RADIUS_NM / pixel_nm).ceil() as usize + 1;
+        let mut image = Image {
+            blocks: vec![(0.0, 0.0); blocks.len()],
+            columns: vec![0.0; columns.len()],
+            spectrum: Collector::new(*bands, pixel_nm, 0.0).finish(),
+        };
+        let mut collector = Collector::new(*bands, pixel_nm, optical_limit(world));
+        let mut by_strip: HashMap<usize, Vec<usize>> = HashMap::new();
+        for (i, [_, y]) in columns.iter().enumerate() {
+            let row = (f64::from(*y) / pixel_nm).round().clamp(0.0, (height - 1) as f64) as usize;
+            by_strip.entry(row / STRIP).or_default().push(i);
+        }
+        for start in (0..height).step_by(STRIP) {
+            if progress.interrupted() {
+                return Err(Error::Interrupted);
+            }
+            let end = (start + STRIP).min(height);
+            let (first, last) = (start.saturating_sub(margin), (end + margin).min(height));
+            let strip = world.stitched(first..last, 0..width)?;
+            if let Some(((y, x), v)) = strip.indexed_iter().find(|(_, v)| !v.is_finite()) {
+                let place = format!("{v} at row {}, column {x}", first + y);
+                let expected = format!("expected finite values in {}", path.display());
+                return Err(Error::invalid("image value", place, expected));
+            }
+            let strip = strip.mapv(|v| f64::from(v) * scale + offset);
+            let own = strip.slice(s![start - first..end - first, ..]);
+            for ((y, x), v) in own.indexed_iter() {
+                let block = &mut image.blocks[blocks.of_pixel((start + y) as f64, x as f64)];
+                *block = (block.0 + v, block.1 + 1.0);
+            }
+            collector.add(own);
+            for i in by_strip.remove(&(start / STRIP)).unwrap_or_default() {
+                image.columns[i] = around(&strip, first, columns[i], pixel_nm);
+            }
+            progress.advance((end - start) as u64);
+        }
+        image.spectrum = collector.finish();
+        Ok(image)
+    }
+}
+
+/// Mean of the pixels within [`COLUMN_RADIUS_NM`] of a column, of the nearest one at least.
+fn around(strip: &Array2<f64>, first: usize, [x, y]: [f32; 2], pixel_nm: f64) -> f32 {
+    let (rows, columns) = strip.dim();
+    let (cx, cy) = (f64::from(x) / pixel_nm, f64::from(y) / pixel_nm - first as f64);
+    let reach = COLUMN_RADIUS_NM / pixel_nm;
+    let range = |centre: f64, n: usize| {
+        let clamp = |v: f64| v.clamp(0.0, (n - 1) as f64) as usize;
+        clamp((centre - reach).round())..=clamp((centre + reach).round())
+    };
+    let (mut sum, mut count) = (0.0, 0.0);
+    let (mut nearest, mut value) = (f64::INFINITY, 0.0);
+    for row in range(cy, rows) {
+        for column in range(cx, columns) {
+            let distance = (row as f64 - cy).hypot(column as f64 - cx);
+            if distance <= reach {
+                sum += strip[[row, column]];
+                count += 1.0;
+            }
+            if distance < nearest {
+                (nearest, value) = (distance, strip[[row, column]]);
+            }
+        }
+    }
+    (if count > 0.0 { sum / count } else { value }) as f32
+}
+
+/// Adds up to half of [`DISTANCE_RESOLUTION_NM`] to each distance, up or down.
+fn spread(mut distances: Vec<f32>) -> Vec<f32> {
+    for (i, d) in distances.iter_mut().enumerate() {
+        let word = philox4x32_10([i as u32, (i >> 32) as u32, 0, 0], [0x6e6e, 0])[0];
+        *d += DISTANCE_RESOLUTION_NM * (word as f32 / u32::MAX as f32 - 0.5);
+    }
+    distances
+}
+
+/// Distance of each point to the nearest other one, in nm.
+fn nearest(points: &[[f32; 2]]) -> Vec<f32> {
+    const CELL_NM: f64 = 0.25;
+    let cell = |[x, y]: [f32; 2]| {
+        ((f64::from(x) / CELL_NM).floor() as i64, (f64::from(y) / CELL_NM).floor() as i64)
+    };
+    let mut cells: HashMap<(i64, i64), Vec<u32>> = HashMap::new();
+    points.iter().enumerate().for_each(|(i, p)| cells.entry(cell(*p)).or_default().push(i as u32));
+    let of = |(i, p): (usize, &[f32; 2])| {
+        let (cx, cy) = cell(*p);
+        let mut best = FARTHEST_NEIGHBOUR_NM;
+        for ring in 0_i64.. {
+            // Points of this ring are at least this far.
+            if (ring - 1) as f64 * CELL_NM >= best {
+                break;
+            }
+            for y in cy - ring..=cy + ring {
+                let whole = (y - cy).abs() == ring;
+                let step = if whole { 1 } else { (2 * ring).max(1) };
+                let mut x = cx - ring;
+                while x <= cx + ring {
+                    for j in cells.get(&(x, y)).into_iter().flatten() {
+                        let q = points[*j as usize];
+                        let d = f64::from(q[0] - p[0]).hypot(f64::from(q[1] - p[1]));
+                        if *j as usize != i {
+                            best = best.min(d);
+                        }
+                    }
+                    x += step;
+                }
+            }
+        }
+        best as f32
+    };
+    points.iter().enumerate().map(of).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nearest_neighbours_are_as_by_brute_force() {
+        let points: Vec<[f32; 2]> = (0..300)
+            .map(|i| {
+                let turn = i as f32 * 0.618_034;
+                [3.0 * turn.fract(), 3.0 * (turn * 7.31).fract()]
+            })
+            .collect();
+        for (i, found) in nearest(&points).into_iter().enumerate() {
+            let distance = |j: usize| {
+                f64::from(points[i][0] - points[j][0]).hypot(f64::from(points[i][1] - points[j][1]))
+            };
+            let expected = (0..300).filter(|j| *j != i).map(distance).fold(1.0, f64::min);
+            assert!((f64::from(found) - expected).abs() < 1e-6, "{i}: {found} {expected}");
+        }
+        assert_eq!(nearest(&[[0.0, 0.0]]), [1.0]);
+    }
+
+    #[test]
+    fn columns_average_their_pixels() {
+        let strip = Array2::from_shape_fn((20, 20), |(y, x)| (100 * y + x) as f64);
+        // symmetric about a pixel: the mean is that pixel
+        assert_eq!(around(&strip, 0, [0.2, 0.1], 0.02), 510.0);
+        assert_eq!(around(&strip, 5, [0.2, 0.2], 0.02), 510.0);
+        // coarse pixels: the nearest
+        assert_eq!(around(&strip, 0, [0.9, 0.4], 0.2), 204.0);
+    }
+
+    #[test]
+    fn blocks_cover_the_field() {
+        let blocks = Blocks::new([128, 376], 0.02);
+        assert_eq!(blocks.count, [16, 16]);
+        assert_eq!(blocks.of([-0.02, 0.0]), 0);
+        assert_eq!(blocks.of([100.0, 100.0]), 255);
+        assert!((blocks.area_nm2() * 256.0 - 128.0 * 376.0 * 4e-4).abs() < 1e-9);
+        assert_eq!(Blocks::new([28, 28], 0.02).count, [3, 3]);
+    }
+}

@@ -1,0 +1,217 @@
+//! `stemgen validate`.
+
+use super::{fails, file, json, stderr, stdout, stemgen};
+use ndarray::{Array2, Array3};
+use ndarray_npy::WriteNpyExt;
+use std::path::Path;
+use std::process::Command;
+
+fn reference(name: &str) -> String {
+    file(&format!("tests/references/{name}"))
+}
+
+/// Compares with a reference, with abTEM's own numerics.
+fn against(folder: &Path, image: &str, arguments: &[&str]) -> Command {
+    let mut command = stemgen(folder);
+    command.args(["validate", "--reference", image, "--structure", &reference("srtio3.xyz")]);
+    command.args([
+        "--like-abtem",
+        "--gpts",
+        "200,200",
+        "--slice-thickness",
+        "1.9525",
+        "--overwrite",
+    ]);
+    command.args(arguments);
+    command
+}
+
+fn array_npy(path: &Path, array: &Array2<f64>) {
+    array.write_npy(std::fs::File::create(path).unwrap()).unwrap();
+}
+
+/// The image of `square.npy`, [x, y].
+fn square() -> Array2<f64> {
+    let array = stemgen::io::arrays::read(Path::new(&reference("square.npy")), None).unwrap();
+    array.data.into_dimensionality().unwrap()
+}
+
+const HALF_CELL: [&str; 2] = ["--scan-end", "3.905,1.9525"];
+
+#[test]
+fn the_suite_runs_without_the_repository() {
+    let folder = tempfile::tempdir().unwrap();
+    let cases =
+        ["--case", "kirkland-5-12", "--case", "abtem-potentials", "--case", "refined-image"];
+    let report = json(stemgen(folder.path()).arg("validate").args(cases));
+    assert_eq!(report["verdict"], "pass");
+    assert_eq!(report["cases"].as_array().unwrap().len(), 3);
+    let summary = report["summary"].as_str().unwrap();
+    assert!(summary.contains("3 of 3 cases passed"), "{summary}");
+    let darkest =
+        &report["cases"].as_array().unwrap().iter().find(|c| c["name"] == "kirkland-5-12").unwrap()
+            ["checks"][0];
+    assert!((darkest["value"].as_f64().unwrap() - 0.72).abs() < 0.01, "{darkest}");
+    let page = std::fs::read_to_string(folder.path().join("validation.html")).unwrap();
+    for part in
+        ["<svg", "data:image/png;base64,", "Kirkland", "refined answer", "fraction of the beam"]
+    {
+        assert!(page.contains(part), "no `{part}`");
+    }
+    // nothing from elsewhere
+    for foreign in ["src=\"http", "href=\"http", "@import", "<script", "NaN"] {
+        assert!(!page.contains(foreign), "`{foreign}`");
+    }
+    let told = fails(stemgen(folder.path()).arg("validate").args(cases));
+    assert!(told.contains("validation.html exists") && told.contains("--overwrite"), "{told}");
+}
+
+#[test]
+fn cases_are_listed_and_unknown_ones_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = stemgen(folder.path()).args(["validate", "--list"]).output().unwrap();
+    assert!(stdout(&run).contains("slice-boundaries") && stdout(&run).contains("quick"));
+    let listed = json(stemgen(folder.path()).args(["validate", "--list", "--quick"]));
+    assert!(listed.as_array().unwrap().iter().all(|c| c["quick"] == true));
+    let told = fails(stemgen(folder.path()).args(["validate", "--case", "nonsense"]));
+    assert!(told.contains("nonsense") && told.contains("kirkland-5-12"), "{told}");
+    let told = fails(stemgen(folder.path()).args(["validate", "--defocus", "10"]));
+    assert!(told.contains("without a reference"), "{told}");
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+}
+
+/// Numbers of a comparison that passes.
+fn largest(command: &mut Command) -> f64 {
+    let report = json(command);
+    assert_eq!(report["verdict"], "pass");
+    let check = &report["cases"][0]["checks"][0];
+    assert!(check["what"].as_str().unwrap().starts_with("largest difference"), "{check}");
+    check["value"].as_f64().unwrap()
+}
+
+#[test]
+fn an_image_of_abtem_is_reproduced() {
+    let folder = tempfile::tempdir().unwrap();
+    // zarr tells axes and pixels
+    let zarr = largest(&mut against(folder.path(), &reference("haadf.zarr"), &[]));
+    assert!(zarr < 0.01, "{zarr} %");
+    let scan = HALF_CELL;
+    let square_npy = reference("square.npy");
+    let npy = largest(against(folder.path(), &square_npy, &["--axes", "xy"]).args(scan));
+    assert!(npy < 0.01, "{npy} %");
+    // the same as a matrix, in other units, in an archive
+    let turned = square().t().mapv(|v| 100.0 * v);
+    array_npy(&folder.path().join("t.npy"), &turned.as_standard_layout().to_owned());
+    let percent = ["--axes", "yx", "--units", "percent"];
+    let same = largest(against(folder.path(), "t.npy", &percent).args(scan));
+    assert!((same - npy).abs() < 1e-4, "{same} {npy}");
+    let fitted =
+        largest(against(folder.path(), "t.npy", &["--axes", "yx", "--units", "fitted"]).args(scan));
+    assert!(fitted < 0.01, "{fitted}");
+}
+
+#[test]
+fn a_tiff_of_abtem_tells_its_axes() {
+    use tiff::encoder::{TiffEncoder, colortype::Gray32Float};
+    let folder = tempfile::tempdir().unwrap();
+    let image = stemgen::io::arrays::read(Path::new(&reference("haadf.zarr")), None).unwrap().data;
+    let values: Vec<f32> = image.iter().map(|v| *v as f32).collect();
+    let description = std::fs::read_to_string(reference("metadata.json")).unwrap();
+    let file = std::fs::File::create(folder.path().join("a.tif")).unwrap();
+    let mut encoder = TiffEncoder::new(file).unwrap();
+    let (rows, columns) = (image.shape()[0] as u32, image.shape()[1] as u32);
+    let mut page = encoder.new_image::<Gray32Float>(columns, rows).unwrap();
+    // tifffile writes plain ASCII; the Angstrom sign is escaped
+    page.encoder().write_tag(tiff::tags::Tag::ImageDescription, description.trim()).unwrap();
+    page.write_data(&values).unwrap();
+    let error = largest(&mut against(folder.path(), "a.tif", &[]));
+    assert!(error < 0.01, "{error} %");
+}
+
+#[test]
+fn our_own_file_is_reproduced() {
+    let folder = tempfile::tempdir().unwrap();
+    let options = ["--scan-points", "4,3", "--detector", "ADF=40-90"];
+    let structure = reference("srtio3.xyz");
+    let mut command = stemgen(folder.path());
+    let run =
+        command.args(["simulate", &structure, "-o", "s.h5", "--quiet"]).args(options).status();
+    assert!(run.unwrap().success());
+    let mut command = stemgen(folder.path());
+    command.args([
+        "validate",
+        "--reference",
+        "s.h5",
+        "--structure",
+        &structure,
+        "--detector",
+        "ADF=40-90",
+    ]);
+    assert_eq!(largest(&mut command), 0.0);
+}
+
+#[test]
+fn a_different_image_fails_with_3_and_says_what_may_be_wrong() {
+    let folder = tempfile::tempdir().unwrap();
+    // transposed, and said to be right
+    let image = reference("square.npy");
+    let mut command = against(folder.path(), &image, &["--axes", "yx", "--json"]);
+    let run = command.args(HALF_CELL).output().unwrap();
+    assert_eq!(run.status.code(), Some(3), "{}", stderr(&run));
+    let report: serde_json::Value = serde_json::from_str(&stdout(&run)).unwrap();
+    assert_eq!(report["verdict"], "fail");
+    let note = report["cases"][0]["notes"][0].as_str().unwrap();
+    assert!(note.contains("transposed agrees much better"), "{note}");
+    // another microscope
+    let mut command =
+        against(folder.path(), &image, &["--axes", "xy", "--defocus", "60", "--quiet"]);
+    assert_eq!(command.args(HALF_CELL).status().unwrap().code(), Some(3));
+}
+
+#[test]
+fn nothing_is_guessed_and_bad_files_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let f = folder.path();
+    let mut nan = square();
+    nan[[2, 3]] = f64::NAN;
+    array_npy(&f.join("nan.npy"), &nan);
+    let stack = Array3::<f64>::zeros((3, 4, 5));
+    stack.write_npy(std::fs::File::create(f.join("stack.npy")).unwrap()).unwrap();
+    std::fs::write(f.join("text.npy"), "1 2 3").unwrap();
+    std::fs::write(f.join("text.h5"), "1 2 3").unwrap();
+    std::fs::write(f.join("text.tif"), "1 2 3").unwrap();
+    std::fs::create_dir(f.join("empty.zarr")).unwrap();
+    let (square, zarr) = (reference("square.npy"), reference("haadf.zarr"));
+    let xy = ["--axes", "xy"];
+    let bad: &[(&str, &[&str], &str)] = &[
+        (&square, &[], "--axes xy or --axes yx"),
+        (
+            &square,
+            &["--axes", "xy", "--scan-points", "5,7"],
+            "5 x 5 pixels (x, y), but the scan has 5 x 7",
+        ),
+        (&zarr, &["--axes", "yx"], "its axes are x, y"),
+        (&zarr, &["--energy", "300"], "200 keV"),
+        (&zarr, &["--scan-end", "1,1"], "pixels of 0.6508 x 0.976"),
+        (&zarr, &["--dataset", "image"], "array0"),
+        (&zarr, &["--detector", "BF=0-20", "--detector", "ADF=30-60"], "2 detectors"),
+        (&zarr, &["--tolerance", "0"], "--tolerance 0"),
+        ("nan.npy", &xy, "NaN at index [2, 3]"),
+        ("stack.npy", &xy, "--index takes 1 number from 0, below 3"),
+        ("stack.npy", &["--axes", "xy", "--index", "3"], "--index 3 is too large"),
+        ("text.npy", &xy, "no NumPy array"),
+        ("text.h5", &[], "not HDF5"),
+        ("text.tif", &[], "no readable TIFF"),
+        ("empty.zarr", &[], "no zarr"),
+        ("none.npy", &[], "none.npy: cannot read"),
+        (&reference("srtio3.xyz"), &[], "expected .npy"),
+    ];
+    for (image, arguments, expected) in bad {
+        let told = fails(&mut against(f, image, arguments));
+        assert!(told.contains(expected), "{image} {arguments:?}: no `{expected}` in\n{told}");
+        let name = Path::new(image).file_name().unwrap().to_str().unwrap();
+        let of_the_file = !["--tolerance 0", "2 detectors"].contains(expected);
+        assert!(!of_the_file || told.contains(name), "{name} is not named: {told}");
+    }
+    assert!(!f.join("validation.html").exists());
+}
