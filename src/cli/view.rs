@@ -6,8 +6,9 @@ use anyhow::anyhow;
 use clap::{Args, ValueEnum};
 use ndarray::Array2;
 use std::ops::Range;
-use std::path::PathBuf;
-use stemgen::io::WorldFile;
+use std::path::{Path, PathBuf};
+use stemgen::io::{ParticleBatch, WorldFile};
+use stemgen::render::html::WorldPage;
 use stemgen::render::{Colormap, Contrast, Picture, RgbImage, Scene, Swatch, palette};
 
 const EXAMPLES: &str = "\
@@ -18,7 +19,10 @@ Examples:
     stemgen view worlds/srtio3_easy_1x1.h5 --region 0.2,0.2,2.2,2.2 --overlay defects
   Phases and their boundaries over the noiseless image:
     stemgen view worlds/batio3_hard_4x4.h5 --clean --overlay phases --colormap inferno -o b.png
+  A page for the browser that zooms to single atoms and shows what the truth says of each:
+    stemgen view worlds/srtio3_easy_1x1.h5 --html
 
+The page is one file that needs no network: overlays, values and columns under the pointer, line profiles.
 x grows to the right and y down, from the centre of pixel (0, 0), as in the world's ground truth.";
 
 /// Longest side of a picture in pixels.
@@ -30,13 +34,16 @@ const WASH: f64 = 0.3;
 const CYAN: [u8; 3] = [86, 220, 233];
 const YELLOW: [u8; 3] = [240, 228, 66];
 
-/// Draw a world, or a part of it, as PNG
+/// Draw a world, or a part of it, as PNG, or make a page to look at it in a browser
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct View {
     /// World file
     #[arg(value_name = "WORLD")]
     world: PathBuf,
+    /// Write a page (HTML) that works offline; the options below then say what it shows first
+    #[arg(long)]
+    html: bool,
     /// Only this part, in nm: left, upper, right and lower edge
     #[arg(long, value_name = "X0,Y0,X1,Y1", value_parser = values::rectangle)]
     #[arg(allow_hyphen_values = true)]
@@ -55,11 +62,11 @@ pub struct View {
     #[arg(long, value_name = "WHAT", value_delimiter = ',')]
     overlay: Vec<Overlay>,
     /// Longest side of the picture in pixels, without the legend
-    #[arg(long, value_name = "PIXELS", default_value_t = 1600)]
+    #[arg(long, value_name = "PIXELS", default_value_t = 1600, conflicts_with = "html")]
     #[arg(value_parser = clap::value_parser!(u32).range(SIDES))]
     size: u32,
-    /// File to write [default: WORLD with the ending .view.png]
-    #[arg(short, long, value_name = "FILE.png", help_heading = "Results")]
+    /// File to write [default: WORLD with the ending .view.png, or .html]
+    #[arg(short, long, value_name = "FILE", help_heading = "Results")]
     output: Option<PathBuf>,
     /// Replace an existing file
     #[arg(long, help_heading = "Results")]
@@ -80,6 +87,17 @@ enum Map {
     Magma,
 }
 
+impl From<Map> for Colormap {
+    fn from(map: Map) -> Self {
+        match map {
+            Map::Gray => Colormap::Gray,
+            Map::Viridis => Colormap::Viridis,
+            Map::Inferno => Colormap::Inferno,
+            Map::Magma => Colormap::Magma,
+        }
+    }
+}
+
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Overlay {
     /// Columns with vacant or substituted sites: rings, or a tint where columns are too small
@@ -96,16 +114,52 @@ impl View {
     /// Runs the subcommand.
     pub fn run(self) -> anyhow::Result<()> {
         let world = WorldFile::open(&self.world)?;
-        let path = self.output.clone().unwrap_or_else(|| self.world.with_extension("view.png"));
+        let ending = if self.html { "html" } else { "view.png" };
+        let path = self.output.clone().unwrap_or_else(|| self.world.with_extension(ending));
         output::check(&path, self.overwrite)?;
         let part = self.part(&world)?;
+        if self.html {
+            return self.write_page(&world, &path);
+        }
         let picture = part.picture(&self, &world)?;
         picture.write_png(&path)?;
         let [h, w] = [&part.rows, &part.columns].map(|r| r.len() as f64 * part.pixel_nm);
-        match self.quiet {
-            true => Ok(()),
-            false => text::print(&format!("{}: {w:.2} x {h:.2} nm", path.display())),
+        self.tell(&format!("{}: {w:.2} x {h:.2} nm", path.display()))
+    }
+
+    fn tell(&self, line: &str) -> anyhow::Result<()> {
+        if self.quiet { Ok(()) } else { text::print(line) }
+    }
+
+    fn write_page(&self, world: &WorldFile, path: &Path) -> anyhow::Result<()> {
+        if self.clean && !world.has_clean() {
+            // The reader's own words about it.
+            world.stitched_clean(0..1, 0..1)?;
         }
+        if self.overlay.contains(&Overlay::Phases) {
+            boundaries_or_phases(world)?;
+        }
+        if self.overlay.contains(&Overlay::Particles) {
+            particles(world)?;
+        }
+        let title = self.world.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let names = |overlay: &Overlay| match overlay {
+            Overlay::Defects => vec!["defects"],
+            Overlay::Phases => vec!["phases", "boundaries"],
+            Overlay::Particles => vec!["particles"],
+            Overlay::Columns => vec!["columns"],
+        };
+        let page = WorldPage {
+            title,
+            colormap: self.colormap.into(),
+            contrast: self.contrast,
+            overlays: self.overlay.iter().flat_map(names).map(str::to_owned).collect(),
+            region: self.region,
+            clean: self.clean,
+        };
+        page.page(world)?.write(path)?;
+        let size = text::bytes(output::size(path));
+        self.tell(&format!("{} ({size}); open it in a browser", path.display()))
     }
 
     /// The pixels of the region.
@@ -144,12 +198,7 @@ impl Part {
         let values: Vec<f32> = image.into_iter().collect();
         let mut picture = Picture::new(&values, [rows, columns])?;
         picture.max_side = rows.max(columns).max(16);
-        picture.colormap = match view.colormap {
-            Map::Gray => Colormap::Gray,
-            Map::Viridis => Colormap::Viridis,
-            Map::Inferno => Colormap::Inferno,
-            Map::Magma => Colormap::Magma,
-        };
+        picture.colormap = view.colormap.into();
         let [low, high] = view.contrast;
         picture.contrast = Contrast::Percentile { low, high };
         let mut scene = Scene::over(picture.render()?, 1.0 / pixel_nm);
@@ -167,9 +216,13 @@ impl Part {
         let longest = height.max(width);
         let n = longest.div_ceil(size);
         let columns = self.columns.clone();
-        let read = |rows| match view.clean {
-            true => world.stitched_clean(rows, columns.clone()),
-            false => world.stitched(rows, columns.clone()),
+        let read = |rows: Range<usize>| {
+            let first = [rows.start, columns.start];
+            let image = match view.clean {
+                true => world.stitched_clean(rows, columns.clone())?,
+                false => world.stitched(rows, columns.clone())?,
+            };
+            world.check_finite(&image, first, view.clean).map(|()| image)
         };
         if n > 1 {
             let mut out = Array2::zeros((height.div_ceil(n), width.div_ceil(n)));
@@ -252,12 +305,8 @@ impl Part {
     }
 
     fn draw_phases(&self, world: &WorldFile, scene: &mut Scene) -> anyhow::Result<()> {
-        let lines = [world.phase_boundaries()?, world.boundaries()?].concat();
+        let lines = boundaries_or_phases(world)?;
         let map = world.phase_map(self.rows.clone(), self.columns.clone())?;
-        if lines.is_empty() && map.is_none() {
-            let fault = anyhow!("the world has no phases and no boundaries");
-            return Err(hinted(fault, "leave out --overlay phases"));
-        }
         if let Some(map) = map {
             let (rows, columns) = map.dim();
             let code = |[x, y]: [f64; 2]| {
@@ -288,11 +337,7 @@ impl Part {
     }
 
     fn draw_particles(&self, world: &WorldFile, scene: &mut Scene) -> anyhow::Result<()> {
-        let particles = world.particles()?;
-        if particles.centres.is_empty() {
-            let fault = anyhow!("the world has no particles");
-            return Err(hinted(fault, "leave out --overlay particles"));
-        }
+        let particles = particles(world)?;
         for ([x, y, _], diameter) in particles.centres.iter().zip(&particles.diameters) {
             scene.circle(self.place([*x, *y]), 0.5 * f64::from(*diameter), YELLOW);
         }
@@ -304,6 +349,26 @@ impl Part {
         let inside = |v: f64, n: usize| (0.0..n as f64 * self.pixel_nm).contains(&v);
         inside(x, self.columns.len()) && inside(y, self.rows.len())
     }
+}
+
+/// The boundaries of a world that has some, or phases.
+fn boundaries_or_phases(world: &WorldFile) -> anyhow::Result<Vec<Vec<[f32; 2]>>> {
+    let lines = [world.phase_boundaries()?, world.boundaries()?].concat();
+    if lines.is_empty() && world.phase_map(0..1, 0..1)?.is_none() {
+        let fault = anyhow!("the world has no phases and no boundaries");
+        return Err(hinted(fault, "leave out --overlay phases"));
+    }
+    Ok(lines)
+}
+
+/// The particles of a world that has some.
+fn particles(world: &WorldFile) -> anyhow::Result<ParticleBatch> {
+    let particles = world.particles()?;
+    if particles.centres.is_empty() {
+        let fault = anyhow!("the world has no particles");
+        return Err(hinted(fault, "leave out --overlay particles"));
+    }
+    Ok(particles)
 }
 
 /// Means of blocks of `n` by `n` pixels; those at the lower and right edge may be smaller.
