@@ -61,6 +61,8 @@ class Readout {
       const dd = Object.assign(document.createElement("dd"), { textContent: text });
       dd.dataset.key = key;
       if (value !== undefined) dd.dataset.value = value;
+      // Long lists have a line of their own.
+      for (const part of [dt, dd]) part.classList.toggle("wide", key === "depths");
       return [dt, dd];
     }));
   }
@@ -130,9 +132,9 @@ class Readout {
     const name = `mean within ${COLUMN_RADIUS} ${HEADER.unit}`;
     lines.push(["mean", name, shown === undefined ? "..." : digits(shown), shown]);
     const defects = this.columns.defects(index);
-    if (defects.length > 0) {
-      const text = defects.map((d) => `${d.name} ${d.depth.toFixed(2)}`).join(", ");
-      lines.push(["defects", `defects, depth in ${HEADER.unit}`, text]);
+    for (const name of new Set(defects.map((d) => d.name))) {
+      const depths = defects.filter((d) => d.name === name).map((d) => d.depth.toFixed(2));
+      lines.push(["depths", `${name}: depth in ${HEADER.unit}`, depths.join(", ")]);
     }
   }
 
