@@ -105,7 +105,9 @@ class Browser:
         self.wait(script, "the page to be still")
 
     def log(self):
-        return [entry["message"] for entry in self.ask("POST", "/se/log", {"type": "browser"})]
+        """Errors that the page raised."""
+        entries = self.ask("POST", "/se/log", {"type": "browser"})
+        return [entry["message"] for entry in entries if entry["level"] == "SEVERE"]
 
     def element(self, selector):
         found = self.ask("POST", "/element", {"using": "css selector", "value": selector})
@@ -154,3 +156,8 @@ class Browser:
     def screenshot(self, path):
         with open(path, "wb") as file:
             file.write(base64.b64decode(self.ask("GET", "/screenshot")))
+
+
+if __name__ == "__main__":
+    print(*(find() or ["no chromedriver and Chromium"]), sep="\n")
+    raise SystemExit(0 if find() else 1)
