@@ -22,6 +22,7 @@ mod structure_args;
 mod text;
 mod values;
 mod view;
+mod view_picture;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;

@@ -13,7 +13,7 @@ from page import Page, bilinear, close
 from webdriver import Browser
 
 # As in the page.
-COLUMN_RADIUS_NM, RING_NM = 0.06, 0.085
+COLUMN_RADIUS_NM, RING_NM, CELL_NM = 0.06, 0.085, 4
 VACANCY, CYAN, YELLOW, PHASE_1 = (213, 94, 0), (86, 220, 233), (240, 228, 66), (0, 114, 178)
 
 
@@ -76,7 +76,7 @@ def check_values(page, world):
             x, y = across * columns * world.pixel, down * rows * world.pixel
             got = page.over(x, y)
             i, j = map(int, got["pixel"].split())
-            close(np.array([i, j]) * world.pixel, [x, y], world.pixel + 1.5 / page.scale[0], "pixel under the pointer")
+            close(np.array([i, j]) * world.pixel, [x, y], 0.5 * world.pixel + 0.8 / page.scale[0], "pixel under the pointer")
             close(float(got["stored"]), world.stored[j, i], 1e-7, "stored value")
             close(float(got["intensity"]), world.noisy[j, i], 1e-7, "intensity")
             close(float(got["electrons"]), round(world.noisy[j, i] * electrons), 0.01, "electrons")
@@ -121,19 +121,22 @@ def check_overlays(page, world, column):
     x, y = world.positions[column]
     page.zoom_to(x, y, 250)
     page.away()
-    before = ring(page, x, y, RING_NM)
+    cells = np.unique(np.floor((world.positions - np.floor(world.positions.min(axis=0))) / CELL_NM), axis=0)
+    density = len(world.positions) / (len(cells) * CELL_NM**2)
+    radius = min(RING_NM, 0.42 / density**0.5)
+    before = ring(page, x, y, radius)
     for name, color in [("columns", CYAN), ("defects", VACANCY)]:
         if name == "defects" and world.counts[1][column] == 0:
             continue
         page.toggle(name)
         pressed = page.browser.run(f"return document.getElementById('overlay-{name}').getAttribute('aria-pressed')")
         assert pressed == "true", name
-        moved = [np.abs(a - b).max() for a, b in zip(ring(page, x, y, RING_NM), before)]
+        moved = [np.abs(a - b).max() for a, b in zip(ring(page, x, y, radius), before)]
         assert np.median(moved) > 40, f"{name}: no ring, {moved}"
-        toward = [np.dot(a - b, np.array(color) - b) for a, b in zip(ring(page, x, y, RING_NM), before)]
+        toward = [np.dot(a - b, np.array(color) - b) for a, b in zip(ring(page, x, y, radius), before)]
         assert np.median(toward) > 0, f"{name}: a ring of another colour"
         page.toggle(name)
-        assert all(near(a, b, 2) for a, b in zip(ring(page, x, y, RING_NM), before)), f"{name} goes away"
+        assert all(near(a, b, 2) for a, b in zip(ring(page, x, y, radius), before)), f"{name} goes away"
     text = page.browser.text("#side")
     assert str(world.truth["atom_types"].shape[0]) in text, "number of sites"
 

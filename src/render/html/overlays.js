@@ -61,7 +61,7 @@ class Rings {
     const scale = view.scale * view.ratio;
     const drift = scale / (this.scale || 1e-9);
     if (kinds !== this.kinds || (scale !== this.scale && (!moving || drift > 2 || drift < 0.5))) {
-      Object.assign(this, { kinds, scale, radius: Math.max(RING * scale, 3 * view.ratio) });
+      Object.assign(this, { kinds, scale, radius: Math.max(this.columns.ring * scale, 3 * view.ratio) });
       this.clear();
     }
     const began = performance.now();
@@ -147,7 +147,7 @@ class Overlays {
 
   /** Whether columns are far enough apart for rings. */
   near(view) {
-    return this.columns?.loaded && view.scale >= APART * Math.sqrt(this.columns.density);
+    return this.columns?.loaded && view.scale >= APART * this.columns.perUnit;
   }
 
   /** Draws all that is switched on; returns whether everything was there. */
@@ -219,7 +219,8 @@ class Overlays {
       if (code > 0) add("phases", "area", COLORS.phases[(code - 1) % 5], name || `phase ${code}`);
     });
     for (const text of new Set(HEADER.boundaries.map((b) => b.text))) add("boundaries", "line", COLORS.line, text);
-    if (HEADER.particles.length) add("particles", "ring", COLORS.line, `${HEADER.particles.length} particles`);
+    const { length } = HEADER.particles;
+    if (length) add("particles", "ring", COLORS.line, length === 1 ? "1 particle" : `${length} particles`);
     return lines;
   }
 }

@@ -71,7 +71,7 @@ class Readout {
     const { unit, size } = HEADER;
     const position = this.position;
     const [i, j] = pixelAt(position);
-    const lines = [["position", "x, y", position.map((v) => v.toFixed(3)).join(", ") + " " + unit, position.join(" ")]];
+    const lines = [["position", `x, y (${unit})`, position.map((v) => v.toFixed(3)).join(", "), position.join(" ")]];
     if (i < 0 || j < 0 || i >= size[0] || j >= size[1]) return [...lines, ["outside", "", "outside the image"]];
     lines.push(["pixel", "column, row", `${i}, ${j}`, `${i} ${j}`]);
     if (HEADER.world_tile) lines.push(["tile", "tile", this.tile(i, j)]);
@@ -122,14 +122,14 @@ class Readout {
     if (index < 0) return;
     const at = [this.columns.x[index], this.columns.y[index]];
     const { sites, vacancies, substitutions, composition } = this.columns.contents(index);
-    lines.push(["column", "atomic column", at.map((v) => v.toFixed(3)).join(", ") + " " + HEADER.unit, at.join(" ")]);
+    lines.push(["column", `column at (${HEADER.unit})`, at.map((v) => v.toFixed(3)).join(", "), at.join(" ")]);
     if (composition) lines.push(["composition", "atoms", composition]);
     lines.push(["sites", "sites", String(sites), sites]);
     lines.push(["vacancies", "vacancies", String(vacancies), vacancies]);
     lines.push(["substitutions", "substitutions", String(substitutions), substitutions]);
     const mean = discMean(image.pyramid, at, COLUMN_RADIUS);
     const shown = mean === undefined ? undefined : mean * image.scale + image.offset;
-    const name = `mean within ${COLUMN_RADIUS} ${HEADER.unit}`;
+    const name = `mean to ${COLUMN_RADIUS} ${HEADER.unit}`;
     lines.push(["mean", name, shown === undefined ? "..." : digits(shown), shown]);
     const defects = this.columns.defects(index);
     for (const name of new Set(defects.map((d) => d.name))) {
@@ -150,7 +150,7 @@ class Readout {
       context.shadowColor = "#000";
       context.shadowBlur = 3;
       context.beginPath();
-      const radius = Math.max(1.25 * RING * view.scale, 6);
+      const radius = Math.max(1.25 * this.columns.ring * view.scale, 6);
       context.arc(...view.toScreen(this.columns.x[index], this.columns.y[index]), radius, 0, 2 * Math.PI);
       context.stroke();
     }

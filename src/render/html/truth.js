@@ -34,6 +34,10 @@ class Columns {
     for (const k of this.kind) for (let i = 0; i < 3; i++) sums[i] += header.kinds[k][i];
     [this.sites, this.vacancies, this.substitutions] = sums;
     await this.openDefects();
+    /** Columns along a unit of length, on average. */
+    this.perUnit = Math.sqrt(this.density());
+    /** Radius of the ring about a column: that of the pictures, less where columns are dense. */
+    this.ring = Math.min(RING, 0.42 / this.perUnit);
     this.loaded = true;
   }
 
@@ -49,7 +53,7 @@ class Columns {
   }
 
   /** Columns to the square unit, on average. */
-  get density() {
+  density() {
     const { cell } = this.header;
     const cells = this.first.filter((start, i) => i > 0 && start > this.first[i - 1]).length;
     return this.header.count / Math.max(cells * cell * cell, 1e-9);
