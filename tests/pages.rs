@@ -68,7 +68,12 @@ fn explore(recipe: &Recipe, sigma: f64) {
     let options = BuildOptions { keep_clean: true, overwrite: true, ..BuildOptions::default() };
     build(recipe, &Spots { sigma, ..Spots::new() }, &world, &options, &Silent).unwrap();
     stemgen(folder, &["view", "world.h5", "--html", "--overwrite", "--quiet"]);
-    check("check_world.py", &[&folder.join("world.html"), &world, folder]);
+    let page = folder.join("world.html");
+    check("check_world.py", &[&page, &world, folder]);
+    let text = std::fs::read(&page).unwrap();
+    let cut = folder.join("cut.html");
+    std::fs::write(&cut, &text[..text.len() * 3 / 5]).unwrap();
+    check("check_cut.py", &[&cut]);
 }
 
 /// InGaN: wells, substitutions, more than one tile of the pyramid.

@@ -206,10 +206,12 @@ def check_profile(page, world):
     assert labels == ["distance (nm)", "fraction of beam"], labels
     curve = page.browser.run("return document.querySelectorAll('#plot polyline').length")
     assert curve == 2, "a curve of each image"
-    # The mean over some pixels across.
-    page.browser.type("#profile-width", "5\n")
-    page.browser.run("document.getElementById('profile-width').dispatchEvent(new Event('change'))")
-    page.browser.still()
+    # The mean over five pixels across.
+    page.browser.run("const w = document.getElementById('profile-width'); w.value = 5; w.dispatchEvent(new Event('change'))")
+    wide = page.curves()[0]
+    aside = np.array([-(b - a)[1], (b - a)[0]]) / length
+    lines = [bilinear(world.noisy, *(points + k * aside).T) for k in (-2, -1, 0, 1, 2)]
+    close(wide[:, 1], np.mean(lines, axis=0), 1e-3 * world.noisy.max(), "profile of five pixels")
     page.browser.click("#profile-close")
 
 
@@ -233,6 +235,14 @@ def check_controls(page, world):
     browser.run("for (const [id, v] of [['low', 0], ['high', 100]]) document.getElementById(id).value = v; document.getElementById('low').dispatchEvent(new Event('change'))")
     browser.still()
     close(page.ends(), [world.noisy.min(), world.noisy.max()], 1e-6, "limits of contrast")
+    browser.click("#lock")
+    for _ in range(7):
+        browser.key("-")
+        browser.still()
+    close(page.ends(), [world.noisy.min(), world.noisy.max()], 1e-6, "limits that are locked")
+    browser.click("#lock")
+    page.calibrate()
+    page.zoom_to(*at, 150)
     # Colours: the place of a pixel on the bar is its value.
     page.away()
     x, y = i * world.pixel, j * world.pixel

@@ -76,10 +76,14 @@ class Page:
         a, b = self.place(*start), self.place(*end)
         self.browser.act(self.browser.pointer(("move", *a), ("down",), ("move", *(a + b) / 2, 60), ("move", *b, 60), ("up",)))
         self.browser.wait("return !document.getElementById('profile').hidden", "the profile")
+        self.browser.click("#profile-mode")
+        return self.curves()
+
+    def curves(self):
+        """What the page saves as CSV, and its header."""
         self.browser.still()
         link = self.browser.run("return document.getElementById('profile-csv').href")
         rows = urllib.parse.unquote(link.split(",", 1)[1]).strip().split("\n")
-        self.browser.click("#profile-mode")
         return np.array([[float(v) for v in row.split(",")] for row in rows[1:]]), rows[0]
 
     def ends(self):

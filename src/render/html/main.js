@@ -317,7 +317,9 @@ const KEYS = {
 };
 
 window.addEventListener("keydown", (event) => {
-  if (event.ctrlKey || event.metaKey || event.altKey || /INPUT|SELECT/.test(event.target.tagName) || $("help").open) return;
+  if (event.ctrlKey || event.metaKey || event.altKey || $("help").open) return;
+  // These take keys themselves.
+  if (event.target.matches("input[type=number], input[type=range], select")) return;
   const overlay = overlays.available[Number(event.key) - 1];
   const action = overlay ? () => toggleOverlay(overlay) : KEYS[event.key] ?? KEYS[event.key.toLowerCase()];
   if (!action) return;
