@@ -338,12 +338,14 @@ impl Simulate {
         let detectors = plan.settings.detectors.iter();
         let detectors =
             detectors.map(|d| format!("{} {}-{} mrad", d.name, d.inner_mrad, d.outer_mrad));
-        let configurations = plan.settings.phonons.map_or(0, |p| p.configurations);
+        let phonons = plan.settings.phonons.map_or("none; atoms as given".to_owned(), |p| {
+            format!("{} configurations", p.configurations)
+        });
         let mut facts = vec![
             ("atoms", specimen.sites.len().to_string()),
             ("box", format!("{x:.3} \u{d7} {y:.3} \u{d7} {z:.3} \u{c5}")),
             ("beam", format!("{} keV, {} mrad", 1e-3 * optics.energy_ev, optics.semiangle_mrad)),
-            ("phonons", format!("{configurations} configurations")),
+            ("phonons", phonons),
             ("stemgen", env!("CARGO_PKG_VERSION").to_owned()),
         ];
         if !self.results.plane_wave {

@@ -236,13 +236,14 @@ def check_controls(page, world):
     browser.still()
     close(page.ends(), [world.noisy.min(), world.noisy.max()], 1e-6, "limits of contrast")
     browser.click("#lock")
-    for _ in range(7):
-        browser.key("-")
-        browser.still()
-    close(page.ends(), [world.noisy.min(), world.noisy.max()], 1e-6, "limits that are locked")
+    browser.key("n")
+    browser.still()
+    close(page.ends(), [world.noisy.min(), world.noisy.max()], 1e-6, "limits that are locked, of the other image")
     browser.click("#lock")
-    page.calibrate()
-    page.zoom_to(*at, 150)
+    browser.still()
+    assert page.ends()[1] < 0.99 * world.noisy.max(), "limits of its own"
+    browser.key("n")
+    browser.still()
     # Colours: the place of a pixel on the bar is its value.
     page.away()
     x, y = i * world.pixel, j * world.pixel

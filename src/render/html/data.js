@@ -12,6 +12,9 @@ function complain(text) {
   message.hidden = false;
 }
 
+/** Whether something went wrong. */
+const failed = () => !document.getElementById("message").hidden;
+
 /** The text of a blob, once all of it is there. */
 async function blobText(number) {
   for (;;) {

@@ -28,7 +28,8 @@ const shown = {
   /** Limits that are kept, or null. */
   locked: null,
   limits: [0, 1],
-  line: null,
+  /** Whether what lies between pixels is interpolated: simulated images are, counted electrons are not. */
+  smooth: !HEADER.world_tile,
   style: {},
 };
 
@@ -50,11 +51,12 @@ function color() {
     if (!level.values) return;
     const limits = locked ? locked.map((v) => (v - image.offset) / image.scale) : image.pyramid.percentiles(k, shown.contrast);
     const [low, high] = (level.limits = limits);
-    const colors = Uint32Array.from(level.values, (value) => {
+    const colorOf = (value) => {
       const part = high > low ? (value - low) / (high - low) : 0.5;
       return map[Math.round(Math.min(Math.max(part, 0), 1) * 255)];
-    });
-    image.pyramid.setColors(k, colors);
+    };
+    image.pyramid.setColors(k, Uint32Array.from(level.values, colorOf));
+    if (k === 0) image.pyramid.setEnlargement(shown.smooth ? enlargement(HEADER.size) : 1, colorOf);
   });
   redraw();
 }
@@ -121,6 +123,7 @@ function draw(now) {
   last = now;
   const zooming = view.scale !== before[2];
   before = [view.x, view.y, view.scale];
+  allowPainting();
   const complete = drawField(moving || zooming);
   readout.update(shown.image);
   drawRulers(context, view, shown.style);
@@ -129,9 +132,8 @@ function draw(now) {
   forgetWaiting((tile) => tile.used === frame || tile.wanted || tile.level === tile.owner.levels.length - 1);
   images.forEach((image) => image.pyramid.trim(frame));
   load();
-  if (moving || zooming || !complete) {
-    if (moving || zooming || queue.running === 0) redraw();
-  }
+  // Tiles that arrive draw again by themselves.
+  if (moving || zooming || painting.late || (!complete && queue.running === 0 && !failed())) redraw();
   if (!scheduled && complete) {
     root.dataset.state = "still";
     mark("sharp");
@@ -153,7 +155,7 @@ function drawField(moving) {
   const [a, b] = [place(0, 0), place(COLUMNS_PX, ROWS_PX)].map((p) => p.map(Math.round));
   context.rect(a[0], a[1], b[0] - a[0], b[1] - a[1]);
   context.clip();
-  context.imageSmoothingEnabled = size < 3;
+  context.imageSmoothingEnabled = size < 3 || shown.smooth;
   let complete = Boolean(image.pyramid.colors[level]) && image.pyramid.draw(context, level, part, place, frame);
   if (image.pyramid.colors.length > 0) mark("first-paint");
   complete = overlays.draw(context, view, moving, place, frame) && complete;
@@ -262,6 +264,11 @@ function connectControls() {
     $(id).setCustomValidity(good ? "" : "the percentages must rise, from 0 to 100");
     if (!good) return $(id).reportValidity();
     shown.contrast = [low, high];
+    color();
+  });
+  $("smooth").checked = shown.smooth;
+  $("smooth").addEventListener("change", (event) => {
+    shown.smooth = event.target.checked;
     color();
   });
   $("lock").addEventListener("change", (event) => {

@@ -29,8 +29,9 @@ use crate::atomic;
 use crate::error::{Error, Result};
 
 /// What the page's code consists of, in this order.
-const SCRIPTS: [&str; 9] = [
+const SCRIPTS: [&str; 10] = [
     include_str!("data.js"),
+    include_str!("smooth.js"),
     include_str!("tiles.js"),
     include_str!("view.js"),
     include_str!("truth.js"),

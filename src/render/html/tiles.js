@@ -4,6 +4,16 @@
 const LOADING = 4;
 /** Decoded tiles that are kept, at least. */
 const KEPT = 96;
+/** Milliseconds of a frame that colouring may take; the rest waits for the next. */
+const PAINTING = 8;
+
+const painting = { until: 0, late: false };
+
+/** Begins a frame's share of colouring. */
+function allowPainting() {
+  painting.until = performance.now() + PAINTING;
+  painting.late = false;
+}
 
 const queue = { running: 0, waiting: [], arrived: () => {} };
 
@@ -75,6 +85,9 @@ class Pyramid {
     this.tiles = new Map();
     this.colors = [];
     this.version = 0;
+    /** Pixels that are made of one of the finest level, along each axis. */
+    this.factor = 1;
+    this.colorOf = null;
   }
 
   /** Loads the tables, the coarse ones first. */
@@ -106,6 +119,13 @@ class Pyramid {
   /** Sets the colours (uint32 of red, green, blue, alpha) of a level's codes. */
   setColors(level, colors) {
     this.colors[level] = colors;
+    this.version++;
+  }
+
+  /** Enlarges the finest level by interpolation; `colorOf` gives the colour of a value there. */
+  setEnlargement(factor, colorOf) {
+    this.factor = factor;
+    this.colorOf = colorOf;
     this.version++;
   }
 
@@ -165,16 +185,28 @@ class Pyramid {
     return (at(0, 0) * (1 - s) + at(1, 0) * s) * (1 - t) + (at(0, 1) * (1 - s) + at(1, 1) * s) * t;
   }
 
-  /** A canvas with the tile in colour. */
+  /** A canvas with the tile in colour: in its last ones, or null, when there is no time for new ones. */
   painted(tile) {
     if (tile.painted !== this.version) {
-      tile.canvas ??= Object.assign(document.createElement("canvas"), { width: tile.width, height: tile.height });
+      if (performance.now() > painting.until) {
+        painting.late = true;
+        return tile.painted < 0 ? null : tile.canvas;
+      }
+      const factor = tile.level === 0 ? this.factor : 1;
+      const [width, height] = [tile.width * factor, tile.height * factor];
+      if (tile.canvas?.width !== width) tile.canvas = Object.assign(document.createElement("canvas"), { width, height });
       const context = tile.canvas.getContext("2d");
-      const image = context.createImageData(tile.width, tile.height);
+      const image = context.createImageData(width, height);
       const pixels = new Uint32Array(image.data.buffer);
-      const colors = this.colors[tile.level];
-      const codes = tile.codes;
-      for (let i = 0; i < codes.length; i++) pixels[i] = colors[codes[i]];
+      if (factor > 1) {
+        const table = this.levels[0].values;
+        const values = enlarge(Float32Array.from(tile.codes, (code) => table[code]), tile.width, tile.height, factor);
+        for (let i = 0; i < values.length; i++) pixels[i] = this.colorOf(values[i]);
+      } else {
+        const colors = this.colors[tile.level];
+        const codes = tile.codes;
+        for (let i = 0; i < codes.length; i++) pixels[i] = colors[codes[i]];
+      }
       context.putImageData(image, 0, 0);
       tile.painted = this.version;
     }
@@ -214,22 +246,26 @@ class Pyramid {
         const at = queue.waiting.indexOf(tile);
         if (at >= 0) queue.waiting.push(...queue.waiting.splice(at, 1));
       }
-      if (tile.state === "ready") return this.drawTile(context, tile, place, null);
+      if (tile.state === "ready" && this.drawTile(context, tile, place, null)) return;
       complete = complete && tile.state === "failed";
       this.drawStandIn(context, tile, place, frame);
     });
-    return complete;
+    return complete && !painting.late;
   }
 
+  /** Draws a tile or a part of it; returns whether it could. */
   drawTile(context, tile, place, source) {
     const canvas = this.painted(tile);
+    if (!canvas) return false;
     const [left, top, width, height] = source ?? [0, 0, tile.width, tile.height];
     const [x, y] = [tile.column * HEADER.tile + left, tile.row * HEADER.tile + top];
     const [x0, y0] = place(x << tile.level, y << tile.level);
     const [x1, y1] = place((x + width) << tile.level, (y + height) << tile.level);
     // Whole device pixels leave no seams.
     const [a, b] = [Math.round(x0), Math.round(y0)];
-    context.drawImage(canvas, left, top, width, height, a, b, Math.round(x1) - a, Math.round(y1) - b);
+    const f = canvas.width / tile.width;
+    context.drawImage(canvas, left * f, top * f, width * f, height * f, a, b, Math.round(x1) - a, Math.round(y1) - b);
+    return true;
   }
 
   /** Draws the place of a missing tile from the next coarser level that is there. */
@@ -245,8 +281,7 @@ class Pyramid {
       const top = (tile.row % (1 << shift)) * step;
       const width = Math.min(step, coarse.width - left);
       const height = Math.min(step, coarse.height - top);
-      if (width > 0 && height > 0) this.drawTile(context, coarse, place, [left, top, width, height]);
-      return;
+      if (width <= 0 || height <= 0 || this.drawTile(context, coarse, place, [left, top, width, height])) return;
     }
   }
 
