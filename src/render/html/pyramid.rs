@@ -20,6 +20,7 @@ use serde::Serialize;
 
 use super::blobs::{Blobs, pack};
 use crate::error::Result;
+use crate::render::resample::shrink;
 
 /// Edge of a tile in pixels.
 pub(super) const TILE: usize = 512;
@@ -312,12 +313,9 @@ fn differences(codes: ArrayView2<u16>) -> Array2<u16> {
 
 /// Means of 2 x 2 pixels, of fewer at the lower and right edge.
 fn averaged(image: ArrayView2<f32>) -> Array2<f32> {
-    let (rows, columns) = image.dim();
-    Array2::from_shape_fn((rows.div_ceil(2), columns.div_ceil(2)), |(i, j)| {
-        let (i, j) = (2 * i, 2 * j);
-        let block = image.slice(s![i..rows.min(i + 2), j..columns.min(j + 2)]);
-        block.sum() / block.len() as f32
-    })
+    let pixels = image.as_standard_layout();
+    let small = shrink(pixels.as_slice().unwrap_or_default(), image.dim().into(), 2);
+    Array2::from_shape_fn(small.shape, |(i, j)| small.values[i * small.shape[1] + j])
 }
 
 #[cfg(test)]
