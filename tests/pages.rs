@@ -8,6 +8,7 @@ mod common;
 #[path = "common/python.rs"]
 mod python;
 
+use std::ffi::OsStr;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -36,7 +37,7 @@ fn browser() -> bool {
     false
 }
 
-fn check(script: &str, arguments: &[&Path]) {
+fn check(script: &str, arguments: &[impl AsRef<OsStr>]) {
     if !browser() {
         return;
     }
@@ -69,7 +70,7 @@ fn explore(recipe: &Recipe, sigma: f64) {
     build(recipe, &Spots { sigma, ..Spots::new() }, &world, &options, &Silent).unwrap();
     stemgen(folder, &["view", "world.h5", "--html", "--overwrite", "--quiet"]);
     let page = folder.join("world.html");
-    check("check_world.py", &[&page, &world, folder]);
+    check("check_world.py", &[page.as_path(), &world, folder]);
     let text = std::fs::read(&page).unwrap();
     let cut = folder.join("cut.html");
     std::fs::write(&cut, &text[..text.len() * 3 / 5]).unwrap();
@@ -87,6 +88,26 @@ fn the_page_of_wells_says_what_the_file_says() {
 #[test]
 fn the_page_of_particles_says_what_the_file_says() {
     explore(&particles(), 0.3);
+}
+
+#[test]
+fn a_page_opens_as_the_options_say() {
+    let folder = tempfile::tempdir().unwrap();
+    let world = folder.path().join("world.h5");
+    let options = BuildOptions::default();
+    build(&particles(), &Spots::new(), &world, &options, &Silent).unwrap();
+    let wanted = [
+        ["--region", "3.5,0.5,5.5,2.5"],
+        ["--colormap", "viridis"],
+        ["--contrast", "1,99"],
+        ["--overlay", "defects,particles"],
+    ];
+    let mut arguments = vec!["view", "world.h5", "--html", "--quiet"];
+    arguments.extend(wanted.iter().flatten());
+    stemgen(folder.path(), &arguments);
+    let page = folder.path().join("world.html");
+    let values = wanted.iter().map(|[_, value]| OsStr::new(value));
+    check("check_start.py", &[page.as_os_str()].into_iter().chain(values).collect::<Vec<_>>());
 }
 
 /// A field of 6 nm with one particle.

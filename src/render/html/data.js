@@ -5,10 +5,16 @@ const HEADER = JSON.parse(document.getElementById("header").textContent);
 
 const pause = (milliseconds) => new Promise((resolve) => setTimeout(resolve, milliseconds));
 
+const CUT = "This page is cut off; make or copy it again.";
+
+const isCut = () => document.readyState !== "loading" && !document.getElementById("end");
+
 /** Tells the reader of the page what went wrong. */
 function complain(text) {
   const message = document.getElementById("message");
-  message.textContent = text;
+  // What was told first is nearer to the cause.
+  if (!message.hidden) return;
+  message.textContent = isCut() ? CUT : text;
   message.hidden = false;
 }
 
@@ -21,9 +27,15 @@ async function blobText(number) {
     const element = document.getElementById("b" + number);
     const parsed = document.readyState !== "loading";
     if (element && (element.nextElementSibling || parsed)) return element.textContent;
-    if (parsed) throw new Error("this page is cut off: its part " + number + " is missing; make or copy it again");
+    if (parsed) throw new Error(CUT);
     await pause(5);
   }
+}
+
+/** Says so if the end of the page is missing. */
+function checkEnd() {
+  if (document.readyState === "loading") document.addEventListener("DOMContentLoaded", checkEnd);
+  else if (isCut()) complain(CUT);
 }
 
 function fromBase64(text) {

@@ -382,4 +382,5 @@ if (typeof DecompressionStream === "undefined") {
   complain("This browser is too old to unpack the page: Chrome or Edge 103, Firefox 113, Safari 16.4 or newer can.");
 } else {
   open().catch((error) => complain(error.message));
+  checkEnd();
 }
