@@ -61,7 +61,8 @@ function updateScaleBar(view) {
 
 /** Shows the colours and the values at their ends. */
 function updateColorBar(colors, [low, high], image) {
-  document.getElementById("quantity").textContent = image.quantity;
+  const rounded = image.exact ? "" : ", kept to 0.025 % of its range";
+  document.getElementById("quantity").textContent = image.quantity + rounded;
   const context = document.querySelector("#colorbar canvas").getContext("2d");
   const strip = context.createImageData(256, 1);
   new Uint32Array(strip.data.buffer).set(colors);
