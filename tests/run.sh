@@ -7,4 +7,13 @@ if ! dpkg -s libhdf5-dev pkg-config gcc python3-h5py >/dev/null 2>&1; then
     as_root apt-get update -qq
     as_root apt-get install -y -qq libhdf5-dev pkg-config gcc python3-h5py >/dev/null
 fi
+# Pages are tested in headless Chromium. Where Debian's packages are not to be had (Ubuntu has a snap in
+# their place), any Chromium or Chrome with its chromedriver will do: STEMGEN_CHROMIUM, STEMGEN_CHROMEDRIVER.
+if python3 tests/browser/webdriver.py >/dev/null 2>&1; then
+    export STEMGEN_REQUIRE_BROWSER=1
+elif as_root apt-get update -qq && as_root apt-get install -y -qq chromium chromium-driver >/dev/null; then
+    export STEMGEN_REQUIRE_BROWSER=1
+else
+    echo "tests/run.sh: Chromium and chromedriver cannot be installed here; pages will not be tested" >&2
+fi
 cargo test --release

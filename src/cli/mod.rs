@@ -25,6 +25,7 @@ mod validate;
 mod validate_reference;
 mod values;
 mod view;
+mod view_picture;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;

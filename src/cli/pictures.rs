@@ -1,11 +1,13 @@
-//! PNG files beside the results.
+//! PNG files and pages beside the results.
 
 use ndarray::{Array2, ArrayView2};
 use std::f64::consts::PI;
 use std::path::Path;
 use stemgen::io::WorldFile;
+use stemgen::io::image_file::ImageStack;
 use stemgen::io::schema::OVERVIEW_FACTOR;
 use stemgen::render::Picture;
+use stemgen::render::html::{ImageOfStack, StackPage};
 
 /// Pixels that are not square by more than this are resampled.
 const SQUARE: f64 = 1.005;
@@ -23,6 +25,28 @@ pub fn write(path: &Path, image: ArrayView2<f32>, step: [f64; 2]) -> anyhow::Res
     let mut picture = Picture::new(&values, [rows, columns])?;
     picture.pixel_angstrom = Some(pixel);
     Ok(picture.write_png(path)?)
+}
+
+/// Writes a page of images of one scan.
+pub fn write_page(
+    path: &Path,
+    title: &str,
+    facts: Vec<(String, String)>,
+    stacks: &[ImageStack],
+) -> anyhow::Result<()> {
+    let Some(first) = stacks.first() else { return Ok(()) };
+    let page = StackPage {
+        title: title.to_owned(),
+        facts,
+        step_angstrom: first.step_angstrom,
+        origin_angstrom: first.origin_angstrom,
+        thicknesses_angstrom: first.thicknesses_angstrom.to_vec(),
+        images: stacks
+            .iter()
+            .map(|s| ImageOfStack { name: s.name, quantity: s.units, data: s.data.view() })
+            .collect(),
+    };
+    Ok(page.page()?.write(path)?)
 }
 
 /// Writes the whole of a world.

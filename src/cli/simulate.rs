@@ -23,8 +23,8 @@ const NARROW_CELL_ANGSTROM: f64 = 10.0;
 
 const EXAMPLES: &str = "\
 Examples:
-  HAADF image of one unit cell of silicon, 54 A thick, with a picture:
-    stemgen simulate si.cif --repeat 3,3,10 --scan-end 5.431,5.431 --png
+  HAADF image of one unit cell of silicon, 54 A thick, with a picture and a page for the browser:
+    stemgen simulate si.cif --repeat 3,3,10 --scan-end 5.431,5.431 --png --html
   Two detectors, eight phonon configurations, at 20 and 39 A:
     stemgen simulate srtio3.cif --repeat 4,4,10 --detector HAADF=68-200 --detector ABF=10-21 \\
       --phonons 8 --sigma Sr=0.084,Ti=0.060,O=0.085 --thicknesses 20,39.05
@@ -76,6 +76,9 @@ struct Results {
     /// Also write a picture of every image, beside the file
     #[arg(long)]
     png: bool,
+    /// Also write a page (HTML) that shows all images, beside the file; it works offline
+    #[arg(long)]
+    html: bool,
 }
 
 #[derive(Serialize)]
@@ -103,6 +106,7 @@ struct Summary {
     output: PathBuf,
     file_bytes: u64,
     pictures: Vec<PathBuf>,
+    page: Option<PathBuf>,
     images: Vec<ImageSummary>,
     wall_time_s: f64,
 }
@@ -153,8 +157,8 @@ impl Simulate {
         };
         let pictures = self.pictures(&names, &plan);
         output::check(&self.output(), self.results.overwrite)?;
-        for picture in &pictures {
-            output::check(&picture.path, self.results.overwrite)?;
+        for path in pictures.iter().map(|p| p.path.clone()).chain(self.page()) {
+            output::check(&path, self.results.overwrite)?;
         }
         plan.warnings.iter().for_each(|w| reporter.warn(w));
         self.execute(&plan, &specimen, &scan, &pictures, &reporter)
@@ -167,6 +171,11 @@ impl Simulate {
             name.push(".h5");
             PathBuf::from(name)
         })
+    }
+
+    /// Name of the page, if one is wanted.
+    fn page(&self) -> Option<PathBuf> {
+        self.results.html.then(|| self.output().with_extension("html"))
     }
 
     /// Probe positions; the pixels of the grid for a plane wave.
@@ -304,14 +313,45 @@ impl Simulate {
             let image = stack.data.index_axis(Axis(0), at.unwrap_or(0));
             pictures::write(&picture.path, image, stack.step_angstrom)?;
         }
+        let page = self.page();
+        if let Some(page) = &page {
+            let facts = self.facts(plan, specimen);
+            pictures::write_page(page, &self.specimen.file_name(), facts, stacks)?;
+        }
         let summary = Summary {
             file_bytes: output::size(&path),
             output: path,
             pictures: pictures.iter().map(|p| p.path.clone()).collect(),
+            page,
             images: stacks.iter().flat_map(summaries).collect(),
             wall_time_s,
         };
         self.common.print(&summary, &summary.text())
+    }
+}
+
+impl Simulate {
+    /// What the page says about the images.
+    fn facts(&self, plan: &Plan, specimen: &Prepared) -> Vec<(String, String)> {
+        let [x, y, z] = specimen.size;
+        let optics = &plan.settings.optics;
+        let detectors = plan.settings.detectors.iter();
+        let detectors =
+            detectors.map(|d| format!("{} {}-{} mrad", d.name, d.inner_mrad, d.outer_mrad));
+        let phonons = plan.settings.phonons.map_or("none; atoms as given".to_owned(), |p| {
+            format!("{} configurations", p.configurations)
+        });
+        let mut facts = vec![
+            ("atoms", specimen.sites.len().to_string()),
+            ("box", format!("{x:.3} \u{d7} {y:.3} \u{d7} {z:.3} \u{c5}")),
+            ("beam", format!("{} keV, {} mrad", 1e-3 * optics.energy_ev, optics.semiangle_mrad)),
+            ("phonons", phonons),
+            ("stemgen", env!("CARGO_PKG_VERSION").to_owned()),
+        ];
+        if !self.results.plane_wave {
+            facts.insert(3, ("detectors", detectors.collect::<Vec<_>>().join(", ")));
+        }
+        facts.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
     }
 }
 
@@ -367,6 +407,7 @@ impl Summary {
         let size = text::bytes(self.file_bytes);
         lines.add("file", format!("{} ({size})", self.output.display()));
         self.pictures.iter().for_each(|p| lines.add("picture", p.display().to_string()));
+        self.page.iter().for_each(|p| lines.add("page", p.display().to_string()));
         lines.text()
     }
 }

@@ -5,10 +5,12 @@ mod atoms;
 pub mod image_file;
 pub mod schema;
 mod world_file;
+mod world_truth;
 mod world_writer;
 
 pub use atoms::{AtomRow, AtomsHeader, AtomsWriter, RowFormat, writable};
-pub use world_file::{GroundTruth, WorldColumn, WorldFile, WorldMetadata};
+pub use world_file::{GroundTruth, WorldFile, WorldMetadata};
+pub use world_truth::{BoundaryLine, WorldColumn};
 pub use world_writer::{Header, LineKind, ParticleBatch, TruthBatch, WorldWriter};
 
 use std::path::Path;

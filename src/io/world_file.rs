@@ -10,7 +10,6 @@ use ndarray::{Array2, s};
 
 use super::At;
 use super::schema::{self, DefectName};
-use super::world_writer::ParticleBatch;
 use crate::error::{Error, Result};
 
 /// What describes a world. Other programs may write fewer attributes: those are `None`.
@@ -38,8 +37,14 @@ pub struct WorldMetadata {
     pub engine: Option<String>,
     /// Settings of the engine as JSON.
     pub engine_parameters: Option<String>,
+    /// Material or identifier of the recipe.
+    pub material: Option<String>,
+    /// Thickness of the specimen in nm.
+    pub thickness_nm: Option<f64>,
     /// Electrons per square Angstrom.
     pub dose_electrons_per_angstrom2: Option<f64>,
+    /// Whether the tiles hold the noise of that dose.
+    pub noise: Option<bool>,
     /// Seed of all random numbers.
     pub seed: Option<u64>,
     /// Time that the last run of the build took, in s.
@@ -65,23 +70,10 @@ pub struct GroundTruth {
     pub columns: Vec<i32>,
 }
 
-/// An atomic column of a world.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct WorldColumn {
-    /// (x, y) in nm from the centre of pixel (0, 0).
-    pub position_nm: [f32; 2],
-    /// Lattice sites.
-    pub sites: i32,
-    /// Vacant ones.
-    pub vacancies: i32,
-    /// Those with another element.
-    pub substitutions: i32,
-}
-
 /// A world file, open for reading.
 pub struct WorldFile {
-    path: PathBuf,
-    file: File,
+    pub(super) path: PathBuf,
+    pub(super) file: File,
     metadata: WorldMetadata,
 }
 
@@ -124,6 +116,34 @@ impl WorldFile {
         let world = WorldFile { path: path.to_owned(), file, metadata };
         world.check()?;
         Ok(world)
+    }
+
+    /// Where the file is.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Fails on the first pixel of a part of the image that is no finite number, and names its place.
+    /// The part's first pixel is `first` (row, column).
+    ///
+    /// # Errors
+    /// [`Error::Invalid`].
+    pub fn check_finite(&self, part: &Array2<f32>, first: [usize; 2], clean: bool) -> Result<()> {
+        let Some(((row, column), value)) = part.indexed_iter().find(|(_, v)| !v.is_finite()) else {
+            return Ok(());
+        };
+        let m = &self.metadata;
+        let at = [first[0] + row, first[1] + column];
+        let tile =
+            [0, 1].map(|k| (at[k] / (m.tile_size_px - m.overlap_px)).min(m.grid_shape[k] - 1));
+        let group = if clean { schema::CLEAN } else { schema::TILES };
+        let name = schema::tile_name(tile[0], tile[1]);
+        let what = format!(
+            "holds {value} at row {}, column {} of the image (/{group}/{name}), where a finite \
+             intensity is expected; build it again",
+            at[0], at[1]
+        );
+        Err(not_a_world(&self.path, what))
     }
 
     /// What describes the world.
@@ -254,102 +274,6 @@ impl WorldFile {
         })
     }
 
-    /// All atomic columns; none in a file of another program that does not list them.
-    ///
-    /// # Errors
-    /// [`Error::Hdf5`] or [`Error::Invalid`] for a damaged file.
-    pub fn columns(&self) -> Result<Vec<WorldColumn>> {
-        let name = format!("{}/{}", schema::TRUTH, schema::COLUMNS);
-        let Ok(group) = self.file.group(&name) else { return Ok(Vec::new()) };
-        let read = || -> hdf5::Result<(Array2<f32>, [Vec<i32>; 3])> {
-            let list = |name| group.dataset(name)?.read_raw::<i32>();
-            let counts = [list("number_of_sites")?, list("vacancies")?, list("substitutions")?];
-            Ok((group.dataset("position")?.read_2d()?, counts))
-        };
-        let (positions, [sites, vacancies, substitutions]) = read().at(&self.path)?;
-        let n = positions.nrows();
-        if positions.ncols() != 2
-            || [&sites, &vacancies, &substitutions].iter().any(|l| l.len() != n)
-        {
-            return Err(not_a_world(&self.path, "has lists of columns of unequal length"));
-        }
-        let column = |i: usize| WorldColumn {
-            position_nm: [positions[(i, 0)], positions[(i, 1)]],
-            sites: sites[i],
-            vacancies: vacancies[i],
-            substitutions: substitutions[i],
-        };
-        Ok((0..n).map(column).collect())
-    }
-
-    /// Polylines between grains, (x, y) in nm.
-    ///
-    /// # Errors
-    /// [`Error::Hdf5`] for a damaged file.
-    pub fn boundaries(&self) -> Result<Vec<Vec<[f32; 2]>>> {
-        self.lines(schema::GRAIN_BOUNDARIES)
-    }
-
-    /// Polylines between phases, (x, y) in nm.
-    ///
-    /// # Errors
-    /// [`Error::Hdf5`] for a damaged file.
-    pub fn phase_boundaries(&self) -> Result<Vec<Vec<[f32; 2]>>> {
-        self.lines(schema::PHASE_BOUNDARIES)
-    }
-
-    /// Phase of the pixels of some rows and columns; `None` in a world of one phase.
-    ///
-    /// # Errors
-    /// [`Error::Hdf5`] outside the image, or for a damaged file.
-    pub fn phase_map(
-        &self,
-        rows: Range<usize>,
-        columns: Range<usize>,
-    ) -> Result<Option<Array2<i32>>> {
-        if !self.file.link_exists(&format!("{}/{}", schema::TRUTH, schema::PHASE_MAP)) {
-            return Ok(None);
-        }
-        let map = self.truth_dataset(schema::PHASE_MAP)?;
-        map.read_slice_2d(s![rows, columns]).map(Some).at(&self.path)
-    }
-
-    /// Particles that reach into the image; none in a world without.
-    ///
-    /// # Errors
-    /// [`Error::Hdf5`] for a damaged file.
-    pub fn particles(&self) -> Result<ParticleBatch> {
-        let name = format!("{}/{}", schema::TRUTH, schema::PARTICLES);
-        let Ok(group) = self.file.group(&name) else { return Ok(ParticleBatch::default()) };
-        let read = || -> hdf5::Result<ParticleBatch> {
-            let centres: Array2<f32> = group.dataset("centre")?.read_2d()?;
-            let turns: Array2<f32> = group.dataset("orientation")?.read_2d()?;
-            let at =
-                |a: &Array2<f32>, i: usize, k: usize| a.get((i, k)).copied().unwrap_or(f32::NAN);
-            Ok(ParticleBatch {
-                centres: (0..centres.nrows())
-                    .map(|i| [0, 1, 2].map(|k| at(&centres, i, k)))
-                    .collect(),
-                diameters: group.dataset("diameter")?.read_raw()?,
-                morphologies: group.dataset("morphology")?.read_raw()?,
-                orientations: (0..turns.nrows())
-                    .map(|i| [0, 1, 2, 3].map(|k| at(&turns, i, k)))
-                    .collect(),
-            })
-        };
-        read().at(&self.path)
-    }
-
-    fn lines(&self, group: &str) -> Result<Vec<Vec<[f32; 2]>>> {
-        let name = format!("{}/{group}", schema::TRUTH);
-        let Ok(group) = self.file.group(&name) else { return Ok(Vec::new()) };
-        let read = |n: u64| -> hdf5::Result<Vec<[f32; 2]>> {
-            let points: Array2<f32> = group.dataset(&n.to_string())?.read_2d()?;
-            Ok(points.rows().into_iter().map(|p| [p[0], p[1]]).collect())
-        };
-        (0..group.len()).map(read).collect::<hdf5::Result<_>>().at(&self.path)
-    }
-
     fn tile_of(&self, group: &str, row: usize, column: usize) -> Result<Array2<f32>> {
         let name = format!("{group}/{}", schema::tile_name(row, column));
         let dataset = self.dataset(&name)?;
@@ -358,7 +282,11 @@ impl WorldFile {
             let found = format!("/{name} has shape {:?}, not {size} x {size}", dataset.shape());
             return Err(not_a_world(&self.path, found));
         }
-        dataset.read_2d().at(&self.path)
+        dataset.read_2d().map_err(|e| {
+            let fault =
+                format!("/{name} cannot be read; the file is damaged: copy or build it again");
+            not_a_world(&self.path, format!("{fault} ({})", first_line(&e)))
+        })
     }
 
     fn dataset(&self, name: &str) -> Result<Dataset> {
@@ -366,7 +294,7 @@ impl WorldFile {
         self.file.dataset(name).map_err(missing)
     }
 
-    fn truth_dataset(&self, name: &str) -> Result<Dataset> {
+    pub(super) fn truth_dataset(&self, name: &str) -> Result<Dataset> {
         self.dataset(&format!("{}/{name}", schema::TRUTH))
     }
 
@@ -406,7 +334,7 @@ fn common(range: &Range<usize>, start: usize, tile: &Array2<f32>, axis: usize) -
     from..range.end.min(start + tile.shape()[axis]).max(from)
 }
 
-fn not_a_world(path: &Path, what: impl Into<String>) -> Error {
+pub(super) fn not_a_world(path: &Path, what: impl Into<String>) -> Error {
     Error::invalid("world file", path.display(), what)
 }
 
@@ -416,8 +344,7 @@ fn first_line(error: &hdf5::Error) -> String {
 
 fn read_metadata(path: &Path, file: &File) -> Result<WorldMetadata> {
     let group = file.group(schema::METADATA);
-    let group =
-        group.map_err(|_| not_a_world(path, "is not a world: it has no group /metadata"))?;
+    let group = group.map_err(|_| not_a_world(path, format!("is not a world: {}", found(file))))?;
     let missing = |name: &str| not_a_world(path, format!("/metadata has no usable `{name}`"));
     let need = |name: &str| number::<f64>(&group, name).ok_or_else(|| missing(name));
     let pair = |name: &str| {
@@ -445,10 +372,16 @@ fn read_metadata(path: &Path, file: &File) -> Result<WorldMetadata> {
         source: string(&group, "source"),
         engine: string(&group, "engine"),
         engine_parameters: string(&group, "engine_parameters"),
+        material: string(&group, "material"),
+        thickness_nm: number(&group, "thickness_nm"),
+        noise: number(&group, "noise"),
         dose_electrons_per_angstrom2: number(&group, "dose_electrons_per_angstrom2"),
         seed: number(&group, "seed"),
         wall_time_s: number(&group, "wall_time_s"),
     };
+    if !(metadata.pixel_size_nm.is_finite() && metadata.pixel_size_nm > 0.0) {
+        return Err(missing("pixel_size_nm"));
+    }
     if metadata.overlap_px >= metadata.tile_size_px {
         return Err(missing("overlap_px"));
     }
@@ -456,6 +389,22 @@ fn read_metadata(path: &Path, file: &File) -> Result<WorldMetadata> {
         return Err(missing("grid_shape"));
     }
     Ok(metadata)
+}
+
+/// What an HDF5 file without metadata of a world is.
+fn found(file: &File) -> String {
+    if string(file, "format").as_deref() == Some("stemgen images") {
+        return "it holds images of `stemgen simulate`, which draws them with --png and --html"
+            .into();
+    }
+    let mut names = file.member_names().unwrap_or_default();
+    names.sort();
+    let more = if names.len() > 5 { ", ..." } else { "" };
+    names.truncate(5);
+    match names.is_empty() {
+        true => "it is empty; a world has the group /metadata".into(),
+        false => format!("it has no group /metadata, but {}{more}", names.join(", ")),
+    }
 }
 
 fn number<T: H5Type>(group: &Group, name: &str) -> Option<T> {

@@ -25,6 +25,11 @@ impl Colormap {
         ("magma", Colormap::Magma),
     ];
 
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        Self::NAMES.iter().find(|(_, map)| *map == self).map_or("gray", |(name, _)| name)
+    }
+
     /// The 256 colours (red, green, blue).
     pub fn table(self) -> [[u8; 3]; 256] {
         std::array::from_fn(|i| {

@@ -128,7 +128,10 @@ impl<'a> Picture<'a> {
     }
 
     /// The values of the first and the last colour.
-    fn limits(&self) -> Result<[f32; 2]> {
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a contrast outside its limits.
+    pub fn limits(&self) -> Result<[f32; 2]> {
         match self.contrast {
             Contrast::Range { min, max } if min.is_finite() && max.is_finite() && min < max => {
                 Ok([min, max])

@@ -1,9 +1,10 @@
 //! Pictures for people: 8-bit PNG files with contrast, scale bar and markers, and drawings
-//! of specimens.
+//! of specimens; HTML pages to look at images with.
 
 mod canvas;
 mod colormap;
 mod font;
+pub mod html;
 mod image;
 mod letters;
 mod overlay;

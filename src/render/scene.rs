@@ -53,6 +53,7 @@ pub enum Swatch {
 pub struct Scene {
     pixels_per_nm: f64,
     ground: RgbImage,
+    ring_nm: f64,
     /// Red, green, blue, each times the mass, and the mass of the atoms on a pixel.
     atoms: Vec<[f32; 4]>,
     rings: Vec<(Point, [u8; 3], f64)>,
@@ -75,6 +76,7 @@ impl Scene {
             size_nm.map(|s| ((s * pixels_per_nm).round() as usize).clamp(1, longest));
         Scene {
             pixels_per_nm,
+            ring_nm: RING_NM,
             ground: RgbImage::filled(width, height, WHITE),
             atoms: vec![[0.0; 4]; width * height],
             rings: Vec::new(),
@@ -88,6 +90,7 @@ impl Scene {
     pub fn over(picture: RgbImage, pixels_per_nm: f64) -> Self {
         Scene {
             pixels_per_nm,
+            ring_nm: RING_NM,
             atoms: Vec::new(),
             ground: picture,
             rings: Vec::new(),
@@ -161,6 +164,12 @@ impl Scene {
         self.densities[index].marked[row * columns + column] += marked as f32;
     }
 
+    /// Makes the rings about columns smaller where there are so many per square nm that they would
+    /// cross each other.
+    pub fn fit_rings(&mut self, columns_per_nm2: f64) {
+        self.ring_nm = RING_NM.min(0.42 / columns_per_nm2.max(1e-9).sqrt());
+    }
+
     /// Draws a line through points in nm.
     pub fn line(&mut self, points_nm: &[[f64; 2]], color: [u8; 3]) {
         let points = points_nm.iter().map(|p| self.place(*p)).collect();
@@ -191,7 +200,7 @@ impl Scene {
         self.paint_atoms();
         self.paint_densities();
         let mut image = std::mem::replace(&mut self.ground, RgbImage::filled(1, 1, WHITE));
-        let radius = (RING_NM * self.pixels_per_nm).max(3.0);
+        let radius = (self.ring_nm * self.pixels_per_nm).max(3.0);
         for (at, color, alpha) in &self.rings {
             image.ring(*at, radius, (0.22 * radius).clamp(1.2, 5.0), *color, *alpha);
         }

@@ -101,7 +101,20 @@ fn bad_requests_are_explained() {
     let bytes = std::fs::read(here.join("w.h5")).unwrap();
     std::fs::write(here.join("cut.h5"), &bytes[..bytes.len() / 2]).unwrap();
     std::fs::write(here.join("there.png"), "precious").unwrap();
-    let cases: [(&[&str], &str); 9] = [
+    let images = stemgen_file(here, "images.h5");
+    images.new_attr::<hdf5::types::VarLenUnicode>().create("format").unwrap();
+    let format: hdf5::types::VarLenUnicode = "stemgen images".parse().unwrap();
+    images.attr("format").unwrap().write_scalar(&format).unwrap();
+    let other = stemgen_file(here, "other.h5");
+    other.create_group("entry").unwrap();
+    drop((images, other));
+    std::fs::copy(here.join("w.h5"), here.join("nan.h5")).unwrap();
+    let world = hdf5::File::open_rw(here.join("nan.h5")).unwrap();
+    let tile = world.dataset("tiles/1_0").unwrap();
+    tile.write_slice(&ndarray::arr2(&[[f32::NAN]]), (5..6, 7..8)).unwrap();
+    drop((tile, world));
+    damage(here, "w.h5", "damaged.h5");
+    let cases: [(&[&str], &str); 18] = [
         (&["none.h5"], "none.h5"),
         (&["text.h5"], "is not HDF5"),
         (&["cut.h5"], "truncated"),
@@ -111,10 +124,57 @@ fn bad_requests_are_explained() {
         (&["w.h5", "--overlay", "columns", "--region", "9,9,10,10"], "0,0 to 1.40,1.40"),
         (&["w.h5", "--region", "1,1,0,0"], "right of and below"),
         (&["w.h5", "-o", "there.png"], "--overwrite"),
+        (&["images.h5"], "images of `stemgen simulate`"),
+        (&["other.h5"], "no group /metadata, but entry"),
+        (&["nan.h5"], "nan.h5: holds NaN at row 17, column 7 of the image (/tiles/1_0)"),
+        (&["nan.h5", "--html"], "holds NaN at row 17, column 7"),
+        (&["damaged.h5"], "/tiles/0_1 cannot be read; the file is damaged"),
+        (&["w.h5", "--html", "--clean"], "--keep-clean"),
+        (&["w.h5", "--html", "--overlay", "particles"], "no particles"),
+        (&["w.h5", "--html", "--size", "900"], "cannot be used with"),
+        (&["w.h5", "--html", "-o", "there.png"], "--overwrite"),
     ];
     for (arguments, part) in cases {
         let told = fails(stemgen(here).arg("view").args(arguments));
         assert!(told.contains(part), "{arguments:?}: no `{part}` in\n{told}");
     }
-    assert_eq!(std::fs::read_dir(here).unwrap().count(), 4, "nothing was written");
+    assert_eq!(std::fs::read_dir(here).unwrap().count(), 8, "nothing was written");
+}
+
+fn stemgen_file(folder: &Path, name: &str) -> hdf5::File {
+    hdf5::File::create(folder.join(name)).unwrap()
+}
+
+/// Copies a world, and spoils the compressed pixels of tile (0, 1).
+fn damage(folder: &Path, from: &str, to: &str) {
+    let at = {
+        let world = hdf5::File::open(folder.join(from)).unwrap();
+        let chunk = world.dataset("tiles/0_1").unwrap().chunk_info(0).unwrap();
+        (chunk.addr..chunk.addr + chunk.size).map(|b| b as usize)
+    };
+    let mut bytes = std::fs::read(folder.join(from)).unwrap();
+    at.for_each(|b| bytes[b] ^= 0x5a);
+    std::fs::write(folder.join(to), bytes).unwrap();
+}
+
+#[test]
+fn columns_of_a_file_that_lists_none_are_sites_above_each_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let world = build(here);
+    let mut expected = world.columns().unwrap();
+    drop(world);
+    let file = hdf5::File::open_rw(here.join("w.h5")).unwrap();
+    file.unlink("ground_truth/columns").unwrap();
+    drop(file);
+    let mut found = WorldFile::open(&here.join("w.h5")).unwrap().columns().unwrap();
+    for list in [&mut expected, &mut found] {
+        list.sort_by_key(|c| c.position_nm.map(|v| (1000.0 * v).round() as i64));
+    }
+    assert_eq!(found, expected);
+    let picture = view(here, &["--overlay", "defects,columns", "--size", "700"]);
+    assert!(picture.width > 720, "a legend beside it");
+    stemgen(here).args(["view", "w.h5", "--html", "-q"]).status().unwrap();
+    let page = std::fs::read_to_string(here.join("w.html")).unwrap();
+    assert!(page.contains(&format!("\"count\":{}", expected.len())), "the page has its columns");
 }

@@ -1,0 +1,276 @@
+//! The pictures of `stemgen view`: a part of a world, and what the truth knows of it.
+
+use super::hints::hinted;
+use super::pictures;
+use super::view::{Overlay, View};
+use anyhow::anyhow;
+use ndarray::Array2;
+use std::collections::BTreeMap;
+use std::ops::Range;
+use stemgen::io::{ParticleBatch, WorldColumn, WorldFile};
+use stemgen::render::{Contrast, Picture, RgbImage, Scene, Swatch, palette};
+
+/// Rows that are read at a time.
+const ROWS_AT_ONCE: usize = 512;
+/// How much of the image a tint hides.
+const WASH: f64 = 0.3;
+const CYAN: [u8; 3] = [86, 220, 233];
+const YELLOW: [u8; 3] = [240, 228, 66];
+
+/// A column and its position from the upper left corner of the picture in nm.
+type Placed = ([f64; 2], WorldColumn);
+
+/// Some pixels of a world.
+pub struct Part {
+    /// Rows.
+    pub rows: Range<usize>,
+    /// Columns.
+    pub columns: Range<usize>,
+    /// Edge of a pixel in nm.
+    pub pixel_nm: f64,
+}
+
+impl Part {
+    pub fn picture(&self, view: &View, world: &WorldFile) -> anyhow::Result<RgbImage> {
+        let (image, pixel_nm, contrast) = self.image(view, world)?;
+        let (rows, columns) = image.dim();
+        let values: Vec<f32> = image.into_iter().collect();
+        let mut picture = Picture::new(&values, [rows, columns])?;
+        picture.max_side = rows.max(columns).max(16);
+        picture.colormap = view.colormap.into();
+        picture.contrast = contrast;
+        let mut scene = Scene::over(picture.render()?, 1.0 / pixel_nm);
+        let columns = self.placed_columns(view, world)?;
+        scene.fit_rings(columns.len() as f64 / self.area_nm2());
+        for overlay in [Overlay::Phases, Overlay::Columns, Overlay::Defects, Overlay::Particles] {
+            if view.overlay.contains(&overlay) {
+                self.draw(overlay, world, &columns, &mut scene)?;
+            }
+        }
+        Ok(scene.render())
+    }
+
+    /// The image, averaged or enlarged to about the wanted size, its pixel in nm, and its contrast.
+    fn image(
+        &self,
+        view: &View,
+        world: &WorldFile,
+    ) -> anyhow::Result<(Array2<f32>, f64, Contrast)> {
+        let [low, high] = view.contrast;
+        let percentiles = Contrast::Percentile { low, high };
+        let (height, width, size) = (self.rows.len(), self.columns.len(), view.size as usize);
+        let longest = height.max(width);
+        let n = longest.div_ceil(size);
+        let columns = self.columns.clone();
+        let read = |rows: Range<usize>| {
+            let first = [rows.start, columns.start];
+            let image = match view.clean {
+                true => world.stitched_clean(rows, columns.clone())?,
+                false => world.stitched(rows, columns.clone())?,
+            };
+            world.check_finite(&image, first, view.clean).map(|()| image)
+        };
+        if n > 1 {
+            let mut out = Array2::zeros((height.div_ceil(n), width.div_ceil(n)));
+            let step = (ROWS_AT_ONCE / n).max(1) * n;
+            for first in self.rows.clone().step_by(step) {
+                let strip = read(first..self.rows.end.min(first + step))?;
+                let start = (first - self.rows.start) / n;
+                for ((i, j), sum) in averaged(&strip, n).indexed_iter() {
+                    out[(start + i, j)] = *sum;
+                }
+            }
+            return Ok((out, self.pixel_nm * n as f64, percentiles));
+        }
+        let image = read(self.rows.clone())?;
+        let factor = size as f64 / longest as f64;
+        if factor < 1.5 {
+            return Ok((image, self.pixel_nm, percentiles));
+        }
+        // Interpolation overshoots; contrast is that of the pixels.
+        let values: Vec<f32> = image.iter().copied().collect();
+        let mut pixels = Picture::new(&values, image.dim().into())?;
+        pixels.contrast = percentiles;
+        let contrast = match pixels.limits()? {
+            [min, max] if min < max => Contrast::Range { min, max },
+            _ => percentiles,
+        };
+        let enlarged = |n: usize| (n as f64 * factor).round() as usize;
+        let wide = pictures::interpolate(image.view(), enlarged(width));
+        let large = pictures::interpolate(wide.t(), enlarged(height)).reversed_axes();
+        Ok((large, self.pixel_nm / factor, contrast))
+    }
+
+    /// Position from the upper left corner of the picture; both in nm.
+    fn place(&self, [x, y]: [f32; 2]) -> [f64; 2] {
+        let from = |v: f32, first: usize| f64::from(v) - (first as f64 - 0.5) * self.pixel_nm;
+        [from(x, self.columns.start), from(y, self.rows.start)]
+    }
+
+    fn area_nm2(&self) -> f64 {
+        (self.rows.len() * self.columns.len()) as f64 * self.pixel_nm.powi(2)
+    }
+
+    /// The columns in the picture, if they are to be drawn.
+    fn placed_columns(&self, view: &View, world: &WorldFile) -> anyhow::Result<Vec<Placed>> {
+        if !view.overlay.iter().any(|o| matches!(o, Overlay::Columns | Overlay::Defects)) {
+            return Ok(Vec::new());
+        }
+        let placed = world.columns()?.into_iter().map(|c| (self.place(c.position_nm), c));
+        Ok(placed.filter(|(at, _)| self.holds(*at)).collect())
+    }
+
+    fn draw(
+        &self,
+        overlay: Overlay,
+        world: &WorldFile,
+        columns: &[Placed],
+        scene: &mut Scene,
+    ) -> anyhow::Result<()> {
+        match overlay {
+            Overlay::Defects => draw_defects(columns, scene),
+            Overlay::Columns => draw_columns(columns, scene)?,
+            Overlay::Phases => self.draw_phases(world, scene)?,
+            Overlay::Particles => self.draw_particles(world, scene)?,
+        }
+        Ok(())
+    }
+
+    fn draw_phases(&self, world: &WorldFile, scene: &mut Scene) -> anyhow::Result<()> {
+        let lines = boundaries_or_phases(world)?;
+        let map = world.phase_map(self.rows.clone(), self.columns.clone())?;
+        if let Some(map) = map {
+            let (rows, columns) = map.dim();
+            let code = |[x, y]: [f64; 2]| {
+                let index = |v: f64, n: usize| ((v / self.pixel_nm) as usize).min(n - 1);
+                map[(index(y, rows), index(x, columns))]
+            };
+            let color = |code: i32| {
+                let known = usize::try_from(code).ok().filter(|code| *code > 0);
+                known.map(|code| palette::ELEMENTS[(code - 1) % palette::ELEMENTS.len()])
+            };
+            scene.wash(|at| color(code(at)), WASH);
+            let mut codes: Vec<i32> = map.iter().copied().filter(|c| *c > 0).collect();
+            codes.sort_unstable();
+            codes.dedup();
+            for code in codes {
+                scene
+                    .legend(Swatch::Area(color(code).unwrap_or_default()), format!("phase {code}"));
+            }
+        }
+        for line in &lines {
+            let points: Vec<[f64; 2]> = line.iter().map(|p| self.place(*p)).collect();
+            scene.line(&points, YELLOW);
+        }
+        if !lines.is_empty() {
+            scene.legend(Swatch::Line(YELLOW), "boundary");
+        }
+        Ok(())
+    }
+
+    fn draw_particles(&self, world: &WorldFile, scene: &mut Scene) -> anyhow::Result<()> {
+        let particles = particles(world)?;
+        let sizes = [self.columns.len(), self.rows.len()].map(|n| n as f64 * self.pixel_nm);
+        let mut seen: BTreeMap<String, usize> = BTreeMap::new();
+        for (i, ([x, y, _], diameter)) in
+            particles.centres.iter().zip(&particles.diameters).enumerate()
+        {
+            let (at, radius) = (self.place([*x, *y]), 0.5 * f64::from(*diameter));
+            let nearest = [0, 1].map(|k| at[k].clamp(0.0, sizes[k]) - at[k]);
+            if nearest[0].hypot(nearest[1]) > radius {
+                continue;
+            }
+            scene.circle(at, radius, YELLOW);
+            let kind = particles.morphologies.get(i).map_or("particle", |m| m.as_str());
+            *seen.entry(kind.to_owned()).or_default() += 1;
+        }
+        if seen.is_empty() {
+            scene.legend(Swatch::Ring(YELLOW), "no particle here");
+        }
+        for (kind, count) in seen {
+            scene.legend(Swatch::Ring(YELLOW), format!("{count} {kind}"));
+        }
+        Ok(())
+    }
+
+    fn holds(&self, [x, y]: [f64; 2]) -> bool {
+        let inside = |v: f64, n: usize| (0.0..n as f64 * self.pixel_nm).contains(&v);
+        inside(x, self.columns.len()) && inside(y, self.rows.len())
+    }
+}
+
+fn draw_defects(columns: &[Placed], scene: &mut Scene) {
+    let (mut vacancies, mut substitutions) = (0, 0);
+    for (at, column) in columns {
+        vacancies += column.vacancies;
+        substitutions += column.substitutions;
+        for (n, color) in
+            [(column.vacancies, palette::VACANCY), (column.substitutions, palette::SUBSTITUTION)]
+        {
+            if n > 0 {
+                scene.mark(*at, n as usize, column.sites.max(n) as usize, color);
+            }
+        }
+    }
+    let swatch = if scene.has_rings() { Swatch::Ring } else { Swatch::Area };
+    for (n, name, color) in [
+        (vacancies, "vacancies", palette::VACANCY),
+        (substitutions, "substitutions", palette::SUBSTITUTION),
+    ] {
+        if n > 0 {
+            scene.legend(swatch(color), format!("{n} {name}"));
+        }
+    }
+}
+
+fn draw_columns(columns: &[Placed], scene: &mut Scene) -> anyhow::Result<()> {
+    if !scene.has_rings() {
+        let fault = anyhow!("the atomic columns are too small to be drawn");
+        return Err(hinted(fault, "choose a smaller --region, or a larger --size"));
+    }
+    columns.iter().for_each(|(at, _)| scene.mark(*at, 1, 1, CYAN));
+    scene.legend(Swatch::Ring(CYAN), format!("{} columns", columns.len()));
+    Ok(())
+}
+
+/// The boundaries of a world that has some, or phases.
+pub fn boundaries_or_phases(world: &WorldFile) -> anyhow::Result<Vec<Vec<[f32; 2]>>> {
+    let lines = [world.phase_boundaries()?, world.boundaries()?].concat();
+    if lines.is_empty() && world.phase_map(0..1, 0..1)?.is_none() {
+        let fault = anyhow!("the world has no phases and no boundaries");
+        return Err(hinted(fault, "leave out --overlay phases"));
+    }
+    Ok(lines)
+}
+
+/// The particles of a world that has some.
+pub fn particles(world: &WorldFile) -> anyhow::Result<ParticleBatch> {
+    let particles = world.particles()?;
+    if particles.centres.is_empty() {
+        let fault = anyhow!("the world has no particles");
+        return Err(hinted(fault, "leave out --overlay particles"));
+    }
+    Ok(particles)
+}
+
+/// Means of blocks of `n` by `n` pixels; those at the lower and right edge may be smaller.
+fn averaged(image: &Array2<f32>, n: usize) -> Array2<f32> {
+    let (rows, columns) = image.dim();
+    Array2::from_shape_fn((rows.div_ceil(n), columns.div_ceil(n)), |(i, j)| {
+        let (i, j) = (i * n, j * n);
+        let block = image.slice(ndarray::s![i..rows.min(i + n), j..columns.min(j + n)]);
+        block.mean().unwrap_or(0.0)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn blocks_at_the_edge_are_averages_too() {
+        let image = Array2::from_shape_fn((3, 5), |(i, j)| (5 * i + j) as f32);
+        let small = averaged(&image, 2);
+        assert_eq!(small, ndarray::array![[3.0, 5.0, 6.5], [10.5, 12.5, 14.0]]);
+    }
+}

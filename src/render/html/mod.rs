@@ -1,0 +1,114 @@
+//! Pages that show images in a browser without a network: everything stands in one HTML file.
+//!
+//! The page's own code is `page.html`, `style.css` and the scripts beside this file. What they show is a
+//! JSON header ([`Header`]) and blobs: byte strings, deflated and in base64, each in a `<script>` element
+//! of its own that no browser runs. The page inflates those it needs when it needs them, so that a large
+//! world is on the screen before all of its file is read. Blobs stand in the order of their need: coarse
+//! images, then the truth, then single pixels.
+//!
+//! - An image is a pyramid of tiles ([`pyramid`]); pixels are codes, and a table gives the value of a code.
+//! - Atomic columns are lists by cells of the field, with positions in whole pm ([`columns`]).
+
+mod blobs;
+mod columns;
+mod header;
+mod pyramid;
+mod stack;
+mod world;
+
+pub use stack::{ImageOfStack, StackPage};
+pub use world::WorldPage;
+
+use std::path::Path;
+
+use blobs::Blobs;
+use header::Header;
+
+use super::Colormap;
+use crate::atomic;
+use crate::error::{Error, Result};
+
+/// What the page's code consists of, in this order.
+const SCRIPTS: [&str; 10] = [
+    include_str!("data.js"),
+    include_str!("smooth.js"),
+    include_str!("tiles.js"),
+    include_str!("view.js"),
+    include_str!("truth.js"),
+    include_str!("overlays.js"),
+    include_str!("readout.js"),
+    include_str!("profile.js"),
+    include_str!("axes.js"),
+    include_str!("main.js"),
+];
+const STYLE: &str = include_str!("style.css");
+const TEMPLATE: &str = include_str!("page.html");
+
+/// A finished page.
+pub struct Page {
+    /// The file's contents.
+    pub html: String,
+}
+
+impl Page {
+    fn new(header: &Header, blobs: &Blobs) -> Result<Self> {
+        let json = serde_json::to_string(header).map_err(|e| {
+            Error::invalid("page", &header.title, format!("cannot be written as JSON: {e}"))
+        })?;
+        let mut html = String::with_capacity(blobs.bytes() + (1 << 18));
+        for part in TEMPLATE.split("{{").enumerate() {
+            match part {
+                (0, text) => html += text,
+                (_, text) => {
+                    let (name, rest) = text.split_once("}}").unwrap_or(("", text));
+                    match name {
+                        "title" => html += &escaped(&header.title),
+                        "style" => html += STYLE,
+                        // Within a script only `</` and `<!--` could end or change it.
+                        "header" => html += &json.replace('<', "\\u003c"),
+                        "scripts" => SCRIPTS.iter().for_each(|s| html += s),
+                        _ => blobs.append_to(&mut html),
+                    }
+                    html += rest;
+                }
+            }
+        }
+        Ok(Page { html })
+    }
+
+    /// Writes the page, complete or not at all.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn write(&self, path: &Path) -> Result<()> {
+        atomic::write(path, self.html.as_bytes())
+    }
+}
+
+/// The colours of all maps, as the page takes them: `rrggbb` after `rrggbb`.
+fn colormaps() -> Vec<(&'static str, String)> {
+    let text = |map: Colormap| {
+        map.table().iter().map(|[r, g, b]| format!("{r:02x}{g:02x}{b:02x}")).collect()
+    };
+    Colormap::NAMES.into_iter().map(|(name, map)| (name, text(map))).collect()
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn titles_and_headers_cannot_end_their_element() {
+        let header = Header { title: "</script><b>&".into(), ..Header::default() };
+        let page = Page::new(&header, &Blobs::default()).unwrap();
+        assert!(page.html.contains("<title>&lt;/script&gt;&lt;b&gt;&amp;</title>"));
+        assert!(page.html.contains(r#""title":"\u003c/script>\u003cb>&""#));
+        assert!(!page.html.contains("{{") && !page.html.contains("}}"), "all places are filled");
+        let outside = page.html.matches("http").count();
+        assert_eq!(outside, page.html.matches("http://www.w3.org/2000/svg").count(), "no network");
+    }
+}

@@ -1,0 +1,96 @@
+//! The page of simulated images.
+
+use ndarray::{ArrayView3, Axis, s};
+
+use super::blobs::Blobs;
+use super::header::{Header, Image, Start};
+use super::pyramid::{Pyramid, TILE};
+use super::world::place;
+use super::{Page, colormaps};
+use crate::error::{Error, Result};
+use crate::render::resample::check_finite;
+
+/// Images of one detector.
+#[derive(Debug, Clone)]
+pub struct ImageOfStack<'a> {
+    /// Name of the detector.
+    pub name: &'a str,
+    /// What the values are.
+    pub quantity: &'a str,
+    /// (thickness, y, x)
+    pub data: ArrayView3<'a, f32>,
+}
+
+/// Images of one scan.
+#[derive(Debug, Clone)]
+pub struct StackPage<'a> {
+    /// Name of the structure.
+    pub title: String,
+    /// Names and values to be read by people.
+    pub facts: Vec<(String, String)>,
+    /// Pixel (x, y) in Angstrom.
+    pub step_angstrom: [f64; 2],
+    /// Position (x, y) of the first pixel in Angstrom.
+    pub origin_angstrom: [f64; 2],
+    /// Thicknesses in Angstrom.
+    pub thicknesses_angstrom: Vec<f64>,
+    /// The images, all of one size.
+    pub images: Vec<ImageOfStack<'a>>,
+}
+
+impl StackPage<'_> {
+    /// Makes the page.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for no image, images of different sizes, or a value that is not finite.
+    pub fn page(&self) -> Result<Page> {
+        let Some(first) = self.images.first() else {
+            return Err(Error::invalid("images", 0, "expected at least one"));
+        };
+        let (_, rows, columns) = first.data.dim();
+        let (mut images, mut pyramids) = (Vec::new(), Vec::new());
+        for image in &self.images {
+            if image.data.dim() != (self.thicknesses_angstrom.len(), rows, columns) {
+                let expected = format!("expected {rows} x {columns} pixels at each thickness");
+                let shape = format!("{:?} of `{}`", image.data.dim(), image.name);
+                return Err(Error::invalid("image shape", shape, expected));
+            }
+            for (slice, thickness) in image.data.axis_iter(Axis(0)).zip(&self.thicknesses_angstrom)
+            {
+                let values = slice.as_standard_layout();
+                check_finite(values.as_slice().unwrap_or_default(), columns)?;
+                let read = |rows| Ok(slice.slice(s![rows, ..]).to_owned());
+                let pyramid = Pyramid::new([rows, columns], &read)?;
+                images.push(Image {
+                    name: image.name.to_owned(),
+                    thickness: Some(*thickness),
+                    quantity: image.quantity.to_owned(),
+                    scale: 1.0,
+                    offset: 0.0,
+                    stored: None,
+                    electrons: None,
+                    exact: pyramid.exact,
+                    levels: Vec::new(),
+                });
+                pyramids.push(pyramid);
+            }
+        }
+        let mut blobs = Blobs::default();
+        place(&mut images, &mut pyramids, 1, &mut blobs);
+        place(&mut images, &mut pyramids, 0, &mut blobs);
+        let header = Header {
+            title: self.title.clone(),
+            unit: "\u{c5}",
+            size: [columns, rows],
+            pixel: self.step_angstrom,
+            origin: self.origin_angstrom,
+            facts: self.facts.clone(),
+            tile: TILE,
+            images,
+            colormaps: colormaps(),
+            start: Start::default(),
+            ..Header::default()
+        };
+        Page::new(&header, &blobs)
+    }
+}

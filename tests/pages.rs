@@ -1,0 +1,155 @@
+//! `stemgen view --html` and `stemgen simulate --html`, used in headless Chromium by the scripts in
+//! `tests/browser`, which compare what the pages say with the files.
+//!
+//! Without Chromium and chromedriver these tests say that they are skipped; with
+//! `STEMGEN_REQUIRE_BROWSER` set they fail.
+
+mod common;
+#[path = "common/python.rs"]
+mod python;
+
+use std::ffi::OsStr;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use common::Spots;
+use stemgen::progress::Silent;
+use stemgen::world::{BuildOptions, Difficulty, Recipe, build};
+
+/// A file of this repository.
+fn file(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
+}
+
+/// Whether there is a browser.
+fn browser() -> bool {
+    let script = file("tests/browser/webdriver.py");
+    let run = Command::new(python::with_h5py()).arg(script).output().unwrap();
+    if run.status.success() {
+        return true;
+    }
+    let told = String::from_utf8_lossy(&run.stdout).trim().to_owned();
+    let required = std::env::var_os("STEMGEN_REQUIRE_BROWSER").is_some();
+    assert!(!required, "{told}: apt-get install chromium chromium-driver");
+    // Straight to standard error: the test harness keeps the words of tests that pass to itself.
+    writeln!(std::io::stderr(), "SKIPPED, the page was not opened: {told}").unwrap();
+    false
+}
+
+fn check(script: &str, arguments: &[impl AsRef<OsStr>]) {
+    if !browser() {
+        return;
+    }
+    let script = file(&format!("tests/browser/{script}"));
+    let run = Command::new(python::with_h5py())
+        .arg(script)
+        .args(arguments)
+        .env("PYTHONDONTWRITEBYTECODE", "1")
+        .output()
+        .unwrap();
+    let text = String::from_utf8_lossy(&run.stdout) + String::from_utf8_lossy(&run.stderr);
+    assert!(run.status.success(), "{text}");
+}
+
+fn stemgen(folder: &Path, arguments: &[&str]) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_stemgen"));
+    let run = command.current_dir(folder).args(arguments).output().unwrap();
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+}
+
+/// Builds a world with a stand-in for the engine, makes its page and explores it. World, page and a
+/// screenshot stay in `$STEMGEN_LOOK`, if that is set.
+fn explore(recipe: &Recipe, sigma: f64) {
+    let temporary = tempfile::tempdir().unwrap();
+    let look = std::env::var_os("STEMGEN_LOOK").map(|look| Path::new(&look).join(&recipe.id));
+    let folder = look.as_deref().unwrap_or(temporary.path());
+    std::fs::create_dir_all(folder).unwrap();
+    let world = folder.join("world.h5");
+    let options = BuildOptions { keep_clean: true, overwrite: true, ..BuildOptions::default() };
+    build(recipe, &Spots { sigma, ..Spots::new() }, &world, &options, &Silent).unwrap();
+    stemgen(folder, &["view", "world.h5", "--html", "--overwrite", "--quiet"]);
+    let page = folder.join("world.html");
+    check("check_world.py", &[page.as_path(), &world, folder]);
+    let text = std::fs::read(&page).unwrap();
+    let cut = folder.join("cut.html");
+    std::fs::write(&cut, &text[..text.len() * 3 / 5]).unwrap();
+    check("check_cut.py", &[&cut]);
+}
+
+/// InGaN: wells, substitutions, more than one tile of the pyramid.
+#[test]
+fn the_page_of_wells_says_what_the_file_says() {
+    let recipe = Recipe::load("gan", Difficulty::Easy).unwrap().with_grid(4, 5).unwrap();
+    explore(&recipe, 0.5);
+}
+
+/// Platinum on carbon: particles, vacancies, columns without order.
+#[test]
+fn the_page_of_particles_says_what_the_file_says() {
+    explore(&particles(), 0.3);
+}
+
+#[test]
+fn a_page_opens_as_the_options_say() {
+    let folder = tempfile::tempdir().unwrap();
+    let world = folder.path().join("world.h5");
+    let options = BuildOptions::default();
+    build(&particles(), &Spots::new(), &world, &options, &Silent).unwrap();
+    let wanted = [
+        ["--region", "3.5,0.5,5.5,2.5"],
+        ["--colormap", "viridis"],
+        ["--contrast", "1,99"],
+        ["--overlay", "defects,particles"],
+    ];
+    let mut arguments = vec!["view", "world.h5", "--html", "--quiet"];
+    arguments.extend(wanted.iter().flatten());
+    stemgen(folder.path(), &arguments);
+    let page = folder.path().join("world.html");
+    let values = wanted.iter().map(|[_, value]| OsStr::new(value));
+    check("check_start.py", &[page.as_os_str()].into_iter().chain(values).collect::<Vec<_>>());
+}
+
+/// A field of 6 nm with one particle.
+fn particles() -> Recipe {
+    let mut recipe = Recipe::load("pt", Difficulty::Easy).unwrap();
+    recipe.field.fov_nm = [6.0, 6.0];
+    recipe.field.grid = [4, 4];
+    recipe.field.thickness_nm = 1.0;
+    let particles = recipe.particles.as_mut().unwrap();
+    particles.count = 1;
+    particles.diameter_nm = [2.5, 3.0];
+    recipe
+}
+
+#[test]
+fn the_page_of_simulated_images_says_what_the_file_says() {
+    let folder = tempfile::tempdir().unwrap();
+    let structure = file("structures/si.cif").display().to_string();
+    let arguments = [
+        "simulate",
+        &structure,
+        "--scan-end=2.7155,5.431",
+        "--sampling=0.1",
+        "--thicknesses=2.7,5.431",
+        "--detector=ADF=40-80",
+        "--detector=BF=0-10",
+        "--html",
+        "--quiet",
+    ];
+    stemgen(folder.path(), &arguments);
+    check("check_images.py", &[&folder.path().join("si.html"), &folder.path().join("si.h5")]);
+}
+
+/// Builds `MATERIAL_full.h5`, the whole field of `$STEMGEN_MATERIAL` with a stand-in for the engine,
+/// in `$STEMGEN_LOOK`, to measure pages with (`benches/page.py`).
+#[test]
+#[ignore = "makes a large file to measure with"]
+fn a_world_of_full_size() {
+    let folder = std::env::var_os("STEMGEN_LOOK").expect("STEMGEN_LOOK names a folder");
+    let material = std::env::var("STEMGEN_MATERIAL").unwrap_or_else(|_| "srtio3".into());
+    let recipe = Recipe::load(&material, Difficulty::Easy).unwrap();
+    let options = BuildOptions { keep_clean: true, overwrite: true, ..BuildOptions::default() };
+    let path = Path::new(&folder).join(format!("{material}_full.h5"));
+    build(&recipe, &Spots::new(), &path, &options, &Silent).unwrap();
+}
