@@ -1,108 +1,234 @@
-"""Runs stemgen and abTEM in turn on the same image and prints times, memory and ratios.
+"""Time, memory and error of stemgen and abTEM on the same images.
 
-    pip install abtem==1.0.11
+    pip install abtem==1.0.11 h5py
     cargo build --release
-    python benches/compare_abtem.py [--rounds 3] [--threads 1] [--scan 104]
+    python benches/compare_abtem.py                                    # SrTiO3 of 39 A; about 15 minutes
+    python benches/compare_abtem.py --case srtio3-98 --runs window-7.8,prism2-0.05 --rounds 3 --threads 2
+    python benches/compare_abtem.py --results results.jsonl --report   # the table of what was measured before
 
-SrTiO3 [001], 31 x 31 x 39 A, PRISM f = 2, 0.05 A, 1 A slices, one configuration, HAADF 68-167 mrad. Both carry scattering to
-171 mrad: abTEM on 640 x 640 pixels, stemgen on the same grid (band fraction 2/3) and on 540 x 540 pixels (0.79, as it chooses
-by itself). Beside it the windowed engine, with potentials converged in the grid and scattering up to 1.2 times 200 mrad, at
-two widths (errors: `cargo bench --bench accuracy`). Wall time of stemgen is that of the whole process.
+A case is a crystal whose atoms are displaced once (two codes, the same atoms); every run makes its whole HAADF image
+68-167 mrad with probes at the Nyquist distance of the image. Errors are taken over one cell of the crystal in the middle, against
+stemgen's plain multislice on the full grid with all scattering to 250 mrad, which agrees within 0.08 % with abTEM refined in the grid
+until it no longer changes (tests/golden.rs): rms difference and mean difference, both divided by the mean.
+
+Runs of abTEM: prismF-S is PRISM with interpolation F on pixels of at most S Angstrom, multislice-S plain multislice. All have slices
+of one atomic plane, as ours have; -thin: 1 A slices, as published images have. Plain multislice is timed on the probes of the one cell; its
+time for the image is the time of these times the number of cells, plus the potentials'. abTEM starts to time after imports and warm-up; stemgen's
+time is that of its process, start and file included. Runs go in turn, round by round.
 """
 
 import argparse
 import json
 import os
 import pathlib
-import resource
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
 
+import h5py
+import numpy as np
+
 here = pathlib.Path(__file__).resolve().parent
-parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-parser.add_argument("--rounds", type=int, default=3)
-parser.add_argument("--threads", type=int, default=1)
-parser.add_argument("--scan", type=int, default=104)
-parser.add_argument("--cells", type=int, nargs=3, default=(8, 8, 10))
-parser.add_argument("--stemgen", default=str(here.parent / "target/release/stemgen"))
-args = parser.parse_args()
+SIGMA = {"Sr": 0.084, "Ti": 0.060, "O": 0.085, "Ga": 0.090, "As": 0.085}
+SRTIO3 = [("Sr", 0, 0, 0.25), ("O", 0.5, 0.5, 0.25), ("Ti", 0.5, 0.5, 0.75), ("O", 0, 0.5, 0.75), ("O", 0.5, 0, 0.75)]
+# zinc blende along [110]: x along [001], y along [1-10]
+GAAS = [("Ga", 0, 0, 0.25), ("Ga", 0.5, 0.5, 0.75), ("As", 0.25, 0.5, 0.25), ("As", 0.75, 0, 0.75)]
+
+
+class Case:
+    def __init__(self, basis, cell, cells, probes):
+        self.basis, self.cell, self.cells, self.probes = basis, cell, cells, probes
+        self.size = np.multiply(cell, cells)
+        self.scan = [cells[i] * probes[i] for i in (0, 1)]
+        # the cell in the middle
+        self.part = [probes[i] * (cells[i] // 2) for i in (0, 1)] + list(probes)
+
+    def gpts(self, sampling):
+        return [int(np.ceil(self.size[i] / sampling / 16 - 1e-6)) * 16 for i in (0, 1)]
+
+    def write(self, path, seed=None):
+        """The crystal; displaced if there is a seed, wrapped into the cell along x and y."""
+        random = np.random.default_rng(seed)
+        lines = []
+        for index in np.ndindex(*self.cells):
+            for symbol, *fraction in self.basis:
+                r = np.add(index, fraction) * self.cell
+                if seed is not None:
+                    r += random.normal(0, SIGMA[symbol], 3)
+                    r[:2] %= self.size[:2]
+                lines.append(f"{symbol} {r[0]:.6f} {r[1]:.6f} {r[2]:.6f}")
+        x, y, z = self.size
+        head = f'{len(lines)}\nLattice="{x} 0 0 0 {y} 0 0 0 {z}" Properties=species:S:1:pos:R:3\n'
+        path.write_text(head + "\n".join(lines) + "\n")
+        return path
+
 
 A = 3.905
-BASIS = [("Sr", 0, 0, 0), ("Ti", .5, .5, .5), ("O", .5, .5, 0), ("O", .5, 0, .5), ("O", 0, .5, .5)]
+D = 5.6533
+CASES = {
+    "srtio3-39": Case(SRTIO3, (A, A, A), (8, 8, 10), (13, 13)),
+    "srtio3-98": Case(SRTIO3, (A, A, A), (8, 8, 25), (13, 13)),
+    "gaas-100": Case(GAAS, (D, D / 2**0.5, D / 2**0.5), (6, 8, 25), (19, 14)),
+}
+DEFAULT_RUNS = "window-5.9,window-7.8,window-11.7,prism2,multislice,prism2-0.05,multislice-0.05,multislice-0.02"
 
 
-def write_structure(path):
-    """As abtem_peer.py: planes a quarter of a cell below the surface, in the middle of 1 A slices."""
-    nx, ny, nz = args.cells
-    shift = 0.125
-    atoms = [
-        (s, (i + x) * A, (j + y) * A, (k + z + shift) * A)
-        for i in range(nx) for j in range(ny) for k in range(nz) for s, x, y, z in BASIS
-    ]
-    lattice = f"{nx * A} 0 0 0 {ny * A} 0 0 0 {nz * A}"
-    lines = [str(len(atoms)), f'Lattice="{lattice}" Properties=species:S:1:pos:R:3']
-    lines += [f"{s} {x:.6f} {y:.6f} {z:.6f}" for s, x, y, z in atoms]
-    path.write_text("\n".join(lines) + "\n")
+class Bench:
+    def __init__(self, args, folder):
+        self.args, self.folder, self.case = args, folder, CASES[args.case]
+        seeds = range(1, args.configurations + 1)
+        self.displaced = [self.case.write(folder / f"displaced{seed}.xyz", seed) for seed in seeds]
+        self.ideal = self.case.write(folder / "ideal.xyz")
+        self.reference = None
+
+    def plane(self):
+        return self.case.cell[2] / 2
+
+    def stemgen(self, structure, options, part=False):
+        """(figures, image [y, x])"""
+        case, out = self.case, self.folder / "ours.h5"
+        x, y, columns, rows = case.part if part else [0, 0, *case.scan]
+        step = case.size[:2] / case.scan
+        command = [
+            self.args.stemgen, "simulate", structure, "--detector", "HAADF=68-167", "--threads", self.args.threads,
+            f"--scan-start={x * step[0]},{y * step[1]}", f"--scan-end={(x + columns) * step[0]},{(y + rows) * step[1]}",
+            "--scan-points", f"{columns},{rows}", "--output", out, "--overwrite", "--quiet", *options,
+        ]
+        figures, _ = run(command)
+        with h5py.File(out) as file:
+            return figures, file["images/HAADF"][-1]
+
+    def ours(self, name):
+        kind, _, value = name.partition("-")
+        # abTEM's probe has norm 1 in the cell
+        options = {"window": ["--window", value, "--probe-box", "cell"], "multislice": ["--engine", "multislice"],
+                   "prism2": ["--engine", "prism", "--interpolation", "2"]}[kind]
+        phonons = self.args.configurations
+        structure = self.displaced[0]
+        if phonons > 1:
+            structure = self.ideal
+            sigma = ",".join(f"{s}={SIGMA[s]}" for s in sorted({b[0] for b in self.case.basis}))
+            options += ["--phonons", phonons, "--sigma", sigma]
+        part = kind == "multislice"
+        figures, image = self.stemgen(structure, options, part)
+        if part:
+            figures = self.whole_image(figures, 0.0)
+        return figures, image if phonons == 1 else None
+
+    def abtem(self, name):
+        engine, sampling, *thin = name.split("-")
+        gpts = ",".join(map(str, self.case.gpts(float(sampling))))
+        command = [
+            sys.executable, here / "abtem_peer.py", *self.displaced, "--gpts", gpts, "--scan", ",".join(map(str, self.case.scan)),
+            "--slice", 1.0 if thin else self.plane(), "--threads", self.args.threads, "--fft", self.args.fft,
+            "--image", self.folder / "abtem.npy",
+        ]
+        if engine == "multislice":
+            command += ["--engine", "multislice", "--part", ",".join(map(str, self.case.part))]
+        else:
+            command += ["--interpolation", engine.removeprefix("prism")]
+        _, text = run(command)
+        told = json.loads(text.strip().splitlines()[-1])
+        figures = {"wall_s": told["wall_s"], "cpu_s": told["cpu_s"], "mb": told["peak_rss_mb"], "parts_s": told["parts_s"]}
+        if engine == "multislice":
+            figures = self.whole_image(figures, told["parts_s"]["potential"])
+        return figures, np.load(self.folder / "abtem.npy") if self.args.configurations == 1 else None
+
+    def whole_image(self, figures, once_s):
+        cells = self.case.cells[0] * self.case.cells[1]
+        times = {k: once_s + (figures[k] - once_s) * cells for k in ("wall_s", "cpu_s")}
+        return {**figures, **times, "extrapolated": True}
+
+    def errors(self, image):
+        if self.reference is None:
+            exact = ["--engine", "multislice", "--angle-margin", "1.5"]
+            self.reference = self.stemgen(self.displaced[0], exact, part=True)[1]
+        x, y, columns, rows = self.case.part
+        if image.shape != (rows, columns):
+            image = image[y : y + rows, x : x + columns]
+        difference, mean = image - self.reference, self.reference.mean()
+        bright = self.reference > 0.5 * self.reference.max()
+        return {
+            "rms_percent": 100 * float(np.sqrt((difference**2).mean()) / mean),
+            "mean_percent": 100 * float(difference.mean() / mean),
+            "bright_percent": 100 * float(difference[bright].sum() / self.reference[bright].sum()),
+        }
+
+    def one(self, name):
+        ours = name.partition("-")[0] == "window" or name in ("prism2", "multislice")
+        figures, image = self.ours(name) if ours else self.abtem(name)
+        errors = {} if image is None else self.errors(image)
+        keys = {"case": self.args.case, "threads": self.args.threads, "configurations": self.args.configurations}
+        return {**keys, "code": "stemgen" if ours else f"abTEM ({self.args.fft})", "run": name, **figures, **errors}
 
 
 def run(command):
-    """(wall seconds, CPU seconds, peak MB, standard output) of a process."""
     start = time.monotonic()
     with tempfile.TemporaryFile("w+") as out:
-        process = subprocess.Popen(command, stdout=out)
+        process = subprocess.Popen([str(c) for c in command], stdout=out)
         _, status, usage = os.wait4(process.pid, 0)
         wall = time.monotonic() - start
         if status:
             sys.exit(f"failed: {' '.join(map(str, command))}")
         out.seek(0)
-        return wall, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024, out.read()
+        cpu = usage.ru_utime + usage.ru_stime
+        return {"wall_s": wall, "cpu_s": cpu, "mb": usage.ru_maxrss / 1024}, out.read()
+
+
+def report(rows):
+    groups = {}
+    for row in rows:
+        key = (row["case"], row["configurations"], row["threads"])
+        groups.setdefault(key, {}).setdefault((row["code"], row["run"]), []).append(row)
+    median = lambda rows, key: statistics.median(r[key] for r in rows)
+    for (case, configurations, threads), runs in groups.items():
+        print(f"\n{case}, {configurations} configuration(s), {threads} thread(s)")
+        print(f"{'':>32} {'wall s':>9} {'from - to':>17} {'CPU s':>9} {'MB':>6}   {'rms':>6} {'mean':>7} {'bright':>7} %")
+        for (code, name), rows in runs.items():
+            wall = [r["wall_s"] for r in rows]
+            spread = f"{min(wall):.1f} - {max(wall):.1f}" if len(wall) > 1 else ""
+            errors = ""
+            if "rms_percent" in rows[0]:
+                errors = "{rms_percent:6.2f} {mean_percent:+7.2f} {bright_percent:+7.2f}".format(**rows[0])
+            note = "  (from one cell)" if rows[0].get("extrapolated") else ""
+            print(f"{code + ' ' + name:>32} {median(rows, 'wall_s'):9.1f} {spread:>17} {median(rows, 'cpu_s'):9.1f} "
+                  f"{median(rows, 'mb'):6.0f}   {errors}{note}")
+        ours = {n: r for (c, n), r in runs.items() if c == "stemgen"}
+        for (code, name), rows in runs.items():
+            if code != "stemgen":
+                ratios = ", ".join(f"{n} {median(rows, 'cpu_s') / median(r, 'cpu_s'):.1f}" for n, r in ours.items())
+                print(f"  CPU time of {code} {name} over ours: {ratios}")
 
 
 def main():
-    with tempfile.TemporaryDirectory() as folder:
-        folder = pathlib.Path(folder)
-        structure = folder / "srtio3.xyz"
-        write_structure(structure)
-        ours = [
-            args.stemgen, "simulate", structure, "--algorithm", "prism", "--interpolation", "2",
-            "--slice-thickness", "1", "--oversampling", "1", "--detector", "HAADF=68-167",
-            "--scan-points", f"{args.scan},{args.scan}", "--threads", str(args.threads),
-            "--output", folder / "ours.h5", "--overwrite", "--quiet",
-        ]
-        pixels = 80 * args.cells[0]
-        exact = ["--gpts", f"{pixels},{pixels}", "--band-fraction", str(2 / 3)]
-        coarse = round(pixels * 0.84375)
-        runs = {
-            "abTEM": [sys.executable, here / "abtem_peer.py", "--scan", str(args.scan), "--threads", str(args.threads),
-                      "--cells", *map(str, args.cells)],
-            "stemgen, same grid": ours + exact,
-            "stemgen, 540 x 540": ours + ["--gpts", f"{coarse},{coarse}", "--band-fraction", "0.789"],
-        }
-        common = ours[:3] + ours[ours.index("--scan-points"):]
-        for width in ("5.9", "7.8"):
-            runs[f"stemgen, window {width} A"] = common + ["--algorithm", "window", "--window", width,
-                                                           "--detector", "HAADF=68-200"]
-        figures = {name: [] for name in runs}
-        for _ in range(args.rounds):
-            for name, command in runs.items():
-                wall, cpu, peak, text = run([str(c) for c in command])
-                if name == "abTEM":  # without imports and warm-up
-                    peer = json.loads(text.strip().splitlines()[-1])
-                    wall, cpu, peak = peer["wall_s"], peer["cpu_s"], peer["peak_rss_mb"]
-                figures[name].append((wall, cpu, peak))
-                print(f"{name:>24}: {wall:8.2f} s wall, {cpu:8.2f} s CPU, {peak:7.0f} MB", flush=True)
-        reference = figures["abTEM"]
-        for name, values in figures.items():
-            column = lambda rows, i: [row[i] for row in rows]
-            ratios = [r[0] / v[0] for r, v in zip(reference, values)]
-            cpu = [r[1] / v[1] for r, v in zip(reference, values)]
-            wall = column(values, 0)
-            print(f"{name:>24}: median {statistics.median(wall):.2f} s ({min(wall):.2f}-{max(wall):.2f}), "
-                  f"{statistics.median(column(values, 2)):.0f} MB; abTEM takes {statistics.median(ratios):.1f} times as long "
-                  f"({statistics.median(cpu):.1f} times the CPU)")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--case", choices=CASES, default="srtio3-39")
+    parser.add_argument("--runs", default=DEFAULT_RUNS, help="comma-separated; window-WIDTH, prism2 and multislice are stemgen's")
+    parser.add_argument("--rounds", type=int, default=1)
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--configurations", type=int, default=1, help="phonon configurations; errors are told for one only")
+    parser.add_argument("--fft", choices=["fftw", "mkl"], default="fftw", help="abTEM's transforms; mkl needs pip install mkl_fft")
+    parser.add_argument("--stemgen", default=str(here.parent / "target/release/stemgen"))
+    parser.add_argument("--results", type=pathlib.Path, help="append every run to this file (JSON lines)")
+    parser.add_argument("--report", action="store_true", help="run nothing")
+    args = parser.parse_args()
+    rows = []
+    if not args.report:
+        with tempfile.TemporaryDirectory() as folder:
+            bench = Bench(args, pathlib.Path(folder))
+            for _ in range(args.rounds):
+                for name in args.runs.split(","):
+                    row = bench.one(name)
+                    rows.append(row)
+                    print(json.dumps(row), flush=True)
+                    if args.results:
+                        with args.results.open("a") as file:
+                            file.write(json.dumps(row) + "\n")
+    if args.results and args.results.exists():
+        rows = [json.loads(line) for line in args.results.read_text().splitlines()]
+    report(rows)
 
 
 main()

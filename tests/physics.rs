@@ -2,7 +2,8 @@
 
 use stemgen::detect::Detector;
 use stemgen::engine::{
-    Algorithm, Images, Phonons, Plan, ProbeBox, Scan, Settings, Site, simulate, window_for,
+    Algorithm, Images, Phonons, Plan, ProbeBox, ProbeRaster, ProbeStep, Scan, Settings, Site,
+    simulate, window_for,
 };
 use stemgen::optics::{Aberration, Optics};
 use stemgen::progress::Silent;
@@ -35,6 +36,21 @@ fn srtio3(cells: [usize; 3]) -> (Vec<Site>, [f64; 3]) {
         }
     }
     (sites, cells.map(|n| n as f64 * A))
+}
+
+/// Pt [001], nx x ny x nz cells.
+fn platinum(cells: [usize; 3]) -> (Vec<Site>, [f64; 3]) {
+    const EDGE: f64 = 3.924;
+    let mut sites = Vec::new();
+    for i in 0..cells[0] * cells[1] * cells[2] {
+        let cell = [i % cells[0], i / cells[0] % cells[1], i / cells[0] / cells[1]];
+        for p in [[0.0, 0.0, 0.25], [0.5, 0.5, 0.25], [0.5, 0.0, 0.75], [0.0, 0.5, 0.75]] {
+            let position = [0, 1, 2].map(|k| (cell[k] as f64 + p[k]) * EDGE);
+            let key = sites.len() as u64;
+            sites.push(Site { position, number: 78, sigma_angstrom: 0.07, key });
+        }
+    }
+    (sites, cells.map(|n| n as f64 * EDGE))
 }
 
 fn plan(settings: &Settings, sites: &[Site], cell: [f64; 3]) -> Plan {
@@ -133,6 +149,73 @@ fn windows_agree_with_the_full_grid() {
         assert!(error < accuracy as f32, "{accuracy}: {error}");
         assert!(accuracy > 1.0 || error < 0.9 * without, "{accuracy}: {error} {without}");
     }
+}
+
+/// Images interpolated from probes 0.25 A apart against a probe at every point of the scan: rms difference over
+/// the standard deviation of the image, for a scan of the whole (periodic) cell and for a part of it.
+#[test]
+fn interpolated_images_are_those_of_a_probe_at_every_point() {
+    let (srtio3, srtio3_cell) = srtio3([2, 2, 5]);
+    let (pt, pt_cell) = platinum([2, 2, 5]);
+    for (name, sites, cell) in [("SrTiO3", srtio3, srtio3_cell), ("Pt", pt, pt_cell)] {
+        let step = 0.13;
+        let points = (cell[0] / step).round();
+        let whole = Scan {
+            origin_angstrom: [0.0; 2],
+            step_angstrom: [cell[0] / points; 2],
+            shape: [points as usize; 2],
+        };
+        let part =
+            Scan { origin_angstrom: [1.1, -0.7], step_angstrom: [0.12, 0.09], shape: [50, 40] };
+        let phonons = Some(Phonons { configurations: 1, seed: 4 });
+        let detectors = vec![Detector::new("HAADF", 68.0, 200.0), Detector::new("BF", 0.0, 10.0)];
+        let full = Settings { phonons, detectors, ..Settings::default() };
+        let windowed = Settings {
+            algorithm: Algorithm::Window { width_angstrom: 5.9 },
+            detectors: full.detectors[..1].to_vec(),
+            ..full.clone()
+        };
+        for (settings, limit) in [(full, 0.15), (windowed, 0.3)] {
+            for scan in [&whole, &part] {
+                let run = |probe_step| {
+                    let plan = plan(&Settings { probe_step, ..settings.clone() }, &sites, cell);
+                    let probes = ProbeRaster::new(&plan, scan).unwrap().scan().len();
+                    (simulate(&plan, &sites, scan, &Silent).unwrap(), probes)
+                };
+                let (exact, all) = run(ProbeStep::Scan);
+                let (interpolated, few) = run(ProbeStep::Angstrom(0.25));
+                assert!(few as f64 <= 0.75 * all as f64, "{few} of {all}");
+                for d in 0..settings.detectors.len() {
+                    let (a, b) = (interpolated.image(0, d), exact.image(0, d));
+                    let square: f32 = a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum();
+                    let error = 100.0 * (square / a.len() as f32).sqrt() / b.std(0.0);
+                    println!("{name} {}: {few} probes for {all}: {error:.4} %", exact.detectors[d]);
+                    assert!(error < limit, "{name}: {error} %");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn probes_stand_at_the_scan_where_that_takes_fewer() {
+    let (sites, cell) = srtio3([2, 2, 1]);
+    let windowed =
+        Settings { algorithm: Algorithm::Window { width_angstrom: 5.9 }, ..Settings::default() };
+    let raster = |settings: &Settings, step: f64, n: usize| {
+        let scan = Scan { origin_angstrom: [0.0; 2], step_angstrom: [step; 2], shape: [n, n] };
+        ProbeRaster::new(&plan(settings, &sites, cell), &scan).map(|r| r.scan().clone())
+    };
+    // 7.81 A: 32 probes at most 0.2508 A apart; 2 A of a cell: 8 intervals and 5 probes beyond either end
+    assert_eq!(raster(&windowed, cell[0] / 60.0, 60).unwrap().shape, [32, 32]);
+    let part = raster(&windowed, 0.05, 41).unwrap();
+    assert_eq!(part.shape, [19, 19]);
+    assert!((part.origin_angstrom[0] + 1.25).abs() < 1e-9, "{:?}", part.origin_angstrom);
+    assert_eq!(raster(&windowed, 0.3, 26).unwrap().shape, [26, 26]);
+    assert_eq!(raster(&windowed, 0.05, 1).unwrap().shape, [1, 1]);
+    assert_eq!(raster(&Settings::default(), cell[0] / 60.0, 60).unwrap().shape, [60, 60]);
+    let coarse = Settings { probe_step: ProbeStep::Angstrom(0.29), ..windowed };
+    assert!(raster(&coarse, 0.1, 9).unwrap_err().to_string().contains("0.2836"));
 }
 
 /// Cores in closed form against potentials exponentiated on ever finer grids: SrTiO3, and Sr atoms in

@@ -147,6 +147,7 @@ struct DryRun {
     dose_electrons_per_angstrom2: f64,
     subtiles: usize,
     subtile_nm: [f64; 2],
+    probe_step_angstrom: [f64; 2],
     #[serde(flatten)]
     plan: PlanReport,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -295,14 +296,15 @@ impl Build {
         let plan = subtile_plan(&*specimen, recipe, simulator, [rows, columns])?;
         let sites = estimated_sites(&*specimen, field);
         let runs = if self.common.dry_run { partition.len() } else { 0 };
-        let mut report = PlanReport::new(&plan, rows * columns, runs);
+        let probes = simulator.probes(&plan, [rows, columns], 10.0 * pixel)?;
+        let mut report = PlanReport::new(&plan, probes.scan().len(), runs);
         let mosaic = match self.common.dry_run && self.is_mosaic(simulator) {
             true => Some(Mosaic::outlook(&self.mosaic(simulator.clone()), &*specimen, recipe)?),
             false => None,
         };
         if let Some(mosaic) = mosaic.as_ref().filter(|m| m.pays) {
             // Probes decide: those of the library's missing images, and of what does not repeat.
-            let all = (rows * columns * partition.len()) as f64;
+            let all = (probes.scan().len() * partition.len()) as f64;
             let configurations = f64::from(simulator.settings().configurations());
             let columns = (mosaic.columns + mosaic.unique_columns).max(1) as f64;
             let unique = mosaic.unique_columns as f64 / columns;
@@ -322,6 +324,7 @@ impl Build {
             dose_electrons_per_angstrom2: recipe.dose.electrons_per_angstrom2,
             subtiles: partition.len(),
             subtile_nm: [rows, columns].map(|n| n as f64 * pixel),
+            probe_step_angstrom: probes.scan().step_angstrom,
             plan: report,
             mosaic,
             disk_bytes: world_bytes(field, sites, self.keep_clean),
@@ -469,7 +472,8 @@ impl DryRun {
         lines.add("field", format!("{h:.2} x {w:.2} nm, {} nm thick", self.thickness_nm));
         let [h, w] = self.subtile_nm;
         lines.add("sub-tiles", format!("{} of {h:.2} x {w:.2} nm", self.subtiles));
-        lines.add("probes", format!("{} per sub-tile", text::count(self.plan.probes as u64)));
+        let (n, [x, y]) = (text::count(self.plan.probes as u64), self.probe_step_angstrom);
+        lines.add("probes", format!("{n} per sub-tile, {x:.4} x {y:.4} A apart"));
         self.plan.lines(&mut lines);
         if let Some(mosaic) = &self.mosaic {
             lines.add("mosaic", mosaic_line(mosaic));

@@ -14,7 +14,7 @@ use ndarray::{ArrayView3, Axis};
 use serde::Serialize;
 use std::path::PathBuf;
 use std::time::Instant;
-use stemgen::engine::{Images, Plan, Scan, Settings, simulate};
+use stemgen::engine::{Images, Plan, ProbeRaster, Scan, Settings, simulate};
 use stemgen::io::image_file::{ExitWaves, ImageStack, Origin, write_images};
 use stemgen::progress::Progress;
 
@@ -207,7 +207,8 @@ impl Simulate {
     }
 
     fn dry_run(&self, plan: &Plan, specimen: &Prepared, scan: &Scan) -> anyhow::Result<()> {
-        let waves = if self.results.plane_wave { 1 } else { scan.len() };
+        let raster = ProbeRaster::new(plan, scan)?;
+        let waves = if self.results.plane_wave { 1 } else { raster.scan().len() };
         let report = PlanReport::new(plan, waves, 1);
         let scan_report = ScanReport {
             origin_angstrom: scan.origin_angstrom,
@@ -233,7 +234,10 @@ impl Simulate {
         all.plan.lines(&mut lines);
         match self.results.plane_wave {
             true => lines.add("beam", "a plane wave along the beam axis"),
-            false => lines.add("probes", show::scan(scan)),
+            false => lines.add("probes", show::scan(raster.scan())),
+        }
+        if !self.results.plane_wave && raster.interpolates() {
+            lines.add("interpolated to", show::scan(scan));
         }
         all.plan.costs(&mut lines);
         lines.add("output", format!("{} (nothing was simulated or written)", all.output.display()));

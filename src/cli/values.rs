@@ -4,6 +4,7 @@ use clap::ValueEnum;
 use std::collections::BTreeMap;
 use std::str::FromStr;
 use stemgen::detect::Detector;
+use stemgen::engine::ProbeStep;
 use stemgen::optics::Aberration;
 use stemgen::potential::projected::Projection;
 use stemgen::potential::scattering::Parametrization;
@@ -28,6 +29,18 @@ pub fn finite(text: &str) -> Parsed<f64> {
 pub fn percent(text: &str) -> Parsed<f64> {
     finite(text.trim().trim_end_matches('%'))
         .map_err(|_: String| "write per cent, such as 1 or 0.5%".into())
+}
+
+/// `auto`, `scan` or a length in Angstrom.
+pub fn probe_step(text: &str) -> Parsed<ProbeStep> {
+    match text.trim() {
+        "auto" => Ok(ProbeStep::Auto),
+        "scan" => Ok(ProbeStep::Scan),
+        length => match finite(length) {
+            Ok(step) if step > 0.0 => Ok(ProbeStep::Angstrom(step)),
+            _ => Err("write auto, scan or a distance in A, such as 0.25".into()),
+        },
+    }
 }
 
 /// `X,Y`.

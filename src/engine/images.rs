@@ -3,6 +3,7 @@
 use super::multislice::Multislice;
 use super::plan::Plan;
 use super::prism::Prism;
+use super::probes::ProbeRaster;
 use super::settings::Algorithm;
 use super::stepper::{Specimen, Stepper};
 use super::transmission::TransmissionBuilder;
@@ -31,19 +32,25 @@ impl Images {
     }
 }
 
-/// Simulates the images of a scan.
+/// Simulates the images of a scan; [`Settings::probe_step`](super::Settings::probe_step) says where probes stand.
 ///
 /// The cell is periodic along x and y; sites outside are wrapped. The result is the same bytes for
 /// any number of threads.
 ///
 /// # Errors
-/// An element that the tables lack, or [`Error::Interrupted`].
+/// An element that the tables lack, a probe step too coarse for the image, or [`Error::Interrupted`].
 pub fn simulate(
     plan: &Plan,
     sites: &[Site],
     scan: &Scan,
     progress: &dyn Progress,
 ) -> Result<Images> {
+    let raster = ProbeRaster::new(plan, scan)?;
+    Ok(raster.images(at_probes(plan, sites, raster.scan(), progress)?))
+}
+
+/// The images of a scan with a probe at every position.
+fn at_probes(plan: &Plan, sites: &[Site], scan: &Scan, progress: &dyn Progress) -> Result<Images> {
     let builder = TransmissionBuilder::new(plan, &elements(sites))?;
     let configurations = plan.settings.configurations();
     let records = plan.record_after.len();
@@ -139,8 +146,8 @@ pub fn exit_wave(
     for leg in legs {
         stepper.travel(&mut waves, leg, specimen, &mut w);
     }
+    stepper.propagate_by(&mut waves, &to_exit, &mut w.fft);
     let [mut wave] = waves;
-    stepper.propagate_by(&mut wave, &to_exit, &mut w.fft);
     if let [low, high] = stepper.band() {
         for row in wave.chunks_exact_mut(fft.stride()) {
             row[low.end..high.start].fill(Complex32::ZERO);

@@ -8,6 +8,7 @@ mod multislice;
 pub mod plan;
 mod prism;
 mod prism_reduce;
+mod probes;
 pub mod settings;
 mod speed;
 mod stepper;
@@ -18,7 +19,8 @@ pub use accuracy::{WindowChoice, window_for};
 pub use images::{Images, diffraction, exit_wave, simulate};
 pub use imaging::lens_image;
 pub use plan::Plan;
-pub use settings::{Algorithm, BeyondLimit, GridChoice, Phonons, ProbeBox, Settings};
+pub use probes::{ProbeRaster, probe_margin_angstrom};
+pub use settings::{Algorithm, BeyondLimit, GridChoice, Phonons, ProbeBox, ProbeStep, Settings};
 pub use speed::{Speed, measure_speed};
 
 /// A lattice site as the engine sees it: where it is on average, and how it vibrates.

@@ -49,8 +49,10 @@ struct Group {
     probes: Vec<(usize, [f64; 2])>,
 }
 
-/// Windows begin at multiples of about this, so that neighbouring probes share one.
-const WINDOW_STEP_ANGSTROM: f64 = 0.4;
+/// Windows begin at multiples of about this, so that neighbouring probes share one and what is read of the specimen
+/// serves them all: 0.9 A takes 20 % less time than 0.4 A. Errors do not change (SrTiO3, 39 A, rms / mean: 7.8 A
+/// windows 0.70 % with steps of 0.4 A, 0.72 % with 0.6, 0.9 and 1.2 A; 5.9 A 0.96, 0.71, 0.76 and 0.80 %).
+const WINDOW_STEP_ANGSTROM: f64 = 0.9;
 
 impl<'a> Multislice<'a> {
     pub fn new(plan: &'a Plan) -> Self {

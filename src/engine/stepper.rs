@@ -119,9 +119,7 @@ impl Stepper {
         specimen: Specimen<'_>,
         w: &mut Workspace,
     ) {
-        for wave in &mut *waves {
-            self.propagate_by(wave, &self.propagators[leg.propagator].1, &mut w.fft);
-        }
+        self.propagate_by(waves, &self.propagators[leg.propagator].1, &mut w.fft);
         if let Some(t) = &specimen.transmission.slices[leg.slice] {
             self.transmit(waves, t, specimen.transmission.layout, specimen.origin, w);
         }
@@ -204,11 +202,11 @@ impl Stepper {
     /// Propagates by a prepared propagator.
     pub fn propagate_by(
         &self,
-        wave: &mut [Complex32],
+        waves: &mut [Buffer],
         propagator: &DiskMultiplier,
         scratch: &mut Scratch,
     ) {
-        self.fft.convolve_columns(wave, &self.band, propagator, scratch);
+        self.fft.convolve_columns(waves, &self.band, propagator, scratch);
     }
 
     /// Brings Fourier coefficients into the form that the steps need. Columns outside `live`

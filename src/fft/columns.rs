@@ -10,6 +10,7 @@ use super::radix::{RadixPlan, lanes};
 use super::tile;
 use num_complex::Complex32;
 use pulp::{Arch, Simd, WithSimd};
+use std::ops::{DerefMut, Range};
 
 /// How to transform columns of `n` rows.
 #[derive(Debug, Clone)]
@@ -25,7 +26,8 @@ impl ColumnPlan {
 
     /// Number of `f32` that the scratch of every call must have room for.
     pub fn scratch_len(&self) -> usize {
-        self.plan.points() * 2 * lanes()
+        // a block of columns and the multiplier's
+        2 * self.plan.points() * 2 * lanes()
     }
 
     /// Frequency index found at each position after the forward passes.
@@ -33,18 +35,26 @@ impl ColumnPlan {
         self.plan.order()
     }
 
-    /// Transforms `columns` of `data` (rows of length `stride`), multiplies and transforms back,
+    /// Transforms `columns` of every wave (rows of length `stride`), multiplies and transforms back,
     /// unnormalised. The range is rounded up to whole vectors: the rows must be padded, see
-    /// [`lanes`].
-    pub fn convolve(
+    /// [`lanes`]. Waves share the multiplier, which is worked out once for all.
+    pub fn convolve<W: DerefMut<Target = [Complex32]>>(
         &self,
-        data: &mut [Complex32],
+        waves: &mut [W],
         stride: usize,
-        columns: std::ops::Range<usize>,
+        columns: Range<usize>,
         multiplier: &DiskMultiplier,
         scratch: &mut [f32],
     ) {
-        self.run(data, stride, columns, Task::Convolve(multiplier), scratch);
+        for waves in waves.chunks_mut(MOST_WAVES) {
+            let mut at = [std::ptr::null_mut(); MOST_WAVES];
+            for (at, wave) in at.iter_mut().zip(&mut *waves) {
+                *at = self.checked(wave, stride, &columns, scratch);
+            }
+            let waves = &at[..waves.len()];
+            let (plan, columns) = (&self.plan, columns.clone());
+            Arch::new().dispatch(Convolve { plan, waves, stride, columns, multiplier, scratch });
+        }
     }
 
     /// Transforms columns in place, natural order to natural order, unnormalised.
@@ -52,62 +62,91 @@ impl ColumnPlan {
         &self,
         data: &mut [Complex32],
         stride: usize,
-        columns: std::ops::Range<usize>,
+        columns: Range<usize>,
         inverse: bool,
         scratch: &mut [f32],
     ) {
-        self.run(data, stride, columns, Task::Transform { inverse }, scratch);
+        let data = self.checked(data, stride, &columns, scratch);
+        let plan = &self.plan;
+        Arch::new().dispatch(Transform { plan, data, stride, columns, inverse, scratch });
     }
 
-    fn run(
+    /// The matrix as floats, after a check that the columns, in whole vectors, lie inside.
+    fn checked(
         &self,
         data: &mut [Complex32],
         stride: usize,
-        columns: std::ops::Range<usize>,
-        task: Task<'_>,
-        scratch: &mut [f32],
-    ) {
+        columns: &Range<usize>,
+        scratch: &[f32],
+    ) -> *mut f32 {
         let end = columns.start + columns.len().next_multiple_of(lanes());
         assert!(end <= stride && data.len() >= self.plan.points() * stride, "rows are not padded");
         assert!(scratch.len() >= self.scratch_len());
         // Complex32 is repr(C) of two f32.
-        let data: &mut [f32] = unsafe {
-            std::slice::from_raw_parts_mut(data.as_mut_ptr().cast::<f32>(), data.len() * 2)
-        };
-        Arch::new().dispatch(Run { plan: &self.plan, data, stride, columns, task, scratch });
+        data.as_mut_ptr().cast()
     }
 }
 
-#[derive(Clone, Copy)]
-enum Task<'a> {
-    Convolve(&'a DiskMultiplier),
-    Transform { inverse: bool },
-}
+/// Waves that one call of the kernel handles.
+const MOST_WAVES: usize = 16;
 
-struct Run<'a> {
+struct Convolve<'a> {
     plan: &'a RadixPlan,
-    data: &'a mut [f32],
+    waves: &'a [*mut f32],
     stride: usize,
-    columns: std::ops::Range<usize>,
-    task: Task<'a>,
+    columns: Range<usize>,
+    multiplier: &'a DiskMultiplier,
     scratch: &'a mut [f32],
 }
 
-impl WithSimd for Run<'_> {
+impl WithSimd for Convolve<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let (scratch, _) = S::as_mut_simd_f32s(self.scratch);
+        let data: *mut Lanes<S> = scratch.as_mut_ptr().cast();
+        let kernel = Kernel { simd, plan: self.plan, data };
+        // Bounds were checked by ColumnPlan::checked for all rows and for whole vectors, and scratch has room
+        // for two blocks.
+        unsafe {
+            let factors = data.add(self.plan.points());
+            for first in self.columns.step_by(S::F32_LANES) {
+                let disk = InDisk::<S>::new(simd, self.multiplier, first);
+                for position in 0..self.plan.points() {
+                    *factors.add(position) = disk.factor(simd, position);
+                }
+                for &data in self.waves {
+                    let stride = 2 * self.stride;
+                    Block { kernel: &kernel, data, stride, first }.convolve(&Factors { factors });
+                }
+            }
+        }
+    }
+}
+
+struct Transform<'a> {
+    plan: &'a RadixPlan,
+    data: *mut f32,
+    stride: usize,
+    columns: Range<usize>,
+    inverse: bool,
+    scratch: &'a mut [f32],
+}
+
+impl WithSimd for Transform<'_> {
     type Output = ();
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let (scratch, _) = S::as_mut_simd_f32s(self.scratch);
         let kernel = Kernel { simd, plan: self.plan, data: scratch.as_mut_ptr().cast() };
         for first in self.columns.step_by(S::F32_LANES) {
-            let at = self.data.as_mut_ptr();
-            let mut block = Block { kernel: &kernel, data: at, stride: 2 * self.stride, first };
-            // Bounds were checked by ColumnPlan::run for all rows and for whole vectors.
+            let stride = 2 * self.stride;
+            let mut block = Block { kernel: &kernel, data: self.data, stride, first };
+            // Bounds were checked by ColumnPlan::checked for all rows and for whole vectors.
             unsafe {
-                match self.task {
-                    Task::Convolve(m) => block.convolve(m),
-                    Task::Transform { inverse: false } => block.transform::<false>(),
-                    Task::Transform { inverse: true } => block.transform::<true>(),
+                match self.inverse {
+                    false => block.transform::<false>(),
+                    true => block.transform::<true>(),
                 }
             }
         }
@@ -140,11 +179,11 @@ impl<S: Simd> Block<'_, S> {
     }
 
     #[inline(always)]
-    unsafe fn convolve(&mut self, m: &DiskMultiplier) {
+    unsafe fn convolve(&mut self, factors: &Factors<S>) {
         unsafe {
             let first = self.kernel.plan.stages()[0].radix;
             by_radix!(first, self.first_forward(false));
-            self.kernel.convolve_inner(&InDisk::new(self.kernel.simd, m, self.first));
+            self.kernel.convolve_inner(factors);
             by_radix!(first, self.last_inverse());
         }
     }
@@ -202,7 +241,7 @@ impl<S: Simd> Block<'_, S> {
     }
 }
 
-/// Multiplication of a block of columns by a [`DiskMultiplier`].
+/// A block of columns of a [`DiskMultiplier`].
 struct InDisk<'a, S: Simd> {
     m: &'a DiskMultiplier,
     column: Lanes<S>,
@@ -220,9 +259,9 @@ impl<'a, S: Simd> InDisk<'a, S> {
     }
 }
 
-impl<S: Simd> Middle<S> for InDisk<'_, S> {
+impl<S: Simd> InDisk<'_, S> {
     #[inline(always)]
-    unsafe fn apply(&self, s: S, position: usize, v: Lanes<S>) -> Lanes<S> {
+    unsafe fn factor(&self, s: S, position: usize) -> Lanes<S> {
         unsafe {
             let (zero, one) = (s.splat_f32s(0.0), s.splat_f32s(1.0));
             let (two, three) = (s.splat_f32s(2.0), s.splat_f32s(3.0));
@@ -231,8 +270,20 @@ impl<S: Simd> Middle<S> for InDisk<'_, S> {
             let u = s.min_f32s(s.max_f32s(u, zero), one);
             let weight = s.mul_f32s(s.mul_f32s(u, u), s.negate_mul_add_f32s(two, u, three));
             let row = splat(s, *self.m.row.as_ptr().add(position));
-            let v = mul(s, v, mul(s, self.column, row));
+            let v = mul(s, self.column, row);
             (s.mul_f32s(v.0, weight), s.mul_f32s(v.1, weight))
         }
+    }
+}
+
+/// Multiplication by prepared factors.
+struct Factors<S: Simd> {
+    factors: *const Lanes<S>,
+}
+
+impl<S: Simd> Middle<S> for Factors<S> {
+    #[inline(always)]
+    unsafe fn apply(&self, simd: S, position: usize, v: Lanes<S>) -> Lanes<S> {
+        unsafe { mul(simd, v, *self.factors.add(position)) }
     }
 }

@@ -283,11 +283,11 @@ impl Fft2 {
         DiskMultiplier::new(order, row, row_k2, column, column_k2, disk)
     }
 
-    /// Transforms columns, multiplies and transforms back, unnormalised. Columns outside `ranges`
-    /// are left alone; ranges are rounded up to whole SIMD vectors.
-    pub fn convolve_columns(
+    /// Transforms columns of every wave, multiplies and transforms back, unnormalised. Columns outside
+    /// `ranges` are left alone; ranges are rounded up to whole SIMD vectors.
+    pub fn convolve_columns<W: DerefMut<Target = [Complex32]>>(
         &self,
-        data: &mut [Complex32],
+        waves: &mut [W],
         ranges: &[Range<usize>],
         multiplier: &DiskMultiplier,
         scratch: &mut Scratch,
@@ -295,16 +295,18 @@ impl Fft2 {
         for range in ranges.iter().cloned() {
             match &self.columns {
                 Columns::Blocked(plan) => {
-                    plan.convolve(data, self.stride, range, multiplier, scratch.block_floats())
+                    plan.convolve(waves, self.stride, range, multiplier, scratch.block_floats())
                 }
                 Columns::Single { forward, inverse } => {
-                    for x in range.filter(|&x| x < self.nx) {
-                        self.gather(data, x, &mut scratch.block);
-                        let column = &mut scratch.block[..self.ny];
-                        forward.process_with_scratch(column, &mut scratch.single);
-                        multiplier.apply(x, column);
-                        inverse.process_with_scratch(column, &mut scratch.single);
-                        self.scatter(data, x, &scratch.block);
+                    for wave in &mut *waves {
+                        for x in range.clone().filter(|&x| x < self.nx) {
+                            self.gather(wave, x, &mut scratch.block);
+                            let column = &mut scratch.block[..self.ny];
+                            forward.process_with_scratch(column, &mut scratch.single);
+                            multiplier.apply(x, column);
+                            inverse.process_with_scratch(column, &mut scratch.single);
+                            self.scatter(wave, x, &scratch.block);
+                        }
                     }
                 }
             }
@@ -457,8 +459,8 @@ mod tests {
             let mut scratch = fast.scratch();
             scratch.block_floats().fill(f32::NAN);
             let all = fast.band_columns(nx / 2);
-            fast.convolve_columns(&mut a, &all, &prepare(&fast), &mut scratch);
-            plain.convolve_columns(&mut b, &all, &prepare(&plain), &mut plain.scratch());
+            fast.convolve_columns(&mut [&mut *a], &all, &prepare(&fast), &mut scratch);
+            plain.convolve_columns(&mut [&mut *b], &all, &prepare(&plain), &mut plain.scratch());
             assert_close(&fast, &a, &b, 1e-6);
         }
     }

@@ -6,7 +6,8 @@ use super::recipe::Recipe;
 use crate::detect::Detector;
 use crate::engine::settings::EXACT_BAND_FRACTION;
 use crate::engine::{
-    Algorithm, BeyondLimit, GridChoice, Phonons, Plan, ProbeBox, Scan, Settings, Site, simulate,
+    Algorithm, BeyondLimit, GridChoice, Phonons, Plan, ProbeBox, ProbeRaster, Scan, Settings, Site,
+    probe_margin_angstrom, simulate,
 };
 use crate::error::Result;
 use crate::optics::Optics;
@@ -115,6 +116,20 @@ impl Simulator {
         let side = scanned_angstrom.map(|l| l + 2.0 * self.margin_angstrom());
         Plan::new(&self.settings, [side[0], side[1], thickness_angstrom], z)
     }
+
+    /// The probes that are propagated for a sub-tile of such a plan, of so many pixels (rows, columns).
+    ///
+    /// # Errors
+    /// As [`ProbeRaster::new`].
+    pub fn probes(
+        &self,
+        plan: &Plan,
+        shape: [usize; 2],
+        pixel_angstrom: f64,
+    ) -> Result<ProbeRaster> {
+        let origin_angstrom = [self.margin_angstrom() + 0.5 * pixel_angstrom; 2];
+        ProbeRaster::new(plan, &Scan { origin_angstrom, step_angstrom: [pixel_angstrom; 2], shape })
+    }
 }
 
 impl SubTileEngine for Simulator {
@@ -135,7 +150,7 @@ impl SubTileEngine for Simulator {
             Algorithm::Window { width_angstrom } => width_angstrom / 2.0,
             _ => SPREAD_ANGSTROM,
         };
-        half_window + POTENTIAL_REACH_ANGSTROM
+        half_window + POTENTIAL_REACH_ANGSTROM + probe_margin_angstrom(&self.settings)
     }
 
     fn image(

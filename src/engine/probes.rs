@@ -1,0 +1,135 @@
+//! Fewer probes than the scan asks for: an image holds no detail finer than the aperture allows, so it is simulated
+//! on a raster that carries that, and interpolated to the scan ([`crate::resample`]).
+
+use super::plan::Plan;
+use super::settings::{Algorithm, ProbeStep, Settings};
+use super::{Images, Scan};
+use crate::error::Result;
+use crate::resample::{Edge, HALF_WIDTH, Kernel, image_band_limit};
+use ndarray::Array4;
+
+/// Probes beyond either end of a scan that does not span the cell.
+const MARGIN: usize = HALF_WIDTH - 1;
+
+/// The probes that are propagated for a scan, and how its values come from theirs.
+#[derive(Debug, Clone)]
+pub struct ProbeRaster {
+    scan: Scan,
+    asked: Scan,
+    /// `None` where every scan position has its probe.
+    kernel: Option<Kernel>,
+    /// Position of the first scan point and distance of scan points, (row, column) in probes.
+    first: [f64; 2],
+    step: [f64; 2],
+}
+
+/// Probes along one axis: how many, how far apart, and how many of them before the first scan point.
+struct Axis {
+    points: usize,
+    step: f64,
+    before: usize,
+    interpolated: bool,
+}
+
+impl ProbeRaster {
+    /// The raster for a scan of the plan's cell, coarser than the scan along each axis where that takes fewer probes.
+    ///
+    /// # Errors
+    /// [`crate::Error::Invalid`] for a step that does not carry the image.
+    pub fn new(plan: &Plan, asked: &Scan) -> Result<Self> {
+        let cell = plan.transmission_grid.extent_angstrom;
+        let band_limit = image_band_limit(&plan.settings.optics);
+        let Some(most) = step_angstrom(&plan.settings) else { return Ok(Self::every(asked)) };
+        Kernel::new(most, band_limit)?;
+        let counts = [asked.shape[1], asked.shape[0]];
+        let axes = [0, 1].map(|i| Axis::new(counts[i], asked.step_angstrom[i], cell[i], most));
+        if !axes.iter().any(|a| a.interpolated) {
+            return Ok(Self::every(asked));
+        }
+        let along = |i: usize| axes[i].step;
+        let widest = axes.iter().filter(|a| a.interpolated).map(|a| a.step).fold(0.0, f64::max);
+        let origin = |i: usize| asked.origin_angstrom[i] - axes[i].before as f64 * along(i);
+        Ok(ProbeRaster {
+            scan: Scan {
+                origin_angstrom: [origin(0), origin(1)],
+                step_angstrom: [along(0), along(1)],
+                shape: [axes[1].points, axes[0].points],
+            },
+            asked: *asked,
+            kernel: Some(Kernel::new(widest, band_limit)?),
+            first: [axes[1].before as f64, axes[0].before as f64],
+            step: [asked.step_angstrom[1] / along(1), asked.step_angstrom[0] / along(0)],
+        })
+    }
+
+    fn every(asked: &Scan) -> Self {
+        ProbeRaster { scan: *asked, asked: *asked, kernel: None, first: [0.0; 2], step: [1.0; 2] }
+    }
+
+    /// The probes that are propagated.
+    pub fn scan(&self) -> &Scan {
+        &self.scan
+    }
+
+    /// Whether the scan's values are interpolated.
+    pub fn interpolates(&self) -> bool {
+        self.kernel.is_some()
+    }
+
+    /// The images of the scan from those of the probes.
+    pub(super) fn images(&self, images: Images) -> Images {
+        let Some(kernel) = &self.kernel else { return images };
+        let (thicknesses, detectors, _, _) = images.data.dim();
+        let mut data =
+            Array4::zeros((thicknesses, detectors, self.asked.shape[0], self.asked.shape[1]));
+        for t in 0..thicknesses {
+            for d in 0..detectors {
+                let image = images.image(t, d);
+                // Periodic or with all samples there that count: along neither axis is the edge met.
+                let fine =
+                    kernel.raster(image, self.first, self.step, self.asked.shape, Edge::Periodic);
+                let mut to = data.slice_mut(ndarray::s![t, d, .., ..]);
+                to.zip_mut_with(&fine, |to, from| *to = from.max(0.0) as f32);
+            }
+        }
+        Images { data, ..images }
+    }
+}
+
+impl Axis {
+    /// For `n` scan points `step` apart in a periodic cell, probes at most `most` apart.
+    fn new(n: usize, step: f64, cell: f64, most: f64) -> Self {
+        let span = n as f64 * step;
+        let spans_cell = (span - cell).abs() < 1e-6 * cell;
+        let coarse = if spans_cell {
+            let points = ((cell / most - 1e-9).ceil() as usize).max(2 * HALF_WIDTH);
+            Axis { points, step: cell / points as f64, before: 0, interpolated: true }
+        } else {
+            let length = (n.saturating_sub(1)) as f64 * step;
+            let intervals = ((length / most - 1e-9).ceil() as usize).max(1);
+            let points = intervals + 1 + 2 * MARGIN;
+            Axis { points, step: length / intervals as f64, before: MARGIN, interpolated: true }
+        };
+        match coarse.points < n {
+            true => coarse,
+            false => Axis { points: n, step, before: 0, interpolated: false },
+        }
+    }
+}
+
+/// The step in Angstrom at which probes stand at most, or `None` for every scan position.
+fn step_angstrom(settings: &Settings) -> Option<f64> {
+    let windows = matches!(settings.algorithm, Algorithm::Window { .. });
+    match settings.probe_step {
+        ProbeStep::Angstrom(step) => Some(step),
+        ProbeStep::Auto if windows => {
+            Some(Kernel::default_step(image_band_limit(&settings.optics)))
+        }
+        _ => None,
+    }
+}
+
+/// How far beyond the scanned area probes may stand, in Angstrom.
+pub fn probe_margin_angstrom(settings: &Settings) -> f64 {
+    MARGIN as f64 * step_angstrom(settings).unwrap_or(0.0)
+}
