@@ -204,7 +204,7 @@ fn probes_stand_at_the_scan_where_that_takes_fewer() {
         Settings { algorithm: Algorithm::Window { width_angstrom: 5.9 }, ..Settings::default() };
     let raster = |settings: &Settings, step: f64, n: usize| {
         let scan = Scan { origin_angstrom: [0.0; 2], step_angstrom: [step; 2], shape: [n, n] };
-        ProbeRaster::new(&plan(settings, &sites, cell), &scan).map(|r| r.scan().clone())
+        ProbeRaster::new(&plan(settings, &sites, cell), &scan).map(|r| *r.scan())
     };
     // 7.81 A: 32 probes at most 0.2508 A apart; 2 A of a cell: 8 intervals and 5 probes beyond either end
     assert_eq!(raster(&windowed, cell[0] / 60.0, 60).unwrap().shape, [32, 32]);

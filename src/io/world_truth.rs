@@ -52,7 +52,8 @@ impl WorldFile {
     pub fn columns(&self) -> Result<Vec<WorldColumn>> {
         let name = format!("{}/{}", schema::TRUTH, schema::COLUMNS);
         let Ok(group) = self.file.group(&name) else { return self.columns_of_sites() };
-        let read = || -> hdf5::Result<(Array2<f32>, [Vec<i32>; 3], Vec<Composition>)> {
+        type Lists = (Array2<f32>, [Vec<i32>; 3], Vec<Composition>);
+        let read = || -> hdf5::Result<Lists> {
             let list = |name| group.dataset(name)?.read_raw::<i32>();
             let counts = [list("number_of_sites")?, list("vacancies")?, list("substitutions")?];
             let compositions = match group.link_exists("composition") {

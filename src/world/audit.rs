@@ -396,8 +396,8 @@ fn compare(
     RegionAudit {
         centre_nm,
         bright_columns: bright.len(),
-        bright_rms_percent: 100.0 * rms(bright.iter().map(|c| relative(c))),
-        bright_mean_percent: 100.0 * bright.iter().map(|c| relative(c)).sum::<f64>()
+        bright_rms_percent: 100.0 * rms(bright.iter().map(relative)),
+        bright_mean_percent: 100.0 * bright.iter().map(relative).sum::<f64>()
             / bright.len().max(1) as f64,
         off_columns_rms_percent: 100.0 * rms(off.map(|(_, d)| d / top)),
         all_rms_percent: 100.0 * rms(difference.iter().map(|d| d / top)),

@@ -242,7 +242,7 @@ impl Job<'_> {
         let engine: &dyn SubTileEngine = match &self.method {
             Method::Mosaic(mosaic) => return mosaic.image(start, tile.shape(), progress),
             Method::SubTiles(engine) => *engine,
-            Method::Instead(simulator) => simulator,
+            Method::Instead(simulator) => &**simulator,
         };
         let margin_nm = engine.margin_angstrom() * 0.1;
         let area = Region::of_pixels(start, tile.shape(), pixel).grown(margin_nm);

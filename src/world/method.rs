@@ -30,7 +30,7 @@ pub enum Method<'a> {
     /// Every sub-tile is simulated.
     SubTiles(&'a dyn SubTileEngine),
     /// Every sub-tile is simulated, since a mosaic would not pay or not be right enough.
-    Instead(Simulator),
+    Instead(Box<Simulator>),
 }
 
 impl<'a> Method<'a> {
@@ -65,13 +65,13 @@ impl<'a> Method<'a> {
         }
         let audited = (&check.audit, check.max_error_percent);
         let (Some(options), Some(limit)) = audited else {
-            return Ok((Method::Instead(widest), None));
+            return Ok((Method::Instead(Box::new(widest)), None));
         };
         for engine in widening(&MosaicEngine { simulator: widest, ..mosaic.clone() }, true) {
             let simulator = engine.simulator;
             let found = audit(recipe, specimen, &Source::Direct(&simulator), options, progress)?;
             if accepted(Some(&found), Some(limit), progress) {
-                return Ok((Method::Instead(simulator), Some(found)));
+                return Ok((Method::Instead(Box::new(simulator)), Some(found)));
             }
         }
         let expected =

@@ -214,7 +214,7 @@ fn choose(sites: usize, count: usize, word: impl Fn(usize) -> u32) -> Vec<u16> {
     let mut all: Vec<u16> = (0..sites as u16).collect();
     for n in 0..count {
         let left = sites - n;
-        let pick = n + (u64::from(word(n)) * left as u64 >> 32) as usize;
+        let pick = n + ((u64::from(word(n)) * left as u64) >> 32) as usize;
         all.swap(n, pick);
     }
     all.truncate(count);

@@ -141,7 +141,7 @@ impl Shelf {
         let mut draw = 0;
         while taken.len() < configurations {
             for word in rng::words(seed, Purpose::Library, draw, id) {
-                let pick = (u64::from(word) * all as u64 >> 32) as usize;
+                let pick = ((u64::from(word) * all as u64) >> 32) as usize;
                 if taken.len() < configurations && !taken.contains(&pick) {
                     taken.push(pick);
                 }
