@@ -206,11 +206,11 @@ fn probes_stand_at_the_scan_where_that_takes_fewer() {
         let scan = Scan { origin_angstrom: [0.0; 2], step_angstrom: [step; 2], shape: [n, n] };
         ProbeRaster::new(&plan(settings, &sites, cell), &scan).map(|r| *r.scan())
     };
-    // 7.81 A: 32 probes at most 0.2508 A apart; 2 A of a cell: 8 intervals and 5 probes beyond either end
+    // 7.81 A: 32 probes at most 0.2508 A apart; 2 A of a cell: 8 intervals and 7 probes beyond either end
     assert_eq!(raster(&windowed, cell[0] / 60.0, 60).unwrap().shape, [32, 32]);
     let part = raster(&windowed, 0.05, 41).unwrap();
-    assert_eq!(part.shape, [19, 19]);
-    assert!((part.origin_angstrom[0] + 1.25).abs() < 1e-9, "{:?}", part.origin_angstrom);
+    assert_eq!(part.shape, [23, 23]);
+    assert!((part.origin_angstrom[0] + 1.75).abs() < 1e-9, "{:?}", part.origin_angstrom);
     assert_eq!(raster(&windowed, 0.3, 26).unwrap().shape, [26, 26]);
     assert_eq!(raster(&windowed, 0.05, 1).unwrap().shape, [1, 1]);
     assert_eq!(raster(&Settings::default(), cell[0] / 60.0, 60).unwrap().shape, [60, 60]);

@@ -18,6 +18,8 @@ pub const SLOT_REACH_ANGSTROM: f64 = 5.0;
 const SCAN_BEYOND_ANGSTROM: f64 = 3.7;
 /// Specimen beyond the scan: half a window, and the reach of potentials.
 const SPECIMEN_BEYOND_ANGSTROM: f64 = 7.5;
+/// Different contents of a slot, at least.
+const LEAST_CONTENTS: usize = 4;
 /// Positions that count as equal, in Angstrom.
 const SAME: f64 = 0.01;
 
@@ -67,7 +69,9 @@ impl BoundaryMotif {
             c.chains.iter().filter(|(_, n)| process.is_some_and(|p| p.element == n.number)).count()
         };
         let sites = slots.iter().map(|s| depth * defects(s)).collect();
-        let count = sheets(slots.len() * periods, configurations);
+        // Each slot has several contents, however long the period is.
+        let least = LEAST_CONTENTS.div_ceil(periods);
+        let count = sheets(slots.len() * periods, configurations).max(least);
         let lookup = slots.iter().enumerate().map(|(n, s)| (rounded(s.position), n)).collect();
         let pool = Pool::new(sites, count * periods, 1 + stream);
         BoundaryMotif { period, slots, lookup, others, pool, periods, process, seed }

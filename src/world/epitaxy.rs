@@ -143,7 +143,7 @@ impl Epitaxy {
             )?,
             Some(_) => {
                 let around = self.composition.mean(centre[0]);
-                let (rate, allowed) = self.open_sites(contents, kind, centre);
+                let (rate, allowed) = self.open_sites(contents, (kind, first), position);
                 contents.draw_among(kind, first, rate, around, &allowed)?
             }
         };
@@ -157,17 +157,24 @@ impl Epitaxy {
         })
     }
 
-    /// The sites of a unit at `centre` that guests may take, and how often they take each.
-    fn open_sites(&self, contents: &Contents, kind: usize, centre: [f64; 2]) -> (f64, Vec<bool>) {
+    /// The sites of a unit that guests may take, and how often they take each; `position` is that of a column.
+    fn open_sites(
+        &self,
+        contents: &Contents,
+        (kind, first): (usize, ColumnIndex),
+        position: impl Fn(ColumnIndex) -> [f64; 2],
+    ) -> (f64, Vec<bool>) {
         let mut allowed = vec![false; contents.pool.sites(kind)];
         let mut rate = 0.0_f64;
         for member in &contents.units.kinds[kind] {
+            let cell = [0, 1].map(|k| first.cell[k] + member.cell[k]);
+            let [x, y] = position(ColumnIndex { kind: member.kind, cell, ..first });
             let chains = &self.lattice.crystal.columns[member.kind].chains;
             for (n, chain) in chains.iter().enumerate() {
                 for cell in 0..self.lattice.cells_along_beam {
                     let Some(site) = contents.site(member.kind, n, cell) else { continue };
                     let z = self.lattice.height(cell, chain);
-                    let here = self.composition.at([centre[0], centre[1], z]);
+                    let here = self.composition.at([x, y, z]);
                     allowed[site] = here > 0.0;
                     rate = rate.max(here);
                 }

@@ -52,6 +52,41 @@ fn binomial(sites: usize, rate: f64) -> Vec<f64> {
     p
 }
 
+/// The binomial distribution among `sites` sites whose mean is that of `rate` when numbers outside `limits` become
+/// the nearest limit; that of `rate` itself where its mean lies outside.
+fn within(sites: usize, rate: f64, limits: [usize; 2]) -> Vec<f64> {
+    let plain = binomial(sites, rate);
+    let goal = sites as f64 * rate;
+    if goal <= limits[0] as f64 || goal >= limits[1] as f64 {
+        return plain;
+    }
+    let mean = |p: &[f64]| {
+        let term = |(n, p): (usize, &f64)| n.clamp(limits[0], limits[1]) as f64 * p;
+        p.iter().enumerate().map(term).sum::<f64>()
+    };
+    if (mean(&plain) - goal).abs() < 1e-4 * goal {
+        return plain;
+    }
+    let (mut low, mut high) = (0.0, 1.0);
+    for _ in 0..40 {
+        let middle = 0.5 * (low + high);
+        if mean(&binomial(sites, middle)) < goal { low = middle } else { high = middle }
+    }
+    binomial(sites, 0.5 * (low + high))
+}
+
+/// The number at which the distribution passes `u`.
+fn drawn(distribution: &[f64], u: f64) -> usize {
+    let mut left = u;
+    for (n, p) in distribution.iter().enumerate() {
+        left -= p;
+        if left < 0.0 {
+            return n;
+        }
+    }
+    distribution.len() - 1
+}
+
 /// The patterns of one kind of unit in one bin, one for each cell of the bin's sheets.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Patterns {
@@ -95,26 +130,23 @@ impl Patterns {
     /// A cell whose pattern has a number of defects drawn at `rate` among the `allowed` sites, and all of
     /// them allowed; `u` are uniform numbers. `None` when the pool has none such.
     ///
-    /// Numbers beyond those in the pool (3 in 10^4) take the nearest.
-    pub fn draw(&self, rate: f64, allowed: &[bool], u: [f64; 2]) -> Option<usize> {
+    /// A number that the pool lacks becomes one of the nearest that it has, in the mean the same; where the
+    /// pool ends early, the rate of the binomial distribution makes up for it.
+    pub fn draw(&self, rate: f64, allowed: &[bool], u: [f64; 3]) -> Option<usize> {
         let open = allowed.iter().filter(|a| **a).count();
-        let mut left = u[0];
-        let mut count = 0;
-        for p in binomial(open, rate) {
-            left -= p;
-            if left < 0.0 {
-                break;
-            }
-            count += 1;
-        }
-        let fits = |cell: &&u32| self.cells[**cell as usize].iter().all(|s| allowed[*s as usize]);
-        let of = |count: usize| -> Vec<u32> {
-            let cells = self.by_count.get(count).map_or(&[][..], Vec::as_slice);
-            cells.iter().filter(fits).copied().collect()
+        let all = open == allowed.len();
+        let fits = |cell: &&u32| {
+            all || self.cells[**cell as usize].iter().all(|s| allowed[*s as usize])
         };
-        let numbers = (0..self.by_count.len()).filter(|n| !self.by_count[*n].is_empty());
-        let nearest = numbers.min_by_key(|n| (n.abs_diff(count.min(open)), *n))?;
-        let cells = of(nearest);
+        let there = |n: &usize| *n <= open && self.by_count[*n].iter().any(|c| fits(&c));
+        let numbers: Vec<usize> = (0..self.by_count.len()).filter(there).collect();
+        let (first, last) = (*numbers.first()?, *numbers.last()?);
+        let count = drawn(&within(open, rate, [first, last]), u[0]).clamp(first, last);
+        let above = numbers.partition_point(|n| *n < count);
+        let (low, high) = (numbers[above.saturating_sub(usize::from(numbers[above] != count))], numbers[above]);
+        let share = (count - low) as f64 / (high - low).max(1) as f64;
+        let number = if u[2] < share { high } else { low };
+        let cells: Vec<u32> = self.by_count[number].iter().filter(fits).copied().collect();
         cells.get((u[1] * cells.len() as f64) as usize).map(|c| *c as usize)
     }
 
@@ -168,7 +200,7 @@ impl Pool {
         (seed, id): (u64, u64),
     ) -> Option<usize> {
         let u = |draw: u32| rng::uniform(seed, Purpose::Pool, draw, id);
-        self.patterns(kind, bin).draw(rate, allowed, [u(0), u(1)])
+        self.patterns(kind, bin).draw(rate, allowed, [u(0), u(1), u(2)])
     }
 }
 
@@ -248,18 +280,33 @@ mod tests {
             let mut hits = vec![0.0; sites];
             let (mut sum, mut square) = (0.0, 0.0);
             for i in 0..n {
-                let cell = patterns.draw(rate, &[true; 26], [u(0, i), u(1, i)]).unwrap();
+                let cell = patterns.draw(rate, &[true; 26], [u(0, i), u(1, i), u(2, i)]).unwrap();
                 let pattern = &patterns.cells[cell];
                 pattern.iter().for_each(|s| hits[*s as usize] += 1.0 / n as f64);
                 sum += pattern.len() as f64 / n as f64;
                 square += (pattern.len() * pattern.len()) as f64 / n as f64;
             }
             let variance = sites as f64 * rate * (1.0 - rate);
-            assert!((sum - sites as f64 * rate).abs() < 4.0 * (variance / n as f64).sqrt() + 0.004);
+            assert!((sum - sites as f64 * rate).abs() < 4.0 * (variance / n as f64).sqrt() + 1e-4 * sum);
             assert!((square - sum * sum - variance).abs() < 0.05 * variance + 1e-9, "{rate}");
             if rate >= 0.01 {
                 assert!(hits.iter().all(|h| *h > 0.2 * rate && *h < 2.5 * rate), "{hits:?}");
             }
+        }
+    }
+
+    #[test]
+    fn small_pools_have_the_right_mean_too() {
+        for (rate, cells) in [(0.022, 4), (0.09, 4), (0.25, 6)] {
+            let patterns = Patterns::new(26, bin_of(rate), cells, 5);
+            let n = 60_000;
+            let number = |i: u64| {
+                let u = |k| rng::uniform(8, Purpose::Defect, k, i);
+                patterns.cells[patterns.draw(rate, &[true; 26], [u(0), u(1), u(2)]).unwrap()].len()
+            };
+            let mean = (0..n).map(|i| number(i) as f64).sum::<f64>() / n as f64;
+            let error = 4.0 * (26.0 * rate / n as f64).sqrt();
+            assert!((mean - 26.0 * rate).abs() < error, "{rate}: {mean} of {}", 26.0 * rate);
         }
     }
 
@@ -270,7 +317,7 @@ mod tests {
         let mut found = 0;
         for i in 0..500 {
             let u = |k| rng::uniform(4, Purpose::Defect, k, i);
-            if let Some(cell) = patterns.draw(0.15, &allowed, [u(0), u(1)]) {
+            if let Some(cell) = patterns.draw(0.15, &allowed, [u(0), u(1), u(2)]) {
                 assert!(patterns.cells[cell].iter().all(|s| *s < 9));
                 found += 1;
             }

@@ -72,7 +72,7 @@ pub struct Sheet {
     pub surroundings: Vec<Vec<SheetSite>>,
 }
 
-/// Largest distance between samples of an image that is interpolated with an error of 0.2 % of its contrast at most.
+/// Largest distance between samples of an image that is interpolated with an error below 0.1 % of its contrast.
 pub fn sample_angstrom(optics: &Optics) -> f64 {
     0.45 / crate::resample::image_band_limit(optics)
 }

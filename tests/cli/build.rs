@@ -67,7 +67,7 @@ fn a_dry_run_tells_the_plan() {
     let mut command = stemgen(folder.path());
     command.args(["build", "srtio3", "--difficulty", "easy", "--grid", "2x2", "--dry-run"]);
     let plan = json(&mut command);
-    assert_eq!((&plan["tiles"], &plan["subtiles"]), (&serde_json::json!([2, 2]), &4.into()));
+    assert_eq!((&plan["tiles"], &plan["subtiles"]), (&serde_json::json!([2, 2]), &1.into()));
     assert_eq!((&plan["slices"]["count"], &plan["configurations"]), (&52.into(), &4.into()));
     assert!(plan["memory_bytes"].as_f64().unwrap() < 2e9 * plan["threads"].as_f64().unwrap());
     assert_eq!(plan["output"], "worlds/srtio3_easy_2x2.h5");
