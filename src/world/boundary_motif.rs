@@ -101,7 +101,7 @@ impl BoundaryMotif {
     pub fn draw(&self, slot: usize, id: u64, rate: f64, around: f64) -> Option<Entry> {
         let bin = bin_of(around);
         let allowed = vec![true; self.pool.sites(slot)];
-        let cell = self.pool.draw(slot, bin, rate, &allowed, (self.seed, id))?;
+        let cell = self.pool.draw(slot, bin, rate, &allowed, 0.0, (self.seed, id))?;
         Some(Entry { bin, kind: slot, cell })
     }
 

@@ -129,9 +129,12 @@ impl Contents {
         let mut bins = vec![pool::bin_of(around), pool::bin_of(0.5 * (around + rate))];
         bins.push(pool::bin_of(rate));
         bins.dedup();
-        let found = bins
-            .into_iter()
-            .find_map(|bin| Some((bin, self.pool.draw(kind, bin, rate, allowed, who)?)));
+        // Rather a bin whose numbers of defects reach as far as those of the unit, than one with the same surroundings.
+        let found = [2.0, 0.0].into_iter().find_map(|spread| {
+            bins.iter().find_map(|&bin| {
+                Some((bin, self.pool.draw(kind, bin, rate, allowed, spread, who)?))
+            })
+        });
         found.map(|(bin, cell)| Entry { bin, kind, cell })
     }
 

@@ -20,10 +20,12 @@ const LEAST_PROBABILITY: f64 = 3e-4;
 /// Seed of the patterns: they are the same in all worlds, so that worlds share libraries.
 const SEED: u64 = 0x5354_454d_504f_4f4c;
 
-/// Index of the bin of a rate.
+/// Index of the bin of a rate; the first is for units without defects only.
 pub fn bin_of(rate: f64) -> usize {
     let distance = |n: &usize| (RATES[*n].sqrt() - rate.max(0.0).sqrt()).abs();
-    (0..RATES.len()).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0)
+    (usize::from(rate > 0.0)..RATES.len())
+        .min_by(|a, b| distance(a).total_cmp(&distance(b)))
+        .unwrap_or(0)
 }
 
 /// Rate of a bin.
@@ -128,22 +130,29 @@ impl Patterns {
     }
 
     /// A cell whose pattern has a number of defects drawn at `rate` among the `allowed` sites, and all of
-    /// them allowed; `u` are uniform numbers. `None` when the pool has none such.
+    /// them allowed; `u` are uniform numbers. `None` when the pool has none such, or its numbers of defects do not reach
+    /// as far as `spread` standard deviations about the mean.
     ///
     /// A number that the pool lacks becomes one of the nearest that it has, in the mean the same; where the
     /// pool ends early, the rate of the binomial distribution makes up for it.
-    pub fn draw(&self, rate: f64, allowed: &[bool], u: [f64; 3]) -> Option<usize> {
+    pub fn draw(&self, rate: f64, allowed: &[bool], spread: f64, u: [f64; 3]) -> Option<usize> {
         let open = allowed.iter().filter(|a| **a).count();
         let all = open == allowed.len();
-        let fits = |cell: &&u32| {
-            all || self.cells[**cell as usize].iter().all(|s| allowed[*s as usize])
-        };
+        let fits =
+            |cell: &&u32| all || self.cells[**cell as usize].iter().all(|s| allowed[*s as usize]);
         let there = |n: &usize| *n <= open && self.by_count[*n].iter().any(|c| fits(&c));
         let numbers: Vec<usize> = (0..self.by_count.len()).filter(there).collect();
         let (first, last) = (*numbers.first()?, *numbers.last()?);
+        let (mean, variance) = (open as f64 * rate, open as f64 * rate * (1.0 - rate));
+        let reach = spread * variance.sqrt();
+        let (least, most) = ((mean - reach).max(0.0), (mean + reach).min(open as f64));
+        if (first as f64) > least.ceil() || (last as f64) < most.floor() || mean > last as f64 {
+            return None;
+        }
         let count = drawn(&within(open, rate, [first, last]), u[0]).clamp(first, last);
         let above = numbers.partition_point(|n| *n < count);
-        let (low, high) = (numbers[above.saturating_sub(usize::from(numbers[above] != count))], numbers[above]);
+        let (low, high) =
+            (numbers[above.saturating_sub(usize::from(numbers[above] != count))], numbers[above]);
         let share = (count - low) as f64 / (high - low).max(1) as f64;
         let number = if u[2] < share { high } else { low };
         let cells: Vec<u32> = self.by_count[number].iter().filter(fits).copied().collect();
@@ -197,10 +206,11 @@ impl Pool {
         bin: usize,
         rate: f64,
         allowed: &[bool],
+        spread: f64,
         (seed, id): (u64, u64),
     ) -> Option<usize> {
         let u = |draw: u32| rng::uniform(seed, Purpose::Pool, draw, id);
-        self.patterns(kind, bin).draw(rate, allowed, [u(0), u(1), u(2)])
+        self.patterns(kind, bin).draw(rate, allowed, spread, [u(0), u(1), u(2)])
     }
 }
 
@@ -260,7 +270,7 @@ mod tests {
 
     #[test]
     fn bins_cover_all_rates_and_binomials_add_to_one() {
-        assert_eq!([0.0, 0.0005, 0.01, 0.1, 1.0].map(bin_of), [0, 0, 2, 4, 13]);
+        assert_eq!([0.0, 0.0005, 0.01, 0.1, 1.0].map(bin_of), [0, 1, 2, 4, 13]);
         for bin in 0..RATES.len() {
             assert_eq!(bin_of(RATES[bin]), bin);
             let [low, high] = span(bin);
@@ -280,14 +290,18 @@ mod tests {
             let mut hits = vec![0.0; sites];
             let (mut sum, mut square) = (0.0, 0.0);
             for i in 0..n {
-                let cell = patterns.draw(rate, &[true; 26], [u(0, i), u(1, i), u(2, i)]).unwrap();
+                let cell =
+                    patterns.draw(rate, &[true; 26], 2.0, [u(0, i), u(1, i), u(2, i)]).unwrap();
                 let pattern = &patterns.cells[cell];
                 pattern.iter().for_each(|s| hits[*s as usize] += 1.0 / n as f64);
                 sum += pattern.len() as f64 / n as f64;
                 square += (pattern.len() * pattern.len()) as f64 / n as f64;
             }
             let variance = sites as f64 * rate * (1.0 - rate);
-            assert!((sum - sites as f64 * rate).abs() < 4.0 * (variance / n as f64).sqrt() + 1e-4 * sum);
+            assert!(
+                (sum - sites as f64 * rate).abs()
+                    <= 4.0 * (variance / n as f64).sqrt() + 1e-4 * sum
+            );
             assert!((square - sum * sum - variance).abs() < 0.05 * variance + 1e-9, "{rate}");
             if rate >= 0.01 {
                 assert!(hits.iter().all(|h| *h > 0.2 * rate && *h < 2.5 * rate), "{hits:?}");
@@ -302,7 +316,8 @@ mod tests {
             let n = 60_000;
             let number = |i: u64| {
                 let u = |k| rng::uniform(8, Purpose::Defect, k, i);
-                patterns.cells[patterns.draw(rate, &[true; 26], [u(0), u(1), u(2)]).unwrap()].len()
+                patterns.cells[patterns.draw(rate, &[true; 26], 0.0, [u(0), u(1), u(2)]).unwrap()]
+                    .len()
             };
             let mean = (0..n).map(|i| number(i) as f64).sum::<f64>() / n as f64;
             let error = 4.0 * (26.0 * rate / n as f64).sqrt();
@@ -317,7 +332,7 @@ mod tests {
         let mut found = 0;
         for i in 0..500 {
             let u = |k| rng::uniform(4, Purpose::Defect, k, i);
-            if let Some(cell) = patterns.draw(0.15, &allowed, [u(0), u(1), u(2)]) {
+            if let Some(cell) = patterns.draw(0.15, &allowed, 1.0, [u(0), u(1), u(2)]) {
                 assert!(patterns.cells[cell].iter().all(|s| *s < 9));
                 found += 1;
             }

@@ -47,7 +47,11 @@ pub fn unpack(bytes: &[u8]) -> std::result::Result<Vec<(String, ArrayD<f64>)>, S
 }
 
 fn unreadable(path: &Path, kind: &str, reason: &str) -> Error {
-    Error::parse(path, 0, format!("is no NumPy {kind} of real numbers ({reason})"))
+    Error::parse(
+        path,
+        0,
+        format!("is no NumPy {kind} of real numbers ({})", reason.replace("error: ", "")),
+    )
 }
 
 /// An array of any type of real number.
