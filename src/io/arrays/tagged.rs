@@ -15,7 +15,13 @@ use crate::error::{Error, Result};
 pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     nameless(path, name)?;
     let file = File::open(path).map_err(|e| Error::io(path, "read", e))?;
-    let bad = |e: tiff::TiffError| Error::parse(path, 0, format!("is no readable TIFF ({e})"));
+    let bad = |e: tiff::TiffError| {
+        Error::parse(
+            path,
+            0,
+            format!("is no readable TIFF ({})", e.to_string().replace("error: ", "")),
+        )
+    };
     let mut decoder = Decoder::new(BufReader::new(file)).map_err(bad)?;
     let description = decoder.get_tag_ascii_string(Tag::ImageDescription).unwrap_or_default();
     let (mut pages, mut values, mut shape) = (0, Vec::new(), (0, 0));
