@@ -130,7 +130,7 @@ fn what_a_column_holds_is_what_its_sheet_shows() {
             let (number, cell) = (tag.entry.cell / sheet.cells, tag.entry.cell % sheet.cells);
             let unit = sheet.units.iter().find(|u| u.kind == tag.entry.kind && u.cell == cell);
             let unit = unit.unwrap();
-            let shown = &unit.members[tag.member[0]];
+            let shown = &unit.members[tag.member];
             let held = &sites.sites[column.sites.clone()];
             assert_eq!(shown.len(), held.len(), "{material}");
             for (a, b) in shown.iter().zip(held) {

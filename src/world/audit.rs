@@ -8,11 +8,12 @@ use serde::Serialize;
 
 use super::build::SubTileEngine;
 use super::mosaic::Mosaic;
+use super::pixel_box::PixelBox;
 use super::recipe::Recipe;
 use super::simulator::Simulator;
 use super::specimen::{Region, SiteKind, Specimen};
-use super::subprogress::{Quiet, SubProgress};
-use crate::engine::{Algorithm, Scan};
+use super::subprogress::Quiet;
+use crate::engine::Algorithm;
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::rng::{self, Purpose};
@@ -290,33 +291,17 @@ impl Job<'_> {
         progress: &dyn Progress,
     ) -> Result<Array2<f64>> {
         let Place { first, shape, .. } = *self.place;
+        let (margin, thickness) = (simulator.margin_angstrom(), self.specimen.thickness_nm());
         let pixel = self.recipe.field.pixel_nm();
-        let margin_nm = 0.1 * simulator.margin_angstrom();
-        let area = Region::of_pixels(first, shape, pixel).grown(margin_nm);
-        let size = |r: [f64; 2]| 10.0 * (r[1] - r[0]);
-        let size = [size(area.x), size(area.y), 10.0 * self.specimen.thickness_nm()];
-        let scan = Scan {
-            origin_angstrom: [10.0 * margin_nm + 5.0 * pixel; 2],
-            step_angstrom: [10.0 * pixel * stride as f64; 2],
-            shape: points(shape, stride),
+        let pixels = PixelBox::new((first, shape, stride), pixel, margin, thickness);
+        let atoms = |configuration: usize| match self.source {
+            Source::Mosaic(mosaic) => mosaic.atoms(&pixels.area, configuration),
+            Source::Direct(_) => {
+                let which = (self.recipe.seed, configuration);
+                super::mosaic::atoms_by_seed(self.specimen, &pixels.area, which, self.recipe)
+            }
         };
-        let mut sum = Array2::<f64>::zeros((scan.shape[0], scan.shape[1]));
-        for configuration in 0..configurations {
-            let share = SubProgress::new(progress, scan.len());
-            let atoms = match self.source {
-                Source::Mosaic(mosaic) => mosaic.atoms(&area, configuration),
-                Source::Direct(_) => super::mosaic::atoms_by_seed(
-                    self.specimen,
-                    &area,
-                    (self.recipe.seed, configuration),
-                    self.recipe,
-                ),
-            };
-            let image = simulator.displaced(&atoms, size, &scan, &share)?;
-            share.complete();
-            sum.zip_mut_with(&image, |s, v| *s += f64::from(*v) / configurations as f64);
-        }
-        Ok(sum)
+        simulator.mean(&pixels, configurations, atoms, progress)
     }
 
     /// Intensities of the columns inside the region.

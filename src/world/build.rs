@@ -11,6 +11,7 @@ use super::census::estimated_sites;
 use super::footprint;
 use super::method::{Check, Method};
 use super::mosaic::MosaicEngine;
+use super::pixel_box::PixelBox;
 use super::recipe::Recipe;
 use super::specimen::{BEYOND_FIELD_NM, DISPLACED_NM, Region, SiteKind, Specimen, specimen};
 use super::stitch::WorldImage;
@@ -23,7 +24,6 @@ use crate::engine::{Scan, Site};
 use crate::error::{Error, Result};
 use crate::io::{Header, WorldFile, WorldWriter};
 use crate::progress::Progress;
-use crate::structure::elements;
 
 /// Simulates sub-tiles.
 pub trait SubTileEngine {
@@ -244,16 +244,10 @@ impl Job<'_> {
             Method::SubTiles(engine) => *engine,
             Method::Instead(simulator) => &**simulator,
         };
-        let margin_nm = engine.margin_angstrom() * 0.1;
-        let area = Region::of_pixels(start, tile.shape(), pixel).grown(margin_nm);
-        let scan = Scan {
-            origin_angstrom: [10.0 * margin_nm + 5.0 * pixel; 2],
-            step_angstrom: [10.0 * pixel; 2],
-            shape: tile.shape(),
-        };
-        let size = |r: [f64; 2]| 10.0 * (r[1] - r[0]);
-        let size = [size(area.x), size(area.y), 10.0 * self.specimen.thickness_nm()];
-        let image = engine.image(&self.atoms(&area), size, &scan, progress)?;
+        let (margin, thickness) = (engine.margin_angstrom(), self.specimen.thickness_nm());
+        let PixelBox { area, size_angstrom, scan } =
+            PixelBox::new((start, tile.shape(), 1), pixel, margin, thickness);
+        let image = engine.image(&self.atoms(&area), size_angstrom, &scan, progress)?;
         if image.shape() != scan.shape {
             let expected = format!("the engine was asked for {:?}", scan.shape);
             return Err(Error::invalid("shape of image", format!("{:?}", image.shape()), expected));
@@ -270,7 +264,6 @@ impl Job<'_> {
     /// The atoms of an area, relative to its corner.
     fn atoms(&self, area: &Region) -> Vec<Site> {
         let corner = [area.x[0], area.y[0], 0.0];
-        let sigmas = &self.recipe.phonons.sigma_angstrom;
         // A displaced atom may lie on the other side of the edge than its column.
         let sites = self.specimen.sites(&area.grown(DISPLACED_NM)).into_iter();
         let present = sites.filter(|s| {
@@ -279,7 +272,7 @@ impl Job<'_> {
         let site = |s: super::SpecimenSite| Site {
             position: [0, 1, 2].map(|k| 10.0 * (s.position_nm[k] - corner[k])),
             number: s.number,
-            sigma_angstrom: sigmas.get(elements::symbol(s.number)).copied().unwrap_or(0.0),
+            sigma_angstrom: self.recipe.phonons.sigma_angstrom(s.number),
             key: s.key,
         };
         present.map(site).collect()

@@ -146,10 +146,13 @@ impl Contents {
         [column, chain, depth]: [usize; 3],
         number: u8,
     ) -> (SiteKind, u8) {
-        match (self.site(column, chain, depth), self.process) {
-            (Some(site), Some(process)) if self.pattern(entry).contains(&(site as u16)) => {
-                process.defect()
-            }
+        self.held(self.pattern(entry), self.site(column, chain, depth), number)
+    }
+
+    /// The same for a site by its number among those of a unit with the defects `pattern`.
+    pub fn held(&self, pattern: &[u16], site: Option<usize>, number: u8) -> (SiteKind, u8) {
+        match (site, self.process) {
+            (Some(site), Some(process)) if pattern.contains(&(site as u16)) => process.defect(),
             _ => (SiteKind::Pristine, number),
         }
     }

@@ -114,14 +114,7 @@ impl Domains {
         let rate = self.defects.at(stretch.distance(centre)).rate(element);
         let entry = contents.draw(kind, first, rate)?;
         let structure = (stretch.at(centre) * ORDER_STEPS).round() as usize;
-        Some(UnitTag {
-            id: first.id(),
-            member: [member, members.len()],
-            centre_nm: centre,
-            family: Family { motif: 0, structure, bin: entry.bin },
-            entry,
-            frame: [[1.0, 0.0], [0.0, 1.0]],
-        })
+        Some(UnitTag::unrotated((first, member), centre, structure, entry))
     }
 }
 

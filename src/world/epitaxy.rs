@@ -147,14 +147,7 @@ impl Epitaxy {
                 contents.draw_among(kind, first, rate, around, &allowed)?
             }
         };
-        Some(UnitTag {
-            id: first.id(),
-            member: [member, members.len()],
-            centre_nm: centre,
-            family: Family { motif: 0, structure: 0, bin: entry.bin },
-            entry,
-            frame: [[1.0, 0.0], [0.0, 1.0]],
-        })
+        Some(UnitTag::unrotated((first, member), centre, 0, entry))
     }
 
     /// The sites of a unit that guests may take, and how often they take each; `position` is that of a column.

@@ -13,8 +13,7 @@ use super::defects::Defects;
 use super::recipe::{Boundaries, Recipe};
 use super::sheet::{Family, Sheet};
 use super::specimen::{
-    BEYOND_FIELD_NM, Boundary, BoundaryKind, Region, SiteKind, Sites, Specimen, SpecimenSite,
-    UnitTag,
+    BEYOND_FIELD_NM, Boundary, BoundaryKind, Region, Sites, Specimen, SpecimenSite, UnitTag,
 };
 use crate::error::{Error, Result};
 use crate::structure::shortest_distances;
@@ -194,7 +193,7 @@ impl Grains {
             let entry = motif.draw(slot, column.index.id(), rate, around)?;
             return Some(UnitTag {
                 id: column.index.id(),
-                member: [0, 1],
+                member: 0,
                 centre_nm: column.position.map(|v| v * NM),
                 family: Family { motif: 1 + repeat.motif, structure: 0, bin: entry.bin },
                 entry,
@@ -205,7 +204,7 @@ impl Grains {
         let ([c, s], x) = (grain.rotation, if grain.mirrored { -1.0 } else { 1.0 });
         Some(UnitTag {
             id: first.id(),
-            member: [member, members.len()],
+            member,
             centre_nm: centre.map(|v| v * NM),
             family: Family { motif: 0, structure: 0, bin: entry.bin },
             entry,
@@ -218,11 +217,10 @@ impl Grains {
         (0..self.planes.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)))
     }
 
-    fn pattern(&self, tag: &UnitTag) -> &[u16] {
-        match (tag.family.motif, &self.contents) {
-            (0, Some(contents)) => contents.pattern(tag.entry),
-            (0, None) => &[],
-            (motif, _) => {
+    fn pattern<'a>(&'a self, contents: &'a Contents, tag: &UnitTag) -> &'a [u16] {
+        match tag.family.motif {
+            0 => contents.pattern(tag.entry),
+            motif => {
                 let patterns = self.motifs[motif - 1].pool.patterns(tag.entry.kind, tag.entry.bin);
                 &patterns.cells[tag.entry.cell]
             }
@@ -233,22 +231,15 @@ impl Grains {
     /// the chains that are there.
     fn site(
         &self,
+        contents: &Contents,
         tag: &UnitTag,
         kind: usize,
         [chain, there]: [usize; 2],
         depth: usize,
     ) -> Option<usize> {
         match tag.family.motif {
-            0 => self.contents.as_ref()?.site(kind, chain, depth),
+            0 => contents.site(kind, chain, depth),
             motif => self.motifs[motif - 1].site(tag.entry.kind, there, depth),
-        }
-    }
-
-    fn holds(&self, pattern: &[u16], site: Option<usize>, number: u8) -> (SiteKind, u8) {
-        let process = self.contents.as_ref().and_then(|c| c.process);
-        match (site, process) {
-            (Some(site), Some(process)) if pattern.contains(&(site as u16)) => process.defect(),
-            _ => (SiteKind::Pristine, number),
         }
     }
 
@@ -373,7 +364,8 @@ impl Specimen for Grains {
         self.for_each_column(region, |column| {
             let [x, y] = column.position.map(|v| v * NM);
             let tag = self.tag(&column);
-            let pattern = tag.map(|t| self.pattern(&t));
+            let held = self.contents.as_ref().zip(tag);
+            let held = held.map(|(c, t)| (c, t, self.pattern(c, &t)));
             let defects = self.defects.at(self.distance_nm(column.position[0]));
             let cells = 0..self.cells_along_beam;
             let sites = cells.flat_map(|cell| {
@@ -382,12 +374,13 @@ impl Specimen for Grains {
             let sites = sites.map(|(cell, there, number, chain)| {
                 let z = (cell as f64 + chain.z) * self.crystal.cell[2] * NM;
                 let key = column.index.key(chain, cell);
-                let (kind, number) = match (&tag, pattern) {
-                    (Some(tag), Some(pattern)) => {
-                        let site = self.site(tag, column.index.kind, [number, there], cell);
-                        self.holds(pattern, site, chain.number)
+                let (kind, number) = match &held {
+                    Some((contents, tag, pattern)) => {
+                        let chains = [number, there];
+                        let site = self.site(contents, tag, column.index.kind, chains, cell);
+                        contents.held(pattern, site, chain.number)
                     }
-                    _ => defects.of(key, chain.number),
+                    None => defects.of(key, chain.number),
                 };
                 SpecimenSite { key, position_nm: [x, y, z], number, kind }
             });

@@ -28,6 +28,7 @@ mod orientation;
 mod overrides;
 pub mod particles;
 mod particles_check;
+mod pixel_box;
 mod pool;
 pub mod recipe;
 mod recipe_check;

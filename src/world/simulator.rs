@@ -2,7 +2,9 @@
 
 use super::build::SubTileEngine;
 use super::mosaic::DisplacedAtoms;
+use super::pixel_box::PixelBox;
 use super::recipe::Recipe;
+use super::subprogress::SubProgress;
 use crate::detect::Detector;
 use crate::engine::settings::EXACT_BAND_FRACTION;
 use crate::engine::{
@@ -66,21 +68,28 @@ impl Simulator {
         simulator
     }
 
-    /// The image of one phonon configuration, given by its atoms; see [`SubTileEngine::image`].
+    /// The mean image of some phonon configurations; `atoms` gives those of each, displaced.
     ///
     /// # Errors
-    /// As there.
-    pub fn displaced(
+    /// As [`SubTileEngine::image`].
+    pub fn mean(
         &self,
-        atoms: &DisplacedAtoms,
-        box_angstrom: [f64; 3],
-        scan: &Scan,
+        pixels: &PixelBox,
+        configurations: usize,
+        atoms: impl Fn(usize) -> DisplacedAtoms,
         progress: &dyn Progress,
-    ) -> Result<Array2<f32>> {
+    ) -> Result<Array2<f64>> {
         let settings = Settings { phonons: None, ..self.settings.clone() };
-        let plan = Plan::new(&settings, box_angstrom, &atoms.heights)?;
-        let images = simulate(&plan, &atoms.sites, scan, progress)?;
-        Ok(images.data.index_axis_move(Axis(0), 0).index_axis_move(Axis(0), 0))
+        let mut sum = Array2::<f64>::zeros(pixels.scan.shape);
+        for configuration in 0..configurations {
+            let share = SubProgress::new(progress, pixels.scan.len());
+            let DisplacedAtoms { sites, heights } = atoms(configuration);
+            let plan = Plan::new(&settings, pixels.size_angstrom, &heights)?;
+            let image = haadf(&plan, &sites, &pixels.scan, &share)?;
+            sum.zip_mut_with(&image, |s, v| *s += f64::from(*v));
+            share.complete();
+        }
+        Ok(sum.mapv(|s| s / configurations as f64))
     }
 
     /// The same with probes as in an infinite specimen (see [`ProbeBox`]).
@@ -162,7 +171,12 @@ impl SubTileEngine for Simulator {
     ) -> Result<Array2<f32>> {
         let heights: Vec<f64> = sites.iter().map(|s| s.position[2]).collect();
         let plan = Plan::new(&self.settings, box_angstrom, &heights)?;
-        let images = simulate(&plan, sites, scan, progress)?;
-        Ok(images.data.index_axis_move(Axis(0), 0).index_axis_move(Axis(0), 0))
+        haadf(&plan, sites, scan, progress)
     }
+}
+
+/// The image of the only detector at the exit surface.
+fn haadf(plan: &Plan, sites: &[Site], scan: &Scan, progress: &dyn Progress) -> Result<Array2<f32>> {
+    let images = simulate(plan, sites, scan, progress)?;
+    Ok(images.data.index_axis_move(Axis(0), 0).index_axis_move(Axis(0), 0))
 }

@@ -1,6 +1,7 @@
 //! Specimens: all lattice sites of a full field, asked for region by region.
 
 use super::contents::Entry;
+use super::crystal::ColumnIndex;
 use super::domains::Domains;
 use super::epitaxy::Epitaxy;
 use super::grains::Grains;
@@ -89,8 +90,8 @@ pub struct AtomColumn {
 pub struct UnitTag {
     /// Unique in the specimen: the same for all columns of the unit.
     pub id: u64,
-    /// Which column of the unit this is, and of how many.
-    pub member: [usize; 2],
+    /// Which column of the unit this is.
+    pub member: usize,
     /// Centre (x, y) of the unit in nm.
     pub centre_nm: [f64; 2],
     /// Sheets that show units with such surroundings.
@@ -99,6 +100,25 @@ pub struct UnitTag {
     pub entry: Entry,
     /// Carries directions in the sheet over to the field: rows of an orthogonal matrix.
     pub frame: [[f64; 2]; 2],
+}
+
+impl UnitTag {
+    /// For a unit of an unrotated lattice; `first` is its first column.
+    pub fn unrotated(
+        (first, member): (ColumnIndex, usize),
+        centre_nm: [f64; 2],
+        structure: usize,
+        entry: Entry,
+    ) -> Self {
+        UnitTag {
+            id: first.id(),
+            member,
+            centre_nm,
+            family: Family { motif: 0, structure, bin: entry.bin },
+            entry,
+            frame: [[1.0, 0.0], [0.0, 1.0]],
+        }
+    }
 }
 
 /// The columns of a region, complete, and their sites.

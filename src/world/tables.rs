@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::crystal_source::CrystalSource;
 use super::specimen::Region;
+use crate::structure::elements;
 use crate::structure::particles::Morphology;
 
 /// Specimen builders.
@@ -236,6 +237,13 @@ pub struct Detector {
 pub struct Dose {
     /// Electrons per square Angstrom of the field.
     pub electrons_per_angstrom2: f64,
+}
+
+impl Phonons {
+    /// Standard deviation of an element's displacements in Angstrom; 0 if the table leaves it out.
+    pub fn sigma_angstrom(&self, number: u8) -> f64 {
+        self.sigma_angstrom.get(elements::symbol(number)).copied().unwrap_or(0.0)
+    }
 }
 
 impl Field {

@@ -3,6 +3,7 @@
 use super::library::Library;
 use crate::engine::Site;
 use crate::phonons::displaced;
+use crate::world::recipe::Phonons;
 use crate::world::specimen::{DISPLACED_NM, Region, SiteKind, Specimen};
 
 /// Displaced atoms of an area.
@@ -16,13 +17,13 @@ pub struct DisplacedAtoms {
 
 /// The atoms of `area` in phonon configuration `configuration` of a mosaic, displaced, in Angstrom from the
 /// area's corner: those of units with a place in the library move as in the sheets that their images
-/// come from, others as in all engines. `sigma` gives standard deviations in Angstrom.
+/// come from, others as in all engines.
 pub fn definite_atoms(
     specimen: &dyn Specimen,
     library: Option<&Library>,
     area: &Region,
     (seed, configuration): (u64, usize),
-    sigma: &dyn Fn(u8) -> f64,
+    phonons: &Phonons,
 ) -> DisplacedAtoms {
     // A displaced atom may lie on the other side of the edge than its column.
     let sites = specimen.query(&area.grown(DISPLACED_NM));
@@ -41,15 +42,16 @@ pub fn definite_atoms(
             let mean = [10.0 * (x - area.x[0]), 10.0 * (y - area.y[0]), 10.0 * z];
             let still =
                 Site { position: mean, number: site.number, sigma_angstrom: 0.0, key: site.key };
+            let sigma = phonons.sigma_angstrom(site.number);
             let position = match &single {
                 Some((tag, shelf, single)) => {
-                    let [a, b, c] = shelf.displacement(*single, tag.member[0], n);
+                    let [a, b, c] = shelf.displacement(*single, tag.member, n);
                     let [u, v] = tag.frame;
                     let moved = [u[0] * a + u[1] * b, v[0] * a + v[1] * b, c];
-                    std::array::from_fn(|k| mean[k] + sigma(site.number) * moved[k])
+                    std::array::from_fn(|k| mean[k] + sigma * moved[k])
                 }
                 None => {
-                    let site = Site { sigma_angstrom: sigma(site.number), ..still };
+                    let site = Site { sigma_angstrom: sigma, ..still };
                     displaced(&site, seed, configuration as u32)
                 }
             };

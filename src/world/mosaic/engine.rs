@@ -13,8 +13,8 @@ use crate::engine::{Scan, Site};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::resample::{Kernel, image_band_limit};
-use crate::structure::elements;
 use crate::world::build::SubTileEngine;
+use crate::world::pixel_box::PixelBox;
 use crate::world::recipe::Recipe;
 use crate::world::sheet::sample_angstrom;
 use crate::world::simulator::Simulator;
@@ -23,7 +23,7 @@ use crate::world::subprogress::Quiet;
 
 /// Edge in pixels of the blocks in which pixels that need direct simulation are gathered.
 const BLOCK_PX: usize = 48;
-/// Tells shelves that a library is worth its cost: it takes fewer probes than this share of the field's.
+/// A library is worth its cost where it takes fewer probes than this share of the field's.
 const WORTH: f64 = 0.8;
 
 /// How a mosaic is made.
@@ -93,7 +93,7 @@ impl<'a> Mosaic<'a> {
         }
         let kernel =
             Kernel::new(sample_angstrom(&settings.optics), image_band_limit(&settings.optics))?;
-        let sigma = sigma(recipe);
+        let sigma = |number| recipe.phonons.sigma_angstrom(number);
         let simulated = library.fill(&recipe.id, &sigma, &engine.cache, progress)?;
         let simulator = engine.simulator.clone();
         Ok(Some(Mosaic { specimen, recipe, simulator, library, kernel, survey, simulated }))
@@ -111,7 +111,8 @@ impl<'a> Mosaic<'a> {
         let settings = engine.simulator.settings();
         let survey = survey(specimen, &recipe.field);
         let library = Library::new(specimen, survey.families.iter().copied(), settings)?;
-        let missing = library.missing(&recipe.id, &sigma(recipe), &engine.cache);
+        let sigma = |number| recipe.phonons.sigma_angstrom(number);
+        let missing = library.missing(&recipe.id, &sigma, &engine.cache);
         Ok(Outlook {
             pays: engine.always || worth(&library, &survey, recipe),
             images: library.len(),
@@ -130,11 +131,6 @@ impl<'a> Mosaic<'a> {
     /// Number of images of sheets.
     pub fn images(&self) -> usize {
         self.library.len()
-    }
-
-    /// Probes that the library takes.
-    pub fn library_probes(&self) -> usize {
-        self.library.probes()
     }
 
     /// The noiseless image of `shape` pixels from pixel `first` (row, column) of the full field.
@@ -184,7 +180,8 @@ impl<'a> Mosaic<'a> {
     /// The atoms of an area in one configuration (see [`definite_atoms`]).
     pub fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
         let which = (self.recipe.seed, configuration);
-        definite_atoms(self.specimen, Some(&self.library), area, which, &sigma(self.recipe))
+        let phonons = &self.recipe.phonons;
+        definite_atoms(self.specimen, Some(&self.library), area, which, phonons)
     }
 
     /// Simulates the pixels [row, column, rows, columns] of the full field with the atoms of the mosaic.
@@ -195,23 +192,12 @@ impl<'a> Mosaic<'a> {
         progress: &dyn Progress,
     ) -> Result<Array2<f32>> {
         let [row, column, rows, columns] = block;
-        let pixel = self.recipe.field.pixel_nm();
-        let margin_nm = 0.1 * self.simulator.margin_angstrom();
-        let area = Region::of_pixels([row, column], [rows, columns], pixel).grown(margin_nm);
-        let size = |r: [f64; 2]| 10.0 * (r[1] - r[0]);
-        let size = [size(area.x), size(area.y), 10.0 * self.specimen.thickness_nm()];
-        let scan = Scan {
-            origin_angstrom: [10.0 * margin_nm + 5.0 * pixel; 2],
-            step_angstrom: [10.0 * pixel; 2],
-            shape: [rows, columns],
-        };
-        let mut sum = Array2::<f64>::zeros((rows, columns));
-        for configuration in 0..configurations {
-            let atoms = self.atoms(&area, configuration);
-            let image = self.simulator.displaced(&atoms, size, &scan, &Quiet(progress))?;
-            sum.zip_mut_with(&image, |s, v| *s += f64::from(*v));
-        }
-        Ok(sum.mapv(|s| (s / configurations as f64) as f32))
+        let pixels = ([row, column], [rows, columns], 1);
+        let (margin, thickness) = (self.simulator.margin_angstrom(), self.specimen.thickness_nm());
+        let pixels = PixelBox::new(pixels, self.recipe.field.pixel_nm(), margin, thickness);
+        let atoms = |configuration| self.atoms(&pixels.area, configuration);
+        let mean = self.simulator.mean(&pixels, configurations, atoms, &Quiet(progress))?;
+        Ok(mean.mapv(|v| v as f32))
     }
 }
 
@@ -240,12 +226,6 @@ fn worth(library: &Library, survey: &Survey, recipe: &Recipe) -> bool {
     survey.tagged > 0 && (library.probes() as f64) < WORTH * repeating
 }
 
-/// Standard deviation of each Cartesian component of the displacements in Angstrom, by element.
-fn sigma(recipe: &Recipe) -> impl Fn(u8) -> f64 {
-    let sigmas = recipe.phonons.sigma_angstrom.clone();
-    move |number| sigmas.get(elements::symbol(number)).copied().unwrap_or(0.0)
-}
-
 /// The atoms of an area, displaced as by engines that simulate the field itself.
 pub fn atoms_by_seed(
     specimen: &dyn Specimen,
@@ -253,7 +233,7 @@ pub fn atoms_by_seed(
     which: (u64, usize),
     recipe: &Recipe,
 ) -> DisplacedAtoms {
-    definite_atoms(specimen, None, area, which, &sigma(recipe))
+    definite_atoms(specimen, None, area, which, &recipe.phonons)
 }
 
 type Block = [usize; 4];
