@@ -6,11 +6,12 @@ use super::show::Lines;
 use super::values;
 use anyhow::bail;
 use clap::Args;
-use stemgen::engine::Algorithm;
+use stemgen::engine::{Algorithm, window_for};
 use stemgen::world::audit::{Audit, AuditOptions, Source, audit};
-use stemgen::world::mosaic::{Cache, Mosaic, MosaicEngine};
-use stemgen::world::simulator::WINDOW_ANGSTROM;
-use stemgen::world::{Simulator, specimen};
+use stemgen::world::method::field_image;
+use stemgen::world::mosaic::{Cache, MosaicEngine};
+use stemgen::world::simulator::{WINDOW_ANGSTROM, default_accuracy_percent};
+use stemgen::world::{Recipe, Simulator, specimen};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -30,7 +31,7 @@ configuration. Errors are those of the method: noise is left out.";
 pub struct AuditCommand {
     #[command(flatten)]
     recipe: RecipeArgs,
-    /// Number of regions, drawn at random
+    /// Number of regions, drawn at random; every other one on a particle where there are any
     #[arg(long, value_name = "N", default_value_t = 3)]
     #[arg(value_parser = clap::value_parser!(u16).range(1..=1000))]
     regions: u16,
@@ -40,10 +41,9 @@ pub struct AuditCommand {
     /// Edge of a region in nm
     #[arg(long, value_name = "NM", default_value_t = 1.0, value_parser = values::finite)]
     size: f64,
-    /// Compare every how many-th pixel along each axis
-    #[arg(long, value_name = "N", default_value_t = 2)]
-    #[arg(value_parser = clap::value_parser!(u16).range(1..=100))]
-    stride: u16,
+    /// Compare every how many-th pixel along each axis [default: one about every 0.5 A]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=100))]
+    stride: Option<u16>,
     /// Phonon configurations to average [default: as many as the world]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     configurations: Option<u16>,
@@ -67,19 +67,18 @@ impl AuditCommand {
                 "--dry-run: an audit has no plan to show; --configurations 1 --regions 1 is a quick one"
             );
         }
-        let simulator =
-            Simulator::new(&recipe, Algorithm::Window { width_angstrom: WINDOW_ANGSTROM });
+        let simulator = simulator(&recipe);
         let options = AuditOptions {
             regions: self.regions.into(),
             size_nm: self.size,
-            stride: self.stride.into(),
+            stride: self.stride.map(usize::from),
             seed: self.audit_seed,
             at_nm: self.at.clone(),
             configurations: self.configurations.map(usize::from),
         };
         let specimen = specimen(&recipe)?;
         let direct = match engine.as_deref() {
-            None | Some("mosaic") => None,
+            None | Some("mosaic" | "film") => None,
             Some("window") => Some(simulator.clone()),
             Some(other) => {
                 bail!("the world was made with `{other}`, which is what audits compare with")
@@ -93,9 +92,9 @@ impl AuditCommand {
             None => {
                 let cache = if self.no_cache { Cache::none() } else { Cache::of_user() };
                 let engine = MosaicEngine { simulator, cache, always: true };
-                match Mosaic::prepare(&engine, &*specimen, &recipe, &reporter)? {
-                    Some(mosaic) => {
-                        let source = Source::Mosaic(&mosaic);
+                match field_image(&engine, &*specimen, &recipe, &reporter)? {
+                    Some(field) => {
+                        let source = Source::Field(&*field);
                         audit(&recipe, &*specimen, &source, &options, &reporter)?
                     }
                     None => bail!("nothing in this specimen repeats"),
@@ -104,6 +103,17 @@ impl AuditCommand {
         };
         self.common.print(&found, &text(&found))
     }
+}
+
+/// Windows as `stemgen build` chooses them.
+fn simulator(recipe: &Recipe) -> Simulator {
+    let window = |width_angstrom| Simulator::new(recipe, Algorithm::Window { width_angstrom });
+    let (plain, thickness) = (window(WINDOW_ANGSTROM), 10.0 * recipe.field.thickness_nm);
+    let accuracy = default_accuracy_percent(recipe.structure);
+    window(
+        window_for(accuracy, plain.settings(), thickness)
+            .map_or(WINDOW_ANGSTROM, |choice| choice.width_angstrom),
+    )
 }
 
 fn text(audit: &Audit) -> String {

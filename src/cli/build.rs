@@ -15,10 +15,11 @@ use stemgen::engine::{Algorithm, Plan, Settings, window_for};
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
 use stemgen::world::audit::{Audit, AuditOptions};
+use stemgen::world::film::{BLOCK_PROBES, FilmImage};
 use stemgen::world::footprint::world_bytes;
 use stemgen::world::method::Check;
 use stemgen::world::mosaic::{Cache, Mosaic, MosaicEngine, Outlook};
-use stemgen::world::simulator::WINDOW_ANGSTROM;
+use stemgen::world::simulator::{WINDOW_ANGSTROM, default_accuracy_percent};
 use stemgen::world::subtiles::Partition;
 use stemgen::world::{
     BuildOptions, Difficulty, Recipe, Region, Simulator, Specimen, SubTileEngine, Summary,
@@ -36,8 +37,6 @@ const AUDIT_NM: f64 = 0.8;
 /// Sub-tiles of mosaics in nm, and their overlap.
 const MOSAIC_SUBTILE_NM: f64 = 8.0;
 const MOSAIC_OVERLAP_NM: f64 = 0.5;
-/// Error of windows unless another is asked for (see `--accuracy`).
-const DEFAULT_ACCURACY_PERCENT: f64 = 0.8;
 /// Interpolation of PRISM unless another is asked for: windows of 10 A in sub-tiles of 2.5 nm.
 const INTERPOLATION: [usize; 2] = [4, 4];
 
@@ -152,6 +151,8 @@ struct DryRun {
     plan: PlanReport,
     #[serde(skip_serializing_if = "Option::is_none")]
     mosaic: Option<Outlook>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    particle_probes: Option<usize>,
     disk_bytes: u64,
     output: PathBuf,
 }
@@ -248,7 +249,7 @@ impl Build {
         settings: &Settings,
         thickness: f64,
     ) -> anyhow::Result<(Simulator, Option<String>)> {
-        match window_for(DEFAULT_ACCURACY_PERCENT, settings, thickness) {
+        match window_for(default_accuracy_percent(recipe.structure), settings, thickness) {
             Ok(choice) => {
                 let width_angstrom = choice.width_angstrom;
                 let warning = (!choice.beyond_measured.is_empty()).then(|| {
@@ -298,10 +299,21 @@ impl Build {
         let runs = if self.common.dry_run { partition.len() } else { 0 };
         let probes = simulator.probes(&plan, [rows, columns], 10.0 * pixel)?;
         let mut report = PlanReport::new(&plan, probes.scan().len(), runs);
-        let mosaic = match self.common.dry_run && self.is_mosaic(simulator) {
-            true => Some(Mosaic::outlook(&self.mosaic(simulator.clone()), &*specimen, recipe)?),
-            false => None,
-        };
+        let mut particle_probes = None;
+        let mut mosaic = None;
+        if self.common.dry_run && self.is_mosaic(simulator) {
+            let engine = self.mosaic(simulator.clone());
+            match FilmImage::prepare(&engine, &*specimen, recipe)? {
+                Some(film) => {
+                    let probes = film.particle_probes();
+                    let runs = probes.div_ceil(BLOCK_PROBES);
+                    let plan = film.block_plan()?.unwrap_or(plan);
+                    report = PlanReport::new(&plan, probes.min(BLOCK_PROBES), runs);
+                    particle_probes = Some(probes);
+                }
+                None => mosaic = Some(Mosaic::outlook(&engine, &*specimen, recipe)?),
+            }
+        }
         if let Some(mosaic) = mosaic.as_ref().filter(|m| m.pays) {
             // Probes decide: those of the library's missing images, and of what does not repeat.
             let all = (probes.scan().len() * partition.len()) as f64;
@@ -327,6 +339,7 @@ impl Build {
             probe_step_angstrom: probes.scan().step_angstrom,
             plan: report,
             mosaic,
+            particle_probes,
             disk_bytes: world_bytes(field, sites, self.keep_clean),
             output: path.to_owned(),
         })
@@ -472,11 +485,17 @@ impl DryRun {
         lines.add("field", format!("{h:.2} x {w:.2} nm, {} nm thick", self.thickness_nm));
         let [h, w] = self.subtile_nm;
         lines.add("sub-tiles", format!("{} of {h:.2} x {w:.2} nm", self.subtiles));
-        let (n, [x, y]) = (text::count(self.plan.probes as u64), self.probe_step_angstrom);
-        lines.add("probes", format!("{n} per sub-tile, {x:.4} x {y:.4} A apart"));
+        let [x, y] = self.probe_step_angstrom;
+        let number = match self.particle_probes {
+            Some(n) => format!("{} for the particles", text::count(n as u64)),
+            None => format!("{} per sub-tile", text::count(self.plan.probes as u64)),
+        };
+        lines.add("probes", format!("{number}, {x:.4} x {y:.4} A apart"));
         self.plan.lines(&mut lines);
         if let Some(mosaic) = &self.mosaic {
             lines.add("mosaic", mosaic_line(mosaic));
+        } else if self.particle_probes.is_some() {
+            lines.add("film", "each atom by itself");
         }
         self.plan.costs(&mut lines);
         lines.add("disk", format!("at most about {}", text::bytes(self.disk_bytes)));

@@ -154,7 +154,8 @@ pub enum Engine {
     Prism,
     /// Every probe in a small window that follows it
     Window,
-    /// Worlds only: columns with like contents and surroundings share simulations in windows
+    /// Worlds only: columns with like contents and surroundings share simulations in windows; atoms of carbon films
+    /// make their images each by itself
     Mosaic,
 }
 

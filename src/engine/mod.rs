@@ -4,6 +4,7 @@ mod accuracy;
 mod exponential;
 mod images;
 mod imaging;
+pub mod independent;
 mod multislice;
 pub mod plan;
 mod prism;

@@ -229,6 +229,19 @@ impl Smooth {
 /// Cross section in Angstrom^2 of one atom for scattering into angles of `k` from `inner` to `outer`
 /// (1/Angstrom): `int |F[exp(i v) - 1](k)|^2 d^2k`.
 pub fn cross_section(factor: &ScatteringFactor, sigma: f64, inner: f64, outer: f64) -> f64 {
+    let intervals = 64;
+    let step = (outer - inner) / intervals as f64;
+    let ks: Vec<f64> = (0..=intervals).map(|i| inner + i as f64 * step).collect();
+    let amplitudes = amplitudes(factor, sigma, &ks);
+    let part = |(i, amplitude): (usize, Complex64)| {
+        amplitude.norm_sqr() * 2.0 * PI * ks[i] * simpson(i, intervals) * step
+    };
+    amplitudes.into_iter().enumerate().map(part).sum()
+}
+
+/// `F[exp(i v) - 1](k)` of one atom in Angstrom^2 for each of `ks` (1/Angstrom), v being its phase
+/// `sigma` times the projected potential.
+pub fn amplitudes(factor: &ScatteringFactor, sigma: f64, ks: &[f64]) -> Vec<Complex64> {
     let unit = sigma * POTENTIAL_PER_SCATTERING_FACTOR;
     // Out to 6 A: what is beyond scatters to smaller angles.
     let points: Vec<(f64, Complex64)> = radial_points(2.0)
@@ -238,16 +251,8 @@ pub fn cross_section(factor: &ScatteringFactor, sigma: f64, inner: f64, outer: f
             (r, wave * (2.0 * PI * r * weight))
         })
         .collect();
-    let intervals = 64;
-    let step = (outer - inner) / intervals as f64;
-    (0..=intervals)
-        .map(|i| {
-            let k = inner + i as f64 * step;
-            let amplitude: Complex64 =
-                points.iter().map(|(r, c)| c * libm::j0(2.0 * PI * k * r)).sum();
-            amplitude.norm_sqr() * 2.0 * PI * k * simpson(i, intervals) * step
-        })
-        .sum()
+    let at = |k: &f64| points.iter().map(|(r, c)| c * libm::j0(2.0 * PI * k * r)).sum();
+    ks.iter().map(at).collect()
 }
 
 /// Radii and weights of an integral over r: logarithmic near the nucleus, where the phase goes like

@@ -7,16 +7,21 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, Default)]
 #[serde(rename_all = "snake_case")]
 pub enum Slicing {
-    /// One slice per atomic plane, cut midway between planes; specimens without planes are cut
-    /// evenly into slices of at most [`PLANELESS_THICKNESS_ANGSTROM`].
+    /// One slice per atomic plane, cut midway between planes; in specimens without planes atoms within
+    /// [`GROUP_ANGSTROM`] along the beam share a slice.
     #[default]
     Planes,
     /// Slices of equal thickness, as near as possible to and at most this many Angstrom.
     Thickness(f64),
 }
 
-/// Thickness of slices where there are no planes to centre.
-pub const PLANELESS_THICKNESS_ANGSTROM: f64 = 1.0;
+/// Atoms of specimens without planes share a slice, at their mean height, if they lie within so many Angstrom along
+/// the beam. High-angle waves of two atoms turn by 0.6 rad at 68 mrad and 200 kV if one moves by 1 A: columns of a tilted Pt
+/// particle of 2.8 nm (one phonon configuration) are off by 1.8 % rms with even slices of 1 A, by 1.0 % with 0.5 A and by 0.7 %
+/// with 0.33 A, against 0.25 A.
+pub const GROUP_ANGSTROM: f64 = 0.5;
+/// Thickness of slices where there are no atoms.
+const EMPTY_THICKNESS_ANGSTROM: f64 = 1.0;
 /// Atoms nearer than this along the beam belong to the same plane.
 const SAME_PLANE_ANGSTROM: f64 = 0.25;
 /// Atoms that chain together over more than this form no plane.
@@ -57,10 +62,13 @@ impl Slices {
         z.iter_mut().for_each(|v| *v = wrap(*v, entrance, height));
         z.sort_by(f64::total_cmp);
         match slicing {
-            Slicing::Planes => Ok(match planes(&z) {
-                Some(planes) if !planes.is_empty() => Self::around(&planes, entrance, height),
-                _ => Self::even(PLANELESS_THICKNESS_ANGSTROM, entrance, height),
-            }),
+            Slicing::Planes if z.is_empty() => {
+                Ok(Self::even(EMPTY_THICKNESS_ANGSTROM, entrance, height))
+            }
+            Slicing::Planes => {
+                let planes = planes(&z).unwrap_or_else(|| groups(&z));
+                Ok(Self::around(&planes, entrance, height))
+            }
             Slicing::Thickness(t) if t > 0.0 && t.is_finite() => {
                 Ok(Self::even(t, entrance, height))
             }
@@ -159,6 +167,18 @@ fn planes(z: &[f64]) -> Option<Vec<f64>> {
         }
     }
     Some(planes)
+}
+
+/// Mean heights of groups of sorted heights that span at most [`GROUP_ANGSTROM`].
+fn groups(z: &[f64]) -> Vec<f64> {
+    let mut means = Vec::new();
+    let mut rest = z;
+    while let Some(first) = rest.first() {
+        let (group, others) = rest.split_at(rest.partition_point(|v| *v <= first + GROUP_ANGSTROM));
+        means.push(group.iter().sum::<f64>() / group.len() as f64);
+        rest = others;
+    }
+    means
 }
 
 #[cfg(test)]

@@ -7,11 +7,11 @@ use num_complex::Complex;
 use serde::Serialize;
 
 use super::build::SubTileEngine;
-use super::mosaic::Mosaic;
+use super::field_image::FieldImage;
 use super::pixel_box::PixelBox;
 use super::recipe::Recipe;
 use super::simulator::Simulator;
-use super::specimen::{Region, SiteKind, Specimen};
+use super::specimen::{ParticleTruth, Region, SiteKind, Specimen};
 use super::subprogress::Quiet;
 use crate::engine::Algorithm;
 use crate::error::{Error, Result};
@@ -23,6 +23,8 @@ use crate::structure::elements;
 const BRIGHT: f64 = 0.4;
 /// Radius in Angstrom over which a column's intensity is averaged.
 const COLUMN_ANGSTROM: f64 = 0.45;
+/// Distance of the pixels compared in Angstrom, about.
+const POINT_ANGSTROM: f64 = 0.5;
 /// Bands of the power spectrum, in 1/Angstrom.
 const BANDS: [f64; 4] = [0.1, 0.4, 0.8, 1.2];
 
@@ -33,8 +35,8 @@ pub struct AuditOptions {
     pub regions: usize,
     /// Their edge in nm.
     pub size_nm: f64,
-    /// Every how many-th pixel is compared, along each axis.
-    pub stride: usize,
+    /// Every how many-th pixel is compared, along each axis; `None`: about every 0.5 Angstrom.
+    pub stride: Option<usize>,
     /// Seed of their places.
     pub seed: u64,
     /// Centres (x, y) in nm of the built field, in place of random ones.
@@ -48,7 +50,7 @@ impl Default for AuditOptions {
         AuditOptions {
             regions: 3,
             size_nm: 1.0,
-            stride: 2,
+            stride: None,
             seed: 1,
             at_nm: Vec::new(),
             configurations: None,
@@ -133,8 +135,8 @@ pub struct PowerBand {
 
 /// Where images and atoms come from.
 pub enum Source<'a> {
-    /// A mosaic.
-    Mosaic(&'a Mosaic<'a>),
+    /// What makes images of a field out of more than simulations of it.
+    Field(&'a dyn FieldImage),
     /// An engine that simulated the field itself.
     Direct(&'a Simulator),
 }
@@ -160,24 +162,26 @@ pub fn audit(
     let all = recipe.phonons.configurations.max(1);
     let configurations = options.configurations.unwrap_or(all).clamp(1, all);
     let reference = Simulator::new(recipe, Algorithm::Multislice).with_large_probe_box();
-    let places = places(recipe, options)?;
+    let pixel = 10.0 * recipe.field.pixel_nm();
+    let stride = options.stride.unwrap_or((POINT_ANGSTROM / pixel).round().max(1.0) as usize);
+    let places = places(recipe, specimen, options)?;
     let points: usize =
-        places.iter().map(|p| points(p.shape, options.stride).iter().product::<usize>()).sum();
+        places.iter().map(|p| points(p.shape, stride).iter().product::<usize>()).sum();
     progress.start("auditing", "probe", (points * configurations) as u64);
     let mut regions = Vec::new();
     let mut columns = Vec::new();
     for place in &places {
         let job = Job { recipe, specimen, source, reference: &reference, place };
-        let (region, found) = job.run(options.stride, configurations, progress)?;
+        let (region, found) = job.run(stride, configurations, progress)?;
         regions.push(region);
         columns.push(found);
     }
     progress.finish();
     let engine = match source {
-        Source::Mosaic(_) => "mosaic".to_owned(),
+        Source::Field(field) => field.name().to_owned(),
         Source::Direct(simulator) => simulator.name(),
     };
-    Ok(summary(engine, [configurations, all], regions, &columns, recipe, options.stride))
+    Ok(summary(engine, [configurations, all], regions, &columns, recipe, stride))
 }
 
 /// A region in pixels of the full field.
@@ -191,11 +195,12 @@ fn points(shape: [usize; 2], stride: usize) -> [usize; 2] {
     shape.map(|n| n.div_ceil(stride))
 }
 
-fn places(recipe: &Recipe, options: &AuditOptions) -> Result<Vec<Place>> {
+/// The regions: as given, or at random, but every other one on a particle where there are any.
+fn places(recipe: &Recipe, specimen: &dyn Specimen, options: &AuditOptions) -> Result<Vec<Place>> {
     let field = &recipe.field;
     let (shape, pixel) = (field.pixels(field.built_grid()), field.pixel_nm());
     let edge = (options.size_nm / pixel).round() as usize;
-    if options.stride == 0 || edge < 8 || edge > shape[0].min(shape[1]) {
+    if options.stride == Some(0) || edge < 8 || edge > shape[0].min(shape[1]) {
         let expected = format!("must be from {:.2} to the field's height and width", 8.0 * pixel);
         return Err(Error::invalid("audited region (nm)", options.size_nm, expected));
     }
@@ -206,8 +211,18 @@ fn places(recipe: &Recipe, options: &AuditOptions) -> Result<Vec<Place>> {
         centre_nm: [1, 0].map(|k| (corner[k] as f64 + 0.5 * (edge - 1) as f64) * pixel),
     };
     if options.at_nm.is_empty() {
+        let particles = particles_inside(recipe, specimen);
         let corner = |n: u64| {
             let u = |k: u32| rng::uniform(options.seed, Purpose::Audit, k, n);
+            if n % 2 == 0 && !particles.is_empty() {
+                let chosen = &particles[(u(2) * particles.len() as f64) as usize];
+                return [0, 1].map(|k: usize| {
+                    let off = (u(k as u32) - 0.5) * chosen.diameter_nm;
+                    let centre = (chosen.centre_nm[1 - k] + off) / pixel - origin[k] as f64;
+                    (centre - 0.5 * edge as f64).round().clamp(0.0, (shape[k] - edge) as f64)
+                        as usize
+                });
+            }
             [0, 1].map(|k| (u(k) * (shape[k as usize] - edge + 1) as f64) as usize)
         };
         return Ok((0..options.regions as u64).map(|n| place(corner(n))).collect());
@@ -228,6 +243,13 @@ fn places(recipe: &Recipe, options: &AuditOptions) -> Result<Vec<Place>> {
         }
     };
     options.at_nm.iter().map(given).collect()
+}
+
+fn particles_inside(recipe: &Recipe, specimen: &dyn Specimen) -> Vec<ParticleTruth> {
+    let built = recipe.field.built_region();
+    let mut particles = specimen.particles();
+    particles.retain(|p| built.contains([p.centre_nm[0], p.centre_nm[1]]));
+    particles
 }
 
 struct Job<'a> {
@@ -265,8 +287,8 @@ impl Job<'_> {
             Array2::from_shape_fn((rows, columns), |(i, j)| image[[i * stride, j * stride]])
         };
         match self.source {
-            Source::Mosaic(mosaic) => {
-                Ok(thin(mosaic.mean_of(first, shape, configurations, progress)?))
+            Source::Field(field) => {
+                Ok(thin(field.mean_of(first, shape, configurations, &Quiet(progress))?))
             }
             Source::Direct(simulator) => {
                 self.simulated(simulator, stride, configurations, &Quiet(progress))
@@ -295,7 +317,7 @@ impl Job<'_> {
         let pixel = self.recipe.field.pixel_nm();
         let pixels = PixelBox::new((first, shape, stride), pixel, margin, thickness);
         let atoms = |configuration: usize| match self.source {
-            Source::Mosaic(mosaic) => mosaic.atoms(&pixels.area, configuration),
+            Source::Field(field) => field.atoms(&pixels.area, configuration),
             Source::Direct(_) => {
                 let which = (self.recipe.seed, configuration);
                 super::mosaic::atoms_by_seed(self.specimen, &pixels.area, which, self.recipe)

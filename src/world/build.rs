@@ -143,7 +143,7 @@ pub fn build(
     let check = &options.check;
     let (method, audit) = Method::prepare(engine, &*specimen, recipe, check, progress)?;
     let library = match &method {
-        Method::Mosaic(m) => Some([m.images(), m.simulated]),
+        Method::Field(field) => field.library(),
         _ => None,
     };
     let job = Job { recipe, method, specimen: &*specimen, audit, progress };
@@ -214,7 +214,7 @@ impl Job<'_> {
     fn simulate(&self, partition: &Partition, store: &Store) -> Result<usize> {
         let probes = partition.subtiles().map(|t| t.rows.len() * t.columns.len()).sum::<usize>();
         let (stage, unit) = match self.method {
-            Method::Mosaic(_) => ("assembling", "pixel"),
+            Method::Field(_) => ("assembling", "pixel"),
             _ => ("simulating", "probe"),
         };
         self.progress.start(stage, unit, probes as u64);
@@ -240,7 +240,11 @@ impl Job<'_> {
         let (first, pixel) = (field.crop_origin_px(), field.pixel_nm());
         let start = [first[0] + tile.rows.start, first[1] + tile.columns.start];
         let engine: &dyn SubTileEngine = match &self.method {
-            Method::Mosaic(mosaic) => return mosaic.image(start, tile.shape(), progress),
+            Method::Field(field) => {
+                let configurations = self.recipe.phonons.configurations.max(1);
+                let image = field.mean_of(start, tile.shape(), configurations, progress)?;
+                return Ok(image.mapv(|v| v as f32));
+            }
             Method::SubTiles(engine) => *engine,
             Method::Instead(simulator) => &**simulator,
         };

@@ -2,6 +2,8 @@
 
 use super::audit::{Audit, AuditOptions, Source, audit};
 use super::build::SubTileEngine;
+use super::field_image::FieldImage;
+use super::film::FilmImage;
 use super::mosaic::{Mosaic, MosaicEngine};
 use super::recipe::Recipe;
 use super::simulator::Simulator;
@@ -25,8 +27,8 @@ pub struct Check {
 
 /// The method that makes the image.
 pub enum Method<'a> {
-    /// Units that repeat share simulations.
-    Mosaic(Box<Mosaic<'a>>),
+    /// A mosaic, or film and particles each in their own way.
+    Field(Box<dyn FieldImage + 'a>),
     /// Every sub-tile is simulated.
     SubTiles(&'a dyn SubTileEngine),
     /// Every sub-tile is simulated, since a mosaic would not pay or not be right enough.
@@ -48,18 +50,16 @@ impl<'a> Method<'a> {
         let Some(mosaic) = engine.mosaic() else { return Ok((Method::SubTiles(engine), None)) };
         let mut widest = mosaic.simulator.clone();
         for engine in widening(mosaic, check.max_error_percent.is_some()) {
-            let Some(prepared) = Mosaic::prepare(&engine, specimen, recipe, progress)? else {
-                break;
-            };
+            let Some(prepared) = field_image(&engine, specimen, recipe, progress)? else { break };
             let found = match &check.audit {
                 Some(options) => {
-                    let source = Source::Mosaic(&prepared);
+                    let source = Source::Field(&*prepared);
                     Some(audit(recipe, specimen, &source, options, progress)?)
                 }
                 None => None,
             };
             if accepted(found.as_ref(), check.max_error_percent, progress) {
-                return Ok((Method::Mosaic(Box::new(prepared)), found));
+                return Ok((Method::Field(prepared), found));
             }
             widest = engine.simulator;
         }
@@ -82,7 +82,7 @@ impl<'a> Method<'a> {
     /// Its name.
     pub fn name(&self) -> String {
         match self {
-            Method::Mosaic(_) => "mosaic".into(),
+            Method::Field(field) => field.name().into(),
             Method::SubTiles(engine) => engine.name(),
             Method::Instead(simulator) => simulator.name(),
         }
@@ -91,11 +91,28 @@ impl<'a> Method<'a> {
     /// Settings that decide the image.
     pub fn parameters(&self) -> serde_json::Value {
         match self {
-            Method::Mosaic(mosaic) => mosaic.parameters(),
+            Method::Field(field) => field.parameters(),
             Method::SubTiles(engine) => engine.parameters(),
             Method::Instead(simulator) => simulator.parameters(),
         }
     }
+}
+
+/// The method for a specimen, prepared; `None` where simulating the field itself takes less.
+///
+/// # Errors
+/// Those of the engine, and [`Error::Interrupted`].
+pub fn field_image<'a>(
+    engine: &MosaicEngine,
+    specimen: &'a dyn Specimen,
+    recipe: &'a Recipe,
+    progress: &dyn Progress,
+) -> Result<Option<Box<dyn FieldImage + 'a>>> {
+    if let Some(film) = FilmImage::prepare(engine, specimen, recipe)? {
+        return Ok(Some(Box::new(film)));
+    }
+    let mosaic = Mosaic::prepare(engine, specimen, recipe, progress)?;
+    Ok(mosaic.map(|m| Box::new(m) as Box<dyn FieldImage>))
 }
 
 /// The engine, and with wider windows those that follow.

@@ -19,6 +19,8 @@ pub mod domains;
 mod drawing;
 pub mod epitaxy;
 mod export;
+mod field_image;
+pub mod film;
 pub mod footprint;
 pub mod grains;
 pub mod method;

@@ -11,6 +11,7 @@ use std::sync::OnceLock;
 use rayon::prelude::*;
 
 use super::defects::{Defects, LocalDefects};
+use super::film::ThinFilm;
 use super::recipe::{Particles, Recipe};
 use super::specimen::{
     AtomColumn, BEYOND_FIELD_NM, DISPLACED_NM, ParticleTruth, Region, SiteKind, Sites, Specimen,
@@ -202,6 +203,11 @@ impl Specimen for ParticlesOnCarbon {
 
     fn thickness_nm(&self) -> f64 {
         self.depth * NM
+    }
+
+    fn film(&self) -> Option<ThinFilm> {
+        let depth_nm = [self.face, self.face + self.thickness].map(|z| z * NM);
+        (self.number != CARBON).then_some(ThinFilm { number: CARBON, depth_nm })
     }
 
     fn particles(&self) -> Vec<ParticleTruth> {

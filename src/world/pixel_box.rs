@@ -23,16 +23,18 @@ impl PixelBox {
         thickness_nm: f64,
     ) -> Self {
         let margin_nm = 0.1 * margin_angstrom;
+        let scan = Scan {
+            origin_angstrom: [10.0 * margin_nm + 5.0 * pixel_nm; 2],
+            step_angstrom: [10.0 * pixel_nm * stride as f64; 2],
+            shape: shape.map(|n| n.div_ceil(stride)),
+        };
         let area = Region::of_pixels(first, shape, pixel_nm).grown(margin_nm);
+        Self::of_area(area, scan, 10.0 * thickness_nm)
+    }
+
+    /// A scan of an area of a specimen.
+    pub fn of_area(area: Region, scan: Scan, thickness_angstrom: f64) -> Self {
         let size = |r: [f64; 2]| 10.0 * (r[1] - r[0]);
-        PixelBox {
-            area,
-            size_angstrom: [size(area.x), size(area.y), 10.0 * thickness_nm],
-            scan: Scan {
-                origin_angstrom: [10.0 * margin_nm + 5.0 * pixel_nm; 2],
-                step_angstrom: [10.0 * pixel_nm * stride as f64; 2],
-                shape: shape.map(|n| n.div_ceil(stride)),
-            },
-        }
+        PixelBox { size_angstrom: [size(area.x), size(area.y), thickness_angstrom], area, scan }
     }
 }

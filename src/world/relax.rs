@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 
+use super::film::ThinFilm;
 use super::grains::PAIR_CUTOFF_ANGSTROM;
 use super::recipe::Recipe;
 use super::specimen::{
@@ -59,6 +60,9 @@ impl Specimen for Relaxed {
     }
     fn phase_at(&self, position_nm: [f64; 2]) -> usize {
         self.inner.phase_at(position_nm)
+    }
+    fn film(&self) -> Option<ThinFilm> {
+        self.inner.film()
     }
     fn particles(&self) -> Vec<ParticleTruth> {
         self.inner.particles()

@@ -4,6 +4,7 @@ use super::contents::Entry;
 use super::crystal::ColumnIndex;
 use super::domains::Domains;
 use super::epitaxy::Epitaxy;
+use super::film::ThinFilm;
 use super::grains::Grains;
 use super::particles::ParticlesOnCarbon;
 use super::recipe::{Recipe, StructureKind};
@@ -217,6 +218,10 @@ pub trait Specimen: Send + Sync {
     }
     /// The sheet in which units of a family are simulated, for specimens that tag columns with units.
     fn sheet(&self, _family: Family) -> Option<Sheet> {
+        None
+    }
+    /// The film behind everything else, for specimens that have one.
+    fn film(&self) -> Option<ThinFilm> {
         None
     }
     /// Particles whose centre lies in the specimen.

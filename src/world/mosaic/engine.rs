@@ -14,6 +14,7 @@ use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::resample::{Kernel, image_band_limit};
 use crate::world::build::SubTileEngine;
+use crate::world::field_image::FieldImage;
 use crate::world::pixel_box::PixelBox;
 use crate::world::recipe::Recipe;
 use crate::world::sheet::sample_angstrom;
@@ -123,35 +124,37 @@ impl<'a> Mosaic<'a> {
         })
     }
 
-    /// Settings that decide the image.
-    pub fn parameters(&self) -> serde_json::Value {
+    /// Simulates the pixels [row, column, rows, columns] of the full field with the atoms of the mosaic.
+    fn direct(
+        &self,
+        block: Block,
+        configurations: usize,
+        progress: &dyn Progress,
+    ) -> Result<Array2<f32>> {
+        let [row, column, rows, columns] = block;
+        let pixels = ([row, column], [rows, columns], 1);
+        let (margin, thickness) = (self.simulator.margin_angstrom(), self.specimen.thickness_nm());
+        let pixels = PixelBox::new(pixels, self.recipe.field.pixel_nm(), margin, thickness);
+        let atoms = |configuration| self.atoms(&pixels.area, configuration);
+        let mean = self.simulator.mean(&pixels, configurations, atoms, &Quiet(progress))?;
+        Ok(mean.mapv(|v| v as f32))
+    }
+}
+
+impl FieldImage for Mosaic<'_> {
+    fn name(&self) -> &'static str {
+        "mosaic"
+    }
+
+    fn parameters(&self) -> serde_json::Value {
         self.simulator.parameters()
     }
 
-    /// Number of images of sheets.
-    pub fn images(&self) -> usize {
-        self.library.len()
+    fn library(&self) -> Option<[usize; 2]> {
+        Some([self.library.len(), self.simulated])
     }
 
-    /// The noiseless image of `shape` pixels from pixel `first` (row, column) of the full field.
-    ///
-    /// # Errors
-    /// Those of the engine, and [`Error::Interrupted`].
-    pub fn image(
-        &self,
-        first: [usize; 2],
-        shape: [usize; 2],
-        progress: &dyn Progress,
-    ) -> Result<Array2<f32>> {
-        let image = self.mean_of(first, shape, self.library.configurations(), progress)?;
-        Ok(image.mapv(|v| v as f32))
-    }
-
-    /// The same, mean over the first `configurations` only.
-    ///
-    /// # Errors
-    /// As [`Mosaic::image`].
-    pub fn mean_of(
+    fn mean_of(
         &self,
         first: [usize; 2],
         shape: [usize; 2],
@@ -177,27 +180,10 @@ impl<'a> Mosaic<'a> {
         Ok(image)
     }
 
-    /// The atoms of an area in one configuration (see [`definite_atoms`]).
-    pub fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
+    fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
         let which = (self.recipe.seed, configuration);
         let phonons = &self.recipe.phonons;
         definite_atoms(self.specimen, Some(&self.library), area, which, phonons)
-    }
-
-    /// Simulates the pixels [row, column, rows, columns] of the full field with the atoms of the mosaic.
-    fn direct(
-        &self,
-        block: Block,
-        configurations: usize,
-        progress: &dyn Progress,
-    ) -> Result<Array2<f32>> {
-        let [row, column, rows, columns] = block;
-        let pixels = ([row, column], [rows, columns], 1);
-        let (margin, thickness) = (self.simulator.margin_angstrom(), self.specimen.thickness_nm());
-        let pixels = PixelBox::new(pixels, self.recipe.field.pixel_nm(), margin, thickness);
-        let atoms = |configuration| self.atoms(&pixels.area, configuration);
-        let mean = self.simulator.mean(&pixels, configurations, atoms, &Quiet(progress))?;
-        Ok(mean.mapv(|v| v as f32))
     }
 }
 

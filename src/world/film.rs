@@ -1,0 +1,333 @@
+//! Particles on a thin film of light atoms: each kind of atom in the way that it needs.
+//!
+//! The film scatters hardly: its atoms make their images independently of each other and of the particles in front of
+//! them ([`crate::engine::independent`]). Particles are simulated in windows, without the film, where the window
+//! holds any of their atoms. What the tail of a probe scatters from particles further away is added as from
+//! independent atoms. So nearly all the time goes to particles, and the film costs the same for any number of configurations.
+//!
+//! Left out is the interference of the film's waves with those of the particles. For a Pt particle of 2.8 nm on 5 nm of carbon
+//! it changes bright columns by 0.95 % rms (mean -0.15 %) in one configuration; it averages out over configurations.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use ndarray::{Array2, s};
+use rayon::prelude::*;
+
+use super::build::SubTileEngine;
+use super::field_image::FieldImage;
+use super::mosaic::{DisplacedAtoms, MosaicEngine, atoms_by_seed};
+use super::pixel_box::PixelBox;
+use super::recipe::Recipe;
+use super::simulator::Simulator;
+use super::specimen::{Region, SiteKind, Specimen};
+use crate::engine::independent::Raster;
+use crate::engine::{Algorithm, Plan, ProbeBox, ProbeStep, Scan, Settings, Site};
+use crate::error::{Error, Result};
+use crate::phonons::displaced;
+use crate::progress::Progress;
+use crate::resample::{Edge, HALF_WIDTH, Kernel, image_band_limit};
+
+/// Atoms further than this from a probe do not count, in Angstrom: a particle of 4 nm at this distance from its edge is seen with
+/// 2 % of the film's intensity.
+const REACH_ANGSTROM: f64 = 30.0;
+/// Windows hold no atoms of a particle further than half their width and this from the probe, in Angstrom.
+const BEYOND_WINDOW_ANGSTROM: f64 = 1.0;
+/// Specimen around the window for the potentials of its atoms, in Angstrom.
+const POTENTIAL_ANGSTROM: f64 = 1.5;
+/// Edge in samples of the blocks in which particles are simulated.
+const BLOCK: i64 = 64;
+/// Probes of such a block.
+pub const BLOCK_PROBES: usize = (BLOCK * BLOCK) as usize;
+
+/// A thin film of weakly scattering atoms behind everything else; no other atoms are of its element.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ThinFilm {
+    /// Atomic number.
+    pub number: u8,
+    /// Where it begins and ends along the beam, in nm.
+    pub depth_nm: [f64; 2],
+}
+
+/// See the module.
+pub struct FilmImage<'a> {
+    specimen: &'a dyn Specimen,
+    recipe: &'a Recipe,
+    film: ThinFilm,
+    /// For the particles.
+    simulator: Simulator,
+    window_angstrom: f64,
+    kernel: Kernel,
+    /// Distance of samples in Angstrom; sample 0 is at pixel 0 of the full field.
+    step: f64,
+}
+
+/// Samples of the full field: the first (row, column), and how many.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Samples {
+    first: [i64; 2],
+    shape: [usize; 2],
+}
+
+/// Atoms around some samples, in Angstrom from the first of them.
+struct Atoms {
+    film: Vec<Site>,
+    particles: Vec<Site>,
+}
+
+impl<'a> FilmImage<'a> {
+    /// `None` for specimens without a film, and engines without windows.
+    ///
+    /// # Errors
+    /// Those of the settings.
+    pub fn prepare(
+        engine: &MosaicEngine,
+        specimen: &'a dyn Specimen,
+        recipe: &'a Recipe,
+    ) -> Result<Option<Self>> {
+        let settings = engine.simulator.settings();
+        let (Some(film), Algorithm::Window { width_angstrom }) =
+            (specimen.film(), settings.algorithm)
+        else {
+            return Ok(None);
+        };
+        let band_limit = image_band_limit(&settings.optics);
+        let step = Kernel::default_step(band_limit);
+        let simulator = Simulator::of(Settings {
+            probe_box: Some(ProbeBox::Large),
+            probe_step: ProbeStep::Scan,
+            tail_correction: false,
+            ..settings.clone()
+        });
+        let kernel = Kernel::new(step, band_limit)?;
+        let window_angstrom = width_angstrom;
+        Ok(Some(FilmImage { specimen, recipe, film, simulator, window_angstrom, kernel, step }))
+    }
+
+    /// Distance from an atom of a particle, along x and y, up to which probes are propagated, in Angstrom.
+    fn near(&self) -> f64 {
+        0.5 * self.window_angstrom + BEYOND_WINDOW_ANGSTROM
+    }
+
+    /// Specimen around the probes of a block, in Angstrom.
+    fn margin(&self) -> f64 {
+        self.near() + POTENTIAL_ANGSTROM
+    }
+
+    /// The plan for a block of samples in the middle of a particle; `None` where there are none.
+    ///
+    /// # Errors
+    /// Those of the settings.
+    pub fn block_plan(&self) -> Result<Option<Plan>> {
+        let mut particles = self.specimen.particles();
+        particles.sort_by(|a, b| a.diameter_nm.total_cmp(&b.diameter_nm));
+        let Some(particle) = particles.get(particles.len() / 2) else { return Ok(None) };
+        let half = 0.05 * BLOCK as f64 * self.step + 0.1 * self.margin();
+        let [x, y] = [0, 1].map(|k| [particle.centre_nm[k] - half, particle.centre_nm[k] + half]);
+        let sites = self.specimen.sites(&Region { x, y });
+        let metal = sites.iter().filter(|s| s.number != self.film.number);
+        let heights: Vec<f64> = metal.map(|s| 10.0 * s.position_nm[2]).collect();
+        let size = [20.0 * half, 20.0 * half, 10.0 * self.specimen.thickness_nm()];
+        Plan::new(self.simulator.settings(), size, &heights).map(Some)
+    }
+
+    /// Probes that the particles of the built field take, for each configuration.
+    pub fn particle_probes(&self) -> usize {
+        let built = self.recipe.field.built_region();
+        let area = |p: &super::specimen::ParticleTruth| {
+            let radius = 5.0 * p.diameter_nm + self.near();
+            std::f64::consts::PI * radius * radius
+        };
+        let particles = self.specimen.particles();
+        let inside = particles.iter().filter(|p| built.contains([p.centre_nm[0], p.centre_nm[1]]));
+        (inside.map(area).sum::<f64>() / (self.step * self.step)) as usize
+    }
+
+    fn atoms_around(&self, samples: &Samples, origin: [f64; 2]) -> Atoms {
+        let range = |k: usize| {
+            let first = samples.first[1 - k] as f64 * self.step - REACH_ANGSTROM;
+            let last = first + samples.shape[1 - k] as f64 * self.step + 2.0 * REACH_ANGSTROM;
+            [0.1 * first, 0.1 * last]
+        };
+        let sites = self.specimen.sites(&Region { x: range(0), y: range(1) });
+        let present = sites.into_par_iter().filter(|s| s.kind != SiteKind::Vacancy);
+        let site = |s: super::SpecimenSite| Site {
+            position: std::array::from_fn(|k| {
+                10.0 * s.position_nm[k] - if k < 2 { origin[k] } else { 0.0 }
+            }),
+            number: s.number,
+            sigma_angstrom: self.recipe.phonons.sigma_angstrom(s.number),
+            key: s.key,
+        };
+        let (film, particles) = present.map(site).partition(|s| s.number == self.film.number);
+        Atoms { film, particles }
+    }
+
+    /// The image at `samples` of the film, and of particles further away than a window.
+    fn independent(
+        &self,
+        atoms: &Atoms,
+        (least, margin): ([usize; 2], usize),
+        configurations: usize,
+    ) -> Result<Array2<f64>> {
+        let raster = Raster::new(self.simulator.settings(), self.step, least)?;
+        let mut sum = Array2::<f64>::zeros(least.map(|n| n - 2 * margin));
+        let shape = sum.dim();
+        let mut add = |number: u8, depth: [f64; 2], beyond: f64, sites: &[Site]| -> Result<()> {
+            let mut deposit = raster.deposit(number, depth, beyond)?;
+            for configuration in 0..configurations as u32 {
+                let of = sites.par_iter().filter(|s| s.number == number);
+                let moved: Vec<[f64; 3]> =
+                    of.map(|s| displaced(s, self.recipe.seed, configuration)).collect();
+                deposit.add(&moved, 1.0 / configurations as f64);
+            }
+            let image = deposit.image();
+            sum += &image.slice(s![margin..margin + shape.0, margin..margin + shape.1]);
+            Ok(())
+        };
+        add(self.film.number, self.film.depth_nm.map(|z| 10.0 * z), 0.0, &atoms.film)?;
+        let numbers: BTreeSet<u8> = atoms.particles.iter().map(|s| s.number).collect();
+        let heights = || atoms.particles.iter().map(|s| s.position[2]);
+        let depth =
+            [heights().fold(f64::INFINITY, f64::min), heights().fold(f64::NEG_INFINITY, f64::max)];
+        for number in numbers {
+            add(number, depth, 0.5 * self.window_angstrom, &atoms.particles)?;
+        }
+        Ok(sum)
+    }
+
+    /// Rectangles of samples with atoms of particles in their windows.
+    fn blocks(&self, atoms: &Atoms, samples: &Samples, origin: [f64; 2]) -> Vec<Samples> {
+        let mut found: BTreeMap<[i64; 2], [[i64; 2]; 2]> = BTreeMap::new();
+        for site in &atoms.particles {
+            let range = |k: usize| {
+                let at = site.position[1 - k] + origin[1 - k];
+                let low = ((at - self.near()) / self.step).ceil() as i64;
+                let high = ((at + self.near()) / self.step).floor() as i64;
+                let end = samples.first[k] + samples.shape[k] as i64 - 1;
+                [low.max(samples.first[k]), high.min(end)]
+            };
+            let (rows, columns) = (range(0), range(1));
+            for i in rows[0].div_euclid(BLOCK)..=rows[1].div_euclid(BLOCK) {
+                for j in columns[0].div_euclid(BLOCK)..=columns[1].div_euclid(BLOCK) {
+                    let part = |[low, high]: [i64; 2], n: i64| {
+                        [low.max(n * BLOCK), high.min(n * BLOCK + BLOCK - 1)]
+                    };
+                    let (rows, columns) = (part(rows, i), part(columns, j));
+                    if rows[0] > rows[1] || columns[0] > columns[1] {
+                        continue;
+                    }
+                    let join = |a: [i64; 2], b: [i64; 2]| [a[0].min(b[0]), a[1].max(b[1])];
+                    let block = found.entry([i, j]).or_insert([rows, columns]);
+                    *block = [join(block[0], rows), join(block[1], columns)];
+                }
+            }
+        }
+        let samples = |[rows, columns]: [[i64; 2]; 2]| Samples {
+            first: [rows[0], columns[0]],
+            shape: [rows, columns].map(|[low, high]| (high - low + 1) as usize),
+        };
+        found.into_values().map(samples).collect()
+    }
+
+    /// The particles' image at a block of samples.
+    fn simulated(
+        &self,
+        atoms: &Atoms,
+        block: &Samples,
+        origin: [f64; 2],
+        configurations: usize,
+        progress: &dyn Progress,
+    ) -> Result<Array2<f64>> {
+        let margin = self.margin();
+        let range = |k: usize| {
+            let first = block.first[1 - k] as f64 * self.step;
+            let last = first + (block.shape[1 - k] - 1) as f64 * self.step;
+            [first - margin, last + margin]
+        };
+        let (x, y) = (range(0), range(1));
+        let corner = [x[0] - origin[0], y[0] - origin[1]];
+        let size = [x[1] - x[0], y[1] - y[0]];
+        let inside =
+            |s: &&Site| (0..2).all(|k| (0.0..size[k]).contains(&(s.position[k] - corner[k])));
+        let sites: Vec<Site> = atoms.particles.iter().filter(inside).copied().collect();
+        let moved = |configuration: usize| {
+            let site = |s: &Site| {
+                let p = displaced(s, self.recipe.seed, configuration as u32);
+                let position = [p[0] - corner[0], p[1] - corner[1], p[2]];
+                Site { position, sigma_angstrom: 0.0, ..*s }
+            };
+            let heights = sites.iter().map(|s| s.position[2]).collect();
+            DisplacedAtoms { sites: sites.iter().map(site).collect(), heights }
+        };
+        let scan = Scan {
+            origin_angstrom: [margin; 2],
+            step_angstrom: [self.step; 2],
+            shape: block.shape,
+        };
+        let area = Region { x: x.map(|v| 0.1 * v), y: y.map(|v| 0.1 * v) };
+        let pixels = PixelBox::of_area(area, scan, 10.0 * self.specimen.thickness_nm());
+        self.simulator.mean(&pixels, configurations, moved, progress)
+    }
+}
+
+impl FieldImage for FilmImage<'_> {
+    fn name(&self) -> &'static str {
+        "film"
+    }
+
+    fn parameters(&self) -> serde_json::Value {
+        let mut settings = self.simulator.parameters();
+        settings["film"] = serde_json::json!({
+            "number": self.film.number,
+            "depth_nm": self.film.depth_nm,
+            "reach_angstrom": REACH_ANGSTROM,
+        });
+        settings
+    }
+
+    fn mean_of(
+        &self,
+        first: [usize; 2],
+        shape: [usize; 2],
+        configurations: usize,
+        progress: &dyn Progress,
+    ) -> Result<Array2<f64>> {
+        if progress.interrupted() {
+            return Err(Error::Interrupted);
+        }
+        let pixel = 10.0 * self.recipe.field.pixel_nm() / self.step;
+        let samples = Samples::under(first, shape, pixel);
+        let margin = (REACH_ANGSTROM / self.step).ceil() as usize;
+        let least = samples.shape.map(|n| n + 2 * margin);
+        let origin = [1, 0].map(|k| (samples.first[k] - margin as i64) as f64 * self.step);
+        let atoms = self.atoms_around(&samples, origin);
+        let mut image = self.independent(&atoms, (least, margin), configurations)?;
+        let blocks = self.blocks(&atoms, &samples, origin);
+        let probes: usize = blocks.iter().map(|b| b.shape[0] * b.shape[1]).sum();
+        progress.start("particles", "probe", (probes * configurations) as u64);
+        for block in &blocks {
+            let part = self.simulated(&atoms, block, origin, configurations, progress)?;
+            let [row, column] = [0, 1].map(|k| (block.first[k] - samples.first[k]) as usize);
+            let [rows, columns] = block.shape;
+            let mut to = image.slice_mut(s![row..row + rows, column..column + columns]);
+            to += &part;
+        }
+        let at = [0, 1].map(|k| first[k] as f64 * pixel - samples.first[k] as f64);
+        let pixels = self.kernel.raster(image.view(), at, [pixel; 2], shape, Edge::Replicate);
+        Ok(pixels.mapv(|v| v.max(0.0)))
+    }
+
+    fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
+        atoms_by_seed(self.specimen, area, (self.recipe.seed, configuration), self.recipe)
+    }
+}
+
+impl Samples {
+    /// Those that pixels `pixel` samples apart are interpolated from.
+    fn under(first: [usize; 2], shape: [usize; 2], pixel: f64) -> Self {
+        let low = first.map(|p| (p as f64 * pixel).floor() as i64 - HALF_WIDTH as i64 + 1);
+        let high = [0, 1]
+            .map(|k| ((first[k] + shape[k] - 1) as f64 * pixel).floor() as i64 + HALF_WIDTH as i64);
+        Samples { first: low, shape: [0, 1].map(|k| (high[k] - low[k] + 1) as usize) }
+    }
+}
