@@ -54,7 +54,7 @@ fn a_mosaic_is_the_exact_image_of_its_atoms() {
         configurations: Some(1),
         ..AuditOptions::default()
     };
-    let found = audit(&recipe, &*specimen, &Source::Mosaic(&mosaic), &options, &Silent).unwrap();
+    let found = audit(&recipe, &*specimen, &Source::Field(&mosaic), &options, &Silent).unwrap();
     println!("{found:?}");
     assert!(found.bright_rms_percent < 1.0, "{}", found.bright_rms_percent);
     assert!(found.all_rms_percent < 0.8, "{}", found.all_rms_percent);
@@ -65,7 +65,7 @@ fn a_mosaic_is_the_exact_image_of_its_atoms() {
     }
     // The check can fail: other configurations are other atoms.
     let other = AuditOptions { configurations: Some(6), ..options };
-    let mean = audit(&recipe, &*specimen, &Source::Mosaic(&mosaic), &other, &Silent).unwrap();
+    let mean = audit(&recipe, &*specimen, &Source::Field(&mosaic), &other, &Silent).unwrap();
     let (one, six) = (&found.regions[1].ours, &mean.regions[1].ours);
     let spread = (one - six).mapv(|d| d * d).mean().unwrap().sqrt() / six.mean().unwrap();
     assert!(spread > 0.01, "{spread}");

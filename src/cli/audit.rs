@@ -135,13 +135,14 @@ fn text(audit: &Audit) -> String {
         lines.add(
             "region",
             format!(
-                "at {x:.2}, {y:.2} nm: {} bright columns {:.2} % (mean {:+.2} %), off them {:.2} %, all {:.2} %, worst {:.2} %",
+                "at {x:.2}, {y:.2} nm: {} bright columns {:.2} % (mean {:+.2} %), off them {:.2} %, all {:.2} %, worst {:.2} %, mean of all {:+.2} %",
                 region.bright_columns,
                 region.bright_rms_percent,
                 region.bright_mean_percent,
                 region.off_columns_rms_percent,
                 region.all_rms_percent,
-                region.worst_percent
+                region.worst_percent,
+                region.mean_percent
             ),
         );
     }

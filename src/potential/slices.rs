@@ -11,6 +11,8 @@ pub enum Slicing {
     /// [`GROUP_ANGSTROM`] along the beam share a slice.
     #[default]
     Planes,
+    /// Atoms within so many Angstrom along the beam share a slice, at their mean height.
+    Grouped(f64),
     /// Slices of equal thickness, as near as possible to and at most this many Angstrom.
     Thickness(f64),
 }
@@ -62,13 +64,17 @@ impl Slices {
         z.iter_mut().for_each(|v| *v = wrap(*v, entrance, height));
         z.sort_by(f64::total_cmp);
         match slicing {
-            Slicing::Planes if z.is_empty() => {
+            Slicing::Planes | Slicing::Grouped(_) if z.is_empty() => {
                 Ok(Self::even(EMPTY_THICKNESS_ANGSTROM, entrance, height))
             }
             Slicing::Planes => {
-                let planes = planes(&z).unwrap_or_else(|| groups(&z));
+                let planes = planes(&z).unwrap_or_else(|| groups(&z, GROUP_ANGSTROM));
                 Ok(Self::around(&planes, entrance, height))
             }
+            Slicing::Grouped(span) if !(span >= 0.0 && span.is_finite()) => {
+                Err(Error::invalid("span of slices (A)", span, "must be 0 or more"))
+            }
+            Slicing::Grouped(span) => Ok(Self::around(&groups(&z, span), entrance, height)),
             Slicing::Thickness(t) if t > 0.0 && t.is_finite() => {
                 Ok(Self::even(t, entrance, height))
             }
@@ -169,12 +175,12 @@ fn planes(z: &[f64]) -> Option<Vec<f64>> {
     Some(planes)
 }
 
-/// Mean heights of groups of sorted heights that span at most [`GROUP_ANGSTROM`].
-fn groups(z: &[f64]) -> Vec<f64> {
+/// Mean heights of groups of sorted heights that span at most `span`.
+fn groups(z: &[f64], span: f64) -> Vec<f64> {
     let mut means = Vec::new();
     let mut rest = z;
     while let Some(first) = rest.first() {
-        let (group, others) = rest.split_at(rest.partition_point(|v| *v <= first + GROUP_ANGSTROM));
+        let (group, others) = rest.split_at(rest.partition_point(|v| *v <= first + span));
         means.push(group.iter().sum::<f64>() / group.len() as f64);
         rest = others;
     }

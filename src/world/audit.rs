@@ -8,6 +8,7 @@ use serde::Serialize;
 
 use super::build::SubTileEngine;
 use super::field_image::FieldImage;
+use super::film::SPAN_ANGSTROM;
 use super::pixel_box::PixelBox;
 use super::recipe::Recipe;
 use super::simulator::Simulator;
@@ -15,6 +16,7 @@ use super::specimen::{ParticleTruth, Region, SiteKind, Specimen};
 use super::subprogress::Quiet;
 use crate::engine::Algorithm;
 use crate::error::{Error, Result};
+use crate::potential::slices::Slicing;
 use crate::progress::Progress;
 use crate::rng::{self, Purpose};
 use crate::structure::elements;
@@ -65,10 +67,13 @@ pub struct RegionAudit {
     pub centre_nm: [f64; 2],
     /// Bright columns compared.
     pub bright_columns: usize,
-    /// Rms error at bright columns in per cent of their intensity.
+    /// Rms error at bright columns in per cent of their intensity; they have 40 % or more of that of the brightest column of
+    /// all regions.
     pub bright_rms_percent: f64,
     /// Mean error at bright columns in per cent.
     pub bright_mean_percent: f64,
+    /// Error of the mean over the region in per cent of that mean.
+    pub mean_percent: f64,
     /// Rms error off bright columns (more than 1 A from any), in per cent of the brightest column.
     pub off_columns_rms_percent: f64,
     /// Rms error of all pixels in per cent of the brightest column.
@@ -161,22 +166,32 @@ pub fn audit(
 ) -> Result<Audit> {
     let all = recipe.phonons.configurations.max(1);
     let configurations = options.configurations.unwrap_or(all).clamp(1, all);
-    let reference = Simulator::new(recipe, Algorithm::Multislice).with_large_probe_box();
+    let mut reference = Simulator::new(recipe, Algorithm::Multislice).with_large_probe_box();
+    if specimen.film().is_some() {
+        reference = reference.with_slices(Slicing::Grouped(SPAN_ANGSTROM));
+    }
     let pixel = 10.0 * recipe.field.pixel_nm();
     let stride = options.stride.unwrap_or((POINT_ANGSTROM / pixel).round().max(1.0) as usize);
     let places = places(recipe, specimen, options)?;
     let points: usize =
         places.iter().map(|p| points(p.shape, stride).iter().product::<usize>()).sum();
     progress.start("auditing", "probe", (points * configurations) as u64);
-    let mut regions = Vec::new();
+    let mut pairs = Vec::new();
     let mut columns = Vec::new();
     for place in &places {
         let job = Job { recipe, specimen, source, reference: &reference, place };
-        let (region, found) = job.run(stride, configurations, progress)?;
-        regions.push(region);
-        columns.push(found);
+        let ours = job.ours(stride, configurations, progress)?;
+        let exact = job.exact(stride, configurations, progress)?;
+        columns.push(job.columns(&ours, &exact, pixel * stride as f64));
+        pairs.push((place.centre_nm, ours, exact));
     }
     progress.finish();
+    let top = columns.iter().flatten().map(|c: &ColumnPoint| c.exact).fold(1e-12, f64::max);
+    let of_region = |(pair, columns): ((_, _, _), &Vec<ColumnPoint>)| {
+        let (centre, ours, exact) = pair;
+        compare(centre, (ours, exact), columns, pixel * stride as f64, top)
+    };
+    let regions = pairs.into_iter().zip(&columns).map(of_region).collect();
     let engine = match source {
         Source::Field(field) => field.name().to_owned(),
         Source::Direct(simulator) => simulator.name(),
@@ -214,7 +229,7 @@ fn places(recipe: &Recipe, specimen: &dyn Specimen, options: &AuditOptions) -> R
         let particles = particles_inside(recipe, specimen);
         let corner = |n: u64| {
             let u = |k: u32| rng::uniform(options.seed, Purpose::Audit, k, n);
-            if n % 2 == 0 && !particles.is_empty() {
+            if n.is_multiple_of(2) && !particles.is_empty() {
                 let chosen = &particles[(u(2) * particles.len() as f64) as usize];
                 return [0, 1].map(|k: usize| {
                     let off = (u(k as u32) - 0.5) * chosen.diameter_nm;
@@ -261,19 +276,6 @@ struct Job<'a> {
 }
 
 impl Job<'_> {
-    fn run(
-        &self,
-        stride: usize,
-        configurations: usize,
-        progress: &dyn Progress,
-    ) -> Result<(RegionAudit, Vec<ColumnPoint>)> {
-        let ours = self.ours(stride, configurations, progress)?;
-        let exact = self.exact(stride, configurations, progress)?;
-        let pixel = 10.0 * self.recipe.field.pixel_nm() * stride as f64;
-        let columns = self.columns(&ours, &exact, pixel);
-        Ok((compare(self.place.centre_nm, ours, exact, &columns, pixel), columns))
-    }
-
     /// The world's image at every `stride`-th pixel.
     fn ours(
         &self,
@@ -385,12 +387,11 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
 
 fn compare(
     centre_nm: [f64; 2],
-    ours: Array2<f64>,
-    exact: Array2<f64>,
+    (ours, exact): (Array2<f64>, Array2<f64>),
     columns: &[ColumnPoint],
     pixel: f64,
+    top: f64,
 ) -> RegionAudit {
-    let top = columns.iter().map(|c| c.exact).fold(1e-12, f64::max);
     let bright: Vec<&ColumnPoint> = columns.iter().filter(|c| c.exact > BRIGHT * top).collect();
     let relative = |c: &&ColumnPoint| c.ours / c.exact - 1.0;
     let difference = &ours - &exact;
@@ -406,6 +407,7 @@ fn compare(
         bright_rms_percent: 100.0 * rms(bright.iter().map(relative)),
         bright_mean_percent: 100.0 * bright.iter().map(relative).sum::<f64>()
             / bright.len().max(1) as f64,
+        mean_percent: 100.0 * (ours.sum() / exact.sum() - 1.0),
         off_columns_rms_percent: 100.0 * rms(off.map(|(_, d)| d / top)),
         all_rms_percent: 100.0 * rms(difference.iter().map(|d| d / top)),
         worst_percent: 100.0 * difference.iter().fold(0.0, |w: f64, d| w.max(d.abs())) / top,

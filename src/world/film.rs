@@ -24,6 +24,7 @@ use crate::engine::independent::Raster;
 use crate::engine::{Algorithm, Plan, ProbeBox, ProbeStep, Scan, Settings, Site};
 use crate::error::{Error, Result};
 use crate::phonons::displaced;
+use crate::potential::slices::Slicing;
 use crate::progress::Progress;
 use crate::resample::{Edge, HALF_WIDTH, Kernel, image_band_limit};
 
@@ -34,6 +35,9 @@ const REACH_ANGSTROM: f64 = 30.0;
 const BEYOND_WINDOW_ANGSTROM: f64 = 1.0;
 /// Specimen around the window for the potentials of its atoms, in Angstrom.
 const POTENTIAL_ANGSTROM: f64 = 1.5;
+/// Atoms of particles within so many Angstrom along the beam share a slice: tilted particles have no planes. With 0.5 A bright
+/// columns of one of 2.8 nm are off by 1.0 % rms in one configuration, with 0.33 A by 0.7 %.
+pub const SPAN_ANGSTROM: f64 = 0.25;
 /// Edge in samples of the blocks in which particles are simulated.
 const BLOCK: i64 = 64;
 /// Probes of such a block.
@@ -96,6 +100,7 @@ impl<'a> FilmImage<'a> {
             probe_box: Some(ProbeBox::Large),
             probe_step: ProbeStep::Scan,
             tail_correction: false,
+            slicing: Slicing::Grouped(SPAN_ANGSTROM),
             ..settings.clone()
         });
         let kernel = Kernel::new(step, band_limit)?;

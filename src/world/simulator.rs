@@ -113,6 +113,12 @@ impl Simulator {
         Simulator { settings: Settings { probe_box, ..self.settings.clone() } }
     }
 
+    /// The same with other slices.
+    #[must_use]
+    pub fn with_slices(&self, slicing: Slicing) -> Self {
+        Simulator { settings: Settings { slicing, ..self.settings.clone() } }
+    }
+
     /// The same with windows of another width.
     #[must_use]
     pub fn with_window(&self, width_angstrom: f64) -> Self {
