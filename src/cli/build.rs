@@ -1,30 +1,25 @@
 //! `stemgen build`.
 
+use super::build_plan::{DryRun, Request};
 use super::common::Common;
 use super::hints::hinted;
 use super::progress::Reporter;
 use super::recipe_args::RecipeArgs;
-use super::show::{Lines, PlanReport};
+use super::show::Lines;
 use super::values::{self, Engine};
-use super::{estimate, imaging, output, pictures, text};
+use super::{imaging, output, pictures, text};
 use anyhow::bail;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
-use stemgen::engine::{Algorithm, Plan, Settings, window_for};
+use stemgen::engine::{Algorithm, Settings, window_for};
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
 use stemgen::world::audit::{Audit, AuditOptions};
-use stemgen::world::film::{BLOCK_PROBES, FilmImage};
-use stemgen::world::footprint::world_bytes;
 use stemgen::world::method::Check;
-use stemgen::world::mosaic::{Cache, Mosaic, MosaicEngine, Outlook};
+use stemgen::world::mosaic::{Cache, MosaicEngine};
 use stemgen::world::simulator::{WINDOW_ANGSTROM, default_accuracy_percent};
-use stemgen::world::subtiles::Partition;
-use stemgen::world::{
-    BuildOptions, Difficulty, Recipe, Region, Simulator, Specimen, SubTileEngine, Summary,
-    estimated_sites, specimen,
-};
+use stemgen::world::{BuildOptions, Difficulty, Recipe, Simulator, SubTileEngine, Summary};
 
 /// Sub-tiles in nm; 4 nm take below 2 GB of memory on two threads.
 const SUBTILE_NM: f64 = 4.0;
@@ -135,29 +130,6 @@ enum Profile {
 }
 
 #[derive(Serialize)]
-struct DryRun {
-    material: String,
-    zone_axis: String,
-    tiles: [usize; 2],
-    pixels: [usize; 2],
-    pixel_nm: f64,
-    fov_nm: [f64; 2],
-    thickness_nm: f64,
-    dose_electrons_per_angstrom2: f64,
-    subtiles: usize,
-    subtile_nm: [f64; 2],
-    probe_step_angstrom: [f64; 2],
-    #[serde(flatten)]
-    plan: PlanReport,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    mosaic: Option<Outlook>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    particle_probes: Option<usize>,
-    disk_bytes: u64,
-    output: PathBuf,
-}
-
-#[derive(Serialize)]
 struct Built {
     output: PathBuf,
     file_bytes: u64,
@@ -191,7 +163,16 @@ impl Build {
         let (simulator, warning) = self.simulator(&recipe)?;
         warning.iter().for_each(|w| reporter.warn(w));
         let path = self.output(&recipe);
-        let report = self.plan(&recipe, &simulator, &path)?;
+        let look = self.common.dry_run && self.is_mosaic(&simulator);
+        let report = DryRun::new(Request {
+            recipe: &recipe,
+            simulator: &simulator,
+            mosaic: look.then(|| self.mosaic(simulator.clone())),
+            subtile_nm: self.subtile_nm(&simulator),
+            timed: self.common.dry_run,
+            keep_clean: self.keep_clean,
+            output: path.clone(),
+        })?;
         if self.common.dry_run {
             return self.common.print(&report, &report.text());
         }
@@ -200,7 +181,7 @@ impl Build {
         if let Some(picture) = &picture {
             output::check(picture, self.overwrite)?;
         }
-        report.plan.warnings.iter().for_each(|w| reporter.warn(w));
+        report.warnings().iter().for_each(|w| reporter.warn(w));
         let engine = self.engine(simulator.clone());
         let summary = self.build(&recipe, &*engine, &simulator, &path, &reporter)?;
         let world = WorldFile::open(&path)?;
@@ -284,65 +265,6 @@ impl Build {
         let size = self.method.subtile.unwrap_or(default);
         let most = if self.is_mosaic(simulator) { MOSAIC_OVERLAP_NM } else { 1.0 };
         [size, self.method.subtile_overlap.unwrap_or((0.25 * size).clamp(0.0, most))]
-    }
-
-    fn plan(&self, recipe: &Recipe, simulator: &Simulator, path: &Path) -> anyhow::Result<DryRun> {
-        let field = &recipe.field;
-        let pixels = field.pixels(field.built_grid());
-        let pixel = field.pixel_nm();
-        let [size, overlap] = self.subtile_nm(simulator);
-        let partition = Partition::new(pixels, pixel, size, overlap)?;
-        let [rows, columns] = partition.subtiles().next().map_or([1, 1], |t| t.shape());
-        let specimen = specimen(recipe)?;
-        let plan = subtile_plan(&*specimen, recipe, simulator, [rows, columns])?;
-        let sites = estimated_sites(&*specimen, field);
-        let runs = if self.common.dry_run { partition.len() } else { 0 };
-        let probes = simulator.probes(&plan, [rows, columns], 10.0 * pixel)?;
-        let mut report = PlanReport::new(&plan, probes.scan().len(), runs);
-        let mut particle_probes = None;
-        let mut mosaic = None;
-        if self.common.dry_run && self.is_mosaic(simulator) {
-            let engine = self.mosaic(simulator.clone());
-            match FilmImage::prepare(&engine, &*specimen, recipe)? {
-                Some(film) => {
-                    let probes = film.particle_probes();
-                    let runs = probes.div_ceil(BLOCK_PROBES);
-                    let plan = film.block_plan()?.unwrap_or(plan);
-                    report = PlanReport::new(&plan, probes.min(BLOCK_PROBES), runs);
-                    particle_probes = Some(probes);
-                }
-                None => mosaic = Some(Mosaic::outlook(&engine, &*specimen, recipe)?),
-            }
-        }
-        if let Some(mosaic) = mosaic.as_ref().filter(|m| m.pays) {
-            // Probes decide: those of the library's missing images, and of what does not repeat.
-            let all = (probes.scan().len() * partition.len()) as f64;
-            let configurations = f64::from(simulator.settings().configurations());
-            let columns = (mosaic.columns + mosaic.unique_columns).max(1) as f64;
-            let unique = mosaic.unique_columns as f64 / columns;
-            report.estimated_time_s *=
-                mosaic.missing_probes as f64 / (all * configurations) + unique;
-        }
-        let remedy = "a smaller --subtile or fewer --threads take less";
-        report.warnings.extend(estimate::memory_warning(report.memory_bytes, remedy));
-        Ok(DryRun {
-            material: recipe.id.clone(),
-            zone_axis: recipe.zone_axis.clone(),
-            tiles: field.built_grid(),
-            pixels,
-            pixel_nm: pixel,
-            fov_nm: pixels.map(|n| n as f64 * pixel),
-            thickness_nm: field.thickness_nm,
-            dose_electrons_per_angstrom2: recipe.dose.electrons_per_angstrom2,
-            subtiles: partition.len(),
-            subtile_nm: [rows, columns].map(|n| n as f64 * pixel),
-            probe_step_angstrom: probes.scan().step_angstrom,
-            plan: report,
-            mosaic,
-            particle_probes,
-            disk_bytes: world_bytes(field, sites, self.keep_clean),
-            output: path.to_owned(),
-        })
     }
 
     /// Whether units that repeat share simulations.
@@ -441,67 +363,6 @@ impl Build {
             subtiles_resumed: summary.subtiles_resumed,
             wall_time_s: summary.wall_time_s,
         })
-    }
-}
-
-fn mosaic_line(mosaic: &Outlook) -> String {
-    if !mosaic.pays {
-        return "does not pay for so small a field: every sub-tile is simulated".into();
-    }
-    let count = |n: usize| text::count(n as u64);
-    let unique = match mosaic.unique_columns {
-        0 => String::new(),
-        n => format!("; {} columns are like no other", text::count(n)),
-    };
-    format!(
-        "library of {} images, {} of them to simulate ({} probes){unique}",
-        count(mosaic.images),
-        count(mosaic.missing),
-        count(mosaic.missing_probes)
-    )
-}
-
-/// The plan of a sub-tile of so many pixels.
-fn subtile_plan(
-    specimen: &dyn Specimen,
-    recipe: &Recipe,
-    simulator: &Simulator,
-    [rows, columns]: [usize; 2],
-) -> anyhow::Result<Plan> {
-    let pixel = recipe.field.pixel_nm();
-    let somewhere = Region::of_pixels(recipe.field.crop_origin_px(), [rows, columns], pixel);
-    let z: Vec<f64> = specimen.sites(&somewhere).iter().map(|s| 10.0 * s.position_nm[2]).collect();
-    let size = [columns, rows].map(|n| 10.0 * pixel * n as f64);
-    Ok(simulator.plan(size, 10.0 * specimen.thickness_nm(), &z)?)
-}
-
-impl DryRun {
-    fn text(&self) -> String {
-        let mut lines = Lines::default();
-        lines.add("material", format!("{} {}", self.material, self.zone_axis));
-        let ([rows, columns], [ny, nx], [h, w]) = (self.tiles, self.pixels, self.fov_nm);
-        let pixel = self.pixel_nm;
-        lines.add("tiles", format!("{rows} x {columns}, {ny} x {nx} pixels of {pixel:.5} nm"));
-        lines.add("field", format!("{h:.2} x {w:.2} nm, {} nm thick", self.thickness_nm));
-        let [h, w] = self.subtile_nm;
-        lines.add("sub-tiles", format!("{} of {h:.2} x {w:.2} nm", self.subtiles));
-        let [x, y] = self.probe_step_angstrom;
-        let number = match self.particle_probes {
-            Some(n) => format!("{} for the particles", text::count(n as u64)),
-            None => format!("{} per sub-tile", text::count(self.plan.probes as u64)),
-        };
-        lines.add("probes", format!("{number}, {x:.4} x {y:.4} A apart"));
-        self.plan.lines(&mut lines);
-        if let Some(mosaic) = &self.mosaic {
-            lines.add("mosaic", mosaic_line(mosaic));
-        } else if self.particle_probes.is_some() {
-            lines.add("film", "each atom by itself");
-        }
-        self.plan.costs(&mut lines);
-        lines.add("disk", format!("at most about {}", text::bytes(self.disk_bytes)));
-        lines
-            .add("output", format!("{} (nothing was simulated or written)", self.output.display()));
-        lines.text()
     }
 }
 

@@ -2,6 +2,7 @@
 
 mod audit;
 mod build;
+mod build_plan;
 mod cache;
 mod common;
 mod compare;

@@ -8,13 +8,14 @@ use super::subprogress::SubProgress;
 use crate::detect::Detector;
 use crate::engine::settings::EXACT_BAND_FRACTION;
 use crate::engine::{
-    Algorithm, BeyondLimit, GridChoice, Phonons, Plan, ProbeBox, ProbeRaster, Scan, Settings, Site,
-    probe_margin_angstrom, simulate,
+    Algorithm, BeyondLimit, GridChoice, Phonons, Plan, ProbeBox, ProbeRaster, ProbeStep, Scan,
+    Settings, Site, probe_margin_angstrom, simulate,
 };
 use crate::error::Result;
 use crate::optics::Optics;
 use crate::potential::slices::Slicing;
 use crate::progress::Progress;
+use crate::resample::{Kernel, image_band_limit};
 use ndarray::{Array2, Axis};
 
 /// Simulates sub-tiles of a world with [`crate::engine`].
@@ -49,12 +50,17 @@ impl Simulator {
     /// The default profile: a grid that carries scattering beyond the detector, slices at the atomic
     /// planes, the given algorithm.
     pub fn new(recipe: &Recipe, algorithm: Algorithm) -> Self {
+        let optics = Optics {
+            energy_ev: recipe.optics.energy_kv * 1e3,
+            semiangle_mrad: recipe.optics.convergence_mrad,
+            ..Optics::default()
+        };
+        // Pixels that need no probes between them need none beyond the edge of what is simulated either.
+        let coarse =
+            10.0 * recipe.field.pixel_nm() >= Kernel::default_step(image_band_limit(&optics));
         let settings = Settings {
-            optics: Optics {
-                energy_ev: recipe.optics.energy_kv * 1e3,
-                semiangle_mrad: recipe.optics.convergence_mrad,
-                ..Optics::default()
-            },
+            probe_step: if coarse { ProbeStep::Scan } else { ProbeStep::Auto },
+            optics,
             detectors: vec![Detector::new(
                 "HAADF",
                 recipe.detector.inner_mrad,

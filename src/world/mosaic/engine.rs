@@ -9,7 +9,7 @@ use super::atoms::{DisplacedAtoms, definite_atoms};
 use super::cache::Cache;
 use super::library::Library;
 use super::survey::{Survey, survey};
-use crate::engine::{Scan, Site};
+use crate::engine::{Plan, Scan, Site};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::resample::{Kernel, image_band_limit};
@@ -23,7 +23,7 @@ use crate::world::specimen::{Region, Specimen};
 use crate::world::subprogress::Quiet;
 
 /// Edge in pixels of the blocks in which pixels that need direct simulation are gathered.
-const BLOCK_PX: usize = 48;
+pub const BLOCK_PX: usize = 48;
 /// A library is worth its cost where it takes fewer probes than this share of the field's.
 const WORTH: f64 = 0.8;
 
@@ -121,6 +121,8 @@ impl<'a> Mosaic<'a> {
             missing_probes: missing.iter().sum(),
             columns: survey.tagged,
             unique_columns: survey.untagged,
+            image_bytes: library.image_bytes(),
+            plan: library.largest_plan()?,
         })
     }
 
@@ -202,6 +204,11 @@ pub struct Outlook {
     pub columns: u64,
     /// Columns that are simulated where they lie.
     pub unique_columns: u64,
+    /// Memory of the library's images.
+    pub image_bytes: u64,
+    /// Plan of the largest image.
+    #[serde(skip)]
+    pub plan: Option<Plan>,
 }
 
 /// Whether the library takes clearly fewer probes than the field.

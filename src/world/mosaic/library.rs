@@ -196,6 +196,12 @@ impl Shelf {
         atoms
     }
 
+    fn plan(&self, settings: &Settings) -> Result<Plan> {
+        let heights = self.sheet.units.iter().flat_map(|u| u.members.iter().flatten());
+        let heights: Vec<f64> = heights.map(|s| s.position[2]).collect();
+        Plan::new(settings, self.sheet.box_angstrom, &heights)
+    }
+
     /// Simulates one configuration of a sheet.
     fn simulate(
         &self,
@@ -204,9 +210,7 @@ impl Shelf {
         sigma: &dyn Fn(u8) -> f64,
         progress: &dyn Progress,
     ) -> Result<Array2<f32>> {
-        let heights = self.sheet.units.iter().flat_map(|u| u.members.iter().flatten());
-        let heights: Vec<f64> = heights.map(|s| s.position[2]).collect();
-        let plan = Plan::new(settings, self.sheet.box_angstrom, &heights)?;
+        let plan = self.plan(settings)?;
         let scan = Scan {
             origin_angstrom: self.sheet.scan_origin,
             step_angstrom: self.step_angstrom,
@@ -262,6 +266,21 @@ impl Library {
     pub fn probes(&self) -> usize {
         let of = |s: &Shelf| s.samples() * s.sheet.count * self.configurations;
         self.shelves.values().map(of).sum()
+    }
+
+    /// The plan for the image with the most samples; `None` for a library without sheets.
+    ///
+    /// # Errors
+    /// Those of the settings.
+    pub fn largest_plan(&self) -> Result<Option<Plan>> {
+        let largest = self.shelves.values().max_by_key(|s| s.samples());
+        largest.map(|s| s.plan(&self.settings)).transpose()
+    }
+
+    /// Bytes that the images will take.
+    pub fn image_bytes(&self) -> u64 {
+        let of = |s: &Shelf| s.samples() * s.sheet.count * (self.configurations + 1) * 4;
+        self.shelves.values().map(of).sum::<usize>() as u64
     }
 
     /// Number of images.

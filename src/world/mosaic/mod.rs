@@ -18,4 +18,4 @@ mod survey;
 
 pub use atoms::DisplacedAtoms;
 pub use cache::{Cache, Holding, VARIABLE as CACHE_VARIABLE};
-pub use engine::{Mosaic, MosaicEngine, Outlook, atoms_by_seed};
+pub use engine::{BLOCK_PX, Mosaic, MosaicEngine, Outlook, atoms_by_seed};
