@@ -103,6 +103,9 @@ pub struct NumericsArgs {
     /// (by 1 % in 20 A), or in a large box, as in an infinite specimen [default: cell; windows: large]
     #[arg(long, value_name = "NAME")]
     pub probe_box: Option<ProbeBoxName>,
+    /// PRISM: keep exit waves on the grid of the simulation [default: on one that holds the band limit]
+    #[arg(long)]
+    pub full_exit_grid: bool,
     /// Windows and large boxes: leave out what the probe's tail outside would have scattered
     #[arg(long)]
     pub no_tail: bool,
@@ -233,6 +236,7 @@ pub fn settings(
         probe_step: numerics.probe_step,
         angle_margin: numerics.angle_margin,
         probe_box: numerics.probe_box.map(Into::into),
+        full_exit_grid: numerics.full_exit_grid,
         tail_correction: !numerics.no_tail,
         band_fraction: numerics.band_fraction.unwrap_or(DEFAULT_BAND_FRACTION),
         band_taper: numerics.band_taper,

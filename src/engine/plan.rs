@@ -220,6 +220,9 @@ impl Plan {
     }
 
     fn prism_exit_grid(&self, interpolation: [usize; 2]) -> Grid {
+        if self.settings.full_exit_grid {
+            return self.wave_grid;
+        }
         let points = [0, 1].map(|i| {
             let half = (self.band_limit * self.wave_grid.extent_angstrom[i]) as usize;
             good_size(2 * half + 2, interpolation[i]).min(self.wave_grid.points[i])

@@ -2,7 +2,8 @@
 //!
 //! C. Ophus, "A fast image simulation algorithm for scanning transmission electron microscopy",
 //! Adv. Struct. Chem. Imaging 3 (2017) 13. Exit waves are kept on a grid that just holds the band
-//! limit, which loses nothing and makes the reduction 2.25 times cheaper than on the full grid.
+//! limit, which makes the reduction 2.25 times cheaper than on the full grid, and without interpolation loses nothing (see
+//! `full_exit_grid` in [`super::settings::Settings`]).
 
 use super::Scan;
 use super::plan::{Grid, Plan};

@@ -182,6 +182,21 @@ impl Golden {
         list.into_iter().flatten().map(Golden::pair).collect()
     }
 
+    /// The same, but with every slice acting at its entrance and the probe in focus there, as in abTEM: waves then leave the
+    /// specimen one slice behind the last plane, where PRISM with interpolation cuts probes from them. Half a slice
+    /// (0.96 A) less changes HAADF of Si [110] with f = 2 by up to 0.9 % of the maximum.
+    ///
+    /// # Errors
+    /// As [`Plan::new`].
+    pub fn plan_from_plane(&self, settings: &Settings) -> Result<Plan> {
+        let half = self.slice_angstrom() / 2.0;
+        let mut settings = settings.clone();
+        settings.optics.aberrations.add_defocus(-half);
+        let mut plan = self.plan(&settings)?;
+        plan.slices.planes.iter_mut().for_each(|z| *z -= half);
+        Ok(plan)
+    }
+
     /// A plan for the atoms.
     ///
     /// # Errors
