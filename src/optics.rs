@@ -166,6 +166,11 @@ impl Optics {
     /// Fourier grid of spacing `dk` (1/Angstrom).
     pub fn transfer(&self, k: [f64; 2], dk: [f64; 2]) -> Complex64 {
         let lambda = self.wavelength_angstrom();
+        // Most of a grid lies far outside the aperture and its soft edge.
+        let beyond = self.semiangle_mrad * 1e-3 / lambda + dk[0] + dk[1];
+        if k[0] * k[0] + k[1] * k[1] > beyond * beyond {
+            return Complex64::ZERO;
+        }
         let alpha = lambda * k[0].hypot(k[1]);
         let phi = k[1].atan2(k[0]);
         let limit = self.semiangle_mrad * 1e-3;

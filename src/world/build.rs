@@ -212,18 +212,18 @@ impl Job<'_> {
 
     /// Simulates what is missing; returns how many sub-tiles were there.
     fn simulate(&self, partition: &Partition, store: &Store) -> Result<usize> {
-        let probes = partition.subtiles().map(|t| t.rows.len() * t.columns.len()).sum::<usize>();
-        let (stage, unit) = match self.method {
-            Method::Field(_) => ("assembling", "pixel"),
+        let total: usize = partition.subtiles().map(|t| self.work(&t)).sum();
+        let (stage, unit) = match &self.method {
+            Method::Field(field) => ("assembling", field.unit()),
             _ => ("simulating", "probe"),
         };
-        self.progress.start(stage, unit, probes as u64);
+        self.progress.start(stage, unit, total as u64);
         let mut resumed = 0;
         for tile in partition.subtiles() {
             if self.progress.interrupted() {
                 return Err(Error::Interrupted);
             }
-            let share = SubProgress::new(self.progress, tile.rows.len() * tile.columns.len());
+            let share = SubProgress::new(self.progress, self.work(&tile));
             if store.load(tile.index, tile.shape()).is_some() {
                 resumed += 1;
             } else {
@@ -235,10 +235,21 @@ impl Job<'_> {
         Ok(resumed)
     }
 
+    /// Pixel (row, column) of the full field at which a sub-tile begins.
+    fn start(&self, tile: &SubTile) -> [usize; 2] {
+        let first = self.recipe.field.crop_origin_px();
+        [first[0] + tile.rows.start, first[1] + tile.columns.start]
+    }
+
+    fn work(&self, tile: &SubTile) -> usize {
+        match &self.method {
+            Method::Field(field) => field.work(self.start(tile), tile.shape()),
+            _ => tile.rows.len() * tile.columns.len(),
+        }
+    }
+
     fn simulate_one(&self, tile: &SubTile, progress: &dyn Progress) -> Result<Array2<f32>> {
-        let field = &self.recipe.field;
-        let (first, pixel) = (field.crop_origin_px(), field.pixel_nm());
-        let start = [first[0] + tile.rows.start, first[1] + tile.columns.start];
+        let (start, pixel) = (self.start(tile), self.recipe.field.pixel_nm());
         let engine: &dyn SubTileEngine = match &self.method {
             Method::Field(field) => {
                 let configurations = self.recipe.phonons.configurations.max(1);

@@ -28,6 +28,16 @@ pub trait FieldImage: Send + Sync {
         progress: &dyn Progress,
     ) -> Result<Array2<f64>>;
 
+    /// Unit of [`FieldImage::work`].
+    fn unit(&self) -> &'static str {
+        "pixel"
+    }
+
+    /// What the image of such an area takes, in units of like cost: for progress.
+    fn work(&self, _first: [usize; 2], shape: [usize; 2]) -> usize {
+        shape[0] * shape[1]
+    }
+
     /// The displaced atoms of an area in one configuration: those that the image shows.
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms;
 

@@ -19,7 +19,7 @@ use super::mosaic::{DisplacedAtoms, MosaicEngine, atoms_by_seed};
 use super::pixel_box::PixelBox;
 use super::recipe::Recipe;
 use super::simulator::Simulator;
-use super::specimen::{Region, SiteKind, Specimen};
+use super::specimen::{ParticleTruth, Region, SiteKind, Specimen};
 use crate::engine::independent::Raster;
 use crate::engine::{Algorithm, Plan, ProbeBox, ProbeStep, Scan, Settings, Site};
 use crate::error::{Error, Result};
@@ -37,7 +37,9 @@ const BEYOND_WINDOW_ANGSTROM: f64 = 1.0;
 const POTENTIAL_ANGSTROM: f64 = 1.5;
 /// Atoms of particles within so many Angstrom along the beam share a slice: tilted particles have no planes. With 0.5 A bright
 /// columns of one of 2.8 nm are off by 1.0 % rms in one configuration, with 0.33 A by 0.7 %.
-pub const SPAN_ANGSTROM: f64 = 0.25;
+pub const SPAN_ANGSTROM: f64 = 0.35;
+/// Pixels of the film that take as long as a probe on a particle.
+const PIXELS_PER_PROBE: f64 = 90.0;
 /// Edge in samples of the blocks in which particles are simulated.
 const BLOCK: i64 = 64;
 /// Probes of such a block.
@@ -118,14 +120,18 @@ impl<'a> FilmImage<'a> {
         self.near() + POTENTIAL_ANGSTROM
     }
 
-    /// The plan for a block of samples in the middle of a particle; `None` where there are none.
+    /// The plan for a block of samples in the middle of a particle, which is as tall as particles are in the mean over their probes;
+    /// `None` where there are none.
     ///
     /// # Errors
     /// Those of the settings.
     pub fn block_plan(&self) -> Result<Option<Plan>> {
         let mut particles = self.specimen.particles();
-        particles.sort_by(|a, b| a.diameter_nm.total_cmp(&b.diameter_nm));
-        let Some(particle) = particles.get(particles.len() / 2) else { return Ok(None) };
+        let moment = |n: i32| particles.iter().map(|p| p.diameter_nm.powi(n)).sum::<f64>();
+        let mean = moment(3) / moment(2);
+        let off = |p: &ParticleTruth| (p.diameter_nm - mean).abs();
+        particles.sort_by(|a, b| off(a).total_cmp(&off(b)));
+        let Some(particle) = particles.first() else { return Ok(None) };
         let half = 0.05 * BLOCK as f64 * self.step + 0.1 * self.margin();
         let [x, y] = [0, 1].map(|k| [particle.centre_nm[k] - half, particle.centre_nm[k] + half]);
         let sites = self.specimen.sites(&Region { x, y });
@@ -138,7 +144,7 @@ impl<'a> FilmImage<'a> {
     /// Probes that the particles of the built field take, for each configuration.
     pub fn particle_probes(&self) -> usize {
         let built = self.recipe.field.built_region();
-        let area = |p: &super::specimen::ParticleTruth| {
+        let area = |p: &ParticleTruth| {
             let radius = 5.0 * p.diameter_nm + self.near();
             std::f64::consts::PI * radius * radius
         };
@@ -320,6 +326,28 @@ impl FieldImage for FilmImage<'_> {
         let at = [0, 1].map(|k| first[k] as f64 * pixel - samples.first[k] as f64);
         let pixels = self.kernel.raster(image.view(), at, [pixel; 2], shape, Edge::Replicate);
         Ok(pixels.mapv(|v| v.max(0.0)))
+    }
+
+    fn unit(&self) -> &'static str {
+        "step"
+    }
+
+    fn work(&self, first: [usize; 2], [rows, columns]: [usize; 2]) -> usize {
+        // The share of pixels near a particle, from one in 64.
+        let pixel = self.recipe.field.pixel_nm();
+        let reach = |p: &ParticleTruth| 0.5 * p.diameter_nm + 0.1 * self.near();
+        let circles: Vec<([f64; 3], f64)> =
+            self.specimen.particles().iter().map(|p| (p.centre_nm, reach(p))).collect();
+        let near = |x: f64, y: f64| {
+            circles.iter().any(|(c, r)| (c[0] - x).powi(2) + (c[1] - y).powi(2) < r * r)
+        };
+        let at = |n: usize, first: usize| (first + n) as f64 * pixel;
+        let places =
+            (0..rows).step_by(8).flat_map(|i| (0..columns).step_by(8).map(move |j| (i, j)));
+        let found = places.filter(|(i, j)| near(at(*j, first[1]), at(*i, first[0]))).count();
+        let per_pixel = (10.0 * pixel / self.step).powi(2);
+        let probes = (64 * found * self.recipe.phonons.configurations.max(1)) as f64 * per_pixel;
+        rows * columns + (PIXELS_PER_PROBE * probes) as usize
     }
 
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
