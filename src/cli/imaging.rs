@@ -68,7 +68,8 @@ pub struct NumericsArgs {
     /// Grid points along x and y
     #[arg(long, value_name = "NX,NY", value_parser = values::counts2)]
     pub gpts: Option<[usize; 2]>,
-    /// Slices of equal thickness, at most so many A [default: one slice per atomic plane]
+    /// Slices of equal thickness, at most so many A [default: one slice per atomic plane;
+    /// without planes, atoms within 0.5 A share one]
     #[arg(long, value_name = "A", value_parser = values::finite, allow_negative_numbers = true)]
     pub slice_thickness: Option<f64>,
     /// How an atom is distributed over slices

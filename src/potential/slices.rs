@@ -214,6 +214,23 @@ mod tests {
     }
 
     #[test]
+    fn atoms_without_planes_share_slices_with_their_neighbours() {
+        let z: Vec<f64> =
+            (1..400).map(|i| 1.0 + (f64::from(i) * 17.317).rem_euclid(38.0)).collect();
+        for (slicing, span) in [(Slicing::Planes, GROUP_ANGSTROM), (Slicing::Grouped(0.2), 0.2)] {
+            let s = Slices::new(slicing, 40.0, &z).unwrap();
+            let off = |z: &f64| (s.planes[s.index(s.wrap(*z))] - s.wrap(*z)).abs();
+            assert!(z.iter().map(off).fold(0.0, f64::max) <= span);
+            // as few as that allows
+            assert!((s.len() as f64) < 38.0 / span + 1.0, "{}", s.len());
+            assert!(s.planes.windows(2).all(|p| p[0] < p[1]));
+        }
+        for bad in [-0.1, f64::NAN] {
+            assert!(Slices::new(Slicing::Grouped(bad), 40.0, &z).is_err());
+        }
+    }
+
+    #[test]
     fn requested_thickness_is_an_upper_limit_and_centres_planes_at_half_a_cell() {
         let a = 3.905;
         let z: Vec<f64> = (0..20).map(|i| f64::from(i) * a / 2.0).collect();
