@@ -216,7 +216,7 @@ mod tests {
     #[test]
     fn atoms_without_planes_share_slices_with_their_neighbours() {
         let z: Vec<f64> =
-            (1..400).map(|i| 1.0 + (f64::from(i) * 17.317).rem_euclid(38.0)).collect();
+            (1..400).map(|i| 1.0 + (f64::from(i) * 38.0 * 0.618_034).rem_euclid(38.0)).collect();
         for (slicing, span) in [(Slicing::Planes, GROUP_ANGSTROM), (Slicing::Grouped(0.2), 0.2)] {
             let s = Slices::new(slicing, 40.0, &z).unwrap();
             let off = |z: &f64| (s.planes[s.index(s.wrap(*z))] - s.wrap(*z)).abs();
@@ -248,9 +248,10 @@ mod tests {
     }
 
     #[test]
-    fn amorphous_and_empty_cells_are_cut_evenly() {
+    fn amorphous_cells_are_cut_by_groups_and_empty_ones_evenly() {
         let z: Vec<f64> = (0..500).map(|i| f64::from(i) * 0.0997).collect();
-        assert_eq!(Slices::new(Slicing::Planes, 50.0, &z).unwrap().len(), 50);
+        // six atoms span 0.4985 A
+        assert_eq!(Slices::new(Slicing::Planes, 50.0, &z).unwrap().len(), 84);
         assert_eq!(Slices::new(Slicing::Planes, 5.0, &[]).unwrap().len(), 5);
     }
 
