@@ -6,11 +6,11 @@ use super::show::Lines;
 use super::values;
 use anyhow::bail;
 use clap::Args;
-use stemgen::engine::{Algorithm, window_for};
+use stemgen::engine::Algorithm;
 use stemgen::world::audit::{Audit, AuditOptions, Source, audit};
 use stemgen::world::method::field_image;
 use stemgen::world::mosaic::{Cache, MosaicEngine};
-use stemgen::world::simulator::{WINDOW_ANGSTROM, default_accuracy_percent};
+use stemgen::world::simulator::{WINDOW_ANGSTROM, default_window};
 use stemgen::world::{Recipe, Simulator, specimen};
 
 const EXAMPLES: &str = "\
@@ -107,13 +107,8 @@ impl AuditCommand {
 
 /// Windows as `stemgen build` chooses them.
 fn simulator(recipe: &Recipe) -> Simulator {
-    let window = |width_angstrom| Simulator::new(recipe, Algorithm::Window { width_angstrom });
-    let (plain, thickness) = (window(WINDOW_ANGSTROM), 10.0 * recipe.field.thickness_nm);
-    let accuracy = default_accuracy_percent(recipe.structure);
-    window(
-        window_for(accuracy, plain.settings(), thickness)
-            .map_or(WINDOW_ANGSTROM, |choice| choice.width_angstrom),
-    )
+    let width_angstrom = default_window(recipe).map_or(WINDOW_ANGSTROM, |w| w.width_angstrom);
+    Simulator::new(recipe, Algorithm::Window { width_angstrom })
 }
 
 fn text(audit: &Audit) -> String {

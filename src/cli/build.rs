@@ -12,13 +12,13 @@ use anyhow::bail;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
-use stemgen::engine::{Algorithm, Settings, window_for};
+use stemgen::engine::Algorithm;
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
 use stemgen::world::audit::{Audit, AuditOptions};
 use stemgen::world::method::Check;
 use stemgen::world::mosaic::{Cache, MosaicEngine};
-use stemgen::world::simulator::{WINDOW_ANGSTROM, default_accuracy_percent};
+use stemgen::world::simulator::{WINDOW_ANGSTROM, default_window};
 use stemgen::world::{BuildOptions, Difficulty, Recipe, Simulator, SubTileEngine, Summary};
 
 /// Sub-tiles in nm; 4 nm take below 2 GB of memory on two threads.
@@ -212,41 +212,14 @@ impl Build {
             WINDOW_ANGSTROM,
             INTERPOLATION,
         )?;
-        let mut settings = Simulator::new(recipe, algorithm).settings().clone();
-        let thickness = recipe.field.thickness_nm * 10.0;
         let free = m.engine.is_none() && window.is_none() && factors.is_none();
         if free && m.accuracy.is_none() {
-            return self.by_rule(recipe, &settings, thickness);
+            return Ok(by_rule(recipe));
         }
+        let mut settings = Simulator::new(recipe, algorithm).settings().clone();
+        let thickness = recipe.field.thickness_nm * 10.0;
         let warning = imaging::choose_window(m.accuracy, &mut settings, thickness)?;
         Ok((Simulator::new(recipe, settings.algorithm), warning))
-    }
-
-    /// The engine where none is asked for: windows as wide as the specimen is thick, PRISM for detectors at low
-    /// angles, which windows and mosaics cannot do.
-    fn by_rule(
-        &self,
-        recipe: &Recipe,
-        settings: &Settings,
-        thickness: f64,
-    ) -> anyhow::Result<(Simulator, Option<String>)> {
-        match window_for(default_accuracy_percent(recipe.structure), settings, thickness) {
-            Ok(choice) => {
-                let width_angstrom = choice.width_angstrom;
-                let warning = (!choice.beyond_measured.is_empty()).then(|| {
-                    format!(
-                        "windows of {width_angstrom:.1} A: their error was not measured for {}; the audit tells it",
-                        choice.beyond_measured.join(", ")
-                    )
-                });
-                Ok((Simulator::new(recipe, Algorithm::Window { width_angstrom }), warning))
-            }
-            Err(why) => {
-                let algorithm = Algorithm::Prism { interpolation: INTERPOLATION };
-                let warning = format!("neither mosaic nor windows: {why}; PRISM is used");
-                Ok((Simulator::new(recipe, algorithm), Some(warning)))
-            }
-        }
     }
 
     fn output(&self, recipe: &Recipe) -> PathBuf {
@@ -363,6 +336,28 @@ impl Build {
             subtiles_resumed: summary.subtiles_resumed,
             wall_time_s: summary.wall_time_s,
         })
+    }
+}
+
+/// The engine where none is asked for: windows as wide as the specimen is thick, PRISM for detectors at low
+/// angles, which windows and mosaics cannot do. And what is to be said of its accuracy.
+fn by_rule(recipe: &Recipe) -> (Simulator, Option<String>) {
+    match default_window(recipe) {
+        Ok(choice) => {
+            let width_angstrom = choice.width_angstrom;
+            let warning = (!choice.beyond_measured.is_empty()).then(|| {
+                format!(
+                    "windows of {width_angstrom:.1} A: their error was not measured for {}; the audit tells it",
+                    choice.beyond_measured.join(", ")
+                )
+            });
+            (Simulator::new(recipe, Algorithm::Window { width_angstrom }), warning)
+        }
+        Err(why) => {
+            let algorithm = Algorithm::Prism { interpolation: INTERPOLATION };
+            let warning = format!("neither mosaic nor windows: {why}; PRISM is used");
+            (Simulator::new(recipe, algorithm), Some(warning))
+        }
     }
 }
 

@@ -70,23 +70,27 @@ impl DryRun {
         let sites = estimated_sites(&*specimen, field);
         let runs = if request.timed { partition.len() } else { 0 };
         let probes = simulator.probes(&plan, [rows, columns], 10.0 * pixel)?;
-        let mut report = PlanReport::new(&plan, probes.scan().len(), runs);
         let (mut particle_probes, mut mosaic) = (None, None);
+        let mut instead = None;
         if let Some(engine) = &request.mosaic {
             match FilmImage::prepare(engine, &*specimen, recipe)? {
                 Some(film) => {
                     let probes = film.particle_probes();
                     let runs = probes.div_ceil(BLOCK_PROBES);
-                    let plan = film.block_plan()?.unwrap_or(plan);
-                    report = PlanReport::new(&plan, probes.min(BLOCK_PROBES), runs);
+                    let block = film.block_plan()?;
+                    let block = block.as_ref().unwrap_or(&plan);
+                    instead = Some(PlanReport::new(block, probes.min(BLOCK_PROBES), runs));
                     particle_probes = Some(probes);
                 }
                 None => mosaic = Some(Mosaic::outlook(engine, &*specimen, recipe)?),
             }
         }
         if let Some(mosaic) = mosaic.as_ref().filter(|m| m.pays) {
-            report = mosaic_report(mosaic, &*specimen, recipe, simulator)?.unwrap_or(report);
+            instead = mosaic_report(mosaic, &*specimen, recipe, simulator)?;
         }
+        // Each report with an estimate measures the speed.
+        let subtile = || PlanReport::new(&plan, probes.scan().len(), runs);
+        let mut report = instead.unwrap_or_else(subtile);
         let remedy = "a smaller --subtile or fewer --threads take less";
         report.warnings.extend(estimate::memory_warning(report.memory_bytes, remedy));
         Ok(DryRun {

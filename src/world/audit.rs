@@ -12,7 +12,7 @@ use super::film::SPAN_ANGSTROM;
 use super::pixel_box::PixelBox;
 use super::recipe::Recipe;
 use super::simulator::Simulator;
-use super::specimen::{ParticleTruth, Region, SiteKind, Specimen};
+use super::specimen::{Region, SiteKind, Specimen, particles_in};
 use super::subprogress::Quiet;
 use crate::engine::Algorithm;
 use crate::error::{Error, Result};
@@ -226,7 +226,7 @@ fn places(recipe: &Recipe, specimen: &dyn Specimen, options: &AuditOptions) -> R
         centre_nm: [1, 0].map(|k| (corner[k] as f64 + 0.5 * (edge - 1) as f64) * pixel),
     };
     if options.at_nm.is_empty() {
-        let particles = particles_inside(recipe, specimen);
+        let particles = particles_in(specimen, &recipe.field.built_region());
         let corner = |n: u64| {
             let u = |k: u32| rng::uniform(options.seed, Purpose::Audit, k, n);
             if n.is_multiple_of(2) && !particles.is_empty() {
@@ -258,13 +258,6 @@ fn places(recipe: &Recipe, specimen: &dyn Specimen, options: &AuditOptions) -> R
         }
     };
     options.at_nm.iter().map(given).collect()
-}
-
-fn particles_inside(recipe: &Recipe, specimen: &dyn Specimen) -> Vec<ParticleTruth> {
-    let built = recipe.field.built_region();
-    let mut particles = specimen.particles();
-    particles.retain(|p| built.contains([p.centre_nm[0], p.centre_nm[1]]));
-    particles
 }
 
 struct Job<'a> {

@@ -13,7 +13,7 @@ use super::method::{Check, Method};
 use super::mosaic::MosaicEngine;
 use super::pixel_box::PixelBox;
 use super::recipe::Recipe;
-use super::specimen::{BEYOND_FIELD_NM, DISPLACED_NM, Region, SiteKind, Specimen, specimen};
+use super::specimen::{BEYOND_FIELD_NM, DISPLACED_NM, Region, Specimen, specimen};
 use super::stitch::WorldImage;
 use super::store::{Store, beside};
 use super::subprogress::SubProgress;
@@ -212,18 +212,18 @@ impl Job<'_> {
 
     /// Simulates what is missing; returns how many sub-tiles were there.
     fn simulate(&self, partition: &Partition, store: &Store) -> Result<usize> {
-        let total: usize = partition.subtiles().map(|t| self.work(&t)).sum();
+        let work: Vec<usize> = partition.subtiles().map(|t| self.work(&t)).collect();
         let (stage, unit) = match &self.method {
             Method::Field(field) => ("assembling", field.unit()),
             _ => ("simulating", "probe"),
         };
-        self.progress.start(stage, unit, total as u64);
+        self.progress.start(stage, unit, work.iter().sum::<usize>() as u64);
         let mut resumed = 0;
-        for tile in partition.subtiles() {
+        for (tile, work) in partition.subtiles().zip(work) {
             if self.progress.interrupted() {
                 return Err(Error::Interrupted);
             }
-            let share = SubProgress::new(self.progress, self.work(&tile));
+            let share = SubProgress::new(self.progress, work);
             if store.load(tile.index, tile.shape()).is_some() {
                 resumed += 1;
             } else {
@@ -278,19 +278,11 @@ impl Job<'_> {
 
     /// The atoms of an area, relative to its corner.
     fn atoms(&self, area: &Region) -> Vec<Site> {
-        let corner = [area.x[0], area.y[0], 0.0];
+        let corner = [area.x[0], area.y[0]];
         // A displaced atom may lie on the other side of the edge than its column.
-        let sites = self.specimen.sites(&area.grown(DISPLACED_NM)).into_iter();
-        let present = sites.filter(|s| {
-            s.kind != SiteKind::Vacancy && area.contains([s.position_nm[0], s.position_nm[1]])
-        });
-        let site = |s: super::SpecimenSite| Site {
-            position: [0, 1, 2].map(|k| 10.0 * (s.position_nm[k] - corner[k])),
-            number: s.number,
-            sigma_angstrom: self.recipe.phonons.sigma_angstrom(s.number),
-            key: s.key,
-        };
-        present.map(site).collect()
+        let mut sites = self.specimen.sites(&area.grown(DISPLACED_NM));
+        sites.retain(|s| area.contains([s.position_nm[0], s.position_nm[1]]));
+        sites.iter().filter_map(|s| s.atom(corner, &self.recipe.phonons)).collect()
     }
 
     /// Writes the file under another name and puts it in place when it is complete.

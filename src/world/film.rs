@@ -19,7 +19,7 @@ use super::mosaic::{DisplacedAtoms, MosaicEngine, atoms_by_seed};
 use super::pixel_box::PixelBox;
 use super::recipe::Recipe;
 use super::simulator::Simulator;
-use super::specimen::{ParticleTruth, Region, SiteKind, Specimen};
+use super::specimen::{ParticleTruth, Region, Specimen, SpecimenSite, particles_in};
 use crate::engine::independent::Raster;
 use crate::engine::{Algorithm, Plan, ProbeBox, ProbeStep, Scan, Settings, Site};
 use crate::error::{Error, Result};
@@ -115,6 +115,11 @@ impl<'a> FilmImage<'a> {
         0.5 * self.window_angstrom + BEYOND_WINDOW_ANGSTROM
     }
 
+    /// Distance from the centre of a particle up to which probes are propagated, about.
+    fn reach_nm(&self, particle: &ParticleTruth) -> f64 {
+        0.5 * particle.diameter_nm + 0.1 * self.near()
+    }
+
     /// Specimen around the probes of a block, in Angstrom.
     fn margin(&self) -> f64 {
         self.near() + POTENTIAL_ANGSTROM
@@ -143,14 +148,10 @@ impl<'a> FilmImage<'a> {
 
     /// Probes that the particles of the built field take, for each configuration.
     pub fn particle_probes(&self) -> usize {
-        let built = self.recipe.field.built_region();
-        let area = |p: &ParticleTruth| {
-            let radius = 5.0 * p.diameter_nm + self.near();
-            std::f64::consts::PI * radius * radius
-        };
-        let particles = self.specimen.particles();
-        let inside = particles.iter().filter(|p| built.contains([p.centre_nm[0], p.centre_nm[1]]));
-        (inside.map(area).sum::<f64>() / (self.step * self.step)) as usize
+        let area = |p: &ParticleTruth| std::f64::consts::PI * self.reach_nm(p).powi(2);
+        let particles = particles_in(self.specimen, &self.recipe.field.built_region());
+        let step_nm = 0.1 * self.step;
+        (particles.iter().map(area).sum::<f64>() / (step_nm * step_nm)) as usize
     }
 
     fn atoms_around(&self, samples: &Samples, origin: [f64; 2]) -> Atoms {
@@ -160,16 +161,14 @@ impl<'a> FilmImage<'a> {
             [0.1 * first, 0.1 * last]
         };
         let sites = self.specimen.sites(&Region { x: range(0), y: range(1) });
-        let present = sites.into_par_iter().filter(|s| s.kind != SiteKind::Vacancy);
-        let site = |s: super::SpecimenSite| Site {
-            position: std::array::from_fn(|k| {
-                10.0 * s.position_nm[k] - if k < 2 { origin[k] } else { 0.0 }
-            }),
-            number: s.number,
-            sigma_angstrom: self.recipe.phonons.sigma_angstrom(s.number),
-            key: s.key,
+        let phonons = &self.recipe.phonons;
+        let atom = |s: SpecimenSite| {
+            let site = s.atom([0.0; 2], phonons)?;
+            let [x, y, z] = site.position;
+            Some(Site { position: [x - origin[0], y - origin[1], z], ..site })
         };
-        let (film, particles) = present.map(site).partition(|s| s.number == self.film.number);
+        let (film, particles) =
+            sites.into_par_iter().filter_map(atom).partition(|s| s.number == self.film.number);
         Atoms { film, particles }
     }
 
@@ -335,9 +334,9 @@ impl FieldImage for FilmImage<'_> {
     fn work(&self, first: [usize; 2], [rows, columns]: [usize; 2]) -> usize {
         // The share of pixels near a particle, from one in 64.
         let pixel = self.recipe.field.pixel_nm();
-        let reach = |p: &ParticleTruth| 0.5 * p.diameter_nm + 0.1 * self.near();
+        let particles = self.specimen.particles();
         let circles: Vec<([f64; 3], f64)> =
-            self.specimen.particles().iter().map(|p| (p.centre_nm, reach(p))).collect();
+            particles.iter().map(|p| (p.centre_nm, self.reach_nm(p))).collect();
         let near = |x: f64, y: f64| {
             circles.iter().any(|(c, r)| (c[0] - x).powi(2) + (c[1] - y).powi(2) < r * r)
         };

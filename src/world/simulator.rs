@@ -9,7 +9,7 @@ use crate::detect::Detector;
 use crate::engine::settings::EXACT_BAND_FRACTION;
 use crate::engine::{
     Algorithm, BeyondLimit, GridChoice, Phonons, Plan, ProbeBox, ProbeRaster, ProbeStep, Scan,
-    Settings, Site, probe_margin_angstrom, simulate,
+    Settings, Site, WindowChoice, probe_margin_angstrom, simulate, window_for,
 };
 use crate::error::Result;
 use crate::optics::Optics;
@@ -30,12 +30,24 @@ pub const WINDOW_ANGSTROM: f64 = 7.8;
 /// Error in per cent of the mean image for which the windows of a world are chosen unless another is asked for (see
 /// [`crate::engine::window_for`]). Particles are thin: at one of Pt of 2.8 nm bright columns are off by 1.03 % rms (mean +0.14 %)
 /// in windows of 5.9 A and by 0.97 % (+0.02 %) in 7.8 A, which take 1.7 times as long; slices make most of it.
-pub fn default_accuracy_percent(structure: StructureKind) -> f64 {
+fn default_accuracy_percent(structure: StructureKind) -> f64 {
     match structure {
         StructureKind::Particles => 2.1,
         _ => 0.8,
     }
 }
+/// The window of a world unless another is asked for.
+///
+/// # Errors
+/// Those of [`window_for`].
+pub fn default_window(recipe: &Recipe) -> Result<WindowChoice> {
+    let algorithm = Algorithm::Window { width_angstrom: WINDOW_ANGSTROM };
+    let simulator = Simulator::new(recipe, algorithm);
+    let thickness_angstrom = recipe.field.thickness_nm * 10.0;
+    let accuracy_percent = default_accuracy_percent(recipe.structure);
+    window_for(accuracy_percent, simulator.settings(), thickness_angstrom)
+}
+
 /// Specimen beyond the scanned area for engines without windows: as far as a probe spreads.
 const SPREAD_ANGSTROM: f64 = 6.0;
 /// Reach of an atom's potential, which must not come in from the other side of the periodic box.

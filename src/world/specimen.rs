@@ -7,9 +7,10 @@ use super::epitaxy::Epitaxy;
 use super::film::ThinFilm;
 use super::grains::Grains;
 use super::particles::ParticlesOnCarbon;
-use super::recipe::{Recipe, StructureKind};
+use super::recipe::{Phonons, Recipe, StructureKind};
 use super::relax::Relaxed;
 use super::sheet::{Family, Sheet};
+use crate::engine::Site;
 use crate::error::Result;
 
 /// Sites are never further than this from the position of their column, in nm.
@@ -71,6 +72,19 @@ pub struct SpecimenSite {
     pub number: u8,
     /// What the site holds.
     pub kind: SiteKind,
+}
+
+impl SpecimenSite {
+    /// The atom here, in Angstrom from `corner_nm` (x, y) of the entrance surface; `None` for a vacancy.
+    pub fn atom(&self, corner_nm: [f64; 2], phonons: &Phonons) -> Option<Site> {
+        let [x, y, z] = self.position_nm;
+        (self.kind != SiteKind::Vacancy).then(|| Site {
+            position: [10.0 * (x - corner_nm[0]), 10.0 * (y - corner_nm[1]), 10.0 * z],
+            number: self.number,
+            sigma_angstrom: phonons.sigma_angstrom(self.number),
+            key: self.key,
+        })
+    }
 }
 
 /// A projected atomic column and its sites.
@@ -185,6 +199,13 @@ pub struct ParticleTruth {
     pub morphology: String,
     /// Rotation from the particle's own axes to those of the field as a unit quaternion (w, x, y, z).
     pub orientation: [f64; 4],
+}
+
+/// The particles of a specimen with their centre in a region.
+pub fn particles_in(specimen: &dyn Specimen, region: &Region) -> Vec<ParticleTruth> {
+    let mut particles = specimen.particles();
+    particles.retain(|p| region.contains([p.centre_nm[0], p.centre_nm[1]]));
+    particles
 }
 
 /// A specimen of the full field.

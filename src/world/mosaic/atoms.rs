@@ -4,7 +4,7 @@ use super::library::Library;
 use crate::engine::Site;
 use crate::phonons::displaced;
 use crate::world::recipe::Phonons;
-use crate::world::specimen::{DISPLACED_NM, Region, SiteKind, Specimen};
+use crate::world::specimen::{DISPLACED_NM, Region, Specimen};
 
 /// Displaced atoms of an area.
 #[derive(Debug, Default)]
@@ -35,14 +35,10 @@ pub fn definite_atoms(
             Some((tag, shelf, singles[configuration]))
         });
         for (n, site) in sites.sites[column.sites.clone()].iter().enumerate() {
-            let [x, y, z] = site.position_nm;
-            if site.kind == SiteKind::Vacancy || !area.contains([x, y]) {
-                continue;
-            }
-            let mean = [10.0 * (x - area.x[0]), 10.0 * (y - area.y[0]), 10.0 * z];
-            let still =
-                Site { position: mean, number: site.number, sigma_angstrom: 0.0, key: site.key };
-            let sigma = phonons.sigma_angstrom(site.number);
+            let [x, y, _] = site.position_nm;
+            let atom = site.atom([area.x[0], area.y[0]], phonons);
+            let Some(atom) = atom.filter(|_| area.contains([x, y])) else { continue };
+            let (mean, sigma) = (atom.position, atom.sigma_angstrom);
             let position = match &single {
                 Some((tag, shelf, single)) => {
                     let [a, b, c] = shelf.displacement(*single, tag.member, n);
@@ -50,12 +46,9 @@ pub fn definite_atoms(
                     let moved = [u[0] * a + u[1] * b, v[0] * a + v[1] * b, c];
                     std::array::from_fn(|k| mean[k] + sigma * moved[k])
                 }
-                None => {
-                    let site = Site { sigma_angstrom: sigma, ..still };
-                    displaced(&site, seed, configuration as u32)
-                }
+                None => displaced(&atom, seed, configuration as u32),
             };
-            atoms.sites.push(Site { position, ..still });
+            atoms.sites.push(Site { position, sigma_angstrom: 0.0, ..atom });
             atoms.heights.push(mean[2]);
         }
     }
