@@ -61,13 +61,16 @@ impl AuditCommand {
     /// Runs the subcommand.
     pub fn run(self) -> anyhow::Result<()> {
         let reporter = self.common.start()?;
-        let (recipe, engine) = self.recipe.resolve_or_world()?;
+        let (recipe, made) = self.recipe.resolve_or_world()?;
         if self.common.dry_run {
             bail!(
                 "--dry-run: an audit has no plan to show; --configurations 1 --regions 1 is a quick one"
             );
         }
-        let simulator = simulator(&recipe);
+        let simulator = match &made {
+            Some(made) => Simulator::of(made.settings.clone()),
+            None => planned(&recipe),
+        };
         let options = AuditOptions {
             regions: self.regions.into(),
             size_nm: self.size,
@@ -77,7 +80,7 @@ impl AuditCommand {
             configurations: self.configurations.map(usize::from),
         };
         let specimen = specimen(&recipe)?;
-        let direct = match engine.as_deref() {
+        let direct = match made.as_ref().map(|m| m.engine.as_str()) {
             None | Some("mosaic" | "film") => None,
             Some("window") => Some(simulator.clone()),
             Some(other) => {
@@ -105,8 +108,8 @@ impl AuditCommand {
     }
 }
 
-/// Windows as `stemgen build` chooses them.
-fn simulator(recipe: &Recipe) -> Simulator {
+/// The engine of a world that is not there yet: windows as `stemgen build` chooses them.
+fn planned(recipe: &Recipe) -> Simulator {
     let width_angstrom = default_window(recipe).map_or(WINDOW_ANGSTROM, |w| w.width_angstrom);
     Simulator::new(recipe, Algorithm::Window { width_angstrom })
 }
@@ -114,9 +117,15 @@ fn simulator(recipe: &Recipe) -> Simulator {
 fn text(audit: &Audit) -> String {
     let mut lines = Lines::default();
     let [n, all] = audit.configurations;
+    let windows = audit.window_angstrom.map(|w| format!(" (windows of {w:.1} A)"));
     lines.add(
         "compared",
-        format!("{} with {}, mean of {n} of {all} configurations", audit.engine, audit.reference),
+        format!(
+            "{}{} with {}, mean of {n} of {all} configurations",
+            audit.engine,
+            windows.unwrap_or_default(),
+            audit.reference
+        ),
     );
     lines
         .add("bright columns", format!("{:.2} % rms of their intensity", audit.bright_rms_percent));

@@ -95,7 +95,7 @@ pub struct NumericsArgs {
     #[arg(allow_negative_numbers = true)]
     pub angle_margin: f64,
     /// How far apart probes are propagated, in A, at most; images are interpolated to the scan. `scan`: at every
-    /// scan position; `auto`: that, but in windows at 0.84 of the image's Nyquist distance (0.25 A at 200 kV,
+    /// scan position; `auto`: that, but in windows at 0.94 of the image's Nyquist distance (0.28 A at 200 kV,
     /// 21 mrad), where that takes fewer probes
     #[arg(long, value_name = "A|scan|auto", default_value = "auto", value_parser = values::probe_step)]
     #[arg(allow_negative_numbers = true)]

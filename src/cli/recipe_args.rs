@@ -2,9 +2,10 @@
 
 use super::hints::hinted;
 use super::values::{self, Tier};
-use anyhow::anyhow;
+use anyhow::{Context, anyhow};
 use clap::Args;
 use std::path::PathBuf;
+use stemgen::engine::Settings;
 use stemgen::world::{Difficulty, Override, Recipe};
 
 /// The recipe.
@@ -31,6 +32,14 @@ pub struct RecipeArgs {
     seed: Option<u64>,
 }
 
+/// How a world was made.
+pub struct Made {
+    /// Name of the engine.
+    pub engine: String,
+    /// Its settings.
+    pub settings: Settings,
+}
+
 impl RecipeArgs {
     /// The recipe, resolved, changed and checked.
     pub fn resolve(&self) -> anyhow::Result<Recipe> {
@@ -45,8 +54,8 @@ impl RecipeArgs {
         Ok(recipe)
     }
 
-    /// The same, or the recipe of a world file named in place of a material, and the engine of that world.
-    pub fn resolve_or_world(&self) -> anyhow::Result<(Recipe, Option<String>)> {
+    /// The same, or the recipe of a world file named in place of a material, and how that world was made.
+    pub fn resolve_or_world(&self) -> anyhow::Result<(Recipe, Option<Made>)> {
         let file = self.material.as_ref().map(PathBuf::from);
         let Some(file) = file.filter(|f| f.extension().is_some_and(|e| e == "h5" || e == "hdf5"))
         else {
@@ -68,7 +77,12 @@ impl RecipeArgs {
             anyhow::bail!("{}: holds no recipe; it was not built by stemgen", file.display());
         };
         let recipe = Recipe::from_toml_str(&file.display().to_string(), text, None)?;
-        Ok((recipe, metadata.engine.clone()))
+        let settings = metadata.engine_parameters.as_deref().map(serde_json::from_str).transpose();
+        let settings = settings.with_context(|| {
+            format!("{}: engine_parameters are not those of this program", file.display())
+        })?;
+        let made = metadata.engine.clone().zip(settings);
+        Ok((recipe, made.map(|(engine, settings)| Made { engine, settings })))
     }
 
     fn chosen(&self) -> anyhow::Result<Recipe> {

@@ -6,8 +6,9 @@ use super::prism::Prism;
 use super::probes::ProbeRaster;
 use super::settings::Algorithm;
 use super::stepper::{Specimen, Stepper};
+use super::tail::Tail;
 use super::transmission::TransmissionBuilder;
-use super::{Scan, Site, tail};
+use super::{Scan, Site};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use ndarray::{Array2, Array4, ArrayView2, s};
@@ -45,52 +46,91 @@ pub fn simulate(
     scan: &Scan,
     progress: &dyn Progress,
 ) -> Result<Images> {
-    let raster = ProbeRaster::new(plan, scan)?;
-    Ok(raster.images(at_probes(plan, sites, raster.scan(), progress)?))
+    Simulation::new(plan, &elements(sites))?.images(sites, scan, progress)
 }
 
-/// The images of a scan with a probe at every position.
-fn at_probes(plan: &Plan, sites: &[Site], scan: &Scan, progress: &dyn Progress) -> Result<Images> {
-    let builder = TransmissionBuilder::new(plan, &elements(sites))?;
-    let configurations = plan.settings.configurations();
-    let records = plan.record_after.len();
-    let detectors = plan.settings.detectors.len();
-    let mut sum = vec![0.0_f64; scan.len() * records * detectors];
-    let units = (plan.beams + scan.len()) * records.max(1);
-    let units = if plan.beams > 0 { units } else { scan.len() };
-    let unit = if plan.beams > 0 { "waves and probes" } else { "probes" };
-    progress.start("simulating", unit, units as u64 * u64::from(configurations));
-    let mut engine = match plan.settings.algorithm {
-        Algorithm::Prism { .. } => Engine::Prism(Box::new(Prism::new(plan))),
-        _ => Engine::Multislice(Box::new(Multislice::new(plan))),
-    };
-    for configuration in 0..configurations {
-        let transmission = builder.build(sites, configuration, progress)?;
-        let values = match &mut engine {
-            Engine::Multislice(m) => m.run(&transmission, scan, progress)?,
-            Engine::Prism(p) => p.run(&transmission, scan, progress)?,
-        };
-        sum.iter_mut().zip(values).for_each(|(s, v)| *s += v);
-    }
-    let n = f64::from(configurations);
-    if let Some(tail) = tail::tail(plan, sites, scan)? {
-        sum.iter_mut().zip(tail).for_each(|(s, t)| *s += n * t);
-    }
-    progress.finish();
-    let [rows, columns] = scan.shape;
-    let data = Array4::from_shape_fn((records, detectors, rows, columns), |(t, d, y, x)| {
-        (sum[((y * columns + x) * records + t) * detectors + d] / n) as f32
-    });
-    Ok(Images {
-        data,
-        detectors: plan.settings.detectors.iter().map(|d| d.name.clone()).collect(),
-        thicknesses_angstrom: plan.thicknesses_angstrom(),
-    })
+/// A plan with all that does not depend on where atoms are: for several specimens of the same box, heights and
+/// elements.
+pub struct Simulation<'a> {
+    plan: &'a Plan,
+    builder: TransmissionBuilder<'a>,
+    engine: Engine<'a>,
+    tail: Option<Tail<'a>>,
 }
 
 enum Engine<'a> {
     Multislice(Box<Multislice<'a>>),
     Prism(Box<Prism<'a>>),
+}
+
+impl<'a> Simulation<'a> {
+    /// For specimens of no other elements than these.
+    ///
+    /// # Errors
+    /// An element that the tables lack.
+    pub fn new(plan: &'a Plan, elements: &[u8]) -> Result<Self> {
+        let builder = TransmissionBuilder::new(plan, elements)?;
+        let engine = match plan.settings.algorithm {
+            Algorithm::Prism { .. } => Engine::Prism(Box::new(Prism::new(plan))),
+            _ => Engine::Multislice(Box::new(Multislice::new(plan))),
+        };
+        Ok(Simulation { plan, builder, engine, tail: Tail::new(plan) })
+    }
+
+    /// As [`simulate`].
+    ///
+    /// # Errors
+    /// Those of [`simulate`].
+    pub fn images(
+        &mut self,
+        sites: &[Site],
+        scan: &Scan,
+        progress: &dyn Progress,
+    ) -> Result<Images> {
+        let raster = ProbeRaster::new(self.plan, scan)?;
+        Ok(raster.images(self.at_probes(sites, raster.scan(), progress)?))
+    }
+
+    /// The images of a scan with a probe at every position.
+    fn at_probes(
+        &mut self,
+        sites: &[Site],
+        scan: &Scan,
+        progress: &dyn Progress,
+    ) -> Result<Images> {
+        let plan = self.plan;
+        let configurations = plan.settings.configurations();
+        let records = plan.record_after.len();
+        let detectors = plan.settings.detectors.len();
+        let mut sum = vec![0.0_f64; scan.len() * records * detectors];
+        let units = (plan.beams + scan.len()) * records.max(1);
+        let units = if plan.beams > 0 { units } else { scan.len() };
+        let unit = if plan.beams > 0 { "waves and probes" } else { "probes" };
+        progress.start("simulating", unit, units as u64 * u64::from(configurations));
+        for configuration in 0..configurations {
+            let transmission = self.builder.build(sites, configuration, progress)?;
+            let values = match &mut self.engine {
+                Engine::Multislice(m) => m.run(&transmission, scan, progress)?,
+                Engine::Prism(p) => p.run(&transmission, scan, progress)?,
+            };
+            sum.iter_mut().zip(values).for_each(|(s, v)| *s += v);
+        }
+        let n = f64::from(configurations);
+        if let Some(tail) = &self.tail {
+            let values = tail.values(sites, scan)?;
+            sum.iter_mut().zip(values).for_each(|(s, t)| *s += n * t);
+        }
+        progress.finish();
+        let [rows, columns] = scan.shape;
+        let data = Array4::from_shape_fn((records, detectors, rows, columns), |(t, d, y, x)| {
+            (sum[((y * columns + x) * records + t) * detectors + d] / n) as f32
+        });
+        Ok(Images {
+            data,
+            detectors: plan.settings.detectors.iter().map(|d| d.name.clone()).collect(),
+            thicknesses_angstrom: plan.thicknesses_angstrom(),
+        })
+    }
 }
 
 /// Diffraction intensity of one probe (configuration 0) at the last recorded thickness: fraction of
@@ -163,6 +203,7 @@ pub fn exit_wave(
     Ok(out)
 }
 
-fn elements(sites: &[Site]) -> Vec<u8> {
+/// The elements of some sites, ascending.
+pub(crate) fn elements(sites: &[Site]) -> Vec<u8> {
     sites.iter().map(|s| s.number).collect::<BTreeSet<u8>>().into_iter().collect()
 }

@@ -11,13 +11,15 @@ mod prism;
 mod prism_reduce;
 mod probes;
 pub mod settings;
+mod spare;
 mod speed;
 mod stepper;
 mod tail;
 mod transmission;
 
 pub use accuracy::{WindowChoice, window_for};
-pub use images::{Images, diffraction, exit_wave, simulate};
+pub(crate) use images::elements;
+pub use images::{Images, Simulation, diffraction, exit_wave, simulate};
 pub use imaging::lens_image;
 pub use plan::Plan;
 pub use probes::{ProbeRaster, probe_margin_angstrom};

@@ -5,11 +5,8 @@ use super::plan::Plan;
 use super::settings::{Algorithm, ProbeStep, Settings};
 use super::{Images, Scan};
 use crate::error::Result;
-use crate::resample::{Edge, HALF_WIDTH, Kernel, image_band_limit};
+use crate::resample::{Edge, Kernel, MARGIN, TAPS, image_band_limit};
 use ndarray::Array4;
-
-/// Probes beyond either end of a scan that does not span the cell.
-const MARGIN: usize = HALF_WIDTH - 1;
 
 /// The probes that are propagated for a scan, and how its values come from theirs.
 #[derive(Debug, Clone)]
@@ -21,6 +18,7 @@ pub struct ProbeRaster {
     /// Position of the first scan point and distance of scan points, (row, column) in probes.
     first: [f64; 2],
     step: [f64; 2],
+    edges: [Edge; 2],
 }
 
 /// Probes along one axis: how many, how far apart, and how many of them before the first scan point.
@@ -29,6 +27,7 @@ struct Axis {
     step: f64,
     before: usize,
     interpolated: bool,
+    edge: Edge,
 }
 
 impl ProbeRaster {
@@ -59,11 +58,13 @@ impl ProbeRaster {
             kernel: Some(Kernel::new(widest, band_limit)?),
             first: [axes[1].before as f64, axes[0].before as f64],
             step: [asked.step_angstrom[1] / along(1), asked.step_angstrom[0] / along(0)],
+            edges: [axes[1].edge, axes[0].edge],
         })
     }
 
     fn every(asked: &Scan) -> Self {
-        ProbeRaster { scan: *asked, asked: *asked, kernel: None, first: [0.0; 2], step: [1.0; 2] }
+        let (first, step, edges) = ([0.0; 2], [1.0; 2], [Edge::Open; 2]);
+        ProbeRaster { scan: *asked, asked: *asked, kernel: None, first, step, edges }
     }
 
     /// The probes that are propagated.
@@ -85,9 +86,8 @@ impl ProbeRaster {
         for t in 0..thicknesses {
             for d in 0..detectors {
                 let image = images.image(t, d);
-                // Periodic or with all samples there that count: along neither axis is the edge met.
                 let fine =
-                    kernel.raster(image, self.first, self.step, self.asked.shape, Edge::Periodic);
+                    kernel.raster(image, self.first, self.step, self.asked.shape, self.edges);
                 let mut to = data.slice_mut(ndarray::s![t, d, .., ..]);
                 to.zip_mut_with(&fine, |to, from| *to = from.max(0.0) as f32);
             }
@@ -102,17 +102,18 @@ impl Axis {
         let span = n as f64 * step;
         let spans_cell = (span - cell).abs() < 1e-6 * cell;
         let coarse = if spans_cell {
-            let points = ((cell / most - 1e-9).ceil() as usize).max(2 * HALF_WIDTH);
-            Axis { points, step: cell / points as f64, before: 0, interpolated: true }
+            let points = ((cell / most - 1e-9).ceil() as usize).max(TAPS);
+            let step = cell / points as f64;
+            Axis { points, step, before: 0, interpolated: true, edge: Edge::Periodic }
         } else {
             let length = (n.saturating_sub(1)) as f64 * step;
-            let intervals = ((length / most - 1e-9).ceil() as usize).max(1);
-            let points = intervals + 1 + 2 * MARGIN;
-            Axis { points, step: length / intervals as f64, before: MARGIN, interpolated: true }
+            let intervals = ((length / most - 1e-9).ceil() as usize).max(TAPS - 1 - 2 * MARGIN);
+            let (points, step) = (intervals + 1 + 2 * MARGIN, length / intervals as f64);
+            Axis { points, step, before: MARGIN, interpolated: true, edge: Edge::Open }
         };
         match coarse.points < n {
             true => coarse,
-            false => Axis { points: n, step, before: 0, interpolated: false },
+            false => Axis { points: n, before: 0, step, interpolated: false, edge: Edge::Open },
         }
     }
 }

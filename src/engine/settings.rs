@@ -74,11 +74,11 @@ pub enum BeyondLimit {
 pub enum ProbeStep {
     /// At every scan position.
     Scan,
-    /// In windows, at 0.84 of the Nyquist distance of the image (0.25 A at 200 kV, 21 mrad) where that takes fewer
+    /// In windows, at 0.94 of the Nyquist distance of the image (0.28 A at 200 kV, 21 mrad) where that takes fewer
     /// probes, from which the scan is interpolated: rms errors are below 0.1 % of the image's contrast.
     /// At every scan position otherwise.
     Auto,
-    /// At most so many Angstrom apart, where that takes fewer probes, with any algorithm; at most 0.95 of the
+    /// At most so many Angstrom apart, where that takes fewer probes, with any algorithm; at most the
     /// Nyquist distance. [`crate::resample::Kernel`] has the errors.
     Angstrom(f64),
 }

@@ -26,41 +26,61 @@ fn applies(detector: &Detector, plan: &Plan) -> bool {
     detector.inner_mrad >= LEAST_INNER_SEMIANGLES * plan.settings.optics.semiangle_mrad
 }
 
-/// Fractions of the beam as (probe, recorded thickness, detector), row-major; `None` where the plan has no
-/// windows.
-///
-/// # Errors
-/// An element that the tables lack.
-pub(super) fn tail(plan: &Plan, sites: &[Site], scan: &Scan) -> Result<Option<Vec<f64>>> {
-    let all = plan.wave_grid == plan.transmission_grid && !plan.settings.large_probe_box();
-    if all || !plan.settings.tail_correction {
-        return Ok(None);
-    }
-    let detectors = &plan.settings.detectors;
-    let thicknesses = plan.thicknesses_angstrom();
-    let (cell, around) =
-        (Cell::new(plan, &plan.transmission_grid), Cell::new(plan, &probe_grid(plan)));
-    let mut scratch = cell.fft.scratch();
-    let mut larger = around.fft.scratch();
-    let outside = around.outside(plan, &mut larger);
-    let mut out = vec![0.0; scan.len() * thicknesses.len() * detectors.len()];
-    for (d, detector) in detectors.iter().enumerate().filter(|(_, d)| applies(d, plan)) {
-        let sections = cross_sections(plan, sites, detector)?;
-        for (r, &thickness) in thicknesses.iter().enumerate() {
+/// The tails of a plan's probes.
+pub(super) struct Tail<'a> {
+    plan: &'a Plan,
+    cell: Cell,
+    /// Transform of the tail's intensity at half of each recorded thickness, folded into the cell.
+    intensities: Vec<Buffer>,
+}
+
+impl<'a> Tail<'a> {
+    /// `None` where the plan has no windows.
+    pub fn new(plan: &'a Plan) -> Option<Self> {
+        let all = plan.wave_grid == plan.transmission_grid && !plan.settings.large_probe_box();
+        if all || !plan.settings.tail_correction {
+            return None;
+        }
+        let (cell, around) =
+            (Cell::new(plan, &plan.transmission_grid), Cell::new(plan, &probe_grid(plan)));
+        let mut scratch = cell.fft.scratch();
+        let mut larger = around.fft.scratch();
+        let outside = around.outside(plan, &mut larger);
+        let intensity = |thickness: f64| {
             let mut tail = outside.clone();
             around.travel(&mut tail, 0.5 * thickness, plan, &mut larger);
             let mut tail = cell.folded(&tail, &around);
-            let last = plan.slices.boundaries[plan.record_after[r] + 1];
-            let inside = sites.iter().filter(|s| plan.slices.wrap(s.position[2]) < last);
-            let atoms = inside.map(|s| (s.position, sections.get(&s.number).copied()));
-            let map = cell.correlate(&mut tail, atoms, &mut scratch);
-            for probe in 0..scan.len() {
-                let at = (probe * thicknesses.len() + r) * detectors.len() + d;
-                out[at] = cell.value(&map, scan.position(probe));
+            cell.fft.forward(&mut tail, &mut scratch);
+            tail
+        };
+        let intensities = plan.thicknesses_angstrom().into_iter().map(intensity).collect();
+        Some(Tail { plan, cell, intensities })
+    }
+
+    /// Fractions of the beam as (probe, recorded thickness, detector), row-major.
+    ///
+    /// # Errors
+    /// An element that the tables lack.
+    pub fn values(&self, sites: &[Site], scan: &Scan) -> Result<Vec<f64>> {
+        let Tail { plan, cell, intensities } = self;
+        let detectors = &plan.settings.detectors;
+        let mut scratch = cell.fft.scratch();
+        let mut out = vec![0.0; scan.len() * intensities.len() * detectors.len()];
+        for (d, detector) in detectors.iter().enumerate().filter(|(_, d)| applies(d, plan)) {
+            let sections = cross_sections(plan, sites, detector)?;
+            for (r, tail) in intensities.iter().enumerate() {
+                let last = plan.slices.boundaries[plan.record_after[r] + 1];
+                let inside = sites.iter().filter(|s| plan.slices.wrap(s.position[2]) < last);
+                let atoms = inside.map(|s| (s.position, sections.get(&s.number).copied()));
+                let map = cell.correlate(tail, atoms, &mut scratch);
+                for probe in 0..scan.len() {
+                    let at = (probe * intensities.len() + r) * detectors.len() + d;
+                    out[at] = cell.value(&map, scan.position(probe));
+                }
             }
         }
+        Ok(out)
     }
-    Ok(Some(out))
 }
 
 /// Cross section of each element in Angstrom^2.
@@ -139,10 +159,10 @@ impl Cell {
         out
     }
 
-    /// `sum_a s_a P(r_a - shift)` for every shift of the tail's intensity P.
+    /// `sum_a s_a P(r_a - shift)` for every shift of the tail's intensity P, of which `tail` is the transform.
     fn correlate(
         &self,
-        tail: &mut [Complex32],
+        tail: &[Complex32],
         atoms: impl Iterator<Item = ([f64; 3], Option<f64>)>,
         scratch: &mut Scratch,
     ) -> Buffer {
@@ -156,9 +176,8 @@ impl Cell {
             };
             map[bin(1, ny) * stride + bin(0, nx)].re += (section.unwrap_or(0.0) * per_pixel) as f32;
         }
-        self.fft.forward(tail, scratch);
         self.fft.forward(&mut map, scratch);
-        map.iter_mut().zip(&*tail).for_each(|(m, p)| *m *= p.conj());
+        map.iter_mut().zip(tail).for_each(|(m, p)| *m *= p.conj());
         self.fft.inverse(&mut map, scratch);
         map
     }

@@ -3,6 +3,7 @@
 use super::Site;
 use super::exponential::{self, Exponential, SliceAtoms};
 use super::plan::{Grid, Plan};
+use super::spare::Spare;
 use crate::error::{Error, Result};
 use crate::fft::radix::lanes;
 use crate::fft::{Buffer, Fft2, Scratch};
@@ -87,9 +88,10 @@ impl<'a> TransmissionBuilder<'a> {
             oversampled: self.oversampled.get().map(Exponential::workspace),
             coarse: self.coarse.scratch(),
         };
+        let spare = Spare::new();
         let slices: Result<Vec<Option<Buffer>>> = (0..by_slice.len())
             .into_par_iter()
-            .map_init(workspace, |w, i| {
+            .map(|i| {
                 if progress.interrupted() {
                     return Err(Error::Interrupted);
                 }
@@ -98,7 +100,7 @@ impl<'a> TransmissionBuilder<'a> {
                     Projection::Infinite => SliceAtoms::Whole(&by_slice[i]),
                     Projection::Finite => SliceAtoms::Parts { all: &all, slice: i },
                 };
-                Ok(Some(self.slice(atoms, too_close[i], w)))
+                Ok(Some(spare.with(workspace, |w| self.slice(atoms, too_close[i], w))))
             })
             .collect();
         Ok(Transmission { slices: slices?, layout: self.layout })

@@ -14,7 +14,7 @@
 //! two Pt atoms 0.8 A (0.3 A) apart in one slice give 0.2 % (2.4 %), two C atoms 0.5 A (0.2 A) apart
 //! 0.2 % (0.8 %). [`Cores::suits`] refuses what is worse.
 
-use super::projected::{PlacedAtom, phases};
+use super::projected::{PlacedAtom, phases, push_cosines_and_sines};
 use super::scattering::{Parametrization, ScatteringFactor};
 use crate::constants::POTENTIAL_PER_SCATTERING_FACTOR;
 use crate::error::Result;
@@ -53,7 +53,8 @@ struct Core {
 /// Work space of one thread.
 #[derive(Default)]
 pub struct CoreScratch {
-    structure_factor: Vec<Complex32>,
+    /// Rows of cosines and of sines along y, columns of real and of imaginary parts along x.
+    products: Vec<f32>,
 }
 
 impl Cores {
@@ -104,21 +105,40 @@ impl Cores {
         let neighbours = self.phases_of_neighbours(atoms);
         for core in &self.species {
             let mine = || (0..atoms.len()).filter(|&i| atoms[i].number == core.number);
-            let count = mine().count();
             let (mut along_y, mut along_x) = (Vec::new(), Vec::new());
+            let high = self.reach[1] + 1;
             for i in mine() {
                 let turned = Complex64::from_polar(1.0, neighbours[i]);
                 let turned = Complex32::new(turned.re as f32, turned.im as f32);
                 let [x, y, _] = atoms[i].position;
-                along_y.extend(centred(y / self.extent[1], self.reach[1]));
-                along_x.extend(centred(x / self.extent[0], self.reach[0]).map(|p| p * turned));
+                push_cosines_and_sines(y / self.extent[1], ny, high, &mut along_y);
+                let phases: Vec<Complex32> =
+                    centred(x / self.extent[0], self.reach[0]).map(|p| p * turned).collect();
+                along_x.extend(phases.iter().map(|p| p.re));
+                along_x.extend(phases.iter().map(|p| p.im));
             }
-            w.structure_factor.resize(ny * nx, Complex32::ZERO);
-            let sum = (&mut w.structure_factor[..], nx);
-            multiply((ny, nx, count), sum, (&along_y, [1, ny]), (&along_x, nx));
-            if count > 0 {
-                let terms = w.structure_factor.iter().zip(&core.transform);
-                out.iter_mut().zip(terms).for_each(|(o, (s, d))| *o += s * d);
+            let count = along_x.len() / (2 * nx);
+            if count == 0 {
+                continue;
+            }
+            w.products.resize(4 * high * nx, 0.0);
+            let (y, x) = ((&along_y[..], [1, 2 * high]), (&along_x[..], 2 * nx));
+            multiply((2 * high, 2 * nx, count), (&mut w.products, 2 * nx), y, x);
+            let (cosines, sines) = w.products.split_at(2 * high * nx);
+            for iy in 0..ny {
+                let fy = iy as i64 - self.reach[1] as i64;
+                let at = fy.unsigned_abs() as usize * 2 * nx;
+                let (cos_re, cos_im) = cosines[at..][..2 * nx].split_at(nx);
+                let (sin_re, sin_im) = sines[at..][..2 * nx].split_at(nx);
+                let sign = if fy < 0 { -1.0 } else { 1.0 };
+                let to = out[iy * nx..][..nx].iter_mut();
+                for (ix, (o, d)) in to.zip(&core.transform[iy * nx..][..nx]).enumerate() {
+                    let sum = Complex32::new(
+                        cos_re[ix] + sign * sin_im[ix],
+                        cos_im[ix] - sign * sin_re[ix],
+                    );
+                    *o += sum * d;
+                }
             }
         }
     }

@@ -1,8 +1,8 @@
 //! Projected potentials of slices by structure factors.
 //!
 //! `V(k) = (h^2 / 2 pi m e) / area  sum_species f(k) sum_atoms exp(-2 pi i k.r)`: every atom stands
-//! exactly where it is, with no spreading over pixels. The sum over atoms separates into
-//! `exp(-2 pi i kx x) exp(-2 pi i ky y)` and is a matrix product.
+//! exactly where it is, with no spreading over pixels. The sum over atoms separates into cosines and sines of
+//! `2 pi kx x` and `2 pi ky y`, whose products are one real matrix product for a quarter of the plane.
 
 use super::scattering::{Parametrization, ScatteringFactor};
 use super::slices::Slices;
@@ -72,7 +72,8 @@ struct Species {
 pub struct ProjectorScratch {
     fft: Scratch,
     sum: Vec<Complex32>,
-    species_sum: Vec<Complex32>,
+    /// Rows of cosines and of sines along y, columns of cosines and of sines along x.
+    products: Vec<f32>,
 }
 
 impl Projector {
@@ -120,8 +121,12 @@ impl Projector {
     /// Work space for one thread.
     pub fn scratch(&self) -> ProjectorScratch {
         let (ny, nx) = self.fft.shape();
-        let zeros = vec![Complex32::ZERO; ny * (nx / 2 + 1)];
-        ProjectorScratch { fft: self.fft.scratch(), sum: zeros.clone(), species_sum: zeros }
+        let (high, wide) = (ny / 2 + 1, nx / 2 + 1);
+        ProjectorScratch {
+            fft: self.fft.scratch(),
+            sum: vec![Complex32::ZERO; ny * wide],
+            products: vec![0.0; 4 * high * wide],
+        }
     }
 
     /// Projected potential of `atoms`, all of which belong to the slice, in V Angstrom: the real
@@ -129,16 +134,8 @@ impl Projector {
     pub fn infinite(&self, atoms: &[PlacedAtom], out: &mut Buffer, scratch: &mut ProjectorScratch) {
         scratch.sum.fill(Complex32::ZERO);
         for species in &self.species {
-            let positions: Vec<[f64; 3]> =
-                atoms.iter().filter(|a| a.number == species.number).map(|a| a.position).collect();
-            if positions.is_empty() {
-                continue;
-            }
-            self.phase_sum(&positions, &mut scratch.species_sum);
-            let terms = scratch.species_sum.iter().zip(&species.half_plane);
-            for (s, (p, f)) in scratch.sum.iter_mut().zip(terms) {
-                *s += p * f;
-            }
+            let mine = atoms.iter().filter(|a| a.number == species.number).map(|a| a.position);
+            self.add_species(species, mine, scratch);
         }
         self.to_real_space(out, scratch);
     }
@@ -200,18 +197,40 @@ impl Projector {
         }
     }
 
-    /// `sum_atoms exp(-2 pi i k.r)` on the half plane.
-    fn phase_sum(&self, positions: &[[f64; 3]], out: &mut [Complex32]) {
+    /// Adds `V(k) sum_atoms exp(-2 pi i k.r)` on the half plane.
+    fn add_species(
+        &self,
+        species: &Species,
+        positions: impl Iterator<Item = [f64; 3]>,
+        ProjectorScratch { sum, products, .. }: &mut ProjectorScratch,
+    ) {
         let (ny, nx) = self.fft.shape();
-        let half = nx / 2 + 1;
-        let n = positions.len();
-        let mut along_y = Vec::with_capacity(n * ny);
-        let mut along_x = Vec::with_capacity(n * half);
+        let (high, wide) = (ny / 2 + 1, nx / 2 + 1);
+        let (mut along_y, mut along_x) = (Vec::new(), Vec::new());
         for p in positions {
-            along_y.extend(phases(p[1] / self.extent[1], ny, 0..ny));
-            along_x.extend(phases(p[0] / self.extent[0], nx, 0..half));
+            push_cosines_and_sines(p[1] / self.extent[1], ny, high, &mut along_y);
+            push_cosines_and_sines(p[0] / self.extent[0], nx, wide, &mut along_x);
         }
-        multiply((ny, half, n), (out, half), (&along_y, [1, ny]), (&along_x, half));
+        let atoms = along_x.len() / (2 * wide);
+        if atoms == 0 {
+            return;
+        }
+        let (y, x) = ((&along_y[..], [1, 2 * high]), (&along_x[..], 2 * wide));
+        multiply((2 * high, 2 * wide, atoms), (products, 2 * wide), y, x);
+        let (cosines, sines) = products.split_at(2 * high * wide);
+        for iy in 0..ny {
+            let fy = frequency(iy, ny);
+            let at = fy.unsigned_abs() as usize * 2 * wide;
+            let (cos_cos, cos_sin) = cosines[at..][..2 * wide].split_at(wide);
+            let (sin_cos, sin_sin) = sines[at..][..2 * wide].split_at(wide);
+            let sign = if fy < 0 { -1.0 } else { 1.0 };
+            let to = sum[iy * wide..][..wide].iter_mut();
+            let factors = &species.half_plane[iy * wide..][..wide];
+            for (ix, (s, f)) in to.zip(factors).enumerate() {
+                s.re += f * (cos_cos[ix] - sign * sin_sin[ix]);
+                s.im -= f * (cos_sin[ix] + sign * sin_cos[ix]);
+            }
+        }
     }
 
     /// Completes the half plane by Hermitian symmetry and transforms.
@@ -259,6 +278,22 @@ pub(super) fn phases(u: f64, n: usize, bins: std::ops::Range<usize>) -> Vec<Comp
         Complex32::new(w.re as f32, w.im as f32)
     })
     .collect()
+}
+
+/// Appends `cos(2 pi f u)` for the frequencies f below `count` of a grid of `n`, then the sines; `u` is the position
+/// in units of the period.
+pub(super) fn push_cosines_and_sines(u: f64, n: usize, count: usize, out: &mut Vec<f32>) {
+    let step = Complex64::from_polar(1.0, 2.0 * PI * u.rem_euclid(1.0));
+    let start = out.len();
+    out.resize(start + 2 * count, 0.0);
+    let (cosines, sines) = out[start..].split_at_mut(count);
+    let mut w = Complex64::ONE;
+    for (f, (c, s)) in cosines.iter_mut().zip(sines).enumerate() {
+        *c = w.re as f32;
+        // The Nyquist frequency of an even grid stands for both signs.
+        *s = if 2 * f == n { 0.0 } else { w.im as f32 };
+        w *= step;
+    }
 }
 
 #[cfg(test)]

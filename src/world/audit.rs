@@ -110,6 +110,8 @@ pub struct KindAudit {
 pub struct Audit {
     /// Engine that the world was made with.
     pub engine: String,
+    /// Width of its windows.
+    pub window_angstrom: Option<f64>,
     /// Engine that it was compared with.
     pub reference: String,
     /// Configurations averaged, of how many.
@@ -144,6 +146,26 @@ pub enum Source<'a> {
     Field(&'a dyn FieldImage),
     /// An engine that simulated the field itself.
     Direct(&'a Simulator),
+}
+
+impl Source<'_> {
+    fn name(&self) -> String {
+        match self {
+            Source::Field(field) => field.name().to_owned(),
+            Source::Direct(simulator) => simulator.name(),
+        }
+    }
+
+    fn window_angstrom(&self) -> Option<f64> {
+        let mut parameters = match self {
+            Source::Field(field) => field.parameters(),
+            Source::Direct(simulator) => simulator.parameters(),
+        };
+        match serde_json::from_value(parameters["algorithm"].take()) {
+            Ok(Algorithm::Window { width_angstrom }) => Some(width_angstrom),
+            _ => None,
+        }
+    }
 }
 
 struct ColumnPoint {
@@ -192,11 +214,7 @@ pub fn audit(
         compare(centre, (ours, exact), columns, pixel * stride as f64, top)
     };
     let regions = pairs.into_iter().zip(&columns).map(of_region).collect();
-    let engine = match source {
-        Source::Field(field) => field.name().to_owned(),
-        Source::Direct(simulator) => simulator.name(),
-    };
-    Ok(summary(engine, [configurations, all], regions, &columns, recipe, stride))
+    Ok(summary(source, [configurations, all], regions, &columns, recipe, stride))
 }
 
 /// A region in pixels of the full field.
@@ -410,7 +428,7 @@ fn compare(
 }
 
 fn summary(
-    engine: String,
+    source: &Source,
     configurations: [usize; 2],
     regions: Vec<RegionAudit>,
     columns: &[Vec<ColumnPoint>],
@@ -429,7 +447,8 @@ fn summary(
     }
     let step = 10.0 * recipe.field.pixel_nm() * stride as f64;
     Audit {
-        engine,
+        engine: source.name(),
+        window_angstrom: source.window_angstrom(),
         reference: "multislice".into(),
         configurations,
         bright_rms_percent: weighted(&|r| {

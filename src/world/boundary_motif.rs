@@ -14,8 +14,9 @@ use super::sheet::{Sheet, SheetSite, SheetUnit};
 /// Columns nearer to the plane than this are slots, in Angstrom: for those beyond, the other grain is no
 /// nearer than a probe in a crystal feels.
 pub const SLOT_REACH_ANGSTROM: f64 = 5.0;
-/// Scanned beyond the slots, for the ramps to the crystal's units and for interpolation between samples.
-const SCAN_BEYOND_ANGSTROM: f64 = 3.7;
+/// Scanned beyond the slots, for the ramps to the crystal's units and for interpolation between samples
+/// ([`crate::resample::MARGIN`]).
+const SCAN_BEYOND_ANGSTROM: f64 = 2.5;
 /// Specimen beyond the scan: half a window, and the reach of potentials.
 const SPECIMEN_BEYOND_ANGSTROM: f64 = 7.5;
 /// Different contents of a slot, at least.

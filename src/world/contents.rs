@@ -126,9 +126,7 @@ impl Contents {
         allowed: &[bool],
     ) -> Option<Entry> {
         let who = (self.seed, index.id());
-        let mut bins = vec![pool::bin_of(around), pool::bin_of(0.5 * (around + rate))];
-        bins.push(pool::bin_of(rate));
-        bins.dedup();
+        let bins = bins(rate, around);
         // Rather a bin whose numbers of defects reach as far as those of the unit, than one with the same surroundings.
         let found = [2.0, 0.0].into_iter().find_map(|spread| {
             bins.iter().find_map(|&bin| {
@@ -136,6 +134,21 @@ impl Contents {
             })
         });
         found.map(|(bin, cell)| Entry { bin, kind, cell })
+    }
+
+    /// The place in the library of a unit that holds these defects (ascending), if the pool happens to have them.
+    pub fn find(
+        &self,
+        kind: usize,
+        index: ColumnIndex,
+        rate: f64,
+        around: f64,
+        defects: &[u16],
+    ) -> Option<Entry> {
+        let who = (self.seed, index.id());
+        bins(rate, around).into_iter().find_map(|bin| {
+            Some(Entry { bin, kind, cell: self.pool.find(kind, bin, defects, who)? })
+        })
     }
 
     /// What a site of a unit holds: the atom of chain `chain` of a column of kind `column` in cell `depth` along
@@ -161,6 +174,13 @@ impl Contents {
     pub fn pattern(&self, entry: Entry) -> &[u16] {
         &self.pool.patterns(entry.kind, entry.bin).cells[entry.cell]
     }
+}
+
+/// The bins that may serve a unit of one rate in surroundings of another, the best first.
+fn bins(rate: f64, around: f64) -> Vec<usize> {
+    let mut bins = [around, 0.5 * (around + rate), rate].map(pool::bin_of).to_vec();
+    bins.dedup();
+    bins
 }
 
 /// Sheets of a bin that hold `units` units each.

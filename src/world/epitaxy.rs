@@ -143,37 +143,49 @@ impl Epitaxy {
             )?,
             Some(_) => {
                 let around = self.composition.mean(centre[0]);
-                let (rate, allowed) = self.open_sites(contents, (kind, first), position);
-                contents.draw_among(kind, first, rate, around, &allowed)?
+                let open = self.open_sites(contents, (kind, first), position);
+                let drawn = contents.draw_among(kind, first, open.rate, around, &open.allowed);
+                // Where few sites are open the pool may lack what could be there, but seldom what is: nothing.
+                drawn.or_else(|| contents.find(kind, first, open.rate, around, &open.guests))?
             }
         };
         Some(UnitTag::unrotated((first, member), centre, 0, entry))
     }
 
-    /// The sites of a unit that guests may take, and how often they take each; `position` is that of a column.
+    /// The sites of a unit that guests may take; `position` is that of a column.
     fn open_sites(
         &self,
         contents: &Contents,
         (kind, first): (usize, ColumnIndex),
         position: impl Fn(ColumnIndex) -> [f64; 2],
-    ) -> (f64, Vec<bool>) {
-        let mut allowed = vec![false; contents.pool.sites(kind)];
-        let mut rate = 0.0_f64;
+    ) -> OpenSites {
+        let allowed = vec![false; contents.pool.sites(kind)];
+        let mut open = OpenSites { rate: 0.0, allowed, guests: Vec::new() };
         for member in &contents.units.kinds[kind] {
             let cell = [0, 1].map(|k| first.cell[k] + member.cell[k]);
-            let [x, y] = position(ColumnIndex { kind: member.kind, cell, ..first });
+            let index = ColumnIndex { kind: member.kind, cell, ..first };
+            let [x, y] = position(index);
             let chains = &self.lattice.crystal.columns[member.kind].chains;
             for (n, chain) in chains.iter().enumerate() {
                 for cell in 0..self.lattice.cells_along_beam {
                     let Some(site) = contents.site(member.kind, n, cell) else { continue };
                     let z = self.lattice.height(cell, chain);
                     let here = self.composition.at([x, y, z]);
-                    allowed[site] = here > 0.0;
-                    rate = rate.max(here);
+                    open.allowed[site] = here > 0.0;
+                    open.rate = open.rate.max(here);
+                    if self.draws_guest(here, index.key(chain, cell)) {
+                        open.guests.push(site as u16);
+                    }
                 }
             }
         }
-        (rate, allowed)
+        open.guests.sort_unstable();
+        open
+    }
+
+    /// Whether a site drawn by itself holds a guest.
+    fn draws_guest(&self, fraction: f64, key: u64) -> bool {
+        fraction > 0.0 && rng::uniform(self.seed, Purpose::Defect, GUEST_DRAW, key) < fraction
     }
 
     /// Calls `f(column, position)`.
@@ -181,6 +193,16 @@ impl Epitaxy {
         let place = |_, at: [f64; 2]| ([self.lattice.stretch.to_field(at), at[1]], ());
         self.lattice.for_each_column(region, place, |index, position, ()| f(index, position));
     }
+}
+
+/// What a unit may hold.
+struct OpenSites {
+    /// How often guests take each open site.
+    rate: f64,
+    /// Which sites are open.
+    allowed: Vec<bool>,
+    /// The sites that hold one if each is drawn by itself, ascending.
+    guests: Vec<u16>,
 }
 
 impl Specimen for Epitaxy {
@@ -204,9 +226,7 @@ impl Specimen for Epitaxy {
                 }
                 let (mut kind, mut number) = defects.of(key, chain.number);
                 if kind == SiteKind::Pristine && number == self.host {
-                    let fraction = self.composition.at([x, y, z]);
-                    let drawn = || rng::uniform(self.seed, Purpose::Defect, GUEST_DRAW, key);
-                    if fraction > 0.0 && drawn() < fraction {
+                    if self.draws_guest(self.composition.at([x, y, z]), key) {
                         (kind, number) = (SiteKind::Substitution, self.guest);
                     }
                 }

@@ -26,7 +26,7 @@ use crate::error::{Error, Result};
 use crate::phonons::displaced;
 use crate::potential::slices::Slicing;
 use crate::progress::Progress;
-use crate::resample::{Edge, HALF_WIDTH, Kernel, image_band_limit};
+use crate::resample::{Edge, Kernel, MARGIN, image_band_limit};
 
 /// Atoms further than this from a probe do not count, in Angstrom: a particle of 4 nm at this distance from its edge is seen with
 /// 2 % of the film's intensity.
@@ -323,7 +323,7 @@ impl FieldImage for FilmImage<'_> {
             to += &part;
         }
         let at = [0, 1].map(|k| first[k] as f64 * pixel - samples.first[k] as f64);
-        let pixels = self.kernel.raster(image.view(), at, [pixel; 2], shape, Edge::Replicate);
+        let pixels = self.kernel.raster(image.view(), at, [pixel; 2], shape, [Edge::Open; 2]);
         Ok(pixels.mapv(|v| v.max(0.0)))
     }
 
@@ -357,9 +357,10 @@ impl FieldImage for FilmImage<'_> {
 impl Samples {
     /// Those that pixels `pixel` samples apart are interpolated from.
     fn under(first: [usize; 2], shape: [usize; 2], pixel: f64) -> Self {
-        let low = first.map(|p| (p as f64 * pixel).floor() as i64 - HALF_WIDTH as i64 + 1);
-        let high = [0, 1]
-            .map(|k| ((first[k] + shape[k] - 1) as f64 * pixel).floor() as i64 + HALF_WIDTH as i64);
+        let margin = MARGIN as i64;
+        let low = first.map(|p| (p as f64 * pixel).floor() as i64 - margin);
+        let high =
+            [0, 1].map(|k| ((first[k] + shape[k] - 1) as f64 * pixel).floor() as i64 + 1 + margin);
         Samples { first: low, shape: [0, 1].map(|k| (high[k] - low[k] + 1) as usize) }
     }
 }

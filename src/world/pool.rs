@@ -159,6 +159,14 @@ impl Patterns {
         cells.get((u[1] * cells.len() as f64) as usize).map(|c| *c as usize)
     }
 
+    /// A cell with just these defects (ascending), if the pool has any; `u` is a uniform number.
+    pub fn find(&self, defects: &[u16], u: f64) -> Option<usize> {
+        let same = |c: &&u32| self.cells[**c as usize] == defects;
+        let cells: Vec<u32> =
+            self.by_count.get(defects.len())?.iter().filter(same).copied().collect();
+        cells.get((u * cells.len() as f64) as usize).map(|c| *c as usize)
+    }
+
     /// The cells in which a unit holds no defect.
     pub fn pristine(&self) -> &[u32] {
         &self.by_count[0]
@@ -211,6 +219,17 @@ impl Pool {
     ) -> Option<usize> {
         let u = |draw: u32| rng::uniform(seed, Purpose::Pool, draw, id);
         self.patterns(kind, bin).draw(rate, allowed, spread, [u(0), u(1), u(2)])
+    }
+
+    /// The cell of a pattern that holds what the unit `id` of a specimen does (ascending), if there is one in the bin.
+    pub fn find(
+        &self,
+        kind: usize,
+        bin: usize,
+        defects: &[u16],
+        (seed, id): (u64, u64),
+    ) -> Option<usize> {
+        self.patterns(kind, bin).find(defects, rng::uniform(seed, Purpose::Pool, 1, id))
     }
 }
 

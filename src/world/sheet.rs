@@ -6,7 +6,6 @@
 use super::contents::{Contents, Process};
 use super::crystal::ColumnCrystal;
 use super::pool;
-use crate::optics::Optics;
 
 /// Units whose surroundings are alike.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -70,11 +69,6 @@ pub struct Sheet {
     pub units: Vec<SheetUnit>,
     /// Columns around them that only serve as surroundings; site numbers of defects do not count there.
     pub surroundings: Vec<Vec<SheetSite>>,
-}
-
-/// Largest distance between samples of an image that is interpolated with an error below 0.1 % of its contrast.
-pub fn sample_angstrom(optics: &Optics) -> f64 {
-    0.45 / crate::resample::image_band_limit(optics)
 }
 
 impl Sheet {

@@ -9,7 +9,8 @@ use crate::detect::Detector;
 use crate::engine::settings::EXACT_BAND_FRACTION;
 use crate::engine::{
     Algorithm, BeyondLimit, GridChoice, Phonons, Plan, ProbeBox, ProbeRaster, ProbeStep, Scan,
-    Settings, Site, WindowChoice, probe_margin_angstrom, simulate, window_for,
+    Settings, Simulation, Site, WindowChoice, elements, probe_margin_angstrom, simulate,
+    window_for,
 };
 use crate::error::Result;
 use crate::optics::Optics;
@@ -100,7 +101,8 @@ impl Simulator {
         simulator
     }
 
-    /// The mean image of some phonon configurations; `atoms` gives those of each, displaced.
+    /// The mean image of some phonon configurations; `atoms` gives those of each, displaced. They have the same elements
+    /// and mean heights in all.
     ///
     /// # Errors
     /// As [`SubTileEngine::image`].
@@ -112,13 +114,16 @@ impl Simulator {
         progress: &dyn Progress,
     ) -> Result<Array2<f64>> {
         let settings = Settings { phonons: None, ..self.settings.clone() };
+        let first = atoms(0);
+        let plan = Plan::new(&settings, pixels.size_angstrom, &first.heights)?;
+        let mut simulation = Simulation::new(&plan, &elements(&first.sites))?;
+        let mut first = Some(first.sites);
         let mut sum = Array2::<f64>::zeros(pixels.scan.shape);
         for configuration in 0..configurations {
             let share = SubProgress::new(progress, pixels.scan.len());
-            let DisplacedAtoms { sites, heights } = atoms(configuration);
-            let plan = Plan::new(&settings, pixels.size_angstrom, &heights)?;
-            let image = haadf(&plan, &sites, &pixels.scan, &share)?;
-            sum.zip_mut_with(&image, |s, v| *s += f64::from(*v));
+            let sites = first.take().unwrap_or_else(|| atoms(configuration).sites);
+            let images = simulation.images(&sites, &pixels.scan, &share)?;
+            sum.zip_mut_with(&images.image(0, 0), |s, v| *s += f64::from(*v));
             share.complete();
         }
         Ok(sum.mapv(|s| s / configurations as f64))
@@ -209,12 +214,7 @@ impl SubTileEngine for Simulator {
     ) -> Result<Array2<f32>> {
         let heights: Vec<f64> = sites.iter().map(|s| s.position[2]).collect();
         let plan = Plan::new(&self.settings, box_angstrom, &heights)?;
-        haadf(&plan, sites, scan, progress)
+        let images = simulate(&plan, sites, scan, progress)?;
+        Ok(images.data.index_axis_move(Axis(0), 0).index_axis_move(Axis(0), 0))
     }
-}
-
-/// The image of the only detector at the exit surface.
-fn haadf(plan: &Plan, sites: &[Site], scan: &Scan, progress: &dyn Progress) -> Result<Array2<f32>> {
-    let images = simulate(plan, sites, scan, progress)?;
-    Ok(images.data.index_axis_move(Axis(0), 0).index_axis_move(Axis(0), 0))
 }

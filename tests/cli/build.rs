@@ -1,6 +1,6 @@
 //! `stemgen build`.
 
-use super::{file, json, python, stderr, stdout, stemgen};
+use super::{fails, file, json, python, stderr, stdout, stemgen};
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
@@ -59,6 +59,28 @@ fn threads_change_nothing() {
     }
     let digest = |name: &str| python("digest.py", &[&folder.path().join(name)]);
     assert_eq!(digest("one.h5"), digest("two.h5"));
+}
+
+#[test]
+fn an_audit_takes_the_settings_of_the_world() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = tiny(folder.path()).args(["--window", "5.9"]).output().unwrap();
+    assert!(run.status.success(), "{}", stderr(&run));
+    let audit = |arguments: &[&str]| {
+        let mut command = stemgen(folder.path());
+        command.args(["audit", "worlds/tiny.h5", "--size", "0.6"]).args(arguments);
+        command
+    };
+    let found = json(&mut audit(&["--regions", "1"]));
+    assert_eq!(
+        (&found["engine"], &found["window_angstrom"]),
+        (&"window".into(), &5.9.into()),
+        "{found}"
+    );
+    let error = found["all_rms_percent"].as_f64().unwrap();
+    assert!(error > 0.0 && error < 3.0, "{found}");
+    let refused = fails(&mut audit(&["--seed", "3"]));
+    assert!(refused.contains("a world has its recipe"), "{refused}");
 }
 
 #[test]

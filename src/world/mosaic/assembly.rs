@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::library::{Library, Shelf, Single};
 use super::survey::BEYOND_NM;
-use crate::resample::{HALF_WIDTH, Kernel};
+use crate::resample::{Kernel, TAPS, Weights};
 use crate::world::specimen::{Region, Specimen, UnitTag};
 
 /// Width of the ramps between units: weights go with exp(-d^2 / 2 s), d being the distance from the unit's nearest
@@ -167,10 +167,14 @@ fn values(shelf: &Shelf, singles: &[Single], offsets: &[[f64; 2]], kernel: &Kern
     let centres: Vec<[f64; 2]> = singles.iter().map(|s| shelf.position(s.unit)).collect();
     let Some(&centre) = centres.first() else { return vec![0.0; offsets.len()] };
     // Samples of all configurations lie at the same places about the centre, so they are summed first.
+    let (samples, periodic) = ([shelf.shape[1], shelf.shape[0]], shelf.sheet.periodic);
+    let weights = |k: usize, at: f64| -> Weights {
+        if periodic[k] { kernel.weights(at) } else { kernel.weights_within(at, samples[k]) }
+    };
     let range = |k: usize| {
         let low = offsets.iter().map(|o| o[k]).fold(f64::INFINITY, f64::min) + centre[k];
         let high = offsets.iter().map(|o| o[k]).fold(f64::NEG_INFINITY, f64::max) + centre[k];
-        [low.floor() as i64 - HALF_WIDTH as i64 + 1, high.floor() as i64 + HALF_WIDTH as i64]
+        [weights(k, low).first, weights(k, high).first + TAPS as i64 - 1]
     };
     let (x, y) = (range(0), range(1));
     let size = |r: [i64; 2]| (r[1] - r[0] + 1) as usize;
@@ -178,14 +182,11 @@ fn values(shelf: &Shelf, singles: &[Single], offsets: &[[f64; 2]], kernel: &Kern
     let whole = singles.len() == shelf_configurations(shelf, singles);
     let mut add = |image: &Array2<f32>, shift: [i64; 2], weight: f64| {
         let (rows, columns) = image.dim();
-        let wrap = |i: i64, n: usize, periodic: bool| match periodic {
-            true => i.rem_euclid(n as i64) as usize,
-            false => i.clamp(0, n as i64 - 1) as usize,
-        };
-        let places: Vec<usize> =
-            (x[0]..=x[1]).map(|i| wrap(i + shift[0], columns, shelf.sheet.periodic[0])).collect();
+        // Along axes that are not periodic, units of a kind lie at the same place.
+        let wrap = |i: i64, n: usize| i.rem_euclid(n as i64) as usize;
+        let places: Vec<usize> = (x[0]..=x[1]).map(|i| wrap(i + shift[0], columns)).collect();
         for (line, i) in patch.chunks_exact_mut(size(x)).zip(y[0]..=y[1]) {
-            let row = image.row(wrap(i + shift[1], rows, shelf.sheet.periodic[1]));
+            let row = image.row(wrap(i + shift[1], rows));
             for (to, place) in line.iter_mut().zip(&places) {
                 *to += weight * f64::from(row[*place]);
             }
@@ -202,7 +203,7 @@ fn values(shelf: &Shelf, singles: &[Single], offsets: &[[f64; 2]], kernel: &Kern
     }
     let value = |offset: &[f64; 2]| {
         let at = |k: usize, first: i64| {
-            let w = kernel.weights(offset[k] + centre[k]);
+            let w = weights(k, offset[k] + centre[k]);
             ((w.first - first) as usize, w.values)
         };
         let ((column, across), (row, down)) = (at(0, x[0]), at(1, y[0]));

@@ -17,7 +17,6 @@ use crate::world::build::SubTileEngine;
 use crate::world::field_image::FieldImage;
 use crate::world::pixel_box::PixelBox;
 use crate::world::recipe::Recipe;
-use crate::world::sheet::sample_angstrom;
 use crate::world::simulator::Simulator;
 use crate::world::specimen::{Region, Specimen};
 use crate::world::subprogress::Quiet;
@@ -92,8 +91,8 @@ impl<'a> Mosaic<'a> {
         if !(engine.always || worth(&library, &survey, recipe)) {
             return Ok(None);
         }
-        let kernel =
-            Kernel::new(sample_angstrom(&settings.optics), image_band_limit(&settings.optics))?;
+        let band_limit = image_band_limit(&settings.optics);
+        let kernel = Kernel::new(Kernel::default_step(band_limit), band_limit)?;
         let sigma = |number| recipe.phonons.sigma_angstrom(number);
         let simulated = library.fill(&recipe.id, &sigma, &engine.cache, progress)?;
         let simulator = engine.simulator.clone();

@@ -1,23 +1,25 @@
 //! The library: images of the sheets, one for each sheet and phonon configuration.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
-use ndarray::Array2;
+use ndarray::{Array2, Axis};
 use sha2::{Digest, Sha256};
 
 use super::cache::Cache;
-use crate::engine::{Plan, Scan, Settings, Site, simulate};
+use crate::engine::{Plan, Scan, Settings, Simulation, Site};
 use crate::error::{Error, Result};
+use crate::optics::Optics;
 use crate::progress::Progress;
+use crate::resample::{Kernel, image_band_limit, nyquist_step, periodic_samples};
 use crate::rng::{self, Purpose};
 use crate::structure::elements;
 use crate::world::contents::Entry;
-use crate::world::sheet::{Family, Sheet, SheetSite, SheetUnit, sample_angstrom};
+use crate::world::sheet::{Family, Sheet, SheetSite, SheetUnit};
 use crate::world::specimen::{SiteKind, Specimen};
 use crate::world::subprogress::SubProgress;
 
 /// Version of what sheets hold; a change makes older caches useless.
-const VERSION: u32 = 3;
+const VERSION: u32 = 4;
 /// Draw of [`Purpose::Library`] for the contents of surroundings.
 const SURROUNDINGS_DRAW: u32 = 1 << 20;
 
@@ -25,10 +27,12 @@ const SURROUNDINGS_DRAW: u32 = 1 << 20;
 pub struct Shelf {
     /// Geometry.
     pub sheet: Sheet,
-    /// Distance of samples along x and y in Angstrom.
+    /// Distance of the samples of images along x and y in Angstrom: cells hold a whole number.
     pub step_angstrom: [f64; 2],
     /// Samples (rows, columns).
     pub shape: [usize; 2],
+    /// The probes that are propagated for an image: along axes on which sheets repeat no more than it takes.
+    scan: Scan,
     /// Seed of the phonons of each sheet.
     seeds: Vec<u64>,
     /// Digest of the geometry and contents of each sheet.
@@ -57,13 +61,7 @@ pub struct Single {
 impl Shelf {
     /// The sheets of a family, yet without images.
     fn new(sheet: Sheet, family: Family, settings: &Settings) -> Self {
-        let largest = sample_angstrom(&settings.optics);
-        let per_cell = sheet.cell.map(|edge| (edge / largest).ceil());
-        let step_angstrom = [0, 1].map(|k| sheet.cell[k] / per_cell[k]);
-        let samples = |k: usize| {
-            let n = (sheet.scanned[k] / step_angstrom[k]).round() as usize;
-            if sheet.periodic[k] { n } else { n + 1 }
-        };
+        let (scan, step_angstrom, shape) = samples(&sheet, &settings.optics);
         let index = sheet.units.iter().enumerate().map(|(n, u)| ((u.kind, u.cell), n)).collect();
         let mut pristine = BTreeMap::<usize, Vec<usize>>::new();
         for number in 0..sheet.count {
@@ -76,8 +74,9 @@ impl Shelf {
             .collect();
         let seed = |d: &String| u64::from_str_radix(&d[..16], 16).unwrap_or_default();
         Shelf {
-            shape: [samples(1), samples(0)],
+            scan,
             step_angstrom,
+            shape,
             seeds: digests.iter().map(seed).collect(),
             digests,
             index,
@@ -88,9 +87,18 @@ impl Shelf {
         }
     }
 
-    /// Number of samples of one image.
-    pub fn samples(&self) -> usize {
-        self.shape[0] * self.shape[1]
+    /// Probes of one image.
+    pub fn probes(&self) -> usize {
+        self.scan.len()
+    }
+
+    /// An image as it is kept, from what the probes gave.
+    fn resampled(&self, probes: Array2<f32>) -> Array2<f32> {
+        let axes =
+            [(Axis(0), 1), (Axis(1), 0)].into_iter().filter(|(_, k)| self.sheet.periodic[*k]);
+        axes.fold(probes, |image, (axis, _)| {
+            periodic_samples(image.view(), axis, self.shape[axis.index()])
+        })
     }
 
     /// The image of one configuration of a sheet: (row = y, column = x), fractions of the beam.
@@ -202,22 +210,13 @@ impl Shelf {
         Plan::new(settings, self.sheet.box_angstrom, &heights)
     }
 
-    /// Simulates one configuration of a sheet.
-    fn simulate(
-        &self,
-        (sheet, configuration): (usize, usize),
-        settings: &Settings,
-        sigma: &dyn Fn(u8) -> f64,
-        progress: &dyn Progress,
-    ) -> Result<Array2<f32>> {
-        let plan = self.plan(settings)?;
-        let scan = Scan {
-            origin_angstrom: self.sheet.scan_origin,
-            step_angstrom: self.step_angstrom,
-            shape: self.shape,
-        };
-        let images = simulate(&plan, &self.atoms(sheet, configuration, sigma), &scan, progress)?;
-        Ok(images.image(0, 0).to_owned())
+    /// All elements that its sheets may hold, ascending.
+    fn elements(&self) -> Vec<u8> {
+        let units = self.sheet.units.iter().flat_map(|u| u.members.iter().flatten());
+        let sites = units.chain(self.sheet.surroundings.iter().flatten());
+        let mut numbers: BTreeSet<u8> = sites.map(|s| s.number).collect();
+        numbers.extend(self.sheet.process.map(|p| p.defect().1));
+        numbers.into_iter().collect()
     }
 }
 
@@ -264,7 +263,7 @@ impl Library {
 
     /// Probes that all its images take.
     pub fn probes(&self) -> usize {
-        let of = |s: &Shelf| s.samples() * s.sheet.count * self.configurations;
+        let of = |s: &Shelf| s.probes() * s.sheet.count * self.configurations;
         self.shelves.values().map(of).sum()
     }
 
@@ -273,13 +272,14 @@ impl Library {
     /// # Errors
     /// Those of the settings.
     pub fn largest_plan(&self) -> Result<Option<Plan>> {
-        let largest = self.shelves.values().max_by_key(|s| s.samples());
+        let largest = self.shelves.values().max_by_key(|s| s.probes());
         largest.map(|s| s.plan(&self.settings)).transpose()
     }
 
     /// Bytes that the images will take.
     pub fn image_bytes(&self) -> u64 {
-        let of = |s: &Shelf| s.samples() * s.sheet.count * (self.configurations + 1) * 4;
+        let of =
+            |s: &Shelf| s.shape[0] * s.shape[1] * s.sheet.count * (self.configurations + 1) * 4;
         self.shelves.values().map(of).sum::<usize>() as u64
     }
 
@@ -295,8 +295,8 @@ impl Library {
             for sheet in 0..shelf.sheet.count {
                 for configuration in 0..self.configurations {
                     let key = key(&self.settings, sigma, shelf, sheet, configuration);
-                    if cache.load(material, &key, shelf.shape).is_none() {
-                        missing.push(shelf.samples());
+                    if cache.load(material, &key, shelf.scan.shape).is_none() {
+                        missing.push(shelf.probes());
                     }
                 }
             }
@@ -319,19 +319,26 @@ impl Library {
         let probes = self.probes();
         progress.start("library", "probe", probes as u64);
         for (family, shelf) in &mut self.shelves {
+            let plan = shelf.plan(&self.settings)?;
+            let mut simulation = None;
             for sheet in 0..shelf.sheet.count {
                 for configuration in 0..self.configurations {
                     if progress.interrupted() {
                         return Err(Error::Interrupted);
                     }
                     let key = key(&self.settings, sigma, shelf, sheet, configuration);
-                    let share = SubProgress::new(progress, shelf.samples());
-                    let image = match cache.load(material, &key, shelf.shape) {
+                    let share = SubProgress::new(progress, shelf.probes());
+                    let image = match cache.load(material, &key, shelf.scan.shape) {
                         Some(image) => image,
                         None => {
                             missing += 1;
-                            let which = (sheet, configuration);
-                            let image = shelf.simulate(which, &self.settings, sigma, &share)?;
+                            let simulation = match &mut simulation {
+                                Some(simulation) => simulation,
+                                none => none.insert(Simulation::new(&plan, &shelf.elements())?),
+                            };
+                            let atoms = shelf.atoms(sheet, configuration, sigma);
+                            let images = simulation.images(&atoms, &shelf.scan, &share)?;
+                            let image = images.image(0, 0).to_owned();
                             let about =
                                 format!("{family:?}, sheet {sheet}, configuration {configuration}");
                             cache.save(material, &key, &about, &image, progress);
@@ -339,6 +346,7 @@ impl Library {
                         }
                     };
                     share.complete();
+                    let image = shelf.resampled(image);
                     shelf.images[sheet].push(image);
                 }
             }
@@ -347,6 +355,31 @@ impl Library {
         progress.finish();
         Ok(missing)
     }
+}
+
+/// The probes for an image of a sheet, and the distance (x, y) and number (rows, columns) of the samples as which it is kept.
+fn samples(sheet: &Sheet, optics: &Optics) -> (Scan, [f64; 2], [usize; 2]) {
+    let band_limit = image_band_limit(optics);
+    let kept = Kernel::default_step(band_limit);
+    let step_angstrom = sheet.cell.map(|edge| edge / (edge / kept - 1e-9).ceil());
+    let count = |k: usize, step: f64| {
+        let n = (sheet.scanned[k] / step).round() as usize;
+        if sheet.periodic[k] { n } else { n + 1 }
+    };
+    let probes = [0, 1].map(|k| match sheet.periodic[k] {
+        true => (sheet.scanned[k] / nyquist_step(band_limit)).ceil() as usize,
+        false => count(k, step_angstrom[k]),
+    });
+    let step = |k: usize| match sheet.periodic[k] {
+        true => sheet.scanned[k] / probes[k] as f64,
+        false => step_angstrom[k],
+    };
+    let scan = Scan {
+        origin_angstrom: sheet.scan_origin,
+        step_angstrom: [step(0), step(1)],
+        shape: [probes[1], probes[0]],
+    };
+    (scan, step_angstrom, [count(1, step_angstrom[1]), count(0, step_angstrom[0])])
 }
 
 fn mean(images: &[Array2<f32>], shape: [usize; 2]) -> Array2<f32> {
@@ -389,25 +422,16 @@ fn key(
     sheet: usize,
     configuration: usize,
 ) -> String {
-    let mut numbers: Vec<u8> = shelf
-        .sheet
-        .units
-        .iter()
-        .flat_map(|u| u.members.iter().flatten())
-        .map(|s| s.number)
-        .collect();
-    numbers.extend(shelf.sheet.process.map(|p| p.defect().1));
-    numbers.sort_unstable();
-    numbers.dedup();
-    let sigmas: Vec<_> = numbers.iter().map(|n| (elements::symbol(*n), sigma(*n))).collect();
+    let sigmas: Vec<_> =
+        shelf.elements().into_iter().map(|n| (elements::symbol(n), sigma(n))).collect();
     let text = serde_json::json!({
         "stemgen": env!("CARGO_PKG_VERSION"),
         "library": VERSION,
         "settings": settings,
         "sigma_angstrom": sigmas,
         "sheet": shelf.digests[sheet],
-        "step_angstrom": shelf.step_angstrom,
-        "shape": shelf.shape,
+        "step_angstrom": shelf.scan.step_angstrom,
+        "shape": shelf.scan.shape,
         "configuration": configuration,
     });
     hex(&Sha256::digest(text.to_string()))
