@@ -73,7 +73,8 @@ fn difference(ours: &Array2<f64>, exact: &Array2<f64>) -> [f64; 2] {
     [ours.mean().unwrap() / mean - 1.0, rms.sqrt() / mean]
 }
 
-/// All atoms together in windows, with the pixels' own margin.
+/// All atoms together in windows. The box repeats, so it must be large for the tails of probes to meet the film's mean
+/// density: with the least margin the mean is off by 0.1-0.3 %.
 fn whole(
     film: &FilmImage,
     simulator: &Simulator,
@@ -82,7 +83,7 @@ fn whole(
     specimen: &dyn Specimen,
     configurations: usize,
 ) -> Array2<f64> {
-    let (margin, thickness) = (simulator.margin_angstrom(), specimen.thickness_nm());
+    let (margin, thickness) = (simulator.margin_angstrom() + 10.0, specimen.thickness_nm());
     let pixels = PixelBox::new((first, shape, 1), recipe.field.pixel_nm(), margin, thickness);
     let atoms = |configuration| film.atoms(&pixels.area, configuration);
     simulator.mean(&pixels, configurations, atoms, &Silent).unwrap()
