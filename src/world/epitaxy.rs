@@ -225,10 +225,9 @@ impl Specimen for Epitaxy {
                     return SpecimenSite { key, position_nm: [x, y, z], number, kind };
                 }
                 let (mut kind, mut number) = defects.of(key, chain.number);
-                if kind == SiteKind::Pristine && number == self.host {
-                    if self.draws_guest(self.composition.at([x, y, z]), key) {
-                        (kind, number) = (SiteKind::Substitution, self.guest);
-                    }
+                let host = kind == SiteKind::Pristine && number == self.host;
+                if host && self.draws_guest(self.composition.at([x, y, z]), key) {
+                    (kind, number) = (SiteKind::Substitution, self.guest);
                 }
                 SpecimenSite { key, position_nm: [x, y, z], number, kind }
             });
