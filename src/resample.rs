@@ -86,14 +86,8 @@ impl Kernel {
     /// # Errors
     /// [`Error::Invalid`] for steps above the Nyquist distance `1 / (2 band_limit)`.
     pub fn new(step: f64, band_limit: f64) -> Result<Self> {
+        Self::check(step, band_limit)?;
         let product = step * band_limit;
-        if !(product > 0.0 && product <= MOST_PRODUCT * (1.0 + 1e-9)) {
-            let expected = format!(
-                "must be above 0 and at most {:.4}: the Nyquist distance of the image",
-                nyquist_step(band_limit)
-            );
-            return Err(Error::invalid("step between samples (A)", step, expected));
-        }
         let factor = Cholesky::new(|i, j| {
             let noise = if i == j { NOISE } else { 0.0 };
             correlation((i as f64 - j as f64) * product) + noise
@@ -113,6 +107,22 @@ impl Kernel {
             (0..=PHASES).map(|phase| row(at(phase))).collect()
         };
         Ok(Kernel { tables: (0..TAPS - 1).map(table).collect() })
+    }
+
+    /// Whether samples `step` apart carry an image without frequencies above `band_limit`.
+    ///
+    /// # Errors
+    /// Those of [`Kernel::new`].
+    pub fn check(step: f64, band_limit: f64) -> Result<()> {
+        let product = step * band_limit;
+        if product > 0.0 && product <= MOST_PRODUCT * (1.0 + 1e-9) {
+            return Ok(());
+        }
+        let expected = format!(
+            "must be above 0 and at most {:.4}: the Nyquist distance of the image",
+            nyquist_step(band_limit)
+        );
+        Err(Error::invalid("step between samples (A)", step, expected))
     }
 
     /// The step that [`Kernel`] interpolates with an error below 0.1 % of the contrast.

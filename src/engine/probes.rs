@@ -39,7 +39,7 @@ impl ProbeRaster {
         let cell = plan.transmission_grid.extent_angstrom;
         let band_limit = image_band_limit(&plan.settings.optics);
         let Some(most) = step_angstrom(&plan.settings) else { return Ok(Self::every(asked)) };
-        Kernel::new(most, band_limit)?;
+        Kernel::check(most, band_limit)?;
         let counts = [asked.shape[1], asked.shape[0]];
         let axes = [0, 1].map(|i| Axis::new(counts[i], asked.step_angstrom[i], cell[i], most));
         if !axes.iter().any(|a| a.interpolated) {
