@@ -12,8 +12,8 @@ stemgen's plain multislice on the full grid with all scattering to 250 mrad, whi
 until it no longer changes (tests/golden.rs): rms difference and mean difference, both divided by the mean.
 
 Runs of abTEM: prismF-S is PRISM with interpolation F on pixels of at most S Angstrom, multislice-S plain multislice. All have slices
-of one atomic plane, as ours have; -thin: 1 A slices, as published images have. Plain multislice is timed on the probes of the one cell; its
-time for the image is the time of these times the number of cells, plus the potentials'. abTEM starts to time after imports and warm-up; stemgen's
+of one atomic plane, as ours have; -thin: 1 A slices, as published images have. Plain multislice and PRISM with f = 1 are timed on the probes of the one cell; the
+time for the image is the time of these times the number of cells, plus that of potentials and plane waves. abTEM starts to time after imports and warm-up; stemgen's
 time is that of its process, start and file included. Runs go in turn, round by round.
 """
 
@@ -114,7 +114,7 @@ class Bench:
         part = kind == "multislice"
         figures, image = self.stemgen(structure, options, part)
         if part:
-            figures = self.whole_image(figures, 0.0)
+            figures = self.whole_image(figures)
         return figures, image if phonons == 1 else None
 
     def abtem(self, name):
@@ -125,20 +125,26 @@ class Bench:
             "--slice", 1.0 if thin else self.plane(), "--threads", self.args.threads, "--fft", self.args.fft,
             "--image", self.folder / "abtem.npy",
         ]
+        part = engine in ("multislice", "prism1")
+        if part:
+            command += ["--part", ",".join(map(str, self.case.part))]
         if engine == "multislice":
-            command += ["--engine", "multislice", "--part", ",".join(map(str, self.case.part))]
+            command += ["--engine", "multislice"]
         else:
             command += ["--interpolation", engine.removeprefix("prism")]
         _, text = run(command)
         told = json.loads(text.strip().splitlines()[-1])
         figures = {"wall_s": told["wall_s"], "cpu_s": told["cpu_s"], "mb": told["peak_rss_mb"], "parts_s": told["parts_s"]}
-        if engine == "multislice":
-            figures = self.whole_image(figures, told["parts_s"]["potential"])
+        if part:
+            parts = told["parts_s"]
+            figures = self.whole_image(figures, parts["potential"] + parts.get("s_matrix", 0.0))
         return figures, np.load(self.folder / "abtem.npy") if self.args.configurations == 1 else None
 
-    def whole_image(self, figures, once_s):
+    def whole_image(self, figures, once_s=0.0):
+        """`once_s`: wall time of what the image takes once; as much of the CPU time."""
         cells = self.case.cells[0] * self.case.cells[1]
-        times = {k: once_s + (figures[k] - once_s) * cells for k in ("wall_s", "cpu_s")}
+        once = {k: once_s / figures["wall_s"] * figures[k] for k in ("wall_s", "cpu_s")}
+        times = {k: once[k] + (figures[k] - once[k]) * cells for k in once}
         return {**figures, **times, "extrapolated": True}
 
     def errors(self, image):

@@ -52,6 +52,8 @@ pub struct GridReport {
 #[derive(Debug, Serialize)]
 pub struct SliceReport {
     count: usize,
+    /// By a wave, in the mean.
+    passed: f64,
     thinnest_angstrom: f64,
     thickest_angstrom: f64,
 }
@@ -81,6 +83,7 @@ impl PlanReport {
         let thickness = plan.slices.boundaries.windows(2).map(|w| w[1] - w[0]);
         let slices = SliceReport {
             count: plan.slices.len(),
+            passed: plan.steps_per_wave,
             thinnest_angstrom: thickness.clone().fold(f64::INFINITY, f64::min),
             thickest_angstrom: thickness.fold(0.0, f64::max),
         };
@@ -118,7 +121,11 @@ impl PlanReport {
             true => format!("{:.3} A", s.thickest_angstrom),
             false => format!("{:.3} to {:.3} A", s.thinnest_angstrom, s.thickest_angstrom),
         };
-        out.add("slices", format!("{} of {range}", s.count));
+        let passed = match s.passed < s.count as f64 {
+            true => format!("; a window passes {:.1}", s.passed),
+            false => String::new(),
+        };
+        out.add("slices", format!("{} of {range}{passed}", s.count));
         let recorded = self.thicknesses_angstrom.iter().map(|t| format!("{t:.2}"));
         out.add("recorded at", format!("{} A", recorded.collect::<Vec<_>>().join(", ")));
         if self.beams > 0 {

@@ -149,6 +149,7 @@ impl Simulate {
         let scan = self.scan(&plan, &specimen)?;
         self.add_warnings(&mut plan, &specimen, &scan);
         if self.common.dry_run {
+            plan.count_steps(&specimen.sites, &scan);
             return self.dry_run(&plan, &specimen, &scan);
         }
         let names: Vec<&str> = match self.results.plane_wave {

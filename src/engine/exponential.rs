@@ -105,7 +105,9 @@ impl Exponential {
         };
         cores.add(atoms, &mut w.cores, &mut w.core_scratch);
         let (rows, columns) = cores.shape();
-        let middle = |i: usize, n: usize, m: usize| (i + m / 2) % n;
+        // Frequency 0 is in the middle there.
+        let middle =
+            |i: usize, n: usize, m: usize| if i <= m / 2 { i + m / 2 } else { i + m / 2 - n };
         crop_spectrum(&self.grid, points, plan.band_limit, |a, b, k| {
             let core = w.cores[middle(a.0, ny, rows) * columns + middle(a.1, nx, columns)];
             put(b, (data[a.0 * stride + a.1] / pixels + core) * weight(k));

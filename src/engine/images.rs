@@ -175,7 +175,7 @@ pub fn exit_wave(
     let transmission = builder.build(sites, configuration, progress)?;
     let mut stepper = Stepper::new(plan);
     let slices = &plan.slices;
-    let (legs, end) = stepper.route(slices.entrance(), 0..slices.len(), &transmission);
+    let (legs, end) = stepper.route(slices.entrance(), transmission.filled(0..slices.len()));
     let to_exit = stepper.propagator(slices.boundaries[slices.len()] - end);
     let fft = stepper.fft();
     let (mut waves, mut w) = ([fft.buffer()], stepper.workspace());

@@ -6,6 +6,7 @@ mod images;
 mod imaging;
 pub mod independent;
 mod multislice;
+mod occupancy;
 pub mod plan;
 mod prism;
 mod prism_reduce;

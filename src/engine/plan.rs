@@ -75,6 +75,8 @@ pub struct Plan {
     /// After which slices images are recorded (0-based, increasing; the last is usually the last
     /// slice).
     pub record_after: Vec<usize>,
+    /// Slices that a wave passes: all, or fewer where windows meet atoms in some only ([`Plan::count_steps`]).
+    pub steps_per_wave: f64,
     /// Plane waves propagated (PRISM) or 0.
     pub beams: usize,
     /// For PRISM, the grid on which exit waves are kept: the whole cell at the band limit.
@@ -142,6 +144,7 @@ impl Plan {
             band_limit,
             band_limit_mrad: (band_limit - settings.band_taper * grid.nyquist()) * wavelength * 1e3,
             record_after: record_after(&settings.thicknesses_angstrom, &slices)?,
+            steps_per_wave: slices.len() as f64,
             slices,
             beams: 0,
             exit_grid: None,
@@ -255,7 +258,7 @@ impl Plan {
             5.0 * n * n.log2()
         };
         let waves = if self.beams > 0 { self.beams } else { probes };
-        let propagation = (waves * self.slices.len()) as f64 * 2.0 * fft(&self.wave_grid);
+        let propagation = waves as f64 * self.steps_per_wave * 2.0 * fft(&self.wave_grid);
         let potentials = self.slices.len() as f64 * 4.0 * fft(&self.potential_grid);
         let reduction = match (&self.exit_grid, self.settings.algorithm) {
             (Some(g), Algorithm::Prism { interpolation }) => {

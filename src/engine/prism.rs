@@ -106,7 +106,8 @@ impl<'a> Prism<'a> {
     ) -> Result<()> {
         let edges = &self.plan.slices.boundaries;
         let (entrance, exit) = (edges[slices.start], edges[slices.end]);
-        let (legs, end) = self.stepper.route(entrance, slices.clone(), specimen.transmission);
+        let (legs, end) =
+            self.stepper.route(entrance, specimen.transmission.filled(slices.clone()));
         let this = &*self;
         let to_exit = this.fresnel(exit - end);
         let (plane, fft) = (this.exit_plane(), this.stepper.fft());

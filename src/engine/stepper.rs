@@ -14,6 +14,7 @@ use crate::fft::multiplier::{Disk, DiskMultiplier};
 use crate::fft::radix::lanes;
 use crate::fft::{Buffer, Fft2, Scratch};
 use num_complex::Complex32;
+use std::collections::HashMap;
 use std::f64::consts::PI;
 use std::ops::Range;
 
@@ -25,8 +26,10 @@ pub(super) struct Stepper {
     disk: Disk,
     band: Vec<Range<usize>>,
     planes: Vec<f64>,
-    /// Propagators for the distinct distances met so far, in Angstrom.
-    propagators: Vec<(f64, DiskMultiplier)>,
+    /// Propagators for the distinct distances met so far.
+    propagators: Vec<DiskMultiplier>,
+    /// Which of them is for a distance, in 1e-9 Angstrom.
+    by_distance: HashMap<i64, usize>,
 }
 
 /// One leg of a wave's way: on to a slice that holds atoms, and through it.
@@ -81,20 +84,16 @@ impl Stepper {
             band,
             planes: plan.slices.planes.clone(),
             propagators: Vec::new(),
+            by_distance: HashMap::new(),
         }
     }
 
     /// The legs of a wave that starts at height `start` (Angstrom) and passes the given slices, with
-    /// the height of the plane where it ends. Empty slices are passed in one step, which is exact.
-    pub fn route(
-        &mut self,
-        start: f64,
-        slices: Range<usize>,
-        transmission: &Transmission,
-    ) -> (Vec<Leg>, f64) {
+    /// the height of the plane where it ends. What lies between them is passed in one step.
+    pub fn route(&mut self, start: f64, slices: impl Iterator<Item = usize>) -> (Vec<Leg>, f64) {
         let mut at = start;
         let mut legs = Vec::new();
-        for slice in slices.filter(|&i| transmission.slices[i].is_some()) {
+        for slice in slices {
             let propagator = self.propagator_index(self.planes[slice] - at);
             legs.push(Leg { slice, propagator });
             at = self.planes[slice];
@@ -119,7 +118,7 @@ impl Stepper {
         specimen: Specimen<'_>,
         w: &mut Workspace,
     ) {
-        self.propagate_by(waves, &self.propagators[leg.propagator].1, &mut w.fft);
+        self.propagate_by(waves, &self.propagators[leg.propagator], &mut w.fft);
         if let Some(t) = &specimen.transmission.slices[leg.slice] {
             self.transmit(waves, t, specimen.transmission.layout, specimen.origin, w);
         }
@@ -134,12 +133,14 @@ impl Stepper {
     }
 
     fn propagator_index(&mut self, distance: f64) -> usize {
-        let same = |p: &(f64, DiskMultiplier)| (p.0 - distance).abs() < 1e-9;
-        self.propagators.iter().position(same).unwrap_or_else(|| {
-            let made = self.propagator(distance);
-            self.propagators.push((distance, made));
-            self.propagators.len() - 1
-        })
+        // Equal distances between planes differ by rounding.
+        let key = (distance * 1e9).round() as i64;
+        if let Some(&index) = self.by_distance.get(&key) {
+            return index;
+        }
+        self.propagators.push(self.propagator(distance));
+        self.by_distance.insert(key, self.propagators.len() - 1);
+        self.propagators.len() - 1
     }
 
     /// `exp(-i pi lambda dz k^2)` inside the disk, divided by the number of pixels.

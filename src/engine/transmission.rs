@@ -2,16 +2,17 @@
 
 use super::Site;
 use super::exponential::{self, Exponential, SliceAtoms};
+use super::occupancy::{Occupancy, place};
 use super::plan::{Grid, Plan};
 use super::spare::Spare;
 use crate::error::{Error, Result};
 use crate::fft::radix::lanes;
 use crate::fft::{Buffer, Fft2, Scratch};
-use crate::phonons::displaced;
 use crate::potential::projected::{PlacedAtom, Projection};
 use crate::progress::Progress;
 use num_complex::Complex32;
 use rayon::prelude::*;
+use std::ops::Range;
 use std::sync::OnceLock;
 
 /// Transmission functions of all slices.
@@ -19,6 +20,7 @@ pub(super) struct Transmission {
     /// `None` where no atom is, so that waves pass in one step.
     pub slices: Vec<Option<Buffer>>,
     pub layout: Layout,
+    pub occupancy: Occupancy,
 }
 
 /// How a transmission function is stored.
@@ -75,7 +77,7 @@ impl<'a> TransmissionBuilder<'a> {
         configuration: u32,
         progress: &dyn Progress,
     ) -> Result<Transmission> {
-        let by_slice = self.place(sites, configuration);
+        let by_slice = place(self.plan, sites, configuration);
         let all: Vec<PlacedAtom> = by_slice.iter().flatten().copied().collect();
         let too_close: Vec<bool> = by_slice.par_iter().map(|s| !self.usual.suits(s)).collect();
         if self.oversampled.get().is_none() && too_close.contains(&true) {
@@ -103,7 +105,8 @@ impl<'a> TransmissionBuilder<'a> {
                 Ok(Some(spare.with(workspace, |w| self.slice(atoms, too_close[i], w))))
             })
             .collect();
-        Ok(Transmission { slices: slices?, layout: self.layout })
+        let occupancy = Occupancy::new(self.plan, &by_slice);
+        Ok(Transmission { slices: slices?, layout: self.layout, occupancy })
     }
 
     /// One band-limited transmission function.
@@ -142,22 +145,12 @@ impl<'a> TransmissionBuilder<'a> {
         }
         out
     }
+}
 
-    /// Displaces the atoms and sorts them into slices.
-    fn place(&self, sites: &[Site], configuration: u32) -> Vec<Vec<PlacedAtom>> {
-        let slices = &self.plan.slices;
-        let mut by_slice = vec![Vec::new(); slices.len()];
-        for site in sites {
-            let position = match self.plan.settings.phonons {
-                Some(p) => displaced(site, p.seed, configuration),
-                None => site.position,
-            };
-            // Wrapped by the mean height: a site near a face must not jump to the other one.
-            let z = slices.wrap(site.position[2]) + (position[2] - site.position[2]);
-            let position = [position[0], position[1], z];
-            by_slice[slices.index(z)].push(PlacedAtom { position, number: site.number });
-        }
-        by_slice
+impl Transmission {
+    /// Those of some slices that hold atoms.
+    pub fn filled(&self, slices: Range<usize>) -> impl Iterator<Item = usize> {
+        slices.filter(|&i| self.occupancy.filled(i))
     }
 }
 
@@ -172,7 +165,8 @@ pub(super) fn crop_spectrum(
 ) {
     let dk = grid.dk();
     let reach = disk_reach(grid, points, limit).map(|n| n as i64);
-    let bin = |f: i64, n: usize| f.rem_euclid(n as i64) as usize;
+    // Frequencies are below n / 2: no division.
+    let bin = |f: i64, n: usize| (if f < 0 { f + n as i64 } else { f }) as usize;
     for fy in -reach[1]..=reach[1] {
         for fx in -reach[0]..=reach[0] {
             let k = [fx as f64 * dk[0], fy as f64 * dk[1]];

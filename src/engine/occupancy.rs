@@ -1,0 +1,104 @@
+//! Where the atoms of slices are: what holds none near a window is passed in one step there.
+//!
+//! Particles, edges, tilted crystals and amorphous specimens have thin slices, of which a window meets few atoms or none.
+
+use super::plan::{Grid, Plan};
+use super::{Scan, Site};
+use crate::phonons::displaced;
+use crate::potential::projected::{PlacedAtom, Projection};
+
+/// Slices without an atom so near to a window, in Angstrom, are empty there. On a tilted Pt particle of 2.8 nm, windows of 5.9 A
+/// and slices of 0.5 A, that changes bright pixels by 0.002 % rms (no pixel by more than 0.006 % of the maximum) and takes 0.38
+/// times as long; with 0.5 A it would be 0.004 and 0.009 %, with 0 A 0.03 and 0.11 %.
+const NEAR_ANGSTROM: f64 = 1.0;
+/// Windows that an estimate looks at.
+const SAMPLED: usize = 400;
+
+/// The atoms of each slice, from above.
+pub(super) struct Occupancy {
+    /// Grid of the transmission functions.
+    grid: Grid,
+    /// Points (x, y) of a window.
+    window: [usize; 2],
+    /// x and y of the atoms in pixels.
+    slices: Vec<Vec<[f64; 2]>>,
+    /// Whether slices hold parts of the atoms of others.
+    spread: bool,
+}
+
+impl Occupancy {
+    pub fn new(plan: &Plan, by_slice: &[Vec<PlacedAtom>]) -> Self {
+        let grid = plan.transmission_grid;
+        let pixel = grid.sampling_angstrom();
+        let at = |a: &PlacedAtom| [0, 1].map(|k| a.position[k] / pixel[k]);
+        let slices = by_slice.iter().map(|s| s.iter().map(at).collect()).collect();
+        let spread = plan.settings.projection == Projection::Finite;
+        Occupancy { grid, window: plan.wave_grid.points, slices, spread }
+    }
+
+    /// Whether a slice holds anything.
+    pub fn filled(&self, slice: usize) -> bool {
+        self.spread || !self.slices[slice].is_empty()
+    }
+
+    /// The slices that hold anything for waves that begin at pixel `origin` (row, column).
+    pub fn within(&self, origin: (usize, usize)) -> Vec<usize> {
+        let (cell, pixel) = (self.grid.points, self.grid.sampling_angstrom());
+        let origin = [origin.1, origin.0];
+        let near = |atom: &[f64; 2]| {
+            (0..2).all(|k| {
+                let reach = NEAR_ANGSTROM / pixel[k];
+                let from_start = atom[k] - origin[k] as f64 + reach;
+                from_start.rem_euclid(cell[k] as f64) <= self.window[k] as f64 + 2.0 * reach
+            })
+        };
+        (0..self.slices.len()).filter(|&i| self.spread || self.slices[i].iter().any(near)).collect()
+    }
+
+    /// As if slices held something everywhere.
+    #[cfg(test)]
+    pub fn spread(&mut self) {
+        self.spread = true;
+    }
+}
+
+/// Displaces atoms and sorts them into slices.
+pub(super) fn place(plan: &Plan, sites: &[Site], configuration: u32) -> Vec<Vec<PlacedAtom>> {
+    let slices = &plan.slices;
+    let mut by_slice = vec![Vec::new(); slices.len()];
+    for site in sites {
+        let position = match plan.settings.phonons {
+            Some(p) => displaced(site, p.seed, configuration),
+            None => site.position,
+        };
+        // Wrapped by the mean height: a site near a face must not jump to the other one.
+        let z = slices.wrap(site.position[2]) + (position[2] - site.position[2]);
+        let position = [position[0], position[1], z];
+        by_slice[slices.index(z)].push(PlacedAtom { position, number: site.number });
+    }
+    by_slice
+}
+
+impl Plan {
+    /// Lets the estimates know how many slices the probes of a scan pass in the mean.
+    pub fn count_steps(&mut self, sites: &[Site], scan: &Scan) {
+        if self.wave_grid == self.transmission_grid || scan.is_empty() {
+            return;
+        }
+        let occupancy = Occupancy::new(self, &place(self, sites, 0));
+        let (cell, pixel) =
+            (self.transmission_grid.points, self.transmission_grid.sampling_angstrom());
+        let every = scan.len().div_ceil(SAMPLED);
+        let steps = |i: usize| {
+            let at = scan.position(i);
+            let first = [0, 1].map(|k| {
+                let first = (at[k] / pixel[k]).round() as i64 - self.wave_grid.points[k] as i64 / 2;
+                first.rem_euclid(cell[k] as i64) as usize
+            });
+            occupancy.within((first[1], first[0])).len()
+        };
+        let sampled = (0..scan.len()).step_by(every);
+        let number = sampled.len();
+        self.steps_per_wave = sampled.map(steps).sum::<usize>() as f64 / number as f64;
+    }
+}
