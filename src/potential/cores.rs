@@ -14,6 +14,7 @@
 //! two Pt atoms 0.8 A (0.3 A) apart in one slice give 0.2 % (2.4 %), two C atoms 0.5 A (0.2 A) apart
 //! 0.2 % (0.8 %). [`Cores::suits`] refuses what is worse.
 
+use super::bessel::J0;
 use super::projected::{PlacedAtom, phases, push_cosines_and_sines};
 use super::scattering::{Parametrization, ScatteringFactor};
 use crate::constants::POTENTIAL_PER_SCATTERING_FACTOR;
@@ -192,10 +193,11 @@ impl Core {
         let dk = extent.map(|l| 1.0 / l);
         let top = (reach[0] as f64 * dk[0]).hypot(reach[1] as f64 * dk[1]).max(1e-9);
         let step = top / (TRANSFORM_POINTS - 2) as f64;
+        let j0 = J0::new();
         let table: Vec<Complex64> = (0..TRANSFORM_POINTS)
             .map(|i| {
                 let q = 2.0 * PI * i as f64 * step;
-                core.iter().map(|(r, c)| c * libm::j0(q * r)).sum::<Complex64>()
+                core.iter().map(|(r, c)| c * j0.at(q * r)).sum::<Complex64>()
             })
             .collect();
         let area = extent[0] * extent[1];
@@ -225,6 +227,7 @@ impl Core {
 struct Smooth {
     /// (2 pi q, the rest of the integrand with Simpson's weights)
     nodes: Vec<(f64, f64)>,
+    j0: J0,
 }
 
 impl Smooth {
@@ -238,11 +241,11 @@ impl Smooth {
             let smoothing = (-0.5 * (q / cutoff).powi(2)).exp();
             (2.0 * PI * q, 2.0 * PI * q * unit * factor.at(q * q) * smoothing * weight)
         };
-        Smooth { nodes: (0..=intervals).map(node).collect() }
+        Smooth { nodes: (0..=intervals).map(node).collect(), j0: J0::new() }
     }
 
     fn at(&self, r: f64) -> f64 {
-        self.nodes.iter().map(|(q, f)| f * libm::j0(q * r)).sum()
+        self.nodes.iter().map(|(q, f)| f * self.j0.at(q * r)).sum()
     }
 }
 
@@ -271,7 +274,8 @@ pub fn amplitudes(factor: &ScatteringFactor, sigma: f64, ks: &[f64]) -> Vec<Comp
             (r, wave * (2.0 * PI * r * weight))
         })
         .collect();
-    let at = |k: &f64| points.iter().map(|(r, c)| c * libm::j0(2.0 * PI * k * r)).sum();
+    let j0 = J0::new();
+    let at = |k: &f64| points.iter().map(|(r, c)| c * j0.at(2.0 * PI * k * r)).sum();
     ks.iter().map(at).collect()
 }
 

@@ -1,5 +1,6 @@
 //! From atoms to projected potentials: scattering factors, slices, structure factors.
 
+mod bessel;
 pub mod cores;
 pub mod projected;
 pub mod scattering;
