@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::build::SubTileEngine;
 use super::field_image::FieldImage;
-use super::film::SPAN_ANGSTROM;
+use super::film::AUDIT_SPAN_ANGSTROM;
 use super::pixel_box::PixelBox;
 use super::recipe::Recipe;
 use super::simulator::Simulator;
@@ -190,7 +190,7 @@ pub fn audit(
     let configurations = options.configurations.unwrap_or(all).clamp(1, all);
     let mut reference = Simulator::new(recipe, Algorithm::Multislice).with_large_probe_box();
     if specimen.film().is_some() {
-        reference = reference.with_slices(Slicing::Grouped(SPAN_ANGSTROM));
+        reference = reference.with_slices(Slicing::Grouped(AUDIT_SPAN_ANGSTROM));
     }
     let pixel = 10.0 * recipe.field.pixel_nm();
     let stride = options.stride.unwrap_or((POINT_ANGSTROM / pixel).round().max(1.0) as usize);

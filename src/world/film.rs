@@ -38,11 +38,13 @@ const POTENTIAL_ANGSTROM: f64 = 1.5;
 /// Atoms of particles within so many Angstrom along the beam share a slice: tilted particles have no planes. Of a particle of
 /// 2.8 nm, one configuration, windows of 5.9 A, bright pixels are off by 0.68 / 0.60 / 0.43 / 0.27 % rms with 0.5 / 0.35 / 0.25 /
 /// 0.15 A against 0.05 A, and take 0.83 / 1 / 1.06 / 1.20 times as long: windows pass most of thin slices in one step.
-pub const SPAN_ANGSTROM: f64 = 0.2;
+const SPAN_ANGSTROM: f64 = 0.15;
+/// The same in the reference of audits, so that they show what slices make of particles.
+pub const AUDIT_SPAN_ANGSTROM: f64 = 0.1;
 /// Pixels of the film that take as long as a probe takes for a nm of particle.
-const PIXELS_PER_PROBE_NM: f64 = 30.0;
+const PIXELS_PER_PROBE_NM: f64 = 120.0;
 /// Edge in samples of the blocks in which particles are simulated.
-const BLOCK: i64 = 64;
+const BLOCK: i64 = 48;
 /// Probes of such a block.
 pub const BLOCK_PROBES: usize = (BLOCK * BLOCK) as usize;
 
