@@ -6,7 +6,8 @@
 //! independent atoms. So nearly all the time goes to particles, and the film costs the same for any number of configurations.
 //!
 //! Left out is the interference of the film's waves with those of the particles. For a Pt particle of 2.8 nm on 5 nm of carbon
-//! it changes bright columns by 0.95 % rms (mean -0.15 %) in one configuration; it averages out over configurations.
+//! it changes bright columns by 0.95 % rms (mean -0.15 %) in one configuration. Audits of a particle of 2.6 nm: 0.58 % rms with 4
+//! configurations, 0.60 % with 16, and 0.66 / 0.65 % with windows of 5.9 / 7.8 A: most of the rest does not change with the phonons.
 
 use std::collections::{BTreeMap, BTreeSet};
 
