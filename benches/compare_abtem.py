@@ -12,9 +12,10 @@ stemgen's plain multislice on the full grid with all scattering to 250 mrad, whi
 until it no longer changes (tests/golden.rs): rms difference and mean difference, both divided by the mean.
 
 Runs of abTEM: prismF-S is PRISM with interpolation F on pixels of at most S Angstrom, multislice-S plain multislice. All have slices
-of one atomic plane, as ours have; -thin: 1 A slices, as published images have. Plain multislice and PRISM with f = 1 are timed on the probes of the one cell; the
-time for the image is the time of these times the number of cells, plus that of potentials and plane waves. abTEM starts to time after imports and warm-up; stemgen's
-time is that of its process, start and file included. Runs go in turn, round by round.
+of one atomic plane, as ours have; -thin: 1 A slices, as published images have. Plain multislice and PRISM with F = 1 are timed on the
+probes of the one cell; the time for the image is the time of these times the number of cells, plus that of potentials and plane waves.
+abTEM starts to time after imports and warm-up; stemgen's time is that of its process, start and file included. Runs go in turn, round
+by round.
 """
 
 import argparse

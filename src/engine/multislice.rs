@@ -127,12 +127,7 @@ impl<'a> Multislice<'a> {
         let pixel = grid.sampling_angstrom();
         let mut by_window: BTreeMap<[i64; 2], Vec<(usize, [f64; 2])>> = BTreeMap::new();
         for (i, position) in positions.enumerate() {
-            let mut first = [0; 2];
-            for k in [0, 1].into_iter().filter(|&k| grid.points[k] < cell.points[k]) {
-                let step = (WINDOW_STEP_ANGSTROM / pixel[k]).round().max(1.0);
-                let centre = (position[k] / pixel[k] / step).round() * step;
-                first[k] = centre as i64 - grid.points[k] as i64 / 2;
-            }
+            let first = window_start(self.plan, position);
             let local = [0, 1].map(|k| position[k] - first[k] as f64 * pixel[k]);
             by_window.entry([first[1], first[0]]).or_default().push((i, local));
         }
@@ -309,6 +304,19 @@ impl Spectrum {
     }
 }
 
+/// First pixel (x, y) of the window of a probe; windows may reach over the edges of the cell.
+pub(super) fn window_start(plan: &Plan, position: [f64; 2]) -> [i64; 2] {
+    let (cell, grid) = (&plan.transmission_grid, &plan.wave_grid);
+    let pixel = grid.sampling_angstrom();
+    let mut first = [0; 2];
+    for k in [0, 1].into_iter().filter(|&k| grid.points[k] < cell.points[k]) {
+        let step = (WINDOW_STEP_ANGSTROM / pixel[k]).round().max(1.0);
+        let centre = (position[k] / pixel[k] / step).round() * step;
+        first[k] = centre as i64 - grid.points[k] as i64 / 2;
+    }
+    first
+}
+
 /// The middle of the window in Angstrom, from its first pixel.
 pub(super) fn window_centre(plan: &Plan) -> [f64; 2] {
     let pixel = plan.wave_grid.sampling_angstrom();
@@ -381,7 +389,8 @@ mod tests {
         sites
     }
 
-    /// Slices without atoms in a window are passed in one step there; measured 0.0008 % of the maximum, and 0.05 % where what is near does not count.
+    /// Slices without atoms in a window are passed in one step there; measured 0.0008 % of the maximum, and 0.05 % where
+    /// what is near does not count.
     #[test]
     fn windows_skip_slices_without_atoms() {
         let settings = Settings {

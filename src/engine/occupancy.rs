@@ -2,6 +2,7 @@
 //!
 //! Particles, edges, tilted crystals and amorphous specimens have thin slices, of which a window meets few atoms or none.
 
+use super::multislice::window_start;
 use super::plan::{Grid, Plan};
 use super::{Scan, Site};
 use crate::phonons::displaced;
@@ -20,7 +21,7 @@ pub(super) struct Occupancy {
     grid: Grid,
     /// Points (x, y) of a window.
     window: [usize; 2],
-    /// x and y of the atoms in pixels.
+    /// x and y of the atoms in pixels within the cell, by ascending y.
     slices: Vec<Vec<[f64; 2]>>,
     /// Whether slices hold parts of the atoms of others.
     spread: bool,
@@ -30,29 +31,35 @@ impl Occupancy {
     pub fn new(plan: &Plan, by_slice: &[Vec<PlacedAtom>]) -> Self {
         let grid = plan.transmission_grid;
         let pixel = grid.sampling_angstrom();
-        let at = |a: &PlacedAtom| [0, 1].map(|k| a.position[k] / pixel[k]);
-        let slices = by_slice.iter().map(|s| s.iter().map(at).collect()).collect();
+        let at = |a: &PlacedAtom| {
+            [0, 1].map(|k| (a.position[k] / pixel[k]).rem_euclid(grid.points[k] as f64))
+        };
+        let sorted = |atoms: &Vec<PlacedAtom>| {
+            let mut places: Vec<[f64; 2]> = atoms.iter().map(at).collect();
+            places.sort_by(|a, b| a[1].total_cmp(&b[1]));
+            places
+        };
+        let slices = by_slice.iter().map(sorted).collect();
         let spread = plan.settings.projection == Projection::Finite;
         Occupancy { grid, window: plan.wave_grid.points, slices, spread }
     }
 
-    /// Whether a slice holds anything.
-    pub fn filled(&self, slice: usize) -> bool {
-        self.spread || !self.slices[slice].is_empty()
-    }
-
     /// The slices that hold anything for waves that begin at pixel `origin` (row, column).
     pub fn within(&self, origin: (usize, usize)) -> Vec<usize> {
-        let (cell, pixel) = (self.grid.points, self.grid.sampling_angstrom());
-        let origin = [origin.1, origin.0];
-        let near = |atom: &[f64; 2]| {
-            (0..2).all(|k| {
-                let reach = NEAR_ANGSTROM / pixel[k];
-                let from_start = atom[k] - origin[k] as f64 + reach;
-                from_start.rem_euclid(cell[k] as f64) <= self.window[k] as f64 + 2.0 * reach
-            })
+        let pixel = self.grid.sampling_angstrom();
+        let cell = self.grid.points.map(|n| n as f64);
+        let reach = pixel.map(|p| NEAR_ANGSTROM / p);
+        let origin = [origin.1 as f64, origin.0 as f64];
+        let start = [0, 1].map(|k| (origin[k] - reach[k]).rem_euclid(cell[k]));
+        let near = |atom: &[f64; 2], k: usize| {
+            (atom[k] - start[k]).rem_euclid(cell[k]) <= self.window[k] as f64 + 2.0 * reach[k]
         };
-        (0..self.slices.len()).filter(|&i| self.spread || self.slices[i].iter().any(near)).collect()
+        let met = |atoms: &Vec<[f64; 2]>| {
+            // From the first row on, over the edge of the cell: a large field has many atoms.
+            let (before, after) = atoms.split_at(atoms.partition_point(|a| a[1] < start[1]));
+            after.iter().chain(before).take_while(|a| near(a, 1)).any(|a| near(a, 0))
+        };
+        (0..self.slices.len()).filter(|&i| self.spread || met(&self.slices[i])).collect()
     }
 
     /// As if slices held something everywhere.
@@ -86,16 +93,12 @@ impl Plan {
             return;
         }
         let occupancy = Occupancy::new(self, &place(self, sites, 0));
-        let (cell, pixel) =
-            (self.transmission_grid.points, self.transmission_grid.sampling_angstrom());
+        let cell = self.transmission_grid.points;
         let every = scan.len().div_ceil(SAMPLED);
         let steps = |i: usize| {
-            let at = scan.position(i);
-            let first = [0, 1].map(|k| {
-                let first = (at[k] / pixel[k]).round() as i64 - self.wave_grid.points[k] as i64 / 2;
-                first.rem_euclid(cell[k] as i64) as usize
-            });
-            occupancy.within((first[1], first[0])).len()
+            let first = window_start(self, scan.position(i));
+            let [x, y] = [0, 1].map(|k| first[k].rem_euclid(cell[k] as i64) as usize);
+            occupancy.within((y, x)).len()
         };
         let sampled = (0..scan.len()).step_by(every);
         let number = sampled.len();

@@ -150,7 +150,7 @@ impl<'a> TransmissionBuilder<'a> {
 impl Transmission {
     /// Those of some slices that hold atoms.
     pub fn filled(&self, slices: Range<usize>) -> impl Iterator<Item = usize> {
-        slices.filter(|&i| self.occupancy.filled(i))
+        slices.filter(|&i| self.slices[i].is_some())
     }
 }
 

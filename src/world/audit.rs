@@ -8,7 +8,6 @@ use serde::Serialize;
 
 use super::build::SubTileEngine;
 use super::field_image::FieldImage;
-use super::film::AUDIT_SPAN_ANGSTROM;
 use super::pixel_box::PixelBox;
 use super::recipe::Recipe;
 use super::simulator::Simulator;
@@ -27,6 +26,8 @@ const BRIGHT: f64 = 0.4;
 const COLUMN_ANGSTROM: f64 = 0.45;
 /// Distance of the pixels compared in Angstrom, about.
 const POINT_ANGSTROM: f64 = 0.5;
+/// Slices of the reference where there are particles: thinner than the world's, so that audits show what slices make of them.
+const PARTICLE_SPAN_ANGSTROM: f64 = 0.1;
 /// Bands of the power spectrum, in 1/Angstrom.
 const BANDS: [f64; 4] = [0.1, 0.4, 0.8, 1.2];
 
@@ -190,7 +191,7 @@ pub fn audit(
     let configurations = options.configurations.unwrap_or(all).clamp(1, all);
     let mut reference = Simulator::new(recipe, Algorithm::Multislice).with_large_probe_box();
     if specimen.film().is_some() {
-        reference = reference.with_slices(Slicing::Grouped(AUDIT_SPAN_ANGSTROM));
+        reference = reference.with_slices(Slicing::Grouped(PARTICLE_SPAN_ANGSTROM));
     }
     let pixel = 10.0 * recipe.field.pixel_nm();
     let stride = options.stride.unwrap_or((POINT_ANGSTROM / pixel).round().max(1.0) as usize);

@@ -40,8 +40,6 @@ const POTENTIAL_ANGSTROM: f64 = 1.5;
 /// 2.8 nm, one configuration, windows of 5.9 A, bright pixels are off by 0.68 / 0.60 / 0.43 / 0.27 % rms with 0.5 / 0.35 / 0.25 /
 /// 0.15 A against 0.05 A, and take 0.83 / 1 / 1.06 / 1.20 times as long: windows pass most of thin slices in one step.
 const SPAN_ANGSTROM: f64 = 0.15;
-/// The same in the reference of audits, so that they show what slices make of particles.
-pub const AUDIT_SPAN_ANGSTROM: f64 = 0.1;
 /// Pixels of the film that take as long as a probe takes for a nm of particle.
 const PIXELS_PER_PROBE_NM: f64 = 120.0;
 /// Edge in samples of the blocks in which particles are simulated.
@@ -143,13 +141,13 @@ impl<'a> FilmImage<'a> {
         let Some(particle) = particles.first() else { return Ok(None) };
         let half = 0.05 * BLOCK as f64 * self.step + 0.1 * self.margin();
         let [x, y] = [0, 1].map(|k| [particle.centre_nm[k] - half, particle.centre_nm[k] + half]);
+        let phonons = &self.recipe.phonons;
         let sites = self.specimen.sites(&Region { x, y });
-        let metal = sites.into_iter().filter(|s| s.number != self.film.number);
-        let heights: Vec<f64> = metal.clone().map(|s| 10.0 * s.position_nm[2]).collect();
+        let metal = sites.iter().filter(|s| s.number != self.film.number);
+        let atoms: Vec<Site> = metal.filter_map(|s| s.atom([x[0], y[0]], phonons)).collect();
+        let heights: Vec<f64> = atoms.iter().map(|a| a.position[2]).collect();
         let size = [20.0 * half, 20.0 * half, 10.0 * self.specimen.thickness_nm()];
         let mut plan = Plan::new(self.simulator.settings(), size, &heights)?;
-        let phonons = &self.recipe.phonons;
-        let atoms: Vec<Site> = metal.filter_map(|s| s.atom([x[0], y[0]], phonons)).collect();
         let scan = Scan {
             origin_angstrom: [self.margin(); 2],
             step_angstrom: [self.step; 2],
@@ -351,10 +349,10 @@ impl FieldImage for FilmImage<'_> {
         let spheres: Vec<([f64; 3], f64)> =
             particles.iter().map(|p| (p.centre_nm, self.reach_nm(p))).collect();
         let chord = |x: f64, y: f64| {
-            let chord = |(c, r): &([f64; 3], f64)| {
+            let through = |(c, r): &([f64; 3], f64)| {
                 2.0 * (r * r - (c[0] - x).powi(2) - (c[1] - y).powi(2)).max(0.0).sqrt()
             };
-            spheres.iter().map(chord).sum::<f64>()
+            spheres.iter().map(through).sum::<f64>()
         };
         let at = |n: usize, first: usize| (first + n) as f64 * pixel;
         let places =
