@@ -5,9 +5,12 @@
 //! mean error where the image is brighter than half its maximum, and where it is darker than half its mean, and ms
 //! per probe on all threads.
 
+use ndarray::s;
 use std::path::Path;
 use std::time::Instant;
-use stemgen::engine::{Algorithm, Phonons, Plan, ProbeBox, Scan, Settings, Site, simulate};
+use stemgen::engine::{
+    Algorithm, Expansion, Phonons, Plan, ProbeBox, ProbeStep, Scan, Settings, Site, simulate,
+};
 use stemgen::progress::Silent;
 use stemgen::structure::{self, elements};
 
@@ -73,6 +76,9 @@ const CASES: [Case; 5] = [
     },
 ];
 
+/// Probes beyond the raster on every side.
+const AROUND: usize = 15;
+
 fn main() {
     let parse = |text: String| {
         let (width, margin) = text.split_once(':')?;
@@ -115,44 +121,58 @@ fn run(case: &Case, asked: &[(f64, f64)]) {
         thicknesses_angstrom: vec![0.4 * size[2], size[2]],
         ..Settings::default()
     };
-    let image = |settings: &Settings| {
+    // Windows serve patches of several Angstrom: the raster lies within a larger one.
+    let around = Scan {
+        origin_angstrom: scan.origin_angstrom.map(|x| x - AROUND as f64 * scan.step_angstrom[0]),
+        shape: scan.shape.map(|n| n + 2 * AROUND),
+        ..scan
+    };
+    let image = |settings: &Settings, scan: &Scan| {
         let plan = Plan::new(settings, size, &z).expect("a plan");
         let start = Instant::now();
-        let images = simulate(&plan, &sites, &scan, &Silent).expect("images");
+        let images = simulate(&plan, &sites, scan, &Silent).expect("images");
         let ms = start.elapsed().as_secs_f64() * 1e3 / (2 * scan.len()) as f64;
         (images, ms, plan)
     };
     let (reference, ms, plan) =
-        image(&Settings { probe_box: Some(ProbeBox::Large), ..base.clone() });
+        image(&Settings { probe_box: Some(ProbeBox::Large), ..base.clone() }, &scan);
     println!(
         "{}: {:.1} x {:.1} x {:.1} A, full grid {}^2, {ms:.1} ms per probe",
         case.name, size[0], size[1], size[2], plan.wave_grid.points[0]
     );
     for &(width_angstrom, angle_margin) in asked {
-        let algorithm = Algorithm::Window { width_angstrom };
-        let (images, ms, plan) = image(&Settings { algorithm, angle_margin, ..base.clone() });
-        print!(
-            "  {width_angstrom:>5.1} A x{angle_margin:.2} {:>4}^2 {ms:>5.2} ms",
-            plan.wave_grid.points[0]
-        );
-        for t in 0..2 {
-            let (a, b) = (images.image(t, 0), reference.image(t, 0));
-            let mean = b.mean().unwrap_or(0.0);
-            let top = b.iter().fold(0.0_f32, |m, v| m.max(*v));
-            let square = a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f32>();
-            let over = |keep: &dyn Fn(f32) -> bool| {
-                let pairs = || a.iter().zip(b).filter(|p| keep(*p.1));
-                let sums = pairs().fold((0.0, 0.0), |s, (a, b)| (s.0 + a, s.1 + b));
-                100.0 * (sums.0 / sums.1 - 1.0)
-            };
+        for expansion in [Expansion::Off, Expansion::Auto] {
+            let algorithm = Algorithm::Window { width_angstrom };
+            let probe_step = ProbeStep::Scan;
+            let settings =
+                Settings { algorithm, angle_margin, probe_step, expansion, ..base.clone() };
+            let (images, ms, plan) = image(&settings, &around);
+            print!("{}", if expansion == Expansion::Off { "  each    " } else { "  expanded" });
             print!(
-                "  | {:>4.0} A: rms {:.2} %, bright {:+.2} %, dark {:+.2} %",
-                reference.thicknesses_angstrom[t],
-                100.0 * (square / a.len() as f32).sqrt() / mean,
-                over(&|v| v > 0.5 * top),
-                over(&|v| v < 0.5 * mean)
+                " {width_angstrom:>5.1} A x{angle_margin:.2} {:>4}^2 {ms:>5.2} ms",
+                plan.wave_grid.points[0]
             );
+            for t in 0..2 {
+                let inside = s![AROUND..AROUND + scan.shape[0], AROUND..AROUND + scan.shape[1]];
+                let (a, b) = (images.image(t, 0), reference.image(t, 0));
+                let a = a.slice(inside);
+                let mean = b.mean().unwrap_or(0.0);
+                let top = b.iter().fold(0.0_f32, |m, v| m.max(*v));
+                let square = a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f32>();
+                let over = |keep: &dyn Fn(f32) -> bool| {
+                    let pairs = || a.iter().zip(b).filter(|p| keep(*p.1));
+                    let sums = pairs().fold((0.0, 0.0), |s, (a, b)| (s.0 + a, s.1 + b));
+                    100.0 * (sums.0 / sums.1 - 1.0)
+                };
+                print!(
+                    "  | {:>4.0} A: rms {:.2} %, bright {:+.2} %, dark {:+.2} %",
+                    reference.thicknesses_angstrom[t],
+                    100.0 * (square / a.len() as f32).sqrt() / mean,
+                    over(&|v| v > 0.5 * top),
+                    over(&|v| v < 0.5 * mean)
+                );
+            }
+            println!();
         }
-        println!();
     }
 }

@@ -114,6 +114,16 @@ impl DetectorMap {
         DetectorMap { per_detector }
     }
 
+    /// Number of detectors.
+    pub fn len(&self) -> usize {
+        self.per_detector.len()
+    }
+
+    /// Whether there is no detector.
+    pub fn is_empty(&self) -> bool {
+        self.per_detector.is_empty()
+    }
+
     /// Intensity on each detector: the sum of `scale |psi|^2` over its pixels.
     pub fn collect(&self, psi: &[Complex32], scale: f64, out: &mut [f64]) {
         for (pixels, value) in self.per_detector.iter().zip(out) {
@@ -122,6 +132,14 @@ impl DetectorMap {
             let sum = pixels.runs.iter().map(whole).sum::<f64>()
                 + pixels.edges.iter().map(part).sum::<f64>();
             *value = sum * scale;
+        }
+    }
+
+    /// Amplitudes on each detector whose squared moduli add to its intensity: one vector per detector.
+    pub fn gather(&self, psi: &[Complex32], mut put: impl FnMut(usize, &[Complex32])) {
+        for (d, pixels) in self.per_detector.iter().enumerate() {
+            pixels.runs.iter().for_each(|&(at, n)| put(d, &psi[at..at + n]));
+            pixels.edges.iter().for_each(|&(at, w)| put(d, &[psi[at] * w.sqrt()]));
         }
     }
 

@@ -1,6 +1,6 @@
 //! Matrix products.
 
-use num_complex::Complex32;
+use num_complex::{Complex32, Complex64};
 
 /// `out[m, n] = a[m, k] b[k, n]` on one thread. `out` and `b` are row-major with the given row strides;
 /// `a` has a stride for rows and one for columns.
@@ -42,6 +42,47 @@ pub(crate) fn multiply<T: Number>(
     }
 }
 
+/// Rows of a Gram matrix that are computed together; what lies left of their diagonal block is left out.
+const GRAM_ROWS: usize = 32;
+
+/// `out[i, j] = sum_k conj(a[i, k]) a[j, k]` for `n` rows of `a`, all row-major, on one thread.
+pub(crate) fn gram(n: usize, a: &[Complex32], out: &mut [Complex32]) {
+    let k = a.len() / n.max(1);
+    assert!(a.len() == n * k && out.len() >= n * n);
+    for first in (0..n).step_by(GRAM_ROWS) {
+        let rows = GRAM_ROWS.min(n - first);
+        // Rows `first..first + rows` of `out`, columns from `first` on: all within `out`, as asserted.
+        unsafe {
+            gemm::gemm(
+                rows,
+                n - first,
+                k,
+                out.as_mut_ptr().add(first * n + first),
+                1,
+                n as isize,
+                false,
+                a.as_ptr().add(first * k),
+                1,
+                k as isize,
+                a.as_ptr().add(first * k),
+                k as isize,
+                1,
+                Complex32::ZERO,
+                Complex32::ONE,
+                false,
+                true,
+                false,
+                gemm::Parallelism::None,
+            );
+        }
+    }
+    for i in 0..n {
+        for j in 0..i {
+            out[i * n + j] = out[j * n + i].conj();
+        }
+    }
+}
+
 /// What matrices are made of.
 pub(crate) trait Number: 'static {
     const ZERO: Self;
@@ -51,6 +92,11 @@ pub(crate) trait Number: 'static {
 impl Number for f32 {
     const ZERO: f32 = 0.0;
     const ONE: f32 = 1.0;
+}
+
+impl Number for Complex64 {
+    const ZERO: Complex64 = Complex64::ZERO;
+    const ONE: Complex64 = Complex64::ONE;
 }
 
 impl Number for Complex32 {

@@ -91,8 +91,8 @@ struct Method {
     #[arg(long, value_name = "A", value_parser = values::finite, allow_negative_numbers = true)]
     #[arg(conflicts_with_all = ["interpolation", "profile"])]
     window: Option<f64>,
-    /// Take the narrowest window whose error is at most so many per cent of the mean image (rms): 2.1, 0.8,
-    /// 0.4 or 0.3 and above
+    /// Take the narrowest window whose error is at most so many per cent of the mean image (rms): 3.3, 0.8
+    /// or 0.4 and above
     #[arg(long, value_name = "PERCENT", value_parser = values::percent, allow_negative_numbers = true)]
     #[arg(conflicts_with_all = ["window", "interpolation", "profile"])]
     accuracy: Option<f64>,

@@ -6,7 +6,7 @@ use clap::Args;
 use stemgen::detect::Detector;
 use stemgen::engine::settings::{AUTO_ANGLE_MARGIN, DEFAULT_BAND_FRACTION};
 use stemgen::engine::{
-    Algorithm, BeyondLimit, GridChoice, Phonons, ProbeStep, Settings, window_for,
+    Algorithm, BeyondLimit, Expansion, GridChoice, Phonons, ProbeStep, Settings, window_for,
 };
 use stemgen::optics::{Aberration, Aberrations, Optics};
 use stemgen::potential::slices::Slicing;
@@ -49,8 +49,8 @@ pub struct NumericsArgs {
     /// How probes are propagated [default: multislice]
     #[arg(long = "engine", visible_alias = "algorithm", value_name = "NAME")]
     pub algorithm: Option<Engine>,
-    /// Take the narrowest window whose error is at most so many per cent of the mean image (rms): 2.1, 0.8,
-    /// 0.4 or 0.3 and above; for HAADF
+    /// Take the narrowest window whose error is at most so many per cent of the mean image (rms): 3.3, 0.8
+    /// or 0.4 and above; for HAADF
     #[arg(long, value_name = "PERCENT", value_parser = values::percent, allow_negative_numbers = true)]
     #[arg(conflicts_with_all = ["window", "interpolation"])]
     pub accuracy: Option<f64>,
@@ -100,6 +100,11 @@ pub struct NumericsArgs {
     #[arg(long, value_name = "A|scan|auto", default_value = "auto", value_parser = values::probe_step)]
     #[arg(allow_negative_numbers = true)]
     pub probe_step: ProbeStep,
+    /// Windows: expand probes that share one in fewer waves, each right to so many per cent of its amplitude. `off`
+    /// propagates every probe; `auto`: 1 % in 7.8 A, less in wider windows, where that takes fewer waves
+    #[arg(long, value_name = "PERCENT|off|auto", default_value = "auto", value_parser = values::expansion)]
+    #[arg(allow_negative_numbers = true)]
+    pub expansion: Expansion,
     /// Where the probe has norm 1: in the cell, as is usual, though a small cell makes bright columns too bright
     /// (by 1 % in 20 A), or in a large box, as in an infinite specimen [default: cell; windows: large]
     #[arg(long, value_name = "NAME")]
@@ -235,6 +240,7 @@ pub fn settings(
         grid,
         algorithm: numerics.algorithm()?,
         probe_step: numerics.probe_step,
+        expansion: numerics.expansion,
         angle_margin: numerics.angle_margin,
         probe_box: numerics.probe_box.map(Into::into),
         full_exit_grid: numerics.full_exit_grid,

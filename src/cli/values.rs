@@ -4,7 +4,7 @@ use clap::ValueEnum;
 use std::collections::BTreeMap;
 use std::str::FromStr;
 use stemgen::detect::Detector;
-use stemgen::engine::ProbeStep;
+use stemgen::engine::{Expansion, ProbeStep};
 use stemgen::optics::Aberration;
 use stemgen::potential::projected::Projection;
 use stemgen::potential::scattering::Parametrization;
@@ -39,6 +39,18 @@ pub fn probe_step(text: &str) -> Parsed<ProbeStep> {
         length => match finite(length) {
             Ok(step) if step > 0.0 => Ok(ProbeStep::Angstrom(step)),
             _ => Err("write auto, scan or a distance in A, such as 0.25".into()),
+        },
+    }
+}
+
+/// `auto`, `off` or per cent of an amplitude.
+pub fn expansion(text: &str) -> Parsed<Expansion> {
+    match text.trim() {
+        "auto" => Ok(Expansion::Auto),
+        "off" => Ok(Expansion::Off),
+        percent => match finite(percent.trim_end_matches('%')) {
+            Ok(error) if error > 0.0 => Ok(Expansion::Error(error / 100.0)),
+            _ => Err("write auto, off or per cent of the amplitude, such as 0.5".into()),
         },
     }
 }

@@ -9,7 +9,7 @@ use super::settings::Settings;
 use crate::error::{Error, Result};
 
 /// (error in per cent, width of the window in Angstrom)
-const MEASURED: [(f64, f64); 4] = [(2.1, 5.9), (0.8, 7.8), (0.4, 9.8), (0.3, 11.7)];
+const MEASURED: [(f64, f64); 3] = [(3.3, 5.9), (0.8, 7.8), (0.4, 11.7)];
 /// Semiangle and wavelength (Angstrom) of the measurements.
 const MEASURED_SEMIANGLE_MRAD: f64 = 21.0;
 const MEASURED_WAVELENGTH_ANGSTROM: f64 = 0.025_08;

@@ -3,7 +3,7 @@
 use super::multislice::Multislice;
 use super::plan::Plan;
 use super::prism::Prism;
-use super::probes::ProbeRaster;
+use super::raster::ProbeRaster;
 use super::settings::Algorithm;
 use super::stepper::{Specimen, Stepper};
 use super::tail::Tail;

@@ -1,6 +1,7 @@
 //! Simulation of detector images from atoms: plan, then execute.
 
 mod accuracy;
+mod basis;
 mod exponential;
 mod images;
 mod imaging;
@@ -10,21 +11,25 @@ mod occupancy;
 pub mod plan;
 mod prism;
 mod prism_reduce;
-mod probes;
+mod probe;
+mod raster;
 pub mod settings;
 mod spare;
 mod speed;
 mod stepper;
 mod tail;
 mod transmission;
+mod windows;
 
 pub use accuracy::{WindowChoice, window_for};
 pub(crate) use images::elements;
 pub use images::{Images, Simulation, diffraction, exit_wave, simulate};
 pub use imaging::lens_image;
 pub use plan::Plan;
-pub use probes::{ProbeRaster, probe_margin_angstrom};
-pub use settings::{Algorithm, BeyondLimit, GridChoice, Phonons, ProbeBox, ProbeStep, Settings};
+pub use raster::{ProbeRaster, probe_margin_angstrom};
+pub use settings::{
+    Algorithm, BeyondLimit, Expansion, GridChoice, Phonons, ProbeBox, ProbeStep, Settings,
+};
 pub use speed::{Speed, measure_speed};
 
 /// A lattice site as the engine sees it: where it is on average, and how it vibrates.

@@ -1,38 +1,35 @@
 //! Plain multislice of probes, on the full grid or in windows.
 
 use super::Scan;
-use super::plan::{Grid, Plan};
-use super::prism::single;
-use super::settings::Algorithm;
+use super::basis::Basis;
+use super::plan::Plan;
+use super::probe::{Cropped, Probe};
 use super::spare::Spare;
 use super::stepper::{self, Leg, Specimen, Stepper};
 use super::transmission::Transmission;
+use super::windows::{Division, Patch, amplitude_nyquist};
 use crate::detect::DetectorMap;
 use crate::error::{Error, Result};
-use crate::fft::{Buffer, Fft2, Scratch, frequency};
+use crate::fft::{Buffer, frequency};
+use crate::matrix::{gram, multiply};
 use crate::progress::Progress;
-use num_complex::{Complex32, Complex64};
+use num_complex::Complex32;
 use rayon::prelude::*;
+use std::collections::HashMap;
 use std::collections::hash_map::Entry;
-use std::collections::{BTreeMap, HashMap};
-use std::f64::consts::PI;
 use std::ops::Range;
+use std::sync::Arc;
 
 /// Propagates probes through given transmission functions.
 pub(super) struct Multislice<'a> {
     plan: &'a Plan,
     stepper: Stepper,
     map: DetectorMap,
-    probe: Spectrum,
+    probe: Probe,
     /// Columns that hold the probe's spectrum.
     probe_columns: Vec<Range<usize>>,
-}
-
-/// The probe in Fourier space, for a position at `centre`.
-struct Spectrum {
-    /// (iy, ix, amplitude); squared amplitudes sum to the fraction of the beam inside the grid.
-    entries: Vec<(usize, usize, Complex64)>,
-    centre: [f64; 2],
+    /// The last basis, and the largest distance (x, y) of its probes from the middle of their window.
+    basis: Option<([f64; 2], Arc<Basis>)>,
 }
 
 /// One thread's arrays.
@@ -40,39 +37,24 @@ pub(super) struct Workspace {
     waves: Vec<Buffer>,
     copy: Buffer,
     step: stepper::Workspace,
+    /// Amplitudes of waves on each detector.
+    amplitudes: Vec<Vec<Complex32>>,
 }
 
 /// Legs up to each recorded thickness.
 type Route = Vec<Vec<Leg>>;
-
-/// Probes that are propagated together, on the same part of the specimen.
-#[derive(Debug, PartialEq)]
-struct Group {
-    /// Pixel (row, column) of the transmission grid under the waves' first pixel.
-    origin: (usize, usize),
-    /// Index in the scan, and position within the wave in Angstrom.
-    probes: Vec<(usize, [f64; 2])>,
-}
-
-/// Windows begin at multiples of about this, so that neighbouring probes share one and what is read of the specimen
-/// serves them all: four probes along each axis. 0.9 A takes 20 % less time than 0.4 A, and 1.2 A 8 % less than
-/// that. Errors hardly change (SrTiO3, 39 A, rms / mean: 7.8 A windows 0.70 % with steps of 0.4 A, 0.72 % with 0.6, 0.9
-/// and 1.2 A; 5.9 A 0.96, 0.71, 0.76 and 0.80 %).
-const WINDOW_STEP_ANGSTROM: f64 = 1.2;
 
 impl<'a> Multislice<'a> {
     pub fn new(plan: &'a Plan) -> Self {
         let stepper = Stepper::new(plan);
         let grid = plan.wave_grid;
         let map = plan.detector_map(&grid, stepper.fft().stride(), plan.detector_ramp_mrad());
-        let cropped = plan.settings.large_probe_box()
-            || matches!(plan.settings.algorithm, Algorithm::Window { .. });
-        let probe = if cropped { Spectrum::windowed(plan) } else { Spectrum::full(plan, &grid) };
+        let probe = Probe::new(plan);
         let nx = grid.points[0];
-        let column = |e: &(usize, usize, Complex64)| frequency(e.1, nx).unsigned_abs() as usize;
-        let reach = probe.entries.iter().map(column).max().unwrap_or(0);
+        let column = |b: &(usize, usize)| frequency(b.1, nx).unsigned_abs() as usize;
+        let reach = probe.bins.iter().map(column).max().unwrap_or(0);
         let probe_columns = stepper.fft().band_columns(reach);
-        Multislice { plan, stepper, map, probe, probe_columns }
+        Multislice { plan, stepper, map, probe, probe_columns, basis: None }
     }
 
     /// Intensities as (probe, recorded thickness, detector), row-major.
@@ -82,9 +64,7 @@ impl<'a> Multislice<'a> {
         scan: &Scan,
         progress: &dyn Progress,
     ) -> Result<Vec<f64>> {
-        let detectors = self.plan.settings.detectors.len();
-        let per_probe = detectors * self.plan.record_after.len();
-        let groups = self.groups((0..scan.len()).map(|i| scan.position(i)));
+        let (groups, basis) = self.groups(scan);
         let (routes, of_group) = self.routes(transmission, &groups);
         let this = &*self;
         let spare = Spare::new();
@@ -92,20 +72,19 @@ impl<'a> Multislice<'a> {
             if progress.interrupted() {
                 return Err(Error::Interrupted);
             }
-            let mut values = vec![0.0; group.probes.len() * per_probe];
             let specimen = Specimen { transmission, origin: group.origin };
-            let record = |probe: usize, r: usize, psi: &[Complex32], scale: f64| {
-                let at = probe * per_probe + r * detectors;
-                this.map.collect(psi, scale, &mut values[at..at + detectors]);
-            };
-            spare.with(
+            let values = spare.with(
                 || this.workspace(),
-                |w| this.through(w, &routes[route], specimen, &group.probes, record),
+                |w| match basis.as_deref().zip(this.probe.cropped()) {
+                    Some(basis) => this.expanded(w, &routes[route], specimen, group, basis),
+                    None => this.each(w, &routes[route], specimen, group),
+                },
             );
             progress.advance(group.probes.len() as u64);
             Ok(values)
         });
         let values = values.collect::<Result<Vec<_>>>()?;
+        let per_probe = self.map.len() * self.plan.record_after.len();
         let mut out = vec![0.0; scan.len() * per_probe];
         for (group, values) in groups.iter().zip(&values) {
             for ((i, _), values) in group.probes.iter().zip(values.chunks_exact(per_probe)) {
@@ -116,48 +95,142 @@ impl<'a> Multislice<'a> {
     }
 
     pub fn workspace(&self) -> Workspace {
-        let fft = self.stepper.fft();
-        let waves = vec![fft.buffer(); self.stepper.group()];
-        Workspace { waves, copy: fft.buffer(), step: self.stepper.workspace() }
+        Workspace {
+            waves: Vec::new(),
+            copy: self.stepper.fft().buffer(),
+            step: self.stepper.workspace(),
+            amplitudes: vec![Vec::new(); self.map.len()],
+        }
     }
 
-    /// Sorts probes by their window, in a way that depends on the positions only.
-    fn groups(&self, positions: impl Iterator<Item = [f64; 2]>) -> Vec<Group> {
-        let (cell, grid) = (&self.plan.transmission_grid, &self.plan.wave_grid);
-        let pixel = grid.sampling_angstrom();
-        let mut by_window: BTreeMap<[i64; 2], Vec<(usize, [f64; 2])>> = BTreeMap::new();
-        for (i, position) in positions.enumerate() {
-            let first = window_start(self.plan, position);
-            let local = [0, 1].map(|k| position[k] - first[k] as f64 * pixel[k]);
-            by_window.entry([first[1], first[0]]).or_default().push((i, local));
+    /// The patches of a scan, with the basis of their probes where they are expanded, and otherwise in parts that
+    /// step together.
+    fn groups(&mut self, scan: &Scan) -> (Vec<Patch>, Option<Arc<Basis>>) {
+        let division = Division::new(self.plan, scan);
+        if let Some(basis) = self.basis(&division) {
+            return (division.patches, Some(basis));
         }
-        let wrap = |i: i64, axis: usize| i.rem_euclid(cell.points[axis] as i64) as usize;
         let most = self.stepper.group();
-        let split = |([y, x], probes): ([i64; 2], Vec<_>)| {
-            let origin = (wrap(y, 1), wrap(x, 0));
-            let group = move |part: &[_]| Group { origin, probes: part.to_vec() };
-            let even = probes.len().div_ceil(probes.len().div_ceil(most));
-            probes.chunks(even).map(group).collect::<Vec<_>>()
+        let split = |Patch { origin, probes }: Patch| {
+            let even = probes.len().div_ceil(probes.len().div_ceil(most).max(1)).max(1);
+            let part = move |part: &[_]| Patch { origin, probes: part.to_vec() };
+            probes.chunks(even).map(part).collect::<Vec<_>>()
         };
-        by_window.into_iter().flat_map(split).collect()
+        (division.patches.into_iter().flat_map(split).collect(), None)
+    }
+
+    /// The basis for the probes of a division, if they are expanded; scans of one shape share it.
+    fn basis(&mut self, division: &Division) -> Option<Arc<Basis>> {
+        let (error, probe) = (division.error?, self.probe.cropped()?);
+        let half = division.half(self.plan);
+        if let Some((_, basis)) = self.basis.as_ref().filter(|known| known.0 == half) {
+            return Some(basis.clone());
+        }
+        let basis = Arc::new(Basis::new(probe, half, amplitude_nyquist(self.plan), error));
+        self.basis = Some((half, basis.clone()));
+        Some(basis)
+    }
+
+    /// Intensities of probes, each propagated: (probe, recorded thickness, detector).
+    fn each(
+        &self,
+        w: &mut Workspace,
+        route: &Route,
+        specimen: Specimen<'_>,
+        group: &Patch,
+    ) -> Vec<f64> {
+        let detectors = self.map.len();
+        let per_probe = detectors * route.len();
+        let mut values = vec![0.0; group.probes.len() * per_probe];
+        self.through(w, route, specimen, &group.probes, |probe, r, psi, scale| {
+            let at = probe * per_probe + r * detectors;
+            self.map.collect(psi, scale, &mut values[at..at + detectors]);
+        });
+        values
+    }
+
+    /// The same from the waves of a basis.
+    fn expanded(
+        &self,
+        Workspace { waves, copy, step, amplitudes }: &mut Workspace,
+        route: &Route,
+        specimen: Specimen<'_>,
+        group: &Patch,
+        (basis, probe): (&Basis, &Cropped),
+    ) -> Vec<f64> {
+        let (n, probes, detectors) = (basis.len(), group.probes.len(), self.map.len());
+        let per_probe = detectors * route.len();
+        let coefficients = basis.coefficients(probe, &group.probes);
+        let waves = self.at_least(waves, n);
+        for (j, wave) in waves.iter_mut().enumerate() {
+            self.begin(wave, basis.wave(j).iter().copied(), step);
+        }
+        let mut values = vec![0.0; probes * per_probe];
+        let mut matrix = vec![Complex32::ZERO; n * n];
+        let mut product = vec![Complex32::ZERO; n * probes];
+        for (r, legs) in route.iter().enumerate() {
+            amplitudes.iter_mut().for_each(Vec::clear);
+            for waves in waves.chunks_mut(self.stepper.group()) {
+                for leg in legs {
+                    self.stepper.travel(waves, *leg, specimen, step);
+                }
+                for wave in waves {
+                    copy.copy_from_slice(wave);
+                    self.stepper.columns(copy, false, &mut step.fft);
+                    self.map.gather(copy, |d, psi| amplitudes[d].extend_from_slice(psi));
+                }
+            }
+            for (d, amplitudes) in amplitudes.iter().enumerate() {
+                gram(n, amplitudes, &mut matrix);
+                let shape = (n, probes, n);
+                multiply(shape, (&mut product, probes), (&matrix, [n, 1]), (&coefficients, probes));
+                for (c, y) in coefficients.chunks_exact(probes).zip(product.chunks_exact(probes)) {
+                    for (probe, (c, y)) in c.iter().zip(y).enumerate() {
+                        values[probe * per_probe + r * detectors + d] +=
+                            f64::from((c.conj() * y).re) * self.scale();
+                    }
+                }
+            }
+        }
+        values
+    }
+
+    /// The first `n` of a thread's waves.
+    fn at_least<'w>(&self, waves: &'w mut Vec<Buffer>, n: usize) -> &'w mut [Buffer] {
+        if waves.len() < n {
+            waves.resize_with(n, || self.stepper.fft().buffer());
+        }
+        &mut waves[..n]
+    }
+
+    /// What squared moduli of Fourier coefficients are multiplied by to be fractions of the beam.
+    fn scale(&self) -> f64 {
+        let (ny, nx) = self.stepper.fft().shape();
+        1.0 / ((nx * ny) as f64).powi(2)
     }
 
     /// Puts a probe at `position` (Angstrom, within the wave) into a wave.
     fn start(&self, wave: &mut [Complex32], position: [f64; 2], w: &mut stepper::Workspace) {
-        let grid = &self.plan.wave_grid;
-        let shift = [0, 1].map(|i| (position[i] - self.probe.centre[i]) / grid.extent_angstrom[i]);
-        let phases = [0, 1].map(|i| shift_phases(shift[i], grid.points[i]));
+        self.begin(wave, self.probe.at(self.plan, position).into_iter(), w);
+    }
+
+    /// Puts a wave with these coefficients, in the order of the probe's bins, into the form that steps need.
+    fn begin(
+        &self,
+        wave: &mut [Complex32],
+        coefficients: impl Iterator<Item = Complex32>,
+        w: &mut stepper::Workspace,
+    ) {
         let stride = self.stepper.fft().stride();
         wave.fill(Complex32::ZERO);
-        for &(iy, ix, amplitude) in &self.probe.entries {
-            let c = amplitude * phases[0][ix] * phases[1][iy];
-            wave[iy * stride + ix] = Complex32::new(c.re as f32, c.im as f32);
+        for (&(iy, ix), c) in self.probe.bins.iter().zip(coefficients) {
+            wave[iy * stride + ix] = c;
         }
         self.stepper.start(wave, &self.probe_columns, &mut w.fft);
     }
 
     /// The distinct routes of groups of probes, and which of them each group takes.
-    fn routes(&mut self, t: &Transmission, groups: &[Group]) -> (Vec<Route>, Vec<usize>) {
+    fn routes(&mut self, t: &Transmission, groups: &[Patch]) -> (Vec<Route>, Vec<usize>) {
         let within: Vec<Vec<usize>> =
             groups.par_iter().map(|g| t.occupancy.within(g.origin)).collect();
         let mut routes = Vec::new();
@@ -191,15 +264,13 @@ impl<'a> Multislice<'a> {
     /// the r-th recorded thickness, whose squared moduli times `scale` are fractions of the beam.
     fn through(
         &self,
-        Workspace { waves, copy, step }: &mut Workspace,
+        Workspace { waves, copy, step, .. }: &mut Workspace,
         route: &Route,
         specimen: Specimen<'_>,
         probes: &[(usize, [f64; 2])],
         mut record: impl FnMut(usize, usize, &[Complex32], f64),
     ) {
-        let (ny, nx) = self.stepper.fft().shape();
-        let scale = 1.0 / ((nx * ny) as f64).powi(2);
-        let waves = &mut waves[..probes.len()];
+        let waves = self.at_least(waves, probes.len());
         for (wave, (_, position)) in waves.iter_mut().zip(probes) {
             self.start(wave, *position, step);
         }
@@ -210,7 +281,7 @@ impl<'a> Multislice<'a> {
             for (probe, wave) in waves.iter().enumerate() {
                 copy.copy_from_slice(wave);
                 self.stepper.columns(copy, false, &mut step.fft);
-                record(probe, r, copy, scale);
+                record(probe, r, copy, self.scale());
             }
         }
     }
@@ -226,7 +297,8 @@ impl<'a> Multislice<'a> {
         let (ny, nx) = grid.shape();
         let row_stride = self.stepper.fft().stride();
         let mut out = vec![vec![0.0; nx * ny]; self.plan.record_after.len()];
-        let group = self.groups(std::iter::once(position)).remove(0);
+        let scan = Scan { origin_angstrom: position, step_angstrom: [0.0; 2], shape: [1, 1] };
+        let group = Division::new(self.plan, &scan).patches.remove(0);
         let slices = transmission.occupancy.within(group.origin);
         let route = self.route(&slices);
         let mut w = self.workspace();
@@ -246,125 +318,10 @@ impl<'a> Multislice<'a> {
     }
 }
 
-impl Spectrum {
-    /// The probe on `grid`, at the origin and the entrance surface, with the norm that the settings ask for.
-    fn full(plan: &Plan, grid: &Grid) -> Self {
-        let optics = &plan.settings.optics;
-        let (ny, nx) = grid.shape();
-        let mut entries = Vec::new();
-        for iy in 0..ny {
-            for ix in 0..nx {
-                let k = grid.k(iy, ix);
-                let amplitude = optics.transfer(k, grid.dk());
-                if amplitude != Complex64::ZERO {
-                    entries.push((iy, ix, amplitude));
-                }
-            }
-        }
-        // The edge of the aperture is soft: its amplitudes add to the area of the aperture, their squares to less.
-        let large = plan.settings.large_probe_box();
-        let share = |a: Complex64| if large { a.norm() } else { a.norm_sqr() };
-        let norm = entries.iter().map(|e| share(e.2)).sum::<f64>().sqrt();
-        entries.iter_mut().for_each(|e| e.2 /= norm);
-        Spectrum { entries, centre: [0.0; 2] }
-    }
-
-    /// The probe of plain multislice in a large box, with norm 1, cropped to the window and limited
-    /// to low angles; not renormalised, since what is cropped never meets the atoms in the window.
-    fn windowed(plan: &Plan) -> Self {
-        let window = plan.wave_grid;
-        let (my, mx) = probe_grid(plan).shape();
-        let (ny, nx) = window.shape();
-        let fft = Fft2::new(my, mx);
-        let wave = probe_in_box(plan, &fft, &mut fft.scratch());
-        let small = Fft2::new(ny, nx);
-        let mut cropped = small.buffer();
-        for y in 0..ny {
-            cropped[y * small.stride()..][..nx].copy_from_slice(&wave[y * fft.stride()..][..nx]);
-        }
-        small.forward(&mut cropped, &mut small.scratch());
-        let optics = &plan.settings.optics;
-        let keep = (optics.semiangle_mrad * 2.0).max(optics.semiangle_mrad + 20.0) * 1e-3
-            / optics.wavelength_angstrom();
-        let keep = keep.min(plan.band_limit);
-        // Fourier coefficients on the window, times n / m: intensities then are fractions of the beam
-        let scale = 1.0 / ((nx * ny) as f64 * (mx * my) as f64).sqrt();
-        let mut entries = Vec::new();
-        for iy in 0..ny {
-            for ix in 0..nx {
-                let [kx, ky] = window.k(iy, ix);
-                if kx.hypot(ky) < keep {
-                    let v = cropped[iy * small.stride() + ix];
-                    let v = Complex64::new(f64::from(v.re), f64::from(v.im));
-                    entries.push((iy, ix, v * scale));
-                }
-            }
-        }
-        Spectrum { entries, centre: window_centre(plan) }
-    }
-}
-
-/// First pixel (x, y) of the window of a probe; windows may reach over the edges of the cell.
-pub(super) fn window_start(plan: &Plan, position: [f64; 2]) -> [i64; 2] {
-    let (cell, grid) = (&plan.transmission_grid, &plan.wave_grid);
-    let pixel = grid.sampling_angstrom();
-    let mut first = [0; 2];
-    for k in [0, 1].into_iter().filter(|&k| grid.points[k] < cell.points[k]) {
-        let step = (WINDOW_STEP_ANGSTROM / pixel[k]).round().max(1.0);
-        let centre = (position[k] / pixel[k] / step).round() * step;
-        first[k] = centre as i64 - grid.points[k] as i64 / 2;
-    }
-    first
-}
-
-/// The middle of the window in Angstrom, from its first pixel.
-pub(super) fn window_centre(plan: &Plan) -> [f64; 2] {
-    let pixel = plan.wave_grid.sampling_angstrom();
-    [0, 1].map(|i| (plan.wave_grid.points[i] / 2) as f64 * pixel[i])
-}
-
-/// Width in Angstrom of the large box of [`super::settings::ProbeBox`].
-const PROBE_BOX_ANGSTROM: f64 = 75.0;
-
-/// The pixels of the cell, over several cells where one is small.
-pub(super) fn probe_grid(plan: &Plan) -> Grid {
-    let cell = plan.transmission_grid;
-    if !plan.settings.large_probe_box() {
-        return cell;
-    }
-    let times = cell.extent_angstrom.map(|l| {
-        // lengths that transforms like
-        let cells = [1usize, 2, 3, 4, 5, 6, 8, 10, 12, 15, 16, 20];
-        cells.into_iter().find(|n| *n as f64 * l >= PROBE_BOX_ANGSTROM).unwrap_or(20)
-    });
-    Grid {
-        points: [0, 1].map(|k| cell.points[k] * times[k]),
-        extent_angstrom: [0, 1].map(|k| cell.extent_angstrom[k] * times[k] as f64),
-    }
-}
-
-/// The probe in real space on [`probe_grid`] at the middle of a window that begins at pixel (0, 0);
-/// `fft` is that of the grid.
-pub(super) fn probe_in_box(plan: &Plan, fft: &Fft2, scratch: &mut Scratch) -> Buffer {
-    let (grid, centre) = (probe_grid(plan), window_centre(plan));
-    let phases = [0, 1].map(|i| shift_phases(centre[i] / grid.extent_angstrom[i], grid.points[i]));
-    let mut wave = fft.buffer();
-    for (iy, ix, a) in Spectrum::full(plan, &grid).entries {
-        wave[iy * fft.stride() + ix] = single(a * phases[0][ix] * phases[1][iy]);
-    }
-    fft.inverse(&mut wave, scratch);
-    wave
-}
-
-/// `exp(-2 pi i f u)` for all FFT frequencies f of n bins.
-fn shift_phases(u: f64, n: usize) -> Vec<Complex64> {
-    (0..n).map(|i| Complex64::from_polar(1.0, -2.0 * PI * u * frequency(i, n) as f64)).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::transmission::TransmissionBuilder;
-    use super::super::{ProbeStep, Settings, Site};
+    use super::super::{Algorithm, ProbeStep, Settings, Site};
     use super::*;
     use crate::progress::Silent;
 

@@ -2,8 +2,8 @@
 //!
 //! Particles, edges, tilted crystals and amorphous specimens have thin slices, of which a window meets few atoms or none.
 
-use super::multislice::window_start;
 use super::plan::{Grid, Plan};
+use super::windows::Division;
 use super::{Scan, Site};
 use crate::phonons::displaced;
 use crate::potential::projected::{PlacedAtom, Projection};
@@ -87,20 +87,18 @@ pub(super) fn place(plan: &Plan, sites: &[Site], configuration: u32) -> Vec<Vec<
 }
 
 impl Plan {
-    /// Lets the estimates know how many slices the probes of a scan pass in the mean.
+    /// Lets the estimates know how many waves are propagated for the probes of a scan, and how many slices they pass in
+    /// the mean.
     pub fn count_steps(&mut self, sites: &[Site], scan: &Scan) {
+        self.count_waves(scan);
         if self.wave_grid == self.transmission_grid || scan.is_empty() {
             return;
         }
         let occupancy = Occupancy::new(self, &place(self, sites, 0));
-        let cell = self.transmission_grid.points;
-        let every = scan.len().div_ceil(SAMPLED);
-        let steps = |i: usize| {
-            let first = window_start(self, scan.position(i));
-            let [x, y] = [0, 1].map(|k| first[k].rem_euclid(cell[k] as i64) as usize);
-            occupancy.within((y, x)).len()
-        };
-        let sampled = (0..scan.len()).step_by(every);
+        let patches = Division::new(self, scan).patches;
+        let every = patches.len().div_ceil(SAMPLED);
+        let steps = |i: usize| occupancy.within(patches[i].origin).len();
+        let sampled = (0..patches.len()).step_by(every);
         let number = sampled.len();
         self.steps_per_wave = sampled.map(steps).sum::<usize>() as f64 / number as f64;
     }

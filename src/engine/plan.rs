@@ -77,6 +77,8 @@ pub struct Plan {
     pub record_after: Vec<usize>,
     /// Slices that a wave passes: all, or fewer where windows meet atoms in some only ([`Plan::count_steps`]).
     pub steps_per_wave: f64,
+    /// Waves propagated for each probe of a scan: fewer than 1 where probes are expanded ([`Plan::count_waves`]).
+    pub waves_per_probe: f64,
     /// Plane waves propagated (PRISM) or 0.
     pub beams: usize,
     /// For PRISM, the grid on which exit waves are kept: the whole cell at the band limit.
@@ -146,6 +148,7 @@ impl Plan {
             record_after: record_after(&settings.thicknesses_angstrom, &slices)?,
             steps_per_wave: slices.len() as f64,
             slices,
+            waves_per_probe: 1.0,
             beams: 0,
             exit_grid: None,
             warnings,
@@ -257,8 +260,11 @@ impl Plan {
             let n = (g.points[0] * g.points[1]) as f64;
             5.0 * n * n.log2()
         };
-        let waves = if self.beams > 0 { self.beams } else { probes };
-        let propagation = waves as f64 * self.steps_per_wave * 2.0 * fft(&self.wave_grid);
+        let waves = match self.beams {
+            0 => probes as f64 * self.waves_per_probe,
+            beams => beams as f64,
+        };
+        let propagation = waves * self.steps_per_wave * 2.0 * fft(&self.wave_grid);
         let potentials = self.slices.len() as f64 * 4.0 * fft(&self.potential_grid);
         let reduction = match (&self.exit_grid, self.settings.algorithm) {
             (Some(g), Algorithm::Prism { interpolation }) => {

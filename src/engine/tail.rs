@@ -7,17 +7,19 @@
 //! mean image too low everywhere, which between columns is 3-5 %.
 
 use super::accuracy::LEAST_INNER_SEMIANGLES;
-use super::multislice::{probe_grid, probe_in_box, window_centre};
 use super::plan::{Grid, Plan};
 use super::prism::single;
+use super::probe::{probe_in_box, repeated};
+use super::windows::{Division, window_centre};
 use super::{Scan, Site};
 use crate::constants::interaction_parameter;
 use crate::detect::Detector;
 use crate::error::Result;
-use crate::fft::{Buffer, Fft2, Scratch, frequency};
+use crate::fft::{Buffer, Fft2, Scratch, frequency, good_size};
 use crate::potential::cores::cross_section;
 use crate::potential::scattering::ScatteringFactor;
 use num_complex::{Complex32, Complex64};
+use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::PI;
 
@@ -30,9 +32,13 @@ fn applies(detector: &Detector, plan: &Plan) -> bool {
 pub(super) struct Tail<'a> {
     plan: &'a Plan,
     cell: Cell,
-    /// Transform of the tail's intensity at half of each recorded thickness, folded into the cell.
-    intensities: Vec<Buffer>,
+    around: Cell,
 }
+
+/// Pixels of the grid on which tails are, in Angstrom, at most: their intensity holds no detail below 0.3 A.
+const PIXEL_ANGSTROM: f64 = 0.15;
+/// Probes nearer to each other, relative to their windows, than this along an axis, in Angstrom, have one tail.
+const ALIKE_ANGSTROM: f64 = 1.2;
 
 impl<'a> Tail<'a> {
     /// `None` where the plan has no windows.
@@ -41,20 +47,11 @@ impl<'a> Tail<'a> {
         if all || !plan.settings.tail_correction {
             return None;
         }
-        let (cell, around) =
-            (Cell::new(plan, &plan.transmission_grid), Cell::new(plan, &probe_grid(plan)));
-        let mut scratch = cell.fft.scratch();
-        let mut larger = around.fft.scratch();
-        let outside = around.outside(plan, &mut larger);
-        let intensity = |thickness: f64| {
-            let mut tail = outside.clone();
-            around.travel(&mut tail, 0.5 * thickness, plan, &mut larger);
-            let mut tail = cell.folded(&tail, &around);
-            cell.fft.forward(&mut tail, &mut scratch);
-            tail
-        };
-        let intensities = plan.thicknesses_angstrom().into_iter().map(intensity).collect();
-        Some(Tail { plan, cell, intensities })
+        let extent_angstrom = plan.transmission_grid.extent_angstrom;
+        let points = extent_angstrom.map(|l| good_size((l / PIXEL_ANGSTROM).ceil() as usize, 1));
+        let grid = Grid { points, extent_angstrom };
+        let (cell, around) = (Cell::new(grid), Cell::new(repeated(plan, &grid)));
+        Some(Tail { plan, cell, around })
     }
 
     /// Fractions of the beam as (probe, recorded thickness, detector), row-major.
@@ -62,24 +59,103 @@ impl<'a> Tail<'a> {
     /// # Errors
     /// An element that the tables lack.
     pub fn values(&self, sites: &[Site], scan: &Scan) -> Result<Vec<f64>> {
-        let Tail { plan, cell, intensities } = self;
+        let plan = self.plan;
         let detectors = &plan.settings.detectors;
-        let mut scratch = cell.fft.scratch();
-        let mut out = vec![0.0; scan.len() * intensities.len() * detectors.len()];
+        let thicknesses = plan.thicknesses_angstrom();
+        let mut out = vec![0.0; scan.len() * thicknesses.len() * detectors.len()];
+        let alike = self.alike(scan);
         for (d, detector) in detectors.iter().enumerate().filter(|(_, d)| applies(d, plan)) {
             let sections = cross_sections(plan, sites, detector)?;
-            for (r, tail) in intensities.iter().enumerate() {
-                let last = plan.slices.boundaries[plan.record_after[r] + 1];
-                let inside = sites.iter().filter(|s| plan.slices.wrap(s.position[2]) < last);
-                let atoms = inside.map(|s| (s.position, sections.get(&s.number).copied()));
-                let map = cell.correlate(tail, atoms, &mut scratch);
-                for probe in 0..scan.len() {
-                    let at = (probe * intensities.len() + r) * detectors.len() + d;
-                    out[at] = cell.value(&map, scan.position(probe));
+            let atoms: Vec<Buffer> = (0..thicknesses.len())
+                .map(|r| {
+                    let last = plan.slices.boundaries[plan.record_after[r] + 1];
+                    let inside = sites.iter().filter(|s| plan.slices.wrap(s.position[2]) < last);
+                    self.cell.atoms(inside.map(|s| (s.position, sections.get(&s.number).copied())))
+                })
+                .collect();
+            let values = alike.par_iter().map(|(offset, probes)| {
+                let mut scratch = (self.cell.fft.scratch(), self.around.fft.scratch());
+                let outside = self.outside(*offset, &mut scratch.1);
+                let map = |(thickness, atoms): (&f64, &Buffer)| {
+                    let mut tail = outside.clone();
+                    self.around.travel(&mut tail, 0.5 * thickness, plan, &mut scratch.1);
+                    self.cell.correlate(
+                        self.cell.folded(&tail, &self.around),
+                        atoms,
+                        &mut scratch.0,
+                    )
+                };
+                let maps: Vec<Buffer> = thicknesses.iter().zip(&atoms).map(map).collect();
+                let at = |map, i: &usize| self.cell.value(map, scan.position(*i));
+                probes.iter().flat_map(|i| maps.iter().map(move |map| at(map, i))).collect()
+            });
+            let values: Vec<Vec<f64>> = values.collect();
+            for ((_, probes), values) in alike.iter().zip(&values) {
+                for (i, values) in probes.iter().zip(values.chunks_exact(thicknesses.len())) {
+                    for (r, value) in values.iter().enumerate() {
+                        out[(i * thicknesses.len() + r) * detectors.len() + d] = *value;
+                    }
                 }
             }
         }
         Ok(out)
+    }
+
+    /// Probes of a scan that stand about alike in their windows, with how far (x, y) they are from the middle, in Angstrom.
+    fn alike(&self, scan: &Scan) -> Vec<([f64; 2], Vec<usize>)> {
+        let plan = self.plan;
+        if plan.wave_grid == plan.transmission_grid {
+            // What is cropped to the cell moves with the probe.
+            return vec![([0.0; 2], (0..scan.len()).collect())];
+        }
+        let division = Division::new(plan, scan);
+        let (centre, half) = (window_centre(plan), division.half(plan));
+        let number = half.map(|h| (2.0 * h / ALIKE_ANGSTROM).ceil().max(1.0));
+        let width = [0, 1].map(|k| 2.0 * half[k] / number[k]);
+        let mut classes: BTreeMap<[i64; 2], Vec<usize>> = BTreeMap::new();
+        for (i, position) in division.patches.iter().flat_map(|p| &p.probes) {
+            let class = [0, 1].map(|k| {
+                let from_edge = position[k] - centre[k] + half[k];
+                (from_edge / width[k].max(1e-9)).floor().clamp(0.0, number[k] - 1.0) as i64
+            });
+            classes.entry(class).or_default().push(*i);
+        }
+        let offset = |c: [i64; 2]| [0, 1].map(|k| (c[k] as f64 + 0.5) * width[k] - half[k]);
+        classes.into_iter().map(|(class, probes)| (offset(class), probes)).collect()
+    }
+
+    /// Fourier coefficients of a probe at the origin, outside of a window from whose middle it is `offset` (Angstrom) away.
+    fn outside(&self, offset: [f64; 2], scratch: &mut Scratch) -> Buffer {
+        let around = &self.around;
+        let (window, centre) = (&self.plan.wave_grid, window_centre(self.plan));
+        // The window begins at the origin, so that its part of the box is simple.
+        let position = [0, 1].map(|k| centre[k] + offset[k]);
+        let mut wave = probe_in_box(self.plan, &around.grid, position, &around.fft, scratch);
+        let pixel = around.grid.sampling_angstrom();
+        // Which share of a pixel, centred on its point, lies in the window.
+        let share = |k: usize| -> Vec<f32> {
+            let n = around.grid.points[k];
+            let half = 0.5 * window.sampling_angstrom()[k];
+            let (low, high) = (-half, window.extent_angstrom[k] - half);
+            let of = |i: usize| {
+                let x = frequency(i, n) as f64 * pixel[k];
+                let x = if x < -0.5 * (around.grid.extent_angstrom[k] - high) {
+                    x + around.grid.extent_angstrom[k]
+                } else {
+                    x
+                };
+                let (from, to) = (x - 0.5 * pixel[k], x + 0.5 * pixel[k]);
+                ((to.min(high) - from.max(low)) / pixel[k]).clamp(0.0, 1.0) as f32
+            };
+            (0..n).map(of).collect()
+        };
+        let (columns, rows) = (share(0), share(1));
+        for (row, y) in wave.chunks_exact_mut(around.fft.stride()).zip(&rows) {
+            row.iter_mut().zip(&columns).for_each(|(v, x)| *v *= 1.0 - x * y);
+        }
+        around.fft.forward(&mut wave, scratch);
+        around.shift(&mut wave, position);
+        wave
     }
 }
 
@@ -98,30 +174,34 @@ fn cross_sections(plan: &Plan, sites: &[Site], detector: &Detector) -> Result<BT
     elements.into_iter().map(section).collect()
 }
 
-/// A grid of the whole cell or more, with the middle of the window.
+/// A grid of the whole cell or more.
 struct Cell {
+    grid: Grid,
     fft: Fft2,
-    pixel: [f64; 2],
-    centre: [f64; 2],
-    dk: [f64; 2],
 }
 
 impl Cell {
-    fn new(plan: &Plan, grid: &Grid) -> Self {
+    fn new(grid: Grid) -> Self {
         let (ny, nx) = grid.shape();
-        let (pixel, centre) = (grid.sampling_angstrom(), window_centre(plan));
-        Cell { fft: Fft2::new(ny, nx), pixel, centre, dk: grid.dk() }
+        Cell { grid, fft: Fft2::new(ny, nx) }
     }
 
-    /// Fourier coefficients of the probe outside the window.
-    fn outside(&self, plan: &Plan, scratch: &mut Scratch) -> Buffer {
-        let mut wave = probe_in_box(plan, &self.fft, scratch);
-        let [wx, wy] = plan.wave_grid.points;
-        for row in wave.chunks_exact_mut(self.fft.stride()).take(wy) {
-            row[..wx].fill(Complex32::ZERO);
+    /// Multiplies Fourier coefficients by `f(k_y) f(k_x)`.
+    fn multiply(&self, wave: &mut [Complex32], factor: impl Fn(usize, f64) -> Complex64) {
+        let dk = self.grid.dk();
+        let axis = |k: usize| -> Vec<Complex32> {
+            let n = self.grid.points[k];
+            (0..n).map(|i| single(factor(k, frequency(i, n) as f64 * dk[k]))).collect()
+        };
+        let (along_x, along_y) = (axis(0), axis(1));
+        for (row, fy) in wave.chunks_exact_mut(self.fft.stride()).zip(&along_y) {
+            row.iter_mut().zip(&along_x).for_each(|(v, fx)| *v *= fx * fy);
         }
-        self.fft.forward(&mut wave, scratch);
-        wave
+    }
+
+    /// Moves what is at `position` (Angstrom) to the origin.
+    fn shift(&self, wave: &mut [Complex32], position: [f64; 2]) {
+        self.multiply(wave, |axis, k| Complex64::from_polar(1.0, 2.0 * PI * k * position[axis]));
     }
 
     /// Takes a wave (Fourier coefficients times pixels) through free space and leaves its intensity, which sums
@@ -129,15 +209,7 @@ impl Cell {
     fn travel(&self, wave: &mut [Complex32], distance: f64, plan: &Plan, scratch: &mut Scratch) {
         let (ny, nx) = self.fft.shape();
         let wavelength = plan.settings.optics.wavelength_angstrom();
-        let axis = |n: usize, dk: f64| -> Vec<Complex32> {
-            let phase = |i| -PI * wavelength * distance * (frequency(i, n) as f64 * dk).powi(2);
-            let factor = |i| Complex64::from_polar(1.0, phase(i));
-            (0..n).map(factor).map(single).collect()
-        };
-        let (along_x, along_y) = (axis(nx, self.dk[0]), axis(ny, self.dk[1]));
-        for (row, fy) in wave.chunks_exact_mut(self.fft.stride()).zip(&along_y) {
-            row.iter_mut().zip(&along_x).for_each(|(v, fx)| *v *= fx * fy);
-        }
+        self.multiply(wave, |_, k| Complex64::from_polar(1.0, -PI * wavelength * distance * k * k));
         self.fft.inverse(wave, scratch);
         // entries have norm 1 as coefficients; the inverse of a forward transform multiplies by the pixels
         let pixels = (nx * ny) as f32;
@@ -159,37 +231,52 @@ impl Cell {
         out
     }
 
-    /// `sum_a s_a P(r_a - shift)` for every shift of the tail's intensity P, of which `tail` is the transform.
-    fn correlate(
-        &self,
-        tail: &[Complex32],
-        atoms: impl Iterator<Item = ([f64; 3], Option<f64>)>,
-        scratch: &mut Scratch,
-    ) -> Buffer {
-        let (ny, nx) = self.fft.shape();
+    /// Transform of the atoms' cross sections per area.
+    fn atoms(&self, atoms: impl Iterator<Item = ([f64; 3], Option<f64>)>) -> Buffer {
         let stride = self.fft.stride();
+        let pixel = self.grid.sampling_angstrom();
+        let per_pixel = 1.0 / (pixel[0] * pixel[1]);
         let mut map = self.fft.buffer();
-        let per_pixel = 1.0 / (self.pixel[0] * self.pixel[1]);
-        for (position, section) in atoms {
-            let bin = |i: usize, n: usize| {
-                ((position[i] / self.pixel[i]).round() as i64).rem_euclid(n as i64) as usize
-            };
-            map[bin(1, ny) * stride + bin(0, nx)].re += (section.unwrap_or(0.0) * per_pixel) as f32;
+        for ([x, y, _], section) in atoms {
+            let value = section.unwrap_or(0.0) * per_pixel;
+            for (row, column, weight) in self.between([x, y]) {
+                map[row * stride + column].re += (value * weight) as f32;
+            }
         }
-        self.fft.forward(&mut map, scratch);
-        map.iter_mut().zip(tail).for_each(|(m, p)| *m *= p.conj());
-        self.fft.inverse(&mut map, scratch);
+        self.fft.forward(&mut map, &mut self.fft.scratch());
         map
+    }
+
+    /// `sum_a s_a P(r_a - shift)` for every shift of the tail's intensity P; `atoms` is a transform.
+    fn correlate(&self, mut tail: Buffer, atoms: &[Complex32], scratch: &mut Scratch) -> Buffer {
+        self.fft.forward(&mut tail, scratch);
+        tail.iter_mut().zip(atoms).for_each(|(t, a)| *t = a * t.conj());
+        self.fft.inverse(&mut tail, scratch);
+        tail
     }
 
     /// For a probe at `position` (Angstrom).
     fn value(&self, map: &[Complex32], position: [f64; 2]) -> f64 {
         let (ny, nx) = self.fft.shape();
-        let bin = |i: usize, n: usize| {
-            let pixel = ((position[i] - self.centre[i]) / self.pixel[i]).round() as i64;
-            pixel.rem_euclid(n as i64) as usize
+        let part = |(row, column, weight): (usize, usize, f64)| {
+            f64::from(map[row * self.fft.stride() + column].re) * weight
         };
-        let sum = f64::from(map[bin(1, ny) * self.fft.stride() + bin(0, nx)].re);
+        let sum: f64 = self.between(position).map(part).sum();
         (sum / (nx * ny) as f64).max(0.0)
+    }
+
+    /// The points (row, column) around a position in Angstrom with their weights in linear interpolation.
+    fn between(&self, position: [f64; 2]) -> impl Iterator<Item = (usize, usize, f64)> {
+        let pixel = self.grid.sampling_angstrom();
+        let place = [0, 1].map(|k| position[k] / pixel[k]);
+        let axis = |k: usize| {
+            let (first, rest) = (place[k].floor(), place[k] - place[k].floor());
+            let n = self.grid.points[k] as i64;
+            let at = |i: i64| (first as i64 + i).rem_euclid(n) as usize;
+            [(at(0), 1.0 - rest), (at(1), rest)]
+        };
+        let (columns, rows) = (axis(0), axis(1));
+        rows.into_iter()
+            .flat_map(move |(row, wy)| columns.map(|(column, wx)| (row, column, wx * wy)))
     }
 }

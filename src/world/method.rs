@@ -13,7 +13,7 @@ use crate::error::{Error, Result};
 use crate::progress::Progress;
 
 /// Windows in Angstrom that are tried in turn for a requested error.
-const WIDER: [f64; 2] = [9.8, 11.7];
+const WIDER: [f64; 1] = [11.7];
 
 /// What a mosaic's errors are checked with before a world is made of it.
 #[derive(Debug, Clone, PartialEq, Default)]

@@ -66,7 +66,7 @@ pub fn cases() -> Vec<Case> {
     ]
 }
 
-const WINDOWS: [f64; 3] = [2.1, 0.8, 0.4];
+const WINDOWS: [f64; 3] = [3.3, 0.8, 0.4];
 
 fn windows(lab: &Lab) -> Result<Findings> {
     let (sites, cell) = srtio3([6, 6, 10])?;

@@ -19,7 +19,7 @@ use crate::world::specimen::{SiteKind, Specimen};
 use crate::world::subprogress::SubProgress;
 
 /// Version of what sheets hold; a change makes older caches useless.
-const VERSION: u32 = 5;
+const VERSION: u32 = 6;
 /// Draw of [`Purpose::Library`] for the contents of surroundings.
 const SURROUNDINGS_DRAW: u32 = 1 << 20;
 
@@ -273,7 +273,12 @@ impl Library {
     /// Those of the settings.
     pub fn largest_plan(&self) -> Result<Option<Plan>> {
         let largest = self.shelves.values().max_by_key(|s| s.probes());
-        largest.map(|s| s.plan(&self.settings)).transpose()
+        let plan = |s: &Shelf| {
+            let mut plan = s.plan(&self.settings)?;
+            plan.count_waves(&s.scan);
+            Ok(plan)
+        };
+        largest.map(plan).transpose()
     }
 
     /// Bytes that the images will take.

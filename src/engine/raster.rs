@@ -3,10 +3,14 @@
 
 use super::plan::Plan;
 use super::settings::{Algorithm, ProbeStep, Settings};
+use super::windows::expanded_waves;
 use super::{Images, Scan};
 use crate::error::Result;
 use crate::resample::{Edge, Kernel, MARGIN, TAPS, image_band_limit};
 use ndarray::Array4;
+
+/// Of probes that are expanded, so many for each wave cost little: the scan then needs no interpolation.
+const PROBES_PER_WAVE: usize = 16;
 
 /// The probes that are propagated for a scan, and how its values come from theirs.
 #[derive(Debug, Clone)]
@@ -38,6 +42,11 @@ impl ProbeRaster {
     pub fn new(plan: &Plan, asked: &Scan) -> Result<Self> {
         let cell = plan.transmission_grid.extent_angstrom;
         let band_limit = image_band_limit(&plan.settings.optics);
+        if plan.settings.probe_step == ProbeStep::Auto
+            && expanded_waves(plan, asked).is_some_and(|w| asked.len() <= PROBES_PER_WAVE * w)
+        {
+            return Ok(Self::every(asked));
+        }
         let Some(most) = step_angstrom(&plan.settings) else { return Ok(Self::every(asked)) };
         Kernel::check(most, band_limit)?;
         let counts = [asked.shape[1], asked.shape[0]];

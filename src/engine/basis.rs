@@ -1,0 +1,255 @@
+//! Probes that share a window, expanded in fewer waves.
+//!
+//! A probe holds nothing beyond its aperture, so probes that are less than `wavelength / (2 semiangle)` apart (0.6 A) are
+//! nearly linear combinations of each other. All probes of a patch are expanded in the orthonormal waves that
+//! hold most of them (principal components), as many as leave no probe an error above a stated share of its amplitude. Only
+//! those waves are propagated. With their Fourier coefficients `phi_j(k)` behind the specimen, a probe with the coefficients
+//! `c_j` has the intensity `sum_ij c_i* c_j M_ij` on a detector, `M_ij = sum_k D(k) phi_i*(k) phi_j(k)`: exact, but for
+//! what the expansion leaves out.
+
+use super::prism::single;
+use super::probe::Cropped;
+use crate::matrix::multiply;
+use nalgebra::{DMatrix, SymmetricEigen};
+use num_complex::{Complex32, Complex64};
+use std::f64::consts::PI;
+use std::ops::Range;
+
+/// Waves that hold the probes of a patch.
+pub(super) struct Basis {
+    /// (wave, bin of the window), row-major.
+    waves: Vec<Complex32>,
+    /// (wave, bin of the surroundings), row-major: products with a probe's coefficients there give those on the waves.
+    project: Vec<Complex32>,
+    /// Bins of the window.
+    bins: usize,
+}
+
+/// Distance in Angstrom of the positions in a patch by which waves are chosen, in units of the Nyquist distance of the
+/// amplitude (0.6 A): a third.
+const CANDIDATES_PER_NYQUIST: f64 = 3.0;
+/// The waves that positions are reduced to first hold them to this share of the error allowed.
+const REDUCED: f64 = 0.3;
+
+impl Basis {
+    /// For probes at most `half` (Angstrom, along x and y) from the middle of a window, each right to the share
+    /// `error` of its amplitude; `nyquist` is the distance in Angstrom at which the amplitude has to be sampled.
+    pub fn new(probe: &Cropped, half: [f64; 2], nyquist: f64, error: f64) -> Self {
+        let candidates = Candidates::new(probe, half, nyquist / CANDIDATES_PER_NYQUIST);
+        let allowed: Vec<f64> = candidates.norms.iter().map(|n| error * error * n).collect();
+        let (span, of) = candidates.reduced(error * REDUCED);
+        let n = candidates.len();
+        let waves = of.len() / n;
+        let bins = span.len() / waves;
+        let mut moments = vec![Complex64::ZERO; waves * waves];
+        let conjugate: Vec<Complex64> = of.iter().map(Complex64::conj).collect();
+        multiply((waves, waves, n), (&mut moments, waves), (&of, [1, waves]), (&conjugate, waves));
+        let eigen = SymmetricEigen::new(DMatrix::from_row_slice(waves, waves, &moments));
+        let mut order: Vec<usize> = (0..waves).collect();
+        order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
+        // (wave of the span, component)
+        let at = |j: usize| order.iter().map(move |&l| (j, l));
+        let components: Vec<Complex64> =
+            (0..waves).flat_map(at).map(|at| eigen.eigenvectors[at]).collect();
+        let conjugate: Vec<Complex64> = components.iter().map(Complex64::conj).collect();
+        let mut on = vec![Complex64::ZERO; n * waves];
+        multiply((n, waves, waves), (&mut on, waves), (&of, [waves, 1]), (&conjugate, waves));
+        let kept = fewest(&on, waves, &candidates.norms, &allowed);
+        let mut chosen = vec![Complex64::ZERO; kept * bins];
+        multiply(
+            (kept, bins, waves),
+            (&mut chosen, bins),
+            (&components, [1, waves]),
+            (&span, bins),
+        );
+        let back = chosen.chunks_exact(bins).flat_map(|wave| probe.from_window(wave));
+        let project = back.map(|v| single(v.conj())).collect();
+        Basis { waves: chosen.into_iter().map(single).collect(), project, bins }
+    }
+
+    /// Number of waves.
+    pub fn len(&self) -> usize {
+        self.waves.len() / self.bins
+    }
+
+    /// Coefficients of a wave on the bins of the window.
+    pub fn wave(&self, j: usize) -> &[Complex32] {
+        &self.waves[j * self.bins..][..self.bins]
+    }
+
+    /// Coefficients (wave, probe), row-major, of probes at some positions in the window.
+    pub fn coefficients(&self, probe: &Cropped, positions: &[(usize, [f64; 2])]) -> Vec<Complex32> {
+        let (n, around) = (positions.len(), probe.around.len());
+        let mut spectra = vec![Complex32::ZERO; around * n];
+        for (i, (_, position)) in positions.iter().enumerate() {
+            let [x, y] = probe.phases(probe.offset(*position)).map(singles);
+            for (e, ((iy, ix), a)) in probe.around.iter().enumerate() {
+                spectra[e * n + i] = single(*a) * x[*ix] * y[*iy];
+            }
+        }
+        let mut out = vec![Complex32::ZERO; self.len() * n];
+        let shape = (self.len(), n, around);
+        multiply(shape, (&mut out, n), (&self.project, [around, 1]), (&spectra, n));
+        out
+    }
+}
+
+fn singles(values: Vec<Complex64>) -> Vec<Complex32> {
+    values.into_iter().map(single).collect()
+}
+
+/// The least number of leading components with which no candidate lacks more than is allowed.
+fn fewest(on: &[Complex64], waves: usize, norms: &[f64], allowed: &[f64]) -> usize {
+    let needed = |(row, (norm, allowed)): (&[Complex64], (&f64, &f64))| {
+        let mut left = *norm;
+        let enough = row.iter().position(|c| {
+            left -= c.norm_sqr();
+            left <= *allowed
+        });
+        enough.map_or(waves, |i| i + 1)
+    };
+    let rows = on.chunks_exact(waves).zip(norms.iter().zip(allowed));
+    rows.map(needed).max().unwrap_or(1)
+}
+
+/// Probes on a raster over a patch, denser towards its edges.
+struct Candidates<'a> {
+    probe: &'a Cropped,
+    /// Phases along x and y, per position and frequency of the surroundings.
+    phases: [Vec<Vec<Complex64>>; 2],
+    /// Bins of the surroundings in the same row.
+    rows: Vec<Range<usize>>,
+    /// Squared norm of each in the window.
+    norms: Vec<f64>,
+}
+
+impl<'a> Candidates<'a> {
+    fn new(probe: &'a Cropped, half: [f64; 2], step: f64) -> Self {
+        let places = [0, 1].map(|k| {
+            let n = (2.0 * half[k] / step).ceil() as usize + 1;
+            // Positions as of Chebyshev's polynomials: the errors at the edges are then like those within.
+            let place = |i: usize| match n {
+                1 => 0.0,
+                _ => half[k] * (PI * (i as f64 / (n - 1) as f64 - 0.5)).sin(),
+            };
+            (0..n).map(place).collect::<Vec<f64>>()
+        });
+        let phases = [0, 1].map(|k| {
+            let at = |x: &f64| probe.phases([*x; 2])[k].clone();
+            places[k].iter().map(at).collect()
+        });
+        let mut rows: Vec<Range<usize>> = Vec::new();
+        for (e, ((row, _), _)) in probe.around.iter().enumerate() {
+            match rows.last_mut() {
+                Some(range) if probe.around[range.start].0.0 == *row => range.end = e + 1,
+                _ => rows.push(e..e + 1),
+            }
+        }
+        let mut candidates = Candidates { probe, phases, rows, norms: Vec::new() };
+        let norm = |i| candidates.get(i).iter().map(Complex64::norm_sqr).sum();
+        candidates.norms = (0..candidates.len()).map(norm).collect();
+        candidates
+    }
+
+    fn len(&self) -> usize {
+        self.phases[0].len() * self.phases[1].len()
+    }
+
+    /// Coefficients in the window.
+    fn get(&self, i: usize) -> Vec<Complex64> {
+        let columns = self.phases[0].len();
+        let (x, y) = (&self.phases[0][i % columns], &self.phases[1][i / columns]);
+        self.probe.to_window(self.probe.around.iter().map(|((iy, ix), a)| a * x[*ix] * y[*iy]))
+    }
+
+    /// `sum wave* v` in the window for all candidates v.
+    fn project(&self, wave: &[Complex64]) -> Vec<Complex64> {
+        let wave = self.probe.from_window(wave);
+        let around = &self.probe.around;
+        let columns = self.phases[0].len();
+        let mut out = vec![Complex64::ZERO; self.len()];
+        let mut sums = vec![Complex64::ZERO; columns];
+        for row in &self.rows {
+            let weighted: Vec<Complex64> =
+                row.clone().map(|e| wave[e].conj() * around[e].1).collect();
+            for (sum, phases) in sums.iter_mut().zip(&self.phases[0]) {
+                let at = row.clone().map(|e| phases[around[e].0.1]);
+                *sum = weighted.iter().zip(at).map(|(w, p)| w * p).sum();
+            }
+            for (line, phases) in out.chunks_exact_mut(columns).zip(&self.phases[1]) {
+                let phase = phases[around[row.start].0.0];
+                line.iter_mut().zip(&sums).for_each(|(to, sum)| *to += sum * phase);
+            }
+        }
+        out
+    }
+
+    /// Orthonormal waves (wave, bin) that hold all candidates up to the share `error` of their amplitude, each
+    /// made of the candidate that those before it hold least; and the candidates' (candidate, wave) coefficients.
+    fn reduced(&self, error: f64) -> (Vec<Complex64>, Vec<Complex64>) {
+        let bins = self.get(0).len();
+        let mut span: Vec<Complex64> = Vec::new();
+        let mut of: Vec<Vec<Complex64>> = Vec::new();
+        let mut left = vec![1.0; self.len()];
+        while of.len() < bins.min(self.len()) {
+            let worst = (0..left.len()).fold(0, |w, i| if left[i] > left[w] { i } else { w });
+            if left[worst] <= error * error {
+                break;
+            }
+            let mut wave = self.get(worst);
+            // twice, against rounding
+            for q in span.chunks_exact(bins).chain(span.chunks_exact(bins)) {
+                let c: Complex64 = q.iter().zip(&wave).map(|(q, w)| q.conj() * w).sum();
+                wave.iter_mut().zip(q).for_each(|(w, q)| *w -= c * q);
+            }
+            let norm = wave.iter().map(Complex64::norm_sqr).sum::<f64>().sqrt();
+            wave.iter_mut().for_each(|w| *w /= norm);
+            let on = self.project(&wave);
+            let lost = on.iter().zip(&self.norms).map(|(c, norm)| c.norm_sqr() / norm);
+            left.iter_mut().zip(lost).for_each(|(l, c)| *l -= c);
+            span.extend(wave);
+            of.push(on);
+        }
+        let by_candidate = (0..self.len()).flat_map(|c| of.iter().map(move |on| on[c])).collect();
+        (span, by_candidate)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::plan::Plan;
+    use super::super::probe::Probe;
+    use super::super::{Algorithm, Settings};
+    use super::*;
+
+    /// Probes between the positions by which waves are chosen; 1.02 % at most where 1 % is allowed.
+    #[test]
+    fn probes_are_held_as_well_as_asked() {
+        let algorithm = Algorithm::Window { width_angstrom: 7.8 };
+        let settings = Settings { algorithm, ..Settings::default() };
+        let plan = Plan::new(&settings, [31.2, 31.2, 2.0], &[1.0]).unwrap();
+        let probe = Probe::new(&plan);
+        let cropped = probe.cropped().unwrap();
+        let (half, error) = ([1.6, 1.2], 0.01);
+        let basis = Basis::new(cropped, half, 0.6, error);
+        let middle = cropped.offset([0.0; 2]).map(|x| -x);
+        let place =
+            |i: usize| (i, [0, 1].map(|k| middle[k] + half[k] * (0.77 * (i + 9 * k) as f64).sin()));
+        let positions: Vec<_> = (0..40).map(place).collect();
+        let coefficients = basis.coefficients(cropped, &positions);
+        let mut worst = 0.0_f32;
+        for (i, position) in &positions {
+            let mut left = probe.at(&plan, *position);
+            let norm: f32 = left.iter().map(Complex32::norm_sqr).sum();
+            for j in 0..basis.len() {
+                let c = coefficients[j * positions.len() + i];
+                left.iter_mut().zip(basis.wave(j)).for_each(|(l, w)| *l -= c * w);
+            }
+            let lacks: f32 = left.iter().map(Complex32::norm_sqr).sum();
+            worst = worst.max((lacks / norm).sqrt());
+        }
+        assert!(worst > 0.3 * error as f32 && worst < 1.1 * error as f32, "{worst}");
+        // 22 by the area of patch and aperture, and what the edges of the patch take; 52 measured
+        assert!((45..58).contains(&basis.len()), "{}", basis.len());
+    }
+}

@@ -1,0 +1,424 @@
+//! The probe at the entrance surface: on the grid of the cell, or made in a large box and cropped to a window.
+
+use super::plan::{Grid, Plan};
+use super::prism::single;
+use super::windows::{largest_half, window_centre};
+use crate::fft::{Buffer, Fft2, Scratch, frequency};
+use crate::matrix::multiply;
+use num_complex::{Complex32, Complex64};
+use std::f64::consts::PI;
+
+/// The probe as Fourier coefficients on the wave grid, for any position.
+pub(super) struct Probe {
+    /// Bins (row, column) of the wave grid that hold it, by row.
+    pub bins: Vec<(usize, usize)>,
+    made: Made,
+}
+
+enum Made {
+    /// In the cell, or once in a window as large as that, and moved periodically.
+    Moved { amplitudes: Vec<Complex64>, centre: [f64; 2] },
+    /// In a window of the specimen: what of it lies outside depends on where it stands.
+    Cropped(Cropped),
+}
+
+impl Probe {
+    /// For the plan's wave grid, with the norm that the settings ask for; squared coefficients sum to the fraction
+    /// of the beam inside the grid. A cropped probe is not renormalised, since what is cropped never meets the atoms in the
+    /// window.
+    pub fn new(plan: &Plan) -> Self {
+        let grid = plan.wave_grid;
+        if grid == plan.transmission_grid && !plan.settings.large_probe_box() {
+            let (bins, amplitudes) =
+                aperture(plan, &grid).into_iter().map(|(at, a)| (at, a)).unzip();
+            return Probe { bins, made: Made::Moved { amplitudes, centre: [0.0; 2] } };
+        }
+        let bins = low_bins(plan, &grid);
+        if grid == plan.transmission_grid {
+            let amplitudes = in_box(plan, &grid, [0; 2], &bins);
+            return Probe { bins, made: Made::Moved { amplitudes, centre: window_centre(plan) } };
+        }
+        let cropped = Cropped::new(plan, &bins);
+        Probe { bins, made: Made::Cropped(cropped) }
+    }
+
+    /// Coefficients for a probe at `position` (Angstrom, within the wave).
+    pub fn at(&self, plan: &Plan, position: [f64; 2]) -> Vec<Complex32> {
+        match &self.made {
+            Made::Moved { amplitudes, centre } => {
+                let grid = &plan.wave_grid;
+                let shift = |k: usize| (position[k] - centre[k]) / grid.extent_angstrom[k];
+                let phases = [0, 1].map(|k| shift_phases(shift(k), grid.points[k]));
+                let at = |(&(iy, ix), a): (&(usize, usize), &Complex64)| {
+                    single(a * phases[0][ix] * phases[1][iy])
+                };
+                self.bins.iter().zip(amplitudes).map(at).collect()
+            }
+            Made::Cropped(cropped) => cropped.at(position).into_iter().map(single).collect(),
+        }
+    }
+
+    /// The probe of a window.
+    pub fn cropped(&self) -> Option<&Cropped> {
+        match &self.made {
+            Made::Cropped(cropped) => Some(cropped),
+            Made::Moved { .. } => None,
+        }
+    }
+}
+
+/// A probe that is cropped to a window: first from the large box to surroundings that hold the window wherever it lies
+/// about the probe, which leaves few coefficients, then to the window.
+pub(super) struct Cropped {
+    /// The middle of the window in Angstrom.
+    centre: [f64; 2],
+    /// Bins (row, column) in the rectangle of low frequencies of the surroundings, and their coefficients for a probe
+    /// in the middle.
+    pub around: Vec<((usize, usize), Complex64)>,
+    /// Frequencies of that rectangle's columns and rows in 1/Angstrom.
+    k: [Vec<f64>; 2],
+    /// Columns of the surroundings to columns of the window, and rows of the window from rows of the surroundings.
+    crop: [Vec<Complex64>; 2],
+    /// The window's bins in the rectangle of its low frequencies.
+    inside: Vec<(usize, usize)>,
+    /// Rows and columns of that rectangle.
+    low: (usize, usize),
+}
+
+/// Specimen around the window that the surroundings hold beyond where it may lie, in Angstrom: the edges of the
+/// surroundings must not be seen.
+const BEYOND_ANGSTROM: f64 = 1.0;
+
+impl Cropped {
+    fn new(plan: &Plan, bins: &[(usize, usize)]) -> Self {
+        let window = plan.wave_grid;
+        let pixel = window.sampling_angstrom();
+        let half = largest_half(plan);
+        let beyond = [0, 1].map(|k| ((half[k] + BEYOND_ANGSTROM) / pixel[k]).ceil() as usize);
+        let points = [0, 1].map(|k| window.points[k] + 2 * beyond[k]);
+        let grid = Grid { points, extent_angstrom: [0, 1].map(|k| points[k] as f64 * pixel[k]) };
+        let around = low_bins(plan, &grid);
+        let amplitudes = in_box(plan, &grid, beyond, &around);
+        // Low frequencies from the most negative on.
+        let reach = |bins: &[(usize, usize)], grid: &Grid| {
+            [0, 1].map(|k| {
+                let of =
+                    |b: &(usize, usize)| frequency([b.1, b.0][k], grid.points[k]).unsigned_abs();
+                bins.iter().map(of).max().unwrap_or(0) as i64
+            })
+        };
+        let (wide, low) = (reach(&around, &grid), reach(bins, &window));
+        let place = |b: &(usize, usize), grid: &Grid, reach: [i64; 2]| {
+            let at = |i: usize, k: usize| (frequency(i, grid.points[k]) + reach[k]) as usize;
+            (at(b.0, 1), at(b.1, 0))
+        };
+        let k = [0, 1].map(|k| {
+            (-wide[k]..=wide[k]).map(|f| f as f64 / grid.extent_angstrom[k]).collect::<Vec<_>>()
+        });
+        let matrix = |axis: usize| {
+            let (n, scale) = (window.points[axis], (points[axis] * window.points[axis]) as f64);
+            let kernel = |from: f64, to: i64| {
+                let to = to as f64 / window.extent_angstrom[axis];
+                crop_kernel(from, to, 0, n, n / 2, pixel[axis]) / scale.sqrt()
+            };
+            let (from, to) = (&k[axis], -low[axis]..=low[axis]);
+            match axis {
+                0 => from.iter().flat_map(|f| to.clone().map(move |t| kernel(*f, t))).collect(),
+                _ => to.flat_map(|t| from.iter().map(move |f| kernel(*f, t))).collect(),
+            }
+        };
+        Cropped {
+            centre: window_centre(plan),
+            around: around.iter().map(|b| place(b, &grid, wide)).zip(amplitudes).collect(),
+            crop: [0, 1].map(matrix),
+            inside: bins.iter().map(|b| place(b, &window, low)).collect(),
+            low: ((2 * low[1] + 1) as usize, (2 * low[0] + 1) as usize),
+            k,
+        }
+    }
+
+    /// Phases of the surroundings' columns and rows that move the probe by `offset` (Angstrom) from the middle of the window.
+    pub fn phases(&self, offset: [f64; 2]) -> [Vec<Complex64>; 2] {
+        [0, 1].map(|i| {
+            self.k[i]
+                .iter()
+                .map(|k| Complex64::from_polar(1.0, -2.0 * PI * k * offset[i]))
+                .collect()
+        })
+    }
+
+    /// How far a position in the window (Angstrom) is from its middle.
+    pub fn offset(&self, position: [f64; 2]) -> [f64; 2] {
+        [0, 1].map(|k| position[k] - self.centre[k])
+    }
+
+    /// The window's coefficients, bin by bin, for a probe at `position` (Angstrom, within the window).
+    fn at(&self, position: [f64; 2]) -> Vec<Complex64> {
+        let phases = self.phases(self.offset(position));
+        self.to_window(self.around.iter().map(|((y, x), a)| a * phases[0][*x] * phases[1][*y]))
+    }
+
+    /// From coefficients of the surroundings to those of the window.
+    pub fn to_window(&self, around: impl Iterator<Item = Complex64>) -> Vec<Complex64> {
+        let [columns, rows] = [self.k[0].len(), self.k[1].len()];
+        let (low_rows, low_columns) = self.low;
+        let mut rectangle = vec![Complex64::ZERO; rows * columns];
+        for (((y, x), _), value) in self.around.iter().zip(around) {
+            rectangle[y * columns + x] = value;
+        }
+        let mut half = vec![Complex64::ZERO; rows * low_columns];
+        let by_columns = (rows, low_columns, columns);
+        multiply(
+            by_columns,
+            (&mut half, low_columns),
+            (&rectangle, [columns, 1]),
+            (&self.crop[0], low_columns),
+        );
+        let mut low = vec![Complex64::ZERO; low_rows * low_columns];
+        let by_rows = (low_rows, low_columns, rows);
+        multiply(
+            by_rows,
+            (&mut low, low_columns),
+            (&self.crop[1], [rows, 1]),
+            (&half, low_columns),
+        );
+        self.inside.iter().map(|(y, x)| low[y * low_columns + x]).collect()
+    }
+
+    /// The adjoint of [`Cropped::to_window`]: `sum conj(window) to_window(a) = sum conj(from_window(window)) a`.
+    pub fn from_window(&self, window: &[Complex64]) -> Vec<Complex64> {
+        let [columns, rows] = [self.k[0].len(), self.k[1].len()];
+        let (low_rows, low_columns) = self.low;
+        let mut low = vec![Complex64::ZERO; low_rows * low_columns];
+        for ((y, x), value) in self.inside.iter().zip(window) {
+            low[y * low_columns + x] = value.conj();
+        }
+        // Products of conjugates, conjugated at the end.
+        let mut half = vec![Complex64::ZERO; rows * low_columns];
+        let by_rows = (rows, low_columns, low_rows);
+        multiply(
+            by_rows,
+            (&mut half, low_columns),
+            (&self.crop[1], [1, rows]),
+            (&low, low_columns),
+        );
+        let mut out = vec![Complex64::ZERO; columns * rows];
+        let by_columns = (columns, rows, low_columns);
+        let mut turned = vec![Complex64::ZERO; low_columns * rows];
+        for (y, line) in half.chunks_exact(low_columns).enumerate() {
+            line.iter().enumerate().for_each(|(x, v)| turned[x * rows + y] = *v);
+        }
+        multiply(by_columns, (&mut out, rows), (&self.crop[0], [low_columns, 1]), (&turned, rows));
+        self.around.iter().map(|((y, x), _)| out[x * rows + y].conj()).collect()
+    }
+}
+
+/// `sum exp(2 pi i x (from - to))` over the pixels `first..first + n`, x being their distance from pixel `centre`, times
+/// the phase that `to` has in transforms that begin at pixel 0.
+fn crop_kernel(from: f64, to: f64, first: i64, n: usize, centre: usize, pixel: f64) -> Complex64 {
+    let turn = PI * (from - to) * pixel;
+    let sum = match turn.sin() {
+        sin if sin.abs() < 1e-12 => n as f64,
+        sin => (n as f64 * turn).sin() / sin,
+    };
+    // The sum has the phase of the middle of the pixels.
+    let middle = first as f64 + 0.5 * (n as f64 - 1.0) - centre as f64;
+    let phase = 2.0 * turn * middle - 2.0 * PI * to * centre as f64 * pixel;
+    Complex64::from_polar(sum, phase)
+}
+
+/// The coefficients `bins` of a probe in the middle of `grid`, cropped from the large box. The middle is that of a
+/// window, with `beyond` pixels before and after it; with such, the coefficients are relative to the middle.
+fn in_box(plan: &Plan, grid: &Grid, beyond: [usize; 2], bins: &[(usize, usize)]) -> Vec<Complex64> {
+    let large = probe_grid(plan);
+    let lens = aperture(plan, &large);
+    let pixel = grid.sampling_angstrom();
+    let scale = [0, 1].map(|k| ((grid.points[k] * large.points[k]) as f64).sqrt());
+    let middle = [0, 1].map(|k| beyond[k] + (grid.points[k] - 2 * beyond[k]) / 2);
+    let relative = beyond != [0; 2];
+    // kernel[axis]: for each of the box's low frequencies, those of the grid
+    let wanted = [0, 1].map(|k| {
+        let mut all: Vec<usize> = bins.iter().map(|b| [b.1, b.0][k]).collect();
+        all.sort_unstable();
+        all.dedup();
+        all
+    });
+    let held = [0, 1].map(|k| {
+        let mut all: Vec<usize> = lens.iter().map(|((y, x), _)| [*x, *y][k]).collect();
+        all.sort_unstable();
+        all.dedup();
+        all
+    });
+    let kernel = |axis: usize, from: usize, to: usize| {
+        let from = frequency(from, large.points[axis]) as f64 / large.extent_angstrom[axis];
+        let to = frequency(to, grid.points[axis]) as f64 / grid.extent_angstrom[axis];
+        let value = crop_kernel(from, to, 0, grid.points[axis], middle[axis], pixel[axis]);
+        let back = if relative { 2.0 * PI * to * middle[axis] as f64 * pixel[axis] } else { 0.0 };
+        value * Complex64::from_polar(1.0 / scale[axis], back)
+    };
+    let [nx, ny] = [wanted[0].len(), wanted[1].len()];
+    let [mx, my] = [held[0].len(), held[1].len()];
+    let across: Vec<Complex64> =
+        held[0].iter().flat_map(|f| wanted[0].iter().map(|t| kernel(0, *f, *t))).collect();
+    let down: Vec<Complex64> =
+        wanted[1].iter().flat_map(|t| held[1].iter().map(|f| kernel(1, *f, *t))).collect();
+    let mut rectangle = vec![Complex64::ZERO; mx * my];
+    let find = |all: &[usize], i: usize| all.partition_point(|v| *v < i);
+    for ((y, x), a) in &lens {
+        rectangle[find(&held[1], *y) * mx + find(&held[0], *x)] = *a;
+    }
+    let mut half = vec![Complex64::ZERO; my * nx];
+    multiply((my, nx, mx), (&mut half, nx), (&rectangle, [mx, 1]), (&across, nx));
+    let mut out = vec![Complex64::ZERO; ny * nx];
+    multiply((ny, nx, my), (&mut out, nx), (&down, [my, 1]), (&half, nx));
+    bins.iter().map(|(y, x)| out[find(&wanted[1], *y) * nx + find(&wanted[0], *x)]).collect()
+}
+
+/// The bins (row, column) of low frequency that probes are limited to, by row.
+fn low_bins(plan: &Plan, grid: &Grid) -> Vec<(usize, usize)> {
+    let optics = &plan.settings.optics;
+    let keep = (optics.semiangle_mrad * 2.0).max(optics.semiangle_mrad + 20.0) * 1e-3
+        / optics.wavelength_angstrom();
+    let keep = keep.min(plan.band_limit);
+    let (ny, nx) = grid.shape();
+    let low = |&(iy, ix): &(usize, usize)| {
+        let [kx, ky] = grid.k(iy, ix);
+        kx.hypot(ky) < keep
+    };
+    let rows = (0..ny).filter(|iy| grid.k(*iy, 0)[1].abs() < keep);
+    rows.flat_map(|iy| (0..nx).map(move |ix| (iy, ix))).filter(low).collect()
+}
+
+/// The lens on `grid`, at the origin and the entrance surface, with the norm that the settings ask for: bins (row, column)
+/// and amplitudes.
+fn aperture(plan: &Plan, grid: &Grid) -> Vec<((usize, usize), Complex64)> {
+    let optics = &plan.settings.optics;
+    let (ny, nx) = grid.shape();
+    let mut lens = Vec::new();
+    for iy in 0..ny {
+        for ix in 0..nx {
+            let amplitude = optics.transfer(grid.k(iy, ix), grid.dk());
+            if amplitude != Complex64::ZERO {
+                lens.push(((iy, ix), amplitude));
+            }
+        }
+    }
+    // The edge of the aperture is soft: its amplitudes add to the area of the aperture, their squares to less.
+    let large = plan.settings.large_probe_box();
+    let share = |a: Complex64| if large { a.norm() } else { a.norm_sqr() };
+    let norm = lens.iter().map(|e| share(e.1)).sum::<f64>().sqrt();
+    lens.iter_mut().for_each(|e| e.1 /= norm);
+    lens
+}
+
+/// Width in Angstrom of the large box of [`super::settings::ProbeBox`].
+const PROBE_BOX_ANGSTROM: f64 = 75.0;
+
+/// The pixels of the cell, over several cells where one is small.
+fn probe_grid(plan: &Plan) -> Grid {
+    repeated(plan, &plan.transmission_grid)
+}
+
+/// As many cells of `cell` as the probe's box has along each axis.
+pub(super) fn repeated(plan: &Plan, cell: &Grid) -> Grid {
+    if !plan.settings.large_probe_box() {
+        return *cell;
+    }
+    let times = cell.extent_angstrom.map(|l| {
+        // lengths that transforms like
+        let cells = [1usize, 2, 3, 4, 5, 6, 8, 10, 12, 15, 16, 20];
+        cells.into_iter().find(|n| *n as f64 * l >= PROBE_BOX_ANGSTROM).unwrap_or(20)
+    });
+    Grid {
+        points: [0, 1].map(|k| cell.points[k] * times[k]),
+        extent_angstrom: [0, 1].map(|k| cell.extent_angstrom[k] * times[k] as f64),
+    }
+}
+
+/// The probe in real space on `grid`, the box in which it is made, at `position` (Angstrom); `fft` is that of the
+/// grid.
+pub(super) fn probe_in_box(
+    plan: &Plan,
+    grid: &Grid,
+    position: [f64; 2],
+    fft: &Fft2,
+    scratch: &mut Scratch,
+) -> Buffer {
+    let phases =
+        [0, 1].map(|i| shift_phases(position[i] / grid.extent_angstrom[i], grid.points[i]));
+    let mut wave = fft.buffer();
+    for ((iy, ix), a) in aperture(plan, grid) {
+        wave[iy * fft.stride() + ix] = single(a * phases[0][ix] * phases[1][iy]);
+    }
+    fft.inverse(&mut wave, scratch);
+    wave
+}
+
+/// `exp(-2 pi i f u)` for all FFT frequencies f of n bins.
+fn shift_phases(u: f64, n: usize) -> Vec<Complex64> {
+    (0..n).map(|i| Complex64::from_polar(1.0, -2.0 * PI * u * frequency(i, n) as f64)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Algorithm, Settings};
+    use super::*;
+    use crate::optics::Aberrations;
+
+    /// Against the probe in real space, cut and transformed: 0.0007 of its amplitude.
+    #[test]
+    fn windows_cut_probes_where_they_stand() {
+        let mut settings = Settings {
+            algorithm: Algorithm::Window { width_angstrom: 6.3 },
+            ..Settings::default()
+        };
+        settings.optics.aberrations = Aberrations::defocus(25.0);
+        let plan = Plan::new(&settings, [33.0, 27.0, 2.0], &[1.0]).unwrap();
+        let (window, large) = (plan.wave_grid, probe_grid(&plan));
+        let fft = Fft2::new(large.points[1], large.points[0]);
+        let small = Fft2::new(window.points[1], window.points[0]);
+        let (nx, ny) = (window.points[0], window.points[1]);
+        let pixels = (nx * ny * large.points[0] * large.points[1]) as f32;
+        let probe = Probe::new(&plan);
+        let centre = window_centre(&plan);
+        for offset in [[0.0, 0.0], [1.31, -0.4], [-1.5, 1.52]] {
+            let position = [centre[0] + offset[0], centre[1] + offset[1]];
+            let wave = probe_in_box(&plan, &large, position, &fft, &mut fft.scratch());
+            let mut cut = small.buffer();
+            for y in 0..ny {
+                cut[y * small.stride()..][..nx].copy_from_slice(&wave[y * fft.stride()..][..nx]);
+            }
+            small.forward(&mut cut, &mut small.scratch());
+            let ours = probe.at(&plan, position);
+            let (mut off, mut norm) = (0.0, 0.0);
+            for (&(iy, ix), value) in probe.bins.iter().zip(ours) {
+                let expected = cut[iy * small.stride() + ix] / pixels.sqrt();
+                off += (value - expected).norm_sqr();
+                norm += expected.norm_sqr();
+            }
+            assert!(norm > 0.9 && norm < 1.0, "{norm}");
+            assert!((off / norm).sqrt() < 2e-3, "{offset:?}: {}", (off / norm).sqrt());
+        }
+    }
+
+    #[test]
+    fn from_window_is_the_adjoint_of_to_window() {
+        let algorithm = Algorithm::Window { width_angstrom: 5.9 };
+        let plan =
+            Plan::new(&Settings { algorithm, ..Settings::default() }, [31.0, 29.0, 2.0], &[1.0]);
+        let probe = Probe::new(&plan.unwrap());
+        let cropped = probe.cropped().unwrap();
+        let some = |n: usize, step: f64| -> Vec<Complex64> {
+            (0..n)
+                .map(|i| Complex64::new((step * i as f64).sin(), (1.7 * step * i as f64).cos()))
+                .collect()
+        };
+        let (around, window) = (some(cropped.around.len(), 0.3), some(probe.bins.len(), 0.7));
+        let dot = |a: &[Complex64], b: &[Complex64]| -> Complex64 {
+            a.iter().zip(b).map(|(a, b)| a.conj() * b).sum()
+        };
+        let one = dot(&window, &cropped.to_window(around.iter().copied()));
+        let other = dot(&cropped.from_window(&window), &around);
+        assert!((one - other).norm() < 1e-9 * one.norm().max(1.0), "{one} {other}");
+    }
+}
