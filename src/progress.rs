@@ -6,6 +6,10 @@ pub trait Progress: Sync {
     fn start(&self, stage: &str, unit: &str, total: u64);
     /// `n` more units of the current stage are done; called from any thread.
     fn advance(&self, n: u64);
+    /// `n` units of the current stage were done by an earlier run: they say nothing about how fast this one is.
+    fn found(&self, n: u64) {
+        self.advance(n);
+    }
     /// The current stage is over.
     fn finish(&self);
     /// Something the user should know, once.

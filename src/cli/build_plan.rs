@@ -66,10 +66,12 @@ impl DryRun {
         let partition = Partition::new(pixels, pixel, size, overlap)?;
         let [rows, columns] = partition.subtiles().next().map_or([1, 1], |t| t.shape());
         let specimen = specimen(recipe)?;
-        let plan = subtile_plan(&*specimen, recipe, simulator, [rows, columns])?;
+        let mut plan = subtile_plan(&*specimen, recipe, simulator, [rows, columns])?;
         let sites = estimated_sites(&*specimen, field);
         let runs = if request.timed { partition.len() } else { 0 };
         let probes = simulator.probes(&plan, [rows, columns], 10.0 * pixel)?;
+        plan.count_waves(probes.scan());
+        let mut step_angstrom = probes.scan().step_angstrom;
         let (mut particle_probes, mut mosaic) = (None, None);
         let mut instead = None;
         if let Some(engine) = &request.mosaic {
@@ -81,6 +83,7 @@ impl DryRun {
                     let block = block.as_ref().unwrap_or(&plan);
                     instead = Some(PlanReport::new(block, probes.min(BLOCK_PROBES), runs));
                     particle_probes = Some(probes);
+                    step_angstrom = [film.step_angstrom(); 2];
                 }
                 None => mosaic = Some(Mosaic::outlook(engine, &*specimen, recipe)?),
             }
@@ -104,7 +107,7 @@ impl DryRun {
             dose_electrons_per_angstrom2: recipe.dose.electrons_per_angstrom2,
             subtiles: partition.len(),
             subtile_nm: [rows, columns].map(|n| n as f64 * pixel),
-            probe_step_angstrom: probes.scan().step_angstrom,
+            probe_step_angstrom: step_angstrom,
             plan: report,
             mosaic,
             particle_probes,
@@ -177,8 +180,9 @@ fn mosaic_report(
     let mut report = PlanReport::new(plan, probes, mosaic.missing);
     let pixel = 10.0 * recipe.field.pixel_nm();
     let unique = |edge: usize, runs: usize| -> anyhow::Result<PlanReport> {
-        let plan = subtile_plan(specimen, recipe, simulator, [edge; 2])?;
+        let mut plan = subtile_plan(specimen, recipe, simulator, [edge; 2])?;
         let probes = simulator.probes(&plan, [edge; 2], pixel)?;
+        plan.count_waves(probes.scan());
         Ok(PlanReport::new(&plan, probes.scan().len(), runs))
     };
     report.memory_bytes += mosaic.image_bytes;

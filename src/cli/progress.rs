@@ -17,9 +17,6 @@ const FIRST_LINE: Duration = Duration::from_secs(2);
 const LINE_EVERY: Duration = Duration::from_secs(8);
 /// The rate is that of the last so many seconds.
 const RATE_WINDOW: Duration = Duration::from_secs(60);
-/// A single report of so many units is work that an earlier run has done; it says nothing about
-/// the rate.
-const FOUND_DONE: u64 = 2000;
 
 /// Draws progress and notes interruptions.
 pub struct Reporter {
@@ -117,11 +114,13 @@ impl Progress for Reporter {
         *self.stage() = Some(stage);
     }
 
+    fn found(&self, n: u64) {
+        self.found.fetch_add(n, Relaxed);
+        self.advance(n);
+    }
+
     fn advance(&self, n: u64) {
         self.done.fetch_add(n, Relaxed);
-        if n >= FOUND_DONE {
-            self.found.fetch_add(n, Relaxed);
-        }
         let now = self.begun.elapsed().as_millis() as u64;
         let next = self.next_ms.load(Relaxed);
         let pause = if self.mode == Mode::Bars { 100 } else { 1000 };

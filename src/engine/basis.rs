@@ -62,7 +62,7 @@ impl Basis {
             (&components, [1, waves]),
             (&span, bins),
         );
-        let back = chosen.chunks_exact(bins).flat_map(|wave| probe.from_window(wave));
+        let back = chosen.chunks_exact(bins).flat_map(|wave| probe.pad_window(wave));
         let project = back.map(|v| single(v.conj())).collect();
         Basis { waves: chosen.into_iter().map(single).collect(), project, bins }
     }
@@ -159,12 +159,12 @@ impl<'a> Candidates<'a> {
     fn get(&self, i: usize) -> Vec<Complex64> {
         let columns = self.phases[0].len();
         let (x, y) = (&self.phases[0][i % columns], &self.phases[1][i / columns]);
-        self.probe.to_window(self.probe.around.iter().map(|((iy, ix), a)| a * x[*ix] * y[*iy]))
+        self.probe.cut_window(self.probe.around.iter().map(|((iy, ix), a)| a * x[*ix] * y[*iy]))
     }
 
     /// `sum wave* v` in the window for all candidates v.
     fn project(&self, wave: &[Complex64]) -> Vec<Complex64> {
-        let wave = self.probe.from_window(wave);
+        let wave = self.probe.pad_window(wave);
         let around = &self.probe.around;
         let columns = self.phases[0].len();
         let mut out = vec![Complex64::ZERO; self.len()];

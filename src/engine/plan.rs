@@ -3,6 +3,7 @@
 
 use super::settings::{Algorithm, BeyondLimit, GridChoice, POTENTIAL_SAMPLING_ANGSTROM, Settings};
 use super::stepper;
+use super::windows::waves_of_patch;
 use crate::detect::{DetectorMap, Pattern};
 use crate::error::{Error, Result};
 use crate::fft::multiplier::Disk;
@@ -249,7 +250,9 @@ impl Plan {
         let transmission = (nx * ny * 8 * self.slices.len()) as u64;
         let exit = self.exit_grid.as_ref().map_or(0, |g| size(g) * self.beams as u64);
         let wave = size(&self.wave_grid);
-        let waves = wave * (stepper::group(wave as usize) as u64 + 2) * threads as u64;
+        // expanded probes: the waves of a patch, and their amplitudes on detectors
+        let together = stepper::group(wave as usize).max(2 * waves_of_patch(self));
+        let waves = wave * (together as u64 + 2) * threads as u64;
         let images = (probes * self.settings.detectors.len() * self.record_after.len() * 16) as u64;
         transmission + exit + waves + fine * 5 * threads as u64 + images
     }

@@ -29,8 +29,7 @@ impl Probe {
     pub fn new(plan: &Plan) -> Self {
         let grid = plan.wave_grid;
         if grid == plan.transmission_grid && !plan.settings.large_probe_box() {
-            let (bins, amplitudes) =
-                aperture(plan, &grid).into_iter().map(|(at, a)| (at, a)).unzip();
+            let (bins, amplitudes) = aperture(plan, &grid).into_iter().unzip();
             return Probe { bins, made: Made::Moved { amplitudes, centre: [0.0; 2] } };
         }
         let bins = low_bins(plan, &grid);
@@ -155,11 +154,11 @@ impl Cropped {
     /// The window's coefficients, bin by bin, for a probe at `position` (Angstrom, within the window).
     fn at(&self, position: [f64; 2]) -> Vec<Complex64> {
         let phases = self.phases(self.offset(position));
-        self.to_window(self.around.iter().map(|((y, x), a)| a * phases[0][*x] * phases[1][*y]))
+        self.cut_window(self.around.iter().map(|((y, x), a)| a * phases[0][*x] * phases[1][*y]))
     }
 
     /// From coefficients of the surroundings to those of the window.
-    pub fn to_window(&self, around: impl Iterator<Item = Complex64>) -> Vec<Complex64> {
+    pub fn cut_window(&self, around: impl Iterator<Item = Complex64>) -> Vec<Complex64> {
         let [columns, rows] = [self.k[0].len(), self.k[1].len()];
         let (low_rows, low_columns) = self.low;
         let mut rectangle = vec![Complex64::ZERO; rows * columns];
@@ -185,8 +184,8 @@ impl Cropped {
         self.inside.iter().map(|(y, x)| low[y * low_columns + x]).collect()
     }
 
-    /// The adjoint of [`Cropped::to_window`]: `sum conj(window) to_window(a) = sum conj(from_window(window)) a`.
-    pub fn from_window(&self, window: &[Complex64]) -> Vec<Complex64> {
+    /// The adjoint of [`Cropped::cut_window`]: `sum conj(window) cut_window(a) = sum conj(pad_window(window)) a`.
+    pub fn pad_window(&self, window: &[Complex64]) -> Vec<Complex64> {
         let [columns, rows] = [self.k[0].len(), self.k[1].len()];
         let (low_rows, low_columns) = self.low;
         let mut low = vec![Complex64::ZERO; low_rows * low_columns];
@@ -402,7 +401,7 @@ mod tests {
     }
 
     #[test]
-    fn from_window_is_the_adjoint_of_to_window() {
+    fn pad_window_is_the_adjoint_of_cut_window() {
         let algorithm = Algorithm::Window { width_angstrom: 5.9 };
         let plan =
             Plan::new(&Settings { algorithm, ..Settings::default() }, [31.0, 29.0, 2.0], &[1.0]);
@@ -417,8 +416,8 @@ mod tests {
         let dot = |a: &[Complex64], b: &[Complex64]| -> Complex64 {
             a.iter().zip(b).map(|(a, b)| a.conj() * b).sum()
         };
-        let one = dot(&window, &cropped.to_window(around.iter().copied()));
-        let other = dot(&cropped.from_window(&window), &around);
+        let one = dot(&window, &cropped.cut_window(around.iter().copied()));
+        let other = dot(&cropped.pad_window(&window), &around);
         assert!((one - other).norm() < 1e-9 * one.norm().max(1.0), "{one} {other}");
     }
 }

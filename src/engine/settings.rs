@@ -88,8 +88,8 @@ pub enum ProbeStep {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Expansion {
-    /// Where it takes fewer waves, right to 1 % of each probe's amplitude in windows of 7.8 A, and to the cube of the
-    /// ratio of widths better in wider ones. With windows of 7.8 A HAADF images change by 0.1-0.2 % of their mean.
+    /// Where it takes fewer waves, right to 1 % of each probe's amplitude in windows of up to 7.8 A, and by the cube of
+    /// the ratio of widths better in wider ones. HAADF images change by 0.2 % of their mean with 1 %.
     #[default]
     Auto,
     /// Every probe is propagated.

@@ -89,6 +89,12 @@ pub(super) fn expanded_waves(plan: &Plan, scan: &Scan) -> Option<usize> {
     (waves < WORTH * scan.len() as f64).then_some(waves as usize)
 }
 
+/// About how many waves the probes of one patch are expanded in, at most; 0 where each is propagated.
+pub(super) fn waves_of_patch(plan: &Plan) -> usize {
+    let along = WAVES.0 + WAVES.1 * patch_angstrom(plan) / amplitude_nyquist(plan);
+    expansion_error(plan).map_or(0, |_| (along * along) as usize)
+}
+
 /// The distance in Angstrom at which amplitudes have to be sampled as a function of the probe's position.
 pub(super) fn amplitude_nyquist(plan: &Plan) -> f64 {
     1.0 / image_band_limit(&plan.settings.optics)
@@ -132,10 +138,8 @@ fn patches(plan: &Plan, scan: &Scan, most: f64) -> Vec<Patch> {
     let (cell, grid) = (&plan.transmission_grid, &plan.wave_grid);
     let pixel = grid.sampling_angstrom();
     let whole = cell == grid;
-    let blocks = [0, 1].map(|k| match whole {
-        true => vec![0..scan.shape[1 - k]],
-        false => blocks(scan.shape[1 - k], scan.step_angstrom[k], most),
-    });
+    let most = if whole { f64::INFINITY } else { most };
+    let blocks = [0, 1].map(|k| blocks(scan.shape[1 - k], scan.step_angstrom[k], most));
     let mut patches = Vec::with_capacity(blocks[0].len() * blocks[1].len());
     for rows in &blocks[1] {
         for columns in &blocks[0] {

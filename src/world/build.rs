@@ -226,10 +226,11 @@ impl Job<'_> {
             let share = SubProgress::new(self.progress, work);
             if store.load(tile.index, tile.shape()).is_some() {
                 resumed += 1;
+                share.found();
             } else {
                 store.save(tile.index, &self.simulate_one(&tile, &share)?)?;
+                share.complete();
             }
-            share.complete();
         }
         self.progress.finish();
         Ok(resumed)

@@ -3,7 +3,7 @@
 use super::build::SubTileEngine;
 use super::mosaic::DisplacedAtoms;
 use super::pixel_box::PixelBox;
-use super::recipe::{Recipe, StructureKind};
+use super::recipe::Recipe;
 use super::subprogress::SubProgress;
 use crate::detect::Detector;
 use crate::engine::settings::EXACT_BAND_FRACTION;
@@ -29,14 +29,9 @@ pub struct Simulator {
 /// 10 nm, see [`crate::engine::window_for`].
 pub const WINDOW_ANGSTROM: f64 = 7.8;
 /// Error in per cent of the mean image for which the windows of a world are chosen unless another is asked for (see
-/// [`crate::engine::window_for`]). Particles are thin: at one of Pt of 2.8 nm bright columns are off by 1.03 % rms (mean +0.14 %)
-/// in windows of 5.9 A and by 0.97 % (+0.02 %) in 7.8 A, which take 1.7 times as long; slices make most of it.
-fn default_accuracy_percent(structure: StructureKind) -> f64 {
-    match structure {
-        StructureKind::Particles => 2.1,
-        _ => 0.8,
-    }
-}
+/// [`crate::engine::window_for`]).
+const ACCURACY_PERCENT: f64 = 0.8;
+
 /// The window of a world unless another is asked for.
 ///
 /// # Errors
@@ -45,8 +40,7 @@ pub fn default_window(recipe: &Recipe) -> Result<WindowChoice> {
     let algorithm = Algorithm::Window { width_angstrom: WINDOW_ANGSTROM };
     let simulator = Simulator::new(recipe, algorithm);
     let thickness_angstrom = recipe.field.thickness_nm * 10.0;
-    let accuracy_percent = default_accuracy_percent(recipe.structure);
-    window_for(accuracy_percent, simulator.settings(), thickness_angstrom)
+    window_for(ACCURACY_PERCENT, simulator.settings(), thickness_angstrom)
 }
 
 /// Specimen beyond the scanned area for engines without windows: as far as a probe spreads.

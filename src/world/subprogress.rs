@@ -25,6 +25,12 @@ impl<'a> SubProgress<'a> {
         self.report(self.probes);
     }
 
+    /// An earlier run has done the sub-tile.
+    pub fn found(&self) {
+        self.reported.store(self.probes, Relaxed);
+        self.outer.found(self.probes);
+    }
+
     fn report(&self, probes: u64) {
         let before = self.reported.fetch_max(probes, Relaxed);
         if probes > before {

@@ -334,7 +334,10 @@ impl Library {
                     let key = key(&self.settings, sigma, shelf, sheet, configuration);
                     let share = SubProgress::new(progress, shelf.probes());
                     let image = match cache.load(material, &key, shelf.scan.shape) {
-                        Some(image) => image,
+                        Some(image) => {
+                            share.found();
+                            image
+                        }
                         None => {
                             missing += 1;
                             let simulation = match &mut simulation {
@@ -347,10 +350,10 @@ impl Library {
                             let about =
                                 format!("{family:?}, sheet {sheet}, configuration {configuration}");
                             cache.save(material, &key, &about, &image, progress);
+                            share.complete();
                             image
                         }
                     };
-                    share.complete();
                     let image = shelf.resampled(image);
                     shelf.images[sheet].push(image);
                 }
