@@ -35,7 +35,7 @@ fn recipe(carbon_nm: f64, configurations: usize) -> Recipe {
 }
 
 fn film<'a>(recipe: &'a Recipe, specimen: &'a dyn Specimen) -> FilmImage<'a> {
-    let simulator = Simulator::new(recipe, Algorithm::Window { width_angstrom: 5.9 });
+    let simulator = Simulator::new(recipe, Algorithm::Window { width_angstrom: 7.8 });
     let engine = MosaicEngine { simulator, cache: Cache::none(), always: true };
     FilmImage::prepare(&engine, specimen, recipe).unwrap().unwrap()
 }
