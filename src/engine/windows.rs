@@ -19,8 +19,8 @@ const USUAL_NYQUIST_ANGSTROM: f64 = 0.597;
 /// Error of the amplitudes of expanded probes in a window of this width (Angstrom), and how it falls in wider ones.
 const USUAL_ERROR: (f64, f64, i32) = (0.01, 7.8, 3);
 /// Waves that hold the probes of a patch, along an axis: so many, and so many more for each Nyquist distance of the
-/// amplitude. An estimate, for decisions; 8 % right for errors of 1 % and patches of 2 to 5 A.
-const WAVES: (f64, f64) = (2.35, 1.22);
+/// amplitude. An estimate, for decisions; 2 % right for errors of 1 % and square patches of 2 to 4 A.
+const WAVES: (f64, f64) = (2.8, 0.96);
 /// Expanding probes takes time too: it has to save so much of the waves.
 const WORTH: f64 = 0.9;
 
