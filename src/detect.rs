@@ -114,16 +114,6 @@ impl DetectorMap {
         DetectorMap { per_detector }
     }
 
-    /// Number of detectors.
-    pub fn len(&self) -> usize {
-        self.per_detector.len()
-    }
-
-    /// Whether there is no detector.
-    pub fn is_empty(&self) -> bool {
-        self.per_detector.is_empty()
-    }
-
     /// Intensity on each detector: the sum of `scale |psi|^2` over its pixels.
     pub fn collect(&self, psi: &[Complex32], scale: f64, out: &mut [f64]) {
         for (pixels, value) in self.per_detector.iter().zip(out) {

@@ -13,7 +13,6 @@ use crate::matrix::multiply;
 use nalgebra::{DMatrix, SymmetricEigen};
 use num_complex::{Complex32, Complex64};
 use std::f64::consts::PI;
-use std::ops::Range;
 
 /// Waves that hold the probes of a patch.
 pub(super) struct Basis {
@@ -25,8 +24,7 @@ pub(super) struct Basis {
     bins: usize,
 }
 
-/// Distance in Angstrom of the positions in a patch by which waves are chosen, in units of the Nyquist distance of the
-/// amplitude (0.6 A): a third.
+/// Positions in a patch by which waves are chosen, along an axis for each Nyquist distance of the amplitude (0.6 A).
 const CANDIDATES_PER_NYQUIST: f64 = 3.0;
 /// The waves that positions are reduced to first hold them to this share of the error allowed.
 const REDUCED: f64 = 0.3;
@@ -117,8 +115,6 @@ struct Candidates<'a> {
     probe: &'a Cropped,
     /// Phases along x and y, per position and frequency of the surroundings.
     phases: [Vec<Vec<Complex64>>; 2],
-    /// Bins of the surroundings in the same row.
-    rows: Vec<Range<usize>>,
     /// Squared norm of each in the window.
     norms: Vec<f64>,
 }
@@ -138,14 +134,7 @@ impl<'a> Candidates<'a> {
             let at = |x: &f64| probe.phases([*x; 2])[k].clone();
             places[k].iter().map(at).collect()
         });
-        let mut rows: Vec<Range<usize>> = Vec::new();
-        for (e, ((row, _), _)) in probe.around.iter().enumerate() {
-            match rows.last_mut() {
-                Some(range) if probe.around[range.start].0.0 == *row => range.end = e + 1,
-                _ => rows.push(e..e + 1),
-            }
-        }
-        let mut candidates = Candidates { probe, phases, rows, norms: Vec::new() };
+        let mut candidates = Candidates { probe, phases, norms: Vec::new() };
         let norm = |i| candidates.get(i).iter().map(Complex64::norm_sqr).sum();
         candidates.norms = (0..candidates.len()).map(norm).collect();
         candidates
@@ -158,26 +147,25 @@ impl<'a> Candidates<'a> {
     /// Coefficients in the window.
     fn get(&self, i: usize) -> Vec<Complex64> {
         let columns = self.phases[0].len();
-        let (x, y) = (&self.phases[0][i % columns], &self.phases[1][i / columns]);
-        self.probe.cut_window(self.probe.around.iter().map(|((iy, ix), a)| a * x[*ix] * y[*iy]))
+        self.probe.moved(&self.phases[0][i % columns], &self.phases[1][i / columns])
     }
 
     /// `sum wave* v` in the window for all candidates v.
     fn project(&self, wave: &[Complex64]) -> Vec<Complex64> {
         let wave = self.probe.pad_window(wave);
-        let around = &self.probe.around;
         let columns = self.phases[0].len();
         let mut out = vec![Complex64::ZERO; self.len()];
         let mut sums = vec![Complex64::ZERO; columns];
-        for row in &self.rows {
+        let mut wave = wave.iter();
+        for row in self.probe.around.chunk_by(|a, b| a.0.0 == b.0.0) {
             let weighted: Vec<Complex64> =
-                row.clone().map(|e| wave[e].conj() * around[e].1).collect();
+                row.iter().zip(wave.by_ref()).map(|(bin, w)| w.conj() * bin.1).collect();
             for (sum, phases) in sums.iter_mut().zip(&self.phases[0]) {
-                let at = row.clone().map(|e| phases[around[e].0.1]);
+                let at = row.iter().map(|bin| phases[bin.0.1]);
                 *sum = weighted.iter().zip(at).map(|(w, p)| w * p).sum();
             }
             for (line, phases) in out.chunks_exact_mut(columns).zip(&self.phases[1]) {
-                let phase = phases[around[row.start].0.0];
+                let phase = phases[row[0].0.0];
                 line.iter_mut().zip(&sums).for_each(|(to, sum)| *to += sum * phase);
             }
         }

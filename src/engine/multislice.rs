@@ -84,7 +84,7 @@ impl<'a> Multislice<'a> {
             Ok(values)
         });
         let values = values.collect::<Result<Vec<_>>>()?;
-        let per_probe = self.map.len() * self.plan.record_after.len();
+        let per_probe = self.plan.settings.detectors.len() * self.plan.record_after.len();
         let mut out = vec![0.0; scan.len() * per_probe];
         for (group, values) in groups.iter().zip(&values) {
             for ((i, _), values) in group.probes.iter().zip(values.chunks_exact(per_probe)) {
@@ -99,7 +99,7 @@ impl<'a> Multislice<'a> {
             waves: Vec::new(),
             copy: self.stepper.fft().buffer(),
             step: self.stepper.workspace(),
-            amplitudes: vec![Vec::new(); self.map.len()],
+            amplitudes: vec![Vec::new(); self.plan.settings.detectors.len()],
         }
     }
 
@@ -139,7 +139,7 @@ impl<'a> Multislice<'a> {
         specimen: Specimen<'_>,
         group: &Patch,
     ) -> Vec<f64> {
-        let detectors = self.map.len();
+        let detectors = self.plan.settings.detectors.len();
         let per_probe = detectors * route.len();
         let mut values = vec![0.0; group.probes.len() * per_probe];
         self.through(w, route, specimen, &group.probes, |probe, r, psi, scale| {
@@ -158,7 +158,8 @@ impl<'a> Multislice<'a> {
         group: &Patch,
         (basis, probe): (&Basis, &Cropped),
     ) -> Vec<f64> {
-        let (n, probes, detectors) = (basis.len(), group.probes.len(), self.map.len());
+        let (n, probes, detectors) =
+            (basis.len(), group.probes.len(), self.plan.settings.detectors.len());
         let per_probe = detectors * route.len();
         let coefficients = basis.coefficients(probe, &group.probes);
         let waves = self.at_least(waves, n);
@@ -168,6 +169,7 @@ impl<'a> Multislice<'a> {
         let mut values = vec![0.0; probes * per_probe];
         let mut matrix = vec![Complex32::ZERO; n * n];
         let mut product = vec![Complex32::ZERO; n * probes];
+        let scale = self.scale();
         for (r, legs) in route.iter().enumerate() {
             amplitudes.iter_mut().for_each(Vec::clear);
             for waves in waves.chunks_mut(self.stepper.group()) {
@@ -187,7 +189,7 @@ impl<'a> Multislice<'a> {
                 for (c, y) in coefficients.chunks_exact(probes).zip(product.chunks_exact(probes)) {
                     for (probe, (c, y)) in c.iter().zip(y).enumerate() {
                         values[probe * per_probe + r * detectors + d] +=
-                            f64::from((c.conj() * y).re) * self.scale();
+                            f64::from((c.conj() * y).re) * scale;
                     }
                 }
             }

@@ -16,8 +16,8 @@ pub(super) struct Probe {
 }
 
 enum Made {
-    /// In the cell, or once in a window as large as that, and moved periodically.
-    Moved { amplitudes: Vec<Complex64>, centre: [f64; 2] },
+    /// In the cell, or cropped to it once, and moved periodically: amplitudes for the origin.
+    Moved(Vec<Complex64>),
     /// In a window of the specimen: what of it lies outside depends on where it stands.
     Cropped(Cropped),
 }
@@ -30,12 +30,12 @@ impl Probe {
         let grid = plan.wave_grid;
         if grid == plan.transmission_grid && !plan.settings.large_probe_box() {
             let (bins, amplitudes) = aperture(plan, &grid).into_iter().unzip();
-            return Probe { bins, made: Made::Moved { amplitudes, centre: [0.0; 2] } };
+            return Probe { bins, made: Made::Moved(amplitudes) };
         }
         let bins = low_bins(plan, &grid);
         if grid == plan.transmission_grid {
             let amplitudes = in_box(plan, &grid, [0; 2], &bins);
-            return Probe { bins, made: Made::Moved { amplitudes, centre: window_centre(plan) } };
+            return Probe { bins, made: Made::Moved(amplitudes) };
         }
         let cropped = Cropped::new(plan, &bins);
         Probe { bins, made: Made::Cropped(cropped) }
@@ -44,9 +44,9 @@ impl Probe {
     /// Coefficients for a probe at `position` (Angstrom, within the wave).
     pub fn at(&self, plan: &Plan, position: [f64; 2]) -> Vec<Complex32> {
         match &self.made {
-            Made::Moved { amplitudes, centre } => {
+            Made::Moved(amplitudes) => {
                 let grid = &plan.wave_grid;
-                let shift = |k: usize| (position[k] - centre[k]) / grid.extent_angstrom[k];
+                let shift = |k: usize| position[k] / grid.extent_angstrom[k];
                 let phases = [0, 1].map(|k| shift_phases(shift(k), grid.points[k]));
                 let at = |(&(iy, ix), a): (&(usize, usize), &Complex64)| {
                     single(a * phases[0][ix] * phases[1][iy])
@@ -61,7 +61,7 @@ impl Probe {
     pub fn cropped(&self) -> Option<&Cropped> {
         match &self.made {
             Made::Cropped(cropped) => Some(cropped),
-            Made::Moved { .. } => None,
+            Made::Moved(_) => None,
         }
     }
 }
@@ -118,7 +118,7 @@ impl Cropped {
             let (n, scale) = (window.points[axis], (points[axis] * window.points[axis]) as f64);
             let kernel = |from: f64, to: i64| {
                 let to = to as f64 / window.extent_angstrom[axis];
-                crop_kernel(from, to, 0, n, n / 2, pixel[axis]) / scale.sqrt()
+                crop_kernel(from, to, n, n / 2, pixel[axis]) / scale.sqrt()
             };
             let (from, to) = (&k[axis], -low[axis]..=low[axis]);
             match axis {
@@ -153,8 +153,13 @@ impl Cropped {
 
     /// The window's coefficients, bin by bin, for a probe at `position` (Angstrom, within the window).
     fn at(&self, position: [f64; 2]) -> Vec<Complex64> {
-        let phases = self.phases(self.offset(position));
-        self.cut_window(self.around.iter().map(|((y, x), a)| a * phases[0][*x] * phases[1][*y]))
+        let [x, y] = self.phases(self.offset(position));
+        self.moved(&x, &y)
+    }
+
+    /// The window's coefficients for the probe with these phases of the surroundings' columns and rows.
+    pub fn moved(&self, x: &[Complex64], y: &[Complex64]) -> Vec<Complex64> {
+        self.cut_window(self.around.iter().map(|((row, column), a)| a * x[*column] * y[*row]))
     }
 
     /// From coefficients of the surroundings to those of the window.
@@ -165,22 +170,8 @@ impl Cropped {
         for (((y, x), _), value) in self.around.iter().zip(around) {
             rectangle[y * columns + x] = value;
         }
-        let mut half = vec![Complex64::ZERO; rows * low_columns];
-        let by_columns = (rows, low_columns, columns);
-        multiply(
-            by_columns,
-            (&mut half, low_columns),
-            (&rectangle, [columns, 1]),
-            (&self.crop[0], low_columns),
-        );
-        let mut low = vec![Complex64::ZERO; low_rows * low_columns];
-        let by_rows = (low_rows, low_columns, rows);
-        multiply(
-            by_rows,
-            (&mut low, low_columns),
-            (&self.crop[1], [rows, 1]),
-            (&half, low_columns),
-        );
+        let shape = [low_rows, rows, columns, low_columns];
+        let low = on_both_sides(shape, &self.crop[1], &rectangle, &self.crop[0]);
         self.inside.iter().map(|(y, x)| low[y * low_columns + x]).collect()
     }
 
@@ -212,29 +203,42 @@ impl Cropped {
     }
 }
 
-/// `sum exp(2 pi i x (from - to))` over the pixels `first..first + n`, x being their distance from pixel `centre`, times
+/// The product `left middle right` of row-major matrices of `a x b`, `b x c` and `c x d` elements.
+fn on_both_sides(
+    [a, b, c, d]: [usize; 4],
+    left: &[Complex64],
+    middle: &[Complex64],
+    right: &[Complex64],
+) -> Vec<Complex64> {
+    let mut half = vec![Complex64::ZERO; b * d];
+    multiply((b, d, c), (&mut half, d), (middle, [c, 1]), (right, d));
+    let mut out = vec![Complex64::ZERO; a * d];
+    multiply((a, d, b), (&mut out, d), (left, [b, 1]), (&half, d));
+    out
+}
+
+/// `sum exp(2 pi i x (from - to))` over the first `n` pixels, x being their distance from pixel `centre`, times
 /// the phase that `to` has in transforms that begin at pixel 0.
-fn crop_kernel(from: f64, to: f64, first: i64, n: usize, centre: usize, pixel: f64) -> Complex64 {
+fn crop_kernel(from: f64, to: f64, n: usize, centre: usize, pixel: f64) -> Complex64 {
     let turn = PI * (from - to) * pixel;
     let sum = match turn.sin() {
         sin if sin.abs() < 1e-12 => n as f64,
         sin => (n as f64 * turn).sin() / sin,
     };
     // The sum has the phase of the middle of the pixels.
-    let middle = first as f64 + 0.5 * (n as f64 - 1.0) - centre as f64;
+    let middle = 0.5 * (n as f64 - 1.0) - centre as f64;
     let phase = 2.0 * turn * middle - 2.0 * PI * to * centre as f64 * pixel;
     Complex64::from_polar(sum, phase)
 }
 
-/// The coefficients `bins` of a probe in the middle of `grid`, cropped from the large box. The middle is that of a
-/// window, with `beyond` pixels before and after it; with such, the coefficients are relative to the middle.
+/// The coefficients `bins` on `grid`, relative to its middle, of a probe there, cropped from the large box. The middle is
+/// that of a window with `beyond` pixels before and after it.
 fn in_box(plan: &Plan, grid: &Grid, beyond: [usize; 2], bins: &[(usize, usize)]) -> Vec<Complex64> {
     let large = probe_grid(plan);
     let lens = aperture(plan, &large);
     let pixel = grid.sampling_angstrom();
     let scale = [0, 1].map(|k| ((grid.points[k] * large.points[k]) as f64).sqrt());
     let middle = [0, 1].map(|k| beyond[k] + (grid.points[k] - 2 * beyond[k]) / 2);
-    let relative = beyond != [0; 2];
     // kernel[axis]: for each of the box's low frequencies, those of the grid
     let wanted = [0, 1].map(|k| {
         let mut all: Vec<usize> = bins.iter().map(|b| [b.1, b.0][k]).collect();
@@ -251,8 +255,8 @@ fn in_box(plan: &Plan, grid: &Grid, beyond: [usize; 2], bins: &[(usize, usize)])
     let kernel = |axis: usize, from: usize, to: usize| {
         let from = frequency(from, large.points[axis]) as f64 / large.extent_angstrom[axis];
         let to = frequency(to, grid.points[axis]) as f64 / grid.extent_angstrom[axis];
-        let value = crop_kernel(from, to, 0, grid.points[axis], middle[axis], pixel[axis]);
-        let back = if relative { 2.0 * PI * to * middle[axis] as f64 * pixel[axis] } else { 0.0 };
+        let value = crop_kernel(from, to, grid.points[axis], middle[axis], pixel[axis]);
+        let back = 2.0 * PI * to * middle[axis] as f64 * pixel[axis];
         value * Complex64::from_polar(1.0 / scale[axis], back)
     };
     let [nx, ny] = [wanted[0].len(), wanted[1].len()];
@@ -266,10 +270,7 @@ fn in_box(plan: &Plan, grid: &Grid, beyond: [usize; 2], bins: &[(usize, usize)])
     for ((y, x), a) in &lens {
         rectangle[find(&held[1], *y) * mx + find(&held[0], *x)] = *a;
     }
-    let mut half = vec![Complex64::ZERO; my * nx];
-    multiply((my, nx, mx), (&mut half, nx), (&rectangle, [mx, 1]), (&across, nx));
-    let mut out = vec![Complex64::ZERO; ny * nx];
-    multiply((ny, nx, my), (&mut out, nx), (&down, [my, 1]), (&half, nx));
+    let out = on_both_sides([ny, my, mx, nx], &down, &rectangle, &across);
     bins.iter().map(|(y, x)| out[find(&wanted[1], *y) * nx + find(&wanted[0], *x)]).collect()
 }
 

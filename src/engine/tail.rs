@@ -64,41 +64,49 @@ impl<'a> Tail<'a> {
         let thicknesses = plan.thicknesses_angstrom();
         let mut out = vec![0.0; scan.len() * thicknesses.len() * detectors.len()];
         let alike = self.alike(scan);
-        for (d, detector) in detectors.iter().enumerate().filter(|(_, d)| applies(d, plan)) {
+        let seen = detectors.iter().enumerate().filter(|(_, d)| applies(d, plan));
+        let atoms = seen.map(|(d, detector)| {
             let sections = cross_sections(plan, sites, detector)?;
-            let atoms: Vec<Buffer> = (0..thicknesses.len())
-                .map(|r| {
-                    let last = plan.slices.boundaries[plan.record_after[r] + 1];
-                    let inside = sites.iter().filter(|s| plan.slices.wrap(s.position[2]) < last);
-                    self.cell.atoms(inside.map(|s| (s.position, sections.get(&s.number).copied())))
-                })
-                .collect();
-            let values = alike.par_iter().map(|(offset, probes)| {
-                let mut scratch = (self.cell.fft.scratch(), self.around.fft.scratch());
-                let outside = self.outside(*offset, &mut scratch.1);
-                let map = |(thickness, atoms): (&f64, &Buffer)| {
-                    let mut tail = outside.clone();
-                    self.around.travel(&mut tail, 0.5 * thickness, plan, &mut scratch.1);
-                    self.cell.correlate(
-                        self.cell.folded(&tail, &self.around),
-                        atoms,
-                        &mut scratch.0,
-                    )
-                };
-                let maps: Vec<Buffer> = thicknesses.iter().zip(&atoms).map(map).collect();
-                let at = |map, i: &usize| self.cell.value(map, scan.position(*i));
-                probes.iter().flat_map(|i| maps.iter().map(move |map| at(map, i))).collect()
-            });
-            let values: Vec<Vec<f64>> = values.collect();
-            for ((_, probes), values) in alike.iter().zip(&values) {
-                for (i, values) in probes.iter().zip(values.chunks_exact(thicknesses.len())) {
-                    for (r, value) in values.iter().enumerate() {
-                        out[(i * thicknesses.len() + r) * detectors.len() + d] = *value;
-                    }
+            let up_to = |&slice: &usize| {
+                let last = plan.slices.boundaries[slice + 1];
+                let inside = sites.iter().filter(|s| plan.slices.wrap(s.position[2]) < last);
+                self.cell.atoms(inside.map(|s| (s.position, sections.get(&s.number).copied())))
+            };
+            Ok((d, plan.record_after.iter().map(up_to).collect()))
+        });
+        let atoms: Vec<(usize, Vec<Buffer>)> = atoms.collect::<Result<_>>()?;
+        let values = alike.par_iter().map(|(offset, probes)| {
+            let mut scratch = (self.cell.fft.scratch(), self.around.fft.scratch());
+            let outside = self.outside(*offset, &mut scratch.1);
+            let mut values = Vec::new();
+            for (r, thickness) in thicknesses.iter().enumerate() {
+                let tail = self.intensity(&outside, 0.5 * thickness, &mut scratch);
+                for (d, atoms) in &atoms {
+                    let map = self.cell.correlate(&tail, &atoms[r], &mut scratch.0);
+                    let at = |i: usize| (i * thicknesses.len() + r) * detectors.len() + d;
+                    let value = |&i: &usize| (at(i), self.cell.value(&map, scan.position(i)));
+                    values.extend(probes.iter().map(value));
                 }
             }
-        }
+            values
+        });
+        let values: Vec<Vec<(usize, f64)>> = values.collect();
+        values.into_iter().flatten().for_each(|(at, value)| out[at] = value);
         Ok(out)
+    }
+
+    /// Transform of the intensity that a wave outside of the window has `distance` (Angstrom) on, folded into the cell.
+    fn intensity(
+        &self,
+        outside: &Buffer,
+        distance: f64,
+        scratch: &mut (Scratch, Scratch),
+    ) -> Buffer {
+        let mut tail = outside.clone();
+        self.around.travel(&mut tail, distance, self.plan, &mut scratch.1);
+        let mut tail = self.cell.folded(&tail, &self.around);
+        self.cell.fft.forward(&mut tail, &mut scratch.0);
+        tail
     }
 
     /// Probes of a scan that stand about alike in their windows, with how far (x, y) they are from the middle, in Angstrom.
@@ -247,12 +255,12 @@ impl Cell {
         map
     }
 
-    /// `sum_a s_a P(r_a - shift)` for every shift of the tail's intensity P; `atoms` is a transform.
-    fn correlate(&self, mut tail: Buffer, atoms: &[Complex32], scratch: &mut Scratch) -> Buffer {
-        self.fft.forward(&mut tail, scratch);
-        tail.iter_mut().zip(atoms).for_each(|(t, a)| *t = a * t.conj());
-        self.fft.inverse(&mut tail, scratch);
-        tail
+    /// `sum_a s_a P(r_a - shift)` for every shift of the tail's intensity P; `tail` and `atoms` are transforms.
+    fn correlate(&self, tail: &[Complex32], atoms: &Buffer, scratch: &mut Scratch) -> Buffer {
+        let mut map = atoms.clone();
+        map.iter_mut().zip(tail).for_each(|(a, t)| *a *= t.conj());
+        self.fft.inverse(&mut map, scratch);
+        map
     }
 
     /// For a probe at `position` (Angstrom).

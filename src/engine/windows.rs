@@ -44,15 +44,9 @@ pub(super) struct Division {
 impl Division {
     /// Depends on the plan and the scan only.
     pub fn new(plan: &Plan, scan: &Scan) -> Self {
-        let expanded = expanded_waves(plan, scan).is_some();
-        let most = match expanded {
-            true => patch_angstrom(plan),
-            false => TOGETHER_ANGSTROM,
-        };
-        Division {
-            patches: patches(plan, scan, most),
-            error: expansion_error(plan).filter(|_| expanded),
-        }
+        let error = expansion_error(plan).filter(|_| expanded_waves(plan, scan).is_some());
+        let most = error.map_or(TOGETHER_ANGSTROM, |_| patch_angstrom(plan));
+        Division { patches: patches(plan, scan, most), error }
     }
 
     /// The largest distance (x, y) in Angstrom of a probe from the middle of its window.

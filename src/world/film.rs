@@ -149,7 +149,10 @@ impl<'a> FilmImage<'a> {
         let phonons = &self.recipe.phonons;
         let sites = self.specimen.sites(&Region { x, y });
         let atoms: Vec<Site> = sites.iter().filter_map(|s| s.atom([x[0], y[0]], phonons)).collect();
-        let heights: Vec<f64> = atoms.iter().map(|a| self.height(a, FILM_SLICE_ANGSTROM)).collect();
+        let heights: Vec<f64> = atoms
+            .iter()
+            .map(|a| self.height(a.number, a.position[2], FILM_SLICE_ANGSTROM))
+            .collect();
         let size = [20.0 * half, 20.0 * half, 10.0 * self.specimen.thickness_nm()];
         let mut plan = Plan::new(self.simulator.settings(), size, &heights)?;
         let scan = Scan {
@@ -174,11 +177,11 @@ impl<'a> FilmImage<'a> {
         (particles.iter().map(area).sum::<f64>() / (step_nm * step_nm)) as usize
     }
 
-    /// Mean height of an atom in Angstrom, those of the film in slices of the given thickness.
-    fn height(&self, site: &Site, film_slice: f64) -> f64 {
-        match site.number == self.film.number {
-            true => (site.position[2] / film_slice).round() * film_slice,
-            false => site.position[2],
+    /// The mean height of an atom of element `number`, in Angstrom, those of the film in slices of the given thickness.
+    fn height(&self, number: u8, height: f64, film_slice: f64) -> f64 {
+        match number == self.film.number {
+            true => (height / film_slice).round() * film_slice,
+            false => height,
         }
     }
 
@@ -321,7 +324,8 @@ impl<'a> FilmImage<'a> {
                 let position = [p[0] - corner[0], p[1] - corner[1], p[2]];
                 Site { position, sigma_angstrom: 0.0, ..*s }
             };
-            let heights = sites.iter().map(|s| self.height(s, FILM_SLICE_ANGSTROM)).collect();
+            let height = |s: &Site| self.height(s.number, s.position[2], FILM_SLICE_ANGSTROM);
+            let heights = sites.iter().map(height).collect();
             DisplacedAtoms { sites: sites.iter().map(site).collect(), heights }
         };
         let scan = Scan {
@@ -371,13 +375,13 @@ impl FieldImage for FilmImage<'_> {
         let probes: usize = blocks.iter().map(|b| b.shape[0] * b.shape[1]).sum();
         progress.start("particles", "probe", (probes * configurations) as u64);
         let outside = match blocks.is_empty() {
-            true => None,
+            true => Array2::zeros([0, 0]),
             false => {
                 let beyond = 0.5 * self.window_angstrom;
-                Some(self.independent(&atoms, (least, margin), beyond, configurations)?)
+                self.independent(&atoms, (least, margin), beyond, configurations)?
             }
         };
-        for (block, outside) in blocks.iter().flat_map(|b| outside.iter().map(move |o| (b, o))) {
+        for block in &blocks {
             let part = self.simulated(&atoms, block, origin, configurations, progress)?;
             let share = self.simulated_share(&atoms, block, origin);
             let [row, column] = [0, 1].map(|k| (block.first[k] - samples.first[k]) as usize);
@@ -428,9 +432,7 @@ impl FieldImage for FilmImage<'_> {
         let seed = (self.recipe.seed, configuration);
         let mut atoms = atoms_by_seed(self.specimen, area, seed, self.recipe);
         for (site, height) in atoms.sites.iter().zip(&mut atoms.heights) {
-            if site.number == self.film.number {
-                *height = (*height / GROUP_ANGSTROM).round() * GROUP_ANGSTROM;
-            }
+            *height = self.height(site.number, *height, GROUP_ANGSTROM);
         }
         atoms
     }
