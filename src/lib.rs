@@ -21,6 +21,7 @@ pub mod progress;
 pub mod render;
 pub mod resample;
 pub mod rng;
+mod simd;
 pub mod structure;
 pub mod validate;
 pub mod world;

@@ -1,26 +1,31 @@
 //! From the atoms of a slice to the Fourier coefficients of its band-limited `exp(i sigma V)`.
 
 use super::plan::{Grid, Plan};
-use super::transmission::{crop_spectrum, disk_reach};
+use super::transmission::disk_reach;
 use crate::constants::interaction_parameter;
 use crate::error::Result;
-use crate::fft::{Buffer, Scratch};
+use crate::fft::{Buffer, Fft2, Scratch};
 use crate::potential::cores::{CoreScratch, Cores};
 use crate::potential::projected::{PlacedAtom, Projector, ProjectorScratch, Shape};
+use crate::simd::vectorised;
 use num_complex::Complex32;
 
 /// Exponentiates potentials on one grid.
 pub(super) struct Exponential {
-    grid: Grid,
     projector: Projector,
     /// What smoothing takes from the potentials, if they are smoothed.
     cores: Option<Cores>,
     sigma: f32,
+    /// Frequencies `-reach..=reach` (x, y) hold the anti-aliasing disk.
+    reach: [usize; 2],
+    /// The disk there, rows of kx from the lowest frequency.
+    disk: Vec<f32>,
 }
 
 /// One thread's arrays.
 pub(super) struct Workspace {
-    potential: Buffer,
+    /// The potential, then its exponential, then the transform of that.
+    data: Buffer,
     projector: ProjectorScratch,
     fft: Scratch,
     cores: Vec<Complex32>,
@@ -53,7 +58,13 @@ impl Exponential {
         let cores = core_cutoff
             .map(|cutoff| Cores::new(table, elements, extent, reach, cutoff, sigma))
             .transpose()?;
-        Ok(Exponential { grid, projector, cores, sigma: sigma as f32 })
+        let weight = |fy: i64, fx: i64| {
+            let [kx, ky] = [fx as f64 / extent[0], fy as f64 / extent[1]];
+            plan.disk().weight(kx * kx + ky * ky) as f32
+        };
+        let [rx, ry] = reach.map(|n| n as i64);
+        let disk = (-ry..=ry).flat_map(|fy| (-rx..=rx).map(move |fx| weight(fy, fx))).collect();
+        Ok(Exponential { projector, cores, sigma: sigma as f32, reach, disk })
     }
 
     /// Whether the atoms of a slice are far enough apart.
@@ -63,7 +74,7 @@ impl Exponential {
 
     pub fn workspace(&self) -> Workspace {
         Workspace {
-            potential: self.projector.fft().buffer(),
+            data: self.projector.fft().buffer(),
             projector: self.projector.scratch(),
             fft: self.projector.fft().scratch(),
             cores: Vec::new(),
@@ -71,66 +82,91 @@ impl Exponential {
         }
     }
 
-    /// Calls `put((iy, ix) on the transmission grid, coefficient)` for every frequency in the disk.
+    /// Frequency (x, y) up to which there are coefficients.
+    pub fn reach(&self) -> [usize; 2] {
+        self.reach
+    }
+
+    /// Puts the coefficients within [`Exponential::reach`] into `out`, an array of `fft`.
     pub fn coefficients(
         &self,
         plan: &Plan,
         atoms: SliceAtoms<'_>,
         w: &mut Workspace,
-        mut put: impl FnMut((usize, usize), Complex32),
+        (fft, out): (&Fft2, &mut [Complex32]),
     ) {
         match atoms {
             SliceAtoms::Whole(atoms) => {
-                self.projector.infinite(atoms, &mut w.potential, &mut w.projector);
+                self.projector.infinite(atoms, &mut w.data, &mut w.projector);
             }
             SliceAtoms::Parts { all, slice } => {
-                let (out, scratch) = (&mut w.potential, &mut w.projector);
+                let (out, scratch) = (&mut w.data, &mut w.projector);
                 self.projector.finite(all, &plan.slices, slice, out, scratch);
             }
         }
-        self.transform(plan.band_limit, w);
-        let (ny, nx) = self.projector.fft().shape();
-        let stride = self.projector.fft().stride();
+        self.transform(w);
+        match (&self.cores, atoms) {
+            (Some(cores), SliceAtoms::Whole(atoms)) => {
+                cores.add(atoms, &mut w.cores, &mut w.core_scratch);
+            }
+            _ => {
+                w.cores.clear();
+                w.cores.resize(self.disk.len(), Complex32::ZERO);
+            }
+        }
+        let from = self.projector.fft();
+        let [rx, ry] = self.reach;
+        let wide = 2 * rx + 1;
         // Divided, not multiplied by a rounded reciprocal: vacuum then transmits exactly 1.
-        let pixels = (nx * ny) as f32;
-        let disk = plan.disk();
-        let points = plan.transmission_grid.points;
-        let weight = |k: [f64; 2]| disk.weight(k[0] * k[0] + k[1] * k[1]) as f32;
-        let data = &w.potential;
-        let (Some(cores), SliceAtoms::Whole(atoms)) = (&self.cores, atoms) else {
-            crop_spectrum(&self.grid, points, plan.band_limit, |a, b, k| {
-                put(b, data[a.0 * stride + a.1] / pixels * weight(k));
-            });
-            return;
-        };
-        cores.add(atoms, &mut w.cores, &mut w.core_scratch);
-        let (rows, columns) = cores.shape();
-        // Frequency 0 is in the middle there.
-        let middle =
-            |i: usize, n: usize, m: usize| if i <= m / 2 { i + m / 2 } else { i + m / 2 - n };
-        crop_spectrum(&self.grid, points, plan.band_limit, |a, b, k| {
-            let core = w.cores[middle(a.0, ny, rows) * columns + middle(a.1, nx, columns)];
-            put(b, (data[a.0 * stride + a.1] / pixels + core) * weight(k));
-        });
+        let pixels = (from.shape().0 * from.shape().1) as f32;
+        let bin = |i: usize, n: usize, reach: usize| (i + n - reach) % n;
+        for i in 0..=2 * ry {
+            let source = &w.data[bin(i, from.shape().0, ry) * from.stride()..];
+            let target = &mut out[bin(i, fft.shape().0, ry) * fft.stride()..];
+            let (cores, disk) = (&w.cores[i * wide..][..wide], &self.disk[i * wide..][..wide]);
+            // the frequencies below 0, and the others
+            for (first, count) in [(0, rx), (rx, rx + 1)] {
+                let source = &source[bin(first, from.shape().1, rx)..][..count];
+                let target = &mut target[bin(first, fft.shape().1, rx)..][..count];
+                let (cores, disk) = (&cores[first..][..count], &disk[first..][..count]);
+                vectorised(
+                    #[inline(always)]
+                    || {
+                        for k in 0..count {
+                            target[k].re = (source[k].re / pixels + cores[k].re) * disk[k];
+                            target[k].im = (source[k].im / pixels + cores[k].im) * disk[k];
+                        }
+                    },
+                );
+            }
+        }
     }
 
-    /// The potential in `w` becomes the transform of its exponential, in the columns of the band.
-    fn transform(&self, band_limit: f64, w: &mut Workspace) {
+    /// The potential in `w` becomes the transform of its exponential, in the columns of the disk.
+    fn transform(&self, w: &mut Workspace) {
         let fft = self.projector.fft();
-        let (ny, nx) = fft.shape();
-        let data = &mut w.potential;
-        let arch = pulp::Arch::new();
-        for row in data.chunks_exact_mut(fft.stride()).take(ny) {
-            arch.dispatch(|| {
-                for v in &mut row[..nx] {
-                    *v = exp_i(self.sigma * v.re);
-                }
-            });
+        let ((ny, nx), stride) = (fft.shape(), fft.stride());
+        let mut pair = vec![Complex32::ZERO; nx];
+        // Pairs of rows are spread from the last on, so that none is overwritten before it is read.
+        for r in (0..ny.div_ceil(2)).rev() {
+            pair.copy_from_slice(&w.data[r * stride..][..nx]);
+            let (upper, lower) = w.data[2 * r * stride..].split_at_mut(stride);
+            let lower = if 2 * r + 1 < ny { &mut lower[..nx] } else { &mut [] };
+            vectorised(
+                #[inline(always)]
+                || {
+                    for (v, potential) in upper.iter_mut().zip(&pair) {
+                        *v = exp_i(self.sigma * potential.re);
+                    }
+                    for (v, potential) in lower.iter_mut().zip(&pair) {
+                        *v = exp_i(self.sigma * potential.im);
+                    }
+                },
+            );
         }
-        fft.all_rows(data, false, &mut w.fft);
-        let limit = (band_limit * self.grid.extent_angstrom[0]) as usize;
-        for range in fft.band_columns(limit.min(nx / 2)) {
-            fft.some_columns(data, range, false, &mut w.fft);
+        fft.all_rows(&mut w.data, false, &mut w.fft);
+        for range in fft.band_columns(self.reach[0]) {
+            fft.some_columns(&mut w.data, range, false, &mut w.fft);
         }
     }
 }

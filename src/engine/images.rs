@@ -114,6 +114,7 @@ impl<'a> Simulation<'a> {
                 Engine::Prism(p) => p.run(&transmission, scan, progress)?,
             };
             sum.iter_mut().zip(values).for_each(|(s, v)| *s += v);
+            self.builder.reclaim(transmission);
         }
         let n = f64::from(configurations);
         if let Some(tail) = &self.tail {

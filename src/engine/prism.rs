@@ -9,7 +9,7 @@ use super::Scan;
 use super::plan::{Grid, Plan};
 use super::settings::Algorithm;
 use super::stepper::{self, Specimen, Stepper};
-use super::transmission::{Transmission, crop_spectrum};
+use super::transmission::{Transmission, disk_reach};
 use crate::detect::DetectorMap;
 use crate::error::{Error, Result};
 use crate::fft::{Buffer, Fft2, Scratch};
@@ -211,4 +211,29 @@ impl<'a> Prism<'a> {
 
 pub(super) fn single(c: Complex64) -> Complex32 {
     Complex32::new(c.re as f32, c.im as f32)
+}
+
+/// Calls `copy((iy, ix) on grid, (iy, ix) on the other grid, k)` for every frequency inside the disk
+/// of radius `limit` (1/Angstrom). The other grid, of `points` (x, y) over the same extent, must
+/// hold the disk.
+fn crop_spectrum(
+    grid: &Grid,
+    points: [usize; 2],
+    limit: f64,
+    mut copy: impl FnMut((usize, usize), (usize, usize), [f64; 2]),
+) {
+    let dk = grid.dk();
+    let reach = disk_reach(grid, points, limit).map(|n| n as i64);
+    // Frequencies are below n / 2: no division.
+    let bin = |f: i64, n: usize| (if f < 0 { f + n as i64 } else { f }) as usize;
+    for fy in -reach[1]..=reach[1] {
+        for fx in -reach[0]..=reach[0] {
+            let k = [fx as f64 * dk[0], fy as f64 * dk[1]];
+            if k[0] * k[0] + k[1] * k[1] < limit * limit {
+                let a = (bin(fy, grid.points[1]), bin(fx, grid.points[0]));
+                let b = (bin(fy, points[1]), bin(fx, points[0]));
+                copy(a, b, k);
+            }
+        }
+    }
 }

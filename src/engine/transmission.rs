@@ -13,7 +13,7 @@ use crate::progress::Progress;
 use num_complex::Complex32;
 use rayon::prelude::*;
 use std::ops::Range;
-use std::sync::OnceLock;
+use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 
 /// Transmission functions of all slices.
 pub(super) struct Transmission {
@@ -45,12 +45,15 @@ pub(super) struct TransmissionBuilder<'a> {
     /// Transform of the transmission grid, over the whole cell.
     coarse: Fft2,
     layout: Layout,
+    /// Arrays of transmission functions that are no longer needed.
+    free: Mutex<Vec<Buffer>>,
 }
 
 /// One thread's arrays.
 struct Workspace {
     usual: exponential::Workspace,
     oversampled: Option<exponential::Workspace>,
+    wave: Buffer,
     coarse: Scratch,
 }
 
@@ -67,7 +70,8 @@ impl<'a> TransmissionBuilder<'a> {
         };
         let elements = elements.to_vec();
         let (oversampled, coarse) = (OnceLock::new(), Fft2::new(ny, nx));
-        Ok(TransmissionBuilder { plan, elements, usual, oversampled, coarse, layout })
+        let free = Mutex::default();
+        Ok(TransmissionBuilder { plan, elements, usual, oversampled, coarse, layout, free })
     }
 
     /// The transmission functions of one phonon configuration.
@@ -88,6 +92,7 @@ impl<'a> TransmissionBuilder<'a> {
         let workspace = || Workspace {
             usual: self.usual.workspace(),
             oversampled: self.oversampled.get().map(Exponential::workspace),
+            wave: self.coarse.buffer(),
             coarse: self.coarse.scratch(),
         };
         let spare = Spare::new();
@@ -109,26 +114,43 @@ impl<'a> TransmissionBuilder<'a> {
         Ok(Transmission { slices: slices?, layout: self.layout, occupancy })
     }
 
+    /// Takes back the arrays of transmission functions, for the next configuration.
+    pub fn reclaim(&self, transmission: Transmission) {
+        self.free().extend(transmission.slices.into_iter().flatten());
+    }
+
+    fn free(&self) -> MutexGuard<'_, Vec<Buffer>> {
+        self.free.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// An array of `len` elements, whose contents do not matter.
+    fn array(&self, len: usize) -> Buffer {
+        self.free().pop().unwrap_or_else(|| Buffer::zeros(len))
+    }
+
     /// One band-limited transmission function.
     fn slice(&self, atoms: SliceAtoms<'_>, too_close: bool, w: &mut Workspace) -> Buffer {
-        let mut t = self.coarse.buffer();
-        let stride = self.coarse.stride();
-        let put = |(iy, ix): (usize, usize), value| t[iy * stride + ix] = value;
-        match (self.oversampled.get(), &mut w.oversampled) {
-            (Some(fine), Some(w)) if too_close => fine.coefficients(self.plan, atoms, w, put),
-            _ => self.usual.coefficients(self.plan, atoms, &mut w.usual, put),
+        let fft = &self.coarse;
+        let (exponential, inner) = match (self.oversampled.get(), &mut w.oversampled) {
+            (Some(fine), Some(inner)) if too_close => (fine, inner),
+            _ => (&self.usual, &mut w.usual),
+        };
+        w.wave.fill(Complex32::ZERO);
+        exponential.coefficients(self.plan, atoms, inner, (fft, &mut w.wave));
+        for columns in fft.band_columns(exponential.reach()[0]) {
+            fft.some_columns(&mut w.wave, columns, true, &mut w.coarse);
         }
-        self.coarse.inverse(&mut t, &mut w.coarse);
+        fft.all_rows(&mut w.wave, true, &mut w.coarse);
         match self.layout {
-            Layout::Arranged => self.arranged(&t),
-            Layout::Padded { stride } => self.padded(&t, stride),
+            Layout::Arranged => self.arranged(&w.wave),
+            Layout::Padded { stride } => self.padded(&w.wave, stride),
         }
     }
 
     fn arranged(&self, t: &[Complex32]) -> Buffer {
         let (fft, rows) = (&self.coarse, lanes());
         let len = fft.arranged_len();
-        let mut out = Buffer::zeros(fft.row_blocks() * len);
+        let mut out = self.array(fft.row_blocks() * len);
         for (b, block) in out.chunks_exact_mut(len).take(fft.row_blocks()).enumerate() {
             fft.arrange_block(&t[b * rows * fft.stride()..], fft.stride(), block);
         }
@@ -138,7 +160,7 @@ impl<'a> TransmissionBuilder<'a> {
     fn padded(&self, t: &[Complex32], stride: usize) -> Buffer {
         let (ny, nx) = self.coarse.shape();
         let rows = ny + self.plan.wave_grid.points[1] + lanes();
-        let mut out = Buffer::zeros(rows * stride);
+        let mut out = self.array(rows * stride);
         for (y, row) in out.chunks_exact_mut(stride).take(rows).enumerate() {
             let source = &t[y % ny * self.coarse.stride()..][..nx];
             row.chunks_mut(nx).for_each(|part| part.copy_from_slice(&source[..part.len()]));
@@ -154,32 +176,8 @@ impl Transmission {
     }
 }
 
-/// Calls `copy((iy, ix) on grid, (iy, ix) on the other grid, k)` for every frequency inside the disk
-/// of radius `limit` (1/Angstrom). The other grid, of `points` (x, y) over the same extent, must
-/// hold the disk.
-pub(super) fn crop_spectrum(
-    grid: &Grid,
-    points: [usize; 2],
-    limit: f64,
-    mut copy: impl FnMut((usize, usize), (usize, usize), [f64; 2]),
-) {
-    let dk = grid.dk();
-    let reach = disk_reach(grid, points, limit).map(|n| n as i64);
-    // Frequencies are below n / 2: no division.
-    let bin = |f: i64, n: usize| (if f < 0 { f + n as i64 } else { f }) as usize;
-    for fy in -reach[1]..=reach[1] {
-        for fx in -reach[0]..=reach[0] {
-            let k = [fx as f64 * dk[0], fy as f64 * dk[1]];
-            if k[0] * k[0] + k[1] * k[1] < limit * limit {
-                let a = (bin(fy, grid.points[1]), bin(fx, grid.points[0]));
-                let b = (bin(fy, points[1]), bin(fx, points[0]));
-                copy(a, b, k);
-            }
-        }
-    }
-}
-
-/// Largest frequency (x, y) that [`crop_spectrum`] visits.
+/// Largest frequency (x, y) within `limit` (1/Angstrom) that `grid` and another one, of `points` over the same extent,
+/// both hold.
 pub(super) fn disk_reach(grid: &Grid, points: [usize; 2], limit: f64) -> [usize; 2] {
     let dk = grid.dk();
     [0, 1].map(|i| {

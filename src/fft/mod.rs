@@ -10,6 +10,7 @@ pub mod columns;
 mod kernel;
 pub mod multiplier;
 pub mod radix;
+mod real;
 pub mod rows;
 mod tile;
 
@@ -152,15 +153,28 @@ impl Fft2 {
 
     /// Transforms all rows in place.
     pub fn all_rows(&self, data: &mut [Complex32], inverse: bool, scratch: &mut Scratch) {
+        self.some_rows(data, self.ny, inverse, scratch);
+    }
+
+    /// Transforms the first `count` rows in place, and with them what whole blocks of rows hold beyond if `data` has
+    /// room for them.
+    pub fn some_rows(
+        &self,
+        data: &mut [Complex32],
+        count: usize,
+        inverse: bool,
+        scratch: &mut Scratch,
+    ) {
         let mut done = 0;
         if let Some(plan) = &self.rows {
-            let whole = self.ny / lanes() * lanes();
+            let up = count.next_multiple_of(lanes());
+            let whole = if up * self.stride <= data.len() { up } else { count / lanes() * lanes() };
             for block in data[..whole * self.stride].chunks_exact_mut(lanes() * self.stride) {
                 plan.transform(block, self.stride, inverse, scratch.block_floats());
             }
             done = whole;
         }
-        for row in data.chunks_exact_mut(self.stride).take(self.ny).skip(done) {
+        for row in data.chunks_exact_mut(self.stride).take(count).skip(done) {
             self.single_row(row, inverse, scratch);
         }
     }

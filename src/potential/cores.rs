@@ -15,11 +15,12 @@
 //! 0.2 % (0.8 %). [`Cores::suits`] refuses what is worse.
 
 use super::bessel::J0;
-use super::projected::{PlacedAtom, phases, push_cosines_and_sines};
+use super::projected::{PlacedAtom, push_powers};
 use super::scattering::{Parametrization, ScatteringFactor};
 use crate::constants::POTENTIAL_PER_SCATTERING_FACTOR;
 use crate::error::Result;
 use crate::matrix::multiply;
+use crate::simd::vectorised;
 use crate::structure::{Atom, Structure, for_each_pair};
 use num_complex::{Complex32, Complex64};
 use rayon::prelude::*;
@@ -109,14 +110,11 @@ impl Cores {
             let (mut along_y, mut along_x) = (Vec::new(), Vec::new());
             let high = self.reach[1] + 1;
             for i in mine() {
-                let turned = Complex64::from_polar(1.0, neighbours[i]);
-                let turned = Complex32::new(turned.re as f32, turned.im as f32);
-                let [x, y, _] = atoms[i].position;
-                push_cosines_and_sines(y / self.extent[1], ny, high, &mut along_y);
-                let phases: Vec<Complex32> =
-                    centred(x / self.extent[0], self.reach[0]).map(|p| p * turned).collect();
-                along_x.extend(phases.iter().map(|p| p.re));
-                along_x.extend(phases.iter().map(|p| p.im));
+                let [x, y] = [0, 1].map(|k| atoms[i].position[k] / self.extent[k]);
+                push_powers(Complex64::ONE, y, high, &mut along_y);
+                // exp(-2 pi i f x) from the lowest frequency on
+                let phase = 2.0 * PI * (x * self.reach[0] as f64).rem_euclid(1.0) + neighbours[i];
+                push_powers(Complex64::from_polar(1.0, phase), -x, nx, &mut along_x);
             }
             let count = along_x.len() / (2 * nx);
             if count == 0 {
@@ -132,14 +130,20 @@ impl Cores {
                 let (cos_re, cos_im) = cosines[at..][..2 * nx].split_at(nx);
                 let (sin_re, sin_im) = sines[at..][..2 * nx].split_at(nx);
                 let sign = if fy < 0 { -1.0 } else { 1.0 };
-                let to = out[iy * nx..][..nx].iter_mut();
-                for (ix, (o, d)) in to.zip(&core.transform[iy * nx..][..nx]).enumerate() {
-                    let sum = Complex32::new(
-                        cos_re[ix] + sign * sin_im[ix],
-                        cos_im[ix] - sign * sin_re[ix],
-                    );
-                    *o += sum * d;
-                }
+                let out = &mut out[iy * nx..][..nx];
+                let transform = &core.transform[iy * nx..][..nx];
+                vectorised(
+                    #[inline(always)]
+                    || {
+                        for ix in 0..nx {
+                            let re = cos_re[ix] + sign * sin_im[ix];
+                            let im = cos_im[ix] - sign * sin_re[ix];
+                            let d = transform[ix];
+                            out[ix].re += re * d.re - im * d.im;
+                            out[ix].im += re * d.im + im * d.re;
+                        }
+                    },
+                );
             }
         }
     }
@@ -308,27 +312,11 @@ fn simpson(i: usize, intervals: usize) -> f64 {
     }
 }
 
-/// `exp(-2 pi i f u)` for f from -reach to reach.
-fn centred(u: f64, reach: usize) -> impl Iterator<Item = Complex32> {
-    let n = 2 * reach + 1;
-    let natural = phases(u, n, 0..n);
-    (0..n).map(move |i| natural[(i + reach + 1) % n])
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     const UNIT: f64 = 0.7288e-3 * POTENTIAL_PER_SCATTERING_FACTOR;
-
-    #[test]
-    fn phases_come_in_ascending_order() {
-        let values: Vec<Complex32> = centred(0.1, 3).collect();
-        for (i, v) in values.iter().enumerate() {
-            let exact = Complex64::from_polar(1.0, -2.0 * PI * 0.1 * (i as f64 - 3.0));
-            assert!((f64::from(v.re) - exact.re).hypot(f64::from(v.im) - exact.im) < 1e-6);
-        }
-    }
 
     /// The smoothed phase tends to the closed form of the sharp one where the potential is flat.
     #[test]

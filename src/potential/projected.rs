@@ -10,6 +10,7 @@ use crate::constants::POTENTIAL_PER_SCATTERING_FACTOR;
 use crate::error::Result;
 use crate::fft::{Buffer, Fft2, Scratch, frequency};
 use crate::matrix::multiply;
+use crate::simd::vectorised;
 use num_complex::{Complex32, Complex64};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
@@ -71,7 +72,6 @@ struct Species {
 /// Work space of one thread.
 pub struct ProjectorScratch {
     fft: Scratch,
-    sum: Vec<Complex32>,
     /// Rows of cosines and of sines along y, columns of cosines and of sines along x.
     products: Vec<f32>,
 }
@@ -122,22 +122,18 @@ impl Projector {
     pub fn scratch(&self) -> ProjectorScratch {
         let (ny, nx) = self.fft.shape();
         let (high, wide) = (ny / 2 + 1, nx / 2 + 1);
-        ProjectorScratch {
-            fft: self.fft.scratch(),
-            sum: vec![Complex32::ZERO; ny * wide],
-            products: vec![0.0; 4 * high * wide],
-        }
+        ProjectorScratch { fft: self.fft.scratch(), products: vec![0.0; 4 * high * wide] }
     }
 
-    /// Projected potential of `atoms`, all of which belong to the slice, in V Angstrom: the real
-    /// parts of `out`.
+    /// Projected potential of `atoms`, all of which belong to the slice, in V Angstrom, in pairs of rows as
+    /// [`Fft2::inverse_real`] leaves them in `out`.
     pub fn infinite(&self, atoms: &[PlacedAtom], out: &mut Buffer, scratch: &mut ProjectorScratch) {
-        scratch.sum.fill(Complex32::ZERO);
+        out.fill(Complex32::ZERO);
         for species in &self.species {
             let mine = atoms.iter().filter(|a| a.number == species.number).map(|a| a.position);
-            self.add_species(species, mine, scratch);
+            self.add_species(species, mine, out, &mut scratch.products);
         }
-        self.to_real_space(out, scratch);
+        self.fft.inverse_real(out, &mut scratch.fft);
     }
 
     /// Projected potential of slice `index` with finite projection; `atoms` are those of the whole
@@ -150,7 +146,7 @@ impl Projector {
         out: &mut Buffer,
         scratch: &mut ProjectorScratch,
     ) {
-        scratch.sum.fill(Complex32::ZERO);
+        out.fill(Complex32::ZERO);
         for atom in atoms {
             let reach =
                 atom.position[2] - FINITE_REACH_ANGSTROM..atom.position[2] + FINITE_REACH_ANGSTROM;
@@ -164,10 +160,10 @@ impl Projector {
             let above =
                 if index == last { far } else { slices.boundaries[index + 1] - atom.position[2] };
             if let Some(s) = self.species.iter().find(|s| s.number == atom.number) {
-                self.add_part(s, atom.position, [below, above], &mut scratch.sum);
+                self.add_part(s, atom.position, [below, above], out);
             }
         }
-        self.to_real_space(out, scratch);
+        self.fft.inverse_real(out, &mut scratch.fft);
     }
 
     /// Adds the part of one atom between `z[0]` and `z[1]` (relative to its nucleus).
@@ -187,7 +183,7 @@ impl Projector {
         let x = phases(at[0] / self.extent[0], nx, 0..half);
         let y = phases(at[1] / self.extent[1], ny, 0..ny);
         for iy in 0..ny {
-            let row = &mut sum[iy * half..][..half];
+            let row = &mut sum[iy * self.fft.stride()..][..half];
             for (ix, s) in row.iter_mut().enumerate() {
                 let q = (k2(iy, ix, shape, self.extent).sqrt() / step) as f32;
                 let (i, t) = (q as usize, q.fract());
@@ -202,7 +198,8 @@ impl Projector {
         &self,
         species: &Species,
         positions: impl Iterator<Item = [f64; 3]>,
-        ProjectorScratch { sum, products, .. }: &mut ProjectorScratch,
+        sum: &mut [Complex32],
+        products: &mut [f32],
     ) {
         let (ny, nx) = self.fft.shape();
         let (high, wide) = (ny / 2 + 1, nx / 2 + 1);
@@ -224,28 +221,18 @@ impl Projector {
             let (cos_cos, cos_sin) = cosines[at..][..2 * wide].split_at(wide);
             let (sin_cos, sin_sin) = sines[at..][..2 * wide].split_at(wide);
             let sign = if fy < 0 { -1.0 } else { 1.0 };
-            let to = sum[iy * wide..][..wide].iter_mut();
+            let sum = &mut sum[iy * self.fft.stride()..][..wide];
             let factors = &species.half_plane[iy * wide..][..wide];
-            for (ix, (s, f)) in to.zip(factors).enumerate() {
-                s.re += f * (cos_cos[ix] - sign * sin_sin[ix]);
-                s.im -= f * (cos_sin[ix] + sign * sin_cos[ix]);
-            }
+            vectorised(
+                #[inline(always)]
+                || {
+                    for ix in 0..wide {
+                        sum[ix].re += factors[ix] * (cos_cos[ix] - sign * sin_sin[ix]);
+                        sum[ix].im -= factors[ix] * (cos_sin[ix] + sign * sin_cos[ix]);
+                    }
+                },
+            );
         }
-    }
-
-    /// Completes the half plane by Hermitian symmetry and transforms.
-    fn to_real_space(&self, out: &mut Buffer, scratch: &mut ProjectorScratch) {
-        let (ny, nx) = self.fft.shape();
-        let (half, stride) = (nx / 2 + 1, self.fft.stride());
-        for iy in 0..ny {
-            let row = &mut out[iy * stride..][..nx];
-            row[..half].copy_from_slice(&scratch.sum[iy * half..][..half]);
-            let mirrored = &scratch.sum[(ny - iy) % ny * half..][..half];
-            for ix in half..nx {
-                row[ix] = mirrored[nx - ix].conj();
-            }
-        }
-        self.fft.inverse(out, &mut scratch.fft);
     }
 }
 
@@ -258,42 +245,57 @@ fn k2(iy: usize, ix: usize, (ny, nx): (usize, usize), extent: [f64; 2]) -> f64 {
 
 /// `exp(-2 pi i f u)` for the frequencies f of the given bins of a grid of `n`, `u` the position in
 /// units of the period.
-pub(super) fn phases(u: f64, n: usize, bins: std::ops::Range<usize>) -> Vec<Complex32> {
-    let step = Complex64::from_polar(1.0, -2.0 * PI * u.rem_euclid(1.0));
-    let mut positive = Vec::with_capacity(n / 2 + 1);
-    let mut w = Complex64::ONE;
-    for _ in 0..=n / 2 {
-        positive.push(w);
-        w *= step;
-    }
+fn phases(u: f64, n: usize, bins: std::ops::Range<usize>) -> Vec<Complex32> {
+    let count = n / 2 + 1;
+    let mut positive = Vec::new();
+    push_cosines_and_sines(u, n, count, &mut positive);
     bins.map(|i| {
         let f = frequency(i, n);
-        let w = positive[f.unsigned_abs() as usize];
-        let w = match f {
-            // The Nyquist frequency of an even grid stands for both signs.
-            _ if 2 * f.unsigned_abs() as usize == n => Complex64::new(w.re, 0.0),
-            f if f < 0 => w.conj(),
-            _ => w,
-        };
-        Complex32::new(w.re as f32, w.im as f32)
+        let at = f.unsigned_abs() as usize;
+        let sine = positive[count + at];
+        Complex32::new(positive[at], if f < 0 { sine } else { -sine })
     })
     .collect()
 }
 
 /// Appends `cos(2 pi f u)` for the frequencies f below `count` of a grid of `n`, then the sines; `u` is the position
 /// in units of the period.
-pub(super) fn push_cosines_and_sines(u: f64, n: usize, count: usize, out: &mut Vec<f32>) {
-    let step = Complex64::from_polar(1.0, 2.0 * PI * u.rem_euclid(1.0));
+fn push_cosines_and_sines(u: f64, n: usize, count: usize, out: &mut Vec<f32>) {
+    let start = out.len();
+    push_powers(Complex64::ONE, u, count, out);
+    // The Nyquist frequency of an even grid stands for both signs.
+    if n.is_multiple_of(2) && count > n / 2 {
+        out[start + count + n / 2] = 0.0;
+    }
+}
+
+/// Appends the real parts of `first exp(2 pi i f u)` for f below `count`, then the imaginary parts.
+pub(super) fn push_powers(first: Complex64, u: f64, count: usize, out: &mut Vec<f32>) {
+    const AT_ONCE: usize = 16;
+    let turn = |f: f64| Complex64::from_polar(1.0, 2.0 * PI * u.rem_euclid(1.0) * f);
     let start = out.len();
     out.resize(start + 2 * count, 0.0);
-    let (cosines, sines) = out[start..].split_at_mut(count);
-    let mut w = Complex64::ONE;
-    for (f, (c, s)) in cosines.iter_mut().zip(sines).enumerate() {
-        *c = w.re as f32;
-        // The Nyquist frequency of an even grid stands for both signs.
-        *s = if 2 * f == n { 0.0 } else { w.im as f32 };
+    let (re, im) = out[start..].split_at_mut(count);
+    let (mut x, mut y) = ([0.0; AT_ONCE], [0.0; AT_ONCE]);
+    let (step, mut w) = (turn(1.0), first);
+    for i in 0..AT_ONCE {
+        (x[i], y[i]) = (w.re, w.im);
         w *= step;
     }
+    let step = turn(AT_ONCE as f64);
+    vectorised(
+        #[inline(always)]
+        || {
+            for (re, im) in re.chunks_mut(AT_ONCE).zip(im.chunks_mut(AT_ONCE)) {
+                for (i, (re, im)) in re.iter_mut().zip(im).enumerate() {
+                    (*re, *im) = (x[i] as f32, y[i] as f32);
+                }
+                for (x, y) in x.iter_mut().zip(&mut y) {
+                    (*x, *y) = (*x * step.re - *y * step.im, *x * step.im + *y * step.re);
+                }
+            }
+        },
+    );
 }
 
 #[cfg(test)]
@@ -307,7 +309,7 @@ mod tests {
 
     fn real(p: &Projector, b: &Buffer) -> Vec<f32> {
         let (ny, nx) = p.fft.shape();
-        (0..ny * nx).map(|i| b[i / nx * p.fft.stride() + i % nx].re).collect()
+        (0..ny * nx).map(|i| p.fft.of_pair(b, i / nx, i % nx)).collect()
     }
 
     #[test]

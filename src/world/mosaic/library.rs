@@ -19,7 +19,7 @@ use crate::world::specimen::{SiteKind, Specimen};
 use crate::world::subprogress::SubProgress;
 
 /// Version of what sheets hold; a change makes older caches useless.
-const VERSION: u32 = 6;
+const VERSION: u32 = 7;
 /// Draw of [`Purpose::Library`] for the contents of surroundings.
 const SURROUNDINGS_DRAW: u32 = 1 << 20;
 
