@@ -47,7 +47,6 @@ pub struct Deposit<'a> {
     atom: Scatterer,
     depths: Vec<f64>,
     layers: Vec<Vec<f64>>,
-    beyond: f64,
 }
 
 /// How an atom of an element scatters onto the detector.
@@ -69,17 +68,11 @@ impl<'a> Raster<'a> {
         Ok(Raster { settings, fft: Fft2::new(ny, nx), kernel, step })
     }
 
-    /// Nothing as yet of element `number`, at depths from `depth[0]` to `depth[1]` Angstrom. Only what is scattered further
-    /// than `beyond` Angstrom from the probe, along x or y, counts.
+    /// Nothing as yet of element `number`, at depths from `depth[0]` to `depth[1]` Angstrom.
     ///
     /// # Errors
     /// An element that the tables lack.
-    pub fn deposit(
-        &'a self,
-        number: u8,
-        [first, last]: [f64; 2],
-        beyond: f64,
-    ) -> Result<Deposit<'a>> {
+    pub fn deposit(&'a self, number: u8, [first, last]: [f64; 2]) -> Result<Deposit<'a>> {
         let count = ((last - first) / LAYER_ANGSTROM).ceil().max(1.0) as usize;
         let depth = |i| first + (last - first) * i as f64 / count as f64;
         let (ny, nx) = self.fft.shape();
@@ -88,7 +81,6 @@ impl<'a> Raster<'a> {
             atom: Scatterer::new(self.settings, &self.settings.detectors[0], number)?,
             depths: (0..=count).map(depth).collect(),
             layers: vec![vec![0.0; ny * nx]; count + 1],
-            beyond,
         })
     }
 
@@ -160,14 +152,15 @@ impl Deposit<'_> {
         });
     }
 
-    /// The image: intensity in fractions of the beam at each sample.
-    pub fn image(&self) -> Array2<f64> {
+    /// The image: intensity in fractions of the beam at each sample. Only what is scattered further than `beyond` Angstrom from
+    /// the probe, along x or y, counts.
+    pub fn image(&self, beyond: f64) -> Array2<f64> {
         let Raster { fft, step, settings, .. } = self.raster;
         let (ny, nx) = fft.shape();
         let optics = &settings.optics;
         let reach = 2e-3 * optics.semiangle_mrad / optics.wavelength_angstrom();
         let terms = self.layers.par_iter().zip(&self.depths).map(|(layer, depth)| {
-            let probe = self.raster.probe(*depth, self.beyond);
+            let probe = self.raster.probe(*depth, beyond);
             let mut sum = fft.buffer();
             for (row, line) in sum.chunks_exact_mut(fft.stride()).zip(layer.chunks_exact(nx)) {
                 row.iter_mut().zip(line).for_each(|(to, v)| *to = Complex32::new(*v as f32, 0.0));
@@ -287,9 +280,9 @@ mod tests {
             let exact = simulate(&plan, &[site], &scan, &Silent).unwrap();
             let exact = exact.image(0, 0);
             let raster = Raster::new(&settings, step, [300, 300]).unwrap();
-            let mut deposit = raster.deposit(number, [0.0, 50.0], 0.0).unwrap();
+            let mut deposit = raster.deposit(number, [0.0, 50.0]).unwrap();
             deposit.add(&[[position[0] + 20.0, position[1] + 20.0, depth]], 1.0);
-            let ours = deposit.image();
+            let ours = deposit.image(0.0);
             let most = exact.iter().fold(0.0, |m: f64, v| m.max(f64::from(*v)));
             for j in 0..32 {
                 let (a, b) = (ours[[112, 96 + j]], f64::from(exact[[0, j]]));
@@ -304,9 +297,9 @@ mod tests {
         let settings = Settings::default();
         let raster = Raster::new(&settings, 0.25, [200, 200]).unwrap();
         let image = |beyond: f64| {
-            let mut deposit = raster.deposit(6, [0.0, 10.0], beyond).unwrap();
+            let mut deposit = raster.deposit(6, [0.0, 10.0]).unwrap();
             deposit.add(&[[25.0, 25.0, 5.0]], 1.0);
-            deposit.image()
+            deposit.image(beyond)
         };
         let (all, far) = (image(0.0), image(3.0));
         assert!((far[[100, 130]] / all[[100, 130]] - 1.0).abs() < 0.05);

@@ -45,6 +45,7 @@ pub(super) struct TransmissionBuilder<'a> {
     /// Transform of the transmission grid, over the whole cell.
     coarse: Fft2,
     layout: Layout,
+    spare: Spare<Workspace>,
     /// Arrays of transmission functions that are no longer needed.
     free: Mutex<Vec<Buffer>>,
 }
@@ -70,8 +71,8 @@ impl<'a> TransmissionBuilder<'a> {
         };
         let elements = elements.to_vec();
         let (oversampled, coarse) = (OnceLock::new(), Fft2::new(ny, nx));
-        let free = Mutex::default();
-        Ok(TransmissionBuilder { plan, elements, usual, oversampled, coarse, layout, free })
+        let (spare, free) = (Spare::new(), Mutex::default());
+        Ok(TransmissionBuilder { plan, elements, usual, oversampled, coarse, layout, spare, free })
     }
 
     /// The transmission functions of one phonon configuration.
@@ -91,11 +92,10 @@ impl<'a> TransmissionBuilder<'a> {
         }
         let workspace = || Workspace {
             usual: self.usual.workspace(),
-            oversampled: self.oversampled.get().map(Exponential::workspace),
+            oversampled: None,
             wave: self.coarse.buffer(),
             coarse: self.coarse.scratch(),
         };
-        let spare = Spare::new();
         let slices: Result<Vec<Option<Buffer>>> = (0..by_slice.len())
             .into_par_iter()
             .map(|i| {
@@ -107,7 +107,7 @@ impl<'a> TransmissionBuilder<'a> {
                     Projection::Infinite => SliceAtoms::Whole(&by_slice[i]),
                     Projection::Finite => SliceAtoms::Parts { all: &all, slice: i },
                 };
-                Ok(Some(spare.with(workspace, |w| self.slice(atoms, too_close[i], w))))
+                Ok(Some(self.spare.with(workspace, |w| self.slice(atoms, too_close[i], w))))
             })
             .collect();
         let occupancy = Occupancy::new(self.plan, &by_slice);
@@ -131,9 +131,9 @@ impl<'a> TransmissionBuilder<'a> {
     /// One band-limited transmission function.
     fn slice(&self, atoms: SliceAtoms<'_>, too_close: bool, w: &mut Workspace) -> Buffer {
         let fft = &self.coarse;
-        let (exponential, inner) = match (self.oversampled.get(), &mut w.oversampled) {
-            (Some(fine), Some(inner)) if too_close => (fine, inner),
-            _ => (&self.usual, &mut w.usual),
+        let (exponential, inner) = match self.oversampled.get().filter(|_| too_close) {
+            Some(fine) => (fine, w.oversampled.get_or_insert_with(|| fine.workspace())),
+            None => (&self.usual, &mut w.usual),
         };
         w.wave.fill(Complex32::ZERO);
         exponential.coefficients(self.plan, atoms, inner, (fft, &mut w.wave));

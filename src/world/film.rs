@@ -21,7 +21,7 @@ use super::pixel_box::PixelBox;
 use super::recipe::Recipe;
 use super::simulator::Simulator;
 use super::specimen::{ParticleTruth, Region, Specimen, SpecimenSite, particles_in};
-use crate::engine::independent::Raster;
+use crate::engine::independent::{Deposit, Raster};
 use crate::engine::{Algorithm, Plan, ProbeBox, ProbeStep, Scan, Settings, Site};
 use crate::error::{Error, Result};
 use crate::phonons::displaced;
@@ -203,38 +203,52 @@ impl<'a> FilmImage<'a> {
         Atoms { film, particles }
     }
 
-    /// The image of what is further than `film_beyond` from a probe of the film, and further than a window of particles.
+    /// Those of some atoms that are of element `number`, in all their configurations, on a raster.
+    fn deposit<'r>(
+        &self,
+        raster: &'r Raster<'r>,
+        atoms: &[Site],
+        (number, depth_angstrom): (u8, [f64; 2]),
+        configurations: usize,
+    ) -> Result<Deposit<'r>> {
+        let mut deposit = raster.deposit(number, depth_angstrom)?;
+        for configuration in 0..configurations as u32 {
+            let of = atoms.par_iter().filter(|s| s.number == number);
+            let moved: Vec<[f64; 3]> =
+                of.map(|s| displaced(s, self.recipe.seed, configuration)).collect();
+            deposit.add(&moved, 1.0 / configurations as f64);
+        }
+        Ok(deposit)
+    }
+
+    /// Images of atoms each by itself on rasters of at least `least` samples, less `margin` on all sides: of all the film's,
+    /// and of those outside the windows of probes; each with that of the particles' atoms outside.
     fn independent(
         &self,
         atoms: &Atoms,
         (least, margin): ([usize; 2], usize),
-        film_beyond: f64,
         configurations: usize,
-    ) -> Result<Array2<f64>> {
+    ) -> Result<[Array2<f64>; 2]> {
+        let outside = 0.5 * self.window_angstrom;
         let raster = Raster::new(self.simulator.settings(), self.step, least)?;
-        let mut sum = Array2::<f64>::zeros(least.map(|n| n - 2 * margin));
-        let shape = sum.dim();
-        let mut add = |number: u8, depth: [f64; 2], beyond: f64, sites: &[Site]| -> Result<()> {
-            let mut deposit = raster.deposit(number, depth, beyond)?;
-            for configuration in 0..configurations as u32 {
-                let of = sites.par_iter().filter(|s| s.number == number);
-                let moved: Vec<[f64; 3]> =
-                    of.map(|s| displaced(s, self.recipe.seed, configuration)).collect();
-                deposit.add(&moved, 1.0 / configurations as f64);
-            }
-            let image = deposit.image();
-            sum += &image.slice(s![margin..margin + shape.0, margin..margin + shape.1]);
-            Ok(())
+        let [rows, columns] = least.map(|n| margin..n - margin);
+        let image = |deposit: &Deposit<'_>, beyond| {
+            deposit.image(beyond).slice_move(s![rows.clone(), columns.clone()])
         };
-        add(self.film.number, self.film.depth_nm.map(|z| 10.0 * z), film_beyond, &atoms.film)?;
+        let kind = (self.film.number, self.film.depth_nm.map(|z| 10.0 * z));
+        let film = self.deposit(&raster, &atoms.film, kind, configurations)?;
+        let mut images = [image(&film, 0.0), image(&film, outside)];
         let numbers: BTreeSet<u8> = atoms.particles.iter().map(|s| s.number).collect();
         let heights = || atoms.particles.iter().map(|s| s.position[2]);
         let depth =
             [heights().fold(f64::INFINITY, f64::min), heights().fold(f64::NEG_INFINITY, f64::max)];
         for number in numbers {
-            add(number, depth, 0.5 * self.window_angstrom, &atoms.particles)?;
+            let kind = (number, depth);
+            let particles = self.deposit(&raster, &atoms.particles, kind, configurations)?;
+            let far = image(&particles, outside);
+            images.iter_mut().for_each(|sum| *sum += &far);
         }
-        Ok(sum)
+        Ok(images)
     }
 
     /// Rectangles of samples with atoms of particles in their windows.
@@ -370,17 +384,10 @@ impl FieldImage for FilmImage<'_> {
         let least = samples.shape.map(|n| n + 2 * margin);
         let origin = [1, 0].map(|k| (samples.first[k] - margin as i64) as f64 * self.step);
         let atoms = self.atoms_around(&samples, origin);
-        let mut image = self.independent(&atoms, (least, margin), 0.0, configurations)?;
+        let [mut image, outside] = self.independent(&atoms, (least, margin), configurations)?;
         let blocks = self.blocks(&atoms, &samples, origin);
         let probes: usize = blocks.iter().map(|b| b.shape[0] * b.shape[1]).sum();
         progress.start("particles", "probe", (probes * configurations) as u64);
-        let outside = match blocks.is_empty() {
-            true => Array2::zeros([0, 0]),
-            false => {
-                let beyond = 0.5 * self.window_angstrom;
-                self.independent(&atoms, (least, margin), beyond, configurations)?
-            }
-        };
         for block in &blocks {
             let part = self.simulated(&atoms, block, origin, configurations, progress)?;
             let share = self.simulated_share(&atoms, block, origin);

@@ -8,8 +8,8 @@ use super::subprogress::SubProgress;
 use crate::detect::Detector;
 use crate::engine::settings::EXACT_BAND_FRACTION;
 use crate::engine::{
-    Algorithm, BeyondLimit, GridChoice, Phonons, Plan, ProbeBox, ProbeRaster, ProbeStep, Scan,
-    Settings, Simulation, Site, WindowChoice, elements, probe_margin_angstrom, simulate,
+    Algorithm, BeyondLimit, Expansion, GridChoice, Phonons, Plan, ProbeBox, ProbeRaster, ProbeStep,
+    Scan, Settings, Simulation, Site, WindowChoice, elements, probe_margin_angstrom, simulate,
     window_for,
 };
 use crate::error::Result;
@@ -141,6 +141,12 @@ impl Simulator {
     pub fn with_window(&self, width_angstrom: f64) -> Self {
         let algorithm = Algorithm::Window { width_angstrom };
         Simulator { settings: Settings { algorithm, ..self.settings.clone() } }
+    }
+
+    /// The same with the probes of windows expanded as told.
+    #[must_use]
+    pub fn with_expansion(&self, expansion: Expansion) -> Self {
+        Simulator { settings: Settings { expansion, ..self.settings.clone() } }
     }
 
     /// The engine settings.
