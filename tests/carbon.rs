@@ -10,7 +10,7 @@ use std::sync::LazyLock;
 use proptest::prelude::*;
 use rustfft::num_complex::Complex;
 use stemgen::structure::carbon::block;
-use stemgen::structure::carbon::film::{CELL, Film, LEAST_DISTANCE};
+use stemgen::structure::carbon::film::{CELL, Film, LEAST_DISTANCE, upright};
 use stemgen::structure::carbon::network::{Neighbours, Network};
 
 /// Atoms in A^3 at 1 g/cm3.
@@ -122,7 +122,7 @@ fn the_film_keeps_density_and_distances_across_its_seams() {
     assert!((all - 2.0).abs() < 0.04, "{all}");
     let inner = |p: &[f64; 3]| p[2] > 4.0 && p[2] < THICKNESS - 4.0;
     let from_line = |v: f64| (v - CELL * (v / CELL).round()).abs();
-    let seam = |p: &[f64; 3]| from_line(p[0]) < 2.5 || from_line(p[1]) < 2.5;
+    let seam = |p: &[f64; 3]| upright(p).into_iter().any(|v| from_line(v) < 2.5);
     let away = |p: &[f64; 3]| (0..2).all(|k| (p[k] - 1.5 * CELL).abs() < CELL - 3.0);
     let network = free(atoms);
     let whole = Measured::new(&network, |_| true);
@@ -164,6 +164,24 @@ fn repetition(atoms: &[[f64; 3]], edge: f64) -> f64 {
     let lag = |k: usize| k.min(n - k) as f64 * 0.5;
     let far = |k: &usize| lag(k % n).hypot(lag(k / n)) > 5.0;
     (0..n * n).filter(far).map(|k| image[k].re).fold(0.0, f64::max) / image[0].re
+}
+
+/// Where cells are joined, atoms keep off the cut. Measured: strips of 1 A along the lines of the cells hold up to 2.1 % more or
+/// less than the mean; with upright cuts, over 60 nm, those beside the line 8.7 % more.
+#[test]
+fn seams_do_not_show_in_projection() {
+    const STRIPS: usize = 65;
+    let edge = 4.0 * CELL;
+    let mut strips = [0.0; STRIPS];
+    let atoms = positions(&FILM, [[0.0, edge]; 2]);
+    for p in &atoms {
+        for v in [p[0], p[1]] {
+            strips[((v / CELL).fract() * STRIPS as f64) as usize % STRIPS] += 0.5;
+        }
+    }
+    let mean = atoms.len() as f64 / STRIPS as f64;
+    let most = strips.iter().map(|n| (n / mean - 1.0f64).abs()).fold(0.0, f64::max);
+    assert!(most < 0.04, "{most} {strips:?}");
 }
 
 fn shifted(atoms: &[[f64; 3]], by: [f64; 2]) -> Vec<[f64; 3]> {
