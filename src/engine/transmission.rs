@@ -13,7 +13,7 @@ use crate::progress::Progress;
 use num_complex::Complex32;
 use rayon::prelude::*;
 use std::ops::Range;
-use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::OnceLock;
 
 /// Transmission functions of all slices.
 pub(super) struct Transmission {
@@ -47,7 +47,7 @@ pub(super) struct TransmissionBuilder<'a> {
     layout: Layout,
     spare: Spare<Workspace>,
     /// Arrays of transmission functions that are no longer needed.
-    free: Mutex<Vec<Buffer>>,
+    free: Spare<Buffer>,
 }
 
 /// One thread's arrays.
@@ -71,7 +71,7 @@ impl<'a> TransmissionBuilder<'a> {
         };
         let elements = elements.to_vec();
         let (oversampled, coarse) = (OnceLock::new(), Fft2::new(ny, nx));
-        let (spare, free) = (Spare::new(), Mutex::default());
+        let (spare, free) = (Spare::new(), Spare::new());
         Ok(TransmissionBuilder { plan, elements, usual, oversampled, coarse, layout, spare, free })
     }
 
@@ -116,16 +116,12 @@ impl<'a> TransmissionBuilder<'a> {
 
     /// Takes back the arrays of transmission functions, for the next configuration.
     pub fn reclaim(&self, transmission: Transmission) {
-        self.free().extend(transmission.slices.into_iter().flatten());
-    }
-
-    fn free(&self) -> MutexGuard<'_, Vec<Buffer>> {
-        self.free.lock().unwrap_or_else(PoisonError::into_inner)
+        self.free.give(transmission.slices.into_iter().flatten());
     }
 
     /// An array of `len` elements, whose contents do not matter.
     fn array(&self, len: usize) -> Buffer {
-        self.free().pop().unwrap_or_else(|| Buffer::zeros(len))
+        self.free.take(|| Buffer::zeros(len))
     }
 
     /// One band-limited transmission function.
