@@ -15,7 +15,8 @@ use std::process::Command;
 
 use common::Spots;
 use stemgen::progress::Silent;
-use stemgen::world::{BuildOptions, Difficulty, Recipe, build};
+use stemgen::recipe::{Difficulty, Recipe};
+use stemgen::world::{BuildOptions, builder};
 
 /// A file of this repository.
 fn file(name: &str) -> PathBuf {

@@ -12,7 +12,8 @@ use std::sync::atomic::Ordering::Relaxed;
 use common::Spots;
 use stemgen::io::WorldFile;
 use stemgen::progress::{Progress, Silent};
-use stemgen::world::{BuildOptions, Difficulty, Recipe, build};
+use stemgen::recipe::{Difficulty, Recipe};
+use stemgen::world::{BuildOptions, builder};
 use stemgen::{Error, Result};
 
 fn recipe(rows: usize, columns: usize) -> Recipe {

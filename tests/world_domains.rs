@@ -6,7 +6,8 @@ mod specimens;
 use std::collections::BTreeMap;
 
 use specimens::{CASES, Case, assert_rate, by_parts, cases, normal_cdf, shortest, signed_distance};
-use stemgen::world::{BoundaryKind, Difficulty, Recipe, Region, SiteKind, SpecimenSite, specimen};
+use stemgen::recipe::{Difficulty, Recipe, Region};
+use stemgen::specimen::{BoundaryKind, SiteKind, SpecimenSite, specimen};
 
 const TI: u8 = 22;
 const BA: u8 = 56;

@@ -6,7 +6,8 @@ mod specimens;
 use std::collections::{BTreeMap, HashSet};
 
 use specimens::{CASES, Case, assert_rate, by_parts, cases, normal_cdf, number, shortest};
-use stemgen::world::{Difficulty, Recipe, Region, SiteKind, specimen};
+use stemgen::recipe::{Difficulty, Recipe, Region};
+use stemgen::specimen::{SiteKind, specimen};
 
 /// Sites and guests in equal parts of the field's width.
 fn guests(case: &Case, host: u8, guest: u8, bins: usize) -> Vec<[u64; 2]> {

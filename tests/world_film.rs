@@ -2,13 +2,17 @@
 
 use ndarray::Array2;
 use stemgen::engine::Algorithm;
+use stemgen::imaging::audit::region_audit::{Audit, AuditOptions, Source, audit};
+use stemgen::imaging::film::film_imager::FilmImage;
+use stemgen::imaging::mosaic::library_cache::Cache;
+use stemgen::imaging::mosaic::mosaic_imager::MosaicEngine;
+use stemgen::imaging::pixels::PixelBox;
+use stemgen::imaging::region_imager::FieldImage;
+use stemgen::imaging::simulator::Simulator;
 use stemgen::progress::Silent;
-use stemgen::world::audit::{Audit, AuditOptions, Source, audit};
-use stemgen::world::field_image::FieldImage;
-use stemgen::world::film::FilmImage;
-use stemgen::world::mosaic::{Cache, MosaicEngine};
-use stemgen::world::pixel_box::PixelBox;
-use stemgen::world::{Difficulty, Recipe, Simulator, Specimen, SubTileEngine, specimen};
+use stemgen::recipe::{Difficulty, Recipe};
+use stemgen::specimen::{Specimen, specimen};
+use stemgen::world::SubTileEngine;
 
 /// A field of 8 nm with one particle of about 1.4 nm on `carbon_nm` of carbon.
 fn recipe(carbon_nm: f64, configurations: usize) -> Recipe {

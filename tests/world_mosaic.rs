@@ -3,14 +3,16 @@
 use std::collections::HashMap;
 
 use stemgen::engine::Algorithm;
+use stemgen::imaging::audit::region_audit::{AuditOptions, Source, audit};
+use stemgen::imaging::choose::Check;
+use stemgen::imaging::mosaic::library_cache::Cache;
+use stemgen::imaging::mosaic::mosaic_imager::{Mosaic, MosaicEngine};
+use stemgen::imaging::simulator::Simulator;
 use stemgen::io::WorldFile;
 use stemgen::progress::Silent;
-use stemgen::world::audit::{AuditOptions, Source, audit};
-use stemgen::world::method::Check;
-use stemgen::world::mosaic::{Cache, Mosaic, MosaicEngine};
-use stemgen::world::{
-    BuildOptions, Difficulty, Recipe, Region, Simulator, SiteKind, build, specimen,
-};
+use stemgen::recipe::{Difficulty, Recipe, Region};
+use stemgen::specimen::{SiteKind, specimen};
+use stemgen::world::{BuildOptions, builder};
 
 /// SrTiO3 as thin and with a detector as narrow as to take seconds; a boundary where `count` is 1.
 fn recipe(count: usize, rate: f64) -> Recipe {

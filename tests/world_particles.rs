@@ -10,14 +10,12 @@ use common::Spots;
 use proptest::prelude::*;
 use stemgen::io::WorldFile;
 use stemgen::progress::Silent;
+use stemgen::recipe::{Difficulty, Recipe, Region};
+use stemgen::specimen::particles::ROW_TILT_DEG;
+use stemgen::specimen::{DISPLACED_NM, ParticleTruth, SiteKind, Specimen, SpecimenSite, specimen};
 use stemgen::structure::particles::rotation::Rotation;
 use stemgen::structure::particles::{Metal, Morphology};
-use stemgen::world::particles::ROW_TILT_DEG;
-use stemgen::world::specimen::DISPLACED_NM;
-use stemgen::world::{
-    BuildOptions, Difficulty, ParticleTruth, Recipe, Region, SiteKind, Specimen, SpecimenSite,
-    build, specimen,
-};
+use stemgen::world::{BuildOptions, build};
 
 const PLATINUM: u8 = 78;
 const METAL: Metal = Metal { a: 3.9236, surface_energy_ratio: 1.19 };

@@ -6,8 +6,9 @@
 
 use std::path::Path;
 
+use stemgen::recipe::{Difficulty, Recipe, Region};
+use stemgen::specimen::{SiteKind, specimen};
 use stemgen::structure::{Atom, Structure, elements, min_pair_distance, shortest_distances};
-use stemgen::world::{Difficulty, Recipe, Region, SiteKind, specimen};
 
 const GOOD: &str = include_str!("../generate/srtio3.toml");
 
@@ -293,7 +294,7 @@ fn no_number_makes_it_panic() {
                 });
                 match made {
                     Ok(sites) => {
-                        let finite = |s: &stemgen::world::SpecimenSite| {
+                        let finite = |s: &stemgen::specimen::SpecimenSite| {
                             s.position_nm.iter().all(|v| v.is_finite())
                         };
                         assert!(sites.iter().all(finite), "{material} {path:?} = {value}");

@@ -7,7 +7,8 @@ use std::collections::{HashMap, HashSet};
 
 use proptest::prelude::*;
 use specimens::{CASES, assert_rate, number};
-use stemgen::world::{Difficulty, Recipe, Region, SiteKind, SpecimenSite, specimen};
+use stemgen::recipe::{Difficulty, Recipe, Region};
+use stemgen::specimen::{SiteKind, SpecimenSite, specimen};
 
 const TI: u8 = 22;
 const GA: u8 = 31;

@@ -5,9 +5,8 @@ use std::collections::{HashMap, HashSet};
 use std::sync::LazyLock;
 
 use proptest::prelude::*;
-use stemgen::world::{
-    BoundaryKind, Difficulty, Recipe, Region, SiteKind, Specimen, SpecimenSite, specimen,
-};
+use stemgen::recipe::{Difficulty, Recipe, Region};
+use stemgen::specimen::{BoundaryKind, SiteKind, Specimen, SpecimenSite, specimen};
 
 const OXYGEN: u8 = 8;
 

@@ -16,8 +16,9 @@ use stemgen::Result;
 use stemgen::engine::{Scan, Site};
 use stemgen::io::{GroundTruth, WorldFile};
 use stemgen::progress::{Progress, Silent};
+use stemgen::recipe::{Difficulty, Recipe};
 use stemgen::structure::elements;
-use stemgen::world::{BuildOptions, Difficulty, Recipe, SubTileEngine, build};
+use stemgen::world::{BuildOptions, SubTileEngine, build};
 
 /// An image of one value; remembers the thermal displacement of the elements that it saw.
 #[derive(Default)]

@@ -7,11 +7,13 @@ use super::values;
 use anyhow::bail;
 use clap::Args;
 use stemgen::engine::Algorithm;
-use stemgen::world::audit::{Audit, AuditOptions, Source, audit};
-use stemgen::world::method::field_image;
-use stemgen::world::mosaic::{Cache, MosaicEngine};
-use stemgen::world::simulator::{WINDOW_ANGSTROM, default_window};
-use stemgen::world::{Recipe, Simulator, specimen};
+use stemgen::imaging::audit::region_audit::{Audit, AuditOptions, Source, audit};
+use stemgen::imaging::choose::field_image;
+use stemgen::imaging::mosaic::library_cache::Cache;
+use stemgen::imaging::mosaic::mosaic_imager::MosaicEngine;
+use stemgen::imaging::simulator::{Simulator, WINDOW_ANGSTROM, default_window};
+use stemgen::recipe::Recipe;
+use stemgen::specimen::specimen;
 
 const EXAMPLES: &str = "\
 Examples:

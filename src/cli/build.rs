@@ -13,14 +13,15 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use stemgen::engine::{Algorithm, Expansion};
+use stemgen::imaging::audit::region_audit::{Audit, AuditOptions};
+use stemgen::imaging::choose::Check;
+use stemgen::imaging::mosaic::library_cache::Cache;
+use stemgen::imaging::mosaic::mosaic_imager::MosaicEngine;
+use stemgen::imaging::simulator::{Simulator, WINDOW_ANGSTROM, default_window};
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
-use stemgen::world::audit::{Audit, AuditOptions};
-use stemgen::world::method::Check;
-use stemgen::world::mosaic::{Cache, MosaicEngine};
-use stemgen::world::recipe::StructureKind;
-use stemgen::world::simulator::{WINDOW_ANGSTROM, default_window};
-use stemgen::world::{BuildOptions, Difficulty, Recipe, Simulator, SubTileEngine, Summary};
+use stemgen::recipe::{Difficulty, Recipe, StructureKind};
+use stemgen::world::{BuildOptions, SubTileEngine, Summary};
 
 /// Sub-tiles in nm; 4 nm take below 2 GB of memory on two threads.
 const SUBTILE_NM: f64 = 4.0;

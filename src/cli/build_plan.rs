@@ -5,11 +5,13 @@ use super::{estimate, text};
 use serde::Serialize;
 use std::path::PathBuf;
 use stemgen::engine::Plan;
-use stemgen::world::film::{BLOCK_PROBES, FilmImage};
+use stemgen::imaging::film::film_imager::{BLOCK_PROBES, FilmImage};
+use stemgen::imaging::mosaic::mosaic_imager::{BLOCK_PX, Mosaic, MosaicCost, MosaicEngine};
+use stemgen::imaging::simulator::Simulator;
+use stemgen::recipe::{Recipe, Region};
+use stemgen::specimen::{Specimen, estimated_sites, specimen};
 use stemgen::world::footprint::world_bytes;
-use stemgen::world::mosaic::{BLOCK_PX, Mosaic, MosaicEngine, Outlook};
 use stemgen::world::subtiles::Partition;
-use stemgen::world::{Recipe, Region, Simulator, Specimen, estimated_sites, specimen};
 
 /// Edge of the surroundings of a column that only it shows, in Angstrom.
 const UNIQUE_ANGSTROM: f64 = 3.0;
@@ -48,7 +50,7 @@ pub struct DryRun {
     #[serde(flatten)]
     plan: PlanReport,
     #[serde(skip_serializing_if = "Option::is_none")]
-    mosaic: Option<Outlook>,
+    mosaic: Option<MosaicCost>,
     #[serde(skip_serializing_if = "Option::is_none")]
     particle_probes: Option<usize>,
     disk_bytes: u64,
@@ -151,7 +153,7 @@ impl DryRun {
     }
 }
 
-fn mosaic_line(mosaic: &Outlook) -> String {
+fn mosaic_line(mosaic: &MosaicCost) -> String {
     if !mosaic.pays {
         return "does not pay for so small a field: every sub-tile is simulated".into();
     }
@@ -170,7 +172,7 @@ fn mosaic_line(mosaic: &Outlook) -> String {
 
 /// What making a mosaic takes: the images that the library lacks, and the columns like no other, each in a block of its own.
 fn mosaic_report(
-    mosaic: &Outlook,
+    mosaic: &MosaicCost,
     specimen: &dyn Specimen,
     recipe: &Recipe,
     simulator: &Simulator,

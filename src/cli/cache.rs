@@ -4,7 +4,7 @@ use super::show::Lines;
 use super::text;
 use clap::{Args, Subcommand};
 use std::path::PathBuf;
-use stemgen::world::mosaic::{Cache, Holding};
+use stemgen::imaging::mosaic::library_cache::{Cache, Holding};
 
 const EXAMPLES: &str = "\
 Examples:

@@ -4,7 +4,8 @@ use super::progress::Reporter;
 use super::text;
 use clap::Args;
 use serde::Serialize;
-use stemgen::world::{Recipe, counted_sites, estimated_sites, specimen};
+use stemgen::recipe::Recipe;
+use stemgen::specimen::{counted_sites, estimated_sites, specimen};
 
 const EXAMPLES: &str = "\
 Examples:

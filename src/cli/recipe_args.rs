@@ -6,7 +6,7 @@ use anyhow::{Context, anyhow};
 use clap::Args;
 use std::path::PathBuf;
 use stemgen::engine::Settings;
-use stemgen::world::{Difficulty, Override, Recipe};
+use stemgen::recipe::{Difficulty, Override, Recipe};
 
 /// The recipe.
 #[derive(Debug, Args)]

@@ -10,11 +10,11 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Instant;
 use stemgen::io::writable;
+use stemgen::recipe::Recipe;
+use stemgen::specimen::{Specimen, estimated_sites, specimen};
 use stemgen::structure::Format;
 use stemgen::world::footprint::atoms_bytes;
-use stemgen::world::{
-    Drawing, ExportOptions, ExportSummary, Recipe, Specimen, estimated_sites, export, specimen,
-};
+use stemgen::world::{Drawing, ExportOptions, ExportSummary, export};
 
 const EXAMPLES: &str = "\
 Examples:

@@ -8,8 +8,8 @@ use stemgen::engine::{Expansion, ProbeStep};
 use stemgen::optics::Aberration;
 use stemgen::potential::projected::Projection;
 use stemgen::potential::scattering::Parametrization;
+use stemgen::recipe::Difficulty;
 use stemgen::structure::elements;
-use stemgen::world::Difficulty;
 
 type Parsed<T> = Result<T, String>;
 

@@ -5,6 +5,9 @@
 
 pub mod carbon;
 mod cif;
+pub mod coincidence;
+pub mod columns;
+pub mod direction;
 pub mod elements;
 pub mod lattice;
 pub mod library;
@@ -21,6 +24,9 @@ pub(crate) use neighbors::for_each_pair;
 pub use neighbors::{min_pair_distance, shortest_distances};
 pub use read::{Format, parse, read};
 pub use xyz::write_extxyz;
+
+/// Pairs of neighbours are nearer than this in every crystal, in Angstrom.
+pub const PAIR_CUTOFF_ANGSTROM: f64 = 6.0;
 
 use crate::error::{Error, Result};
 

@@ -2,8 +2,8 @@
 
 use crate::engine::{Images, Plan, Scan, Settings, Site, simulate};
 use crate::error::Result;
+use crate::imaging::progress_share::SubProgress;
 use crate::progress::Progress;
-use crate::world::subprogress::SubProgress;
 
 /// Runs simulations, and reports each as a share of the whole.
 pub struct Lab<'a> {

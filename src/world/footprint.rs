@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::recipe::Field;
+use crate::recipe::tables::Field;
 use crate::structure::Format;
 
 /// Bytes of a pixel of a tile; noise compresses to about half of them.

@@ -1,24 +1,21 @@
 //! Ground truth: the sites of the built field, stripe by stripe.
 
 use std::collections::BTreeMap;
-use std::ops::Range;
 
 use ndarray::Array2;
 use rayon::prelude::*;
 
-use super::recipe::Field;
-use super::specimen::{
-    AtomColumn, Boundary, BoundaryKind, ParticleTruth, Region, SiteKind, Sites, Specimen,
-    SpecimenSite,
-};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::io::schema::{Composition, DefectName, Morphology, atom_type};
 use crate::io::{LineKind, ParticleBatch, TruthBatch, WorldWriter};
 use crate::progress::Progress;
+use crate::recipe::region::Region;
+use crate::recipe::tables::Field;
+use crate::specimen::atom_columns::{AtomColumn, Sites};
+use crate::specimen::model::{Boundary, BoundaryKind, ParticleTruth, Specimen};
+use crate::specimen::sites::{SiteKind, SpecimenSite};
+use crate::specimen::stripes::for_each_stripe;
 use crate::structure::elements;
-
-/// Rows of pixels that are listed at a time.
-const STRIPE_PX: usize = 124;
 
 /// What was listed.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -36,7 +33,7 @@ pub struct Counts {
 /// Writes sites, columns, boundaries, phases and particles.
 ///
 /// # Errors
-/// Those of the writer, and [`Error::Interrupted`].
+/// Those of the writer, and [`crate::Error::Interrupted`].
 pub fn write(
     specimen: &dyn Specimen,
     field: &Field,
@@ -66,46 +63,6 @@ pub fn write(
     }
     write_particles(specimen, &built, origin, writer)?;
     Ok(counts)
-}
-
-/// Some rows of pixels of the built field and the sites there.
-pub(super) struct Stripe {
-    pub rows: Range<usize>,
-    pub sites: Sites,
-}
-
-/// Calls `visit` with the sites of the built field, stripe by stripe from the top: the order of the
-/// ground truth. Some stripes are made at once, so memory holds that many for each thread.
-///
-/// # Errors
-/// Those of `visit`, and [`Error::Interrupted`].
-pub(super) fn for_each_stripe(
-    specimen: &dyn Specimen,
-    field: &Field,
-    stage: &str,
-    progress: &dyn Progress,
-    mut visit: impl FnMut(&Stripe) -> Result<()>,
-) -> Result<()> {
-    let shape = field.pixels(field.built_grid());
-    let (first, pixel) = (field.crop_origin_px(), field.pixel_nm());
-    let stripes: Vec<usize> = (0..shape[0]).step_by(STRIPE_PX).collect();
-    progress.start(stage, "row", shape[0] as u64);
-    for rows in stripes.chunks(rayon::current_num_threads()) {
-        if progress.interrupted() {
-            return Err(Error::Interrupted);
-        }
-        let stripe = |&row: &usize| {
-            let rows = row..shape[0].min(row + STRIPE_PX);
-            let area = Region::of_pixels([first[0] + row, first[1]], [rows.len(), shape[1]], pixel);
-            Stripe { rows, sites: specimen.query(&area) }
-        };
-        for stripe in rows.par_iter().map(stripe).collect::<Vec<Stripe>>() {
-            visit(&stripe)?;
-            progress.advance(stripe.rows.len() as u64);
-        }
-    }
-    progress.finish();
-    Ok(())
 }
 
 fn batch(sites: &Sites, origin: [f64; 2], counts: &mut Counts) -> TruthBatch {

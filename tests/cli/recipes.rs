@@ -2,7 +2,7 @@
 
 use super::{fails, file, json, stderr, stdout, stemgen};
 use stemgen::io::WorldFile;
-use stemgen::world::{Difficulty, Recipe};
+use stemgen::recipe::{Difficulty, Recipe};
 
 #[test]
 fn the_list_holds_every_recipe_and_tier() {

@@ -6,8 +6,9 @@
 use std::collections::HashMap;
 use std::sync::LazyLock;
 
+use stemgen::recipe::{Difficulty, Recipe, Region};
+use stemgen::specimen::{Sites, Specimen, specimen};
 use stemgen::structure::{Atom, Structure, elements, min_pair_distance};
-use stemgen::world::{Difficulty, Recipe, Region, Sites, Specimen, specimen};
 
 /// A specimen of the full field.
 pub struct Case {

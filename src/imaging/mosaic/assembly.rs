@@ -1,0 +1,244 @@
+//! Puts the image of a rectangle of pixels together from units.
+
+use std::collections::HashMap;
+
+use ndarray::Array2;
+use rayon::prelude::*;
+
+use crate::imaging::mosaic::image_library::{CellImages, Library, Realisation};
+use crate::imaging::mosaic::survey::BEYOND_NM;
+use crate::recipe::region::Region;
+use crate::resample::{Kernel, TAPS, Weights};
+use crate::specimen::model::Specimen;
+use crate::specimen::units::unit_tag::UnitTag;
+
+/// Width of the ramps between units: weights go with exp(-d^2 / 2 s), d being the distance from the unit's nearest
+/// column in Angstrom, and this is s. Halfway between columns 2 A apart the ramp is 0.3 A wide.
+const SOFTNESS: f64 = 0.15;
+/// Weights below this are left out.
+const LEAST_WEIGHT: f64 = 1e-4;
+/// Edge in Angstrom of the bins in which columns are looked up: those that share a pixel are nearer.
+const BIN_ANGSTROM: f64 = 3.0;
+
+/// A unit of the world.
+struct PlacedUnit {
+    tag: Option<UnitTag>,
+    /// Centre in Angstrom.
+    centre: [f64; 2],
+}
+
+/// The share of a unit in a pixel.
+struct PixelShare {
+    pixel: usize,
+    unit: usize,
+    weight: f64,
+}
+
+/// Where the units' images overlap: the pixels of a rectangle and the units that make them.
+pub struct Assembly {
+    units: Vec<PlacedUnit>,
+    shares: Vec<PixelShare>,
+    shape: [usize; 2],
+    /// First pixel (row, column) of the full field.
+    first: [usize; 2],
+    pixel_angstrom: f64,
+}
+
+impl Assembly {
+    /// For `shape` pixels from pixel `first` (row, column) of the full field.
+    pub fn new(
+        specimen: &dyn Specimen,
+        first: [usize; 2],
+        shape: [usize; 2],
+        pixel_nm: f64,
+    ) -> Self {
+        let area = Region::of_pixels(first, shape, pixel_nm).grown(BEYOND_NM);
+        let mut units: Vec<PlacedUnit> = Vec::new();
+        let mut known: HashMap<u64, usize> = HashMap::new();
+        let mut bins: HashMap<[i64; 2], Vec<(usize, [f64; 2])>> = HashMap::new();
+        for column in specimen.query(&area).columns {
+            let id = column.unit.map_or(column.id, |u| u.id);
+            let at = column.position_nm.map(|v| 10.0 * v);
+            let unit = *known.entry(id).or_insert_with(|| {
+                let centre = column.unit.map_or(at, |u| u.centre_nm.map(|v| 10.0 * v));
+                units.push(PlacedUnit { tag: column.unit, centre });
+                units.len() - 1
+            });
+            bins.entry(at.map(|v| (v / BIN_ANGSTROM).floor() as i64)).or_default().push((unit, at));
+        }
+        let pixel_angstrom = 10.0 * pixel_nm;
+        let row = |row: usize| {
+            let (mut shares, mut near, mut bin) = (Vec::new(), Vec::new(), None);
+            for column in 0..shape[1] {
+                let at = [first[1] + column, first[0] + row].map(|p| p as f64 * pixel_angstrom);
+                let here = at.map(|v| (v / BIN_ANGSTROM).floor() as i64);
+                if bin != Some(here) {
+                    bin = Some(here);
+                    let around = (0..9).map(|n| [here[0] + n % 3 - 1, here[1] + n / 3 - 1]);
+                    near.clear();
+                    near.extend(around.filter_map(|b| bins.get(&b)).flatten());
+                }
+                push_shares(row * shape[1] + column, at, &near, &mut shares);
+            }
+            shares
+        };
+        let shares: Vec<Vec<PixelShare>> = (0..shape[0]).into_par_iter().map(row).collect();
+        let shares = shares.into_iter().flatten().collect();
+        Assembly { units, shares, shape, first, pixel_angstrom }
+    }
+
+    /// Pixels that need more than the library has: by index, and the weight of what is missing.
+    pub fn missing(&self) -> HashMap<usize, f64> {
+        let mut missing = HashMap::new();
+        for share in self.shares.iter().filter(|s| self.units[s.unit].tag.is_none()) {
+            *missing.entry(share.pixel).or_insert(0.0) += share.weight;
+        }
+        missing
+    }
+
+    /// The image, mean over the first `configurations`, without what [`Assembly::missing`] lists.
+    pub fn image(
+        &self,
+        library: &Library,
+        kernel: &Kernel,
+        seed: u64,
+        configurations: usize,
+    ) -> Array2<f64> {
+        let mut of_unit: Vec<Vec<&PixelShare>> = self.units.iter().map(|_| Vec::new()).collect();
+        for share in &self.shares {
+            of_unit[share.unit].push(share);
+        }
+        let patch = |(unit, shares): (&PlacedUnit, &Vec<&PixelShare>)| -> Vec<f64> {
+            let found = unit.tag.and_then(|tag| Some((tag, library.shelf(tag.family)?)));
+            let Some((tag, shelf)) = found.filter(|_| !shares.is_empty()) else {
+                return vec![0.0; shares.len()];
+            };
+            let mut singles = shelf.singles(tag.entry, (seed, tag.id), library.configurations());
+            singles.truncate(configurations);
+            let offsets: Vec<[f64; 2]> =
+                shares.iter().map(|s| self.offset(s.pixel, unit, &tag, shelf)).collect();
+            values(shelf, &singles, &offsets, kernel)
+        };
+        let values: Vec<Vec<f64>> = self.units.par_iter().zip(&of_unit).map(patch).collect();
+        // Summed unit by unit, so that the bytes do not depend on threads.
+        let mut image = Array2::zeros(self.shape);
+        let pixels = image.as_slice_mut().unwrap_or_default();
+        for (shares, values) in of_unit.iter().zip(&values) {
+            for (share, value) in shares.iter().zip(values) {
+                pixels[share.pixel] += share.weight * value;
+            }
+        }
+        image
+    }
+
+    /// Where a pixel lies in the sheet, from the unit's centre, in samples (x, y).
+    fn offset(
+        &self,
+        pixel: usize,
+        unit: &PlacedUnit,
+        tag: &UnitTag,
+        shelf: &CellImages,
+    ) -> [f64; 2] {
+        let (row, column) = (pixel / self.shape[1], pixel % self.shape[1]);
+        let at = [self.first[1] + column, self.first[0] + row];
+        let d = [0, 1].map(|k| at[k] as f64 * self.pixel_angstrom - unit.centre[k]);
+        // The inverse of an orthogonal matrix is its transpose.
+        let [u, v] = tag.frame;
+        [0, 1].map(|k| (u[k] * d[0] + v[k] * d[1]) / shelf.step_angstrom[k])
+    }
+}
+
+/// Shares of the columns `near` (their units and positions) in a pixel at `at`.
+fn push_shares(
+    pixel: usize,
+    at: [f64; 2],
+    near: &[(usize, [f64; 2])],
+    shares: &mut Vec<PixelShare>,
+) {
+    let square = |p: &[f64; 2]| (at[0] - p[0]).powi(2) + (at[1] - p[1]).powi(2);
+    let least = near.iter().map(|(_, p)| square(p)).fold(f64::INFINITY, f64::min);
+    let reach = least - 2.0 * SOFTNESS * LEAST_WEIGHT.ln();
+    let start = shares.len();
+    for (unit, position) in near {
+        let d2 = square(position);
+        if d2 > reach {
+            continue;
+        }
+        let weight = libm::exp(-(d2 - least) / (2.0 * SOFTNESS));
+        // A unit counts from the nearest of its columns.
+        match shares[start..].iter_mut().find(|s| s.unit == *unit) {
+            Some(share) => share.weight = share.weight.max(weight),
+            None => shares.push(PixelShare { pixel, unit: *unit, weight }),
+        }
+    }
+    let total: f64 = shares[start..].iter().map(|s| s.weight).sum();
+    shares[start..].iter_mut().for_each(|s| s.weight /= total);
+}
+
+/// The mean image of some configurations of a unit at `offsets` from its centre.
+fn values(
+    shelf: &CellImages,
+    singles: &[Realisation],
+    offsets: &[[f64; 2]],
+    kernel: &Kernel,
+) -> Vec<f64> {
+    let centres: Vec<[f64; 2]> = singles.iter().map(|s| shelf.position(s.unit)).collect();
+    let Some(&centre) = centres.first() else { return vec![0.0; offsets.len()] };
+    // Samples of all configurations lie at the same places about the centre, so they are summed first.
+    let (samples, periodic) = ([shelf.shape[1], shelf.shape[0]], shelf.sheet.periodic);
+    let weights = |k: usize, at: f64| -> Weights {
+        if periodic[k] { kernel.weights(at) } else { kernel.weights_within(at, samples[k]) }
+    };
+    let range = |k: usize| {
+        let low = offsets.iter().map(|o| o[k]).fold(f64::INFINITY, f64::min) + centre[k];
+        let high = offsets.iter().map(|o| o[k]).fold(f64::NEG_INFINITY, f64::max) + centre[k];
+        [weights(k, low).first, weights(k, high).first + TAPS as i64 - 1]
+    };
+    let (x, y) = (range(0), range(1));
+    let size = |r: [i64; 2]| (r[1] - r[0] + 1) as usize;
+    let mut patch = vec![0.0f64; size(x) * size(y)];
+    let whole = singles.len() == shelf_configurations(shelf, singles);
+    let mut add = |image: &Array2<f32>, shift: [i64; 2], weight: f64| {
+        let (rows, columns) = image.dim();
+        // Along axes that are not periodic, units of a kind lie at the same place.
+        let wrap = |i: i64, n: usize| i.rem_euclid(n as i64) as usize;
+        let places: Vec<usize> = (x[0]..=x[1]).map(|i| wrap(i + shift[0], columns)).collect();
+        for (line, i) in patch.chunks_exact_mut(size(x)).zip(y[0]..=y[1]) {
+            let row = image.row(wrap(i + shift[1], rows));
+            for (to, place) in line.iter_mut().zip(&places) {
+                *to += weight * f64::from(row[*place]);
+            }
+        }
+    };
+    if whole {
+        add(shelf.mean(singles[0].sheet), [0, 0], 1.0);
+    } else {
+        for (single, at) in singles.iter().zip(&centres) {
+            let shift = [0, 1].map(|k| (at[k] - centre[k]).round() as i64);
+            let image = shelf.image(single.sheet, single.configuration);
+            add(image, shift, 1.0 / singles.len() as f64);
+        }
+    }
+    let value = |offset: &[f64; 2]| {
+        let at = |k: usize, first: i64| {
+            let w = weights(k, offset[k] + centre[k]);
+            ((w.first - first) as usize, w.values)
+        };
+        let ((column, across), (row, down)) = (at(0, x[0]), at(1, y[0]));
+        let line = |i: usize| {
+            let start = (row + i) * size(x) + column;
+            let samples = &patch[start..start + across.len()];
+            samples.iter().zip(&across).map(|(s, w)| s * w).sum::<f64>()
+        };
+        down.iter().enumerate().map(|(i, w)| w * line(i)).sum()
+    };
+    offsets.iter().map(value).collect()
+}
+
+/// The number of configurations if `singles` are all of one unit, else 0.
+fn shelf_configurations(shelf: &CellImages, singles: &[Realisation]) -> usize {
+    let first = singles[0];
+    let same =
+        singles.iter().enumerate().all(|(n, s)| *s == Realisation { configuration: n, ..first });
+    if same { shelf.configurations(first.sheet) } else { 0 }
+}

@@ -1,0 +1,16 @@
+//! The mosaic: a world's image put together from exactly simulated units.
+//!
+//! The image around an atomic column depends on the displacements and the occupation of that column's own
+//! atoms; those of its neighbours change it by less than 0.5 %. So units with the same contents in the same
+//! surroundings share simulations, made once in small cells ([`image_library`]) and kept on disk ([`library_cache`]). Each
+//! pixel takes the image of the unit nearest to it, with narrow ramps halfway between units ([`assembly`]).
+//! What is unlike anything else is simulated where it lies.
+//!
+//! Configuration by configuration the world is a definite set of atoms ([`super::displaced_atoms`]), which any engine can
+//! simulate again.
+
+pub mod assembly;
+pub mod image_library;
+pub mod library_cache;
+pub mod mosaic_imager;
+pub mod survey;

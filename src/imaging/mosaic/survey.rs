@@ -1,0 +1,55 @@
+//! Which families of units a field needs.
+
+use std::collections::BTreeSet;
+
+use rayon::prelude::*;
+
+use crate::recipe::region::Region;
+use crate::recipe::tables::Field;
+use crate::specimen::model::Specimen;
+use crate::specimen::units::unit_tag::UnitFamily;
+
+/// UnitKinds whose patches reach into the field lie no further outside it than this, in nm.
+pub const BEYOND_NM: f64 = 0.6;
+/// Width of the stripes that are looked at at a time, in nm.
+const STRIPE_NM: f64 = 2.5;
+
+/// What a field holds.
+#[derive(Debug, Default)]
+pub struct FieldSurvey {
+    /// Families of units.
+    pub families: BTreeSet<UnitFamily>,
+    /// Columns with a place in the library.
+    pub tagged: u64,
+    /// Columns without.
+    pub untagged: u64,
+}
+
+/// Looks at all columns of the built part of a field.
+pub fn survey(specimen: &dyn Specimen, field: &Field) -> FieldSurvey {
+    let area = field.built_region().grown(BEYOND_NM);
+    let count = ((area.y[1] - area.y[0]) / STRIPE_NM).ceil().max(1.0) as usize;
+    let edge = |n: usize| area.y[0] + (area.y[1] - area.y[0]) * n as f64 / count as f64;
+    let stripe = |n: usize| {
+        let mut found = FieldSurvey::default();
+        let region = Region { x: area.x, y: [edge(n), edge(n + 1)] };
+        for column in specimen.query(&region).columns {
+            match column.unit {
+                Some(unit) => {
+                    found.tagged += 1;
+                    found.families.insert(unit.family);
+                }
+                None => found.untagged += 1,
+            }
+        }
+        found
+    };
+    (0..count).into_par_iter().map(stripe).reduce(FieldSurvey::default, |mut a, b| {
+        a.families.extend(b.families);
+        FieldSurvey {
+            tagged: a.tagged + b.tagged,
+            untagged: a.untagged + b.untagged,
+            families: a.families,
+        }
+    })
+}

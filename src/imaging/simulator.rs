@@ -1,0 +1,220 @@
+//! The engine behind a world.
+
+use crate::detect::Detector;
+use crate::engine::settings::EXACT_BAND_FRACTION;
+use crate::engine::{
+    Algorithm, BeyondLimit, Expansion, GridChoice, Phonons, Plan, ProbeBox, ProbeRaster, ProbeStep,
+    Scan, Settings, Simulation, Site, WindowChoice, elements, probe_margin_angstrom, simulate,
+    window_for,
+};
+use crate::error::Result;
+use crate::imaging::displaced_atoms::DisplacedAtoms;
+use crate::imaging::pixels::PixelBox;
+use crate::imaging::progress_share::SubProgress;
+use crate::optics::Optics;
+use crate::potential::slices::Slicing;
+use crate::progress::Progress;
+use crate::recipe::model::Recipe;
+use crate::resample::{Kernel, image_band_limit};
+use crate::world::builder::SubTileEngine;
+use ndarray::{Array2, Axis};
+
+/// Simulates sub-tiles of a world with [`crate::engine`].
+#[derive(Debug, Clone)]
+pub struct Simulator {
+    settings: Settings,
+}
+
+/// Window of the default engine in Angstrom: right to 0.8 % rms of the mean image on five structures up to
+/// 10 nm, see [`crate::engine::window_for`].
+pub const WINDOW_ANGSTROM: f64 = 7.8;
+/// Error in per cent of the mean image for which the windows of a world are chosen unless another is asked for (see
+/// [`crate::engine::window_for`]).
+const ACCURACY_PERCENT: f64 = 0.8;
+
+/// The window of a world unless another is asked for.
+///
+/// # Errors
+/// Those of [`window_for`].
+pub fn default_window(recipe: &Recipe) -> Result<WindowChoice> {
+    let algorithm = Algorithm::Window { width_angstrom: WINDOW_ANGSTROM };
+    let simulator = Simulator::new(recipe, algorithm);
+    let thickness_angstrom = recipe.field.thickness_nm * 10.0;
+    window_for(ACCURACY_PERCENT, simulator.settings(), thickness_angstrom)
+}
+
+/// Specimen beyond the scanned area for engines without windows: as far as a probe spreads.
+const SPREAD_ANGSTROM: f64 = 6.0;
+/// Reach of an atom's potential, which must not come in from the other side of the periodic box.
+const POTENTIAL_REACH_ANGSTROM: f64 = 1.5;
+
+impl Simulator {
+    /// With settings of its own.
+    pub fn of(settings: Settings) -> Self {
+        Simulator { settings }
+    }
+
+    /// The default profile: a grid that carries scattering beyond the detector, slices at the atomic
+    /// planes, the given algorithm.
+    pub fn new(recipe: &Recipe, algorithm: Algorithm) -> Self {
+        let optics = Optics {
+            energy_ev: recipe.optics.energy_kv * 1e3,
+            semiangle_mrad: recipe.optics.convergence_mrad,
+            ..Optics::default()
+        };
+        // Pixels that need no probes between them need none beyond the edge of what is simulated either.
+        let coarse =
+            10.0 * recipe.field.pixel_nm() >= Kernel::default_step(image_band_limit(&optics));
+        let settings = Settings {
+            probe_step: if coarse { ProbeStep::Scan } else { ProbeStep::Auto },
+            optics,
+            detectors: vec![Detector::new(
+                "HAADF",
+                recipe.detector.inner_mrad,
+                recipe.detector.outer_mrad,
+            )],
+            phonons: Some(Phonons {
+                configurations: recipe.phonons.configurations as u32,
+                seed: recipe.seed,
+            }),
+            algorithm,
+            ..Settings::default()
+        };
+        Simulator { settings }
+    }
+
+    /// The published settings of the STEMGym worlds: PRISM f = 2, 0.05 A, 1 A slices. The grid then
+    /// carries scattering to 167 mrad only, which a warning says.
+    pub fn published(recipe: &Recipe) -> Self {
+        let mut simulator = Self::new(recipe, Algorithm::Prism { interpolation: [2, 2] });
+        simulator.settings.grid = GridChoice::Sampling(0.05);
+        simulator.settings.slicing = Slicing::Thickness(1.0);
+        simulator.settings.oversampling = Some(1);
+        simulator.settings.band_fraction = EXACT_BAND_FRACTION;
+        simulator.settings.beyond_limit = BeyondLimit::Warn;
+        simulator
+    }
+
+    /// The mean image of some phonon configurations; `atoms` gives those of each, displaced. They have the same elements
+    /// and mean heights in all.
+    ///
+    /// # Errors
+    /// As [`SubTileEngine::image`].
+    pub fn mean(
+        &self,
+        pixels: &PixelBox,
+        configurations: usize,
+        atoms: impl Fn(usize) -> DisplacedAtoms,
+        progress: &dyn Progress,
+    ) -> Result<Array2<f64>> {
+        let settings = Settings { phonons: None, ..self.settings.clone() };
+        let first = atoms(0);
+        let plan = Plan::new(&settings, pixels.size_angstrom, &first.heights)?;
+        let mut simulation = Simulation::new(&plan, &elements(&first.sites))?;
+        let mut first = Some(first.sites);
+        let mut sum = Array2::<f64>::zeros(pixels.scan.shape);
+        for configuration in 0..configurations {
+            let share = SubProgress::new(progress, pixels.scan.len());
+            let sites = first.take().unwrap_or_else(|| atoms(configuration).sites);
+            let images = simulation.images(&sites, &pixels.scan, &share)?;
+            sum.zip_mut_with(&images.image(0, 0), |s, v| *s += f64::from(*v));
+            share.complete();
+        }
+        Ok(sum.mapv(|s| s / configurations as f64))
+    }
+
+    /// The same with probes as in an infinite specimen (see [`ProbeBox`]).
+    #[must_use]
+    pub fn with_large_probe_box(&self) -> Self {
+        let probe_box = Some(ProbeBox::Large);
+        Simulator { settings: Settings { probe_box, ..self.settings.clone() } }
+    }
+
+    /// The same with other slices.
+    #[must_use]
+    pub fn with_slices(&self, slicing: Slicing) -> Self {
+        Simulator { settings: Settings { slicing, ..self.settings.clone() } }
+    }
+
+    /// The same with windows of another width.
+    #[must_use]
+    pub fn with_window(&self, width_angstrom: f64) -> Self {
+        let algorithm = Algorithm::Window { width_angstrom };
+        Simulator { settings: Settings { algorithm, ..self.settings.clone() } }
+    }
+
+    /// The same with the probes of windows expanded as told.
+    #[must_use]
+    pub fn with_expansion(&self, expansion: Expansion) -> Self {
+        Simulator { settings: Settings { expansion, ..self.settings.clone() } }
+    }
+
+    /// The engine settings.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// The plan for a sub-tile of `scanned_angstrom` (x, y) in a specimen of the given thickness
+    /// whose atoms have mean heights `z` (Angstrom): for showing grids and memory.
+    ///
+    /// # Errors
+    /// As [`Plan::new`].
+    pub fn plan(
+        &self,
+        scanned_angstrom: [f64; 2],
+        thickness_angstrom: f64,
+        z: &[f64],
+    ) -> Result<Plan> {
+        let side = scanned_angstrom.map(|l| l + 2.0 * self.margin_angstrom());
+        Plan::new(&self.settings, [side[0], side[1], thickness_angstrom], z)
+    }
+
+    /// The probes that are propagated for a sub-tile of such a plan, of so many pixels (rows, columns).
+    ///
+    /// # Errors
+    /// As [`ProbeRaster::new`].
+    pub fn probes(
+        &self,
+        plan: &Plan,
+        shape: [usize; 2],
+        pixel_angstrom: f64,
+    ) -> Result<ProbeRaster> {
+        let origin_angstrom = [self.margin_angstrom() + 0.5 * pixel_angstrom; 2];
+        ProbeRaster::new(plan, &Scan { origin_angstrom, step_angstrom: [pixel_angstrom; 2], shape })
+    }
+}
+
+impl SubTileEngine for Simulator {
+    fn name(&self) -> String {
+        match self.settings.algorithm {
+            Algorithm::Multislice => "multislice".into(),
+            Algorithm::Prism { .. } => "prism".into(),
+            Algorithm::Window { .. } => "window".into(),
+        }
+    }
+
+    fn parameters(&self) -> serde_json::Value {
+        serde_json::to_value(&self.settings).unwrap_or_default()
+    }
+
+    fn margin_angstrom(&self) -> f64 {
+        let half_window = match self.settings.algorithm {
+            Algorithm::Window { width_angstrom } => width_angstrom / 2.0,
+            _ => SPREAD_ANGSTROM,
+        };
+        half_window + POTENTIAL_REACH_ANGSTROM + probe_margin_angstrom(&self.settings)
+    }
+
+    fn image(
+        &self,
+        sites: &[Site],
+        box_angstrom: [f64; 3],
+        scan: &Scan,
+        progress: &dyn Progress,
+    ) -> Result<Array2<f32>> {
+        let heights: Vec<f64> = sites.iter().map(|s| s.position[2]).collect();
+        let plan = Plan::new(&self.settings, box_angstrom, &heights)?;
+        let images = simulate(&plan, sites, scan, progress)?;
+        Ok(images.data.index_axis_move(Axis(0), 0).index_axis_move(Axis(0), 0))
+    }
+}

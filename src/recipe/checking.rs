@@ -1,0 +1,381 @@
+//! Limits of the values in a recipe.
+
+use std::collections::BTreeMap;
+
+use crate::error::Error;
+use crate::recipe::checking_particles;
+use crate::recipe::limits::BEYOND_FIELD_NM;
+use crate::recipe::limits::{MOST_CELLS_ACROSS, MOST_CELLS_ALONG_BEAM};
+use crate::recipe::model::{Fault, Recipe, oriented};
+use crate::recipe::tables::{
+    Alloy, Boundaries, CompositionProfile, DomainTable, Field, StructureKind, Substitutions,
+    Vacancies, Wells,
+};
+use crate::structure::coincidence;
+use crate::structure::columns::ColumnCrystal;
+use crate::structure::{PAIR_CUTOFF_ANGSTROM, Structure, elements, shortest_distances};
+
+pub(super) type Checked = std::result::Result<(), Fault>;
+
+/// The candidate most like `key`, if any is similar.
+pub(super) fn nearest<'k>(key: &str, known: impl Iterator<Item = &'k str>) -> Option<&'k str> {
+    let scored = known.map(|k| (strsim::jaro_winkler(key, k), k));
+    scored.filter(|(score, _)| *score > 0.7).max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, k)| k)
+}
+
+/// Checks every value against its limits.
+pub(super) fn check(recipe: &Recipe) -> Checked {
+    if recipe.version != 1 {
+        return fault("version", recipe.version, "this program reads recipes of version 1");
+    }
+    check_field(&recipe.field)?;
+    check_tables(recipe)?;
+    let elements = check_specimen(recipe)?;
+    let phonons = &recipe.phonons;
+    within("phonons.configurations", phonons.configurations as f64, 1.0, 10_000.0)?;
+    check_elements("phonons.sigma_angstrom", &phonons.sigma_angstrom, &elements, 0.0, 0.5)?;
+    within("optics.energy_kv", recipe.optics.energy_kv, 10.0, 1500.0)?;
+    within("optics.convergence_mrad", recipe.optics.convergence_mrad, 0.1, 100.0)?;
+    let detector = &recipe.detector;
+    within("detector.inner_mrad", detector.inner_mrad, 0.0, 1000.0)?;
+    within("detector.outer_mrad", detector.outer_mrad, detector.inner_mrad + 0.1, 1000.0)?;
+    within("dose.electrons_per_angstrom2", recipe.dose.electrons_per_angstrom2, 1e-3, 1e12)
+}
+
+fn check_field(field: &Field) -> Checked {
+    within("field.tile_px", field.tile_px as f64, 8.0, 4096.0)?;
+    within("field.overlap_px", field.overlap_px as f64, 0.0, (field.tile_px / 2) as f64)?;
+    for i in 0..2 {
+        within("field.grid", field.grid[i] as f64, 1.0, 1000.0)?;
+        within("field.fov_nm", field.fov_nm[i], 1.0, 5000.0)?;
+    }
+    let [h, w] = field.pixels(field.grid);
+    let square = field.fov_nm[0] / h as f64 / field.pixel_nm() - 1.0;
+    if square.abs() > 0.01 {
+        let expected = format!("pixels must be square: {h}x{w} px need the same ratio of fov_nm");
+        return fault("field.fov_nm", format!("{:?}", field.fov_nm), expected);
+    }
+    match field.crop {
+        Some(c) if c[0] == 0 || c[1] == 0 || c[0] > field.grid[0] || c[1] > field.grid[1] => {
+            let expected = format!("expected 1 to {:?} (field.grid)", field.grid);
+            fault("field.crop", format!("{c:?}"), expected)
+        }
+        _ => Ok(()),
+    }
+}
+
+/// A table that the specimen builder does not read would be silently without effect.
+fn check_tables(recipe: &Recipe) -> Checked {
+    use StructureKind::{Domains, Epitaxy, Grains, Particles};
+    let tables = [
+        ("boundaries", recipe.boundaries.is_some(), &[Grains][..]),
+        ("domains", recipe.domains.is_some(), &[Domains]),
+        ("alloy", recipe.alloy.is_some(), &[Epitaxy]),
+        ("wells", recipe.wells.is_some(), &[Epitaxy]),
+        ("particles", recipe.particles.is_some(), &[Particles]),
+        ("vacancies", recipe.vacancies.is_some(), &[Grains, Domains, Epitaxy, Particles]),
+        ("substitutions", recipe.substitutions.is_some(), &[Grains, Domains, Epitaxy, Particles]),
+    ];
+    for (name, given, kinds) in tables {
+        if given && !kinds.contains(&recipe.structure) {
+            let kinds: Vec<&str> = kinds.iter().map(|k| k.name()).collect();
+            let expected = format!("structure = \"{}\" has no such table", recipe.structure.name());
+            return fault(name, "[table]", format!("{expected}; {} has", kinds.join(", ")));
+        }
+    }
+    Ok(())
+}
+
+/// Checks what belongs to the kind of specimen; returns all elements that it may hold.
+fn check_specimen(recipe: &Recipe) -> std::result::Result<Vec<String>, Fault> {
+    if recipe.structure == StructureKind::Particles {
+        return checking_particles::check(recipe);
+    }
+    let (structure, crystal) = check_crystal(recipe)?;
+    let mut elements: Vec<u8> = crystal.chains().map(|c| c.number).collect();
+    elements.sort_unstable();
+    elements.dedup();
+    let mut symbols: Vec<String> = elements.iter().map(|&n| elements::symbol(n).into()).collect();
+    match recipe.structure {
+        StructureKind::Grains => {
+            if let Some(boundaries) = &recipe.boundaries {
+                check_boundaries(boundaries, &recipe.field, &structure, &crystal)?;
+            }
+        }
+        StructureKind::Domains => {
+            let domains = needed("domains", recipe.domains.as_ref())?;
+            check_domains(domains, &recipe.field)?;
+            let y_axis = domains.y_axis.as_deref();
+            oriented(&domains.crystal, &domains.zone_axis, y_axis)
+                .map_err(|e| crystal_fault("domains.crystal", e))?;
+        }
+        StructureKind::Epitaxy => {
+            let alloy = needed("alloy", recipe.alloy.as_ref())?;
+            check_alloy(alloy, &symbols)?;
+            oriented(&alloy.end_member, &recipe.zone_axis, recipe.y_axis.as_deref())
+                .map_err(|e| crystal_fault("alloy.end_member", e))?;
+            check_wells(alloy, recipe.wells.as_ref(), &recipe.field)?;
+        }
+        // Returned above.
+        StructureKind::Particles => {}
+    }
+    check_defects(recipe, &mut symbols)?;
+    symbols.extend(recipe.alloy.iter().map(|alloy| alloy.guest.clone()));
+    symbols.sort();
+    symbols.dedup();
+    Ok(symbols)
+}
+
+/// Defects of a crystal that holds the elements `symbols`; adds those that come in by substitution.
+pub(super) fn check_defects(recipe: &Recipe, symbols: &mut Vec<String>) -> Checked {
+    if let Some(vacancies) = &recipe.vacancies {
+        check_vacancies(vacancies, symbols)?;
+        let uniform = matches!(recipe.structure, StructureKind::Epitaxy | StructureKind::Particles);
+        if uniform && vacancies.cluster_fraction > 0.0 {
+            let kind = recipe.structure.name();
+            let expected =
+                format!("expected 0: structure = \"{kind}\" has nothing that they gather about");
+            return fault("vacancies.cluster_fraction", vacancies.cluster_fraction, expected);
+        }
+    }
+    if let Some(substitutions) = &recipe.substitutions {
+        check_substitutions(substitutions, symbols)?;
+        symbols.push(substitutions.by.clone());
+    }
+    Ok(())
+}
+
+pub(super) fn needed<'t, T>(key: &str, table: Option<&'t T>) -> std::result::Result<&'t T, Fault> {
+    match table {
+        Some(table) => Ok(table),
+        None => fault(key, "(missing)", "this structure needs the table"),
+    }
+}
+
+/// The crystal along its zone axis, and that it fits into the field.
+fn check_crystal(recipe: &Recipe) -> std::result::Result<(Structure, ColumnCrystal), Fault> {
+    let structure = recipe.oriented_crystal().map_err(|e| crystal_fault("crystal", e))?;
+    let crystal = ColumnCrystal::new(&structure).map_err(|e| crystal_fault("crystal", e))?;
+    let cells = recipe.field.thickness_nm * 10.0 / crystal.cell[2];
+    if !(0.5..MOST_CELLS_ALONG_BEAM as f64).contains(&cells) {
+        let expected = format!(
+            "expected between one and {MOST_CELLS_ALONG_BEAM} unit cells, {:.4} to {:.0} nm",
+            0.05 * crystal.cell[2],
+            0.1 * MOST_CELLS_ALONG_BEAM as f64 * crystal.cell[2]
+        );
+        return fault("field.thickness_nm", recipe.field.thickness_nm, expected);
+    }
+    // Cells are counted from a point of the field; a rotated grain needs more of them.
+    let diagonal = 10.0 * 1.5 * (recipe.field.fov_nm[0].max(recipe.field.fov_nm[1]) + 50.0);
+    if diagonal / crystal.cell[0].min(crystal.cell[1]) > MOST_CELLS_ACROSS as f64 {
+        let most =
+            MOST_CELLS_ACROSS as f64 * 0.1 * crystal.cell[0].min(crystal.cell[1]) / 1.5 - 50.0;
+        let expected = format!("this crystal can fill at most {most:.0} nm");
+        return fault("field.fov_nm", format!("{:?}", recipe.field.fov_nm), expected);
+    }
+    Ok((structure, crystal))
+}
+
+/// An error of the crystal as a fault of the key that it comes from.
+pub(super) fn crystal_fault(table: &str, error: Error) -> Fault {
+    let sibling = |name: &str| match table.rsplit_once('.') {
+        Some((parent, _)) => format!("{parent}.{name}"),
+        None => name.to_owned(),
+    };
+    match error {
+        Error::Invalid { what: "zone", value, expected } => {
+            Fault { key: sibling("zone_axis"), value, expected }
+        }
+        Error::Invalid { what: "up", value, expected } => {
+            Fault { key: sibling("y_axis"), value, expected }
+        }
+        Error::Invalid { value, expected, .. } => Fault { key: table.into(), value, expected },
+        Error::Parse { path, line, message } => {
+            let value = format!("{}:{line}", path.display());
+            Fault { key: table.into(), value, expected: message }
+        }
+        other => Fault { key: table.into(), value: String::new(), expected: other.to_string() },
+    }
+}
+
+fn check_boundaries(
+    b: &Boundaries,
+    field: &Field,
+    structure: &Structure,
+    crystal: &ColumnCrystal,
+) -> Checked {
+    within("boundaries.misorientation_deg", b.misorientation_deg, 0.1, 90.0)?;
+    check_count("boundaries.count", b.count, field, 2.0)?;
+    if let Some(sigma) = b.sigma {
+        if (crystal.cell[0] / crystal.cell[1] - 1.0).abs() > 1e-3 {
+            let expected = "a coincidence index needs a crystal that is square along the zone axis; \
+                            leave it out and give misorientation_deg alone";
+            return fault("boundaries.sigma", sigma, expected);
+        }
+        if let Err(expected) = coincidence::half_angle(sigma, b.misorientation_deg) {
+            return fault("boundaries.sigma", sigma, expected);
+        }
+    }
+    if b.count > 0 && !crystal.has_mirror_x() {
+        let expected = "symmetric tilt boundaries need a crystal with a mirror plane perpendicular \
+                        to x; choose another y_axis, or count = 0";
+        return fault("boundaries.count", b.count, expected);
+    }
+    let shortest = shortest_distances(structure, PAIR_CUTOFF_ANGSTROM);
+    let name = |&(a, b): &(u8, u8)| [elements::symbol(a), elements::symbol(b)];
+    for (pair, &value) in &b.min_distance_angstrom {
+        let key = format!("boundaries.min_distance_angstrom.{pair}");
+        let fits = |names: &[&str; 2]| {
+            pair.split_once('-').is_some_and(|(a, b)| [a, b] == *names || [b, a] == *names)
+        };
+        let Some((_, &most)) = shortest.iter().find(|(p, _)| fits(&name(p))) else {
+            let known: Vec<String> = shortest.keys().map(|p| name(p).join("-")).collect();
+            return fault(&key, value, format!("pairs of the crystal: {}", known.join(", ")));
+        };
+        within(&key, value, 0.0, most)?;
+    }
+    Ok(())
+}
+
+/// Boundaries that leave parts of the field at least `room_nm` wide.
+fn check_count(key: &str, count: usize, field: &Field, room_nm: f64) -> Checked {
+    if count > 200 || (count + 1) as f64 * room_nm > field.fov_nm[1] {
+        let most = ((field.fov_nm[1] / room_nm) as usize).clamp(1, 201) - 1;
+        let expected = format!("the parts between need {room_nm} nm of width: at most {most}");
+        return fault(key, count, expected);
+    }
+    Ok(())
+}
+
+fn check_domains(d: &DomainTable, field: &Field) -> Checked {
+    check_count("domains.boundaries", d.boundaries, field, 2.0)?;
+    let part_px = field.pixels(field.grid)[1] as f64 / (d.boundaries + 1) as f64;
+    within("domains.sharpness_sigma_px", d.sharpness_sigma_px, 0.1, part_px / 4.0)?;
+    let most = 0.5 / (d.boundaries + 1) as f64;
+    if !(0.0..most).contains(&d.waviness) {
+        let expected =
+            format!("expected 0 to {most:.4}, so that neighbouring boundaries never cross");
+        return fault("domains.waviness", d.waviness, expected);
+    }
+    match d.phases.iter().find(|p| p.is_empty() || !p.is_ascii()) {
+        Some(name) => fault("domains.phases", name, "expected two names in ASCII"),
+        None => Ok(()),
+    }
+}
+
+fn check_alloy(alloy: &Alloy, crystal: &[String]) -> Checked {
+    one_of("alloy.host", &alloy.host, crystal)?;
+    check_guest("alloy.guest", &alloy.guest, &alloy.host)?;
+    // A linear gradient reaches twice the mean.
+    let most = if alloy.profile == CompositionProfile::Linear { 0.5 } else { 1.0 };
+    within("alloy.rate", alloy.rate, 0.0, most)?;
+    if alloy.c13_gpa.is_some() != alloy.c33_gpa.is_some() {
+        return fault("alloy.c13_gpa", "(alone)", "c13_gpa and c33_gpa are given together");
+    }
+    for (c13, c33) in alloy.c13_gpa.into_iter().flatten().zip(alloy.c33_gpa.into_iter().flatten()) {
+        within("alloy.c33_gpa", c33, 1.0, 2000.0)?;
+        within("alloy.c13_gpa", c13, 0.0, c33)?;
+    }
+    Ok(())
+}
+
+/// Points of all rough interfaces together.
+const MOST_INTERFACE_POINTS: f64 = 2e7;
+
+fn check_wells(alloy: &Alloy, wells: Option<&Wells>, field: &Field) -> Checked {
+    if alloy.profile != CompositionProfile::Wells {
+        return match wells {
+            Some(_) => fault("wells", "[table]", "alloy.profile = \"wells\" is needed for it"),
+            None => Ok(()),
+        };
+    }
+    let wells = needed("wells", wells)?;
+    within("wells.count", wells.count as f64, 1.0, 1000.0)?;
+    let part = field.fov_nm[1] / wells.count as f64;
+    if !(0.25..part).contains(&wells.width_nm) {
+        let expected = format!(
+            "expected 0.25 to below {part:.4}: {} wells share the field's {} nm",
+            wells.count, field.fov_nm[1]
+        );
+        return fault("wells.width_nm", wells.width_nm, expected);
+    }
+    // The two sides of a well or barrier meet at 2.8 standard deviations of their distance.
+    let most = wells.width_nm.min(part - wells.width_nm) / 4.0;
+    within("wells.roughness_nm", wells.roughness_nm, 0.0, most)?;
+    // Interfaces are tabulated six times per correlation length.
+    let area = (field.fov_nm[0] + 2.0 * BEYOND_FIELD_NM) * field.thickness_nm;
+    let points = 2.0 * wells.count as f64 * 36.0 * area;
+    let least = (points / MOST_INTERFACE_POINTS).sqrt().max(0.5);
+    let key = "wells.roughness_correlation_nm";
+    within(key, wells.roughness_correlation_nm, least, least.max(1000.0))
+}
+
+fn check_vacancies(v: &Vacancies, elements: &[String]) -> Checked {
+    one_of("vacancies.element", &v.element, elements)?;
+    within("vacancies.max_probability", v.max_probability, 0.0, 1.0)?;
+    within("vacancies.rate", v.rate, 0.0, v.max_probability)?;
+    within("vacancies.cluster_fraction", v.cluster_fraction, 0.0, 1.0)?;
+    within("vacancies.cluster_sigma_nm", v.cluster_sigma_nm, 0.1, 1000.0)?;
+    within("vacancies.relaxation_angstrom", v.relaxation_angstrom, 0.0, 0.3)
+}
+
+fn check_substitutions(s: &Substitutions, elements: &[String]) -> Checked {
+    one_of("substitutions.element", &s.element, elements)?;
+    check_guest("substitutions.by", &s.by, &s.element)?;
+    within("substitutions.rate", s.rate, 0.0, 1.0)
+}
+
+fn one_of(key: &str, symbol: &String, elements: &[String]) -> Checked {
+    match elements.contains(symbol) {
+        true => Ok(()),
+        false => fault(key, symbol, format!("the crystal holds {}", elements.join(", "))),
+    }
+}
+
+/// The symbol of an element, in the usual spelling, other than that which it replaces.
+fn check_guest(key: &str, guest: &str, host: &str) -> Checked {
+    let known = elements::atomic_number(guest).map(elements::symbol);
+    if known.ok() != Some(guest) {
+        return fault(key, guest, "expected the symbol of an element such as \"In\"");
+    }
+    match guest == host {
+        true => fault(key, guest, "expected another element than the one it replaces"),
+        false => Ok(()),
+    }
+}
+
+/// A table that must hold exactly the keys `needed`, each within limits.
+fn check_elements(
+    key: &str,
+    table: &BTreeMap<String, f64>,
+    needed: &[String],
+    low: f64,
+    high: f64,
+) -> Checked {
+    if let Some(missing) = needed.iter().find(|n| !table.contains_key(*n)) {
+        return fault(key, "(incomplete)", format!("`{missing}` is missing"));
+    }
+    for (name, &value) in table {
+        if !needed.contains(name) {
+            let expected = format!("the specimen holds {}", needed.join(", "));
+            return fault(&format!("{key}.{name}"), value, expected);
+        }
+        within(&format!("{key}.{name}"), value, low, high)?;
+    }
+    Ok(())
+}
+
+pub(super) fn within(key: &str, value: f64, low: f64, high: f64) -> Checked {
+    match (low..=high).contains(&value) {
+        true => Ok(()),
+        false => fault(key, value, format!("expected a value from {low:.6} to {high:.6}")),
+    }
+}
+
+pub(super) fn fault<T>(
+    key: &str,
+    value: impl ToString,
+    expected: impl Into<String>,
+) -> std::result::Result<T, Fault> {
+    Err(Fault { key: key.to_owned(), value: value.to_string(), expected: expected.into() })
+}

@@ -1,0 +1,110 @@
+//! The crystal that a recipe names: one of the program's, or a file of the user's.
+
+use std::path::Path;
+
+use serde::de::{self, MapAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use crate::error::{Error, Result};
+use crate::structure::{self, Format, Structure, library};
+
+/// `"srtio3"` (see [`library`]), or the path of a CIF, POSCAR or extended XYZ file relative to the
+/// recipe. The text of such a file becomes part of the resolved recipe, `{ file = ..., text = ... }`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CrystalSource {
+    /// Name or path.
+    pub name: String,
+    /// What the file holds; `None` for a crystal of the program, and before it was read.
+    pub text: Option<String>,
+}
+
+impl CrystalSource {
+    /// One of the program's crystals, or a path yet to be read.
+    pub fn new(name: &str) -> Self {
+        CrystalSource { name: name.to_owned(), text: None }
+    }
+
+    /// Reads the file, if it is one and not read before.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a name that is neither, [`Error::Io`].
+    pub fn read(&mut self, folder: &Path) -> Result<()> {
+        if self.text.is_some() || library::text(&self.name).is_some() {
+            return Ok(());
+        }
+        let path = folder.join(&self.name);
+        if Format::from_path(&path).is_err() {
+            let known = library::names().collect::<Vec<_>>().join(", ");
+            let near = crate::recipe::checking::nearest(&self.name, library::names());
+            let hint = near.map(|n| format!("did you mean \"{n}\"? ")).unwrap_or_default();
+            let expected =
+                format!("{hint}expected a .cif file beside the recipe, or one of {known}");
+            return Err(Error::invalid("crystal", &self.name, expected));
+        }
+        let text = std::fs::read_to_string(&path).map_err(|e| Error::io(&path, "read", e))?;
+        self.text = Some(text);
+        Ok(())
+    }
+
+    /// The crystal.
+    ///
+    /// # Errors
+    /// [`Error::Parse`] with the line of the file; [`Error::Invalid`] for an unknown name, or a file
+    /// that was not read.
+    pub fn structure(&self) -> Result<Structure> {
+        match &self.text {
+            Some(text) => {
+                let path = Path::new(&self.name);
+                structure::parse(Format::from_path(path)?, text.as_bytes(), path)
+            }
+            None => library::crystal(&self.name),
+        }
+    }
+}
+
+impl Serialize for CrystalSource {
+    fn serialize<S: Serializer>(&self, serializer: S) -> std::result::Result<S::Ok, S::Error> {
+        use serde::ser::SerializeMap;
+        let Some(text) = &self.text else { return serializer.serialize_str(&self.name) };
+        let mut map = serializer.serialize_map(Some(2))?;
+        map.serialize_entry("file", &self.name)?;
+        map.serialize_entry("text", text)?;
+        map.end()
+    }
+}
+
+impl<'de> Deserialize<'de> for CrystalSource {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> std::result::Result<Self, D::Error> {
+        deserializer.deserialize_any(NameOrFile)
+    }
+}
+
+struct NameOrFile;
+
+impl<'de> Visitor<'de> for NameOrFile {
+    type Value = CrystalSource;
+
+    fn expecting(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        f.write_str("the name of a crystal, or the path of its file")
+    }
+
+    fn visit_str<E: de::Error>(self, name: &str) -> std::result::Result<CrystalSource, E> {
+        Ok(CrystalSource::new(name))
+    }
+
+    fn visit_map<A: MapAccess<'de>>(
+        self,
+        mut map: A,
+    ) -> std::result::Result<CrystalSource, A::Error> {
+        let (mut name, mut text) = (None, None);
+        while let Some(key) = map.next_key::<String>()? {
+            match key.as_str() {
+                "file" => name = Some(map.next_value()?),
+                "text" => text = Some(map.next_value()?),
+                other => return Err(de::Error::unknown_field(other, &["file", "text"])),
+            }
+        }
+        let name = name.ok_or_else(|| de::Error::missing_field("file"))?;
+        Ok(CrystalSource { name, text })
+    }
+}

@@ -1,0 +1,280 @@
+//! The tables of a recipe.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use crate::recipe::crystal_source::CrystalSource;
+use crate::recipe::region::Region;
+use crate::structure::elements;
+use crate::structure::particles::Morphology;
+
+/// Specimen builders.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum StructureKind {
+    /// A crystal in grains that are rotated alternately about the beam.
+    Grains,
+    /// A crystal in domains of two phases with smooth, wavy boundaries.
+    Domains,
+    /// A crystal grown along +x, of which one element is partly replaced: a composition gradient, or
+    /// quantum wells.
+    Epitaxy,
+    /// Metal particles on a film of amorphous carbon.
+    Particles,
+}
+
+impl StructureKind {
+    /// The name that recipes use.
+    pub fn name(self) -> &'static str {
+        match self {
+            StructureKind::Grains => "grains",
+            StructureKind::Domains => "domains",
+            StructureKind::Epitaxy => "epitaxy",
+            StructureKind::Particles => "particles",
+        }
+    }
+}
+
+/// Field of view, tiles and thickness.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Field {
+    /// Height and width of the full field in nm.
+    pub fov_nm: [f64; 2],
+    /// Rows and columns of tiles of the full field.
+    pub grid: [usize; 2],
+    /// Rows and columns of tiles of the central part that is built; all when absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub crop: Option<[usize; 2]>,
+    /// Edge of a tile in pixels.
+    pub tile_px: usize,
+    /// Pixels shared by neighbouring tiles.
+    pub overlap_px: usize,
+    /// Thickness along the beam in nm, rounded to whole cells of a crystal; of particles on a film, that of
+    /// the film.
+    pub thickness_nm: f64,
+}
+
+/// Straight symmetric tilt boundaries along y, equally spaced in x.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Boundaries {
+    /// Number of boundaries.
+    pub count: usize,
+    /// Rotation between neighbouring grains in degrees.
+    pub misorientation_deg: f64,
+    /// Coincidence index; the exact coincidence angle then replaces `misorientation_deg`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sigma: Option<u32>,
+    /// Least distance per pair of elements (`"Ti-O"`) in Angstrom. Pairs not named keep
+    /// [`DEFAULT_MIN_DISTANCE`] of their shortest distance in the crystal.
+    #[serde(default)]
+    pub min_distance_angstrom: BTreeMap<String, f64>,
+}
+
+/// Least distance at a boundary over the shortest in the crystal, for pairs that a recipe leaves out.
+pub const DEFAULT_MIN_DISTANCE: f64 = 0.8;
+
+/// Domains of two phases that share one lattice of atoms, side by side along x; the first phase is
+/// the recipe's crystal.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DomainTable {
+    /// Crystal of the second phase: the same atoms, moved by less than a tenth of the cell.
+    pub crystal: CrystalSource,
+    /// Its direction along the beam.
+    pub zone_axis: String,
+    /// Its direction along +y.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub y_axis: Option<String>,
+    /// Names of the two phases.
+    pub phases: [String; 2],
+    /// Number of phase boundaries, equally spaced in x; the leftmost domain is of the first phase.
+    pub boundaries: usize,
+    /// The order parameter passes from one phase to the other as a Gaussian cumulative distribution
+    /// of this standard deviation, in pixels.
+    pub sharpness_sigma_px: f64,
+    /// Greatest excursion of a boundary from its mean line, as a fraction of the field's width.
+    pub waviness: f64,
+}
+
+/// An alloy: a guest element on some sites of a host element. The crystal grows along +x on a substrate
+/// of the pure crystal and is coherent with it: across x it has the substrate's lattice parameters, along x
+/// those of Vegard's law, lengthened as elasticity asks if stiffness constants are given.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Alloy {
+    /// Symbol of the element that is replaced.
+    pub host: String,
+    /// Symbol of the element that replaces it.
+    pub guest: String,
+    /// Mean fraction of guests on the host's sites of the full field.
+    pub rate: f64,
+    /// How the composition depends on x.
+    pub profile: CompositionProfile,
+    /// The crystal with all hosts replaced: same structure, other lattice parameters.
+    pub end_member: CrystalSource,
+    /// Stiffness C13 (of a cubic crystal grown along a cube axis C12) of crystal and end member in GPa.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub c13_gpa: Option<[f64; 2]>,
+    /// Stiffness C33 (C11) of crystal and end member in GPa.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub c33_gpa: Option<[f64; 2]>,
+}
+
+/// How the composition of an alloy depends on x.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum CompositionProfile {
+    /// Rises linearly across the full field from 0 to twice the rate.
+    Linear,
+    /// Quantum wells in barriers without guests.
+    Wells,
+}
+
+/// Quantum wells normal to x, centred in equal parts of the full field.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Wells {
+    /// Number of wells.
+    pub count: usize,
+    /// Width of each in nm.
+    pub width_nm: f64,
+    /// Standard deviation of the interfaces about their mean planes, in nm.
+    pub roughness_nm: f64,
+    /// Correlation length of the roughness in nm: its correlation falls as exp(-r^2 / 2 L^2).
+    pub roughness_correlation_nm: f64,
+}
+
+/// Particles of the recipe's crystal, a face-centred cubic metal, on a film of amorphous carbon. They lie on its side
+/// towards the gun, each wholly inside the full field.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Particles {
+    /// Number of particles in the full field.
+    pub count: usize,
+    /// Shapes, in equal shares.
+    pub morphologies: Vec<Morphology>,
+    /// Least and greatest diameter in nm: that of the sphere which as many atoms of the bulk metal fill. Between
+    /// them every diameter is as likely.
+    pub diameter_nm: [f64; 2],
+    /// Greatest angle between the beam and a zone axis of the particle in degrees; all directions within are as likely. From
+    /// 90 on, all orientations are.
+    pub max_tilt_deg: f64,
+    /// Least distance between the circles around two particles, seen along the beam, in nm.
+    pub gap_nm: f64,
+    /// Surface energy of {100} over that of {111}.
+    pub surface_energy_ratio: f64,
+    /// Distance of each particle's nearest atom from the carbon, in Angstrom.
+    pub contact_angstrom: f64,
+}
+
+/// Vacancies of one element.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Vacancies {
+    /// Symbol of the element that is missing.
+    pub element: String,
+    /// Vacant fraction of all its sites.
+    pub rate: f64,
+    /// Share of the vacancies gathered about the boundaries.
+    pub cluster_fraction: f64,
+    /// Standard deviation of their distance from the boundary in nm.
+    pub cluster_sigma_nm: f64,
+    /// Upper limit of the local vacancy probability.
+    pub max_probability: f64,
+    /// Distance by which cations beside a vacancy move away from it, in Angstrom.
+    #[serde(default)]
+    pub relaxation_angstrom: f64,
+}
+
+/// Random substitutions of one element by another.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Substitutions {
+    /// Symbol of the element that is replaced.
+    pub element: String,
+    /// Symbol of the element that replaces it.
+    pub by: String,
+    /// Replaced fraction of all its sites.
+    pub rate: f64,
+}
+
+/// Thermal vibration.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PhononTable {
+    /// Number of frozen configurations averaged.
+    pub configurations: usize,
+    /// Standard deviation of each Cartesian component in Angstrom, per element.
+    pub sigma_angstrom: BTreeMap<String, f64>,
+}
+
+/// The probe.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OpticsTable {
+    /// Accelerating voltage in kV.
+    pub energy_kv: f64,
+    /// Convergence semi-angle in mrad.
+    pub convergence_mrad: f64,
+}
+
+/// The annular detector.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DetectorTable {
+    /// Inner angle in mrad.
+    pub inner_mrad: f64,
+    /// Outer angle in mrad.
+    pub outer_mrad: f64,
+}
+
+/// Noise.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Dose {
+    /// Electrons per square Angstrom of the field.
+    pub electrons_per_angstrom2: f64,
+}
+
+impl PhononTable {
+    /// Standard deviation of an element's displacements in Angstrom; 0 if the table leaves it out.
+    pub fn sigma_angstrom(&self, number: u8) -> f64 {
+        self.sigma_angstrom.get(elements::symbol(number)).copied().unwrap_or(0.0)
+    }
+}
+
+impl Field {
+    /// Rows and columns of the tiles that are built.
+    pub fn built_grid(&self) -> [usize; 2] {
+        self.crop.unwrap_or(self.grid)
+    }
+    /// Height and width in pixels that `grid` tiles cover.
+    pub fn pixels(&self, grid: [usize; 2]) -> [usize; 2] {
+        grid.map(|n| n * self.stride_px() + self.overlap_px)
+    }
+    /// Distance between neighbouring tiles in pixels.
+    pub fn stride_px(&self) -> usize {
+        self.tile_px - self.overlap_px
+    }
+    /// Edge of a (square) pixel in nm: width of the full field over its pixels.
+    pub fn pixel_nm(&self) -> f64 {
+        self.fov_nm[1] / self.pixels(self.grid)[1] as f64
+    }
+    /// The area of the full field.
+    pub fn full_region(&self) -> Region {
+        Region::of_pixels([0, 0], self.pixels(self.grid), self.pixel_nm())
+    }
+    /// The area that is built.
+    pub fn built_region(&self) -> Region {
+        let shape = self.pixels(self.built_grid());
+        Region::of_pixels(self.crop_origin_px(), shape, self.pixel_nm())
+    }
+    /// Row and column, in pixels of the full field, of the first pixel that is built.
+    pub fn crop_origin_px(&self) -> [usize; 2] {
+        let built = self.built_grid();
+        [0, 1].map(|i| (self.grid[i] - built[i]) / 2 * self.stride_px())
+    }
+}

@@ -1,0 +1,4 @@
+//! Which lattice sites are vacant or hold another element.
+
+pub mod rules;
+pub mod vacancies;

@@ -1,0 +1,103 @@
+//! Where vacancies are likely: everywhere a little, and gathered about the boundaries.
+
+use crate::error::{Error, Result};
+use crate::recipe::tables::Vacancies;
+
+/// Width of the bins of distance in which sites are counted, in nm.
+const BIN_NM: f64 = 0.01;
+
+/// Counts sites by their distance from the nearest boundary.
+#[derive(Debug, Clone, Default)]
+pub struct DistanceHistogram {
+    counts: Vec<u64>,
+    beyond: u64,
+}
+
+impl DistanceHistogram {
+    /// Adds `n` sites at `distance_nm`; infinite where there is no boundary.
+    pub fn add(&mut self, distance_nm: f64, n: u64) {
+        if !distance_nm.is_finite() {
+            self.beyond += n;
+            return;
+        }
+        let bin = (distance_nm / BIN_NM) as usize;
+        if bin >= self.counts.len() {
+            self.counts.resize(bin + 1, 0);
+        }
+        self.counts[bin] += n;
+    }
+
+    /// Mean of `f(distance in nm)` over the sites; 0 without any.
+    fn mean(&self, f: impl Fn(f64) -> f64) -> f64 {
+        let total = self.beyond + self.counts.iter().sum::<u64>();
+        let at = |(bin, &n): (usize, &u64)| n as f64 * f((bin as f64 + 0.5) * BIN_NM);
+        let sum: f64 = self.counts.iter().enumerate().filter(|(_, n)| **n > 0).map(at).sum();
+        match total {
+            0 => 0.0,
+            _ => (sum + self.beyond as f64 * f(f64::INFINITY)) / total as f64,
+        }
+    }
+}
+
+/// Probability that a site is vacant, as a function of its distance d from the nearest boundary:
+/// `min(cap, uniform + amplitude * exp(-d^2 / 2 sigma^2))`.
+///
+/// The amplitude makes the mean over the field the rate; where the cap bites, it is greater than
+/// without, and so the excess is spread wider.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct VacancyProfile {
+    /// Probability far from any boundary.
+    pub uniform: f64,
+    /// Additional probability at a boundary, before the cap.
+    pub amplitude: f64,
+    /// Width in nm.
+    pub sigma_nm: f64,
+    /// Upper limit.
+    pub cap: f64,
+}
+
+impl VacancyProfile {
+    /// Fits the profile to the sites of a field. Without boundaries all vacancies are uniform.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] when the cap leaves no room for the rate.
+    pub fn fit(recipe: &Vacancies, sites: &DistanceHistogram) -> Result<Self> {
+        let clustered = !sites.counts.is_empty() && recipe.cluster_fraction > 0.0;
+        let share = if clustered { 1.0 - recipe.cluster_fraction } else { 1.0 };
+        let mut profile = VacancyProfile {
+            uniform: share * recipe.rate,
+            amplitude: 0.0,
+            sigma_nm: recipe.cluster_sigma_nm,
+            cap: recipe.max_probability,
+        };
+        if !clustered || recipe.rate == 0.0 {
+            return Ok(profile);
+        }
+        let rate_at = |amplitude| {
+            let trial = VacancyProfile { amplitude, ..profile };
+            sites.mean(|d| trial.probability(d))
+        };
+        let mut high = recipe.rate;
+        while rate_at(high) < recipe.rate {
+            high *= 2.0;
+            if high > 1e100 {
+                let expected = "too high for vacancies.max_probability and cluster_sigma_nm; \
+                                raise one of them or lower cluster_fraction";
+                return Err(Error::invalid("vacancies.rate", recipe.rate, expected));
+            }
+        }
+        let mut low = 0.0;
+        for _ in 0..100 {
+            let middle = 0.5 * (low + high);
+            if rate_at(middle) < recipe.rate { low = middle } else { high = middle }
+        }
+        profile.amplitude = high;
+        Ok(profile)
+    }
+
+    /// Probability at `distance_nm` from the nearest boundary.
+    pub fn probability(&self, distance_nm: f64) -> f64 {
+        let t = distance_nm / self.sigma_nm;
+        (self.uniform + self.amplitude * libm::exp(-0.5 * t * t)).min(self.cap)
+    }
+}

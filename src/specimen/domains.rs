@@ -1,0 +1,335 @@
+//! A crystal in domains of two phases, such as cubic and tetragonal barium titanate.
+//!
+//! Both phases have the same sites; in the second they are moved a little within the cell, and the cell
+//! has another length along x. An order parameter from 0 to 1, the cumulative normal distribution of the
+//! distance from a boundary, carries both across: the lattice stays coherent, and nothing jumps. Along y
+//! and the beam the second phase is strained to the period of the first.
+
+use crate::error::{Error, Result};
+use crate::recipe::limits::BEYOND_FIELD_NM;
+use crate::recipe::model::Recipe;
+use crate::recipe::region::Region;
+use crate::specimen::atom_columns::Sites;
+use crate::specimen::coherent::{Coherent, NM, Stretch};
+use crate::specimen::column_index::ColumnIndex;
+use crate::specimen::defects::rules::Defects;
+use crate::specimen::model::{Boundary, BoundaryKind, Specimen};
+use crate::specimen::sites::SpecimenSite;
+use crate::specimen::units::library_cell::LibraryCell;
+use crate::specimen::units::occupation::UnitOccupation;
+use crate::specimen::units::unit_tag::UnitFamily;
+use crate::specimen::units::unit_tag::UnitTag;
+use crate::specimen::wave::{WavyLine, normal_cdf, normal_cdf_integral};
+use crate::structure::Structure;
+use crate::structure::columns::ColumnCrystal;
+
+/// Sites of the two phases may differ by less than this fraction of the cell along each edge.
+const LARGEST_SHIFT: f64 = 0.1;
+/// Ratio of the edges of the two cells.
+const LARGEST_STRETCH: f64 = 0.1;
+
+/// Steps of the order parameter in which the library has sheets: between them atoms are less than 0.02 A off.
+const ORDER_STEPS: f64 = 4.0;
+
+/// See the module.
+pub struct Domains {
+    lattice: Coherent<OrderParameter>,
+    /// Displacement of each site in the second phase, in nm.
+    shifts: Vec<[f64; 3]>,
+    /// Mean displacement of the sites of each kind of column.
+    column_shifts: Vec<[f64; 2]>,
+    phases: [String; 2],
+    defects: Defects,
+    /// What units hold; `None` draws each site by itself.
+    contents: Option<UnitOccupation>,
+}
+
+impl Domains {
+    /// Matches the phases, draws the boundaries and fits the defects of the full field.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for phases that do not match, or a vacancy rate without room.
+    pub fn new(recipe: &Recipe) -> Result<Self> {
+        let Some(domains) = &recipe.domains else {
+            return Err(Error::invalid("domains", "(missing)", "this structure needs the table"));
+        };
+        let first = recipe.oriented_crystal()?;
+        let (zone, y) = (&domains.zone_axis, domains.y_axis.as_deref());
+        let second = crate::recipe::model::oriented(&domains.crystal, zone, y)?;
+        let shifts = shifts(&first, &second)?;
+        let ratio = second.orthogonal_box()?[0] / first.orthogonal_box()?[0];
+        let crystal = ColumnCrystal::new(&first)?;
+        let mean = |k: usize, column: &crate::structure::columns::ColumnKind| {
+            let sum: f64 = column.chains.iter().map(|c| shifts[c.site][k]).sum();
+            sum / column.chains.len() as f64
+        };
+        let column_shifts: Vec<[f64; 2]> =
+            crystal.columns.iter().map(|c| [mean(0, c), mean(1, c)]).collect();
+        let largest = column_shifts.iter().flatten().fold(0.0, |l: f64, s| l.max(s.abs()));
+        let order = OrderParameter::new(recipe, domains, ratio, largest);
+        let mut specimen = Domains {
+            lattice: Coherent::new(crystal, &recipe.field, order),
+            shifts,
+            column_shifts,
+            phases: domains.phases.clone(),
+            defects: Defects::default(),
+            contents: None,
+        };
+        specimen.contents = UnitOccupation::new(recipe, &specimen.lattice.crystal)?;
+        specimen.defects = Defects::fit(recipe, |element, histogram| {
+            specimen.for_each_column(&specimen.lattice.field, |index, _, (ideal, _)| {
+                let chains = &specimen.lattice.crystal.columns[index.kind].chains;
+                let count = chains.iter().filter(|c| c.number == element).count();
+                histogram.add(specimen.lattice.stretch.distance(ideal), count as u64);
+            });
+        })?;
+        Ok(specimen)
+    }
+
+    /// Calls `f(column, its position, and that before displacement with the order parameter there)`.
+    fn for_each_column(
+        &self,
+        region: &Region,
+        f: impl FnMut(ColumnIndex, [f64; 2], ([f64; 2], f64)),
+    ) {
+        let place = |index: ColumnIndex, reference: [f64; 2]| self.place(index, reference);
+        self.lattice.for_each_column(region, place, f);
+    }
+
+    /// Position of a column from its place in the reference lattice, that before displacement, and the order
+    /// parameter there.
+    fn place(&self, index: ColumnIndex, reference: [f64; 2]) -> ([f64; 2], ([f64; 2], f64)) {
+        let stretch = &self.lattice.stretch;
+        let ideal = [stretch.to_field(reference), reference[1]];
+        let order = stretch.at(ideal);
+        let shift = self.column_shifts[index.kind];
+        ([0, 1].map(|k| ideal[k] + order * shift[k]), (ideal, order))
+    }
+
+    /// Place of a column in the library.
+    fn tag(&self, index: ColumnIndex) -> Option<UnitTag> {
+        let contents = self.contents.as_ref()?;
+        let (kind, member, first) = contents.unit_of(index);
+        let members = &contents.units.kinds[kind];
+        let centre = self
+            .lattice
+            .centre(members, first, |column| self.place(column, self.lattice.reference(column)).0);
+        let stretch = &self.lattice.stretch;
+        let element = contents.process.map_or(0, |p| p.element);
+        let rate = self.defects.at(stretch.distance(centre)).rate(element);
+        let entry = contents.draw(kind, first, rate)?;
+        let structure = (stretch.at(centre) * ORDER_STEPS).round() as usize;
+        Some(UnitTag::unrotated((first, member), centre, structure, entry))
+    }
+}
+
+impl Specimen for Domains {
+    fn query(&self, region: &Region) -> Sites {
+        let mut out = Sites::default();
+        self.for_each_column(region, |index, column, ([x, y], order)| {
+            let defects = self.defects.at(self.lattice.stretch.distance([x, y]));
+            let tag = self.tag(index);
+            let contents = self.contents.as_ref().zip(tag);
+            let chains = &self.lattice.crystal.columns[index.kind].chains;
+            let cells = 0..self.lattice.cells_along_beam;
+            let sites =
+                cells.flat_map(|cell| chains.iter().enumerate().map(move |(n, c)| (cell, n, c)));
+            let sites = sites.map(|(cell, n, chain)| {
+                let key = index.key(chain, cell);
+                let (kind, number) = match &contents {
+                    Some((c, tag)) => c.holds(tag.entry, [index.kind, n, cell], chain.number),
+                    None => defects.of(key, chain.number),
+                };
+                let ideal = [x, y, self.lattice.height(cell, chain)];
+                let shift = self.shifts[chain.site];
+                let position_nm = [0, 1, 2].map(|k| ideal[k] + order * shift[k]);
+                SpecimenSite { key, position_nm, number, kind }
+            });
+            out.push_column(index.id(), column, tag, sites);
+        });
+        out
+    }
+
+    fn sheet(&self, family: UnitFamily) -> Option<LibraryCell> {
+        let contents = self.contents.as_ref()?;
+        let crystal = &self.lattice.crystal;
+        let order = family.structure as f64 / ORDER_STEPS;
+        let along = crystal.cell[0] / (1.0 - self.lattice.stretch.strain * order);
+        let cell = [along, crystal.cell[1]];
+        let place = |depth: usize, kind: usize, number: usize| {
+            let chain = &crystal.columns[kind].chains[number];
+            let xy = crystal.columns[kind].xy;
+            let ideal = [xy[0] * cell[0], xy[1] * cell[1], self.lattice.height(depth, chain) / NM];
+            let shift = self.shifts[chain.site];
+            [0, 1, 2].map(|k| ideal[k] + order * shift[k] / NM)
+        };
+        let depth = self.lattice.cells_along_beam;
+        Some(LibraryCell::lattice(contents, crystal, (cell, family.bin), depth, place))
+    }
+
+    fn thickness_nm(&self) -> f64 {
+        self.lattice.thickness_nm()
+    }
+
+    fn boundaries(&self) -> Vec<Boundary> {
+        let order = &self.lattice.stretch;
+        let boundary = |(k, line): (usize, &WavyLine)| Boundary {
+            line_nm: line.polyline(self.lattice.field.y),
+            kind: BoundaryKind::Phase {
+                sides: [k % 2, (k + 1) % 2],
+                sharpness_sigma_nm: order.sigma,
+            },
+        };
+        order.lines.iter().enumerate().map(boundary).collect()
+    }
+
+    fn phases(&self) -> Vec<String> {
+        self.phases.to_vec()
+    }
+
+    fn phase_at(&self, position_nm: [f64; 2]) -> usize {
+        let lines = &self.lattice.stretch.lines;
+        lines.iter().filter(|line| line.is_left_of(position_nm)).count() % 2
+    }
+}
+
+/// How much of the second phase there is at a point, from 0 to 1.
+struct OrderParameter {
+    lines: Vec<WavyLine>,
+    sigma: f64,
+    /// 1 - (edge of the first cell) / (edge of the second), along x.
+    strain: f64,
+    spread: f64,
+}
+
+impl OrderParameter {
+    fn new(
+        recipe: &Recipe,
+        domains: &crate::recipe::tables::DomainTable,
+        ratio: f64,
+        displacement: f64,
+    ) -> Self {
+        let field = recipe.field.full_region();
+        let width = field.x[1] - field.x[0];
+        let count = domains.boundaries;
+        let amplitude = domains.waviness * width;
+        let line = |k: usize| {
+            let mean = field.x[0] + width * (k + 1) as f64 / (count + 1) as f64;
+            WavyLine::new(mean, amplitude, &field, BEYOND_FIELD_NM, recipe.seed, k as u32)
+        };
+        let strain = 1.0 - 1.0 / ratio;
+        OrderParameter {
+            lines: (0..count).map(line).collect(),
+            sigma: domains.sharpness_sigma_px * recipe.field.pixel_nm(),
+            strain,
+            spread: 2.0 * displacement + 2.0 * strain.abs() * amplitude * count as f64 + 0.1,
+        }
+    }
+
+    /// The boundaries where they cross `y`: their x, and the width of the transition along x.
+    fn crossings(&self, y: f64) -> Vec<[f64; 2]> {
+        let crossing = |line: &WavyLine| {
+            let [x, cosine] = line.x_and_cosine(y);
+            [x, self.sigma / cosine]
+        };
+        self.lines.iter().map(crossing).collect()
+    }
+
+    fn at(&self, [x, y]: [f64; 2]) -> f64 {
+        order(&self.crossings(y), x)
+    }
+
+    /// Distance from the nearest boundary in nm.
+    fn distance(&self, position: [f64; 2]) -> f64 {
+        self.lines.iter().map(|line| line.distance(position)).fold(f64::INFINITY, f64::min)
+    }
+}
+
+/// Sum over the crossings of `f(z, sigma)`, z being the distance in units of sigma, with alternating
+/// sign.
+fn alternating(crossings: &[[f64; 2]], x: f64, f: impl Fn(f64, f64) -> f64) -> f64 {
+    let term = |(k, [middle, sigma]): (usize, &[f64; 2])| {
+        let value = f((x - middle) / sigma, *sigma);
+        if k % 2 == 0 { value } else { -value }
+    };
+    crossings.iter().enumerate().map(term).sum()
+}
+
+/// The order parameter.
+fn order(crossings: &[[f64; 2]], x: f64) -> f64 {
+    alternating(crossings, x, |z, _| normal_cdf(z)).clamp(0.0, 1.0)
+}
+
+/// Its integral over x.
+fn integral(crossings: &[[f64; 2]], x: f64) -> f64 {
+    alternating(crossings, x, |z, sigma| sigma * normal_cdf_integral(z))
+}
+
+impl Stretch for OrderParameter {
+    fn to_reference(&self, [x, y]: [f64; 2]) -> f64 {
+        x - self.strain * integral(&self.crossings(y), x)
+    }
+
+    fn to_field(&self, [reference, y]: [f64; 2]) -> f64 {
+        let crossings = self.crossings(y);
+        // Newton's method on a function whose slope is 1 but for a few per cent.
+        let mut x = reference;
+        for _ in 0..20 {
+            let slope = 1.0 - self.strain * order(&crossings, x);
+            let step = (reference - x + self.strain * integral(&crossings, x)) / slope;
+            x += step;
+            if step.abs() < 1e-12 {
+                break;
+            }
+        }
+        x
+    }
+
+    fn spread(&self) -> f64 {
+        self.spread
+    }
+}
+
+/// How far each site of the first phase is from its counterpart in the second, in nm; the lengths of
+/// the second cell count along x, those of the first elsewhere.
+fn shifts(first: &Structure, second: &Structure) -> Result<Vec<[f64; 3]>> {
+    let (a, b) = (first.orthogonal_box()?, second.orthogonal_box()?);
+    let fault =
+        |value: String, expected: &str| Err(Error::invalid("domains.crystal", value, expected));
+    if first.atoms.len() != second.atoms.len() {
+        let value = format!("{} sites in the cell along its zone axis", second.atoms.len());
+        let expected = format!("the first phase has {} along its own", first.atoms.len());
+        return fault(value, &expected);
+    }
+    if let Some(k) = (0..3).find(|&k| (b[k] / a[k] - 1.0).abs() > LARGEST_STRETCH) {
+        let axis = ["x", "y", "the beam"][k];
+        let value = format!("{:.4} A along {axis}", b[k]);
+        return fault(value, &format!("within 10 % of the first phase, {:.4} A", a[k]));
+    }
+    let mut taken = vec![false; second.atoms.len()];
+    let mut out = Vec::with_capacity(first.atoms.len());
+    for atom in &first.atoms {
+        let shift = |other: &crate::structure::Atom| {
+            [0, 1, 2].map(|k| {
+                let d = other.position[k] / b[k] - atom.position[k] / a[k];
+                d - d.round()
+            })
+        };
+        let near = |s: &[f64; 3]| s.iter().all(|d| d.abs() < LARGEST_SHIFT);
+        let found =
+            second.atoms.iter().enumerate().find(|(n, other)| {
+                other.number == atom.number && !taken[*n] && near(&shift(other))
+            });
+        let Some((n, other)) = found else {
+            let symbol = crate::structure::elements::symbol(atom.number);
+            let value = format!("no {symbol} near {:.3?} A", atom.position);
+            let expected = "every site of the first phase within a tenth of the cell; check \
+                            zone_axis and y_axis of both, and the origins of the files";
+            return fault(value, expected);
+        };
+        taken[n] = true;
+        let s = shift(other);
+        out.push([s[0] * b[0] * NM, s[1] * a[1] * NM, s[2] * a[2] * NM]);
+    }
+    Ok(out)
+}

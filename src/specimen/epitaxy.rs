@@ -1,0 +1,371 @@
+//! An alloy grown along +x, coherent with a substrate of its pure host crystal: a composition gradient,
+//! or quantum wells.
+//!
+//! Along x the cell has the length of Vegard's law at the mean composition there. If stiffness constants
+//! are given, the biaxial strain that coherence imposes lengthens it by Poisson's effect,
+//! eps_perp = -2 (C13 / C33) eps_par (C12 / C11 for a cubic crystal along a cube axis).
+
+use crate::error::{Error, Result};
+use crate::recipe::limits::BEYOND_FIELD_NM;
+use crate::recipe::model::Recipe;
+use crate::recipe::region::Region;
+use crate::recipe::tables::{Alloy, CompositionProfile, Wells};
+use crate::rng::{self, Purpose};
+use crate::specimen::atom_columns::Sites;
+use crate::specimen::coherent::{Coherent, NM, Stretch};
+use crate::specimen::column_index::ColumnIndex;
+use crate::specimen::composition::Composition;
+use crate::specimen::defects::rules::Defects;
+use crate::specimen::model::{Boundary, BoundaryKind, Specimen};
+use crate::specimen::sites::{SiteKind, SpecimenSite};
+use crate::specimen::units::library_cell::LibraryCell;
+use crate::specimen::units::occupation::UnitOccupation;
+use crate::specimen::units::patterns;
+use crate::specimen::units::unit_tag::UnitFamily;
+use crate::specimen::units::unit_tag::UnitTag;
+use crate::structure::columns::ColumnCrystal;
+use crate::structure::elements;
+
+/// Draw of [`Purpose::Defect`] that decides about guests (see [`super::defects`]).
+const GUEST_DRAW: u32 = 2;
+/// Steps in which the stretch is tabulated, in nm.
+const STEP_NM: f64 = 0.01;
+/// Most rounds of filling the wells; two or three suffice.
+const FILLINGS: usize = 12;
+/// Largest misfit of the end member.
+const LARGEST_MISFIT: f64 = 0.2;
+
+/// See the module.
+pub struct Epitaxy {
+    lattice: Coherent<TabulatedStretch>,
+    composition: Composition,
+    host: u8,
+    guest: u8,
+    defects: Defects,
+    seed: u64,
+    spacing: Spacing,
+    /// What units hold; `None` draws each site by itself.
+    contents: Option<UnitOccupation>,
+}
+
+impl Epitaxy {
+    /// Lays out composition and lattice.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for an end member of another structure, or wells that cannot hold the rate.
+    pub fn new(recipe: &Recipe) -> Result<Self> {
+        let Some(alloy) = &recipe.alloy else {
+            return Err(Error::invalid("alloy", "(missing)", "this structure needs the table"));
+        };
+        let crystal = recipe.column_crystal()?;
+        let spacing = Spacing::new(recipe, alloy, &crystal)?;
+        let field = recipe.field.full_region();
+        let thickness =
+            crystal.cells_along_beam(recipe.field.thickness_nm) as f64 * crystal.cell[2] * NM;
+        let wells = recipe.wells.as_ref();
+        let composition = Composition::new(alloy, wells, &field, thickness, recipe.seed);
+        let stretch = spacing.stretch(&composition, &field);
+        let number = elements::atomic_number;
+        let mut specimen = Epitaxy {
+            lattice: Coherent::new(crystal, &recipe.field, stretch),
+            composition,
+            host: number(&alloy.host)?,
+            guest: number(&alloy.guest)?,
+            defects: Defects::default(),
+            seed: recipe.seed,
+            spacing,
+            contents: None,
+        };
+        specimen.contents = UnitOccupation::new(recipe, &specimen.lattice.crystal)?;
+        if let (CompositionProfile::Wells, Some(wells)) = (alloy.profile, wells) {
+            specimen.fill_wells(alloy, wells)?;
+        }
+        specimen.defects = Defects::fit(recipe, |element, histogram| {
+            let sites = specimen.lattice.crystal.chains().filter(|c| c.number == element).count();
+            histogram.add(f64::INFINITY, sites as u64);
+        })?;
+        Ok(specimen)
+    }
+
+    /// Sets the fraction of guests in the wells to that which makes the mean over the field's host sites
+    /// the rate. The lattice depends on the fraction, and the number of planes in the wells on the
+    /// lattice, hence the iteration.
+    fn fill_wells(&mut self, alloy: &Alloy, wells: &Wells) -> Result<()> {
+        let mut last = f64::NAN;
+        for _ in 0..FILLINGS {
+            let share = self.share_of_wells();
+            let fraction = alloy.rate / share;
+            if !(0.0..=1.0).contains(&fraction) {
+                let expected = format!(
+                    "at most {share:.4}: {} wells of {} nm hold no more of the field's {} sites",
+                    wells.count, wells.width_nm, alloy.host
+                );
+                return Err(Error::invalid("alloy.rate", alloy.rate, expected));
+            }
+            self.composition.set_fraction(fraction);
+            if (fraction - last).abs() < 1e-9 {
+                break;
+            }
+            last = fraction;
+            self.lattice.stretch = self.spacing.stretch(&self.composition, &self.lattice.field);
+        }
+        // Where the last lattice moved a plane across an interface, the share is that of this lattice.
+        self.composition.set_fraction((alloy.rate / self.share_of_wells()).min(1.0));
+        Ok(())
+    }
+
+    /// Share of the field's host sites that lie in wells.
+    fn share_of_wells(&self) -> f64 {
+        let [mut inside, mut all] = [0u64; 2];
+        self.for_each_column(&self.lattice.field, |index, [x, y]| {
+            let chains = &self.lattice.crystal.columns[index.kind].chains;
+            for chain in chains.iter().filter(|c| c.number == self.host) {
+                for cell in 0..self.lattice.cells_along_beam {
+                    let z = self.lattice.height(cell, chain);
+                    all += 1;
+                    inside += u64::from(self.composition.holds_well([x, y, z]));
+                }
+            }
+        });
+        inside as f64 / all.max(1) as f64
+    }
+
+    /// Place of a column in the library.
+    fn tag(&self, index: ColumnIndex) -> Option<UnitTag> {
+        let contents = self.contents.as_ref()?;
+        let (kind, member, first) = contents.unit_of(index);
+        let members = &contents.units.kinds[kind];
+        let position = |column: ColumnIndex| {
+            let at = self.lattice.reference(column);
+            [self.lattice.stretch.to_field(at), at[1]]
+        };
+        let centre = self.lattice.centre(members, first, position);
+        let entry = match contents.process.filter(|p| p.element == self.host && p.by.is_some()) {
+            None => contents.draw(
+                kind,
+                first,
+                self.defects.at(f64::INFINITY).rate(contents.process.map_or(0, |p| p.element)),
+            )?,
+            Some(_) => {
+                let around = self.composition.mean(centre[0]);
+                let open = self.open_sites(contents, (kind, first), position);
+                let drawn = contents.draw_among(kind, first, open.rate, around, &open.allowed);
+                // Where few sites are open the pool may lack what could be there, but seldom what is: nothing.
+                drawn.or_else(|| contents.find(kind, first, open.rate, around, &open.guests))?
+            }
+        };
+        Some(UnitTag::unrotated((first, member), centre, 0, entry))
+    }
+
+    /// The sites of a unit that guests may take; `position` is that of a column.
+    fn open_sites(
+        &self,
+        contents: &UnitOccupation,
+        (kind, first): (usize, ColumnIndex),
+        position: impl Fn(ColumnIndex) -> [f64; 2],
+    ) -> OpenSites {
+        let allowed = vec![false; contents.pool.sites(kind)];
+        let mut open = OpenSites { rate: 0.0, allowed, guests: Vec::new() };
+        for member in &contents.units.kinds[kind] {
+            let cell = [0, 1].map(|k| first.cell[k] + member.cell[k]);
+            let index = ColumnIndex { kind: member.kind, cell, ..first };
+            let [x, y] = position(index);
+            let chains = &self.lattice.crystal.columns[member.kind].chains;
+            for (n, chain) in chains.iter().enumerate() {
+                for cell in 0..self.lattice.cells_along_beam {
+                    let Some(site) = contents.site(member.kind, n, cell) else { continue };
+                    let z = self.lattice.height(cell, chain);
+                    let here = self.composition.at([x, y, z]);
+                    open.allowed[site] = here > 0.0;
+                    open.rate = open.rate.max(here);
+                    if self.draws_guest(here, index.key(chain, cell)) {
+                        open.guests.push(site as u16);
+                    }
+                }
+            }
+        }
+        open.guests.sort_unstable();
+        open
+    }
+
+    /// Whether a site drawn by itself holds a guest.
+    fn draws_guest(&self, fraction: f64, key: u64) -> bool {
+        fraction > 0.0 && rng::uniform(self.seed, Purpose::Defect, GUEST_DRAW, key) < fraction
+    }
+
+    /// Calls `f(column, position)`.
+    fn for_each_column(&self, region: &Region, mut f: impl FnMut(ColumnIndex, [f64; 2])) {
+        let place = |_, at: [f64; 2]| ([self.lattice.stretch.to_field(at), at[1]], ());
+        self.lattice.for_each_column(region, place, |index, position, ()| f(index, position));
+    }
+}
+
+/// What a unit may hold.
+struct OpenSites {
+    /// How often guests take each open site.
+    rate: f64,
+    /// Which sites are open.
+    allowed: Vec<bool>,
+    /// The sites that hold one if each is drawn by itself, ascending.
+    guests: Vec<u16>,
+}
+
+impl Specimen for Epitaxy {
+    fn query(&self, region: &Region) -> Sites {
+        let mut out = Sites::default();
+        let defects = self.defects.at(f64::INFINITY);
+        self.for_each_column(region, |index, [x, y]| {
+            let chains = &self.lattice.crystal.columns[index.kind].chains;
+            let cells = 0..self.lattice.cells_along_beam;
+            let tag = self.tag(index);
+            let contents = self.contents.as_ref().zip(tag);
+            let sites =
+                cells.flat_map(|cell| chains.iter().enumerate().map(move |(n, c)| (cell, n, c)));
+            let sites = sites.map(|(cell, n, chain)| {
+                let key = index.key(chain, cell);
+                let z = self.lattice.height(cell, chain);
+                if let Some((contents, tag)) = &contents {
+                    let place = [index.kind, n, cell];
+                    let (kind, number) = contents.holds(tag.entry, place, chain.number);
+                    return SpecimenSite { key, position_nm: [x, y, z], number, kind };
+                }
+                let (mut kind, mut number) = defects.of(key, chain.number);
+                let host = kind == SiteKind::Pristine && number == self.host;
+                if host && self.draws_guest(self.composition.at([x, y, z]), key) {
+                    (kind, number) = (SiteKind::Substitution, self.guest);
+                }
+                SpecimenSite { key, position_nm: [x, y, z], number, kind }
+            });
+            out.push_column(index.id(), [x, y], tag, sites);
+        });
+        out
+    }
+
+    fn sheet(&self, family: UnitFamily) -> Option<LibraryCell> {
+        let contents = self.contents.as_ref()?;
+        let crystal = &self.lattice.crystal;
+        let alloy = contents.process.is_some_and(|p| p.element == self.host && p.by.is_some());
+        let fraction = if alloy { patterns::rate_of(family.bin) } else { 0.0 };
+        let cell = [crystal.cell[0] * self.spacing.relative(fraction), crystal.cell[1]];
+        let place = |depth: usize, kind: usize, number: usize| {
+            let column = &crystal.columns[kind];
+            let z = self.lattice.height(depth, &column.chains[number]) / NM;
+            [column.xy[0] * cell[0], column.xy[1] * cell[1], z]
+        };
+        let depth = self.lattice.cells_along_beam;
+        Some(LibraryCell::lattice(contents, crystal, (cell, family.bin), depth, place))
+    }
+
+    fn thickness_nm(&self) -> f64 {
+        self.lattice.thickness_nm()
+    }
+
+    fn boundaries(&self) -> Vec<Boundary> {
+        let line = |(n, line_nm): (usize, Vec<[f64; 2]>)| Boundary {
+            line_nm,
+            kind: BoundaryKind::Phase { sides: [n % 2, (n + 1) % 2], sharpness_sigma_nm: 0.0 },
+        };
+        let y = self.lattice.field.y;
+        self.composition.interfaces(y).into_iter().enumerate().map(line).collect()
+    }
+
+    fn phases(&self) -> Vec<String> {
+        self.composition.phases()
+    }
+
+    fn phase_at(&self, position_nm: [f64; 2]) -> usize {
+        usize::from(self.composition.is_well(position_nm))
+    }
+}
+
+/// Lattice parameters of the alloy.
+struct Spacing {
+    /// Edge along x of the end member over that of the host crystal.
+    along: f64,
+    /// The same across x, in the mean of y and the beam.
+    across: f64,
+    c13: [f64; 2],
+    c33: [f64; 2],
+}
+
+impl Spacing {
+    fn new(recipe: &Recipe, alloy: &Alloy, host: &ColumnCrystal) -> Result<Self> {
+        let y_axis = recipe.y_axis.as_deref();
+        let end = crate::recipe::model::oriented(&alloy.end_member, &recipe.zone_axis, y_axis)?;
+        let edges = end.orthogonal_box()?;
+        let ratios = [0, 1, 2].map(|k| edges[k] / host.cell[k]);
+        if let Some(k) = (0..3).find(|&k| (ratios[k] - 1.0).abs() > LARGEST_MISFIT) {
+            let value = format!("{:.4} A along axis {}", edges[k], ["x", "y", "z"][k]);
+            let expected = format!(
+                "the same structure as the crystal, {:.4} A within {} %",
+                host.cell[k],
+                100.0 * LARGEST_MISFIT
+            );
+            return Err(Error::invalid("alloy.end_member", value, expected));
+        }
+        Ok(Spacing {
+            along: ratios[0],
+            across: (ratios[1] * ratios[2]).sqrt(),
+            c13: alloy.c13_gpa.unwrap_or([0.0; 2]),
+            c33: alloy.c33_gpa.unwrap_or([1.0; 2]),
+        })
+    }
+
+    /// Edge along x where `fraction` of the hosts are guests, over that of the host crystal.
+    fn relative(&self, fraction: f64) -> f64 {
+        let vegard = |end: f64| 1.0 + fraction * (end - 1.0);
+        let mix = |[host, end]: [f64; 2]| host + fraction * (end - host);
+        let strain = 1.0 / vegard(self.across) - 1.0;
+        vegard(self.along) * (1.0 - 2.0 * mix(self.c13) / mix(self.c33) * strain)
+    }
+
+    fn stretch(&self, composition: &Composition, field: &Region) -> TabulatedStretch {
+        TabulatedStretch::new(field, |x| self.relative(composition.mean(x)))
+    }
+}
+
+/// Stretch that depends on x only, tabulated.
+struct TabulatedStretch {
+    /// First x in nm.
+    start: f64,
+    /// Reference x at `start + n * STEP_NM`.
+    reference: Vec<f64>,
+}
+
+impl TabulatedStretch {
+    /// `relative(x)` is the length of a cell at x over that of the reference.
+    fn new(field: &Region, relative: impl Fn(f64) -> f64) -> Self {
+        let beyond = ((BEYOND_FIELD_NM + 2.0) / STEP_NM).ceil();
+        let start = field.x[0] - beyond * STEP_NM;
+        let count = ((field.x[1] - field.x[0]) / STEP_NM + 2.0 * beyond).ceil() as usize;
+        // The substrate's lattice is undisturbed at the left edge of the field.
+        let mut reference = vec![0.0];
+        let mut sum = 0.0;
+        for n in 0..count {
+            sum += STEP_NM / relative(start + (n as f64 + 0.5) * STEP_NM);
+            reference.push(sum);
+        }
+        let shift = field.x[0] - reference[beyond as usize];
+        reference.iter_mut().for_each(|r| *r += shift);
+        TabulatedStretch { start, reference }
+    }
+}
+
+impl Stretch for TabulatedStretch {
+    fn to_reference(&self, [x, _]: [f64; 2]) -> f64 {
+        let n = ((x - self.start) / STEP_NM).clamp(0.0, (self.reference.len() - 2) as f64);
+        let [low, high] = [self.reference[n as usize], self.reference[n as usize + 1]];
+        low + (n - n.floor()) * (high - low)
+    }
+
+    fn to_field(&self, [reference, _]: [f64; 2]) -> f64 {
+        let above = self.reference.partition_point(|r| *r <= reference);
+        let n = above.clamp(1, self.reference.len() - 1) - 1;
+        let [low, high] = [self.reference[n], self.reference[n + 1]];
+        self.start + (n as f64 + (reference - low) / (high - low)) * STEP_NM
+    }
+
+    fn spread(&self) -> f64 {
+        2.0 * STEP_NM
+    }
+}

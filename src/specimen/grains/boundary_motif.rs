@@ -1,0 +1,181 @@
+//! The repeating pattern of a coincidence boundary, for the mosaic's library.
+//!
+//! Along a coincidence boundary the columns repeat with the coincidence period. The columns near the plane over
+//! one period are the slots of the motif; those farther away stand in the crystal. A boundary whose
+//! pattern is that of an earlier one, turned over perhaps, shares its motif.
+
+use std::collections::HashMap;
+
+use crate::specimen::units::library_cell::{LibraryCell, LibrarySite, LibraryUnit};
+use crate::specimen::units::occupation::{DefectKind, SHEET_ANGSTROM, sheets};
+use crate::specimen::units::patterns;
+use crate::specimen::units::patterns::{DefectPatterns, bin_of};
+use crate::specimen::units::unit_tag::PatternIndex;
+use crate::structure::columns::{Chain, ColumnCrystal};
+
+/// Columns nearer to the plane than this are slots, in Angstrom: for those beyond, the other grain is no
+/// nearer than a probe in a crystal feels.
+pub const SLOT_REACH_ANGSTROM: f64 = 5.0;
+/// Scanned beyond the slots, for the ramps to the crystal's units and for interpolation between samples
+/// ([`crate::resample::MARGIN`]).
+const SCAN_BEYOND_ANGSTROM: f64 = 2.5;
+/// Specimen beyond the scan: half a window, and the reach of potentials.
+const SPECIMEN_BEYOND_ANGSTROM: f64 = 7.5;
+/// Different contents of a slot, at least.
+const LEAST_CONTENTS: usize = 4;
+/// Positions that count as equal, in Angstrom.
+const SAME: f64 = 0.01;
+
+/// A column of a boundary, seen from a lattice point on its plane.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BoundaryColumn {
+    /// Position (x, y) in Angstrom; the plane is x = 0.
+    pub position: [f64; 2],
+    /// Its chains that are there: number in the kind of column, and the chain.
+    pub chains: Vec<(usize, Chain)>,
+}
+
+/// See the module.
+#[derive(Debug)]
+pub struct BoundaryMotif {
+    /// Period along y in Angstrom.
+    pub period: f64,
+    slots: Vec<BoundaryColumn>,
+    lookup: HashMap<[i64; 2], usize>,
+    others: Vec<BoundaryColumn>,
+    /// PatternTable of the slots.
+    pub pool: DefectPatterns,
+    periods: usize,
+    process: Option<DefectKind>,
+    seed: u64,
+}
+
+/// How far a motif needs to know the columns around a boundary.
+pub fn reach_angstrom() -> f64 {
+    SLOT_REACH_ANGSTROM + SCAN_BEYOND_ANGSTROM + SPECIMEN_BEYOND_ANGSTROM
+}
+
+impl BoundaryMotif {
+    /// The motif of a boundary from its `columns`, of one period, out to [`reach_angstrom`].
+    pub fn new(
+        columns: Vec<BoundaryColumn>,
+        period: f64,
+        depth: usize,
+        process: Option<DefectKind>,
+        configurations: usize,
+        (seed, stream): (u64, u64),
+    ) -> Self {
+        let near = |c: &BoundaryColumn| c.position[0].abs() <= SLOT_REACH_ANGSTROM;
+        let (slots, others): (Vec<_>, Vec<_>) = columns.into_iter().partition(near);
+        let periods = (SHEET_ANGSTROM / period).ceil().max(1.0) as usize;
+        let defects = |c: &BoundaryColumn| {
+            c.chains.iter().filter(|(_, n)| process.is_some_and(|p| p.element == n.number)).count()
+        };
+        let sites = slots.iter().map(|s| depth * defects(s)).collect();
+        // Each slot has several contents, however long the period is.
+        let least = LEAST_CONTENTS.div_ceil(periods);
+        let count = sheets(slots.len() * periods, configurations).max(least);
+        let lookup = slots.iter().enumerate().map(|(n, s)| (rounded(s.position), n)).collect();
+        let pool = DefectPatterns::new(sites, count * periods, 1 + stream);
+        BoundaryMotif { period, slots, lookup, others, pool, periods, process, seed }
+    }
+
+    /// The slot at `position` (relative to a lattice point on the plane), if the column there has these chains.
+    pub fn slot(&self, [x, y]: [f64; 2], chains: impl Iterator<Item = usize>) -> Option<usize> {
+        let y = y.rem_euclid(self.period);
+        // Rounding may lead to the next bin, and over the end of the period.
+        let near = (0..27).map(|n| (n % 3 - 1, n / 3 % 3 - 1, f64::from(n as i32 / 9 - 1)));
+        let found = near.into_iter().find_map(|(i, j, turn)| {
+            let [a, b] = rounded([x, y + turn * self.period]);
+            self.lookup.get(&[a + i, b + j]).copied()
+        })?;
+        let slot = &self.slots[found];
+        let dy = (slot.position[1] - y).rem_euclid(self.period);
+        let same = (slot.position[0] - x).abs() < SAME && dy.min(self.period - dy) < SAME;
+        (same && chains.eq(slot.chains.iter().map(|(n, _)| *n))).then_some(found)
+    }
+
+    /// Number of slots.
+    pub fn len(&self) -> usize {
+        self.slots.len()
+    }
+
+    /// What the column `id` holds in `slot`; `around` is the rate at the plane.
+    pub fn draw(&self, slot: usize, id: u64, rate: f64, around: f64) -> Option<PatternIndex> {
+        let bin = bin_of(around);
+        let allowed = vec![true; self.pool.sites(slot)];
+        let cell = self.pool.draw(slot, bin, rate, &allowed, 0.0, (self.seed, id))?;
+        Some(PatternIndex { bin, kind: slot, cell })
+    }
+
+    /// The number among the slot's sites of an atom of its chain `chain` (counted among those there), if it may
+    /// be a defect.
+    pub fn site(&self, slot: usize, chain: usize, depth: usize) -> Option<usize> {
+        site(&self.slots[slot], self.process, chain, depth)
+    }
+
+    /// Its sheets.
+    pub fn sheet(&self, crystal: &ColumnCrystal, depth: usize, bin: usize) -> LibraryCell {
+        let count = self.pool.cells() / self.periods;
+        let centre_x = reach_angstrom();
+        let column = |c: &BoundaryColumn, period: usize| -> Vec<LibrarySite> {
+            let [x, y] = c.position;
+            let at = [centre_x + x, y + period as f64 * self.period];
+            let chains = c.chains.iter().enumerate();
+            let sites = (0..depth).flat_map(|d| chains.clone().map(move |(n, (_, c))| (d, n, c)));
+            let place = |(d, n, chain): (usize, usize, &Chain)| LibrarySite {
+                position: [at[0], at[1], (d as f64 + chain.z) * crystal.cell[2]],
+                number: chain.number,
+                defect: site(c, self.process, n, d),
+            };
+            sites.map(place).collect()
+        };
+        let unit = |period: usize, kind: usize| LibraryUnit {
+            kind,
+            cell: period,
+            centre: [
+                centre_x + self.slots[kind].position[0],
+                self.slots[kind].position[1] + period as f64 * self.period,
+            ],
+            members: vec![column(&self.slots[kind], period)],
+            patterns: (0..count)
+                .map(|n| self.pool.patterns(kind, bin).cells[n * self.periods + period].clone())
+                .collect(),
+        };
+        let all = |period: usize| (0..self.slots.len()).map(move |kind| (period, kind));
+        let half = SLOT_REACH_ANGSTROM + SCAN_BEYOND_ANGSTROM;
+        let length = self.periods as f64 * self.period;
+        LibraryCell {
+            box_angstrom: [2.0 * centre_x, length, depth as f64 * crystal.cell[2]],
+            scanned: [2.0 * half, length],
+            scan_origin: [centre_x - half, 0.0],
+            cell: [half, self.period],
+            periodic: [false, true],
+            cells: self.periods,
+            count,
+            process: self.process,
+            rate: patterns::rate_of(bin),
+            units: (0..self.periods).flat_map(all).map(|(p, k)| unit(p, k)).collect(),
+            surroundings: (0..self.periods)
+                .flat_map(|p| self.others.iter().map(move |c| (c, p)))
+                .map(|(c, p)| column(c, p))
+                .collect(),
+        }
+    }
+}
+
+fn site(
+    column: &BoundaryColumn,
+    process: Option<DefectKind>,
+    chain: usize,
+    depth: usize,
+) -> Option<usize> {
+    let concerned = |c: &(usize, Chain)| process.is_some_and(|p| p.element == c.1.number);
+    let before = column.chains[..chain].iter().filter(|c| concerned(c)).count();
+    let all = column.chains.iter().filter(|c| concerned(c)).count();
+    concerned(&column.chains[chain]).then_some(depth * all + before)
+}
+
+fn rounded(position: [f64; 2]) -> [i64; 2] {
+    position.map(|v| (v / SAME).round() as i64)
+}

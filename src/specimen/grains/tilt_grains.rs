@@ -1,0 +1,460 @@
+//! A crystal in grains that are rotated alternately about the beam, with straight symmetric tilt
+//! boundaries.
+
+use std::collections::{BTreeMap, HashMap};
+
+use crate::error::{Error, Result};
+use crate::recipe::limits::BEYOND_FIELD_NM;
+use crate::recipe::model::Recipe;
+use crate::recipe::region::Region;
+use crate::recipe::tables::Boundaries;
+use crate::specimen::atom_columns::Sites;
+use crate::specimen::coherent::NM;
+use crate::specimen::column_index::ColumnIndex;
+use crate::specimen::defects::rules::Defects;
+use crate::specimen::grains::boundary;
+use crate::specimen::grains::boundary::{ColumnOutcome, MinDistances, ON_PLANE};
+use crate::specimen::grains::boundary_motif::{
+    BoundaryColumn, BoundaryMotif, SLOT_REACH_ANGSTROM, reach_angstrom,
+};
+use crate::specimen::grains::grain::Grain;
+use crate::specimen::model::{Boundary, BoundaryKind, Specimen};
+use crate::specimen::sites::SpecimenSite;
+use crate::specimen::units::library_cell::LibraryCell;
+use crate::specimen::units::occupation::UnitOccupation;
+use crate::specimen::units::unit_tag::UnitFamily;
+use crate::specimen::units::unit_tag::UnitTag;
+use crate::structure::coincidence;
+use crate::structure::coincidence::HalfAngle;
+use crate::structure::columns::{Chain, ColumnCrystal};
+use crate::structure::{PAIR_CUTOFF_ANGSTROM, shortest_distances};
+
+/// See the module.
+pub struct Grains {
+    crystal: ColumnCrystal,
+    cells_along_beam: usize,
+    grains: Vec<Grain>,
+    /// Positions of the boundaries in Angstrom.
+    planes: Vec<f64>,
+    fates: HashMap<u64, ColumnOutcome>,
+    /// How far from a boundary columns may have changed, in Angstrom.
+    reach: f64,
+    extent: Region,
+    field: Region,
+    kind: BoundaryKind,
+    defects: Defects,
+    /// What units hold; `None` draws each site by itself.
+    contents: Option<UnitOccupation>,
+    motifs: Vec<BoundaryMotif>,
+    /// For each boundary that repeats: its motif, the directions of the motif's axes, and a lattice point on
+    /// the plane.
+    repeating: Vec<Option<Repeat>>,
+}
+
+/// How a boundary shows a motif.
+#[derive(Debug, Clone, Copy)]
+struct Repeat {
+    motif: usize,
+    flip: [f64; 2],
+    /// y in Angstrom of a lattice point on the plane.
+    origin: f64,
+}
+
+/// A column that is there.
+struct Present {
+    index: ColumnIndex,
+    /// Angstrom.
+    position: [f64; 2],
+    kept: u64,
+}
+
+impl Grains {
+    /// Lays out grains and boundaries and fits the defects of the full field.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a crystal that has no mirror plane where boundaries need one, or a
+    /// vacancy rate without room.
+    pub fn new(recipe: &Recipe) -> Result<Self> {
+        let structure = recipe.oriented_crystal()?;
+        let shortest = shortest_distances(&structure, PAIR_CUTOFF_ANGSTROM);
+        let crystal = ColumnCrystal::new(&structure)?;
+        let field = recipe.field.full_region();
+        let mut specimen = Grains {
+            cells_along_beam: crystal.cells_along_beam(recipe.field.thickness_nm),
+            crystal,
+            grains: Vec::new(),
+            planes: Vec::new(),
+            fates: HashMap::new(),
+            reach: 0.0,
+            extent: field.grown(BEYOND_FIELD_NM),
+            field,
+            kind: BoundaryKind::Grain { misorientation_deg: 0.0, sigma: None },
+            defects: Defects::default(),
+            contents: None,
+            motifs: Vec::new(),
+            repeating: Vec::new(),
+        };
+        specimen.lay_out(recipe.boundaries.as_ref(), &shortest)?;
+        specimen.defects = Defects::fit(recipe, |element, histogram| {
+            specimen.for_each_column(&specimen.field, |column| {
+                let chains = specimen.chains(&column).filter(|(_, c)| c.number == element).count();
+                histogram.add(specimen.distance_nm(column.position[0]), chains as u64);
+            });
+        })?;
+        specimen.contents = UnitOccupation::new(recipe, &specimen.crystal)?;
+        specimen.find_motifs(recipe);
+        Ok(specimen)
+    }
+
+    fn lay_out(
+        &mut self,
+        boundaries: Option<&Boundaries>,
+        shortest: &BTreeMap<(u8, u8), f64>,
+    ) -> Result<()> {
+        let centre_y = 0.5 * (self.field.y[0] + self.field.y[1]) / NM;
+        let left_edge = self.field.x[0] / NM;
+        let width = (self.field.x[1] - self.field.x[0]) / NM;
+        let everywhere = [f64::NEG_INFINITY, f64::INFINITY];
+        let Some(boundaries) = boundaries.filter(|b| b.count > 0) else {
+            let origin = [left_edge + 0.5 * width, centre_y];
+            self.grains =
+                vec![Grain { origin, rotation: [1.0, 0.0], mirrored: false, x: everywhere }];
+            return Ok(());
+        };
+        if !self.crystal.has_mirror_x() {
+            let expected = "symmetric tilt boundaries need a crystal with a mirror plane \
+                            perpendicular to x; choose another y_axis, or count = 0";
+            return Err(Error::invalid("boundaries.count", boundaries.count, expected));
+        }
+        let coincidence = match boundaries.sigma {
+            Some(sigma) => Some(
+                coincidence::half_angle(sigma, boundaries.misorientation_deg)
+                    .map_err(|e| Error::invalid("boundaries.sigma", sigma, e))?,
+            ),
+            None => None,
+        };
+        let half = coincidence
+            .map_or(0.5 * boundaries.misorientation_deg.to_radians(), HalfAngle::radians);
+        self.kind = BoundaryKind::Grain {
+            misorientation_deg: 2.0 * half.to_degrees(),
+            sigma: boundaries.sigma,
+        };
+        let target = |k: usize| left_edge + width * k as f64 / (boundaries.count + 1) as f64;
+        let mut grain = Grain {
+            origin: [target(1), centre_y],
+            rotation: [libm::cos(half), libm::sin(half)],
+            mirrored: false,
+            x: everywhere,
+        };
+        for k in 1..=boundaries.count {
+            let plane = snap(&grain, self.crystal.cell, target(k), coincidence);
+            grain.x[1] = plane;
+            self.grains.push(grain);
+            self.planes.push(plane);
+            grain = grain.mirror_image(plane);
+        }
+        self.grains.push(grain);
+        let limits = MinDistances::new(&boundaries.min_distance_angstrom, shortest);
+        self.reach = limits.greatest();
+        let span = self.extent.y.map(|y| y / NM);
+        for (left, grain) in self.grains[..boundaries.count].iter().enumerate() {
+            self.fates.extend(boundary::resolve(&self.crystal, grain, left, span, &limits));
+        }
+        Ok(())
+    }
+
+    /// Distance from the nearest boundary in nm; `x` in Angstrom.
+    fn distance_nm(&self, x: f64) -> f64 {
+        self.planes.iter().map(|p| (x - p).abs() * NM).fold(f64::INFINITY, f64::min)
+    }
+
+    fn chains(&self, column: &Present) -> impl Iterator<Item = (usize, &Chain)> + use<'_> {
+        let kept = column.kept;
+        let chains = &self.crystal.columns[column.index.kind].chains;
+        chains.iter().enumerate().filter(move |(n, _)| kept >> n & 1 == 1)
+    }
+
+    /// Place of a column in the library.
+    fn tag(&self, column: &Present) -> Option<UnitTag> {
+        let contents = self.contents.as_ref()?;
+        let (kind, member, first) = contents.unit_of(column.index);
+        let members = &contents.units.kinds[kind];
+        let grain = &self.grains[column.index.grain];
+        let centre = centre(members.iter().map(|m| {
+            let xy = self.crystal.columns[m.kind].xy;
+            let at = |k: usize| (first.cell[k] + m.cell[k]) as f64 + xy[k];
+            grain.position(self.crystal.cell, at(0), at(1))
+        }));
+        let element = contents.process.map_or(0, |p| p.element);
+        let rate_at = |x: f64| self.defects.at(self.distance_nm(x)).rate(element);
+        let nearest = self.nearest_plane(centre[0]);
+        if let Some(plane) =
+            nearest.filter(|n| (centre[0] - self.planes[*n]).abs() <= SLOT_REACH_ANGSTROM)
+        {
+            let repeat = self.repeating.get(plane).copied().flatten()?;
+            let motif = &self.motifs[repeat.motif];
+            let [x, y] = column.position;
+            let seen =
+                [repeat.flip[0] * (x - self.planes[plane]), repeat.flip[1] * (y - repeat.origin)];
+            let slot = motif.slot(seen, self.chains(column).map(|(n, _)| n))?;
+            let (rate, around) = (rate_at(x), rate_at(self.planes[plane]));
+            let entry = motif.draw(slot, column.index.id(), rate, around)?;
+            return Some(UnitTag {
+                id: column.index.id(),
+                member: 0,
+                centre_nm: column.position.map(|v| v * NM),
+                family: UnitFamily { motif: 1 + repeat.motif, structure: 0, bin: entry.bin },
+                entry,
+                frame: [[repeat.flip[0], 0.0], [0.0, repeat.flip[1]]],
+            });
+        }
+        let entry = contents.draw(kind, first, rate_at(centre[0]))?;
+        let ([c, s], x) = (grain.rotation, if grain.mirrored { -1.0 } else { 1.0 });
+        Some(UnitTag {
+            id: first.id(),
+            member,
+            centre_nm: centre.map(|v| v * NM),
+            family: UnitFamily { motif: 0, structure: 0, bin: entry.bin },
+            entry,
+            frame: [[x * c, -x * s], [s, c]],
+        })
+    }
+
+    fn nearest_plane(&self, x: f64) -> Option<usize> {
+        let distance = |n: &usize| (x - self.planes[*n]).abs();
+        (0..self.planes.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)))
+    }
+
+    fn pattern<'a>(&'a self, contents: &'a UnitOccupation, tag: &UnitTag) -> &'a [u16] {
+        match tag.family.motif {
+            0 => contents.pattern(tag.entry),
+            motif => {
+                let patterns = self.motifs[motif - 1].pool.patterns(tag.entry.kind, tag.entry.bin);
+                &patterns.cells[tag.entry.cell]
+            }
+        }
+    }
+
+    /// The number among the unit's sites of an atom of a chain, given by its number in the kind of column and among
+    /// the chains that are there.
+    fn site(
+        &self,
+        contents: &UnitOccupation,
+        tag: &UnitTag,
+        kind: usize,
+        [chain, there]: [usize; 2],
+        depth: usize,
+    ) -> Option<usize> {
+        match tag.family.motif {
+            0 => contents.site(kind, chain, depth),
+            motif => self.motifs[motif - 1].site(tag.entry.kind, there, depth),
+        }
+    }
+
+    /// Finds the repeating patterns of the boundaries.
+    fn find_motifs(&mut self, recipe: &Recipe) {
+        let Some(contents) = &self.contents else { return };
+        let coincidence = recipe
+            .boundaries
+            .as_ref()
+            .and_then(|b| coincidence::half_angle(b.sigma?, b.misorientation_deg).ok());
+        let single = contents.units.kinds.iter().all(|m| m.len() == 1);
+        let Some(half) = coincidence.filter(|_| single && self.reach < SLOT_REACH_ANGSTROM) else {
+            return;
+        };
+        let period = half.period() * self.crystal.cell[0];
+        let mut motifs: Vec<BoundaryMotif> = Vec::new();
+        for plane in 0..self.planes.len() {
+            let found = self.origin_on(plane, period).map(|origin| {
+                let columns = self.period_of(plane, origin, period);
+                let flips = [[1.0, 1.0], [-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0]];
+                let known = motifs.iter().enumerate().find_map(|(motif, m)| {
+                    let flip = flips.into_iter().find(|flip| shows(m, &columns, *flip))?;
+                    Some(Repeat { motif, flip, origin })
+                });
+                known.unwrap_or_else(|| {
+                    let (depth, process) = (self.cells_along_beam, contents.process);
+                    let stream = (recipe.seed, motifs.len() as u64);
+                    let n = recipe.phonons.configurations;
+                    motifs.push(BoundaryMotif::new(columns, period, depth, process, n, stream));
+                    Repeat { motif: motifs.len() - 1, flip: [1.0; 2], origin }
+                })
+            });
+            self.repeating.push(found);
+        }
+        self.motifs = motifs;
+    }
+
+    /// y of the lattice point on a boundary's plane that is nearest above the middle of the field.
+    fn origin_on(&self, plane: usize, period: f64) -> Option<f64> {
+        let (grain, x) = (&self.grains[plane], self.planes[plane]);
+        let middle = 0.5 * (self.field.y[0] + self.field.y[1]) / NM;
+        let cell = self.crystal.cell;
+        let [is, js] = grain.cells(cell, [[x, x], [middle, middle + period]]);
+        let points = is.flat_map(|i| js.clone().map(move |j| (i, j)));
+        let points = points.map(|(i, j)| grain.position(cell, i as f64, j as f64));
+        let on = points.filter(|p| (p[0] - x).abs() < ON_PLANE && p[1] >= middle - ON_PLANE);
+        on.map(|p| p[1]).min_by(f64::total_cmp)
+    }
+
+    /// The columns around a boundary from `origin` up to one period on.
+    fn period_of(&self, plane: usize, origin: f64, period: f64) -> Vec<BoundaryColumn> {
+        let (x, reach) = (self.planes[plane], reach_angstrom());
+        // A little lower, so that rounding does not count a column twice or never.
+        let low = origin - 1e-3;
+        let rect = [[x - reach, x + reach], [low, low + period]];
+        let region = Region { x: rect[0].map(|v| v * NM), y: rect[1].map(|v| v * NM) };
+        let mut columns = Vec::new();
+        self.for_each_column(&region, |column| {
+            let position = [column.position[0] - x, column.position[1] - origin];
+            // Rounded, so that worlds of other seeds and fields have the same sheets.
+            let position = position.map(|v| (v * 1e6).round() * 1e-6);
+            let chains = self.chains(&column).map(|(n, c)| (n, *c)).collect();
+            columns.push(BoundaryColumn { position, chains });
+        });
+        columns.sort_by(|a, b| {
+            a.position[1].total_cmp(&b.position[1]).then(a.position[0].total_cmp(&b.position[0]))
+        });
+        columns
+    }
+
+    /// Calls `f` for the columns that lie in `region`, in the order of grains and cells.
+    fn for_each_column(&self, region: &Region, mut f: impl FnMut(Present)) {
+        let region = region.intersection(&self.extent);
+        if region.x[0] >= region.x[1] || region.y[0] >= region.y[1] {
+            return;
+        }
+        let wide = region.grown(self.reach * NM);
+        for (number, grain) in self.grains.iter().enumerate() {
+            let (x, y) = (wide.x.map(|v| v / NM), wide.y.map(|v| v / NM));
+            let x = [x[0].max(grain.x[0]), x[1].min(grain.x[1])];
+            if x[0] > x[1] {
+                continue;
+            }
+            let [is, js] = grain.cells(self.crystal.cell, [x, y]);
+            for i in is {
+                for j in js.clone() {
+                    for kind in 0..self.crystal.columns.len() {
+                        let index = ColumnIndex { grain: number, kind, cell: [i, j] };
+                        let column = self.column(grain, index);
+                        column
+                            .filter(|c| region.contains(c.position.map(|v| v * NM)))
+                            .into_iter()
+                            .for_each(&mut f);
+                    }
+                }
+            }
+        }
+    }
+
+    /// The column, if its grain reaches there and it is not empty.
+    fn column(&self, grain: &Grain, index: ColumnIndex) -> Option<Present> {
+        let xy = self.crystal.columns[index.kind].xy;
+        let (u, v) = (index.cell[0] as f64 + xy[0], index.cell[1] as f64 + xy[1]);
+        let mut position = grain.position(self.crystal.cell, u, v);
+        let x = position[0];
+        if x <= grain.x[0] + ON_PLANE || x > grain.x[1] + ON_PLANE {
+            return None;
+        }
+        let near = x < grain.x[0] + self.reach + ON_PLANE || x > grain.x[1] - self.reach - ON_PLANE;
+        let mut kept = u64::MAX;
+        if let Some(fate) = near.then(|| self.fates.get(&index.id())).flatten() {
+            position[0] = fate.x.unwrap_or(x);
+            kept = fate.kept;
+        }
+        (kept != 0).then_some(Present { index, position, kept })
+    }
+}
+
+impl Specimen for Grains {
+    fn query(&self, region: &Region) -> Sites {
+        let mut out = Sites::default();
+        self.for_each_column(region, |column| {
+            let [x, y] = column.position.map(|v| v * NM);
+            let tag = self.tag(&column);
+            let held = self.contents.as_ref().zip(tag);
+            let held = held.map(|(c, t)| (c, t, self.pattern(c, &t)));
+            let defects = self.defects.at(self.distance_nm(column.position[0]));
+            let cells = 0..self.cells_along_beam;
+            let sites = cells.flat_map(|cell| {
+                self.chains(&column).enumerate().map(move |(there, (n, c))| (cell, there, n, c))
+            });
+            let sites = sites.map(|(cell, there, number, chain)| {
+                let z = (cell as f64 + chain.z) * self.crystal.cell[2] * NM;
+                let key = column.index.key(chain, cell);
+                let (kind, number) = match &held {
+                    Some((contents, tag, pattern)) => {
+                        let chains = [number, there];
+                        let site = self.site(contents, tag, column.index.kind, chains, cell);
+                        contents.held(pattern, site, chain.number)
+                    }
+                    None => defects.of(key, chain.number),
+                };
+                SpecimenSite { key, position_nm: [x, y, z], number, kind }
+            });
+            out.push_column(column.index.id(), [x, y], tag, sites);
+        });
+        out
+    }
+
+    fn sheet(&self, family: UnitFamily) -> Option<LibraryCell> {
+        let contents = self.contents.as_ref()?;
+        if family.motif > 0 {
+            let motif = self.motifs.get(family.motif - 1)?;
+            return Some(motif.sheet(&self.crystal, self.cells_along_beam, family.bin));
+        }
+        let [a, b, c] = self.crystal.cell;
+        let place = |depth: usize, kind: usize, chain: usize| {
+            let column = &self.crystal.columns[kind];
+            let z = (depth as f64 + column.chains[chain].z) * c;
+            [column.xy[0] * a, column.xy[1] * b, z]
+        };
+        let cell = ([a, b], family.bin);
+        Some(LibraryCell::lattice(contents, &self.crystal, cell, self.cells_along_beam, place))
+    }
+
+    fn thickness_nm(&self) -> f64 {
+        self.cells_along_beam as f64 * self.crystal.cell[2] * NM
+    }
+
+    fn boundaries(&self) -> Vec<Boundary> {
+        let line = |&plane: &f64| self.field.y.map(|y| [plane * NM, y]).to_vec();
+        let boundary = |plane| Boundary { line_nm: line(plane), kind: self.kind.clone() };
+        self.planes.iter().map(boundary).collect()
+    }
+}
+
+/// Whether all columns near a boundary are slots of a motif, and as many, when seen along its axes.
+fn shows(motif: &BoundaryMotif, columns: &[BoundaryColumn], flip: [f64; 2]) -> bool {
+    let near = columns.iter().filter(|c| c.position[0].abs() <= SLOT_REACH_ANGSTROM);
+    let mut count = 0;
+    let all = near.into_iter().all(|c| {
+        count += 1;
+        let seen = [0, 1].map(|k| flip[k] * c.position[k]);
+        motif.slot(seen, c.chains.iter().map(|(n, _)| *n)).is_some()
+    });
+    all && count == motif.len()
+}
+
+fn centre(positions: impl ExactSizeIterator<Item = [f64; 2]>) -> [f64; 2] {
+    let count = positions.len() as f64;
+    positions.fold([0.0; 2], |sum, p| [0, 1].map(|k| sum[k] + p[k] / count))
+}
+
+/// The mirror plane nearest to `target` (all in Angstrom): a lattice line of the coincidence
+/// boundary, or the line through a lattice point within 5 nm of the middle of the field.
+fn snap(grain: &Grain, cell: [f64; 3], target: f64, coincidence: Option<HalfAngle>) -> f64 {
+    if let Some(half) = coincidence {
+        let spacing = half.line_spacing() * cell[0];
+        return grain.origin[0] + ((target - grain.origin[0]) / spacing).round() * spacing;
+    }
+    let y = [grain.origin[1] - 50.0, grain.origin[1] + 50.0];
+    let [is, js] = grain.cells(cell, [[target - cell[0], target + cell[0]], y]);
+    let points = is.flat_map(|i| js.clone().map(move |j| (i, j)));
+    let candidates = points.map(|(i, j)| grain.position(cell, i as f64, j as f64));
+    candidates
+        .filter(|p| (y[0]..=y[1]).contains(&p[1]))
+        .map(|p| p[0])
+        .min_by(|p, q| (p - target).abs().total_cmp(&(q - target).abs()))
+        .unwrap_or(target)
+}

@@ -1,0 +1,29 @@
+//! Specimens: every lattice site of a full field, asked for region by region.
+//!
+//! recipe -> specimen. A specimen is never held in memory as a whole: [`Specimen::query`] works out the columns and sites of
+//! any region, the same whichever way it is asked for.
+
+pub mod atom_columns;
+pub mod census;
+pub(crate) mod coherent;
+pub(crate) mod column_index;
+pub(crate) mod composition;
+pub(crate) mod defects;
+pub mod domains;
+pub mod epitaxy;
+mod factory;
+pub mod grains;
+pub mod model;
+pub mod particles;
+pub mod relax;
+pub(crate) mod roughness;
+pub mod sites;
+pub mod stripes;
+pub mod units;
+pub(crate) mod wave;
+
+pub use atom_columns::{AtomColumn, Sites};
+pub use census::{counted_sites, estimated_sites};
+pub use factory::specimen;
+pub use model::{Boundary, BoundaryKind, ParticleTruth, Specimen, ThinFilm, particles_in};
+pub use sites::{DISPLACED_NM, SiteKind, SpecimenSite};

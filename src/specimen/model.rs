@@ -1,0 +1,107 @@
+//! What every specimen can tell: its sites region by region, boundaries, phases and particles.
+
+use super::atom_columns::Sites;
+use super::sites::SpecimenSite;
+use super::units::library_cell::LibraryCell;
+use super::units::unit_tag::UnitFamily;
+use crate::recipe::region::Region;
+
+/// A line between grains or phases.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Boundary {
+    /// Corners (x, y) in nm of the full field.
+    pub line_nm: Vec<[f64; 2]>,
+    /// What it separates.
+    pub kind: BoundaryKind,
+}
+
+/// What a boundary separates.
+#[derive(Debug, Clone, PartialEq)]
+pub enum BoundaryKind {
+    /// Two grains.
+    Grain {
+        /// Rotation between the grains in degrees.
+        misorientation_deg: f64,
+        /// Coincidence index, where there is one.
+        sigma: Option<u32>,
+    },
+    /// Two phases.
+    Phase {
+        /// The phases left and right of the line, as in [`Specimen::phases`].
+        sides: [usize; 2],
+        /// Standard deviation of the transition in nm (see [`super::recipe::Domains`]): 0 if abrupt.
+        sharpness_sigma_nm: f64,
+    },
+}
+
+/// A particle, as the ground truth lists it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ParticleTruth {
+    /// Centre (x, y, z) in nm of the full field.
+    pub centre_nm: [f64; 3],
+    /// Diameter in nm.
+    pub diameter_nm: f64,
+    /// Shape: `wulff`, `icosahedral`, `decahedral` ... (at most 16 ASCII characters).
+    pub morphology: String,
+    /// Rotation from the particle's own axes to those of the field as a unit quaternion (w, x, y, z).
+    pub orientation: [f64; 4],
+}
+
+/// The particles of a specimen with their centre in a region.
+pub fn particles_in(specimen: &dyn Specimen, region: &Region) -> Vec<ParticleTruth> {
+    let mut particles = specimen.particles();
+    particles.retain(|p| region.contains([p.centre_nm[0], p.centre_nm[1]]));
+    particles
+}
+
+/// A thin film of weakly scattering atoms behind everything else; no other atoms are of its element.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ThinFilm {
+    /// Atomic number.
+    pub number: u8,
+    /// Where it begins and ends along the beam, in nm.
+    pub depth_nm: [f64; 2],
+}
+
+/// A specimen of the full field.
+pub trait Specimen: Send + Sync {
+    /// The columns whose position lies in a region. The specimen ends [`BEYOND_FIELD_NM`] outside
+    /// the field; a region has the same sites whichever way it is asked for.
+    fn query(&self, region: &Region) -> Sites;
+    /// The sites of those columns.
+    fn sites(&self, region: &Region) -> Vec<SpecimenSite> {
+        self.query(region).sites
+    }
+    /// Number of sites in a region, of a specimen that knows it to within a few percent without making
+    /// them, and takes long to make them.
+    fn expected_sites(&self, _region: &Region) -> Option<u64> {
+        None
+    }
+    /// Thickness in nm.
+    fn thickness_nm(&self) -> f64;
+    /// Boundaries between grains and phases.
+    fn boundaries(&self) -> Vec<Boundary> {
+        Vec::new()
+    }
+    /// Names of the phases; empty when there is only one. Their indices are the codes of the
+    /// phase map.
+    fn phases(&self) -> Vec<String> {
+        Vec::new()
+    }
+    /// The phase at a point (x, y) in nm, as an index into [`Specimen::phases`].
+    fn phase_at(&self, _position_nm: [f64; 2]) -> usize {
+        0
+    }
+    /// The sheet in which units of a family are simulated, for specimens that tag columns with units.
+    fn sheet(&self, _family: UnitFamily) -> Option<LibraryCell> {
+        None
+    }
+    /// The film behind everything else, for specimens that have one.
+    fn film(&self) -> Option<ThinFilm> {
+        None
+    }
+    /// Particles whose centre lies in the specimen.
+    fn particles(&self) -> Vec<ParticleTruth> {
+        Vec::new()
+    }
+}

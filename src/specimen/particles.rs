@@ -1,0 +1,394 @@
+//! Metal particles on a film of amorphous carbon.
+//!
+//! The particles lie on the film's side towards the gun. A column of the ground truth is a row of atoms of a particle that runs
+//! along the beam to within [`ROW_TILT_DEG`], with steps of at most [`ROW_STEP`] cell edges, and of which no atom lies farther
+//! than [`DISPLACED_NM`] from the mean, seen along the beam. Atoms in no such row, and those of the carbon, are columns by
+//! themselves.
+
+use std::ops::Range;
+use std::sync::OnceLock;
+
+use rayon::prelude::*;
+
+use crate::error::{Error, Result};
+use crate::recipe::limits::BEYOND_FIELD_NM;
+use crate::recipe::model::Recipe;
+use crate::recipe::region::Region;
+use crate::recipe::tables::Particles;
+use crate::rng::{Purpose, uniform, words};
+use crate::specimen::atom_columns::{AtomColumn, Sites};
+use crate::specimen::defects::rules::{Defects, LocalDefects};
+use crate::specimen::model::ThinFilm;
+use crate::specimen::model::{ParticleTruth, Specimen};
+use crate::specimen::sites::{DISPLACED_NM, SiteKind, SpecimenSite};
+use crate::structure::carbon::block::DENSITY;
+use crate::structure::carbon::film::{Film, FilmAtom};
+use crate::structure::carbon::network::CARBON;
+use crate::structure::particles::rotation::Rotation;
+use crate::structure::particles::{Metal, Morphology, build};
+
+/// Rows of atoms this near to the beam are columns: more than the tilt of the particles on the easy tier.
+pub const ROW_TILT_DEG: f64 = 3.0;
+/// Longest step in a row, in cell edges: that of [111].
+pub const ROW_STEP: f64 = 1.75;
+/// Deviation of an atom from a straight row by strain, in Angstrom.
+const ROW_STRAIN: f64 = 0.1;
+
+/// Vacuum above the highest particle and below the film, in Angstrom.
+const VACUUM: f64 = 1.0;
+/// Places tried for a particle.
+const TRIES: u64 = 100_000;
+const NM: f64 = 0.1;
+/// Set in the keys of particles' atoms.
+const PARTICLE_KEY: u64 = 1 << 60;
+
+/// See the module.
+pub struct ParticlesOnCarbon {
+    particles: Vec<PlacedParticle>,
+    film: Film,
+    /// Depth of the film's upper face and of the box in Angstrom.
+    face: f64,
+    depth: f64,
+    /// Of the film.
+    thickness: f64,
+    contact: f64,
+    number: u8,
+    defects: LocalDefects,
+    extent: Region,
+}
+
+/// A particle; lengths in Angstrom.
+struct PlacedParticle {
+    morphology: Morphology,
+    diameter_nm: f64,
+    rotation: Rotation,
+    /// Centre (x, y) in the specimen.
+    centre: [f64; 2],
+    /// Atoms about the centre, rotated.
+    atoms: Vec<[f64; 3]>,
+    /// Radius of the circle around it.
+    radius: f64,
+    /// Height of the centre, and columns as ranges of `atoms` (sorted accordingly); known once it lies on the film.
+    height: OnceLock<f64>,
+    rows: Vec<Range<usize>>,
+}
+
+/// Draws about particles.
+mod draw {
+    pub const DIAMETER: u32 = 0;
+    pub const ORIENTATION: u32 = 1;
+    pub const PLACE: u32 = 2;
+}
+
+impl ParticlesOnCarbon {
+    /// Builds the particles and strews them over the field.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] if they do not fit into the field, or no particle has such a diameter.
+    pub fn new(recipe: &Recipe) -> Result<Self> {
+        let Some(table) = &recipe.particles else {
+            return Err(Error::invalid("particles", "(missing)", "this structure needs the table"));
+        };
+        let (number, metal) = Metal::of(&recipe.crystal.structure()?, table.surface_energy_ratio)?;
+        let made = (0..table.count)
+            .into_par_iter()
+            .map(|k| PlacedParticle::new(k, table, &metal, recipe.seed));
+        let mut particles = made.collect::<Result<Vec<_>>>()?;
+        let field = recipe.field.full_region();
+        place(&mut particles, &field, table, recipe.seed)?;
+        let tallest = particles.iter().map(PlacedParticle::tall).fold(0.0, f64::max);
+        let face = VACUUM + tallest + table.contact_angstrom;
+        let thickness = recipe.field.thickness_nm / NM;
+        Ok(ParticlesOnCarbon {
+            particles,
+            film: Film::new(recipe.seed, thickness),
+            face,
+            depth: face + thickness + VACUUM,
+            thickness,
+            contact: table.contact_angstrom,
+            number,
+            defects: Defects::fit(recipe, |_, _| {})?.at(f64::INFINITY),
+            extent: field.grown(BEYOND_FIELD_NM),
+        })
+    }
+
+    fn film_atoms(&self, area: [[f64; 2]; 2]) -> Vec<FilmAtom> {
+        let mut atoms = self.film.atoms(&area);
+        atoms.iter_mut().for_each(|a| a.position[2] += self.face);
+        atoms
+    }
+
+    /// Depth of a particle's centre in Angstrom: as deep as it can lie.
+    fn height(&self, particle: &PlacedParticle) -> f64 {
+        *particle.height.get_or_init(|| {
+            let reach = particle.radius + self.contact;
+            let area = particle.centre.map(|c| [c - reach, c + reach]);
+            // The film is deeper than any particle can sink.
+            let top = self.face + 3.0 * self.contact;
+            let mut carbon = self.film_atoms(area);
+            carbon.retain(|a| a.position[2] < top);
+            particle.resting_height(&carbon, self.contact, self.face)
+        })
+    }
+
+    fn push_particle(&self, index: usize, region: &Region, out: &mut Sites) {
+        let particle = &self.particles[index];
+        let [x, y] = particle.centre;
+        let box_nm = |c: f64| [(c - particle.radius) * NM, (c + particle.radius) * NM];
+        let all = Region { x: box_nm(x), y: box_nm(y) }.intersection(region);
+        if all.x[0] > all.x[1] || all.y[0] > all.y[1] {
+            return;
+        }
+        let height = self.height(particle);
+        for row in &particle.rows {
+            let n = row.len() as f64;
+            let mean = |k: usize| particle.atoms[row.clone()].iter().map(|p| p[k]).sum::<f64>() / n;
+            let at = [(x + mean(0)) * NM, (y + mean(1)) * NM];
+            if !region.contains(at) {
+                continue;
+            }
+            let key = |n: usize| PARTICLE_KEY | (index as u64) << 32 | n as u64;
+            let first = out.sites.len();
+            for n in row.clone() {
+                let p = particle.atoms[n];
+                let (kind, number) = self.defects.of(key(n), self.number);
+                let position_nm = [x + p[0], y + p[1], height + p[2]].map(|v| v * NM);
+                out.sites.push(SpecimenSite { key: key(n), position_nm, number, kind });
+            }
+            let sites = first..out.sites.len();
+            out.columns.push(AtomColumn { id: key(row.start), position_nm: at, sites, unit: None });
+        }
+    }
+}
+
+impl Specimen for ParticlesOnCarbon {
+    fn query(&self, region: &Region) -> Sites {
+        let region = region.intersection(&self.extent);
+        let mut out = Sites::default();
+        if region.x[0] >= region.x[1] || region.y[0] >= region.y[1] {
+            return out;
+        }
+        for index in 0..self.particles.len() {
+            self.push_particle(index, &region, &mut out);
+        }
+        // A little more than the region: whether an atom lies inside is decided in nm.
+        let area = [region.x, region.y].map(|[low, high]| [low / NM - 1e-6, high / NM + 1e-6]);
+        for FilmAtom { key, position } in self.film_atoms(area) {
+            let position_nm = position.map(|v| v * NM);
+            let at = [position_nm[0], position_nm[1]];
+            if region.contains(at) {
+                let first = out.sites.len();
+                out.sites.push(SpecimenSite {
+                    key,
+                    position_nm,
+                    number: CARBON,
+                    kind: SiteKind::Pristine,
+                });
+                out.columns.push(AtomColumn {
+                    id: key,
+                    position_nm: at,
+                    sites: first..first + 1,
+                    unit: None,
+                });
+            }
+        }
+        out
+    }
+
+    fn expected_sites(&self, region: &Region) -> Option<u64> {
+        // g/cm3 to atoms per nm3
+        let carbon = DENSITY * 602.214_076 / 12.011;
+        let area = (region.x[1] - region.x[0]) * (region.y[1] - region.y[0]);
+        let inside = |p: &&PlacedParticle| region.contains(p.centre.map(|c| c * NM));
+        let metal: usize = self.particles.iter().filter(inside).map(|p| p.atoms.len()).sum();
+        Some((carbon * area * self.thickness * NM).round() as u64 + metal as u64)
+    }
+
+    fn thickness_nm(&self) -> f64 {
+        self.depth * NM
+    }
+
+    fn film(&self) -> Option<ThinFilm> {
+        let depth_nm = [self.face, self.face + self.thickness].map(|z| z * NM);
+        (self.number != CARBON).then_some(ThinFilm { number: CARBON, depth_nm })
+    }
+
+    fn particles(&self) -> Vec<ParticleTruth> {
+        let truth = |p: &PlacedParticle| ParticleTruth {
+            centre_nm: [p.centre[0], p.centre[1], self.height(p)].map(|v| v * NM),
+            diameter_nm: p.diameter_nm,
+            morphology: p.morphology.name().to_owned(),
+            orientation: p.rotation.0,
+        };
+        self.particles.iter().map(truth).collect()
+    }
+}
+
+impl PlacedParticle {
+    fn new(index: usize, table: &Particles, metal: &Metal, seed: u64) -> Result<Self> {
+        let morphology = table.morphologies[index % table.morphologies.len()];
+        let drawn = |what: u32| uniform(seed, Purpose::Particle, what, index as u64);
+        let [low, high] = table.diameter_nm;
+        let wanted = low + (high - low) * drawn(draw::DIAMETER);
+        let cluster = build(morphology, metal, wanted, table.diameter_nm).map_err(|_| {
+            let expected =
+                format!("no {} particle has a diameter between; widen it", morphology.name());
+            Error::invalid("particles.diameter_nm", format!("[{low}, {high}]"), expected)
+        })?;
+        let rotation = orientation(morphology, table.max_tilt_deg, seed, index as u64);
+        let mut atoms: Vec<[f64; 3]> =
+            cluster.positions.iter().map(|&p| rotation.apply(p)).collect();
+        let rows = rows(&mut atoms, metal.a);
+        let lateral = |p: &[f64; 3]| (p[0] * p[0] + p[1] * p[1]).sqrt();
+        Ok(PlacedParticle {
+            morphology,
+            diameter_nm: metal.diameter_nm(atoms.len()),
+            rotation,
+            centre: [0.0; 2],
+            radius: atoms.iter().map(lateral).fold(0.0, f64::max) + 1e-3,
+            atoms,
+            height: OnceLock::new(),
+            rows,
+        })
+    }
+
+    /// Extent along the beam.
+    fn tall(&self) -> f64 {
+        let ends = self
+            .atoms
+            .iter()
+            .fold([f64::INFINITY, f64::NEG_INFINITY], |e, p| [e[0].min(p[2]), e[1].max(p[2])]);
+        ends[1] - ends[0]
+    }
+
+    /// The greatest depth of the centre at which no atom is nearer than `contact` to one of the carbon.
+    fn resting_height(&self, carbon: &[FilmAtom], contact: f64, face: f64) -> f64 {
+        let lowest = self.atoms.iter().map(|p| p[2]).fold(f64::NEG_INFINITY, f64::max);
+        let mut height = face + 2.0 * contact - lowest;
+        for p in self.atoms.iter().filter(|p| p[2] > lowest - 6.0 * contact) {
+            let [x, y] = [0, 1].map(|k| self.centre[k] + p[k]);
+            for c in carbon {
+                let (dx, dy) = (c.position[0] - x, c.position[1] - y);
+                let square = contact * contact - dx * dx - dy * dy;
+                if square > 0.0 {
+                    height = height.min(c.position[2] - square.sqrt() - p[2]);
+                }
+            }
+        }
+        height
+    }
+}
+
+/// A zone axis within `max_tilt_deg` of the beam and any turn about it; from 90 degrees on, any orientation.
+fn orientation(morphology: Morphology, max_tilt_deg: f64, seed: u64, index: u64) -> Rotation {
+    let unit = |w: u32| (f64::from(w) + 0.5) / 4_294_967_296.0;
+    let [a, b, c, tilted] = words(seed, Purpose::Particle, draw::ORIENTATION, index).map(unit);
+    if max_tilt_deg >= 90.0 {
+        return Rotation::uniform([a, b, c]);
+    }
+    let axis = morphology.zone_axes()[((3.0 * a) as usize).min(2)];
+    let turn = |v: f64| 2.0 * std::f64::consts::PI * v;
+    // Uniform on the cap of the sphere.
+    let cosine = 1.0 - tilted * (1.0 - libm::cos(max_tilt_deg.to_radians()));
+    let direction = [libm::cos(turn(c)), libm::sin(turn(c)), 0.0];
+    let tilt = Rotation::about(direction, libm::acos(cosine));
+    tilt.after(Rotation::about([0.0, 0.0, 1.0], turn(b))).after(Rotation::to_z(axis))
+}
+
+/// Sorts the atoms by rows along the beam, each by ascending z, and returns the rows.
+fn rows(atoms: &mut Vec<[f64; 3]>, a: f64) -> Vec<Range<usize>> {
+    atoms.sort_by(|p, q| {
+        p[2].total_cmp(&q[2]).then(p[0].total_cmp(&q[0])).then(p[1].total_cmp(&q[1]))
+    });
+    let slope = libm::tan(ROW_TILT_DEG.to_radians());
+    let mut before = vec![None; atoms.len()];
+    let mut after = vec![None; atoms.len()];
+    for i in 0..atoms.len() {
+        let p = atoms[i];
+        let in_row = |&j: &usize| {
+            let d: [f64; 3] = std::array::from_fn(|k| atoms[j][k] - p[k]);
+            let off = (d[0] * d[0] + d[1] * d[1]).sqrt();
+            d[2] > 1.0 && off < slope * d[2] + ROW_STRAIN && before[j].is_none()
+        };
+        let end = atoms.partition_point(|q| q[2] <= p[2] + ROW_STEP * a);
+        if let Some(next) = (i + 1..end).find(in_row) {
+            after[i] = Some(next);
+            before[next] = Some(i);
+        }
+    }
+    let mut sorted = Vec::with_capacity(atoms.len());
+    let mut rows = Vec::new();
+    for first in (0..atoms.len()).filter(|&i| before[i].is_none()) {
+        let start = sorted.len();
+        let mut next = Some(first);
+        while let Some(i) = next {
+            sorted.push(atoms[i]);
+            next = after[i];
+        }
+        push_row(start..sorted.len(), &sorted, &mut rows);
+    }
+    *atoms = sorted;
+    rows
+}
+
+/// Adds a row; one that runs too far to the side for a column is cut in halves.
+fn push_row(row: Range<usize>, atoms: &[[f64; 3]], rows: &mut Vec<Range<usize>>) {
+    let members = &atoms[row.clone()];
+    let mean = |k: usize| members.iter().map(|p| p[k]).sum::<f64>() / members.len() as f64;
+    let centre = [mean(0), mean(1)];
+    let most = 0.99 * DISPLACED_NM / NM;
+    let square =
+        |p: &[f64; 3]| (0..2).map(|k| (p[k] - centre[k]) * (p[k] - centre[k])).sum::<f64>();
+    if members.iter().all(|p| square(p) < most * most) {
+        return rows.push(row);
+    }
+    let middle = (row.start + row.end) / 2;
+    push_row(row.start..middle, atoms, rows);
+    push_row(middle..row.end, atoms, rows);
+}
+
+/// Strews the particles over the field, the largest first, so that their circles keep the gap.
+fn place(
+    particles: &mut [PlacedParticle],
+    field: &Region,
+    table: &Particles,
+    seed: u64,
+) -> Result<()> {
+    let mut order: Vec<usize> = (0..particles.len()).collect();
+    order.sort_by(|&i, &j| particles[j].radius.total_cmp(&particles[i].radius).then(i.cmp(&j)));
+    let mut placed: Vec<usize> = Vec::new();
+    for &index in &order {
+        let radius = particles[index].radius;
+        let free = |centre: &[f64; 2]| {
+            placed.iter().all(|&other| {
+                let other = &particles[other];
+                let room = radius + other.radius + table.gap_nm / NM;
+                let d = [0, 1].map(|k| centre[k] - other.centre[k]);
+                d[0] * d[0] + d[1] * d[1] > room * room
+            })
+        };
+        let centre = |attempt: u64| {
+            let w = words(seed, Purpose::Particle, draw::PLACE, (index as u64) << 32 | attempt);
+            let within = |range: [f64; 2], w: u32| {
+                let [low, high] = range.map(|v| v / NM);
+                low + radius + (high - low - 2.0 * radius) * (f64::from(w) + 0.5) / 4_294_967_296.0
+            };
+            [within(field.x, w[0]), within(field.y, w[1])]
+        };
+        let inside = [field.x, field.y].iter().all(|r| (r[1] - r[0]) / NM > 2.0 * radius);
+        let tries = if inside { 0..TRIES } else { 0..0 };
+        let Some(found) = tries.map(centre).find(|c| free(c)) else {
+            let expected = format!(
+                "after {} no place was found for another of diameter {:.2} nm, {} nm from the others; lower it, or \
+                 particles.diameter_nm or particles.gap_nm, or raise field.fov_nm",
+                placed.len(),
+                particles[index].diameter_nm,
+                table.gap_nm
+            );
+            return Err(Error::invalid("particles.count", table.count, expected));
+        };
+        particles[index].centre = found;
+        placed.push(index);
+    }
+    Ok(())
+}

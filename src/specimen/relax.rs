@@ -1,0 +1,130 @@
+//! Outward relaxation of the atoms beside a vacancy.
+
+use std::collections::{BTreeMap, HashMap};
+
+use crate::error::Result;
+use crate::recipe::model::Recipe;
+use crate::recipe::region::Region;
+use crate::specimen::atom_columns::Sites;
+use crate::specimen::model::ThinFilm;
+use crate::specimen::model::{Boundary, ParticleTruth, Specimen};
+use crate::specimen::sites::{DISPLACED_NM, SiteKind, SpecimenSite};
+use crate::structure::{PAIR_CUTOFF_ANGSTROM, elements, shortest_distances};
+
+/// Neighbours up to this many times the shortest distance of their pair of elements move: more than
+/// the nearest shell, less than the next.
+const SHELL: f64 = 1.15;
+
+/// A specimen whose atoms move away from the vacancies beside them.
+pub struct Relaxed {
+    inner: Box<dyn Specimen>,
+    distance_nm: f64,
+    reach: Reach,
+}
+
+impl Relaxed {
+    /// Relaxes `inner` by `vacancies.relaxation_angstrom` of the recipe; returns it as it is if that is 0.
+    ///
+    /// # Errors
+    /// As [`Recipe::oriented_crystal`].
+    pub fn of(inner: Box<dyn Specimen>, recipe: &Recipe) -> Result<Box<dyn Specimen>> {
+        let vacancies = recipe.vacancies.as_ref().filter(|v| v.relaxation_angstrom > 0.0);
+        let Some(vacancies) = vacancies else { return Ok(inner) };
+        let element = elements::atomic_number(&vacancies.element)?;
+        let shortest = shortest_distances(&recipe.oriented_crystal()?, PAIR_CUTOFF_ANGSTROM);
+        Ok(Box::new(Relaxed {
+            inner,
+            distance_nm: 0.1 * vacancies.relaxation_angstrom,
+            reach: Reach::new(element, &shortest),
+        }))
+    }
+}
+
+impl Specimen for Relaxed {
+    fn query(&self, region: &Region) -> Sites {
+        let mut sites = self.inner.query(region);
+        // The columns whose vacancies reach into the region, wherever their sites lie.
+        let around = self.inner.sites(&region.grown(self.reach.greatest_nm() + DISPLACED_NM));
+        let vacant: Vec<_> = around.into_iter().filter(|s| s.kind == SiteKind::Vacancy).collect();
+        outward(&mut sites.sites, &vacant, self.distance_nm, &self.reach);
+        sites
+    }
+    fn thickness_nm(&self) -> f64 {
+        self.inner.thickness_nm()
+    }
+    fn boundaries(&self) -> Vec<Boundary> {
+        self.inner.boundaries()
+    }
+    fn phases(&self) -> Vec<String> {
+        self.inner.phases()
+    }
+    fn phase_at(&self, position_nm: [f64; 2]) -> usize {
+        self.inner.phase_at(position_nm)
+    }
+    fn film(&self) -> Option<ThinFilm> {
+        self.inner.film()
+    }
+    fn particles(&self) -> Vec<ParticleTruth> {
+        self.inner.particles()
+    }
+}
+
+/// How far from a vacancy of one element atoms of the others move.
+#[derive(Debug, Clone, Default)]
+pub struct Reach(BTreeMap<u8, f64>);
+
+impl Reach {
+    /// For vacancies of `element`; `shortest` are the shortest distances in the crystal in Angstrom.
+    pub fn new(element: u8, shortest: &BTreeMap<(u8, u8), f64>) -> Self {
+        let of = |(&(a, b), d): (&(u8, u8), &f64)| {
+            let other = if a == element { b } else { a };
+            ((a == element || b == element) && other != element).then_some((other, 0.1 * SHELL * d))
+        };
+        Reach(shortest.iter().filter_map(of).collect())
+    }
+    /// For atoms of `number`, in nm.
+    fn of(&self, number: u8) -> f64 {
+        self.0.get(&number).copied().unwrap_or(0.0)
+    }
+    /// The greatest, in nm.
+    pub fn greatest_nm(&self) -> f64 {
+        self.0.values().copied().fold(0.0, f64::max)
+    }
+}
+
+/// Moves every site within `reach` of a vacancy by `distance_nm` away from it. The result does not depend on the order of `vacant`.
+pub fn outward(
+    sites: &mut [SpecimenSite],
+    vacant: &[SpecimenSite],
+    distance_nm: f64,
+    reach: &Reach,
+) {
+    let edge = reach.greatest_nm();
+    if edge <= 0.0 {
+        return;
+    }
+    let cell = |p: [f64; 3]| p.map(|v| (v / edge).floor() as i64);
+    let mut cells: HashMap<[i64; 3], Vec<&SpecimenSite>> = HashMap::new();
+    for vacancy in vacant {
+        cells.entry(cell(vacancy.position_nm)).or_default().push(vacancy);
+    }
+    let around = |[i, j, k]: [i64; 3]| {
+        (0..27).map(move |n| [i + n % 3 - 1, j + n / 3 % 3 - 1, k + n / 9 - 1])
+    };
+    for site in sites.iter_mut().filter(|s| s.kind != SiteKind::Vacancy) {
+        let (from, reach_nm) = (site.position_nm, reach.of(site.number));
+        let near = around(cell(from)).filter_map(|c| cells.get(&c)).flatten();
+        let away = |v: &&SpecimenSite| {
+            let d = [0, 1, 2].map(|k| from[k] - v.position_nm[k]);
+            let length = (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt();
+            (length < reach_nm && length > 1e-9).then(|| (v.key, d.map(|c| c / length)))
+        };
+        let mut pushes: Vec<(u64, [f64; 3])> = near.filter_map(away).collect();
+        pushes.sort_by_key(|(key, _)| *key);
+        for (_, direction) in pushes {
+            for k in 0..3 {
+                site.position_nm[k] += distance_nm * direction[k];
+            }
+        }
+    }
+}

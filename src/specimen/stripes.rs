@@ -1,0 +1,57 @@
+//! The sites of the built field, stripe by stripe from the top: the order of the ground truth.
+
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use super::atom_columns::Sites;
+use super::model::Specimen;
+use crate::error::{Error, Result};
+use crate::progress::Progress;
+use crate::recipe::region::Region;
+use crate::recipe::tables::Field;
+
+/// Rows of pixels that are listed at a time.
+const STRIPE_PX: usize = 124;
+
+/// Some rows of pixels of the built field and the sites there.
+pub struct Stripe {
+    /// Rows of the built field.
+    pub rows: Range<usize>,
+    /// What lies there.
+    pub sites: Sites,
+}
+
+/// Calls `visit` with the sites of the built field, stripe by stripe from the top: the order of the
+/// ground truth. Some stripes are made at once, so memory holds that many for each thread.
+///
+/// # Errors
+/// Those of `visit`, and [`Error::Interrupted`].
+pub fn for_each_stripe(
+    specimen: &dyn Specimen,
+    field: &Field,
+    stage: &str,
+    progress: &dyn Progress,
+    mut visit: impl FnMut(&Stripe) -> Result<()>,
+) -> Result<()> {
+    let shape = field.pixels(field.built_grid());
+    let (first, pixel) = (field.crop_origin_px(), field.pixel_nm());
+    let stripes: Vec<usize> = (0..shape[0]).step_by(STRIPE_PX).collect();
+    progress.start(stage, "row", shape[0] as u64);
+    for rows in stripes.chunks(rayon::current_num_threads()) {
+        if progress.interrupted() {
+            return Err(Error::Interrupted);
+        }
+        let stripe = |&row: &usize| {
+            let rows = row..shape[0].min(row + STRIPE_PX);
+            let area = Region::of_pixels([first[0] + row, first[1]], [rows.len(), shape[1]], pixel);
+            Stripe { rows, sites: specimen.query(&area) }
+        };
+        for stripe in rows.par_iter().map(stripe).collect::<Vec<Stripe>>() {
+            visit(&stripe)?;
+            progress.advance(stripe.rows.len() as u64);
+        }
+    }
+    progress.finish();
+    Ok(())
+}

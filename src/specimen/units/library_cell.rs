@@ -1,0 +1,146 @@
+//! Sheets: small specimens in which the units of a family are simulated for the mosaic's library.
+//!
+//! A sheet shows cells of one lattice, or of one boundary, side by side. Each cell holds its own entry of the
+//! pool, in an order without pattern, so that every unit has random neighbours of the same rate.
+
+use crate::specimen::units::occupation::{DefectKind, UnitOccupation};
+use crate::specimen::units::patterns;
+use crate::structure::columns::ColumnCrystal;
+
+/// A lattice site of a sheet.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LibrarySite {
+    /// Mean position in Angstrom.
+    pub position: [f64; 3],
+    /// The atom that belongs there.
+    pub number: u8,
+    /// Its number among the unit's sites that may be defects.
+    pub defect: Option<usize>,
+}
+
+/// A unit of a sheet.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LibraryUnit {
+    /// Kind of unit.
+    pub kind: usize,
+    /// Cell of the sheet.
+    pub cell: usize,
+    /// Centre (x, y) in Angstrom.
+    pub centre: [f64; 2],
+    /// Sites of each member, in the order in which the specimen lists them.
+    pub members: Vec<Vec<LibrarySite>>,
+    /// For each sheet, which of its sites are defects.
+    pub patterns: Vec<Vec<u16>>,
+}
+
+/// The geometry of a family's sheets; they differ in contents and phonons only.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LibraryCell {
+    /// Periodic box in Angstrom; the beam runs along its third edge.
+    pub box_angstrom: [f64; 3],
+    /// The part along x and y that is scanned, in Angstrom, from `scan_origin` on.
+    pub scanned: [f64; 2],
+    /// First scanned point in Angstrom.
+    pub scan_origin: [f64; 2],
+    /// Distances that hold a whole number of samples: the edges of the cell.
+    pub cell: [f64; 2],
+    /// Whether the scan ends where it begins.
+    pub periodic: [bool; 2],
+    /// Cells of a sheet.
+    pub cells: usize,
+    /// Number of sheets.
+    pub count: usize,
+    /// The kind of defect, and its rate.
+    pub process: Option<DefectKind>,
+    /// Rate of defects in the surroundings.
+    pub rate: f64,
+    /// UnitKinds, all kinds of all cells.
+    pub units: Vec<LibraryUnit>,
+    /// Columns around them that only serve as surroundings; site numbers of defects do not count there.
+    pub surroundings: Vec<Vec<LibrarySite>>,
+}
+
+impl LibraryCell {
+    /// Cells of an unstrained or uniformly deformed lattice, periodic along x and y. `place` gives the position of a
+    /// site of a column in Angstrom from its cell along the beam, the kind of column and the number of the chain.
+    pub fn lattice(
+        contents: &UnitOccupation,
+        crystal: &ColumnCrystal,
+        (cell, bin): ([f64; 2], usize),
+        depth: usize,
+        place: impl Fn(usize, usize, usize) -> [f64; 3],
+    ) -> LibraryCell {
+        let [nx, ny] = contents.sheet_cells;
+        let (cells, count) = (nx * ny, contents.pool.cells() / (nx * ny));
+        let mut units = Vec::new();
+        for n in 0..nx * ny {
+            let at = [(n % nx) as f64, (n / nx) as f64];
+            for (kind, members) in contents.units.kinds.iter().enumerate() {
+                let columns = members.iter().map(|member| {
+                    let shift = [0, 1].map(|k| (at[k] + member.cell[k] as f64) * cell[k]);
+                    let chains = &crystal.columns[member.kind].chains;
+                    let site = |d: usize, c: usize| {
+                        let [x, y, z] = place(d, member.kind, c);
+                        LibrarySite {
+                            position: [x + shift[0], y + shift[1], z],
+                            number: chains[c].number,
+                            defect: contents.site(member.kind, c, d),
+                        }
+                    };
+                    let all = (0..depth).flat_map(|d| (0..chains.len()).map(move |c| (d, c)));
+                    all.map(|(d, c)| site(d, c)).collect()
+                });
+                let members: Vec<Vec<LibrarySite>> = columns.collect();
+                let centre = centre(&members);
+                let of = |sheet: usize| {
+                    contents.pool.patterns(kind, bin).cells[sheet * cells + n].clone()
+                };
+                let patterns = (0..count).map(of).collect();
+                units.push(LibraryUnit { kind, cell: n, centre, members, patterns });
+            }
+        }
+        let size = [nx as f64 * cell[0], ny as f64 * cell[1]];
+        LibraryCell {
+            box_angstrom: [size[0], size[1], depth as f64 * crystal.cell[2]],
+            scanned: size,
+            scan_origin: [0.0; 2],
+            cell,
+            periodic: [true; 2],
+            cells,
+            count,
+            process: contents.process,
+            rate: patterns::rate_of(bin),
+            units,
+            surroundings: Vec::new(),
+        }
+    }
+
+    /// Rounds all lengths, so that specimens of other seeds and fields have the same sheets to the last bit.
+    #[must_use]
+    pub fn rounded(mut self) -> Self {
+        let round = |v: &mut f64| *v = (*v * 1e5).round() * 1e-5;
+        self.box_angstrom.iter_mut().for_each(round);
+        for lengths in [&mut self.scanned, &mut self.scan_origin, &mut self.cell] {
+            lengths.iter_mut().for_each(round);
+        }
+        let units = self.units.iter_mut().flat_map(|u| {
+            u.centre.iter_mut().for_each(round);
+            u.members.iter_mut()
+        });
+        for site in units.chain(&mut self.surroundings).flatten() {
+            site.position.iter_mut().for_each(round);
+        }
+        self
+    }
+}
+
+/// Mean over the members of the mean position of their sites.
+fn centre(members: &[Vec<LibrarySite>]) -> [f64; 2] {
+    let mean = |k: usize| {
+        let of = |m: &Vec<LibrarySite>| {
+            m.iter().map(|s| s.position[k]).sum::<f64>() / m.len().max(1) as f64
+        };
+        members.iter().map(of).sum::<f64>() / members.len() as f64
+    };
+    [mean(0), mean(1)]
+}

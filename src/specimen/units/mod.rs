@@ -1,0 +1,7 @@
+//! UnitKinds: columns that share one simulation with their like, and what each of them holds.
+
+pub mod library_cell;
+pub mod occupation;
+pub mod patterns;
+pub mod unit_kinds;
+pub mod unit_tag;

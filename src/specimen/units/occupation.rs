@@ -1,0 +1,202 @@
+//! What the units of a lattice hold, drawn from a pool, and how the pool is laid out in sheets.
+
+use crate::error::Result;
+use crate::recipe::model::Recipe;
+use crate::specimen::column_index::ColumnIndex;
+use crate::specimen::sites::SiteKind;
+use crate::specimen::units::patterns;
+use crate::specimen::units::patterns::DefectPatterns;
+use crate::specimen::units::unit_kinds::{UnitKinds, UnitMember};
+use crate::specimen::units::unit_tag::PatternIndex;
+use crate::structure::columns::ColumnCrystal;
+use crate::structure::elements;
+
+/// Least width of the periodic part of a sheet in Angstrom: more than twice the reach of a probe.
+pub const SHEET_ANGSTROM: f64 = 19.0;
+/// Patches that the sheets of a bin hold, all kinds of units and phonon configurations together. The mean
+/// square of the phonon spread of one kind of four is then known to 7 % in each bin.
+const PATCHES_PER_BIN: usize = 1800;
+
+/// The one kind of defect in a specimen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct DefectKind {
+    /// Atomic number of the element concerned.
+    pub element: u8,
+    /// What replaces it; `None` for vacancies.
+    pub by: Option<u8>,
+}
+
+impl DefectKind {
+    /// What a defective site holds (of a vacancy, the element that is missing).
+    pub fn defect(self) -> (SiteKind, u8) {
+        match self.by {
+            Some(by) => (SiteKind::Substitution, by),
+            None => (SiteKind::Vacancy, self.element),
+        }
+    }
+}
+
+/// UnitOccupation of the units of a crystal.
+#[derive(Debug)]
+pub struct UnitOccupation {
+    /// The units of the crystal's cell.
+    pub units: UnitKinds,
+    /// The kind of defect, if any.
+    pub process: Option<DefectKind>,
+    /// PatternTable of defects.
+    pub pool: DefectPatterns,
+    /// Cells of a sheet along x and y.
+    pub sheet_cells: [usize; 2],
+    /// For each kind of column, the defective chains' place among those of its unit.
+    places: Vec<Vec<Option<usize>>>,
+    /// Chains of each kind of unit that may be defects.
+    per_cell: Vec<usize>,
+    seed: u64,
+}
+
+impl UnitOccupation {
+    /// For a recipe with at most one kind of defect; `None` for others, whose sites are drawn one by one.
+    ///
+    /// # Errors
+    /// [`crate::Error::UnknownElement`].
+    pub fn new(recipe: &Recipe, crystal: &ColumnCrystal) -> Result<Option<Self>> {
+        let Ok(process) = process(recipe)? else { return Ok(None) };
+        let depth = crystal.cells_along_beam(recipe.field.thickness_nm);
+        let units = UnitKinds::new(crystal);
+        let mut per_cell = vec![0; units.kinds.len()];
+        let mut places = vec![Vec::new(); crystal.columns.len()];
+        for (kind, members) in units.kinds.iter().enumerate() {
+            for UnitMember { kind: column, .. } in members {
+                for chain in &crystal.columns[*column].chains {
+                    let concerned = process.is_some_and(|p| p.element == chain.number);
+                    places[*column].push(concerned.then_some(per_cell[kind]));
+                    per_cell[kind] += usize::from(concerned);
+                }
+            }
+        }
+        let sheet_cells =
+            [0, 1].map(|k| (SHEET_ANGSTROM / crystal.cell[k]).ceil().max(1.0) as usize);
+        let per_sheet = sheet_cells[0] * sheet_cells[1];
+        let configurations = recipe.phonons.configurations.max(1);
+        let sheets = sheets(per_sheet * units.kinds.len(), configurations);
+        let sites = per_cell.iter().map(|n| n * depth).collect();
+        let pool = DefectPatterns::new(sites, sheets * per_sheet, 0);
+        let seed = recipe.seed;
+        Ok(Some(UnitOccupation { units, process, pool, sheet_cells, places, per_cell, seed }))
+    }
+
+    /// The unit to which a column belongs: its kind, which member the column is, and the index of its first
+    /// member, which names it.
+    pub fn unit_of(&self, index: ColumnIndex) -> (usize, usize, ColumnIndex) {
+        let (unit, number) = self.units.of_column[index.kind];
+        let member = self.units.kinds[unit][number];
+        let cell = [0, 1].map(|k| index.cell[k] - member.cell[k]);
+        (unit, number, ColumnIndex { kind: self.units.kinds[unit][0].kind, cell, ..index })
+    }
+
+    /// The number among the unit's sites of the atom of chain `chain` of a column in cell `depth`, if it
+    /// may be a defect.
+    pub fn site(&self, column: usize, chain: usize, depth: usize) -> Option<usize> {
+        let place = self.places[column][chain]?;
+        let (unit, _) = self.units.of_column[column];
+        Some(depth * self.per_cell[unit] + place)
+    }
+
+    /// Draws what the unit named by `index` holds, in the bin nearest to its rate.
+    pub fn draw(&self, kind: usize, index: ColumnIndex, rate: f64) -> Option<PatternIndex> {
+        let allowed = vec![true; self.pool.sites(kind)];
+        self.draw_among(kind, index, rate, rate, &allowed)
+    }
+
+    /// The same where only some sites may be defects; `around` is the rate in the surroundings.
+    pub fn draw_among(
+        &self,
+        kind: usize,
+        index: ColumnIndex,
+        rate: f64,
+        around: f64,
+        allowed: &[bool],
+    ) -> Option<PatternIndex> {
+        let who = (self.seed, index.id());
+        let bins = bins(rate, around);
+        // Rather a bin whose numbers of defects reach as far as those of the unit, than one with the same surroundings.
+        let found = [2.0, 0.0].into_iter().find_map(|spread| {
+            bins.iter().find_map(|&bin| {
+                Some((bin, self.pool.draw(kind, bin, rate, allowed, spread, who)?))
+            })
+        });
+        found.map(|(bin, cell)| PatternIndex { bin, kind, cell })
+    }
+
+    /// The place in the library of a unit that holds these defects (ascending), if the pool happens to have them.
+    pub fn find(
+        &self,
+        kind: usize,
+        index: ColumnIndex,
+        rate: f64,
+        around: f64,
+        defects: &[u16],
+    ) -> Option<PatternIndex> {
+        let who = (self.seed, index.id());
+        bins(rate, around).into_iter().find_map(|bin| {
+            Some(PatternIndex { bin, kind, cell: self.pool.find(kind, bin, defects, who)? })
+        })
+    }
+
+    /// What a site of a unit holds: the atom of chain `chain` of a column of kind `column` in cell `depth` along
+    /// the beam, where `number` belongs.
+    pub fn holds(
+        &self,
+        entry: PatternIndex,
+        [column, chain, depth]: [usize; 3],
+        number: u8,
+    ) -> (SiteKind, u8) {
+        self.held(self.pattern(entry), self.site(column, chain, depth), number)
+    }
+
+    /// The same for a site by its number among those of a unit with the defects `pattern`.
+    pub fn held(&self, pattern: &[u16], site: Option<usize>, number: u8) -> (SiteKind, u8) {
+        match (site, self.process) {
+            (Some(site), Some(process)) if pattern.contains(&(site as u16)) => process.defect(),
+            _ => (SiteKind::Pristine, number),
+        }
+    }
+
+    /// The defective sites of an entry, ascending.
+    pub fn pattern(&self, entry: PatternIndex) -> &[u16] {
+        &self.pool.patterns(entry.kind, entry.bin).cells[entry.cell]
+    }
+}
+
+/// The bins that may serve a unit of one rate in surroundings of another, the best first.
+fn bins(rate: f64, around: f64) -> Vec<usize> {
+    let mut bins = [around, 0.5 * (around + rate), rate].map(patterns::bin_of).to_vec();
+    bins.dedup();
+    bins
+}
+
+/// Sheets of a bin that hold `units` units each.
+pub fn sheets(units: usize, configurations: usize) -> usize {
+    PATCHES_PER_BIN.div_ceil(units.max(1) * configurations)
+}
+
+/// The only kind of defect of a recipe, if there is one; `Err` for several.
+fn process(recipe: &Recipe) -> Result<std::result::Result<Option<DefectKind>, ()>> {
+    let number = elements::atomic_number;
+    let mut found = Vec::new();
+    if let Some(v) = recipe.vacancies.as_ref().filter(|v| v.rate > 0.0) {
+        found.push(DefectKind { element: number(&v.element)?, by: None });
+    }
+    if let Some(s) = recipe.substitutions.as_ref().filter(|s| s.rate > 0.0) {
+        found.push(DefectKind { element: number(&s.element)?, by: Some(number(&s.by)?) });
+    }
+    if let Some(a) = recipe.alloy.as_ref().filter(|a| a.rate > 0.0) {
+        found.push(DefectKind { element: number(&a.host)?, by: Some(number(&a.guest)?) });
+    }
+    // Atoms that move away from vacancies are not on their lattice sites.
+    let relaxed = recipe.vacancies.as_ref().is_some_and(|v| v.relaxation_angstrom > 0.0);
+    Ok(match (found.len(), relaxed) {
+        (0 | 1, false) => Ok(found.pop()),
+        _ => Err(()),
+    })
+}

@@ -1,0 +1,361 @@
+//! A finite pool of contents for units: which of a unit's sites are defects.
+//!
+//! A specimen of 10^5 columns would hold nearly as many patterns of vacancies or guests, and each would have to
+//! be simulated. Instead the number of defects in a unit is drawn from its binomial distribution at the local
+//! rate, and where they sit from a pool of patterns with that number. Given the number, all patterns are equally
+//! likely, in the pool as in a random alloy; so every statistic of single sites and of numbers per column is that
+//! of independent sites, and only the repetition of depth patterns tells the difference.
+//!
+//! The pool is laid out as the sheets of the mosaic's library: bin of rates, sheet, cell of the sheet.
+
+use std::sync::OnceLock;
+
+use crate::rng::{self, Purpose};
+
+/// Rates of the bins of the pool. UnitKinds take the bin whose rate is nearest in its square root.
+const RATES: [f64; 14] =
+    [0.0, 0.004, 0.015, 0.04, 0.08, 0.14, 0.22, 0.30, 0.40, 0.50, 0.60, 0.70, 0.85, 1.0];
+/// Numbers of defects less likely than this everywhere in a bin are not in the pool.
+const LEAST_PROBABILITY: f64 = 3e-4;
+/// Seed of the patterns: they are the same in all worlds, so that worlds share libraries.
+const SEED: u64 = 0x5354_454d_504f_4f4c;
+
+/// Index of the bin of a rate; the first is for units without defects only.
+pub fn bin_of(rate: f64) -> usize {
+    let distance = |n: &usize| (RATES[*n].sqrt() - rate.max(0.0).sqrt()).abs();
+    (usize::from(rate > 0.0)..RATES.len())
+        .min_by(|a, b| distance(a).total_cmp(&distance(b)))
+        .unwrap_or(0)
+}
+
+/// Rate of a bin.
+pub fn rate_of(bin: usize) -> f64 {
+    RATES[bin]
+}
+
+/// Rates for which a bin is the nearest.
+fn span(bin: usize) -> [f64; 2] {
+    let middle = |a: f64, b: f64| (0.5 * (a.sqrt() + b.sqrt())).powi(2);
+    let low = if bin == 0 { 0.0 } else { middle(RATES[bin - 1], RATES[bin]) };
+    let high = RATES.get(bin + 1).map_or(1.0, |next| middle(RATES[bin], *next));
+    [low, high]
+}
+
+/// Probability of each number of defects among `sites` independent ones.
+fn binomial(sites: usize, rate: f64) -> Vec<f64> {
+    if rate >= 1.0 {
+        return (0..=sites).map(|n| f64::from(u8::from(n == sites))).collect();
+    }
+    let mut p = Vec::with_capacity(sites + 1);
+    p.push(libm::pow(1.0 - rate, sites as f64));
+    for n in 1..=sites {
+        p.push(p[n - 1] * rate / (1.0 - rate) * (sites - n + 1) as f64 / n as f64);
+    }
+    p
+}
+
+/// The binomial distribution among `sites` sites whose mean is that of `rate` when numbers outside `limits` become
+/// the nearest limit; that of `rate` itself where its mean lies outside.
+fn within(sites: usize, rate: f64, limits: [usize; 2]) -> Vec<f64> {
+    let plain = binomial(sites, rate);
+    let goal = sites as f64 * rate;
+    if goal <= limits[0] as f64 || goal >= limits[1] as f64 {
+        return plain;
+    }
+    let mean = |p: &[f64]| {
+        let term = |(n, p): (usize, &f64)| n.clamp(limits[0], limits[1]) as f64 * p;
+        p.iter().enumerate().map(term).sum::<f64>()
+    };
+    if (mean(&plain) - goal).abs() < 1e-4 * goal {
+        return plain;
+    }
+    let (mut low, mut high) = (0.0, 1.0);
+    for _ in 0..40 {
+        let middle = 0.5 * (low + high);
+        if mean(&binomial(sites, middle)) < goal { low = middle } else { high = middle }
+    }
+    binomial(sites, 0.5 * (low + high))
+}
+
+/// The number at which the distribution passes `u`.
+fn drawn(distribution: &[f64], u: f64) -> usize {
+    let mut left = u;
+    for (n, p) in distribution.iter().enumerate() {
+        left -= p;
+        if left < 0.0 {
+            return n;
+        }
+    }
+    distribution.len() - 1
+}
+
+/// The patterns of one kind of unit in one bin, one for each cell of the bin's sheets.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PatternTable {
+    /// Defective sites of the unit in each cell, ascending.
+    pub cells: Vec<Vec<u16>>,
+    /// Cells by their number of defects.
+    by_count: Vec<Vec<u32>>,
+}
+
+impl PatternTable {
+    /// PatternTable for units with `sites` sites in `cells` cells. `stream` tells kinds of units apart.
+    pub fn new(sites: usize, bin: usize, cells: usize, stream: u64) -> Self {
+        let counts = counts(sites, bin, cells);
+        // A random order of the cells, so that neighbours have nothing in common.
+        let mut order: Vec<usize> = (0..cells).collect();
+        let word = |n: u64, draw: u32| {
+            rng::words(SEED ^ stream.rotate_left(32), Purpose::Pool, draw, (bin as u64) << 32 | n)
+        };
+        order.sort_by_key(|&n| (word(n as u64, 0), n));
+        let mut patterns = vec![Vec::new(); cells];
+        let mut by_count = vec![Vec::new(); sites + 1];
+        // The patterns of one defect take each site once before any twice.
+        let first = (word(u64::from(u32::MAX), 1)[0] as usize) % sites.max(1);
+        let mut singles = 0;
+        for (cell, count) in order.into_iter().zip(counts) {
+            patterns[cell] = match count {
+                1 => {
+                    singles += 1;
+                    // a step that meets all sites, far apart
+                    vec![((first + singles * stride(sites)) % sites) as u16]
+                }
+                _ => choose(sites, count, |n| word(cell as u64, 2 + n as u32)[0]),
+            };
+        }
+        for (cell, pattern) in patterns.iter().enumerate() {
+            by_count[pattern.len()].push(cell as u32);
+        }
+        PatternTable { cells: patterns, by_count }
+    }
+
+    /// A cell whose pattern has a number of defects drawn at `rate` among the `allowed` sites, and all of
+    /// them allowed; `u` are uniform numbers. `None` when the pool has none such, or its numbers of defects do not reach
+    /// as far as `spread` standard deviations about the mean.
+    ///
+    /// A number that the pool lacks becomes one of the nearest that it has, in the mean the same; where the
+    /// pool ends early, the rate of the binomial distribution makes up for it.
+    pub fn draw(&self, rate: f64, allowed: &[bool], spread: f64, u: [f64; 3]) -> Option<usize> {
+        let open = allowed.iter().filter(|a| **a).count();
+        let all = open == allowed.len();
+        let fits =
+            |cell: &&u32| all || self.cells[**cell as usize].iter().all(|s| allowed[*s as usize]);
+        let there = |n: &usize| *n <= open && self.by_count[*n].iter().any(|c| fits(&c));
+        let numbers: Vec<usize> = (0..self.by_count.len()).filter(there).collect();
+        let (first, last) = (*numbers.first()?, *numbers.last()?);
+        let (mean, variance) = (open as f64 * rate, open as f64 * rate * (1.0 - rate));
+        let reach = spread * variance.sqrt();
+        let (least, most) = ((mean - reach).max(0.0), (mean + reach).min(open as f64));
+        if (first as f64) > least.ceil() || (last as f64) < most.floor() || mean > last as f64 {
+            return None;
+        }
+        let count = drawn(&within(open, rate, [first, last]), u[0]).clamp(first, last);
+        let above = numbers.partition_point(|n| *n < count);
+        let (low, high) =
+            (numbers[above.saturating_sub(usize::from(numbers[above] != count))], numbers[above]);
+        let share = (count - low) as f64 / (high - low).max(1) as f64;
+        let number = if u[2] < share { high } else { low };
+        let cells: Vec<u32> = self.by_count[number].iter().filter(fits).copied().collect();
+        cells.get((u[1] * cells.len() as f64) as usize).map(|c| *c as usize)
+    }
+
+    /// A cell with just these defects (ascending), if the pool has any; `u` is a uniform number.
+    pub fn find(&self, defects: &[u16], u: f64) -> Option<usize> {
+        let same = |c: &&u32| self.cells[**c as usize] == defects;
+        let cells: Vec<u32> =
+            self.by_count.get(defects.len())?.iter().filter(same).copied().collect();
+        cells.get((u * cells.len() as f64) as usize).map(|c| *c as usize)
+    }
+
+    /// The cells in which a unit holds no defect.
+    pub fn pristine(&self) -> &[u32] {
+        &self.by_count[0]
+    }
+}
+
+/// The patterns of several kinds of units, made when first asked for.
+#[derive(Debug, Default)]
+pub struct DefectPatterns {
+    /// Sites of each kind of unit that may be defects.
+    sites: Vec<usize>,
+    cells: usize,
+    stream: u64,
+    tables: Vec<OnceLock<PatternTable>>,
+}
+
+impl DefectPatterns {
+    /// A pool with `cells` patterns for each bin and kind of unit.
+    pub fn new(sites: Vec<usize>, cells: usize, stream: u64) -> Self {
+        let tables = (0..sites.len() * RATES.len()).map(|_| OnceLock::new()).collect();
+        DefectPatterns { sites, cells, stream, tables }
+    }
+
+    /// The patterns of a kind of unit in a bin.
+    pub fn patterns(&self, kind: usize, bin: usize) -> &PatternTable {
+        self.tables[kind * RATES.len() + bin].get_or_init(|| {
+            PatternTable::new(self.sites[kind], bin, self.cells, self.stream << 16 | kind as u64)
+        })
+    }
+
+    /// Number of sites of a kind of unit that may be defects.
+    pub fn sites(&self, kind: usize) -> usize {
+        self.sites[kind]
+    }
+
+    /// PatternTable for each bin and kind.
+    pub fn cells(&self) -> usize {
+        self.cells
+    }
+
+    /// What the unit `id` of a specimen holds: the bin and the cell of its pattern.
+    pub fn draw(
+        &self,
+        kind: usize,
+        bin: usize,
+        rate: f64,
+        allowed: &[bool],
+        spread: f64,
+        (seed, id): (u64, u64),
+    ) -> Option<usize> {
+        let u = |draw: u32| rng::uniform(seed, Purpose::Pool, draw, id);
+        self.patterns(kind, bin).draw(rate, allowed, spread, [u(0), u(1), u(2)])
+    }
+
+    /// The cell of a pattern that holds what the unit `id` of a specimen does (ascending), if there is one in the bin.
+    pub fn find(
+        &self,
+        kind: usize,
+        bin: usize,
+        defects: &[u16],
+        (seed, id): (u64, u64),
+    ) -> Option<usize> {
+        self.patterns(kind, bin).find(defects, rng::uniform(seed, Purpose::Pool, 1, id))
+    }
+}
+
+/// Step through the sites that meets all of them.
+fn stride(sites: usize) -> usize {
+    let gcd = |mut a: usize, mut b: usize| {
+        while b > 0 {
+            (a, b) = (b, a % b);
+        }
+        a
+    };
+    (sites * 3 / 8 + 1..).find(|s| gcd(*s, sites) == 1).unwrap_or(1)
+}
+
+/// Numbers of defects for so many cells: shares go with the root of the probability within the bin, so that
+/// rare numbers have several patterns too.
+fn counts(sites: usize, bin: usize, cells: usize) -> Vec<usize> {
+    let [low, high] = span(bin);
+    let tables = [low, RATES[bin], high].map(|rate| binomial(sites, rate));
+    let likely = |n: usize| tables.iter().map(|t| t[n]).fold(0.0, f64::max);
+    let weight = |n: usize| match likely(n) {
+        p if p < LEAST_PROBABILITY => 0.0,
+        p => p.sqrt(),
+    };
+    let weights: Vec<f64> = (0..=sites).map(weight).collect();
+    let total: f64 = weights.iter().sum();
+    // Cell c takes the number at the quantile (c + 1/2) / cells.
+    let mut out = Vec::with_capacity(cells);
+    let (mut number, mut below) = (0, weights[0]);
+    for cell in 0..cells {
+        let at = (cell as f64 + 0.5) / cells as f64 * total;
+        while at > below && number < sites {
+            number += 1;
+            below += weights[number];
+        }
+        out.push(number);
+    }
+    out
+}
+
+/// `count` of `sites` sites, all choices equally likely, ascending.
+fn choose(sites: usize, count: usize, word: impl Fn(usize) -> u32) -> Vec<u16> {
+    let mut all: Vec<u16> = (0..sites as u16).collect();
+    for n in 0..count {
+        let left = sites - n;
+        let pick = n + ((u64::from(word(n)) * left as u64) >> 32) as usize;
+        all.swap(n, pick);
+    }
+    all.truncate(count);
+    all.sort_unstable();
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bins_cover_all_rates_and_binomials_add_to_one() {
+        assert_eq!([0.0, 0.0005, 0.01, 0.1, 1.0].map(bin_of), [0, 1, 2, 4, 13]);
+        for bin in 0..RATES.len() {
+            assert_eq!(bin_of(RATES[bin]), bin);
+            let [low, high] = span(bin);
+            assert!(low <= RATES[bin] && RATES[bin] <= high);
+        }
+        for (sites, rate) in [(0, 0.3), (26, 0.0), (26, 0.25), (52, 1.0)] {
+            assert!((binomial(sites, rate).iter().sum::<f64>() - 1.0).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn draws_have_the_binomial_mean_and_variance_and_use_all_sites() {
+        let (sites, n) = (26, 40_000);
+        for rate in [0.0, 0.01, 0.05, 0.12, 0.25] {
+            let patterns = PatternTable::new(sites, bin_of(rate), 144, 3);
+            let u = |k: u32, i: u64| rng::uniform(9, Purpose::Defect, k, i);
+            let mut hits = vec![0.0; sites];
+            let (mut sum, mut square) = (0.0, 0.0);
+            for i in 0..n {
+                let cell =
+                    patterns.draw(rate, &[true; 26], 2.0, [u(0, i), u(1, i), u(2, i)]).unwrap();
+                let pattern = &patterns.cells[cell];
+                pattern.iter().for_each(|s| hits[*s as usize] += 1.0 / n as f64);
+                sum += pattern.len() as f64 / n as f64;
+                square += (pattern.len() * pattern.len()) as f64 / n as f64;
+            }
+            let variance = sites as f64 * rate * (1.0 - rate);
+            assert!(
+                (sum - sites as f64 * rate).abs()
+                    <= 4.0 * (variance / n as f64).sqrt() + 1e-4 * sum
+            );
+            assert!((square - sum * sum - variance).abs() < 0.05 * variance + 1e-9, "{rate}");
+            if rate >= 0.01 {
+                assert!(hits.iter().all(|h| *h > 0.2 * rate && *h < 2.5 * rate), "{hits:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn small_pools_have_the_right_mean_too() {
+        for (rate, cells) in [(0.022, 4), (0.09, 4), (0.25, 6)] {
+            let patterns = PatternTable::new(26, bin_of(rate), cells, 5);
+            let n = 60_000;
+            let number = |i: u64| {
+                let u = |k| rng::uniform(8, Purpose::Defect, k, i);
+                patterns.cells[patterns.draw(rate, &[true; 26], 0.0, [u(0), u(1), u(2)]).unwrap()]
+                    .len()
+            };
+            let mean = (0..n).map(|i| number(i) as f64).sum::<f64>() / n as f64;
+            let error = 4.0 * (26.0 * rate / n as f64).sqrt();
+            assert!((mean - 26.0 * rate).abs() < error, "{rate}: {mean} of {}", 26.0 * rate);
+        }
+    }
+
+    #[test]
+    fn only_allowed_sites_are_taken() {
+        let patterns = PatternTable::new(20, bin_of(0.15), 200, 1);
+        let allowed: Vec<bool> = (0..20).map(|s| s < 9).collect();
+        let mut found = 0;
+        for i in 0..500 {
+            let u = |k| rng::uniform(4, Purpose::Defect, k, i);
+            if let Some(cell) = patterns.draw(0.15, &allowed, 1.0, [u(0), u(1), u(2)]) {
+                assert!(patterns.cells[cell].iter().all(|s| *s < 9));
+                found += 1;
+            }
+        }
+        assert!(found > 400, "{found}");
+    }
+}

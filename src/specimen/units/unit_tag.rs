@@ -1,0 +1,61 @@
+//! Where the like of a column is in the library of a mosaic.
+
+use crate::specimen::column_index::ColumnIndex;
+
+/// UnitKinds whose surroundings are alike.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct UnitFamily {
+    /// Which lattice or boundary of the specimen.
+    pub motif: usize,
+    /// Step of a parameter that the lattice depends on (strain, order parameter).
+    pub structure: usize,
+    /// Bin of the rate of defects.
+    pub bin: usize,
+}
+
+/// Where a unit's contents lie in the pool, and its image in the library.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct PatternIndex {
+    /// Bin of rates.
+    pub bin: usize,
+    /// Kind of unit.
+    pub kind: usize,
+    /// Cell among all sheets of the bin.
+    pub cell: usize,
+}
+
+/// Which unit (columns too close to be told apart) a column belongs to, and where its like is in the library.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct UnitTag {
+    /// Unique in the specimen: the same for all columns of the unit.
+    pub id: u64,
+    /// Which column of the unit this is.
+    pub member: usize,
+    /// Centre (x, y) of the unit in nm.
+    pub centre_nm: [f64; 2],
+    /// Sheets that show units with such surroundings.
+    pub family: UnitFamily,
+    /// Its contents, and where they are in the sheets.
+    pub entry: PatternIndex,
+    /// Carries directions in the sheet over to the field: rows of an orthogonal matrix.
+    pub frame: [[f64; 2]; 2],
+}
+
+impl UnitTag {
+    /// For a unit of an unrotated lattice; `first` is its first column.
+    pub fn unrotated(
+        (first, member): (ColumnIndex, usize),
+        centre_nm: [f64; 2],
+        structure: usize,
+        entry: PatternIndex,
+    ) -> Self {
+        UnitTag {
+            id: first.id(),
+            member,
+            centre_nm,
+            family: UnitFamily { motif: 0, structure, bin: entry.bin },
+            entry,
+            frame: [[1.0, 0.0], [0.0, 1.0]],
+        }
+    }
+}

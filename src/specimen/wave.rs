@@ -1,0 +1,178 @@
+//! Wavy lines: phase boundaries that run along y.
+
+use crate::rng::{Purpose, uniform};
+
+use crate::recipe::region::Region;
+
+/// Waves on one boundary, of which the field holds 1, 2 ... whole periods.
+const HARMONICS: u32 = 3;
+/// Distance between the corners of the polyline in nm.
+const STEP_NM: f64 = 0.5;
+const TURN: f64 = 2.0 * std::f64::consts::PI;
+
+/// The line x = `mean_x` + excursion(y), in nm.
+#[derive(Debug, Clone)]
+pub struct WavyLine {
+    mean_x: f64,
+    /// No less than any excursion.
+    amplitude: f64,
+    y0: f64,
+    height: f64,
+    /// Amplitude and phase of each harmonic.
+    harmonics: Vec<[f64; 2]>,
+    /// The line as corners STEP_NM apart in y, as far as the specimen reaches.
+    corners: Vec<[f64; 2]>,
+}
+
+impl WavyLine {
+    /// Line number `number` about `mean_x`, whose greatest excursion in the field is `amplitude`.
+    pub fn new(
+        mean_x: f64,
+        amplitude: f64,
+        field: &Region,
+        beyond: f64,
+        seed: u64,
+        number: u32,
+    ) -> Self {
+        let height = field.y[1] - field.y[0];
+        let harmonic = |n: u32| {
+            let weight = 0.5 + uniform(seed, Purpose::Interface, number, 2 * u64::from(n));
+            let phase = TURN * uniform(seed, Purpose::Interface, number, 2 * u64::from(n) + 1);
+            // As 1/n^2, all harmonics bend the line equally.
+            [weight / f64::from(n * n), phase]
+        };
+        let harmonics = (1..=HARMONICS).map(harmonic).collect();
+        let mut line =
+            WavyLine { mean_x, amplitude, y0: field.y[0], height, harmonics, corners: vec![] };
+        let samples = 4096;
+        let at = |k: u32| line.excursion(line.y0 + height * f64::from(k) / f64::from(samples))[0];
+        let greatest = (0..samples).map(at).fold(0.0, |g: f64, e| g.max(e.abs()));
+        line.harmonics.iter_mut().for_each(|h| h[0] *= amplitude / greatest);
+        let count = ((height + 2.0 * beyond) / STEP_NM).ceil() as usize;
+        line.amplitude = line.harmonics.iter().map(|h| h[0].abs()).sum();
+        line.corners = (0..=count)
+            .map(|k| field.y[0] - beyond + STEP_NM * k as f64)
+            .map(|y| [line.x(y), y])
+            .collect();
+        line
+    }
+
+    /// Excursion and its derivative.
+    fn excursion(&self, y: f64) -> [f64; 2] {
+        let mut sum = [0.0; 2];
+        for (n, [amplitude, phase]) in (1..).zip(&self.harmonics) {
+            let k = TURN * f64::from(n) / self.height;
+            let angle = k * (y - self.y0) + phase;
+            sum[0] += amplitude * libm::cos(angle);
+            sum[1] -= amplitude * k * libm::sin(angle);
+        }
+        sum
+    }
+
+    /// x of the line.
+    pub fn x(&self, y: f64) -> f64 {
+        self.mean_x + self.excursion(y)[0]
+    }
+
+    /// Whether the line lies at or left of a point.
+    pub fn is_left_of(&self, [x, y]: [f64; 2]) -> bool {
+        match (x - self.mean_x).abs() > self.amplitude {
+            true => x > self.mean_x,
+            false => self.x(y) <= x,
+        }
+    }
+
+    /// x of the line, and the cosine of the angle between its normal and x.
+    pub fn x_and_cosine(&self, y: f64) -> [f64; 2] {
+        let [excursion, slope] = self.excursion(y);
+        [self.mean_x + excursion, 1.0 / (1.0 + slope * slope).sqrt()]
+    }
+
+    /// Corners of the line between `y[0]` and `y[1]`, those two included.
+    pub fn polyline(&self, y: [f64; 2]) -> Vec<[f64; 2]> {
+        let apart = 0.01 * STEP_NM;
+        let inside = self.corners.iter().filter(|c| y[0] + apart < c[1] && c[1] < y[1] - apart);
+        let mut line = vec![[self.x(y[0]), y[0]]];
+        line.extend(inside);
+        line.push([self.x(y[1]), y[1]]);
+        line
+    }
+
+    /// Distance of a point from the line.
+    pub fn distance(&self, [x, y]: [f64; 2]) -> f64 {
+        let across = (x - self.x(y)).abs();
+        let first = self.corners.first().map_or(0.0, |c| c[1]);
+        // Nothing farther along y than the line is across can be nearer.
+        let corner =
+            |y: f64| ((y - first) / STEP_NM).clamp(0.0, self.corners.len() as f64) as usize;
+        let window = corner(y - across)..(corner(y + across) + 2).min(self.corners.len());
+        let segments = self.corners.get(window).unwrap_or_default().windows(2);
+        segments.map(|s| to_segment([x, y], s[0], s[1])).fold(across, f64::min)
+    }
+}
+
+fn to_segment(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
+    let [d, q] = [[b[0] - a[0], b[1] - a[1]], [p[0] - a[0], p[1] - a[1]]];
+    let t = ((d[0] * q[0] + d[1] * q[1]) / (d[0] * d[0] + d[1] * d[1])).clamp(0.0, 1.0);
+    let (x, y) = (q[0] - t * d[0], q[1] - t * d[1]);
+    (x * x + y * y).sqrt()
+}
+
+/// Standard normal cumulative distribution.
+pub fn normal_cdf(z: f64) -> f64 {
+    0.5 * libm::erfc(-z * std::f64::consts::FRAC_1_SQRT_2)
+}
+
+/// Its integral from minus infinity.
+pub fn normal_cdf_integral(z: f64) -> f64 {
+    let density = libm::exp(-0.5 * z * z) / libm::sqrt(TURN);
+    z * normal_cdf(z) + density
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rng::words;
+
+    const FIELD: Region = Region { x: [0.0, 100.0], y: [0.0, 80.0] };
+
+    #[test]
+    fn the_amplitude_is_the_greatest_excursion() {
+        for number in 0..20 {
+            let line = WavyLine::new(40.0, 7.0, &FIELD, 12.0, 3, number);
+            let all = (0..8000).map(|k| line.x(0.01 * f64::from(k)) - 40.0);
+            let greatest = all.fold(0.0, |g: f64, e| g.max(e.abs()));
+            assert!((greatest - 7.0).abs() < 1e-3, "{greatest}");
+        }
+        let straight = WavyLine::new(40.0, 0.0, &FIELD, 12.0, 3, 0);
+        assert_eq!(straight.x(12.3), 40.0);
+        assert_eq!(straight.distance([43.5, 20.0]), 3.5);
+    }
+
+    #[test]
+    fn distances_are_those_of_a_fine_search() {
+        let line = WavyLine::new(40.0, 9.0, &FIELD, 12.0, 5, 1);
+        for k in 0..200u32 {
+            let w = words(9, Purpose::Interface, 77, u64::from(k))
+                .map(|w| f64::from(w) / 2f64.powi(32));
+            let p = [20.0 + 40.0 * w[0], 10.0 + 60.0 * w[1]];
+            let far = |y: f64| ((line.x(y) - p[0]).powi(2) + (y - p[1]).powi(2)).sqrt();
+            let fine =
+                (-1000..9000).map(|n| far(0.01 * f64::from(n))).fold(f64::INFINITY, f64::min);
+            assert!((line.distance(p) - fine).abs() < 0.01, "{} {fine}", line.distance(p));
+        }
+    }
+
+    #[test]
+    fn the_normal_distribution_and_its_integral() {
+        // Abramowitz and Stegun, table 26.1.
+        assert!((normal_cdf(1.0) - 0.841_344_746).abs() < 1e-9);
+        assert!((normal_cdf(-2.0) - 0.022_750_132).abs() < 1e-9);
+        let numeric = |z: f64| {
+            (0..40_000).map(|k| normal_cdf(z - 5e-4 - 1e-3 * f64::from(k)) * 1e-3).sum::<f64>()
+        };
+        for z in [-3.0, -0.4, 0.0, 2.5] {
+            assert!((normal_cdf_integral(z) - numeric(z)).abs() < 1e-6);
+        }
+    }
+}

@@ -1,0 +1,181 @@
+//! Crystals as specimens see them: columns of atoms along the beam on a rectangular lattice.
+
+use crate::error::{Error, Result};
+use crate::structure::Structure;
+
+/// Atoms of one column are this near in projection, in Angstrom.
+const SAME_COLUMN_ANGSTROM: f64 = 0.02;
+/// Fractions of the cell that count as equal.
+const SAME_FRACTION: f64 = 1e-3;
+/// Sites of a cell that the keys of specimens can tell apart.
+pub const MOST_SITES: usize = 1 << 10;
+/// Chains of one column that [`super::boundary::Fate`] can tell apart.
+const MOST_CHAINS: usize = 64;
+
+/// A row of equal atoms along the beam, one per unit cell.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Chain {
+    /// Height in the unit cell, as a fraction of it.
+    pub z: f64,
+    /// Atomic number.
+    pub number: u8,
+    /// Which site of the cell it is.
+    pub site: usize,
+}
+
+/// A column of the unit cell: the chains that share a projected position.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ColumnKind {
+    /// Position in the cell, as fractions.
+    pub xy: [f64; 2],
+    /// The chains, by ascending height.
+    pub chains: Vec<Chain>,
+}
+
+/// A crystal as columns.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ColumnCrystal {
+    /// Edges of the rectangular cell along x, y and the beam in Angstrom.
+    pub cell: [f64; 3],
+    /// Columns of one cell.
+    pub columns: Vec<ColumnKind>,
+}
+
+impl ColumnCrystal {
+    /// From a crystal in a box with edges along x, y and the beam. Heights are shifted so that the
+    /// entrance surface lies in the middle of the widest gap between atomic planes.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for another cell, partly occupied sites, or too many of them.
+    pub fn new(structure: &Structure) -> Result<Self> {
+        let cell = structure.orthogonal_box()?;
+        if structure.atoms.iter().any(|a| a.occupancy < 1.0) {
+            let expected = "specimens are built from fully occupied sites; give one element per \
+                            site and mix with [substitutions] or [vacancies]";
+            return Err(Error::invalid("crystal", "partial occupancy", expected));
+        }
+        if structure.atoms.len() > MOST_SITES {
+            let expected = format!("at most {MOST_SITES} in the cell along this zone axis");
+            return Err(Error::invalid("sites of the crystal", structure.atoms.len(), expected));
+        }
+        let fraction = |position: [f64; 3]| [0, 1, 2].map(|k| wrap(position[k] / cell[k]));
+        let sites: Vec<[f64; 3]> = structure.atoms.iter().map(|a| fraction(a.position)).collect();
+        let entrance = widest_gap(sites.iter().map(|s| s[2]).collect());
+        let mut columns: Vec<ColumnKind> = Vec::new();
+        for (site, (at, atom)) in sites.iter().zip(&structure.atoms).enumerate() {
+            let chain = Chain { z: wrap(at[2] - entrance), number: atom.number, site };
+            let same = |c: &&mut ColumnKind| {
+                let d = [0, 1].map(|k| apart(c.xy[k], at[k]) * cell[k]);
+                d[0] * d[0] + d[1] * d[1] < SAME_COLUMN_ANGSTROM * SAME_COLUMN_ANGSTROM
+            };
+            match columns.iter_mut().find(same) {
+                Some(column) => column.chains.push(chain),
+                None => columns.push(ColumnKind { xy: [at[0], at[1]], chains: vec![chain] }),
+            }
+        }
+        for column in &mut columns {
+            column.chains.sort_by(|a, b| a.z.total_cmp(&b.z));
+            if column.chains.len() > MOST_CHAINS {
+                let expected = format!("at most {MOST_CHAINS} in one column of the cell");
+                return Err(Error::invalid("sites of a column", column.chains.len(), expected));
+            }
+        }
+        Ok(ColumnCrystal { cell, columns })
+    }
+
+    /// All chains.
+    pub fn chains(&self) -> impl Iterator<Item = &Chain> {
+        self.columns.iter().flat_map(|c| &c.chains)
+    }
+
+    /// The lightest element, if there are several: atoms of it make room for others.
+    pub fn lightest(&self) -> Option<u8> {
+        let least = self.chains().map(|c| c.number).min();
+        least.filter(|_| self.chains().map(|c| c.number).max() != least)
+    }
+
+    /// Number of cells along the beam in `thickness_nm`, at least one.
+    pub fn cells_along_beam(&self, thickness_nm: f64) -> usize {
+        ((thickness_nm * 10.0 / self.cell[2]).round() as usize).max(1)
+    }
+
+    /// Whether the mirror image in a plane perpendicular to x is the same crystal, moved at most.
+    pub fn has_mirror_x(&self) -> bool {
+        let atoms: Vec<([f64; 3], u8)> = self
+            .columns
+            .iter()
+            .flat_map(|c| c.chains.iter().map(|n| ([c.xy[0], c.xy[1], n.z], n.number)))
+            .collect();
+        let Some(&(first, element)) = atoms.first() else { return true };
+        let mirrored = |[x, y, z]: [f64; 3]| [-x, y, z];
+        let fits = |shift: [f64; 3]| {
+            atoms.iter().all(|&(at, number)| {
+                let image = mirrored(at);
+                let same =
+                    |p: [f64; 3]| (0..3).all(|k| apart(p[k], image[k] + shift[k]) < SAME_FRACTION);
+                atoms.iter().any(|&(p, n)| n == number && same(p))
+            })
+        };
+        let image = mirrored(first);
+        let candidates = atoms.iter().filter(|(_, n)| *n == element);
+        candidates.map(|(p, _)| [0, 1, 2].map(|k| p[k] - image[k])).any(fits)
+    }
+}
+
+/// The fraction moved into [0, 1), rounding errors at zero.
+fn wrap(x: f64) -> f64 {
+    crate::structure::lattice::wrap_unit(x)
+}
+
+/// Distance of two fractions of a period.
+fn apart(a: f64, b: f64) -> f64 {
+    let d = (a - b).rem_euclid(1.0);
+    d.min(1.0 - d)
+}
+
+/// Middle of the widest gap between fractional heights: of equal ones, that at the end of the cell.
+fn widest_gap(mut z: Vec<f64>) -> f64 {
+    z.sort_by(f64::total_cmp);
+    let (Some(first), Some(last)) = (z.first(), z.last()) else { return 0.0 };
+    let mut widest = (first + 1.0 - last, 0.5 * (first + last - 1.0));
+    for pair in z.windows(2) {
+        if pair[1] - pair[0] > widest.0 + SAME_FRACTION {
+            widest = (pair[1] - pair[0], 0.5 * (pair[0] + pair[1]));
+        }
+    }
+    widest.1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::structure::library;
+
+    fn seen(name: &str, zone: [i32; 3], up: [i32; 3]) -> ColumnCrystal {
+        ColumnCrystal::new(&library::crystal(name).unwrap().oriented(zone, Some(up)).unwrap())
+            .unwrap()
+    }
+
+    #[test]
+    fn strontium_titanate_has_its_planes_in_the_middle_of_slices() {
+        let c = seen("srtio3", [0, 0, 1], [0, 1, 0]);
+        let heights = |k: usize| c.columns[k].chains.iter().map(|n| (n.z, n.number)).collect();
+        let all: Vec<Vec<(f64, u8)>> = (0..4).map(heights).collect();
+        assert_eq!(all[0], [(0.25, 38)]);
+        assert_eq!(all[1], [(0.25, 8), (0.75, 22)]);
+        assert_eq!([&all[2], &all[3]], [&[(0.75, 8)], &[(0.75, 8)]]);
+        assert_eq!(c.lightest(), Some(8));
+        assert_eq!(c.cells_along_beam(10.0), 26);
+    }
+
+    #[test]
+    fn dumbbells_and_mirrors() {
+        let si = seen("si", [1, 1, 0], [1, -1, 0]);
+        // Half of [110] is a lattice vector too, so each column of the box holds two atoms.
+        assert!(si.columns.len() == 8 && si.columns.iter().all(|c| c.chains.len() == 2));
+        assert!(si.lightest().is_none() && si.has_mirror_x());
+        // The polar axis along x has no mirror across it; across the beam it has.
+        assert!(!seen("gan", [1, 1, 0], [1, -1, 0]).has_mirror_x());
+        assert!(seen("gan", [1, 1, 0], [0, 0, 1]).has_mirror_x());
+    }
+}

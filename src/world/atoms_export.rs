@@ -1,0 +1,203 @@
+//! Writes the atoms of a specimen to a file, with what the truth knows of them.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use rayon::prelude::*;
+
+use crate::atomic;
+use crate::disk::{self, OutputLock};
+use crate::error::{Error, Result};
+use crate::io::{AtomRow, AtomsHeader, AtomsWriter, RowFormat, writable};
+use crate::progress::Progress;
+use crate::recipe::model::Recipe;
+use crate::specimen::atom_columns::{AtomColumn, Sites};
+use crate::specimen::census::estimated_sites;
+use crate::specimen::model::Specimen;
+use crate::specimen::sites::SiteKind;
+use crate::specimen::stripes::for_each_stripe;
+use crate::structure::elements;
+use crate::world::footprint;
+use crate::world::truth;
+
+/// Columns that are formatted at a time.
+const COLUMNS_AT_ONCE: usize = 4096;
+
+/// How atoms are written.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ExportOptions {
+    /// Write vacant sites as well.
+    pub vacancies: bool,
+    /// Space without atoms that the cell has beside and below them, in Angstrom: the field is cut out
+    /// of a larger specimen, so what lies at opposite edges does not fit together.
+    pub vacuum_angstrom: f64,
+    /// Replace an existing file.
+    pub overwrite: bool,
+}
+
+impl Default for ExportOptions {
+    fn default() -> Self {
+        ExportOptions { vacancies: false, vacuum_angstrom: 2.0, overwrite: false }
+    }
+}
+
+/// What was written.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct ExportSummary {
+    /// Lattice sites, vacant ones included.
+    pub sites: u64,
+    /// Rows of the file.
+    pub rows: u64,
+    /// Atomic columns.
+    pub columns: u64,
+    /// Atoms of each element.
+    pub atoms: BTreeMap<&'static str, u64>,
+    /// Defects of each kind: `vacancy_O`.
+    pub defects: BTreeMap<String, u64>,
+    /// Edges of the cell in Angstrom.
+    pub cell_angstrom: [f64; 3],
+}
+
+/// Writes the sites of the built field to `path`; its ending says which format (`.extxyz`, `.xyz` or
+/// `.cif`). Order, and numbers of columns, are those of the ground truth of a world of this recipe.
+/// `visit` sees all sites, in the same order, with positions in nm in the full field.
+///
+/// # Errors
+/// [`Error::Invalid`] for another ending or a vacuum out of limits, [`Error::Locked`],
+/// [`Error::DiskSpace`], [`Error::Interrupted`], and those of the file system. There is never half a file at `path`.
+pub fn export(
+    specimen: &dyn Specimen,
+    recipe: &Recipe,
+    path: &Path,
+    options: &ExportOptions,
+    progress: &dyn Progress,
+    mut visit: impl FnMut(&Sites),
+) -> Result<ExportSummary> {
+    if !(0.0..=1e4).contains(&options.vacuum_angstrom) {
+        let expected = "expected a length from 0 to 10000";
+        return Err(Error::invalid("vacuum (A)", options.vacuum_angstrom, expected));
+    }
+    let _lock = OutputLock::hold(path)?;
+    let sites = estimated_sites(specimen, &recipe.field);
+    disk::check_space(path, footprint::atoms_bytes(writable(path)?, sites))?;
+    let frame = Frame::new(specimen, recipe, options);
+    let mut summary = ExportSummary { cell_angstrom: frame.cell, ..ExportSummary::default() };
+    atomic::write_with(path, options.overwrite, |temporary| {
+        let mut writer = AtomsWriter::create(temporary, path, &header(recipe, &frame))?;
+        for_each_stripe(specimen, &recipe.field, "writing atoms", progress, |stripe| {
+            visit(&stripe.sites);
+            for text in frame.format(&stripe.sites, writer.rows(), &summary) {
+                writer.append(text)?;
+            }
+            summary.add(&stripe.sites, options.vacancies);
+            Ok(())
+        })?;
+        writer.finish(summary.rows)
+    })?;
+    Ok(summary)
+}
+
+impl ExportSummary {
+    fn add(&mut self, sites: &Sites, vacancies: bool) {
+        for site in &sites.sites {
+            let vacant = site.kind == SiteKind::Vacancy;
+            if !vacant {
+                *self.atoms.entry(elements::symbol(site.number)).or_default() += 1;
+            }
+            if site.kind != SiteKind::Pristine {
+                let name = truth::defect_name(site).as_str().to_owned();
+                *self.defects.entry(name).or_default() += 1;
+            }
+            self.rows += u64::from(vacancies || !vacant);
+        }
+        self.sites += sites.sites.len() as u64;
+        self.columns += sites.columns.len() as u64;
+    }
+}
+
+/// Where the atoms lie in the cell of the file.
+struct Frame {
+    cell: [f64; 3],
+    /// Position in nm in the full field of the corner of the cell.
+    corner_nm: [f64; 2],
+    vacancies: bool,
+}
+
+impl Frame {
+    fn new(specimen: &dyn Specimen, recipe: &Recipe, options: &ExportOptions) -> Self {
+        let built = recipe.field.built_region();
+        let vacuum = options.vacuum_angstrom;
+        let edge = |range: [f64; 2]| 10.0 * (range[1] - range[0]) + vacuum;
+        Frame {
+            cell: [edge(built.x), edge(built.y), 10.0 * specimen.thickness_nm() + vacuum],
+            corner_nm: [built.x[0] - 0.05 * vacuum, built.y[0] - 0.05 * vacuum],
+            vacancies: options.vacancies,
+        }
+    }
+
+    /// The rows of some sites; `before` counts what has been written.
+    fn format(&self, sites: &Sites, rows: RowFormat, before: &ExportSummary) -> Vec<Vec<u8>> {
+        let chunks = sites.columns.par_chunks(COLUMNS_AT_ONCE).enumerate();
+        let format = |(n, columns): (usize, &[AtomColumn])| {
+            let mut out = Vec::new();
+            for (k, column) in columns.iter().enumerate() {
+                let index = before.columns + (n * COLUMNS_AT_ONCE + k) as u64;
+                for at in column.sites.clone() {
+                    self.row(&mut out, sites, at, rows, index, before.sites + at as u64 + 1);
+                }
+            }
+            out
+        };
+        chunks.map(format).collect()
+    }
+
+    fn row(
+        &self,
+        out: &mut Vec<u8>,
+        sites: &Sites,
+        at: usize,
+        rows: RowFormat,
+        column: u64,
+        serial: u64,
+    ) {
+        let site = &sites.sites[at];
+        if site.kind == SiteKind::Vacancy && !self.vacancies {
+            return;
+        }
+        let [x, y, z] = site.position_nm;
+        let [left, top] = self.corner_nm;
+        let defect = truth::defect_name(site);
+        let row = AtomRow {
+            number: site.number,
+            position_angstrom: [10.0 * (x - left), 10.0 * (y - top), 10.0 * z],
+            atom_type: truth::code(site.kind),
+            defect: defect.as_str(),
+            column,
+        };
+        rows.push(out, &row, serial);
+    }
+}
+
+fn header(recipe: &Recipe, frame: &Frame) -> AtomsHeader {
+    let field = &recipe.field;
+    let pixel = field.pixel_nm();
+    let first = field.crop_origin_px();
+    let origin = [first[1], first[0]].map(|p| p as f64 * pixel);
+    let [x, y] = [0, 1].map(|k| 10.0 * (origin[k] - frame.corner_nm[k]));
+    let sigmas = recipe.phonons.sigma_angstrom.iter().map(|(e, s)| format!("{e}={s}"));
+    let tier = recipe.tier.map(|t| format!("_{}", t.name())).unwrap_or_default();
+    AtomsHeader {
+        name: format!("{}{tier}", recipe.id),
+        cell_angstrom: frame.cell,
+        notes: vec![
+            ("material", recipe.id.clone()),
+            ("zone_axis", recipe.zone_axis.clone()),
+            ("seed", recipe.seed.to_string()),
+            ("stemgen_version", env!("CARGO_PKG_VERSION").into()),
+            ("pixel_angstrom", (10.0 * pixel).to_string()),
+            ("first_pixel_angstrom", format!("{x} {y}")),
+            ("sigma", sigmas.collect::<Vec<_>>().join(",")),
+        ],
+        recipe: recipe.to_toml(),
+    }
+}

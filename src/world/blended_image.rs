@@ -1,0 +1,160 @@
+//! From sub-tiles to normalised tiles, band by band.
+
+use std::ops::Range;
+
+use ndarray::{Array2, ArrayView2, s};
+
+use crate::error::{Error, Result};
+use crate::io::WorldWriter;
+use crate::io::schema::OVERVIEW_FACTOR;
+use crate::progress::Progress;
+use crate::recipe::model::Recipe;
+use crate::world::noise::Noise;
+use crate::world::subtile_store::Store;
+use crate::world::subtiles::Partition;
+
+/// The image of a world, computed band by band from the sub-tiles on disk.
+pub struct BlendedImage<'a> {
+    partition: &'a Partition,
+    store: &'a Store,
+    noise: Option<Noise>,
+    shape: [usize; 2],
+    grid: [usize; 2],
+    tile: usize,
+    stride: usize,
+}
+
+impl<'a> BlendedImage<'a> {
+    /// The image of the built part of a field.
+    pub fn new(recipe: &Recipe, partition: &'a Partition, store: &'a Store, noise: bool) -> Self {
+        let field = &recipe.field;
+        let pixel_angstrom = 10.0 * field.pixel_nm();
+        let dose = recipe.dose.electrons_per_angstrom2;
+        BlendedImage {
+            partition,
+            store,
+            noise: noise.then(|| Noise {
+                seed: recipe.seed,
+                electrons_per_pixel: dose * pixel_angstrom * pixel_angstrom,
+                origin_px: field.crop_origin_px(),
+                full_width_px: field.pixels(field.grid)[1],
+            }),
+            shape: field.pixels(field.built_grid()),
+            grid: field.built_grid(),
+            tile: field.tile_px,
+            stride: field.stride_px(),
+        }
+    }
+
+    fn clean(&self, rows: Range<usize>) -> Result<Array2<f32>> {
+        self.partition.blend(rows, |tile| {
+            self.store.load(tile.index, tile.shape()).ok_or_else(|| {
+                let path = self.store.path(tile.index);
+                let lost = std::io::Error::other("changed while the world was being written");
+                Error::io(&path, "read", lost)
+            })
+        })
+    }
+
+    fn noisy(&self, mut band: Array2<f32>, first_row: usize) -> Array2<f32> {
+        if let Some(noise) = &self.noise {
+            noise.apply(&mut band, first_row);
+        }
+        band
+    }
+
+    /// Least and greatest value of the image as stored.
+    ///
+    /// # Errors
+    /// [`Error::Io`], [`Error::Interrupted`].
+    pub fn range(&self, progress: &dyn Progress) -> Result<[f32; 2]> {
+        progress.start("scaling", "row", self.shape[0] as u64);
+        let mut range = [f32::INFINITY, f32::NEG_INFINITY];
+        for first in (0..self.shape[0]).step_by(self.tile) {
+            stop_if_asked(progress)?;
+            let rows = first..(first + self.tile).min(self.shape[0]);
+            let band = self.noisy(self.clean(rows.clone())?, first);
+            range = band.iter().fold(range, |[low, high], &v| [low.min(v), high.max(v)]);
+            progress.advance(rows.len() as u64);
+        }
+        progress.finish();
+        Ok(range)
+    }
+
+    /// Writes tiles, overview and valid region, `range` scaled to \[0, 1\].
+    ///
+    /// # Errors
+    /// [`Error::Io`], [`Error::Hdf5`], [`Error::Interrupted`].
+    pub fn write(
+        &self,
+        writer: &WorldWriter,
+        [low, high]: [f32; 2],
+        keep_clean: bool,
+        progress: &dyn Progress,
+    ) -> Result<()> {
+        let offset = f64::from(low);
+        let scale = if high > low { f64::from(high) - offset } else { 1.0 };
+        writer.scaling(scale, offset)?;
+        let mut overview = Overview::new(self.shape);
+        progress.start("writing tiles", "tile", (self.grid[0] * self.grid[1]) as u64);
+        for row in 0..self.grid[0] {
+            stop_if_asked(progress)?;
+            let first = row * self.stride;
+            let clean = self.clean(first..first + self.tile)?;
+            if keep_clean {
+                self.tiles(&clean, |column, tile| writer.clean_tile(row, column, tile))?;
+            }
+            let mut band = self.noisy(clean, first);
+            band.mapv_inplace(|v| ((f64::from(v) - offset) / scale).clamp(0.0, 1.0) as f32);
+            self.tiles(&band, |column, tile| writer.tile(row, column, tile))?;
+            let own = if row + 1 == self.grid[0] { self.tile } else { self.stride };
+            overview.add(first, band.slice(s![..own, ..]));
+            writer.valid_rows(first, Array2::from_elem((own, self.shape[1]), true).view())?;
+            progress.advance(self.grid[1] as u64);
+        }
+        progress.finish();
+        writer.overview(overview.mean().view())
+    }
+
+    fn tiles(
+        &self,
+        band: &Array2<f32>,
+        write: impl Fn(usize, ArrayView2<f32>) -> Result<()>,
+    ) -> Result<()> {
+        (0..self.grid[1]).try_for_each(|column| {
+            let start = column * self.stride;
+            write(column, band.slice(s![.., start..start + self.tile]))
+        })
+    }
+}
+
+fn stop_if_asked(progress: &dyn Progress) -> Result<()> {
+    if progress.interrupted() { Err(Error::Interrupted) } else { Ok(()) }
+}
+
+/// Area average; the last block of a row or column may be partial.
+struct Overview {
+    sums: Array2<f64>,
+    shape: [usize; 2],
+}
+
+impl Overview {
+    fn new(shape: [usize; 2]) -> Self {
+        let [rows, columns] = shape.map(|n| n.div_ceil(OVERVIEW_FACTOR));
+        Overview { sums: Array2::zeros((rows, columns)), shape }
+    }
+
+    fn add(&mut self, first_row: usize, band: ArrayView2<f32>) {
+        for ((row, column), value) in band.indexed_iter() {
+            let block = [(first_row + row) / OVERVIEW_FACTOR, column / OVERVIEW_FACTOR];
+            self.sums[block] += f64::from(*value);
+        }
+    }
+
+    fn mean(&self) -> Array2<f32> {
+        let edge = |i: usize, n: usize| (n - i * OVERVIEW_FACTOR).min(OVERVIEW_FACTOR) as f64;
+        Array2::from_shape_fn(self.sums.dim(), |(i, j)| {
+            (self.sums[(i, j)] / (edge(i, self.shape[0]) * edge(j, self.shape[1]))) as f32
+        })
+    }
+}
