@@ -16,7 +16,7 @@ use std::process::Command;
 use common::Spots;
 use stemgen::progress::Silent;
 use stemgen::recipe::{Difficulty, Recipe};
-use stemgen::world::{BuildOptions, builder};
+use stemgen::world::{BuildOptions, build};
 
 /// A file of this repository.
 fn file(name: &str) -> PathBuf {

@@ -13,7 +13,7 @@ use common::Spots;
 use stemgen::io::WorldFile;
 use stemgen::progress::{Progress, Silent};
 use stemgen::recipe::{Difficulty, Recipe};
-use stemgen::world::{BuildOptions, builder};
+use stemgen::world::{BuildOptions, build};
 use stemgen::{Error, Result};
 
 fn recipe(rows: usize, columns: usize) -> Recipe {

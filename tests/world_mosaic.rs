@@ -12,7 +12,7 @@ use stemgen::io::WorldFile;
 use stemgen::progress::Silent;
 use stemgen::recipe::{Difficulty, Recipe, Region};
 use stemgen::specimen::{SiteKind, specimen};
-use stemgen::world::{BuildOptions, builder};
+use stemgen::world::{BuildOptions, build};
 
 /// SrTiO3 as thin and with a detector as narrow as to take seconds; a boundary where `count` is 1.
 fn recipe(count: usize, rate: f64) -> Recipe {
