@@ -4,6 +4,10 @@ use crate::error::{Error, Result};
 use std::io::Write;
 use std::path::Path;
 
+/// Beginning and end of the names of unfinished files.
+const PREFIX: &str = ".stemgen-";
+const SUFFIX: &str = ".partial";
+
 /// Writes `bytes` to a temporary file beside `path`, syncs it and renames it to `path`, which it
 /// replaces if it exists.
 ///
@@ -44,9 +48,15 @@ fn beside(path: &Path) -> Result<tempfile::NamedTempFile> {
     create(directory).map_err(|e| Error::io(directory, "create a file in", e))
 }
 
+/// Whether a path names an unfinished file that a killed writer has left.
+pub fn is_leftover(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    name.starts_with(PREFIX) && name.ends_with(SUFFIX)
+}
+
 fn create(directory: &Path) -> std::io::Result<tempfile::NamedTempFile> {
     let mut builder = tempfile::Builder::new();
-    builder.prefix(".stemgen-").suffix(".partial");
+    builder.prefix(PREFIX).suffix(SUFFIX);
     // The umask applies; without this the file would stay private to its owner.
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));

@@ -13,10 +13,10 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use common::Spots;
+use common::{Spots, build};
 use stemgen::progress::Silent;
 use stemgen::recipe::{Difficulty, Recipe};
-use stemgen::world::{BuildOptions, build};
+use stemgen::world::BuildOptions;
 
 /// A file of this repository.
 fn file(name: &str) -> PathBuf {

@@ -9,11 +9,11 @@ use std::process::Command;
 use std::sync::Mutex;
 use std::sync::atomic::Ordering::Relaxed;
 
-use common::Spots;
+use common::{Spots, build};
 use stemgen::io::WorldFile;
 use stemgen::progress::{Progress, Silent};
 use stemgen::recipe::{Difficulty, Recipe};
-use stemgen::world::{BuildOptions, build};
+use stemgen::world::BuildOptions;
 use stemgen::{Error, Result};
 
 fn recipe(rows: usize, columns: usize) -> Recipe {
@@ -21,7 +21,7 @@ fn recipe(rows: usize, columns: usize) -> Recipe {
 }
 
 fn options() -> BuildOptions {
-    BuildOptions { subtile_nm: 2.0, subtile_overlap_nm: 0.3, ..BuildOptions::default() }
+    BuildOptions { subtile_nm: Some(2.0), subtile_overlap_nm: Some(0.3), ..BuildOptions::default() }
 }
 
 fn work_folder(output: &Path) -> PathBuf {
@@ -212,7 +212,7 @@ fn values_set_afterwards_are_checked() {
     (recipe.field.overlap_px, recipe.optics.energy_kv) = (500, f64::NAN);
     let error = build(&recipe, &Spots::new(), &path, &options(), &Silent).unwrap_err();
     assert!(error.to_string().contains("field.overlap_px = 500"), "{error}");
-    let wide = BuildOptions { subtile_nm: 1.0, subtile_overlap_nm: 0.9, ..options() };
+    let wide = BuildOptions { subtile_nm: Some(1.0), subtile_overlap_nm: Some(0.9), ..options() };
     let recipe = self::recipe(1, 1);
     let error = build(&recipe, &Spots::new(), &path, &wide, &Silent).unwrap_err();
     assert!(error.to_string().contains("three times as wide"), "{error}");

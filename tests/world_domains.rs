@@ -1,13 +1,16 @@
 //! BaTiO3 specimens at full size against the tables of the worlds, measured from the sites.
 
+mod common;
+
 #[path = "common/specimens.rs"]
 mod specimens;
 
 use std::collections::BTreeMap;
 
+use common::specimen;
 use specimens::{CASES, Case, assert_rate, by_parts, cases, normal_cdf, shortest, signed_distance};
 use stemgen::recipe::{Difficulty, Recipe, Region};
-use stemgen::specimen::{BoundaryKind, SiteKind, SpecimenSite, specimen};
+use stemgen::specimen::{BoundaryKind, SiteKind, SpecimenSite};
 
 const TI: u8 = 22;
 const BA: u8 = 56;

@@ -1,13 +1,16 @@
 //! Si/Ge and InGaN specimens at full size against the tables of the worlds, measured from the sites.
 
+mod common;
+
 #[path = "common/specimens.rs"]
 mod specimens;
 
 use std::collections::{BTreeMap, HashSet};
 
+use common::specimen;
 use specimens::{CASES, Case, assert_rate, by_parts, cases, normal_cdf, number, shortest};
 use stemgen::recipe::{Difficulty, Recipe, Region};
-use stemgen::specimen::{SiteKind, specimen};
+use stemgen::specimen::SiteKind;
 
 /// Sites and guests in equal parts of the field's width.
 fn guests(case: &Case, host: u8, guest: u8, bins: usize) -> Vec<[u64; 2]> {

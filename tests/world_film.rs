@@ -1,18 +1,18 @@
 //! Particles on a film: each kind of atom in its own way, against simulations of all atoms together.
 
+mod common;
+
+use std::sync::Arc;
+
+use common::specimen;
 use ndarray::Array2;
 use stemgen::engine::Algorithm;
-use stemgen::imaging::audit::region_audit::{Audit, AuditOptions, Source, audit};
-use stemgen::imaging::film::film_imager::FilmImage;
-use stemgen::imaging::mosaic::library_cache::Cache;
-use stemgen::imaging::mosaic::mosaic_imager::MosaicEngine;
-use stemgen::imaging::pixels::PixelBox;
-use stemgen::imaging::region_imager::FieldImage;
-use stemgen::imaging::simulator::Simulator;
+use stemgen::imaging::{
+    Audit, AuditOptions, FilmImager, PixelBox, PixelRect, RegionImager, Simulator, audit,
+};
 use stemgen::progress::Silent;
 use stemgen::recipe::{Difficulty, Recipe};
-use stemgen::specimen::{Specimen, specimen};
-use stemgen::world::SubTileEngine;
+use stemgen::specimen::Specimen;
 
 /// A field of 8 nm with one particle of about 1.4 nm on `carbon_nm` of carbon.
 fn recipe(carbon_nm: f64, configurations: usize) -> Recipe {
@@ -38,17 +38,17 @@ fn recipe(carbon_nm: f64, configurations: usize) -> Recipe {
     small
 }
 
-fn film<'a>(recipe: &'a Recipe, specimen: &'a dyn Specimen) -> FilmImage<'a> {
+fn film(recipe: &Recipe, specimen: &Arc<dyn Specimen>) -> FilmImager {
     let simulator = Simulator::new(recipe, Algorithm::Window { width_angstrom: 7.8 });
-    let engine = MosaicEngine { simulator, cache: Cache::none(), always: true };
-    FilmImage::prepare(&engine, specimen, recipe).unwrap().unwrap()
+    let recipe = recipe.clone().checked().unwrap();
+    FilmImager::new(&recipe, specimen, &simulator).unwrap().unwrap()
 }
 
 fn audited(recipe: &Recipe, at_nm: [f64; 2]) -> Audit {
     let specimen = specimen(recipe).unwrap();
-    let film = film(recipe, &*specimen);
+    let film = film(recipe, &specimen);
     let options = AuditOptions { at_nm: vec![at_nm], size_nm: 1.2, ..AuditOptions::default() };
-    let found = audit(recipe, &*specimen, &Source::Field(&film), &options, &Silent).unwrap();
+    let found = audit(recipe, &*specimen, &film, &options, &Silent).unwrap();
     println!("{found:?}");
     found
 }
@@ -80,7 +80,7 @@ fn difference(ours: &Array2<f64>, exact: &Array2<f64>) -> [f64; 2] {
 /// All atoms together in windows. The box repeats, so it must be large for the tails of probes to meet the film's mean
 /// density: with the least margin the mean is off by 0.1-0.3 %.
 fn whole(
-    film: &FilmImage,
+    film: &FilmImager,
     simulator: &Simulator,
     (first, shape): ([usize; 2], [usize; 2]),
     recipe: &Recipe,
@@ -88,7 +88,8 @@ fn whole(
     configurations: usize,
 ) -> Array2<f64> {
     let (margin, thickness) = (simulator.margin_angstrom() + 10.0, specimen.thickness_nm());
-    let pixels = PixelBox::new((first, shape, 1), recipe.field.pixel_nm(), margin, thickness);
+    let pixels =
+        PixelBox::new(&PixelRect::new(first, shape), recipe.field.pixel_nm(), margin, thickness);
     let atoms = |configuration| film.atoms(&pixels.area, configuration);
     simulator.mean(&pixels, configurations, atoms, &Silent).unwrap()
 }
@@ -98,7 +99,7 @@ fn whole(
 fn a_film_of_50_angstrom_is_right_in_the_mean() {
     let recipe = recipe(5.0, 4);
     let specimen = specimen(&recipe).unwrap();
-    let film = film(&recipe, &*specimen);
+    let film = film(&recipe, &specimen);
     let centre = specimen.particles()[0].centre_nm;
     let pixel = recipe.field.pixel_nm();
     // 3 nm from the particle, where its tail is weak
@@ -107,7 +108,7 @@ fn a_film_of_50_angstrom_is_right_in_the_mean() {
     let simulator = Simulator::new(&recipe, Algorithm::Window { width_angstrom: 7.8 });
     let simulator = simulator.with_large_probe_box();
     for (configurations, most) in [(1, 0.07), (4, 0.045)] {
-        let ours = film.mean_of(first, shape, configurations, &Silent).unwrap();
+        let ours = film.mean_of(&PixelRect::new(first, shape), configurations, &Silent).unwrap();
         let exact = whole(&film, &simulator, (first, shape), &recipe, &*specimen, configurations);
         let [mean, rms] = difference(&ours, &exact);
         println!("{configurations} configurations: mean {mean:+.4}, rms {rms:.4}");
@@ -121,12 +122,14 @@ fn a_film_of_50_angstrom_is_right_in_the_mean() {
 fn an_image_does_not_depend_on_how_it_is_cut() {
     let recipe = recipe(1.0, 1);
     let specimen = specimen(&recipe).unwrap();
-    let film = film(&recipe, &*specimen);
+    let film = film(&recipe, &specimen);
     let centre = specimen.particles()[0].centre_nm;
     let pixel = recipe.field.pixel_nm();
     let first = [1, 0].map(|k| (centre[k] / pixel) as usize - 60);
-    let whole = film.mean_of(first, [120, 120], 1, &Silent).unwrap();
-    let part = film.mean_of([first[0] + 40, first[1] + 20], [60, 70], 1, &Silent).unwrap();
+    let whole = film.mean_of(&PixelRect::new(first, [120, 120]), 1, &Silent).unwrap();
+    let part = film
+        .mean_of(&PixelRect::new([first[0] + 40, first[1] + 20], [60, 70]), 1, &Silent)
+        .unwrap();
     let top = whole.iter().copied().fold(0.0, f64::max);
     let mut worst: f64 = 0.0;
     for ((i, j), v) in part.indexed_iter() {
@@ -142,10 +145,10 @@ fn an_image_does_not_depend_on_how_it_is_cut() {
 fn bytes_depend_on_the_recipe_only() {
     let recipe = recipe(1.0, 2);
     let specimen = specimen(&recipe).unwrap();
-    let film = film(&recipe, &*specimen);
+    let film = film(&recipe, &specimen);
     let centre = specimen.particles()[0].centre_nm;
     let first = [1, 0].map(|k| (centre[k] / recipe.field.pixel_nm()) as usize - 10);
-    let image = || film.mean_of(first, [30, 30], 2, &Silent).unwrap();
+    let image = || film.mean_of(&PixelRect::new(first, [30, 30]), 2, &Silent).unwrap();
     let on = |threads: usize| {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(image)
     };

@@ -1,18 +1,22 @@
 //! Mosaics: worlds put together from a library of exactly simulated units.
 
-use std::collections::HashMap;
+mod common;
 
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use common::specimen;
+use ndarray::Array2;
 use stemgen::engine::Algorithm;
-use stemgen::imaging::audit::region_audit::{AuditOptions, Source, audit};
-use stemgen::imaging::choose::Check;
-use stemgen::imaging::mosaic::library_cache::Cache;
-use stemgen::imaging::mosaic::mosaic_imager::{Mosaic, MosaicEngine};
-use stemgen::imaging::simulator::Simulator;
+use stemgen::imaging::{
+    AuditOptions, Cache, DisplacedAtoms, ImagingCost, MosaicImager, PixelRect, RegionImager,
+    Simulator, audit,
+};
 use stemgen::io::WorldFile;
-use stemgen::progress::Silent;
+use stemgen::progress::{Progress, Silent};
 use stemgen::recipe::{Difficulty, Recipe, Region};
-use stemgen::specimen::{SiteKind, specimen};
-use stemgen::world::{BuildOptions, build};
+use stemgen::specimen::{SiteKind, Specimen};
+use stemgen::world::{BuildMethod, BuildOptions, WorldBuild, build};
 
 /// SrTiO3 as thin and with a detector as narrow as to take seconds; a boundary where `count` is 1.
 fn recipe(count: usize, rate: f64) -> Recipe {
@@ -37,26 +41,58 @@ fn recipe(count: usize, rate: f64) -> Recipe {
     Recipe::from_toml_str("thin.toml", &text, None).unwrap()
 }
 
-fn engine(recipe: &Recipe, cache: Cache) -> MosaicEngine {
+fn mosaic(recipe: &Recipe, specimen: &Arc<dyn Specimen>) -> MosaicImager {
     let simulator = Simulator::new(recipe, Algorithm::Window { width_angstrom: 7.8 });
-    MosaicEngine { simulator, cache, always: true }
+    let recipe = recipe.clone().checked().unwrap();
+    let mut mosaic = MosaicImager::new(&recipe, specimen, simulator, Cache::none()).unwrap();
+    mosaic.prepare(&Silent).unwrap();
+    mosaic
+}
+
+/// An imager whose atoms are not those of its images.
+struct OtherAtoms<'a> {
+    images: &'a MosaicImager,
+    atoms: &'a MosaicImager,
+}
+
+impl RegionImager for OtherAtoms<'_> {
+    fn name(&self) -> &'static str {
+        "other atoms"
+    }
+    fn parameters(&self) -> serde_json::Value {
+        self.images.parameters()
+    }
+    fn mean_of(
+        &self,
+        pixels: &PixelRect,
+        configurations: usize,
+        progress: &dyn Progress,
+    ) -> stemgen::Result<Array2<f64>> {
+        self.images.mean_of(pixels, configurations, progress)
+    }
+    fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
+        self.atoms.atoms(area, configuration)
+    }
+    fn cost(&self, subtile: [usize; 2], subtiles: usize) -> stemgen::Result<ImagingCost> {
+        self.images.cost(subtile, subtiles)
+    }
 }
 
 #[test]
 fn a_mosaic_is_the_exact_image_of_its_atoms() {
     let recipe = recipe(1, 0.04);
     let specimen = specimen(&recipe).unwrap();
-    let engine = engine(&recipe, Cache::none());
-    let mosaic = Mosaic::prepare(&engine, &*specimen, &recipe, &Silent).unwrap().unwrap();
-    assert!(mosaic.survey.families.len() >= 2, "crystal and boundary: {:?}", mosaic.survey);
-    assert!(mosaic.survey.untagged * 100 < mosaic.survey.tagged, "{:?}", mosaic.survey);
+    let mosaic = mosaic(&recipe, &specimen);
+    let survey = mosaic.survey();
+    assert!(survey.families.len() >= 2, "crystal and boundary: {survey:?}");
+    assert!(survey.untagged * 100 < survey.tagged, "{survey:?}");
     // One region on the boundary, one beside it.
     let options = AuditOptions {
         at_nm: vec![[3.1, 3.1], [1.2, 4.0]],
         configurations: Some(1),
         ..AuditOptions::default()
     };
-    let found = audit(&recipe, &*specimen, &Source::Field(&mosaic), &options, &Silent).unwrap();
+    let found = audit(&recipe, &*specimen, &mosaic, &options, &Silent).unwrap();
     println!("{found:?}");
     assert!(found.bright_rms_percent < 1.0, "{}", found.bright_rms_percent);
     assert!(found.all_rms_percent < 0.8, "{}", found.all_rms_percent);
@@ -65,23 +101,31 @@ fn a_mosaic_is_the_exact_image_of_its_atoms() {
         assert!(kind.columns > 5 && kind.correlation > 0.98, "{kind:?}");
         assert!((kind.variance_ratio - 1.0).abs() < 0.15, "{kind:?}");
     }
-    // The check can fail: other configurations are other atoms.
-    let other = AuditOptions { configurations: Some(6), ..options };
-    let mean = audit(&recipe, &*specimen, &Source::Field(&mosaic), &other, &Silent).unwrap();
-    let (one, six) = (&found.regions[1].ours, &mean.regions[1].ours);
-    let spread = (one - six).mapv(|d| d * d).mean().unwrap().sqrt() / six.mean().unwrap();
-    assert!(spread > 0.01, "{spread}");
+    // The check can fail: the vacancies and displacements of another seed are other atoms.
+    let other = Recipe { seed: 4, ..recipe.clone() };
+    let other_specimen = common::specimen(&other).unwrap();
+    let others = self::mosaic(&other, &other_specimen);
+    let mixed = OtherAtoms { images: &mosaic, atoms: &others };
+    let wrong = audit(&recipe, &*specimen, &mixed, &options, &Silent).unwrap();
+    println!("{wrong:?}");
+    assert!(wrong.bright_rms_percent > 4.0, "{}", wrong.bright_rms_percent);
+    assert!(wrong.bright_rms_percent > 6.0 * found.bright_rms_percent);
+    for kind in wrong.kinds.iter().filter(|k| k.kind != "O") {
+        assert!(kind.correlation < 0.7, "{kind:?}");
+    }
 }
 
 #[test]
 fn bytes_depend_neither_on_threads_nor_on_the_cache() {
     let folder = tempfile::tempdir().unwrap();
-    let recipe = recipe(0, 0.0);
+    let recipe = recipe(0, 0.0).checked().unwrap();
     let options = BuildOptions {
         keep_clean: true,
-        subtile_nm: 3.0,
-        subtile_overlap_nm: 0.4,
-        check: Check::default(),
+        subtile_nm: Some(3.0),
+        subtile_overlap_nm: Some(0.4),
+        audit_regions: 0,
+        method: BuildMethod::Mosaic,
+        window_angstrom: Some(7.8),
         ..BuildOptions::default()
     };
     let cache = Cache::at(folder.path().join("cache"));
@@ -90,8 +134,8 @@ fn bytes_depend_neither_on_threads_nor_on_the_cache() {
     for (name, threads, cache) in cases {
         let path = folder.path().join(format!("{name}.h5"));
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        let engine = engine(&recipe, cache);
-        let done = pool.install(|| build(&recipe, &engine, &path, &options, &Silent)).unwrap();
+        let options = BuildOptions { cache, ..options.clone() };
+        let done = pool.install(|| build(&recipe, &path, &options, &Silent)).unwrap();
         let [all, simulated] = done.library.unwrap();
         assert_eq!(simulated, if name == "warm" { 0 } else { all }, "{name}");
         assert_eq!(done.engine, "mosaic");
@@ -165,13 +209,13 @@ fn what_a_column_holds_is_what_its_sheet_shows() {
 #[test]
 fn small_fields_are_simulated_as_they_are() {
     let folder = tempfile::tempdir().unwrap();
-    let recipe = recipe(0, 0.0).with_grid(1, 1).unwrap();
-    let engine = MosaicEngine { always: false, ..engine(&recipe, Cache::none()) };
-    let specimen = specimen(&recipe).unwrap();
-    let outlook = Mosaic::outlook(&engine, &*specimen, &recipe).unwrap();
-    assert!(!outlook.pays && outlook.missing == outlook.images, "{outlook:?}");
+    let recipe = recipe(0, 0.0).with_grid(1, 1).unwrap().checked().unwrap();
+    let options = BuildOptions { cache: Cache::none(), ..BuildOptions::default() };
+    let laid_out = WorldBuild::new(&recipe, &options).unwrap();
+    let mosaic = laid_out.cost().unwrap().mosaic.unwrap();
+    assert!(!mosaic.pays && mosaic.missing == mosaic.images, "{mosaic:?}");
     let path = folder.path().join("w.h5");
-    let done = build(&recipe, &engine, &path, &BuildOptions::default(), &Silent).unwrap();
+    let done = laid_out.run(&path, &Silent).unwrap();
     assert_eq!((done.engine.as_str(), done.library), ("window", None));
     assert_eq!(WorldFile::open(&path).unwrap().metadata().engine.as_deref(), Some("window"));
 }

@@ -6,16 +6,16 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::Path;
 use std::sync::LazyLock;
 
-use common::Spots;
+use common::{Spots, build, specimen};
 use proptest::prelude::*;
 use stemgen::io::WorldFile;
 use stemgen::progress::Silent;
 use stemgen::recipe::{Difficulty, Recipe, Region};
 use stemgen::specimen::particles::ROW_TILT_DEG;
-use stemgen::specimen::{DISPLACED_NM, ParticleTruth, SiteKind, Specimen, SpecimenSite, specimen};
+use stemgen::specimen::{DISPLACED_NM, ParticleTruth, SiteKind, Specimen, SpecimenSite};
 use stemgen::structure::particles::rotation::Rotation;
 use stemgen::structure::particles::{Metal, Morphology};
-use stemgen::world::{BuildOptions, build};
+use stemgen::world::BuildOptions;
 
 const PLATINUM: u8 = 78;
 const METAL: Metal = Metal { a: 3.9236, surface_energy_ratio: 1.19 };
@@ -26,7 +26,7 @@ const TIERS: [([f64; 2], f64, f64); 3] =
 struct Case {
     name: &'static str,
     recipe: Recipe,
-    specimen: Box<dyn Specimen>,
+    specimen: std::sync::Arc<dyn Specimen>,
     particles: Vec<Measured>,
 }
 
@@ -311,7 +311,7 @@ fn built(folder: &Path, difficulty: Difficulty, grid: [usize; 2]) -> (Recipe, Wo
     recipe.field.thickness_nm = 1.0;
     let recipe = recipe.with_grid(grid[0], grid[1]).unwrap();
     let path = folder.join(format!("{}{}.h5", difficulty.name(), grid[0]));
-    let options = BuildOptions { subtile_nm: 30.0, ..BuildOptions::default() };
+    let options = BuildOptions { subtile_nm: Some(30.0), ..BuildOptions::default() };
     // Small spots are soon drawn.
     let engine = Spots { sigma: 0.05, ..Spots::new() };
     build(&recipe, &engine, &path, &options, &Silent).unwrap();
@@ -448,7 +448,8 @@ fn recipes_that_cannot_be_are_told_why() {
     for (from, to, expected) in cases {
         assert!(good.contains(from), "{from}");
         let text = good.replacen(from, to, 1);
-        let result = Recipe::from_toml_str("pt.toml", &text, Some(Difficulty::Easy));
+        let result = Recipe::from_toml_str("pt.toml", &text, Some(Difficulty::Easy))
+            .and_then(Recipe::checked);
         let message = result.expect_err(to).to_string();
         assert!(message.contains(expected), "{to}: {message}");
         assert!(message.contains("pt.toml:"), "{message}");
@@ -468,7 +469,7 @@ fn particles_that_cannot_be_made_or_placed_are_named() {
     (particles.diameter_nm, particles.count, particles.gap_nm) = ([1.0, 1.5], 1, 100.0);
     assert!(specimen(&recipe).is_ok());
     recipe.particles.as_mut().unwrap().count = 2;
-    let message = recipe.check().unwrap_err().to_string();
+    let message = recipe.clone().checked().unwrap_err().to_string();
     assert!(
         message.contains("particles.count = 2: 60 x 60 nm have room for at most 1"),
         "{message}"

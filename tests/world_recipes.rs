@@ -4,10 +4,13 @@
 //! comment `# base:`), first the comment `# expected:` with what the error has to say. `# remove: text` drops
 //! lines of the original.
 
+mod common;
+
 use std::path::Path;
 
+use common::specimen;
 use stemgen::recipe::{Difficulty, Recipe, Region};
-use stemgen::specimen::{SiteKind, specimen};
+use stemgen::specimen::SiteKind;
 use stemgen::structure::{Atom, Structure, elements, min_pair_distance, shortest_distances};
 
 const GOOD: &str = include_str!("../generate/srtio3.toml");
@@ -274,7 +277,7 @@ fn no_number_makes_it_panic() {
         if let Some(domains) = &mut small.domains {
             domains.sharpness_sigma_px = 20.0;
         }
-        small.check().unwrap();
+        small.clone().checked().unwrap();
         let base: toml::Value = toml::from_str(&small.to_toml()).unwrap();
         let mut paths = Vec::new();
         numbers(&base, &[], &mut paths);

@@ -1,14 +1,17 @@
 //! What holds for specimens of every kind: seeds, relaxation, and that every region shows the same atoms.
 
+mod common;
+
 #[path = "common/specimens.rs"]
 mod specimens;
 
 use std::collections::{HashMap, HashSet};
 
+use common::specimen;
 use proptest::prelude::*;
 use specimens::{CASES, assert_rate, number};
 use stemgen::recipe::{Difficulty, Recipe, Region};
-use stemgen::specimen::{SiteKind, SpecimenSite, specimen};
+use stemgen::specimen::{SiteKind, SpecimenSite};
 
 const TI: u8 = 22;
 const GA: u8 = 31;
@@ -40,7 +43,7 @@ fn seeds_change_atoms_but_not_statistics() {
 fn vacancies_and_relaxation_work_in_every_kind_of_specimen() {
     for (material, element) in [("batio3", "O"), ("gan", "N"), ("sige", "Si")] {
         let mut recipe = Recipe::load(material, Difficulty::Easy).unwrap();
-        recipe.vacancies = Some(stemgen::world::recipe::Vacancies {
+        recipe.vacancies = Some(stemgen::recipe::Vacancies {
             element: element.into(),
             rate: 0.05,
             cluster_fraction: 0.0,

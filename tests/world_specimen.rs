@@ -1,19 +1,22 @@
 //! The SrTiO3 specimen at full size: rates, clusters, boundaries, and that every region shows the
 //! same atoms.
 
+mod common;
+
 use std::collections::{HashMap, HashSet};
 use std::sync::LazyLock;
 
+use common::specimen;
 use proptest::prelude::*;
 use stemgen::recipe::{Difficulty, Recipe, Region};
-use stemgen::specimen::{BoundaryKind, SiteKind, Specimen, SpecimenSite, specimen};
+use stemgen::specimen::{BoundaryKind, SiteKind, Specimen, SpecimenSite};
 
 const OXYGEN: u8 = 8;
 
 struct Case {
     difficulty: Difficulty,
     recipe: Recipe,
-    specimen: Box<dyn Specimen>,
+    specimen: std::sync::Arc<dyn Specimen>,
 }
 
 static CASES: LazyLock<Vec<Case>> = LazyLock::new(|| {

@@ -7,47 +7,37 @@ mod specimens;
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 
-use common::Spots;
+use common::{Spots, StandIn, build};
 use ndarray::Array2;
 use specimens::{normal_cdf, signed_distance};
 use stemgen::Result;
-use stemgen::engine::{Scan, Site};
+use stemgen::engine::Site;
+use stemgen::imaging::PixelBox;
 use stemgen::io::{GroundTruth, WorldFile};
-use stemgen::progress::{Progress, Silent};
+use stemgen::progress::Silent;
 use stemgen::recipe::{Difficulty, Recipe};
 use stemgen::structure::elements;
-use stemgen::world::{BuildOptions, SubTileEngine, build};
+use stemgen::world::BuildOptions;
 
 /// An image of one value; remembers the thermal displacement of the elements that it saw.
-#[derive(Default)]
+#[derive(Clone, Default)]
 struct Flat {
-    sigmas: Mutex<BTreeMap<&'static str, f64>>,
+    sigmas: Arc<Mutex<BTreeMap<&'static str, f64>>>,
 }
 
-impl SubTileEngine for Flat {
-    fn name(&self) -> String {
-        "flat".into()
-    }
+impl StandIn for Flat {
+    const NAME: &'static str = "flat";
     fn parameters(&self) -> serde_json::Value {
         serde_json::json!({})
     }
-    fn margin_angstrom(&self) -> f64 {
-        2.0
-    }
-    fn image(
-        &self,
-        sites: &[Site],
-        _: [f64; 3],
-        scan: &Scan,
-        _: &dyn Progress,
-    ) -> Result<Array2<f32>> {
+    fn image(&self, sites: &[Site], pixels: &PixelBox) -> Result<Array2<f64>> {
         let mut sigmas = self.sigmas.lock().unwrap();
         for site in sites {
             sigmas.insert(elements::symbol(site.number), site.sigma_angstrom);
         }
-        Ok(Array2::from_elem(scan.shape, 0.02))
+        Ok(Array2::from_elem(pixels.scan.shape, 0.02))
     }
 }
 
@@ -66,11 +56,11 @@ fn whole(folder: &Path, material: &str, difficulty: Difficulty) -> Built {
     let name = format!("{material} {}", difficulty.name());
     let path = folder.join(format!("{name}.h5"));
     let engine = Flat::default();
-    let options = BuildOptions { noise: false, subtile_nm: 7.0, ..BuildOptions::default() };
+    let options = BuildOptions { noise: false, subtile_nm: Some(7.0), ..BuildOptions::default() };
     build(&recipe, &engine, &path, &options, &Silent).unwrap();
     let world = WorldFile::open(&path).unwrap();
     let truth = world.truth(0..world.site_count().unwrap()).unwrap();
-    Built { name, recipe, world, truth, sigmas: engine.sigmas.into_inner().unwrap() }
+    Built { name, recipe, world, truth, sigmas: engine.sigmas.lock().unwrap().clone() }
 }
 
 impl Built {

@@ -4,34 +4,12 @@ use super::show::{Lines, PlanReport};
 use super::{estimate, text};
 use serde::Serialize;
 use std::path::PathBuf;
-use stemgen::engine::Plan;
-use stemgen::imaging::film::film_imager::{BLOCK_PROBES, FilmImage};
-use stemgen::imaging::mosaic::mosaic_imager::{BLOCK_PX, Mosaic, MosaicCost, MosaicEngine};
-use stemgen::imaging::simulator::Simulator;
-use stemgen::recipe::{Recipe, Region};
-use stemgen::specimen::{Specimen, estimated_sites, specimen};
-use stemgen::world::footprint::world_bytes;
-use stemgen::world::subtiles::Partition;
+use stemgen::imaging::{MosaicCost, SimulationRuns};
+use stemgen::recipe::Recipe;
+use stemgen::world::WorldBuild;
 
-/// Edge of the surroundings of a column that only it shows, in Angstrom.
-const UNIQUE_ANGSTROM: f64 = 3.0;
-/// What is to be built, and how.
-pub struct Request<'a> {
-    /// The recipe.
-    pub recipe: &'a Recipe,
-    /// Simulates sub-tiles.
-    pub simulator: &'a Simulator,
-    /// Makes the image in place of it, if it is to be looked at.
-    pub mosaic: Option<MosaicEngine>,
-    /// Width and overlap of sub-tiles.
-    pub subtile_nm: [f64; 2],
-    /// Whether to estimate the time.
-    pub timed: bool,
-    /// Whether the noiseless image is kept.
-    pub keep_clean: bool,
-    /// The file.
-    pub output: PathBuf,
-}
+/// What to do where the arrays do not fit into memory.
+const REMEDY: &str = "a smaller --subtile or fewer --threads take less";
 
 /// What a build would do and take.
 #[derive(Serialize)]
@@ -59,45 +37,22 @@ pub struct DryRun {
 
 impl DryRun {
     /// Plans the build.
-    pub fn new(request: Request) -> anyhow::Result<Self> {
-        let Request { recipe, simulator, .. } = request;
+    pub fn new(recipe: &Recipe, build: &WorldBuild, output: PathBuf) -> anyhow::Result<Self> {
+        let cost = build.cost()?;
         let field = &recipe.field;
         let pixels = field.pixels(field.built_grid());
         let pixel = field.pixel_nm();
-        let [size, overlap] = request.subtile_nm;
-        let partition = Partition::new(pixels, pixel, size, overlap)?;
-        let [rows, columns] = partition.subtiles().next().map_or([1, 1], |t| t.shape());
-        let specimen = specimen(recipe)?;
-        let mut plan = subtile_plan(&*specimen, recipe, simulator, [rows, columns])?;
-        let sites = estimated_sites(&*specimen, field);
-        let runs = if request.timed { partition.len() } else { 0 };
-        let probes = simulator.probes(&plan, [rows, columns], 10.0 * pixel)?;
-        plan.count_waves(probes.scan());
-        let mut step_angstrom = probes.scan().step_angstrom;
-        let (mut particle_probes, mut mosaic) = (None, None);
-        let mut instead = None;
-        if let Some(engine) = &request.mosaic {
-            match FilmImage::prepare(engine, &*specimen, recipe)? {
-                Some(film) => {
-                    let probes = film.particle_probes();
-                    let runs = probes.div_ceil(BLOCK_PROBES);
-                    let block = film.block_plan()?;
-                    let block = block.as_ref().unwrap_or(&plan);
-                    instead = Some(PlanReport::new(block, probes.min(BLOCK_PROBES), runs));
-                    particle_probes = Some(probes);
-                    step_angstrom = [film.step_angstrom(); 2];
-                }
-                None => mosaic = Some(Mosaic::outlook(engine, &*specimen, recipe)?),
-            }
+        let (subtiles, shape) = build.subtiles();
+        let mut plan = report(&cost.main);
+        plan.memory_bytes += cost.image_bytes;
+        if let Some(more) = &cost.more {
+            plan.estimated_time_s += report(more).estimated_time_s;
         }
-        if let Some(mosaic) = mosaic.as_ref().filter(|m| m.pays) {
-            instead = mosaic_report(mosaic, &*specimen, recipe, simulator)?;
+        if let Some(block) = &cost.largest_block {
+            let memory = cost.image_bytes + report(block).memory_bytes;
+            plan.memory_bytes = plan.memory_bytes.max(memory);
         }
-        // Each report with an estimate measures the speed.
-        let subtile = || PlanReport::new(&plan, probes.scan().len(), runs);
-        let mut report = instead.unwrap_or_else(subtile);
-        let remedy = "a smaller --subtile or fewer --threads take less";
-        report.warnings.extend(estimate::memory_warning(report.memory_bytes, remedy));
+        plan.warnings.extend(estimate::memory_warning(plan.memory_bytes, REMEDY));
         Ok(DryRun {
             material: recipe.id.clone(),
             zone_axis: recipe.zone_axis.clone(),
@@ -107,20 +62,23 @@ impl DryRun {
             fov_nm: pixels.map(|n| n as f64 * pixel),
             thickness_nm: field.thickness_nm,
             dose_electrons_per_angstrom2: recipe.dose.electrons_per_angstrom2,
-            subtiles: partition.len(),
-            subtile_nm: [rows, columns].map(|n| n as f64 * pixel),
-            probe_step_angstrom: step_angstrom,
-            plan: report,
-            mosaic,
-            particle_probes,
-            disk_bytes: world_bytes(field, sites, request.keep_clean),
-            output: request.output,
+            subtiles,
+            subtile_nm: shape.map(|n| n as f64 * pixel),
+            probe_step_angstrom: cost.probe_step_angstrom,
+            plan,
+            mosaic: cost.mosaic,
+            particle_probes: cost.particle_probes,
+            disk_bytes: build.disk_bytes(),
+            output,
         })
     }
 
-    /// What is to be said of it.
-    pub fn warnings(&self) -> &[String] {
-        &self.plan.warnings
+    /// What is to be said before a build, without the time that an estimate takes.
+    pub fn warnings(build: &WorldBuild) -> anyhow::Result<Vec<String>> {
+        let (subtile, _) = build.subtile_plan()?;
+        let plan = report(&SimulationRuns { runs: 0, ..subtile });
+        let memory = estimate::memory_warning(plan.memory_bytes, REMEDY);
+        Ok(plan.warnings.into_iter().chain(memory).collect())
     }
 
     /// Name and value, line by line.
@@ -170,43 +128,7 @@ fn mosaic_line(mosaic: &MosaicCost) -> String {
     )
 }
 
-/// What making a mosaic takes: the images that the library lacks, and the columns like no other, each in a block of its own.
-fn mosaic_report(
-    mosaic: &MosaicCost,
-    specimen: &dyn Specimen,
-    recipe: &Recipe,
-    simulator: &Simulator,
-) -> anyhow::Result<Option<PlanReport>> {
-    let Some(plan) = &mosaic.plan else { return Ok(None) };
-    let probes = mosaic.missing_probes.div_ceil(mosaic.missing.max(1));
-    let mut report = PlanReport::new(plan, probes, mosaic.missing);
-    let pixel = 10.0 * recipe.field.pixel_nm();
-    let unique = |edge: usize, runs: usize| -> anyhow::Result<PlanReport> {
-        let mut plan = subtile_plan(specimen, recipe, simulator, [edge; 2])?;
-        let probes = simulator.probes(&plan, [edge; 2], pixel)?;
-        plan.count_waves(probes.scan());
-        Ok(PlanReport::new(&plan, probes.scan().len(), runs))
-    };
-    report.memory_bytes += mosaic.image_bytes;
-    if mosaic.unique_columns > 0 {
-        let edge = (UNIQUE_ANGSTROM / pixel).ceil() as usize;
-        report.estimated_time_s += unique(edge, mosaic.unique_columns as usize)?.estimated_time_s;
-        let memory = mosaic.image_bytes + unique(BLOCK_PX, 0)?.memory_bytes;
-        report.memory_bytes = report.memory_bytes.max(memory);
-    }
-    Ok(Some(report))
-}
-
-/// The plan of a sub-tile of so many pixels.
-fn subtile_plan(
-    specimen: &dyn Specimen,
-    recipe: &Recipe,
-    simulator: &Simulator,
-    [rows, columns]: [usize; 2],
-) -> anyhow::Result<Plan> {
-    let pixel = recipe.field.pixel_nm();
-    let somewhere = Region::of_pixels(recipe.field.crop_origin_px(), [rows, columns], pixel);
-    let z: Vec<f64> = specimen.sites(&somewhere).iter().map(|s| 10.0 * s.position_nm[2]).collect();
-    let size = [columns, rows].map(|n| 10.0 * pixel * n as f64);
-    Ok(simulator.plan(size, 10.0 * specimen.thickness_nm(), &z)?)
+/// Like simulations as a report; each with an estimate measures the speed.
+fn report(simulations: &SimulationRuns) -> PlanReport {
+    PlanReport::new(&simulations.plan, simulations.probes, simulations.runs)
 }

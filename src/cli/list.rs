@@ -4,7 +4,7 @@ use super::progress::Reporter;
 use super::text;
 use clap::Args;
 use serde::Serialize;
-use stemgen::recipe::Recipe;
+use stemgen::recipe::{CheckedRecipe, Recipe};
 use stemgen::specimen::{counted_sites, estimated_sites, specimen};
 
 const EXAMPLES: &str = "\
@@ -78,13 +78,13 @@ impl List {
             let tiers =
                 if tiers.is_empty() { vec![None] } else { tiers.into_iter().map(Some).collect() };
             for tier in tiers {
-                rows.push(self.row(&Recipe::load(&name, tier)?, &reporter)?);
+                rows.push(self.row(&CheckedRecipe::load(&name, tier)?, &reporter)?);
             }
         }
         text::print(&if self.json { serde_json::to_string_pretty(&rows)? } else { table(&rows) })
     }
 
-    fn row(&self, recipe: &Recipe, reporter: &Reporter) -> anyhow::Result<Row> {
+    fn row(&self, recipe: &CheckedRecipe, reporter: &Reporter) -> anyhow::Result<Row> {
         let specimen = specimen(recipe)?;
         let field = &recipe.field;
         let sites = match self.count {

@@ -1,7 +1,7 @@
 //! The command line: one file per subcommand.
 
-mod audit;
-mod build;
+mod audit_command;
+mod build_command;
 mod build_plan;
 mod cache;
 mod common;
@@ -53,10 +53,10 @@ Examples:
 #[derive(Debug, Subcommand)]
 enum Command {
     Simulate(Box<simulate::Simulate>),
-    Build(Box<build::Build>),
+    Build(Box<build_command::Build>),
     Specimen(Box<specimen::SpecimenCommand>),
     View(Box<view::View>),
-    Audit(Box<audit::AuditCommand>),
+    Audit(Box<audit_command::AuditCommand>),
     Cache(Box<cache::CacheCommand>),
     Validate(Box<validate::Validate>),
     Compare(Box<compare::Compare>),

@@ -6,7 +6,7 @@ use anyhow::{Context, anyhow};
 use clap::Args;
 use std::path::PathBuf;
 use stemgen::engine::Settings;
-use stemgen::recipe::{Difficulty, Override, Recipe};
+use stemgen::recipe::{CheckedRecipe, Difficulty, Override, Recipe};
 
 /// The recipe.
 #[derive(Debug, Args)]
@@ -42,7 +42,7 @@ pub struct Made {
 
 impl RecipeArgs {
     /// The recipe, resolved, changed and checked.
-    pub fn resolve(&self) -> anyhow::Result<Recipe> {
+    pub fn resolve(&self) -> anyhow::Result<CheckedRecipe> {
         let changes: Vec<Override> =
             self.set.iter().map(|text| text.parse()).collect::<stemgen::Result<_>>()?;
         let mut recipe = self.chosen()?.with_overrides(&changes)?;
@@ -50,12 +50,11 @@ impl RecipeArgs {
         if let Some([rows, columns]) = self.grid {
             recipe = recipe.with_grid(rows, columns)?;
         }
-        recipe.check()?;
-        Ok(recipe)
+        Ok(recipe.checked()?)
     }
 
     /// The same, or the recipe of a world file named in place of a material, and how that world was made.
-    pub fn resolve_or_world(&self) -> anyhow::Result<(Recipe, Option<Made>)> {
+    pub fn resolve_or_world(&self) -> anyhow::Result<(CheckedRecipe, Option<Made>)> {
         let file = self.material.as_ref().map(PathBuf::from);
         let Some(file) = file.filter(|f| f.extension().is_some_and(|e| e == "h5" || e == "hdf5"))
         else {
@@ -76,7 +75,7 @@ impl RecipeArgs {
         let Some(text) = &metadata.recipe else {
             anyhow::bail!("{}: holds no recipe; it was not built by stemgen", file.display());
         };
-        let recipe = Recipe::from_toml_str(&file.display().to_string(), text, None)?;
+        let recipe = Recipe::from_toml_str(&file.display().to_string(), text, None)?.checked()?;
         let settings = metadata.engine_parameters.as_deref().map(serde_json::from_str).transpose();
         let settings = settings.with_context(|| {
             format!("{}: engine_parameters are not those of this program", file.display())

@@ -31,6 +31,20 @@ pub struct WindowChoice {
     pub beyond_measured: Vec<String>,
 }
 
+impl WindowChoice {
+    /// What is to be said of a window that was chosen for an error of `accuracy_percent`, if anything.
+    pub fn warning(&self, accuracy_percent: f64) -> Option<String> {
+        (!self.beyond_measured.is_empty()).then(|| {
+            format!(
+                "an error of {accuracy_percent} % was not measured for {}; the window was widened to {:.1} A, which \
+                 should do. Compare a few probes with multislice",
+                self.beyond_measured.join(", "),
+                self.width_angstrom
+            )
+        })
+    }
+}
+
 /// The narrowest window whose error is at most `accuracy_percent`, widened for thickness, defocus, aberrations and
 /// small apertures.
 ///

@@ -1,23 +1,48 @@
-//! How the image of a world is made: by a mosaic, or sub-tile by sub-tile.
+//! Which imager makes a field, and whether it is as right as asked.
 
-use crate::engine::Algorithm;
+use std::sync::Arc;
+
+use super::audit::region_audit::{Audit, AuditOptions, audit};
+use super::direct::DirectImager;
+use super::film::film_imager::FilmImager;
+use super::imaging_cost::ImagingCost;
+use super::mosaic::library_cache::Cache;
+use super::mosaic::mosaic_imager::MosaicImager;
+use super::region_imager::RegionImager;
+use super::simulator::Simulator;
 use crate::error::{Error, Result};
-use crate::imaging::audit::region_audit::{Audit, AuditOptions, Source, audit};
-use crate::imaging::film::film_imager::FilmImage;
-use crate::imaging::mosaic::mosaic_imager::{Mosaic, MosaicEngine};
-use crate::imaging::region_imager::FieldImage;
-use crate::imaging::simulator::Simulator;
 use crate::progress::Progress;
-use crate::recipe::model::Recipe;
-use crate::specimen::model::Specimen;
-use crate::world::builder::SubTileEngine;
+use crate::recipe::CheckedRecipe;
+use crate::specimen::Specimen;
 
 /// Windows in Angstrom that are tried in turn for a requested error.
 const WIDER: [f64; 1] = [11.7];
 
-/// What a mosaic's errors are checked with before a world is made of it.
+/// What may be made of a field besides simulating all of it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MethodChoice {
+    /// Films with particles by their parts, mosaics where they take less, else direct simulation.
+    Auto,
+    /// A mosaic wherever anything repeats, whether it pays or not.
+    Mosaic,
+    /// Direct simulation.
+    Direct,
+}
+
+/// How images of a field are to be made.
+#[derive(Debug, Clone)]
+pub struct ImagingChoice {
+    /// Simulates the library of a mosaic, the particles on a film, or all.
+    pub simulator: Simulator,
+    /// What else may be done.
+    pub method: MethodChoice,
+    /// Where images of the library are kept.
+    pub cache: Cache,
+}
+
+/// How right an imager has to be before a world is made with it.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Check {
+pub struct ImagingCheck {
     /// What is compared; nothing when `None`.
     pub audit: Option<AuditOptions>,
     /// Largest error that is accepted, in per cent: rms at bright columns of their intensity, and of all pixels of
@@ -25,107 +50,127 @@ pub struct Check {
     pub max_error_percent: Option<f64>,
 }
 
-/// The method that makes the image.
-pub enum Method<'a> {
-    /// A mosaic, or film and particles each in their own way.
-    Field(Box<dyn FieldImage + 'a>),
-    /// Every sub-tile is simulated.
-    SubTiles(&'a dyn SubTileEngine),
-    /// Every sub-tile is simulated, since a mosaic would not pay or not be right enough.
-    Instead(Box<Simulator>),
-}
+impl ImagingChoice {
+    /// The imager of a field, yet to be prepared.
+    ///
+    /// # Errors
+    /// Those of the settings.
+    pub fn imager(
+        &self,
+        recipe: &CheckedRecipe,
+        specimen: &Arc<dyn Specimen>,
+    ) -> Result<Box<dyn RegionImager>> {
+        match self.sharing(recipe, specimen)? {
+            Some(imager) => Ok(imager),
+            None => Ok(Box::new(self.direct(recipe, specimen)?)),
+        }
+    }
 
-impl<'a> Method<'a> {
-    /// Chooses the method and prepares it; returns the audit of what was chosen, if one was asked for.
+    /// What making a field takes, of which each of `subtiles` parts has `subtile` (rows, columns) pixels.
+    ///
+    /// # Errors
+    /// Those of the plan.
+    pub fn cost(
+        &self,
+        recipe: &CheckedRecipe,
+        specimen: &Arc<dyn Specimen>,
+        subtile: [usize; 2],
+        subtiles: usize,
+    ) -> Result<ImagingCost> {
+        let direct = || self.direct(recipe, specimen)?.cost(subtile, subtiles);
+        if self.method == MethodChoice::Direct {
+            return direct();
+        }
+        if let Some(film) = FilmImager::new(recipe, specimen, &self.simulator)? {
+            return film.cost(subtile, subtiles);
+        }
+        let mosaic = self.mosaic(recipe, specimen)?;
+        match self.worth(&mosaic) {
+            true => mosaic.cost(subtile, subtiles),
+            false => Ok(ImagingCost { mosaic: Some(mosaic.mosaic_cost()), ..direct()? }),
+        }
+    }
+
+    fn mosaic(&self, recipe: &CheckedRecipe, specimen: &Arc<dyn Specimen>) -> Result<MosaicImager> {
+        MosaicImager::new(recipe, specimen, self.simulator.clone(), self.cache.clone())
+    }
+
+    fn worth(&self, mosaic: &MosaicImager) -> bool {
+        self.method == MethodChoice::Mosaic || mosaic.pays()
+    }
+
+    /// The imager that takes less than simulating the whole field, if there is one.
+    fn sharing(
+        &self,
+        recipe: &CheckedRecipe,
+        specimen: &Arc<dyn Specimen>,
+    ) -> Result<Option<Box<dyn RegionImager>>> {
+        if self.method == MethodChoice::Direct {
+            return Ok(None);
+        }
+        if let Some(film) = FilmImager::new(recipe, specimen, &self.simulator)? {
+            return Ok(Some(Box::new(film)));
+        }
+        let mosaic = self.mosaic(recipe, specimen)?;
+        Ok(self.worth(&mosaic).then(|| Box::new(mosaic) as Box<dyn RegionImager>))
+    }
+
+    fn direct(&self, recipe: &CheckedRecipe, specimen: &Arc<dyn Specimen>) -> Result<DirectImager> {
+        DirectImager::new(recipe, specimen, self.simulator.clone())
+    }
+
+    /// This, and if `more` the same with wider windows.
+    fn widening(&self, more: bool) -> Vec<ImagingChoice> {
+        let mut choices = vec![self.clone()];
+        let Some(now) = self.simulator.window_angstrom() else { return choices };
+        for width in WIDER.into_iter().filter(|w| more && *w > now) {
+            let simulator = self.simulator.with_window(width);
+            choices.push(ImagingChoice { simulator, ..self.clone() });
+        }
+        choices
+    }
+
+    /// Prepares the imager of a field; returns the audit of what was chosen, if one was asked for. Imagers that simulate the
+    /// field itself are audited only where a largest error is asked for. Where the error is too large, wider windows are
+    /// tried, and then direct simulation.
     ///
     /// # Errors
     /// [`Error::Invalid`] when nothing is as right as asked, those of the engine, and [`Error::Interrupted`].
-    pub fn prepare(
-        engine: &'a dyn SubTileEngine,
-        specimen: &'a dyn Specimen,
-        recipe: &'a Recipe,
-        check: &Check,
+    pub fn checked_imager(
+        &self,
+        recipe: &CheckedRecipe,
+        specimen: &Arc<dyn Specimen>,
+        check: &ImagingCheck,
         progress: &dyn Progress,
-    ) -> Result<(Self, Option<Audit>)> {
-        let Some(mosaic) = engine.mosaic() else { return Ok((Method::SubTiles(engine), None)) };
-        let mut widest = mosaic.simulator.clone();
-        for engine in widening(mosaic, check.max_error_percent.is_some()) {
-            let Some(prepared) = field_image(&engine, specimen, recipe, progress)? else { break };
-            let found = match &check.audit {
-                Some(options) => {
-                    let source = Source::Field(&*prepared);
-                    Some(audit(recipe, specimen, &source, options, progress)?)
-                }
-                None => None,
-            };
-            if accepted(found.as_ref(), check.max_error_percent, progress) {
-                return Ok((Method::Field(prepared), found));
-            }
-            widest = engine.simulator;
-        }
-        let audited = (&check.audit, check.max_error_percent);
-        let (Some(options), Some(limit)) = audited else {
-            return Ok((Method::Instead(Box::new(widest)), None));
+    ) -> Result<(Box<dyn RegionImager>, Option<Audit>)> {
+        let limit = check.max_error_percent;
+        let audited = |imager: &dyn RegionImager| match &check.audit {
+            Some(options) => audit(recipe, &**specimen, imager, options, progress).map(Some),
+            None => Ok(None),
         };
-        for engine in widening(&MosaicEngine { simulator: widest, ..mosaic.clone() }, true) {
-            let simulator = engine.simulator;
-            let found = audit(recipe, specimen, &Source::Direct(&simulator), options, progress)?;
-            if accepted(Some(&found), Some(limit), progress) {
-                return Ok((Method::Instead(Box::new(simulator)), Some(found)));
+        let mut widest = self.clone();
+        for choice in self.widening(limit.is_some()) {
+            let Some(mut imager) = choice.sharing(recipe, specimen)? else { break };
+            imager.prepare(progress)?;
+            let found = audited(&*imager)?;
+            if accepted(found.as_ref(), limit, progress) {
+                return Ok((imager, found));
+            }
+            widest = choice;
+        }
+        if check.audit.is_none() || limit.is_none() {
+            return Ok((Box::new(widest.direct(recipe, specimen)?), None));
+        }
+        for choice in widest.widening(true) {
+            let imager = choice.direct(recipe, specimen)?;
+            let found = audited(&imager)?;
+            if accepted(found.as_ref(), limit, progress) {
+                return Ok((Box::new(imager), found));
             }
         }
-        let expected =
-            "no window is as right here; use --engine multislice, or prism with --interpolation 1";
-        Err(Error::invalid("largest error (%)", limit, expected))
+        let expected = "no window is as right here; use multislice, or PRISM with interpolation 1";
+        Err(Error::invalid("largest error (%)", limit.unwrap_or_default(), expected))
     }
-
-    /// Its name.
-    pub fn name(&self) -> String {
-        match self {
-            Method::Field(field) => field.name().into(),
-            Method::SubTiles(engine) => engine.name(),
-            Method::Instead(simulator) => simulator.name(),
-        }
-    }
-
-    /// Settings that decide the image.
-    pub fn parameters(&self) -> serde_json::Value {
-        match self {
-            Method::Field(field) => field.parameters(),
-            Method::SubTiles(engine) => engine.parameters(),
-            Method::Instead(simulator) => simulator.parameters(),
-        }
-    }
-}
-
-/// The method for a specimen, prepared; `None` where simulating the field itself takes less.
-///
-/// # Errors
-/// Those of the engine, and [`Error::Interrupted`].
-pub fn field_image<'a>(
-    engine: &MosaicEngine,
-    specimen: &'a dyn Specimen,
-    recipe: &'a Recipe,
-    progress: &dyn Progress,
-) -> Result<Option<Box<dyn FieldImage + 'a>>> {
-    if let Some(film) = FilmImage::prepare(engine, specimen, recipe)? {
-        return Ok(Some(Box::new(film)));
-    }
-    let mosaic = Mosaic::prepare(engine, specimen, recipe, progress)?;
-    Ok(mosaic.map(|m| Box::new(m) as Box<dyn FieldImage>))
-}
-
-/// The engine, and with wider windows those that follow.
-fn widening(engine: &MosaicEngine, more: bool) -> Vec<MosaicEngine> {
-    let mut engines = vec![engine.clone()];
-    let Algorithm::Window { width_angstrom } = engine.simulator.settings().algorithm else {
-        return engines;
-    };
-    for width in WIDER.into_iter().filter(|w| more && *w > width_angstrom) {
-        let simulator = engine.simulator.with_window(width);
-        engines.push(MosaicEngine { simulator, ..engine.clone() });
-    }
-    engines
 }
 
 fn accepted(found: Option<&Audit>, limit: Option<f64>, progress: &dyn Progress) -> bool {

@@ -1,10 +1,10 @@
-//! The atoms of a world, configuration by configuration.
+//! The atoms of a field, phonon configuration by configuration.
 
 use crate::engine::Site;
-use crate::imaging::mosaic::image_library::Library;
 use crate::phonons::displaced;
 use crate::recipe::region::Region;
 use crate::recipe::tables::PhononTable;
+use crate::specimen::atom_columns::AtomColumn;
 use crate::specimen::model::Specimen;
 use crate::specimen::sites::DISPLACED_NM;
 
@@ -13,39 +13,42 @@ use crate::specimen::sites::DISPLACED_NM;
 pub struct DisplacedAtoms {
     /// The atoms where they are, in Angstrom from the area's corner.
     pub sites: Vec<Site>,
-    /// Their mean heights, which decide where slices are cut.
+    /// Their mean heights in Angstrom, which decide where slices are cut.
     pub heights: Vec<f64>,
 }
 
-/// The atoms of `area` in phonon configuration `configuration` of a mosaic, displaced, in Angstrom from the
-/// area's corner: those of units with a place in the library move as in the sheets that their images
-/// come from, others as in all engines.
-pub fn definite_atoms(
+/// The atoms of `area` in phonon configuration `configuration`, displaced by (seed, configuration, key of the atom).
+pub fn displaced_by_seed(
     specimen: &dyn Specimen,
-    library: Option<&Library>,
+    area: &Region,
+    which: (u64, usize),
+    phonons: &PhononTable,
+) -> DisplacedAtoms {
+    displaced_atoms(specimen, area, which, phonons, |_| None::<fn(usize) -> [f64; 3]>)
+}
+
+/// The same, but for columns that move otherwise: `of_column` gives, for such a column, the displacement of its n-th site in
+/// standard deviations along the axes of the field.
+pub fn displaced_atoms<M: Fn(usize) -> [f64; 3]>(
+    specimen: &dyn Specimen,
     area: &Region,
     (seed, configuration): (u64, usize),
     phonons: &PhononTable,
+    of_column: impl Fn(&AtomColumn) -> Option<M>,
 ) -> DisplacedAtoms {
     // A displaced atom may lie on the other side of the edge than its column.
     let sites = specimen.query(&area.grown(DISPLACED_NM));
     let mut atoms = DisplacedAtoms::default();
     for column in &sites.columns {
-        let single = library.zip(column.unit).and_then(|(library, tag)| {
-            let shelf = library.shelf(tag.family)?;
-            let singles = shelf.singles(tag.entry, (seed, tag.id), library.configurations());
-            Some((tag, shelf, singles[configuration]))
-        });
+        let moved = of_column(column);
         for (n, site) in sites.sites[column.sites.clone()].iter().enumerate() {
             let [x, y, _] = site.position_nm;
             let atom = site.atom([area.x[0], area.y[0]], phonons);
             let Some(atom) = atom.filter(|_| area.contains([x, y])) else { continue };
             let (mean, sigma) = (atom.position, atom.sigma_angstrom);
-            let position = match &single {
-                Some((tag, shelf, single)) => {
-                    let [a, b, c] = shelf.displacement(*single, tag.member, n);
-                    let [u, v] = tag.frame;
-                    let moved = [u[0] * a + u[1] * b, v[0] * a + v[1] * b, c];
+            let position = match &moved {
+                Some(moved) => {
+                    let moved = moved(n);
                     std::array::from_fn(|k| mean[k] + sigma * moved[k])
                 }
                 None => displaced(&atom, seed, configuration as u32),

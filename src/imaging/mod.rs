@@ -1,13 +1,29 @@
 //! Imaging: the noise-free image of any rectangle of a field.
 //!
-//! specimen -> slices -> engine -> detector image.
+//! specimen -> slices -> engine -> detector image. A [`RegionImager`] makes it, in one of three ways: [`direct`] simulates the
+//! atoms that are there, [`mosaic`] shares simulations among columns that are alike, [`film`] treats the light atoms of a
+//! thin film each by itself. [`choose`] picks one, and [`audit`] tells its error.
 
 pub mod audit;
 pub mod choose;
+pub mod direct;
 pub mod displaced_atoms;
 pub mod film;
+pub mod imaging_cost;
 pub mod mosaic;
 pub mod pixels;
-pub mod progress_share;
 pub mod region_imager;
 pub mod simulator;
+
+pub use audit::region_audit::{Audit, AuditOptions, audit};
+pub use choose::{ImagingCheck, ImagingChoice, MethodChoice};
+pub use direct::DirectImager;
+pub use displaced_atoms::DisplacedAtoms;
+pub use film::film_imager::FilmImager;
+pub use imaging_cost::{ImagingCost, SimulationRuns};
+pub use mosaic::library_cache::{CACHE_VARIABLE, Cache, Holding};
+pub use mosaic::mosaic_cost::MosaicCost;
+pub use mosaic::mosaic_imager::MosaicImager;
+pub use pixels::{PixelBox, PixelRect};
+pub use region_imager::RegionImager;
+pub use simulator::Simulator;

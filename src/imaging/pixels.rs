@@ -1,9 +1,55 @@
-//! Pixels to be simulated, and the box of specimen around them.
+//! Pixels of a field, and the box of specimen around them.
+
+use ndarray::Array2;
 
 use crate::engine::Scan;
 use crate::recipe::region::Region;
 
-/// A rectangle of pixels of the full field, with as much specimen around it as an engine needs.
+/// A rectangle of pixels of the full field, or every so many-th of them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PixelRect {
+    /// Row and column of the first pixel in the full field.
+    pub first: [usize; 2],
+    /// Rows and columns that it spans.
+    pub shape: [usize; 2],
+    /// Every how many-th row and column is meant: 1 for all.
+    pub stride: usize,
+}
+
+impl PixelRect {
+    /// All of `shape` (rows, columns) pixels from pixel `first` (row, column) of the full field.
+    pub fn new(first: [usize; 2], shape: [usize; 2]) -> Self {
+        PixelRect { first, shape, stride: 1 }
+    }
+
+    /// Every `stride`-th pixel of the rectangle along each axis.
+    #[must_use]
+    pub fn every(self, stride: usize) -> Self {
+        PixelRect { stride, ..self }
+    }
+
+    /// Rows and columns of the pixels that are meant.
+    pub fn sampled_shape(&self) -> [usize; 2] {
+        self.shape.map(|n| n.div_ceil(self.stride))
+    }
+
+    /// The area that the rectangle covers.
+    pub fn region(&self, pixel_nm: f64) -> Region {
+        Region::of_pixels(self.first, self.shape, pixel_nm)
+    }
+
+    /// The pixels that are meant, [row, column], of an image of all.
+    pub fn sampled(&self, image: Array2<f64>) -> Array2<f64> {
+        if self.stride == 1 {
+            return image;
+        }
+        let [rows, columns] = self.sampled_shape();
+        let at = |(i, j): (usize, usize)| image[[i * self.stride, j * self.stride]];
+        Array2::from_shape_fn((rows, columns), at)
+    }
+}
+
+/// Pixels to be simulated, with as much specimen around them as an engine needs.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PixelBox {
     /// The specimen, in nm of the full field.
@@ -15,20 +61,15 @@ pub struct PixelBox {
 }
 
 impl PixelBox {
-    /// Every `stride`-th of `shape` pixels from pixel `first`, both (row, column), with `margin_angstrom` around.
-    pub fn new(
-        (first, shape, stride): ([usize; 2], [usize; 2], usize),
-        pixel_nm: f64,
-        margin_angstrom: f64,
-        thickness_nm: f64,
-    ) -> Self {
+    /// The pixels of a rectangle with `margin_angstrom` of specimen around.
+    pub fn new(pixels: &PixelRect, pixel_nm: f64, margin_angstrom: f64, thickness_nm: f64) -> Self {
         let margin_nm = 0.1 * margin_angstrom;
         let scan = Scan {
             origin_angstrom: [10.0 * margin_nm + 5.0 * pixel_nm; 2],
-            step_angstrom: [10.0 * pixel_nm * stride as f64; 2],
-            shape: shape.map(|n| n.div_ceil(stride)),
+            step_angstrom: [10.0 * pixel_nm * pixels.stride as f64; 2],
+            shape: pixels.sampled_shape(),
         };
-        let area = Region::of_pixels(first, shape, pixel_nm).grown(margin_nm);
+        let area = pixels.region(pixel_nm).grown(margin_nm);
         Self::of_area(area, scan, 10.0 * thickness_nm)
     }
 

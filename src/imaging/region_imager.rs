@@ -1,45 +1,69 @@
-//! Methods that make the image of any part of a field, out of more than a simulation of that part.
+//! The one way to an image of a field: imagers make that of any rectangle of it.
 
 use ndarray::Array2;
 
+use super::displaced_atoms::DisplacedAtoms;
+use super::imaging_cost::ImagingCost;
+use super::pixels::PixelRect;
 use crate::error::Result;
-use crate::imaging::displaced_atoms::DisplacedAtoms;
 use crate::progress::Progress;
 use crate::recipe::region::Region;
 
-/// See the module.
-pub trait FieldImage: Send + Sync {
-    /// Name of the method.
+/// Makes the noise-free image of any rectangle of one field.
+///
+/// Pixels that two rectangles share are the same in both, up to the error that the imager states: a field can be made
+/// piece by piece, in any order.
+pub trait RegionImager: Send + Sync {
+    /// Name of the method, as world files give it: `mosaic`, `film`, `window`, `prism`, `multislice`.
     fn name(&self) -> &'static str;
 
-    /// Settings that decide the image.
+    /// Settings that decide the image. A build goes on from an earlier one only under the same.
     fn parameters(&self) -> serde_json::Value;
 
-    /// The noiseless image of `shape` pixels from pixel `first` (row, column) of the full field, as fraction of the beam: the
-    /// mean over the first `configurations`.
+    /// Does what all images share, such as filling a library of simulations. Has to be called before
+    /// [`RegionImager::mean_of`]; a second call does nothing.
+    ///
+    /// # Errors
+    /// Those of the engine, and [`crate::Error::Interrupted`].
+    fn prepare(&mut self, _progress: &dyn Progress) -> Result<()> {
+        Ok(())
+    }
+
+    /// The noise-free image of the pixels, [row, column] = [y, x] of shape [`PixelRect::sampled_shape`], as fraction of the
+    /// beam: the mean over the first `configurations` phonon configurations.
     ///
     /// # Errors
     /// Those of the engine, and [`crate::Error::Interrupted`].
     fn mean_of(
         &self,
-        first: [usize; 2],
-        shape: [usize; 2],
+        pixels: &PixelRect,
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Array2<f64>>;
 
-    /// Unit of [`FieldImage::work`].
-    fn unit(&self) -> &'static str {
-        "pixel"
-    }
-
-    /// What the image of such an area takes, in units of like cost: for progress.
-    fn work(&self, _first: [usize; 2], shape: [usize; 2]) -> usize {
-        shape[0] * shape[1]
-    }
-
-    /// The displaced atoms of an area in one configuration: those that the image shows.
+    /// The displaced atoms of an area (nm of the full field) in one phonon configuration: those that the image shows.
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms;
+
+    /// What making a field takes, of which each of `subtiles` parts has `subtile` (rows, columns) pixels. Nothing is simulated.
+    ///
+    /// # Errors
+    /// Those of the plan.
+    fn cost(&self, subtile: [usize; 2], subtiles: usize) -> Result<ImagingCost>;
+
+    /// What progress calls the work of [`RegionImager::mean_of`], and its unit.
+    fn stage(&self) -> [&'static str; 2] {
+        ["assembling", "pixel"]
+    }
+
+    /// What the image of such pixels takes, in units of like cost: for progress.
+    fn work(&self, pixels: &PixelRect) -> usize {
+        pixels.shape[0] * pixels.shape[1]
+    }
+
+    /// Width in Angstrom of the windows that follow the probe, where there are any.
+    fn window_angstrom(&self) -> Option<f64> {
+        None
+    }
 
     /// Images of the library that it draws on, and how many of them had to be simulated.
     fn library(&self) -> Option<[usize; 2]> {

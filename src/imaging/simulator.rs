@@ -7,16 +7,16 @@ use crate::engine::{
     Scan, Settings, Simulation, Site, WindowChoice, elements, probe_margin_angstrom, simulate,
     window_for,
 };
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::imaging::displaced_atoms::DisplacedAtoms;
 use crate::imaging::pixels::PixelBox;
-use crate::imaging::progress_share::SubProgress;
 use crate::optics::Optics;
 use crate::potential::slices::Slicing;
 use crate::progress::Progress;
-use crate::recipe::model::Recipe;
+use crate::progress::ProgressShare;
+use crate::recipe::{BEYOND_FIELD_NM, Recipe};
 use crate::resample::{Kernel, image_band_limit};
-use crate::world::builder::SubTileEngine;
+use crate::specimen::DISPLACED_NM;
 use ndarray::{Array2, Axis};
 
 /// Simulates sub-tiles of a world with [`crate::engine`].
@@ -99,7 +99,7 @@ impl Simulator {
     /// and mean heights in all.
     ///
     /// # Errors
-    /// As [`SubTileEngine::image`].
+    /// As [`Simulator::image`].
     pub fn mean(
         &self,
         pixels: &PixelBox,
@@ -114,7 +114,7 @@ impl Simulator {
         let mut first = Some(first.sites);
         let mut sum = Array2::<f64>::zeros(pixels.scan.shape);
         for configuration in 0..configurations {
-            let share = SubProgress::new(progress, pixels.scan.len());
+            let share = ProgressShare::new(progress, pixels.scan.len());
             let sites = first.take().unwrap_or_else(|| atoms(configuration).sites);
             let images = simulation.images(&sites, &pixels.scan, &share)?;
             sum.zip_mut_with(&images.image(0, 0), |s, v| *s += f64::from(*v));
@@ -134,6 +134,15 @@ impl Simulator {
     #[must_use]
     pub fn with_slices(&self, slicing: Slicing) -> Self {
         Simulator { settings: Settings { slicing, ..self.settings.clone() } }
+    }
+
+    /// The same with the mean over so many phonon configurations.
+    #[must_use]
+    pub fn with_configurations(&self, configurations: usize) -> Self {
+        let of = |phonons: Phonons| Phonons { configurations: configurations as u32, ..phonons };
+        Simulator {
+            settings: Settings { phonons: self.settings.phonons.map(of), ..self.settings.clone() },
+        }
     }
 
     /// The same with windows of another width.
@@ -182,39 +191,62 @@ impl Simulator {
         let origin_angstrom = [self.margin_angstrom() + 0.5 * pixel_angstrom; 2];
         ProbeRaster::new(plan, &Scan { origin_angstrom, step_angstrom: [pixel_angstrom; 2], shape })
     }
-}
 
-impl SubTileEngine for Simulator {
-    fn name(&self) -> String {
+    /// Name of the algorithm.
+    pub fn name(&self) -> &'static str {
         match self.settings.algorithm {
-            Algorithm::Multislice => "multislice".into(),
-            Algorithm::Prism { .. } => "prism".into(),
-            Algorithm::Window { .. } => "window".into(),
+            Algorithm::Multislice => "multislice",
+            Algorithm::Prism { .. } => "prism",
+            Algorithm::Window { .. } => "window",
         }
     }
 
-    fn parameters(&self) -> serde_json::Value {
+    /// Settings that decide the image.
+    pub fn parameters(&self) -> serde_json::Value {
         serde_json::to_value(&self.settings).unwrap_or_default()
     }
 
-    fn margin_angstrom(&self) -> f64 {
-        let half_window = match self.settings.algorithm {
-            Algorithm::Window { width_angstrom } => width_angstrom / 2.0,
-            _ => SPREAD_ANGSTROM,
-        };
+    /// Width of the windows in Angstrom, if it has any.
+    pub fn window_angstrom(&self) -> Option<f64> {
+        match self.settings.algorithm {
+            Algorithm::Window { width_angstrom } => Some(width_angstrom),
+            _ => None,
+        }
+    }
+
+    /// Specimen that is needed beyond the scanned area on each side, in Angstrom.
+    pub fn margin_angstrom(&self) -> f64 {
+        let half_window = self.window_angstrom().map_or(SPREAD_ANGSTROM, |width| width / 2.0);
         half_window + POTENTIAL_REACH_ANGSTROM + probe_margin_angstrom(&self.settings)
     }
 
-    fn image(
+    /// Refuses settings that need more specimen around the field than there is.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`].
+    pub fn check_margin(&self) -> Result<()> {
+        let margin = self.margin_angstrom();
+        if (0.0..=(BEYOND_FIELD_NM - DISPLACED_NM) * 10.0).contains(&margin) {
+            return Ok(());
+        }
+        let expected = format!("the specimen goes on for {} A around it", BEYOND_FIELD_NM * 10.0);
+        Err(Error::invalid("engine margin (A)", margin, expected))
+    }
+
+    /// The image of some atoms at their mean positions, [row, column] = [y, x], as fraction of the beam: the mean over the
+    /// phonon configurations of the settings. The box holds the specimen from the entrance surface z = 0 to its exit surface.
+    ///
+    /// # Errors
+    /// Those of [`Plan::new`] and [`simulate`]; [`Error::Interrupted`] when asked to stop.
+    pub fn image(
         &self,
         sites: &[Site],
-        box_angstrom: [f64; 3],
-        scan: &Scan,
+        pixels: &PixelBox,
         progress: &dyn Progress,
     ) -> Result<Array2<f32>> {
         let heights: Vec<f64> = sites.iter().map(|s| s.position[2]).collect();
-        let plan = Plan::new(&self.settings, box_angstrom, &heights)?;
-        let images = simulate(&plan, sites, scan, progress)?;
+        let plan = Plan::new(&self.settings, pixels.size_angstrom, &heights)?;
+        let images = simulate(&plan, sites, &pixels.scan, progress)?;
         Ok(images.data.index_axis_move(Axis(0), 0).index_axis_move(Axis(0), 0))
     }
 }

@@ -2,35 +2,27 @@
 
 use std::collections::BTreeMap;
 
-use crate::error::Error;
-use crate::recipe::checking_particles;
-use crate::recipe::limits::BEYOND_FIELD_NM;
-use crate::recipe::limits::{MOST_CELLS_ACROSS, MOST_CELLS_ALONG_BEAM};
-use crate::recipe::model::{Fault, Recipe, oriented};
-use crate::recipe::tables::{
-    Alloy, Boundaries, CompositionProfile, DomainTable, Field, StructureKind, Substitutions,
-    Vacancies, Wells,
+use super::checking_defects::check_defects;
+use super::checking_particles::check_particles;
+use super::fault::{Checked, check_guest, crystal_fault, fault, needed, one_of, within};
+use super::limits::{BEYOND_FIELD_NM, MOST_CELLS_ACROSS, MOST_CELLS_ALONG_BEAM};
+use super::model::Recipe;
+use super::oriented_crystals::{OrientedCrystals, oriented};
+use super::tables::{
+    Alloy, Boundaries, CompositionProfile, DomainTable, Field, StructureKind, Wells,
 };
 use crate::structure::coincidence;
 use crate::structure::columns::ColumnCrystal;
 use crate::structure::{PAIR_CUTOFF_ANGSTROM, Structure, elements, shortest_distances};
 
-pub(super) type Checked = std::result::Result<(), Fault>;
-
-/// The candidate most like `key`, if any is similar.
-pub(super) fn nearest<'k>(key: &str, known: impl Iterator<Item = &'k str>) -> Option<&'k str> {
-    let scored = known.map(|k| (strsim::jaro_winkler(key, k), k));
-    scored.filter(|(score, _)| *score > 0.7).max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, k)| k)
-}
-
-/// Checks every value against its limits.
-pub(super) fn check(recipe: &Recipe) -> Checked {
+/// Checks every value against its limits; returns the crystals, which are read for it.
+pub fn check(recipe: &Recipe) -> Checked<OrientedCrystals> {
     if recipe.version != 1 {
         return fault("version", recipe.version, "this program reads recipes of version 1");
     }
     check_field(&recipe.field)?;
     check_tables(recipe)?;
-    let elements = check_specimen(recipe)?;
+    let (crystals, elements) = check_specimen(recipe)?;
     let phonons = &recipe.phonons;
     within("phonons.configurations", phonons.configurations as f64, 1.0, 10_000.0)?;
     check_elements("phonons.sigma_angstrom", &phonons.sigma_angstrom, &elements, 0.0, 0.5)?;
@@ -39,7 +31,8 @@ pub(super) fn check(recipe: &Recipe) -> Checked {
     let detector = &recipe.detector;
     within("detector.inner_mrad", detector.inner_mrad, 0.0, 1000.0)?;
     within("detector.outer_mrad", detector.outer_mrad, detector.inner_mrad + 0.1, 1000.0)?;
-    within("dose.electrons_per_angstrom2", recipe.dose.electrons_per_angstrom2, 1e-3, 1e12)
+    within("dose.electrons_per_angstrom2", recipe.dose.electrons_per_angstrom2, 1e-3, 1e12)?;
+    Ok(crystals)
 }
 
 fn check_field(field: &Field) -> Checked {
@@ -86,75 +79,53 @@ fn check_tables(recipe: &Recipe) -> Checked {
     Ok(())
 }
 
-/// Checks what belongs to the kind of specimen; returns all elements that it may hold.
-fn check_specimen(recipe: &Recipe) -> std::result::Result<Vec<String>, Fault> {
+/// Checks what belongs to the kind of specimen; returns its crystals, and all elements that it may hold.
+fn check_specimen(recipe: &Recipe) -> Checked<(OrientedCrystals, Vec<String>)> {
     if recipe.structure == StructureKind::Particles {
-        return checking_particles::check(recipe);
+        return check_particles(recipe);
     }
-    let (structure, crystal) = check_crystal(recipe)?;
-    let mut elements: Vec<u8> = crystal.chains().map(|c| c.number).collect();
+    let (structure, columns) = check_crystal(recipe)?;
+    let mut elements: Vec<u8> = columns.chains().map(|c| c.number).collect();
     elements.sort_unstable();
     elements.dedup();
     let mut symbols: Vec<String> = elements.iter().map(|&n| elements::symbol(n).into()).collect();
-    match recipe.structure {
-        StructureKind::Grains => {
-            if let Some(boundaries) = &recipe.boundaries {
-                check_boundaries(boundaries, &recipe.field, &structure, &crystal)?;
-            }
-        }
-        StructureKind::Domains => {
-            let domains = needed("domains", recipe.domains.as_ref())?;
-            check_domains(domains, &recipe.field)?;
-            let y_axis = domains.y_axis.as_deref();
-            oriented(&domains.crystal, &domains.zone_axis, y_axis)
-                .map_err(|e| crystal_fault("domains.crystal", e))?;
-        }
-        StructureKind::Epitaxy => {
-            let alloy = needed("alloy", recipe.alloy.as_ref())?;
-            check_alloy(alloy, &symbols)?;
-            oriented(&alloy.end_member, &recipe.zone_axis, recipe.y_axis.as_deref())
-                .map_err(|e| crystal_fault("alloy.end_member", e))?;
-            check_wells(alloy, recipe.wells.as_ref(), &recipe.field)?;
-        }
-        // Returned above.
-        StructureKind::Particles => {}
+    let second = match recipe.structure {
+        StructureKind::Domains => Some(second_phase(recipe)?),
+        StructureKind::Epitaxy => Some(end_member(recipe, &symbols)?),
+        StructureKind::Grains | StructureKind::Particles => None,
+    };
+    if let Some(boundaries) = &recipe.boundaries {
+        check_boundaries(boundaries, &recipe.field, &structure, &columns)?;
     }
     check_defects(recipe, &mut symbols)?;
     symbols.extend(recipe.alloy.iter().map(|alloy| alloy.guest.clone()));
     symbols.sort();
     symbols.dedup();
-    Ok(symbols)
+    Ok((OrientedCrystals::Columns { structure, columns, second }, symbols))
 }
 
-/// Defects of a crystal that holds the elements `symbols`; adds those that come in by substitution.
-pub(super) fn check_defects(recipe: &Recipe, symbols: &mut Vec<String>) -> Checked {
-    if let Some(vacancies) = &recipe.vacancies {
-        check_vacancies(vacancies, symbols)?;
-        let uniform = matches!(recipe.structure, StructureKind::Epitaxy | StructureKind::Particles);
-        if uniform && vacancies.cluster_fraction > 0.0 {
-            let kind = recipe.structure.name();
-            let expected =
-                format!("expected 0: structure = \"{kind}\" has nothing that they gather about");
-            return fault("vacancies.cluster_fraction", vacancies.cluster_fraction, expected);
-        }
-    }
-    if let Some(substitutions) = &recipe.substitutions {
-        check_substitutions(substitutions, symbols)?;
-        symbols.push(substitutions.by.clone());
-    }
-    Ok(())
+/// The crystal of the second phase of domains.
+fn second_phase(recipe: &Recipe) -> Checked<Structure> {
+    let domains = needed("domains", recipe.domains.as_ref())?;
+    check_domains(domains, &recipe.field)?;
+    oriented(&domains.crystal, &domains.zone_axis, domains.y_axis.as_deref())
+        .map_err(|e| crystal_fault("domains.crystal", e))
 }
 
-pub(super) fn needed<'t, T>(key: &str, table: Option<&'t T>) -> std::result::Result<&'t T, Fault> {
-    match table {
-        Some(table) => Ok(table),
-        None => fault(key, "(missing)", "this structure needs the table"),
-    }
+/// The end member of an alloy.
+fn end_member(recipe: &Recipe, symbols: &[String]) -> Checked<Structure> {
+    let alloy = needed("alloy", recipe.alloy.as_ref())?;
+    check_alloy(alloy, symbols)?;
+    let end = oriented(&alloy.end_member, &recipe.zone_axis, recipe.y_axis.as_deref())
+        .map_err(|e| crystal_fault("alloy.end_member", e))?;
+    check_wells(alloy, recipe.wells.as_ref(), &recipe.field)?;
+    Ok(end)
 }
 
 /// The crystal along its zone axis, and that it fits into the field.
-fn check_crystal(recipe: &Recipe) -> std::result::Result<(Structure, ColumnCrystal), Fault> {
-    let structure = recipe.oriented_crystal().map_err(|e| crystal_fault("crystal", e))?;
+fn check_crystal(recipe: &Recipe) -> Checked<(Structure, ColumnCrystal)> {
+    let structure = oriented(&recipe.crystal, &recipe.zone_axis, recipe.y_axis.as_deref())
+        .map_err(|e| crystal_fault("crystal", e))?;
     let crystal = ColumnCrystal::new(&structure).map_err(|e| crystal_fault("crystal", e))?;
     let cells = recipe.field.thickness_nm * 10.0 / crystal.cell[2];
     if !(0.5..MOST_CELLS_ALONG_BEAM as f64).contains(&cells) {
@@ -174,28 +145,6 @@ fn check_crystal(recipe: &Recipe) -> std::result::Result<(Structure, ColumnCryst
         return fault("field.fov_nm", format!("{:?}", recipe.field.fov_nm), expected);
     }
     Ok((structure, crystal))
-}
-
-/// An error of the crystal as a fault of the key that it comes from.
-pub(super) fn crystal_fault(table: &str, error: Error) -> Fault {
-    let sibling = |name: &str| match table.rsplit_once('.') {
-        Some((parent, _)) => format!("{parent}.{name}"),
-        None => name.to_owned(),
-    };
-    match error {
-        Error::Invalid { what: "zone", value, expected } => {
-            Fault { key: sibling("zone_axis"), value, expected }
-        }
-        Error::Invalid { what: "up", value, expected } => {
-            Fault { key: sibling("y_axis"), value, expected }
-        }
-        Error::Invalid { value, expected, .. } => Fault { key: table.into(), value, expected },
-        Error::Parse { path, line, message } => {
-            let value = format!("{}:{line}", path.display());
-            Fault { key: table.into(), value, expected: message }
-        }
-        other => Fault { key: table.into(), value: String::new(), expected: other.to_string() },
-    }
 }
 
 fn check_boundaries(
@@ -310,40 +259,6 @@ fn check_wells(alloy: &Alloy, wells: Option<&Wells>, field: &Field) -> Checked {
     within(key, wells.roughness_correlation_nm, least, least.max(1000.0))
 }
 
-fn check_vacancies(v: &Vacancies, elements: &[String]) -> Checked {
-    one_of("vacancies.element", &v.element, elements)?;
-    within("vacancies.max_probability", v.max_probability, 0.0, 1.0)?;
-    within("vacancies.rate", v.rate, 0.0, v.max_probability)?;
-    within("vacancies.cluster_fraction", v.cluster_fraction, 0.0, 1.0)?;
-    within("vacancies.cluster_sigma_nm", v.cluster_sigma_nm, 0.1, 1000.0)?;
-    within("vacancies.relaxation_angstrom", v.relaxation_angstrom, 0.0, 0.3)
-}
-
-fn check_substitutions(s: &Substitutions, elements: &[String]) -> Checked {
-    one_of("substitutions.element", &s.element, elements)?;
-    check_guest("substitutions.by", &s.by, &s.element)?;
-    within("substitutions.rate", s.rate, 0.0, 1.0)
-}
-
-fn one_of(key: &str, symbol: &String, elements: &[String]) -> Checked {
-    match elements.contains(symbol) {
-        true => Ok(()),
-        false => fault(key, symbol, format!("the crystal holds {}", elements.join(", "))),
-    }
-}
-
-/// The symbol of an element, in the usual spelling, other than that which it replaces.
-fn check_guest(key: &str, guest: &str, host: &str) -> Checked {
-    let known = elements::atomic_number(guest).map(elements::symbol);
-    if known.ok() != Some(guest) {
-        return fault(key, guest, "expected the symbol of an element such as \"In\"");
-    }
-    match guest == host {
-        true => fault(key, guest, "expected another element than the one it replaces"),
-        false => Ok(()),
-    }
-}
-
 /// A table that must hold exactly the keys `needed`, each within limits.
 fn check_elements(
     key: &str,
@@ -363,19 +278,4 @@ fn check_elements(
         within(&format!("{key}.{name}"), value, low, high)?;
     }
     Ok(())
-}
-
-pub(super) fn within(key: &str, value: f64, low: f64, high: f64) -> Checked {
-    match (low..=high).contains(&value) {
-        true => Ok(()),
-        false => fault(key, value, format!("expected a value from {low:.6} to {high:.6}")),
-    }
-}
-
-pub(super) fn fault<T>(
-    key: &str,
-    value: impl ToString,
-    expected: impl Into<String>,
-) -> std::result::Result<T, Fault> {
-    Err(Fault { key: key.to_owned(), value: value.to_string(), expected: expected.into() })
 }

@@ -1,8 +1,10 @@
 //! Limits of a recipe for particles on carbon.
 
-use crate::recipe::checking::{Checked, check_defects, crystal_fault, fault, needed, within};
-use crate::recipe::model::{Fault, Recipe};
-use crate::recipe::tables::Particles;
+use super::checking_defects::check_defects;
+use super::fault::{Checked, crystal_fault, fault, needed, within};
+use super::model::Recipe;
+use super::oriented_crystals::OrientedCrystals;
+use super::tables::Particles;
 use crate::structure::carbon::block;
 use crate::structure::elements;
 use crate::structure::particles::Metal;
@@ -12,8 +14,8 @@ const MOST_COVERED: f64 = 0.4;
 /// Circle around a particle over its diameter; particles of few atoms are longer, and may find no place.
 const CIRCLE: f64 = 1.35;
 
-/// Checks what belongs to particles; returns all elements that the specimen may hold.
-pub(super) fn check(recipe: &Recipe) -> std::result::Result<Vec<String>, Fault> {
+/// Checks what belongs to particles; returns their metal, and all elements that the specimen may hold.
+pub fn check_particles(recipe: &Recipe) -> Checked<(OrientedCrystals, Vec<String>)> {
     if recipe.zone_axis != "none" || recipe.y_axis.is_some() {
         let expected =
             "particles have orientations of their own; expected zone_axis = \"none\" and no y_axis";
@@ -21,10 +23,10 @@ pub(super) fn check(recipe: &Recipe) -> std::result::Result<Vec<String>, Fault> 
     }
     let particles = needed("particles", recipe.particles.as_ref())?;
     let structure = recipe.crystal.structure().map_err(|e| crystal_fault("crystal", e))?;
-    let (number, _) = Metal::of(&structure, particles.surface_energy_ratio)
+    let (number, metal) = Metal::of(&structure, particles.surface_energy_ratio)
         .map_err(|e| crystal_fault("crystal", e))?;
     check_film(recipe.field.thickness_nm)?;
-    check_particles(particles, recipe)?;
+    check_sizes(particles, recipe)?;
     let mut symbols = vec![elements::symbol(number).to_owned()];
     check_defects(recipe, &mut symbols)?;
     let relaxation = recipe.vacancies.as_ref().map_or(0.0, |v| v.relaxation_angstrom);
@@ -35,7 +37,7 @@ pub(super) fn check(recipe: &Recipe) -> std::result::Result<Vec<String>, Fault> 
     symbols.push("C".to_owned());
     symbols.sort();
     symbols.dedup();
-    Ok(symbols)
+    Ok((OrientedCrystals::Particles { number, metal }, symbols))
 }
 
 fn check_film(thickness_nm: f64) -> Checked {
@@ -49,7 +51,7 @@ fn check_film(thickness_nm: f64) -> Checked {
     }
 }
 
-fn check_particles(p: &Particles, recipe: &Recipe) -> Checked {
+fn check_sizes(p: &Particles, recipe: &Recipe) -> Checked {
     let [low, high] = p.diameter_nm;
     if low > high {
         let expected = "expected the least diameter first, then the greatest";

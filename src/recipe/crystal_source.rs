@@ -35,7 +35,7 @@ impl CrystalSource {
         let path = folder.join(&self.name);
         if Format::from_path(&path).is_err() {
             let known = library::names().collect::<Vec<_>>().join(", ");
-            let near = crate::recipe::checking::nearest(&self.name, library::names());
+            let near = super::toml_errors::nearest(&self.name, library::names());
             let hint = near.map(|n| format!("did you mean \"{n}\"? ")).unwrap_or_default();
             let expected =
                 format!("{hint}expected a .cif file beside the recipe, or one of {known}");

@@ -3,18 +3,29 @@
 //! A [`Recipe`] holds what is written; a [`CheckedRecipe`] has been held against all limits, with its crystals read, and is
 //! the only way to a specimen.
 
-pub mod checking;
+mod checked;
+mod checking;
+mod checking_defects;
 mod checking_particles;
 pub mod crystal_source;
+pub mod difficulty;
+mod fault;
 pub mod limits;
 pub mod model;
+mod oriented_crystals;
+mod origin;
 pub mod overrides;
+mod reading;
 pub mod region;
 pub mod tables;
+mod toml_errors;
 
+pub use checked::CheckedRecipe;
 pub use crystal_source::CrystalSource;
+pub use difficulty::Difficulty;
 pub use limits::BEYOND_FIELD_NM;
-pub use model::{Difficulty, Recipe};
+pub use model::Recipe;
+pub use origin::Origin;
 pub use overrides::Override;
 pub use region::Region;
 pub use tables::*;

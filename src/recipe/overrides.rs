@@ -1,7 +1,6 @@
 //! Values of a recipe that are changed from outside: `vacancies.rate=0.02`.
 
 use crate::error::{Error, Result};
-use crate::recipe::model::merge;
 use std::str::FromStr;
 use toml::{Table, Value};
 
@@ -73,10 +72,20 @@ impl Override {
     }
 }
 
+/// Lays `over` over `base`, table by table.
+pub fn merge(base: &mut toml::Table, over: toml::Table) {
+    for (key, value) in over {
+        match (base.get_mut(&key), value) {
+            (Some(toml::Value::Table(inner)), toml::Value::Table(more)) => merge(inner, more),
+            (_, value) => drop(base.insert(key, value)),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::recipe::model::{Difficulty, Recipe};
+    use crate::recipe::{Difficulty, Recipe};
 
     fn parsed(text: &str) -> (Vec<String>, Value) {
         let change: Override = text.parse().unwrap();
@@ -122,7 +131,8 @@ mod tests {
     fn overridden(changes: &[&str]) -> crate::Result<Recipe> {
         let changes: Vec<Override> =
             changes.iter().map(|c| c.parse()).collect::<crate::Result<_>>()?;
-        Recipe::load("srtio3", Difficulty::Easy).unwrap().with_overrides(&changes)
+        let recipe = Recipe::load("srtio3", Difficulty::Easy).unwrap().with_overrides(&changes)?;
+        Ok(recipe.checked()?.recipe().clone())
     }
 
     #[test]

@@ -65,7 +65,7 @@ pub fn counted_sites(
 mod tests {
     use super::*;
     use crate::progress::Silent;
-    use crate::recipe::model::{Difficulty, Recipe};
+    use crate::recipe::{Difficulty, Recipe};
     use crate::specimen::factory::specimen;
 
     #[test]
@@ -73,9 +73,10 @@ mod tests {
         for (grid, tolerance) in [([40, 10], 0.01), ([9, 9], 0.01), ([2, 3], 0.0)] {
             let recipe = Recipe::load("srtio3", Difficulty::Medium).unwrap();
             let recipe = recipe.with_grid(grid[0], grid[1]).unwrap();
-            let specimen = specimen(&recipe).unwrap();
-            let exact = counted_sites(&*specimen, &recipe.field, &Silent).unwrap() as f64;
-            let estimate = estimated_sites(&*specimen, &recipe.field) as f64;
+            let field = recipe.field.clone();
+            let specimen = specimen(&recipe.checked().unwrap()).unwrap();
+            let exact = counted_sites(&*specimen, &field, &Silent).unwrap() as f64;
+            let estimate = estimated_sites(&*specimen, &field) as f64;
             assert!((estimate / exact - 1.0).abs() <= tolerance, "{estimate} of {exact}");
         }
     }

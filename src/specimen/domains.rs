@@ -6,8 +6,8 @@
 //! and the beam the second phase is strained to the period of the first.
 
 use crate::error::{Error, Result};
+use crate::recipe::CheckedRecipe;
 use crate::recipe::limits::BEYOND_FIELD_NM;
-use crate::recipe::model::Recipe;
 use crate::recipe::region::Region;
 use crate::specimen::atom_columns::Sites;
 use crate::specimen::coherent::{Coherent, NM, Stretch};
@@ -21,7 +21,6 @@ use crate::specimen::units::unit_tag::UnitFamily;
 use crate::specimen::units::unit_tag::UnitTag;
 use crate::specimen::wave::{WavyLine, normal_cdf, normal_cdf_integral};
 use crate::structure::Structure;
-use crate::structure::columns::ColumnCrystal;
 
 /// Sites of the two phases may differ by less than this fraction of the cell along each edge.
 const LARGEST_SHIFT: f64 = 0.1;
@@ -49,16 +48,14 @@ impl Domains {
     ///
     /// # Errors
     /// [`Error::Invalid`] for phases that do not match, or a vacancy rate without room.
-    pub fn new(recipe: &Recipe) -> Result<Self> {
+    pub fn new(recipe: &CheckedRecipe) -> Result<Self> {
         let Some(domains) = &recipe.domains else {
             return Err(Error::invalid("domains", "(missing)", "this structure needs the table"));
         };
-        let first = recipe.oriented_crystal()?;
-        let (zone, y) = (&domains.zone_axis, domains.y_axis.as_deref());
-        let second = crate::recipe::model::oriented(&domains.crystal, zone, y)?;
-        let shifts = shifts(&first, &second)?;
+        let (first, second) = (recipe.structure()?, recipe.second_crystal()?);
+        let shifts = shifts(first, second)?;
         let ratio = second.orthogonal_box()?[0] / first.orthogonal_box()?[0];
-        let crystal = ColumnCrystal::new(&first)?;
+        let crystal = recipe.columns()?.clone();
         let mean = |k: usize, column: &crate::structure::columns::ColumnKind| {
             let sum: f64 = column.chains.iter().map(|c| shifts[c.site][k]).sum();
             sum / column.chains.len() as f64
@@ -204,7 +201,7 @@ struct OrderParameter {
 
 impl OrderParameter {
     fn new(
-        recipe: &Recipe,
+        recipe: &CheckedRecipe,
         domains: &crate::recipe::tables::DomainTable,
         ratio: f64,
         displacement: f64,

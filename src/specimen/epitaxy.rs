@@ -6,8 +6,8 @@
 //! eps_perp = -2 (C13 / C33) eps_par (C12 / C11 for a cubic crystal along a cube axis).
 
 use crate::error::{Error, Result};
+use crate::recipe::CheckedRecipe;
 use crate::recipe::limits::BEYOND_FIELD_NM;
-use crate::recipe::model::Recipe;
 use crate::recipe::region::Region;
 use crate::recipe::tables::{Alloy, CompositionProfile, Wells};
 use crate::rng::{self, Purpose};
@@ -53,11 +53,11 @@ impl Epitaxy {
     ///
     /// # Errors
     /// [`Error::Invalid`] for an end member of another structure, or wells that cannot hold the rate.
-    pub fn new(recipe: &Recipe) -> Result<Self> {
+    pub fn new(recipe: &CheckedRecipe) -> Result<Self> {
         let Some(alloy) = &recipe.alloy else {
             return Err(Error::invalid("alloy", "(missing)", "this structure needs the table"));
         };
-        let crystal = recipe.column_crystal()?;
+        let crystal = recipe.columns()?.clone();
         let spacing = Spacing::new(recipe, alloy, &crystal)?;
         let field = recipe.field.full_region();
         let thickness =
@@ -289,10 +289,8 @@ struct Spacing {
 }
 
 impl Spacing {
-    fn new(recipe: &Recipe, alloy: &Alloy, host: &ColumnCrystal) -> Result<Self> {
-        let y_axis = recipe.y_axis.as_deref();
-        let end = crate::recipe::model::oriented(&alloy.end_member, &recipe.zone_axis, y_axis)?;
-        let edges = end.orthogonal_box()?;
+    fn new(recipe: &CheckedRecipe, alloy: &Alloy, host: &ColumnCrystal) -> Result<Self> {
+        let edges = recipe.second_crystal()?.orthogonal_box()?;
         let ratios = [0, 1, 2].map(|k| edges[k] / host.cell[k]);
         if let Some(k) = (0..3).find(|&k| (ratios[k] - 1.0).abs() > LARGEST_MISFIT) {
             let value = format!("{:.4} A along axis {}", edges[k], ["x", "y", "z"][k]);

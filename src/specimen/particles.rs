@@ -11,8 +11,8 @@ use std::sync::OnceLock;
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
+use crate::recipe::CheckedRecipe;
 use crate::recipe::limits::BEYOND_FIELD_NM;
-use crate::recipe::model::Recipe;
 use crate::recipe::region::Region;
 use crate::recipe::tables::Particles;
 use crate::rng::{Purpose, uniform, words};
@@ -85,14 +85,14 @@ impl ParticlesOnCarbon {
     ///
     /// # Errors
     /// [`Error::Invalid`] if they do not fit into the field, or no particle has such a diameter.
-    pub fn new(recipe: &Recipe) -> Result<Self> {
+    pub fn new(recipe: &CheckedRecipe) -> Result<Self> {
         let Some(table) = &recipe.particles else {
             return Err(Error::invalid("particles", "(missing)", "this structure needs the table"));
         };
-        let (number, metal) = Metal::of(&recipe.crystal.structure()?, table.surface_energy_ratio)?;
+        let (number, metal) = recipe.metal()?;
         let made = (0..table.count)
             .into_par_iter()
-            .map(|k| PlacedParticle::new(k, table, &metal, recipe.seed));
+            .map(|k| PlacedParticle::new(k, table, metal, recipe.seed));
         let mut particles = made.collect::<Result<Vec<_>>>()?;
         let field = recipe.field.full_region();
         place(&mut particles, &field, table, recipe.seed)?;

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 
 use crate::error::Result;
-use crate::recipe::model::Recipe;
+use crate::recipe::CheckedRecipe;
 use crate::recipe::region::Region;
 use crate::specimen::atom_columns::Sites;
 use crate::specimen::model::ThinFilm;
@@ -26,12 +26,12 @@ impl Relaxed {
     /// Relaxes `inner` by `vacancies.relaxation_angstrom` of the recipe; returns it as it is if that is 0.
     ///
     /// # Errors
-    /// As [`Recipe::oriented_crystal`].
-    pub fn of(inner: Box<dyn Specimen>, recipe: &Recipe) -> Result<Box<dyn Specimen>> {
+    /// As [`CheckedRecipe::structure`].
+    pub fn of(inner: Box<dyn Specimen>, recipe: &CheckedRecipe) -> Result<Box<dyn Specimen>> {
         let vacancies = recipe.vacancies.as_ref().filter(|v| v.relaxation_angstrom > 0.0);
         let Some(vacancies) = vacancies else { return Ok(inner) };
         let element = elements::atomic_number(&vacancies.element)?;
-        let shortest = shortest_distances(&recipe.oriented_crystal()?, PAIR_CUTOFF_ANGSTROM);
+        let shortest = shortest_distances(recipe.structure()?, PAIR_CUTOFF_ANGSTROM);
         Ok(Box::new(Relaxed {
             inner,
             distance_nm: 0.1 * vacancies.relaxation_angstrom,

@@ -2,8 +2,8 @@
 
 use crate::engine::{Images, Plan, Scan, Settings, Site, simulate};
 use crate::error::Result;
-use crate::imaging::progress_share::SubProgress;
 use crate::progress::Progress;
+use crate::progress::ProgressShare;
 
 /// Runs simulations, and reports each as a share of the whole.
 pub struct Lab<'a> {
@@ -18,9 +18,9 @@ impl<'a> Lab<'a> {
         Lab { progress, units }
     }
 
-    /// Progress of one simulation; call [`SubProgress::complete`] at its end.
-    pub(crate) fn share(&self) -> SubProgress<'a> {
-        SubProgress::new(self.progress, self.units)
+    /// Progress of one simulation; call [`ProgressShare::complete`] at its end.
+    pub(crate) fn share(&self) -> ProgressShare<'a> {
+        ProgressShare::new(self.progress, self.units)
     }
 
     /// Plans and simulates.

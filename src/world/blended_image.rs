@@ -10,13 +10,13 @@ use crate::io::schema::OVERVIEW_FACTOR;
 use crate::progress::Progress;
 use crate::recipe::model::Recipe;
 use crate::world::noise::Noise;
-use crate::world::subtile_store::Store;
+use crate::world::subtile_store::SubtileStore;
 use crate::world::subtiles::Partition;
 
 /// The image of a world, computed band by band from the sub-tiles on disk.
 pub struct BlendedImage<'a> {
     partition: &'a Partition,
-    store: &'a Store,
+    store: &'a SubtileStore,
     noise: Option<Noise>,
     shape: [usize; 2],
     grid: [usize; 2],
@@ -26,7 +26,12 @@ pub struct BlendedImage<'a> {
 
 impl<'a> BlendedImage<'a> {
     /// The image of the built part of a field.
-    pub fn new(recipe: &Recipe, partition: &'a Partition, store: &'a Store, noise: bool) -> Self {
+    pub fn new(
+        recipe: &Recipe,
+        partition: &'a Partition,
+        store: &'a SubtileStore,
+        noise: bool,
+    ) -> Self {
         let field = &recipe.field;
         let pixel_angstrom = 10.0 * field.pixel_nm();
         let dose = recipe.dose.electrons_per_angstrom2;

@@ -5,15 +5,17 @@
 
 pub mod atoms_export;
 pub mod blended_image;
-pub mod builder;
+pub mod build_options;
 pub mod footprint;
 pub mod noise;
 pub mod specimen_drawing;
 mod subtile_store;
 pub mod subtiles;
 pub mod truth;
+mod world_build;
 
 pub use atoms_export::{ExportOptions, ExportSummary, export};
-pub use builder::{BuildOptions, SubTileEngine, Summary, build};
+pub use build_options::{BuildMethod, BuildOptions, BuildPolicy, BuildProfile};
 pub use specimen_drawing::Drawing;
 pub use truth::Counts;
+pub use world_build::{BuildSummary, WorldBuild, build};

@@ -6,15 +6,16 @@
 use std::collections::HashMap;
 use std::sync::LazyLock;
 
+use crate::common::specimen;
 use stemgen::recipe::{Difficulty, Recipe, Region};
-use stemgen::specimen::{Sites, Specimen, specimen};
+use stemgen::specimen::{Sites, Specimen};
 use stemgen::structure::{Atom, Structure, elements, min_pair_distance};
 
 /// A specimen of the full field.
 pub struct Case {
     pub name: String,
     pub recipe: Recipe,
-    pub specimen: Box<dyn Specimen>,
+    pub specimen: std::sync::Arc<dyn Specimen>,
 }
 
 pub static CASES: LazyLock<HashMap<(&str, Difficulty), Case>> = LazyLock::new(|| {

@@ -1,3 +1,7 @@
-//! Audits: regions of a world simulated again, exactly, with the very same atoms.
+//! Audits: how far the images of an imager are from the exact ones.
 
+pub mod column_statistics;
+mod options;
+mod places;
+pub mod power_spectrum;
 pub mod region_audit;

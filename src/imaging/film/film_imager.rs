@@ -10,6 +10,7 @@
 //! one configuration, and by 0.6 % in 4 or 16: the waves that film and particle scatter interfere.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 use ndarray::{Array2, Zip, s};
 use rayon::prelude::*;
@@ -17,20 +18,18 @@ use rayon::prelude::*;
 use crate::engine::independent::{Deposit, Raster};
 use crate::engine::{Algorithm, Plan, ProbeBox, ProbeStep, Scan, Settings, Site};
 use crate::error::{Error, Result};
-use crate::imaging::displaced_atoms::DisplacedAtoms;
-use crate::imaging::mosaic::mosaic_imager::{MosaicEngine, atoms_by_seed};
-use crate::imaging::pixels::PixelBox;
-use crate::imaging::region_imager::FieldImage;
+use crate::imaging::direct::rectangle_plan;
+use crate::imaging::displaced_atoms::{DisplacedAtoms, displaced_by_seed};
+use crate::imaging::imaging_cost::{ImagingCost, SimulationRuns};
+use crate::imaging::pixels::{PixelBox, PixelRect};
+use crate::imaging::region_imager::RegionImager;
 use crate::imaging::simulator::Simulator;
 use crate::phonons::displaced;
 use crate::potential::slices::{GROUP_ANGSTROM, Slicing};
 use crate::progress::Progress;
-use crate::recipe::model::Recipe;
-use crate::recipe::region::Region;
+use crate::recipe::{CheckedRecipe, Region};
 use crate::resample::{Edge, Kernel, MARGIN, image_band_limit};
-use crate::specimen::model::{ParticleTruth, Specimen, ThinFilm, particles_in};
-use crate::specimen::sites::SpecimenSite;
-use crate::world::builder::SubTileEngine;
+use crate::specimen::{ParticleTruth, Specimen, SpecimenSite, ThinFilm, particles_in};
 
 /// Atoms further than this from a probe do not count, in Angstrom: a particle of 4 nm at this distance from its edge is seen with
 /// 2 % of the film's intensity.
@@ -53,12 +52,12 @@ const PIXELS_PER_PROBE_NM: f64 = 120.0;
 /// Edge in samples of the blocks in which particles are simulated: wider ones spare potentials and take memory.
 const BLOCK: i64 = 64;
 /// Probes of such a block.
-pub const BLOCK_PROBES: usize = (BLOCK * BLOCK) as usize;
+const BLOCK_PROBES: usize = (BLOCK * BLOCK) as usize;
 
 /// See the module.
-pub struct FilmImage<'a> {
-    specimen: &'a dyn Specimen,
-    recipe: &'a Recipe,
+pub struct FilmImager {
+    specimen: Arc<dyn Specimen>,
+    recipe: CheckedRecipe,
     film: ThinFilm,
     /// For the particles.
     simulator: Simulator,
@@ -81,17 +80,18 @@ struct Atoms {
     particles: Vec<Site>,
 }
 
-impl<'a> FilmImage<'a> {
+impl FilmImager {
     /// `None` for specimens without a film, and engines without windows.
     ///
     /// # Errors
     /// Those of the settings.
-    pub fn prepare(
-        engine: &MosaicEngine,
-        specimen: &'a dyn Specimen,
-        recipe: &'a Recipe,
+    pub fn new(
+        recipe: &CheckedRecipe,
+        specimen: &Arc<dyn Specimen>,
+        simulator: &Simulator,
     ) -> Result<Option<Self>> {
-        let settings = engine.simulator.settings();
+        simulator.check_margin()?;
+        let settings = simulator.settings();
         let (Some(film), Algorithm::Window { width_angstrom }) =
             (specimen.film(), settings.algorithm)
         else {
@@ -108,7 +108,8 @@ impl<'a> FilmImage<'a> {
         });
         let kernel = Kernel::new(step, band_limit)?;
         let window_angstrom = width_angstrom;
-        Ok(Some(FilmImage { specimen, recipe, film, simulator, window_angstrom, kernel, step }))
+        let (recipe, specimen) = (recipe.clone(), Arc::clone(specimen));
+        Ok(Some(FilmImager { specimen, recipe, film, simulator, window_angstrom, kernel, step }))
     }
 
     /// Distance from an atom of a particle, along x and y, up to which probes are propagated, in Angstrom.
@@ -131,7 +132,7 @@ impl<'a> FilmImage<'a> {
     ///
     /// # Errors
     /// Those of the settings.
-    pub fn block_plan(&self) -> Result<Option<Plan>> {
+    fn block_plan(&self) -> Result<Option<Plan>> {
         let mut particles = self.specimen.particles();
         let moment = |n: i32| particles.iter().map(|p| p.diameter_nm.powi(n)).sum::<f64>();
         let mean = moment(3) / moment(2);
@@ -158,15 +159,10 @@ impl<'a> FilmImage<'a> {
         Ok(Some(plan))
     }
 
-    /// Distance of probes in Angstrom.
-    pub fn step_angstrom(&self) -> f64 {
-        self.step
-    }
-
     /// Probes that the particles of the built field take, for each configuration.
-    pub fn particle_probes(&self) -> usize {
+    fn particle_probes(&self) -> usize {
         let area = |p: &ParticleTruth| std::f64::consts::PI * self.reach_nm(p).powi(2);
-        let particles = particles_in(self.specimen, &self.recipe.field.built_region());
+        let particles = particles_in(&*self.specimen, &self.recipe.field.built_region());
         let step_nm = 0.1 * self.step;
         (particles.iter().map(area).sum::<f64>() / (step_nm * step_nm)) as usize
     }
@@ -347,7 +343,7 @@ impl<'a> FilmImage<'a> {
     }
 }
 
-impl FieldImage for FilmImage<'_> {
+impl RegionImager for FilmImager {
     fn name(&self) -> &'static str {
         "film"
     }
@@ -364,14 +360,14 @@ impl FieldImage for FilmImage<'_> {
 
     fn mean_of(
         &self,
-        first: [usize; 2],
-        shape: [usize; 2],
+        pixels: &PixelRect,
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Array2<f64>> {
         if progress.interrupted() {
             return Err(Error::Interrupted);
         }
+        let PixelRect { first, shape, .. } = *pixels;
         let pixel = 10.0 * self.recipe.field.pixel_nm() / self.step;
         let samples = Samples::under(first, shape, pixel);
         let margin = (REACH_ANGSTROM / self.step).ceil() as usize;
@@ -396,15 +392,43 @@ impl FieldImage for FilmImage<'_> {
                 .for_each(|to, whole, share| *to += share * (whole - *to));
         }
         let at = [0, 1].map(|k| first[k] as f64 * pixel - samples.first[k] as f64);
-        let pixels = self.kernel.raster(image.view(), at, [pixel; 2], shape, [Edge::Open; 2]);
-        Ok(pixels.mapv(|v| v.max(0.0)))
+        let image = self.kernel.raster(image.view(), at, [pixel; 2], shape, [Edge::Open; 2]);
+        Ok(pixels.sampled(image.mapv(|v| v.max(0.0))))
     }
 
-    fn unit(&self) -> &'static str {
-        "step"
+    fn stage(&self) -> [&'static str; 2] {
+        ["assembling", "step"]
     }
 
-    fn work(&self, first: [usize; 2], [rows, columns]: [usize; 2]) -> usize {
+    fn window_angstrom(&self) -> Option<f64> {
+        Some(self.window_angstrom)
+    }
+
+    fn cost(&self, subtile: [usize; 2], subtiles: usize) -> Result<ImagingCost> {
+        let probes = self.particle_probes();
+        let main = match self.block_plan()? {
+            Some(plan) => SimulationRuns {
+                plan,
+                probes: probes.min(BLOCK_PROBES),
+                runs: probes.div_ceil(BLOCK_PROBES),
+            },
+            None => {
+                let (recipe, specimen) = (&self.recipe, &*self.specimen);
+                rectangle_plan(recipe, specimen, &self.simulator, subtile, subtiles)?.0
+            }
+        };
+        Ok(ImagingCost {
+            main,
+            more: None,
+            largest_block: None,
+            probe_step_angstrom: [self.step; 2],
+            image_bytes: 0,
+            mosaic: None,
+            particle_probes: Some(probes),
+        })
+    }
+
+    fn work(&self, &PixelRect { first, shape: [rows, columns], .. }: &PixelRect) -> usize {
         // The way of probes through particles, from one pixel in 64.
         let pixel = self.recipe.field.pixel_nm();
         let particles = self.specimen.particles();
@@ -431,7 +455,8 @@ impl FieldImage for FilmImage<'_> {
     /// Mean heights of the film's atoms are those of slices as thick as in any specimen without planes: particles need thinner ones.
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
         let seed = (self.recipe.seed, configuration);
-        let mut atoms = atoms_by_seed(self.specimen, area, seed, self.recipe);
+        let phonons = &self.recipe.phonons;
+        let mut atoms = displaced_by_seed(&*self.specimen, area, seed, phonons);
         for (site, height) in atoms.sites.iter().zip(&mut atoms.heights) {
             *height = self.height(site.number, *height, GROUP_ANGSTROM);
         }

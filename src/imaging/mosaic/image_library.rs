@@ -8,9 +8,10 @@ use sha2::{Digest, Sha256};
 use crate::engine::{Plan, Scan, Settings, Simulation, Site};
 use crate::error::{Error, Result};
 use crate::imaging::mosaic::library_cache::Cache;
-use crate::imaging::progress_share::SubProgress;
+use crate::numerics::NUMERICS_VERSION;
 use crate::optics::Optics;
 use crate::progress::Progress;
+use crate::progress::ProgressShare;
 use crate::resample::{Kernel, image_band_limit, nyquist_step, periodic_samples};
 use crate::rng::{self, Purpose};
 use crate::specimen::model::Specimen;
@@ -21,8 +22,8 @@ use crate::specimen::units::unit_tag::PatternIndex;
 use crate::specimen::units::unit_tag::UnitFamily;
 use crate::structure::elements;
 
-/// Version of what sheets hold; a change makes older caches useless.
-const VERSION: u32 = 7;
+/// Version of the draws: the seeds of phonons come from a text that begins with it.
+const DRAWS_VERSION: u32 = 7;
 /// Draw of [`Purpose::Library`] for the contents of surroundings.
 const SURROUNDINGS_DRAW: u32 = 1 << 20;
 
@@ -304,7 +305,7 @@ impl Library {
             for sheet in 0..shelf.sheet.count {
                 for configuration in 0..self.configurations {
                     let key = key(&self.settings, sigma, shelf, sheet, configuration);
-                    if cache.load(material, &key, shelf.scan.shape).is_none() {
+                    if !cache.has(material, &key) {
                         missing.push(shelf.probes());
                     }
                 }
@@ -325,6 +326,7 @@ impl Library {
         progress: &dyn Progress,
     ) -> Result<usize> {
         let mut missing = 0;
+        let mut keep: Option<Error> = None;
         let probes = self.probes();
         progress.start("library", "probe", probes as u64);
         for (family, shelf) in &mut self.shelves {
@@ -336,8 +338,8 @@ impl Library {
                         return Err(Error::Interrupted);
                     }
                     let key = key(&self.settings, sigma, shelf, sheet, configuration);
-                    let share = SubProgress::new(progress, shelf.probes());
-                    let image = match cache.load(material, &key, shelf.scan.shape) {
+                    let share = ProgressShare::new(progress, shelf.probes());
+                    let image = match cache.load(material, &key, shelf.scan.shape, progress) {
                         Some(image) => {
                             share.found();
                             image
@@ -353,7 +355,9 @@ impl Library {
                             let image = images.image(0, 0).to_owned();
                             let about =
                                 format!("{family:?}, sheet {sheet}, configuration {configuration}");
-                            cache.save(material, &key, &about, &image, progress);
+                            if let Err(e) = cache.save(material, &key, &about, &image) {
+                                keep.get_or_insert(e);
+                            }
                             share.complete();
                             image
                         }
@@ -365,6 +369,9 @@ impl Library {
             shelf.means = shelf.images.iter().map(|images| mean(images, shelf.shape)).collect();
         }
         progress.finish();
+        if let Some(why) = keep {
+            progress.warn(&format!("simulations were not kept for later builds: {why}"));
+        }
         Ok(missing)
     }
 }
@@ -417,7 +424,7 @@ fn process_text(process: Option<DefectKind>) -> String {
 fn description(sheet: &LibraryCell, family: UnitFamily, number: usize) -> String {
     use std::fmt::Write;
     let process = process_text(sheet.process);
-    let mut text = format!("{VERSION} {:?} {process} {:?} ", sheet.box_angstrom, sheet.rate);
+    let mut text = format!("{DRAWS_VERSION} {:?} {process} {:?} ", sheet.box_angstrom, sheet.rate);
     let _ = write!(text, "{} {number} {:?} ", family.motif > 0, sheet.scan_origin);
     let column = |text: &mut String, sites: &Vec<LibrarySite>| {
         for s in sites {
@@ -444,8 +451,7 @@ fn key(
     let sigmas: Vec<_> =
         shelf.elements().into_iter().map(|n| (elements::symbol(n), sigma(n))).collect();
     let text = serde_json::json!({
-        "stemgen": env!("CARGO_PKG_VERSION"),
-        "library": VERSION,
+        "numerics": NUMERICS_VERSION,
         "settings": settings,
         "sigma_angstrom": sigmas,
         "sheet": shelf.digests[sheet],

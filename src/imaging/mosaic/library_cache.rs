@@ -1,23 +1,19 @@
-//! Images of sheets on disk, shared by all builds of a user.
+//! Images of the library on disk, shared by all builds of a user.
 //!
-//! One file for each image, named by the SHA-256 of all that decides it, in a folder for each material. Files are
-//! written under another name and moved into place, so two builds at once do no harm; damaged files count as
-//! missing.
+//! One file for each image, named by the SHA-256 of all that decides it, in a folder for each material.
 
-use std::fs::{self, File};
-use std::io::{Read, Write};
+use std::fs;
 use std::path::{Path, PathBuf};
 
 use ndarray::Array2;
-use sha2::{Digest, Sha256};
 
 use crate::error::{Error, Result};
+use crate::files::array_store::{ArrayStore, Stored};
 use crate::progress::Progress;
 
-const MAGIC: &[u8; 8] = b"STEMLIB1";
 const EXTENSION: &str = "sheet";
-/// Names another folder for the cache.
-pub const VARIABLE: &str = "STEMGEN_CACHE";
+/// Environment variable that names another folder for the cache.
+pub const CACHE_VARIABLE: &str = "STEMGEN_CACHE";
 
 /// A folder of images; none keeps nothing.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -54,7 +50,7 @@ impl Cache {
             |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
         let home = || Some(variable("HOME")?.join(".cache"));
         let shared = || Some(variable("XDG_CACHE_HOME").or_else(home)?.join("stemgen"));
-        Cache { folder: variable(VARIABLE).or_else(shared) }
+        Cache { folder: variable(CACHE_VARIABLE).or_else(shared) }
     }
 
     /// Its folder.
@@ -62,54 +58,42 @@ impl Cache {
         self.folder.as_deref()
     }
 
-    fn path(&self, material: &str, key: &str) -> Option<PathBuf> {
-        Some(self.folder.as_ref()?.join(material).join(key).with_extension(EXTENSION))
+    fn of(&self, material: &str) -> Option<ArrayStore> {
+        Some(ArrayStore::new(self.folder.as_ref()?.join(material), EXTENSION))
     }
 
-    /// The image named `key`, if it is there, whole, and of this shape (rows, columns).
-    pub fn load(&self, material: &str, key: &str, shape: [usize; 2]) -> Option<Array2<f32>> {
-        let bytes = fs::read(self.path(material, key)?).ok()?;
-        let body = bytes.len().checked_sub(32)?;
-        let (head, digest) = bytes.split_at(body);
-        if head.get(..8)? != MAGIC || Sha256::digest(head).as_slice() != digest {
-            return None;
-        }
-        let number = |at: usize| {
-            let four: [u8; 4] = head.get(at..at + 4)?.try_into().ok()?;
-            Some(u32::from_le_bytes(four) as usize)
-        };
-        let (rows, columns, about) = (number(8)?, number(12)?, number(16)?);
-        let values = head.get(20 + about..)?;
-        if [rows, columns] != shape || values.len() != 4 * rows * columns {
-            return None;
-        }
-        let value = |b: &[u8]| f32::from_le_bytes([b[0], b[1], b[2], b[3]]);
-        Array2::from_shape_vec(shape, values.chunks_exact(4).map(value).collect()).ok()
-    }
-
-    /// Keeps an image. `about` is for people who look into the file. A failure is a warning: the world can
-    /// be built without.
-    pub fn save(
+    /// The image named `key`, [row, column], if it is there, whole, and of this shape (rows, columns). A file that cannot be used
+    /// is told in a warning.
+    pub fn load(
         &self,
         material: &str,
         key: &str,
-        about: &str,
-        image: &Array2<f32>,
+        shape: [usize; 2],
         progress: &dyn Progress,
-    ) {
-        let Some(path) = self.path(material, key) else { return };
-        let mut bytes = MAGIC.to_vec();
-        let (rows, columns) = image.dim();
-        for number in [rows, columns, about.len()] {
-            bytes.extend((number as u32).to_le_bytes());
+    ) -> Option<Array2<f32>> {
+        let store = self.of(material)?;
+        match store.load(key, key, shape) {
+            Stored::Whole(image) => Some(image),
+            Stored::Missing => None,
+            Stored::Unusable(why) => {
+                let path = store.path(key);
+                progress.warn(&format!("{}: {why}; simulated again", path.display()));
+                None
+            }
         }
-        bytes.extend(about.as_bytes());
-        bytes.extend(image.iter().flat_map(|v| v.to_le_bytes()));
-        let digest = Sha256::digest(&bytes);
-        bytes.extend(digest);
-        if let Err(e) = write(&path, &bytes) {
-            progress.warn(&format!("{}: not kept for later builds: {e}", path.display()));
-        }
+    }
+
+    /// Whether there is a file for the image named `key`; whether it can be used, only [`Cache::load`] tells.
+    pub fn has(&self, material: &str, key: &str) -> bool {
+        self.of(material).is_some_and(|store| store.path(key).is_file())
+    }
+
+    /// Keeps an image. `note` is for people who look into the file.
+    ///
+    /// # Errors
+    /// [`Error::Io`]: the world can be built without.
+    pub fn save(&self, material: &str, key: &str, note: &str, image: &Array2<f32>) -> Result<()> {
+        self.of(material).map_or(Ok(()), |store| store.save(key, key, note, image))
     }
 
     /// What it holds, by material.
@@ -119,11 +103,15 @@ impl Cache {
     pub fn holdings(&self) -> Result<Vec<Holding>> {
         let mut found = Vec::new();
         let Some(folder) = self.folder.as_ref().filter(|f| f.is_dir()) else { return Ok(found) };
-        for entry in entries(folder)?.into_iter().filter(|p| p.is_dir()) {
-            let files: Vec<PathBuf> =
-                entries(&entry)?.into_iter().filter(|p| is_sheet(p)).collect();
+        let fail = |e| Error::io(folder, "read", e);
+        for entry in fs::read_dir(folder).map_err(fail)? {
+            let path = entry.map_err(fail)?.path();
+            if !path.is_dir() {
+                continue;
+            }
+            let material = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            let files = ArrayStore::new(path, EXTENSION).files()?.arrays;
             let bytes = files.iter().filter_map(|p| fs::metadata(p).ok()).map(|m| m.len()).sum();
-            let material = entry.file_name().unwrap_or_default().to_string_lossy().into_owned();
             found.push(Holding { material, images: files.len(), bytes });
         }
         found.sort_by(|a, b| a.material.cmp(&b.material));
@@ -138,47 +126,11 @@ impl Cache {
         let all = self.holdings()?;
         let chosen: Vec<Holding> =
             all.into_iter().filter(|h| material.is_none_or(|m| m == h.material)).collect();
-        let Some(folder) = &self.folder else { return Ok(chosen) };
         for holding in &chosen {
-            let folder = folder.join(&holding.material);
-            for path in entries(&folder)?.into_iter().filter(|p| is_sheet(p) || is_partial(p)) {
-                fs::remove_file(&path).map_err(|e| Error::io(&path, "remove", e))?;
-            }
-            // A folder that holds somebody else's files stays.
-            let _ = fs::remove_dir(&folder);
+            self.of(&holding.material).map_or(Ok(()), |store| store.clear())?;
         }
         Ok(chosen)
     }
-}
-
-fn is_sheet(path: &Path) -> bool {
-    path.extension().is_some_and(|e| e == EXTENSION) && magic(path)
-}
-
-fn magic(path: &Path) -> bool {
-    let mut first = [0; 8];
-    File::open(path).and_then(|mut f| f.read_exact(&mut first)).is_ok() && first == *MAGIC
-}
-
-fn is_partial(path: &Path) -> bool {
-    path.extension().is_some_and(|e| e.to_string_lossy().starts_with("partial"))
-}
-
-fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
-    let fail = |e| Error::io(folder, "read", e);
-    fs::read_dir(folder).map_err(fail)?.map(|e| e.map(|e| e.path()).map_err(fail)).collect()
-}
-
-fn write(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    if let Some(folder) = path.parent() {
-        fs::create_dir_all(folder)?;
-    }
-    let partial = path.with_extension(format!("partial{}", std::process::id()));
-    let done = File::create(&partial).and_then(|mut f| f.write_all(bytes));
-    done.and_then(|()| fs::rename(&partial, path)).inspect_err(|_| {
-        // What is there is of no use.
-        let _ = fs::remove_file(&partial);
-    })
 }
 
 #[cfg(test)]
@@ -187,30 +139,22 @@ mod tests {
     use crate::progress::Silent;
 
     #[test]
-    fn images_come_back_whole_or_not_at_all() {
+    fn images_come_back_by_material_and_key() {
         let folder = tempfile::tempdir().unwrap();
         let cache = Cache::at(folder.path().join("cache"));
         assert!(cache.holdings().unwrap().is_empty());
         let image = Array2::from_shape_fn((3, 4), |(i, j)| (i * 4 + j) as f32 * 0.1);
-        cache.save("a", "k", "about", &image, &Silent);
-        cache.save("b", "k", "", &image, &Silent);
-        assert_eq!(cache.load("a", "k", [3, 4]), Some(image.clone()));
-        assert_eq!(cache.load("a", "k", [4, 3]), None);
-        assert_eq!(cache.load("a", "other", [3, 4]), None);
-        let path = cache.path("a", "k").unwrap();
-        let whole = fs::read(&path).unwrap();
-        for at in [9, 25, whole.len() - 1] {
-            let mut bytes = whole.clone();
-            bytes[at] ^= 4;
-            fs::write(&path, &bytes).unwrap();
-            assert_eq!(cache.load("a", "k", [3, 4]), None, "{at}");
-        }
-        fs::write(&path, &whole[..30]).unwrap();
-        assert_eq!(cache.load("a", "k", [3, 4]), None);
+        cache.save("a", "k", "note", &image).unwrap();
+        cache.save("b", "k", "", &image).unwrap();
+        assert_eq!(cache.load("a", "k", [3, 4], &Silent), Some(image.clone()));
+        assert_eq!(cache.load("a", "k", [4, 3], &Silent), None);
+        assert_eq!(cache.load("a", "other", [3, 4], &Silent), None);
+        assert!(cache.has("a", "k") && !cache.has("a", "other"));
         let holdings = cache.holdings().unwrap();
         assert_eq!(holdings.iter().map(|h| h.images).sum::<usize>(), 2);
         assert_eq!(cache.clear(Some("b")).unwrap().len(), 1);
         assert_eq!(cache.holdings().unwrap().len(), 1);
-        assert!(Cache::none().load("a", "k", [3, 4]).is_none());
+        assert!(Cache::none().load("a", "k", [3, 4], &Silent).is_none());
+        Cache::none().save("a", "k", "", &image).unwrap();
     }
 }

@@ -12,5 +12,6 @@
 pub mod assembly;
 pub mod image_library;
 pub mod library_cache;
+pub mod mosaic_cost;
 pub mod mosaic_imager;
 pub mod survey;

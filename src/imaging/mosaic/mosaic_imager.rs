@@ -1,149 +1,127 @@
-//! The engine of `stemgen build`: library, assembly, and direct simulation of what does not repeat.
+//! Library, assembly, and direct simulation of what does not repeat.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
 
 use ndarray::Array2;
 
-use crate::engine::{Plan, Scan, Site};
+use super::assembly::Assembly;
+use super::image_library::Library;
+use super::library_cache::Cache;
+use super::mosaic_cost::MosaicCost;
+use super::survey::{FieldSurvey, survey};
 use crate::error::{Error, Result};
-use crate::imaging::displaced_atoms::{DisplacedAtoms, definite_atoms};
-use crate::imaging::mosaic::assembly::Assembly;
-use crate::imaging::mosaic::image_library::Library;
-use crate::imaging::mosaic::library_cache::Cache;
-use crate::imaging::mosaic::survey::{FieldSurvey, survey};
-use crate::imaging::pixels::PixelBox;
-use crate::imaging::progress_share::Quiet;
-use crate::imaging::region_imager::FieldImage;
+use crate::imaging::direct::rectangle_plan;
+use crate::imaging::displaced_atoms::{DisplacedAtoms, displaced_atoms};
+use crate::imaging::imaging_cost::{ImagingCost, SimulationRuns};
+use crate::imaging::pixels::{PixelBox, PixelRect};
+use crate::imaging::region_imager::RegionImager;
 use crate::imaging::simulator::Simulator;
-use crate::progress::Progress;
-use crate::recipe::model::Recipe;
-use crate::recipe::region::Region;
+use crate::progress::{InterruptOnly, Progress};
+use crate::recipe::{CheckedRecipe, Region};
 use crate::resample::{Kernel, image_band_limit};
+use crate::specimen::atom_columns::AtomColumn;
 use crate::specimen::model::Specimen;
-use crate::world::builder::SubTileEngine;
 
 /// Edge in pixels of the blocks in which pixels that need direct simulation are gathered.
-pub const BLOCK_PX: usize = 48;
+const BLOCK_PX: usize = 48;
 /// A library is worth its cost where it takes fewer probes than this share of the field's.
 const WORTH: f64 = 0.8;
+/// Edge of the surroundings of a column that only it shows, in Angstrom.
+const UNIQUE_ANGSTROM: f64 = 3.0;
 
-/// How a mosaic is made.
-#[derive(Debug, Clone)]
-pub struct MosaicEngine {
-    /// Simulates sheets, and what does not repeat.
-    pub simulator: Simulator,
-    /// Where images of sheets are kept.
-    pub cache: Cache,
-    /// Make a library even for fields that take less without one.
-    pub always: bool,
-}
-
-impl SubTileEngine for MosaicEngine {
-    fn name(&self) -> String {
-        "mosaic".into()
-    }
-    fn parameters(&self) -> serde_json::Value {
-        self.simulator.parameters()
-    }
-    fn margin_angstrom(&self) -> f64 {
-        self.simulator.margin_angstrom()
-    }
-    fn image(
-        &self,
-        sites: &[Site],
-        box_angstrom: [f64; 3],
-        scan: &Scan,
-        progress: &dyn Progress,
-    ) -> Result<Array2<f32>> {
-        self.simulator.image(sites, box_angstrom, scan, progress)
-    }
-    fn mosaic(&self) -> Option<&MosaicEngine> {
-        Some(self)
-    }
-}
-
-/// A field's library, ready to make images from.
-pub struct Mosaic<'a> {
-    specimen: &'a dyn Specimen,
-    recipe: &'a Recipe,
+/// A field's library, and images made from it.
+pub struct MosaicImager {
+    recipe: CheckedRecipe,
+    specimen: Arc<dyn Specimen>,
     simulator: Simulator,
+    cache: Cache,
     library: Library,
     kernel: Kernel,
-    /// What the field holds.
-    pub survey: FieldSurvey,
-    /// Images of sheets that were simulated, not read from the cache.
-    pub simulated: usize,
+    survey: FieldSurvey,
+    /// Images of the library that were simulated, not read from the cache; `None` before the library is filled.
+    simulated: Option<usize>,
 }
 
-impl<'a> Mosaic<'a> {
-    /// Surveys the field and fills the library. `None` where simulating the field itself takes less.
+impl MosaicImager {
+    /// Surveys the field and lays out the library, which [`RegionImager::prepare`] fills: from the cache, and by
+    /// simulations with `simulator`.
     ///
     /// # Errors
-    /// Those of the engine, and [`Error::Interrupted`].
-    pub fn prepare(
-        engine: &MosaicEngine,
-        specimen: &'a dyn Specimen,
-        recipe: &'a Recipe,
-        progress: &dyn Progress,
-    ) -> Result<Option<Self>> {
-        let settings = engine.simulator.settings();
-        let survey = survey(specimen, &recipe.field);
-        let mut library = Library::new(specimen, survey.families.iter().copied(), settings)?;
-        if !(engine.always || worth(&library, &survey, recipe)) {
-            return Ok(None);
-        }
+    /// Those of the settings.
+    pub fn new(
+        recipe: &CheckedRecipe,
+        specimen: &Arc<dyn Specimen>,
+        simulator: Simulator,
+        cache: Cache,
+    ) -> Result<Self> {
+        simulator.check_margin()?;
+        let survey = survey(&**specimen, &recipe.field);
+        let settings = simulator.settings();
+        let library = Library::new(&**specimen, survey.families.iter().copied(), settings)?;
         let band_limit = image_band_limit(&settings.optics);
         let kernel = Kernel::new(Kernel::default_step(band_limit), band_limit)?;
-        let sigma = |number| recipe.phonons.sigma_angstrom(number);
-        let simulated = library.fill(&recipe.id, &sigma, &engine.cache, progress)?;
-        let simulator = engine.simulator.clone();
-        Ok(Some(Mosaic { specimen, recipe, simulator, library, kernel, survey, simulated }))
+        let (recipe, specimen) = (recipe.clone(), Arc::clone(specimen));
+        let simulated = None;
+        Ok(MosaicImager { recipe, specimen, simulator, cache, library, kernel, survey, simulated })
     }
 
-    /// What making the mosaic of a field will take.
-    ///
-    /// # Errors
-    /// Those of the plan.
-    pub fn outlook(
-        engine: &MosaicEngine,
-        specimen: &dyn Specimen,
-        recipe: &Recipe,
-    ) -> Result<MosaicCost> {
-        let settings = engine.simulator.settings();
-        let survey = survey(specimen, &recipe.field);
-        let library = Library::new(specimen, survey.families.iter().copied(), settings)?;
-        let sigma = |number| recipe.phonons.sigma_angstrom(number);
-        let missing = library.missing(&recipe.id, &sigma, &engine.cache);
-        Ok(MosaicCost {
-            pays: engine.always || worth(&library, &survey, recipe),
-            images: library.len(),
+    /// What the field holds.
+    pub fn survey(&self) -> &FieldSurvey {
+        &self.survey
+    }
+
+    /// Whether the library takes clearly fewer probes than the field.
+    pub fn pays(&self) -> bool {
+        let [rows, columns] = self.recipe.field.pixels(self.recipe.field.built_grid());
+        let (tagged, untagged) = (self.survey.tagged, self.survey.untagged);
+        let all = (tagged + untagged).max(1) as f64;
+        let probes = rows * columns * self.library.configurations();
+        let repeating = probes as f64 * tagged as f64 / all;
+        tagged > 0 && (self.library.probes() as f64) < WORTH * repeating
+    }
+
+    /// What filling the library takes.
+    pub fn mosaic_cost(&self) -> MosaicCost {
+        let missing = self.library.missing(&self.recipe.id, &self.sigma(), &self.cache);
+        MosaicCost {
+            pays: self.pays(),
+            images: self.library.len(),
             missing: missing.len(),
             missing_probes: missing.iter().sum(),
-            columns: survey.tagged,
-            unique_columns: survey.untagged,
-            image_bytes: library.image_bytes(),
-            plan: library.largest_plan()?,
-        })
+            columns: self.survey.tagged,
+            unique_columns: self.survey.untagged,
+            image_bytes: self.library.image_bytes(),
+        }
     }
 
-    /// Simulates the pixels [row, column, rows, columns] of the full field with the atoms of the mosaic.
+    /// Standard deviation of an element's displacements in Angstrom.
+    fn sigma(&self) -> impl Fn(u8) -> f64 + use<'_> {
+        |number| self.recipe.phonons.sigma_angstrom(number)
+    }
+
+    /// Simulates the pixels of a rectangle with the atoms of the mosaic.
     fn direct(
         &self,
-        block: Block,
+        pixels: &PixelRect,
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Array2<f32>> {
-        let [row, column, rows, columns] = block;
-        let pixels = ([row, column], [rows, columns], 1);
         let (margin, thickness) = (self.simulator.margin_angstrom(), self.specimen.thickness_nm());
         let pixels = PixelBox::new(pixels, self.recipe.field.pixel_nm(), margin, thickness);
         let atoms = |configuration| self.atoms(&pixels.area, configuration);
-        let mean = self.simulator.mean(&pixels, configurations, atoms, &Quiet(progress))?;
+        let quiet = InterruptOnly(progress);
+        let mean = self.simulator.mean(&pixels, configurations, atoms, &quiet)?;
         Ok(mean.mapv(|v| v as f32))
+    }
+
+    fn rectangle(&self, edge: usize, runs: usize) -> Result<SimulationRuns> {
+        let shape = [edge; 2];
+        Ok(rectangle_plan(&self.recipe, &*self.specimen, &self.simulator, shape, runs)?.0)
     }
 }
 
-impl FieldImage for Mosaic<'_> {
+impl RegionImager for MosaicImager {
     fn name(&self) -> &'static str {
         "mosaic"
     }
@@ -152,105 +130,126 @@ impl FieldImage for Mosaic<'_> {
         self.simulator.parameters()
     }
 
+    fn prepare(&mut self, progress: &dyn Progress) -> Result<()> {
+        if self.simulated.is_some() {
+            return Ok(());
+        }
+        let recipe = self.recipe.clone();
+        let sigma = |number| recipe.phonons.sigma_angstrom(number);
+        self.simulated = Some(self.library.fill(&recipe.id, &sigma, &self.cache, progress)?);
+        Ok(())
+    }
+
     fn library(&self) -> Option<[usize; 2]> {
-        Some([self.library.len(), self.simulated])
+        Some([self.library.len(), self.simulated?])
     }
 
     fn mean_of(
         &self,
-        first: [usize; 2],
-        shape: [usize; 2],
+        pixels: &PixelRect,
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Array2<f64>> {
         if progress.interrupted() {
             return Err(Error::Interrupted);
         }
+        if self.simulated.is_none() {
+            let expected = "the imager has to be prepared before it makes images";
+            return Err(Error::invalid("library", "empty", expected));
+        }
+        let PixelRect { first, shape, .. } = *pixels;
         let pixel = self.recipe.field.pixel_nm();
-        let assembly = Assembly::new(self.specimen, first, shape, pixel);
+        let assembly = Assembly::new(&*self.specimen, first, shape, pixel);
         let seed = self.recipe.seed;
         let mut image = assembly.image(&self.library, &self.kernel, seed, configurations);
         let missing = assembly.missing();
-        for (block, pixels) in blocks(&missing, first, shape) {
-            let direct = self.direct(block, configurations, progress)?;
-            for (pixel, weight) in pixels {
+        for (block, members) in blocks(&missing, first, shape) {
+            let direct = self.direct(&block, configurations, progress)?;
+            for (pixel, weight) in members {
                 let [row, column] = [pixel / shape[1], pixel % shape[1]];
-                let at = [first[0] + row - block[0], first[1] + column - block[1]];
+                let at = [first[0] + row - block.first[0], first[1] + column - block.first[1]];
                 image[[row, column]] += weight * f64::from(direct[at]);
             }
         }
-        Ok(image)
+        Ok(pixels.sampled(image))
     }
 
+    /// Atoms of units with a place in the library move as in the simulations that their images come from, others
+    /// as in all engines.
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
-        let which = (self.recipe.seed, configuration);
-        let phonons = &self.recipe.phonons;
-        definite_atoms(self.specimen, Some(&self.library), area, which, phonons)
+        let (seed, library) = (self.recipe.seed, &self.library);
+        let of_column = |column: &AtomColumn| {
+            let tag = column.unit?;
+            let cell = library.shelf(tag.family)?;
+            let of_unit = cell.singles(tag.entry, (seed, tag.id), library.configurations());
+            let realisation = of_unit[configuration];
+            Some(move |n: usize| {
+                let [a, b, c] = cell.displacement(realisation, tag.member, n);
+                let [u, v] = tag.frame;
+                [u[0] * a + u[1] * b, v[0] * a + v[1] * b, c]
+            })
+        };
+        let which = (seed, configuration);
+        displaced_atoms(&*self.specimen, area, which, &self.recipe.phonons, of_column)
+    }
+
+    /// The images that the library lacks, and the columns like no other, each in a block of its own.
+    fn cost(&self, subtile: [usize; 2], subtiles: usize) -> Result<ImagingCost> {
+        let (direct, probe_step_angstrom) =
+            rectangle_plan(&self.recipe, &*self.specimen, &self.simulator, subtile, subtiles)?;
+        let mosaic = self.mosaic_cost();
+        let main = match self.library.largest_plan()? {
+            Some(plan) => {
+                let probes = mosaic.missing_probes.div_ceil(mosaic.missing.max(1));
+                SimulationRuns { plan, probes, runs: mosaic.missing }
+            }
+            None => direct,
+        };
+        let (mut more, mut largest_block) = (None, None);
+        if mosaic.unique_columns > 0 {
+            let pixel = 10.0 * self.recipe.field.pixel_nm();
+            let edge = (UNIQUE_ANGSTROM / pixel).ceil() as usize;
+            more = Some(self.rectangle(edge, mosaic.unique_columns as usize)?);
+            largest_block = Some(self.rectangle(BLOCK_PX, 0)?);
+        }
+        Ok(ImagingCost {
+            main,
+            more,
+            largest_block,
+            probe_step_angstrom,
+            image_bytes: mosaic.image_bytes,
+            mosaic: Some(mosaic),
+            particle_probes: None,
+        })
+    }
+
+    fn window_angstrom(&self) -> Option<f64> {
+        self.simulator.window_angstrom()
     }
 }
 
-/// What a mosaic will take.
-#[derive(Debug, Clone, PartialEq, serde::Serialize)]
-pub struct MosaicCost {
-    /// Whether it takes less than simulating the field itself.
-    pub pays: bool,
-    /// Images of sheets.
-    pub images: usize,
-    /// Those that the cache lacks.
-    pub missing: usize,
-    /// Probes that they take.
-    pub missing_probes: usize,
-    /// Columns with a place in the library.
-    pub columns: u64,
-    /// Columns that are simulated where they lie.
-    pub unique_columns: u64,
-    /// Memory of the library's images.
-    pub image_bytes: u64,
-    /// Plan of the largest image.
-    #[serde(skip)]
-    pub plan: Option<Plan>,
-}
+/// Pixels (indices in the rectangle of `shape` at `first`) and the weight of what is missing there.
+type Weighted = Vec<(usize, f64)>;
 
-/// Whether the library takes clearly fewer probes than the field.
-fn worth(library: &Library, survey: &FieldSurvey, recipe: &Recipe) -> bool {
-    let [rows, columns] = recipe.field.pixels(recipe.field.built_grid());
-    let all = (survey.tagged + survey.untagged).max(1) as f64;
-    let repeating = (rows * columns * library.configurations()) as f64 * survey.tagged as f64 / all;
-    survey.tagged > 0 && (library.probes() as f64) < WORTH * repeating
-}
-
-/// The atoms of an area, displaced as by engines that simulate the field itself.
-pub fn atoms_by_seed(
-    specimen: &dyn Specimen,
-    area: &Region,
-    which: (u64, usize),
-    recipe: &Recipe,
-) -> DisplacedAtoms {
-    definite_atoms(specimen, None, area, which, &recipe.phonons)
-}
-
-type Block = [usize; 4];
-
-/// Gathers pixels into the least rectangles [row, column, rows, columns] within blocks of the full field.
+/// Gathers pixels into the least rectangles within blocks of the full field.
 fn blocks(
-    missing: &std::collections::HashMap<usize, f64>,
+    missing: &HashMap<usize, f64>,
     first: [usize; 2],
     shape: [usize; 2],
-) -> Vec<(Block, Vec<(usize, f64)>)> {
-    let mut by_block: BTreeMap<[usize; 2], Vec<(usize, f64)>> = BTreeMap::new();
+) -> Vec<(PixelRect, Weighted)> {
+    let mut by_block: BTreeMap<[usize; 2], Weighted> = BTreeMap::new();
     for (&pixel, &weight) in missing {
         let at = [first[0] + pixel / shape[1], first[1] + pixel % shape[1]];
         by_block.entry(at.map(|v| v / BLOCK_PX)).or_default().push((pixel, weight));
     }
-    let rectangle = |pixels: &Vec<(usize, f64)>| {
-        let range = |of: &dyn Fn(usize) -> usize| {
-            let low = pixels.iter().map(|p| of(p.0)).min().unwrap_or(0);
-            let high = pixels.iter().map(|p| of(p.0)).max().unwrap_or(0);
-            [low, high - low + 1]
-        };
-        let rows = range(&|p| first[0] + p / shape[1]);
-        let columns = range(&|p| first[1] + p % shape[1]);
-        [rows[0], columns[0], rows[1], columns[1]]
+    let range = |places: &mut dyn Iterator<Item = usize>| {
+        let (low, high) = places.fold((usize::MAX, 0), |(l, h), v| (l.min(v), h.max(v)));
+        [low, high - low + 1]
+    };
+    let rectangle = |pixels: &Weighted| {
+        let rows = range(&mut pixels.iter().map(|p| first[0] + p.0 / shape[1]));
+        let columns = range(&mut pixels.iter().map(|p| first[1] + p.0 % shape[1]));
+        PixelRect::new([rows[0], columns[0]], [rows[1], columns[1]])
     };
     by_block.into_values().map(|pixels| (rectangle(&pixels), pixels)).collect()
 }

@@ -4,8 +4,8 @@
 use std::collections::{BTreeMap, HashMap};
 
 use crate::error::{Error, Result};
+use crate::recipe::CheckedRecipe;
 use crate::recipe::limits::BEYOND_FIELD_NM;
-use crate::recipe::model::Recipe;
 use crate::recipe::region::Region;
 use crate::recipe::tables::Boundaries;
 use crate::specimen::atom_columns::Sites;
@@ -74,10 +74,9 @@ impl Grains {
     /// # Errors
     /// [`Error::Invalid`] for a crystal that has no mirror plane where boundaries need one, or a
     /// vacancy rate without room.
-    pub fn new(recipe: &Recipe) -> Result<Self> {
-        let structure = recipe.oriented_crystal()?;
-        let shortest = shortest_distances(&structure, PAIR_CUTOFF_ANGSTROM);
-        let crystal = ColumnCrystal::new(&structure)?;
+    pub fn new(recipe: &CheckedRecipe) -> Result<Self> {
+        let shortest = shortest_distances(recipe.structure()?, PAIR_CUTOFF_ANGSTROM);
+        let crystal = recipe.columns()?.clone();
         let field = recipe.field.full_region();
         let mut specimen = Grains {
             cells_along_beam: crystal.cells_along_beam(recipe.field.thickness_nm),
@@ -252,7 +251,7 @@ impl Grains {
     }
 
     /// Finds the repeating patterns of the boundaries.
-    fn find_motifs(&mut self, recipe: &Recipe) {
+    fn find_motifs(&mut self, recipe: &CheckedRecipe) {
         let Some(contents) = &self.contents else { return };
         let coincidence = recipe
             .boundaries

@@ -6,14 +6,10 @@ use super::show::Lines;
 use super::values;
 use anyhow::bail;
 use clap::Args;
-use stemgen::engine::Algorithm;
-use stemgen::imaging::audit::region_audit::{Audit, AuditOptions, Source, audit};
-use stemgen::imaging::choose::field_image;
-use stemgen::imaging::mosaic::library_cache::Cache;
-use stemgen::imaging::mosaic::mosaic_imager::MosaicEngine;
-use stemgen::imaging::simulator::{Simulator, WINDOW_ANGSTROM, default_window};
-use stemgen::recipe::Recipe;
+use stemgen::imaging::{Audit, AuditOptions, Cache, ImagingChoice, MethodChoice, Simulator, audit};
+use stemgen::recipe::CheckedRecipe;
 use stemgen::specimen::specimen;
+use stemgen::world::BuildOptions;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -69,10 +65,6 @@ impl AuditCommand {
                 "--dry-run: an audit has no plan to show; --configurations 1 --regions 1 is a quick one"
             );
         }
-        let simulator = match &made {
-            Some(made) => Simulator::of(made.settings.clone()),
-            None => planned(&recipe),
-        };
         let options = AuditOptions {
             regions: self.regions.into(),
             size_nm: self.size,
@@ -82,38 +74,34 @@ impl AuditCommand {
             configurations: self.configurations.map(usize::from),
         };
         let specimen = specimen(&recipe)?;
-        let direct = match made.as_ref().map(|m| m.engine.as_str()) {
-            None | Some("mosaic" | "film") => None,
-            Some("window") => Some(simulator.clone()),
-            Some(other) => {
-                bail!("the world was made with `{other}`, which is what audits compare with")
+        let cache = if self.no_cache { Cache::none() } else { Cache::of_user() };
+        let choice = match &made {
+            Some(made) => {
+                let method = match made.engine.as_str() {
+                    "mosaic" | "film" => MethodChoice::Mosaic,
+                    "window" | "prism" => MethodChoice::Direct,
+                    other => bail!(
+                        "the world was made with `{other}`, which is what audits compare with"
+                    ),
+                };
+                ImagingChoice { simulator: Simulator::of(made.settings.clone()), method, cache }
             }
+            None => planned(&recipe, cache)?,
         };
-        let found = match direct {
-            Some(simulator) => {
-                let source = Source::Direct(&simulator);
-                audit(&recipe, &*specimen, &source, &options, &reporter)?
-            }
-            None => {
-                let cache = if self.no_cache { Cache::none() } else { Cache::of_user() };
-                let engine = MosaicEngine { simulator, cache, always: true };
-                match field_image(&engine, &*specimen, &recipe, &reporter)? {
-                    Some(field) => {
-                        let source = Source::Field(&*field);
-                        audit(&recipe, &*specimen, &source, &options, &reporter)?
-                    }
-                    None => bail!("nothing in this specimen repeats"),
-                }
-            }
-        };
+        let mut imager = choice.imager(&recipe, &specimen)?;
+        imager.prepare(&reporter)?;
+        let found = audit(&recipe, &*specimen, &*imager, &options, &reporter)?;
         self.common.print(&found, &text(&found))
     }
 }
 
-/// The engine of a world that is not there yet: windows as `stemgen build` chooses them.
-fn planned(recipe: &Recipe) -> Simulator {
-    let width_angstrom = default_window(recipe).map_or(WINDOW_ANGSTROM, |w| w.width_angstrom);
-    Simulator::new(recipe, Algorithm::Window { width_angstrom })
+/// The imager of a world that is not there yet: a mosaic, or a film, with windows as `stemgen build` chooses them.
+fn planned(recipe: &CheckedRecipe, cache: Cache) -> anyhow::Result<ImagingChoice> {
+    let policy = BuildOptions { cache, ..BuildOptions::default() }.policy(recipe)?;
+    Ok(match policy.imaging.method {
+        MethodChoice::Auto => ImagingChoice { method: MethodChoice::Mosaic, ..policy.imaging },
+        _ => policy.imaging,
+    })
 }
 
 fn text(audit: &Audit) -> String {

@@ -1,44 +1,21 @@
 //! `stemgen build`.
 
-use super::build_plan::{DryRun, Request};
+use super::build_plan::DryRun;
 use super::common::Common;
 use super::hints::hinted;
-use super::progress::Reporter;
 use super::recipe_args::RecipeArgs;
 use super::show::Lines;
 use super::values::{self, Engine};
-use super::{imaging, output, pictures, text};
-use anyhow::bail;
+use super::{output, pictures, text};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
-use stemgen::engine::{Algorithm, Expansion};
-use stemgen::imaging::audit::region_audit::{Audit, AuditOptions};
-use stemgen::imaging::choose::Check;
-use stemgen::imaging::mosaic::library_cache::Cache;
-use stemgen::imaging::mosaic::mosaic_imager::MosaicEngine;
-use stemgen::imaging::simulator::{Simulator, WINDOW_ANGSTROM, default_window};
+use stemgen::engine::Expansion;
+use stemgen::imaging::{Audit, Cache};
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
-use stemgen::recipe::{Difficulty, Recipe, StructureKind};
-use stemgen::world::{BuildOptions, SubTileEngine, Summary};
-
-/// Sub-tiles in nm; 4 nm take below 2 GB of memory on two threads.
-const SUBTILE_NM: f64 = 4.0;
-/// Sub-tiles of PRISM in nm, whose plane waves take the memory.
-const PRISM_SUBTILE_NM: f64 = 2.5;
-/// Sub-tiles of the published worlds in nm.
-const PUBLISHED_SUBTILE_NM: f64 = 7.0;
-/// Edge of audited regions in nm.
-const AUDIT_NM: f64 = 0.8;
-/// Configurations that audits of particles average at most: slices are thin there, and multislice of sixteen would take a
-/// quarter of the time of the world. The mean of more is nearer to the exact one.
-const PARTICLE_AUDIT_CONFIGURATIONS: usize = 4;
-/// Sub-tiles of mosaics in nm, and their overlap.
-const MOSAIC_SUBTILE_NM: f64 = 8.0;
-const MOSAIC_OVERLAP_NM: f64 = 0.5;
-/// Interpolation of PRISM unless another is asked for: windows of 10 A in sub-tiles of 2.5 nm.
-const INTERPOLATION: [usize; 2] = [4, 4];
+use stemgen::recipe::{Difficulty, Recipe};
+use stemgen::world::{BuildMethod, BuildOptions, BuildProfile, BuildSummary, WorldBuild};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -108,7 +85,7 @@ struct Method {
     /// `published`: the coarser settings of the published worlds (PRISM, 0.05 A, slices of 1 A)
     /// [default: default]
     #[arg(long, value_name = "NAME")]
-    profile: Option<Profile>,
+    profile: Option<ProfileName>,
     /// Regions of a mosaic that are simulated exactly beforehand, with the same atoms; the file tells the
     /// error found. 0 leaves it out
     #[arg(long, value_name = "N", default_value_t = 1)]
@@ -132,7 +109,7 @@ struct Method {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Profile {
+enum ProfileName {
     /// Carries all scattering to the detector
     Default,
     /// As the published STEMGym worlds
@@ -170,20 +147,11 @@ impl Build {
     pub fn run(self) -> anyhow::Result<()> {
         let reporter = self.common.start()?;
         let recipe = self.recipe.resolve()?;
-        let (simulator, warning) = self.simulator(&recipe)?;
-        warning.iter().for_each(|w| reporter.warn(w));
+        let build = WorldBuild::new(&recipe, &self.options())?;
+        build.policy().warnings.iter().for_each(|w| reporter.warn(w));
         let path = self.output(&recipe);
-        let look = self.common.dry_run && self.is_mosaic(&simulator);
-        let report = DryRun::new(Request {
-            recipe: &recipe,
-            simulator: &simulator,
-            mosaic: look.then(|| self.mosaic(simulator.clone())),
-            subtile_nm: self.subtile_nm(&simulator),
-            timed: self.common.dry_run,
-            keep_clean: self.keep_clean,
-            output: path.clone(),
-        })?;
         if self.common.dry_run {
+            let report = DryRun::new(&recipe, &build, path)?;
             return self.common.print(&report, &report.text());
         }
         output::check(&path, self.overwrite)?;
@@ -191,9 +159,8 @@ impl Build {
         if let Some(picture) = &picture {
             output::check(picture, self.overwrite)?;
         }
-        report.warnings().iter().for_each(|w| reporter.warn(w));
-        let engine = self.engine(simulator.clone());
-        let summary = self.build(&recipe, &*engine, &simulator, &path, &reporter)?;
+        DryRun::warnings(&build)?.iter().for_each(|w| reporter.warn(w));
+        let summary = build.run(&path, &reporter).map_err(|e| interrupted(e, &path))?;
         let world = WorldFile::open(&path)?;
         if let Some(picture) = &picture {
             pictures::write_world(picture, &world)?;
@@ -202,40 +169,26 @@ impl Build {
         self.common.print(&built, &built.text())
     }
 
-    fn published(&self) -> bool {
-        self.method.profile == Some(Profile::Published)
-    }
-
-    /// The engine, and what is to be said of its accuracy.
-    fn simulator(&self, recipe: &Recipe) -> anyhow::Result<(Simulator, Option<String>)> {
-        if self.published() {
-            return Ok((Simulator::published(recipe), None));
-        }
-        let (simulator, warning) = self.exact(recipe)?;
-        Ok((simulator.with_expansion(self.method.expansion), warning))
-    }
-
-    /// As [`Build::simulator`], for the profile that carries all scattering to the detector.
-    fn exact(&self, recipe: &Recipe) -> anyhow::Result<(Simulator, Option<String>)> {
+    /// What the arguments ask for; everything else is as the library builds.
+    fn options(&self) -> BuildOptions {
         let m = &self.method;
-        let (window, factors) = (m.window, m.interpolation);
-        imaging::check_accuracy(m.accuracy, m.engine)?;
-        let algorithm = imaging::algorithm(
-            m.engine,
-            window,
-            factors,
-            Engine::Window,
-            WINDOW_ANGSTROM,
-            INTERPOLATION,
-        )?;
-        let free = m.engine.is_none() && window.is_none() && factors.is_none();
-        if free && m.accuracy.is_none() {
-            return Ok(by_rule(recipe));
+        let usual = BuildOptions::default();
+        BuildOptions {
+            noise: !self.no_noise,
+            keep_clean: self.keep_clean,
+            overwrite: self.overwrite,
+            method: m.engine.map_or(usual.method, Into::into),
+            profile: m.profile.map_or(usual.profile, Into::into),
+            window_angstrom: m.window,
+            accuracy_percent: m.accuracy,
+            expansion: m.expansion,
+            interpolation: m.interpolation,
+            audit_regions: m.audit.into(),
+            max_error_percent: m.max_error,
+            cache: if m.no_cache { Cache::none() } else { usual.cache },
+            subtile_nm: m.subtile,
+            subtile_overlap_nm: m.subtile_overlap,
         }
-        let mut settings = Simulator::new(recipe, algorithm).settings().clone();
-        let thickness = recipe.field.thickness_nm * 10.0;
-        let warning = imaging::choose_window(m.accuracy, &mut settings, thickness)?;
-        Ok((Simulator::new(recipe, settings.algorithm), warning))
     }
 
     fn output(&self, recipe: &Recipe) -> PathBuf {
@@ -243,90 +196,10 @@ impl Build {
         self.output.clone().unwrap_or_else(default)
     }
 
-    /// Width and overlap of sub-tiles.
-    fn subtile_nm(&self, simulator: &Simulator) -> [f64; 2] {
-        let default = match simulator.settings().algorithm {
-            _ if self.published() => PUBLISHED_SUBTILE_NM,
-            _ if self.is_mosaic(simulator) => MOSAIC_SUBTILE_NM,
-            Algorithm::Prism { .. } => PRISM_SUBTILE_NM,
-            _ => SUBTILE_NM,
-        };
-        let size = self.method.subtile.unwrap_or(default);
-        let most = if self.is_mosaic(simulator) { MOSAIC_OVERLAP_NM } else { 1.0 };
-        [size, self.method.subtile_overlap.unwrap_or((0.25 * size).clamp(0.0, most))]
-    }
-
-    /// Whether units that repeat share simulations.
-    fn is_mosaic(&self, simulator: &Simulator) -> bool {
-        let windows = matches!(simulator.settings().algorithm, Algorithm::Window { .. });
-        let implied = windows && !self.published();
-        self.method.engine.map_or(implied, |e| e == Engine::Mosaic)
-    }
-
-    /// How a mosaic is checked before the world is made of it.
-    fn check(&self, recipe: &Recipe, simulator: &Simulator) -> anyhow::Result<Check> {
-        let regions = usize::from(self.method.audit);
-        if self.method.max_error.is_some() && !self.is_mosaic(simulator) {
-            bail!("--max-error is for mosaics; leave out --engine, or see `stemgen audit`");
-        }
-        if self.method.max_error.is_some() && regions == 0 {
-            bail!("--max-error needs an audit; leave out --audit 0");
-        }
-        let thin = recipe.structure == StructureKind::Particles;
-        let configurations = thin.then_some(PARTICLE_AUDIT_CONFIGURATIONS);
-        let audit =
-            AuditOptions { regions, size_nm: AUDIT_NM, configurations, ..AuditOptions::default() };
-        let max_error_percent = self.method.max_error;
-        Ok(Check { audit: (regions > 0).then_some(audit), max_error_percent })
-    }
-
-    fn engine(&self, simulator: Simulator) -> Box<dyn SubTileEngine> {
-        if !self.is_mosaic(&simulator) {
-            return Box::new(simulator);
-        }
-        Box::new(self.mosaic(simulator))
-    }
-
-    fn mosaic(&self, simulator: Simulator) -> MosaicEngine {
-        let cache = if self.method.no_cache { Cache::none() } else { Cache::of_user() };
-        let always = self.method.engine == Some(Engine::Mosaic);
-        MosaicEngine { simulator, cache, always }
-    }
-
-    fn build(
-        &self,
-        recipe: &Recipe,
-        engine: &dyn SubTileEngine,
-        simulator: &Simulator,
-        path: &Path,
-        reporter: &Reporter,
-    ) -> anyhow::Result<Summary> {
-        let [subtile_nm, subtile_overlap_nm] = self.subtile_nm(simulator);
-        let options = BuildOptions {
-            noise: !self.no_noise,
-            keep_clean: self.keep_clean,
-            overwrite: self.overwrite,
-            subtile_nm,
-            subtile_overlap_nm,
-            check: self.check(recipe, simulator)?,
-        };
-        let done = stemgen::world::build(recipe, engine, path, &options, reporter);
-        done.map_err(|error| match error {
-            stemgen::Error::Interrupted => {
-                let kept = format!(
-                    "{}.work keeps the finished sub-tiles; the same command goes on from there",
-                    path.display()
-                );
-                hinted(error, kept)
-            }
-            other => other.into(),
-        })
-    }
-
     fn built(
         &self,
         recipe: &Recipe,
-        summary: &Summary,
+        summary: &BuildSummary,
         world: &WorldFile,
         picture: Option<PathBuf>,
     ) -> anyhow::Result<Built> {
@@ -358,24 +231,36 @@ impl Build {
     }
 }
 
-/// The engine where none is asked for: windows as wide as the specimen is thick, PRISM for detectors at low
-/// angles, which windows and mosaics cannot do. And what is to be said of its accuracy.
-fn by_rule(recipe: &Recipe) -> (Simulator, Option<String>) {
-    match default_window(recipe) {
-        Ok(choice) => {
-            let width_angstrom = choice.width_angstrom;
-            let warning = (!choice.beyond_measured.is_empty()).then(|| {
-                format!(
-                    "windows of {width_angstrom:.1} A: their error was not measured for {}; the audit tells it",
-                    choice.beyond_measured.join(", ")
-                )
-            });
-            (Simulator::new(recipe, Algorithm::Window { width_angstrom }), warning)
+/// An interruption, with what to do next.
+fn interrupted(error: stemgen::Error, path: &Path) -> anyhow::Error {
+    match error {
+        stemgen::Error::Interrupted => {
+            let kept = format!(
+                "{}.work keeps the finished sub-tiles; the same command goes on from there",
+                path.display()
+            );
+            hinted(error, kept)
         }
-        Err(why) => {
-            let algorithm = Algorithm::Prism { interpolation: INTERPOLATION };
-            let warning = format!("neither mosaic nor windows: {why}; PRISM is used");
-            (Simulator::new(recipe, algorithm), Some(warning))
+        other => other.into(),
+    }
+}
+
+impl From<Engine> for BuildMethod {
+    fn from(engine: Engine) -> Self {
+        match engine {
+            Engine::Multislice => BuildMethod::Multislice,
+            Engine::Prism => BuildMethod::Prism,
+            Engine::Window => BuildMethod::Window,
+            Engine::Mosaic => BuildMethod::Mosaic,
+        }
+    }
+}
+
+impl From<ProfileName> for BuildProfile {
+    fn from(name: ProfileName) -> Self {
+        match name {
+            ProfileName::Default => BuildProfile::Default,
+            ProfileName::Published => BuildProfile::Published,
         }
     }
 }

@@ -1,0 +1,226 @@
+//! Arrays on disk, each in a file of its own: the sub-tiles of an interrupted build, the images of a library.
+//!
+//! A file holds what the array is (a key), its shape, its values and a SHA-256 of all that, so that a damaged file, or a
+//! whole one under another's name, is never taken for the right one. Files appear complete or not at all; two processes
+//! that write the same array do no harm.
+
+use std::fs::{self, File};
+use std::io::{ErrorKind, Read};
+use std::path::{Path, PathBuf};
+
+use ndarray::Array2;
+use sha2::{Digest, Sha256};
+
+use crate::atomic;
+use crate::error::{Error, Result};
+
+const MAGIC: &[u8; 8] = b"STEMARR1";
+/// Bytes before the key: magic, rows, columns, lengths of key and note.
+const HEAD: usize = 8 + 4 * 4;
+const DIGEST: usize = 32;
+
+/// A folder of arrays.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ArrayStore {
+    folder: PathBuf,
+    extension: &'static str,
+}
+
+/// What lies under a name.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Stored {
+    /// The array that was asked for, [row, column].
+    Whole(Array2<f32>),
+    /// Nothing.
+    Missing,
+    /// Something else, and what is wrong with it.
+    Unusable(&'static str),
+}
+
+impl ArrayStore {
+    /// The arrays in `folder`, in files with this ending. The folder is made when first written to.
+    pub fn new(folder: PathBuf, extension: &'static str) -> Self {
+        ArrayStore { folder, extension }
+    }
+
+    /// The folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// The file of an array.
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.folder.join(format!("{name}.{}", self.extension))
+    }
+
+    /// The array under `name`, if it was saved under this key with this shape (rows, columns) and is whole.
+    pub fn load(&self, name: &str, key: &str, shape: [usize; 2]) -> Stored {
+        match fs::read(self.path(name)) {
+            Ok(bytes) => decoded(&bytes, key, shape).map_or_else(Stored::Unusable, Stored::Whole),
+            Err(e) if e.kind() == ErrorKind::NotFound => Stored::Missing,
+            Err(_) => Stored::Unusable("cannot be read"),
+        }
+    }
+
+    /// Saves an array [row, column]. `key` says all that decides its values; `note` is for people who look into the file.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn save(&self, name: &str, key: &str, note: &str, array: &Array2<f32>) -> Result<()> {
+        fs::create_dir_all(&self.folder).map_err(|e| Error::io(&self.folder, "create", e))?;
+        atomic::write(&self.path(name), &encoded(key, note, array))
+    }
+
+    /// The files of arrays in the folder, and what writers that were killed have left; none where there is no folder.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn files(&self) -> Result<StoreFiles> {
+        let mut found = StoreFiles::default();
+        if !self.folder.is_dir() {
+            return Ok(found);
+        }
+        let fail = |e| Error::io(&self.folder, "read", e);
+        for entry in fs::read_dir(&self.folder).map_err(fail)? {
+            let path = entry.map_err(fail)?.path();
+            if atomic::is_leftover(&path) {
+                found.leftovers.push(path);
+            } else if path.extension().is_some_and(|e| e == self.extension) && is_array(&path) {
+                found.arrays.push(path);
+            }
+        }
+        found.arrays.sort();
+        found.leftovers.sort();
+        Ok(found)
+    }
+
+    /// Removes all arrays and leftovers, and the folder if nothing else lies in it.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn clear(&self) -> Result<()> {
+        let StoreFiles { arrays, leftovers } = self.files()?;
+        for path in arrays.iter().chain(&leftovers) {
+            fs::remove_file(path).map_err(|e| Error::io(path, "remove", e))?;
+        }
+        // A folder that holds other files stays.
+        let _ = fs::remove_dir(&self.folder);
+        Ok(())
+    }
+}
+
+/// Files of a store.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct StoreFiles {
+    /// Arrays, by name.
+    pub arrays: Vec<PathBuf>,
+    /// Unfinished files.
+    pub leftovers: Vec<PathBuf>,
+}
+
+fn is_array(path: &Path) -> bool {
+    let mut first = [0; MAGIC.len()];
+    File::open(path).and_then(|mut f| f.read_exact(&mut first)).is_ok() && first == *MAGIC
+}
+
+fn encoded(key: &str, note: &str, array: &Array2<f32>) -> Vec<u8> {
+    let (rows, columns) = array.dim();
+    let mut bytes = MAGIC.to_vec();
+    for number in [rows, columns, key.len(), note.len()] {
+        bytes.extend((number as u32).to_le_bytes());
+    }
+    bytes.extend(key.as_bytes());
+    bytes.extend(note.as_bytes());
+    bytes.extend(array.iter().flat_map(|v| v.to_le_bytes()));
+    let digest = Sha256::digest(&bytes);
+    bytes.extend(digest);
+    bytes
+}
+
+/// The array, or what is wrong with the file.
+fn decoded(
+    bytes: &[u8],
+    key: &str,
+    shape: [usize; 2],
+) -> std::result::Result<Array2<f32>, &'static str> {
+    let cut = "is cut off";
+    let body = bytes.len().checked_sub(DIGEST).filter(|body| *body >= HEAD).ok_or(cut)?;
+    let (head, digest) = bytes.split_at(body);
+    if &head[..MAGIC.len()] != MAGIC {
+        return Err("is no array of this program");
+    }
+    if Sha256::digest(head).as_slice() != digest {
+        return Err("is damaged");
+    }
+    let number = |n: usize| {
+        let at = MAGIC.len() + 4 * n;
+        let four = [head[at], head[at + 1], head[at + 2], head[at + 3]];
+        u32::from_le_bytes(four) as usize
+    };
+    let (key_end, rest) = (HEAD + number(2), HEAD + number(2) + number(3));
+    if head.get(HEAD..key_end).ok_or(cut)? != key.as_bytes() {
+        return Err("holds another image");
+    }
+    let values = head.get(rest..).ok_or(cut)?;
+    if [number(0), number(1)] != shape || values.len() != 4 * shape[0] * shape[1] {
+        return Err("has another shape");
+    }
+    let value = |b: &[u8]| f32::from_le_bytes([b[0], b[1], b[2], b[3]]);
+    let values = values.chunks_exact(4).map(value).collect();
+    Array2::from_shape_vec(shape, values).map_err(|_| "has another shape")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn store() -> (tempfile::TempDir, ArrayStore, Array2<f32>) {
+        let folder = tempfile::tempdir().unwrap();
+        let store = ArrayStore::new(folder.path().join("store"), "image");
+        let array = Array2::from_shape_fn((3, 5), |(i, j)| (i * 5 + j) as f32 * 0.1);
+        store.save("a", "key of a", "note", &array).unwrap();
+        (folder, store, array)
+    }
+
+    #[test]
+    fn arrays_come_back_under_their_name_key_and_shape_only() {
+        let (_folder, store, array) = store();
+        assert_eq!(store.load("a", "key of a", [3, 5]), Stored::Whole(array));
+        assert_eq!(store.load("b", "key of a", [3, 5]), Stored::Missing);
+        assert!(matches!(store.load("a", "key of a", [5, 3]), Stored::Unusable(_)));
+        // a whole file under the name of another
+        fs::copy(store.path("a"), store.path("b")).unwrap();
+        let Stored::Unusable(why) = store.load("b", "key of b", [3, 5]) else { panic!() };
+        assert!(why.contains("another"), "{why}");
+    }
+
+    #[test]
+    fn every_damaged_byte_and_every_length_is_noticed() {
+        let (_folder, store, _) = store();
+        let whole = fs::read(store.path("a")).unwrap();
+        for at in 0..whole.len() {
+            let mut bytes = whole.clone();
+            bytes[at] ^= 4;
+            fs::write(store.path("a"), &bytes).unwrap();
+            let found = store.load("a", "key of a", [3, 5]);
+            assert!(matches!(found, Stored::Unusable(_)), "byte {at}");
+        }
+        for length in 0..whole.len() {
+            fs::write(store.path("a"), &whole[..length]).unwrap();
+            let found = store.load("a", "key of a", [3, 5]);
+            assert!(matches!(found, Stored::Unusable(_)), "length {length}");
+        }
+    }
+
+    #[test]
+    fn clearing_leaves_what_is_not_its_own() {
+        let (_folder, store, _) = store();
+        fs::write(store.folder().join("mine.image"), "precious").unwrap();
+        fs::write(store.folder().join(".stemgen-x.partial"), "left").unwrap();
+        let files = store.files().unwrap();
+        assert_eq!((files.arrays.len(), files.leftovers.len()), (1, 1));
+        store.clear().unwrap();
+        assert_eq!(fs::read_dir(store.folder()).unwrap().count(), 1);
+        assert!(store.folder().join("mine.image").exists());
+    }
+}

@@ -1,0 +1,121 @@
+//! Simulates the atoms of each rectangle as they lie.
+
+use std::sync::Arc;
+
+use ndarray::Array2;
+
+use super::displaced_atoms::{DisplacedAtoms, displaced_by_seed};
+use super::imaging_cost::{ImagingCost, SimulationRuns};
+use super::pixels::{PixelBox, PixelRect};
+use super::region_imager::RegionImager;
+use super::simulator::Simulator;
+use crate::engine::{Plan, Site};
+use crate::error::Result;
+use crate::progress::Progress;
+use crate::recipe::{CheckedRecipe, Region};
+use crate::specimen::{DISPLACED_NM, Specimen};
+
+/// See the module.
+#[derive(Clone)]
+pub struct DirectImager {
+    recipe: CheckedRecipe,
+    specimen: Arc<dyn Specimen>,
+    simulator: Simulator,
+}
+
+impl DirectImager {
+    /// An imager that simulates with `simulator`.
+    ///
+    /// # Errors
+    /// [`crate::Error::Invalid`] for windows that reach beyond the specimen.
+    pub fn new(
+        recipe: &CheckedRecipe,
+        specimen: &Arc<dyn Specimen>,
+        simulator: Simulator,
+    ) -> Result<Self> {
+        simulator.check_margin()?;
+        Ok(DirectImager { recipe: recipe.clone(), specimen: Arc::clone(specimen), simulator })
+    }
+
+    /// The atoms of an area at their mean positions, in Angstrom from its corner.
+    fn sites(&self, area: &Region) -> Vec<Site> {
+        let corner = [area.x[0], area.y[0]];
+        // A displaced atom may lie on the other side of the edge than its column.
+        let mut sites = self.specimen.sites(&area.grown(DISPLACED_NM));
+        sites.retain(|s| area.contains([s.position_nm[0], s.position_nm[1]]));
+        sites.iter().filter_map(|s| s.atom(corner, &self.recipe.phonons)).collect()
+    }
+}
+
+/// The plan for a rectangle of `shape` (rows, columns) pixels somewhere in the built field.
+///
+/// # Errors
+/// Those of [`Plan::new`].
+pub fn rectangle_plan(
+    recipe: &CheckedRecipe,
+    specimen: &dyn Specimen,
+    simulator: &Simulator,
+    [rows, columns]: [usize; 2],
+    runs: usize,
+) -> Result<(SimulationRuns, [f64; 2])> {
+    let field = &recipe.field;
+    let pixel = field.pixel_nm();
+    let somewhere = Region::of_pixels(field.crop_origin_px(), [rows, columns], pixel);
+    let z: Vec<f64> = specimen.sites(&somewhere).iter().map(|s| 10.0 * s.position_nm[2]).collect();
+    let size = [columns, rows].map(|n| 10.0 * pixel * n as f64);
+    let mut plan: Plan = simulator.plan(size, 10.0 * specimen.thickness_nm(), &z)?;
+    let probes = simulator.probes(&plan, [rows, columns], 10.0 * pixel)?;
+    plan.count_waves(probes.scan());
+    let step_angstrom = probes.scan().step_angstrom;
+    Ok((SimulationRuns { plan, probes: probes.scan().len(), runs }, step_angstrom))
+}
+
+impl RegionImager for DirectImager {
+    fn name(&self) -> &'static str {
+        self.simulator.name()
+    }
+
+    fn parameters(&self) -> serde_json::Value {
+        self.simulator.parameters()
+    }
+
+    fn mean_of(
+        &self,
+        pixels: &PixelRect,
+        configurations: usize,
+        progress: &dyn Progress,
+    ) -> Result<Array2<f64>> {
+        let (margin, thickness) = (self.simulator.margin_angstrom(), self.specimen.thickness_nm());
+        let pixels = PixelBox::new(pixels, self.recipe.field.pixel_nm(), margin, thickness);
+        let simulator = self.simulator.with_configurations(configurations);
+        let image = simulator.image(&self.sites(&pixels.area), &pixels, progress)?;
+        Ok(image.mapv(f64::from))
+    }
+
+    fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
+        let which = (self.recipe.seed, configuration);
+        displaced_by_seed(&*self.specimen, area, which, &self.recipe.phonons)
+    }
+
+    fn cost(&self, subtile: [usize; 2], subtiles: usize) -> Result<ImagingCost> {
+        let (main, probe_step_angstrom) =
+            rectangle_plan(&self.recipe, &*self.specimen, &self.simulator, subtile, subtiles)?;
+        Ok(ImagingCost {
+            main,
+            more: None,
+            largest_block: None,
+            probe_step_angstrom,
+            image_bytes: 0,
+            mosaic: None,
+            particle_probes: None,
+        })
+    }
+
+    fn stage(&self) -> [&'static str; 2] {
+        ["simulating", "probe"]
+    }
+
+    fn window_angstrom(&self) -> Option<f64> {
+        self.simulator.window_angstrom()
+    }
+}

@@ -1,0 +1,34 @@
+//! What making the image of a field will take.
+
+use super::mosaic::mosaic_cost::MosaicCost;
+use crate::engine::Plan;
+
+/// Simulations that are alike.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SimulationRuns {
+    /// The plan of each.
+    pub plan: Plan,
+    /// Probes of each.
+    pub probes: usize,
+    /// How many there are.
+    pub runs: usize,
+}
+
+/// What making the image of a field will take.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ImagingCost {
+    /// The simulations that decide memory and time.
+    pub main: SimulationRuns,
+    /// Others that take time, of columns like no other.
+    pub more: Option<SimulationRuns>,
+    /// A plan whose memory is needed at another time than that of `main`.
+    pub largest_block: Option<SimulationRuns>,
+    /// Distance (x, y) of probes in Angstrom.
+    pub probe_step_angstrom: [f64; 2],
+    /// Memory of images that are kept.
+    pub image_bytes: u64,
+    /// What is known of a mosaic, also of one that does not pay.
+    pub mosaic: Option<MosaicCost>,
+    /// Probes of each configuration that the particles on a film take.
+    pub particle_probes: Option<usize>,
+}

@@ -1,0 +1,20 @@
+//! What making a mosaic will take.
+
+/// What a mosaic will take.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct MosaicCost {
+    /// Whether it takes less than simulating the field itself.
+    pub pays: bool,
+    /// Images of sheets.
+    pub images: usize,
+    /// Those that the cache lacks.
+    pub missing: usize,
+    /// Probes that they take.
+    pub missing_probes: usize,
+    /// Columns with a place in the library.
+    pub columns: u64,
+    /// Columns that are simulated where they lie.
+    pub unique_columns: u64,
+    /// Memory of the library's images.
+    pub image_bytes: u64,
+}

@@ -1,0 +1,7 @@
+//! The version of the numerics.
+
+/// Raise this by one with every change that changes pixel values by more than 1e-5 of the brightest: in the engine, in
+/// imaging, in the displacements of atoms. It is part of the key of everything that is kept on disk (the library of mosaics,
+/// the sub-tiles of an interrupted build), so images of different versions never meet in one world, and it stands in world
+/// files. `tests/numerics.rs` holds the images of this version.
+pub const NUMERICS_VERSION: u32 = 8;

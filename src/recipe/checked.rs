@@ -1,0 +1,157 @@
+//! Recipes that have been held against all limits.
+
+use std::ops::Deref;
+use std::path::Path;
+use std::sync::Arc;
+
+use super::checking;
+use super::difficulty::Difficulty;
+use super::fault::Fault;
+use super::model::Recipe;
+use super::oriented_crystals::OrientedCrystals;
+use super::origin::RecipeText;
+use crate::error::{Error, Result};
+use crate::structure::Structure;
+use crate::structure::columns::ColumnCrystal;
+use crate::structure::particles::Metal;
+
+/// A recipe whose values are within their limits, with its crystals read and turned: the only way to a specimen.
+///
+/// It reads as a [`Recipe`] and cannot be changed; to change values, take [`CheckedRecipe::recipe`] and check that
+/// again. A clone shares everything.
+#[derive(Debug, Clone)]
+pub struct CheckedRecipe(Arc<Parts>);
+
+#[derive(Debug)]
+struct Parts {
+    recipe: Recipe,
+    crystals: OrientedCrystals,
+}
+
+impl Deref for CheckedRecipe {
+    type Target = Recipe;
+    fn deref(&self) -> &Recipe {
+        &self.0.recipe
+    }
+}
+
+impl CheckedRecipe {
+    /// A recipe that comes with the program, at one of its [`Recipe::tiers`].
+    ///
+    /// # Errors
+    /// As [`Recipe::load`] and [`Recipe::checked`].
+    pub fn load(material: &str, difficulty: impl Into<Option<Difficulty>>) -> Result<Self> {
+        Recipe::load(material, difficulty)?.checked()
+    }
+
+    /// Reads a recipe from a file, and checks it.
+    ///
+    /// # Errors
+    /// As [`Recipe::from_file`] and [`Recipe::checked`].
+    pub fn from_file(path: &Path, difficulty: Option<Difficulty>) -> Result<Self> {
+        Recipe::from_file(path, difficulty)?.checked()
+    }
+
+    /// The recipe, to change.
+    pub fn recipe(&self) -> &Recipe {
+        &self.0.recipe
+    }
+
+    /// The crystal in a box whose z axis is the zone axis; lengths in Angstrom.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for particles, which have orientations of their own.
+    pub fn structure(&self) -> Result<&Structure> {
+        match &self.0.crystals {
+            OrientedCrystals::Columns { structure, .. } => Ok(structure),
+            OrientedCrystals::Particles { .. } => Err(self.lacks("crystal along a zone axis")),
+        }
+    }
+
+    /// That crystal as columns of atoms along the beam.
+    ///
+    /// # Errors
+    /// As [`CheckedRecipe::structure`].
+    pub fn columns(&self) -> Result<&ColumnCrystal> {
+        match &self.0.crystals {
+            OrientedCrystals::Columns { columns, .. } => Ok(columns),
+            OrientedCrystals::Particles { .. } => Err(self.lacks("crystal along a zone axis")),
+        }
+    }
+
+    /// The second phase of domains, or the end member of an alloy, in a box whose z axis is the zone axis.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for other specimens.
+    pub fn second_crystal(&self) -> Result<&Structure> {
+        match &self.0.crystals {
+            OrientedCrystals::Columns { second: Some(second), .. } => Ok(second),
+            _ => Err(self.lacks("second crystal")),
+        }
+    }
+
+    /// Atomic number and lattice of the metal of particles.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for other specimens.
+    pub fn metal(&self) -> Result<(u8, &Metal)> {
+        match &self.0.crystals {
+            OrientedCrystals::Particles { number, metal } => Ok((*number, metal)),
+            OrientedCrystals::Columns { .. } => Err(self.lacks("particles")),
+        }
+    }
+
+    fn lacks(&self, what: &str) -> Error {
+        Error::invalid("recipe", self.structure.name(), format!("such specimens have no {what}"))
+    }
+}
+
+impl Recipe {
+    /// Holds every value against its limits, and reads the crystals.
+    ///
+    /// # Errors
+    /// [`Error::Set`] naming the change at fault; [`Error::Parse`] with the line of a value as it was written;
+    /// else [`Error::Invalid`] naming the key; and those of the crystals' files.
+    pub fn checked(self) -> Result<CheckedRecipe> {
+        match checking::check(&self) {
+            Ok(crystals) => Ok(CheckedRecipe(Arc::new(Parts { recipe: self, crystals }))),
+            Err(fault) => Err(self.error_of(fault)),
+        }
+    }
+
+    /// The error of a fault: of the change that set the key, of its line, or of the recipe.
+    fn error_of(&self, Fault { key, value, expected }: Fault) -> Error {
+        let changes = &self.origin.changes;
+        let assignment = format!("{key} = {value}");
+        if let Some(change) = changes.iter().rev().find(|c| c.concerns(&key)) {
+            return change.error(format!("{assignment}: {expected}"));
+        }
+        match self.origin.text.as_ref().filter(|_| changes.is_empty()) {
+            Some(text) if self.value(&key) == text.recipe().and_then(|r| r.value(&key)) => {
+                let line = text.line_of(key.rsplit('.').next().unwrap_or_default());
+                Error::parse(&text.path, line, format!("{assignment}: {expected}"))
+            }
+            _ => Error::invalid("recipe", assignment, expected),
+        }
+    }
+
+    /// The value of a dotted key.
+    fn value(&self, key: &str) -> Option<toml::Value> {
+        value_at(&toml::Table::try_from(self).ok()?, key)
+    }
+}
+
+impl RecipeText {
+    /// The recipe as it was written, if it can be read.
+    fn recipe(&self) -> Option<Recipe> {
+        self.table().ok()?.try_into().ok()
+    }
+}
+
+/// The value of a dotted key of a table.
+fn value_at(table: &toml::Table, key: &str) -> Option<toml::Value> {
+    match key.split_once('.') {
+        Some((first, rest)) => value_at(table.get(first)?.as_table()?, rest),
+        None => table.get(key).cloned(),
+    }
+}

@@ -1,0 +1,45 @@
+//! The crystals of a recipe, read and turned: what checking has found and specimens are built from.
+
+use super::crystal_source::CrystalSource;
+use crate::error::{Error, Result};
+use crate::structure::columns::ColumnCrystal;
+use crate::structure::particles::Metal;
+use crate::structure::{Structure, direction};
+
+/// The crystals of a recipe, each in the form that its specimen needs.
+#[derive(Debug, Clone)]
+pub enum OrientedCrystals {
+    /// A crystal whose atoms stand in columns along the beam.
+    Columns {
+        /// In a box whose z axis is the zone axis.
+        structure: Structure,
+        /// The same as columns.
+        columns: ColumnCrystal,
+        /// The second phase of domains, or the end member of an alloy, in such a box.
+        second: Option<Structure>,
+    },
+    /// The metal of which particles are made.
+    Particles {
+        /// Atomic number.
+        number: u8,
+        /// Its lattice and surface.
+        metal: Metal,
+    },
+}
+
+/// A crystal turned so that the beam runs along `zone_axis`.
+///
+/// # Errors
+/// As [`Structure::oriented`], and those of the crystal's file.
+pub fn oriented(
+    crystal: &CrystalSource,
+    zone_axis: &str,
+    y_axis: Option<&str>,
+) -> Result<Structure> {
+    let zone = direction::parse(zone_axis).map_err(|e| Error::invalid("zone", zone_axis, e))?;
+    let up = match y_axis {
+        Some(text) => Some(direction::parse(text).map_err(|e| Error::invalid("up", text, e))?),
+        None => None,
+    };
+    crystal.structure()?.oriented(zone, up)
+}

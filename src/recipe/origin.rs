@@ -1,0 +1,124 @@
+//! Where the values of a recipe were written, so that errors can name the line or the change at fault.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use super::difficulty::Difficulty;
+use super::overrides::{Override, merge};
+use super::toml_errors::{explain, unknown_key};
+use crate::error::Error;
+use crate::error::Result;
+
+/// The text that a recipe was read from, and the changes made since. It plays no part in what a recipe is, so
+/// all origins are equal.
+#[derive(Debug, Clone, Default)]
+pub struct Origin {
+    /// The text; none for a recipe that was put together otherwise.
+    pub(super) text: Option<Arc<RecipeText>>,
+    /// The changes, in their order.
+    pub(super) changes: Vec<Override>,
+}
+
+impl PartialEq for Origin {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
+/// The text of a recipe.
+#[derive(Debug)]
+pub struct RecipeText {
+    /// Its file, or what stands for it in errors.
+    pub path: PathBuf,
+    /// TOML.
+    pub text: String,
+    /// The tier that was chosen.
+    pub difficulty: Option<Difficulty>,
+}
+
+impl RecipeText {
+    /// The table of the resolved recipe: that of the tier laid over the common values.
+    ///
+    /// # Errors
+    /// [`Error::Parse`] with the line.
+    pub fn table(&self) -> Result<toml::Table> {
+        let mut table: toml::Table =
+            toml::from_str(&self.text).map_err(|e| self.syntax_error(&e))?;
+        let tiers = table.remove("difficulty");
+        if let Some(chosen) = self.tier(tiers, self.difficulty)? {
+            merge(&mut table, chosen);
+        }
+        if let Some(difficulty) = self.difficulty {
+            table.insert("tier".into(), difficulty.name().into());
+        }
+        Ok(table)
+    }
+
+    fn syntax_error(&self, error: &toml::de::Error) -> Error {
+        let start = error.span().map_or(0, |s| s.start.min(self.text.len()));
+        let line = self.text.as_bytes()[..start].iter().filter(|&&b| b == b'\n').count() + 1;
+        Error::parse(&self.path, line, error.message())
+    }
+
+    /// The table of the chosen difficulty.
+    fn tier(
+        &self,
+        tiers: Option<toml::Value>,
+        difficulty: Option<Difficulty>,
+    ) -> Result<Option<toml::Table>> {
+        let line = self.line_of("difficulty");
+        let fail = |message: String| Err(Error::parse(&self.path, line, message));
+        let mut tiers = match (tiers, difficulty) {
+            (None, None) => return Ok(None),
+            (Some(toml::Value::Table(t)), Some(_)) => t,
+            (Some(_), Some(_)) => return fail("`difficulty` is not a table".into()),
+            (Some(_), None) => return fail("say which difficulty: easy, medium or hard".into()),
+            (None, Some(d)) => {
+                return fail(format!("there is no [difficulty.{}]; give no difficulty", d.name()));
+            }
+        };
+        let known = Difficulty::ALL.map(Difficulty::name);
+        if let Some(key) = tiers.keys().find(|k| !known.contains(&k.as_str())) {
+            return Err(self.unknown_key(key, known.into_iter()));
+        }
+        match difficulty.and_then(|d| tiers.remove(d.name())) {
+            Some(toml::Value::Table(t)) => Ok(Some(t)),
+            Some(_) => fail("a difficulty has to be a table".into()),
+            None => fail("the recipe has no table for this difficulty".into()),
+        }
+    }
+
+    /// An error of deserialisation.
+    pub fn value_error(&self, error: &toml::de::Error) -> Error {
+        let (key, explained) = explain(error);
+        let last = key.as_deref().and_then(|key| key.rsplit('.').next());
+        Error::parse(&self.path, last.map_or(0, |key| self.line_of(key)), explained)
+    }
+
+    fn unknown_key<'k>(&self, key: &str, known: impl Iterator<Item = &'k str> + Clone) -> Error {
+        Error::parse(&self.path, self.line_of(key), unknown_key(key, known))
+    }
+
+    /// The line that mentions `key`: in the table of the difficulty if there, else the first. 0 if
+    /// there is none.
+    pub fn line_of(&self, key: &str) -> usize {
+        let word = |c: char| c.is_alphanumeric() || c == '_' || c == '-';
+        let mentions = |line: &str| {
+            let code = line.split('#').next().unwrap_or("");
+            code.split(|c| !word(c)).any(|w| w == key)
+        };
+        let header = self.difficulty.map(|d| format!("[difficulty.{}", d.name()));
+        let (mut first, mut inside) = (0, false);
+        for (n, line) in self.text.lines().enumerate() {
+            if line.starts_with('[') {
+                inside = header.as_ref().is_some_and(|h| line.starts_with(h));
+            }
+            match mentions(line) {
+                true if inside => return n + 1,
+                true if first == 0 => first = n + 1,
+                _ => {}
+            }
+        }
+        first
+    }
+}

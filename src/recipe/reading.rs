@@ -1,0 +1,141 @@
+//! From TOML to a recipe: those that come with the program, files, and values changed from outside.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::difficulty::Difficulty;
+use super::model::Recipe;
+use super::origin::RecipeText;
+use super::overrides::Override;
+use super::toml_errors::{explain, nearest};
+use crate::error::{Error, Result};
+
+/// Recipes that come with the program: name and text.
+const BUILT_IN: &[(&str, &str)] = &[
+    ("srtio3", include_str!("../../generate/srtio3.toml")),
+    ("batio3", include_str!("../../generate/batio3.toml")),
+    ("sige", include_str!("../../generate/sige.toml")),
+    ("gan", include_str!("../../generate/gan.toml")),
+    ("pt", include_str!("../../generate/pt.toml")),
+    ("replay", include_str!("../../generate/replay.toml")),
+    ("test", include_str!("../../generate/test.toml")),
+];
+
+impl Recipe {
+    /// Names of the recipes that come with the program.
+    pub fn built_in() -> impl Iterator<Item = &'static str> {
+        BUILT_IN.iter().map(|(name, _)| *name)
+    }
+
+    /// A recipe that comes with the program, at one of its [`Recipe::tiers`].
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for an unknown material, naming the nearest; [`Error::Parse`] for a tier
+    /// that it lacks.
+    pub fn load(material: &str, difficulty: impl Into<Option<Difficulty>>) -> Result<Self> {
+        let (name, text) = built_in_text(material)?;
+        Recipe::from_toml_str(&format!("generate/{name}.toml"), text, difficulty.into())
+    }
+
+    /// The tiers of a recipe that comes with the program; none if it describes a single world.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for an unknown material, naming the nearest.
+    pub fn tiers(material: &str) -> Result<Vec<Difficulty>> {
+        let (_, text) = built_in_text(material)?;
+        let table: toml::Table =
+            toml::from_str(text).map_err(|e| Error::invalid("recipe", material, e.message()))?;
+        let tiers = table.get("difficulty").and_then(toml::Value::as_table);
+        let there = |d: &Difficulty| tiers.is_some_and(|t| t.contains_key(d.name()));
+        Ok(Difficulty::ALL.into_iter().filter(there).collect())
+    }
+
+    /// Reads a recipe from a file.
+    ///
+    /// # Errors
+    /// [`Error::Io`], or as [`Recipe::from_toml_str`].
+    pub fn from_file(path: &Path, difficulty: Option<Difficulty>) -> Result<Self> {
+        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
+        Recipe::from_toml_str(&path.display().to_string(), &text, difficulty)
+    }
+
+    /// Parses a recipe and applies the table of `difficulty`; `name` stands in errors. A text
+    /// without tables of difficulty (a resolved recipe) takes `None`.
+    ///
+    /// # Errors
+    /// [`Error::Parse`] with the line, for bad syntax and unknown keys. Limits are checked by
+    /// [`Recipe::checked`].
+    pub fn from_toml_str(name: &str, text: &str, difficulty: Option<Difficulty>) -> Result<Self> {
+        let source = RecipeText { path: PathBuf::from(name), text: text.to_owned(), difficulty };
+        let mut recipe: Recipe =
+            source.table()?.try_into().map_err(|e: toml::de::Error| source.value_error(&e))?;
+        recipe.read_crystals(source.path.parent().unwrap_or(Path::new(""))).map_err(
+            |e| match e {
+                Error::Invalid { value, expected, .. } => {
+                    let line = source.line_of("crystal");
+                    Error::parse(&source.path, line, format!("crystal = {value}: {expected}"))
+                }
+                other => other,
+            },
+        )?;
+        recipe.origin.text = Some(Arc::new(source));
+        Ok(recipe)
+    }
+
+    /// Reads the files of crystals that are not the program's, relative to `folder`.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for an unknown crystal, [`Error::Io`].
+    pub fn read_crystals(&mut self, folder: &Path) -> Result<()> {
+        self.crystal.read(folder)?;
+        if let Some(domains) = &mut self.domains {
+            domains.crystal.read(folder)?;
+        }
+        match &mut self.alloy {
+            Some(alloy) => alloy.end_member.read(folder),
+            None => Ok(()),
+        }
+    }
+
+    /// The recipe with some values changed, in the order given.
+    ///
+    /// # Errors
+    /// [`Error::Set`] that names the change at fault.
+    pub fn with_overrides(&self, changes: &[Override]) -> Result<Self> {
+        if changes.is_empty() {
+            return Ok(self.clone());
+        }
+        let mut table: toml::Table = toml::from_str(&self.to_toml())
+            .map_err(|e| Error::invalid("recipe", &self.id, e.message()))?;
+        changes.iter().for_each(|change| change.apply(&mut table));
+        let mut recipe: Recipe = table.try_into().map_err(|e: toml::de::Error| {
+            let (key, message) = explain(&e);
+            at_fault(changes, key, message)
+        })?;
+        recipe.read_crystals(Path::new(""))?;
+        recipe.origin = self.origin.clone();
+        recipe.origin.changes.extend(changes.iter().cloned());
+        Ok(recipe)
+    }
+}
+
+/// Name and text of a recipe that comes with the program.
+fn built_in_text(material: &str) -> Result<(&'static str, &'static str)> {
+    let known = BUILT_IN.iter().find(|(name, _)| *name == material.to_ascii_lowercase());
+    known.copied().ok_or_else(|| {
+        let near = nearest(material, Recipe::built_in());
+        let names = Recipe::built_in().collect::<Vec<_>>().join(", ");
+        let hint = near.map(|n| format!("did you mean `{n}`? ")).unwrap_or_default();
+        Error::invalid("material", material, format!("{hint}known materials: {names}"))
+    })
+}
+
+/// The error of the change that a fault of `key` comes from: the last that sets it, or a part of it,
+/// or else the last of all.
+fn at_fault(changes: &[Override], key: Option<String>, message: String) -> Error {
+    let named = key.and_then(|key| changes.iter().rev().find(|c| c.concerns(&key)));
+    match named.or(changes.last()) {
+        Some(change) => change.error(message),
+        None => Error::invalid("recipe", "", message),
+    }
+}

@@ -1,0 +1,271 @@
+//! How a world is built: what may be asked for, and what is taken where nothing is.
+
+use crate::engine::{Algorithm, Expansion, window_for};
+use crate::error::{Error, Result};
+use crate::imaging::simulator::{WINDOW_ANGSTROM, default_window};
+use crate::imaging::{AuditOptions, Cache, ImagingCheck, ImagingChoice, MethodChoice, Simulator};
+use crate::recipe::{CheckedRecipe, StructureKind};
+
+/// Sub-tiles in nm; 4 nm take below 2 GB of memory on two threads.
+const SUBTILE_NM: f64 = 4.0;
+/// Sub-tiles of PRISM in nm, whose plane waves take the memory.
+const PRISM_SUBTILE_NM: f64 = 2.5;
+/// Sub-tiles of the published worlds in nm.
+const PUBLISHED_SUBTILE_NM: f64 = 7.0;
+/// Sub-tiles of mosaics in nm, and their overlap.
+const MOSAIC_SUBTILE_NM: f64 = 8.0;
+const MOSAIC_OVERLAP_NM: f64 = 0.5;
+/// Overlap of other sub-tiles in nm, at most.
+const OVERLAP_NM: f64 = 1.0;
+/// Edge of audited regions in nm.
+const AUDIT_NM: f64 = 0.8;
+/// Configurations that audits of particles average at most: slices are thin there, and multislice of sixteen would take a
+/// quarter of the time of the world. The mean of more is nearer to the exact one.
+const PARTICLE_AUDIT_CONFIGURATIONS: usize = 4;
+/// Interpolation of PRISM unless another is asked for: windows of 10 A in sub-tiles of 2.5 nm.
+const INTERPOLATION: [usize; 2] = [4, 4];
+
+/// How images are made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub enum BuildMethod {
+    /// A mosaic, or windows where a field is too small for it to pay; films with particles by their parts; PRISM for detectors
+    /// at low angles.
+    #[default]
+    Auto,
+    /// A mosaic, whether it pays or not.
+    Mosaic,
+    /// Windows that follow the probe.
+    Window,
+    /// PRISM.
+    Prism,
+    /// Multislice on the full grid.
+    Multislice,
+}
+
+/// Sets of engine settings.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub enum BuildProfile {
+    /// Grids that carry all scattering to the detector.
+    #[default]
+    Default,
+    /// The coarser settings of the published STEMGym worlds: PRISM, 0.05 A, slices of 1 A.
+    Published,
+}
+
+/// How a world is built. The default is what `stemgen build` does, file for file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BuildOptions {
+    /// Add Poisson noise.
+    pub noise: bool,
+    /// Also store the noise-free tiles.
+    pub keep_clean: bool,
+    /// Replace an existing file.
+    pub overwrite: bool,
+    /// How images are made.
+    pub method: BuildMethod,
+    /// Settings of the engine.
+    pub profile: BuildProfile,
+    /// Width in Angstrom of the windows that follow the probe; by the recipe when `None`.
+    pub window_angstrom: Option<f64>,
+    /// Take the narrowest window whose error is at most so many per cent of the mean image.
+    pub accuracy_percent: Option<f64>,
+    /// Whether probes that share a window are expanded in fewer waves.
+    pub expansion: Expansion,
+    /// Interpolation of PRISM along x and y.
+    pub interpolation: Option<[usize; 2]>,
+    /// Regions that are simulated exactly beforehand to find the error of a mosaic or film; 0 for no audit.
+    pub audit_regions: usize,
+    /// Largest error of the audit in per cent: windows are widened, or the mosaic left, until it is met.
+    pub max_error_percent: Option<f64>,
+    /// Where the simulations of mosaics are kept for other worlds.
+    pub cache: Cache,
+    /// Largest width of a sub-tile in nm; by the method when `None`.
+    pub subtile_nm: Option<f64>,
+    /// Overlap of sub-tiles in nm; by the method when `None`.
+    pub subtile_overlap_nm: Option<f64>,
+}
+
+impl Default for BuildOptions {
+    fn default() -> Self {
+        BuildOptions {
+            noise: true,
+            keep_clean: false,
+            overwrite: false,
+            method: BuildMethod::Auto,
+            profile: BuildProfile::Default,
+            window_angstrom: None,
+            accuracy_percent: None,
+            expansion: Expansion::Auto,
+            interpolation: None,
+            audit_regions: 1,
+            max_error_percent: None,
+            cache: Cache::of_user(),
+            subtile_nm: None,
+            subtile_overlap_nm: None,
+        }
+    }
+}
+
+/// What the options come to for one recipe.
+#[derive(Debug, Clone)]
+pub struct BuildPolicy {
+    /// How images are made.
+    pub imaging: ImagingChoice,
+    /// How right they have to be.
+    pub check: ImagingCheck,
+    /// Largest width, and overlap, of sub-tiles in nm.
+    pub subtile_nm: [f64; 2],
+    /// What is to be said of the accuracy.
+    pub warnings: Vec<String>,
+}
+
+impl BuildOptions {
+    /// What the options come to for a recipe.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for options that contradict each other, and those of [`window_for`].
+    pub fn policy(&self, recipe: &CheckedRecipe) -> Result<BuildPolicy> {
+        self.check_combination()?;
+        let (simulator, warning) = self.simulator(recipe)?;
+        let method = self.method_choice(&simulator);
+        let subtile_nm = self.subtiles(&simulator, method);
+        let check = self.imaging_check(recipe, method)?;
+        let imaging = ImagingChoice { simulator, method, cache: self.cache.clone() };
+        Ok(BuildPolicy { imaging, check, subtile_nm, warnings: warning.into_iter().collect() })
+    }
+
+    fn published(&self) -> bool {
+        self.profile == BuildProfile::Published
+    }
+
+    fn check_combination(&self) -> Result<()> {
+        use BuildMethod::{Auto, Mosaic, Prism, Window};
+        let refuse =
+            |what, value: String, expected: &str| Err(Error::invalid(what, value, expected));
+        let windows = matches!(self.method, Auto | Mosaic | Window);
+        let chosen = self.window_angstrom.is_some() || self.accuracy_percent.is_some();
+        let numerics = chosen || self.interpolation.is_some() || self.max_error_percent.is_some();
+        if self.published() && (numerics || self.method != Auto) {
+            let expected = "the published profile has settings of its own; leave out all others";
+            return refuse("profile", "published".into(), expected);
+        }
+        if chosen && self.interpolation.is_some() {
+            let expected = "windows and PRISM are different methods; choose one";
+            return refuse("interpolation", format!("{:?}", self.interpolation), expected);
+        }
+        if let Some(width) = self.window_angstrom.filter(|_| !windows) {
+            let expected = "belongs to windows and mosaics, not to the method that was chosen";
+            return refuse("window (A)", width.to_string(), expected);
+        }
+        if let Some(percent) = self.accuracy_percent.filter(|_| !windows) {
+            let expected = "chooses a window, which the method that was chosen has not";
+            return refuse("accuracy (%)", percent.to_string(), expected);
+        }
+        if self.interpolation.is_some() && !matches!(self.method, Auto | Prism) {
+            let expected = "belongs to PRISM, not to the method that was chosen";
+            return refuse("interpolation", format!("{:?}", self.interpolation), expected);
+        }
+        Ok(())
+    }
+
+    /// The engine, and what is to be said of its accuracy.
+    fn simulator(&self, recipe: &CheckedRecipe) -> Result<(Simulator, Option<String>)> {
+        if self.published() {
+            return Ok((Simulator::published(recipe), None));
+        }
+        let (algorithm, warning) = self.algorithm(recipe)?;
+        Ok((Simulator::new(recipe, algorithm).with_expansion(self.expansion), warning))
+    }
+
+    fn algorithm(&self, recipe: &CheckedRecipe) -> Result<(Algorithm, Option<String>)> {
+        let window =
+            Algorithm::Window { width_angstrom: self.window_angstrom.unwrap_or(WINDOW_ANGSTROM) };
+        let prism = Algorithm::Prism { interpolation: self.interpolation.unwrap_or(INTERPOLATION) };
+        if let Some(percent) = self.accuracy_percent {
+            let simulator = Simulator::new(recipe, window);
+            let thickness_angstrom = 10.0 * recipe.field.thickness_nm;
+            let choice = window_for(percent, simulator.settings(), thickness_angstrom)?;
+            let algorithm = Algorithm::Window { width_angstrom: choice.width_angstrom };
+            return Ok((algorithm, choice.warning(percent)));
+        }
+        Ok(match self.method {
+            BuildMethod::Auto if self.interpolation.is_some() => (prism, None),
+            BuildMethod::Auto if self.window_angstrom.is_none() => by_rule(recipe),
+            BuildMethod::Auto | BuildMethod::Mosaic | BuildMethod::Window => (window, None),
+            BuildMethod::Prism => (prism, None),
+            BuildMethod::Multislice => (Algorithm::Multislice, None),
+        })
+    }
+
+    /// What may be done besides simulating all.
+    fn method_choice(&self, simulator: &Simulator) -> MethodChoice {
+        match self.method {
+            BuildMethod::Mosaic => MethodChoice::Mosaic,
+            BuildMethod::Auto if simulator.window_angstrom().is_some() && !self.published() => {
+                MethodChoice::Auto
+            }
+            _ => MethodChoice::Direct,
+        }
+    }
+
+    /// Width and overlap of sub-tiles in nm.
+    fn subtiles(&self, simulator: &Simulator, method: MethodChoice) -> [f64; 2] {
+        let shares = method != MethodChoice::Direct;
+        let width = match simulator.settings().algorithm {
+            _ if self.published() => PUBLISHED_SUBTILE_NM,
+            _ if shares => MOSAIC_SUBTILE_NM,
+            Algorithm::Prism { .. } => PRISM_SUBTILE_NM,
+            _ => SUBTILE_NM,
+        };
+        let width = self.subtile_nm.unwrap_or(width);
+        let most = if shares { MOSAIC_OVERLAP_NM } else { OVERLAP_NM };
+        [width, self.subtile_overlap_nm.unwrap_or((0.25 * width).clamp(0.0, most))]
+    }
+
+    /// How a mosaic or film is checked before the world is made with it.
+    fn imaging_check(&self, recipe: &CheckedRecipe, method: MethodChoice) -> Result<ImagingCheck> {
+        if let Some(limit) = self.max_error_percent {
+            let refuse = |expected| Err(Error::invalid("largest error (%)", limit, expected));
+            if method == MethodChoice::Direct {
+                return refuse(
+                    "is for mosaics; leave the method open, or audit the world afterwards",
+                );
+            }
+            if self.audit_regions == 0 {
+                return refuse("needs an audit of at least one region");
+            }
+        }
+        let thin = recipe.structure == StructureKind::Particles;
+        let audit = AuditOptions {
+            regions: self.audit_regions,
+            size_nm: AUDIT_NM,
+            configurations: thin.then_some(PARTICLE_AUDIT_CONFIGURATIONS),
+            ..AuditOptions::default()
+        };
+        let audit = (self.audit_regions > 0).then_some(audit);
+        Ok(ImagingCheck { audit, max_error_percent: self.max_error_percent })
+    }
+}
+
+/// The algorithm where none is asked for: windows as wide as the specimen is thick, PRISM for detectors at low
+/// angles, which windows and mosaics cannot do. And what is to be said of its accuracy.
+fn by_rule(recipe: &CheckedRecipe) -> (Algorithm, Option<String>) {
+    match default_window(recipe) {
+        Ok(choice) => {
+            let width_angstrom = choice.width_angstrom;
+            let warning = (!choice.beyond_measured.is_empty()).then(|| {
+                format!(
+                    "windows of {width_angstrom:.1} A: their error was not measured for {}; the audit tells it",
+                    choice.beyond_measured.join(", ")
+                )
+            });
+            (Algorithm::Window { width_angstrom }, warning)
+        }
+        Err(why) => {
+            let algorithm = Algorithm::Prism { interpolation: INTERPOLATION };
+            (algorithm, Some(format!("neither mosaic nor windows: {why}; PRISM is used")))
+        }
+    }
+}
