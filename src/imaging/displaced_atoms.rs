@@ -5,8 +5,8 @@ use crate::phonons::displaced;
 use crate::recipe::region::Region;
 use crate::recipe::tables::PhononTable;
 use crate::specimen::atom_columns::AtomColumn;
-use crate::specimen::model::Specimen;
 use crate::specimen::sites::DISPLACED_NM;
+use crate::specimen::specimen_trait::Specimen;
 
 /// Displaced atoms of an area.
 #[derive(Debug, Default)]

@@ -6,8 +6,8 @@ use super::checking_defects::check_defects;
 use super::checking_particles::check_particles;
 use super::fault::{Checked, check_guest, crystal_fault, fault, needed, one_of, within};
 use super::limits::{BEYOND_FIELD_NM, MOST_CELLS_ACROSS, MOST_CELLS_ALONG_BEAM};
-use super::model::Recipe;
 use super::oriented_crystals::{OrientedCrystals, oriented};
+use super::resolved_recipe::Recipe;
 use super::tables::{
     Alloy, Boundaries, CompositionProfile, DomainTable, Field, StructureKind, Wells,
 };

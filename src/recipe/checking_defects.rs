@@ -1,7 +1,7 @@
 //! Limits of vacancies and substitutions.
 
 use super::fault::{Checked, check_guest, fault, one_of, within};
-use super::model::Recipe;
+use super::resolved_recipe::Recipe;
 use super::tables::{StructureKind, Substitutions, Vacancies};
 
 /// Defects of a crystal that holds the elements `symbols`; adds those that come in by substitution.

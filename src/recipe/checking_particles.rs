@@ -2,8 +2,8 @@
 
 use super::checking_defects::check_defects;
 use super::fault::{Checked, crystal_fault, fault, needed, within};
-use super::model::Recipe;
 use super::oriented_crystals::OrientedCrystals;
+use super::resolved_recipe::Recipe;
 use super::tables::Particles;
 use crate::structure::carbon::block;
 use crate::structure::elements;

@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::difficulty::Difficulty;
-use super::model::Recipe;
 use super::origin::RecipeText;
 use super::overrides::Override;
+use super::resolved_recipe::Recipe;
 use super::toml_errors::{explain, nearest};
 use crate::error::{Error, Result};
 

@@ -272,6 +272,12 @@ impl Field {
         let shape = self.pixels(self.built_grid());
         Region::of_pixels(self.crop_origin_px(), shape, self.pixel_nm())
     }
+    /// Position (x, y) in nm of the full field of the centre of the first pixel that is built: positions in world files
+    /// count from there.
+    pub fn origin_nm(&self) -> [f64; 2] {
+        let [row, column] = self.crop_origin_px();
+        [column, row].map(|p| p as f64 * self.pixel_nm())
+    }
     /// Row and column, in pixels of the full field, of the first pixel that is built.
     pub fn crop_origin_px(&self) -> [usize; 2] {
         let built = self.built_grid();

@@ -6,7 +6,7 @@ use crate::error::Result;
 use crate::progress::Progress;
 use crate::recipe::region::Region;
 use crate::recipe::tables::Field;
-use crate::specimen::model::Specimen;
+use crate::specimen::specimen_trait::Specimen;
 use crate::specimen::stripes::for_each_stripe;
 
 /// Samples along each axis.

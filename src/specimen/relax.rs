@@ -6,9 +6,9 @@ use crate::error::Result;
 use crate::recipe::CheckedRecipe;
 use crate::recipe::region::Region;
 use crate::specimen::atom_columns::Sites;
-use crate::specimen::model::ThinFilm;
-use crate::specimen::model::{Boundary, ParticleTruth, Specimen};
 use crate::specimen::sites::{DISPLACED_NM, SiteKind, SpecimenSite};
+use crate::specimen::specimen_trait::ThinFilm;
+use crate::specimen::specimen_trait::{Boundary, ParticleTruth, Specimen};
 use crate::structure::{PAIR_CUTOFF_ANGSTROM, elements, shortest_distances};
 
 /// Neighbours up to this many times the shortest distance of their pair of elements move: more than

@@ -5,7 +5,7 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use super::atom_columns::Sites;
-use super::model::Specimen;
+use super::specimen_trait::Specimen;
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::recipe::region::Region;

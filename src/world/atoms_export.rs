@@ -10,14 +10,15 @@ use crate::disk::{self, OutputLock};
 use crate::error::{Error, Result};
 use crate::io::{AtomRow, AtomsHeader, AtomsWriter, RowFormat, writable};
 use crate::progress::Progress;
-use crate::recipe::model::Recipe;
+use crate::recipe::resolved_recipe::Recipe;
 use crate::specimen::atom_columns::{AtomColumn, Sites};
 use crate::specimen::census::estimated_sites;
-use crate::specimen::model::Specimen;
 use crate::specimen::sites::SiteKind;
+use crate::specimen::specimen_trait::Specimen;
 use crate::specimen::stripes::for_each_stripe;
 use crate::structure::elements;
 use crate::world::footprint;
+use crate::world::region_truth::defect_name;
 use crate::world::truth;
 
 /// Columns that are formatted at a time.
@@ -105,7 +106,7 @@ impl ExportSummary {
                 *self.atoms.entry(elements::symbol(site.number)).or_default() += 1;
             }
             if site.kind != SiteKind::Pristine {
-                let name = truth::defect_name(site).as_str().to_owned();
+                let name = defect_name(site.kind, site.number);
                 *self.defects.entry(name).or_default() += 1;
             }
             self.rows += u64::from(vacancies || !vacant);
@@ -166,12 +167,12 @@ impl Frame {
         }
         let [x, y, z] = site.position_nm;
         let [left, top] = self.corner_nm;
-        let defect = truth::defect_name(site);
+        let defect = defect_name(site.kind, site.number);
         let row = AtomRow {
             number: site.number,
             position_angstrom: [10.0 * (x - left), 10.0 * (y - top), 10.0 * z],
             atom_type: truth::code(site.kind),
-            defect: defect.as_str(),
+            defect: &defect,
             column,
         };
         rows.push(out, &row, serial);

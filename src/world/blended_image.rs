@@ -8,7 +8,7 @@ use crate::error::{Error, Result};
 use crate::io::WorldWriter;
 use crate::io::schema::OVERVIEW_FACTOR;
 use crate::progress::Progress;
-use crate::recipe::model::Recipe;
+use crate::recipe::resolved_recipe::Recipe;
 use crate::world::noise::Noise;
 use crate::world::subtile_store::SubtileStore;
 use crate::world::subtiles::Partition;
@@ -33,17 +33,11 @@ impl<'a> BlendedImage<'a> {
         noise: bool,
     ) -> Self {
         let field = &recipe.field;
-        let pixel_angstrom = 10.0 * field.pixel_nm();
         let dose = recipe.dose.electrons_per_angstrom2;
         BlendedImage {
             partition,
             store,
-            noise: noise.then(|| Noise {
-                seed: recipe.seed,
-                electrons_per_pixel: dose * pixel_angstrom * pixel_angstrom,
-                origin_px: field.crop_origin_px(),
-                full_width_px: field.pixels(field.grid)[1],
-            }),
+            noise: noise.then(|| Noise::new(recipe, dose, field.crop_origin_px())),
             shape: field.pixels(field.built_grid()),
             grid: field.built_grid(),
             tile: field.tile_px,

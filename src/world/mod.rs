@@ -6,8 +6,10 @@
 pub mod atoms_export;
 pub mod blended_image;
 pub mod build_options;
+mod field_tile;
 pub mod footprint;
 pub mod noise;
+pub mod region_truth;
 pub mod specimen_drawing;
 mod subtile_store;
 pub mod subtiles;
@@ -16,6 +18,8 @@ mod world_build;
 
 pub use atoms_export::{ExportOptions, ExportSummary, export};
 pub use build_options::{BuildMethod, BuildOptions, BuildPolicy, BuildProfile};
+pub use field_tile::{FieldTile, field_tile};
+pub use region_truth::{ColumnTruth, SiteTruth};
 pub use specimen_drawing::Drawing;
 pub use truth::Counts;
 pub use world_build::{BuildSummary, WorldBuild, build};

@@ -4,6 +4,7 @@ use ndarray::Array2;
 use rand_distr::{Distribution, Poisson};
 use rayon::prelude::*;
 
+use crate::recipe::Recipe;
 use crate::rng::{ItemRng, Purpose};
 
 /// Draws the electrons of each pixel.
@@ -20,13 +21,44 @@ pub struct Noise {
 }
 
 impl Noise {
+    /// The noise of an image at a dose in electrons per square Angstrom; pixel (0, 0) of the image is pixel `first` (row, column) of
+    /// the full field.
+    pub fn new(recipe: &Recipe, dose: f64, first: [usize; 2]) -> Self {
+        let field = &recipe.field;
+        let pixel_angstrom = 10.0 * field.pixel_nm();
+        Noise {
+            seed: recipe.seed,
+            electrons_per_pixel: dose * pixel_angstrom * pixel_angstrom,
+            origin_px: first,
+            full_width_px: field.pixels(field.grid)[1],
+        }
+    }
+
+    /// The electrons that are counted in an image of fractions of the beam; both [row, column]. Counts beyond 2^32 are cut off.
+    pub fn counted(&self, image: &Array2<f32>) -> Array2<u32> {
+        let mut counts = Array2::zeros(image.dim());
+        let lines: Vec<_> = counts.outer_iter_mut().zip(image.outer_iter()).collect();
+        lines.into_par_iter().enumerate().for_each(|(row, (mut to, from))| {
+            let start = self.place(row);
+            for (column, (to, from)) in to.iter_mut().zip(from).enumerate() {
+                let expected = f64::from(*from) * self.electrons_per_pixel;
+                *to = self.draw(expected, start + column as u64) as u32;
+            }
+        });
+        counts
+    }
+
+    /// Number in the full field of the first pixel of a row.
+    fn place(&self, row: usize) -> u64 {
+        ((self.origin_px[0] + row) * self.full_width_px + self.origin_px[1]) as u64
+    }
+
     /// Replaces fractions of the beam by counted electrons over the electrons of a pixel. The
     /// numbers of a pixel depend on the seed and its place in the full field only.
     pub fn apply(&self, band: &mut Array2<f32>, first_row: usize) {
         let lines: Vec<_> = band.outer_iter_mut().collect();
         lines.into_par_iter().enumerate().for_each(|(k, mut line)| {
-            let row = self.origin_px[0] + first_row + k;
-            let start = (row * self.full_width_px + self.origin_px[1]) as u64;
+            let start = self.place(first_row + k);
             for (column, value) in line.iter_mut().enumerate() {
                 let expected = f64::from(*value) * self.electrons_per_pixel;
                 let counted = self.draw(expected, start + column as u64);

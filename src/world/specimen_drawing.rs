@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use crate::recipe::model::Recipe;
 use crate::recipe::region::Region;
+use crate::recipe::resolved_recipe::Recipe;
 use crate::render::{RgbImage, Scene, Swatch, palette};
 use crate::specimen::atom_columns::Sites;
-use crate::specimen::model::Specimen;
 use crate::specimen::sites::SiteKind;
+use crate::specimen::specimen_trait::Specimen;
 use crate::structure::elements;
 use crate::world::atoms_export::ExportSummary;
 

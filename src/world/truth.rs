@@ -1,21 +1,14 @@
-//! Ground truth: the sites of the built field, stripe by stripe.
-
-use std::collections::BTreeMap;
-
-use ndarray::Array2;
-use rayon::prelude::*;
+//! Ground truth: writes what is known of the built field, stripe by stripe.
 
 use crate::error::Result;
+use crate::imaging::pixels::PixelRect;
 use crate::io::schema::{Composition, DefectName, Morphology, atom_type};
 use crate::io::{LineKind, ParticleBatch, TruthBatch, WorldWriter};
 use crate::progress::Progress;
-use crate::recipe::region::Region;
-use crate::recipe::tables::Field;
-use crate::specimen::atom_columns::{AtomColumn, Sites};
-use crate::specimen::model::{Boundary, BoundaryKind, ParticleTruth, Specimen};
-use crate::specimen::sites::{SiteKind, SpecimenSite};
+use crate::recipe::{Field, Region};
 use crate::specimen::stripes::for_each_stripe;
-use crate::structure::elements;
+use crate::specimen::{Boundary, BoundaryKind, SiteKind, Sites, Specimen};
+use crate::world::region_truth::{boundary_parts, list, particles_reaching, phase_map};
 
 /// What was listed.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -40,9 +33,9 @@ pub fn write(
     writer: &WorldWriter,
     progress: &dyn Progress,
 ) -> Result<Counts> {
-    let shape = field.pixels(field.built_grid());
+    let width = field.pixels(field.built_grid())[1];
     let (first, pixel) = (field.crop_origin_px(), field.pixel_nm());
-    let origin = [first[1] as f64 * pixel, first[0] as f64 * pixel];
+    let origin = field.origin_nm();
     let phases = specimen.phases();
     if phases.len() > 1 {
         writer.create_phase_map(&phases)?;
@@ -51,13 +44,14 @@ pub fn write(
     for_each_stripe(specimen, field, "ground truth", progress, |stripe| {
         writer.append(&batch(&stripe.sites, origin, &mut counts))?;
         if phases.len() > 1 {
-            let (row, size) = (stripe.rows.start, [stripe.rows.len(), shape[1]]);
-            let corner = [first[0] + row, first[1]];
-            writer.phase_rows(row, phase_rows(specimen, corner, size, pixel).view())?;
+            let corner = [first[0] + stripe.rows.start, first[1]];
+            let pixels = PixelRect::new(corner, [stripe.rows.len(), width]);
+            let map = phase_map(specimen, &pixels, pixel);
+            writer.phase_rows(stripe.rows.start, map.view())?;
         }
         Ok(())
     })?;
-    let built = Region::of_pixels(first, shape, pixel);
+    let built = field.built_region();
     for boundary in specimen.boundaries() {
         write_boundary(&boundary, &phases, &built, origin, writer)?;
     }
@@ -67,45 +61,30 @@ pub fn write(
 
 fn batch(sites: &Sites, origin: [f64; 2], counts: &mut Counts) -> TruthBatch {
     let mut batch = TruthBatch::default();
-    let shifted = |[x, y]: [f64; 2]| [(x - origin[0]) as f32, (y - origin[1]) as f32];
-    for column in &sites.columns {
-        let members = &sites.sites[column.sites.clone()];
-        for site in members {
-            let [x, y, z] = site.position_nm;
-            batch.positions.push(shifted([x, y]));
-            batch.z.push(z as f32);
-            batch.types.push(code(site.kind));
-            batch.defects.push(site.kind != SiteKind::Pristine);
-            batch.numbers.push(i32::from(site.number));
-            batch.defect_names.push(defect_name(site));
-            batch.columns.push(counts.columns as i32);
-        }
-        counts.columns += 1;
-        push_column(&mut batch, column, members, shifted(column.position_nm));
+    let (listed, columns) = list(sites, origin, counts.columns as usize);
+    for site in &listed {
+        let [x, y, z] = site.position_nm;
+        batch.positions.push([x, y]);
+        batch.z.push(z);
+        batch.types.push(code(site.kind));
+        batch.defects.push(site.kind != SiteKind::Pristine);
+        batch.numbers.push(i32::from(site.number));
+        let name = DefectName::from_ascii(&site.defect_name());
+        batch.defect_names.push(name.unwrap_or_default());
+        batch.columns.push(site.column as i32);
     }
-    counts.sites += sites.sites.len() as u64;
-    let of = |kind| sites.sites.iter().filter(|s| s.kind == kind).count() as u64;
-    counts.vacancies += of(SiteKind::Vacancy);
-    counts.substitutions += of(SiteKind::Substitution);
+    for column in &columns {
+        batch.column_positions.push(column.position_nm);
+        let numbers = [column.sites, column.vacancies, column.substitutions];
+        batch.column_counts.iter_mut().zip(numbers).for_each(|(to, n)| to.push(n as i32));
+        let composition = Composition::from_ascii(&column.composition());
+        batch.column_compositions.push(composition.unwrap_or_default());
+        counts.vacancies += u64::from(column.vacancies);
+        counts.substitutions += u64::from(column.substitutions);
+    }
+    counts.sites += listed.len() as u64;
+    counts.columns += columns.len() as u64;
     batch
-}
-
-/// Phases at the centres of pixels.
-fn phase_rows(
-    specimen: &dyn Specimen,
-    first: [usize; 2],
-    shape: [usize; 2],
-    pixel_nm: f64,
-) -> Array2<i32> {
-    let mut map = Array2::zeros(shape);
-    let lines: Vec<_> = map.outer_iter_mut().collect();
-    lines.into_par_iter().enumerate().for_each(|(row, mut line)| {
-        for (column, phase) in line.iter_mut().enumerate() {
-            let at = [first[1] + column, first[0] + row].map(|p| p as f64 * pixel_nm);
-            *phase = specimen.phase_at(at) as i32;
-        }
-    });
-    map
 }
 
 /// Writes the particles that reach into the built field.
@@ -115,15 +94,11 @@ fn write_particles(
     origin: [f64; 2],
     writer: &WorldWriter,
 ) -> Result<()> {
-    let all = specimen.particles();
-    if all.is_empty() {
+    if specimen.particles().is_empty() {
         return Ok(());
     }
     let mut batch = ParticleBatch::default();
-    let reaches = |p: &&ParticleTruth| {
-        built.grown(0.5 * p.diameter_nm).contains([p.centre_nm[0], p.centre_nm[1]])
-    };
-    for particle in all.iter().filter(reaches) {
+    for particle in particles_reaching(specimen, built) {
         let [x, y, z] = particle.centre_nm;
         batch.centres.push([(x - origin[0]) as f32, (y - origin[1]) as f32, z as f32]);
         batch.diameters.push(particle.diameter_nm as f32);
@@ -132,27 +107,6 @@ fn write_particles(
         batch.orientations.push(particle.orientation.map(|q| q as f32));
     }
     writer.particles(&batch)
-}
-
-fn push_column(
-    batch: &mut TruthBatch,
-    column: &AtomColumn,
-    members: &[SpecimenSite],
-    position: [f32; 2],
-) {
-    let of = |kind| members.iter().filter(|s| s.kind == kind).count() as i32;
-    batch.column_positions.push(position);
-    batch.column_counts[0].push(column.sites.len() as i32);
-    batch.column_counts[1].push(of(SiteKind::Vacancy));
-    batch.column_counts[2].push(of(SiteKind::Substitution));
-    let mut present: BTreeMap<u8, usize> = BTreeMap::new();
-    for site in members.iter().filter(|s| s.kind != SiteKind::Vacancy) {
-        *present.entry(site.number).or_default() += 1;
-    }
-    let parts: Vec<String> =
-        present.iter().map(|(&z, n)| format!("{}{n}", elements::symbol(z))).collect();
-    let text = parts.join(" ");
-    batch.column_compositions.push(Composition::from_ascii(&text).unwrap_or_default());
 }
 
 /// Code of [`atom_type`].
@@ -164,17 +118,6 @@ pub(super) fn code(kind: SiteKind) -> i32 {
     }
 }
 
-/// Name of the defect of a site; empty for none.
-pub(super) fn defect_name(site: &SpecimenSite) -> DefectName {
-    let symbol = elements::symbol(site.number);
-    let name = match site.kind {
-        SiteKind::Pristine => return DefectName::default(),
-        SiteKind::Vacancy => format!("vacancy_{symbol}"),
-        SiteKind::Substitution => format!("substitution_{symbol}"),
-    };
-    DefectName::from_ascii(&name).unwrap_or_default()
-}
-
 /// Writes the parts of a boundary that lie in the built field.
 fn write_boundary(
     boundary: &Boundary,
@@ -184,14 +127,6 @@ fn write_boundary(
     writer: &WorldWriter,
 ) -> Result<()> {
     let shifted = |[x, y]: [f64; 2]| [(x - origin[0]) as f32, (y - origin[1]) as f32];
-    let mut lines: Vec<Vec<[f64; 2]>> = Vec::new();
-    for ends in boundary.line_nm.windows(2) {
-        let Some([from, to]) = clip([ends[0], ends[1]], built) else { continue };
-        match lines.last_mut() {
-            Some(line) if line.last() == Some(&from) => line.push(to),
-            _ => lines.push(vec![from, to]),
-        }
-    }
     let name = |phase: usize| phases.get(phase).map_or("", String::as_str);
     let kind = match boundary.kind {
         BoundaryKind::Grain { misorientation_deg, sigma } => {
@@ -201,46 +136,9 @@ fn write_boundary(
             LineKind::Phases(sides.map(name), sharpness_sigma_nm)
         }
     };
-    for line in lines {
+    for line in boundary_parts(boundary, built) {
         let points: Vec<[f32; 2]> = line.into_iter().map(shifted).collect();
         writer.boundary(&points, kind)?;
     }
     Ok(())
-}
-
-/// The part of a segment inside a region (Liang and Barsky).
-fn clip([a, b]: [[f64; 2]; 2], region: &Region) -> Option<[[f64; 2]; 2]> {
-    let (mut from, mut to) = (0.0f64, 1.0f64);
-    for (k, limits) in [region.x, region.y].into_iter().enumerate() {
-        let d = b[k] - a[k];
-        if d == 0.0 {
-            if !(limits[0]..limits[1]).contains(&a[k]) {
-                return None;
-            }
-            continue;
-        }
-        let cut = limits.map(|l| (l - a[k]) / d);
-        from = from.max(cut[0].min(cut[1]));
-        to = to.min(cut[0].max(cut[1]));
-    }
-    let at = |t: f64| match t {
-        0.0 => a,
-        1.0 => b,
-        _ => [a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])],
-    };
-    (from < to).then(|| [at(from), at(to)])
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn segments_are_clipped_to_the_region() {
-        let region = Region { x: [0.0, 4.0], y: [0.0, 2.0] };
-        assert_eq!(clip([[1.0, -5.0], [1.0, 5.0]], &region), Some([[1.0, 0.0], [1.0, 2.0]]));
-        assert_eq!(clip([[5.0, -5.0], [5.0, 5.0]], &region), None);
-        assert_eq!(clip([[-2.0, 1.0], [2.0, 1.0]], &region), Some([[0.0, 1.0], [2.0, 1.0]]));
-        assert_eq!(clip([[1.0, 1.0], [2.0, 1.5]], &region), Some([[1.0, 1.0], [2.0, 1.5]]));
-    }
 }

@@ -9,7 +9,7 @@ use crate::imaging::mosaic::image_library::{CellImages, Library, Realisation};
 use crate::imaging::mosaic::survey::BEYOND_NM;
 use crate::recipe::region::Region;
 use crate::resample::{Kernel, TAPS, Weights};
-use crate::specimen::model::Specimen;
+use crate::specimen::specimen_trait::Specimen;
 use crate::specimen::units::unit_tag::UnitTag;
 
 /// Width of the ramps between units: weights go with exp(-d^2 / 2 s), d being the distance from the unit's nearest

@@ -21,7 +21,7 @@ use crate::progress::{InterruptOnly, Progress};
 use crate::recipe::{CheckedRecipe, Region};
 use crate::resample::{Kernel, image_band_limit};
 use crate::specimen::atom_columns::AtomColumn;
-use crate::specimen::model::Specimen;
+use crate::specimen::specimen_trait::Specimen;
 
 /// Edge in pixels of the blocks in which pixels that need direct simulation are gathered.
 const BLOCK_PX: usize = 48;

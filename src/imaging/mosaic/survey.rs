@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use crate::recipe::region::Region;
 use crate::recipe::tables::Field;
-use crate::specimen::model::Specimen;
+use crate::specimen::specimen_trait::Specimen;
 use crate::specimen::units::unit_tag::UnitFamily;
 
 /// UnitKinds whose patches reach into the field lie no further outside it than this, in nm.

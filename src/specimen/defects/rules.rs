@@ -1,7 +1,7 @@
 //! What a lattice site holds: vacancies and random substitutions.
 
 use crate::error::Result;
-use crate::recipe::model::Recipe;
+use crate::recipe::resolved_recipe::Recipe;
 use crate::rng::{self, Purpose};
 use crate::specimen::defects::vacancies::{DistanceHistogram, VacancyProfile};
 use crate::specimen::sites::SiteKind;

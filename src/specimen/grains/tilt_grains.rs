@@ -18,8 +18,8 @@ use crate::specimen::grains::boundary_motif::{
     BoundaryColumn, BoundaryMotif, SLOT_REACH_ANGSTROM, reach_angstrom,
 };
 use crate::specimen::grains::grain::Grain;
-use crate::specimen::model::{Boundary, BoundaryKind, Specimen};
 use crate::specimen::sites::SpecimenSite;
+use crate::specimen::specimen_trait::{Boundary, BoundaryKind, Specimen};
 use crate::specimen::units::library_cell::LibraryCell;
 use crate::specimen::units::occupation::UnitOccupation;
 use crate::specimen::units::unit_tag::UnitFamily;

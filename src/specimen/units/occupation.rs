@@ -1,7 +1,7 @@
 //! What the units of a lattice hold, drawn from a pool, and how the pool is laid out in sheets.
 
 use crate::error::Result;
-use crate::recipe::model::Recipe;
+use crate::recipe::resolved_recipe::Recipe;
 use crate::specimen::column_index::ColumnIndex;
 use crate::specimen::sites::SiteKind;
 use crate::specimen::units::patterns;
