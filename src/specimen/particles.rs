@@ -210,7 +210,7 @@ impl Specimen for ParticlesOnCarbon {
 
     fn film(&self) -> Option<ThinFilm> {
         let depth_nm = [self.face, self.face + self.thickness].map(|z| z * NM);
-        (self.number != CARBON).then_some(ThinFilm { number: CARBON, depth_nm })
+        Some(ThinFilm { number: CARBON, depth_nm, other_keys: PARTICLE_KEY })
     }
 
     fn particles(&self) -> Vec<ParticleTruth> {

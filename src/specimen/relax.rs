@@ -9,6 +9,8 @@ use crate::specimen::atom_columns::Sites;
 use crate::specimen::sites::{DISPLACED_NM, SiteKind, SpecimenSite};
 use crate::specimen::specimen_trait::ThinFilm;
 use crate::specimen::specimen_trait::{Boundary, ParticleTruth, Specimen};
+use crate::specimen::units::library_cell::LibraryCell;
+use crate::specimen::units::unit_tag::UnitFamily;
 use crate::structure::{PAIR_CUTOFF_ANGSTROM, elements, shortest_distances};
 
 /// Neighbours up to this many times the shortest distance of their pair of elements move: more than
@@ -48,6 +50,12 @@ impl Specimen for Relaxed {
         let vacant: Vec<_> = around.into_iter().filter(|s| s.kind == SiteKind::Vacancy).collect();
         outward(&mut sites.sites, &vacant, self.distance_nm, &self.reach);
         sites
+    }
+    fn expected_sites(&self, region: &Region) -> Option<u64> {
+        self.inner.expected_sites(region)
+    }
+    fn sheet(&self, family: UnitFamily) -> Option<LibraryCell> {
+        self.inner.sheet(family)
     }
     fn thickness_nm(&self) -> f64 {
         self.inner.thickness_nm()

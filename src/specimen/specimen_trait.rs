@@ -54,13 +54,22 @@ pub fn particles_in(specimen: &dyn Specimen, region: &Region) -> Vec<ParticleTru
     particles
 }
 
-/// A thin film of weakly scattering atoms behind everything else; no other atoms are of its element.
+/// A thin film of weakly scattering atoms behind everything else.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ThinFilm {
-    /// Atomic number.
+    /// Atomic number of its atoms. Other atoms of the specimen may be of the same element.
     pub number: u8,
     /// Where it begins and ends along the beam, in nm.
     pub depth_nm: [f64; 2],
+    /// Bits of keys that all atoms but those of the film have.
+    pub other_keys: u64,
+}
+
+impl ThinFilm {
+    /// Whether the atom of this key is part of the film.
+    pub fn holds(&self, key: u64) -> bool {
+        key & self.other_keys == 0
+    }
 }
 
 /// A specimen of the full field.
