@@ -2,7 +2,7 @@
 //! specimens ("worlds").
 //!
 //! Data flows one way: recipe -> specimen -> slices -> engine -> detector image -> tiles -> file.
-//! From the ground up: `error`, `constants`, `rng`, `progress`, `atomic`, `disk`, `fft`; `structure`,
+//! From the ground up: `setting`, `error`, `constants`, `rng`, `progress`, `atomic`, `disk`, `fft`; `structure`,
 //! `potential`; `optics`, `resample`, `detect`, `phonons`; `engine`; `io`, `render`; `world`; `validate`.
 
 pub mod atomic;
@@ -21,9 +21,11 @@ pub mod progress;
 pub mod render;
 pub mod resample;
 pub mod rng;
+pub mod setting;
 mod simd;
 pub mod structure;
 pub mod validate;
 pub mod world;
 
 pub use error::{Error, Result};
+pub use setting::Setting;

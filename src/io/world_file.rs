@@ -11,6 +11,7 @@ use ndarray::{Array2, s};
 use super::At;
 use super::schema::{self, DefectName};
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 
 /// What describes a world. Other programs may write fewer attributes: those are `None`.
 #[derive(Debug, Clone, PartialEq)]
@@ -192,8 +193,8 @@ impl WorldFile {
     /// As [`WorldFile::stitched`], also when the world was built without.
     pub fn stitched_clean(&self, rows: Range<usize>, columns: Range<usize>) -> Result<Array2<f32>> {
         if !self.has_clean() {
-            let expected = "holds no noiseless image; build it with --keep-clean";
-            return Err(not_a_world(&self.path, expected));
+            let message = "holds no noiseless image; build the world again and keep that image too";
+            return Err(Error::choice(&self.path, Setting::CleanImage, message));
         }
         self.stitched_of(schema::CLEAN, rows, columns)
     }
@@ -208,7 +209,11 @@ impl WorldFile {
         let inside = |r: &Range<usize>, n| r.start <= r.end && r.end <= n;
         if !inside(&rows, height) || !inside(&columns, width) {
             let expected = format!("the image has {height} x {width} pixels");
-            return Err(Error::invalid("region", format!("{rows:?} x {columns:?}"), expected));
+            return Err(Error::invalid(
+                Setting::Region,
+                format!("{rows:?} x {columns:?}"),
+                expected,
+            ));
         }
         let stride = self.metadata.tile_size_px - self.metadata.overlap_px;
         let tiles = |range: &Range<usize>, n: usize| {
@@ -258,7 +263,7 @@ impl WorldFile {
         let count = self.site_count()?;
         if range.start > range.end || range.end > count {
             let expected = format!("the world has {count} sites");
-            return Err(Error::invalid("range of sites", format!("{range:?}"), expected));
+            return Err(Error::invalid(Setting::SiteRange, format!("{range:?}"), expected));
         }
         let positions = self.truth_dataset("atom_positions")?;
         let pairs: Array2<f32> = positions.read_slice(s![range.clone(), ..]).at(&self.path)?;
@@ -335,7 +340,7 @@ fn common(range: &Range<usize>, start: usize, tile: &Array2<f32>, axis: usize) -
 }
 
 pub(super) fn not_a_world(path: &Path, what: impl Into<String>) -> Error {
-    Error::invalid("world file", path.display(), what)
+    Error::invalid(Setting::WorldFile, path.display(), what)
 }
 
 fn first_line(error: &hdf5::Error) -> String {
@@ -394,8 +399,7 @@ fn read_metadata(path: &Path, file: &File) -> Result<WorldMetadata> {
 /// What an HDF5 file without metadata of a world is.
 fn found(file: &File) -> String {
     if string(file, "format").as_deref() == Some("stemgen images") {
-        return "it holds images of `stemgen simulate`, which draws them with --png and --html"
-            .into();
+        return "it holds images of `stemgen simulate`, which can draw them itself".into();
     }
     let mut names = file.member_names().unwrap_or_default();
     names.sort();

@@ -4,6 +4,7 @@ use super::canvas::{Point, RgbImage};
 use super::font;
 use super::resample::Scale;
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 
 const WHITE: [u8; 3] = [255; 3];
 const BLACK: [u8; 3] = [0; 3];
@@ -35,7 +36,7 @@ pub(super) fn draw_marker(image: &mut RgbImage, marker: &Marker, scale: Scale) -
     let [row, column] = marker.position;
     if !(row.is_finite() && column.is_finite() && marker.radius.is_finite()) {
         let value = format!("{:?}, radius {}", marker.position, marker.radius);
-        return Err(Error::invalid("marker position", value, "expected finite numbers"));
+        return Err(Error::invalid(Setting::MarkerPosition, value, "expected finite numbers"));
     }
     let center = [scale.place(column), scale.place(row)];
     let radius = (marker.radius * scale.factor()).max(4.0);

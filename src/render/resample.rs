@@ -1,6 +1,7 @@
 //! Images made smaller or larger by whole factors.
 
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 
 /// How an image is enlarged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -56,7 +57,7 @@ pub(super) struct Matrix {
 pub(super) fn check_finite(values: &[f32], columns: usize) -> Result<()> {
     match values.iter().position(|v| !v.is_finite()) {
         Some(i) => Err(Error::invalid(
-            "image value",
+            Setting::ImageValue,
             format!("{} at row {}, column {}", values[i], i / columns, i % columns),
             "a picture needs finite values; the computation that made the image has failed there",
         )),

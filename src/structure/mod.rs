@@ -23,6 +23,7 @@ pub use read::{Format, parse, read};
 pub use xyz::write_extxyz;
 
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 
 /// One atom (or a partially occupied site).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -54,9 +55,10 @@ impl Structure {
         let lengths = [self.cell[0][0], self.cell[1][1], self.cell[2][2]];
         if off || lengths.iter().any(|&l| l <= 0.0) {
             return Err(Error::invalid(
-                "cell",
+                Setting::Cell,
                 format!("{:?}", self.cell),
-                "the simulation needs a box with edges along x, y and z; --zone u,v,w builds one",
+                "the simulation needs a box with edges along x, y and z; orient the crystal along a zone \
+                 axis first",
             ));
         }
         Ok(lengths)

@@ -4,6 +4,7 @@
 use super::lattice::{determinant, norm};
 use super::{Atom, Structure, cif, elements, neighbors, poscar, xyz};
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 use std::path::Path;
 
 /// Shortest and longest cell vector accepted, in Angstrom.
@@ -43,7 +44,7 @@ impl Format {
             "vasp" | "poscar" | "contcar" => Ok(Format::Poscar),
             _ if name.starts_with("poscar") || name.starts_with("contcar") => Ok(Format::Poscar),
             _ => Err(Error::invalid(
-                "structure file",
+                Setting::StructureFile,
                 path.display(),
                 "the name must end in .cif, .xyz, .extxyz, .vasp or .poscar, or begin with POSCAR \
                  or CONTCAR; rename or convert the file",

@@ -178,7 +178,7 @@ pub struct Findings {
 /// A case that was run.
 #[derive(Debug, Clone, Serialize)]
 pub struct Outcome {
-    /// Name, as for `--case`.
+    /// Name, by which it can be chosen.
     pub name: String,
     /// One line.
     pub title: String,

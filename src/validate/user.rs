@@ -12,6 +12,7 @@ use super::{Check, Figure, Findings, ImagePair, Lab, Limit, Outcome, Verdict, ov
 use crate::engine::{Plan, Scan, Site};
 use crate::error::Result;
 use crate::io::arrays::{Axis, ForeignArray};
+use crate::setting::Setting;
 
 /// Order of the two dimensions of an image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -76,20 +77,26 @@ pub fn reference(
             let told = if x < y { Order::Xy } else { Order::Yx };
             if told != given {
                 let names = if x < y { "x, y" } else { "y, x" };
-                return Err(array.error(format!(
-                    "says that its axes are {names}, against --axes; leave --axes out, or mend the file"
-                )));
+                return Err(array.choice(
+                    Setting::ImageAxes,
+                    format!(
+                        "says that its axes are {names}, against the order given; give none, or mend the file"
+                    ),
+                ));
             }
-            (given, "--axes, as the file says")
+            (given, "as given, and as the file says")
         }
-        (None, Some(given), _) => (given, "--axes"),
+        (None, Some(given), _) => (given, "as given"),
         (None, None, Some(order)) => (order, "the numbers of pixels of the scan"),
         (None, None, None) => {
             let (a, b) = image.dim();
-            return Err(array.error(format!(
-                "does not say which axis is x: its {a} x {b} values may be [x, y] (abTEM) or [y, x]; \
-                 give --axes xy or --axes yx"
-            )));
+            return Err(array.choice(
+                Setting::ImageAxes,
+                format!(
+                    "does not say which axis is x: its {a} x {b} values may be [x, y] (abTEM) or [y, x]; \
+                     give the order, xy or yx"
+                ),
+            ));
         }
     };
     let data = match order {
@@ -136,22 +143,22 @@ fn choose(array: &ForeignArray, plane: [usize; 2], index: &[usize]) -> Result<Ar
         (0..shape.len()).filter(|d| !plane.contains(d) && shape[*d] > 1).collect();
     if index.len() != others.len() {
         let lengths: Vec<String> = others.iter().map(|d| shape[*d].to_string()).collect();
-        return Err(array.error(match others.len() {
-            0 => "holds one image: --index is not needed".to_owned(),
+        let message = match others.len() {
+            0 => "holds one image: an index is not needed".to_owned(),
             n => format!(
-                "holds an array of shape {shape:?}: --index takes {n} number{} from 0, below {}",
+                "holds an array of shape {shape:?}: its index takes {n} number{} from 0, below {}",
                 if n == 1 { "" } else { "s" },
                 lengths.join(", ")
             ),
-        }));
+        };
+        return Err(array.choice(Setting::ImageIndex, message));
     }
     let mut view = array.data.view();
     for d in (0..shape.len()).rev().filter(|d| !plane.contains(d)) {
         let at = others.iter().position(|o| *o == d).map_or(0, |i| index[i]);
         if at >= shape[d] {
-            return Err(
-                array.error(format!("--index {at} is too large: there are {}, from 0", shape[d]))
-            );
+            let message = format!("index {at} is too large: there are {}, from 0", shape[d]);
+            return Err(array.choice(Setting::ImageIndex, message));
         }
         view = view.index_axis_move(Dimension(d), at);
     }
@@ -191,11 +198,14 @@ pub fn in_fractions(array: &ForeignArray, image: &mut Array2<f64>, units: Units)
     }
     let range = image.iter().fold([f64::MAX, f64::MIN], |r, v| [r[0].min(*v), r[1].max(*v)]);
     if units != Units::Fitted && (range[1] > 1.0 || range[0] < -1e-6) {
-        return Err(array.error(format!(
-            "holds values from {:.4} to {:.4}, which are no fractions of the beam; --units percent, or \
-             --units fitted for anything proportional",
-            range[0], range[1]
-        )));
+        return Err(array.choice(
+            Setting::ImageUnits,
+            format!(
+                "holds values from {:.4} to {:.4}, which are no fractions of the beam; give their unit: \
+                 percent, or fitted for anything proportional",
+                range[0], range[1]
+            ),
+        ));
     }
     Ok(())
 }
@@ -345,7 +355,7 @@ mod tests {
     fn the_order_is_told_given_or_found_but_not_guessed() {
         let plain = array(counted(3, 3), None);
         let told = reference(&plain, None, &[], None).unwrap_err().to_string();
-        assert!(told.contains("--axes xy") && told.contains("r.npy"), "{told}");
+        assert!(told.contains("xy or yx") && told.contains("r.npy"), "{told}");
         assert!(reference(&plain, None, &[], Some([3, 3])).is_err(), "square: sizes say nothing");
         let yx = reference(&plain, Some(Order::Yx), &[], None).unwrap().data;
         let xy = reference(&plain, Some(Order::Xy), &[], None).unwrap().data;

@@ -236,7 +236,7 @@ fn places(recipe: &Recipe, specimen: &dyn Specimen, options: &AuditOptions) -> R
     let edge = (options.size_nm / pixel).round() as usize;
     if options.stride == Some(0) || edge < 8 || edge > shape[0].min(shape[1]) {
         let expected = format!("must be from {:.2} to the field's height and width", 8.0 * pixel);
-        return Err(Error::invalid("audited region (nm)", options.size_nm, expected));
+        return Err(Error::invalid(crate::Setting::AuditedRegionNm, options.size_nm, expected));
     }
     let origin = field.crop_origin_px();
     let place = |corner: [usize; 2]| Place {
@@ -272,7 +272,7 @@ fn places(recipe: &Recipe, specimen: &dyn Specimen, options: &AuditOptions) -> R
                     "the region must lie in the field of {:.2} x {:.2} nm (x, y)",
                     extent[1], extent[0]
                 );
-                Err(Error::invalid("centre of audit (nm)", format!("{at:?}"), expected))
+                Err(Error::invalid(crate::Setting::AuditCentreNm, format!("{at:?}"), expected))
             }
         }
     };

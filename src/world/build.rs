@@ -129,7 +129,7 @@ pub fn build(
     let margin = engine.margin_angstrom();
     if !(0.0..=(BEYOND_FIELD_NM - DISPLACED_NM) * 10.0).contains(&margin) {
         let expected = format!("the specimen goes on for {} A around it", BEYOND_FIELD_NM * 10.0);
-        return Err(Error::invalid("engine margin (A)", margin, expected));
+        return Err(Error::invalid(crate::Setting::EngineMarginAngstrom, margin, expected));
     }
     let specimen = specimen(recipe)?;
     let field = &recipe.field;
@@ -173,12 +173,12 @@ pub fn build(
 }
 
 fn check_output(output: &Path, overwrite: bool) -> Result<()> {
-    let refuse = |why: &str| Err(Error::invalid("output", output.display(), why));
+    let refuse = |why: &str| Err(Error::invalid(crate::Setting::Output, output.display(), why));
     if output.is_dir() {
         return refuse("is a folder; name a file in it, such as world.h5");
     }
     if output.exists() && !overwrite {
-        return refuse("exists; name another file, or replace it with --overwrite");
+        return refuse("exists; name another file, or allow overwriting");
     }
     let parent = output.parent().filter(|p| !p.as_os_str().is_empty());
     match parent {
@@ -266,12 +266,20 @@ impl Job<'_> {
         let image = engine.image(&self.atoms(&area), size_angstrom, &scan, progress)?;
         if image.shape() != scan.shape {
             let expected = format!("the engine was asked for {:?}", scan.shape);
-            return Err(Error::invalid("shape of image", format!("{:?}", image.shape()), expected));
+            return Err(Error::invalid(
+                crate::Setting::EngineImageShape,
+                format!("{:?}", image.shape()),
+                expected,
+            ));
         }
         match image.iter().find(|v| !v.is_finite()) {
             Some(bad) => {
                 let place = format!("sub-tile {} of engine {}", tile.index, engine.name());
-                Err(Error::invalid("intensity", bad, format!("{place}: must be finite")))
+                Err(Error::invalid(
+                    crate::Setting::Intensity,
+                    bad,
+                    format!("{place}: must be finite"),
+                ))
             }
             None => Ok(image),
         }
@@ -366,6 +374,10 @@ fn verify(path: &Path, counts: Counts) -> Result<()> {
     let found = world.site_count()? as u64;
     match found == counts.sites {
         true => Ok(()),
-        false => Err(Error::invalid("sites in file", found, format!("{} written", counts.sites))),
+        false => Err(Error::invalid(
+            crate::Setting::SitesInFile,
+            found,
+            format!("{} written", counts.sites),
+        )),
     }
 }

@@ -39,7 +39,7 @@ impl CrystalSource {
             let hint = near.map(|n| format!("did you mean \"{n}\"? ")).unwrap_or_default();
             let expected =
                 format!("{hint}expected a .cif file beside the recipe, or one of {known}");
-            return Err(Error::invalid("crystal", &self.name, expected));
+            return Err(Error::invalid(crate::Setting::Crystal, &self.name, expected));
         }
         let text = std::fs::read_to_string(&path).map_err(|e| Error::io(&path, "read", e))?;
         self.text = Some(text);

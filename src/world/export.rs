@@ -72,7 +72,11 @@ pub fn export(
 ) -> Result<ExportSummary> {
     if !(0.0..=1e4).contains(&options.vacuum_angstrom) {
         let expected = "expected a length from 0 to 10000";
-        return Err(Error::invalid("vacuum (A)", options.vacuum_angstrom, expected));
+        return Err(Error::invalid(
+            crate::Setting::VacuumAngstrom,
+            options.vacuum_angstrom,
+            expected,
+        ));
     }
     let _lock = OutputLock::hold(path)?;
     let sites = estimated_sites(specimen, &recipe.field);

@@ -75,8 +75,8 @@ impl<'a> Method<'a> {
             }
         }
         let expected =
-            "no window is as right here; use --engine multislice, or prism with --interpolation 1";
-        Err(Error::invalid("largest error (%)", limit, expected))
+            "no window is as right here; use the engine multislice, or prism with interpolation 1";
+        Err(Error::invalid(crate::Setting::LargestErrorPercent, limit, expected))
     }
 
     /// Its name.

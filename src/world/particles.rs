@@ -85,7 +85,11 @@ impl ParticlesOnCarbon {
     /// [`Error::Invalid`] if they do not fit into the field, or no particle has such a diameter.
     pub fn new(recipe: &Recipe) -> Result<Self> {
         let Some(table) = &recipe.particles else {
-            return Err(Error::invalid("particles", "(missing)", "this structure needs the table"));
+            return Err(Error::invalid(
+                crate::Setting::Particles,
+                "(missing)",
+                "this structure needs the table",
+            ));
         };
         let (number, metal) = Metal::of(&recipe.crystal.structure()?, table.surface_energy_ratio)?;
         let made =
@@ -230,7 +234,7 @@ impl Particle {
         let cluster = build(morphology, metal, wanted, table.diameter_nm).map_err(|_| {
             let expected =
                 format!("no {} particle has a diameter between; widen it", morphology.name());
-            Error::invalid("particles.diameter_nm", format!("[{low}, {high}]"), expected)
+            Error::invalid(crate::Setting::ParticleDiameterNm, format!("[{low}, {high}]"), expected)
         })?;
         let rotation = orientation(morphology, table.max_tilt_deg, seed, index as u64);
         let mut atoms: Vec<[f64; 3]> =
@@ -377,7 +381,7 @@ fn place(particles: &mut [Particle], field: &Region, table: &Particles, seed: u6
                 particles[index].diameter_nm,
                 table.gap_nm
             );
-            return Err(Error::invalid("particles.count", table.count, expected));
+            return Err(Error::invalid(crate::Setting::ParticleCount, table.count, expected));
         };
         particles[index].centre = found;
         placed.push(index);

@@ -54,7 +54,9 @@ impl std::str::FromStr for Difficulty {
     type Err = Error;
     fn from_str(text: &str) -> Result<Self> {
         let found = Difficulty::ALL.into_iter().find(|d| d.name() == text);
-        found.ok_or_else(|| Error::invalid("difficulty", text, "expected easy, medium or hard"))
+        found.ok_or_else(|| {
+            Error::invalid(crate::Setting::Difficulty, text, "expected easy, medium or hard")
+        })
     }
 }
 
@@ -139,8 +141,8 @@ impl Recipe {
     /// [`Error::Invalid`] for an unknown material, naming the nearest.
     pub fn tiers(material: &str) -> Result<Vec<Difficulty>> {
         let (_, text) = built_in_text(material)?;
-        let table: toml::Table =
-            toml::from_str(text).map_err(|e| Error::invalid("recipe", material, e.message()))?;
+        let table: toml::Table = toml::from_str(text)
+            .map_err(|e| Error::invalid(crate::Setting::Recipe, material, e.message()))?;
         let tiers = table.get("difficulty").and_then(toml::Value::as_table);
         let there = |d: &Difficulty| tiers.is_some_and(|t| t.contains_key(d.name()));
         Ok(Difficulty::ALL.into_iter().filter(there).collect())
@@ -231,7 +233,7 @@ impl Recipe {
             return Ok(self.clone());
         }
         let mut table: toml::Table = toml::from_str(&self.to_toml())
-            .map_err(|e| Error::invalid("recipe", &self.id, e.message()))?;
+            .map_err(|e| Error::invalid(crate::Setting::Recipe, &self.id, e.message()))?;
         changes.iter().for_each(|change| change.apply(&mut table));
         let mut recipe: Recipe = table.try_into().map_err(|e: toml::de::Error| {
             let (key, message) = explain(&e);
@@ -241,7 +243,9 @@ impl Recipe {
         recipe_check::check(&recipe).map_err(|Fault { key, value, expected }| {
             match changes.iter().rev().find(|c| c.concerns(&key)) {
                 Some(change) => change.error(format!("{key} = {value}: {expected}")),
-                None => Error::invalid("recipe", format!("{key} = {value}"), expected),
+                None => {
+                    Error::invalid(crate::Setting::Recipe, format!("{key} = {value}"), expected)
+                }
             }
         })?;
         Ok(recipe)
@@ -253,7 +257,7 @@ impl Recipe {
     /// [`Error::Invalid`] that names the key.
     pub fn check(&self) -> Result<()> {
         recipe_check::check(self).map_err(|Fault { key, value, expected }| {
-            Error::invalid("recipe", format!("{key} = {value}"), expected)
+            Error::invalid(crate::Setting::Recipe, format!("{key} = {value}"), expected)
         })
     }
 
@@ -266,7 +270,11 @@ impl Recipe {
         let [r, c] = self.field.grid;
         if rows == 0 || columns == 0 || rows > r || columns > c {
             let expected = format!("the full field has {r}x{c} tiles; use 1x1 to {r}x{c}");
-            return Err(Error::invalid("grid", format!("{rows}x{columns}"), expected));
+            return Err(Error::invalid(
+                crate::Setting::Grid,
+                format!("{rows}x{columns}"),
+                expected,
+            ));
         }
         self.field.crop = ([rows, columns] != self.field.grid).then_some([rows, columns]);
         Ok(self)
@@ -372,9 +380,12 @@ pub(super) fn oriented(
     zone_axis: &str,
     y_axis: Option<&str>,
 ) -> Result<Structure> {
-    let zone = orientation::parse(zone_axis).map_err(|e| Error::invalid("zone", zone_axis, e))?;
+    let zone = orientation::parse(zone_axis)
+        .map_err(|e| Error::invalid(crate::Setting::Zone, zone_axis, e))?;
     let up = match y_axis {
-        Some(text) => Some(orientation::parse(text).map_err(|e| Error::invalid("up", text, e))?),
+        Some(text) => Some(
+            orientation::parse(text).map_err(|e| Error::invalid(crate::Setting::Up, text, e))?,
+        ),
         None => None,
     };
     crystal.structure()?.oriented(zone, up)
@@ -387,7 +398,11 @@ fn built_in_text(material: &str) -> Result<(&'static str, &'static str)> {
         let near = recipe_check::nearest(material, Recipe::built_in());
         let names = Recipe::built_in().collect::<Vec<_>>().join(", ");
         let hint = near.map(|n| format!("did you mean `{n}`? ")).unwrap_or_default();
-        Error::invalid("material", material, format!("{hint}known materials: {names}"))
+        Error::invalid(
+            crate::Setting::Material,
+            material,
+            format!("{hint}known materials: {names}"),
+        )
     })
 }
 
@@ -431,7 +446,7 @@ fn at_fault(changes: &[Override], key: Option<String>, message: String) -> Error
     let named = key.and_then(|key| changes.iter().rev().find(|c| c.concerns(&key)));
     match named.or(changes.last()) {
         Some(change) => change.error(message),
-        None => Error::invalid("recipe", "", message),
+        None => Error::invalid(crate::Setting::Recipe, "", message),
     }
 }
 

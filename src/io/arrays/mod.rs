@@ -18,6 +18,7 @@ use std::path::{Path, PathBuf};
 use ndarray::ArrayD;
 
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 pub(crate) use numpy::unpack as unpack_npz;
 
 /// What a file says of one dimension of an array.
@@ -84,6 +85,11 @@ impl ForeignArray {
         }
     }
 
+    /// An error that names this array's file and the setting that decides what is made of it.
+    pub fn choice(&self, setting: Setting, message: impl Into<String>) -> Error {
+        Error::choice(&self.path, setting, message)
+    }
+
     /// An error that names this array's file.
     pub fn error(&self, message: impl Into<String>) -> Error {
         Error::parse(&self.path, 0, message)
@@ -107,7 +113,8 @@ fn choose<'a>(path: &Path, found: &'a [String], name: Option<&str>) -> Result<&'
         },
         ([only], None) => Ok(only),
         (_, None) => {
-            refuse(format!("holds several arrays; --dataset NAME chooses one of: {listed}"))
+            let message = format!("holds several arrays; choose one of: {listed}");
+            Err(Error::choice(path, Setting::DataSet, message))
         }
     }
 }

@@ -27,6 +27,7 @@ use header::Header;
 use super::Colormap;
 use crate::atomic;
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 
 /// What the page's code consists of, in this order.
 const SCRIPTS: [&str; 10] = [
@@ -53,7 +54,7 @@ pub struct Page {
 impl Page {
     fn new(header: &Header, blobs: &Blobs) -> Result<Self> {
         let json = serde_json::to_string(header).map_err(|e| {
-            Error::invalid("page", &header.title, format!("cannot be written as JSON: {e}"))
+            Error::invalid(Setting::Page, &header.title, format!("cannot be written as JSON: {e}"))
         })?;
         let mut html = String::with_capacity(blobs.bytes() + (1 << 18));
         for part in TEMPLATE.split("{{").enumerate() {

@@ -9,6 +9,7 @@ use super::world::place;
 use super::{Page, colormaps};
 use crate::error::{Error, Result};
 use crate::render::resample::check_finite;
+use crate::setting::Setting;
 
 /// Images of one detector.
 #[derive(Debug, Clone)]
@@ -45,7 +46,7 @@ impl StackPage<'_> {
     /// [`Error::Invalid`] for no image, images of different sizes, or a value that is not finite.
     pub fn page(&self) -> Result<Page> {
         let Some(first) = self.images.first() else {
-            return Err(Error::invalid("images", 0, "expected at least one"));
+            return Err(Error::invalid(Setting::Images, 0, "expected at least one"));
         };
         let (_, rows, columns) = first.data.dim();
         let (mut images, mut pyramids) = (Vec::new(), Vec::new());
@@ -53,7 +54,7 @@ impl StackPage<'_> {
             if image.data.dim() != (self.thicknesses_angstrom.len(), rows, columns) {
                 let expected = format!("expected {rows} x {columns} pixels at each thickness");
                 let shape = format!("{:?} of `{}`", image.data.dim(), image.name);
-                return Err(Error::invalid("image shape", shape, expected));
+                return Err(Error::invalid(Setting::ImageShape, shape, expected));
             }
             for (slice, thickness) in image.data.axis_iter(Axis(0)).zip(&self.thicknesses_angstrom)
             {

@@ -12,6 +12,7 @@ use super::{Page, colormaps};
 use crate::error::{Error, Result};
 use crate::io::{WorldFile, WorldMetadata};
 use crate::render::Colormap;
+use crate::setting::Setting;
 
 /// What a world's page shows at first.
 #[derive(Debug, Clone)]
@@ -152,7 +153,7 @@ fn particles(world: &WorldFile) -> Result<Vec<Particle>> {
     let count = p.centres.len();
     if p.diameters.len() != count || p.morphologies.len() != count {
         let expected = "has lists of particles of unequal length";
-        return Err(Error::invalid("world file", world.path().display(), expected));
+        return Err(Error::invalid(Setting::WorldFile, world.path().display(), expected));
     }
     let particle = |i: usize| {
         let [x, y, _] = p.centres[i];

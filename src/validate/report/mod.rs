@@ -11,6 +11,7 @@ pub use suite::{Report, suite_page};
 pub use worlds::{sentence, value, worlds_page};
 
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 
 /// Where and when a report was made.
 #[derive(Debug, Clone, serde::Serialize)]
@@ -77,7 +78,7 @@ fn number(value: f64) -> String {
 }
 
 fn undrawable(reason: impl std::fmt::Display) -> Error {
-    Error::invalid("figure", reason, "could not be drawn")
+    Error::invalid(Setting::Figure, reason, "could not be drawn")
 }
 
 /// The SVG that `draw` makes.

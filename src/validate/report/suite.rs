@@ -104,7 +104,7 @@ fn contents(cases: &[Outcome]) -> String {
 fn section(case: &Outcome) -> Result<String> {
     let mut html = format!(
         "<section id=\"{}\"><h3>{} {}</h3>\n<p class=\"about\">{}</p>\n<p class=\"source\">Reference: {} \
-         (<code>--case {}</code>, {:.1} s)</p>\n{}",
+         (case <code>{}</code>, {:.1} s)</p>\n{}",
         escape(&case.name),
         escape(&case.title),
         verdict(case.verdict),

@@ -17,6 +17,7 @@ use super::{Check, Figure, Findings, ImagePair, Lab, Limit, Outcome, overall};
 use crate::engine::{Images, Scan};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
+use crate::setting::Setting;
 
 /// A check of the program.
 pub struct Case {
@@ -138,7 +139,7 @@ pub fn selected(names: &[String], quick: bool) -> Result<Vec<Case>> {
     for name in names {
         if !all.iter().any(|c| c.name == name) {
             let known = all.iter().map(|c| c.name).collect::<Vec<_>>().join(", ");
-            return Err(Error::invalid("case", name, format!("known cases: {known}")));
+            return Err(Error::invalid(Setting::Case, name, format!("known cases: {known}")));
         }
     }
     let wanted = |c: &Case| match names.is_empty() {

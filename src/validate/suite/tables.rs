@@ -3,6 +3,7 @@
 use super::{Case, Group};
 use crate::error::{Error, Result};
 use crate::potential::scattering::{Parametrization, ScatteringFactor};
+use crate::setting::Setting;
 use crate::structure::elements;
 use crate::validate::golden::SCATTERING_FACTORS;
 use crate::validate::{Check, Figure, Findings, Lab, Limit, Plot, Series, Style};
@@ -34,7 +35,8 @@ struct Row {
 }
 
 fn rows() -> Result<Vec<Row>> {
-    let bad = |line: &str| Error::invalid("scattering factor", line, "is not a row of the table");
+    let bad =
+        |line: &str| Error::invalid(Setting::ScatteringFactor, line, "is not a row of the table");
     let lines =
         SCATTERING_FACTORS.lines().filter(|l| !l.starts_with('#') && !l.starts_with("source"));
     let row = |line: &str| {

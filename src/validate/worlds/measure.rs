@@ -13,6 +13,7 @@ use crate::io::schema::atom_type;
 use crate::io::{WorldColumn, WorldFile};
 use crate::progress::Progress;
 use crate::rng::philox4x32_10;
+use crate::setting::Setting;
 
 /// Blocks along an axis, and the smallest edge of one in pixels.
 const BLOCKS: usize = 16;
@@ -285,7 +286,7 @@ impl Image {
             if let Some(((y, x), v)) = strip.indexed_iter().find(|(_, v)| !v.is_finite()) {
                 let place = format!("{v} at row {}, column {x}", first + y);
                 let expected = format!("expected finite values in {}", path.display());
-                return Err(Error::invalid("image value", place, expected));
+                return Err(Error::invalid(Setting::ImageValue, place, expected));
             }
             let strip = strip.mapv(|v| f64::from(v) * scale + offset);
             let own = strip.slice(s![start - first..end - first, ..]);

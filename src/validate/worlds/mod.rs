@@ -21,6 +21,7 @@ use super::statistics::{Ratio, binomial_error, kolmogorov_smirnov, two_sided};
 use crate::error::{Error, Result};
 use crate::io::WorldFile;
 use crate::progress::Progress;
+use crate::setting::Setting;
 use crate::structure::elements;
 
 /// Lines below this probability are called different, unless another is asked for.
@@ -89,7 +90,7 @@ pub struct Comparison {
 pub fn compare(a: &Path, b: &Path, alpha: f64, progress: &dyn Progress) -> Result<Comparison> {
     if !(alpha > 1e-4 && alpha < 0.5) {
         return Err(Error::invalid(
-            "alpha",
+            Setting::Alpha,
             alpha,
             "a probability between 0.0001 and 0.5; 0.001 is usual",
         ));
@@ -98,7 +99,7 @@ pub fn compare(a: &Path, b: &Path, alpha: f64, progress: &dyn Progress) -> Resul
     let pixels = worlds.each_ref().map(|w| w.metadata().pixel_size_nm);
     if pixels.iter().any(|p| !(p.is_finite() && *p > 0.0)) {
         return Err(Error::invalid(
-            "pixel size (nm)",
+            Setting::PixelSizeNm,
             format!("{pixels:?}"),
             "of a world is positive",
         ));

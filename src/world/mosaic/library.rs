@@ -243,7 +243,7 @@ impl Library {
         let shelf = |family: Family| {
             let sheet = specimen.sheet(family).ok_or_else(|| {
                 let expected = "the specimen has no sheet of this family";
-                Error::invalid("library", format!("{family:?}"), expected)
+                Error::invalid(crate::Setting::Library, format!("{family:?}"), expected)
             })?;
             Ok((family, Shelf::new(sheet.rounded(), family, &settings)))
         };
