@@ -31,7 +31,7 @@ pub enum Error {
         message: String,
     },
     /// An element symbol or number that is not known.
-    #[error("unknown element `{0}`; symbols such as `Sr` or atomic numbers 1-{max} are known", max = crate::structure::elements::MAX_ATOMIC_NUMBER)]
+    #[error("unknown element `{0}`; symbols such as `Sr` or atomic numbers 1-{max} are known", max = crate::constants::MAX_ATOMIC_NUMBER)]
     UnknownElement(String),
     /// A setting is outside its limits.
     #[error("{setting} = {value}: {expected}")]

@@ -10,6 +10,7 @@ mod letters;
 mod overlay;
 mod resample;
 mod scene;
+mod strokes;
 
 pub use canvas::RgbImage;
 pub use colormap::Colormap;

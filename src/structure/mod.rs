@@ -14,6 +14,7 @@ mod orient;
 pub mod particles;
 mod poscar;
 mod read;
+mod source_text;
 mod supercell;
 mod xyz;
 

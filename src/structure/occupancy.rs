@@ -1,6 +1,6 @@
 //! Which atom stands on a partially occupied site.
 
-use super::read::FULLEST_SITE;
+use super::source_text::FULLEST_SITE;
 use super::{Structure, neighbors};
 use crate::error::{Error, Result};
 use crate::rng::{Purpose, uniform};

@@ -1,13 +1,13 @@
 //! VASP POSCAR and CONTCAR files, version 5.
 
 use super::lattice::{determinant, row_times};
-use super::read::Text;
+use super::source_text::SourceText;
 use super::{Atom, Structure};
 use crate::error::Result;
 
 /// The file's lines, taken one after another.
 struct Lines<'a> {
-    text: &'a Text<'a>,
+    text: &'a SourceText<'a>,
     lines: Vec<&'a str>,
     next: usize,
 }
@@ -24,7 +24,7 @@ impl<'a> Lines<'a> {
 }
 
 /// Reads a POSCAR; velocities and whatever else follows a blank line are ignored.
-pub(super) fn parse(text: &Text) -> Result<Structure> {
+pub(super) fn parse(text: &SourceText) -> Result<Structure> {
     let mut lines = Lines { text, lines: text.body.lines().collect(), next: 0 };
     lines.take("the comment line")?;
     let (cell, scale) = cell(&mut lines)?;
@@ -141,7 +141,7 @@ fn is_direct(lines: &mut Lines) -> Result<bool> {
     }
 }
 
-fn vector(text: &Text, line: usize, row: &str, what: &str) -> Result<[f64; 3]> {
+fn vector(text: &SourceText, line: usize, row: &str, what: &str) -> Result<[f64; 3]> {
     let words: Vec<&str> = row.split_whitespace().collect();
     if words.len() < 3 {
         return Err(text.error(line, format!("expected three numbers, found `{}`", row.trim())));

@@ -2,7 +2,7 @@
 //! line of `key=value`, one line per atom.
 
 use super::elements::symbol;
-use super::read::Text;
+use super::source_text::SourceText;
 use super::{Atom, Structure};
 use crate::atomic;
 use crate::error::Result;
@@ -23,7 +23,7 @@ struct Columns {
 }
 
 /// Reads a file of exactly one frame.
-pub(super) fn parse(text: &Text) -> Result<Structure> {
+pub(super) fn parse(text: &SourceText) -> Result<Structure> {
     let mut lines = text.lines();
     let (_, first) = lines.next().unwrap_or((1, ""));
     let count: usize = first.trim().parse().map_err(|_| {
@@ -59,7 +59,7 @@ fn surplus(row: &str, count: usize) -> String {
     }
 }
 
-fn lattice(text: &Text, pairs: &[(String, String)]) -> Result<[[f64; 3]; 3]> {
+fn lattice(text: &SourceText, pairs: &[(String, String)]) -> Result<[[f64; 3]; 3]> {
     let value = find(pairs, "lattice").ok_or_else(|| {
         text.error(
             2,
@@ -80,7 +80,7 @@ fn lattice(text: &Text, pairs: &[(String, String)]) -> Result<[[f64; 3]; 3]> {
     Ok(cell)
 }
 
-fn columns(text: &Text, pairs: &[(String, String)]) -> Result<Columns> {
+fn columns(text: &SourceText, pairs: &[(String, String)]) -> Result<Columns> {
     let properties = find(pairs, "properties").unwrap_or("species:S:1:pos:R:3");
     let fields: Vec<&str> = properties.split(':').collect();
     let wrong = |why: String| text.error(2, format!("Properties={properties}: {why}"));
@@ -117,7 +117,7 @@ fn columns(text: &Text, pairs: &[(String, String)]) -> Result<Columns> {
 }
 
 /// The atom of a line; none for a vacant site of the species `X`.
-fn atom(text: &Text, columns: &Columns, line: usize, row: &str) -> Result<Option<Atom>> {
+fn atom(text: &SourceText, columns: &Columns, line: usize, row: &str) -> Result<Option<Atom>> {
     let words: Vec<&str> = row.split_whitespace().collect();
     // Plain XYZ files may have anything after the position.
     if words.len() < columns.count || (columns.announced && words.len() > columns.count) {

@@ -2,7 +2,7 @@
 //!
 //! Grammar: <https://www.iucr.org/resources/cif/spec/version1.1/cifsyntax>.
 
-use super::super::read::Text;
+use super::super::source_text::SourceText;
 use crate::error::Result;
 use std::collections::HashMap;
 
@@ -71,7 +71,7 @@ enum Token {
 }
 
 /// All data blocks of the file.
-pub fn blocks(text: &Text) -> Result<Vec<Block>> {
+pub fn blocks(text: &SourceText) -> Result<Vec<Block>> {
     let mut tokens = tokens(text)?.into_iter().peekable();
     let mut blocks: Vec<Block> = Vec::new();
     while let Some((line, token)) = tokens.next() {
@@ -106,7 +106,7 @@ pub fn blocks(text: &Text) -> Result<Vec<Block>> {
 }
 
 fn take_loop(
-    text: &Text,
+    text: &SourceText,
     line: usize,
     tokens: &mut std::iter::Peekable<impl Iterator<Item = (usize, Token)>>,
 ) -> Result<Loop> {
@@ -140,7 +140,7 @@ fn take_loop(
     Ok(table)
 }
 
-fn tokens(text: &Text) -> Result<Vec<(usize, Token)>> {
+fn tokens(text: &SourceText) -> Result<Vec<(usize, Token)>> {
     let mut tokens = Vec::new();
     let mut lines = text.lines();
     while let Some((number, line)) = lines.next() {
@@ -165,7 +165,7 @@ fn tokens(text: &Text) -> Result<Vec<(usize, Token)>> {
 
 /// The text between two lines that begin with `;`, and what follows the second one.
 fn text_field<'a>(
-    text: &Text,
+    text: &SourceText,
     line: usize,
     first: &str,
     lines: &mut impl Iterator<Item = (usize, &'a str)>,
@@ -182,7 +182,7 @@ fn text_field<'a>(
 }
 
 /// The token at the start of `rest` (none for `stop_`), and what follows it.
-fn token<'a>(text: &Text, line: usize, rest: &'a str) -> Result<(Option<Token>, &'a str)> {
+fn token<'a>(text: &SourceText, line: usize, rest: &'a str) -> Result<(Option<Token>, &'a str)> {
     if let Some(quote @ ('"' | '\'')) = rest.chars().next() {
         return quoted(text, line, quote, rest);
     }
@@ -207,7 +207,7 @@ fn token<'a>(text: &Text, line: usize, rest: &'a str) -> Result<(Option<Token>, 
 
 /// A quote closes only before white space, so that `'O5''` holds an apostrophe.
 fn quoted<'a>(
-    text: &Text,
+    text: &SourceText,
     line: usize,
     quote: char,
     rest: &'a str,
@@ -229,7 +229,7 @@ mod tests {
     use std::path::Path;
 
     fn parse(body: &str) -> Result<Vec<Block>> {
-        blocks(&Text { path: Path::new("t.cif"), body })
+        blocks(&SourceText { path: Path::new("t.cif"), body })
     }
 
     #[test]
