@@ -106,7 +106,7 @@ fn options(setting: Setting) -> Option<&'static str> {
         S::Cell => Some("--zone u,v,w and --up, which build such a box"),
         S::Up => Some("--up"),
         S::Repeat | S::SupercellAtoms => Some("--repeat"),
-        S::ThermalSigma => Some("--sigma"),
+        S::ThermalSigma => Some("--sigma, such as --sigma Sr=0.084,O=0.085"),
         S::Algorithm => Some("--engine"),
         S::Gpts => Some("--gpts"),
         S::SamplingAngstrom => Some("--sampling"),

@@ -1,7 +1,8 @@
 //! Atoms in a cell: the model, readers and writers, supercells.
 //!
 //! [`read`] takes CIF, extended XYZ and POSCAR files; [`Structure::oriented`] turns a crystal so that
-//! the beam runs along a zone axis; [`Structure::resolve_occupancy`] draws mixed sites.
+//! the beam runs along a zone axis; [`Structure::resolve_occupancy`] draws mixed sites; and
+//! [`Structure::sites`] makes of the atoms the sites that the engine simulates.
 
 pub mod carbon;
 mod cif;
@@ -14,6 +15,7 @@ mod orient;
 pub mod particles;
 mod poscar;
 mod read;
+mod site;
 mod source_text;
 mod supercell;
 mod xyz;
@@ -21,6 +23,7 @@ mod xyz;
 pub(crate) use neighbors::for_each_pair;
 pub use neighbors::{min_pair_distance, shortest_distances};
 pub use read::{Format, parse, read};
+pub use site::{LARGEST_SIGMA_ANGSTROM, Sigmas, Site};
 pub use xyz::write_extxyz;
 
 use crate::error::{Error, Result};
