@@ -2,16 +2,15 @@
 //! specimens ("worlds").
 //!
 //! Data flows one way: recipe -> specimen -> slices -> engine -> detector image -> tiles -> file.
-//! From the ground up: `setting`, `error`, `constants`, `rng`, `progress`, `atomic`, `disk`, `fft`; `structure`,
+//! From the ground up: `setting`, `error`, `constants`, `rng`, `progress`, `files`, `fft`; `structure`,
 //! `potential`; `optics`, `resample`, `detect`, `phonons`; `engine`; `io`, `render`; `world`; `validate`.
 
-pub mod atomic;
 pub mod constants;
 pub mod detect;
-pub mod disk;
 pub mod engine;
 pub mod error;
 pub mod fft;
+pub mod files;
 pub mod io;
 mod matrix;
 pub mod optics;

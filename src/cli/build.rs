@@ -3,11 +3,11 @@
 use super::build_plan::{DryRun, Request};
 use super::common::Common;
 use super::hints::hinted;
-use super::progress::Reporter;
+use super::plan_report::Lines;
+use super::progress_bar::Reporter;
 use super::recipe_args::RecipeArgs;
-use super::show::Lines;
 use super::values::{self, Engine};
-use super::{imaging, output, pictures, text};
+use super::{imaging_args, output, pictures, text};
 use anyhow::bail;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
@@ -218,8 +218,8 @@ impl Build {
     fn exact(&self, recipe: &Recipe) -> anyhow::Result<(Simulator, Option<String>)> {
         let m = &self.method;
         let (window, factors) = (m.window, m.interpolation);
-        imaging::check_accuracy(m.accuracy, m.engine)?;
-        let algorithm = imaging::algorithm(
+        imaging_args::check_accuracy(m.accuracy, m.engine)?;
+        let algorithm = imaging_args::algorithm(
             m.engine,
             window,
             factors,
@@ -233,7 +233,7 @@ impl Build {
         }
         let mut settings = Simulator::new(recipe, algorithm).settings().clone();
         let thickness = recipe.field.thickness_nm * 10.0;
-        let warning = imaging::choose_window(m.accuracy, &mut settings, thickness)?;
+        let warning = imaging_args::choose_window(m.accuracy, &mut settings, thickness)?;
         Ok((Simulator::new(recipe, settings.algorithm), warning))
     }
 

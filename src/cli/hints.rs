@@ -1,6 +1,6 @@
 //! Errors on standard error, each with a hint.
 
-use super::progress::INTERRUPTED;
+use super::progress_bar::INTERRUPTED;
 use super::text;
 use std::process::ExitCode;
 use stemgen::{Error, Setting};

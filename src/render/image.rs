@@ -2,8 +2,8 @@
 
 use super::canvas::RgbImage;
 use super::colormap::Colormap;
+use super::enlarge::{Enlarge, Matrix, Scale, check_finite, enlarge, shrink};
 use super::overlay::{Marker, draw_bar, draw_marker};
-use super::resample::{Enlarge, Matrix, Scale, check_finite, enlarge, shrink};
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 use std::path::Path;

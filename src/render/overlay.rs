@@ -1,8 +1,8 @@
 //! What is drawn over an image: scale bar and markers.
 
 use super::canvas::{Point, RgbImage};
+use super::enlarge::Scale;
 use super::font;
-use super::resample::Scale;
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 

@@ -6,11 +6,11 @@
 
 pub mod carbon;
 mod cif;
+pub mod crystals;
 pub mod elements;
 pub mod lattice;
-pub mod library;
+mod mixed_sites;
 mod neighbors;
-mod occupancy;
 mod orient;
 pub mod particles;
 mod poscar;

@@ -4,8 +4,8 @@
 use super::elements::symbol;
 use super::source_text::SourceText;
 use super::{Atom, Structure};
-use crate::atomic;
 use crate::error::Result;
+use crate::files::atomic_write;
 use std::fmt::Write;
 use std::path::Path;
 
@@ -193,7 +193,7 @@ fn take_value(rest: &str) -> (String, &str) {
 /// # Errors
 /// [`crate::Error::Io`].
 pub fn write_extxyz(path: &Path, structure: &Structure) -> Result<()> {
-    atomic::write(path, to_extxyz(structure).as_bytes())
+    atomic_write::write(path, to_extxyz(structure).as_bytes())
 }
 
 fn to_extxyz(structure: &Structure) -> String {

@@ -19,9 +19,9 @@ use super::store::{Store, beside};
 use super::subprogress::SubProgress;
 use super::subtiles::{Partition, SubTile};
 use super::truth::{self, Counts};
-use crate::disk::{self, OutputLock};
 use crate::engine::{Scan, Site};
 use crate::error::{Error, Result};
+use crate::files::{OutputLock, disk_space};
 use crate::io::{Header, WorldFile, WorldWriter};
 use crate::progress::Progress;
 
@@ -139,7 +139,7 @@ pub fn build(
     let sites = estimated_sites(&*specimen, field);
     let needed = footprint::world_bytes(field, sites, options.keep_clean);
     let done = footprint::folder_bytes(&beside(output, ".work"));
-    disk::check_space(output, needed.saturating_sub(done))?;
+    disk_space::check_space(output, needed.saturating_sub(done))?;
     let check = &options.check;
     let (method, audit) = Method::prepare(engine, &*specimen, recipe, check, progress)?;
     let library = match &method {

@@ -249,10 +249,10 @@ impl Grain {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::structure::library;
+    use crate::structure::crystals;
 
     fn seen(name: &str, zone: [i32; 3], up: [i32; 3]) -> ColumnCrystal {
-        ColumnCrystal::new(&library::crystal(name).unwrap().oriented(zone, Some(up)).unwrap())
+        ColumnCrystal::new(&crystals::crystal(name).unwrap().oriented(zone, Some(up)).unwrap())
             .unwrap()
     }
 

@@ -10,9 +10,9 @@ use super::footprint;
 use super::recipe::Recipe;
 use super::specimen::{AtomColumn, SiteKind, Sites, Specimen};
 use super::truth;
-use crate::atomic;
-use crate::disk::{self, OutputLock};
 use crate::error::{Error, Result};
+use crate::files::atomic_write;
+use crate::files::{OutputLock, disk_space};
 use crate::io::{AtomRow, AtomsHeader, AtomsWriter, RowFormat, writable};
 use crate::progress::Progress;
 use crate::structure::elements;
@@ -80,10 +80,10 @@ pub fn export(
     }
     let _lock = OutputLock::hold(path)?;
     let sites = estimated_sites(specimen, &recipe.field);
-    disk::check_space(path, footprint::atoms_bytes(writable(path)?, sites))?;
+    disk_space::check_space(path, footprint::atoms_bytes(writable(path)?, sites))?;
     let frame = Frame::new(specimen, recipe, options);
     let mut summary = ExportSummary { cell_angstrom: frame.cell, ..ExportSummary::default() };
-    atomic::write_with(path, options.overwrite, |temporary| {
+    atomic_write::write_with(path, options.overwrite, |temporary| {
         let mut writer = AtomsWriter::create(temporary, path, &header(recipe, &frame))?;
         truth::for_each_stripe(specimen, &recipe.field, "writing atoms", progress, |stripe| {
             visit(&stripe.sites);

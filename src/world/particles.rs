@@ -20,7 +20,7 @@ use super::specimen::{
 use crate::error::{Error, Result};
 use crate::rng::{Purpose, uniform, words};
 use crate::structure::carbon::block::DENSITY;
-use crate::structure::carbon::film::{Film, FilmAtom};
+use crate::structure::carbon::carbon_film::{Film, FilmAtom};
 use crate::structure::carbon::network::CARBON;
 use crate::structure::particles::rotation::Rotation;
 use crate::structure::particles::{Metal, Morphology, build};

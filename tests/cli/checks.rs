@@ -18,7 +18,7 @@ const ENDLESS: [&str; 7] = [
 #[test]
 fn a_disk_that_is_too_small_is_found() {
     let folder = tempfile::tempdir().unwrap();
-    match stemgen::disk::free_bytes(folder.path()) {
+    match stemgen::files::disk_space::free_bytes(folder.path()) {
         Some(free) if free < 1_000_000_000_000 => {}
         _ => return, // unknown, or larger than what is asked for
     }

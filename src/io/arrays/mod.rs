@@ -7,7 +7,7 @@
 //! | `.tif`, `.tiff` (`measurement.to_tiff`) | abTEM's metadata in the description |
 //! | `.h5`, `.hdf5` | the attributes of [`super::image_file`]; nothing in other files |
 
-mod abtem;
+mod abtem_metadata;
 mod hdf;
 mod numpy;
 mod tagged;

@@ -9,7 +9,7 @@ use tiff::ColorType;
 use tiff::decoder::{Decoder, DecodingResult};
 use tiff::tags::Tag;
 
-use super::{ForeignArray, abtem, nameless};
+use super::{ForeignArray, abtem_metadata, nameless};
 use crate::error::{Error, Result};
 
 pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
@@ -52,7 +52,7 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
         .map_err(|e| Error::parse(path, 0, format!("is a damaged TIFF ({e})")))?;
     let mut array = ForeignArray::plain(path, "", data);
     if let Ok(metadata) = serde_json::from_str(&description) {
-        abtem::describe(&mut array, &metadata);
+        abtem_metadata::describe(&mut array, &metadata);
     }
     Ok(array)
 }

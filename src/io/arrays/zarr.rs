@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use ndarray::{ArrayD, Dimension, IxDyn};
 use serde_json::Value;
 
-use super::{ForeignArray, abtem, choose};
+use super::{ForeignArray, abtem_metadata, choose};
 use crate::error::{Error, Result};
 
 const REMEDY: &str = "export the image with np.save(\"image.npy\", measurement.array) instead";
@@ -74,7 +74,7 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     // abTEM describes `array0` in the attribute `metadata0` of the group.
     let key = chosen.replacen("array", "metadata", 1);
     let attributes = attributes(path)?;
-    abtem::describe(&mut array, &attributes[key]);
+    abtem_metadata::describe(&mut array, &attributes[key]);
     if array.data.ndim() < 2 {
         return Err(array.error("is no image: the array has fewer than two dimensions"));
     }

@@ -3,7 +3,7 @@
 
 use serde::Serialize;
 
-use super::columns::Columns;
+use super::column_list::Columns;
 use super::pyramid::Level;
 
 /// All that a page shows, but for the blobs.

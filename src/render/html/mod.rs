@@ -10,7 +10,7 @@
 //! - Atomic columns are lists by cells of the field, with positions in whole pm ([`columns`]).
 
 mod blobs;
-mod columns;
+mod column_list;
 mod header;
 mod pyramid;
 mod stack;
@@ -25,8 +25,8 @@ use blobs::Blobs;
 use header::Header;
 
 use super::Colormap;
-use crate::atomic;
 use crate::error::{Error, Result};
+use crate::files::atomic_write;
 use crate::setting::Setting;
 
 /// What the page's code consists of, in this order.
@@ -82,7 +82,7 @@ impl Page {
     /// # Errors
     /// [`Error::Io`].
     pub fn write(&self, path: &Path) -> Result<()> {
-        atomic::write(path, self.html.as_bytes())
+        atomic_write::write(path, self.html.as_bytes())
     }
 }
 

@@ -20,7 +20,7 @@ use serde::Serialize;
 
 use super::blobs::{Blobs, pack};
 use crate::error::Result;
-use crate::render::resample::shrink;
+use crate::render::enlarge::shrink;
 
 /// Edge of a tile in pixels.
 pub(super) const TILE: usize = 512;

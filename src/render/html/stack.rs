@@ -8,7 +8,7 @@ use super::pyramid::{Pyramid, TILE};
 use super::world::place;
 use super::{Page, colormaps};
 use crate::error::{Error, Result};
-use crate::render::resample::check_finite;
+use crate::render::enlarge::check_finite;
 use crate::setting::Setting;
 
 /// Images of one detector.

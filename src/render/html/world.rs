@@ -5,7 +5,7 @@ use std::ops::Range;
 use ndarray::Array2;
 
 use super::blobs::Blobs;
-use super::columns::columns;
+use super::column_list::columns;
 use super::header::{Boundary, Header, Image, Particle, Phases, Start};
 use super::pyramid::{Pyramid, TILE};
 use super::{Page, colormaps};

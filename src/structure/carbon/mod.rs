@@ -4,8 +4,8 @@
 //! [`film`] makes a film of any extent of it. [`dynamics`] moves the atoms of a [`network`].
 
 pub mod block;
+pub mod carbon_film;
 pub mod dynamics;
-pub mod film;
 pub mod melt;
 pub mod network;
 mod tersoff;

@@ -1,7 +1,7 @@
 //! One self-contained HTML page: no script, no file beside it, no network.
 
 mod axis;
-mod images;
+mod image_pair;
 mod page;
 mod plot;
 mod suite;

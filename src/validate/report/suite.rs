@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::page::{checks, escape, limit, page, verdict};
-use super::{Origin, images, number, plot};
+use super::{Origin, image_pair, number, plot};
 use crate::error::Result;
 use crate::validate::{Check, Figure, Outcome, Verdict, overall};
 
@@ -136,7 +136,7 @@ const FIGURES_OPEN: usize = 2;
 
 fn figure(figure: &Figure, open: bool) -> Result<String> {
     match figure {
-        Figure::Images(pair) => images::figure(pair, open),
+        Figure::Images(pair) => image_pair::figure(pair, open),
         Figure::Plot(p) => plot::figure(p),
     }
 }

@@ -1,12 +1,12 @@
 //! The shipped suite.
 
-mod abtem;
 mod engines;
 mod laws;
 mod published;
 mod refined;
+mod same_numerics;
+mod scattering_tables;
 mod specimens;
-mod tables;
 
 use std::time::Instant;
 
@@ -78,10 +78,10 @@ const ABTEM: &str = "abTEM 1.0.11 (J. Madsen, T. Susi, Open Research Europe 1 (2
 /// All cases, in the order of the report.
 pub fn cases() -> Vec<Case> {
     [
-        abtem::cases(),
+        same_numerics::cases(),
         refined::cases(),
         published::cases(),
-        tables::cases(),
+        scattering_tables::cases(),
         laws::cases(),
         engines::cases(),
     ]

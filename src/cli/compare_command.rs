@@ -1,7 +1,7 @@
 //! `stemgen compare`.
 
 use super::common::Common;
-use super::validate::DIFFERENT;
+use super::validate_command::DIFFERENT;
 use super::{output, text, values};
 use clap::Args;
 use serde::Serialize;
@@ -80,7 +80,7 @@ impl Compare {
         let comparison = compare(&self.a, &self.b, self.alpha, &reporter)?;
         let origin = Origin::now(text::command_line());
         let page = worlds_page(&comparison, [&worlds[0], &worlds[1]], &origin)?;
-        stemgen::atomic::write(&self.output, page.as_bytes())?;
+        stemgen::files::atomic_write::write(&self.output, page.as_bytes())?;
         let summary = Summary {
             summary: sentence(&comparison),
             origin: &origin,

@@ -1,7 +1,7 @@
 //! `stemgen validate`.
 
 use super::common::Common;
-use super::progress::Reporter;
+use super::progress_bar::Reporter;
 use super::validate_reference::ReferenceArgs;
 use super::{output, text};
 use clap::Args;
@@ -99,7 +99,7 @@ impl Validate {
         };
         let report = Report::new(&subject, Origin::now(text::command_line()), outcomes);
         let page = suite_page(&report)?;
-        stemgen::atomic::write(&self.output, page.as_bytes())?;
+        stemgen::files::atomic_write::write(&self.output, page.as_bytes())?;
         self.common.print(&report, &summary(&report, &self.output))?;
         Ok(match report.verdict {
             Verdict::Fail => ExitCode::from(DIFFERENT),

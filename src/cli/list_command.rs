@@ -1,6 +1,6 @@
 //! `stemgen list`.
 
-use super::progress::Reporter;
+use super::progress_bar::Reporter;
 use super::text;
 use clap::Args;
 use serde::Serialize;

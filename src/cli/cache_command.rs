@@ -1,6 +1,6 @@
 //! `stemgen cache`.
 
-use super::show::Lines;
+use super::plan_report::Lines;
 use super::text;
 use clap::{Args, Subcommand};
 use std::path::PathBuf;

@@ -210,7 +210,8 @@ pub fn choose_window(
     let beyond = choice.beyond_measured;
     Ok((!beyond.is_empty()).then(|| {
         format!(
-            "an error of {accuracy} % was not measured for {}; the window was widened to {:.1} A, which              should do. Check with --engine multislice on a few probes",
+            "an error of {accuracy} % was not measured for {}; the window was widened to {:.1} A, which \
+             should do. Check with --engine multislice on a few probes",
             beyond.join(", "),
             choice.width_angstrom
         )
