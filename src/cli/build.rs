@@ -6,7 +6,7 @@ use super::hints::hinted;
 use super::plan_report::Lines;
 use super::progress_bar::Reporter;
 use super::recipe_args::RecipeArgs;
-use super::values::{self, Engine};
+use super::values::{self, EngineName as Engine};
 use super::{imaging_args, output, pictures, text};
 use anyhow::bail;
 use clap::{Args, ValueEnum};

@@ -82,7 +82,7 @@ struct Results {
 }
 
 #[derive(Serialize)]
-struct DryRun {
+struct SimulateDryRun {
     structure: String,
     atoms: usize,
     composition: std::collections::BTreeMap<&'static str, usize>,
@@ -102,7 +102,7 @@ struct ScanReport {
 }
 
 #[derive(Serialize)]
-struct Summary {
+struct SimulateSummary {
     output: PathBuf,
     file_bytes: u64,
     pictures: Vec<PathBuf>,
@@ -217,7 +217,7 @@ impl Simulate {
             rows: scan.shape[0],
             columns: scan.shape[1],
         };
-        let all = DryRun {
+        let all = SimulateDryRun {
             structure: self.specimen.file_name(),
             atoms: specimen.sites.len(),
             composition: specimen.composition(),
@@ -323,7 +323,7 @@ impl Simulate {
             let facts = self.facts(plan, specimen);
             pictures::write_page(page, &self.specimen.file_name(), facts, stacks)?;
         }
-        let summary = Summary {
+        let summary = SimulateSummary {
             file_bytes: output::size(&path),
             output: path,
             pictures: pictures.iter().map(|p| p.path.clone()).collect(),
@@ -393,7 +393,7 @@ fn summaries<'a>(stack: &'a ImageStack) -> impl Iterator<Item = ImageSummary> + 
     stack.data.outer_iter().zip(stack.thicknesses_angstrom).map(each)
 }
 
-impl Summary {
+impl SimulateSummary {
     fn text(&self) -> String {
         let mut lines = Lines::default();
         for i in &self.images {

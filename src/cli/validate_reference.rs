@@ -14,7 +14,7 @@ use stemgen::engine::{GridChoice, Plan, Scan, Settings};
 use stemgen::io::arrays::{self, ForeignArray};
 use stemgen::progress::Progress;
 use stemgen::validate::golden::like_abtem;
-use stemgen::validate::user::{self, Comparison, Order, Reference, Units};
+use stemgen::validate::user::{self, ImageComparison, Order, Reference, ValueUnits};
 use stemgen::validate::{Lab, Outcome};
 
 /// abTEM's slice thickness unless another is asked for, in Angstrom.
@@ -89,7 +89,7 @@ pub struct PreparedReference {
     specimen: Prepared,
     plan: Plan,
     scan: Scan,
-    units: Units,
+    units: ValueUnits,
     tolerance: f64,
     source: String,
     remedy: Option<String>,
@@ -151,9 +151,9 @@ impl ReferenceArgs {
         let pixels = asked.map(|s| [s.shape[1], s.shape[0]]);
         let mut reference = user::reference(&array, order, &self.index, pixels)?;
         let units = match self.units {
-            UnitsName::Fraction => Units::Fraction,
-            UnitsName::Percent => Units::Percent,
-            UnitsName::Fitted => Units::Fitted,
+            UnitsName::Fraction => ValueUnits::Fraction,
+            UnitsName::Percent => ValueUnits::Percent,
+            UnitsName::Fitted => ValueUnits::Fitted,
         };
         user::in_fractions(&array, &mut reference.data, units)?;
         let scan = match scan_args {
@@ -327,7 +327,7 @@ impl PreparedReference {
         );
         let probes = self.scan.len();
         reporter.start("simulating", "probes", probes as u64);
-        let comparison = Comparison {
+        let comparison = ImageComparison {
             plan: &self.plan,
             sites: &self.specimen.sites,
             scan: &self.scan,

@@ -148,7 +148,7 @@ pub fn sigmas(text: &str) -> Parsed<Sigmas> {
 
 /// Engines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Engine {
+pub enum EngineName {
     /// Every probe on the full grid: exact
     Multislice,
     /// Probes put together from plane waves; exact with --interpolation 1

@@ -2,7 +2,7 @@
 
 use super::canvas::RgbImage;
 use super::colormap::Colormap;
-use super::enlarge::{Enlarge, Matrix, Scale, check_finite, enlarge, shrink};
+use super::enlarge::{Enlarge, Matrix, SizeChange, check_finite, enlarge, shrink};
 use super::overlay::{Marker, draw_bar, draw_marker};
 use crate::error::{Error, Result};
 use crate::setting::Setting;
@@ -119,15 +119,15 @@ impl<'a> Picture<'a> {
         Ok(image)
     }
 
-    fn resampled(&self) -> Result<(Scale, Matrix)> {
+    fn resampled(&self) -> Result<(SizeChange, Matrix)> {
         if !(SIDES[0]..=SIDES[1]).contains(&self.max_side) {
             let expected = format!("expected {} to {}", SIDES[0], SIDES[1]);
             return Err(Error::invalid(Setting::LongestSidePixels, self.max_side, expected));
         }
-        let scale = Scale::to_fit(self.shape, self.max_side);
+        let scale = SizeChange::to_fit(self.shape, self.max_side);
         let matrix = match scale {
-            Scale::Down(n) => shrink(self.values, self.shape, n),
-            Scale::Up(n) => enlarge(self.values, self.shape, n, self.enlarge),
+            SizeChange::Down(n) => shrink(self.values, self.shape, n),
+            SizeChange::Up(n) => enlarge(self.values, self.shape, n, self.enlarge),
         };
         Ok((scale, matrix))
     }

@@ -16,5 +16,5 @@ pub use canvas::RgbImage;
 pub use colormap::Colormap;
 pub use enlarge::Enlarge;
 pub use image::{Contrast, Picture};
-pub use overlay::{Marker, Shape};
+pub use overlay::{Marker, MarkerShape};
 pub use scene::{Scene, Swatch, palette};

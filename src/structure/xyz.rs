@@ -13,7 +13,7 @@ use std::path::Path;
 const VACANT: &str = "X";
 
 /// Where the columns of an atom's line stand.
-struct Columns {
+struct XyzColumns {
     element: usize,
     position: usize,
     occupancy: Option<usize>,
@@ -80,7 +80,7 @@ fn lattice(text: &SourceText, pairs: &[(String, String)]) -> Result<[[f64; 3]; 3
     Ok(cell)
 }
 
-fn columns(text: &SourceText, pairs: &[(String, String)]) -> Result<Columns> {
+fn columns(text: &SourceText, pairs: &[(String, String)]) -> Result<XyzColumns> {
     let properties = find(pairs, "properties").unwrap_or("species:S:1:pos:R:3");
     let fields: Vec<&str> = properties.split(':').collect();
     let wrong = |why: String| text.error(2, format!("Properties={properties}: {why}"));
@@ -113,11 +113,11 @@ fn columns(text: &SourceText, pairs: &[(String, String)]) -> Result<Columns> {
         .ok_or_else(|| wrong("no positions; expected `pos:R:3`".to_owned()))?;
     let occupancy = column(&["occupancy", "occupancies"], 1)?;
     let announced = find(pairs, "properties").is_some();
-    Ok(Columns { element, position, occupancy, count, announced })
+    Ok(XyzColumns { element, position, occupancy, count, announced })
 }
 
 /// The atom of a line; none for a vacant site of the species `X`.
-fn atom(text: &SourceText, columns: &Columns, line: usize, row: &str) -> Result<Option<Atom>> {
+fn atom(text: &SourceText, columns: &XyzColumns, line: usize, row: &str) -> Result<Option<Atom>> {
     let words: Vec<&str> = row.split_whitespace().collect();
     // Plain XYZ files may have anything after the position.
     if words.len() < columns.count || (columns.announced && words.len() > columns.count) {

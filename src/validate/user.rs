@@ -11,7 +11,7 @@ use super::difference::{Difference, best_gain};
 use super::{Check, Figure, Findings, ImagePair, Lab, Limit, Outcome, Verdict, overall};
 use crate::engine::{Plan, Scan, Site};
 use crate::error::Result;
-use crate::io::arrays::{Axis, ForeignArray};
+use crate::io::arrays::{ArrayAxis, ForeignArray};
 use crate::setting::Setting;
 
 /// Order of the two dimensions of an image.
@@ -25,7 +25,7 @@ pub enum Order {
 
 /// What the values of a reference are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Units {
+pub enum ValueUnits {
     /// Fractions of the beam.
     Fraction,
     /// Per cent of the beam.
@@ -110,7 +110,7 @@ pub fn reference(
         (None, Order::Yx) => [plane[1], plane[0]],
     };
     let step = |of: usize| axis(of).and_then(|a| a.sampling_angstrom).filter(|s| *s > 0.0);
-    let origin = |of: usize| axis(of).map_or(0.0, |a: &Axis| a.origin_angstrom);
+    let origin = |of: usize| axis(of).map_or(0.0, |a: &ArrayAxis| a.origin_angstrom);
     Ok(Reference {
         data,
         step_angstrom: step(x).zip(step(y)).map(|(x, y)| [x, y]),
@@ -192,12 +192,16 @@ pub fn scan(reference: &Reference) -> Option<Scan> {
 ///
 /// # Errors
 /// [`crate::Error::Parse`] for fractions above 1 or below 0.
-pub fn in_fractions(array: &ForeignArray, image: &mut Array2<f64>, units: Units) -> Result<()> {
-    if units == Units::Percent {
+pub fn in_fractions(
+    array: &ForeignArray,
+    image: &mut Array2<f64>,
+    units: ValueUnits,
+) -> Result<()> {
+    if units == ValueUnits::Percent {
         *image *= 0.01;
     }
     let range = image.iter().fold([f64::MAX, f64::MIN], |r, v| [r[0].min(*v), r[1].max(*v)]);
-    if units != Units::Fitted && (range[1] > 1.0 || range[0] < -1e-6) {
+    if units != ValueUnits::Fitted && (range[1] > 1.0 || range[0] < -1e-6) {
         return Err(array.choice(
             Setting::ImageUnits,
             format!(
@@ -211,7 +215,7 @@ pub fn in_fractions(array: &ForeignArray, image: &mut Array2<f64>, units: Units)
 }
 
 /// What a comparison needs to know.
-pub struct Comparison<'a> {
+pub struct ImageComparison<'a> {
     /// Plan of the simulation, with one detector.
     pub plan: &'a Plan,
     /// The atoms.
@@ -221,7 +225,7 @@ pub struct Comparison<'a> {
     /// The reference.
     pub reference: &'a Reference,
     /// What its values are.
-    pub units: Units,
+    pub units: ValueUnits,
     /// Largest difference allowed, as a fraction of the reference's maximum.
     pub tolerance: f64,
     /// Name of the case.
@@ -238,13 +242,13 @@ pub struct Comparison<'a> {
 ///
 /// # Errors
 /// Those of the engine.
-pub fn compare(lab: &Lab, c: &Comparison) -> Result<Outcome> {
+pub fn compare(lab: &Lab, c: &ImageComparison) -> Result<Outcome> {
     let begun = Instant::now();
     let images = lab.execute(c.plan, c.sites, c.scan)?;
     let ours = images.image(0, 0).mapv(f64::from);
     let mut reference = c.reference.data.clone();
     let mut findings = Findings::default();
-    if c.units == Units::Fitted {
+    if c.units == ValueUnits::Fitted {
         let gain = best_gain(reference.view(), ours.view());
         reference *= gain;
         findings.checks.push(Check::shown("factor fitted to the reference", gain, ""));
@@ -331,7 +335,7 @@ mod tests {
     use std::path::PathBuf;
 
     fn array(data: ArrayD<f64>, labels: Option<&[&str]>) -> ForeignArray {
-        let axis = |l: &&str| Axis {
+        let axis = |l: &&str| ArrayAxis {
             label: (*l).into(),
             sampling_angstrom: matches!(*l, "x" | "y").then_some(if *l == "x" { 0.1 } else { 0.2 }),
             origin_angstrom: 0.5,
@@ -396,8 +400,8 @@ mod tests {
         assert!(told.contains("NaN at index [1, 0]"), "{told}");
         let file = array(counted(2, 2), None);
         let mut image = Array2::from_elem((2, 2), 3.0);
-        assert!(in_fractions(&file, &mut image, Units::Fraction).is_err());
-        assert!(in_fractions(&file, &mut image, Units::Percent).is_ok());
+        assert!(in_fractions(&file, &mut image, ValueUnits::Fraction).is_err());
+        assert!(in_fractions(&file, &mut image, ValueUnits::Percent).is_ok());
         assert_eq!(image[[0, 0]], 0.03);
     }
 

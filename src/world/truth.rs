@@ -12,7 +12,7 @@ use super::specimen::{
     SpecimenSite,
 };
 use crate::error::{Error, Result};
-use crate::io::schema::{Composition, DefectName, Morphology, atom_type};
+use crate::io::schema::{CompositionText, DefectName, MorphologyName, atom_type};
 use crate::io::{LineKind, ParticleBatch, TruthBatch, WorldWriter};
 use crate::progress::Progress;
 use crate::structure::elements;
@@ -170,7 +170,7 @@ fn write_particles(
         let [x, y, z] = particle.centre_nm;
         batch.centres.push([(x - origin[0]) as f32, (y - origin[1]) as f32, z as f32]);
         batch.diameters.push(particle.diameter_nm as f32);
-        let morphology = Morphology::from_ascii(&particle.morphology);
+        let morphology = MorphologyName::from_ascii(&particle.morphology);
         batch.morphologies.push(morphology.unwrap_or_default());
         batch.orientations.push(particle.orientation.map(|q| q as f32));
     }
@@ -195,7 +195,7 @@ fn push_column(
     let parts: Vec<String> =
         present.iter().map(|(&z, n)| format!("{}{n}", elements::symbol(z))).collect();
     let text = parts.join(" ");
-    batch.column_compositions.push(Composition::from_ascii(&text).unwrap_or_default());
+    batch.column_compositions.push(CompositionText::from_ascii(&text).unwrap_or_default());
 }
 
 /// Code of [`atom_type`].

@@ -23,7 +23,7 @@ pub(crate) use numpy::unpack as unpack_npz;
 
 /// What a file says of one dimension of an array.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Axis {
+pub struct ArrayAxis {
     /// `x`, `y`, `thickness` ...; may be empty.
     pub label: String,
     /// Distance of neighbouring entries in Angstrom.
@@ -42,7 +42,7 @@ pub struct ForeignArray {
     /// The values, in the order of the file.
     pub data: ArrayD<f64>,
     /// One for each dimension, if the file describes them.
-    pub axes: Option<Vec<Axis>>,
+    pub axes: Option<Vec<ArrayAxis>>,
     /// Beam energy, if the file tells it.
     pub energy_ev: Option<f64>,
     /// Convergence semiangle, if the file tells it.

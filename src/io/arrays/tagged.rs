@@ -57,10 +57,10 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     Ok(array)
 }
 
-type Page = ((u32, u32), Vec<f64>);
+type TiffPage = ((u32, u32), Vec<f64>);
 
 /// Size and values of the current page; `None` for colours.
-fn page<R: Read + Seek>(decoder: &mut Decoder<R>) -> tiff::TiffResult<Option<Page>> {
+fn page<R: Read + Seek>(decoder: &mut Decoder<R>) -> tiff::TiffResult<Option<TiffPage>> {
     if !matches!(decoder.colortype()?, ColorType::Gray(_)) {
         return Ok(None);
     }

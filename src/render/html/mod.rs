@@ -1,7 +1,7 @@
 //! Pages that show images in a browser without a network: everything stands in one HTML file.
 //!
 //! The page's own code is `page.html`, `style.css` and the scripts beside this file. What they show is a
-//! JSON header ([`Header`]) and blobs: byte strings, deflated and in base64, each in a `<script>` element
+//! JSON header ([`PageHeader`]) and blobs: byte strings, deflated and in base64, each in a `<script>` element
 //! of its own that no browser runs. The page inflates those it needs when it needs them, so that a large
 //! world is on the screen before all of its file is read. Blobs stand in the order of their need: coarse
 //! images, then the truth, then single pixels.
@@ -22,7 +22,7 @@ pub use world::WorldPage;
 use std::path::Path;
 
 use blobs::Blobs;
-use header::Header;
+use header::PageHeader;
 
 use super::Colormap;
 use crate::error::{Error, Result};
@@ -52,7 +52,7 @@ pub struct Page {
 }
 
 impl Page {
-    fn new(header: &Header, blobs: &Blobs) -> Result<Self> {
+    fn new(header: &PageHeader, blobs: &Blobs) -> Result<Self> {
         let json = serde_json::to_string(header).map_err(|e| {
             Error::invalid(Setting::Page, &header.title, format!("cannot be written as JSON: {e}"))
         })?;
@@ -104,7 +104,7 @@ mod tests {
 
     #[test]
     fn titles_and_headers_cannot_end_their_element() {
-        let header = Header { title: "</script><b>&".into(), ..Header::default() };
+        let header = PageHeader { title: "</script><b>&".into(), ..PageHeader::default() };
         let page = Page::new(&header, &Blobs::default()).unwrap();
         assert!(page.html.contains("<title>&lt;/script&gt;&lt;b&gt;&amp;</title>"));
         assert!(page.html.contains(r#""title":"\u003c/script>\u003cb>&""#));

@@ -3,7 +3,7 @@
 use ndarray::{ArrayView3, Axis, s};
 
 use super::blobs::Blobs;
-use super::header::{Header, Image, Start};
+use super::header::{PageHeader, PageImage, Start};
 use super::pyramid::{Pyramid, TILE};
 use super::world::place;
 use super::{Page, colormaps};
@@ -62,7 +62,7 @@ impl StackPage<'_> {
                 check_finite(values.as_slice().unwrap_or_default(), columns)?;
                 let read = |rows| Ok(slice.slice(s![rows, ..]).to_owned());
                 let pyramid = Pyramid::new([rows, columns], &read)?;
-                images.push(Image {
+                images.push(PageImage {
                     name: image.name.to_owned(),
                     thickness: Some(*thickness),
                     quantity: image.quantity.to_owned(),
@@ -79,7 +79,7 @@ impl StackPage<'_> {
         let mut blobs = Blobs::default();
         place(&mut images, &mut pyramids, 1, &mut blobs);
         place(&mut images, &mut pyramids, 0, &mut blobs);
-        let header = Header {
+        let header = PageHeader {
             title: self.title.clone(),
             unit: "\u{c5}",
             size: [columns, rows],
@@ -90,7 +90,7 @@ impl StackPage<'_> {
             images,
             colormaps: colormaps(),
             start: Start::default(),
-            ..Header::default()
+            ..PageHeader::default()
         };
         Page::new(&header, &blobs)
     }

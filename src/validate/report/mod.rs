@@ -15,7 +15,7 @@ use crate::setting::Setting;
 
 /// Where and when a report was made.
 #[derive(Debug, Clone, serde::Serialize)]
-pub struct Origin {
+pub struct ReportOrigin {
     /// Version of stemgen.
     pub stemgen_version: &'static str,
     /// The command as typed.
@@ -26,13 +26,13 @@ pub struct Origin {
     pub date: String,
 }
 
-impl Origin {
+impl ReportOrigin {
     /// Here and now.
     pub fn now(command_line: String) -> Self {
         let (arch, os) = (std::env::consts::ARCH, std::env::consts::OS);
         let threads = rayon::current_num_threads();
         let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
-        Origin {
+        ReportOrigin {
             stemgen_version: env!("CARGO_PKG_VERSION"),
             command_line,
             machine: format!("{arch} {os}, {threads} threads"),

@@ -24,7 +24,7 @@ pub fn cases() -> Vec<Case> {
     }]
 }
 
-struct Row {
+struct FactorRow {
     source: String,
     table: Parametrization,
     number: u8,
@@ -34,7 +34,7 @@ struct Row {
     expected: f64,
 }
 
-fn rows() -> Result<Vec<Row>> {
+fn rows() -> Result<Vec<FactorRow>> {
     let bad =
         |line: &str| Error::invalid(Setting::ScatteringFactor, line, "is not a row of the table");
     let lines =
@@ -43,7 +43,7 @@ fn rows() -> Result<Vec<Row>> {
         let fields: Vec<&str> = line.split(',').collect();
         let [source, table, number, _, q, expected] = fields[..] else { return Err(bad(line)) };
         let value = |text: &str| text.parse::<f64>().map_err(|_| bad(line));
-        Ok(Row {
+        Ok(FactorRow {
             source: source.to_owned(),
             table: match table {
                 "kirkland" => Parametrization::Kirkland,

@@ -70,7 +70,7 @@ pub struct Line {
 
 /// A comparison of two worlds.
 #[derive(Debug, Clone, Serialize)]
-pub struct Comparison {
+pub struct WorldComparison {
     /// Different if any line is.
     pub verdict: Sameness,
     /// Lines below this probability are called different.
@@ -87,7 +87,7 @@ pub struct Comparison {
 ///
 /// # Errors
 /// [`Error::Invalid`] for an `alpha` that is no probability; those of reading, for a file that is no world.
-pub fn compare(a: &Path, b: &Path, alpha: f64, progress: &dyn Progress) -> Result<Comparison> {
+pub fn compare(a: &Path, b: &Path, alpha: f64, progress: &dyn Progress) -> Result<WorldComparison> {
     if !(alpha > 1e-4 && alpha < 0.5) {
         return Err(Error::invalid(
             Setting::Alpha,
@@ -114,7 +114,7 @@ pub fn compare(a: &Path, b: &Path, alpha: f64, progress: &dyn Progress) -> Resul
     let lines = lines(&a, &b, alpha);
     let different = lines.iter().any(|l| l.verdict == Sameness::Different);
     let verdict = if different { Sameness::Different } else { Sameness::Same };
-    Ok(Comparison { verdict, alpha, lines, a, b })
+    Ok(WorldComparison { verdict, alpha, lines, a, b })
 }
 
 fn lines(a: &Measured, b: &Measured, alpha: f64) -> Vec<Line> {
