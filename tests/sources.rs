@@ -96,6 +96,37 @@ fn literals_are_found() {
     assert!(names_an_option("use --zone") && !names_an_option("<!-- a --> x -- y"));
 }
 
+/// A literal as it is read: lines that end with a backslash run on without the blanks that follow.
+fn joined(literal: &str) -> String {
+    let mut parts = literal.split("\\\n");
+    let first = parts.next().unwrap_or_default().to_owned();
+    parts.fold(first, |text, part| text + part.trim_start())
+}
+
+/// Whether four blanks or more stand between words of one line.
+fn has_a_gap(text: &str) -> bool {
+    let words = |line: &str| {
+        let line = line.trim();
+        line.find("    ").is_some_and(|at| {
+            let word = |c: Option<char>| c.is_some_and(|c| c.is_alphabetic() || c == ',');
+            word(line[..at].chars().last()) && word(line[at..].trim_start().chars().next())
+        })
+    };
+    text.lines().any(words)
+}
+
+#[test]
+fn no_sentence_has_a_gap() {
+    assert!(has_a_gap("which     should do") && !has_a_gap("    indented\n    text"));
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    for path in sources(&root) {
+        for (line, text) in literals(&fs::read_to_string(&path).unwrap()) {
+            let text = joined(&text);
+            assert!(!has_a_gap(&text), "{}:{line}: {text}", path.display());
+        }
+    }
+}
+
 /// A message of the library is read through other front ends too, which have no such options; the
 /// command line adds the option in `cli/hints.rs`.
 #[test]

@@ -158,7 +158,8 @@ impl WorldFile {
         m.grid_shape.map(|n| n * (m.tile_size_px - m.overlap_px) + m.overlap_px)
     }
 
-    /// A normalised tile.
+    /// A tile as the file holds it (rows = y, columns = x; both `tile_size_px`): intensities
+    /// normalised with the scale and offset of [`WorldMetadata::scaling`].
     ///
     /// # Errors
     /// [`Error::Invalid`] outside the grid or for a damaged tile.
@@ -171,7 +172,7 @@ impl WorldFile {
         self.file.link_exists(schema::CLEAN)
     }
 
-    /// A noiseless tile in fractions of the beam.
+    /// A noiseless tile (rows = y, columns = x; both `tile_size_px`) in fractions of the beam.
     ///
     /// # Errors
     /// As [`WorldFile::tile`], also when the world was built without.
@@ -179,7 +180,8 @@ impl WorldFile {
         self.tile_of(schema::CLEAN, row, column)
     }
 
-    /// The normalised image of some rows and columns of pixels.
+    /// The normalised image of some rows (y) and columns (x) of pixels, with the shape (rows, columns)
+    /// asked for, put together from the tiles.
     ///
     /// # Errors
     /// [`Error::Invalid`] outside the image, or for a damaged tile.
@@ -187,10 +189,11 @@ impl WorldFile {
         self.stitched_of(schema::TILES, rows, columns)
     }
 
-    /// The noiseless image of some rows and columns of pixels, in fractions of the beam.
+    /// The noiseless image of some rows (y) and columns (x) of pixels, in fractions of the beam, with the
+    /// shape (rows, columns) asked for.
     ///
     /// # Errors
-    /// As [`WorldFile::stitched`], also when the world was built without.
+    /// As [`WorldFile::stitched`]; [`Error::Choice`] when the world was built without.
     pub fn stitched_clean(&self, rows: Range<usize>, columns: Range<usize>) -> Result<Array2<f32>> {
         if !self.has_clean() {
             let message = "holds no noiseless image; build the world again and keep that image too";
@@ -239,7 +242,7 @@ impl WorldFile {
         Ok(out)
     }
 
-    /// The overview.
+    /// The overview: the whole image made smaller (rows = y, columns = x), normalised as the tiles.
     ///
     /// # Errors
     /// [`Error::Invalid`] for a damaged file.

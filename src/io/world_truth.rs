@@ -157,7 +157,8 @@ impl WorldFile {
         Ok(lines)
     }
 
-    /// Phase of the pixels of some rows and columns; `None` in a world of one phase.
+    /// Code of the phase of each pixel of some rows (y) and columns (x), with the shape (rows, columns)
+    /// asked for; `None` in a world of one phase.
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`] outside the image, or for a damaged file.

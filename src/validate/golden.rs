@@ -113,7 +113,7 @@ impl Golden {
             .ok_or_else(|| Error::invalid(Setting::Reference, name, "is no array of the reference"))
     }
 
-    /// Images: detector, row, column.
+    /// Images in fractions of the beam: (detector, row = y, column = x).
     ///
     /// # Errors
     /// As [`Golden::array`].
@@ -121,7 +121,7 @@ impl Golden {
         self.array(name)
     }
 
-    /// A table or a single image.
+    /// A table, or a single image (row = y, column = x) in fractions of the beam.
     ///
     /// # Errors
     /// As [`Golden::array`].

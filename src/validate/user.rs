@@ -47,13 +47,14 @@ pub struct Reference {
     pub orientation: &'static str,
 }
 
-/// The image of an array, with x along columns.
+/// The image of an array (row = y, column = x), in the unit of the file.
 ///
 /// `index` chooses along the dimensions that are not x or y; those of length 1 need no choice. `expected` are
 /// the (x, y) numbers of pixels of the scan, if known: where they differ they tell the order.
 ///
 /// # Errors
-/// [`crate::Error::Parse`] if a choice is missing or impossible, the order is not known, or a value is not finite.
+/// [`crate::Error::Choice`] if a choice is missing or impossible, or the order is not known; [`crate::Error::Parse`]
+/// for a value that is not finite.
 pub fn reference(
     array: &ForeignArray,
     order: Option<Order>,
@@ -191,7 +192,7 @@ pub fn scan(reference: &Reference) -> Option<Scan> {
 /// Values as fractions of the beam.
 ///
 /// # Errors
-/// [`crate::Error::Parse`] for fractions above 1 or below 0.
+/// [`crate::Error::Choice`] for fractions above 1 or below 0.
 pub fn in_fractions(
     array: &ForeignArray,
     image: &mut Array2<f64>,

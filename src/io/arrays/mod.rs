@@ -52,8 +52,8 @@ pub struct ForeignArray {
 /// Reads an array of real numbers with at least two dimensions. `name` chooses among several.
 ///
 /// # Errors
-/// [`Error::Io`]; [`Error::Parse`] for a foreign or damaged file, or when the name is missing or wrong:
-/// it lists what there is.
+/// [`Error::Io`]; [`Error::Parse`] for a foreign or damaged file, or a wrong name; [`Error::Choice`] when
+/// the name is missing: both list what there is.
 pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, "read", e))?;
     if metadata.is_dir() {

@@ -1,4 +1,4 @@
-//! A film of amorphous carbon without end, asked for area by area.
+//! A film of amorphous carbon of any extent, made area by area.
 //!
 //! The plane is divided into square cells. Each is cut from the periodic block ([`super::block`]) with an offset,
 //! a rotation by any angle and reflections of its own, so no two cells are shifted copies of each other. Along the edges,
