@@ -1,5 +1,7 @@
 //! Physical constants (CODATA 2018) and what follows from the beam energy.
 
+/// Largest atomic number that the tables of scattering factors hold.
+pub const MAX_ATOMIC_NUMBER: u8 = 103;
 /// Rest energy of the electron in eV.
 pub const ELECTRON_REST_ENERGY_EV: f64 = 510_998.95;
 /// Planck's constant times the speed of light in eV Angstrom.

@@ -1,6 +1,7 @@
 //! Annular detectors.
 
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 use num_complex::Complex32;
 use serde::{Deserialize, Serialize};
 
@@ -26,7 +27,7 @@ impl Detector {
     /// # Errors
     /// [`Error::Invalid`].
     pub fn parse(text: &str) -> Result<Self> {
-        let bad = |expected: &str| Error::invalid("detector", text, expected);
+        let bad = |expected: &str| Error::invalid(Setting::Detector, text, expected);
         let (name, range) = match text.split_once('=') {
             Some((n, r)) => (n.trim().to_owned(), r),
             None => (format!("annular_{}", text.trim().replace('-', "_")), text),

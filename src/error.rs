@@ -1,12 +1,14 @@
 //! Errors of the library. Each says what was wrong, where, and what would do instead.
 
+use crate::setting::Setting;
 use std::path::{Path, PathBuf};
 
 /// Result of the library's functions.
 pub type Result<T> = std::result::Result<T, Error>;
 
-/// What can go wrong.
+/// What can go wrong. A front end adds to the message which of its own options mends it: see [`Setting`].
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum Error {
     /// A file could not be opened, read or written.
     #[error("{}: cannot {action}: {source}", path.display())]
@@ -29,20 +31,30 @@ pub enum Error {
         message: String,
     },
     /// An element symbol or number that is not known.
-    #[error("unknown element `{0}`; symbols such as `Sr` or atomic numbers 1-{max} are known", max = crate::structure::elements::MAX_ATOMIC_NUMBER)]
+    #[error("unknown element `{0}`; symbols such as `Sr` or atomic numbers 1-{max} are known", max = crate::constants::MAX_ATOMIC_NUMBER)]
     UnknownElement(String),
     /// A setting is outside its limits.
-    #[error("{what} = {value}: {expected}")]
+    #[error("{setting} = {value}: {expected}")]
     Invalid {
-        /// Name of the setting, with its unit.
-        what: &'static str,
+        /// The setting.
+        setting: Setting,
         /// The value given.
         value: String,
         /// What is allowed, and what to do.
         expected: String,
     },
+    /// A file leaves a setting open, or contradicts the one that was chosen.
+    #[error("{}: {message}", path.display())]
+    Choice {
+        /// The file.
+        path: PathBuf,
+        /// The setting that decides.
+        setting: Setting,
+        /// What the file holds, and what to do.
+        message: String,
+    },
     /// A changed value of a recipe does not fit.
-    #[error("--set {assignment}: {message}")]
+    #[error("{assignment}: {message}")]
     Set {
         /// The assignment, `key=value`.
         assignment: String,
@@ -109,12 +121,16 @@ impl Error {
         Error::Io { path: path.to_owned(), action, source }
     }
     /// Builds an [`Error::Invalid`].
-    pub fn invalid(what: &'static str, value: impl ToString, expected: impl Into<String>) -> Self {
-        Error::Invalid { what, value: value.to_string(), expected: expected.into() }
+    pub fn invalid(setting: Setting, value: impl ToString, expected: impl Into<String>) -> Self {
+        Error::Invalid { setting, value: value.to_string(), expected: expected.into() }
     }
     /// Builds an [`Error::Parse`].
     pub fn parse(path: &Path, line: usize, message: impl Into<String>) -> Self {
         Error::Parse { path: path.to_owned(), line, message: message.into() }
+    }
+    /// Builds an [`Error::Choice`].
+    pub fn choice(path: &Path, setting: Setting, message: impl Into<String>) -> Self {
+        Error::Choice { path: path.to_owned(), setting, message: message.into() }
     }
     /// Builds an [`Error::Set`].
     pub fn set(assignment: &str, message: impl Into<String>) -> Self {

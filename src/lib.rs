@@ -2,13 +2,11 @@
 //! specimens ("worlds").
 //!
 //! Data flows one way: recipe -> specimen -> slices -> engine -> detector image -> tiles -> file.
-//! From the ground up: `error`, `constants`, `rng`, `progress`, `atomic`, `disk`, `fft`; `structure`,
+//! From the ground up: `setting`, `error`, `constants`, `rng`, `progress`, `files`, `fft`; `structure`,
 //! `potential`; `optics`, `resample`, `detect`, `phonons`; `engine`; `io`, `render`; `world`; `validate`.
 
-pub mod atomic;
 pub mod constants;
 pub mod detect;
-pub mod disk;
 pub mod engine;
 pub mod error;
 pub mod fft;
@@ -25,6 +23,7 @@ pub mod recipe;
 pub mod render;
 pub mod resample;
 pub mod rng;
+pub mod setting;
 mod simd;
 pub mod specimen;
 pub mod structure;
@@ -32,3 +31,4 @@ pub mod validate;
 pub mod world;
 
 pub use error::{Error, Result};
+pub use setting::Setting;

@@ -2,6 +2,7 @@
 
 use crate::constants::wavelength_angstrom;
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 use num_complex::Complex64;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
@@ -54,7 +55,7 @@ impl Aberration {
             let names: Vec<String> = KNOWN.iter().map(|(n, m)| format!("C{n}{m}")).collect();
             let known = names.join(" ");
             Error::invalid(
-                "aberration",
+                Setting::Aberration,
                 text,
                 format!("write C12=30@0.3 (30 A at an azimuth of 0.3 rad) with one of {known}"),
             )
@@ -153,11 +154,11 @@ impl Optics {
     pub fn validate(&self) -> Result<()> {
         if !(1e3..=3e6).contains(&self.energy_ev) {
             let kev = format!("{}", self.energy_ev / 1e3);
-            return Err(Error::invalid("energy (keV)", kev, "must be between 1 and 3000"));
+            return Err(Error::invalid(Setting::EnergyKev, kev, "must be between 1 and 3000"));
         }
         if !(self.semiangle_mrad > 0.0 && self.semiangle_mrad < 500.0) {
             let expected = "must be above 0 and below 500";
-            return Err(Error::invalid("semiangle (mrad)", self.semiangle_mrad, expected));
+            return Err(Error::invalid(Setting::SemiangleMrad, self.semiangle_mrad, expected));
         }
         Ok(())
     }

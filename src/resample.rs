@@ -13,6 +13,7 @@
 
 use crate::error::{Error, Result};
 use crate::optics::Optics;
+use crate::setting::Setting;
 use ndarray::{Array2, ArrayView2, Axis};
 use rayon::prelude::*;
 use std::f64::consts::{PI, TAU};
@@ -122,7 +123,7 @@ impl Kernel {
             "must be above 0 and at most {:.4}: the Nyquist distance of the image",
             nyquist_step(band_limit)
         );
-        Err(Error::invalid("step between samples (A)", step, expected))
+        Err(Error::invalid(Setting::SampleStepAngstrom, step, expected))
     }
 
     /// The step that [`Kernel`] interpolates with an error below 0.1 % of the contrast.

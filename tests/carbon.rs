@@ -10,7 +10,7 @@ use std::sync::LazyLock;
 use proptest::prelude::*;
 use rustfft::num_complex::Complex;
 use stemgen::structure::carbon::block;
-use stemgen::structure::carbon::film::{CELL, Film, LEAST_DISTANCE, upright};
+use stemgen::structure::carbon::carbon_film::{CELL, Film, LEAST_DISTANCE, upright};
 use stemgen::structure::carbon::network::{Neighbours, Network};
 
 /// Atoms in A^3 at 1 g/cm3.
@@ -253,7 +253,7 @@ proptest! {
         let whole = FILM.atoms(&[[x, x + w], [y, y + w]]);
         let mut parts = FILM.atoms(&[[x, middle], [y, y + w]]);
         parts.extend(FILM.atoms(&[[middle, x + w], [y, y + w]]));
-        let by_key = |atoms: &[stemgen::structure::carbon::film::FilmAtom]| -> HashMap<u64, [u64; 3]> {
+        let by_key = |atoms: &[stemgen::structure::carbon::carbon_film::FilmAtom]| -> HashMap<u64, [u64; 3]> {
             atoms.iter().map(|a| (a.key, a.position.map(f64::to_bits))).collect()
         };
         prop_assert_eq!(whole.len(), parts.len());

@@ -7,13 +7,15 @@
 mod common;
 #[path = "common/python.rs"]
 mod python;
+#[path = "common/skipped.rs"]
+mod skipped;
 
 use std::ffi::OsStr;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use common::{Spots, build};
+use skipped::skipped;
 use stemgen::progress::Silent;
 use stemgen::recipe::{Difficulty, Recipe};
 use stemgen::world::BuildOptions;
@@ -33,9 +35,7 @@ fn browser() -> bool {
     let told = String::from_utf8_lossy(&run.stdout).trim().to_owned();
     let required = std::env::var_os("STEMGEN_REQUIRE_BROWSER").is_some();
     assert!(!required, "{told}: apt-get install chromium chromium-driver");
-    // Straight to standard error: the test harness keeps the words of tests that pass to itself.
-    let message = format!("SKIPPED, the page was not opened: {told}\n");
-    std::io::stderr().write_all(message.as_bytes()).unwrap();
+    skipped(&format!("the page was not opened: {told}"));
     false
 }
 

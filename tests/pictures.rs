@@ -2,7 +2,7 @@
 
 use std::path::Path;
 use stemgen::Error;
-use stemgen::render::{Colormap, Contrast, Enlarge, Marker, Picture, Shape};
+use stemgen::render::{Colormap, Contrast, Enlarge, Marker, MarkerShape, Picture};
 
 fn decode(path: &Path) -> (usize, usize, Vec<u8>) {
     let file = std::io::BufReader::new(std::fs::File::open(path).unwrap());
@@ -103,7 +103,8 @@ fn markers_stand_on_their_pixel() {
     let mut picture = Picture::new(&values, [50, 40]).unwrap();
     picture.max_side = 500;
     let red = [255, 0, 0];
-    let marker = Marker { position: [30.0, 10.0], radius: 3.0, shape: Shape::Cross, color: red };
+    let marker =
+        Marker { position: [30.0, 10.0], radius: 3.0, shape: MarkerShape::Cross, color: red };
     picture.markers = vec![marker];
     let image = picture.render().unwrap();
     let at = |x: usize, y: usize| {
@@ -112,7 +113,7 @@ fn markers_stand_on_their_pixel() {
     };
     assert_eq!(at(104, 304)[1..], [0, 0]);
     assert!(at(104, 304)[0] > 250 && at(110, 310)[0] > 200);
-    picture.markers[0].shape = Shape::Circle;
+    picture.markers[0].shape = MarkerShape::Circle;
     let image = picture.render().unwrap();
     let red_at = |x: usize, y: usize| image.pixels[3 * (y * image.width + x)] > 160;
     assert!(red_at(134, 304) && red_at(104, 274) && !red_at(104, 304));
@@ -152,7 +153,7 @@ fn pictures_to_look_at() {
         picture.pixel_angstrom = Some(pixel);
         for i in 0..3 {
             let position = [spacing * (i as f64 + 0.5), spacing * 1.5];
-            let shape = if i == 1 { Shape::Cross } else { Shape::Circle };
+            let shape = if i == 1 { MarkerShape::Cross } else { MarkerShape::Circle };
             let color = [255, 90, 60];
             picture.markers.push(Marker { position, radius: spacing / 4.0, shape, color });
         }

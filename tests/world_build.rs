@@ -165,7 +165,7 @@ fn a_world_is_replaced_only_when_told_so() {
     let path = folder.path().join("w.h5");
     std::fs::write(&path, "precious").unwrap();
     let refused = build(&recipe(1, 1), &Spots::new(), &path, &options(), &Silent).unwrap_err();
-    assert!(refused.to_string().contains("--overwrite"), "{refused}");
+    assert!(refused.to_string().contains("allow overwriting"), "{refused}");
     assert_eq!(std::fs::read(&path).unwrap(), b"precious");
     let options = BuildOptions { overwrite: true, ..options() };
     build(&recipe(1, 1), &Spots::new(), &path, &options, &Silent).unwrap();

@@ -213,7 +213,7 @@ fn other_crystals_make_grains() {
             .replace("[boundaries.min_distance_angstrom]\nCe-Ce = 3.0\n", "");
         let mut table: toml::Table = toml::from_str(&text).unwrap();
         ["vacancies", "substitutions"].iter().for_each(|t| drop(table.remove(*t)));
-        let structure = stemgen::structure::library::crystal(crystal).unwrap();
+        let structure = stemgen::structure::crystals::crystal(crystal).unwrap();
         let symbols = structure.atoms.iter().map(|a| elements::symbol(a.number).to_owned());
         let sigmas: toml::Table = symbols.map(|s| (s, toml::Value::Float(0.07))).collect();
         table["phonons"]["sigma_angstrom"] = toml::Value::Table(sigmas);

@@ -1,8 +1,8 @@
 //! `stemgen audit`.
 
 use super::common::Common;
+use super::plan_report::Lines;
 use super::recipe_args::RecipeArgs;
-use super::show::Lines;
 use super::values;
 use anyhow::bail;
 use clap::Args;

@@ -3,9 +3,9 @@
 use super::build_plan::DryRun;
 use super::common::Common;
 use super::hints::hinted;
+use super::plan_report::Lines;
 use super::recipe_args::RecipeArgs;
-use super::show::Lines;
-use super::values::{self, Engine};
+use super::values::{self, EngineName as Engine};
 use super::{output, pictures, text};
 use clap::{Args, ValueEnum};
 use serde::Serialize;

@@ -1,6 +1,6 @@
 //! What `stemgen build` would do and take.
 
-use super::show::{Lines, PlanReport};
+use super::plan_report::{Lines, PlanReport};
 use super::{estimate, text};
 use serde::Serialize;
 use std::path::PathBuf;

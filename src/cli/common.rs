@@ -1,6 +1,6 @@
 //! Options that all subcommands share.
 
-use super::progress::Reporter;
+use super::progress_bar::Reporter;
 use anyhow::Context;
 use clap::Args;
 

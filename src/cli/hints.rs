@@ -1,9 +1,9 @@
 //! Errors on standard error, each with a hint.
 
-use super::progress::INTERRUPTED;
+use super::progress_bar::INTERRUPTED;
 use super::text;
 use std::process::ExitCode;
-use stemgen::Error;
+use stemgen::{Error, Setting};
 
 /// A failure together with what to do about it.
 #[derive(Debug)]
@@ -36,7 +36,11 @@ pub fn report(error: &anyhow::Error, subcommand: &str) -> ExitCode {
     let known = error.chain().find_map(|e| e.downcast_ref::<Error>());
     let hint = own.or_else(|| known.and_then(hint));
     let fallback = || format!("`stemgen {subcommand} --help` explains every option");
-    text::complain(&format!("error: {error:#}"));
+    let option = match error.downcast_ref::<Error>() {
+        Some(Error::Set { .. }) => "--set ",
+        _ => "",
+    };
+    text::complain(&format!("error: {option}{error:#}"));
     text::complain(&format!("hint: {}", hint.unwrap_or_else(fallback)));
     match known {
         Some(Error::Interrupted) => ExitCode::from(INTERRUPTED),
@@ -58,7 +62,9 @@ fn hint(error: &Error) -> Option<String> {
             Some("--output names another place".into())
         }
         Error::UnknownElement(_) => Some("elements H to Lr can be simulated".into()),
-        Error::Invalid { what, .. } => Some(format!("see {}", flag(what)?)),
+        Error::Invalid { setting, .. } | Error::Choice { setting, .. } => {
+            Some(format!("see {}", options(*setting)?))
+        }
         Error::DetectorBeyondBandLimit { needed_angstrom, .. } => Some(format!(
             "--sampling {:.4} (or no --sampling at all) carries it; --allow-empty-angles goes on \
              with that part of the detector empty",
@@ -66,6 +72,7 @@ fn hint(error: &Error) -> Option<String> {
         )),
         Error::Hdf5 { .. } => Some("is the disk full, or the file open elsewhere?".into()),
         Error::Interrupted => Some("nothing was written; run the same command again".into()),
+        _ => None,
     }
 }
 
@@ -86,31 +93,102 @@ fn io_hint(source: &std::io::Error, action: &str) -> Option<&'static str> {
     }
 }
 
-/// The option behind a setting of the library.
-fn flag(what: &str) -> Option<&'static str> {
-    Some(match what {
-        "energy (keV)" => "--energy",
-        "semiangle (mrad)" => "--semiangle, or --sampling for a finer grid",
-        "detector" | "detectors" | "detector name" => "--detector",
-        "sampling (A)" => "--sampling",
-        "gpts" => "--gpts",
-        "slice thickness (A)" => "--slice-thickness",
-        "band fraction" => "--band-fraction",
-        "band taper" => "--band-taper",
-        "oversampling" => "--oversampling",
-        "phonon configurations" => "--phonons",
-        "interpolation" => "--interpolation",
-        "window (A)" => "--window",
-        "thickness (A)" => "--thicknesses, and --repeat for a thicker specimen",
-        "output" => "--output and --overwrite",
-        "zone" | "cell" => "--zone and --up",
-        "up" => "--up",
-        "repeat" | "number of atoms in the supercell" => "--repeat",
-        "grid" => "--grid",
-        "sub-tile (nm)" => "--subtile and --subtile-overlap",
-        "case" => "--case, and --list for what there is",
-        "alpha" => "--alpha",
-        "material" => "MATERIAL, and --recipe for a recipe of your own",
-        _ => return None,
-    })
+/// The options that mend a setting of the library, if there are any. Exhaustive, so that the compiler
+/// finds a setting that was forgotten.
+fn options(setting: Setting) -> Option<&'static str> {
+    use Setting as S;
+    match setting {
+        S::EnergyKev => Some("--energy"),
+        S::SemiangleMrad => Some("--semiangle, or --sampling for a finer grid"),
+        S::Aberration => Some("--aberration"),
+        S::Detector | S::DetectorName | S::Detectors => Some("--detector"),
+        S::Zone => Some("--zone and --up"),
+        S::Cell => Some("--zone u,v,w and --up, which build such a box"),
+        S::Up => Some("--up"),
+        S::Repeat | S::SupercellAtoms => Some("--repeat"),
+        S::ThermalSigma => Some("--sigma, such as --sigma Sr=0.084,O=0.085"),
+        S::Algorithm => Some("--engine"),
+        S::Gpts => Some("--gpts"),
+        S::SamplingAngstrom => Some("--sampling"),
+        S::SliceThicknessAngstrom | S::SliceSpanAngstrom => Some("--slice-thickness"),
+        S::ThicknessAngstrom => Some("--thicknesses, and --repeat for a thicker specimen"),
+        S::AngleMargin => Some("--angle-margin"),
+        S::BandFraction => Some("--band-fraction"),
+        S::BandTaper => Some("--band-taper"),
+        S::ExpansionPercent => Some("--expansion"),
+        S::Oversampling => Some("--oversampling"),
+        S::PhononConfigurations => Some("--phonons"),
+        S::ProbeBox => Some("--probe-box"),
+        S::Interpolation => Some("--interpolation"),
+        S::WindowAngstrom => Some("--window"),
+        S::AccuracyPercent => Some("--accuracy, --window and --engine"),
+        S::Material => Some("MATERIAL, and --recipe for a recipe of your own"),
+        S::Difficulty => Some("--difficulty"),
+        S::Grid => Some("--grid"),
+        S::Alloy
+        | S::AlloyRate
+        | S::AlloyEndMember
+        | S::BoundaryCount
+        | S::BoundarySigma
+        | S::Domains
+        | S::DomainCrystal
+        | S::Particles
+        | S::ParticleCount
+        | S::ParticleDiameterNm
+        | S::VacancyRate => Some("--set, which changes a value of the recipe"),
+        S::BuildProfile => Some("--profile"),
+        S::Dose => Some("--set dose.electrons_per_angstrom2=..."),
+        S::SubtileNm => Some("--subtile and --subtile-overlap"),
+        S::LargestErrorPercent => {
+            Some("--max-error, --engine multislice, and --engine prism --interpolation 1")
+        }
+        S::AuditedRegionNm => Some("--size"),
+        S::AuditCentreNm => Some("--at"),
+        S::VacuumAngstrom => Some("--vacuum"),
+        S::Output => Some("--output and --overwrite"),
+        S::CleanImage => Some("--keep-clean of `stemgen build`"),
+        S::DataSet => Some("--dataset NAME, which chooses one"),
+        S::ImageAxes => Some("--axes xy or --axes yx; leave it out where the file tells the order"),
+        S::ImageIndex => Some("--index"),
+        S::ImageUnits => Some("--units percent and --units fitted"),
+        S::WorldFile => Some(
+            "`stemgen build`, which writes worlds; `stemgen simulate` draws its images with --png and --html",
+        ),
+        S::Region => Some("--region"),
+        S::LongestSidePixels => Some("--size"),
+        S::Colormap => Some("--colormap"),
+        S::ContrastPercentiles => Some("--contrast"),
+        S::Case => Some("--case, and --list for what there is"),
+        S::Alpha => Some("--alpha"),
+        S::StructureFile
+        | S::Crystal
+        | S::Occupancy
+        | S::SiteOccupancy
+        | S::ClusterDiameterNm
+        | S::CellAngstrom
+        | S::CellHeightAngstrom
+        | S::Pattern
+        | S::SampleStepAngstrom
+        | S::Recipe
+        | S::CrystalSites
+        | S::ColumnSites
+        | S::EngineMarginAngstrom
+        | S::EngineImageShape
+        | S::Intensity
+        | S::TilePixels
+        | S::Library
+        | S::SitesInFile
+        | S::SiteRange
+        | S::ContrastRange
+        | S::PixelAngstrom
+        | S::Images
+        | S::ImageShape
+        | S::ImageValue
+        | S::MarkerPosition
+        | S::Page
+        | S::Figure
+        | S::Reference
+        | S::ScatteringFactor
+        | S::PixelSizeNm => None,
+    }
 }

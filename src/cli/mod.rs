@@ -3,29 +3,29 @@
 mod audit_command;
 mod build_command;
 mod build_plan;
-mod cache;
+mod cache_command;
 mod common;
-mod compare;
+mod compare_command;
 mod estimate;
 mod hints;
-mod imaging;
-mod list;
+mod imaging_args;
+mod list_command;
 mod output;
 mod pictures;
+mod plan_report;
 mod plane_wave;
-mod progress;
+mod progress_bar;
 mod recipe_args;
-mod scan;
-mod show;
-mod show_recipe;
-mod simulate;
-mod specimen;
+mod scan_args;
+mod show_recipe_command;
+mod simulate_command;
+mod specimen_command;
 mod structure_args;
 mod text;
-mod validate;
+mod validate_command;
 mod validate_reference;
 mod values;
-mod view;
+mod view_command;
 mod view_picture;
 
 use clap::{Parser, Subcommand};
@@ -52,16 +52,16 @@ Examples:
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    Simulate(Box<simulate::Simulate>),
+    Simulate(Box<simulate_command::Simulate>),
     Build(Box<build_command::Build>),
-    Specimen(Box<specimen::SpecimenCommand>),
-    View(Box<view::View>),
+    Specimen(Box<specimen_command::SpecimenCommand>),
+    View(Box<view_command::View>),
     Audit(Box<audit_command::AuditCommand>),
-    Cache(Box<cache::CacheCommand>),
-    Validate(Box<validate::Validate>),
-    Compare(Box<compare::Compare>),
-    List(Box<list::List>),
-    ShowRecipe(Box<show_recipe::ShowRecipe>),
+    Cache(Box<cache_command::CacheCommand>),
+    Validate(Box<validate_command::Validate>),
+    Compare(Box<compare_command::Compare>),
+    List(Box<list_command::List>),
+    ShowRecipe(Box<show_recipe_command::ShowRecipe>),
 }
 
 /// Runs the program and reports what went wrong.

@@ -8,7 +8,7 @@ use stemgen::Error;
 /// Refuses what could not be written at the end: folders, existing files, unwritable places. Makes
 /// the folder if there is none.
 pub fn check(path: &Path, overwrite: bool) -> anyhow::Result<()> {
-    let refuse = |why| Err(Error::invalid("output", path.display(), why).into());
+    let refuse = |why| Err(Error::invalid(stemgen::Setting::Output, path.display(), why).into());
     if path.is_dir() {
         return refuse("is a folder; name a file in it");
     }

@@ -73,8 +73,8 @@ fn resampled(image: ArrayView2<f32>, [x, y]: [f64; 2]) -> (Array2<f32>, f64) {
     (interpolate(along_x.t(), size[0]).reversed_axes(), pixel)
 }
 
-/// The rows of an image with `size` pixels each, by Lanczos interpolation over three pixels: near
-/// what belongs to an image sampled at its Nyquist limit.
+/// The image (rows = y, columns = x) with `size` columns and as many rows as before, in its own unit,
+/// by Lanczos interpolation over three pixels: near what belongs to an image sampled at its Nyquist limit.
 pub fn interpolate(image: ArrayView2<f32>, size: usize) -> Array2<f32> {
     let (rows, columns) = image.dim();
     let mut out = Array2::zeros((rows, size));

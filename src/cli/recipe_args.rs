@@ -33,7 +33,7 @@ pub struct RecipeArgs {
 }
 
 /// How a world was made.
-pub struct Made {
+pub struct WorldEngine {
     /// Name of the engine.
     pub engine: String,
     /// Its settings.
@@ -54,7 +54,7 @@ impl RecipeArgs {
     }
 
     /// The same, or the recipe of a world file named in place of a material, and how that world was made.
-    pub fn resolve_or_world(&self) -> anyhow::Result<(CheckedRecipe, Option<Made>)> {
+    pub fn resolve_or_world(&self) -> anyhow::Result<(CheckedRecipe, Option<WorldEngine>)> {
         let file = self.material.as_ref().map(PathBuf::from);
         let Some(file) = file.filter(|f| f.extension().is_some_and(|e| e == "h5" || e == "hdf5"))
         else {
@@ -81,7 +81,7 @@ impl RecipeArgs {
             format!("{}: engine_parameters are not those of this program", file.display())
         })?;
         let made = metadata.engine.clone().zip(settings);
-        Ok((recipe, made.map(|(engine, settings)| Made { engine, settings })))
+        Ok((recipe, made.map(|(engine, settings)| WorldEngine { engine, settings })))
     }
 
     fn chosen(&self) -> anyhow::Result<Recipe> {

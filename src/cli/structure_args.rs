@@ -1,12 +1,12 @@
 //! Options that prepare the specimen.
 
-use super::values::{self, Sigmas};
-use anyhow::{Context, bail};
+use super::values;
+use anyhow::bail;
 use clap::Args;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use stemgen::engine::{Phonons, Site};
-use stemgen::structure::{self, Structure, elements};
+use stemgen::structure::{self, Sigmas, elements};
 
 /// The specimen.
 #[derive(Debug, Args)]
@@ -88,7 +88,7 @@ impl SpecimenArgs {
             bail!("{}: no atoms to simulate", file.display());
         }
         let size = structure.orthogonal_box()?;
-        let sites = self.sites(&structure)?;
+        let sites = structure.sites(self.sigma.as_ref().unwrap_or(&Sigmas::None))?;
         let heights = sites.iter().map(|s| s.position[2]).collect();
         Ok(Prepared { size, sites, heights })
     }
@@ -96,29 +96,6 @@ impl SpecimenArgs {
     /// The settings of the phonons.
     pub fn phonons(&self) -> Option<Phonons> {
         self.phonons.map(|configurations| Phonons { configurations, seed: self.seed })
-    }
-
-    fn sites(&self, structure: &Structure) -> anyhow::Result<Vec<Site>> {
-        let site = |(key, atom): (usize, &structure::Atom)| {
-            Ok(Site {
-                position: atom.position,
-                number: atom.number,
-                sigma_angstrom: self.sigma_of(atom.number)?,
-                key: key as u64,
-            })
-        };
-        structure.atoms.iter().enumerate().map(site).collect()
-    }
-
-    fn sigma_of(&self, number: u8) -> anyhow::Result<f64> {
-        match &self.sigma {
-            None => Ok(0.0),
-            Some(Sigmas::All(sigma)) => Ok(*sigma),
-            Some(Sigmas::ByElement(map)) => map.get(&number).copied().with_context(|| {
-                let symbol = elements::symbol(number);
-                format!("--sigma has no value for {symbol}; add {symbol}=..., in A")
-            }),
-        }
     }
 }
 

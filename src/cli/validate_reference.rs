@@ -1,10 +1,10 @@
 //! Comparison with an image of another program.
 
 use super::hints::hinted;
-use super::imaging::{self, MicroscopeArgs, NumericsArgs};
-use super::progress::Reporter;
-use super::scan::ScanArgs;
-use super::show::{self, Lines, PlanReport};
+use super::imaging_args::{self, MicroscopeArgs, NumericsArgs};
+use super::plan_report::{self, Lines, PlanReport};
+use super::progress_bar::Reporter;
+use super::scan_args::ScanArgs;
 use super::structure_args::{Prepared, SpecimenArgs};
 use super::values;
 use anyhow::{anyhow, bail};
@@ -14,7 +14,7 @@ use stemgen::engine::{GridChoice, Plan, Scan, Settings};
 use stemgen::io::arrays::{self, ForeignArray};
 use stemgen::progress::Progress;
 use stemgen::validate::golden::like_abtem;
-use stemgen::validate::user::{self, Comparison, Order, Reference, Units};
+use stemgen::validate::user::{self, ImageComparison, Order, Reference, ValueUnits};
 use stemgen::validate::{Lab, Outcome};
 
 /// abTEM's slice thickness unless another is asked for, in Angstrom.
@@ -89,7 +89,7 @@ pub struct PreparedReference {
     specimen: Prepared,
     plan: Plan,
     scan: Scan,
-    units: Units,
+    units: ValueUnits,
     tolerance: f64,
     source: String,
     remedy: Option<String>,
@@ -123,7 +123,7 @@ impl ReferenceArgs {
         let numerics: NumericsArgs = self.numerics.map_or_else(defaults, Ok)?;
         let specimen = specimen_args.prepare(structure)?;
         let phonons = specimen_args.phonons();
-        let mut settings = imaging::settings(&microscope, &numerics, phonons, Vec::new())?;
+        let mut settings = imaging_args::settings(&microscope, &numerics, phonons, Vec::new())?;
         if settings.detectors.len() > 1 {
             let fault = anyhow!("{} detectors for one reference", settings.detectors.len());
             return Err(hinted(
@@ -135,7 +135,8 @@ impl ReferenceArgs {
         if self.like_abtem {
             settings = abtem_settings(&settings, &numerics, specimen.size)?;
         }
-        let warning = imaging::choose_window(numerics.accuracy, &mut settings, specimen.size[2])?;
+        let warning =
+            imaging_args::choose_window(numerics.accuracy, &mut settings, specimen.size[2])?;
         let plan = Plan::new(&settings, specimen.size, &specimen.heights)?;
         plan.warnings.iter().chain(&warning).for_each(|w| reporter.warn(w));
         let size = [specimen.size[0], specimen.size[1]];
@@ -150,9 +151,9 @@ impl ReferenceArgs {
         let pixels = asked.map(|s| [s.shape[1], s.shape[0]]);
         let mut reference = user::reference(&array, order, &self.index, pixels)?;
         let units = match self.units {
-            UnitsName::Fraction => Units::Fraction,
-            UnitsName::Percent => Units::Percent,
-            UnitsName::Fitted => Units::Fitted,
+            UnitsName::Fraction => ValueUnits::Fraction,
+            UnitsName::Percent => ValueUnits::Percent,
+            UnitsName::Fitted => ValueUnits::Fitted,
         };
         user::in_fractions(&array, &mut reference.data, units)?;
         let scan = match scan_args {
@@ -303,7 +304,7 @@ impl PreparedReference {
         lines.add("reference", self.source.clone());
         lines.add("atoms", self.specimen.sites.len().to_string());
         report.lines(&mut lines);
-        lines.add("probes", show::scan(&self.scan));
+        lines.add("probes", plan_report::scan(&self.scan));
         report.costs(&mut lines);
         (report, lines.text())
     }
@@ -322,11 +323,11 @@ impl PreparedReference {
             settings.optics.energy_ev / 1e3,
             settings.optics.semiangle_mrad,
             serde_json::to_string(settings)?,
-            show::scan(&self.scan),
+            plan_report::scan(&self.scan),
         );
         let probes = self.scan.len();
         reporter.start("simulating", "probes", probes as u64);
-        let comparison = Comparison {
+        let comparison = ImageComparison {
             plan: &self.plan,
             sites: &self.specimen.sites,
             scan: &self.scan,

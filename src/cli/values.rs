@@ -9,7 +9,7 @@ use stemgen::optics::Aberration;
 use stemgen::potential::projected::Projection;
 use stemgen::potential::scattering::Parametrization;
 use stemgen::recipe::Difficulty;
-use stemgen::structure::elements;
+use stemgen::structure::{LARGEST_SIGMA_ANGSTROM, Sigmas, elements};
 
 type Parsed<T> = Result<T, String>;
 
@@ -124,23 +124,12 @@ pub fn detector(text: &str) -> Parsed<Detector> {
     }
 }
 
-/// Standard deviations of thermal displacements in Angstrom.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Sigmas {
-    /// The same for all elements.
-    All(f64),
-    /// By atomic number.
-    ByElement(BTreeMap<u8, f64>),
-}
-
-/// Largest standard deviation accepted, in Angstrom: above, the crystal has melted.
-const LARGEST_SIGMA: f64 = 1.0;
-
-/// `0.08` or `Sr=0.084,O=0.085`.
+/// Standard deviations of thermal displacements in Angstrom: `0.08` or `Sr=0.084,O=0.085`.
 pub fn sigmas(text: &str) -> Parsed<Sigmas> {
     let sigma = |text: &str| {
-        let value = finite(text).ok().filter(|v| (0.0..=LARGEST_SIGMA).contains(v));
-        value.ok_or_else(|| format!("`{text}`: write a length from 0 to {LARGEST_SIGMA} A"))
+        let value = finite(text).ok().filter(|v| (0.0..=LARGEST_SIGMA_ANGSTROM).contains(v));
+        value
+            .ok_or_else(|| format!("`{text}`: write a length from 0 to {LARGEST_SIGMA_ANGSTROM} A"))
     };
     if !text.contains('=') {
         return Ok(Sigmas::All(sigma(text)?));
@@ -159,7 +148,7 @@ pub fn sigmas(text: &str) -> Parsed<Sigmas> {
 
 /// Engines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Engine {
+pub enum EngineName {
     /// Every probe on the full grid: exact
     Multislice,
     /// Probes put together from plane waves; exact with --interpolation 1

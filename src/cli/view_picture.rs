@@ -1,14 +1,14 @@
 //! The pictures of `stemgen view`: a part of a world, and what the truth knows of it.
 
 use super::hints::hinted;
-use super::pictures;
-use super::view::{Overlay, View};
+use super::{pictures, values};
 use anyhow::anyhow;
+use clap::{Args, ValueEnum};
 use ndarray::Array2;
 use std::collections::BTreeMap;
 use std::ops::Range;
 use stemgen::io::{ParticleBatch, WorldColumn, WorldFile};
-use stemgen::render::{Contrast, Picture, RgbImage, Scene, Swatch, palette};
+use stemgen::render::{Colormap, Contrast, Picture, RgbImage, Scene, Swatch, palette};
 
 /// Rows that are read at a time.
 const ROWS_AT_ONCE: usize = 512;
@@ -17,11 +17,72 @@ const WASH: f64 = 0.3;
 const CYAN: [u8; 3] = [86, 220, 233];
 const YELLOW: [u8; 3] = [240, 228, 66];
 
+/// Longest side of a picture in pixels.
+const SIDES: std::ops::RangeInclusive<i64> = 64..=16_384;
+
+/// What a picture of a world shows, and how.
+#[derive(Debug, Args)]
+pub struct PictureArgs {
+    /// The noiseless image, of a world built with --keep-clean
+    #[arg(long)]
+    pub clean: bool,
+    /// Colours
+    #[arg(long, value_name = "NAME", default_value = "gray")]
+    pub colormap: ColormapName,
+    /// Percentiles of the image that become the first and the last colour
+    #[arg(long, value_name = "LOW,HIGH", default_value = "0.1,99.9")]
+    #[arg(value_parser = values::percentiles)]
+    pub contrast: Values,
+    /// What is drawn over the image (comma between several)
+    #[arg(long, value_name = "WHAT", value_delimiter = ',')]
+    pub overlay: Vec<Overlay>,
+    /// Longest side of the picture in pixels, without the legend
+    #[arg(long, value_name = "PIXELS", default_value_t = 1600, conflicts_with = "html")]
+    #[arg(value_parser = clap::value_parser!(u32).range(SIDES))]
+    pub size: u32,
+}
+
+/// Two numbers of one option.
+pub type Values = [f64; 2];
+
+/// Colours of a picture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum ColormapName {
+    Gray,
+    Viridis,
+    Inferno,
+    Magma,
+}
+
+impl From<ColormapName> for Colormap {
+    fn from(name: ColormapName) -> Self {
+        match name {
+            ColormapName::Gray => Colormap::Gray,
+            ColormapName::Viridis => Colormap::Viridis,
+            ColormapName::Inferno => Colormap::Inferno,
+            ColormapName::Magma => Colormap::Magma,
+        }
+    }
+}
+
+/// What is drawn over an image.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Overlay {
+    /// Columns with vacant or substituted sites: rings, or a tint where columns are too small
+    Defects,
+    /// Phases, and the boundaries of phases and grains
+    Phases,
+    /// Particles
+    Particles,
+    /// All atomic columns
+    Columns,
+}
+
 /// A column and its position from the upper left corner of the picture in nm.
 type Placed = ([f64; 2], WorldColumn);
 
 /// Some pixels of a world.
-pub struct Part {
+pub struct WorldPart {
     /// Rows.
     pub rows: Range<usize>,
     /// Columns.
@@ -30,8 +91,8 @@ pub struct Part {
     pub pixel_nm: f64,
 }
 
-impl Part {
-    pub fn picture(&self, view: &View, world: &WorldFile) -> anyhow::Result<RgbImage> {
+impl WorldPart {
+    pub fn picture(&self, view: &PictureArgs, world: &WorldFile) -> anyhow::Result<RgbImage> {
         let (image, pixel_nm, contrast) = self.image(view, world)?;
         let (rows, columns) = image.dim();
         let values: Vec<f32> = image.into_iter().collect();
@@ -53,7 +114,7 @@ impl Part {
     /// The image, averaged or enlarged to about the wanted size, its pixel in nm, and its contrast.
     fn image(
         &self,
-        view: &View,
+        view: &PictureArgs,
         world: &WorldFile,
     ) -> anyhow::Result<(Array2<f32>, f64, Contrast)> {
         let [low, high] = view.contrast;
@@ -112,7 +173,7 @@ impl Part {
     }
 
     /// The columns in the picture, if they are to be drawn.
-    fn placed_columns(&self, view: &View, world: &WorldFile) -> anyhow::Result<Vec<Placed>> {
+    fn placed_columns(&self, view: &PictureArgs, world: &WorldFile) -> anyhow::Result<Vec<Placed>> {
         if !view.overlay.iter().any(|o| matches!(o, Overlay::Columns | Overlay::Defects)) {
             return Ok(Vec::new());
         }

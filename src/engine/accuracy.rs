@@ -65,16 +65,16 @@ pub fn window_for(
             "windows are for detectors that begin at {least:.0} mrad (two semiangles) or more; use \
              the engine multislice or prism"
         );
-        return Err(Error::invalid("detector", value, expected));
+        return Err(Error::invalid(crate::Setting::Detector, value, expected));
     }
     let fits = MEASURED.iter().find(|(error, _)| accuracy_percent >= *error);
     let Some(&(_, base)) = fits.filter(|_| accuracy_percent.is_finite()) else {
         let best = MEASURED[MEASURED.len() - 1].0;
         let expected = format!(
             "windows were measured to be right to {best} % at best; use the engine multislice, or \
-             --window with a width of your own"
+             a window of a width of your own"
         );
-        return Err(Error::invalid("accuracy (%)", accuracy_percent, expected));
+        return Err(Error::invalid(crate::Setting::AccuracyPercent, accuracy_percent, expected));
     };
     let wavelength = optics.wavelength_angstrom();
     // The probe's size goes with wavelength over semiangle.

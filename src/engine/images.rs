@@ -146,7 +146,11 @@ pub fn diffraction(
     progress: &dyn Progress,
 ) -> Result<Array2<f32>> {
     if matches!(plan.settings.algorithm, Algorithm::Prism { .. }) {
-        return Err(Error::invalid("algorithm", "prism", "use multislice for single patterns"));
+        return Err(Error::invalid(
+            crate::Setting::Algorithm,
+            "prism",
+            "use multislice for single patterns",
+        ));
     }
     let builder = TransmissionBuilder::new(plan, &elements(sites))?;
     let transmission = builder.build(sites, 0, progress)?;
@@ -155,7 +159,7 @@ pub fn diffraction(
     let last = patterns.into_iter().next_back().unwrap_or_default();
     let shape = plan.wave_grid.shape();
     Array2::from_shape_vec(shape, last)
-        .map_err(|e| Error::invalid("pattern", e, "has the shape of the wave grid"))
+        .map_err(|e| Error::invalid(crate::Setting::Pattern, e, "has the shape of the wave grid"))
 }
 
 /// The exit wave of a plane wave along the beam through one phonon configuration, on the plan's
@@ -170,7 +174,11 @@ pub fn exit_wave(
     progress: &dyn Progress,
 ) -> Result<Array2<Complex32>> {
     if plan.wave_grid != plan.transmission_grid {
-        return Err(Error::invalid("algorithm", "window", "use multislice for plane waves"));
+        return Err(Error::invalid(
+            crate::Setting::Algorithm,
+            "window",
+            "use multislice for plane waves",
+        ));
     }
     let builder = TransmissionBuilder::new(plan, &elements(sites))?;
     let transmission = builder.build(sites, configuration, progress)?;

@@ -32,19 +32,7 @@ pub use settings::{
 };
 pub use speed::{Speed, measure_speed};
 
-/// A lattice site as the engine sees it: where it is on average, and how it vibrates.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Site {
-    /// Mean position in Angstrom, in the frame of the simulated box; the beam runs along +z.
-    pub position: [f64; 3],
-    /// Atomic number.
-    pub number: u8,
-    /// Standard deviation of each Cartesian component of the thermal displacement, in Angstrom.
-    pub sigma_angstrom: f64,
-    /// Names the site for the random numbers: its displacement in configuration `c` depends on
-    /// (seed, c, key) only, whichever box the site is simulated in.
-    pub key: u64,
-}
+pub use crate::structure::Site;
 
 /// A rectangular raster of probe positions: `origin + (column, row) * step`.
 #[derive(Debug, Clone, Copy, PartialEq)]

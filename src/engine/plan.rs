@@ -107,7 +107,11 @@ impl Plan {
         settings.validate()?;
         if cell_angstrom.iter().any(|l| !(*l > 0.0 && l.is_finite())) {
             let value = format!("{cell_angstrom:?}");
-            return Err(Error::invalid("cell (A)", value, "edges must be positive"));
+            return Err(Error::invalid(
+                crate::Setting::CellAngstrom,
+                value,
+                "edges must be positive",
+            ));
         }
         let slices = Slices::new(settings.slicing, cell_angstrom[2], z)?;
         let extent = [cell_angstrom[0], cell_angstrom[1]];
@@ -287,7 +291,7 @@ impl Plan {
                 "must lie inside the grid's band limit of {:.1} mrad; use a finer sampling",
                 self.band_limit_mrad
             );
-            return Err(Error::invalid("semiangle (mrad)", semiangle, expected));
+            return Err(Error::invalid(crate::Setting::SemiangleMrad, semiangle, expected));
         }
         Ok(())
     }
@@ -318,7 +322,7 @@ fn choose_grid(settings: &Settings, extent: [f64; 2], multiple: [usize; 2]) -> R
                     let value = format!("{},{}", points[0], points[1]);
                     let expected = "needs at least 8 points along each axis, in multiples of the \
                                     interpolation factor";
-                    return Err(Error::invalid("gpts", value, expected));
+                    return Err(Error::invalid(crate::Setting::Gpts, value, expected));
                 }
             }
             points
@@ -333,14 +337,18 @@ fn choose_grid(settings: &Settings, extent: [f64; 2], multiple: [usize; 2]) -> R
             };
             if !(1e-4..10.0).contains(&sampling) {
                 let expected = "must be between 0.0001 and 10";
-                return Err(Error::invalid("sampling (A)", sampling, expected));
+                return Err(Error::invalid(crate::Setting::SamplingAngstrom, sampling, expected));
             }
             [0, 1].map(|i| good_size((extent[i] / sampling - 1e-3).ceil() as usize, multiple[i]))
         }
     };
     if points.iter().any(|&n| n > 1 << 16) {
         let value = format!("{},{}", points[0], points[1]);
-        return Err(Error::invalid("gpts", value, "at most 65536; simulate a smaller cell"));
+        return Err(Error::invalid(
+            crate::Setting::Gpts,
+            value,
+            "at most 65536; simulate a smaller cell",
+        ));
     }
     Ok(Grid { points, extent_angstrom: extent })
 }
@@ -441,7 +449,7 @@ fn record_after(thicknesses: &[f64], slices: &Slices) -> Result<Vec<usize>> {
         if !(t > 0.0 && t <= slices.thickness() + 1e-6) {
             let expected =
                 format!("must be above 0 and at most the thickness, {:.3} A", slices.thickness());
-            return Err(Error::invalid("thickness (A)", t, expected));
+            return Err(Error::invalid(crate::Setting::ThicknessAngstrom, t, expected));
         }
         let exit = slices.entrance() + t;
         let distance = |i: &usize| (slices.boundaries[i + 1] - exit).abs();

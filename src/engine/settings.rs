@@ -221,57 +221,77 @@ impl Settings {
     pub fn validate(&self) -> Result<()> {
         self.optics.validate()?;
         if !(1.0..=3.0).contains(&self.angle_margin) {
-            return Err(Error::invalid("angle margin", self.angle_margin, "must be from 1 to 3"));
+            return Err(Error::invalid(
+                crate::Setting::AngleMargin,
+                self.angle_margin,
+                "must be from 1 to 3",
+            ));
         }
         if self.detectors.is_empty() {
-            return Err(Error::invalid("detectors", "none", "give at least one"));
+            return Err(Error::invalid(crate::Setting::Detectors, "none", "give at least one"));
         }
         for (i, d) in self.detectors.iter().enumerate() {
             if !(d.inner_mrad >= 0.0 && d.outer_mrad > d.inner_mrad && d.outer_mrad.is_finite()) {
                 let value = format!("{} = {}-{} mrad", d.name, d.inner_mrad, d.outer_mrad);
-                return Err(Error::invalid("detector", value, "needs 0 <= inner < outer"));
+                return Err(Error::invalid(
+                    crate::Setting::Detector,
+                    value,
+                    "needs 0 <= inner < outer",
+                ));
             }
             if self.detectors[..i].iter().any(|e| e.name == d.name) {
-                return Err(Error::invalid("detector name", &d.name, "is used twice"));
+                return Err(Error::invalid(crate::Setting::DetectorName, &d.name, "is used twice"));
             }
         }
         if !(0.1..=0.95).contains(&self.band_fraction) {
             let expected = "must be between 0.1 and 0.95; 2/3 excludes aliasing";
-            return Err(Error::invalid("band fraction", self.band_fraction, expected));
+            return Err(Error::invalid(crate::Setting::BandFraction, self.band_fraction, expected));
         }
         if !(0.0..0.5 * self.band_fraction).contains(&self.band_taper) {
             let expected = "must be at least 0 and below half the band fraction";
-            return Err(Error::invalid("band taper", self.band_taper, expected));
+            return Err(Error::invalid(crate::Setting::BandTaper, self.band_taper, expected));
         }
         if let Expansion::Error(e) = self.expansion
             && !(1e-5..=0.1).contains(&e)
         {
             let expected = "must be from 0.001 to 10 % of a probe's amplitude, or `off`";
-            return Err(Error::invalid("expansion (%)", 100.0 * e, expected));
+            return Err(Error::invalid(crate::Setting::ExpansionPercent, 100.0 * e, expected));
         }
         if let Some(n) = self.oversampling
             && !(1..=8).contains(&n)
         {
-            return Err(Error::invalid("oversampling", n, "must be between 1 and 8"));
+            return Err(Error::invalid(crate::Setting::Oversampling, n, "must be between 1 and 8"));
         }
         if let Some(p) = self.phonons
             && !(1..1 << 20).contains(&p.configurations)
         {
             let expected = "must be at least 1 and below 2^20";
-            return Err(Error::invalid("phonon configurations", p.configurations, expected));
+            return Err(Error::invalid(
+                crate::Setting::PhononConfigurations,
+                p.configurations,
+                expected,
+            ));
         }
         match self.algorithm {
             Algorithm::Prism { .. } if self.large_probe_box() => {
                 let expected =
                     "PRISM makes probes in the cell; use the engine multislice or window";
-                Err(Error::invalid("probe box", "large", expected))
+                Err(Error::invalid(crate::Setting::ProbeBox, "large", expected))
             }
             Algorithm::Prism { interpolation: [fx, fy] } if fx == 0 || fy == 0 => {
                 let value = format!("{fx},{fy}");
-                Err(Error::invalid("interpolation", value, "factors must be at least 1"))
+                Err(Error::invalid(
+                    crate::Setting::Interpolation,
+                    value,
+                    "factors must be at least 1",
+                ))
             }
             Algorithm::Window { width_angstrom: w } if !(2.0..1000.0).contains(&w) => {
-                Err(Error::invalid("window (A)", w, "must be between 2 and 1000; 11.7 is usual"))
+                Err(Error::invalid(
+                    crate::Setting::WindowAngstrom,
+                    w,
+                    "must be between 2 and 1000; 11.7 is usual",
+                ))
             }
             _ => Ok(()),
         }

@@ -11,8 +11,8 @@ use std::path::{Path, PathBuf};
 use ndarray::Array2;
 use sha2::{Digest, Sha256};
 
-use crate::atomic;
 use crate::error::{Error, Result};
+use crate::files::atomic_write;
 
 const MAGIC: &[u8; 8] = b"STEMARR1";
 /// Bytes before the key: magic, rows, columns, lengths of key and note.
@@ -68,7 +68,7 @@ impl ArrayStore {
     /// [`Error::Io`].
     pub fn save(&self, name: &str, key: &str, note: &str, array: &Array2<f32>) -> Result<()> {
         fs::create_dir_all(&self.folder).map_err(|e| Error::io(&self.folder, "create", e))?;
-        atomic::write(&self.path(name), &encoded(key, note, array))
+        atomic_write::write(&self.path(name), &encoded(key, note, array))
     }
 
     /// The files of arrays in the folder, and what writers that were killed have left; none where there is no folder.
@@ -83,7 +83,7 @@ impl ArrayStore {
         let fail = |e| Error::io(&self.folder, "read", e);
         for entry in fs::read_dir(&self.folder).map_err(fail)? {
             let path = entry.map_err(fail)?.path();
-            if atomic::is_leftover(&path) {
+            if atomic_write::is_leftover(&path) {
                 found.leftovers.push(path);
             } else if path.extension().is_some_and(|e| e == self.extension) && is_array(&path) {
                 found.arrays.push(path);

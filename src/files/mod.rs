@@ -1,3 +1,9 @@
-//! Files and folders: complete or not at all, one writer at a time, checked when read.
+//! How results get to the disk: complete or not at all, by one process at a time, with room for them, and checked when they
+//! are read again.
 
 pub mod array_store;
+pub mod atomic_write;
+pub mod disk_space;
+mod output_lock;
+
+pub use output_lock::OutputLock;

@@ -169,7 +169,11 @@ impl ImagingChoice {
             }
         }
         let expected = "no window is as right here; use multislice, or PRISM with interpolation 1";
-        Err(Error::invalid("largest error (%)", limit.unwrap_or_default(), expected))
+        Err(Error::invalid(
+            crate::Setting::LargestErrorPercent,
+            limit.unwrap_or_default(),
+            expected,
+        ))
     }
 }
 

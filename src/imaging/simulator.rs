@@ -230,7 +230,7 @@ impl Simulator {
             return Ok(());
         }
         let expected = format!("the specimen goes on for {} A around it", BEYOND_FIELD_NM * 10.0);
-        Err(Error::invalid("engine margin (A)", margin, expected))
+        Err(Error::invalid(crate::Setting::EngineMarginAngstrom, margin, expected))
     }
 
     /// The image of some atoms at their mean positions, [row, column] = [y, x], as fraction of the beam: the mean over the

@@ -19,9 +19,9 @@ use num_complex::Complex32;
 
 use super::At;
 use super::world_writer::{number, text};
-use crate::atomic;
 use crate::engine::Site;
 use crate::error::Result;
+use crate::files::atomic_write;
 
 /// Version of this schema.
 const FORMAT_VERSION: i64 = 1;
@@ -88,7 +88,7 @@ pub fn write_images(
     images: &[ImageStack],
     exit_waves: Option<ExitWaves>,
 ) -> Result<()> {
-    atomic::write_with(path, overwrite, |temporary| {
+    atomic_write::write_with(path, overwrite, |temporary| {
         let write = || -> hdf5::Result<()> {
             let file = File::create(temporary)?;
             write_origin(&file, origin)?;

@@ -1,14 +1,14 @@
 //! Files of images and worlds (HDF5, schemas written and read here only) and of their atoms.
 
 pub mod arrays;
-mod atoms;
+mod atoms_file;
 pub mod image_file;
 pub mod schema;
 mod world_file;
 mod world_truth;
 mod world_writer;
 
-pub use atoms::{AtomRow, AtomsHeader, AtomsWriter, RowFormat, writable};
+pub use atoms_file::{AtomRow, AtomsHeader, AtomsWriter, RowFormat, writable};
 pub use world_file::{GroundTruth, WorldFile, WorldMetadata};
 pub use world_truth::{BoundaryLine, WorldColumn};
 pub use world_writer::{Header, LineKind, ParticleBatch, TruthBatch, WorldWriter};

@@ -30,9 +30,9 @@ pub const COLUMNS: &str = "columns";
 /// `defect_types`: `""`, `"vacancy_O"`, `"substitution_Ge"`.
 pub type DefectName = FixedAscii<16>;
 /// Shape of a particle: `wulff`.
-pub type Morphology = FixedAscii<16>;
+pub type MorphologyName = FixedAscii<16>;
 /// Composition of a column, vacant sites left out: `"O25 Ti26"`.
-pub type Composition = FixedAscii<32>;
+pub type CompositionText = FixedAscii<32>;
 
 /// Codes of `atom_types`.
 pub mod atom_type {

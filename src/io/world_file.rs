@@ -11,6 +11,7 @@ use ndarray::{Array2, s};
 use super::At;
 use super::schema::{self, DefectName};
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 
 /// What describes a world. Other programs may write fewer attributes: those are `None`.
 #[derive(Debug, Clone, PartialEq)]
@@ -157,7 +158,8 @@ impl WorldFile {
         m.grid_shape.map(|n| n * (m.tile_size_px - m.overlap_px) + m.overlap_px)
     }
 
-    /// A normalised tile.
+    /// A tile as the file holds it (rows = y, columns = x; both `tile_size_px`): intensities
+    /// normalised with the scale and offset of [`WorldMetadata::scaling`].
     ///
     /// # Errors
     /// [`Error::Invalid`] outside the grid or for a damaged tile.
@@ -170,7 +172,7 @@ impl WorldFile {
         self.file.link_exists(schema::CLEAN)
     }
 
-    /// A noiseless tile in fractions of the beam.
+    /// A noiseless tile (rows = y, columns = x; both `tile_size_px`) in fractions of the beam.
     ///
     /// # Errors
     /// As [`WorldFile::tile`], also when the world was built without.
@@ -178,7 +180,8 @@ impl WorldFile {
         self.tile_of(schema::CLEAN, row, column)
     }
 
-    /// The normalised image of some rows and columns of pixels.
+    /// The normalised image of some rows (y) and columns (x) of pixels, with the shape (rows, columns)
+    /// asked for, put together from the tiles.
     ///
     /// # Errors
     /// [`Error::Invalid`] outside the image, or for a damaged tile.
@@ -186,14 +189,15 @@ impl WorldFile {
         self.stitched_of(schema::TILES, rows, columns)
     }
 
-    /// The noiseless image of some rows and columns of pixels, in fractions of the beam.
+    /// The noiseless image of some rows (y) and columns (x) of pixels, in fractions of the beam, with the
+    /// shape (rows, columns) asked for.
     ///
     /// # Errors
-    /// As [`WorldFile::stitched`], also when the world was built without.
+    /// As [`WorldFile::stitched`]; [`Error::Choice`] when the world was built without.
     pub fn stitched_clean(&self, rows: Range<usize>, columns: Range<usize>) -> Result<Array2<f32>> {
         if !self.has_clean() {
-            let expected = "holds no noiseless image; build it with --keep-clean";
-            return Err(not_a_world(&self.path, expected));
+            let message = "holds no noiseless image; build the world again and keep that image too";
+            return Err(Error::choice(&self.path, Setting::CleanImage, message));
         }
         self.stitched_of(schema::CLEAN, rows, columns)
     }
@@ -208,7 +212,11 @@ impl WorldFile {
         let inside = |r: &Range<usize>, n| r.start <= r.end && r.end <= n;
         if !inside(&rows, height) || !inside(&columns, width) {
             let expected = format!("the image has {height} x {width} pixels");
-            return Err(Error::invalid("region", format!("{rows:?} x {columns:?}"), expected));
+            return Err(Error::invalid(
+                Setting::Region,
+                format!("{rows:?} x {columns:?}"),
+                expected,
+            ));
         }
         let stride = self.metadata.tile_size_px - self.metadata.overlap_px;
         let tiles = |range: &Range<usize>, n: usize| {
@@ -234,7 +242,7 @@ impl WorldFile {
         Ok(out)
     }
 
-    /// The overview.
+    /// The overview: the whole image made smaller (rows = y, columns = x), normalised as the tiles.
     ///
     /// # Errors
     /// [`Error::Invalid`] for a damaged file.
@@ -258,7 +266,7 @@ impl WorldFile {
         let count = self.site_count()?;
         if range.start > range.end || range.end > count {
             let expected = format!("the world has {count} sites");
-            return Err(Error::invalid("range of sites", format!("{range:?}"), expected));
+            return Err(Error::invalid(Setting::SiteRange, format!("{range:?}"), expected));
         }
         let positions = self.truth_dataset("atom_positions")?;
         let pairs: Array2<f32> = positions.read_slice(s![range.clone(), ..]).at(&self.path)?;
@@ -335,7 +343,7 @@ fn common(range: &Range<usize>, start: usize, tile: &Array2<f32>, axis: usize) -
 }
 
 pub(super) fn not_a_world(path: &Path, what: impl Into<String>) -> Error {
-    Error::invalid("world file", path.display(), what)
+    Error::invalid(Setting::WorldFile, path.display(), what)
 }
 
 fn first_line(error: &hdf5::Error) -> String {
@@ -394,8 +402,7 @@ fn read_metadata(path: &Path, file: &File) -> Result<WorldMetadata> {
 /// What an HDF5 file without metadata of a world is.
 fn found(file: &File) -> String {
     if string(file, "format").as_deref() == Some("stemgen images") {
-        return "it holds images of `stemgen simulate`, which draws them with --png and --html"
-            .into();
+        return "it holds images of `stemgen simulate`, which can draw them itself".into();
     }
     let mut names = file.member_names().unwrap_or_default();
     names.sort();

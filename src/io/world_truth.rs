@@ -8,7 +8,7 @@ use hdf5::{Dataset, Group};
 use ndarray::{Array2, s};
 
 use super::At;
-use super::schema::{self, Composition, atom_type};
+use super::schema::{self, CompositionText, atom_type};
 use super::world_file::{GroundTruth, WorldFile, not_a_world};
 use super::world_writer::ParticleBatch;
 use crate::error::Result;
@@ -31,7 +31,7 @@ pub struct WorldColumn {
     /// Those with another element.
     pub substitutions: i32,
     /// Atoms, `O25 Ti26`; empty where the file does not tell.
-    pub composition: Composition,
+    pub composition: CompositionText,
 }
 
 /// A polyline between two grains or phases.
@@ -52,13 +52,13 @@ impl WorldFile {
     pub fn columns(&self) -> Result<Vec<WorldColumn>> {
         let name = format!("{}/{}", schema::TRUTH, schema::COLUMNS);
         let Ok(group) = self.file.group(&name) else { return self.columns_of_sites() };
-        type Lists = (Array2<f32>, [Vec<i32>; 3], Vec<Composition>);
+        type Lists = (Array2<f32>, [Vec<i32>; 3], Vec<CompositionText>);
         let read = || -> hdf5::Result<Lists> {
             let list = |name| group.dataset(name)?.read_raw::<i32>();
             let counts = [list("number_of_sites")?, list("vacancies")?, list("substitutions")?];
             let compositions = match group.link_exists("composition") {
                 true => group.dataset("composition")?.read_raw()?,
-                false => vec![Composition::default(); counts[0].len()],
+                false => vec![CompositionText::default(); counts[0].len()],
             };
             Ok((group.dataset("position")?.read_2d()?, counts, compositions))
         };
@@ -92,7 +92,7 @@ impl WorldFile {
                         sites: 0,
                         vacancies: 0,
                         substitutions: 0,
-                        composition: Composition::default(),
+                        composition: CompositionText::default(),
                     });
                     contents.push(BTreeMap::new());
                 }
@@ -111,7 +111,7 @@ impl WorldFile {
             let symbol = |z: i32| u8::try_from(z).map_or("?", elements::symbol);
             let parts: Vec<String> =
                 atoms.iter().map(|(z, n)| format!("{}{n}", symbol(*z))).collect();
-            column.composition = Composition::from_ascii(&parts.join(" ")).unwrap_or_default();
+            column.composition = CompositionText::from_ascii(&parts.join(" ")).unwrap_or_default();
         }
         Ok(columns)
     }
@@ -157,7 +157,8 @@ impl WorldFile {
         Ok(lines)
     }
 
-    /// Phase of the pixels of some rows and columns; `None` in a world of one phase.
+    /// Code of the phase of each pixel of some rows (y) and columns (x), with the shape (rows, columns)
+    /// asked for; `None` in a world of one phase.
     ///
     /// # Errors
     /// [`crate::Error::Hdf5`] outside the image, or for a damaged file.

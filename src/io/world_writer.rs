@@ -7,7 +7,7 @@ use hdf5::{Dataset, Extents, File, Group, H5Type};
 use ndarray::{ArrayView1, ArrayView2};
 
 use super::At;
-use super::schema::{self, Composition, DefectName, Morphology};
+use super::schema::{self, CompositionText, DefectName, MorphologyName};
 use crate::error::{Error, Result};
 
 /// Entries of a chunk of the ground truth.
@@ -58,7 +58,7 @@ pub struct ParticleBatch {
     /// Diameters in nm.
     pub diameters: Vec<f32>,
     /// Shapes.
-    pub morphologies: Vec<Morphology>,
+    pub morphologies: Vec<MorphologyName>,
     /// Unit quaternions (w, x, y, z).
     pub orientations: Vec<[f32; 4]>,
 }
@@ -85,7 +85,7 @@ pub struct TruthBatch {
     /// Sites, vacancies and substitutions of each column.
     pub column_counts: [Vec<i32>; 3],
     /// Composition of each column.
-    pub column_compositions: Vec<Composition>,
+    pub column_compositions: Vec<CompositionText>,
 }
 
 /// A world file being written.
@@ -329,7 +329,7 @@ impl Truth {
                 growing::<i32>(&columns, "vacancies", &list)?,
                 growing::<i32>(&columns, "substitutions", &list)?,
             ],
-            column_compositions: growing::<Composition>(&columns, "composition", &list)?,
+            column_compositions: growing::<CompositionText>(&columns, "composition", &list)?,
             grain_boundaries: group.create_group(schema::GRAIN_BOUNDARIES)?,
             phase_boundaries: group.create_group(schema::PHASE_BOUNDARIES)?,
             group,

@@ -56,7 +56,11 @@ impl Slices {
     /// [`Error::Invalid`] for a thickness that is not positive or a height that is not.
     pub fn new(slicing: Slicing, height: f64, z: &[f64]) -> Result<Self> {
         if !(height > 0.0 && height.is_finite()) {
-            return Err(Error::invalid("cell height (A)", height, "must be positive"));
+            return Err(Error::invalid(
+                crate::Setting::CellHeightAngstrom,
+                height,
+                "must be positive",
+            ));
         }
         let mut z: Vec<f64> = z.iter().map(|z| wrap(*z, 0.0, height)).collect();
         z.sort_by(f64::total_cmp);
@@ -72,14 +76,14 @@ impl Slices {
                 Ok(Self::around(&planes, entrance, height))
             }
             Slicing::Grouped(span) if !(span >= 0.0 && span.is_finite()) => {
-                Err(Error::invalid("span of slices (A)", span, "must be 0 or more"))
+                Err(Error::invalid(crate::Setting::SliceSpanAngstrom, span, "must be 0 or more"))
             }
             Slicing::Grouped(span) => Ok(Self::around(&groups(&z, span), entrance, height)),
             Slicing::Thickness(t) if t > 0.0 && t.is_finite() => {
                 Ok(Self::even(t, entrance, height))
             }
             Slicing::Thickness(t) => {
-                Err(Error::invalid("slice thickness (A)", t, "must be positive"))
+                Err(Error::invalid(crate::Setting::SliceThicknessAngstrom, t, "must be positive"))
             }
         }
     }

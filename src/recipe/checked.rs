@@ -102,7 +102,11 @@ impl CheckedRecipe {
     }
 
     fn lacks(&self, what: &str) -> Error {
-        Error::invalid("recipe", self.structure.name(), format!("such specimens have no {what}"))
+        Error::invalid(
+            crate::Setting::Recipe,
+            self.structure.name(),
+            format!("such specimens have no {what}"),
+        )
     }
 }
 
@@ -131,7 +135,7 @@ impl Recipe {
                 let line = text.line_of(key.rsplit('.').next().unwrap_or_default());
                 Error::parse(&text.path, line, format!("{assignment}: {expected}"))
             }
-            _ => Error::invalid("recipe", assignment, expected),
+            _ => Error::invalid(crate::Setting::Recipe, assignment, expected),
         }
     }
 

@@ -6,7 +6,7 @@ use serde::de::{self, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::error::{Error, Result};
-use crate::structure::{self, Format, Structure, library};
+use crate::structure::{self, Format, Structure, crystals};
 
 /// `"srtio3"` (see [`library`]), or the path of a CIF, POSCAR or extended XYZ file relative to the
 /// recipe. The text of such a file becomes part of the resolved recipe, `{ file = ..., text = ... }`.
@@ -29,17 +29,17 @@ impl CrystalSource {
     /// # Errors
     /// [`Error::Invalid`] for a name that is neither, [`Error::Io`].
     pub fn read(&mut self, folder: &Path) -> Result<()> {
-        if self.text.is_some() || library::text(&self.name).is_some() {
+        if self.text.is_some() || crystals::text(&self.name).is_some() {
             return Ok(());
         }
         let path = folder.join(&self.name);
         if Format::from_path(&path).is_err() {
-            let known = library::names().collect::<Vec<_>>().join(", ");
-            let near = super::toml_errors::nearest(&self.name, library::names());
+            let known = crystals::names().collect::<Vec<_>>().join(", ");
+            let near = super::toml_errors::nearest(&self.name, crystals::names());
             let hint = near.map(|n| format!("did you mean \"{n}\"? ")).unwrap_or_default();
             let expected =
                 format!("{hint}expected a .cif file beside the recipe, or one of {known}");
-            return Err(Error::invalid("crystal", &self.name, expected));
+            return Err(Error::invalid(crate::Setting::Crystal, &self.name, expected));
         }
         let text = std::fs::read_to_string(&path).map_err(|e| Error::io(&path, "read", e))?;
         self.text = Some(text);
@@ -57,7 +57,7 @@ impl CrystalSource {
                 let path = Path::new(&self.name);
                 structure::parse(Format::from_path(path)?, text.as_bytes(), path)
             }
-            None => library::crystal(&self.name),
+            None => crystals::crystal(&self.name),
         }
     }
 }

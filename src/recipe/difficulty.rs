@@ -35,6 +35,8 @@ impl std::str::FromStr for Difficulty {
     type Err = Error;
     fn from_str(text: &str) -> Result<Self> {
         let found = Difficulty::ALL.into_iter().find(|d| d.name() == text);
-        found.ok_or_else(|| Error::invalid("difficulty", text, "expected easy, medium or hard"))
+        found.ok_or_else(|| {
+            Error::invalid(crate::Setting::Difficulty, text, "expected easy, medium or hard")
+        })
     }
 }

@@ -61,10 +61,10 @@ pub fn crystal_fault(table: &str, error: Error) -> Fault {
         None => name.to_owned(),
     };
     match error {
-        Error::Invalid { what: "zone", value, expected } => {
+        Error::Invalid { setting: crate::Setting::Zone, value, expected } => {
             Fault { key: sibling("zone_axis"), value, expected }
         }
-        Error::Invalid { what: "up", value, expected } => {
+        Error::Invalid { setting: crate::Setting::Up, value, expected } => {
             Fault { key: sibling("y_axis"), value, expected }
         }
         Error::Invalid { value, expected, .. } => Fault { key: table.into(), value, expected },

@@ -36,9 +36,12 @@ pub fn oriented(
     zone_axis: &str,
     y_axis: Option<&str>,
 ) -> Result<Structure> {
-    let zone = direction::parse(zone_axis).map_err(|e| Error::invalid("zone", zone_axis, e))?;
+    let zone = direction::parse(zone_axis)
+        .map_err(|e| Error::invalid(crate::Setting::Zone, zone_axis, e))?;
     let up = match y_axis {
-        Some(text) => Some(direction::parse(text).map_err(|e| Error::invalid("up", text, e))?),
+        Some(text) => {
+            Some(direction::parse(text).map_err(|e| Error::invalid(crate::Setting::Up, text, e))?)
+        }
         None => None,
     };
     crystal.structure()?.oriented(zone, up)

@@ -43,8 +43,8 @@ impl Recipe {
     /// [`Error::Invalid`] for an unknown material, naming the nearest.
     pub fn tiers(material: &str) -> Result<Vec<Difficulty>> {
         let (_, text) = built_in_text(material)?;
-        let table: toml::Table =
-            toml::from_str(text).map_err(|e| Error::invalid("recipe", material, e.message()))?;
+        let table: toml::Table = toml::from_str(text)
+            .map_err(|e| Error::invalid(crate::Setting::Recipe, material, e.message()))?;
         let tiers = table.get("difficulty").and_then(toml::Value::as_table);
         let there = |d: &Difficulty| tiers.is_some_and(|t| t.contains_key(d.name()));
         Ok(Difficulty::ALL.into_iter().filter(there).collect())
@@ -106,7 +106,7 @@ impl Recipe {
             return Ok(self.clone());
         }
         let mut table: toml::Table = toml::from_str(&self.to_toml())
-            .map_err(|e| Error::invalid("recipe", &self.id, e.message()))?;
+            .map_err(|e| Error::invalid(crate::Setting::Recipe, &self.id, e.message()))?;
         changes.iter().for_each(|change| change.apply(&mut table));
         let mut recipe: Recipe = table.try_into().map_err(|e: toml::de::Error| {
             let (key, message) = explain(&e);
@@ -126,7 +126,11 @@ fn built_in_text(material: &str) -> Result<(&'static str, &'static str)> {
         let near = nearest(material, Recipe::built_in());
         let names = Recipe::built_in().collect::<Vec<_>>().join(", ");
         let hint = near.map(|n| format!("did you mean `{n}`? ")).unwrap_or_default();
-        Error::invalid("material", material, format!("{hint}known materials: {names}"))
+        Error::invalid(
+            crate::Setting::Material,
+            material,
+            format!("{hint}known materials: {names}"),
+        )
     })
 }
 
@@ -136,6 +140,6 @@ fn at_fault(changes: &[Override], key: Option<String>, message: String) -> Error
     let named = key.and_then(|key| changes.iter().rev().find(|c| c.concerns(&key)));
     match named.or(changes.last()) {
         Some(change) => change.error(message),
-        None => Error::invalid("recipe", "", message),
+        None => Error::invalid(crate::Setting::Recipe, "", message),
     }
 }

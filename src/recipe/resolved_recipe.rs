@@ -81,7 +81,11 @@ impl Recipe {
         let [r, c] = self.field.grid;
         if rows == 0 || columns == 0 || rows > r || columns > c {
             let expected = format!("the full field has {r}x{c} tiles; use 1x1 to {r}x{c}");
-            return Err(Error::invalid("grid", format!("{rows}x{columns}"), expected));
+            return Err(Error::invalid(
+                crate::Setting::Grid,
+                format!("{rows}x{columns}"),
+                expected,
+            ));
         }
         self.field.crop = ([rows, columns] != self.field.grid).then_some([rows, columns]);
         Ok(self)

@@ -1,7 +1,7 @@
 //! An RGB image, and anti-aliased drawing on it.
 
-use crate::atomic;
 use crate::error::{Error, Result};
+use crate::files::atomic_write;
 use std::path::Path;
 
 /// A point (x to the right, y down) in pixels; the first pixel's centre is (0, 0).
@@ -34,7 +34,7 @@ impl RgbImage {
     pub fn write_png(&self, path: &Path) -> Result<()> {
         let bytes =
             self.encode().map_err(|e| Error::io(path, "encode", std::io::Error::other(e)))?;
-        atomic::write(path, &bytes)
+        atomic_write::write(path, &bytes)
     }
 
     pub(crate) fn encode(&self) -> std::result::Result<Vec<u8>, png::EncodingError> {

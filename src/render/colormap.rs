@@ -1,6 +1,7 @@
 //! Colours of values from 0 to 1.
 
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 
 /// A perceptually uniform colour map: equal steps of the value look equal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -51,7 +52,7 @@ impl std::str::FromStr for Colormap {
     fn from_str(text: &str) -> Result<Self> {
         let found = Self::NAMES.iter().find(|(name, _)| name.eq_ignore_ascii_case(text));
         found.map(|(_, map)| *map).ok_or_else(|| {
-            Error::invalid("colormap", text, "expected gray, viridis, inferno or magma")
+            Error::invalid(Setting::Colormap, text, "expected gray, viridis, inferno or magma")
         })
     }
 }

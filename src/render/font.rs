@@ -2,15 +2,10 @@
 
 use super::canvas::Point;
 use super::letters;
-
-/// Part of a glyph; x to the right and y up from the base line, in heights of a digit.
-pub(super) enum Part {
-    /// Straight lines through points.
-    Line(&'static [Point]),
-    /// Centre, half axes, and angles from and to in degrees.
-    Arc(Point, Point, f64, f64),
-}
-use Part::{Arc, Line};
+use super::strokes::{
+    Stroke::{self, Arc, Line},
+    circle,
+};
 
 /// Space between glyphs, in heights of a digit.
 const GAP: f64 = 0.2;
@@ -18,15 +13,11 @@ const GAP: f64 = 0.2;
 const SPACE: f64 = 0.3;
 
 /// Width and parts of a character; `None` if the font lacks it.
-fn glyph(character: char) -> Option<(f64, Vec<Part>)> {
+fn glyph(character: char) -> Option<(f64, Vec<Stroke>)> {
     digit(character).or_else(|| unit(character)).or_else(|| letters::glyph(character))
 }
 
-pub(super) fn circle(x: f64, y: f64, rx: f64, ry: f64) -> Part {
-    Arc([x, y], [rx, ry], 0.0, 360.0)
-}
-
-fn digit(character: char) -> Option<(f64, Vec<Part>)> {
+fn digit(character: char) -> Option<(f64, Vec<Stroke>)> {
     Some(match character {
         '0' => (0.58, vec![circle(0.29, 0.5, 0.29, 0.5)]),
         '1' => (0.3, vec![Line(&[[0.0, 0.8], [0.26, 1.0], [0.26, 0.0]])]),
@@ -64,7 +55,7 @@ fn digit(character: char) -> Option<(f64, Vec<Part>)> {
     })
 }
 
-fn unit(character: char) -> Option<(f64, Vec<Part>)> {
+fn unit(character: char) -> Option<(f64, Vec<Stroke>)> {
     Some(match character {
         '.' => (0.04, vec![Line(&[[0.02, 0.01], [0.02, 0.02]])]),
         'n' => (
@@ -130,7 +121,7 @@ pub(super) fn lines(text: &str, start: Point, height: f64) -> Vec<Vec<Point>> {
     lines
 }
 
-fn points(part: &Part) -> Vec<Point> {
+fn points(part: &Stroke) -> Vec<Point> {
     match *part {
         Line(points) => points.to_vec(),
         Arc(center, half, from, to) => {

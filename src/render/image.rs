@@ -2,9 +2,10 @@
 
 use super::canvas::RgbImage;
 use super::colormap::Colormap;
+use super::enlarge::{Enlarge, Matrix, SizeChange, check_finite, enlarge, shrink};
 use super::overlay::{Marker, draw_bar, draw_marker};
-use super::resample::{Enlarge, Matrix, Scale, check_finite, enlarge, shrink};
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 use std::path::Path;
 
 /// Sizes of a picture's longer side that are accepted, in pixels.
@@ -65,7 +66,7 @@ impl<'a> Picture<'a> {
     pub fn new(values: &'a [f32], shape: [usize; 2]) -> Result<Self> {
         if shape.contains(&0) || shape[0].checked_mul(shape[1]) != Some(values.len()) {
             return Err(Error::invalid(
-                "image shape",
+                Setting::ImageShape,
                 format!("{} x {}", shape[0], shape[1]),
                 format!("expected rows x columns of {} values, at least one", values.len()),
             ));
@@ -107,22 +108,26 @@ impl<'a> Picture<'a> {
         }
         if let Some(pixel) = self.pixel_angstrom {
             if !(pixel.is_finite() && pixel > 0.0) {
-                return Err(Error::invalid("pixel (A)", pixel, "expected a positive number"));
+                return Err(Error::invalid(
+                    Setting::PixelAngstrom,
+                    pixel,
+                    "expected a positive number",
+                ));
             }
             image.bar_angstrom = draw_bar(&mut image, pixel / scale.factor());
         }
         Ok(image)
     }
 
-    fn resampled(&self) -> Result<(Scale, Matrix)> {
+    fn resampled(&self) -> Result<(SizeChange, Matrix)> {
         if !(SIDES[0]..=SIDES[1]).contains(&self.max_side) {
             let expected = format!("expected {} to {}", SIDES[0], SIDES[1]);
-            return Err(Error::invalid("longest side (pixels)", self.max_side, expected));
+            return Err(Error::invalid(Setting::LongestSidePixels, self.max_side, expected));
         }
-        let scale = Scale::to_fit(self.shape, self.max_side);
+        let scale = SizeChange::to_fit(self.shape, self.max_side);
         let matrix = match scale {
-            Scale::Down(n) => shrink(self.values, self.shape, n),
-            Scale::Up(n) => enlarge(self.values, self.shape, n, self.enlarge),
+            SizeChange::Down(n) => shrink(self.values, self.shape, n),
+            SizeChange::Up(n) => enlarge(self.values, self.shape, n, self.enlarge),
         };
         Ok((scale, matrix))
     }
@@ -138,7 +143,7 @@ impl<'a> Picture<'a> {
             }
             Contrast::Range { min, max } => {
                 let value = format!("{min} to {max}");
-                Err(Error::invalid("contrast range", value, "expected finite min < max"))
+                Err(Error::invalid(Setting::ContrastRange, value, "expected finite min < max"))
             }
             Contrast::Percentile { low, high } if 0.0 <= low && low < high && high <= 100.0 => {
                 Ok(percentiles(self.values, [low, high]))
@@ -146,7 +151,7 @@ impl<'a> Picture<'a> {
             Contrast::Percentile { low, high } => {
                 let value = format!("{low} to {high}");
                 let expected = "expected 0 <= low < high <= 100";
-                Err(Error::invalid("contrast percentiles", value, expected))
+                Err(Error::invalid(Setting::ContrastPercentiles, value, expected))
             }
         }
     }

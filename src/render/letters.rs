@@ -1,12 +1,12 @@
 //! Letters and punctuation of the stroke font.
 
-use super::font::{
-    Part::{self, Arc, Line},
+use super::strokes::{
+    Stroke::{self, Arc, Line},
     circle,
 };
 
 /// Width and parts of a letter or sign; `None` if the font lacks it.
-pub(super) fn glyph(character: char) -> Option<(f64, Vec<Part>)> {
+pub(super) fn glyph(character: char) -> Option<(f64, Vec<Stroke>)> {
     match character {
         'a'..='m' => first_half(character),
         'n'..='z' => second_half(character),
@@ -15,7 +15,7 @@ pub(super) fn glyph(character: char) -> Option<(f64, Vec<Part>)> {
     }
 }
 
-fn first_half(character: char) -> Option<(f64, Vec<Part>)> {
+fn first_half(character: char) -> Option<(f64, Vec<Stroke>)> {
     let bowl = || circle(0.23, 0.34, 0.23, 0.34);
     Some(match character {
         'a' => (0.46, vec![bowl(), Line(&[[0.46, 0.68], [0.46, 0.0]])]),
@@ -74,7 +74,7 @@ fn first_half(character: char) -> Option<(f64, Vec<Part>)> {
     })
 }
 
-fn second_half(character: char) -> Option<(f64, Vec<Part>)> {
+fn second_half(character: char) -> Option<(f64, Vec<Stroke>)> {
     let bowl = || circle(0.23, 0.34, 0.23, 0.34);
     Some(match character {
         'o' => (0.48, vec![circle(0.24, 0.34, 0.24, 0.34)]),
@@ -120,7 +120,7 @@ fn second_half(character: char) -> Option<(f64, Vec<Part>)> {
     })
 }
 
-fn capital(character: char) -> Option<(f64, Vec<Part>)> {
+fn capital(character: char) -> Option<(f64, Vec<Stroke>)> {
     Some(match character {
         'A' => (
             0.66,
@@ -193,7 +193,7 @@ fn capital(character: char) -> Option<(f64, Vec<Part>)> {
     })
 }
 
-fn late_capital(character: char) -> Option<(f64, Vec<Part>)> {
+fn late_capital(character: char) -> Option<(f64, Vec<Stroke>)> {
     Some(match character {
         'P' | 'R' => {
             let mut parts = vec![
@@ -235,7 +235,7 @@ fn late_capital(character: char) -> Option<(f64, Vec<Part>)> {
     })
 }
 
-fn sign(character: char) -> Option<(f64, Vec<Part>)> {
+fn sign(character: char) -> Option<(f64, Vec<Stroke>)> {
     Some(match character {
         ',' => (0.1, vec![Line(&[[0.08, 0.05], [0.02, -0.14]])]),
         ':' => {

@@ -3,17 +3,18 @@
 
 mod canvas;
 mod colormap;
+mod enlarge;
 mod font;
 pub mod html;
 mod image;
 mod letters;
 mod overlay;
-mod resample;
 mod scene;
+mod strokes;
 
 pub use canvas::RgbImage;
 pub use colormap::Colormap;
+pub use enlarge::Enlarge;
 pub use image::{Contrast, Picture};
-pub use overlay::{Marker, Shape};
-pub use resample::Enlarge;
+pub use overlay::{Marker, MarkerShape};
 pub use scene::{Scene, Swatch, palette};

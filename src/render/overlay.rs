@@ -1,16 +1,17 @@
 //! What is drawn over an image: scale bar and markers.
 
 use super::canvas::{Point, RgbImage};
+use super::enlarge::SizeChange;
 use super::font;
-use super::resample::Scale;
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 
 const WHITE: [u8; 3] = [255; 3];
 const BLACK: [u8; 3] = [0; 3];
 
 /// The form of a marker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Shape {
+pub enum MarkerShape {
     /// A ring.
     Circle,
     /// Two diagonal lines.
@@ -25,17 +26,17 @@ pub struct Marker {
     /// Radius in pixels of the image; drawn at least 4 picture pixels large.
     pub radius: f64,
     /// Its form.
-    pub shape: Shape,
+    pub shape: MarkerShape,
     /// Red, green and blue.
     pub color: [u8; 3],
 }
 
 /// Draws one marker with a thin dark rim.
-pub(super) fn draw_marker(image: &mut RgbImage, marker: &Marker, scale: Scale) -> Result<()> {
+pub(super) fn draw_marker(image: &mut RgbImage, marker: &Marker, scale: SizeChange) -> Result<()> {
     let [row, column] = marker.position;
     if !(row.is_finite() && column.is_finite() && marker.radius.is_finite()) {
         let value = format!("{:?}, radius {}", marker.position, marker.radius);
-        return Err(Error::invalid("marker position", value, "expected finite numbers"));
+        return Err(Error::invalid(Setting::MarkerPosition, value, "expected finite numbers"));
     }
     let center = [scale.place(column), scale.place(row)];
     let radius = (marker.radius * scale.factor()).max(4.0);
@@ -45,8 +46,8 @@ pub(super) fn draw_marker(image: &mut RgbImage, marker: &Marker, scale: Scale) -
         return Ok(());
     }
     let lines = match marker.shape {
-        Shape::Circle => vec![ring(center, radius)],
-        Shape::Cross => {
+        MarkerShape::Circle => vec![ring(center, radius)],
+        MarkerShape::Cross => {
             let arm = radius * std::f64::consts::FRAC_1_SQRT_2;
             let end = |dx: f64, dy: f64| [center[0] + dx * arm, center[1] + dy * arm];
             vec![vec![end(-1.0, -1.0), end(1.0, 1.0)], vec![end(-1.0, 1.0), end(1.0, -1.0)]]
@@ -68,7 +69,7 @@ fn ring(center: Point, radius: f64) -> Vec<Point> {
 }
 
 /// Sizes of the scale bar in picture pixels.
-struct Layout {
+struct ScaleBar {
     digit: f64,
     margin: f64,
     padding: f64,
@@ -76,11 +77,11 @@ struct Layout {
     thickness: f64,
 }
 
-impl Layout {
+impl ScaleBar {
     fn new(image: &RgbImage) -> Self {
         let side = image.width.min(image.height) as f64;
         let digit = (0.032 * side).clamp(11.0, 40.0).round();
-        Layout {
+        ScaleBar {
             digit,
             margin: (0.025 * side).max(4.0).round(),
             padding: (0.55 * digit).round(),
@@ -93,7 +94,7 @@ impl Layout {
 /// Draws the bar with its label in the lower left corner, on a dark translucent ground, and
 /// returns its length in Angstrom; `None` if the picture is too small for it.
 pub(super) fn draw_bar(image: &mut RgbImage, angstrom_per_pixel: f64) -> Option<f64> {
-    let at = Layout::new(image);
+    let at = ScaleBar::new(image);
     let length = round_below(0.28 * image.width as f64 * angstrom_per_pixel)?;
     let pixels = length / angstrom_per_pixel;
     let label = label(length);

@@ -50,7 +50,11 @@ impl Domains {
     /// [`Error::Invalid`] for phases that do not match, or a vacancy rate without room.
     pub fn new(recipe: &CheckedRecipe) -> Result<Self> {
         let Some(domains) = &recipe.domains else {
-            return Err(Error::invalid("domains", "(missing)", "this structure needs the table"));
+            return Err(Error::invalid(
+                crate::Setting::Domains,
+                "(missing)",
+                "this structure needs the table",
+            ));
         };
         let (first, second) = (recipe.structure()?, recipe.second_crystal()?);
         let shifts = shifts(first, second)?;
@@ -291,8 +295,9 @@ impl Stretch for OrderParameter {
 /// the second cell count along x, those of the first elsewhere.
 fn shifts(first: &Structure, second: &Structure) -> Result<Vec<[f64; 3]>> {
     let (a, b) = (first.orthogonal_box()?, second.orthogonal_box()?);
-    let fault =
-        |value: String, expected: &str| Err(Error::invalid("domains.crystal", value, expected));
+    let fault = |value: String, expected: &str| {
+        Err(Error::invalid(crate::Setting::DomainCrystal, value, expected))
+    };
     if first.atoms.len() != second.atoms.len() {
         let value = format!("{} sites in the cell along its zone axis", second.atoms.len());
         let expected = format!("the first phase has {} along its own", first.atoms.len());

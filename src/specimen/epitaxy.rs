@@ -55,7 +55,11 @@ impl Epitaxy {
     /// [`Error::Invalid`] for an end member of another structure, or wells that cannot hold the rate.
     pub fn new(recipe: &CheckedRecipe) -> Result<Self> {
         let Some(alloy) = &recipe.alloy else {
-            return Err(Error::invalid("alloy", "(missing)", "this structure needs the table"));
+            return Err(Error::invalid(
+                crate::Setting::Alloy,
+                "(missing)",
+                "this structure needs the table",
+            ));
         };
         let crystal = recipe.columns()?.clone();
         let spacing = Spacing::new(recipe, alloy, &crystal)?;
@@ -100,7 +104,7 @@ impl Epitaxy {
                     "at most {share:.4}: {} wells of {} nm hold no more of the field's {} sites",
                     wells.count, wells.width_nm, alloy.host
                 );
-                return Err(Error::invalid("alloy.rate", alloy.rate, expected));
+                return Err(Error::invalid(crate::Setting::AlloyRate, alloy.rate, expected));
             }
             self.composition.set_fraction(fraction);
             if (fraction - last).abs() < 1e-9 {
@@ -299,7 +303,7 @@ impl Spacing {
                 host.cell[k],
                 100.0 * LARGEST_MISFIT
             );
-            return Err(Error::invalid("alloy.end_member", value, expected));
+            return Err(Error::invalid(crate::Setting::AlloyEndMember, value, expected));
         }
         Ok(Spacing {
             along: ratios[0],

@@ -22,7 +22,7 @@ use crate::specimen::sites::{DISPLACED_NM, SiteKind, SpecimenSite};
 use crate::specimen::specimen_trait::ThinFilm;
 use crate::specimen::specimen_trait::{ParticleTruth, Specimen};
 use crate::structure::carbon::block::DENSITY;
-use crate::structure::carbon::film::{Film, FilmAtom};
+use crate::structure::carbon::carbon_film::{Film, FilmAtom};
 use crate::structure::carbon::network::CARBON;
 use crate::structure::particles::rotation::Rotation;
 use crate::structure::particles::{Metal, Morphology, build};
@@ -87,7 +87,11 @@ impl ParticlesOnCarbon {
     /// [`Error::Invalid`] if they do not fit into the field, or no particle has such a diameter.
     pub fn new(recipe: &CheckedRecipe) -> Result<Self> {
         let Some(table) = &recipe.particles else {
-            return Err(Error::invalid("particles", "(missing)", "this structure needs the table"));
+            return Err(Error::invalid(
+                crate::Setting::Particles,
+                "(missing)",
+                "this structure needs the table",
+            ));
         };
         let (number, metal) = recipe.metal()?;
         let made = (0..table.count)
@@ -233,7 +237,7 @@ impl PlacedParticle {
         let cluster = build(morphology, metal, wanted, table.diameter_nm).map_err(|_| {
             let expected =
                 format!("no {} particle has a diameter between; widen it", morphology.name());
-            Error::invalid("particles.diameter_nm", format!("[{low}, {high}]"), expected)
+            Error::invalid(crate::Setting::ParticleDiameterNm, format!("[{low}, {high}]"), expected)
         })?;
         let rotation = orientation(morphology, table.max_tilt_deg, seed, index as u64);
         let mut atoms: Vec<[f64; 3]> =
@@ -385,7 +389,7 @@ fn place(
                 particles[index].diameter_nm,
                 table.gap_nm
             );
-            return Err(Error::invalid("particles.count", table.count, expected));
+            return Err(Error::invalid(crate::Setting::ParticleCount, table.count, expected));
         };
         particles[index].centre = found;
         placed.push(index);

@@ -52,11 +52,15 @@ impl ColumnCrystal {
         if structure.atoms.iter().any(|a| a.occupancy < 1.0) {
             let expected = "specimens are built from fully occupied sites; give one element per \
                             site and mix with [substitutions] or [vacancies]";
-            return Err(Error::invalid("crystal", "partial occupancy", expected));
+            return Err(Error::invalid(crate::Setting::Crystal, "partial occupancy", expected));
         }
         if structure.atoms.len() > MOST_SITES {
             let expected = format!("at most {MOST_SITES} in the cell along this zone axis");
-            return Err(Error::invalid("sites of the crystal", structure.atoms.len(), expected));
+            return Err(Error::invalid(
+                crate::Setting::CrystalSites,
+                structure.atoms.len(),
+                expected,
+            ));
         }
         let fraction = |position: [f64; 3]| [0, 1, 2].map(|k| wrap(position[k] / cell[k]));
         let sites: Vec<[f64; 3]> = structure.atoms.iter().map(|a| fraction(a.position)).collect();
@@ -77,7 +81,11 @@ impl ColumnCrystal {
             column.chains.sort_by(|a, b| a.z.total_cmp(&b.z));
             if column.chains.len() > MOST_CHAINS {
                 let expected = format!("at most {MOST_CHAINS} in one column of the cell");
-                return Err(Error::invalid("sites of a column", column.chains.len(), expected));
+                return Err(Error::invalid(
+                    crate::Setting::ColumnSites,
+                    column.chains.len(),
+                    expected,
+                ));
             }
         }
         Ok(ColumnCrystal { cell, columns })
@@ -149,10 +157,10 @@ fn widest_gap(mut z: Vec<f64>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::structure::library;
+    use crate::structure::crystals;
 
     fn seen(name: &str, zone: [i32; 3], up: [i32; 3]) -> ColumnCrystal {
-        ColumnCrystal::new(&library::crystal(name).unwrap().oriented(zone, Some(up)).unwrap())
+        ColumnCrystal::new(&crystals::crystal(name).unwrap().oriented(zone, Some(up)).unwrap())
             .unwrap()
     }
 

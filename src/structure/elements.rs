@@ -1,9 +1,7 @@
 //! Element symbols.
 
+pub use crate::constants::MAX_ATOMIC_NUMBER;
 use crate::error::{Error, Result};
-
-/// Largest atomic number that the scattering tables hold.
-pub const MAX_ATOMIC_NUMBER: u8 = 103;
 
 const SYMBOLS: [&str; MAX_ATOMIC_NUMBER as usize] = [
     "H", "He", "Li", "Be", "B", "C", "N", "O", "F", "Ne", "Na", "Mg", "Al", "Si", "P", "S", "Cl",

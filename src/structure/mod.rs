@@ -1,34 +1,39 @@
 //! Atoms in a cell: the model, readers and writers, supercells.
 //!
 //! [`read`] takes CIF, extended XYZ and POSCAR files; [`Structure::oriented`] turns a crystal so that
-//! the beam runs along a zone axis; [`Structure::resolve_occupancy`] draws mixed sites.
+//! the beam runs along a zone axis; [`Structure::resolve_occupancy`] draws mixed sites; and
+//! [`Structure::sites`] makes of the atoms the sites that the engine simulates.
 
 pub mod carbon;
 mod cif;
 pub mod coincidence;
 pub mod columns;
+pub mod crystals;
 pub mod direction;
 pub mod elements;
 pub mod lattice;
-pub mod library;
+mod mixed_sites;
 mod neighbors;
-mod occupancy;
 mod orient;
 pub mod particles;
 mod poscar;
 mod read;
+mod site;
+mod source_text;
 mod supercell;
 mod xyz;
 
 pub(crate) use neighbors::for_each_pair;
 pub use neighbors::{min_pair_distance, shortest_distances};
 pub use read::{Format, parse, read};
+pub use site::{LARGEST_SIGMA_ANGSTROM, Sigmas, Site};
 pub use xyz::write_extxyz;
 
 /// Pairs of neighbours are nearer than this in every crystal, in Angstrom.
 pub const PAIR_CUTOFF_ANGSTROM: f64 = 6.0;
 
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 
 /// One atom (or a partially occupied site).
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -60,9 +65,10 @@ impl Structure {
         let lengths = [self.cell[0][0], self.cell[1][1], self.cell[2][2]];
         if off || lengths.iter().any(|&l| l <= 0.0) {
             return Err(Error::invalid(
-                "cell",
+                Setting::Cell,
                 format!("{:?}", self.cell),
-                "the simulation needs a box with edges along x, y and z; --zone u,v,w builds one",
+                "the simulation needs a box with edges along x, y and z; orient the crystal along a zone \
+                 axis first",
             ));
         }
         Ok(lengths)

@@ -4,6 +4,7 @@ use super::lattice::{Mat3, Vec3, cross, determinant, dot, inverse, norm, row_tim
 use super::supercell::check_size;
 use super::{Atom, Structure};
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 
 /// A lattice direction [uvw].
 type Indices = [i64; 3];
@@ -27,8 +28,8 @@ impl Structure {
     /// # Errors
     /// [`Error::Invalid`] if no such box has indices up to 24; it names the best angles.
     pub fn oriented(&self, zone: [i32; 3], up: Option<[i32; 3]>) -> Result<Structure> {
-        let z = reduced("zone", zone)?;
-        let y = up.map(|up| reduced("up", up)).transpose()?;
+        let z = reduced(Setting::Zone, zone)?;
+        let y = up.map(|up| reduced(Setting::Up, up)).transpose()?;
         if z == [0, 0, 1] && y.is_none_or(|y| y == [0, 1, 0]) && self.orthogonal_box().is_ok() {
             return Ok(self.clone());
         }
@@ -43,7 +44,7 @@ impl Structure {
         let off = deviation(&self.cell, y, z);
         if off > TOLERANCE {
             return Err(Error::invalid(
-                "up",
+                Setting::Up,
                 format!("{y:?}"),
                 format!(
                     "it must be perpendicular to the zone {z:?}, but encloses {:.3} degrees with \
@@ -94,7 +95,7 @@ impl Structure {
             String::new()
         };
         Error::invalid(
-            "zone",
+            Setting::Zone,
             format!("{z:?}"),
             format!(
                 "no orthogonal box with indices up to {LARGEST_INDEX} has this z axis{nearest}; \
@@ -109,7 +110,11 @@ impl Structure {
         check_size(cells.iter().map(|&n| n as u128).product(), self.atoms.len())?;
         let vectors: Mat3 = axes.map(|n| cartesian(&self.cell, n));
         let Some(to_fraction) = inverse(&vectors) else {
-            return Err(Error::invalid("zone", format!("{axes:?}"), "the box has no volume"));
+            return Err(Error::invalid(
+                Setting::Zone,
+                format!("{axes:?}"),
+                "the box has no volume",
+            ));
         };
         let lengths = vectors.map(norm);
         let mut atoms = Vec::with_capacity(self.atoms.len());
@@ -134,8 +139,8 @@ impl Structure {
     }
 }
 
-fn reduced(what: &'static str, given: [i32; 3]) -> Result<Indices> {
-    let fault = |expected: &str| Error::invalid(what, format!("{given:?}"), expected);
+fn reduced(setting: Setting, given: [i32; 3]) -> Result<Indices> {
+    let fault = |expected: &str| Error::invalid(setting, format!("{given:?}"), expected);
     if given == [0; 3] {
         return Err(fault("expected a lattice direction such as [1, 1, 0]"));
     }

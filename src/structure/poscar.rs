@@ -1,18 +1,18 @@
 //! VASP POSCAR and CONTCAR files, version 5.
 
 use super::lattice::{determinant, row_times};
-use super::read::Text;
+use super::source_text::SourceText;
 use super::{Atom, Structure};
 use crate::error::Result;
 
 /// The file's lines, taken one after another.
-struct Lines<'a> {
-    text: &'a Text<'a>,
+struct PoscarLines<'a> {
+    text: &'a SourceText<'a>,
     lines: Vec<&'a str>,
     next: usize,
 }
 
-impl<'a> Lines<'a> {
+impl<'a> PoscarLines<'a> {
     /// The next line, with its number; `what` names it if the file ends first.
     fn take(&mut self, what: &str) -> Result<(usize, &'a str)> {
         self.next += 1;
@@ -24,8 +24,8 @@ impl<'a> Lines<'a> {
 }
 
 /// Reads a POSCAR; velocities and whatever else follows a blank line are ignored.
-pub(super) fn parse(text: &Text) -> Result<Structure> {
-    let mut lines = Lines { text, lines: text.body.lines().collect(), next: 0 };
+pub(super) fn parse(text: &SourceText) -> Result<Structure> {
+    let mut lines = PoscarLines { text, lines: text.body.lines().collect(), next: 0 };
     lines.take("the comment line")?;
     let (cell, scale) = cell(&mut lines)?;
     let numbers = species(&mut lines)?;
@@ -52,7 +52,7 @@ pub(super) fn parse(text: &Text) -> Result<Structure> {
 }
 
 /// The scaled cell, and the scale of each Cartesian axis.
-fn cell(lines: &mut Lines) -> Result<([[f64; 3]; 3], [f64; 3])> {
+fn cell(lines: &mut PoscarLines) -> Result<([[f64; 3]; 3], [f64; 3])> {
     let (scale_line, row) = lines.take("the scale factor")?;
     let words: Vec<&str> = row.split_whitespace().collect();
     if words.len() != 1 && words.len() != 3 {
@@ -87,7 +87,7 @@ fn cell(lines: &mut Lines) -> Result<([[f64; 3]; 3], [f64; 3])> {
 }
 
 /// The atomic number of every atom, from the line of symbols and the line of counts.
-fn species(lines: &mut Lines) -> Result<Vec<u8>> {
+fn species(lines: &mut PoscarLines) -> Result<Vec<u8>> {
     let (line, symbols) = lines.take("the line of element symbols")?;
     if symbols.split_whitespace().next().is_none_or(|word| word.parse::<f64>().is_ok()) {
         let message = format!(
@@ -126,7 +126,7 @@ fn species(lines: &mut Lines) -> Result<Vec<u8>> {
     Ok(numbers)
 }
 
-fn is_direct(lines: &mut Lines) -> Result<bool> {
+fn is_direct(lines: &mut PoscarLines) -> Result<bool> {
     let (mut line, mut row) = lines.take("the line `Direct` or `Cartesian`")?;
     if row.starts_with(['S', 's']) {
         (line, row) = lines.take("the line `Direct` or `Cartesian`")?;
@@ -141,7 +141,7 @@ fn is_direct(lines: &mut Lines) -> Result<bool> {
     }
 }
 
-fn vector(text: &Text, line: usize, row: &str, what: &str) -> Result<[f64; 3]> {
+fn vector(text: &SourceText, line: usize, row: &str, what: &str) -> Result<[f64; 3]> {
     let words: Vec<&str> = row.split_whitespace().collect();
     if words.len() < 3 {
         return Err(text.error(line, format!("expected three numbers, found `{}`", row.trim())));

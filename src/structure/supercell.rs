@@ -3,6 +3,7 @@
 use super::lattice::{Vec3, row_times};
 use super::{Atom, Structure};
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 
 /// Most atoms that a supercell may have.
 const MOST_ATOMS: u128 = 500_000_000;
@@ -11,7 +12,7 @@ const MOST_ATOMS: u128 = 500_000_000;
 pub(super) fn check_size(cells: u128, atoms: usize) -> Result<()> {
     if cells.saturating_mul(atoms as u128) > MOST_ATOMS {
         return Err(Error::invalid(
-            "number of atoms in the supercell",
+            Setting::SupercellAtoms,
             cells.saturating_mul(atoms as u128),
             format!("expected at most {MOST_ATOMS}; repeat the cell less often"),
         ));
@@ -27,7 +28,7 @@ impl Structure {
     pub fn repeat(&self, count: [usize; 3]) -> Result<Structure> {
         if count.contains(&0) {
             let expected = "each of the three numbers must be at least 1";
-            return Err(Error::invalid("repeat", format!("{count:?}"), expected));
+            return Err(Error::invalid(Setting::Repeat, format!("{count:?}"), expected));
         }
         let cells = count.iter().try_fold(1u128, |n, &c| n.checked_mul(c as u128));
         check_size(cells.unwrap_or(u128::MAX), self.atoms.len())?;

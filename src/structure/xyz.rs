@@ -2,10 +2,10 @@
 //! line of `key=value`, one line per atom.
 
 use super::elements::symbol;
-use super::read::Text;
+use super::source_text::SourceText;
 use super::{Atom, Structure};
-use crate::atomic;
 use crate::error::Result;
+use crate::files::atomic_write;
 use std::fmt::Write;
 use std::path::Path;
 
@@ -13,7 +13,7 @@ use std::path::Path;
 const VACANT: &str = "X";
 
 /// Where the columns of an atom's line stand.
-struct Columns {
+struct XyzColumns {
     element: usize,
     position: usize,
     occupancy: Option<usize>,
@@ -23,7 +23,7 @@ struct Columns {
 }
 
 /// Reads a file of exactly one frame.
-pub(super) fn parse(text: &Text) -> Result<Structure> {
+pub(super) fn parse(text: &SourceText) -> Result<Structure> {
     let mut lines = text.lines();
     let (_, first) = lines.next().unwrap_or((1, ""));
     let count: usize = first.trim().parse().map_err(|_| {
@@ -59,7 +59,7 @@ fn surplus(row: &str, count: usize) -> String {
     }
 }
 
-fn lattice(text: &Text, pairs: &[(String, String)]) -> Result<[[f64; 3]; 3]> {
+fn lattice(text: &SourceText, pairs: &[(String, String)]) -> Result<[[f64; 3]; 3]> {
     let value = find(pairs, "lattice").ok_or_else(|| {
         text.error(
             2,
@@ -80,7 +80,7 @@ fn lattice(text: &Text, pairs: &[(String, String)]) -> Result<[[f64; 3]; 3]> {
     Ok(cell)
 }
 
-fn columns(text: &Text, pairs: &[(String, String)]) -> Result<Columns> {
+fn columns(text: &SourceText, pairs: &[(String, String)]) -> Result<XyzColumns> {
     let properties = find(pairs, "properties").unwrap_or("species:S:1:pos:R:3");
     let fields: Vec<&str> = properties.split(':').collect();
     let wrong = |why: String| text.error(2, format!("Properties={properties}: {why}"));
@@ -113,11 +113,11 @@ fn columns(text: &Text, pairs: &[(String, String)]) -> Result<Columns> {
         .ok_or_else(|| wrong("no positions; expected `pos:R:3`".to_owned()))?;
     let occupancy = column(&["occupancy", "occupancies"], 1)?;
     let announced = find(pairs, "properties").is_some();
-    Ok(Columns { element, position, occupancy, count, announced })
+    Ok(XyzColumns { element, position, occupancy, count, announced })
 }
 
 /// The atom of a line; none for a vacant site of the species `X`.
-fn atom(text: &Text, columns: &Columns, line: usize, row: &str) -> Result<Option<Atom>> {
+fn atom(text: &SourceText, columns: &XyzColumns, line: usize, row: &str) -> Result<Option<Atom>> {
     let words: Vec<&str> = row.split_whitespace().collect();
     // Plain XYZ files may have anything after the position.
     if words.len() < columns.count || (columns.announced && words.len() > columns.count) {
@@ -193,7 +193,7 @@ fn take_value(rest: &str) -> (String, &str) {
 /// # Errors
 /// [`crate::Error::Io`].
 pub fn write_extxyz(path: &Path, structure: &Structure) -> Result<()> {
-    atomic::write(path, to_extxyz(structure).as_bytes())
+    atomic_write::write(path, to_extxyz(structure).as_bytes())
 }
 
 fn to_extxyz(structure: &Structure) -> String {

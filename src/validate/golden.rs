@@ -13,6 +13,7 @@ use crate::error::{Error, Result};
 use crate::io::arrays::unpack_npz;
 use crate::optics::Aberrations;
 use crate::potential::slices::Slicing;
+use crate::setting::Setting;
 use crate::structure::{self, Format};
 
 struct File {
@@ -85,8 +86,9 @@ impl Golden {
     /// # Errors
     /// [`Error::Invalid`] for an unknown name.
     pub fn load(name: &str) -> Result<Self> {
-        let damaged = |e: String| Error::invalid("reference", name, format!("is damaged: {e}"));
-        let unknown = || Error::invalid("reference", name, "is not part of the program");
+        let damaged =
+            |e: String| Error::invalid(Setting::Reference, name, format!("is damaged: {e}"));
+        let unknown = || Error::invalid(Setting::Reference, name, "is not part of the program");
         let file = FILES.iter().find(|f| f.name == name).ok_or_else(unknown)?;
         let json: Value = serde_json::from_str(file.json).map_err(|e| damaged(e.to_string()))?;
         let atoms = json["atoms"].as_str().unwrap_or_default();
@@ -107,10 +109,11 @@ impl Golden {
     pub fn array<D: Dimension>(&self, name: &str) -> Result<ndarray::Array<f64, D>> {
         let found = self.arrays.iter().find(|(n, _)| n == name).map(|(_, a)| a.clone());
         let array = found.and_then(|a| a.into_dimensionality().ok());
-        array.ok_or_else(|| Error::invalid("reference", name, "is no array of the reference"))
+        array
+            .ok_or_else(|| Error::invalid(Setting::Reference, name, "is no array of the reference"))
     }
 
-    /// Images: detector, row, column.
+    /// Images in fractions of the beam: (detector, row = y, column = x).
     ///
     /// # Errors
     /// As [`Golden::array`].
@@ -118,7 +121,7 @@ impl Golden {
         self.array(name)
     }
 
-    /// A table or a single image.
+    /// A table, or a single image (row = y, column = x) in fractions of the beam.
     ///
     /// # Errors
     /// As [`Golden::array`].

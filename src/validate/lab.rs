@@ -1,4 +1,4 @@
-//! Where cases run: simulations that share one progress bar.
+//! The simulations of the cases, under one progress bar.
 
 use crate::engine::{Images, Plan, Scan, Settings, Site, simulate};
 use crate::error::Result;

@@ -1,4 +1,4 @@
-//! Is it right? The shipped suite of checks, comparison with an image of another program, and comparison of
+//! Validation: the shipped suite of checks, comparison with an image of another program, and comparison of
 //! two worlds; and the reports that show them.
 //!
 //! The suite ([`suite::cases`]) is one list that users run (`stemgen validate`) and tests run. Each case
@@ -178,7 +178,7 @@ pub struct Findings {
 /// A case that was run.
 #[derive(Debug, Clone, Serialize)]
 pub struct Outcome {
-    /// Name, as for `--case`.
+    /// Name, by which it can be chosen.
     pub name: String,
     /// One line.
     pub title: String,

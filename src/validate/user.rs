@@ -11,7 +11,8 @@ use super::difference::{Difference, best_gain};
 use super::{Check, Figure, Findings, ImagePair, Lab, Limit, Outcome, Verdict, overall};
 use crate::engine::{Plan, Scan, Site};
 use crate::error::Result;
-use crate::io::arrays::{Axis, ForeignArray};
+use crate::io::arrays::{ArrayAxis, ForeignArray};
+use crate::setting::Setting;
 
 /// Order of the two dimensions of an image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -24,7 +25,7 @@ pub enum Order {
 
 /// What the values of a reference are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Units {
+pub enum ValueUnits {
     /// Fractions of the beam.
     Fraction,
     /// Per cent of the beam.
@@ -46,13 +47,14 @@ pub struct Reference {
     pub orientation: &'static str,
 }
 
-/// The image of an array, with x along columns.
+/// The image of an array (row = y, column = x), in the unit of the file.
 ///
 /// `index` chooses along the dimensions that are not x or y; those of length 1 need no choice. `expected` are
 /// the (x, y) numbers of pixels of the scan, if known: where they differ they tell the order.
 ///
 /// # Errors
-/// [`crate::Error::Parse`] if a choice is missing or impossible, the order is not known, or a value is not finite.
+/// [`crate::Error::Choice`] if a choice is missing or impossible, or the order is not known; [`crate::Error::Parse`]
+/// for a value that is not finite.
 pub fn reference(
     array: &ForeignArray,
     order: Option<Order>,
@@ -76,20 +78,26 @@ pub fn reference(
             let told = if x < y { Order::Xy } else { Order::Yx };
             if told != given {
                 let names = if x < y { "x, y" } else { "y, x" };
-                return Err(array.error(format!(
-                    "says that its axes are {names}, against --axes; leave --axes out, or mend the file"
-                )));
+                return Err(array.choice(
+                    Setting::ImageAxes,
+                    format!(
+                        "says that its axes are {names}, against the order given; give none, or mend the file"
+                    ),
+                ));
             }
-            (given, "--axes, as the file says")
+            (given, "as given, and as the file says")
         }
-        (None, Some(given), _) => (given, "--axes"),
+        (None, Some(given), _) => (given, "as given"),
         (None, None, Some(order)) => (order, "the numbers of pixels of the scan"),
         (None, None, None) => {
             let (a, b) = image.dim();
-            return Err(array.error(format!(
-                "does not say which axis is x: its {a} x {b} values may be [x, y] (abTEM) or [y, x]; \
-                 give --axes xy or --axes yx"
-            )));
+            return Err(array.choice(
+                Setting::ImageAxes,
+                format!(
+                    "does not say which axis is x: its {a} x {b} values may be [x, y] (abTEM) or [y, x]; \
+                     give the order, xy or yx"
+                ),
+            ));
         }
     };
     let data = match order {
@@ -103,7 +111,7 @@ pub fn reference(
         (None, Order::Yx) => [plane[1], plane[0]],
     };
     let step = |of: usize| axis(of).and_then(|a| a.sampling_angstrom).filter(|s| *s > 0.0);
-    let origin = |of: usize| axis(of).map_or(0.0, |a: &Axis| a.origin_angstrom);
+    let origin = |of: usize| axis(of).map_or(0.0, |a: &ArrayAxis| a.origin_angstrom);
     Ok(Reference {
         data,
         step_angstrom: step(x).zip(step(y)).map(|(x, y)| [x, y]),
@@ -136,22 +144,22 @@ fn choose(array: &ForeignArray, plane: [usize; 2], index: &[usize]) -> Result<Ar
         (0..shape.len()).filter(|d| !plane.contains(d) && shape[*d] > 1).collect();
     if index.len() != others.len() {
         let lengths: Vec<String> = others.iter().map(|d| shape[*d].to_string()).collect();
-        return Err(array.error(match others.len() {
-            0 => "holds one image: --index is not needed".to_owned(),
+        let message = match others.len() {
+            0 => "holds one image: an index is not needed".to_owned(),
             n => format!(
-                "holds an array of shape {shape:?}: --index takes {n} number{} from 0, below {}",
+                "holds an array of shape {shape:?}: its index takes {n} number{} from 0, below {}",
                 if n == 1 { "" } else { "s" },
                 lengths.join(", ")
             ),
-        }));
+        };
+        return Err(array.choice(Setting::ImageIndex, message));
     }
     let mut view = array.data.view();
     for d in (0..shape.len()).rev().filter(|d| !plane.contains(d)) {
         let at = others.iter().position(|o| *o == d).map_or(0, |i| index[i]);
         if at >= shape[d] {
-            return Err(
-                array.error(format!("--index {at} is too large: there are {}, from 0", shape[d]))
-            );
+            let message = format!("index {at} is too large: there are {}, from 0", shape[d]);
+            return Err(array.choice(Setting::ImageIndex, message));
         }
         view = view.index_axis_move(Dimension(d), at);
     }
@@ -184,24 +192,31 @@ pub fn scan(reference: &Reference) -> Option<Scan> {
 /// Values as fractions of the beam.
 ///
 /// # Errors
-/// [`crate::Error::Parse`] for fractions above 1 or below 0.
-pub fn in_fractions(array: &ForeignArray, image: &mut Array2<f64>, units: Units) -> Result<()> {
-    if units == Units::Percent {
+/// [`crate::Error::Choice`] for fractions above 1 or below 0.
+pub fn in_fractions(
+    array: &ForeignArray,
+    image: &mut Array2<f64>,
+    units: ValueUnits,
+) -> Result<()> {
+    if units == ValueUnits::Percent {
         *image *= 0.01;
     }
     let range = image.iter().fold([f64::MAX, f64::MIN], |r, v| [r[0].min(*v), r[1].max(*v)]);
-    if units != Units::Fitted && (range[1] > 1.0 || range[0] < -1e-6) {
-        return Err(array.error(format!(
-            "holds values from {:.4} to {:.4}, which are no fractions of the beam; --units percent, or \
-             --units fitted for anything proportional",
-            range[0], range[1]
-        )));
+    if units != ValueUnits::Fitted && (range[1] > 1.0 || range[0] < -1e-6) {
+        return Err(array.choice(
+            Setting::ImageUnits,
+            format!(
+                "holds values from {:.4} to {:.4}, which are no fractions of the beam; give their unit: \
+                 percent, or fitted for anything proportional",
+                range[0], range[1]
+            ),
+        ));
     }
     Ok(())
 }
 
 /// What a comparison needs to know.
-pub struct Comparison<'a> {
+pub struct ImageComparison<'a> {
     /// Plan of the simulation, with one detector.
     pub plan: &'a Plan,
     /// The atoms.
@@ -211,7 +226,7 @@ pub struct Comparison<'a> {
     /// The reference.
     pub reference: &'a Reference,
     /// What its values are.
-    pub units: Units,
+    pub units: ValueUnits,
     /// Largest difference allowed, as a fraction of the reference's maximum.
     pub tolerance: f64,
     /// Name of the case.
@@ -228,13 +243,13 @@ pub struct Comparison<'a> {
 ///
 /// # Errors
 /// Those of the engine.
-pub fn compare(lab: &Lab, c: &Comparison) -> Result<Outcome> {
+pub fn compare(lab: &Lab, c: &ImageComparison) -> Result<Outcome> {
     let begun = Instant::now();
     let images = lab.execute(c.plan, c.sites, c.scan)?;
     let ours = images.image(0, 0).mapv(f64::from);
     let mut reference = c.reference.data.clone();
     let mut findings = Findings::default();
-    if c.units == Units::Fitted {
+    if c.units == ValueUnits::Fitted {
         let gain = best_gain(reference.view(), ours.view());
         reference *= gain;
         findings.checks.push(Check::shown("factor fitted to the reference", gain, ""));
@@ -321,7 +336,7 @@ mod tests {
     use std::path::PathBuf;
 
     fn array(data: ArrayD<f64>, labels: Option<&[&str]>) -> ForeignArray {
-        let axis = |l: &&str| Axis {
+        let axis = |l: &&str| ArrayAxis {
             label: (*l).into(),
             sampling_angstrom: matches!(*l, "x" | "y").then_some(if *l == "x" { 0.1 } else { 0.2 }),
             origin_angstrom: 0.5,
@@ -345,7 +360,7 @@ mod tests {
     fn the_order_is_told_given_or_found_but_not_guessed() {
         let plain = array(counted(3, 3), None);
         let told = reference(&plain, None, &[], None).unwrap_err().to_string();
-        assert!(told.contains("--axes xy") && told.contains("r.npy"), "{told}");
+        assert!(told.contains("xy or yx") && told.contains("r.npy"), "{told}");
         assert!(reference(&plain, None, &[], Some([3, 3])).is_err(), "square: sizes say nothing");
         let yx = reference(&plain, Some(Order::Yx), &[], None).unwrap().data;
         let xy = reference(&plain, Some(Order::Xy), &[], None).unwrap().data;
@@ -386,8 +401,8 @@ mod tests {
         assert!(told.contains("NaN at index [1, 0]"), "{told}");
         let file = array(counted(2, 2), None);
         let mut image = Array2::from_elem((2, 2), 3.0);
-        assert!(in_fractions(&file, &mut image, Units::Fraction).is_err());
-        assert!(in_fractions(&file, &mut image, Units::Percent).is_ok());
+        assert!(in_fractions(&file, &mut image, ValueUnits::Fraction).is_err());
+        assert!(in_fractions(&file, &mut image, ValueUnits::Percent).is_ok());
         assert_eq!(image[[0, 0]], 0.03);
     }
 

@@ -5,9 +5,9 @@ use std::path::Path;
 
 use rayon::prelude::*;
 
-use crate::atomic;
-use crate::disk::{self, OutputLock};
 use crate::error::{Error, Result};
+use crate::files::atomic_write;
+use crate::files::{OutputLock, disk_space};
 use crate::io::{AtomRow, AtomsHeader, AtomsWriter, RowFormat, writable};
 use crate::progress::Progress;
 use crate::recipe::resolved_recipe::Recipe;
@@ -76,14 +76,18 @@ pub fn export(
 ) -> Result<ExportSummary> {
     if !(0.0..=1e4).contains(&options.vacuum_angstrom) {
         let expected = "expected a length from 0 to 10000";
-        return Err(Error::invalid("vacuum (A)", options.vacuum_angstrom, expected));
+        return Err(Error::invalid(
+            crate::Setting::VacuumAngstrom,
+            options.vacuum_angstrom,
+            expected,
+        ));
     }
     let _lock = OutputLock::hold(path)?;
     let sites = estimated_sites(specimen, &recipe.field);
-    disk::check_space(path, footprint::atoms_bytes(writable(path)?, sites))?;
+    disk_space::check_space(path, footprint::atoms_bytes(writable(path)?, sites))?;
     let frame = Frame::new(specimen, recipe, options);
     let mut summary = ExportSummary { cell_angstrom: frame.cell, ..ExportSummary::default() };
-    atomic::write_with(path, options.overwrite, |temporary| {
+    atomic_write::write_with(path, options.overwrite, |temporary| {
         let mut writer = AtomsWriter::create(temporary, path, &header(recipe, &frame))?;
         for_each_stripe(specimen, &recipe.field, "writing atoms", progress, |stripe| {
             visit(&stripe.sites);

@@ -5,6 +5,7 @@ use crate::error::{Error, Result};
 use crate::imaging::simulator::{WINDOW_ANGSTROM, default_window};
 use crate::imaging::{AuditOptions, Cache, ImagingCheck, ImagingChoice, MethodChoice, Simulator};
 use crate::recipe::{CheckedRecipe, StructureKind};
+use crate::setting::Setting;
 
 /// Sub-tiles in nm; 4 nm take below 2 GB of memory on two threads.
 const SUBTILE_NM: f64 = 4.0;
@@ -142,30 +143,31 @@ impl BuildOptions {
 
     fn check_combination(&self) -> Result<()> {
         use BuildMethod::{Auto, Mosaic, Prism, Window};
-        let refuse =
-            |what, value: String, expected: &str| Err(Error::invalid(what, value, expected));
+        let refuse = |what: Setting, value: String, expected: &str| {
+            Err(Error::invalid(what, value, expected))
+        };
         let windows = matches!(self.method, Auto | Mosaic | Window);
         let chosen = self.window_angstrom.is_some() || self.accuracy_percent.is_some();
         let numerics = chosen || self.interpolation.is_some() || self.max_error_percent.is_some();
         if self.published() && (numerics || self.method != Auto) {
             let expected = "the published profile has settings of its own; leave out all others";
-            return refuse("profile", "published".into(), expected);
+            return refuse(Setting::BuildProfile, "published".into(), expected);
         }
         if chosen && self.interpolation.is_some() {
             let expected = "windows and PRISM are different methods; choose one";
-            return refuse("interpolation", format!("{:?}", self.interpolation), expected);
+            return refuse(Setting::Interpolation, format!("{:?}", self.interpolation), expected);
         }
         if let Some(width) = self.window_angstrom.filter(|_| !windows) {
             let expected = "belongs to windows and mosaics, not to the method that was chosen";
-            return refuse("window (A)", width.to_string(), expected);
+            return refuse(Setting::WindowAngstrom, width.to_string(), expected);
         }
         if let Some(percent) = self.accuracy_percent.filter(|_| !windows) {
             let expected = "chooses a window, which the method that was chosen has not";
-            return refuse("accuracy (%)", percent.to_string(), expected);
+            return refuse(Setting::AccuracyPercent, percent.to_string(), expected);
         }
         if self.interpolation.is_some() && !matches!(self.method, Auto | Prism) {
             let expected = "belongs to PRISM, not to the method that was chosen";
-            return refuse("interpolation", format!("{:?}", self.interpolation), expected);
+            return refuse(Setting::Interpolation, format!("{:?}", self.interpolation), expected);
         }
         Ok(())
     }
@@ -227,7 +229,8 @@ impl BuildOptions {
     /// How a mosaic or film is checked before the world is made with it.
     fn imaging_check(&self, recipe: &CheckedRecipe, method: MethodChoice) -> Result<ImagingCheck> {
         if let Some(limit) = self.max_error_percent {
-            let refuse = |expected| Err(Error::invalid("largest error (%)", limit, expected));
+            let refuse =
+                |expected| Err(Error::invalid(Setting::LargestErrorPercent, limit, expected));
             if method == MethodChoice::Direct {
                 return refuse(
                     "is for mosaics; leave the method open, or audit the world afterwards",

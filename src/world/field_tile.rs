@@ -107,12 +107,12 @@ fn check(recipe: &Recipe, pixels: &PixelRect, dose: Option<f64>) -> Result<()> {
             "expected all pixels of a rectangle in the full field of {} x {}",
             full[0], full[1]
         );
-        return Err(Error::invalid("tile (px)", value, expected));
+        return Err(Error::invalid(crate::Setting::TilePixels, value, expected));
     }
     match dose.filter(|dose| !(1e-3..=1e12).contains(dose)) {
         Some(dose) => {
             let expected = "expected 0.001 to 1e12 electrons per square Angstrom";
-            Err(Error::invalid("dose", dose, expected))
+            Err(Error::invalid(crate::Setting::Dose, dose, expected))
         }
         None => Ok(()),
     }

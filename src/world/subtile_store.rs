@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use ndarray::Array2;
 use sha2::{Digest, Sha256};
 
-use crate::atomic;
 use crate::error::{Error, Result};
 use crate::files::array_store::{ArrayStore, Stored};
+use crate::files::atomic_write;
 use crate::progress::Progress;
 
 const KEY_FILE: &str = "key.json";
@@ -44,7 +44,7 @@ impl SubtileStore {
         for path in left.arrays.iter().chain(&left.leftovers) {
             fs::remove_file(path).map_err(|e| Error::io(path, "remove", e))?;
         }
-        atomic::write(&key_path, key.as_bytes())?;
+        atomic_write::write(&key_path, key.as_bytes())?;
         Ok(store)
     }
 

@@ -47,7 +47,7 @@ impl Partition {
         if !sensible || size < 3 * overlap + 3 {
             let expected = "a sub-tile must be more than three times as wide as the overlap";
             let value = format!("{size_nm} with an overlap of {overlap_nm}");
-            return Err(Error::invalid("sub-tile (nm)", value, expected));
+            return Err(Error::invalid(crate::Setting::SubtileNm, value, expected));
         }
         let axis = |n| axis(n, size, overlap);
         Ok(Partition { rows: axis(shape[0]), columns: axis(shape[1]) })

@@ -2,7 +2,7 @@
 
 use crate::error::Result;
 use crate::imaging::pixels::PixelRect;
-use crate::io::schema::{Composition, DefectName, Morphology, atom_type};
+use crate::io::schema::{CompositionText, DefectName, MorphologyName, atom_type};
 use crate::io::{LineKind, ParticleBatch, TruthBatch, WorldWriter};
 use crate::progress::Progress;
 use crate::recipe::{Field, Region};
@@ -77,7 +77,7 @@ fn batch(sites: &Sites, origin: [f64; 2], counts: &mut Counts) -> TruthBatch {
         batch.column_positions.push(column.position_nm);
         let numbers = [column.sites, column.vacancies, column.substitutions];
         batch.column_counts.iter_mut().zip(numbers).for_each(|(to, n)| to.push(n as i32));
-        let composition = Composition::from_ascii(&column.composition());
+        let composition = CompositionText::from_ascii(&column.composition());
         batch.column_compositions.push(composition.unwrap_or_default());
         counts.vacancies += u64::from(column.vacancies);
         counts.substitutions += u64::from(column.substitutions);
@@ -102,7 +102,7 @@ fn write_particles(
         let [x, y, z] = particle.centre_nm;
         batch.centres.push([(x - origin[0]) as f32, (y - origin[1]) as f32, z as f32]);
         batch.diameters.push(particle.diameter_nm as f32);
-        let morphology = Morphology::from_ascii(&particle.morphology);
+        let morphology = MorphologyName::from_ascii(&particle.morphology);
         batch.morphologies.push(morphology.unwrap_or_default());
         batch.orientations.push(particle.orientation.map(|q| q as f32));
     }

@@ -13,8 +13,8 @@ use super::footprint;
 use super::subtile_store::{SubtileStore, beside};
 use super::subtiles::{Partition, SubTile};
 use super::truth::{self, Counts};
-use crate::disk::{self, OutputLock};
 use crate::error::{Error, Result};
+use crate::files::{OutputLock, disk_space};
 use crate::imaging::direct::rectangle_plan;
 use crate::imaging::{Audit, ImagingCost, PixelRect, RegionImager, SimulationRuns};
 use crate::io::{Header, WorldFile, WorldWriter};
@@ -169,7 +169,7 @@ impl WorldBuild {
         check_output(output, self.options.overwrite)?;
         let _lock = OutputLock::hold(output)?;
         let done = footprint::folder_bytes(&beside(output, ".work"));
-        disk::check_space(output, self.disk_bytes().saturating_sub(done))?;
+        disk_space::check_space(output, self.disk_bytes().saturating_sub(done))?;
         let (imager, audit) = self.prepared_imager(progress)?;
         let library = imager.library();
         let job = Job { build: &self, imager: &*imager, audit, progress };
@@ -219,12 +219,12 @@ impl WorldBuild {
 }
 
 fn check_output(output: &Path, overwrite: bool) -> Result<()> {
-    let refuse = |why: &str| Err(Error::invalid("output", output.display(), why));
+    let refuse = |why: &str| Err(Error::invalid(crate::Setting::Output, output.display(), why));
     if output.is_dir() {
         return refuse("is a folder; name a file in it, such as world.h5");
     }
     if output.exists() && !overwrite {
-        return refuse("exists; name another file, or replace it with --overwrite");
+        return refuse("exists; name another file, or allow overwriting");
     }
     let parent = output.parent().filter(|p| !p.as_os_str().is_empty());
     match parent {
@@ -292,12 +292,20 @@ impl Job<'_> {
         let image = self.imager.mean_of(&self.pixels(tile), configurations, progress)?;
         if image.shape() != tile.shape() {
             let expected = format!("the imager was asked for {:?}", tile.shape());
-            return Err(Error::invalid("shape of image", format!("{:?}", image.shape()), expected));
+            return Err(Error::invalid(
+                crate::Setting::EngineImageShape,
+                format!("{:?}", image.shape()),
+                expected,
+            ));
         }
         match image.iter().find(|v| !v.is_finite()) {
             Some(bad) => {
                 let place = format!("sub-tile {} of {}", tile.index, self.imager.name());
-                Err(Error::invalid("intensity", bad, format!("{place}: must be finite")))
+                Err(Error::invalid(
+                    crate::Setting::Intensity,
+                    bad,
+                    format!("{place}: must be finite"),
+                ))
             }
             None => Ok(image.mapv(|v| v as f32)),
         }
@@ -386,6 +394,10 @@ fn verify(path: &Path, counts: Counts) -> Result<()> {
     let found = world.site_count()? as u64;
     match found == counts.sites {
         true => Ok(()),
-        false => Err(Error::invalid("sites in file", found, format!("{} written", counts.sites))),
+        false => Err(Error::invalid(
+            crate::Setting::SitesInFile,
+            found,
+            format!("{} written", counts.sites),
+        )),
     }
 }

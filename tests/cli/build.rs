@@ -36,6 +36,39 @@ fn a_world_is_built_with_its_picture() {
 }
 
 #[test]
+fn a_largest_error_is_kept_or_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let limited = |limit: &str, name: &str| {
+        let mut command = tiny(here);
+        command.env("STEMGEN_CACHE", here.join("cache"));
+        command.args(["--max-error", limit, "--no-png", "-o", name]);
+        command
+    };
+    let run = limited("20%", "good.h5").output().unwrap();
+    let told = stdout(&run);
+    assert!(run.status.success(), "{}", stderr(&run));
+    assert!(told.contains("rms at bright columns") && told.contains("multislice"), "{told}");
+    let audit = &json(limited("20%", "again.h5").arg("--quiet"))["audit"];
+    for error in ["bright_rms_percent", "all_rms_percent"] {
+        assert!((0.0..20.0).contains(&audit[error].as_f64().unwrap()), "{audit}");
+    }
+    let told = fails(&mut limited("0.001%", "impossible.h5"));
+    for part in [
+        "warning: window: ",
+        "at most 0.001 % are asked for",
+        "largest error (%) = 0.001: no window is as right here; use the engine multislice",
+        "hint: see --max-error, --engine multislice",
+    ] {
+        assert!(told.contains(part), "no `{part}` in\n{told}");
+    }
+    let told = fails(limited("20%", "impossible.h5").args(["--audit", "0"]));
+    assert!(told.contains("--max-error needs an audit"), "{told}");
+    let written = std::fs::read_dir(here).unwrap().map(|e| e.unwrap().file_name());
+    assert!(written.into_iter().all(|n| !n.to_string_lossy().starts_with("impossible")));
+}
+
+#[test]
 fn the_test_world_has_the_published_schema() {
     let folder = tempfile::tempdir().unwrap();
     let built = json(stemgen(folder.path()).args(["build", "test", "--keep-clean"]));

@@ -23,6 +23,10 @@ fn help_is_as_stored() {
     compare("build", &["build"]);
     compare("specimen", &["specimen"]);
     compare("view", &["view"]);
+    compare("audit", &["audit"]);
+    compare("cache", &["cache"]);
+    compare("cache-list", &["cache", "list"]);
+    compare("cache-clear", &["cache", "clear"]);
     compare("validate", &["validate"]);
     compare("compare", &["compare"]);
     compare("list", &["list"]);

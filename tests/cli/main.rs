@@ -1,6 +1,7 @@
 //! The program as a user meets it.
 
 mod build;
+mod cache;
 mod checks;
 mod compare;
 mod errors;
@@ -9,6 +10,8 @@ mod help;
 mod interpreter;
 mod recipes;
 mod simulate;
+#[path = "../common/skipped.rs"]
+mod skipped;
 mod specimen;
 mod validate;
 mod view;

@@ -102,6 +102,23 @@ fn crystals_are_turned_and_repeated() {
     assert!(plan["warnings"][0].as_str().unwrap().contains("--repeat"), "{}", plan["warnings"]);
 }
 
+#[test]
+fn a_warning_is_a_sentence_without_gaps() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut simulate = stemgen(folder.path());
+    simulate.args(["simulate", &file("structures/si.cif"), "--accuracy", "1", "--energy", "80"]);
+    let plan = json(simulate.arg("--dry-run"));
+    let warnings: Vec<&str> =
+        plan["warnings"].as_array().unwrap().iter().map(|w| w.as_str().unwrap()).collect();
+    assert!(warnings.iter().any(|w| w.contains("was not measured for")), "{warnings:?}");
+    assert!(warnings.iter().all(|w| !w.contains("  ")), "{warnings:?}");
+    let mut build = stemgen(folder.path());
+    build.args(["build", "--recipe", &file("tests/cli/tiny.toml"), "--accuracy", "1", "--dry-run"]);
+    let told = stderr(&build.output().unwrap());
+    let warning = told.lines().find(|l| l.contains("was not measured for")).expect(&told);
+    assert!(!warning.contains("  "), "{warning}");
+}
+
 #[cfg(unix)]
 #[test]
 fn a_closed_pipe_is_no_fault() {

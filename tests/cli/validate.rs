@@ -197,8 +197,8 @@ fn nothing_is_guessed_and_bad_files_are_named() {
         (&zarr, &["--detector", "BF=0-20", "--detector", "ADF=30-60"], "2 detectors"),
         (&zarr, &["--tolerance", "0"], "--tolerance 0"),
         ("nan.npy", &xy, "NaN at index [2, 3]"),
-        ("stack.npy", &xy, "--index takes 1 number from 0, below 3"),
-        ("stack.npy", &["--axes", "xy", "--index", "3"], "--index 3 is too large"),
+        ("stack.npy", &xy, "its index takes 1 number from 0, below 3"),
+        ("stack.npy", &["--axes", "xy", "--index", "3"], "index 3 is too large"),
         ("text.npy", &xy, "no NumPy array"),
         ("text.h5", &[], "not HDF5"),
         ("text.tif", &[], "no readable TIFF"),
@@ -212,6 +212,9 @@ fn nothing_is_guessed_and_bad_files_are_named() {
         let name = Path::new(image).file_name().unwrap().to_str().unwrap();
         let of_the_file = !["--tolerance 0", "2 detectors"].contains(expected);
         assert!(!of_the_file || told.contains(name), "{name} is not named: {told}");
+        if expected.contains("index ") && !expected.contains("NaN") {
+            assert!(told.contains("hint: see --index"), "{told}");
+        }
     }
     assert!(!f.join("validation.html").exists());
 }

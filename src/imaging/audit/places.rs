@@ -31,7 +31,7 @@ pub fn places(
     let edge = (options.size_nm / pixel).round() as usize;
     if stride == 0 || edge < 8 || edge > shape[0].min(shape[1]) {
         let expected = format!("must be from {:.2} to the field's height and width", 8.0 * pixel);
-        return Err(Error::invalid("audited region (nm)", options.size_nm, expected));
+        return Err(Error::invalid(crate::Setting::AuditedRegionNm, options.size_nm, expected));
     }
     let corners = match options.at_nm.is_empty() {
         true => random_corners(recipe, specimen, options, edge),
@@ -89,7 +89,7 @@ fn given_corners(recipe: &Recipe, options: &AuditOptions, edge: usize) -> Result
             "the region must lie in the field of {:.2} x {:.2} nm (x, y)",
             extent[1], extent[0]
         );
-        Err(Error::invalid("centre of audit (nm)", format!("{at:?}"), expected))
+        Err(Error::invalid(crate::Setting::AuditCentreNm, format!("{at:?}"), expected))
     };
     options.at_nm.iter().map(corner).collect()
 }

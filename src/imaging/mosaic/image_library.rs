@@ -247,7 +247,7 @@ impl Library {
         let shelf = |family: UnitFamily| {
             let sheet = specimen.sheet(family).ok_or_else(|| {
                 let expected = "the specimen has no sheet of this family";
-                Error::invalid("library", format!("{family:?}"), expected)
+                Error::invalid(crate::Setting::Library, format!("{family:?}"), expected)
             })?;
             Ok((family, CellImages::new(sheet.rounded(), family, &settings)))
         };

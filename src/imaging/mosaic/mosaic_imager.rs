@@ -155,7 +155,7 @@ impl RegionImager for MosaicImager {
         }
         if self.simulated.is_none() {
             let expected = "the imager has to be prepared before it makes images";
-            return Err(Error::invalid("library", "empty", expected));
+            return Err(Error::invalid(crate::Setting::Library, "empty", expected));
         }
         let PixelRect { first, shape, .. } = *pixels;
         let pixel = self.recipe.field.pixel_nm();

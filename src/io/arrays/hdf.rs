@@ -5,7 +5,7 @@ use std::path::Path;
 use hdf5::types::{TypeDescriptor, VarLenUnicode};
 use hdf5::{Dataset, File, Group};
 
-use super::{Axis, ForeignArray, choose};
+use super::{ArrayAxis, ForeignArray, choose};
 use crate::error::{Error, Result};
 use crate::io::At;
 
@@ -48,7 +48,7 @@ fn collect(group: &Group, names: &mut Vec<String>) -> hdf5::Result<()> {
 }
 
 /// The axes that `stemgen simulate` writes: names of all, pixel and origin of the last two.
-fn axes(dataset: &Dataset, count: usize) -> Option<Vec<Axis>> {
+fn axes(dataset: &Dataset, count: usize) -> Option<Vec<ArrayAxis>> {
     let labels: Vec<VarLenUnicode> = dataset.attr("axes").and_then(|a| a.read_raw()).ok()?;
     let pair = |name: &str| -> Option<Vec<f64>> {
         dataset.attr(name).and_then(|a| a.read_raw()).ok().filter(|v: &Vec<f64>| v.len() == 2)
@@ -59,7 +59,7 @@ fn axes(dataset: &Dataset, count: usize) -> Option<Vec<Axis>> {
     }
     let axis = |(i, label): (usize, &VarLenUnicode)| {
         let place = (i + 2).checked_sub(count);
-        Axis {
+        ArrayAxis {
             label: label.as_str().to_owned(),
             sampling_angstrom: place.map(|p| sampling[p]),
             origin_angstrom: place.map_or(0.0, |p| origin[p]),

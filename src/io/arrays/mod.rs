@@ -7,7 +7,7 @@
 //! | `.tif`, `.tiff` (`measurement.to_tiff`) | abTEM's metadata in the description |
 //! | `.h5`, `.hdf5` | the attributes of [`super::image_file`]; nothing in other files |
 
-mod abtem;
+mod abtem_metadata;
 mod hdf;
 mod numpy;
 mod tagged;
@@ -18,11 +18,12 @@ use std::path::{Path, PathBuf};
 use ndarray::ArrayD;
 
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 pub(crate) use numpy::unpack as unpack_npz;
 
 /// What a file says of one dimension of an array.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Axis {
+pub struct ArrayAxis {
     /// `x`, `y`, `thickness` ...; may be empty.
     pub label: String,
     /// Distance of neighbouring entries in Angstrom.
@@ -41,7 +42,7 @@ pub struct ForeignArray {
     /// The values, in the order of the file.
     pub data: ArrayD<f64>,
     /// One for each dimension, if the file describes them.
-    pub axes: Option<Vec<Axis>>,
+    pub axes: Option<Vec<ArrayAxis>>,
     /// Beam energy, if the file tells it.
     pub energy_ev: Option<f64>,
     /// Convergence semiangle, if the file tells it.
@@ -51,8 +52,8 @@ pub struct ForeignArray {
 /// Reads an array of real numbers with at least two dimensions. `name` chooses among several.
 ///
 /// # Errors
-/// [`Error::Io`]; [`Error::Parse`] for a foreign or damaged file, or when the name is missing or wrong:
-/// it lists what there is.
+/// [`Error::Io`]; [`Error::Parse`] for a foreign or damaged file, or a wrong name; [`Error::Choice`] when
+/// the name is missing: both list what there is.
 pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     let metadata = std::fs::metadata(path).map_err(|e| Error::io(path, "read", e))?;
     if metadata.is_dir() {
@@ -84,6 +85,11 @@ impl ForeignArray {
         }
     }
 
+    /// An error that names this array's file and the setting that decides what is made of it.
+    pub fn choice(&self, setting: Setting, message: impl Into<String>) -> Error {
+        Error::choice(&self.path, setting, message)
+    }
+
     /// An error that names this array's file.
     pub fn error(&self, message: impl Into<String>) -> Error {
         Error::parse(&self.path, 0, message)
@@ -107,7 +113,8 @@ fn choose<'a>(path: &Path, found: &'a [String], name: Option<&str>) -> Result<&'
         },
         ([only], None) => Ok(only),
         (_, None) => {
-            refuse(format!("holds several arrays; --dataset NAME chooses one of: {listed}"))
+            let message = format!("holds several arrays; choose one of: {listed}");
+            Err(Error::choice(path, Setting::DataSet, message))
         }
     }
 }

@@ -27,7 +27,7 @@ pub fn read_npz(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     Ok(ForeignArray::plain(path, &key, data))
 }
 
-/// The arrays of real numbers in an `.npz`, with their names.
+/// The arrays of real numbers in an `.npz`, with their names; dimensions in the order of the file.
 ///
 /// # Errors
 /// The reason, for anything but an archive.

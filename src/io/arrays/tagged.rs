@@ -9,7 +9,7 @@ use tiff::ColorType;
 use tiff::decoder::{Decoder, DecodingResult};
 use tiff::tags::Tag;
 
-use super::{ForeignArray, abtem, nameless};
+use super::{ForeignArray, abtem_metadata, nameless};
 use crate::error::{Error, Result};
 
 pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
@@ -52,15 +52,15 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
         .map_err(|e| Error::parse(path, 0, format!("is a damaged TIFF ({e})")))?;
     let mut array = ForeignArray::plain(path, "", data);
     if let Ok(metadata) = serde_json::from_str(&description) {
-        abtem::describe(&mut array, &metadata);
+        abtem_metadata::describe(&mut array, &metadata);
     }
     Ok(array)
 }
 
-type Page = ((u32, u32), Vec<f64>);
+type TiffPage = ((u32, u32), Vec<f64>);
 
 /// Size and values of the current page; `None` for colours.
-fn page<R: Read + Seek>(decoder: &mut Decoder<R>) -> tiff::TiffResult<Option<Page>> {
+fn page<R: Read + Seek>(decoder: &mut Decoder<R>) -> tiff::TiffResult<Option<TiffPage>> {
     if !matches!(decoder.colortype()?, ColorType::Gray(_)) {
         return Ok(None);
     }

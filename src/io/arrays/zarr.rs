@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use ndarray::{ArrayD, Dimension, IxDyn};
 use serde_json::Value;
 
-use super::{ForeignArray, abtem, choose};
+use super::{ForeignArray, abtem_metadata, choose};
 use crate::error::{Error, Result};
 
 const REMEDY: &str = "export the image with np.save(\"image.npy\", measurement.array) instead";
@@ -23,7 +23,7 @@ enum Codec {
 
 /// What one number is.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Number {
+struct NumberType {
     kind: Kind,
     bytes: usize,
     big_endian: bool,
@@ -37,11 +37,11 @@ enum Kind {
 }
 
 /// An array of the folder.
-struct Layout {
+struct ZarrLayout {
     folder: PathBuf,
     shape: Vec<usize>,
     chunk: Vec<usize>,
-    number: Number,
+    number: NumberType,
     codec: Codec,
     fill: f64,
     /// First index fastest.
@@ -53,7 +53,7 @@ struct Layout {
 pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     if is_array(path) {
         super::nameless(path, name)?;
-        let data = Layout::read(path)?.data()?;
+        let data = ZarrLayout::read(path)?.data()?;
         return Ok(ForeignArray::plain(path, "", data));
     }
     if !["zarr.json", ".zgroup"].iter().any(|f| path.join(f).is_file()) {
@@ -69,12 +69,12 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
         .collect();
     names.sort();
     let chosen = choose(path, &names, name)?;
-    let data = Layout::read(&path.join(chosen))?.data()?;
+    let data = ZarrLayout::read(&path.join(chosen))?.data()?;
     let mut array = ForeignArray::plain(path, chosen, data);
     // abTEM describes `array0` in the attribute `metadata0` of the group.
     let key = chosen.replacen("array", "metadata", 1);
     let attributes = attributes(path)?;
-    abtem::describe(&mut array, &attributes[key]);
+    abtem_metadata::describe(&mut array, &attributes[key]);
     if array.data.ndim() < 2 {
         return Err(array.error("is no image: the array has fewer than two dimensions"));
     }
@@ -98,18 +98,18 @@ fn json(path: &Path) -> Result<Value> {
     serde_json::from_slice(&bytes).map_err(|e| Error::parse(path, e.line(), e.to_string()))
 }
 
-impl Layout {
+impl ZarrLayout {
     fn read(folder: &Path) -> Result<Self> {
         match folder.join(".zarray") {
-            file if file.is_file() => Layout::version_2(folder, &json(&file)?),
-            _ => Layout::version_3(folder, &json(&folder.join("zarr.json"))?),
+            file if file.is_file() => ZarrLayout::version_2(folder, &json(&file)?),
+            _ => ZarrLayout::version_3(folder, &json(&folder.join("zarr.json"))?),
         }
     }
 
     fn version_2(folder: &Path, v: &Value) -> Result<Self> {
         let dtype = v["dtype"].as_str().unwrap_or_default();
         let number = match dtype.split_at_checked(1) {
-            Some((order @ ("<" | ">" | "|"), kind)) => Number::named(
+            Some((order @ ("<" | ">" | "|"), kind)) => NumberType::named(
                 &match kind.split_at_checked(1) {
                     Some(("f", bytes)) => format!("float{}", bits(bytes)),
                     Some(("i", bytes)) => format!("int{}", bits(bytes)),
@@ -125,7 +125,7 @@ impl Layout {
             c => codec(c["id"].as_str().unwrap_or_default()),
         };
         let codec = if v["filters"].is_null() { codec } else { None };
-        Ok(Layout {
+        Ok(ZarrLayout {
             folder: folder.to_owned(),
             shape: counts(folder, &v["shape"])?,
             chunk: counts(folder, &v["chunks"])?,
@@ -149,11 +149,11 @@ impl Layout {
             _ => None,
         };
         let big = endian["configuration"]["endian"] == "big";
-        let number = Number::named(v["data_type"].as_str().unwrap_or_default(), big);
+        let number = NumberType::named(v["data_type"].as_str().unwrap_or_default(), big);
         let keys = &v["chunk_key_encoding"];
         let (prefix, usual) = if keys["name"] == "v2" { ("", ".") } else { ("c", "/") };
         let separator = keys["configuration"]["separator"].as_str().unwrap_or(usual);
-        Ok(Layout {
+        Ok(ZarrLayout {
             folder: folder.to_owned(),
             shape: counts(folder, &v["shape"])?,
             chunk: counts(folder, &v["chunk_grid"]["configuration"]["chunk_shape"])?,
@@ -267,7 +267,7 @@ fn unreadable(folder: &Path, what: &str, value: &Value) -> Error {
     )
 }
 
-impl Number {
+impl NumberType {
     fn named(name: &str, big_endian: bool) -> Option<Self> {
         let (kind, bits) = match name {
             "float32" | "float64" => (Kind::Float, &name[5..]),
@@ -275,7 +275,7 @@ impl Number {
             "uint8" | "uint16" | "uint32" | "uint64" => (Kind::Unsigned, &name[4..]),
             _ => return None,
         };
-        Some(Number { kind, bytes: bits.parse::<usize>().ok()? / 8, big_endian })
+        Some(NumberType { kind, bytes: bits.parse::<usize>().ok()? / 8, big_endian })
     }
 
     fn decode(self, bytes: &[u8]) -> f64 {
@@ -300,12 +300,12 @@ mod tests {
 
     #[test]
     fn numbers_are_decoded() {
-        let of = |name, big| Number::named(name, big).unwrap();
+        let of = |name, big| NumberType::named(name, big).unwrap();
         assert_eq!(of("float32", false).decode(&1.5_f32.to_le_bytes()), 1.5);
         assert_eq!(of("float64", true).decode(&(-2.25_f64).to_be_bytes()), -2.25);
         assert_eq!(of("int16", false).decode(&(-3_i16).to_le_bytes()), -3.0);
         assert_eq!(of("uint8", false).decode(&[200]), 200.0);
-        assert_eq!(Number::named("complex64", false), None);
+        assert_eq!(NumberType::named("complex64", false), None);
     }
 
     fn array(folder: &Path, compressor: &str, pack: impl Fn(&[u8]) -> Vec<u8>) {

@@ -3,12 +3,12 @@
 
 use serde::Serialize;
 
-use super::columns::Columns;
+use super::column_list::PageColumns;
 use super::pyramid::Level;
 
 /// All that a page shows, but for the blobs.
 #[derive(Debug, Default, Serialize)]
-pub(super) struct Header {
+pub(super) struct PageHeader {
     pub title: String,
     /// Unit of lengths: `nm` or `Å`.
     pub unit: &'static str,
@@ -24,11 +24,11 @@ pub(super) struct Header {
     pub tile: usize,
     /// Tiles of the world file: edge and distance in pixels.
     pub world_tile: Option<[usize; 2]>,
-    pub images: Vec<Image>,
+    pub images: Vec<PageImage>,
     pub phases: Option<Phases>,
-    pub boundaries: Vec<Boundary>,
-    pub particles: Vec<Particle>,
-    pub columns: Option<Columns>,
+    pub boundaries: Vec<PageBoundary>,
+    pub particles: Vec<PageParticle>,
+    pub columns: Option<PageColumns>,
     pub colormaps: Vec<(&'static str, String)>,
     /// How the page opens.
     pub start: Start,
@@ -56,7 +56,7 @@ impl Default for Start {
 
 /// One image.
 #[derive(Debug, Serialize)]
-pub(super) struct Image {
+pub(super) struct PageImage {
     /// What one chooses between: detectors, or the noisy and the noiseless image.
     pub name: String,
     /// Place in a series of thicknesses, in the unit of lengths.
@@ -85,13 +85,13 @@ pub(super) struct Phases {
 
 /// A line between grains or phases.
 #[derive(Debug, Serialize)]
-pub(super) struct Boundary {
+pub(super) struct PageBoundary {
     pub text: String,
     pub points: Vec<[f32; 2]>,
 }
 
 #[derive(Debug, Serialize)]
-pub(super) struct Particle {
+pub(super) struct PageParticle {
     pub centre: [f32; 2],
     pub diameter: f32,
     pub text: String,

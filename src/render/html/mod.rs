@@ -1,7 +1,7 @@
 //! Pages that show images in a browser without a network: everything stands in one HTML file.
 //!
 //! The page's own code is `page.html`, `style.css` and the scripts beside this file. What they show is a
-//! JSON header ([`Header`]) and blobs: byte strings, deflated and in base64, each in a `<script>` element
+//! JSON header ([`PageHeader`]) and blobs: byte strings, deflated and in base64, each in a `<script>` element
 //! of its own that no browser runs. The page inflates those it needs when it needs them, so that a large
 //! world is on the screen before all of its file is read. Blobs stand in the order of their need: coarse
 //! images, then the truth, then single pixels.
@@ -10,7 +10,7 @@
 //! - Atomic columns are lists by cells of the field, with positions in whole pm ([`columns`]).
 
 mod blobs;
-mod columns;
+mod column_list;
 mod header;
 mod pyramid;
 mod stack;
@@ -22,11 +22,12 @@ pub use world::WorldPage;
 use std::path::Path;
 
 use blobs::Blobs;
-use header::Header;
+use header::PageHeader;
 
 use super::Colormap;
-use crate::atomic;
 use crate::error::{Error, Result};
+use crate::files::atomic_write;
+use crate::setting::Setting;
 
 /// What the page's code consists of, in this order.
 const SCRIPTS: [&str; 10] = [
@@ -51,9 +52,9 @@ pub struct Page {
 }
 
 impl Page {
-    fn new(header: &Header, blobs: &Blobs) -> Result<Self> {
+    fn new(header: &PageHeader, blobs: &Blobs) -> Result<Self> {
         let json = serde_json::to_string(header).map_err(|e| {
-            Error::invalid("page", &header.title, format!("cannot be written as JSON: {e}"))
+            Error::invalid(Setting::Page, &header.title, format!("cannot be written as JSON: {e}"))
         })?;
         let mut html = String::with_capacity(blobs.bytes() + (1 << 18));
         for part in TEMPLATE.split("{{").enumerate() {
@@ -81,7 +82,7 @@ impl Page {
     /// # Errors
     /// [`Error::Io`].
     pub fn write(&self, path: &Path) -> Result<()> {
-        atomic::write(path, self.html.as_bytes())
+        atomic_write::write(path, self.html.as_bytes())
     }
 }
 
@@ -103,7 +104,7 @@ mod tests {
 
     #[test]
     fn titles_and_headers_cannot_end_their_element() {
-        let header = Header { title: "</script><b>&".into(), ..Header::default() };
+        let header = PageHeader { title: "</script><b>&".into(), ..PageHeader::default() };
         let page = Page::new(&header, &Blobs::default()).unwrap();
         assert!(page.html.contains("<title>&lt;/script&gt;&lt;b&gt;&amp;</title>"));
         assert!(page.html.contains(r#""title":"\u003c/script>\u003cb>&""#));

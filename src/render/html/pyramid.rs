@@ -20,7 +20,7 @@ use serde::Serialize;
 
 use super::blobs::{Blobs, pack};
 use crate::error::Result;
-use crate::render::resample::shrink;
+use crate::render::enlarge::shrink;
 
 /// Edge of a tile in pixels.
 pub(super) const TILE: usize = 512;
@@ -48,7 +48,7 @@ pub(super) struct Level {
 /// A level that has no place in a page yet.
 struct Packed {
     size: [usize; 2],
-    table: Table,
+    table: CodeTable,
     histogram: Vec<u32>,
     tiles: Vec<String>,
 }
@@ -60,18 +60,18 @@ pub(super) struct Pyramid {
 }
 
 /// The values of codes.
-enum Table {
+enum CodeTable {
     /// Those of the image, and the code of each (by its bits).
     Values(Vec<f32>, Codes),
     /// So many steps from a least to a greatest value, even in the square root.
     Roots(usize, [f32; 2]),
 }
 
-impl Table {
+impl CodeTable {
     fn len(&self) -> usize {
         match self {
-            Table::Values(values, _) => values.len(),
-            Table::Roots(n, _) => *n,
+            CodeTable::Values(values, _) => values.len(),
+            CodeTable::Roots(n, _) => *n,
         }
     }
 
@@ -81,8 +81,8 @@ impl Table {
 
     fn values(&self) -> Vec<f32> {
         match self {
-            Table::Values(values, _) => values.clone(),
-            Table::Roots(n, [low, high]) => {
+            CodeTable::Values(values, _) => values.clone(),
+            CodeTable::Roots(n, [low, high]) => {
                 let [low, high] = [f64::from(*low), f64::from(*high)];
                 let step = |k: usize| low + (high - low) * (k as f64 / (n - 1) as f64).powi(2);
                 (0..*n).map(|k| step(k) as f32).collect()
@@ -93,8 +93,8 @@ impl Table {
     fn code(&self, value: f32) -> u16 {
         match self {
             // Every value of the image is there.
-            Table::Values(_, codes) => codes.get(&key(value)).copied().unwrap_or(0),
-            Table::Roots(n, [low, high]) => {
+            CodeTable::Values(_, codes) => codes.get(&key(value)).copied().unwrap_or(0),
+            CodeTable::Roots(n, [low, high]) => {
                 let range = f64::from(*high) - f64::from(*low);
                 if range <= 0.0 {
                     return 0;
@@ -123,12 +123,12 @@ impl Pyramid {
         read: &dyn Fn(Range<usize>) -> Result<Array2<f32>>,
     ) -> Result<Self> {
         let strips = || (0..size[0]).step_by(TILE).map(|row| row..size[0].min(row + TILE));
-        let mut survey = Survey::default();
+        let mut survey = ValueSurvey::default();
         for rows in strips() {
             survey.add(read(rows)?.view());
         }
         let table = survey.table(EXACT, FINE);
-        let exact = matches!(table, Table::Values(..));
+        let exact = matches!(table, CodeTable::Values(..));
         let mut histogram = vec![0; table.len()];
         let mut tiles = Vec::new();
         let mut half = Array2::zeros(size.map(|n| n.div_ceil(2)));
@@ -185,7 +185,7 @@ impl Pyramid {
 
 /// A level after the first (of which few values are kept only if `exact`).
 fn coarse(image: ArrayView2<f32>, exact: bool) -> Packed {
-    let mut survey = Survey::default();
+    let mut survey = ValueSurvey::default();
     survey.add(image);
     let table = survey.table(if exact { EXACT } else { 0 }, COARSE);
     let mut histogram = vec![0; table.len()];
@@ -219,13 +219,13 @@ type Codes = HashMap<u32, u16, BuildHasherDefault<BitHasher>>;
 
 /// Which values an image has.
 #[derive(Default)]
-struct Survey {
+struct ValueSurvey {
     /// Their bits, as long as there are few.
     values: Codes,
     range: Option<[f32; 2]>,
 }
 
-impl Survey {
+impl ValueSurvey {
     fn add(&mut self, image: ArrayView2<f32>) {
         let [mut low, mut high] = self.range.unwrap_or([f32::INFINITY, f32::NEG_INFINITY]);
         let mut last = None;
@@ -241,21 +241,21 @@ impl Survey {
     }
 
     /// All values if there are at most `most`, and `steps` of them otherwise.
-    fn table(mut self, most: usize, steps: usize) -> Table {
+    fn table(mut self, most: usize, steps: usize) -> CodeTable {
         if self.values.len() > most {
-            return Table::Roots(steps, self.range.unwrap_or([0.0, 1.0]));
+            return CodeTable::Roots(steps, self.range.unwrap_or([0.0, 1.0]));
         }
         let mut values: Vec<f32> = self.values.keys().map(|bits| f32::from_bits(*bits)).collect();
         values.sort_by(f32::total_cmp);
         for (code, value) in values.iter().enumerate() {
             self.values.insert(key(*value), code as u16);
         }
-        Table::Values(values, self.values)
+        CodeTable::Values(values, self.values)
     }
 }
 
 /// The tiles of up to [`TILE`] rows, and their codes counted.
-fn pack_row(rows: ArrayView2<f32>, table: &Table, histogram: &mut [u32]) -> Vec<String> {
+fn pack_row(rows: ArrayView2<f32>, table: &CodeTable, histogram: &mut [u32]) -> Vec<String> {
     let width = rows.ncols();
     let starts: Vec<usize> = (0..width).step_by(TILE).collect();
     let tiles: Vec<(String, Vec<u32>)> = starts
@@ -331,7 +331,7 @@ mod tests {
         let counts = Array2::from_shape_fn((40, 30), |(i, j)| ((i * j) % 37) as f32 / 406.0);
         let exact = pyramid(&counts);
         assert!(exact.exact && exact.len() == 1);
-        let Table::Values(values, codes) = &exact.levels[0].table else { panic!() };
+        let CodeTable::Values(values, codes) = &exact.levels[0].table else { panic!() };
         assert!(counts.iter().all(|v| values[usize::from(codes[&key(*v)])] == *v));
         assert_eq!(exact.levels[0].histogram.iter().sum::<u32>(), 1200);
         let many = Array2::from_shape_fn((300, 300), |(i, j)| (300 * i + j) as f32 / 90_000.0);

@@ -3,12 +3,13 @@
 use ndarray::{ArrayView3, Axis, s};
 
 use super::blobs::Blobs;
-use super::header::{Header, Image, Start};
+use super::header::{PageHeader, PageImage, Start};
 use super::pyramid::{Pyramid, TILE};
 use super::world::place;
 use super::{Page, colormaps};
 use crate::error::{Error, Result};
-use crate::render::resample::check_finite;
+use crate::render::enlarge::check_finite;
+use crate::setting::Setting;
 
 /// Images of one detector.
 #[derive(Debug, Clone)]
@@ -45,7 +46,7 @@ impl StackPage<'_> {
     /// [`Error::Invalid`] for no image, images of different sizes, or a value that is not finite.
     pub fn page(&self) -> Result<Page> {
         let Some(first) = self.images.first() else {
-            return Err(Error::invalid("images", 0, "expected at least one"));
+            return Err(Error::invalid(Setting::Images, 0, "expected at least one"));
         };
         let (_, rows, columns) = first.data.dim();
         let (mut images, mut pyramids) = (Vec::new(), Vec::new());
@@ -53,7 +54,7 @@ impl StackPage<'_> {
             if image.data.dim() != (self.thicknesses_angstrom.len(), rows, columns) {
                 let expected = format!("expected {rows} x {columns} pixels at each thickness");
                 let shape = format!("{:?} of `{}`", image.data.dim(), image.name);
-                return Err(Error::invalid("image shape", shape, expected));
+                return Err(Error::invalid(Setting::ImageShape, shape, expected));
             }
             for (slice, thickness) in image.data.axis_iter(Axis(0)).zip(&self.thicknesses_angstrom)
             {
@@ -61,7 +62,7 @@ impl StackPage<'_> {
                 check_finite(values.as_slice().unwrap_or_default(), columns)?;
                 let read = |rows| Ok(slice.slice(s![rows, ..]).to_owned());
                 let pyramid = Pyramid::new([rows, columns], &read)?;
-                images.push(Image {
+                images.push(PageImage {
                     name: image.name.to_owned(),
                     thickness: Some(*thickness),
                     quantity: image.quantity.to_owned(),
@@ -78,7 +79,7 @@ impl StackPage<'_> {
         let mut blobs = Blobs::default();
         place(&mut images, &mut pyramids, 1, &mut blobs);
         place(&mut images, &mut pyramids, 0, &mut blobs);
-        let header = Header {
+        let header = PageHeader {
             title: self.title.clone(),
             unit: "\u{c5}",
             size: [columns, rows],
@@ -89,7 +90,7 @@ impl StackPage<'_> {
             images,
             colormaps: colormaps(),
             start: Start::default(),
-            ..Header::default()
+            ..PageHeader::default()
         };
         Page::new(&header, &blobs)
     }

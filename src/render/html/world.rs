@@ -5,13 +5,14 @@ use std::ops::Range;
 use ndarray::Array2;
 
 use super::blobs::Blobs;
-use super::columns::columns;
-use super::header::{Boundary, Header, Image, Particle, Phases, Start};
+use super::column_list::columns;
+use super::header::{PageBoundary, PageHeader, PageImage, PageParticle, Phases, Start};
 use super::pyramid::{Pyramid, TILE};
 use super::{Page, colormaps};
 use crate::error::{Error, Result};
 use crate::io::{WorldFile, WorldMetadata};
 use crate::render::Colormap;
+use crate::setting::Setting;
 
 /// What a world's page shows at first.
 #[derive(Debug, Clone)]
@@ -65,7 +66,7 @@ impl WorldPage {
             }
         };
         place(&mut images, &mut pyramids, 0, &mut blobs);
-        let header = Header {
+        let header = PageHeader {
             title: self.title.clone(),
             unit: "nm",
             size: [columns_px, rows],
@@ -94,7 +95,7 @@ impl WorldPage {
 
 /// Gives the levels `from` and coarser that have none yet a place, the coarsest first.
 pub(super) fn place(
-    images: &mut [Image],
+    images: &mut [PageImage],
     pyramids: &mut [Pyramid],
     from: usize,
     blobs: &mut Blobs,
@@ -119,13 +120,13 @@ fn read(world: &WorldFile, rows: Range<usize>, clean: bool) -> Result<Array2<f32
     Ok(image)
 }
 
-fn image(metadata: &WorldMetadata, clean: bool, exact: bool) -> Image {
+fn image(metadata: &WorldMetadata, clean: bool, exact: bool) -> PageImage {
     let dose = metadata.dose_electrons_per_angstrom2.filter(|_| metadata.noise != Some(false));
     let noisy = dose.is_some();
     let scaling = metadata.scaling.filter(|_| !clean);
     let fraction = "fraction of the incident beam";
     let [scale, offset] = scaling.unwrap_or([1.0, 0.0]);
-    Image {
+    PageImage {
         name: match (clean, noisy) {
             (true, _) => "noise-free".into(),
             (false, true) => "with noise".into(),
@@ -142,22 +143,22 @@ fn image(metadata: &WorldMetadata, clean: bool, exact: bool) -> Image {
     }
 }
 
-fn boundaries(world: &WorldFile) -> Result<Vec<Boundary>> {
+fn boundaries(world: &WorldFile) -> Result<Vec<PageBoundary>> {
     let lines = world.boundary_lines()?;
-    Ok(lines.into_iter().map(|l| Boundary { text: l.text, points: l.points_nm }).collect())
+    Ok(lines.into_iter().map(|l| PageBoundary { text: l.text, points: l.points_nm }).collect())
 }
 
-fn particles(world: &WorldFile) -> Result<Vec<Particle>> {
+fn particles(world: &WorldFile) -> Result<Vec<PageParticle>> {
     let p = world.particles()?;
     let count = p.centres.len();
     if p.diameters.len() != count || p.morphologies.len() != count {
         let expected = "has lists of particles of unequal length";
-        return Err(Error::invalid("world file", world.path().display(), expected));
+        return Err(Error::invalid(Setting::WorldFile, world.path().display(), expected));
     }
     let particle = |i: usize| {
         let [x, y, _] = p.centres[i];
         let text = format!("{}, {:.2} nm", p.morphologies[i].as_str(), p.diameters[i]);
-        Particle { centre: [x, y], diameter: p.diameters[i], text }
+        PageParticle { centre: [x, y], diameter: p.diameters[i], text }
     };
     Ok((0..count).map(particle).collect())
 }

@@ -83,7 +83,7 @@ impl VacancyProfile {
             if high > 1e100 {
                 let expected = "too high for vacancies.max_probability and cluster_sigma_nm; \
                                 raise one of them or lower cluster_fraction";
-                return Err(Error::invalid("vacancies.rate", recipe.rate, expected));
+                return Err(Error::invalid(crate::Setting::VacancyRate, recipe.rate, expected));
             }
         }
         let mut low = 0.0;

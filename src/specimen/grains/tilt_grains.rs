@@ -123,12 +123,12 @@ impl Grains {
         if !self.crystal.has_mirror_x() {
             let expected = "symmetric tilt boundaries need a crystal with a mirror plane \
                             perpendicular to x; choose another y_axis, or count = 0";
-            return Err(Error::invalid("boundaries.count", boundaries.count, expected));
+            return Err(Error::invalid(crate::Setting::BoundaryCount, boundaries.count, expected));
         }
         let coincidence = match boundaries.sigma {
             Some(sigma) => Some(
                 coincidence::half_angle(sigma, boundaries.misorientation_deg)
-                    .map_err(|e| Error::invalid("boundaries.sigma", sigma, e))?,
+                    .map_err(|e| Error::invalid(crate::Setting::BoundarySigma, sigma, e))?,
             ),
             None => None,
         };

@@ -87,10 +87,10 @@ fn cluster(crystal: &ColumnCrystal, first: usize) -> Option<Vec<UnitMember>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::structure::library;
+    use crate::structure::crystals;
 
     fn units(name: &str, zone: [i32; 3], up: [i32; 3]) -> (ColumnCrystal, UnitKinds) {
-        let structure = library::crystal(name).unwrap().oriented(zone, Some(up)).unwrap();
+        let structure = crystals::crystal(name).unwrap().oriented(zone, Some(up)).unwrap();
         let crystal = ColumnCrystal::new(&structure).unwrap();
         let units = UnitKinds::new(&crystal);
         (crystal, units)

@@ -1,4 +1,4 @@
-//! Moving atoms downhill (FIRE) and at a temperature (molecular dynamics).
+//! Relaxation of atoms to the nearest minimum of energy (FIRE), and molecular dynamics at a temperature.
 
 use rayon::prelude::*;
 

@@ -1,14 +1,13 @@
 //! Amorphous carbon as a random network of 2.0 g/cm3.
 //!
 //! [`block`] is a periodic cube quenched from the melt ([`melt`]) in Tersoff's potential; it comes with the program.
-//! [`film`] makes a film of any extent of it. [`dynamics`] moves the atoms of a [`network`].
+//! [`carbon_film`] makes a film of any extent of it. [`dynamics`] moves the atoms of a [`network`].
+
+use super::lattice::Vec3;
 
 pub mod block;
+pub mod carbon_film;
 pub mod dynamics;
-pub mod film;
 pub mod melt;
 pub mod network;
 mod tersoff;
-
-/// A vector in Angstrom.
-type Vec3 = [f64; 3];

@@ -1,4 +1,4 @@
-//! Carbon atoms and who is near whom.
+//! Carbon atoms in a periodic box, and their neighbours.
 
 use super::Vec3;
 use crate::structure::neighbors::for_each_pair;

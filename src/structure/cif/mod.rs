@@ -6,11 +6,11 @@ mod symmetry;
 mod tokens;
 
 use super::lattice::{Mat3, Vec3, norm, row_times, wrap_unit};
-use super::read::Text;
+use super::source_text::SourceText;
 use super::{Atom, Structure, elements};
 use crate::error::Result;
 use symmetry::Operation;
-use tokens::{Block, Loop, Value};
+use tokens::{CifValue, DataBlock, Loop};
 
 /// Images nearer than this fraction of the cell in every coordinate are one atom ...
 const SAME_FRACTION: f64 = 1e-3;
@@ -32,7 +32,7 @@ const GROUP_NUMBERS: [&str; 2] = ["_space_group_it_number", "_symmetry_int_table
 const COORDINATES: [&str; 3] = ["_atom_site_fract_x", "_atom_site_fract_y", "_atom_site_fract_z"];
 
 /// Reads the one data block that has atoms.
-pub(super) fn parse(text: &Text) -> Result<Structure> {
+pub(super) fn parse(text: &SourceText) -> Result<Structure> {
     let blocks = tokens::blocks(text)?;
     let mut with_atoms = blocks.iter().filter(|b| b.table(&COORDINATES).is_some());
     let Some(block) = with_atoms.next() else {
@@ -61,7 +61,7 @@ pub(super) fn parse(text: &Text) -> Result<Structure> {
 }
 
 /// The cell in the standard orientation.
-fn cell(text: &Text, block: &Block) -> Result<Mat3> {
+fn cell(text: &SourceText, block: &DataBlock) -> Result<Mat3> {
     let get = |tag: &str| -> Result<(usize, f64)> {
         let Some((line, word)) = block.get(&[tag]) else {
             return Err(text.error(block.line, format!("`{tag}` is missing")));
@@ -106,7 +106,7 @@ fn cos_degrees(degrees: f64) -> f64 {
 }
 
 /// A number such as `3.905(1)`.
-fn with_uncertainty(text: &Text, line: usize, what: &str, word: &str) -> Result<f64> {
+fn with_uncertainty(text: &SourceText, line: usize, what: &str, word: &str) -> Result<f64> {
     let plain = match word.split_once('(') {
         Some((value, rest)) => match rest.strip_suffix(')') {
             Some(digits) if digits.chars().all(|c| c.is_ascii_digit() || c == '.') => value,
@@ -118,7 +118,7 @@ fn with_uncertainty(text: &Text, line: usize, what: &str, word: &str) -> Result<
 }
 
 /// The symmetry operations; the identity alone for P1 and for files silent about symmetry.
-fn operations(text: &Text, block: &Block, cell: &Mat3) -> Result<Vec<Operation>> {
+fn operations(text: &SourceText, block: &DataBlock, cell: &Mat3) -> Result<Vec<Operation>> {
     let mut listed: Vec<(usize, &str)> = Vec::new();
     if let Some((table, column)) =
         block.table(&OPERATIONS).and_then(|t| t.column(&OPERATIONS).map(|c| (t, c)))
@@ -160,7 +160,7 @@ fn operations(text: &Text, block: &Block, cell: &Mat3) -> Result<Vec<Operation>>
 }
 
 /// A group's name or number alone does not fix setting and origin, so nothing is guessed.
-fn check_group_is_p1(text: &Text, block: &Block) -> Result<()> {
+fn check_group_is_p1(text: &SourceText, block: &DataBlock) -> Result<()> {
     let fault = |line: usize, group: &str| {
         text.error(
             line,
@@ -186,12 +186,12 @@ fn check_group_is_p1(text: &Text, block: &Block) -> Result<()> {
 }
 
 /// One row of the atom loop; `atom.position` is fractional.
-struct Site {
+struct CifSite {
     line: usize,
     atom: Atom,
 }
 
-fn sites(text: &Text, table: &Loop) -> Result<Vec<Site>> {
+fn sites(text: &SourceText, table: &Loop) -> Result<Vec<CifSite>> {
     let symbol = table.column(&["_atom_site_type_symbol"]);
     let label = table.column(&["_atom_site_label"]);
     let occupancy = table.column(&["_atom_site_occupancy"]);
@@ -226,12 +226,12 @@ fn sites(text: &Text, table: &Loop) -> Result<Vec<Site>> {
             }
             None => 1.0,
         };
-        sites.push(Site { line, atom: Atom { number, position, occupancy } });
+        sites.push(CifSite { line, atom: Atom { number, position, occupancy } });
     }
     Ok(sites)
 }
 
-fn coordinate(text: &Text, value: &Value, tag: &str) -> Result<f64> {
+fn coordinate(text: &SourceText, value: &CifValue, tag: &str) -> Result<f64> {
     let Some(word) = value.known() else {
         return Err(text.error(value.line, format!("`{tag}` of this atom is not known")));
     };
@@ -275,7 +275,7 @@ fn from_label(label: &str) -> std::result::Result<u8, String> {
 }
 
 /// The distinct images of a site in the cell, as fractions in [0, 1).
-fn images(site: &Site, operations: &[Operation], cell: &Mat3) -> Vec<Vec3> {
+fn images(site: &CifSite, operations: &[Operation], cell: &Mat3) -> Vec<Vec3> {
     // A file that lists all atoms keeps them where they are.
     if operations.len() == 1 {
         return vec![site.atom.position];

@@ -2,20 +2,20 @@
 //!
 //! Grammar: <https://www.iucr.org/resources/cif/spec/version1.1/cifsyntax>.
 
-use super::super::read::Text;
+use super::super::source_text::SourceText;
 use crate::error::Result;
 use std::collections::HashMap;
 
 /// A value and the line on which it begins.
 #[derive(Debug, Clone)]
-pub struct Value {
+pub struct CifValue {
     pub line: usize,
     pub text: String,
     /// Quoted values are never `?` or `.`.
     quoted: bool,
 }
 
-impl Value {
+impl CifValue {
     /// The text, or `None` for `?` (unknown) and `.` (not applicable).
     pub fn known(&self) -> Option<&str> {
         let absent = !self.quoted && (self.text == "?" || self.text == ".");
@@ -28,7 +28,7 @@ impl Value {
 pub struct Loop {
     pub line: usize,
     pub tags: Vec<String>,
-    pub rows: Vec<Vec<Value>>,
+    pub rows: Vec<Vec<CifValue>>,
 }
 
 impl Loop {
@@ -40,14 +40,14 @@ impl Loop {
 
 /// One data block. Tags are in lower case, and the dot of `_atom_site.fract_x` is an underscore.
 #[derive(Debug, Default)]
-pub struct Block {
+pub struct DataBlock {
     pub line: usize,
     pub name: String,
-    pub items: HashMap<String, Value>,
+    pub items: HashMap<String, CifValue>,
     pub loops: Vec<Loop>,
 }
 
-impl Block {
+impl DataBlock {
     /// The known value of the first of `tags` that has one.
     pub fn get(&self, tags: &[&str]) -> Option<(usize, &str)> {
         tags.iter().find_map(|tag| {
@@ -67,16 +67,16 @@ enum Token {
     Data(String),
     Loop,
     Tag(String),
-    Value(Value),
+    Value(CifValue),
 }
 
 /// All data blocks of the file.
-pub fn blocks(text: &Text) -> Result<Vec<Block>> {
+pub fn blocks(text: &SourceText) -> Result<Vec<DataBlock>> {
     let mut tokens = tokens(text)?.into_iter().peekable();
-    let mut blocks: Vec<Block> = Vec::new();
+    let mut blocks: Vec<DataBlock> = Vec::new();
     while let Some((line, token)) = tokens.next() {
         if let Token::Data(name) = token {
-            blocks.push(Block { line, name, ..Block::default() });
+            blocks.push(DataBlock { line, name, ..DataBlock::default() });
             continue;
         }
         let Some(block) = blocks.last_mut() else {
@@ -106,7 +106,7 @@ pub fn blocks(text: &Text) -> Result<Vec<Block>> {
 }
 
 fn take_loop(
-    text: &Text,
+    text: &SourceText,
     line: usize,
     tokens: &mut std::iter::Peekable<impl Iterator<Item = (usize, Token)>>,
 ) -> Result<Loop> {
@@ -140,7 +140,7 @@ fn take_loop(
     Ok(table)
 }
 
-fn tokens(text: &Text) -> Result<Vec<(usize, Token)>> {
+fn tokens(text: &SourceText) -> Result<Vec<(usize, Token)>> {
     let mut tokens = Vec::new();
     let mut lines = text.lines();
     while let Some((number, line)) = lines.next() {
@@ -165,15 +165,15 @@ fn tokens(text: &Text) -> Result<Vec<(usize, Token)>> {
 
 /// The text between two lines that begin with `;`, and what follows the second one.
 fn text_field<'a>(
-    text: &Text,
+    text: &SourceText,
     line: usize,
     first: &str,
     lines: &mut impl Iterator<Item = (usize, &'a str)>,
-) -> Result<(Value, &'a str)> {
+) -> Result<(CifValue, &'a str)> {
     let mut body = first.to_owned();
     for (_, next) in lines {
         if let Some(after) = next.strip_prefix(';') {
-            return Ok((Value { line, text: body, quoted: true }, after));
+            return Ok((CifValue { line, text: body, quoted: true }, after));
         }
         body.push('\n');
         body.push_str(next);
@@ -182,7 +182,7 @@ fn text_field<'a>(
 }
 
 /// The token at the start of `rest` (none for `stop_`), and what follows it.
-fn token<'a>(text: &Text, line: usize, rest: &'a str) -> Result<(Option<Token>, &'a str)> {
+fn token<'a>(text: &SourceText, line: usize, rest: &'a str) -> Result<(Option<Token>, &'a str)> {
     if let Some(quote @ ('"' | '\'')) = rest.chars().next() {
         return quoted(text, line, quote, rest);
     }
@@ -200,14 +200,14 @@ fn token<'a>(text: &Text, line: usize, rest: &'a str) -> Result<(Option<Token>, 
     } else if lower == "global_" || lower.starts_with("save_") {
         return Err(text.error(line, format!("`{word}` (STAR, dictionaries) is not supported")));
     } else {
-        Token::Value(Value { line, text: word.to_owned(), quoted: false })
+        Token::Value(CifValue { line, text: word.to_owned(), quoted: false })
     };
     Ok((Some(token), after))
 }
 
 /// A quote closes only before white space, so that `'O5''` holds an apostrophe.
 fn quoted<'a>(
-    text: &Text,
+    text: &SourceText,
     line: usize,
     quote: char,
     rest: &'a str,
@@ -219,7 +219,7 @@ fn quoted<'a>(
     let Some((end, _)) = close else {
         return Err(text.error(line, format!("the quote {quote} is not closed on this line")));
     };
-    let value = Value { line, text: body[..end].to_owned(), quoted: true };
+    let value = CifValue { line, text: body[..end].to_owned(), quoted: true };
     Ok((Some(Token::Value(value)), &body[end + 1..]))
 }
 
@@ -228,8 +228,8 @@ mod tests {
     use super::*;
     use std::path::Path;
 
-    fn parse(body: &str) -> Result<Vec<Block>> {
-        blocks(&Text { path: Path::new("t.cif"), body })
+    fn parse(body: &str) -> Result<Vec<DataBlock>> {
+        blocks(&SourceText { path: Path::new("t.cif"), body })
     }
 
     #[test]

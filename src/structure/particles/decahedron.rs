@@ -1,4 +1,4 @@
-//! Marks' decahedra.
+//! Marks decahedra: five twinned tetrahedra about a common axis, with re-entrant notches.
 
 use super::{Candidate, Cluster, Metal, Vec3};
 

@@ -63,12 +63,12 @@ pub(super) fn axes() -> [Vec3; 3] {
 }
 
 /// A lattice point of a shell: vertices and how many steps towards each; the numbers add to the shell's.
-type Place = [(usize, usize); 3];
+type ShellPlace = [(usize, usize); 3];
 
 /// The atoms of `shell` that belong to `facets` (by rank): the vertex only if three of its facets are there, for it would
 /// else hang on fewer than five neighbours.
-fn places(shell: usize, faces: &[[usize; 3]], facets: usize) -> Vec<Place> {
-    let mut out: Vec<Place> = Vec::new();
+fn places(shell: usize, faces: &[[usize; 3]], facets: usize) -> Vec<ShellPlace> {
+    let mut out: Vec<ShellPlace> = Vec::new();
     for face in &faces[..facets] {
         for i in 0..=shell {
             for j in 0..=shell - i {
@@ -82,7 +82,7 @@ fn places(shell: usize, faces: &[[usize; 3]], facets: usize) -> Vec<Place> {
         }
     }
     out.sort_unstable();
-    let mut kept: Vec<Place> = Vec::new();
+    let mut kept: Vec<ShellPlace> = Vec::new();
     for group in out.chunk_by(|a, b| a == b) {
         let vertex = group[0].iter().any(|(_, n)| *n == shell);
         if !vertex || group.len() >= 3 {

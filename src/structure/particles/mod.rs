@@ -13,6 +13,7 @@ use super::lattice::Vec3;
 use super::neighbors::for_each_pair;
 use super::{Atom, Structure};
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 
 pub use decahedron::Decahedron;
 pub use icosahedron::Icosahedron;
@@ -116,7 +117,7 @@ impl Metal {
 fn not_a_metal<T>(found: &str) -> Result<T> {
     let expected = "particles need a face-centred cubic metal: a cubic cell with one element at the corner and the \
                     centres of the faces, such as \"pt\"";
-    Err(Error::invalid("crystal", found, expected))
+    Err(Error::invalid(Setting::Crystal, found, expected))
 }
 
 /// The atoms of a particle.
@@ -225,6 +226,6 @@ fn choose<R: Candidate>(
         let [low, high] = limits_nm;
         let expected =
             format!("no particle has a diameter from {low} to {high} nm; widen the range");
-        Error::invalid("diameter_nm", diameter_nm, expected)
+        Error::invalid(Setting::ClusterDiameterNm, diameter_nm, expected)
     })
 }

@@ -5,13 +5,13 @@ use std::ops::Range;
 
 /// From `first` (left or below) to `last`, which may be less than `first`.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Axis {
+pub struct PlotAxis {
     pub first: f64,
     pub last: f64,
     pub logarithmic: bool,
 }
 
-impl Axis {
+impl PlotAxis {
     /// Holds all values, with a little room.
     pub fn around(values: impl Iterator<Item = f64>, logarithmic: bool) -> Self {
         let usable = |v: &f64| v.is_finite() && (!logarithmic || *v > 0.0);
@@ -24,17 +24,17 @@ impl Axis {
         }
         if logarithmic {
             let room = (high / low).powf(0.06).max(1.2);
-            return Axis { first: low / room, last: high * room, logarithmic };
+            return PlotAxis { first: low / room, last: high * room, logarithmic };
         }
         let room = match high - low {
             0.0 => high.abs().max(1e-12) * 0.1,
             range => 0.05 * range,
         };
-        Axis { first: low - room, last: high + room, logarithmic }
+        PlotAxis { first: low - room, last: high + room, logarithmic }
     }
 
     pub fn linear(first: f64, last: f64) -> Self {
-        Axis { first, last, logarithmic: false }
+        PlotAxis { first, last, logarithmic: false }
     }
 
     /// Where a value lies: 0 at the first end, 1 at the last.
@@ -84,7 +84,7 @@ impl Axis {
     }
 }
 
-impl Ranged for Axis {
+impl Ranged for PlotAxis {
     type FormatOption = DefaultFormatting;
     type ValueType = f64;
 
@@ -114,22 +114,25 @@ mod tests {
                 "{a:?} {b:?}"
             );
         };
-        close(&Axis::linear(0.0, 3.9).ticks(5), &[0.0, 1.0, 2.0, 3.0]);
-        close(&Axis::linear(3.9, 0.0).ticks(5), &[0.0, 1.0, 2.0, 3.0]);
-        let log = Axis { first: 0.007, last: 0.05, logarithmic: true };
+        close(&PlotAxis::linear(0.0, 3.9).ticks(5), &[0.0, 1.0, 2.0, 3.0]);
+        close(&PlotAxis::linear(3.9, 0.0).ticks(5), &[0.0, 1.0, 2.0, 3.0]);
+        let log = PlotAxis { first: 0.007, last: 0.05, logarithmic: true };
         close(&log.ticks(6), &[0.01, 0.02, 0.05]);
-        let wide = Axis { first: 1e-9, last: 2e-4, logarithmic: true };
+        let wide = PlotAxis { first: 1e-9, last: 2e-4, logarithmic: true };
         close(&wide.ticks(8), &[1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4]);
-        assert!(Axis::around([3.0, 3.0].into_iter(), false).ticks(5).len() > 1);
-        assert!(Axis::around([f64::NAN].into_iter(), true).ticks(5).len() > 1);
+        assert!(PlotAxis::around([3.0, 3.0].into_iter(), false).ticks(5).len() > 1);
+        assert!(PlotAxis::around([f64::NAN].into_iter(), true).ticks(5).len() > 1);
     }
 
     #[test]
     fn values_are_placed() {
-        assert_eq!(Axis::linear(0.0, 10.0).map(&2.5, (100, 500)), 200);
-        assert_eq!(Axis::linear(10.0, 0.0).map(&2.5, (100, 500)), 400);
-        let log = Axis { first: 1.0, last: 100.0, logarithmic: true };
+        assert_eq!(PlotAxis::linear(0.0, 10.0).map(&2.5, (100, 500)), 200);
+        assert_eq!(PlotAxis::linear(10.0, 0.0).map(&2.5, (100, 500)), 400);
+        let log = PlotAxis { first: 1.0, last: 100.0, logarithmic: true };
         assert_eq!(log.map(&10.0, (0, 200)), 100);
-        assert_eq!((Axis::label(&0.05), Axis::label(&2e-5)), ("0.05".into(), "2e-5".into()));
+        assert_eq!(
+            (PlotAxis::label(&0.05), PlotAxis::label(&2e-5)),
+            ("0.05".into(), "2e-5".into())
+        );
     }
 }

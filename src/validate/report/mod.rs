@@ -1,7 +1,7 @@
 //! One self-contained HTML page: no script, no file beside it, no network.
 
 mod axis;
-mod images;
+mod image_pair;
 mod page;
 mod plot;
 mod suite;
@@ -11,10 +11,11 @@ pub use suite::{Report, suite_page};
 pub use worlds::{sentence, value, worlds_page};
 
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 
 /// Where and when a report was made.
 #[derive(Debug, Clone, serde::Serialize)]
-pub struct Origin {
+pub struct ReportOrigin {
     /// Version of stemgen.
     pub stemgen_version: &'static str,
     /// The command as typed.
@@ -25,13 +26,13 @@ pub struct Origin {
     pub date: String,
 }
 
-impl Origin {
+impl ReportOrigin {
     /// Here and now.
     pub fn now(command_line: String) -> Self {
         let (arch, os) = (std::env::consts::ARCH, std::env::consts::OS);
         let threads = rayon::current_num_threads();
         let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
-        Origin {
+        ReportOrigin {
             stemgen_version: env!("CARGO_PKG_VERSION"),
             command_line,
             machine: format!("{arch} {os}, {threads} threads"),
@@ -77,7 +78,7 @@ fn number(value: f64) -> String {
 }
 
 fn undrawable(reason: impl std::fmt::Display) -> Error {
-    Error::invalid("figure", reason, "could not be drawn")
+    Error::invalid(Setting::Figure, reason, "could not be drawn")
 }
 
 /// The SVG that `draw` makes.

@@ -3,7 +3,7 @@
 use plotters::prelude::*;
 use plotters::series::DashedLineSeries;
 
-use super::axis::Axis;
+use super::axis::PlotAxis;
 use super::page::escape;
 use super::svg;
 use crate::error::Result;
@@ -25,8 +25,8 @@ pub fn figure(plot: &Plot) -> Result<String> {
     let drawing = svg((560, 330), |area| {
         area.fill(&WHITE)?;
         let all = || plot.series.iter().flat_map(|s| &s.points);
-        let x = Axis::around(all().map(|p| p.0), plot.logarithmic[0]);
-        let y = Axis::around(all().map(|p| p.1), plot.logarithmic[1]);
+        let x = PlotAxis::around(all().map(|p| p.0), plot.logarithmic[0]);
+        let y = PlotAxis::around(all().map(|p| p.1), plot.logarithmic[1]);
         let mut chart = ChartBuilder::on(area)
             .margin(10)
             .x_label_area_size(46)
@@ -38,8 +38,8 @@ pub fn figure(plot: &Plot) -> Result<String> {
             .y_desc(plot.y.as_str())
             .x_labels(9)
             .y_labels(7)
-            .x_label_formatter(&Axis::label)
-            .y_label_formatter(&Axis::label)
+            .x_label_formatter(&PlotAxis::label)
+            .y_label_formatter(&PlotAxis::label)
             .label_style(("sans-serif", 15))
             .axis_desc_style(("sans-serif", 16))
             .light_line_style(WHITE)

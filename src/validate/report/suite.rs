@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::page::{checks, escape, limit, page, verdict};
-use super::{Origin, images, number, plot};
+use super::{ReportOrigin, image_pair, number, plot};
 use crate::error::Result;
 use crate::validate::{Check, Figure, Outcome, Verdict, overall};
 
@@ -16,7 +16,7 @@ pub struct Report {
     pub summary: String,
     /// Where and when.
     #[serde(flatten)]
-    pub origin: Origin,
+    pub origin: ReportOrigin,
     /// Time taken in s.
     pub wall_time_s: f64,
     /// The cases.
@@ -25,7 +25,7 @@ pub struct Report {
 
 impl Report {
     /// Gathers outcomes; `subject` names what was compared: `its shipped references`.
-    pub fn new(subject: &str, origin: Origin, cases: Vec<Outcome>) -> Self {
+    pub fn new(subject: &str, origin: ReportOrigin, cases: Vec<Outcome>) -> Self {
         let failed: Vec<&str> =
             cases.iter().filter(|c| c.verdict == Verdict::Fail).map(|c| c.name.as_str()).collect();
         let numbers: Vec<_> = cases.iter().flat_map(|c| &c.checks).collect();
@@ -104,7 +104,7 @@ fn contents(cases: &[Outcome]) -> String {
 fn section(case: &Outcome) -> Result<String> {
     let mut html = format!(
         "<section id=\"{}\"><h3>{} {}</h3>\n<p class=\"about\">{}</p>\n<p class=\"source\">Reference: {} \
-         (<code>--case {}</code>, {:.1} s)</p>\n{}",
+         (case <code>{}</code>, {:.1} s)</p>\n{}",
         escape(&case.name),
         escape(&case.title),
         verdict(case.verdict),
@@ -136,7 +136,7 @@ const FIGURES_OPEN: usize = 2;
 
 fn figure(figure: &Figure, open: bool) -> Result<String> {
     match figure {
-        Figure::Images(pair) => images::figure(pair, open),
+        Figure::Images(pair) => image_pair::figure(pair, open),
         Figure::Plot(p) => plot::figure(p),
     }
 }

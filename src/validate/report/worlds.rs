@@ -4,12 +4,12 @@ use base64::Engine as _;
 use ndarray::Array2;
 
 use super::page::{escape, page};
-use super::{Origin, number, plot};
+use super::{ReportOrigin, number, plot};
 use crate::error::Result;
 use crate::io::WorldFile;
 use crate::render::{Contrast, Picture};
 use crate::validate::statistics::Ratio;
-use crate::validate::worlds::{Comparison, Line, Measured, Sameness};
+use crate::validate::worlds::{Line, Measured, Sameness, WorldComparison};
 use crate::validate::{Plot, Series, Style};
 
 /// Longest side of the part of each world that is shown, in pixels.
@@ -21,7 +21,11 @@ const CLASSES: usize = 80;
 ///
 /// # Errors
 /// Those of reading the images, and of drawing.
-pub fn worlds_page(c: &Comparison, worlds: [&WorldFile; 2], origin: &Origin) -> Result<String> {
+pub fn worlds_page(
+    c: &WorldComparison,
+    worlds: [&WorldFile; 2],
+    origin: &ReportOrigin,
+) -> Result<String> {
     let mut body = format!(
         "<h1>stemgen: two worlds {}</h1>\n<blockquote>{}</blockquote>\n<p class=\"meta\">Command: <code>{}</code>; \
          stemgen {}, {}, {}. A line is called different where chance would produce such a difference between equal worlds with a \
@@ -52,7 +56,7 @@ pub fn worlds_page(c: &Comparison, worlds: [&WorldFile; 2], origin: &Origin) -> 
 }
 
 /// What the comparison comes to.
-pub fn sentence(c: &Comparison) -> String {
+pub fn sentence(c: &WorldComparison) -> String {
     let of = |v: Sameness| -> Vec<&str> {
         c.lines.iter().filter(|l| l.verdict == v).map(|l| l.what.as_str()).collect()
     };
@@ -96,7 +100,7 @@ fn number_2(value: f64) -> String {
     }
 }
 
-fn table(c: &Comparison) -> String {
+fn table(c: &WorldComparison) -> String {
     let row = |l: &Line| {
         format!(
             "<tr><td>{}</td><td>{}</td><td class=\"n\">{}</td><td class=\"n\">{}</td><td>{}</td><td>{} = {}</td>\
@@ -186,7 +190,7 @@ fn pictures(worlds: [&WorldFile; 2]) -> Result<String> {
     Ok(html + "</div>\n")
 }
 
-fn plots(c: &Comparison) -> Vec<Plot> {
+fn plots(c: &WorldComparison) -> Vec<Plot> {
     let pair = |of: fn(&Measured) -> &Vec<(u32, f32)>| [of(&c.a), of(&c.b)];
     let mut plots = Vec::new();
     plots.extend(histogram(

@@ -28,7 +28,7 @@ pub fn cases() -> Vec<Case> {
             "windows",
             "Windows that follow the probe",
             "HAADF of SrTiO3 [001], 23.4 A wide, 3.9 nm thick, one configuration of displaced atoms, 10 x 10 probes over a cell, in the \
-             windows that --accuracy chooses. The limit is what was asked for (rms, of the mean).",
+             windows chosen for an accuracy. The limit is what was asked for (rms, of the mean).",
             false,
             8.0,
             1 + WINDOWS.len(),

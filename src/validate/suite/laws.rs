@@ -1,4 +1,4 @@
-//! What must hold whatever the specimen.
+//! Conservation laws and symmetries, which hold for any specimen.
 
 use super::specimens::{SRTIO3_ANGSTROM, displaced, srtio3, unit_cell};
 use super::{Case, Group, percent, widened};

@@ -1,12 +1,12 @@
 //! The shipped suite.
 
-mod abtem;
 mod engines;
 mod laws;
 mod published;
 mod refined;
+mod same_numerics;
+mod scattering_tables;
 mod specimens;
-mod tables;
 
 use std::time::Instant;
 
@@ -17,6 +17,7 @@ use super::{Check, Figure, Findings, ImagePair, Lab, Limit, Outcome, overall};
 use crate::engine::{Images, Scan};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
+use crate::setting::Setting;
 
 /// A check of the program.
 pub struct Case {
@@ -77,10 +78,10 @@ const ABTEM: &str = "abTEM 1.0.11 (J. Madsen, T. Susi, Open Research Europe 1 (2
 /// All cases, in the order of the report.
 pub fn cases() -> Vec<Case> {
     [
-        abtem::cases(),
+        same_numerics::cases(),
         refined::cases(),
         published::cases(),
-        tables::cases(),
+        scattering_tables::cases(),
         laws::cases(),
         engines::cases(),
     ]
@@ -138,7 +139,7 @@ pub fn selected(names: &[String], quick: bool) -> Result<Vec<Case>> {
     for name in names {
         if !all.iter().any(|c| c.name == name) {
             let known = all.iter().map(|c| c.name).collect::<Vec<_>>().join(", ");
-            return Err(Error::invalid("case", name, format!("known cases: {known}")));
+            return Err(Error::invalid(Setting::Case, name, format!("known cases: {known}")));
         }
     }
     let wanted = |c: &Case| match names.is_empty() {

@@ -1,7 +1,7 @@
 //! Specimens of the cases.
 
 use crate::engine::{Phonons, Scan, Site};
-use crate::structure::library;
+use crate::structure::crystals;
 use crate::{Result, engine::Settings};
 
 /// Lattice parameter of SrTiO3 in Angstrom.
@@ -13,7 +13,7 @@ pub const SRTIO3_ANGSTROM: f64 = 3.905;
 /// # Errors
 /// If the crystal could not be repeated.
 pub fn srtio3(cells: [usize; 3]) -> Result<(Vec<Site>, [f64; 3])> {
-    let crystal = library::crystal("srtio3")?.repeat(cells)?;
+    let crystal = crystals::crystal("srtio3")?.repeat(cells)?;
     let size = crystal.orthogonal_box()?;
     let site = |(key, atom): (usize, &crate::structure::Atom)| {
         let [x, y, z] = atom.position;

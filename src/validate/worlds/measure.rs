@@ -13,6 +13,7 @@ use crate::io::schema::atom_type;
 use crate::io::{WorldColumn, WorldFile};
 use crate::progress::Progress;
 use crate::rng::philox4x32_10;
+use crate::setting::Setting;
 
 /// Blocks along an axis, and the smallest edge of one in pixels.
 const BLOCKS: usize = 16;
@@ -126,12 +127,12 @@ pub fn measure(
 ) -> Result<Measured> {
     let metadata = world.metadata();
     let blocks = Blocks::new(world.shape(), metadata.pixel_size_nm);
-    let sites = Sites::read(world, blocks)?;
+    let sites = SiteCounts::read(world, blocks)?;
     let columns = columns(world, &sites)?;
     let places: Vec<u32> = columns.iter().map(|at| blocks.of(*at) as u32).collect();
     let mut column_counts = vec![0.0; blocks.len()];
     places.iter().for_each(|b| column_counts[*b as usize] += 1.0);
-    let image = Image::read(world, path, blocks, bands, &columns, progress)?;
+    let image = ImageMeasures::read(world, path, blocks, bands, &columns, progress)?;
     let area = blocks.area_nm2();
     let per_area = |counts: &[f64]| counts.iter().map(|n| (*n, area)).collect();
     let with_blocks = |values: Vec<f32>| places.iter().copied().zip(values).collect::<Vec<_>>();
@@ -192,7 +193,7 @@ fn optical_limit(world: &WorldFile) -> f64 {
 }
 
 #[derive(Default)]
-struct Sites {
+struct SiteCounts {
     counts: Vec<f64>,
     elements: BTreeSet<u8>,
     defects: BTreeMap<String, Vec<f64>>,
@@ -200,10 +201,10 @@ struct Sites {
     positions: Vec<[f32; 2]>,
 }
 
-impl Sites {
+impl SiteCounts {
     fn read(world: &WorldFile, blocks: Blocks) -> Result<Self> {
         let keep = world.columns()?.is_empty();
-        let mut sites = Sites { counts: vec![0.0; blocks.len()], ..Sites::default() };
+        let mut sites = SiteCounts { counts: vec![0.0; blocks.len()], ..SiteCounts::default() };
         let count = world.site_count()?;
         for start in (0..count).step_by(SITES_AT_ONCE) {
             let part = world.truth(start..(start + SITES_AT_ONCE).min(count))?;
@@ -234,7 +235,7 @@ impl Sites {
 }
 
 /// Positions of the atomic columns; in a file that lists none, those of the sites.
-fn columns(world: &WorldFile, sites: &Sites) -> Result<Vec<[f32; 2]>> {
+fn columns(world: &WorldFile, sites: &SiteCounts) -> Result<Vec<[f32; 2]>> {
     let columns: Vec<WorldColumn> = world.columns()?;
     Ok(match columns.is_empty() {
         true => sites.positions.clone(),
@@ -242,7 +243,7 @@ fn columns(world: &WorldFile, sites: &Sites) -> Result<Vec<[f32; 2]>> {
     })
 }
 
-struct Image {
+struct ImageMeasures {
     /// Intensity and pixels of each block.
     blocks: Vec<(f64, f64)>,
     /// Mean intensity about each column.
@@ -250,7 +251,7 @@ struct Image {
     spectrum: Spectrum,
 }
 
-impl Image {
+impl ImageMeasures {
     /// Reads strips of rows, each with what columns at its edges need.
     fn read(
         world: &WorldFile,
@@ -264,7 +265,7 @@ impl Image {
         let pixel_nm = blocks.pixel_nm;
         let [scale, offset] = world.metadata().scaling.unwrap_or([1.0, 0.0]);
         let margin = (COLUMN_RADIUS_NM / pixel_nm).ceil() as usize + 1;
-        let mut image = Image {
+        let mut image = ImageMeasures {
             blocks: vec![(0.0, 0.0); blocks.len()],
             columns: vec![0.0; columns.len()],
             spectrum: Collector::new(*bands, pixel_nm, 0.0).finish(),
@@ -285,7 +286,7 @@ impl Image {
             if let Some(((y, x), v)) = strip.indexed_iter().find(|(_, v)| !v.is_finite()) {
                 let place = format!("{v} at row {}, column {x}", first + y);
                 let expected = format!("expected finite values in {}", path.display());
-                return Err(Error::invalid("image value", place, expected));
+                return Err(Error::invalid(Setting::ImageValue, place, expected));
             }
             let strip = strip.mapv(|v| f64::from(v) * scale + offset);
             let own = strip.slice(s![start - first..end - first, ..]);

@@ -21,6 +21,7 @@ use super::statistics::{Ratio, binomial_error, kolmogorov_smirnov, two_sided};
 use crate::error::{Error, Result};
 use crate::io::WorldFile;
 use crate::progress::Progress;
+use crate::setting::Setting;
 use crate::structure::elements;
 
 /// Lines below this probability are called different, unless another is asked for.
@@ -69,7 +70,7 @@ pub struct Line {
 
 /// A comparison of two worlds.
 #[derive(Debug, Clone, Serialize)]
-pub struct Comparison {
+pub struct WorldComparison {
     /// Different if any line is.
     pub verdict: Sameness,
     /// Lines below this probability are called different.
@@ -86,10 +87,10 @@ pub struct Comparison {
 ///
 /// # Errors
 /// [`Error::Invalid`] for an `alpha` that is no probability; those of reading, for a file that is no world.
-pub fn compare(a: &Path, b: &Path, alpha: f64, progress: &dyn Progress) -> Result<Comparison> {
+pub fn compare(a: &Path, b: &Path, alpha: f64, progress: &dyn Progress) -> Result<WorldComparison> {
     if !(alpha > 1e-4 && alpha < 0.5) {
         return Err(Error::invalid(
-            "alpha",
+            Setting::Alpha,
             alpha,
             "a probability between 0.0001 and 0.5; 0.001 is usual",
         ));
@@ -98,7 +99,7 @@ pub fn compare(a: &Path, b: &Path, alpha: f64, progress: &dyn Progress) -> Resul
     let pixels = worlds.each_ref().map(|w| w.metadata().pixel_size_nm);
     if pixels.iter().any(|p| !(p.is_finite() && *p > 0.0)) {
         return Err(Error::invalid(
-            "pixel size (nm)",
+            Setting::PixelSizeNm,
             format!("{pixels:?}"),
             "of a world is positive",
         ));
@@ -113,7 +114,7 @@ pub fn compare(a: &Path, b: &Path, alpha: f64, progress: &dyn Progress) -> Resul
     let lines = lines(&a, &b, alpha);
     let different = lines.iter().any(|l| l.verdict == Sameness::Different);
     let verdict = if different { Sameness::Different } else { Sameness::Same };
-    Ok(Comparison { verdict, alpha, lines, a, b })
+    Ok(WorldComparison { verdict, alpha, lines, a, b })
 }
 
 fn lines(a: &Measured, b: &Measured, alpha: f64) -> Vec<Line> {

@@ -1,6 +1,7 @@
 //! Images made smaller or larger by whole factors.
 
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 
 /// How an image is enlarged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -14,29 +15,29 @@ pub enum Enlarge {
 
 /// Change of scale to a wanted size.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Scale {
+pub(super) enum SizeChange {
     /// Blocks of so many pixels squared become one.
     Down(usize),
     /// Every pixel becomes so many squared.
     Up(usize),
 }
 
-impl Scale {
+impl SizeChange {
     /// The scale that brings the longer side as near to `max_side` as it goes without passing it.
     pub fn to_fit(shape: [usize; 2], max_side: usize) -> Self {
         let side = shape[0].max(shape[1]).max(1);
         if side > max_side {
-            Scale::Down(side.div_ceil(max_side))
+            SizeChange::Down(side.div_ceil(max_side))
         } else {
-            Scale::Up(max_side / side)
+            SizeChange::Up(max_side / side)
         }
     }
 
     /// Picture pixels per image pixel.
     pub fn factor(self) -> f64 {
         match self {
-            Scale::Down(n) => 1.0 / n as f64,
-            Scale::Up(n) => n as f64,
+            SizeChange::Down(n) => 1.0 / n as f64,
+            SizeChange::Up(n) => n as f64,
         }
     }
 
@@ -56,7 +57,7 @@ pub(super) struct Matrix {
 pub(super) fn check_finite(values: &[f32], columns: usize) -> Result<()> {
     match values.iter().position(|v| !v.is_finite()) {
         Some(i) => Err(Error::invalid(
-            "image value",
+            Setting::ImageValue,
             format!("{} at row {}, column {}", values[i], i / columns, i % columns),
             "a picture needs finite values; the computation that made the image has failed there",
         )),
@@ -122,10 +123,10 @@ mod tests {
 
     #[test]
     fn the_scale_fits() {
-        assert_eq!(Scale::to_fit([100, 40], 1024), Scale::Up(10));
-        assert_eq!(Scale::to_fit([3000, 40], 1024), Scale::Down(3));
-        assert_eq!(Scale::to_fit([1024, 1024], 1024), Scale::Up(1));
-        assert_eq!(Scale::Up(10).place(0.0), 4.5);
+        assert_eq!(SizeChange::to_fit([100, 40], 1024), SizeChange::Up(10));
+        assert_eq!(SizeChange::to_fit([3000, 40], 1024), SizeChange::Down(3));
+        assert_eq!(SizeChange::to_fit([1024, 1024], 1024), SizeChange::Up(1));
+        assert_eq!(SizeChange::Up(10).place(0.0), 4.5);
     }
 
     #[test]

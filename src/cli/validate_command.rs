@@ -1,7 +1,7 @@
 //! `stemgen validate`.
 
 use super::common::Common;
-use super::progress::Reporter;
+use super::progress_bar::Reporter;
 use super::validate_reference::ReferenceArgs;
 use super::{output, text};
 use clap::Args;
@@ -9,7 +9,7 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use stemgen::progress::Progress;
-use stemgen::validate::report::{Origin, Report, suite_page};
+use stemgen::validate::report::{Report, ReportOrigin, suite_page};
 use stemgen::validate::suite::{Case, selected};
 use stemgen::validate::{Outcome, Verdict};
 
@@ -97,9 +97,9 @@ impl Validate {
             }
             None => (subject(&self.cases, self.quick).to_owned(), suite(&cases, &reporter)?),
         };
-        let report = Report::new(&subject, Origin::now(text::command_line()), outcomes);
+        let report = Report::new(&subject, ReportOrigin::now(text::command_line()), outcomes);
         let page = suite_page(&report)?;
-        stemgen::atomic::write(&self.output, page.as_bytes())?;
+        stemgen::files::atomic_write::write(&self.output, page.as_bytes())?;
         self.common.print(&report, &summary(&report, &self.output))?;
         Ok(match report.verdict {
             Verdict::Fail => ExitCode::from(DIFFERENT),

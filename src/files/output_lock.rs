@@ -1,46 +1,9 @@
-//! Before hours of work: is there room for the result, and is nobody else writing it?
+//! The right of one process to write an output.
 
 use crate::error::{Error, Result};
 use std::fs::File;
 use std::io::{Read, Seek, Write};
 use std::path::{Path, PathBuf};
-
-/// The folder of a file.
-fn folder(path: &Path) -> &Path {
-    match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    }
-}
-
-/// Bytes that may still be written on the disk of an existing folder; unknown where the system does
-/// not say.
-pub fn free_bytes(folder: &Path) -> Option<u64> {
-    #[cfg(unix)]
-    {
-        let found = rustix::fs::statvfs(folder).ok()?;
-        found.f_bavail.checked_mul(found.f_frsize)
-    }
-    #[cfg(not(unix))]
-    {
-        let _ = folder;
-        None
-    }
-}
-
-/// Fails if the disk of `output` has less than `needed_bytes` free. The folder has to exist.
-///
-/// # Errors
-/// [`Error::DiskSpace`] naming the folder, what is needed and what is free.
-pub fn check_space(output: &Path, needed_bytes: u64) -> Result<()> {
-    let path = folder(output);
-    match free_bytes(path) {
-        Some(free_bytes) if free_bytes < needed_bytes => {
-            Err(Error::DiskSpace { path: path.to_owned(), needed_bytes, free_bytes })
-        }
-        _ => Ok(()),
-    }
-}
 
 /// The right to write an output: a locked file `<output>.lock` beside it, which names the holder. The
 /// system gives the lock back when the process ends, however that happens; the file goes when this is
@@ -73,7 +36,7 @@ impl OutputLock {
                 .map_err(fail)?;
             if !try_lock(&file).map_err(fail)? {
                 let mut holder = String::new();
-                // The lock itself is certain; who holds it is courtesy.
+                // An unreadable name of the holder makes the message poorer, not the lock weaker.
                 let _ = file.read_to_string(&mut holder);
                 let holder = match holder.trim() {
                     "" => "another process".to_owned(),
@@ -158,19 +121,6 @@ fn is_still(file: &File, path: &Path) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_full_disk_is_found_before_writing() {
-        let folder = tempfile::tempdir().unwrap();
-        let output = folder.path().join("w.h5");
-        check_space(&output, 1).unwrap();
-        if free_bytes(folder.path()).is_none() {
-            return;
-        }
-        let message = check_space(&output, 1 << 62).unwrap_err().to_string();
-        assert!(message.contains(&folder.path().display().to_string()), "{message}");
-        assert!(message.contains("needed") && message.contains("free"), "{message}");
-    }
 
     #[cfg(unix)]
     #[test]

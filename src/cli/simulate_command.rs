@@ -1,11 +1,11 @@
 //! `stemgen simulate`.
 
 use super::common::Common;
-use super::imaging::{self, MicroscopeArgs, NumericsArgs};
+use super::imaging_args::{self, MicroscopeArgs, NumericsArgs};
+use super::plan_report::{self, Lines, PlanReport};
 use super::plane_wave::{self, Conventional};
-use super::progress::Reporter;
-use super::scan::ScanArgs;
-use super::show::{self, Lines, PlanReport};
+use super::progress_bar::Reporter;
+use super::scan_args::ScanArgs;
 use super::structure_args::{Prepared, StructureArgs};
 use super::{estimate, output, pictures, text, values};
 use anyhow::bail;
@@ -82,7 +82,7 @@ struct Results {
 }
 
 #[derive(Serialize)]
-struct DryRun {
+struct SimulateDryRun {
     structure: String,
     atoms: usize,
     composition: std::collections::BTreeMap<&'static str, usize>,
@@ -102,7 +102,7 @@ struct ScanReport {
 }
 
 #[derive(Serialize)]
-struct Summary {
+struct SimulateSummary {
     output: PathBuf,
     file_bytes: u64,
     pictures: Vec<PathBuf>,
@@ -138,12 +138,12 @@ impl Simulate {
         let thicknesses = self.results.thicknesses.clone();
         let phonons = self.specimen.options.phonons();
         let mut settings =
-            imaging::settings(&self.microscope, &self.numerics, phonons, thicknesses)?;
+            imaging_args::settings(&self.microscope, &self.numerics, phonons, thicknesses)?;
         if self.results.plane_wave {
             settings = plane_wave::settings(settings)?;
         }
         let accuracy = self.numerics.accuracy;
-        let warning = imaging::choose_window(accuracy, &mut settings, specimen.size[2])?;
+        let warning = imaging_args::choose_window(accuracy, &mut settings, specimen.size[2])?;
         let mut plan = Plan::new(&settings, specimen.size, &specimen.heights)?;
         plan.warnings.extend(warning);
         let scan = self.scan(&plan, &specimen)?;
@@ -217,7 +217,7 @@ impl Simulate {
             rows: scan.shape[0],
             columns: scan.shape[1],
         };
-        let all = DryRun {
+        let all = SimulateDryRun {
             structure: self.specimen.file_name(),
             atoms: specimen.sites.len(),
             composition: specimen.composition(),
@@ -235,10 +235,10 @@ impl Simulate {
         all.plan.lines(&mut lines);
         match self.results.plane_wave {
             true => lines.add("beam", "a plane wave along the beam axis"),
-            false => lines.add("probes", show::scan(raster.scan())),
+            false => lines.add("probes", plan_report::scan(raster.scan())),
         }
         if !self.results.plane_wave && raster.interpolates() {
-            lines.add("interpolated to", show::scan(scan));
+            lines.add("interpolated to", plan_report::scan(scan));
         }
         all.plan.costs(&mut lines);
         lines.add("output", format!("{} (nothing was simulated or written)", all.output.display()));
@@ -323,7 +323,7 @@ impl Simulate {
             let facts = self.facts(plan, specimen);
             pictures::write_page(page, &self.specimen.file_name(), facts, stacks)?;
         }
-        let summary = Summary {
+        let summary = SimulateSummary {
             file_bytes: output::size(&path),
             output: path,
             pictures: pictures.iter().map(|p| p.path.clone()).collect(),
@@ -393,7 +393,7 @@ fn summaries<'a>(stack: &'a ImageStack) -> impl Iterator<Item = ImageSummary> + 
     stack.data.outer_iter().zip(stack.thicknesses_angstrom).map(each)
 }
 
-impl Summary {
+impl SimulateSummary {
     fn text(&self) -> String {
         let mut lines = Lines::default();
         for i in &self.images {

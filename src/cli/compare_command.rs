@@ -1,15 +1,15 @@
 //! `stemgen compare`.
 
 use super::common::Common;
-use super::validate::DIFFERENT;
+use super::validate_command::DIFFERENT;
 use super::{output, text, values};
 use clap::Args;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use stemgen::io::WorldFile;
-use stemgen::validate::report::{Origin, sentence, value, worlds_page};
-use stemgen::validate::worlds::{Comparison, DEFAULT_ALPHA, Sameness, compare};
+use stemgen::validate::report::{ReportOrigin, sentence, value, worlds_page};
+use stemgen::validate::worlds::{DEFAULT_ALPHA, Sameness, WorldComparison, compare};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -52,12 +52,12 @@ pub struct Compare {
 
 /// As `--json` prints it.
 #[derive(Serialize)]
-struct Summary<'a> {
+struct CompareSummary<'a> {
     summary: String,
     #[serde(flatten)]
-    origin: &'a Origin,
+    origin: &'a ReportOrigin,
     #[serde(flatten)]
-    comparison: &'a Comparison,
+    comparison: &'a WorldComparison,
     output: &'a PathBuf,
 }
 
@@ -78,10 +78,10 @@ impl Compare {
         }
         output::check(&self.output, self.overwrite)?;
         let comparison = compare(&self.a, &self.b, self.alpha, &reporter)?;
-        let origin = Origin::now(text::command_line());
+        let origin = ReportOrigin::now(text::command_line());
         let page = worlds_page(&comparison, [&worlds[0], &worlds[1]], &origin)?;
-        stemgen::atomic::write(&self.output, page.as_bytes())?;
-        let summary = Summary {
+        stemgen::files::atomic_write::write(&self.output, page.as_bytes())?;
+        let summary = CompareSummary {
             summary: sentence(&comparison),
             origin: &origin,
             comparison: &comparison,
@@ -94,7 +94,7 @@ impl Compare {
         })
     }
 
-    fn lines(&self, comparison: &Comparison) -> String {
+    fn lines(&self, comparison: &WorldComparison) -> String {
         let mut out = String::new();
         for line in &comparison.lines {
             let word = match line.verdict {

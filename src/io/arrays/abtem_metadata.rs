@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use super::{Axis, ForeignArray};
+use super::{ArrayAxis, ForeignArray};
 
 /// Takes over what a description says, if it fits the array.
 pub fn describe(array: &mut ForeignArray, metadata: &Value) {
@@ -16,7 +16,7 @@ pub fn describe(array: &mut ForeignArray, metadata: &Value) {
     }
 }
 
-fn axis(value: &Value) -> Option<Axis> {
+fn axis(value: &Value) -> Option<ArrayAxis> {
     // Labels of reciprocal space say so in their unit, and have no place in an image.
     let unit = match value["units"].as_str() {
         Some("\u{c5}" | "A" | "Angstrom") => Some(1.0),
@@ -24,7 +24,7 @@ fn axis(value: &Value) -> Option<Axis> {
         _ => None,
     };
     let length = |key: &str| Some(value[key].as_f64()? * unit?);
-    Some(Axis {
+    Some(ArrayAxis {
         label: value["label"].as_str()?.to_owned(),
         sampling_angstrom: length("sampling"),
         origin_angstrom: length("offset").unwrap_or(0.0),

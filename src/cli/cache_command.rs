@@ -1,6 +1,6 @@
 //! `stemgen cache`.
 
-use super::show::Lines;
+use super::plan_report::Lines;
 use super::text;
 use clap::{Args, Subcommand};
 use std::path::PathBuf;
@@ -46,7 +46,7 @@ enum Action {
 }
 
 #[derive(serde::Serialize)]
-struct Report {
+struct CacheReport {
     folder: Option<PathBuf>,
     materials: Vec<Holding>,
 }
@@ -68,7 +68,7 @@ impl CacheCommand {
                 (removed, json, true)
             }
         };
-        let report = Report { folder: cache.folder().map(PathBuf::from), materials };
+        let report = CacheReport { folder: cache.folder().map(PathBuf::from), materials };
         if json {
             return text::print(&serde_json::to_string_pretty(&report)?);
         }
@@ -76,7 +76,7 @@ impl CacheCommand {
     }
 }
 
-impl Report {
+impl CacheReport {
     fn text(&self, removed: bool) -> String {
         let mut lines = Lines::default();
         let folder = self

@@ -1,4 +1,4 @@
-//! A film of amorphous carbon without end, asked for area by area.
+//! A film of amorphous carbon of any extent, made area by area.
 //!
 //! The plane is divided into square cells. Each is cut from the periodic block ([`super::block`]) with an offset,
 //! a rotation by any angle and reflections of its own, so no two cells are shifted copies of each other. Along the edges,
@@ -59,7 +59,7 @@ enum Zone {
 
 type Piece = (Zone, i64, i64);
 /// The atoms of a piece, once it is made.
-type Atoms = Arc<OnceLock<Vec<Vec3>>>;
+type PieceAtoms = Arc<OnceLock<Vec<Vec3>>>;
 
 /// An atom of the film.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -79,7 +79,7 @@ pub struct Film {
 
 #[derive(Default)]
 struct Kept {
-    pieces: HashMap<Piece, (Atoms, u64)>,
+    pieces: HashMap<Piece, (PieceAtoms, u64)>,
     clock: u64,
 }
 
@@ -158,7 +158,7 @@ impl Film {
     }
 
     /// A piece, made if it is not there.
-    fn piece(&self, piece: Piece) -> Atoms {
+    fn piece(&self, piece: Piece) -> PieceAtoms {
         let cell = {
             // A panic elsewhere leaves the table whole: entries are inserted and removed at once.
             let mut kept = self.pieces.lock().unwrap_or_else(|e| e.into_inner());
@@ -299,7 +299,7 @@ fn key((zone, i, j): Piece, n: usize) -> u64 {
 
 impl Kept {
     /// The entry of a piece, most recently used now.
-    fn take(&mut self, piece: Piece) -> Atoms {
+    fn take(&mut self, piece: Piece) -> PieceAtoms {
         self.clock += 1;
         let clock = self.clock;
         let entry = self.pieces.entry(piece).or_default();

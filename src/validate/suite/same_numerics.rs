@@ -141,9 +141,9 @@ fn prism(f: usize) -> Algorithm {
     Algorithm::Prism { interpolation: [f, f] }
 }
 
-type Run = (&'static str, &'static str, Algorithm, [f64; 4]);
+type EngineRun = (&'static str, &'static str, Algorithm, [f64; 4]);
 
-fn against(lab: &Lab, name: &str, runs: &[Run]) -> Result<Findings> {
+fn against(lab: &Lab, name: &str, runs: &[EngineRun]) -> Result<Findings> {
     let g = Golden::load(name)?;
     let mut findings = Findings::default();
     for &(array, label, algorithm, tolerances) in runs {

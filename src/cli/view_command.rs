@@ -1,13 +1,12 @@
 //! `stemgen view`.
 
 use super::hints::hinted;
-use super::view_picture::{Part, boundaries_or_phases, particles};
+use super::view_picture::{Overlay, PictureArgs, WorldPart, boundaries_or_phases, particles};
 use super::{output, text, values};
 use anyhow::anyhow;
-use clap::{Args, ValueEnum};
+use clap::Args;
 use std::path::{Path, PathBuf};
 use stemgen::io::WorldFile;
-use stemgen::render::Colormap;
 use stemgen::render::html::WorldPage;
 
 const EXAMPLES: &str = "\
@@ -24,9 +23,6 @@ Examples:
 The page is one file that needs no network: overlays, values and columns under the pointer, line profiles.
 x grows to the right and y down, from the centre of pixel (0, 0), as in the world's ground truth.";
 
-/// Longest side of a picture in pixels.
-const SIDES: std::ops::RangeInclusive<i64> = 64..=16_384;
-
 /// Draw a world, or a part of it, as PNG, or make a page to look at it in a browser
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
@@ -41,23 +37,8 @@ pub struct View {
     #[arg(long, value_name = "X0,Y0,X1,Y1", value_parser = values::rectangle)]
     #[arg(allow_hyphen_values = true)]
     region: Option<[f64; 4]>,
-    /// The noiseless image, of a world built with --keep-clean
-    #[arg(long)]
-    pub(super) clean: bool,
-    /// Colours
-    #[arg(long, value_name = "NAME", default_value = "gray")]
-    pub(super) colormap: Map,
-    /// Percentiles of the image that become the first and the last colour
-    #[arg(long, value_name = "LOW,HIGH", default_value = "0.1,99.9")]
-    #[arg(value_parser = values::percentiles)]
-    pub(super) contrast: Values,
-    /// What is drawn over the image (comma between several)
-    #[arg(long, value_name = "WHAT", value_delimiter = ',')]
-    pub(super) overlay: Vec<Overlay>,
-    /// Longest side of the picture in pixels, without the legend
-    #[arg(long, value_name = "PIXELS", default_value_t = 1600, conflicts_with = "html")]
-    #[arg(value_parser = clap::value_parser!(u32).range(SIDES))]
-    pub(super) size: u32,
+    #[command(flatten)]
+    picture: PictureArgs,
     /// File to write [default: WORLD with the ending .view.png, or .html]
     #[arg(short, long, value_name = "FILE", help_heading = "Results")]
     output: Option<PathBuf>,
@@ -67,40 +48,6 @@ pub struct View {
     /// Print nothing but errors
     #[arg(short, long, help_heading = "Running")]
     quiet: bool,
-}
-
-/// Two numbers of one option.
-pub(super) type Values = [f64; 2];
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(super) enum Map {
-    Gray,
-    Viridis,
-    Inferno,
-    Magma,
-}
-
-impl From<Map> for Colormap {
-    fn from(map: Map) -> Self {
-        match map {
-            Map::Gray => Colormap::Gray,
-            Map::Viridis => Colormap::Viridis,
-            Map::Inferno => Colormap::Inferno,
-            Map::Magma => Colormap::Magma,
-        }
-    }
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(super) enum Overlay {
-    /// Columns with vacant or substituted sites: rings, or a tint where columns are too small
-    Defects,
-    /// Phases, and the boundaries of phases and grains
-    Phases,
-    /// Particles
-    Particles,
-    /// All atomic columns
-    Columns,
 }
 
 impl View {
@@ -114,7 +61,7 @@ impl View {
         if self.html {
             return self.write_page(&world, &path);
         }
-        let picture = part.picture(&self, &world)?;
+        let picture = part.picture(&self.picture, &world)?;
         picture.write_png(&path)?;
         let [h, w] = [&part.rows, &part.columns].map(|r| r.len() as f64 * part.pixel_nm);
         self.tell(&format!("{}: {w:.2} x {h:.2} nm", path.display()))
@@ -125,14 +72,14 @@ impl View {
     }
 
     fn write_page(&self, world: &WorldFile, path: &Path) -> anyhow::Result<()> {
-        if self.clean && !world.has_clean() {
+        if self.picture.clean && !world.has_clean() {
             // The reader's own words about it.
             world.stitched_clean(0..1, 0..1)?;
         }
-        if self.overlay.contains(&Overlay::Phases) {
+        if self.picture.overlay.contains(&Overlay::Phases) {
             boundaries_or_phases(world)?;
         }
-        if self.overlay.contains(&Overlay::Particles) {
+        if self.picture.overlay.contains(&Overlay::Particles) {
             particles(world)?;
         }
         let title = self.world.file_stem().unwrap_or_default().to_string_lossy().into_owned();
@@ -144,11 +91,11 @@ impl View {
         };
         let page = WorldPage {
             title,
-            colormap: self.colormap.into(),
-            contrast: self.contrast,
-            overlays: self.overlay.iter().flat_map(names).map(str::to_owned).collect(),
+            colormap: self.picture.colormap.into(),
+            contrast: self.picture.contrast,
+            overlays: self.picture.overlay.iter().flat_map(names).map(str::to_owned).collect(),
             region: self.region,
-            clean: self.clean,
+            clean: self.picture.clean,
         };
         page.page(world)?.write(path)?;
         let size = text::bytes(output::size(path));
@@ -156,11 +103,11 @@ impl View {
     }
 
     /// The pixels of the region.
-    fn part(&self, world: &WorldFile) -> anyhow::Result<Part> {
+    fn part(&self, world: &WorldFile) -> anyhow::Result<WorldPart> {
         let [height, width] = world.shape();
         let pixel_nm = world.metadata().pixel_size_nm;
         let Some([x0, y0, x1, y1]) = self.region else {
-            return Ok(Part { rows: 0..height, columns: 0..width, pixel_nm });
+            return Ok(WorldPart { rows: 0..height, columns: 0..width, pixel_nm });
         };
         let range = |low: f64, high: f64, size: usize| {
             let clamp = |v: f64| v.clamp(0.0, size as f64) as usize;
@@ -173,6 +120,6 @@ impl View {
             let hint = format!("the field goes from 0,0 to {w:.2},{h:.2} nm");
             return Err(hinted(fault, hint));
         }
-        Ok(Part { rows, columns, pixel_nm })
+        Ok(WorldPart { rows, columns, pixel_nm })
     }
 }

@@ -1,9 +1,10 @@
 //! Which atom stands on a partially occupied site.
 
-use super::read::FULLEST_SITE;
+use super::source_text::FULLEST_SITE;
 use super::{Structure, neighbors};
 use crate::error::{Error, Result};
 use crate::rng::{Purpose, uniform};
+use crate::setting::Setting;
 
 /// Atoms nearer than this, in Angstrom, share one site.
 const SAME_SITE: f64 = 0.01;
@@ -20,7 +21,11 @@ impl Structure {
         for (index, atom) in self.atoms.iter().enumerate() {
             if !(atom.occupancy > 0.0 && atom.occupancy <= 1.0) {
                 let value = format!("{} (atom {})", atom.occupancy, index + 1);
-                return Err(Error::invalid("occupancy", value, "expected a number in (0, 1]"));
+                return Err(Error::invalid(
+                    Setting::Occupancy,
+                    value,
+                    "expected a number in (0, 1]",
+                ));
             }
         }
         let first = self.first_of_site();
@@ -65,7 +70,7 @@ impl Structure {
         if total > FULLEST_SITE {
             let value = format!("{total:.4} (site of atom {})", site + 1);
             return Err(Error::invalid(
-                "sum of occupancies on one site",
+                Setting::SiteOccupancy,
                 value,
                 "expected at most 1; lower them or remove an atom",
             ));

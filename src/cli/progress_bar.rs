@@ -27,7 +27,7 @@ pub struct Reporter {
     found: AtomicU64,
     /// Milliseconds since `begun` before which there is nothing to draw.
     next_ms: AtomicU64,
-    stage: Mutex<Option<Stage>>,
+    stage: Mutex<Option<BarStage>>,
 }
 
 #[derive(Clone, Copy, PartialEq)]
@@ -37,7 +37,7 @@ enum Mode {
     Bars,
 }
 
-struct Stage {
+struct BarStage {
     name: String,
     unit: String,
     total: u64,
@@ -80,7 +80,7 @@ impl Reporter {
         })
     }
 
-    fn stage(&self) -> MutexGuard<'_, Option<Stage>> {
+    fn stage(&self) -> MutexGuard<'_, Option<BarStage>> {
         // What is drawn is right even if another thread panicked while drawing.
         self.stage.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -107,7 +107,7 @@ impl Progress for Reporter {
         let meter = Meter { begun: Instant::now(), samples: VecDeque::new() };
         let plural = if unit.ends_with('s') { unit.to_owned() } else { format!("{unit}s") };
         let (name, last_line) = (name.to_owned(), None);
-        let stage = Stage { name, unit: plural, total, meter, last_line, bar };
+        let stage = BarStage { name, unit: plural, total, meter, last_line, bar };
         self.done.store(0, Relaxed);
         self.found.store(0, Relaxed);
         self.next_ms.store(0, Relaxed);
@@ -133,7 +133,7 @@ impl Progress for Reporter {
     }
 
     fn finish(&self) {
-        if let Some(Stage { bar: Some(bar), .. }) = self.stage().take() {
+        if let Some(BarStage { bar: Some(bar), .. }) = self.stage().take() {
             bar.finish_and_clear();
         }
     }
@@ -155,7 +155,7 @@ impl Progress for Reporter {
     }
 }
 
-impl Stage {
+impl BarStage {
     fn describe(&self, done: u64, rate: Option<f64>) -> String {
         let of = format!("{} of {} {}", text::count(done), text::count(self.total), self.unit);
         match rate {

@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::blobs::Blobs;
 use crate::error::Result;
-use crate::io::schema::{Composition, atom_type};
+use crate::io::schema::{CompositionText, atom_type};
 use crate::io::{WorldColumn, WorldFile};
 
 /// Edge of a cell in nm.
@@ -19,7 +19,7 @@ const STEP: f64 = 0.001;
 
 /// The columns in the header. Lists of 16 bits stand as all low, then all high bytes.
 #[derive(Debug, Serialize)]
-pub(super) struct Columns {
+pub(super) struct PageColumns {
     pub count: usize,
     pub cell: f64,
     pub step: f64,
@@ -37,12 +37,12 @@ pub(super) struct Columns {
     pub kind: usize,
     /// Sites, vacancies, substitutions, composition.
     pub kinds: Vec<(i32, i32, i32, String)>,
-    pub defects: Option<Defects>,
+    pub defects: Option<PageDefects>,
 }
 
 /// Vacant and substituted sites, column by column, by depth.
 #[derive(Debug, Serialize)]
-pub(super) struct Defects {
+pub(super) struct PageDefects {
     pub names: Vec<String>,
     /// Blob of the index of the name, 8 bits.
     pub name: usize,
@@ -51,7 +51,7 @@ pub(super) struct Defects {
 }
 
 /// Lists the columns of a world; `None` if it has none.
-pub(super) fn columns(world: &WorldFile, blobs: &mut Blobs) -> Result<Option<Columns>> {
+pub(super) fn columns(world: &WorldFile, blobs: &mut Blobs) -> Result<Option<PageColumns>> {
     let all = world.columns()?;
     if all.is_empty() {
         return Ok(None);
@@ -74,7 +74,7 @@ pub(super) fn columns(world: &WorldFile, blobs: &mut Blobs) -> Result<Option<Col
         ys.push(y);
         (last, before) = (cell, x);
     }
-    let mut known: HashMap<(i32, i32, i32, Composition), u32> = HashMap::new();
+    let mut known: HashMap<(i32, i32, i32, CompositionText), u32> = HashMap::new();
     let mut kinds = Vec::new();
     let mut indices = Vec::new();
     for &i in &order {
@@ -91,7 +91,7 @@ pub(super) fn columns(world: &WorldFile, blobs: &mut Blobs) -> Result<Option<Col
         .iter()
         .flat_map(|shift| indices.iter().map(move |k| (k >> shift) as u8))
         .collect();
-    Ok(Some(Columns {
+    Ok(Some(PageColumns {
         count: all.len(),
         cell: CELL,
         step: STEP,
@@ -112,7 +112,7 @@ fn defects(
     columns: &[WorldColumn],
     order: &[usize],
     blobs: &mut Blobs,
-) -> Result<Option<Defects>> {
+) -> Result<Option<PageDefects>> {
     let mut found: Vec<(u32, u16, u8)> = Vec::new();
     let mut names: Vec<String> = Vec::new();
     let mut usable = true;
@@ -146,7 +146,7 @@ fn defects(
     found.sort_unstable();
     let name: Vec<u8> = found.iter().map(|d| d.2).collect();
     let depths: Vec<u16> = found.iter().map(|d| d.1).collect();
-    Ok(Some(Defects { names, name: blobs.add(&name), depth: blobs.add(&planes(&depths)) }))
+    Ok(Some(PageDefects { names, name: blobs.add(&name), depth: blobs.add(&planes(&depths)) }))
 }
 
 /// All low, then all high bytes.
@@ -197,7 +197,7 @@ mod tests {
             sites: 1,
             vacancies: 0,
             substitutions: 0,
-            composition: Composition::default(),
+            composition: CompositionText::default(),
         };
         let all = [column(-0.01, 3.9999), column(99.98765, 47.0), column(12.0, 8.00049)];
         let cells = Cells::around(&all);

@@ -3,6 +3,7 @@
 use super::{Case, Group};
 use crate::error::{Error, Result};
 use crate::potential::scattering::{Parametrization, ScatteringFactor};
+use crate::setting::Setting;
 use crate::structure::elements;
 use crate::validate::golden::SCATTERING_FACTORS;
 use crate::validate::{Check, Figure, Findings, Lab, Limit, Plot, Series, Style};
@@ -23,7 +24,7 @@ pub fn cases() -> Vec<Case> {
     }]
 }
 
-struct Row {
+struct FactorRow {
     source: String,
     table: Parametrization,
     number: u8,
@@ -33,15 +34,16 @@ struct Row {
     expected: f64,
 }
 
-fn rows() -> Result<Vec<Row>> {
-    let bad = |line: &str| Error::invalid("scattering factor", line, "is not a row of the table");
+fn rows() -> Result<Vec<FactorRow>> {
+    let bad =
+        |line: &str| Error::invalid(Setting::ScatteringFactor, line, "is not a row of the table");
     let lines =
         SCATTERING_FACTORS.lines().filter(|l| !l.starts_with('#') && !l.starts_with("source"));
     let row = |line: &str| {
         let fields: Vec<&str> = line.split(',').collect();
         let [source, table, number, _, q, expected] = fields[..] else { return Err(bad(line)) };
         let value = |text: &str| text.parse::<f64>().map_err(|_| bad(line));
-        Ok(Row {
+        Ok(FactorRow {
             source: source.to_owned(),
             table: match table {
                 "kirkland" => Parametrization::Kirkland,

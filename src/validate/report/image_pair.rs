@@ -4,7 +4,7 @@ use base64::Engine as _;
 use ndarray::{Array2, s};
 use plotters::prelude::*;
 
-use super::axis::Axis;
+use super::axis::PlotAxis;
 use super::page::escape;
 use super::{Area, plot, svg};
 use crate::error::Result;
@@ -59,11 +59,11 @@ fn panels(pair: &ImagePair) -> Result<String> {
         let (reference, rest) = rest.split_horizontally(panel);
         let (bar, rest) = rest.split_horizontally(BAR);
         let (difference, difference_bar) = rest.split_horizontally(panel);
-        let scale = Scale::of(pair);
+        let scale = ColorScale::of(pair);
         insets.push(image(&ours, pair, "ours", scale.png(&pair.ours))?);
         insets.push(image(&reference, pair, "reference", scale.png(&pair.reference))?);
         insets.push(colour_bar(&bar, &scale, pair.unit)?);
-        let scale = Scale::symmetric(pair.difference_scale);
+        let scale = ColorScale::symmetric(pair.difference_scale);
         let values = &pair.ours - &pair.reference;
         insets.push(image(&difference, pair, "ours - reference", scale.png(&values))?);
         insets.push(colour_bar(&difference_bar, &scale, pair.unit)?);
@@ -86,7 +86,7 @@ fn image(area: &Area, pair: &ImagePair, title: &str, png: Vec<u8>) -> Drawn<Inse
         .margin_right(8)
         .x_label_area_size(BELOW)
         .y_label_area_size(LEFT)
-        .build_cartesian_2d(Axis::linear(x[0], x[1]), Axis::linear(y[1], y[0]))?;
+        .build_cartesian_2d(PlotAxis::linear(x[0], x[1]), PlotAxis::linear(y[1], y[0]))?;
     chart
         .configure_mesh()
         .disable_mesh()
@@ -94,8 +94,8 @@ fn image(area: &Area, pair: &ImagePair, title: &str, png: Vec<u8>) -> Drawn<Inse
         .y_desc(format!("y in {}", pair.axis_unit))
         .x_labels(5)
         .y_labels(5)
-        .x_label_formatter(&Axis::label)
-        .y_label_formatter(&Axis::label)
+        .x_label_formatter(&PlotAxis::label)
+        .y_label_formatter(&PlotAxis::label)
         .label_style(("sans-serif", 14))
         .axis_desc_style(("sans-serif", 15))
         .draw()?;
@@ -105,21 +105,21 @@ fn image(area: &Area, pair: &ImagePair, title: &str, png: Vec<u8>) -> Drawn<Inse
     Ok(Inset { x: (x.start, x.end), y: (y.start, y.end), png })
 }
 
-fn colour_bar(area: &Area, scale: &Scale, unit: &str) -> Drawn<Inset> {
+fn colour_bar(area: &Area, scale: &ColorScale, unit: &str) -> Drawn<Inset> {
     let (width, _) = area.dim_in_pixel();
     let mut chart = ChartBuilder::on(area)
         .margin_top(TITLE)
         .margin_bottom(BELOW)
         .margin_right(width as i32 - BAR_WIDTH - BAR_LABELS as i32)
         .set_label_area_size(LabelAreaPosition::Right, BAR_LABELS)
-        .build_cartesian_2d(Axis::linear(0.0, 1.0), scale.axis)?;
+        .build_cartesian_2d(PlotAxis::linear(0.0, 1.0), scale.axis)?;
     chart
         .configure_mesh()
         .disable_mesh()
         .disable_x_axis()
         .y_labels(5)
         .y_desc(unit)
-        .y_label_formatter(&Axis::label)
+        .y_label_formatter(&PlotAxis::label)
         .label_style(("sans-serif", 14))
         .axis_desc_style(("sans-serif", 14))
         .draw()?;
@@ -141,12 +141,12 @@ impl Inset {
 }
 
 /// Values and their colours.
-struct Scale {
-    axis: Axis,
+struct ColorScale {
+    axis: PlotAxis,
     colors: Vec<[u8; 3]>,
 }
 
-impl Scale {
+impl ColorScale {
     /// One for both images.
     fn of(pair: &ImagePair) -> Self {
         let values = || pair.ours.iter().chain(&pair.reference).copied();
@@ -156,8 +156,8 @@ impl Scale {
             false => values().fold(f64::INFINITY, f64::min),
         };
         let high = if high > low { high } else { low + low.abs().max(1e-12) };
-        Scale {
-            axis: Axis { first: low, last: high, logarithmic: pair.logarithmic },
+        ColorScale {
+            axis: PlotAxis { first: low, last: high, logarithmic: pair.logarithmic },
             colors: Colormap::Viridis.table().to_vec(),
         }
     }
@@ -169,11 +169,11 @@ impl Scale {
             [c.r, c.g, c.b]
         };
         let top = if top > 0.0 { top } else { 1e-12 };
-        Scale { axis: Axis::linear(-top, top), colors: (0..256).map(color).collect() }
+        ColorScale { axis: PlotAxis::linear(-top, top), colors: (0..256).map(color).collect() }
     }
 
     fn value(&self, fraction: f64) -> f64 {
-        let Axis { first, last, logarithmic } = self.axis;
+        let PlotAxis { first, last, logarithmic } = self.axis;
         match logarithmic {
             true => first * (last / first).powf(fraction),
             false => first + fraction * (last - first),

@@ -2,6 +2,7 @@
 
 use super::{Format, Structure, parse};
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 use std::path::PathBuf;
 
 macro_rules! library {
@@ -30,7 +31,7 @@ pub fn text(name: &str) -> Option<&'static str> {
 pub fn crystal(name: &str) -> Result<Structure> {
     let text = text(name).ok_or_else(|| {
         let known = names().collect::<Vec<_>>().join(", ");
-        Error::invalid("crystal", name, format!("known crystals: {known}"))
+        Error::invalid(Setting::Crystal, name, format!("known crystals: {known}"))
     })?;
     parse(Format::Cif, text.as_bytes(), &PathBuf::from(format!("structures/{name}.cif")))
 }

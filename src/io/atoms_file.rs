@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 
 use super::schema::atom_type;
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 use crate::structure::{Format, elements};
 
 /// Width of the number of atoms in the first line of extended XYZ, which is known only at the end.
@@ -118,7 +119,7 @@ pub fn writable(name: &Path) -> Result<Format> {
         _ => {
             let expected = "atoms are written as extended XYZ or CIF; the name must end in \
                             .extxyz, .xyz or .cif";
-            Err(Error::invalid("output", name.display(), expected))
+            Err(Error::invalid(Setting::Output, name.display(), expected))
         }
     }
 }

@@ -1,6 +1,6 @@
 //! `stemgen list`.
 
-use super::progress::Reporter;
+use super::progress_bar::Reporter;
 use super::text;
 use clap::Args;
 use serde::Serialize;
@@ -37,7 +37,7 @@ pub struct List {
 }
 
 #[derive(Debug, Serialize)]
-struct Row {
+struct RecipeRow {
     recipe: String,
     difficulty: Option<&'static str>,
     zone_axis: String,
@@ -84,14 +84,14 @@ impl List {
         text::print(&if self.json { serde_json::to_string_pretty(&rows)? } else { table(&rows) })
     }
 
-    fn row(&self, recipe: &CheckedRecipe, reporter: &Reporter) -> anyhow::Result<Row> {
+    fn row(&self, recipe: &CheckedRecipe, reporter: &Reporter) -> anyhow::Result<RecipeRow> {
         let specimen = specimen(recipe)?;
         let field = &recipe.field;
         let sites = match self.count {
             true => counted_sites(&*specimen, field, reporter)?,
             false => estimated_sites(&*specimen, field),
         };
-        Ok(Row {
+        Ok(RecipeRow {
             recipe: recipe.id.clone(),
             difficulty: recipe.tier.map(|t| t.name()),
             zone_axis: recipe.zone_axis.clone(),
@@ -145,7 +145,7 @@ impl Rate {
     }
 }
 
-fn table(rows: &[Row]) -> String {
+fn table(rows: &[RecipeRow]) -> String {
     let head = [
         "recipe",
         "tier",
@@ -159,7 +159,7 @@ fn table(rows: &[Row]) -> String {
         "dose",
     ];
     let mut cells = vec![head.map(str::to_owned)];
-    cells.extend(rows.iter().map(Row::cells));
+    cells.extend(rows.iter().map(RecipeRow::cells));
     let width = |k: usize| cells.iter().map(|c| c[k].chars().count()).max().unwrap_or(0);
     let widths: Vec<usize> = (0..head.len()).map(width).collect();
     let line = |row: &[String; 10]| {
@@ -169,7 +169,7 @@ fn table(rows: &[Row]) -> String {
     cells.iter().map(line).collect::<Vec<_>>().join("\n")
 }
 
-impl Row {
+impl RecipeRow {
     fn cells(&self) -> [String; 10] {
         let rates: Vec<String> = self.rates.iter().map(Rate::text).collect();
         let about = if self.sites_counted { "" } else { "about " };

@@ -1,6 +1,6 @@
 //! Options of the microscope and of the engine.
 
-use super::values::{self, Engine, ParametrizationName, ProbeBoxName, ProjectionName};
+use super::values::{self, EngineName, ParametrizationName, ProbeBoxName, ProjectionName};
 use anyhow::bail;
 use clap::Args;
 use stemgen::detect::Detector;
@@ -48,7 +48,7 @@ pub struct MicroscopeArgs {
 pub struct NumericsArgs {
     /// How probes are propagated [default: multislice]
     #[arg(long = "engine", visible_alias = "algorithm", value_name = "NAME")]
-    pub algorithm: Option<Engine>,
+    pub algorithm: Option<EngineName>,
     /// Take the narrowest window whose error is at most so many per cent of the mean image (rms): 3.3, 0.8
     /// or 0.4 and above; for HAADF
     #[arg(long, value_name = "PERCENT", value_parser = values::percent, allow_negative_numbers = true)]
@@ -121,7 +121,7 @@ impl NumericsArgs {
     /// The algorithm that the options stand for.
     pub fn algorithm(&self) -> anyhow::Result<Algorithm> {
         check_accuracy(self.accuracy, self.algorithm)?;
-        if self.algorithm == Some(Engine::Mosaic) {
+        if self.algorithm == Some(EngineName::Mosaic) {
             bail!(
                 "--engine mosaic is for worlds (`stemgen build`); take window, prism or multislice"
             );
@@ -130,7 +130,7 @@ impl NumericsArgs {
             self.algorithm,
             self.window,
             self.interpolation,
-            Engine::Multislice,
+            EngineName::Multislice,
             WINDOW_ANGSTROM,
             [1, 1],
         )
@@ -140,40 +140,40 @@ impl NumericsArgs {
 /// The algorithm `named`, or else the one that `--window` or `--interpolation` implies, or else
 /// `default`. `factors` are the interpolation factors unless given.
 pub fn algorithm(
-    named: Option<Engine>,
+    named: Option<EngineName>,
     window: Option<f64>,
     interpolation: Option<[usize; 2]>,
-    default: Engine,
+    default: EngineName,
     width_angstrom: f64,
     factors: [usize; 2],
 ) -> anyhow::Result<Algorithm> {
     let implied = match (window, interpolation) {
-        (Some(_), _) => Engine::Window,
-        (None, Some(_)) => Engine::Prism,
+        (Some(_), _) => EngineName::Window,
+        (None, Some(_)) => EngineName::Prism,
         (None, None) => named.unwrap_or(default),
     };
     let engine = named.unwrap_or(implied);
-    if window.is_some() && !matches!(engine, Engine::Window | Engine::Mosaic) {
+    if window.is_some() && !matches!(engine, EngineName::Window | EngineName::Mosaic) {
         bail!("--window belongs to the algorithm `window`, not to `{}`", name(engine));
     }
-    if interpolation.is_some() && engine != Engine::Prism {
+    if interpolation.is_some() && engine != EngineName::Prism {
         bail!("--interpolation belongs to the algorithm `prism`, not to `{}`", name(engine));
     }
     Ok(match engine {
-        Engine::Multislice => Algorithm::Multislice,
-        Engine::Prism => Algorithm::Prism { interpolation: interpolation.unwrap_or(factors) },
-        Engine::Window | Engine::Mosaic => {
+        EngineName::Multislice => Algorithm::Multislice,
+        EngineName::Prism => Algorithm::Prism { interpolation: interpolation.unwrap_or(factors) },
+        EngineName::Window | EngineName::Mosaic => {
             Algorithm::Window { width_angstrom: window.unwrap_or(width_angstrom) }
         }
     })
 }
 
-fn name(engine: Engine) -> &'static str {
+fn name(engine: EngineName) -> &'static str {
     match engine {
-        Engine::Multislice => "multislice",
-        Engine::Prism => "prism",
-        Engine::Window => "window",
-        Engine::Mosaic => "mosaic",
+        EngineName::Multislice => "multislice",
+        EngineName::Prism => "prism",
+        EngineName::Window => "window",
+        EngineName::Mosaic => "mosaic",
     }
 }
 
@@ -191,8 +191,9 @@ impl MicroscopeArgs {
 }
 
 /// Refuses an accuracy for engines that have no windows.
-pub fn check_accuracy(accuracy: Option<f64>, engine: Option<Engine>) -> anyhow::Result<()> {
-    if accuracy.is_some() && !matches!(engine, None | Some(Engine::Window | Engine::Mosaic)) {
+pub fn check_accuracy(accuracy: Option<f64>, engine: Option<EngineName>) -> anyhow::Result<()> {
+    if accuracy.is_some() && !matches!(engine, None | Some(EngineName::Window | EngineName::Mosaic))
+    {
         bail!("--accuracy chooses a window; leave out --engine, or take --engine window");
     }
     Ok(())
@@ -210,7 +211,8 @@ pub fn choose_window(
     let beyond = choice.beyond_measured;
     Ok((!beyond.is_empty()).then(|| {
         format!(
-            "an error of {accuracy} % was not measured for {}; the window was widened to {:.1} A, which              should do. Check with --engine multislice on a few probes",
+            "an error of {accuracy} % was not measured for {}; the window was widened to {:.1} A, which \
+             should do. Check with --engine multislice on a few probes",
             beyond.join(", "),
             choice.width_angstrom
         )

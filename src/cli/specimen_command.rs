@@ -1,8 +1,8 @@
 //! `stemgen specimen`.
 
 use super::common::Common;
+use super::plan_report::Lines;
 use super::recipe_args::RecipeArgs;
-use super::show::Lines;
 use super::{output, text, values};
 use clap::Args;
 use serde::Serialize;

@@ -1,0 +1,240 @@
+//! The names of all settings that the library checks.
+
+/// Declares [`Setting`] from lines `Variant = "name with unit"`.
+macro_rules! settings {
+    ($($(#[doc = $doc:literal])* $variant:ident = $name:literal,)*) => {
+        /// A setting, or another value that the library checks, as [`Error`](crate::Error) names it.
+        ///
+        /// Not `#[non_exhaustive]`, on purpose: a front end tells with one exhaustive `match` which of its own
+        /// options mends a setting, so that the compiler finds a setting that it forgets.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+        pub enum Setting {
+            $($(#[doc = $doc])* $variant,)*
+        }
+
+        impl Setting {
+            /// All settings.
+            pub const ALL: &[Setting] = &[$(Setting::$variant,)*];
+
+            /// The name for a reader, with the unit.
+            pub fn name(self) -> &'static str {
+                match self {
+                    $(Setting::$variant => $name,)*
+                }
+            }
+        }
+    };
+}
+
+settings! {
+    // The microscope
+    /// Energy of the beam.
+    EnergyKev = "energy (keV)",
+    /// Semiangle of the probe-forming aperture.
+    SemiangleMrad = "semiangle (mrad)",
+    /// A coefficient of the aberration function.
+    Aberration = "aberration",
+    /// A detector: its angles or its place.
+    Detector = "detector",
+    /// The name of a detector, which no other may have.
+    DetectorName = "detector name",
+    /// The list of detectors.
+    Detectors = "detectors",
+    // The specimen of a simulation
+    /// A file with a structure.
+    StructureFile = "structure file",
+    /// A crystal: its name, or what a model asks of it.
+    Crystal = "crystal",
+    /// The cell of a structure.
+    Cell = "cell",
+    /// The zone axis.
+    Zone = "zone",
+    /// The lattice direction along +y.
+    Up = "up",
+    /// How often a cell is repeated.
+    Repeat = "repeat",
+    /// The number of atoms that a repeated or turned cell would have.
+    SupercellAtoms = "number of atoms in the supercell",
+    /// The occupancy of one atom.
+    Occupancy = "occupancy",
+    /// The sum of the occupancies of one site.
+    SiteOccupancy = "sum of occupancies on one site",
+    /// The standard deviation of thermal displacements.
+    ThermalSigma = "sigma (A)",
+    /// The diameter of a cluster.
+    ClusterDiameterNm = "diameter_nm",
+    // The numerics of a simulation
+    /// The algorithm of the simulation.
+    Algorithm = "algorithm",
+    /// The edges of the simulated box.
+    CellAngstrom = "cell (A)",
+    /// The edge of the simulated box along the beam.
+    CellHeightAngstrom = "cell height (A)",
+    /// The number of grid points along x and y.
+    Gpts = "gpts",
+    /// The distance of grid points.
+    SamplingAngstrom = "sampling (A)",
+    /// The thickness of a slice.
+    SliceThicknessAngstrom = "slice thickness (A)",
+    /// The heights that atoms of one slice may span.
+    SliceSpanAngstrom = "span of slices (A)",
+    /// A thickness at which images are recorded.
+    ThicknessAngstrom = "thickness (A)",
+    /// How far beyond the largest detector angle the grid carries scattering.
+    AngleMargin = "angle margin",
+    /// The part of the reciprocal grid that is kept.
+    BandFraction = "band fraction",
+    /// The width of the band limit's soft edge.
+    BandTaper = "band taper",
+    /// The error of waves that are expanded in a basis.
+    ExpansionPercent = "expansion (%)",
+    /// How much finer the potential's grid is.
+    Oversampling = "oversampling",
+    /// The number of frozen-phonon configurations.
+    PhononConfigurations = "phonon configurations",
+    /// The box in which the probe has norm 1.
+    ProbeBox = "probe box",
+    /// PRISM's interpolation factors.
+    Interpolation = "interpolation",
+    /// The width of the window around each probe.
+    WindowAngstrom = "window (A)",
+    /// The accuracy that a window is chosen for.
+    AccuracyPercent = "accuracy (%)",
+    /// A diffraction pattern.
+    Pattern = "pattern",
+    /// The distance of samples that are interpolated.
+    SampleStepAngstrom = "step between samples (A)",
+    // Worlds
+    /// The name of a recipe that comes with the program.
+    Material = "material",
+    /// The difficulty of a recipe.
+    Difficulty = "difficulty",
+    /// A key of a recipe, or a recipe as a whole.
+    Recipe = "recipe",
+    /// The tiles of a world, rows x columns.
+    Grid = "grid",
+    /// The alloy of a recipe.
+    Alloy = "alloy",
+    /// The fraction of sites that the alloy substitutes.
+    AlloyRate = "alloy.rate",
+    /// The other end member of an alloy.
+    AlloyEndMember = "alloy.end_member",
+    /// The number of grain boundaries.
+    BoundaryCount = "boundaries.count",
+    /// The coincidence number of grain boundaries.
+    BoundarySigma = "boundaries.sigma",
+    /// The domains of a recipe.
+    Domains = "domains",
+    /// The crystal of the domains.
+    DomainCrystal = "domains.crystal",
+    /// The particles of a recipe.
+    Particles = "particles",
+    /// The number of particles.
+    ParticleCount = "particles.count",
+    /// The diameters of particles.
+    ParticleDiameterNm = "particles.diameter_nm",
+    /// The fraction of sites that are vacant.
+    VacancyRate = "vacancies.rate",
+    /// The number of sites in a crystal's cell.
+    CrystalSites = "sites of the crystal",
+    /// The number of sites in one column of a crystal's cell.
+    ColumnSites = "sites of a column",
+    /// The width of a sub-tile, and how far sub-tiles overlap.
+    SubtileNm = "sub-tile (nm)",
+    /// The set of engine settings of a build.
+    BuildProfile = "profile",
+    /// A rectangle of pixels of a field.
+    TilePixels = "tile (px)",
+    /// Electrons per square Angstrom.
+    Dose = "dose",
+    /// How far around an image an engine needs the atoms.
+    EngineMarginAngstrom = "engine margin (A)",
+    /// The shape of an image that an engine returned.
+    EngineImageShape = "shape of image",
+    /// A pixel of an image that an engine returned.
+    Intensity = "intensity",
+    /// The library of column images.
+    Library = "library",
+    /// The error up to which a world is accepted.
+    LargestErrorPercent = "largest error (%)",
+    /// The width of a region that is simulated again.
+    AuditedRegionNm = "audited region (nm)",
+    /// The centre of a region that is simulated again.
+    AuditCentreNm = "centre of audit (nm)",
+    /// The vacuum above and below an exported specimen.
+    VacuumAngstrom = "vacuum (A)",
+    // Files
+    /// The file that will be written.
+    Output = "output",
+    /// A file with a world.
+    WorldFile = "world file",
+    /// The number of sites in a world file.
+    SitesInFile = "sites in file",
+    /// A range of a world's sites.
+    SiteRange = "range of sites",
+    /// A region of a world's image.
+    Region = "region",
+    /// The noiseless image of a world.
+    CleanImage = "noiseless image",
+    /// The array in a file of several.
+    DataSet = "data set",
+    /// The order of an image's axes in its file.
+    ImageAxes = "axes",
+    /// Which image of a stack.
+    ImageIndex = "index",
+    /// The unit of an image's values.
+    ImageUnits = "units",
+    // Pictures and reports
+    /// The colours of a picture.
+    Colormap = "colormap",
+    /// The values drawn as black and white.
+    ContrastRange = "contrast range",
+    /// The percentiles drawn as black and white.
+    ContrastPercentiles = "contrast percentiles",
+    /// The size of a picture.
+    LongestSidePixels = "longest side (pixels)",
+    /// The pixel of an image that is drawn.
+    PixelAngstrom = "pixel (A)",
+    /// The images of a page.
+    Images = "images",
+    /// The shape of an image that is drawn.
+    ImageShape = "image shape",
+    /// A pixel of an image.
+    ImageValue = "image value",
+    /// Where a marker is drawn.
+    MarkerPosition = "marker position",
+    /// A page of images.
+    Page = "page",
+    /// A figure of a report.
+    Figure = "figure",
+    // Validation
+    /// A case of the validation.
+    Case = "case",
+    /// A stored reference of the validation.
+    Reference = "reference",
+    /// A scattering factor of a published table.
+    ScatteringFactor = "scattering factor",
+    /// The probability of a false alarm in a comparison.
+    Alpha = "alpha",
+    /// The pixels of two worlds that are compared.
+    PixelSizeNm = "pixel size (nm)",
+}
+
+impl std::fmt::Display for Setting {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Setting;
+
+    #[test]
+    fn no_two_settings_have_one_name() {
+        let mut names: Vec<&str> = Setting::ALL.iter().map(|s| s.name()).collect();
+        names.sort_unstable();
+        names.dedup();
+        assert_eq!(names.len(), Setting::ALL.len());
+    }
+}
