@@ -3,7 +3,7 @@
 //!
 //! Data flows one way: recipe -> specimen -> slices -> engine -> detector image -> tiles -> file.
 //! From the ground up: `error`, `constants`, `rng`, `progress`, `atomic`, `disk`, `fft`; `structure`,
-//! `potential`; `optics`, `resample`, `detect`, `phonons`; `engine`; `io`, `render`; `world`; `validate`.
+//! `potential`; `optics`, `resample`, `detect`; `engine`; `io`, `render`; `world`; `validate`.
 
 pub mod atomic;
 pub mod constants;
@@ -15,7 +15,6 @@ pub mod fft;
 pub mod io;
 mod matrix;
 pub mod optics;
-pub mod phonons;
 pub mod potential;
 pub mod progress;
 pub mod render;

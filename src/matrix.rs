@@ -4,7 +4,7 @@ use num_complex::{Complex32, Complex64};
 
 /// `out[m, n] = a[m, k] b[k, n]` on one thread. `out` and `b` are row-major with the given row strides;
 /// `a` has a stride for rows and one for columns.
-pub(crate) fn multiply<T: Number>(
+pub(crate) fn multiply<T: MatrixElement>(
     (m, n, k): (usize, usize, usize),
     (out, out_stride): (&mut [T], usize),
     (a, [a_row, a_column]): (&[T], [usize; 2]),
@@ -84,22 +84,22 @@ pub(crate) fn gram(n: usize, a: &[Complex32], out: &mut [Complex32]) {
 }
 
 /// What matrices are made of.
-pub(crate) trait Number: 'static {
+pub(crate) trait MatrixElement: 'static {
     const ZERO: Self;
     const ONE: Self;
 }
 
-impl Number for f32 {
+impl MatrixElement for f32 {
     const ZERO: f32 = 0.0;
     const ONE: f32 = 1.0;
 }
 
-impl Number for Complex64 {
+impl MatrixElement for Complex64 {
     const ZERO: Complex64 = Complex64::ZERO;
     const ONE: Complex64 = Complex64::ONE;
 }
 
-impl Number for Complex32 {
+impl MatrixElement for Complex32 {
     const ZERO: Complex32 = Complex32::ZERO;
     const ONE: Complex32 = Complex32::ONE;
 }

@@ -4,7 +4,7 @@ use super::show::{Lines, PlanReport};
 use super::{estimate, text};
 use serde::Serialize;
 use std::path::PathBuf;
-use stemgen::engine::Plan;
+use stemgen::engine::{Cost, Plan};
 use stemgen::world::film::{BLOCK_PROBES, FilmImage};
 use stemgen::world::footprint::world_bytes;
 use stemgen::world::mosaic::{BLOCK_PX, Mosaic, MosaicEngine, Outlook};
@@ -66,11 +66,11 @@ impl DryRun {
         let partition = Partition::new(pixels, pixel, size, overlap)?;
         let [rows, columns] = partition.subtiles().next().map_or([1, 1], |t| t.shape());
         let specimen = specimen(recipe)?;
-        let mut plan = subtile_plan(&*specimen, recipe, simulator, [rows, columns])?;
+        let plan = subtile_plan(&*specimen, recipe, simulator, [rows, columns])?;
         let sites = estimated_sites(&*specimen, field);
         let runs = if request.timed { partition.len() } else { 0 };
         let probes = simulator.probes(&plan, [rows, columns], 10.0 * pixel)?;
-        plan.count_waves(probes.scan());
+        let cost = Cost::new(&plan, probes.scan());
         let mut step_angstrom = probes.scan().step_angstrom;
         let (mut particle_probes, mut mosaic) = (None, None);
         let mut instead = None;
@@ -80,8 +80,9 @@ impl DryRun {
                     let probes = film.particle_probes();
                     let runs = probes.div_ceil(BLOCK_PROBES);
                     let block = film.block_plan()?;
-                    let block = block.as_ref().unwrap_or(&plan);
-                    instead = Some(PlanReport::new(block, probes.min(BLOCK_PROBES), runs));
+                    let block = block.as_ref().map_or((&plan, cost), |b| (&b.plan, b.cost));
+                    let cost = block.1.for_probes(probes.min(BLOCK_PROBES));
+                    instead = Some(PlanReport::new(block.0, &cost, runs));
                     particle_probes = Some(probes);
                     step_angstrom = [film.step_angstrom(); 2];
                 }
@@ -92,7 +93,7 @@ impl DryRun {
             instead = mosaic_report(mosaic, &*specimen, recipe, simulator)?;
         }
         // Each report with an estimate measures the speed.
-        let subtile = || PlanReport::new(&plan, probes.scan().len(), runs);
+        let subtile = || PlanReport::new(&plan, &cost, runs);
         let mut report = instead.unwrap_or_else(subtile);
         let remedy = "a smaller --subtile or fewer --threads take less";
         report.warnings.extend(estimate::memory_warning(report.memory_bytes, remedy));
@@ -175,15 +176,15 @@ fn mosaic_report(
     recipe: &Recipe,
     simulator: &Simulator,
 ) -> anyhow::Result<Option<PlanReport>> {
-    let Some(plan) = &mosaic.plan else { return Ok(None) };
+    let Some(largest) = &mosaic.plan else { return Ok(None) };
     let probes = mosaic.missing_probes.div_ceil(mosaic.missing.max(1));
-    let mut report = PlanReport::new(plan, probes, mosaic.missing);
+    let cost = largest.cost.for_probes(probes);
+    let mut report = PlanReport::new(&largest.plan, &cost, mosaic.missing);
     let pixel = 10.0 * recipe.field.pixel_nm();
     let unique = |edge: usize, runs: usize| -> anyhow::Result<PlanReport> {
-        let mut plan = subtile_plan(specimen, recipe, simulator, [edge; 2])?;
+        let plan = subtile_plan(specimen, recipe, simulator, [edge; 2])?;
         let probes = simulator.probes(&plan, [edge; 2], pixel)?;
-        plan.count_waves(probes.scan());
-        Ok(PlanReport::new(&plan, probes.scan().len(), runs))
+        Ok(PlanReport::new(&plan, &Cost::new(&plan, probes.scan()), runs))
     };
     report.memory_bytes += mosaic.image_bytes;
     if mosaic.unique_columns > 0 {

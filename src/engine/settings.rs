@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 /// The algorithm.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "name", rename_all = "lowercase")]
+#[non_exhaustive]
 pub enum Algorithm {
     /// Each probe is propagated on the full grid: exact.
     Multislice,
@@ -32,6 +33,7 @@ pub enum Algorithm {
 /// How fine the grid is.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum GridChoice {
     /// The coarsest fast grid that carries scattering to 1.2 times the outermost detector angle:
     /// beams beyond the detector scatter back onto it (2 % of a Ti-O column at 39 A).
@@ -48,6 +50,7 @@ pub const AUTO_ANGLE_MARGIN: f64 = 1.2;
 /// Where the probe has norm 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
+#[non_exhaustive]
 pub enum ProbeBox {
     /// In the simulated cell, as is usual. The aperture then has an edge one Fourier pixel wide, and the cell holds
     /// the tails of its neighbours' probes: its middle is too bright by the fraction `wavelength / (3 semiangle L)`, L being
@@ -61,6 +64,7 @@ pub enum ProbeBox {
 /// What to do with a detector beyond the band limit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
+#[non_exhaustive]
 pub enum BeyondLimit {
     /// Refuse.
     Error,
@@ -71,6 +75,7 @@ pub enum BeyondLimit {
 /// Where probes are propagated.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum ProbeStep {
     /// At every scan position.
     Scan,
@@ -87,6 +92,7 @@ pub enum ProbeStep {
 /// `engine::basis` tells how).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Expansion {
     /// Where it takes fewer waves, right to 1 % of each probe's amplitude in windows of up to 7.8 A, and by the cube of
     /// the ratio of widths better in wider ones. HAADF images change by 0.2 % of their mean with 1 %.
@@ -148,7 +154,7 @@ pub struct Settings {
     #[serde(default, skip_serializing_if = "Expansion::is_auto")]
     pub expansion: Expansion,
     /// Adds what the part of a probe outside its window would have scattered onto the detectors
-    /// (windows only), as from free atoms; see the source of `engine::tail`.
+    /// (windows only), as from free atoms; see the source of `engine::probe_tail`.
     pub tail_correction: bool,
     /// Radius of the anti-aliasing disk in units of the Nyquist frequency. 2/3
     /// ([`EXACT_BAND_FRACTION`]) excludes aliasing altogether; since transmission functions are

@@ -43,7 +43,7 @@ pub struct PlacedAtom {
 
 /// What is done to the potentials of atoms (infinite projection only).
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Shape {
+pub enum PotentialFilter {
     /// Nothing.
     AsIs,
     /// Multiplied by `exp(-q^2 / 2 cutoff^2)` in Fourier space.
@@ -86,12 +86,12 @@ impl Projector {
         extent: [f64; 2],
         parametrization: Parametrization,
         elements: &[u8],
-        shape: Shape,
+        shape: PotentialFilter,
     ) -> Result<Self> {
         let reshaped = |iy, ix, q2: f64| match shape {
-            Shape::AsIs => 1.0,
-            Shape::Smoothed { cutoff } => (-0.5 * q2 / (cutoff * cutoff)).exp(),
-            Shape::AbtemPixelCorrection => {
+            PotentialFilter::AsIs => 1.0,
+            PotentialFilter::Smoothed { cutoff } => (-0.5 * q2 / (cutoff * cutoff)).exp(),
+            PotentialFilter::AbtemPixelCorrection => {
                 let part = |i, n| frequency(i, n) as f64 / n as f64;
                 let u = part(iy, ny).hypot(part(ix, nx));
                 if u > 0.0 { u / u.sin() } else { 1.0 }
@@ -304,7 +304,8 @@ mod tests {
     use crate::potential::slices::Slicing;
 
     fn projector(n: usize) -> Projector {
-        Projector::new((n, n), [6.0, 5.0], Parametrization::Lobato, &[8, 38], Shape::AsIs).unwrap()
+        Projector::new((n, n), [6.0, 5.0], Parametrization::Lobato, &[8, 38], PotentialFilter::AsIs)
+            .unwrap()
     }
 
     fn real(p: &Projector, b: &Buffer) -> Vec<f32> {

@@ -1,6 +1,6 @@
 //! Particles on a thin film of light atoms: each kind of atom in the way that it needs.
 //!
-//! The film scatters hardly: its atoms make their images independently of each other ([`crate::engine::independent`]).
+//! The film scatters hardly: its atoms make their images independently of each other ([`crate::engine::single_scattering`]).
 //! Particles are simulated in windows, together with the film behind them, where the window holds any of their atoms; towards
 //! the edge of where it does, one image fades into the other. What the tail of a probe scatters outside the window is
 //! added as from independent atoms. So nearly all the time goes to particles, and the film elsewhere costs the same for any
@@ -21,10 +21,10 @@ use super::pixel_box::PixelBox;
 use super::recipe::Recipe;
 use super::simulator::Simulator;
 use super::specimen::{ParticleTruth, Region, Specimen, SpecimenSite, particles_in};
-use crate::engine::independent::{Deposit, Raster};
-use crate::engine::{Algorithm, Plan, ProbeBox, ProbeStep, Scan, Settings, Site};
+use crate::engine::phonons::displaced;
+use crate::engine::single_scattering::{ScatteringMap, SingleScattering};
+use crate::engine::{Algorithm, Plan, PlannedScan, ProbeBox, ProbeStep, Scan, Settings, Site};
 use crate::error::{Error, Result};
-use crate::phonons::displaced;
 use crate::potential::slices::{GROUP_ANGSTROM, Slicing};
 use crate::progress::Progress;
 use crate::resample::{Edge, Kernel, MARGIN, image_band_limit};
@@ -137,7 +137,7 @@ impl<'a> FilmImage<'a> {
     ///
     /// # Errors
     /// Those of the settings.
-    pub fn block_plan(&self) -> Result<Option<Plan>> {
+    pub fn block_plan(&self) -> Result<Option<PlannedScan>> {
         let mut particles = self.specimen.particles();
         let moment = |n: i32| particles.iter().map(|p| p.diameter_nm.powi(n)).sum::<f64>();
         let mean = moment(3) / moment(2);
@@ -154,14 +154,13 @@ impl<'a> FilmImage<'a> {
             .map(|a| self.height(a.number, a.position[2], FILM_SLICE_ANGSTROM))
             .collect();
         let size = [20.0 * half, 20.0 * half, 10.0 * self.specimen.thickness_nm()];
-        let mut plan = Plan::new(self.simulator.settings(), size, &heights)?;
+        let plan = Plan::new(self.simulator.settings(), size, &heights)?;
         let scan = Scan {
             origin_angstrom: [self.margin(); 2],
             step_angstrom: [self.step; 2],
             shape: [BLOCK as usize; 2],
         };
-        plan.count_steps(&atoms, &scan);
-        Ok(Some(plan))
+        Ok(Some(PlannedScan::new(plan, scan, Some(&atoms))))
     }
 
     /// Distance of probes in Angstrom.
@@ -206,12 +205,12 @@ impl<'a> FilmImage<'a> {
     /// Those of some atoms that are of element `number`, in all their configurations, on a raster.
     fn deposit<'r>(
         &self,
-        raster: &'r Raster<'r>,
+        raster: &'r SingleScattering<'r>,
         atoms: &[Site],
         (number, depth_angstrom): (u8, [f64; 2]),
         configurations: usize,
-    ) -> Result<Deposit<'r>> {
-        let mut deposit = raster.deposit(number, depth_angstrom)?;
+    ) -> Result<ScatteringMap<'r>> {
+        let mut deposit = raster.map(number, depth_angstrom)?;
         for configuration in 0..configurations as u32 {
             let of = atoms.par_iter().filter(|s| s.number == number);
             let moved: Vec<[f64; 3]> =
@@ -230,9 +229,9 @@ impl<'a> FilmImage<'a> {
         configurations: usize,
     ) -> Result<[Array2<f64>; 2]> {
         let outside = 0.5 * self.window_angstrom;
-        let raster = Raster::new(self.simulator.settings(), self.step, least)?;
+        let raster = SingleScattering::new(self.simulator.settings(), self.step, least)?;
         let [rows, columns] = least.map(|n| margin..n - margin);
-        let image = |deposit: &Deposit<'_>, beyond| {
+        let image = |deposit: &ScatteringMap<'_>, beyond| {
             deposit.image(beyond).slice_move(s![rows.clone(), columns.clone()])
         };
         let kind = (self.film.number, self.film.depth_nm.map(|z| 10.0 * z));

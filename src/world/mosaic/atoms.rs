@@ -2,7 +2,7 @@
 
 use super::library::Library;
 use crate::engine::Site;
-use crate::phonons::displaced;
+use crate::engine::phonons::displaced;
 use crate::world::recipe::Phonons;
 use crate::world::specimen::{DISPLACED_NM, Region, Specimen};
 

@@ -9,7 +9,7 @@ use super::atoms::{DisplacedAtoms, definite_atoms};
 use super::cache::Cache;
 use super::library::Library;
 use super::survey::{Survey, survey};
-use crate::engine::{Plan, Scan, Site};
+use crate::engine::{PlannedScan, Scan, Site};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::resample::{Kernel, image_band_limit};
@@ -207,7 +207,7 @@ pub struct Outlook {
     pub image_bytes: u64,
     /// Plan of the largest image.
     #[serde(skip)]
-    pub plan: Option<Plan>,
+    pub plan: Option<PlannedScan>,
 }
 
 /// Whether the library takes clearly fewer probes than the field.

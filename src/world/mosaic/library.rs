@@ -6,7 +6,7 @@ use ndarray::{Array2, Axis};
 use sha2::{Digest, Sha256};
 
 use super::cache::Cache;
-use crate::engine::{Plan, Scan, Settings, Simulation, Site};
+use crate::engine::{Plan, PlannedScan, Scan, Settings, Simulation, Site};
 use crate::error::{Error, Result};
 use crate::optics::Optics;
 use crate::progress::Progress;
@@ -271,13 +271,9 @@ impl Library {
     ///
     /// # Errors
     /// Those of the settings.
-    pub fn largest_plan(&self) -> Result<Option<Plan>> {
+    pub fn largest_plan(&self) -> Result<Option<PlannedScan>> {
         let largest = self.shelves.values().max_by_key(|s| s.probes());
-        let plan = |s: &Shelf| {
-            let mut plan = s.plan(&self.settings)?;
-            plan.count_waves(&s.scan);
-            Ok(plan)
-        };
+        let plan = |s: &Shelf| Ok(PlannedScan::new(s.plan(&self.settings)?, s.scan, None));
         largest.map(plan).transpose()
     }
 
