@@ -56,7 +56,7 @@ pub enum Edge {
 /// An interpolation kernel, the same along rows and columns.
 ///
 /// Rms errors in per cent of the standard deviation of the image, along both axes, for HAADF images of one phonon configuration
-/// (SrTiO3 and Si [110] of 4-8 nm, Pt [110] of 5.5 nm), in the interior and at positions with [`MARGIN`] samples beyond on one side:
+/// (SrTiO3 and Si \[110\] of 4-8 nm, Pt \[110\] of 5.5 nm), in the interior and at positions with [`MARGIN`] samples beyond on one side:
 ///
 /// | step x band limit | 0.42 | 0.45 | 0.47 | 0.48 | 0.49 | 0.50 |
 /// |---|---|---|---|---|---|---|

@@ -144,7 +144,7 @@ pub struct Settings {
     pub probe_box: Option<ProbeBox>,
     /// PRISM keeps its exit waves on the grid of the simulation, not on the coarser one that just holds the band limit.
     /// Without interpolation both give the same. With it, probes are cut out at pixels of that grid, and high angles
-    /// that the cut adds are folded back at its limit: HAADF of Si [110] with f = 2 changes by up to 0.20 % of the
+    /// that the cut adds are folded back at its limit: HAADF of Si \[110\] with f = 2 changes by up to 0.20 % of the
     /// maximum, that of SrTiO3 by 0.02 %.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub full_exit_grid: bool,
