@@ -25,7 +25,7 @@ impl Detector {
     /// Reads `NAME=INNER-OUTER` or `INNER-OUTER` (mrad).
     ///
     /// # Errors
-    /// [`Error::Invalid`].
+    /// [`Error::Invalid`] for a malformed name or angles.
     pub fn parse(text: &str) -> Result<Self> {
         let bad = |expected: &str| Error::invalid(Setting::Detector, text, expected);
         let (name, range) = match text.split_once('=') {
@@ -65,7 +65,7 @@ impl Detector {
     }
 }
 
-/// The pixels of a diffraction pattern that each detector collects.
+/// For each detector, the pixels of a diffraction pattern that it collects.
 #[derive(Debug, Clone)]
 pub struct DetectorMap {
     per_detector: Vec<Pixels>,
@@ -79,7 +79,7 @@ struct Pixels {
     edges: Vec<(usize, f32)>,
 }
 
-/// A diffraction pattern in FFT order.
+/// The layout of a diffraction pattern in FFT order (rows = ky, columns = kx), and how detectors collect it.
 #[derive(Debug, Clone, Copy)]
 pub struct Pattern {
     /// (rows, columns)
@@ -94,7 +94,7 @@ pub struct Pattern {
 }
 
 impl DetectorMap {
-    /// Maps detectors onto a pattern with `theta_mrad(iy, ix)` the scattering angle of a pixel.
+    /// Maps detectors onto a pattern; `theta_mrad(iy, ix)` is the scattering angle in mrad of the pixel in row iy, column ix.
     pub fn new(
         detectors: &[Detector],
         pattern: Pattern,
@@ -115,7 +115,8 @@ impl DetectorMap {
         DetectorMap { per_detector }
     }
 
-    /// Intensity on each detector: the sum of `scale |psi|^2` over its pixels.
+    /// Writes the intensity on each detector to `out`: the sum of `scale |psi|^2` over its pixels, `psi` being a pattern of
+    /// this map.
     pub fn collect(&self, psi: &[Complex32], scale: f64, out: &mut [f64]) {
         for (pixels, value) in self.per_detector.iter().zip(out) {
             let whole = |&(at, n): &(usize, usize)| f64::from(power(&psi[at..at + n]));
@@ -126,7 +127,8 @@ impl DetectorMap {
         }
     }
 
-    /// Amplitudes on each detector whose squared moduli add to its intensity: one vector per detector.
+    /// Calls `put(detector, amplitudes)` with parts of a vector for each detector; the squared moduli of all its parts add
+    /// to the intensity on the detector.
     pub fn gather(&self, psi: &[Complex32], mut put: impl FnMut(usize, &[Complex32])) {
         for (d, pixels) in self.per_detector.iter().enumerate() {
             pixels.runs.iter().for_each(|&(at, n)| put(d, &psi[at..at + n]));
@@ -134,7 +136,7 @@ impl DetectorMap {
         }
     }
 
-    /// Number of pixels of each detector.
+    /// Number of pixels of each detector; those on its edges count in part.
     pub fn pixels(&self) -> Vec<f64> {
         let count = |p: &Pixels| {
             let whole: usize = p.runs.iter().map(|r| r.1).sum();

@@ -16,7 +16,6 @@ pub mod io;
 mod matrix;
 pub mod numerics;
 pub mod optics;
-pub mod phonons;
 pub mod potential;
 pub mod progress;
 pub mod recipe;

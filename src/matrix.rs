@@ -2,9 +2,9 @@
 
 use num_complex::{Complex32, Complex64};
 
-/// `out[m, n] = a[m, k] b[k, n]` on one thread. `out` and `b` are row-major with the given row strides;
-/// `a` has a stride for rows and one for columns.
-pub(crate) fn multiply<T: Number>(
+/// The product `out[m, n] = a[m, k] b[k, n]`, on one thread. `out` and `b` are row-major with the given row strides; `a` has a
+/// stride for rows and one for columns.
+pub(crate) fn multiply<T: MatrixElement>(
     (m, n, k): (usize, usize, usize),
     (out, out_stride): (&mut [T], usize),
     (a, [a_row, a_column]): (&[T], [usize; 2]),
@@ -42,10 +42,10 @@ pub(crate) fn multiply<T: Number>(
     }
 }
 
-/// Rows of a Gram matrix that are computed together; what lies left of their diagonal block is left out.
+/// Rows of a Gram matrix that are computed together, from their diagonal block on; the rest follows by symmetry.
 const GRAM_ROWS: usize = 32;
 
-/// `out[i, j] = sum_k conj(a[i, k]) a[j, k]` for `n` rows of `a`, all row-major, on one thread.
+/// The Gram matrix `out[i, j] = sum_k conj(a[i, k]) a[j, k]` for `n` rows of `a`, all row-major, on one thread.
 pub(crate) fn gram(n: usize, a: &[Complex32], out: &mut [Complex32]) {
     let k = a.len() / n.max(1);
     assert!(a.len() == n * k && out.len() >= n * n);
@@ -83,23 +83,23 @@ pub(crate) fn gram(n: usize, a: &[Complex32], out: &mut [Complex32]) {
     }
 }
 
-/// What matrices are made of.
-pub(crate) trait Number: 'static {
+/// The elements of matrices.
+pub(crate) trait MatrixElement: 'static {
     const ZERO: Self;
     const ONE: Self;
 }
 
-impl Number for f32 {
+impl MatrixElement for f32 {
     const ZERO: f32 = 0.0;
     const ONE: f32 = 1.0;
 }
 
-impl Number for Complex64 {
+impl MatrixElement for Complex64 {
     const ZERO: Complex64 = Complex64::ZERO;
     const ONE: Complex64 = Complex64::ONE;
 }
 
-impl Number for Complex32 {
+impl MatrixElement for Complex32 {
     const ZERO: Complex32 = Complex32::ZERO;
     const ONE: Complex32 = Complex32::ONE;
 }

@@ -1,15 +1,15 @@
 //! Band-limited interpolation of images between their samples.
 //!
-//! As a function of the probe's position, the amplitude on every pixel of a detector holds no spatial frequency
-//! above `semiangle / wavelength`, so its intensity, and with it every STEM image, none above twice that:
-//! samples closer than `wavelength / (4 semiangle)` determine the image everywhere. What lies near the limit is weak,
-//! since the transfer of an aperture for incoherent light falls off towards it. The weights of the 16 samples around a
-//! position are those of the least mean square error for images with such a spectrum (simple kriging; N. Wiener,
-//! Extrapolation, Interpolation, and Smoothing of Stationary Time Series, 1949), also where the position is not in
-//! their middle: an image is interpolated up to a few samples from its edge.
+//! Samples closer than `wavelength / (4 semiangle)` determine a STEM image everywhere. As a function of the probe's position,
+//! the amplitude on every pixel of a detector has no spatial frequency above `semiangle / wavelength`, so its intensity has
+//! none above twice that. Frequencies near this limit are weak, since the transfer function of an aperture for
+//! incoherent light falls to zero there. The weights of the 16 samples around a position have the least mean square error for
+//! images with such a spectrum (simple kriging; N. Wiener, Extrapolation, Interpolation, and Smoothing of Stationary
+//! Time Series, 1949). The position need not be in their middle, so an image can be interpolated up to a few samples from
+//! its edge.
 //!
 //! Positions are counted in samples: 0 is the centre of the first, 1.5 lies between the second and the third.
-//! Results depend on the values and positions only, and are the same on every processor.
+//! Results are functions of values and positions alone, the same on every processor.
 
 use crate::error::{Error, Result};
 use crate::optics::Optics;
@@ -18,28 +18,28 @@ use ndarray::{Array2, ArrayView2, Axis};
 use rayon::prelude::*;
 use std::f64::consts::{PI, TAU};
 
-/// Samples that a value is made of, along each axis.
+/// Number of samples that a value is interpolated from, along each axis.
 pub const TAPS: usize = 16;
-/// Of those, on either side of a position far from edges.
+/// How many of them lie on either side of a position far from edges.
 pub const HALF_WIDTH: usize = TAPS / 2;
-/// Samples that should lie beyond the first and the last position of an image that is not periodic.
+/// Number of samples that should lie beyond the first and the last position of an image that is not periodic.
 pub const MARGIN: usize = 3;
 /// Steps of the tabulated kernel between two samples; linear interpolation between them is right to 2e-6.
 const PHASES: usize = 512;
 /// Step times band limit of the default (see [`Kernel`]).
 const DEFAULT_PRODUCT: f64 = 0.47;
-/// Largest step times band limit that is accepted: Nyquist's.
+/// Largest step times band limit that is accepted: the Nyquist limit.
 const MOST_PRODUCT: f64 = 0.5;
-/// Variance of noise in samples, in units of the variance of the image: rounding to single precision has less, and
-/// the equations stay well conditioned.
+/// Assumed variance of noise in the samples, in units of the variance of the image. Rounding to single precision has less;
+/// it keeps the equations well conditioned.
 const NOISE: f64 = 1e-7;
 
-/// Highest spatial frequency, in 1/Angstrom, in STEM images: of any detector, thickness or defocus.
+/// The highest spatial frequency in STEM images, in 1/Angstrom, whatever the detector, thickness or defocus.
 pub fn image_band_limit(optics: &Optics) -> f64 {
     2e-3 * optics.semiangle_mrad / optics.wavelength_angstrom()
 }
 
-/// The largest distance of samples, in Angstrom, that determine an image with that band limit.
+/// The Nyquist distance in Angstrom: samples at most so far apart determine an image with this band limit (1/Angstrom).
 pub fn nyquist_step(band_limit: f64) -> f64 {
     MOST_PRODUCT / band_limit
 }
@@ -57,7 +57,7 @@ pub enum Edge {
 /// An interpolation kernel, the same along rows and columns.
 ///
 /// Rms errors in per cent of the standard deviation of the image, along both axes, for HAADF images of one phonon configuration
-/// (SrTiO3 and Si [110] of 4-8 nm, Pt [110] of 5.5 nm), in the interior and at positions with [`MARGIN`] samples beyond on one side:
+/// (SrTiO3 and Si \[110\] of 4-8 nm, Pt \[110\] of 5.5 nm), in the interior and at positions with [`MARGIN`] samples beyond on one side:
 ///
 /// | step x band limit | 0.42 | 0.45 | 0.47 | 0.48 | 0.49 | 0.50 |
 /// |---|---|---|---|---|---|---|
@@ -66,12 +66,12 @@ pub enum Edge {
 /// | error at edges, % | 0.02-0.03 | 0.05-0.08 | 0.10-0.15 | 0.12-0.20 | 0.18-0.29 | 0.23-0.40 |
 #[derive(Debug, Clone)]
 pub struct Kernel {
-    /// For 1 to 15 samples up to and including the one below the position: the weights for each phase and for 1; each
-    /// row adds to 1.
+    /// `tables[n][phase]`: the weights if n + 1 of the samples lie at or below the position, which is `phase / PHASES` of a
+    /// sample above the last of them. They add to 1.
     tables: Vec<Vec<[f64; TAPS]>>,
 }
 
-/// The samples that make a value, and their weights, which add to 1.
+/// The samples that a value is interpolated from, and their weights, which add to 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Weights {
     /// Number of the first sample; may be negative or beyond the last, unless the edge is open.
@@ -99,7 +99,7 @@ impl Kernel {
         let row = |at: f64| {
             let weights =
                 factor.solve(std::array::from_fn(|j| correlation((j as f64 - at) * product)));
-            // A constant stays what it is.
+            // Weights add to 1, so that a constant is kept.
             let lack = (1.0 - weights.iter().sum::<f64>()) / of_ones;
             std::array::from_fn(|j| weights[j] + lack * ones[j])
         };
@@ -137,7 +137,7 @@ impl Kernel {
         self.row(below as i64 - (HALF_WIDTH as i64 - 1), HALF_WIDTH - 1, position - below)
     }
 
-    /// Weights of samples out of `n`, at least [`TAPS`], at and around `position`.
+    /// Weights of samples around `position`, all of them within the first `n` (at least [`TAPS`]) samples.
     pub fn weights_within(&self, position: f64, n: usize) -> Weights {
         let position = position.clamp(0.0, n as f64 - 1.0);
         let below = position.floor().min(n as f64 - 2.0);
@@ -155,8 +155,9 @@ impl Kernel {
         Weights { first, values: std::array::from_fn(|i| a[i] + t * (b[i] - a[i])) }
     }
 
-    /// The image on another raster: `shape` (rows, columns) values at `first + i step`, both (row, column) in
-    /// samples. The axes are resampled one after the other; `edges` are those along them.
+    /// The image on another raster: an array of `shape` (rows = y, columns = x) in the unit of the image. Its values stand at
+    /// `first + i step`, both (row, column) in samples of `image`. The axes are resampled one after the other;
+    /// `edges` are the edges along (rows, columns).
     pub fn raster<T: Copy + Into<f64> + Sync>(
         &self,
         image: ArrayView2<'_, T>,
@@ -167,7 +168,7 @@ impl Kernel {
     ) -> Array2<f64> {
         let (rows, columns) = image.dim();
         let positions = |axis: usize, n: usize| -> Vec<[(usize, f64); TAPS]> {
-            // With too few samples to choose from, the outermost go on.
+            // With fewer samples than taps, the outermost are continued.
             let open = edges[axis] == Edge::Open && n >= TAPS;
             let place = |i: usize| {
                 let at = first[axis] + i as f64 * step[axis];
@@ -215,7 +216,7 @@ fn correlation(distance: f64) -> f64 {
     4.0 * (3.0 / z2 - 6.0 * (1.0 - libm::cos(z)) / (z2 * z2))
 }
 
-/// Equations with a positive definite matrix.
+/// Solves equations with a positive definite matrix.
 struct Cholesky {
     lower: [[f64; TAPS]; TAPS],
 }
@@ -247,8 +248,8 @@ impl Cholesky {
     }
 }
 
-/// A periodic image along one axis on `n` samples instead, the first where it was: exact if the old and the new
-/// samples are closer than the Nyquist distance (trigonometric interpolation).
+/// A periodic image (rows = y, columns = x) with `n` samples along `axis`, by trigonometric interpolation. The first sample
+/// stays where it was; the result is exact if old and new samples are closer than the Nyquist distance.
 pub fn periodic_samples(image: ArrayView2<'_, f32>, axis: Axis, n: usize) -> Array2<f32> {
     let from = image.len_of(axis);
     // Dirichlet's kernel: 1 at 0, and 0 at all other samples.

@@ -1,7 +1,8 @@
-//! Plain loops for the vector units of the machine at hand.
+//! Compiles plain loops for the vector units of the machine that runs them.
 
-/// Runs `f` compiled for the widest vectors the machine has. Mark the closure `#[inline(always)]`, or its loops are compiled
-/// for the least machine. Its kind is FnOnce by this signature: the shim around others would not be inlined.
+/// Runs `f` compiled for the widest vectors that the machine has. The closure must be marked `#[inline(always)]`; otherwise
+/// its loops are compiled for the oldest supported machine. `f` is FnOnce since the shim around Fn closures would not be
+/// inlined.
 #[inline(always)]
 pub(crate) fn vectorised<R>(f: impl FnOnce() -> R) -> R {
     pulp::Arch::new().dispatch(f)

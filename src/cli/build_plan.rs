@@ -130,5 +130,5 @@ fn mosaic_line(mosaic: &MosaicCost) -> String {
 
 /// Like simulations as a report; each with an estimate measures the speed.
 fn report(simulations: &SimulationRuns) -> PlanReport {
-    PlanReport::new(&simulations.plan, simulations.probes, simulations.runs)
+    PlanReport::new(&simulations.plan, &simulations.cost, simulations.runs)
 }

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 use std::time::{Duration, Instant};
-use stemgen::engine::Plan;
+use stemgen::engine::{Cost, Plan};
 use stemgen::fft::Fft2;
 
 /// How long the speed is measured.
@@ -27,12 +27,12 @@ fn speed(plan: &Plan) -> f64 {
     (0..threads()).into_par_iter().with_max_len(1).map(run).sum()
 }
 
-/// Estimated time in seconds for `runs` simulations of `probes` probes each.
-pub fn seconds(plan: &Plan, probes: usize, runs: usize) -> f64 {
+/// Estimated time in seconds for `runs` simulations that each cost so much.
+pub fn seconds(plan: &Plan, cost: &Cost, runs: usize) -> f64 {
     if runs == 0 {
         return 0.0;
     }
-    runs as f64 * plan.nominal_flops(probes) / speed(plan)
+    runs as f64 * cost.nominal_flops() / speed(plan)
 }
 
 /// Number of threads that compute.

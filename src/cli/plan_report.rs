@@ -2,8 +2,7 @@
 
 use super::{estimate, text};
 use serde::Serialize;
-use stemgen::engine::plan::Grid;
-use stemgen::engine::{Plan, Scan};
+use stemgen::engine::{Cost, Grid, Plan, Scan};
 
 /// What a simulation will do.
 #[derive(Debug, Serialize)]
@@ -78,12 +77,12 @@ impl GridReport {
 }
 
 impl PlanReport {
-    /// Of a plan that runs `runs` times, for `probes` probes each.
-    pub fn new(plan: &Plan, probes: usize, runs: usize) -> Self {
+    /// Of a plan that runs `runs` times and costs so much each time.
+    pub fn new(plan: &Plan, cost: &Cost, runs: usize) -> Self {
         let thickness = plan.slices.boundaries.windows(2).map(|w| w[1] - w[0]);
         let slices = SliceReport {
             count: plan.slices.len(),
-            passed: plan.steps_per_wave,
+            passed: cost.steps_per_wave,
             thinnest_angstrom: thickness.clone().fold(f64::INFINITY, f64::min),
             thickest_angstrom: thickness.fold(0.0, f64::max),
         };
@@ -99,10 +98,10 @@ impl PlanReport {
             thicknesses_angstrom: plan.thicknesses_angstrom(),
             beams: plan.beams,
             configurations: plan.settings.configurations(),
-            probes,
-            memory_bytes: plan.memory_bytes(threads, probes),
+            probes: cost.probes,
+            memory_bytes: cost.memory_bytes(threads),
             threads,
-            estimated_time_s: estimate::seconds(plan, probes, runs),
+            estimated_time_s: estimate::seconds(plan, cost, runs),
             warnings: plan.warnings.clone(),
         }
     }
@@ -165,6 +164,7 @@ pub fn algorithm(algorithm: &stemgen::engine::Algorithm) -> String {
         Multislice => "multislice".into(),
         Prism { interpolation: [x, y] } => format!("PRISM, interpolation {x},{y}"),
         Window { width_angstrom } => format!("window of {width_angstrom} A"),
+        other => format!("{other:?}"),
     }
 }
 

@@ -14,7 +14,7 @@ use ndarray::{ArrayView3, Axis};
 use serde::Serialize;
 use std::path::PathBuf;
 use std::time::Instant;
-use stemgen::engine::{Images, Plan, ProbeRaster, Scan, Settings, simulate};
+use stemgen::engine::{Cost, Images, Plan, ProbeRaster, Scan, Settings, simulate};
 use stemgen::io::image_file::{ExitWaves, ImageStack, Origin, write_images};
 use stemgen::progress::Progress;
 
@@ -144,13 +144,13 @@ impl Simulate {
         }
         let accuracy = self.numerics.accuracy;
         let warning = imaging_args::choose_window(accuracy, &mut settings, specimen.size[2])?;
-        let mut plan = Plan::new(&settings, specimen.size, &specimen.heights)?;
-        plan.warnings.extend(warning);
+        let plan = Plan::new(&settings, specimen.size, &specimen.heights)?;
         let scan = self.scan(&plan, &specimen)?;
-        self.add_warnings(&mut plan, &specimen, &scan);
+        let mut warnings = plan.warnings.clone();
+        warnings.extend(warning);
+        warnings.extend(self.warnings(&plan, &specimen, &scan));
         if self.common.dry_run {
-            plan.count_steps(&specimen.sites, &scan);
-            return self.dry_run(&plan, &specimen, &scan);
+            return self.dry_run(&plan, &specimen, &scan, warnings);
         }
         let names: Vec<&str> = match self.results.plane_wave {
             true => vec!["lens"],
@@ -161,7 +161,7 @@ impl Simulate {
         for path in pictures.iter().map(|p| p.path.clone()).chain(self.page()) {
             output::check(&path, self.results.overwrite)?;
         }
-        plan.warnings.iter().for_each(|w| reporter.warn(w));
+        warnings.iter().for_each(|w| reporter.warn(w));
         self.execute(&plan, &specimen, &scan, &pictures, &reporter)
     }
 
@@ -190,27 +190,37 @@ impl Simulate {
         self.scan.scan([x, y], &plan.settings.optics)
     }
 
-    fn add_warnings(&self, plan: &mut Plan, specimen: &Prepared, scan: &Scan) {
+    /// Warnings about the specimen and memory.
+    fn warnings(&self, plan: &Plan, specimen: &Prepared, scan: &Scan) -> Vec<String> {
+        let mut warnings = Vec::new();
         let [x, y, _] = specimen.size;
         if !self.results.plane_wave && x.min(y) < NARROW_CELL_ANGSTROM {
             let times = [x, y].map(|l| (1.5 * NARROW_CELL_ANGSTROM / l).ceil());
             let given = self.specimen.options.repeat.unwrap_or([1; 3]);
             let [nx, ny] = [0, 1].map(|i| times[i] * given[i] as f64);
-            plan.warnings.push(format!(
+            warnings.push(format!(
                 "the cell of {x:.2} x {y:.2} A is narrow: a probe meets its own periodic images; \
                  --repeat {nx},{ny},{} --scan-end {x:.4},{y:.4} scans the same area of a wider cell",
                 given[2]
             ));
         }
-        let needed = plan.memory_bytes(estimate::threads(), scan.len());
+        let needed = Cost::new(plan, scan).memory_bytes(estimate::threads());
         let remedy = "a smaller cell, fewer --threads or less --oversampling take less";
-        plan.warnings.extend(estimate::memory_warning(needed, remedy));
+        warnings.extend(estimate::memory_warning(needed, remedy));
+        warnings
     }
 
-    fn dry_run(&self, plan: &Plan, specimen: &Prepared, scan: &Scan) -> anyhow::Result<()> {
+    fn dry_run(
+        &self,
+        plan: &Plan,
+        specimen: &Prepared,
+        scan: &Scan,
+        warnings: Vec<String>,
+    ) -> anyhow::Result<()> {
         let raster = ProbeRaster::new(plan, scan)?;
         let waves = if self.results.plane_wave { 1 } else { raster.scan().len() };
-        let report = PlanReport::new(plan, waves, 1);
+        let cost = Cost::with_atoms(plan, scan, &specimen.sites).for_probes(waves);
+        let report = PlanReport { warnings, ..PlanReport::new(plan, &cost, 1) };
         let scan_report = ScanReport {
             origin_angstrom: scan.origin_angstrom,
             step_angstrom: scan.step_angstrom,

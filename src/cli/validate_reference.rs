@@ -10,7 +10,7 @@ use super::values;
 use anyhow::{anyhow, bail};
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
-use stemgen::engine::{GridChoice, Plan, Scan, Settings};
+use stemgen::engine::{Cost, GridChoice, Plan, Scan, Settings};
 use stemgen::io::arrays::{self, ForeignArray};
 use stemgen::progress::Progress;
 use stemgen::validate::golden::like_abtem;
@@ -299,7 +299,7 @@ fn given_scan(
 impl PreparedReference {
     /// What would be done.
     pub fn planned(&self) -> (PlanReport, String) {
-        let report = PlanReport::new(&self.plan, self.scan.len(), 1);
+        let report = PlanReport::new(&self.plan, &Cost::new(&self.plan, &self.scan), 1);
         let mut lines = Lines::default();
         lines.add("reference", self.source.clone());
         lines.add("atoms", self.specimen.sites.len().to_string());

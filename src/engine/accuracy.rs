@@ -15,14 +15,14 @@ const MEASURED_SEMIANGLE_MRAD: f64 = 21.0;
 const MEASURED_WAVELENGTH_ANGSTROM: f64 = 0.025_08;
 /// Thickness in Angstrom up to which the errors were measured.
 const MEASURED_THICKNESS_ANGSTROM: f64 = 102.0;
-/// Share of a probe's geometric spread, semiangle times what is beyond the measured thickness, by which a
-/// window grows: SrTiO3 of 195 A then stays below the errors of 100 A.
+/// Beyond the measured thickness a window grows by this share of the probe's geometric spread, semiangle times additional
+/// thickness: the errors of SrTiO3 of 195 A then stay below those of 100 A.
 const SPREAD: f64 = 1.2;
-/// Windows are for detectors that begin at this many semiangles or more: below, pixels of their diffraction pattern are
-/// too coarse, and the tail of the probe itself is seen.
+/// Windows are for detectors that begin at this many semiangles or more. At smaller angles the pixels of their diffraction
+/// pattern are too coarse, and detectors would see the tail of the probe itself.
 pub(super) const LEAST_INNER_SEMIANGLES: f64 = 2.0;
 
-/// A window and what was not measured about it.
+/// A window, and why its error may differ from the measured one.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WindowChoice {
     /// Width in Angstrom.
@@ -77,7 +77,7 @@ pub fn window_for(
         return Err(Error::invalid(crate::Setting::AccuracyPercent, accuracy_percent, expected));
     };
     let wavelength = optics.wavelength_angstrom();
-    // The probe's size goes with wavelength over semiangle.
+    // The size of the probe is proportional to wavelength over semiangle.
     let size = wavelength
         / optics.semiangle_mrad
         / (MEASURED_WAVELENGTH_ANGSTROM / MEASURED_SEMIANGLE_MRAD);

@@ -1,38 +1,39 @@
 //! Probes that share a window, expanded in fewer waves.
 //!
-//! A probe holds nothing beyond its aperture, so probes that are less than `wavelength / (2 semiangle)` apart (0.6 A) are
-//! nearly linear combinations of each other. All probes of a patch are expanded in the orthonormal waves that
-//! hold most of them (principal components), as many as leave no probe an error above a stated share of its amplitude. Only
-//! those waves are propagated. With their Fourier coefficients `phi_j(k)` behind the specimen, a probe with the coefficients
-//! `c_j` has the intensity `sum_ij c_i* c_j M_ij` on a detector, `M_ij = sum_k D(k) phi_i*(k) phi_j(k)`: exact, but for
-//! what the expansion leaves out.
+//! The aperture limits the spectrum of a probe, so probes less than `wavelength / (2 semiangle)` apart (0.6 A) are nearly
+//! linear combinations of each other. All probes of a patch are expanded in their principal components: orthonormal waves, as
+//! many as leave no probe an error above a given share of its amplitude. Only these waves are propagated. With
+//! their Fourier coefficients `phi_j(k)` behind the specimen, a probe with the coefficients `c_j` has the intensity
+//! `sum_ij c_i* c_j M_ij` on a detector D, `M_ij = sum_k D(k) phi_i*(k) phi_j(k)`. The error of the expansion is the only
+//! approximation.
 
-use super::prism::single;
-use super::probe::Cropped;
+use super::probe::CroppedProbe;
+use super::single_precision::single;
 use crate::matrix::multiply;
 use nalgebra::{DMatrix, SymmetricEigen};
 use num_complex::{Complex32, Complex64};
 use std::f64::consts::PI;
 
-/// Waves that hold the probes of a patch.
+/// The waves in which the probes of a patch are expanded.
 pub(super) struct Basis {
     /// (wave, bin of the window), row-major.
     waves: Vec<Complex32>,
-    /// (wave, bin of the surroundings), row-major: products with a probe's coefficients there give those on the waves.
+    /// (wave, bin of the surroundings), row-major: its product with the coefficients of a probe in the surroundings gives
+    /// the coefficients on the waves.
     project: Vec<Complex32>,
-    /// Bins of the window.
+    /// Number of bins of the window.
     bins: usize,
 }
 
-/// Positions in a patch by which waves are chosen, along an axis for each Nyquist distance of the amplitude (0.6 A).
+/// Candidate positions in a patch, along an axis for each Nyquist distance of the amplitude (0.6 A).
 const CANDIDATES_PER_NYQUIST: f64 = 3.0;
-/// The waves that positions are reduced to first hold them to this share of the error allowed.
+/// The first reduction of the candidates is right to this share of the error allowed.
 const REDUCED: f64 = 0.3;
 
 impl Basis {
-    /// For probes at most `half` (Angstrom, along x and y) from the middle of a window, each right to the share
-    /// `error` of its amplitude; `nyquist` is the distance in Angstrom at which the amplitude has to be sampled.
-    pub fn new(probe: &Cropped, half: [f64; 2], nyquist: f64, error: f64) -> Self {
+    /// The waves for probes at most `half` (Angstrom, along x and y) from the middle of a window, each right to the share
+    /// `error` of its amplitude; `nyquist` is the Nyquist distance of the amplitude in Angstrom.
+    pub fn new(probe: &CroppedProbe, half: [f64; 2], nyquist: f64, error: f64) -> Self {
         let candidates = Candidates::new(probe, half, nyquist / CANDIDATES_PER_NYQUIST);
         let allowed: Vec<f64> = candidates.norms.iter().map(|n| error * error * n).collect();
         let (span, of) = candidates.reduced(error * REDUCED);
@@ -70,13 +71,17 @@ impl Basis {
         self.waves.len() / self.bins
     }
 
-    /// Coefficients of a wave on the bins of the window.
+    /// Fourier coefficients of wave `j` on the bins of the window.
     pub fn wave(&self, j: usize) -> &[Complex32] {
         &self.waves[j * self.bins..][..self.bins]
     }
 
-    /// Coefficients (wave, probe), row-major, of probes at some positions in the window.
-    pub fn coefficients(&self, probe: &Cropped, positions: &[(usize, [f64; 2])]) -> Vec<Complex32> {
+    /// Coefficients on the waves, (wave, probe) row-major, of probes at these positions in the window (Angstrom).
+    pub fn coefficients(
+        &self,
+        probe: &CroppedProbe,
+        positions: &[(usize, [f64; 2])],
+    ) -> Vec<Complex32> {
         let (n, around) = (positions.len(), probe.around.len());
         let mut spectra = vec![Complex32::ZERO; around * n];
         for (i, (_, position)) in positions.iter().enumerate() {
@@ -96,7 +101,8 @@ fn singles(values: Vec<Complex64>) -> Vec<Complex32> {
     values.into_iter().map(single).collect()
 }
 
-/// The least number of leading components with which no candidate lacks more than is allowed.
+/// The least number of leading components with which no candidate lacks more than `allowed` of its squared norm; `on` holds
+/// the coefficients, (candidate, wave) row-major.
 fn fewest(on: &[Complex64], waves: usize, norms: &[f64], allowed: &[f64]) -> usize {
     let needed = |(row, (norm, allowed)): (&[Complex64], (&f64, &f64))| {
         let mut left = *norm;
@@ -110,20 +116,20 @@ fn fewest(on: &[Complex64], waves: usize, norms: &[f64], allowed: &[f64]) -> usi
     rows.map(needed).max().unwrap_or(1)
 }
 
-/// Probes on a raster over a patch, denser towards its edges.
+/// Probes on a raster over a patch, denser towards its edges, by which the waves are chosen.
 struct Candidates<'a> {
-    probe: &'a Cropped,
-    /// Phases along x and y, per position and frequency of the surroundings.
+    probe: &'a CroppedProbe,
+    /// Phases along x and y: for each position, those of the frequencies of the surroundings.
     phases: [Vec<Vec<Complex64>>; 2],
-    /// Squared norm of each in the window.
+    /// Squared norms in the window.
     norms: Vec<f64>,
 }
 
 impl<'a> Candidates<'a> {
-    fn new(probe: &'a Cropped, half: [f64; 2], step: f64) -> Self {
+    fn new(probe: &'a CroppedProbe, half: [f64; 2], step: f64) -> Self {
         let places = [0, 1].map(|k| {
             let n = (2.0 * half[k] / step).ceil() as usize + 1;
-            // Positions as of Chebyshev's polynomials: the errors at the edges are then like those within.
+            // Chebyshev points: the errors at the edges are then as small as those inside.
             let place = |i: usize| match n {
                 1 => 0.0,
                 _ => half[k] * (PI * (i as f64 / (n - 1) as f64 - 0.5)).sin(),
@@ -144,13 +150,13 @@ impl<'a> Candidates<'a> {
         self.phases[0].len() * self.phases[1].len()
     }
 
-    /// Coefficients in the window.
+    /// Coefficients of candidate `i` on the bins of the window.
     fn get(&self, i: usize) -> Vec<Complex64> {
         let columns = self.phases[0].len();
         self.probe.moved(&self.phases[0][i % columns], &self.phases[1][i / columns])
     }
 
-    /// `sum wave* v` in the window for all candidates v.
+    /// The products `sum wave* v` in the window with all candidates v.
     fn project(&self, wave: &[Complex64]) -> Vec<Complex64> {
         let wave = self.probe.pad_window(wave);
         let columns = self.phases[0].len();
@@ -172,8 +178,9 @@ impl<'a> Candidates<'a> {
         out
     }
 
-    /// Orthonormal waves (wave, bin) that hold all candidates up to the share `error` of their amplitude, each
-    /// made of the candidate that those before it hold least; and the candidates' (candidate, wave) coefficients.
+    /// Orthonormal waves, (wave, bin) row-major, that hold all candidates to the share `error` of their amplitude, and the
+    /// candidates' coefficients, (candidate, wave) row-major. Each wave is made from the candidate of which the waves
+    /// before it hold the least.
     fn reduced(&self, error: f64) -> (Vec<Complex64>, Vec<Complex64>) {
         let bins = self.get(0).len();
         let mut span: Vec<Complex64> = Vec::new();
@@ -185,7 +192,7 @@ impl<'a> Candidates<'a> {
                 break;
             }
             let mut wave = self.get(worst);
-            // twice, against rounding
+            // Orthogonalised twice, against rounding.
             for q in span.chunks_exact(bins).chain(span.chunks_exact(bins)) {
                 let c: Complex64 = q.iter().zip(&wave).map(|(q, w)| q.conj() * w).sum();
                 wave.iter_mut().zip(q).for_each(|(w, q)| *w -= c * q);

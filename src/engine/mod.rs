@@ -1,65 +1,53 @@
 //! Simulation of detector images from atoms: plan, then execute.
+//!
+//! From the ground up:
+//! - what is given: [`Settings`], [`Site`], [`Scan`], [`phonons`];
+//! - the plan: [`Grid`], `grid_choice`, [`Plan`], `probe_patches` (which probes share a window), [`Cost`];
+//! - potentials to transmission functions: `slice_coverage`, `phase_grating`, `transmission`;
+//! - waves: `stepper` (one slice after the other), `probe`, `basis` (probes expanded in fewer waves);
+//! - the algorithms: `multislice`, `prism` with `prism_reduce`, `probe_tail` and [`single_scattering`];
+//! - [`simulate()`], [`lens_image`], [`measure_speed`].
 
 mod accuracy;
 mod basis;
-mod exponential;
-mod images;
-mod imaging;
-pub mod independent;
+mod cost;
+mod detector_images;
+mod grid;
+mod grid_choice;
+mod lens;
 mod multislice;
-mod occupancy;
-pub mod plan;
+mod phase_grating;
+pub mod phonons;
+mod plan;
 mod prism;
 mod prism_reduce;
 mod probe;
-mod raster;
+mod probe_patches;
+mod probe_raster;
+mod probe_scan;
+mod probe_tail;
 pub mod settings;
-mod spare;
+mod simulate;
+mod single_precision;
+pub mod single_scattering;
+mod slice_coverage;
 mod speed;
 mod stepper;
-mod tail;
 mod transmission;
-mod windows;
+mod workspace_pool;
 
+pub use crate::structure::Site;
 pub use accuracy::{WindowChoice, window_for};
-pub(crate) use images::elements;
-pub use images::{Images, Simulation, diffraction, exit_wave, simulate};
-pub use imaging::lens_image;
+pub use cost::{Cost, PlannedScan};
+pub use detector_images::Images;
+pub use grid::Grid;
+pub use lens::lens_image;
 pub use plan::Plan;
-pub use raster::{ProbeRaster, probe_margin_angstrom};
+pub use probe_raster::{ProbeRaster, probe_margin_angstrom};
+pub use probe_scan::Scan;
 pub use settings::{
     Algorithm, BeyondLimit, Expansion, GridChoice, Phonons, ProbeBox, ProbeStep, Settings,
 };
+pub(crate) use simulate::elements;
+pub use simulate::{Simulation, diffraction, exit_wave, simulate};
 pub use speed::{Speed, measure_speed};
-
-pub use crate::structure::Site;
-
-/// A rectangular raster of probe positions: `origin + (column, row) * step`.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Scan {
-    /// Position (x, y) of the first probe in Angstrom.
-    pub origin_angstrom: [f64; 2],
-    /// Distance (x, y) between neighbouring probes in Angstrom.
-    pub step_angstrom: [f64; 2],
-    /// Number of probes (rows along y, columns along x).
-    pub shape: [usize; 2],
-}
-
-impl Scan {
-    /// Number of probe positions.
-    pub fn len(&self) -> usize {
-        self.shape[0] * self.shape[1]
-    }
-    /// Whether there is no probe position.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-    /// Position (x, y) of probe `index` (row-major) in Angstrom.
-    pub fn position(&self, index: usize) -> [f64; 2] {
-        let (row, column) = (index / self.shape[1], index % self.shape[1]);
-        [
-            self.origin_angstrom[0] + column as f64 * self.step_angstrom[0],
-            self.origin_angstrom[1] + row as f64 * self.step_angstrom[1],
-        ]
-    }
-}

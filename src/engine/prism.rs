@@ -1,15 +1,15 @@
 //! PRISM: probes put together from plane waves.
 //!
 //! C. Ophus, "A fast image simulation algorithm for scanning transmission electron microscopy",
-//! Adv. Struct. Chem. Imaging 3 (2017) 13. Exit waves are kept on a grid that just holds the band
-//! limit, which makes the reduction 2.25 times cheaper than on the full grid, and without interpolation loses nothing (see
-//! `full_exit_grid` in [`super::settings::Settings`]).
+//! Adv. Struct. Chem. Imaging 3 (2017) 13. Exit waves are kept on a grid that just holds the band limit. The reduction is
+//! then 2.25 times cheaper than on the full grid; without interpolation nothing is lost (see `full_exit_grid` in
+//! [`super::settings::Settings`]).
 
-use super::Scan;
-use super::plan::{Grid, Plan};
+use super::grid::Grid;
+use super::plan::Plan;
 use super::settings::Algorithm;
-use super::stepper::{self, Specimen, Stepper};
-use super::transmission::{Transmission, disk_reach};
+use super::single_precision::single;
+use super::stepper::{SliceStep, StepWorkspace, Stepper, TransmissionView};
 use crate::detect::DetectorMap;
 use crate::error::{Error, Result};
 use crate::fft::{Buffer, Fft2, Scratch};
@@ -17,26 +17,39 @@ use crate::progress::Progress;
 use num_complex::{Complex32, Complex64};
 use rayon::prelude::*;
 use std::f64::consts::PI;
+use std::ops::Range;
 
-/// Propagates plane waves through given transmission functions and reduces them to images.
+/// Propagates plane waves through given transmission functions. The reduction is in `prism_reduce`.
 pub(super) struct Prism<'a> {
     pub(super) plan: &'a Plan,
     stepper: Stepper,
-    /// Sorted by ky, then kx: indices on the Fourier grid of the cell.
+    /// Indices (kx, ky) on the Fourier grid of the cell, sorted by ky, then kx.
     pub(super) beams: Vec<[i64; 2]>,
     /// Amplitudes of the beams in a probe at the origin; squared moduli sum to 1.
     pub(super) amplitudes: Vec<Complex64>,
+    /// Grid of the exit waves.
     pub(super) exit: Grid,
     pub(super) exit_fft: Fft2,
+    /// Grid of the probes: the exit grid over the interpolation factors.
     pub(super) window: Grid,
     pub(super) window_fft: Fft2,
     pub(super) map: DetectorMap,
 }
 
-struct Workspace {
+/// One thread's arrays.
+struct PrismWorkspace {
     waves: Vec<Buffer>,
-    step: stepper::Workspace,
+    step: StepWorkspace,
     exit: Scratch,
+}
+
+/// Slices between two recorded thicknesses.
+struct PrismSection {
+    /// Whether it begins at the entrance surface.
+    first: bool,
+    steps: Vec<SliceStep>,
+    /// Propagator from the last plane to the exit boundary, in the order of [`crop_spectrum`].
+    to_exit: Vec<Complex32>,
 }
 
 impl<'a> Prism<'a> {
@@ -67,83 +80,80 @@ impl<'a> Prism<'a> {
         Prism { plan, stepper, beams, amplitudes, exit, exit_fft, window, window_fft, map }
     }
 
-    /// Intensities as (probe, recorded thickness, detector), row-major.
-    pub fn run(
-        &mut self,
-        transmission: &Transmission,
-        scan: &Scan,
-        progress: &dyn Progress,
-    ) -> Result<Vec<f64>> {
-        let detectors = self.plan.settings.detectors.len();
-        let records = self.plan.record_after.len();
-        let mut waves = Buffer::zeros(self.exit_plane() * self.beams.len());
-        let mut out = vec![0.0; scan.len() * detectors * records];
-        let mut first = 0;
-        let specimen = Specimen { transmission, origin: (0, 0) };
-        for (r, &last) in self.plan.record_after.iter().enumerate() {
-            self.propagate(&mut waves, specimen, first..last + 1, progress)?;
-            first = last + 1;
-            for (probe, values) in self.reduce(&waves, scan, progress)? {
-                let at = (probe * records + r) * detectors;
-                out[at..at + detectors].copy_from_slice(&values);
-            }
-        }
-        Ok(out)
-    }
-
-    /// Elements of one exit wave.
+    /// Elements of the array of one exit wave.
     pub(super) fn exit_plane(&self) -> usize {
         self.exit_fft.stride() * self.exit.points[1]
     }
 
-    /// Carries all beams through the given slices to the exit boundary of the last.
-    fn propagate(
+    /// Propagates all beams through the given slices to the exit boundary of the last. `waves` holds the exit waves in
+    /// real space, one array of [`Prism::exit_plane`] elements after the other: on entry those of the slices before, on
+    /// return those of the last slice.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`].
+    pub(super) fn propagate(
         &mut self,
         waves: &mut [Complex32],
-        specimen: Specimen<'_>,
-        slices: std::ops::Range<usize>,
+        view: TransmissionView<'_>,
+        slices: Range<usize>,
         progress: &dyn Progress,
     ) -> Result<()> {
         let edges = &self.plan.slices.boundaries;
         let (entrance, exit) = (edges[slices.start], edges[slices.end]);
-        let (legs, end) =
-            self.stepper.route(entrance, specimen.transmission.filled(slices.clone()));
+        let (steps, end) = self.stepper.path(entrance, view.transmission.filled(slices.clone()));
         let this = &*self;
-        let to_exit = this.fresnel(exit - end);
-        let (plane, fft) = (this.exit_plane(), this.stepper.fft());
-        let group = this.stepper.group();
-        let workspace = || Workspace {
-            waves: vec![fft.buffer(); group],
-            step: this.stepper.workspace(),
-            exit: this.exit_fft.scratch(),
-        };
-        let groups = waves[..plane * this.beams.len()].par_chunks_mut(plane * group);
-        groups.zip(this.beams.par_chunks(group)).try_for_each_init(workspace, |w, (kept, beams)| {
-            if progress.interrupted() {
-                return Err(Error::Interrupted);
-            }
-            let Workspace { waves, step, exit } = w;
-            let waves = &mut waves[..beams.len()];
-            for ((wave, kept), beam) in
-                waves.iter_mut().zip(kept.chunks_exact_mut(plane)).zip(beams)
-            {
-                match slices.start {
-                    0 => this.plane_wave(wave, *beam),
-                    _ => this.expand(wave, kept, step, exit),
+        let section =
+            PrismSection { first: slices.start == 0, steps, to_exit: this.fresnel(exit - end) };
+        let plane = this.exit_plane();
+        let together = this.stepper.waves_together();
+        let groups = waves[..plane * this.beams.len()].par_chunks_mut(plane * together);
+        groups.zip(this.beams.par_chunks(together)).try_for_each_init(
+            || this.workspace(),
+            |w, (kept, beams)| {
+                if progress.interrupted() {
+                    return Err(Error::Interrupted);
                 }
-            }
-            for leg in &legs {
-                this.stepper.travel(waves, *leg, specimen, step);
-            }
-            for (wave, kept) in waves.iter_mut().zip(kept.chunks_exact_mut(plane)) {
-                this.compress(wave, kept, &to_exit, step, exit);
-            }
-            progress.advance(beams.len() as u64);
-            Ok(())
-        })
+                this.propagate_group(kept, beams, &section, view, w);
+                progress.advance(beams.len() as u64);
+                Ok(())
+            },
+        )
     }
 
-    /// `exp(-i pi lambda dz k^2)` over the number of pixels, in the order of [`crop_spectrum`].
+    fn workspace(&self) -> PrismWorkspace {
+        PrismWorkspace {
+            waves: vec![self.stepper.fft().buffer(); self.stepper.waves_together()],
+            step: self.stepper.workspace(),
+            exit: self.exit_fft.scratch(),
+        }
+    }
+
+    /// Propagates some beams through a section; `kept` holds their exit waves.
+    fn propagate_group(
+        &self,
+        kept: &mut [Complex32],
+        beams: &[[i64; 2]],
+        section: &PrismSection,
+        view: TransmissionView<'_>,
+        PrismWorkspace { waves, step, exit }: &mut PrismWorkspace,
+    ) {
+        let plane = self.exit_plane();
+        let waves = &mut waves[..beams.len()];
+        for ((wave, kept), beam) in waves.iter_mut().zip(kept.chunks_exact_mut(plane)).zip(beams) {
+            match section.first {
+                true => self.plane_wave(wave, *beam),
+                false => self.expand(wave, kept, step, exit),
+            }
+        }
+        for slice_step in &section.steps {
+            self.stepper.propagate(waves, *slice_step, view, step);
+        }
+        for (wave, kept) in waves.iter_mut().zip(kept.chunks_exact_mut(plane)) {
+            self.compress(wave, kept, &section.to_exit, step, exit);
+        }
+    }
+
+    /// The Fresnel propagator `exp(-i pi lambda dz k^2)` over the number of pixels, in the order of [`crop_spectrum`].
     fn fresnel(&self, distance: f64) -> Vec<Complex32> {
         let wavelength = self.plan.settings.optics.wavelength_angstrom();
         let [nx, ny] = self.plan.wave_grid.points;
@@ -156,7 +166,7 @@ impl<'a> Prism<'a> {
         factors
     }
 
-    /// `exp(2 pi i k.r)` in the stepper's representation: one column.
+    /// Sets a wave to `exp(2 pi i k.r)` in the form that steps work on: one column is not zero.
     fn plane_wave(&self, wave: &mut [Complex32], beam: [i64; 2]) {
         let [nx, ny] = self.plan.wave_grid.points;
         let column = beam[0].rem_euclid(nx as i64) as usize;
@@ -168,16 +178,16 @@ impl<'a> Prism<'a> {
         }
     }
 
-    /// From the stepper's wave (rows transformed) to the exit grid in real space.
+    /// Propagates a wave between steps to the exit boundary and keeps it in real space on the exit grid.
     fn compress(
         &self,
         wave: &mut [Complex32],
         kept: &mut [Complex32],
         fresnel: &[Complex32],
-        w: &mut stepper::Workspace,
+        w: &mut StepWorkspace,
         exit: &mut Scratch,
     ) {
-        self.stepper.columns(wave, false, &mut w.fft);
+        self.stepper.transform_columns(wave, false, &mut w.fft);
         let (from, to) = (self.stepper.fft().stride(), self.exit_fft.stride());
         kept.fill(Complex32::ZERO);
         let mut factors = fresnel.iter();
@@ -189,12 +199,12 @@ impl<'a> Prism<'a> {
         self.exit_fft.inverse(kept, exit);
     }
 
-    /// The reverse of [`Prism::compress`], to go on with further slices.
+    /// Undoes [`Prism::compress`], apart from the propagation, to go on with further slices.
     fn expand(
         &self,
         wave: &mut [Complex32],
         kept: &mut [Complex32],
-        w: &mut stepper::Workspace,
+        w: &mut StepWorkspace,
         exit: &mut Scratch,
     ) {
         self.exit_fft.forward(kept, exit);
@@ -209,13 +219,8 @@ impl<'a> Prism<'a> {
     }
 }
 
-pub(super) fn single(c: Complex64) -> Complex32 {
-    Complex32::new(c.re as f32, c.im as f32)
-}
-
-/// Calls `copy((iy, ix) on grid, (iy, ix) on the other grid, k)` for every frequency inside the disk
-/// of radius `limit` (1/Angstrom). The other grid, of `points` (x, y) over the same extent, must
-/// hold the disk.
+/// Calls `copy((iy, ix) on grid, (iy, ix) on the other grid, k)` for every frequency below `limit` (1/Angstrom). The
+/// other grid, of `points` (x, y) over the same extent, must hold them all.
 fn crop_spectrum(
     grid: &Grid,
     points: [usize; 2],
@@ -223,8 +228,8 @@ fn crop_spectrum(
     mut copy: impl FnMut((usize, usize), (usize, usize), [f64; 2]),
 ) {
     let dk = grid.dk();
-    let reach = disk_reach(grid, points, limit).map(|n| n as i64);
-    // Frequencies are below n / 2: no division.
+    let reach = grid.common_reach(points, limit).map(|n| n as i64);
+    // Frequencies are below n / 2 in modulus, so adding n once is enough.
     let bin = |f: i64, n: usize| (if f < 0 { f + n as i64 } else { f }) as usize;
     for fy in -reach[1]..=reach[1] {
         for fx in -reach[0]..=reach[0] {

@@ -1,12 +1,16 @@
 //! From exit waves of plane waves to images: the reduction of PRISM.
 //!
-//! A probe at (x, y) is `sum_k A(k) exp(-2 pi i (kx x + ky y)) S_k`, cut to a window. On a raster the sum
-//! separates: first over kx for each column of the raster, then over ky for each probe. With n beams
-//! across the aperture that is n instead of about 0.8 n^2 products per probe and pixel.
+//! A probe at (x, y) is `sum_k A(k) exp(-2 pi i (kx x + ky y)) S_k`, cut to a window; S_k are the exit waves. On a raster the
+//! sum separates: first over kx for each column of the raster, then over ky for each probe. With n beams across the
+//! aperture that takes n instead of about 0.8 n^2 products per probe and pixel.
 
-use super::Scan;
-use super::prism::{Prism, single};
+use super::prism::Prism;
+use super::probe_scan::Scan;
+use super::single_precision::single;
+use super::stepper::TransmissionView;
+use super::transmission::Transmission;
 use crate::error::{Error, Result};
+use crate::fft::Buffer;
 use crate::matrix::multiply;
 use crate::progress::Progress;
 use num_complex::{Complex32, Complex64};
@@ -14,25 +18,24 @@ use rayon::prelude::*;
 use std::f64::consts::PI;
 use std::ops::Range;
 
-/// Bytes that one thread may use for sums over kx.
+/// Memory in bytes that one thread may use for sums over kx.
 const PARTIAL_SUM_BYTES: usize = 192 << 20;
-/// Raster columns, or rows, that are summed together have windows that start at most this many pixels
-/// apart.
+/// The windows of raster columns, or rows, that are summed together start at most this many pixels apart.
 const SPREAD_PIXELS: i64 = 16;
-/// Most raster columns, or rows, summed together.
+/// At most so many raster columns, or rows, are summed together.
 const MOST_TOGETHER: usize = 16;
 
-/// Neighbouring lines of the raster (columns or rows), and the pixels of their windows.
+/// Neighbouring lines of the raster (columns or rows), and the pixels that their windows cover.
 #[derive(Debug, Clone, PartialEq)]
-struct Band {
+struct LineBand {
     lines: Range<usize>,
-    /// First pixel of the union of windows on the exit grid, not wrapped.
+    /// First pixel of the union of the windows on the exit grid, not wrapped.
     first: i64,
-    /// Its length.
+    /// Pixels of that union.
     len: usize,
 }
 
-/// One thread's sums, kept from band to band: fresh memory costs as much as the products.
+/// One thread's sums, kept from band to band, since getting fresh memory takes as long as the products.
 #[derive(Default)]
 struct Sums {
     partial: Vec<Complex32>,
@@ -40,8 +43,35 @@ struct Sums {
 }
 
 impl Prism<'_> {
-    /// Images from exit waves: (probe, intensities on the detectors).
-    pub(super) fn reduce(
+    /// Intensities as fractions of the beam: (probe, recorded thickness, detector), row-major.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`].
+    pub(super) fn run(
+        &mut self,
+        transmission: &Transmission,
+        scan: &Scan,
+        progress: &dyn Progress,
+    ) -> Result<Vec<f64>> {
+        let detectors = self.plan.settings.detectors.len();
+        let records = self.plan.record_after.len();
+        let mut waves = Buffer::zeros(self.exit_plane() * self.beams.len());
+        let mut out = vec![0.0; scan.len() * detectors * records];
+        let mut first = 0;
+        let view = TransmissionView { transmission, origin: (0, 0) };
+        for (r, &last) in self.plan.record_after.iter().enumerate() {
+            self.propagate(&mut waves, view, first..last + 1, progress)?;
+            first = last + 1;
+            for (probe, values) in self.reduce(&waves, scan, progress)? {
+                let at = (probe * records + r) * detectors;
+                out[at..at + detectors].copy_from_slice(&values);
+            }
+        }
+        Ok(out)
+    }
+
+    /// Images from exit waves: for each probe, its index and its intensities on the detectors.
+    fn reduce(
         &self,
         waves: &[Complex32],
         scan: &Scan,
@@ -82,16 +112,16 @@ impl Prism<'_> {
         (position / pixel).round() as i64 - self.window.points[axis] as i64 / 2
     }
 
-    /// Groups neighbouring lines of the raster, in a way that depends on the raster only.
+    /// Groups neighbouring lines of the raster; a function of the raster alone, whatever the number of threads.
     fn bands(
         &self,
         axis: usize,
         lines: usize,
         most: usize,
         position: impl Fn(usize) -> f64,
-    ) -> Vec<Band> {
+    ) -> Vec<LineBand> {
         let window = self.window.points[axis];
-        let mut bands: Vec<Band> = Vec::new();
+        let mut bands: Vec<LineBand> = Vec::new();
         for line in 0..lines {
             let start = self.window_start(axis, position(line));
             if let Some(band) = bands.last_mut() {
@@ -101,7 +131,7 @@ impl Prism<'_> {
                 );
                 let spread = high - low - window as i64;
                 if band.lines.len() < most && spread <= SPREAD_PIXELS {
-                    *band = Band {
+                    *band = LineBand {
                         lines: band.lines.start..line + 1,
                         first: low,
                         len: (high - low) as usize,
@@ -109,7 +139,7 @@ impl Prism<'_> {
                     continue;
                 }
             }
-            bands.push(Band { lines: line..line + 1, first: start, len: window });
+            bands.push(LineBand { lines: line..line + 1, first: start, len: window });
         }
         bands
     }
@@ -119,8 +149,8 @@ impl Prism<'_> {
         &self,
         waves: &[Complex32],
         scan: &Scan,
-        band: &Band,
-        down: &[Band],
+        band: &LineBand,
+        down: &[LineBand],
         Sums { partial, region }: &mut Sums,
         progress: &dyn Progress,
     ) -> Result<Vec<(usize, Vec<f64>)>> {
@@ -162,8 +192,14 @@ impl Prism<'_> {
         Ok(images)
     }
 
-    /// `sum_kx A(k) exp(-2 pi i kx x) S_k` as (raster column, ky, y, x within the band).
-    fn sum_over_kx(&self, waves: &[Complex32], scan: &Scan, band: &Band, out: &mut Vec<Complex32>) {
+    /// Sums over kx, `sum_kx A(k) exp(-2 pi i kx x) S_k`, as (raster column, ky, y, x within the band), row-major.
+    fn sum_over_kx(
+        &self,
+        waves: &[Complex32],
+        scan: &Scan,
+        band: &LineBand,
+        out: &mut Vec<Complex32>,
+    ) {
         let runs = self.runs();
         let [nx, ny] = self.exit.points;
         let (plane, stride) = (self.exit_plane(), self.exit_fft.stride());
@@ -200,13 +236,14 @@ impl Prism<'_> {
         }
     }
 
-    /// `sum_ky exp(-2 pi i ky y) sums` as (raster row, y within the rows' band, x), for one column.
+    /// Sums over ky for one raster column, `sum_ky exp(-2 pi i ky y) sums`, as (raster row, y within the band of rows,
+    /// x), row-major.
     fn sum_over_ky(
         &self,
         sums: &[Complex32],
         scan: &Scan,
         width: usize,
-        rows: &Band,
+        rows: &LineBand,
         out: &mut Vec<Complex32>,
     ) {
         let runs = self.runs();

@@ -1,8 +1,9 @@
 //! The probe at the entrance surface: on the grid of the cell, or made in a large box and cropped to a window.
 
-use super::plan::{Grid, Plan};
-use super::prism::single;
-use super::windows::{largest_half, window_centre};
+use super::grid::Grid;
+use super::plan::Plan;
+use super::probe_patches::{largest_half, window_centre};
+use super::single_precision::single;
 use crate::fft::{Buffer, Fft2, Scratch, frequency};
 use crate::matrix::multiply;
 use num_complex::{Complex32, Complex64};
@@ -10,41 +11,41 @@ use std::f64::consts::PI;
 
 /// The probe as Fourier coefficients on the wave grid, for any position.
 pub(super) struct Probe {
-    /// Bins (row, column) of the wave grid that hold it, by row.
+    /// Bins (row, column) of the wave grid that hold it, sorted by row.
     pub bins: Vec<(usize, usize)>,
-    made: Made,
+    form: ProbeForm,
 }
 
-enum Made {
-    /// In the cell, or cropped to it once, and moved periodically: amplitudes for the origin.
+enum ProbeForm {
+    /// Made in the cell, or cropped to it once, and moved periodically: amplitudes of the probe at the origin.
     Moved(Vec<Complex64>),
-    /// In a window of the specimen: what of it lies outside depends on where it stands.
-    Cropped(Cropped),
+    /// Cropped to a window: the part outside depends on where the probe stands.
+    CroppedProbe(CroppedProbe),
 }
 
 impl Probe {
-    /// For the plan's wave grid, with the norm that the settings ask for; squared coefficients sum to the fraction
-    /// of the beam inside the grid. A cropped probe is not renormalised, since what is cropped never meets the atoms in the
-    /// window.
+    /// The probe on the plan's wave grid, with the norm that the settings ask for. Its squared coefficients sum to the
+    /// fraction of the beam inside the grid: a cropped probe is not renormalised, since the part outside never meets the
+    /// atoms in the window.
     pub fn new(plan: &Plan) -> Self {
         let grid = plan.wave_grid;
-        if grid == plan.transmission_grid && !plan.settings.large_probe_box() {
+        if !plan.has_windows() && !plan.settings.large_probe_box() {
             let (bins, amplitudes) = aperture(plan, &grid).into_iter().unzip();
-            return Probe { bins, made: Made::Moved(amplitudes) };
+            return Probe { bins, form: ProbeForm::Moved(amplitudes) };
         }
         let bins = low_bins(plan, &grid);
-        if grid == plan.transmission_grid {
+        if !plan.has_windows() {
             let amplitudes = in_box(plan, &grid, [0; 2], &bins);
-            return Probe { bins, made: Made::Moved(amplitudes) };
+            return Probe { bins, form: ProbeForm::Moved(amplitudes) };
         }
-        let cropped = Cropped::new(plan, &bins);
-        Probe { bins, made: Made::Cropped(cropped) }
+        let cropped = CroppedProbe::new(plan, &bins);
+        Probe { bins, form: ProbeForm::CroppedProbe(cropped) }
     }
 
-    /// Coefficients for a probe at `position` (Angstrom, within the wave).
+    /// Coefficients, bin by bin, of the probe at `position` (Angstrom, from the first pixel of the wave).
     pub fn at(&self, plan: &Plan, position: [f64; 2]) -> Vec<Complex32> {
-        match &self.made {
-            Made::Moved(amplitudes) => {
+        match &self.form {
+            ProbeForm::Moved(amplitudes) => {
                 let grid = &plan.wave_grid;
                 let shift = |k: usize| position[k] / grid.extent_angstrom[k];
                 let phases = [0, 1].map(|k| shift_phases(shift(k), grid.points[k]));
@@ -53,30 +54,33 @@ impl Probe {
                 };
                 self.bins.iter().zip(amplitudes).map(at).collect()
             }
-            Made::Cropped(cropped) => cropped.at(position).into_iter().map(single).collect(),
+            ProbeForm::CroppedProbe(cropped) => {
+                cropped.at(position).into_iter().map(single).collect()
+            }
         }
     }
 
-    /// The probe of a window.
-    pub fn cropped(&self) -> Option<&Cropped> {
-        match &self.made {
-            Made::Cropped(cropped) => Some(cropped),
-            Made::Moved(_) => None,
+    /// The probe cropped to a window; `None` without windows.
+    pub fn cropped(&self) -> Option<&CroppedProbe> {
+        match &self.form {
+            ProbeForm::CroppedProbe(cropped) => Some(cropped),
+            ProbeForm::Moved(_) => None,
         }
     }
 }
 
-/// A probe that is cropped to a window: first from the large box to surroundings that hold the window wherever it lies
-/// about the probe, which leaves few coefficients, then to the window.
-pub(super) struct Cropped {
+/// A probe that is cropped to a window in two steps: once from the large box to surroundings that hold the window wherever
+/// the probe stands in it, and from these, which have few coefficients, to the window for each position.
+pub(super) struct CroppedProbe {
     /// The middle of the window in Angstrom.
     centre: [f64; 2],
-    /// Bins (row, column) in the rectangle of low frequencies of the surroundings, and their coefficients for a probe
-    /// in the middle.
+    /// The probe in the middle of the surroundings: bins (row, column) in the rectangle of their low frequencies, and
+    /// coefficients.
     pub around: Vec<((usize, usize), Complex64)>,
     /// Frequencies of that rectangle's columns and rows in 1/Angstrom.
     k: [Vec<f64>; 2],
-    /// Columns of the surroundings to columns of the window, and rows of the window from rows of the surroundings.
+    /// Matrices that crop along x and y: (column of the surroundings, column of the window), and (row of the window, row of
+    /// the surroundings).
     crop: [Vec<Complex64>; 2],
     /// The window's bins in the rectangle of its low frequencies.
     inside: Vec<(usize, usize)>,
@@ -84,11 +88,11 @@ pub(super) struct Cropped {
     low: (usize, usize),
 }
 
-/// Specimen around the window that the surroundings hold beyond where it may lie, in Angstrom: the edges of the
-/// surroundings must not be seen.
+/// Width in Angstrom that the surroundings have on all sides beyond every position of the window, so that their own
+/// edges do not matter.
 const BEYOND_ANGSTROM: f64 = 1.0;
 
-impl Cropped {
+impl CroppedProbe {
     fn new(plan: &Plan, bins: &[(usize, usize)]) -> Self {
         let window = plan.wave_grid;
         let pixel = window.sampling_angstrom();
@@ -126,7 +130,7 @@ impl Cropped {
                 _ => to.flat_map(|t| from.iter().map(move |f| kernel(*f, t))).collect(),
             }
         };
-        Cropped {
+        CroppedProbe {
             centre: window_centre(plan),
             around: around.iter().map(|b| place(b, &grid, wide)).zip(amplitudes).collect(),
             crop: [0, 1].map(matrix),
@@ -146,23 +150,23 @@ impl Cropped {
         })
     }
 
-    /// How far a position in the window (Angstrom) is from its middle.
+    /// The distance (x, y) in Angstrom of a position in the window from its middle.
     pub fn offset(&self, position: [f64; 2]) -> [f64; 2] {
         [0, 1].map(|k| position[k] - self.centre[k])
     }
 
-    /// The window's coefficients, bin by bin, for a probe at `position` (Angstrom, within the window).
+    /// The window's coefficients, bin by bin, of the probe at `position` (Angstrom, from the first pixel of the window).
     fn at(&self, position: [f64; 2]) -> Vec<Complex64> {
         let [x, y] = self.phases(self.offset(position));
         self.moved(&x, &y)
     }
 
-    /// The window's coefficients for the probe with these phases of the surroundings' columns and rows.
+    /// The window's coefficients, bin by bin, of the probe with these phases of the surroundings' columns and rows.
     pub fn moved(&self, x: &[Complex64], y: &[Complex64]) -> Vec<Complex64> {
         self.cut_window(self.around.iter().map(|((row, column), a)| a * x[*column] * y[*row]))
     }
 
-    /// From coefficients of the surroundings to those of the window.
+    /// The window's coefficients, bin by bin, from those of the surroundings.
     pub fn cut_window(&self, around: impl Iterator<Item = Complex64>) -> Vec<Complex64> {
         let [columns, rows] = [self.k[0].len(), self.k[1].len()];
         let (low_rows, low_columns) = self.low;
@@ -175,7 +179,7 @@ impl Cropped {
         self.inside.iter().map(|(y, x)| low[y * low_columns + x]).collect()
     }
 
-    /// The adjoint of [`Cropped::cut_window`]: `sum conj(window) cut_window(a) = sum conj(pad_window(window)) a`.
+    /// The adjoint of [`CroppedProbe::cut_window`]: `sum conj(window) cut_window(a) = sum conj(pad_window(window)) a`.
     pub fn pad_window(&self, window: &[Complex64]) -> Vec<Complex64> {
         let [columns, rows] = [self.k[0].len(), self.k[1].len()];
         let (low_rows, low_columns) = self.low;
@@ -231,27 +235,16 @@ fn crop_kernel(from: f64, to: f64, n: usize, centre: usize, pixel: f64) -> Compl
     Complex64::from_polar(sum, phase)
 }
 
-/// The coefficients `bins` on `grid`, relative to its middle, of a probe there, cropped from the large box. The middle is
-/// that of a window with `beyond` pixels before and after it.
+/// Coefficients at `bins` on `grid` of the probe in its middle, relative to that middle, cropped from the large box. The
+/// middle is that of a window with `beyond` pixels before and after it.
 fn in_box(plan: &Plan, grid: &Grid, beyond: [usize; 2], bins: &[(usize, usize)]) -> Vec<Complex64> {
     let large = probe_grid(plan);
     let lens = aperture(plan, &large);
     let pixel = grid.sampling_angstrom();
     let scale = [0, 1].map(|k| ((grid.points[k] * large.points[k]) as f64).sqrt());
     let middle = [0, 1].map(|k| beyond[k] + (grid.points[k] - 2 * beyond[k]) / 2);
-    // kernel[axis]: for each of the box's low frequencies, those of the grid
-    let wanted = [0, 1].map(|k| {
-        let mut all: Vec<usize> = bins.iter().map(|b| [b.1, b.0][k]).collect();
-        all.sort_unstable();
-        all.dedup();
-        all
-    });
-    let held = [0, 1].map(|k| {
-        let mut all: Vec<usize> = lens.iter().map(|((y, x), _)| [*x, *y][k]).collect();
-        all.sort_unstable();
-        all.dedup();
-        all
-    });
+    let wanted = [0, 1].map(|k| distinct(bins.iter().map(|b| [b.1, b.0][k])));
+    let held = [0, 1].map(|k| distinct(lens.iter().map(|((y, x), _)| [*x, *y][k])));
     let kernel = |axis: usize, from: usize, to: usize| {
         let from = frequency(from, large.points[axis]) as f64 / large.extent_angstrom[axis];
         let to = frequency(to, grid.points[axis]) as f64 / grid.extent_angstrom[axis];
@@ -274,7 +267,15 @@ fn in_box(plan: &Plan, grid: &Grid, beyond: [usize; 2], bins: &[(usize, usize)])
     bins.iter().map(|(y, x)| out[find(&wanted[1], *y) * nx + find(&wanted[0], *x)]).collect()
 }
 
-/// The bins (row, column) of low frequency that probes are limited to, by row.
+/// The distinct values, ascending.
+fn distinct(values: impl Iterator<Item = usize>) -> Vec<usize> {
+    let mut all: Vec<usize> = values.collect();
+    all.sort_unstable();
+    all.dedup();
+    all
+}
+
+/// The bins (row, column) of low frequency that cropped probes are limited to, sorted by row.
 fn low_bins(plan: &Plan, grid: &Grid) -> Vec<(usize, usize)> {
     let optics = &plan.settings.optics;
     let keep = (optics.semiangle_mrad * 2.0).max(optics.semiangle_mrad + 20.0) * 1e-3
@@ -289,8 +290,8 @@ fn low_bins(plan: &Plan, grid: &Grid) -> Vec<(usize, usize)> {
     rows.flat_map(|iy| (0..nx).map(move |ix| (iy, ix))).filter(low).collect()
 }
 
-/// The lens on `grid`, at the origin and the entrance surface, with the norm that the settings ask for: bins (row, column)
-/// and amplitudes.
+/// The probe at the origin and the entrance surface on `grid`, with the norm that the settings ask for: bins (row, column)
+/// within the aperture, and amplitudes.
 fn aperture(plan: &Plan, grid: &Grid) -> Vec<((usize, usize), Complex64)> {
     let optics = &plan.settings.optics;
     let (ny, nx) = grid.shape();
@@ -314,18 +315,18 @@ fn aperture(plan: &Plan, grid: &Grid) -> Vec<((usize, usize), Complex64)> {
 /// Width in Angstrom of the large box of [`super::settings::ProbeBox`].
 const PROBE_BOX_ANGSTROM: f64 = 75.0;
 
-/// The pixels of the cell, over several cells where one is small.
+/// The grid on which probes are made.
 fn probe_grid(plan: &Plan) -> Grid {
     repeated(plan, &plan.transmission_grid)
 }
 
-/// As many cells of `cell` as the probe's box has along each axis.
+/// `cell`, repeated along each axis to the width of the box in which probes are made.
 pub(super) fn repeated(plan: &Plan, cell: &Grid) -> Grid {
     if !plan.settings.large_probe_box() {
         return *cell;
     }
     let times = cell.extent_angstrom.map(|l| {
-        // lengths that transforms like
+        // Numbers of cells that keep transforms fast.
         let cells = [1usize, 2, 3, 4, 5, 6, 8, 10, 12, 15, 16, 20];
         cells.into_iter().find(|n| *n as f64 * l >= PROBE_BOX_ANGSTROM).unwrap_or(20)
     });
@@ -335,8 +336,8 @@ pub(super) fn repeated(plan: &Plan, cell: &Grid) -> Grid {
     }
 }
 
-/// The probe in real space on `grid`, the box in which it is made, at `position` (Angstrom); `fft` is that of the
-/// grid.
+/// The probe in real space at `position` (Angstrom) on `grid`, the box in which it is made: an array of `fft`, the
+/// transform of that grid.
 pub(super) fn probe_in_box(
     plan: &Plan,
     grid: &Grid,

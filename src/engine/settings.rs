@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 /// The algorithm.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "name", rename_all = "lowercase")]
+#[non_exhaustive]
 pub enum Algorithm {
     /// Each probe is propagated on the full grid: exact.
     Multislice,
@@ -32,6 +33,7 @@ pub enum Algorithm {
 /// How fine the grid is.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum GridChoice {
     /// The coarsest fast grid that carries scattering to 1.2 times the outermost detector angle:
     /// beams beyond the detector scatter back onto it (2 % of a Ti-O column at 39 A).
@@ -48,29 +50,32 @@ pub const AUTO_ANGLE_MARGIN: f64 = 1.2;
 /// Where the probe has norm 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
+#[non_exhaustive]
 pub enum ProbeBox {
-    /// In the simulated cell, as is usual. The aperture then has an edge one Fourier pixel wide, and the cell holds
-    /// the tails of its neighbours' probes: its middle is too bright by the fraction `wavelength / (3 semiangle L)`, L being
-    /// the width of the cell (2 % for 20 A at 200 kV and 21 mrad; bright columns 1.1 % more than in a cell of 39 A).
+    /// In the simulated cell, as is usual. The tails of the probe are folded back into the cell, so that images are too
+    /// bright: the middle of the probe by the fraction `wavelength / (3 semiangle L)` in a cell of width L, which is 2 % for
+    /// 20 A at 200 kV and 21 mrad (bright columns are then 1.1 % brighter than in a cell of 39 A).
     Cell,
-    /// In a large box, from which it is cropped: as in an infinite specimen. What its tail scatters outside the cell is
-    /// added as from free atoms.
+    /// In a large box, from which it is cropped, as in an infinite specimen. Scattering of its tail outside the cell is added
+    /// as from free atoms.
     Large,
 }
 
 /// What to do with a detector beyond the band limit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
+#[non_exhaustive]
 pub enum BeyondLimit {
     /// Refuse.
     Error,
-    /// Say how much of the annulus is empty and go on.
+    /// Go on, with a warning that says how much of the annulus is empty.
     Warn,
 }
 
 /// Where probes are propagated.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum ProbeStep {
     /// At every scan position.
     Scan,
@@ -83,18 +88,19 @@ pub enum ProbeStep {
     Angstrom(f64),
 }
 
-/// Whether probes that share a window are expanded in fewer waves, and only those propagated (the source of
-/// `engine::basis` tells how).
+/// Whether probes that share a window are expanded in fewer waves, and only these waves propagated (see the source of
+/// `engine::basis`).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Expansion {
-    /// Where it takes fewer waves, right to 1 % of each probe's amplitude in windows of up to 7.8 A, and by the cube of
-    /// the ratio of widths better in wider ones. HAADF images change by 0.2 % of their mean with 1 %.
+    /// If it takes fewer waves. The error of each probe is 1 % of its amplitude in windows of up to 7.8 A, and falls with the
+    /// cube of the width in wider ones. An error of 1 % changes HAADF images by 0.2 % of their mean.
     #[default]
     Auto,
     /// Every probe is propagated.
     Off,
-    /// As `Auto`, right to this share of each probe's amplitude.
+    /// As `Auto`, with this error as a share of each probe's amplitude.
     Error(f64),
 }
 
@@ -136,10 +142,10 @@ pub struct Settings {
     /// Where the probe has norm 1; `None`: in a large box with windows, in the cell with the other algorithms.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub probe_box: Option<ProbeBox>,
-    /// PRISM keeps its exit waves on the grid of the simulation, not on the one that just holds the band limit. Without
-    /// interpolation both give the same. With it, probes are cut from exit waves at pixels of that grid, and what
-    /// the cut scatters to high angles is folded back at its limit: HAADF of Si [110] with f = 2 changes by up to 0.20 %
-    /// of the maximum, of SrTiO3 by 0.02 %.
+    /// PRISM keeps its exit waves on the grid of the simulation, not on the coarser one that just holds the band limit.
+    /// Without interpolation both give the same. With it, probes are cut out at pixels of that grid, and high angles
+    /// that the cut adds are folded back at its limit: HAADF of Si \[110\] with f = 2 changes by up to 0.20 % of the
+    /// maximum, that of SrTiO3 by 0.02 %.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub full_exit_grid: bool,
     /// How far apart probes are propagated.
@@ -148,33 +154,33 @@ pub struct Settings {
     #[serde(default, skip_serializing_if = "Expansion::is_auto")]
     pub expansion: Expansion,
     /// Adds what the part of a probe outside its window would have scattered onto the detectors
-    /// (windows only), as from free atoms; see the source of `engine::tail`.
+    /// (windows only), as from free atoms; see the source of `engine::probe_tail`.
     pub tail_correction: bool,
-    /// Radius of the anti-aliasing disk in units of the Nyquist frequency. 2/3
+    /// Radius of the anti-aliasing aperture in units of the Nyquist frequency. 2/3
     /// ([`EXACT_BAND_FRACTION`]) excludes aliasing altogether; since transmission functions are
     /// band-limited beforehand, [`DEFAULT_BAND_FRACTION`] changes HAADF by less than 0.1 % on the
     /// default grid. Where the limit is as low as the detector's edge, 0.83 changed it by 0.4 %.
     pub band_fraction: f64,
-    /// Width of the soft edge inside the anti-aliasing disk, in units of the Nyquist frequency; 0 for
+    /// Width of the soft edge inside the anti-aliasing aperture, in units of the Nyquist frequency; 0 for
     /// a hard edge. abTEM has 0.02. Detectors have to end below it.
     pub band_taper: f64,
-    /// `None` smooths potentials before `exp(i sigma V)` and puts the cores of the atoms back in closed
-    /// form ([`crate::potential::cores`]); where that does not apply (finite projection, heavy atoms
-    /// on top of each other in one slice), as with a number that makes the grid finer than
-    /// [`POTENTIAL_SAMPLING_ANGSTROM`]. A number exponentiates potentials on a grid so many times
-    /// finer along each axis, then limits the band. With 1, on the grid itself, as in abTEM, the
-    /// exponential is aliased: the HAADF of heavy columns is then 1-4 % too high at 0.02-0.04 A.
+    /// `None`: potentials are smoothed before `exp(i sigma V)`, and the cores of the atoms added in closed form
+    /// ([`crate::potential::cores`]). Where that does not apply (finite projection, heavy atoms on top of each
+    /// other in one slice), it is a number that makes the grid finer than [`POTENTIAL_SAMPLING_ANGSTROM`].
+    ///
+    /// A number: potentials are exponentiated on a grid so many times finer along each axis, then the band is limited.
+    /// With 1, as in abTEM, the exponential is aliased: the HAADF of heavy columns is 1-4 % too high at 0.02-0.04 A.
     pub oversampling: Option<usize>,
-    /// Multiplies potentials by `u / sin u`, `u` = spatial frequency times pixel, as abTEM 1.0.11
-    /// does to make up for spreading atoms over pixels (also those that it does not spread). Wrong,
-    /// but needed to reproduce abTEM's images; with `oversampling` 1 and atoms on grid points.
+    /// Multiplies potentials by `u / sin u`, `u` = spatial frequency times pixel. abTEM 1.0.11 does so to make up for
+    /// spreading atoms over pixels, even for atoms that it does not spread. This is wrong, but needed to reproduce
+    /// abTEM's images, with `oversampling` 1 and atoms on grid points.
     pub abtem_pixel_correction: bool,
     /// Phonons; `None` takes the atoms exactly as given.
     pub phonons: Option<Phonons>,
     /// Thicknesses in Angstrom at which images are recorded, each moved to the nearest slice
     /// boundary; empty: at the exit surface only.
     pub thicknesses_angstrom: Vec<f64>,
-    /// Detectors beyond the band limit.
+    /// What happens to detectors beyond the band limit.
     pub beyond_limit: BeyondLimit,
 }
 

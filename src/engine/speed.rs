@@ -1,8 +1,8 @@
 //! How fast this machine propagates waves.
 
 use super::plan::Plan;
-use super::stepper::{Stepper, Workspace};
-use super::transmission::Layout;
+use super::stepper::{StepWorkspace, Stepper};
+use super::transmission::TransmissionLayout;
 use crate::fft::Buffer;
 use num_complex::Complex32;
 use rayon::prelude::*;
@@ -29,9 +29,10 @@ pub fn measure_speed(plan: &Plan, duration: Duration) -> Speed {
     ones.fill(Complex32::ONE);
     let propagator = stepper.propagator(1.0);
     let threads = rayon::current_num_threads();
-    let rate = |body: &(dyn Fn(&mut [Buffer], &mut Workspace) + Sync)| {
+    let rate = |body: &(dyn Fn(&mut [Buffer], &mut StepWorkspace) + Sync)| {
         let per_thread = (0..threads).into_par_iter().map(|_| {
-            let (mut waves, mut w) = (vec![fft.buffer(); stepper.group()], stepper.workspace());
+            let (mut waves, mut w) =
+                (vec![fft.buffer(); stepper.waves_together()], stepper.workspace());
             waves.iter_mut().for_each(|wave| wave[0] = Complex32::ONE);
             body(&mut waves, &mut w);
             let (start, mut count) = (Instant::now(), 0);
@@ -44,15 +45,15 @@ pub fn measure_speed(plan: &Plan, duration: Duration) -> Speed {
         per_thread.sum::<f64>()
     };
     let steps_per_s = rate(&|waves, w| {
-        stepper.transmit(waves, &ones, Layout::Arranged, (0, 0), w);
-        stepper.propagate_by(waves, &propagator, &mut w.fft);
+        stepper.transmit(waves, &ones, TransmissionLayout::Arranged, (0, 0), w);
+        stepper.propagate_freely(waves, &propagator, &mut w.fft);
     });
     let scale = 1.0 / (shape.0 * shape.1) as f32;
     let pairs_per_s = rate(&|waves, w| {
         for wave in waves {
             fft.forward(wave, &mut w.fft);
             fft.inverse(wave, &mut w.fft);
-            // keep the numbers in range without a pass over memory
+            // Keeps the numbers in range without a pass over memory.
             wave[0] *= scale;
         }
     });

@@ -1,18 +1,16 @@
 //! The multislice step: transmit, propagate.
 //!
-//! Between steps a wave is kept with its rows Fourier-transformed (unnormalised) and its columns in
-//! real space. One step is then two passes over memory: down columns (transform, multiply by the
-//! Fresnel propagator and the anti-aliasing disk, inverse transform), and along rows (inverse
-//! transform, multiply by the transmission function, transform). Columns beyond the disk are skipped.
-//! Waves that meet the same part of the specimen step together, so that it is read once for all.
-//! Step and transforms together leave the norm as it is; propagation alone divides by the row length,
-//! which the transforms of rows make good.
+//! Between steps the rows of a wave are kept Fourier-transformed (unnormalised), its columns in real space. A step
+//! is then two passes over memory: down columns (transform, multiply by the Fresnel propagator and the
+//! anti-aliasing aperture, inverse transform), and along rows (inverse transform, multiply by the transmission
+//! function, transform). Columns beyond the band limit are skipped. Waves that meet the same part of the specimen step
+//! together, so that its transmission function is read from memory once for all of them. A whole step keeps the norm:
+//! the propagator divides by the number of pixels, the unnormalised transforms multiply by it.
 
-use super::plan::{Grid, Plan};
-use super::transmission::{Layout, Transmission};
-use crate::fft::multiplier::{Disk, DiskMultiplier};
-use crate::fft::radix::lanes;
-use crate::fft::{Buffer, Fft2, Scratch};
+use super::grid::Grid;
+use super::plan::Plan;
+use super::transmission::{Transmission, TransmissionLayout};
+use crate::fft::{BandLimit, BandLimitedMultiplier, Buffer, Fft2, Scratch, lanes};
 use num_complex::Complex32;
 use std::collections::HashMap;
 use std::f64::consts::PI;
@@ -23,48 +21,50 @@ pub(super) struct Stepper {
     fft: Fft2,
     grid: Grid,
     wavelength: f64,
-    disk: Disk,
+    anti_aliasing: BandLimit,
+    /// Columns within the band limit.
     band: Vec<Range<usize>>,
+    /// Heights in Angstrom where the slices' potentials act.
     planes: Vec<f64>,
-    /// Propagators for the distinct distances met so far.
-    propagators: Vec<DiskMultiplier>,
-    /// Which of them is for a distance, in 1e-9 Angstrom.
+    /// Propagators for the distances met so far.
+    propagators: Vec<BandLimitedMultiplier>,
+    /// The index of the propagator for a distance in 1e-9 Angstrom.
     by_distance: HashMap<i64, usize>,
 }
 
-/// One leg of a wave's way: on to a slice that holds atoms, and through it.
+/// One step of a wave: propagation to the plane of a slice, and transmission through the slice.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Leg {
+pub(super) struct SliceStep {
     /// The slice.
     pub slice: usize,
-    /// The propagator to its plane.
+    /// Index of the propagator to its plane.
     propagator: usize,
 }
 
-/// Transmission functions and where waves stand on them.
+/// The part of the transmission functions that waves pass.
 #[derive(Clone, Copy)]
-pub(super) struct Specimen<'a> {
+pub(super) struct TransmissionView<'a> {
     pub transmission: &'a Transmission,
-    /// Pixel (row, column) under the waves' first pixel.
+    /// The pixel (row, column) of the cell under the first pixel of the waves.
     pub origin: (usize, usize),
 }
 
 /// One thread's work space.
-pub(super) struct Workspace {
+pub(super) struct StepWorkspace {
     pub fft: Scratch,
     /// A block of rows of a transmission function.
     block: Buffer,
 }
 
-/// Waves of up to this many bytes together stay in a core's cache.
+/// Waves of so many bytes in all stay in a core's cache.
 const GROUP_BYTES: usize = 1 << 20;
-/// Larger waves: enough that reading the specimen from memory does not matter.
+/// Larger waves step in groups of so many: reading the transmission function from memory then takes little of the time.
 const LARGE_GROUP: usize = 4;
-/// Beyond this, more waves together gain nothing.
+/// More waves together gain nothing.
 const MOST_TOGETHER: usize = 16;
 
-/// How many waves of so many bytes each should step together.
-pub(super) fn group(wave_bytes: usize) -> usize {
+/// How many waves of `wave_bytes` each should step together.
+pub(super) fn waves_together(wave_bytes: usize) -> usize {
     (GROUP_BYTES / wave_bytes.max(1)).clamp(LARGE_GROUP, MOST_TOGETHER)
 }
 
@@ -80,7 +80,7 @@ impl Stepper {
             fft,
             grid,
             wavelength,
-            disk: plan.disk(),
+            anti_aliasing: plan.anti_aliasing(),
             band,
             planes: plan.slices.planes.clone(),
             propagators: Vec::new(),
@@ -88,39 +88,43 @@ impl Stepper {
         }
     }
 
-    /// The legs of a wave that starts at height `start` (Angstrom) and passes the given slices, with
-    /// the height of the plane where it ends. What lies between them is passed in one step.
-    pub fn route(&mut self, start: f64, slices: impl Iterator<Item = usize>) -> (Vec<Leg>, f64) {
+    /// The steps of a wave that starts at height `start` (Angstrom) and passes the given slices, and the height of
+    /// the plane where it ends. Slices left out are crossed in one step.
+    pub fn path(
+        &mut self,
+        start: f64,
+        slices: impl Iterator<Item = usize>,
+    ) -> (Vec<SliceStep>, f64) {
         let mut at = start;
-        let mut legs = Vec::new();
+        let mut steps = Vec::new();
         for slice in slices {
             let propagator = self.propagator_index(self.planes[slice] - at);
-            legs.push(Leg { slice, propagator });
+            steps.push(SliceStep { slice, propagator });
             at = self.planes[slice];
         }
-        (legs, at)
+        (steps, at)
     }
 
     /// How many waves should step together.
-    pub fn group(&self) -> usize {
-        group(self.fft.buffer_len() * size_of::<Complex32>())
+    pub fn waves_together(&self) -> usize {
+        waves_together(self.fft.buffer_len() * size_of::<Complex32>())
     }
 
-    pub fn workspace(&self) -> Workspace {
-        Workspace { fft: self.fft.scratch(), block: Buffer::zeros(self.fft.arranged_len()) }
+    pub fn workspace(&self) -> StepWorkspace {
+        StepWorkspace { fft: self.fft.scratch(), block: Buffer::zeros(self.fft.arranged_len()) }
     }
 
-    /// Takes waves along one leg.
-    pub fn travel(
+    /// Propagates waves to a slice and transmits them through it.
+    pub fn propagate(
         &self,
         waves: &mut [Buffer],
-        leg: Leg,
-        specimen: Specimen<'_>,
-        w: &mut Workspace,
+        step: SliceStep,
+        view: TransmissionView<'_>,
+        w: &mut StepWorkspace,
     ) {
-        self.propagate_by(waves, &self.propagators[leg.propagator], &mut w.fft);
-        if let Some(t) = &specimen.transmission.slices[leg.slice] {
-            self.transmit(waves, t, specimen.transmission.layout, specimen.origin, w);
+        self.propagate_freely(waves, &self.propagators[step.propagator], &mut w.fft);
+        if let Some(t) = &view.transmission.slices[step.slice] {
+            self.transmit(waves, t, view.transmission.layout, view.origin, w);
         }
     }
 
@@ -128,6 +132,7 @@ impl Stepper {
         &self.fft
     }
 
+    /// Columns within the band limit.
     pub fn band(&self) -> &[Range<usize>] {
         &self.band
     }
@@ -143,8 +148,9 @@ impl Stepper {
         self.propagators.len() - 1
     }
 
-    /// `exp(-i pi lambda dz k^2)` inside the disk, divided by the number of pixels.
-    pub fn propagator(&self, distance: f64) -> DiskMultiplier {
+    /// The Fresnel propagator `exp(-i pi lambda dz k^2)` over `distance` (Angstrom) within the band limit, divided by
+    /// the number of pixels.
+    pub fn propagator(&self, distance: f64) -> BandLimitedMultiplier {
         let (ny, nx) = self.grid.shape();
         let axis = |n: usize, dk: f64, scale: f64| {
             let k2: Vec<f64> =
@@ -158,24 +164,24 @@ impl Stepper {
         let dk = self.grid.dk();
         let (row, row_k2) = axis(ny, dk[1], 1.0);
         let (column, column_k2) = axis(nx, dk[0], 1.0 / (nx * ny) as f64);
-        self.fft.multiplier(&row, &row_k2, &column, &column_k2, self.disk)
+        self.fft.multiplier(&row, &row_k2, &column, &column_k2, self.anti_aliasing)
     }
 
-    /// Rows back to real space, times the transmission function `t`, rows forward.
+    /// Multiplies waves by the transmission function `t`: inverse transform of rows, product, forward transform.
     pub fn transmit(
         &self,
         waves: &mut [Buffer],
         t: &[Complex32],
-        layout: Layout,
+        layout: TransmissionLayout,
         origin: (usize, usize),
-        w: &mut Workspace,
+        w: &mut StepWorkspace,
     ) {
         let (rows, stride) = (lanes(), self.fft.stride());
         let arranged = self.fft.arranged_len();
         for b in 0..self.fft.row_blocks() {
             let by = match layout {
-                Layout::Arranged => &t[b * arranged..][..arranged],
-                Layout::Padded { stride } => {
+                TransmissionLayout::Arranged => &t[b * arranged..][..arranged],
+                TransmissionLayout::Padded { stride } => {
                     let first = (origin.0 + b * rows) * stride + origin.1;
                     let area = &t[first..];
                     if b + 1 < self.fft.row_blocks() {
@@ -192,7 +198,7 @@ impl Stepper {
         }
     }
 
-    /// Asks for a block of rows that will be read soon.
+    /// Prefetches a block of rows.
     fn prefetch(&self, rows: &[Complex32], stride: usize) {
         let columns = self.fft.shape().1;
         for row in rows.chunks(stride).take(lanes()) {
@@ -200,18 +206,18 @@ impl Stepper {
         }
     }
 
-    /// Propagates by a prepared propagator.
-    pub fn propagate_by(
+    /// Propagates through free space.
+    pub fn propagate_freely(
         &self,
         waves: &mut [Buffer],
-        propagator: &DiskMultiplier,
+        propagator: &BandLimitedMultiplier,
         scratch: &mut Scratch,
     ) {
         self.fft.convolve_columns(waves, &self.band, propagator, scratch);
     }
 
-    /// Brings Fourier coefficients into the form that the steps need. Columns outside `live`
-    /// (see [`Fft2::band_columns`]) have to be zero.
+    /// Turns Fourier coefficients into the form that steps work on. Columns outside `live` (see
+    /// [`Fft2::band_columns`]) must be zero.
     pub fn start(&self, wave: &mut [Complex32], live: &[Range<usize>], scratch: &mut Scratch) {
         let row_length = self.fft.shape().1 as f32;
         for range in live {
@@ -222,23 +228,22 @@ impl Stepper {
         }
     }
 
-    /// Transforms the columns inside the band, forward or back. After the forward transform the
-    /// array holds the wave's Fourier coefficients times the number of pixels; elements beyond the
-    /// band are meaningless.
-    pub fn columns(&self, wave: &mut [Complex32], inverse: bool, scratch: &mut Scratch) {
+    /// Transforms the columns within the band limit. After the forward transform of a wave between steps, the array holds
+    /// its Fourier coefficients times the number of pixels; elements beyond the band limit are meaningless.
+    pub fn transform_columns(&self, wave: &mut [Complex32], inverse: bool, scratch: &mut Scratch) {
         for range in &self.band {
             self.fft.some_columns(wave, range.clone(), inverse, scratch);
         }
     }
 }
 
-/// Asks for data that will be read soon.
+/// Prefetches data into the cache.
 #[inline]
 fn prefetch(data: &[Complex32]) {
     #[cfg(target_arch = "x86_64")]
     for line in data.chunks(8) {
         use std::arch::x86_64::{_MM_HINT_T1, _mm_prefetch};
-        // A hint, which reads nothing.
+        // Safe: a prefetch is a hint and reads nothing.
         unsafe { _mm_prefetch::<_MM_HINT_T1>(line.as_ptr().cast()) };
     }
     #[cfg(not(target_arch = "x86_64"))]

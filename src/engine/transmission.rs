@@ -1,34 +1,34 @@
 //! Transmission functions `exp(i sigma V)` of all slices, band-limited.
 
-use super::Site;
-use super::exponential::{self, Exponential, SliceAtoms};
-use super::occupancy::{Occupancy, place};
-use super::plan::{Grid, Plan};
-use super::spare::Spare;
+use super::phase_grating::{GratingWorkspace, PhaseGrating, SliceAtoms};
+use super::plan::Plan;
+use super::slice_coverage::{SliceCoverage, place};
+use super::workspace_pool::WorkspacePool;
 use crate::error::{Error, Result};
-use crate::fft::radix::lanes;
+use crate::fft::lanes;
 use crate::fft::{Buffer, Fft2, Scratch};
 use crate::potential::projected::{PlacedAtom, Projection};
 use crate::progress::Progress;
+use crate::structure::Site;
 use num_complex::Complex32;
 use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::OnceLock;
 
-/// Transmission functions of all slices.
+/// The transmission functions of all slices in one phonon configuration.
 pub(super) struct Transmission {
-    /// `None` where no atom is, so that waves pass in one step.
+    /// `None` for slices without atoms, which waves pass in one step.
     pub slices: Vec<Option<Buffer>>,
-    pub layout: Layout,
-    pub occupancy: Occupancy,
+    pub layout: TransmissionLayout,
+    pub coverage: SliceCoverage,
 }
 
 /// How a transmission function is stored.
 #[derive(Debug, Clone, Copy)]
-pub(super) enum Layout {
-    /// In blocks of rows as [`Fft2::arrange_block`] makes them, for waves over the whole cell.
+pub(super) enum TransmissionLayout {
+    /// In blocks of rows as written by [`Fft2::arrange_block`], for waves over the whole cell.
     Arranged,
-    /// Row by row, going on periodically beyond the cell, so that no window leaves the array.
+    /// Row by row, continued periodically beyond the cell, so that no window leaves the array.
     Padded {
         /// Elements from row to row.
         stride: usize,
@@ -39,43 +39,54 @@ pub(super) enum Layout {
 pub(super) struct TransmissionBuilder<'a> {
     plan: &'a Plan,
     elements: Vec<u8>,
-    usual: Exponential,
+    usual: PhaseGrating,
     /// For slices with atoms too close for [`crate::potential::cores`]; made when first needed.
-    oversampled: OnceLock<Exponential>,
-    /// Transform of the transmission grid, over the whole cell.
+    oversampled: OnceLock<PhaseGrating>,
+    /// Transform of the transmission grid.
     coarse: Fft2,
-    layout: Layout,
-    spare: Spare<Workspace>,
-    /// Arrays of transmission functions that are no longer needed.
-    free: Spare<Buffer>,
+    layout: TransmissionLayout,
+    workspaces: WorkspacePool<TransmissionWorkspace>,
+    /// Arrays of transmission functions of earlier configurations, to be written anew.
+    arrays: WorkspacePool<Buffer>,
 }
 
 /// One thread's arrays.
-struct Workspace {
-    usual: exponential::Workspace,
-    oversampled: Option<exponential::Workspace>,
+struct TransmissionWorkspace {
+    usual: GratingWorkspace,
+    oversampled: Option<GratingWorkspace>,
     wave: Buffer,
     coarse: Scratch,
 }
 
 impl<'a> TransmissionBuilder<'a> {
     pub fn new(plan: &'a Plan, elements: &[u8]) -> Result<Self> {
-        let usual = Exponential::new(plan, plan.potential_grid, plan.core_cutoff, elements)?;
+        let usual = PhaseGrating::new(plan, plan.potential_grid, plan.core_cutoff, elements)?;
         let (ny, nx) = plan.transmission_grid.shape();
-        let layout = if plan.wave_grid == plan.transmission_grid {
-            Layout::Arranged
+        let layout = if !plan.has_windows() {
+            TransmissionLayout::Arranged
         } else {
             // An odd number of 128-byte lines: rows then fall into different cache sets.
             let most = nx + plan.wave_grid.points[0] + lanes();
-            Layout::Padded { stride: (most.div_ceil(16) | 1) * 16 }
+            TransmissionLayout::Padded { stride: (most.div_ceil(16) | 1) * 16 }
         };
         let elements = elements.to_vec();
         let (oversampled, coarse) = (OnceLock::new(), Fft2::new(ny, nx));
-        let (spare, free) = (Spare::new(), Spare::new());
-        Ok(TransmissionBuilder { plan, elements, usual, oversampled, coarse, layout, spare, free })
+        Ok(TransmissionBuilder {
+            plan,
+            elements,
+            usual,
+            oversampled,
+            coarse,
+            layout,
+            workspaces: WorkspacePool::new(),
+            arrays: WorkspacePool::new(),
+        })
     }
 
     /// The transmission functions of one phonon configuration.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`], and an element that the tables lack.
     pub fn build(
         &self,
         sites: &[Site],
@@ -87,15 +98,9 @@ impl<'a> TransmissionBuilder<'a> {
         let too_close: Vec<bool> = by_slice.par_iter().map(|s| !self.usual.suits(s)).collect();
         if self.oversampled.get().is_none() && too_close.contains(&true) {
             let grid = self.plan.oversampled_grid();
-            let made = Exponential::new(self.plan, grid, None, &self.elements)?;
+            let made = PhaseGrating::new(self.plan, grid, None, &self.elements)?;
             self.oversampled.get_or_init(|| made);
         }
-        let workspace = || Workspace {
-            usual: self.usual.workspace(),
-            oversampled: None,
-            wave: self.coarse.buffer(),
-            coarse: self.coarse.scratch(),
-        };
         let slices: Result<Vec<Option<Buffer>>> = (0..by_slice.len())
             .into_par_iter()
             .map(|i| {
@@ -107,39 +112,54 @@ impl<'a> TransmissionBuilder<'a> {
                     Projection::Infinite => SliceAtoms::Whole(&by_slice[i]),
                     Projection::Finite => SliceAtoms::Parts { all: &all, slice: i },
                 };
-                Ok(Some(self.spare.with(workspace, |w| self.slice(atoms, too_close[i], w))))
+                let make = || self.workspace();
+                Ok(Some(self.workspaces.with(make, |w| self.slice(atoms, too_close[i], w))))
             })
             .collect();
-        let occupancy = Occupancy::new(self.plan, &by_slice);
-        Ok(Transmission { slices: slices?, layout: self.layout, occupancy })
+        let coverage = SliceCoverage::new(self.plan, &by_slice);
+        Ok(Transmission { slices: slices?, layout: self.layout, coverage })
+    }
+
+    fn workspace(&self) -> TransmissionWorkspace {
+        TransmissionWorkspace {
+            usual: self.usual.workspace(),
+            oversampled: None,
+            wave: self.coarse.buffer(),
+            coarse: self.coarse.scratch(),
+        }
     }
 
     /// Takes back the arrays of transmission functions, for the next configuration.
     pub fn reclaim(&self, transmission: Transmission) {
-        self.free.give(transmission.slices.into_iter().flatten());
+        self.arrays.give(transmission.slices.into_iter().flatten());
     }
 
-    /// An array of `len` elements, whose contents do not matter.
+    /// An array of `len` elements with any contents.
     fn array(&self, len: usize) -> Buffer {
-        self.free.take(|| Buffer::zeros(len))
+        self.arrays.take(|| Buffer::zeros(len))
     }
 
     /// One band-limited transmission function.
-    fn slice(&self, atoms: SliceAtoms<'_>, too_close: bool, w: &mut Workspace) -> Buffer {
+    fn slice(
+        &self,
+        atoms: SliceAtoms<'_>,
+        too_close: bool,
+        w: &mut TransmissionWorkspace,
+    ) -> Buffer {
         let fft = &self.coarse;
-        let (exponential, inner) = match self.oversampled.get().filter(|_| too_close) {
+        let (grating, inner) = match self.oversampled.get().filter(|_| too_close) {
             Some(fine) => (fine, w.oversampled.get_or_insert_with(|| fine.workspace())),
             None => (&self.usual, &mut w.usual),
         };
         w.wave.fill(Complex32::ZERO);
-        exponential.coefficients(self.plan, atoms, inner, (fft, &mut w.wave));
-        for columns in fft.band_columns(exponential.reach()[0]) {
+        grating.coefficients(self.plan, atoms, inner, fft, &mut w.wave);
+        for columns in fft.band_columns(grating.reach()[0]) {
             fft.some_columns(&mut w.wave, columns, true, &mut w.coarse);
         }
         fft.all_rows(&mut w.wave, true, &mut w.coarse);
         match self.layout {
-            Layout::Arranged => self.arranged(&w.wave),
-            Layout::Padded { stride } => self.padded(&w.wave, stride),
+            TransmissionLayout::Arranged => self.arranged(&w.wave),
+            TransmissionLayout::Padded { stride } => self.padded(&w.wave, stride),
         }
     }
 
@@ -166,18 +186,8 @@ impl<'a> TransmissionBuilder<'a> {
 }
 
 impl Transmission {
-    /// Those of some slices that hold atoms.
+    /// Of these slices, those that hold atoms.
     pub fn filled(&self, slices: Range<usize>) -> impl Iterator<Item = usize> {
         slices.filter(|&i| self.slices[i].is_some())
     }
-}
-
-/// Largest frequency (x, y) within `limit` (1/Angstrom) that `grid` and another one, of `points` over the same extent,
-/// both hold.
-pub(super) fn disk_reach(grid: &Grid, points: [usize; 2], limit: f64) -> [usize; 2] {
-    let dk = grid.dk();
-    [0, 1].map(|i| {
-        let most = (grid.points[i].min(points[i]) - 1) / 2;
-        ((limit / dk[i]) as usize).min(most)
-    })
 }

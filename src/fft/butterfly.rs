@@ -135,7 +135,7 @@ pub fn dft<S: Simd, const R: usize>(s: S, x: &mut [Lanes<S>; R]) {
             let y = dft8(s, [x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7]]);
             x.copy_from_slice(&y);
         }
-        _ => unreachable!("radices are chosen by ColumnPlan::new"),
+        _ => unreachable!("radices are chosen by RadixPlan::new"),
     }
 }
 

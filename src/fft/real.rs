@@ -1,21 +1,22 @@
 //! Transforms to real arrays.
 
-use super::{Fft2, Scratch};
+use super::fft2::{Fft2, Scratch};
 use crate::simd::vectorised;
 use num_complex::Complex32;
 
 impl Fft2 {
-    /// Inverse transform, unnormalised, to a real array. On entry the first `nx / 2 + 1` columns of `data` (a
-    /// [`Fft2::buffer`]) hold the half plane kx >= 0 of its spectrum; what else they hold does not matter. On
-    /// return rows lie in pairs: the real parts of row `r` are row `2 r`, the imaginary parts row `2 r + 1`
-    /// ([`Fft2::of_pair`]).
+    /// Inverse transform to a real array, unnormalised.
+    ///
+    /// On entry the first `nx / 2 + 1` columns of `data` (a [`Fft2::buffer`]) hold the half plane kx >= 0 of
+    /// the spectrum; the other columns may hold anything. On return the real array lies in pairs of rows: the
+    /// real parts of row `r` are its row `2 r`, the imaginary parts its row `2 r + 1` ([`Fft2::of_pair`]).
     pub fn inverse_real(&self, data: &mut [Complex32], scratch: &mut Scratch) {
         let ((ny, nx), stride) = (self.shape(), self.stride());
         let half = nx / 2 + 1;
         self.some_columns(data, 0..half, true, scratch);
         let (mut a, mut b) = (vec![Complex32::ZERO; half], vec![Complex32::ZERO; half]);
         for r in 0..ny.div_ceil(2) {
-            // Row r is written when it has been read.
+            // Row r is read (in an earlier turn, or now) before it is overwritten.
             a.copy_from_slice(&data[2 * r * stride..][..half]);
             match 2 * r + 1 < ny {
                 true => b.copy_from_slice(&data[(2 * r + 1) * stride..][..half]),
@@ -40,7 +41,7 @@ impl Fft2 {
         self.some_rows(data, ny.div_ceil(2), true, scratch);
     }
 
-    /// The value at (y, x) of what [`Fft2::inverse_real`] made.
+    /// The value at row `y`, column `x` of the real array that [`Fft2::inverse_real`] left in `data`.
     pub fn of_pair(&self, data: &[Complex32], y: usize, x: usize) -> f32 {
         let pair = data[y / 2 * self.stride() + x];
         if y.is_multiple_of(2) { pair.re } else { pair.im }

@@ -1,5 +1,5 @@
-//! Between memory and SIMD lanes: complex numbers split into real and imaginary parts, and tiles of
-//! rows transposed so that each lane follows one row.
+//! Moves complex numbers between memory and SIMD lanes: splits them into real and imaginary parts, and transposes
+//! tiles of rows so that each lane holds one row.
 //!
 //! The order of lanes within a vector is whatever is cheapest on the processor; it is the same for
 //! everything that these functions load, so lanes of different arrays always match.
@@ -10,7 +10,7 @@ use pulp::Simd;
 /// Most columns of a tile.
 pub const MOST_COLUMNS: usize = 8;
 
-/// Columns of a tile whose rows are as many as there are lanes: a row of it fills one vector.
+/// Columns of a tile. A tile has as many rows as there are lanes, and each row of it fills one vector.
 pub const fn columns<S: Simd>() -> usize {
     if S::F32_LANES < 2 { 1 } else { S::F32_LANES / 2 }
 }
@@ -301,8 +301,8 @@ mod tests {
     use super::*;
     use pulp::{Arch, WithSimd};
 
-    struct Check;
-    impl WithSimd for Check {
+    struct TransposeAndRestore;
+    impl WithSimd for TransposeAndRestore {
         type Output = ();
         #[inline(always)]
         fn with_simd<S: Simd>(self, simd: S) {
@@ -342,11 +342,11 @@ mod tests {
 
     #[test]
     fn tiles_are_transposed_and_restored() {
-        Arch::new().dispatch(Check);
-        Simd::vectorize(pulp::Scalar::new(), Check);
+        Arch::new().dispatch(TransposeAndRestore);
+        Simd::vectorize(pulp::Scalar::new(), TransposeAndRestore);
         #[cfg(target_arch = "x86_64")]
         if let Some(simd) = pulp::x86::V3::try_new() {
-            Simd::vectorize(simd, Check);
+            Simd::vectorize(simd, TransposeAndRestore);
         }
     }
 }

@@ -9,7 +9,7 @@ use super::imaging_cost::{ImagingCost, SimulationRuns};
 use super::pixels::{PixelBox, PixelRect};
 use super::region_imager::RegionImager;
 use super::simulator::Simulator;
-use crate::engine::{Plan, Site};
+use crate::engine::{PlannedScan, Site};
 use crate::error::Result;
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Region};
@@ -50,7 +50,7 @@ impl DirectImager {
 /// The plan for a rectangle of `shape` (rows, columns) pixels somewhere in the built field.
 ///
 /// # Errors
-/// Those of [`Plan::new`].
+/// Those of [`crate::engine::Plan::new`].
 pub fn rectangle_plan(
     recipe: &CheckedRecipe,
     specimen: &dyn Specimen,
@@ -63,11 +63,10 @@ pub fn rectangle_plan(
     let somewhere = Region::of_pixels(field.crop_origin_px(), [rows, columns], pixel);
     let z: Vec<f64> = specimen.sites(&somewhere).iter().map(|s| 10.0 * s.position_nm[2]).collect();
     let size = [columns, rows].map(|n| 10.0 * pixel * n as f64);
-    let mut plan: Plan = simulator.plan(size, 10.0 * specimen.thickness_nm(), &z)?;
+    let plan = simulator.plan(size, 10.0 * specimen.thickness_nm(), &z)?;
     let probes = simulator.probes(&plan, [rows, columns], 10.0 * pixel)?;
-    plan.count_waves(probes.scan());
-    let step_angstrom = probes.scan().step_angstrom;
-    Ok((SimulationRuns { plan, probes: probes.scan().len(), runs }, step_angstrom))
+    let scan = *probes.scan();
+    Ok((SimulationRuns::new(PlannedScan::new(plan, scan, None), runs), scan.step_angstrom))
 }
 
 impl RegionImager for DirectImager {

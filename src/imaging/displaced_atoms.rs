@@ -1,7 +1,7 @@
 //! The atoms of a field, phonon configuration by configuration.
 
 use crate::engine::Site;
-use crate::phonons::displaced;
+use crate::engine::phonons::displaced;
 use crate::recipe::region::Region;
 use crate::recipe::tables::PhononTable;
 use crate::specimen::atom_columns::AtomColumn;

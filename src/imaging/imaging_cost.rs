@@ -1,17 +1,30 @@
 //! What making the image of a field will take.
 
 use super::mosaic::mosaic_cost::MosaicCost;
-use crate::engine::Plan;
+use crate::engine::{Cost, Plan, PlannedScan};
 
 /// Simulations that are alike.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SimulationRuns {
     /// The plan of each.
     pub plan: Plan,
-    /// Probes of each.
-    pub probes: usize,
+    /// What each takes.
+    pub cost: Cost,
     /// How many there are.
     pub runs: usize,
+}
+
+impl SimulationRuns {
+    /// So many simulations as planned.
+    pub fn new(planned: PlannedScan, runs: usize) -> Self {
+        SimulationRuns { plan: planned.plan, cost: planned.cost, runs }
+    }
+
+    /// The same with another number of probes in each.
+    #[must_use]
+    pub fn for_probes(self, probes: usize) -> Self {
+        SimulationRuns { cost: self.cost.for_probes(probes), ..self }
+    }
 }
 
 /// What making the image of a field will take.

@@ -1,10 +1,10 @@
-//! The Bessel function J0 from a table, for the radial integrals of atoms: millions of values for each element.
+//! The Bessel function J0 from a table: the radial integrals of atoms need millions of values for each element.
 
 use std::sync::OnceLock;
 
 /// Distance of the table's points.
 const STEP: f64 = 0.05;
-/// The table ends here.
+/// Largest argument in the table.
 const END: f64 = 2600.0;
 
 /// J0 and its derivative times [`STEP`], at multiples of [`STEP`].

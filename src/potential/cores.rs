@@ -1,18 +1,17 @@
 //! Atomic cores of transmission functions, in closed form.
 //!
-//! The projected potential of an atom rises like a logarithm towards the nucleus, so that
-//! `exp(i sigma V)` is right only on a very fine grid. Here potentials are first smoothed by a Gaussian in
-//! Fourier space, narrow enough for their exponential to be sampled without aliasing, and what the smoothing
-//! took away is put back atom by atom:
+//! The projected potential of an atom rises like a logarithm towards the nucleus, so `exp(i sigma V)` would need a very
+//! fine grid. Here potentials are smoothed by a Gaussian in Fourier space, so that their exponential can be sampled without
+//! aliasing, and the difference is added atom by atom:
 //!
 //! `T(k) = F[exp(i v_s)](k) + sum_a u_a D_a(k) exp(-2 pi i k.r_a)`,
 //! `D(k) = 2 pi int [exp(i v(r)) - exp(i v_s(r))] J0(2 pi k r) r dr`,
 //!
-//! `v = sigma V` of one atom, `v_s` the same smoothed, `u_a = exp(i sum v_s)` of the other atoms at r_a. This
-//! takes the other atoms' potentials as constant across a core, some 0.1 A wide. Against grids of 0.005 A
-//! the amplitudes beyond 68 mrad are right to 0.1 % rms for atoms 1.4 A or more apart in projection;
-//! two Pt atoms 0.8 A (0.3 A) apart in one slice give 0.2 % (2.4 %), two C atoms 0.5 A (0.2 A) apart
-//! 0.2 % (0.8 %). [`Cores::suits`] refuses what is worse.
+//! with `v = sigma V` of one atom, `v_s` the same smoothed, and `u_a = exp(i sum v_s)` of the other atoms at r_a. The
+//! approximation is that the potentials of other atoms are constant across a core, which is some 0.1 A wide. Against
+//! grids of 0.005 A the amplitudes beyond 68 mrad are right to 0.1 % rms for atoms 1.4 A or more apart in projection.
+//! The error is 0.2 % (2.4 %) for two Pt atoms 0.8 A (0.3 A) apart in one slice, and 0.2 % (0.8 %) for two C atoms 0.5 A
+//! (0.2 A) apart. [`Cores::suits`] refuses atoms that are closer.
 
 use super::bessel::J0;
 use super::projected::{PlacedAtom, push_powers};
@@ -32,12 +31,12 @@ const REACH_ANGSTROM: f64 = 8.0;
 const TABLE_STEP_ANGSTROM: f64 = 0.02;
 /// Points of the radial table of `D(k)`.
 const TRANSFORM_POINTS: usize = 1200;
-/// Atoms nearer than this in projection must be light.
+/// Atoms nearer than this in projection, in Angstrom, must be light.
 const CLOSE_ANGSTROM: f64 = 0.5;
 /// Up to this product of the phases of two close atoms the method is right to 1 % at any distance.
 const CLOSE_STRENGTH: f64 = 0.1;
 
-/// Frequencies `-reach..=reach` of a periodic cell, and what is needed to put cores there.
+/// The cores of atoms in a periodic cell, at frequencies `-reach..=reach`.
 pub struct Cores {
     reach: [usize; 2],
     extent: [f64; 2],
@@ -48,7 +47,7 @@ struct Core {
     number: u8,
     /// `v_s` at multiples of [`TABLE_STEP_ANGSTROM`].
     phase: Vec<f64>,
-    /// `D(k)` over the area of the cell, rows of kx.
+    /// `D(k)` over the area of the cell: rows = ky, columns = kx, from the most negative frequency.
     transform: Vec<Complex32>,
 }
 
@@ -60,8 +59,9 @@ pub struct CoreScratch {
 }
 
 impl Cores {
-    /// For the frequencies up to `reach` (x, y) of a cell of `extent` Angstrom, potentials smoothed by
-    /// `exp(-k^2 / 2 cutoff^2)`, and the interaction parameter `sigma` in rad/(V Angstrom).
+    /// The cores of these elements at frequency indices up to `reach` (x, y) in a cell of `extent` (x, y) Angstrom.
+    /// Potentials are smoothed by `exp(-k^2 / 2 cutoff^2)`, `cutoff` in 1/Angstrom; `sigma` is the interaction
+    /// parameter in rad/(V Angstrom).
     ///
     /// # Errors
     /// An element that the table lacks.
@@ -80,7 +80,7 @@ impl Cores {
         Ok(Cores { reach, extent, species: species.collect::<Result<_>>()? })
     }
 
-    /// (rows, columns) of the array that [`Cores::add`] fills; frequency 0 is in the middle.
+    /// Shape (rows = ky, columns = kx) of the array that [`Cores::add`] fills; frequency 0 is in the middle.
     pub fn shape(&self) -> (usize, usize) {
         (2 * self.reach[1] + 1, 2 * self.reach[0] + 1)
     }
@@ -99,7 +99,8 @@ impl Cores {
         suits
     }
 
-    /// Fills `out` with the cores' share of the Fourier coefficients of the transmission function.
+    /// Fills `out` with the cores' part of the Fourier coefficients of the transmission function, an array of the shape
+    /// [`Cores::shape`], row-major.
     pub fn add(&self, atoms: &[PlacedAtom], out: &mut Vec<Complex32>, w: &mut CoreScratch) {
         let (ny, nx) = self.shape();
         out.clear();
@@ -148,7 +149,7 @@ impl Cores {
         }
     }
 
-    /// `sum v_s` of the other atoms at each atom.
+    /// For each atom, `sum v_s` of the other atoms at its place, in rad.
     fn phases_of_neighbours(&self, atoms: &[PlacedAtom]) -> Vec<f64> {
         let mut phase = vec![0.0; atoms.len()];
         let at = |i: usize, r| self.core(atoms[i].number).map_or(0.0, |c| c.phase_at(r));
@@ -161,7 +162,7 @@ impl Cores {
         phase
     }
 
-    /// The atoms in one plane of a cell so tall that its images do not matter.
+    /// The atoms in one plane of a cell so tall that periodic images along the beam do not matter.
     fn flat(&self, atoms: &[PlacedAtom]) -> Structure {
         let height = 2.0 * REACH_ANGSTROM + 1.0;
         let cell = [[self.extent[0], 0.0, 0.0], [0.0, self.extent[1], 0.0], [0.0, 0.0, height]];
@@ -266,11 +267,11 @@ pub fn cross_section(factor: &ScatteringFactor, sigma: f64, inner: f64, outer: f
     amplitudes.into_iter().enumerate().map(part).sum()
 }
 
-/// `F[exp(i v) - 1](k)` of one atom in Angstrom^2 for each of `ks` (1/Angstrom), v being its phase
-/// `sigma` times the projected potential.
+/// Scattering amplitudes `F[exp(i v) - 1](k)` of one atom in Angstrom^2, one for each of `ks` (1/Angstrom); v is `sigma` times
+/// the projected potential.
 pub fn amplitudes(factor: &ScatteringFactor, sigma: f64, ks: &[f64]) -> Vec<Complex64> {
     let unit = sigma * POTENTIAL_PER_SCATTERING_FACTOR;
-    // Out to 6 A: what is beyond scatters to smaller angles.
+    // Out to 6 A: the potential further out scatters to smaller angles.
     let points: Vec<(f64, Complex64)> = radial_points(2.0)
         .into_iter()
         .map(|(r, weight)| {

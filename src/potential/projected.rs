@@ -1,8 +1,8 @@
 //! Projected potentials of slices by structure factors.
 //!
-//! `V(k) = (h^2 / 2 pi m e) / area  sum_species f(k) sum_atoms exp(-2 pi i k.r)`: every atom stands
-//! exactly where it is, with no spreading over pixels. The sum over atoms separates into cosines and sines of
-//! `2 pi kx x` and `2 pi ky y`, whose products are one real matrix product for a quarter of the plane.
+//! `V(k) = (h^2 / 2 pi m e) / area  sum_species f(k) sum_atoms exp(-2 pi i k.r)`: atoms keep their exact positions and are not
+//! spread over pixels. The sum over atoms separates into cosines and sines of `2 pi kx x` and `2 pi ky y`, whose
+//! products are one real matrix product for a quarter of the plane.
 
 use super::scattering::{Parametrization, ScatteringFactor};
 use super::slices::Slices;
@@ -18,6 +18,7 @@ use std::f64::consts::PI;
 /// How an atom is distributed over slices.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
+#[non_exhaustive]
 pub enum Projection {
     /// The whole atom goes into the slice that holds its nucleus.
     #[default]
@@ -26,13 +27,13 @@ pub enum Projection {
     Finite,
 }
 
-/// Reach of an atom along the beam with finite projection, in Angstrom: the slices at this distance
-/// take the rest of it, so that nothing is lost.
+/// Reach of an atom along the beam with finite projection, in Angstrom. The slices at this distance get the rest of the
+/// atom, so that nothing is lost.
 const FINITE_REACH_ANGSTROM: f64 = 8.0;
 /// Points of the radial table of one atom's part in one slice.
 const RADIAL_POINTS: usize = 4096;
 
-/// An atom where it is in this configuration.
+/// An atom at its place in one phonon configuration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlacedAtom {
     /// Position in Angstrom.
@@ -41,10 +42,10 @@ pub struct PlacedAtom {
     pub number: u8,
 }
 
-/// What is done to the potentials of atoms (infinite projection only).
+/// How the potentials of atoms are filtered in Fourier space (infinite projection only).
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Shape {
-    /// Nothing.
+pub enum PotentialFilter {
+    /// Not at all.
     AsIs,
     /// Multiplied by `exp(-q^2 / 2 cutoff^2)` in Fourier space.
     Smoothed {
@@ -65,7 +66,7 @@ pub struct Projector {
 struct Species {
     number: u8,
     factor: ScatteringFactor,
-    /// `V(k)` of one atom in V Angstrom, on the half plane kx >= 0: ny rows of nx / 2 + 1.
+    /// `V(k)` of one atom in V Angstrom on the half plane kx >= 0: ny rows of nx / 2 + 1 elements.
     half_plane: Vec<f32>,
 }
 
@@ -77,7 +78,7 @@ pub struct ProjectorScratch {
 }
 
 impl Projector {
-    /// For a cell of `extent` (x, y) Angstrom and the given elements.
+    /// For a grid of `ny` rows and `nx` columns over a cell of `extent` (x, y) Angstrom, and the given elements.
     ///
     /// # Errors
     /// An element that the table lacks.
@@ -86,12 +87,12 @@ impl Projector {
         extent: [f64; 2],
         parametrization: Parametrization,
         elements: &[u8],
-        shape: Shape,
+        shape: PotentialFilter,
     ) -> Result<Self> {
         let reshaped = |iy, ix, q2: f64| match shape {
-            Shape::AsIs => 1.0,
-            Shape::Smoothed { cutoff } => (-0.5 * q2 / (cutoff * cutoff)).exp(),
-            Shape::AbtemPixelCorrection => {
+            PotentialFilter::AsIs => 1.0,
+            PotentialFilter::Smoothed { cutoff } => (-0.5 * q2 / (cutoff * cutoff)).exp(),
+            PotentialFilter::AbtemPixelCorrection => {
                 let part = |i, n| frequency(i, n) as f64 / n as f64;
                 let u = part(iy, ny).hypot(part(ix, nx));
                 if u > 0.0 { u / u.sin() } else { 1.0 }
@@ -125,8 +126,8 @@ impl Projector {
         ProjectorScratch { fft: self.fft.scratch(), products: vec![0.0; 4 * high * wide] }
     }
 
-    /// Projected potential of `atoms`, all of which belong to the slice, in V Angstrom, in pairs of rows as
-    /// [`Fft2::inverse_real`] leaves them in `out`.
+    /// The projected potential, in V Angstrom, of a slice to which all of `atoms` belong. `out` is an array of
+    /// [`Projector::fft`] (rows = y, columns = x); it holds pairs of rows as [`Fft2::inverse_real`] leaves them.
     pub fn infinite(&self, atoms: &[PlacedAtom], out: &mut Buffer, scratch: &mut ProjectorScratch) {
         out.fill(Complex32::ZERO);
         for species in &self.species {
@@ -136,8 +137,8 @@ impl Projector {
         self.fft.inverse_real(out, &mut scratch.fft);
     }
 
-    /// Projected potential of slice `index` with finite projection; `atoms` are those of the whole
-    /// specimen. As [`Projector::infinite`] otherwise.
+    /// The projected potential of slice `index` with finite projection; `atoms` are those of the whole specimen. The
+    /// array is as with [`Projector::infinite`].
     pub fn finite(
         &self,
         atoms: &[PlacedAtom],
@@ -166,7 +167,7 @@ impl Projector {
         self.fft.inverse_real(out, &mut scratch.fft);
     }
 
-    /// Adds the part of one atom between `z[0]` and `z[1]` (relative to its nucleus).
+    /// Adds the part of one atom between the heights `z[0]` and `z[1]` in Angstrom from its nucleus.
     fn add_part(&self, species: &Species, at: [f64; 3], z: [f64; 2], sum: &mut [Complex32]) {
         let (ny, nx) = self.fft.shape();
         let half = nx / 2 + 1;
@@ -263,7 +264,7 @@ fn phases(u: f64, n: usize, bins: std::ops::Range<usize>) -> Vec<Complex32> {
 fn push_cosines_and_sines(u: f64, n: usize, count: usize, out: &mut Vec<f32>) {
     let start = out.len();
     push_powers(Complex64::ONE, u, count, out);
-    // The Nyquist frequency of an even grid stands for both signs.
+    // The Nyquist bin of an even grid stands for both signs, so that its sine vanishes.
     if n.is_multiple_of(2) && count > n / 2 {
         out[start + count + n / 2] = 0.0;
     }
@@ -304,7 +305,8 @@ mod tests {
     use crate::potential::slices::Slicing;
 
     fn projector(n: usize) -> Projector {
-        Projector::new((n, n), [6.0, 5.0], Parametrization::Lobato, &[8, 38], Shape::AsIs).unwrap()
+        Projector::new((n, n), [6.0, 5.0], Parametrization::Lobato, &[8, 38], PotentialFilter::AsIs)
+            .unwrap()
     }
 
     fn real(p: &Projector, b: &Buffer) -> Vec<f32> {

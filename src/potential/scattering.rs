@@ -13,6 +13,7 @@ use std::sync::OnceLock;
     Debug, Clone, Copy, PartialEq, Eq, Hash, Default, serde::Serialize, serde::Deserialize,
 )]
 #[serde(rename_all = "lowercase")]
+#[non_exhaustive]
 pub enum Parametrization {
     /// Lobato & Van Dyck, Acta Cryst. A70 (2014) 636.
     #[default]

@@ -3,32 +3,33 @@
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 
-/// How to cut.
+/// How the specimen is cut into slices.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, Default)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Slicing {
-    /// One slice per atomic plane, cut midway between planes; in specimens without planes atoms within
+    /// One slice per atomic plane, cut midway between planes. In specimens without planes, atoms within
     /// [`GROUP_ANGSTROM`] along the beam share a slice.
     #[default]
     Planes,
     /// Atoms within so many Angstrom along the beam share a slice, at their mean height.
     Grouped(f64),
-    /// Slices of equal thickness, as near as possible to and at most this many Angstrom.
+    /// Slices of equal thickness, at most this many Angstrom and as near to that as possible.
     Thickness(f64),
 }
 
 /// Atoms of specimens without planes share a slice, at their mean height, if they lie within so many Angstrom along
-/// the beam. High-angle waves of two atoms turn by 0.6 rad at 68 mrad and 200 kV if one moves by 1 A: bright pixels of a
-/// tilted Pt particle of 2.8 nm (one phonon configuration) are off by 0.68 % rms with 0.5 A, by 0.43 % with 0.25 A and by
-/// 0.27 % with 0.15 A, against 0.05 A; bright columns with even slices of 1 A by 1.8 %, against 0.25 A.
+/// the beam. Moving an atom by 1 A turns the phase of its wave by 0.6 rad at 68 mrad and 200 kV. Measured on a tilted Pt
+/// particle of 2.8 nm in one phonon configuration, against 0.05 A: bright pixels are off by 0.68 % rms with 0.5 A, by
+/// 0.43 % with 0.25 A, and by 0.27 % with 0.15 A. With even slices of 1 A, bright columns are off by 1.8 %, against 0.25 A.
 pub const GROUP_ANGSTROM: f64 = 0.5;
 /// Thickness of slices where there are no atoms.
 const EMPTY_THICKNESS_ANGSTROM: f64 = 1.0;
 /// Atoms nearer than this along the beam belong to the same plane.
 const SAME_PLANE_ANGSTROM: f64 = 0.25;
-/// Atoms that chain together over more than this form no plane.
+/// Atoms linked into a group wider than this, in Angstrom, form no plane.
 const MAX_PLANE_SPREAD_ANGSTROM: f64 = 0.7;
-/// An atom this near to a face of the cell would leave it by thermal motion.
+/// An atom nearer than this to a face of the cell, in Angstrom, may cross it by thermal motion.
 const FACE_ROOM_ANGSTROM: f64 = 0.5;
 
 /// Slices of a specimen: slice i holds the atoms with `boundaries[i] <= z < boundaries[i + 1]`, and
@@ -110,12 +111,12 @@ impl Slices {
         self.planes.len()
     }
 
-    /// Whether there is no slice (never, for slices made by [`Slices::new`]).
+    /// Whether there is no slice; [`Slices::new`] makes at least one.
     pub fn is_empty(&self) -> bool {
         self.planes.is_empty()
     }
 
-    /// The entrance surface.
+    /// Height of the entrance surface in Angstrom.
     pub fn entrance(&self) -> f64 {
         self.boundaries[0]
     }
@@ -125,7 +126,7 @@ impl Slices {
         self.boundaries[self.len()] - self.boundaries[0]
     }
 
-    /// The window of one period into which atoms are wrapped by their mean height.
+    /// `mean_z` (Angstrom), wrapped into the period that is cut into slices.
     pub fn wrap(&self, mean_z: f64) -> f64 {
         wrap(mean_z, self.entrance(), self.thickness())
     }

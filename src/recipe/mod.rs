@@ -24,7 +24,7 @@ pub use checked::CheckedRecipe;
 pub use crystal_source::CrystalSource;
 pub use difficulty::Difficulty;
 pub use limits::BEYOND_FIELD_NM;
-pub use origin::Origin;
+pub use origin::RecipeOrigin;
 pub use overrides::Override;
 pub use region::Region;
 pub use resolved_recipe::Recipe;

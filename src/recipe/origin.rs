@@ -12,14 +12,14 @@ use crate::error::Result;
 /// The text that a recipe was read from, and the changes made since. It plays no part in what a recipe is, so
 /// all origins are equal.
 #[derive(Debug, Clone, Default)]
-pub struct Origin {
+pub struct RecipeOrigin {
     /// The text; none for a recipe that was put together otherwise.
     pub(super) text: Option<Arc<RecipeText>>,
     /// The changes, in their order.
     pub(super) changes: Vec<Override>,
 }
 
-impl PartialEq for Origin {
+impl PartialEq for RecipeOrigin {
     fn eq(&self, _: &Self) -> bool {
         true
     }

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::crystal_source::CrystalSource;
 use super::difficulty::Difficulty;
-use super::origin::Origin;
+use super::origin::RecipeOrigin;
 use super::tables::*;
 use crate::error::{Error, Result};
 
@@ -68,7 +68,7 @@ pub struct Recipe {
     pub dose: Dose,
     /// Where the values were written, for errors: no part of what a recipe is.
     #[serde(skip)]
-    pub origin: Origin,
+    pub origin: RecipeOrigin,
 }
 
 impl Recipe {

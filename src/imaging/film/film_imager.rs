@@ -1,6 +1,6 @@
 //! Particles on a thin film of light atoms: each kind of atom in the way that it needs.
 //!
-//! The film scatters hardly: its atoms make their images independently of each other ([`crate::engine::independent`]).
+//! The film scatters hardly: its atoms make their images independently of each other ([`crate::engine::single_scattering`]).
 //! Particles are simulated in windows, together with the film behind them, where the window holds any of their atoms; towards
 //! the edge of where it does, one image fades into the other. What the tail of a probe scatters outside the window is
 //! added as from independent atoms. So nearly all the time goes to particles, and the film elsewhere costs the same for any
@@ -17,7 +17,8 @@ use rayon::prelude::*;
 
 use super::particle_blocks::{BLOCK_PROBES, BlockImage, ParticleBlocks};
 use super::samples::Samples;
-use crate::engine::independent::{Deposit, Raster};
+use crate::engine::phonons::displaced;
+use crate::engine::single_scattering::{ScatteringMap, SingleScattering};
 use crate::engine::{Algorithm, ProbeBox, ProbeStep, Settings, Site};
 use crate::error::{Error, Result};
 use crate::imaging::direct::rectangle_plan;
@@ -26,7 +27,6 @@ use crate::imaging::imaging_cost::{ImagingCost, SimulationRuns};
 use crate::imaging::pixels::PixelRect;
 use crate::imaging::region_imager::RegionImager;
 use crate::imaging::simulator::Simulator;
-use crate::phonons::displaced;
 use crate::potential::slices::{GROUP_ANGSTROM, Slicing};
 use crate::progress::{Progress, ProgressShare};
 use crate::recipe::{CheckedRecipe, Region};
@@ -117,12 +117,12 @@ impl FilmImager {
     /// Those of some atoms that are of element `number`, in all their configurations, on a raster.
     fn deposit<'r>(
         &self,
-        raster: &'r Raster<'r>,
+        raster: &'r SingleScattering<'r>,
         atoms: &[Site],
         (number, depth_angstrom): (u8, [f64; 2]),
         configurations: usize,
-    ) -> Result<Deposit<'r>> {
-        let mut deposit = raster.deposit(number, depth_angstrom)?;
+    ) -> Result<ScatteringMap<'r>> {
+        let mut deposit = raster.map(number, depth_angstrom)?;
         for configuration in 0..configurations as u32 {
             let of = atoms.par_iter().filter(|s| s.number == number);
             let moved: Vec<[f64; 3]> =
@@ -141,9 +141,10 @@ impl FilmImager {
         configurations: usize,
     ) -> Result<[Array2<f64>; 2]> {
         let outside = 0.5 * self.blocks.window_angstrom;
-        let raster = Raster::new(self.blocks.simulator.settings(), self.blocks.step, least)?;
+        let raster =
+            SingleScattering::new(self.blocks.simulator.settings(), self.blocks.step, least)?;
         let [rows, columns] = least.map(|n| margin..n - margin);
-        let image = |deposit: &Deposit<'_>, beyond| {
+        let image = |deposit: &ScatteringMap<'_>, beyond| {
             deposit.image(beyond).slice_move(s![rows.clone(), columns.clone()])
         };
         let kind = (self.blocks.film.number, self.blocks.film.depth_nm.map(|z| 10.0 * z));
@@ -221,11 +222,8 @@ impl RegionImager for FilmImager {
     fn cost(&self, subtile: [usize; 2], subtiles: usize) -> Result<ImagingCost> {
         let probes = self.blocks.particle_probes();
         let main = match self.blocks.block_plan()? {
-            Some(plan) => SimulationRuns {
-                plan,
-                probes: probes.min(BLOCK_PROBES),
-                runs: probes.div_ceil(BLOCK_PROBES),
-            },
+            Some(planned) => SimulationRuns::new(planned, probes.div_ceil(BLOCK_PROBES))
+                .for_probes(probes.min(BLOCK_PROBES)),
             None => {
                 let (recipe, specimen) = (&self.blocks.recipe, &*self.blocks.specimen);
                 rectangle_plan(recipe, specimen, &self.blocks.simulator, subtile, subtiles)?.0

@@ -9,12 +9,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 use ndarray::Array2;
 
 use super::samples::Samples;
-use crate::engine::{Plan, Scan, Site};
+use crate::engine::phonons::displaced;
+use crate::engine::{Plan, PlannedScan, Scan, Site};
 use crate::error::Result;
 use crate::imaging::displaced_atoms::DisplacedAtoms;
 use crate::imaging::pixels::PixelBox;
 use crate::imaging::simulator::Simulator;
-use crate::phonons::displaced;
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Region};
 use crate::specimen::{ParticleTruth, Specimen, ThinFilm, particles_in};
@@ -59,7 +59,7 @@ pub struct ParticleBlocks {
     pub window_angstrom: f64,
     /// Distance of samples in Angstrom.
     pub step: f64,
-    pub kept: Mutex<Kept>,
+    pub kept: Mutex<KeptBlocks>,
 }
 
 /// Number of a block along y and x, and of configurations.
@@ -67,12 +67,12 @@ type Key = ([i64; 2], usize);
 
 /// The blocks made last.
 #[derive(Default)]
-pub struct Kept {
+pub struct KeptBlocks {
     blocks: BTreeMap<Key, Option<Arc<BlockImage>>>,
     order: VecDeque<Key>,
 }
 
-impl Kept {
+impl KeptBlocks {
     fn add(&mut self, key: Key, block: Option<Arc<BlockImage>>) {
         if self.order.len() >= KEPT {
             self.order.pop_front().map(|oldest| self.blocks.remove(&oldest));
@@ -111,7 +111,7 @@ impl ParticleBlocks {
     ///
     /// # Errors
     /// Those of the settings.
-    pub fn block_plan(&self) -> Result<Option<Plan>> {
+    pub fn block_plan(&self) -> Result<Option<PlannedScan>> {
         let mut particles = self.specimen.particles();
         let moment = |n: i32| particles.iter().map(|p| p.diameter_nm.powi(n)).sum::<f64>();
         let mean = moment(3) / moment(2);
@@ -122,14 +122,13 @@ impl ParticleBlocks {
         let [x, y] = [0, 1].map(|k| [particle.centre_nm[k] - half, particle.centre_nm[k] + half]);
         let atoms = self.atoms(&Region { x, y });
         let size = [20.0 * half, 20.0 * half, 10.0 * self.specimen.thickness_nm()];
-        let mut plan = Plan::new(self.simulator.settings(), size, &self.heights(&atoms))?;
+        let plan = Plan::new(self.simulator.settings(), size, &self.heights(&atoms))?;
         let scan = Scan {
             origin_angstrom: [self.margin(); 2],
             step_angstrom: [self.step; 2],
             shape: [BLOCK as usize; 2],
         };
-        plan.count_steps(&atoms, &scan);
-        Ok(Some(plan))
+        Ok(Some(PlannedScan::new(plan, scan, Some(&atoms))))
     }
 
     /// The blocks that hold any of some samples.

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use ndarray::{Array2, Axis};
 use sha2::{Digest, Sha256};
 
-use crate::engine::{Plan, Scan, Settings, Simulation, Site};
+use crate::engine::{Plan, PlannedScan, Scan, Settings, Simulation, Site};
 use crate::error::{Error, Result};
 use crate::imaging::mosaic::library_cache::Cache;
 use crate::numerics::NUMERICS_VERSION;
@@ -275,13 +275,9 @@ impl Library {
     ///
     /// # Errors
     /// Those of the settings.
-    pub fn largest_plan(&self) -> Result<Option<Plan>> {
+    pub fn largest_plan(&self) -> Result<Option<PlannedScan>> {
         let largest = self.shelves.values().max_by_key(|s| s.probes());
-        let plan = |s: &CellImages| {
-            let mut plan = s.plan(&self.settings)?;
-            plan.count_waves(&s.scan);
-            Ok(plan)
-        };
+        let plan = |s: &CellImages| Ok(PlannedScan::new(s.plan(&self.settings)?, s.scan, None));
         largest.map(plan).transpose()
     }
 

@@ -199,9 +199,9 @@ impl RegionImager for MosaicImager {
             rectangle_plan(&self.recipe, &*self.specimen, &self.simulator, subtile, subtiles)?;
         let mosaic = self.mosaic_cost();
         let main = match self.library.largest_plan()? {
-            Some(plan) => {
+            Some(planned) => {
                 let probes = mosaic.missing_probes.div_ceil(mosaic.missing.max(1));
-                SimulationRuns { plan, probes, runs: mosaic.missing }
+                SimulationRuns::new(planned, mosaic.missing).for_probes(probes)
             }
             None => direct,
         };

@@ -6,7 +6,7 @@ use super::{ABTEM, Case, FRACTION, Group, compare_all, percent, shown_percent};
 use crate::engine::{Algorithm, Settings, diffraction};
 use crate::error::Result;
 use crate::optics::Aberration;
-use crate::potential::projected::{PlacedAtom, Projector, Shape};
+use crate::potential::projected::{PlacedAtom, PotentialFilter, Projector};
 use crate::potential::scattering::Parametrization;
 use crate::validate::difference::Difference;
 use crate::validate::golden::Golden;
@@ -229,18 +229,30 @@ fn potentials(_: &Lab) -> Result<Findings> {
     let (square, oblong) = ((cell, plane(false)), ([4.0, 5.0], loose.to_vec()));
     let upper = (cell, plane(true));
     let cases = [
-        ("sr_o_lobato", "SrO, Lobato", Parametrization::Lobato, &square, Shape::AsIs),
-        ("sr_o_kirkland", "SrO, Kirkland", Parametrization::Kirkland, &square, Shape::AsIs),
-        ("sr_o_peng", "SrO, Peng", Parametrization::Peng, &square, Shape::AsIs),
+        ("sr_o_lobato", "SrO, Lobato", Parametrization::Lobato, &square, PotentialFilter::AsIs),
+        (
+            "sr_o_kirkland",
+            "SrO, Kirkland",
+            Parametrization::Kirkland,
+            &square,
+            PotentialFilter::AsIs,
+        ),
+        ("sr_o_peng", "SrO, Peng", Parametrization::Peng, &square, PotentialFilter::AsIs),
         (
             "sr_o_lobato_as_shipped",
             "SrO, as abTEM ships it",
             Parametrization::Lobato,
             &square,
-            Shape::AbtemPixelCorrection,
+            PotentialFilter::AbtemPixelCorrection,
         ),
-        ("ti_o2_lobato", "TiO2, Lobato", Parametrization::Lobato, &upper, Shape::AsIs),
-        ("off_grid", "Sr, Ti and O off the grid", Parametrization::Lobato, &oblong, Shape::AsIs),
+        ("ti_o2_lobato", "TiO2, Lobato", Parametrization::Lobato, &upper, PotentialFilter::AsIs),
+        (
+            "off_grid",
+            "Sr, Ti and O off the grid",
+            Parametrization::Lobato,
+            &oblong,
+            PotentialFilter::AsIs,
+        ),
     ];
     let mut findings = Findings::default();
     for (name, title, parametrization, (extent, atoms), shape) in cases {

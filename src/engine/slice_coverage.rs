@@ -1,33 +1,32 @@
-//! Where the atoms of slices are: what holds none near a window is passed in one step there.
+//! Which slices hold atoms near a window: the others are passed in one step there.
 //!
-//! Particles, edges, tilted crystals and amorphous specimens have thin slices, of which a window meets few atoms or none.
+//! Particles, edges, tilted crystals and amorphous specimens have thin slices, and a window meets few atoms in each of
+//! them, or none.
 
-use super::plan::{Grid, Plan};
-use super::windows::Division;
-use super::{Scan, Site};
-use crate::phonons::displaced;
+use super::grid::Grid;
+use super::phonons::displaced;
+use super::plan::Plan;
 use crate::potential::projected::{PlacedAtom, Projection};
+use crate::structure::Site;
 
-/// Slices without an atom so near to a window, in Angstrom, are empty there. On a tilted Pt particle of 2.8 nm, windows of 5.9 A
-/// and slices of 0.5 A, that changes bright pixels by 0.002 % rms (no pixel by more than 0.006 % of the maximum) and takes 0.38
-/// times as long; with 0.5 A it would be 0.004 and 0.009 %, with 0 A 0.03 and 0.11 %.
+/// A slice without an atom so near to a window, in Angstrom, is empty there. On a tilted Pt particle of 2.8 nm, windows of
+/// 5.9 A and slices of 0.5 A, that changes bright pixels by 0.002 % rms (no pixel by more than 0.006 % of the maximum) and
+/// takes 0.38 times as long; with 0.5 A it would be 0.004 and 0.009 %, with 0 A 0.03 and 0.11 %.
 const NEAR_ANGSTROM: f64 = 1.0;
-/// Windows that an estimate looks at.
-const SAMPLED: usize = 400;
 
-/// The atoms of each slice, from above.
-pub(super) struct Occupancy {
+/// The atoms of each slice, seen along the beam.
+pub(super) struct SliceCoverage {
     /// Grid of the transmission functions.
     grid: Grid,
     /// Points (x, y) of a window.
     window: [usize; 2],
     /// x and y of the atoms in pixels within the cell, by ascending y.
     slices: Vec<Vec<[f64; 2]>>,
-    /// Whether slices hold parts of the atoms of others.
+    /// Whether atoms reach into other slices than their own, so that no slice is empty.
     spread: bool,
 }
 
-impl Occupancy {
+impl SliceCoverage {
     pub fn new(plan: &Plan, by_slice: &[Vec<PlacedAtom>]) -> Self {
         let grid = plan.transmission_grid;
         let pixel = grid.sampling_angstrom();
@@ -41,10 +40,10 @@ impl Occupancy {
         };
         let slices = by_slice.iter().map(sorted).collect();
         let spread = plan.settings.projection == Projection::Finite;
-        Occupancy { grid, window: plan.wave_grid.points, slices, spread }
+        SliceCoverage { grid, window: plan.wave_grid.points, slices, spread }
     }
 
-    /// The slices that hold anything for waves that begin at pixel `origin` (row, column).
+    /// The slices that hold atoms near a window whose first pixel is `origin` (row, column), ascending.
     pub fn within(&self, origin: (usize, usize)) -> Vec<usize> {
         let pixel = self.grid.sampling_angstrom();
         let cell = self.grid.points.map(|n| n as f64);
@@ -55,21 +54,21 @@ impl Occupancy {
             (atom[k] - start[k]).rem_euclid(cell[k]) <= self.window[k] as f64 + 2.0 * reach[k]
         };
         let met = |atoms: &Vec<[f64; 2]>| {
-            // From the first row on, over the edge of the cell: a large field has many atoms.
+            // From the window's first row on, around the edge of the cell: large fields have many atoms.
             let (before, after) = atoms.split_at(atoms.partition_point(|a| a[1] < start[1]));
             after.iter().chain(before).take_while(|a| near(a, 1)).any(|a| near(a, 0))
         };
         (0..self.slices.len()).filter(|&i| self.spread || met(&self.slices[i])).collect()
     }
 
-    /// As if slices held something everywhere.
+    /// Makes every slice count as filled everywhere.
     #[cfg(test)]
     pub fn spread(&mut self) {
         self.spread = true;
     }
 }
 
-/// Displaces atoms and sorts them into slices.
+/// The displaced atoms of one phonon configuration, slice by slice.
 pub(super) fn place(plan: &Plan, sites: &[Site], configuration: u32) -> Vec<Vec<PlacedAtom>> {
     let slices = &plan.slices;
     let mut by_slice = vec![Vec::new(); slices.len()];
@@ -78,28 +77,10 @@ pub(super) fn place(plan: &Plan, sites: &[Site], configuration: u32) -> Vec<Vec<
             Some(p) => displaced(site, p.seed, configuration),
             None => site.position,
         };
-        // Wrapped by the mean height: a site near a face must not jump to the other one.
+        // Wrapped by the mean height: an atom near a face must not jump to the other one.
         let z = slices.wrap(site.position[2]) + (position[2] - site.position[2]);
         let position = [position[0], position[1], z];
         by_slice[slices.index(z)].push(PlacedAtom { position, number: site.number });
     }
     by_slice
-}
-
-impl Plan {
-    /// Lets the estimates know how many waves are propagated for the probes of a scan, and how many slices they pass in
-    /// the mean.
-    pub fn count_steps(&mut self, sites: &[Site], scan: &Scan) {
-        self.count_waves(scan);
-        if self.wave_grid == self.transmission_grid || scan.is_empty() {
-            return;
-        }
-        let occupancy = Occupancy::new(self, &place(self, sites, 0));
-        let patches = Division::new(self, scan).patches;
-        let every = patches.len().div_ceil(SAMPLED);
-        let steps = |i: usize| occupancy.within(patches[i].origin).len();
-        let sampled = (0..patches.len()).step_by(every);
-        let number = sampled.len();
-        self.steps_per_wave = sampled.map(steps).sum::<usize>() as f64 / number as f64;
-    }
 }

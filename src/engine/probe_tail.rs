@@ -1,60 +1,64 @@
 //! What the part of a probe outside its window would have scattered onto the detectors.
 //!
-//! A window holds all but a per cent or two of the probe. The rest, far from the probe's axis, comes from
-//! the edge of the aperture; it does not channel, and scatters from each atom as if that were alone:
-//! `I_tail = sum_a P(r_a) s_a`, P the intensity of the tail (1/Angstrom^2), carried by free space to half the
-//! thickness, s_a the atom's cross section for the detector. Without it windows of 7.8 A read 0.8 % of the
-//! mean image too low everywhere, which between columns is 3-5 %.
+//! One or two per cent of the probe lie outside its window. This tail, far from the probe's axis, comes from the edge of the
+//! aperture. It does not channel, and each atom scatters it as if alone: `I_tail = sum_a P(r_a) s_a`, P being the
+//! intensity of the tail (1/Angstrom^2) after half the thickness of free space, s_a the cross section of the atom for the
+//! detector. Without it, windows of 7.8 A are too dark everywhere by 0.8 % of the mean image, which is 3-5 % between
+//! columns.
 
 use super::accuracy::LEAST_INNER_SEMIANGLES;
-use super::plan::{Grid, Plan};
-use super::prism::single;
+use super::grid::Grid;
+use super::plan::Plan;
 use super::probe::{probe_in_box, repeated};
-use super::windows::{Division, window_centre};
-use super::{Scan, Site};
+use super::probe_patches::{ProbePatches, window_centre};
+use super::probe_scan::Scan;
+use super::single_precision::single;
 use crate::constants::interaction_parameter;
 use crate::detect::Detector;
 use crate::error::Result;
 use crate::fft::{Buffer, Fft2, Scratch, frequency, good_size};
 use crate::potential::cores::cross_section;
 use crate::potential::scattering::ScatteringFactor;
+use crate::structure::Site;
 use num_complex::{Complex32, Complex64};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::PI;
 
-/// Whether a detector sees the scattering of the tail only.
+/// Whether the detector begins at angles large enough to see only what atoms scatter of the tail, not the tail itself.
 fn applies(detector: &Detector, plan: &Plan) -> bool {
     detector.inner_mrad >= LEAST_INNER_SEMIANGLES * plan.settings.optics.semiangle_mrad
 }
 
 /// The tails of a plan's probes.
-pub(super) struct Tail<'a> {
+pub(super) struct ProbeTail<'a> {
     plan: &'a Plan,
-    cell: Cell,
-    around: Cell,
+    /// The cell.
+    cell: TailGrid,
+    /// The box in which probes are made: the cell, repeated.
+    around: TailGrid,
 }
 
-/// Pixels of the grid on which tails are, in Angstrom, at most: their intensity holds no detail below 0.3 A.
+/// Largest pixel of the grid of tails in Angstrom: their intensity holds no detail below 0.3 A.
 const PIXEL_ANGSTROM: f64 = 0.15;
-/// Probes nearer to each other, relative to their windows, than this along an axis, in Angstrom, have one tail.
+/// Probes share one tail if their positions in their windows differ by less than this along an axis, in Angstrom.
 const ALIKE_ANGSTROM: f64 = 1.2;
 
-impl<'a> Tail<'a> {
-    /// `None` where the plan has no windows.
+impl<'a> ProbeTail<'a> {
+    /// `None` if nothing of the probes lies outside, or the correction is off.
     pub fn new(plan: &'a Plan) -> Option<Self> {
-        let all = plan.wave_grid == plan.transmission_grid && !plan.settings.large_probe_box();
+        let all = !plan.has_windows() && !plan.settings.large_probe_box();
         if all || !plan.settings.tail_correction {
             return None;
         }
         let extent_angstrom = plan.transmission_grid.extent_angstrom;
         let points = extent_angstrom.map(|l| good_size((l / PIXEL_ANGSTROM).ceil() as usize, 1));
         let grid = Grid { points, extent_angstrom };
-        let (cell, around) = (Cell::new(grid), Cell::new(repeated(plan, &grid)));
-        Some(Tail { plan, cell, around })
+        let (cell, around) = (TailGrid::new(grid), TailGrid::new(repeated(plan, &grid)));
+        Some(ProbeTail { plan, cell, around })
     }
 
-    /// Fractions of the beam as (probe, recorded thickness, detector), row-major.
+    /// What the tails add, as fractions of the beam: (probe, recorded thickness, detector), row-major.
     ///
     /// # Errors
     /// An element that the tables lack.
@@ -65,15 +69,7 @@ impl<'a> Tail<'a> {
         let mut out = vec![0.0; scan.len() * thicknesses.len() * detectors.len()];
         let alike = self.alike(scan);
         let seen = detectors.iter().enumerate().filter(|(_, d)| applies(d, plan));
-        let atoms = seen.map(|(d, detector)| {
-            let sections = cross_sections(plan, sites, detector)?;
-            let up_to = |&slice: &usize| {
-                let last = plan.slices.boundaries[slice + 1];
-                let inside = sites.iter().filter(|s| plan.slices.wrap(s.position[2]) < last);
-                self.cell.atoms(inside.map(|s| (s.position, sections.get(&s.number).copied())))
-            };
-            Ok((d, plan.record_after.iter().map(up_to).collect()))
-        });
+        let atoms = seen.map(|(d, detector)| Ok((d, self.atoms(sites, detector)?)));
         let atoms: Vec<(usize, Vec<Buffer>)> = atoms.collect::<Result<_>>()?;
         let values = alike.par_iter().map(|(offset, probes)| {
             let mut scratch = (self.cell.fft.scratch(), self.around.fft.scratch());
@@ -95,7 +91,20 @@ impl<'a> Tail<'a> {
         Ok(out)
     }
 
-    /// Transform of the intensity that a wave outside of the window has `distance` (Angstrom) on, folded into the cell.
+    /// Transforms of the cross sections of all atoms up to each recorded thickness.
+    fn atoms(&self, sites: &[Site], detector: &Detector) -> Result<Vec<Buffer>> {
+        let slices = &self.plan.slices;
+        let sections = cross_sections(self.plan, sites, detector)?;
+        let up_to = |&slice: &usize| {
+            let last = slices.boundaries[slice + 1];
+            let inside = sites.iter().filter(|s| slices.wrap(s.position[2]) < last);
+            self.cell.atoms(inside.map(|s| (s.position, sections.get(&s.number).copied())))
+        };
+        Ok(self.plan.record_after.iter().map(up_to).collect())
+    }
+
+    /// Transform of the intensity of a tail after `distance` (Angstrom) of free space, folded into the cell; `outside` holds
+    /// its Fourier coefficients before.
     fn intensity(
         &self,
         outside: &Buffer,
@@ -103,25 +112,26 @@ impl<'a> Tail<'a> {
         scratch: &mut (Scratch, Scratch),
     ) -> Buffer {
         let mut tail = outside.clone();
-        self.around.travel(&mut tail, distance, self.plan, &mut scratch.1);
+        self.around.propagate(&mut tail, distance, self.plan, &mut scratch.1);
         let mut tail = self.cell.folded(&tail, &self.around);
         self.cell.fft.forward(&mut tail, &mut scratch.0);
         tail
     }
 
-    /// Probes of a scan that stand about alike in their windows, with how far (x, y) they are from the middle, in Angstrom.
+    /// Groups of probes at nearly the same position in their windows: their distance (x, y) in Angstrom from the middle, and
+    /// their indices in the scan.
     fn alike(&self, scan: &Scan) -> Vec<([f64; 2], Vec<usize>)> {
         let plan = self.plan;
-        if plan.wave_grid == plan.transmission_grid {
-            // What is cropped to the cell moves with the probe.
+        if !plan.has_windows() {
+            // The probe is cropped to the cell once, and its tail moves with it.
             return vec![([0.0; 2], (0..scan.len()).collect())];
         }
-        let division = Division::new(plan, scan);
-        let (centre, half) = (window_centre(plan), division.half(plan));
+        let patches = ProbePatches::new(plan, scan);
+        let (centre, half) = (window_centre(plan), patches.half(plan));
         let number = half.map(|h| (2.0 * h / ALIKE_ANGSTROM).ceil().max(1.0));
         let width = [0, 1].map(|k| 2.0 * half[k] / number[k]);
         let mut classes: BTreeMap<[i64; 2], Vec<usize>> = BTreeMap::new();
-        for (i, position) in division.patches.iter().flat_map(|p| &p.probes) {
+        for (i, position) in patches.patches.iter().flat_map(|p| &p.probes) {
             let class = [0, 1].map(|k| {
                 let from_edge = position[k] - centre[k] + half[k];
                 (from_edge / width[k].max(1e-9)).floor().clamp(0.0, number[k] - 1.0) as i64
@@ -132,32 +142,15 @@ impl<'a> Tail<'a> {
         classes.into_iter().map(|(class, probes)| (offset(class), probes)).collect()
     }
 
-    /// Fourier coefficients of a probe at the origin, outside of a window from whose middle it is `offset` (Angstrom) away.
+    /// Fourier coefficients of the tail of a probe at the origin: the part outside a window from whose middle the probe is
+    /// `offset` (Angstrom) away.
     fn outside(&self, offset: [f64; 2], scratch: &mut Scratch) -> Buffer {
         let around = &self.around;
         let (window, centre) = (&self.plan.wave_grid, window_centre(self.plan));
-        // The window begins at the origin, so that its part of the box is simple.
+        // The window begins at the origin of the box.
         let position = [0, 1].map(|k| centre[k] + offset[k]);
         let mut wave = probe_in_box(self.plan, &around.grid, position, &around.fft, scratch);
-        let pixel = around.grid.sampling_angstrom();
-        // Which share of a pixel, centred on its point, lies in the window.
-        let share = |k: usize| -> Vec<f32> {
-            let n = around.grid.points[k];
-            let half = 0.5 * window.sampling_angstrom()[k];
-            let (low, high) = (-half, window.extent_angstrom[k] - half);
-            let of = |i: usize| {
-                let x = frequency(i, n) as f64 * pixel[k];
-                let x = if x < -0.5 * (around.grid.extent_angstrom[k] - high) {
-                    x + around.grid.extent_angstrom[k]
-                } else {
-                    x
-                };
-                let (from, to) = (x - 0.5 * pixel[k], x + 0.5 * pixel[k]);
-                ((to.min(high) - from.max(low)) / pixel[k]).clamp(0.0, 1.0) as f32
-            };
-            (0..n).map(of).collect()
-        };
-        let (columns, rows) = (share(0), share(1));
+        let (columns, rows) = (around.share_within(window, 0), around.share_within(window, 1));
         for (row, y) in wave.chunks_exact_mut(around.fft.stride()).zip(&rows) {
             row.iter_mut().zip(&columns).for_each(|(v, x)| *v *= 1.0 - x * y);
         }
@@ -167,7 +160,7 @@ impl<'a> Tail<'a> {
     }
 }
 
-/// Cross section of each element in Angstrom^2.
+/// Cross section in Angstrom^2 of each element of the sites for scattering onto the detector.
 fn cross_sections(plan: &Plan, sites: &[Site], detector: &Detector) -> Result<BTreeMap<u8, f64>> {
     let optics = &plan.settings.optics;
     let per_mrad = 1e-3 / optics.wavelength_angstrom();
@@ -182,19 +175,35 @@ fn cross_sections(plan: &Plan, sites: &[Site], detector: &Detector) -> Result<BT
     elements.into_iter().map(section).collect()
 }
 
-/// A grid of the whole cell or more.
-struct Cell {
+/// A grid of the whole cell, or of several cells.
+struct TailGrid {
     grid: Grid,
     fft: Fft2,
 }
 
-impl Cell {
+impl TailGrid {
     fn new(grid: Grid) -> Self {
         let (ny, nx) = grid.shape();
-        Cell { grid, fft: Fft2::new(ny, nx) }
+        TailGrid { grid, fft: Fft2::new(ny, nx) }
     }
 
-    /// Multiplies Fourier coefficients by `f(k_y) f(k_x)`.
+    /// Of each column (axis 0) or row (axis 1) of pixels, the share that lies in a window that begins at the origin.
+    /// Pixels are centred on their points.
+    fn share_within(&self, window: &Grid, axis: usize) -> Vec<f32> {
+        let (n, extent) = (self.grid.points[axis], self.grid.extent_angstrom[axis]);
+        let pixel = self.grid.sampling_angstrom()[axis];
+        let half = 0.5 * window.sampling_angstrom()[axis];
+        let (low, high) = (-half, window.extent_angstrom[axis] - half);
+        let share = |i: usize| {
+            let x = frequency(i, n) as f64 * pixel;
+            let x = if x < -0.5 * (extent - high) { x + extent } else { x };
+            let (from, to) = (x - 0.5 * pixel, x + 0.5 * pixel);
+            ((to.min(high) - from.max(low)) / pixel).clamp(0.0, 1.0) as f32
+        };
+        (0..n).map(share).collect()
+    }
+
+    /// Multiplies Fourier coefficients by `f(k_y) f(k_x)`; `factor` takes the axis and the frequency in 1/Angstrom.
     fn multiply(&self, wave: &mut [Complex32], factor: impl Fn(usize, f64) -> Complex64) {
         let dk = self.grid.dk();
         let axis = |k: usize| -> Vec<Complex32> {
@@ -212,21 +221,21 @@ impl Cell {
         self.multiply(wave, |axis, k| Complex64::from_polar(1.0, 2.0 * PI * k * position[axis]));
     }
 
-    /// Takes a wave (Fourier coefficients times pixels) through free space and leaves its intensity, which sums
-    /// to its share of the beam.
-    fn travel(&self, wave: &mut [Complex32], distance: f64, plan: &Plan, scratch: &mut Scratch) {
+    /// Propagates a wave, given as Fourier coefficients times the number of pixels, through free space, and leaves its
+    /// intensity in real space, which sums to its share of the beam.
+    fn propagate(&self, wave: &mut [Complex32], distance: f64, plan: &Plan, scratch: &mut Scratch) {
         let (ny, nx) = self.fft.shape();
         let wavelength = plan.settings.optics.wavelength_angstrom();
         self.multiply(wave, |_, k| Complex64::from_polar(1.0, -PI * wavelength * distance * k * k));
         self.fft.inverse(wave, scratch);
-        // entries have norm 1 as coefficients; the inverse of a forward transform multiplies by the pixels
+        // Coefficients of a whole probe have norm 1, and a forward and an inverse transform multiply by the pixels.
         let pixels = (nx * ny) as f32;
         let scale = 1.0 / (pixels * pixels * pixels);
         wave.iter_mut().for_each(|v| *v = Complex32::new(v.norm_sqr() * scale, 0.0));
     }
 
-    /// The sum over this cell's places of what a larger box of several cells holds.
-    fn folded(&self, large: &[Complex32], of: &Cell) -> Buffer {
+    /// Folds an array of a larger box of several cells into this cell: the sum over the cells.
+    fn folded(&self, large: &[Complex32], of: &TailGrid) -> Buffer {
         let mut out = self.fft.buffer();
         let ((ny, nx), (my, mx)) = (self.fft.shape(), of.fft.shape());
         for y in 0..my {
@@ -239,7 +248,8 @@ impl Cell {
         out
     }
 
-    /// Transform of the atoms' cross sections per area.
+    /// Transform of the map of the atoms' cross sections per area; `atoms` are positions in Angstrom and cross sections in
+    /// Angstrom^2.
     fn atoms(&self, atoms: impl Iterator<Item = ([f64; 3], Option<f64>)>) -> Buffer {
         let stride = self.fft.stride();
         let pixel = self.grid.sampling_angstrom();
@@ -263,7 +273,7 @@ impl Cell {
         map
     }
 
-    /// For a probe at `position` (Angstrom).
+    /// The value of a correlation for a probe at `position` (Angstrom).
     fn value(&self, map: &[Complex32], position: [f64; 2]) -> f64 {
         let (ny, nx) = self.fft.shape();
         let part = |(row, column, weight): (usize, usize, f64)| {
@@ -273,7 +283,7 @@ impl Cell {
         (sum / (nx * ny) as f64).max(0.0)
     }
 
-    /// The points (row, column) around a position in Angstrom with their weights in linear interpolation.
+    /// The grid points (row, column) around a position in Angstrom, with their weights in linear interpolation.
     fn between(&self, position: [f64; 2]) -> impl Iterator<Item = (usize, usize, f64)> {
         let pixel = self.grid.sampling_angstrom();
         let place = [0, 1].map(|k| position[k] / pixel[k]);

@@ -1,20 +1,20 @@
-//! Images of atoms that scatter independently of each other: for thin regions of light atoms, and for what the far
-//! tail of a probe scatters.
+//! Images in single scattering: every atom scatters the probe as if it were alone. For thin films of light atoms, and for what
+//! atoms scatter of the far tail of a probe.
 //!
-//! Each atom adds `s (P_z * v)(r)` to the image, P_z being the probe's intensity at its depth in free space, s its cross
-//! section for the detector and v, of integral 1, what blurs its scattering. Three things are left out. Waves
-//! from different atoms do not interfere: they do so at random in an amorphous film, and average out over phonon
-//! configurations. Nothing is scattered twice. Waves take up no curvature of the probe within an atom.
+//! Each atom adds `s (P_z * v)(r)` to the image: P_z is the intensity of the probe in free space at the depth of the atom, s
+//! the cross section of the atom for the detector, and v the blur of its scattering, with integral 1. Three things are
+//! neglected. Interference between different atoms: it is random in an amorphous film and averages out over phonon
+//! configurations. Multiple scattering. The curvature of the probe's phase within an atom.
 //!
-//! For amorphous carbon of 50 A (2.0 g/cm3, 68-200 mrad, 200 kV) the mean is right to 1 %, and pixels deviate by 5 % rms of
-//! the film's mean intensity in one configuration, 3.0 % in the mean of 4 and 2.5 % of 7 (tests/world_film.rs);
-//! the film is 1 % as bright as a Pt column.
+//! For 50 A of amorphous carbon (2.0 g/cm3, 68-200 mrad, 200 kV) the mean is right to 1 %. Pixels deviate by 5 % rms of the
+//! film's mean intensity in one configuration, by 3.0 % in the mean of 4 and by 2.5 % in that of 7
+//! (tests/world_film.rs). The film is 1 % as bright as a Pt column.
 
 use super::settings::Settings;
 use crate::constants::interaction_parameter;
 use crate::detect::Detector;
 use crate::error::Result;
-use crate::fft::{Fft2, frequency, good_size};
+use crate::fft::{Buffer, Fft2, frequency, good_size};
 use crate::potential::cores::amplitudes;
 use crate::potential::scattering::ScatteringFactor;
 use crate::resample::{Kernel, image_band_limit};
@@ -23,17 +23,18 @@ use num_complex::{Complex32, Complex64};
 use rayon::prelude::*;
 use std::f64::consts::{PI, TAU};
 
-/// Distance in Angstrom of the depths for which the probe's intensity is computed; linear between them.
+/// Distance in Angstrom of the depths for which the probe's intensity is computed; between them it is interpolated
+/// linearly.
 const LAYER_ANGSTROM: f64 = 5.0;
-/// Points of integrals over the detector and the aperture.
+/// Points of the integrals over the detector and the aperture.
 const RADII: usize = 96;
 const SPOKES: usize = 24;
 const DIRECTIONS: usize = 17;
 /// Points of the blur's transfer function.
 const TRANSFER_POINTS: usize = 12;
 
-/// A periodic raster of samples on which such images are made.
-pub struct Raster<'a> {
+/// A periodic raster of samples on which images in single scattering are made.
+pub struct SingleScattering<'a> {
     settings: &'a Settings,
     fft: Fft2,
     kernel: Kernel,
@@ -41,11 +42,13 @@ pub struct Raster<'a> {
     step: f64,
 }
 
-/// Atoms of one element, spread over the raster depth by depth.
-pub struct Deposit<'a> {
-    raster: &'a Raster<'a>,
+/// Where the atoms of one element are: their density on the raster, depth by depth.
+pub struct ScatteringMap<'a> {
+    raster: &'a SingleScattering<'a>,
     atom: Scatterer,
+    /// In Angstrom, ascending.
     depths: Vec<f64>,
+    /// One for each depth: rows = y, columns = x, row-major.
     layers: Vec<Vec<f64>>,
 }
 
@@ -53,30 +56,30 @@ pub struct Deposit<'a> {
 struct Scatterer {
     /// Cross section in Angstrom^2, mean over the directions of the probe.
     section: f64,
-    /// Transfer function of the blur at even steps up to twice the aperture.
+    /// Transfer function of the blur, at even steps up to twice the aperture.
     transfer: [f64; TRANSFER_POINTS + 1],
 }
 
-impl<'a> Raster<'a> {
-    /// At least `least` (rows, columns) samples, `step` Angstrom apart.
+impl<'a> SingleScattering<'a> {
+    /// A raster of at least `least` (rows, columns) samples, `step` Angstrom apart.
     ///
     /// # Errors
     /// [`crate::Error::Invalid`] for a step that does not carry images.
     pub fn new(settings: &'a Settings, step: f64, least: [usize; 2]) -> Result<Self> {
         let kernel = Kernel::new(step, image_band_limit(&settings.optics))?;
         let [ny, nx] = least.map(|n| good_size(n, 1));
-        Ok(Raster { settings, fft: Fft2::new(ny, nx), kernel, step })
+        Ok(SingleScattering { settings, fft: Fft2::new(ny, nx), kernel, step })
     }
 
-    /// Nothing as yet of element `number`, at depths from `depth[0]` to `depth[1]` Angstrom.
+    /// An empty map for atoms of element `number` at depths from `first` to `last` Angstrom.
     ///
     /// # Errors
     /// An element that the tables lack.
-    pub fn deposit(&'a self, number: u8, [first, last]: [f64; 2]) -> Result<Deposit<'a>> {
+    pub fn map(&'a self, number: u8, [first, last]: [f64; 2]) -> Result<ScatteringMap<'a>> {
         let count = ((last - first) / LAYER_ANGSTROM).ceil().max(1.0) as usize;
         let depth = |i| first + (last - first) * i as f64 / count as f64;
         let (ny, nx) = self.fft.shape();
-        Ok(Deposit {
+        Ok(ScatteringMap {
             raster: self,
             atom: Scatterer::new(self.settings, &self.settings.detectors[0], number)?,
             depths: (0..=count).map(depth).collect(),
@@ -84,28 +87,11 @@ impl<'a> Raster<'a> {
         })
     }
 
-    /// Fourier coefficients of the probe's intensity at a depth, which sums to its share of the beam.
-    fn probe(&self, depth: f64, beyond: f64) -> crate::fft::Buffer {
-        let optics = &self.settings.optics;
+    /// Fourier coefficients of the probe's intensity at a depth (Angstrom), further than `beyond` (Angstrom, along x or y)
+    /// from its middle. The intensity sums to its share of the beam.
+    fn probe(&self, depth: f64, beyond: f64) -> Buffer {
         let (ny, nx) = self.fft.shape();
-        let dk = [nx, ny].map(|n| 1.0 / (n as f64 * self.step));
-        let mut wave = self.fft.buffer();
-        let mut norm = 0.0;
-        for iy in 0..ny {
-            let ky = frequency(iy, ny) as f64 * dk[1];
-            for ix in 0..nx {
-                let kx = frequency(ix, nx) as f64 * dk[0];
-                let amplitude = optics.transfer([kx, ky], dk);
-                if amplitude == Complex64::ZERO {
-                    continue;
-                }
-                // As in a large box: the edge of the aperture is soft, its area is what counts.
-                norm += amplitude.norm();
-                let phase = -PI * optics.wavelength_angstrom() * depth * (kx * kx + ky * ky);
-                let c = amplitude * Complex64::from_polar(1.0, phase);
-                wave[iy * self.fft.stride() + ix] = Complex32::new(c.re as f32, c.im as f32);
-            }
-        }
+        let (mut wave, norm) = self.probe_spectrum(depth);
         let mut scratch = self.fft.scratch();
         self.fft.inverse(&mut wave, &mut scratch);
         let scale = 1.0 / (norm * (nx * ny) as f64);
@@ -121,12 +107,38 @@ impl<'a> Raster<'a> {
         self.fft.forward(&mut wave, &mut scratch);
         wave
     }
+
+    /// Fourier coefficients of the probe at a depth (Angstrom), and the area of the aperture, which is its squared norm in a
+    /// large box.
+    fn probe_spectrum(&self, depth: f64) -> (Buffer, f64) {
+        let optics = &self.settings.optics;
+        let (ny, nx) = self.fft.shape();
+        let dk = [nx, ny].map(|n| 1.0 / (n as f64 * self.step));
+        let mut wave = self.fft.buffer();
+        let mut norm = 0.0;
+        for iy in 0..ny {
+            let ky = frequency(iy, ny) as f64 * dk[1];
+            for ix in 0..nx {
+                let kx = frequency(ix, nx) as f64 * dk[0];
+                let amplitude = optics.transfer([kx, ky], dk);
+                if amplitude == Complex64::ZERO {
+                    continue;
+                }
+                // The edge of the aperture is soft; its area is the sum of amplitudes.
+                norm += amplitude.norm();
+                let phase = -PI * optics.wavelength_angstrom() * depth * (kx * kx + ky * ky);
+                let c = amplitude * Complex64::from_polar(1.0, phase);
+                wave[iy * self.fft.stride() + ix] = Complex32::new(c.re as f32, c.im as f32);
+            }
+        }
+        (wave, norm)
+    }
 }
 
-impl Deposit<'_> {
-    /// Adds atoms at `positions`: x and y in Angstrom from the first sample, and depth.
+impl ScatteringMap<'_> {
+    /// Adds atoms at `positions` (x and y from the first sample, and depth, in Angstrom), each counted `weight` times.
     pub fn add(&mut self, positions: &[[f64; 3]], weight: f64) {
-        let Deposit { raster, depths, layers, .. } = self;
+        let ScatteringMap { raster, depths, layers, .. } = self;
         let ((ny, nx), kernel, step) = (raster.fft.shape(), &raster.kernel, raster.step);
         let (first, spacing) = (depths[0], (depths[1] - depths[0]).max(1e-9));
         let last = (depths.len() - 1) as f64;
@@ -137,7 +149,7 @@ impl Deposit<'_> {
                 if share <= 0.0 {
                     continue;
                 }
-                // The transpose of interpolation: the image at any place is a sum over samples.
+                // The transpose of interpolation, since images are interpolated from the samples.
                 let (across, down) = (kernel.weights(x / step), kernel.weights(y / step));
                 for (i, wy) in down.values.iter().enumerate() {
                     let row = (down.first + i as i64).rem_euclid(ny as i64) as usize;
@@ -152,10 +164,10 @@ impl Deposit<'_> {
         });
     }
 
-    /// The image: intensity in fractions of the beam at each sample. Only what is scattered further than `beyond` Angstrom from
-    /// the probe, along x or y, counts.
+    /// The image: the fraction of the beam on the detector for a probe at each sample, rows = y and columns = x of the raster.
+    /// Only atoms further than `beyond` Angstrom from the probe, along x or y, count.
     pub fn image(&self, beyond: f64) -> Array2<f64> {
-        let Raster { fft, step, settings, .. } = self.raster;
+        let SingleScattering { fft, step, settings, .. } = self.raster;
         let (ny, nx) = fft.shape();
         let optics = &settings.optics;
         let reach = 2e-3 * optics.semiangle_mrad / optics.wavelength_angstrom();
@@ -166,7 +178,7 @@ impl Deposit<'_> {
                 row.iter_mut().zip(line).for_each(|(to, v)| *to = Complex32::new(*v as f32, 0.0));
             }
             fft.forward(&mut sum, &mut fft.scratch());
-            // An atom at r is seen by a probe at r0 with P(r - r0): a correlation.
+            // A probe at r0 meets an atom at r with the intensity P(r - r0): a correlation.
             sum.iter_mut().zip(&*probe).for_each(|(s, p)| *s *= p.conj());
             sum
         });
@@ -237,7 +249,8 @@ impl Scatterer {
     }
 }
 
-/// Means of two directions within the aperture that are `2 half` apart along x: evenly over the overlap of two disks.
+/// Means of two directions within the aperture that are `2 half` apart along x: even over the overlap of the two shifted
+/// apertures.
 fn directions(aperture: f64, half: f64) -> Vec<[f64; 2]> {
     let edge = |i: usize| ((i as f64 + 0.5) / DIRECTIONS as f64 * 2.0 - 1.0) * aperture;
     let all = (0..DIRECTIONS * DIRECTIONS).map(|i| [edge(i % DIRECTIONS), edge(i / DIRECTIONS)]);
@@ -279,10 +292,10 @@ mod tests {
                 Scan { origin_angstrom: [4.0, 8.0], step_angstrom: [step; 2], shape: [1, 32] };
             let exact = simulate(&plan, &[site], &scan, &Silent).unwrap();
             let exact = exact.image(0, 0);
-            let raster = Raster::new(&settings, step, [300, 300]).unwrap();
-            let mut deposit = raster.deposit(number, [0.0, 50.0]).unwrap();
-            deposit.add(&[[position[0] + 20.0, position[1] + 20.0, depth]], 1.0);
-            let ours = deposit.image(0.0);
+            let raster = SingleScattering::new(&settings, step, [300, 300]).unwrap();
+            let mut map = raster.map(number, [0.0, 50.0]).unwrap();
+            map.add(&[[position[0] + 20.0, position[1] + 20.0, depth]], 1.0);
+            let ours = map.image(0.0);
             let most = exact.iter().fold(0.0, |m: f64, v| m.max(f64::from(*v)));
             for j in 0..32 {
                 let (a, b) = (ours[[112, 96 + j]], f64::from(exact[[0, j]]));
@@ -291,15 +304,15 @@ mod tests {
         }
     }
 
-    /// What is left out near the probe is what `beyond` says, and the rest is kept.
+    /// Atoms within `beyond` of the probe are left out, and the others kept.
     #[test]
     fn near_and_far_add_to_all() {
         let settings = Settings::default();
-        let raster = Raster::new(&settings, 0.25, [200, 200]).unwrap();
+        let raster = SingleScattering::new(&settings, 0.25, [200, 200]).unwrap();
         let image = |beyond: f64| {
-            let mut deposit = raster.deposit(6, [0.0, 10.0]).unwrap();
-            deposit.add(&[[25.0, 25.0, 5.0]], 1.0);
-            deposit.image(beyond)
+            let mut map = raster.map(6, [0.0, 10.0]).unwrap();
+            map.add(&[[25.0, 25.0, 5.0]], 1.0);
+            map.image(beyond)
         };
         let (all, far) = (image(0.0), image(3.0));
         assert!((far[[100, 130]] / all[[100, 130]] - 1.0).abs() < 0.05);

@@ -1,14 +1,14 @@
 //! In-place passes of a Fourier transform over numbers in SIMD lanes, one transform per lane.
 //!
-//! Decimation in frequency forward, in time backward: a transform, a multiplication and the inverse
-//! transform never undo the digit-reversed order in the middle, and the innermost pass does all
-//! three in registers.
+//! Forward transforms decimate in frequency, inverse ones in time: the spectrum between them stays in
+//! digit-reversed order. The last forward pass, the multiplication and the first inverse pass are done
+//! together in registers.
 
 use super::butterfly::{Lanes, dft, inverse_dft, mul, mul_conj, splat};
-use super::radix::{RadixPlan, Stage};
+use super::radix_plan::{RadixPlan, RadixStage};
 use pulp::Simd;
 
-/// What happens between a transform and its inverse, at a position of the plan's order.
+/// What is done to each number between a transform and its inverse; `position` counts in the plan's order.
 pub trait Middle<S: Simd> {
     /// # Safety
     /// `position` must be below the plan's length.
@@ -16,7 +16,7 @@ pub trait Middle<S: Simd> {
 }
 
 /// The numbers under transformation.
-pub struct Kernel<'a, S: Simd> {
+pub struct RadixPasses<'a, S: Simd> {
     pub simd: S,
     pub plan: &'a RadixPlan,
     /// As many elements as the plan has numbers.
@@ -52,7 +52,7 @@ pub(super) use by_radix;
 /// `data` is raw because passes read and write with strides that slices would check at every access:
 /// every method needs it to hold the plan's numbers.
 #[allow(clippy::missing_safety_doc)]
-impl<S: Simd> Kernel<'_, S> {
+impl<S: Simd> RadixPasses<'_, S> {
     /// Stages `from..` forward.
     #[inline(always)]
     pub unsafe fn forward_from(&self, from: usize) {
@@ -119,7 +119,12 @@ impl<S: Simd> Kernel<'_, S> {
 
     /// Butterfly and twiddle factors of a forward stage.
     #[inline(always)]
-    pub unsafe fn twiddled<const R: usize>(&self, x: &mut [Lanes<S>; R], stage: &Stage, j: usize) {
+    pub unsafe fn twiddled<const R: usize>(
+        &self,
+        x: &mut [Lanes<S>; R],
+        stage: &RadixStage,
+        j: usize,
+    ) {
         unsafe {
             dft::<S, R>(self.simd, x);
             let w = stage.twiddles.as_ptr().add(j * (R - 1));
@@ -130,7 +135,7 @@ impl<S: Simd> Kernel<'_, S> {
     }
 
     #[inline(always)]
-    unsafe fn forward<const R: usize>(&self, stage: &Stage, base: usize) {
+    unsafe fn forward<const R: usize>(&self, stage: &RadixStage, base: usize) {
         unsafe {
             let sub = stage.len / R;
             for j in 0..sub {
@@ -151,7 +156,7 @@ impl<S: Simd> Kernel<'_, S> {
     #[inline(always)]
     pub unsafe fn untwiddled<const R: usize>(
         &self,
-        stage: &Stage,
+        stage: &RadixStage,
         base: usize,
         j: usize,
     ) -> [Lanes<S>; R] {
@@ -169,7 +174,7 @@ impl<S: Simd> Kernel<'_, S> {
     }
 
     #[inline(always)]
-    unsafe fn inverse<const R: usize>(&self, stage: &Stage, base: usize) {
+    unsafe fn inverse<const R: usize>(&self, stage: &RadixStage, base: usize) {
         unsafe {
             let sub = stage.len / R;
             for j in 0..sub {

@@ -1,12 +1,12 @@
 //! Fourier transforms down the columns of a matrix, one SIMD lane per column.
 //!
-//! A block of as many columns as the vector unit has lanes is transformed without transposes. The
-//! first pass reads the matrix and the last writes it; what lies between stays in cache.
+//! As many columns as the vector unit has lanes are transformed together, without transposes. The first pass
+//! reads them from the matrix and the last writes them back; the passes between work in cache.
 
+use super::band_limit::BandLimitedMultiplier;
 use super::butterfly::{Lanes, mul, splat};
-use super::kernel::{Kernel, Middle, by_radix};
-use super::multiplier::DiskMultiplier;
-use super::radix::{RadixPlan, lanes};
+use super::passes::{Middle, RadixPasses, by_radix};
+use super::radix_plan::{RadixPlan, lanes};
 use super::tile;
 use num_complex::Complex32;
 use pulp::{Arch, Simd, WithSimd};
@@ -35,15 +35,15 @@ impl ColumnPlan {
         self.plan.order()
     }
 
-    /// Transforms `columns` of every wave (rows of length `stride`), multiplies and transforms back,
-    /// unnormalised. The range is rounded up to whole vectors: the rows must be padded, see
-    /// [`lanes`]. Waves share the multiplier, which is worked out once for all.
+    /// Forward transform of `columns` of every wave (rows of length `stride`), multiplication, inverse
+    /// transform; unnormalised. The range is rounded up to whole vectors, so rows must be padded (see
+    /// [`lanes`]). The multiplier is worked out once for all waves.
     pub fn convolve<W: DerefMut<Target = [Complex32]>>(
         &self,
         waves: &mut [W],
         stride: usize,
         columns: Range<usize>,
-        multiplier: &DiskMultiplier,
+        multiplier: &BandLimitedMultiplier,
         scratch: &mut [f32],
     ) {
         for waves in waves.chunks_mut(MOST_WAVES) {
@@ -95,7 +95,7 @@ struct Convolve<'a> {
     waves: &'a [*mut f32],
     stride: usize,
     columns: Range<usize>,
-    multiplier: &'a DiskMultiplier,
+    multiplier: &'a BandLimitedMultiplier,
     scratch: &'a mut [f32],
 }
 
@@ -105,19 +105,20 @@ impl WithSimd for Convolve<'_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let (scratch, _) = S::as_mut_simd_f32s(self.scratch);
         let data: *mut Lanes<S> = scratch.as_mut_ptr().cast();
-        let kernel = Kernel { simd, plan: self.plan, data };
+        let kernel = RadixPasses { simd, plan: self.plan, data };
         // Bounds were checked by ColumnPlan::checked for all rows and for whole vectors, and scratch has room
         // for two blocks.
         unsafe {
             let factors = data.add(self.plan.points());
             for first in self.columns.step_by(S::F32_LANES) {
-                let disk = InDisk::<S>::new(simd, self.multiplier, first);
+                let band = InBand::<S>::new(simd, self.multiplier, first);
                 for position in 0..self.plan.points() {
-                    *factors.add(position) = disk.factor(simd, position);
+                    *factors.add(position) = band.factor(simd, position);
                 }
                 for &data in self.waves {
                     let stride = 2 * self.stride;
-                    Block { kernel: &kernel, data, stride, first }.convolve(&Factors { factors });
+                    ColumnBlock { kernel: &kernel, data, stride, first }
+                        .convolve(&Factors { factors });
                 }
             }
         }
@@ -138,10 +139,10 @@ impl WithSimd for Transform<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let (scratch, _) = S::as_mut_simd_f32s(self.scratch);
-        let kernel = Kernel { simd, plan: self.plan, data: scratch.as_mut_ptr().cast() };
+        let kernel = RadixPasses { simd, plan: self.plan, data: scratch.as_mut_ptr().cast() };
         for first in self.columns.step_by(S::F32_LANES) {
             let stride = 2 * self.stride;
-            let mut block = Block { kernel: &kernel, data: self.data, stride, first };
+            let mut block = ColumnBlock { kernel: &kernel, data: self.data, stride, first };
             // Bounds were checked by ColumnPlan::checked for all rows and for whole vectors.
             unsafe {
                 match self.inverse {
@@ -154,14 +155,14 @@ impl WithSimd for Transform<'_> {
 }
 
 /// One block of columns of the matrix at `data`.
-struct Block<'a, S: Simd> {
-    kernel: &'a Kernel<'a, S>,
+struct ColumnBlock<'a, S: Simd> {
+    kernel: &'a RadixPasses<'a, S>,
     data: *mut f32,
     stride: usize,
     first: usize,
 }
 
-impl<S: Simd> Block<'_, S> {
+impl<S: Simd> ColumnBlock<'_, S> {
     #[inline(always)]
     unsafe fn load(&self, row: usize) -> Lanes<S> {
         unsafe {
@@ -241,25 +242,25 @@ impl<S: Simd> Block<'_, S> {
     }
 }
 
-/// A block of columns of a [`DiskMultiplier`].
-struct InDisk<'a, S: Simd> {
-    m: &'a DiskMultiplier,
+/// A block of columns of a [`BandLimitedMultiplier`].
+struct InBand<'a, S: Simd> {
+    m: &'a BandLimitedMultiplier,
     column: Lanes<S>,
     k2: S::f32s,
 }
 
-impl<'a, S: Simd> InDisk<'a, S> {
+impl<'a, S: Simd> InBand<'a, S> {
     #[inline(always)]
-    unsafe fn new(simd: S, m: &'a DiskMultiplier, first: usize) -> Self {
+    unsafe fn new(simd: S, m: &'a BandLimitedMultiplier, first: usize) -> Self {
         let values = |values: &[[f32; 2]]| unsafe {
             let at = values.as_ptr().add(first).cast::<[S::f32s; 2]>();
             tile::split(simd, at.read_unaligned())
         };
-        InDisk { m, column: values(&m.column), k2: values(&m.column_k2).0 }
+        InBand { m, column: values(&m.column), k2: values(&m.column_k2).0 }
     }
 }
 
-impl<S: Simd> InDisk<'_, S> {
+impl<S: Simd> InBand<'_, S> {
     #[inline(always)]
     unsafe fn factor(&self, s: S, position: usize) -> Lanes<S> {
         unsafe {

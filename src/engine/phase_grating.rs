@@ -1,30 +1,30 @@
-//! From the atoms of a slice to the Fourier coefficients of its band-limited `exp(i sigma V)`.
+//! The phase grating of a slice: Fourier coefficients of its band-limited `exp(i sigma V)`, from its atoms.
 
-use super::plan::{Grid, Plan};
-use super::transmission::disk_reach;
+use super::grid::Grid;
+use super::plan::Plan;
 use crate::constants::interaction_parameter;
 use crate::error::Result;
 use crate::fft::{Buffer, Fft2, Scratch};
 use crate::potential::cores::{CoreScratch, Cores};
-use crate::potential::projected::{PlacedAtom, Projector, ProjectorScratch, Shape};
+use crate::potential::projected::{PlacedAtom, PotentialFilter, Projector, ProjectorScratch};
 use crate::simd::vectorised;
 use num_complex::Complex32;
 
-/// Exponentiates potentials on one grid.
-pub(super) struct Exponential {
+/// Makes phase gratings on one grid of potentials.
+pub(super) struct PhaseGrating {
     projector: Projector,
-    /// What smoothing takes from the potentials, if they are smoothed.
+    /// The cores that smoothing takes from the potentials; `None` if they are not smoothed.
     cores: Option<Cores>,
     sigma: f32,
-    /// Frequencies `-reach..=reach` (x, y) hold the anti-aliasing disk.
+    /// Frequencies `-reach..=reach` (x, y) hold the band limit.
     reach: [usize; 2],
-    /// The disk there, rows of kx from the lowest frequency.
-    disk: Vec<f32>,
+    /// Weights of the anti-aliasing aperture there: rows of ky, columns of kx, from the most negative frequency.
+    weights: Vec<f32>,
 }
 
 /// One thread's arrays.
-pub(super) struct Workspace {
-    /// The potential, then its exponential, then the transform of that.
+pub(super) struct GratingWorkspace {
+    /// Holds the potential, then its exponential, then the transform of that.
     data: Buffer,
     projector: ProjectorScratch,
     fft: Scratch,
@@ -32,7 +32,7 @@ pub(super) struct Workspace {
     core_scratch: CoreScratch,
 }
 
-/// Atoms that make a slice.
+/// The atoms that make a slice.
 #[derive(Clone, Copy)]
 pub(super) enum SliceAtoms<'a> {
     /// They belong to it wholly.
@@ -41,39 +41,42 @@ pub(super) enum SliceAtoms<'a> {
     Parts { all: &'a [PlacedAtom], slice: usize },
 }
 
-impl Exponential {
-    /// With `core_cutoff` (1/Angstrom), potentials are smoothed and cores put back; without, they are
-    /// exponentiated as they are on the grid.
+impl PhaseGrating {
+    /// With `core_cutoff` (1/Angstrom), potentials are smoothed and cores added in closed form; without, they
+    /// are exponentiated on the grid as they are.
+    ///
+    /// # Errors
+    /// An element that the tables lack.
     pub fn new(plan: &Plan, grid: Grid, core_cutoff: Option<f64>, elements: &[u8]) -> Result<Self> {
         let (settings, extent) = (&plan.settings, grid.extent_angstrom);
         let shape = match core_cutoff {
-            Some(cutoff) => Shape::Smoothed { cutoff },
-            None if settings.abtem_pixel_correction => Shape::AbtemPixelCorrection,
-            None => Shape::AsIs,
+            Some(cutoff) => PotentialFilter::Smoothed { cutoff },
+            None if settings.abtem_pixel_correction => PotentialFilter::AbtemPixelCorrection,
+            None => PotentialFilter::AsIs,
         };
         let table = settings.parametrization;
         let projector = Projector::new(grid.shape(), extent, table, elements, shape)?;
         let sigma = interaction_parameter(settings.optics.energy_ev);
-        let reach = disk_reach(&grid, plan.transmission_grid.points, plan.band_limit);
+        let reach = grid.common_reach(plan.transmission_grid.points, plan.band_limit);
         let cores = core_cutoff
             .map(|cutoff| Cores::new(table, elements, extent, reach, cutoff, sigma))
             .transpose()?;
         let weight = |fy: i64, fx: i64| {
             let [kx, ky] = [fx as f64 / extent[0], fy as f64 / extent[1]];
-            plan.disk().weight(kx * kx + ky * ky) as f32
+            plan.anti_aliasing().weight(kx * kx + ky * ky) as f32
         };
         let [rx, ry] = reach.map(|n| n as i64);
-        let disk = (-ry..=ry).flat_map(|fy| (-rx..=rx).map(move |fx| weight(fy, fx))).collect();
-        Ok(Exponential { projector, cores, sigma: sigma as f32, reach, disk })
+        let weights = (-ry..=ry).flat_map(|fy| (-rx..=rx).map(move |fx| weight(fy, fx))).collect();
+        Ok(PhaseGrating { projector, cores, sigma: sigma as f32, reach, weights })
     }
 
-    /// Whether the atoms of a slice are far enough apart.
+    /// Whether the atoms of a slice are far enough apart for the closed form of their cores.
     pub fn suits(&self, atoms: &[PlacedAtom]) -> bool {
         self.cores.as_ref().is_none_or(|cores| cores.suits(atoms))
     }
 
-    pub fn workspace(&self) -> Workspace {
-        Workspace {
+    pub fn workspace(&self) -> GratingWorkspace {
+        GratingWorkspace {
             data: self.projector.fft().buffer(),
             projector: self.projector.scratch(),
             fft: self.projector.fft().scratch(),
@@ -82,18 +85,20 @@ impl Exponential {
         }
     }
 
-    /// Frequency (x, y) up to which there are coefficients.
+    /// The frequency index (x, y) up to which there are coefficients.
     pub fn reach(&self) -> [usize; 2] {
         self.reach
     }
 
-    /// Puts the coefficients within [`Exponential::reach`] into `out`, an array of `fft`.
+    /// Writes the coefficients within [`PhaseGrating::reach`] to `out`, an array of `fft` in FFT order; the others are
+    /// left as they are.
     pub fn coefficients(
         &self,
         plan: &Plan,
         atoms: SliceAtoms<'_>,
-        w: &mut Workspace,
-        (fft, out): (&Fft2, &mut [Complex32]),
+        w: &mut GratingWorkspace,
+        fft: &Fft2,
+        out: &mut [Complex32],
     ) {
         match atoms {
             SliceAtoms::Whole(atoms) => {
@@ -111,9 +116,14 @@ impl Exponential {
             }
             _ => {
                 w.cores.clear();
-                w.cores.resize(self.disk.len(), Complex32::ZERO);
+                w.cores.resize(self.weights.len(), Complex32::ZERO);
             }
         }
+        self.add_cores(w, fft, out);
+    }
+
+    /// Adds the cores to the transform in `w`, limits the band, and writes the coefficients to `out`.
+    fn add_cores(&self, w: &GratingWorkspace, fft: &Fft2, out: &mut [Complex32]) {
         let from = self.projector.fft();
         let [rx, ry] = self.reach;
         let wide = 2 * rx + 1;
@@ -123,18 +133,19 @@ impl Exponential {
         for i in 0..=2 * ry {
             let source = &w.data[bin(i, from.shape().0, ry) * from.stride()..];
             let target = &mut out[bin(i, fft.shape().0, ry) * fft.stride()..];
-            let (cores, disk) = (&w.cores[i * wide..][..wide], &self.disk[i * wide..][..wide]);
-            // the frequencies below 0, and the others
+            let at = i * wide;
+            let (cores, weights) = (&w.cores[at..][..wide], &self.weights[at..][..wide]);
+            // Frequencies below 0 and the others lie apart in FFT order.
             for (first, count) in [(0, rx), (rx, rx + 1)] {
                 let source = &source[bin(first, from.shape().1, rx)..][..count];
                 let target = &mut target[bin(first, fft.shape().1, rx)..][..count];
-                let (cores, disk) = (&cores[first..][..count], &disk[first..][..count]);
+                let (cores, weights) = (&cores[first..][..count], &weights[first..][..count]);
                 vectorised(
                     #[inline(always)]
                     || {
                         for k in 0..count {
-                            target[k].re = (source[k].re / pixels + cores[k].re) * disk[k];
-                            target[k].im = (source[k].im / pixels + cores[k].im) * disk[k];
+                            target[k].re = (source[k].re / pixels + cores[k].re) * weights[k];
+                            target[k].im = (source[k].im / pixels + cores[k].im) * weights[k];
                         }
                     },
                 );
@@ -142,12 +153,13 @@ impl Exponential {
         }
     }
 
-    /// The potential in `w` becomes the transform of its exponential, in the columns of the disk.
-    fn transform(&self, w: &mut Workspace) {
+    /// Replaces the potential in `w` by the transform of its exponential, in the columns within the band limit.
+    fn transform(&self, w: &mut GratingWorkspace) {
         let fft = self.projector.fft();
         let ((ny, nx), stride) = (fft.shape(), fft.stride());
         let mut pair = vec![Complex32::ZERO; nx];
-        // Pairs of rows are spread from the last on, so that none is overwritten before it is read.
+        // A row of the array holds two rows of the potential. Starting from the last, none is overwritten before
+        // it is read.
         for r in (0..ny.div_ceil(2)).rev() {
             pair.copy_from_slice(&w.data[r * stride..][..nx]);
             let (upper, lower) = w.data[2 * r * stride..].split_at_mut(stride);

@@ -1,23 +1,23 @@
-//! Multiplication in frequency space: a separable propagator within an anti-aliasing disk.
+//! Multiplication in frequency space within an anti-aliasing band limit.
 
 use num_complex::Complex32;
 
-use super::radix::lanes;
+use super::radix_plan::lanes;
 
-/// An anti-aliasing disk in frequency space.
+/// A round anti-aliasing aperture in frequency space: one inside, zero outside, with a soft edge between.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Disk {
-    /// Squared radius: zero from here on.
+pub struct BandLimit {
+    /// Squared radius from which on the weight is zero.
     pub limit_k2: f64,
-    /// Squared radius below which the disk is one. Between the two it falls as the smooth step
-    /// `u^2 (3 - 2 u)` of the squared frequency, a cosine taper to 1 %.
+    /// Squared radius up to which the weight is one. Between the two it falls as the smooth step
+    /// `u^2 (3 - 2 u)` of the squared frequency, which is a cosine taper to 1 %.
     pub full_k2: f64,
 }
 
-impl Disk {
-    /// One below `limit`, zero from there on.
+impl BandLimit {
+    /// A hard edge: one below `limit`, zero from there on.
     pub fn hard(limit: f64) -> Self {
-        Disk { limit_k2: limit * limit, full_k2: limit * limit }
+        BandLimit { limit_k2: limit * limit, full_k2: limit * limit }
     }
 
     /// The weight at squared frequency `k2`.
@@ -26,43 +26,44 @@ impl Disk {
         u * u * (3.0 - 2.0 * u)
     }
 
-    /// Steep but finite for a hard edge, so that no weight is NaN.
+    /// Slope of the edge: steep but finite for a hard one, so that no weight is NaN.
     fn slope(&self) -> f64 {
         (self.limit_k2 - self.full_k2).max(1e-20).recip()
     }
 }
 
-/// A multiplier in frequency space that is separable but for a disk:
-/// `row[ky] * column[kx] * disk(kx^2 + ky^2)`.
+/// A multiplier in frequency space, `row[ky] * column[kx] * weight(kx^2 + ky^2)`: separable except for the weight of
+/// the [`BandLimit`].
 #[derive(Debug, Clone)]
-pub struct DiskMultiplier {
+pub struct BandLimitedMultiplier {
     pub(super) row: Vec<[f32; 2]>,
+    /// Squared limit less ky^2.
     pub(super) row_room: Vec<f32>,
     pub(super) column: Vec<[f32; 2]>,
     pub(super) column_k2: Vec<[f32; 2]>,
     pub(super) slope: f32,
 }
 
-impl DiskMultiplier {
-    /// `row` and `column` are indexed by FFT frequency; `row_k2`, `column_k2` hold the squared
-    /// frequencies, `order` the frequency index at each position of a transformed column.
+impl BandLimitedMultiplier {
+    /// `row` and `column` are indexed by FFT frequency, and so are the squared frequencies `row_k2` and
+    /// `column_k2`; `order` is the frequency index at each position of a transformed column.
     pub fn new(
         order: &[usize],
         row: &[Complex32],
         row_k2: &[f64],
         column: &[Complex32],
         column_k2: &[f64],
-        disk: Disk,
+        band_limit: BandLimit,
     ) -> Self {
         let padded = column.len() + lanes();
         let column_at = |x: usize| column.get(x).map_or([0.0; 2], |c| [c.re, c.im]);
         let k2_at = |x: usize| column_k2.get(x).map_or([f32::INFINITY; 2], |&k| [k as f32; 2]);
-        DiskMultiplier {
+        BandLimitedMultiplier {
             row: order.iter().map(|&y| [row[y].re, row[y].im]).collect(),
-            row_room: order.iter().map(|&y| (disk.limit_k2 - row_k2[y]) as f32).collect(),
+            row_room: order.iter().map(|&y| (band_limit.limit_k2 - row_k2[y]) as f32).collect(),
             column: (0..padded).map(column_at).collect(),
             column_k2: (0..padded).map(k2_at).collect(),
-            slope: disk.slope() as f32,
+            slope: band_limit.slope() as f32,
         }
     }
 

@@ -1,32 +1,33 @@
-//! Fewer probes than the scan asks for: an image holds no detail finer than the aperture allows, so it is simulated
-//! on a raster that carries that, and interpolated to the scan ([`crate::resample`]).
+//! Propagates fewer probes than the scan has points. The aperture limits how fine the detail of an image can be, so a dense
+//! scan is simulated on a raster near the Nyquist distance and interpolated ([`crate::resample`]).
 
+use super::detector_images::Images;
 use super::plan::Plan;
+use super::probe_patches::expanded_waves;
+use super::probe_scan::Scan;
 use super::settings::{Algorithm, ProbeStep, Settings};
-use super::windows::expanded_waves;
-use super::{Images, Scan};
 use crate::error::Result;
 use crate::resample::{Edge, Kernel, MARGIN, TAPS, image_band_limit};
 use ndarray::Array4;
 
-/// Of probes that are expanded, so many for each wave cost little: the scan then needs no interpolation.
+/// Up to so many expanded probes for each wave cost little, so that the scan is not interpolated.
 const PROBES_PER_WAVE: usize = 16;
 
-/// The probes that are propagated for a scan, and how its values come from theirs.
+/// The probes that are propagated for a scan, and how the values of the scan are interpolated from theirs.
 #[derive(Debug, Clone)]
 pub struct ProbeRaster {
     scan: Scan,
     asked: Scan,
-    /// `None` where every scan position has its probe.
+    /// `None` if every scan position has its probe.
     kernel: Option<Kernel>,
-    /// Position of the first scan point and distance of scan points, (row, column) in probes.
+    /// Position of the first scan point and distance of scan points: (row, column), counted in probes.
     first: [f64; 2],
     step: [f64; 2],
     edges: [Edge; 2],
 }
 
 /// Probes along one axis: how many, how far apart, and how many of them before the first scan point.
-struct Axis {
+struct ProbeAxis {
     points: usize,
     step: f64,
     before: usize,
@@ -50,7 +51,7 @@ impl ProbeRaster {
         let Some(most) = step_angstrom(&plan.settings) else { return Ok(Self::every(asked)) };
         Kernel::check(most, band_limit)?;
         let counts = [asked.shape[1], asked.shape[0]];
-        let axes = [0, 1].map(|i| Axis::new(counts[i], asked.step_angstrom[i], cell[i], most));
+        let axes = [0, 1].map(|i| ProbeAxis::new(counts[i], asked.step_angstrom[i], cell[i], most));
         if !axes.iter().any(|a| a.interpolated) {
             return Ok(Self::every(asked));
         }
@@ -86,7 +87,7 @@ impl ProbeRaster {
         self.kernel.is_some()
     }
 
-    /// The images of the scan from those of the probes.
+    /// The images of the scan, interpolated from those of the probes.
     pub(super) fn images(&self, images: Images) -> Images {
         let Some(kernel) = &self.kernel else { return images };
         let (thicknesses, detectors, _, _) = images.data.dim();
@@ -105,7 +106,7 @@ impl ProbeRaster {
     }
 }
 
-impl Axis {
+impl ProbeAxis {
     /// For `n` scan points `step` apart in a periodic cell, probes at most `most` apart.
     fn new(n: usize, step: f64, cell: f64, most: f64) -> Self {
         let span = n as f64 * step;
@@ -113,21 +114,23 @@ impl Axis {
         let coarse = if spans_cell {
             let points = ((cell / most - 1e-9).ceil() as usize).max(TAPS);
             let step = cell / points as f64;
-            Axis { points, step, before: 0, interpolated: true, edge: Edge::Periodic }
+            ProbeAxis { points, step, before: 0, interpolated: true, edge: Edge::Periodic }
         } else {
             let length = (n.saturating_sub(1)) as f64 * step;
             let intervals = ((length / most - 1e-9).ceil() as usize).max(TAPS - 1 - 2 * MARGIN);
             let (points, step) = (intervals + 1 + 2 * MARGIN, length / intervals as f64);
-            Axis { points, step, before: MARGIN, interpolated: true, edge: Edge::Open }
+            ProbeAxis { points, step, before: MARGIN, interpolated: true, edge: Edge::Open }
         };
         match coarse.points < n {
             true => coarse,
-            false => Axis { points: n, before: 0, step, interpolated: false, edge: Edge::Open },
+            false => {
+                ProbeAxis { points: n, before: 0, step, interpolated: false, edge: Edge::Open }
+            }
         }
     }
 }
 
-/// The step in Angstrom at which probes stand at most, or `None` for every scan position.
+/// The largest distance of probes in Angstrom; `None`: a probe at every scan position.
 fn step_angstrom(settings: &Settings) -> Option<f64> {
     let windows = matches!(settings.algorithm, Algorithm::Window { .. });
     match settings.probe_step {
@@ -139,7 +142,7 @@ fn step_angstrom(settings: &Settings) -> Option<f64> {
     }
 }
 
-/// How far beyond the scanned area probes may stand, in Angstrom.
+/// The largest distance in Angstrom of probes beyond the scanned area.
 pub fn probe_margin_angstrom(settings: &Settings) -> f64 {
     MARGIN as f64 * step_angstrom(settings).unwrap_or(0.0)
 }

@@ -1,27 +1,28 @@
-//! Which probes of a scan share a window, where it lies, and whether they are expanded in fewer waves.
+//! Patches of probes that share a window: where the window lies, and whether the probes are expanded in fewer waves.
 
-use super::Scan;
 use super::plan::Plan;
+use super::probe_scan::Scan;
 use super::settings::Expansion;
 use crate::resample::image_band_limit;
 use std::ops::Range;
 
-/// Probes that are propagated one by one share a window up to this distance, so that what is read of the specimen serves
-/// them all: four probes along each axis. 0.9 A takes 20 % less time than 0.4 A, and 1.2 A 8 % less than that.
-/// Errors hardly change (SrTiO3, 39 A, rms / mean: 7.8 A windows 0.70 % with 0.4 A, 0.72 % with 0.6, 0.9 and 1.2 A; 5.9 A
+/// Probes that are propagated one by one share a window if they are within this distance in Angstrom (four probes along
+/// each axis), so that transmission functions are read from memory once for all of them. 0.9 A takes 20 % less time than
+/// 0.4 A, and 1.2 A 8 % less than that. Errors hardly change (SrTiO3, 39 A, rms / mean: 7.8 A windows 0.70 % with 0.4 A, 0.72 % with 0.6, 0.9 and 1.2 A; 5.9 A
 /// 0.96, 0.71, 0.76 and 0.80 %).
 const TOGETHER_ANGSTROM: f64 = 1.2;
-/// Probes that are expanded share a window up to this distance in Angstrom, at 200 kV and 21 mrad, and up to this share
-/// of its width: wider patches take fewer waves, but come nearer to the window's edge.
+/// Expanded probes share a window up to this distance in Angstrom, at 200 kV and 21 mrad, and up to this share of its
+/// width. Wider patches take fewer waves, but come nearer to the window's edge.
 const PATCH: (f64, f64) = (3.6, 0.5);
-/// The distance at which amplitudes have to be sampled there.
+/// The Nyquist distance of the amplitude in Angstrom at 200 kV and 21 mrad.
 const USUAL_NYQUIST_ANGSTROM: f64 = 0.597;
-/// Error of the amplitudes of expanded probes in a window of this width (Angstrom), and how it falls in wider ones.
+/// Error of the amplitudes of expanded probes, as a share, in a window of this width (Angstrom), and the power of the
+/// width by which it falls in wider ones.
 const USUAL_ERROR: (f64, f64, i32) = (0.01, 7.8, 3);
-/// Waves that hold the probes of a patch, along an axis: so many, and so many more for each Nyquist distance of the
-/// amplitude. An estimate, for decisions; 2 % right for errors of 1 % and square patches of 2 to 4 A.
+/// An estimate of the waves that hold the probes of a patch, along an axis: so many, and so many more for each Nyquist
+/// distance of the amplitude. Right to 2 % for errors of 1 % and square patches of 2 to 4 A.
 const WAVES: (f64, f64) = (2.8, 0.96);
-/// Expanding probes takes time too: it has to save so much of the waves.
+/// Probes are expanded if that takes less than this share of the waves, since expanding takes time too.
 const WORTH: f64 = 0.9;
 
 /// Probes that are propagated through the same part of the specimen.
@@ -33,20 +34,31 @@ pub(super) struct Patch {
     pub probes: Vec<(usize, [f64; 2])>,
 }
 
+impl Patch {
+    /// Divides a patch into even parts of at most `most` probes with the same window.
+    pub fn split(self, most: usize) -> impl Iterator<Item = Patch> {
+        let Patch { origin, probes } = self;
+        let even = probes.len().div_ceil(probes.len().div_ceil(most).max(1)).max(1);
+        let parts: Vec<Patch> =
+            probes.chunks(even).map(|part| Patch { origin, probes: part.to_vec() }).collect();
+        parts.into_iter()
+    }
+}
+
 /// The patches of a scan.
-pub(super) struct Division {
+pub(super) struct ProbePatches {
     pub patches: Vec<Patch>,
-    /// The error in their amplitudes up to which the probes of a patch are expanded in fewer waves; `None` where each
+    /// The error in amplitude, as a share, to which the probes of a patch are expanded in fewer waves; `None` if each
     /// is propagated.
     pub error: Option<f64>,
 }
 
-impl Division {
-    /// Depends on the plan and the scan only.
+impl ProbePatches {
+    /// A function of the plan and the scan alone, whatever the number of threads.
     pub fn new(plan: &Plan, scan: &Scan) -> Self {
         let error = expansion_error(plan).filter(|_| expanded_waves(plan, scan).is_some());
         let most = error.map_or(TOGETHER_ANGSTROM, |_| patch_angstrom(plan));
-        Division { patches: patches(plan, scan, most), error }
+        ProbePatches { patches: patches(plan, scan, most), error }
     }
 
     /// The largest distance (x, y) in Angstrom of a probe from the middle of its window.
@@ -58,15 +70,7 @@ impl Division {
     }
 }
 
-impl Plan {
-    /// Lets the estimates know how many waves are propagated for the probes of a scan.
-    pub fn count_waves(&mut self, scan: &Scan) {
-        let waves = expanded_waves(self, scan).unwrap_or(scan.len());
-        self.waves_per_probe = waves as f64 / scan.len().max(1) as f64;
-    }
-}
-
-/// About how many waves the probes of a scan are expanded in; `None` where each is propagated.
+/// About how many waves the probes of a scan are expanded in; `None` if each is propagated.
 pub(super) fn expanded_waves(plan: &Plan, scan: &Scan) -> Option<usize> {
     expansion_error(plan)?;
     let most = patch_angstrom(plan);
@@ -83,20 +87,20 @@ pub(super) fn expanded_waves(plan: &Plan, scan: &Scan) -> Option<usize> {
     (waves < WORTH * scan.len() as f64).then_some(waves as usize)
 }
 
-/// About how many waves the probes of one patch are expanded in, at most; 0 where each is propagated.
+/// About how many waves the probes of one patch are expanded in, at most; 0 if each is propagated.
 pub(super) fn waves_of_patch(plan: &Plan) -> usize {
     let along = WAVES.0 + WAVES.1 * patch_angstrom(plan) / amplitude_nyquist(plan);
     expansion_error(plan).map_or(0, |_| (along * along) as usize)
 }
 
-/// The distance in Angstrom at which amplitudes have to be sampled as a function of the probe's position.
+/// The Nyquist distance, in Angstrom, of amplitudes as a function of the probe's position.
 pub(super) fn amplitude_nyquist(plan: &Plan) -> f64 {
     1.0 / image_band_limit(&plan.settings.optics)
 }
 
-/// The error that the settings allow, where there are windows.
+/// The error in amplitude that the settings allow expanded probes; `None` without windows or with expansion off.
 fn expansion_error(plan: &Plan) -> Option<f64> {
-    if plan.wave_grid == plan.transmission_grid {
+    if !plan.has_windows() {
         return None;
     }
     let (error, at, power) = USUAL_ERROR;
@@ -113,7 +117,7 @@ fn patch_angstrom(plan: &Plan) -> f64 {
     most.min(PATCH.1 * width(plan))
 }
 
-/// The largest distance (x, y) in Angstrom of a probe from the middle of its window, of any scan.
+/// The largest distance (x, y) in Angstrom of a probe from the middle of its window, whatever the scan.
 pub(super) fn largest_half(plan: &Plan) -> [f64; 2] {
     let most = patch_angstrom(plan).max(TOGETHER_ANGSTROM);
     // Windows begin at pixels.
@@ -126,12 +130,12 @@ fn width(plan: &Plan) -> f64 {
     x.min(y)
 }
 
-/// Divides a scan into patches of at most `most` Angstrom along each axis, as even as may be, each with a window
-/// around its middle; waves over the whole cell have that for a window.
+/// Divides a scan into even patches of at most `most` Angstrom along each axis, each with a window around its middle.
+/// Without windows there is one patch, and its window is the cell.
 fn patches(plan: &Plan, scan: &Scan, most: f64) -> Vec<Patch> {
     let (cell, grid) = (&plan.transmission_grid, &plan.wave_grid);
     let pixel = grid.sampling_angstrom();
-    let whole = cell == grid;
+    let whole = !plan.has_windows();
     let most = if whole { f64::INFINITY } else { most };
     let blocks = [0, 1].map(|k| blocks(scan.shape[1 - k], scan.step_angstrom[k], most));
     let mut patches = Vec::with_capacity(blocks[0].len() * blocks[1].len());

@@ -1,11 +1,11 @@
 //! Fourier transforms along the rows of a matrix, one SIMD lane per row.
 //!
-//! As many rows as the vector unit has lanes are transposed on their way into cache, transformed
-//! together, and transposed back.
+//! As many rows as the vector unit has lanes are read into cache transposed, transformed together, and written
+//! back transposed.
 
 use super::butterfly::{Lanes, mul};
-use super::kernel::{Kernel, Middle};
-use super::radix::{RadixPlan, lanes};
+use super::passes::{Middle, RadixPasses};
+use super::radix_plan::{RadixPlan, lanes};
 use super::tile;
 use num_complex::Complex32;
 use pulp::{Arch, Simd, WithSimd};
@@ -19,7 +19,7 @@ pub struct RowPlan {
     position: Vec<usize>,
 }
 
-/// A block of rows as [`RowPlan`] multiplies with it.
+/// A block of rows in the order in which [`RowPlan::convolve`] multiplies by it.
 pub type Arranged = [f32];
 
 impl RowPlan {
@@ -50,10 +50,10 @@ impl RowPlan {
         scratch: &mut [f32],
     ) {
         self.check(rows, stride, scratch);
-        self.dispatch(rows, stride, Task::Transform { inverse }, scratch);
+        self.dispatch(rows, stride, RowTask::Transform { inverse }, scratch);
     }
 
-    /// Puts a block of rows, real-space factors, into the order of [`RowPlan::convolve`].
+    /// Puts a block of rows of real-space factors into the order of [`RowPlan::convolve`].
     pub fn arrange(&self, rows: &[Complex32], stride: usize, out: &mut Arranged) {
         assert!(
             rows.len() >= (lanes() - 1) * stride + self.padded()
@@ -63,9 +63,9 @@ impl RowPlan {
         Arch::new().dispatch(Arrange { plan: self, rows, stride: 2 * stride, out });
     }
 
-    /// Inverse transform of a block of rows, multiplication, and forward transform, unnormalised.
-    /// Columns outside `live` are taken as zero and are left alone; `live` ranges are rounded up to
-    /// whole vectors.
+    /// Inverse transform of a block of rows, multiplication by `by`, forward transform; unnormalised.
+    /// Columns outside `live` count as zero and are not written; `live` ranges are rounded up to whole
+    /// vectors.
     pub fn convolve(
         &self,
         rows: &mut [Complex32],
@@ -76,10 +76,10 @@ impl RowPlan {
     ) {
         self.check(rows, stride, scratch);
         assert!(by.len() >= self.arranged_len());
-        self.dispatch(rows, stride, Task::Convolve { live, by }, scratch);
+        self.dispatch(rows, stride, RowTask::Convolve { live, by }, scratch);
     }
 
-    /// Columns with the last tile.
+    /// Columns, rounded up to whole tiles.
     fn padded(&self) -> usize {
         self.plan.points().next_multiple_of((lanes() / 2).max(1))
     }
@@ -89,10 +89,16 @@ impl RowPlan {
         assert!(scratch.len() >= self.scratch_len());
     }
 
-    fn dispatch(&self, rows: &mut [Complex32], stride: usize, task: Task<'_>, scratch: &mut [f32]) {
+    fn dispatch(
+        &self,
+        rows: &mut [Complex32],
+        stride: usize,
+        task: RowTask<'_>,
+        scratch: &mut [f32],
+    ) {
         // Complex32 is repr(C) of two f32.
         let data = rows.as_mut_ptr().cast::<f32>();
-        Arch::new().dispatch(Run { plan: self, data, stride: 2 * stride, task, scratch });
+        Arch::new().dispatch(RowPass { plan: self, data, stride: 2 * stride, task, scratch });
     }
 }
 
@@ -119,39 +125,42 @@ impl WithSimd for Arrange<'_> {
     }
 }
 
-enum Task<'a> {
+enum RowTask<'a> {
     Convolve { live: &'a [Range<usize>], by: &'a Arranged },
     Transform { inverse: bool },
 }
 
-struct Run<'a> {
+struct RowPass<'a> {
     plan: &'a RowPlan,
     data: *mut f32,
     stride: usize,
-    task: Task<'a>,
+    task: RowTask<'a>,
     scratch: &'a mut [f32],
 }
 
-impl WithSimd for Run<'_> {
+impl WithSimd for RowPass<'_> {
     type Output = ();
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let (scratch, _) = S::as_mut_simd_f32s(self.scratch);
-        let kernel =
-            Kernel { simd, plan: &self.plan.plan, data: scratch.as_mut_ptr().cast::<Lanes<S>>() };
-        let block = Block { kernel: &kernel, rows: self.data, stride: self.stride };
+        let kernel = RadixPasses {
+            simd,
+            plan: &self.plan.plan,
+            data: scratch.as_mut_ptr().cast::<Lanes<S>>(),
+        };
+        let block = RowBlock { kernel: &kernel, rows: self.data, stride: self.stride };
         // Bounds were checked by RowPlan's methods.
         unsafe {
             match self.task {
-                Task::Convolve { live, by } => block.convolve(live, by),
-                Task::Transform { inverse } => block.transform(&self.plan.position, inverse),
+                RowTask::Convolve { live, by } => block.convolve(live, by),
+                RowTask::Transform { inverse } => block.transform(&self.plan.position, inverse),
             }
         }
     }
 }
 
-struct Block<'a, S: Simd> {
-    kernel: &'a Kernel<'a, S>,
+struct RowBlock<'a, S: Simd> {
+    kernel: &'a RadixPasses<'a, S>,
     rows: *mut f32,
     stride: usize,
 }
@@ -162,7 +171,7 @@ fn swap<S: Simd>(v: Lanes<S>) -> Lanes<S> {
     (v.1, v.0)
 }
 
-impl<S: Simd> Block<'_, S> {
+impl<S: Simd> RowBlock<'_, S> {
     /// Transposes columns into scratch, `swapped` or not.
     #[inline(always)]
     unsafe fn load(&self, columns: Range<usize>, swapped: bool) {

@@ -1,4 +1,4 @@
-//! The factors of a transform's length, its twiddle factors, and the order in which frequencies come.
+//! The factors of a transform's length, its twiddle factors, and the order of its frequencies.
 
 use pulp::{Arch, Simd, WithSimd};
 
@@ -7,7 +7,7 @@ const RADICES: [usize; 5] = [8, 5, 4, 3, 2];
 
 /// One pass over the data.
 #[derive(Debug, Clone)]
-pub struct Stage {
+pub struct RadixStage {
     /// Length of its butterflies.
     pub radix: usize,
     /// Length of the transforms that this stage splits.
@@ -20,7 +20,7 @@ pub struct Stage {
 #[derive(Debug, Clone)]
 pub struct RadixPlan {
     n: usize,
-    stages: Vec<Stage>,
+    stages: Vec<RadixStage>,
     order: Vec<usize>,
 }
 
@@ -30,7 +30,7 @@ fn factorise(mut n: usize) -> Option<Vec<usize>> {
     let mut factors = Vec::new();
     for radix in RADICES {
         while n > 1 && n.is_multiple_of(radix) {
-            // 16 = 4 * 4 and 2 r = never a lone 2 after an 8
+            // 16 r is split as 4 * 4 * r, so that no single 2 is left after an 8.
             if radix == 8 && n / 8 == 2 {
                 break;
             }
@@ -55,7 +55,7 @@ impl RadixPlan {
                     twiddles.push([cos as f32, sin as f32]);
                 }
             }
-            stages.push(Stage { radix, len, twiddles });
+            stages.push(RadixStage { radix, len, twiddles });
             len /= radix;
         }
         let order = (0..n)
@@ -73,18 +73,13 @@ impl RadixPlan {
         Some(RadixPlan { n, stages, order })
     }
 
-    /// The radices in the order in which they are applied.
-    pub fn radices(&self) -> Vec<usize> {
-        self.stages.iter().map(|s| s.radix).collect()
-    }
-
     /// Numbers transformed.
     pub fn points(&self) -> usize {
         self.n
     }
 
     /// The passes, first to last.
-    pub fn stages(&self) -> &[Stage] {
+    pub fn stages(&self) -> &[RadixStage] {
         &self.stages
     }
 
@@ -94,8 +89,8 @@ impl RadixPlan {
     }
 }
 
-/// SIMD lanes of this processor: columns are handled in blocks of this many, and rows must be
-/// padded so that the last block fits.
+/// Number of SIMD lanes (`f32`) of this processor. Columns are transformed in blocks of this many, so rows must be
+/// padded for the last block to fit.
 pub fn lanes() -> usize {
     struct Count;
     impl WithSimd for Count {

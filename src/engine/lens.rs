@@ -1,13 +1,16 @@
-//! Conventional (plane-wave) imaging.
+//! Conventional (plane-wave) imaging through an objective lens.
 
-use super::plan::Grid;
+use super::grid::Grid;
 use crate::fft::Fft2;
 use crate::optics::Optics;
 use ndarray::Array2;
 use num_complex::Complex32;
 
-/// The image that a coherent objective lens makes of an exit wave (row = y, column = x):
-/// `|F^-1[F(psi) A exp(-i chi)]|^2`, with the aperture and aberrations of `optics`.
+/// The image that a coherent objective lens makes of an exit wave: `|F^-1[F(psi) A exp(-i chi)]|^2`, with the aperture
+/// and aberrations of `optics`.
+///
+/// `exit` has rows = y and columns = x over `extent_angstrom` (x, y). The image has the same shape and is in the unit of
+/// `|exit|^2`: 1 is the intensity of the incident wave.
 pub fn lens_image(
     exit: &Array2<Complex32>,
     extent_angstrom: [f64; 2],

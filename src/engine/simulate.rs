@@ -1,42 +1,27 @@
-//! Executes a plan: configurations, averages, images.
+//! Executes a plan: simulates phonon configurations and averages their images.
 
+use super::detector_images::Images;
 use super::multislice::Multislice;
 use super::plan::Plan;
 use super::prism::Prism;
-use super::raster::ProbeRaster;
+use super::probe_raster::ProbeRaster;
+use super::probe_scan::Scan;
+use super::probe_tail::ProbeTail;
 use super::settings::Algorithm;
-use super::stepper::{Specimen, Stepper};
-use super::tail::Tail;
+use super::stepper::{Stepper, TransmissionView};
 use super::transmission::TransmissionBuilder;
-use super::{Scan, Site};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
-use ndarray::{Array2, Array4, ArrayView2, s};
+use crate::structure::Site;
+use ndarray::{Array2, Array4};
 use num_complex::Complex32;
 use std::collections::BTreeSet;
 
-/// Detector images, as fractions of the incident beam, averaged over phonon configurations.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Images {
-    /// (thickness, detector, row = y, column = x)
-    pub data: Array4<f32>,
-    /// Detector names.
-    pub detectors: Vec<String>,
-    /// Thicknesses in Angstrom.
-    pub thicknesses_angstrom: Vec<f64>,
-}
-
-impl Images {
-    /// The image of a detector at a recorded thickness.
-    pub fn image(&self, thickness: usize, detector: usize) -> ArrayView2<'_, f32> {
-        self.data.slice(s![thickness, detector, .., ..])
-    }
-}
-
-/// Simulates the images of a scan; [`Settings::probe_step`](super::Settings::probe_step) says where probes stand.
+/// Simulates the images of a scan: fractions of the incident beam as (thickness, detector, row = y, column = x), averaged over
+/// phonon configurations. Probes stand as far apart as [`Settings::probe_step`](super::Settings::probe_step) says.
 ///
-/// The cell is periodic along x and y; sites outside are wrapped. The result is the same bytes for
-/// any number of threads.
+/// The cell is periodic along x and y; sites outside are wrapped. The result has the same bytes for any number of
+/// threads.
 ///
 /// # Errors
 /// An element that the tables lack, a probe step too coarse for the image, or [`Error::Interrupted`].
@@ -49,38 +34,38 @@ pub fn simulate(
     Simulation::new(plan, &elements(sites))?.images(sites, scan, progress)
 }
 
-/// A plan with all that does not depend on where atoms are: for several specimens of the same box, heights and
-/// elements.
+/// A plan made ready to run, for several specimens with the same box, mean heights and elements: all that does not depend on
+/// where exactly the atoms are is prepared once.
 pub struct Simulation<'a> {
     plan: &'a Plan,
     builder: TransmissionBuilder<'a>,
-    engine: Engine<'a>,
-    tail: Option<Tail<'a>>,
+    engine: WaveEngine<'a>,
+    tail: Option<ProbeTail<'a>>,
 }
 
-enum Engine<'a> {
+enum WaveEngine<'a> {
     Multislice(Box<Multislice<'a>>),
     Prism(Box<Prism<'a>>),
 }
 
 impl<'a> Simulation<'a> {
-    /// For specimens of no other elements than these.
+    /// Prepares simulations of specimens that hold no other elements (atomic numbers) than these.
     ///
     /// # Errors
     /// An element that the tables lack.
     pub fn new(plan: &'a Plan, elements: &[u8]) -> Result<Self> {
         let builder = TransmissionBuilder::new(plan, elements)?;
         let engine = match plan.settings.algorithm {
-            Algorithm::Prism { .. } => Engine::Prism(Box::new(Prism::new(plan))),
-            _ => Engine::Multislice(Box::new(Multislice::new(plan))),
+            Algorithm::Prism { .. } => WaveEngine::Prism(Box::new(Prism::new(plan))),
+            _ => WaveEngine::Multislice(Box::new(Multislice::new(plan))),
         };
-        Ok(Simulation { plan, builder, engine, tail: Tail::new(plan) })
+        Ok(Simulation { plan, builder, engine, tail: ProbeTail::new(plan) })
     }
 
-    /// As [`simulate`].
+    /// The images of a scan, as [`simulate()`] gives them.
     ///
     /// # Errors
-    /// Those of [`simulate`].
+    /// Those of [`simulate()`].
     pub fn images(
         &mut self,
         sites: &[Site],
@@ -103,15 +88,16 @@ impl<'a> Simulation<'a> {
         let records = plan.record_after.len();
         let detectors = plan.settings.detectors.len();
         let mut sum = vec![0.0_f64; scan.len() * records * detectors];
-        let units = (plan.beams + scan.len()) * records.max(1);
-        let units = if plan.beams > 0 { units } else { scan.len() };
-        let unit = if plan.beams > 0 { "waves and probes" } else { "probes" };
+        let (units, unit) = match plan.beams {
+            0 => (scan.len(), "probes"),
+            beams => ((beams + scan.len()) * records.max(1), "waves and probes"),
+        };
         progress.start("simulating", unit, units as u64 * u64::from(configurations));
         for configuration in 0..configurations {
             let transmission = self.builder.build(sites, configuration, progress)?;
             let values = match &mut self.engine {
-                Engine::Multislice(m) => m.run(&transmission, scan, progress)?,
-                Engine::Prism(p) => p.run(&transmission, scan, progress)?,
+                WaveEngine::Multislice(m) => m.run(&transmission, scan, progress)?,
+                WaveEngine::Prism(p) => p.run(&transmission, scan, progress)?,
             };
             sum.iter_mut().zip(values).for_each(|(s, v)| *s += v);
             self.builder.reclaim(transmission);
@@ -134,11 +120,13 @@ impl<'a> Simulation<'a> {
     }
 }
 
-/// Diffraction intensity of one probe (configuration 0) at the last recorded thickness: fraction of
-/// the beam per pixel of the plan's wave grid, FFT order, rows = ky.
+/// The diffraction pattern of one probe at `position_angstrom` (x, y), configuration 0, at the last recorded thickness.
+///
+/// The array has the shape of the plan's wave grid, rows = ky and columns = kx in FFT order, and holds fractions of the beam
+/// per pixel; beyond the band limit they are 0.
 ///
 /// # Errors
-/// As [`simulate`]; plans for PRISM have no single probe and are refused.
+/// Those of [`simulate()`]; plans for PRISM, which have no single probes.
 pub fn diffraction(
     plan: &Plan,
     sites: &[Site],
@@ -162,18 +150,19 @@ pub fn diffraction(
         .map_err(|e| Error::invalid(crate::Setting::Pattern, e, "has the shape of the wave grid"))
 }
 
-/// The exit wave of a plane wave along the beam through one phonon configuration, on the plan's
-/// grid, at the exit surface: (row = y, column = x), mean intensity 1 where nothing is absorbed.
+/// The wave at the exit surface that a plane wave along the beam becomes in one phonon configuration.
+///
+/// The array has the shape of the plan's wave grid, rows = y and columns = x; 1 is the amplitude of the incident wave.
 ///
 /// # Errors
-/// As [`simulate`].
+/// Those of [`simulate()`]; plans with windows.
 pub fn exit_wave(
     plan: &Plan,
     sites: &[Site],
     configuration: u32,
     progress: &dyn Progress,
 ) -> Result<Array2<Complex32>> {
-    if plan.wave_grid != plan.transmission_grid {
+    if plan.has_windows() {
         return Err(Error::invalid(
             crate::Setting::Algorithm,
             "window",
@@ -184,18 +173,18 @@ pub fn exit_wave(
     let transmission = builder.build(sites, configuration, progress)?;
     let mut stepper = Stepper::new(plan);
     let slices = &plan.slices;
-    let (legs, end) = stepper.route(slices.entrance(), transmission.filled(0..slices.len()));
+    let (steps, end) = stepper.path(slices.entrance(), transmission.filled(0..slices.len()));
     let to_exit = stepper.propagator(slices.boundaries[slices.len()] - end);
     let fft = stepper.fft();
     let (mut waves, mut w) = ([fft.buffer()], stepper.workspace());
     let (ny, nx) = fft.shape();
     waves[0][0] = Complex32::ONE;
     stepper.start(&mut waves[0], stepper.band(), &mut w.fft);
-    let specimen = Specimen { transmission: &transmission, origin: (0, 0) };
-    for leg in legs {
-        stepper.travel(&mut waves, leg, specimen, &mut w);
+    let view = TransmissionView { transmission: &transmission, origin: (0, 0) };
+    for step in steps {
+        stepper.propagate(&mut waves, step, view, &mut w);
     }
-    stepper.propagate_by(&mut waves, &to_exit, &mut w.fft);
+    stepper.propagate_freely(&mut waves, &to_exit, &mut w.fft);
     let [mut wave] = waves;
     if let [low, high] = stepper.band() {
         for row in wave.chunks_exact_mut(fft.stride()) {
@@ -212,7 +201,7 @@ pub fn exit_wave(
     Ok(out)
 }
 
-/// The elements of some sites, ascending.
+/// The atomic numbers of the elements of some sites, ascending.
 pub(crate) fn elements(sites: &[Site]) -> Vec<u8> {
     sites.iter().map(|s| s.number).collect::<BTreeSet<u8>>().into_iter().collect()
 }

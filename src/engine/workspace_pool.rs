@@ -2,15 +2,16 @@
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Work spaces that are not in use. There are never more than threads, however finely work is split.
-pub(super) struct Spare<T>(Mutex<Vec<T>>);
+/// The work spaces that no thread uses at the moment. However finely work is split, there are never more work
+/// spaces than threads.
+pub(super) struct WorkspacePool<T>(Mutex<Vec<T>>);
 
-impl<T> Spare<T> {
+impl<T> WorkspacePool<T> {
     pub fn new() -> Self {
-        Spare(Mutex::new(Vec::new()))
+        WorkspacePool(Mutex::new(Vec::new()))
     }
 
-    /// Calls `f` with a work space that nobody else has; `make` makes one where none is left.
+    /// Calls `f` with a work space for this thread alone; `make` makes one if none is free.
     pub fn with<R>(&self, make: impl FnOnce() -> T, f: impl FnOnce(&mut T) -> R) -> R {
         let mut workspace = self.take(make);
         let result = f(&mut workspace);
@@ -18,18 +19,18 @@ impl<T> Spare<T> {
         result
     }
 
-    /// Takes a work space out; `make` makes one where none is left.
+    /// Takes a work space out; `make` makes one if none is free.
     pub fn take(&self, make: impl FnOnce() -> T) -> T {
-        let spare = self.held().pop();
-        spare.unwrap_or_else(make)
+        let free = self.free().pop();
+        free.unwrap_or_else(make)
     }
 
     /// Gives work spaces back.
     pub fn give(&self, workspaces: impl IntoIterator<Item = T>) {
-        self.held().extend(workspaces);
+        self.free().extend(workspaces);
     }
 
-    fn held(&self) -> MutexGuard<'_, Vec<T>> {
+    fn free(&self) -> MutexGuard<'_, Vec<T>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

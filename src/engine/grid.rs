@@ -1,0 +1,54 @@
+//! Periodic grids in real space, and their frequencies.
+
+use crate::fft::frequency;
+use serde::Serialize;
+
+/// A periodic grid in real space. Arrays on it have `points[1]` rows (y) and `points[0]` columns (x).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Grid {
+    /// Points along x and y.
+    pub points: [usize; 2],
+    /// Extent along x and y in Angstrom.
+    pub extent_angstrom: [f64; 2],
+}
+
+impl Grid {
+    /// Pixel size along x and y in Angstrom.
+    pub fn sampling_angstrom(&self) -> [f64; 2] {
+        [0, 1].map(|i| self.extent_angstrom[i] / self.points[i] as f64)
+    }
+
+    /// Shape of arrays on it: (rows, columns).
+    pub fn shape(&self) -> (usize, usize) {
+        (self.points[1], self.points[0])
+    }
+
+    /// Spacing of the Fourier grid along x and y in 1/Angstrom.
+    pub fn dk(&self) -> [f64; 2] {
+        self.extent_angstrom.map(|l| 1.0 / l)
+    }
+
+    /// Spatial frequency (kx, ky) of bin (row iy, column ix) in 1/Angstrom.
+    pub fn k(&self, iy: usize, ix: usize) -> [f64; 2] {
+        [
+            frequency(ix, self.points[0]) as f64 / self.extent_angstrom[0],
+            frequency(iy, self.points[1]) as f64 / self.extent_angstrom[1],
+        ]
+    }
+
+    /// Nyquist frequency of the coarser axis in 1/Angstrom.
+    pub fn nyquist(&self) -> f64 {
+        let [x, y] = self.sampling_angstrom();
+        0.5 / x.max(y)
+    }
+
+    /// The largest frequency index (x, y) within `limit` (1/Angstrom) that is held both by this grid and by
+    /// another one of `points` over the same extent.
+    pub(super) fn common_reach(&self, points: [usize; 2], limit: f64) -> [usize; 2] {
+        let dk = self.dk();
+        [0, 1].map(|i| {
+            let most = (self.points[i].min(points[i]) - 1) / 2;
+            ((limit / dk[i]) as usize).min(most)
+        })
+    }
+}
