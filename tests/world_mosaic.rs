@@ -115,6 +115,24 @@ fn a_mosaic_is_the_exact_image_of_its_atoms() {
     }
 }
 
+/// As thick as worlds are, with their detector. Takes a few minutes, so on demand:
+/// `cargo test --release --test world_mosaic -- --ignored --nocapture`
+#[test]
+#[ignore = "takes minutes"]
+fn a_mosaic_of_10_nm_is_the_exact_image_of_its_atoms() {
+    let mut recipe = recipe(0, 0.0);
+    recipe.field.thickness_nm = 10.0;
+    recipe.phonons.configurations = 2;
+    (recipe.detector.inner_mrad, recipe.detector.outer_mrad) = (68.0, 200.0);
+    let specimen = specimen(&recipe).unwrap();
+    let mosaic = mosaic(&recipe, &specimen);
+    let options = AuditOptions { at_nm: vec![[3.1, 3.1], [1.2, 4.0]], ..AuditOptions::default() };
+    let found = audit(&recipe, &*specimen, &mosaic, &options, &Silent).unwrap();
+    println!("{found:?}");
+    assert!(found.bright_rms_percent < 0.5, "{}", found.bright_rms_percent);
+    assert!(found.all_rms_percent < 0.5, "{}", found.all_rms_percent);
+}
+
 #[test]
 fn bytes_depend_neither_on_threads_nor_on_the_cache() {
     let folder = tempfile::tempdir().unwrap();

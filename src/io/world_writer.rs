@@ -296,14 +296,9 @@ impl WorldWriter {
     ///
     /// # Errors
     /// [`Error::Hdf5`], [`Error::Io`].
-    pub fn finish(self, wall_time_s: f64) -> Result<()> {
+    pub fn finish(self) -> Result<()> {
         let path = self.path.clone();
-        let write = || {
-            let metadata = self.file.group(schema::METADATA)?;
-            number(&metadata, "wall_time_s", wall_time_s)?;
-            self.file.flush()
-        };
-        write().at(&path)?;
+        self.file.flush().at(&path)?;
         drop(self);
         let sync = std::fs::File::open(&path).and_then(|f| f.sync_all());
         sync.map_err(|e| Error::io(&path, "write", e))

@@ -177,7 +177,7 @@ impl WorldBuild {
         let done = job.simulate(&store).and_then(|resumed| {
             let noise = self.options.noise;
             let image = BlendedImage::new(&self.recipe, &self.partition, &store, noise);
-            Ok((resumed, job.publish(output, &image, started)?))
+            Ok((resumed, job.publish(output, &image)?))
         });
         let (resumed, (counts, range)) = done.inspect_err(|_| {
             let kept = "keeps the sub-tiles done so far; the same command goes on from there";
@@ -312,14 +312,9 @@ impl Job<'_> {
     }
 
     /// Writes the file under another name and puts it in place when it is complete.
-    fn publish(
-        &self,
-        output: &Path,
-        image: &BlendedImage,
-        started: Instant,
-    ) -> Result<(Counts, [f32; 2])> {
+    fn publish(&self, output: &Path, image: &BlendedImage) -> Result<(Counts, [f32; 2])> {
         let partial = beside(output, ".partial");
-        let written = self.write_file(&partial, image, started).and_then(|written| {
+        let written = self.write_file(&partial, image).and_then(|written| {
             check_output(output, self.build.options.overwrite)?;
             fs::rename(&partial, output).map_err(|e| Error::io(output, "write", e))?;
             Ok(written)
@@ -331,19 +326,14 @@ impl Job<'_> {
         written
     }
 
-    fn write_file(
-        &self,
-        path: &Path,
-        image: &BlendedImage,
-        started: Instant,
-    ) -> Result<(Counts, [f32; 2])> {
+    fn write_file(&self, path: &Path, image: &BlendedImage) -> Result<(Counts, [f32; 2])> {
         let keep_clean = self.build.options.keep_clean;
         let writer = WorldWriter::create(path, &self.header(), keep_clean)?;
         let range = image.range(self.progress)?;
         image.write(&writer, range, keep_clean, self.progress)?;
         let counts =
             truth::write(&*self.build.specimen, &self.build.recipe.field, &writer, self.progress)?;
-        writer.finish(started.elapsed().as_secs_f64())?;
+        writer.finish()?;
         verify(path, counts)?;
         Ok((counts, range))
     }
@@ -357,6 +347,7 @@ impl Job<'_> {
             ("zone_axis", recipe.zone_axis.clone()),
             ("recipe", recipe.to_toml()),
             ("stemgen_version", env!("CARGO_PKG_VERSION").into()),
+            ("numerics_version", NUMERICS_VERSION.to_string()),
             ("engine", self.imager.name().to_owned()),
             ("engine_parameters", self.imager.parameters().to_string()),
         ];
@@ -399,5 +390,37 @@ fn verify(path: &Path, counts: Counts) -> Result<()> {
             found,
             format!("{} written", counts.sites),
         )),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::imaging::Cache;
+    use crate::progress::Silent;
+    use crate::recipe::{Override, Recipe};
+    use crate::specimen::LAID_OUT;
+    use crate::structure::PARSED;
+
+    #[test]
+    fn a_build_reads_its_crystals_once_and_lays_its_specimen_out_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let changes = [
+            "field={fov_nm=[2.4, 2.4], grid=[1, 1], tile_px=16, overlap_px=0, thickness_nm=0.8}",
+            "phonons.configurations=1",
+            "detector={inner_mrad=50.0, outer_mrad=90.0}",
+            "domains.sharpness_sigma_px=1.0",
+        ];
+        let changes: Vec<Override> = changes.iter().map(|c| c.parse().unwrap()).collect();
+        // Domains have two crystals.
+        let (parsed, laid_out) = (PARSED.get(), LAID_OUT.get());
+        let recipe = Recipe::load("batio3", crate::recipe::Difficulty::Easy).unwrap();
+        let recipe = recipe.with_overrides(&changes).unwrap().checked().unwrap();
+        let options = BuildOptions { cache: Cache::none(), ..BuildOptions::default() };
+        let build = WorldBuild::new(&recipe, &options).unwrap();
+        build.cost().unwrap();
+        build.run(&folder.path().join("w.h5"), &Silent).unwrap();
+        assert_eq!(PARSED.get() - parsed, 2);
+        assert_eq!(LAID_OUT.get() - laid_out, 1);
     }
 }
