@@ -190,7 +190,7 @@ fn what_a_column_holds_is_what_its_sheet_shows() {
             let Some(tag) = column.unit else { continue };
             let sheet = sheets
                 .entry(tag.family)
-                .or_insert_with(|| specimen.sheet(tag.family).unwrap().rounded());
+                .or_insert_with(|| specimen.library_cell(tag.family).unwrap().rounded());
             let (number, cell) = (tag.entry.cell / sheet.cells, tag.entry.cell % sheet.cells);
             let unit = sheet.units.iter().find(|u| u.kind == tag.entry.kind && u.cell == cell);
             let unit = unit.unwrap();

@@ -423,4 +423,21 @@ mod tests {
         assert_eq!(PARSED.get() - parsed, 2);
         assert_eq!(LAID_OUT.get() - laid_out, 1);
     }
+
+    #[test]
+    fn lost_tiles_are_noticed_clean_ones_too() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("w.h5");
+        let tiny = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/cli/tiny.toml"));
+        let recipe = CheckedRecipe::from_file(tiny, None).unwrap();
+        let options = BuildOptions { cache: Cache::none(), keep_clean: true, ..Default::default() };
+        let done = build(&recipe, &path, &options, &Silent).unwrap();
+        verify(&path, done.counts).unwrap();
+        let counts = Counts { sites: done.counts.sites + 1, ..done.counts };
+        assert!(verify(&path, counts).is_err());
+        let file = hdf5::File::append(&path).unwrap();
+        file.group("clean").unwrap().unlink("1_0").unwrap();
+        drop(file);
+        assert!(verify(&path, done.counts).is_err());
+    }
 }

@@ -250,7 +250,7 @@ impl ImageLibrary {
         let configurations = settings.configurations() as usize;
         let settings = Settings { phonons: None, ..settings.clone() };
         let cell = |family: UnitFamily| {
-            let sheet = specimen.sheet(family).ok_or_else(|| {
+            let sheet = specimen.library_cell(family).ok_or_else(|| {
                 let expected = "the specimen has no sheet of this family";
                 Error::invalid(crate::Setting::Library, format!("{family:?}"), expected)
             })?;
