@@ -79,6 +79,7 @@ fn images_are_those_of_this_version() {
         };
         all.extend(images.iter().map(|(name, image)| ((*name).to_owned(), json!(rows(image)))));
         let text = serde_json::to_string_pretty(&Value::Object(all)).unwrap();
+        std::fs::create_dir_all(file.parent().unwrap()).unwrap();
         std::fs::write(&file, text + "\n").unwrap();
     }
     let text = std::fs::read_to_string(&file).unwrap();

@@ -115,6 +115,14 @@ struct Truth {
 }
 
 impl WorldWriter {
+    /// Makes an empty file to see whether HDF5 can; it stays.
+    ///
+    /// # Errors
+    /// [`Error::Hdf5`], [`Error::Io`].
+    pub(crate) fn try_file(path: &Path) -> Result<()> {
+        File::create(path).at(path).map(drop)
+    }
+
     /// Creates (or replaces) the file and all that does not depend on the image.
     ///
     /// # Errors

@@ -14,6 +14,8 @@ use super::subtile_store::{SubtileStore, beside};
 use super::subtiles::{Partition, SubTile};
 use super::truth::{self, Counts};
 use crate::error::{Error, Result};
+use crate::files::atomic_write::sync_folder;
+use crate::files::outputs::check_outputs;
 use crate::files::{OutputLock, disk_space};
 use crate::imaging::direct::rectangle_plan;
 use crate::imaging::{Audit, ImagingCost, PixelRect, RegionImager, SimulationRuns};
@@ -166,7 +168,8 @@ impl WorldBuild {
     /// As [`build`].
     pub fn run(mut self, output: &Path, progress: &dyn Progress) -> Result<BuildSummary> {
         let started = Instant::now();
-        check_output(output, self.options.overwrite)?;
+        check_outputs(&[output], &[], self.options.overwrite)?;
+        try_partial(output)?;
         let _lock = OutputLock::hold(output)?;
         let done = footprint::folder_bytes(&beside(output, ".work"));
         disk_space::check_space(output, self.disk_bytes().saturating_sub(done))?;
@@ -218,21 +221,14 @@ impl WorldBuild {
     }
 }
 
-fn check_output(output: &Path, overwrite: bool) -> Result<()> {
-    let refuse = |why: &str| Err(Error::invalid(crate::Setting::Output, output.display(), why));
-    if output.is_dir() {
-        return refuse("is a folder; name a file in it, such as world.h5");
-    }
-    if output.exists() && !overwrite {
-        return refuse("exists; name another file, or allow overwriting");
-    }
-    let parent = output.parent().filter(|p| !p.as_os_str().is_empty());
-    match parent {
-        Some(parent) if !parent.is_dir() => {
-            fs::create_dir_all(parent).map_err(|e| Error::io(parent, "create", e))
-        }
-        _ => Ok(()),
-    }
+/// Finds before any work what would keep the file from being written at the end: names that HDF5 does not take, names too long,
+/// folders that may not be written.
+fn try_partial(output: &Path) -> Result<()> {
+    let partial = beside(output, ".partial");
+    let tried = WorldWriter::try_file(&partial);
+    // Whatever became of it: the reason of a failure matters more.
+    let _ = fs::remove_file(&partial);
+    tried
 }
 
 struct Job<'a> {
@@ -315,8 +311,9 @@ impl Job<'_> {
     fn publish(&self, output: &Path, image: &BlendedImage) -> Result<(Counts, [f32; 2])> {
         let partial = beside(output, ".partial");
         let written = self.write_file(&partial, image).and_then(|written| {
-            check_output(output, self.build.options.overwrite)?;
+            check_outputs(&[output], &[], self.build.options.overwrite)?;
             fs::rename(&partial, output).map_err(|e| Error::io(output, "write", e))?;
+            sync_folder(output)?;
             Ok(written)
         });
         if written.is_err() {
@@ -410,6 +407,7 @@ mod tests {
             "phonons.configurations=1",
             "detector={inner_mrad=50.0, outer_mrad=90.0}",
             "domains.sharpness_sigma_px=1.0",
+            "domains.boundaries=0",
         ];
         let changes: Vec<Override> = changes.iter().map(|c| c.parse().unwrap()).collect();
         // Domains have two crystals.

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use crate::recipe::Region;
-use crate::resample::MARGIN;
+use crate::resample::HALF_WIDTH;
 
 /// Samples of the full field: the first (row, column), and how many.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -51,7 +51,8 @@ impl Samples {
 
     /// Those that pixels `pixel` samples apart are interpolated from.
     pub fn under(first: [usize; 2], shape: [usize; 2], pixel: f64) -> Self {
-        let margin = MARGIN as i64;
+        // With whole stencils on all sides, a pixel does not depend on where the samples end.
+        let margin = HALF_WIDTH as i64;
         let low = first.map(|p| (p as f64 * pixel).floor() as i64 - margin);
         let high =
             [0, 1].map(|k| ((first[k] + shape[k] - 1) as f64 * pixel).floor() as i64 + 1 + margin);
