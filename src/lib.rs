@@ -19,6 +19,7 @@ pub mod optics;
 pub mod potential;
 pub mod progress;
 pub mod recipe;
+#[cfg(feature = "render")]
 pub mod render;
 pub mod resample;
 pub mod rng;
@@ -26,6 +27,7 @@ pub mod setting;
 mod simd;
 pub mod specimen;
 pub mod structure;
+#[cfg(feature = "report")]
 pub mod validate;
 pub mod world;
 
