@@ -156,3 +156,8 @@ pub mod world;
 
 pub use error::{Error, Result};
 pub use setting::Setting;
+
+/// The Rust of CONTRIBUTING.md is compiled and run.
+#[cfg(doctest)]
+#[doc = include_str!("../CONTRIBUTING.md")]
+struct Contributing;
