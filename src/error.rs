@@ -103,6 +103,7 @@ pub enum Error {
         needed_angstrom: f64,
     },
     /// HDF5 library failure.
+    #[cfg(feature = "hdf5")]
     #[error("{}: HDF5: {source}", path.display())]
     Hdf5 {
         /// The file.
@@ -137,6 +138,7 @@ impl Error {
         Error::Set { assignment: assignment.to_owned(), message: message.into() }
     }
     /// Builds an [`Error::Hdf5`].
+    #[cfg(feature = "hdf5")]
     pub fn hdf5(path: &Path, source: hdf5::Error) -> Self {
         Error::Hdf5 { path: path.to_owned(), source }
     }

@@ -1,6 +1,6 @@
 //! Writes the sites of a specimen piece by piece, as extended XYZ or CIF.
 //!
-//! Beside element and position every site has `atom_type` (codes of [`super::schema::atom_type`]),
+//! Beside element and position every site has `atom_type` (codes of [`super::atom_type`]),
 //! `defect_type` (`none`, `vacancy_O` ...), `column` (the index of its atomic column) and `occupancy`
 //! (0 for a vacant site). In extended XYZ a vacant site has the species `X`, which no program takes
 //! for an atom; in CIF it keeps the element that is missing.
@@ -9,7 +9,7 @@ use std::fs::File;
 use std::io::{BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use super::schema::atom_type;
+use super::atom_type;
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 use crate::structure::{Format, elements};
@@ -24,7 +24,7 @@ pub struct AtomRow<'a> {
     pub number: u8,
     /// Position in Angstrom.
     pub position_angstrom: [f64; 3],
-    /// Code of [`super::schema::atom_type`].
+    /// Code of [`super::atom_type`].
     pub atom_type: i32,
     /// Name of the defect; empty for none.
     pub defect: &'a str,

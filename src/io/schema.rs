@@ -2,6 +2,8 @@
 
 use hdf5::types::FixedAscii;
 
+pub use super::atom_type;
+
 /// Group whose attributes describe the world.
 pub const METADATA: &str = "metadata";
 /// Low-resolution overview, normalised like the tiles.
@@ -33,16 +35,6 @@ pub type DefectName = FixedAscii<16>;
 pub type MorphologyName = FixedAscii<16>;
 /// Composition of a column, vacant sites left out: `"O25 Ti26"`.
 pub type CompositionText = FixedAscii<32>;
-
-/// Codes of `atom_types`.
-pub mod atom_type {
-    /// The atom that belongs there.
-    pub const PRISTINE: i32 = 0;
-    /// No atom.
-    pub const VACANCY: i32 = 1;
-    /// Another element.
-    pub const SUBSTITUTION: i32 = 2;
-}
 
 /// Name of the dataset of a tile.
 pub fn tile_name(row: usize, column: usize) -> String {

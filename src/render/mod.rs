@@ -5,6 +5,7 @@ mod canvas;
 mod colormap;
 mod enlarge;
 mod font;
+#[cfg(feature = "report")]
 pub mod html;
 mod image;
 mod letters;

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use crate::error::{Error, Result};
 use crate::files::atomic_write;
 use crate::files::{OutputLock, disk_space};
-use crate::io::{AtomRow, AtomsHeader, AtomsWriter, RowFormat, writable};
+use crate::io::{AtomRow, AtomsHeader, AtomsWriter, RowFormat, atom_type, writable};
 use crate::progress::Progress;
 use crate::recipe::resolved_recipe::Recipe;
 use crate::specimen::atom_columns::{AtomColumn, Sites};
@@ -19,7 +19,6 @@ use crate::specimen::stripes::for_each_stripe;
 use crate::structure::elements;
 use crate::world::footprint;
 use crate::world::region_truth::defect_name;
-use crate::world::truth;
 
 /// Columns that are formatted at a time.
 const COLUMNS_AT_ONCE: usize = 4096;
@@ -175,7 +174,7 @@ impl Frame {
         let row = AtomRow {
             number: site.number,
             position_angstrom: [10.0 * (x - left), 10.0 * (y - top), 10.0 * z],
-            atom_type: truth::code(site.kind),
+            atom_type: atom_type::code(site.kind),
             defect: &defect,
             column,
         };

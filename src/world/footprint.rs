@@ -1,7 +1,5 @@
 //! What results take on disk, estimated from above.
 
-use std::path::Path;
-
 use crate::recipe::tables::Field;
 use crate::structure::Format;
 
@@ -30,7 +28,8 @@ pub fn atoms_bytes(format: Format, sites: u64) -> u64 {
 }
 
 /// Bytes of the files in a folder; 0 if there is none.
-pub(super) fn folder_bytes(folder: &Path) -> u64 {
+#[cfg(feature = "hdf5")]
+pub(super) fn folder_bytes(folder: &std::path::Path) -> u64 {
     let Ok(entries) = std::fs::read_dir(folder) else { return 0 };
     entries.filter_map(|e| e.ok()?.metadata().ok()).map(|m| m.len()).sum()
 }

@@ -4,22 +4,30 @@
 //! interrupted build goes on where it was.
 
 pub mod atoms_export;
+#[cfg(feature = "hdf5")]
 pub mod blended_image;
 pub mod build_options;
 mod field_tile;
 pub mod footprint;
 pub mod noise;
 pub mod region_truth;
+#[cfg(feature = "render")]
 pub mod specimen_drawing;
+#[cfg(feature = "hdf5")]
 mod subtile_store;
 pub mod subtiles;
+#[cfg(feature = "hdf5")]
 pub mod truth;
+#[cfg(feature = "hdf5")]
 mod world_build;
 
 pub use atoms_export::{ExportOptions, ExportSummary, export};
 pub use build_options::{BuildMethod, BuildOptions, BuildPolicy, BuildProfile};
 pub use field_tile::{FieldTile, field_tile};
 pub use region_truth::{ColumnTruth, SiteTruth};
+#[cfg(feature = "render")]
 pub use specimen_drawing::Drawing;
+#[cfg(feature = "hdf5")]
 pub use truth::Counts;
+#[cfg(feature = "hdf5")]
 pub use world_build::{BuildSummary, WorldBuild, build};

@@ -66,7 +66,7 @@ fn batch(sites: &Sites, origin: [f64; 2], counts: &mut Counts) -> TruthBatch {
         let [x, y, z] = site.position_nm;
         batch.positions.push([x, y]);
         batch.z.push(z);
-        batch.types.push(code(site.kind));
+        batch.types.push(atom_type::code(site.kind));
         batch.defects.push(site.kind != SiteKind::Pristine);
         batch.numbers.push(i32::from(site.number));
         let name = DefectName::from_ascii(&site.defect_name());
@@ -107,15 +107,6 @@ fn write_particles(
         batch.orientations.push(particle.orientation.map(|q| q as f32));
     }
     writer.particles(&batch)
-}
-
-/// Code of [`atom_type`].
-pub(super) fn code(kind: SiteKind) -> i32 {
-    match kind {
-        SiteKind::Pristine => atom_type::PRISTINE,
-        SiteKind::Vacancy => atom_type::VACANCY,
-        SiteKind::Substitution => atom_type::SUBSTITUTION,
-    }
 }
 
 /// Writes the parts of a boundary that lie in the built field.

@@ -1,0 +1,19 @@
+//! Codes of `atom_types`, in world files and in files of atoms.
+
+use crate::specimen::SiteKind;
+
+/// The atom that belongs there.
+pub const PRISTINE: i32 = 0;
+/// No atom.
+pub const VACANCY: i32 = 1;
+/// Another element.
+pub const SUBSTITUTION: i32 = 2;
+
+/// The code of a site.
+pub fn code(kind: SiteKind) -> i32 {
+    match kind {
+        SiteKind::Pristine => PRISTINE,
+        SiteKind::Vacancy => VACANCY,
+        SiteKind::Substitution => SUBSTITUTION,
+    }
+}
