@@ -63,7 +63,7 @@ fn the_suite_runs_without_the_repository() {
         assert!(!page.contains(foreign), "`{foreign}`");
     }
     let told = fails(stemgen(folder.path()).arg("validate").args(cases));
-    assert!(told.contains("validation.html exists") && told.contains("--overwrite"), "{told}");
+    assert!(told.contains("validation.html: exists") && told.contains("--overwrite"), "{told}");
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use crate::engine::Site;
 use crate::imaging::simulator::Simulator;
 use crate::recipe::{CheckedRecipe, Region};
-use crate::specimen::{Specimen, ThinFilm};
+use crate::specimen::{DISPLACED_NM, Specimen, ThinFilm};
 
 /// See the module.
 pub struct FilmScene {
@@ -23,7 +23,9 @@ impl FilmScene {
     /// Atoms of a region at their mean positions, in Angstrom from its corner.
     pub fn atoms(&self, region: &Region) -> Vec<Site> {
         let (corner, phonons) = ([region.x[0], region.y[0]], &self.recipe.phonons);
-        let sites = self.specimen.sites(region);
+        // A site may lie on the other side of the edge than its column.
+        let mut sites = self.specimen.sites(&region.grown(DISPLACED_NM));
+        sites.retain(|s| region.contains([s.position_nm[0], s.position_nm[1]]));
         sites.iter().filter_map(|s| s.atom(corner, phonons)).collect()
     }
 }
