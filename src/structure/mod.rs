@@ -1,6 +1,6 @@
 //! Atoms in a cell: the model, readers and writers, supercells.
 //!
-//! [`read`] takes CIF, extended XYZ and POSCAR files; [`Structure::oriented`] turns a crystal so that
+//! [`read()`] takes CIF, extended XYZ and POSCAR files; [`Structure::oriented`] turns a crystal so that
 //! the beam runs along a zone axis; [`Structure::resolve_occupancy`] draws mixed sites; and
 //! [`Structure::sites`] makes of the atoms the sites that the engine simulates.
 
