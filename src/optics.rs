@@ -106,6 +106,15 @@ impl Aberrations {
     }
 }
 
+/// Energies of the beam in keV.
+const ENERGY_KEV: std::ops::RangeInclusive<f64> = 10.0..=3000.0;
+/// Semiangles in mrad.
+const SEMIANGLE_MRAD: std::ops::RangeInclusive<f64> = 0.01..=500.0;
+/// Largest phase of an aberration at the edge of the aperture: a defocus of 0.18 mm at 200 kV and 21 mrad.
+const MOST_PHASE_RAD: f64 = 1e7;
+/// Largest azimuth in radians; a turn is 6.28.
+const MOST_AZIMUTH_RAD: f64 = 1e3;
+
 /// How the aperture ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -149,18 +158,43 @@ impl Optics {
         wavelength_angstrom(self.energy_ev)
     }
 
+    /// Checks that a probe of these optics can be simulated.
+    ///
     /// # Errors
-    /// [`Error::Invalid`] when energy or semiangle are out of range.
+    /// [`Error::Invalid`] for an energy, a semiangle or an aberration out of range, naming the range.
     pub fn validate(&self) -> Result<()> {
-        if !(1e3..=3e6).contains(&self.energy_ev) {
-            let kev = format!("{}", self.energy_ev / 1e3);
-            return Err(Error::invalid(Setting::EnergyKev, kev, "must be between 1 and 3000"));
+        let kev = self.energy_ev / 1e3;
+        if !ENERGY_KEV.contains(&kev) {
+            let (low, high) = (ENERGY_KEV.start(), ENERGY_KEV.end());
+            let expected = format!("must be between {low} and {high}");
+            return Err(Error::invalid(Setting::EnergyKev, kev, expected));
         }
-        if !(self.semiangle_mrad > 0.0 && self.semiangle_mrad < 500.0) {
-            let expected = "must be above 0 and below 500";
+        if !SEMIANGLE_MRAD.contains(&self.semiangle_mrad) {
+            let (low, high) = (SEMIANGLE_MRAD.start(), SEMIANGLE_MRAD.end());
+            let expected = format!("must be between {low} and {high}");
             return Err(Error::invalid(Setting::SemiangleMrad, self.semiangle_mrad, expected));
         }
-        Ok(())
+        self.aberrations.0.iter().try_for_each(|a| self.validate_aberration(a))
+    }
+
+    /// The phase of each aberration is bounded where the aperture ends.
+    fn validate_aberration(&self, aberration: &Aberration) -> Result<()> {
+        let Aberration { order, symmetry, magnitude_angstrom, azimuth_rad } = *aberration;
+        let power = i32::from(order) + 1;
+        let angle = self.semiangle_mrad * 1e-3;
+        let most = MOST_PHASE_RAD * f64::from(power) * self.wavelength_angstrom()
+            / (2.0 * PI * angle.powi(power));
+        // (not "> most", so that no NaN passes)
+        let small = magnitude_angstrom.abs() <= most;
+        if small && azimuth_rad.abs() <= MOST_AZIMUTH_RAD {
+            return Ok(());
+        }
+        let value = format!("C{order}{symmetry} = {magnitude_angstrom} A at {azimuth_rad} rad");
+        let expected = format!(
+            "must be below {most:.3e} A, {MOST_PHASE_RAD:e} rad at the edge of the aperture, and its azimuth below \
+             {MOST_AZIMUTH_RAD} rad"
+        );
+        Err(Error::invalid(Setting::Aberration, value, expected))
     }
 
     /// Amplitude of the lens' transfer, `A exp(-i chi)`, at spatial frequency `k` (1/Angstrom) on a
@@ -215,6 +249,29 @@ mod tests {
         a.0.push(Aberration::parse("C30=1.3e7").unwrap());
         let lowest = (0..3000).map(|i| a.chi(lambda, f64::from(i) * 5e-6, 0.4)).fold(0.0, f64::min);
         assert!((lowest + 2.25 * PI / 3.0).abs() < 1e-3, "{lowest}");
+    }
+
+    #[test]
+    fn settings_that_no_probe_has_are_refused() {
+        let usual = Optics::default();
+        usual.validate().unwrap();
+        let defocus = |d| Optics { aberrations: Aberrations::defocus(d), ..usual.clone() };
+        defocus(1e6).validate().unwrap();
+        let turned = Aberration::parse("C12=1@1e308").unwrap();
+        let cases = [
+            Optics { energy_ev: 1e3, ..usual.clone() },
+            Optics { energy_ev: f64::NAN, ..usual.clone() },
+            Optics { semiangle_mrad: 5e-324, ..usual.clone() },
+            Optics { semiangle_mrad: f64::INFINITY, ..usual.clone() },
+            Optics { aberrations: Aberrations(vec![turned]), ..usual.clone() },
+            defocus(1e308),
+            defocus(f64::NAN),
+            defocus(f64::NEG_INFINITY),
+        ];
+        for optics in cases {
+            let message = optics.validate().unwrap_err().to_string();
+            assert!(message.contains("must be b"), "{message}");
+        }
     }
 
     #[test]

@@ -115,6 +115,24 @@ fn a_mosaic_is_the_exact_image_of_its_atoms() {
     }
 }
 
+/// As thick as worlds are, with their detector. Takes a few minutes, so on demand:
+/// `cargo test --release --test world_mosaic -- --ignored --nocapture`
+#[test]
+#[ignore = "takes minutes"]
+fn a_mosaic_of_10_nm_is_the_exact_image_of_its_atoms() {
+    let mut recipe = recipe(0, 0.0);
+    recipe.field.thickness_nm = 10.0;
+    recipe.phonons.configurations = 2;
+    (recipe.detector.inner_mrad, recipe.detector.outer_mrad) = (68.0, 200.0);
+    let specimen = specimen(&recipe).unwrap();
+    let mosaic = mosaic(&recipe, &specimen);
+    let options = AuditOptions { at_nm: vec![[3.1, 3.1], [1.2, 4.0]], ..AuditOptions::default() };
+    let found = audit(&recipe, &*specimen, &mosaic, &options, &Silent).unwrap();
+    println!("{found:?}");
+    assert!(found.bright_rms_percent < 0.5, "{}", found.bright_rms_percent);
+    assert!(found.all_rms_percent < 0.5, "{}", found.all_rms_percent);
+}
+
 #[test]
 fn bytes_depend_neither_on_threads_nor_on_the_cache() {
     let folder = tempfile::tempdir().unwrap();
@@ -172,7 +190,7 @@ fn what_a_column_holds_is_what_its_sheet_shows() {
             let Some(tag) = column.unit else { continue };
             let sheet = sheets
                 .entry(tag.family)
-                .or_insert_with(|| specimen.sheet(tag.family).unwrap().rounded());
+                .or_insert_with(|| specimen.library_cell(tag.family).unwrap().rounded());
             let (number, cell) = (tag.entry.cell / sheet.cells, tag.entry.cell % sheet.cells);
             let unit = sheet.units.iter().find(|u| u.kind == tag.entry.kind && u.cell == cell);
             let unit = unit.unwrap();

@@ -11,6 +11,7 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use stemgen::engine::Expansion;
+use stemgen::files::outputs::check_outputs;
 use stemgen::imaging::{Audit, Cache};
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
@@ -154,11 +155,12 @@ impl Build {
             let report = DryRun::new(&recipe, &build, path)?;
             return self.common.print(&report, &report.text());
         }
-        output::check(&path, self.overwrite)?;
         let picture = (!self.no_png).then(|| path.with_extension("png"));
-        if let Some(picture) = &picture {
-            output::check(picture, self.overwrite)?;
-        }
+        let outputs: Vec<&Path> =
+            [Some(&path), picture.as_ref()].into_iter().flatten().map(PathBuf::as_path).collect();
+        let inputs = self.recipe.files(&recipe);
+        let inputs: Vec<&Path> = inputs.iter().map(PathBuf::as_path).collect();
+        check_outputs(&outputs, &inputs, self.overwrite)?;
         DryRun::warnings(&build)?.iter().for_each(|w| reporter.warn(w));
         let summary = build.run(&path, &reporter).map_err(|e| interrupted(e, &path))?;
         let world = WorldFile::open(&path)?;

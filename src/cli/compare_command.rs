@@ -2,11 +2,12 @@
 
 use super::common::Common;
 use super::validate_command::DIFFERENT;
-use super::{output, text, values};
+use super::{text, values};
 use clap::Args;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use stemgen::files::outputs::check_outputs;
 use stemgen::io::WorldFile;
 use stemgen::validate::report::{ReportOrigin, sentence, value, worlds_page};
 use stemgen::validate::worlds::{DEFAULT_ALPHA, Sameness, WorldComparison, compare};
@@ -76,7 +77,7 @@ impl Compare {
             self.common.print(&serde_json::json!({ "pixels": pixels, "sites": sites }), &text)?;
             return Ok(ExitCode::SUCCESS);
         }
-        output::check(&self.output, self.overwrite)?;
+        check_outputs(&[&self.output], &[&self.a, &self.b], self.overwrite)?;
         let comparison = compare(&self.a, &self.b, self.alpha, &reporter)?;
         let origin = ReportOrigin::now(text::command_line());
         let page = worlds_page(&comparison, [&worlds[0], &worlds[1]], &origin)?;

@@ -140,7 +140,7 @@ fn options(setting: Setting) -> Option<&'static str> {
         S::Dose => Some("--set dose.electrons_per_angstrom2=..."),
         S::SubtileNm => Some("--subtile and --subtile-overlap"),
         S::LargestErrorPercent => {
-            Some("--max-error, --engine multislice, and --engine prism --interpolation 1")
+            Some("--max-error, --engine multislice, --engine prism --interpolation 1, and --audit")
         }
         S::AuditedRegionNm => Some("--size"),
         S::AuditCentreNm => Some("--at"),

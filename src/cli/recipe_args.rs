@@ -4,7 +4,7 @@ use super::hints::hinted;
 use super::values::{self, Tier};
 use anyhow::{Context, anyhow};
 use clap::Args;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use stemgen::engine::Settings;
 use stemgen::recipe::{CheckedRecipe, Difficulty, Override, Recipe};
 
@@ -98,6 +98,17 @@ impl RecipeArgs {
             return Err(hinted(fault, format!("add --difficulty {}", names.join("|"))));
         }
         Ok(Recipe::load(material, difficulty)?)
+    }
+
+    /// The files that a recipe is read from: its own, and those of its crystals.
+    pub fn files(&self, recipe: &Recipe) -> Vec<PathBuf> {
+        let Some(file) = &self.recipe else { return Vec::new() };
+        let folder = file.parent().unwrap_or(Path::new(""));
+        let second = recipe.domains.iter().map(|d| &d.crystal);
+        let end = recipe.alloy.iter().map(|a| &a.end_member);
+        let crystals = std::iter::once(&recipe.crystal).chain(second).chain(end);
+        let crystals = crystals.filter(|c| c.text.is_some()).map(|c| folder.join(&c.name));
+        std::iter::once(file.clone()).chain(crystals).collect()
     }
 
     /// `MATERIAL[_TIER][_RxC]`, the usual beginning of the name of a result.

@@ -12,9 +12,10 @@ use anyhow::bail;
 use clap::Args;
 use ndarray::{ArrayView3, Axis};
 use serde::Serialize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 use stemgen::engine::{Cost, Images, Plan, ProbeRaster, Scan, Settings, simulate};
+use stemgen::files::outputs::check_outputs;
 use stemgen::io::image_file::{ExitWaves, ImageStack, Origin, write_images};
 use stemgen::progress::Progress;
 
@@ -157,10 +158,11 @@ impl Simulate {
             false => settings.detectors.iter().map(|d| d.name.as_str()).collect(),
         };
         let pictures = self.pictures(&names, &plan);
-        output::check(&self.output(), self.results.overwrite)?;
-        for path in pictures.iter().map(|p| p.path.clone()).chain(self.page()) {
-            output::check(&path, self.results.overwrite)?;
-        }
+        let (output, page) = (self.output(), self.page());
+        let pictured = pictures.iter().map(|p| p.path.as_path());
+        let outputs: Vec<&Path> =
+            std::iter::once(output.as_path()).chain(pictured).chain(page.as_deref()).collect();
+        check_outputs(&outputs, &[&self.specimen.structure], self.results.overwrite)?;
         warnings.iter().for_each(|w| reporter.warn(w));
         self.execute(&plan, &specimen, &scan, &pictures, &reporter)
     }

@@ -7,8 +7,9 @@ use super::{output, text, values};
 use clap::Args;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
+use stemgen::files::outputs::check_outputs;
 use stemgen::io::writable;
 use stemgen::recipe::Recipe;
 use stemgen::specimen::{Specimen, estimated_sites, specimen};
@@ -99,9 +100,11 @@ impl SpecimenCommand {
         let format = writable(&path)?;
         let picture = self.png.then(|| path.with_extension("png"));
         if !self.common.dry_run {
-            for path in [Some(&path), picture.as_ref()].into_iter().flatten() {
-                output::check(path, self.overwrite)?;
-            }
+            let outputs = [Some(&path), picture.as_ref()].into_iter().flatten();
+            let outputs: Vec<&Path> = outputs.map(PathBuf::as_path).collect();
+            let inputs = self.recipe.files(&recipe);
+            let inputs: Vec<&Path> = inputs.iter().map(PathBuf::as_path).collect();
+            check_outputs(&outputs, &inputs, self.overwrite)?;
         }
         let specimen = specimen(&recipe)?;
         if self.common.dry_run {

@@ -2,12 +2,13 @@
 
 use super::common::Common;
 use super::progress_bar::Reporter;
+use super::text;
 use super::validate_reference::ReferenceArgs;
-use super::{output, text};
 use clap::Args;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use stemgen::files::outputs::check_outputs;
 use stemgen::progress::Progress;
 use stemgen::validate::report::{Report, ReportOrigin, suite_page};
 use stemgen::validate::suite::{Case, selected};
@@ -82,9 +83,11 @@ impl Validate {
         if self.list || (self.common.dry_run && !self.reference.given()) {
             return self.list(&cases).map(|()| ExitCode::SUCCESS);
         }
+        let read = self.reference.files();
         let prepared = self.reference.prepare(&reporter)?;
         if !self.common.dry_run {
-            output::check(&self.output, self.overwrite)?;
+            let read: Vec<&Path> = read.iter().map(PathBuf::as_path).collect();
+            check_outputs(&[&self.output], &read, self.overwrite)?;
         }
         let (subject, outcomes) = match prepared {
             Some(prepared) if self.common.dry_run => {

@@ -108,6 +108,11 @@ impl ReferenceArgs {
         self.reference.is_some()
     }
 
+    /// The files that are read.
+    pub fn files(&self) -> Vec<PathBuf> {
+        [&self.reference, &self.structure].into_iter().flatten().cloned().collect()
+    }
+
     /// Reads and plans; `None` without a reference.
     pub fn prepare(self, reporter: &Reporter) -> anyhow::Result<Option<PreparedReference>> {
         let (Some(path), Some(structure)) = (&self.reference, &self.structure) else {

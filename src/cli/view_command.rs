@@ -6,6 +6,7 @@ use super::{output, text, values};
 use anyhow::anyhow;
 use clap::Args;
 use std::path::{Path, PathBuf};
+use stemgen::files::outputs::check_outputs;
 use stemgen::io::WorldFile;
 use stemgen::render::html::WorldPage;
 
@@ -56,7 +57,7 @@ impl View {
         let world = WorldFile::open(&self.world)?;
         let ending = if self.html { "html" } else { "view.png" };
         let path = self.output.clone().unwrap_or_else(|| self.world.with_extension(ending));
-        output::check(&path, self.overwrite)?;
+        check_outputs(&[&path], &[&self.world], self.overwrite)?;
         let part = self.part(&world)?;
         if self.html {
             return self.write_page(&world, &path);

@@ -112,6 +112,11 @@ impl<'a> Simulation<'a> {
         let data = Array4::from_shape_fn((records, detectors, rows, columns), |(t, d, y, x)| {
             (sum[((y * columns + x) * records + t) * detectors + d] / n) as f32
         });
+        if let Some(bad) = data.iter().find(|v| !v.is_finite()) {
+            let expected =
+                "every pixel has to be finite; please report the settings that led to this";
+            return Err(Error::invalid(crate::Setting::Intensity, bad, expected));
+        }
         Ok(Images {
             data,
             detectors: plan.settings.detectors.iter().map(|d| d.name.clone()).collect(),

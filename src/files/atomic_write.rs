@@ -18,7 +18,7 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
     file.write_all(bytes).map_err(|e| Error::io(path, "write", e))?;
     file.as_file().sync_all().map_err(|e| Error::io(path, "write", e))?;
     file.persist(path).map_err(|e| Error::io(path, "create", e.error))?;
-    Ok(())
+    sync_folder(path)
 }
 
 /// Has `write` fill a temporary file beside `path`, given its name, and then syncs and renames it.
@@ -36,15 +36,34 @@ pub fn write_with(
     file.as_file().sync_all().map_err(|e| Error::io(path, "write", e))?;
     let persisted = if overwrite { file.persist(path) } else { file.persist_noclobber(path) };
     persisted.map_err(|e| Error::io(path, "create", e.error))?;
+    sync_folder(path)
+}
+
+/// Makes the name of a file that was put in place last through a power failure.
+///
+/// # Errors
+/// [`Error::Io`].
+pub fn sync_folder(path: &Path) -> Result<()> {
+    #[cfg(unix)]
+    {
+        let folder = super::outputs::folder(path);
+        let sync = std::fs::File::open(folder).and_then(|f| f.sync_all());
+        match sync {
+            // Some file systems cannot sync folders.
+            Err(e) if e.kind() != std::io::ErrorKind::InvalidInput => {
+                return Err(Error::io(folder, "sync", e));
+            }
+            _ => {}
+        }
+    }
+    #[cfg(not(unix))]
+    let _ = path;
     Ok(())
 }
 
 /// An empty temporary file in the directory of `path`.
 fn beside(path: &Path) -> Result<tempfile::NamedTempFile> {
-    let directory = match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
+    let directory = super::outputs::folder(path);
     create(directory).map_err(|e| Error::io(directory, "create a file in", e))
 }
 

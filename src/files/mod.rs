@@ -5,5 +5,6 @@ pub mod array_store;
 pub mod atomic_write;
 pub mod disk_space;
 mod output_lock;
+pub mod outputs;
 
 pub use output_lock::OutputLock;

@@ -168,7 +168,8 @@ impl ImagingChoice {
                 return Ok((Box::new(imager), found));
             }
         }
-        let expected = "no window is as right here; use multislice, or PRISM with interpolation 1";
+        let expected =
+            "no window is as right here; use the engine multislice, or prism with interpolation 1";
         Err(Error::invalid(
             crate::Setting::LargestErrorPercent,
             limit.unwrap_or_default(),

@@ -115,6 +115,14 @@ struct Truth {
 }
 
 impl WorldWriter {
+    /// Makes an empty file to see whether HDF5 can; it stays.
+    ///
+    /// # Errors
+    /// [`Error::Hdf5`], [`Error::Io`].
+    pub(crate) fn try_file(path: &Path) -> Result<()> {
+        File::create(path).at(path).map(drop)
+    }
+
     /// Creates (or replaces) the file and all that does not depend on the image.
     ///
     /// # Errors
@@ -296,14 +304,9 @@ impl WorldWriter {
     ///
     /// # Errors
     /// [`Error::Hdf5`], [`Error::Io`].
-    pub fn finish(self, wall_time_s: f64) -> Result<()> {
+    pub fn finish(self) -> Result<()> {
         let path = self.path.clone();
-        let write = || {
-            let metadata = self.file.group(schema::METADATA)?;
-            number(&metadata, "wall_time_s", wall_time_s)?;
-            self.file.flush()
-        };
-        write().at(&path)?;
+        self.file.flush().at(&path)?;
         drop(self);
         let sync = std::fs::File::open(&path).and_then(|f| f.sync_all());
         sync.map_err(|e| Error::io(&path, "write", e))

@@ -20,6 +20,7 @@ pub fn check(recipe: &Recipe) -> Checked<OrientedCrystals> {
     if recipe.version != 1 {
         return fault("version", recipe.version, "this program reads recipes of version 1");
     }
+    check_names(recipe)?;
     check_field(&recipe.field)?;
     check_tables(recipe)?;
     let (crystals, elements) = check_specimen(recipe)?;
@@ -33,6 +34,26 @@ pub fn check(recipe: &Recipe) -> Checked<OrientedCrystals> {
     within("detector.outer_mrad", detector.outer_mrad, detector.inner_mrad + 0.1, 1000.0)?;
     within("dose.electrons_per_angstrom2", recipe.dose.electrons_per_angstrom2, 1e-3, 1e12)?;
     Ok(crystals)
+}
+
+/// Longest id and source.
+const LONGEST_NAME: usize = 64;
+
+/// The id becomes part of paths, the source an attribute of files.
+fn check_names(recipe: &Recipe) -> Checked {
+    let plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+    let id = &recipe.id;
+    if id.is_empty() || id.len() > LONGEST_NAME || !id.chars().all(plain) {
+        let expected = format!("expected 1 to {LONGEST_NAME} letters, digits, `-` and `_`");
+        return fault("id", format!("{id:?}"), expected);
+    }
+    match &recipe.source {
+        Some(s) if s.is_empty() || s.len() > LONGEST_NAME || s.chars().any(char::is_control) => {
+            let expected = format!("expected 1 to {LONGEST_NAME} characters without line breaks");
+            fault("source", format!("{s:?}"), expected)
+        }
+        _ => Ok(()),
+    }
 }
 
 fn check_field(field: &Field) -> Checked {

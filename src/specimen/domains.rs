@@ -151,7 +151,7 @@ impl Specimen for Domains {
         out
     }
 
-    fn sheet(&self, family: UnitFamily) -> Option<LibraryCell> {
+    fn library_cell(&self, family: UnitFamily) -> Option<LibraryCell> {
         let contents = self.contents.as_ref()?;
         let crystal = &self.lattice.crystal;
         let order = family.structure as f64 / ORDER_STEPS;

@@ -245,7 +245,7 @@ impl Specimen for Epitaxy {
         out
     }
 
-    fn sheet(&self, family: UnitFamily) -> Option<LibraryCell> {
+    fn library_cell(&self, family: UnitFamily) -> Option<LibraryCell> {
         let contents = self.contents.as_ref()?;
         let crystal = &self.lattice.crystal;
         let alloy = contents.process.is_some_and(|p| p.element == self.host && p.by.is_some());

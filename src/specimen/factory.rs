@@ -12,11 +12,19 @@ use crate::error::Result;
 use crate::recipe::CheckedRecipe;
 use crate::recipe::tables::StructureKind;
 
+#[cfg(test)]
+thread_local! {
+    /// Specimens that this thread has laid out.
+    pub(crate) static LAID_OUT: std::cell::Cell<usize> = const { std::cell::Cell::new(0) };
+}
+
 /// The specimen that a recipe describes.
 ///
 /// # Errors
 /// [`crate::Error::Invalid`] where defects or particles find no room, which limits of single values cannot tell.
 pub fn specimen(recipe: &CheckedRecipe) -> Result<Arc<dyn Specimen>> {
+    #[cfg(test)]
+    LAID_OUT.set(LAID_OUT.get() + 1);
     let rigid: Box<dyn Specimen> = match recipe.structure {
         StructureKind::Grains => Box::new(Grains::new(recipe)?),
         StructureKind::Domains => Box::new(Domains::new(recipe)?),

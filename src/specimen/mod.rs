@@ -24,6 +24,8 @@ pub(crate) mod wave;
 
 pub use atom_columns::{AtomColumn, Sites};
 pub use census::{counted_sites, estimated_sites};
+#[cfg(test)]
+pub(crate) use factory::LAID_OUT;
 pub use factory::specimen;
 pub use sites::{DISPLACED_NM, SiteKind, SpecimenSite};
 pub use specimen_trait::{Boundary, BoundaryKind, ParticleTruth, Specimen, ThinFilm, particles_in};

@@ -54,8 +54,8 @@ impl Specimen for Relaxed {
     fn expected_sites(&self, region: &Region) -> Option<u64> {
         self.inner.expected_sites(region)
     }
-    fn sheet(&self, family: UnitFamily) -> Option<LibraryCell> {
-        self.inner.sheet(family)
+    fn library_cell(&self, family: UnitFamily) -> Option<LibraryCell> {
+        self.inner.library_cell(family)
     }
     fn thickness_nm(&self) -> f64 {
         self.inner.thickness_nm()
@@ -134,5 +134,80 @@ pub fn outward(
                 site.position_nm[k] += distance_nm * direction[k];
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::specimen::{BoundaryKind, SpecimenSite};
+
+    /// Knows something of everything that a specimen can be asked for.
+    struct KnowsAll;
+
+    impl Specimen for KnowsAll {
+        fn query(&self, _: &Region) -> Sites {
+            let position_nm = [0.0; 3];
+            let site = SpecimenSite { key: 1, position_nm, number: 8, kind: SiteKind::Pristine };
+            let mut sites = Sites::default();
+            sites.push_column(1, [0.0; 2], None, std::iter::once(site));
+            sites
+        }
+        fn expected_sites(&self, _: &Region) -> Option<u64> {
+            Some(7)
+        }
+        fn thickness_nm(&self) -> f64 {
+            3.0
+        }
+        fn boundaries(&self) -> Vec<Boundary> {
+            let kind = BoundaryKind::Grain { misorientation_deg: 1.0, sigma: None };
+            vec![Boundary { line_nm: vec![[0.0; 2]; 2], kind }]
+        }
+        fn phases(&self) -> Vec<String> {
+            vec!["a".into(), "b".into()]
+        }
+        fn phase_at(&self, _: [f64; 2]) -> usize {
+            1
+        }
+        fn library_cell(&self, family: UnitFamily) -> Option<LibraryCell> {
+            Some(LibraryCell {
+                box_angstrom: [1.0; 3],
+                scanned: [1.0; 2],
+                scan_origin: [0.0; 2],
+                cell: [1.0; 2],
+                periodic: [true; 2],
+                cells: 1,
+                count: family.bin,
+                process: None,
+                rate: 0.0,
+                units: Vec::new(),
+                surroundings: Vec::new(),
+            })
+        }
+        fn film(&self) -> Option<ThinFilm> {
+            Some(ThinFilm { number: 6, depth_nm: [0.0, 1.0], other_keys: 1 })
+        }
+        fn particles(&self) -> Vec<ParticleTruth> {
+            let morphology = "wulff".into();
+            let (centre_nm, orientation) = ([0.0; 3], [1.0, 0.0, 0.0, 0.0]);
+            vec![ParticleTruth { centre_nm, diameter_nm: 1.0, morphology, orientation }]
+        }
+    }
+
+    /// A default of the trait in place of what the rigid specimen knows would be a silent fault.
+    #[test]
+    fn everything_that_the_rigid_specimen_knows_is_passed_on() {
+        let relaxed =
+            Relaxed { inner: Box::new(KnowsAll), distance_nm: 0.01, reach: Reach::default() };
+        let region = Region { x: [0.0, 1.0], y: [0.0, 1.0] };
+        assert_eq!(relaxed.sites(&region).len(), 1);
+        assert_eq!(relaxed.expected_sites(&region), Some(7));
+        assert_eq!(relaxed.thickness_nm(), 3.0);
+        assert_eq!(relaxed.boundaries().len(), 1);
+        assert_eq!((relaxed.phases().len(), relaxed.phase_at([0.0; 2])), (2, 1));
+        let family = UnitFamily { motif: 0, structure: 0, bin: 5 };
+        assert_eq!(relaxed.library_cell(family).map(|cell| cell.count), Some(5));
+        assert_eq!(relaxed.film().map(|film| film.number), Some(6));
+        assert_eq!(relaxed.particles().len(), 1);
     }
 }

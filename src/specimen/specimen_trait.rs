@@ -102,7 +102,7 @@ pub trait Specimen: Send + Sync {
         0
     }
     /// The sheet in which units of a family are simulated, for specimens that tag columns with units.
-    fn sheet(&self, _family: UnitFamily) -> Option<LibraryCell> {
+    fn library_cell(&self, _family: UnitFamily) -> Option<LibraryCell> {
         None
     }
     /// The film behind everything else, for specimens that have one.

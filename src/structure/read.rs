@@ -6,6 +6,12 @@ use crate::error::{Error, Result};
 use crate::setting::Setting;
 use std::path::Path;
 
+#[cfg(test)]
+thread_local! {
+    /// Structures that this thread has parsed.
+    pub(crate) static PARSED: std::cell::Cell<usize> = const { std::cell::Cell::new(0) };
+}
+
 /// A file format of structures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
@@ -61,6 +67,8 @@ pub fn read(path: &Path) -> Result<Structure> {
 /// # Errors
 /// [`Error::Parse`] with the line.
 pub fn parse(format: Format, bytes: &[u8], path: &Path) -> Result<Structure> {
+    #[cfg(test)]
+    PARSED.set(PARSED.get() + 1);
     let text = std::str::from_utf8(bytes).map_err(|e| {
         let line = 1 + bytes[..e.valid_up_to()].iter().filter(|&&b| b == b'\n').count();
         Error::parse(path, line, "not UTF-8 text; save the file as plain text in UTF-8")

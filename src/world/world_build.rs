@@ -14,6 +14,8 @@ use super::subtile_store::{SubtileStore, beside};
 use super::subtiles::{Partition, SubTile};
 use super::truth::{self, Counts};
 use crate::error::{Error, Result};
+use crate::files::atomic_write::sync_folder;
+use crate::files::outputs::check_outputs;
 use crate::files::{OutputLock, disk_space};
 use crate::imaging::direct::rectangle_plan;
 use crate::imaging::{Audit, ImagingCost, PixelRect, RegionImager, SimulationRuns};
@@ -166,7 +168,8 @@ impl WorldBuild {
     /// As [`build`].
     pub fn run(mut self, output: &Path, progress: &dyn Progress) -> Result<BuildSummary> {
         let started = Instant::now();
-        check_output(output, self.options.overwrite)?;
+        check_outputs(&[output], &[], self.options.overwrite)?;
+        try_partial(output)?;
         let _lock = OutputLock::hold(output)?;
         let done = footprint::folder_bytes(&beside(output, ".work"));
         disk_space::check_space(output, self.disk_bytes().saturating_sub(done))?;
@@ -177,7 +180,7 @@ impl WorldBuild {
         let done = job.simulate(&store).and_then(|resumed| {
             let noise = self.options.noise;
             let image = BlendedImage::new(&self.recipe, &self.partition, &store, noise);
-            Ok((resumed, job.publish(output, &image, started)?))
+            Ok((resumed, job.publish(output, &image)?))
         });
         let (resumed, (counts, range)) = done.inspect_err(|_| {
             let kept = "keeps the sub-tiles done so far; the same command goes on from there";
@@ -218,21 +221,14 @@ impl WorldBuild {
     }
 }
 
-fn check_output(output: &Path, overwrite: bool) -> Result<()> {
-    let refuse = |why: &str| Err(Error::invalid(crate::Setting::Output, output.display(), why));
-    if output.is_dir() {
-        return refuse("is a folder; name a file in it, such as world.h5");
-    }
-    if output.exists() && !overwrite {
-        return refuse("exists; name another file, or allow overwriting");
-    }
-    let parent = output.parent().filter(|p| !p.as_os_str().is_empty());
-    match parent {
-        Some(parent) if !parent.is_dir() => {
-            fs::create_dir_all(parent).map_err(|e| Error::io(parent, "create", e))
-        }
-        _ => Ok(()),
-    }
+/// Finds before any work what would keep the file from being written at the end: names that HDF5 does not take, names too long,
+/// folders that may not be written.
+fn try_partial(output: &Path) -> Result<()> {
+    let partial = beside(output, ".partial");
+    let tried = WorldWriter::try_file(&partial);
+    // Whatever became of it: the reason of a failure matters more.
+    let _ = fs::remove_file(&partial);
+    tried
 }
 
 struct Job<'a> {
@@ -312,16 +308,12 @@ impl Job<'_> {
     }
 
     /// Writes the file under another name and puts it in place when it is complete.
-    fn publish(
-        &self,
-        output: &Path,
-        image: &BlendedImage,
-        started: Instant,
-    ) -> Result<(Counts, [f32; 2])> {
+    fn publish(&self, output: &Path, image: &BlendedImage) -> Result<(Counts, [f32; 2])> {
         let partial = beside(output, ".partial");
-        let written = self.write_file(&partial, image, started).and_then(|written| {
-            check_output(output, self.build.options.overwrite)?;
+        let written = self.write_file(&partial, image).and_then(|written| {
+            check_outputs(&[output], &[], self.build.options.overwrite)?;
             fs::rename(&partial, output).map_err(|e| Error::io(output, "write", e))?;
+            sync_folder(output)?;
             Ok(written)
         });
         if written.is_err() {
@@ -331,19 +323,14 @@ impl Job<'_> {
         written
     }
 
-    fn write_file(
-        &self,
-        path: &Path,
-        image: &BlendedImage,
-        started: Instant,
-    ) -> Result<(Counts, [f32; 2])> {
+    fn write_file(&self, path: &Path, image: &BlendedImage) -> Result<(Counts, [f32; 2])> {
         let keep_clean = self.build.options.keep_clean;
         let writer = WorldWriter::create(path, &self.header(), keep_clean)?;
         let range = image.range(self.progress)?;
         image.write(&writer, range, keep_clean, self.progress)?;
         let counts =
             truth::write(&*self.build.specimen, &self.build.recipe.field, &writer, self.progress)?;
-        writer.finish(started.elapsed().as_secs_f64())?;
+        writer.finish()?;
         verify(path, counts)?;
         Ok((counts, range))
     }
@@ -357,6 +344,7 @@ impl Job<'_> {
             ("zone_axis", recipe.zone_axis.clone()),
             ("recipe", recipe.to_toml()),
             ("stemgen_version", env!("CARGO_PKG_VERSION").into()),
+            ("numerics_version", NUMERICS_VERSION.to_string()),
             ("engine", self.imager.name().to_owned()),
             ("engine_parameters", self.imager.parameters().to_string()),
         ];
@@ -399,5 +387,55 @@ fn verify(path: &Path, counts: Counts) -> Result<()> {
             found,
             format!("{} written", counts.sites),
         )),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::imaging::Cache;
+    use crate::progress::Silent;
+    use crate::recipe::{Override, Recipe};
+    use crate::specimen::LAID_OUT;
+    use crate::structure::PARSED;
+
+    #[test]
+    fn a_build_reads_its_crystals_once_and_lays_its_specimen_out_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let changes = [
+            "field={fov_nm=[2.4, 2.4], grid=[1, 1], tile_px=16, overlap_px=0, thickness_nm=0.8}",
+            "phonons.configurations=1",
+            "detector={inner_mrad=50.0, outer_mrad=90.0}",
+            "domains.sharpness_sigma_px=1.0",
+            "domains.boundaries=0",
+        ];
+        let changes: Vec<Override> = changes.iter().map(|c| c.parse().unwrap()).collect();
+        // Domains have two crystals.
+        let (parsed, laid_out) = (PARSED.get(), LAID_OUT.get());
+        let recipe = Recipe::load("batio3", crate::recipe::Difficulty::Easy).unwrap();
+        let recipe = recipe.with_overrides(&changes).unwrap().checked().unwrap();
+        let options = BuildOptions { cache: Cache::none(), ..BuildOptions::default() };
+        let build = WorldBuild::new(&recipe, &options).unwrap();
+        build.cost().unwrap();
+        build.run(&folder.path().join("w.h5"), &Silent).unwrap();
+        assert_eq!(PARSED.get() - parsed, 2);
+        assert_eq!(LAID_OUT.get() - laid_out, 1);
+    }
+
+    #[test]
+    fn lost_tiles_are_noticed_clean_ones_too() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("w.h5");
+        let tiny = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/cli/tiny.toml"));
+        let recipe = CheckedRecipe::from_file(tiny, None).unwrap();
+        let options = BuildOptions { cache: Cache::none(), keep_clean: true, ..Default::default() };
+        let done = build(&recipe, &path, &options, &Silent).unwrap();
+        verify(&path, done.counts).unwrap();
+        let counts = Counts { sites: done.counts.sites + 1, ..done.counts };
+        assert!(verify(&path, counts).is_err());
+        let file = hdf5::File::append(&path).unwrap();
+        file.group("clean").unwrap().unlink("1_0").unwrap();
+        drop(file);
+        assert!(verify(&path, done.counts).is_err());
     }
 }

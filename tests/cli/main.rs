@@ -8,6 +8,7 @@ mod errors;
 mod help;
 #[path = "../common/python.rs"]
 mod interpreter;
+mod outputs;
 mod recipes;
 mod simulate;
 #[path = "../common/skipped.rs"]

@@ -37,7 +37,7 @@ def dataset(file, name, shape, dtype):
 def check_metadata(file):
     m = file["metadata"].attrs
     for name in ["pixel_size_nm", "tile_size_px", "overlap_px", "grid_shape", "fov_nm", "recipe", "seed",
-                 "stemgen_version", "engine", "engine_parameters", "dose_electrons_per_angstrom2", "wall_time_s",
+                 "stemgen_version", "engine", "engine_parameters", "dose_electrons_per_angstrom2", "numerics_version",
                  "material", "zone_axis", "noise", "origin_px_in_full_field", "thickness_nm"]:
         check(name in m, f"metadata: no attribute {name}")
     rows, cols = (int(n) for n in m["grid_shape"])

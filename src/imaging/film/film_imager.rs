@@ -9,17 +9,15 @@
 //! Without the film behind them, bright columns of a Pt particle of 2.8 nm on 5 nm of carbon would be off by 0.95 % rms (mean -0.15 %) in
 //! one configuration, and by 0.6 % in 4 or 16: the waves that film and particle scatter interfere.
 
-use std::collections::BTreeSet;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
-use ndarray::{Array2, s};
-use rayon::prelude::*;
+use ndarray::Array2;
 
+use super::film_blocks::{FilmBlocks, REACH_ANGSTROM};
+use super::film_scene::FilmScene;
 use super::particle_blocks::{BLOCK_PROBES, BlockImage, ParticleBlocks};
 use super::samples::Samples;
-use crate::engine::phonons::displaced;
-use crate::engine::single_scattering::{ScatteringMap, SingleScattering};
-use crate::engine::{Algorithm, ProbeBox, ProbeStep, Settings, Site};
+use crate::engine::{Algorithm, ProbeBox, ProbeStep, Settings};
 use crate::error::{Error, Result};
 use crate::imaging::direct::rectangle_plan;
 use crate::imaging::displaced_atoms::{DisplacedAtoms, displaced_by_seed};
@@ -31,11 +29,8 @@ use crate::potential::slices::{GROUP_ANGSTROM, Slicing};
 use crate::progress::{Progress, ProgressShare};
 use crate::recipe::{CheckedRecipe, Region};
 use crate::resample::{Edge, Kernel, image_band_limit};
-use crate::specimen::{Specimen, SpecimenSite};
+use crate::specimen::Specimen;
 
-/// Atoms further than this from a probe do not count, in Angstrom: a particle of 4 nm at this distance from its edge is seen with
-/// 2 % of the film's intensity.
-const REACH_ANGSTROM: f64 = 30.0;
 /// Atoms of particles within so many Angstrom along the beam share a slice: tilted particles have no planes. Of a particle of
 /// 2.8 nm, one configuration, windows of 5.9 A, bright pixels are off by 0.68 / 0.60 / 0.43 / 0.27 % rms with 0.5 / 0.35 / 0.25 /
 /// 0.15 A against 0.05 A, and take 0.83 / 1 / 1.06 / 1.20 times as long: windows pass most of thin slices in one step.
@@ -46,15 +41,10 @@ const FILM_SHARE: f64 = 0.4;
 const PIXELS_PER_PROBE_NM: f64 = 120.0;
 /// See the module.
 pub struct FilmImager {
-    /// The particles.
-    blocks: ParticleBlocks,
+    scene: Arc<FilmScene>,
+    film: FilmBlocks,
+    particles: ParticleBlocks,
     kernel: Kernel,
-}
-
-/// Atoms around some samples, in Angstrom from the first of them.
-struct Atoms {
-    film: Vec<Site>,
-    particles: Vec<Site>,
 }
 
 impl FilmImager {
@@ -83,84 +73,16 @@ impl FilmImager {
             slicing: Slicing::Grouped(SPAN_ANGSTROM),
             ..settings.clone()
         });
-        let blocks = ParticleBlocks {
+        let scene = Arc::new(FilmScene {
             recipe: recipe.clone(),
             specimen: Arc::clone(specimen),
             film,
             simulator,
             window_angstrom: width_angstrom,
             step,
-            kept: Mutex::default(),
-        };
-        Ok(Some(FilmImager { kernel: Kernel::new(step, band_limit)?, blocks }))
-    }
-
-    fn atoms_around(&self, samples: &Samples, origin: [f64; 2]) -> Atoms {
-        let range = |k: usize| {
-            let first = samples.first[1 - k] as f64 * self.blocks.step - REACH_ANGSTROM;
-            let last =
-                first + samples.shape[1 - k] as f64 * self.blocks.step + 2.0 * REACH_ANGSTROM;
-            [0.1 * first, 0.1 * last]
-        };
-        let sites = self.blocks.specimen.sites(&Region { x: range(0), y: range(1) });
-        let phonons = &self.blocks.recipe.phonons;
-        let atom = |s: SpecimenSite| {
-            let site = s.atom([0.0; 2], phonons)?;
-            let [x, y, z] = site.position;
-            Some(Site { position: [x - origin[0], y - origin[1], z], ..site })
-        };
-        let (film, particles) =
-            sites.into_par_iter().filter_map(atom).partition(|s| self.blocks.film.holds(s.key));
-        Atoms { film, particles }
-    }
-
-    /// Those of some atoms that are of element `number`, in all their configurations, on a raster.
-    fn deposit<'r>(
-        &self,
-        raster: &'r SingleScattering<'r>,
-        atoms: &[Site],
-        (number, depth_angstrom): (u8, [f64; 2]),
-        configurations: usize,
-    ) -> Result<ScatteringMap<'r>> {
-        let mut deposit = raster.map(number, depth_angstrom)?;
-        for configuration in 0..configurations as u32 {
-            let of = atoms.par_iter().filter(|s| s.number == number);
-            let moved: Vec<[f64; 3]> =
-                of.map(|s| displaced(s, self.blocks.recipe.seed, configuration)).collect();
-            deposit.add(&moved, 1.0 / configurations as f64);
-        }
-        Ok(deposit)
-    }
-
-    /// Images of atoms each by itself on rasters of at least `least` samples, less `margin` on all sides: of all the film's,
-    /// and of those outside the windows of probes; each with that of the particles' atoms outside.
-    fn independent(
-        &self,
-        atoms: &Atoms,
-        (least, margin): ([usize; 2], usize),
-        configurations: usize,
-    ) -> Result<[Array2<f64>; 2]> {
-        let outside = 0.5 * self.blocks.window_angstrom;
-        let raster =
-            SingleScattering::new(self.blocks.simulator.settings(), self.blocks.step, least)?;
-        let [rows, columns] = least.map(|n| margin..n - margin);
-        let image = |deposit: &ScatteringMap<'_>, beyond| {
-            deposit.image(beyond).slice_move(s![rows.clone(), columns.clone()])
-        };
-        let kind = (self.blocks.film.number, self.blocks.film.depth_nm.map(|z| 10.0 * z));
-        let film = self.deposit(&raster, &atoms.film, kind, configurations)?;
-        let mut images = [image(&film, 0.0), image(&film, outside)];
-        let numbers: BTreeSet<u8> = atoms.particles.iter().map(|s| s.number).collect();
-        let heights = || atoms.particles.iter().map(|s| s.position[2]);
-        let depth =
-            [heights().fold(f64::INFINITY, f64::min), heights().fold(f64::NEG_INFINITY, f64::max)];
-        for number in numbers {
-            let kind = (number, depth);
-            let particles = self.deposit(&raster, &atoms.particles, kind, configurations)?;
-            let far = image(&particles, outside);
-            images.iter_mut().for_each(|sum| *sum += &far);
-        }
-        Ok(images)
+        });
+        let (film, particles) = (FilmBlocks::new(&scene), ParticleBlocks::new(&scene));
+        Ok(Some(FilmImager { kernel: Kernel::new(step, band_limit)?, scene, film, particles }))
     }
 }
 
@@ -170,10 +92,10 @@ impl RegionImager for FilmImager {
     }
 
     fn parameters(&self) -> serde_json::Value {
-        let mut settings = self.blocks.simulator.parameters();
+        let mut settings = self.scene.simulator.parameters();
         settings["film"] = serde_json::json!({
-            "number": self.blocks.film.number,
-            "depth_nm": self.blocks.film.depth_nm,
+            "number": self.scene.film.number,
+            "depth_nm": self.scene.film.depth_nm,
             "reach_angstrom": REACH_ANGSTROM,
         });
         settings
@@ -189,19 +111,15 @@ impl RegionImager for FilmImager {
             return Err(Error::Interrupted);
         }
         let PixelRect { first, shape, .. } = *pixels;
-        let pixel = 10.0 * self.blocks.recipe.field.pixel_nm() / self.blocks.step;
+        let pixel = 10.0 * self.scene.recipe.field.pixel_nm() / self.scene.step;
         let samples = Samples::under(first, shape, pixel);
-        let margin = (REACH_ANGSTROM / self.blocks.step).ceil() as usize;
-        let least = samples.shape.map(|n| n + 2 * margin);
-        let origin = [1, 0].map(|k| (samples.first[k] - margin as i64) as f64 * self.blocks.step);
-        let atoms = self.atoms_around(&samples, origin);
-        let [mut image, outside] = self.independent(&atoms, (least, margin), configurations)?;
+        let [mut image, outside] = self.film.images(&samples, configurations)?;
         let blocks = ParticleBlocks::touching(&samples);
         let work = configurations * BLOCK_PROBES;
         progress.start("particles", "probe", (blocks.len() * work) as u64);
         for index in blocks {
             let share = ProgressShare::new(progress, work);
-            if let Some(block) = self.blocks.block(index, configurations, &share)? {
+            if let Some(block) = self.particles.block(index, configurations, &share)? {
                 add_block(&mut image, &outside, &samples, &block);
             }
             share.complete();
@@ -216,24 +134,24 @@ impl RegionImager for FilmImager {
     }
 
     fn window_angstrom(&self) -> Option<f64> {
-        Some(self.blocks.window_angstrom)
+        Some(self.scene.window_angstrom)
     }
 
     fn cost(&self, subtile: [usize; 2], subtiles: usize) -> Result<ImagingCost> {
-        let probes = self.blocks.particle_probes();
-        let main = match self.blocks.block_plan()? {
+        let probes = self.particles.particle_probes();
+        let main = match self.particles.block_plan()? {
             Some(planned) => SimulationRuns::new(planned, probes.div_ceil(BLOCK_PROBES))
                 .for_probes(probes.min(BLOCK_PROBES)),
             None => {
-                let (recipe, specimen) = (&self.blocks.recipe, &*self.blocks.specimen);
-                rectangle_plan(recipe, specimen, &self.blocks.simulator, subtile, subtiles)?.0
+                let (recipe, specimen) = (&self.scene.recipe, &*self.scene.specimen);
+                rectangle_plan(recipe, specimen, &self.scene.simulator, subtile, subtiles)?.0
             }
         };
         Ok(ImagingCost {
             main,
             more: None,
             largest_block: None,
-            probe_step_angstrom: [self.blocks.step; 2],
+            probe_step_angstrom: [self.scene.step; 2],
             image_bytes: 0,
             mosaic: None,
             particle_probes: Some(probes),
@@ -242,35 +160,35 @@ impl RegionImager for FilmImager {
 
     fn work(&self, &PixelRect { first, shape: [rows, columns], .. }: &PixelRect) -> usize {
         // The way of probes through particles, from one pixel in 64.
-        let pixel = self.blocks.recipe.field.pixel_nm();
-        let particles = self.blocks.specimen.particles();
+        let pixel = self.scene.recipe.field.pixel_nm();
+        let particles = self.scene.specimen.particles();
         let spheres: Vec<([f64; 3], f64)> =
-            particles.iter().map(|p| (p.centre_nm, self.blocks.reach_nm(p))).collect();
+            particles.iter().map(|p| (p.centre_nm, self.particles.reach_nm(p))).collect();
         let chord = |x: f64, y: f64| {
             let through = |(c, r): &([f64; 3], f64)| {
                 2.0 * (r * r - (c[0] - x).powi(2) - (c[1] - y).powi(2)).max(0.0).sqrt()
             };
             let way = spheres.iter().map(through).sum::<f64>();
-            let film = self.blocks.film.depth_nm[1] - self.blocks.film.depth_nm[0];
+            let film = self.scene.film.depth_nm[1] - self.scene.film.depth_nm[0];
             way + if way > 0.0 { FILM_SHARE * film } else { 0.0 }
         };
         let at = |n: usize, first: usize| (first + n) as f64 * pixel;
         let places =
             (0..rows).step_by(8).flat_map(|i| (0..columns).step_by(8).map(move |j| (i, j)));
         let way = places.map(|(i, j)| chord(at(j, first[1]), at(i, first[0]))).sum::<f64>();
-        let per_pixel = (10.0 * pixel / self.blocks.step).powi(2);
-        let configurations = self.blocks.recipe.phonons.configurations.max(1) as f64;
+        let per_pixel = (10.0 * pixel / self.scene.step).powi(2);
+        let configurations = self.scene.recipe.phonons.configurations.max(1) as f64;
         let probes_nm = 64.0 * way * per_pixel * configurations;
         rows * columns + (PIXELS_PER_PROBE_NM * probes_nm) as usize
     }
 
     /// Mean heights of the film's atoms are those of slices as thick as in any specimen without planes: particles need thinner ones.
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
-        let seed = (self.blocks.recipe.seed, configuration);
-        let phonons = &self.blocks.recipe.phonons;
-        let mut atoms = displaced_by_seed(&*self.blocks.specimen, area, seed, phonons);
+        let seed = (self.scene.recipe.seed, configuration);
+        let phonons = &self.scene.recipe.phonons;
+        let mut atoms = displaced_by_seed(&*self.scene.specimen, area, seed, phonons);
         for (site, z) in atoms.sites.iter().zip(&mut atoms.heights) {
-            if self.blocks.film.holds(site.key) {
+            if self.scene.film.holds(site.key) {
                 *z = (*z / GROUP_ANGSTROM).round() * GROUP_ANGSTROM;
             }
         }
@@ -286,14 +204,8 @@ fn add_block(
     samples: &Samples,
     block: &BlockImage,
 ) {
-    // The part of the block that is asked for: rows and columns of the block, and of the samples.
-    let part = |k: usize| {
-        let offset = block.samples.first[k] - samples.first[k];
-        let end = (block.samples.shape[k] as i64).min(samples.shape[k] as i64 - offset);
-        let start = (-offset).max(0);
-        (start as usize..end.max(start) as usize, (start + offset) as usize)
-    };
-    let ((rows, to_row), (columns, to_column)) = (part(0), part(1));
+    let (rows, to_row) = samples.shared(&block.samples, 0);
+    let (columns, to_column) = samples.shared(&block.samples, 1);
     for (n, i) in rows.enumerate() {
         for (m, j) in columns.clone().enumerate() {
             let at = [to_row + n, to_column + m];

@@ -3,21 +3,21 @@
 //! Blocks lie at fixed places of the full field and are simulated as a whole, so that the image of a particle does not depend on
 //! the rectangle that is asked for.
 
-use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use ndarray::Array2;
 
+use super::block_cache::BlockCache;
+use super::film_scene::FilmScene;
 use super::samples::Samples;
 use crate::engine::phonons::displaced;
 use crate::engine::{Plan, PlannedScan, Scan, Site};
 use crate::error::Result;
 use crate::imaging::displaced_atoms::DisplacedAtoms;
 use crate::imaging::pixels::PixelBox;
-use crate::imaging::simulator::Simulator;
 use crate::progress::Progress;
-use crate::recipe::{CheckedRecipe, Region};
-use crate::specimen::{ParticleTruth, Specimen, ThinFilm, particles_in};
+use crate::recipe::Region;
+use crate::specimen::{ParticleTruth, ThinFilm, particles_in};
 
 /// Windows hold no atoms of a particle further than half their width and this from the probe, in Angstrom.
 const BEYOND_WINDOW_ANGSTROM: f64 = 1.0;
@@ -52,40 +52,18 @@ pub struct BlockImage {
 
 /// See the module.
 pub struct ParticleBlocks {
-    pub recipe: CheckedRecipe,
-    pub specimen: Arc<dyn Specimen>,
-    pub film: ThinFilm,
-    pub simulator: Simulator,
-    pub window_angstrom: f64,
-    /// Distance of samples in Angstrom.
-    pub step: f64,
-    pub kept: Mutex<KeptBlocks>,
-}
-
-/// Number of a block along y and x, and of configurations.
-type Key = ([i64; 2], usize);
-
-/// The blocks made last.
-#[derive(Default)]
-pub struct KeptBlocks {
-    blocks: BTreeMap<Key, Option<Arc<BlockImage>>>,
-    order: VecDeque<Key>,
-}
-
-impl KeptBlocks {
-    fn add(&mut self, key: Key, block: Option<Arc<BlockImage>>) {
-        if self.order.len() >= KEPT {
-            self.order.pop_front().map(|oldest| self.blocks.remove(&oldest));
-        }
-        self.order.push_back(key);
-        self.blocks.insert(key, block);
-    }
+    scene: Arc<FilmScene>,
+    kept: BlockCache<Option<Arc<BlockImage>>>,
 }
 
 impl ParticleBlocks {
+    pub fn new(scene: &Arc<FilmScene>) -> Self {
+        ParticleBlocks { scene: Arc::clone(scene), kept: BlockCache::new(KEPT) }
+    }
+
     /// Distance from an atom of a particle, along x and y, up to which probes are propagated, in Angstrom.
     fn near(&self) -> f64 {
-        0.5 * self.window_angstrom + BEYOND_WINDOW_ANGSTROM
+        0.5 * self.scene.window_angstrom + BEYOND_WINDOW_ANGSTROM
     }
 
     /// Distance from the centre of a particle up to which probes are propagated, about.
@@ -101,8 +79,9 @@ impl ParticleBlocks {
     /// Probes that the particles of the built field take, for each configuration.
     pub fn particle_probes(&self) -> usize {
         let area = |p: &ParticleTruth| std::f64::consts::PI * self.reach_nm(p).powi(2);
-        let particles = particles_in(&*self.specimen, &self.recipe.field.built_region());
-        let step_nm = 0.1 * self.step;
+        let particles =
+            particles_in(&*self.scene.specimen, &self.scene.recipe.field.built_region());
+        let step_nm = 0.1 * self.scene.step;
         (particles.iter().map(area).sum::<f64>() / (step_nm * step_nm)) as usize
     }
 
@@ -112,20 +91,20 @@ impl ParticleBlocks {
     /// # Errors
     /// Those of the settings.
     pub fn block_plan(&self) -> Result<Option<PlannedScan>> {
-        let mut particles = self.specimen.particles();
+        let mut particles = self.scene.specimen.particles();
         let moment = |n: i32| particles.iter().map(|p| p.diameter_nm.powi(n)).sum::<f64>();
         let mean = moment(3) / moment(2);
         let off = |p: &ParticleTruth| (p.diameter_nm - mean).abs();
         particles.sort_by(|a, b| off(a).total_cmp(&off(b)));
         let Some(particle) = particles.first() else { return Ok(None) };
-        let half = 0.05 * BLOCK as f64 * self.step + 0.1 * self.margin();
+        let half = 0.05 * BLOCK as f64 * self.scene.step + 0.1 * self.margin();
         let [x, y] = [0, 1].map(|k| [particle.centre_nm[k] - half, particle.centre_nm[k] + half]);
-        let atoms = self.atoms(&Region { x, y });
-        let size = [20.0 * half, 20.0 * half, 10.0 * self.specimen.thickness_nm()];
-        let plan = Plan::new(self.simulator.settings(), size, &self.heights(&atoms))?;
+        let atoms = self.scene.atoms(&Region { x, y });
+        let size = [20.0 * half, 20.0 * half, 10.0 * self.scene.specimen.thickness_nm()];
+        let plan = Plan::new(self.scene.simulator.settings(), size, &self.heights(&atoms))?;
         let scan = Scan {
             origin_angstrom: [self.margin(); 2],
-            step_angstrom: [self.step; 2],
+            step_angstrom: [self.scene.step; 2],
             shape: [BLOCK as usize; 2],
         };
         Ok(Some(PlannedScan::new(plan, scan, Some(&atoms))))
@@ -133,11 +112,7 @@ impl ParticleBlocks {
 
     /// The blocks that hold any of some samples.
     pub fn touching(samples: &Samples) -> Vec<[i64; 2]> {
-        let range = |k: usize| {
-            let last = samples.first[k] + samples.shape[k] as i64 - 1;
-            samples.first[k].div_euclid(BLOCK)..=last.div_euclid(BLOCK)
-        };
-        range(0).flat_map(|i| range(1).map(move |j| [i, j])).collect()
+        samples.blocks(BLOCK)
     }
 
     /// The image of a block in the mean over some configurations; `None` where windows hold no atoms of particles.
@@ -150,14 +125,9 @@ impl ParticleBlocks {
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Option<Arc<BlockImage>>> {
-        let kept = || self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        let key = (index, configurations);
-        if let Some(found) = kept().blocks.get(&key) {
-            return Ok(found.clone());
-        }
-        let made = self.simulated(index, configurations, progress)?.map(Arc::new);
-        kept().add(key, made.clone());
-        Ok(made)
+        self.kept.get((index, configurations), || {
+            Ok(self.simulated(index, configurations, progress)?.map(Arc::new))
+        })
     }
 
     fn simulated(
@@ -166,15 +136,15 @@ impl ParticleBlocks {
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Option<BlockImage>> {
-        let whole = Samples { first: index.map(|n| n * BLOCK), shape: [BLOCK as usize; 2] };
+        let whole = Samples::block(index, BLOCK);
         // Atoms from whose windows on samples of the block may lie.
-        let around = self.atoms(&self.region(&whole));
+        let around = self.scene.atoms(&whole.region(self.scene.step, self.margin()));
         let particles: Vec<[f64; 2]> = around
             .iter()
-            .filter(|s| !self.film.holds(s.key))
+            .filter(|s| !self.scene.film.holds(s.key))
             .map(|s| {
                 // in samples from the first of the block
-                [1, 0].map(|k| (s.position[k] - self.margin()) / self.step)
+                [1, 0].map(|k| (s.position[k] - self.margin()) / self.scene.step)
             })
             .collect();
         let Some(samples) = self.near_particles(&whole, &particles) else { return Ok(None) };
@@ -186,31 +156,14 @@ impl ParticleBlocks {
         Ok(Some(BlockImage { samples, image, share }))
     }
 
-    /// The specimen that samples need, in nm of the full field.
-    fn region(&self, samples: &Samples) -> Region {
-        let range = |k: usize| {
-            let first = samples.first[1 - k] as f64 * self.step;
-            let last = first + (samples.shape[1 - k] - 1) as f64 * self.step;
-            [first - self.margin(), last + self.margin()].map(|v| 0.1 * v)
-        };
-        Region { x: range(0), y: range(1) }
-    }
-
-    /// Atoms of a region at their mean positions, in Angstrom from its corner.
-    fn atoms(&self, region: &Region) -> Vec<Site> {
-        let (corner, phonons) = ([region.x[0], region.y[0]], &self.recipe.phonons);
-        let sites = self.specimen.sites(region);
-        sites.iter().filter_map(|s| s.atom(corner, phonons)).collect()
-    }
-
     fn heights(&self, atoms: &[Site]) -> Vec<f64> {
-        atoms.iter().map(|s| height(&self.film, s, FILM_SLICE_ANGSTROM)).collect()
+        atoms.iter().map(|s| height(&self.scene.film, s, FILM_SLICE_ANGSTROM)).collect()
     }
 
     /// The least rectangle in a block around the samples whose windows hold atoms of particles; these are in samples (row,
     /// column) from the first of the block.
     fn near_particles(&self, block: &Samples, particles: &[[f64; 2]]) -> Option<Samples> {
-        let reach = self.near() / self.step;
+        let reach = self.near() / self.scene.step;
         let mut rectangle: Option<[[i64; 2]; 2]> = None;
         for at in particles {
             let range = |k: usize| {
@@ -235,7 +188,7 @@ impl ParticleBlocks {
     /// See [`BlockImage::share`]; particles are in samples (row, column) from the first.
     fn share(&self, samples: &Samples, particles: &[[f64; 2]]) -> Array2<f64> {
         let mut distance = Array2::from_elem(samples.shape, f64::INFINITY);
-        let reach = self.near() / self.step;
+        let reach = self.near() / self.scene.step;
         for at in particles {
             let range = |k: usize| {
                 let low = (at[k] - reach).ceil().max(0.0) as usize;
@@ -245,7 +198,8 @@ impl ParticleBlocks {
             for i in range(0) {
                 for j in range(1) {
                     // as windows are square
-                    let d = (i as f64 - at[0]).abs().max((j as f64 - at[1]).abs()) * self.step;
+                    let d =
+                        (i as f64 - at[0]).abs().max((j as f64 - at[1]).abs()) * self.scene.step;
                     distance[[i, j]] = distance[[i, j]].min(d);
                 }
             }
@@ -259,11 +213,11 @@ impl ParticleBlocks {
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Array2<f64>> {
-        let area = self.region(samples);
-        let sites = self.atoms(&area);
+        let area = samples.region(self.scene.step, self.margin());
+        let sites = self.scene.atoms(&area);
         let moved = |configuration: usize| {
             let site = |s: &Site| {
-                let position = displaced(s, self.recipe.seed, configuration as u32);
+                let position = displaced(s, self.scene.recipe.seed, configuration as u32);
                 Site { position, sigma_angstrom: 0.0, ..*s }
             };
             DisplacedAtoms {
@@ -273,10 +227,10 @@ impl ParticleBlocks {
         };
         let scan = Scan {
             origin_angstrom: [self.margin(); 2],
-            step_angstrom: [self.step; 2],
+            step_angstrom: [self.scene.step; 2],
             shape: samples.shape,
         };
-        let pixels = PixelBox::of_area(area, scan, 10.0 * self.specimen.thickness_nm());
-        self.simulator.mean(&pixels, configurations, moved, progress)
+        let pixels = PixelBox::of_area(area, scan, 10.0 * self.scene.specimen.thickness_nm());
+        self.scene.simulator.mean(&pixels, configurations, moved, progress)
     }
 }

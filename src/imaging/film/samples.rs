@@ -1,6 +1,9 @@
 //! Samples of the full field: where probes of particles stand, and the image of the film is worked out.
 
-use crate::resample::MARGIN;
+use std::ops::Range;
+
+use crate::recipe::Region;
+use crate::resample::HALF_WIDTH;
 
 /// Samples of the full field: the first (row, column), and how many.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -12,9 +15,44 @@ pub struct Samples {
 }
 
 impl Samples {
+    /// Block `index` of blocks of `edge` samples.
+    pub fn block(index: [i64; 2], edge: i64) -> Self {
+        Samples { first: index.map(|n| n * edge), shape: [edge as usize; 2] }
+    }
+
+    /// The blocks of `edge` samples that hold any of these.
+    pub fn blocks(&self, edge: i64) -> Vec<[i64; 2]> {
+        let range = |k: usize| {
+            let last = self.first[k] + self.shape[k] as i64 - 1;
+            self.first[k].div_euclid(edge)..=last.div_euclid(edge)
+        };
+        range(0).flat_map(|i| range(1).map(move |j| [i, j])).collect()
+    }
+
+    /// The area of the samples with `margin` Angstrom more on all sides, in nm of the full field; they are `step` Angstrom
+    /// apart.
+    pub fn region(&self, step: f64, margin: f64) -> Region {
+        let range = |k: usize| {
+            let first = self.first[1 - k] as f64 * step;
+            let last = first + (self.shape[1 - k] - 1) as f64 * step;
+            [first - margin, last + margin].map(|v| 0.1 * v)
+        };
+        Region { x: range(0), y: range(1) }
+    }
+
+    /// Samples that these have in common with others, along axis `k`: their numbers among the others, and the number among
+    /// these of the first.
+    pub fn shared(&self, others: &Samples, k: usize) -> (Range<usize>, usize) {
+        let offset = others.first[k] - self.first[k];
+        let end = (others.shape[k] as i64).min(self.shape[k] as i64 - offset);
+        let start = (-offset).max(0);
+        (start as usize..end.max(start) as usize, (start + offset) as usize)
+    }
+
     /// Those that pixels `pixel` samples apart are interpolated from.
     pub fn under(first: [usize; 2], shape: [usize; 2], pixel: f64) -> Self {
-        let margin = MARGIN as i64;
+        // With whole stencils on all sides, a pixel does not depend on where the samples end.
+        let margin = HALF_WIDTH as i64;
         let low = first.map(|p| (p as f64 * pixel).floor() as i64 - margin);
         let high =
             [0, 1].map(|k| ((first[k] + shape[k] - 1) as f64 * pixel).floor() as i64 + 1 + margin);

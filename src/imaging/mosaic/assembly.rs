@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use ndarray::Array2;
 use rayon::prelude::*;
 
-use crate::imaging::mosaic::image_library::{CellImages, Library, Realisation};
+use crate::imaging::mosaic::image_library::{CellImages, ImageLibrary, Realisation};
 use crate::imaging::mosaic::survey::BEYOND_NM;
 use crate::recipe::region::Region;
 use crate::resample::{Kernel, TAPS, Weights};
@@ -99,7 +99,7 @@ impl Assembly {
     /// The image, mean over the first `configurations`, without what [`Assembly::missing`] lists.
     pub fn image(
         &self,
-        library: &Library,
+        library: &ImageLibrary,
         kernel: &Kernel,
         seed: u64,
         configurations: usize,
@@ -109,15 +109,16 @@ impl Assembly {
             of_unit[share.unit].push(share);
         }
         let patch = |(unit, shares): (&PlacedUnit, &Vec<&PixelShare>)| -> Vec<f64> {
-            let found = unit.tag.and_then(|tag| Some((tag, library.shelf(tag.family)?)));
-            let Some((tag, shelf)) = found.filter(|_| !shares.is_empty()) else {
+            let found = unit.tag.and_then(|tag| Some((tag, library.cell_images(tag.family)?)));
+            let Some((tag, cell)) = found.filter(|_| !shares.is_empty()) else {
                 return vec![0.0; shares.len()];
             };
-            let mut singles = shelf.singles(tag.entry, (seed, tag.id), library.configurations());
-            singles.truncate(configurations);
+            let mut realisations =
+                cell.realisations(tag.entry, (seed, tag.id), library.configurations());
+            realisations.truncate(configurations);
             let offsets: Vec<[f64; 2]> =
-                shares.iter().map(|s| self.offset(s.pixel, unit, &tag, shelf)).collect();
-            values(shelf, &singles, &offsets, kernel)
+                shares.iter().map(|s| self.offset(s.pixel, unit, &tag, cell)).collect();
+            values(cell, &realisations, &offsets, kernel)
         };
         let values: Vec<Vec<f64>> = self.units.par_iter().zip(&of_unit).map(patch).collect();
         // Summed unit by unit, so that the bytes do not depend on threads.
@@ -137,14 +138,14 @@ impl Assembly {
         pixel: usize,
         unit: &PlacedUnit,
         tag: &UnitTag,
-        shelf: &CellImages,
+        cell: &CellImages,
     ) -> [f64; 2] {
         let (row, column) = (pixel / self.shape[1], pixel % self.shape[1]);
         let at = [self.first[1] + column, self.first[0] + row];
         let d = [0, 1].map(|k| at[k] as f64 * self.pixel_angstrom - unit.centre[k]);
         // The inverse of an orthogonal matrix is its transpose.
         let [u, v] = tag.frame;
-        [0, 1].map(|k| (u[k] * d[0] + v[k] * d[1]) / shelf.step_angstrom[k])
+        [0, 1].map(|k| (u[k] * d[0] + v[k] * d[1]) / cell.step_angstrom[k])
     }
 }
 
@@ -177,15 +178,15 @@ fn push_shares(
 
 /// The mean image of some configurations of a unit at `offsets` from its centre.
 fn values(
-    shelf: &CellImages,
-    singles: &[Realisation],
+    cell: &CellImages,
+    realisations: &[Realisation],
     offsets: &[[f64; 2]],
     kernel: &Kernel,
 ) -> Vec<f64> {
-    let centres: Vec<[f64; 2]> = singles.iter().map(|s| shelf.position(s.unit)).collect();
+    let centres: Vec<[f64; 2]> = realisations.iter().map(|s| cell.position(s.unit)).collect();
     let Some(&centre) = centres.first() else { return vec![0.0; offsets.len()] };
     // Samples of all configurations lie at the same places about the centre, so they are summed first.
-    let (samples, periodic) = ([shelf.shape[1], shelf.shape[0]], shelf.sheet.periodic);
+    let (samples, periodic) = ([cell.shape[1], cell.shape[0]], cell.sheet.periodic);
     let weights = |k: usize, at: f64| -> Weights {
         if periodic[k] { kernel.weights(at) } else { kernel.weights_within(at, samples[k]) }
     };
@@ -197,7 +198,7 @@ fn values(
     let (x, y) = (range(0), range(1));
     let size = |r: [i64; 2]| (r[1] - r[0] + 1) as usize;
     let mut patch = vec![0.0f64; size(x) * size(y)];
-    let whole = singles.len() == shelf_configurations(shelf, singles);
+    let whole = realisations.len() == shelf_configurations(cell, realisations);
     let mut add = |image: &Array2<f32>, shift: [i64; 2], weight: f64| {
         let (rows, columns) = image.dim();
         // Along axes that are not periodic, units of a kind lie at the same place.
@@ -211,12 +212,12 @@ fn values(
         }
     };
     if whole {
-        add(shelf.mean(singles[0].sheet), [0, 0], 1.0);
+        add(cell.mean(realisations[0].sheet), [0, 0], 1.0);
     } else {
-        for (single, at) in singles.iter().zip(&centres) {
+        for (realisation, at) in realisations.iter().zip(&centres) {
             let shift = [0, 1].map(|k| (at[k] - centre[k]).round() as i64);
-            let image = shelf.image(single.sheet, single.configuration);
-            add(image, shift, 1.0 / singles.len() as f64);
+            let image = cell.image(realisation.sheet, realisation.configuration);
+            add(image, shift, 1.0 / realisations.len() as f64);
         }
     }
     let value = |offset: &[f64; 2]| {
@@ -235,10 +236,12 @@ fn values(
     offsets.iter().map(value).collect()
 }
 
-/// The number of configurations if `singles` are all of one unit, else 0.
-fn shelf_configurations(shelf: &CellImages, singles: &[Realisation]) -> usize {
-    let first = singles[0];
-    let same =
-        singles.iter().enumerate().all(|(n, s)| *s == Realisation { configuration: n, ..first });
-    if same { shelf.configurations(first.sheet) } else { 0 }
+/// The number of configurations if `realisations` are all of one unit, else 0.
+fn shelf_configurations(cell: &CellImages, realisations: &[Realisation]) -> usize {
+    let first = realisations[0];
+    let same = realisations
+        .iter()
+        .enumerate()
+        .all(|(n, s)| *s == Realisation { configuration: n, ..first });
+    if same { cell.configurations(first.sheet) } else { 0 }
 }

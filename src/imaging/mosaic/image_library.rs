@@ -134,7 +134,7 @@ impl CellImages {
 
     /// The configurations that the unit `id` of a world is averaged over. UnitKinds without defects take
     /// different ones of all units like them; others have all those of their entry.
-    pub fn singles(
+    pub fn realisations(
         &self,
         entry: PatternIndex,
         (seed, id): (u64, u64),
@@ -160,18 +160,23 @@ impl CellImages {
             }
             draw += 1;
         }
-        let single = |pick: usize| {
+        let realisation = |pick: usize| {
             let (sheet, unit) = own(alike[pick / configurations]);
             Realisation { sheet, unit, configuration: pick % configurations }
         };
-        taken.into_iter().map(single).collect()
+        taken.into_iter().map(realisation).collect()
     }
 
     /// Displacement, in standard deviations and along the axes of the sheet, of site `site` of column
     /// `member` of a unit.
-    pub fn displacement(&self, single: Realisation, member: usize, site: usize) -> [f64; 3] {
-        let key = unit_key(single.unit, member, site);
-        rng::normal3(self.seeds[single.sheet], Purpose::Library, single.configuration as u32, key)
+    pub fn displacement(&self, realisation: Realisation, member: usize, site: usize) -> [f64; 3] {
+        let key = unit_key(realisation.unit, member, site);
+        rng::normal3(
+            self.seeds[realisation.sheet],
+            Purpose::Library,
+            realisation.configuration as u32,
+            key,
+        )
     }
 
     /// The atoms of one configuration of a sheet, displaced; `sigma` gives the standard deviation in
@@ -225,14 +230,14 @@ impl CellImages {
 }
 
 /// All sheets that a world needs.
-pub struct Library {
-    shelves: BTreeMap<UnitFamily, CellImages>,
+pub struct ImageLibrary {
+    cells: BTreeMap<UnitFamily, CellImages>,
     /// Settings of the engine, for given displacements.
     settings: Settings,
     configurations: usize,
 }
 
-impl Library {
+impl ImageLibrary {
     /// The sheets of some families of a specimen, yet without images.
     ///
     /// # Errors
@@ -244,20 +249,20 @@ impl Library {
     ) -> Result<Self> {
         let configurations = settings.configurations() as usize;
         let settings = Settings { phonons: None, ..settings.clone() };
-        let shelf = |family: UnitFamily| {
-            let sheet = specimen.sheet(family).ok_or_else(|| {
+        let cell = |family: UnitFamily| {
+            let sheet = specimen.library_cell(family).ok_or_else(|| {
                 let expected = "the specimen has no sheet of this family";
                 Error::invalid(crate::Setting::Library, format!("{family:?}"), expected)
             })?;
             Ok((family, CellImages::new(sheet.rounded(), family, &settings)))
         };
-        let shelves = families.map(shelf).collect::<Result<_>>()?;
-        Ok(Library { shelves, settings, configurations })
+        let cells = families.map(cell).collect::<Result<_>>()?;
+        Ok(ImageLibrary { cells, settings, configurations })
     }
 
     /// The sheets of a family.
-    pub fn shelf(&self, family: UnitFamily) -> Option<&CellImages> {
-        self.shelves.get(&family)
+    pub fn cell_images(&self, family: UnitFamily) -> Option<&CellImages> {
+        self.cells.get(&family)
     }
 
     /// Phonon configurations of each sheet.
@@ -268,7 +273,7 @@ impl Library {
     /// Probes that all its images take.
     pub fn probes(&self) -> usize {
         let of = |s: &CellImages| s.probes() * s.sheet.count * self.configurations;
-        self.shelves.values().map(of).sum()
+        self.cells.values().map(of).sum()
     }
 
     /// The plan for the image with the most samples; `None` for a library without sheets.
@@ -276,7 +281,7 @@ impl Library {
     /// # Errors
     /// Those of the settings.
     pub fn largest_plan(&self) -> Result<Option<PlannedScan>> {
-        let largest = self.shelves.values().max_by_key(|s| s.probes());
+        let largest = self.cells.values().max_by_key(|s| s.probes());
         let plan = |s: &CellImages| Ok(PlannedScan::new(s.plan(&self.settings)?, s.scan, None));
         largest.map(plan).transpose()
     }
@@ -286,23 +291,23 @@ impl Library {
         let of = |s: &CellImages| {
             s.shape[0] * s.shape[1] * s.sheet.count * (self.configurations + 1) * 4
         };
-        self.shelves.values().map(of).sum::<usize>() as u64
+        self.cells.values().map(of).sum::<usize>() as u64
     }
 
     /// Number of images.
     pub fn len(&self) -> usize {
-        self.shelves.values().map(|s| s.sheet.count * self.configurations).sum()
+        self.cells.values().map(|s| s.sheet.count * self.configurations).sum()
     }
 
     /// Probes of each image that the cache lacks.
     pub fn missing(&self, material: &str, sigma: &dyn Fn(u8) -> f64, cache: &Cache) -> Vec<usize> {
         let mut missing = Vec::new();
-        for shelf in self.shelves.values() {
-            for sheet in 0..shelf.sheet.count {
+        for cell in self.cells.values() {
+            for sheet in 0..cell.sheet.count {
                 for configuration in 0..self.configurations {
-                    let key = key(&self.settings, sigma, shelf, sheet, configuration);
+                    let key = key(&self.settings, sigma, cell, sheet, configuration);
                     if !cache.has(material, &key) {
-                        missing.push(shelf.probes());
+                        missing.push(cell.probes());
                     }
                 }
             }
@@ -325,17 +330,17 @@ impl Library {
         let mut keep: Option<Error> = None;
         let probes = self.probes();
         progress.start("library", "probe", probes as u64);
-        for (family, shelf) in &mut self.shelves {
-            let plan = shelf.plan(&self.settings)?;
+        for (family, cell) in &mut self.cells {
+            let plan = cell.plan(&self.settings)?;
             let mut simulation = None;
-            for sheet in 0..shelf.sheet.count {
+            for sheet in 0..cell.sheet.count {
                 for configuration in 0..self.configurations {
                     if progress.interrupted() {
                         return Err(Error::Interrupted);
                     }
-                    let key = key(&self.settings, sigma, shelf, sheet, configuration);
-                    let share = ProgressShare::new(progress, shelf.probes());
-                    let image = match cache.load(material, &key, shelf.scan.shape, progress) {
+                    let key = key(&self.settings, sigma, cell, sheet, configuration);
+                    let share = ProgressShare::new(progress, cell.probes());
+                    let image = match cache.load(material, &key, cell.scan.shape, progress) {
                         Some(image) => {
                             share.found();
                             image
@@ -344,10 +349,10 @@ impl Library {
                             missing += 1;
                             let simulation = match &mut simulation {
                                 Some(simulation) => simulation,
-                                none => none.insert(Simulation::new(&plan, &shelf.elements())?),
+                                none => none.insert(Simulation::new(&plan, &cell.elements())?),
                             };
-                            let atoms = shelf.atoms(sheet, configuration, sigma);
-                            let images = simulation.images(&atoms, &shelf.scan, &share)?;
+                            let atoms = cell.atoms(sheet, configuration, sigma);
+                            let images = simulation.images(&atoms, &cell.scan, &share)?;
                             let image = images.image(0, 0).to_owned();
                             let about =
                                 format!("{family:?}, sheet {sheet}, configuration {configuration}");
@@ -358,11 +363,11 @@ impl Library {
                             image
                         }
                     };
-                    let image = shelf.resampled(image);
-                    shelf.images[sheet].push(image);
+                    let image = cell.resampled(image);
+                    cell.images[sheet].push(image);
                 }
             }
-            shelf.means = shelf.images.iter().map(|images| mean(images, shelf.shape)).collect();
+            cell.means = cell.images.iter().map(|images| mean(images, cell.shape)).collect();
         }
         progress.finish();
         if let Some(why) = keep {
@@ -440,19 +445,19 @@ fn description(sheet: &LibraryCell, family: UnitFamily, number: usize) -> String
 fn key(
     settings: &Settings,
     sigma: &dyn Fn(u8) -> f64,
-    shelf: &CellImages,
+    cell: &CellImages,
     sheet: usize,
     configuration: usize,
 ) -> String {
     let sigmas: Vec<_> =
-        shelf.elements().into_iter().map(|n| (elements::symbol(n), sigma(n))).collect();
+        cell.elements().into_iter().map(|n| (elements::symbol(n), sigma(n))).collect();
     let text = serde_json::json!({
         "numerics": NUMERICS_VERSION,
         "settings": settings,
         "sigma_angstrom": sigmas,
-        "sheet": shelf.digests[sheet],
-        "step_angstrom": shelf.scan.step_angstrom,
-        "shape": shelf.scan.shape,
+        "sheet": cell.digests[sheet],
+        "step_angstrom": cell.scan.step_angstrom,
+        "shape": cell.scan.shape,
         "configuration": configuration,
     });
     hex(&Sha256::digest(text.to_string()))

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use ndarray::Array2;
 
 use super::assembly::Assembly;
-use super::image_library::Library;
+use super::image_library::ImageLibrary;
 use super::library_cache::Cache;
 use super::mosaic_cost::MosaicCost;
 use super::survey::{FieldSurvey, survey};
@@ -36,7 +36,7 @@ pub struct MosaicImager {
     specimen: Arc<dyn Specimen>,
     simulator: Simulator,
     cache: Cache,
-    library: Library,
+    library: ImageLibrary,
     kernel: Kernel,
     survey: FieldSurvey,
     /// Images of the library that were simulated, not read from the cache; `None` before the library is filled.
@@ -58,7 +58,7 @@ impl MosaicImager {
         simulator.check_margin()?;
         let survey = survey(&**specimen, &recipe.field);
         let settings = simulator.settings();
-        let library = Library::new(&**specimen, survey.families.iter().copied(), settings)?;
+        let library = ImageLibrary::new(&**specimen, survey.families.iter().copied(), settings)?;
         let band_limit = image_band_limit(&settings.optics);
         let kernel = Kernel::new(Kernel::default_step(band_limit), band_limit)?;
         let (recipe, specimen) = (recipe.clone(), Arc::clone(specimen));
@@ -180,8 +180,8 @@ impl RegionImager for MosaicImager {
         let (seed, library) = (self.recipe.seed, &self.library);
         let of_column = |column: &AtomColumn| {
             let tag = column.unit?;
-            let cell = library.shelf(tag.family)?;
-            let of_unit = cell.singles(tag.entry, (seed, tag.id), library.configurations());
+            let cell = library.cell_images(tag.family)?;
+            let of_unit = cell.realisations(tag.entry, (seed, tag.id), library.configurations());
             let realisation = of_unit[configuration];
             Some(move |n: usize| {
                 let [a, b, c] = cell.displacement(realisation, tag.member, n);

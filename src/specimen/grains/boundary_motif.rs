@@ -115,7 +115,7 @@ impl BoundaryMotif {
     }
 
     /// Its sheets.
-    pub fn sheet(&self, crystal: &ColumnCrystal, depth: usize, bin: usize) -> LibraryCell {
+    pub fn library_cell(&self, crystal: &ColumnCrystal, depth: usize, bin: usize) -> LibraryCell {
         let count = self.pool.cells() / self.periods;
         let centre_x = reach_angstrom();
         let column = |c: &BoundaryColumn, period: usize| -> Vec<LibrarySite> {

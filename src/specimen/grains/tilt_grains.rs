@@ -396,11 +396,11 @@ impl Specimen for Grains {
         out
     }
 
-    fn sheet(&self, family: UnitFamily) -> Option<LibraryCell> {
+    fn library_cell(&self, family: UnitFamily) -> Option<LibraryCell> {
         let contents = self.contents.as_ref()?;
         if family.motif > 0 {
             let motif = self.motifs.get(family.motif - 1)?;
-            return Some(motif.sheet(&self.crystal, self.cells_along_beam, family.bin));
+            return Some(motif.library_cell(&self.crystal, self.cells_along_beam, family.bin));
         }
         let [a, b, c] = self.crystal.cell;
         let place = |depth: usize, kind: usize, chain: usize| {

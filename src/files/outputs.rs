@@ -1,0 +1,124 @@
+//! Where results may go: before any work, what could not be written at the end is refused, and so is what would replace
+//! something of value.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use crate::error::{Error, Result};
+use crate::setting::Setting;
+
+/// Checks the files that a command will write. Makes their folders where there are none.
+///
+/// # Errors
+/// [`Error::Invalid`] for a folder, a device or another thing that is no regular file, for one of the `inputs`, for two results
+/// that would go to one file, and for an existing file unless `overwrite`; [`Error::Io`] where nothing can be written.
+pub fn check_outputs(outputs: &[&Path], inputs: &[&Path], overwrite: bool) -> Result<()> {
+    let inputs: Vec<Identity> = inputs.iter().map(|path| Identity::of(path)).collect();
+    let mut seen: Vec<Identity> = Vec::new();
+    for path in outputs {
+        let refuse = |why: &str| Err(Error::invalid(Setting::Output, path.display(), why));
+        let there = fs::metadata(path).ok();
+        if there.as_ref().is_some_and(fs::Metadata::is_dir) {
+            return refuse("is a folder; name a file in it, such as world.h5");
+        }
+        if there.as_ref().is_some_and(|m| !m.is_file()) {
+            return refuse("is no regular file; name another");
+        }
+        let identity = Identity::of(path);
+        if inputs.contains(&identity) {
+            return refuse("is read by this command and would be replaced; name another file");
+        }
+        if seen.contains(&identity) {
+            return refuse(
+                "would be written twice, once for each of two results; name another file",
+            );
+        }
+        seen.push(identity);
+        if there.is_some() && !overwrite {
+            return refuse("exists; name another file, or allow overwriting");
+        }
+        let folder = folder(path);
+        fs::create_dir_all(folder).map_err(|e| Error::io(folder, "create", e))?;
+        tempfile::tempfile_in(folder).map_err(|e| Error::io(folder, "create a file in", e))?;
+    }
+    Ok(())
+}
+
+/// The folder of a file.
+pub fn folder(path: &Path) -> &Path {
+    match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    }
+}
+
+/// Which file a path names, by whatever name.
+#[derive(PartialEq, Eq)]
+enum Identity {
+    /// Device and number on it of an existing file.
+    #[cfg(unix)]
+    File(u64, u64),
+    /// The path, as far as it exists without links and detours.
+    Path(PathBuf),
+}
+
+impl Identity {
+    fn of(path: &Path) -> Self {
+        #[cfg(unix)]
+        if let Ok(there) = fs::metadata(path) {
+            use std::os::unix::fs::MetadataExt;
+            return Identity::File(there.dev(), there.ino());
+        }
+        let whole = path.canonicalize().ok();
+        let beside = || {
+            let name = path.file_name()?;
+            Some(folder(path).canonicalize().ok()?.join(name))
+        };
+        Identity::Path(whole.or_else(beside).unwrap_or_else(|| path.to_owned()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refusal(outputs: &[&Path], inputs: &[&Path], overwrite: bool) -> String {
+        check_outputs(outputs, inputs, overwrite).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn inputs_and_other_results_are_never_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let (a, b) = (at("a.h5"), at("b.h5"));
+        fs::write(&a, "a").unwrap();
+        check_outputs(&[&b], &[&a], false).unwrap();
+        check_outputs(&[&a], &[], true).unwrap();
+        assert!(refusal(&[&a], &[], false).contains("exists"));
+        // by another name: a detour, a link
+        let detour = folder.path().join("new/../a.h5");
+        fs::create_dir(at("new")).unwrap();
+        assert!(refusal(&[&detour], &[&a], true).contains("is read by this command"));
+        #[cfg(unix)]
+        {
+            std::os::unix::fs::symlink(&a, at("link.h5")).unwrap();
+            assert!(refusal(&[&at("link.h5")], &[&a], true).contains("is read by this command"));
+        }
+        assert!(refusal(&[&b, &b], &[], true).contains("written twice"));
+        let same = folder.path().join("new/../b.h5");
+        assert!(refusal(&[&b, &same], &[], true).contains("written twice"));
+        assert_eq!(fs::read(&a).unwrap(), b"a");
+    }
+
+    #[test]
+    fn folders_and_devices_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        assert!(refusal(&[folder.path()], &[], true).contains("is a folder"));
+        #[cfg(unix)]
+        assert!(refusal(&[Path::new("/dev/null")], &[], true).contains("no regular file"));
+        let file = folder.path().join("file");
+        fs::write(&file, "").unwrap();
+        assert!(refusal(&[&file.join("w.h5")], &[], true).contains("cannot create"));
+        check_outputs(&[&folder.path().join("deep/er/w.h5")], &[], false).unwrap();
+    }
+}

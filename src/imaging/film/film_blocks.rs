@@ -1,0 +1,105 @@
+//! Atoms that make their images each by itself: those of the film, and those of particles outside the windows of probes.
+//!
+//! Blocks lie at fixed places of the full field and are made as a whole, so that an image does not depend on the rectangle that is
+//! asked for.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use ndarray::{Array2, s};
+use rayon::prelude::*;
+
+use super::block_cache::BlockCache;
+use super::film_scene::FilmScene;
+use super::samples::Samples;
+use crate::engine::Site;
+use crate::engine::phonons::displaced;
+use crate::engine::single_scattering::{ScatteringMap, SingleScattering};
+use crate::error::Result;
+
+/// Atoms further than this from a probe do not count, in Angstrom: a particle of 4 nm at this distance from its edge is seen with
+/// 2 % of the film's intensity.
+pub const REACH_ANGSTROM: f64 = 30.0;
+/// Edge in samples of the blocks.
+const BLOCK: i64 = 256;
+/// Blocks that are kept for the next rectangle: 1 MB each.
+const KEPT: usize = 64;
+
+/// See the module.
+pub struct FilmBlocks {
+    scene: Arc<FilmScene>,
+    kept: BlockCache<Arc<[Array2<f64>; 2]>>,
+}
+
+impl FilmBlocks {
+    pub fn new(scene: &Arc<FilmScene>) -> Self {
+        FilmBlocks { scene: Arc::clone(scene), kept: BlockCache::new(KEPT) }
+    }
+
+    /// Images at some samples, [row, column], in the mean over some configurations: of all the film's atoms, and of those outside
+    /// the windows of probes; each with that of the particles' atoms outside.
+    ///
+    /// # Errors
+    /// Those of the settings.
+    pub fn images(&self, samples: &Samples, configurations: usize) -> Result<[Array2<f64>; 2]> {
+        let mut images = [Array2::zeros(samples.shape), Array2::zeros(samples.shape)];
+        for index in samples.blocks(BLOCK) {
+            let make = || Ok(Arc::new(self.block(index, configurations)?));
+            let block = self.kept.get((index, configurations), make)?;
+            let place = Samples::block(index, BLOCK);
+            let (rows, row) = samples.shared(&place, 0);
+            let (columns, column) = samples.shared(&place, 1);
+            let to = s![row..row + rows.len(), column..column + columns.len()];
+            for (image, part) in images.iter_mut().zip(&*block) {
+                image.slice_mut(to).assign(&part.slice(s![rows.clone(), columns.clone()]));
+            }
+        }
+        Ok(images)
+    }
+
+    fn block(&self, index: [i64; 2], configurations: usize) -> Result<[Array2<f64>; 2]> {
+        let scene = &self.scene;
+        let margin = (REACH_ANGSTROM / scene.step).ceil();
+        let region = Samples::block(index, BLOCK).region(scene.step, margin * scene.step);
+        let (film, particles): (Vec<Site>, Vec<Site>) =
+            scene.atoms(&region).into_iter().partition(|s| scene.film.holds(s.key));
+        let margin = margin as usize;
+        let least = [BLOCK as usize + 2 * margin; 2];
+        let raster = SingleScattering::new(scene.simulator.settings(), scene.step, least)?;
+        let inner = margin..margin + BLOCK as usize;
+        let image = |map: &ScatteringMap<'_>, beyond| {
+            map.image(beyond).slice_move(s![inner.clone(), inner.clone()])
+        };
+        let outside = 0.5 * scene.window_angstrom;
+        let depth = scene.film.depth_nm.map(|z| 10.0 * z);
+        let of_film = self.map(&raster, &film, (scene.film.number, depth), configurations)?;
+        let mut images = [image(&of_film, 0.0), image(&of_film, outside)];
+        // Particles lie above the film.
+        let above = [0.0, depth[0]];
+        let numbers: BTreeSet<u8> = particles.iter().map(|s| s.number).collect();
+        for number in numbers {
+            let map = self.map(&raster, &particles, (number, above), configurations)?;
+            let far = image(&map, outside);
+            images.iter_mut().for_each(|sum| *sum += &far);
+        }
+        Ok(images)
+    }
+
+    /// Those of some atoms that are of element `number`, in all their configurations, on a raster.
+    fn map<'r>(
+        &self,
+        raster: &'r SingleScattering<'r>,
+        atoms: &[Site],
+        (number, depth_angstrom): (u8, [f64; 2]),
+        configurations: usize,
+    ) -> Result<ScatteringMap<'r>> {
+        let mut map = raster.map(number, depth_angstrom)?;
+        for configuration in 0..configurations as u32 {
+            let of = atoms.par_iter().filter(|s| s.number == number);
+            let moved: Vec<[f64; 3]> =
+                of.map(|s| displaced(s, self.scene.recipe.seed, configuration)).collect();
+            map.add(&moved, 1.0 / configurations as f64);
+        }
+        Ok(map)
+    }
+}

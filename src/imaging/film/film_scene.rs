@@ -1,0 +1,29 @@
+//! Particles on a film, and how they are to be imaged: what the parts of the imager share.
+
+use std::sync::Arc;
+
+use crate::engine::Site;
+use crate::imaging::simulator::Simulator;
+use crate::recipe::{CheckedRecipe, Region};
+use crate::specimen::{Specimen, ThinFilm};
+
+/// See the module.
+pub struct FilmScene {
+    pub recipe: CheckedRecipe,
+    pub specimen: Arc<dyn Specimen>,
+    pub film: ThinFilm,
+    /// For particles, and the film behind them.
+    pub simulator: Simulator,
+    pub window_angstrom: f64,
+    /// Distance of samples in Angstrom; sample 0 is at pixel 0 of the full field.
+    pub step: f64,
+}
+
+impl FilmScene {
+    /// Atoms of a region at their mean positions, in Angstrom from its corner.
+    pub fn atoms(&self, region: &Region) -> Vec<Site> {
+        let (corner, phonons) = ([region.x[0], region.y[0]], &self.recipe.phonons);
+        let sites = self.specimen.sites(region);
+        sites.iter().filter_map(|s| s.atom(corner, phonons)).collect()
+    }
+}

@@ -1,0 +1,98 @@
+//! No result replaces what a command reads, another result, or anything that is no file; and what cannot be written at the end is
+//! found before any work.
+
+use super::{fails, file, stderr, stemgen};
+use std::path::Path;
+use std::process::Command;
+
+fn built(folder: &Path) {
+    let mut command = stemgen(folder);
+    command.args(["build", "--recipe", &file("tests/cli/tiny.toml"), "--no-png", "-o", "w.h5"]);
+    let run = command.output().unwrap();
+    assert!(run.status.success(), "{}", stderr(&run));
+}
+
+#[test]
+fn inputs_are_not_replaced_even_when_overwriting() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    built(here);
+    for (from, to) in [("structures/si.cif", "si.cif"), ("tests/cli/tiny.toml", "r.toml")] {
+        std::fs::copy(file(from), here.join(to)).unwrap();
+    }
+    std::fs::copy(here.join("w.h5"), here.join("v.h5")).unwrap();
+    let before: Vec<Vec<u8>> =
+        ["w.h5", "v.h5", "si.cif", "r.toml"].map(|n| std::fs::read(here.join(n)).unwrap()).into();
+    let cases: [&[&str]; 8] = [
+        &["view", "w.h5", "-o", "w.h5"],
+        &["view", "w.h5", "-o", "./w.h5", "--html"],
+        &["compare", "w.h5", "v.h5", "-o", "w.h5"],
+        &["compare", "w.h5", "v.h5", "-o", "v.h5"],
+        &["simulate", "si.cif", "-o", "si.cif"],
+        &["build", "--recipe", "r.toml", "-o", "r.toml"],
+        &["specimen", "--recipe", "r.toml", "-o", "./r.toml"],
+        &["validate", "--reference", "w.h5", "--structure", "si.cif", "-o", "w.h5"],
+    ];
+    for arguments in cases {
+        let told = fails(stemgen(here).args(arguments).arg("--overwrite"));
+        // `specimen` and `validate` may find another fault first
+        let early = ["specimen", "validate"].contains(&arguments[0]);
+        assert!(early || told.contains("is read by this command"), "{arguments:?}: {told}");
+    }
+    let after = ["w.h5", "v.h5", "si.cif", "r.toml"].map(|n| std::fs::read(here.join(n)).unwrap());
+    assert!(before == after, "an input was changed");
+}
+
+#[test]
+fn a_picture_never_replaces_its_world() {
+    let folder = tempfile::tempdir().unwrap();
+    let recipe = file("tests/cli/tiny.toml");
+    let build = |arguments: &[&str]| {
+        let mut command = stemgen(folder.path());
+        command.args(["build", "--recipe", &recipe, "--overwrite"]).args(arguments);
+        command
+    };
+    let told = fails(&mut build(&["-o", "x.png"]));
+    assert!(told.contains("x.png") && told.contains("written twice"), "{told}");
+    let told = fails(&mut build(&["-o", "/dev/null"]));
+    assert!(told.contains("no regular file"), "{told}");
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    let run = build(&["-o", "x.png", "--no-png"]).output().unwrap();
+    assert!(run.status.success(), "{}", stderr(&run));
+}
+
+/// Names that the file system takes, but not with an ending more, or not HDF5.
+#[cfg(unix)]
+#[test]
+fn names_that_fail_at_the_end_fail_at_the_beginning() {
+    use std::ffi::OsString;
+    use std::os::unix::ffi::OsStringExt;
+    let folder = tempfile::tempdir().unwrap();
+    let long = OsString::from("a".repeat(247) + ".h5");
+    let odd = OsString::from_vec(b"w\xff.h5".to_vec());
+    for name in [long, odd] {
+        let mut command: Command = stemgen(folder.path());
+        command.args(["build", "srtio3", "--difficulty", "hard", "--no-png", "-o"]).arg(&name);
+        let begun = std::time::Instant::now();
+        let told = fails(&mut command);
+        // a hard world takes a quarter of an hour
+        assert!(begun.elapsed().as_secs() < 60, "{name:?}: {told}");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "{name:?}: {told}");
+    }
+}
+
+#[test]
+fn optics_that_no_probe_has_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let si = file("structures/si.cif");
+    for arguments in [
+        ["--aberration", "C12=1@1e308"],
+        ["--defocus", "1e308"],
+        ["--energy", "1"],
+        ["--semiangle", "5e-324"],
+    ] {
+        let told = fails(stemgen(folder.path()).arg("simulate").arg(&si).args(arguments));
+        assert!(told.contains("must be between") || told.contains("must be below"), "{told}");
+    }
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+}
