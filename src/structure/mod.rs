@@ -25,7 +25,7 @@ mod xyz;
 
 pub(crate) use neighbors::for_each_pair;
 pub use neighbors::{min_pair_distance, shortest_distances};
-#[cfg(test)]
+#[cfg(all(test, feature = "hdf5"))]
 pub(crate) use read::PARSED;
 pub use read::{Format, parse, read};
 pub use site::{LARGEST_SIGMA_ANGSTROM, Sigmas, Site};
