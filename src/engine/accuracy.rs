@@ -2,7 +2,7 @@
 //!
 //! Errors are rms differences from the full grid over a raster, divided by the mean image. They were measured
 //! (`cargo bench --bench accuracy`) for HAADF 68-200 mrad at 200 kV, 21 mrad, in focus, at 40 and 100 A (Pt: 13
-//! and 33 A), two phonon configurations each, on SrTiO3 [001], BaTiO3, Si0.9Ge0.1 [110], GaN [11-20] and a Pt
+//! and 33 A), two phonon configurations each, on SrTiO3 \[001\], BaTiO3, Si0.9Ge0.1 \[110\], GaN \[11-20\] and a Pt
 //! sphere; the table holds the largest.
 
 use super::settings::Settings;
@@ -24,6 +24,7 @@ pub(super) const LEAST_INNER_SEMIANGLES: f64 = 2.0;
 
 /// A window, and why its error may differ from the measured one.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct WindowChoice {
     /// Width in Angstrom.
     pub width_angstrom: f64,

@@ -22,6 +22,7 @@ const IMAGE_BYTES: usize = 16;
 
 /// The cost of simulating a scan.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct Cost {
     /// Number of probes.
     pub probes: usize,
@@ -49,6 +50,7 @@ pub struct Cost {
 
 /// A plan with the scan that it is made for, and what that takes.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct PlannedScan {
     /// The plan.
     pub plan: Plan,

@@ -4,6 +4,7 @@ use ndarray::{Array4, ArrayView2, s};
 
 /// Detector images, averaged over phonon configurations.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Images {
     /// Fractions of the incident beam: (thickness, detector, row = y, column = x).
     pub data: Array4<f32>,

@@ -16,6 +16,7 @@ use serde::Serialize;
 /// What will be computed, and on which grids. A plan is final when [`Plan::new`] returns it: nothing changes it
 /// afterwards.
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Plan {
     /// The settings it was made from.
     #[serde(skip)]

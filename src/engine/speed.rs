@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 
 /// Speed of the propagation loop, and of its Fourier transforms alone.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct Speed {
     /// Multislice steps per second, all threads together.
     pub steps_per_s: f64,

@@ -2,7 +2,7 @@
 //!
 //! specimen -> slices -> engine -> detector image. A [`RegionImager`] makes it, in one of three ways: [`direct`] simulates the
 //! atoms that are there, [`mosaic`] shares simulations among columns that are alike, [`film`] treats the light atoms of a
-//! thin film each by itself. [`choose`] picks one, and [`audit`] tells its error.
+//! thin film each by itself. [`choose`] picks one, and [`mod@audit`] tells its error.
 
 pub mod audit;
 pub mod choose;

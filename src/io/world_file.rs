@@ -15,6 +15,7 @@ use crate::setting::Setting;
 
 /// What describes a world. Other programs may write fewer attributes: those are `None`.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct WorldMetadata {
     /// Edge of a pixel in nm.
     pub pixel_size_nm: f64,
@@ -54,6 +55,7 @@ pub struct WorldMetadata {
 
 /// Sites of a world, in the order of the file.
 #[derive(Debug, Clone, Default, PartialEq)]
+#[non_exhaustive]
 pub struct GroundTruth {
     /// (x, y) in nm from the centre of pixel (0, 0).
     pub positions: Vec<[f32; 2]>,

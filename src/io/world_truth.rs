@@ -21,6 +21,7 @@ const SAME_PLACE_NM: f64 = 0.002;
 
 /// An atomic column of a world.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct WorldColumn {
     /// (x, y) in nm from the centre of pixel (0, 0).
     pub position_nm: [f32; 2],
@@ -36,6 +37,7 @@ pub struct WorldColumn {
 
 /// A polyline between two grains or phases.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct BoundaryLine {
     /// (x, y) in nm from the centre of pixel (0, 0).
     pub points_nm: Vec<[f32; 2]>,

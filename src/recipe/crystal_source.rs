@@ -8,7 +8,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use crate::error::{Error, Result};
 use crate::structure::{self, Format, Structure, crystals};
 
-/// `"srtio3"` (see [`library`]), or the path of a CIF, POSCAR or extended XYZ file relative to the
+/// `"srtio3"` (see [`crystals`]), or the path of a CIF, POSCAR or extended XYZ file relative to the
 /// recipe. The text of such a file becomes part of the resolved recipe, `{ file = ..., text = ... }`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CrystalSource {

@@ -8,6 +8,7 @@ use crate::structure::{Structure, direction};
 
 /// The crystals of a recipe, each in the form that its specimen needs.
 #[derive(Debug, Clone)]
+#[expect(clippy::large_enum_variant, reason = "there is one for each recipe")]
 pub enum OrientedCrystals {
     /// A crystal whose atoms stand in columns along the beam.
     Columns {

@@ -15,7 +15,7 @@ const SITE_BITS: u32 = MOST_SITES.ilog2();
 pub struct ColumnIndex {
     /// Grain, from the left.
     pub grain: usize,
-    /// Index into [`ColumnCrystal::columns`].
+    /// Index into [`columns`](crate::structure::columns::ColumnCrystal::columns).
     pub kind: usize,
     /// Cell (i, j) of the grain's lattice.
     pub cell: [i64; 2],

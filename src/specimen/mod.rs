@@ -24,7 +24,7 @@ pub(crate) mod wave;
 
 pub use atom_columns::{AtomColumn, Sites};
 pub use census::{counted_sites, estimated_sites};
-#[cfg(test)]
+#[cfg(all(test, feature = "hdf5"))]
 pub(crate) use factory::LAID_OUT;
 pub use factory::specimen;
 pub use sites::{DISPLACED_NM, SiteKind, SpecimenSite};

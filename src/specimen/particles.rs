@@ -29,7 +29,7 @@ use crate::structure::particles::{Metal, Morphology, build};
 
 /// Rows of atoms this near to the beam are columns: more than the tilt of the particles on the easy tier.
 pub const ROW_TILT_DEG: f64 = 3.0;
-/// Longest step in a row, in cell edges: that of [111].
+/// Longest step in a row, in cell edges: that of \[111\].
 pub const ROW_STEP: f64 = 1.75;
 /// Deviation of an atom from a straight row by strain, in Angstrom.
 const ROW_STRAIN: f64 = 0.1;

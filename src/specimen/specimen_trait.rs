@@ -29,7 +29,7 @@ pub enum BoundaryKind {
     Phase {
         /// The phases left and right of the line, as in [`Specimen::phases`].
         sides: [usize; 2],
-        /// Standard deviation of the transition in nm (see [`super::recipe::Domains`]): 0 if abrupt.
+        /// Standard deviation of the transition in nm (see [`crate::recipe::DomainTable`]): 0 if abrupt.
         sharpness_sigma_nm: f64,
     },
 }
@@ -74,7 +74,7 @@ impl ThinFilm {
 
 /// A specimen of the full field.
 pub trait Specimen: Send + Sync {
-    /// The columns whose position lies in a region. The specimen ends [`BEYOND_FIELD_NM`] outside
+    /// The columns whose position lies in a region. The specimen ends [`BEYOND_FIELD_NM`](crate::recipe::BEYOND_FIELD_NM) outside
     /// the field; a region has the same sites whichever way it is asked for.
     fn query(&self, region: &Region) -> Sites;
     /// The sites of those columns.

@@ -9,7 +9,7 @@ const SAME_COLUMN_ANGSTROM: f64 = 0.02;
 const SAME_FRACTION: f64 = 1e-3;
 /// Sites of a cell that the keys of specimens can tell apart.
 pub const MOST_SITES: usize = 1 << 10;
-/// Chains of one column that [`super::boundary::Fate`] can tell apart.
+/// Chains of one column that `ColumnOutcome` of boundaries can tell apart.
 const MOST_CHAINS: usize = 64;
 
 /// A row of equal atoms along the beam, one per unit cell.

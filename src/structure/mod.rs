@@ -1,6 +1,6 @@
 //! Atoms in a cell: the model, readers and writers, supercells.
 //!
-//! [`read`] takes CIF, extended XYZ and POSCAR files; [`Structure::oriented`] turns a crystal so that
+//! [`read()`] takes CIF, extended XYZ and POSCAR files; [`Structure::oriented`] turns a crystal so that
 //! the beam runs along a zone axis; [`Structure::resolve_occupancy`] draws mixed sites; and
 //! [`Structure::sites`] makes of the atoms the sites that the engine simulates.
 
@@ -25,7 +25,7 @@ mod xyz;
 
 pub(crate) use neighbors::for_each_pair;
 pub use neighbors::{min_pair_distance, shortest_distances};
-#[cfg(test)]
+#[cfg(all(test, feature = "hdf5"))]
 pub(crate) use read::PARSED;
 pub use read::{Format, parse, read};
 pub use site::{LARGEST_SIGMA_ANGSTROM, Sigmas, Site};

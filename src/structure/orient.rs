@@ -6,7 +6,7 @@ use super::{Atom, Structure};
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 
-/// A lattice direction [uvw].
+/// A lattice direction \[uvw\].
 type Indices = [i64; 3];
 
 /// Largest index tried for the x and y axes.

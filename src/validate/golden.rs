@@ -187,7 +187,7 @@ impl Golden {
 
     /// The same, but with every slice acting at its entrance and the probe in focus there, as in abTEM: waves then leave the
     /// specimen one slice behind the last plane, where PRISM with interpolation cuts probes from them. Half a slice
-    /// (0.96 A) less changes HAADF of Si [110] with f = 2 by up to 0.9 % of the maximum.
+    /// (0.96 A) less changes HAADF of Si \[110\] with f = 2 by up to 0.9 % of the maximum.
     ///
     /// # Errors
     /// As [`Plan::new`].

@@ -111,6 +111,7 @@ impl Default for BuildOptions {
 
 /// What the options come to for one recipe.
 #[derive(Debug, Clone)]
+#[non_exhaustive]
 pub struct BuildPolicy {
     /// How images are made.
     pub imaging: ImagingChoice,

@@ -14,6 +14,7 @@ use crate::structure::elements;
 
 /// A lattice site. Positions count from the centre of a pixel that the list states.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
 pub struct SiteTruth {
     /// (x, y, z) in nm; z from the entrance surface.
     pub position_nm: [f32; 3],
@@ -44,6 +45,7 @@ pub fn defect_name(kind: SiteKind, number: u8) -> String {
 
 /// A projected atomic column.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct ColumnTruth {
     /// (x, y) in nm: the mean of its sites, before relaxation.
     pub position_nm: [f32; 2],

@@ -12,6 +12,7 @@ use crate::world::region_truth::{boundary_parts, list, particles_reaching, phase
 
 /// What was listed.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Counts {
     /// Lattice sites.
     pub sites: u64,

@@ -13,6 +13,7 @@ const COLUMN_ANGSTROM: f64 = 0.45;
 
 /// Statistics of one kind of column, over all regions.
 #[derive(Debug, Clone, Serialize, PartialEq)]
+#[non_exhaustive]
 pub struct KindAudit {
     /// Elements of the column: `Sr`, `O Ti`.
     pub kind: String,
@@ -29,6 +30,7 @@ pub struct KindAudit {
 }
 
 /// A column, and its intensity in the two images.
+#[non_exhaustive]
 pub struct ColumnPoint {
     /// Elements that belong there.
     pub kind: String,

@@ -9,6 +9,7 @@ const BANDS: [f64; 4] = [0.1, 0.4, 0.8, 1.2];
 
 /// A band of the power spectrum.
 #[derive(Debug, Clone, Serialize, PartialEq)]
+#[non_exhaustive]
 pub struct PowerBand {
     /// Limits in 1/Angstrom.
     pub band: [f64; 2],

@@ -28,6 +28,7 @@ const PARTICLE_SPAN_ANGSTROM: f64 = 0.1;
 
 /// The two images of a region, and what they tell.
 #[derive(Debug, Clone, Serialize)]
+#[non_exhaustive]
 pub struct RegionAudit {
     /// Centre (x, y) in nm of the built field.
     pub centre_nm: [f64; 2],
@@ -56,6 +57,7 @@ pub struct RegionAudit {
 
 /// The result of an audit.
 #[derive(Debug, Clone, Serialize)]
+#[non_exhaustive]
 pub struct Audit {
     /// Engine that the world was made with.
     pub engine: String,

@@ -295,7 +295,7 @@ impl ImageLibrary {
     }
 
     /// Number of images.
-    pub fn len(&self) -> usize {
+    pub fn image_count(&self) -> usize {
         self.cells.values().map(|s| s.sheet.count * self.configurations).sum()
     }
 

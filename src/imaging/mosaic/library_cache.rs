@@ -23,6 +23,7 @@ pub struct Cache {
 
 /// What a cache holds of one material.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
+#[non_exhaustive]
 pub struct Holding {
     /// Material.
     pub material: String,

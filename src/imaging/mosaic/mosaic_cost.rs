@@ -2,6 +2,7 @@
 
 /// What a mosaic will take.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
+#[non_exhaustive]
 pub struct MosaicCost {
     /// Whether it takes less than simulating the field itself.
     pub pays: bool,

@@ -86,7 +86,7 @@ impl MosaicImager {
         let missing = self.library.missing(&self.recipe.id, &self.sigma(), &self.cache);
         MosaicCost {
             pays: self.pays(),
-            images: self.library.len(),
+            images: self.library.image_count(),
             missing: missing.len(),
             missing_probes: missing.iter().sum(),
             columns: self.survey.tagged,
@@ -141,7 +141,7 @@ impl RegionImager for MosaicImager {
     }
 
     fn library(&self) -> Option<[usize; 2]> {
-        Some([self.library.len(), self.simulated?])
+        Some([self.library.image_count(), self.simulated?])
     }
 
     fn mean_of(

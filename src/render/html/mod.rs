@@ -1,13 +1,13 @@
 //! Pages that show images in a browser without a network: everything stands in one HTML file.
 //!
 //! The page's own code is `page.html`, `style.css` and the scripts beside this file. What they show is a
-//! JSON header ([`PageHeader`]) and blobs: byte strings, deflated and in base64, each in a `<script>` element
+//! JSON header (`PageHeader`) and blobs: byte strings, deflated and in base64, each in a `<script>` element
 //! of its own that no browser runs. The page inflates those it needs when it needs them, so that a large
 //! world is on the screen before all of its file is read. Blobs stand in the order of their need: coarse
 //! images, then the truth, then single pixels.
 //!
-//! - An image is a pyramid of tiles ([`pyramid`]); pixels are codes, and a table gives the value of a code.
-//! - Atomic columns are lists by cells of the field, with positions in whole pm ([`columns`]).
+//! - An image is a pyramid of tiles (`pyramid`); pixels are codes, and a table gives the value of a code.
+//! - Atomic columns are lists by cells of the field, with positions in whole pm (`column_list`).
 
 mod blobs;
 mod column_list;

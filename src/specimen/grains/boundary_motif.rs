@@ -96,7 +96,7 @@ impl BoundaryMotif {
     }
 
     /// Number of slots.
-    pub fn len(&self) -> usize {
+    pub fn slot_count(&self) -> usize {
         self.slots.len()
     }
 

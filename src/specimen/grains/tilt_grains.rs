@@ -432,7 +432,7 @@ fn shows(motif: &BoundaryMotif, columns: &[BoundaryColumn], flip: [f64; 2]) -> b
         let seen = [0, 1].map(|k| flip[k] * c.position[k]);
         motif.slot(seen, c.chains.iter().map(|(n, _)| *n)).is_some()
     });
-    all && count == motif.len()
+    all && count == motif.slot_count()
 }
 
 fn centre(positions: impl ExactSizeIterator<Item = [f64; 2]>) -> [f64; 2] {

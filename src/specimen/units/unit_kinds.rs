@@ -1,7 +1,7 @@
-//! UnitKinds: atomic columns that lie so close together that their images cannot be told apart.
+//! Units: atomic columns that lie so close together that their images cannot be told apart.
 //!
-//! What a unit holds is drawn as a whole ([`super::contents`]), and its patch of the image is simulated as
-//! a whole ([`super::mosaic`]).
+//! What a unit holds is drawn as a whole (`super::occupation`), and its patch of the image is simulated as
+//! a whole ([`crate::imaging::mosaic`]).
 
 use crate::structure::columns::ColumnCrystal;
 

@@ -28,7 +28,7 @@ pub enum Morphology {
     Wulff,
     /// Mackay's icosahedron: twenty strained tetrahedra. A five-fold axis lies along z, a vertex of the upper ring towards x.
     Icosahedral,
-    /// Marks' decahedron: five strained crystals about a common [110] axis, which lies along z; the {100} facet of the first
+    /// Marks' decahedron: five strained crystals about a common \[110\] axis, which lies along z; the {100} facet of the first
     /// faces x.
     Decahedral,
 }
@@ -49,8 +49,8 @@ impl Morphology {
 
     /// Directions in the frame of the particle along which rows of atoms are seen end on.
     ///
-    /// Wulff: [100], [110], [111]. Icosahedron: five-fold, three-fold and two-fold axis. Decahedron: the five-fold axis, and
-    /// of the first crystal the [001] and [110] that are normal to it.
+    /// Wulff: \[100\], \[110\], \[111\]. Icosahedron: five-fold, three-fold and two-fold axis. Decahedron: the five-fold axis, and
+    /// of the first crystal the \[001\] and \[110\] that are normal to it.
     pub fn zone_axes(self) -> [Vec3; 3] {
         match self {
             Morphology::Wulff => [[1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [1.0, 1.0, 1.0]],

@@ -7,7 +7,7 @@ use crate::{Result, engine::Settings};
 /// Lattice parameter of SrTiO3 in Angstrom.
 pub const SRTIO3_ANGSTROM: f64 = 3.905;
 
-/// So many unit cells of SrTiO3 along [001], the first plane a quarter cell below the surface, with the
+/// So many unit cells of SrTiO3 along \[001\], the first plane a quarter cell below the surface, with the
 /// thermal displacements of the worlds; and the edges of the box in Angstrom.
 ///
 /// # Errors

@@ -32,6 +32,7 @@ const FARTHEST_NEIGHBOUR_NM: f64 = 1.0;
 
 /// Measurements of a world. Pairs (numerator, denominator) are per block.
 #[derive(Debug, Clone, Serialize)]
+#[non_exhaustive]
 pub struct Measured {
     /// The file.
     pub path: String,

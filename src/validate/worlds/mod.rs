@@ -70,6 +70,7 @@ pub struct Line {
 
 /// A comparison of two worlds.
 #[derive(Debug, Clone, Serialize)]
+#[non_exhaustive]
 pub struct WorldComparison {
     /// Different if any line is.
     pub verdict: Sameness,
