@@ -156,11 +156,8 @@ impl Build {
             return self.common.print(&report, &report.text());
         }
         let picture = (!self.no_png).then(|| path.with_extension("png"));
-        let outputs: Vec<&Path> =
-            [Some(&path), picture.as_ref()].into_iter().flatten().map(PathBuf::as_path).collect();
-        let inputs = self.recipe.files(&recipe);
-        let inputs: Vec<&Path> = inputs.iter().map(PathBuf::as_path).collect();
-        check_outputs(&outputs, &inputs, self.overwrite)?;
+        let outputs = [Some(&path), picture.as_ref()].into_iter().flatten();
+        check_outputs(outputs, self.recipe.files(&recipe), self.overwrite)?;
         DryRun::warnings(&build)?.iter().for_each(|w| reporter.warn(w));
         let summary = build.run(&path, &reporter).map_err(|e| interrupted(e, &path))?;
         let world = WorldFile::open(&path)?;

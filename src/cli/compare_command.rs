@@ -77,7 +77,7 @@ impl Compare {
             self.common.print(&serde_json::json!({ "pixels": pixels, "sites": sites }), &text)?;
             return Ok(ExitCode::SUCCESS);
         }
-        check_outputs(&[&self.output], &[&self.a, &self.b], self.overwrite)?;
+        check_outputs([&self.output], [&self.a, &self.b], self.overwrite)?;
         let comparison = compare(&self.a, &self.b, self.alpha, &reporter)?;
         let origin = ReportOrigin::now(text::command_line());
         let page = worlds_page(&comparison, [&worlds[0], &worlds[1]], &origin)?;

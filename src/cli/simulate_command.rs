@@ -12,7 +12,7 @@ use anyhow::bail;
 use clap::Args;
 use ndarray::{ArrayView3, Axis};
 use serde::Serialize;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 use stemgen::engine::{Cost, Images, Plan, ProbeRaster, Scan, Settings, simulate};
 use stemgen::files::outputs::check_outputs;
@@ -160,9 +160,8 @@ impl Simulate {
         let pictures = self.pictures(&names, &plan);
         let (output, page) = (self.output(), self.page());
         let pictured = pictures.iter().map(|p| p.path.as_path());
-        let outputs: Vec<&Path> =
-            std::iter::once(output.as_path()).chain(pictured).chain(page.as_deref()).collect();
-        check_outputs(&outputs, &[&self.specimen.structure], self.results.overwrite)?;
+        let outputs = std::iter::once(output.as_path()).chain(pictured).chain(page.as_deref());
+        check_outputs(outputs, [&self.specimen.structure], self.results.overwrite)?;
         warnings.iter().for_each(|w| reporter.warn(w));
         self.execute(&plan, &specimen, &scan, &pictures, &reporter)
     }

@@ -7,7 +7,7 @@ use super::{output, text, values};
 use clap::Args;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 use stemgen::files::outputs::check_outputs;
 use stemgen::io::writable;
@@ -101,10 +101,7 @@ impl SpecimenCommand {
         let picture = self.png.then(|| path.with_extension("png"));
         if !self.common.dry_run {
             let outputs = [Some(&path), picture.as_ref()].into_iter().flatten();
-            let outputs: Vec<&Path> = outputs.map(PathBuf::as_path).collect();
-            let inputs = self.recipe.files(&recipe);
-            let inputs: Vec<&Path> = inputs.iter().map(PathBuf::as_path).collect();
-            check_outputs(&outputs, &inputs, self.overwrite)?;
+            check_outputs(outputs, self.recipe.files(&recipe), self.overwrite)?;
         }
         let specimen = specimen(&recipe)?;
         if self.common.dry_run {

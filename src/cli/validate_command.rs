@@ -86,8 +86,7 @@ impl Validate {
         let read = self.reference.files();
         let prepared = self.reference.prepare(&reporter)?;
         if !self.common.dry_run {
-            let read: Vec<&Path> = read.iter().map(PathBuf::as_path).collect();
-            check_outputs(&[&self.output], &read, self.overwrite)?;
+            check_outputs([&self.output], &read, self.overwrite)?;
         }
         let (subject, outcomes) = match prepared {
             Some(prepared) if self.common.dry_run => {

@@ -57,7 +57,7 @@ impl View {
         let world = WorldFile::open(&self.world)?;
         let ending = if self.html { "html" } else { "view.png" };
         let path = self.output.clone().unwrap_or_else(|| self.world.with_extension(ending));
-        check_outputs(&[&path], &[&self.world], self.overwrite)?;
+        check_outputs([&path], [&self.world], self.overwrite)?;
         let part = self.part(&world)?;
         if self.html {
             return self.write_page(&world, &path);

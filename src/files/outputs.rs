@@ -12,10 +12,16 @@ use crate::setting::Setting;
 /// # Errors
 /// [`Error::Invalid`] for a folder, a device or another thing that is no regular file, for one of the `inputs`, for two results
 /// that would go to one file, and for an existing file unless `overwrite`; [`Error::Io`] where nothing can be written.
-pub fn check_outputs(outputs: &[&Path], inputs: &[&Path], overwrite: bool) -> Result<()> {
-    let inputs: Vec<Identity> = inputs.iter().map(|path| Identity::of(path)).collect();
+pub fn check_outputs<P: AsRef<Path>, Q: AsRef<Path>>(
+    outputs: impl IntoIterator<Item = P>,
+    inputs: impl IntoIterator<Item = Q>,
+    overwrite: bool,
+) -> Result<()> {
+    let inputs: Vec<Identity> =
+        inputs.into_iter().map(|path| Identity::of(path.as_ref())).collect();
     let mut seen: Vec<Identity> = Vec::new();
     for path in outputs {
+        let path = path.as_ref();
         let refuse = |why: &str| Err(Error::invalid(Setting::Output, path.display(), why));
         let there = fs::metadata(path).ok();
         if there.as_ref().is_some_and(fs::Metadata::is_dir) {
@@ -82,6 +88,8 @@ impl Identity {
 mod tests {
     use super::*;
 
+    const NOTHING: [&Path; 0] = [];
+
     fn refusal(outputs: &[&Path], inputs: &[&Path], overwrite: bool) -> String {
         check_outputs(outputs, inputs, overwrite).unwrap_err().to_string()
     }
@@ -92,8 +100,8 @@ mod tests {
         let at = |name: &str| folder.path().join(name);
         let (a, b) = (at("a.h5"), at("b.h5"));
         fs::write(&a, "a").unwrap();
-        check_outputs(&[&b], &[&a], false).unwrap();
-        check_outputs(&[&a], &[], true).unwrap();
+        check_outputs([&b], [&a], false).unwrap();
+        check_outputs([&a], NOTHING, true).unwrap();
         assert!(refusal(&[&a], &[], false).contains("exists"));
         // by another name: a detour, a link
         let detour = folder.path().join("new/../a.h5");
@@ -119,6 +127,6 @@ mod tests {
         let file = folder.path().join("file");
         fs::write(&file, "").unwrap();
         assert!(refusal(&[&file.join("w.h5")], &[], true).contains("cannot create"));
-        check_outputs(&[&folder.path().join("deep/er/w.h5")], &[], false).unwrap();
+        check_outputs([folder.path().join("deep/er/w.h5")], NOTHING, false).unwrap();
     }
 }

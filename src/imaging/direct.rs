@@ -4,16 +4,16 @@ use std::sync::Arc;
 
 use ndarray::Array2;
 
-use super::displaced_atoms::{DisplacedAtoms, displaced_by_seed};
+use super::displaced_atoms::{DisplacedAtoms, displaced_by_seed, mean_atoms};
 use super::imaging_cost::{ImagingCost, SimulationRuns};
 use super::pixels::{PixelBox, PixelRect};
 use super::region_imager::RegionImager;
 use super::simulator::Simulator;
-use crate::engine::{PlannedScan, Site};
+use crate::engine::PlannedScan;
 use crate::error::Result;
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Region};
-use crate::specimen::{DISPLACED_NM, Specimen};
+use crate::specimen::Specimen;
 
 /// See the module.
 #[derive(Clone)]
@@ -35,15 +35,6 @@ impl DirectImager {
     ) -> Result<Self> {
         simulator.check_margin()?;
         Ok(DirectImager { recipe: recipe.clone(), specimen: Arc::clone(specimen), simulator })
-    }
-
-    /// The atoms of an area at their mean positions, in Angstrom from its corner.
-    fn sites(&self, area: &Region) -> Vec<Site> {
-        let corner = [area.x[0], area.y[0]];
-        // A displaced atom may lie on the other side of the edge than its column.
-        let mut sites = self.specimen.sites(&area.grown(DISPLACED_NM));
-        sites.retain(|s| area.contains([s.position_nm[0], s.position_nm[1]]));
-        sites.iter().filter_map(|s| s.atom(corner, &self.recipe.phonons)).collect()
     }
 }
 
@@ -87,7 +78,8 @@ impl RegionImager for DirectImager {
         let (margin, thickness) = (self.simulator.margin_angstrom(), self.specimen.thickness_nm());
         let pixels = PixelBox::new(pixels, self.recipe.field.pixel_nm(), margin, thickness);
         let simulator = self.simulator.with_configurations(configurations);
-        let image = simulator.image(&self.sites(&pixels.area), &pixels, progress)?;
+        let sites = mean_atoms(&*self.specimen, &pixels.area, &self.recipe.phonons);
+        let image = simulator.image(&sites, &pixels, progress)?;
         Ok(image.mapv(f64::from))
     }
 

@@ -17,6 +17,15 @@ pub struct DisplacedAtoms {
     pub heights: Vec<f64>,
 }
 
+/// The atoms of an area at their mean positions, in Angstrom from its corner.
+pub fn mean_atoms(specimen: &dyn Specimen, area: &Region, phonons: &PhononTable) -> Vec<Site> {
+    let corner = [area.x[0], area.y[0]];
+    // A site may lie on the other side of the edge than its column.
+    let mut sites = specimen.sites(&area.grown(DISPLACED_NM));
+    sites.retain(|s| area.contains([s.position_nm[0], s.position_nm[1]]));
+    sites.iter().filter_map(|s| s.atom(corner, phonons)).collect()
+}
+
 /// The atoms of `area` in phonon configuration `configuration`, displaced by (seed, configuration, key of the atom).
 pub fn displaced_by_seed(
     specimen: &dyn Specimen,

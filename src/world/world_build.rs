@@ -168,7 +168,7 @@ impl WorldBuild {
     /// As [`build`].
     pub fn run(mut self, output: &Path, progress: &dyn Progress) -> Result<BuildSummary> {
         let started = Instant::now();
-        check_outputs(&[output], &[], self.options.overwrite)?;
+        check_outputs([output], [] as [&Path; 0], self.options.overwrite)?;
         try_partial(output)?;
         let _lock = OutputLock::hold(output)?;
         let done = footprint::folder_bytes(&beside(output, ".work"));
@@ -311,7 +311,7 @@ impl Job<'_> {
     fn publish(&self, output: &Path, image: &BlendedImage) -> Result<(Counts, [f32; 2])> {
         let partial = beside(output, ".partial");
         let written = self.write_file(&partial, image).and_then(|written| {
-            check_outputs(&[output], &[], self.build.options.overwrite)?;
+            check_outputs([output], [] as [&Path; 0], self.build.options.overwrite)?;
             fs::rename(&partial, output).map_err(|e| Error::io(output, "write", e))?;
             sync_folder(output)?;
             Ok(written)

@@ -3,9 +3,10 @@
 use std::sync::Arc;
 
 use crate::engine::Site;
+use crate::imaging::displaced_atoms::mean_atoms;
 use crate::imaging::simulator::Simulator;
 use crate::recipe::{CheckedRecipe, Region};
-use crate::specimen::{DISPLACED_NM, Specimen, ThinFilm};
+use crate::specimen::{Specimen, ThinFilm};
 
 /// See the module.
 pub struct FilmScene {
@@ -22,10 +23,6 @@ pub struct FilmScene {
 impl FilmScene {
     /// Atoms of a region at their mean positions, in Angstrom from its corner.
     pub fn atoms(&self, region: &Region) -> Vec<Site> {
-        let (corner, phonons) = ([region.x[0], region.y[0]], &self.recipe.phonons);
-        // A site may lie on the other side of the edge than its column.
-        let mut sites = self.specimen.sites(&region.grown(DISPLACED_NM));
-        sites.retain(|s| region.contains([s.position_nm[0], s.position_nm[1]]));
-        sites.iter().filter_map(|s| s.atom(corner, phonons)).collect()
+        mean_atoms(&*self.specimen, region, &self.recipe.phonons)
     }
 }
