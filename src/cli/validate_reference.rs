@@ -12,6 +12,7 @@ use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 use stemgen::engine::{Cost, GridChoice, Plan, Scan, Settings};
 use stemgen::io::arrays::{self, ForeignArray};
+use stemgen::potential::slices::Slicing;
 use stemgen::progress::Progress;
 use stemgen::validate::golden::like_abtem;
 use stemgen::validate::user::{self, ImageComparison, Order, Reference, ValueUnits};
@@ -88,6 +89,8 @@ pub struct PreparedReference {
     reference: Reference,
     specimen: Prepared,
     plan: Plan,
+    /// See [`ImageComparison::converged`].
+    converged: Option<Plan>,
     scan: Scan,
     units: ValueUnits,
     tolerance: f64,
@@ -137,12 +140,15 @@ impl ReferenceArgs {
             ));
         }
         agree(&array, &settings)?;
+        let converged = self.like_abtem.then(|| converged_settings(&settings));
         if self.like_abtem {
             settings = abtem_settings(&settings, &numerics, specimen.size)?;
         }
         let warning =
             imaging_args::choose_window(numerics.accuracy, &mut settings, specimen.size[2])?;
         let plan = Plan::new(&settings, specimen.size, &specimen.heights)?;
+        let planned = |s: Settings| Plan::new(&s, specimen.size, &specimen.heights);
+        let converged = converged.map(planned).transpose()?;
         plan.warnings.iter().chain(&warning).for_each(|w| reporter.warn(w));
         let size = [specimen.size[0], specimen.size[1]];
         let scan_args = self.scan.as_ref();
@@ -171,6 +177,7 @@ impl ReferenceArgs {
             reference,
             specimen,
             plan,
+            converged,
             scan,
             units,
             tolerance: self.tolerance / 100.0,
@@ -216,6 +223,11 @@ fn agree(array: &ForeignArray, settings: &Settings) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Our own grid and slices in place of those given.
+fn converged_settings(settings: &Settings) -> Settings {
+    Settings { grid: GridChoice::Auto, slicing: Slicing::Planes, ..settings.clone() }
+}
+
 fn abtem_settings(
     settings: &Settings,
     numerics: &NumericsArgs,
@@ -235,8 +247,7 @@ fn abtem_settings(
     let thickness = numerics.slice_thickness.unwrap_or(ABTEM_SLICE_ANGSTROM);
     // Slices of equal thickness; the focus moves by half of one.
     let slice = size[2] / (size[2] / thickness - 1e-9).ceil().max(1.0);
-    let settings = like_abtem(settings, GridChoice::Points(points), slice);
-    Ok(Settings { abtem_pixel_correction: true, ..settings })
+    Ok(like_abtem(settings, GridChoice::Points(points), slice))
 }
 
 /// The scan that the file tells, or else one over the whole cell.
@@ -331,13 +342,15 @@ impl PreparedReference {
             plan_report::scan(&self.scan),
         );
         let probes = self.scan.len();
-        reporter.start("simulating", "probes", probes as u64);
+        let simulations = 1 + usize::from(self.converged.is_some());
+        reporter.start("simulating", "probes", (probes * simulations) as u64);
         let comparison = ImageComparison {
             plan: &self.plan,
             sites: &self.specimen.sites,
             scan: &self.scan,
             reference: &self.reference,
             units: self.units,
+            converged: self.converged.as_ref(),
             tolerance: self.tolerance,
             name: self.name,
             about,

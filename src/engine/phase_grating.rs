@@ -51,7 +51,7 @@ impl PhaseGrating {
         let (settings, extent) = (&plan.settings, grid.extent_angstrom);
         let shape = match core_cutoff {
             Some(cutoff) => PotentialFilter::Smoothed { cutoff },
-            None if settings.abtem_pixel_correction => PotentialFilter::AbtemPixelCorrection,
+            None if settings.abtem_placement => PotentialFilter::AbtemPlacement,
             None => PotentialFilter::AsIs,
         };
         let table = settings.parametrization;

@@ -210,7 +210,7 @@ impl Plan {
 fn smooths_potentials(settings: &Settings) -> bool {
     settings.oversampling.is_none()
         && settings.projection == Projection::Infinite
-        && !settings.abtem_pixel_correction
+        && !settings.abtem_placement
 }
 
 /// The band limit of windows on a grid of the program's choice in 1/Angstrom: just what the settings ask for.

@@ -171,10 +171,11 @@ pub struct Settings {
     /// A number: potentials are exponentiated on a grid so many times finer along each axis, then the band is limited.
     /// With 1, as in abTEM, the exponential is aliased: the HAADF of heavy columns is 1-4 % too high at 0.02-0.04 A.
     pub oversampling: Option<usize>,
-    /// Multiplies potentials by `u / sin u`, `u` = spatial frequency times pixel. abTEM 1.0.11 does so to make up for
-    /// spreading atoms over pixels, even for atoms that it does not spread. This is wrong, but needed to reproduce
-    /// abTEM's images, with `oversampling` 1 and atoms on grid points.
-    pub abtem_pixel_correction: bool,
+    /// Places atoms as abTEM 1.0.11 does with infinite projection: each is spread bilinearly over the four grid points
+    /// around it, then potentials are multiplied by `u / sin u`, `u` = spatial frequency times pixel, which does not undo
+    /// that. High angles lose up to half their amplitude for atoms between grid points and gain a little for those on them.
+    /// To reproduce abTEM's images, with `oversampling` 1 and its grid.
+    pub abtem_placement: bool,
     /// Phonons; `None` takes the atoms exactly as given.
     pub phonons: Option<Phonons>,
     /// Thicknesses in Angstrom at which images are recorded, each moved to the nearest slice
@@ -211,7 +212,7 @@ impl Default for Settings {
             band_fraction: DEFAULT_BAND_FRACTION,
             band_taper: 0.0,
             oversampling: None,
-            abtem_pixel_correction: false,
+            abtem_placement: false,
             phonons: None,
             thicknesses_angstrom: Vec::new(),
             beyond_limit: BeyondLimit::Error,

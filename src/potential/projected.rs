@@ -52,14 +52,16 @@ pub enum PotentialFilter {
         /// 1/Angstrom
         cutoff: f64,
     },
-    /// See [`crate::engine::Settings::abtem_pixel_correction`].
-    AbtemPixelCorrection,
+    /// See [`crate::engine::Settings::abtem_placement`].
+    AbtemPlacement,
 }
 
 /// Computes projected potentials on one grid.
 pub struct Projector {
     fft: Fft2,
     extent: [f64; 2],
+    /// Whether atoms are spread over grid points (see [`PotentialFilter::AbtemPlacement`]).
+    spread: bool,
     species: Vec<Species>,
 }
 
@@ -92,7 +94,7 @@ impl Projector {
         let reshaped = |iy, ix, q2: f64| match shape {
             PotentialFilter::AsIs => 1.0,
             PotentialFilter::Smoothed { cutoff } => (-0.5 * q2 / (cutoff * cutoff)).exp(),
-            PotentialFilter::AbtemPixelCorrection => {
+            PotentialFilter::AbtemPlacement => {
                 let part = |i, n| frequency(i, n) as f64 / n as f64;
                 let u = part(iy, ny).hypot(part(ix, nx));
                 if u > 0.0 { u / u.sin() } else { 1.0 }
@@ -111,7 +113,8 @@ impl Projector {
             }
             species.push(Species { number, factor, half_plane });
         }
-        Ok(Projector { fft: Fft2::new(ny, nx), extent, species })
+        let spread = shape == PotentialFilter::AbtemPlacement;
+        Ok(Projector { fft: Fft2::new(ny, nx), extent, spread, species })
     }
 
     /// The transform of this grid.
@@ -206,8 +209,9 @@ impl Projector {
         let (high, wide) = (ny / 2 + 1, nx / 2 + 1);
         let (mut along_y, mut along_x) = (Vec::new(), Vec::new());
         for p in positions {
-            push_cosines_and_sines(p[1] / self.extent[1], ny, high, &mut along_y);
-            push_cosines_and_sines(p[0] / self.extent[0], nx, wide, &mut along_x);
+            let push = if self.spread { push_spread } else { push_cosines_and_sines };
+            push(p[1] / self.extent[1], ny, high, &mut along_y);
+            push(p[0] / self.extent[0], nx, wide, &mut along_x);
         }
         let atoms = along_x.len() / (2 * wide);
         if atoms == 0 {
@@ -267,6 +271,19 @@ fn push_cosines_and_sines(u: f64, n: usize, count: usize, out: &mut Vec<f32>) {
     // The Nyquist bin of an even grid stands for both signs, so that its sine vanishes.
     if n.is_multiple_of(2) && count > n / 2 {
         out[start + count + n / 2] = 0.0;
+    }
+}
+
+/// As [`push_cosines_and_sines`], of an atom spread linearly over the two grid points around it.
+fn push_spread(u: f64, n: usize, count: usize, out: &mut Vec<f32>) {
+    let start = out.len();
+    let below = (u * n as f64).floor();
+    let share = (u * n as f64 - below) as f32;
+    push_cosines_and_sines(below / n as f64, n, count, out);
+    let mut above = Vec::with_capacity(2 * count);
+    push_cosines_and_sines((below + 1.0) / n as f64, n, count, &mut above);
+    for (v, above) in out[start..].iter_mut().zip(above) {
+        *v += share * (above - *v);
     }
 }
 

@@ -16,6 +16,8 @@ pub enum Slicing {
     Grouped(f64),
     /// Slices of equal thickness, at most this many Angstrom and as near to that as possible.
     Thickness(f64),
+    /// The same, but the first slice begins at z = 0 of the cell even where atoms lie on its faces, as in abTEM.
+    ThicknessFromFace(f64),
 }
 
 /// Atoms of specimens without planes share a slice, at their mean height, if they lie within so many Angstrom along
@@ -84,7 +86,10 @@ impl Slices {
             Slicing::Thickness(t) if t > 0.0 && t.is_finite() => {
                 Ok(Self::even(t, entrance, height))
             }
-            Slicing::Thickness(t) => {
+            Slicing::ThicknessFromFace(t) if t > 0.0 && t.is_finite() => {
+                Ok(Self::even(t, 0.0, height))
+            }
+            Slicing::Thickness(t) | Slicing::ThicknessFromFace(t) => {
                 Err(Error::invalid(crate::Setting::SliceThicknessAngstrom, t, "must be positive"))
             }
         }

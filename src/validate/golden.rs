@@ -148,11 +148,12 @@ impl Golden {
         DETECTORS.map(detector).to_vec()
     }
 
-    /// abTEM's own numerics on its grid, see [`like_abtem`].
+    /// abTEM's own numerics on its grid but for its placement of atoms, see [`like_abtem`].
     pub fn settings(&self) -> Settings {
         let points = Golden::pair(&self.json["gpts_xy"]).map(|n| n as usize);
         let base = Settings { detectors: self.detectors(), ..Settings::default() };
-        like_abtem(&base, GridChoice::Points(points), self.slice_angstrom())
+        let like = like_abtem(&base, GridChoice::Points(points), self.slice_angstrom());
+        Settings { abtem_placement: false, ..like }
     }
 
     /// Our defaults with abTEM's slices and focus.
@@ -211,12 +212,13 @@ impl Golden {
 }
 
 /// The numerics of abTEM 1.0.11: `exp(i sigma V)` on the grid of the wave, slices of equal thickness, the
-/// anti-aliasing disk with its taper, and the focus on the plane of the first slice, where we have the
+/// anti-aliasing disk with its taper, its placement of atoms, and the focus on the plane of the first slice, where we have the
 /// entrance surface half a slice before it.
 pub fn like_abtem(base: &Settings, grid: GridChoice, slice_angstrom: f64) -> Settings {
     let mut settings = Settings {
         grid,
-        slicing: Slicing::Thickness(slice_angstrom),
+        slicing: Slicing::ThicknessFromFace(slice_angstrom),
+        abtem_placement: true,
         oversampling: Some(1),
         band_taper: 0.02,
         band_fraction: EXACT_BAND_FRACTION,
