@@ -9,6 +9,10 @@ use super::overrides::Override;
 use super::resolved_recipe::Recipe;
 use super::toml_errors::{explain, nearest};
 use crate::error::{Error, Result};
+use crate::files::whole_file;
+
+/// Bytes that a recipe may have: a resolved one holds the file of its crystal.
+const LARGEST_FILE: usize = 64 << 20;
 
 /// Recipes that come with the program: name and text.
 const BUILT_IN: &[(&str, &str)] = &[
@@ -55,7 +59,7 @@ impl Recipe {
     /// # Errors
     /// [`Error::Io`], or as [`Recipe::from_toml_str`].
     pub fn from_file(path: &Path, difficulty: Option<Difficulty>) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
+        let text = whole_file::read_text(path, LARGEST_FILE)?;
         Recipe::from_toml_str(&path.display().to_string(), &text, difficulty)
     }
 

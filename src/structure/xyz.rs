@@ -29,6 +29,7 @@ pub(super) fn parse(text: &SourceText) -> Result<Structure> {
     let count: usize = first.trim().parse().map_err(|_| {
         text.error(1, format!("expected the number of atoms, found `{}`", first.trim()))
     })?;
+    text.check_count(1, count)?;
     let header = lines.next().map(|(_, line)| line).unwrap_or("");
     let pairs = key_values(header);
     let cell = lattice(text, &pairs)?;
