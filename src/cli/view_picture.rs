@@ -214,9 +214,11 @@ impl WorldPart {
             let mut codes: Vec<i32> = map.iter().copied().filter(|c| *c > 0).collect();
             codes.sort_unstable();
             codes.dedup();
+            let names = world.phase_names()?;
             for code in codes {
-                scene
-                    .legend(Swatch::Area(color(code).unwrap_or_default()), format!("phase {code}"));
+                let known = names.get(code as usize).filter(|name| !name.is_empty());
+                let name = known.cloned().unwrap_or_else(|| format!("phase {code}"));
+                scene.legend(Swatch::Area(color(code).unwrap_or_default()), name);
             }
         }
         for line in &lines {

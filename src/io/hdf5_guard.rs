@@ -7,6 +7,9 @@ use hdf5::plist::dataset_create::Layout;
 use hdf5::types::VarLenUnicode;
 use hdf5::{Dataset, Group, H5Type, LinkType, Location, LocationType};
 
+/// Bytes of the largest numbers that values are read as.
+const LARGEST_NUMBER_BYTES: usize = 8;
+
 /// Why a file is refused.
 pub(super) type Guarded<T> = std::result::Result<T, String>;
 
@@ -110,7 +113,8 @@ pub(super) fn check_storage(dataset: &Dataset, file_bytes: u64) -> Guarded<()> {
             "takes its values from another file, which is not read; copy them into this one".into(),
         );
     }
-    let bytes = dataset.dtype().map_err(damaged)?.size();
+    // A file may hold bytes that are read as numbers.
+    let bytes = dataset.dtype().map_err(damaged)?.size().max(LARGEST_NUMBER_BYTES);
     check_bytes(&dataset.shape(), bytes, file_bytes)?;
     plan.chunk().map_or(Ok(()), |chunk| check_bytes(&chunk, bytes, file_bytes))
 }
@@ -118,8 +122,9 @@ pub(super) fn check_storage(dataset: &Dataset, file_bytes: u64) -> Guarded<()> {
 /// Holds an array of values of `value_bytes` bytes against a file of `file_bytes` bytes.
 pub(super) fn check_bytes(shape: &[usize], value_bytes: usize, file_bytes: u64) -> Guarded<()> {
     let allowed = ALWAYS_ALLOWED_BYTES.max(LARGEST_EXPANSION * u128::from(file_bytes));
-    let announced =
-        shape.iter().fold(value_bytes as u128, |n, length| n.saturating_mul(*length as u128));
+    // Axes of length 0 hide what the others come to.
+    let product = |n: u128, length: &usize| n.saturating_mul((*length).max(1) as u128);
+    let announced = shape.iter().fold(value_bytes as u128, product);
     if announced > allowed {
         return Err(format!(
             "announces {shape:?} values, {announced} bytes, in a file of {file_bytes}; at most {allowed} bytes are \

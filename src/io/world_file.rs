@@ -335,6 +335,14 @@ impl WorldFile {
         self.dataset(&format!("{}/{name}", schema::TRUTH))
     }
 
+    /// A dataset of values that are larger than a number.
+    pub(super) fn dataset_of<T: H5Type>(&self, name: &str) -> Result<Dataset> {
+        let dataset = self.dataset(name)?;
+        let refused = |fault| not_a_world(&self.path, format!("/{name} {fault}"));
+        hdf5_guard::check_bytes(&dataset.shape(), size_of::<T>(), self.bytes).map_err(refused)?;
+        Ok(dataset)
+    }
+
     fn required<T: H5Type>(&self, name: &str, range: &Range<usize>) -> Result<Vec<T>> {
         let array = self.truth_dataset(name)?.read_slice_1d(range.clone()).at(&self.path)?;
         Ok(array.into_iter().collect())

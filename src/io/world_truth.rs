@@ -65,7 +65,11 @@ impl WorldFile {
         let substitutions = counts("substitutions")?;
         let compositions: Vec<CompositionText> =
             match self.file.link_exists(&format!("{name}/composition")) {
-                true => dataset("composition")?.read_raw().at(&self.path)?,
+                true => {
+                    let texts =
+                        self.dataset_of::<CompositionText>(&format!("{name}/composition"))?;
+                    texts.read_raw().at(&self.path)?
+                }
                 false => vec![CompositionText::default(); sites.len()],
             };
         let n = positions.nrows();
@@ -222,7 +226,9 @@ impl WorldFile {
         let rows = |list: &str| dataset(list)?.read_2d::<f32>().at(&self.path);
         let (centres, turns) = (rows("centre")?, rows("orientation")?);
         let diameters: Vec<f32> = dataset("diameter")?.read_raw().at(&self.path)?;
-        let morphologies: Vec<MorphologyName> = dataset("morphology")?.read_raw().at(&self.path)?;
+        let shapes = format!("{}/{}/morphology", schema::TRUTH, schema::PARTICLES);
+        let morphologies: Vec<MorphologyName> =
+            self.dataset_of::<MorphologyName>(&shapes)?.read_raw().at(&self.path)?;
         let n = diameters.len();
         if centres.dim() != (n, 3) || turns.dim() != (n, 4) || morphologies.len() != n {
             return Err(not_a_world(&self.path, "has lists of particles of unequal length"));

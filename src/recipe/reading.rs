@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::difficulty::Difficulty;
-use super::origin::RecipeText;
+use super::origin::{NO_ARRAY, RecipeText, array_for_table};
 use super::overrides::Override;
 use super::resolved_recipe::Recipe;
 use super::toml_errors::{explain, nearest};
@@ -112,6 +112,9 @@ impl Recipe {
         let mut table: toml::Table = toml::from_str(&self.to_toml())
             .map_err(|e| Error::invalid(crate::Setting::Recipe, &self.id, e.message()))?;
         changes.iter().for_each(|change| change.apply(&mut table));
+        if let Some(key) = array_for_table(&table) {
+            return Err(at_fault(changes, Some(key.to_owned()), format!("{key}: {NO_ARRAY}")));
+        }
         let mut recipe: Recipe = table.try_into().map_err(|e: toml::de::Error| {
             let (key, message) = explain(&e);
             at_fault(changes, key, message)

@@ -7,6 +7,8 @@ use hdf5::{Dataset, File, Group};
 use ndarray::Array2;
 use stemgen::io::{WorldFile, arrays};
 
+use super::mutation::Dice;
+
 /// Edge of a tile of [`world`] in pixels; there are 1 x 2 of them.
 const TILE: usize = 16;
 
@@ -44,7 +46,7 @@ pub fn world(path: &Path) -> File {
     let lines = truth.create_group("grain_boundaries").unwrap();
     list(&lines, "0", &ndarray::arr2(&[[0.0_f32, 0.0], [1.0, 0.5]]));
     let map = list(&truth, "phase_map", &Array2::<i32>::ones((TILE, 2 * TILE)));
-    text(&map, "codes", "1 well, 2 matrix");
+    text(&map, "codes", "0 matrix, 1 well");
     let particles = truth.create_group("particles").unwrap();
     list(&particles, "centre", &ndarray::arr2(&[[0.5_f32, 0.5, 0.1]]));
     list(&particles, "orientation", &ndarray::arr2(&[[1.0_f32, 0.0, 0.0, 0.0]]));
@@ -70,6 +72,116 @@ fn set(at: &hdf5::Location, name: &str, value: f64) {
 fn text(at: &hdf5::Location, name: &str, value: &str) {
     let value: VarLenUnicode = value.parse().unwrap();
     at.new_attr::<VarLenUnicode>().create(name).unwrap().write_scalar(&value).unwrap();
+}
+
+/// A file of one image, as `stemgen simulate` writes it.
+pub fn reference(path: &Path) -> File {
+    let file = File::create(path).unwrap();
+    let images = file.create_group("images").unwrap();
+    let image = list(&images, "HAADF", &ndarray::Array3::<f32>::zeros((1, 6, 5)));
+    for name in ["sampling_angstrom", "origin_angstrom"] {
+        image.new_attr_builder().with_data(&[0.2, 0.1]).create(name).unwrap();
+    }
+    let axes = ["thickness", "y", "x"].map(|name| name.parse::<VarLenUnicode>().unwrap());
+    image.new_attr_builder().with_data(&axes).create("axes").unwrap();
+    file
+}
+
+/// The small world with some of its parts made anew: other shapes, other types, other values.
+pub fn odd_world(path: &Path, dice: &mut Dice) -> File {
+    const LISTS: [&str; 18] = [
+        "tiles/0_0",
+        "tiles/0_1",
+        "overview",
+        "ground_truth/atom_positions",
+        "ground_truth/atom_types",
+        "ground_truth/defect_mask",
+        "ground_truth/atomic_numbers",
+        "ground_truth/columns/position",
+        "ground_truth/columns/vacancies",
+        "ground_truth/columns/number_of_sites",
+        "ground_truth/grain_boundaries/0",
+        "ground_truth/phase_map",
+        "ground_truth/particles/centre",
+        "ground_truth/particles/diameter",
+        "ground_truth/particles/morphology",
+        "ground_truth/columns/composition",
+        "ground_truth/defect_types",
+        "ground_truth/atom_z",
+    ];
+    let file = world(path);
+    for _ in 0..=dice.below(3) {
+        let list: &str = LISTS[dice.below(LISTS.len())];
+        match dice.below(4) {
+            0 => odd_attribute(&file, dice),
+            1 => drop(file.unlink(list)),
+            2 => drop(file.link_hard(list, &format!("tiles/0_{}", dice.below(4)))),
+            _ => odd_list(&file, list, dice),
+        }
+    }
+    file
+}
+
+fn odd_attribute(file: &File, dice: &mut Dice) {
+    const NAMES: [&str; 9] = [
+        "pixel_size_nm",
+        "tile_size_px",
+        "overlap_px",
+        "grid_shape",
+        "fov_nm",
+        "recipe",
+        "seed",
+        "noise",
+        "thickness_nm",
+    ];
+    const VALUES: [f64; 12] =
+        [0.0, -1.0, 0.5, 1.0, 2.0, 16.0, 1e5, 1e9, 1e300, f64::NAN, f64::INFINITY, 5e-324];
+    let metadata = file.group("metadata").unwrap();
+    let name = *dice.pick(&NAMES);
+    let _ = metadata.delete_attr(name);
+    match dice.below(5) {
+        0 => {}
+        1 => text(&metadata, name, "1.5"),
+        2 => {
+            let values = vec![*dice.pick(&VALUES); dice.below(5)];
+            metadata.new_attr_builder().with_data(&values).create(name).unwrap();
+        }
+        3 => {
+            let pair = [*dice.pick(&VALUES), *dice.pick(&VALUES)];
+            metadata.new_attr_builder().with_data(&pair).create(name).unwrap();
+        }
+        _ => set(&metadata, name, *dice.pick(&VALUES)),
+    }
+}
+
+fn odd_list(file: &File, name: &str, dice: &mut Dice) {
+    let _ = file.unlink(name);
+    const LENGTHS: [usize; 11] = [0, 1, 2, 3, 4, 16, 32, 1000, 1 << 20, 1 << 40, 1 << 62];
+    let shape: Vec<usize> = (0..dice.below(4)).map(|_| *dice.pick(&LENGTHS)).collect();
+    // The builder multiplies them.
+    if shape.iter().try_fold(1_usize, |n, length| n.checked_mul(*length)).is_none() {
+        return;
+    }
+    let chunk: Vec<usize> = shape.iter().map(|n| (*n).clamp(1, 64)).collect();
+    macro_rules! make {
+        ($kind:ty) => {
+            match shape.is_empty() {
+                true => file.new_dataset::<$kind>().create(name),
+                false => {
+                    file.new_dataset::<$kind>().chunk(chunk).deflate(1).shape(shape).create(name)
+                }
+            }
+        };
+    }
+    // A shape that the library refuses is one that is not there.
+    let _ = match dice.below(6) {
+        0 => make!(f32),
+        1 => make!(f64),
+        2 => make!(i32),
+        3 => make!(u8),
+        4 => make!(VarLenUnicode),
+        _ => make!(hdf5::types::FixedAscii<16>),
+    };
 }
 
 /// Reads everything that a world holds.
@@ -113,7 +225,7 @@ fn the_small_world_is_read() {
     read_world(&path).unwrap();
     let read = WorldFile::open(&path).unwrap();
     assert_eq!(read.truth(0..3).unwrap().defects, [false, true, true]);
-    assert_eq!(read.phase_names().unwrap(), ["well", "matrix"]);
+    assert_eq!(read.phase_names().unwrap(), ["matrix", "well"]);
     assert_eq!(read.metadata().noise, None);
 }
 
