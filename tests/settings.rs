@@ -1,6 +1,9 @@
 //! Any finite settings give finite images, or an error that names one.
 
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+
 use proptest::prelude::*;
+use proptest::test_runner::{RngAlgorithm, TestCaseResult, TestRng, TestRunner};
 use stemgen::detect::Detector;
 use stemgen::engine::{
     Algorithm, BeyondLimit, Expansion, GridChoice, Phonons, Plan, ProbeBox, ProbeStep, Scan,
@@ -17,14 +20,14 @@ const CELL: [f64; 3] = [6.0, 7.0, 4.0];
 fn value(usual: f64) -> impl Strategy<Value = f64> {
     let edges = [0.0, -1.0, 1e-308, 5e-324, 1e-9, 0.5, 1.0, 2.0, 1e3, 1e9, 1e308, -1e308, f64::MAX];
     prop_oneof![
-        6 => (0.5..2.0).prop_map(move |f: f64| f * usual),
+        60 => (0.8..1.25).prop_map(move |f: f64| f * usual),
         2 => proptest::sample::select(edges.to_vec()),
         1 => any::<f64>().prop_filter("finite", |v| v.is_finite()),
     ]
 }
 
 fn algorithm() -> impl Strategy<Value = Algorithm> {
-    let factor = prop_oneof![3 => 1_usize..4, 1 => Just(0), 1 => any::<usize>()];
+    let factor = prop_oneof![20 => 1_usize..3, 1 => Just(0), 1 => any::<usize>()];
     prop_oneof![
         Just(Algorithm::Multislice),
         [factor.clone(), factor].prop_map(|interpolation| Algorithm::Prism { interpolation }),
@@ -123,26 +126,39 @@ fn sites() -> Vec<Site> {
     vec![site(0, [1.5, 1.5, 1.0], 38), site(1, [4.0, 5.0, 3.0], 8)]
 }
 
-proptest! {
-    #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
+/// Images that were made, of so many cases.
+static IMAGES: AtomicUsize = AtomicUsize::new(0);
+const CASES: u32 = 300;
 
-    #[test]
-    fn images_are_finite((optics, [step, origin]) in optics_and_detectors(), numerics in numerics()) {
-        let settings = Settings { optics: optics.optics, detectors: optics.detectors, ..numerics };
-        let sites = sites();
-        let heights: Vec<f64> = sites.iter().map(|site| site.position[2]).collect();
-        let Ok(plan) = Plan::new(&settings, CELL, &heights) else { return Ok(()) };
-        // What takes long is allowed; here it is not worth the time.
-        let pixels = |n: [usize; 2]| n[0] * n[1];
-        let largest = pixels(plan.potential_grid.points).max(pixels(plan.transmission_grid.points));
-        if largest > 1 << 18 || plan.slices.len() > 40 || plan.beams > 2000 {
-            return Ok(());
-        }
-        let scan = Scan { origin_angstrom: [origin; 2], step_angstrom: [step, 0.4], shape: [2, 3] };
-        if let Ok(images) = simulate(&plan, &sites, &scan, &Silent) {
-            for thickness in 0..plan.thicknesses_angstrom().len() {
-                prop_assert!(images.image(thickness, 0).iter().all(|v| v.is_finite()));
-            }
+#[test]
+fn images_are_finite() {
+    let config =
+        ProptestConfig { cases: CASES, failure_persistence: None, ..ProptestConfig::default() };
+    let mut runner =
+        TestRunner::new_with_rng(config, TestRng::deterministic_rng(RngAlgorithm::ChaCha));
+    let strategy = (optics_and_detectors(), numerics());
+    runner.run(&strategy, |((optics, raster), numerics)| finite(optics, raster, numerics)).unwrap();
+    let images = IMAGES.load(Relaxed);
+    assert!(images > 30, "{images} images of {CASES} cases: most settings are refused");
+}
+
+fn finite(optics: Settings, [step, origin]: [f64; 2], numerics: Settings) -> TestCaseResult {
+    let settings = Settings { optics: optics.optics, detectors: optics.detectors, ..numerics };
+    let sites = sites();
+    let heights: Vec<f64> = sites.iter().map(|site| site.position[2]).collect();
+    let Ok(plan) = Plan::new(&settings, CELL, &heights) else { return Ok(()) };
+    // What takes long is allowed; here it is not worth the time.
+    let pixels = |n: [usize; 2]| n[0] * n[1];
+    let largest = pixels(plan.potential_grid.points).max(pixels(plan.transmission_grid.points));
+    if largest > 1 << 18 || plan.slices.len() > 40 || plan.beams > 2000 {
+        return Ok(());
+    }
+    let scan = Scan { origin_angstrom: [origin; 2], step_angstrom: [step, 0.4], shape: [2, 3] };
+    if let Ok(images) = simulate(&plan, &sites, &scan, &Silent) {
+        IMAGES.fetch_add(1, Relaxed);
+        for thickness in 0..plan.thicknesses_angstrom().len() {
+            prop_assert!(images.image(thickness, 0).iter().all(|v| v.is_finite()));
         }
     }
+    Ok(())
 }

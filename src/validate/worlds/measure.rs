@@ -134,7 +134,7 @@ pub fn measure(
     let blocks = Blocks::new(world.shape(), metadata.pixel_size_nm);
     let sites = SiteCounts::read(world, blocks)?;
     let columns = columns(world, &sites)?;
-    let cells = Cells::new(&columns, path)?;
+    let cells = ColumnSquares::new(&columns, path)?;
     let places: Vec<u32> = columns.iter().map(|at| blocks.of(*at) as u32).collect();
     let mut column_counts = vec![0.0; blocks.len()];
     places.iter().for_each(|b| column_counts[*b as usize] += 1.0);
@@ -347,12 +347,12 @@ fn spread(mut distances: Vec<f32>) -> Vec<f32> {
 }
 
 /// Points in squares.
-struct Cells<'a> {
+struct ColumnSquares<'a> {
     points: &'a [[f32; 2]],
     cells: HashMap<(i64, i64), Vec<u32>>,
 }
 
-impl<'a> Cells<'a> {
+impl<'a> ColumnSquares<'a> {
     /// Fails where so many lie in one square that looking for neighbours would not end.
     fn new(points: &'a [[f32; 2]], path: &Path) -> Result<Self> {
         let mut cells: HashMap<(i64, i64), Vec<u32>> = HashMap::new();
@@ -366,7 +366,7 @@ impl<'a> Cells<'a> {
                 return Err(Error::invalid(Setting::WorldFile, path.display(), message));
             }
         }
-        Ok(Cells { points, cells })
+        Ok(ColumnSquares { points, cells })
     }
 
     fn of([x, y]: [f32; 2]) -> (i64, i64) {
@@ -419,8 +419,9 @@ mod tests {
                 [3.0 * turn.fract(), 3.0 * (turn * 7.31).fract()]
             })
             .collect();
-        let nearest =
-            |points: &[[f32; 2]]| Cells::new(points, Path::new("w.h5")).map(|c| c.nearest());
+        let nearest = |points: &[[f32; 2]]| {
+            ColumnSquares::new(points, Path::new("w.h5")).map(|c| c.nearest())
+        };
         for (i, found) in nearest(&points).unwrap().into_iter().enumerate() {
             let distance = |j: usize| {
                 f64::from(points[i][0] - points[j][0]).hypot(f64::from(points[i][1] - points[j][1]))
