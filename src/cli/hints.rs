@@ -40,12 +40,24 @@ pub fn report(error: &anyhow::Error, subcommand: &str) -> ExitCode {
         Some(Error::Set { .. }) => "--set ",
         _ => "",
     };
-    text::complain(&format!("error: {option}{error:#}"));
+    text::complain(&format!("error: {option}{}", reasons(error)));
     text::complain(&format!("hint: {}", hint.unwrap_or_else(fallback)));
     match known {
         Some(Error::Interrupted) => ExitCode::from(INTERRUPTED),
         _ => ExitCode::FAILURE,
     }
+}
+
+/// What went wrong, and why: causes that were not told already.
+fn reasons(error: &anyhow::Error) -> String {
+    let mut told = String::new();
+    for cause in error.chain().map(ToString::to_string).filter(|cause| !cause.is_empty()) {
+        if !told.contains(&cause) {
+            told += if told.is_empty() { "" } else { ": " };
+            told += &cause;
+        }
+    }
+    told
 }
 
 /// What would mend an error of the library.

@@ -27,7 +27,8 @@ pub fn finite(text: &str) -> Parsed<f64> {
 
 /// A number with or without a per cent sign.
 pub fn percent(text: &str) -> Parsed<f64> {
-    finite(text.trim().trim_end_matches('%'))
+    let text = text.trim();
+    finite(text.strip_suffix('%').unwrap_or(text))
         .map_err(|_: String| "write per cent, such as 1 or 0.5%".into())
 }
 
@@ -48,7 +49,7 @@ pub fn expansion(text: &str) -> Parsed<Expansion> {
     match text.trim() {
         "auto" => Ok(Expansion::Auto),
         "off" => Ok(Expansion::Off),
-        percent => match finite(percent.trim_end_matches('%')) {
+        percent => match finite(percent.strip_suffix('%').unwrap_or(percent)) {
             Ok(error) if error > 0.0 => Ok(Expansion::Error(error / 100.0)),
             _ => Err("write auto, off or per cent of the amplitude, such as 0.5".into()),
         },
@@ -261,5 +262,7 @@ mod tests {
             assert!(sigmas(bad).is_err(), "{bad}");
         }
         assert!(detector("..=1-2").is_err());
+        assert_eq!(percent(" 50% "), Ok(50.0));
+        assert!(percent("50%%").is_err() && expansion("0.5%%").is_err());
     }
 }

@@ -214,9 +214,10 @@ impl WorldPart {
             let mut codes: Vec<i32> = map.iter().copied().filter(|c| *c > 0).collect();
             codes.sort_unstable();
             codes.dedup();
+            let names = world.phase_names()?;
             for code in codes {
-                scene
-                    .legend(Swatch::Area(color(code).unwrap_or_default()), format!("phase {code}"));
+                let name = phase_name(&names, code);
+                scene.legend(Swatch::Area(color(code).unwrap_or_default()), name);
             }
         }
         for line in &lines {
@@ -324,6 +325,12 @@ fn averaged(image: &Array2<f32>, n: usize) -> Array2<f32> {
     })
 }
 
+/// The name that the file gives to the phase of a code, if it gives one.
+fn phase_name(names: &[String], code: i32) -> String {
+    let known = usize::try_from(code).ok().and_then(|code| names.get(code));
+    known.filter(|name| !name.is_empty()).cloned().unwrap_or_else(|| format!("phase {code}"))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -333,5 +340,13 @@ mod tests {
         let image = Array2::from_shape_fn((3, 5), |(i, j)| (5 * i + j) as f32);
         let small = averaged(&image, 2);
         assert_eq!(small, ndarray::array![[3.0, 5.0, 6.5], [10.5, 12.5, 14.0]]);
+    }
+
+    #[test]
+    fn phases_have_the_names_of_the_file() {
+        let names = ["matrix".to_owned(), "well".to_owned(), String::new()];
+        assert_eq!(phase_name(&names, 1), "well");
+        assert_eq!(phase_name(&names, 2), "phase 2");
+        assert_eq!(phase_name(&[], 1), "phase 1");
     }
 }

@@ -11,6 +11,8 @@ use crate::fft::good_size;
 const WINDOW_BAND_FRACTION: f64 = 0.98;
 /// Windows may be narrower than asked for by this factor if that allows a faster transform.
 const WINDOW_WIDTH_TOLERANCE: f64 = 0.985;
+/// Most points of a grid along an axis.
+const MOST_POINTS: usize = 1 << 16;
 /// Factor by which the samplings that error messages advise carry more than the outermost detector angle.
 const BAND_MARGIN: f64 = 1.0005;
 
@@ -34,15 +36,18 @@ pub(super) fn cell_grid(
         GridChoice::Sampling(sampling) => sampled_points(sampling, extent, multiple)?,
         GridChoice::Auto => sampled_points(auto_sampling(settings), extent, multiple)?,
     };
-    if points.iter().any(|&n| n > 1 << 16) {
-        let value = format!("{},{}", points[0], points[1]);
-        return Err(Error::invalid(
-            crate::Setting::Gpts,
-            value,
-            "at most 65536; simulate a smaller cell",
-        ));
-    }
+    check_count(points)?;
     Ok(Grid { points, extent_angstrom: extent })
+}
+
+/// Refuses grids that no machine holds.
+fn check_count(points: [usize; 2]) -> Result<()> {
+    if points.iter().any(|&n| n > MOST_POINTS) {
+        let value = format!("{},{}", points[0], points[1]);
+        let expected = format!("at most {MOST_POINTS}; simulate a smaller cell");
+        return Err(Error::invalid(crate::Setting::Gpts, value, expected));
+    }
+    Ok(())
 }
 
 fn checked_points(points: [usize; 2], multiple: [usize; 2]) -> Result<[usize; 2]> {
@@ -70,7 +75,10 @@ fn sampled_points(sampling: f64, extent: [f64; 2], multiple: [usize; 2]) -> Resu
         let expected = "must be between 0.0001 and 10";
         return Err(Error::invalid(crate::Setting::SamplingAngstrom, sampling, expected));
     }
-    Ok([0, 1].map(|i| good_size((extent[i] / sampling - 1e-3).ceil() as usize, multiple[i])))
+    let least = [0, 1].map(|i| (extent[i] / sampling - 1e-3).ceil() as usize);
+    // Before a good size is looked for: good ones are rare among large numbers.
+    check_count(least)?;
+    Ok([0, 1].map(|i| good_size(least[i], multiple[i])))
 }
 
 /// A grid `factor` times finer along each axis; by default as many times as brings its pixels down to

@@ -185,6 +185,8 @@ pub struct Settings {
     pub beyond_limit: BeyondLimit,
 }
 
+/// Largest interpolation factor: the grid has multiples of it as points.
+const MOST_INTERPOLATION: usize = 1024;
 /// Sampling of the potentials unless another is asked for, in Angstrom.
 pub const POTENTIAL_SAMPLING_ANGSTROM: f64 = 0.0125;
 /// The exact anti-aliasing limit (Kirkland 2010, sec. 6.8).
@@ -285,12 +287,14 @@ impl Settings {
                     "PRISM makes probes in the cell; use the engine multislice or window";
                 Err(Error::invalid(crate::Setting::ProbeBox, "large", expected))
             }
-            Algorithm::Prism { interpolation: [fx, fy] } if fx == 0 || fy == 0 => {
+            Algorithm::Prism { interpolation: [fx, fy] }
+                if [fx, fy].iter().any(|f| !(1..=MOST_INTERPOLATION).contains(f)) =>
+            {
                 let value = format!("{fx},{fy}");
                 Err(Error::invalid(
                     crate::Setting::Interpolation,
                     value,
-                    "factors must be at least 1",
+                    format!("factors must be from 1 to {MOST_INTERPOLATION}"),
                 ))
             }
             Algorithm::Window { width_angstrom: w } if !(2.0..1000.0).contains(&w) => {

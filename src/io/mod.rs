@@ -7,6 +7,8 @@ mod atoms_file;
 #[cfg(feature = "hdf5")]
 mod hdf5_errors;
 #[cfg(feature = "hdf5")]
+mod hdf5_guard;
+#[cfg(feature = "hdf5")]
 pub mod image_file;
 #[cfg(feature = "hdf5")]
 pub mod schema;
@@ -20,6 +22,8 @@ mod world_writer;
 pub use atoms_file::{AtomRow, AtomsHeader, AtomsWriter, RowFormat, writable};
 #[cfg(feature = "hdf5")]
 use hdf5_errors::At;
+#[cfg(feature = "report")]
+use world_file::regular_file;
 #[cfg(feature = "hdf5")]
 pub use world_file::{GroundTruth, WorldFile, WorldMetadata};
 #[cfg(feature = "hdf5")]

@@ -4,11 +4,11 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use hdf5::types::VarLenUnicode;
-use hdf5::{Dataset, File, Group, H5Type};
+use hdf5::{Dataset, File, H5Type};
 use ndarray::{Array2, s};
 
 use super::At;
+use super::hdf5_guard::{self, check_storage, first_line, number, text};
 use super::schema::{self, DefectName};
 use crate::error::{Error, Result};
 use crate::setting::Setting;
@@ -77,12 +77,22 @@ pub struct GroundTruth {
 pub struct WorldFile {
     pub(super) path: PathBuf,
     pub(super) file: File,
+    /// Size of the file.
+    bytes: u64,
     metadata: WorldMetadata,
 }
 
 /// How long to wait for a lock. HDF5 locks what it writes, and a process that is being started at that
 /// moment by another thread holds the lock for an instant longer.
 const LOCK_PATIENCE: Duration = Duration::from_secs(5);
+
+/// Lists of the ground truth with one entry for each site.
+const SITE_LISTS: [&str; 6] =
+    ["defect_mask", "atom_z", "atomic_numbers", "defect_types", "atom_columns", "atom_types"];
+/// Edges that a pixel may have.
+const PIXELS_NM: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
+/// Relative difference of lengths that are the same.
+const SAME_FIELD: f64 = 1e-6;
 
 fn is_locked(error: &hdf5::Error) -> bool {
     error.to_string().contains("unable to lock file")
@@ -101,12 +111,13 @@ fn open_unlocked(path: &Path) -> hdf5::Result<File> {
 }
 
 impl WorldFile {
-    /// Opens a world and checks that it is one, and whole.
+    /// Opens a world and checks that it is one, and whole. All that a world holds is in its file: links to other
+    /// files are refused, and so are lists that are larger than a file of this size can hold.
     ///
     /// # Errors
     /// [`Error::Io`], or [`Error::Invalid`] for a foreign, truncated or incomplete file.
     pub fn open(path: &Path) -> Result<Self> {
-        std::fs::File::open(path).map_err(|e| Error::io(path, "read", e))?;
+        let bytes = regular_file(path)?;
         let file = open_unlocked(path).map_err(|e| {
             let reason = if is_locked(&e) {
                 "is locked by another program that writes it; try again when that has ended"
@@ -115,8 +126,9 @@ impl WorldFile {
             };
             not_a_world(path, format!("{reason} ({})", first_line(&e)))
         })?;
+        hdf5_guard::datasets(&file).map_err(|fault| not_a_world(path, fault))?;
         let metadata = read_metadata(path, &file)?;
-        let world = WorldFile { path: path.to_owned(), file, metadata };
+        let world = WorldFile { path: path.to_owned(), file, bytes, metadata };
         world.check()?;
         Ok(world)
     }
@@ -249,7 +261,14 @@ impl WorldFile {
     /// # Errors
     /// [`Error::Invalid`] for a damaged file.
     pub fn overview(&self) -> Result<Array2<f32>> {
-        self.dataset(schema::OVERVIEW)?.read_2d().at(&self.path)
+        let dataset = self.dataset(schema::OVERVIEW)?;
+        let expected = self.shape().map(|n| n.div_ceil(schema::OVERVIEW_FACTOR));
+        if dataset.shape() != expected {
+            let found = dataset.shape();
+            let fault = format!("has an overview of shape {found:?}, expected {expected:?}");
+            return Err(not_a_world(&self.path, fault));
+        }
+        dataset.read_2d().at(&self.path)
     }
 
     /// Number of lattice sites.
@@ -272,14 +291,19 @@ impl WorldFile {
         }
         let positions = self.truth_dataset("atom_positions")?;
         let pairs: Array2<f32> = positions.read_slice(s![range.clone(), ..]).at(&self.path)?;
+        self.check_places(pairs.iter(), "sites")?;
         let names: Vec<DefectName> = self.optional("defect_types", &range)?;
         Ok(GroundTruth {
             positions: pairs.rows().into_iter().map(|r| [r[0], r[1]]).collect(),
             types: self.required("atom_types", &range)?,
-            defects: self.required("defect_mask", &range)?,
+            // As bytes: another program's file may hold values that are no `bool`.
+            defects: self.required::<u8>("defect_mask", &range)?.iter().map(|v| *v != 0).collect(),
             z: self.optional("atom_z", &range)?,
             numbers: self.optional("atomic_numbers", &range)?,
-            defect_names: names.iter().map(|n| n.as_str().to_owned()).collect(),
+            defect_names: names
+                .iter()
+                .map(|n| String::from_utf8_lossy(n.as_bytes()).into_owned())
+                .collect(),
             columns: self.optional("atom_columns", &range)?,
         })
     }
@@ -299,13 +323,24 @@ impl WorldFile {
         })
     }
 
-    fn dataset(&self, name: &str) -> Result<Dataset> {
+    pub(super) fn dataset(&self, name: &str) -> Result<Dataset> {
         let missing = |_| not_a_world(&self.path, format!("has no dataset /{name}"));
-        self.file.dataset(name).map_err(missing)
+        let dataset = self.file.dataset(name).map_err(missing)?;
+        let refused = |fault| not_a_world(&self.path, format!("/{name} {fault}"));
+        check_storage(&dataset, self.bytes).map_err(refused)?;
+        Ok(dataset)
     }
 
     pub(super) fn truth_dataset(&self, name: &str) -> Result<Dataset> {
         self.dataset(&format!("{}/{name}", schema::TRUTH))
+    }
+
+    /// A dataset of values that are larger than a number.
+    pub(super) fn dataset_of<T: H5Type>(&self, name: &str) -> Result<Dataset> {
+        let dataset = self.dataset(name)?;
+        let refused = |fault| not_a_world(&self.path, format!("/{name} {fault}"));
+        hdf5_guard::check_bytes(&dataset.shape(), size_of::<T>(), self.bytes).map_err(refused)?;
+        Ok(dataset)
     }
 
     fn required<T: H5Type>(&self, name: &str, range: &Range<usize>) -> Result<Vec<T>> {
@@ -320,23 +355,64 @@ impl WorldFile {
         }
     }
 
-    /// All tiles there, and lists of the ground truth equally long.
+    /// All tiles there, lists of the ground truth equally long, and sizes that fit each other.
     fn check(&self) -> Result<()> {
+        let refuse = |found: String| Err(not_a_world(&self.path, found));
         let tiles = self.file.group(schema::TILES);
         let tiles = tiles.map_err(|_| not_a_world(&self.path, "has no group /tiles"))?;
         let [rows, columns] = self.metadata.grid_shape;
         if tiles.len() != (rows * columns) as u64 {
-            let found = format!("has {} of {} tiles", tiles.len(), rows * columns);
-            return Err(not_a_world(&self.path, found));
+            return refuse(format!("has {} of {} tiles", tiles.len(), rows * columns));
         }
+        self.check_size()?;
         let count = self.site_count()?;
-        let lengths = [self.truth_dataset("defect_mask")?.shape(), vec![count]];
-        let pairs = self.truth_dataset("atom_positions")?.shape();
-        if lengths[0] != lengths[1] || pairs != [count, 2] {
-            return Err(not_a_world(&self.path, "has lists of sites of unequal length"));
+        if self.truth_dataset("atom_positions")?.shape() != [count, 2] {
+            return refuse("has lists of sites of unequal length".into());
+        }
+        for name in SITE_LISTS {
+            let there = self.file.link_exists(&format!("{}/{name}", schema::TRUTH));
+            if (there || name == "defect_mask") && self.truth_dataset(name)?.shape() != [count] {
+                return refuse(format!("has lists of sites of unequal length: {name}"));
+            }
         }
         Ok(())
     }
+
+    /// The first tile is as large as announced, the image no larger than the file can hold, and the field as wide as
+    /// its pixels.
+    fn check_size(&self) -> Result<()> {
+        let m = &self.metadata;
+        let (name, size) =
+            (format!("{}/{}", schema::TILES, schema::tile_name(0, 0)), m.tile_size_px);
+        let shape = self.dataset(&name)?.shape();
+        if shape != [size, size] {
+            let found =
+                format!("/{name} has shape {shape:?}, and /metadata says tile_size_px = {size}");
+            return Err(not_a_world(&self.path, found));
+        }
+        let fault = |fault| not_a_world(&self.path, format!("/{} {fault}", schema::TILES));
+        hdf5_guard::check_bytes(&self.shape(), size_of::<f32>(), self.bytes).map_err(fault)?;
+        let field = self.shape().map(|n| n as f64 * m.pixel_size_nm);
+        if (0..2).any(|k| !((m.fov_nm[k] - field[k]).abs() <= SAME_FIELD * field[k])) {
+            let found = format!(
+                "says fov_nm = {:?}, but its pixels cover {:.4} x {:.4} nm (height, width)",
+                m.fov_nm, field[0], field[1]
+            );
+            return Err(not_a_world(&self.path, found));
+        }
+        Ok(())
+    }
+}
+
+/// The size of a file that is neither a folder nor a device: a pipe would be waited for.
+pub(super) fn regular_file(path: &Path) -> Result<u64> {
+    let about = std::fs::metadata(path).map_err(|e| Error::io(path, "read", e))?;
+    if about.is_file() {
+        std::fs::File::open(path).map_err(|e| Error::io(path, "read", e))?;
+        return Ok(about.len());
+    }
+    let kind = if about.is_dir() { "a folder" } else { "no regular file" };
+    Err(Error::parse(path, 0, format!("is {kind}; expected an HDF5 file")))
 }
 
 fn common(range: &Range<usize>, start: usize, tile: &Array2<f32>, axis: usize) -> Range<usize> {
@@ -348,20 +424,13 @@ pub(super) fn not_a_world(path: &Path, what: impl Into<String>) -> Error {
     Error::invalid(Setting::WorldFile, path.display(), what)
 }
 
-fn first_line(error: &hdf5::Error) -> String {
-    error.to_string().lines().next().unwrap_or_default().to_owned()
-}
-
 fn read_metadata(path: &Path, file: &File) -> Result<WorldMetadata> {
     let group = file.group(schema::METADATA);
     let group = group.map_err(|_| not_a_world(path, format!("is not a world: {}", found(file))))?;
     let missing = |name: &str| not_a_world(path, format!("/metadata has no usable `{name}`"));
     let need = |name: &str| number::<f64>(&group, name).ok_or_else(|| missing(name));
-    let pair = |name: &str| {
-        let values: Option<Vec<f64>> = group.attr(name).and_then(|a| a.read_raw()).ok();
-        values.and_then(|v| <[f64; 2]>::try_from(v).ok()).ok_or_else(|| missing(name))
-    };
-    let size = |value: f64, name: &str| match (0.0..1e9).contains(&value) {
+    let pair = |name: &str| hdf5_guard::pair(&group, name).ok_or_else(|| missing(name));
+    let size = |value: f64, name: &str| match (0.0..1e9).contains(&value) && value.fract() == 0.0 {
         true => Ok(value as usize),
         false => Err(missing(name)),
     };
@@ -377,20 +446,27 @@ fn read_metadata(path: &Path, file: &File) -> Result<WorldMetadata> {
         grid_shape: [size(grid[0], "grid_shape")?, size(grid[1], "grid_shape")?],
         fov_nm: pair("fov_nm")?,
         scaling,
-        recipe: string(&group, "recipe"),
-        version: string(&group, "stemgen_version"),
-        source: string(&group, "source"),
-        engine: string(&group, "engine"),
-        engine_parameters: string(&group, "engine_parameters"),
-        material: string(&group, "material"),
+        recipe: text(&group, "recipe"),
+        version: text(&group, "stemgen_version"),
+        source: text(&group, "source"),
+        engine: text(&group, "engine"),
+        engine_parameters: text(&group, "engine_parameters"),
+        material: text(&group, "material"),
         thickness_nm: number(&group, "thickness_nm"),
-        noise: number(&group, "noise"),
+        noise: number::<u8>(&group, "noise").map(|value| value != 0),
         dose_electrons_per_angstrom2: number(&group, "dose_electrons_per_angstrom2"),
         seed: number(&group, "seed"),
         wall_time_s: number(&group, "wall_time_s"),
     };
-    if !(metadata.pixel_size_nm.is_finite() && metadata.pixel_size_nm > 0.0) {
+    if !PIXELS_NM.contains(&metadata.pixel_size_nm) {
         return Err(missing("pixel_size_nm"));
+    }
+    let finite = |value: &f64| value.is_finite();
+    if metadata.scaling.is_some_and(|s| !s.iter().all(finite)) {
+        return Err(not_a_world(path, "/tiles has a scale or offset that is no finite number"));
+    }
+    if metadata.thickness_nm.is_some_and(|t| !(t > 0.0 && t.is_finite())) {
+        return Err(missing("thickness_nm"));
     }
     if metadata.overlap_px >= metadata.tile_size_px {
         return Err(missing("overlap_px"));
@@ -403,7 +479,7 @@ fn read_metadata(path: &Path, file: &File) -> Result<WorldMetadata> {
 
 /// What an HDF5 file without metadata of a world is.
 fn found(file: &File) -> String {
-    if string(file, "format").as_deref() == Some("stemgen images") {
+    if text(file, "format").as_deref() == Some("stemgen images") {
         return "it holds images of `stemgen simulate`, which can draw them itself".into();
     }
     let mut names = file.member_names().unwrap_or_default();
@@ -414,12 +490,4 @@ fn found(file: &File) -> String {
         true => "it is empty; a world has the group /metadata".into(),
         false => format!("it has no group /metadata, but {}{more}", names.join(", ")),
     }
-}
-
-fn number<T: H5Type>(group: &Group, name: &str) -> Option<T> {
-    group.attr(name).and_then(|a| a.read_scalar()).ok()
-}
-
-fn string(group: &Group, name: &str) -> Option<String> {
-    number::<VarLenUnicode>(group, name).map(|s| s.as_str().to_owned())
 }

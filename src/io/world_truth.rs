@@ -3,12 +3,12 @@
 use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
 
-use hdf5::types::VarLenUnicode;
 use hdf5::{Dataset, Group};
 use ndarray::{Array2, s};
 
 use super::At;
-use super::schema::{self, CompositionText, atom_type};
+use super::hdf5_guard::{number, text};
+use super::schema::{self, CompositionText, MorphologyName, atom_type};
 use super::world_file::{GroundTruth, WorldFile, not_a_world};
 use super::world_writer::ParticleBatch;
 use crate::error::Result;
@@ -18,6 +18,8 @@ use crate::structure::elements;
 const SITES_AT_ONCE: usize = 1 << 20;
 /// In a file without columns, sites that lie this near to each other along x and y are one, in nm.
 const SAME_PLACE_NM: f64 = 0.002;
+/// Places of sites, columns and boundaries are at most so far from the first pixel: 1 cm.
+const FARTHEST_NM: f32 = 1e7;
 
 /// An atomic column of a world.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -53,22 +55,32 @@ impl WorldFile {
     /// [`crate::Error::Hdf5`] or [`crate::Error::Invalid`] for a damaged file.
     pub fn columns(&self) -> Result<Vec<WorldColumn>> {
         let name = format!("{}/{}", schema::TRUTH, schema::COLUMNS);
-        let Ok(group) = self.file.group(&name) else { return self.columns_of_sites() };
-        type Lists = (Array2<f32>, [Vec<i32>; 3], Vec<CompositionText>);
-        let read = || -> hdf5::Result<Lists> {
-            let list = |name| group.dataset(name)?.read_raw::<i32>();
-            let counts = [list("number_of_sites")?, list("vacancies")?, list("substitutions")?];
-            let compositions = match group.link_exists("composition") {
-                true => group.dataset("composition")?.read_raw()?,
-                false => vec![CompositionText::default(); counts[0].len()],
+        if self.file.group(&name).is_err() {
+            return self.columns_of_sites();
+        }
+        let dataset = |list: &str| self.dataset(&format!("{name}/{list}"));
+        let counts = |list: &str| dataset(list)?.read_raw::<i32>().at(&self.path);
+        let positions: Array2<f32> = dataset("position")?.read_2d().at(&self.path)?;
+        let (sites, vacancies) = (counts("number_of_sites")?, counts("vacancies")?);
+        let substitutions = counts("substitutions")?;
+        let compositions: Vec<CompositionText> =
+            match self.file.link_exists(&format!("{name}/composition")) {
+                true => {
+                    let texts =
+                        self.dataset_of::<CompositionText>(&format!("{name}/composition"))?;
+                    texts.read_raw().at(&self.path)?
+                }
+                false => vec![CompositionText::default(); sites.len()],
             };
-            Ok((group.dataset("position")?.read_2d()?, counts, compositions))
-        };
-        let (positions, [sites, vacancies, substitutions], compositions) = read().at(&self.path)?;
         let n = positions.nrows();
         let lengths = [sites.len(), vacancies.len(), substitutions.len(), compositions.len()];
         if positions.ncols() != 2 || lengths != [n; 4] {
             return Err(not_a_world(&self.path, "has lists of columns of unequal length"));
+        }
+        self.check_places(positions.iter(), "columns")?;
+        if let Some(odd) = compositions.iter().find(|c| !c.as_bytes().is_ascii()) {
+            let found = String::from_utf8_lossy(odd.as_bytes()).into_owned();
+            return Err(not_a_world(&self.path, format!("has the composition `{found}`")));
         }
         let column = |i: usize| WorldColumn {
             position_nm: [positions[(i, 0)], positions[(i, 1)]],
@@ -193,9 +205,9 @@ impl WorldFile {
             return Ok(Vec::new());
         }
         let map = self.truth_dataset(schema::PHASE_MAP)?;
-        let text = attribute(&map, "codes").unwrap_or_default();
+        let codes = text(&map, "codes").unwrap_or_default();
         let name = |part: &str| part.split_once(' ').map_or("", |(_, name)| name).to_owned();
-        Ok(text.split(", ").filter(|part| !part.is_empty()).map(name).collect())
+        Ok(codes.split(", ").filter(|part| !part.is_empty()).map(name).collect())
     }
 
     fn has_phases(&self) -> bool {
@@ -207,26 +219,45 @@ impl WorldFile {
     /// # Errors
     /// [`crate::Error::Hdf5`] for a damaged file.
     pub fn particles(&self) -> Result<ParticleBatch> {
-        let Some(group) = self.truth_group(schema::PARTICLES) else {
+        if self.truth_group(schema::PARTICLES).is_none() {
             return Ok(ParticleBatch::default());
-        };
-        let read = || -> hdf5::Result<ParticleBatch> {
-            let centres: Array2<f32> = group.dataset("centre")?.read_2d()?;
-            let turns: Array2<f32> = group.dataset("orientation")?.read_2d()?;
-            let at =
-                |a: &Array2<f32>, i: usize, k: usize| a.get((i, k)).copied().unwrap_or(f32::NAN);
-            Ok(ParticleBatch {
-                centres: (0..centres.nrows())
-                    .map(|i| [0, 1, 2].map(|k| at(&centres, i, k)))
-                    .collect(),
-                diameters: group.dataset("diameter")?.read_raw()?,
-                morphologies: group.dataset("morphology")?.read_raw()?,
-                orientations: (0..turns.nrows())
-                    .map(|i| [0, 1, 2, 3].map(|k| at(&turns, i, k)))
-                    .collect(),
-            })
-        };
-        read().at(&self.path)
+        }
+        let dataset = |list: &str| self.truth_dataset(&format!("{}/{list}", schema::PARTICLES));
+        let rows = |list: &str| dataset(list)?.read_2d::<f32>().at(&self.path);
+        let (centres, turns) = (rows("centre")?, rows("orientation")?);
+        let diameters: Vec<f32> = dataset("diameter")?.read_raw().at(&self.path)?;
+        let shapes = format!("{}/{}/morphology", schema::TRUTH, schema::PARTICLES);
+        let morphologies: Vec<MorphologyName> =
+            self.dataset_of::<MorphologyName>(&shapes)?.read_raw().at(&self.path)?;
+        let n = diameters.len();
+        if centres.dim() != (n, 3) || turns.dim() != (n, 4) || morphologies.len() != n {
+            return Err(not_a_world(&self.path, "has lists of particles of unequal length"));
+        }
+        self.check_places(centres.iter().chain(&diameters), "particles")?;
+        if morphologies.iter().any(|m| !m.as_bytes().is_ascii()) {
+            return Err(not_a_world(&self.path, "has shapes of particles that are no ASCII text"));
+        }
+        Ok(ParticleBatch {
+            centres: (0..n).map(|i| [0, 1, 2].map(|k| centres[(i, k)])).collect(),
+            diameters,
+            morphologies,
+            orientations: (0..n).map(|i| [0, 1, 2, 3].map(|k| turns[(i, k)])).collect(),
+        })
+    }
+
+    /// Refuses places (nm) that are no finite numbers, or absurdly far away.
+    pub(super) fn check_places<'a>(
+        &self,
+        mut places: impl Iterator<Item = &'a f32>,
+        of: &str,
+    ) -> Result<()> {
+        match places.find(|nm| !(nm.abs() <= FARTHEST_NM)) {
+            None => Ok(()),
+            Some(nm) => {
+                let found = format!("has {of} at {nm} nm, expected up to {FARTHEST_NM} nm");
+                Err(not_a_world(&self.path, found))
+            }
+        }
     }
 
     fn truth_group(&self, name: &str) -> Option<Group> {
@@ -234,28 +265,31 @@ impl WorldFile {
     }
 
     fn lines(&self, group: &str) -> Result<Vec<BoundaryLine>> {
-        let Some(group) = self.truth_group(group) else { return Ok(Vec::new()) };
-        let read = |n: u64| -> hdf5::Result<BoundaryLine> {
-            let dataset = group.dataset(&n.to_string())?;
-            let points: Array2<f32> = dataset.read_2d()?;
+        let Some(lines) = self.truth_group(group) else { return Ok(Vec::new()) };
+        let read = |n: u64| {
+            let name = format!("{group}/{n}");
+            let dataset = self.truth_dataset(&name)?;
+            let shape = dataset.shape();
+            if !matches!(shape[..], [_, 2]) {
+                let found =
+                    format!("has the polyline {name} of shape {shape:?}, expected (points, 2)");
+                return Err(not_a_world(&self.path, found));
+            }
+            let points: Array2<f32> = dataset.read_2d().at(&self.path)?;
+            self.check_places(points.iter(), "boundaries")?;
             let points_nm = points.rows().into_iter().map(|p| [p[0], p[1]]).collect();
             Ok(BoundaryLine { points_nm, text: describe(&dataset) })
         };
-        (0..group.len()).map(read).collect::<hdf5::Result<_>>().at(&self.path)
+        (0..lines.len()).map(read).collect()
     }
 }
 
 fn describe(line: &Dataset) -> String {
-    let number = |name: &str| line.attr(name).and_then(|a| a.read_scalar::<f64>()).ok();
-    if let (Some(left), Some(right)) = (attribute(line, "left"), attribute(line, "right")) {
+    let number = |name: &str| number::<f64>(line, name);
+    if let (Some(left), Some(right)) = (text(line, "left"), text(line, "right")) {
         return format!("phase boundary, {left} | {right}");
     }
     let turn = number("misorientation_deg").map_or(String::new(), |t| format!(", {t:.2}\u{b0}"));
     let sigma = number("sigma").map_or(String::new(), |s| format!(", \u{3a3}{s}"));
     format!("grain boundary{turn}{sigma}")
-}
-
-fn attribute(at: &hdf5::Location, name: &str) -> Option<String> {
-    let text: VarLenUnicode = at.attr(name).and_then(|a| a.read_scalar()).ok()?;
-    Some(text.as_str().to_owned())
 }

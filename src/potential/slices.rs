@@ -27,6 +27,10 @@ pub enum Slicing {
 pub const GROUP_ANGSTROM: f64 = 0.5;
 /// Thickness of slices where there are no atoms.
 const EMPTY_THICKNESS_ANGSTROM: f64 = 1.0;
+/// Thicknesses of slices that may be asked for. Thinner ones cost time and gain nothing.
+const THICKNESSES_ANGSTROM: std::ops::RangeInclusive<f64> = 0.01..=1000.0;
+/// Most slices of equal thickness.
+const MOST_SLICES: f64 = 1e6;
 /// Atoms nearer than this along the beam belong to the same plane.
 const SAME_PLANE_ANGSTROM: f64 = 0.25;
 /// Atoms linked into a group wider than this, in Angstrom, form no plane.
@@ -73,6 +77,11 @@ impl Slices {
         z.sort_by(f64::total_cmp);
         match slicing {
             Slicing::Planes | Slicing::Grouped(_) if z.is_empty() => {
+                if height > MOST_SLICES {
+                    let expected = format!("at most {MOST_SLICES} where there are no atoms");
+                    let setting = crate::Setting::CellHeightAngstrom;
+                    return Err(Error::invalid(setting, height, expected));
+                }
                 Ok(Self::even(EMPTY_THICKNESS_ANGSTROM, entrance, height))
             }
             Slicing::Planes => {
@@ -83,14 +92,19 @@ impl Slices {
                 Err(Error::invalid(crate::Setting::SliceSpanAngstrom, span, "must be 0 or more"))
             }
             Slicing::Grouped(span) => Ok(Self::around(&groups(&z, span), entrance, height)),
-            Slicing::Thickness(t) if t > 0.0 && t.is_finite() => {
-                Ok(Self::even(t, entrance, height))
-            }
-            Slicing::ThicknessFromFace(t) if t > 0.0 && t.is_finite() => {
-                Ok(Self::even(t, 0.0, height))
-            }
             Slicing::Thickness(t) | Slicing::ThicknessFromFace(t) => {
-                Err(Error::invalid(crate::Setting::SliceThicknessAngstrom, t, "must be positive"))
+                let [least, most] = [THICKNESSES_ANGSTROM.start(), THICKNESSES_ANGSTROM.end()];
+                if !THICKNESSES_ANGSTROM.contains(&t) || height / t > MOST_SLICES {
+                    let expected =
+                        format!("from {least} to {most} A, and at most {MOST_SLICES} slices");
+                    return Err(Error::invalid(
+                        crate::Setting::SliceThicknessAngstrom,
+                        t,
+                        expected,
+                    ));
+                }
+                let from_face = matches!(slicing, Slicing::ThicknessFromFace(_));
+                Ok(Self::even(t, if from_face { 0.0 } else { entrance }, height))
             }
         }
     }

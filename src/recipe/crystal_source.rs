@@ -6,6 +6,7 @@ use serde::de::{self, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::error::{Error, Result};
+use crate::files::whole_file;
 use crate::structure::{self, Format, Structure, crystals};
 
 /// `"srtio3"` (see [`crystals`]), or the path of a CIF, POSCAR or extended XYZ file relative to the
@@ -33,16 +34,15 @@ impl CrystalSource {
             return Ok(());
         }
         let path = folder.join(&self.name);
-        if Format::from_path(&path).is_err() {
+        let Ok(format) = Format::from_path(&path) else {
             let known = crystals::names().collect::<Vec<_>>().join(", ");
             let near = super::toml_errors::nearest(&self.name, crystals::names());
             let hint = near.map(|n| format!("did you mean \"{n}\"? ")).unwrap_or_default();
             let expected =
                 format!("{hint}expected a .cif file beside the recipe, or one of {known}");
             return Err(Error::invalid(crate::Setting::Crystal, &self.name, expected));
-        }
-        let text = std::fs::read_to_string(&path).map_err(|e| Error::io(&path, "read", e))?;
-        self.text = Some(text);
+        };
+        self.text = Some(whole_file::read_text(&path, format.most_bytes())?);
         Ok(())
     }
 

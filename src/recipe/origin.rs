@@ -25,6 +25,15 @@ impl PartialEq for RecipeOrigin {
     }
 }
 
+/// What is said of an array that stands where a table is expected.
+pub(super) const NO_ARRAY: &str = "expected a table of keys and values, found an array";
+
+/// The first key of a recipe that has an array as its value. Arrays stand in tables only; serde would take one for a
+/// table whose values stand in the order of the source.
+pub(super) fn array_for_table(table: &toml::Table) -> Option<&str> {
+    table.iter().find(|(_, value)| value.is_array()).map(|(key, _)| key.as_str())
+}
+
 /// The text of a recipe.
 #[derive(Debug)]
 pub struct RecipeText {
@@ -47,6 +56,10 @@ impl RecipeText {
         let tiers = table.remove("difficulty");
         if let Some(chosen) = self.tier(tiers, self.difficulty)? {
             merge(&mut table, chosen);
+        }
+        if let Some(key) = array_for_table(&table) {
+            let message = format!("{key}: {NO_ARRAY}");
+            return Err(Error::parse(&self.path, self.line_of(key), message));
         }
         if let Some(difficulty) = self.difficulty {
             table.insert("tier".into(), difficulty.name().into());

@@ -151,7 +151,8 @@ mod tests {
 
     #[test]
     fn changes_that_do_not_fit_are_named() {
-        let cases: [(&[&str], &[&str]); 9] = [
+        let cases: [(&[&str], &[&str]); 10] = [
+            (&["boundaries=[1,1]"], &["boundaries=[1,1]: ", "expected a table"]),
             (&["vacancies.rat=0.1", "seed=2"], &["vacancies.rat=0.1: ", "did you mean `rate`?"]),
             (&["vacances.rate=0.1"], &["did you mean `vacancies`?"]),
             (&["seed=2", "vacancies.rate=abc", "field.grid=[40, 40]"], &["vacancies.rate=abc: "]),

@@ -4,11 +4,15 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::difficulty::Difficulty;
-use super::origin::RecipeText;
+use super::origin::{NO_ARRAY, RecipeText, array_for_table};
 use super::overrides::Override;
 use super::resolved_recipe::Recipe;
 use super::toml_errors::{explain, nearest};
 use crate::error::{Error, Result};
+use crate::files::whole_file;
+
+/// Bytes that a recipe may have: a resolved one holds the file of its crystal.
+const LARGEST_FILE: usize = 64 << 20;
 
 /// Recipes that come with the program: name and text.
 const BUILT_IN: &[(&str, &str)] = &[
@@ -55,7 +59,7 @@ impl Recipe {
     /// # Errors
     /// [`Error::Io`], or as [`Recipe::from_toml_str`].
     pub fn from_file(path: &Path, difficulty: Option<Difficulty>) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
+        let text = whole_file::read_text(path, LARGEST_FILE)?;
         Recipe::from_toml_str(&path.display().to_string(), &text, difficulty)
     }
 
@@ -108,6 +112,9 @@ impl Recipe {
         let mut table: toml::Table = toml::from_str(&self.to_toml())
             .map_err(|e| Error::invalid(crate::Setting::Recipe, &self.id, e.message()))?;
         changes.iter().for_each(|change| change.apply(&mut table));
+        if let Some(key) = array_for_table(&table) {
+            return Err(at_fault(changes, Some(key.to_owned()), format!("{key}: {NO_ARRAY}")));
+        }
         let mut recipe: Recipe = table.try_into().map_err(|e: toml::de::Error| {
             let (key, message) = explain(&e);
             at_fault(changes, key, message)

@@ -50,13 +50,8 @@ impl Structure {
         if self.atoms.iter().all(|a| a.occupancy == 1.0) {
             return first;
         }
-        let mut pairs = Vec::new();
-        neighbors::for_each_pair(self, SAME_SITE, |i, j, _| pairs.push((i, j)));
-        // In ascending order of i, so that `first[i]` is final when it is copied to j.
-        pairs.sort_unstable();
-        for (i, j) in pairs {
-            first[j] = first[j].min(first[i]);
-        }
+        // `i` never falls, so that `first[i]` is final when it is copied to j.
+        neighbors::for_each_pair(self, SAME_SITE, |i, j, _| first[j] = first[j].min(first[i]));
         first
     }
 

@@ -1,70 +1,154 @@
 //! Pairs of near atoms in a periodic cell, by cell lists.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
+use std::ops::{ControlFlow, Range};
 
 use super::Structure;
 use super::lattice::{Mat3, Vec3, determinant, face_distances, inverse, norm, row_times, subtract};
+
+/// Atoms in a box above which boxes are made smaller.
+const CROWD: usize = 64;
+/// Boxes beyond four for each atom: a few atoms in a wide cell.
+const FEW_BOXES: i64 = 1 << 16;
 
 /// Atoms sorted into boxes along the cell vectors.
 struct Boxes {
     counts: [i64; 3],
     /// How many boxes away a neighbour can be.
     reach: [i64; 3],
-    /// Atom numbers, sorted by box; `starts[b]..starts[b + 1]` are those of box `b`.
+    /// Atom numbers, sorted by box.
     order: Vec<usize>,
-    starts: Vec<usize>,
+    index: BoxIndex,
     /// Box of each atom.
     home: Vec<[i64; 3]>,
     /// Cartesian positions inside the cell.
     positions: Vec<Vec3>,
 }
 
+/// Where the atoms of a box stand in the order.
+enum BoxIndex {
+    /// `starts[b]..starts[b + 1]` are those of box `b`.
+    All(Vec<usize>),
+    /// Of the boxes that are not empty.
+    Filled(HashMap<[i64; 3], Range<usize>>),
+}
+
 impl Boxes {
     fn new(structure: &Structure, inverse: &Mat3, cutoff: f64) -> Self {
         let n = structure.atoms.len();
         let widths = face_distances(&structure.cell);
+        let boxes_of = |edge: f64| widths.map(|w| ((w / edge) as i64).max(1));
         // Boxes of about one atom: smaller ones would cost memory and gain nothing.
-        let edge = cutoff.max((determinant(&structure.cell).abs() / n as f64).cbrt());
-        let counts = widths.map(|w| ((w / edge) as i64).max(1));
-        let reach = std::array::from_fn(|i| (cutoff * counts[i] as f64 / widths[i]).ceil() as i64);
-        let mut home = Vec::with_capacity(n);
-        let mut positions = Vec::with_capacity(n);
-        for atom in &structure.atoms {
-            let fraction = row_times(atom.position, inverse).map(|x| x - x.floor());
-            home.push(std::array::from_fn(|i| {
-                ((fraction[i] * counts[i] as f64) as i64).min(counts[i] - 1)
-            }));
-            positions.push(row_times(fraction, &structure.cell));
+        let mut edge = cutoff.max((determinant(&structure.cell).abs() / n as f64).cbrt());
+        let many = |counts: [i64; 3]| {
+            let boxes = counts.iter().fold(1_i64, |n, c| n.saturating_mul(*c));
+            boxes > FEW_BOXES.saturating_add(4 * n as i64)
+        };
+        while many(boxes_of(edge)) {
+            edge *= 2.0;
         }
-        let mut boxes =
-            Boxes { counts, reach, order: (0..n).collect(), starts: vec![], home, positions };
-        let of: Vec<usize> = boxes.home.iter().map(|&b| boxes.number(b)).collect();
-        boxes.order.sort_by_key(|&atom| of[atom]);
-        boxes.starts = vec![0; counts.iter().product::<i64>() as usize + 1];
-        for &b in &of {
-            boxes.starts[b + 1] += 1;
-        }
-        for b in 1..boxes.starts.len() {
-            boxes.starts[b] += boxes.starts[b - 1];
+        let fractions: Vec<Vec3> = structure
+            .atoms
+            .iter()
+            .map(|atom| row_times(atom.position, inverse).map(|x| x - x.floor()))
+            .collect();
+        let mut boxes = Self::sorted(structure, &fractions, boxes_of(edge), cutoff, false);
+        // A cluster in a wide vacuum: all of it may be in one box.
+        if edge > cutoff && boxes.fullest() > CROWD {
+            boxes = Self::sorted(structure, &fractions, boxes_of(cutoff), cutoff, true);
         }
         boxes
     }
 
-    fn number(&self, b: [i64; 3]) -> usize {
-        ((b[0] * self.counts[1] + b[1]) * self.counts[2] + b[2]) as usize
+    fn sorted(
+        structure: &Structure,
+        fractions: &[Vec3],
+        counts: [i64; 3],
+        cutoff: f64,
+        sparse: bool,
+    ) -> Self {
+        let widths = face_distances(&structure.cell);
+        let place = |fraction: &Vec3| -> [i64; 3] {
+            std::array::from_fn(|i| ((fraction[i] * counts[i] as f64) as i64).min(counts[i] - 1))
+        };
+        let home: Vec<[i64; 3]> = fractions.iter().map(place).collect();
+        let mut order: Vec<usize> = (0..home.len()).collect();
+        order.sort_by_key(|&atom| home[atom]);
+        let index = match sparse {
+            true => {
+                let mut filled = HashMap::new();
+                for (at, &atom) in order.iter().enumerate() {
+                    filled.entry(home[atom]).or_insert(at..at).end = at + 1;
+                }
+                BoxIndex::Filled(filled)
+            }
+            false => {
+                let mut starts = vec![0; counts.iter().product::<i64>() as usize + 1];
+                home.iter().for_each(|b| starts[number(counts, *b) + 1] += 1);
+                for b in 1..starts.len() {
+                    starts[b] += starts[b - 1];
+                }
+                BoxIndex::All(starts)
+            }
+        };
+        Boxes {
+            counts,
+            reach: std::array::from_fn(|i| (cutoff * counts[i] as f64 / widths[i]).ceil() as i64),
+            order,
+            index,
+            home,
+            positions: fractions.iter().map(|f| row_times(*f, &structure.cell)).collect(),
+        }
     }
+
+    fn members(&self, place: [i64; 3]) -> &[usize] {
+        let range = match &self.index {
+            BoxIndex::All(starts) => {
+                let b = number(self.counts, place);
+                starts[b]..starts[b + 1]
+            }
+            BoxIndex::Filled(filled) => filled.get(&place).cloned().unwrap_or_default(),
+        };
+        &self.order[range]
+    }
+
+    /// Atoms in the fullest box.
+    fn fullest(&self) -> usize {
+        match &self.index {
+            BoxIndex::All(starts) => starts.windows(2).map(|w| w[1] - w[0]).max().unwrap_or(0),
+            BoxIndex::Filled(filled) => filled.values().map(Range::len).max().unwrap_or(0),
+        }
+    }
+}
+
+fn number(counts: [i64; 3], b: [i64; 3]) -> usize {
+    ((b[0] * counts[1] + b[1]) * counts[2] + b[2]) as usize
 }
 
 /// Calls `visit(i, j, distance)` for every pair with `i <= j` and `distance <= cutoff` Angstrom,
 /// once for each periodic image; `i == j` stands for an atom and its own image. A pair of images
-/// may be visited from either side.
+/// may be visited from either side. `i` never falls.
 pub(crate) fn for_each_pair(
     structure: &Structure,
     cutoff: f64,
     mut visit: impl FnMut(usize, usize, f64),
 ) {
+    let all = |i, j, distance| {
+        visit(i, j, distance);
+        ControlFlow::Continue(())
+    };
+    // It goes on to the end.
+    let _ = try_each_pair(structure, cutoff, all);
+}
+
+/// As [`for_each_pair`], until `visit` breaks off.
+pub(super) fn try_each_pair(
+    structure: &Structure,
+    cutoff: f64,
+    mut visit: impl FnMut(usize, usize, f64) -> ControlFlow<()>,
+) -> ControlFlow<()> {
     let Some(inverse) = inverse(&structure.cell).filter(|_| !structure.atoms.is_empty()) else {
-        return;
+        return ControlFlow::Continue(());
     };
     let boxes = Boxes::new(structure, &inverse, cutoff);
     let [rx, ry, rz] = boxes.reach;
@@ -72,11 +156,12 @@ pub(crate) fn for_each_pair(
         for dx in -rx..=rx {
             for dy in -ry..=ry {
                 for dz in -rz..=rz {
-                    visit_box(structure, &boxes, i, [dx, dy, dz], cutoff, &mut visit);
+                    visit_box(structure, &boxes, i, [dx, dy, dz], cutoff, &mut visit)?;
                 }
             }
         }
     }
+    ControlFlow::Continue(())
 }
 
 fn visit_box(
@@ -85,15 +170,14 @@ fn visit_box(
     i: usize,
     offset: [i64; 3],
     cutoff: f64,
-    visit: &mut impl FnMut(usize, usize, f64),
-) {
+    visit: &mut impl FnMut(usize, usize, f64) -> ControlFlow<()>,
+) -> ControlFlow<()> {
     let target: [i64; 3] = std::array::from_fn(|a| boxes.home[i][a] + offset[a]);
     let turns: [i64; 3] = std::array::from_fn(|a| target[a].div_euclid(boxes.counts[a]));
     let inside = std::array::from_fn(|a| target[a].rem_euclid(boxes.counts[a]));
-    let number = boxes.number(inside);
-    let members = &boxes.order[boxes.starts[number]..boxes.starts[number + 1]];
+    let members = boxes.members(inside);
     if members.is_empty() {
-        return;
+        return ControlFlow::Continue(());
     }
     let shift = row_times(turns.map(|t| t as f64), &structure.cell);
     let here = subtract(boxes.positions[i], shift);
@@ -103,9 +187,10 @@ fn visit_box(
         }
         let distance = norm(subtract(boxes.positions[j], here));
         if distance <= cutoff {
-            visit(i, j, distance);
+            visit(i, j, distance)?;
         }
     }
+    ControlFlow::Continue(())
 }
 
 /// The smallest distance in Angstrom between two atoms, periodic images included; `None` without
@@ -189,6 +274,27 @@ mod tests {
             let (fast, slow) = (min_pair_distance(&structure).unwrap(), slow(&structure));
             assert!((fast - slow).abs() < 1e-9, "case {case}: {fast} {slow}");
         }
+    }
+
+    #[test]
+    fn a_cluster_in_a_wide_vacuum_is_as_in_a_narrow_one() {
+        let cluster = |width: f64| {
+            let cell = [[width, 0.0, 0.0], [0.0, width, 0.0], [0.0, 0.0, width]];
+            let place = |i: u64, k: u32| 5.0 * uniform(3, Purpose::Defect, k, i);
+            let atoms = (0..400).map(|i| atom([0, 1, 2].map(|k| 1.0 + place(i, k)))).collect();
+            let mut pairs = Vec::new();
+            for_each_pair(&Structure { cell, atoms }, 0.4, |i, j, d| pairs.push((i, j, d as f32)));
+            pairs.sort_by(|a, b| a.partial_cmp(b).unwrap());
+            pairs
+        };
+        let narrow = cluster(8.0);
+        assert!(narrow.len() > 100);
+        for wide in [100.0, 1e5] {
+            assert_eq!(cluster(wide).len(), narrow.len(), "{wide}");
+        }
+        let pairs =
+            |list: &[(usize, usize, f32)]| -> Vec<_> { list.iter().map(|p| (p.0, p.1)).collect() };
+        assert_eq!(pairs(&cluster(100.0)), pairs(&narrow));
     }
 
     #[test]

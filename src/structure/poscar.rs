@@ -8,15 +8,18 @@ use crate::error::Result;
 /// The file's lines, taken one after another.
 struct PoscarLines<'a> {
     text: &'a SourceText<'a>,
-    lines: Vec<&'a str>,
+    lines: std::iter::Peekable<std::str::Lines<'a>>,
+    /// Number of the last line taken.
     next: usize,
+    /// Lines of the file.
+    count: usize,
 }
 
 impl<'a> PoscarLines<'a> {
     /// The next line, with its number; `what` names it if the file ends first.
     fn take(&mut self, what: &str) -> Result<(usize, &'a str)> {
         self.next += 1;
-        match self.lines.get(self.next - 1) {
+        match self.lines.next() {
             Some(line) => Ok((self.next, line.trim())),
             None => Err(self.text.error(self.next, format!("the file ends before {what}"))),
         }
@@ -25,7 +28,8 @@ impl<'a> PoscarLines<'a> {
 
 /// Reads a POSCAR; velocities and whatever else follows a blank line are ignored.
 pub(super) fn parse(text: &SourceText) -> Result<Structure> {
-    let mut lines = PoscarLines { text, lines: text.body.lines().collect(), next: 0 };
+    let count = text.body.lines().count();
+    let mut lines = PoscarLines { text, lines: text.body.lines().peekable(), next: 0, count };
     lines.take("the comment line")?;
     let (cell, scale) = cell(&mut lines)?;
     let numbers = species(&mut lines)?;
@@ -41,7 +45,7 @@ pub(super) fn parse(text: &SourceText) -> Result<Structure> {
         };
         atoms.push((line, Atom { number, position, occupancy: 1.0 }));
     }
-    if let Some(row) = lines.lines.get(lines.next)
+    if let Some(row) = lines.lines.peek()
         && vector(text, 0, row, "").is_ok()
     {
         let message =
@@ -108,7 +112,7 @@ fn species(lines: &mut PoscarLines) -> Result<Vec<u8>> {
         let message = format!("{} counts for {} element symbols", counts.len(), kinds.len());
         return Err(lines.text.error(line, message));
     }
-    let remaining = lines.lines.len().saturating_sub(lines.next);
+    let remaining = lines.count.saturating_sub(lines.next);
     let mut numbers = Vec::new();
     for (kind, word) in kinds.into_iter().zip(counts) {
         let count: usize = word.parse().map_err(|_| {
@@ -121,6 +125,7 @@ fn species(lines: &mut PoscarLines) -> Result<Vec<u8>> {
             );
             return Err(lines.text.error(line, message));
         }
+        lines.text.check_count(line, numbers.len() + count)?;
         numbers.extend(std::iter::repeat_n(kind, count));
     }
     Ok(numbers)

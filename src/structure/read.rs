@@ -3,6 +3,7 @@
 use super::source_text::SourceText;
 use super::{Structure, cif, poscar, xyz};
 use crate::error::{Error, Result};
+use crate::files::whole_file;
 use crate::setting::Setting;
 use std::path::Path;
 
@@ -24,6 +25,15 @@ pub enum Format {
 }
 
 impl Format {
+    /// Bytes that a file may have.
+    pub fn most_bytes(self) -> usize {
+        match self {
+            // Its words are all kept until the end.
+            Format::Cif => 32 << 20,
+            Format::ExtXyz | Format::Poscar => 256 << 20,
+        }
+    }
+
     /// The format that the file's name stands for: `.xyz`, `.extxyz`, `.cif`, `.vasp`, `.poscar`,
     /// `.contcar`, or a name that begins with `POSCAR` or `CONTCAR`.
     ///
@@ -58,8 +68,7 @@ impl Format {
 /// [`Error::Io`], [`Error::Invalid`] for an unknown format, [`Error::Parse`] with the line.
 pub fn read(path: &Path) -> Result<Structure> {
     let format = Format::from_path(path)?;
-    let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
-    parse(format, &bytes, path)
+    parse(format, &whole_file::read(path, format.most_bytes())?, path)
 }
 
 /// Reads a structure from memory; `path` only names it in errors.
@@ -77,6 +86,7 @@ pub fn parse(format: Format, bytes: &[u8], path: &Path) -> Result<Structure> {
     if text.body.trim().is_empty() {
         return Err(text.error(0, "the file is empty"));
     }
+    text.check_lines()?;
     match format {
         Format::ExtXyz => xyz::parse(&text),
         Format::Cif => cif::parse(&text),

@@ -1,9 +1,10 @@
 //! What all readers of structures share: text with line numbers, and the checks that every structure
 //! passes.
 
-use super::lattice::{determinant, norm};
+use super::lattice::{determinant, face_distances, norm};
 use super::{Atom, Structure, elements, neighbors};
 use crate::error::{Error, Result};
+use std::ops::ControlFlow;
 use std::path::Path;
 
 /// Shortest and longest cell vector accepted, in Angstrom.
@@ -12,6 +13,12 @@ const CELL_LIMITS: [f64; 2] = [0.5, 1e6];
 const FLATTEST_CELL: f64 = 1e-3;
 /// Atoms closer than this, in Angstrom, must share one site by their occupancies.
 const OVERLAP: f64 = 0.3;
+/// More atoms than this within the distance of an overlap are no site.
+const MOST_ON_A_SITE: usize = 200;
+/// Most atoms that a file may hold.
+pub(super) const MOST_ATOMS: usize = 4_000_000;
+/// Longest line in bytes.
+const LONGEST_LINE: usize = 1 << 16;
 /// Sum of occupancies accepted on one site; above 1 for the sake of rounded thirds.
 pub(super) const FULLEST_SITE: f64 = 1.005;
 
@@ -22,6 +29,31 @@ pub(super) struct SourceText<'a> {
 }
 
 impl<'a> SourceText<'a> {
+    /// Refuses lines of absurd length.
+    pub fn check_lines(&self) -> Result<()> {
+        match self.lines().find(|(_, line)| line.len() > LONGEST_LINE) {
+            None => Ok(()),
+            Some((number, line)) => {
+                let length = line.len();
+                let message =
+                    format!("this line has {length} bytes, at most {LONGEST_LINE} are read");
+                Err(self.error(number, message))
+            }
+        }
+    }
+
+    /// Refuses more atoms than are read.
+    pub fn check_count(&self, line: usize, atoms: usize) -> Result<()> {
+        if atoms > MOST_ATOMS {
+            let message = format!(
+                "{atoms} atoms are announced, at most {MOST_ATOMS} are read from a file; take a smaller cell and \
+                 repeat it"
+            );
+            return Err(self.error(line, message));
+        }
+        Ok(())
+    }
+
     pub fn error(&self, line: usize, message: impl Into<String>) -> Error {
         Error::parse(self.path, line, message)
     }
@@ -69,12 +101,20 @@ impl<'a> SourceText<'a> {
             let message = "the cell has no volume: its three vectors must not lie in one plane";
             return Err(self.error(line, message));
         }
+        let thinnest = face_distances(cell).into_iter().fold(f64::INFINITY, f64::min);
+        if thinnest < OVERLAP {
+            let message = format!(
+                "two opposite faces of the cell are {thinnest:.2e} A apart, expected at least {OVERLAP} A"
+            );
+            return Err(self.error(line, message));
+        }
         Ok(())
     }
 
     /// Checks the atoms, each with the line it came from, and builds the structure. Sites with
     /// occupancy 0 are dropped.
     pub fn finish(&self, cell: [[f64; 3]; 3], atoms: Vec<(usize, Atom)>) -> Result<Structure> {
+        self.check_count(0, atoms.len())?;
         if let Some((line, atom)) =
             atoms.iter().find(|(_, a)| a.position.iter().any(|x| x.is_nan() || x.abs() > 1e7))
         {
@@ -92,13 +132,29 @@ impl<'a> SourceText<'a> {
     }
 
     fn check_overlap(&self, structure: &Structure, lines: &[usize]) -> Result<()> {
-        let mut fault = None;
-        neighbors::for_each_pair(structure, OVERLAP, |i, j, distance| {
+        let mut fault: Option<(usize, usize, f64)> = None;
+        let (mut first, mut near) = (0, 0);
+        // What is wrong with one atom is found before the next: a million atoms in one place have too many pairs.
+        let _ = neighbors::try_each_pair(structure, OVERLAP, |i, j, distance| {
+            if i != first {
+                (first, near) = (i, 0);
+            }
+            near += 1;
+            if fault.is_some_and(|(a, _, _)| a < i) || near > MOST_ON_A_SITE && fault.is_none() {
+                return ControlFlow::Break(());
+            }
             let together = structure.atoms[i].occupancy + structure.atoms[j].occupancy;
             if together > FULLEST_SITE && fault.is_none_or(|(a, b, _)| (i, j) < (a, b)) {
                 fault = Some((i, j, distance));
             }
+            ControlFlow::Continue(())
         });
+        if near > MOST_ON_A_SITE && fault.is_none() {
+            let message = format!(
+                "more than {MOST_ON_A_SITE} atoms (or their periodic images) lie within {OVERLAP} A of this one"
+            );
+            return Err(self.error(lines[first], message));
+        }
         let Some((i, j, distance)) = fault else { return Ok(()) };
         let name = |k: usize| elements::symbol(structure.atoms[k].number);
         let message = format!(

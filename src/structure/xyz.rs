@@ -29,8 +29,19 @@ pub(super) fn parse(text: &SourceText) -> Result<Structure> {
     let count: usize = first.trim().parse().map_err(|_| {
         text.error(1, format!("expected the number of atoms, found `{}`", first.trim()))
     })?;
+    text.check_count(1, count)?;
     let header = lines.next().map(|(_, line)| line).unwrap_or("");
-    let pairs = key_values(header);
+    let pairs = key_values(header).map_err(|key| {
+        text.error(2, format!("the quote or brace after `{key}=` is never closed"))
+    })?;
+    for (i, (key, _)) in pairs.iter().enumerate() {
+        let twice = pairs[..i].iter().any(|(earlier, _)| earlier == key);
+        if twice && ["lattice", "properties"].contains(&key.as_str()) {
+            return Err(
+                text.error(2, format!("`{key}` is given twice; keep the one that is meant"))
+            );
+        }
+    }
     let cell = lattice(text, &pairs)?;
     let columns = columns(text, &pairs)?;
     let mut atoms = Vec::new();
@@ -144,8 +155,8 @@ fn find<'a>(pairs: &'a [(String, String)], key: &str) -> Option<&'a str> {
     pairs.iter().find(|(k, _)| k == key).map(|(_, v)| v.as_str())
 }
 
-/// Splits `key=value key="quoted value" flag`; keys become lower case.
-fn key_values(line: &str) -> Vec<(String, String)> {
+/// Splits `key=value key="quoted value" flag`; keys become lower case. Fails with the key whose value has no end.
+fn key_values(line: &str) -> std::result::Result<Vec<(String, String)>, String> {
     let mut pairs = Vec::new();
     let mut rest = line.trim_start();
     while !rest.is_empty() {
@@ -154,22 +165,22 @@ fn key_values(line: &str) -> Vec<(String, String)> {
         rest = &rest[end..];
         let mut value = String::new();
         if let Some(after) = rest.strip_prefix('=') {
-            (value, rest) = take_value(after);
+            (value, rest) = take_value(after).ok_or_else(|| key.clone())?;
         }
         pairs.push((key, value));
         rest = rest.trim_start();
     }
-    pairs
+    Ok(pairs)
 }
 
-/// The value at the start of `rest`, and what follows it.
-fn take_value(rest: &str) -> (String, &str) {
+/// The value at the start of `rest`, and what follows it; none for one that is never closed.
+fn take_value(rest: &str) -> Option<(String, &str)> {
     let close = match rest.chars().next() {
         Some(quote @ ('"' | '\'')) => quote,
         Some('{') => '}',
         _ => {
             let end = rest.find(char::is_whitespace).unwrap_or(rest.len());
-            return (rest[..end].to_owned(), &rest[end..]);
+            return Some((rest[..end].to_owned(), &rest[end..]));
         }
     };
     let mut value = String::new();
@@ -177,14 +188,14 @@ fn take_value(rest: &str) -> (String, &str) {
     for (i, c) in rest.char_indices().skip(1) {
         match c {
             '\\' if !escaped => escaped = true,
-            c if c == close && !escaped => return (value, &rest[i + 1..]),
+            c if c == close && !escaped => return Some((value, &rest[i + 1..])),
             c => {
                 value.push(c);
                 escaped = false;
             }
         }
     }
-    (value, "")
+    None
 }
 
 /// Writes the structure as extended XYZ, through a temporary file, so that `path` is either
@@ -238,7 +249,7 @@ mod tests {
 
     #[test]
     fn quoted_values_may_hold_escapes_and_equals() {
-        let pairs = key_values(r#"flag a="x \"y\" =" B={1 2} c=3"#);
+        let pairs = key_values(r#"flag a="x \"y\" =" B={1 2} c=3"#).unwrap();
         let text: Vec<String> = pairs.iter().map(|(k, v)| format!("{k}>{v}")).collect();
         assert_eq!(text, ["flag>", "a>x \"y\" =", "b>1 2", "c>3"]);
     }

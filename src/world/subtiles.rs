@@ -45,8 +45,12 @@ impl Partition {
         let (size, overlap) = (pixels(size_nm), pixels(overlap_nm));
         let sensible = (0.0..1e5).contains(&size_nm) && (0.0..1e5).contains(&overlap_nm);
         if !sensible || size < 3 * overlap + 3 {
-            let expected = "a sub-tile must be more than three times as wide as the overlap";
-            let value = format!("{size_nm} with an overlap of {overlap_nm}");
+            let least = (3 * overlap + 3) as f64 * pixel_nm;
+            let expected = format!(
+                "sub-tiles that overlap by {overlap_nm} nm must be at least {least:.2} nm wide: three times the \
+                 overlap and three pixels; take wider ones, or a smaller overlap"
+            );
+            let value = format!("{size_nm}");
             return Err(Error::invalid(crate::Setting::SubtileNm, value, expected));
         }
         let axis = |n| axis(n, size, overlap);

@@ -43,6 +43,12 @@ fn bad_input_is_explained() {
             assert!(told.contains(part), "{arguments:?}: no `{part}` in\n{told}");
         }
     }
+    let told = fails(stemgen(here).args(["simulate", "none.cif"]));
+    assert_eq!(told.matches("No such file").count(), 1, "the reason is told once: {told}");
+    let told = fails(stemgen(here).args(["simulate", si, "--slice-thickness", "1e-308"]));
+    assert!(told.contains("from 0.01 to 1000 A") && told.contains("--slice-thickness"), "{told}");
+    let told = fails(stemgen(here).args(["simulate", si, "--accuracy", "50%%"]));
+    assert!(told.contains("write per cent"), "{told}");
     assert_eq!(std::fs::read(here.join("there.h5")).unwrap(), b"precious");
     assert_eq!(std::fs::read_dir(here).unwrap().count(), 4, "nothing was written");
 }

@@ -9,6 +9,7 @@
 
 mod abtem_metadata;
 mod hdf;
+mod number_type;
 mod numpy;
 mod tagged;
 mod zarr;
@@ -59,6 +60,13 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     if metadata.is_dir() {
         return zarr::read(path, name);
     }
+    if !metadata.is_file() {
+        return Err(Error::parse(
+            path,
+            0,
+            "is no regular file; expected an image, or a zarr folder",
+        ));
+    }
     let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
     match ending.as_deref() {
         Some("npy") => numpy::read_npy(path, name),
@@ -71,6 +79,25 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
             "not a known kind of image; expected .npy, .npz, .tif, .h5 or a zarr folder",
         )),
     }
+}
+
+/// Most values that an array may have: 512 MiB as they are kept.
+pub const MOST_VALUES: usize = 1 << 26;
+/// Most axes that an array may have; NumPy has no more.
+const MOST_AXES: usize = 64;
+
+/// The number of values of an array of this shape, or why it is too large. Nothing was asked for yet.
+fn held(shape: &[usize]) -> std::result::Result<usize, String> {
+    let count = shape.iter().try_fold(1_usize, |n, length| n.checked_mul(*length));
+    // Axes of length 0 hide what the others come to.
+    let fits = shape.len() <= MOST_AXES && shape.iter().all(|length| *length <= MOST_VALUES);
+    count.filter(|n| fits && *n <= MOST_VALUES).ok_or_else(|| {
+        let shown = &shape[..shape.len().min(MOST_AXES)];
+        format!(
+            "an array of shape {shown:?} is announced; at most {MOST_VALUES} values along {MOST_AXES} axes are \
+             read: save one image alone"
+        )
+    })
 }
 
 impl ForeignArray {

@@ -9,12 +9,16 @@ use tiff::ColorType;
 use tiff::decoder::{Decoder, DecodingResult};
 use tiff::tags::Tag;
 
-use super::{ForeignArray, abtem_metadata, nameless};
+use super::{ForeignArray, abtem_metadata, held, nameless};
 use crate::error::{Error, Result};
+
+/// Pixels that a byte of a file may stand for: LZW and deflate pack up to some thousands of equal ones in one.
+const LARGEST_EXPANSION: u64 = 4096;
 
 pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     nameless(path, name)?;
     let file = File::open(path).map_err(|e| Error::io(path, "read", e))?;
+    let bytes = file.metadata().map_err(|e| Error::io(path, "read", e))?.len();
     let bad = |e: tiff::TiffError| {
         Error::parse(
             path,
@@ -26,12 +30,14 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     let description = decoder.get_tag_ascii_string(Tag::ImageDescription).unwrap_or_default();
     let (mut pages, mut values, mut shape) = (0, Vec::new(), (0, 0));
     loop {
-        let page = page(&mut decoder).map_err(bad)?;
+        let page = page(&mut decoder, bytes).map_err(bad)?;
         let Some((size, content)) = page else {
             let message = "holds colours; expected grey values. tifffile takes a last axis of 3 or 4 for \
                            colours: save one image at a time, or photometric=\"minisblack\"";
             return Err(Error::parse(path, 0, message));
         };
+        held(&[pages + 1, size.1 as usize, size.0 as usize])
+            .map_err(|reason| Error::parse(path, 0, reason))?;
         if pages > 0 && size != shape {
             return Err(Error::parse(path, 0, "holds images of different sizes"));
         }
@@ -60,11 +66,19 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
 type TiffPage = ((u32, u32), Vec<f64>);
 
 /// Size and values of the current page; `None` for colours.
-fn page<R: Read + Seek>(decoder: &mut Decoder<R>) -> tiff::TiffResult<Option<TiffPage>> {
+fn page<R: Read + Seek>(
+    decoder: &mut Decoder<R>,
+    file_bytes: u64,
+) -> tiff::TiffResult<Option<TiffPage>> {
     if !matches!(decoder.colortype()?, ColorType::Gray(_)) {
         return Ok(None);
     }
     let size = decoder.dimensions()?;
+    let announced = u64::from(size.0) * u64::from(size.1);
+    if announced > file_bytes.saturating_mul(LARGEST_EXPANSION) {
+        let reason = "its header announces more pixels than it can hold";
+        return Err(tiff::TiffError::IoError(std::io::Error::other(reason)));
+    }
     macro_rules! widened {
         ($values:expr) => {
             $values.into_iter().map(|v| v as f64).collect()

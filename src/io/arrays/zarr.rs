@@ -7,10 +7,18 @@ use std::path::{Path, PathBuf};
 use ndarray::{ArrayD, Dimension, IxDyn};
 use serde_json::Value;
 
-use super::{ForeignArray, abtem_metadata, choose};
+use super::number_type::NumberType;
+use super::{ForeignArray, abtem_metadata, choose, held};
 use crate::error::{Error, Result};
 
 const REMEDY: &str = "export the image with np.save(\"image.npy\", measurement.array) instead";
+
+/// Most bytes of an unpacked chunk.
+const LARGEST_CHUNK_BYTES: usize = 1 << 28;
+/// Most chunks of an array: each is a file to look for.
+const MOST_CHUNKS: usize = 1 << 18;
+/// Most bytes of a description in JSON.
+const LARGEST_JSON_BYTES: usize = 16 << 20;
 
 /// How chunks are compressed.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,21 +27,6 @@ enum Codec {
     Zstd,
     Gzip,
     Zlib,
-}
-
-/// What one number is.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct NumberType {
-    kind: Kind,
-    bytes: usize,
-    big_endian: bool,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Kind {
-    Float,
-    Signed,
-    Unsigned,
 }
 
 /// An array of the folder.
@@ -47,7 +40,7 @@ struct ZarrLayout {
     /// First index fastest.
     fortran: bool,
     prefix: &'static str,
-    separator: String,
+    separator: &'static str,
 }
 
 pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
@@ -64,7 +57,7 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     let entries = std::fs::read_dir(path).map_err(|e| Error::io(path, "read", e))?;
     let mut names: Vec<String> = entries
         .flatten()
-        .filter(|e| is_array(&e.path()))
+        .filter(|e| e.file_type().is_ok_and(|kind| kind.is_dir()) && is_array(&e.path()))
         .map(|e| e.file_name().to_string_lossy().into_owned())
         .collect();
     names.sort();
@@ -94,7 +87,8 @@ fn attributes(folder: &Path) -> Result<Value> {
 }
 
 fn json(path: &Path) -> Result<Value> {
-    let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+    let missing = || Error::io(path, "read", std::io::ErrorKind::NotFound.into());
+    let bytes = small_file(path, LARGEST_JSON_BYTES)?.ok_or_else(missing)?;
     serde_json::from_slice(&bytes).map_err(|e| Error::parse(path, e.line(), e.to_string()))
 }
 
@@ -107,19 +101,7 @@ impl ZarrLayout {
     }
 
     fn version_2(folder: &Path, v: &Value) -> Result<Self> {
-        let dtype = v["dtype"].as_str().unwrap_or_default();
-        let number = match dtype.split_at_checked(1) {
-            Some((order @ ("<" | ">" | "|"), kind)) => NumberType::named(
-                &match kind.split_at_checked(1) {
-                    Some(("f", bytes)) => format!("float{}", bits(bytes)),
-                    Some(("i", bytes)) => format!("int{}", bits(bytes)),
-                    Some(("u", bytes)) => format!("uint{}", bits(bytes)),
-                    _ => String::new(),
-                },
-                order == ">",
-            ),
-            _ => None,
-        };
+        let number = NumberType::described(v["dtype"].as_str().unwrap_or_default());
         let codec = match &v["compressor"] {
             Value::Null => Some(Codec::None),
             c => codec(c["id"].as_str().unwrap_or_default()),
@@ -134,7 +116,7 @@ impl ZarrLayout {
             fill: v["fill_value"].as_f64().unwrap_or(0.0),
             fortran: v["order"] == "F",
             prefix: "",
-            separator: v["dimension_separator"].as_str().unwrap_or(".").to_owned(),
+            separator: separator(folder, &v["dimension_separator"], ".")?,
         })
     }
 
@@ -152,7 +134,7 @@ impl ZarrLayout {
         let number = NumberType::named(v["data_type"].as_str().unwrap_or_default(), big);
         let keys = &v["chunk_key_encoding"];
         let (prefix, usual) = if keys["name"] == "v2" { ("", ".") } else { ("c", "/") };
-        let separator = keys["configuration"]["separator"].as_str().unwrap_or(usual);
+        let separator = separator(folder, &keys["configuration"]["separator"], usual)?;
         Ok(ZarrLayout {
             folder: folder.to_owned(),
             shape: counts(folder, &v["shape"])?,
@@ -162,81 +144,129 @@ impl ZarrLayout {
             fill: v["fill_value"].as_f64().unwrap_or(0.0),
             fortran: false,
             prefix,
-            separator: separator.to_owned(),
+            separator,
         })
     }
 
     /// Reads all chunks. One that is not there holds the fill value.
     fn data(&self) -> Result<ArrayD<f64>> {
-        let size = self.chunk.iter().try_fold(1_usize, |n, c| n.checked_mul(*c));
+        let refused = |reason: String| Error::parse(&self.folder, 0, reason);
+        held(&self.shape).map_err(refused)?;
+        let size = held(&self.chunk).map_err(refused)?;
         let fits = self.chunk.len() == self.shape.len() && !self.chunk.contains(&0);
-        let size = size.filter(|n| fits && *n < 1 << 31);
-        let size =
-            size.ok_or_else(|| unreadable(&self.folder, "chunks", &self.chunk.clone().into()))?;
-        let total = self.shape.iter().try_fold(1_usize, |n, s| n.checked_mul(*s));
-        if total.is_none_or(|n| n > 1 << 31) {
-            return Err(unreadable(&self.folder, "shape", &self.shape.clone().into()));
+        if !fits || size * self.number.bytes > LARGEST_CHUNK_BYTES {
+            let chunk = &self.chunk;
+            return Err(refused(format!(
+                "has chunks of shape {chunk:?}; expected as many axes as the array, and at most \
+                 {LARGEST_CHUNK_BYTES} bytes"
+            )));
         }
-        let mut out = ArrayD::from_elem(IxDyn(&self.shape), self.fill);
         let counts: Vec<usize> =
             self.shape.iter().zip(&self.chunk).map(|(s, c)| s.div_ceil(*c)).collect();
+        let chunks: usize = counts.iter().product();
+        if chunks > MOST_CHUNKS {
+            return Err(refused(format!("has {chunks} chunks; at most {MOST_CHUNKS} are read")));
+        }
+        let mut out = ArrayD::from_elem(IxDyn(&self.shape), self.fill);
         for place in ndarray::indices(IxDyn(&counts)) {
-            let place = place.slice();
-            let Some(values) = self.chunk_values(place, size)? else { continue };
-            for (i, value) in values.into_iter().enumerate() {
-                let mut rest = i;
-                let mut at = vec![0; self.chunk.len()];
-                let axes: Vec<usize> = match self.fortran {
-                    true => (0..at.len()).collect(),
-                    false => (0..at.len()).rev().collect(),
-                };
-                for axis in axes {
-                    at[axis] = place[axis] * self.chunk[axis] + rest % self.chunk[axis];
-                    rest /= self.chunk[axis];
-                }
-                // Chunks at the edge go on beyond the array.
-                if let Some(slot) = out.get_mut(IxDyn(&at)) {
-                    *slot = value;
-                }
+            if let Some(bytes) = self.chunk_bytes(place.slice(), size)? {
+                self.fill_in(&mut out, place.slice(), &bytes);
             }
         }
         Ok(out)
     }
 
-    fn chunk_values(&self, place: &[usize], size: usize) -> Result<Option<Vec<f64>>> {
+    /// Puts the values of the chunk at `place` where they belong. Chunks at the edge go on beyond the array.
+    fn fill_in(&self, out: &mut ArrayD<f64>, place: &[usize], bytes: &[u8]) {
+        let axes: Vec<usize> = match self.fortran {
+            true => (0..place.len()).collect(),
+            false => (0..place.len()).rev().collect(),
+        };
+        let first: Vec<usize> = place.iter().zip(&self.chunk).map(|(p, c)| p * c).collect();
+        let mut at = first.clone();
+        for number in bytes.chunks_exact(self.number.bytes) {
+            if let Some(slot) = out.get_mut(&at[..]) {
+                *slot = self.number.decode(number);
+            }
+            for &axis in &axes {
+                at[axis] += 1;
+                if at[axis] < first[axis] + self.chunk[axis] {
+                    break;
+                }
+                at[axis] = first[axis];
+            }
+        }
+    }
+
+    /// The unpacked bytes of a chunk of `size` values; `None` if it is not there.
+    fn chunk_bytes(&self, place: &[usize], size: usize) -> Result<Option<Vec<u8>>> {
         let numbers: Vec<String> = place.iter().map(usize::to_string).collect();
-        let mut key = numbers.join(&self.separator);
+        let mut key = numbers.join(self.separator);
         if !self.prefix.is_empty() {
             key = format!("{}{}{key}", self.prefix, self.separator);
         }
         let path = self.folder.join(key);
-        let packed = match std::fs::read(&path) {
-            Ok(bytes) => bytes,
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-            Err(e) => return Err(Error::io(&path, "read", e)),
-        };
         let bad = |reason: String| Error::parse(&path, 0, format!("damaged chunk: {reason}"));
-        let bytes = unpack(self.codec, &packed).map_err(bad)?;
-        if bytes.len() != size * self.number.bytes {
-            let expected = size * self.number.bytes;
-            return Err(bad(format!("{} bytes instead of {expected}", bytes.len())));
+        let expected = size * self.number.bytes;
+        // Codecs of incompressible values add a little.
+        let Some(packed) = small_file(&path, expected + expected / 8 + 4096)? else {
+            return Ok(None);
+        };
+        let bytes = unpack(self.codec, packed, expected).map_err(bad)?;
+        if bytes.len() != expected {
+            let more = if bytes.len() > expected { "more than " } else { "" };
+            let found = bytes.len().min(expected);
+            return Err(bad(format!("{more}{found} bytes instead of {expected}")));
         }
-        Ok(Some(bytes.chunks_exact(self.number.bytes).map(|b| self.number.decode(b)).collect()))
+        Ok(Some(bytes))
     }
 }
 
-fn unpack(codec: Codec, packed: &[u8]) -> std::result::Result<Vec<u8>, String> {
-    let mut out = Vec::new();
+/// The bytes of a file that is neither a link to another place, nor larger than `most`; `None` if it is not there.
+fn small_file(path: &Path, most: usize) -> Result<Option<Vec<u8>>> {
+    let about = match std::fs::symlink_metadata(path) {
+        Ok(about) => about,
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+        Err(e) => return Err(Error::io(path, "read", e)),
+    };
+    if !about.is_file() {
+        return Err(Error::parse(
+            path,
+            0,
+            "is no regular file; copy what it stands for to this place",
+        ));
+    }
+    if about.len() > most as u64 {
+        let message = format!("has {} bytes; at most {most} are expected here", about.len());
+        return Err(Error::parse(path, 0, message));
+    }
+    std::fs::read(path).map(Some).map_err(|e| Error::io(path, "read", e))
+}
+
+/// Unpacks up to one byte more than expected.
+fn unpack(codec: Codec, packed: Vec<u8>, expected: usize) -> std::result::Result<Vec<u8>, String> {
+    let (mut out, most) = (Vec::new(), expected as u64 + 1);
+    let packed = &packed[..];
     let read = match codec {
-        Codec::None => return Ok(packed.to_vec()),
+        Codec::None => packed.take(most).read_to_end(&mut out),
         Codec::Zstd => {
             let decoder = ruzstd::decoding::StreamingDecoder::new(packed);
-            decoder.map_err(|e| e.to_string())?.read_to_end(&mut out)
+            decoder.map_err(|e| e.to_string())?.take(most).read_to_end(&mut out)
         }
-        Codec::Gzip => flate2::read::GzDecoder::new(packed).read_to_end(&mut out),
-        Codec::Zlib => flate2::read::ZlibDecoder::new(packed).read_to_end(&mut out),
+        Codec::Gzip => flate2::read::GzDecoder::new(packed).take(most).read_to_end(&mut out),
+        Codec::Zlib => flate2::read::ZlibDecoder::new(packed).take(most).read_to_end(&mut out),
     };
     read.map(|_| out).map_err(|e| e.to_string())
+}
+
+/// What stands between the numbers of a chunk's name. Anything else might lead out of the folder.
+fn separator(folder: &Path, value: &Value, usual: &'static str) -> Result<&'static str> {
+    match value.as_str() {
+        None => Ok(usual),
+        Some(".") => Ok("."),
+        Some("/") => Ok("/"),
+        Some(_) => Err(unreadable(folder, "separator", value)),
+    }
 }
 
 fn codec(name: &str) -> Option<Codec> {
@@ -246,10 +276,6 @@ fn codec(name: &str) -> Option<Codec> {
         "zlib" => Some(Codec::Zlib),
         _ => None,
     }
-}
-
-fn bits(bytes: &str) -> usize {
-    8 * bytes.parse::<usize>().unwrap_or(0)
 }
 
 fn counts(folder: &Path, value: &Value) -> Result<Vec<usize>> {
@@ -267,46 +293,9 @@ fn unreadable(folder: &Path, what: &str, value: &Value) -> Error {
     )
 }
 
-impl NumberType {
-    fn named(name: &str, big_endian: bool) -> Option<Self> {
-        let (kind, bits) = match name {
-            "float32" | "float64" => (Kind::Float, &name[5..]),
-            "int8" | "int16" | "int32" | "int64" => (Kind::Signed, &name[3..]),
-            "uint8" | "uint16" | "uint32" | "uint64" => (Kind::Unsigned, &name[4..]),
-            _ => return None,
-        };
-        Some(NumberType { kind, bytes: bits.parse::<usize>().ok()? / 8, big_endian })
-    }
-
-    fn decode(self, bytes: &[u8]) -> f64 {
-        let mut word = [0_u8; 8];
-        for (i, byte) in bytes.iter().enumerate() {
-            word[if self.big_endian { bytes.len() - 1 - i } else { i }] = *byte;
-        }
-        let raw = u64::from_le_bytes(word);
-        let unused = 64 - 8 * bytes.len() as u32;
-        match (self.kind, bytes.len()) {
-            (Kind::Float, 4) => f64::from(f32::from_bits(raw as u32)),
-            (Kind::Float, _) => f64::from_bits(raw),
-            (Kind::Unsigned, _) => raw as f64,
-            (Kind::Signed, _) => ((raw << unused) as i64 >> unused) as f64,
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn numbers_are_decoded() {
-        let of = |name, big| NumberType::named(name, big).unwrap();
-        assert_eq!(of("float32", false).decode(&1.5_f32.to_le_bytes()), 1.5);
-        assert_eq!(of("float64", true).decode(&(-2.25_f64).to_be_bytes()), -2.25);
-        assert_eq!(of("int16", false).decode(&(-3_i16).to_le_bytes()), -3.0);
-        assert_eq!(of("uint8", false).decode(&[200]), 200.0);
-        assert_eq!(NumberType::named("complex64", false), None);
-    }
 
     fn array(folder: &Path, compressor: &str, pack: impl Fn(&[u8]) -> Vec<u8>) {
         std::fs::create_dir_all(folder).unwrap();
@@ -321,6 +310,45 @@ mod tests {
             let bytes: Vec<u8> = (0..8).flat_map(|i| value(i).to_le_bytes()).collect();
             std::fs::write(folder.join(format!("{r}.{c}")), pack(&bytes)).unwrap();
         }
+    }
+
+    #[test]
+    fn what_is_announced_is_held_against_caps() {
+        let folder = tempfile::tempdir().unwrap();
+        let told = |from: &str, to: &str| {
+            array(folder.path(), "null", <[u8]>::to_vec);
+            let file = folder.path().join(".zarray");
+            let meta = std::fs::read_to_string(&file).unwrap().replace(from, to);
+            std::fs::write(file, meta).unwrap();
+            read(folder.path(), None).unwrap_err().to_string()
+        };
+        let shape = "\"shape\":[3,5]";
+        for huge in ["[1099511627776,0,1099511627776]", "[50000,50000]", "[18446744073709551615,2]"]
+        {
+            let found = told(shape, &format!("\"shape\":{huge}"));
+            assert!(found.contains("at most 67108864 values"), "{found}");
+        }
+        assert!(told("[2,4]", "[30000,30000]").contains("at most"));
+        assert!(told("[2,4]", "[8192,8192]").contains("at most 268435456 bytes"));
+        assert!(told("[2,4]", "[0,4]").contains("chunks of shape"));
+        let many = told("[3,5],\"chunks\":[2,4]", "[1000,1000],\"chunks\":[1,1]");
+        assert!(many.contains("at most 262144 are read"), "{many}");
+        let nested = told("null", &format!("{}1{}", "[".repeat(100_000), "]".repeat(100_000)));
+        assert!(nested.contains("recursion limit"), "{nested}");
+        let out = told("\"order\"", "\"dimension_separator\":\"/../../\",\"order\"");
+        assert!(out.contains("separator"), "{out}");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn links_out_of_the_folder_are_not_followed() {
+        let folder = tempfile::tempdir().unwrap();
+        let inside = folder.path().join("image.zarr");
+        array(&inside, "null", <[u8]>::to_vec);
+        std::fs::rename(inside.join("0.0"), folder.path().join("secret")).unwrap();
+        std::os::unix::fs::symlink("../secret", inside.join("0.0")).unwrap();
+        let told = read(&inside, None).unwrap_err().to_string();
+        assert!(told.contains("no regular file"), "{told}");
     }
 
     #[test]
@@ -347,6 +375,10 @@ mod tests {
         let path = folder.path().join("plain");
         std::fs::write(path.join("0.0"), [1, 2, 3]).unwrap();
         assert!(read(&path, None).unwrap_err().to_string().contains("3 bytes instead of 32"));
+        let gzipped = folder.path().join("gzip");
+        std::fs::write(gzipped.join("0.0"), gzip(&[0; 1 << 20])).unwrap();
+        let bomb = read(&gzipped, None).unwrap_err().to_string();
+        assert!(bomb.contains("more than 32 bytes instead of 32"), "{bomb}");
         array(&path, "{\"id\":\"blosc\"}", <[u8]>::to_vec);
         let told = read(&path, None).unwrap_err().to_string();
         assert!(told.contains("blosc") && told.contains("np.save"), "{told}");

@@ -18,8 +18,8 @@ const SAME_FRACTION: f64 = 1e-3;
 const SAME_DISTANCE: f64 = 0.01;
 /// Largest relative change of the metric by a symmetry operation.
 const LARGEST_STRAIN: f64 = 0.01;
-/// More operations than any space group has in a cell of reasonable size.
-const MOST_OPERATIONS: usize = 1000;
+/// More operations than any space group has (192), in a cell twice as large as usual.
+const MOST_OPERATIONS: usize = 400;
 
 const OPERATIONS: [&str; 2] = ["_space_group_symop_operation_xyz", "_symmetry_equiv_pos_as_xyz"];
 const GROUP_NAMES: [&str; 4] = [
@@ -50,7 +50,9 @@ pub(super) fn parse(text: &SourceText) -> Result<Structure> {
     let operations = operations(text, block, &cell)?;
     let mut atoms = Vec::new();
     if let Some(table) = block.table(&COORDINATES) {
-        for site in sites(text, table)? {
+        let sites = sites(text, table)?;
+        text.check_count(table.line, sites.len().saturating_mul(operations.len()))?;
+        for site in sites {
             for image in images(&site, &operations, &cell) {
                 let position = row_times(image, &cell);
                 atoms.push((site.line, Atom { position, ..site.atom }));
@@ -70,6 +72,12 @@ fn cell(text: &SourceText, block: &DataBlock) -> Result<Mat3> {
     };
     let (line, a) = get("_cell_length_a")?;
     let (b, c) = (get("_cell_length_b")?.1, get("_cell_length_c")?.1);
+    for (tag, length) in ["a", "b", "c"].iter().zip([a, b, c]) {
+        if length <= 0.0 {
+            let message = format!("_cell_length_{tag} is {length}, expected a length in A");
+            return Err(text.error(line, message));
+        }
+    }
     let mut cosines = [0.0; 3];
     for (cosine, tag) in
         cosines.iter_mut().zip(["_cell_angle_alpha", "_cell_angle_beta", "_cell_angle_gamma"])
@@ -123,9 +131,7 @@ fn operations(text: &SourceText, block: &DataBlock, cell: &Mat3) -> Result<Vec<O
     if let Some((table, column)) =
         block.table(&OPERATIONS).and_then(|t| t.column(&OPERATIONS).map(|c| (t, c)))
     {
-        listed.extend(
-            table.rows.iter().filter_map(|r| r[column].known().map(|k| (r[column].line, k))),
-        );
+        listed.extend(table.rows().filter_map(|r| r[column].known().map(|k| (r[column].line, k))));
     }
     listed.extend(block.get(&OPERATIONS));
     if listed.len() > MOST_OPERATIONS {
@@ -197,7 +203,7 @@ fn sites(text: &SourceText, table: &Loop) -> Result<Vec<CifSite>> {
     let occupancy = table.column(&["_atom_site_occupancy"]);
     let calculated = table.column(&["_atom_site_calc_flag"]);
     let mut sites = Vec::new();
-    for row in &table.rows {
+    for row in table.rows() {
         let is = |column: Option<usize>| column.and_then(|c| row[c].known());
         if is(calculated).is_some_and(|flag| flag.eq_ignore_ascii_case("dum")) {
             continue;

@@ -7,17 +7,17 @@ use crate::error::Result;
 use std::collections::HashMap;
 
 /// A value and the line on which it begins.
-#[derive(Debug, Clone)]
-pub struct CifValue {
+#[derive(Debug, Clone, Copy)]
+pub struct CifValue<'a> {
     pub line: usize,
-    pub text: String,
+    pub text: &'a str,
     /// Quoted values are never `?` or `.`.
     quoted: bool,
 }
 
-impl CifValue {
+impl<'a> CifValue<'a> {
     /// The text, or `None` for `?` (unknown) and `.` (not applicable).
-    pub fn known(&self) -> Option<&str> {
+    pub fn known(&self) -> Option<&'a str> {
         let absent = !self.quoted && (self.text == "?" || self.text == ".");
         (!absent).then_some(self.text.trim())
     }
@@ -25,13 +25,19 @@ impl CifValue {
 
 /// A table: column names and rows of equal length.
 #[derive(Debug, Default)]
-pub struct Loop {
+pub struct Loop<'a> {
     pub line: usize,
     pub tags: Vec<String>,
-    pub rows: Vec<Vec<CifValue>>,
+    /// Row after row.
+    values: Vec<CifValue<'a>>,
 }
 
-impl Loop {
+impl<'a> Loop<'a> {
+    /// The rows, each with a value for every tag.
+    pub fn rows(&self) -> std::slice::ChunksExact<'_, CifValue<'a>> {
+        self.values.chunks_exact(self.tags.len().max(1))
+    }
+
     /// The column of the first of `tags` that is there.
     pub fn column(&self, tags: &[&str]) -> Option<usize> {
         tags.iter().find_map(|tag| self.tags.iter().position(|t| t == tag))
@@ -40,16 +46,16 @@ impl Loop {
 
 /// One data block. Tags are in lower case, and the dot of `_atom_site.fract_x` is an underscore.
 #[derive(Debug, Default)]
-pub struct DataBlock {
+pub struct DataBlock<'a> {
     pub line: usize,
     pub name: String,
-    pub items: HashMap<String, CifValue>,
-    pub loops: Vec<Loop>,
+    pub items: HashMap<String, CifValue<'a>>,
+    pub loops: Vec<Loop<'a>>,
 }
 
-impl DataBlock {
+impl<'a> DataBlock<'a> {
     /// The known value of the first of `tags` that has one.
-    pub fn get(&self, tags: &[&str]) -> Option<(usize, &str)> {
+    pub fn get(&self, tags: &[&str]) -> Option<(usize, &'a str)> {
         tags.iter().find_map(|tag| {
             let value = self.items.get(*tag)?;
             value.known().map(|text| (value.line, text))
@@ -57,24 +63,24 @@ impl DataBlock {
     }
 
     /// The loop that has one of the columns.
-    pub fn table(&self, tags: &[&str]) -> Option<&Loop> {
+    pub fn table(&self, tags: &[&str]) -> Option<&Loop<'a>> {
         self.loops.iter().find(|l| l.column(tags).is_some())
     }
 }
 
 #[derive(Debug)]
-enum Token {
+enum Token<'a> {
     Data(String),
     Loop,
     Tag(String),
-    Value(CifValue),
+    Value(CifValue<'a>),
 }
 
 /// All data blocks of the file.
-pub fn blocks(text: &SourceText) -> Result<Vec<DataBlock>> {
-    let mut tokens = tokens(text)?.into_iter().peekable();
+pub fn blocks<'a>(text: &SourceText<'a>) -> Result<Vec<DataBlock<'a>>> {
+    let mut tokens = Tokens::new(text);
     let mut blocks: Vec<DataBlock> = Vec::new();
-    while let Some((line, token)) = tokens.next() {
+    while let Some((line, token)) = tokens.take()? {
         if let Token::Data(name) = token {
             blocks.push(DataBlock { line, name, ..DataBlock::default() });
             continue;
@@ -86,13 +92,11 @@ pub fn blocks(text: &SourceText) -> Result<Vec<DataBlock>> {
         match token {
             Token::Data(_) => {}
             Token::Value(value) => {
-                let message = format!("value `{}` follows no tag", value.text);
+                let message = format!("value `{}` follows no tag", shown(value.text));
                 return Err(text.error(line, message));
             }
             Token::Tag(tag) => {
-                let Some((_, Token::Value(value))) =
-                    tokens.next_if(|(_, t)| matches!(t, Token::Value(_)))
-                else {
+                let Some(value) = tokens.take_value()? else {
                     return Err(text.error(line, format!("`{tag}` has no value")));
                 };
                 if block.items.insert(tag.clone(), value).is_some() {
@@ -105,84 +109,129 @@ pub fn blocks(text: &SourceText) -> Result<Vec<DataBlock>> {
     Ok(blocks)
 }
 
-fn take_loop(
-    text: &SourceText,
-    line: usize,
-    tokens: &mut std::iter::Peekable<impl Iterator<Item = (usize, Token)>>,
-) -> Result<Loop> {
+/// The first line of a value, cut where it is long.
+fn shown(value: &str) -> String {
+    value.lines().next().unwrap_or_default().chars().take(60).collect()
+}
+
+fn take_loop<'a>(text: &SourceText, line: usize, tokens: &mut Tokens<'_, 'a>) -> Result<Loop<'a>> {
     let mut table = Loop { line, ..Loop::default() };
-    while let Some((_, Token::Tag(tag))) = tokens.next_if(|(_, t)| matches!(t, Token::Tag(_))) {
+    while let Some(tag) = tokens.take_tag()? {
         table.tags.push(tag);
     }
     if table.tags.is_empty() {
         return Err(text.error(line, "`loop_` without column tags"));
     }
-    let mut row = Vec::new();
-    let mut last = line;
-    while let Some((at, Token::Value(value))) =
-        tokens.next_if(|(_, t)| matches!(t, Token::Value(_)))
-    {
-        last = at;
-        row.push(value);
-        if row.len() == table.tags.len() {
-            table.rows.push(std::mem::take(&mut row));
-        }
+    while let Some(value) = tokens.take_value()? {
+        table.values.push(value);
     }
-    if !row.is_empty() {
+    let surplus = table.values.len() % table.tags.len();
+    if surplus > 0 {
         let message = format!(
-            "the loop of line {line} has {} columns, but its last row only {} values; a value is \
+            "the loop of line {line} has {} columns, but its last row only {surplus} values; a value is \
              missing or not quoted",
             table.tags.len(),
-            row.len()
         );
-        return Err(text.error(last, message));
+        return Err(text.error(table.values.last().map_or(line, |v| v.line), message));
     }
     Ok(table)
 }
 
-fn tokens(text: &SourceText) -> Result<Vec<(usize, Token)>> {
-    let mut tokens = Vec::new();
-    let mut lines = text.lines();
-    while let Some((number, line)) = lines.next() {
-        let mut rest = line;
-        if let Some(first) = line.strip_prefix(';') {
-            let (value, after) = text_field(text, number, first, &mut lines)?;
-            tokens.push((number, Token::Value(value)));
-            rest = after;
-        }
-        loop {
-            rest = rest.trim_start();
-            if rest.is_empty() || rest.starts_with('#') {
-                break;
-            }
-            let (token, after) = token(text, number, rest)?;
-            tokens.extend(token.map(|t| (number, t)));
-            rest = after;
-        }
-    }
-    Ok(tokens)
+/// The tokens of a file, one after another.
+struct Tokens<'t, 'a> {
+    text: &'t SourceText<'a>,
+    /// What follows the current line.
+    lines: &'a str,
+    /// What is left of the current line.
+    rest: &'a str,
+    /// Number of the current line.
+    number: usize,
+    /// A token that was looked at, but not taken.
+    next: Option<(usize, Token<'a>)>,
 }
 
-/// The text between two lines that begin with `;`, and what follows the second one.
-fn text_field<'a>(
-    text: &SourceText,
-    line: usize,
-    first: &str,
-    lines: &mut impl Iterator<Item = (usize, &'a str)>,
-) -> Result<(CifValue, &'a str)> {
-    let mut body = first.to_owned();
-    for (_, next) in lines {
-        if let Some(after) = next.strip_prefix(';') {
-            return Ok((CifValue { line, text: body, quoted: true }, after));
-        }
-        body.push('\n');
-        body.push_str(next);
+impl<'t, 'a> Tokens<'t, 'a> {
+    fn new(text: &'t SourceText<'a>) -> Self {
+        Tokens { text, lines: text.body, rest: "", number: 0, next: None }
     }
-    Err(text.error(line, "the text that begins here with `;` is never closed by another `;`"))
+
+    /// The next token, with its line.
+    fn take(&mut self) -> Result<Option<(usize, Token<'a>)>> {
+        if let Some(token) = self.next.take() {
+            return Ok(Some(token));
+        }
+        loop {
+            self.rest = self.rest.trim_start();
+            if !self.rest.is_empty() && !self.rest.starts_with('#') {
+                let (token, after) = token(self.text, self.number, self.rest)?;
+                self.rest = after;
+                match token {
+                    Some(token) => return Ok(Some((self.number, token))),
+                    None => continue,
+                }
+            }
+            let Some(line) = self.next_line() else { return Ok(None) };
+            match line.strip_prefix(';') {
+                Some(first) => return self.text_field(first).map(Some),
+                None => self.rest = line,
+            }
+        }
+    }
+
+    fn take_value(&mut self) -> Result<Option<CifValue<'a>>> {
+        match self.take()? {
+            Some((_, Token::Value(value))) => Ok(Some(value)),
+            other => {
+                self.next = other;
+                Ok(None)
+            }
+        }
+    }
+
+    fn take_tag(&mut self) -> Result<Option<String>> {
+        match self.take()? {
+            Some((_, Token::Tag(tag))) => Ok(Some(tag)),
+            other => {
+                self.next = other;
+                Ok(None)
+            }
+        }
+    }
+
+    fn next_line(&mut self) -> Option<&'a str> {
+        if self.lines.is_empty() {
+            return None;
+        }
+        self.number += 1;
+        let (line, after) = self.lines.split_once('\n').unwrap_or((self.lines, ""));
+        self.lines = after;
+        Some(line.strip_suffix('\r').unwrap_or(line))
+    }
+
+    /// The text from `first` to the line that begins with `;`.
+    fn text_field(&mut self, first: &'a str) -> Result<(usize, Token<'a>)> {
+        let line = self.number;
+        let from = first.as_ptr().addr() - self.text.body.as_ptr().addr();
+        let mut end = from + first.len();
+        while let Some(next) = self.next_line() {
+            if let Some(after) = next.strip_prefix(';') {
+                self.rest = after;
+                let text = &self.text.body[from..end];
+                return Ok((line, Token::Value(CifValue { line, text, quoted: true })));
+            }
+            end = self.text.body.len() - self.lines.len();
+        }
+        let message = "the text that begins here with `;` is never closed by another `;`";
+        Err(self.text.error(line, message))
+    }
 }
 
 /// The token at the start of `rest` (none for `stop_`), and what follows it.
-fn token<'a>(text: &SourceText, line: usize, rest: &'a str) -> Result<(Option<Token>, &'a str)> {
+fn token<'a>(
+    text: &SourceText,
+    line: usize,
+    rest: &'a str,
+) -> Result<(Option<Token<'a>>, &'a str)> {
     if let Some(quote @ ('"' | '\'')) = rest.chars().next() {
         return quoted(text, line, quote, rest);
     }
@@ -200,7 +249,7 @@ fn token<'a>(text: &SourceText, line: usize, rest: &'a str) -> Result<(Option<To
     } else if lower == "global_" || lower.starts_with("save_") {
         return Err(text.error(line, format!("`{word}` (STAR, dictionaries) is not supported")));
     } else {
-        Token::Value(CifValue { line, text: word.to_owned(), quoted: false })
+        Token::Value(CifValue { line, text: word, quoted: false })
     };
     Ok((Some(token), after))
 }
@@ -211,7 +260,7 @@ fn quoted<'a>(
     line: usize,
     quote: char,
     rest: &'a str,
-) -> Result<(Option<Token>, &'a str)> {
+) -> Result<(Option<Token<'a>>, &'a str)> {
     let body = &rest[1..];
     let close = body
         .char_indices()
@@ -219,7 +268,7 @@ fn quoted<'a>(
     let Some((end, _)) = close else {
         return Err(text.error(line, format!("the quote {quote} is not closed on this line")));
     };
-    let value = CifValue { line, text: body[..end].to_owned(), quoted: true };
+    let value = CifValue { line, text: &body[..end], quoted: true };
     Ok((Some(Token::Value(value)), &body[end + 1..]))
 }
 
@@ -228,7 +277,7 @@ mod tests {
     use super::*;
     use std::path::Path;
 
-    fn parse(body: &str) -> Result<Vec<DataBlock>> {
+    fn parse(body: &str) -> Result<Vec<DataBlock<'_>>> {
         blocks(&SourceText { path: Path::new("t.cif"), body })
     }
 
@@ -245,10 +294,11 @@ mod tests {
         assert_eq!(block.get(&["_b"]), Some((2, "x # y")));
         assert_eq!(block.get(&["_c"]), Some((4, "one\ntwo")));
         let table = block.table(&["_t_d"]).unwrap();
-        assert_eq!(table.rows.len(), 2);
-        assert_eq!(table.rows[0][0].known(), None);
-        assert_eq!(table.rows[0][1].known(), Some("?"));
-        assert_eq!(table.rows[1][1].known(), Some("a#b"));
+        let rows: Vec<_> = table.rows().collect();
+        assert_eq!(rows.len(), 2);
+        assert_eq!(rows[0][0].known(), None);
+        assert_eq!(rows[0][1].known(), Some("?"));
+        assert_eq!(rows[1][1].known(), Some("a#b"));
     }
 
     #[test]

@@ -1,0 +1,166 @@
+//! HDF5 files as strangers may have made them. Nothing outside the file is read, and what a header announces is held
+//! against the size of the file before memory is asked for. Reasons are given as text, without the name of the file.
+
+use std::collections::HashSet;
+
+use hdf5::plist::dataset_create::Layout;
+use hdf5::types::VarLenUnicode;
+use hdf5::{Dataset, Group, H5Type, LinkType, Location, LocationType};
+
+/// Bytes of the largest numbers that values are read as.
+const LARGEST_NUMBER_BYTES: usize = 8;
+
+/// Why a file is refused.
+pub(super) type Guarded<T> = std::result::Result<T, String>;
+
+/// Groups may lie this deep in each other.
+const DEEPEST: usize = 64;
+/// Groups, datasets and other things that a file may hold.
+const MOST_OBJECTS: usize = 1 << 20;
+/// Bytes that the path of a dataset may have.
+const LONGEST_PATH: usize = 4096;
+/// Any file may announce so many bytes ...
+const ALWAYS_ALLOWED_BYTES: u128 = 256 << 20;
+/// ... and a large one this many times its size: compressed specimen-free images come to that.
+const LARGEST_EXPANSION: u128 = 64;
+
+/// The paths of all datasets, those of a group before those of the groups in it.
+///
+/// Refuses links to other files, wherever they are: following one opens that file.
+pub(super) fn datasets(root: &Group) -> Guarded<Vec<String>> {
+    let mut walk = Walk { seen: HashSet::new(), objects: 0, datasets: Vec::new() };
+    walk.visit(root, "", 0)?;
+    Ok(walk.datasets)
+}
+
+struct Walk {
+    /// Groups that were visited: links may lead back to one that holds them.
+    seen: HashSet<String>,
+    objects: usize,
+    datasets: Vec<String>,
+}
+
+impl Walk {
+    fn visit(&mut self, group: &Group, path: &str, depth: usize) -> Guarded<()> {
+        if depth > DEEPEST {
+            return Err(format!("has groups more than {DEEPEST} deep in each other"));
+        }
+        let mut inner = Vec::new();
+        for (name, kind) in links(group, path)? {
+            self.objects += 1;
+            let below = format!("{path}/{name}");
+            if self.objects > MOST_OBJECTS {
+                return Err(format!("holds more than {MOST_OBJECTS} groups and datasets"));
+            }
+            if below.len() > LONGEST_PATH {
+                return Err(format!("has a path of more than {LONGEST_PATH} bytes"));
+            }
+            // What a soft link names is found by hard links, or is not there.
+            if kind == LinkType::Soft {
+                continue;
+            }
+            let info = group.loc_info_by_name(&name);
+            let info = info.map_err(|e| format!("{below} cannot be read ({})", first_line(&e)))?;
+            match info.loc_type {
+                LocationType::Dataset => self.datasets.push(below),
+                LocationType::Group if self.seen.insert(format!("{:?}", info.token)) => {
+                    inner.push((name, below));
+                }
+                _ => {}
+            }
+        }
+        for (name, below) in inner {
+            let opened = group.group(&name);
+            let opened = opened.map_err(|e| format!("{below} cannot be read ({})", first_line(&e)));
+            self.visit(&opened?, &below, depth + 1)?;
+        }
+        Ok(())
+    }
+}
+
+/// Names and kinds of the links of a group.
+fn links(group: &Group, path: &str) -> Guarded<Vec<(String, LinkType)>> {
+    let mut links = Vec::new();
+    let mut elsewhere = None;
+    let visited = group.iter_visit_default(|name, link| {
+        if link.link_type == LinkType::External {
+            elsewhere = Some(format!("{path}/{name}"));
+        }
+        links.push((name.to_owned(), link.link_type));
+        Ok(())
+    });
+    if let Some(link) = elsewhere {
+        return Err(format!(
+            "has a link to another file, {link}, which is not followed; remove it"
+        ));
+    }
+    visited.map_err(|e| format!("{path}/ cannot be listed ({})", first_line(&e)))?;
+    Ok(links)
+}
+
+/// Refuses datasets whose values are in other files, and those that announce more than a file of `file_bytes`
+/// bytes can hold.
+pub(super) fn check_storage(dataset: &Dataset, file_bytes: u64) -> Guarded<()> {
+    let damaged = |e: hdf5::Error| format!("cannot be read ({})", first_line(&e));
+    let plan = dataset.dcpl().map_err(damaged)?;
+    // Before the shape: asking a virtual dataset for its shape opens other files.
+    let elsewhere = match plan.layout() {
+        Layout::Virtual => true,
+        _ => !plan.get_external().map_err(damaged)?.is_empty(),
+    };
+    if elsewhere {
+        return Err(
+            "takes its values from another file, which is not read; copy them into this one".into(),
+        );
+    }
+    // A file may hold bytes that are read as numbers.
+    let bytes = dataset.dtype().map_err(damaged)?.size().max(LARGEST_NUMBER_BYTES);
+    check_bytes(&dataset.shape(), bytes, file_bytes)?;
+    plan.chunk().map_or(Ok(()), |chunk| check_bytes(&chunk, bytes, file_bytes))
+}
+
+/// Holds an array of values of `value_bytes` bytes against a file of `file_bytes` bytes.
+pub(super) fn check_bytes(shape: &[usize], value_bytes: usize, file_bytes: u64) -> Guarded<()> {
+    let allowed = ALWAYS_ALLOWED_BYTES.max(LARGEST_EXPANSION * u128::from(file_bytes));
+    // Axes of length 0 hide what the others come to.
+    let product = |n: u128, length: &usize| n.saturating_mul((*length).max(1) as u128);
+    let announced = shape.iter().fold(value_bytes as u128, product);
+    if announced > allowed {
+        return Err(format!(
+            "announces {shape:?} values, {announced} bytes, in a file of {file_bytes}; at most {allowed} bytes are \
+             read from it ({LARGEST_EXPANSION} times its size, or 256 MiB)"
+        ));
+    }
+    Ok(())
+}
+
+/// An attribute that is one number (or another value of fixed size).
+pub(super) fn number<T: H5Type>(at: &Location, name: &str) -> Option<T> {
+    at.attr(name).and_then(|a| a.read_scalar()).ok()
+}
+
+/// An attribute that is two numbers.
+pub(super) fn pair(at: &Location, name: &str) -> Option<[f64; 2]> {
+    let attribute = at.attr(name).ok().filter(|a| a.size() == 2)?;
+    attribute.read_raw().ok()?.try_into().ok()
+}
+
+/// An attribute that is a text in UTF-8.
+pub(super) fn text(at: &Location, name: &str) -> Option<String> {
+    number::<VarLenUnicode>(at, name).as_ref().and_then(string)
+}
+
+/// An attribute that is `count` texts in UTF-8.
+pub(super) fn texts(at: &Location, name: &str, count: usize) -> Option<Vec<String>> {
+    let attribute = at.attr(name).ok().filter(|a| a.size() == count)?;
+    let texts: Vec<VarLenUnicode> = attribute.read_raw().ok()?;
+    texts.iter().map(string).collect()
+}
+
+fn string(text: &VarLenUnicode) -> Option<String> {
+    std::str::from_utf8(text.as_bytes()).ok().map(str::to_owned)
+}
+
+pub(super) fn first_line(error: &hdf5::Error) -> String {
+    error.to_string().lines().next().unwrap_or_default().to_owned()
+}

@@ -1,0 +1,136 @@
+//! Any file that is given to a reader is accepted or refused within 10 s of processor time and 1 GB.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use stemgen::io::arrays;
+use stemgen::structure::{Format, parse};
+
+use super::allocation::watch;
+use super::fuzz::processor_seconds;
+
+/// What a reader says of a structure: its number of atoms, or its error.
+fn told(format: Format, text: &str) -> String {
+    within(|| match parse(format, text.as_bytes(), Path::new("f")) {
+        Ok(structure) => match structure.resolve_occupancy(1) {
+            Ok(_) => format!("{} atoms", structure.atoms.len()),
+            Err(e) => e.to_string(),
+        },
+        Err(e) => e.to_string(),
+    })
+}
+
+#[track_caller]
+fn within<T>(run: impl FnOnce() -> T) -> T {
+    let before = processor_seconds();
+    let (result, bytes) = watch(run);
+    let seconds = processor_seconds() - before;
+    assert!(bytes <= 1 << 30, "{bytes} bytes");
+    // Without optimisation it takes what it takes.
+    assert!(seconds < 10.0 || cfg!(debug_assertions), "{seconds} s");
+    result
+}
+
+fn xyz(cell: f64, extra: &str, atoms: impl Iterator<Item = String>) -> String {
+    let lines: Vec<String> = atoms.collect();
+    let lattice = format!("{cell} 0 0 0 {cell} 0 0 0 {cell}");
+    format!("{}\nLattice=\"{lattice}\" {extra}\n{}\n", lines.len(), lines.join("\n"))
+}
+
+const PARTIAL: &str = "Properties=species:S:1:pos:R:3:occupancy:R:1";
+
+#[test]
+fn atoms_in_one_place() {
+    let full = xyz(4.0, "", (0..1_000_000).map(|_| "Si 1 1 1".to_owned()));
+    assert!(told(Format::ExtXyz, &full).contains("together occupy more than one site"));
+    let partial = xyz(4.0, PARTIAL, (0..1_000_000).map(|_| "Si 1 1 1 1e-7".to_owned()));
+    assert!(told(Format::ExtXyz, &partial).contains("more than 200 atoms"));
+    let partial = xyz(4.0, PARTIAL, (0..30_000).map(|_| "Si 1 1 1 1e-5".to_owned()));
+    assert!(told(Format::ExtXyz, &partial).contains("more than 200 atoms"));
+    let pile = xyz(4.0, PARTIAL, (0..150).map(|_| "Si 1 1 1 0.005".to_owned()));
+    assert_eq!(told(Format::ExtXyz, &pile), "150 atoms");
+}
+
+#[test]
+fn a_million_atoms_are_read_wherever_they_are() {
+    let place = |i: usize, scale: f64| {
+        let [x, y, z] = [i % 100, i / 100 % 100, i / 10_000].map(|n| n as f64 * scale);
+        format!("Si {x} {y} {z}")
+    };
+    // A crystal, and a cluster in a vacuum so wide that the usual search would find all of it in one box.
+    for (cell, scale) in [(200.0, 2.0), (900_000.0, 0.5)] {
+        let text = xyz(cell, "", (0..1_000_000).map(|i| place(i, scale)));
+        assert_eq!(told(Format::ExtXyz, &text), "1000000 atoms");
+    }
+    // Piles of sites that are just not too many.
+    let piles = xyz(900.0, PARTIAL, (0..400_000).map(|i| place(i / 150, 2.0) + " 0.001"));
+    assert_eq!(told(Format::ExtXyz, &piles), "400000 atoms");
+}
+
+#[test]
+fn flat_cells_and_absurd_counts() {
+    let flat = "1\nLattice=\"1 0 0 -0.5 0.866 0 0.5 0.288 0.001\" Properties=species:S:1:pos:R:3\nSi 0 0 0\n";
+    assert!(told(Format::ExtXyz, flat).contains("apart, expected at least 0.3 A"));
+    assert!(
+        told(Format::ExtXyz, "99999999999\nLattice=\"4 0 0 0 4 0 0 0 4\"\n")
+            .contains("at most 4000000")
+    );
+    let line = format!("1\nLattice=\"4 0 0 0 4 0 0 0 4\" {}\nSi 0 0 0\n", "a ".repeat(1 << 20));
+    assert!(told(Format::ExtXyz, &line).contains("at most 65536 are read"));
+    let lines = "\n".repeat(100_000_000);
+    let poscar = format!("c\n1\n4 0 0\n0 4 0\n0 0 4\nSi\n50000000\nDirect\n{lines}");
+    assert!(told(Format::Poscar, &poscar).contains("at most 4000000"));
+}
+
+#[test]
+fn cif_of_many_words() {
+    let cell = "data_x\n_cell_length_a 9\n_cell_length_b 9\n_cell_length_c 9\n_cell_angle_alpha 90\n\
+                _cell_angle_beta 90\n_cell_angle_gamma 90\n";
+    let values = format!("{}\n", "1 ".repeat(32_000)).repeat(500);
+    let text = format!("{cell}loop_\n_a\n{values}");
+    assert!(text.len() > 30 << 20);
+    assert!(told(Format::Cif, &text).contains("no data block"));
+    let tags: String = (0..2_000_000).fold(String::new(), |mut s, i| {
+        let _ = writeln!(s, "_{i:x} 1");
+        s
+    });
+    assert!(told(Format::Cif, &format!("{cell}{tags}")).contains("no data block"));
+    // A group of translations, as many as are read, and sites for each.
+    let operations: String = (0..100).fold(String::new(), |mut s, i| {
+        let _ = writeln!(s, "x,y,z+{i}/100");
+        s
+    });
+    let sites = |n: usize| -> String {
+        (0..n).fold(String::new(), |mut s, i| {
+            let _ = writeln!(s, "Si {} {} 0", (i % 100) as f64 / 100.0, (i / 100) as f64 / 100.0);
+            s
+        })
+    };
+    let with = |n: usize| {
+        format!(
+            "{cell}loop_\n_symmetry_equiv_pos_as_xyz\n{operations}loop_\n_atom_site_type_symbol\n\
+             _atom_site_fract_x\n_atom_site_fract_y\n_atom_site_fract_z\n{}",
+            sites(n)
+        )
+    };
+    let found = told(Format::Cif, &with(30_000));
+    assert!(found.contains("more than one site"), "{found}");
+    assert!(told(Format::Cif, &with(50_000)).contains("at most 4000000"));
+}
+
+#[test]
+fn arrays_at_the_limit() {
+    let folder = tempfile::tempdir().unwrap();
+    let header = |shape: &str, kind: &str| {
+        let text = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}\n");
+        [b"\x93NUMPY\x01\x00", &(text.len() as u16).to_le_bytes()[..], text.as_bytes()].concat()
+    };
+    let path = folder.path().join("a.npy");
+    // 64 million bytes become 512 MiB of numbers, and no more than that.
+    let mut bytes = header("(8192, 8192)", "|u1");
+    bytes.resize(bytes.len() + (1 << 26), 1);
+    std::fs::write(&path, &bytes).unwrap();
+    assert_eq!(within(|| arrays::read(&path, None)).unwrap().data.len(), 1 << 26);
+    std::fs::write(&path, header("(8193, 8192)", "|u1")).unwrap();
+    assert!(within(|| arrays::read(&path, None)).unwrap_err().to_string().contains("at most"));
+}
