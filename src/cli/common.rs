@@ -23,12 +23,12 @@ pub struct Common {
 }
 
 impl Common {
-    /// Sets the number of threads and takes over Ctrl-C.
+    /// Sets the number of threads.
     pub fn start(&self) -> anyhow::Result<Reporter> {
         let threads = self.threads.map_or(0, usize::from);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
         pool.build_global().context("cannot start the threads")?;
-        Reporter::new(self.quiet)
+        Ok(Reporter::new(self.quiet))
     }
 
     /// Prints the summary as asked for.

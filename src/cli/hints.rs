@@ -1,7 +1,6 @@
 //! Errors on standard error, each with a hint.
 
-use super::progress_bar::INTERRUPTED;
-use super::text;
+use super::{signals, text};
 use std::process::ExitCode;
 use stemgen::{Error, Setting};
 
@@ -43,7 +42,7 @@ pub fn report(error: &anyhow::Error, subcommand: &str) -> ExitCode {
     text::complain(&format!("error: {option}{error:#}"));
     text::complain(&format!("hint: {}", hint.unwrap_or_else(fallback)));
     match known {
-        Some(Error::Interrupted) => ExitCode::from(INTERRUPTED),
+        Some(Error::Interrupted) => ExitCode::from(signals::exit_code()),
         _ => ExitCode::FAILURE,
     }
 }

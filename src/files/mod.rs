@@ -6,5 +6,6 @@ pub mod atomic_write;
 pub mod disk_space;
 mod output_lock;
 pub mod outputs;
+pub mod unfinished;
 
 pub use output_lock::OutputLock;
