@@ -2,7 +2,7 @@
 
 use super::build_plan::DryRun;
 use super::common::Common;
-use super::hints::hinted;
+use super::hints::{self, hinted};
 use super::plan_report::Lines;
 use super::recipe_args::RecipeArgs;
 use super::values::{self, EngineName as Engine};
@@ -16,7 +16,10 @@ use stemgen::imaging::{Audit, Cache};
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
 use stemgen::recipe::{Difficulty, Recipe};
-use stemgen::world::{BuildMethod, BuildOptions, BuildProfile, BuildSummary, WorldBuild};
+use stemgen::world::footprint::PICTURE;
+use stemgen::world::{
+    BuildMethod, BuildOptions, BuildProfile, BuildSummary, Companion, WorldBuild, work_folder,
+};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -157,13 +160,18 @@ impl Build {
         }
         let picture = (!self.no_png).then(|| path.with_extension("png"));
         let outputs = [Some(&path), picture.as_ref()].into_iter().flatten();
-        check_outputs(outputs, self.recipe.files(&recipe), self.overwrite)?;
+        let replace = self.overwrite || build.is_complete(&path);
+        check_outputs(outputs, self.recipe.files(&recipe), replace)?;
         DryRun::warnings(&build)?.iter().for_each(|w| reporter.warn(w));
-        let summary = build.run(&path, &reporter).map_err(|e| interrupted(e, &path))?;
+        let companion = picture.as_deref().map(|path| Companion {
+            path,
+            most_bytes: PICTURE,
+            content: &pictures::of_world,
+        });
+        let summary = build
+            .run_with(&path, companion.as_ref(), &reporter)
+            .map_err(|e| with_what_is_kept(e, &path))?;
         let world = WorldFile::open(&path)?;
-        if let Some(picture) = &picture {
-            pictures::write_world(picture, &world)?;
-        }
         let built = self.built(&recipe, &summary, &world, picture)?;
         self.common.print(&built, &built.text())
     }
@@ -230,17 +238,18 @@ impl Build {
     }
 }
 
-/// An interruption, with what to do next.
-fn interrupted(error: stemgen::Error, path: &Path) -> anyhow::Error {
-    match error {
-        stemgen::Error::Interrupted => {
-            let kept = format!(
-                "{}.work keeps the finished sub-tiles; the same command goes on from there",
-                path.display()
-            );
-            hinted(error, kept)
+/// A failure, with what an earlier run has left to go on from.
+fn with_what_is_kept(error: stemgen::Error, path: &Path) -> anyhow::Error {
+    let work = work_folder(path);
+    let kept =
+        format!("{} keeps what is done; the same command goes on from there", work.display());
+    match (error, work.is_dir()) {
+        (error @ stemgen::Error::Interrupted, true) => hinted(error, kept),
+        (error, true) => {
+            let hint = hints::of(&error).map(|hint| format!("{hint}; "));
+            hinted(error, hint.unwrap_or_default() + &kept)
         }
-        other => other.into(),
+        (error, false) => error.into(),
     }
 }
 

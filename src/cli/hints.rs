@@ -33,7 +33,7 @@ pub fn report(error: &anyhow::Error, subcommand: &str) -> ExitCode {
         None => (error, None),
     };
     let known = error.chain().find_map(|e| e.downcast_ref::<Error>());
-    let hint = own.or_else(|| known.and_then(hint));
+    let hint = own.or_else(|| known.and_then(of));
     let fallback = || format!("`stemgen {subcommand} --help` explains every option");
     let option = match error.downcast_ref::<Error>() {
         Some(Error::Set { .. }) => "--set ",
@@ -48,7 +48,7 @@ pub fn report(error: &anyhow::Error, subcommand: &str) -> ExitCode {
 }
 
 /// What would mend an error of the library.
-fn hint(error: &Error) -> Option<String> {
+pub fn of(error: &Error) -> Option<String> {
     match error {
         Error::Io { source, action, .. } => io_hint(source, action).map(str::to_owned),
         Error::Parse { .. } => {

@@ -1,15 +1,8 @@
 //! Whether there is room on the disk for a result, asked before hours of work.
 
+use super::outputs::folder;
 use crate::error::{Error, Result};
 use std::path::Path;
-
-/// The folder of a file.
-fn folder(path: &Path) -> &Path {
-    match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    }
-}
 
 /// Bytes that may still be written on the disk of an existing folder; unknown where the system does
 /// not say.
@@ -40,6 +33,62 @@ pub fn check_space(output: &Path, needed_bytes: u64) -> Result<()> {
     }
 }
 
+/// Fails if the disks of some places have less than what they need together: `needed` is a list of files or folders, of which some
+/// may not be there yet, and bytes.
+///
+/// # Errors
+/// [`Error::DiskSpace`] as [`check_space`].
+pub fn check_places(needed: &[(&Path, u64)]) -> Result<()> {
+    let mut disks: Vec<(Disk, &Path, u64)> = Vec::new();
+    for (path, bytes) in needed {
+        let there = existing(path);
+        let disk = Disk::of(there);
+        match disks.iter_mut().find(|(known, ..)| *known == disk) {
+            Some((.., sum)) => *sum += bytes,
+            None => disks.push((disk, there, *bytes)),
+        }
+    }
+    for (_, there, needed_bytes) in disks {
+        match free_bytes(there) {
+            Some(free_bytes) if free_bytes < needed_bytes => {
+                return Err(Error::DiskSpace { path: there.to_owned(), needed_bytes, free_bytes });
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+/// Bytes that may still be written below a folder that may not be there yet; unknown where the system does not say.
+pub fn free_bytes_below(folder: &Path) -> Option<u64> {
+    free_bytes(existing(folder))
+}
+
+/// The nearest folder on the way to a path that exists.
+fn existing(path: &Path) -> &Path {
+    let above = path.ancestors().filter(|p| !p.as_os_str().is_empty());
+    above.into_iter().find(|p| p.is_dir()).unwrap_or(Path::new("."))
+}
+
+/// The file system of a folder.
+#[derive(PartialEq)]
+struct Disk(Option<u64>);
+
+impl Disk {
+    fn of(folder: &Path) -> Self {
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::MetadataExt;
+            Disk(std::fs::metadata(folder).ok().map(|m| m.dev()))
+        }
+        #[cfg(not(unix))]
+        {
+            let _ = folder;
+            Disk(None)
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -57,5 +106,16 @@ mod tests {
         let message = check_space(&output, 1 << 62).unwrap_err().to_string();
         assert!(message.contains(&folder.path().display().to_string()), "{message}");
         assert!(message.contains("needed") && message.contains("free"), "{message}");
+    }
+
+    #[test]
+    fn places_on_one_disk_are_counted_together() {
+        let folder = tempfile::tempdir().unwrap();
+        let Some(free) = free_bytes(folder.path()) else { return };
+        let (a, b) = (folder.path().join("a.h5"), folder.path().join("new/er/cache"));
+        let most = free / 3 * 2;
+        check_places(&[(&a, most)]).unwrap();
+        check_places(&[(&b, most)]).unwrap();
+        assert!(check_places(&[(&a, most), (&b, most)]).is_err());
     }
 }

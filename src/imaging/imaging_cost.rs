@@ -45,3 +45,12 @@ pub struct ImagingCost {
     /// Probes of each configuration that the particles on a film take.
     pub particle_probes: Option<usize>,
 }
+
+impl ImagingCost {
+    /// Bytes of memory that the largest arrays take on so many threads.
+    pub fn memory_bytes(&self, threads: usize) -> u64 {
+        let runs = [Some(&self.main), self.more.as_ref(), self.largest_block.as_ref()];
+        let most = runs.into_iter().flatten().map(|r| r.cost.memory_bytes(threads)).max();
+        self.image_bytes + most.unwrap_or_default()
+    }
+}
