@@ -1,12 +1,12 @@
 //! `stemgen build`.
 
 use super::build_plan::DryRun;
-use super::common::Common;
+use super::common::{Common, Force};
 use super::hints::{self, hinted};
 use super::plan_report::Lines;
 use super::recipe_args::RecipeArgs;
 use super::values::{self, EngineName as Engine};
-use super::{output, pictures, text};
+use super::{estimate, output, pictures, text};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -60,6 +60,8 @@ pub struct Build {
     no_png: bool,
     #[command(flatten)]
     common: Common,
+    #[command(flatten)]
+    force: Force,
 }
 
 /// How it is simulated.
@@ -163,6 +165,9 @@ impl Build {
         let replace = self.overwrite || build.is_complete(&path);
         check_outputs(outputs, self.recipe.files(&recipe), replace)?;
         DryRun::warnings(&build)?.iter().for_each(|w| reporter.warn(w));
+        let (cost, threads) = (build.cost()?, estimate::threads());
+        let (needed, remedy) = (cost.memory_bytes(threads), cost.memory_remedy(threads));
+        self.force.check_memory(needed, remedy, &reporter)?;
         let companion = picture.as_deref().map(|path| Companion {
             path,
             most_bytes: PICTURE,

@@ -39,12 +39,23 @@ pub fn report(error: &anyhow::Error, subcommand: &str) -> ExitCode {
         Some(Error::Set { .. }) => "--set ",
         _ => "",
     };
-    text::complain(&format!("error: {option}{error:#}"));
+    text::complain(&format!("error: {option}{}", told(error)));
     text::complain(&format!("hint: {}", hint.unwrap_or_else(fallback)));
     match known {
         Some(Error::Interrupted) => ExitCode::from(signals::exit_code()),
         _ => ExitCode::FAILURE,
     }
+}
+
+/// An error and its causes, each said once: some tell their cause themselves.
+fn told(error: &anyhow::Error) -> String {
+    let mut told = error.to_string();
+    for cause in error.chain().skip(1).map(|cause| cause.to_string()) {
+        if !told.contains(&cause) {
+            told = format!("{told}: {cause}");
+        }
+    }
+    told
 }
 
 /// What would mend an error of the library.
@@ -60,6 +71,9 @@ pub fn of(error: &Error) -> Option<String> {
         Error::DiskSpace { .. } | Error::Locked { .. } => {
             Some("--output names another place".into())
         }
+        Error::Memory { .. } => Some(
+            "--window (or --engine window of `stemgen build`) and --threads take less; --force goes on all the same".into(),
+        ),
         Error::UnknownElement(_) => Some("elements H to Lr can be simulated".into()),
         Error::Invalid { setting, .. } | Error::Choice { setting, .. } => {
             Some(format!("see {}", options(*setting)?))
