@@ -32,8 +32,8 @@ Examples:
   From a recipe of your own, with the settings of the published worlds:
     stemgen build --recipe mine.toml --difficulty easy --profile published
 
-Finished sub-tiles are kept in FILE.work until the world is complete: after Ctrl-C or a power
-failure the same command goes on from there.";
+What is done (simulations of the library, the audit, sub-tiles) is kept in the cache and in FILE.work until
+the world and its picture are complete: after Ctrl-C or a power failure the same command goes on from there.";
 
 /// Build a world: a whole annotated specimen and its image
 #[derive(Debug, Args)]
@@ -102,7 +102,8 @@ struct Method {
     #[arg(long, value_name = "PERCENT", value_parser = values::percent, allow_negative_numbers = true)]
     #[arg(conflicts_with_all = ["profile", "interpolation"])]
     max_error: Option<f64>,
-    /// Neither read nor keep the mosaic's simulations in the cache (see `stemgen cache`)
+    /// Neither read nor keep the mosaic's simulations in the cache (see `stemgen cache`); FILE.work keeps them until
+    /// the world is complete
     #[arg(long)]
     no_cache: bool,
     /// Largest width of a sub-tile, which is simulated at once, in nm [default: mosaic: 8; window,

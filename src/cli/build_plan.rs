@@ -8,6 +8,7 @@ use stemgen::engine::check_memory;
 use stemgen::imaging::{MosaicCost, SimulationRuns};
 use stemgen::recipe::Recipe;
 use stemgen::world::WorldBuild;
+use stemgen::world::footprint::PICTURE;
 
 /// What a build would do and take.
 #[derive(Serialize)]
@@ -46,6 +47,7 @@ impl DryRun {
         if let Some(more) = &cost.more {
             plan.add_time(report(more).estimated_range_s);
         }
+        let library = cost.mosaic.as_ref().filter(|m| m.pays).map_or(0, |m| m.missing_bytes);
         let memory = check_memory(plan.memory_bytes, cost.memory_remedy(plan.threads));
         plan.warnings.extend(memory.err().map(|e| e.to_string()));
         Ok(DryRun {
@@ -63,7 +65,7 @@ impl DryRun {
             plan,
             mosaic: cost.mosaic,
             particle_probes: cost.particle_probes,
-            disk_bytes: build.disk_bytes(),
+            disk_bytes: build.disk_bytes() + library + PICTURE,
             output,
         })
     }

@@ -93,15 +93,19 @@ impl Disk {
 mod tests {
     use super::*;
 
+    fn skipped() {
+        let line = "SKIPPED: the free space of the disk is unknown\n";
+        // Not with `eprintln!`, which the test harness keeps to itself.
+        std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes()).unwrap();
+    }
+
     #[test]
     fn a_full_disk_is_found_before_writing() {
         let folder = tempfile::tempdir().unwrap();
         let output = folder.path().join("w.h5");
         check_space(&output, 1).unwrap();
         if free_bytes(folder.path()).is_none() {
-            let line = "SKIPPED: the free space of the disk is unknown\n";
-            // Not with `eprintln!`, which the test harness keeps to itself.
-            return std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes()).unwrap();
+            return skipped();
         }
         let message = check_space(&output, 1 << 62).unwrap_err().to_string();
         assert!(message.contains(&folder.path().display().to_string()), "{message}");
@@ -111,7 +115,7 @@ mod tests {
     #[test]
     fn places_on_one_disk_are_counted_together() {
         let folder = tempfile::tempdir().unwrap();
-        let Some(free) = free_bytes(folder.path()) else { return };
+        let Some(free) = free_bytes(folder.path()) else { return skipped() };
         let (a, b) = (folder.path().join("a.h5"), folder.path().join("new/er/cache"));
         let most = free / 3 * 2;
         check_places(&[(&a, most)]).unwrap();

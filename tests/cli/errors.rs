@@ -42,6 +42,7 @@ fn bad_input_is_explained() {
         for part in parts {
             assert!(told.contains(part), "{arguments:?}: no `{part}` in\n{told}");
         }
+        assert!(told.matches("(os error").count() < 2, "said twice: {told}");
     }
     assert_eq!(std::fs::read(here.join("there.h5")).unwrap(), b"precious");
     assert_eq!(std::fs::read_dir(here).unwrap().count(), 4, "nothing was written");

@@ -23,7 +23,7 @@ fn damage(paths: &[PathBuf]) {
             3 => fs::write(path, "").unwrap(),
             // whole, but of another image
             4 => drop(fs::copy(&paths[(number + 1) % paths.len()], path).unwrap()),
-            _ => fs::write(path, "a text of somebody else").unwrap(),
+            _ => fs::write(path, "a text of somebody else\n".repeat(9)).unwrap(),
         }
     }
 }

@@ -65,6 +65,27 @@ fn small_disks() {
     full_cache(&here.join("cache"));
 }
 
+/// What a build writes is no more than is asked for before it.
+#[test]
+fn what_is_written_was_counted() {
+    use stemgen::recipe::CheckedRecipe;
+    use stemgen::world::footprint::{PICTURE, work_bytes, world_bytes};
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let mut child = build(here, Method::Subtiles).spawn().unwrap();
+    assert!(wait_for(|| here.join("w.h5.work/complete.json").exists()));
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let size = |path: &PathBuf| fs::metadata(path).unwrap().len().next_multiple_of(4096);
+    let work: u64 = files(&here.join("w.h5.work")).iter().map(size).sum();
+    let [world, picture] = Method::Subtiles.expected().each_ref().map(|bytes| bytes.len() as u64);
+    let tiny = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/cli/tiny.toml"));
+    let field = CheckedRecipe::from_file(tiny, None).unwrap().field.clone();
+    assert!(world < world_bytes(&field, 65, false), "{world}");
+    assert!(work < work_bytes(&field, 9), "{work}");
+    assert!(picture < PICTURE, "{picture}");
+}
+
 /// 150 kB hold a world of 70 kB, but not its picture and the sub-tiles.
 fn too_small(place: &Path) {
     disk(place, 150);

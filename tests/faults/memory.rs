@@ -39,7 +39,7 @@ fn what_does_not_fit_is_refused_unless_forced() {
     }
     let world = ["build", "srtio3", "--difficulty", "easy", "--grid", "1x1", "-o", "w.h5"];
     let exact = ["--engine", "multislice", "--subtile", "8", "--threads", "2"];
-    let ended = limited(here, 1_000_000, &[&world[..], &exact].concat());
+    let ended = limited(here, 500_000, &[&world[..], &exact].concat());
     let told = stderr(&ended);
     assert_eq!(ended.status.code(), Some(1), "{told}");
     assert!(told.contains("of memory are needed") && told.contains("--force"), "{told}");
