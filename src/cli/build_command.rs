@@ -32,8 +32,9 @@ Examples:
   From a recipe of your own, with the settings of the published worlds:
     stemgen build --recipe mine.toml --difficulty easy --profile published
 
-What is done (simulations of the library, the audit, sub-tiles) is kept in the cache and in FILE.work until
-the world and its picture are complete: after Ctrl-C or a power failure the same command goes on from there.";
+What is done (simulations of the library, the audit, sub-tiles) is kept in the cache and in
+FILE.work until the world and its picture are complete: after Ctrl-C or a power failure the same
+command goes on from there.";
 
 /// Build a world: a whole annotated specimen and its image
 #[derive(Debug, Args)]
