@@ -84,6 +84,7 @@ fn hit_all(signal: &str, code: Option<i32>, count: usize, seed: u64) -> usize {
     let mut random = StdRng::seed_from_u64(seed);
     let mut met = 0;
     for stage in STAGES {
+        println!("{signal} {}: {count} builds", stage.name);
         for number in 0..count {
             let what = format!("{signal} {} {number}, seed {seed}", stage.name);
             let folder = tempfile::tempdir().unwrap();
