@@ -164,17 +164,20 @@ impl Build {
         }
         let picture = (!self.no_png).then(|| path.with_extension("png"));
         let outputs = [Some(&path), picture.as_ref()].into_iter().flatten();
-        let replace = self.overwrite || build.is_complete(&path);
-        check_outputs(outputs, self.recipe.files(&recipe), replace)?;
-        DryRun::warnings(&build)?.iter().for_each(|w| reporter.warn(w));
-        let (cost, threads) = (build.cost()?, estimate::threads());
-        let (needed, remedy) = (cost.memory_bytes(threads), cost.memory_remedy(threads));
-        self.force.check_memory(needed, remedy, &reporter)?;
+        let complete = build.is_complete(&path);
+        check_outputs(outputs, self.recipe.files(&recipe), self.overwrite || complete)?;
         let companion = picture.as_deref().map(|path| Companion {
             path,
             most_bytes: PICTURE,
             content: &pictures::of_world,
         });
+        if !complete {
+            build.check_disk(&path, companion.as_ref())?;
+            DryRun::warnings(&build)?.iter().for_each(|w| reporter.warn(w));
+            let (cost, threads) = (build.cost()?, estimate::threads());
+            let (needed, remedy) = (cost.memory_bytes(threads), cost.memory_remedy(threads));
+            self.force.check_memory(needed, remedy, &reporter)?;
+        }
         let summary = build
             .run_with(&path, companion.as_ref(), &reporter)
             .map_err(|e| with_what_is_kept(e, &path))?;

@@ -3,7 +3,7 @@
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
 use super::build_options::{BuildOptions, BuildPolicy};
@@ -59,15 +59,10 @@ pub fn build(
 pub struct WorldBuild {
     layout: BuildLayout,
     policy: BuildPolicy,
-    imager: BuildImager,
-}
-
-/// What makes the images of a build.
-enum BuildImager {
-    /// What the options choose.
-    Chosen(ChosenImager),
-    /// One that was given.
-    Own(Box<dyn RegionImager>),
+    /// An imager that takes the place of what the options choose.
+    own: Option<Box<dyn RegionImager>>,
+    /// What the options choose: the field has to be looked at for it, once.
+    chosen: OnceLock<ChosenImager>,
 }
 
 impl WorldBuild {
@@ -77,8 +72,7 @@ impl WorldBuild {
     /// Those of the options and the specimen.
     pub fn new(recipe: &CheckedRecipe, options: &BuildOptions) -> Result<Self> {
         let (specimen, policy) = (specimen(recipe)?, options.policy(recipe)?);
-        let imager = BuildImager::Chosen(policy.imaging.chosen(recipe, &specimen)?);
-        WorldBuild::of_parts(recipe, options, specimen, policy, imager)
+        WorldBuild::of_parts(recipe, options, specimen, policy, None)
     }
 
     /// A build whose images come from an imager of one's own; `imager` makes it for the specimen that was laid out.
@@ -92,8 +86,8 @@ impl WorldBuild {
         imager: impl FnOnce(&Arc<dyn Specimen>) -> Result<Box<dyn RegionImager>>,
     ) -> Result<Self> {
         let specimen = specimen(recipe)?;
-        let imager = BuildImager::Own(imager(&specimen)?);
-        WorldBuild::of_parts(recipe, options, specimen, options.policy(recipe)?, imager)
+        let own = Some(imager(&specimen)?);
+        WorldBuild::of_parts(recipe, options, specimen, options.policy(recipe)?, own)
     }
 
     fn of_parts(
@@ -101,7 +95,7 @@ impl WorldBuild {
         options: &BuildOptions,
         specimen: Arc<dyn Specimen>,
         policy: BuildPolicy,
-        imager: BuildImager,
+        own: Option<Box<dyn RegionImager>>,
     ) -> Result<Self> {
         let field = &recipe.field;
         let shape = field.pixels(field.built_grid());
@@ -109,7 +103,7 @@ impl WorldBuild {
         let partition = Partition::new(shape, field.pixel_nm(), size, overlap)?;
         let (recipe, options) = (recipe.clone(), options.clone());
         let layout = BuildLayout { recipe, specimen, options, partition };
-        Ok(WorldBuild { layout, policy, imager })
+        Ok(WorldBuild { layout, policy, own, chosen: OnceLock::new() })
     }
 
     /// The specimen.
@@ -144,10 +138,19 @@ impl WorldBuild {
     /// Those of the plan.
     pub fn cost(&self) -> Result<ImagingCost> {
         let (count, shape) = self.subtiles();
-        match &self.imager {
-            BuildImager::Own(imager) => imager.cost(shape, count),
-            BuildImager::Chosen(chosen) => chosen.cost(shape, count),
+        match &self.own {
+            Some(imager) => imager.cost(shape, count),
+            None => self.chosen()?.cost(shape, count),
         }
+    }
+
+    fn chosen(&self) -> Result<&ChosenImager> {
+        if let Some(chosen) = self.chosen.get() {
+            return Ok(chosen);
+        }
+        let BuildLayout { recipe, specimen, .. } = &self.layout;
+        let chosen = self.policy.imaging.chosen(recipe, specimen)?;
+        Ok(self.chosen.get_or_init(|| chosen))
     }
 
     /// Bytes on disk that the build needs beside its output, sub-tiles included; the cache and a companion come on top.
@@ -223,9 +226,22 @@ impl WorldBuild {
         // First, so that unfinished files are known to be of a build.
         work.create()?;
         try_partial(output)?;
-        self.check_space(output, work, companion)?;
-        let WorldBuild { layout, policy, imager } = self;
-        let (imager, audit) = prepared(&layout, &policy, imager, work, progress)?;
+        self.check_disk(output, companion)?;
+        if self.own.is_none() {
+            self.check_space(output, companion, self.library_bytes()?)?;
+        }
+        let WorldBuild { layout, policy, own, chosen } = self;
+        let (imager, audit) = match own {
+            Some(mut imager) => {
+                imager.prepare(progress)?;
+                (imager, None)
+            }
+            None => {
+                let again = || policy.imaging.chosen(&layout.recipe, &layout.specimen);
+                let first = chosen.into_inner().map_or_else(again, Ok)?;
+                checked(&layout, &policy, first, work, progress)?
+            }
+        };
         let job = Job { layout: &layout, imager: &*imager, audit, progress };
         let store = work.subtiles(&job.key(), progress)?;
         let resumed = job.simulate(&store)?;
@@ -254,19 +270,28 @@ impl WorldBuild {
         request.to_string()
     }
 
-    /// Finds before any work that a disk has no room for what will be written.
+    /// Finds, without looking at the field, that a disk has no room for what will be written.
+    ///
+    /// # Errors
+    /// [`Error::DiskSpace`].
+    pub fn check_disk(&self, output: &Path, companion: Option<&Companion>) -> Result<()> {
+        self.check_space(output, companion, 0)
+    }
+
+    /// Bytes on disk of the library's images that are yet to be made.
+    fn library_bytes(&self) -> Result<u64> {
+        let (count, shape) = self.subtiles();
+        let mosaic = self.chosen()?.imager.cost(shape, count)?.mosaic;
+        Ok(mosaic.map_or(0, |m| m.missing_bytes))
+    }
+
     fn check_space(
         &self,
         output: &Path,
-        work: &WorkFolder,
         companion: Option<&Companion>,
+        library: u64,
     ) -> Result<()> {
-        let library = match &self.imager {
-            BuildImager::Own(_) => 0,
-            BuildImager::Chosen(_) => {
-                self.cost()?.mosaic.filter(|m| m.pays).map_or(0, |m| m.missing_bytes)
-            }
-        };
+        let work = WorkFolder::of(output);
         // A cache without room is no fault: the work folder then keeps what it can.
         let cache = self.policy.imaging.cache.folder();
         let cache = cache.filter(|f| disk_space::free_bytes_below(f).is_none_or(|b| b > library));
@@ -283,28 +308,20 @@ impl WorldBuild {
     }
 }
 
-/// The imager of a build, ready, and its audit.
-fn prepared(
+/// An imager that is right enough, ready, and its audit.
+fn checked(
     layout: &BuildLayout,
     policy: &BuildPolicy,
-    imager: BuildImager,
+    mut first: ChosenImager,
     work: &WorkFolder,
     progress: &dyn Progress,
 ) -> Result<(Box<dyn RegionImager>, Option<Audit>)> {
-    match imager {
-        BuildImager::Own(mut imager) => {
-            imager.prepare(progress)?;
-            Ok((imager, None))
-        }
-        BuildImager::Chosen(mut first) => {
-            let BuildPolicy { imaging, check, .. } = policy;
-            first.imager.keep_in(&work.library());
-            let cache = imaging.cache.clone().with_fallback(work.library());
-            let imaging = ImagingChoice { cache, ..imaging.clone() };
-            let (recipe, specimen) = (&layout.recipe, &layout.specimen);
-            imaging.checked_imager(recipe, specimen, first, (check, &work.audits()), progress)
-        }
-    }
+    let BuildPolicy { imaging, check, .. } = policy;
+    first.imager.keep_in(&work.library());
+    let cache = imaging.cache.clone().with_fallback(work.library());
+    let imaging = ImagingChoice { cache, ..imaging.clone() };
+    let BuildLayout { recipe, specimen, .. } = layout;
+    imaging.checked_imager(recipe, specimen, first, (check, &work.audits()), progress)
 }
 
 /// `path` with an ending that tells that the file is not finished.
