@@ -76,6 +76,20 @@ pub enum Error {
         /// What is free.
         free_bytes: u64,
     },
+    /// There is less memory than a simulation will take.
+    #[error(
+        "about {} of memory are needed and {} are free; {remedy}",
+        megabytes(*needed_bytes),
+        megabytes(*free_bytes)
+    )]
+    Memory {
+        /// Estimate of the largest arrays.
+        needed_bytes: u64,
+        /// What this process may still take.
+        free_bytes: u64,
+        /// What takes less.
+        remedy: String,
+    },
     /// Another process is writing the same output.
     #[error("{}: is being written by {holder}; wait for it, or name another output", path.display())]
     Locked {

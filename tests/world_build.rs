@@ -13,7 +13,7 @@ use common::{Spots, build};
 use stemgen::io::WorldFile;
 use stemgen::progress::{Progress, Silent};
 use stemgen::recipe::{Difficulty, Recipe};
-use stemgen::world::BuildOptions;
+use stemgen::world::{BuildOptions, footprint};
 use stemgen::{Error, Result};
 
 fn recipe(rows: usize, columns: usize) -> Recipe {
@@ -72,6 +72,9 @@ fn h5py_finds_the_published_schema() {
         assert_eq!(summary.grid, [2, 3]);
         assert!(summary.subtiles > 6 && summary.subtiles_resumed == 0, "{summary:?}");
         assert_schema(&path);
+        let most = footprint::world_bytes(&recipe.field, summary.counts.sites, keep_clean);
+        let size = std::fs::metadata(&path).unwrap().len();
+        assert!(size <= most, "{material}: {size} bytes, {most} expected");
     }
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 4, "nothing else is left");
 }

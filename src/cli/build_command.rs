@@ -1,12 +1,12 @@
 //! `stemgen build`.
 
 use super::build_plan::DryRun;
-use super::common::Common;
-use super::hints::hinted;
+use super::common::{Common, Force};
+use super::hints::{self, hinted};
 use super::plan_report::Lines;
 use super::recipe_args::RecipeArgs;
 use super::values::{self, EngineName as Engine};
-use super::{output, pictures, text};
+use super::{estimate, output, pictures, text};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -16,7 +16,10 @@ use stemgen::imaging::{Audit, Cache};
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
 use stemgen::recipe::{Difficulty, Recipe};
-use stemgen::world::{BuildMethod, BuildOptions, BuildProfile, BuildSummary, WorldBuild};
+use stemgen::world::footprint::PICTURE;
+use stemgen::world::{
+    BuildMethod, BuildOptions, BuildProfile, BuildSummary, Companion, WorldBuild, work_folder,
+};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -29,8 +32,9 @@ Examples:
   From a recipe of your own, with the settings of the published worlds:
     stemgen build --recipe mine.toml --difficulty easy --profile published
 
-Finished sub-tiles are kept in FILE.work until the world is complete: after Ctrl-C or a power
-failure the same command goes on from there.";
+What is done (simulations of the library, the audit, sub-tiles) is kept in the cache and in
+FILE.work until the world and its picture are complete: after Ctrl-C or a power failure the same
+command goes on from there.";
 
 /// Build a world: a whole annotated specimen and its image
 #[derive(Debug, Args)]
@@ -57,6 +61,8 @@ pub struct Build {
     no_png: bool,
     #[command(flatten)]
     common: Common,
+    #[command(flatten)]
+    force: Force,
 }
 
 /// How it is simulated.
@@ -97,7 +103,8 @@ struct Method {
     #[arg(long, value_name = "PERCENT", value_parser = values::percent, allow_negative_numbers = true)]
     #[arg(conflicts_with_all = ["profile", "interpolation"])]
     max_error: Option<f64>,
-    /// Neither read nor keep the mosaic's simulations in the cache (see `stemgen cache`)
+    /// Neither read nor keep the mosaic's simulations in the cache (see `stemgen cache`); FILE.work keeps them until
+    /// the world is complete
     #[arg(long)]
     no_cache: bool,
     /// Largest width of a sub-tile, which is simulated at once, in nm [default: mosaic: 8; window,
@@ -157,13 +164,24 @@ impl Build {
         }
         let picture = (!self.no_png).then(|| path.with_extension("png"));
         let outputs = [Some(&path), picture.as_ref()].into_iter().flatten();
-        check_outputs(outputs, self.recipe.files(&recipe), self.overwrite)?;
-        DryRun::warnings(&build)?.iter().for_each(|w| reporter.warn(w));
-        let summary = build.run(&path, &reporter).map_err(|e| interrupted(e, &path))?;
-        let world = WorldFile::open(&path)?;
-        if let Some(picture) = &picture {
-            pictures::write_world(picture, &world)?;
+        let complete = build.is_complete(&path);
+        check_outputs(outputs, self.recipe.files(&recipe), self.overwrite || complete)?;
+        let companion = picture.as_deref().map(|path| Companion {
+            path,
+            most_bytes: PICTURE,
+            content: &pictures::of_world,
+        });
+        if !complete {
+            build.check_disk(&path, companion.as_ref())?;
+            DryRun::warnings(&build)?.iter().for_each(|w| reporter.warn(w));
+            let (cost, threads) = (build.cost()?, estimate::threads());
+            let (needed, remedy) = (cost.memory_bytes(threads), cost.memory_remedy(threads));
+            self.force.check_memory(needed, remedy, &reporter)?;
         }
+        let summary = build
+            .run_with(&path, companion.as_ref(), &reporter)
+            .map_err(|e| with_what_is_kept(e, &path))?;
+        let world = WorldFile::open(&path)?;
         let built = self.built(&recipe, &summary, &world, picture)?;
         self.common.print(&built, &built.text())
     }
@@ -230,17 +248,18 @@ impl Build {
     }
 }
 
-/// An interruption, with what to do next.
-fn interrupted(error: stemgen::Error, path: &Path) -> anyhow::Error {
-    match error {
-        stemgen::Error::Interrupted => {
-            let kept = format!(
-                "{}.work keeps the finished sub-tiles; the same command goes on from there",
-                path.display()
-            );
-            hinted(error, kept)
+/// A failure, with what an earlier run has left to go on from.
+fn with_what_is_kept(error: stemgen::Error, path: &Path) -> anyhow::Error {
+    let work = work_folder(path);
+    let kept =
+        format!("{} keeps what is done; the same command goes on from there", work.display());
+    match (error, work.is_dir()) {
+        (error @ stemgen::Error::Interrupted, true) => hinted(error, kept),
+        (error, true) => {
+            let hint = hints::of(&error).map(|hint| format!("{hint}; "));
+            hinted(error, hint.unwrap_or_default() + &kept)
         }
-        other => other.into(),
+        (error, false) => error.into(),
     }
 }
 

@@ -1,15 +1,14 @@
 //! What `stemgen build` would do and take.
 
 use super::plan_report::{Lines, PlanReport};
-use super::{estimate, text};
+use super::text;
 use serde::Serialize;
 use std::path::PathBuf;
+use stemgen::engine::check_memory;
 use stemgen::imaging::{MosaicCost, SimulationRuns};
 use stemgen::recipe::Recipe;
 use stemgen::world::WorldBuild;
-
-/// What to do where the arrays do not fit into memory.
-const REMEDY: &str = "a smaller --subtile or fewer --threads take less";
+use stemgen::world::footprint::PICTURE;
 
 /// What a build would do and take.
 #[derive(Serialize)]
@@ -44,15 +43,13 @@ impl DryRun {
         let pixel = field.pixel_nm();
         let (subtiles, shape) = build.subtiles();
         let mut plan = report(&cost.main);
-        plan.memory_bytes += cost.image_bytes;
+        plan.memory_bytes = cost.memory_bytes(plan.threads);
         if let Some(more) = &cost.more {
-            plan.estimated_time_s += report(more).estimated_time_s;
+            plan.add_time(report(more).estimated_range_s);
         }
-        if let Some(block) = &cost.largest_block {
-            let memory = cost.image_bytes + report(block).memory_bytes;
-            plan.memory_bytes = plan.memory_bytes.max(memory);
-        }
-        plan.warnings.extend(estimate::memory_warning(plan.memory_bytes, REMEDY));
+        let library = cost.mosaic.as_ref().filter(|m| m.pays).map_or(0, |m| m.missing_bytes);
+        let memory = check_memory(plan.memory_bytes, cost.memory_remedy(plan.threads));
+        plan.warnings.extend(memory.err().map(|e| e.to_string()));
         Ok(DryRun {
             material: recipe.id.clone(),
             zone_axis: recipe.zone_axis.clone(),
@@ -68,7 +65,7 @@ impl DryRun {
             plan,
             mosaic: cost.mosaic,
             particle_probes: cost.particle_probes,
-            disk_bytes: build.disk_bytes(),
+            disk_bytes: build.disk_bytes() + library + PICTURE,
             output,
         })
     }
@@ -76,9 +73,7 @@ impl DryRun {
     /// What is to be said before a build, without the time that an estimate takes.
     pub fn warnings(build: &WorldBuild) -> anyhow::Result<Vec<String>> {
         let (subtile, _) = build.subtile_plan()?;
-        let plan = report(&SimulationRuns { runs: 0, ..subtile });
-        let memory = estimate::memory_warning(plan.memory_bytes, REMEDY);
-        Ok(plan.warnings.into_iter().chain(memory).collect())
+        Ok(report(&SimulationRuns { runs: 0, ..subtile }).warnings)
     }
 
     /// Name and value, line by line.

@@ -3,6 +3,8 @@
 use super::progress_bar::Reporter;
 use anyhow::Context;
 use clap::Args;
+use stemgen::engine::check_memory;
+use stemgen::progress::Progress;
 
 /// Running and reporting.
 #[derive(Debug, Args)]
@@ -22,13 +24,40 @@ pub struct Common {
     pub quiet: bool,
 }
 
+/// What is refused otherwise.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Running")]
+pub struct Force {
+    /// Go on though more memory is needed than is free
+    #[arg(long)]
+    force: bool,
+}
+
+impl Force {
+    /// Refuses, or with `--force` warns of, what needs more memory than is free. `remedy` takes less.
+    pub fn check_memory(
+        &self,
+        needed_bytes: u64,
+        remedy: &str,
+        reporter: &Reporter,
+    ) -> stemgen::Result<()> {
+        match check_memory(needed_bytes, remedy) {
+            Err(e) if self.force => {
+                reporter.warn(&e.to_string());
+                Ok(())
+            }
+            checked => checked,
+        }
+    }
+}
+
 impl Common {
-    /// Sets the number of threads and takes over Ctrl-C.
+    /// Sets the number of threads.
     pub fn start(&self) -> anyhow::Result<Reporter> {
         let threads = self.threads.map_or(0, usize::from);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
         pool.build_global().context("cannot start the threads")?;
-        Reporter::new(self.quiet)
+        Ok(Reporter::new(self.quiet))
     }
 
     /// Prints the summary as asked for.

@@ -1,7 +1,6 @@
 //! Errors on standard error, each with a hint.
 
-use super::progress_bar::INTERRUPTED;
-use super::text;
+use super::{signals, text};
 use std::process::ExitCode;
 use stemgen::{Error, Setting};
 
@@ -34,34 +33,33 @@ pub fn report(error: &anyhow::Error, subcommand: &str) -> ExitCode {
         None => (error, None),
     };
     let known = error.chain().find_map(|e| e.downcast_ref::<Error>());
-    let hint = own.or_else(|| known.and_then(hint));
+    let hint = own.or_else(|| known.and_then(of));
     let fallback = || format!("`stemgen {subcommand} --help` explains every option");
     let option = match error.downcast_ref::<Error>() {
         Some(Error::Set { .. }) => "--set ",
         _ => "",
     };
-    text::complain(&format!("error: {option}{}", reasons(error)));
+    text::complain(&format!("error: {option}{}", told(error)));
     text::complain(&format!("hint: {}", hint.unwrap_or_else(fallback)));
     match known {
-        Some(Error::Interrupted) => ExitCode::from(INTERRUPTED),
+        Some(Error::Interrupted) => ExitCode::from(signals::exit_code()),
         _ => ExitCode::FAILURE,
     }
 }
 
-/// What went wrong, and why: causes that were not told already.
-fn reasons(error: &anyhow::Error) -> String {
-    let mut told = String::new();
-    for cause in error.chain().map(ToString::to_string).filter(|cause| !cause.is_empty()) {
+/// An error and its causes, each said once: some tell their cause themselves.
+fn told(error: &anyhow::Error) -> String {
+    let mut told = error.to_string();
+    for cause in error.chain().skip(1).map(|cause| cause.to_string()) {
         if !told.contains(&cause) {
-            told += if told.is_empty() { "" } else { ": " };
-            told += &cause;
+            told = format!("{told}: {cause}");
         }
     }
     told
 }
 
 /// What would mend an error of the library.
-fn hint(error: &Error) -> Option<String> {
+pub fn of(error: &Error) -> Option<String> {
     match error {
         Error::Io { source, action, .. } => io_hint(source, action).map(str::to_owned),
         Error::Parse { .. } => {
@@ -73,6 +71,9 @@ fn hint(error: &Error) -> Option<String> {
         Error::DiskSpace { .. } | Error::Locked { .. } => {
             Some("--output names another place".into())
         }
+        Error::Memory { .. } => Some(
+            "--window (or --engine window of `stemgen build`) and --threads take less; --force goes on all the same".into(),
+        ),
         Error::UnknownElement(_) => Some("elements H to Lr can be simulated".into()),
         Error::Invalid { setting, .. } | Error::Choice { setting, .. } => {
             Some(format!("see {}", options(*setting)?))

@@ -67,7 +67,7 @@ struct Rate {
 impl List {
     /// Runs the subcommand.
     pub fn run(self) -> anyhow::Result<()> {
-        let reporter = Reporter::new(self.quiet)?;
+        let reporter = Reporter::new(self.quiet);
         let names: Vec<String> = match &self.material {
             Some(name) => vec![name.clone()],
             None => Recipe::built_in().map(str::to_owned).collect(),

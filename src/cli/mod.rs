@@ -18,6 +18,7 @@ mod progress_bar;
 mod recipe_args;
 mod scan_args;
 mod show_recipe_command;
+mod signals;
 mod simulate_command;
 mod specimen_command;
 mod structure_args;
@@ -67,6 +68,9 @@ enum Command {
 /// Runs the program and reports what went wrong.
 pub fn main() -> ExitCode {
     let done = |()| ExitCode::SUCCESS;
+    if let Err(error) = signals::listen() {
+        text::complain(&format!("warning: Ctrl-C ends the program at once: {error}"));
+    }
     let (name, result) = match Cli::parse().command {
         Command::Simulate(command) => ("simulate", command.run().map(done)),
         Command::Build(command) => ("build", command.run().map(done)),

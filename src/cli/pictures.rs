@@ -3,6 +3,7 @@
 use ndarray::{Array2, ArrayView2};
 use std::f64::consts::PI;
 use std::path::Path;
+use stemgen::files::atomic_write;
 use stemgen::io::WorldFile;
 use stemgen::io::image_file::ImageStack;
 use stemgen::io::schema::OVERVIEW_FACTOR;
@@ -19,12 +20,7 @@ const WHOLE_WORLD: usize = 3000;
 
 /// Writes an image with pixels of `step` (x, y) Angstrom.
 pub fn write(path: &Path, image: ArrayView2<f32>, step: [f64; 2]) -> anyhow::Result<()> {
-    let (image, pixel) = resampled(image, step);
-    let (rows, columns) = image.dim();
-    let values: Vec<f32> = image.into_iter().collect();
-    let mut picture = Picture::new(&values, [rows, columns])?;
-    picture.pixel_angstrom = Some(pixel);
-    Ok(picture.write_png(path)?)
+    Ok(atomic_write::write(path, &png(image, step)?)?)
 }
 
 /// Writes a page of images of one scan.
@@ -49,14 +45,24 @@ pub fn write_page(
     Ok(page.page()?.write(path)?)
 }
 
-/// Writes the whole of a world.
-pub fn write_world(path: &Path, world: &WorldFile) -> anyhow::Result<()> {
+/// The whole of a world as a PNG.
+pub fn of_world(world: &WorldFile) -> stemgen::Result<Vec<u8>> {
     let [rows, columns] = world.shape();
     let pixel = 10.0 * world.metadata().pixel_size_nm;
     if rows.max(columns) <= WHOLE_WORLD {
-        return write(path, world.stitched(0..rows, 0..columns)?.view(), [pixel; 2]);
+        return png(world.stitched(0..rows, 0..columns)?.view(), [pixel; 2]);
     }
-    write(path, world.overview()?.view(), [pixel * OVERVIEW_FACTOR as f64; 2])
+    png(world.overview()?.view(), [pixel * OVERVIEW_FACTOR as f64; 2])
+}
+
+/// An image with pixels of `step` (x, y) Angstrom as a PNG.
+fn png(image: ArrayView2<f32>, step: [f64; 2]) -> stemgen::Result<Vec<u8>> {
+    let (image, pixel) = resampled(image, step);
+    let (rows, columns) = image.dim();
+    let values: Vec<f32> = image.into_iter().collect();
+    let mut picture = Picture::new(&values, [rows, columns])?;
+    picture.pixel_angstrom = Some(pixel);
+    picture.png()
 }
 
 /// The image with square pixels, enlarged to about [`ENLARGED`] if it is small, and that pixel.

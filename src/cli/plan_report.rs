@@ -33,8 +33,10 @@ pub struct PlanReport {
     pub memory_bytes: u64,
     /// Threads.
     pub threads: usize,
-    /// Estimated time in seconds, from the speed of transforms measured now.
+    /// Estimated time in seconds, from the speed of transforms measured now: the middle of the range.
     pub estimated_time_s: f64,
+    /// The least, on a machine that does nothing else, and the most, with what else runs now.
+    pub estimated_range_s: [f64; 2],
     /// Things to know.
     pub warnings: Vec<String>,
 }
@@ -87,6 +89,7 @@ impl PlanReport {
             thickest_angstrom: thickness.fold(0.0, f64::max),
         };
         let threads = estimate::threads();
+        let estimated_range_s = estimate::seconds(plan, cost, runs);
         PlanReport {
             algorithm: plan.settings.algorithm,
             wave_grid: (&plan.wave_grid).into(),
@@ -101,7 +104,8 @@ impl PlanReport {
             probes: cost.probes,
             memory_bytes: cost.memory_bytes(threads),
             threads,
-            estimated_time_s: estimate::seconds(plan, cost, runs),
+            estimated_time_s: middle(estimated_range_s),
+            estimated_range_s,
             warnings: plan.warnings.clone(),
         }
     }
@@ -139,22 +143,29 @@ impl PlanReport {
         );
     }
 
+    /// Adds the time of other simulations.
+    pub fn add_time(&mut self, [least, most]: [f64; 2]) {
+        self.estimated_range_s[0] += least;
+        self.estimated_range_s[1] += most;
+        self.estimated_time_s = middle(self.estimated_range_s);
+    }
+
     /// Memory, time and warnings.
     pub fn costs(&self, out: &mut Lines) {
         out.add("memory", format!("about {}", text::bytes(self.memory_bytes)));
         let plural = if self.threads == 1 { "thread" } else { "threads" };
-        let time = text::duration(self.estimated_time_s);
-        out.add(
-            "time",
-            format!(
-                "about {time} on {} {plural} (estimate from a short measurement)",
-                self.threads
-            ),
-        );
+        let time = text::duration_range(self.estimated_range_s);
+        let measured = format!("{time} on {} {plural} (from a short measurement)", self.threads);
+        out.add("time", measured);
         for warning in &self.warnings {
             out.add("warning", warning.clone());
         }
     }
+}
+
+/// The middle of a range that is known up to a factor.
+fn middle([least, most]: [f64; 2]) -> f64 {
+    (least * most).sqrt()
 }
 
 /// One line about an algorithm.

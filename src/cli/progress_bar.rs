@@ -1,27 +1,23 @@
-//! Progress on standard error: bars on a terminal, lines elsewhere; Ctrl-C.
+//! Progress on standard error: bars on a terminal, lines elsewhere.
 
-use super::text;
-use anyhow::Context;
+use super::{signals, text};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::collections::VecDeque;
 use std::io::IsTerminal;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use stemgen::progress::Progress;
 
-/// Exit code after Ctrl-C, as shells have it.
-pub const INTERRUPTED: u8 = 130;
 /// Lines of progress: the first after, then every.
 const FIRST_LINE: Duration = Duration::from_secs(2);
 const LINE_EVERY: Duration = Duration::from_secs(8);
 /// The rate is that of the last so many seconds.
 const RATE_WINDOW: Duration = Duration::from_secs(60);
 
-/// Draws progress and notes interruptions.
+/// Draws progress.
 pub struct Reporter {
     mode: Mode,
-    interrupted: Arc<AtomicBool>,
     begun: Instant,
     done: AtomicU64,
     found: AtomicU64,
@@ -53,31 +49,21 @@ struct Meter {
 }
 
 impl Reporter {
-    /// Takes over Ctrl-C and SIGTERM.
-    pub fn new(quiet: bool) -> anyhow::Result<Self> {
+    /// Tells nothing if `quiet`.
+    pub fn new(quiet: bool) -> Self {
         let mode = match (quiet, std::io::stderr().is_terminal()) {
             (true, _) => Mode::Quiet,
             (false, true) => Mode::Bars,
             (false, false) => Mode::Lines,
         };
-        let interrupted = Arc::new(AtomicBool::new(false));
-        let flag = Arc::clone(&interrupted);
-        let handler = move || {
-            if flag.swap(true, Relaxed) {
-                std::process::exit(i32::from(INTERRUPTED));
-            }
-            text::complain("\nstopping; press Ctrl-C again to stop at once");
-        };
-        ctrlc::set_handler(handler).context("cannot listen for Ctrl-C")?;
-        Ok(Reporter {
+        Reporter {
             mode,
-            interrupted,
             begun: Instant::now(),
             done: AtomicU64::new(0),
             found: AtomicU64::new(0),
             next_ms: AtomicU64::new(0),
             stage: Mutex::new(None),
-        })
+        }
     }
 
     fn stage(&self) -> MutexGuard<'_, Option<BarStage>> {
@@ -151,7 +137,7 @@ impl Progress for Reporter {
     }
 
     fn interrupted(&self) -> bool {
-        self.interrupted.load(Relaxed)
+        signals::asked_to_stop()
     }
 }
 

@@ -1,6 +1,6 @@
 //! `stemgen simulate`.
 
-use super::common::Common;
+use super::common::{Common, Force};
 use super::imaging_args::{self, MicroscopeArgs, NumericsArgs};
 use super::plan_report::{self, Lines, PlanReport};
 use super::plane_wave::{self, Conventional};
@@ -14,7 +14,7 @@ use ndarray::{ArrayView3, Axis};
 use serde::Serialize;
 use std::path::PathBuf;
 use std::time::Instant;
-use stemgen::engine::{Cost, Images, Plan, ProbeRaster, Scan, Settings, simulate};
+use stemgen::engine::{Cost, Images, Plan, ProbeRaster, Scan, Settings, check_memory, simulate};
 use stemgen::files::outputs::check_outputs;
 use stemgen::io::image_file::{ExitWaves, ImageStack, Origin, write_images};
 use stemgen::progress::Progress;
@@ -54,6 +54,8 @@ pub struct Simulate {
     results: Results,
     #[command(flatten)]
     common: Common,
+    #[command(flatten)]
+    force: Force,
 }
 
 /// What is written.
@@ -149,7 +151,7 @@ impl Simulate {
         let scan = self.scan(&plan, &specimen)?;
         let mut warnings = plan.warnings.clone();
         warnings.extend(warning);
-        warnings.extend(self.warnings(&plan, &specimen, &scan));
+        warnings.extend(self.warnings(&specimen));
         if self.common.dry_run {
             return self.dry_run(&plan, &specimen, &scan, warnings);
         }
@@ -163,6 +165,8 @@ impl Simulate {
         let outputs = std::iter::once(output.as_path()).chain(pictured).chain(page.as_deref());
         check_outputs(outputs, [&self.specimen.structure], self.results.overwrite)?;
         warnings.iter().for_each(|w| reporter.warn(w));
+        let (needed, remedy) = self.memory(&plan, &scan);
+        self.force.check_memory(needed, remedy, &reporter)?;
         self.execute(&plan, &specimen, &scan, &pictures, &reporter)
     }
 
@@ -191,8 +195,8 @@ impl Simulate {
         self.scan.scan([x, y], &plan.settings.optics)
     }
 
-    /// Warnings about the specimen and memory.
-    fn warnings(&self, plan: &Plan, specimen: &Prepared, scan: &Scan) -> Vec<String> {
+    /// Warnings about the specimen.
+    fn warnings(&self, specimen: &Prepared) -> Vec<String> {
         let mut warnings = Vec::new();
         let [x, y, _] = specimen.size;
         if !self.results.plane_wave && x.min(y) < NARROW_CELL_ANGSTROM {
@@ -205,10 +209,15 @@ impl Simulate {
                 given[2]
             ));
         }
-        let needed = Cost::new(plan, scan).memory_bytes(estimate::threads());
-        let remedy = "a smaller cell, fewer --threads or less --oversampling take less";
-        warnings.extend(estimate::memory_warning(needed, remedy));
         warnings
+    }
+
+    /// Bytes that the run takes, and what takes less.
+    fn memory(&self, plan: &Plan, scan: &Scan) -> (u64, &'static str) {
+        let threads = estimate::threads();
+        let probes = if self.results.plane_wave { 1 } else { scan.len() };
+        let cost = Cost::new(plan, scan).for_probes(probes);
+        (cost.memory_bytes(threads), cost.memory_remedy(threads))
     }
 
     fn dry_run(
@@ -221,6 +230,9 @@ impl Simulate {
         let raster = ProbeRaster::new(plan, scan)?;
         let waves = if self.results.plane_wave { 1 } else { raster.scan().len() };
         let cost = Cost::with_atoms(plan, scan, &specimen.sites).for_probes(waves);
+        let mut warnings = warnings;
+        let (needed, remedy) = self.memory(plan, scan);
+        warnings.extend(check_memory(needed, remedy).err().map(|e| e.to_string()));
         let report = PlanReport { warnings, ..PlanReport::new(plan, &cost, 1) };
         let scan_report = ScanReport {
             origin_angstrom: scan.origin_angstrom,

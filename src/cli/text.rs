@@ -46,6 +46,14 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
+/// `2 to 5 s`, `40 s to 2 min 10 s`: from the least to the most.
+pub fn duration_range([least, most]: [f64; 2]) -> String {
+    match [least, most].map(duration) {
+        [a, b] if a == b => format!("about {a}"),
+        [a, b] => format!("{a} to {b}"),
+    }
+}
+
 /// At least `digits` significant digits, without an exponent for usual sizes.
 pub fn significant(value: f64, digits: i32) -> String {
     if value == 0.0 || !value.is_finite() {

@@ -117,6 +117,21 @@ impl Cost {
         f64::from(self.configurations) * (propagation + self.potential_flops + reduction)
     }
 
+    /// What most of the memory goes to on `threads` threads, and what takes less.
+    pub fn memory_remedy(&self, threads: usize) -> &'static str {
+        let images = (self.probes * self.probe_bytes) as u64;
+        let waves = self.thread_bytes * threads as u64;
+        if images >= waves.max(self.shared_bytes) {
+            "most of it is images: fewer probes, detectors or thicknesses take less"
+        } else if waves >= self.shared_bytes {
+            "most of it is the waves of each thread: windows that follow the probe, or fewer threads, take less"
+        } else if self.beams > 0 {
+            "most of it is the waves of PRISM: windows that follow the probe, or a larger interpolation factor, take less"
+        } else {
+            "most of it is the potential of all slices: a smaller specimen, less of it at a time, or a coarser grid takes less"
+        }
+    }
+
     /// Bytes that the largest arrays take on `threads` threads.
     pub fn memory_bytes(&self, threads: usize) -> u64 {
         let images = (self.probes * self.probe_bytes) as u64;

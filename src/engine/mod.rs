@@ -6,12 +6,13 @@
 //! - potentials to transmission functions: `slice_coverage`, `phase_grating`, `transmission`;
 //! - waves: `stepper` (one slice after the other), `probe`, `basis` (probes expanded in fewer waves);
 //! - the algorithms: `multislice`, `prism` with `prism_reduce`, `probe_tail` and [`single_scattering`];
-//! - [`simulate()`], [`lens_image`], [`measure_speed`].
+//! - [`simulate()`], [`lens_image`], [`measure_speed`], [`check_memory`].
 
 mod accuracy;
 mod basis;
 mod cost;
 mod detector_images;
+mod free_memory;
 mod grid;
 mod grid_choice;
 mod lens;
@@ -40,6 +41,7 @@ pub use crate::structure::Site;
 pub use accuracy::{WindowChoice, window_for};
 pub use cost::{Cost, PlannedScan};
 pub use detector_images::Images;
+pub use free_memory::{check_memory, free_memory};
 pub use grid::Grid;
 pub use lens::lens_image;
 pub use plan::Plan;

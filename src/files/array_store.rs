@@ -57,7 +57,10 @@ impl ArrayStore {
     pub fn load(&self, name: &str, key: &str, shape: [usize; 2]) -> Stored {
         match fs::read(self.path(name)) {
             Ok(bytes) => decoded(&bytes, key, shape).map_or_else(Stored::Unusable, Stored::Whole),
-            Err(e) if e.kind() == ErrorKind::NotFound => Stored::Missing,
+            // Nor can anything lie below a file.
+            Err(e) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&e.kind()) => {
+                Stored::Missing
+            }
             Err(_) => Stored::Unusable("cannot be read"),
         }
     }

@@ -1,5 +1,6 @@
 //! Files that appear complete or not at all.
 
+use super::unfinished::Unfinished;
 use crate::error::{Error, Result};
 use std::io::Write;
 use std::path::Path;
@@ -14,7 +15,7 @@ const SUFFIX: &str = ".partial";
 /// # Errors
 /// [`Error::Io`] naming the directory or the file.
 pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
-    let mut file = beside(path)?;
+    let (mut file, _unfinished) = beside(path)?;
     file.write_all(bytes).map_err(|e| Error::io(path, "write", e))?;
     file.as_file().sync_all().map_err(|e| Error::io(path, "write", e))?;
     file.persist(path).map_err(|e| Error::io(path, "create", e.error))?;
@@ -31,7 +32,7 @@ pub fn write_with(
     overwrite: bool,
     write: impl FnOnce(&Path) -> Result<()>,
 ) -> Result<()> {
-    let file = beside(path)?;
+    let (file, _unfinished) = beside(path)?;
     write(file.path())?;
     file.as_file().sync_all().map_err(|e| Error::io(path, "write", e))?;
     let persisted = if overwrite { file.persist(path) } else { file.persist_noclobber(path) };
@@ -62,9 +63,10 @@ pub fn sync_folder(path: &Path) -> Result<()> {
 }
 
 /// An empty temporary file in the directory of `path`.
-fn beside(path: &Path) -> Result<tempfile::NamedTempFile> {
+fn beside(path: &Path) -> Result<(tempfile::NamedTempFile, Unfinished)> {
     let directory = super::outputs::folder(path);
-    create(directory).map_err(|e| Error::io(directory, "create a file in", e))
+    Unfinished::of(|| create(directory), tempfile::NamedTempFile::path)
+        .map_err(|e| Error::io(directory, "create a file in", e))
 }
 
 /// Whether a path names an unfinished file that a killed writer has left.

@@ -6,6 +6,7 @@ pub mod atomic_write;
 pub mod disk_space;
 mod output_lock;
 pub mod outputs;
+pub mod unfinished;
 pub mod whole_file;
 
 pub use output_lock::OutputLock;

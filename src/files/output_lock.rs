@@ -1,5 +1,6 @@
 //! The right of one process to write an output.
 
+use super::unfinished::Unfinished;
 use crate::error::{Error, Result};
 use std::fs::File;
 use std::io::{Read, Seek, Write};
@@ -13,6 +14,7 @@ pub struct OutputLock {
     path: PathBuf,
     /// Holds the lock while open.
     _file: File,
+    _unfinished: Unfinished,
 }
 
 impl OutputLock {
@@ -55,7 +57,8 @@ impl OutputLock {
                 file.flush()
             };
             write(&mut file).map_err(fail)?;
-            return Ok(OutputLock { path, _file: file });
+            let _unfinished = Unfinished::at(&path);
+            return Ok(OutputLock { path, _file: file, _unfinished });
         }
     }
 }

@@ -24,7 +24,7 @@ pub fn check_outputs<P: AsRef<Path>, Q: AsRef<Path>>(
         let path = path.as_ref();
         let refuse = |why: &str| Err(Error::invalid(Setting::Output, path.display(), why));
         let there = fs::metadata(path).ok();
-        if there.as_ref().is_some_and(fs::Metadata::is_dir) {
+        if there.as_ref().is_some_and(fs::Metadata::is_dir) || names_folder(path) {
             return refuse("is a folder; name a file in it, such as world.h5");
         }
         if there.as_ref().is_some_and(|m| !m.is_file()) {
@@ -48,6 +48,12 @@ pub fn check_outputs<P: AsRef<Path>, Q: AsRef<Path>>(
         tempfile::tempfile_in(folder).map_err(|e| Error::io(folder, "create a file in", e))?;
     }
     Ok(())
+}
+
+/// Whether a path can only be that of a folder, such as `new/` or `..`.
+fn names_folder(path: &Path) -> bool {
+    let text = path.as_os_str().as_encoded_bytes();
+    path.file_name().is_none() || text.ends_with(b"/") || text.ends_with(b"/.")
 }
 
 /// The folder of a file.
@@ -127,6 +133,10 @@ mod tests {
         let file = folder.path().join("file");
         fs::write(&file, "").unwrap();
         assert!(refusal(&[&file.join("w.h5")], &[], true).contains("cannot create"));
+        let missing = format!("{}/missing/", folder.path().display());
+        let told = refusal(&[Path::new(&missing)], &[], true);
+        assert!(told.contains("missing/:") && told.contains("is a folder"), "{told}");
+        assert!(!folder.path().join("missing").exists());
         check_outputs([folder.path().join("deep/er/w.h5")], NOTHING, false).unwrap();
     }
 }

@@ -2,11 +2,13 @@
 
 use std::sync::Arc;
 
-use super::audit::region_audit::{Audit, AuditOptions, audit};
+use super::audit::kept_audits::KeptAudits;
+use super::audit::region_audit::{Audit, AuditOptions};
 use super::direct::DirectImager;
 use super::film::film_imager::FilmImager;
 use super::imaging_cost::ImagingCost;
 use super::mosaic::library_cache::Cache;
+use super::mosaic::mosaic_cost::MosaicCost;
 use super::mosaic::mosaic_imager::MosaicImager;
 use super::region_imager::RegionImager;
 use super::simulator::Simulator;
@@ -40,6 +42,27 @@ pub struct ImagingChoice {
     pub cache: Cache,
 }
 
+/// The imager of a field, yet to be prepared.
+pub struct ChosenImager {
+    /// It.
+    pub imager: Box<dyn RegionImager>,
+    /// Whether it takes less than simulating the whole field.
+    shares: bool,
+    /// A mosaic that would not pay.
+    declined: Option<MosaicCost>,
+}
+
+impl ChosenImager {
+    /// What making a field takes, of which each of `subtiles` parts has `subtile` (rows, columns) pixels.
+    ///
+    /// # Errors
+    /// Those of the plan.
+    pub fn cost(&self, subtile: [usize; 2], subtiles: usize) -> Result<ImagingCost> {
+        let cost = self.imager.cost(subtile, subtiles)?;
+        Ok(ImagingCost { mosaic: cost.mosaic.or_else(|| self.declined.clone()), ..cost })
+    }
+}
+
 /// How right an imager has to be before a world is made with it.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ImagingCheck {
@@ -60,59 +83,33 @@ impl ImagingChoice {
         recipe: &CheckedRecipe,
         specimen: &Arc<dyn Specimen>,
     ) -> Result<Box<dyn RegionImager>> {
-        match self.sharing(recipe, specimen)? {
-            Some(imager) => Ok(imager),
-            None => Ok(Box::new(self.direct(recipe, specimen)?)),
-        }
+        Ok(self.chosen(recipe, specimen)?.imager)
     }
 
-    /// What making a field takes, of which each of `subtiles` parts has `subtile` (rows, columns) pixels.
+    /// The imager of a field, yet to be prepared, and why it was chosen.
     ///
     /// # Errors
-    /// Those of the plan.
-    pub fn cost(
+    /// Those of the settings.
+    pub fn chosen(
         &self,
         recipe: &CheckedRecipe,
         specimen: &Arc<dyn Specimen>,
-        subtile: [usize; 2],
-        subtiles: usize,
-    ) -> Result<ImagingCost> {
-        let direct = || self.direct(recipe, specimen)?.cost(subtile, subtiles);
-        if self.method == MethodChoice::Direct {
-            return direct();
+    ) -> Result<ChosenImager> {
+        let mut declined = None;
+        if self.method != MethodChoice::Direct {
+            let shares = true;
+            if let Some(film) = FilmImager::new(recipe, specimen, &self.simulator)? {
+                return Ok(ChosenImager { imager: Box::new(film), shares, declined });
+            }
+            let (simulator, cache) = (self.simulator.clone(), self.cache.clone());
+            let mosaic = MosaicImager::new(recipe, specimen, simulator, cache)?;
+            if self.method == MethodChoice::Mosaic || mosaic.pays() {
+                return Ok(ChosenImager { imager: Box::new(mosaic), shares, declined });
+            }
+            declined = Some(mosaic.mosaic_cost());
         }
-        if let Some(film) = FilmImager::new(recipe, specimen, &self.simulator)? {
-            return film.cost(subtile, subtiles);
-        }
-        let mosaic = self.mosaic(recipe, specimen)?;
-        match self.worth(&mosaic) {
-            true => mosaic.cost(subtile, subtiles),
-            false => Ok(ImagingCost { mosaic: Some(mosaic.mosaic_cost()), ..direct()? }),
-        }
-    }
-
-    fn mosaic(&self, recipe: &CheckedRecipe, specimen: &Arc<dyn Specimen>) -> Result<MosaicImager> {
-        MosaicImager::new(recipe, specimen, self.simulator.clone(), self.cache.clone())
-    }
-
-    fn worth(&self, mosaic: &MosaicImager) -> bool {
-        self.method == MethodChoice::Mosaic || mosaic.pays()
-    }
-
-    /// The imager that takes less than simulating the whole field, if there is one.
-    fn sharing(
-        &self,
-        recipe: &CheckedRecipe,
-        specimen: &Arc<dyn Specimen>,
-    ) -> Result<Option<Box<dyn RegionImager>>> {
-        if self.method == MethodChoice::Direct {
-            return Ok(None);
-        }
-        if let Some(film) = FilmImager::new(recipe, specimen, &self.simulator)? {
-            return Ok(Some(Box::new(film)));
-        }
-        let mosaic = self.mosaic(recipe, specimen)?;
-        Ok(self.worth(&mosaic).then(|| Box::new(mosaic) as Box<dyn RegionImager>))
+        let imager = Box::new(self.direct(recipe, specimen)?);
+        Ok(ChosenImager { imager, shares: false, declined })
     }
 
     fn direct(&self, recipe: &CheckedRecipe, specimen: &Arc<dyn Specimen>) -> Result<DirectImager> {
@@ -130,7 +127,7 @@ impl ImagingChoice {
         choices
     }
 
-    /// Prepares the imager of a field; returns the audit of what was chosen, if one was asked for. Imagers that simulate the
+    /// Prepares the imager of a field, `first` if it is right enough; returns the audit of what was chosen, if one was asked for. Imagers that simulate the
     /// field itself are audited only where a largest error is asked for. Where the error is too large, wider windows are
     /// tried, and then direct simulation.
     ///
@@ -140,17 +137,23 @@ impl ImagingChoice {
         &self,
         recipe: &CheckedRecipe,
         specimen: &Arc<dyn Specimen>,
-        check: &ImagingCheck,
+        first: ChosenImager,
+        (check, kept): (&ImagingCheck, &KeptAudits),
         progress: &dyn Progress,
     ) -> Result<(Box<dyn RegionImager>, Option<Audit>)> {
         let limit = check.max_error_percent;
         let audited = |imager: &dyn RegionImager| match &check.audit {
-            Some(options) => audit(recipe, &**specimen, imager, options, progress).map(Some),
+            Some(options) => kept.audit(recipe, &**specimen, imager, options, progress).map(Some),
             None => Ok(None),
         };
         let mut widest = self.clone();
+        let mut first = Some(first);
         for choice in self.widening(limit.is_some()) {
-            let Some(mut imager) = choice.sharing(recipe, specimen)? else { break };
+            let chosen = first.take().map_or_else(|| choice.chosen(recipe, specimen), Ok)?;
+            if !chosen.shares {
+                break;
+            }
+            let mut imager = chosen.imager;
             imager.prepare(progress)?;
             let found = audited(&*imager)?;
             if accepted(found.as_ref(), limit, progress) {

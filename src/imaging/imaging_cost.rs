@@ -45,3 +45,28 @@ pub struct ImagingCost {
     /// Probes of each configuration that the particles on a film take.
     pub particle_probes: Option<usize>,
 }
+
+impl ImagingCost {
+    /// Bytes of memory that the largest arrays take on so many threads.
+    pub fn memory_bytes(&self, threads: usize) -> u64 {
+        let largest = self.largest(threads).cost;
+        self.image_bytes + largest.memory_bytes(threads)
+    }
+
+    /// What most of the memory goes to, and what takes less.
+    pub fn memory_remedy(&self, threads: usize) -> &'static str {
+        let largest = self.largest(threads).cost;
+        match self.image_bytes > largest.memory_bytes(threads) {
+            true => "most of it is the library of the mosaic: windows without a mosaic take less",
+            false => largest.memory_remedy(threads),
+        }
+    }
+
+    fn largest(&self, threads: usize) -> &SimulationRuns {
+        let others = [self.more.as_ref(), self.largest_block.as_ref()].into_iter().flatten();
+        others.fold(&self.main, |most, runs| {
+            let bytes = |r: &SimulationRuns| r.cost.memory_bytes(threads);
+            if bytes(runs) > bytes(most) { runs } else { most }
+        })
+    }
+}

@@ -15,8 +15,9 @@ pub mod pixels;
 pub mod region_imager;
 pub mod simulator;
 
+pub use audit::kept_audits::KeptAudits;
 pub use audit::region_audit::{Audit, AuditOptions, audit};
-pub use choose::{ImagingCheck, ImagingChoice, MethodChoice};
+pub use choose::{ChosenImager, ImagingCheck, ImagingChoice, MethodChoice};
 pub use direct::DirectImager;
 pub use displaced_atoms::DisplacedAtoms;
 pub use film::film_imager::FilmImager;

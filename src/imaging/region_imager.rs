@@ -1,5 +1,7 @@
 //! The one way to an image of a field: imagers make that of any rectangle of it.
 
+use std::path::Path;
+
 use ndarray::Array2;
 
 use super::displaced_atoms::DisplacedAtoms;
@@ -19,6 +21,10 @@ pub trait RegionImager: Send + Sync {
 
     /// Settings that decide the image. A build goes on from an earlier one only under the same.
     fn parameters(&self) -> serde_json::Value;
+
+    /// Has [`RegionImager::prepare`] keep its simulations in a folder where it keeps them nowhere else, for the same build to go on
+    /// from. The folder is made when first written to.
+    fn keep_in(&mut self, _folder: &Path) {}
 
     /// Does what all images share, such as filling a library of simulations. Has to be called before
     /// [`RegionImager::mean_of`]; a second call does nothing.

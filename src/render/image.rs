@@ -92,6 +92,16 @@ impl<'a> Picture<'a> {
         self.render()?.write_png(path)
     }
 
+    /// Renders a PNG.
+    ///
+    /// # Errors
+    /// As [`Picture::render`].
+    pub fn png(&self) -> Result<Vec<u8>> {
+        self.render()?.encode().map_err(|e| {
+            Error::invalid(Setting::ImageShape, e, "expected an image that PNG can hold")
+        })
+    }
+
     /// Renders the picture.
     ///
     /// # Errors

@@ -7,7 +7,7 @@ use ndarray::{Array2, ArrayView2, s};
 use crate::error::{Error, Result};
 use crate::io::WorldWriter;
 use crate::io::schema::OVERVIEW_FACTOR;
-use crate::progress::Progress;
+use crate::progress::{Progress, Silent};
 use crate::recipe::resolved_recipe::Recipe;
 use crate::world::noise::Noise;
 use crate::world::subtile_store::SubtileStore;
@@ -47,7 +47,7 @@ impl<'a> BlendedImage<'a> {
 
     fn clean(&self, rows: Range<usize>) -> Result<Array2<f32>> {
         self.partition.blend(rows, |tile| {
-            self.store.load(tile.index, tile.shape()).ok_or_else(|| {
+            self.store.load(tile.index, tile.shape(), &Silent).ok_or_else(|| {
                 let path = self.store.path(tile.index);
                 let lost = std::io::Error::other("changed while the world was being written");
                 Error::io(&path, "read", lost)

@@ -9,17 +9,30 @@ const PIXEL: u64 = 4;
 const WORLD_SITE: u64 = 16;
 /// Bytes of the sub-tiles kept during a build, for each pixel; their overlaps count twice.
 const SUBTILE_PIXEL: u64 = 6;
+/// Bytes of a world besides pixels and sites, and of each of its tiles: what HDF5 keeps of its own.
+const WORLD: u64 = 200_000;
+const TILE: u64 = 4_000;
+/// Bytes of a picture of a world, at most: 1024 x 1024 pixels.
+pub const PICTURE: u64 = 2_000_000;
+/// Bytes of a sub-tile's file besides pixels, and of the work folder besides sub-tiles and library.
+const SUBTILE: u64 = 4_200;
+const WORK_FOLDER: u64 = 100_000;
 /// Bytes of a site in extended XYZ and in CIF.
 const XYZ_SITE: u64 = 56;
 const CIF_SITE: u64 = 72;
 
-/// Bytes that the build of a world needs, sub-tiles included.
+/// Bytes of a world's file.
 pub fn world_bytes(field: &Field, sites: u64, keep_clean: bool) -> u64 {
-    let [height, width] = field.pixels(field.built_grid()).map(|n| n as u64);
     let images = if keep_clean { 2 } else { 1 };
     let [rows, columns] = field.built_grid().map(|n| n as u64);
-    let tiles = rows * columns * (field.tile_px * field.tile_px) as u64 * PIXEL * images;
-    tiles + height * width * SUBTILE_PIXEL + sites * WORLD_SITE
+    let tile = (field.tile_px * field.tile_px) as u64 * PIXEL + TILE;
+    WORLD + rows * columns * images * tile + sites * WORLD_SITE
+}
+
+/// Bytes of the work folder of a build in so many sub-tiles; without a library.
+pub fn work_bytes(field: &Field, subtiles: usize) -> u64 {
+    let [height, width] = field.pixels(field.built_grid()).map(|n| n as u64);
+    WORK_FOLDER + height * width * SUBTILE_PIXEL + subtiles as u64 * SUBTILE
 }
 
 /// Bytes of a file of so many atoms.
@@ -27,9 +40,13 @@ pub fn atoms_bytes(format: Format, sites: u64) -> u64 {
     sites * if format == Format::Cif { CIF_SITE } else { XYZ_SITE }
 }
 
-/// Bytes of the files in a folder; 0 if there is none.
+/// Bytes of the files in a folder and those in it; 0 if there is none.
 #[cfg(feature = "hdf5")]
 pub(super) fn folder_bytes(folder: &std::path::Path) -> u64 {
     let Ok(entries) = std::fs::read_dir(folder) else { return 0 };
-    entries.filter_map(|e| e.ok()?.metadata().ok()).map(|m| m.len()).sum()
+    let of = |entry: std::fs::DirEntry| match entry.file_type() {
+        Ok(kind) if kind.is_dir() => folder_bytes(&entry.path()),
+        _ => entry.metadata().map_or(0, |m| m.len()),
+    };
+    entries.flatten().map(of).sum()
 }

@@ -7,6 +7,8 @@ pub mod atoms_export;
 #[cfg(feature = "hdf5")]
 pub mod blended_image;
 pub mod build_options;
+#[cfg(feature = "hdf5")]
+mod build_summary;
 mod field_tile;
 pub mod footprint;
 pub mod noise;
@@ -19,10 +21,16 @@ pub mod subtiles;
 #[cfg(feature = "hdf5")]
 pub mod truth;
 #[cfg(feature = "hdf5")]
+mod work_folder;
+#[cfg(feature = "hdf5")]
 mod world_build;
+#[cfg(feature = "hdf5")]
+mod world_job;
 
 pub use atoms_export::{ExportOptions, ExportSummary, export};
 pub use build_options::{BuildMethod, BuildOptions, BuildPolicy, BuildProfile};
+#[cfg(feature = "hdf5")]
+pub use build_summary::BuildSummary;
 pub use field_tile::{FieldTile, field_tile};
 pub use region_truth::{ColumnTruth, SiteTruth};
 #[cfg(feature = "render")]
@@ -30,4 +38,6 @@ pub use specimen_drawing::Drawing;
 #[cfg(feature = "hdf5")]
 pub use truth::Counts;
 #[cfg(feature = "hdf5")]
-pub use world_build::{BuildSummary, WorldBuild, build};
+pub use work_folder::work_folder;
+#[cfg(feature = "hdf5")]
+pub use world_build::{Companion, WorldBuild, build};

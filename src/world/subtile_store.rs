@@ -1,6 +1,7 @@
 //! The work folder of a build: its finished sub-tiles, and what the build is.
 
 use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use ndarray::Array2;
@@ -22,16 +23,15 @@ pub struct SubtileStore {
 }
 
 impl SubtileStore {
-    /// Opens the work folder of `output` for a build that `key` describes. Sub-tiles of another
+    /// Opens a work folder for a build that `key` describes. Sub-tiles of another
     /// build that lie there are removed, with a warning.
     ///
     /// # Errors
     /// [`Error::Io`] when the folder cannot be made, read or written.
-    pub fn open(output: &Path, key: &str, progress: &dyn Progress) -> Result<Self> {
-        let folder = beside(output, ".work");
+    pub fn open(folder: &Path, key: &str, progress: &dyn Progress) -> Result<Self> {
         let build = format!("{:x?}", Sha256::digest(key).as_slice());
-        let store = SubtileStore { arrays: ArrayStore::new(folder.clone(), "bin"), build };
-        fs::create_dir_all(&folder).map_err(|e| Error::io(&folder, "create", e))?;
+        let store = SubtileStore { arrays: arrays(folder), build };
+        fs::create_dir_all(folder).map_err(|e| Error::io(folder, "create", e))?;
         let key_path = folder.join(KEY_FILE);
         if fs::read(&key_path).is_ok_and(|found| found == key.as_bytes()) {
             return Ok(store);
@@ -48,11 +48,22 @@ impl SubtileStore {
         Ok(store)
     }
 
-    /// The image of a sub-tile of `shape` (rows, columns), if a whole one of this build is there.
-    pub fn load(&self, index: usize, shape: [usize; 2]) -> Option<Array2<f32>> {
+    /// The image of a sub-tile of `shape` (rows, columns), if a whole one of this build is there. A file that cannot be used is told
+    /// in a warning.
+    pub fn load(
+        &self,
+        index: usize,
+        shape: [usize; 2],
+        progress: &dyn Progress,
+    ) -> Option<Array2<f32>> {
         match self.arrays.load(&name(index), &self.key(index), shape) {
             Stored::Whole(image) => Some(image),
-            Stored::Missing | Stored::Unusable(_) => None,
+            Stored::Missing => None,
+            Stored::Unusable(why) => {
+                let path = self.path(index);
+                progress.warn(&format!("{}: {why}; simulated again", path.display()));
+                None
+            }
         }
     }
 
@@ -64,29 +75,30 @@ impl SubtileStore {
         self.arrays.save(&name(index), &self.key(index), "", image)
     }
 
-    /// The work folder.
-    pub fn folder(&self) -> &Path {
-        self.arrays.folder()
-    }
-
     /// The path of the file of a sub-tile.
     pub fn path(&self, index: usize) -> PathBuf {
         self.arrays.path(&name(index))
     }
 
-    /// Removes the files, and the folder if nothing else lies in it.
+    /// Removes the sub-tiles in a folder, and the folder if nothing else lies in it.
     ///
     /// # Errors
     /// [`Error::Io`].
-    pub fn remove(self) -> Result<()> {
-        let key = self.folder().join(KEY_FILE);
-        fs::remove_file(&key).map_err(|e| Error::io(&key, "remove", e))?;
-        self.arrays.clear()
+    pub fn clear(folder: &Path) -> Result<()> {
+        let key = folder.join(KEY_FILE);
+        match fs::remove_file(&key) {
+            Err(e) if e.kind() != ErrorKind::NotFound => Err(Error::io(&key, "remove", e)),
+            _ => arrays(folder).clear(),
+        }
     }
 
     fn key(&self, index: usize) -> String {
         format!("{} {index}", self.build)
     }
+}
+
+fn arrays(folder: &Path) -> ArrayStore {
+    ArrayStore::new(folder.to_owned(), "bin")
 }
 
 fn name(index: usize) -> String {
@@ -108,20 +120,20 @@ mod tests {
     #[test]
     fn subtiles_are_those_of_this_build_and_index() {
         let folder = tempfile::tempdir().unwrap();
-        let output = folder.path().join("w.h5");
-        let store = SubtileStore::open(&output, "key", &Silent).unwrap();
+        let work = folder.path().join("w.h5.work");
+        let store = SubtileStore::open(&work, "key", &Silent).unwrap();
         let image = Array2::from_shape_fn((3, 5), |(i, j)| (i * 5 + j) as f32);
         store.save(4, &image).unwrap();
-        assert_eq!(store.load(4, [3, 5]), Some(image.clone()));
-        assert_eq!(store.load(5, [3, 5]), None);
+        assert_eq!(store.load(4, [3, 5], &Silent), Some(image.clone()));
+        assert_eq!(store.load(5, [3, 5], &Silent), None);
         // of the same build under another index, and of another build under the same
         fs::copy(store.path(4), store.path(5)).unwrap();
-        assert_eq!(store.load(5, [3, 5]), None);
-        let other = SubtileStore::open(&folder.path().join("o.h5"), "other", &Silent).unwrap();
+        assert_eq!(store.load(5, [3, 5], &Silent), None);
+        let other = SubtileStore::open(&folder.path().join("o.h5.work"), "other", &Silent).unwrap();
         other.save(4, &image).unwrap();
         fs::copy(other.path(4), store.path(4)).unwrap();
-        assert_eq!(store.load(4, [3, 5]), None);
-        store.remove().unwrap();
-        assert!(!folder.path().join("w.h5.work").exists());
+        assert_eq!(store.load(4, [3, 5], &Silent), None);
+        SubtileStore::clear(&work).unwrap();
+        assert!(!work.exists());
     }
 }

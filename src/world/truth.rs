@@ -11,7 +11,7 @@ use crate::specimen::{Boundary, BoundaryKind, SiteKind, Sites, Specimen};
 use crate::world::region_truth::{boundary_parts, list, particles_reaching, phase_map};
 
 /// What was listed.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[non_exhaustive]
 pub struct Counts {
     /// Lattice sites.

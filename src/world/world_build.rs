@@ -1,56 +1,42 @@
 //! Builds a world: image sub-tile by sub-tile, then the file.
 
 use std::fs;
+use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
-use ndarray::Array2;
-
-use super::blended_image::BlendedImage;
 use super::build_options::{BuildOptions, BuildPolicy};
+use super::build_summary::BuildSummary;
 use super::footprint;
-use super::subtile_store::{SubtileStore, beside};
-use super::subtiles::{Partition, SubTile};
-use super::truth::{self, Counts};
+use super::subtile_store::beside;
+use super::subtiles::Partition;
+use super::work_folder::WorkFolder;
+use super::world_job::{BuildLayout, Job};
 use crate::error::{Error, Result};
 use crate::files::atomic_write::sync_folder;
 use crate::files::outputs::check_outputs;
+use crate::files::unfinished::Unfinished;
 use crate::files::{OutputLock, disk_space};
 use crate::imaging::direct::rectangle_plan;
-use crate::imaging::{Audit, ImagingCost, PixelRect, RegionImager, SimulationRuns};
-use crate::io::{Header, WorldFile, WorldWriter};
+use crate::imaging::{
+    Audit, Cache, ChosenImager, ImagingChoice, ImagingCost, RegionImager, SimulationRuns,
+};
+use crate::io::{WorldFile, WorldWriter};
 use crate::numerics::NUMERICS_VERSION;
-use crate::progress::{Progress, ProgressShare};
+use crate::progress::Progress;
 use crate::recipe::CheckedRecipe;
 use crate::specimen::{Specimen, estimated_sites, specimen};
 
-/// What was built.
-#[derive(Debug, Clone)]
-#[non_exhaustive]
-pub struct BuildSummary {
-    /// The file.
-    pub path: PathBuf,
-    /// Rows and columns of tiles.
-    pub grid: [usize; 2],
-    /// Height and width in nm.
-    pub fov_nm: [f64; 2],
-    /// Lattice sites, vacancies and columns listed.
-    pub counts: Counts,
-    /// Name of the method.
-    pub engine: String,
-    /// The audit made before, if one was asked for.
-    pub audit: Option<Audit>,
-    /// Images of the mosaic's library, and how many of them had to be simulated.
-    pub library: Option<[usize; 2]>,
-    /// Sub-tiles in all.
-    pub subtiles: usize,
-    /// Sub-tiles that an earlier run had left.
-    pub subtiles_resumed: usize,
-    /// Least and greatest value of the stored image, in fractions of the beam.
-    pub range: [f32; 2],
-    /// Time of this run in s.
-    pub wall_time_s: f64,
+/// A file that is made from a finished world and belongs to it, such as its picture. A build that is ended before it is there goes on
+/// with it.
+pub struct Companion<'a> {
+    /// Where it goes.
+    pub path: &'a Path,
+    /// What it takes on disk, at most.
+    pub most_bytes: u64,
+    /// Makes what it holds.
+    pub content: &'a dyn Fn(&WorldFile) -> Result<Vec<u8>>,
 }
 
 /// Builds the world of `recipe` into the file `output`, as `stemgen build` does. Finished sub-tiles are kept in the folder
@@ -71,13 +57,12 @@ pub fn build(
 
 /// A build that is laid out: what it takes can be asked before it runs.
 pub struct WorldBuild {
-    recipe: CheckedRecipe,
-    specimen: Arc<dyn Specimen>,
-    options: BuildOptions,
+    layout: BuildLayout,
     policy: BuildPolicy,
-    partition: Partition,
     /// An imager that takes the place of what the options choose.
     own: Option<Box<dyn RegionImager>>,
+    /// What the options choose: the field has to be looked at for it, once.
+    chosen: OnceLock<ChosenImager>,
 }
 
 impl WorldBuild {
@@ -86,7 +71,8 @@ impl WorldBuild {
     /// # Errors
     /// Those of the options and the specimen.
     pub fn new(recipe: &CheckedRecipe, options: &BuildOptions) -> Result<Self> {
-        WorldBuild::of_specimen(recipe, options, specimen(recipe)?)
+        let (specimen, policy) = (specimen(recipe)?, options.policy(recipe)?);
+        WorldBuild::of_parts(recipe, options, specimen, policy, None)
     }
 
     /// A build whose images come from an imager of one's own; `imager` makes it for the specimen that was laid out.
@@ -99,28 +85,30 @@ impl WorldBuild {
         options: &BuildOptions,
         imager: impl FnOnce(&Arc<dyn Specimen>) -> Result<Box<dyn RegionImager>>,
     ) -> Result<Self> {
-        let mut build = WorldBuild::new(recipe, options)?;
-        build.own = Some(imager(&build.specimen)?);
-        Ok(build)
+        let specimen = specimen(recipe)?;
+        let own = Some(imager(&specimen)?);
+        WorldBuild::of_parts(recipe, options, specimen, options.policy(recipe)?, own)
     }
 
-    fn of_specimen(
+    fn of_parts(
         recipe: &CheckedRecipe,
         options: &BuildOptions,
         specimen: Arc<dyn Specimen>,
+        policy: BuildPolicy,
+        own: Option<Box<dyn RegionImager>>,
     ) -> Result<Self> {
-        let policy = options.policy(recipe)?;
         let field = &recipe.field;
         let shape = field.pixels(field.built_grid());
         let [size, overlap] = policy.subtile_nm;
         let partition = Partition::new(shape, field.pixel_nm(), size, overlap)?;
         let (recipe, options) = (recipe.clone(), options.clone());
-        Ok(WorldBuild { recipe, specimen, options, policy, partition, own: None })
+        let layout = BuildLayout { recipe, specimen, options, partition };
+        Ok(WorldBuild { layout, policy, own, chosen: OnceLock::new() })
     }
 
     /// The specimen.
     pub fn specimen(&self) -> &Arc<dyn Specimen> {
-        &self.specimen
+        &self.layout.specimen
     }
 
     /// What the options come to.
@@ -130,8 +118,8 @@ impl WorldBuild {
 
     /// Number of sub-tiles, and rows and columns of pixels of each.
     pub fn subtiles(&self) -> (usize, [usize; 2]) {
-        let shape = self.partition.subtiles().next().map_or([1, 1], |t| t.shape());
-        (self.partition.len(), shape)
+        let shape = self.layout.partition.subtiles().next().map_or([1, 1], |t| t.shape());
+        (self.layout.partition.len(), shape)
     }
 
     /// The simulation of one sub-tile, and how far apart its probes are (x, y) in Angstrom.
@@ -141,7 +129,7 @@ impl WorldBuild {
     pub fn subtile_plan(&self) -> Result<(SimulationRuns, [f64; 2])> {
         let (count, shape) = self.subtiles();
         let simulator = &self.policy.imaging.simulator;
-        rectangle_plan(&self.recipe, &*self.specimen, simulator, shape, count)
+        rectangle_plan(&self.layout.recipe, &*self.layout.specimen, simulator, shape, count)
     }
 
     /// What making the image will take.
@@ -152,242 +140,224 @@ impl WorldBuild {
         let (count, shape) = self.subtiles();
         match &self.own {
             Some(imager) => imager.cost(shape, count),
-            None => self.policy.imaging.cost(&self.recipe, &self.specimen, shape, count),
+            None => self.chosen()?.cost(shape, count),
         }
     }
 
-    /// Bytes on disk that the build needs, sub-tiles included.
+    fn chosen(&self) -> Result<&ChosenImager> {
+        if let Some(chosen) = self.chosen.get() {
+            return Ok(chosen);
+        }
+        let BuildLayout { recipe, specimen, .. } = &self.layout;
+        let chosen = self.policy.imaging.chosen(recipe, specimen)?;
+        Ok(self.chosen.get_or_init(|| chosen))
+    }
+
+    /// Bytes on disk that the build needs beside its output, sub-tiles included; the cache and a companion come on top.
     pub fn disk_bytes(&self) -> u64 {
-        let sites = estimated_sites(&*self.specimen, &self.recipe.field);
-        footprint::world_bytes(&self.recipe.field, sites, self.options.keep_clean)
+        self.world_bytes()
+            + footprint::work_bytes(&self.layout.recipe.field, self.layout.partition.len())
+    }
+
+    fn world_bytes(&self) -> u64 {
+        let sites = estimated_sites(&*self.layout.specimen, &self.layout.recipe.field);
+        footprint::world_bytes(&self.layout.recipe.field, sites, self.layout.options.keep_clean)
+    }
+
+    /// Whether an earlier run of this build has finished the world `output` and was ended before it could put all in order:
+    /// [`WorldBuild::run`] then does that, and replaces nothing.
+    pub fn is_complete(&self, output: &Path) -> bool {
+        WorkFolder::of(output).completed(&self.request()).is_some()
     }
 
     /// Builds; see [`build`].
     ///
     /// # Errors
     /// As [`build`].
-    pub fn run(mut self, output: &Path, progress: &dyn Progress) -> Result<BuildSummary> {
-        let started = Instant::now();
-        check_outputs([output], [] as [&Path; 0], self.options.overwrite)?;
-        try_partial(output)?;
-        let _lock = OutputLock::hold(output)?;
-        let done = footprint::folder_bytes(&beside(output, ".work"));
-        disk_space::check_space(output, self.disk_bytes().saturating_sub(done))?;
-        let (imager, audit) = self.prepared_imager(progress)?;
-        let library = imager.library();
-        let job = Job { build: &self, imager: &*imager, audit, progress };
-        let store = SubtileStore::open(output, &job.key(), progress)?;
-        let done = job.simulate(&store).and_then(|resumed| {
-            let noise = self.options.noise;
-            let image = BlendedImage::new(&self.recipe, &self.partition, &store, noise);
-            Ok((resumed, job.publish(output, &image)?))
-        });
-        let (resumed, (counts, range)) = done.inspect_err(|_| {
-            let kept = "keeps the sub-tiles done so far; the same command goes on from there";
-            progress.warn(&format!("{} {kept}", store.folder().display()));
-        })?;
-        store.remove()?;
-        let field = &self.recipe.field;
-        let shape = field.pixels(field.built_grid());
-        Ok(BuildSummary {
-            path: output.to_owned(),
-            grid: field.built_grid(),
-            fov_nm: shape.map(|n| n as f64 * field.pixel_nm()),
-            counts,
-            engine: job.imager.name().to_owned(),
-            audit: job.audit,
-            library,
-            subtiles: self.partition.len(),
-            subtiles_resumed: resumed,
-            range,
-            wall_time_s: started.elapsed().as_secs_f64(),
-        })
+    pub fn run(self, output: &Path, progress: &dyn Progress) -> Result<BuildSummary> {
+        self.run_with(output, None, progress)
     }
 
-    fn prepared_imager(
-        &mut self,
+    /// Builds a world and the file that belongs to it; see [`build`]. Where the companion goes is not checked.
+    ///
+    /// # Errors
+    /// As [`build`], and those of the companion.
+    pub fn run_with(
+        self,
+        output: &Path,
+        companion: Option<&Companion>,
         progress: &dyn Progress,
-    ) -> Result<(Box<dyn RegionImager>, Option<Audit>)> {
-        match self.own.take() {
+    ) -> Result<BuildSummary> {
+        let (started, work, request) = (Instant::now(), WorkFolder::of(output), self.request());
+        self.check_output(output, work.completed(&request).is_some())?;
+        let _lock = OutputLock::hold(output)?;
+        // Again, for what another process did meanwhile.
+        let completed = work.completed(&request);
+        self.check_output(output, completed.is_some())?;
+        let partials = [Some(output), companion.map(|c| c.path)].into_iter().flatten();
+        partials.clone().try_for_each(|path| work.check_partial(&partial(path)))?;
+        let _unfinished: Vec<Unfinished> =
+            partials.map(|path| Unfinished::at(&partial(path))).collect();
+        let made = match completed {
+            Some(summary) => Ok(summary),
+            None => self.make(output, (&work, &request), companion, progress),
+        };
+        let summary = made.inspect_err(|_| work.remove_if_empty())?;
+        if let Some(companion) = companion {
+            publish_companion(companion, output)?;
+        }
+        work.remove()?;
+        Ok(BuildSummary { wall_time_s: started.elapsed().as_secs_f64(), ..summary })
+    }
+
+    fn check_output(&self, output: &Path, complete: bool) -> Result<()> {
+        let overwrite = self.layout.options.overwrite || complete;
+        check_outputs([output], [] as [&Path; 0], overwrite)
+    }
+
+    /// Makes the world, up to its place.
+    fn make(
+        self,
+        output: &Path,
+        (work, request): (&WorkFolder, &str),
+        companion: Option<&Companion>,
+        progress: &dyn Progress,
+    ) -> Result<BuildSummary> {
+        // First, so that unfinished files are known to be of a build.
+        work.create()?;
+        try_partial(output)?;
+        self.check_disk(output, companion)?;
+        if self.own.is_none() {
+            self.check_space(output, companion, self.library_bytes()?)?;
+        }
+        let WorldBuild { layout, policy, own, chosen } = self;
+        let (imager, audit) = match own {
             Some(mut imager) => {
                 imager.prepare(progress)?;
-                Ok((imager, None))
+                (imager, None)
             }
             None => {
-                let BuildPolicy { imaging, check, .. } = &self.policy;
-                imaging.checked_imager(&self.recipe, &self.specimen, check, progress)
+                let again = || policy.imaging.chosen(&layout.recipe, &layout.specimen);
+                let first = chosen.into_inner().map_or_else(again, Ok)?;
+                checked(&layout, &policy, first, work, progress)?
             }
-        }
+        };
+        let job = Job { layout: &layout, imager: &*imager, audit, progress };
+        let store = work.subtiles(&job.key(), progress)?;
+        let resumed = job.simulate(&store)?;
+        let partial = partial(output);
+        let publish = || {
+            let (counts, range) = job.write_file(&partial, &store)?;
+            let summary = job.summary(output, resumed, counts, range);
+            work.complete(&partial, request, &summary)?;
+            check_outputs([output], [] as [&Path; 0], layout.options.overwrite)?;
+            place(&partial, output).map(|()| summary)
+        };
+        // What is left where that failed is of no use; the reason matters more.
+        publish().inspect_err(|_| drop(fs::remove_file(&partial)))
     }
+
+    /// What decides the file, but for what the imager turns out to be.
+    fn request(&self) -> String {
+        let options =
+            BuildOptions { cache: Cache::none(), overwrite: false, ..self.layout.options.clone() };
+        let request = serde_json::json!({
+            "numerics": NUMERICS_VERSION,
+            "version": env!("CARGO_PKG_VERSION"),
+            "recipe": self.layout.recipe.to_toml(),
+            "options": format!("{options:?}"),
+        });
+        request.to_string()
+    }
+
+    /// Finds, without looking at the field, that a disk has no room for what will be written.
+    ///
+    /// # Errors
+    /// [`Error::DiskSpace`].
+    pub fn check_disk(&self, output: &Path, companion: Option<&Companion>) -> Result<()> {
+        self.check_space(output, companion, 0)
+    }
+
+    /// Bytes on disk of the library's images that are yet to be made.
+    fn library_bytes(&self) -> Result<u64> {
+        let (count, shape) = self.subtiles();
+        let mosaic = self.chosen()?.imager.cost(shape, count)?.mosaic;
+        Ok(mosaic.map_or(0, |m| m.missing_bytes))
+    }
+
+    fn check_space(
+        &self,
+        output: &Path,
+        companion: Option<&Companion>,
+        library: u64,
+    ) -> Result<()> {
+        let work = WorkFolder::of(output);
+        // A cache without room is no fault: the work folder then keeps what it can.
+        let cache = self.policy.imaging.cache.folder();
+        let cache = cache.filter(|f| disk_space::free_bytes_below(f).is_none_or(|b| b > library));
+        let sub_tiles =
+            footprint::work_bytes(&self.layout.recipe.field, self.layout.partition.len());
+        let kept_here = if cache.is_none() { library } else { 0 };
+        let mut needed = vec![
+            (output, self.world_bytes()),
+            (work.path(), (sub_tiles + kept_here).saturating_sub(work.bytes())),
+            (cache.unwrap_or(work.path()), library - kept_here),
+        ];
+        needed.extend(companion.map(|c| (c.path, c.most_bytes)));
+        disk_space::check_places(&needed)
+    }
+}
+
+/// An imager that is right enough, ready, and its audit.
+fn checked(
+    layout: &BuildLayout,
+    policy: &BuildPolicy,
+    mut first: ChosenImager,
+    work: &WorkFolder,
+    progress: &dyn Progress,
+) -> Result<(Box<dyn RegionImager>, Option<Audit>)> {
+    let BuildPolicy { imaging, check, .. } = policy;
+    first.imager.keep_in(&work.library());
+    let cache = imaging.cache.clone().with_fallback(work.library());
+    let imaging = ImagingChoice { cache, ..imaging.clone() };
+    let BuildLayout { recipe, specimen, .. } = layout;
+    imaging.checked_imager(recipe, specimen, first, (check, &work.audits()), progress)
+}
+
+/// `path` with an ending that tells that the file is not finished.
+fn partial(path: &Path) -> PathBuf {
+    beside(path, ".partial")
+}
+
+/// Puts a file that is complete in its place.
+fn place(partial: &Path, path: &Path) -> Result<()> {
+    fs::rename(partial, path).map_err(|e| Error::io(path, "write", e))?;
+    sync_folder(path)
+}
+
+/// Writes a companion under another name and puts it in place when it is complete.
+fn publish_companion(companion: &Companion, world: &Path) -> Result<()> {
+    let content = (companion.content)(&WorldFile::open(world)?)?;
+    let partial = partial(companion.path);
+    let write = || {
+        let mut file = fs::File::create(&partial)?;
+        file.write_all(&content)?;
+        file.sync_all()
+    };
+    let written = write().map_err(|e| Error::io(companion.path, "write", e));
+    let placed = written.and_then(|()| place(&partial, companion.path));
+    let _ = fs::remove_file(&partial);
+    placed
 }
 
 /// Finds before any work what would keep the file from being written at the end: names that HDF5 does not take, names too long,
 /// folders that may not be written.
 fn try_partial(output: &Path) -> Result<()> {
-    let partial = beside(output, ".partial");
+    let partial = partial(output);
     let tried = WorldWriter::try_file(&partial);
     // Whatever became of it: the reason of a failure matters more.
     let _ = fs::remove_file(&partial);
     tried
-}
-
-struct Job<'a> {
-    build: &'a WorldBuild,
-    imager: &'a dyn RegionImager,
-    audit: Option<Audit>,
-    progress: &'a dyn Progress,
-}
-
-impl Job<'_> {
-    /// All that decides the image of a sub-tile.
-    fn key(&self) -> String {
-        let key = serde_json::json!({
-            "numerics": NUMERICS_VERSION,
-            "recipe": self.build.recipe.to_toml(),
-            "engine": self.imager.name(),
-            "parameters": self.imager.parameters(),
-            "partition": format!("{:?}", self.build.partition),
-        });
-        key.to_string()
-    }
-
-    /// Makes the images that are missing; returns how many sub-tiles were there.
-    fn simulate(&self, store: &SubtileStore) -> Result<usize> {
-        let partition = &self.build.partition;
-        let work: Vec<usize> =
-            partition.subtiles().map(|t| self.imager.work(&self.pixels(&t))).collect();
-        let [stage, unit] = self.imager.stage();
-        self.progress.start(stage, unit, work.iter().sum::<usize>() as u64);
-        let mut resumed = 0;
-        for (tile, work) in partition.subtiles().zip(work) {
-            if self.progress.interrupted() {
-                return Err(Error::Interrupted);
-            }
-            let share = ProgressShare::new(self.progress, work);
-            if store.load(tile.index, tile.shape()).is_some() {
-                resumed += 1;
-                share.found();
-            } else {
-                store.save(tile.index, &self.simulate_one(&tile, &share)?)?;
-                share.complete();
-            }
-        }
-        self.progress.finish();
-        Ok(resumed)
-    }
-
-    /// The pixels of a sub-tile in the full field.
-    fn pixels(&self, tile: &SubTile) -> PixelRect {
-        let first = self.build.recipe.field.crop_origin_px();
-        let first = [first[0] + tile.rows.start, first[1] + tile.columns.start];
-        PixelRect::new(first, tile.shape())
-    }
-
-    fn simulate_one(&self, tile: &SubTile, progress: &dyn Progress) -> Result<Array2<f32>> {
-        let configurations = self.build.recipe.phonons.configurations.max(1);
-        let image = self.imager.mean_of(&self.pixels(tile), configurations, progress)?;
-        if image.shape() != tile.shape() {
-            let expected = format!("the imager was asked for {:?}", tile.shape());
-            return Err(Error::invalid(
-                crate::Setting::EngineImageShape,
-                format!("{:?}", image.shape()),
-                expected,
-            ));
-        }
-        match image.iter().find(|v| !v.is_finite()) {
-            Some(bad) => {
-                let place = format!("sub-tile {} of {}", tile.index, self.imager.name());
-                Err(Error::invalid(
-                    crate::Setting::Intensity,
-                    bad,
-                    format!("{place}: must be finite"),
-                ))
-            }
-            None => Ok(image.mapv(|v| v as f32)),
-        }
-    }
-
-    /// Writes the file under another name and puts it in place when it is complete.
-    fn publish(&self, output: &Path, image: &BlendedImage) -> Result<(Counts, [f32; 2])> {
-        let partial = beside(output, ".partial");
-        let written = self.write_file(&partial, image).and_then(|written| {
-            check_outputs([output], [] as [&Path; 0], self.build.options.overwrite)?;
-            fs::rename(&partial, output).map_err(|e| Error::io(output, "write", e))?;
-            sync_folder(output)?;
-            Ok(written)
-        });
-        if written.is_err() {
-            // What is there is of no use; the reason for the failure matters more.
-            let _ = fs::remove_file(&partial);
-        }
-        written
-    }
-
-    fn write_file(&self, path: &Path, image: &BlendedImage) -> Result<(Counts, [f32; 2])> {
-        let keep_clean = self.build.options.keep_clean;
-        let writer = WorldWriter::create(path, &self.header(), keep_clean)?;
-        let range = image.range(self.progress)?;
-        image.write(&writer, range, keep_clean, self.progress)?;
-        let counts =
-            truth::write(&*self.build.specimen, &self.build.recipe.field, &writer, self.progress)?;
-        writer.finish()?;
-        verify(path, counts)?;
-        Ok((counts, range))
-    }
-
-    fn header(&self) -> Header {
-        let recipe = &self.build.recipe;
-        let field = &recipe.field;
-        let shape = field.pixels(field.built_grid());
-        let mut texts = vec![
-            ("material", recipe.id.clone()),
-            ("zone_axis", recipe.zone_axis.clone()),
-            ("recipe", recipe.to_toml()),
-            ("stemgen_version", env!("CARGO_PKG_VERSION").into()),
-            ("numerics_version", NUMERICS_VERSION.to_string()),
-            ("engine", self.imager.name().to_owned()),
-            ("engine_parameters", self.imager.parameters().to_string()),
-        ];
-        let audit = self.audit.as_ref().and_then(|a| serde_json::to_string(a).ok());
-        texts.extend(audit.map(|audit| ("audit", audit)));
-        texts.extend(recipe.source.iter().map(|source| ("source", source.clone())));
-        Header {
-            pixel_size_nm: field.pixel_nm(),
-            tile_size_px: field.tile_px,
-            overlap_px: field.overlap_px,
-            grid_shape: field.built_grid(),
-            fov_nm: shape.map(|n| n as f64 * field.pixel_nm()),
-            origin_px: field.crop_origin_px(),
-            thickness_nm: self.build.specimen.thickness_nm(),
-            dose: recipe.dose.electrons_per_angstrom2,
-            noise: self.build.options.noise,
-            seed: recipe.seed,
-            texts,
-        }
-    }
-}
-
-/// Reads back every tile: a write that failed without a word is found here.
-fn verify(path: &Path, counts: Counts) -> Result<()> {
-    let world = WorldFile::open(path)?;
-    let [rows, columns] = world.metadata().grid_shape;
-    for r in 0..rows {
-        for c in 0..columns {
-            world.tile(r, c)?;
-            if world.has_clean() {
-                world.clean_tile(r, c)?;
-            }
-        }
-    }
-    let found = world.site_count()? as u64;
-    match found == counts.sites {
-        true => Ok(()),
-        false => Err(Error::invalid(
-            crate::Setting::SitesInFile,
-            found,
-            format!("{} written", counts.sites),
-        )),
-    }
 }
 
 #[cfg(test)]
@@ -420,22 +390,5 @@ mod tests {
         build.run(&folder.path().join("w.h5"), &Silent).unwrap();
         assert_eq!(PARSED.get() - parsed, 2);
         assert_eq!(LAID_OUT.get() - laid_out, 1);
-    }
-
-    #[test]
-    fn lost_tiles_are_noticed_clean_ones_too() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("w.h5");
-        let tiny = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/cli/tiny.toml"));
-        let recipe = CheckedRecipe::from_file(tiny, None).unwrap();
-        let options = BuildOptions { cache: Cache::none(), keep_clean: true, ..Default::default() };
-        let done = build(&recipe, &path, &options, &Silent).unwrap();
-        verify(&path, done.counts).unwrap();
-        let counts = Counts { sites: done.counts.sites + 1, ..done.counts };
-        assert!(verify(&path, counts).is_err());
-        let file = hdf5::File::append(&path).unwrap();
-        file.group("clean").unwrap().unlink("1_0").unwrap();
-        drop(file);
-        assert!(verify(&path, done.counts).is_err());
     }
 }

@@ -42,6 +42,7 @@ fn bad_input_is_explained() {
         for part in parts {
             assert!(told.contains(part), "{arguments:?}: no `{part}` in\n{told}");
         }
+        assert!(told.matches("(os error").count() < 2, "said twice: {told}");
     }
     let told = fails(stemgen(here).args(["simulate", "none.cif"]));
     assert_eq!(told.matches("No such file").count(), 1, "the reason is told once: {told}");

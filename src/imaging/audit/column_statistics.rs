@@ -1,7 +1,7 @@
 //! What an audit tells of columns: intensities of each, and their statistics by kind.
 
 use ndarray::Array2;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::imaging::pixels::PixelRect;
 use crate::recipe::Recipe;
@@ -12,7 +12,7 @@ use crate::structure::elements;
 const COLUMN_ANGSTROM: f64 = 0.45;
 
 /// Statistics of one kind of column, over all regions.
-#[derive(Debug, Clone, Serialize, PartialEq)]
+#[derive(Debug, Clone, Serialize, Deserialize, PartialEq)]
 #[non_exhaustive]
 pub struct KindAudit {
     /// Elements of the column: `Sr`, `O Ti`.

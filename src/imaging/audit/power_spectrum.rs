@@ -2,13 +2,13 @@
 
 use ndarray::{Array2, Axis};
 use num_complex::Complex;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Bands of the power spectrum, in 1/Angstrom.
 const BANDS: [f64; 4] = [0.1, 0.4, 0.8, 1.2];
 
 /// A band of the power spectrum.
-#[derive(Debug, Clone, Serialize, PartialEq)]
+#[derive(Debug, Clone, Serialize, Deserialize, PartialEq)]
 #[non_exhaustive]
 pub struct PowerBand {
     /// Limits in 1/Angstrom.

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use ndarray::Array2;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::column_statistics::{ColumnPoint, KindAudit, column_points, kind_audit};
 pub use super::options::AuditOptions;
@@ -27,7 +27,7 @@ const POINT_ANGSTROM: f64 = 0.5;
 const PARTICLE_SPAN_ANGSTROM: f64 = 0.1;
 
 /// The two images of a region, and what they tell.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct RegionAudit {
     /// Centre (x, y) in nm of the built field.
@@ -56,7 +56,7 @@ pub struct RegionAudit {
 }
 
 /// The result of an audit.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Audit {
     /// Engine that the world was made with.

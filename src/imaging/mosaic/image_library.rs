@@ -229,6 +229,14 @@ impl CellImages {
     }
 }
 
+/// An image that has to be simulated.
+pub struct MissingImage {
+    /// Its probes.
+    pub probes: usize,
+    /// What its file takes.
+    pub bytes: u64,
+}
+
 /// All sheets that a world needs.
 pub struct ImageLibrary {
     cells: BTreeMap<UnitFamily, CellImages>,
@@ -299,15 +307,21 @@ impl ImageLibrary {
         self.cells.values().map(|s| s.sheet.count * self.configurations).sum()
     }
 
-    /// Probes of each image that the cache lacks.
-    pub fn missing(&self, material: &str, sigma: &dyn Fn(u8) -> f64, cache: &Cache) -> Vec<usize> {
+    /// The images that the cache lacks.
+    pub fn missing(
+        &self,
+        material: &str,
+        sigma: &dyn Fn(u8) -> f64,
+        cache: &Cache,
+    ) -> Vec<MissingImage> {
         let mut missing = Vec::new();
         for cell in self.cells.values() {
             for sheet in 0..cell.sheet.count {
                 for configuration in 0..self.configurations {
                     let key = key(&self.settings, sigma, cell, sheet, configuration);
                     if !cache.has(material, &key) {
-                        missing.push(cell.probes());
+                        let bytes = Cache::file_bytes(cell.scan.shape);
+                        missing.push(MissingImage { probes: cell.probes(), bytes });
                     }
                 }
             }

@@ -15,10 +15,15 @@ const EXTENSION: &str = "sheet";
 /// Environment variable that names another folder for the cache.
 pub const CACHE_VARIABLE: &str = "STEMGEN_CACHE";
 
+/// What a file takes besides its values, rounded up to blocks of the disk.
+const FILE_BYTES: u64 = 8192;
+
 /// A folder of images; none keeps nothing.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Cache {
     folder: Option<PathBuf>,
+    /// Where images are kept that cannot be kept in the folder.
+    fallback: Option<PathBuf>,
 }
 
 /// What a cache holds of one material.
@@ -36,12 +41,12 @@ pub struct Holding {
 impl Cache {
     /// The cache in a folder, which is made when first written to.
     pub fn at(folder: PathBuf) -> Self {
-        Cache { folder: Some(folder) }
+        Cache { folder: Some(folder), fallback: None }
     }
 
     /// A cache that keeps nothing.
     pub fn none() -> Self {
-        Cache { folder: None }
+        Cache { folder: None, fallback: None }
     }
 
     /// The user's cache: `$STEMGEN_CACHE`, or `stemgen` in `$XDG_CACHE_HOME` or `~/.cache`; none where neither
@@ -51,7 +56,7 @@ impl Cache {
             |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
         let home = || Some(variable("HOME")?.join(".cache"));
         let shared = || Some(variable("XDG_CACHE_HOME").or_else(home)?.join("stemgen"));
-        Cache { folder: variable(CACHE_VARIABLE).or_else(shared) }
+        Cache { folder: variable(CACHE_VARIABLE).or_else(shared), fallback: None }
     }
 
     /// Its folder.
@@ -59,8 +64,25 @@ impl Cache {
         self.folder.as_deref()
     }
 
+    /// The same with another folder for images that cannot be kept in its own, or where it has none.
+    #[must_use]
+    pub fn with_fallback(self, folder: PathBuf) -> Self {
+        Cache { fallback: Some(folder), ..self }
+    }
+
+    /// Bytes on disk of an image of this shape (rows, columns), rounded up.
+    pub fn file_bytes([rows, columns]: [usize; 2]) -> u64 {
+        4 * (rows * columns) as u64 + FILE_BYTES
+    }
+
     fn of(&self, material: &str) -> Option<ArrayStore> {
-        Some(ArrayStore::new(self.folder.as_ref()?.join(material), EXTENSION))
+        Some(store(self.folder.as_ref()?, material))
+    }
+
+    /// Where the images of a material may lie.
+    fn places(&self, material: &str) -> Vec<ArrayStore> {
+        let folders = [self.folder.as_ref(), self.fallback.as_ref()].into_iter().flatten();
+        folders.map(|folder| store(folder, material)).collect()
     }
 
     /// The image named `key`, [row, column], if it is there, whole, and of this shape (rows, columns). A file that cannot be used
@@ -72,29 +94,35 @@ impl Cache {
         shape: [usize; 2],
         progress: &dyn Progress,
     ) -> Option<Array2<f32>> {
-        let store = self.of(material)?;
-        match store.load(key, key, shape) {
-            Stored::Whole(image) => Some(image),
-            Stored::Missing => None,
-            Stored::Unusable(why) => {
-                let path = store.path(key);
-                progress.warn(&format!("{}: {why}; simulated again", path.display()));
-                None
+        for store in self.places(material) {
+            match store.load(key, key, shape) {
+                Stored::Whole(image) => return Some(image),
+                Stored::Missing => {}
+                Stored::Unusable(why) => {
+                    let path = store.path(key);
+                    progress.warn(&format!("{}: {why}; simulated again", path.display()));
+                }
             }
         }
+        None
     }
 
     /// Whether there is a file for the image named `key`; whether it can be used, only [`Cache::load`] tells.
     pub fn has(&self, material: &str, key: &str) -> bool {
-        self.of(material).is_some_and(|store| store.path(key).is_file())
+        self.places(material).iter().any(|store| store.path(key).is_file())
     }
 
     /// Keeps an image. `note` is for people who look into the file.
     ///
     /// # Errors
-    /// [`Error::Io`]: the world can be built without.
+    /// [`Error::Io`] of the folder: the world can be built without.
     pub fn save(&self, material: &str, key: &str, note: &str, image: &Array2<f32>) -> Result<()> {
-        self.of(material).map_or(Ok(()), |store| store.save(key, key, note, image))
+        let mut places = self.places(material).into_iter();
+        let Some(first) = places.next() else { return Ok(()) };
+        first.save(key, key, note, image).inspect_err(|_| {
+            // Later builds will not find it; this one will, should it be interrupted.
+            let _ = places.next().map(|fallback| fallback.save(key, key, note, image));
+        })
     }
 
     /// What it holds, by material.
@@ -134,6 +162,10 @@ impl Cache {
     }
 }
 
+fn store(folder: &Path, material: &str) -> ArrayStore {
+    ArrayStore::new(folder.join(material), EXTENSION)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -157,5 +189,19 @@ mod tests {
         assert_eq!(cache.holdings().unwrap().len(), 1);
         assert!(Cache::none().load("a", "k", [3, 4], &Silent).is_none());
         Cache::none().save("a", "k", "", &image).unwrap();
+    }
+
+    #[test]
+    fn what_cannot_be_kept_in_the_cache_is_kept_in_its_place() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("file");
+        fs::write(&file, "").unwrap();
+        let image = Array2::from_elem((2, 2), 1.5);
+        for (name, cache) in [("none", Cache::none()), ("broken", Cache::at(file))] {
+            let cache = cache.with_fallback(folder.path().join(name));
+            assert_eq!(cache.save("a", "k", "", &image).is_err(), name == "broken");
+            assert_eq!(cache.load("a", "k", [2, 2], &Silent), Some(image.clone()), "{name}");
+            assert!(cache.has("a", "k"));
+        }
     }
 }

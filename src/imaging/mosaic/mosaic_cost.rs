@@ -12,6 +12,8 @@ pub struct MosaicCost {
     pub missing: usize,
     /// Probes that they take.
     pub missing_probes: usize,
+    /// Bytes that they take on disk.
+    pub missing_bytes: u64,
     /// Columns with a place in the library.
     pub columns: u64,
     /// Columns that are simulated where they lie.

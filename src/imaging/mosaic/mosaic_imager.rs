@@ -1,6 +1,7 @@
 //! Library, assembly, and direct simulation of what does not repeat.
 
 use std::collections::{BTreeMap, HashMap};
+use std::path::Path;
 use std::sync::Arc;
 
 use ndarray::Array2;
@@ -88,7 +89,8 @@ impl MosaicImager {
             pays: self.pays(),
             images: self.library.image_count(),
             missing: missing.len(),
-            missing_probes: missing.iter().sum(),
+            missing_probes: missing.iter().map(|m| m.probes).sum(),
+            missing_bytes: missing.iter().map(|m| m.bytes).sum(),
             columns: self.survey.tagged,
             unique_columns: self.survey.untagged,
             image_bytes: self.library.image_bytes(),
@@ -128,6 +130,10 @@ impl RegionImager for MosaicImager {
 
     fn parameters(&self) -> serde_json::Value {
         self.simulator.parameters()
+    }
+
+    fn keep_in(&mut self, folder: &Path) {
+        self.cache = self.cache.clone().with_fallback(folder.to_owned());
     }
 
     fn prepare(&mut self, progress: &dyn Progress) -> Result<()> {

@@ -1,0 +1,153 @@
+//! The work folder of a build, `<output>.work`: finished sub-tiles, and what else an interrupted build goes on from.
+
+use std::fs::{self, File};
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use super::build_summary::BuildSummary;
+use super::footprint;
+use super::subtile_store::{SubtileStore, beside};
+use crate::error::{Error, Result};
+use crate::files::atomic_write;
+use crate::imaging::{Cache, KeptAudits};
+use crate::progress::Progress;
+
+/// Says that the world is whole.
+const COMPLETE_FILE: &str = "complete.json";
+
+/// Where the build of an output keeps its work until it is complete.
+pub fn work_folder(output: &Path) -> PathBuf {
+    beside(output, ".work")
+}
+
+/// See the module.
+#[derive(Debug, Clone)]
+pub struct WorkFolder {
+    output: PathBuf,
+    folder: PathBuf,
+}
+
+/// What [`COMPLETE_FILE`] holds.
+#[derive(Serialize, Deserialize)]
+struct Complete {
+    /// What was asked for.
+    request: String,
+    /// SHA-256 of the world.
+    sha256: String,
+    summary: BuildSummary,
+}
+
+impl WorkFolder {
+    /// That of an output; it may not be there.
+    pub fn of(output: &Path) -> Self {
+        WorkFolder { output: output.to_owned(), folder: work_folder(output) }
+    }
+
+    pub fn path(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Makes it.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn create(&self) -> Result<()> {
+        fs::create_dir_all(&self.folder).map_err(|e| Error::io(&self.folder, "create", e))
+    }
+
+    /// Removes it where nothing lies in it.
+    pub fn remove_if_empty(&self) {
+        let _ = fs::remove_dir(&self.folder);
+    }
+
+    /// Bytes that lie in it.
+    pub fn bytes(&self) -> u64 {
+        footprint::folder_bytes(&self.folder)
+    }
+
+    /// Where simulations of the library are kept if the cache does not.
+    pub fn library(&self) -> PathBuf {
+        self.folder.join("library")
+    }
+
+    pub fn audits(&self) -> KeptAudits {
+        KeptAudits::at(self.folder.join("audits"))
+    }
+
+    /// The sub-tiles of a build that `key` describes.
+    ///
+    /// # Errors
+    /// As [`SubtileStore::open`].
+    pub fn subtiles(&self, key: &str, progress: &dyn Progress) -> Result<SubtileStore> {
+        SubtileStore::open(&self.folder, key, progress)
+    }
+
+    /// Notes that `world`, not yet in its place, is what was asked for.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn complete(&self, world: &Path, request: &str, summary: &BuildSummary) -> Result<()> {
+        let sha256 = digest(world).map_err(|e| Error::io(world, "read", e))?;
+        let complete = Complete { request: request.to_owned(), sha256, summary: summary.clone() };
+        let path = self.folder.join(COMPLETE_FILE);
+        let text = serde_json::to_string(&complete)
+            .map_err(|e| Error::io(&path, "write", io::Error::other(e)))?;
+        atomic_write::write(&path, text.as_bytes())
+    }
+
+    /// What an earlier run built, if the output is the world that was asked for and only what comes after it may be missing.
+    pub fn completed(&self, request: &str) -> Option<BuildSummary> {
+        let text = fs::read_to_string(self.folder.join(COMPLETE_FILE)).ok()?;
+        let complete: Complete = serde_json::from_str(&text).ok()?;
+        let same = complete.request == request && digest(&self.output).ok()? == complete.sha256;
+        same.then(|| BuildSummary { path: self.output.clone(), ..complete.summary })
+    }
+
+    /// Refuses a file where an unfinished one of this build would go, unless an interrupted run has left it.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`].
+    pub fn check_partial(&self, partial: &Path) -> Result<()> {
+        if self.folder.is_dir() || !partial.exists() {
+            return Ok(());
+        }
+        let expected = "is where the unfinished file would go, and holds something else; move it, or name another file";
+        Err(Error::invalid(crate::Setting::Output, partial.display(), expected))
+    }
+
+    /// Removes what is in it, and the folder if nothing else lies there.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn remove(&self) -> Result<()> {
+        Cache::at(self.library()).clear(None)?;
+        // A folder that holds other files stays.
+        let _ = fs::remove_dir(self.library());
+        self.audits().clear()?;
+        SubtileStore::clear(&self.folder)?;
+        // Last: as long as it is there, the world is finished and not refused.
+        let complete = self.folder.join(COMPLETE_FILE);
+        match fs::remove_file(&complete) {
+            Err(e) if e.kind() != io::ErrorKind::NotFound => {
+                return Err(Error::io(&complete, "remove", e));
+            }
+            _ => {}
+        }
+        self.remove_if_empty();
+        Ok(())
+    }
+}
+
+fn digest(path: &Path) -> io::Result<String> {
+    let (mut file, mut hasher) = (File::open(path)?, Sha256::new());
+    let mut buffer = vec![0; 1 << 16];
+    loop {
+        match file.read(&mut buffer)? {
+            0 => return Ok(hasher.finalize().iter().map(|b| format!("{b:02x}")).collect()),
+            n => hasher.update(&buffer[..n]),
+        }
+    }
+}

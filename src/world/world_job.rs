@@ -1,0 +1,229 @@
+//! The work of a build: image sub-tile by sub-tile, then the file.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use ndarray::Array2;
+
+use super::blended_image::BlendedImage;
+use super::build_options::BuildOptions;
+use super::build_summary::BuildSummary;
+use super::subtile_store::SubtileStore;
+use super::subtiles::{Partition, SubTile};
+use super::truth::{self, Counts};
+use crate::error::{Error, Result};
+use crate::imaging::{Audit, PixelRect, RegionImager};
+use crate::io::{Header, WorldFile, WorldWriter};
+use crate::numerics::NUMERICS_VERSION;
+use crate::progress::{Progress, ProgressShare};
+use crate::recipe::CheckedRecipe;
+use crate::specimen::Specimen;
+
+/// What is built, and in which parts.
+pub struct BuildLayout {
+    pub recipe: CheckedRecipe,
+    pub specimen: Arc<dyn Specimen>,
+    pub options: BuildOptions,
+    pub partition: Partition,
+}
+
+/// One build, with its imager.
+pub struct Job<'a> {
+    pub layout: &'a BuildLayout,
+    pub imager: &'a dyn RegionImager,
+    pub audit: Option<Audit>,
+    pub progress: &'a dyn Progress,
+}
+
+impl Job<'_> {
+    /// All that decides the image of a sub-tile.
+    pub fn key(&self) -> String {
+        let key = serde_json::json!({
+            "numerics": NUMERICS_VERSION,
+            "recipe": self.layout.recipe.to_toml(),
+            "engine": self.imager.name(),
+            "parameters": self.imager.parameters(),
+            "partition": format!("{:?}", self.layout.partition),
+        });
+        key.to_string()
+    }
+
+    /// Makes the images that are missing; returns how many sub-tiles were there.
+    pub fn simulate(&self, store: &SubtileStore) -> Result<usize> {
+        let partition = &self.layout.partition;
+        let work: Vec<usize> =
+            partition.subtiles().map(|t| self.imager.work(&self.pixels(&t))).collect();
+        let [stage, unit] = self.imager.stage();
+        self.progress.start(stage, unit, work.iter().sum::<usize>() as u64);
+        let mut resumed = 0;
+        for (tile, work) in partition.subtiles().zip(work) {
+            if self.progress.interrupted() {
+                return Err(Error::Interrupted);
+            }
+            let share = ProgressShare::new(self.progress, work);
+            if store.load(tile.index, tile.shape(), self.progress).is_some() {
+                resumed += 1;
+                share.found();
+            } else {
+                store.save(tile.index, &self.simulate_one(&tile, &share)?)?;
+                share.complete();
+            }
+        }
+        self.progress.finish();
+        Ok(resumed)
+    }
+
+    /// The pixels of a sub-tile in the full field.
+    fn pixels(&self, tile: &SubTile) -> PixelRect {
+        let first = self.layout.recipe.field.crop_origin_px();
+        let first = [first[0] + tile.rows.start, first[1] + tile.columns.start];
+        PixelRect::new(first, tile.shape())
+    }
+
+    fn simulate_one(&self, tile: &SubTile, progress: &dyn Progress) -> Result<Array2<f32>> {
+        let configurations = self.layout.recipe.phonons.configurations.max(1);
+        let image = self.imager.mean_of(&self.pixels(tile), configurations, progress)?;
+        if image.shape() != tile.shape() {
+            let expected = format!("the imager was asked for {:?}", tile.shape());
+            return Err(Error::invalid(
+                crate::Setting::EngineImageShape,
+                format!("{:?}", image.shape()),
+                expected,
+            ));
+        }
+        match image.iter().find(|v| !v.is_finite()) {
+            Some(bad) => {
+                let place = format!("sub-tile {} of {}", tile.index, self.imager.name());
+                Err(Error::invalid(
+                    crate::Setting::Intensity,
+                    bad,
+                    format!("{place}: must be finite"),
+                ))
+            }
+            None => Ok(image.mapv(|v| v as f32)),
+        }
+    }
+
+    /// Writes the file from the sub-tiles and reads it back; returns what was listed, and the least and greatest value.
+    pub fn write_file(&self, path: &Path, store: &SubtileStore) -> Result<(Counts, [f32; 2])> {
+        let BuildLayout { recipe, options, partition, .. } = self.layout;
+        let image = BlendedImage::new(recipe, partition, store, options.noise);
+        let keep_clean = options.keep_clean;
+        let writer = WorldWriter::create(path, &self.header(), keep_clean)?;
+        let range = image.range(self.progress)?;
+        image.write(&writer, range, keep_clean, self.progress)?;
+        let counts = truth::write(
+            &*self.layout.specimen,
+            &self.layout.recipe.field,
+            &writer,
+            self.progress,
+        )?;
+        writer.finish()?;
+        verify(path, counts)?;
+        Ok((counts, range))
+    }
+
+    /// What was built; the time is not known yet.
+    pub fn summary(
+        &self,
+        output: &Path,
+        resumed: usize,
+        counts: Counts,
+        range: [f32; 2],
+    ) -> BuildSummary {
+        let BuildLayout { recipe, partition, .. } = self.layout;
+        let field = &recipe.field;
+        BuildSummary {
+            path: output.to_owned(),
+            grid: field.built_grid(),
+            fov_nm: field.pixels(field.built_grid()).map(|n| n as f64 * field.pixel_nm()),
+            counts,
+            engine: self.imager.name().to_owned(),
+            audit: self.audit.clone(),
+            library: self.imager.library(),
+            subtiles: partition.len(),
+            subtiles_resumed: resumed,
+            range,
+            wall_time_s: 0.0,
+        }
+    }
+
+    fn header(&self) -> Header {
+        let recipe = &self.layout.recipe;
+        let field = &recipe.field;
+        let shape = field.pixels(field.built_grid());
+        let mut texts = vec![
+            ("material", recipe.id.clone()),
+            ("zone_axis", recipe.zone_axis.clone()),
+            ("recipe", recipe.to_toml()),
+            ("stemgen_version", env!("CARGO_PKG_VERSION").into()),
+            ("numerics_version", NUMERICS_VERSION.to_string()),
+            ("engine", self.imager.name().to_owned()),
+            ("engine_parameters", self.imager.parameters().to_string()),
+        ];
+        let audit = self.audit.as_ref().and_then(|a| serde_json::to_string(a).ok());
+        texts.extend(audit.map(|audit| ("audit", audit)));
+        texts.extend(recipe.source.iter().map(|source| ("source", source.clone())));
+        Header {
+            pixel_size_nm: field.pixel_nm(),
+            tile_size_px: field.tile_px,
+            overlap_px: field.overlap_px,
+            grid_shape: field.built_grid(),
+            fov_nm: shape.map(|n| n as f64 * field.pixel_nm()),
+            origin_px: field.crop_origin_px(),
+            thickness_nm: self.layout.specimen.thickness_nm(),
+            dose: recipe.dose.electrons_per_angstrom2,
+            noise: self.layout.options.noise,
+            seed: recipe.seed,
+            texts,
+        }
+    }
+}
+
+/// Reads back every tile: a write that failed without a word is found here.
+fn verify(path: &Path, counts: Counts) -> Result<()> {
+    let world = WorldFile::open(path)?;
+    let [rows, columns] = world.metadata().grid_shape;
+    for r in 0..rows {
+        for c in 0..columns {
+            world.tile(r, c)?;
+            if world.has_clean() {
+                world.clean_tile(r, c)?;
+            }
+        }
+    }
+    let found = world.site_count()? as u64;
+    match found == counts.sites {
+        true => Ok(()),
+        false => Err(Error::invalid(
+            crate::Setting::SitesInFile,
+            found,
+            format!("{} written", counts.sites),
+        )),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::imaging::Cache;
+    use crate::progress::Silent;
+    use crate::world::build;
+
+    #[test]
+    fn lost_tiles_are_noticed_clean_ones_too() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("w.h5");
+        let tiny = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/cli/tiny.toml"));
+        let recipe = CheckedRecipe::from_file(tiny, None).unwrap();
+        let options = BuildOptions { cache: Cache::none(), keep_clean: true, ..Default::default() };
+        let done = build(&recipe, &path, &options, &Silent).unwrap();
+        verify(&path, done.counts).unwrap();
+        let counts = Counts { sites: done.counts.sites + 1, ..done.counts };
+        assert!(verify(&path, counts).is_err());
+        let file = hdf5::File::append(&path).unwrap();
+        file.group("clean").unwrap().unlink("1_0").unwrap();
+        drop(file);
+        assert!(verify(&path, done.counts).is_err());
+    }
+}

@@ -1,0 +1,226 @@
+//! What lies on the disk is damaged, foreign, removed, from another time, or written by two at once: pixels are never wrong.
+
+use super::{Method, assert_done, build, fails, files, has_image, has_subtile, names};
+use super::{skipped::skipped, stderr, succeeds, wait_for};
+use std::fs::{self, File, FileTimes};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, SystemTime};
+
+/// Damages each file in a way of its own.
+fn damage(paths: &[PathBuf]) {
+    for (number, path) in paths.iter().enumerate() {
+        let bytes = fs::read(path).unwrap();
+        let flipped = |at: usize| {
+            let mut bytes = bytes.clone();
+            bytes[at] ^= 1 << (number % 8);
+            bytes
+        };
+        match number % 6 {
+            0 => fs::write(path, flipped(bytes.len() / 2)).unwrap(),
+            1 => fs::write(path, flipped(20)).unwrap(),
+            2 => fs::write(path, &bytes[..bytes.len() - 1]).unwrap(),
+            3 => fs::write(path, "").unwrap(),
+            // whole, but of another image
+            4 => drop(fs::copy(&paths[(number + 1) % paths.len()], path).unwrap()),
+            _ => fs::write(path, "a text of somebody else\n".repeat(9)).unwrap(),
+        }
+    }
+}
+
+fn with_ending(folder: &Path, ending: &str) -> Vec<PathBuf> {
+    let mut found = files(folder);
+    found.retain(|f| f.extension().is_some_and(|e| e == ending));
+    found
+}
+
+/// A build that was killed when a part of it was there.
+fn killed(folder: &Path, method: Method, when: impl Fn(&Path) -> bool) {
+    let mut child = build(folder, method).spawn().unwrap();
+    assert!(wait_for(|| when(folder)));
+    child.kill().unwrap();
+    child.wait().unwrap();
+}
+
+#[test]
+fn damaged_images_of_the_cache_are_made_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    succeeds(&mut build(here, Method::Library));
+    let sheets = with_ending(&here.join("cache"), "sheet");
+    assert!(sheets.len() >= 12, "{sheets:?}");
+    let whole: Vec<Vec<u8>> = sheets.iter().map(|s| fs::read(s).unwrap()).collect();
+    damage(&sheets);
+    let told = succeeds(build(here, Method::Library).arg("--overwrite"));
+    assert_eq!(told.matches("; simulated again").count(), sheets.len(), "{told}");
+    for why in ["is damaged", "is cut off", "holds another image", "is no array of this program"] {
+        assert!(told.contains(why), "no `{why}` in {told}");
+    }
+    assert_done(here, Method::Library, "damaged cache");
+    let after: Vec<Vec<u8>> = sheets.iter().map(|s| fs::read(s).unwrap()).collect();
+    assert!(whole == after, "the cache is whole again");
+}
+
+#[test]
+fn damaged_sub_tiles_are_made_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    killed(here, Method::Subtiles, |f| has_subtile(f, 6));
+    let tiles = with_ending(&here.join("w.h5.work"), "bin");
+    assert!(tiles.len() >= 7, "{tiles:?}");
+    damage(&tiles);
+    let told = succeeds(&mut build(here, Method::Subtiles));
+    assert_eq!(told.matches("; simulated again").count(), tiles.len(), "{told}");
+    assert_done(here, Method::Subtiles, "damaged sub-tiles");
+}
+
+#[test]
+fn audits_and_libraries_are_kept_in_the_work_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    killed(here, Method::NoCache, |f| has_subtile(f, 0));
+    assert!(!here.join("cache").exists());
+    let library = with_ending(&here.join("w.h5.work/library"), "sheet");
+    let audits = with_ending(&here.join("w.h5.work/audits"), "audit");
+    assert_eq!((library.len(), audits.len()), (18, 1));
+    let mut again = build(here, Method::NoCache);
+    let output = again.arg("--json").stdout(std::process::Stdio::piped()).output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(summary["library"], serde_json::json!([18, 0]), "{summary}");
+    assert!(!stderr(&output).contains("auditing"), "{}", stderr(&output));
+    assert_done(here, Method::NoCache, "no cache");
+
+    // A damaged audit is made again.
+    fs::remove_file(here.join("w.h5")).unwrap();
+    fs::remove_file(here.join("w.png")).unwrap();
+    killed(here, Method::NoCache, |f| has_subtile(f, 0));
+    let [audit] = &with_ending(&here.join("w.h5.work/audits"), "audit")[..] else { panic!() };
+    let text = fs::read_to_string(audit).unwrap();
+    fs::write(audit, text.replacen("bright_rms_percent\":", "bright_rms_percent\":1", 1)).unwrap();
+    let told = succeeds(&mut build(here, Method::NoCache));
+    assert!(told.contains("is damaged; audited again"), "{told}");
+    assert_done(here, Method::NoCache, "damaged audit");
+}
+
+/// As a kill between the world and its picture leaves it.
+#[test]
+fn a_world_without_its_picture_is_finished() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    // A folder where the picture goes: the world is put in place, the picture is not.
+    let mut child = build(here, Method::Subtiles).spawn().unwrap();
+    assert!(wait_for(|| has_subtile(here, 0)));
+    fs::create_dir_all(here.join("w.png/in the way")).unwrap();
+    assert!(!child.wait().unwrap().success());
+    assert!(names(here).contains("w.h5") && names(here).contains("w.h5.work"), "{:?}", names(here));
+    fs::remove_dir_all(here.join("w.png")).unwrap();
+    let written = fs::metadata(here.join("w.h5")).unwrap().modified().unwrap();
+    // Another build of that name is refused as ever.
+    assert!(fails(build(here, Method::Subtiles).args(["--seed", "9"])).contains("exists"));
+    succeeds(&mut build(here, Method::Subtiles));
+    assert_done(here, Method::Subtiles, "finished");
+    assert_eq!(fs::metadata(here.join("w.h5")).unwrap().modified().unwrap(), written);
+    assert!(fails(&mut build(here, Method::Subtiles)).contains("exists"));
+}
+
+#[test]
+fn a_cache_that_cannot_be_written_is_told_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    fs::write(here.join("file"), "").unwrap();
+    let mut command = build(here, Method::Library);
+    let told = succeeds(command.env("STEMGEN_CACHE", here.join("file/cache")));
+    assert_eq!(told.matches("were not kept for later builds").count(), 1, "{told}");
+    assert_eq!(told.matches("file/cache").count(), 1, "{told}");
+    fs::remove_file(here.join("file")).unwrap();
+    assert_done(here, Method::Library, "no cache");
+}
+
+#[test]
+fn two_builds_share_a_cache() {
+    let [a, b] = [(); 2].map(|()| tempfile::tempdir().unwrap());
+    let cache = a.path().join("cache");
+    let children = [&a, &b].map(|folder| {
+        let mut command = build(folder.path(), Method::Library);
+        command.env("STEMGEN_CACHE", &cache).spawn().unwrap()
+    });
+    for child in children {
+        let ended = child.wait_with_output().unwrap();
+        assert!(ended.status.success(), "{}", stderr(&ended));
+    }
+    assert_done(a.path(), Method::Library, "one");
+    assert_done(b.path(), Method::Library, "the other");
+}
+
+#[test]
+fn a_folder_deleted_under_a_build_is_an_error_and_no_more() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    for target in ["w.h5.work", "cache", ""] {
+        let place = here.join("place");
+        fs::create_dir(&place).unwrap();
+        let child = build(&place, Method::Library).spawn().unwrap();
+        assert!(wait_for(|| has_image(&place)));
+        // Files may come while it is deleted.
+        wait_for(|| fs::remove_dir_all(place.join(target)).is_ok() || !place.join(target).exists());
+        let ended = child.wait_with_output().unwrap();
+        let told = stderr(&ended);
+        assert!(matches!(ended.status.code(), Some(0 | 1)), "{target}: {:?} {told}", ended.status);
+        assert!(!told.contains("panicked"), "{told}");
+        if !ended.status.success() {
+            assert!(told.contains("error: "), "{told}");
+            fs::create_dir_all(&place).unwrap();
+            succeeds(&mut build(&place, Method::Library));
+        }
+        assert_done(&place, Method::Library, target);
+        fs::remove_dir_all(&place).unwrap();
+    }
+}
+
+#[test]
+fn clocks_that_jump_change_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    killed(here, Method::Library, |f| has_subtile(f, 2));
+    for (number, path) in files(here).iter().enumerate() {
+        let decades = Duration::from_secs(60 * 365 * 86_400);
+        let time = match number % 2 {
+            0 => SystemTime::UNIX_EPOCH + Duration::from_secs(1),
+            _ => SystemTime::now() + decades,
+        };
+        let file = File::options().write(true).open(path).unwrap();
+        file.set_times(FileTimes::new().set_modified(time).set_accessed(time)).unwrap();
+    }
+    succeeds(&mut build(here, Method::Library));
+    assert_done(here, Method::Library, "file times");
+    if Command::new("faketime").arg("--version").output().is_err() {
+        return skipped("there is no `faketime`: only the times of files were changed");
+    }
+    killed(here, Method::Library, |f| has_subtile(f, 2));
+    let plain = build(here, Method::Library);
+    let mut faked = Command::new("faketime");
+    faked.arg("2001-01-01 00:00:00").arg(plain.get_program()).args(plain.get_args());
+    faked.arg("--overwrite").current_dir(here).env("STEMGEN_CACHE", here.join("cache"));
+    assert!(faked.status().unwrap().success());
+    assert_done(here, Method::Library, "faketime");
+}
+
+/// Files of other people under the names that a build uses beside its output.
+#[test]
+fn files_of_others_beside_the_output_stay() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    for name in ["w.h5.partial", "w.png.partial"] {
+        fs::write(here.join(name), "precious").unwrap();
+        let told = fails(&mut build(here, Method::Subtiles));
+        assert!(told.contains(name), "{told}");
+        assert_eq!(fs::read(here.join(name)).unwrap(), b"precious");
+        assert_eq!(names(here).len(), 1, "{:?}", names(here));
+        fs::remove_file(here.join(name)).unwrap();
+    }
+    fs::create_dir(here.join("w.h5.work")).unwrap();
+    fs::write(here.join("w.h5.work/notes.txt"), "precious").unwrap();
+    succeeds(&mut build(here, Method::Subtiles));
+    assert_eq!(fs::read(here.join("w.h5.work/notes.txt")).unwrap(), b"precious");
+}

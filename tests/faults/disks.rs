@@ -1,0 +1,152 @@
+//! Disks without room: found before any work, or where they fill up meanwhile an error that loses nothing.
+//!
+//! With a name space of its own (`unshare`) the test has small disks; elsewhere a limit on the size of files stands in for them.
+
+use super::{Method, assert_done, build, fails, files, has_image, has_subtile, names};
+use super::{skipped::skipped, stderr, succeeds, wait_for};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// Set where the test runs again with mounts of its own.
+const INSIDE: &str = "STEMGEN_TEST_MOUNTS";
+
+#[test]
+fn full_disks() {
+    if std::env::var_os(INSIDE).is_some() {
+        return small_disks();
+    }
+    let own = std::env::current_exe().unwrap();
+    let mut again = Command::new("unshare");
+    again.arg("-rm").arg(own).args(["--exact", "disks::full_disks", "--nocapture"]);
+    let output = again.env(INSIDE, "1").output();
+    match output {
+        Ok(output) if output.status.success() && !stderr(&output).contains("SKIPPED") => {}
+        Ok(output) if can_mount() => {
+            panic!("{}{}", String::from_utf8_lossy(&output.stdout), stderr(&output))
+        }
+        _ => skipped("no disks can be mounted here; only the limit on files is tested"),
+    }
+}
+
+/// Whether there may be mounts in a name space.
+fn can_mount() -> bool {
+    let script = "mount -t tmpfs -o size=1m tmpfs /tmp";
+    Command::new("unshare")
+        .args(["-rm", "sh", "-c", script])
+        .output()
+        .is_ok_and(|o| o.status.success())
+}
+
+/// A disk of so many kB in a folder that is made.
+fn disk(folder: &Path, kilobytes: u64) {
+    fs::create_dir_all(folder).unwrap();
+    let size = format!("size={kilobytes}k");
+    let mut mount = Command::new("mount");
+    mount.args(["-t", "tmpfs", "-o", &size, "tmpfs"]).arg(folder);
+    assert!(mount.status().unwrap().success());
+}
+
+/// Fills the disk of a folder; what is left is less than a page.
+fn fill(folder: &Path) -> PathBuf {
+    let path = folder.join("filler");
+    let mut file = fs::File::create(&path).unwrap();
+    let zeros = [0; 4096];
+    while std::io::Write::write_all(&mut file, &zeros).is_ok() {}
+    path
+}
+
+fn small_disks() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    too_small(&here.join("small"));
+    filled_meanwhile(&here.join("output"), "", |f| has_subtile(f, 0));
+    filled_meanwhile(&here.join("work"), "w.h5.work", |f| has_subtile(f, 0));
+    full_cache(&here.join("cache"));
+}
+
+/// What a build writes is no more than is asked for before it.
+#[test]
+fn what_is_written_was_counted() {
+    use stemgen::recipe::CheckedRecipe;
+    use stemgen::world::footprint::{PICTURE, work_bytes, world_bytes};
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let mut child = build(here, Method::Subtiles).spawn().unwrap();
+    assert!(wait_for(|| here.join("w.h5.work/complete.json").exists()));
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let size = |path: &PathBuf| fs::metadata(path).unwrap().len().next_multiple_of(4096);
+    let work: u64 = files(&here.join("w.h5.work")).iter().map(size).sum();
+    let [world, picture] = Method::Subtiles.expected().each_ref().map(|bytes| bytes.len() as u64);
+    let tiny = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/cli/tiny.toml"));
+    let field = CheckedRecipe::from_file(tiny, None).unwrap().field.clone();
+    assert!(world < world_bytes(&field, 65, false), "{world}");
+    assert!(work < work_bytes(&field, 9), "{work}");
+    assert!(picture < PICTURE, "{picture}");
+}
+
+/// 150 kB hold a world of 70 kB, but not its picture and the sub-tiles.
+fn too_small(place: &Path) {
+    disk(place, 150);
+    let told = fails(&mut build(place, Method::Subtiles));
+    assert!(told.contains("are needed and") && told.contains("are free"), "{told}");
+    assert_eq!(names(place).len(), 0, "{:?}", names(place));
+}
+
+/// The disk of a folder below `place` fills up while a build runs; with room again it goes on.
+fn filled_meanwhile(place: &Path, below: &str, when: impl Fn(&Path) -> bool) {
+    fs::create_dir(place).unwrap();
+    disk(&place.join(below), 4000);
+    let child = build(place, Method::Subtiles).spawn().unwrap();
+    assert!(wait_for(|| when(place)));
+    let filler = fill(&place.join(below));
+    let ended = child.wait_with_output().unwrap();
+    let told = stderr(&ended);
+    assert_eq!(ended.status.code(), Some(1), "{below}: {told}");
+    assert!(told.contains("No space left") && told.contains("w.h5.work keeps"), "{below}: {told}");
+    assert!(!told.contains("panicked") && !names(place).contains("w.h5"), "{below}: {told}");
+    fs::remove_file(filler).unwrap();
+    let told = succeeds(&mut build(place, Method::Subtiles));
+    assert!(!told.contains("simulated again"), "{below}: {told}");
+    let mount = Command::new("umount").arg("-l").arg(place.join(below)).status();
+    if below.is_empty() {
+        return;
+    }
+    assert!(mount.unwrap().success());
+    fs::remove_dir(place.join(below)).unwrap();
+    assert_done(place, Method::Subtiles, below);
+}
+
+/// A cache without room is told in one line and changes nothing else.
+fn full_cache(place: &Path) {
+    disk(&place.join("cache"), 200);
+    let child = build(place, Method::Library).spawn().unwrap();
+    assert!(wait_for(|| has_image(place)));
+    fill(&place.join("cache"));
+    let ended = child.wait_with_output().unwrap();
+    let told = stderr(&ended);
+    assert!(ended.status.success(), "{told}");
+    assert_eq!(told.matches("were not kept for later builds").count(), 1, "{told}");
+    assert_done(place, Method::Library, "full cache");
+    assert!(!files(&place.join("cache")).is_empty());
+}
+
+/// Files that may not grow beyond a size fail to be written, wherever they lie.
+#[test]
+fn files_that_may_not_grow() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    for blocks in [0, 2, 8, 40, 100, 200] {
+        let plain = build(here, Method::Subtiles);
+        let mut command = Command::new("sh");
+        // Without the trap the system would end the program.
+        let script = format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$@\"");
+        command.args(["-c", &script, "sh"]).arg(plain.get_program()).args(plain.get_args());
+        command.current_dir(here).env("STEMGEN_CACHE", here.join("cache"));
+        let told = fails(command.stdout(std::process::Stdio::null()));
+        assert!(told.contains("File too large") || told.contains("HDF5"), "{blocks}: {told}");
+    }
+    succeeds(&mut build(here, Method::Subtiles));
+    assert_done(here, Method::Subtiles, "limits");
+}

@@ -1,0 +1,158 @@
+//! SIGKILL and SIGTERM at random moments.
+
+use super::{Method, assert_done, build, files, has_image, has_subtile, names, stderr, succeeds};
+use rand::{Rng, RngExt, SeedableRng, rngs::StdRng};
+use std::os::unix::process::ExitStatusExt;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// Part of a build that is hit.
+#[derive(Debug, Clone, Copy)]
+struct Stage {
+    name: &'static str,
+    method: Method,
+    /// Whether the cache is full before.
+    warm: bool,
+    /// Begins when this holds of the folder; at the start of the program if `None`.
+    begins: Option<fn(&Path) -> bool>,
+}
+
+const STAGES: [Stage; 8] = [
+    Stage { name: "cold library", method: Method::Library, warm: false, begins: None },
+    Stage { name: "warm library", method: Method::Library, warm: true, begins: None },
+    Stage { name: "library without a cache", method: Method::NoCache, warm: false, begins: None },
+    Stage { name: "cache write", method: Method::Library, warm: false, begins: Some(has_image) },
+    Stage {
+        name: "sub-tiles",
+        method: Method::Subtiles,
+        warm: false,
+        begins: Some(|folder| has_subtile(folder, 0)),
+    },
+    Stage {
+        name: "final write",
+        method: Method::Subtiles,
+        warm: false,
+        begins: Some(|f| has_subtile(f, 3) && f.join("w.h5.partial").exists()),
+    },
+    Stage {
+        name: "rename",
+        method: Method::Subtiles,
+        warm: false,
+        begins: Some(|folder| folder.join("w.h5.work/complete.json").exists()),
+    },
+    Stage {
+        name: "picture",
+        method: Method::Library,
+        warm: true,
+        begins: Some(|folder| folder.join("w.h5").exists()),
+    },
+];
+
+/// Runs a build until a random moment of a stage and sends a signal; returns how it ended.
+fn hit(folder: &Path, stage: Stage, signal: &str, random: &mut impl Rng) -> std::process::Output {
+    let child = build(folder, stage.method).stdout(Stdio::null()).spawn().unwrap();
+    let wait = match stage.begins {
+        // A build of the tiny world takes about so long.
+        None => Duration::from_micros(random.random_range(0..1_500_000)),
+        Some(_) => Duration::from_micros(random.random_range(0..30_000)),
+    };
+    let mut child = child;
+    if let Some(begins) = stage.begins {
+        super::wait_for(|| begins(folder) || has_ended(&mut child));
+    }
+    let begun = Instant::now();
+    while begun.elapsed() < wait && !has_ended(&mut child) {
+        std::thread::sleep(Duration::from_micros(100));
+    }
+    send(&child, signal);
+    child.wait_with_output().unwrap()
+}
+
+fn has_ended(child: &mut Child) -> bool {
+    child.try_wait().unwrap().is_some()
+}
+
+/// Sends a signal to a process that may have ended, but was not waited for.
+pub fn send(child: &Child, signal: &str) {
+    let id = child.id().to_string();
+    let _ = Command::new("kill").args([signal, &id]).stderr(Stdio::null()).status().unwrap();
+}
+
+/// Hits `count` builds of each stage, some of them more than once, and finishes each. Returns how many signals met a program at work.
+fn hit_all(signal: &str, code: Option<i32>, count: usize, seed: u64) -> usize {
+    let mut random = StdRng::seed_from_u64(seed);
+    let mut met = 0;
+    for stage in STAGES {
+        println!("{signal} {}: {count} builds", stage.name);
+        for number in 0..count {
+            let what = format!("{signal} {} {number}, seed {seed}", stage.name);
+            let folder = tempfile::tempdir().unwrap();
+            let here = folder.path();
+            if stage.warm {
+                warm(here);
+            }
+            for _ in 0..random.random_range(1..3) {
+                let ended = hit(here, stage, signal, &mut random);
+                let told = stderr(&ended);
+                assert!(!told.contains("panicked"), "{what}: {told}");
+                if ended.status.success() {
+                    // Too late; another build of the same name would be refused.
+                    break;
+                }
+                // Before the program listens the system ends it.
+                let early = code.is_some() && ended.status.signal() == Some(15);
+                assert!(early || ended.status.code() == code, "{what}: {:?} {told}", ended.status);
+                met += 1;
+                if code.is_some() {
+                    assert_nothing_half_written(here, &what);
+                }
+            }
+            if names(here).contains("w.h5.work") || !names(here).contains("w.h5") {
+                succeeds(&mut build(here, stage.method));
+            }
+            assert_done(here, stage.method, &what);
+        }
+    }
+    met
+}
+
+/// Fills the cache.
+fn warm(folder: &Path) {
+    let elsewhere = tempfile::tempdir().unwrap();
+    let mut command = build(elsewhere.path(), Method::Library);
+    succeeds(command.env("STEMGEN_CACHE", folder.join("cache")));
+}
+
+/// A program that was asked to end has removed what it had begun.
+fn assert_nothing_half_written(folder: &Path, what: &str) {
+    let left = files(folder);
+    let half = left.iter().find(|path| {
+        let name = path.file_name().unwrap().to_string_lossy();
+        name.ends_with(".partial") || name.ends_with(".lock")
+    });
+    assert_eq!(half, None, "{what}: {left:?}");
+}
+
+#[test]
+fn killed_builds_end_in_the_same_bytes() {
+    let met = hit_all("-KILL", None, 2, 1);
+    assert!(met >= 10, "{met} builds were killed");
+}
+
+#[test]
+fn builds_that_are_asked_to_end_leave_nothing_half_written() {
+    let met = hit_all("-TERM", Some(143), 2, 2);
+    assert!(met >= 10, "{met} builds were asked");
+}
+
+/// `cargo test --release --test faults many_kills -- --ignored --nocapture`
+#[test]
+#[ignore = "takes a quarter of an hour"]
+fn many_kills() {
+    for (signal, code, seed) in [("-KILL", None, 3), ("-TERM", Some(143), 4)] {
+        let met = hit_all(signal, code, 30, seed);
+        println!("{met} builds were ended by {signal}; all ended in the same bytes");
+        assert!(met >= 200, "{met} builds were ended by {signal}");
+    }
+}
