@@ -7,7 +7,9 @@ use super::structure_args::Prepared;
 use super::text;
 use serde::Serialize;
 use std::time::Instant;
-use stemgen::engine::{AccuracyFound, Algorithm, Cost, Plan, Scan, Settings, settings_for_accuracy};
+use stemgen::engine::{
+    AccuracyFound, Algorithm, Cost, Plan, Scan, Settings, settings_for_accuracy,
+};
 
 /// What was found, and the time that finding it took.
 #[derive(Debug, Clone, Serialize)]

@@ -1,7 +1,7 @@
 //! Comparison with an image of another program.
 
-use super::hints::hinted;
 use super::accuracy_report::AccuracyReport;
+use super::hints::hinted;
 use super::imaging_args::{self, MicroscopeArgs, NumericsArgs};
 use super::plan_report::{self, Lines, PlanReport};
 use super::progress_bar::Reporter;
@@ -169,11 +169,7 @@ impl ReferenceArgs {
         let accuracy = accuracy.map_or_else(String::new, |a| format!("; ours: {}", a.text()));
         Ok(Some(PreparedReference {
             name: path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned(),
-            source: format!(
-                "{} (x and y: {}){accuracy}",
-                path.display(),
-                reference.orientation
-            ),
+            source: format!("{} (x and y: {}){accuracy}", path.display(), reference.orientation),
             reference,
             specimen,
             plan,

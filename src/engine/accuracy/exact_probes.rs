@@ -91,9 +91,8 @@ impl<'a> ExactEngine<'a> {
     fn cut_out(&self, scan: &Scan, cluster: &DrawnCluster) -> (Vec<Site>, Scan) {
         let piece = self.piece.transmission_grid.extent_angstrom;
         let n = cluster.indices.len() as f64;
-        let middle = [0, 1].map(|k| {
-            cluster.indices.iter().map(|&i| scan.position(i)[k]).sum::<f64>() / n
-        });
+        let middle =
+            [0, 1].map(|k| cluster.indices.iter().map(|&i| scan.position(i)[k]).sum::<f64>() / n);
         let corner = [0, 1].map(|k| middle[k] - 0.5 * piece[k]);
         let inside = |site: &Site| {
             let mut site = *site;

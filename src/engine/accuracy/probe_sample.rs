@@ -128,7 +128,8 @@ mod tests {
     use super::*;
 
     fn sample() -> (ProbeSample, Vec<f64>) {
-        let scan = Scan { origin_angstrom: [1.0, 2.0], step_angstrom: [0.25, 0.3], shape: [37, 50] };
+        let scan =
+            Scan { origin_angstrom: [1.0, 2.0], step_angstrom: [0.25, 0.3], shape: [37, 50] };
         let site = |position, number| Site { position, number, sigma_angstrom: 0.0, key: 0 };
         let sites = [site([4.0, 5.0, 0.0], 79), site([38.0, 9.0, 0.0], 8)];
         let bright = brightness(&scan, &sites, [30.0, 30.0]);
@@ -161,7 +162,8 @@ mod tests {
         assert!((over_rounds / exact - 1.0).abs() < 0.02, "{over_rounds} {exact}");
         let (a, b) = (sample.draw(12, 4, 3), sample.draw(12, 4, 3));
         assert!(a.iter().zip(&b).all(|(a, b)| a.indices == b.indices));
-        let all = |round| sample.draw(12, 4, round).iter().flat_map(|c| c.indices.clone()).collect();
+        let all =
+            |round| sample.draw(12, 4, round).iter().flat_map(|c| c.indices.clone()).collect();
         let (some, others): (Vec<usize>, Vec<usize>) = (all(0), all(1));
         assert_ne!(some, others);
     }

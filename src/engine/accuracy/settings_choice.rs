@@ -77,9 +77,8 @@ impl AccuracyFound {
     /// What was found, in a sentence.
     pub fn text(&self) -> String {
         let against = self.reference;
-        let each = |t: &TriedWindow| {
-            format!("{:.1} A: {}", t.width_angstrom, percent(t.found_percent))
-        };
+        let each =
+            |t: &TriedWindow| format!("{:.1} A: {}", t.width_angstrom, percent(t.found_percent));
         match (self.window(), self.tried.is_empty()) {
             (Some(t), _) => format!(
                 "{} asked; found {} (at most {} is likely) on {} probes, against {against}",
@@ -203,7 +202,8 @@ impl Search<'_> {
             if 2 * per_round > self.asked.len() {
                 break;
             }
-            let estimate = self.estimate(&plan, &raster, (sample, *shape), &mut rounds, progress)?;
+            let estimate =
+                self.estimate(&plan, &raster, (sample, *shape), &mut rounds, progress)?;
             let [found_percent, likely_percent] = estimate.percent();
             tried.push(TriedWindow {
                 width_angstrom: width(&settings),
@@ -268,12 +268,18 @@ impl Search<'_> {
         let mut estimate = ErrorEstimate::default();
         for number in 0..ROUNDS {
             if rounds.len() <= number as usize {
-                rounds.push(self.round(raster, sample.draw(shape[0], shape[1], number), number, progress)?);
+                rounds.push(self.round(
+                    raster,
+                    sample.draw(shape[0], shape[1], number),
+                    number,
+                    progress,
+                )?);
             }
             let Round { configuration, clusters, exact } = &rounds[number as usize];
             let indices: Vec<usize> = clusters.iter().flat_map(|c| c.indices.clone()).collect();
             let quiet = InterruptOnly(progress);
-            let ours = simulation.some_probes(self.sites, raster, &indices, *configuration, &quiet)?;
+            let ours =
+                simulation.some_probes(self.sites, raster, &indices, *configuration, &quiet)?;
             let ours = by_cluster(&ours, clusters);
             for ((cluster, ours), exact) in clusters.iter().zip(&ours).zip(exact) {
                 estimate.add(cluster, images, ours, exact);

@@ -40,7 +40,7 @@ impl WindowChoice {
         (!self.beyond_measured.is_empty()).then(|| {
             format!(
                 "an error of {accuracy_percent} % was not measured for {}; the window was widened to {:.1} A, which \
-                 should do. Compare a few probes with multislice",
+                 an audit checks",
                 self.beyond_measured.join(", "),
                 self.width_angstrom
             )
