@@ -345,4 +345,77 @@ mod tests {
         }
         assert!(found <= 4, "{found} of 20");
     }
+
+    #[test]
+    fn student_is_that_of_the_tables() {
+        for (t, freedom, p) in [
+            (12.706, 1, 0.05),
+            (4.303, 2, 0.05),
+            (2.228, 10, 0.05),
+            (3.355, 8, 0.01),
+            (1.9693, 255, 0.05),
+        ] {
+            let found = student_two_sided(t, freedom);
+            assert!((found - p).abs() < 1e-4, "{t}, {freedom}: {found}");
+        }
+        assert!(student_two_sided(0.0, 7) == 1.0 && student_two_sided(40.0, 8) < 1e-9);
+    }
+
+    /// Columns of 36 places: every other place is 20 % brighter in all worlds, as at a boundary, and what a place has in common
+    /// scatters from world to world.
+    fn world(seed: u32, brighter: f64) -> Vec<(u32, f32)> {
+        let (common, own) = (noise(36, seed), noise(36 * 50, seed + 10_000));
+        let value = |i: usize| {
+            let place = i / 50;
+            let boundary = if place % 2 == 0 { 1.2 } else { 1.0 };
+            let scatter = 0.05 * f64::from(common[place]) + 0.2 * f64::from(own[i]);
+            (place as u32, (brighter * (boundary + scatter)) as f32)
+        };
+        (0..36 * 50).map(value).collect()
+    }
+
+    /// Probabilities are uniform between worlds of one kind, and 3 % are found.
+    #[test]
+    fn worlds_of_one_kind_are_called_different_at_the_rate_asked_for() {
+        let sums = |world: &[(u32, f32)]| {
+            let mut sums = vec![(0.0, 0.0); 36];
+            for (place, v) in world {
+                let sum = &mut sums[*place as usize];
+                *sum = (sum.0 + f64::from(*v), sum.1 + 1.0);
+            }
+            sums
+        };
+        let tests = |a: &[(u32, f32)], b: &[(u32, f32)]| {
+            let (of_a, of_b) = (sums(a), sums(b));
+            let means = [&of_a, &of_b].map(|s| Ratio::of_blocks(s).value);
+            let t = (means[0] - means[1]) / paired_error(&of_a, &of_b);
+            let pairs = of_a.iter().zip(&of_b);
+            let rows: Vec<Vec<f64>> =
+                pairs.map(|(a, b)| vec![a.0 - b.0, a.0 * a.0 - b.0 * b.0]).collect();
+            [
+                student_two_sided(t, 35),
+                kolmogorov_smirnov(a, b, Exchange::AtPlaces(36)).p,
+                largest_of_pairs(&rows).1,
+            ]
+        };
+        let all: Vec<[f64; 3]> =
+            (0..120).map(|n| tests(&world(2 * n + 1, 1.0), &world(2 * n + 2, 1.0))).collect();
+        for test in 0..3 {
+            let p = || all.iter().map(|p| p[test]);
+            let mean = p().sum::<f64>() / 120.0;
+            let below = |limit: f64| p().filter(|p| *p < limit).count();
+            println!(
+                "test {test}: mean {mean}, below 0.05 {}, below 0.5 {}",
+                below(0.05),
+                below(0.5)
+            );
+            // A uniform number: mean 0.5 with an error of 0.026; 6 of 120 below 0.05 with one of 2.4.
+            assert!((mean - 0.5).abs() < 0.09, "test {test}: {mean}");
+            assert!((1..=14).contains(&below(0.05)), "test {test}: {}", below(0.05));
+            assert!((42..=78).contains(&below(0.5)), "test {test}: {}", below(0.5));
+        }
+        for p in tests(&world(1, 1.0), &world(2, 1.03)) {
+            assert!(p < 1e-3, "{p}");
+        }
+    }
 }

@@ -391,6 +391,7 @@ fn nearest(points: &[[f32; 2]]) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::validate::statistics::{Exchange, kolmogorov_smirnov};
 
     #[test]
     fn nearest_neighbours_are_as_by_brute_force() {
@@ -419,6 +420,27 @@ mod tests {
         assert!((around(&strip, 0, [0.2072, 0.2044], 0.02) - 1032.36).abs() < 1e-2);
         // coarse pixels: the nearest
         assert_eq!(around(&strip, 0, [0.9, 0.4], 0.2), 204.0);
+    }
+
+    /// Few electrons: most columns have one of a few intensities, which two files hold with different rounding.
+    #[test]
+    fn equal_counts_of_electrons_are_equal_whatever_the_rounding() {
+        let counts = |seed: u32| -> Vec<f32> {
+            let electrons = |i: u32| (philox4x32_10([i, 0, 0, 0], [seed, 9])[0] % 7) as f32;
+            (0..6400).map(|i| 1.3e-3 * electrons(i)).collect()
+        };
+        let scaled: Vec<f32> = counts(2).iter().map(|v| v * (1.0 + 3e-7)).collect();
+        let compare = |a: Vec<f32>, b: Vec<f32>| {
+            let blocks = |v: Vec<f32>| -> Vec<(u32, f32)> {
+                v.into_iter().enumerate().map(|(i, v)| (i as u32 / 100, v)).collect()
+            };
+            kolmogorov_smirnov(&blocks(a), &blocks(b), Exchange::AtPlaces(64))
+        };
+        let raw = compare(counts(1), scaled.clone());
+        assert!(raw.p < 1e-3 && raw.distance > 0.1, "rounding alone: {raw:?}");
+        let resolution = INTENSITY_RESOLUTION * 3.9e-3;
+        let same = compare(spread(counts(1), resolution), spread(scaled, resolution));
+        assert!(same.p > 0.01 && same.distance < 0.03, "{same:?}");
     }
 
     #[test]
