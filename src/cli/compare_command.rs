@@ -20,9 +20,9 @@ Examples:
     stemgen compare a.h5 b.h5 --json --quiet -o a_b.html; echo $?
 
 Every line has a test: t of a difference of rates, the two-sample Kolmogorov-Smirnov distance, the
-largest difference of the power spectra. Fields of the same pixels are compared block by block at the
-same places, others by all their blocks. A line is `different` where chance would do as much so
-rarely that, over all lines, worlds of one kind are called different at the rate --alpha.
+largest difference of the power spectra. Fields of the same pixels are compared block by block,
+others by all their blocks. A line is `different` where chance would do as much so rarely that all
+lines together call worlds of one kind different at the rate --alpha.
 
 Exit code: 0 if nothing differs, 3 if something does, 1 on errors.";
 
