@@ -130,7 +130,7 @@ struct ImageSummary {
 }
 
 /// A plan, and what is known of its accuracy.
-struct Planned {
+struct AccuratePlan {
     plan: Plan,
     accuracy: Option<AccuracyReport>,
 }
@@ -185,7 +185,7 @@ impl Simulate {
         specimen: &Prepared,
         scan: &Scan,
         reporter: &Reporter,
-    ) -> anyhow::Result<Planned> {
+    ) -> anyhow::Result<AccuratePlan> {
         let mut settings = plan.settings.clone();
         let asked = self.numerics.accuracy;
         let accuracy = AccuracyReport::choose(asked, &mut settings, specimen, scan, reporter)?;
@@ -193,7 +193,7 @@ impl Simulate {
             Some(_) => Plan::new(&settings, specimen.size, &specimen.heights)?,
             None => plan,
         };
-        Ok(Planned { plan, accuracy })
+        Ok(AccuratePlan { plan, accuracy })
     }
 
     fn output(&self) -> PathBuf {
@@ -243,7 +243,7 @@ impl Simulate {
 
     fn dry_run(
         &self,
-        Planned { plan, accuracy }: &Planned,
+        AccuratePlan { plan, accuracy }: &AccuratePlan,
         specimen: &Prepared,
         scan: &Scan,
         warnings: Vec<String>,
@@ -304,7 +304,7 @@ impl Simulate {
 
     fn execute(
         &self,
-        planned: &Planned,
+        planned: &AccuratePlan,
         specimen: &Prepared,
         scan: &Scan,
         pictures: &[Picturable],
@@ -342,7 +342,7 @@ impl Simulate {
 
     fn write(
         &self,
-        Planned { plan, accuracy }: &Planned,
+        AccuratePlan { plan, accuracy }: &AccuratePlan,
         specimen: &Prepared,
         stacks: &[ImageStack],
         waves: Option<ExitWaves>,

@@ -150,22 +150,22 @@ pub fn kolmogorov_smirnov(a: &Sample, b: &Sample, exchange: Exchange) -> Ks {
 }
 
 /// Values of each class in a block.
-type Counts = [f64; CLASSES + 1];
+type ClassCounts = [f64; CLASSES + 1];
 
 /// Differences of the cumulative distributions, place by place, and the distance of sums of them with random signs.
-fn at_places(a: &[Counts], b: &[Counts]) -> Ks {
-    let total = |t: &[Counts]| t.iter().flatten().sum::<f64>();
+fn at_places(a: &[ClassCounts], b: &[ClassCounts]) -> Ks {
+    let total = |t: &[ClassCounts]| t.iter().flatten().sum::<f64>();
     let (all_a, all_b) = (total(a), total(b));
-    let difference = |(a, b): (&Counts, &Counts)| {
+    let difference = |(a, b): (&ClassCounts, &ClassCounts)| {
         let mut sum = 0.0;
         std::array::from_fn(|i| {
             sum += a[i] / all_a - b[i] / all_b;
             sum
         })
     };
-    let places: Vec<Counts> = a.iter().zip(b).map(difference).collect();
+    let places: Vec<ClassCounts> = a.iter().zip(b).map(difference).collect();
     let distance = |sign: &dyn Fn(usize) -> f64| {
-        let mut sums: Counts = [0.0; CLASSES + 1];
+        let mut sums: ClassCounts = [0.0; CLASSES + 1];
         for (i, place) in places.iter().enumerate() {
             let sign = sign(i);
             sums.iter_mut().zip(place).for_each(|(s, v)| *s += sign * v);
@@ -181,8 +181,8 @@ fn at_places(a: &[Counts], b: &[Counts]) -> Ks {
 }
 
 /// The distance for the blocks as they are, and with any of them exchanged.
-fn among_all(mut table: Vec<Counts>, mut other: Vec<Counts>) -> Ks {
-    let filled = |counts: &Counts| counts.iter().any(|c| *c > 0.0);
+fn among_all(mut table: Vec<ClassCounts>, mut other: Vec<ClassCounts>) -> Ks {
+    let filled = |counts: &ClassCounts| counts.iter().any(|c| *c > 0.0);
     table.retain(filled);
     other.retain(filled);
     let first = table.len();

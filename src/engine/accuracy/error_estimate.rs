@@ -14,7 +14,7 @@ pub struct ErrorEstimate {
 
 /// What an estimate says about an error that is asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Verdict {
+pub enum AccuracyVerdict {
     /// The error is smaller.
     Holds,
     /// It is larger.
@@ -63,12 +63,12 @@ impl ErrorEstimate {
     }
 
     /// Whether the error is at most so many per cent.
-    pub fn verdict(&self, asked_percent: f64) -> Verdict {
+    pub fn verdict(&self, asked_percent: f64) -> AccuracyVerdict {
         let [found, likely] = self.percent();
         match () {
-            () if likely <= asked_percent => Verdict::Holds,
-            () if found > asked_percent => Verdict::Fails,
-            () => Verdict::Unclear,
+            () if likely <= asked_percent => AccuracyVerdict::Holds,
+            () if found > asked_percent => AccuracyVerdict::Fails,
+            () => AccuracyVerdict::Unclear,
         }
     }
 }

@@ -10,7 +10,7 @@ use super::super::probe_raster::ProbeRaster;
 use super::super::probe_scan::Scan;
 use super::super::settings::{Algorithm, ProbeBox, ProbeStep, Settings};
 use super::super::simulate::Simulation;
-use super::error_estimate::{ErrorEstimate, Verdict};
+use super::error_estimate::{AccuracyVerdict, ErrorEstimate};
 use super::exact_probes::{ExactEngine, by_cluster};
 use super::probe_sample::{DrawnCluster, ProbeSample};
 use super::window_table::{LEAST_INNER_SEMIANGLES, geometric_radius, relative_size};
@@ -211,7 +211,7 @@ impl Search<'_> {
                 likely_percent,
                 probes: estimate.clusters() * shape[1],
             });
-            if estimate.verdict(self.accuracy_percent) == Verdict::Holds {
+            if estimate.verdict(self.accuracy_percent) == AccuracyVerdict::Holds {
                 return Ok(Some(settings));
             }
         }
@@ -284,7 +284,7 @@ impl Search<'_> {
             for ((cluster, ours), exact) in clusters.iter().zip(&ours).zip(exact) {
                 estimate.add(cluster, images, ours, exact);
             }
-            if estimate.verdict(self.accuracy_percent) != Verdict::Unclear {
+            if estimate.verdict(self.accuracy_percent) != AccuracyVerdict::Unclear {
                 break;
             }
         }
