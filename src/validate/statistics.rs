@@ -367,7 +367,7 @@ mod tests {
         let (common, own) = (noise(36, seed), noise(36 * 50, seed + 10_000));
         let value = |i: usize| {
             let place = i / 50;
-            let boundary = if place % 2 == 0 { 1.2 } else { 1.0 };
+            let boundary = if place.is_multiple_of(2) { 1.2 } else { 1.0 };
             let scatter = 0.05 * f64::from(common[place]) + 0.2 * f64::from(own[i]);
             (place as u32, (brighter * (boundary + scatter)) as f32)
         };
