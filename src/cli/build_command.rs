@@ -76,8 +76,8 @@ struct Method {
     #[arg(long, value_name = "A", value_parser = values::finite, allow_negative_numbers = true)]
     #[arg(conflicts_with_all = ["interpolation", "profile"])]
     window: Option<f64>,
-    /// Take the narrowest window whose error is at most so many per cent of the mean image (rms): 3.3, 0.8
-    /// or 0.4 and above
+    /// Widen the windows, or leave the mosaic, until the audit's rms error is at most so many per cent of the mean
+    /// image; where no window does, the exact engine
     #[arg(long, value_name = "PERCENT", value_parser = values::percent, allow_negative_numbers = true)]
     #[arg(conflicts_with_all = ["window", "interpolation", "profile"])]
     accuracy: Option<f64>,
@@ -94,12 +94,12 @@ struct Method {
     #[arg(long, value_name = "NAME")]
     profile: Option<ProfileName>,
     /// Regions of a mosaic that are simulated exactly beforehand, with the same atoms; the file tells the
-    /// error found. 0 leaves it out
+    /// error found. 0 leaves it out; with --accuracy or --max-error at least four, also of windows
     #[arg(long, value_name = "N", default_value_t = 1)]
     #[arg(value_parser = clap::value_parser!(u16).range(0..=1000))]
     audit: u16,
     /// Widen the windows, or leave the mosaic, until the audit's errors (rms at bright columns, and over all
-    /// pixels of the brightest column) are at most so many per cent
+    /// pixels of the brightest column) are at most so many per cent; where no window does, the exact engine
     #[arg(long, value_name = "PERCENT", value_parser = values::percent, allow_negative_numbers = true)]
     #[arg(conflicts_with_all = ["profile", "interpolation"])]
     max_error: Option<f64>,

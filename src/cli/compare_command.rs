@@ -19,10 +19,10 @@ Examples:
   For a script:
     stemgen compare a.h5 b.h5 --json --quiet -o a_b.html; echo $?
 
-Every line has a test: z of a difference of rates, whose errors come from the scatter of blocks of
-the field; the two-sample Kolmogorov-Smirnov distance, whose significance comes from exchanging
-blocks; the largest z of the ratio of power spectra. A line is `different` where chance would do as
-much between equal worlds with a probability below --alpha.
+Every line has a test: t of a difference of rates, the two-sample Kolmogorov-Smirnov distance, the
+largest difference of the power spectra. Fields of the same pixels are compared block by block,
+others by all their blocks. A line is `different` where chance would do as much so rarely that all
+lines together call worlds of one kind different at the rate --alpha.
 
 Exit code: 0 if nothing differs, 3 if something does, 1 on errors.";
 
@@ -36,7 +36,7 @@ pub struct Compare {
     /// World file
     #[arg(value_name = "B.h5")]
     b: PathBuf,
-    /// Probability below which a line is called different
+    /// How often worlds of one kind may be called different
     #[arg(long, value_name = "P", default_value_t = DEFAULT_ALPHA, value_parser = values::finite)]
     #[arg(allow_negative_numbers = true)]
     alpha: f64,

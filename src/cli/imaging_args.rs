@@ -6,7 +6,7 @@ use clap::Args;
 use stemgen::detect::Detector;
 use stemgen::engine::settings::{AUTO_ANGLE_MARGIN, DEFAULT_BAND_FRACTION};
 use stemgen::engine::{
-    Algorithm, BeyondLimit, Expansion, GridChoice, Phonons, ProbeStep, Settings, window_for,
+    Algorithm, BeyondLimit, Expansion, GridChoice, Phonons, ProbeStep, Settings,
 };
 use stemgen::optics::{Aberration, Aberrations, Optics};
 use stemgen::potential::slices::Slicing;
@@ -49,8 +49,8 @@ pub struct NumericsArgs {
     /// How probes are propagated [default: multislice]
     #[arg(long = "engine", visible_alias = "algorithm", value_name = "NAME")]
     pub algorithm: Option<EngineName>,
-    /// Take the narrowest window whose error is at most so many per cent of the mean image (rms): 3.3, 0.8
-    /// or 0.4 and above; for HAADF
+    /// Take the narrowest window whose error is at most so many per cent of the mean image (rms), measured beforehand
+    /// on a sample of probes; where no window saves time, the exact engine
     #[arg(long, value_name = "PERCENT", value_parser = values::percent, allow_negative_numbers = true)]
     #[arg(conflicts_with_all = ["window", "interpolation"])]
     pub accuracy: Option<f64>,
@@ -197,26 +197,6 @@ pub fn check_accuracy(accuracy: Option<f64>, engine: Option<EngineName>) -> anyh
         bail!("--accuracy chooses a window; leave out --engine, or take --engine window");
     }
     Ok(())
-}
-
-/// Takes the window that the accuracy asks for; says what about its error was not measured.
-pub fn choose_window(
-    accuracy: Option<f64>,
-    settings: &mut Settings,
-    thickness_angstrom: f64,
-) -> anyhow::Result<Option<String>> {
-    let Some(accuracy) = accuracy else { return Ok(None) };
-    let choice = window_for(accuracy, settings, thickness_angstrom)?;
-    settings.algorithm = Algorithm::Window { width_angstrom: choice.width_angstrom };
-    let beyond = choice.beyond_measured;
-    Ok((!beyond.is_empty()).then(|| {
-        format!(
-            "an error of {accuracy} % was not measured for {}; the window was widened to {:.1} A, which \
-             should do. Check with --engine multislice on a few probes",
-            beyond.join(", "),
-            choice.width_angstrom
-        )
-    }))
 }
 
 /// The settings of the engine for a scan.

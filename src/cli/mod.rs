@@ -1,5 +1,6 @@
 //! The command line: one file per subcommand.
 
+mod accuracy_report;
 mod audit_command;
 mod build_command;
 mod build_plan;

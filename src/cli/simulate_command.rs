@@ -1,5 +1,6 @@
 //! `stemgen simulate`.
 
+use super::accuracy_report::AccuracyReport;
 use super::common::{Common, Force};
 use super::imaging_args::{self, MicroscopeArgs, NumericsArgs};
 use super::plan_report::{self, Lines, PlanReport};
@@ -93,6 +94,8 @@ struct SimulateDryRun {
     scan: Option<ScanReport>,
     #[serde(flatten)]
     plan: PlanReport,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    accuracy: Option<AccuracyReport>,
     output: PathBuf,
 }
 
@@ -111,6 +114,8 @@ struct SimulateSummary {
     pictures: Vec<PathBuf>,
     page: Option<PathBuf>,
     images: Vec<ImageSummary>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    accuracy: Option<AccuracyReport>,
     wall_time_s: f64,
 }
 
@@ -124,6 +129,12 @@ struct ImageSummary {
     min: f32,
     mean: f32,
     max: f32,
+}
+
+/// A plan, and what is known of its accuracy.
+struct AccuratePlan {
+    plan: Plan,
+    accuracy: Option<AccuracyReport>,
 }
 
 /// What a run has to write.
@@ -145,29 +156,48 @@ impl Simulate {
         if self.results.plane_wave {
             settings = plane_wave::settings(settings)?;
         }
-        let accuracy = self.numerics.accuracy;
-        let warning = imaging_args::choose_window(accuracy, &mut settings, specimen.size[2])?;
         let plan = Plan::new(&settings, specimen.size, &specimen.heights)?;
         let scan = self.scan(&plan, &specimen)?;
-        let mut warnings = plan.warnings.clone();
-        warnings.extend(warning);
-        warnings.extend(self.warnings(&specimen));
-        if self.common.dry_run {
-            return self.dry_run(&plan, &specimen, &scan, warnings);
-        }
         let names: Vec<&str> = match self.results.plane_wave {
             true => vec!["lens"],
             false => settings.detectors.iter().map(|d| d.name.as_str()).collect(),
         };
         let pictures = self.pictures(&names, &plan);
-        let (output, page) = (self.output(), self.page());
-        let pictured = pictures.iter().map(|p| p.path.as_path());
-        let outputs = std::iter::once(output.as_path()).chain(pictured).chain(page.as_deref());
-        check_outputs(outputs, [&self.specimen.structure], self.results.overwrite)?;
+        if !self.common.dry_run {
+            let (output, page) = (self.output(), self.page());
+            let pictured = pictures.iter().map(|p| p.path.as_path());
+            let outputs = std::iter::once(output.as_path()).chain(pictured).chain(page.as_deref());
+            check_outputs(outputs, [&self.specimen.structure], self.results.overwrite)?;
+        }
+        let planned = self.planned(plan, &specimen, &scan, &reporter)?;
+        let mut warnings = planned.plan.warnings.clone();
+        warnings.extend(planned.accuracy.iter().filter_map(|a| a.warning(&planned.plan, &scan)));
+        warnings.extend(self.warnings(&specimen));
+        if self.common.dry_run {
+            return self.dry_run(&planned, &specimen, &scan, warnings);
+        }
         warnings.iter().for_each(|w| reporter.warn(w));
-        let (needed, remedy) = self.memory(&plan, &scan);
+        let (needed, remedy) = self.memory(&planned.plan, &scan);
         self.force.check_memory(needed, remedy, &reporter)?;
-        self.execute(&plan, &specimen, &scan, &pictures, &reporter)
+        self.execute(&planned, &specimen, &scan, &pictures, &reporter)
+    }
+
+    /// The plan that is as accurate as asked.
+    fn planned(
+        &self,
+        plan: Plan,
+        specimen: &Prepared,
+        scan: &Scan,
+        reporter: &Reporter,
+    ) -> anyhow::Result<AccuratePlan> {
+        let mut settings = plan.settings.clone();
+        let asked = self.numerics.accuracy;
+        let accuracy = AccuracyReport::choose(asked, &mut settings, specimen, scan, reporter)?;
+        let plan = match accuracy {
+            Some(_) => Plan::new(&settings, specimen.size, &specimen.heights)?,
+            None => plan,
+        };
+        Ok(AccuratePlan { plan, accuracy })
     }
 
     fn output(&self) -> PathBuf {
@@ -222,7 +252,7 @@ impl Simulate {
 
     fn dry_run(
         &self,
-        plan: &Plan,
+        AccuratePlan { plan, accuracy }: &AccuratePlan,
         specimen: &Prepared,
         scan: &Scan,
         warnings: Vec<String>,
@@ -247,6 +277,7 @@ impl Simulate {
             box_angstrom: specimen.size,
             scan: (!self.results.plane_wave).then_some(scan_report),
             plan: report,
+            accuracy: accuracy.clone(),
             output: self.output(),
         };
         let mut lines = Lines::default();
@@ -256,6 +287,7 @@ impl Simulate {
         let [x, y, z] = all.box_angstrom;
         lines.add("box", format!("{x:.3} x {y:.3} x {z:.3} A"));
         all.plan.lines(&mut lines);
+        all.accuracy.iter().for_each(|a| a.line(&mut lines));
         match self.results.plane_wave {
             true => lines.add("beam", "a plane wave along the beam axis"),
             false => lines.add("probes", plan_report::scan(raster.scan())),
@@ -284,13 +316,14 @@ impl Simulate {
 
     fn execute(
         &self,
-        plan: &Plan,
+        planned: &AccuratePlan,
         specimen: &Prepared,
         scan: &Scan,
         pictures: &[Picturable],
         reporter: &Reporter,
     ) -> anyhow::Result<()> {
         let begun = Instant::now();
+        let plan = &planned.plan;
         let thicknesses = plan.thicknesses_angstrom();
         let stack = |name, data, units, annulus_mrad| ImageStack {
             name,
@@ -307,7 +340,7 @@ impl Simulate {
             let stacks = [stack("lens", image.view(), units, None)];
             let step_angstrom = scan.step_angstrom;
             let waves = ExitWaves { data: exit_waves.view(), step_angstrom };
-            return self.write(plan, specimen, &stacks, Some(waves), pictures, begun);
+            return self.write(planned, specimen, &stacks, Some(waves), pictures, begun);
         }
         let images: Images = simulate(plan, &specimen.sites, scan, reporter)?;
         let units = "fraction of the incident beam";
@@ -316,12 +349,12 @@ impl Simulate {
             stack(&d.name, data, units, Some([d.inner_mrad, d.outer_mrad]))
         });
         let stacks: Vec<_> = stacks.collect();
-        self.write(plan, specimen, &stacks, None, pictures, begun)
+        self.write(planned, specimen, &stacks, None, pictures, begun)
     }
 
     fn write(
         &self,
-        plan: &Plan,
+        AccuratePlan { plan, accuracy }: &AccuratePlan,
         specimen: &Prepared,
         stacks: &[ImageStack],
         waves: Option<ExitWaves>,
@@ -330,8 +363,9 @@ impl Simulate {
     ) -> anyhow::Result<()> {
         let path = self.output();
         let wall_time_s = begun.elapsed().as_secs_f64();
-        let origin =
+        let mut origin =
             origin(&self.specimen.file_name(), &plan.settings, plan, specimen, wall_time_s)?;
+        origin.accuracy = accuracy.as_ref().map(AccuracyReport::json).transpose()?;
         write_images(&path, self.results.overwrite, &origin, stacks, waves)?;
         for picture in pictures {
             let Some(stack) = stacks.iter().find(|s| s.name == picture.name) else {
@@ -352,6 +386,7 @@ impl Simulate {
             pictures: pictures.iter().map(|p| p.path.clone()).collect(),
             page,
             images: stacks.iter().flat_map(summaries).collect(),
+            accuracy: accuracy.clone(),
             wall_time_s,
         };
         self.common.print(&summary, &summary.text())
@@ -397,6 +432,7 @@ fn origin<'a>(
         wavelength_angstrom: settings.optics.wavelength_angstrom(),
         band_limit_mrad: plan.band_limit_mrad,
         wall_time_s,
+        accuracy: None,
         box_angstrom: specimen.size,
         sites: &specimen.sites,
     })
@@ -431,6 +467,7 @@ impl SimulateSummary {
                 ),
             );
         }
+        self.accuracy.iter().for_each(|a| a.line(&mut lines));
         lines.add("time", text::duration(self.wall_time_s));
         let size = text::bytes(self.file_bytes);
         lines.add("file", format!("{} ({size})", self.output.display()));

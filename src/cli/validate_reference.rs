@@ -1,5 +1,6 @@
 //! Comparison with an image of another program.
 
+use super::accuracy_report::AccuracyReport;
 use super::hints::hinted;
 use super::imaging_args::{self, MicroscopeArgs, NumericsArgs};
 use super::plan_report::{self, Lines, PlanReport};
@@ -144,12 +145,6 @@ impl ReferenceArgs {
         if self.like_abtem {
             settings = abtem_settings(&settings, &numerics, specimen.size)?;
         }
-        let warning =
-            imaging_args::choose_window(numerics.accuracy, &mut settings, specimen.size[2])?;
-        let plan = Plan::new(&settings, specimen.size, &specimen.heights)?;
-        let planned = |s: Settings| Plan::new(&s, specimen.size, &specimen.heights);
-        let converged = converged.map(planned).transpose()?;
-        plan.warnings.iter().chain(&warning).for_each(|w| reporter.warn(w));
         let size = [specimen.size[0], specimen.size[1]];
         let scan_args = self.scan.as_ref();
         let asked = match scan_args {
@@ -171,9 +166,16 @@ impl ReferenceArgs {
             Some(args) => given_scan(args, size, &settings, &array, &reference)?,
             None => told_scan(size, &array, &reference)?,
         };
+        let accuracy =
+            AccuracyReport::choose(numerics.accuracy, &mut settings, &specimen, &scan, reporter)?;
+        let plan = Plan::new(&settings, specimen.size, &specimen.heights)?;
+        plan.warnings.iter().for_each(|w| reporter.warn(w));
+        let planned = |s: Settings| Plan::new(&s, specimen.size, &specimen.heights);
+        let converged = converged.map(planned).transpose()?;
+        let accuracy = accuracy.map_or_else(String::new, |a| format!("; ours: {}", a.text()));
         Ok(Some(PreparedReference {
             name: path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned(),
-            source: format!("{} (x and y: {})", path.display(), reference.orientation),
+            source: format!("{} (x and y: {}){accuracy}", path.display(), reference.orientation),
             reference,
             specimen,
             plan,

@@ -6,7 +6,8 @@
 //! - potentials to transmission functions: `slice_coverage`, `phase_grating`, `transmission`;
 //! - waves: `stepper` (one slice after the other), `probe`, `basis` (probes expanded in fewer waves);
 //! - the algorithms: `multislice`, `prism` with `prism_reduce`, `probe_tail` and [`single_scattering`];
-//! - [`simulate()`], [`lens_image`], [`measure_speed`], [`check_memory`].
+//! - [`simulate()`], [`lens_image`], [`measure_speed`], [`check_memory`];
+//! - `accuracy`: the window for an error that is asked for, measured on a sample of probes.
 
 mod accuracy;
 mod basis;
@@ -38,7 +39,7 @@ mod transmission;
 mod workspace_pool;
 
 pub use crate::structure::Site;
-pub use accuracy::{WindowChoice, window_for};
+pub use accuracy::{AccuracyFound, TriedWindow, WindowChoice, settings_for_accuracy, window_for};
 pub use cost::{Cost, PlannedScan};
 pub use detector_images::Images;
 pub use free_memory::{check_memory, free_memory};

@@ -15,8 +15,8 @@ use crate::matrix::{gram, multiply};
 use crate::progress::Progress;
 use num_complex::Complex32;
 use rayon::prelude::*;
-use std::collections::HashMap;
 use std::collections::hash_map::Entry;
+use std::collections::{HashMap, HashSet};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -67,7 +67,38 @@ impl<'a> Multislice<'a> {
         scan: &Scan,
         progress: &dyn Progress,
     ) -> Result<Vec<f64>> {
-        let (groups, basis) = self.groups(scan);
+        let groups = self.groups(scan);
+        self.run_groups(transmission, scan, groups, progress)
+    }
+
+    /// As [`Multislice::run`], with the same bytes, for the probes of these indices; zeros stand for some of the others.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`].
+    pub fn run_some(
+        &mut self,
+        transmission: &Transmission,
+        scan: &Scan,
+        indices: &[usize],
+        progress: &dyn Progress,
+    ) -> Result<Vec<f64>> {
+        let wanted: HashSet<usize> = indices.iter().copied().collect();
+        let (mut groups, basis) = self.groups(scan);
+        if basis.is_none() {
+            // The waves of a group do not depend on each other.
+            groups.iter_mut().for_each(|g| g.probes.retain(|(i, _)| wanted.contains(i)));
+        }
+        groups.retain(|g| g.probes.iter().any(|(i, _)| wanted.contains(i)));
+        self.run_groups(transmission, scan, (groups, basis), progress)
+    }
+
+    fn run_groups(
+        &mut self,
+        transmission: &Transmission,
+        scan: &Scan,
+        (groups, basis): (Vec<Patch>, Option<Arc<Basis>>),
+        progress: &dyn Progress,
+    ) -> Result<Vec<f64>> {
         let (paths, path_of) = self.paths(transmission, &groups);
         let this = &*self;
         let basis = basis.as_deref().zip(this.probe.cropped());

@@ -165,7 +165,7 @@ fn patches(plan: &Plan, scan: &Scan, most: f64) -> Vec<Patch> {
 }
 
 /// Divides so many lines `step` apart into even blocks of less than `most`.
-fn blocks(lines: usize, step: f64, most: f64) -> Vec<Range<usize>> {
+pub(super) fn blocks(lines: usize, step: f64, most: f64) -> Vec<Range<usize>> {
     let number = ((lines as f64 * step.abs() / most - 1e-9).ceil() as usize).clamp(1, lines.max(1));
     (0..number).map(|i| i * lines / number..(i + 1) * lines / number).collect()
 }

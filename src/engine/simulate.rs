@@ -76,6 +76,38 @@ impl<'a> Simulation<'a> {
         Ok(raster.images(self.at_probes(sites, raster.scan(), progress)?))
     }
 
+    /// Intensities of the probes of these indices (row-major in the scan) in one phonon configuration, as fractions of the beam:
+    /// (index, recorded thickness, detector), row-major. They are those that [`Simulation::images`] has for a scan with a
+    /// probe at every position, but only what these probes need is propagated.
+    ///
+    /// # Errors
+    /// Those of [`simulate()`]; plans for PRISM, which has no single probes.
+    pub fn some_probes(
+        &mut self,
+        sites: &[Site],
+        scan: &Scan,
+        indices: &[usize],
+        configuration: u32,
+        progress: &dyn Progress,
+    ) -> Result<Vec<f64>> {
+        let WaveEngine::Multislice(multislice) = &mut self.engine else {
+            return Err(Error::invalid(
+                crate::Setting::Algorithm,
+                "prism",
+                "use multislice or windows for single probes",
+            ));
+        };
+        let transmission = self.builder.build(sites, configuration, progress)?;
+        let mut values = multislice.run_some(&transmission, scan, indices, progress)?;
+        self.builder.reclaim(transmission);
+        if let Some(tail) = &self.tail {
+            let tails = tail.values(sites, scan)?;
+            values.iter_mut().zip(tails).for_each(|(v, t)| *v += t);
+        }
+        let each = self.plan.settings.detectors.len() * self.plan.record_after.len();
+        Ok(indices.iter().flat_map(|i| values[i * each..][..each].iter().copied()).collect())
+    }
+
     /// The images of a scan with a probe at every position.
     fn at_probes(
         &mut self,

@@ -1,10 +1,11 @@
 //! Which imager makes a field, and whether it is as right as asked.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use super::audit::kept_audits::KeptAudits;
 use super::audit::region_audit::{Audit, AuditOptions};
-use super::direct::DirectImager;
+use super::direct::{DirectImager, rectangle_plan};
 use super::film::film_imager::FilmImager;
 use super::imaging_cost::ImagingCost;
 use super::mosaic::library_cache::Cache;
@@ -12,13 +13,16 @@ use super::mosaic::mosaic_cost::MosaicCost;
 use super::mosaic::mosaic_imager::MosaicImager;
 use super::region_imager::RegionImager;
 use super::simulator::Simulator;
-use crate::error::{Error, Result};
+use crate::engine::measure_speed;
+use crate::error::Result;
 use crate::progress::Progress;
 use crate::recipe::CheckedRecipe;
 use crate::specimen::Specimen;
 
 /// Windows in Angstrom that are tried in turn for a requested error.
-const WIDER: [f64; 1] = [11.7];
+const WIDER: [f64; 2] = [11.7, 15.6];
+/// How long the speed of the exact engine is measured before it takes the place of windows.
+const SPEED_MEASURED: Duration = Duration::from_millis(300);
 
 /// What may be made of a field besides simulating all of it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -71,6 +75,8 @@ pub struct ImagingCheck {
     /// Largest error that is accepted, in per cent: rms at bright columns of their intensity, and of all pixels of
     /// the brightest column.
     pub max_error_percent: Option<f64>,
+    /// Largest rms error of all pixels that is accepted, in per cent of the mean image.
+    pub accuracy_percent: Option<f64>,
 }
 
 impl ImagingChoice {
@@ -127,12 +133,12 @@ impl ImagingChoice {
         choices
     }
 
-    /// Prepares the imager of a field, `first` if it is right enough; returns the audit of what was chosen, if one was asked for. Imagers that simulate the
-    /// field itself are audited only where a largest error is asked for. Where the error is too large, wider windows are
-    /// tried, and then direct simulation.
+    /// Prepares the imager of a field, `first` if it is right enough; returns the audit of what was chosen, if one was asked
+    /// for. Imagers that simulate the field itself are audited only where a largest error is asked for. Where the error is too large, wider windows are
+    /// tried, then direct simulation in windows, and then the exact engine takes their place.
     ///
     /// # Errors
-    /// [`Error::Invalid`] when nothing is as right as asked, those of the engine, and [`Error::Interrupted`].
+    /// Those of the engine, and [`crate::Error::Interrupted`].
     pub fn checked_imager(
         &self,
         recipe: &CheckedRecipe,
@@ -141,14 +147,13 @@ impl ImagingChoice {
         (check, kept): (&ImagingCheck, &KeptAudits),
         progress: &dyn Progress,
     ) -> Result<(Box<dyn RegionImager>, Option<Audit>)> {
-        let limit = check.max_error_percent;
         let audited = |imager: &dyn RegionImager| match &check.audit {
             Some(options) => kept.audit(recipe, &**specimen, imager, options, progress).map(Some),
             None => Ok(None),
         };
         let mut widest = self.clone();
         let mut first = Some(first);
-        for choice in self.widening(limit.is_some()) {
+        for choice in self.widening(check.limited()) {
             let chosen = first.take().map_or_else(|| choice.chosen(recipe, specimen), Ok)?;
             if !chosen.shares {
                 break;
@@ -156,39 +161,70 @@ impl ImagingChoice {
             let mut imager = chosen.imager;
             imager.prepare(progress)?;
             let found = audited(&*imager)?;
-            if accepted(found.as_ref(), limit, progress) {
+            if check.accepts(found.as_ref(), progress) {
                 return Ok((imager, found));
             }
             widest = choice;
         }
-        if check.audit.is_none() || limit.is_none() {
+        if check.audit.is_none() || !check.limited() {
             return Ok((Box::new(widest.direct(recipe, specimen)?), None));
         }
         for choice in widest.widening(true) {
+            if choice.simulator.is_exact() {
+                break;
+            }
             let imager = choice.direct(recipe, specimen)?;
             let found = audited(&imager)?;
-            if accepted(found.as_ref(), limit, progress) {
+            if check.accepts(found.as_ref(), progress) {
                 return Ok((Box::new(imager), found));
             }
         }
-        let expected =
-            "no window is as right here; use the engine multislice, or prism with interpolation 1";
-        Err(Error::invalid(
-            crate::Setting::LargestErrorPercent,
-            limit.unwrap_or_default(),
-            expected,
-        ))
+        let exact = ImagingChoice { simulator: self.simulator.exact(), ..self.clone() };
+        progress.warn(&format!(
+            "the exact engine makes the whole field, which takes {} on this machine",
+            exact.time(recipe, specimen)?
+        ));
+        Ok((Box::new(exact.direct(recipe, specimen)?), None))
+    }
+
+    /// The time that simulating the whole field takes, from a short measurement.
+    fn time(&self, recipe: &CheckedRecipe, specimen: &Arc<dyn Specimen>) -> Result<String> {
+        let shape = recipe.field.pixels(recipe.field.built_grid());
+        let block = self.direct(recipe, specimen)?.block(shape);
+        let blocks = (shape[0] * shape[1]) as f64 / (block[0] * block[1]) as f64;
+        let (run, _) = rectangle_plan(recipe, &**specimen, &self.simulator, block, 1)?;
+        let speed = measure_speed(&run.plan, SPEED_MEASURED).steps_per_s;
+        let steps = run.cost.waves() * run.cost.steps_per_wave;
+        let seconds = blocks * steps * f64::from(run.plan.settings.configurations()) / speed;
+        Ok(match seconds {
+            s if s < 100.0 => format!("about {s:.0} s"),
+            s if s < 6e3 => format!("about {:.0} min", s / 60.0),
+            s if s < 3e5 => format!("about {:.0} h", s / 3600.0),
+            s => format!("about {:.0} days", s / 86400.0),
+        })
     }
 }
 
-fn accepted(found: Option<&Audit>, limit: Option<f64>, progress: &dyn Progress) -> bool {
-    let (Some(found), Some(limit)) = (found, limit) else { return true };
-    let error = found.bright_rms_percent.max(found.all_rms_percent);
-    if error > limit {
-        progress.warn(&format!(
-            "{}: {:.2} % at bright columns, {:.2} % over all pixels, and at most {limit} % are asked for",
-            found.engine, found.bright_rms_percent, found.all_rms_percent
-        ));
+impl ImagingCheck {
+    /// Whether an error is asked for.
+    fn limited(&self) -> bool {
+        self.max_error_percent.is_some() || self.accuracy_percent.is_some()
     }
-    error <= limit
+
+    /// Whether what an audit found is as right as asked.
+    fn accepts(&self, found: Option<&Audit>, progress: &dyn Progress) -> bool {
+        let Some(found) = found else { return true };
+        let columns = found.bright_rms_percent.max(found.all_rms_percent);
+        let asked =
+            [(columns, self.max_error_percent), (found.mean_rms_percent, self.accuracy_percent)];
+        let over =
+            asked.into_iter().find(|(error, limit)| limit.is_some_and(|limit| *error > limit));
+        let Some((_, Some(limit))) = over else { return true };
+        let window = found.window_angstrom.map_or(String::new(), |w| format!(" of {w:.1} A"));
+        progress.warn(&format!(
+            "{}{window}: {:.2} % at bright columns, {:.2} % over all pixels, {:.2} % of the mean image, and at most {limit} % are asked for",
+            found.engine, found.bright_rms_percent, found.all_rms_percent, found.mean_rms_percent
+        ));
+        false
+    }
 }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use ndarray::Array2;
+use ndarray::{Array2, s};
 
 use super::displaced_atoms::{DisplacedAtoms, displaced_by_seed, mean_atoms};
 use super::imaging_cost::{ImagingCost, SimulationRuns};
@@ -11,9 +11,12 @@ use super::region_imager::RegionImager;
 use super::simulator::Simulator;
 use crate::engine::PlannedScan;
 use crate::error::Result;
-use crate::progress::Progress;
+use crate::progress::{Progress, ProgressShare};
 use crate::recipe::{CheckedRecipe, Region};
 use crate::specimen::Specimen;
+
+/// Edge in nm of the blocks in which the exact engine makes a rectangle: each probe takes as long as its cell is large.
+const EXACT_BLOCK_NM: f64 = 1.0;
 
 /// See the module.
 #[derive(Clone)]
@@ -35,6 +38,29 @@ impl DirectImager {
     ) -> Result<Self> {
         simulator.check_margin()?;
         Ok(DirectImager { recipe: recipe.clone(), specimen: Arc::clone(specimen), simulator })
+    }
+
+    /// Rows and columns of the pixels of a rectangle that are simulated in one cell.
+    pub fn block(&self, shape: [usize; 2]) -> [usize; 2] {
+        let most = (EXACT_BLOCK_NM / self.recipe.field.pixel_nm()).ceil() as usize;
+        match self.simulator.is_exact() {
+            true => shape.map(|n| n.div_ceil(n.div_ceil(most).max(1))),
+            false => shape,
+        }
+    }
+
+    fn simulate(
+        &self,
+        pixels: &PixelRect,
+        configurations: usize,
+        progress: &dyn Progress,
+    ) -> Result<Array2<f64>> {
+        let (margin, thickness) = (self.simulator.margin_angstrom(), self.specimen.thickness_nm());
+        let pixels = PixelBox::new(pixels, self.recipe.field.pixel_nm(), margin, thickness);
+        let simulator = self.simulator.with_configurations(configurations);
+        let sites = mean_atoms(&*self.specimen, &pixels.area, &self.recipe.phonons);
+        let image = simulator.image(&sites, &pixels, progress)?;
+        Ok(image.mapv(f64::from))
     }
 }
 
@@ -75,12 +101,22 @@ impl RegionImager for DirectImager {
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Array2<f64>> {
-        let (margin, thickness) = (self.simulator.margin_angstrom(), self.specimen.thickness_nm());
-        let pixels = PixelBox::new(pixels, self.recipe.field.pixel_nm(), margin, thickness);
-        let simulator = self.simulator.with_configurations(configurations);
-        let sites = mean_atoms(&*self.specimen, &pixels.area, &self.recipe.phonons);
-        let image = simulator.image(&sites, &pixels, progress)?;
-        Ok(image.mapv(f64::from))
+        let [rows, columns] = self.block(pixels.shape);
+        if pixels.stride > 1 || [rows, columns] == pixels.shape {
+            return self.simulate(pixels, configurations, progress);
+        }
+        let mut image = Array2::zeros((pixels.shape[0], pixels.shape[1]));
+        for y in (0..pixels.shape[0]).step_by(rows) {
+            for x in (0..pixels.shape[1]).step_by(columns) {
+                let shape = [rows.min(pixels.shape[0] - y), columns.min(pixels.shape[1] - x)];
+                let block = PixelRect::new([pixels.first[0] + y, pixels.first[1] + x], shape);
+                let share = ProgressShare::new(progress, shape[0] * shape[1] * configurations);
+                let part = self.simulate(&block, configurations, &share)?;
+                share.complete();
+                image.slice_mut(s![y..y + shape[0], x..x + shape[1]]).assign(&part);
+            }
+        }
+        Ok(image)
     }
 
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {

@@ -130,6 +130,18 @@ impl Simulator {
         Simulator { settings: Settings { probe_box, ..self.settings.clone() } }
     }
 
+    /// The exact engine with the same settings otherwise: multislice on the full grid, with probes as in an infinite specimen.
+    #[must_use]
+    pub fn exact(&self) -> Self {
+        let settings = Settings { algorithm: Algorithm::Multislice, ..self.settings.clone() };
+        Simulator { settings }.with_large_probe_box()
+    }
+
+    /// Whether this is [`Simulator::exact`].
+    pub fn is_exact(&self) -> bool {
+        self.settings.algorithm == Algorithm::Multislice && self.settings.large_probe_box()
+    }
+
     /// The same with other slices.
     #[must_use]
     pub fn with_slices(&self, slicing: Slicing) -> Self {

@@ -2,7 +2,7 @@
 //!
 //! - `/` attributes: `format` ("stemgen images"), `format_version`, `stemgen_version`,
 //!   `command_line`, `settings` (JSON), `structure_file`, `wavelength_angstrom`, `band_limit_mrad`,
-//!   `wall_time_s`;
+//!   `wall_time_s`; `accuracy` (JSON: asked and found) if one was asked for;
 //! - `/images/NAME`: float32, always (thickness, y, x), with `units`, `axes`, `sampling_angstrom` and
 //!   `origin_angstrom` as (y, x), `thicknesses_angstrom`, and `inner_mrad`, `outer_mrad` of a
 //!   detector;
@@ -42,6 +42,8 @@ pub struct Origin<'a> {
     pub band_limit_mrad: f64,
     /// Time taken in s.
     pub wall_time_s: f64,
+    /// What was asked and found about the accuracy, as JSON.
+    pub accuracy: Option<String>,
     /// Edges of the box in Angstrom.
     pub box_angstrom: [f64; 3],
     /// The atoms.
@@ -113,6 +115,9 @@ fn write_origin(file: &File, o: &Origin) -> hdf5::Result<()> {
     text(file, "structure_file", &o.structure_file)?;
     number(file, "wavelength_angstrom", o.wavelength_angstrom)?;
     number(file, "band_limit_mrad", o.band_limit_mrad)?;
+    if let Some(accuracy) = &o.accuracy {
+        text(file, "accuracy", accuracy)?;
+    }
     number(file, "wall_time_s", o.wall_time_s)
 }
 

@@ -47,6 +47,45 @@ pub fn binomial_error(a: (f64, f64), b: (f64, f64)) -> f64 {
     (rate * (1.0 - rate) * (1.0 / a.1 + 1.0 / b.1)).sqrt()
 }
 
+/// Probability that Student's t with so many degrees of freedom lies further from 0 than `t`, on either side (M. Abramowitz and I.
+/// A. Stegun, Handbook of Mathematical Functions (1964), 26.7.3 and 26.7.4).
+pub fn student_two_sided(t: f64, freedom: usize) -> f64 {
+    // Beyond, the normal distribution is right to 1 % at 4 standard deviations.
+    const MANY: usize = 2000;
+    if freedom == 0 || freedom > MANY || !t.is_finite() {
+        return two_sided(t);
+    }
+    let n = freedom as f64;
+    let (angle, cosine) = ((t.abs() / n.sqrt()).atan(), (n / (n + t * t)).sqrt());
+    let odd = freedom % 2 == 1;
+    let mut term = if odd { cosine } else { 1.0 };
+    let mut sum = if freedom == 1 { 0.0 } else { term };
+    let mut k = if odd { 3 } else { 2 };
+    while k < freedom {
+        term *= cosine * cosine * (k - 1) as f64 / k as f64;
+        sum += term;
+        k += 2;
+    }
+    let within = match odd {
+        true => std::f64::consts::FRAC_2_PI * (angle + angle.sin() * sum),
+        false => angle.sin() * sum,
+    };
+    (1.0 - within).clamp(0.0, 1.0)
+}
+
+/// The standard error of the difference of two ratios whose blocks lie at the same places of two fields, from the scatter of the
+/// differences, block by block: what both have at a place (a boundary, the lattice) is no scatter.
+pub fn paired_error(a: &[(f64, f64)], b: &[(f64, f64)]) -> f64 {
+    let residuals = |blocks: &[(f64, f64)]| {
+        let (top, bottom) = blocks.iter().fold((0.0, 0.0), |s, b| (s.0 + b.0, s.1 + b.1));
+        let of = move |b: &(f64, f64)| (b.0 - top / bottom * b.1) / bottom;
+        blocks.iter().map(of).collect::<Vec<f64>>()
+    };
+    let n = a.len() as f64;
+    let pairs = residuals(a).into_iter().zip(residuals(b));
+    (pairs.map(|(a, b)| (a - b).powi(2)).sum::<f64>() * n / (n - 1.0)).sqrt()
+}
+
 /// Result of a two-sample Kolmogorov-Smirnov test.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Ks {
@@ -59,26 +98,95 @@ pub struct Ks {
 /// A sample: the block and the value of each item.
 pub type Sample = [(u32, f32)];
 
+/// Which blocks of two worlds may be exchanged.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Exchange {
+    /// Only the two at the same place, of so many places: what both worlds have there (a boundary, an edge, the lattice) is no
+    /// difference.
+    AtPlaces(usize),
+    /// Any, of so many in each world.
+    Any([usize; 2]),
+}
+
 /// Classes that values are sorted into.
 const CLASSES: usize = 400;
+/// Relabellings at most; fewer once so many were as far apart as what was found (J. Besag and P. Clifford, Biometrika 78 (1991)
+/// 301).
+const RELABELLINGS: u32 = 99_999;
+const ENOUGH: u32 = 200;
 
-/// Two-sample Kolmogorov-Smirnov distance whose significance is found by exchanging whole blocks between the
-/// samples (`blocks` are their numbers), since items of a block are not independent.
+/// The share of relabellings whose statistic is at least `found`.
+fn share(found: f64, mut statistic: impl FnMut(u32) -> f64) -> f64 {
+    let mut larger = 0;
+    for n in 0..RELABELLINGS {
+        larger += u32::from(statistic(n) >= found - 1e-12);
+        if larger == ENOUGH {
+            return f64::from(larger) / f64::from(n + 1);
+        }
+    }
+    f64::from(larger + 1) / f64::from(RELABELLINGS + 1)
+}
+
+/// Two-sample Kolmogorov-Smirnov distance whose significance is found by exchanging whole blocks between the samples, since items
+/// of a block are not independent.
 ///
 /// Values are sorted into 400 classes that hold equal shares of both samples together.
-pub fn kolmogorov_smirnov(a: &Sample, b: &Sample, blocks: [usize; 2], permutations: u32) -> Ks {
+pub fn kolmogorov_smirnov(a: &Sample, b: &Sample, exchange: Exchange) -> Ks {
     let edges = edges(a, b);
     if a.is_empty() || b.is_empty() || edges.is_empty() {
         let distance = if a.is_empty() == b.is_empty() { 0.0 } else { 1.0 };
         return Ks { distance, p: if distance == 0.0 { 1.0 } else { 0.0 } };
     }
-    let mut table = vec![[0.0_f64; CLASSES + 1]; blocks[0] + blocks[1]];
-    let class = |v: f32| edges.partition_point(|e| *e < v);
-    a.iter().for_each(|(block, v)| table[*block as usize][class(*v)] += 1.0);
-    b.iter().for_each(|(block, v)| table[blocks[0] + *block as usize][class(*v)] += 1.0);
-    table.retain(|counts| counts.iter().any(|c| *c > 0.0));
-    let filled: std::collections::BTreeSet<u32> = a.iter().map(|(block, _)| *block).collect();
-    let first = filled.len();
+    let count = |sample: &Sample, blocks: usize| {
+        let mut table = vec![[0.0_f64; CLASSES + 1]; blocks];
+        let class = |v: f32| edges.partition_point(|e| *e < v);
+        sample.iter().for_each(|(block, v)| table[*block as usize][class(*v)] += 1.0);
+        table
+    };
+    match exchange {
+        Exchange::AtPlaces(places) => at_places(&count(a, places), &count(b, places)),
+        Exchange::Any([first, second]) => among_all(count(a, first), count(b, second)),
+    }
+}
+
+/// Values of each class in a block.
+type ClassCounts = [f64; CLASSES + 1];
+
+/// Differences of the cumulative distributions, place by place, and the distance of sums of them with random signs.
+fn at_places(a: &[ClassCounts], b: &[ClassCounts]) -> Ks {
+    let total = |t: &[ClassCounts]| t.iter().flatten().sum::<f64>();
+    let (all_a, all_b) = (total(a), total(b));
+    let difference = |(a, b): (&ClassCounts, &ClassCounts)| {
+        let mut sum = 0.0;
+        std::array::from_fn(|i| {
+            sum += a[i] / all_a - b[i] / all_b;
+            sum
+        })
+    };
+    let places: Vec<ClassCounts> = a.iter().zip(b).map(difference).collect();
+    let distance = |sign: &dyn Fn(usize) -> f64| {
+        let mut sums: ClassCounts = [0.0; CLASSES + 1];
+        for (i, place) in places.iter().enumerate() {
+            let sign = sign(i);
+            sums.iter_mut().zip(place).for_each(|(s, v)| *s += sign * v);
+        }
+        sums.iter().fold(0.0_f64, |m, v| m.max(v.abs()))
+    };
+    let found = distance(&|_| 1.0);
+    let p = match found > 0.0 {
+        true => share(found, |n| distance(&|i| random_sign(i, n))),
+        false => 1.0,
+    };
+    Ks { distance: found, p }
+}
+
+/// The distance for the blocks as they are, and with any of them exchanged.
+fn among_all(mut table: Vec<ClassCounts>, mut other: Vec<ClassCounts>) -> Ks {
+    let filled = |counts: &ClassCounts| counts.iter().any(|c| *c > 0.0);
+    table.retain(filled);
+    other.retain(filled);
+    let first = table.len();
+    table.append(&mut other);
     let mut total = [0.0; CLASSES + 1];
     table.iter().for_each(|t| total.iter_mut().zip(t).for_each(|(s, v)| *s += v));
     let mut order: Vec<usize> = (0..table.len()).collect();
@@ -90,12 +198,43 @@ pub fn kolmogorov_smirnov(a: &Sample, b: &Sample, blocks: [usize; 2], permutatio
         largest_gap(&part, &total)
     };
     let found = distance(&order);
-    let mut larger = 0;
-    for permutation in 0..permutations {
-        shuffle(&mut order, permutation);
-        larger += u32::from(distance(&order) >= found - 1e-12);
+    let p = share(found, |n| {
+        shuffle(&mut order, n);
+        distance(&order)
+    });
+    Ks { distance: found, p }
+}
+
+/// The largest of several sums over pairs, in units of the root of its summed squares, and the share of relabellings (both of a
+/// pair exchanged, at random) whose largest is at least that. `differences` holds a row for each pair.
+pub fn largest_of_pairs(differences: &[Vec<f64>]) -> (f64, f64) {
+    let columns = differences.first().map_or(0, Vec::len);
+    let square = |c: usize| differences.iter().map(|d| d[c] * d[c]).sum::<f64>().sqrt();
+    let scale: Vec<f64> = (0..columns).map(|c| 1.0 / square(c)).collect();
+    let usable: Vec<usize> = (0..columns).filter(|c| scale[*c].is_finite()).collect();
+    let scaled: Vec<Vec<f64>> =
+        differences.iter().map(|d| usable.iter().map(|&c| d[c] * scale[c]).collect()).collect();
+    let largest = |sign: &dyn Fn(usize) -> f64| {
+        let mut sums = vec![0.0; usable.len()];
+        for (i, row) in scaled.iter().enumerate() {
+            let sign = sign(i);
+            sums.iter_mut().zip(row).for_each(|(s, v)| *s += sign * v);
+        }
+        sums.iter().fold(0.0_f64, |m, v| m.max(v.abs()))
+    };
+    let found = largest(&|_| 1.0);
+    match found > 0.0 {
+        true => (found, share(found, |n| largest(&|i| random_sign(i, n)))),
+        false => (0.0, 1.0),
     }
-    Ks { distance: found, p: f64::from(larger + 1) / f64::from(permutations + 1) }
+}
+
+/// 1 or -1 for item `i` of a relabelling.
+fn random_sign(i: usize, relabelling: u32) -> f64 {
+    // 128 signs from one draw of random words.
+    let word = philox4x32_10([(i / 128) as u32, relabelling, 1, 0], [0x5374_656d, 0x4b53]);
+    let bit = word[i / 32 % 4] >> (i % 32) & 1;
+    if bit == 1 { 1.0 } else { -1.0 }
 }
 
 /// Edges of classes with equal shares of the pooled values.
@@ -138,6 +277,8 @@ fn shuffle(order: &mut [usize], permutation: u32) {
 mod tests {
     use super::*;
 
+    const ANY: Exchange = Exchange::Any([60, 60]);
+
     /// Uniform numbers in [0, 1).
     fn noise(n: usize, seed: u32) -> Vec<f32> {
         let word = |i: usize| philox4x32_10([i as u32, 0, 0, 0], [seed, 7])[0];
@@ -175,13 +316,13 @@ mod tests {
     #[test]
     fn equal_distributions_are_equal_and_others_are_not() {
         let (a, b) = (sample(noise(3000, 1), 50), sample(noise(3000, 2), 50));
-        let same = kolmogorov_smirnov(&a, &b, [60, 60], 999);
+        let same = kolmogorov_smirnov(&a, &b, ANY);
         assert!(same.p > 0.01 && same.distance < 0.05, "{same:?}");
-        assert_eq!(kolmogorov_smirnov(&a, &a, [60, 60], 999).p, 1.0);
+        assert_eq!(kolmogorov_smirnov(&a, &a, ANY).p, 1.0);
         let moved = sample(noise(3000, 2).iter().map(|v| v + 0.1).collect(), 50);
-        let moved = kolmogorov_smirnov(&a, &moved, [60, 60], 999);
-        assert!(moved.p == 0.001 && (moved.distance - 0.1).abs() < 0.03, "{moved:?}");
-        assert_eq!(kolmogorov_smirnov(&a, &[], [60, 60], 99).p, 0.0);
+        let moved = kolmogorov_smirnov(&a, &moved, ANY);
+        assert!(moved.p < 2e-5 && (moved.distance - 0.1).abs() < 0.03, "{moved:?}");
+        assert_eq!(kolmogorov_smirnov(&a, &[], ANY).p, 0.0);
     }
 
     /// Values that are the same within a block: the textbook formula takes 3000 items for independent and
@@ -194,8 +335,7 @@ mod tests {
         };
         let mut found = 0;
         for seed in 0..20 {
-            let ks =
-                kolmogorov_smirnov(&blocky(2 * seed + 1), &blocky(2 * seed + 2), [60, 60], 199);
+            let ks = kolmogorov_smirnov(&blocky(2 * seed + 1), &blocky(2 * seed + 2), ANY);
             found += u32::from(ks.p < 0.05);
             let effective: f64 = 1500.0;
             if seed == 0 {
@@ -204,5 +344,78 @@ mod tests {
             }
         }
         assert!(found <= 4, "{found} of 20");
+    }
+
+    #[test]
+    fn student_is_that_of_the_tables() {
+        for (t, freedom, p) in [
+            (12.706, 1, 0.05),
+            (4.303, 2, 0.05),
+            (2.228, 10, 0.05),
+            (3.355, 8, 0.01),
+            (1.9693, 255, 0.05),
+        ] {
+            let found = student_two_sided(t, freedom);
+            assert!((found - p).abs() < 1e-4, "{t}, {freedom}: {found}");
+        }
+        assert!(student_two_sided(0.0, 7) == 1.0 && student_two_sided(40.0, 8) < 1e-9);
+    }
+
+    /// Columns of 36 places: every other place is 20 % brighter in all worlds, as at a boundary, and what a place has in common
+    /// scatters from world to world.
+    fn world(seed: u32, brighter: f64) -> Vec<(u32, f32)> {
+        let (common, own) = (noise(36, seed), noise(36 * 50, seed + 10_000));
+        let value = |i: usize| {
+            let place = i / 50;
+            let boundary = if place.is_multiple_of(2) { 1.2 } else { 1.0 };
+            let scatter = 0.05 * f64::from(common[place]) + 0.2 * f64::from(own[i]);
+            (place as u32, (brighter * (boundary + scatter)) as f32)
+        };
+        (0..36 * 50).map(value).collect()
+    }
+
+    /// Probabilities are uniform between worlds of one kind, and 3 % are found.
+    #[test]
+    fn worlds_of_one_kind_are_called_different_at_the_rate_asked_for() {
+        let sums = |world: &[(u32, f32)]| {
+            let mut sums = vec![(0.0, 0.0); 36];
+            for (place, v) in world {
+                let sum = &mut sums[*place as usize];
+                *sum = (sum.0 + f64::from(*v), sum.1 + 1.0);
+            }
+            sums
+        };
+        let tests = |a: &[(u32, f32)], b: &[(u32, f32)]| {
+            let (of_a, of_b) = (sums(a), sums(b));
+            let means = [&of_a, &of_b].map(|s| Ratio::of_blocks(s).value);
+            let t = (means[0] - means[1]) / paired_error(&of_a, &of_b);
+            let pairs = of_a.iter().zip(&of_b);
+            let rows: Vec<Vec<f64>> =
+                pairs.map(|(a, b)| vec![a.0 - b.0, a.0 * a.0 - b.0 * b.0]).collect();
+            [
+                student_two_sided(t, 35),
+                kolmogorov_smirnov(a, b, Exchange::AtPlaces(36)).p,
+                largest_of_pairs(&rows).1,
+            ]
+        };
+        let all: Vec<[f64; 3]> =
+            (0..120).map(|n| tests(&world(2 * n + 1, 1.0), &world(2 * n + 2, 1.0))).collect();
+        for test in 0..3 {
+            let p = || all.iter().map(|p| p[test]);
+            let mean = p().sum::<f64>() / 120.0;
+            let below = |limit: f64| p().filter(|p| *p < limit).count();
+            println!(
+                "test {test}: mean {mean}, below 0.05 {}, below 0.5 {}",
+                below(0.05),
+                below(0.5)
+            );
+            // A uniform number: mean 0.5 with an error of 0.026; 6 of 120 below 0.05 with one of 2.4.
+            assert!((mean - 0.5).abs() < 0.09, "test {test}: {mean}");
+            assert!((1..=14).contains(&below(0.05)), "test {test}: {}", below(0.05));
+            assert!((42..=78).contains(&below(0.5)), "test {test}: {}", below(0.5));
+        }
+        for p in tests(&world(1, 1.0), &world(2, 1.03)) {
+            assert!(p < 1e-3, "{p}");
+        }
     }
 }

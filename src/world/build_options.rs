@@ -18,11 +18,15 @@ const MOSAIC_SUBTILE_NM: f64 = 8.0;
 const MOSAIC_OVERLAP_NM: f64 = 0.5;
 /// Overlap of other sub-tiles in nm, at most.
 const OVERLAP_NM: f64 = 1.0;
-/// Edge of audited regions in nm.
+/// Edge of audited regions in nm; where an error is asked for, at least so many smaller ones.
 const AUDIT_NM: f64 = 0.8;
+const LIMITED_AUDIT_NM: f64 = 0.6;
+const LEAST_REGIONS: usize = 4;
 /// Configurations that audits of particles average at most: slices are thin there, and multislice of sixteen would take a
 /// quarter of the time of the world. The mean of more is nearer to the exact one.
 const PARTICLE_AUDIT_CONFIGURATIONS: usize = 4;
+/// The least error in per cent for which [`window_for`] has a window.
+const LEAST_OF_TABLE: f64 = 0.4;
 /// Interpolation of PRISM unless another is asked for: windows of 10 A in sub-tiles of 2.5 nm.
 const INTERPOLATION: [usize; 2] = [4, 4];
 
@@ -70,15 +74,17 @@ pub struct BuildOptions {
     pub profile: BuildProfile,
     /// Width in Angstrom of the windows that follow the probe; by the recipe when `None`.
     pub window_angstrom: Option<f64>,
-    /// Take the narrowest window whose error is at most so many per cent of the mean image.
+    /// Largest rms error of the image in per cent of its mean: windows are widened, or the mosaic left, until an audit finds it.
     pub accuracy_percent: Option<f64>,
     /// Whether probes that share a window are expanded in fewer waves.
     pub expansion: Expansion,
     /// Interpolation of PRISM along x and y.
     pub interpolation: Option<[usize; 2]>,
-    /// Regions that are simulated exactly beforehand to find the error of a mosaic or film; 0 for no audit.
+    /// Regions that are simulated exactly beforehand to find the error of a mosaic or film, 0 for no audit; at least four
+    /// where an error is asked for.
     pub audit_regions: usize,
-    /// Largest error of the audit in per cent: windows are widened, or the mosaic left, until it is met.
+    /// Largest error of the audit in per cent: windows are widened, or the mosaic left, until it is met; where no window meets
+    /// it, the exact engine makes the field.
     pub max_error_percent: Option<f64>,
     /// Where the simulations of mosaics are kept for other worlds.
     pub cache: Cache,
@@ -133,7 +139,7 @@ impl BuildOptions {
         let (simulator, warning) = self.simulator(recipe)?;
         let method = self.method_choice(&simulator);
         let subtile_nm = self.subtiles(&simulator, method);
-        let check = self.imaging_check(recipe, method)?;
+        let check = self.imaging_check(recipe)?;
         let imaging = ImagingChoice { simulator, method, cache: self.cache.clone() };
         Ok(BuildPolicy { imaging, check, subtile_nm, warnings: warning.into_iter().collect() })
     }
@@ -189,7 +195,9 @@ impl BuildOptions {
         if let Some(percent) = self.accuracy_percent {
             let simulator = Simulator::new(recipe, window);
             let thickness_angstrom = 10.0 * recipe.field.thickness_nm;
-            let choice = window_for(percent, simulator.settings(), thickness_angstrom)?;
+            // The audit finds whether it is wide enough.
+            let table = if percent > 0.0 { percent.max(LEAST_OF_TABLE) } else { percent };
+            let choice = window_for(table, simulator.settings(), thickness_angstrom)?;
             let algorithm = Algorithm::Window { width_angstrom: choice.width_angstrom };
             return Ok((algorithm, choice.warning(percent)));
         }
@@ -227,29 +235,30 @@ impl BuildOptions {
         [width, self.subtile_overlap_nm.unwrap_or((0.25 * width).clamp(0.0, most))]
     }
 
-    /// How a mosaic or film is checked before the world is made with it.
-    fn imaging_check(&self, recipe: &CheckedRecipe, method: MethodChoice) -> Result<ImagingCheck> {
-        if let Some(limit) = self.max_error_percent {
-            let refuse =
-                |expected| Err(Error::invalid(Setting::LargestErrorPercent, limit, expected));
-            if method == MethodChoice::Direct {
-                return refuse(
-                    "is for mosaics; leave the method open, or audit the world afterwards",
-                );
-            }
-            if self.audit_regions == 0 {
-                return refuse("needs an audit of at least one region");
-            }
+    /// How an imager is checked before the world is made with it.
+    fn imaging_check(&self, recipe: &CheckedRecipe) -> Result<ImagingCheck> {
+        let limit = self.max_error_percent.map(|limit| (Setting::LargestErrorPercent, limit));
+        let limit = limit.or(self.accuracy_percent.map(|p| (Setting::AccuracyPercent, p)));
+        if let Some((setting, limit)) = limit
+            && self.audit_regions == 0
+        {
+            let expected = "needs an audit of at least one region";
+            return Err(Error::invalid(setting, limit, expected));
         }
         let thin = recipe.structure == StructureKind::Particles;
+        let (regions, size_nm) = match limit {
+            Some(_) => (self.audit_regions.max(LEAST_REGIONS), LIMITED_AUDIT_NM),
+            None => (self.audit_regions, AUDIT_NM),
+        };
         let audit = AuditOptions {
-            regions: self.audit_regions,
-            size_nm: AUDIT_NM,
+            regions,
+            size_nm,
             configurations: thin.then_some(PARTICLE_AUDIT_CONFIGURATIONS),
             ..AuditOptions::default()
         };
         let audit = (self.audit_regions > 0).then_some(audit);
-        Ok(ImagingCheck { audit, max_error_percent: self.max_error_percent })
+        let (max_error_percent, accuracy_percent) = (self.max_error_percent, self.accuracy_percent);
+        Ok(ImagingCheck { audit, max_error_percent, accuracy_percent })
     }
 }
 

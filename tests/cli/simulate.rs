@@ -106,17 +106,45 @@ fn crystals_are_turned_and_repeated() {
 fn a_warning_is_a_sentence_without_gaps() {
     let folder = tempfile::tempdir().unwrap();
     let mut simulate = stemgen(folder.path());
-    simulate.args(["simulate", &file("structures/si.cif"), "--accuracy", "1", "--energy", "80"]);
-    let plan = json(simulate.arg("--dry-run"));
+    let plan = json(simulate.args(["simulate", &file("structures/si.cif"), "--dry-run"]));
     let warnings: Vec<&str> =
         plan["warnings"].as_array().unwrap().iter().map(|w| w.as_str().unwrap()).collect();
-    assert!(warnings.iter().any(|w| w.contains("was not measured for")), "{warnings:?}");
-    assert!(warnings.iter().all(|w| !w.contains("  ")), "{warnings:?}");
+    assert!(!warnings.is_empty() && warnings.iter().all(|w| !w.contains("  ")), "{warnings:?}");
     let mut build = stemgen(folder.path());
     build.args(["build", "--recipe", &file("tests/cli/tiny.toml"), "--accuracy", "1", "--dry-run"]);
     let told = stderr(&build.output().unwrap());
     let warning = told.lines().find(|l| l.contains("was not measured for")).expect(&told);
     assert!(!warning.contains("  "), "{warning}");
+}
+
+/// What was asked and found is in the summary, in the plan, and in the file.
+#[test]
+fn an_accuracy_is_measured_and_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |more: &[&str]| {
+        let mut command = stemgen(folder.path());
+        command.args(["simulate", &file("structures/si.cif"), "--repeat", "4,4,1"]);
+        command.args(["--scan-start", "5,5", "--scan-end", "11.4,11.4", "--scan-step", "0.4"]);
+        command.args(["--accuracy", "2%", "--quiet"]).args(more);
+        json(&mut command)["accuracy"].clone()
+    };
+    let (planned, found) = (run(&["--dry-run"]), run(&["-o", "si.h5"]));
+    for report in [&planned, &found] {
+        assert_eq!(report["asked_percent"], 2.0);
+        assert_eq!(report["algorithm"]["name"], "window");
+        let tried = report["tried"].as_array().unwrap().last().unwrap();
+        assert!(tried["found_percent"].as_f64().unwrap() < 2.0, "{report}");
+        assert!(report["reference"].as_str().unwrap().contains("multislice"), "{report}");
+    }
+    assert_eq!(planned["tried"], found["tried"]);
+    let file = hdf5::File::open(folder.path().join("si.h5")).unwrap();
+    let told: hdf5::types::VarLenUnicode = file.attr("accuracy").unwrap().read_scalar().unwrap();
+    let told: serde_json::Value = serde_json::from_str(&told).unwrap();
+    assert_eq!(
+        (&told["tried"], &told["asked_percent"]),
+        (&found["tried"], &found["asked_percent"])
+    );
+    assert!(told.get("measured_in_s").is_none(), "{told}");
 }
 
 #[cfg(unix)]

@@ -71,6 +71,8 @@ pub struct Audit {
     pub bright_rms_percent: f64,
     /// Rms over all pixels, per cent of the brightest column.
     pub all_rms_percent: f64,
+    /// Rms over all pixels, per cent of the mean image.
+    pub mean_rms_percent: f64,
     /// Greatest error, per cent of the brightest column.
     pub worst_percent: f64,
     /// By kind of column.
@@ -164,6 +166,12 @@ fn compare(
     }
 }
 
+fn mean_rms_percent(images: &[[&Array2<f64>; 2]]) -> f64 {
+    let pixels = || images.iter().flat_map(|[ours, exact]| ours.iter().zip(*exact));
+    let mean = pixels().map(|(_, e)| e).sum::<f64>() / pixels().count().max(1) as f64;
+    if mean > 0.0 { 100.0 * rms(pixels().map(|(o, e)| o - e)) / mean } else { 0.0 }
+}
+
 fn summary(
     imager: &dyn RegionImager,
     configurations: [usize; 2],
@@ -195,6 +203,7 @@ fn summary(
             let n = r.ours.len() as f64;
             (n * r.all_rms_percent.powi(2), n)
         }),
+        mean_rms_percent: mean_rms_percent(&images),
         worst_percent: regions.iter().map(|r| r.worst_percent).fold(0.0, f64::max),
         kinds: kinds.iter().map(|(kind, points)| kind_audit(kind, points)).collect(),
         power: power(&images, step_angstrom),

@@ -29,15 +29,17 @@ pub fn worlds_page(
     let mut body = format!(
         "<h1>stemgen: two worlds {}</h1>\n<blockquote>{}</blockquote>\n<p class=\"meta\">Command: <code>{}</code>; \
          stemgen {}, {}, {}. A line is called different where chance would produce such a difference between equal worlds with a \
-         probability below {}. Fields are divided into blocks ({} and {}); errors of rates come from the scatter of blocks, and \
-         the significance of distances of distributions from exchanging whole blocks 9999 times, since neighbouring sites and \
-         pixels are not independent. Grains, domains or wells larger than a block count as differences where they differ.</p>\n",
+         probability below {:.2e}, so that all lines together call equal worlds different at the rate {}. Fields are divided into \
+         blocks ({} and {}), since neighbouring sites and pixels are not independent. Where both fields have the same pixels, errors \
+         come from the differences of blocks at one place, and the significance of distances from exchanging them at random; \
+         otherwise from all blocks.</p>\n",
         word(c.verdict),
         escape(&sentence(c)),
         escape(&origin.command_line),
         origin.stemgen_version,
         origin.date,
         origin.machine,
+        c.line_alpha,
         c.alpha,
         c.a.blocks,
         c.b.blocks,
@@ -65,7 +67,8 @@ pub fn sentence(c: &WorldComparison) -> String {
         true => format!("{} and {} do not differ beyond chance", c.a.path, c.b.path),
         false => format!("{} and {} differ in: {}", c.a.path, c.b.path, different.join(", ")),
     };
-    text += &format!(" ({} properties, p below {})", c.lines.len(), c.alpha);
+    text +=
+        &format!(" ({} properties, a false alarm in {} of comparisons)", c.lines.len(), c.alpha);
     if !undecided.is_empty() {
         text += &format!("; too little to tell: {}", undecided.join(", "));
     }

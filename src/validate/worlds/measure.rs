@@ -22,8 +22,12 @@ const SMALLEST_BLOCK_PX: usize = 8;
 const SITES_AT_ONCE: usize = 1 << 20;
 /// Rows of the image read at a time; whole segments.
 const STRIP: usize = 128;
-/// Radius about a column whose pixels count for its intensity.
-const COLUMN_RADIUS_NM: f64 = 0.05;
+/// The intensity of a column is the mean of the pixels around it with Gaussian weights of this standard deviation, up to so many of
+/// them. The weights hold no detail of the size of a pixel, so that it does not matter where between pixels a column lies.
+const COLUMN_SIGMA_NM: f64 = 0.025;
+const SIGMAS: f64 = 5.0;
+/// Weights that add to less leave the nearest pixel: pixels are coarse.
+const LEAST_WEIGHT: f64 = 0.2;
 /// Distances are spread by this much, so that those of a perfect lattice, which differ by rounding only, do not
 /// look different.
 const DISTANCE_RESOLUTION_NM: f32 = 1e-3;
@@ -31,6 +35,9 @@ const DISTANCE_RESOLUTION_NM: f32 = 1e-3;
 const MOST_IN_CELL: usize = 256;
 /// Edge of the squares in which neighbours are looked for.
 const CELL_NM: f64 = 0.25;
+/// The same for intensities, as a share of their mean: where few electrons are counted, many columns have equal ones, and those of
+/// two worlds differ by rounding.
+const INTENSITY_RESOLUTION: f32 = 1e-3;
 /// Neighbours further than this are taken for that far.
 const FARTHEST_NEIGHBOUR_NM: f64 = 1.0;
 
@@ -139,6 +146,8 @@ pub fn measure(
     let mut column_counts = vec![0.0; blocks.len()];
     places.iter().for_each(|b| column_counts[*b as usize] += 1.0);
     let image = ImageMeasures::read(world, path, blocks, bands, &columns, progress)?;
+    let mean = image.columns.iter().sum::<f32>() / image.columns.len().max(1) as f32;
+    let resolution = INTENSITY_RESOLUTION * mean.abs();
     let area = blocks.area_nm2();
     let per_area = |counts: &[f64]| counts.iter().map(|n| (*n, area)).collect();
     let with_blocks = |values: Vec<f32>| places.iter().copied().zip(values).collect::<Vec<_>>();
@@ -155,8 +164,8 @@ pub fn measure(
         sites: per_area(&sites.counts),
         columns: per_area(&column_counts),
         intensity: image.blocks,
-        neighbours_nm: with_blocks(spread(cells.nearest())),
-        intensities: with_blocks(image.columns),
+        neighbours_nm: with_blocks(spread(cells.nearest(), DISTANCE_RESOLUTION_NM)),
+        intensities: with_blocks(spread(image.columns, resolution)),
         spectrum: image.spectrum,
         site_counts: sites.counts,
     })
@@ -270,7 +279,7 @@ impl ImageMeasures {
         let [height, width] = world.shape();
         let pixel_nm = blocks.pixel_nm;
         let [scale, offset] = world.metadata().scaling.unwrap_or([1.0, 0.0]);
-        let margin = (COLUMN_RADIUS_NM / pixel_nm).ceil() as usize + 1;
+        let margin = (SIGMAS * COLUMN_SIGMA_NM / pixel_nm).ceil() as usize + 1;
         let mut image = ImageMeasures {
             blocks: vec![(0.0, 0.0); blocks.len()],
             columns: vec![0.0; columns.len()],
@@ -311,11 +320,11 @@ impl ImageMeasures {
     }
 }
 
-/// Mean of the pixels within [`COLUMN_RADIUS_NM`] of a column, of the nearest one at least.
+/// Weighted mean of the pixels around a column (see [`COLUMN_SIGMA_NM`]), of the nearest one at least.
 fn around(strip: &Array2<f64>, first: usize, [x, y]: [f32; 2], pixel_nm: f64) -> f32 {
     let (rows, columns) = strip.dim();
     let (cx, cy) = (f64::from(x) / pixel_nm, f64::from(y) / pixel_nm - first as f64);
-    let reach = COLUMN_RADIUS_NM / pixel_nm;
+    let (sigma, reach) = (COLUMN_SIGMA_NM / pixel_nm, SIGMAS * COLUMN_SIGMA_NM / pixel_nm);
     let range = |centre: f64, n: usize| {
         let clamp = |v: f64| v.clamp(0.0, (n - 1) as f64) as usize;
         clamp((centre - reach).round())..=clamp((centre + reach).round())
@@ -326,24 +335,25 @@ fn around(strip: &Array2<f64>, first: usize, [x, y]: [f32; 2], pixel_nm: f64) ->
         for column in range(cx, columns) {
             let distance = (row as f64 - cy).hypot(column as f64 - cx);
             if distance <= reach {
-                sum += strip[[row, column]];
-                count += 1.0;
+                let weight = (-0.5 * (distance / sigma).powi(2)).exp();
+                sum += weight * strip[[row, column]];
+                count += weight;
             }
             if distance < nearest {
                 (nearest, value) = (distance, strip[[row, column]]);
             }
         }
     }
-    (if count > 0.0 { sum / count } else { value }) as f32
+    (if count > LEAST_WEIGHT { sum / count } else { value }) as f32
 }
 
-/// Adds up to half of [`DISTANCE_RESOLUTION_NM`] to each distance, up or down.
-fn spread(mut distances: Vec<f32>) -> Vec<f32> {
-    for (i, d) in distances.iter_mut().enumerate() {
+/// Adds up to half of `resolution` to each value, up or down.
+fn spread(mut values: Vec<f32>, resolution: f32) -> Vec<f32> {
+    for (i, d) in values.iter_mut().enumerate() {
         let word = philox4x32_10([i as u32, (i >> 32) as u32, 0, 0], [0x6e6e, 0])[0];
-        *d += DISTANCE_RESOLUTION_NM * (word as f32 / u32::MAX as f32 - 0.5);
+        *d += resolution * (word as f32 / u32::MAX as f32 - 0.5);
     }
-    distances
+    values
 }
 
 /// Points in squares.
@@ -410,6 +420,7 @@ impl<'a> ColumnSquares<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::validate::statistics::{Exchange, kolmogorov_smirnov};
 
     #[test]
     fn nearest_neighbours_are_as_by_brute_force() {
@@ -437,11 +448,33 @@ mod tests {
     #[test]
     fn columns_average_their_pixels() {
         let strip = Array2::from_shape_fn((20, 20), |(y, x)| (100 * y + x) as f64);
-        // symmetric about a pixel: the mean is that pixel
-        assert_eq!(around(&strip, 0, [0.2, 0.1], 0.02), 510.0);
-        assert_eq!(around(&strip, 5, [0.2, 0.2], 0.02), 510.0);
+        // the mean of a slope is the value at the column, wherever it lies between pixels
+        assert!((around(&strip, 0, [0.2, 0.2], 0.02) - 1010.0).abs() < 1e-3);
+        assert!((around(&strip, 5, [0.2, 0.31], 0.02) - 1060.0).abs() < 1e-2);
+        assert!((around(&strip, 0, [0.2072, 0.2044], 0.02) - 1032.36).abs() < 1e-2);
         // coarse pixels: the nearest
         assert_eq!(around(&strip, 0, [0.9, 0.4], 0.2), 204.0);
+    }
+
+    /// Few electrons: most columns have one of a few intensities, which two files hold with different rounding.
+    #[test]
+    fn equal_counts_of_electrons_are_equal_whatever_the_rounding() {
+        let counts = |seed: u32| -> Vec<f32> {
+            let electrons = |i: u32| (philox4x32_10([i, 0, 0, 0], [seed, 9])[0] % 7) as f32;
+            (0..6400).map(|i| 1.3e-3 * electrons(i)).collect()
+        };
+        let scaled: Vec<f32> = counts(2).iter().map(|v| v * (1.0 + 3e-7)).collect();
+        let compare = |a: Vec<f32>, b: Vec<f32>| {
+            let blocks = |v: Vec<f32>| -> Vec<(u32, f32)> {
+                v.into_iter().enumerate().map(|(i, v)| (i as u32 / 100, v)).collect()
+            };
+            kolmogorov_smirnov(&blocks(a), &blocks(b), Exchange::AtPlaces(64))
+        };
+        let raw = compare(counts(1), scaled.clone());
+        assert!(raw.p < 1e-3 && raw.distance > 0.1, "rounding alone: {raw:?}");
+        let resolution = INTENSITY_RESOLUTION * 3.9e-3;
+        let same = compare(spread(counts(1), resolution), spread(scaled, resolution));
+        assert!(same.p > 0.01 && same.distance < 0.03, "{same:?}");
     }
 
     #[test]

@@ -1,10 +1,11 @@
 //! Are two worlds the same kind of specimen, imaged alike? Two that cannot be equal byte for byte (another
 //! seed, another processor, another program) are compared by statistics, each with a test and its threshold.
 //!
-//! A field is divided into blocks, at most 16 x 16. Errors of rates come from the scatter of the blocks, and the
-//! significance of distances between distributions from exchanging whole blocks: neighbouring sites and pixels
-//! are not independent. What is larger than a block (grains, domains, wells) counts as a difference where it
-//! differs.
+//! A field is divided into blocks, at most 16 x 16: neighbouring sites and pixels are not independent. Where both fields have the
+//! same pixels, the blocks at one place are a pair. Two worlds of one kind could have each other's block there: errors come from
+//! the scatter of the differences of pairs, and the significance of distances from exchanging the blocks of pairs at random. What
+//! both have at one place (a boundary, a well) is no difference, nor does it hide one. Other fields are compared
+//! by the scatter of all blocks of each, and by exchanging any of them.
 
 mod measure;
 mod spectrum;
@@ -17,17 +18,18 @@ use serde::Serialize;
 pub use measure::{Measured, measure};
 pub use spectrum::Spectrum;
 
-use super::statistics::{Ratio, binomial_error, kolmogorov_smirnov, two_sided};
+use super::statistics::{
+    Exchange, Ratio, binomial_error, kolmogorov_smirnov, largest_of_pairs, paired_error,
+    student_two_sided, two_sided,
+};
 use crate::error::{Error, Result};
 use crate::io::WorldFile;
 use crate::progress::Progress;
 use crate::setting::Setting;
 use crate::structure::elements;
 
-/// Lines below this probability are called different, unless another is asked for.
+/// How often worlds of one kind are called different, unless another rate is asked for.
 pub const DEFAULT_ALPHA: f64 = 0.001;
-/// Relabellings of blocks for the distance of distributions.
-const PERMUTATIONS: u32 = 9999;
 /// Relative difference of pixels that are still the same.
 const SAME_PIXEL: f64 = 1e-6;
 /// Segments of the image below which errors of spectra mean nothing.
@@ -74,8 +76,10 @@ pub struct Line {
 pub struct WorldComparison {
     /// Different if any line is.
     pub verdict: Sameness,
-    /// Lines below this probability are called different.
+    /// How often worlds of one kind are called different.
     pub alpha: f64,
+    /// Lines below this probability are called different: all tests together are wrong at the rate `alpha`.
+    pub line_alpha: f64,
     /// The lines.
     pub lines: Vec<Line>,
     /// The first world.
@@ -112,44 +116,54 @@ pub fn compare(a: &Path, b: &Path, alpha: f64, progress: &dyn Progress) -> Resul
     let (a, b) =
         (measure(first, a, &frequencies, progress)?, measure(second, b, &frequencies, progress)?);
     progress.finish();
-    let lines = lines(&a, &b, alpha);
+    let (lines, line_alpha) = judged(lines(&a, &b), alpha);
     let different = lines.iter().any(|l| l.verdict == Sameness::Different);
     let verdict = if different { Sameness::Different } else { Sameness::Same };
-    Ok(WorldComparison { verdict, alpha, lines, a, b })
+    Ok(WorldComparison { verdict, alpha, line_alpha, lines, a, b })
 }
 
-fn lines(a: &Measured, b: &Measured, alpha: f64) -> Vec<Line> {
-    let judge = |p: f64| if p < alpha { Sameness::Different } else { Sameness::Same };
+/// Judges all lines that chance plays a part in, so that between equal worlds any of them is different at the rate `alpha` (Z.
+/// Sidak, J. Am. Stat. Assoc. 62 (1967) 626). Also the probability below which one is.
+fn judged(mut lines: Vec<Line>, alpha: f64) -> (Vec<Line>, f64) {
+    let by_chance = |l: &Line| l.verdict == Sameness::Same && l.p < 1.0;
+    let tests = lines.iter().filter(|l| by_chance(l)).count().max(1);
+    let line_alpha = 1.0 - (1.0 - alpha).powf(1.0 / tests as f64);
+    for line in lines.iter_mut().filter(|l| l.verdict == Sameness::Same && l.p < line_alpha) {
+        line.verdict = Sameness::Different;
+    }
+    (lines, line_alpha)
+}
+
+/// All lines; those with a test are `Same` whatever their probability, or `Undecided`.
+fn lines(a: &Measured, b: &Measured) -> Vec<Line> {
+    let paired = a.shape == b.shape && pixel(a, b).verdict == Sameness::Same;
     let mut lines = vec![pixel(a, b), elements_line(a, b)];
     let names: BTreeSet<&String> = a.defects.keys().chain(b.defects.keys()).collect();
     for name in names {
         let of = |m: &Measured| m.defects.get(name).cloned().unwrap_or_else(|| m.no_defects());
-        lines.push(rate(format!("{name} per site"), &of(a), &of(b), judge));
+        lines.push(rate(format!("{name} per site"), [&of(a), &of(b)], paired));
     }
-    let each = |of: fn(&Measured) -> &Vec<(f64, f64)>| [of(a), of(b)].map(|v| Ratio::of_blocks(v));
-    for (what, unit, [a, b]) in [
-        ("sites", "per nm2", each(|m| &m.sites)),
-        ("atomic columns", "per nm2", each(|m| &m.columns)),
-        ("mean of the image", "of the beam", each(|m| &m.intensity)),
+    for (what, unit, blocks) in [
+        ("sites", "per nm2", [&a.sites, &b.sites]),
+        ("atomic columns", "per nm2", [&a.columns, &b.columns]),
+        ("mean of the image", "of the beam", [&a.intensity, &b.intensity]),
     ] {
-        lines.push(z_line(what.into(), unit, a, b, 0.0, judge));
+        lines.push(z_line(what.into(), unit, blocks, 0.0, paired));
     }
+    let exchange = match paired {
+        true => Exchange::AtPlaces(a.blocks),
+        false => Exchange::Any([a.blocks, b.blocks]),
+    };
     lines.push(distribution(
         "nearest neighbours of columns",
         "nm",
         [&a.neighbours_nm, &b.neighbours_nm],
-        [a, b],
-        judge,
+        exchange,
     ));
-    lines.push(distribution(
-        "intensity of columns",
-        "of the beam",
-        [&a.intensities, &b.intensities],
-        [a, b],
-        judge,
-    ));
-    lines.push(noise(a, b, judge));
-    lines.push(spectra(a, b, alpha));
+    let intensities = [&a.intensities, &b.intensities];
+    lines.push(distribution("intensity of columns", "of the beam", intensities, exchange));
+    lines.push(noise(a, b, paired));
+    lines.push(spectra(a, b, paired));
     lines
 }
 
@@ -200,36 +214,49 @@ fn elements_line(a: &Measured, b: &Measured) -> Line {
 fn z_line(
     what: String,
     unit: &'static str,
-    a: Ratio,
-    b: Ratio,
+    [a, b]: [&Vec<(f64, f64)>; 2],
     least_error: f64,
-    judge: impl Fn(f64) -> Sameness,
+    paired: bool,
 ) -> Line {
-    let z = a.z(b, least_error);
-    let p = two_sided(z);
-    let verdict = if z.is_nan() { Sameness::Undecided } else { judge(p) };
-    let test = "z of the difference, errors from blocks";
-    Line { what, unit, a: Some(a), b: Some(b), text: String::new(), test, statistic: z, p, verdict }
+    let (of_a, of_b) = (Ratio::of_blocks(a), Ratio::of_blocks(b));
+    let difference = of_a.value - of_b.value;
+    let error = match paired {
+        true => paired_error(a, b),
+        false => of_a.error.hypot(of_b.error).max(least_error),
+    };
+    let z = if difference == 0.0 { 0.0 } else { difference / error };
+    Line {
+        what,
+        unit,
+        a: Some(of_a),
+        b: Some(of_b),
+        text: String::new(),
+        test: match paired {
+            true => "t of the difference, error from pairs of blocks",
+            false => "t of the difference, errors from blocks",
+        },
+        statistic: z,
+        p: if z.is_nan() { 1.0 } else { student_two_sided(z, a.len().min(b.len()) - 1) },
+        verdict: if z.is_nan() { Sameness::Undecided } else { Sameness::Same },
+    }
 }
 
-/// A rate of events: its error is at least that of independent ones.
-fn rate(what: String, a: &[(f64, f64)], b: &[(f64, f64)], judge: impl Fn(f64) -> Sameness) -> Line {
+/// A rate of events. Without pairs its error is at least that of independent ones.
+fn rate(what: String, blocks: [&Vec<(f64, f64)>; 2], paired: bool) -> Line {
     let sum = |v: &[(f64, f64)]| v.iter().fold((0.0, 0.0), |s, b| (s.0 + b.0, s.1 + b.1));
-    let least = binomial_error(sum(a), sum(b));
-    z_line(what, "", Ratio::of_blocks(a), Ratio::of_blocks(b), least, judge)
+    let least = binomial_error(sum(blocks[0]), sum(blocks[1]));
+    z_line(what, "", blocks, least, paired)
 }
 
 fn distribution(
     what: &str,
     unit: &'static str,
-    samples: [&Vec<(u32, f32)>; 2],
-    worlds: [&Measured; 2],
-    judge: impl Fn(f64) -> Sameness,
+    [a, b]: [&Vec<(u32, f32)>; 2],
+    exchange: Exchange,
 ) -> Line {
-    let [a, b] = samples;
     let mean =
         |s: &[(u32, f32)]| s.iter().map(|(_, v)| f64::from(*v)).sum::<f64>() / s.len() as f64;
-    let ks = kolmogorov_smirnov(a, b, worlds.map(|w| w.blocks), PERMUTATIONS);
+    let ks = kolmogorov_smirnov(a, b, exchange);
     let few = a.is_empty() && b.is_empty();
     Line {
         what: what.into(),
@@ -237,57 +264,71 @@ fn distribution(
         a: plain(mean(a)).filter(|r| r.value.is_finite()),
         b: plain(mean(b)).filter(|r| r.value.is_finite()),
         text: "means of the distributions".into(),
-        test: "two-sample Kolmogorov-Smirnov, blocks exchanged",
+        test: match exchange {
+            Exchange::AtPlaces(_) => "two-sample Kolmogorov-Smirnov, pairs of blocks exchanged",
+            Exchange::Any(_) => "two-sample Kolmogorov-Smirnov, blocks exchanged",
+        },
         statistic: ks.distance,
         p: ks.p,
-        verdict: if few { Sameness::Undecided } else { judge(ks.p) },
+        verdict: if few { Sameness::Undecided } else { Sameness::Same },
     }
 }
 
 /// The dose that the noise beyond the optical limit tells.
-fn noise(a: &Measured, b: &Measured, judge: impl Fn(f64) -> Sameness) -> Line {
-    let of = |m: &Measured| Ratio::of_blocks(&m.spectrum.noise);
-    let (inverse_a, inverse_b) = (of(a), of(b));
+fn noise(a: &Measured, b: &Measured, paired: bool) -> Line {
     let dose = |r: Ratio| Ratio { value: 1.0 / r.value, error: r.error / (r.value * r.value) };
     let enough = [a, b].iter().all(|m| m.spectrum.noise.len() >= FEWEST_SEGMENTS);
-    let mut line = z_line(
-        "dose told by the noise".into(),
-        "electrons per A2",
-        inverse_a,
-        inverse_b,
-        0.0,
-        judge,
-    );
-    line.a = Some(dose(inverse_a));
-    line.b = Some(dose(inverse_b));
-    line.test = "z of the noise power beyond the optical limit";
-    if !enough {
-        line.verdict = Sameness::Undecided;
+    let blocks = [&a.spectrum.noise, &b.spectrum.noise];
+    let [of_a, of_b] = blocks.map(|v| Ratio::of_blocks(v));
+    let mut line = Line {
+        what: "dose told by the noise".into(),
+        unit: "electrons per A2",
+        a: Some(dose(of_a)),
+        b: Some(dose(of_b)),
+        text: String::new(),
+        test: "t of the noise power beyond the optical limit",
+        statistic: 0.0,
+        p: 1.0,
+        verdict: Sameness::Undecided,
+    };
+    if enough {
+        let z_line = z_line(String::new(), "", blocks, 0.0, paired);
+        (line.statistic, line.p, line.verdict) = (z_line.statistic, z_line.p, z_line.verdict);
     }
     line
 }
 
-/// Largest z of the logarithm of the ratio of the spectra, over all bands.
-fn spectra(a: &Measured, b: &Measured, alpha: f64) -> Line {
-    let ratios = a.spectrum.ratio(&b.spectrum);
-    let z = ratios.iter().map(|r| (r.value.ln() / r.error).abs()).filter(|z| z.is_finite());
-    let largest = z.fold(0.0, f64::max);
-    let count = ratios.len().max(1) as f64;
-    let p = (two_sided(largest) * count).min(1.0);
+/// Largest difference of the spectra over all bands.
+fn spectra(a: &Measured, b: &Measured, paired: bool) -> Line {
     let few = [a, b].iter().any(|m| m.spectrum.segments.len() < FEWEST_SEGMENTS);
+    let bands = a.spectrum.bands.count;
+    let (statistic, p) = match paired {
+        true => {
+            let segments = a.spectrum.segments.iter().zip(&b.spectrum.segments);
+            let difference = |(a, b): (&Vec<f64>, &Vec<f64>)| -> Vec<f64> {
+                a.iter().zip(b).map(|(a, b)| a - b).collect()
+            };
+            largest_of_pairs(&segments.map(difference).collect::<Vec<_>>())
+        }
+        false => {
+            let ratios = a.spectrum.ratio(&b.spectrum);
+            let z = ratios.iter().map(|r| (r.value.ln() / r.error).abs());
+            let largest = z.filter(|z| z.is_finite()).fold(0.0, f64::max);
+            (largest, 1.0 - (1.0 - two_sided(largest)).powf(bands.max(1) as f64))
+        }
+    };
     Line {
         what: "power spectrum of the image".into(),
         unit: "",
         a: None,
         b: None,
-        text: format!("{} bands up to {:.1} 1/nm", ratios.len(), a.spectrum.highest()),
-        test: "largest z of the ratio of all bands, Bonferroni",
-        statistic: largest,
-        p,
-        verdict: match (few, p < alpha) {
-            (true, _) => Sameness::Undecided,
-            (_, true) => Sameness::Different,
-            (_, false) => Sameness::Same,
+        text: format!("{bands} bands up to {:.1} 1/nm", a.spectrum.highest()),
+        test: match paired {
+            true => "largest z over all bands, pairs of segments exchanged",
+            false => "largest z of the ratio over all bands, Sidak",
         },
+        statistic,
+        p,
+        verdict: if few { Sameness::Undecided } else { Sameness::Same },
     }
 }

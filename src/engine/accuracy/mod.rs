@@ -1,0 +1,12 @@
+//! The window for an error that is asked for: from a table ([`window_for`]), or measured on the specimen itself
+//! ([`settings_for_accuracy`]).
+
+mod error_estimate;
+mod exact_probes;
+mod probe_sample;
+mod settings_choice;
+mod window_table;
+
+pub use settings_choice::{AccuracyFound, TriedWindow, settings_for_accuracy};
+pub(super) use window_table::LEAST_INNER_SEMIANGLES;
+pub use window_table::{WindowChoice, window_for};

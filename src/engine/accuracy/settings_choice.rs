@@ -1,0 +1,315 @@
+//! The settings that have the error that is asked for, measured on the specimen itself.
+//!
+//! A sample of the scan's probes is simulated by the exact engine, and again in windows exactly as the whole scan would be. The
+//! narrowest window whose error is small enough is taken; where none is, the exact engine.
+
+use super::super::cost::Cost;
+use super::super::elements;
+use super::super::plan::Plan;
+use super::super::probe_raster::ProbeRaster;
+use super::super::probe_scan::Scan;
+use super::super::settings::{Algorithm, ProbeBox, ProbeStep, Settings};
+use super::super::simulate::Simulation;
+use super::error_estimate::{AccuracyVerdict, ErrorEstimate};
+use super::exact_probes::{ExactEngine, by_cluster};
+use super::probe_sample::{DrawnCluster, ProbeSample};
+use super::window_table::{LEAST_INNER_SEMIANGLES, geometric_radius, relative_size};
+use crate::error::{Error, Result};
+use crate::progress::{InterruptOnly, Progress};
+use crate::resample::image_band_limit;
+use crate::structure::Site;
+use serde::Serialize;
+
+/// Windows that are tried, in Angstrom at 200 kV and 21 mrad, and the least error in per cent for which each is the first to be
+/// tried.
+const WINDOWS: [(f64, f64); 6] =
+    [(5.9, 3.0), (7.8, 0.8), (9.8, 0.6), (11.7, 0.3), (15.6, 0.0), (23.4, f64::INFINITY)];
+/// Windows are taken if they take less than this share of the exact engine's operations.
+const WORTH: f64 = 0.7;
+/// Clusters of a round of the sample, at least and at most, and probes of each.
+const CLUSTERS: (usize, usize) = (8, 24);
+const PROBES: usize = 4;
+/// Rounds, each in another phonon configuration.
+const ROUNDS: u32 = 4;
+/// A round should take no more than this share of the operations of the whole scan.
+const SHARE: f64 = 0.02;
+/// Step times band limit of probes that a scan is interpolated from. The interpolation's error is then 0.01 % of the image's
+/// contrast, and 0.03 % at its edges ([`crate::resample::Kernel`]).
+const PROBE_STEP: f64 = 0.42;
+
+/// A window that was tried.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct TriedWindow {
+    /// Its width in Angstrom.
+    pub width_angstrom: f64,
+    /// Rms error on the sample, in per cent of the mean image.
+    pub found_percent: f64,
+    /// The largest that is likely for the whole image: two standard errors more.
+    pub likely_percent: f64,
+    /// Probes of the sample.
+    pub probes: usize,
+}
+
+/// What was found about the accuracy that was asked for.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct AccuracyFound {
+    /// The rms error that was asked for, in per cent of the mean image: of each image, if there are several.
+    pub asked_percent: f64,
+    /// What was chosen.
+    pub algorithm: Algorithm,
+    /// The windows that were tried, in turn; if one holds, it is the last. Empty if the exact engine takes no longer.
+    pub tried: Vec<TriedWindow>,
+    /// The exact engine that they were compared with.
+    pub reference: &'static str,
+}
+
+impl AccuracyFound {
+    /// The error that was found for the window that was taken; `None` for the exact engine.
+    pub fn window(&self) -> Option<&TriedWindow> {
+        match self.algorithm {
+            Algorithm::Window { .. } => self.tried.last(),
+            _ => None,
+        }
+    }
+
+    /// What was found, in a sentence.
+    pub fn text(&self) -> String {
+        let against = self.reference;
+        let each =
+            |t: &TriedWindow| format!("{:.1} A: {}", t.width_angstrom, percent(t.found_percent));
+        match (self.window(), self.tried.is_empty()) {
+            (Some(t), _) => format!(
+                "{} asked; found {} (at most {} is likely) on {} probes, against {against}",
+                percent(self.asked_percent),
+                percent(t.found_percent),
+                percent(t.likely_percent),
+                t.probes
+            ),
+            (None, true) => format!(
+                "{} asked; the exact engine, {against}, since windows would not save time",
+                percent(self.asked_percent)
+            ),
+            (None, false) => format!(
+                "{} asked; the exact engine, {against}, since windows that save time are not so right here ({})",
+                percent(self.asked_percent),
+                self.tried.iter().map(each).collect::<Vec<_>>().join(", ")
+            ),
+        }
+    }
+}
+
+/// Per cent with two digits.
+fn percent(value: f64) -> String {
+    match value {
+        v if v >= 9.95 => format!("{v:.0} %"),
+        v if v >= 0.995 => format!("{v:.1} %"),
+        v if v >= 0.0995 => format!("{v:.2} %"),
+        v => format!("{v:.3} %"),
+    }
+}
+
+/// Settings for the images of a scan whose rms error against the exact engine is at most `accuracy_percent` of the mean image,
+/// for every detector and thickness. The exact engine is multislice over the whole cell with the same settings otherwise.
+/// Probes have norm 1 in a large box in both (see [`ProbeBox`]), unless the settings say where, or a detector sees the probe
+/// itself.
+///
+/// # Errors
+/// [`Error::Invalid`] for an accuracy that is not above 0, those of [`Plan::new`], and [`Error::Interrupted`].
+pub fn settings_for_accuracy(
+    accuracy_percent: f64,
+    settings: &Settings,
+    cell_angstrom: [f64; 3],
+    sites: &[Site],
+    scan: &Scan,
+    progress: &dyn Progress,
+) -> Result<(Settings, AccuracyFound)> {
+    if !(accuracy_percent > 0.0 && accuracy_percent.is_finite()) {
+        let expected = "must be above 0";
+        return Err(Error::invalid(crate::Setting::AccuracyPercent, accuracy_percent, expected));
+    }
+    let probe_box = settings.probe_box.unwrap_or(natural_box(settings));
+    let base = Settings { probe_box: Some(probe_box), ..settings.clone() };
+    let exact = ExactEngine::new(&base, cell_angstrom, sites)?;
+    let mut found = AccuracyFound {
+        asked_percent: accuracy_percent,
+        algorithm: Algorithm::Multislice,
+        tried: Vec::new(),
+        reference: match probe_box {
+            ProbeBox::Large => "multislice with the probe of a large box",
+            ProbeBox::Cell => "multislice",
+        },
+    };
+    let search = Search { base: &base, exact, sites, asked: scan, accuracy_percent, cell_angstrom };
+    let chosen = search.window(&mut found.tried, progress)?;
+    let chosen = chosen.unwrap_or_else(|| search.exact.plan.settings.clone());
+    found.algorithm = chosen.algorithm;
+    Ok((chosen, found))
+}
+
+/// A large box, but the cell for detectors that see the probe itself: its part outside of the cell would be missing there.
+fn natural_box(settings: &Settings) -> ProbeBox {
+    let least = LEAST_INNER_SEMIANGLES * settings.optics.semiangle_mrad;
+    match settings.detectors.iter().any(|d| d.inner_mrad < least) {
+        true => ProbeBox::Cell,
+        false => ProbeBox::Large,
+    }
+}
+
+/// The search for a window.
+struct Search<'a> {
+    base: &'a Settings,
+    exact: ExactEngine<'a>,
+    sites: &'a [Site],
+    asked: &'a Scan,
+    accuracy_percent: f64,
+    cell_angstrom: [f64; 3],
+}
+
+/// Clusters of the sample in one phonon configuration, with what the exact engine makes of them.
+struct Round {
+    configuration: u32,
+    clusters: Vec<DrawnCluster>,
+    exact: Vec<Vec<f64>>,
+}
+
+impl Search<'_> {
+    /// The settings with the narrowest window that holds, if there is one that saves time.
+    fn window(
+        &self,
+        tried: &mut Vec<TriedWindow>,
+        progress: &dyn Progress,
+    ) -> Result<Option<Settings>> {
+        let exact_flops = Cost::new(&self.exact.plan, self.asked).nominal_flops();
+        let mut sample = None;
+        let mut rounds = Vec::new();
+        for settings in self.candidates()? {
+            let plan = self.plan(&settings)?;
+            let raster = *ProbeRaster::new(&plan, self.asked)?.scan();
+            let flops = Cost::with_atoms(&plan, &raster, self.sites).nominal_flops();
+            if !plan.has_windows() || flops > WORTH * exact_flops {
+                break;
+            }
+            let (sample, shape) = sample.get_or_insert_with(|| {
+                let [x, y, _] = self.cell_angstrom;
+                let sample = ProbeSample::new(&raster, self.sites, [x, y]);
+                let shape = self.sample_shape(&sample, flops);
+                (sample, shape)
+            });
+            let per_round = shape[0] * shape[1];
+            // A sample of much of the scan would take as long as the scan.
+            if 2 * per_round > self.asked.len() {
+                break;
+            }
+            let estimate =
+                self.estimate(&plan, &raster, (sample, *shape), &mut rounds, progress)?;
+            let [found_percent, likely_percent] = estimate.percent();
+            tried.push(TriedWindow {
+                width_angstrom: width(&settings),
+                found_percent,
+                likely_percent,
+                probes: estimate.clusters() * shape[1],
+            });
+            if estimate.verdict(self.accuracy_percent) == AccuracyVerdict::Holds {
+                return Ok(Some(settings));
+            }
+        }
+        Ok(None)
+    }
+
+    /// Settings with windows, narrow ones first. All have the same probes.
+    fn candidates(&self) -> Result<Vec<Settings>> {
+        let size = relative_size(self.base).max(1.0);
+        let blur = 2.0 * geometric_radius(self.base);
+        let first = WINDOWS.iter().position(|(_, least)| self.accuracy_percent >= *least);
+        let windows = &WINDOWS[first.unwrap_or(0)..];
+        let of = |(width, _): &(f64, f64)| Settings {
+            algorithm: Algorithm::Window { width_angstrom: width * size + blur },
+            ..self.base.clone()
+        };
+        let mut candidates: Vec<Settings> = windows.iter().map(of).collect();
+        if self.base.probe_step == ProbeStep::Auto {
+            let raster = ProbeRaster::new(&self.plan(&candidates[0])?, self.asked)?;
+            let probe_step = match raster.interpolates() {
+                true => ProbeStep::Angstrom(PROBE_STEP / image_band_limit(&self.base.optics)),
+                false => ProbeStep::Scan,
+            };
+            candidates.iter_mut().for_each(|c| c.probe_step = probe_step);
+        }
+        Ok(candidates)
+    }
+
+    fn plan(&self, settings: &Settings) -> Result<Plan> {
+        let heights: Vec<f64> = self.sites.iter().map(|s| s.position[2]).collect();
+        Plan::new(settings, self.cell_angstrom, &heights)
+    }
+
+    /// Clusters of a round and probes of each, for a scan of so many operations.
+    fn sample_shape(&self, sample: &ProbeSample, flops: f64) -> [usize; 2] {
+        let probes = SHARE * flops / self.exact.probe_flops(self.asked);
+        let clusters = (probes as usize / PROBES).clamp(CLUSTERS.0, CLUSTERS.1);
+        // Small scans have few clusters.
+        let clusters = clusters.min(sample.clusters());
+        [clusters, (CLUSTERS.0 * PROBES / clusters).max(PROBES)]
+    }
+
+    /// The error of a plan with windows. Rounds are added to the sample until it is clear whether the error is small enough.
+    fn estimate(
+        &self,
+        plan: &Plan,
+        raster: &Scan,
+        (sample, shape): (&ProbeSample, [usize; 2]),
+        rounds: &mut Vec<Round>,
+        progress: &dyn Progress,
+    ) -> Result<ErrorEstimate> {
+        let images = plan.record_after.len() * plan.settings.detectors.len();
+        let mut simulation = Simulation::new(plan, &elements(self.sites))?;
+        let mut estimate = ErrorEstimate::default();
+        for number in 0..ROUNDS {
+            if rounds.len() <= number as usize {
+                rounds.push(self.round(
+                    raster,
+                    sample.draw(shape[0], shape[1], number),
+                    number,
+                    progress,
+                )?);
+            }
+            let Round { configuration, clusters, exact } = &rounds[number as usize];
+            let indices: Vec<usize> = clusters.iter().flat_map(|c| c.indices.clone()).collect();
+            let quiet = InterruptOnly(progress);
+            let ours =
+                simulation.some_probes(self.sites, raster, &indices, *configuration, &quiet)?;
+            let ours = by_cluster(&ours, clusters);
+            for ((cluster, ours), exact) in clusters.iter().zip(&ours).zip(exact) {
+                estimate.add(cluster, images, ours, exact);
+            }
+            if estimate.verdict(self.accuracy_percent) != AccuracyVerdict::Unclear {
+                break;
+            }
+        }
+        Ok(estimate)
+    }
+
+    fn round(
+        &self,
+        raster: &Scan,
+        clusters: Vec<DrawnCluster>,
+        number: u32,
+        progress: &dyn Progress,
+    ) -> Result<Round> {
+        let configuration = number % self.base.configurations();
+        let probes: usize = clusters.iter().map(|c| c.indices.len()).sum();
+        progress.start("measuring the error of windows", "probes", probes as u64);
+        let exact = self.exact.intensities(raster, &clusters, configuration, progress)?;
+        progress.finish();
+        Ok(Round { configuration, clusters, exact })
+    }
+}
+
+fn width(settings: &Settings) -> f64 {
+    match settings.algorithm {
+        Algorithm::Window { width_angstrom } => width_angstrom,
+        _ => 0.0,
+    }
+}
