@@ -6,7 +6,7 @@ use super::hints::hinted;
 use super::plan_report::Lines;
 use super::recipe_args::RecipeArgs;
 use super::values::{self, EngineName as Engine};
-use super::{output, pictures, text};
+use super::{output, pictures, slips, text};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -152,12 +152,14 @@ impl Build {
         build.policy().warnings.iter().for_each(|w| reporter.warn(w));
         let path = self.output(&recipe);
         if self.common.dry_run {
+            slips::check_hdf5_name(&path)?;
             let report = DryRun::new(&recipe, &build, path)?;
             return self.common.print(&report, &report.text());
         }
         let picture = (!self.no_png).then(|| path.with_extension("png"));
         let outputs = [Some(&path), picture.as_ref()].into_iter().flatten();
         check_outputs(outputs, self.recipe.files(&recipe), self.overwrite)?;
+        slips::check_hdf5_name(&path)?;
         DryRun::warnings(&build)?.iter().for_each(|w| reporter.warn(w));
         let summary = build.run(&path, &reporter).map_err(|e| interrupted(e, &path))?;
         let world = WorldFile::open(&path)?;

@@ -1,5 +1,6 @@
 //! Options of the microscope and of the engine.
 
+use super::slips;
 use super::values::{self, EngineName, ParametrizationName, ProbeBoxName, ProjectionName};
 use anyhow::bail;
 use clap::Args;
@@ -19,11 +20,11 @@ const WINDOW_ANGSTROM: f64 = 11.7;
 #[command(next_help_heading = "Microscope")]
 pub struct MicroscopeArgs {
     /// Beam energy in keV (the accelerating voltage in kV)
-    #[arg(long, value_name = "KV", default_value_t = 200.0, value_parser = values::finite)]
+    #[arg(long, value_name = "KV", default_value_t = 200.0, value_parser = values::energy)]
     #[arg(allow_negative_numbers = true)]
     pub energy: f64,
     /// Convergence semiangle; the objective aperture with --plane-wave
-    #[arg(long, value_name = "MRAD", default_value_t = 21.0, value_parser = values::finite)]
+    #[arg(long, value_name = "MRAD", default_value_t = 21.0, value_parser = values::semiangle)]
     #[arg(allow_negative_numbers = true)]
     pub semiangle: f64,
     /// Defocus; positive is underfocus
@@ -231,6 +232,7 @@ pub fn settings(
         (Some(sampling), None) => GridChoice::Sampling(sampling),
         (None, None) => GridChoice::Auto,
     };
+    slips::check_aberrations(microscope.defocus, &microscope.aberration)?;
     let given = &microscope.detector;
     let default = Settings::default();
     Ok(Settings {

@@ -19,6 +19,7 @@ mod recipe_args;
 mod scan_args;
 mod show_recipe_command;
 mod simulate_command;
+mod slips;
 mod specimen_command;
 mod structure_args;
 mod text;

@@ -7,7 +7,7 @@ use super::plane_wave::{self, Conventional};
 use super::progress_bar::Reporter;
 use super::scan_args::ScanArgs;
 use super::structure_args::{Prepared, StructureArgs};
-use super::{estimate, output, pictures, text, values};
+use super::{estimate, output, pictures, slips, text, values};
 use anyhow::bail;
 use clap::Args;
 use ndarray::{ArrayView3, Axis};
@@ -148,9 +148,10 @@ impl Simulate {
         let plan = Plan::new(&settings, specimen.size, &specimen.heights)?;
         let scan = self.scan(&plan, &specimen)?;
         let mut warnings = plan.warnings.clone();
-        warnings.extend(warning);
+        warnings.extend(warning.into_iter().chain(specimen.warnings.clone()));
         warnings.extend(self.warnings(&plan, &specimen, &scan));
         if self.common.dry_run {
+            slips::check_hdf5_name(&self.output())?;
             return self.dry_run(&plan, &specimen, &scan, warnings);
         }
         let names: Vec<&str> = match self.results.plane_wave {
@@ -162,6 +163,7 @@ impl Simulate {
         let pictured = pictures.iter().map(|p| p.path.as_path());
         let outputs = std::iter::once(output.as_path()).chain(pictured).chain(page.as_deref());
         check_outputs(outputs, [&self.specimen.structure], self.results.overwrite)?;
+        slips::check_hdf5_name(&self.output())?;
         warnings.iter().for_each(|w| reporter.warn(w));
         self.execute(&plan, &specimen, &scan, &pictures, &reporter)
     }
@@ -188,13 +190,19 @@ impl Simulate {
             let step_angstrom = plan.wave_grid.sampling_angstrom();
             return Ok(Scan { origin_angstrom: [0.0; 2], step_angstrom, shape: [ny, nx] });
         }
-        self.scan.scan([x, y], &plan.settings.optics)
+        let scan = self.scan.scan([x, y], &plan.settings.optics)?;
+        slips::check_scan(scan.origin_angstrom, extent(&scan), [x, y])?;
+        Ok(scan)
     }
 
     /// Warnings about the specimen and memory.
     fn warnings(&self, plan: &Plan, specimen: &Prepared, scan: &Scan) -> Vec<String> {
         let mut warnings = Vec::new();
         let [x, y, _] = specimen.size;
+        if !self.results.plane_wave {
+            let left = slips::check_scan(scan.origin_angstrom, extent(scan), [x, y]);
+            warnings.extend(left.ok().flatten());
+        }
         if !self.results.plane_wave && x.min(y) < NARROW_CELL_ANGSTROM {
             let times = [x, y].map(|l| (1.5 * NARROW_CELL_ANGSTROM / l).ceil());
             let given = self.specimen.options.repeat.unwrap_or([1; 3]);
@@ -369,6 +377,11 @@ impl Simulate {
         }
         facts.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
     }
+}
+
+/// Width and height of a scan in Angstrom.
+fn extent(scan: &Scan) -> [f64; 2] {
+    [0, 1].map(|k| scan.step_angstrom[k] * scan.shape[1 - k] as f64)
 }
 
 fn origin<'a>(

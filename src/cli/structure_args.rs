@@ -1,6 +1,6 @@
 //! Options that prepare the specimen.
 
-use super::values;
+use super::{slips, values};
 use anyhow::bail;
 use clap::Args;
 use std::collections::BTreeMap;
@@ -53,6 +53,8 @@ pub struct Prepared {
     pub sites: Vec<Site>,
     /// Mean heights of the atoms in Angstrom.
     pub heights: Vec<f64>,
+    /// What is to be said of the atoms.
+    pub warnings: Vec<String>,
 }
 
 impl StructureArgs {
@@ -77,6 +79,7 @@ impl SpecimenArgs {
     /// Reads, turns and repeats the structure, and draws the atoms of mixed sites.
     pub fn prepare(&self, file: &Path) -> anyhow::Result<Prepared> {
         let mut structure = structure::read(file)?;
+        let warnings = slips::atoms_outside(&structure).into_iter().collect();
         if self.zone.is_some() || self.up.is_some() {
             structure = structure.oriented(self.zone.unwrap_or([0, 0, 1]), self.up)?;
         }
@@ -90,7 +93,7 @@ impl SpecimenArgs {
         let size = structure.orthogonal_box()?;
         let sites = structure.sites(self.sigma.as_ref().unwrap_or(&Sigmas::None))?;
         let heights = sites.iter().map(|s| s.position[2]).collect();
-        Ok(Prepared { size, sites, heights })
+        Ok(Prepared { size, sites, heights, warnings })
     }
 
     /// The settings of the phonons.

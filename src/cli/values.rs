@@ -1,5 +1,6 @@
 //! Parsers of option values. Their messages follow clap's `invalid value '...' for '...': `.
 
+use super::slips;
 use clap::ValueEnum;
 use std::collections::BTreeMap;
 use std::str::FromStr;
@@ -118,10 +119,23 @@ pub fn aberration(text: &str) -> Parsed<Aberration> {
 /// `HAADF=68-200`.
 pub fn detector(text: &str) -> Parsed<Detector> {
     let detector = Detector::parse(text).map_err(|e| e.to_string())?;
-    match detector.name.contains(|c: char| c.is_ascii_alphanumeric()) {
-        true => Ok(detector),
-        false => Err("the name needs a letter or digit".into()),
+    if !detector.name.contains(|c: char| c.is_ascii_alphanumeric()) {
+        return Err("the name needs a letter or digit".into());
     }
+    let angles = [detector.inner_mrad, detector.outer_mrad];
+    slips::detector_in_radians(&detector.name, angles).map_or(Ok(detector), Err)
+}
+
+/// A semiangle in mrad.
+pub fn semiangle(text: &str) -> Parsed<f64> {
+    let value = finite(text)?;
+    slips::semiangle_in_radians(value).map_or(Ok(value), Err)
+}
+
+/// An energy in keV.
+pub fn energy(text: &str) -> Parsed<f64> {
+    let value = finite(text)?;
+    slips::energy_in_ev(value).map_or(Ok(value), Err)
 }
 
 /// Standard deviations of thermal displacements in Angstrom: `0.08` or `Sr=0.084,O=0.085`.

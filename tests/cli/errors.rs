@@ -16,7 +16,15 @@ fn bad_input_is_explained() {
     std::fs::write(here.join("tilted.xyz"), tilted).unwrap();
     let si = &file("structures/si.cif");
     let srtio3 = &file("structures/srtio3.cif");
-    let cases: [(&[&str], &[&str]); 19] = [
+    let cases: [(&[&str], &[&str]); 27] = [
+        (&[si, "--detector", "HAADF=0.068-0.2"], &["did you mean HAADF=68-200?"]),
+        (&[si, "--semiangle", "0.03"], &["did you mean 30?"]),
+        (&[si, "--energy", "200000"], &["did you mean 200?"]),
+        (&[si, "--scan-end", "5,500"], &["500.0 A long along y", "--scan-end"]),
+        (&[si, "-o", "x.tif"], &["HDF5", "did you mean x.h5?"]),
+        (&[si, "-o", "x.tif", "--dry-run"], &["did you mean x.h5?"]),
+        (&[si, "--defocus", "30", "--aberration", "C10=5"], &["both set the defocus"]),
+        (&[si, "--aberration", "C12=30", "--aberration", "C12=3@1"], &["C12 is given twice"]),
         (&["none.cif"], &["none.cif", "check the name"]),
         (&["there.h5"], &["there.h5", ".cif"]),
         (&["odd.xyz"], &["odd.xyz:3", "Xx"]),

@@ -119,6 +119,21 @@ fn a_warning_is_a_sentence_without_gaps() {
     assert!(!warning.contains("  "), "{warning}");
 }
 
+#[test]
+fn what_lies_outside_the_cell_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let atoms =
+        "2\nLattice=\"12 0 0 0 12 0 0 0 4\" Properties=species:S:1:pos:R:3\nSi 6 6 1\nSi -3 6 1\n";
+    std::fs::write(folder.path().join("turned.xyz"), atoms).unwrap();
+    let mut command = stemgen(folder.path());
+    let plan = json(command.args(["simulate", "turned.xyz", "--dry-run", "--scan-end", "15,12"]));
+    let warnings = plan["warnings"].to_string();
+    for part in ["1 of 2 atoms lie outside the cell, up to 3.0 A", "from 0.000 to 15.000 A along x"]
+    {
+        assert!(warnings.contains(part), "no `{part}` in {warnings}");
+    }
+}
+
 #[cfg(unix)]
 #[test]
 fn a_closed_pipe_is_no_fault() {
