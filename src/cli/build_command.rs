@@ -30,7 +30,8 @@ Examples:
     stemgen build --recipe mine.toml --difficulty easy --profile published
 
 Finished sub-tiles are kept in FILE.work until the world is complete: after Ctrl-C or a power
-failure the same command goes on from there.";
+failure the same command goes on from there. `stemgen glossary` explains window, mosaic, library,
+sub-tile and audit.";
 
 /// Build a world: a whole annotated specimen and its image
 #[derive(Debug, Args)]
@@ -46,7 +47,7 @@ pub struct Build {
     keep_clean: bool,
     #[command(flatten)]
     method: Method,
-    /// File to write [default: worlds/MATERIAL_TIER[_RxC].h5]
+    /// File to write [default: worlds/MATERIAL_TIER[_RxC][_seedN].h5]
     #[arg(short, long, value_name = "FILE.h5", help_heading = "Results")]
     output: Option<PathBuf>,
     /// Replace existing files
@@ -87,11 +88,10 @@ struct Method {
     /// [default: default]
     #[arg(long, value_name = "NAME")]
     profile: Option<ProfileName>,
-    /// Regions of a mosaic that are simulated exactly beforehand, with the same atoms; the file tells the
-    /// error found. 0 leaves it out
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    #[arg(value_parser = clap::value_parser!(u16).range(0..=1000))]
-    audit: u16,
+    /// Regions that are simulated exactly beforehand, with the same atoms; the file tells the error found. 0
+    /// leaves it out [default: 1 for mosaics and films, 0 for others]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=1000))]
+    audit: Option<u16>,
     /// Widen the windows, or leave the mosaic, until the audit's errors (rms at bright columns, and over all
     /// pixels of the brightest column) are at most so many per cent
     #[arg(long, value_name = "PERCENT", value_parser = values::percent, allow_negative_numbers = true)]
@@ -184,7 +184,8 @@ impl Build {
             accuracy_percent: m.accuracy,
             expansion: m.expansion,
             interpolation: m.interpolation,
-            audit_regions: m.audit.into(),
+            audit_regions: m.audit.map_or(usual.audit_regions, usize::from),
+            audit_direct: m.audit.is_some_and(|n| n > 0),
             max_error_percent: m.max_error,
             cache: if m.no_cache { Cache::none() } else { usual.cache },
             subtile_nm: m.subtile,

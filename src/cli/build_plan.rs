@@ -4,7 +4,7 @@ use super::plan_report::{Lines, PlanReport};
 use super::{estimate, text};
 use serde::Serialize;
 use std::path::PathBuf;
-use stemgen::imaging::{MosaicCost, SimulationRuns};
+use stemgen::imaging::{MethodChoice, MosaicCost, SimulationRuns};
 use stemgen::recipe::Recipe;
 use stemgen::world::WorldBuild;
 
@@ -29,8 +29,12 @@ pub struct DryRun {
     plan: PlanReport,
     #[serde(skip_serializing_if = "Option::is_none")]
     mosaic: Option<MosaicCost>,
+    #[serde(skip)]
+    mosaic_used: bool,
     #[serde(skip_serializing_if = "Option::is_none")]
     particle_probes: Option<usize>,
+    /// Part of the estimated time.
+    audit_time_s: f64,
     disk_bytes: u64,
     output: PathBuf,
 }
@@ -52,6 +56,12 @@ impl DryRun {
             let memory = cost.image_bytes + report(block).memory_bytes;
             plan.memory_bytes = plan.memory_bytes.max(memory);
         }
+        // The library of a mosaic is planned for single configurations.
+        plan.configurations = recipe.phonons.configurations.max(1) as u32;
+        let audit = build.audit_cost(&cost)?.map(|audit| report(&audit));
+        let audit_time_s = audit.as_ref().map_or(0.0, |a| a.estimated_time_s);
+        plan.estimated_time_s += audit_time_s;
+        plan.memory_bytes = plan.memory_bytes.max(audit.map_or(0, |a| a.memory_bytes));
         plan.warnings.extend(estimate::memory_warning(plan.memory_bytes, REMEDY));
         Ok(DryRun {
             material: recipe.id.clone(),
@@ -60,14 +70,17 @@ impl DryRun {
             pixels,
             pixel_nm: pixel,
             fov_nm: pixels.map(|n| n as f64 * pixel),
-            thickness_nm: field.thickness_nm,
+            thickness_nm: build.specimen().thickness_nm(),
             dose_electrons_per_angstrom2: recipe.dose.electrons_per_angstrom2,
             subtiles,
             subtile_nm: shape.map(|n| n as f64 * pixel),
             probe_step_angstrom: cost.probe_step_angstrom,
             plan,
+            mosaic_used: build.policy().imaging.method == MethodChoice::Mosaic
+                || cost.mosaic.as_ref().is_some_and(|m| m.pays),
             mosaic: cost.mosaic,
             particle_probes: cost.particle_probes,
+            audit_time_s,
             disk_bytes: build.disk_bytes(),
             output,
         })
@@ -88,7 +101,7 @@ impl DryRun {
         let ([rows, columns], [ny, nx], [h, w]) = (self.tiles, self.pixels, self.fov_nm);
         let pixel = self.pixel_nm;
         lines.add("tiles", format!("{rows} x {columns}, {ny} x {nx} pixels of {pixel:.5} nm"));
-        lines.add("field", format!("{h:.2} x {w:.2} nm, {} nm thick", self.thickness_nm));
+        lines.add("field", format!("{h:.2} x {w:.2} nm, {:.3} nm thick", self.thickness_nm));
         let [h, w] = self.subtile_nm;
         lines.add("sub-tiles", format!("{} of {h:.2} x {w:.2} nm", self.subtiles));
         let [x, y] = self.probe_step_angstrom;
@@ -97,13 +110,21 @@ impl DryRun {
             None => format!("{} per sub-tile", text::count(self.plan.probes as u64)),
         };
         lines.add("probes", format!("{number}, {x:.4} x {y:.4} A apart"));
-        self.plan.lines(&mut lines);
+        self.plan.numerics(&mut lines);
         if let Some(mosaic) = &self.mosaic {
-            lines.add("mosaic", mosaic_line(mosaic));
+            lines.add("mosaic", mosaic_line(mosaic, self.mosaic_used));
+            for new in mosaic.new.iter().filter(|_| self.mosaic_used) {
+                let images = text::count(new.images as u64);
+                lines.add("new", format!("{images} images: {}", new.why));
+            }
         } else if self.particle_probes.is_some() {
             lines.add("film", "each atom by itself");
         }
         self.plan.costs(&mut lines);
+        if self.audit_time_s > 0.0 {
+            let time = text::duration(self.audit_time_s);
+            lines.add("audit", format!("about {time} of that"));
+        }
         lines.add("disk", format!("at most about {}", text::bytes(self.disk_bytes)));
         lines
             .add("output", format!("{} (nothing was simulated or written)", self.output.display()));
@@ -111,8 +132,8 @@ impl DryRun {
     }
 }
 
-fn mosaic_line(mosaic: &MosaicCost) -> String {
-    if !mosaic.pays {
+fn mosaic_line(mosaic: &MosaicCost, used: bool) -> String {
+    if !used {
         return "does not pay for so small a field: every sub-tile is simulated".into();
     }
     let count = |n: usize| text::count(n as u64);

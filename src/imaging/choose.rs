@@ -48,6 +48,8 @@ pub struct ImagingCheck {
     /// Largest error that is accepted, in per cent: rms at bright columns of their intensity, and of all pixels of
     /// the brightest column.
     pub max_error_percent: Option<f64>,
+    /// Audit fields that are simulated directly too.
+    pub direct: bool,
 }
 
 impl ImagingChoice {
@@ -131,7 +133,7 @@ impl ImagingChoice {
     }
 
     /// Prepares the imager of a field; returns the audit of what was chosen, if one was asked for. Imagers that simulate the
-    /// field itself are audited only where a largest error is asked for. Where the error is too large, wider windows are
+    /// field itself are audited only where that or a largest error is asked for. Where the error is too large, wider windows are
     /// tried, and then direct simulation.
     ///
     /// # Errors
@@ -159,7 +161,9 @@ impl ImagingChoice {
             widest = choice;
         }
         if check.audit.is_none() || limit.is_none() {
-            return Ok((Box::new(widest.direct(recipe, specimen)?), None));
+            let imager = widest.direct(recipe, specimen)?;
+            let found = if check.direct { audited(&imager)? } else { None };
+            return Ok((Box::new(imager), found));
         }
         for choice in widest.widening(true) {
             let imager = choice.direct(recipe, specimen)?;

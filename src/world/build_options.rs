@@ -78,6 +78,8 @@ pub struct BuildOptions {
     pub interpolation: Option<[usize; 2]>,
     /// Regions that are simulated exactly beforehand to find the error of a mosaic or film; 0 for no audit.
     pub audit_regions: usize,
+    /// Audit fields that are simulated in windows or by PRISM too, not only mosaics and films.
+    pub audit_direct: bool,
     /// Largest error of the audit in per cent: windows are widened, or the mosaic left, until it is met.
     pub max_error_percent: Option<f64>,
     /// Where the simulations of mosaics are kept for other worlds.
@@ -101,6 +103,7 @@ impl Default for BuildOptions {
             expansion: Expansion::Auto,
             interpolation: None,
             audit_regions: 1,
+            audit_direct: false,
             max_error_percent: None,
             cache: Cache::of_user(),
             subtile_nm: None,
@@ -249,7 +252,8 @@ impl BuildOptions {
             ..AuditOptions::default()
         };
         let audit = (self.audit_regions > 0).then_some(audit);
-        Ok(ImagingCheck { audit, max_error_percent: self.max_error_percent })
+        let direct = self.audit_direct && self.method != BuildMethod::Multislice;
+        Ok(ImagingCheck { audit, direct, max_error_percent: self.max_error_percent })
     }
 }
 

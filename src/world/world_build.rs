@@ -18,7 +18,9 @@ use crate::files::atomic_write::sync_folder;
 use crate::files::outputs::check_outputs;
 use crate::files::{OutputLock, disk_space};
 use crate::imaging::direct::rectangle_plan;
-use crate::imaging::{Audit, ImagingCost, PixelRect, RegionImager, SimulationRuns};
+use crate::imaging::{
+    Audit, ImagingCost, MethodChoice, PixelRect, RegionImager, SimulationRuns, audit_cost,
+};
 use crate::io::{Header, WorldFile, WorldWriter};
 use crate::numerics::NUMERICS_VERSION;
 use crate::progress::{Progress, ProgressShare};
@@ -156,6 +158,20 @@ impl WorldBuild {
         }
     }
 
+    /// What the audit before the build takes, if there is one; `cost` is that of the image.
+    ///
+    /// # Errors
+    /// Those of the plan.
+    pub fn audit_cost(&self, cost: &ImagingCost) -> Result<Option<SimulationRuns>> {
+        let BuildPolicy { imaging, check, .. } = &self.policy;
+        let shares = cost.particle_probes.is_some() || cost.mosaic.as_ref().is_some_and(|m| m.pays);
+        let audited = check.audit.as_ref().filter(|_| {
+            let forced = imaging.method == MethodChoice::Mosaic || check.direct;
+            self.own.is_none() && (shares || forced || check.max_error_percent.is_some())
+        });
+        audited.map(|options| audit_cost(&self.recipe, &*self.specimen, options)).transpose()
+    }
+
     /// Bytes on disk that the build needs, sub-tiles included.
     pub fn disk_bytes(&self) -> u64 {
         let sites = estimated_sites(&*self.specimen, &self.recipe.field);
@@ -171,12 +187,15 @@ impl WorldBuild {
         check_outputs([output], [] as [&Path; 0], self.options.overwrite)?;
         try_partial(output)?;
         let _lock = OutputLock::hold(output)?;
+        if !self.options.overwrite {
+            SubtileStore::check_recipe(output, &self.recipe.to_toml())?;
+        }
         let done = footprint::folder_bytes(&beside(output, ".work"));
         disk_space::check_space(output, self.disk_bytes().saturating_sub(done))?;
         let (imager, audit) = self.prepared_imager(progress)?;
         let library = imager.library();
         let job = Job { build: &self, imager: &*imager, audit, progress };
-        let store = SubtileStore::open(output, &job.key(), progress)?;
+        let store = SubtileStore::open(output, &job.key(), self.options.overwrite, progress)?;
         let done = job.simulate(&store).and_then(|resumed| {
             let noise = self.options.noise;
             let image = BlendedImage::new(&self.recipe, &self.partition, &store, noise);

@@ -88,6 +88,7 @@ impl MosaicImager {
             pays: self.pays(),
             images: self.library.image_count(),
             missing: missing.len(),
+            new: self.library.new_images(&self.recipe.id, &self.sigma(), &self.cache),
             missing_probes: missing.iter().sum(),
             columns: self.survey.tagged,
             unique_columns: self.survey.untagged,
