@@ -30,6 +30,8 @@ pub enum Purpose {
     Library = 33,
     /// Regions of audits.
     Audit = 34,
+    /// Places and doses of tiles for training.
+    Tile = 35,
 }
 
 const MULTIPLIERS: [u32; 2] = [0xD251_1F53, 0xCD9E_8D57];

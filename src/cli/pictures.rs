@@ -18,12 +18,17 @@ const ENLARGED: usize = 1024;
 const WHOLE_WORLD: usize = 3000;
 
 /// Writes an image with pixels of `step` (x, y) Angstrom.
-pub fn write(path: &Path, image: ArrayView2<f32>, step: [f64; 2]) -> anyhow::Result<()> {
+pub fn write(
+    path: &Path,
+    image: ArrayView2<f32>,
+    step: [f64; 2],
+    scale_bar: bool,
+) -> anyhow::Result<()> {
     let (image, pixel) = resampled(image, step);
     let (rows, columns) = image.dim();
     let values: Vec<f32> = image.into_iter().collect();
     let mut picture = Picture::new(&values, [rows, columns])?;
-    picture.pixel_angstrom = Some(pixel);
+    picture.pixel_angstrom = scale_bar.then_some(pixel);
     Ok(picture.write_png(path)?)
 }
 
@@ -54,9 +59,9 @@ pub fn write_world(path: &Path, world: &WorldFile) -> anyhow::Result<()> {
     let [rows, columns] = world.shape();
     let pixel = 10.0 * world.metadata().pixel_size_nm;
     if rows.max(columns) <= WHOLE_WORLD {
-        return write(path, world.stitched(0..rows, 0..columns)?.view(), [pixel; 2]);
+        return write(path, world.stitched(0..rows, 0..columns)?.view(), [pixel; 2], true);
     }
-    write(path, world.overview()?.view(), [pixel * OVERVIEW_FACTOR as f64; 2])
+    write(path, world.overview()?.view(), [pixel * OVERVIEW_FACTOR as f64; 2], true)
 }
 
 /// The image with square pixels, enlarged to about [`ENLARGED`] if it is small, and that pixel.

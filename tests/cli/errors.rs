@@ -1,4 +1,4 @@
-//! Whatever is wrong: one error, one hint, a code that is not 0, and no panic.
+//! Whatever is wrong: one error, at most one hint, a code that is not 0, and no panic.
 
 use super::skipped::skipped;
 use super::{fails, file, stemgen};
@@ -53,6 +53,33 @@ fn bad_input_is_explained() {
     }
     assert_eq!(std::fs::read(here.join("there.h5")).unwrap(), b"precious");
     assert_eq!(std::fs::read_dir(here).unwrap().count(), 4, "nothing was written");
+}
+
+#[test]
+fn hints_stand_only_where_they_help() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    std::fs::write(here.join("bad.cif"), "data_x\n_cell_length_a 5\n").unwrap();
+    let told = fails(stemgen(here).args(["simulate", "bad.cif"]));
+    assert!(told.starts_with("error: bad.cif") && !told.contains("hint"), "{told}");
+    let si = &file("structures/si.cif");
+    let told = fails(stemgen(here).args(["simulate", si, "--dosis", "100"]));
+    assert!(told.contains("--dosis") && !told.contains("as a value"), "{told}");
+    for (arguments, part) in [
+        (["--pixelated", "1"], "diffraction patterns (4D-STEM, CBED) are not offered"),
+        (["--detector", "DPC=0-20"], "annular detectors of any angles are"),
+        (["--beam-tilt", "3"], "take another --zone"),
+    ] {
+        let told = fails(stemgen(here).args(["simulate", si]).args(arguments));
+        assert!(told.contains(part) && !told.contains("as a value"), "{told}");
+    }
+    let recipe = std::fs::read_to_string(file("generate/srtio3.toml")).unwrap();
+    let two = recipe.split("[difficulty.hard]").next().unwrap();
+    std::fs::write(here.join("two.toml"), two).unwrap();
+    for tier in [&["--difficulty", "hard"][..], &[]] {
+        let told = fails(stemgen(here).args(["show-recipe", "two.toml"]).args(tier));
+        assert!(told.contains("the recipe has easy, medium"), "{told}");
+    }
 }
 
 #[test]
