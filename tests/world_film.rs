@@ -69,6 +69,43 @@ fn a_particle_on_a_film_is_the_exact_image_of_its_atoms() {
     assert!(region.mean_percent.abs() < 0.2, "{}", region.mean_percent);
 }
 
+/// A particle of 3 nm along a zone axis, on films that differ by half a slice of the film: its columns show what moves the focus, as
+/// slices of the film beyond the specimen once did (by the vacuum above the particle, 16 A).
+#[test]
+fn the_probe_is_focused_on_the_same_plane_whatever_the_thickness_of_the_film() {
+    let image = |carbon_nm: f64| {
+        let mut recipe = recipe(carbon_nm, 1);
+        let particles = recipe.particles.as_mut().unwrap();
+        (particles.diameter_nm, particles.max_tilt_deg) = ([2.7, 3.3], 0.0);
+        let specimen = specimen(&recipe).unwrap();
+        let centre = specimen.particles()[0].centre_nm;
+        let pixel = recipe.field.pixel_nm();
+        let first = [1, 0].map(|k| (centre[k] / pixel) as usize - 20);
+        let pixels = PixelRect::new(first, [40, 40]).every(4);
+        let film = film(&recipe, &specimen);
+        let ours = film.mean_of(&pixels, 1, &Silent).unwrap();
+        let simulator = Simulator::new(&recipe, Algorithm::Window { width_angstrom: 7.8 });
+        let margin = simulator.margin_angstrom();
+        let window = PixelBox::new(&pixels, pixel, margin, specimen.thickness_nm());
+        // Vacuum at the exit, where no probe is changed, keeps all atoms from the faces.
+        let mut roomy = window.clone();
+        roomy.size_angstrom[2] += 5.0;
+        let atoms = |configuration| {
+            let mut atoms = film.atoms(&window.area, configuration);
+            atoms.heights = atoms.sites.iter().map(|s| s.position[2]).collect();
+            atoms
+        };
+        (ours, simulator.mean(&roomy, 1, atoms, &Silent).unwrap())
+    };
+    for carbon_nm in [1.0, 1.1] {
+        let (ours, exact) = image(carbon_nm);
+        let top = exact.iter().copied().fold(0.0, f64::max);
+        let worst = (&ours - &exact).iter().fold(0.0, |w: f64, d| w.max(d.abs())) / top;
+        println!("{carbon_nm} nm: {:.2} % of the brightest", 100.0 * worst);
+        assert!(worst < 0.03, "{carbon_nm} nm: {worst}");
+    }
+}
+
 /// Mean and rms error in units of the mean.
 fn difference(ours: &Array2<f64>, exact: &Array2<f64>) -> [f64; 2] {
     let mean = exact.mean().unwrap();

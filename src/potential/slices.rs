@@ -51,7 +51,8 @@ impl Slices {
     ///
     /// When atoms lie on a face of the cell, the window of one period that is cut into slices
     /// starts half a gap before the first plane (at most 1 A), so that no atom crosses a face by
-    /// thermal motion.
+    /// thermal motion. Below vacuum it starts where it must to give the last atoms room, by at most
+    /// [`FACE_ROOM_ANGSTROM`]: probes are focused on it.
     ///
     /// # Errors
     /// [`Error::Invalid`] for a thickness that is not positive or a height that is not.
@@ -145,11 +146,17 @@ fn wrap(z: f64, start: f64, period: f64) -> f64 {
     start + if r >= period { 0.0 } else { r }
 }
 
+/// Vacuum at least so thick above the first atom stays there, in Angstrom.
+const VACUUM_ANGSTROM: f64 = 2.0;
+
 /// Start of the slab for sorted heights in [0, height).
 fn entrance(z: &[f64], height: f64) -> f64 {
     let (Some(&first), Some(&last)) = (z.first(), z.last()) else { return 0.0 };
     if first >= FACE_ROOM_ANGSTROM && last <= height - FACE_ROOM_ANGSTROM {
         return 0.0;
+    }
+    if first >= VACUUM_ANGSTROM {
+        return last + FACE_ROOM_ANGSTROM - height;
     }
     // the widest gap that touches or is near the face, searched cyclically
     let near = |v: f64| v < 2.0 || v > height - 2.0;
@@ -267,5 +274,8 @@ mod tests {
         assert_eq!(s.planes, vec![5.0, 7.0, 9.0]);
         let s = Slices::new(Slicing::Planes, 20.0, &[0.0, 2.0]).unwrap();
         assert_eq!(s.entrance(), -1.0);
+        // Atoms at the exit face only: the vacuum above stays, or probes would be focused somewhere else.
+        let s = Slices::new(Slicing::Planes, 20.0, &[16.0, 18.0, 19.75]).unwrap();
+        assert_eq!([s.entrance(), s.planes[0], s.planes[2]], [0.25, 16.0, 19.75]);
     }
 }

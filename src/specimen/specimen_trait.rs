@@ -70,6 +70,15 @@ impl ThinFilm {
     pub fn holds(&self, key: u64) -> bool {
         key & self.other_keys == 0
     }
+
+    /// The height in Angstrom of an atom of the film at `z_angstrom`, with the film in equal slices of at most this
+    /// thickness: the middle of its slice.
+    pub fn slice_height_angstrom(&self, z_angstrom: f64, thickness_angstrom: f64) -> f64 {
+        let [start, end] = self.depth_nm.map(|z| 10.0 * z);
+        let slices = ((end - start) / thickness_angstrom).ceil().max(1.0);
+        let each = (end - start) / slices;
+        start + (((z_angstrom - start) / each).floor().clamp(0.0, slices - 1.0) + 0.5) * each
+    }
 }
 
 /// A specimen of the full field.

@@ -189,7 +189,7 @@ impl RegionImager for FilmImager {
         let mut atoms = displaced_by_seed(&*self.scene.specimen, area, seed, phonons);
         for (site, z) in atoms.sites.iter().zip(&mut atoms.heights) {
             if self.scene.film.holds(site.key) {
-                *z = (*z / GROUP_ANGSTROM).round() * GROUP_ANGSTROM;
+                *z = self.scene.film.slice_height_angstrom(*z, GROUP_ANGSTROM);
             }
         }
         atoms

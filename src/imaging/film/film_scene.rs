@@ -25,4 +25,14 @@ impl FilmScene {
     pub fn atoms(&self, region: &Region) -> Vec<Site> {
         mean_atoms(&*self.specimen, region, &self.recipe.phonons)
     }
+
+    /// Mean heights in Angstrom of atoms at their mean positions, those of the film in slices of this thickness.
+    pub fn heights(&self, atoms: &[Site], film_slice_angstrom: f64) -> Vec<f64> {
+        let height = |s: &Site| {
+            let z = s.position[2];
+            let of_film = self.film.holds(s.key);
+            if of_film { self.film.slice_height_angstrom(z, film_slice_angstrom) } else { z }
+        };
+        atoms.iter().map(height).collect()
+    }
 }

@@ -17,7 +17,7 @@ use crate::imaging::displaced_atoms::DisplacedAtoms;
 use crate::imaging::pixels::PixelBox;
 use crate::progress::Progress;
 use crate::recipe::Region;
-use crate::specimen::{ParticleTruth, ThinFilm, particles_in};
+use crate::specimen::{ParticleTruth, particles_in};
 
 /// Windows hold no atoms of a particle further than half their width and this from the probe, in Angstrom.
 const BEYOND_WINDOW_ANGSTROM: f64 = 1.0;
@@ -32,12 +32,6 @@ const BLOCK: i64 = 64;
 pub const BLOCK_PROBES: usize = (BLOCK * BLOCK) as usize;
 /// Blocks that are kept for the next rectangle: 64 kB each.
 const KEPT: usize = 1024;
-
-/// The mean height in Angstrom of an atom, those of the film in slices of the given thickness.
-pub fn height(film: &ThinFilm, site: &Site, film_slice: f64) -> f64 {
-    let z = site.position[2];
-    if film.holds(site.key) { (z / film_slice).round() * film_slice } else { z }
-}
 
 /// The image of a block.
 pub struct BlockImage {
@@ -156,8 +150,9 @@ impl ParticleBlocks {
         Ok(Some(BlockImage { samples, image, share }))
     }
 
+    /// Mean heights of atoms in Angstrom.
     fn heights(&self, atoms: &[Site]) -> Vec<f64> {
-        atoms.iter().map(|s| height(&self.scene.film, s, FILM_SLICE_ANGSTROM)).collect()
+        self.scene.heights(atoms, FILM_SLICE_ANGSTROM)
     }
 
     /// The least rectangle in a block around the samples whose windows hold atoms of particles; these are in samples (row,
