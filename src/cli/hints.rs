@@ -40,6 +40,11 @@ pub fn report(error: &anyhow::Error, subcommand: &str) -> ExitCode {
     let fallback =
         || (!told).then(|| format!("`stemgen {subcommand} --help` explains every option"));
     let option = match error.downcast_ref::<Error>() {
+        Some(Error::Set { assignment, message })
+            if !assignment.contains('=') && !message.contains("key=value") =>
+        {
+            "--unset "
+        }
         Some(Error::Set { .. }) => "--set ",
         _ => "",
     };
