@@ -34,7 +34,7 @@ pub enum Error {
     #[error("unknown element `{0}`; symbols such as `Sr` or atomic numbers 1-{max} are known", max = crate::constants::MAX_ATOMIC_NUMBER)]
     UnknownElement(String),
     /// A setting is outside its limits.
-    #[error("{setting} = {value}: {expected}")]
+    #[error("{}: {expected}", assignment(*setting, value))]
     Invalid {
         /// The setting.
         setting: Setting,
@@ -161,6 +161,14 @@ impl Error {
 /// `:12`, or nothing where there is no line.
 fn at_line(line: usize) -> String {
     if line == 0 { String::new() } else { format!(":{line}") }
+}
+
+/// `setting = value`; of a recipe, whose values are assignments themselves, the value alone.
+fn assignment(setting: Setting, value: &str) -> String {
+    match setting {
+        Setting::Recipe => value.to_owned(),
+        _ => format!("{setting} = {value}"),
+    }
 }
 
 fn megabytes(bytes: u64) -> String {

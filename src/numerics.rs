@@ -4,4 +4,4 @@
 /// imaging, in the displacements of atoms. It is part of the key of everything that is kept on disk (the library of mosaics,
 /// the sub-tiles of an interrupted build), so images of different versions never meet in one world, and it stands in world
 /// files. `tests/numerics.rs` holds the images of this version.
-pub const NUMERICS_VERSION: u32 = 9;
+pub const NUMERICS_VERSION: u32 = 10;

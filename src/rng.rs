@@ -32,6 +32,8 @@ pub enum Purpose {
     Audit = 34,
     /// Probes that the error of windows is measured on.
     AccuracySample = 35,
+    /// Places and doses of tiles for training.
+    Tile = 36,
 }
 
 const MULTIPLIERS: [u32; 2] = [0xD251_1F53, 0xCD9E_8D57];

@@ -34,6 +34,8 @@ settings! {
     SemiangleMrad = "semiangle (mrad)",
     /// A coefficient of the aberration function.
     Aberration = "aberration",
+    /// The width of the electron source.
+    SourceSizeAngstrom = "source size (A)",
     /// A detector: its angles or its place.
     Detector = "detector",
     /// The name of a detector, which no other may have.

@@ -156,7 +156,12 @@ fn subtiles_of_another_build_are_not_used() {
     assert!(matches!(stopped, Err(Error::Interrupted)));
     let listener = Listener::default();
     let engine = Spots { sigma: 0.5, ..Spots::new() };
-    let summary = build(&recipe(1, 2), &engine, &path, &options(), &listener).unwrap();
+    let first = folder.path().join("w.h5.work/subtile_000000.bin");
+    let refused = build(&recipe(1, 2), &engine, &path, &options(), &listener).unwrap_err();
+    assert!(refused.to_string().contains("sub-tiles of another build"), "{refused}");
+    assert!(first.exists() && listener.0.lock().unwrap().is_empty());
+    let options = BuildOptions { overwrite: true, ..options() };
+    let summary = build(&recipe(1, 2), &engine, &path, &options, &listener).unwrap();
     assert_eq!(summary.subtiles_resumed, 0);
     let warnings = listener.0.lock().unwrap();
     assert!(warnings.len() == 1 && warnings[0].contains("starting again"), "{warnings:?}");

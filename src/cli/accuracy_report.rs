@@ -50,9 +50,24 @@ impl AccuracyReport {
         self.found.text()
     }
 
-    /// What was found, as JSON for files: the same for the same input.
-    pub fn json(&self) -> serde_json::Result<String> {
-        serde_json::to_string(&self.found)
+    /// Those of a run as one value: alone, or a list for a series; nothing where no accuracy was asked for.
+    pub fn value(reports: &[AccuracyReport]) -> serde_json::Result<Option<serde_json::Value>> {
+        match reports {
+            [] => Ok(None),
+            [one] => serde_json::to_value(one).map(Some),
+            all => serde_json::to_value(all).map(Some),
+        }
+    }
+
+    /// The same for files, without times: the same for the same input.
+    pub fn json_of(reports: &[AccuracyReport]) -> serde_json::Result<Option<String>> {
+        match reports {
+            [] => Ok(None),
+            [one] => serde_json::to_string(&one.found).map(Some),
+            all => {
+                serde_json::to_string(&all.iter().map(|a| &a.found).collect::<Vec<_>>()).map(Some)
+            }
+        }
     }
 
     /// A line of a table.

@@ -2,7 +2,7 @@
 
 use super::common::Common;
 use super::plan_report::Lines;
-use super::recipe_args::RecipeArgs;
+use super::recipe_args::{RecipeArgs, WorldEngine};
 use super::values;
 use anyhow::bail;
 use clap::Args;
@@ -73,19 +73,13 @@ impl AuditCommand {
             at_nm: self.at.clone(),
             configurations: self.configurations.map(usize::from),
         };
+        if let Some(made) = made.as_ref().filter(|m| m.engine == "multislice") {
+            bail!("the world was made with `{}`, which is what audits compare with", made.engine);
+        }
         let specimen = specimen(&recipe)?;
         let cache = if self.no_cache { Cache::none() } else { Cache::of_user() };
         let choice = match &made {
-            Some(made) => {
-                let method = match made.engine.as_str() {
-                    "mosaic" | "film" => MethodChoice::Mosaic,
-                    "window" | "prism" => MethodChoice::Direct,
-                    other => bail!(
-                        "the world was made with `{other}`, which is what audits compare with"
-                    ),
-                };
-                ImagingChoice { simulator: Simulator::of(made.settings.clone()), method, cache }
-            }
+            Some(_) => imaging_of(&recipe, made.as_ref(), cache)?,
             None => planned(&recipe, cache)?,
         };
         let mut imager = choice.imager(&recipe, &specimen)?;
@@ -93,6 +87,22 @@ impl AuditCommand {
         let found = audit(&recipe, &*specimen, &*imager, &options, &reporter)?;
         self.common.print(&found, &text(&found))
     }
+}
+
+/// How the images of a world were made, or how those of a recipe are to be made.
+pub fn imaging_of(
+    recipe: &CheckedRecipe,
+    made: Option<&WorldEngine>,
+    cache: Cache,
+) -> anyhow::Result<ImagingChoice> {
+    let Some(made) = made else {
+        return Ok(BuildOptions { cache, ..BuildOptions::default() }.policy(recipe)?.imaging);
+    };
+    let method = match made.engine.as_str() {
+        "mosaic" | "film" => MethodChoice::Mosaic,
+        _ => MethodChoice::Direct,
+    };
+    Ok(ImagingChoice { simulator: Simulator::of(made.settings.clone()), method, cache })
 }
 
 /// The imager of a world that is not there yet: a mosaic, or a film, with windows as `stemgen build` chooses them.
@@ -143,19 +153,50 @@ fn text(audit: &Audit) -> String {
     for kind in &audit.kinds {
         let [ours, exact] = kind.neighbours;
         lines.add(
-            kind.kind.clone(),
+            format!("{} columns", kind.kind),
             format!(
-                "{} columns: mean {:+.2} %, variance {:+.1} %, correlation {:.4}, neighbours {ours:.2} ({exact:.2})",
+                "{}: on average {}; their spread is {}; brighter and darker ones agree by {:.4} (1 is best); neighbours \
+                 are alike by {ours:.2}, in the exact image by {exact:.2}",
                 kind.columns,
-                100.0 * (kind.mean_ratio - 1.0),
-                100.0 * (kind.variance_ratio - 1.0),
+                off(kind.mean_ratio, 2, "too bright", "too dark"),
+                off(kind.variance_ratio.sqrt(), 1, "too large", "too small"),
                 kind.correlation
             ),
         );
     }
     for band in &audit.power {
         let [low, high] = band.band;
-        lines.add("power", format!("{low}-{high} 1/A: {:+.2} %", 100.0 * (band.ratio - 1.0)));
+        lines.add(
+            "detail",
+            format!(
+                "{:.2} to {:.2} A fine: contrast {}",
+                1.0 / high,
+                1.0 / low,
+                off(band.ratio.sqrt(), 2, "too strong", "too weak")
+            ),
+        );
     }
     lines.text()
+}
+
+/// `0.25 % too bright`.
+fn off(ratio: f64, digits: usize, above: &str, below: &str) -> String {
+    if !ratio.is_finite() {
+        return "not known".into();
+    }
+    let percent = 100.0 * (ratio - 1.0);
+    let direction = if percent >= 0.0 { above } else { below };
+    format!("{:.digits$} % {direction}", percent.abs())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::off;
+
+    #[test]
+    fn ratios_are_put_into_words() {
+        assert_eq!(off(1.0025, 2, "too bright", "too dark"), "0.25 % too bright");
+        assert_eq!(off(0.99, 1, "too large", "too small"), "1.0 % too small");
+        assert_eq!(off(f64::NAN, 1, "a", "b"), "not known");
+    }
 }

@@ -6,7 +6,7 @@ use super::hints::{self, hinted};
 use super::plan_report::Lines;
 use super::recipe_args::RecipeArgs;
 use super::values::{self, EngineName as Engine};
-use super::{estimate, output, pictures, text};
+use super::{estimate, output, pictures, slips, text};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -34,7 +34,7 @@ Examples:
 
 What is done (simulations of the library, the audit, sub-tiles) is kept in the cache and in
 FILE.work until the world and its picture are complete: after Ctrl-C or a power failure the same
-command goes on from there.";
+command goes on from there. `stemgen glossary` explains window, mosaic, library, sub-tile and audit.";
 
 /// Build a world: a whole annotated specimen and its image
 #[derive(Debug, Args)]
@@ -50,7 +50,7 @@ pub struct Build {
     keep_clean: bool,
     #[command(flatten)]
     method: Method,
-    /// File to write [default: worlds/MATERIAL_TIER[_RxC].h5]
+    /// File to write [default: worlds/MATERIAL_TIER[_RxC][_seedN].h5]
     #[arg(short, long, value_name = "FILE.h5", help_heading = "Results")]
     output: Option<PathBuf>,
     /// Replace existing files
@@ -93,11 +93,10 @@ struct Method {
     /// [default: default]
     #[arg(long, value_name = "NAME")]
     profile: Option<ProfileName>,
-    /// Regions of a mosaic that are simulated exactly beforehand, with the same atoms; the file tells the
-    /// error found. 0 leaves it out; with --accuracy or --max-error at least four, also of windows
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    #[arg(value_parser = clap::value_parser!(u16).range(0..=1000))]
-    audit: u16,
+    /// Regions that are simulated exactly beforehand, with the same atoms; the file tells the error found. 0
+    /// leaves it out; with --accuracy or --max-error at least four [default: 1 for mosaics and films, 0 for others]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=1000))]
+    audit: Option<u16>,
     /// Widen the windows, or leave the mosaic, until the audit's errors (rms at bright columns, and over all
     /// pixels of the brightest column) are at most so many per cent; where no window does, the exact engine
     #[arg(long, value_name = "PERCENT", value_parser = values::percent, allow_negative_numbers = true)]
@@ -159,6 +158,7 @@ impl Build {
         build.policy().warnings.iter().for_each(|w| reporter.warn(w));
         let path = self.output(&recipe);
         if self.common.dry_run {
+            slips::check_hdf5_name(&path)?;
             let report = DryRun::new(&recipe, &build, path)?;
             return self.common.print(&report, &report.text());
         }
@@ -166,6 +166,7 @@ impl Build {
         let outputs = [Some(&path), picture.as_ref()].into_iter().flatten();
         let complete = build.is_complete(&path);
         check_outputs(outputs, self.recipe.files(&recipe), self.overwrite || complete)?;
+        slips::check_hdf5_name(&path)?;
         let companion = picture.as_deref().map(|path| Companion {
             path,
             most_bytes: PICTURE,
@@ -200,7 +201,8 @@ impl Build {
             accuracy_percent: m.accuracy,
             expansion: m.expansion,
             interpolation: m.interpolation,
-            audit_regions: m.audit.into(),
+            audit_regions: m.audit.map_or(usual.audit_regions, usize::from),
+            audit_direct: m.audit.is_some_and(|n| n > 0),
             max_error_percent: m.max_error,
             cache: if m.no_cache { Cache::none() } else { usual.cache },
             subtile_nm: m.subtile,

@@ -5,7 +5,7 @@ use super::text;
 use serde::Serialize;
 use std::path::PathBuf;
 use stemgen::engine::check_memory;
-use stemgen::imaging::{MosaicCost, SimulationRuns};
+use stemgen::imaging::{MethodChoice, MosaicCost, SimulationRuns};
 use stemgen::recipe::Recipe;
 use stemgen::world::WorldBuild;
 use stemgen::world::footprint::PICTURE;
@@ -28,8 +28,12 @@ pub struct DryRun {
     plan: PlanReport,
     #[serde(skip_serializing_if = "Option::is_none")]
     mosaic: Option<MosaicCost>,
+    #[serde(skip)]
+    mosaic_used: bool,
     #[serde(skip_serializing_if = "Option::is_none")]
     particle_probes: Option<usize>,
+    /// Part of the estimated time.
+    audit_range_s: [f64; 2],
     disk_bytes: u64,
     output: PathBuf,
 }
@@ -47,6 +51,12 @@ impl DryRun {
         if let Some(more) = &cost.more {
             plan.add_time(report(more).estimated_range_s);
         }
+        // The library of a mosaic is planned for single configurations.
+        plan.configurations = recipe.phonons.configurations.max(1) as u32;
+        let audit = build.audit_cost(&cost)?.map(|audit| report(&audit));
+        let audit_range_s = audit.as_ref().map_or([0.0; 2], |a| a.estimated_range_s);
+        plan.add_time(audit_range_s);
+        plan.memory_bytes = plan.memory_bytes.max(audit.map_or(0, |a| a.memory_bytes));
         let library = cost.mosaic.as_ref().filter(|m| m.pays).map_or(0, |m| m.missing_bytes);
         let memory = check_memory(plan.memory_bytes, cost.memory_remedy(plan.threads));
         plan.warnings.extend(memory.err().map(|e| e.to_string()));
@@ -57,14 +67,17 @@ impl DryRun {
             pixels,
             pixel_nm: pixel,
             fov_nm: pixels.map(|n| n as f64 * pixel),
-            thickness_nm: field.thickness_nm,
+            thickness_nm: build.specimen().thickness_nm(),
             dose_electrons_per_angstrom2: recipe.dose.electrons_per_angstrom2,
             subtiles,
             subtile_nm: shape.map(|n| n as f64 * pixel),
             probe_step_angstrom: cost.probe_step_angstrom,
             plan,
+            mosaic_used: build.policy().imaging.method == MethodChoice::Mosaic
+                || cost.mosaic.as_ref().is_some_and(|m| m.pays),
             mosaic: cost.mosaic,
             particle_probes: cost.particle_probes,
+            audit_range_s,
             disk_bytes: build.disk_bytes() + library + PICTURE,
             output,
         })
@@ -83,7 +96,7 @@ impl DryRun {
         let ([rows, columns], [ny, nx], [h, w]) = (self.tiles, self.pixels, self.fov_nm);
         let pixel = self.pixel_nm;
         lines.add("tiles", format!("{rows} x {columns}, {ny} x {nx} pixels of {pixel:.5} nm"));
-        lines.add("field", format!("{h:.2} x {w:.2} nm, {} nm thick", self.thickness_nm));
+        lines.add("field", format!("{h:.2} x {w:.2} nm, {:.3} nm thick", self.thickness_nm));
         let [h, w] = self.subtile_nm;
         lines.add("sub-tiles", format!("{} of {h:.2} x {w:.2} nm", self.subtiles));
         let [x, y] = self.probe_step_angstrom;
@@ -92,13 +105,21 @@ impl DryRun {
             None => format!("{} per sub-tile", text::count(self.plan.probes as u64)),
         };
         lines.add("probes", format!("{number}, {x:.4} x {y:.4} A apart"));
-        self.plan.lines(&mut lines);
+        self.plan.numerics(&mut lines);
         if let Some(mosaic) = &self.mosaic {
-            lines.add("mosaic", mosaic_line(mosaic));
+            lines.add("mosaic", mosaic_line(mosaic, self.mosaic_used));
+            for new in mosaic.new.iter().filter(|_| self.mosaic_used) {
+                let images = text::count(new.images as u64);
+                lines.add("new", format!("{images} images: {}", new.why));
+            }
         } else if self.particle_probes.is_some() {
             lines.add("film", "each atom by itself");
         }
         self.plan.costs(&mut lines);
+        if self.audit_range_s[1] > 0.0 {
+            let time = text::duration_range(self.audit_range_s);
+            lines.add("audit", format!("{time} of that"));
+        }
         lines.add("disk", format!("at most about {}", text::bytes(self.disk_bytes)));
         lines
             .add("output", format!("{} (nothing was simulated or written)", self.output.display()));
@@ -106,8 +127,8 @@ impl DryRun {
     }
 }
 
-fn mosaic_line(mosaic: &MosaicCost) -> String {
-    if !mosaic.pays {
+fn mosaic_line(mosaic: &MosaicCost, used: bool) -> String {
+    if !used {
         return "does not pay for so small a field: every sub-tile is simulated".into();
     }
     let count = |n: usize| text::count(n as u64);

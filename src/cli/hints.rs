@@ -1,4 +1,4 @@
-//! Errors on standard error, each with a hint.
+//! Errors on standard error, with a hint where that helps.
 
 use super::{signals, text};
 use std::process::ExitCode;
@@ -34,13 +34,24 @@ pub fn report(error: &anyhow::Error, subcommand: &str) -> ExitCode {
     };
     let known = error.chain().find_map(|e| e.downcast_ref::<Error>());
     let hint = own.or_else(|| known.and_then(of));
-    let fallback = || format!("`stemgen {subcommand} --help` explains every option");
+    // Errors that name an option, or the line of a file, say what to do themselves.
+    let message = told(error);
+    let advises = matches!(known, Some(Error::Parse { .. })) || message.contains("--");
+    let fallback =
+        || (!advises).then(|| format!("`stemgen {subcommand} --help` explains every option"));
     let option = match error.downcast_ref::<Error>() {
+        Some(Error::Set { assignment, message })
+            if !assignment.contains('=') && !message.contains("key=value") =>
+        {
+            "--unset "
+        }
         Some(Error::Set { .. }) => "--set ",
         _ => "",
     };
-    text::complain(&format!("error: {option}{}", told(error)));
-    text::complain(&format!("hint: {}", hint.unwrap_or_else(fallback)));
+    text::complain(&format!("error: {option}{message}"));
+    if let Some(hint) = hint.or_else(fallback) {
+        text::complain(&format!("hint: {hint}"));
+    }
     match known {
         Some(Error::Interrupted) => ExitCode::from(signals::exit_code()),
         _ => ExitCode::FAILURE,
@@ -62,9 +73,6 @@ fn told(error: &anyhow::Error) -> String {
 pub fn of(error: &Error) -> Option<String> {
     match error {
         Error::Io { source, action, .. } => io_hint(source, action).map(str::to_owned),
-        Error::Parse { .. } => {
-            Some("the file is not as expected there; mend or export it again".into())
-        }
         Error::Set { .. } => {
             Some("`stemgen show-recipe` with the same MATERIAL prints all keys and values".into())
         }
@@ -114,6 +122,7 @@ fn options(setting: Setting) -> Option<&'static str> {
         S::EnergyKev => Some("--energy"),
         S::SemiangleMrad => Some("--semiangle, or --sampling for a finer grid"),
         S::Aberration => Some("--aberration"),
+        S::SourceSizeAngstrom => Some("--source-size"),
         S::Detector | S::DetectorName | S::Detectors => Some("--detector"),
         S::Zone => Some("--zone and --up"),
         S::Cell => Some("--zone u,v,w and --up, which build such a box"),

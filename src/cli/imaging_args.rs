@@ -1,6 +1,9 @@
 //! Options of the microscope and of the engine.
 
-use super::values::{self, EngineName, ParametrizationName, ProbeBoxName, ProjectionName};
+use super::slips;
+use super::values::{
+    self, EngineName, NumberSeries, ParametrizationName, ProbeBoxName, ProjectionName,
+};
 use anyhow::bail;
 use clap::Args;
 use stemgen::detect::Detector;
@@ -19,20 +22,26 @@ const WINDOW_ANGSTROM: f64 = 11.7;
 #[command(next_help_heading = "Microscope")]
 pub struct MicroscopeArgs {
     /// Beam energy in keV (the accelerating voltage in kV)
-    #[arg(long, value_name = "KV", default_value_t = 200.0, value_parser = values::finite)]
+    #[arg(long, value_name = "KV", default_value_t = 200.0, value_parser = values::energy)]
     #[arg(allow_negative_numbers = true)]
     pub energy: f64,
     /// Convergence semiangle; the objective aperture with --plane-wave
-    #[arg(long, value_name = "MRAD", default_value_t = 21.0, value_parser = values::finite)]
+    #[arg(long, value_name = "MRAD", default_value_t = 21.0, value_parser = values::semiangle)]
     #[arg(allow_negative_numbers = true)]
     pub semiangle: f64,
-    /// Defocus; positive is underfocus
-    #[arg(long, value_name = "A", default_value_t = 0.0, value_parser = values::finite)]
-    #[arg(allow_negative_numbers = true)]
-    pub defocus: f64,
+    /// Defocus from the entrance surface of the box (z = 0), where the focus lies by default; positive is
+    /// underfocus, with the focus deeper in the specimen
+    /// `simulate` takes a series, START:END:STEP, and makes an image for each value
+    #[arg(long, value_name = "A", default_value = "0", value_parser = values::series)]
+    #[arg(allow_hyphen_values = true)]
+    pub defocus: NumberSeries,
     /// Aberration coefficient in A, with azimuth in rad: C12=30@0.3, C30=1e5 (repeatable)
     #[arg(long, value_name = "Cnm=A[@RAD]", value_parser = values::aberration)]
     pub aberration: Vec<Aberration>,
+    /// Width of the electron source in A (full width at half maximum of a Gaussian; 0.7-1.0 is usual)
+    /// [default: a point]
+    #[arg(long, value_name = "A", value_parser = values::positive)]
+    pub source_size: Option<f64>,
     /// Annular detector, inner and outer angle in mrad; BF=0-20, ABF=10-20, ADF=40-100
     /// (repeatable) [default: HAADF=68-200]
     #[arg(long, value_name = "NAME=IN-OUT", value_parser = values::detector)]
@@ -178,8 +187,8 @@ fn name(engine: EngineName) -> &'static str {
 }
 
 impl MicroscopeArgs {
-    fn optics(&self) -> Optics {
-        let mut aberrations = Aberrations::defocus(self.defocus);
+    fn optics(&self, defocus: f64) -> Optics {
+        let mut aberrations = Aberrations::defocus(defocus);
         aberrations.0.extend(self.aberration.iter().copied());
         Optics {
             energy_ev: self.energy * 1e3,
@@ -206,15 +215,33 @@ pub fn settings(
     phonons: Option<Phonons>,
     thicknesses_angstrom: Vec<f64>,
 ) -> anyhow::Result<Settings> {
+    let [defocus] = microscope.defocus.0[..] else {
+        bail!("--defocus: a series is for `stemgen simulate`; give one value");
+    };
+    if microscope.source_size.is_some() {
+        bail!("--source-size is for `stemgen simulate`; leave it out");
+    }
+    settings_at(defocus, microscope, numerics, phonons, thicknesses_angstrom)
+}
+
+/// The same for one value of a series of defocus, in Angstrom.
+pub fn settings_at(
+    defocus: f64,
+    microscope: &MicroscopeArgs,
+    numerics: &NumericsArgs,
+    phonons: Option<Phonons>,
+    thicknesses_angstrom: Vec<f64>,
+) -> anyhow::Result<Settings> {
     let grid = match (numerics.sampling, numerics.gpts) {
         (_, Some(points)) => GridChoice::Points(points),
         (Some(sampling), None) => GridChoice::Sampling(sampling),
         (None, None) => GridChoice::Auto,
     };
+    slips::check_aberrations(defocus, &microscope.aberration)?;
     let given = &microscope.detector;
     let default = Settings::default();
     Ok(Settings {
-        optics: microscope.optics(),
+        optics: microscope.optics(defocus),
         detectors: if given.is_empty() { default.detectors.clone() } else { given.clone() },
         parametrization: numerics.parametrization.into(),
         projection: numerics.projection.into(),

@@ -1,9 +1,11 @@
 //! `stemgen list`.
 
 use super::progress_bar::Reporter;
+use super::recipe_args::is_recipe_file;
 use super::text;
 use clap::Args;
 use serde::Serialize;
+use std::path::Path;
 use stemgen::recipe::{CheckedRecipe, Recipe};
 use stemgen::specimen::{counted_sites, estimated_sites, specimen};
 
@@ -22,7 +24,7 @@ unless --count is given. The dose is in electrons per square Angstrom.";
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct List {
-    /// Only this material
+    /// Only this material, or the recipe of a file (.toml)
     #[arg(value_name = "MATERIAL")]
     material: Option<String>,
     /// Count the sites one by one, which takes seconds for each tier
@@ -74,11 +76,23 @@ impl List {
         };
         let mut rows = Vec::new();
         for name in names {
-            let tiers = Recipe::tiers(&name)?;
+            let own = is_recipe_file(&name).then(|| Path::new(&name));
+            let tiers = match own {
+                Some(file) => {
+                    let text = std::fs::read_to_string(file)
+                        .map_err(|e| stemgen::Error::io(file, "read", e))?;
+                    Recipe::tiers_in(&name, &text)?
+                }
+                None => Recipe::tiers(&name)?,
+            };
             let tiers =
                 if tiers.is_empty() { vec![None] } else { tiers.into_iter().map(Some).collect() };
             for tier in tiers {
-                rows.push(self.row(&CheckedRecipe::load(&name, tier)?, &reporter)?);
+                let recipe = match own {
+                    Some(file) => CheckedRecipe::from_file(file, tier)?,
+                    None => CheckedRecipe::load(&name, tier)?,
+                };
+                rows.push(self.row(&recipe, &reporter)?);
             }
         }
         text::print(&if self.json { serde_json::to_string_pretty(&rows)? } else { table(&rows) })

@@ -11,6 +11,7 @@ mod estimate;
 mod hints;
 mod imaging_args;
 mod list_command;
+mod not_offered;
 mod output;
 mod pictures;
 mod plan_report;
@@ -21,9 +22,12 @@ mod scan_args;
 mod show_recipe_command;
 mod signals;
 mod simulate_command;
+mod simulate_results;
+mod slips;
 mod specimen_command;
 mod structure_args;
 mod text;
+mod tiles_command;
 mod validate_command;
 mod validate_reference;
 mod values;
@@ -48,9 +52,13 @@ Examples:
   stemgen specimen srtio3 --difficulty easy --grid 2x2 -o atoms.extxyz --png
   stemgen build srtio3 --difficulty easy --grid 2x2
   stemgen view worlds/srtio3_easy_2x2.h5 --overlay defects
+  stemgen tiles worlds/srtio3_easy_2x2.h5 --random-dose 1e3,1e5 -n 200 -o train.npz
   stemgen validate --quick
 
-`stemgen COMMAND --help` explains every option, with more examples.";
+`stemgen COMMAND --help` explains every option, with more examples; `stemgen glossary` the terms.";
+
+/// What the terms of help and messages mean.
+const GLOSSARY: &str = include_str!("../../docs/glossary.md");
 
 #[derive(Debug, Subcommand)]
 enum Command {
@@ -58,12 +66,15 @@ enum Command {
     Build(Box<build_command::Build>),
     Specimen(Box<specimen_command::SpecimenCommand>),
     View(Box<view_command::View>),
+    Tiles(Box<tiles_command::Tiles>),
     Audit(Box<audit_command::AuditCommand>),
     Cache(Box<cache_command::CacheCommand>),
     Validate(Box<validate_command::Validate>),
     Compare(Box<compare_command::Compare>),
     List(Box<list_command::List>),
     ShowRecipe(Box<show_recipe_command::ShowRecipe>),
+    /// Explain the terms of the program: window, mosaic, library, sub-tile, tail ...
+    Glossary,
 }
 
 /// Runs the program and reports what went wrong.
@@ -72,17 +83,23 @@ pub fn main() -> ExitCode {
     if let Err(error) = signals::listen() {
         text::complain(&format!("warning: Ctrl-C ends the program at once: {error}"));
     }
-    let (name, result) = match Cli::parse().command {
+    let command = match Cli::try_parse() {
+        Ok(cli) => cli.command,
+        Err(error) => not_offered::advised(error).exit(),
+    };
+    let (name, result) = match command {
         Command::Simulate(command) => ("simulate", command.run().map(done)),
         Command::Build(command) => ("build", command.run().map(done)),
         Command::Specimen(command) => ("specimen", command.run().map(done)),
         Command::View(command) => ("view", command.run().map(done)),
+        Command::Tiles(command) => ("tiles", command.run().map(done)),
         Command::Audit(command) => ("audit", command.run().map(done)),
         Command::Cache(command) => ("cache", command.run().map(done)),
         Command::Validate(command) => ("validate", command.run()),
         Command::Compare(command) => ("compare", command.run()),
         Command::List(command) => ("list", command.run().map(done)),
         Command::ShowRecipe(command) => ("show-recipe", command.run().map(done)),
+        Command::Glossary => ("glossary", text::print(GLOSSARY.trim_end()).map(done)),
     };
     result.unwrap_or_else(|error| hints::report(&error, name))
 }

@@ -19,8 +19,13 @@ const ENLARGED: usize = 1024;
 const WHOLE_WORLD: usize = 3000;
 
 /// Writes an image with pixels of `step` (x, y) Angstrom.
-pub fn write(path: &Path, image: ArrayView2<f32>, step: [f64; 2]) -> anyhow::Result<()> {
-    Ok(atomic_write::write(path, &png(image, step)?)?)
+pub fn write(
+    path: &Path,
+    image: ArrayView2<f32>,
+    step: [f64; 2],
+    scale_bar: bool,
+) -> anyhow::Result<()> {
+    Ok(atomic_write::write(path, &png(image, step, scale_bar)?)?)
 }
 
 /// Writes a page of images of one scan.
@@ -50,18 +55,18 @@ pub fn of_world(world: &WorldFile) -> stemgen::Result<Vec<u8>> {
     let [rows, columns] = world.shape();
     let pixel = 10.0 * world.metadata().pixel_size_nm;
     if rows.max(columns) <= WHOLE_WORLD {
-        return png(world.stitched(0..rows, 0..columns)?.view(), [pixel; 2]);
+        return png(world.stitched(0..rows, 0..columns)?.view(), [pixel; 2], true);
     }
-    png(world.overview()?.view(), [pixel * OVERVIEW_FACTOR as f64; 2])
+    png(world.overview()?.view(), [pixel * OVERVIEW_FACTOR as f64; 2], true)
 }
 
 /// An image with pixels of `step` (x, y) Angstrom as a PNG.
-fn png(image: ArrayView2<f32>, step: [f64; 2]) -> stemgen::Result<Vec<u8>> {
+fn png(image: ArrayView2<f32>, step: [f64; 2], scale_bar: bool) -> stemgen::Result<Vec<u8>> {
     let (image, pixel) = resampled(image, step);
     let (rows, columns) = image.dim();
     let values: Vec<f32> = image.into_iter().collect();
     let mut picture = Picture::new(&values, [rows, columns])?;
-    picture.pixel_angstrom = Some(pixel);
+    picture.pixel_angstrom = scale_bar.then_some(pixel);
     picture.png()
 }
 

@@ -112,6 +112,13 @@ impl PlanReport {
 
     /// Name and value, line by line.
     pub fn lines(&self, out: &mut Lines) {
+        self.numerics(out);
+        let recorded = self.thicknesses_angstrom.iter().map(|t| format!("{t:.2}"));
+        out.add("recorded at", format!("{} A", recorded.collect::<Vec<_>>().join(", ")));
+    }
+
+    /// The same but for the thicknesses.
+    pub fn numerics(&self, out: &mut Lines) {
         out.add("algorithm", algorithm(&self.algorithm));
         out.add("wave grid", self.wave_grid.text());
         if self.transmission_grid.points != self.wave_grid.points {
@@ -129,8 +136,6 @@ impl PlanReport {
             false => String::new(),
         };
         out.add("slices", format!("{} of {range}{passed}", s.count));
-        let recorded = self.thicknesses_angstrom.iter().map(|t| format!("{t:.2}"));
-        out.add("recorded at", format!("{} A", recorded.collect::<Vec<_>>().join(", ")));
         if self.beams > 0 {
             out.add("beams", text::count(self.beams as u64));
         }
@@ -174,7 +179,9 @@ pub fn algorithm(algorithm: &stemgen::engine::Algorithm) -> String {
     match algorithm {
         Multislice => "multislice".into(),
         Prism { interpolation: [x, y] } => format!("PRISM, interpolation {x},{y}"),
-        Window { width_angstrom } => format!("window of {width_angstrom} A"),
+        Window { width_angstrom } => {
+            format!("window of {} A", (width_angstrom * 100.0).round() / 100.0)
+        }
         other => format!("{other:?}"),
     }
 }

@@ -11,7 +11,8 @@ use stemgen::recipe::{CheckedRecipe, Difficulty, Override, Recipe};
 /// The recipe.
 #[derive(Debug, Args)]
 pub struct RecipeArgs {
-    /// Material or other recipe that comes with the program; `stemgen list` shows them
+    /// Material or other recipe that comes with the program (`stemgen list` shows them), or a file of one's own
+    /// (.toml)
     #[arg(value_name = "MATERIAL", required_unless_present = "recipe")]
     material: Option<String>,
     /// How many defects and how much dose, where the recipe has tiers
@@ -24,6 +25,9 @@ pub struct RecipeArgs {
     /// prints all keys
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
+    /// Take a value or a table out of the recipe, such as vacancies or boundaries.sigma (repeatable)
+    #[arg(long, value_name = "KEY")]
+    unset: Vec<String>,
     /// Only the central tiles, rows x columns [default: the whole field]
     #[arg(long, value_name = "RxC", value_parser = values::rows_columns)]
     grid: Option<[usize; 2]>,
@@ -43,8 +47,9 @@ pub struct WorldEngine {
 impl RecipeArgs {
     /// The recipe, resolved, changed and checked.
     pub fn resolve(&self) -> anyhow::Result<CheckedRecipe> {
-        let changes: Vec<Override> =
-            self.set.iter().map(|text| text.parse()).collect::<stemgen::Result<_>>()?;
+        let removed = self.unset.iter().map(|key| Override::without(key));
+        let changed = self.set.iter().map(|text| text.parse());
+        let changes: Vec<Override> = removed.chain(changed).collect::<stemgen::Result<_>>()?;
         let mut recipe = self.chosen()?.with_overrides(&changes)?;
         recipe.seed = self.seed.unwrap_or(recipe.seed);
         if let Some([rows, columns]) = self.grid {
@@ -56,17 +61,16 @@ impl RecipeArgs {
     /// The same, or the recipe of a world file named in place of a material, and how that world was made.
     pub fn resolve_or_world(&self) -> anyhow::Result<(CheckedRecipe, Option<WorldEngine>)> {
         let file = self.material.as_ref().map(PathBuf::from);
-        let Some(file) = file.filter(|f| f.extension().is_some_and(|e| e == "h5" || e == "hdf5"))
-        else {
+        let Some(file) = file.filter(|f| is_world(f)) else {
             return Ok((self.resolve()?, None));
         };
         if self.difficulty.is_some()
-            || !self.set.is_empty()
+            || !(self.set.is_empty() && self.unset.is_empty())
             || self.grid.is_some()
             || self.seed.is_some()
         {
             anyhow::bail!(
-                "{}: a world has its recipe; leave out --difficulty, --set, --grid and --seed",
+                "{}: a world has its recipe; leave out --difficulty, --set, --unset, --grid and --seed",
                 file.display()
             );
         }
@@ -84,12 +88,19 @@ impl RecipeArgs {
         Ok((recipe, made.map(|(engine, settings)| WorldEngine { engine, settings })))
     }
 
+    /// The file of the recipe, if it is none of the program's own.
+    fn file(&self) -> Option<PathBuf> {
+        let named = || self.material.as_deref().filter(|m| is_recipe_file(m)).map(PathBuf::from);
+        self.recipe.clone().or_else(named)
+    }
+
     fn chosen(&self) -> anyhow::Result<Recipe> {
         let difficulty = self.difficulty.map(Difficulty::from);
-        let material = match (&self.recipe, &self.material) {
-            (Some(file), _) => return Ok(Recipe::from_file(file, difficulty)?),
-            (None, Some(material)) => material,
-            (None, None) => anyhow::bail!("MATERIAL or --recipe is needed"),
+        if let Some(file) = self.file() {
+            return Ok(Recipe::from_file(&file, difficulty)?);
+        }
+        let Some(material) = &self.material else {
+            anyhow::bail!("MATERIAL or --recipe is needed");
         };
         let tiers = Recipe::tiers(material)?;
         if difficulty.is_none() && !tiers.is_empty() {
@@ -102,7 +113,7 @@ impl RecipeArgs {
 
     /// The files that a recipe is read from: its own, and those of its crystals.
     pub fn files(&self, recipe: &Recipe) -> Vec<PathBuf> {
-        let Some(file) = &self.recipe else { return Vec::new() };
+        let Some(file) = self.file() else { return Vec::new() };
         let folder = file.parent().unwrap_or(Path::new(""));
         let second = recipe.domains.iter().map(|d| &d.crystal);
         let end = recipe.alloy.iter().map(|a| &a.end_member);
@@ -111,10 +122,27 @@ impl RecipeArgs {
         std::iter::once(file.clone()).chain(crystals).collect()
     }
 
-    /// `MATERIAL[_TIER][_RxC]`, the usual beginning of the name of a result.
+    /// The same, and a world that stands in place of a material.
+    pub fn inputs(&self, recipe: &Recipe) -> Vec<PathBuf> {
+        let world = self.material.as_ref().map(PathBuf::from).filter(|f| is_world(f));
+        self.files(recipe).into_iter().chain(world).collect()
+    }
+
+    /// `MATERIAL[_TIER][_RxC][_seedN]`, the usual beginning of the name of a result.
     pub fn stem(&self, recipe: &Recipe) -> String {
         let tier = recipe.tier.map(|t| format!("_{}", t.name())).unwrap_or_default();
         let grid = self.grid.map(|[r, c]| format!("_{r}x{c}")).unwrap_or_default();
-        format!("{}{tier}{grid}", recipe.id)
+        let own = self.chosen().ok().map(|r| r.seed);
+        let seed = (own != Some(recipe.seed)).then(|| format!("_seed{}", recipe.seed));
+        format!("{}{tier}{grid}{}", recipe.id, seed.unwrap_or_default())
     }
+}
+
+/// Whether a name is that of a recipe's file.
+pub fn is_recipe_file(name: &str) -> bool {
+    Path::new(name).extension().is_some_and(|e| e.eq_ignore_ascii_case("toml"))
+}
+
+fn is_world(file: &Path) -> bool {
+    file.extension().is_some_and(|e| e == "h5" || e == "hdf5")
 }

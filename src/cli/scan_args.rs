@@ -19,7 +19,7 @@ pub struct ScanArgs {
     /// End of the scan in A, itself not scanned [default: the edges of the cell]
     #[arg(long, value_name = "X,Y", value_parser = values::point, allow_hyphen_values = true)]
     pub scan_end: Option<[f64; 2]>,
-    /// Distance of probes in A, made a little smaller so that it divides the window [default: the
+    /// Distance of probes in A, the pixel of the image, made a little smaller so that it divides the window [default: the
     /// Nyquist limit of the image, wavelength / (4 semiangle)]
     #[arg(long, value_name = "A", value_parser = values::finite, allow_negative_numbers = true)]
     #[arg(conflicts_with = "scan_points")]

@@ -4,20 +4,19 @@ use super::accuracy_report::AccuracyReport;
 use super::common::{Common, Force};
 use super::imaging_args::{self, MicroscopeArgs, NumericsArgs};
 use super::plan_report::{self, Lines, PlanReport};
-use super::plane_wave::{self, Conventional};
+use super::plane_wave;
 use super::progress_bar::Reporter;
 use super::scan_args::ScanArgs;
+use super::simulate_results::SideFiles;
 use super::structure_args::{Prepared, StructureArgs};
-use super::{estimate, output, pictures, text, values};
+use super::values::{self, Bits};
+use super::{estimate, output, slips};
 use anyhow::bail;
 use clap::Args;
-use ndarray::{ArrayView3, Axis};
 use serde::Serialize;
 use std::path::PathBuf;
-use std::time::Instant;
-use stemgen::engine::{Cost, Images, Plan, ProbeRaster, Scan, Settings, check_memory, simulate};
+use stemgen::engine::{Cost, Plan, ProbeRaster, Scan, check_memory};
 use stemgen::files::outputs::check_outputs;
-use stemgen::io::image_file::{ExitWaves, ImageStack, Origin, write_images};
 use stemgen::progress::Progress;
 
 /// Edge of a cell in Angstrom below which a probe meets its own periodic images.
@@ -32,29 +31,36 @@ Examples:
       --phonons 8 --sigma Sr=0.084,Ti=0.060,O=0.085 --thicknesses 20,39.05
   Along [110], with an aberrated probe; what would it take?
     stemgen simulate si.cif --zone 1,1,0 --repeat 4,3,20 --aberration C12=30@0.3 --dry-run
+  Frozen phonons from a trajectory, every fifth frame from the tenth on:
+    stemgen simulate md.xyz --frames 10:200:5 --detector HAADF=68-200
+  A defocus series with a finite source, counted electrons, and TIFF for ImageJ:
+    stemgen simulate si.cif --repeat 3,3,10 --scan-end 5.431,5.431 --defocus 0:100:20 \\
+      --source-size 0.8 --dose 1e4 --tiff 16
   High-resolution TEM image at Scherzer-like defocus:
     stemgen simulate si.cif --repeat 2,2,5 --plane-wave --semiangle 12 --aberration C30=1.2e7 \\
       --defocus 650
 
 The file (HDF5) holds /images/NAME as float32 (thickness, y, x) in fractions of the incident beam,
-the atoms that were simulated below /specimen, and the settings as attributes.";
+the atoms that were simulated below /specimen, and the settings as attributes. NeXus readers open
+the images with their axes (/entry). Diffraction patterns (4D-STEM) and segmented detectors are not
+offered: several annuli in one run come nearest.";
 
 /// Simulate images of a structure
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Simulate {
     #[command(flatten)]
-    specimen: StructureArgs,
+    pub(super) specimen: StructureArgs,
     #[command(flatten)]
-    microscope: MicroscopeArgs,
+    pub(super) microscope: MicroscopeArgs,
     #[command(flatten)]
     scan: ScanArgs,
     #[command(flatten)]
     numerics: NumericsArgs,
     #[command(flatten)]
-    results: Results,
+    pub(super) results: Results,
     #[command(flatten)]
-    common: Common,
+    pub(super) common: Common,
     #[command(flatten)]
     force: Force,
 }
@@ -62,27 +68,40 @@ pub struct Simulate {
 /// What is written.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Results")]
-struct Results {
+pub struct Results {
     /// Thicknesses in A at which images are recorded, moved to slice boundaries [default: the whole]
     #[arg(long, value_name = "A,A,...", value_delimiter = ',', value_parser = values::finite)]
     #[arg(allow_negative_numbers = true)]
-    thicknesses: Vec<f64>,
+    pub thicknesses: Vec<f64>,
     /// Conventional imaging: the exit wave of a plane wave and its image through the lens
     #[arg(long)]
-    #[arg(conflicts_with_all = ["detector", "scan_start", "scan_end", "scan_step", "scan_points"])]
-    plane_wave: bool,
+    #[arg(conflicts_with_all = ["detector", "scan_start", "scan_end", "scan_step", "scan_points", "source_size"])]
+    pub plane_wave: bool,
     /// File to write [default: name of the structure with .h5, in the current folder]
     #[arg(short, long, value_name = "FILE.h5")]
-    output: Option<PathBuf>,
+    pub output: Option<PathBuf>,
     /// Replace existing files
     #[arg(long)]
-    overwrite: bool,
+    pub overwrite: bool,
     /// Also write a picture of every image, beside the file
     #[arg(long)]
-    png: bool,
+    pub png: bool,
+    /// Leave the scale bar out of pictures
+    #[arg(long, requires = "png")]
+    pub no_scale_bar: bool,
+    /// Electrons per square Angstrom: also write the electrons counted (/counts/NAME) and the noisy image
+    /// (NAME_noisy); --seed seeds the noise
+    #[arg(long, value_name = "E/A^2", value_parser = values::positive)]
+    pub dose: Option<f64>,
+    /// Also write every image as TIFF of 8, 16 or 32 bits, with pixels and values calibrated for ImageJ
+    #[arg(long, value_name = "BITS")]
+    pub tiff: Option<Bits>,
+    /// Also write a file for HyperSpy (.hspy), beside the file
+    #[arg(long)]
+    pub hspy: bool,
     /// Also write a page (HTML) that shows all images, beside the file; it works offline
     #[arg(long)]
-    html: bool,
+    pub html: bool,
 }
 
 #[derive(Serialize)]
@@ -92,10 +111,11 @@ struct SimulateDryRun {
     composition: std::collections::BTreeMap<&'static str, usize>,
     box_angstrom: [f64; 3],
     scan: Option<ScanReport>,
+    defocus_angstrom: Vec<f64>,
     #[serde(flatten)]
     plan: PlanReport,
     #[serde(skip_serializing_if = "Option::is_none")]
-    accuracy: Option<AccuracyReport>,
+    accuracy: Option<serde_json::Value>,
     output: PathBuf,
 }
 
@@ -107,41 +127,14 @@ struct ScanReport {
     columns: usize,
 }
 
-#[derive(Serialize)]
-struct SimulateSummary {
-    output: PathBuf,
-    file_bytes: u64,
-    pictures: Vec<PathBuf>,
-    page: Option<PathBuf>,
-    images: Vec<ImageSummary>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    accuracy: Option<AccuracyReport>,
-    wall_time_s: f64,
-}
-
-#[derive(Serialize)]
-struct ImageSummary {
-    name: String,
-    thickness_angstrom: f64,
-    rows: usize,
-    columns: usize,
-    step_angstrom: [f64; 2],
-    min: f32,
-    mean: f32,
-    max: f32,
-}
-
-/// A plan, and what is known of its accuracy.
-struct AccuratePlan {
-    plan: Plan,
-    accuracy: Option<AccuracyReport>,
-}
-
-/// What a run has to write.
-struct Picturable {
-    name: String,
-    thickness: f64,
-    path: PathBuf,
+/// The plans of a run: one for each defocus of a series.
+pub struct PlannedSeries {
+    /// At least one; they differ in defocus, and in what the accuracy asked for takes at each.
+    pub plans: Vec<Plan>,
+    /// The values of defocus in Angstrom.
+    defocus_angstrom: Vec<f64>,
+    /// What is known of the accuracy of each, where one is asked for.
+    pub accuracies: Vec<AccuracyReport>,
 }
 
 impl Simulate {
@@ -149,69 +142,81 @@ impl Simulate {
     pub fn run(self) -> anyhow::Result<()> {
         let reporter = self.common.start()?;
         let specimen = self.specimen.prepare()?;
-        let thicknesses = self.results.thicknesses.clone();
-        let phonons = self.specimen.options.phonons();
-        let mut settings =
-            imaging_args::settings(&self.microscope, &self.numerics, phonons, thicknesses)?;
-        if self.results.plane_wave {
-            settings = plane_wave::settings(settings)?;
+        if self.results.plane_wave && !specimen.more_frames.is_empty() {
+            bail!("--plane-wave images one structure; leave --frames out");
         }
-        let plan = Plan::new(&settings, specimen.size, &specimen.heights)?;
-        let scan = self.scan(&plan, &specimen)?;
-        let names: Vec<&str> = match self.results.plane_wave {
-            true => vec!["lens"],
-            false => settings.detectors.iter().map(|d| d.name.as_str()).collect(),
-        };
-        let pictures = self.pictures(&names, &plan);
+        let (mut planned, scan) = self.plan(&specimen)?;
+        let files = self.side_files(&planned);
+        let output = self.output();
+        slips::check_hdf5_name(&output)?;
         if !self.common.dry_run {
-            let (output, page) = (self.output(), self.page());
-            let pictured = pictures.iter().map(|p| p.path.as_path());
-            let outputs = std::iter::once(output.as_path()).chain(pictured).chain(page.as_deref());
+            let outputs = std::iter::once(&output).chain(files.paths());
             check_outputs(outputs, [&self.specimen.structure], self.results.overwrite)?;
         }
-        let planned = self.planned(plan, &specimen, &scan, &reporter)?;
-        let mut warnings = planned.plan.warnings.clone();
-        warnings.extend(planned.accuracy.iter().filter_map(|a| a.warning(&planned.plan, &scan)));
-        warnings.extend(self.warnings(&specimen));
+        self.make_accurate(&mut planned, &specimen, &scan, &reporter)?;
+        let plan = &planned.plans[0];
+        let mut warnings = plan.warnings.clone();
+        let accuracies = planned.accuracies.iter().zip(&planned.plans);
+        warnings.extend(accuracies.filter_map(|(a, plan)| a.warning(plan, &scan)));
+        warnings.extend(specimen.warnings.clone());
+        warnings.extend(self.warnings(&specimen, &scan));
         if self.common.dry_run {
             return self.dry_run(&planned, &specimen, &scan, warnings);
         }
         warnings.iter().for_each(|w| reporter.warn(w));
-        let (needed, remedy) = self.memory(&planned.plan, &scan);
-        self.force.check_memory(needed, remedy, &reporter)?;
-        self.execute(&planned, &specimen, &scan, &pictures, &reporter)
+        for plan in &planned.plans {
+            let (needed, remedy) = self.memory(plan, &scan);
+            self.force.check_memory(needed, remedy, &reporter)?;
+        }
+        self.execute(&planned, &specimen, &scan, &files, &reporter)
     }
 
-    /// The plan that is as accurate as asked.
-    fn planned(
+    /// The plans before any accuracy is asked for, and the scan.
+    fn plan(&self, specimen: &Prepared) -> anyhow::Result<(PlannedSeries, Scan)> {
+        let defocus_angstrom = self.microscope.defocus.0.clone();
+        let mut plans = Vec::new();
+        for defocus in &defocus_angstrom {
+            let thicknesses = self.results.thicknesses.clone();
+            let phonons = self.specimen.options.phonons();
+            let (microscope, numerics) = (&self.microscope, &self.numerics);
+            let mut settings =
+                imaging_args::settings_at(*defocus, microscope, numerics, phonons, thicknesses)?;
+            if self.results.plane_wave {
+                settings = plane_wave::settings(settings)?;
+            }
+            plans.push(Plan::new(&settings, specimen.size, &specimen.heights)?);
+        }
+        let scan = self.scan(&plans[0], specimen)?;
+        Ok((PlannedSeries { plans, defocus_angstrom, accuracies: Vec::new() }, scan))
+    }
+
+    /// Makes the plans as accurate as asked.
+    fn make_accurate(
         &self,
-        plan: Plan,
+        planned: &mut PlannedSeries,
         specimen: &Prepared,
         scan: &Scan,
         reporter: &Reporter,
-    ) -> anyhow::Result<AccuratePlan> {
-        let mut settings = plan.settings.clone();
+    ) -> anyhow::Result<()> {
         let asked = self.numerics.accuracy;
-        let accuracy = AccuracyReport::choose(asked, &mut settings, specimen, scan, reporter)?;
-        let plan = match accuracy {
-            Some(_) => Plan::new(&settings, specimen.size, &specimen.heights)?,
-            None => plan,
-        };
-        Ok(AccuratePlan { plan, accuracy })
+        for plan in &mut planned.plans {
+            let mut settings = plan.settings.clone();
+            let found = AccuracyReport::choose(asked, &mut settings, specimen, scan, reporter)?;
+            if let Some(found) = found {
+                *plan = Plan::new(&settings, specimen.size, &specimen.heights)?;
+                planned.accuracies.push(found);
+            }
+        }
+        Ok(())
     }
 
-    fn output(&self) -> PathBuf {
+    pub(super) fn output(&self) -> PathBuf {
         let stem = self.specimen.stem();
         self.results.output.clone().unwrap_or_else(|| {
             let mut name = stem.into_os_string();
             name.push(".h5");
             PathBuf::from(name)
         })
-    }
-
-    /// Name of the page, if one is wanted.
-    fn page(&self) -> Option<PathBuf> {
-        self.results.html.then(|| self.output().with_extension("html"))
     }
 
     /// Probe positions; the pixels of the grid for a plane wave.
@@ -222,13 +227,19 @@ impl Simulate {
             let step_angstrom = plan.wave_grid.sampling_angstrom();
             return Ok(Scan { origin_angstrom: [0.0; 2], step_angstrom, shape: [ny, nx] });
         }
-        self.scan.scan([x, y], &plan.settings.optics)
+        let scan = self.scan.scan([x, y], &plan.settings.optics)?;
+        slips::check_scan(scan.origin_angstrom, extent(&scan), [x, y])?;
+        Ok(scan)
     }
 
     /// Warnings about the specimen.
-    fn warnings(&self, specimen: &Prepared) -> Vec<String> {
+    fn warnings(&self, specimen: &Prepared, scan: &Scan) -> Vec<String> {
         let mut warnings = Vec::new();
         let [x, y, _] = specimen.size;
+        if !self.results.plane_wave {
+            let left = slips::check_scan(scan.origin_angstrom, extent(scan), [x, y]);
+            warnings.extend(left.ok().flatten());
+        }
         if !self.results.plane_wave && x.min(y) < NARROW_CELL_ANGSTROM {
             let times = [x, y].map(|l| (1.5 * NARROW_CELL_ANGSTROM / l).ceil());
             let given = self.specimen.options.repeat.unwrap_or([1; 3]);
@@ -252,18 +263,24 @@ impl Simulate {
 
     fn dry_run(
         &self,
-        AccuratePlan { plan, accuracy }: &AccuratePlan,
+        planned: &PlannedSeries,
         specimen: &Prepared,
         scan: &Scan,
         warnings: Vec<String>,
     ) -> anyhow::Result<()> {
+        let plan = &planned.plans[0];
+        let [x, y, _] = specimen.size;
+        let blur = self.source_blur(scan, [x, y])?;
+        let scan = blur.as_ref().map_or(scan, |b| b.scan());
         let raster = ProbeRaster::new(plan, scan)?;
         let waves = if self.results.plane_wave { 1 } else { raster.scan().len() };
         let cost = Cost::with_atoms(plan, scan, &specimen.sites).for_probes(waves);
         let mut warnings = warnings;
         let (needed, remedy) = self.memory(plan, scan);
         warnings.extend(check_memory(needed, remedy).err().map(|e| e.to_string()));
-        let report = PlanReport { warnings, ..PlanReport::new(plan, &cost, 1) };
+        let frames = 1 + specimen.more_frames.len();
+        let runs = if self.results.plane_wave { 1 } else { planned.plans.len() * frames };
+        let report = PlanReport { warnings, ..PlanReport::new(plan, &cost, runs) };
         let scan_report = ScanReport {
             origin_angstrom: scan.origin_angstrom,
             step_angstrom: scan.step_angstrom,
@@ -276,8 +293,9 @@ impl Simulate {
             composition: specimen.composition(),
             box_angstrom: specimen.size,
             scan: (!self.results.plane_wave).then_some(scan_report),
+            defocus_angstrom: planned.defocus_angstrom.clone(),
             plan: report,
-            accuracy: accuracy.clone(),
+            accuracy: AccuracyReport::value(&planned.accuracies)?,
             output: self.output(),
         };
         let mut lines = Lines::default();
@@ -287,7 +305,7 @@ impl Simulate {
         let [x, y, z] = all.box_angstrom;
         lines.add("box", format!("{x:.3} x {y:.3} x {z:.3} A"));
         all.plan.lines(&mut lines);
-        all.accuracy.iter().for_each(|a| a.line(&mut lines));
+        planned.accuracies.iter().for_each(|a| a.line(&mut lines));
         match self.results.plane_wave {
             true => lines.add("beam", "a plane wave along the beam axis"),
             false => lines.add("probes", plan_report::scan(raster.scan())),
@@ -295,184 +313,47 @@ impl Simulate {
         if !self.results.plane_wave && raster.interpolates() {
             lines.add("interpolated to", plan_report::scan(scan));
         }
+        if planned.plans.len() > 1 {
+            let values = all.defocus_angstrom.iter().map(f64::to_string);
+            lines.add("defocus", format!("{} A", values.collect::<Vec<_>>().join(", ")));
+        }
         all.plan.costs(&mut lines);
         lines.add("output", format!("{} (nothing was simulated or written)", all.output.display()));
         self.common.print(&all, &lines.text())
     }
 
-    fn pictures(&self, names: &[&str], plan: &Plan) -> Vec<Picturable> {
-        let thicknesses = plan.thicknesses_angstrom();
+    /// The files beside the one with all images.
+    fn side_files(&self, planned: &PlannedSeries) -> SideFiles {
+        let thicknesses = planned.plans[0].thicknesses_angstrom();
         let series = thicknesses.len() > 1;
-        let each = |name: &str, thickness: f64| {
+        let beside =
+            |name: &str, ending: &str| output::sibling(&self.output(), &format!("_{name}{ending}"));
+        let names = self.image_names(planned);
+        let picture = |name: &String, (n, thickness): (usize, &f64)| {
             let at = if series { format!("_{thickness:.1}A") } else { String::new() };
-            let path = output::sibling(&self.output(), &format!("_{name}{at}.png"));
-            Picturable { name: name.to_owned(), thickness, path }
+            (name.clone(), n, beside(name, &format!("{at}.png")))
         };
-        if !self.results.png {
-            return Vec::new();
+        let each = |name| thicknesses.iter().enumerate().map(move |t| picture(name, t));
+        let results = &self.results;
+        SideFiles {
+            pictures: names.iter().filter(|_| results.png).flat_map(each).collect(),
+            tiffs: match results.tiff {
+                Some(_) => names.iter().map(|n| (n.clone(), beside(n, ".tif"))).collect(),
+                None => Vec::new(),
+            },
+            hspy: results.hspy.then(|| self.output().with_extension("hspy")),
+            page: results.html.then(|| self.output().with_extension("html")),
         }
-        names.iter().flat_map(|n| thicknesses.iter().map(|t| each(n, *t))).collect()
     }
 
-    fn execute(
-        &self,
-        planned: &AccuratePlan,
-        specimen: &Prepared,
-        scan: &Scan,
-        pictures: &[Picturable],
-        reporter: &Reporter,
-    ) -> anyhow::Result<()> {
-        let begun = Instant::now();
-        let plan = &planned.plan;
-        let thicknesses = plan.thicknesses_angstrom();
-        let stack = |name, data, units, annulus_mrad| ImageStack {
-            name,
-            data,
-            units,
-            step_angstrom: scan.step_angstrom,
-            origin_angstrom: scan.origin_angstrom,
-            thicknesses_angstrom: &thicknesses,
-            annulus_mrad,
-        };
-        if self.results.plane_wave {
-            let Conventional { exit_waves, image } = plane_wave::run(plan, specimen, reporter)?;
-            let units = "intensity; that of the incident wave is 1";
-            let stacks = [stack("lens", image.view(), units, None)];
-            let step_angstrom = scan.step_angstrom;
-            let waves = ExitWaves { data: exit_waves.view(), step_angstrom };
-            return self.write(planned, specimen, &stacks, Some(waves), pictures, begun);
-        }
-        let images: Images = simulate(plan, &specimen.sites, scan, reporter)?;
-        let units = "fraction of the incident beam";
-        let stacks = plan.settings.detectors.iter().enumerate().map(|(i, d)| {
-            let data: ArrayView3<f32> = images.data.index_axis(Axis(1), i);
-            stack(&d.name, data, units, Some([d.inner_mrad, d.outer_mrad]))
-        });
-        let stacks: Vec<_> = stacks.collect();
-        self.write(planned, specimen, &stacks, None, pictures, begun)
-    }
-
-    fn write(
-        &self,
-        AccuratePlan { plan, accuracy }: &AccuratePlan,
-        specimen: &Prepared,
-        stacks: &[ImageStack],
-        waves: Option<ExitWaves>,
-        pictures: &[Picturable],
-        begun: Instant,
-    ) -> anyhow::Result<()> {
-        let path = self.output();
-        let wall_time_s = begun.elapsed().as_secs_f64();
-        let mut origin =
-            origin(&self.specimen.file_name(), &plan.settings, plan, specimen, wall_time_s)?;
-        origin.accuracy = accuracy.as_ref().map(AccuracyReport::json).transpose()?;
-        write_images(&path, self.results.overwrite, &origin, stacks, waves)?;
-        for picture in pictures {
-            let Some(stack) = stacks.iter().find(|s| s.name == picture.name) else {
-                bail!("no image `{}`", picture.name);
-            };
-            let at = stack.thicknesses_angstrom.iter().position(|t| *t == picture.thickness);
-            let image = stack.data.index_axis(Axis(0), at.unwrap_or(0));
-            pictures::write(&picture.path, image, stack.step_angstrom)?;
-        }
-        let page = self.page();
-        if let Some(page) = &page {
-            let facts = self.facts(plan, specimen);
-            pictures::write_page(page, &self.specimen.file_name(), facts, stacks)?;
-        }
-        let summary = SimulateSummary {
-            file_bytes: output::size(&path),
-            output: path,
-            pictures: pictures.iter().map(|p| p.path.clone()).collect(),
-            page,
-            images: stacks.iter().flat_map(summaries).collect(),
-            accuracy: accuracy.clone(),
-            wall_time_s,
-        };
-        self.common.print(&summary, &summary.text())
+    /// The defocus of a plan, where there is a series.
+    pub(super) fn series_defocus(&self, planned: &PlannedSeries, plan: &Plan) -> Option<f64> {
+        let number = planned.plans.iter().position(|p| std::ptr::eq(p, plan))?;
+        planned.defocus_angstrom.get(number).copied().filter(|_| planned.plans.len() > 1)
     }
 }
 
-impl Simulate {
-    /// What the page says about the images.
-    fn facts(&self, plan: &Plan, specimen: &Prepared) -> Vec<(String, String)> {
-        let [x, y, z] = specimen.size;
-        let optics = &plan.settings.optics;
-        let detectors = plan.settings.detectors.iter();
-        let detectors =
-            detectors.map(|d| format!("{} {}-{} mrad", d.name, d.inner_mrad, d.outer_mrad));
-        let phonons = plan.settings.phonons.map_or("none; atoms as given".to_owned(), |p| {
-            format!("{} configurations", p.configurations)
-        });
-        let mut facts = vec![
-            ("atoms", specimen.sites.len().to_string()),
-            ("box", format!("{x:.3} \u{d7} {y:.3} \u{d7} {z:.3} \u{c5}")),
-            ("beam", format!("{} keV, {} mrad", 1e-3 * optics.energy_ev, optics.semiangle_mrad)),
-            ("phonons", phonons),
-            ("stemgen", env!("CARGO_PKG_VERSION").to_owned()),
-        ];
-        if !self.results.plane_wave {
-            facts.insert(3, ("detectors", detectors.collect::<Vec<_>>().join(", ")));
-        }
-        facts.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
-    }
-}
-
-fn origin<'a>(
-    file: &str,
-    settings: &Settings,
-    plan: &Plan,
-    specimen: &'a Prepared,
-    wall_time_s: f64,
-) -> anyhow::Result<Origin<'a>> {
-    Ok(Origin {
-        command_line: text::command_line(),
-        settings: serde_json::to_string(settings)?,
-        structure_file: file.to_owned(),
-        wavelength_angstrom: settings.optics.wavelength_angstrom(),
-        band_limit_mrad: plan.band_limit_mrad,
-        wall_time_s,
-        accuracy: None,
-        box_angstrom: specimen.size,
-        sites: &specimen.sites,
-    })
-}
-
-fn summaries<'a>(stack: &'a ImageStack) -> impl Iterator<Item = ImageSummary> + 'a {
-    let each = |(image, thickness): (ndarray::ArrayView2<f32>, &f64)| ImageSummary {
-        name: stack.name.to_owned(),
-        thickness_angstrom: *thickness,
-        rows: image.nrows(),
-        columns: image.ncols(),
-        step_angstrom: stack.step_angstrom,
-        min: image.iter().copied().fold(f32::INFINITY, f32::min),
-        mean: (image.iter().map(|v| f64::from(*v)).sum::<f64>() / image.len() as f64) as f32,
-        max: image.iter().copied().fold(f32::NEG_INFINITY, f32::max),
-    };
-    stack.data.outer_iter().zip(stack.thicknesses_angstrom).map(each)
-}
-
-impl SimulateSummary {
-    fn text(&self) -> String {
-        let mut lines = Lines::default();
-        for i in &self.images {
-            let [min, mean, max] =
-                [i.min, i.mean, i.max].map(|v| text::significant(f64::from(v), 3));
-            let [x, y] = i.step_angstrom;
-            lines.add(
-                "image",
-                format!(
-                    "{} at {:.2} A: {} x {} pixels of {x:.4} x {y:.4} A, {min} to {max}, mean {mean}",
-                    i.name, i.thickness_angstrom, i.columns, i.rows
-                ),
-            );
-        }
-        self.accuracy.iter().for_each(|a| a.line(&mut lines));
-        lines.add("time", text::duration(self.wall_time_s));
-        let size = text::bytes(self.file_bytes);
-        lines.add("file", format!("{} ({size})", self.output.display()));
-        self.pictures.iter().for_each(|p| lines.add("picture", p.display().to_string()));
-        self.page.iter().for_each(|p| lines.add("page", p.display().to_string()));
-        lines.text()
-    }
+/// Width and height of a scan in Angstrom.
+fn extent(scan: &Scan) -> [f64; 2] {
+    [0, 1].map(|k| scan.step_angstrom[k] * scan.shape[1 - k] as f64)
 }

@@ -2,16 +2,17 @@
 
 use super::common::Common;
 use super::plan_report::Lines;
+use super::progress_bar::Reporter;
 use super::recipe_args::RecipeArgs;
 use super::{output, text, values};
 use clap::Args;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 use stemgen::files::outputs::check_outputs;
 use stemgen::io::writable;
-use stemgen::recipe::Recipe;
+use stemgen::recipe::{CheckedRecipe, Recipe};
 use stemgen::specimen::{Specimen, estimated_sites, specimen};
 use stemgen::structure::Format;
 use stemgen::world::footprint::atoms_bytes;
@@ -44,7 +45,7 @@ pub struct SpecimenCommand {
     #[arg(long, value_name = "A", default_value_t = 2.0, value_parser = values::finite)]
     #[arg(allow_negative_numbers = true)]
     vacuum: f64,
-    /// File to write, extended XYZ (.extxyz, .xyz) or CIF [default: MATERIAL_TIER[_RxC].extxyz]
+    /// File to write, extended XYZ (.extxyz, .xyz) or CIF [default: MATERIAL_TIER[_RxC][_seedN].extxyz]
     #[arg(short, long, value_name = "FILE", help_heading = "Results")]
     output: Option<PathBuf>,
     /// Also draw the projected specimen, as PNG beside the file
@@ -151,6 +152,18 @@ impl SpecimenCommand {
         let default = || PathBuf::from(self.recipe.stem(recipe) + ".extxyz");
         self.output.clone().unwrap_or_else(default)
     }
+}
+
+/// Draws the projected specimen of a recipe; its atoms are listed beside, and not kept.
+pub fn draw_specimen(recipe: &CheckedRecipe, picture: &Path, quiet: bool) -> anyhow::Result<()> {
+    let reporter = Reporter::new(quiet);
+    let specimen = specimen(recipe)?;
+    let mut drawing = Drawing::new(&*specimen, recipe);
+    let folder = tempfile::tempdir()?;
+    let options = ExportOptions { vacancies: true, vacuum_angstrom: 2.0, overwrite: false };
+    let atoms = folder.path().join("atoms.extxyz");
+    let summary = export(&*specimen, recipe, &atoms, &options, &reporter, |s| drawing.add(s))?;
+    Ok(drawing.finish(&summary).write_png(picture)?)
 }
 
 /// What would be written.

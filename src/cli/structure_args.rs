@@ -1,12 +1,13 @@
 //! Options that prepare the specimen.
 
-use super::values;
+use super::slips;
+use super::values::{self, SigmaSource};
 use anyhow::bail;
 use clap::Args;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use stemgen::engine::{Phonons, Site};
-use stemgen::structure::{self, Sigmas, elements};
+use stemgen::structure::{self, FrameRange, Sigmas, elements};
 
 /// The specimen.
 #[derive(Debug, Args)]
@@ -36,9 +37,15 @@ pub struct SpecimenArgs {
     #[arg(long, value_name = "N", requires = "sigma")]
     pub phonons: Option<u32>,
     /// Standard deviation of each Cartesian component of the thermal displacement in A: one
-    /// number, or one for each element (Sr=0.084,O=0.085)
-    #[arg(long, value_name = "A", value_parser = values::sigmas, requires = "phonons")]
-    pub sigma: Option<Sigmas>,
+    /// number, or one for each element (Sr=0.084,O=0.085), or from-file: the mean U or B of each element
+    /// in a CIF
+    #[arg(long, value_name = "A", value_parser = values::sigma_source, requires = "phonons")]
+    pub sigma: Option<SigmaSource>,
+    /// Frozen phonons from a trajectory in extended XYZ: the mean over these frames, counted from 0, the last
+    /// excluded
+    #[arg(long, value_name = "START:END[:STEP]|all", value_parser = values::frames)]
+    #[arg(conflicts_with_all = ["phonons", "zone", "up"])]
+    pub frames: Option<FrameRange>,
     /// Seed of the thermal displacements and of mixed sites
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
@@ -53,6 +60,10 @@ pub struct Prepared {
     pub sites: Vec<Site>,
     /// Mean heights of the atoms in Angstrom.
     pub heights: Vec<f64>,
+    /// The atoms of further frames of a trajectory.
+    pub more_frames: Vec<Vec<Site>>,
+    /// What is to be said of the atoms.
+    pub warnings: Vec<String>,
 }
 
 impl StructureArgs {
@@ -76,7 +87,11 @@ impl StructureArgs {
 impl SpecimenArgs {
     /// Reads, turns and repeats the structure, and draws the atoms of mixed sites.
     pub fn prepare(&self, file: &Path) -> anyhow::Result<Prepared> {
+        if let Some(range) = self.frames {
+            return self.prepare_frames(file, range);
+        }
         let mut structure = structure::read(file)?;
+        let warnings = slips::atoms_outside(&structure).into_iter().collect();
         if self.zone.is_some() || self.up.is_some() {
             structure = structure.oriented(self.zone.unwrap_or([0, 0, 1]), self.up)?;
         }
@@ -88,9 +103,39 @@ impl SpecimenArgs {
             bail!("{}: no atoms to simulate", file.display());
         }
         let size = structure.orthogonal_box()?;
-        let sites = structure.sites(self.sigma.as_ref().unwrap_or(&Sigmas::None))?;
+        let sites = structure.sites(&self.sigmas(file)?)?;
         let heights = sites.iter().map(|s| s.position[2]).collect();
-        Ok(Prepared { size, sites, heights })
+        Ok(Prepared { size, sites, heights, warnings, more_frames: Vec::new() })
+    }
+
+    fn sigmas(&self, file: &Path) -> anyhow::Result<Sigmas> {
+        Ok(match &self.sigma {
+            None => Sigmas::None,
+            Some(SigmaSource::Given(sigmas)) => sigmas.clone(),
+            Some(SigmaSource::FromFile) => structure::sigmas_of_file(file)?,
+        })
+    }
+
+    /// Reads frames. Slices are those of the mean heights, where all frames have as many atoms.
+    fn prepare_frames(&self, file: &Path, range: FrameRange) -> anyhow::Result<Prepared> {
+        let (mut frames, mut size) = (Vec::new(), [0.0; 3]);
+        for frame in structure::read_frames(file, range)? {
+            let frame = frame.repeat(self.repeat.unwrap_or([1; 3]))?;
+            let frame = frame.resolve_occupancy(self.seed)?;
+            size = frame.orthogonal_box()?;
+            frames.push(frame.sites(&Sigmas::None)?);
+        }
+        let more_frames = frames.split_off(1);
+        let sites = frames.remove(0);
+        let count = 1 + more_frames.len();
+        let alike = more_frames.iter().all(|f| f.len() == sites.len());
+        let mean = |n: usize| {
+            let others = more_frames.iter().filter(|_| alike).map(|f| f[n].position[2]);
+            let sum = sites[n].position[2] + others.sum::<f64>();
+            sum / if alike { count as f64 } else { 1.0 }
+        };
+        let heights = (0..sites.len()).map(mean).collect();
+        Ok(Prepared { size, heights, sites, warnings: Vec::new(), more_frames })
     }
 
     /// The settings of the phonons.

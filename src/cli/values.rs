@@ -1,15 +1,18 @@
 //! Parsers of option values. Their messages follow clap's `invalid value '...' for '...': `.
 
+use super::not_offered::not_offered;
+use super::slips;
 use clap::ValueEnum;
 use std::collections::BTreeMap;
 use std::str::FromStr;
 use stemgen::detect::Detector;
 use stemgen::engine::{Expansion, ProbeStep};
+use stemgen::io::tiff_file::TiffDepth;
 use stemgen::optics::Aberration;
 use stemgen::potential::projected::Projection;
 use stemgen::potential::scattering::Parametrization;
 use stemgen::recipe::Difficulty;
-use stemgen::structure::{LARGEST_SIGMA_ANGSTROM, Sigmas, elements};
+use stemgen::structure::{FrameRange, LARGEST_SIGMA_ANGSTROM, Sigmas, elements};
 
 type Parsed<T> = Result<T, String>;
 
@@ -23,6 +26,59 @@ fn numbers<T: FromStr, const N: usize>(text: &str, separator: char, form: &str) 
 pub fn finite(text: &str) -> Parsed<f64> {
     let value = text.trim().parse().ok().filter(|v: &f64| v.is_finite());
     value.ok_or_else(|| "write a number, such as 12.5".into())
+}
+
+/// A number above 0.
+pub fn positive(text: &str) -> Parsed<f64> {
+    let value = finite(text)?;
+    if value > 0.0 { Ok(value) } else { Err("write a number above 0".into()) }
+}
+
+/// A number, or several: `START:END:STEP`, both ends among them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NumberSeries(pub Vec<f64>);
+
+/// Most values of a series.
+const LONGEST_SERIES: f64 = 1000.0;
+
+/// `30` or `0:100:20`.
+pub fn series(text: &str) -> Parsed<NumberSeries> {
+    if !text.contains(':') {
+        return Ok(NumberSeries(vec![finite(text)?]));
+    }
+    let form = "a number or START:END:STEP, such as 0:100:20";
+    let [start, end, step]: [f64; 3] = numbers(text, ':', form)?;
+    let count = ((end - start) / step + 1e-9).floor();
+    if !(0.0..LONGEST_SERIES).contains(&count) || !(start + step).is_finite() {
+        return Err(format!(
+            "write {form}; the step leads from START to END in at most {LONGEST_SERIES}"
+        ));
+    }
+    Ok(NumberSeries((0..=count as usize).map(|n| start + n as f64 * step).collect()))
+}
+
+/// Bits of a grey value.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Bits {
+    /// Whole numbers from 0 to 255
+    #[value(name = "8")]
+    Eight,
+    /// Whole numbers from 0 to 65535
+    #[value(name = "16")]
+    Sixteen,
+    /// The values themselves
+    #[value(name = "32")]
+    ThirtyTwo,
+}
+
+impl From<Bits> for TiffDepth {
+    fn from(bits: Bits) -> Self {
+        match bits {
+            Bits::Eight => TiffDepth::Bits8,
+            Bits::Sixteen => TiffDepth::Bits16,
+            Bits::ThirtyTwo => TiffDepth::Bits32,
+        }
+    }
 }
 
 /// A number with or without a per cent sign.
@@ -118,15 +174,60 @@ pub fn aberration(text: &str) -> Parsed<Aberration> {
 
 /// `HAADF=68-200`.
 pub fn detector(text: &str) -> Parsed<Detector> {
+    if let Some(told) = not_offered(text) {
+        return Err(told.into());
+    }
     let detector = Detector::parse(text).map_err(|e| e.to_string())?;
-    match detector.name.contains(|c: char| c.is_ascii_alphanumeric()) {
-        true => Ok(detector),
-        false => Err("the name needs a letter or digit".into()),
+    if !detector.name.contains(|c: char| c.is_ascii_alphanumeric()) {
+        return Err("the name needs a letter or digit".into());
+    }
+    let angles = [detector.inner_mrad, detector.outer_mrad];
+    slips::detector_in_radians(&detector.name, angles).map_or(Ok(detector), Err)
+}
+
+/// A semiangle in mrad.
+pub fn semiangle(text: &str) -> Parsed<f64> {
+    let value = finite(text)?;
+    slips::semiangle_in_radians(value).map_or(Ok(value), Err)
+}
+
+/// An energy in keV.
+pub fn energy(text: &str) -> Parsed<f64> {
+    let value = finite(text)?;
+    slips::energy_in_ev(value).map_or(Ok(value), Err)
+}
+
+/// Standard deviations of thermal displacements.
+#[derive(Debug, Clone, PartialEq)]
+pub enum SigmaSource {
+    /// As given.
+    Given(Sigmas),
+    /// Those that the file of the structure lists.
+    FromFile,
+}
+
+/// `from-file`, `0.08` or `Sr=0.084,O=0.085`.
+pub fn sigma_source(text: &str) -> Parsed<SigmaSource> {
+    match text.trim() {
+        "from-file" => Ok(SigmaSource::FromFile),
+        given => sigmas(given).map(SigmaSource::Given),
     }
 }
 
+/// `all`, `START:END` or `START:END:STEP`.
+pub fn frames(text: &str) -> Parsed<FrameRange> {
+    let form = "all, START:END or START:END:STEP, such as 10:200:5; frames count from 0";
+    if text.trim() == "all" {
+        return Ok(FrameRange { start: 0, end: None, step: 1 });
+    }
+    let whole = if text.matches(':').count() == 1 { format!("{text}:1") } else { text.into() };
+    let [start, end, step]: [usize; 3] = numbers(&whole, ':', form)?;
+    let range = FrameRange { start, end: Some(end), step };
+    (start < end && step > 0).then_some(range).ok_or_else(|| format!("write {form}"))
+}
+
 /// Standard deviations of thermal displacements in Angstrom: `0.08` or `Sr=0.084,O=0.085`.
-pub fn sigmas(text: &str) -> Parsed<Sigmas> {
+fn sigmas(text: &str) -> Parsed<Sigmas> {
     let sigma = |text: &str| {
         let value = finite(text).ok().filter(|v| (0.0..=LARGEST_SIGMA_ANGSTROM).contains(v));
         value
@@ -264,5 +365,12 @@ mod tests {
         assert!(detector("..=1-2").is_err());
         assert_eq!(percent(" 50% "), Ok(50.0));
         assert!(percent("50%%").is_err() && expansion("0.5%%").is_err());
+        assert_eq!(frames("10:200:5"), Ok(FrameRange { start: 10, end: Some(200), step: 5 }));
+        assert!(["5:5", "3", "0:9:0", "-1:4"].iter().all(|f| frames(f).is_err()));
+        assert_eq!(sigma_source("from-file"), Ok(SigmaSource::FromFile));
+        assert_eq!(series("30").unwrap().0, [30.0]);
+        assert_eq!(series("0:100:20").unwrap().0, [0.0, 20.0, 40.0, 60.0, 80.0, 100.0]);
+        assert_eq!(series("10:-10:-10").unwrap().0, [10.0, 0.0, -10.0]);
+        assert!(["0:10", "0:10:0", "0:10:-1", "0:1e9:1"].iter().all(|s| series(s).is_err()));
     }
 }

@@ -1,13 +1,19 @@
 //! `stemgen view`.
 
 use super::hints::hinted;
-use super::view_picture::{Overlay, PictureArgs, WorldPart, boundaries_or_phases, particles};
-use super::{output, text, values};
-use anyhow::anyhow;
+use super::recipe_args::is_recipe_file;
+use super::specimen_command::draw_specimen;
+use super::values::{self, Tier};
+use super::view_picture::{
+    Overlay, PictureArgs, WorldPart, boundaries, boundaries_or_phases, particles,
+};
+use super::{output, text};
+use anyhow::{anyhow, bail};
 use clap::Args;
 use std::path::{Path, PathBuf};
 use stemgen::files::outputs::check_outputs;
 use stemgen::io::WorldFile;
+use stemgen::recipe::{CheckedRecipe, Difficulty, Recipe};
 use stemgen::render::html::WorldPage;
 
 const EXAMPLES: &str = "\
@@ -18,6 +24,8 @@ Examples:
     stemgen view worlds/srtio3_easy_1x1.h5 --region 0.2,0.2,2.2,2.2 --overlay defects
   Phases and their boundaries over the noiseless image:
     stemgen view worlds/batio3_hard_4x4.h5 --clean --overlay phases --colormap inferno -o b.png
+  The specimen of a recipe, before anything is simulated:
+    stemgen view srtio3 --difficulty easy --grid 2x2
   A page for the browser that zooms to single atoms and shows what the truth says of each:
     stemgen view worlds/srtio3_easy_1x1.h5 --html
 
@@ -28,9 +36,15 @@ x grows to the right and y down, from the centre of pixel (0, 0), as in the worl
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct View {
-    /// World file
-    #[arg(value_name = "WORLD")]
+    /// World file; or a recipe, by its name or its file (.toml), of which the specimen is drawn
+    #[arg(value_name = "WORLD|RECIPE")]
     world: PathBuf,
+    /// The tier of a recipe that has some
+    #[arg(long, value_name = "TIER")]
+    difficulty: Option<Tier>,
+    /// Only the central tiles of a recipe, rows x columns [default: the whole field]
+    #[arg(long, value_name = "RxC", value_parser = values::rows_columns)]
+    grid: Option<[usize; 2]>,
     /// Write a page (HTML) that works offline; the options below then say what it shows first
     #[arg(long)]
     html: bool,
@@ -54,6 +68,9 @@ pub struct View {
 impl View {
     /// Runs the subcommand.
     pub fn run(self) -> anyhow::Result<()> {
+        if let Some(recipe) = self.recipe()? {
+            return self.draw_recipe(&recipe);
+        }
         let world = WorldFile::open(&self.world)?;
         let ending = if self.html { "html" } else { "view.png" };
         let path = self.output.clone().unwrap_or_else(|| self.world.with_extension(ending));
@@ -68,6 +85,40 @@ impl View {
         self.tell(&format!("{}: {w:.2} x {h:.2} nm", path.display()))
     }
 
+    /// The recipe that stands in place of a world.
+    fn recipe(&self) -> anyhow::Result<Option<CheckedRecipe>> {
+        let name = self.world.to_string_lossy();
+        let tier = self.difficulty.map(Difficulty::from);
+        let recipe = match is_recipe_file(&name) {
+            true => Recipe::from_file(&self.world, tier)?,
+            false if Recipe::built_in().any(|known| known == name) => Recipe::load(&name, tier)?,
+            false if tier.is_some() || self.grid.is_some() => {
+                bail!("{name}: a world has its recipe; leave out --difficulty and --grid")
+            }
+            false => return Ok(None),
+        };
+        let recipe = match self.grid {
+            Some([rows, columns]) => recipe.with_grid(rows, columns)?,
+            None => recipe,
+        };
+        Ok(Some(recipe.checked()?))
+    }
+
+    /// Draws the specimen of a recipe, with all that is known of it.
+    fn draw_recipe(&self, recipe: &CheckedRecipe) -> anyhow::Result<()> {
+        if self.html || self.region.is_some() || self.picture.clean {
+            bail!(
+                "{}: of a recipe the specimen is drawn as a whole; build the world for --html, --region and --clean",
+                self.world.display()
+            );
+        }
+        let usual = || PathBuf::from(format!("{}.view.png", recipe.id));
+        let path = self.output.clone().unwrap_or_else(usual);
+        check_outputs([&path], [&self.world], self.overwrite)?;
+        draw_specimen(recipe, &path, self.quiet)?;
+        self.tell(&path.display().to_string())
+    }
+
     fn tell(&self, line: &str) -> anyhow::Result<()> {
         if self.quiet { Ok(()) } else { text::print(line) }
     }
@@ -80,6 +131,9 @@ impl View {
         if self.picture.overlay.contains(&Overlay::Phases) {
             boundaries_or_phases(world)?;
         }
+        if self.picture.overlay.contains(&Overlay::Boundaries) {
+            boundaries(world)?;
+        }
         if self.picture.overlay.contains(&Overlay::Particles) {
             particles(world)?;
         }
@@ -87,6 +141,7 @@ impl View {
         let names = |overlay: &Overlay| match overlay {
             Overlay::Defects => vec!["defects"],
             Overlay::Phases => vec!["phases", "boundaries"],
+            Overlay::Boundaries => vec!["boundaries"],
             Overlay::Particles => vec!["particles"],
             Overlay::Columns => vec!["columns"],
         };

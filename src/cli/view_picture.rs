@@ -72,6 +72,8 @@ pub enum Overlay {
     Defects,
     /// Phases, and the boundaries of phases and grains
     Phases,
+    /// The boundaries of phases and grains alone
+    Boundaries,
     /// Particles
     Particles,
     /// All atomic columns
@@ -103,7 +105,14 @@ impl WorldPart {
         let mut scene = Scene::over(picture.render()?, 1.0 / pixel_nm);
         let columns = self.placed_columns(view, world)?;
         scene.fit_rings(columns.len() as f64 / self.area_nm2());
-        for overlay in [Overlay::Phases, Overlay::Columns, Overlay::Defects, Overlay::Particles] {
+        let order = [
+            Overlay::Phases,
+            Overlay::Boundaries,
+            Overlay::Columns,
+            Overlay::Defects,
+            Overlay::Particles,
+        ];
+        for overlay in order {
             if view.overlay.contains(&overlay) {
                 self.draw(overlay, world, &columns, &mut scene)?;
             }
@@ -192,6 +201,7 @@ impl WorldPart {
             Overlay::Defects => draw_defects(columns, scene),
             Overlay::Columns => draw_columns(columns, scene)?,
             Overlay::Phases => self.draw_phases(world, scene)?,
+            Overlay::Boundaries => self.draw_lines(&boundaries(world)?, scene),
             Overlay::Particles => self.draw_particles(world, scene)?,
         }
         Ok(())
@@ -217,17 +227,22 @@ impl WorldPart {
             let names = world.phase_names()?;
             for code in codes {
                 let name = phase_name(&names, code);
-                scene.legend(Swatch::Area(color(code).unwrap_or_default()), name);
+                let shown = over_grey(color(code).unwrap_or_default());
+                scene.legend(Swatch::Area(shown), name);
             }
         }
-        for line in &lines {
+        self.draw_lines(&lines, scene);
+        Ok(())
+    }
+
+    fn draw_lines(&self, lines: &[Vec<[f32; 2]>], scene: &mut Scene) {
+        for line in lines {
             let points: Vec<[f64; 2]> = line.iter().map(|p| self.place(*p)).collect();
             scene.line(&points, YELLOW);
         }
         if !lines.is_empty() {
             scene.legend(Swatch::Line(YELLOW), "boundary");
         }
-        Ok(())
     }
 
     fn draw_particles(&self, world: &WorldFile, scene: &mut Scene) -> anyhow::Result<()> {
@@ -295,6 +310,21 @@ fn draw_columns(columns: &[Placed], scene: &mut Scene) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// A colour as the wash shows it, over a middle grey.
+fn over_grey(color: [u8; 3]) -> [u8; 3] {
+    color.map(|v| (WASH * f64::from(v) + (1.0 - WASH) * 128.0).round() as u8)
+}
+
+/// The boundaries of a world that has some.
+pub fn boundaries(world: &WorldFile) -> anyhow::Result<Vec<Vec<[f32; 2]>>> {
+    let lines = [world.phase_boundaries()?, world.boundaries()?].concat();
+    if lines.is_empty() {
+        let fault = anyhow!("the world has no boundaries");
+        return Err(hinted(fault, "leave out --overlay boundaries"));
+    }
+    Ok(lines)
+}
+
 /// The boundaries of a world that has some, or phases.
 pub fn boundaries_or_phases(world: &WorldFile) -> anyhow::Result<Vec<Vec<[f32; 2]>>> {
     let lines = [world.phase_boundaries()?, world.boundaries()?].concat();
@@ -334,6 +364,12 @@ fn phase_name(names: &[String], code: i32) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_legend_shows_colours_as_the_picture_does() {
+        // three tenths of the colour, the rest grey
+        assert_eq!(over_grey([0, 114, 178]), [90, 124, 143]);
+    }
 
     #[test]
     fn blocks_at_the_edge_are_averages_too() {

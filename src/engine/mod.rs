@@ -6,7 +6,7 @@
 //! - potentials to transmission functions: `slice_coverage`, `phase_grating`, `transmission`;
 //! - waves: `stepper` (one slice after the other), `probe`, `basis` (probes expanded in fewer waves);
 //! - the algorithms: `multislice`, `prism` with `prism_reduce`, `probe_tail` and [`single_scattering`];
-//! - [`simulate()`], [`lens_image`], [`measure_speed`], [`check_memory`];
+//! - [`simulate()`], [`lens_image`], [`SourceBlur`], [`measure_speed`], [`check_memory`];
 //! - `accuracy`: the window for an error that is asked for, measured on a sample of probes.
 
 mod accuracy;
@@ -33,6 +33,7 @@ mod simulate;
 mod single_precision;
 pub mod single_scattering;
 mod slice_coverage;
+mod source_size;
 mod speed;
 mod stepper;
 mod transmission;
@@ -53,4 +54,5 @@ pub use settings::{
 };
 pub(crate) use simulate::elements;
 pub use simulate::{Simulation, diffraction, exit_wave, simulate};
+pub use source_size::SourceBlur;
 pub use speed::{Speed, measure_speed};

@@ -97,6 +97,12 @@ impl ArrayStore {
         Ok(found)
     }
 
+    /// The notes of all arrays in the folder that can be read.
+    pub fn notes(&self) -> Vec<String> {
+        let files = self.files().unwrap_or_default().arrays;
+        files.iter().filter_map(|path| note(path)).collect()
+    }
+
     /// Removes all arrays and leftovers, and the folder if nothing else lies in it.
     ///
     /// # Errors
@@ -124,6 +130,20 @@ pub struct StoreFiles {
 fn is_array(path: &Path) -> bool {
     let mut first = [0; MAGIC.len()];
     File::open(path).and_then(|mut f| f.read_exact(&mut first)).is_ok() && first == *MAGIC
+}
+
+/// The note of an array's file, which need not be whole.
+fn note(path: &Path) -> Option<String> {
+    let mut file = File::open(path).ok()?;
+    let mut head = [0; HEAD];
+    file.read_exact(&mut head).ok()?;
+    let number = |n: usize| {
+        let at = MAGIC.len() + 4 * n;
+        u64::from(u32::from_le_bytes([head[at], head[at + 1], head[at + 2], head[at + 3]]))
+    };
+    let mut texts = Vec::new();
+    file.take(number(2) + number(3)).read_to_end(&mut texts).ok()?;
+    String::from_utf8(texts.get(number(2) as usize..)?.to_vec()).ok()
 }
 
 fn encoded(key: &str, note: &str, array: &Array2<f32>) -> Vec<u8> {
@@ -182,6 +202,7 @@ mod tests {
         let store = ArrayStore::new(folder.path().join("store"), "image");
         let array = Array2::from_shape_fn((3, 5), |(i, j)| (i * 5 + j) as f32 * 0.1);
         store.save("a", "key of a", "note", &array).unwrap();
+        assert_eq!(store.notes(), ["note"]);
         (folder, store, array)
     }
 

@@ -77,6 +77,8 @@ pub struct ImagingCheck {
     pub max_error_percent: Option<f64>,
     /// Largest rms error of all pixels that is accepted, in per cent of the mean image.
     pub accuracy_percent: Option<f64>,
+    /// Audit fields that are simulated directly too.
+    pub direct: bool,
 }
 
 impl ImagingChoice {
@@ -134,8 +136,8 @@ impl ImagingChoice {
     }
 
     /// Prepares the imager of a field, `first` if it is right enough; returns the audit of what was chosen, if one was asked
-    /// for. Imagers that simulate the field itself are audited only where a largest error is asked for. Where the error is too large, wider windows are
-    /// tried, then direct simulation in windows, and then the exact engine takes their place.
+    /// for. Imagers that simulate the field itself are audited only where that or a largest error is asked for. Where the error
+    /// is too large, wider windows are tried, then direct simulation in windows, and then the exact engine takes their place.
     ///
     /// # Errors
     /// Those of the engine, and [`crate::Error::Interrupted`].
@@ -167,7 +169,9 @@ impl ImagingChoice {
             widest = choice;
         }
         if check.audit.is_none() || !check.limited() {
-            return Ok((Box::new(widest.direct(recipe, specimen)?), None));
+            let imager = widest.direct(recipe, specimen)?;
+            let found = if check.direct { audited(&imager)? } else { None };
+            return Ok((Box::new(imager), found));
         }
         for choice in widest.widening(true) {
             if choice.simulator.is_exact() {
@@ -207,7 +211,7 @@ impl ImagingChoice {
 
 impl ImagingCheck {
     /// Whether an error is asked for.
-    fn limited(&self) -> bool {
+    pub fn limited(&self) -> bool {
         self.max_error_percent.is_some() || self.accuracy_percent.is_some()
     }
 

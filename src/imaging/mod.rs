@@ -16,12 +16,13 @@ pub mod region_imager;
 pub mod simulator;
 
 pub use audit::kept_audits::KeptAudits;
-pub use audit::region_audit::{Audit, AuditOptions, audit};
+pub use audit::region_audit::{Audit, AuditOptions, audit, audit_cost};
 pub use choose::{ChosenImager, ImagingCheck, ImagingChoice, MethodChoice};
 pub use direct::DirectImager;
 pub use displaced_atoms::DisplacedAtoms;
 pub use film::film_imager::FilmImager;
 pub use imaging_cost::{ImagingCost, SimulationRuns};
+pub use mosaic::image_note::NewImages;
 pub use mosaic::library_cache::{CACHE_VARIABLE, Cache, Holding};
 pub use mosaic::mosaic_cost::MosaicCost;
 pub use mosaic::mosaic_imager::MosaicImager;

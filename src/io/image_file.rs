@@ -5,7 +5,10 @@
 //!   `wall_time_s`; `accuracy` (JSON: asked and found) if one was asked for;
 //! - `/images/NAME`: float32, always (thickness, y, x), with `units`, `axes`, `sampling_angstrom` and
 //!   `origin_angstrom` as (y, x), `thicknesses_angstrom`, and `inner_mrad`, `outer_mrad` of a
-//!   detector;
+//!   detector, `defocus_angstrom` of a series; `NAME_noisy`: counts over `electrons_per_pixel`;
+//! - `/counts/NAME`: uint32, the electrons counted, with the same attributes and `electrons_per_pixel`, `seed`;
+//! - `/entry` (NXentry) holds each of these once more, by links, as NXdata that NeXus readers open with its axes:
+//!   `/entry/NAME/data`, `thickness`, `y`, `x`; the attributes `default` lead to the first;
 //! - `/exit_wave` of a plane wave: complex64, (configuration, y, x), with `sampling_angstrom`;
 //! - `/specimen`: `cell` (rows are vectors) and `positions` in Angstrom, `numbers`,
 //!   `sigma_angstrom`; mean positions of the atoms that were simulated.
@@ -13,7 +16,7 @@
 use std::path::Path;
 
 use hdf5::types::VarLenUnicode;
-use hdf5::{File, Group};
+use hdf5::{Dataset, File, Group};
 use ndarray::{ArrayView1, ArrayView2, ArrayView3};
 use num_complex::Complex32;
 
@@ -26,6 +29,8 @@ use crate::files::atomic_write;
 /// Version of this schema.
 const FORMAT_VERSION: i64 = 1;
 const DEFLATE: u8 = 1;
+/// Axes of images.
+const AXES: [&str; 3] = ["thickness", "y", "x"];
 
 /// What is stored besides images.
 #[derive(Debug, Clone)]
@@ -40,6 +45,8 @@ pub struct Origin<'a> {
     pub wavelength_angstrom: f64,
     /// Largest angle carried, in mrad.
     pub band_limit_mrad: f64,
+    /// Full width at half maximum of the source in Angstrom.
+    pub source_fwhm_angstrom: Option<f64>,
     /// Time taken in s.
     pub wall_time_s: f64,
     /// What was asked and found about the accuracy, as JSON.
@@ -65,8 +72,23 @@ pub struct ImageStack<'a> {
     pub origin_angstrom: [f64; 2],
     /// Thicknesses in Angstrom.
     pub thicknesses_angstrom: &'a [f64],
+    /// Defocus in Angstrom, of an image of a series.
+    pub defocus_angstrom: Option<f64>,
     /// Inner and outer angle of the detector in mrad.
     pub annulus_mrad: Option<[f64; 2]>,
+}
+
+/// The electrons counted for an image.
+#[derive(Debug, Clone)]
+pub struct ImageCounts<'a> {
+    /// The image that they belong to.
+    pub stack: &'a ImageStack<'a>,
+    /// (thickness, y, x)
+    pub data: ArrayView3<'a, u32>,
+    /// Electrons that fell on a pixel.
+    pub electrons_per_pixel: f64,
+    /// Seed of the noise.
+    pub seed: u64,
 }
 
 /// Exit waves of a plane wave.
@@ -88,6 +110,7 @@ pub fn write_images(
     overwrite: bool,
     origin: &Origin,
     images: &[ImageStack],
+    counts: &[ImageCounts],
     exit_waves: Option<ExitWaves>,
 ) -> Result<()> {
     atomic_write::write_with(path, overwrite, |temporary| {
@@ -97,6 +120,11 @@ pub fn write_images(
             write_specimen(&file.create_group("specimen")?, origin)?;
             let group = file.create_group("images")?;
             images.iter().try_for_each(|stack| write_stack(&group, stack))?;
+            if !counts.is_empty() {
+                let group = file.create_group("counts")?;
+                counts.iter().try_for_each(|counts| write_counts(&group, counts))?;
+            }
+            write_entry(&file, images, counts)?;
             if let Some(waves) = exit_waves {
                 write_waves(&file, waves)?;
             }
@@ -117,6 +145,9 @@ fn write_origin(file: &File, o: &Origin) -> hdf5::Result<()> {
     number(file, "band_limit_mrad", o.band_limit_mrad)?;
     if let Some(accuracy) = &o.accuracy {
         text(file, "accuracy", accuracy)?;
+    }
+    if let Some(source) = o.source_fwhm_angstrom {
+        number(file, "source_fwhm_angstrom", source)?;
     }
     number(file, "wall_time_s", o.wall_time_s)
 }
@@ -139,22 +170,86 @@ fn write_specimen(group: &Group, o: &Origin) -> hdf5::Result<()> {
 }
 
 fn write_stack(group: &Group, stack: &ImageStack) -> hdf5::Result<()> {
-    let data = stack.data.as_standard_layout();
-    let (_, rows, columns) = stack.data.dim();
-    let builder = group.new_dataset_builder().chunk((1, rows, columns)).shuffle().deflate(DEFLATE);
-    let dataset = builder.with_data(&data).create(stack.name)?;
+    let dataset = write_array(group, stack.name, stack.data)?;
     text(&dataset, "units", stack.units)?;
-    axes(&dataset, ["thickness", "y", "x"])?;
+    describe(&dataset, stack)
+}
+
+fn write_counts(group: &Group, counts: &ImageCounts) -> hdf5::Result<()> {
+    let dataset = write_array(group, counts.stack.name, counts.data)?;
+    text(&dataset, "units", "electrons")?;
+    number(&dataset, "electrons_per_pixel", counts.electrons_per_pixel)?;
+    number(&dataset, "seed", counts.seed)?;
+    describe(&dataset, counts.stack)
+}
+
+fn write_array<T: hdf5::H5Type + Clone>(
+    group: &Group,
+    name: &str,
+    data: ArrayView3<T>,
+) -> hdf5::Result<Dataset> {
+    let (_, rows, columns) = data.dim();
+    let builder = group.new_dataset_builder().chunk((1, rows, columns)).shuffle().deflate(DEFLATE);
+    builder.with_data(&data.as_standard_layout()).create(name)
+}
+
+/// The images once more, as NeXus has them.
+fn write_entry(file: &File, images: &[ImageStack], counts: &[ImageCounts]) -> hdf5::Result<()> {
+    let Some(first) = images.first() else { return Ok(()) };
+    text(file, "NX_class", "NXroot")?;
+    text(file, "default", "entry")?;
+    let entry = file.create_group("entry")?;
+    text(&entry, "NX_class", "NXentry")?;
+    text(&entry, "default", first.name)?;
+    for stack in images {
+        write_nxdata(file, &format!("images/{}", stack.name), stack.name, stack)?;
+    }
+    for counts in counts {
+        let name = counts.stack.name;
+        write_nxdata(file, &format!("counts/{name}"), &format!("{name}_counts"), counts.stack)?;
+    }
+    Ok(())
+}
+
+fn write_nxdata(file: &File, data: &str, name: &str, stack: &ImageStack) -> hdf5::Result<()> {
+    let group = file.create_group(&format!("entry/{name}"))?;
+    text(&group, "NX_class", "NXdata")?;
+    text(&group, "signal", "data")?;
+    axes(&group, AXES)?;
+    for (n, axis) in AXES.iter().enumerate() {
+        number(&group, &format!("{axis}_indices"), n as i64)?;
+    }
+    group.link_soft(&format!("/{data}"), "data")?;
+    let (_, rows, columns) = stack.data.dim();
+    let along = |k: usize, n: usize| -> Vec<f64> {
+        (0..n).map(|i| stack.origin_angstrom[k] + i as f64 * stack.step_angstrom[k]).collect()
+    };
+    let places = [stack.thicknesses_angstrom.to_vec(), along(1, rows), along(0, columns)];
+    for (axis, values) in AXES.iter().zip(places) {
+        let dataset = group.new_dataset_builder().with_data(&values).create(*axis)?;
+        text(&dataset, "units", "angstrom")?;
+    }
+    Ok(())
+}
+
+/// Axes, pixel and detector of an image.
+fn describe(dataset: &Dataset, stack: &ImageStack) -> hdf5::Result<()> {
+    axes(dataset, AXES)?;
+    // what NeXus readers show at once
+    text(dataset, "interpretation", "image")?;
     let [x, y] = stack.step_angstrom;
-    array(&dataset, "sampling_angstrom", &[y, x])?;
+    array(dataset, "sampling_angstrom", &[y, x])?;
     let [x, y] = stack.origin_angstrom;
-    array(&dataset, "origin_angstrom", &[y, x])?;
-    array(&dataset, "thicknesses_angstrom", stack.thicknesses_angstrom)?;
+    array(dataset, "origin_angstrom", &[y, x])?;
+    array(dataset, "thicknesses_angstrom", stack.thicknesses_angstrom)?;
+    if let Some(defocus) = stack.defocus_angstrom {
+        number(dataset, "defocus_angstrom", defocus)?;
+    }
     match stack.annulus_mrad {
         None => Ok(()),
         Some([inner, outer]) => {
-            number(&dataset, "inner_mrad", inner)?;
-            number(&dataset, "outer_mrad", outer)
+            number(dataset, "inner_mrad", inner)?;
+            number(dataset, "outer_mrad", outer)
         }
     }
 }

@@ -9,9 +9,15 @@ mod hdf5_errors;
 #[cfg(feature = "hdf5")]
 mod hdf5_guard;
 #[cfg(feature = "hdf5")]
+pub mod hspy_file;
+#[cfg(feature = "hdf5")]
 pub mod image_file;
+#[cfg(feature = "report")]
+pub mod npz_file;
 #[cfg(feature = "hdf5")]
 pub mod schema;
+#[cfg(feature = "report")]
+pub mod tiff_file;
 #[cfg(feature = "hdf5")]
 mod world_file;
 #[cfg(feature = "hdf5")]

@@ -83,21 +83,31 @@ impl RecipeText {
         let fail = |message: String| Err(Error::parse(&self.path, line, message));
         let mut tiers = match (tiers, difficulty) {
             (None, None) => return Ok(None),
-            (Some(toml::Value::Table(t)), Some(_)) => t,
-            (Some(_), Some(_)) => return fail("`difficulty` is not a table".into()),
-            (Some(_), None) => return fail("say which difficulty: easy, medium or hard".into()),
+            (Some(toml::Value::Table(t)), _) => t,
+            (Some(_), _) => return fail("`difficulty` is not a table".into()),
             (None, Some(d)) => {
-                return fail(format!("there is no [difficulty.{}]; give no difficulty", d.name()));
+                return fail(format!(
+                    "there is no [difficulty.{}]: the recipe has no tiers; give no difficulty",
+                    d.name()
+                ));
             }
         };
         let known = Difficulty::ALL.map(Difficulty::name);
+        let there: Vec<&str> = known.into_iter().filter(|k| tiers.contains_key(*k)).collect();
+        let there = there.join(", ");
         if let Some(key) = tiers.keys().find(|k| !known.contains(&k.as_str())) {
             return Err(self.unknown_key(key, known.into_iter()));
         }
-        match difficulty.and_then(|d| tiers.remove(d.name())) {
+        let Some(difficulty) = difficulty else {
+            return fail(format!("say which difficulty; the recipe has {there}"));
+        };
+        match tiers.remove(difficulty.name()) {
             Some(toml::Value::Table(t)) => Ok(Some(t)),
             Some(_) => fail("a difficulty has to be a table".into()),
-            None => fail("the recipe has no table for this difficulty".into()),
+            None => fail(format!(
+                "there is no [difficulty.{}]; the recipe has {there}",
+                difficulty.name()
+            )),
         }
     }
 

@@ -4,12 +4,12 @@ use crate::error::{Error, Result};
 use std::str::FromStr;
 use toml::{Table, Value};
 
-/// A dotted key and the TOML value that it gets.
+/// A dotted key and the TOML value that it gets; `None` takes the key away.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Override {
     text: String,
     keys: Vec<String>,
-    value: Value,
+    value: Option<Value>,
 }
 
 impl FromStr for Override {
@@ -22,14 +22,7 @@ impl FromStr for Override {
         let Some((key, value)) = text.split_once('=') else {
             return wrong("write key=value, such as vacancies.rate=0.02");
         };
-        let keys: Vec<String> =
-            key.split('.').map(|k| k.trim().trim_matches(['"', '\'']).to_owned()).collect();
-        let plain = |k: &String| {
-            !k.is_empty() && k.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-')
-        };
-        if !keys.iter().all(plain) {
-            return wrong("the key is made of names with dots between, such as vacancies.rate");
-        }
+        let keys = dotted(text, key)?;
         let value = value.trim();
         if value.is_empty() || value.contains(['\n', '\r']) {
             return wrong("the value is missing, or longer than a line");
@@ -37,7 +30,23 @@ impl FromStr for Override {
         let parsed = toml::from_str::<Table>(&format!("v = {value}"));
         let value = parsed.ok().and_then(|mut table| table.remove("v"));
         let value = value.unwrap_or_else(|| Value::String(value_text(text)));
-        Ok(Override { text: text.to_owned(), keys, value })
+        Ok(Override { text: text.to_owned(), keys, value: Some(value) })
+    }
+}
+
+/// The names of a dotted key.
+fn dotted(text: &str, key: &str) -> Result<Vec<String>> {
+    let keys: Vec<String> =
+        key.split('.').map(|k| k.trim().trim_matches(['"', '\'']).to_owned()).collect();
+    let plain = |k: &String| {
+        !k.is_empty() && k.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-')
+    };
+    match keys.iter().all(plain) {
+        true => Ok(keys),
+        false => Err(Error::set(
+            text,
+            "the key is made of names with dots between, such as vacancies.rate",
+        )),
     }
 }
 
@@ -47,13 +56,35 @@ fn value_text(text: &str) -> String {
 }
 
 impl Override {
+    /// Takes a value or a table out of a recipe.
+    ///
+    /// # Errors
+    /// [`Error::Set`] for what is no key.
+    pub fn without(key: &str) -> Result<Self> {
+        Ok(Override { text: key.to_owned(), keys: dotted(key, key)?, value: None })
+    }
+
     /// Lays the value over the table; tables are merged, other values replaced.
-    pub(super) fn apply(&self, table: &mut Table) {
-        let nested = self.keys.iter().rev().fold(self.value.clone(), |value, key| {
+    ///
+    /// # Errors
+    /// [`Error::Set`] for a key to be taken away that is not there.
+    pub(super) fn apply(&self, table: &mut Table) -> Result<()> {
+        let Some(value) = &self.value else { return self.remove(table) };
+        let nested = self.keys.iter().rev().fold(value.clone(), |value, key| {
             Value::Table(Table::from_iter([(key.clone(), value)]))
         });
         if let Value::Table(nested) = nested {
             merge(table, nested);
+        }
+        Ok(())
+    }
+
+    fn remove(&self, table: &mut Table) -> Result<()> {
+        let Some((last, path)) = self.keys.split_last() else { return Ok(()) };
+        let inner = path.iter().try_fold(table, |t, key| t.get_mut(key)?.as_table_mut());
+        match inner.and_then(|t| t.remove(last)) {
+            Some(_) => Ok(()),
+            None => Err(self.error("the recipe has no such key, so there is nothing to take away")),
         }
     }
 
@@ -89,7 +120,7 @@ mod tests {
 
     fn parsed(text: &str) -> (Vec<String>, Value) {
         let change: Override = text.parse().unwrap();
-        (change.keys, change.value)
+        (change.keys, change.value.unwrap())
     }
 
     #[test]
@@ -115,8 +146,20 @@ mod tests {
         assert_eq!(table, toml::from_str::<Table>(expected).unwrap());
     }
 
+    #[test]
+    fn values_and_tables_can_be_taken_away() {
+        let recipe = Recipe::load("srtio3", Difficulty::Easy).unwrap();
+        let without = |key: &str| recipe.with_overrides(&[Override::without(key).unwrap()]);
+        assert!(without("vacancies").unwrap().vacancies.is_none());
+        assert!(without("boundaries.sigma").unwrap().boundaries.unwrap().sigma.is_none());
+        for (key, part) in [("vacancies.rat", "no such key"), ("seed", "missing field `seed`")] {
+            let message = without(key).unwrap_err().to_string();
+            assert!(message.starts_with(key) && message.contains(part), "{message}");
+        }
+    }
+
     fn parsed_over(text: &str, table: &mut Table) {
-        text.parse::<Override>().unwrap().apply(table);
+        text.parse::<Override>().unwrap().apply(table).unwrap();
     }
 
     #[test]
@@ -151,8 +194,10 @@ mod tests {
 
     #[test]
     fn changes_that_do_not_fit_are_named() {
-        let cases: [(&[&str], &[&str]); 10] = [
+        let cases: [(&[&str], &[&str]); 12] = [
             (&["boundaries=[1,1]"], &["boundaries=[1,1]: ", "expected a table"]),
+            (&["dose=100"], &["dose=100: ", "a table with the keys electrons_per_angstrom2"]),
+            (&["phonons=4"], &["a table with the keys configurations, sigma_angstrom"]),
             (&["vacancies.rat=0.1", "seed=2"], &["vacancies.rat=0.1: ", "did you mean `rate`?"]),
             (&["vacances.rate=0.1"], &["did you mean `vacancies`?"]),
             (&["seed=2", "vacancies.rate=abc", "field.grid=[40, 40]"], &["vacancies.rate=abc: "]),

@@ -47,8 +47,16 @@ impl Recipe {
     /// [`Error::Invalid`] for an unknown material, naming the nearest.
     pub fn tiers(material: &str) -> Result<Vec<Difficulty>> {
         let (_, text) = built_in_text(material)?;
+        Recipe::tiers_in(material, text)
+    }
+
+    /// The tiers of a recipe in TOML; `name` stands in errors.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for bad syntax.
+    pub fn tiers_in(name: &str, text: &str) -> Result<Vec<Difficulty>> {
         let table: toml::Table = toml::from_str(text)
-            .map_err(|e| Error::invalid(crate::Setting::Recipe, material, e.message()))?;
+            .map_err(|e| Error::invalid(crate::Setting::Recipe, name, e.message()))?;
         let tiers = table.get("difficulty").and_then(toml::Value::as_table);
         let there = |d: &Difficulty| tiers.is_some_and(|t| t.contains_key(d.name()));
         Ok(Difficulty::ALL.into_iter().filter(there).collect())
@@ -111,7 +119,7 @@ impl Recipe {
         }
         let mut table: toml::Table = toml::from_str(&self.to_toml())
             .map_err(|e| Error::invalid(crate::Setting::Recipe, &self.id, e.message()))?;
-        changes.iter().for_each(|change| change.apply(&mut table));
+        changes.iter().try_for_each(|change| change.apply(&mut table))?;
         if let Some(key) = array_for_table(&table) {
             return Err(at_fault(changes, Some(key.to_owned()), format!("{key}: {NO_ARRAY}")));
         }

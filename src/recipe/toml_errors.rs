@@ -1,5 +1,7 @@
 //! Errors of TOML in the words of recipes.
 
+use super::tables::*;
+
 /// The candidate most like `key`, if any is similar.
 pub fn nearest<'k>(key: &str, known: impl Iterator<Item = &'k str>) -> Option<&'k str> {
     let scored = known.map(|k| (strsim::jaro_winkler(key, k), k));
@@ -27,9 +29,47 @@ pub fn explain(error: &toml::de::Error) -> (Option<String>, String) {
                 .replace("expected usize", "expected a whole number")
                 .replace("expected u64", "expected a whole number")
                 .replace("expected u32", "expected a whole number");
+            let message = with_keys(&message);
             let prefix = place.map(|place| format!("{place}: ")).unwrap_or_default();
             (place.map(str::to_owned), prefix + &message)
         }
+    }
+}
+
+/// The message with the keys of a table in place of the name of its type in Rust.
+fn with_keys(message: &str) -> String {
+    let Some((before, name)) = message.split_once("expected struct ") else {
+        return message.to_owned();
+    };
+    let name = name.split_whitespace().next().unwrap_or_default();
+    let keys = keys_of(name);
+    match keys.is_empty() {
+        true => format!("{before}expected a table"),
+        false => format!("{before}expected a table with the keys {}", keys.join(", ")),
+    }
+}
+
+/// The keys of a table of recipes, by the name of its type: those that serde lists where it meets an unknown one.
+fn keys_of(name: &str) -> Vec<String> {
+    fn known<T: serde::de::DeserializeOwned>() -> Vec<String> {
+        let Err(error) = toml::from_str::<T>("no-such-key = 0") else { return Vec::new() };
+        let quoted = error.message().split('`').skip(1).step_by(2).skip(1);
+        quoted.map(str::to_owned).collect()
+    }
+    match name {
+        "Field" => known::<Field>(),
+        "Boundaries" => known::<Boundaries>(),
+        "DomainTable" => known::<DomainTable>(),
+        "Alloy" => known::<Alloy>(),
+        "Wells" => known::<Wells>(),
+        "Particles" => known::<Particles>(),
+        "Vacancies" => known::<Vacancies>(),
+        "Substitutions" => known::<Substitutions>(),
+        "PhononTable" => known::<PhononTable>(),
+        "OpticsTable" => known::<OpticsTable>(),
+        "DetectorTable" => known::<DetectorTable>(),
+        "Dose" => known::<Dose>(),
+        _ => Vec::new(),
     }
 }
 

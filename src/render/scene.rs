@@ -148,7 +148,7 @@ impl Scene {
         let at = self.place(position_nm);
         if self.pixels_per_nm >= RINGS_FROM {
             let share = marked as f64 / sites.max(1) as f64;
-            self.rings.push((at, color, (0.3 + 1.4 * share).min(1.0)));
+            self.rings.push((at, color, share));
             return;
         }
         let [columns, rows] = self.blocks();
@@ -201,8 +201,10 @@ impl Scene {
         self.paint_densities();
         let mut image = std::mem::replace(&mut self.ground, RgbImage::filled(1, 1, WHITE));
         let radius = (self.ring_nm * self.pixels_per_nm).max(3.0);
-        for (at, color, alpha) in &self.rings {
-            image.ring(*at, radius, (0.22 * radius).clamp(1.2, 5.0), *color, *alpha);
+        // The colour is that of the legend; how many sites are marked shows in the width.
+        for (at, color, share) in &self.rings {
+            let width = (0.14 + 0.3 * share).min(0.3) * radius;
+            image.ring(*at, radius, width.clamp(1.2, 6.0), *color, 1.0);
         }
         let thickness = (image.width.max(image.height) as f64 / 500.0).max(1.5);
         for (points, color) in &self.strokes {

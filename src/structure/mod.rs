@@ -11,6 +11,7 @@ pub mod columns;
 pub mod crystals;
 pub mod direction;
 pub mod elements;
+mod frames;
 pub mod lattice;
 mod mixed_sites;
 mod neighbors;
@@ -23,11 +24,12 @@ mod source_text;
 mod supercell;
 mod xyz;
 
+pub use frames::{FrameRange, read_frames};
 pub(crate) use neighbors::for_each_pair;
 pub use neighbors::{min_pair_distance, shortest_distances};
 #[cfg(all(test, feature = "hdf5"))]
 pub(crate) use read::PARSED;
-pub use read::{Format, parse, read};
+pub use read::{Format, parse, read, sigmas_of_file};
 pub use site::{LARGEST_SIGMA_ANGSTROM, Sigmas, Site};
 pub use xyz::write_extxyz;
 

@@ -1,7 +1,7 @@
 //! Chooses the reader of a structure's file.
 
 use super::source_text::SourceText;
-use super::{Structure, cif, poscar, xyz};
+use super::{Sigmas, Structure, cif, poscar, xyz};
 use crate::error::{Error, Result};
 use crate::files::whole_file;
 use crate::setting::Setting;
@@ -69,6 +69,23 @@ impl Format {
 pub fn read(path: &Path) -> Result<Structure> {
     let format = Format::from_path(path)?;
     parse(format, &whole_file::read(path, format.most_bytes())?, path)
+}
+
+/// The thermal displacements that a CIF lists (U or B of its sites), in the mean of each element.
+///
+/// # Errors
+/// [`Error::Io`], [`Error::Parse`] for another format, and for atoms without a value.
+pub fn sigmas_of_file(path: &Path) -> Result<Sigmas> {
+    if Format::from_path(path)? != Format::Cif {
+        let message = "tells no thermal displacements; only a CIF does (U or B of its sites)";
+        return Err(Error::parse(path, 0, message));
+    }
+    let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+    let text = std::str::from_utf8(&bytes).map_err(|_| {
+        Error::parse(path, 0, "not UTF-8 text; save the file as plain text in UTF-8")
+    })?;
+    let text = SourceText { path, body: text.strip_prefix('\u{feff}').unwrap_or(text) };
+    Ok(Sigmas::ByElement(cif::displacements(&text)?))
 }
 
 /// Reads a structure from memory; `path` only names it in errors.

@@ -83,6 +83,8 @@ pub struct BuildOptions {
     /// Regions that are simulated exactly beforehand to find the error of a mosaic or film, 0 for no audit; at least four
     /// where an error is asked for.
     pub audit_regions: usize,
+    /// Audit fields that are simulated in windows or by PRISM too, not only mosaics and films.
+    pub audit_direct: bool,
     /// Largest error of the audit in per cent: windows are widened, or the mosaic left, until it is met; where no window meets
     /// it, the exact engine makes the field.
     pub max_error_percent: Option<f64>,
@@ -107,6 +109,7 @@ impl Default for BuildOptions {
             expansion: Expansion::Auto,
             interpolation: None,
             audit_regions: 1,
+            audit_direct: false,
             max_error_percent: None,
             cache: Cache::of_user(),
             subtile_nm: None,
@@ -257,8 +260,9 @@ impl BuildOptions {
             ..AuditOptions::default()
         };
         let audit = (self.audit_regions > 0).then_some(audit);
+        let direct = self.audit_direct && self.method != BuildMethod::Multislice;
         let (max_error_percent, accuracy_percent) = (self.max_error_percent, self.accuracy_percent);
-        Ok(ImagingCheck { audit, max_error_percent, accuracy_percent })
+        Ok(ImagingCheck { audit, direct, max_error_percent, accuracy_percent })
     }
 }
 

@@ -18,6 +18,7 @@ pub mod specimen_drawing;
 #[cfg(feature = "hdf5")]
 mod subtile_store;
 pub mod subtiles;
+mod training_set;
 #[cfg(feature = "hdf5")]
 pub mod truth;
 #[cfg(feature = "hdf5")]
@@ -32,9 +33,11 @@ pub use build_options::{BuildMethod, BuildOptions, BuildPolicy, BuildProfile};
 #[cfg(feature = "hdf5")]
 pub use build_summary::BuildSummary;
 pub use field_tile::{FieldTile, field_tile};
+pub use noise::Noise;
 pub use region_truth::{ColumnTruth, SiteTruth};
 #[cfg(feature = "render")]
 pub use specimen_drawing::Drawing;
+pub use training_set::{COLUMN_CLASSES, TrainingOptions, TrainingSet, training_set};
 #[cfg(feature = "hdf5")]
 pub use truth::Counts;
 #[cfg(feature = "hdf5")]

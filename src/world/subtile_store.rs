@@ -11,6 +11,7 @@ use crate::error::{Error, Result};
 use crate::files::array_store::{ArrayStore, Stored};
 use crate::files::atomic_write;
 use crate::progress::Progress;
+use crate::setting::Setting;
 
 const KEY_FILE: &str = "key.json";
 
@@ -23,12 +24,13 @@ pub struct SubtileStore {
 }
 
 impl SubtileStore {
-    /// Opens a work folder for a build that `key` describes. Sub-tiles of another
-    /// build that lie there are removed, with a warning.
+    /// Opens the work folder of `output` for a build that `key` (JSON) describes. Sub-tiles of another
+    /// build that lie there are kept and refused; with `replace` they are removed, with a warning.
     ///
     /// # Errors
-    /// [`Error::Io`] when the folder cannot be made, read or written.
-    pub fn open(folder: &Path, key: &str, progress: &dyn Progress) -> Result<Self> {
+    /// [`Error::Invalid`] for sub-tiles of another build, [`Error::Io`] when the folder cannot be made, read or written.
+    pub fn open(output: &Path, key: &str, replace: bool, progress: &dyn Progress) -> Result<Self> {
+        let folder = &beside(output, ".work");
         let build = format!("{:x?}", Sha256::digest(key).as_slice());
         let store = SubtileStore { arrays: arrays(folder), build };
         fs::create_dir_all(folder).map_err(|e| Error::io(folder, "create", e))?;
@@ -38,6 +40,10 @@ impl SubtileStore {
         }
         let left = store.arrays.files()?;
         if !left.arrays.is_empty() {
+            if !replace {
+                let other = fs::read_to_string(&key_path).unwrap_or_default();
+                return Err(kept(output, left.arrays.len(), &difference(&other, key)));
+            }
             let text = "holds sub-tiles of another recipe, engine or version; starting again";
             progress.warn(&format!("{}: {text}", folder.display()));
         }
@@ -46,6 +52,21 @@ impl SubtileStore {
         }
         atomic_write::write(&key_path, key.as_bytes())?;
         Ok(store)
+    }
+
+    /// Refuses the sub-tiles of another recipe that lie in the work folder of `output`, before any work.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`], [`Error::Io`].
+    pub fn check_recipe(output: &Path, recipe: &str) -> Result<()> {
+        let folder = beside(output, ".work");
+        let Ok(found) = fs::read_to_string(folder.join(KEY_FILE)) else { return Ok(()) };
+        let number = arrays(&folder).files()?.arrays.len();
+        let other = value(&found, "recipe");
+        match other == recipe || number == 0 {
+            true => Ok(()),
+            false => Err(kept(output, number, &changed_lines(&other, recipe))),
+        }
     }
 
     /// The image of a sub-tile of `shape` (rows, columns), if a whole one of this build is there. A file that cannot be used is told
@@ -101,6 +122,40 @@ fn arrays(folder: &Path) -> ArrayStore {
     ArrayStore::new(folder.to_owned(), "bin")
 }
 
+fn kept(output: &Path, number: usize, difference: &str) -> Error {
+    let expected = format!(
+        "{} keeps {number} sub-tiles of another build ({difference}); finish that one first, name another file, or \
+         allow overwriting, which removes them",
+        beside(output, ".work").display()
+    );
+    Error::invalid(Setting::Output, output.display(), expected)
+}
+
+/// A value of a key, as text.
+fn value(key: &str, name: &str) -> String {
+    let parsed: serde_json::Value = serde_json::from_str(key).unwrap_or_default();
+    parsed[name].as_str().map_or_else(|| parsed[name].to_string(), str::to_owned)
+}
+
+/// What two keys differ in.
+fn difference(old: &str, new: &str) -> String {
+    let differs = |name: &&str| value(old, name) != value(new, name);
+    match ["recipe", "engine", "parameters", "numerics", "partition"].iter().find(|n| differs(n)) {
+        Some(&"recipe") => changed_lines(&value(old, "recipe"), &value(new, "recipe")),
+        Some(&"parameters") => "with other settings of the engine".into(),
+        Some(&"numerics") => "of another version of the program".into(),
+        Some(&"partition") => "with sub-tiles of another size".into(),
+        Some(name) => format!("{name} {}, now {}", value(old, name), value(new, name)),
+        None => "of another version of the program".into(),
+    }
+}
+
+/// The first value in which two recipes differ.
+fn changed_lines(old: &str, new: &str) -> String {
+    let pair = old.lines().zip(new.lines()).find(|(a, b)| a != b);
+    pair.map_or("of another recipe".into(), |(a, b)| format!("{a}, now {b}"))
+}
+
 fn name(index: usize) -> String {
     format!("subtile_{index:06}")
 }
@@ -120,8 +175,9 @@ mod tests {
     #[test]
     fn subtiles_are_those_of_this_build_and_index() {
         let folder = tempfile::tempdir().unwrap();
-        let work = folder.path().join("w.h5.work");
-        let store = SubtileStore::open(&work, "key", &Silent).unwrap();
+        let output = folder.path().join("w.h5");
+        let work = beside(&output, ".work");
+        let store = SubtileStore::open(&output, "key", false, &Silent).unwrap();
         let image = Array2::from_shape_fn((3, 5), |(i, j)| (i * 5 + j) as f32);
         store.save(4, &image).unwrap();
         assert_eq!(store.load(4, [3, 5], &Silent), Some(image.clone()));
@@ -129,7 +185,8 @@ mod tests {
         // of the same build under another index, and of another build under the same
         fs::copy(store.path(4), store.path(5)).unwrap();
         assert_eq!(store.load(5, [3, 5], &Silent), None);
-        let other = SubtileStore::open(&folder.path().join("o.h5.work"), "other", &Silent).unwrap();
+        let other =
+            SubtileStore::open(&folder.path().join("o.h5"), "other", false, &Silent).unwrap();
         other.save(4, &image).unwrap();
         fs::copy(other.path(4), store.path(4)).unwrap();
         assert_eq!(store.load(4, [3, 5], &Silent), None);

@@ -77,12 +77,17 @@ impl WorkFolder {
         KeptAudits::at(self.folder.join("audits"))
     }
 
-    /// The sub-tiles of a build that `key` describes.
+    /// The sub-tiles of a build that `key` describes; with `replace` those of another are removed.
     ///
     /// # Errors
     /// As [`SubtileStore::open`].
-    pub fn subtiles(&self, key: &str, progress: &dyn Progress) -> Result<SubtileStore> {
-        SubtileStore::open(&self.folder, key, progress)
+    pub fn subtiles(
+        &self,
+        key: &str,
+        replace: bool,
+        progress: &dyn Progress,
+    ) -> Result<SubtileStore> {
+        SubtileStore::open(&self.output, key, replace, progress)
     }
 
     /// Notes that `world`, not yet in its place, is what was asked for.

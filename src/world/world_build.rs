@@ -9,7 +9,7 @@ use std::time::Instant;
 use super::build_options::{BuildOptions, BuildPolicy};
 use super::build_summary::BuildSummary;
 use super::footprint;
-use super::subtile_store::beside;
+use super::subtile_store::{SubtileStore, beside};
 use super::subtiles::Partition;
 use super::work_folder::WorkFolder;
 use super::world_job::{BuildLayout, Job};
@@ -20,7 +20,8 @@ use crate::files::unfinished::Unfinished;
 use crate::files::{OutputLock, disk_space};
 use crate::imaging::direct::rectangle_plan;
 use crate::imaging::{
-    Audit, Cache, ChosenImager, ImagingChoice, ImagingCost, RegionImager, SimulationRuns,
+    Audit, Cache, ChosenImager, ImagingChoice, ImagingCost, MethodChoice, RegionImager,
+    SimulationRuns, audit_cost,
 };
 use crate::io::{WorldFile, WorldWriter};
 use crate::numerics::NUMERICS_VERSION;
@@ -153,6 +154,21 @@ impl WorldBuild {
         Ok(self.chosen.get_or_init(|| chosen))
     }
 
+    /// What the audit before the build takes, if there is one; `cost` is that of the image.
+    ///
+    /// # Errors
+    /// Those of the plan.
+    pub fn audit_cost(&self, cost: &ImagingCost) -> Result<Option<SimulationRuns>> {
+        let BuildPolicy { imaging, check, .. } = &self.policy;
+        let shares = cost.particle_probes.is_some() || cost.mosaic.as_ref().is_some_and(|m| m.pays);
+        let audited = check.audit.as_ref().filter(|_| {
+            let forced = imaging.method == MethodChoice::Mosaic || check.direct;
+            self.own.is_none() && (shares || forced || check.limited())
+        });
+        let BuildLayout { recipe, specimen, .. } = &self.layout;
+        audited.map(|options| audit_cost(recipe, &**specimen, options)).transpose()
+    }
+
     /// Bytes on disk that the build needs beside its output, sub-tiles included; the cache and a companion come on top.
     pub fn disk_bytes(&self) -> u64 {
         self.world_bytes()
@@ -223,6 +239,9 @@ impl WorldBuild {
         companion: Option<&Companion>,
         progress: &dyn Progress,
     ) -> Result<BuildSummary> {
+        if !self.layout.options.overwrite {
+            SubtileStore::check_recipe(output, &self.layout.recipe.to_toml())?;
+        }
         // First, so that unfinished files are known to be of a build.
         work.create()?;
         try_partial(output)?;
@@ -243,7 +262,7 @@ impl WorldBuild {
             }
         };
         let job = Job { layout: &layout, imager: &*imager, audit, progress };
-        let store = work.subtiles(&job.key(), progress)?;
+        let store = work.subtiles(&job.key(), layout.options.overwrite, progress)?;
         let resumed = job.simulate(&store)?;
         let partial = partial(output);
         let publish = || {

@@ -20,15 +20,15 @@ fn a_world_is_built_with_its_picture() {
     let run = tiny(folder.path()).args(["--seed", "7", "--keep-clean"]).output().unwrap();
     assert!(run.status.success(), "{}", stderr(&run));
     let told = stdout(&run);
-    for part in ["2 x 2: 28 x 28 pixels", "worlds/tiny.h5", "worlds/tiny.png", "window, 1 sub-tile"]
-    {
+    let names = ["worlds/tiny_seed7.h5", "worlds/tiny_seed7.png"];
+    for part in names.into_iter().chain(["2 x 2: 28 x 28 pixels", "window, 1 sub-tile"]) {
         assert!(told.contains(part), "{part}: {told}");
     }
-    let digest = python("digest.py", &[&folder.path().join("worlds/tiny.h5")]);
+    let digest = python("digest.py", &[&folder.path().join("worlds/tiny_seed7.h5")]);
     for part in ["clean/1_1 (16, 16) float32", "ground_truth/atom_positions", "overview"] {
         assert!(digest.contains(part), "{digest}");
     }
-    let again = tiny(folder.path()).output().unwrap();
+    let again = tiny(folder.path()).args(["--seed", "7"]).output().unwrap();
     assert_eq!(again.status.code(), Some(1));
     assert!(stderr(&again).contains("--overwrite"), "{}", stderr(&again));
     let summary = json(tiny(folder.path()).args(["--overwrite", "--no-noise", "--quiet"]));
@@ -127,6 +127,29 @@ fn the_test_world_has_the_published_schema() {
     assert!(told.contains("the schema holds"), "{told}");
 }
 
+/// The example of worlds/README.md reads what the formulas there say.
+#[test]
+fn the_example_of_the_readme_reads_a_world() {
+    let folder = tempfile::tempdir().unwrap();
+    let built = json(tiny(folder.path()).args(["--no-png", "-o", "w.h5"]));
+    let told = python("../../worlds/example.py", &[&folder.path().join("w.h5")]);
+    let lines: Vec<&str> = told.lines().collect();
+    assert!(lines[0].starts_with("28 x 28 pixels, "), "{told}");
+    let columns = format!("{} columns, {} vacant sites", built["columns"], built["vacancies"]);
+    assert_eq!(lines[1], columns);
+    let electrons: u64 =
+        lines[0].trim_end_matches(" electrons").rsplit(' ').next().unwrap().parse().unwrap();
+    let world = stemgen::io::WorldFile::open(&folder.path().join("w.h5")).unwrap();
+    // 1e5 electrons fall on a square Angstrom, 25 000 on a pixel
+    let mean = world.stitched(0..28, 0..28).unwrap().mapv(f64::from).sum();
+    let file = hdf5::File::open(folder.path().join("w.h5")).unwrap();
+    let scale = |name: &str| -> f64 {
+        file.group("tiles").unwrap().attr(name).unwrap().read_scalar().unwrap()
+    };
+    let expected = (mean * scale("scale") + 784.0 * scale("offset")) * 25_000.0;
+    assert!((electrons as f64 - expected).abs() < 400.0, "{electrons} {expected}");
+}
+
 #[test]
 fn threads_change_nothing() {
     let folder = tempfile::tempdir().unwrap();
@@ -172,6 +195,41 @@ fn a_dry_run_tells_the_plan() {
     assert!(plan["memory_bytes"].as_f64().unwrap() < 2e9 * plan["threads"].as_f64().unwrap());
     assert_eq!(plan["output"], "worlds/srtio3_easy_2x2.h5");
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+}
+
+#[test]
+fn the_plan_of_a_mosaic_tells_what_is_new_and_what_the_audit_takes() {
+    let folder = tempfile::tempdir().unwrap();
+    let cache = folder.path().join("cache");
+    let mosaic = |arguments: &[&str]| {
+        let mut command = tiny(folder.path());
+        command.env("STEMGEN_CACHE", &cache).args(["--engine", "mosaic"]).args(arguments);
+        command
+    };
+    let plan = json(mosaic(&["--dry-run"]).arg("--quiet"));
+    let why = plan["mosaic"]["new"][0]["why"].as_str().unwrap();
+    assert_eq!(why, "none is kept of this material");
+    assert_eq!(plan["mosaic"]["new"][0]["images"], plan["mosaic"]["images"]);
+    assert!(plan["audit_time_s"].as_f64().unwrap() > 0.0, "{plan}");
+    assert!(mosaic(&["--no-png", "--audit", "0"]).status().unwrap().success());
+    // The same sheets, each in one configuration more: half of what is needed is there.
+    let more = ["--dry-run", "--set", "phonons.configurations=2", "--audit", "0"];
+    let plan = json(mosaic(&more).arg("--quiet"));
+    assert_eq!((&plan["configurations"], &plan["audit_time_s"]), (&2.into(), &0.0.into()));
+    let [images, missing] = ["images", "missing"].map(|k| plan["mosaic"][k].as_u64().unwrap());
+    assert!(missing > 0 && missing <= images.div_ceil(2), "{plan}");
+    let text = stdout(&mosaic(&more).output().unwrap());
+    assert!(text.contains("more contents or phonon configurations"), "{text}");
+    assert!(text.contains("nm thick") && !text.contains("recorded at"), "{text}");
+}
+
+#[test]
+fn a_world_of_windows_is_audited_if_asked() {
+    let folder = tempfile::tempdir().unwrap();
+    let built = json(tiny(folder.path()).args(["--audit", "1", "--no-png"]));
+    assert_eq!((&built["engine"], &built["audit"]["engine"]), (&"window".into(), &"window".into()));
+    let world = stemgen::io::WorldFile::open(&folder.path().join("worlds/tiny.h5"));
+    assert!(world.is_ok());
 }
 
 #[test]
@@ -226,6 +284,8 @@ fn an_interrupted_build_leaves_no_file_and_goes_on() {
     assert_eq!(stopped.status.code(), Some(130), "{told}");
     assert!(told.contains("error: interrupted") && told.contains("goes on from there"), "{told}");
     assert!(!folder.path().join("w.h5").exists() && first.exists());
+    let other = fails(stemgen(folder.path()).args(&arguments).args(["--seed", "6"]));
+    assert!(other.contains("now seed = 6") && first.exists(), "{other}");
     let summary = json(stemgen(folder.path()).args(&arguments));
     assert!(summary["subtiles_resumed"].as_u64().unwrap() >= 1, "{summary}");
     assert!(folder.path().join("w.h5").exists() && !folder.path().join("w.h5.work").exists());

@@ -24,9 +24,9 @@ fn a_disk_that_is_too_small_is_found() {
         Some(_) => return skipped("the disk has more room than the test asks for"),
         None => return skipped("the free space of the disk is unknown"),
     }
-    for subcommand in ["specimen", "build"] {
+    for (subcommand, name) in [("specimen", "a.xyz"), ("build", "a.h5")] {
         let mut command = stemgen(folder.path());
-        let told = fails(command.arg(subcommand).args(ENDLESS).args(["-o", "a.xyz"]));
+        let told = fails(command.arg(subcommand).args(ENDLESS).args(["-o", name]));
         for part in ["needed", "free", "GB"] {
             assert!(told.contains(part), "{subcommand}: no `{part}` in\n{told}");
         }

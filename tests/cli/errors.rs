@@ -1,4 +1,4 @@
-//! Whatever is wrong: one error, one hint, a code that is not 0, and no panic.
+//! Whatever is wrong: one error, at most one hint, a code that is not 0, and no panic.
 
 use super::skipped::skipped;
 use super::{fails, file, stemgen};
@@ -16,7 +16,15 @@ fn bad_input_is_explained() {
     std::fs::write(here.join("tilted.xyz"), tilted).unwrap();
     let si = &file("structures/si.cif");
     let srtio3 = &file("structures/srtio3.cif");
-    let cases: [(&[&str], &[&str]); 19] = [
+    let cases: [(&[&str], &[&str]); 27] = [
+        (&[si, "--detector", "HAADF=0.068-0.2"], &["did you mean HAADF=68-200?"]),
+        (&[si, "--semiangle", "0.03"], &["did you mean 30?"]),
+        (&[si, "--energy", "200000"], &["did you mean 200?"]),
+        (&[si, "--scan-end", "5,500"], &["500.0 A long along y", "--scan-end"]),
+        (&[si, "-o", "x.tif"], &["HDF5", "did you mean x.h5?"]),
+        (&[si, "-o", "x.tif", "--dry-run"], &["did you mean x.h5?"]),
+        (&[si, "--defocus", "30", "--aberration", "C10=5"], &["both set the defocus"]),
+        (&[si, "--aberration", "C12=30", "--aberration", "C12=3@1"], &["C12 is given twice"]),
         (&["none.cif"], &["none.cif", "check the name"]),
         (&["there.h5"], &["there.h5", ".cif"]),
         (&["odd.xyz"], &["odd.xyz:3", "Xx"]),
@@ -52,6 +60,33 @@ fn bad_input_is_explained() {
     assert!(told.contains("write per cent"), "{told}");
     assert_eq!(std::fs::read(here.join("there.h5")).unwrap(), b"precious");
     assert_eq!(std::fs::read_dir(here).unwrap().count(), 4, "nothing was written");
+}
+
+#[test]
+fn hints_stand_only_where_they_help() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    std::fs::write(here.join("bad.cif"), "data_x\n_cell_length_a 5\n").unwrap();
+    let told = fails(stemgen(here).args(["simulate", "bad.cif"]));
+    assert!(told.starts_with("error: bad.cif") && !told.contains("hint"), "{told}");
+    let si = &file("structures/si.cif");
+    let told = fails(stemgen(here).args(["simulate", si, "--dosis", "100"]));
+    assert!(told.contains("--dosis") && !told.contains("as a value"), "{told}");
+    for (arguments, part) in [
+        (["--pixelated", "1"], "diffraction patterns (4D-STEM, CBED) are not offered"),
+        (["--detector", "DPC=0-20"], "annular detectors of any angles are"),
+        (["--beam-tilt", "3"], "take another --zone"),
+    ] {
+        let told = fails(stemgen(here).args(["simulate", si]).args(arguments));
+        assert!(told.contains(part) && !told.contains("as a value"), "{told}");
+    }
+    let recipe = std::fs::read_to_string(file("generate/srtio3.toml")).unwrap();
+    let two = recipe.split("[difficulty.hard]").next().unwrap();
+    std::fs::write(here.join("two.toml"), two).unwrap();
+    for tier in [&["--difficulty", "hard"][..], &[]] {
+        let told = fails(stemgen(here).args(["show-recipe", "two.toml"]).args(tier));
+        assert!(told.contains("the recipe has easy, medium"), "{told}");
+    }
 }
 
 #[test]

@@ -23,6 +23,7 @@ fn help_is_as_stored() {
     compare("build", &["build"]);
     compare("specimen", &["specimen"]);
     compare("view", &["view"]);
+    compare("tiles", &["tiles"]);
     compare("audit", &["audit"]);
     compare("cache", &["cache"]);
     compare("cache-list", &["cache", "list"]);
@@ -31,6 +32,37 @@ fn help_is_as_stored() {
     compare("compare", &["compare"]);
     compare("list", &["list"]);
     compare("show-recipe", &["show-recipe"]);
+}
+
+/// Terms that help uses and does not define.
+#[test]
+fn the_glossary_explains_the_terms() {
+    let output = stemgen(Path::new(".")).arg("glossary").output().unwrap();
+    let text = stdout(&output);
+    for term in [
+        "Window",
+        "Mosaic",
+        "Sub-tile",
+        "Library",
+        "Library cell",
+        "Expansion",
+        "Tail",
+        "Bright columns",
+        "Audit",
+        "Configuration",
+        "Profile",
+    ] {
+        assert!(text.contains(&format!("**{term}.**")), "{term}");
+    }
+    for command in ["build", "stemgen"] {
+        let help = std::fs::read_to_string(file(&format!("tests/cli/help/{command}.txt"))).unwrap();
+        assert!(help.contains("stemgen glossary"), "{command}");
+    }
+    let mut terms: Vec<&str> = text.lines().filter_map(|l| l.strip_prefix("**")).collect();
+    let listed = terms.clone();
+    terms.sort_by_key(|t| t.split('.').next().unwrap_or_default().to_lowercase());
+    assert_eq!(listed, terms, "in the order of the alphabet");
+    assert!(!text.contains("sheet"), "the word is library cell");
 }
 
 #[test]

@@ -57,8 +57,8 @@ fn a_picture_never_replaces_its_world() {
     let told = fails(&mut build(&["-o", "/dev/null"]));
     assert!(told.contains("no regular file"), "{told}");
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
-    let run = build(&["-o", "x.png", "--no-png"]).output().unwrap();
-    assert!(run.status.success(), "{}", stderr(&run));
+    let told = fails(&mut build(&["-o", "x.png", "--no-png"]));
+    assert!(told.contains("did you mean x.h5?"), "{told}");
 }
 
 /// Names that the file system takes, but not with an ending more, or not HDF5.

@@ -28,6 +28,23 @@ fn the_list_holds_every_recipe_and_tier() {
 }
 
 #[test]
+fn files_of_recipes_stand_where_names_do() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::copy(file("generate/srtio3.toml"), folder.path().join("mine.toml")).unwrap();
+    let run = |arguments: &[&str]| json(stemgen(folder.path()).args(arguments));
+    let rows = run(&["list", "mine.toml"]);
+    assert_eq!(rows.as_array().unwrap().len(), 3);
+    let tier = ["--difficulty", "easy", "--grid", "1x1"];
+    let written = run(&[&["specimen", "mine.toml"], &tier[..]].concat());
+    assert_eq!(written["output"], "srtio3_easy_1x1.extxyz");
+    assert!(written["defects"]["vacancy"].as_u64().unwrap_or(1) > 0, "{written}");
+    let clean = [&["specimen", "mine.toml", "--unset", "vacancies", "--seed", "3"], &tier[..]];
+    let clean = run(&clean.concat());
+    assert_eq!(clean["output"], "srtio3_easy_1x1_seed3.extxyz");
+    assert_eq!(clean["defects"], serde_json::json!({}));
+}
+
+#[test]
 fn counted_sites_are_those_that_are_written() {
     let folder = tempfile::tempdir().unwrap();
     let rows = json(stemgen(folder.path()).args(["list", "test", "--count"]));
@@ -83,6 +100,11 @@ fn all_commands_tell_the_same_about_a_bad_recipe() {
                 assert!(told.contains(part), "{subcommand} {arguments:?}: no `{part}` in\n{told}");
             }
         }
+    }
+    for (key, part) in [("seed", "missing field `seed`"), ("vacancies.rat", "no such key")] {
+        let mut command = stemgen(folder.path());
+        let told = fails(command.args(["build"]).args(easy).args(["--unset", key]));
+        assert!(told.contains(&format!("--unset {key}: ")) && told.contains(part), "{told}");
     }
     for (arguments, part) in
         [(&["srtio3"][..], "--difficulty"), (&["replay", "--difficulty", "easy"], "no difficulty")]

@@ -103,6 +103,106 @@ fn crystals_are_turned_and_repeated() {
 }
 
 #[test]
+fn series_source_dose_and_formats() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = stemgen(folder.path());
+    command.arg("simulate").arg(file("structures/si.cif"));
+    command.args(["--repeat", "2,2,1", "--scan-end", "5.431,5.431", "--sampling", "0.1"]);
+    command.args(["--detector", "ADF=40-80", "--defocus", "0:50:50", "--source-size", "0.8"]);
+    command.args(["--dose", "1e6", "--seed", "7", "--tiff", "16", "--hspy", "--png"]);
+    let summary = json(command.args(["--no-scale-bar", "--quiet"]));
+    assert!(summary["images"][0]["electrons"].as_u64().unwrap() > 1000, "{summary}");
+    let told = python("check_results.py", &[&folder.path().join("si.h5")]);
+    assert_eq!(told, "4 images\n");
+    for name in ["ADF_defocus_0A", "ADF_defocus_50A_noisy"] {
+        for ending in ["tif", "png"] {
+            assert!(folder.path().join(format!("si_{name}.{ending}")).exists(), "{name}");
+        }
+    }
+}
+
+#[test]
+fn frames_and_displacements_come_from_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let head = "Lattice=\"8 0 0 0 8 0 0 0 4\" Properties=species:S:1:pos:R:3";
+    let frame = |x: f64| format!("2\n{head}\nSi {x} 2 1\nSi 4 4 3\n");
+    let frames = [2.0, 2.2, 2.4, 2.6].map(frame);
+    std::fs::write(here.join("md.xyz"), frames.concat()).unwrap();
+    frames.iter().enumerate().for_each(|(n, f)| {
+        std::fs::write(here.join(format!("f{n}.xyz")), f).unwrap();
+    });
+    let image = |arguments: &[&str]| -> Vec<f32> {
+        let mut command = stemgen(here);
+        command.arg("simulate").args(arguments).args(["--sampling", "0.1", "--scan-step", "0.5"]);
+        command.args(["--detector", "ADF=40-80", "--overwrite", "-o", "o.h5", "--quiet"]);
+        let run = command.output().unwrap();
+        assert!(run.status.success(), "{}", stderr(&run));
+        let file = hdf5::File::open(here.join("o.h5")).unwrap();
+        file.dataset("images/ADF").unwrap().read_raw().unwrap()
+    };
+    let mean = image(&["md.xyz", "--frames", "1:4:2"]);
+    let (one, three) = (image(&["f1.xyz"]), image(&["f3.xyz"]));
+    assert!(one != three);
+    for ((m, a), b) in mean.iter().zip(&one).zip(&three) {
+        assert!((m - 0.5 * (a + b)).abs() < 1e-6, "{m} {a} {b}");
+    }
+    // U = 0.0064 is a sigma of 0.08
+    let cif = std::fs::read_to_string(file("structures/si.cif")).unwrap();
+    let cell = cif.lines().filter(|l| l.starts_with("_cell") || l.starts_with("data"));
+    let atoms = [
+        "loop_",
+        "_atom_site_type_symbol",
+        "_atom_site_fract_x",
+        "_atom_site_fract_y",
+        "_atom_site_fract_z",
+        "_atom_site_U_iso_or_equiv",
+        "Si 0 0 0 0.0064(2)",
+        "Si 0.5 0.5 0.25 0.0064",
+        "",
+    ];
+    let text = cell.chain(atoms).collect::<Vec<_>>().join("\n");
+    std::fs::write(here.join("u.cif"), text).unwrap();
+    let sigma = |sigma| image(&["u.cif", "--phonons", "2", "--sigma", sigma]);
+    assert_eq!(sigma("from-file"), sigma("0.08"));
+    let mut none = stemgen(here);
+    let si = file("structures/si.cif");
+    let told = super::fails(none.args(["simulate", &si, "--phonons", "2", "--sigma", "from-file"]));
+    assert!(told.contains("_atom_site_u_iso_or_equiv"), "{told}");
+}
+
+/// A part of the cell with a source is that part of the whole with the same source.
+#[test]
+fn a_source_blurs_parts_as_the_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |name: &str, scan: [&str; 4], source: &[&str]| -> Vec<f32> {
+        let mut command = stemgen(folder.path());
+        command.arg("simulate").arg(file("structures/si.cif"));
+        command.args(["--sampling", "0.1", "--detector", "ADF=40-80", "--quiet", "-o", name]);
+        let run = command.args(scan).args(source).output().unwrap();
+        assert!(run.status.success(), "{}", stderr(&run));
+        let file = hdf5::File::open(folder.path().join(name)).unwrap();
+        file.dataset("images/ADF").unwrap().read_raw().unwrap()
+    };
+    // 20 pixels of the cell, and 10 in its corner
+    let whole = ["--scan-points", "20,20", "--scan-start", "0,0"];
+    let corner = ["--scan-points", "10,10", "--scan-end", "2.7155,2.7155"];
+    let source = ["--source-size", "0.9"];
+    let (sharp, whole) = (run("a.h5", whole, &[]), run("b.h5", whole, &source));
+    let corner = run("c.h5", corner, &source);
+    let spread = |v: &[f32]| {
+        v.iter().fold(0.0, |m: f32, a| m.max(*a)) - v.iter().fold(1.0, |m: f32, a| m.min(*a))
+    };
+    assert!(spread(&whole) < 0.8 * spread(&sharp), "{} {}", spread(&whole), spread(&sharp));
+    let mean = |v: &[f32]| v.iter().sum::<f32>() / v.len() as f32;
+    assert!((mean(&whole) / mean(&sharp) - 1.0).abs() < 1e-5);
+    for (i, value) in corner.iter().enumerate() {
+        let same = whole[i / 10 * 20 + i % 10];
+        assert!((value - same).abs() < 2e-3 * spread(&whole), "{i}: {value} {same}");
+    }
+}
+
+#[test]
 fn a_warning_is_a_sentence_without_gaps() {
     let folder = tempfile::tempdir().unwrap();
     let mut simulate = stemgen(folder.path());
@@ -145,6 +245,21 @@ fn an_accuracy_is_measured_and_told() {
         (&found["tried"], &found["asked_percent"])
     );
     assert!(told.get("measured_in_s").is_none(), "{told}");
+}
+
+#[test]
+fn what_lies_outside_the_cell_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let atoms =
+        "2\nLattice=\"12 0 0 0 12 0 0 0 4\" Properties=species:S:1:pos:R:3\nSi 6 6 1\nSi -3 6 1\n";
+    std::fs::write(folder.path().join("turned.xyz"), atoms).unwrap();
+    let mut command = stemgen(folder.path());
+    let plan = json(command.args(["simulate", "turned.xyz", "--dry-run", "--scan-end", "15,12"]));
+    let warnings = plan["warnings"].to_string();
+    for part in ["1 of 2 atoms lie outside the cell, up to 3.0 A", "from 0.000 to 15.000 A along x"]
+    {
+        assert!(warnings.contains(part), "no `{part}` in {warnings}");
+    }
 }
 
 #[cfg(unix)]

@@ -114,7 +114,9 @@ fn bad_requests_are_explained() {
     tile.write_slice(&ndarray::arr2(&[[f32::NAN]]), (5..6, 7..8)).unwrap();
     drop((tile, world));
     damage(here, "w.h5", "damaged.h5");
-    let cases: [(&[&str], &str); 18] = [
+    let cases: [(&[&str], &str); 20] = [
+        (&["w.h5", "--overlay", "boundaries"], "no boundaries"),
+        (&["w.h5", "--grid", "1x1"], "leave out --difficulty and --grid"),
         (&["none.h5"], "none.h5"),
         (&["text.h5"], "is not HDF5"),
         (&["cut.h5"], "truncated"),
@@ -188,4 +190,21 @@ fn columns_of_a_file_that_lists_none_are_sites_above_each_other() {
     stemgen(here).args(["view", "w.h5", "--html", "-q"]).status().unwrap();
     let page = std::fs::read_to_string(here.join("w.html")).unwrap();
     assert!(page.contains(&format!("\"count\":{}", expected.len())), "the page has its columns");
+}
+
+#[test]
+fn the_specimen_of_a_recipe_is_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    let view = |arguments: &[&str]| {
+        let mut command = stemgen(folder.path());
+        command.arg("view").args(arguments);
+        command
+    };
+    let run = view(&["srtio3", "--difficulty", "easy", "--grid", "1x1"]).output().unwrap();
+    assert!(run.status.success(), "{}", super::stderr(&run));
+    assert!(folder.path().join("srtio3.view.png").exists());
+    let run = view(&[&super::file("tests/cli/tiny.toml"), "-o", "t.png"]).status().unwrap();
+    assert!(run.success() && folder.path().join("t.png").exists());
+    let told = super::fails(&mut view(&["srtio3", "--difficulty", "easy", "--html"]));
+    assert!(told.contains("build the world for --html"), "{told}");
 }

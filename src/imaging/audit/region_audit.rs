@@ -11,12 +11,14 @@ use super::places::{AuditPlace, places};
 use super::power_spectrum::{PowerBand, power};
 use crate::engine::Algorithm;
 use crate::error::Result;
+use crate::imaging::direct::rectangle_plan;
+use crate::imaging::imaging_cost::SimulationRuns;
 use crate::imaging::pixels::PixelBox;
 use crate::imaging::region_imager::RegionImager;
 use crate::imaging::simulator::Simulator;
 use crate::potential::slices::Slicing;
 use crate::progress::{InterruptOnly, Progress};
-use crate::recipe::Recipe;
+use crate::recipe::{CheckedRecipe, Recipe};
 use crate::specimen::Specimen;
 
 /// Columns as bright as this share of the brightest count as bright.
@@ -98,12 +100,9 @@ pub fn audit(
 ) -> Result<Audit> {
     let all = recipe.phonons.configurations.max(1);
     let configurations = options.configurations.unwrap_or(all).clamp(1, all);
-    let mut reference = Simulator::new(recipe, Algorithm::Multislice).with_large_probe_box();
-    if specimen.film().is_some() {
-        reference = reference.with_slices(Slicing::Grouped(PARTICLE_SPAN_ANGSTROM));
-    }
+    let reference = reference(recipe, specimen);
     let pixel = 10.0 * recipe.field.pixel_nm();
-    let stride = options.stride.unwrap_or((POINT_ANGSTROM / pixel).round().max(1.0) as usize);
+    let stride = stride(options, pixel);
     let step_angstrom = pixel * stride as f64;
     let places = places(recipe, specimen, options, stride)?;
     let points =
@@ -128,6 +127,37 @@ pub fn audit(
     };
     let regions = regions.map(compared).collect();
     Ok(summary(imager, [configurations, all], regions, &columns, step_angstrom))
+}
+
+/// The exact engine.
+fn reference(recipe: &Recipe, specimen: &dyn Specimen) -> Simulator {
+    let reference = Simulator::new(recipe, Algorithm::Multislice).with_large_probe_box();
+    match specimen.film() {
+        Some(_) => reference.with_slices(Slicing::Grouped(PARTICLE_SPAN_ANGSTROM)),
+        None => reference,
+    }
+}
+
+fn stride(options: &AuditOptions, pixel_angstrom: f64) -> usize {
+    options.stride.unwrap_or((POINT_ANGSTROM / pixel_angstrom).round().max(1.0) as usize)
+}
+
+/// What the exact simulations of an audit take.
+///
+/// # Errors
+/// Those of the plan.
+pub fn audit_cost(
+    recipe: &CheckedRecipe,
+    specimen: &dyn Specimen,
+    options: &AuditOptions,
+) -> Result<SimulationRuns> {
+    let all = recipe.phonons.configurations.max(1);
+    let configurations = options.configurations.unwrap_or(all).clamp(1, all);
+    let reference = reference(recipe, specimen).with_configurations(configurations);
+    let edge = (options.size_nm / recipe.field.pixel_nm()).round().max(1.0) as usize;
+    let probes = edge.div_ceil(stride(options, 10.0 * recipe.field.pixel_nm())).pow(2);
+    let regions = if options.at_nm.is_empty() { options.regions } else { options.at_nm.len() };
+    Ok(rectangle_plan(recipe, specimen, &reference, [edge; 2], regions)?.0.for_probes(probes))
 }
 
 fn rms(values: impl Iterator<Item = f64>) -> f64 {

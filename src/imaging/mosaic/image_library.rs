@@ -7,6 +7,7 @@ use sha2::{Digest, Sha256};
 
 use crate::engine::{Plan, PlannedScan, Scan, Settings, Simulation, Site};
 use crate::error::{Error, Result};
+use crate::imaging::mosaic::image_note::{ImageNote, NewImages};
 use crate::imaging::mosaic::library_cache::Cache;
 use crate::numerics::NUMERICS_VERSION;
 use crate::optics::Optics;
@@ -219,6 +220,11 @@ impl CellImages {
         Plan::new(settings, self.sheet.box_angstrom, &heights)
     }
 
+    /// What an image (sheet, configuration) shows.
+    fn note(&self, settings: &Settings, sigma: &dyn Fn(u8) -> f64, image: [usize; 2]) -> ImageNote {
+        ImageNote::new(&self.sheet, &self.elements(), (settings, sigma), image)
+    }
+
     /// All elements that its sheets may hold, ascending.
     fn elements(&self) -> Vec<u8> {
         let units = self.sheet.units.iter().flat_map(|u| u.members.iter().flatten());
@@ -307,6 +313,22 @@ impl ImageLibrary {
         self.cells.values().map(|s| s.sheet.count * self.configurations).sum()
     }
 
+    /// The images that the cache lacks: their sheets, and which they are of them.
+    fn lacking<'a>(
+        &'a self,
+        material: &'a str,
+        sigma: &'a dyn Fn(u8) -> f64,
+        cache: &'a Cache,
+    ) -> impl Iterator<Item = (&'a CellImages, [usize; 2])> {
+        let all = self.cells.values().flat_map(move |cell| {
+            let sheets = 0..cell.sheet.count;
+            sheets.flat_map(move |s| (0..self.configurations).map(move |c| (cell, [s, c])))
+        });
+        all.filter(move |(cell, [sheet, configuration])| {
+            !cache.has(material, &key(&self.settings, sigma, cell, *sheet, *configuration))
+        })
+    }
+
     /// The images that the cache lacks.
     pub fn missing(
         &self,
@@ -314,19 +336,29 @@ impl ImageLibrary {
         sigma: &dyn Fn(u8) -> f64,
         cache: &Cache,
     ) -> Vec<MissingImage> {
-        let mut missing = Vec::new();
-        for cell in self.cells.values() {
-            for sheet in 0..cell.sheet.count {
-                for configuration in 0..self.configurations {
-                    let key = key(&self.settings, sigma, cell, sheet, configuration);
-                    if !cache.has(material, &key) {
-                        let bytes = Cache::file_bytes(cell.scan.shape);
-                        missing.push(MissingImage { probes: cell.probes(), bytes });
-                    }
-                }
-            }
+        let missing = |cell: &CellImages| MissingImage {
+            probes: cell.probes(),
+            bytes: Cache::file_bytes(cell.scan.shape),
+        };
+        self.lacking(material, sigma, cache).map(|(cell, _)| missing(cell)).collect()
+    }
+
+    /// The images that the cache lacks, by what they differ in from those that it has.
+    pub fn new_images(
+        &self,
+        material: &str,
+        sigma: &dyn Fn(u8) -> f64,
+        cache: &Cache,
+    ) -> Vec<NewImages> {
+        let notes = cache.notes(material);
+        let kept: Vec<ImageNote> =
+            notes.iter().filter_map(|n| serde_json::from_str(n).ok()).collect();
+        let mut new: BTreeMap<String, usize> = BTreeMap::new();
+        for (cell, image) in self.lacking(material, sigma, cache) {
+            let why = cell.note(&self.settings, sigma, image).difference(&kept);
+            *new.entry(why).or_default() += 1;
         }
-        missing
+        new.into_iter().map(|(why, images)| NewImages::new(images, why)).collect()
     }
 
     /// Reads the images from the cache, and simulates those that it lacks. Returns how many it lacked.
@@ -344,7 +376,7 @@ impl ImageLibrary {
         let mut keep: Option<Error> = None;
         let probes = self.probes();
         progress.start("library", "probe", probes as u64);
-        for (family, cell) in &mut self.cells {
+        for cell in self.cells.values_mut() {
             let plan = cell.plan(&self.settings)?;
             let mut simulation = None;
             for sheet in 0..cell.sheet.count {
@@ -368,8 +400,8 @@ impl ImageLibrary {
                             let atoms = cell.atoms(sheet, configuration, sigma);
                             let images = simulation.images(&atoms, &cell.scan, &share)?;
                             let image = images.image(0, 0).to_owned();
-                            let about =
-                                format!("{family:?}, sheet {sheet}, configuration {configuration}");
+                            let note = cell.note(&self.settings, sigma, [sheet, configuration]);
+                            let about = serde_json::to_string(&note).unwrap_or_default();
                             if let Err(e) = cache.save(material, &key, &about, &image) {
                                 keep.get_or_insert(e);
                             }

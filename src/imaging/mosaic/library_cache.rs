@@ -112,6 +112,11 @@ impl Cache {
         self.places(material).iter().any(|store| store.path(key).is_file())
     }
 
+    /// The notes of all images of a material.
+    pub fn notes(&self, material: &str) -> Vec<String> {
+        self.of(material).map(|store| store.notes()).unwrap_or_default()
+    }
+
     /// Keeps an image. `note` is for people who look into the file.
     ///
     /// # Errors

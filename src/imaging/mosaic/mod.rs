@@ -11,6 +11,7 @@
 
 pub mod assembly;
 pub mod image_library;
+pub mod image_note;
 pub mod library_cache;
 pub mod mosaic_cost;
 pub mod mosaic_imager;

@@ -1,5 +1,7 @@
 //! What making a mosaic will take.
 
+use super::image_note::NewImages;
+
 /// What a mosaic will take.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 #[non_exhaustive]
@@ -10,6 +12,8 @@ pub struct MosaicCost {
     pub images: usize,
     /// Those that the cache lacks.
     pub missing: usize,
+    /// Why the cache lacks them.
+    pub new: Vec<NewImages>,
     /// Probes that they take.
     pub missing_probes: usize,
     /// Bytes that they take on disk.

@@ -89,6 +89,7 @@ impl MosaicImager {
             pays: self.pays(),
             images: self.library.image_count(),
             missing: missing.len(),
+            new: self.library.new_images(&self.recipe.id, &self.sigma(), &self.cache),
             missing_probes: missing.iter().map(|m| m.probes).sum(),
             missing_bytes: missing.iter().map(|m| m.bytes).sum(),
             columns: self.survey.tagged,

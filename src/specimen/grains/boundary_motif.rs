@@ -76,7 +76,7 @@ impl BoundaryMotif {
         let least = LEAST_CONTENTS.div_ceil(periods);
         let count = sheets(slots.len() * periods, configurations).max(least);
         let lookup = slots.iter().enumerate().map(|(n, s)| (rounded(s.position), n)).collect();
-        let pool = DefectPatterns::new(sites, count * periods, 1 + stream);
+        let pool = DefectPatterns::new(sites, [count, periods], 1 + stream);
         BoundaryMotif { period, slots, lookup, others, pool, periods, process, seed }
     }
 

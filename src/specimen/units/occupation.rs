@@ -80,7 +80,7 @@ impl UnitOccupation {
         let configurations = recipe.phonons.configurations.max(1);
         let sheets = sheets(per_sheet * units.kinds.len(), configurations);
         let sites = per_cell.iter().map(|n| n * depth).collect();
-        let pool = DefectPatterns::new(sites, sheets * per_sheet, 0);
+        let pool = DefectPatterns::new(sites, [sheets, per_sheet], 0);
         let seed = recipe.seed;
         Ok(Some(UnitOccupation { units, process, pool, sheet_cells, places, per_cell, seed }))
     }

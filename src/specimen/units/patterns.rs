@@ -99,15 +99,17 @@ pub struct PatternTable {
 }
 
 impl PatternTable {
-    /// PatternTable for units with `sites` sites in `cells` cells. `stream` tells kinds of units apart.
-    pub fn new(sites: usize, bin: usize, cells: usize, stream: u64) -> Self {
-        let counts = counts(sites, bin, cells);
-        // A random order of the cells, so that neighbours have nothing in common.
+    /// PatternTable for units with `sites` sites in `sheets` sheets of `per_sheet` cells. `stream` tells kinds of units
+    /// apart. More sheets begin with those of fewer, so that worlds with other numbers of phonon configurations share them.
+    pub fn new(sites: usize, bin: usize, [sheets, per_sheet]: [usize; 2], stream: u64) -> Self {
+        let cells = sheets * per_sheet;
+        let counts = (0..sheets).flat_map(|sheet| counts(sites, bin, per_sheet, sheet));
+        // A random order of the cells of each sheet, so that neighbours have nothing in common.
         let mut order: Vec<usize> = (0..cells).collect();
         let word = |n: u64, draw: u32| {
             rng::words(SEED ^ stream.rotate_left(32), Purpose::Pool, draw, (bin as u64) << 32 | n)
         };
-        order.sort_by_key(|&n| (word(n as u64, 0), n));
+        order.sort_by_key(|&n| (n / per_sheet, word(n as u64, 0), n));
         let mut patterns = vec![Vec::new(); cells];
         let mut by_count = vec![Vec::new(); sites + 1];
         // The patterns of one defect take each site once before any twice.
@@ -178,22 +180,24 @@ impl PatternTable {
 pub struct DefectPatterns {
     /// Sites of each kind of unit that may be defects.
     sites: Vec<usize>,
-    cells: usize,
+    /// Number of sheets, and of cells in each.
+    layout: [usize; 2],
     stream: u64,
     tables: Vec<OnceLock<PatternTable>>,
 }
 
 impl DefectPatterns {
-    /// A pool with `cells` patterns for each bin and kind of unit.
-    pub fn new(sites: Vec<usize>, cells: usize, stream: u64) -> Self {
+    /// A pool of as many patterns for each bin and kind of unit as there are cells in `layout`: so many sheets, and so many
+    /// cells in each.
+    pub fn new(sites: Vec<usize>, layout: [usize; 2], stream: u64) -> Self {
         let tables = (0..sites.len() * RATES.len()).map(|_| OnceLock::new()).collect();
-        DefectPatterns { sites, cells, stream, tables }
+        DefectPatterns { sites, layout, stream, tables }
     }
 
     /// The patterns of a kind of unit in a bin.
     pub fn patterns(&self, kind: usize, bin: usize) -> &PatternTable {
         self.tables[kind * RATES.len() + bin].get_or_init(|| {
-            PatternTable::new(self.sites[kind], bin, self.cells, self.stream << 16 | kind as u64)
+            PatternTable::new(self.sites[kind], bin, self.layout, self.stream << 16 | kind as u64)
         })
     }
 
@@ -204,7 +208,7 @@ impl DefectPatterns {
 
     /// PatternTable for each bin and kind.
     pub fn cells(&self) -> usize {
-        self.cells
+        self.layout[0] * self.layout[1]
     }
 
     /// What the unit `id` of a specimen holds: the bin and the cell of its pattern.
@@ -244,9 +248,9 @@ fn stride(sites: usize) -> usize {
     (sites * 3 / 8 + 1..).find(|s| gcd(*s, sites) == 1).unwrap_or(1)
 }
 
-/// Numbers of defects for so many cells: shares go with the root of the probability within the bin, so that
+/// Numbers of defects for the cells of a sheet: shares go with the root of the probability within the bin, so that
 /// rare numbers have several patterns too.
-fn counts(sites: usize, bin: usize, cells: usize) -> Vec<usize> {
+fn counts(sites: usize, bin: usize, cells: usize, sheet: usize) -> Vec<usize> {
     let [low, high] = span(bin);
     let tables = [low, RATES[bin], high].map(|rate| binomial(sites, rate));
     let likely = |n: usize| tables.iter().map(|t| t[n]).fold(0.0, f64::max);
@@ -256,11 +260,12 @@ fn counts(sites: usize, bin: usize, cells: usize) -> Vec<usize> {
     };
     let weights: Vec<f64> = (0..=sites).map(weight).collect();
     let total: f64 = weights.iter().sum();
-    // Cell c takes the number at the quantile (c + 1/2) / cells.
+    // Cell c takes the number at the quantile (c + offset) / cells; the offsets of all sheets fill the steps evenly.
+    let offset = halved(sheet);
     let mut out = Vec::with_capacity(cells);
     let (mut number, mut below) = (0, weights[0]);
     for cell in 0..cells {
-        let at = (cell as f64 + 0.5) / cells as f64 * total;
+        let at = (cell as f64 + offset) / cells as f64 * total;
         while at > below && number < sites {
             number += 1;
             below += weights[number];
@@ -268,6 +273,12 @@ fn counts(sites: usize, bin: usize, cells: usize) -> Vec<usize> {
         out.push(number);
     }
     out
+}
+
+/// The sequence 1/2, 1/4, 3/4, 1/8, 5/8, ..., which fills the unit interval evenly however far it goes.
+fn halved(n: usize) -> f64 {
+    let digits = (0..usize::BITS).filter(|bit| (n + 1) >> bit & 1 == 1);
+    digits.map(|bit| libm::exp2(-f64::from(bit + 1))).sum()
 }
 
 /// `count` of `sites` sites, all choices equally likely, ascending.
@@ -304,7 +315,7 @@ mod tests {
     fn draws_have_the_binomial_mean_and_variance_and_use_all_sites() {
         let (sites, n) = (26, 40_000);
         for rate in [0.0, 0.01, 0.05, 0.12, 0.25] {
-            let patterns = PatternTable::new(sites, bin_of(rate), 144, 3);
+            let patterns = PatternTable::new(sites, bin_of(rate), [4, 36], 3);
             let u = |k: u32, i: u64| rng::uniform(9, Purpose::Defect, k, i);
             let mut hits = vec![0.0; sites];
             let (mut sum, mut square) = (0.0, 0.0);
@@ -330,7 +341,7 @@ mod tests {
 
     #[test]
     fn small_pools_have_the_right_mean_too() {
-        for (rate, cells) in [(0.022, 4), (0.09, 4), (0.25, 6)] {
+        for (rate, cells) in [(0.022, [1, 4]), (0.09, [2, 2]), (0.25, [1, 6])] {
             let patterns = PatternTable::new(26, bin_of(rate), cells, 5);
             let n = 60_000;
             let number = |i: u64| {
@@ -345,8 +356,19 @@ mod tests {
     }
 
     #[test]
+    fn more_sheets_begin_with_those_of_fewer() {
+        for rate in [0.01, 0.12] {
+            let few = PatternTable::new(26, bin_of(rate), [2, 25], 3);
+            let more = PatternTable::new(26, bin_of(rate), [5, 25], 3);
+            assert_eq!(few.cells, more.cells[..50]);
+            assert_ne!(more.cells[..25], more.cells[25..50]);
+        }
+        assert_eq!([0, 1, 2, 3, 4].map(halved), [0.5, 0.25, 0.75, 0.125, 0.625]);
+    }
+
+    #[test]
     fn only_allowed_sites_are_taken() {
-        let patterns = PatternTable::new(20, bin_of(0.15), 200, 1);
+        let patterns = PatternTable::new(20, bin_of(0.15), [8, 25], 1);
         let allowed: Vec<bool> = (0..20).map(|s| s < 9).collect();
         let mut found = 0;
         for i in 0..500 {

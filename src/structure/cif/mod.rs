@@ -2,6 +2,7 @@
 //!
 //! Cell vector a lies along x and b in the xy plane.
 
+mod displacements;
 mod symmetry;
 mod tokens;
 
@@ -9,6 +10,7 @@ use super::lattice::{Mat3, Vec3, norm, row_times, wrap_unit};
 use super::source_text::SourceText;
 use super::{Atom, Structure, elements};
 use crate::error::Result;
+pub(super) use displacements::displacements;
 use symmetry::Operation;
 use tokens::{CifValue, DataBlock, Loop};
 

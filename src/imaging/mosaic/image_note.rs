@@ -1,0 +1,171 @@
+//! Why an image of the library is new: what it shows, beside what the images in the cache show.
+
+use std::fmt::Display;
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use crate::engine::Settings;
+use crate::numerics::NUMERICS_VERSION;
+use crate::specimen::units::library_cell::LibraryCell;
+use crate::specimen::units::occupation::DefectKind;
+use crate::structure::elements;
+
+/// What an image of the library shows, in words and digests. Stands in the files of the cache.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ImageNote {
+    /// Version of the numerics.
+    pub numerics: u32,
+    /// Digest of the settings of the engine.
+    pub settings: String,
+    /// Standard deviations of displacements.
+    pub sigma: String,
+    /// Digest of the sites of the sheet: crystal, thickness, strain, boundary.
+    pub sites: String,
+    /// The kind of defect.
+    pub process: String,
+    /// Rate of defects among the neighbours.
+    pub rate: f64,
+    /// Sheet and phonon configuration.
+    pub image: [usize; 2],
+}
+
+/// Images that have to be simulated, and why.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct NewImages {
+    /// How many.
+    pub images: usize,
+    /// In what they differ from all that is kept.
+    pub why: String,
+}
+
+impl NewImages {
+    /// So many images for a reason.
+    pub fn new(images: usize, why: String) -> Self {
+        NewImages { images, why }
+    }
+}
+
+impl ImageNote {
+    /// What an image (sheet, configuration) of sheets that hold these elements shows; `sigma` gives the standard deviation in
+    /// Angstrom of each.
+    pub fn new(
+        sheet: &LibraryCell,
+        numbers: &[u8],
+        (settings, sigma): (&Settings, &dyn Fn(u8) -> f64),
+        image: [usize; 2],
+    ) -> Self {
+        let sigmas = numbers.iter().map(|n| format!("{} {}", elements::symbol(*n), sigma(*n)));
+        ImageNote {
+            numerics: NUMERICS_VERSION,
+            settings: digest(serde_json::to_string(settings).unwrap_or_default()),
+            sigma: sigmas.collect::<Vec<_>>().join(", "),
+            sites: digest(sites(sheet)),
+            process: sheet.process.map_or_else(|| "none".to_owned(), in_words),
+            rate: sheet.rate,
+            image,
+        }
+    }
+
+    /// In what this image differs from the nearest of those that are kept.
+    pub fn difference(&self, kept: &[ImageNote]) -> String {
+        let Some((_, nearest)) = kept.iter().map(|k| (self.likeness(k), k)).max_by_key(|n| n.0)
+        else {
+            return "none is kept of this material".into();
+        };
+        let now = |what: &str, old: &dyn Display, new: &dyn Display| {
+            format!("{what} {new}; kept are some for {old}")
+        };
+        if self.numerics != nearest.numerics {
+            return "those kept are of another version of the program".into();
+        }
+        if self.settings != nearest.settings {
+            return "those kept are for another microscope or other numerics".into();
+        }
+        if self.sigma != nearest.sigma {
+            return now("displacements (A)", &nearest.sigma, &self.sigma);
+        }
+        if self.process != nearest.process {
+            return now("defects:", &nearest.process, &self.process);
+        }
+        if self.rate != nearest.rate {
+            let alike = kept.iter().filter(|k| self.likeness(k) == self.likeness(nearest));
+            let mut rates: Vec<f64> = alike.map(|k| k.rate).collect();
+            rates.sort_by(f64::total_cmp);
+            rates.dedup();
+            let percent = |r: &f64| format!("{} %", (1e4 * r).round() / 1e2);
+            let rates = rates.iter().map(percent).collect::<Vec<_>>().join(", ");
+            return now("neighbours with defects on about", &rates, &percent(&self.rate));
+        }
+        if self.sites != nearest.sites {
+            return "another crystal, thickness, strain or boundary than those kept".into();
+        }
+        "more contents or phonon configurations of a kind that is kept".into()
+    }
+
+    /// How many of the parts that decide an image are those of another, the weightiest first.
+    fn likeness(&self, other: &ImageNote) -> usize {
+        let same = [
+            self.numerics == other.numerics,
+            self.settings == other.settings,
+            self.sigma == other.sigma,
+            self.process == other.process,
+            self.sites == other.sites,
+            self.rate == other.rate,
+        ];
+        same.iter().take_while(|s| **s).count()
+    }
+}
+
+fn digest(text: String) -> String {
+    Sha256::digest(text)[..8].iter().map(|b| format!("{b:02x}")).collect()
+}
+
+fn in_words(process: DefectKind) -> String {
+    let host = elements::symbol(process.element);
+    match process.by {
+        Some(by) => format!("{} for {host}", elements::symbol(by)),
+        None => format!("{host} vacancies"),
+    }
+}
+
+/// The sites of a sheet, whatever they hold.
+fn sites(sheet: &LibraryCell) -> String {
+    let members = sheet.units.iter().flat_map(|u| &u.members);
+    let sites = members.chain(&sheet.surroundings).flatten();
+    let text = sites.map(|s| format!("{:.5?} {};", s.position, s.number));
+    format!("{:?} {}", sheet.box_angstrom, text.collect::<String>())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn note() -> ImageNote {
+        ImageNote {
+            numerics: 1,
+            settings: "a".into(),
+            sigma: "Mg 0.05".into(),
+            sites: "b".into(),
+            process: "Ca for Mg".into(),
+            rate: 0.015,
+            image: [0, 0],
+        }
+    }
+
+    #[test]
+    fn the_nearest_image_tells_what_is_new() {
+        let new = note();
+        assert_eq!(new.difference(&[]), "none is kept of this material");
+        let old = ImageNote { numerics: 0, ..note() };
+        assert!(new.difference(std::slice::from_ref(&old)).contains("another version"));
+        let rate = |rate| ImageNote { rate, ..note() };
+        let told = new.difference(&[old.clone(), rate(0.04), rate(0.08)]);
+        assert_eq!(told, "neighbours with defects on about 1.5 %; kept are some for 4 %, 8 %");
+        let more = ImageNote { image: [3, 1], ..note() };
+        assert!(new.difference(&[rate(0.04), more]).contains("more contents"));
+        let thicker = ImageNote { sites: "c".into(), ..note() };
+        assert!(new.difference(&[thicker]).contains("thickness"));
+    }
+}

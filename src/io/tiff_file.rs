@@ -1,0 +1,230 @@
+//! TIFF with calibrated pixels and grey values, as ImageJ and tifffile read them.
+
+use std::path::Path;
+
+use super::image_file::ImageStack;
+use crate::error::{Error, Result};
+use crate::files::atomic_write;
+use crate::setting::Setting;
+
+/// Digits of the resolution behind the point.
+const PER_MILLION: f64 = 1e6;
+/// Entries of a page.
+const TAGS: usize = 14;
+/// Kinds of values.
+const UNSIGNED: u16 = 1;
+const FLOAT: u16 = 3;
+/// Bytes of values that leave room for the rest below the 4 GiB that places of 32 bits reach.
+const LARGEST: usize = 4_000_000_000;
+
+/// Kinds of grey values.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TiffDepth {
+    /// Whole numbers from 0 to 255, from the least to the greatest value of the stack.
+    Bits8,
+    /// From 0 to 65 535.
+    Bits16,
+    /// The values themselves, in single precision.
+    Bits32,
+}
+
+/// Writes a stack as one TIFF, a page for each thickness. `ImageDescription` and resolution tell ImageJ the pixel in Angstrom, and
+/// the values that whole numbers stand for.
+///
+/// # Errors
+/// [`Error::Invalid`] for more than a TIFF can hold, [`Error::Io`].
+pub fn write_tiff(
+    path: &Path,
+    overwrite: bool,
+    stack: &ImageStack,
+    depth: TiffDepth,
+) -> Result<()> {
+    let values = stack.data.len().saturating_mul(4);
+    if values > LARGEST {
+        let expected =
+            format!("TIFF holds up to 4 GB, and this stack has {values} bytes; take HDF5");
+        return Err(Error::invalid(Setting::Output, path.display(), expected));
+    }
+    atomic_write::write_with(path, overwrite, |temporary| {
+        std::fs::write(temporary, bytes(stack, depth)).map_err(|e| Error::io(path, "write", e))
+    })
+}
+
+/// All pages: first the values of all, then what each page is. ImageJ takes the values of a stack from behind those of its first page,
+/// other readers go from page to page.
+fn bytes(stack: &ImageStack, depth: TiffDepth) -> Vec<u8> {
+    let ends = |(a, b): (f32, f32), v: &f32| (a.min(*v), b.max(*v));
+    let (low, high) = stack.data.iter().fold((f32::INFINITY, f32::NEG_INFINITY), ends);
+    let (levels, bits, format) = match depth {
+        TiffDepth::Bits8 => (255.0, 8u16, UNSIGNED),
+        TiffDepth::Bits16 => (65535.0, 16, UNSIGNED),
+        TiffDepth::Bits32 => (0.0, 32, FLOAT),
+    };
+    let slope = if levels > 0.0 && high > low { (high - low) / levels } else { 1.0 };
+    let description = description(stack, (levels > 0.0).then_some([low, slope]), [low, high]);
+    let level = |v: f32| ((v - low) / slope).round();
+    let mut out = b"II*\0\0\0\0\0".to_vec();
+    let mut starts = Vec::new();
+    for image in stack.data.outer_iter() {
+        starts.push(out.len());
+        for v in image {
+            match depth {
+                TiffDepth::Bits8 => out.push(level(*v) as u8),
+                TiffDepth::Bits16 => out.extend((level(*v) as u16).to_le_bytes()),
+                TiffDepth::Bits32 => out.extend(v.to_le_bytes()),
+            }
+        }
+    }
+    let (_, rows, columns) = stack.data.dim();
+    let size = rows * columns * usize::from(bits) / 8;
+    let mut link = 4;
+    for start in starts {
+        out.resize(out.len().next_multiple_of(2), 0);
+        let page = Directory { at: out.len(), columns, rows, bits, format, start, size };
+        out[link..link + 4].copy_from_slice(&(page.at as u32).to_le_bytes());
+        link = page.write(&mut out, &description, stack.step_angstrom);
+    }
+    out
+}
+
+/// What a page is.
+struct Directory {
+    at: usize,
+    columns: usize,
+    rows: usize,
+    bits: u16,
+    format: u16,
+    start: usize,
+    size: usize,
+}
+
+impl Directory {
+    /// Appends it; returns where the place of the next has to be written.
+    fn write(&self, out: &mut Vec<u8>, description: &str, step_angstrom: [f64; 2]) -> usize {
+        let text = [description.as_bytes(), b"\0"].concat();
+        let beyond = self.at + 2 + 12 * TAGS + 4;
+        let resolution = beyond + text.len().next_multiple_of(2);
+        let (long, short) =
+            (|tag, n: usize| (tag, 4u16, 1, n), |tag, n: u16| (tag, 3u16, 1, usize::from(n)));
+        let entries: [(u16, u16, usize, usize); TAGS] = [
+            long(256, self.columns),
+            long(257, self.rows),
+            short(258, self.bits),
+            short(259, 1),
+            short(262, 1),
+            (270, 2, text.len(), beyond),
+            long(273, self.start),
+            short(277, 1),
+            long(278, self.rows),
+            long(279, self.size),
+            (282, 5, 1, resolution),
+            (283, 5, 1, resolution + 8),
+            // 1: a unit that the description names
+            short(296, 1),
+            short(339, self.format),
+        ];
+        out.extend((TAGS as u16).to_le_bytes());
+        for (tag, kind, count, value) in entries {
+            out.extend(tag.to_le_bytes());
+            out.extend(kind.to_le_bytes());
+            out.extend((count as u32).to_le_bytes());
+            out.extend((value as u32).to_le_bytes());
+        }
+        let next = out.len();
+        out.extend([0; 4]);
+        out.extend(&text);
+        out.resize(resolution, 0);
+        for step in step_angstrom {
+            out.extend(((PER_MILLION / step).round() as u32).to_le_bytes());
+            out.extend((PER_MILLION as u32).to_le_bytes());
+        }
+        next
+    }
+}
+
+/// The text that ImageJ reads: line by line, a key and a value.
+fn description(stack: &ImageStack, calibration: Option<[f32; 2]>, [low, high]: [f32; 2]) -> String {
+    let pages = stack.data.len_of(ndarray::Axis(0));
+    let mut lines = vec!["ImageJ=1.54f".to_owned(), format!("images={pages}")];
+    if pages > 1 {
+        lines.push(format!("slices={pages}"));
+    }
+    lines.push("unit=Angstrom".into());
+    if let Some([offset, slope]) = calibration {
+        lines.push(format!("cf=0\nc0={offset}\nc1={slope}\nvunit={}", stack.units));
+    } else {
+        lines.push(format!("min={low}\nmax={high}"));
+    }
+    let at = stack.thicknesses_angstrom.iter().map(|t| format!("{t:.2}")).collect::<Vec<_>>();
+    lines.push(format!("image={}\nthicknesses_angstrom={}", stack.name, at.join(",")));
+    lines.join("\n") + "\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::Array3;
+    use std::fs::File;
+    use tiff::decoder::{Decoder, DecodingResult};
+    use tiff::tags::Tag;
+
+    #[test]
+    fn pages_values_and_imagej_tags_come_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let data = Array3::from_shape_fn((2, 3, 4), |(t, i, j)| (t * 12 + i * 4 + j) as f32 * 0.01);
+        let stack = ImageStack {
+            name: "HAADF",
+            data: data.view(),
+            units: "fraction of the incident beam",
+            step_angstrom: [0.25, 0.5],
+            origin_angstrom: [0.0; 2],
+            thicknesses_angstrom: &[10.0, 20.0],
+            defocus_angstrom: None,
+            annulus_mrad: None,
+        };
+        for depth in [TiffDepth::Bits8, TiffDepth::Bits16, TiffDepth::Bits32] {
+            let path = folder.path().join(format!("{depth:?}.tif"));
+            write_tiff(&path, false, &stack, depth).unwrap();
+            let mut decoder = Decoder::new(File::open(&path).unwrap()).unwrap();
+            let text = decoder.get_tag_ascii_string(Tag::ImageDescription).unwrap();
+            assert!(
+                text.starts_with("ImageJ=")
+                    && text.contains("unit=Angstrom")
+                    && !text.contains("images="),
+                "{text}"
+            );
+            let resolution = decoder.get_tag_u64_vec(Tag::XResolution).unwrap();
+            assert_eq!(resolution, [4_000_000, 1_000_000]);
+            let number = |key: &str| -> f32 {
+                let line = text.lines().find_map(|l| l.strip_prefix(key));
+                line.map_or(f32::from(key == "c1="), |v| v.parse().unwrap())
+            };
+            let (offset, slope) = (number("c0="), number("c1="));
+            // one after the other, as ImageJ takes them
+            let starts: Vec<u64> = (0..2)
+                .map(|n| {
+                    decoder.seek_to_image(n).unwrap();
+                    decoder.get_tag_u64(Tag::StripOffsets).unwrap()
+                })
+                .collect();
+            let bytes = decoder.get_tag_u64(Tag::StripByteCounts).unwrap();
+            assert_eq!(starts, [8, 8 + bytes]);
+            decoder.seek_to_image(0).unwrap();
+            for page in data.outer_iter() {
+                let found: Vec<f32> = match decoder.read_image().unwrap() {
+                    DecodingResult::U8(v) => v.into_iter().map(f32::from).collect(),
+                    DecodingResult::U16(v) => v.into_iter().map(f32::from).collect(),
+                    DecodingResult::F32(v) => v,
+                    other => panic!("{other:?}"),
+                };
+                let most = if depth == TiffDepth::Bits8 { 5e-4 } else { 3e-6 };
+                for (a, b) in found.iter().zip(page) {
+                    assert!((offset + slope * a - b).abs() <= most, "{depth:?}: {a} {b}");
+                }
+                if decoder.more_images() {
+                    decoder.next_image().unwrap();
+                }
+            }
+        }
+    }
+}

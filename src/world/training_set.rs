@@ -1,0 +1,282 @@
+//! Tiles at random places of a field with labels, for training: images with noise, heat maps, masks, columns.
+
+use std::collections::HashMap;
+
+use ndarray::{Array1, Array2, Array3, Axis, s};
+
+use super::noise::Noise;
+use super::region_truth::{ColumnTruth, list, phase_map};
+use crate::error::{Error, Result};
+use crate::imaging::{PixelRect, RegionImager};
+use crate::progress::{InterruptOnly, Progress};
+use crate::recipe::CheckedRecipe;
+use crate::rng::{self, Purpose};
+use crate::specimen::Specimen;
+
+/// Edge in pixels of the blocks that images are made of, each once.
+const BLOCK_PX: usize = 128;
+/// Columns outside a tile show in its labels up to so many standard deviations.
+const REACH_SIGMAS: f64 = 4.0;
+/// Class masks hold the pixels where the heat map is above this.
+const IN_MASK: f32 = 0.5;
+
+/// What is asked for.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TrainingOptions {
+    /// Number of tiles.
+    pub tiles: usize,
+    /// Edge of a tile in pixels.
+    pub size_px: usize,
+    /// Least and greatest dose in electrons per square Angstrom; drawn for each tile, evenly in its logarithm.
+    pub dose: [f64; 2],
+    /// Standard deviation in pixels of a column in the heat maps.
+    pub sigma_px: f64,
+    /// Seed of places, doses and noise.
+    pub seed: u64,
+}
+
+/// What a column is, as class masks and lists have it; 0 is background.
+pub const COLUMN_CLASSES: [&str; 5] =
+    ["background", "pristine", "vacancies", "substitutions", "vacancies and substitutions"];
+
+/// Labelled tiles. All arrays of images are (tile, row, column).
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct TrainingSet {
+    /// Counted electrons over those of a pixel: fractions of the beam with noise.
+    pub images: Array3<f32>,
+    /// The same without noise.
+    pub clean: Array3<f32>,
+    /// Gaussians of height 1 about columns; the nearest column counts.
+    pub heat_maps: Array3<f32>,
+    /// Index into [`COLUMN_CLASSES`] of the column whose heat map is above one half there.
+    pub class_masks: Array3<u8>,
+    /// Phase of each pixel, as an index into the phases of the specimen.
+    pub phase_masks: Array3<i32>,
+    /// Dose of each tile in electrons per square Angstrom.
+    pub dose: Array1<f64>,
+    /// Row and column of each tile's first pixel in the built field.
+    pub origins_px: Array2<i64>,
+    /// Tile of each column.
+    pub column_tiles: Array1<i32>,
+    /// Row and column of each column in its tile, in pixels.
+    pub column_positions_px: Array2<f32>,
+    /// Class, sites, vacancies, substitutions and atomic number of the heaviest atom of each column.
+    pub columns: Array2<i32>,
+    /// Edge of a pixel in Angstrom.
+    pub pixel_angstrom: f64,
+}
+
+/// Makes the tiles. The imager has been prepared.
+///
+/// # Errors
+/// [`Error::Invalid`] for tiles larger than the field and options out of limits; those of the engine,
+/// [`Error::Interrupted`].
+pub fn training_set(
+    recipe: &CheckedRecipe,
+    specimen: &dyn Specimen,
+    imager: &dyn RegionImager,
+    options: &TrainingOptions,
+    progress: &dyn Progress,
+) -> Result<TrainingSet> {
+    check(recipe, options)?;
+    let (n, size) = (options.tiles, options.size_px);
+    let mut set = TrainingSet::empty(n, size, 10.0 * recipe.field.pixel_nm());
+    let mut blocks = TileBlocks { recipe, imager, made: HashMap::new() };
+    let mut lists = ColumnLists::default();
+    progress.start("tiles", "tile", n as u64);
+    for tile in 0..n {
+        if progress.interrupted() {
+            return Err(Error::Interrupted);
+        }
+        let (corner, dose) = draw(recipe, options, tile as u64);
+        let origin = recipe.field.crop_origin_px();
+        let pixels = PixelRect::new([0, 1].map(|k| origin[k] + corner[k]), [size; 2]);
+        let clean = blocks.image(&pixels, &InterruptOnly(progress))?;
+        let noise = Noise {
+            seed: options.seed,
+            electrons_per_pixel: dose * set.pixel_angstrom.powi(2),
+            origin_px: [tile * size, 0],
+            full_width_px: size,
+        };
+        let mut noisy = clean.clone();
+        noise.apply(&mut noisy, 0);
+        set.images.index_axis_mut(Axis(0), tile).assign(&noisy);
+        set.clean.index_axis_mut(Axis(0), tile).assign(&clean);
+        set.dose[tile] = dose;
+        set.origins_px.row_mut(tile).assign(&Array1::from(corner.map(|v| v as i64).to_vec()));
+        let phases = phase_map(specimen, &pixels, recipe.field.pixel_nm());
+        set.phase_masks.index_axis_mut(Axis(0), tile).assign(&phases);
+        set.label(tile, recipe, specimen, &pixels, options.sigma_px, &mut lists);
+        progress.advance(1);
+    }
+    progress.finish();
+    Ok(lists.into_set(set))
+}
+
+fn check(recipe: &CheckedRecipe, options: &TrainingOptions) -> Result<()> {
+    let shape = recipe.field.pixels(recipe.field.built_grid());
+    let least = shape[0].min(shape[1]);
+    let refuse =
+        |setting, value: String, expected: String| Err(Error::invalid(setting, value, expected));
+    if !(8..=least).contains(&options.size_px) {
+        let expected = format!("tiles have from 8 pixels to those of the field, {least}");
+        return refuse(crate::Setting::TilePixels, options.size_px.to_string(), expected);
+    }
+    let [low, high] = options.dose;
+    if !(1e-3..=1e12).contains(&low) || !(low..=1e12).contains(&high) {
+        let expected =
+            "expected 0.001 to 1e12 electrons per square Angstrom, the lower first".into();
+        return refuse(crate::Setting::Dose, format!("{low},{high}"), expected);
+    }
+    if !(0.3..=50.0).contains(&options.sigma_px) {
+        let expected = "a column in heat maps is 0.3 to 50 pixels wide".into();
+        return refuse(crate::Setting::TilePixels, options.sigma_px.to_string(), expected);
+    }
+    Ok(())
+}
+
+/// First pixel (row, column) in the built field, and dose, of a tile.
+fn draw(recipe: &CheckedRecipe, options: &TrainingOptions, tile: u64) -> ([usize; 2], f64) {
+    let shape = recipe.field.pixels(recipe.field.built_grid());
+    let uniform = |draw: u32| rng::uniform(options.seed, Purpose::Tile, draw, tile);
+    let corner = [0, 1].map(|k| {
+        let room = shape[k] - options.size_px + 1;
+        ((uniform(k as u32) * room as f64) as usize).min(room - 1)
+    });
+    let [low, high] = options.dose.map(libm::log);
+    (corner, libm::exp(low + uniform(2) * (high - low)))
+}
+
+/// Images put together from blocks of the full field.
+struct TileBlocks<'a> {
+    recipe: &'a CheckedRecipe,
+    imager: &'a dyn RegionImager,
+    made: HashMap<[usize; 2], Array2<f32>>,
+}
+
+impl TileBlocks<'_> {
+    fn image(&mut self, pixels: &PixelRect, progress: &dyn Progress) -> Result<Array2<f32>> {
+        let PixelRect { first, shape, .. } = *pixels;
+        let mut image = Array2::zeros(shape);
+        let range = |k: usize| first[k] / BLOCK_PX..=(first[k] + shape[k] - 1) / BLOCK_PX;
+        for (row, column) in range(0).flat_map(|r| range(1).map(move |c| (r, c))) {
+            let start = [row * BLOCK_PX, column * BLOCK_PX];
+            let block = self.block([row, column], start, progress)?;
+            let low = [0, 1].map(|k| first[k].max(start[k]));
+            let high = [0, 1].map(|k| (first[k] + shape[k]).min(start[k] + BLOCK_PX));
+            let part = |from: [usize; 2]| {
+                s![low[0] - from[0]..high[0] - from[0], low[1] - from[1]..high[1] - from[1]]
+            };
+            image.slice_mut(part(first)).assign(&block.slice(part(start)));
+        }
+        Ok(image)
+    }
+
+    fn block(
+        &mut self,
+        index: [usize; 2],
+        start: [usize; 2],
+        progress: &dyn Progress,
+    ) -> Result<&Array2<f32>> {
+        if !self.made.contains_key(&index) {
+            let full = self.recipe.field.pixels(self.recipe.field.grid);
+            let shape = [0, 1].map(|k| BLOCK_PX.min(full[k] - start[k]));
+            let configurations = self.recipe.phonons.configurations.max(1);
+            let made =
+                self.imager.mean_of(&PixelRect::new(start, shape), configurations, progress)?;
+            self.made.insert(index, made.mapv(|v| v as f32));
+        }
+        Ok(&self.made[&index])
+    }
+}
+
+/// The columns of all tiles, one after the other.
+#[derive(Default)]
+struct ColumnLists {
+    tiles: Vec<i32>,
+    positions: Vec<[f32; 2]>,
+    facts: Vec<[i32; 5]>,
+}
+
+impl ColumnLists {
+    fn into_set(self, mut set: TrainingSet) -> TrainingSet {
+        set.column_tiles = Array1::from(self.tiles);
+        set.column_positions_px = ndarray::arr2(&self.positions);
+        set.columns = ndarray::arr2(&self.facts);
+        set
+    }
+}
+
+impl TrainingSet {
+    fn empty(n: usize, size: usize, pixel_angstrom: f64) -> Self {
+        TrainingSet {
+            images: Array3::zeros((n, size, size)),
+            clean: Array3::zeros((n, size, size)),
+            heat_maps: Array3::zeros((n, size, size)),
+            class_masks: Array3::zeros((n, size, size)),
+            phase_masks: Array3::zeros((n, size, size)),
+            dose: Array1::zeros(n),
+            origins_px: Array2::zeros((n, 2)),
+            column_tiles: Array1::zeros(0),
+            column_positions_px: Array2::zeros((0, 2)),
+            columns: Array2::zeros((0, 5)),
+            pixel_angstrom,
+        }
+    }
+
+    /// Draws the columns of a tile, and lists those in it.
+    fn label(
+        &mut self,
+        tile: usize,
+        recipe: &CheckedRecipe,
+        specimen: &dyn Specimen,
+        pixels: &PixelRect,
+        sigma_px: f64,
+        lists: &mut ColumnLists,
+    ) {
+        let pixel = recipe.field.pixel_nm();
+        let around = pixels.region(pixel).grown(REACH_SIGMAS * sigma_px * pixel);
+        // from the centre of the tile's first pixel
+        let origin = [1, 0].map(|k| (pixels.first[k] as f64) * pixel);
+        let (_, columns) = list(&specimen.query(&around), origin, 0);
+        let mut heat = self.heat_maps.index_axis_mut(Axis(0), tile);
+        let mut mask = self.class_masks.index_axis_mut(Axis(0), tile);
+        let size = heat.dim().0 as i64;
+        let reach = (REACH_SIGMAS * sigma_px).ceil() as i64;
+        for column in &columns {
+            let at = [1, 0].map(|k| f64::from(column.position_nm[k]) / pixel);
+            let class = class_of(column);
+            let span = |k: usize| {
+                let centre = at[k].round() as i64;
+                (centre - reach).max(0)..(centre + reach + 1).min(size)
+            };
+            for i in span(0) {
+                for j in span(1) {
+                    let square = (i as f64 - at[0]).powi(2) + (j as f64 - at[1]).powi(2);
+                    let value = libm::exp(-0.5 * square / (sigma_px * sigma_px)) as f32;
+                    let place = [i as usize, j as usize];
+                    if value > heat[place] {
+                        heat[place] = value;
+                        mask[place] = if value > IN_MASK { class } else { 0 };
+                    }
+                }
+            }
+            let inside = at.iter().all(|v| (-0.5..size as f64 - 0.5).contains(v));
+            if inside {
+                lists.tiles.push(tile as i32);
+                lists.positions.push(at.map(|v| v as f32));
+                let heaviest = column.atoms.iter().map(|(z, _)| i32::from(*z)).max().unwrap_or(0);
+                let ColumnTruth { sites, vacancies, substitutions, .. } = *column;
+                let [sites, vacancies, substitutions] =
+                    [sites, vacancies, substitutions].map(|n| n as i32);
+                lists.facts.push([i32::from(class), sites, vacancies, substitutions, heaviest]);
+            }
+        }
+    }
+}
+
+/// Index into [`COLUMN_CLASSES`].
+fn class_of(column: &ColumnTruth) -> u8 {
+    1 + u8::from(column.vacancies > 0) + 2 * u8::from(column.substitutions > 0)
+}

@@ -1,0 +1,35 @@
+//! `stemgen tiles`.
+
+use super::{fails, file, python, stderr, stemgen};
+use std::path::Path;
+use std::process::Command;
+
+fn tiles(folder: &Path, arguments: &[&str]) -> Command {
+    let mut command = stemgen(folder);
+    command.env("STEMGEN_CACHE", folder.join("cache")).arg("tiles").args(arguments);
+    command.args(["-n", "6", "--size", "16", "--random-dose", "1e5,1e7", "--quiet"]);
+    command
+}
+
+#[test]
+fn tiles_come_with_labels_and_are_those_of_the_world() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let vacancies = "vacancies={element=\"O\", rate=0.3, cluster_fraction=0.0, cluster_sigma_nm=1.0, max_probability=0.5}";
+    let recipe = file("tests/cli/tiny.toml");
+    let own = [recipe.as_str(), "--set", vacancies];
+    let run = tiles(here, &[&own[..], &["-o", "a.npz"]].concat()).output().unwrap();
+    assert!(run.status.success(), "{}", stderr(&run));
+    assert_eq!(python("check_tiles.py", &[&here.join("a.npz")]).trim(), "True");
+    // The same tiles from a world that was built of the recipe.
+    let mut build = stemgen(here);
+    build.args(["build", "--recipe"]).args(own).args(["-o", "w.h5", "--no-png", "--quiet"]);
+    assert!(build.status().unwrap().success());
+    assert!(tiles(here, &["w.h5", "-o", "b.npz"]).status().unwrap().success());
+    let read = |name: &str| std::fs::read(here.join(name)).unwrap();
+    assert!(read("a.npz") == read("b.npz"), "the tiles differ");
+    let told = fails(&mut tiles(here, &["w.h5", "-o", "b.h5"]));
+    assert!(told.contains("did you mean b.npz?"), "{told}");
+    let told = fails(tiles(here, &["w.h5", "-o", "c.npz"]).args(["--heat-sigma", "999"]));
+    assert!(told.contains("0.3 to 50 pixels"), "{told}");
+}
