@@ -267,6 +267,7 @@ pub fn compare(lab: &Lab, c: &ImageComparison) -> Result<Outcome> {
     ]);
     let verdict = overall(findings.checks.iter().map(|c| &c.verdict));
     let mut notes = Vec::new();
+    let mut both = None;
     if let Some(plan) = c.converged {
         let converged = lab.execute(plan, c.sites, c.scan)?.image(0, 0).mapv(f64::from);
         let off = Difference::between(reference.view(), converged.view());
@@ -278,7 +279,7 @@ pub fn compare(lab: &Lab, c: &ImageComparison) -> Result<Outcome> {
             ),
             Check::shown("the reference is brighter on average by", 100.0 * off.bias, "%"),
         ]);
-        notes.push(told_by_both(verdict == Verdict::Pass, &off, c.tolerance));
+        both = Some(told_by_both(verdict == Verdict::Pass, &off, c.tolerance));
     }
     if verdict == Verdict::Fail {
         let better = better_otherwise(&ours, &reference);
@@ -287,6 +288,7 @@ pub fn compare(lab: &Lab, c: &ImageComparison) -> Result<Outcome> {
         }));
         notes.extend(c.remedy.clone());
     }
+    notes.extend(both);
     let top = reference.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
     findings.figures.push(Figure::Images(Box::new(ImagePair {
         title: format!("{}: ours and the reference", images.detectors[0]),
