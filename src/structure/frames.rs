@@ -1,5 +1,6 @@
 //! Frames of a trajectory in extended XYZ: each is a structure of its own.
 
+use crate::files::whole_file;
 use std::path::Path;
 
 use super::read::{Format, parse};
@@ -41,7 +42,7 @@ pub fn read_frames(path: &Path, range: FrameRange) -> Result<Vec<Structure>> {
             "holds one structure; frames are read from extended XYZ",
         ));
     }
-    let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "read", e))?;
+    let text = whole_file::read_text(path, Format::ExtXyz.most_bytes())?;
     let lines: Vec<&str> = text.lines().collect();
     let (mut at, mut number) = (0, 0);
     let mut frames: Vec<Structure> = Vec::new();

@@ -80,11 +80,8 @@ pub fn sigmas_of_file(path: &Path) -> Result<Sigmas> {
         let message = "tells no thermal displacements; only a CIF does (U or B of its sites)";
         return Err(Error::parse(path, 0, message));
     }
-    let bytes = std::fs::read(path).map_err(|e| Error::io(path, "read", e))?;
-    let text = std::str::from_utf8(&bytes).map_err(|_| {
-        Error::parse(path, 0, "not UTF-8 text; save the file as plain text in UTF-8")
-    })?;
-    let text = SourceText { path, body: text.strip_prefix('\u{feff}').unwrap_or(text) };
+    let text = whole_file::read_text(path, Format::Cif.most_bytes())?;
+    let text = SourceText { path, body: text.strip_prefix('\u{feff}').unwrap_or(&text) };
     Ok(Sigmas::ByElement(cif::displacements(&text)?))
 }
 
