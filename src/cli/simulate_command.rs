@@ -148,11 +148,11 @@ impl Simulate {
         let (mut planned, scan) = self.plan(&specimen)?;
         let files = self.side_files(&planned);
         let output = self.output();
-        slips::check_hdf5_name(&output)?;
         if !self.common.dry_run {
             let outputs = std::iter::once(&output).chain(files.paths());
             check_outputs(outputs, [&self.specimen.structure], self.results.overwrite)?;
         }
+        slips::check_hdf5_name(&output)?;
         self.make_accurate(&mut planned, &specimen, &scan, &reporter)?;
         let plan = &planned.plans[0];
         let mut warnings = plan.warnings.clone();
