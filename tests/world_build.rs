@@ -223,7 +223,7 @@ fn values_set_afterwards_are_checked() {
     let wide = BuildOptions { subtile_nm: Some(1.0), subtile_overlap_nm: Some(0.9), ..options() };
     let recipe = self::recipe(1, 1);
     let error = build(&recipe, &Spots::new(), &path, &wide, &Silent).unwrap_err();
-    assert!(error.to_string().contains("three times as wide"), "{error}");
+    assert!(error.to_string().contains("three times the overlap"), "{error}");
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
 }
 

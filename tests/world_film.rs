@@ -80,8 +80,8 @@ fn the_probe_is_focused_on_the_same_plane_whatever_the_thickness_of_the_film() {
         let specimen = specimen(&recipe).unwrap();
         let centre = specimen.particles()[0].centre_nm;
         let pixel = recipe.field.pixel_nm();
-        let first = [1, 0].map(|k| (centre[k] / pixel) as usize - 20);
-        let pixels = PixelRect::new(first, [40, 40]).every(4);
+        let first = [1, 0].map(|k| (centre[k] / pixel) as usize - 12);
+        let pixels = PixelRect::new(first, [24, 24]).every(4);
         let film = film(&recipe, &specimen);
         let ours = film.mean_of(&pixels, 1, &Silent).unwrap();
         let simulator = Simulator::new(&recipe, Algorithm::Window { width_angstrom: 7.8 });
