@@ -393,7 +393,9 @@ impl WorldFile {
         let fault = |fault| not_a_world(&self.path, format!("/{} {fault}", schema::TILES));
         hdf5_guard::check_bytes(&self.shape(), size_of::<f32>(), self.bytes).map_err(fault)?;
         let field = self.shape().map(|n| n as f64 * m.pixel_size_nm);
-        if (0..2).any(|k| !((m.fov_nm[k] - field[k]).abs() <= SAME_FIELD * field[k])) {
+        // No number is the same as NaN.
+        let same = |k: usize| (m.fov_nm[k] - field[k]).abs() <= SAME_FIELD * field[k];
+        if !(0..2).all(same) {
             let found = format!(
                 "says fov_nm = {:?}, but its pixels cover {:.4} x {:.4} nm (height, width)",
                 m.fov_nm, field[0], field[1]

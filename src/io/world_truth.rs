@@ -251,7 +251,7 @@ impl WorldFile {
         mut places: impl Iterator<Item = &'a f32>,
         of: &str,
     ) -> Result<()> {
-        match places.find(|nm| !(nm.abs() <= FARTHEST_NM)) {
+        match places.find(|nm| nm.is_nan() || nm.abs() > FARTHEST_NM) {
             None => Ok(()),
             Some(nm) => {
                 let found = format!("has {of} at {nm} nm, expected up to {FARTHEST_NM} nm");
