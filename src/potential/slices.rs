@@ -58,7 +58,7 @@ impl Slices {
     /// When atoms lie on a face of the cell, the window of one period that is cut into slices
     /// starts half a gap before the first plane (at most 1 A), so that no atom crosses a face by
     /// thermal motion. Below vacuum it starts where it must to give the last atoms room, by at most
-    /// [`FACE_ROOM_ANGSTROM`]: probes are focused on it.
+    /// 0.5 A: probes are focused on it.
     ///
     /// # Errors
     /// [`Error::Invalid`] for a thickness that is not positive or a height that is not.
