@@ -457,3 +457,55 @@ fn sources_are_read() {
     assert!(named(&source)[0].passed_on && !named(&source)[1].passed_on);
     assert_eq!(types(&source.tokens), ["S"]);
 }
+
+/// What the top of the tree holds; something new there is named here on purpose.
+const TOP: [&str; 20] = [
+    ".ci",
+    ".gitignore",
+    "CHANGELOG.md",
+    "CITATION.cff",
+    "CONTRIBUTING.md",
+    "Cargo.lock",
+    "Cargo.toml",
+    "LICENSE-APACHE",
+    "LICENSE-MIT",
+    "README.md",
+    "benches",
+    "docs",
+    "examples",
+    "generate",
+    "python",
+    "rustfmt.toml",
+    "src",
+    "structures",
+    "tests",
+    "worlds",
+];
+
+/// Bytes; what is larger is no source, and stays in the history of every clone for good.
+const LARGEST_FILE: u64 = 1 << 20;
+
+#[test]
+fn only_sources_are_committed() {
+    let top = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let listed =
+        std::process::Command::new("git").args(["ls-files", "-z"]).current_dir(top).output();
+    let listed = match listed {
+        Ok(output) if output.status.success() => String::from_utf8(output.stdout).unwrap(),
+        _ => {
+            eprintln!("SKIPPED: this is no checkout of git");
+            return;
+        }
+    };
+    let names: Vec<&str> = listed.split('\0').filter(|name| !name.is_empty()).collect();
+    assert!(names.contains(&"Cargo.toml"), "{names:?}");
+    for name in names {
+        let first = name.split('/').next().unwrap();
+        assert!(TOP.contains(&first), "{name} is committed; is it a source?");
+        let size = fs::metadata(top.join(name)).map_or(0, |file| file.len());
+        assert!(
+            size <= LARGEST_FILE,
+            "{name} has {size} bytes; a source has at most {LARGEST_FILE}"
+        );
+    }
+}
