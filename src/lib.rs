@@ -108,6 +108,7 @@
 //! - [`potential`]: scattering factors, slices, projected potentials
 //! - [`optics`]: the lens: aperture and aberrations
 //! - [`resample`]: interpolation of images between probes
+//! - [`acquisition`]: from the noise-free image to the recording: scan errors, doses, detectors
 //! - [`detect`]: annular detectors
 //! - [`engine`]: from atoms and a scan to images: plan, then simulate
 //! - [`recipe`]: what a world is made of, read from TOML and checked
@@ -128,6 +129,7 @@
 //! | `report` | [`validate`], HTML pages, readers of other programs' arrays; implies `hdf5` and `render` | libhdf5 |
 //! | `cli` (default) | the program; implies all others | libhdf5 |
 
+pub mod acquisition;
 pub mod constants;
 pub mod detect;
 pub mod engine;

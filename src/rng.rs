@@ -34,6 +34,18 @@ pub enum Purpose {
     AccuracySample = 35,
     /// Places and doses of tiles for training.
     Tile = 36,
+    /// Random walk of the specimen in a recording.
+    Drift = 40,
+    /// Displacement of the lines of a scan.
+    LineJitter = 41,
+    /// Phase of the mains.
+    Hum = 42,
+    /// Electrons that a recording counts.
+    Electrons = 43,
+    /// Heights of a detector's pulses.
+    PulseHeight = 44,
+    /// Noise of the read-out.
+    ReadNoise = 45,
 }
 
 const MULTIPLIERS: [u32; 2] = [0xD251_1F53, 0xCD9E_8D57];

@@ -149,6 +149,14 @@ settings! {
     TilePixels = "tile (px)",
     /// Electrons per square Angstrom.
     Dose = "dose",
+    /// The current of the beam.
+    BeamCurrentPa = "beam current (pA)",
+    /// How an image is recorded.
+    Acquisition = "acquisition",
+    /// The part of a field that is recorded.
+    RecordedRegionNm = "recorded region (nm)",
+    /// The edge of a recorded pixel.
+    RecordedPixelNm = "recorded pixel (nm)",
     /// How far around an image an engine needs the atoms.
     EngineMarginAngstrom = "engine margin (A)",
     /// The shape of an image that an engine returned.

@@ -166,6 +166,10 @@ fn options(setting: Setting) -> Option<&'static str> {
         }
         S::AuditedRegionNm => Some("--size"),
         S::AuditCentreNm => Some("--at"),
+        S::BeamCurrentPa => Some("--current-pa"),
+        S::Acquisition => Some("--set acquisition.KEY=VALUE, or --profile"),
+        S::RecordedRegionNm => Some("--at and --size"),
+        S::RecordedPixelNm => Some("--zoom or --pixel-nm"),
         S::VacuumAngstrom => Some("--vacuum"),
         S::Output => Some("--output and --overwrite"),
         S::CleanImage => Some("--keep-clean of `stemgen build`"),

@@ -1,6 +1,7 @@
 //! The command line: one file per subcommand.
 
 mod accuracy_report;
+mod acquire_command;
 mod audit_command;
 mod build_command;
 mod build_plan;
@@ -53,6 +54,7 @@ Examples:
   stemgen build srtio3 --difficulty easy --grid 2x2
   stemgen view worlds/srtio3_easy_2x2.h5 --overlay defects
   stemgen tiles worlds/srtio3_easy_2x2.h5 --random-dose 1e3,1e5 -n 200 -o train.npz
+  stemgen acquire worlds/srtio3_easy_2x2.h5 --profile routine -o tile.h5 --png
   stemgen validate --quick
 
 `stemgen COMMAND --help` explains every option, with more examples; `stemgen glossary` the terms.";
@@ -67,6 +69,7 @@ enum Command {
     Specimen(Box<specimen_command::SpecimenCommand>),
     View(Box<view_command::View>),
     Tiles(Box<tiles_command::Tiles>),
+    Acquire(Box<acquire_command::Acquire>),
     Audit(Box<audit_command::AuditCommand>),
     Cache(Box<cache_command::CacheCommand>),
     Validate(Box<validate_command::Validate>),
@@ -92,6 +95,7 @@ pub fn main() -> ExitCode {
         Command::Build(command) => ("build", command.run().map(done)),
         Command::Specimen(command) => ("specimen", command.run().map(done)),
         Command::View(command) => ("view", command.run().map(done)),
+        Command::Acquire(command) => ("acquire", command.run().map(done)),
         Command::Tiles(command) => ("tiles", command.run().map(done)),
         Command::Audit(command) => ("audit", command.run().map(done)),
         Command::Cache(command) => ("cache", command.run().map(done)),

@@ -47,10 +47,7 @@ pub struct WorldEngine {
 impl RecipeArgs {
     /// The recipe, resolved, changed and checked.
     pub fn resolve(&self) -> anyhow::Result<CheckedRecipe> {
-        let removed = self.unset.iter().map(|key| Override::without(key));
-        let changed = self.set.iter().map(|text| text.parse());
-        let changes: Vec<Override> = removed.chain(changed).collect::<stemgen::Result<_>>()?;
-        let mut recipe = self.chosen()?.with_overrides(&changes)?;
+        let mut recipe = self.chosen()?.with_overrides(&self.changes()?)?;
         recipe.seed = self.seed.unwrap_or(recipe.seed);
         if let Some([rows, columns]) = self.grid {
             recipe = recipe.with_grid(rows, columns)?;
@@ -60,17 +57,37 @@ impl RecipeArgs {
 
     /// The same, or the recipe of a world file named in place of a material, and how that world was made.
     pub fn resolve_or_world(&self) -> anyhow::Result<(CheckedRecipe, Option<WorldEngine>)> {
-        let file = self.material.as_ref().map(PathBuf::from);
-        let Some(file) = file.filter(|f| is_world(f)) else {
+        self.resolve_or_world_but(None)
+    }
+
+    /// The same; `--set` and `--unset` may change a table of a world's recipe that its specimen and image do not depend on.
+    pub fn resolve_or_world_with(
+        &self,
+        table: &'static str,
+    ) -> anyhow::Result<(CheckedRecipe, Option<WorldEngine>)> {
+        self.resolve_or_world_but(Some(table))
+    }
+
+    fn resolve_or_world_but(
+        &self,
+        free: Option<&'static str>,
+    ) -> anyhow::Result<(CheckedRecipe, Option<WorldEngine>)> {
+        let Some(file) = self.world() else {
             return Ok((self.resolve()?, None));
         };
+        let is_free = |change: &String| {
+            let key = change.split(['.', '=']).next().unwrap_or_default();
+            free.is_some_and(|table| key.trim() == table)
+        };
+        let changes = self.set.iter().chain(&self.unset);
         if self.difficulty.is_some()
-            || !(self.set.is_empty() && self.unset.is_empty())
+            || !changes.clone().all(is_free)
             || self.grid.is_some()
             || self.seed.is_some()
         {
+            let but = free.map(|table| format!(" (but of [{table}])")).unwrap_or_default();
             anyhow::bail!(
-                "{}: a world has its recipe; leave out --difficulty, --set, --unset, --grid and --seed",
+                "{}: a world has its recipe; leave out --difficulty, --set{but}, --unset, --grid and --seed",
                 file.display()
             );
         }
@@ -79,13 +96,26 @@ impl RecipeArgs {
         let Some(text) = &metadata.recipe else {
             anyhow::bail!("{}: holds no recipe; it was not built by stemgen", file.display());
         };
-        let recipe = Recipe::from_toml_str(&file.display().to_string(), text, None)?.checked()?;
+        let recipe = Recipe::from_toml_str(&file.display().to_string(), text, None)?;
+        let recipe = recipe.with_overrides(&self.changes()?)?.checked()?;
         let settings = metadata.engine_parameters.as_deref().map(serde_json::from_str).transpose();
         let settings = settings.with_context(|| {
             format!("{}: engine_parameters are not those of this program", file.display())
         })?;
         let made = metadata.engine.clone().zip(settings);
         Ok((recipe, made.map(|(engine, settings)| WorldEngine { engine, settings })))
+    }
+
+    /// What `--unset` and `--set` ask for.
+    fn changes(&self) -> anyhow::Result<Vec<Override>> {
+        let removed = self.unset.iter().map(|key| Override::without(key));
+        let changed = self.set.iter().map(|text| text.parse());
+        Ok(removed.chain(changed).collect::<stemgen::Result<_>>()?)
+    }
+
+    /// The world that stands in place of a material.
+    pub fn world(&self) -> Option<PathBuf> {
+        self.material.as_ref().map(PathBuf::from).filter(|f| is_world(f))
     }
 
     /// The file of the recipe, if it is none of the program's own.
@@ -124,8 +154,7 @@ impl RecipeArgs {
 
     /// The same, and a world that stands in place of a material.
     pub fn inputs(&self, recipe: &Recipe) -> Vec<PathBuf> {
-        let world = self.material.as_ref().map(PathBuf::from).filter(|f| is_world(f));
-        self.files(recipe).into_iter().chain(world).collect()
+        self.files(recipe).into_iter().chain(self.world()).collect()
     }
 
     /// `MATERIAL[_TIER][_RxC][_seedN]`, the usual beginning of the name of a result.

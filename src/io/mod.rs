@@ -15,9 +15,13 @@ pub mod image_file;
 #[cfg(feature = "report")]
 pub mod npz_file;
 #[cfg(feature = "hdf5")]
+pub mod recording_file;
+#[cfg(feature = "hdf5")]
 pub mod schema;
 #[cfg(feature = "report")]
 pub mod tiff_file;
+#[cfg(feature = "hdf5")]
+mod truth_writer;
 #[cfg(feature = "hdf5")]
 mod world_file;
 #[cfg(feature = "hdf5")]
@@ -28,6 +32,8 @@ mod world_writer;
 pub use atoms_file::{AtomRow, AtomsHeader, AtomsWriter, RowFormat, writable};
 #[cfg(feature = "hdf5")]
 use hdf5_errors::At;
+#[cfg(feature = "hdf5")]
+pub use truth_writer::{LineKind, ParticleBatch, TruthBatch, TruthWriter};
 #[cfg(feature = "report")]
 use world_file::regular_file;
 #[cfg(feature = "hdf5")]
@@ -35,4 +41,4 @@ pub use world_file::{GroundTruth, WorldFile, WorldMetadata};
 #[cfg(feature = "hdf5")]
 pub use world_truth::{BoundaryLine, WorldColumn};
 #[cfg(feature = "hdf5")]
-pub use world_writer::{Header, LineKind, ParticleBatch, TruthBatch, WorldWriter};
+pub use world_writer::{Header, WorldWriter};

@@ -9,8 +9,8 @@ use ndarray::{Array2, s};
 use super::At;
 use super::hdf5_guard::{number, text};
 use super::schema::{self, CompositionText, MorphologyName, atom_type};
+use super::truth_writer::ParticleBatch;
 use super::world_file::{GroundTruth, WorldFile, not_a_world};
-use super::world_writer::ParticleBatch;
 use crate::error::Result;
 use crate::structure::elements;
 

@@ -33,7 +33,11 @@ pub fn check(recipe: &Recipe) -> Checked<OrientedCrystals> {
     within("detector.inner_mrad", detector.inner_mrad, 0.0, 1000.0)?;
     within("detector.outer_mrad", detector.outer_mrad, detector.inner_mrad + 0.1, 1000.0)?;
     within("dose.electrons_per_angstrom2", recipe.dose.electrons_per_angstrom2, 1e-3, 1e12)?;
-    Ok(crystals)
+    let recorded = recipe.acquisition.and_then(|table| table.resolved().fault());
+    match recorded {
+        Some((key, value, expected)) => fault(&format!("acquisition.{key}"), value, expected),
+        None => Ok(crystals),
+    }
 }
 
 /// Longest id and source.

@@ -6,6 +6,7 @@ use super::crystal_source::CrystalSource;
 use super::difficulty::Difficulty;
 use super::origin::RecipeOrigin;
 use super::tables::*;
+use crate::acquisition::AcquisitionTable;
 use crate::error::{Error, Result};
 
 /// A resolved recipe: every value that decides what a world holds. The values are as they were written;
@@ -66,6 +67,9 @@ pub struct Recipe {
     pub detector: DetectorTable,
     /// Noise.
     pub dose: Dose,
+    /// How the image is recorded. Without it the tiles are the noise-free image with Poisson noise.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub acquisition: Option<AcquisitionTable>,
     /// Where the values were written, for errors: no part of what a recipe is.
     #[serde(skip)]
     pub origin: RecipeOrigin,

@@ -9,9 +9,11 @@ pub mod blended_image;
 pub mod build_options;
 #[cfg(feature = "hdf5")]
 mod build_summary;
+mod field_recording;
 mod field_tile;
 pub mod footprint;
 pub mod noise;
+pub mod noise_free;
 pub mod region_truth;
 #[cfg(feature = "render")]
 pub mod specimen_drawing;
@@ -32,8 +34,12 @@ pub use atoms_export::{ExportOptions, ExportSummary, export};
 pub use build_options::{BuildMethod, BuildOptions, BuildPolicy, BuildProfile};
 #[cfg(feature = "hdf5")]
 pub use build_summary::BuildSummary;
+pub use field_recording::{
+    Electrons, FieldRecording, RecordedPart, RecordingOptions, RecordingStages, record,
+};
 pub use field_tile::{FieldTile, field_tile};
 pub use noise::Noise;
+pub use noise_free::NoiseFree;
 pub use region_truth::{ColumnTruth, SiteTruth};
 #[cfg(feature = "render")]
 pub use specimen_drawing::Drawing;

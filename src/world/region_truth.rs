@@ -108,12 +108,23 @@ pub fn list(
 /// Phases at the centres of pixels, [row, column] = [y, x]: indices into [`Specimen::phases`].
 pub fn phase_map(specimen: &dyn Specimen, pixels: &PixelRect, pixel_nm: f64) -> Array2<i32> {
     let PixelRect { first, stride, .. } = *pixels;
-    let mut map = Array2::zeros(pixels.sampled_shape());
+    phases_of_points(specimen, pixels.sampled_shape(), |row, column| {
+        let at = [first[1] + column * stride, first[0] + row * stride];
+        at.map(|p| p as f64 * pixel_nm)
+    })
+}
+
+/// Phases at the points (x, y) in nm of the full field that belong to rows and columns, [row, column] = [y, x].
+pub fn phases_of_points(
+    specimen: &dyn Specimen,
+    shape: [usize; 2],
+    point_nm: impl Fn(usize, usize) -> [f64; 2] + Sync,
+) -> Array2<i32> {
+    let mut map = Array2::zeros(shape);
     let lines: Vec<_> = map.outer_iter_mut().collect();
     lines.into_par_iter().enumerate().for_each(|(row, mut line)| {
         for (column, phase) in line.iter_mut().enumerate() {
-            let at = [first[1] + column * stride, first[0] + row * stride];
-            *phase = specimen.phase_at(at.map(|p| p as f64 * pixel_nm)) as i32;
+            *phase = specimen.phase_at(point_nm(row, column)) as i32;
         }
     });
     map

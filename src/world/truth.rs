@@ -1,14 +1,18 @@
 //! Ground truth: writes what is known of the built field, stripe by stripe.
 
+use super::field_recording::{FieldRecording, region_of};
+use crate::acquisition::ScanFrame;
 use crate::error::Result;
 use crate::imaging::pixels::PixelRect;
 use crate::io::schema::{CompositionText, DefectName, MorphologyName, atom_type};
-use crate::io::{LineKind, ParticleBatch, TruthBatch, WorldWriter};
+use crate::io::{LineKind, ParticleBatch, TruthBatch, TruthWriter};
 use crate::progress::Progress;
 use crate::recipe::{Field, Region};
 use crate::specimen::stripes::for_each_stripe;
 use crate::specimen::{Boundary, BoundaryKind, SiteKind, Sites, Specimen};
-use crate::world::region_truth::{boundary_parts, list, particles_reaching, phase_map};
+use crate::world::region_truth::{
+    ColumnTruth, SiteTruth, boundary_parts, list, particles_reaching, phase_map, phases_of_points,
+};
 
 /// What was listed.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -31,7 +35,7 @@ pub struct Counts {
 pub fn write(
     specimen: &dyn Specimen,
     field: &Field,
-    writer: &WorldWriter,
+    writer: &TruthWriter,
     progress: &dyn Progress,
 ) -> Result<Counts> {
     let width = field.pixels(field.built_grid())[1];
@@ -52,18 +56,62 @@ pub fn write(
         }
         Ok(())
     })?;
-    let built = field.built_region();
-    for boundary in specimen.boundaries() {
-        write_boundary(&boundary, &phases, &built, origin, writer)?;
-    }
-    write_particles(specimen, &built, origin, writer)?;
+    write_lines_and_particles(specimen, &field.built_region(), origin, writer)?;
     Ok(counts)
 }
 
+/// Writes what is known of a recording: its sites and columns, and the phases, boundaries and particles in it. `origin_nm` is the
+/// place of its first pixel in the full field.
+///
+/// # Errors
+/// Those of the writer.
+pub fn write_recorded(
+    specimen: &dyn Specimen,
+    recording: &FieldRecording,
+    origin_nm: [f64; 2],
+    writer: &TruthWriter,
+) -> Result<()> {
+    let ScanFrame { shape, pixel_nm, .. } = recording.frame;
+    writer.append(&batch_of(&recording.sites, &recording.columns))?;
+    let phases = specimen.phases();
+    if phases.len() > 1 {
+        writer.create_phase_map(&phases)?;
+        let map = phases_of_points(specimen, shape, |row, column| {
+            [origin_nm[0] + column as f64 * pixel_nm, origin_nm[1] + row as f64 * pixel_nm]
+        });
+        writer.phase_rows(0, map.view())?;
+    }
+    let frame = ScanFrame { origin_nm, ..recording.frame };
+    write_lines_and_particles(specimen, &region_of(&frame), origin_nm, writer)
+}
+
+fn write_lines_and_particles(
+    specimen: &dyn Specimen,
+    region: &Region,
+    origin: [f64; 2],
+    writer: &TruthWriter,
+) -> Result<()> {
+    let phases = specimen.phases();
+    for boundary in specimen.boundaries() {
+        write_boundary(&boundary, &phases, region, origin, writer)?;
+    }
+    write_particles(specimen, region, origin, writer)
+}
+
 fn batch(sites: &Sites, origin: [f64; 2], counts: &mut Counts) -> TruthBatch {
-    let mut batch = TruthBatch::default();
     let (listed, columns) = list(sites, origin, counts.columns as usize);
-    for site in &listed {
+    for column in &columns {
+        counts.vacancies += u64::from(column.vacancies);
+        counts.substitutions += u64::from(column.substitutions);
+    }
+    counts.sites += listed.len() as u64;
+    counts.columns += columns.len() as u64;
+    batch_of(&listed, &columns)
+}
+
+fn batch_of(listed: &[SiteTruth], columns: &[ColumnTruth]) -> TruthBatch {
+    let mut batch = TruthBatch::default();
+    for site in listed {
         let [x, y, z] = site.position_nm;
         batch.positions.push([x, y]);
         batch.z.push(z);
@@ -74,17 +122,13 @@ fn batch(sites: &Sites, origin: [f64; 2], counts: &mut Counts) -> TruthBatch {
         batch.defect_names.push(name.unwrap_or_default());
         batch.columns.push(site.column as i32);
     }
-    for column in &columns {
+    for column in columns {
         batch.column_positions.push(column.position_nm);
         let numbers = [column.sites, column.vacancies, column.substitutions];
         batch.column_counts.iter_mut().zip(numbers).for_each(|(to, n)| to.push(n as i32));
         let composition = CompositionText::from_ascii(&column.composition());
         batch.column_compositions.push(composition.unwrap_or_default());
-        counts.vacancies += u64::from(column.vacancies);
-        counts.substitutions += u64::from(column.substitutions);
     }
-    counts.sites += listed.len() as u64;
-    counts.columns += columns.len() as u64;
     batch
 }
 
@@ -93,7 +137,7 @@ fn write_particles(
     specimen: &dyn Specimen,
     built: &Region,
     origin: [f64; 2],
-    writer: &WorldWriter,
+    writer: &TruthWriter,
 ) -> Result<()> {
     if specimen.particles().is_empty() {
         return Ok(());
@@ -116,7 +160,7 @@ fn write_boundary(
     phases: &[String],
     built: &Region,
     origin: [f64; 2],
-    writer: &WorldWriter,
+    writer: &TruthWriter,
 ) -> Result<()> {
     let shifted = |[x, y]: [f64; 2]| [(x - origin[0]) as f32, (y - origin[1]) as f32];
     let name = |phase: usize| phases.get(phase).map_or("", String::as_str);

@@ -115,7 +115,7 @@ impl Job<'_> {
         let counts = truth::write(
             &*self.layout.specimen,
             &self.layout.recipe.field,
-            &writer,
+            writer.truth(),
             self.progress,
         )?;
         writer.finish()?;

@@ -1,5 +1,6 @@
 //! The program as a user meets it.
 
+mod acquire;
 mod build;
 mod cache;
 mod checks;

@@ -1,0 +1,96 @@
+//! Lines of a recording.
+
+use std::ops::Range;
+
+use ndarray::Array2;
+use rayon::prelude::*;
+
+use super::detector_chain::DetectorChain;
+use super::exposure::Exposure;
+use super::scan_path::ScanPath;
+use super::settings::Acquisition;
+use super::source_image::SourceImage;
+
+/// Records an image line by line.
+#[derive(Debug, Clone)]
+pub struct Recorder {
+    path: ScanPath,
+    chain: DetectorChain,
+    exposure: Exposure,
+}
+
+/// Rows of one frame; arrays are [row, column].
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct RecordedRows {
+    /// The noise-free image where the beam was, as fraction of the beam.
+    pub moved: Array2<f32>,
+    /// Electrons that hit the detector.
+    pub electrons: Array2<f32>,
+    /// What the file holds.
+    pub values: Array2<f32>,
+    /// Pixels that the converter cut off.
+    pub clipped: u64,
+}
+
+impl Recorder {
+    /// A recorder of scans along `path`.
+    pub fn new(settings: &Acquisition, path: ScanPath, exposure: Exposure, seed: u64) -> Self {
+        let chain = DetectorChain::new(settings, &exposure, seed);
+        Recorder { path, chain, exposure }
+    }
+
+    /// Where the beam goes.
+    pub fn path(&self) -> &ScanPath {
+        &self.path
+    }
+
+    /// How many electrons fall on each pixel.
+    pub fn exposure(&self) -> &Exposure {
+        &self.exposure
+    }
+
+    /// Records some rows of a frame. `image` covers where the beam goes ([`ScanPath::reach_nm`]); `late` is the light that the rows
+    /// before have left, 0 for the first: rows are recorded in order, everything else in any.
+    pub fn rows(
+        &self,
+        frame: usize,
+        rows: Range<usize>,
+        image: &SourceImage,
+        late: &mut f64,
+    ) -> RecordedRows {
+        let [height, width] = self.path.frame().shape;
+        let shape = (rows.len(), width);
+        let (mut moved, mut electrons) = (Array2::zeros(shape), Array2::zeros(shape));
+        let mut light = Array2::<f64>::zeros(shape);
+        let pixel = |row: usize, column: usize| ((frame * height + row) * width + column) as u64;
+        let lines = moved.outer_iter_mut().zip(electrons.outer_iter_mut());
+        let lines: Vec<_> = lines.zip(light.outer_iter_mut()).enumerate().collect();
+        lines.into_par_iter().for_each(|(k, ((mut moved, mut electrons), mut light))| {
+            let row = rows.start + k;
+            for column in 0..width {
+                let fraction = image.at(self.path.place_nm(frame, row, column));
+                let counted = self.chain.electrons(fraction, pixel(row, column));
+                moved[column] = fraction as f32;
+                electrons[column] = counted as f32;
+                light[column] = self.chain.light(counted, pixel(row, column));
+            }
+        });
+        for mut line in light.outer_iter_mut() {
+            self.chain.spread_late(line.as_slice_mut().unwrap_or(&mut []), late);
+        }
+        let mut values = Array2::zeros(shape);
+        let lines: Vec<_> = values.outer_iter_mut().zip(light.outer_iter()).enumerate().collect();
+        let clipped = lines.into_par_iter().map(|(k, (mut values, light))| {
+            let mut clipped = 0;
+            for column in 0..width {
+                let counted = self.chain.counted(light[column], pixel(rows.start + k, column));
+                values[column] = counted.value as f32;
+                clipped += u64::from(counted.clipped);
+            }
+            clipped
+        });
+        let clipped = clipped.sum();
+        RecordedRows { moved, electrons, values, clipped }
+    }
+}

@@ -1,0 +1,70 @@
+//! The noise-free image between its pixels.
+
+use ndarray::Array2;
+
+use crate::error::Result;
+use crate::resample::{Kernel, MARGIN};
+
+/// Part of a noise-free image, with a value at any place of it. An image has no frequencies above twice those of the aperture, so
+/// pixels closer than `wavelength / (4 semiangle)` determine it everywhere; the error of [`Kernel`] is the only one.
+#[derive(Debug, Clone)]
+pub struct SourceImage {
+    values: Array2<f32>,
+    pixel_nm: f64,
+    origin_nm: [f64; 2],
+    kernel: Kernel,
+}
+
+impl SourceImage {
+    /// Pixels ([row, column] = [y, x], fractions of the beam) of an image without frequencies above `band_limit` (1/Angstrom);
+    /// the centre of the first is at `origin_nm` (x, y).
+    ///
+    /// # Errors
+    /// [`crate::Error::Invalid`] for pixels too coarse to determine the image.
+    pub fn new(
+        values: Array2<f32>,
+        pixel_nm: f64,
+        origin_nm: [f64; 2],
+        band_limit: f64,
+    ) -> Result<Self> {
+        Ok(SourceImage {
+            values,
+            pixel_nm,
+            origin_nm,
+            kernel: Kernel::new(10.0 * pixel_nm, band_limit)?,
+        })
+    }
+
+    /// The least and the greatest x and y in nm at which values are right; further out they are those of the edge.
+    pub fn inside_nm(&self) -> [[f64; 2]; 2] {
+        let (rows, columns) = self.values.dim();
+        let margin = MARGIN as f64 * self.pixel_nm;
+        let range = |k: usize, n: usize| {
+            let first = self.origin_nm[k];
+            [first + margin, first + (n as f64 - 1.0) * self.pixel_nm - margin]
+        };
+        [range(0, columns), range(1, rows)]
+    }
+
+    /// The image at a place (x, y) in nm, as fraction of the beam.
+    pub fn at(&self, place_nm: [f64; 2]) -> f64 {
+        let (rows, columns) = self.values.dim();
+        let [x, y] = [0, 1].map(|k| (place_nm[k] - self.origin_nm[k]) / self.pixel_nm);
+        let along_x = self.kernel.weights_within(x, columns);
+        let along_y = self.kernel.weights_within(y, rows);
+        let (first_row, first) = (along_y.first as usize, along_x.first as usize);
+        let mut value = 0.0;
+        for (k, weight) in along_y.values.iter().enumerate() {
+            let row = self.values.row(first_row + k);
+            let taps = row.as_slice().map(|row| &row[first..first + along_x.values.len()]);
+            let line: f64 = taps
+                .into_iter()
+                .flatten()
+                .zip(&along_x.values)
+                .map(|(value, weight)| f64::from(*value) * weight)
+                .sum();
+            value += weight * line;
+        }
+        value
+    }
+}

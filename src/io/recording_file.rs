@@ -1,0 +1,213 @@
+//! Files of recordings. Their schema is here only.
+//!
+//! - `/` attributes: `format` ("stemgen recording"), `format_version`, `stemgen_version`, `numerics_version`, `command_line`,
+//!   `recipe` (TOML), `acquisition` (JSON), `seed`, `pixel_size_nm`, `origin_nm` (x, y: the first pixel in the world),
+//!   `dose_electrons_per_angstrom2`, `beam_current_pa`, `electrons_per_pixel` (of one frame), `dwell_us`, `frames`, `clipped_pixels`;
+//! - `/recording`: counts, (row, column) or (frame, row, column): uint8 or uint16 from a converter, uint32 where its frames are
+//!   added, else float32;
+//! - `/ideal`: float32 (row, column), the noise-free image at the pixels that were meant, in fractions of the beam;
+//! - `/stages/moved`, `/stages/electrons`: (frame, row, column), the noise-free image where the beam was, and the electrons that
+//!   hit the detector; on request;
+//! - `/ground_truth`: as in a world, from the centre of the first pixel; with `columns/position_in_image`, (x, y) in pixels where
+//!   each column appears ((frame, column, 2) for frames that are kept), and `drift`: (line, 3), time in s and the drift (x, y) in nm;
+//! - `/entry`: the recording once more, by a link, as NXdata with its axes.
+
+use std::path::Path;
+
+use hdf5::{File, H5Type};
+use ndarray::{Array2, Array3, Axis};
+
+use super::At;
+use super::schema;
+use super::truth_writer::TruthWriter;
+use super::world_writer::{number, text};
+use crate::acquisition::{Acquisition, Exposure, ScanFrame};
+use crate::error::Result;
+use crate::files::atomic_write;
+use crate::numerics::NUMERICS_VERSION;
+
+/// Version of this schema.
+const FORMAT_VERSION: i64 = 1;
+const DEFLATE: u8 = 1;
+/// Longest edge of a chunk in pixels.
+const CHUNK_PX: usize = 512;
+
+/// What a file of a recording holds, but for the ground truth.
+#[derive(Debug, Clone)]
+pub struct RecordingFile<'a> {
+    /// The command as typed.
+    pub command_line: String,
+    /// The recipe as TOML.
+    pub recipe: String,
+    /// What it was recorded with.
+    pub acquisition: &'a Acquisition,
+    /// The electrons.
+    pub exposure: &'a Exposure,
+    /// Seed of all that is random.
+    pub seed: u64,
+    /// The pixels that were meant.
+    pub frame: &'a ScanFrame,
+    /// Counts: (frame, row, column).
+    pub data: &'a Array3<f64>,
+    /// Whether the frames were kept; `data` holds one, their sum, otherwise.
+    pub keeps_frames: bool,
+    /// The noise-free image, [row, column].
+    pub ideal: &'a Array2<f32>,
+    /// The noise-free image where the beam was, and the electrons: (frame, row, column).
+    pub stages: Option<[&'a Array3<f32>; 2]>,
+    /// Where columns appear: (frame, column, 2).
+    pub position_in_image: &'a Array3<f64>,
+    /// Time and drift (x, y) of each line.
+    pub drift: &'a [[f64; 3]],
+    /// Pixels that the converter cut off.
+    pub clipped: u64,
+}
+
+/// Writes a recording; `truth` adds the ground truth. The file appears complete or not at all; an existing one is replaced only
+/// if `overwrite`.
+///
+/// # Errors
+/// [`crate::Error::Io`], [`crate::Error::Hdf5`], and those of `truth`.
+pub fn write_recording(
+    path: &Path,
+    overwrite: bool,
+    recording: &RecordingFile,
+    truth: &dyn Fn(&TruthWriter) -> Result<()>,
+) -> Result<()> {
+    atomic_write::write_with(path, overwrite, |temporary| {
+        let file = File::create(temporary).at(path)?;
+        let shape = recording.frame.shape;
+        write_header(&file, recording).at(path)?;
+        write_images(&file, recording).at(path)?;
+        let writer = TruthWriter::create(&file, path, [shape, chunk(shape)]).at(path)?;
+        truth(&writer)?;
+        drop(writer);
+        write_scan(&file, recording).at(path)?;
+        write_entry(&file, recording).at(path)?;
+        file.flush().at(path)
+    })
+}
+
+fn chunk(shape: [usize; 2]) -> [usize; 2] {
+    shape.map(|n| n.min(CHUNK_PX))
+}
+
+fn write_header(file: &File, r: &RecordingFile) -> hdf5::Result<()> {
+    text(file, "format", "stemgen recording")?;
+    number(file, "format_version", FORMAT_VERSION)?;
+    text(file, "stemgen_version", env!("CARGO_PKG_VERSION"))?;
+    number(file, "numerics_version", i64::from(NUMERICS_VERSION))?;
+    text(file, "command_line", &r.command_line)?;
+    text(file, "recipe", &r.recipe)?;
+    text(file, "acquisition", &serde_json::to_string(r.acquisition).unwrap_or_default())?;
+    number(file, "seed", r.seed)?;
+    number(file, "pixel_size_nm", r.frame.pixel_nm)?;
+    file.new_attr_builder().with_data(&r.frame.origin_nm).create("origin_nm")?;
+    number(file, "dose_electrons_per_angstrom2", r.exposure.dose())?;
+    number(file, "beam_current_pa", r.exposure.current_pa())?;
+    number(file, "electrons_per_pixel", r.exposure.electrons_per_pixel)?;
+    number(file, "dwell_us", r.exposure.dwell_us)?;
+    number(file, "frames", r.exposure.frames as u64)?;
+    number(file, "clipped_pixels", r.clipped)
+}
+
+fn write_images(file: &File, r: &RecordingFile) -> hdf5::Result<()> {
+    let added = !r.keeps_frames && r.exposure.frames > 1;
+    match (r.acquisition.bits, added) {
+        (32, _) => write_counts::<f32>(file, r, |v| v as f32)?,
+        (_, true) => write_counts::<u32>(file, r, |v| v as u32)?,
+        (8, false) => write_counts::<u8>(file, r, |v| v as u8)?,
+        (_, false) => write_counts::<u16>(file, r, |v| v as u16)?,
+    }
+    let builder = file.new_dataset_builder().chunk(chunk(r.frame.shape)).shuffle().deflate(DEFLATE);
+    let ideal = builder.with_data(r.ideal).create("ideal")?;
+    text(&ideal, "units", "fraction of the incident beam")?;
+    let Some(stages) = r.stages else { return Ok(()) };
+    let group = file.create_group("stages")?;
+    let names = [("moved", "fraction of the incident beam"), ("electrons", "electrons")];
+    for ((name, units), data) in names.into_iter().zip(stages) {
+        let [rows, columns] = chunk(r.frame.shape);
+        let builder = group.new_dataset_builder().chunk([1, rows, columns]);
+        let dataset = builder.shuffle().deflate(DEFLATE).with_data(data).create(name)?;
+        text(&dataset, "units", units)?;
+    }
+    Ok(())
+}
+
+fn write_counts<T: H5Type + Clone>(
+    file: &File,
+    r: &RecordingFile,
+    convert: impl Fn(f64) -> T,
+) -> hdf5::Result<()> {
+    let data = r.data.mapv(convert);
+    let [rows, columns] = chunk(r.frame.shape);
+    let builder = file.new_dataset_builder();
+    let dataset = match r.keeps_frames {
+        true => {
+            let builder = builder.chunk([1, rows, columns]).shuffle().deflate(DEFLATE);
+            builder.with_data(&data).create("recording")?
+        }
+        false => {
+            let builder = builder.chunk([rows, columns]).shuffle().deflate(DEFLATE);
+            builder.with_data(&data.index_axis(Axis(0), 0)).create("recording")?
+        }
+    };
+    text(&dataset, "units", "counts")?;
+    number(&dataset, "pixel_size_nm", r.frame.pixel_nm)
+}
+
+/// Where columns appear, and how the specimen drifted.
+fn write_scan(file: &File, r: &RecordingFile) -> hdf5::Result<()> {
+    let columns = file.group(schema::TRUTH)?.group(schema::COLUMNS)?;
+    let new = || columns.new_dataset_builder();
+    let places = match r.keeps_frames {
+        true => new().with_data(r.position_in_image).create("position_in_image")?,
+        false => {
+            let places = r.position_in_image.index_axis(Axis(0), 0);
+            new().with_data(&places).create("position_in_image")?
+        }
+    };
+    text(&places, "unit", "px")?;
+    let origin = "(x, y): x with the column, y with the row, from the centre of pixel (0, 0); the centre of mass of a Gaussian of \
+                  0.4 A (at least one pixel) about the column, as the recording shows it";
+    text(&places, "origin", origin)?;
+    let drift = Array2::from_shape_vec((r.drift.len(), 3), r.drift.as_flattened().to_vec())
+        .map_err(|e| hdf5::Error::Internal(e.to_string()))?;
+    let group = file.group(schema::TRUTH)?;
+    let drift = group.new_dataset_builder().with_data(&drift).create("drift")?;
+    text(
+        &drift,
+        "columns",
+        "time in s, drift of the specimen along x and y in nm, at the start of each line",
+    )
+}
+
+fn write_entry(file: &File, r: &RecordingFile) -> hdf5::Result<()> {
+    text(file, "NX_class", "NXroot")?;
+    text(file, "default", "entry")?;
+    let entry = file.create_group("entry")?;
+    text(&entry, "NX_class", "NXentry")?;
+    text(&entry, "default", "recording")?;
+    let group = entry.create_group("recording")?;
+    text(&group, "NX_class", "NXdata")?;
+    text(&group, "signal", "data")?;
+    group.link_soft("/recording", "data")?;
+    let along = |k: usize, n: usize| -> Vec<f64> {
+        (0..n).map(|i| r.frame.origin_nm[k] + i as f64 * r.frame.pixel_nm).collect()
+    };
+    let [rows, columns] = r.frame.shape;
+    let mut axes = Vec::new();
+    if r.keeps_frames {
+        axes.push(("frame", (0..r.exposure.frames).map(|f| f as f64).collect(), ""));
+    }
+    axes.push(("y", along(1, rows), "nm"));
+    axes.push(("x", along(0, columns), "nm"));
+    let names: Vec<hdf5::types::VarLenUnicode> =
+        axes.iter().filter_map(|(name, ..)| name.parse().ok()).collect();
+    group.new_attr_builder().with_data(&names).create("axes")?;
+    for (name, values, units) in axes {
+        let dataset = group.new_dataset_builder().with_data(&values).create(name)?;
+        text(&dataset, "units", units)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,263 @@
+//! Writes what is known of an image: the group of the ground truth, piece by piece.
+
+use std::path::{Path, PathBuf};
+
+use hdf5::{Dataset, Extents, File, Group, H5Type};
+use ndarray::{ArrayView1, ArrayView2};
+
+use super::At;
+use super::schema::{self, CompositionText, DefectName, MorphologyName};
+use super::world_writer::{compressed, number, text};
+use crate::error::Result;
+
+/// Entries of a chunk.
+const TRUTH_CHUNK: usize = 16_384;
+
+/// What a polyline of the ground truth separates.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum LineKind<'a> {
+    /// Two grains: rotation in degrees and coincidence index.
+    Grains(f64, Option<u32>),
+    /// Two phases: names left and right of it, and the width of the transition in nm.
+    Phases([&'a str; 2], f64),
+}
+
+/// Particles, entry by entry.
+#[derive(Debug, Clone, Default)]
+pub struct ParticleBatch {
+    /// Centres (x, y, z) in nm.
+    pub centres: Vec<[f32; 3]>,
+    /// Diameters in nm.
+    pub diameters: Vec<f32>,
+    /// Shapes.
+    pub morphologies: Vec<MorphologyName>,
+    /// Unit quaternions (w, x, y, z).
+    pub orientations: Vec<[f32; 4]>,
+}
+
+/// Sites of some columns, in the order of the file.
+#[derive(Debug, Clone, Default)]
+pub struct TruthBatch {
+    /// (x, y) in nm.
+    pub positions: Vec<[f32; 2]>,
+    /// Depth below the entrance surface in nm.
+    pub z: Vec<f32>,
+    /// Codes of [`schema::atom_type`].
+    pub types: Vec<i32>,
+    /// True where a defect.
+    pub defects: Vec<bool>,
+    /// Atomic numbers.
+    pub numbers: Vec<i32>,
+    /// Names of the defects.
+    pub defect_names: Vec<DefectName>,
+    /// Index of the column of each site.
+    pub columns: Vec<i32>,
+    /// (x, y) of each column in nm.
+    pub column_positions: Vec<[f32; 2]>,
+    /// Sites, vacancies and substitutions of each column.
+    pub column_counts: [Vec<i32>; 3],
+    /// Composition of each column.
+    pub column_compositions: Vec<CompositionText>,
+}
+
+/// The ground truth of a file being written.
+pub struct TruthWriter {
+    path: PathBuf,
+    /// Rows and columns of the image, and of the chunks of what has as many.
+    shape: [[usize; 2]; 2],
+    group: Group,
+    site_pairs: Dataset,
+    z: Dataset,
+    types: Dataset,
+    defects: Dataset,
+    numbers: Dataset,
+    defect_names: Dataset,
+    columns: Dataset,
+    column_pairs: Dataset,
+    column_counts: [Dataset; 3],
+    column_compositions: Dataset,
+    grain_boundaries: Group,
+    phase_boundaries: Group,
+}
+
+impl TruthWriter {
+    /// Creates the group in a file; its image has `shape[0]` rows and columns, in chunks of `shape[1]`.
+    pub(super) fn create(file: &File, path: &Path, shape: [[usize; 2]; 2]) -> hdf5::Result<Self> {
+        let group = file.create_group(schema::TRUTH)?;
+        let columns = group.create_group(schema::COLUMNS)?;
+        let list = (0..).into();
+        let truth = TruthWriter {
+            path: path.to_owned(),
+            shape,
+            site_pairs: position_list(&group, "atom_positions")?,
+            z: growing::<f32>(&group, "atom_z", &list)?,
+            types: growing::<i32>(&group, "atom_types", &list)?,
+            defects: growing::<bool>(&group, "defect_mask", &list)?,
+            numbers: growing::<i32>(&group, "atomic_numbers", &list)?,
+            defect_names: growing::<DefectName>(&group, "defect_types", &list)?,
+            columns: growing::<i32>(&group, "atom_columns", &list)?,
+            column_pairs: position_list(&columns, "position")?,
+            column_counts: [
+                growing::<i32>(&columns, "number_of_sites", &list)?,
+                growing::<i32>(&columns, "vacancies", &list)?,
+                growing::<i32>(&columns, "substitutions", &list)?,
+            ],
+            column_compositions: growing::<CompositionText>(&columns, "composition", &list)?,
+            grain_boundaries: group.create_group(schema::GRAIN_BOUNDARIES)?,
+            phase_boundaries: group.create_group(schema::PHASE_BOUNDARIES)?,
+            group,
+        };
+        text(&truth.z, "unit", "nm")?;
+        text(&truth.z, "origin", "entrance surface; the beam runs along +z")?;
+        text(&truth.types, "codes", "0 pristine, 1 vacancy, 2 substitution")?;
+        text(&truth.numbers, "vacancies", "the element that is missing")?;
+        text(&truth.columns, "refers_to", "rows of columns/*")?;
+        text(&truth.group, "listing", "all lattice sites of the columns that lie in the field")?;
+        Ok(truth)
+    }
+
+    fn append_lists(&self, b: &TruthBatch) -> hdf5::Result<()> {
+        append_pairs(&self.site_pairs, &b.positions)?;
+        append(&self.z, &b.z)?;
+        append(&self.types, &b.types)?;
+        append(&self.defects, &b.defects)?;
+        append(&self.numbers, &b.numbers)?;
+        append(&self.defect_names, &b.defect_names)?;
+        append(&self.columns, &b.columns)?;
+        append_pairs(&self.column_pairs, &b.column_positions)?;
+        for (dataset, counts) in self.column_counts.iter().zip(&b.column_counts) {
+            append(dataset, counts)?;
+        }
+        append(&self.column_compositions, &b.column_compositions)
+    }
+
+    /// More sites and columns.
+    ///
+    /// # Errors
+    /// [`Error::Hdf5`].
+    pub fn append(&self, batch: &TruthBatch) -> Result<()> {
+        self.append_lists(batch).at(&self.path)
+    }
+
+    /// A polyline between two grains or phases.
+    ///
+    /// # Errors
+    /// [`Error::Hdf5`].
+    pub fn boundary(&self, line: &[[f32; 2]], kind: LineKind) -> Result<()> {
+        let group = match kind {
+            LineKind::Grains(..) => &self.grain_boundaries,
+            LineKind::Phases(..) => &self.phase_boundaries,
+        };
+        let write = || {
+            let view = rows(line)?;
+            let builder = group.new_dataset_builder().with_data(view);
+            let dataset = builder.create(group.len().to_string().as_str())?;
+            text(&dataset, "unit", "nm")?;
+            match kind {
+                LineKind::Grains(degrees, sigma) => {
+                    number(&dataset, "misorientation_deg", degrees)?;
+                    sigma.map_or(Ok(()), |s| number(&dataset, "sigma", s))
+                }
+                LineKind::Phases([left, right], sigma_nm) => {
+                    text(&dataset, "left", left)?;
+                    text(&dataset, "right", right)?;
+                    number(&dataset, "sharpness_sigma_nm", sigma_nm)
+                }
+            }
+        };
+        write().at(&self.path)
+    }
+
+    /// Adds the phase map, to be filled row by row; `phases` are the names of its codes.
+    ///
+    /// # Errors
+    /// [`Error::Hdf5`].
+    pub fn create_phase_map(&self, phases: &[String]) -> Result<()> {
+        let write = || {
+            let ([shape, chunk], name) = (self.shape, schema::PHASE_MAP);
+            let map = compressed::<i32>(&self.group, name, shape.into(), &chunk)?;
+            let codes: Vec<String> =
+                phases.iter().enumerate().map(|(code, name)| format!("{code} {name}")).collect();
+            text(&map, "codes", &codes.join(", "))
+        };
+        write().at(&self.path)
+    }
+
+    /// Rows of the phase map, from row `first`.
+    ///
+    /// # Errors
+    /// [`Error::Hdf5`].
+    pub fn phase_rows(&self, first: usize, rows: ArrayView2<i32>) -> Result<()> {
+        let write = || {
+            let map = self.group.dataset(schema::PHASE_MAP)?;
+            map.write_slice(rows, ndarray::s![first..first + rows.nrows(), ..])
+        };
+        write().at(&self.path)
+    }
+
+    /// All particles.
+    ///
+    /// # Errors
+    /// [`Error::Hdf5`].
+    pub fn particles(&self, particles: &ParticleBatch) -> Result<()> {
+        let write = || {
+            let group = self.group.create_group(schema::PARTICLES)?;
+            let new = || group.new_dataset_builder();
+            let centres = new().with_data(rows(&particles.centres)?).create("centre")?;
+            text(&centres, "unit", "nm")?;
+            text(
+                &centres,
+                "axes",
+                "(x, y, z): x with the column, y with the row, z with the beam",
+            )?;
+            let diameters = new().with_data(&particles.diameters).create("diameter")?;
+            text(&diameters, "unit", "nm")?;
+            new().with_data(&particles.morphologies).create("morphology")?;
+            let turns = new().with_data(rows(&particles.orientations)?).create("orientation")?;
+            text(
+                &turns,
+                "components",
+                "unit quaternion (w, x, y, z) from the particle to the field",
+            )
+        };
+        write().at(&self.path)
+    }
+}
+
+fn position_list(group: &Group, name: &str) -> hdf5::Result<Dataset> {
+    let dataset = compressed::<f32>(group, name, (0.., 2).into(), &[TRUTH_CHUNK, 2])?;
+    text(&dataset, "unit", "nm")?;
+    text(
+        &dataset,
+        "origin",
+        "(x, y): x with the column, y with the row, from the centre of pixel (0, 0)",
+    )?;
+    Ok(dataset)
+}
+
+fn growing<T: H5Type>(group: &Group, name: &str, shape: &Extents) -> hdf5::Result<Dataset> {
+    compressed::<T>(group, name, shape.clone(), &[TRUTH_CHUNK])
+}
+
+fn append<T: H5Type>(dataset: &Dataset, values: &[T]) -> hdf5::Result<()> {
+    let start = dataset.shape().first().copied().unwrap_or(0);
+    if values.is_empty() {
+        return Ok(());
+    }
+    dataset.resize(start + values.len())?;
+    dataset.write_slice(ArrayView1::from(values), start..start + values.len())
+}
+
+fn append_pairs(dataset: &Dataset, values: &[[f32; 2]]) -> hdf5::Result<()> {
+    let start = dataset.shape().first().copied().unwrap_or(0);
+    if values.is_empty() {
+        return Ok(());
+    }
+    dataset.resize((start + values.len(), 2))?;
+    dataset.write_slice(rows(values)?, ndarray::s![start..start + values.len(), ..])
+}
+
+fn rows<const N: usize>(values: &[[f32; N]]) -> hdf5::Result<ArrayView2<'_, f32>> {
+    ArrayView2::from_shape((values.len(), N), values.as_flattened())
+        .map_err(|e| hdf5::Error::Internal(e.to_string()))
+}

@@ -1,0 +1,337 @@
+//! A recording of a part of a field, with the truth about it.
+
+use ndarray::{Array2, Array3, Axis};
+
+use super::noise_free::NoiseFree;
+use super::region_truth::{ColumnTruth, SiteTruth, list};
+#[cfg(feature = "hdf5")]
+use super::truth;
+use crate::acquisition::{Acquisition, Exposure, Recorder, ScanFrame, ScanPath};
+use crate::engine::check_memory;
+use crate::error::{Error, Result};
+#[cfg(feature = "hdf5")]
+use crate::io::recording_file::{RecordingFile, write_recording};
+use crate::progress::Progress;
+use crate::recipe::{CheckedRecipe, Region};
+use crate::setting::Setting;
+use crate::specimen::Specimen;
+
+/// Rows that are recorded at a time.
+const ROWS_AT_ONCE: usize = 256;
+/// Most pixels of one frame.
+const MOST_PIXELS: f64 = 1e9;
+/// Edges of recorded pixels in nm.
+const PIXEL_NM: std::ops::RangeInclusive<f64> = 1e-4..=10.0;
+/// Bytes that a pixel of the field takes while it is read or made.
+const SOURCE_BYTES: u64 = 16;
+
+/// What is recorded. Places are (x, y) in nm from the centre of the first built pixel of the field, as in world files.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RecordedPart {
+    /// The middle.
+    pub centre_nm: [f64; 2],
+    /// Width and height.
+    pub size_nm: [f64; 2],
+    /// Edge of a pixel.
+    pub pixel_nm: f64,
+}
+
+impl RecordedPart {
+    /// The pixels of a scan of this part, in nm of the full field, whose first built pixel is at `origin_nm`.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for pixels and sizes that make no sense.
+    fn frame(&self, origin_nm: [f64; 2]) -> Result<ScanFrame> {
+        if !PIXEL_NM.contains(&self.pixel_nm) {
+            let expected = "expected 0.0001 to 10 nm";
+            return Err(Error::invalid(Setting::RecordedPixelNm, self.pixel_nm, expected));
+        }
+        let [columns, rows] = self.size_nm.map(|nm| (nm / self.pixel_nm).round());
+        let whole = columns >= 1.0 && rows >= 1.0 && columns * rows <= MOST_PIXELS;
+        if !whole || !self.centre_nm.iter().all(|c| c.is_finite()) {
+            let expected = format!(
+                "expected a finite place, and sizes of at least a pixel of {:.4} nm and at most 1e9 pixels",
+                self.pixel_nm
+            );
+            let [width, height] = self.size_nm;
+            let value = format!("{width} x {height} nm about {:?}", self.centre_nm);
+            return Err(Error::invalid(Setting::RecordedRegionNm, value, expected));
+        }
+        let first =
+            |k: usize, n: f64| origin_nm[k] + self.centre_nm[k] - 0.5 * (n - 1.0) * self.pixel_nm;
+        Ok(ScanFrame {
+            shape: [rows as usize, columns as usize],
+            pixel_nm: self.pixel_nm,
+            origin_nm: [first(0, columns), first(1, rows)],
+        })
+    }
+}
+
+/// How many electrons are spent.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Electrons {
+    /// Electrons per square Angstrom, all frames together.
+    Dose(f64),
+    /// Current of the beam in pA; the dwell time makes the dose.
+    CurrentPa(f64),
+}
+
+/// How a part is recorded.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RecordingOptions {
+    /// The scan and the detector.
+    pub acquisition: Acquisition,
+    /// The dose.
+    pub electrons: Electrons,
+    /// Seed of all that is random.
+    pub seed: u64,
+    /// Keep the frames one by one; they are added otherwise.
+    pub keep_frames: bool,
+    /// Keep what lies between the noise-free image and the recording.
+    pub keep_stages: bool,
+}
+
+/// What lies between the noise-free image and the recording: (frame, row, column).
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecordingStages {
+    /// The noise-free image where the beam was, as fraction of the beam.
+    pub moved: Array3<f32>,
+    /// Electrons that hit the detector.
+    pub electrons: Array3<f32>,
+}
+
+/// A recording. Positions of sites and columns are (x, y) in nm from the centre of its first pixel.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct FieldRecording {
+    /// The pixels that were meant, in nm from the centre of the first built pixel of the field.
+    pub frame: ScanFrame,
+    /// What it was recorded with.
+    pub options: RecordingOptions,
+    /// Electrons, time and frames.
+    pub exposure: Exposure,
+    /// What the file of a microscope would hold: (frame, row, column), or one frame that is the sum of all.
+    pub data: Array3<f64>,
+    /// The noise-free image at the pixels that were meant, [row, column], as fraction of the beam.
+    pub ideal: Array2<f32>,
+    /// What lies between them, where it was asked for.
+    pub stages: Option<RecordingStages>,
+    /// Of each line of each frame: its time in s, and how far (x, y) in nm the specimen has drifted.
+    pub drift: Vec<[f64; 3]>,
+    /// Sites of the columns in the part.
+    pub sites: Vec<SiteTruth>,
+    /// Columns whose position lies in the part.
+    pub columns: Vec<ColumnTruth>,
+    /// Where columns appear, in pixels (x, y) from the centre of the first: (frame, column, 2), or the mean of all frames.
+    pub position_in_image: Array3<f64>,
+    /// Pixels that the converter cut off, in all frames.
+    pub clipped: u64,
+}
+
+/// Records a part of the field of a recipe.
+///
+/// # Errors
+/// [`Error::Invalid`] for a part that the beam leaves, or values out of limits; [`Error::Memory`]; those of the source, and
+/// [`Error::Interrupted`].
+pub fn record(
+    recipe: &CheckedRecipe,
+    specimen: &dyn Specimen,
+    source: &NoiseFree,
+    part: &RecordedPart,
+    options: &RecordingOptions,
+    progress: &dyn Progress,
+) -> Result<FieldRecording> {
+    let origin = recipe.field.origin_nm();
+    let frame = part.frame(origin)?;
+    let recorder = recorder(&frame, options)?;
+    let region = region_of(&frame).grown(-0.5 * frame.pixel_nm);
+    let meant = [region.x, region.y];
+    let reach = recorder.path().reach_nm(0..frame.shape[0]);
+    let reach = [0, 1].map(|k| [reach[k][0].min(meant[k][0]), reach[k][1].max(meant[k][1])]);
+    check_size(&frame, reach, recipe.field.pixel_nm(), options)?;
+    let image = source.image(reach, progress)?;
+    let mut lines = Lines::new(&frame, options);
+    let frames = options.acquisition.frames;
+    progress.start("recording", "line", (frames * frame.shape[0]) as u64);
+    for number in 0..frames {
+        let mut late = 0.0;
+        for first in (0..frame.shape[0]).step_by(ROWS_AT_ONCE) {
+            if progress.interrupted() {
+                return Err(Error::Interrupted);
+            }
+            let rows = first..(first + ROWS_AT_ONCE).min(frame.shape[0]);
+            lines.add(number, first, &recorder.rows(number, rows.clone(), &image, &mut late));
+            progress.advance(rows.len() as u64);
+        }
+    }
+    progress.finish();
+    let ideal = Array2::from_shape_fn(frame.shape, |(row, column)| {
+        let at = [column, row].map(|p| p as f64 * frame.pixel_nm);
+        image.at([0, 1].map(|k| frame.origin_nm[k] + at[k])) as f32
+    });
+    let path = recorder.path();
+    let (sites, columns) = list(&specimen.query(&region_of(&frame)), frame.origin_nm, 0);
+    let position_in_image = appearances(path, &columns, options);
+    let line = |(number, row): (usize, usize)| {
+        let [x, y] = path.drift_nm(number, row);
+        [path.line_start_s(number, row), x, y]
+    };
+    let rows = frame.shape[0];
+    let drift = (0..frames).flat_map(|f| (0..rows).map(move |row| (f, row))).map(line).collect();
+    Ok(FieldRecording {
+        frame: ScanFrame { origin_nm: [0, 1].map(|k| frame.origin_nm[k] - origin[k]), ..frame },
+        options: *options,
+        exposure: *recorder.exposure(),
+        data: lines.data,
+        ideal,
+        stages: lines.stages,
+        drift,
+        sites,
+        columns,
+        position_in_image,
+        clipped: lines.clipped,
+    })
+}
+
+impl FieldRecording {
+    /// Writes a file with the recording and all that is known of it; its schema is that of [`crate::io::recording_file`].
+    ///
+    /// # Errors
+    /// [`Error::Io`], [`Error::Hdf5`].
+    #[cfg(feature = "hdf5")]
+    pub fn write(
+        &self,
+        path: &std::path::Path,
+        overwrite: bool,
+        recipe: &CheckedRecipe,
+        specimen: &dyn Specimen,
+        command_line: &str,
+    ) -> Result<()> {
+        let file = RecordingFile {
+            command_line: command_line.to_owned(),
+            recipe: recipe.to_toml(),
+            acquisition: &self.options.acquisition,
+            exposure: &self.exposure,
+            seed: self.options.seed,
+            frame: &self.frame,
+            data: &self.data,
+            keeps_frames: self.options.keep_frames,
+            ideal: &self.ideal,
+            stages: self.stages.as_ref().map(|s| [&s.moved, &s.electrons]),
+            position_in_image: &self.position_in_image,
+            drift: &self.drift,
+            clipped: self.clipped,
+        };
+        let first = recipe.field.origin_nm();
+        let origin = [0, 1].map(|k| first[k] + self.frame.origin_nm[k]);
+        write_recording(path, overwrite, &file, &|writer| {
+            truth::write_recorded(specimen, self, origin, writer)
+        })
+    }
+}
+
+/// The recorder of a frame.
+fn recorder(frame: &ScanFrame, options: &RecordingOptions) -> Result<Recorder> {
+    let acquisition = &options.acquisition;
+    if let Some((key, value, expected)) = acquisition.fault() {
+        return Err(Error::invalid(Setting::Acquisition, format!("{key} = {value}"), expected));
+    }
+    let (dwell, frames, pixel) = (acquisition.dwell_us, acquisition.frames, 10.0 * frame.pixel_nm);
+    let exposure = match options.electrons {
+        Electrons::Dose(dose) => Exposure::of_dose(dose, dwell, frames, pixel)?,
+        Electrons::CurrentPa(current) => Exposure::of_current(current, dwell, frames, pixel)?,
+    };
+    let path = ScanPath::new(acquisition, *frame, options.seed);
+    Ok(Recorder::new(acquisition, path, exposure, options.seed))
+}
+
+fn check_size(
+    frame: &ScanFrame,
+    reach: [[f64; 2]; 2],
+    source_pixel_nm: f64,
+    options: &RecordingOptions,
+) -> Result<()> {
+    let pixels = (frame.shape[0] * frame.shape[1]) as u64;
+    let frames = options.acquisition.frames as u64;
+    let kept = if options.keep_frames { frames } else { 1 };
+    let stages = if options.keep_stages { frames } else { 0 };
+    let source: f64 =
+        reach.iter().map(|[low, high]| (high - low) / source_pixel_nm + 20.0).product();
+    let bytes = pixels * (8 * kept + 8 * stages + 8) + source as u64 * SOURCE_BYTES;
+    check_memory(bytes, "record a smaller part, or fewer frames")
+}
+
+/// What is kept of the frames.
+struct Lines {
+    data: Array3<f64>,
+    stages: Option<RecordingStages>,
+    keep_frames: bool,
+    clipped: u64,
+}
+
+impl Lines {
+    fn new(frame: &ScanFrame, options: &RecordingOptions) -> Self {
+        let [rows, columns] = frame.shape;
+        let frames = options.acquisition.frames;
+        let kept = if options.keep_frames { frames } else { 1 };
+        let stages = || RecordingStages {
+            moved: Array3::zeros((frames, rows, columns)),
+            electrons: Array3::zeros((frames, rows, columns)),
+        };
+        Lines {
+            data: Array3::zeros((kept, rows, columns)),
+            stages: options.keep_stages.then(stages),
+            keep_frames: options.keep_frames,
+            clipped: 0,
+        }
+    }
+
+    fn add(&mut self, frame: usize, first: usize, rows: &crate::acquisition::RecordedRows) {
+        let range = ndarray::Slice::from(first..first + rows.values.nrows());
+        let to = if self.keep_frames { frame } else { 0 };
+        let mut data = self.data.index_axis_mut(Axis(0), to);
+        let mut data = data.slice_axis_mut(Axis(0), range);
+        data.zip_mut_with(&rows.values, |sum, value| *sum += f64::from(*value));
+        if let Some(stages) = &mut self.stages {
+            for (to, from) in
+                [(&mut stages.moved, &rows.moved), (&mut stages.electrons, &rows.electrons)]
+            {
+                let mut to = to.index_axis_mut(Axis(0), frame);
+                to.slice_axis_mut(Axis(0), range).assign(from);
+            }
+        }
+        self.clipped += rows.clipped;
+    }
+}
+
+/// The area that the pixels of a scan are meant to cover.
+pub fn region_of(frame: &ScanFrame) -> Region {
+    let edges = |k: usize| {
+        let first = frame.origin_nm[k] - 0.5 * frame.pixel_nm;
+        [first, first + frame.shape[1 - k] as f64 * frame.pixel_nm]
+    };
+    Region { x: edges(0), y: edges(1) }
+}
+
+/// Where the columns appear: (frame, column, 2), or the mean of all frames.
+fn appearances(
+    path: &ScanPath,
+    columns: &[ColumnTruth],
+    options: &RecordingOptions,
+) -> Array3<f64> {
+    let frames = options.acquisition.frames;
+    let kept = if options.keep_frames { frames } else { 1 };
+    let mut places = Array3::zeros((kept, columns.len(), 2));
+    for frame in 0..frames {
+        let to = if options.keep_frames { frame } else { 0 };
+        for (n, column) in columns.iter().enumerate() {
+            let [x, y] = column.position_nm.map(f64::from);
+            let first = path.frame().origin_nm;
+            let seen = path.appearance_px(frame, [first[0] + x, first[1] + y]);
+            for (k, at) in seen.into_iter().enumerate() {
+                places[(to, n, k)] += at * kept as f64 / frames as f64;
+            }
+        }
+    }
+    places
+}
