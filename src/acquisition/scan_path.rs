@@ -77,6 +77,21 @@ impl ScanPath {
         &self.frame
     }
 
+    /// Number of frames.
+    pub fn frames(&self) -> usize {
+        self.settings.frames
+    }
+
+    /// Of each line of each frame: its time in s, and how far (x, y) in nm the specimen has drifted.
+    pub fn drift_curve(&self) -> Vec<[f64; 3]> {
+        let lines = (0..self.frames()).flat_map(|f| (0..self.frame.shape[0]).map(move |r| (f, r)));
+        let line = |(frame, row): (usize, usize)| {
+            let [x, y] = self.drift_nm(frame, row);
+            [self.line_start_s(frame, row), x, y]
+        };
+        lines.map(line).collect()
+    }
+
     /// Time from one line to the next in s.
     pub fn line_s(&self) -> f64 {
         let Acquisition { dwell_us, flyback_us, .. } = self.settings;

@@ -1,9 +1,12 @@
 //! The noise-free image between its pixels.
 
+use std::sync::Arc;
+
 use ndarray::Array2;
 
-use crate::error::Result;
-use crate::resample::{Kernel, MARGIN};
+use crate::error::{Error, Result};
+use crate::resample::{Kernel, MARGIN, TAPS};
+use crate::setting::Setting;
 
 /// Part of a noise-free image, with a value at any place of it. An image has no frequencies above twice those of the aperture, so
 /// pixels closer than `wavelength / (4 semiangle)` determine it everywhere; the error of [`Kernel`] is the only one.
@@ -12,7 +15,7 @@ pub struct SourceImage {
     values: Array2<f32>,
     pixel_nm: f64,
     origin_nm: [f64; 2],
-    kernel: Kernel,
+    kernel: Arc<Kernel>,
 }
 
 impl SourceImage {
@@ -20,19 +23,36 @@ impl SourceImage {
     /// the centre of the first is at `origin_nm` (x, y).
     ///
     /// # Errors
-    /// [`crate::Error::Invalid`] for pixels too coarse to determine the image.
+    /// [`Error::Invalid`] for pixels too coarse to determine the image, or fewer than [`TAPS`] along an axis.
     pub fn new(
         values: Array2<f32>,
         pixel_nm: f64,
         origin_nm: [f64; 2],
         band_limit: f64,
     ) -> Result<Self> {
-        Ok(SourceImage {
-            values,
+        if values.nrows() < TAPS || values.ncols() < TAPS {
+            let value = format!("{} x {} pixels", values.nrows(), values.ncols());
+            let expected = format!("at least {TAPS} x {TAPS} pixels of the field are needed");
+            return Err(Error::invalid(Setting::RecordedRegionNm, value, expected));
+        }
+        let kernel = Arc::new(Kernel::new(10.0 * pixel_nm, band_limit)?);
+        Ok(SourceImage::with_kernel(values, pixel_nm, origin_nm, kernel))
+    }
+
+    /// The same with a kernel for these pixels; there are at least [`TAPS`] of them along each axis.
+    pub fn with_kernel(
+        values: Array2<f32>,
+        pixel_nm: f64,
+        origin_nm: [f64; 2],
+        kernel: Arc<Kernel>,
+    ) -> Self {
+        assert!(values.nrows() >= TAPS && values.ncols() >= TAPS, "too few pixels for the kernel");
+        SourceImage {
+            values: values.as_standard_layout().into_owned(),
             pixel_nm,
             origin_nm,
-            kernel: Kernel::new(10.0 * pixel_nm, band_limit)?,
-        })
+            kernel,
+        }
     }
 
     /// The least and the greatest x and y in nm at which values are right; further out they are those of the edge.

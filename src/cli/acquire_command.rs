@@ -21,7 +21,7 @@ use stemgen::recipe::CheckedRecipe;
 use stemgen::specimen::{Specimen, specimen};
 use stemgen::world::noise_free::{refined, refinement};
 use stemgen::world::{
-    Electrons, FieldRecording, NoiseFree, RecordedPart, RecordingOptions, record,
+    Electrons, FieldRecording, ImagerSource, RecordedPart, RecordingOptions, WorldSource, record,
 };
 
 const EXAMPLES: &str = "\
@@ -46,7 +46,7 @@ keys of [acquisition]: drift, line jitter, fly-back, mains hum, scale and shear,
 
 /// A set of values for a microscope.
 #[derive(Debug, Clone, Copy, ValueEnum)]
-enum ProfileName {
+pub enum AcquisitionName {
     /// Poisson noise only
     Ideal,
     /// A corrected microscope, well kept
@@ -55,12 +55,12 @@ enum ProfileName {
     Poor,
 }
 
-impl From<ProfileName> for Profile {
-    fn from(name: ProfileName) -> Self {
+impl From<AcquisitionName> for Profile {
+    fn from(name: AcquisitionName) -> Self {
         match name {
-            ProfileName::Ideal => Profile::Ideal,
-            ProfileName::Routine => Profile::Routine,
-            ProfileName::Poor => Profile::Poor,
+            AcquisitionName::Ideal => Profile::Ideal,
+            AcquisitionName::Routine => Profile::Routine,
+            AcquisitionName::Poor => Profile::Poor,
         }
     }
 }
@@ -74,7 +74,7 @@ pub struct Acquire {
     /// Values of the microscope; --set acquisition.KEY=VALUE changes single ones [default: those of the recipe, or
     /// ideal]
     #[arg(long, value_name = "NAME", help_heading = "Recording")]
-    profile: Option<ProfileName>,
+    profile: Option<AcquisitionName>,
     /// Part to record, in nm: left, upper, right and lower edge
     #[arg(long, value_name = "X0,Y0,X1,Y1", value_parser = values::rectangle)]
     #[arg(allow_hyphen_values = true, conflicts_with = "at", help_heading = "Recording")]
@@ -185,7 +185,7 @@ impl Acquire {
             let image = recording.data.index_axis(Axis(0), 0).mapv(|v| v as f32);
             pictures::write(path, image.view(), [10.0 * recording.frame.pixel_nm; 2], true)?;
         }
-        self.warn(&recording);
+        self.warn_of_clipping(&recording);
         let summary = self.summary(&recording, source, begun);
         self.common.print(&summary, &summary.text())
     }
@@ -212,7 +212,7 @@ impl Acquire {
         if let Some(world) = self.recipe.world().filter(|_| parts == 1) {
             let world = WorldFile::open(&world)?;
             if world.has_clean() {
-                let source = NoiseFree::World { world: &world, recipe };
+                let source = WorldSource { world: &world, recipe };
                 let recording = record(recipe, &**specimen, &source, &part, &options, reporter)?;
                 return Ok((recording, "the noise-free image of the world"));
             }
@@ -221,7 +221,7 @@ impl Acquire {
         let cache = if self.no_cache { Cache::none() } else { Cache::of_user() };
         let mut imager = imaging_of(&fine, made.as_ref(), cache)?.imager(&fine, specimen)?;
         imager.prepare(reporter)?;
-        let source = NoiseFree::Imager { imager: &*imager, recipe: &fine };
+        let source = ImagerSource { imager: &*imager, recipe: &fine };
         let recording = record(recipe, &**specimen, &source, &part, &options, reporter)?;
         Ok((recording, "made from the recipe"))
     }
@@ -255,7 +255,7 @@ impl Acquire {
         }
     }
 
-    fn warn(&self, recording: &FieldRecording) {
+    fn warn_of_clipping(&self, recording: &FieldRecording) {
         if recording.clipped == 0 || self.common.quiet {
             return;
         }

@@ -1,5 +1,6 @@
 //! `stemgen build`.
 
+use super::acquire_command::AcquisitionName;
 use super::build_plan::DryRun;
 use super::common::{Common, Force};
 use super::hints::{self, hinted};
@@ -10,12 +11,13 @@ use super::{estimate, output, pictures, slips, text};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
+use stemgen::acquisition::{Acquisition, AcquisitionTable, Profile};
 use stemgen::engine::Expansion;
 use stemgen::files::outputs::check_outputs;
 use stemgen::imaging::{Audit, Cache};
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
-use stemgen::recipe::{Difficulty, Recipe};
+use stemgen::recipe::{CheckedRecipe, Difficulty, Recipe};
 use stemgen::world::footprint::PICTURE;
 use stemgen::world::{
     BuildMethod, BuildOptions, BuildProfile, BuildSummary, Companion, WorldBuild, work_folder,
@@ -42,6 +44,10 @@ command goes on from there. `stemgen glossary` explains window, mosaic, library,
 pub struct Build {
     #[command(flatten)]
     recipe: RecipeArgs,
+    /// Record the field in one scan with the errors of a microscope: drift, jitter, the detector. Changes
+    /// [acquisition] of the recipe (see `stemgen acquire --help`); tiles are then what it records
+    #[arg(long, value_name = "NAME", conflicts_with = "no_noise")]
+    acquisition: Option<AcquisitionName>,
     /// Leave out the Poisson noise
     #[arg(long)]
     no_noise: bool,
@@ -141,6 +147,7 @@ struct Built {
     grain_boundaries: usize,
     phase_boundaries: usize,
     dose_electrons_per_angstrom2: Option<f64>,
+    acquisition: Option<Acquisition>,
     engine: String,
     library: Option<[usize; 2]>,
     audit: Option<Audit>,
@@ -153,7 +160,7 @@ impl Build {
     /// Runs the subcommand.
     pub fn run(self) -> anyhow::Result<()> {
         let reporter = self.common.start()?;
-        let recipe = self.recipe.resolve()?;
+        let recipe = self.recorded(self.recipe.resolve()?)?;
         let build = WorldBuild::new(&recipe, &self.options())?;
         build.policy().warnings.iter().for_each(|w| reporter.warn(w));
         let path = self.output(&recipe);
@@ -210,8 +217,19 @@ impl Build {
         }
     }
 
+    /// The recipe with the profile of its recording.
+    fn recorded(&self, recipe: CheckedRecipe) -> anyhow::Result<CheckedRecipe> {
+        let Some(profile) = self.acquisition else { return Ok(recipe) };
+        let mut changed = recipe.recipe().clone();
+        let table = changed.acquisition.unwrap_or_default();
+        changed.acquisition = Some(AcquisitionTable { profile: Some(profile.into()), ..table });
+        Ok(changed.checked()?)
+    }
+
     fn output(&self, recipe: &Recipe) -> PathBuf {
-        let default = || Path::new("worlds").join(self.recipe.stem(recipe) + ".h5");
+        let profile = self.acquisition.map(|a| format!("_{}", Profile::from(a).name()));
+        let stem = self.recipe.stem(recipe) + &profile.unwrap_or_default();
+        let default = || Path::new("worlds").join(stem + ".h5");
         self.output.clone().unwrap_or_else(default)
     }
 
@@ -240,6 +258,7 @@ impl Build {
             grain_boundaries: world.boundaries()?.len(),
             phase_boundaries: world.phase_boundaries()?.len(),
             dose_electrons_per_angstrom2: (!self.no_noise).then_some(dose),
+            acquisition: recipe.acquisition.map(|table| table.resolved()),
             engine: summary.engine.clone(),
             library: summary.library,
             audit: summary.audit.clone(),
@@ -311,6 +330,17 @@ impl Built {
                 None => "no noise".into(),
             },
         );
+        if let Some(acquisition) = &self.acquisition {
+            let Acquisition { frames, dwell_us, flyback_us, .. } = acquisition;
+            let line_us = self.pixels[1] as f64 * dwell_us + flyback_us;
+            let scan_s = 1e-6 * line_us * (self.pixels[0] * frames) as f64;
+            let plural = if *frames == 1 { "frame" } else { "frames" };
+            let scan = text::duration(scan_s);
+            lines.add(
+                "recording",
+                format!("{frames} {plural} in one scan of {scan}, {dwell_us} us a pixel"),
+            );
+        }
         let resumed = match self.subtiles_resumed {
             0 => String::new(),
             n => format!(", {n} of them from an earlier run"),

@@ -18,7 +18,6 @@ use hdf5::{File, H5Type};
 use ndarray::{Array2, Array3, Axis};
 
 use super::At;
-use super::schema;
 use super::truth_writer::TruthWriter;
 use super::world_writer::{number, text};
 use crate::acquisition::{Acquisition, Exposure, ScanFrame};
@@ -55,10 +54,6 @@ pub struct RecordingFile<'a> {
     pub ideal: &'a Array2<f32>,
     /// The noise-free image where the beam was, and the electrons: (frame, row, column).
     pub stages: Option<[&'a Array3<f32>; 2]>,
-    /// Where columns appear: (frame, column, 2).
-    pub position_in_image: &'a Array3<f64>,
-    /// Time and drift (x, y) of each line.
-    pub drift: &'a [[f64; 3]],
     /// Pixels that the converter cut off.
     pub clipped: u64,
 }
@@ -81,8 +76,6 @@ pub fn write_recording(
         write_images(&file, recording).at(path)?;
         let writer = TruthWriter::create(&file, path, [shape, chunk(shape)]).at(path)?;
         truth(&writer)?;
-        drop(writer);
-        write_scan(&file, recording).at(path)?;
         write_entry(&file, recording).at(path)?;
         file.flush().at(path)
     })
@@ -154,32 +147,6 @@ fn write_counts<T: H5Type + Clone>(
     };
     text(&dataset, "units", "counts")?;
     number(&dataset, "pixel_size_nm", r.frame.pixel_nm)
-}
-
-/// Where columns appear, and how the specimen drifted.
-fn write_scan(file: &File, r: &RecordingFile) -> hdf5::Result<()> {
-    let columns = file.group(schema::TRUTH)?.group(schema::COLUMNS)?;
-    let new = || columns.new_dataset_builder();
-    let places = match r.keeps_frames {
-        true => new().with_data(r.position_in_image).create("position_in_image")?,
-        false => {
-            let places = r.position_in_image.index_axis(Axis(0), 0);
-            new().with_data(&places).create("position_in_image")?
-        }
-    };
-    text(&places, "unit", "px")?;
-    let origin = "(x, y): x with the column, y with the row, from the centre of pixel (0, 0); the centre of mass of a Gaussian of \
-                  0.4 A (at least one pixel) about the column, as the recording shows it";
-    text(&places, "origin", origin)?;
-    let drift = Array2::from_shape_vec((r.drift.len(), 3), r.drift.as_flattened().to_vec())
-        .map_err(|e| hdf5::Error::Internal(e.to_string()))?;
-    let group = file.group(schema::TRUTH)?;
-    let drift = group.new_dataset_builder().with_data(&drift).create("drift")?;
-    text(
-        &drift,
-        "columns",
-        "time in s, drift of the specimen along x and y in nm, at the start of each line",
-    )
 }
 
 fn write_entry(file: &File, r: &RecordingFile) -> hdf5::Result<()> {

@@ -3,13 +3,17 @@
 use std::path::{Path, PathBuf};
 
 use hdf5::{Dataset, Extents, File, Group, H5Type};
-use ndarray::{ArrayView1, ArrayView2};
+use ndarray::{Array3, ArrayView1, ArrayView2};
 
 use super::At;
 use super::schema::{self, CompositionText, DefectName, MorphologyName};
 use super::world_writer::{compressed, number, text};
 use crate::error::Result;
 
+/// Dataset of the places at which columns appear in a recording.
+const APPEARANCES: &str = "position_in_image";
+const APPEARANCE_ORIGIN: &str = "(x, y): x with the column, y with the row, from the centre of pixel (0, 0); the centre of mass of \
+                                 a Gaussian of 0.4 A (at least one pixel) about the column, as the recording shows it";
 /// Entries of a chunk.
 const TRUTH_CHUNK: usize = 16_384;
 
@@ -137,6 +141,59 @@ impl TruthWriter {
     /// [`Error::Hdf5`].
     pub fn append(&self, batch: &TruthBatch) -> Result<()> {
         self.append_lists(batch).at(&self.path)
+    }
+
+    /// Where more columns appear in a recording: (x, y) in pixels from the centre of the first.
+    ///
+    /// # Errors
+    /// [`crate::Error::Hdf5`].
+    pub fn append_appearances(&self, places_px: &[[f32; 2]]) -> Result<()> {
+        let write = || {
+            let columns = self.group.group(schema::COLUMNS)?;
+            let places = match columns.dataset(APPEARANCES) {
+                Ok(places) => places,
+                Err(_) => {
+                    let chunk = [TRUTH_CHUNK, 2];
+                    let places = compressed::<f32>(&columns, APPEARANCES, (0.., 2).into(), &chunk)?;
+                    text(&places, "unit", "px")?;
+                    text(&places, "origin", APPEARANCE_ORIGIN)?;
+                    places
+                }
+            };
+            append_pairs(&places, places_px)
+        };
+        write().at(&self.path)
+    }
+
+    /// Where columns appear in each frame of a recording: (frame, column, 2).
+    ///
+    /// # Errors
+    /// [`crate::Error::Hdf5`].
+    pub fn appearances_of_frames(&self, places_px: &Array3<f64>) -> Result<()> {
+        let write = || {
+            let columns = self.group.group(schema::COLUMNS)?;
+            let data = places_px.mapv(|v| v as f32);
+            let places = columns.new_dataset_builder().with_data(&data).create(APPEARANCES)?;
+            text(&places, "unit", "px")?;
+            text(&places, "origin", APPEARANCE_ORIGIN)
+        };
+        write().at(&self.path)
+    }
+
+    /// How the specimen drifted: time in s, and (x, y) in nm, of each line.
+    ///
+    /// # Errors
+    /// [`crate::Error::Hdf5`].
+    pub fn drift(&self, lines: &[[f64; 3]]) -> Result<()> {
+        let write = || {
+            let data = ArrayView2::from_shape((lines.len(), 3), lines.as_flattened())
+                .map_err(|e| hdf5::Error::Internal(e.to_string()))?;
+            let drift = self.group.new_dataset_builder().with_data(data).create("drift")?;
+            let columns =
+                "time in s, drift of the specimen along x and y in nm, when each line begins";
+            text(&drift, "columns", columns)
+        };
+        write().at(&self.path)
     }
 
     /// A polyline between two grains or phases.

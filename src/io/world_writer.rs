@@ -9,6 +9,7 @@ use ndarray::ArrayView2;
 use super::At;
 use super::schema;
 use super::truth_writer::TruthWriter;
+use crate::acquisition::{Acquisition, Exposure};
 use crate::error::{Error, Result};
 
 const DEFLATE: u8 = 1;
@@ -141,6 +142,29 @@ impl WorldWriter {
     pub fn valid_rows(&self, first: usize, rows: ArrayView2<bool>) -> Result<()> {
         let selection = ndarray::s![first..first + rows.nrows(), ..];
         self.valid.write_slice(rows, selection).at(&self.path)
+    }
+
+    /// What the tiles were recorded with: counts of all frames = fraction of the beam * `counts[0]` + `counts[1]`.
+    ///
+    /// # Errors
+    /// [`Error::Hdf5`].
+    pub fn recorded(
+        &self,
+        acquisition: &Acquisition,
+        exposure: &Exposure,
+        counts: [f64; 2],
+    ) -> Result<()> {
+        let write = || {
+            let metadata = self.file.group(schema::METADATA)?;
+            let json = serde_json::to_string(acquisition).unwrap_or_default();
+            text(&metadata, "acquisition", &json)?;
+            number(&metadata, "beam_current_pa", exposure.current_pa())?;
+            number(&metadata, "electrons_per_pixel", exposure.electrons_per_pixel)?;
+            number(&metadata, "frames", exposure.frames as u64)?;
+            number(&metadata, "counts_of_whole_beam", counts[0])?;
+            number(&metadata, "counts_of_no_beam", counts[1])
+        };
+        write().at(&self.path)
     }
 
     /// The ground truth.

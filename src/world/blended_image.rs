@@ -9,6 +9,7 @@ use crate::io::WorldWriter;
 use crate::io::schema::OVERVIEW_FACTOR;
 use crate::progress::{Progress, Silent};
 use crate::recipe::resolved_recipe::Recipe;
+use crate::world::field_scan::{FieldScan, FieldScanRows, ScannedRows};
 use crate::world::noise::Noise;
 use crate::world::subtile_store::SubtileStore;
 use crate::world::subtiles::Partition;
@@ -18,6 +19,8 @@ pub struct BlendedImage<'a> {
     partition: &'a Partition,
     store: &'a SubtileStore,
     noise: Option<Noise>,
+    /// The recording that takes the place of noise.
+    scan: Option<&'a FieldScan>,
     shape: [usize; 2],
     grid: [usize; 2],
     tile: usize,
@@ -31,6 +34,7 @@ impl<'a> BlendedImage<'a> {
         partition: &'a Partition,
         store: &'a SubtileStore,
         noise: bool,
+        scan: Option<&'a FieldScan>,
     ) -> Self {
         let field = &recipe.field;
         let dose = recipe.dose.electrons_per_angstrom2;
@@ -38,6 +42,7 @@ impl<'a> BlendedImage<'a> {
             partition,
             store,
             noise: noise.then(|| Noise::new(recipe, dose, field.crop_origin_px())),
+            scan,
             shape: field.pixels(field.built_grid()),
             grid: field.built_grid(),
             tile: field.tile_px,
@@ -55,11 +60,10 @@ impl<'a> BlendedImage<'a> {
         })
     }
 
-    fn noisy(&self, mut band: Array2<f32>, first_row: usize) -> Array2<f32> {
-        if let Some(noise) = &self.noise {
-            noise.apply(&mut band, first_row);
-        }
-        band
+    /// Bands of the image as stored, from top to bottom.
+    fn bands(&self) -> StoredBands<'_> {
+        let clean = |rows| self.clean(rows);
+        StoredBands { image: self, scan: self.scan.map(|scan| scan.begin(clean)) }
     }
 
     /// Least and greatest value of the image as stored.
@@ -69,10 +73,11 @@ impl<'a> BlendedImage<'a> {
     pub fn range(&self, progress: &dyn Progress) -> Result<[f32; 2]> {
         progress.start("scaling", "row", self.shape[0] as u64);
         let mut range = [f32::INFINITY, f32::NEG_INFINITY];
+        let mut bands = self.bands();
         for first in (0..self.shape[0]).step_by(self.tile) {
             stop_if_asked(progress)?;
             let rows = first..(first + self.tile).min(self.shape[0]);
-            let band = self.noisy(self.clean(rows.clone())?, first);
+            let band = bands.rows(rows.clone(), None)?.values;
             range = band.iter().fold(range, |[low, high], &v| [low.min(v), high.max(v)]);
             progress.advance(rows.len() as u64);
         }
@@ -95,20 +100,23 @@ impl<'a> BlendedImage<'a> {
         let scale = if high > low { f64::from(high) - offset } else { 1.0 };
         writer.scaling(scale, offset)?;
         let mut overview = Overview::new(self.shape);
+        let mut bands = self.bands();
         progress.start("writing tiles", "tile", (self.grid[0] * self.grid[1]) as u64);
         for row in 0..self.grid[0] {
             stop_if_asked(progress)?;
             let first = row * self.stride;
-            let clean = self.clean(first..first + self.tile)?;
-            if keep_clean {
-                self.tiles(&clean, |column, tile| writer.clean_tile(row, column, tile))?;
+            let rows = first..first + self.tile;
+            let clean = (keep_clean || self.scan.is_none()).then(|| self.clean(rows.clone()));
+            let clean = clean.transpose()?;
+            if let Some(clean) = clean.as_ref().filter(|_| keep_clean) {
+                self.tiles(clean, |column, tile| writer.clean_tile(row, column, tile))?;
             }
-            let mut band = self.noisy(clean, first);
+            let ScannedRows { values: mut band, valid } = bands.rows(rows, clean)?;
             band.mapv_inplace(|v| ((f64::from(v) - offset) / scale).clamp(0.0, 1.0) as f32);
             self.tiles(&band, |column, tile| writer.tile(row, column, tile))?;
             let own = if row + 1 == self.grid[0] { self.tile } else { self.stride };
             overview.add(first, band.slice(s![..own, ..]));
-            writer.valid_rows(first, Array2::from_elem((own, self.shape[1]), true).view())?;
+            writer.valid_rows(first, valid.slice(s![..own, ..]))?;
             progress.advance(self.grid[1] as u64);
         }
         progress.finish();
@@ -124,6 +132,27 @@ impl<'a> BlendedImage<'a> {
             let start = column * self.stride;
             write(column, band.slice(s![.., start..start + self.tile]))
         })
+    }
+}
+
+/// Bands of an image, from top to bottom.
+struct StoredBands<'a> {
+    image: &'a BlendedImage<'a>,
+    scan: Option<FieldScanRows<'a>>,
+}
+
+impl StoredBands<'_> {
+    /// Rows as stored, in fractions of the beam; `clean` are those rows of the noise-free image, if they are at hand.
+    fn rows(&mut self, rows: Range<usize>, clean: Option<Array2<f32>>) -> Result<ScannedRows> {
+        if let Some(scan) = &mut self.scan {
+            return scan.rows(rows);
+        }
+        let mut values = clean.map_or_else(|| self.image.clean(rows.clone()), Ok)?;
+        if let Some(noise) = &self.image.noise {
+            noise.apply(&mut values, rows.start);
+        }
+        let valid = Array2::from_elem(values.dim(), true);
+        Ok(ScannedRows { values, valid })
     }
 }
 

@@ -4,13 +4,9 @@ use ndarray::{Array2, Array3, Axis};
 
 use super::noise_free::NoiseFree;
 use super::region_truth::{ColumnTruth, SiteTruth, list};
-#[cfg(feature = "hdf5")]
-use super::truth;
 use crate::acquisition::{Acquisition, Exposure, Recorder, ScanFrame, ScanPath};
 use crate::engine::check_memory;
 use crate::error::{Error, Result};
-#[cfg(feature = "hdf5")]
-use crate::io::recording_file::{RecordingFile, write_recording};
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Region};
 use crate::setting::Setting;
@@ -136,7 +132,7 @@ pub struct FieldRecording {
 pub fn record(
     recipe: &CheckedRecipe,
     specimen: &dyn Specimen,
-    source: &NoiseFree,
+    source: &dyn NoiseFree,
     part: &RecordedPart,
     options: &RecordingOptions,
     progress: &dyn Progress,
@@ -172,12 +168,7 @@ pub fn record(
     let path = recorder.path();
     let (sites, columns) = list(&specimen.query(&region_of(&frame)), frame.origin_nm, 0);
     let position_in_image = appearances(path, &columns, options);
-    let line = |(number, row): (usize, usize)| {
-        let [x, y] = path.drift_nm(number, row);
-        [path.line_start_s(number, row), x, y]
-    };
-    let rows = frame.shape[0];
-    let drift = (0..frames).flat_map(|f| (0..rows).map(move |row| (f, row))).map(line).collect();
+    let drift = path.drift_curve();
     Ok(FieldRecording {
         frame: ScanFrame { origin_nm: [0, 1].map(|k| frame.origin_nm[k] - origin[k]), ..frame },
         options: *options,
@@ -191,43 +182,6 @@ pub fn record(
         position_in_image,
         clipped: lines.clipped,
     })
-}
-
-impl FieldRecording {
-    /// Writes a file with the recording and all that is known of it; its schema is that of [`crate::io::recording_file`].
-    ///
-    /// # Errors
-    /// [`Error::Io`], [`Error::Hdf5`].
-    #[cfg(feature = "hdf5")]
-    pub fn write(
-        &self,
-        path: &std::path::Path,
-        overwrite: bool,
-        recipe: &CheckedRecipe,
-        specimen: &dyn Specimen,
-        command_line: &str,
-    ) -> Result<()> {
-        let file = RecordingFile {
-            command_line: command_line.to_owned(),
-            recipe: recipe.to_toml(),
-            acquisition: &self.options.acquisition,
-            exposure: &self.exposure,
-            seed: self.options.seed,
-            frame: &self.frame,
-            data: &self.data,
-            keeps_frames: self.options.keep_frames,
-            ideal: &self.ideal,
-            stages: self.stages.as_ref().map(|s| [&s.moved, &s.electrons]),
-            position_in_image: &self.position_in_image,
-            drift: &self.drift,
-            clipped: self.clipped,
-        };
-        let first = recipe.field.origin_nm();
-        let origin = [0, 1].map(|k| first[k] + self.frame.origin_nm[k]);
-        write_recording(path, overwrite, &file, &|writer| {
-            truth::write_recorded(specimen, self, origin, writer)
-        })
-    }
 }
 
 /// The recorder of a frame.

@@ -10,10 +10,14 @@ pub mod build_options;
 #[cfg(feature = "hdf5")]
 mod build_summary;
 mod field_recording;
+#[cfg(feature = "hdf5")]
+mod field_scan;
 mod field_tile;
 pub mod footprint;
 pub mod noise;
 pub mod noise_free;
+#[cfg(feature = "hdf5")]
+mod recording_writer;
 pub mod region_truth;
 #[cfg(feature = "render")]
 pub mod specimen_drawing;
@@ -29,6 +33,8 @@ mod work_folder;
 mod world_build;
 #[cfg(feature = "hdf5")]
 mod world_job;
+#[cfg(feature = "hdf5")]
+mod world_source;
 
 pub use atoms_export::{ExportOptions, ExportSummary, export};
 pub use build_options::{BuildMethod, BuildOptions, BuildPolicy, BuildProfile};
@@ -39,7 +45,7 @@ pub use field_recording::{
 };
 pub use field_tile::{FieldTile, field_tile};
 pub use noise::Noise;
-pub use noise_free::NoiseFree;
+pub use noise_free::{ImagerSource, NoiseFree};
 pub use region_truth::{ColumnTruth, SiteTruth};
 #[cfg(feature = "render")]
 pub use specimen_drawing::Drawing;
@@ -50,3 +56,5 @@ pub use truth::Counts;
 pub use work_folder::work_folder;
 #[cfg(feature = "hdf5")]
 pub use world_build::{Companion, WorldBuild, build};
+#[cfg(feature = "hdf5")]
+pub use world_source::WorldSource;

@@ -5,12 +5,10 @@ use ndarray::Array2;
 use crate::acquisition::SourceImage;
 use crate::error::{Error, Result};
 use crate::imaging::{PixelRect, RegionImager};
-#[cfg(feature = "hdf5")]
-use crate::io::WorldFile;
 use crate::optics::Optics;
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Recipe};
-use crate::resample::{HALF_WIDTH, MARGIN, image_band_limit};
+use crate::resample::{HALF_WIDTH, MARGIN, image_band_limit, nyquist_step};
 use crate::setting::Setting;
 
 /// Pixels of the source are at most this fraction of the inverse band limit: they are then interpolated with an error of about
@@ -33,6 +31,19 @@ pub fn refinement(recipe: &Recipe) -> usize {
     ((product / FINE_ENOUGH).ceil() as usize).max(1)
 }
 
+/// Why a field cannot be recorded at its own pixel, if it cannot.
+pub fn too_coarse(recipe: &Recipe) -> Option<Error> {
+    let pixel = recipe.field.pixel_nm();
+    let needed = 0.1 * nyquist_step(band_limit(recipe));
+    (pixel > needed).then(|| {
+        let (tile, overlap) = (2 * recipe.field.tile_px, 2 * recipe.field.overlap_px);
+        let expected = format!(
+            "a recording needs pixels of at most {needed:.4} nm: tile_px = {tile} and overlap_px = {overlap} halve them"
+        );
+        Error::invalid(Setting::RecordedPixelNm, format!("{pixel:.4}"), expected)
+    })
+}
+
 /// The recipe with every pixel divided into `parts` x `parts`. An imager made of it images the specimen of the recipe itself at that
 /// finer pixel: pixel (0, 0) stays where it was.
 ///
@@ -52,74 +63,23 @@ pub fn refined(recipe: &CheckedRecipe, parts: usize) -> Result<CheckedRecipe> {
 }
 
 /// The noise-free image of a field, wherever it comes from. Pixel (0, 0) of the full field lies at 0 nm.
-pub enum NoiseFree<'a> {
-    /// Made by an imager, of a recipe that may be [`refined`].
-    Imager {
-        /// It, prepared.
-        imager: &'a dyn RegionImager,
-        /// The recipe that it was made of.
-        recipe: &'a CheckedRecipe,
-    },
-    /// Read from a world that was built with its noise-free image.
-    #[cfg(feature = "hdf5")]
-    World {
-        /// It.
-        world: &'a WorldFile,
-        /// Its recipe.
-        recipe: &'a CheckedRecipe,
-    },
-}
-
-impl NoiseFree<'_> {
-    fn recipe(&self) -> &CheckedRecipe {
-        match self {
-            NoiseFree::Imager { recipe, .. } => recipe,
-            #[cfg(feature = "hdf5")]
-            NoiseFree::World { recipe, .. } => recipe,
-        }
-    }
+pub trait NoiseFree {
+    /// The recipe that tells the pixels.
+    fn recipe(&self) -> &CheckedRecipe;
 
     /// First row and column that can be had, and those behind the last, in pixels of the full field.
-    fn extent(&self) -> [[usize; 2]; 2] {
-        let field = &self.recipe().field;
-        match self {
-            NoiseFree::Imager { .. } => [[0; 2], field.pixels(field.grid)],
-            #[cfg(feature = "hdf5")]
-            NoiseFree::World { .. } => {
-                let (first, shape) = (field.crop_origin_px(), field.pixels(field.built_grid()));
-                [first, [0, 1].map(|k| first[k] + shape[k])]
-            }
-        }
-    }
+    fn extent_px(&self) -> [[usize; 2]; 2];
 
-    fn pixels(&self, pixels: &PixelRect, progress: &dyn Progress) -> Result<Array2<f32>> {
-        match self {
-            NoiseFree::Imager { imager, recipe } => {
-                let [stage, unit] = imager.stage();
-                progress.start(stage, unit, imager.work(pixels) as u64);
-                let configurations = recipe.phonons.configurations.max(1);
-                let image = imager.mean_of(pixels, configurations, progress)?;
-                progress.finish();
-                Ok(image.mapv(|v| v as f32))
-            }
-            #[cfg(feature = "hdf5")]
-            NoiseFree::World { world, recipe } => {
-                let first = recipe.field.crop_origin_px();
-                let range = |k: usize| {
-                    let start = pixels.first[k] - first[k];
-                    start..start + pixels.shape[k]
-                };
-                let image = world.stitched_clean(range(0), range(1))?;
-                world.check_finite(&image, [range(0).start, range(1).start], true)?;
-                Ok(image)
-            }
-        }
-    }
+    /// The image of some of these pixels, [row, column] = [y, x], as fraction of the beam.
+    ///
+    /// # Errors
+    /// Those of the engine or of the file, and [`Error::Interrupted`].
+    fn pixels(&self, pixels: &PixelRect, progress: &dyn Progress) -> Result<Array2<f32>>;
 
     /// The places (x, y) in nm of the full field at which the image can be had.
-    pub fn inside_nm(&self) -> [[f64; 2]; 2] {
+    fn inside_nm(&self) -> [[f64; 2]; 2] {
         let pixel = self.recipe().field.pixel_nm();
-        let [first, end] = self.extent();
+        let [first, end] = self.extent_px();
         [1, 0].map(|k| {
             let low = first[k] + MARGIN;
             [low as f64 * pixel, (end[k] as f64 - 1.0 - MARGIN as f64).max(0.0) * pixel]
@@ -130,14 +90,14 @@ impl NoiseFree<'_> {
     ///
     /// # Errors
     /// [`Error::Invalid`] if the beam leaves the field, or the pixels are too coarse; those of the engine or of the file.
-    pub fn image(&self, reach_nm: [[f64; 2]; 2], progress: &dyn Progress) -> Result<SourceImage> {
+    fn image(&self, reach_nm: [[f64; 2]; 2], progress: &dyn Progress) -> Result<SourceImage> {
         let inside = self.inside_nm();
         let outside = |k: usize| reach_nm[k][0] < inside[k][0] || reach_nm[k][1] > inside[k][1];
         if outside(0) || outside(1) {
-            return Err(self.beyond(reach_nm, inside));
+            return Err(beyond(self.recipe(), reach_nm, inside));
         }
         let pixel = self.recipe().field.pixel_nm();
-        let [low, end] = self.extent();
+        let [low, end] = self.extent_px();
         let range = |k: usize| {
             // nm are (x, y), pixels (row, column)
             let [from, to] = reach_nm[1 - k].map(|nm| nm / pixel);
@@ -153,19 +113,47 @@ impl NoiseFree<'_> {
         let origin = [column, row].map(|p| p as f64 * pixel);
         SourceImage::new(values, pixel, origin, band_limit(self.recipe()))
     }
+}
 
-    fn beyond(&self, reach: [[f64; 2]; 2], inside: [[f64; 2]; 2]) -> Error {
-        let origin = self.recipe().field.origin_nm();
-        let own = |r: [[f64; 2]; 2]| [0, 1].map(|k| r[k].map(|nm| nm - origin[k]));
-        let (reach, inside) = (own(reach), own(inside));
-        let text = |r: [[f64; 2]; 2]| {
-            let [[x0, x1], [y0, y1]] = r;
-            format!("x {x0:.2} to {x1:.2} nm, y {y0:.2} to {y1:.2} nm")
-        };
-        let expected = format!(
-            "the beam would leave the field, drift and margin included; what can be recorded is {}",
-            text(inside)
-        );
-        Error::invalid(Setting::RecordedRegionNm, text(reach), expected)
+/// An imager, prepared, as the source of recordings.
+pub struct ImagerSource<'a> {
+    /// It.
+    pub imager: &'a dyn RegionImager,
+    /// The recipe that it was made of, which may be [`refined`].
+    pub recipe: &'a CheckedRecipe,
+}
+
+impl NoiseFree for ImagerSource<'_> {
+    fn recipe(&self) -> &CheckedRecipe {
+        self.recipe
     }
+
+    fn extent_px(&self) -> [[usize; 2]; 2] {
+        [[0; 2], self.recipe.field.pixels(self.recipe.field.grid)]
+    }
+
+    fn pixels(&self, pixels: &PixelRect, progress: &dyn Progress) -> Result<Array2<f32>> {
+        let [stage, unit] = self.imager.stage();
+        progress.start(stage, unit, self.imager.work(pixels) as u64);
+        let configurations = self.recipe.phonons.configurations.max(1);
+        let image = self.imager.mean_of(pixels, configurations, progress)?;
+        progress.finish();
+        Ok(image.mapv(|v| v as f32))
+    }
+}
+
+/// The error of a beam that leaves the field.
+fn beyond(recipe: &Recipe, reach: [[f64; 2]; 2], inside: [[f64; 2]; 2]) -> Error {
+    let origin = recipe.field.origin_nm();
+    let own = |r: [[f64; 2]; 2]| [0, 1].map(|k| r[k].map(|nm| nm - origin[k]));
+    let (reach, inside) = (own(reach), own(inside));
+    let text = |r: [[f64; 2]; 2]| {
+        let [[x0, x1], [y0, y1]] = r;
+        format!("x {x0:.2} to {x1:.2} nm, y {y0:.2} to {y1:.2} nm")
+    };
+    let expected = format!(
+        "the beam would leave the field, drift and margin included; what can be recorded is {}",
+        text(inside)
+    );
+    Error::invalid(Setting::RecordedRegionNm, text(reach), expected)
 }

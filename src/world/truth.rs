@@ -1,11 +1,11 @@
 //! Ground truth: writes what is known of the built field, stripe by stripe.
 
 use super::field_recording::{FieldRecording, region_of};
-use crate::acquisition::ScanFrame;
+use crate::acquisition::{ScanFrame, ScanPath};
 use crate::error::Result;
 use crate::imaging::pixels::PixelRect;
 use crate::io::schema::{CompositionText, DefectName, MorphologyName, atom_type};
-use crate::io::{LineKind, ParticleBatch, TruthBatch, TruthWriter};
+use crate::io::{LineKind, ParticleBatch, TruthBatch, TruthWriter, WorldWriter};
 use crate::progress::Progress;
 use crate::recipe::{Field, Region};
 use crate::specimen::stripes::for_each_stripe;
@@ -28,16 +28,18 @@ pub struct Counts {
     pub columns: u64,
 }
 
-/// Writes sites, columns, boundaries, phases and particles.
+/// Writes sites, columns, boundaries, phases and particles; of a recording along `path` where columns appear, and its drift.
 ///
 /// # Errors
 /// Those of the writer, and [`crate::Error::Interrupted`].
 pub fn write(
     specimen: &dyn Specimen,
     field: &Field,
-    writer: &TruthWriter,
+    writer: &WorldWriter,
+    path: Option<&ScanPath>,
     progress: &dyn Progress,
 ) -> Result<Counts> {
+    let writer = writer.truth();
     let width = field.pixels(field.built_grid())[1];
     let (first, pixel) = (field.crop_origin_px(), field.pixel_nm());
     let origin = field.origin_nm();
@@ -47,7 +49,12 @@ pub fn write(
     }
     let mut counts = Counts::default();
     for_each_stripe(specimen, field, "ground truth", progress, |stripe| {
-        writer.append(&batch(&stripe.sites, origin, &mut counts))?;
+        let batch = batch(&stripe.sites, origin, &mut counts);
+        writer.append(&batch)?;
+        if let Some(path) = path {
+            let places = batch.column_positions.iter().map(|p| appearance(path, *p));
+            writer.append_appearances(&places.collect::<Vec<_>>())?;
+        }
         if phases.len() > 1 {
             let corner = [first[0] + stripe.rows.start, first[1]];
             let pixels = PixelRect::new(corner, [stripe.rows.len(), width]);
@@ -57,7 +64,21 @@ pub fn write(
         Ok(())
     })?;
     write_lines_and_particles(specimen, &field.built_region(), origin, writer)?;
+    if let Some(path) = path {
+        writer.drift(&path.drift_curve())?;
+    }
     Ok(counts)
+}
+
+/// Where a column at (x, y) in nm appears, in pixels: the mean of all frames.
+fn appearance(path: &ScanPath, position_nm: [f32; 2]) -> [f32; 2] {
+    let position_nm = position_nm.map(f64::from);
+    let frames = path.frames();
+    let sum = (0..frames).fold([0.0; 2], |sum, frame| {
+        let at = path.appearance_px(frame, position_nm);
+        [sum[0] + at[0], sum[1] + at[1]]
+    });
+    sum.map(|s| (s / frames as f64) as f32)
 }
 
 /// Writes what is known of a recording: its sites and columns, and the phases, boundaries and particles in it. `origin_nm` is the
@@ -73,6 +94,16 @@ pub fn write_recorded(
 ) -> Result<()> {
     let ScanFrame { shape, pixel_nm, .. } = recording.frame;
     writer.append(&batch_of(&recording.sites, &recording.columns))?;
+    let places = &recording.position_in_image;
+    match recording.options.keep_frames {
+        true => writer.appearances_of_frames(places)?,
+        false => {
+            let mean = places.index_axis(ndarray::Axis(0), 0);
+            let pairs = mean.outer_iter().map(|p| [p[0] as f32, p[1] as f32]);
+            writer.append_appearances(&pairs.collect::<Vec<_>>())?;
+        }
+    }
+    writer.drift(&recording.drift)?;
     let phases = specimen.phases();
     if phases.len() > 1 {
         writer.create_phase_map(&phases)?;

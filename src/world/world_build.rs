@@ -8,6 +8,7 @@ use std::time::Instant;
 
 use super::build_options::{BuildOptions, BuildPolicy};
 use super::build_summary::BuildSummary;
+use super::field_scan::FieldScan;
 use super::footprint;
 use super::subtile_store::{SubtileStore, beside};
 use super::subtiles::Partition;
@@ -98,6 +99,16 @@ impl WorldBuild {
         policy: BuildPolicy,
         own: Option<Box<dyn RegionImager>>,
     ) -> Result<Self> {
+        // What cannot be recorded is told before the work.
+        let scan = FieldScan::of(recipe)?;
+        if scan.is_some() && !options.noise {
+            let expected = "a recording has noise; take the table out, or leave the noise in";
+            return Err(Error::invalid(
+                crate::Setting::Acquisition,
+                "[table] without noise",
+                expected,
+            ));
+        }
         let field = &recipe.field;
         let shape = field.pixels(field.built_grid());
         let [size, overlap] = policy.subtile_nm;

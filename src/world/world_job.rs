@@ -8,6 +8,7 @@ use ndarray::Array2;
 use super::blended_image::BlendedImage;
 use super::build_options::BuildOptions;
 use super::build_summary::BuildSummary;
+use super::field_scan::FieldScan;
 use super::subtile_store::SubtileStore;
 use super::subtiles::{Partition, SubTile};
 use super::truth::{self, Counts};
@@ -107,15 +108,20 @@ impl Job<'_> {
     /// Writes the file from the sub-tiles and reads it back; returns what was listed, and the least and greatest value.
     pub fn write_file(&self, path: &Path, store: &SubtileStore) -> Result<(Counts, [f32; 2])> {
         let BuildLayout { recipe, options, partition, .. } = self.layout;
-        let image = BlendedImage::new(recipe, partition, store, options.noise);
+        let scan = FieldScan::of(recipe)?;
+        let image = BlendedImage::new(recipe, partition, store, options.noise, scan.as_ref());
         let keep_clean = options.keep_clean;
         let writer = WorldWriter::create(path, &self.header(), keep_clean)?;
         let range = image.range(self.progress)?;
         image.write(&writer, range, keep_clean, self.progress)?;
+        if let Some(scan) = &scan {
+            writer.recorded(scan.acquisition(), scan.exposure(), scan.counts_of_fraction())?;
+        }
         let counts = truth::write(
             &*self.layout.specimen,
             &self.layout.recipe.field,
-            writer.truth(),
+            &writer,
+            scan.as_ref().map(FieldScan::path),
             self.progress,
         )?;
         writer.finish()?;

@@ -81,6 +81,37 @@ fn a_world_and_its_recipe_are_recorded_alike() {
     println!("{}", python("check_recordings.py", &[Path::new("alike"), here]));
 }
 
+/// A whole world in one scan: the tiles are the recording, `/clean` the image, and the truth follows.
+#[test]
+fn worlds_are_recorded_in_one_scan() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let build = |name: &str, options: &[&str]| {
+        let mut command = stemgen(here);
+        command.args(["build", "test", "--set", "field.fov_nm=[5.04, 7.52]", "--keep-clean"]);
+        command.args(["--audit", "0", "--no-cache", "--no-png", "-o", name]).args(options);
+        command
+    };
+    let told = json(&mut build("plain.h5", &[]));
+    assert_eq!(told["acquisition"], serde_json::Value::Null);
+    let poor = ["--acquisition", "poor", "--set", "acquisition.drift_nm_per_s=[0.2, 0.1]"];
+    let poor = [&poor[..], &["--set", "acquisition.frames=2", "--set", "seed=3"]].concat();
+    let told = json(&mut build("poor.h5", &poor));
+    assert_eq!(told["acquisition"]["frames"], 2);
+    assert!(build("again.h5", &poor).args(["--threads", "1", "-q"]).status().unwrap().success());
+    let read = |name: &str| std::fs::read(here.join(name)).unwrap();
+    assert!(read("poor.h5") == read("again.h5"), "threads change the recording");
+    println!("{}", python("check_recordings.py", &[Path::new("world"), here]));
+
+    let gan = ["build", "gan", "--difficulty", "easy", "--grid", "1x1", "--acquisition", "routine"];
+    let told = fails(stemgen(here).args(gan).arg("--dry-run"));
+    assert!(told.contains("at most 0.0299 nm") && told.contains("tile_px = 256"), "{told}");
+    let told = fails(&mut build("x.h5", &["--acquisition", "poor", "--no-noise"]));
+    assert!(told.contains("--no-noise"), "{told}");
+    let told = fails(&mut build("x.h5", &["--set", "acquisition.frames=2", "--no-noise"]));
+    assert!(told.contains("a recording has noise"), "{told}");
+}
+
 #[test]
 fn what_cannot_be_recorded_is_refused() {
     let folder = tempfile::tempdir().unwrap();

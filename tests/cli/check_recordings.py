@@ -207,9 +207,61 @@ def alike():
         assert np.array_equal(world[f"ground_truth/columns/{name}"][:], recipe[f"ground_truth/columns/{name}"][:])
 
 
-if sys.argv[1] == "alike":
+def whole(file, group):
+    """The image of a world, put together from its tiles; tiles agree where they overlap."""
+    rows, columns = file["metadata"].attrs["grid_shape"]
+    size, overlap = file["metadata"].attrs["tile_size_px"], file["metadata"].attrs["overlap_px"]
+    step = size - overlap
+    image = np.full((rows * step + overlap, columns * step + overlap), np.nan)
+    for r in range(rows):
+        for c in range(columns):
+            part = image[r * step : r * step + size, c * step : c * step + size]
+            tile = file[f"{group}/{r}_{c}"][:]
+            known = ~np.isnan(part)
+            assert np.array_equal(part[known], tile[known]), (r, c)
+            part[:] = tile
+    return image
+
+
+def world():
+    plain, poor = load("plain.h5"), load("poor.h5")
+    about = poor["metadata"].attrs
+    clean = whole(poor, "clean")
+    assert clean.shape == whole(plain, "clean").shape
+    fraction = whole(poor, "tiles") * poor["tiles"].attrs["scale"] + poor["tiles"].attrs["offset"]
+    counts = fraction * about["counts_of_whole_beam"] + about["counts_of_no_beam"]
+    near("counts are whole numbers", np.abs(counts - np.round(counts)).max(), 0, 0.02)
+    near("most counts of two frames of 8 bits", counts.max(), 510, 510)
+    valid = poor["valid_region"][:]
+    # 0.2 nm/s for two frames of 1 s or so: 20 pixels, and scale and shear beside
+    print(f"{100 * (1 - valid.mean()):.1f} % of the pixels are not valid")
+    assert 0.01 < 1 - valid.mean() < 0.25 and valid[100:150, 100:250].all()
+    assert np.all(plain["valid_region"][:])
+    assert "acquisition" in about and "acquisition" not in plain["metadata"].attrs
+    places = poor["ground_truth/columns/position"][:] / about["pixel_size_nm"]
+    seen = poor["ground_truth/columns/position_in_image"][:]
+    drift = poor["ground_truth/drift"][:]
+    assert seen.shape == places.shape and drift.shape == (2 * clean.shape[0], 3)
+    moved = (seen - places).mean(axis=0)
+    # the specimen drifts by the mean of the curve
+    mean = drift[:, 1:].mean(axis=0) / about["pixel_size_nm"]
+    for k in range(2):
+        near(f"mean displacement {'xy'[k]} (px)", moved[k], mean[k], 1.5)
+    # The recording at the places that are told shows the columns: brighter than its mean.
+    u, v = np.round(seen).astype(int).T
+    inside = (u >= 0) & (v >= 0) & (u < clean.shape[1]) & (v < clean.shape[0])
+    heavy = np.array([b"Sr" in c for c in poor["ground_truth/columns/composition"][:]])
+    there = inside & heavy
+    bright = fraction[v[there], u[there]].mean() / fraction.mean()
+    u, v = np.round(places).astype(int).T
+    astray = fraction[v[there], u[there]].mean() / fraction.mean()
+    print(f"Sr columns: {bright:.2f} of the mean where they appear, {astray:.2f} where they are")
+    assert bright > 1.5 and bright > 1.3 * astray
+
+
+if sys.argv[1] in ("alike", "world"):
     FOLDER = sys.argv[2]
-    alike()
+    {"alike": alike, "world": world}[sys.argv[1]]()
 else:
     FOLDER = sys.argv[1]
     for check in [dose, dqe, drift, hum, jitter, saturation, afterglow, chain, positions]:

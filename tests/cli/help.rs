@@ -24,6 +24,7 @@ fn help_is_as_stored() {
     compare("specimen", &["specimen"]);
     compare("view", &["view"]);
     compare("tiles", &["tiles"]);
+    compare("acquire", &["acquire"]);
     compare("audit", &["audit"]);
     compare("cache", &["cache"]);
     compare("cache-list", &["cache", "list"]);

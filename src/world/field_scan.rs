@@ -1,0 +1,182 @@
+//! The recording of a whole field in one scan, band by band.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use ndarray::{Array2, s};
+
+use super::noise_free::{band_limit, too_coarse};
+use crate::acquisition::{Acquisition, Exposure, Recorder, ScanFrame, ScanPath, SourceImage};
+use crate::error::{Error, Result};
+use crate::recipe::Recipe;
+use crate::resample::{HALF_WIDTH, Kernel, TAPS};
+use crate::setting::Setting;
+
+/// The scan of a built field. Values are the counts turned back to fractions of the beam, as if the detector had no errors.
+pub struct FieldScan {
+    acquisition: Acquisition,
+    recorder: Recorder,
+    kernel: Arc<Kernel>,
+    pixel_nm: f64,
+    /// Rows and columns of the built field.
+    shape: [usize; 2],
+}
+
+/// Rows of a field: what is stored, and where the beam was inside the field for all frames.
+#[derive(Debug, Clone)]
+pub struct ScannedRows {
+    /// As fraction of the beam.
+    pub values: Array2<f32>,
+    /// False where the beam left the field: the pixel then shows its edge.
+    pub valid: Array2<bool>,
+}
+
+impl FieldScan {
+    /// The scan of the field of a recipe; `None` if it has no recording.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for pixels too coarse to determine the image, and for fields that are too small.
+    pub fn of(recipe: &Recipe) -> Result<Option<Self>> {
+        let Some(table) = recipe.acquisition else { return Ok(None) };
+        let acquisition = table.resolved();
+        let field = &recipe.field;
+        let (shape, pixel_nm) = (field.pixels(field.built_grid()), field.pixel_nm());
+        if let Some(fault) = too_coarse(recipe) {
+            return Err(fault);
+        }
+        if shape.iter().any(|n| *n < TAPS) {
+            let expected = format!("a recording needs at least {TAPS} x {TAPS} pixels");
+            let value = format!("{} x {}", shape[0], shape[1]);
+            return Err(Error::invalid(Setting::TilePixels, value, expected));
+        }
+        let (dose, dwell) = (recipe.dose.electrons_per_angstrom2, acquisition.dwell_us);
+        let exposure = Exposure::of_dose(dose, dwell, acquisition.frames, 10.0 * pixel_nm)?;
+        let frame = ScanFrame { shape, pixel_nm, origin_nm: [0.0; 2] };
+        let path = ScanPath::new(&acquisition, frame, recipe.seed);
+        let kernel = Arc::new(Kernel::new(10.0 * pixel_nm, band_limit(recipe))?);
+        let recorder = Recorder::new(&acquisition, path, exposure, recipe.seed);
+        Ok(Some(FieldScan { acquisition, recorder, kernel, pixel_nm, shape }))
+    }
+
+    /// Where the beam goes, in nm from the centre of the first built pixel.
+    pub fn path(&self) -> &ScanPath {
+        self.recorder.path()
+    }
+
+    /// What the field is recorded with.
+    pub fn acquisition(&self) -> &Acquisition {
+        &self.acquisition
+    }
+
+    /// How many electrons fall on each pixel.
+    pub fn exposure(&self) -> &Exposure {
+        self.recorder.exposure()
+    }
+
+    /// Counts of one beam's fraction, and of none: counts = fraction * first + second, all frames together.
+    pub fn counts_of_fraction(&self) -> [f64; 2] {
+        let Acquisition { frames, gain_counts, dark_counts, .. } = self.acquisition;
+        let frames = frames as f64;
+        [gain_counts * self.exposure().electrons_per_pixel * frames, dark_counts * frames]
+    }
+
+    /// Starts recording from the first row on; `clean` returns rows of the noise-free image.
+    pub fn begin<'a>(
+        &'a self,
+        clean: impl Fn(Range<usize>) -> Result<Array2<f32>> + 'a,
+    ) -> FieldScanRows<'a> {
+        FieldScanRows {
+            scan: self,
+            clean: Box::new(clean),
+            late: vec![0.0; self.acquisition.frames],
+            last: None,
+        }
+    }
+
+    fn record(
+        &self,
+        rows: Range<usize>,
+        clean: &dyn Fn(Range<usize>) -> Result<Array2<f32>>,
+        late: &mut [f64],
+    ) -> Result<ScannedRows> {
+        let [_, [low, high]] = self.path().reach_nm(rows.clone());
+        let last = self.shape[0] as f64;
+        let row = |nm: f64| (nm / self.pixel_nm).clamp(0.0, last - 1.0);
+        let first = (row(low).floor() as usize).saturating_sub(HALF_WIDTH);
+        let end = (row(high).ceil() as usize + HALF_WIDTH + 1).min(self.shape[0]);
+        // the kernel takes 16 rows
+        let end = end.max((first + TAPS).min(self.shape[0]));
+        let first = first.min(end - TAPS);
+        let origin = [0.0, first as f64 * self.pixel_nm];
+        let image = SourceImage::with_kernel(
+            clean(first..end)?,
+            self.pixel_nm,
+            origin,
+            self.kernel.clone(),
+        );
+        let [scale, dark] = self.counts_of_fraction();
+        let shape = [rows.len(), self.shape[1]];
+        let mut values = Array2::<f64>::zeros(shape);
+        let mut valid = Array2::from_elem(shape, true);
+        for (frame, late) in late.iter_mut().enumerate() {
+            let recorded = self.recorder.rows(frame, rows.clone(), &image, late);
+            values.zip_mut_with(&recorded.values, |sum, value| *sum += f64::from(*value));
+            for ((k, column), valid) in valid.indexed_iter_mut() {
+                let place = self.path().place_nm(frame, rows.start + k, column);
+                *valid &= self.holds(place);
+            }
+        }
+        Ok(ScannedRows { values: values.mapv(|v| ((v - dark) / scale) as f32), valid })
+    }
+
+    /// Whether a place is on a pixel of the field.
+    fn holds(&self, place_nm: [f64; 2]) -> bool {
+        let [x, y] = place_nm.map(|nm| nm / self.pixel_nm + 0.5);
+        let [rows, columns] = self.shape.map(|n| n as f64);
+        (0.0..columns).contains(&x) && (0.0..rows).contains(&y)
+    }
+}
+
+/// A recording under way. Bands are asked for from top to bottom; each may begin with rows of the one before.
+pub struct FieldScanRows<'a> {
+    scan: &'a FieldScan,
+    clean: Box<dyn Fn(Range<usize>) -> Result<Array2<f32>> + 'a>,
+    /// Late light of each frame.
+    late: Vec<f64>,
+    /// The band before, and its first row.
+    last: Option<(usize, ScannedRows)>,
+}
+
+impl FieldScanRows<'_> {
+    /// Rows of the recording.
+    ///
+    /// # Errors
+    /// Those of the noise-free image.
+    pub fn rows(&mut self, rows: Range<usize>) -> Result<ScannedRows> {
+        let kept = self.last.take().and_then(|(first, last)| {
+            let own = rows.start.checked_sub(first).filter(|skip| *skip < last.values.nrows())?;
+            let part = s![own.., ..];
+            Some((last.values.slice(part).to_owned(), last.valid.slice(part).to_owned()))
+        });
+        let start = rows.start + kept.as_ref().map_or(0, |(values, _)| values.nrows());
+        let new = self.scan.record(start..rows.end, &*self.clean, &mut self.late)?;
+        let band = match kept {
+            None => new,
+            Some((values, valid)) => ScannedRows {
+                values: stacked(&values, &new.values),
+                valid: stacked(&valid, &new.valid),
+            },
+        };
+        self.last = Some((rows.start, band.clone()));
+        Ok(band)
+    }
+}
+
+/// Rows above others.
+fn stacked<T: Copy + Default>(upper: &Array2<T>, lower: &Array2<T>) -> Array2<T> {
+    let (above, columns) = upper.dim();
+    let mut both = Array2::from_elem((above + lower.nrows(), columns), T::default());
+    both.slice_mut(s![..above, ..]).assign(upper);
+    both.slice_mut(s![above.., ..]).assign(lower);
+    both
+}

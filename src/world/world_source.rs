@@ -1,0 +1,41 @@
+//! A world that keeps its noise-free image as the source of recordings.
+
+use ndarray::Array2;
+
+use super::noise_free::NoiseFree;
+use crate::error::Result;
+use crate::imaging::PixelRect;
+use crate::io::WorldFile;
+use crate::progress::Progress;
+use crate::recipe::CheckedRecipe;
+
+/// A world that was built with its noise-free image.
+pub struct WorldSource<'a> {
+    /// It.
+    pub world: &'a WorldFile,
+    /// Its recipe.
+    pub recipe: &'a CheckedRecipe,
+}
+
+impl NoiseFree for WorldSource<'_> {
+    fn recipe(&self) -> &CheckedRecipe {
+        self.recipe
+    }
+
+    fn extent_px(&self) -> [[usize; 2]; 2] {
+        let field = &self.recipe.field;
+        let (first, shape) = (field.crop_origin_px(), field.pixels(field.built_grid()));
+        [first, [0, 1].map(|k| first[k] + shape[k])]
+    }
+
+    fn pixels(&self, pixels: &PixelRect, _progress: &dyn Progress) -> Result<Array2<f32>> {
+        let first = self.recipe.field.crop_origin_px();
+        let range = |k: usize| {
+            let start = pixels.first[k] - first[k];
+            start..start + pixels.shape[k]
+        };
+        let image = self.world.stitched_clean(range(0), range(1))?;
+        self.world.check_finite(&image, [range(0).start, range(1).start], true)?;
+        Ok(image)
+    }
+}
