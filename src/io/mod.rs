@@ -7,7 +7,11 @@ mod atoms_file;
 #[cfg(feature = "hdf5")]
 mod hdf5_errors;
 #[cfg(feature = "hdf5")]
+mod hdf5_filters;
+#[cfg(feature = "hdf5")]
 mod hdf5_guard;
+#[cfg(feature = "hdf5")]
+mod hdf5_values;
 #[cfg(feature = "hdf5")]
 pub mod hspy_file;
 #[cfg(feature = "hdf5")]
@@ -28,6 +32,8 @@ mod world_writer;
 pub use atoms_file::{AtomRow, AtomsHeader, AtomsWriter, RowFormat, writable};
 #[cfg(feature = "hdf5")]
 use hdf5_errors::At;
+#[cfg(feature = "hdf5")]
+pub use hdf5_guard::read_through;
 #[cfg(feature = "report")]
 use world_file::regular_file;
 #[cfg(feature = "hdf5")]
