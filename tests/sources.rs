@@ -144,3 +144,17 @@ fn the_library_names_no_options_of_the_command_line() {
     }
     assert!(faults.is_empty(), "options in messages of the library:\n{}", faults.join("\n"));
 }
+
+/// The clock of the day can be set while the program runs, so nothing is timed with it, and nothing depends on the times of files.
+/// A report tells the date; that is all.
+#[test]
+fn time_is_measured_with_a_clock_that_nobody_sets() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let dated = root.join("validate/report/mod.rs");
+    for path in sources(&root).into_iter().filter(|path| *path != dated) {
+        let source = fs::read_to_string(&path).unwrap();
+        for word in ["SystemTime", "UNIX_EPOCH", ".modified()", "ClockId::Realtime"] {
+            assert!(!source.contains(word), "{}: {word}", path.display());
+        }
+    }
+}

@@ -1,12 +1,16 @@
 //! `stemgen audit`.
 
-use super::common::Common;
+use super::common::{Common, Force};
+use super::estimate;
 use super::plan_report::Lines;
 use super::recipe_args::{RecipeArgs, WorldEngine};
 use super::values;
 use anyhow::bail;
 use clap::Args;
-use stemgen::imaging::{Audit, AuditOptions, Cache, ImagingChoice, MethodChoice, Simulator, audit};
+use stemgen::imaging::{
+    AUDIT_REMEDY, Audit, AuditOptions, Cache, ImagingChoice, MethodChoice, Simulator, audit,
+    audit_cost,
+};
 use stemgen::recipe::CheckedRecipe;
 use stemgen::specimen::specimen;
 use stemgen::world::BuildOptions;
@@ -52,6 +56,8 @@ pub struct AuditCommand {
     #[arg(long)]
     no_cache: bool,
     #[command(flatten)]
+    force: Force,
+    #[command(flatten)]
     common: Common,
 }
 
@@ -82,6 +88,9 @@ impl AuditCommand {
             Some(_) => imaging_of(&recipe, made.as_ref(), cache)?,
             None => planned(&recipe, cache)?,
         };
+        let cost = audit_cost(&recipe, &*specimen, &options)?.cost;
+        let bytes = cost.memory_bytes(estimate::threads());
+        self.force.check_memory(bytes, AUDIT_REMEDY, &reporter)?;
         let mut imager = choice.imager(&recipe, &specimen)?;
         imager.prepare(&reporter)?;
         let found = audit(&recipe, &*specimen, &*imager, &options, &reporter)?;

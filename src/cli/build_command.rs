@@ -182,8 +182,7 @@ impl Build {
         if !complete {
             build.check_disk(&path, companion.as_ref())?;
             DryRun::warnings(&build)?.iter().for_each(|w| reporter.warn(w));
-            let (cost, threads) = (build.cost()?, estimate::threads());
-            let (needed, remedy) = (cost.memory_bytes(threads), cost.memory_remedy(threads));
+            let (needed, remedy) = build.memory(&build.cost()?, estimate::threads())?;
             self.force.check_memory(needed, remedy, &reporter)?;
         }
         let summary = build

@@ -47,7 +47,8 @@ impl DryRun {
         let pixel = field.pixel_nm();
         let (subtiles, shape) = build.subtiles();
         let mut plan = report(&cost.main);
-        plan.memory_bytes = cost.memory_bytes(plan.threads);
+        let (memory_bytes, remedy) = build.memory(&cost, plan.threads)?;
+        plan.memory_bytes = memory_bytes;
         if let Some(more) = &cost.more {
             plan.add_time(report(more).estimated_range_s);
         }
@@ -56,9 +57,8 @@ impl DryRun {
         let audit = build.audit_cost(&cost)?.map(|audit| report(&audit));
         let audit_range_s = audit.as_ref().map_or([0.0; 2], |a| a.estimated_range_s);
         plan.add_time(audit_range_s);
-        plan.memory_bytes = plan.memory_bytes.max(audit.map_or(0, |a| a.memory_bytes));
         let library = cost.mosaic.as_ref().filter(|m| m.pays).map_or(0, |m| m.missing_bytes);
-        let memory = check_memory(plan.memory_bytes, cost.memory_remedy(plan.threads));
+        let memory = check_memory(memory_bytes, remedy);
         plan.warnings.extend(memory.err().map(|e| e.to_string()));
         Ok(DryRun {
             material: recipe.id.clone(),

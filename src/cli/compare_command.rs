@@ -2,7 +2,7 @@
 
 use super::common::Common;
 use super::validate_command::DIFFERENT;
-use super::{text, values};
+use super::{hdf5_check, text, values};
 use clap::Args;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -66,6 +66,8 @@ impl Compare {
     /// Runs the subcommand; the exit code tells the verdict.
     pub fn run(self) -> anyhow::Result<ExitCode> {
         let reporter = self.common.start()?;
+        hdf5_check::check(&self.a)?;
+        hdf5_check::check(&self.b)?;
         let worlds = [WorldFile::open(&self.a)?, WorldFile::open(&self.b)?];
         if self.common.dry_run {
             let sites = worlds.iter().map(WorldFile::site_count).collect::<Result<Vec<_>, _>>()?;

@@ -80,7 +80,7 @@ pub fn of(error: &Error) -> Option<String> {
             Some("--output names another place".into())
         }
         Error::Memory { .. } => Some(
-            "--window (or --engine window of `stemgen build`) and --threads take less; --force goes on all the same".into(),
+            "--window (or --engine window of `stemgen build`), --threads and, for audits, --size or --audit 0 take less; --force goes on all the same".into(),
         ),
         Error::UnknownElement(_) => Some("elements H to Lr can be simulated".into()),
         Error::Invalid { setting, .. } | Error::Choice { setting, .. } => {

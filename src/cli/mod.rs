@@ -9,6 +9,7 @@ mod cache_command;
 mod common;
 mod compare_command;
 mod estimate;
+mod hdf5_check;
 mod hints;
 mod imaging_args;
 mod list_command;
@@ -82,6 +83,10 @@ enum Command {
 
 /// Runs the program and reports what went wrong.
 pub fn main() -> ExitCode {
+    // Before all else: that process hears no signals, and has no options.
+    if let Some(ended) = hdf5_check::serve() {
+        return ended;
+    }
     let done = |()| ExitCode::SUCCESS;
     if let Err(error) = signals::listen() {
         text::complain(&format!("warning: Ctrl-C ends the program at once: {error}"));

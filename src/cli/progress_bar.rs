@@ -207,4 +207,21 @@ mod tests {
         let fast = (101..=200).filter_map(|s| meter.rate(at(s), 1000 + 50 * (s - 100))).last();
         assert!((fast.unwrap() - 50.0).abs() < 1e-9, "{fast:?}");
     }
+
+    #[test]
+    fn a_rate_is_finite_whatever_the_clock_says() {
+        let begun = Instant::now() + Duration::from_secs(1 << 20);
+        let mut meter = Meter { begun, samples: VecDeque::new() };
+        // to and fro, a machine that slept, and standing still
+        for (i, s) in
+            [5, 3, 1 << 19, 4, 4, 4, 1 << 30, 7, 0].into_iter().cycle().take(100).enumerate()
+        {
+            for now in [begun + Duration::from_secs(s), begun - Duration::from_secs(s.min(1 << 20))]
+            {
+                let rate = meter.rate(now, (i as u64 * 7) % 50);
+                assert!(rate.is_none_or(|rate| rate.is_finite() && rate >= 0.0), "{rate:?}");
+            }
+            assert!(meter.samples.len() < 1000);
+        }
+    }
 }

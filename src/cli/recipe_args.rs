@@ -1,5 +1,6 @@
 //! Options that choose a recipe and change it.
 
+use super::hdf5_check;
 use super::hints::hinted;
 use super::values::{self, Tier};
 use anyhow::{Context, anyhow};
@@ -91,6 +92,7 @@ impl RecipeArgs {
                 file.display()
             );
         }
+        hdf5_check::check(&file)?;
         let world = stemgen::io::WorldFile::open(&file)?;
         let metadata = world.metadata();
         let Some(text) = &metadata.recipe else {

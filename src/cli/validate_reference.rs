@@ -1,6 +1,7 @@
 //! Comparison with an image of another program.
 
 use super::accuracy_report::AccuracyReport;
+use super::hdf5_check;
 use super::hints::hinted;
 use super::imaging_args::{self, MicroscopeArgs, NumericsArgs};
 use super::plan_report::{self, Lines, PlanReport};
@@ -124,6 +125,9 @@ impl ReferenceArgs {
         };
         if !(self.tolerance > 0.0 && self.tolerance <= 100.0) {
             bail!("--tolerance {}: write per cent above 0 and up to 100", self.tolerance);
+        }
+        if arrays::is_hdf5(path) {
+            hdf5_check::check(path)?;
         }
         let array = arrays::read(path, self.dataset.as_deref())?;
         let options = |given: Option<SpecimenArgs>| given.map_or_else(defaults, Ok);

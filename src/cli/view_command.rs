@@ -1,5 +1,6 @@
 //! `stemgen view`.
 
+use super::hdf5_check;
 use super::hints::hinted;
 use super::recipe_args::is_recipe_file;
 use super::specimen_command::draw_specimen;
@@ -71,6 +72,7 @@ impl View {
         if let Some(recipe) = self.recipe()? {
             return self.draw_recipe(&recipe);
         }
+        hdf5_check::check(&self.world)?;
         let world = WorldFile::open(&self.world)?;
         let ending = if self.html { "html" } else { "view.png" };
         let path = self.output.clone().unwrap_or_else(|| self.world.with_extension(ending));

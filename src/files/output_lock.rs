@@ -2,6 +2,7 @@
 
 use super::unfinished::Unfinished;
 use crate::error::{Error, Result};
+use crate::setting::Setting;
 use std::fs::File;
 use std::io::{Read, Seek, Write};
 use std::path::{Path, PathBuf};
@@ -27,8 +28,16 @@ impl OutputLock {
         let mut name = output.as_os_str().to_owned();
         name.push(".lock");
         let path = PathBuf::from(name);
+        let foreign = || {
+            let why = "is no lock of this program, and the build would replace it; move it away, or name another output";
+            Err(Error::invalid(Setting::Output, path.display(), why))
+        };
         loop {
             let fail = |e| Error::io(&path, "create", e);
+            // A link would have a file made, or changed, elsewhere.
+            if std::fs::symlink_metadata(&path).is_ok_and(|there| !there.is_file()) {
+                return foreign();
+            }
             let mut file = File::options()
                 .read(true)
                 .write(true)
@@ -37,18 +46,21 @@ impl OutputLock {
                 .open(&path)
                 .map_err(fail)?;
             if !try_lock(&file).map_err(fail)? {
-                let mut holder = String::new();
                 // An unreadable name of the holder makes the message poorer, not the lock weaker.
-                let _ = file.read_to_string(&mut holder);
-                let holder = match holder.trim() {
-                    "" => "another process".to_owned(),
-                    text => text.to_owned(),
+                let holder = match beginning(&file).unwrap_or_default().trim() {
+                    text if text.starts_with(PROCESS) => text.to_owned(),
+                    _ => "another process".to_owned(),
                 };
                 return Err(Error::Locked { path: output.to_owned(), holder });
             }
             // The last holder may have removed the file between opening and locking.
             if !is_still(&file, &path) {
                 continue;
+            }
+            // Without a word where its holder was ended between making and filling it.
+            let found = beginning(&file).map_err(fail)?;
+            if !(found.is_empty() || found.starts_with(PROCESS)) {
+                return foreign();
             }
             let write = |file: &mut File| {
                 file.set_len(0)?;
@@ -70,6 +82,18 @@ impl Drop for OutputLock {
     }
 }
 
+/// How the text in a lock begins.
+const PROCESS: &str = "process ";
+/// Bytes of a lock that are read.
+const READ_BYTES: u64 = 1 << 16;
+
+/// The first part of a file; what is no text is shown as such.
+fn beginning(file: &File) -> std::io::Result<String> {
+    let mut bytes = Vec::new();
+    file.take(READ_BYTES).read_to_end(&mut bytes)?;
+    Ok(String::from_utf8_lossy(&bytes).into_owned())
+}
+
 /// This process, for others to find: `process 1234 on host (stemgen build srtio3 ...)`.
 fn myself() -> String {
     let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
@@ -83,7 +107,7 @@ fn myself() -> String {
         true => String::new(),
         false => format!(" ({})", words.join(" ").replace('\n', " ")),
     };
-    format!("process {}{on}{command}", std::process::id())
+    format!("{PROCESS}{}{on}{command}", std::process::id())
 }
 
 #[cfg(unix)]
@@ -138,7 +162,35 @@ mod tests {
         drop(first);
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
         // What a process that was killed leaves behind.
-        std::fs::write(folder.path().join("w.h5.lock"), "process 1").unwrap();
-        OutputLock::hold(&output).unwrap();
+        for left in ["process 1", ""] {
+            std::fs::write(folder.path().join("w.h5.lock"), left).unwrap();
+            OutputLock::hold(&output).unwrap();
+        }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn files_of_others_under_the_name_are_left_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let refused = || {
+            let told = OutputLock::hold(&at("w.h5")).unwrap_err().to_string();
+            assert!(
+                told.contains("w.h5.lock") && told.contains("no lock of this program"),
+                "{told}"
+            );
+        };
+        for precious in [&b"my notes"[..], b"\xff\xfe", b"\n"] {
+            std::fs::write(at("w.h5.lock"), precious).unwrap();
+            refused();
+            assert_eq!(std::fs::read(at("w.h5.lock")).unwrap(), precious);
+        }
+        std::fs::remove_file(at("w.h5.lock")).unwrap();
+        std::os::unix::fs::symlink(at("elsewhere"), at("w.h5.lock")).unwrap();
+        refused();
+        assert!(!at("elsewhere").exists() && at("w.h5.lock").is_symlink());
+        std::fs::remove_file(at("w.h5.lock")).unwrap();
+        std::fs::create_dir(at("w.h5.lock")).unwrap();
+        refused();
     }
 }

@@ -16,7 +16,7 @@ pub mod region_imager;
 pub mod simulator;
 
 pub use audit::kept_audits::KeptAudits;
-pub use audit::region_audit::{Audit, AuditOptions, audit, audit_cost};
+pub use audit::region_audit::{AUDIT_REMEDY, Audit, AuditOptions, audit, audit_cost};
 pub use choose::{ChosenImager, ImagingCheck, ImagingChoice, MethodChoice};
 pub use direct::DirectImager;
 pub use displaced_atoms::DisplacedAtoms;

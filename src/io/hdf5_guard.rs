@@ -2,10 +2,15 @@
 //! against the size of the file before memory is asked for. Reasons are given as text, without the name of the file.
 
 use std::collections::HashSet;
+use std::path::Path;
 
 use hdf5::plist::dataset_create::Layout;
 use hdf5::types::VarLenUnicode;
-use hdf5::{Dataset, Group, H5Type, LinkType, Location, LocationType};
+use hdf5::{Dataset, File, Group, H5Type, LinkType, Location, LocationType};
+
+use super::hdf5_values;
+use super::world_file::regular_file;
+use crate::error::{Error, Result};
 
 /// Bytes of the largest numbers that values are read as.
 const LARGEST_NUMBER_BYTES: usize = 8;
@@ -17,6 +22,10 @@ pub(super) type Guarded<T> = std::result::Result<T, String>;
 const DEEPEST: usize = 64;
 /// Groups, datasets and other things that a file may hold.
 const MOST_OBJECTS: usize = 1 << 20;
+/// Chunks that a dataset may be cut into.
+const MOST_CHUNKS: usize = 1 << 20;
+/// Texts that an attribute may hold: one for each axis of an array.
+const MOST_TEXTS: usize = 64;
 /// Bytes that the path of a dataset may have.
 const LONGEST_PATH: usize = 4096;
 /// Any file may announce so many bytes ...
@@ -27,16 +36,63 @@ const LARGEST_EXPANSION: u128 = 64;
 /// The paths of all datasets, those of a group before those of the groups in it.
 ///
 /// Refuses links to other files, wherever they are: following one opens that file.
-pub(super) fn datasets(root: &Group) -> Guarded<Vec<String>> {
-    let mut walk = Walk { seen: HashSet::new(), objects: 0, datasets: Vec::new() };
-    walk.visit(root, "", 0)?;
-    Ok(walk.datasets)
+pub(super) fn datasets(file: &File) -> Guarded<Vec<String>> {
+    walk(file).map(|walk| walk.datasets)
+}
+
+fn walk(file: &File) -> Guarded<Walk> {
+    if file.userblock() > 0 {
+        return Err(
+            "begins with a block of other data, which is not read; `h5unjam` takes it out".into()
+        );
+    }
+    let mut walk =
+        Walk { seen: HashSet::new(), objects: 0, groups: Vec::new(), datasets: Vec::new() };
+    walk.visit(file, "", 0)?;
+    Ok(walk)
+}
+
+/// Has the library read everything of a file that it reads for this program, the values of chunks aside: what the file holds, what
+/// is said of it, and where its values lie. Of some damaged files the library does not come back (1.10.8 hangs, dies or takes all
+/// memory): a process that calls this before another opens the file finds out.
+///
+/// # Errors
+/// [`Error::Io`], or [`Error::Parse`] for a file that is refused.
+pub fn read_through(path: &Path) -> Result<()> {
+    let bytes = regular_file(path)?;
+    let refused = |fault: String| Error::parse(path, 0, fault);
+    let file = File::open(path).map_err(|e| refused(first_line(&e)))?;
+    let walk = walk(&file).map_err(refused)?;
+    for name in std::iter::once("/").chain(walk.groups.iter().map(String::as_str)) {
+        let group = file.group(name).map_err(|e| refused(damaged(e)))?;
+        read_attributes(&group);
+    }
+    for name in &walk.datasets {
+        // One that cannot be read may be one that nobody asks for.
+        let Ok(dataset) = file.dataset(name) else { continue };
+        read_attributes(&dataset);
+        let stored = check_storage(&dataset, bytes);
+        let _ = stored.and_then(|()| hdf5_values::look_through(&dataset, path));
+    }
+    Ok(())
+}
+
+/// Reads the attributes of a thing in all the ways that there are. Their values are of no interest here.
+fn read_attributes(at: &Location) {
+    for name in at.attr_names().unwrap_or_default() {
+        let _ = (number::<f64>(at, &name), pair(at, &name), text(at, &name));
+        let count = at.attr(&name).map_or(0, |a| a.size());
+        if count <= MOST_TEXTS {
+            let _ = texts(at, &name, count);
+        }
+    }
 }
 
 struct Walk {
     /// Groups that were visited: links may lead back to one that holds them.
     seen: HashSet<String>,
     objects: usize,
+    groups: Vec<String>,
     datasets: Vec<String>,
 }
 
@@ -71,8 +127,9 @@ impl Walk {
         }
         for (name, below) in inner {
             let opened = group.group(&name);
-            let opened = opened.map_err(|e| format!("{below} cannot be read ({})", first_line(&e)));
-            self.visit(&opened?, &below, depth + 1)?;
+            let opened = opened.map_err(|e| format!("{below} {}", damaged(e)))?;
+            self.visit(&opened, &below, depth + 1)?;
+            self.groups.push(below);
         }
         Ok(())
     }
@@ -101,7 +158,6 @@ fn links(group: &Group, path: &str) -> Guarded<Vec<(String, LinkType)>> {
 /// Refuses datasets whose values are in other files, and those that announce more than a file of `file_bytes`
 /// bytes can hold.
 pub(super) fn check_storage(dataset: &Dataset, file_bytes: u64) -> Guarded<()> {
-    let damaged = |e: hdf5::Error| format!("cannot be read ({})", first_line(&e));
     let plan = dataset.dcpl().map_err(damaged)?;
     // Before the shape: asking a virtual dataset for its shape opens other files.
     let elsewhere = match plan.layout() {
@@ -115,8 +171,28 @@ pub(super) fn check_storage(dataset: &Dataset, file_bytes: u64) -> Guarded<()> {
     }
     // A file may hold bytes that are read as numbers.
     let bytes = dataset.dtype().map_err(damaged)?.size().max(LARGEST_NUMBER_BYTES);
-    check_bytes(&dataset.shape(), bytes, file_bytes)?;
-    plan.chunk().map_or(Ok(()), |chunk| check_bytes(&chunk, bytes, file_bytes))
+    let shape = dataset.shape();
+    check_bytes(&shape, bytes, file_bytes)?;
+    let Some(chunk) = plan.chunk() else { return check_end(dataset, file_bytes) };
+    check_bytes(&chunk, bytes, file_bytes)?;
+    let along = shape.iter().zip(&chunk).map(|(n, c)| n.div_ceil((*c).max(1)));
+    match along.fold(1_usize, usize::saturating_mul) {
+        count if count > MOST_CHUNKS => {
+            Err(format!("is cut into {count} chunks; at most {MOST_CHUNKS} are read"))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Refuses a dataset in one piece that lies beyond the end of the file.
+fn check_end(dataset: &Dataset, file_bytes: u64) -> Guarded<()> {
+    // One within its own description, or that was never written, lies nowhere.
+    let Some(first) = dataset.offset() else { return Ok(()) };
+    let bytes = dataset.dtype().map_err(damaged)?.size() as u64 * dataset.size() as u64;
+    match first.checked_add(bytes).is_some_and(|end| end <= file_bytes) {
+        true => Ok(()),
+        false => Err("reaches beyond the end of the file".into()),
+    }
 }
 
 /// Holds an array of values of `value_bytes` bytes against a file of `file_bytes` bytes.
@@ -159,6 +235,11 @@ pub(super) fn texts(at: &Location, name: &str, count: usize) -> Option<Vec<Strin
 
 fn string(text: &VarLenUnicode) -> Option<String> {
     std::str::from_utf8(text.as_bytes()).ok().map(str::to_owned)
+}
+
+/// What is said of a dataset that the library cannot read.
+pub(super) fn damaged(error: hdf5::Error) -> String {
+    format!("cannot be read ({})", first_line(&error))
 }
 
 pub(super) fn first_line(error: &hdf5::Error) -> String {

@@ -7,7 +7,11 @@ mod atoms_file;
 #[cfg(feature = "hdf5")]
 mod hdf5_errors;
 #[cfg(feature = "hdf5")]
+mod hdf5_filters;
+#[cfg(feature = "hdf5")]
 mod hdf5_guard;
+#[cfg(feature = "hdf5")]
+mod hdf5_values;
 #[cfg(feature = "hdf5")]
 pub mod hspy_file;
 #[cfg(feature = "hdf5")]
@@ -34,6 +38,7 @@ pub use atoms_file::{AtomRow, AtomsHeader, AtomsWriter, RowFormat, writable};
 use hdf5_errors::At;
 #[cfg(feature = "hdf5")]
 pub use truth_writer::{LineKind, ParticleBatch, TruthBatch, TruthWriter};
+pub use hdf5_guard::read_through;
 #[cfg(feature = "report")]
 use world_file::regular_file;
 #[cfg(feature = "hdf5")]

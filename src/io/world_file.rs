@@ -2,13 +2,14 @@
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::slice;
 use std::time::{Duration, Instant};
 
 use hdf5::{Dataset, File, H5Type};
-use ndarray::{Array2, s};
+use ndarray::{Array, Array1, Array2, Dimension, s};
 
-use super::At;
 use super::hdf5_guard::{self, check_storage, first_line, number, text};
+use super::hdf5_values::{self, Plain};
 use super::schema::{self, DefectName};
 use crate::error::{Error, Result};
 use crate::setting::Setting;
@@ -268,7 +269,7 @@ impl WorldFile {
             let fault = format!("has an overview of shape {found:?}, expected {expected:?}");
             return Err(not_a_world(&self.path, fault));
         }
-        dataset.read_2d().at(&self.path)
+        self.all(&dataset, schema::OVERVIEW)
     }
 
     /// Number of lattice sites.
@@ -290,7 +291,7 @@ impl WorldFile {
             return Err(Error::invalid(Setting::SiteRange, format!("{range:?}"), expected));
         }
         let positions = self.truth_dataset("atom_positions")?;
-        let pairs: Array2<f32> = positions.read_slice(s![range.clone(), ..]).at(&self.path)?;
+        let pairs: Array2<f32> = self.part(&positions, "atom_positions", &[range.clone(), 0..2])?;
         self.check_places(pairs.iter(), "sites")?;
         let names: Vec<DefectName> = self.optional("defect_types", &range)?;
         Ok(GroundTruth {
@@ -316,11 +317,31 @@ impl WorldFile {
             let found = format!("/{name} has shape {:?}, not {size} x {size}", dataset.shape());
             return Err(not_a_world(&self.path, found));
         }
-        dataset.read_2d().map_err(|e| {
-            let fault =
-                format!("/{name} cannot be read; the file is damaged: copy or build it again");
-            not_a_world(&self.path, format!("{fault} ({})", first_line(&e)))
-        })
+        self.all(&dataset, &name)
+    }
+
+    /// All values of the dataset that is called `name`.
+    pub(super) fn all<T: Plain, D: Dimension>(
+        &self,
+        dataset: &Dataset,
+        name: &str,
+    ) -> Result<Array<T, D>> {
+        hdf5_values::all(dataset, &self.path).map_err(|fault| self.unreadable(name, &fault))
+    }
+
+    /// A part of the values of the dataset that is called `name`, one range for each axis.
+    pub(super) fn part<T: Plain, D: Dimension>(
+        &self,
+        dataset: &Dataset,
+        name: &str,
+        part: &[Range<usize>],
+    ) -> Result<Array<T, D>> {
+        hdf5_values::part(dataset, &self.path, part).map_err(|fault| self.unreadable(name, &fault))
+    }
+
+    fn unreadable(&self, name: &str, fault: &str) -> Error {
+        let advice = "the file is damaged: copy or build it again";
+        not_a_world(&self.path, format!("/{name} {fault}; {advice}"))
     }
 
     pub(super) fn dataset(&self, name: &str) -> Result<Dataset> {
@@ -343,12 +364,13 @@ impl WorldFile {
         Ok(dataset)
     }
 
-    fn required<T: H5Type>(&self, name: &str, range: &Range<usize>) -> Result<Vec<T>> {
-        let array = self.truth_dataset(name)?.read_slice_1d(range.clone()).at(&self.path)?;
+    fn required<T: Plain>(&self, name: &str, range: &Range<usize>) -> Result<Vec<T>> {
+        let list = self.truth_dataset(name)?;
+        let array: Array1<T> = self.part(&list, name, slice::from_ref(range))?;
         Ok(array.into_iter().collect())
     }
 
-    fn optional<T: H5Type>(&self, name: &str, range: &Range<usize>) -> Result<Vec<T>> {
+    fn optional<T: Plain>(&self, name: &str, range: &Range<usize>) -> Result<Vec<T>> {
         match self.file.link_exists(&format!("{}/{name}", schema::TRUTH)) {
             true => self.required(name, range),
             false => Ok(Vec::new()),

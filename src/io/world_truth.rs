@@ -4,10 +4,10 @@ use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
 
 use hdf5::{Dataset, Group};
-use ndarray::{Array2, s};
+use ndarray::{Array2, Ix2, IxDyn};
 
-use super::At;
 use super::hdf5_guard::{number, text};
+use super::hdf5_values::Plain;
 use super::schema::{self, CompositionText, MorphologyName, atom_type};
 use super::truth_writer::ParticleBatch;
 use super::world_file::{GroundTruth, WorldFile, not_a_world};
@@ -59,8 +59,8 @@ impl WorldFile {
             return self.columns_of_sites();
         }
         let dataset = |list: &str| self.dataset(&format!("{name}/{list}"));
-        let counts = |list: &str| dataset(list)?.read_raw::<i32>().at(&self.path);
-        let positions: Array2<f32> = dataset("position")?.read_2d().at(&self.path)?;
+        let counts = |list: &str| self.list::<i32>(&dataset(list)?, list);
+        let positions: Array2<f32> = self.all(&dataset("position")?, "position")?;
         let (sites, vacancies) = (counts("number_of_sites")?, counts("vacancies")?);
         let substitutions = counts("substitutions")?;
         let compositions: Vec<CompositionText> =
@@ -68,7 +68,7 @@ impl WorldFile {
                 true => {
                     let texts =
                         self.dataset_of::<CompositionText>(&format!("{name}/composition"))?;
-                    texts.read_raw().at(&self.path)?
+                    self.list(&texts, "composition")?
                 }
                 false => vec![CompositionText::default(); sites.len()],
             };
@@ -193,7 +193,7 @@ impl WorldFile {
             );
             return Err(not_a_world(&self.path, found));
         }
-        map.read_slice_2d(s![rows, columns]).map(Some).at(&self.path)
+        self.part(&map, schema::PHASE_MAP, &[rows, columns]).map(Some)
     }
 
     /// Names of the phases by their codes; empty where the file gives none.
@@ -223,12 +223,12 @@ impl WorldFile {
             return Ok(ParticleBatch::default());
         }
         let dataset = |list: &str| self.truth_dataset(&format!("{}/{list}", schema::PARTICLES));
-        let rows = |list: &str| dataset(list)?.read_2d::<f32>().at(&self.path);
+        let rows = |list: &str| self.all::<f32, Ix2>(&dataset(list)?, list);
         let (centres, turns) = (rows("centre")?, rows("orientation")?);
-        let diameters: Vec<f32> = dataset("diameter")?.read_raw().at(&self.path)?;
+        let diameters: Vec<f32> = self.list(&dataset("diameter")?, "diameter")?;
         let shapes = format!("{}/{}/morphology", schema::TRUTH, schema::PARTICLES);
         let morphologies: Vec<MorphologyName> =
-            self.dataset_of::<MorphologyName>(&shapes)?.read_raw().at(&self.path)?;
+            self.list(&self.dataset_of::<MorphologyName>(&shapes)?, "morphology")?;
         let n = diameters.len();
         if centres.dim() != (n, 3) || turns.dim() != (n, 4) || morphologies.len() != n {
             return Err(not_a_world(&self.path, "has lists of particles of unequal length"));
@@ -260,6 +260,11 @@ impl WorldFile {
         }
     }
 
+    /// The values of a list, whatever its shape.
+    fn list<T: Plain>(&self, dataset: &Dataset, name: &str) -> Result<Vec<T>> {
+        Ok(self.all::<T, IxDyn>(dataset, name)?.into_iter().collect())
+    }
+
     fn truth_group(&self, name: &str) -> Option<Group> {
         self.file.group(&format!("{}/{name}", schema::TRUTH)).ok()
     }
@@ -275,7 +280,7 @@ impl WorldFile {
                     format!("has the polyline {name} of shape {shape:?}, expected (points, 2)");
                 return Err(not_a_world(&self.path, found));
             }
-            let points: Array2<f32> = dataset.read_2d().at(&self.path)?;
+            let points: Array2<f32> = self.all(&dataset, &name)?;
             self.check_places(points.iter(), "boundaries")?;
             let points_nm = points.rows().into_iter().map(|p| [p[0], p[1]]).collect();
             Ok(BoundaryLine { points_nm, text: describe(&dataset) })

@@ -21,8 +21,8 @@ use crate::files::unfinished::Unfinished;
 use crate::files::{OutputLock, disk_space};
 use crate::imaging::direct::rectangle_plan;
 use crate::imaging::{
-    Audit, Cache, ChosenImager, ImagingChoice, ImagingCost, MethodChoice, RegionImager,
-    SimulationRuns, audit_cost,
+    AUDIT_REMEDY, Audit, Cache, ChosenImager, ImagingChoice, ImagingCost, MethodChoice,
+    RegionImager, SimulationRuns, audit_cost,
 };
 use crate::io::{WorldFile, WorldWriter};
 use crate::numerics::NUMERICS_VERSION;
@@ -178,6 +178,20 @@ impl WorldBuild {
         });
         let BuildLayout { recipe, specimen, .. } = &self.layout;
         audited.map(|options| audit_cost(recipe, &**specimen, options)).transpose()
+    }
+
+    /// Bytes of memory that the largest arrays of the build take at a time on so many threads, those of its audit too, and what
+    /// takes less. `cost` is that of the image.
+    ///
+    /// # Errors
+    /// Those of the plan.
+    pub fn memory(&self, cost: &ImagingCost, threads: usize) -> Result<(u64, &'static str)> {
+        let image = (cost.memory_bytes(threads), cost.memory_remedy(threads));
+        let audit = self.audit_cost(cost)?.map(|audit| audit.cost.memory_bytes(threads));
+        Ok(match audit.filter(|bytes| *bytes > image.0) {
+            Some(bytes) => (bytes, AUDIT_REMEDY),
+            None => image,
+        })
     }
 
     /// Bytes on disk that the build needs beside its output, sub-tiles included; the cache and a companion come on top.
@@ -398,6 +412,7 @@ mod tests {
     use crate::recipe::{Override, Recipe};
     use crate::specimen::LAID_OUT;
     use crate::structure::PARSED;
+    use crate::world::BuildMethod;
 
     #[test]
     fn a_build_reads_its_crystals_once_and_lays_its_specimen_out_once() {
@@ -420,5 +435,27 @@ mod tests {
         build.run(&folder.path().join("w.h5"), &Silent).unwrap();
         assert_eq!(PARSED.get() - parsed, 2);
         assert_eq!(LAID_OUT.get() - laid_out, 1);
+    }
+
+    #[test]
+    fn the_memory_of_a_build_is_that_of_its_audit_where_that_takes_more() {
+        let tiny = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/cli/tiny.toml"));
+        let recipe = CheckedRecipe::from_file(tiny, None).unwrap();
+        let with = |audit_regions| BuildOptions {
+            cache: Cache::none(),
+            method: BuildMethod::Mosaic,
+            window_angstrom: Some(5.0),
+            audit_regions,
+            ..BuildOptions::default()
+        };
+        let (audited, plain) = (with(1), with(0));
+        let build = WorldBuild::new(&recipe, &audited).unwrap();
+        let cost = build.cost().unwrap();
+        let image = cost.memory_bytes(2);
+        let audit = build.audit_cost(&cost).unwrap().unwrap().cost.memory_bytes(2);
+        assert!(audit > image, "{audit} {image}");
+        assert_eq!(build.memory(&cost, 2).unwrap(), (audit, AUDIT_REMEDY));
+        let build = WorldBuild::new(&recipe, &plain).unwrap();
+        assert_eq!(build.memory(&cost, 2).unwrap().0, image);
     }
 }

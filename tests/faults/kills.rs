@@ -1,6 +1,8 @@
 //! SIGKILL and SIGTERM at random moments.
 
-use super::{Method, assert_done, build, files, has_image, has_subtile, names, stderr, succeeds};
+use super::{
+    Method, assert_done, build, files, has_image, has_subtile, names, stderr, stemgen, succeeds,
+};
 use rand::{Rng, RngExt, SeedableRng, rngs::StdRng};
 use std::os::unix::process::ExitStatusExt;
 use std::path::Path;
@@ -146,13 +148,108 @@ fn builds_that_are_asked_to_end_leave_nothing_half_written() {
     assert!(met >= 10, "{met} builds were asked");
 }
 
-/// `cargo test --release --test faults many_kills -- --ignored --nocapture`
+/// Files that a simulation writes.
+const IMAGES: [&str; 4] = ["s.h5", "s_HAADF.png", "s_HAADF.tif", "s.hspy"];
+
+/// Simulates images of silicon, which takes half a second.
+fn simulate(folder: &Path) -> Command {
+    let silicon = concat!(env!("CARGO_MANIFEST_DIR"), "/structures/si.cif");
+    let mut command = stemgen(folder);
+    command.args(["simulate", silicon, "--repeat", "2,2,4", "--scan-end", "5.431,5.431"]);
+    command.args(["--scan-points", "8,8"]);
+    command.args(["--png", "--tiff", "32", "--hspy", "-o", "s.h5"]);
+    command
+}
+
+/// What a file of images says; of the HDF5 file, which tells the time that it took, the image.
+fn content(folder: &Path, name: &str) -> Vec<u8> {
+    let path = folder.join(name);
+    match name {
+        "s.h5" => {
+            let image = stemgen::io::arrays::read(&path, None).unwrap();
+            image.data.iter().flat_map(|v| v.to_le_bytes()).collect()
+        }
+        _ => std::fs::read(path).unwrap(),
+    }
+}
+
+/// Ends `count` simulations at random moments. What is there is whole, and the same command makes the rest. Returns how many
+/// signals met a program at work.
+fn hit_simulations(signal: &str, code: Option<i32>, count: usize, seed: u64) -> usize {
+    let (mut random, mut met) = (StdRng::seed_from_u64(seed), 0);
+    let folder = tempfile::tempdir().unwrap();
+    let begun = Instant::now();
+    succeeds(&mut simulate(folder.path()));
+    let whole = begun.elapsed().as_micros() as u64;
+    let expected = IMAGES.map(|name| content(folder.path(), name));
+    assert_eq!(names(folder.path()).len(), IMAGES.len());
+    for number in 0..count {
+        let what = format!("{signal} {number}, seed {seed}");
+        let folder = tempfile::tempdir().unwrap();
+        let here = folder.path();
+        let mut child = simulate(here).spawn().unwrap();
+        let wait = Duration::from_micros(random.random_range(0..whole));
+        // Every other one while files are written.
+        let begins =
+            |child: &mut Child| number % 2 == 0 || !names(here).is_empty() || has_ended(child);
+        super::wait_for(|| begins(&mut child));
+        let wait = if number % 2 == 0 { wait } else { wait / 50 };
+        std::thread::sleep(wait);
+        send(&child, signal);
+        let ended = child.wait_with_output().unwrap();
+        let told = stderr(&ended);
+        let early = code.is_some() && ended.status.signal() == Some(15);
+        let at_work = !ended.status.success();
+        met += usize::from(at_work);
+        assert!(
+            !at_work || early || ended.status.code() == code,
+            "{what}: {:?} {told}",
+            ended.status
+        );
+        for name in names(here) {
+            match IMAGES.iter().position(|known| *known == name) {
+                Some(i) => assert!(content(here, &name) == expected[i], "{what}: {name}"),
+                None => assert!(code.is_none() && name.ends_with(".partial"), "{what}: {name}"),
+            }
+        }
+        succeeds(simulate(here).arg("--overwrite"));
+        for (name, expected) in IMAGES.iter().zip(&expected) {
+            assert!(content(here, name) == *expected, "{what}: {name}");
+        }
+    }
+    met
+}
+
+#[test]
+fn simulations_that_are_ended_leave_whole_files_only() {
+    let met = hit_simulations("-KILL", None, 8, 5) + hit_simulations("-TERM", Some(143), 8, 6);
+    assert!(met >= 6, "{met} simulations were ended");
+}
+
+/// `cargo test --release --test faults kills::many -- --ignored --nocapture`
 #[test]
 #[ignore = "takes a quarter of an hour"]
 fn many_kills() {
-    for (signal, code, seed) in [("-KILL", None, 3), ("-TERM", Some(143), 4)] {
-        let met = hit_all(signal, code, 30, seed);
-        println!("{met} builds were ended by {signal}; all ended in the same bytes");
-        assert!(met >= 200, "{met} builds were ended by {signal}");
-    }
+    let met = hit_all("-KILL", None, 30, 3);
+    println!("{met} builds were killed; all ended in the same bytes");
+    assert!(met >= 200, "{met} builds were killed");
+}
+
+#[test]
+#[ignore = "takes a quarter of an hour"]
+fn many_requests_to_end() {
+    let met = hit_all("-TERM", Some(143), 30, 4);
+    println!("{met} builds were asked to end; all ended in the same bytes");
+    assert!(met >= 200, "{met} builds were asked");
+}
+
+#[test]
+#[ignore = "takes minutes"]
+fn many_simulations() {
+    let met = [("-KILL", None), ("-TERM", Some(143))].map(|(signal, code)| {
+        let met = hit_simulations(signal, code, 120, 7);
+        println!("{met} simulations were ended by {signal}; all files were whole");
+        met
+    });
+    assert!(met.iter().all(|met| *met >= 100), "{met:?}");
 }

@@ -2,6 +2,7 @@
 //! the disk: in the end the same bytes are there, and nothing half-written.
 #![cfg(unix)]
 
+mod clocks;
 mod damage;
 mod disks;
 mod kills;

@@ -43,6 +43,11 @@ fn what_does_not_fit_is_refused_unless_forced() {
     let told = stderr(&ended);
     assert_eq!(ended.status.code(), Some(1), "{told}");
     assert!(told.contains("of memory are needed") && told.contains("--force"), "{told}");
+    let audit = ["audit", "srtio3", "--difficulty", "easy", "--size", "12", "--threads", "2"];
+    let ended = limited(here, 500_000, &audit);
+    let told = stderr(&ended);
+    assert_eq!(ended.status.code(), Some(1), "{told}");
+    assert!(told.contains("that the audit compares with") && told.contains("--force"), "{told}");
     assert!(names(here).is_empty(), "{:?}", names(here));
     // What is estimated to take more than there is goes on, and may well fit.
     let small =

@@ -11,8 +11,6 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::time::Duration;
 
 use super::allocation::watch;
-use super::interpreter::with_h5py;
-use super::skipped::skipped;
 use super::targets::Target;
 
 /// Executions of each target unless `STEMGEN_FUZZ` says otherwise.
@@ -46,7 +44,6 @@ fn campaign(name: &'static str) {
     let folder = tempfile::tempdir().unwrap();
     let note = folder.path().join("note");
     let (mut next, mut accepted, mut findings) = (first, 0, Vec::new());
-    let mut faults_of_hdf5 = 0;
     while next < first + count && findings.len() < 20 {
         let run = Command::new(std::env::current_exe().unwrap())
             .args(["--exact", "fuzz::executions", "--ignored", "--nocapture"])
@@ -66,31 +63,13 @@ fn campaign(name: &'static str) {
         let kept = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}-{at}"));
         std::fs::write(&kept, target.input(at)).unwrap();
         next = at + 1;
-        if name == "hdf5_bytes" && run.status.code().is_none() && h5py_dies(&kept) {
-            faults_of_hdf5 += 1;
-            continue;
-        }
         findings.push(format!("{}: {} {}", kept.display(), run.status, told.join(" | ")));
     }
     println!(
         "{name}: {count} executions from {first}, {accepted} accepted, {} findings",
         findings.len()
     );
-    if faults_of_hdf5 > 0 {
-        skipped(&format!(
-            "{faults_of_hdf5} files on which the HDF5 library itself dies, under h5py too"
-        ));
-    }
     assert!(findings.is_empty(), "{}", findings.join("\n"));
-}
-
-/// Whether the HDF5 library dies of this file in another program, too: it does not check all that it reads.
-fn h5py_dies(file: &Path) -> bool {
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/foreign/walk.py");
-    let mut command = Command::new("timeout");
-    let run = command.arg("60").arg(with_h5py()).arg(script).arg(file).output().unwrap();
-    // 124: it hangs
-    run.status.code().is_none_or(|code| code == 124 || code > 128)
 }
 
 /// The number of the execution that runs (or of the one after the last), and how many were accepted.

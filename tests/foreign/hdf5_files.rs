@@ -425,3 +425,117 @@ fn pipes_are_not_waited_for() {
         assert!(told.contains("no regular file"), "{told}");
     }
 }
+
+/// Writes the packed bytes of the only chunk of a dataset of two axes.
+fn pack(dataset: &Dataset, packed: &[u8], skipped: u32) {
+    let written = hdf5::sync::sync(|| unsafe {
+        hdf5_sys::h5d::H5Dwrite_chunk(
+            dataset.id(),
+            hdf5_sys::h5p::H5P_DEFAULT,
+            skipped,
+            [0, 0].as_ptr(),
+            packed.len(),
+            packed.as_ptr().cast(),
+        )
+    });
+    assert!(written >= 0);
+}
+
+fn deflated(bytes: &[u8]) -> Vec<u8> {
+    use std::io::Write;
+    let mut encoder = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::fast());
+    encoder.write_all(bytes).unwrap();
+    encoder.finish().unwrap()
+}
+
+/// The error of a world whose first tile is this chunk, and the most memory that reading it took.
+fn refused_tile(packed: &[u8], skipped: u32) -> (String, usize) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("w.h5");
+    let file = world(&path);
+    file.unlink("tiles/0_0").unwrap();
+    let tile = file.new_dataset::<f32>().chunk((TILE, TILE)).deflate(1).shape((TILE, TILE));
+    pack(&tile.create("tiles/0_0").unwrap(), packed, skipped);
+    file.close().unwrap();
+    let (read, bytes) = super::allocation::watch(|| read_world(&path));
+    (read.unwrap_err().to_string(), bytes)
+}
+
+#[test]
+fn chunks_unpack_to_their_size_or_not_at_all() {
+    let whole = 4 * TILE * TILE;
+    // libhdf5 1.10.8 shows what lies in memory behind a chunk that is too short, or dies
+    for (packed, skipped) in [(deflated(&[0; 16]), 0), (vec![0; 16], 1)] {
+        let (told, _) = refused_tile(&packed, skipped);
+        assert!(
+            told.contains("/tiles/0_0") && told.contains("16 bytes in place of 1024"),
+            "{told}"
+        );
+    }
+    // ... and takes the 512 MiB that this one becomes
+    let bomb = deflated(&vec![0; 512 << 20]);
+    let (told, bytes) = refused_tile(&bomb, 0);
+    assert!(told.contains("unpacks to more than"), "{told}");
+    assert!(bytes < (8 << 20) + bomb.len(), "{bytes} bytes");
+    let (told, _) = refused_tile(&deflated(&vec![0; whole])[..9], 0);
+    assert!(told.contains("does not unpack"), "{told}");
+}
+
+#[test]
+fn packings_that_are_not_bounded_are_refused() {
+    let told = refused_reference(|f| {
+        f.unlink("image").unwrap();
+        let image = f.new_dataset::<i32>().chunk((4, 4)).nbit().shape((4, 4));
+        image.create("image").unwrap();
+    });
+    assert!(told.contains("NBit") && told.contains("gzip"), "{told}");
+    let told = refused_reference(|f| {
+        f.unlink("image").unwrap();
+        f.new_dataset::<f32>().chunk((1, 1)).shape((2000, 2000)).create("image").unwrap();
+    });
+    assert!(told.contains("4000000 chunks"), "{told}");
+}
+
+#[test]
+fn values_are_those_that_the_library_reads() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("r.h5");
+    let file = File::create(&path).unwrap();
+    let floats = ndarray::Array3::from_shape_fn((5, 17, 23), |(i, j, k)| {
+        (i * 1000 + j * 37 + k) as f64 * 0.25 - 300.0
+    });
+    let whole = floats.mapv(|v| v as i16);
+    let bytes = floats.mapv(|v| v as u8);
+    let builder = || file.new_dataset_builder().chunk((2, 5, 7));
+    builder().shuffle().deflate(6).fletcher32().with_data(&floats).create("a").unwrap();
+    builder().fletcher32().deflate(1).with_data(&whole).create("b").unwrap();
+    builder().with_data(&bytes).create("c").unwrap();
+    file.new_dataset_builder().with_data(&whole).create("d").unwrap();
+    file.new_dataset_builder()
+        .layout(hdf5::plist::dataset_create::Layout::Compact)
+        .with_data(&bytes)
+        .create("e")
+        .unwrap();
+    // of three rows only the first was written
+    let partly = file.new_dataset::<f32>().chunk((1, 4)).shuffle().deflate(1).fill_value(2.5_f32);
+    let partly = partly.shape((3, 6)).create("f").unwrap();
+    partly.write_slice(&ndarray::arr2(&[[1_f32; 6]]), ndarray::s![0..1, ..]).unwrap();
+    drop(partly);
+    file.close().unwrap();
+    let file = File::open(&path).unwrap();
+    for name in ["a", "b", "c", "d", "e", "f"] {
+        let expected = file.dataset(name).unwrap().read_dyn::<f64>().unwrap();
+        assert_eq!(arrays::read(&path, Some(name)).unwrap().data, expected, "{name}");
+    }
+}
+
+#[test]
+fn blocks_before_a_file_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("r.h5");
+    let file = hdf5::FileBuilder::new().with_fcpl(|p| p.userblock(512)).create(&path).unwrap();
+    list(&file, "image", &Array2::<f32>::zeros((4, 4)));
+    file.close().unwrap();
+    let told = arrays::read(&path, None).unwrap_err().to_string();
+    assert!(told.contains("block of other data"), "{told}");
+}

@@ -4,12 +4,9 @@
 mod allocation;
 mod fuzz;
 mod hdf5_files;
-#[path = "../common/python.rs"]
-mod interpreter;
+mod hdf5_process;
 mod large_files;
 mod mutation;
-#[path = "../common/skipped.rs"]
-mod skipped;
 mod targets;
 
 #[global_allocator]

@@ -7,6 +7,7 @@ use stemgen::recipe::{Difficulty, Override, Recipe};
 use stemgen::structure::{Format, parse};
 
 use super::hdf5_files::{odd_world, read_world, reference, world};
+use super::hdf5_process::survives;
 use super::mutation::{Dice, binary, text};
 
 /// Names of all targets.
@@ -67,6 +68,10 @@ impl Target {
             "zarr" => self.zarr(input),
             "hdf5_bytes" => {
                 let path = self.file("f.h5", input);
+                // As the program does: first in a process that may die.
+                if !survives(&path) {
+                    return false;
+                }
                 // Both, whatever the other makes of it.
                 let accepted = read_world(&path).is_ok();
                 accepted | arrays::read(&path, None).is_ok()

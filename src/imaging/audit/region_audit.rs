@@ -142,6 +142,9 @@ fn stride(options: &AuditOptions, pixel_angstrom: f64) -> usize {
     options.stride.unwrap_or((POINT_ANGSTROM / pixel_angstrom).round().max(1.0) as usize)
 }
 
+/// What takes less memory than an audit.
+pub const AUDIT_REMEDY: &str = "most of it is the exact simulation that the audit compares with: fewer threads, smaller regions, or no audit, take less";
+
 /// What the exact simulations of an audit take.
 ///
 /// # Errors

@@ -8,6 +8,7 @@ use hdf5::{Dataset, File};
 use super::{ArrayAxis, ForeignArray, choose, held};
 use crate::error::{Error, Result};
 use crate::io::hdf5_guard::{check_storage, datasets, first_line, pair, texts};
+use crate::io::hdf5_values;
 use crate::io::{At, regular_file};
 
 pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
@@ -33,7 +34,8 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     let dataset = file.dataset(&format!("/images/{chosen}")).or_else(|_| file.dataset(chosen));
     let dataset = dataset.at(path)?;
     held(&dataset.shape()).map_err(refused)?;
-    let data = dataset.read_dyn::<f64>().at(path)?;
+    let data =
+        hdf5_values::all(&dataset, path).map_err(|fault| refused(format!("{chosen} {fault}")))?;
     let mut array = ForeignArray::plain(path, chosen, data);
     array.axes = axes(&dataset, array.data.ndim());
     Ok(array)

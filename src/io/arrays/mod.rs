@@ -50,6 +50,14 @@ pub struct ForeignArray {
     pub semiangle_mrad: Option<f64>,
 }
 
+const HDF5_ENDINGS: [&str; 5] = ["h5", "hdf5", "hdf", "he5", "emd"];
+
+/// Whether a file is read as HDF5.
+pub fn is_hdf5(path: &Path) -> bool {
+    let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+    ending.is_some_and(|ending| HDF5_ENDINGS.contains(&ending.as_str()))
+}
+
 /// Reads an array of real numbers with at least two dimensions. `name` chooses among several.
 ///
 /// # Errors
@@ -72,7 +80,7 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
         Some("npy") => numpy::read_npy(path, name),
         Some("npz") => numpy::read_npz(path, name),
         Some("tif" | "tiff") => tagged::read(path, name),
-        Some("h5" | "hdf5" | "hdf" | "he5" | "emd") => hdf::read(path, name),
+        _ if is_hdf5(path) => hdf::read(path, name),
         _ => Err(Error::parse(
             path,
             0,

@@ -1,0 +1,112 @@
+//! Undoes the packing of chunks of HDF5 files.
+
+use std::io::Read;
+
+use flate2::read::ZlibDecoder;
+use hdf5::filters::Filter;
+use hdf5::plist::DatasetCreate;
+
+use super::hdf5_guard::{Guarded, damaged};
+
+/// Bytes of a checksum behind a chunk.
+const CHECKSUM: usize = 4;
+
+/// How the chunks of a dataset are packed.
+pub(super) struct Filters {
+    steps: Vec<Step>,
+    /// Bytes of a value, which are shuffled.
+    value_bytes: usize,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Step {
+    Deflate,
+    Shuffle,
+    Checksum,
+}
+
+impl Filters {
+    /// The filters of a dataset, of which those are undone that cannot unpack a little to a lot, or are bounded.
+    pub fn of(plan: &DatasetCreate, value_bytes: usize) -> Guarded<Self> {
+        let known = |filter: &Filter| match filter {
+            Filter::Deflate(_) => Ok(Step::Deflate),
+            Filter::Shuffle => Ok(Step::Shuffle),
+            Filter::Fletcher32 => Ok(Step::Checksum),
+            other => Err(format!(
+                "is packed by {other:?}, which is not read; save it again with gzip, or unpacked"
+            )),
+        };
+        let filters = plan.get_filters().map_err(damaged)?;
+        let steps: Vec<Step> = filters.iter().map(known).collect::<Guarded<_>>()?;
+        if steps.iter().filter(|step| **step == Step::Deflate).count() > 1 {
+            return Err("is packed twice, which is not read; save it again".into());
+        }
+        Ok(Filters { steps, value_bytes })
+    }
+
+    /// The bytes of a chunk. Filters whose bit is set in `skipped` were not applied to it. It has to unpack to `expected`
+    /// bytes; no more is ever unpacked.
+    pub fn unpacked(&self, packed: Vec<u8>, skipped: u32, expected: usize) -> Guarded<Vec<u8>> {
+        let most = expected + CHECKSUM * self.steps.len();
+        let mut bytes = packed;
+        for (i, step) in self.steps.iter().enumerate().rev() {
+            if i < 32 && skipped >> i & 1 == 1 {
+                continue;
+            }
+            bytes = match step {
+                Step::Deflate => inflated(&bytes, most)?,
+                Step::Shuffle => unshuffled(&bytes, self.value_bytes),
+                Step::Checksum => checked(bytes)?,
+            };
+        }
+        match bytes.len() == expected {
+            true => Ok(bytes),
+            false => Err(format!("holds {} bytes in place of {expected}", bytes.len())),
+        }
+    }
+}
+
+fn inflated(packed: &[u8], most: usize) -> Guarded<Vec<u8>> {
+    let mut bytes = Vec::new();
+    let mut decoder = ZlibDecoder::new(packed).take(most as u64 + 1);
+    decoder.read_to_end(&mut bytes).map_err(|e| format!("does not unpack ({e})"))?;
+    match bytes.len() > most {
+        true => Err(format!("unpacks to more than {most} bytes")),
+        false => Ok(bytes),
+    }
+}
+
+/// First bytes of all values, then second ones ...; what is left over stays at the end.
+fn unshuffled(bytes: &[u8], value_bytes: usize) -> Vec<u8> {
+    let count = bytes.len() / value_bytes.max(1);
+    let mut out = vec![0; bytes.len()];
+    for (k, plane) in bytes[..count * value_bytes].chunks_exact(count.max(1)).enumerate() {
+        for (i, byte) in plane.iter().enumerate() {
+            out[i * value_bytes + k] = *byte;
+        }
+    }
+    out[count * value_bytes..].copy_from_slice(&bytes[count * value_bytes..]);
+    out
+}
+
+/// The bytes before a checksum that holds.
+fn checked(mut bytes: Vec<u8>) -> Guarded<Vec<u8>> {
+    let end = bytes.len().checked_sub(CHECKSUM).ok_or("is too short for its checksum")?;
+    let told = u32::from_le_bytes([bytes[end], bytes[end + 1], bytes[end + 2], bytes[end + 3]]);
+    bytes.truncate(end);
+    match fletcher32(&bytes) == told {
+        true => Ok(bytes),
+        false => Err("is damaged: its checksum is another".into()),
+    }
+}
+
+/// The sum of 16-bit words, first byte high, and the sum of those sums (RFC 1146, as HDF5 has it).
+fn fletcher32(bytes: &[u8]) -> u32 {
+    let (mut low, mut high) = (0_u32, 0_u32);
+    let fold = |sum: u32| (sum & 0xffff) + (sum >> 16);
+    for pair in bytes.chunks(2) {
+        low = fold(low + u32::from(pair[0]) * 256 + u32::from(*pair.get(1).unwrap_or(&0)));
+        high = fold(high + low);
+    }
+    fold(high) << 16 | fold(low)
+}

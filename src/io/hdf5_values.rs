@@ -1,0 +1,294 @@
+//! Values of datasets as strangers may have packed them.
+//!
+//! libhdf5 believes what a chunk unpacks to: one that holds less than it should is read beyond its end, one that holds more takes
+//! whatever memory that comes to (seen in 1.10.8). Chunks are therefore unpacked here, to the size that the dataset announces or
+//! not at all; the index of the chunks, the fill value and the conversion of numbers are the library's.
+
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::mem::MaybeUninit;
+use std::ops::Range;
+use std::path::Path;
+
+use hdf5::plist::dataset_create::Layout;
+use hdf5::types::{FixedAscii, TypeDescriptor};
+use hdf5::{Dataset, Datatype, H5Type, Hyperslab, SliceOrIndex};
+use hdf5_sys::h5d::H5Dget_chunk_info_by_coord;
+use hdf5_sys::h5p::{H5P_DEFAULT, H5Pget_fill_value};
+use hdf5_sys::h5t::H5Tconvert;
+use ndarray::{Array, ArrayD, Dimension};
+
+use super::hdf5_filters::Filters;
+use super::hdf5_guard::{Guarded, damaged};
+
+/// The address of a chunk that was never written.
+const NOWHERE: u64 = u64::MAX;
+
+/// Values that any bytes are.
+///
+/// # Safety
+/// Every pattern of bytes is a valid value.
+pub(super) unsafe trait Plain: H5Type + Copy {}
+
+// SAFETY: numbers, and an array of bytes.
+unsafe impl Plain for u8 {}
+unsafe impl Plain for i32 {}
+unsafe impl Plain for f32 {}
+unsafe impl Plain for f64 {}
+unsafe impl<const N: usize> Plain for FixedAscii<N> {}
+
+/// All values of a dataset of the file at `path`.
+pub(super) fn all<T: Plain, D: Dimension>(dataset: &Dataset, path: &Path) -> Guarded<Array<T, D>> {
+    let whole: Vec<Range<usize>> = dataset.shape().into_iter().map(|n| 0..n).collect();
+    part(dataset, path, &whole)
+}
+
+/// The values of a part of a dataset, one range for each axis. The dataset's storage was checked
+/// ([`super::hdf5_guard::check_storage`]).
+pub(super) fn part<T: Plain, D: Dimension>(
+    dataset: &Dataset,
+    path: &Path,
+    ranges: &[Range<usize>],
+) -> Guarded<Array<T, D>> {
+    let shape = dataset.shape();
+    let inside = |(range, n): (&Range<usize>, &usize)| range.start <= range.end && range.end <= *n;
+    if ranges.len() != shape.len() || !ranges.iter().zip(&shape).all(inside) {
+        return Err(format!("has the shape {shape:?}, and no part {ranges:?}"));
+    }
+    let stored = dataset.dtype().map_err(damaged)?;
+    check_kind(&stored)?;
+    let lengths: Vec<usize> = ranges.iter().map(Range::len).collect();
+    let plan = dataset.dcpl().map_err(damaged)?;
+    let values = match plan.layout() {
+        _ if lengths.contains(&0) => Vec::new(),
+        Layout::Chunked => {
+            let chunks = Chunks::of(dataset, &stored, path)?;
+            converted(chunks.part(ranges, &lengths)?, &stored, lengths.iter().product())?
+        }
+        _ if lengths == shape => dataset.read_raw().map_err(damaged)?,
+        _ => {
+            let axes: Vec<SliceOrIndex> = ranges.iter().cloned().map(SliceOrIndex::from).collect();
+            let read: ArrayD<T> = dataset.read_slice(Hyperslab::from(axes)).map_err(damaged)?;
+            read.into_iter().collect()
+        }
+    };
+    let array = ArrayD::from_shape_vec(lengths, values).map_err(|e| e.to_string())?;
+    let axes = array.ndim();
+    array.into_dimensionality().map_err(|_| format!("has {axes} axes, another number is expected"))
+}
+
+/// Reads all about a dataset but its values: their type, and where each chunk lies.
+pub(super) fn look_through(dataset: &Dataset, path: &Path) -> Guarded<()> {
+    let stored = dataset.dtype().map_err(damaged)?;
+    check_kind(&stored)?;
+    if dataset.dcpl().map_err(damaged)?.layout() != Layout::Chunked {
+        return Ok(());
+    }
+    let chunks = Chunks::of(dataset, &stored, path)?;
+    let first = vec![0; chunks.shape.len()];
+    let end: Vec<usize> =
+        dataset.shape().iter().zip(&chunks.shape).map(|(n, c)| n.div_ceil(*c)).collect();
+    let mut at = first.clone();
+    while !end.contains(&0) {
+        let offset: Vec<usize> = at.iter().zip(&chunks.shape).map(|(i, n)| i * n).collect();
+        chunks.place(&offset)?;
+        if !step(&mut at, &first, &end) {
+            break;
+        }
+    }
+    Ok(())
+}
+
+/// Refuses values that lie elsewhere in the file, or are made of others.
+fn check_kind(stored: &Datatype) -> Guarded<()> {
+    match stored.to_descriptor() {
+        Ok(
+            TypeDescriptor::Integer(_)
+            | TypeDescriptor::Unsigned(_)
+            | TypeDescriptor::Float(_)
+            | TypeDescriptor::Boolean
+            | TypeDescriptor::Enum(_)
+            | TypeDescriptor::FixedAscii(_)
+            | TypeDescriptor::FixedUnicode(_),
+        ) => Ok(()),
+        Ok(other) => {
+            Err(format!("holds values of the type `{other}`; expected numbers or short texts"))
+        }
+        Err(e) => Err(damaged(e)),
+    }
+}
+
+/// The chunks of a dataset.
+struct Chunks<'a> {
+    dataset: &'a Dataset,
+    file: File,
+    file_bytes: u64,
+    filters: Filters,
+    /// Values of a chunk along each axis.
+    shape: Vec<usize>,
+    /// Bytes of a value in the file.
+    value_bytes: usize,
+    /// A value that was never written.
+    fill: Vec<u8>,
+}
+
+/// Where a chunk lies in the file.
+struct Place {
+    address: u64,
+    bytes: usize,
+    /// Bits of the filters that were not applied to it.
+    skipped: u32,
+}
+
+impl<'a> Chunks<'a> {
+    fn of(dataset: &'a Dataset, stored: &Datatype, path: &Path) -> Guarded<Self> {
+        let unreadable = |e: std::io::Error| format!("cannot be read ({e})");
+        let file = File::open(path).map_err(unreadable)?;
+        let plan = dataset.dcpl().map_err(damaged)?;
+        let shape = plan.chunk().filter(|c| c.len() == dataset.ndim() && !c.contains(&0));
+        let value_bytes = stored.size();
+        let mut fill = vec![0; value_bytes];
+        // SAFETY: the fill value is a value of this type, for which there is room.
+        let filled = hdf5::sync::sync(|| unsafe {
+            H5Pget_fill_value(plan.id(), stored.id(), fill.as_mut_ptr().cast())
+        });
+        if filled < 0 {
+            return Err("has no readable fill value".into());
+        }
+        Ok(Chunks {
+            dataset,
+            file_bytes: file.metadata().map_err(unreadable)?.len(),
+            file,
+            filters: Filters::of(&plan, value_bytes)?,
+            shape: shape.ok_or("has chunks of no size")?,
+            value_bytes,
+            fill,
+        })
+    }
+
+    /// The bytes of a part, without gaps.
+    fn part(&self, ranges: &[Range<usize>], lengths: &[usize]) -> Guarded<Vec<u8>> {
+        let count: usize = lengths.iter().product();
+        let mut out = self.fill.repeat(count);
+        let first: Vec<usize> = ranges.iter().zip(&self.shape).map(|(r, n)| r.start / n).collect();
+        let end: Vec<usize> =
+            ranges.iter().zip(&self.shape).map(|(r, n)| r.end.div_ceil(*n)).collect();
+        let mut at = first.clone();
+        loop {
+            let offset: Vec<usize> = at.iter().zip(&self.shape).map(|(i, n)| i * n).collect();
+            if let Some(chunk) = self.chunk(&offset)? {
+                self.copy(&chunk, &offset, ranges, lengths, &mut out);
+            }
+            if !step(&mut at, &first, &end) {
+                return Ok(out);
+            }
+        }
+    }
+
+    /// Where in the file the chunk lies whose first value is at `offset`, if it was written.
+    fn place(&self, offset: &[usize]) -> Guarded<Option<Place>> {
+        let place: Vec<u64> = offset.iter().map(|n| *n as u64).collect();
+        let (mut skipped, mut address, mut bytes) = (0, NOWHERE, 0);
+        // SAFETY: the dataset has as many axes as `place`, and the others are single values.
+        let found = hdf5::sync::sync(|| unsafe {
+            H5Dget_chunk_info_by_coord(
+                self.dataset.id(),
+                place.as_ptr(),
+                &raw mut skipped,
+                &raw mut address,
+                &raw mut bytes,
+            )
+        });
+        if found < 0 {
+            return Err("has an index of its chunks that cannot be read".into());
+        }
+        if address == NOWHERE || bytes == 0 {
+            return Ok(None);
+        }
+        if address.checked_add(bytes).is_none_or(|end| end > self.file_bytes) {
+            return Err(format!("has a chunk beyond the end of the file, at {offset:?}"));
+        }
+        Ok(Some(Place { address, bytes: bytes as usize, skipped }))
+    }
+
+    /// The bytes of the chunk whose first value is at `offset`, if it was written.
+    fn chunk(&self, offset: &[usize]) -> Guarded<Option<Vec<u8>>> {
+        let Some(place) = self.place(offset)? else { return Ok(None) };
+        let mut packed = vec![0; place.bytes];
+        let mut file = &self.file;
+        file.seek(SeekFrom::Start(place.address))
+            .and_then(|_| file.read_exact(&mut packed))
+            .map_err(|e| format!("has a chunk at {offset:?} that cannot be read ({e})"))?;
+        let expected = self.shape.iter().product::<usize>() * self.value_bytes;
+        let unpacked = self.filters.unpacked(packed, place.skipped, expected);
+        unpacked.map(Some).map_err(|fault| format!("has a chunk at {offset:?} that {fault}"))
+    }
+
+    /// Copies what a chunk and the part have in common, row by row.
+    fn copy(
+        &self,
+        chunk: &[u8],
+        offset: &[usize],
+        ranges: &[Range<usize>],
+        lengths: &[usize],
+        out: &mut [u8],
+    ) {
+        let low: Vec<usize> = ranges.iter().zip(offset).map(|(r, o)| r.start.max(*o)).collect();
+        let ends = offset.iter().zip(&self.shape).map(|(o, n)| o + n);
+        let high: Vec<usize> = ranges.iter().zip(ends).map(|(r, end)| r.end.min(end)).collect();
+        // A dataset without axes has no chunks.
+        let last = low.len() - 1;
+        let row = (high[last] - low[last]) * self.value_bytes;
+        let (mut at, mut ends) = (low.clone(), high);
+        ends[last] = low[last] + 1;
+        loop {
+            let index = |sizes: &[usize], first: &dyn Fn(usize) -> usize| {
+                (0..=last).fold(0, |n, k| n * sizes[k] + at[k] - first(k)) * self.value_bytes
+            };
+            let from = index(&self.shape, &|k| offset[k]);
+            let to = index(lengths, &|k| ranges[k].start);
+            out[to..to + row].copy_from_slice(&chunk[from..from + row]);
+            if !step(&mut at, &low, &ends) {
+                return;
+            }
+        }
+    }
+}
+
+/// The next place of a box, the last axis running fastest; false behind the last one.
+fn step(at: &mut [usize], first: &[usize], end: &[usize]) -> bool {
+    for axis in (0..at.len()).rev() {
+        at[axis] += 1;
+        if at[axis] < end[axis] {
+            return true;
+        }
+        at[axis] = first[axis];
+    }
+    false
+}
+
+/// Values of the file's type as those of another.
+fn converted<T: Plain>(mut bytes: Vec<u8>, stored: &Datatype, count: usize) -> Guarded<Vec<T>> {
+    let wanted = Datatype::from_type::<T>().map_err(damaged)?;
+    let size = size_of::<T>();
+    if *stored != wanted {
+        bytes.resize(count * size.max(stored.size()), 0);
+        // SAFETY: the buffer has room for the values of either type, and neither refers to other places.
+        let done = hdf5::sync::sync(|| unsafe {
+            let at = bytes.as_mut_ptr().cast();
+            H5Tconvert(stored.id(), wanted.id(), count, at, std::ptr::null_mut(), H5P_DEFAULT)
+        });
+        if done < 0 {
+            return Err(format!("holds values of another kind than {wanted:?}"));
+        }
+    }
+    let value = |bytes: &[u8]| {
+        let mut value = MaybeUninit::<T>::uninit();
+        // SAFETY: as many bytes as a value has, each pattern of which is one (`Plain`).
+        unsafe {
+            std::ptr::copy_nonoverlapping(bytes.as_ptr(), value.as_mut_ptr().cast(), size);
+            value.assume_init()
+        }
+    };
+    Ok(bytes[..count * size].chunks_exact(size).map(value).collect())
+}

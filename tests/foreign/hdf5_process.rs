@@ -1,0 +1,107 @@
+//! Files from which the HDF5 library does not come back: a process of its own finds them out.
+
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use super::hdf5_files::{reference, world};
+
+/// Processor time and addresses that a process may take to read through a small file.
+const SECONDS: u64 = 1;
+const MEMORY_BYTES: u64 = 2 << 30;
+
+/// Whether a process that reads through a file ends in order. It is a copy of this one, which takes less time to make than a
+/// new one of the program.
+pub fn survives(path: &Path) -> bool {
+    // SAFETY: the copy calls nothing of the threads that it lacks, and ends.
+    unsafe {
+        let child = libc::fork();
+        assert!(child >= 0);
+        if child == 0 {
+            for (resource, most) in [
+                (libc::RLIMIT_CORE, 0),
+                (libc::RLIMIT_CPU, SECONDS),
+                (libc::RLIMIT_AS, MEMORY_BYTES),
+            ] {
+                let limit = libc::rlimit { rlim_cur: most, rlim_max: most };
+                libc::setrlimit(resource, &raw const limit);
+            }
+            let read = std::panic::catch_unwind(|| drop(stemgen::io::read_through(path)));
+            libc::_exit(i32::from(read.is_err()));
+        }
+        let mut status = 0;
+        assert_eq!(libc::waitpid(child, &raw mut status, 0), child);
+        libc::WIFEXITED(status) && libc::WEXITSTATUS(status) == 0
+    }
+}
+
+/// A heap of texts whose first object has no size: libhdf5 1.10.8 looks for the next one for ever.
+fn endless(path: &Path, make: fn(&Path) -> hdf5::File) {
+    make(path).close().unwrap();
+    let mut bytes = std::fs::read(path).unwrap();
+    let heap = bytes.windows(4).position(|w| w == b"GCOL").expect("texts of any length");
+    bytes[heap + 16..heap + 32].fill(0);
+    std::fs::write(path, bytes).unwrap();
+}
+
+fn stemgen(folder: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_stemgen"));
+    command.current_dir(folder).env("STEMGEN_CACHE", folder.join("cache")).args(arguments);
+    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+    command
+}
+
+fn told(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+#[test]
+fn a_file_that_hangs_the_library_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    world(&here.join("w.h5")).close().unwrap();
+    endless(&here.join("bad.h5"), world);
+    endless(&here.join("r.h5"), reference);
+    assert!(survives(&here.join("w.h5")) && !survives(&here.join("bad.h5")));
+    let si = concat!(env!("CARGO_MANIFEST_DIR"), "/structures/si.cif");
+    let commands: [&[&str]; 5] = [
+        &["view", "bad.h5"],
+        &["compare", "w.h5", "bad.h5"],
+        &["tiles", "bad.h5", "-n", "1", "-o", "t.npz"],
+        &["audit", "bad.h5"],
+        &["validate", "--reference", "r.h5", "--structure", si],
+    ];
+    let children: Vec<_> =
+        commands.iter().map(|arguments| stemgen(here, arguments).spawn().unwrap()).collect();
+    for (arguments, child) in commands.iter().zip(children) {
+        let ended = child.wait_with_output().unwrap();
+        let told = told(&ended);
+        assert_eq!(ended.status.code(), Some(1), "{arguments:?}: {told}");
+        assert!(told.contains("is damaged: the HDF5 library"), "{arguments:?}: {told}");
+    }
+    let mut left: Vec<_> =
+        std::fs::read_dir(here).unwrap().map(|e| e.unwrap().file_name()).collect();
+    left.sort();
+    assert_eq!(left, ["bad.h5", "r.h5", "w.h5"]);
+}
+
+#[test]
+fn a_signal_ends_the_look_at_a_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    endless(&here.join("bad.h5"), world);
+    let child = stemgen(here, &["view", "bad.h5"]).spawn().unwrap();
+    std::thread::sleep(Duration::from_millis(500));
+    let begun = Instant::now();
+    // SAFETY: a child of this process that was not waited for.
+    unsafe { libc::kill(child.id() as i32, libc::SIGTERM) };
+    let ended = child.wait_with_output().unwrap();
+    assert_eq!(ended.status.code(), Some(143), "{}", told(&ended));
+    assert!(begun.elapsed() < Duration::from_secs(5));
+    // The other process has ended too.
+    let processes = std::fs::read_dir("/proc").unwrap();
+    let mine = "hdf5-read-through\0bad.h5\0";
+    let alive = processes.filter_map(|p| std::fs::read(p.unwrap().path().join("cmdline")).ok());
+    let alive = alive.filter(|words| String::from_utf8_lossy(words).contains(mine)).count();
+    assert_eq!(alive, 0, "processes that read on");
+}
