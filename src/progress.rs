@@ -35,6 +35,18 @@ impl Progress for Silent {
     }
 }
 
+/// `0.4 s`, `45 s`, `3 min 20 s`, `2 h 05 min`, `3 d 04 h`.
+pub fn duration(seconds: f64) -> String {
+    let whole = seconds.max(0.0).round().min(1e15) as u64;
+    match whole {
+        0..10 => format!("{seconds:.1} s"),
+        10..100 => format!("{whole} s"),
+        100..6000 => format!("{} min {:02} s", whole / 60, whole % 60),
+        6000..360_000 => format!("{} h {:02} min", whole / 3600, whole % 3600 / 60),
+        _ => format!("{} d {:02} h", whole / 86_400, whole % 86_400 / 3600),
+    }
+}
+
 /// The progress of one part as a share of the whole: whatever stages the part reports become its share.
 pub(crate) struct ProgressShare<'a> {
     outer: &'a dyn Progress,

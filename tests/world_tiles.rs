@@ -2,14 +2,19 @@
 
 mod common;
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
-use stemgen::imaging::{Cache, ImagingChoice, PixelRect, RegionImager};
+use ndarray::Array2;
+use stemgen::imaging::{
+    Cache, DisplacedAtoms, ImagingChoice, ImagingCost, PixelRect, RegionImager,
+};
 use stemgen::io::WorldFile;
-use stemgen::progress::Silent;
-use stemgen::recipe::{CheckedRecipe, Difficulty, Recipe};
+use stemgen::progress::{Progress, Silent};
+use stemgen::recipe::{CheckedRecipe, Difficulty, Recipe, Region};
 use stemgen::specimen::{SiteKind, Specimen, specimen};
-use stemgen::world::{BuildMethod, BuildOptions, FieldTile, WorldBuild, field_tile};
+use stemgen::world::{
+    BuildMethod, BuildOptions, FieldTile, TrainingOptions, WorldBuild, field_tile, training_set,
+};
 
 /// A thin specimen whose images take seconds.
 fn recipe(material: &str, grid: [usize; 2]) -> CheckedRecipe {
@@ -193,5 +198,44 @@ fn rectangles_outside_the_field_are_refused() {
     for dose in [0.0, -1.0, f64::NAN, f64::INFINITY] {
         let message = tile(PixelRect::new([0, 0], [8, 8]), Some(dose));
         assert!(message.contains("electrons per square Angstrom"), "{message}");
+    }
+}
+
+/// An imager that notes what it is asked for.
+#[derive(Default)]
+struct Noting(Mutex<Vec<PixelRect>>);
+
+impl RegionImager for Noting {
+    fn name(&self) -> &'static str {
+        "noting"
+    }
+    fn parameters(&self) -> serde_json::Value {
+        serde_json::Value::Null
+    }
+    fn mean_of(&self, p: &PixelRect, _: usize, _: &dyn Progress) -> stemgen::Result<Array2<f64>> {
+        self.0.lock().unwrap().push(*p);
+        Ok(Array2::from_elem(p.shape, 0.1))
+    }
+    fn atoms(&self, _: &Region, _: usize) -> DisplacedAtoms {
+        unreachable!("tiles ask for no displaced atoms")
+    }
+    fn cost(&self, _: [usize; 2], _: usize) -> stemgen::Result<ImagingCost> {
+        unreachable!("tiles ask for no cost")
+    }
+}
+
+#[test]
+fn tiles_for_training_make_the_field_once_and_no_more() {
+    for (grid, pixels) in [([1, 1], 128 * 128), ([1, 2], 128 * 252)] {
+        let recipe = recipe("srtio3", grid);
+        let imager = Noting::default();
+        let options =
+            TrainingOptions { tiles: 40, size_px: 100, dose: [1e4; 2], sigma_px: 2.0, seed: 5 };
+        let specimen = specimen(&recipe).unwrap();
+        let set = training_set(&recipe, &*specimen, &imager, &options, &Silent).unwrap();
+        assert_eq!(set.images.shape(), [40, 100, 100]);
+        let asked = imager.0.into_inner().unwrap();
+        assert_eq!(asked.len(), grid[0] * grid[1], "{asked:?}");
+        assert_eq!(asked.iter().map(|p| p.shape[0] * p.shape[1]).sum::<usize>(), pixels);
     }
 }

@@ -125,7 +125,9 @@ fn options(setting: Setting) -> Option<&'static str> {
         S::SourceSizeAngstrom => Some("--source-size"),
         S::Detector | S::DetectorName | S::Detectors => Some("--detector"),
         S::Zone => Some("--zone and --up"),
-        S::Cell => Some("--zone u,v,w and --up, which build such a box"),
+        S::Cell => Some(
+            "--zone u,v,w and --up, which build such a box; --zone 0,0,1 looks along the cell's c axis",
+        ),
         S::Up => Some("--up"),
         S::Repeat | S::SupercellAtoms => Some("--repeat"),
         S::ThermalSigma => Some("--sigma, such as --sigma Sr=0.084,O=0.085"),

@@ -20,6 +20,7 @@ mod plan_report;
 mod plane_wave;
 mod progress_bar;
 mod recipe_args;
+mod reference_scan;
 mod scan_args;
 mod show_recipe_command;
 mod signals;

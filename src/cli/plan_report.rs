@@ -195,6 +195,22 @@ pub fn scan(scan: &Scan) -> String {
     format!("{n}: {columns} x {rows}, {x:.4} x {y:.4} A apart, from {x0:.3}, {y0:.3} A")
 }
 
+/// One line about the beam and the lens.
+pub fn beam(optics: &stemgen::optics::Optics) -> String {
+    let mut text = format!("{} keV, {} mrad", optics.energy_ev / 1e3, optics.semiangle_mrad);
+    for a in &optics.aberrations.0 {
+        text += &match (a.order, a.symmetry) {
+            (1, 0) => format!(", defocus {} A", -a.magnitude_angstrom),
+            (n, 0) => format!(", C{n}0 {} A", a.magnitude_angstrom),
+            (n, m) => {
+                let degrees = a.azimuth_rad.to_degrees();
+                format!(", C{n}{m} {} A at {degrees:.1} degrees", a.magnitude_angstrom)
+            }
+        };
+    }
+    text
+}
+
 /// A table of names and values.
 #[derive(Debug, Default)]
 pub struct Lines(Vec<(String, String)>);
@@ -203,6 +219,11 @@ impl Lines {
     /// Adds a line.
     pub fn add(&mut self, name: impl Into<String>, value: impl Into<String>) {
         self.0.push((name.into(), value.into()));
+    }
+
+    /// Names and values.
+    pub fn into_rows(self) -> Vec<(String, String)> {
+        self.0
     }
 
     /// The table, names and values in columns.

@@ -7,12 +7,12 @@ use super::progress_bar::Reporter;
 use super::simulate_command::{PlannedSeries, Simulate};
 use super::structure_args::Prepared;
 use super::{output, pictures, text};
-use ndarray::{Array3, Array4, Axis};
+use ndarray::{Array3, Axis};
 use num_complex::Complex32;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::time::Instant;
-use stemgen::engine::{Plan, Scan, SourceBlur, simulate};
+use stemgen::engine::{Scan, SourceBlur, simulate_series};
 use stemgen::io::hspy_file::write_hspy;
 use stemgen::io::image_file::{ExitWaves, ImageCounts, ImageStack, Origin, write_images};
 use stemgen::io::tiff_file::write_tiff;
@@ -173,12 +173,14 @@ impl Simulate {
     ) -> anyhow::Result<Vec<MadeImage>> {
         let [x, y, _] = specimen.size;
         let blur = self.source_blur(scan, [x, y])?;
+        let wide = blur.as_ref().map_or(scan, |b| b.scan());
+        let more = specimen.more_frames.iter().map(Vec::as_slice);
+        let frames: Vec<_> = std::iter::once(specimen.sites.as_slice()).chain(more).collect();
+        let series = simulate_series(&planned.plans, &frames, wide, reporter)?;
         let mut made = Vec::new();
-        for plan in &planned.plans {
-            let wide = blur.as_ref().map_or(scan, |b| b.scan());
-            let images = frames_mean(plan, specimen, wide, reporter)?;
+        for (plan, images) in planned.plans.iter().zip(&series) {
             for (i, detector) in plan.settings.detectors.iter().enumerate() {
-                let sharp = images.index_axis(Axis(1), i);
+                let sharp = images.data.index_axis(Axis(1), i);
                 let data = match &blur {
                     None => sharp.to_owned(),
                     Some(blur) => {
@@ -342,26 +344,6 @@ impl MadeImage {
         let share = |n: &u32| (f64::from(*n) / noise.electrons_per_pixel) as f32;
         MadeImage { name: noisy_name(&self.name), data: counts.map(share), ..*self }
     }
-}
-
-/// The mean over the frames of a trajectory, or the image of the one structure: (thickness, detector, y, x).
-fn frames_mean(
-    plan: &Plan,
-    specimen: &Prepared,
-    scan: &Scan,
-    reporter: &Reporter,
-) -> anyhow::Result<Array4<f32>> {
-    let first = simulate(plan, &specimen.sites, scan, reporter)?.data;
-    if specimen.more_frames.is_empty() {
-        return Ok(first);
-    }
-    let mut sum = first.mapv(f64::from);
-    for sites in &specimen.more_frames {
-        let frame = simulate(plan, sites, scan, reporter)?;
-        sum.zip_mut_with(&frame.data, |s, v| *s += f64::from(*v));
-    }
-    let count = (1 + specimen.more_frames.len()) as f64;
-    Ok(sum.mapv(|s| (s / count) as f32))
 }
 
 fn name_of(detector: &str, defocus: Option<f64>) -> String {

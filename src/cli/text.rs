@@ -2,6 +2,7 @@
 
 use anyhow::Context;
 use std::io::{ErrorKind, Write};
+pub use stemgen::progress::duration;
 
 /// Prints a line on standard output. A reader that has closed the pipe (`| head`) is no fault.
 pub fn print(text: &str) -> anyhow::Result<()> {
@@ -31,18 +32,6 @@ pub fn bytes(n: u64) -> String {
         0 => format!("{n} B"),
         _ if value < 9.95 => format!("{value:.1} {}", units[unit]),
         _ => format!("{value:.0} {}", units[unit]),
-    }
-}
-
-/// `0.4 s`, `45 s`, `3 min 20 s`, `2 h 05 min`, `3 d 04 h`.
-pub fn duration(seconds: f64) -> String {
-    let whole = seconds.max(0.0).round().min(1e15) as u64;
-    match whole {
-        0..10 => format!("{seconds:.1} s"),
-        10..100 => format!("{whole} s"),
-        100..6000 => format!("{} min {:02} s", whole / 60, whole % 60),
-        6000..360_000 => format!("{} h {:02} min", whole / 3600, whole % 3600 / 60),
-        _ => format!("{} d {:02} h", whole / 86_400, whole % 86_400 / 3600),
     }
 }
 

@@ -29,8 +29,9 @@ Examples:
     stemgen validate --reference haadf.zarr --structure atoms.xyz --detector HAADF=68-200
   The same from np.save(\"haadf.npy\", measurement.array), which does not tell axes and pixels, with
   abTEM's own numerics (its grid, slices and potentials):
-    stemgen validate --reference haadf.npy --axes xy --structure atoms.xyz --scan-end 3.905,3.905 \\
-      --like-abtem --gpts 300,300 --slice-thickness 1.9525
+    stemgen validate --reference haadf.npy --axes xy --structure atoms.xyz \\
+      --scan-start 0,0 --scan-end 3.905,3.905 --like-abtem \\
+      --gpts 300,300 --slice-thickness 1.9525
 
 Exit code: 0 if all numbers lie within their limits, 3 if not, 1 on errors.";
 
@@ -88,18 +89,22 @@ impl Validate {
         if !self.common.dry_run {
             check_outputs([&self.output], &read, self.overwrite)?;
         }
-        let (subject, outcomes) = match prepared {
+        let report = match prepared {
             Some(prepared) if self.common.dry_run => {
                 let (json, text) = prepared.planned();
                 self.common.print(&json, &text)?;
                 return Ok(ExitCode::SUCCESS);
             }
             Some(prepared) => {
-                ("an image of another program".to_owned(), vec![prepared.run(&reporter)?])
+                let outcome = prepared.run(&reporter)?;
+                Report::of_image(ReportOrigin::now(text::command_line()), outcome)
             }
-            None => (subject(&self.cases, self.quick).to_owned(), suite(&cases, &reporter)?),
+            None => {
+                let outcomes = suite(&cases, &reporter)?;
+                let origin = ReportOrigin::now(text::command_line());
+                Report::new(subject(&self.cases, self.quick), origin, outcomes)
+            }
         };
-        let report = Report::new(&subject, ReportOrigin::now(text::command_line()), outcomes);
         let page = suite_page(&report)?;
         stemgen::files::atomic_write::write(&self.output, page.as_bytes())?;
         self.common.print(&report, &summary(&report, &self.output))?;

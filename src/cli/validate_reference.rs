@@ -6,26 +6,26 @@ use super::hints::hinted;
 use super::imaging_args::{self, MicroscopeArgs, NumericsArgs};
 use super::plan_report::{self, Lines, PlanReport};
 use super::progress_bar::Reporter;
+use super::reference_scan::{asked_pixels, reference_scan};
 use super::scan_args::ScanArgs;
 use super::structure_args::{Prepared, SpecimenArgs};
 use super::values;
 use anyhow::{anyhow, bail};
 use clap::{Args, ValueEnum};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use stemgen::engine::{Cost, GridChoice, Plan, Scan, Settings};
 use stemgen::io::arrays::{self, ForeignArray};
 use stemgen::potential::slices::Slicing;
-use stemgen::progress::Progress;
+use stemgen::progress::Progress as _;
 use stemgen::validate::golden::like_abtem;
-use stemgen::validate::user::{self, ImageComparison, Order, Reference, ValueUnits};
-use stemgen::validate::{Lab, Outcome};
+use stemgen::validate::image_comparison::{ImageComparison, compare};
+use stemgen::validate::user::{self, Order, Reference, ValueUnits};
+use stemgen::validate::{NamedSetting, Outcome};
 
 /// abTEM's slice thickness unless another is asked for, in Angstrom.
 const ABTEM_SLICE_ANGSTROM: f64 = 1.0;
 const REMEDY: &str = "ours is converged in the grid, abTEM's images carry the error of theirs; --like-abtem with the --gpts and \
                       --slice-thickness of the reference computes as abTEM does, and tells whether that explains it";
-/// How far pixels of a file and of the options may differ.
-const SAME_PIXEL: f64 = 1e-3;
 
 /// Your own reference.
 #[derive(Debug, Args)]
@@ -88,6 +88,7 @@ enum UnitsName {
 /// Everything that a comparison needs.
 pub struct PreparedReference {
     name: String,
+    structure: String,
     reference: Reference,
     specimen: Prepared,
     plan: Plan,
@@ -149,27 +150,17 @@ impl ReferenceArgs {
         if self.like_abtem {
             settings = abtem_settings(&settings, &numerics, specimen.size)?;
         }
-        let size = [specimen.size[0], specimen.size[1]];
         let scan_args = self.scan.as_ref();
-        let asked = match scan_args {
-            Some(args) if args.scan_points.is_some() || args.scan_step.is_some() => {
-                Some(args.scan(size, &settings.optics)?)
-            }
-            _ => None,
-        };
+        let pixels = scan_args.map(|args| asked_pixels(args, &settings.optics)).transpose()?;
         let order = self.axes.map(|a| if a == AxesName::Xy { Order::Xy } else { Order::Yx });
-        let pixels = asked.map(|s| [s.shape[1], s.shape[0]]);
-        let mut reference = user::reference(&array, order, &self.index, pixels)?;
+        let mut reference = user::reference(&array, order, &self.index, pixels.flatten())?;
         let units = match self.units {
             UnitsName::Fraction => ValueUnits::Fraction,
             UnitsName::Percent => ValueUnits::Percent,
             UnitsName::Fitted => ValueUnits::Fitted,
         };
         user::in_fractions(&array, &mut reference.data, units)?;
-        let scan = match scan_args {
-            Some(args) => given_scan(args, size, &settings, &array, &reference)?,
-            None => told_scan(size, &array, &reference)?,
-        };
+        let scan = reference_scan(scan_args, &settings.optics, &array, &reference)?;
         let accuracy =
             AccuracyReport::choose(numerics.accuracy, &mut settings, &specimen, &scan, reporter)?;
         let plan = Plan::new(&settings, specimen.size, &specimen.heights)?;
@@ -178,7 +169,8 @@ impl ReferenceArgs {
         let converged = converged.map(planned).transpose()?;
         let accuracy = accuracy.map_or_else(String::new, |a| format!("; ours: {}", a.text()));
         Ok(Some(PreparedReference {
-            name: path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned(),
+            name: file_name(path),
+            structure: file_name(structure),
             source: format!("{} (x and y: {}){accuracy}", path.display(), reference.orientation),
             reference,
             specimen,
@@ -208,6 +200,10 @@ impl ReferenceArgs {
             }
         }
     }
+}
+
+fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
 }
 
 /// Refuses settings that the file contradicts.
@@ -256,72 +252,10 @@ fn abtem_settings(
     Ok(like_abtem(settings, GridChoice::Points(points), slice))
 }
 
-/// The scan that the file tells, or else one over the whole cell.
-fn told_scan(size: [f64; 2], array: &ForeignArray, reference: &Reference) -> anyhow::Result<Scan> {
-    if let Some(scan) = user::scan(reference) {
-        return Ok(scan);
-    }
-    let (rows, columns) = reference.data.dim();
-    let step_angstrom = [size[0] / columns as f64, size[1] / rows as f64];
-    let ratio = step_angstrom[0] / step_angstrom[1];
-    if !(0.5..=2.0).contains(&ratio) {
-        let fault = array.error(format!(
-            "has {columns} x {rows} pixels (x, y) and does not say where they are; over the whole cell of {:.3} x \
-             {:.3} A they would be {:.3} x {:.3} A",
-            size[0], size[1], step_angstrom[0], step_angstrom[1]
-        ));
-        return Err(hinted(
-            fault,
-            "--scan-start and --scan-end tell which part was scanned; is --axes right?",
-        ));
-    }
-    Ok(Scan { origin_angstrom: [0.0; 2], step_angstrom, shape: [rows, columns] })
-}
-
-/// The scan of the options, which must be that of the file.
-fn given_scan(
-    args: &ScanArgs,
-    size: [f64; 2],
-    settings: &Settings,
-    array: &ForeignArray,
-    reference: &Reference,
-) -> anyhow::Result<Scan> {
-    let (rows, columns) = reference.data.dim();
-    let scan = match args.scan_step.is_none() && args.scan_points.is_none() {
-        true => {
-            let points = ScanArgs { scan_points: Some([columns, rows]), ..args.clone() };
-            points.scan(size, &settings.optics)?
-        }
-        false => args.scan(size, &settings.optics)?,
-    };
-    if scan.shape != [rows, columns] {
-        let fault = array.error(format!(
-            "has {columns} x {rows} pixels (x, y), but the scan has {} x {}",
-            scan.shape[1], scan.shape[0]
-        ));
-        return Err(hinted(
-            fault,
-            "mend --scan-points or --scan-step, or leave them out; is --axes right?",
-        ));
-    }
-    if let Some(told) = reference.step_angstrom {
-        for i in 0..2 {
-            if (scan.step_angstrom[i] / told[i] - 1.0).abs() > SAME_PIXEL {
-                let fault = array.error(format!(
-                    "has pixels of {:.4} x {:.4} A, but the scan has {:.4} x {:.4} A",
-                    told[0], told[1], scan.step_angstrom[0], scan.step_angstrom[1]
-                ));
-                return Err(hinted(fault, "leave the options of the scan out: the file tells it"));
-            }
-        }
-    }
-    Ok(scan)
-}
-
 impl PreparedReference {
     /// What would be done.
     pub fn planned(&self) -> (PlanReport, String) {
-        let report = PlanReport::new(&self.plan, &Cost::new(&self.plan, &self.scan), 1);
+        let report = self.report();
         let mut lines = Lines::default();
         lines.add("reference", self.source.clone());
         lines.add("atoms", self.specimen.sites.len().to_string());
@@ -331,28 +265,40 @@ impl PreparedReference {
         (report, lines.text())
     }
 
+    fn report(&self) -> PlanReport {
+        PlanReport::new(&self.plan, &Cost::new(&self.plan, &self.scan), 1)
+    }
+
+    /// What ours is computed with.
+    fn settings(&self) -> Vec<NamedSetting> {
+        let settings = &self.plan.settings;
+        let [x, y, z] = self.specimen.size;
+        let mut lines = Lines::default();
+        lines.add("atoms", format!("{} in {x:.3} x {y:.3} x {z:.3} A", self.specimen.sites.len()));
+        lines.add("beam", plan_report::beam(&settings.optics));
+        let d = &settings.detectors[0];
+        lines.add("detector", format!("{}, {} to {} mrad", d.name, d.inner_mrad, d.outer_mrad));
+        lines.add("probes", plan_report::scan(&self.scan));
+        self.report().numerics(&mut lines);
+        if self.converged.is_some() {
+            lines.add("numerics", "abTEM's: potentials on the grid of the wave, even slices");
+        }
+        let named = |(name, value)| NamedSetting { name, value };
+        lines.into_rows().into_iter().map(named).collect()
+    }
+
     /// Simulates and compares.
     pub fn run(self, reporter: &Reporter) -> anyhow::Result<Outcome> {
-        let settings = &self.plan.settings;
-        let detector = &settings.detectors[0];
-        let [x, y, z] = self.specimen.size;
+        let detector = &self.plan.settings.detectors[0];
         let about = format!(
-            "{} ({:.0}-{:.0} mrad) of {} atoms in {x:.3} x {y:.3} x {z:.3} A; {} kV, {} mrad. Ours: {}. Probes: {}.",
-            detector.name,
-            detector.inner_mrad,
-            detector.outer_mrad,
-            self.specimen.sites.len(),
-            settings.optics.energy_ev / 1e3,
-            settings.optics.semiangle_mrad,
-            serde_json::to_string(settings)?,
-            plan_report::scan(&self.scan),
+            "{}, {:.0} to {:.0} mrad, of {}, computed by stemgen and compared with the image in {}.",
+            detector.name, detector.inner_mrad, detector.outer_mrad, self.structure, self.name,
         );
-        let probes = self.scan.len();
-        let simulations = 1 + usize::from(self.converged.is_some());
-        reporter.start("simulating", "probes", (probes * simulations) as u64);
+        let settings = self.settings();
         let comparison = ImageComparison {
             plan: &self.plan,
             sites: &self.specimen.sites,
+            cell_angstrom: [self.specimen.size[0], self.specimen.size[1]],
             scan: &self.scan,
             reference: &self.reference,
             units: self.units,
@@ -360,11 +306,10 @@ impl PreparedReference {
             tolerance: self.tolerance,
             name: self.name,
             about,
+            settings,
             source: self.source,
             remedy: self.remedy,
         };
-        let outcome = user::compare(&Lab::new(reporter, probes), &comparison)?;
-        reporter.finish();
-        Ok(outcome)
+        Ok(compare(reporter, &comparison)?)
     }
 }

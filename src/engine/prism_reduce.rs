@@ -42,8 +42,15 @@ struct Sums {
     region: Vec<Complex32>,
 }
 
+/// The exit waves of all beams, and how much of each a probe holds.
+struct LensBeams<'w> {
+    waves: &'w [Complex32],
+    amplitudes: &'w [Complex64],
+}
+
 impl Prism<'_> {
-    /// Intensities as fractions of the beam: (probe, recorded thickness, detector), row-major.
+    /// Intensities as fractions of the beam, (probe, recorded thickness, detector) row-major, through each of several lenses,
+    /// given by the amplitudes of their beams: the specimen does not know the lens, so beams are propagated once.
     ///
     /// # Errors
     /// [`Error::Interrupted`].
@@ -51,20 +58,24 @@ impl Prism<'_> {
         &mut self,
         transmission: &Transmission,
         scan: &Scan,
+        lenses: &[Vec<Complex64>],
         progress: &dyn Progress,
-    ) -> Result<Vec<f64>> {
+    ) -> Result<Vec<Vec<f64>>> {
         let detectors = self.plan.settings.detectors.len();
         let records = self.plan.record_after.len();
         let mut waves = Buffer::zeros(self.exit_plane() * self.beams.len());
-        let mut out = vec![0.0; scan.len() * detectors * records];
+        let mut out = vec![vec![0.0; scan.len() * detectors * records]; lenses.len()];
         let mut first = 0;
         let view = TransmissionView { transmission, origin: (0, 0) };
         for (r, &last) in self.plan.record_after.iter().enumerate() {
             self.propagate(&mut waves, view, first..last + 1, progress)?;
             first = last + 1;
-            for (probe, values) in self.reduce(&waves, scan, progress)? {
-                let at = (probe * records + r) * detectors;
-                out[at..at + detectors].copy_from_slice(&values);
+            for (amplitudes, out) in lenses.iter().zip(&mut out) {
+                let beams = LensBeams { waves: &waves, amplitudes };
+                for (probe, values) in self.reduce(&beams, scan, progress)? {
+                    let at = (probe * records + r) * detectors;
+                    out[at..at + detectors].copy_from_slice(&values);
+                }
             }
         }
         Ok(out)
@@ -73,7 +84,7 @@ impl Prism<'_> {
     /// Images from exit waves: for each probe, its index and its intensities on the detectors.
     fn reduce(
         &self,
-        waves: &[Complex32],
+        beams: &LensBeams,
         scan: &Scan,
         progress: &dyn Progress,
     ) -> Result<Vec<(usize, Vec<f64>)>> {
@@ -85,7 +96,7 @@ impl Prism<'_> {
         let per_band = across
             .par_iter()
             .map_init(Sums::default, |sums, band| {
-                self.reduce_columns(waves, scan, band, &down, sums, progress)
+                self.reduce_columns(beams, scan, band, &down, sums, progress)
             })
             .collect::<Result<Vec<_>>>()?;
         Ok(per_band.into_iter().flatten().collect())
@@ -147,14 +158,14 @@ impl Prism<'_> {
     /// All probes on a band of raster columns.
     fn reduce_columns(
         &self,
-        waves: &[Complex32],
+        beams: &LensBeams,
         scan: &Scan,
         band: &LineBand,
         down: &[LineBand],
         Sums { partial, region }: &mut Sums,
         progress: &dyn Progress,
     ) -> Result<Vec<(usize, Vec<f64>)>> {
-        self.sum_over_kx(waves, scan, band, partial);
+        self.sum_over_kx(beams, scan, band, partial);
         let runs = self.runs().len();
         let column_size = runs * self.exit.points[1] * band.len;
         let (mut wave, mut scratch) = (self.window_fft.buffer(), self.window_fft.scratch());
@@ -195,7 +206,7 @@ impl Prism<'_> {
     /// Sums over kx, `sum_kx A(k) exp(-2 pi i kx x) S_k`, as (raster column, ky, y, x within the band), row-major.
     fn sum_over_kx(
         &self,
-        waves: &[Complex32],
+        beams: &LensBeams,
         scan: &Scan,
         band: &LineBand,
         out: &mut Vec<Complex32>,
@@ -214,7 +225,7 @@ impl Prism<'_> {
                 .flat_map(|c| run.clone().map(move |b| (c, b)))
                 .map(|(c, b)| {
                     let u = scan.position(c)[0] / self.exit.extent_angstrom[0];
-                    single(self.amplitudes[b] * turn(self.beams[b][0], u))
+                    single(beams.amplitudes[b] * turn(self.beams[b][0], u))
                 })
                 .collect();
             for y in 0..ny {
@@ -222,7 +233,7 @@ impl Prism<'_> {
                 while x < band.len {
                     let column = (band.first + x as i64).rem_euclid(nx as i64) as usize;
                     let n = (band.len - x).min(nx - column);
-                    let source = &waves[run.start * plane + y * stride + column..];
+                    let source = &beams.waves[run.start * plane + y * stride + column..];
                     let target = &mut out[(r * ny + y) * band.len + x..];
                     multiply(
                         (count, n, k),

@@ -9,7 +9,7 @@ use super::probe_scan::Scan;
 use super::probe_tail::ProbeTail;
 use super::settings::Algorithm;
 use super::stepper::{Stepper, TransmissionView};
-use super::transmission::TransmissionBuilder;
+use super::transmission::{Transmission, TransmissionBuilder};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::structure::Site;
@@ -37,8 +37,13 @@ pub fn simulate(
 /// A plan made ready to run, for several specimens with the same box, mean heights and elements: all that does not depend on
 /// where exactly the atoms are is prepared once.
 pub struct Simulation<'a> {
-    plan: &'a Plan,
     builder: TransmissionBuilder<'a>,
+    lens: LensEngine<'a>,
+}
+
+/// What makes probes through one lens, and their images.
+pub(super) struct LensEngine<'a> {
+    plan: &'a Plan,
     engine: WaveEngine<'a>,
     tail: Option<ProbeTail<'a>>,
 }
@@ -48,6 +53,105 @@ enum WaveEngine<'a> {
     Prism(Box<Prism<'a>>),
 }
 
+impl<'a> LensEngine<'a> {
+    pub fn new(plan: &'a Plan) -> Self {
+        let engine = match plan.settings.algorithm {
+            Algorithm::Prism { .. } => WaveEngine::Prism(Box::new(Prism::new(plan))),
+            _ => WaveEngine::Multislice(Box::new(Multislice::new(plan))),
+        };
+        LensEngine { plan, engine, tail: ProbeTail::new(plan) }
+    }
+
+    /// The images of scans with a probe at every position, averaged over phonon configurations, through each of these
+    /// lenses. Their plans differ in nothing but aberrations, and `builder` is of one of them: transmission functions, and
+    /// with PRISM the waves, are made once for all.
+    ///
+    /// # Errors
+    /// Those of [`simulate()`].
+    pub fn images(
+        lenses: &mut [Self],
+        builder: &TransmissionBuilder<'a>,
+        sites: &[Site],
+        scan: &Scan,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Images>> {
+        let Some(plan) = lenses.first().map(|lens| lens.plan) else { return Ok(Vec::new()) };
+        let configurations = plan.settings.configurations();
+        let values = scan.len() * plan.record_after.len() * plan.settings.detectors.len();
+        let mut sums = vec![vec![0.0_f64; values]; lenses.len()];
+        let (units, unit) = units(plan, scan, lenses.len());
+        progress.start("simulating", unit, units * u64::from(configurations));
+        for configuration in 0..configurations {
+            let transmission = builder.build(sites, configuration, progress)?;
+            let each = Self::intensities(lenses, &transmission, scan, progress)?;
+            for (sum, values) in sums.iter_mut().zip(each) {
+                sum.iter_mut().zip(values).for_each(|(s, v)| *s += v);
+            }
+            builder.reclaim(transmission);
+        }
+        let images = lenses.iter().zip(sums).map(|(lens, sum)| lens.mean(sum, sites, scan));
+        let images = images.collect::<Result<Vec<_>>>()?;
+        progress.finish();
+        Ok(images)
+    }
+
+    /// Intensities in one configuration, (probe, recorded thickness, detector) row-major, for each lens.
+    fn intensities(
+        lenses: &mut [Self],
+        transmission: &Transmission,
+        scan: &Scan,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Vec<f64>>> {
+        let beams = |lens: &Self| match &lens.engine {
+            WaveEngine::Prism(prism) => Some(prism.amplitudes.clone()),
+            WaveEngine::Multislice(_) => None,
+        };
+        let amplitudes: Vec<_> = lenses.iter().filter_map(beams).collect();
+        if let Some(LensEngine { engine: WaveEngine::Prism(prism), .. }) = lenses.first_mut() {
+            return prism.run(transmission, scan, &amplitudes, progress);
+        }
+        let each = lenses.iter_mut().filter_map(|lens| match &mut lens.engine {
+            WaveEngine::Multislice(m) => Some(m.run(transmission, scan, progress)),
+            WaveEngine::Prism(_) => None,
+        });
+        each.collect()
+    }
+
+    /// The mean of sums over configurations, with the tail of the probe.
+    fn mean(&self, mut sum: Vec<f64>, sites: &[Site], scan: &Scan) -> Result<Images> {
+        let plan = self.plan;
+        let (records, detectors) = (plan.record_after.len(), plan.settings.detectors.len());
+        let n = f64::from(plan.settings.configurations());
+        if let Some(tail) = &self.tail {
+            let values = tail.values(sites, scan)?;
+            sum.iter_mut().zip(values).for_each(|(s, t)| *s += n * t);
+        }
+        let [rows, columns] = scan.shape;
+        let data = Array4::from_shape_fn((records, detectors, rows, columns), |(t, d, y, x)| {
+            (sum[((y * columns + x) * records + t) * detectors + d] / n) as f32
+        });
+        if let Some(bad) = data.iter().find(|v| !v.is_finite()) {
+            let expected =
+                "every pixel has to be finite; please report the settings that led to this";
+            return Err(Error::invalid(crate::Setting::Intensity, bad, expected));
+        }
+        Ok(Images {
+            data,
+            detectors: plan.settings.detectors.iter().map(|d| d.name.clone()).collect(),
+            thicknesses_angstrom: plan.thicknesses_angstrom(),
+        })
+    }
+}
+
+/// What one configuration counts as progress, through so many lenses.
+fn units(plan: &Plan, scan: &Scan, lenses: usize) -> (u64, &'static str) {
+    let probes = scan.len() * lenses;
+    match plan.beams {
+        0 => (probes as u64, "probes"),
+        beams => (((beams + probes) * plan.record_after.len().max(1)) as u64, "waves and probes"),
+    }
+}
+
 impl<'a> Simulation<'a> {
     /// Prepares simulations of specimens that hold no other elements (atomic numbers) than these.
     ///
@@ -55,11 +159,7 @@ impl<'a> Simulation<'a> {
     /// An element that the tables lack.
     pub fn new(plan: &'a Plan, elements: &[u8]) -> Result<Self> {
         let builder = TransmissionBuilder::new(plan, elements)?;
-        let engine = match plan.settings.algorithm {
-            Algorithm::Prism { .. } => WaveEngine::Prism(Box::new(Prism::new(plan))),
-            _ => WaveEngine::Multislice(Box::new(Multislice::new(plan))),
-        };
-        Ok(Simulation { plan, builder, engine, tail: ProbeTail::new(plan) })
+        Ok(Simulation { builder, lens: LensEngine::new(plan) })
     }
 
     /// The images of a scan, as [`simulate()`] gives them.
@@ -72,8 +172,10 @@ impl<'a> Simulation<'a> {
         scan: &Scan,
         progress: &dyn Progress,
     ) -> Result<Images> {
-        let raster = ProbeRaster::new(self.plan, scan)?;
-        Ok(raster.images(self.at_probes(sites, raster.scan(), progress)?))
+        let raster = ProbeRaster::new(self.lens.plan, scan)?;
+        let lens = std::slice::from_mut(&mut self.lens);
+        let mut images = LensEngine::images(lens, &self.builder, sites, raster.scan(), progress)?;
+        Ok(raster.images(images.remove(0)))
     }
 
     /// Intensities of the probes of these indices (row-major in the scan) in one phonon configuration, as fractions of the beam:
@@ -90,7 +192,7 @@ impl<'a> Simulation<'a> {
         configuration: u32,
         progress: &dyn Progress,
     ) -> Result<Vec<f64>> {
-        let WaveEngine::Multislice(multislice) = &mut self.engine else {
+        let WaveEngine::Multislice(multislice) = &mut self.lens.engine else {
             return Err(Error::invalid(
                 crate::Setting::Algorithm,
                 "prism",
@@ -100,60 +202,13 @@ impl<'a> Simulation<'a> {
         let transmission = self.builder.build(sites, configuration, progress)?;
         let mut values = multislice.run_some(&transmission, scan, indices, progress)?;
         self.builder.reclaim(transmission);
-        if let Some(tail) = &self.tail {
+        if let Some(tail) = &self.lens.tail {
             let tails = tail.values(sites, scan)?;
             values.iter_mut().zip(tails).for_each(|(v, t)| *v += t);
         }
-        let each = self.plan.settings.detectors.len() * self.plan.record_after.len();
+        let plan = self.lens.plan;
+        let each = plan.settings.detectors.len() * plan.record_after.len();
         Ok(indices.iter().flat_map(|i| values[i * each..][..each].iter().copied()).collect())
-    }
-
-    /// The images of a scan with a probe at every position.
-    fn at_probes(
-        &mut self,
-        sites: &[Site],
-        scan: &Scan,
-        progress: &dyn Progress,
-    ) -> Result<Images> {
-        let plan = self.plan;
-        let configurations = plan.settings.configurations();
-        let records = plan.record_after.len();
-        let detectors = plan.settings.detectors.len();
-        let mut sum = vec![0.0_f64; scan.len() * records * detectors];
-        let (units, unit) = match plan.beams {
-            0 => (scan.len(), "probes"),
-            beams => ((beams + scan.len()) * records.max(1), "waves and probes"),
-        };
-        progress.start("simulating", unit, units as u64 * u64::from(configurations));
-        for configuration in 0..configurations {
-            let transmission = self.builder.build(sites, configuration, progress)?;
-            let values = match &mut self.engine {
-                WaveEngine::Multislice(m) => m.run(&transmission, scan, progress)?,
-                WaveEngine::Prism(p) => p.run(&transmission, scan, progress)?,
-            };
-            sum.iter_mut().zip(values).for_each(|(s, v)| *s += v);
-            self.builder.reclaim(transmission);
-        }
-        let n = f64::from(configurations);
-        if let Some(tail) = &self.tail {
-            let values = tail.values(sites, scan)?;
-            sum.iter_mut().zip(values).for_each(|(s, t)| *s += n * t);
-        }
-        progress.finish();
-        let [rows, columns] = scan.shape;
-        let data = Array4::from_shape_fn((records, detectors, rows, columns), |(t, d, y, x)| {
-            (sum[((y * columns + x) * records + t) * detectors + d] / n) as f32
-        });
-        if let Some(bad) = data.iter().find(|v| !v.is_finite()) {
-            let expected =
-                "every pixel has to be finite; please report the settings that led to this";
-            return Err(Error::invalid(crate::Setting::Intensity, bad, expected));
-        }
-        Ok(Images {
-            data,
-            detectors: plan.settings.detectors.iter().map(|d| d.name.clone()).collect(),
-            thicknesses_angstrom: plan.thicknesses_angstrom(),
-        })
     }
 }
 

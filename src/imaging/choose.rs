@@ -15,7 +15,7 @@ use super::region_imager::RegionImager;
 use super::simulator::Simulator;
 use crate::engine::measure_speed;
 use crate::error::Result;
-use crate::progress::Progress;
+use crate::progress::{Progress, duration};
 use crate::recipe::CheckedRecipe;
 use crate::specimen::Specimen;
 
@@ -200,12 +200,7 @@ impl ImagingChoice {
         let speed = measure_speed(&run.plan, SPEED_MEASURED).steps_per_s;
         let steps = run.cost.waves() * run.cost.steps_per_wave;
         let seconds = blocks * steps * f64::from(run.plan.settings.configurations()) / speed;
-        Ok(match seconds {
-            s if s < 100.0 => format!("about {s:.0} s"),
-            s if s < 6e3 => format!("about {:.0} min", s / 60.0),
-            s if s < 3e5 => format!("about {:.0} h", s / 3600.0),
-            s => format!("about {:.0} days", s / 86400.0),
-        })
+        Ok(format!("about {}", duration(seconds)))
     }
 }
 

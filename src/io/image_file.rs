@@ -193,11 +193,13 @@ fn write_array<T: hdf5::H5Type + Clone>(
     builder.with_data(&data.as_standard_layout()).create(name)
 }
 
-/// The images once more, as NeXus has them.
+/// The images once more, as NeXus has them, and as Berkeley's EMD (version 0.2) does: `dim1` is another name of the first axis.
 fn write_entry(file: &File, images: &[ImageStack], counts: &[ImageCounts]) -> hdf5::Result<()> {
     let Some(first) = images.first() else { return Ok(()) };
     text(file, "NX_class", "NXroot")?;
     text(file, "default", "entry")?;
+    number(file, "version_major", 0_i64)?;
+    number(file, "version_minor", 2_i64)?;
     let entry = file.create_group("entry")?;
     text(&entry, "NX_class", "NXentry")?;
     text(&entry, "default", first.name)?;
@@ -220,14 +222,17 @@ fn write_nxdata(file: &File, data: &str, name: &str, stack: &ImageStack) -> hdf5
         number(&group, &format!("{axis}_indices"), n as i64)?;
     }
     group.link_soft(&format!("/{data}"), "data")?;
+    number(&group, "emd_group_type", 1_i64)?;
     let (_, rows, columns) = stack.data.dim();
     let along = |k: usize, n: usize| -> Vec<f64> {
         (0..n).map(|i| stack.origin_angstrom[k] + i as f64 * stack.step_angstrom[k]).collect()
     };
     let places = [stack.thicknesses_angstrom.to_vec(), along(1, rows), along(0, columns)];
-    for (axis, values) in AXES.iter().zip(places) {
+    for (n, (axis, values)) in AXES.iter().zip(places).enumerate() {
         let dataset = group.new_dataset_builder().with_data(&values).create(*axis)?;
         text(&dataset, "units", "angstrom")?;
+        text(&dataset, "name", axis)?;
+        group.link_soft(axis, &format!("dim{}", n + 1))?;
     }
     Ok(())
 }

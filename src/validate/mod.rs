@@ -2,11 +2,13 @@
 //! two worlds; and the reports that show them.
 //!
 //! The suite ([`suite::cases`]) is one list that users run (`stemgen validate`) and tests run. Each case
-//! returns [`Findings`]: numbers with their limits, and figures. [`user`] compares an image that somebody
-//! else computed; [`worlds`] compares two world files by statistics. [`report`] makes one HTML page of any.
+//! returns [`Findings`]: numbers with their limits, and figures. [`user`] reads an image that somebody else
+//! computed, [`image_comparison`] compares it and [`explain`] says what a difference may come from; [`worlds`] compares two world files by statistics. [`report`] makes one HTML page of any.
 
 pub mod difference;
+pub mod explain;
 pub mod golden;
+pub mod image_comparison;
 mod lab;
 pub mod report;
 pub mod statistics;
@@ -175,6 +177,15 @@ pub struct Findings {
     pub figures: Vec<Figure>,
 }
 
+/// A line of a table of settings.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct NamedSetting {
+    /// `wave grid`.
+    pub name: String,
+    /// With its unit.
+    pub value: String,
+}
+
 /// A case that was run.
 #[derive(Debug, Clone, Serialize)]
 pub struct Outcome {
@@ -186,6 +197,9 @@ pub struct Outcome {
     pub group: String,
     /// What is compared with what, and how.
     pub about: String,
+    /// What was computed with which settings, for the report.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub settings: Vec<NamedSetting>,
     /// Where the reference comes from.
     pub source: String,
     /// Fail if any check failed.

@@ -1,15 +1,10 @@
-//! An image that somebody else computed, against ours of the same structure.
+//! An image that somebody else computed: its orientation, its scan, its unit.
 //!
 //! abTEM's arrays are `[x, y]`, ours `[y, x]`. Which of the two a file holds is taken from what it says of
 //! itself, or from the caller, or from sizes that leave one possibility; never guessed.
 
-use std::time::Instant;
+use ndarray::{Array2, ArrayView2, Axis as Dimension, Ix2};
 
-use ndarray::{Array2, ArrayView2, Axis as Dimension, Ix2, s};
-
-use super::difference::{Difference, best_gain};
-use super::{Check, Figure, Findings, ImagePair, Lab, Limit, Outcome, Verdict, overall};
-use crate::engine::{Plan, Scan, Site};
 use crate::error::Result;
 use crate::io::arrays::{ArrayAxis, ForeignArray};
 use crate::setting::Setting;
@@ -179,16 +174,6 @@ fn check_finite(array: &ForeignArray, image: ArrayView2<f64>) -> Result<()> {
     }
 }
 
-/// The raster of a reference that tells its pixels; `None` if it does not.
-pub fn scan(reference: &Reference) -> Option<Scan> {
-    let (rows, columns) = reference.data.dim();
-    Some(Scan {
-        origin_angstrom: reference.origin_angstrom,
-        step_angstrom: reference.step_angstrom?,
-        shape: [rows, columns],
-    })
-}
-
 /// Values as fractions of the beam.
 ///
 /// # Errors
@@ -213,154 +198,6 @@ pub fn in_fractions(
         ));
     }
     Ok(())
-}
-
-/// What a comparison needs to know.
-pub struct ImageComparison<'a> {
-    /// Plan of the simulation, with one detector.
-    pub plan: &'a Plan,
-    /// The atoms.
-    pub sites: &'a [Site],
-    /// Probes on the pixels of the reference.
-    pub scan: &'a Scan,
-    /// The reference.
-    pub reference: &'a Reference,
-    /// What its values are.
-    pub units: ValueUnits,
-    /// Largest difference allowed, as a fraction of the reference's maximum.
-    pub tolerance: f64,
-    /// Name of the case.
-    pub name: String,
-    /// What is compared, for the report.
-    pub about: String,
-    /// The file.
-    pub source: String,
-    /// With the numerics of abTEM in `plan`: the same converged, so that the report tells what abTEM's grid and slices do.
-    pub converged: Option<&'a Plan>,
-    /// What to try if the images differ.
-    pub remedy: Option<String>,
-}
-
-/// Simulates and compares.
-///
-/// # Errors
-/// Those of the engine.
-pub fn compare(lab: &Lab, c: &ImageComparison) -> Result<Outcome> {
-    let begun = Instant::now();
-    let images = lab.execute(c.plan, c.sites, c.scan)?;
-    let ours = images.image(0, 0).mapv(f64::from);
-    let mut reference = c.reference.data.clone();
-    let mut findings = Findings::default();
-    if c.units == ValueUnits::Fitted {
-        let gain = best_gain(reference.view(), ours.view());
-        reference *= gain;
-        findings.checks.push(Check::shown("factor fitted to the reference", gain, ""));
-    }
-    let d = Difference::between(ours.view(), reference.view());
-    let limit = Limit::AtMost(100.0 * c.tolerance);
-    let largest = "largest difference, of the maximum of the reference";
-    findings.checks.splice(0..0, [Check::new(largest, 100.0 * d.largest, "%", limit)]);
-    findings.checks.extend([
-        Check::shown("rms difference, of the mean", 100.0 * d.rms, "%"),
-        Check::shown("ours is brighter on average by", 100.0 * d.bias, "%"),
-        Check::shown("correlation coefficient", d.correlation, ""),
-    ]);
-    let verdict = overall(findings.checks.iter().map(|c| &c.verdict));
-    let mut notes = Vec::new();
-    let mut both = None;
-    if let Some(plan) = c.converged {
-        let converged = lab.execute(plan, c.sites, c.scan)?.image(0, 0).mapv(f64::from);
-        let off = Difference::between(reference.view(), converged.view());
-        findings.checks.extend([
-            Check::shown(
-                "reference against the converged image: largest",
-                100.0 * off.largest,
-                "%",
-            ),
-            Check::shown("the reference is brighter on average by", 100.0 * off.bias, "%"),
-        ]);
-        both = Some(told_by_both(verdict == Verdict::Pass, &off, c.tolerance));
-    }
-    if verdict == Verdict::Fail {
-        let better = better_otherwise(&ours, &reference);
-        notes.extend(better.map(|how| {
-            format!("the reference {how} agrees much better: is the orientation or the scan right?")
-        }));
-        notes.extend(c.remedy.clone());
-    }
-    notes.extend(both);
-    let top = reference.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
-    findings.figures.push(Figure::Images(Box::new(ImagePair {
-        title: format!("{}: ours and the reference", images.detectors[0]),
-        ours,
-        reference,
-        step: c.scan.step_angstrom,
-        origin: c.scan.origin_angstrom,
-        axis_unit: "A",
-        unit: "fraction of the beam",
-        difference_scale: c.tolerance * top,
-        logarithmic: false,
-    })));
-    Ok(Outcome {
-        name: c.name.clone(),
-        title: format!("{} against {}", images.detectors[0], c.name),
-        group: "Your reference".into(),
-        about: c.about.clone(),
-        source: c.source.clone(),
-        verdict,
-        checks: findings.checks,
-        notes,
-        figures: findings.figures,
-        wall_time_s: begun.elapsed().as_secs_f64(),
-    })
-}
-
-/// What the two comparisons, in abTEM's numerics and converged, say together.
-fn told_by_both(same_numerics: bool, converged: &Difference, tolerance: f64) -> String {
-    let off = format!("{:.2} % of the maximum", 100.0 * converged.largest);
-    match (same_numerics, converged.largest <= tolerance) {
-        (true, true) => {
-            "in abTEM's numerics and converged, ours is the same as the reference".into()
-        }
-        (true, false) => format!(
-            "in abTEM's numerics ours is the same as the reference; converged in grid and slices the image differs by up to {off}: \
-             that is the error of abTEM's grid and slices"
-        ),
-        (false, _) => format!(
-            "abTEM's grid and slices do not explain the difference; the converged image differs from the reference by up to {off}"
-        ),
-    }
-}
-
-/// How many times smaller the difference must become to be worth a word.
-const MUCH_BETTER: f64 = 3.0;
-/// Pixels by which the reference is moved.
-const SHIFTS: i64 = 6;
-
-/// A transposition, mirror or shift of the reference that agrees much better.
-fn better_otherwise(ours: &Array2<f64>, reference: &Array2<f64>) -> Option<String> {
-    let rms = |image: ArrayView2<f64>| Difference::between(ours.view(), image).rms;
-    let now = rms(reference.view());
-    let mut found: Vec<(f64, String)> = Vec::new();
-    if reference.is_square() {
-        found.push((rms(reference.t()), "transposed".into()));
-    }
-    found.push((rms(reference.slice(s![..;-1, ..])), "mirrored along y".into()));
-    found.push((rms(reference.slice(s![.., ..;-1])), "mirrored along x".into()));
-    let (rows, columns) = reference.dim();
-    for dy in -SHIFTS..=SHIFTS {
-        for dx in -SHIFTS..=SHIFTS {
-            let wrap = |i: usize, d: i64, n: usize| (i as i64 - d).rem_euclid(n as i64) as usize;
-            let moved = Array2::from_shape_fn((rows, columns), |(y, x)| {
-                reference[[wrap(y, dy, rows), wrap(x, dx, columns)]]
-            });
-            if (dx, dy) != (0, 0) {
-                found.push((rms(moved.view()), format!("moved by {dx}, {dy} pixels (x, y)")));
-            }
-        }
-    }
-    let best = found.into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
-    best.filter(|(rms, _)| MUCH_BETTER * rms < now).map(|(_, name)| name)
 }
 
 #[cfg(test)]
@@ -438,16 +275,5 @@ mod tests {
         assert!(in_fractions(&file, &mut image, ValueUnits::Fraction).is_err());
         assert!(in_fractions(&file, &mut image, ValueUnits::Percent).is_ok());
         assert_eq!(image[[0, 0]], 0.03);
-    }
-
-    #[test]
-    fn a_better_orientation_is_found() {
-        let ours = Array2::from_shape_fn((9, 9), |(y, x)| ((x * x + 3 * y) % 7) as f64 + 1.0);
-        let of = |reference: &Array2<f64>| better_otherwise(&ours, reference);
-        assert_eq!(of(&ours), None);
-        assert_eq!(of(&ours.t().to_owned()), Some("transposed".into()));
-        assert_eq!(of(&ours.slice(s![..;-1, ..]).to_owned()), Some("mirrored along y".into()));
-        let moved = Array2::from_shape_fn((9, 9), |(y, x)| ours[[y, (x + 2) % 9]]);
-        assert_eq!(of(&moved), Some("moved by 2, 0 pixels (x, y)".into()));
     }
 }

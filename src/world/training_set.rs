@@ -148,7 +148,7 @@ fn draw(recipe: &CheckedRecipe, options: &TrainingOptions, tile: u64) -> ([usize
     (corner, libm::exp(low + uniform(2) * (high - low)))
 }
 
-/// Images put together from blocks of the full field.
+/// Images put together from blocks of the field that is built: no block reaches beyond it, so a small world is made once.
 struct TileBlocks<'a> {
     recipe: &'a CheckedRecipe,
     imager: &'a dyn RegionImager,
@@ -159,9 +159,13 @@ impl TileBlocks<'_> {
     fn image(&mut self, pixels: &PixelRect, progress: &dyn Progress) -> Result<Array2<f32>> {
         let PixelRect { first, shape, .. } = *pixels;
         let mut image = Array2::zeros(shape);
-        let range = |k: usize| first[k] / BLOCK_PX..=(first[k] + shape[k] - 1) / BLOCK_PX;
+        let origin = self.recipe.field.crop_origin_px();
+        let range = |k: usize| {
+            let at = first[k] - origin[k];
+            at / BLOCK_PX..=(at + shape[k] - 1) / BLOCK_PX
+        };
         for (row, column) in range(0).flat_map(|r| range(1).map(move |c| (r, c))) {
-            let start = [row * BLOCK_PX, column * BLOCK_PX];
+            let start = [origin[0] + row * BLOCK_PX, origin[1] + column * BLOCK_PX];
             let block = self.block([row, column], start, progress)?;
             let low = [0, 1].map(|k| first[k].max(start[k]));
             let high = [0, 1].map(|k| (first[k] + shape[k]).min(start[k] + BLOCK_PX));
@@ -180,8 +184,9 @@ impl TileBlocks<'_> {
         progress: &dyn Progress,
     ) -> Result<&Array2<f32>> {
         if !self.made.contains_key(&index) {
-            let full = self.recipe.field.pixels(self.recipe.field.grid);
-            let shape = [0, 1].map(|k| BLOCK_PX.min(full[k] - start[k]));
+            let field = &self.recipe.field;
+            let (origin, built) = (field.crop_origin_px(), field.pixels(field.built_grid()));
+            let shape = [0, 1].map(|k| BLOCK_PX.min(origin[k] + built[k] - start[k]));
             let configurations = self.recipe.phonons.configurations.max(1);
             let made =
                 self.imager.mean_of(&PixelRect::new(start, shape), configurations, progress)?;

@@ -14,6 +14,12 @@ with h5py.File(sys.argv[1]) as f:
     assert entry.attrs["default"] == names[0]
     for name, group in entry.items():
         assert group.attrs["NX_class"] == "NXdata" and group.attrs["signal"] == "data"
+        # Berkeley's EMD, as ncempy reads it
+        assert group.attrs["emd_group_type"] == 1 and f.attrs["version_minor"] == 2
+        for n, axis in enumerate(group.attrs["axes"]):
+            dim = group[f"dim{n + 1}"]
+            assert len(dim) == group["data"].shape[n] and dim.attrs["units"] == "angstrom"
+            assert dim.attrs["name"] == axis and (dim[:] == group[axis][:]).all()
         data = group[group.attrs["signal"]]
         axes = list(group.attrs["axes"])
         assert axes == ["thickness", "y", "x"]

@@ -5,6 +5,7 @@ mod build;
 mod cache;
 mod checks;
 mod compare;
+mod docs;
 mod errors;
 mod help;
 #[path = "../common/python.rs"]

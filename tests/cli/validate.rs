@@ -36,7 +36,7 @@ fn square() -> Array2<f64> {
     array.data.into_dimensionality().unwrap()
 }
 
-const HALF_CELL: [&str; 2] = ["--scan-end", "3.905,1.9525"];
+const HALF_CELL: [&str; 4] = ["--scan-start", "0,0", "--scan-end", "3.905,1.9525"];
 
 #[test]
 fn the_suite_runs_without_the_repository() {
@@ -112,19 +112,8 @@ fn an_image_of_abtem_is_reproduced() {
 
 #[test]
 fn a_tiff_of_abtem_tells_its_axes() {
-    use tiff::encoder::{TiffEncoder, colortype::Gray32Float};
     let folder = tempfile::tempdir().unwrap();
-    let image = stemgen::io::arrays::read(Path::new(&reference("haadf.zarr")), None).unwrap().data;
-    let values: Vec<f32> = image.iter().map(|v| *v as f32).collect();
-    let description = std::fs::read_to_string(reference("metadata.json")).unwrap();
-    let file = std::fs::File::create(folder.path().join("a.tif")).unwrap();
-    let mut encoder = TiffEncoder::new(file).unwrap();
-    let (rows, columns) = (image.shape()[0] as u32, image.shape()[1] as u32);
-    let mut page = encoder.new_image::<Gray32Float>(columns, rows).unwrap();
-    // tifffile writes plain ASCII; the Angstrom sign is escaped
-    page.encoder().write_tag(tiff::tags::Tag::ImageDescription, description.trim()).unwrap();
-    page.write_data(&values).unwrap();
-    let error = largest(&mut against(folder.path(), "a.tif", &[]));
+    let error = largest(&mut against(folder.path(), &reference("haadf.tif"), &[]));
     assert!(error < 0.01, "{error} %");
 }
 
@@ -161,11 +150,94 @@ fn a_different_image_fails_with_3_and_says_what_may_be_wrong() {
     let report: serde_json::Value = serde_json::from_str(&stdout(&run)).unwrap();
     assert_eq!(report["verdict"], "fail");
     let note = report["cases"][0]["notes"][0].as_str().unwrap();
-    assert!(note.contains("transposed agrees much better"), "{note}");
+    assert!(note.contains("the reference transposed (x and y exchanged) explains"), "{note}");
+    let summary = report["summary"].as_str().unwrap();
+    let cited = "differs from square.npy (HAADF, 68 to 200 mrad, of srtio3.xyz";
+    assert!(summary.contains(cited) && summary.contains("(allowed: at most 1 %)"), "{summary}");
+    let page = std::fs::read_to_string(folder.path().join("validation.html")).unwrap();
+    assert!(
+        page.contains("Colours of the difference end at")
+            && page.contains("the largest difference")
+    );
     // another microscope
     let mut command =
         against(folder.path(), &image, &["--axes", "xy", "--defocus", "60", "--quiet"]);
     assert_eq!(command.args(HALF_CELL).status().unwrap().code(), Some(3));
+}
+
+/// Ours with a scan that starts at 0.31, 0.2 A, in abTEM's numerics.
+fn moved_scan(folder: &Path) {
+    let arguments = ["simulate", &reference("srtio3.xyz"), "-o", "moved.h5", "--quiet"];
+    let scan = ["--scan-start", "0.31,0.2", "--scan-end", "4.215,4.105", "--scan-points", "8,8"];
+    let numerics = ["--gpts", "200,200", "--slice-thickness", "1.9525"];
+    let mut command = stemgen(folder);
+    let run = command.args(arguments).args(scan).args(numerics).output().unwrap();
+    assert!(run.status.success(), "{}", stderr(&run));
+}
+
+/// The note and the numbers of a comparison that fails.
+fn told_of_a_failure(command: &mut Command) -> (String, Vec<(String, f64)>) {
+    let run = command.arg("--json").output().unwrap();
+    assert_eq!(run.status.code(), Some(3), "{}", stderr(&run));
+    let report: serde_json::Value = serde_json::from_str(&stdout(&run)).unwrap();
+    let case = &report["cases"][0];
+    let checks = case["checks"].as_array().unwrap().iter();
+    let numbers =
+        checks.map(|c| (c["what"].as_str().unwrap().into(), c["value"].as_f64().unwrap()));
+    (case["notes"][0].as_str().unwrap().into(), numbers.collect())
+}
+
+#[test]
+fn a_scan_that_starts_elsewhere_and_a_factor_are_found_and_their_share_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    moved_scan(folder.path());
+    let image = stemgen::io::arrays::read(&folder.path().join("moved.h5"), None).unwrap().data;
+    let (rows, columns) = (image.shape()[1], image.shape()[2]);
+    let image: Array2<f64> = image.into_shape_with_order((rows, columns)).unwrap();
+    array_npy(&folder.path().join("moved.npy"), &image);
+    let ours = |file: &str, more: &[&str]| {
+        let mut command = stemgen(folder.path());
+        command.args(["validate", "--reference", file, "--structure", &reference("srtio3.xyz")]);
+        command.args(["--gpts", "200,200", "--slice-thickness", "1.9525", "--overwrite"]);
+        command.args(["--axes", "yx", "--tolerance", "0.1"]).args(more);
+        command
+    };
+    let wrong = ["--scan-start", "0,0", "--scan-end", "3.905,3.905"];
+    let (note, numbers) = told_of_a_failure(&mut ours("moved.npy", &wrong));
+    assert!(note.contains("a scan that starts 0.3") && note.contains("explains"), "{note}");
+    let (what, left) = numbers.iter().find(|(what, _)| what.contains("simulated")).unwrap();
+    assert!(*left < 0.5, "{what}: {left} % of {note}");
+    let rms = numbers.iter().find(|(what, _)| what.starts_with("rms difference, of")).unwrap().1;
+    assert!(rms > 20.0 * left, "{rms} {left}");
+    // the right start, with the pixels by their step
+    let right = ["--scan-start", "0.31,0.2", "--scan-step", "0.488125"];
+    assert!(largest(&mut ours("moved.npy", &right)) < 1e-3);
+    array_npy(&folder.path().join("bright.npy"), &(image * 1.25));
+    let right = ["--scan-start", "0.31,0.2", "--scan-end", "4.215,4.105"];
+    let (note, _) = told_of_a_failure(&mut ours("bright.npy", &right));
+    assert!(note.starts_with("the reference times 0.8000 explains"), "{note}");
+}
+
+#[test]
+fn a_start_is_enough_where_the_file_tells_the_pixels() {
+    let folder = tempfile::tempdir().unwrap();
+    let zarr = reference("haadf.zarr");
+    let report =
+        json(against(folder.path(), &zarr, &["--scan-start", "3.905,0"]).args(["-o", "one.html"]));
+    // one period further on
+    assert_eq!(report["verdict"], "pass");
+    let settings = report["cases"][0]["settings"].as_array().unwrap();
+    let value = |name: &str| {
+        let row = settings.iter().find(|s| s["name"] == name).unwrap();
+        row["value"].as_str().unwrap().to_owned()
+    };
+    assert!(value("probes").contains("from 3.905, 0.000 A"), "{settings:?}");
+    assert_eq!(value("beam"), "200 keV, 21 mrad, defocus 0.97625 A");
+    let summary = report["summary"].as_str().unwrap();
+    assert!(summary.contains("agrees with haadf.zarr") && !summary.contains("cases"), "{summary}");
+    let page = std::fs::read_to_string(folder.path().join("one.html")).unwrap();
+    assert!(page.contains("<td>wave grid</td>") && !page.contains("energy_ev"), "no table");
+    assert!(page.contains("the limit, 1.000 % of the maximum"), "no scale");
 }
 
 #[test]
@@ -190,6 +262,9 @@ fn nothing_is_guessed_and_bad_files_are_named() {
             &["--axes", "xy", "--scan-points", "5,7"],
             "5 x 5 pixels (x, y), but the scan has 5 x 7",
         ),
+        (&square, &xy, "give --scan-start X,Y and --scan-end X,Y"),
+        (&square, &["--axes", "xy", "--scan-end", "1,1"], "give --scan-start X,Y:"),
+        (&square, &["--axes", "xy", "--scan-start", "1,1"], "give --scan-end X,Y, or --scan-step"),
         (&zarr, &["--axes", "yx"], "its axes are x, y"),
         (&zarr, &["--energy", "300"], "200 keV"),
         (&zarr, &["--scan-end", "1,1"], "pixels of 0.6508 x 0.976"),

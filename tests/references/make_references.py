@@ -6,7 +6,7 @@
 srtio3.xyz      SrTiO3 [001], 2 x 2 x 2 cells, planes at 1/4 and 3/4 of a cell, atoms on grid points
 haadf.zarr      HAADF 68-200 mrad, 6 x 4 probes (x, y) over one cell, measurement.to_zarr
 square.npy      the same detector, 5 x 5 probes over a whole cell along x and half a cell along y, np.save of measurement.array
-metadata.json   what measurement.to_tiff writes as the description of a TIFF, of haadf.zarr
+haadf.tif       the same by measurement.to_tiff: two ImageDescription tags, abTEM's and one of tifffile's
 """
 
 import shutil
@@ -36,5 +36,5 @@ def image(end, gpts):
 oblong = image((A, A), (6, 4))
 shutil.rmtree(HERE / "haadf.zarr", ignore_errors=True)
 oblong.to_zarr(str(HERE / "haadf.zarr"))
-(HERE / "metadata.json").write_text(oblong._metadata_to_json() + "\n")
+oblong.to_tiff(str(HERE / "haadf.tif"))
 np.save(HERE / "square.npy", image((A, A / 2), (5, 5)).array)

@@ -4,6 +4,11 @@ use serde_json::Value;
 
 use super::{ArrayAxis, ForeignArray};
 
+/// Whether this is abTEM's description, and not one of another program.
+pub fn describes(metadata: &Value) -> bool {
+    metadata["axes"].is_object()
+}
+
 /// Takes over what a description says, if it fits the array.
 pub fn describe(array: &mut ForeignArray, metadata: &Value) {
     let number = |key: &str| metadata[key].as_f64();

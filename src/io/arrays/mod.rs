@@ -4,7 +4,7 @@
 //! |---|---|
 //! | `.npy`, `.npz` | nothing |
 //! | zarr, format 2 or 3 (`measurement.to_zarr`) | abTEM's metadata |
-//! | `.tif`, `.tiff` (`measurement.to_tiff`) | abTEM's metadata in the description |
+//! | `.tif`, `.tiff` (`measurement.to_tiff`) | abTEM's metadata in one of the descriptions |
 //! | `.h5`, `.hdf5` | the attributes of [`super::image_file`]; nothing in other files |
 
 mod abtem_metadata;
@@ -12,6 +12,7 @@ mod hdf;
 mod number_type;
 mod numpy;
 mod tagged;
+mod tiff_descriptions;
 mod zarr;
 
 use std::path::{Path, PathBuf};

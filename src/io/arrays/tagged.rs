@@ -7,9 +7,8 @@ use std::path::Path;
 use ndarray::{ArrayD, IxDyn};
 use tiff::ColorType;
 use tiff::decoder::{Decoder, DecodingResult};
-use tiff::tags::Tag;
 
-use super::{ForeignArray, abtem_metadata, held, nameless};
+use super::{ForeignArray, abtem_metadata, held, nameless, tiff_descriptions};
 use crate::error::{Error, Result};
 
 /// Pixels that a byte of a file may stand for: LZW and deflate pack up to some thousands of equal ones in one.
@@ -27,7 +26,6 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
         )
     };
     let mut decoder = Decoder::new(BufReader::new(file)).map_err(bad)?;
-    let description = decoder.get_tag_ascii_string(Tag::ImageDescription).unwrap_or_default();
     let (mut pages, mut values, mut shape) = (0, Vec::new(), (0, 0));
     loop {
         let page = page(&mut decoder, bytes).map_err(bad)?;
@@ -57,7 +55,9 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     let data = ArrayD::from_shape_vec(dimensions, values)
         .map_err(|e| Error::parse(path, 0, format!("is a damaged TIFF ({e})")))?;
     let mut array = ForeignArray::plain(path, "", data);
-    if let Ok(metadata) = serde_json::from_str(&description) {
+    let descriptions = tiff_descriptions::all(path);
+    let told = descriptions.iter().filter_map(|text| serde_json::from_str(text).ok());
+    if let Some(metadata) = told.into_iter().find(abtem_metadata::describes) {
         abtem_metadata::describe(&mut array, &metadata);
     }
     Ok(array)

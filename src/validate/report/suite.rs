@@ -5,7 +5,7 @@ use serde::Serialize;
 use super::page::{checks, escape, limit, page, verdict};
 use super::{ReportOrigin, image_pair, number, plot};
 use crate::error::Result;
-use crate::validate::{Check, Figure, Outcome, Verdict, overall};
+use crate::validate::{Check, Figure, NamedSetting, Outcome, Verdict, overall};
 
 /// Everything that was found, as `--json` prints it.
 #[derive(Debug, Serialize)]
@@ -43,6 +43,33 @@ impl Report {
         if !failed.is_empty() {
             summary += &format!(" Failed: {}.", failed.join(", "));
         }
+        Report::with(summary, origin, cases)
+    }
+
+    /// Of an image of another program: its case and what was measured, in a sentence.
+    pub fn of_image(origin: ReportOrigin, case: Outcome) -> Self {
+        let measured = |check: &Check| {
+            let limit = match limit(check) {
+                text if text.is_empty() => text,
+                text => format!(" (allowed: {text})"),
+            };
+            format!("{} {} {}{limit}", check.what, number(check.value), check.unit)
+        };
+        let numbers: Vec<_> = case.checks.iter().take(SENTENCE).map(measured).collect();
+        let verb = if case.verdict == Verdict::Fail { "differs from" } else { "agrees with" };
+        let summary = format!(
+            "stemgen {} {verb} {} ({}) on {} ({}): {}.",
+            origin.stemgen_version,
+            case.name,
+            case.about.trim_end_matches('.'),
+            origin.date,
+            origin.machine,
+            numbers.join("; ")
+        );
+        Report::with(summary, origin, vec![case])
+    }
+
+    fn with(summary: String, origin: ReportOrigin, cases: Vec<Outcome>) -> Self {
         Report {
             verdict: overall(cases.iter().map(|c| &c.verdict)),
             summary,
@@ -52,6 +79,9 @@ impl Report {
         }
     }
 }
+
+/// Numbers of an image that its sentence tells: the largest difference and the rms.
+const SENTENCE: usize = 2;
 
 /// The report as one HTML page.
 ///
@@ -104,7 +134,7 @@ fn contents(cases: &[Outcome]) -> String {
 fn section(case: &Outcome) -> Result<String> {
     let mut html = format!(
         "<section id=\"{}\"><h3>{} {}</h3>\n<p class=\"about\">{}</p>\n<p class=\"source\">Reference: {} \
-         (case <code>{}</code>, {:.1} s)</p>\n{}",
+         (case <code>{}</code>, {:.1} s)</p>\n{}{}",
         escape(&case.name),
         escape(&case.title),
         verdict(case.verdict),
@@ -112,6 +142,7 @@ fn section(case: &Outcome) -> Result<String> {
         escape(&case.source),
         escape(&case.name),
         case.wall_time_s,
+        settings(&case.settings),
         checks(&case.checks)
     );
     for note in &case.notes {
@@ -129,6 +160,18 @@ fn section(case: &Outcome) -> Result<String> {
         );
     }
     Ok(html + "</section>\n")
+}
+
+/// What ours was computed with.
+fn settings(settings: &[NamedSetting]) -> String {
+    if settings.is_empty() {
+        return String::new();
+    }
+    let row = |s: &NamedSetting| {
+        format!("<tr><td>{}</td><td>{}</td></tr>\n", escape(&s.name), escape(&s.value))
+    };
+    let rows: String = settings.iter().map(row).collect();
+    format!("<table><tr><th>computed with</th><th></th></tr>\n{rows}</table>\n")
 }
 
 /// Figures of a case that need no click.

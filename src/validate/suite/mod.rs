@@ -120,6 +120,7 @@ impl Case {
             title: self.title.to_owned(),
             group: self.group.title().to_owned(),
             about: self.about.to_owned(),
+            settings: Vec::new(),
             source: self.source.to_owned(),
             verdict: overall(findings.checks.iter().map(|c| &c.verdict)),
             checks: findings.checks,

@@ -1,0 +1,170 @@
+//! Images of one specimen through several lenses: a defocus series.
+//!
+//! The specimen does not know the lens. Plans that differ in nothing but aberrations share the transmission functions,
+//! and with PRISM the propagated waves, which is nearly all of the work. Every image has the bytes that
+//! [`simulate()`](super::simulate()) gives it alone.
+
+use super::detector_images::Images;
+use super::plan::Plan;
+use super::probe_raster::ProbeRaster;
+use super::probe_scan::Scan;
+use super::simulate::{LensEngine, elements};
+use super::transmission::TransmissionBuilder;
+use crate::error::Result;
+use crate::progress::{Progress, ProgressShare};
+use crate::structure::Site;
+
+/// The images of a scan by each plan, averaged over frames (sites) of a trajectory, of which there is at least one.
+///
+/// # Errors
+/// Those of [`simulate()`](super::simulate()).
+pub fn simulate_series(
+    plans: &[Plan],
+    frames: &[&[Site]],
+    scan: &Scan,
+    progress: &dyn Progress,
+) -> Result<Vec<Images>> {
+    let total: usize = plans.iter().map(|plan| probes(plan, scan) * frames.len()).sum();
+    progress.start("simulating", "probes", total as u64);
+    let mut all = Vec::new();
+    for group in plans.chunk_by(differ_in_the_lens) {
+        all.extend(group_images(group, frames, scan, progress)?);
+    }
+    progress.finish();
+    Ok(all)
+}
+
+/// Of one image of one frame, for the bar.
+fn probes(plan: &Plan, scan: &Scan) -> usize {
+    scan.len() * plan.settings.configurations() as usize
+}
+
+fn differ_in_the_lens(one: &Plan, other: &Plan) -> bool {
+    let mut alike = other.clone();
+    alike.settings.optics.aberrations = one.settings.optics.aberrations.clone();
+    alike.warnings.clone_from(&one.warnings);
+    alike == *one
+}
+
+/// Of plans that differ in nothing but aberrations.
+fn group_images(
+    plans: &[Plan],
+    frames: &[&[Site]],
+    scan: &Scan,
+    progress: &dyn Progress,
+) -> Result<Vec<Images>> {
+    let all: Vec<Site> = frames.iter().flat_map(|sites| sites.iter().copied()).collect();
+    let raster = ProbeRaster::new(&plans[0], scan)?;
+    let builder = TransmissionBuilder::new(&plans[0], &elements(&all))?;
+    let mut lenses: Vec<LensEngine> = plans.iter().map(LensEngine::new).collect();
+    let mut sums = Vec::new();
+    for (number, sites) in frames.iter().enumerate() {
+        let share = ProgressShare::new(progress, plans.iter().map(|plan| probes(plan, scan)).sum());
+        let images = LensEngine::images(&mut lenses, &builder, sites, raster.scan(), &share)?;
+        share.complete();
+        let images = images.into_iter().map(|i| raster.images(i));
+        if frames.len() == 1 {
+            return Ok(images.collect());
+        }
+        for (lens, images) in images.enumerate() {
+            match number {
+                0 => sums.push((images.data.mapv(f64::from), images)),
+                _ => sums[lens].0.zip_mut_with(&images.data, |s, v| *s += f64::from(*v)),
+            }
+        }
+    }
+    let count = frames.len() as f64;
+    let mean = |(sum, images): (ndarray::Array4<f64>, Images)| Images {
+        data: sum.mapv(|s| (s / count) as f32),
+        ..images
+    };
+    Ok(sums.into_iter().map(mean).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::engine::{Algorithm, Phonons, Settings, simulate};
+    use crate::optics::Aberrations;
+    use crate::progress::Silent;
+
+    fn sites() -> Vec<Site> {
+        let atoms = [([1.0, 1.2, 1.0], 38), ([3.1, 3.0, 3.0], 22), ([2.9, 0.9, 3.1], 8)];
+        let site = |(key, (position, number))| Site { position, number, sigma_angstrom: 0.08, key };
+        (0..).zip(atoms).map(site).collect()
+    }
+
+    fn plans(algorithm: Algorithm) -> Vec<Plan> {
+        let plan = |defocus: f64| {
+            let mut settings = Settings { algorithm, ..Settings::default() };
+            settings.optics.aberrations = Aberrations::defocus(defocus);
+            settings.phonons = Some(Phonons { configurations: 2, seed: 3 });
+            Plan::new(&settings, [16.0, 16.0, 4.0], &[1.0, 3.0, 3.1]).unwrap()
+        };
+        [0.0, 40.0, -25.0].map(plan).to_vec()
+    }
+
+    /// Records what a bar would show.
+    #[derive(Default)]
+    struct Bars(std::sync::Mutex<(Vec<u64>, u64)>);
+
+    impl Progress for Bars {
+        fn start(&self, _: &str, _: &str, total: u64) {
+            self.0.lock().unwrap().0.push(total);
+        }
+        fn advance(&self, n: u64) {
+            self.0.lock().unwrap().1 += n;
+        }
+        fn finish(&self) {}
+        fn warn(&self, _: &str) {}
+        fn interrupted(&self) -> bool {
+            false
+        }
+    }
+
+    #[test]
+    fn a_series_has_the_bytes_of_single_runs_under_one_bar() {
+        let scan = Scan { origin_angstrom: [0.5, 0.2], step_angstrom: [0.4; 2], shape: [5, 6] };
+        let sites = sites();
+        for algorithm in [
+            Algorithm::Multislice,
+            Algorithm::Prism { interpolation: [1, 1] },
+            Algorithm::Prism { interpolation: [2, 2] },
+            Algorithm::Window { width_angstrom: 7.8 },
+        ] {
+            let plans = plans(algorithm);
+            assert!(plans.windows(2).all(|p| differ_in_the_lens(&p[0], &p[1])));
+            let bars = Bars::default();
+            let series = simulate_series(&plans, &[&sites], &scan, &bars).unwrap();
+            for (plan, images) in plans.iter().zip(&series) {
+                assert_eq!(
+                    *images,
+                    simulate(plan, &sites, &scan, &Silent).unwrap(),
+                    "{algorithm:?}"
+                );
+            }
+            assert_ne!(series[0].data, series[1].data);
+            let (totals, done) = bars.0.into_inner().unwrap();
+            assert_eq!((totals, done), (vec![3 * 2 * 30], 3 * 2 * 30));
+        }
+    }
+
+    #[test]
+    fn frames_are_averaged_and_other_plans_stand_alone() {
+        let scan = Scan { origin_angstrom: [0.5, 0.2], step_angstrom: [0.4; 2], shape: [2, 3] };
+        let (first, mut second) = (sites(), sites());
+        second.iter_mut().for_each(|s| s.position[0] += 0.2);
+        let mut plans = plans(Algorithm::Multislice);
+        let finer = Settings { band_fraction: 0.7, ..plans[0].settings.clone() };
+        plans.insert(1, Plan::new(&finer, [16.0, 16.0, 4.0], &[1.0, 3.0, 3.1]).unwrap());
+        assert!(!differ_in_the_lens(&plans[0], &plans[1]));
+        let series = simulate_series(&plans, &[&first, &second], &scan, &Silent).unwrap();
+        for (plan, images) in plans.iter().zip(&series) {
+            let one = simulate(plan, &first, &scan, &Silent).unwrap().data;
+            let two = simulate(plan, &second, &scan, &Silent).unwrap().data;
+            for ((mean, a), b) in images.data.iter().zip(&one).zip(&two) {
+                assert_eq!(*mean, ((f64::from(*a) + f64::from(*b)) / 2.0) as f32);
+            }
+        }
+    }
+}

@@ -1,0 +1,251 @@
+//! Our image of a structure against one that somebody else computed.
+
+use std::time::Instant;
+
+use ndarray::Array2;
+
+use super::difference::{Difference, best_gain};
+use super::explain::{self, Explanation, MUCH_BETTER};
+use super::user::{Reference, ValueUnits};
+use super::{
+    Check, Figure, Findings, ImagePair, Lab, Limit, NamedSetting, Outcome, Verdict, overall,
+};
+use crate::engine::{Plan, Scan, Site};
+use crate::error::Result;
+use crate::progress::Progress;
+
+/// How often a moved scan is simulated: found, then found better.
+const MOST_SCANS: usize = 2;
+/// A rms difference that no one looks into any more, of the mean.
+const NOTHING_LEFT: f64 = 1e-5;
+
+/// What a comparison needs to know.
+pub struct ImageComparison<'a> {
+    /// Plan of the simulation, with one detector.
+    pub plan: &'a Plan,
+    /// The atoms.
+    pub sites: &'a [Site],
+    /// The cell along x and y in Angstrom.
+    pub cell_angstrom: [f64; 2],
+    /// Probes on the pixels of the reference.
+    pub scan: &'a Scan,
+    /// The reference.
+    pub reference: &'a Reference,
+    /// What its values are.
+    pub units: ValueUnits,
+    /// Largest difference allowed, as a fraction of the reference's maximum.
+    pub tolerance: f64,
+    /// Name of the case.
+    pub name: String,
+    /// What is compared, for the report.
+    pub about: String,
+    /// With which settings.
+    pub settings: Vec<NamedSetting>,
+    /// The file.
+    pub source: String,
+    /// With the numerics of abTEM in `plan`: the same converged, so that the report tells what abTEM's grid and slices do.
+    pub converged: Option<&'a Plan>,
+    /// What to try if the images differ.
+    pub remedy: Option<String>,
+}
+
+/// Simulates and compares.
+///
+/// # Errors
+/// Those of the engine.
+pub fn compare(progress: &dyn Progress, c: &ImageComparison) -> Result<Outcome> {
+    let begun = Instant::now();
+    let stages = 1 + usize::from(c.converged.is_some());
+    progress.start("simulating", "probes", (c.scan.len() * stages) as u64);
+    let lab = Lab::new(progress, c.scan.len());
+    let image = |plan, scan| -> Result<Array2<f64>> {
+        Ok(lab.execute(plan, c.sites, scan)?.image(0, 0).mapv(f64::from))
+    };
+    let ours = image(c.plan, c.scan)?;
+    let converged = c.converged.map(|plan| image(plan, c.scan)).transpose()?;
+    progress.finish();
+
+    let mut reference = c.reference.data.clone();
+    let mut findings = Findings::default();
+    let gain = (c.units == ValueUnits::Fitted).then(|| best_gain(reference.view(), ours.view()));
+    reference *= gain.unwrap_or(1.0);
+    let d = Difference::between(ours.view(), reference.view());
+    let limit = Limit::AtMost(100.0 * c.tolerance);
+    let largest = "largest difference, of the maximum of the reference";
+    findings.checks.push(Check::new(largest, 100.0 * d.largest, "%", limit));
+    findings
+        .checks
+        .extend(gain.map(|gain| Check::shown("factor fitted to the reference", gain, "")));
+    findings.checks.extend([
+        Check::shown("rms difference, of the mean", 100.0 * d.rms, "%"),
+        Check::shown("ours is brighter on average by", 100.0 * d.bias, "%"),
+        Check::shown("correlation coefficient", d.correlation, ""),
+    ]);
+    let verdict = overall(findings.checks.iter().map(|c| &c.verdict));
+    let mut notes = Vec::new();
+    let converged = converged.map(|image| Difference::between(reference.view(), image.view()));
+    if let Some(off) = converged {
+        findings.checks.extend([
+            Check::shown(
+                "reference against the converged image: largest",
+                100.0 * off.largest,
+                "%",
+            ),
+            Check::shown("the reference is brighter on average by", 100.0 * off.bias, "%"),
+        ]);
+    }
+    if verdict == Verdict::Fail {
+        notes.push(explained(progress, c, &ours, &reference, &mut findings)?);
+        notes.extend(c.remedy.clone());
+    }
+    notes.extend(converged.map(|off| told_by_both(verdict == Verdict::Pass, &off, c.tolerance)));
+    let detector = c.plan.settings.detectors[0].name.clone();
+    findings.figures.push(figure(c, &detector, ours, reference, &d));
+    Ok(Outcome {
+        name: c.name.clone(),
+        title: format!("{detector} against {}", c.name),
+        group: "Your reference".into(),
+        about: c.about.clone(),
+        settings: c.settings.clone(),
+        source: c.source.clone(),
+        verdict,
+        checks: findings.checks,
+        notes,
+        figures: findings.figures,
+        wall_time_s: begun.elapsed().as_secs_f64(),
+    })
+}
+
+/// The images, with the difference in colours up to the tolerance, or to the largest difference if that is beyond.
+fn figure(
+    c: &ImageComparison,
+    detector: &str,
+    ours: Array2<f64>,
+    reference: Array2<f64>,
+    d: &Difference,
+) -> Figure {
+    let top = reference.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+    let (share, which) = match d.largest > c.tolerance {
+        true => (d.largest, "the largest difference"),
+        false => (c.tolerance, "the limit"),
+    };
+    let scale = share * top;
+    Figure::Images(Box::new(ImagePair {
+        title: format!(
+            "{detector}: ours and the reference. Colours of the difference end at {scale:.2e} of the beam either way: {which}, \
+             {:.3} % of the maximum of the reference",
+            100.0 * share
+        ),
+        ours,
+        reference,
+        step: c.scan.step_angstrom,
+        origin: c.scan.origin_angstrom,
+        axis_unit: "A",
+        unit: "fraction of the beam",
+        difference_scale: scale,
+        logarithmic: false,
+    }))
+}
+
+/// Looks for a factor, an orientation or a shift of the scan that explains a difference; what was tried becomes
+/// numbers of the report. A shift is simulated: pixels between pixels are not guessed.
+fn explained(
+    progress: &dyn Progress,
+    c: &ImageComparison,
+    ours: &Array2<f64>,
+    reference: &Array2<f64>,
+    findings: &mut Findings,
+) -> Result<String> {
+    let cell = c.cell_angstrom;
+    let shape = [c.scan.shape[1], c.scan.shape[0]];
+    let periodic =
+        [0, 1].map(|i| (c.scan.step_angstrom[i] * shape[i] as f64 / cell[i] - 1.0).abs() < 1e-6);
+    let found = explain::explanations(ours, reference, periodic);
+    let step = c.scan.step_angstrom;
+    let left = |e: &Explanation, how: &str| {
+        let what = format!("rms difference left by {}{how}, of the mean", e.words(step));
+        Check::shown(what, 100.0 * e.rms, "%")
+    };
+    // A shift by interpolation is only good for finding it.
+    let alone = |e: &Explanation| left(e, if e.shift.is_some() { ", interpolated" } else { "" });
+    findings.checks.extend(found.alone.iter().map(alone));
+    let now = 100.0 * found.now;
+    let Some(mut best) = found.best else {
+        let least = found.alone.iter().map(|e| e.rms).fold(found.now, f64::min);
+        return Ok(format!(
+            "neither a factor, nor another orientation, nor a shift of the scan explains the difference: of its rms of \
+             {now:.2} % of the mean at least {:.2} % are left",
+            100.0 * least
+        ));
+    };
+    if best.shift.is_some() {
+        best = simulated(progress, c, reference, best)?;
+        findings.checks.push(left(&best, ", simulated"));
+    }
+    let start = best.shift.map_or_else(String::new, |shift| {
+        let at = [0, 1].map(|i| c.scan.origin_angstrom[i] + shift[i] * step[i]);
+        format!(
+            "; its scan seems to start at {:.3}, {:.3} A (abTEM 1.0.11 writes 0, 0 into its files wherever a scan starts)",
+            at[0], at[1]
+        )
+    });
+    let fit = match best.factor {
+        Some(_) => "; are its values fractions of the beam? Otherwise let the factor be fitted",
+        None => "",
+    };
+    let verb = if best.rms * MUCH_BETTER < found.now { "explains" } else { "does not explain" };
+    Ok(format!(
+        "{} {verb} the difference: rms {:.2} % of the mean in place of {now:.2} %{start}{fit}",
+        best.words(step),
+        100.0 * best.rms
+    ))
+}
+
+/// The same with the scan where it seems to be: simulated, and once more where the second look finds it.
+fn simulated(
+    progress: &dyn Progress,
+    c: &ImageComparison,
+    reference: &Array2<f64>,
+    guess: Explanation,
+) -> Result<Explanation> {
+    let turned = guess.turn.apply(reference);
+    let mut shift = guess.shift.unwrap_or_default();
+    let mut best: Option<Explanation> = None;
+    for _ in 0..MOST_SCANS {
+        let origin = [0, 1].map(|i| c.scan.origin_angstrom[i] + shift[i] * c.scan.step_angstrom[i]);
+        let scan = Scan { origin_angstrom: origin, ..*c.scan };
+        progress.start("simulating a moved scan", "probes", scan.len() as u64);
+        let ours = Lab::new(progress, scan.len()).execute(c.plan, c.sites, &scan)?;
+        progress.finish();
+        let ours = ours.image(0, 0).mapv(f64::from);
+        let factor = guess.factor.map(|_| best_gain(turned.view(), ours.view()));
+        let rms = Difference::between(ours.view(), (&turned * factor.unwrap_or(1.0)).view()).rms;
+        let this = Explanation { shift: Some(shift), factor, rms, ..guess };
+        if best.is_none_or(|b| rms < b.rms) {
+            best = Some(this);
+        }
+        let further = explain::nearby_shift(&ours, &turned);
+        if rms < NOTHING_LEFT || further == [0.0; 2] {
+            break;
+        }
+        shift = [shift[0] + further[0], shift[1] + further[1]];
+    }
+    Ok(best.unwrap_or(guess))
+}
+
+/// What the two comparisons, in abTEM's numerics and converged, say together.
+fn told_by_both(same_numerics: bool, converged: &Difference, tolerance: f64) -> String {
+    let off = format!("{:.2} % of the maximum", 100.0 * converged.largest);
+    match (same_numerics, converged.largest <= tolerance) {
+        (true, true) => {
+            "in abTEM's numerics and converged, ours is the same as the reference".into()
+        }
+        (true, false) => format!(
+            "in abTEM's numerics ours is the same as the reference; converged in grid and slices the image differs by up to {off}: \
+             that is the error of abTEM's grid and slices"
+        ),
+        (false, _) => format!(
+            "abTEM's grid and slices do not explain the difference; the converged image differs from the reference by up to {off}"
+        ),
+    }
+}
