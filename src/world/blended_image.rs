@@ -17,6 +17,8 @@ use crate::world::subtiles::Partition;
 /// The image of a world, computed band by band from the sub-tiles on disk.
 pub struct BlendedImage<'a> {
     partition: &'a Partition,
+    /// Pixels of the sub-tiles along the edge of one of the image.
+    parts: usize,
     store: &'a SubtileStore,
     noise: Option<Noise>,
     /// The recording that takes the place of noise.
@@ -28,10 +30,10 @@ pub struct BlendedImage<'a> {
 }
 
 impl<'a> BlendedImage<'a> {
-    /// The image of the built part of a field.
+    /// The image of the built part of a field. Pixels of the sub-tiles of the partition may be parts of its own.
     pub fn new(
         recipe: &Recipe,
-        partition: &'a Partition,
+        (partition, parts): (&'a Partition, usize),
         store: &'a SubtileStore,
         noise: bool,
         scan: Option<&'a FieldScan>,
@@ -40,6 +42,7 @@ impl<'a> BlendedImage<'a> {
         let dose = recipe.dose.electrons_per_angstrom2;
         BlendedImage {
             partition,
+            parts,
             store,
             noise: noise.then(|| Noise::new(recipe, dose, field.crop_origin_px())),
             scan,
@@ -51,6 +54,17 @@ impl<'a> BlendedImage<'a> {
     }
 
     fn clean(&self, rows: Range<usize>) -> Result<Array2<f32>> {
+        let parts = self.parts;
+        if parts == 1 {
+            return self.fine(rows);
+        }
+        let fine = self.fine(rows.start * parts..rows.end * parts)?;
+        let size = (rows.len(), self.shape[1]);
+        Ok(Array2::from_shape_fn(size, |(row, column)| fine[(row * parts, column * parts)]))
+    }
+
+    /// Rows of the sub-tiles, at their own pixel.
+    fn fine(&self, rows: Range<usize>) -> Result<Array2<f32>> {
         self.partition.blend(rows, |tile| {
             self.store.load(tile.index, tile.shape(), &Silent).ok_or_else(|| {
                 let path = self.store.path(tile.index);
@@ -62,7 +76,7 @@ impl<'a> BlendedImage<'a> {
 
     /// Bands of the image as stored, from top to bottom.
     fn bands(&self) -> StoredBands<'_> {
-        let clean = |rows| self.clean(rows);
+        let clean = |rows| self.fine(rows);
         StoredBands { image: self, scan: self.scan.map(|scan| scan.begin(clean)) }
     }
 

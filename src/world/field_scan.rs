@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use ndarray::{Array2, s};
 
-use super::noise_free::{band_limit, too_coarse};
+use super::noise_free::{band_limit, refinement};
 use crate::acquisition::{Acquisition, Exposure, Recorder, ScanFrame, ScanPath, SourceImage};
 use crate::error::{Error, Result};
 use crate::recipe::Recipe;
@@ -17,8 +17,9 @@ pub struct FieldScan {
     acquisition: Acquisition,
     recorder: Recorder,
     kernel: Arc<Kernel>,
+    /// Edge of a pixel of the noise-free image.
     pixel_nm: f64,
-    /// Rows and columns of the built field.
+    /// Rows and columns of the noise-free image.
     shape: [usize; 2],
 }
 
@@ -35,27 +36,26 @@ impl FieldScan {
     /// The scan of the field of a recipe; `None` if it has no recording.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for pixels too coarse to determine the image, and for fields that are too small.
+    /// [`Error::Invalid`] for fields that are too small.
     pub fn of(recipe: &Recipe) -> Result<Option<Self>> {
         let Some(table) = recipe.acquisition else { return Ok(None) };
         let acquisition = table.resolved();
         let field = &recipe.field;
-        let (shape, pixel_nm) = (field.pixels(field.built_grid()), field.pixel_nm());
-        if let Some(fault) = too_coarse(recipe) {
-            return Err(fault);
-        }
+        let (meant, pixel_nm) = (field.pixels(field.built_grid()), field.pixel_nm());
+        let parts = refinement(recipe);
+        let (shape, source_nm) = (meant.map(|n| n * parts), pixel_nm / parts as f64);
         if shape.iter().any(|n| *n < TAPS) {
             let expected = format!("a recording needs at least {TAPS} x {TAPS} pixels");
-            let value = format!("{} x {}", shape[0], shape[1]);
+            let value = format!("{} x {}", meant[0], meant[1]);
             return Err(Error::invalid(Setting::TilePixels, value, expected));
         }
         let (dose, dwell) = (recipe.dose.electrons_per_angstrom2, acquisition.dwell_us);
         let exposure = Exposure::of_dose(dose, dwell, acquisition.frames, 10.0 * pixel_nm)?;
-        let frame = ScanFrame { shape, pixel_nm, origin_nm: [0.0; 2] };
+        let frame = ScanFrame { shape: meant, pixel_nm, origin_nm: [0.0; 2] };
         let path = ScanPath::new(&acquisition, frame, recipe.seed);
-        let kernel = Arc::new(Kernel::new(10.0 * pixel_nm, band_limit(recipe))?);
+        let kernel = Arc::new(Kernel::new(10.0 * source_nm, band_limit(recipe))?);
         let recorder = Recorder::new(&acquisition, path, exposure, recipe.seed);
-        Ok(Some(FieldScan { acquisition, recorder, kernel, pixel_nm, shape }))
+        Ok(Some(FieldScan { acquisition, recorder, kernel, pixel_nm: source_nm, shape }))
     }
 
     /// Where the beam goes, in nm from the centre of the first built pixel.
@@ -80,7 +80,8 @@ impl FieldScan {
         [gain_counts * self.exposure().electrons_per_pixel * frames, dark_counts * frames]
     }
 
-    /// Starts recording from the first row on; `clean` returns rows of the noise-free image.
+    /// Starts recording from the first row on; `clean` returns rows of the noise-free image, of a [`super::noise_free::refined`] recipe where the pixel is
+    /// too coarse.
     pub fn begin<'a>(
         &'a self,
         clean: impl Fn(Range<usize>) -> Result<Array2<f32>> + 'a,
@@ -115,7 +116,7 @@ impl FieldScan {
             self.kernel.clone(),
         );
         let [scale, dark] = self.counts_of_fraction();
-        let shape = [rows.len(), self.shape[1]];
+        let shape = [rows.len(), self.path().frame().shape[1]];
         let mut values = Array2::<f64>::zeros(shape);
         let mut valid = Array2::from_elem(shape, true);
         for (frame, late) in late.iter_mut().enumerate() {

@@ -10,6 +10,7 @@ use super::build_options::{BuildOptions, BuildPolicy};
 use super::build_summary::BuildSummary;
 use super::field_scan::FieldScan;
 use super::footprint;
+use super::noise_free::{refined, refinement, too_coarse};
 use super::subtile_store::{SubtileStore, beside};
 use super::subtiles::Partition;
 use super::work_folder::WorkFolder;
@@ -109,12 +110,17 @@ impl WorldBuild {
                 expected,
             ));
         }
-        let field = &recipe.field;
+        let parts = if recipe.acquisition.is_some() { refinement(recipe) } else { 1 };
+        if let Some(fault) = too_coarse(recipe).filter(|_| own.is_some() && parts > 1) {
+            return Err(fault);
+        }
+        let imaged = refined(recipe, parts)?;
+        let field = &imaged.field;
         let shape = field.pixels(field.built_grid());
         let [size, overlap] = policy.subtile_nm;
         let partition = Partition::new(shape, field.pixel_nm(), size, overlap)?;
         let (recipe, options) = (recipe.clone(), options.clone());
-        let layout = BuildLayout { recipe, specimen, options, partition };
+        let layout = BuildLayout { recipe, imaged, parts, specimen, options, partition };
         Ok(WorldBuild { layout, policy, own, chosen: OnceLock::new() })
     }
 
@@ -141,7 +147,7 @@ impl WorldBuild {
     pub fn subtile_plan(&self) -> Result<(SimulationRuns, [f64; 2])> {
         let (count, shape) = self.subtiles();
         let simulator = &self.policy.imaging.simulator;
-        rectangle_plan(&self.layout.recipe, &*self.layout.specimen, simulator, shape, count)
+        rectangle_plan(&self.layout.imaged, &*self.layout.specimen, simulator, shape, count)
     }
 
     /// What making the image will take.
@@ -160,8 +166,8 @@ impl WorldBuild {
         if let Some(chosen) = self.chosen.get() {
             return Ok(chosen);
         }
-        let BuildLayout { recipe, specimen, .. } = &self.layout;
-        let chosen = self.policy.imaging.chosen(recipe, specimen)?;
+        let BuildLayout { imaged, specimen, .. } = &self.layout;
+        let chosen = self.policy.imaging.chosen(imaged, specimen)?;
         Ok(self.chosen.get_or_init(|| chosen))
     }
 
@@ -176,8 +182,8 @@ impl WorldBuild {
             let forced = imaging.method == MethodChoice::Mosaic || check.direct;
             self.own.is_none() && (shares || forced || check.limited())
         });
-        let BuildLayout { recipe, specimen, .. } = &self.layout;
-        audited.map(|options| audit_cost(recipe, &**specimen, options)).transpose()
+        let BuildLayout { imaged, specimen, .. } = &self.layout;
+        audited.map(|options| audit_cost(imaged, &**specimen, options)).transpose()
     }
 
     /// Bytes of memory that the largest arrays of the build take at a time on so many threads, those of its audit too, and what
@@ -197,7 +203,7 @@ impl WorldBuild {
     /// Bytes on disk that the build needs beside its output, sub-tiles included; the cache and a companion come on top.
     pub fn disk_bytes(&self) -> u64 {
         self.world_bytes()
-            + footprint::work_bytes(&self.layout.recipe.field, self.layout.partition.len())
+            + footprint::work_bytes(&self.layout.imaged.field, self.layout.partition.len())
     }
 
     fn world_bytes(&self) -> u64 {
@@ -281,7 +287,7 @@ impl WorldBuild {
                 (imager, None)
             }
             None => {
-                let again = || policy.imaging.chosen(&layout.recipe, &layout.specimen);
+                let again = || policy.imaging.chosen(&layout.imaged, &layout.specimen);
                 let first = chosen.into_inner().map_or_else(again, Ok)?;
                 checked(&layout, &policy, first, work, progress)?
             }
@@ -340,7 +346,7 @@ impl WorldBuild {
         let cache = self.policy.imaging.cache.folder();
         let cache = cache.filter(|f| disk_space::free_bytes_below(f).is_none_or(|b| b > library));
         let sub_tiles =
-            footprint::work_bytes(&self.layout.recipe.field, self.layout.partition.len());
+            footprint::work_bytes(&self.layout.imaged.field, self.layout.partition.len());
         let kept_here = if cache.is_none() { library } else { 0 };
         let mut needed = vec![
             (output, self.world_bytes()),
@@ -364,8 +370,8 @@ fn checked(
     first.imager.keep_in(&work.library());
     let cache = imaging.cache.clone().with_fallback(work.library());
     let imaging = ImagingChoice { cache, ..imaging.clone() };
-    let BuildLayout { recipe, specimen, .. } = layout;
-    imaging.checked_imager(recipe, specimen, first, (check, &work.audits()), progress)
+    let BuildLayout { imaged, specimen, .. } = layout;
+    imaging.checked_imager(imaged, specimen, first, (check, &work.audits()), progress)
 }
 
 /// `path` with an ending that tells that the file is not finished.

@@ -23,6 +23,10 @@ use crate::specimen::Specimen;
 /// What is built, and in which parts.
 pub struct BuildLayout {
     pub recipe: CheckedRecipe,
+    /// The recipe that images are made of: that of the world, with its pixels divided into `parts` x `parts` where a recording needs
+    /// them finer.
+    pub imaged: CheckedRecipe,
+    pub parts: usize,
     pub specimen: Arc<dyn Specimen>,
     pub options: BuildOptions,
     pub partition: Partition,
@@ -76,7 +80,7 @@ impl Job<'_> {
 
     /// The pixels of a sub-tile in the full field.
     fn pixels(&self, tile: &SubTile) -> PixelRect {
-        let first = self.layout.recipe.field.crop_origin_px();
+        let first = self.layout.imaged.field.crop_origin_px();
         let first = [first[0] + tile.rows.start, first[1] + tile.columns.start];
         PixelRect::new(first, tile.shape())
     }
@@ -107,9 +111,10 @@ impl Job<'_> {
 
     /// Writes the file from the sub-tiles and reads it back; returns what was listed, and the least and greatest value.
     pub fn write_file(&self, path: &Path, store: &SubtileStore) -> Result<(Counts, [f32; 2])> {
-        let BuildLayout { recipe, options, partition, .. } = self.layout;
+        let BuildLayout { recipe, options, partition, parts, .. } = self.layout;
         let scan = FieldScan::of(recipe)?;
-        let image = BlendedImage::new(recipe, partition, store, options.noise, scan.as_ref());
+        let image =
+            BlendedImage::new(recipe, (partition, *parts), store, options.noise, scan.as_ref());
         let keep_clean = options.keep_clean;
         let writer = WorldWriter::create(path, &self.header(), keep_clean)?;
         let range = image.range(self.progress)?;

@@ -259,9 +259,21 @@ def world():
     assert bright > 1.5 and bright > 1.3 * astray
 
 
-if sys.argv[1] in ("alike", "world"):
+def coarse():
+    plain, ideal = load("coarse_plain.h5"), load("coarse.h5")
+    a, b = whole(plain, "clean"), whole(ideal, "clean")
+    print(f"the image at half the pixel: {np.abs(a - b).max() / a.max():.2g} of the maximum")
+    assert np.abs(a - b).max() < 2e-3 * a.max()
+    fraction = whole(ideal, "tiles") * ideal["tiles"].attrs["scale"] + ideal["tiles"].attrs["offset"]
+    electrons = ideal["metadata"].attrs["electrons_per_pixel"]
+    squares = ((fraction - b) ** 2).sum() * electrons / b.sum()
+    near("variance over mean", squares, 1, 4 * np.sqrt(2 / b.size) + 0.02)
+    assert ideal["valid_region"][:].all()
+
+
+if sys.argv[1] in ("alike", "world", "coarse"):
     FOLDER = sys.argv[2]
-    {"alike": alike, "world": world}[sys.argv[1]]()
+    {"alike": alike, "world": world, "coarse": coarse}[sys.argv[1]]()
 else:
     FOLDER = sys.argv[1]
     for check in [dose, dqe, drift, hum, jitter, saturation, afterglow, chain, positions]:
