@@ -30,8 +30,9 @@ impl AccuracyReport {
     ) -> anyhow::Result<Option<Self>> {
         let Some(asked) = asked_percent else { return Ok(None) };
         let begun = Instant::now();
+        let frames = specimen.frames();
         let (chosen, found) =
-            settings_for_accuracy(asked, settings, specimen.size, &specimen.sites, scan, reporter)?;
+            settings_for_accuracy(asked, settings, specimen.size, &frames, scan, reporter)?;
         *settings = chosen;
         Ok(Some(AccuracyReport { found, measured_in_s: begun.elapsed().as_secs_f64() }))
     }

@@ -6,7 +6,7 @@ use anyhow::bail;
 use clap::Args;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use stemgen::engine::{Phonons, Site};
+use stemgen::engine::{Phonons, Site, mean_heights};
 use stemgen::structure::{self, FrameRange, Sigmas, elements};
 
 /// The specimen.
@@ -64,6 +64,13 @@ pub struct Prepared {
     pub more_frames: Vec<Vec<Site>>,
     /// What is to be said of the atoms.
     pub warnings: Vec<String>,
+}
+
+impl Prepared {
+    /// The atoms of each frame: one, unless there is a trajectory.
+    pub fn frames(&self) -> Vec<&[Site]> {
+        std::iter::once(&self.sites).chain(&self.more_frames).map(Vec::as_slice).collect()
+    }
 }
 
 impl StructureArgs {
@@ -127,15 +134,10 @@ impl SpecimenArgs {
         }
         let more_frames = frames.split_off(1);
         let sites = frames.remove(0);
-        let count = 1 + more_frames.len();
-        let alike = more_frames.iter().all(|f| f.len() == sites.len());
-        let mean = |n: usize| {
-            let others = more_frames.iter().filter(|_| alike).map(|f| f[n].position[2]);
-            let sum = sites[n].position[2] + others.sum::<f64>();
-            sum / if alike { count as f64 } else { 1.0 }
-        };
-        let heights = (0..sites.len()).map(mean).collect();
-        Ok(Prepared { size, heights, sites, warnings: Vec::new(), more_frames })
+        let mut prepared =
+            Prepared { size, heights: Vec::new(), sites, warnings: Vec::new(), more_frames };
+        prepared.heights = mean_heights(&prepared.frames());
+        Ok(prepared)
     }
 
     /// The settings of the phonons.

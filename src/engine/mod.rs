@@ -41,7 +41,9 @@ mod transmission;
 mod workspace_pool;
 
 pub use crate::structure::Site;
-pub use accuracy::{AccuracyFound, TriedWindow, WindowChoice, settings_for_accuracy, window_for};
+pub use accuracy::{
+    AccuracyFound, TriedWindow, WindowChoice, mean_heights, settings_for_accuracy, window_for,
+};
 pub use cost::{Cost, PlannedScan};
 pub use detector_images::Images;
 pub use free_memory::{check_memory, free_memory};

@@ -49,11 +49,11 @@ pub use noise_free::{ImagerSource, NoiseFree};
 pub use region_truth::{ColumnTruth, SiteTruth};
 #[cfg(feature = "render")]
 pub use specimen_drawing::Drawing;
+#[cfg(feature = "hdf5")]
+pub use subtile_store::work_folder;
 pub use training_set::{COLUMN_CLASSES, TrainingOptions, TrainingSet, training_set};
 #[cfg(feature = "hdf5")]
 pub use truth::Counts;
-#[cfg(feature = "hdf5")]
-pub use work_folder::work_folder;
 #[cfg(feature = "hdf5")]
 pub use world_build::{Companion, WorldBuild, build};
 #[cfg(feature = "hdf5")]

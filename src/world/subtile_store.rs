@@ -30,7 +30,7 @@ impl SubtileStore {
     /// # Errors
     /// [`Error::Invalid`] for sub-tiles of another build, [`Error::Io`] when the folder cannot be made, read or written.
     pub fn open(output: &Path, key: &str, replace: bool, progress: &dyn Progress) -> Result<Self> {
-        let folder = &beside(output, ".work");
+        let folder = &work_folder(output);
         let build = format!("{:x?}", Sha256::digest(key).as_slice());
         let store = SubtileStore { arrays: arrays(folder), build };
         fs::create_dir_all(folder).map_err(|e| Error::io(folder, "create", e))?;
@@ -59,7 +59,7 @@ impl SubtileStore {
     /// # Errors
     /// [`Error::Invalid`], [`Error::Io`].
     pub fn check_recipe(output: &Path, recipe: &str) -> Result<()> {
-        let folder = beside(output, ".work");
+        let folder = work_folder(output);
         let Ok(found) = fs::read_to_string(folder.join(KEY_FILE)) else { return Ok(()) };
         let number = arrays(&folder).files()?.arrays.len();
         let other = value(&found, "recipe");
@@ -126,7 +126,7 @@ fn kept(output: &Path, number: usize, difference: &str) -> Error {
     let expected = format!(
         "{} keeps {number} sub-tiles of another build ({difference}); finish that one first, name another file, or \
          allow overwriting, which removes them",
-        beside(output, ".work").display()
+        work_folder(output).display()
     );
     Error::invalid(Setting::Output, output.display(), expected)
 }
@@ -160,6 +160,11 @@ fn name(index: usize) -> String {
     format!("subtile_{index:06}")
 }
 
+/// Where the build of an output keeps its work until it is complete.
+pub fn work_folder(output: &Path) -> PathBuf {
+    beside(output, ".work")
+}
+
 /// `path` with something after its name.
 pub(super) fn beside(path: &Path, suffix: &str) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
@@ -176,7 +181,7 @@ mod tests {
     fn subtiles_are_those_of_this_build_and_index() {
         let folder = tempfile::tempdir().unwrap();
         let output = folder.path().join("w.h5");
-        let work = beside(&output, ".work");
+        let work = work_folder(&output);
         let store = SubtileStore::open(&output, "key", false, &Silent).unwrap();
         let image = Array2::from_shape_fn((3, 5), |(i, j)| (i * 5 + j) as f32);
         store.save(4, &image).unwrap();

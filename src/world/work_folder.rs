@@ -9,7 +9,7 @@ use sha2::{Digest, Sha256};
 
 use super::build_summary::BuildSummary;
 use super::footprint;
-use super::subtile_store::{SubtileStore, beside};
+use super::subtile_store::{SubtileStore, work_folder};
 use crate::error::{Error, Result};
 use crate::files::atomic_write;
 use crate::imaging::{Cache, KeptAudits};
@@ -17,11 +17,6 @@ use crate::progress::Progress;
 
 /// Says that the world is whole.
 const COMPLETE_FILE: &str = "complete.json";
-
-/// Where the build of an output keeps its work until it is complete.
-pub fn work_folder(output: &Path) -> PathBuf {
-    beside(output, ".work")
-}
 
 /// See the module.
 #[derive(Debug, Clone)]

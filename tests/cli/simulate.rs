@@ -247,6 +247,31 @@ fn an_accuracy_is_measured_and_told() {
     assert!(told.get("measured_in_s").is_none(), "{told}");
 }
 
+/// Out of focus the probe is wide, and so is the window that it takes.
+#[test]
+fn an_accuracy_is_measured_for_each_defocus() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = stemgen(folder.path());
+    command.args(["simulate", &file("structures/si.cif"), "--repeat", "6,6,1", "--quiet"]);
+    command.args(["--scan-start", "8,8", "--scan-end", "14.4,14.4", "--scan-step", "0.4"]);
+    command.args(["--accuracy", "3%", "--defocus", "0:100:100", "-o", "si.h5"]);
+    let found = json(&mut command)["accuracy"].clone();
+    let told: hdf5::types::VarLenUnicode = hdf5::File::open(folder.path().join("si.h5"))
+        .and_then(|f| f.attr("accuracy")?.read_scalar())
+        .unwrap();
+    let told: serde_json::Value = serde_json::from_str(&told).unwrap();
+    for reports in [&found, &told] {
+        let of = |n: usize| reports[n]["tried"].as_array().unwrap().last().unwrap().clone();
+        let (sharp, wide) = (of(0), of(1));
+        assert_eq!(reports.as_array().unwrap().len(), 2, "{reports}");
+        for tried in [&sharp, &wide] {
+            assert!(tried["found_percent"].as_f64().unwrap() < 3.0, "{reports}");
+        }
+        let width = |tried: &serde_json::Value| tried["width_angstrom"].as_f64().unwrap();
+        assert!(width(&wide) > width(&sharp) + 1.0, "{reports}");
+    }
+}
+
 #[test]
 fn what_lies_outside_the_cell_is_said() {
     let folder = tempfile::tempdir().unwrap();

@@ -22,31 +22,29 @@ const SPREAD: f64 = 2.0;
 const WORTH: f64 = 1.3;
 
 /// The plan of the exact engine for the whole cell, and that for single probes.
-pub struct ExactEngine<'a> {
+pub struct ExactEngine {
     /// For the whole cell.
     pub plan: Plan,
     piece: Plan,
-    sites: &'a [Site],
     cell_angstrom: [f64; 3],
 }
 
-impl<'a> ExactEngine<'a> {
-    /// Multislice with these settings otherwise.
+impl ExactEngine {
+    /// Multislice with these settings otherwise, for atoms at these heights.
     ///
     /// # Errors
     /// Those of [`Plan::new`].
-    pub fn new(settings: &Settings, cell_angstrom: [f64; 3], sites: &'a [Site]) -> Result<Self> {
-        let heights: Vec<f64> = sites.iter().map(|s| s.position[2]).collect();
+    pub fn new(settings: &Settings, cell_angstrom: [f64; 3], heights: &[f64]) -> Result<Self> {
         let settings = Settings { algorithm: Algorithm::Multislice, ..settings.clone() };
-        let plan = Plan::new(&settings, cell_angstrom, &heights)?;
+        let plan = Plan::new(&settings, cell_angstrom, heights)?;
         let width = PIECE_ANGSTROM * relative_size(&settings).max(1.0)
             + 2.0 * geometric_radius(&settings)
             + SPREAD * 1e-3 * settings.optics.semiangle_mrad * cell_angstrom[2];
         let [x, y, z] = cell_angstrom;
         let cut = |l: f64| if l > WORTH * width { width } else { l };
         let each = Settings { probe_step: ProbeStep::Scan, ..settings };
-        let piece = Plan::new(&each, [cut(x), cut(y), z], &heights)?;
-        Ok(ExactEngine { plan, piece, sites, cell_angstrom })
+        let piece = Plan::new(&each, [cut(x), cut(y), z], heights)?;
+        Ok(ExactEngine { plan, piece, cell_angstrom })
     }
 
     /// Nominal operations of one probe of a sample in one phonon configuration.
@@ -55,27 +53,27 @@ impl<'a> ExactEngine<'a> {
         cost.nominal_flops() / (scan.len() as f64 * f64::from(self.piece.settings.configurations()))
     }
 
-    /// Intensities of the probes of some clusters in one phonon configuration: for each, (probe, thickness, detector).
+    /// Intensities of the probes of some clusters in one phonon configuration of some atoms: for each, (probe, thickness, detector).
     ///
     /// # Errors
     /// Those of the engine.
     pub fn intensities(
         &self,
+        sites: &[Site],
         scan: &Scan,
         clusters: &[DrawnCluster],
         configuration: u32,
         progress: &dyn Progress,
     ) -> Result<Vec<Vec<f64>>> {
-        let mut simulation = Simulation::new(&self.piece, &elements(self.sites))?;
+        let mut simulation = Simulation::new(&self.piece, &elements(sites))?;
         if self.piece.transmission_grid == self.plan.transmission_grid {
             let indices: Vec<usize> = clusters.iter().flat_map(|c| c.indices.clone()).collect();
-            let all =
-                simulation.some_probes(self.sites, scan, &indices, configuration, progress)?;
+            let all = simulation.some_probes(sites, scan, &indices, configuration, progress)?;
             return Ok(by_cluster(&all, clusters));
         }
         let mut out = Vec::with_capacity(clusters.len());
         for cluster in clusters {
-            let (sites, scan) = self.cut_out(scan, cluster);
+            let (sites, scan) = self.cut_out(sites, scan, cluster);
             out.push(simulation.some_probes(
                 &sites,
                 &scan,
@@ -88,7 +86,7 @@ impl<'a> ExactEngine<'a> {
     }
 
     /// The atoms of the piece around a cluster, and the scan as it lies in the piece.
-    fn cut_out(&self, scan: &Scan, cluster: &DrawnCluster) -> (Vec<Site>, Scan) {
+    fn cut_out(&self, sites: &[Site], scan: &Scan, cluster: &DrawnCluster) -> (Vec<Site>, Scan) {
         let piece = self.piece.transmission_grid.extent_angstrom;
         let n = cluster.indices.len() as f64;
         let middle =
@@ -105,7 +103,7 @@ impl<'a> ExactEngine<'a> {
             Some(site)
         };
         let origin_angstrom = [0, 1].map(|k| scan.origin_angstrom[k] - corner[k]);
-        (self.sites.iter().filter_map(inside).collect(), Scan { origin_angstrom, ..*scan })
+        (sites.iter().filter_map(inside).collect(), Scan { origin_angstrom, ..*scan })
     }
 }
 

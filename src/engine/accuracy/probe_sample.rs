@@ -34,7 +34,11 @@ pub struct DrawnCluster {
 
 impl ProbeSample {
     /// The probes of a scan of atoms in a cell of `cell_angstrom` (x, y).
-    pub fn new(scan: &Scan, sites: &[Site], cell_angstrom: [f64; 2]) -> Self {
+    pub fn new<'a>(
+        scan: &Scan,
+        sites: impl Iterator<Item = &'a Site>,
+        cell_angstrom: [f64; 2],
+    ) -> Self {
         let bright = brightness(scan, sites, cell_angstrom);
         let (total, even) = (bright.iter().sum::<f64>(), 1.0 / scan.len() as f64);
         let chance = |b: f64| match total > 0.0 {
@@ -94,7 +98,11 @@ fn systematic(sizes: &[f64], number: usize, start: f64) -> Vec<usize> {
 }
 
 /// How bright the image is at each probe, about: what the atoms near by would scatter each by itself.
-fn brightness(scan: &Scan, sites: &[Site], cell_angstrom: [f64; 2]) -> Vec<f64> {
+fn brightness<'a>(
+    scan: &Scan,
+    sites: impl Iterator<Item = &'a Site>,
+    cell_angstrom: [f64; 2],
+) -> Vec<f64> {
     let [rows, columns] = scan.shape;
     let counts = [columns, rows];
     let mut out = vec![0.0; rows * columns];
@@ -132,8 +140,8 @@ mod tests {
             Scan { origin_angstrom: [1.0, 2.0], step_angstrom: [0.25, 0.3], shape: [37, 50] };
         let site = |position, number| Site { position, number, sigma_angstrom: 0.0, key: 0 };
         let sites = [site([4.0, 5.0, 0.0], 79), site([38.0, 9.0, 0.0], 8)];
-        let bright = brightness(&scan, &sites, [30.0, 30.0]);
-        (ProbeSample::new(&scan, &sites, [30.0, 30.0]), bright)
+        let bright = brightness(&scan, sites.iter(), [30.0, 30.0]);
+        (ProbeSample::new(&scan, sites.iter(), [30.0, 30.0]), bright)
     }
 
     #[test]

@@ -19,6 +19,7 @@ use crate::progress::{InterruptOnly, Progress};
 use crate::resample::image_band_limit;
 use crate::structure::Site;
 use serde::Serialize;
+use std::collections::BTreeSet;
 
 /// Windows that are tried, in Angstrom at 200 kV and 21 mrad, and the least error in per cent for which each is the first to be
 /// tried.
@@ -31,6 +32,8 @@ const CLUSTERS: (usize, usize) = (8, 24);
 const PROBES: usize = 4;
 /// Rounds, each in another phonon configuration.
 const ROUNDS: u32 = 4;
+/// Frames of a trajectory that a round looks at.
+const FRAMES: usize = 4;
 /// A round should take no more than this share of the operations of the whole scan.
 const SHARE: f64 = 0.02;
 /// Step times band limit of probes that a scan is interpolated from. The interpolation's error is then 0.01 % of the image's
@@ -115,13 +118,15 @@ fn percent(value: f64) -> String {
 /// Probes have norm 1 in a large box in both (see [`ProbeBox`]), unless the settings say where, or a detector sees the probe
 /// itself.
 ///
+/// `frames` are the atoms; of a trajectory, whose images are averaged, those of each frame. The sample is spread over them.
+///
 /// # Errors
 /// [`Error::Invalid`] for an accuracy that is not above 0, those of [`Plan::new`], and [`Error::Interrupted`].
 pub fn settings_for_accuracy(
     accuracy_percent: f64,
     settings: &Settings,
     cell_angstrom: [f64; 3],
-    sites: &[Site],
+    frames: &[&[Site]],
     scan: &Scan,
     progress: &dyn Progress,
 ) -> Result<(Settings, AccuracyFound)> {
@@ -131,7 +136,8 @@ pub fn settings_for_accuracy(
     }
     let probe_box = settings.probe_box.unwrap_or(natural_box(settings));
     let base = Settings { probe_box: Some(probe_box), ..settings.clone() };
-    let exact = ExactEngine::new(&base, cell_angstrom, sites)?;
+    let heights = mean_heights(frames);
+    let exact = ExactEngine::new(&base, cell_angstrom, &heights)?;
     let mut found = AccuracyFound {
         asked_percent: accuracy_percent,
         algorithm: Algorithm::Multislice,
@@ -141,11 +147,39 @@ pub fn settings_for_accuracy(
             ProbeBox::Cell => "multislice",
         },
     };
-    let search = Search { base: &base, exact, sites, asked: scan, accuracy_percent, cell_angstrom };
+    let search = Search {
+        base: &base,
+        exact,
+        frames,
+        heights,
+        asked: scan,
+        accuracy_percent,
+        cell_angstrom,
+    };
     let chosen = search.window(&mut found.tried, progress)?;
     let chosen = chosen.unwrap_or_else(|| search.exact.plan.settings.clone());
     found.algorithm = chosen.algorithm;
     Ok((chosen, found))
+}
+
+/// The heights of the atoms of a trajectory that its slices are made for: their means, where all frames have as many atoms, and
+/// otherwise those of the first.
+pub fn mean_heights(frames: &[&[Site]]) -> Vec<f64> {
+    let first = frames.first().copied().unwrap_or_default();
+    let alike = frames.iter().all(|f| f.len() == first.len());
+    let used = if alike { frames } else { &frames[..1] };
+    let mean = |n: usize| used.iter().map(|f| f[n].position[2]).sum::<f64>() / used.len() as f64;
+    (0..first.len()).map(mean).collect()
+}
+
+/// Frames, of so many, that a round of the sample looks at: all rounds together look at frames at even distances.
+fn frames_of_round(round: u32, count: usize) -> Vec<usize> {
+    match count <= FRAMES {
+        true => (0..count).collect(),
+        false => (0..FRAMES)
+            .map(|k| (ROUNDS as usize * k + round as usize) * count / (ROUNDS as usize * FRAMES))
+            .collect(),
+    }
 }
 
 /// A large box, but the cell for detectors that see the probe itself: its part outside of the cell would be missing there.
@@ -160,16 +194,23 @@ fn natural_box(settings: &Settings) -> ProbeBox {
 /// The search for a window.
 struct Search<'a> {
     base: &'a Settings,
-    exact: ExactEngine<'a>,
-    sites: &'a [Site],
+    exact: ExactEngine,
+    frames: &'a [&'a [Site]],
+    heights: Vec<f64>,
     asked: &'a Scan,
     accuracy_percent: f64,
     cell_angstrom: [f64; 3],
 }
 
-/// Clusters of the sample in one phonon configuration, with what the exact engine makes of them.
+/// A round of the sample, in one phonon configuration.
 struct Round {
     configuration: u32,
+    parts: Vec<FrameSample>,
+}
+
+/// Clusters of probes on one frame, with what the exact engine makes of them.
+struct FrameSample {
+    frame: usize,
     clusters: Vec<DrawnCluster>,
     exact: Vec<Vec<f64>>,
 }
@@ -187,13 +228,13 @@ impl Search<'_> {
         for settings in self.candidates()? {
             let plan = self.plan(&settings)?;
             let raster = *ProbeRaster::new(&plan, self.asked)?.scan();
-            let flops = Cost::with_atoms(&plan, &raster, self.sites).nominal_flops();
+            let flops = Cost::with_atoms(&plan, &raster, self.frames[0]).nominal_flops();
             if !plan.has_windows() || flops > WORTH * exact_flops {
                 break;
             }
             let (sample, shape) = sample.get_or_insert_with(|| {
                 let [x, y, _] = self.cell_angstrom;
-                let sample = ProbeSample::new(&raster, self.sites, [x, y]);
+                let sample = ProbeSample::new(&raster, self.sampled_atoms(), [x, y]);
                 let shape = self.sample_shape(&sample, flops);
                 (sample, shape)
             });
@@ -241,8 +282,14 @@ impl Search<'_> {
     }
 
     fn plan(&self, settings: &Settings) -> Result<Plan> {
-        let heights: Vec<f64> = self.sites.iter().map(|s| s.position[2]).collect();
-        Plan::new(settings, self.cell_angstrom, &heights)
+        Plan::new(settings, self.cell_angstrom, &self.heights)
+    }
+
+    /// The atoms of all frames that any round looks at.
+    fn sampled_atoms(&self) -> impl Iterator<Item = &Site> {
+        let rounds = (0..ROUNDS).flat_map(|round| frames_of_round(round, self.frames.len()));
+        let frames: BTreeSet<usize> = rounds.collect();
+        frames.into_iter().flat_map(|frame| self.frames[frame])
     }
 
     /// Clusters of a round and probes of each, for a scan of so many operations.
@@ -264,7 +311,8 @@ impl Search<'_> {
         progress: &dyn Progress,
     ) -> Result<ErrorEstimate> {
         let images = plan.record_after.len() * plan.settings.detectors.len();
-        let mut simulation = Simulation::new(plan, &elements(self.sites))?;
+        let all: BTreeSet<u8> = self.frames.iter().flat_map(|sites| elements(sites)).collect();
+        let mut simulation = Simulation::new(plan, &all.into_iter().collect::<Vec<u8>>())?;
         let mut estimate = ErrorEstimate::default();
         for number in 0..ROUNDS {
             if rounds.len() <= number as usize {
@@ -275,14 +323,16 @@ impl Search<'_> {
                     progress,
                 )?);
             }
-            let Round { configuration, clusters, exact } = &rounds[number as usize];
-            let indices: Vec<usize> = clusters.iter().flat_map(|c| c.indices.clone()).collect();
-            let quiet = InterruptOnly(progress);
-            let ours =
-                simulation.some_probes(self.sites, raster, &indices, *configuration, &quiet)?;
-            let ours = by_cluster(&ours, clusters);
-            for ((cluster, ours), exact) in clusters.iter().zip(&ours).zip(exact) {
-                estimate.add(cluster, images, ours, exact);
+            let Round { configuration, parts } = &rounds[number as usize];
+            for FrameSample { frame, clusters, exact } in parts {
+                let indices: Vec<usize> = clusters.iter().flat_map(|c| c.indices.clone()).collect();
+                let (sites, quiet) = (self.frames[*frame], InterruptOnly(progress));
+                let ours =
+                    simulation.some_probes(sites, raster, &indices, *configuration, &quiet)?;
+                let ours = by_cluster(&ours, clusters);
+                for ((cluster, ours), exact) in clusters.iter().zip(&ours).zip(exact) {
+                    estimate.add(cluster, images, ours, exact);
+                }
             }
             if estimate.verdict(self.accuracy_percent) != AccuracyVerdict::Unclear {
                 break;
@@ -301,9 +351,17 @@ impl Search<'_> {
         let configuration = number % self.base.configurations();
         let probes: usize = clusters.iter().map(|c| c.indices.len()).sum();
         progress.start("measuring the error of windows", "probes", probes as u64);
-        let exact = self.exact.intensities(raster, &clusters, configuration, progress)?;
+        let frames = frames_of_round(number, self.frames.len());
+        let part = |(n, frame): (usize, usize)| {
+            let clusters: Vec<DrawnCluster> =
+                clusters.iter().skip(n).step_by(frames.len()).cloned().collect();
+            let (exact, sites) = (&self.exact, self.frames[frame]);
+            let exact = exact.intensities(sites, raster, &clusters, configuration, progress)?;
+            Ok(FrameSample { frame, clusters, exact })
+        };
+        let parts = frames.iter().copied().enumerate().map(part).collect::<Result<_>>()?;
         progress.finish();
-        Ok(Round { configuration, clusters, exact })
+        Ok(Round { configuration, parts })
     }
 }
 
@@ -311,5 +369,32 @@ fn width(settings: &Settings) -> f64 {
     match settings.algorithm {
         Algorithm::Window { width_angstrom } => width_angstrom,
         _ => 0.0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn all_rounds_together_look_at_frames_at_even_distances() {
+        assert_eq!(frames_of_round(3, 1), [0]);
+        assert_eq!(frames_of_round(1, 3), [0, 1, 2]);
+        let mut all: Vec<usize> =
+            (0..ROUNDS).flat_map(|round| frames_of_round(round, 160)).collect();
+        all.sort();
+        assert_eq!(all, (0..16).map(|n| 10 * n).collect::<Vec<_>>());
+        for count in 5..40 {
+            let frames = frames_of_round(2, count);
+            assert!(frames.windows(2).all(|w| w[0] < w[1]) && frames[3] < count, "{frames:?}");
+        }
+    }
+
+    #[test]
+    fn heights_are_means_over_frames_with_as_many_atoms() {
+        let at = |z: f64| Site { position: [0.0, 0.0, z], number: 6, sigma_angstrom: 0.0, key: 0 };
+        let (a, b) = ([at(1.0), at(2.0)], [at(3.0), at(2.0)]);
+        assert_eq!(mean_heights(&[&a, &b]), [2.0, 2.0]);
+        assert_eq!(mean_heights(&[&a, &b[..1]]), [1.0, 2.0]);
     }
 }

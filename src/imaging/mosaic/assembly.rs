@@ -5,7 +5,8 @@ use std::collections::HashMap;
 use ndarray::Array2;
 use rayon::prelude::*;
 
-use crate::imaging::mosaic::image_library::{CellImages, ImageLibrary, Realisation};
+use crate::imaging::mosaic::cell_images::{CellImages, Realisation};
+use crate::imaging::mosaic::image_library::ImageLibrary;
 use crate::imaging::mosaic::survey::BEYOND_NM;
 use crate::recipe::region::Region;
 use crate::resample::{Kernel, TAPS, Weights};

@@ -10,6 +10,7 @@
 //! simulate again.
 
 pub mod assembly;
+pub mod cell_images;
 pub mod image_library;
 pub mod image_note;
 pub mod library_cache;

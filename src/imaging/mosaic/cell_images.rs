@@ -1,0 +1,336 @@
+//! The images of one family of sheets: what they show, where their samples lie, and by what they are known.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use ndarray::{Array2, Axis};
+use sha2::{Digest, Sha256};
+
+use crate::engine::{Plan, Scan, Settings, Site};
+use crate::error::Result;
+use crate::imaging::mosaic::image_note::ImageNote;
+use crate::numerics::NUMERICS_VERSION;
+use crate::optics::Optics;
+use crate::resample::{Kernel, image_band_limit, nyquist_step, periodic_samples};
+use crate::rng::{self, Purpose};
+use crate::specimen::sites::SiteKind;
+use crate::specimen::units::library_cell::{LibraryCell, LibrarySite, LibraryUnit};
+use crate::specimen::units::occupation::DefectKind;
+use crate::specimen::units::unit_tag::PatternIndex;
+use crate::specimen::units::unit_tag::UnitFamily;
+use crate::structure::elements;
+
+/// Version of the draws: the seeds of phonons come from a text that begins with it.
+const DRAWS_VERSION: u32 = 7;
+/// Draw of [`Purpose::Library`] for the contents of surroundings.
+const SURROUNDINGS_DRAW: u32 = 1 << 20;
+
+/// Sheets of one family, and where their samples lie.
+pub struct CellImages {
+    /// Geometry.
+    pub sheet: LibraryCell,
+    /// Distance of the samples of images along x and y in Angstrom: cells hold a whole number.
+    pub step_angstrom: [f64; 2],
+    /// Samples (rows, columns).
+    pub shape: [usize; 2],
+    /// The probes that are propagated for an image: along axes on which sheets repeat no more than it takes.
+    pub(super) scan: Scan,
+    /// Seed of the phonons of each sheet.
+    seeds: Vec<u64>,
+    /// Digest of the geometry and contents of each sheet.
+    digests: Vec<String>,
+    /// Index of the unit of each kind and cell.
+    index: BTreeMap<(usize, usize), usize>,
+    /// Entries without defects, by kind.
+    pristine: BTreeMap<usize, Vec<usize>>,
+    /// Images by sheet and configuration; empty until simulated or read.
+    pub(super) images: Vec<Vec<Array2<f32>>>,
+    /// Their means over the configurations.
+    means: Vec<Array2<f32>>,
+}
+
+/// One configuration of one unit: where its image is, and its displacements.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Realisation {
+    /// LibraryCell.
+    pub sheet: usize,
+    /// Index of the unit in the sheet.
+    pub unit: usize,
+    /// Phonon configuration of the sheet.
+    pub configuration: usize,
+}
+
+impl CellImages {
+    /// The sheets of a family, yet without images.
+    pub(super) fn new(sheet: LibraryCell, family: UnitFamily, settings: &Settings) -> Self {
+        let (scan, step_angstrom, shape) = samples(&sheet, &settings.optics);
+        let index = sheet.units.iter().enumerate().map(|(n, u)| ((u.kind, u.cell), n)).collect();
+        let mut pristine = BTreeMap::<usize, Vec<usize>>::new();
+        for number in 0..sheet.count {
+            for unit in sheet.units.iter().filter(|u| u.patterns[number].is_empty()) {
+                pristine.entry(unit.kind).or_default().push(number * sheet.cells + unit.cell);
+            }
+        }
+        let digests: Vec<String> = (0..sheet.count)
+            .map(|n| hex(&Sha256::digest(description(&sheet, family, n))))
+            .collect();
+        let seed = |d: &String| u64::from_str_radix(&d[..16], 16).unwrap_or_default();
+        CellImages {
+            scan,
+            step_angstrom,
+            shape,
+            seeds: digests.iter().map(seed).collect(),
+            digests,
+            index,
+            pristine,
+            images: vec![Vec::new(); sheet.count],
+            means: Vec::new(),
+            sheet,
+        }
+    }
+
+    /// Probes of one image.
+    pub fn probes(&self) -> usize {
+        self.scan.len()
+    }
+
+    /// An image as it is kept, from what the probes gave.
+    pub(super) fn resampled(&self, probes: Array2<f32>) -> Array2<f32> {
+        let axes =
+            [(Axis(0), 1), (Axis(1), 0)].into_iter().filter(|(_, k)| self.sheet.periodic[*k]);
+        axes.fold(probes, |image, (axis, _)| {
+            periodic_samples(image.view(), axis, self.shape[axis.index()])
+        })
+    }
+
+    /// The image of one configuration of a sheet: (row = y, column = x), fractions of the beam.
+    pub fn image(&self, sheet: usize, configuration: usize) -> &Array2<f32> {
+        &self.images[sheet][configuration]
+    }
+
+    /// The mean over all configurations of a sheet.
+    pub fn mean(&self, sheet: usize) -> &Array2<f32> {
+        &self.means[sheet]
+    }
+
+    /// Number of configurations of a sheet.
+    pub fn configurations(&self, sheet: usize) -> usize {
+        self.images[sheet].len()
+    }
+
+    /// The unit of an entry, and its sheet.
+    fn locate(&self, kind: usize, cell: usize) -> (usize, usize) {
+        let at = (kind, cell % self.sheet.cells);
+        (cell / self.sheet.cells, self.index.get(&at).copied().unwrap_or_default())
+    }
+
+    /// Position of a unit in samples (x, y).
+    pub fn position(&self, unit: usize) -> [f64; 2] {
+        let centre = self.sheet.units[unit].centre;
+        [0, 1].map(|k| (centre[k] - self.sheet.scan_origin[k]) / self.step_angstrom[k])
+    }
+
+    /// The configurations that the unit `id` of a world is averaged over. UnitKinds without defects take
+    /// different ones of all units like them; others have all those of their entry.
+    pub fn realisations(
+        &self,
+        entry: PatternIndex,
+        (seed, id): (u64, u64),
+        configurations: usize,
+    ) -> Vec<Realisation> {
+        let own = |cell: usize| self.locate(entry.kind, cell);
+        let (sheet, unit) = own(entry.cell);
+        let pristine = self.sheet.units[unit].patterns[sheet].is_empty();
+        let Some(alike) = self.pristine.get(&entry.kind).filter(|_| pristine) else {
+            return (0..configurations)
+                .map(|configuration| Realisation { sheet, unit, configuration })
+                .collect();
+        };
+        let all = alike.len() * configurations;
+        let mut taken: Vec<usize> = Vec::with_capacity(configurations);
+        let mut draw = 0;
+        while taken.len() < configurations {
+            for word in rng::words(seed, Purpose::Library, draw, id) {
+                let pick = ((u64::from(word) * all as u64) >> 32) as usize;
+                if taken.len() < configurations && !taken.contains(&pick) {
+                    taken.push(pick);
+                }
+            }
+            draw += 1;
+        }
+        let realisation = |pick: usize| {
+            let (sheet, unit) = own(alike[pick / configurations]);
+            Realisation { sheet, unit, configuration: pick % configurations }
+        };
+        taken.into_iter().map(realisation).collect()
+    }
+
+    /// Displacement, in standard deviations and along the axes of the sheet, of site `site` of column
+    /// `member` of a unit.
+    pub fn displacement(&self, realisation: Realisation, member: usize, site: usize) -> [f64; 3] {
+        let key = unit_key(realisation.unit, member, site);
+        rng::normal3(
+            self.seeds[realisation.sheet],
+            Purpose::Library,
+            realisation.configuration as u32,
+            key,
+        )
+    }
+
+    /// The atoms of one configuration of a sheet, displaced; `sigma` gives the standard deviation in
+    /// Angstrom of each element.
+    pub(super) fn atoms(
+        &self,
+        sheet: usize,
+        configuration: usize,
+        sigma: &dyn Fn(u8) -> f64,
+    ) -> Vec<Site> {
+        let mut atoms = Vec::new();
+        let seed = self.seeds[sheet];
+        let mut add = |site: &LibrarySite, key: u64, defect: bool| {
+            let process = self.sheet.process.filter(|_| defect);
+            let (kind, number) = process.map_or((SiteKind::Pristine, site.number), |p| p.defect());
+            if kind == SiteKind::Vacancy {
+                return;
+            }
+            let n = rng::normal3(seed, Purpose::Library, configuration as u32, key);
+            let position = std::array::from_fn(|k| site.position[k] + sigma(number) * n[k]);
+            atoms.push(Site { position, number, sigma_angstrom: 0.0, key });
+        };
+        for (n, unit) in self.sheet.units.iter().enumerate() {
+            let pattern = &unit.patterns[sheet];
+            for (member, sites) in unit.members.iter().enumerate() {
+                for (i, site) in sites.iter().enumerate() {
+                    let defect = site.defect.is_some_and(|d| pattern.contains(&(d as u16)));
+                    add(site, unit_key(n, member, i), defect);
+                }
+            }
+        }
+        for (n, column) in self.sheet.surroundings.iter().enumerate() {
+            for (i, site) in column.iter().enumerate() {
+                let key = 1 << 48 | unit_key(n, 0, i);
+                let drawn = || rng::uniform(seed, Purpose::Library, SURROUNDINGS_DRAW, key);
+                add(site, key, site.defect.is_some() && drawn() < self.sheet.rate);
+            }
+        }
+        atoms
+    }
+
+    pub(super) fn plan(&self, settings: &Settings) -> Result<Plan> {
+        let heights = self.sheet.units.iter().flat_map(|u| u.members.iter().flatten());
+        let heights: Vec<f64> = heights.map(|s| s.position[2]).collect();
+        Plan::new(settings, self.sheet.box_angstrom, &heights)
+    }
+
+    /// What an image (sheet, configuration) shows.
+    pub(super) fn note(
+        &self,
+        settings: &Settings,
+        sigma: &dyn Fn(u8) -> f64,
+        image: [usize; 2],
+    ) -> ImageNote {
+        ImageNote::new(&self.sheet, &self.elements(), (settings, sigma), image)
+    }
+
+    /// All that decides one image (sheet, configuration).
+    pub(super) fn key(
+        &self,
+        settings: &Settings,
+        sigma: &dyn Fn(u8) -> f64,
+        [sheet, configuration]: [usize; 2],
+    ) -> String {
+        let sigmas: Vec<_> =
+            self.elements().into_iter().map(|n| (elements::symbol(n), sigma(n))).collect();
+        let text = serde_json::json!({
+            "numerics": NUMERICS_VERSION,
+            "settings": settings,
+            "sigma_angstrom": sigmas,
+            "sheet": self.digests[sheet],
+            "step_angstrom": self.scan.step_angstrom,
+            "shape": self.scan.shape,
+            "configuration": configuration,
+        });
+        hex(&Sha256::digest(text.to_string()))
+    }
+
+    /// Takes the images that were simulated or read, sheet by sheet, for those of all its configurations.
+    pub(super) fn average(&mut self) {
+        self.means = self.images.iter().map(|images| mean(images, self.shape)).collect();
+    }
+
+    /// All elements that its sheets may hold, ascending.
+    pub(super) fn elements(&self) -> Vec<u8> {
+        let units = self.sheet.units.iter().flat_map(|u| u.members.iter().flatten());
+        let sites = units.chain(self.sheet.surroundings.iter().flatten());
+        let mut numbers: BTreeSet<u8> = sites.map(|s| s.number).collect();
+        numbers.extend(self.sheet.process.map(|p| p.defect().1));
+        numbers.into_iter().collect()
+    }
+}
+
+/// The probes for an image of a sheet, and the distance (x, y) and number (rows, columns) of the samples as which it is kept.
+fn samples(sheet: &LibraryCell, optics: &Optics) -> (Scan, [f64; 2], [usize; 2]) {
+    let band_limit = image_band_limit(optics);
+    let kept = Kernel::default_step(band_limit);
+    let step_angstrom = sheet.cell.map(|edge| edge / (edge / kept - 1e-9).ceil());
+    let count = |k: usize, step: f64| {
+        let n = (sheet.scanned[k] / step).round() as usize;
+        if sheet.periodic[k] { n } else { n + 1 }
+    };
+    let probes = [0, 1].map(|k| match sheet.periodic[k] {
+        true => (sheet.scanned[k] / nyquist_step(band_limit)).ceil() as usize,
+        false => count(k, step_angstrom[k]),
+    });
+    let step = |k: usize| match sheet.periodic[k] {
+        true => sheet.scanned[k] / probes[k] as f64,
+        false => step_angstrom[k],
+    };
+    let scan = Scan {
+        origin_angstrom: sheet.scan_origin,
+        step_angstrom: [step(0), step(1)],
+        shape: [probes[1], probes[0]],
+    };
+    (scan, step_angstrom, [count(1, step_angstrom[1]), count(0, step_angstrom[0])])
+}
+
+fn mean(images: &[Array2<f32>], shape: [usize; 2]) -> Array2<f32> {
+    let mut sum = Array2::<f64>::zeros(shape);
+    for image in images {
+        sum.zip_mut_with(image, |s, v| *s += f64::from(*v));
+    }
+    sum.mapv(|s| (s / images.len().max(1) as f64) as f32)
+}
+
+fn unit_key(unit: usize, member: usize, site: usize) -> u64 {
+    (unit as u64) << 24 | (member as u64) << 16 | site as u64
+}
+
+/// The kind of defect as part of a description. Seeds of phonons come from it: another text is another library.
+fn process_text(process: Option<DefectKind>) -> String {
+    let text =
+        |p: DefectKind| format!("Some(Process {{ element: {}, by: {:?} }})", p.element, p.by);
+    process.map_or_else(|| "None".to_owned(), text)
+}
+
+/// All that decides the atoms of a sheet, but their displacements.
+fn description(sheet: &LibraryCell, family: UnitFamily, number: usize) -> String {
+    use std::fmt::Write;
+    let process = process_text(sheet.process);
+    let mut text = format!("{DRAWS_VERSION} {:?} {process} {:?} ", sheet.box_angstrom, sheet.rate);
+    let _ = write!(text, "{} {number} {:?} ", family.motif > 0, sheet.scan_origin);
+    let column = |text: &mut String, sites: &Vec<LibrarySite>| {
+        for s in sites {
+            let [x, y, z] = s.position;
+            let _ = write!(text, "{x:.5} {y:.5} {z:.5} {} {:?};", s.number, s.defect);
+        }
+    };
+    for LibraryUnit { members, patterns, .. } in &sheet.units {
+        members.iter().for_each(|m| column(&mut text, m));
+        let _ = write!(text, "{:?}|", patterns[number]);
+    }
+    sheet.surroundings.iter().for_each(|c| column(&mut text, c));
+    text
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|b| format!("{b:02x}")).collect()
+}
