@@ -36,9 +36,9 @@ mod world_writer;
 pub use atoms_file::{AtomRow, AtomsHeader, AtomsWriter, RowFormat, writable};
 #[cfg(feature = "hdf5")]
 use hdf5_errors::At;
+pub use hdf5_guard::read_through;
 #[cfg(feature = "hdf5")]
 pub use truth_writer::{LineKind, ParticleBatch, TruthBatch, TruthWriter};
-pub use hdf5_guard::read_through;
 #[cfg(feature = "report")]
 use world_file::regular_file;
 #[cfg(feature = "hdf5")]

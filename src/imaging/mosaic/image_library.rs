@@ -20,7 +20,7 @@ use crate::specimen::specimen_trait::Specimen;
 use crate::specimen::units::library_cell::{LibraryCell, LibrarySite, LibraryUnit};
 use crate::specimen::units::occupation::DefectKind;
 use crate::specimen::units::unit_tag::PatternIndex;
-use crate::specimen::units::unit_tag::UnitFamily;
+use crate::specimen::units::unit_tag::{TurnedFamily, UnitFamily, UnitTag};
 use crate::structure::elements;
 
 /// Version of the draws: the seeds of phonons come from a text that begins with it.
@@ -32,6 +32,8 @@ const SURROUNDINGS_DRAW: u32 = 1 << 20;
 pub struct CellImages {
     /// Geometry.
     pub sheet: LibraryCell,
+    /// Settings of the engine, with optics as seen from the sheet.
+    settings: Settings,
     /// Distance of the samples of images along x and y in Angstrom: cells hold a whole number.
     pub step_angstrom: [f64; 2],
     /// Samples (rows, columns).
@@ -65,7 +67,7 @@ pub struct Realisation {
 
 impl CellImages {
     /// The sheets of a family, yet without images.
-    fn new(sheet: LibraryCell, family: UnitFamily, settings: &Settings) -> Self {
+    fn new(sheet: LibraryCell, family: UnitFamily, settings: Settings) -> Self {
         let (scan, step_angstrom, shape) = samples(&sheet, &settings.optics);
         let index = sheet.units.iter().enumerate().map(|(n, u)| ((u.kind, u.cell), n)).collect();
         let mut pristine = BTreeMap::<usize, Vec<usize>>::new();
@@ -89,6 +91,7 @@ impl CellImages {
             images: vec![Vec::new(); sheet.count],
             means: Vec::new(),
             sheet,
+            settings,
         }
     }
 
@@ -214,15 +217,15 @@ impl CellImages {
         atoms
     }
 
-    fn plan(&self, settings: &Settings) -> Result<Plan> {
+    fn plan(&self) -> Result<Plan> {
         let heights = self.sheet.units.iter().flat_map(|u| u.members.iter().flatten());
         let heights: Vec<f64> = heights.map(|s| s.position[2]).collect();
-        Plan::new(settings, self.sheet.box_angstrom, &heights)
+        Plan::new(&self.settings, self.sheet.box_angstrom, &heights)
     }
 
     /// What an image (sheet, configuration) shows.
-    fn note(&self, settings: &Settings, sigma: &dyn Fn(u8) -> f64, image: [usize; 2]) -> ImageNote {
-        ImageNote::new(&self.sheet, &self.elements(), (settings, sigma), image)
+    fn note(&self, sigma: &dyn Fn(u8) -> f64, image: [usize; 2]) -> ImageNote {
+        ImageNote::new(&self.sheet, &self.elements(), (&self.settings, sigma), image)
     }
 
     /// All elements that its sheets may hold, ascending.
@@ -245,9 +248,9 @@ pub struct MissingImage {
 
 /// All sheets that a world needs.
 pub struct ImageLibrary {
-    cells: BTreeMap<UnitFamily, CellImages>,
-    /// Settings of the engine, for given displacements.
-    settings: Settings,
+    cells: BTreeMap<TurnedFamily, CellImages>,
+    /// Whether images do not change when turned, so that turned sheets share them.
+    round: bool,
     configurations: usize,
 }
 
@@ -258,25 +261,37 @@ impl ImageLibrary {
     /// [`Error::Invalid`] for a family that the specimen lacks.
     pub fn new(
         specimen: &dyn Specimen,
-        families: impl Iterator<Item = UnitFamily>,
+        families: impl Iterator<Item = TurnedFamily>,
         settings: &Settings,
     ) -> Result<Self> {
         let configurations = settings.configurations() as usize;
         let settings = Settings { phonons: None, ..settings.clone() };
-        let cell = |family: UnitFamily| {
+        let round = settings.optics.is_round();
+        let cell = |turned: TurnedFamily| {
+            let family = turned.family;
             let sheet = specimen.library_cell(family).ok_or_else(|| {
                 let expected = "the specimen has no sheet of this family";
                 Error::invalid(crate::Setting::Library, format!("{family:?}"), expected)
             })?;
-            Ok((family, CellImages::new(sheet.rounded(), family, &settings)))
+            let settings = match round {
+                true => settings.clone(),
+                false => Settings {
+                    optics: settings.optics.seen_from(turned.frame()),
+                    ..settings.clone()
+                },
+            };
+            Ok((turned, CellImages::new(sheet.rounded(), family, settings)))
         };
-        let cells = families.map(cell).collect::<Result<_>>()?;
-        Ok(ImageLibrary { cells, settings, configurations })
+        let families: BTreeSet<TurnedFamily> =
+            families.map(|f| if round { f.straight() } else { f }).collect();
+        let cells = families.into_iter().map(cell).collect::<Result<_>>()?;
+        Ok(ImageLibrary { cells, round, configurations })
     }
 
-    /// The sheets of a family.
-    pub fn cell_images(&self, family: UnitFamily) -> Option<&CellImages> {
-        self.cells.get(&family)
+    /// The sheets of a unit's family.
+    pub fn cell_images(&self, tag: &UnitTag) -> Option<&CellImages> {
+        let turned = TurnedFamily::of(tag);
+        self.cells.get(&if self.round { turned.straight() } else { turned })
     }
 
     /// Phonon configurations of each sheet.
@@ -296,7 +311,7 @@ impl ImageLibrary {
     /// Those of the settings.
     pub fn largest_plan(&self) -> Result<Option<PlannedScan>> {
         let largest = self.cells.values().max_by_key(|s| s.probes());
-        let plan = |s: &CellImages| Ok(PlannedScan::new(s.plan(&self.settings)?, s.scan, None));
+        let plan = |s: &CellImages| Ok(PlannedScan::new(s.plan()?, s.scan, None));
         largest.map(plan).transpose()
     }
 
@@ -325,7 +340,7 @@ impl ImageLibrary {
             sheets.flat_map(move |s| (0..self.configurations).map(move |c| (cell, [s, c])))
         });
         all.filter(move |(cell, [sheet, configuration])| {
-            !cache.has(material, &key(&self.settings, sigma, cell, *sheet, *configuration))
+            !cache.has(material, &key(sigma, cell, *sheet, *configuration))
         })
     }
 
@@ -355,7 +370,7 @@ impl ImageLibrary {
             notes.iter().filter_map(|n| serde_json::from_str(n).ok()).collect();
         let mut new: BTreeMap<String, usize> = BTreeMap::new();
         for (cell, image) in self.lacking(material, sigma, cache) {
-            let why = cell.note(&self.settings, sigma, image).difference(&kept);
+            let why = cell.note(sigma, image).difference(&kept);
             *new.entry(why).or_default() += 1;
         }
         new.into_iter().map(|(why, images)| NewImages::new(images, why)).collect()
@@ -377,14 +392,14 @@ impl ImageLibrary {
         let probes = self.probes();
         progress.start("library", "probe", probes as u64);
         for cell in self.cells.values_mut() {
-            let plan = cell.plan(&self.settings)?;
+            let plan = cell.plan()?;
             let mut simulation = None;
             for sheet in 0..cell.sheet.count {
                 for configuration in 0..self.configurations {
                     if progress.interrupted() {
                         return Err(Error::Interrupted);
                     }
-                    let key = key(&self.settings, sigma, cell, sheet, configuration);
+                    let key = key(sigma, cell, sheet, configuration);
                     let share = ProgressShare::new(progress, cell.probes());
                     let image = match cache.load(material, &key, cell.scan.shape, progress) {
                         Some(image) => {
@@ -400,7 +415,7 @@ impl ImageLibrary {
                             let atoms = cell.atoms(sheet, configuration, sigma);
                             let images = simulation.images(&atoms, &cell.scan, &share)?;
                             let image = images.image(0, 0).to_owned();
-                            let note = cell.note(&self.settings, sigma, [sheet, configuration]);
+                            let note = cell.note(sigma, [sheet, configuration]);
                             let about = serde_json::to_string(&note).unwrap_or_default();
                             if let Err(e) = cache.save(material, &key, &about, &image) {
                                 keep.get_or_insert(e);
@@ -488,18 +503,12 @@ fn description(sheet: &LibraryCell, family: UnitFamily, number: usize) -> String
 }
 
 /// All that decides one image.
-fn key(
-    settings: &Settings,
-    sigma: &dyn Fn(u8) -> f64,
-    cell: &CellImages,
-    sheet: usize,
-    configuration: usize,
-) -> String {
+fn key(sigma: &dyn Fn(u8) -> f64, cell: &CellImages, sheet: usize, configuration: usize) -> String {
     let sigmas: Vec<_> =
         cell.elements().into_iter().map(|n| (elements::symbol(n), sigma(n))).collect();
     let text = serde_json::json!({
         "numerics": NUMERICS_VERSION,
-        "settings": settings,
+        "settings": cell.settings,
         "sigma_angstrom": sigmas,
         "sheet": cell.digests[sheet],
         "step_angstrom": cell.scan.step_angstrom,
