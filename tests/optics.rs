@@ -108,25 +108,23 @@ fn exit_waves_move_with_the_beam() {
     let mut one = crystal([3, 3, 1]).0;
     one.truncate(1);
     let cell = [3.0 * A, 3.0 * A, 120.0];
-    let settings = tilted(&Settings::default(), [10.0, 0.0]);
-    let plan = Plan::new(&settings, cell, &[one[0].position[2]]).unwrap();
+    let height = one[0].position[2];
+    let upright = Plan::new(&Settings::default(), cell, &[height]).unwrap();
+    let (pixel, nx) = (upright.wave_grid.sampling_angstrom()[0], upright.wave_grid.points[0]);
+    let way = 24;
+    let tilt = 1e3 * (f64::from(way) * pixel / (cell[2] - height)).atan();
+    let settings = tilted(&Settings::default(), [tilt, 0.0]);
+    let plan = Plan::new(&settings, cell, &[height]).unwrap();
     let wave = exit_wave(&plan, &one, 0, &Silent).unwrap();
-    let from_middle: Vec<(usize, f32)> =
-        wave.row(0).iter().map(|v| (v - 1.0).norm()).enumerate().collect();
-    // the ripple around the atom's shadow is symmetric about where the beam carries it
-    let pixel = cell[0] / wave.ncols() as f64;
-    let way = (cell[2] - one[0].position[2]) * 0.01_f64.tan() / pixel;
-    let at = |x: f64| {
-        let n = from_middle.len() as f64;
-        let (i, t) = (x.rem_euclid(n).floor() as usize, x.rem_euclid(1.0) as f32);
-        let next = (i + 1) % from_middle.len();
-        from_middle[i].1 * (1.0 - t) + from_middle[next].1 * t
-    };
-    let top = from_middle.iter().map(|v| v.1).fold(0.0, f32::max);
-    for d in 1..40 {
-        let (left, right) = (at(way - f64::from(d)), at(way + f64::from(d)));
-        assert!((left - right).abs() < 0.03 * top, "{d}: {left} {right}");
+    let scattered: Vec<f32> = wave.row(0).iter().map(|v| (v - 1.0).norm()).collect();
+    let top = scattered.iter().fold(0.0_f32, |m, v| m.max(*v));
+    // what the atom scatters is symmetric about where the beam carries it
+    let at = |x: i32| scattered[x.rem_euclid(nx as i32) as usize];
+    for d in 1..60 {
+        let (left, right) = (at(way - d), at(way + d));
+        assert!((left - right).abs() < 1e-3 * top, "{d}: {left} {right}");
     }
+    assert!((1..60).any(|d| (at(-d) - at(d)).abs() > 0.1 * top));
 }
 
 fn at_focus(settings: &Settings, defocus: f64) -> Settings {
