@@ -106,7 +106,7 @@
 //! - [`fft`]: Fourier transforms in two dimensions
 //! - [`structure`]: atoms in a cell; CIF, XYZ and POSCAR; zone axes, supercells, columns
 //! - [`potential`]: scattering factors, slices, projected potentials
-//! - [`optics`]: the lens: aperture and aberrations
+//! - [`optics`]: the lens: aperture and aberrations; mistilt and focal spread
 //! - [`resample`]: interpolation of images between probes
 //! - [`acquisition`]: from the noise-free image to the recording: scan errors, doses, detectors
 //! - [`detect`]: annular detectors

@@ -34,6 +34,12 @@ settings! {
     SemiangleMrad = "semiangle (mrad)",
     /// A coefficient of the aberration function.
     Aberration = "aberration",
+    /// The mistilt of the specimen.
+    MistiltMrad = "mistilt (mrad)",
+    /// The standard deviation of the focus.
+    FocalSpreadAngstrom = "focal spread (A)",
+    /// The share of the source's long tails.
+    SourceLorentzShare = "Lorentz share of the source",
     /// The width of the electron source.
     SourceSizeAngstrom = "source size (A)",
     /// A detector: its angles or its place.

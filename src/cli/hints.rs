@@ -122,7 +122,10 @@ fn options(setting: Setting) -> Option<&'static str> {
         S::EnergyKev => Some("--energy"),
         S::SemiangleMrad => Some("--semiangle, or --sampling for a finer grid"),
         S::Aberration => Some("--aberration"),
+        S::MistiltMrad => Some("--tilt"),
+        S::FocalSpreadAngstrom => Some("--focal-spread"),
         S::SourceSizeAngstrom => Some("--source-size"),
+        S::SourceLorentzShare => Some("--source-lorentz"),
         S::Detector | S::DetectorName | S::Detectors => Some("--detector"),
         S::Zone => Some("--zone and --up"),
         S::Cell => Some(

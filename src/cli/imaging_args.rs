@@ -9,7 +9,7 @@ use clap::Args;
 use stemgen::detect::Detector;
 use stemgen::engine::settings::{AUTO_ANGLE_MARGIN, DEFAULT_BAND_FRACTION};
 use stemgen::engine::{
-    Algorithm, BeyondLimit, Expansion, GridChoice, Phonons, ProbeStep, Settings,
+    Algorithm, BeyondLimit, Expansion, GridChoice, Phonons, ProbeStep, Settings, Source,
 };
 use stemgen::optics::{Aberration, Aberrations, Optics};
 use stemgen::potential::slices::Slicing;
@@ -38,10 +38,21 @@ pub struct MicroscopeArgs {
     /// Aberration coefficient in A, with azimuth in rad: C12=30@0.3, C30=1e5 (repeatable)
     #[arg(long, value_name = "Cnm=A[@RAD]", value_parser = values::aberration)]
     pub aberration: Vec<Aberration>,
-    /// Width of the electron source in A (full width at half maximum of a Gaussian; 0.7-1.0 is usual)
+    /// Mistilt of the specimen in mrad, up to 20: the beam runs along (tan X, tan Y, 1) of the box [default: 0,0]
+    #[arg(long, value_name = "X,Y", value_parser = values::point, allow_hyphen_values = true)]
+    pub tilt: Option<[f64; 2]>,
+    /// Standard deviation of the focus in A, over which images are averaged: C_c dE / E, with the standard deviation dE of
+    /// the energy [default: 0]
+    #[arg(long, value_name = "A", value_parser = values::finite, allow_negative_numbers = true)]
+    pub focal_spread: Option<f64>,
+    /// Width of the electron source in A (full width at half maximum; 0.7-1.0 is usual), a Gaussian
     /// [default: a point]
     #[arg(long, value_name = "A", value_parser = values::positive)]
     pub source_size: Option<f64>,
+    /// Share of the source in long tails, from 0 to 1: a Lorentz profile of the same width in place of the Gaussian
+    #[arg(long, value_name = "SHARE", value_parser = values::finite, allow_negative_numbers = true)]
+    #[arg(requires = "source_size")]
+    pub source_lorentz: Option<f64>,
     /// Annular detector, inner and outer angle in mrad; BF=0-20, ABF=10-20, ADF=40-100
     /// (repeatable) [default: HAADF=68-200]
     #[arg(long, value_name = "NAME=IN-OUT", value_parser = values::detector)]
@@ -187,6 +198,12 @@ fn name(engine: EngineName) -> &'static str {
 }
 
 impl MicroscopeArgs {
+    /// The source; `None` for a point.
+    pub fn source(&self) -> Option<Source> {
+        let lorentz_share = self.source_lorentz.unwrap_or_default();
+        self.source_size.map(|fwhm_angstrom| Source { fwhm_angstrom, lorentz_share })
+    }
+
     fn optics(&self, defocus: f64) -> Optics {
         let mut aberrations = Aberrations::defocus(defocus);
         aberrations.0.extend(self.aberration.iter().copied());
@@ -194,6 +211,8 @@ impl MicroscopeArgs {
             energy_ev: self.energy * 1e3,
             semiangle_mrad: self.semiangle,
             aberrations,
+            mistilt_mrad: self.tilt.unwrap_or_default(),
+            focal_spread_angstrom: self.focal_spread.unwrap_or_default(),
             ..Optics::default()
         }
     }

@@ -288,6 +288,13 @@ impl Simulate {
         }
         let source = self.microscope.source_size;
         facts.extend(source.map(|s| ("source", format!("{s} \u{c5} (FWHM)"))));
+        if optics.mistilt_mrad != [0.0; 2] {
+            let [x, y] = optics.mistilt_mrad;
+            facts.push(("mistilt", format!("{x}, {y} mrad")));
+        }
+        if optics.focal_spread_angstrom > 0.0 {
+            facts.push(("focal spread", format!("{} \u{c5}", optics.focal_spread_angstrom)));
+        }
         let dose = self.results.dose;
         facts.extend(dose.map(|d| ("dose", format!("{d} electrons per \u{c5}\u{b2}"))));
         facts.into_iter().map(|(name, value)| (name.to_owned(), value)).collect()
@@ -306,7 +313,7 @@ impl Simulate {
             structure_file: self.specimen.file_name(),
             wavelength_angstrom: plan.settings.optics.wavelength_angstrom(),
             band_limit_mrad: plan.band_limit_mrad,
-            source_fwhm_angstrom: self.microscope.source_size,
+            source: self.microscope.source(),
             wall_time_s,
             accuracy: AccuracyReport::json_of(&planned.accuracies)?,
             box_angstrom: specimen.size,
@@ -320,8 +327,8 @@ impl Simulate {
         scan: &Scan,
         cell: [f64; 2],
     ) -> anyhow::Result<Option<SourceBlur>> {
-        let source = self.microscope.source_size;
-        Ok(source.map(|fwhm| SourceBlur::new(fwhm, scan, cell)).transpose()?)
+        let source = self.microscope.source();
+        Ok(source.map(|source| SourceBlur::new(source, scan, cell)).transpose()?)
     }
 }
 

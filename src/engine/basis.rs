@@ -5,7 +5,7 @@
 //! many as leave no probe an error above a given share of its amplitude. Only these waves are propagated. With
 //! their Fourier coefficients `phi_j(k)` behind the specimen, a probe with the coefficients `c_j` has the intensity
 //! `sum_ij c_i* c_j M_ij` on a detector D, `M_ij = sum_k D(k) phi_i*(k) phi_j(k)`. The error of the expansion is the only
-//! approximation.
+//! approximation. With focal spread the waves hold the probes of all foci.
 
 use super::probe::CroppedProbe;
 use super::single_precision::single;
@@ -31,10 +31,10 @@ const CANDIDATES_PER_NYQUIST: f64 = 3.0;
 const REDUCED: f64 = 0.3;
 
 impl Basis {
-    /// The waves for probes at most `half` (Angstrom, along x and y) from the middle of a window, each right to the share
+    /// The waves for probes, which differ in focus, at most `half` (Angstrom, along x and y) from the middle of a window, each right to the share
     /// `error` of its amplitude; `nyquist` is the Nyquist distance of the amplitude in Angstrom.
-    pub fn new(probe: &CroppedProbe, half: [f64; 2], nyquist: f64, error: f64) -> Self {
-        let candidates = Candidates::new(probe, half, nyquist / CANDIDATES_PER_NYQUIST);
+    pub fn new(probes: &[&CroppedProbe], half: [f64; 2], nyquist: f64, error: f64) -> Self {
+        let candidates = Candidates::new(probes, half, nyquist / CANDIDATES_PER_NYQUIST);
         let allowed: Vec<f64> = candidates.norms.iter().map(|n| error * error * n).collect();
         let (span, of) = candidates.reduced(error * REDUCED);
         let n = candidates.len();
@@ -61,7 +61,7 @@ impl Basis {
             (&components, [1, waves]),
             (&span, bins),
         );
-        let back = chosen.chunks_exact(bins).flat_map(|wave| probe.pad_window(wave));
+        let back = chosen.chunks_exact(bins).flat_map(|wave| probes[0].pad_window(wave));
         let project = back.map(|v| single(v.conj())).collect();
         Basis { waves: chosen.into_iter().map(single).collect(), project, bins }
     }
@@ -118,7 +118,8 @@ fn fewest(on: &[Complex64], waves: usize, norms: &[f64], allowed: &[f64]) -> usi
 
 /// Probes on a raster over a patch, denser towards its edges, by which the waves are chosen.
 struct Candidates<'a> {
-    probe: &'a CroppedProbe,
+    /// One for each focus; all have the same bins.
+    probes: &'a [&'a CroppedProbe],
     /// Phases along x and y: for each position, those of the frequencies of the surroundings.
     phases: [Vec<Vec<Complex64>>; 2],
     /// Squared norms in the window.
@@ -126,7 +127,7 @@ struct Candidates<'a> {
 }
 
 impl<'a> Candidates<'a> {
-    fn new(probe: &'a CroppedProbe, half: [f64; 2], step: f64) -> Self {
+    fn new(probes: &'a [&'a CroppedProbe], half: [f64; 2], step: f64) -> Self {
         let places = [0, 1].map(|k| {
             let n = (2.0 * half[k] / step).ceil() as usize + 1;
             // Chebyshev points: the errors at the edges are then as small as those inside.
@@ -137,42 +138,49 @@ impl<'a> Candidates<'a> {
             (0..n).map(place).collect::<Vec<f64>>()
         });
         let phases = [0, 1].map(|k| {
-            let at = |x: &f64| probe.phases([*x; 2])[k].clone();
+            let at = |x: &f64| probes[0].phases([*x; 2])[k].clone();
             places[k].iter().map(at).collect()
         });
-        let mut candidates = Candidates { probe, phases, norms: Vec::new() };
+        let mut candidates = Candidates { probes, phases, norms: Vec::new() };
         let norm = |i| candidates.get(i).iter().map(Complex64::norm_sqr).sum();
         candidates.norms = (0..candidates.len()).map(norm).collect();
         candidates
     }
 
-    fn len(&self) -> usize {
+    fn positions(&self) -> usize {
         self.phases[0].len() * self.phases[1].len()
+    }
+
+    fn len(&self) -> usize {
+        self.probes.len() * self.positions()
     }
 
     /// Coefficients of candidate `i` on the bins of the window.
     fn get(&self, i: usize) -> Vec<Complex64> {
-        let columns = self.phases[0].len();
-        self.probe.moved(&self.phases[0][i % columns], &self.phases[1][i / columns])
+        let (columns, position) = (self.phases[0].len(), i % self.positions());
+        let probe = self.probes[i / self.positions()];
+        probe.moved(&self.phases[0][position % columns], &self.phases[1][position / columns])
     }
 
     /// The products `sum wave* v` in the window with all candidates v.
     fn project(&self, wave: &[Complex64]) -> Vec<Complex64> {
-        let wave = self.probe.pad_window(wave);
+        let wave = self.probes[0].pad_window(wave);
         let columns = self.phases[0].len();
         let mut out = vec![Complex64::ZERO; self.len()];
         let mut sums = vec![Complex64::ZERO; columns];
-        let mut wave = wave.iter();
-        for row in self.probe.around.chunk_by(|a, b| a.0.0 == b.0.0) {
-            let weighted: Vec<Complex64> =
-                row.iter().zip(wave.by_ref()).map(|(bin, w)| w.conj() * bin.1).collect();
-            for (sum, phases) in sums.iter_mut().zip(&self.phases[0]) {
-                let at = row.iter().map(|bin| phases[bin.0.1]);
-                *sum = weighted.iter().zip(at).map(|(w, p)| w * p).sum();
-            }
-            for (line, phases) in out.chunks_exact_mut(columns).zip(&self.phases[1]) {
-                let phase = phases[row[0].0.0];
-                line.iter_mut().zip(&sums).for_each(|(to, sum)| *to += sum * phase);
+        for (probe, out) in self.probes.iter().zip(out.chunks_exact_mut(self.positions())) {
+            let mut wave = wave.iter();
+            for row in probe.around.chunk_by(|a, b| a.0.0 == b.0.0) {
+                let weighted: Vec<Complex64> =
+                    row.iter().zip(wave.by_ref()).map(|(bin, w)| w.conj() * bin.1).collect();
+                for (sum, phases) in sums.iter_mut().zip(&self.phases[0]) {
+                    let at = row.iter().map(|bin| phases[bin.0.1]);
+                    *sum = weighted.iter().zip(at).map(|(w, p)| w * p).sum();
+                }
+                for (line, phases) in out.chunks_exact_mut(columns).zip(&self.phases[1]) {
+                    let phase = phases[row[0].0.0];
+                    line.iter_mut().zip(&sums).for_each(|(to, sum)| *to += sum * phase);
+                }
             }
         }
         out
@@ -226,7 +234,7 @@ mod tests {
         let probe = Probe::new(&plan);
         let cropped = probe.cropped().unwrap();
         let (half, error) = ([1.6, 1.2], 0.01);
-        let basis = Basis::new(cropped, half, 0.6, error);
+        let basis = Basis::new(&[cropped], half, 0.6, error);
         let middle = cropped.offset([0.0; 2]).map(|x| -x);
         let place =
             |i: usize| (i, [0, 1].map(|k| middle[k] + half[k] * (0.77 * (i + 9 * k) as f64).sin()));

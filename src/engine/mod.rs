@@ -58,5 +58,5 @@ pub use settings::{
 };
 pub(crate) use simulate::elements;
 pub use simulate::{Simulation, diffraction, exit_wave, simulate};
-pub use source_size::SourceBlur;
+pub use source_size::{Source, SourceBlur};
 pub use speed::{Speed, measure_speed};

@@ -25,7 +25,8 @@ pub(super) struct Multislice<'a> {
     plan: &'a Plan,
     stepper: Stepper,
     map: DetectorMap,
-    probe: Probe,
+    /// The probe at each focus, with its weight; without focal spread there is one.
+    probes: Vec<(f64, Probe)>,
     /// Columns that hold the spectrum of the probe.
     probe_columns: Vec<Range<usize>>,
     /// The last basis, with the largest distance (x, y) in Angstrom of its probes from the middle of their window.
@@ -49,12 +50,14 @@ impl<'a> Multislice<'a> {
         let stepper = Stepper::new(plan);
         let grid = plan.wave_grid;
         let map = plan.detector_map(&grid, stepper.fft().stride(), plan.detector_ramp_mrad());
-        let probe = Probe::new(plan);
+        let probes: Vec<(f64, Probe)> =
+            plan.at_foci().iter().map(|(weight, at)| (*weight, Probe::new(at))).collect();
         let nx = grid.points[0];
         let column = |b: &(usize, usize)| frequency(b.1, nx).unsigned_abs() as usize;
-        let reach = probe.bins.iter().map(column).max().unwrap_or(0);
+        // Aberrations do not change which bins hold the probe.
+        let reach = probes[0].1.bins.iter().map(column).max().unwrap_or(0);
         let probe_columns = stepper.fft().band_columns(reach);
-        Multislice { plan, stepper, map, probe, probe_columns, basis: None }
+        Multislice { plan, stepper, map, probes, probe_columns, basis: None }
     }
 
     /// Intensities as fractions of the beam: (probe, recorded thickness, detector), row-major.
@@ -101,7 +104,7 @@ impl<'a> Multislice<'a> {
     ) -> Result<Vec<f64>> {
         let (paths, path_of) = self.paths(transmission, &groups);
         let this = &*self;
-        let basis = basis.as_deref().zip(this.probe.cropped());
+        let basis = basis.as_deref();
         let workspaces = WorkspacePool::new();
         let values = groups.par_iter().zip(path_of).map(|(group, path)| {
             if progress.interrupted() {
@@ -151,12 +154,14 @@ impl<'a> Multislice<'a> {
 
     /// The basis for the probes of these patches, if they are expanded; scans of one shape share it.
     fn basis(&mut self, patches: &ProbePatches) -> Option<Arc<Basis>> {
-        let (error, probe) = (patches.error?, self.probe.cropped()?);
+        let error = patches.error?;
+        let probes: Vec<&CroppedProbe> =
+            self.probes.iter().map(|(_, probe)| probe.cropped()).collect::<Option<_>>()?;
         let half = patches.half(self.plan);
         if let Some((_, basis)) = self.basis.as_ref().filter(|known| known.0 == half) {
             return Some(basis.clone());
         }
-        let basis = Arc::new(Basis::new(probe, half, amplitude_nyquist(self.plan), error));
+        let basis = Arc::new(Basis::new(&probes, half, amplitude_nyquist(self.plan), error));
         self.basis = Some((half, basis.clone()));
         Some(basis)
     }
@@ -172,10 +177,14 @@ impl<'a> Multislice<'a> {
         let detectors = self.plan.settings.detectors.len();
         let per_probe = detectors * path.len();
         let mut values = vec![0.0; group.probes.len() * per_probe];
-        self.propagate(w, path, view, &group.probes, |probe, r, psi, scale| {
-            let at = probe * per_probe + r * detectors;
-            self.map.collect(psi, scale, &mut values[at..at + detectors]);
-        });
+        let mut one = vec![0.0; detectors];
+        for focus in 0..self.probes.len() {
+            self.propagate(w, path, view, (&group.probes, focus), |probe, r, psi, scale| {
+                let at = probe * per_probe + r * detectors;
+                self.map.collect(psi, scale, &mut one);
+                values[at..at + detectors].iter_mut().zip(&one).for_each(|(v, o)| *v += o);
+            });
+        }
         values
     }
 
@@ -186,11 +195,15 @@ impl<'a> Multislice<'a> {
         path: &SlicePath,
         view: TransmissionView<'_>,
         group: &Patch,
-        (basis, probe): (&Basis, &CroppedProbe),
+        basis: &Basis,
     ) -> Vec<f64> {
         let (probes, detectors) = (group.probes.len(), self.plan.settings.detectors.len());
         let per_probe = detectors * path.len();
-        let coefficients = basis.coefficients(probe, &group.probes);
+        let at_foci =
+            self.probes.iter().filter_map(|(weight, probe)| Some((weight, probe.cropped()?)));
+        let coefficients: Vec<(f64, Vec<Complex32>)> = at_foci
+            .map(|(weight, probe)| (*weight, basis.coefficients(probe, &group.probes)))
+            .collect();
         let waves = self.at_least(waves, basis.len());
         for (j, wave) in waves.iter_mut().enumerate() {
             self.begin(wave, basis.wave(j).iter().copied(), step);
@@ -210,9 +223,12 @@ impl<'a> Multislice<'a> {
                 }
             }
             for (d, amplitudes) in amplitudes.iter().enumerate() {
-                let sums = intensities(amplitudes, &coefficients, basis.len(), probes, scale);
-                for (probe, intensity) in sums.into_iter().enumerate() {
-                    values[probe * per_probe + r * detectors + d] = intensity;
+                let matrix = detected(amplitudes, basis.len());
+                for (weight, coefficients) in &coefficients {
+                    let sums = intensities(&matrix, coefficients, probes, weight * scale);
+                    for (probe, intensity) in sums.into_iter().enumerate() {
+                        values[probe * per_probe + r * detectors + d] += intensity;
+                    }
                 }
             }
         }
@@ -233,9 +249,14 @@ impl<'a> Multislice<'a> {
         1.0 / ((nx * ny) as f64).powi(2)
     }
 
-    /// Sets a wave to the probe at `position` (Angstrom, from the first pixel of the wave).
-    fn start(&self, wave: &mut [Complex32], position: [f64; 2], w: &mut StepWorkspace) {
-        self.begin(wave, self.probe.at(self.plan, position).into_iter(), w);
+    /// Sets a wave to the probe of a focus at `position` (Angstrom, from the first pixel of the wave).
+    fn start(
+        &self,
+        wave: &mut [Complex32],
+        (position, focus): ([f64; 2], usize),
+        w: &mut StepWorkspace,
+    ) {
+        self.begin(wave, self.probes[focus].1.at(self.plan, position).into_iter(), w);
     }
 
     /// Sets a wave to these coefficients, in the order of the probe's bins, in the form that steps work on.
@@ -247,7 +268,7 @@ impl<'a> Multislice<'a> {
     ) {
         let stride = self.stepper.fft().stride();
         wave.fill(Complex32::ZERO);
-        for (&(iy, ix), c) in self.probe.bins.iter().zip(coefficients) {
+        for (&(iy, ix), c) in self.probes[0].1.bins.iter().zip(coefficients) {
             wave[iy * stride + ix] = c;
         }
         self.stepper.start(wave, &self.probe_columns, &mut w.fft);
@@ -274,7 +295,7 @@ impl<'a> Multislice<'a> {
 
     /// The steps through these slices up to each recorded thickness.
     fn path(&mut self, slices: &[usize]) -> SlicePath {
-        let mut at = self.plan.slices.entrance();
+        let mut at = (self.plan.slices.entrance(), [0; 2]);
         let mut rest = slices;
         let mut path = Vec::new();
         for last in &self.plan.record_after {
@@ -286,19 +307,19 @@ impl<'a> Multislice<'a> {
         path
     }
 
-    /// Propagates probes along a path; `record(probe, r, psi, scale)` receives the Fourier coefficients at the r-th
-    /// recorded thickness, whose squared moduli times `scale` are fractions of the beam.
+    /// Propagates probes of a focus along a path; `record(probe, r, psi, scale)` receives the Fourier coefficients at the r-th
+    /// recorded thickness, whose squared moduli times `scale` are fractions of the beam, weighted by the focus.
     fn propagate(
         &self,
         MultisliceWorkspace { waves, copy, step, .. }: &mut MultisliceWorkspace,
         path: &SlicePath,
         view: TransmissionView<'_>,
-        probes: &[(usize, [f64; 2])],
+        (probes, focus): (&[(usize, [f64; 2])], usize),
         mut record: impl FnMut(usize, usize, &[Complex32], f64),
     ) {
         let waves = self.at_least(waves, probes.len());
         for (wave, (_, position)) in waves.iter_mut().zip(probes) {
-            self.start(wave, *position, step);
+            self.start(wave, (*position, focus), step);
         }
         for (r, steps) in path.iter().enumerate() {
             for slice_step in steps {
@@ -307,7 +328,7 @@ impl<'a> Multislice<'a> {
             for (probe, wave) in waves.iter().enumerate() {
                 copy.copy_from_slice(wave);
                 self.stepper.transform_columns(copy, false, &mut step.fft);
-                record(probe, r, copy, self.scale());
+                record(probe, r, copy, self.probes[focus].0 * self.scale());
             }
         }
     }
@@ -329,35 +350,41 @@ impl<'a> Multislice<'a> {
         let path = self.path(&slices);
         let mut w = self.workspace();
         let view = TransmissionView { transmission, origin: group.origin };
-        self.propagate(&mut w, &path, view, &group.probes, |_, r, psi, scale| {
-            for iy in 0..ny {
-                for ix in 0..nx {
-                    let [kx, ky] = grid.k(iy, ix);
-                    if kx.hypot(ky) < self.plan.band_limit {
-                        let p = f64::from(psi[iy * row_stride + ix].norm_sqr());
-                        out[r][iy * nx + ix] = (p * scale) as f32;
+        for focus in 0..self.probes.len() {
+            self.propagate(&mut w, &path, view, (&group.probes, focus), |_, r, psi, scale| {
+                for iy in 0..ny {
+                    for ix in 0..nx {
+                        let [kx, ky] = grid.k(iy, ix);
+                        if kx.hypot(ky) < self.plan.band_limit {
+                            let p = f64::from(psi[iy * row_stride + ix].norm_sqr());
+                            out[r][iy * nx + ix] += (p * scale) as f32;
+                        }
                     }
                 }
-            }
-        });
+            });
+        }
         out
     }
 }
 
-/// Intensities of probes on a detector, from the amplitudes there of the `n` waves that they are expanded in, (wave, pixel)
-/// row-major, and their coefficients on these waves, (wave, probe) row-major. `scale` turns squared moduli into
-/// fractions of the beam.
+/// What a detector sees of `n` waves, `M_ij` of `engine::basis`, from their amplitudes there, (wave, pixel) row-major.
+fn detected(amplitudes: &[Complex32], n: usize) -> Vec<Complex32> {
+    let mut matrix = vec![Complex32::ZERO; n * n];
+    gram(n, amplitudes, &mut matrix);
+    matrix
+}
+
+/// Intensities of probes on a detector, from what it sees of the waves that they are expanded in, and their coefficients on
+/// these waves, (wave, probe) row-major. `scale` turns squared moduli into fractions of the beam.
 fn intensities(
-    amplitudes: &[Complex32],
+    matrix: &[Complex32],
     coefficients: &[Complex32],
-    n: usize,
     probes: usize,
     scale: f64,
 ) -> Vec<f64> {
-    let mut matrix = vec![Complex32::ZERO; n * n];
+    let n = coefficients.len() / probes;
     let mut product = vec![Complex32::ZERO; n * probes];
-    gram(n, amplitudes, &mut matrix);
-    multiply((n, probes, n), (&mut product, probes), (&matrix, [n, 1]), (coefficients, probes));
+    multiply((n, probes, n), (&mut product, probes), (matrix, [n, 1]), (coefficients, probes));
     let mut sums = vec![0.0; probes];
     for (c, y) in coefficients.chunks_exact(probes).zip(product.chunks_exact(probes)) {
         for (sum, (c, y)) in sums.iter_mut().zip(c.iter().zip(y)) {

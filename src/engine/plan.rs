@@ -9,6 +9,7 @@ use super::settings::{Algorithm, GridChoice, Settings};
 use crate::detect::{DetectorMap, Pattern};
 use crate::error::{Error, Result};
 use crate::fft::{BandLimit, good_size};
+use crate::optics::{Focus, foci};
 use crate::potential::projected::Projection;
 use crate::potential::slices::Slices;
 use serde::Serialize;
@@ -116,6 +117,32 @@ impl Plan {
     /// Whether waves are propagated in windows rather than over the whole cell.
     pub fn has_windows(&self) -> bool {
         self.wave_grid != self.transmission_grid
+    }
+
+    /// How far (x, y) the beam has moved, in Angstrom, at a height in Angstrom: by the mistilt, from the entrance surface on.
+    pub(super) fn beam_shift(&self, height: f64) -> [f64; 2] {
+        self.settings.optics.slope().map(|s| s * (height - self.slices.entrance()))
+    }
+
+    /// How many pixels (x, y) windows have moved at a height (Angstrom) to follow the beam.
+    pub(super) fn window_shift(&self, height: f64) -> [i64; 2] {
+        if !self.has_windows() || self.settings.optics.mistilt_mrad == [0.0; 2] {
+            return [0; 2];
+        }
+        let (shift, pixel) = (self.beam_shift(height), self.wave_grid.sampling_angstrom());
+        [0, 1].map(|k| (shift[k] / pixel[k]).round() as i64)
+    }
+
+    /// The plans for each focus of the focal spread, and their weights: this one alone without.
+    pub(super) fn at_foci(&self) -> Vec<(f64, Plan)> {
+        // Plans are made of settings that were checked, so there are foci.
+        let foci = foci(&self.settings.optics).unwrap_or_default();
+        let at = |focus: Focus| {
+            let mut plan = self.clone();
+            plan.settings.optics.aberrations.add_defocus(focus.offset_angstrom);
+            (focus.weight, plan)
+        };
+        foci.into_iter().map(at).collect()
     }
 
     /// The grid of unsmoothed potentials, for slices in which atoms come too close for the closed form of their cores.

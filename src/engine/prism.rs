@@ -25,8 +25,8 @@ pub(super) struct Prism<'a> {
     stepper: Stepper,
     /// Indices (kx, ky) on the Fourier grid of the cell, sorted by ky, then kx.
     pub(super) beams: Vec<[i64; 2]>,
-    /// Amplitudes of the beams in a probe at the origin; squared moduli sum to 1.
-    pub(super) amplitudes: Vec<Complex64>,
+    /// Amplitudes of the beams in a probe at the origin, for each focus; their squared moduli sum to its weight.
+    pub(super) amplitudes: Vec<Vec<Complex64>>,
     /// Grid of the exit waves.
     pub(super) exit: Grid,
     pub(super) exit_fft: Fft2,
@@ -63,15 +63,19 @@ impl<'a> Prism<'a> {
             points: [0, 1].map(|i| exit.points[i] / interpolation[i]),
             extent_angstrom: [0, 1].map(|i| exit.extent_angstrom[i] / interpolation[i] as f64),
         };
-        let optics = &plan.settings.optics;
         let dk = exit.dk();
         let beams = plan.prism_beams();
         let spacing = [0, 1].map(|i| dk[i] * interpolation[i] as f64);
-        let amplitude =
-            |b: &[i64; 2]| optics.transfer([0, 1].map(|i| b[i] as f64 * dk[i]), spacing);
-        let mut amplitudes: Vec<Complex64> = beams.iter().map(amplitude).collect();
-        let norm = amplitudes.iter().map(|a| a.norm_sqr()).sum::<f64>().sqrt();
-        amplitudes.iter_mut().for_each(|a| *a /= norm);
+        let at_focus = |(weight, at): &(f64, Plan)| {
+            let optics = &at.settings.optics;
+            let amplitude =
+                |b: &[i64; 2]| optics.transfer([0, 1].map(|i| b[i] as f64 * dk[i]), spacing);
+            let mut amplitudes: Vec<Complex64> = beams.iter().map(amplitude).collect();
+            let norm = amplitudes.iter().map(|a| a.norm_sqr()).sum::<f64>().sqrt();
+            amplitudes.iter_mut().for_each(|a| *a /= norm / weight.sqrt());
+            amplitudes
+        };
+        let amplitudes = plan.at_foci().iter().map(at_focus).collect();
         let (ny, nx) = exit.shape();
         let (wy, wx) = window.shape();
         let window_fft = Fft2::new(wy, wx);
@@ -100,10 +104,11 @@ impl<'a> Prism<'a> {
     ) -> Result<()> {
         let edges = &self.plan.slices.boundaries;
         let (entrance, exit) = (edges[slices.start], edges[slices.end]);
-        let (steps, end) = self.stepper.path(entrance, view.transmission.filled(slices.clone()));
+        let (steps, end) =
+            self.stepper.path((entrance, [0; 2]), view.transmission.filled(slices.clone()));
         let this = &*self;
         let section =
-            PrismSection { first: slices.start == 0, steps, to_exit: this.fresnel(exit - end) };
+            PrismSection { first: slices.start == 0, steps, to_exit: this.fresnel(exit - end.0) };
         let plane = this.exit_plane();
         let together = this.stepper.waves_together();
         let groups = waves[..plane * this.beams.len()].par_chunks_mut(plane * together);
@@ -153,13 +158,17 @@ impl<'a> Prism<'a> {
         }
     }
 
-    /// The Fresnel propagator `exp(-i pi lambda dz k^2)` over the number of pixels, in the order of [`crop_spectrum`].
+    /// The propagator `exp(-i pi lambda dz k^2 - 2 pi i k.s)` over the number of pixels, in the order of [`crop_spectrum`]; s is the
+    /// way of the tilted beam.
     fn fresnel(&self, distance: f64) -> Vec<Complex32> {
         let wavelength = self.plan.settings.optics.wavelength_angstrom();
+        let slope = self.plan.settings.optics.slope();
         let [nx, ny] = self.plan.wave_grid.points;
         let mut factors = Vec::new();
         crop_spectrum(&self.plan.wave_grid, self.exit.points, self.plan.band_limit, |_, _, k| {
-            let phase = -PI * wavelength * distance * (k[0] * k[0] + k[1] * k[1]);
+            let along = k[0] * slope[0] + k[1] * slope[1];
+            let phase = -PI * wavelength * distance * (k[0] * k[0] + k[1] * k[1])
+                - 2.0 * PI * distance * along;
             let c = Complex64::from_polar(1.0 / (nx * ny) as f64, phase);
             factors.push(Complex32::new(c.re as f32, c.im as f32));
         });

@@ -46,11 +46,20 @@ struct Sums {
 struct LensBeams<'w> {
     waves: &'w [Complex32],
     amplitudes: &'w [Complex64],
+    /// How far (x, y) in Angstrom a tilted beam leaves the specimen from where it enters.
+    shift: [f64; 2],
+}
+
+impl LensBeams<'_> {
+    /// Where along `axis` the probe at `position` leaves the specimen.
+    fn leaves(&self, position: [f64; 2], axis: usize) -> f64 {
+        position[axis] + self.shift[axis]
+    }
 }
 
 impl Prism<'_> {
     /// Intensities as fractions of the beam, (probe, recorded thickness, detector) row-major, through each of several lenses,
-    /// given by the amplitudes of their beams: the specimen does not know the lens, so beams are propagated once.
+    /// given by the amplitudes of their beams at each focus: the specimen does not know the lens, so beams are propagated once.
     ///
     /// # Errors
     /// [`Error::Interrupted`].
@@ -58,7 +67,7 @@ impl Prism<'_> {
         &mut self,
         transmission: &Transmission,
         scan: &Scan,
-        lenses: &[Vec<Complex64>],
+        lenses: &[Vec<Vec<Complex64>>],
         progress: &dyn Progress,
     ) -> Result<Vec<Vec<f64>>> {
         let detectors = self.plan.settings.detectors.len();
@@ -70,11 +79,15 @@ impl Prism<'_> {
         for (r, &last) in self.plan.record_after.iter().enumerate() {
             self.propagate(&mut waves, view, first..last + 1, progress)?;
             first = last + 1;
-            for (amplitudes, out) in lenses.iter().zip(&mut out) {
-                let beams = LensBeams { waves: &waves, amplitudes };
-                for (probe, values) in self.reduce(&beams, scan, progress)? {
-                    let at = (probe * records + r) * detectors;
-                    out[at..at + detectors].copy_from_slice(&values);
+            let shift = self.plan.beam_shift(self.plan.slices.boundaries[last + 1]);
+            for (foci, out) in lenses.iter().zip(&mut out) {
+                for amplitudes in foci {
+                    let beams = LensBeams { waves: &waves, amplitudes, shift };
+                    for (probe, values) in self.reduce(&beams, scan, progress)? {
+                        let at = (probe * records + r) * detectors;
+                        let sums = &mut out[at..at + detectors];
+                        sums.iter_mut().zip(&values).for_each(|(sum, v)| *sum += v);
+                    }
                 }
             }
         }
@@ -91,8 +104,9 @@ impl Prism<'_> {
         let [rows, columns] = scan.shape;
         let one = self.runs().len() * self.exit.points[1] * (self.window.points[0] + 16) * 8;
         let together = (PARTIAL_SUM_BYTES / one).clamp(1, MOST_TOGETHER);
-        let across = self.bands(0, columns, together, |c| scan.position(c)[0]);
-        let down = self.bands(1, rows, MOST_TOGETHER, |r| scan.position(r * columns)[1]);
+        let across = self.bands(0, columns, together, |c| beams.leaves(scan.position(c), 0));
+        let down =
+            self.bands(1, rows, MOST_TOGETHER, |r| beams.leaves(scan.position(r * columns), 1));
         let per_band = across
             .par_iter()
             .map_init(Sums::default, |sums, band| {
@@ -171,7 +185,8 @@ impl Prism<'_> {
         let (mut wave, mut scratch) = (self.window_fft.buffer(), self.window_fft.scratch());
         let mut images = Vec::new();
         for (i, column) in band.lines.clone().enumerate() {
-            let offset = (self.window_start(0, scan.position(column)[0]) - band.first) as usize;
+            let offset = (self.window_start(0, beams.leaves(scan.position(column), 0)) - band.first)
+                as usize;
             let sums = &partial[i * column_size..][..column_size];
             for rows in down {
                 if progress.interrupted() {
@@ -180,7 +195,8 @@ impl Prism<'_> {
                 self.sum_over_ky(sums, scan, band.len, rows, region);
                 for (j, row) in rows.lines.clone().enumerate() {
                     let probe = row * scan.shape[1] + column;
-                    let top = (self.window_start(1, scan.position(probe)[1]) - rows.first) as usize;
+                    let below = beams.leaves(scan.position(probe), 1);
+                    let top = (self.window_start(1, below) - rows.first) as usize;
                     let area = rows.len * band.len;
                     let source = &region[j * area + top * band.len + offset..];
                     for (y, line) in wave

@@ -33,6 +33,8 @@ fn applies(detector: &Detector, plan: &Plan) -> bool {
 /// The tails of a plan's probes.
 pub(super) struct ProbeTail<'a> {
     plan: &'a Plan,
+    /// The plan at each focus, and its weight.
+    foci: Vec<(f64, Plan)>,
     /// The cell.
     cell: TailGrid,
     /// The box in which probes are made: the cell, repeated.
@@ -55,7 +57,7 @@ impl<'a> ProbeTail<'a> {
         let points = extent_angstrom.map(|l| good_size((l / PIXEL_ANGSTROM).ceil() as usize, 1));
         let grid = Grid { points, extent_angstrom };
         let (cell, around) = (TailGrid::new(grid), TailGrid::new(repeated(plan, &grid)));
-        Some(ProbeTail { plan, cell, around })
+        Some(ProbeTail { plan, foci: plan.at_foci(), cell, around })
     }
 
     /// What the tails add, as fractions of the beam: (probe, recorded thickness, detector), row-major.
@@ -73,7 +75,9 @@ impl<'a> ProbeTail<'a> {
         let atoms: Vec<(usize, Vec<Buffer>)> = atoms.collect::<Result<_>>()?;
         let values = alike.par_iter().map(|(offset, probes)| {
             let mut scratch = (self.cell.fft.scratch(), self.around.fft.scratch());
-            let outside = self.outside(*offset, &mut scratch.1);
+            let at_focus = |(weight, plan)| (weight, self.outside(plan, *offset, &mut scratch.1));
+            let outside: Vec<(f64, Buffer)> =
+                self.foci.iter().map(|(weight, plan)| (*weight, plan)).map(at_focus).collect();
             let mut values = Vec::new();
             for (r, thickness) in thicknesses.iter().enumerate() {
                 let tail = self.intensity(&outside, 0.5 * thickness, &mut scratch);
@@ -104,18 +108,22 @@ impl<'a> ProbeTail<'a> {
     }
 
     /// Transform of the intensity of a tail after `distance` (Angstrom) of free space, folded into the cell; `outside` holds
-    /// its Fourier coefficients before.
+    /// its Fourier coefficients before, for each focus with its weight.
     fn intensity(
         &self,
-        outside: &Buffer,
+        outside: &[(f64, Buffer)],
         distance: f64,
         scratch: &mut (Scratch, Scratch),
     ) -> Buffer {
-        let mut tail = outside.clone();
-        self.around.propagate(&mut tail, distance, self.plan, &mut scratch.1);
-        let mut tail = self.cell.folded(&tail, &self.around);
-        self.cell.fft.forward(&mut tail, &mut scratch.0);
-        tail
+        let mut sum = self.cell.fft.buffer();
+        for (weight, outside) in outside {
+            let mut tail = outside.clone();
+            self.around.propagate(&mut tail, distance, self.plan, &mut scratch.1);
+            let tail = self.cell.folded(&tail, &self.around);
+            sum.iter_mut().zip(&*tail).for_each(|(s, t)| *s += t * *weight as f32);
+        }
+        self.cell.fft.forward(&mut sum, &mut scratch.0);
+        sum
     }
 
     /// Groups of probes at nearly the same position in their windows: their distance (x, y) in Angstrom from the middle, and
@@ -144,12 +152,12 @@ impl<'a> ProbeTail<'a> {
 
     /// Fourier coefficients of the tail of a probe at the origin: the part outside a window from whose middle the probe is
     /// `offset` (Angstrom) away.
-    fn outside(&self, offset: [f64; 2], scratch: &mut Scratch) -> Buffer {
+    fn outside(&self, plan: &Plan, offset: [f64; 2], scratch: &mut Scratch) -> Buffer {
         let around = &self.around;
-        let (window, centre) = (&self.plan.wave_grid, window_centre(self.plan));
+        let (window, centre) = (&plan.wave_grid, window_centre(plan));
         // The window begins at the origin of the box.
         let position = [0, 1].map(|k| centre[k] + offset[k]);
-        let mut wave = probe_in_box(self.plan, &around.grid, position, &around.fft, scratch);
+        let mut wave = probe_in_box(plan, &around.grid, position, &around.fft, scratch);
         let (columns, rows) = (around.share_within(window, 0), around.share_within(window, 1));
         for (row, y) in wave.chunks_exact_mut(around.fft.stride()).zip(&rows) {
             row.iter_mut().zip(&columns).for_each(|(v, x)| *v *= 1.0 - x * y);
@@ -226,7 +234,11 @@ impl TailGrid {
     fn propagate(&self, wave: &mut [Complex32], distance: f64, plan: &Plan, scratch: &mut Scratch) {
         let (ny, nx) = self.fft.shape();
         let wavelength = plan.settings.optics.wavelength_angstrom();
-        self.multiply(wave, |_, k| Complex64::from_polar(1.0, -PI * wavelength * distance * k * k));
+        let slope = plan.settings.optics.slope();
+        self.multiply(wave, |axis, k| {
+            let phase = -PI * wavelength * distance * k * k - 2.0 * PI * distance * slope[axis] * k;
+            Complex64::from_polar(1.0, phase)
+        });
         self.fft.inverse(wave, scratch);
         // Coefficients of a whole probe have norm 1, and a forward and an inverse transform multiply by the pixels.
         let pixels = (nx * ny) as f32;

@@ -265,8 +265,9 @@ pub fn exit_wave(
     let transmission = builder.build(sites, configuration, progress)?;
     let mut stepper = Stepper::new(plan);
     let slices = &plan.slices;
-    let (steps, end) = stepper.path(slices.entrance(), transmission.filled(0..slices.len()));
-    let to_exit = stepper.propagator(slices.boundaries[slices.len()] - end);
+    let (steps, end) =
+        stepper.path((slices.entrance(), [0; 2]), transmission.filled(0..slices.len()));
+    let to_exit = stepper.propagator(slices.boundaries[slices.len()] - end.0, [0; 2]);
     let fft = stepper.fft();
     let (mut waves, mut w) = ([fft.buffer()], stepper.workspace());
     let (ny, nx) = fft.shape();

@@ -15,6 +15,7 @@ use crate::constants::interaction_parameter;
 use crate::detect::Detector;
 use crate::error::Result;
 use crate::fft::{Buffer, Fft2, frequency, good_size};
+use crate::optics::{Focus, foci};
 use crate::potential::cores::amplitudes;
 use crate::potential::scattering::ScatteringFactor;
 use crate::resample::{Kernel, image_band_limit};
@@ -88,8 +89,38 @@ impl<'a> SingleScattering<'a> {
     }
 
     /// Fourier coefficients of the probe's intensity at a depth (Angstrom), further than `beyond` (Angstrom, along x or y)
-    /// from its middle. The intensity sums to its share of the beam.
+    /// from its middle: the mean over the focal spread. The intensity sums to its share of the beam.
     fn probe(&self, depth: f64, beyond: f64) -> Buffer {
+        let foci = foci(&self.settings.optics).unwrap_or_default();
+        let mut sum = self.fft.buffer();
+        for Focus { offset_angstrom, weight } in foci {
+            // Underfocus by a distance moves the probe as much deeper.
+            let probe = self.probe_in_focus(depth - offset_angstrom, beyond);
+            sum.iter_mut().zip(&*probe).for_each(|(s, p)| *s += p * weight as f32);
+        }
+        self.move_by(&mut sum, self.settings.optics.slope().map(|s| s * depth));
+        sum
+    }
+
+    /// Multiplies Fourier coefficients so that what they stand for moves by so many Angstrom (x, y).
+    fn move_by(&self, spectrum: &mut [Complex32], way: [f64; 2]) {
+        if way == [0.0; 2] {
+            return;
+        }
+        let (ny, nx) = self.fft.shape();
+        for iy in 0..ny {
+            let ky = frequency(iy, ny) as f64 / (ny as f64 * self.step);
+            for ix in 0..nx {
+                let kx = frequency(ix, nx) as f64 / (nx as f64 * self.step);
+                let turn = Complex64::from_polar(1.0, -TAU * (kx * way[0] + ky * way[1]));
+                let turn = Complex32::new(turn.re as f32, turn.im as f32);
+                spectrum[iy * self.fft.stride() + ix] *= turn;
+            }
+        }
+    }
+
+    /// The same at one focus, and without mistilt.
+    fn probe_in_focus(&self, depth: f64, beyond: f64) -> Buffer {
         let (ny, nx) = self.fft.shape();
         let (mut wave, norm) = self.probe_spectrum(depth);
         let mut scratch = self.fft.scratch();

@@ -20,7 +20,7 @@ pub(super) struct SliceCoverage {
     grid: Grid,
     /// Points (x, y) of a window.
     window: [usize; 2],
-    /// x and y of the atoms in pixels within the cell, by ascending y.
+    /// x and y of the atoms in pixels within the cell, seen from windows that follow the beam, by ascending y.
     slices: Vec<Vec<[f64; 2]>>,
     /// Whether atoms reach into other slices than their own, so that no slice is empty.
     spread: bool,
@@ -30,15 +30,19 @@ impl SliceCoverage {
     pub fn new(plan: &Plan, by_slice: &[Vec<PlacedAtom>]) -> Self {
         let grid = plan.transmission_grid;
         let pixel = grid.sampling_angstrom();
-        let at = |a: &PlacedAtom| {
-            [0, 1].map(|k| (a.position[k] / pixel[k]).rem_euclid(grid.points[k] as f64))
-        };
-        let sorted = |atoms: &Vec<PlacedAtom>| {
+        let sorted = |(atoms, plane): (&Vec<PlacedAtom>, &f64)| {
+            // Windows follow the beam; seen from them, slices move.
+            let moved = plan.window_shift(*plane);
+            let at = |a: &PlacedAtom| {
+                [0, 1].map(|k| {
+                    (a.position[k] / pixel[k] - moved[k] as f64).rem_euclid(grid.points[k] as f64)
+                })
+            };
             let mut places: Vec<[f64; 2]> = atoms.iter().map(at).collect();
             places.sort_by(|a, b| a[1].total_cmp(&b[1]));
             places
         };
-        let slices = by_slice.iter().map(sorted).collect();
+        let slices = by_slice.iter().zip(&plan.slices.planes).map(sorted).collect();
         let spread = plan.settings.projection == Projection::Finite;
         SliceCoverage { grid, window: plan.wave_grid.points, slices, spread }
     }

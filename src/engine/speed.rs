@@ -28,7 +28,7 @@ pub fn measure_speed(plan: &Plan, duration: Duration) -> Speed {
     let shape = plan.wave_grid.shape();
     let mut ones = Buffer::zeros(fft.row_blocks() * fft.arranged_len());
     ones.fill(Complex32::ONE);
-    let propagator = stepper.propagator(1.0);
+    let propagator = stepper.propagator(1.0, [0; 2]);
     let threads = rayon::current_num_threads();
     let rate = |body: &(dyn Fn(&mut [Buffer], &mut StepWorkspace) + Sync)| {
         let per_thread = (0..threads).into_par_iter().map(|_| {

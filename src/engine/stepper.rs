@@ -13,7 +13,7 @@ use super::transmission::{Transmission, TransmissionLayout};
 use crate::fft::{BandLimit, BandLimitedMultiplier, Buffer, Fft2, Scratch, lanes};
 use num_complex::Complex32;
 use std::collections::HashMap;
-use std::f64::consts::PI;
+use std::f64::consts::{PI, TAU};
 use std::ops::Range;
 
 /// Steps waves through the slices of a plan.
@@ -21,15 +21,19 @@ pub(super) struct Stepper {
     fft: Fft2,
     grid: Grid,
     wavelength: f64,
+    /// Points (x, y) of the cell that windows move over.
+    cell: [usize; 2],
+    /// How far the beam moves (x, y), in Angstrom, on its way down by one Angstrom.
+    slope: [f64; 2],
     anti_aliasing: BandLimit,
     /// Columns within the band limit.
     band: Vec<Range<usize>>,
-    /// Heights in Angstrom where the slices' potentials act.
-    planes: Vec<f64>,
+    /// Heights in Angstrom where the slices' potentials act, and how many pixels (x, y) windows have moved there.
+    planes: Vec<(f64, [i64; 2])>,
     /// Propagators for the distances met so far.
     propagators: Vec<BandLimitedMultiplier>,
-    /// The index of the propagator for a distance in 1e-9 Angstrom.
-    by_distance: HashMap<i64, usize>,
+    /// The index of the propagator for a distance in 1e-9 Angstrom, in which windows move so many pixels (x, y).
+    by_distance: HashMap<(i64, [i64; 2]), usize>,
 }
 
 /// One step of a wave: propagation to the plane of a slice, and transmission through the slice.
@@ -39,6 +43,8 @@ pub(super) struct SliceStep {
     pub slice: usize,
     /// Index of the propagator to its plane.
     propagator: usize,
+    /// How many pixels (x, y) windows have moved there.
+    moved: [i64; 2],
 }
 
 /// The part of the transmission functions that waves pass.
@@ -80,27 +86,31 @@ impl Stepper {
             fft,
             grid,
             wavelength,
+            cell: plan.transmission_grid.points,
+            slope: plan.settings.optics.slope(),
             anti_aliasing: plan.anti_aliasing(),
             band,
-            planes: plan.slices.planes.clone(),
+            planes: plan.slices.planes.iter().map(|z| (*z, plan.window_shift(*z))).collect(),
             propagators: Vec::new(),
             by_distance: HashMap::new(),
         }
     }
 
-    /// The steps of a wave that starts at height `start` (Angstrom) and passes the given slices, and the height of
-    /// the plane where it ends. Slices left out are crossed in one step.
+    /// The steps of a wave that starts at `start` and passes the given slices, and the plane where it ends: heights in
+    /// Angstrom, and how many pixels (x, y) windows have moved there. Slices left out are crossed in one step.
     pub fn path(
         &mut self,
-        start: f64,
+        start: (f64, [i64; 2]),
         slices: impl Iterator<Item = usize>,
-    ) -> (Vec<SliceStep>, f64) {
+    ) -> (Vec<SliceStep>, (f64, [i64; 2])) {
         let mut at = start;
         let mut steps = Vec::new();
         for slice in slices {
-            let propagator = self.propagator_index(self.planes[slice] - at);
-            steps.push(SliceStep { slice, propagator });
-            at = self.planes[slice];
+            let plane = self.planes[slice];
+            let pixels = [0, 1].map(|k| plane.1[k] - at.1[k]);
+            let propagator = self.propagator_index(plane.0 - at.0, pixels);
+            steps.push(SliceStep { slice, propagator, moved: plane.1 });
+            at = plane;
         }
         (steps, at)
     }
@@ -124,8 +134,16 @@ impl Stepper {
     ) {
         self.propagate_freely(waves, &self.propagators[step.propagator], &mut w.fft);
         if let Some(t) = &view.transmission.slices[step.slice] {
-            self.transmit(waves, t, view.transmission.layout, view.origin, w);
+            let origin = self.moved(view.origin, step.moved);
+            self.transmit(waves, t, view.transmission.layout, origin, w);
         }
+    }
+
+    /// The pixel (row, column) of the cell under the first of a window that began at `origin` and moved so many pixels (x, y).
+    fn moved(&self, origin: (usize, usize), by: [i64; 2]) -> (usize, usize) {
+        let along =
+            |from: usize, k: usize| (from as i64 + by[k]).rem_euclid(self.cell[k] as i64) as usize;
+        if by == [0; 2] { origin } else { (along(origin.0, 1), along(origin.1, 0)) }
     }
 
     pub fn fft(&self) -> &Fft2 {
@@ -137,33 +155,36 @@ impl Stepper {
         &self.band
     }
 
-    fn propagator_index(&mut self, distance: f64) -> usize {
+    fn propagator_index(&mut self, distance: f64, pixels: [i64; 2]) -> usize {
         // Equal distances between planes differ by rounding.
-        let key = (distance * 1e9).round() as i64;
+        let key = ((distance * 1e9).round() as i64, pixels);
         if let Some(&index) = self.by_distance.get(&key) {
             return index;
         }
-        self.propagators.push(self.propagator(distance));
+        self.propagators.push(self.propagator(distance, pixels));
         self.by_distance.insert(key, self.propagators.len() - 1);
         self.propagators.len() - 1
     }
 
-    /// The Fresnel propagator `exp(-i pi lambda dz k^2)` over `distance` (Angstrom) within the band limit, divided by
-    /// the number of pixels.
-    pub fn propagator(&self, distance: f64) -> BandLimitedMultiplier {
+    /// The propagator `exp(-i pi lambda dz k^2 - 2 pi i k.s)` over `distance` dz (Angstrom) within the band limit, divided by
+    /// the number of pixels. s is the way of the tilted beam, less the `pixels` (x, y) that windows follow it.
+    pub fn propagator(&self, distance: f64, pixels: [i64; 2]) -> BandLimitedMultiplier {
         let (ny, nx) = self.grid.shape();
-        let axis = |n: usize, dk: f64, scale: f64| {
-            let k2: Vec<f64> =
-                (0..n).map(|i| (crate::fft::frequency(i, n) as f64 * dk).powi(2)).collect();
-            let phase = |k2: &f64| {
-                let (sin, cos) = (-PI * self.wavelength * distance * k2).sin_cos();
+        let (dk, pixel) = (self.grid.dk(), self.grid.sampling_angstrom());
+        let axis = |axis: usize, n: usize, scale: f64| {
+            let way = distance * self.slope[axis] - pixels[axis] as f64 * pixel[axis];
+            let k: Vec<f64> =
+                (0..n).map(|i| crate::fft::frequency(i, n) as f64 * dk[axis]).collect();
+            let k2: Vec<f64> = k.iter().map(|k| k.powi(2)).collect();
+            let phase = |(k, k2): (&f64, &f64)| {
+                let phase = -PI * self.wavelength * distance * k2 - TAU * way * k;
+                let (sin, cos) = phase.sin_cos();
                 Complex32::new((scale * cos) as f32, (scale * sin) as f32)
             };
-            (k2.iter().map(phase).collect::<Vec<_>>(), k2)
+            (k.iter().zip(&k2).map(phase).collect::<Vec<_>>(), k2)
         };
-        let dk = self.grid.dk();
-        let (row, row_k2) = axis(ny, dk[1], 1.0);
-        let (column, column_k2) = axis(nx, dk[0], 1.0 / (nx * ny) as f64);
+        let (row, row_k2) = axis(1, ny, 1.0);
+        let (column, column_k2) = axis(0, nx, 1.0 / (nx * ny) as f64);
         self.fft.multiplier(&row, &row_k2, &column, &column_k2, self.anti_aliasing)
     }
 

@@ -13,6 +13,7 @@ use super::mosaic::mosaic_cost::MosaicCost;
 use super::mosaic::mosaic_imager::MosaicImager;
 use super::region_imager::RegionImager;
 use super::simulator::Simulator;
+use super::source_imager::SourceImager;
 use crate::engine::measure_speed;
 use crate::error::Result;
 use crate::progress::{Progress, duration};
@@ -107,17 +108,27 @@ impl ImagingChoice {
         if self.method != MethodChoice::Direct {
             let shares = true;
             if let Some(film) = FilmImager::new(recipe, specimen, &self.simulator)? {
-                return Ok(ChosenImager { imager: Box::new(film), shares, declined });
+                let imager = SourceImager::blurring(Box::new(film), recipe);
+                return Ok(ChosenImager { imager, shares, declined });
             }
             let (simulator, cache) = (self.simulator.clone(), self.cache.clone());
             let mosaic = MosaicImager::new(recipe, specimen, simulator, cache)?;
             if self.method == MethodChoice::Mosaic || mosaic.pays() {
-                return Ok(ChosenImager { imager: Box::new(mosaic), shares, declined });
+                let imager = SourceImager::blurring(Box::new(mosaic), recipe);
+                return Ok(ChosenImager { imager, shares, declined });
             }
             declined = Some(mosaic.mosaic_cost());
         }
-        let imager = Box::new(self.direct(recipe, specimen)?);
+        let imager = self.blurred_direct(recipe, specimen)?;
         Ok(ChosenImager { imager, shares: false, declined })
+    }
+
+    fn blurred_direct(
+        &self,
+        recipe: &CheckedRecipe,
+        specimen: &Arc<dyn Specimen>,
+    ) -> Result<Box<dyn RegionImager>> {
+        Ok(SourceImager::blurring(Box::new(self.direct(recipe, specimen)?), recipe))
     }
 
     fn direct(&self, recipe: &CheckedRecipe, specimen: &Arc<dyn Specimen>) -> Result<DirectImager> {
@@ -169,18 +180,18 @@ impl ImagingChoice {
             widest = choice;
         }
         if check.audit.is_none() || !check.limited() {
-            let imager = widest.direct(recipe, specimen)?;
-            let found = if check.direct { audited(&imager)? } else { None };
-            return Ok((Box::new(imager), found));
+            let imager = widest.blurred_direct(recipe, specimen)?;
+            let found = if check.direct { audited(&*imager)? } else { None };
+            return Ok((imager, found));
         }
         for choice in widest.widening(true) {
             if choice.simulator.is_exact() {
                 break;
             }
-            let imager = choice.direct(recipe, specimen)?;
-            let found = audited(&imager)?;
+            let imager = choice.blurred_direct(recipe, specimen)?;
+            let found = audited(&*imager)?;
             if check.accepts(found.as_ref(), progress) {
-                return Ok((Box::new(imager), found));
+                return Ok((imager, found));
             }
         }
         let exact = ImagingChoice { simulator: self.simulator.exact(), ..self.clone() };
@@ -188,7 +199,7 @@ impl ImagingChoice {
             "the exact engine makes the whole field, which takes {} on this machine",
             exact.time(recipe, specimen)?
         ));
-        Ok((Box::new(exact.direct(recipe, specimen)?), None))
+        Ok((exact.blurred_direct(recipe, specimen)?, None))
     }
 
     /// The time that simulating the whole field takes, from a short measurement.

@@ -10,7 +10,6 @@ use crate::engine::{
 use crate::error::{Error, Result};
 use crate::imaging::displaced_atoms::DisplacedAtoms;
 use crate::imaging::pixels::PixelBox;
-use crate::optics::Optics;
 use crate::potential::slices::Slicing;
 use crate::progress::Progress;
 use crate::progress::ProgressShare;
@@ -57,11 +56,7 @@ impl Simulator {
     /// The default profile: a grid that carries scattering beyond the detector, slices at the atomic
     /// planes, the given algorithm.
     pub fn new(recipe: &Recipe, algorithm: Algorithm) -> Self {
-        let optics = Optics {
-            energy_ev: recipe.optics.energy_kv * 1e3,
-            semiangle_mrad: recipe.optics.convergence_mrad,
-            ..Optics::default()
-        };
+        let optics = recipe.optics.optics();
         // Pixels that need no probes between them need none beyond the edge of what is simulated either.
         let coarse =
             10.0 * recipe.field.pixel_nm() >= Kernel::default_step(image_band_limit(&optics));
@@ -168,6 +163,12 @@ impl Simulator {
     #[must_use]
     pub fn with_expansion(&self, expansion: Expansion) -> Self {
         Simulator { settings: Settings { expansion, ..self.settings.clone() } }
+    }
+
+    /// The same with probes as far apart as told.
+    #[must_use]
+    pub fn with_probe_step(&self, probe_step: ProbeStep) -> Self {
+        Simulator { settings: Settings { probe_step, ..self.settings.clone() } }
     }
 
     /// The engine settings.

@@ -2,7 +2,8 @@
 //!
 //! - `/` attributes: `format` ("stemgen images"), `format_version`, `stemgen_version`,
 //!   `command_line`, `settings` (JSON), `structure_file`, `wavelength_angstrom`, `band_limit_mrad`,
-//!   `wall_time_s`; `accuracy` (JSON: asked and found) if one was asked for;
+//!   `wall_time_s`; `accuracy` (JSON: asked and found) if one was asked for; `source_fwhm_angstrom` and
+//!   `source_lorentz_share` if the source is no point;
 //! - `/images/NAME`: float32, always (thickness, y, x), with `units`, `axes`, `sampling_angstrom` and
 //!   `origin_angstrom` as (y, x), `thicknesses_angstrom`, and `inner_mrad`, `outer_mrad` of a
 //!   detector, `defocus_angstrom` of a series; `NAME_noisy`: counts over `electrons_per_pixel`;
@@ -22,7 +23,7 @@ use num_complex::Complex32;
 
 use super::At;
 use super::world_writer::{number, text};
-use crate::engine::Site;
+use crate::engine::{Site, Source};
 use crate::error::Result;
 use crate::files::atomic_write;
 
@@ -45,8 +46,8 @@ pub struct Origin<'a> {
     pub wavelength_angstrom: f64,
     /// Largest angle carried, in mrad.
     pub band_limit_mrad: f64,
-    /// Full width at half maximum of the source in Angstrom.
-    pub source_fwhm_angstrom: Option<f64>,
+    /// The electron source; `None` for a point.
+    pub source: Option<Source>,
     /// Time taken in s.
     pub wall_time_s: f64,
     /// What was asked and found about the accuracy, as JSON.
@@ -146,8 +147,9 @@ fn write_origin(file: &File, o: &Origin) -> hdf5::Result<()> {
     if let Some(accuracy) = &o.accuracy {
         text(file, "accuracy", accuracy)?;
     }
-    if let Some(source) = o.source_fwhm_angstrom {
-        number(file, "source_fwhm_angstrom", source)?;
+    if let Some(source) = o.source {
+        number(file, "source_fwhm_angstrom", source.fwhm_angstrom)?;
+        number(file, "source_lorentz_share", source.lorentz_share)?;
     }
     number(file, "wall_time_s", o.wall_time_s)
 }

@@ -6,6 +6,7 @@ use super::checking_defects::check_defects;
 use super::checking_particles::check_particles;
 use super::fault::{Checked, check_guest, crystal_fault, fault, needed, one_of, within};
 use super::limits::{BEYOND_FIELD_NM, MOST_CELLS_ACROSS, MOST_CELLS_ALONG_BEAM};
+use super::optics_table::check_optics;
 use super::oriented_crystals::{OrientedCrystals, oriented};
 use super::resolved_recipe::Recipe;
 use super::tables::{
@@ -27,8 +28,7 @@ pub fn check(recipe: &Recipe) -> Checked<OrientedCrystals> {
     let phonons = &recipe.phonons;
     within("phonons.configurations", phonons.configurations as f64, 1.0, 10_000.0)?;
     check_elements("phonons.sigma_angstrom", &phonons.sigma_angstrom, &elements, 0.0, 0.5)?;
-    within("optics.energy_kv", recipe.optics.energy_kv, 10.0, 1500.0)?;
-    within("optics.convergence_mrad", recipe.optics.convergence_mrad, 0.1, 100.0)?;
+    check_optics(&recipe.optics)?;
     let detector = &recipe.detector;
     within("detector.inner_mrad", detector.inner_mrad, 0.0, 1000.0)?;
     within("detector.outer_mrad", detector.outer_mrad, detector.inner_mrad + 0.1, 1000.0)?;

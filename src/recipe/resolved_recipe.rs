@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::crystal_source::CrystalSource;
 use super::difficulty::Difficulty;
+use super::optics_table::OpticsTable;
 use super::origin::RecipeOrigin;
 use super::tables::*;
 use crate::acquisition::AcquisitionTable;

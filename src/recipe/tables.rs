@@ -211,16 +211,6 @@ pub struct PhononTable {
     pub sigma_angstrom: BTreeMap<String, f64>,
 }
 
-/// The probe.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct OpticsTable {
-    /// Accelerating voltage in kV.
-    pub energy_kv: f64,
-    /// Convergence semi-angle in mrad.
-    pub convergence_mrad: f64,
-}
-
 /// The annular detector.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

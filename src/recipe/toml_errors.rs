@@ -1,5 +1,6 @@
 //! Errors of TOML in the words of recipes.
 
+use super::optics_table::OpticsTable;
 use super::tables::*;
 
 /// The candidate most like `key`, if any is similar.

@@ -38,9 +38,10 @@ macro_rules! atoms {
     };
 }
 
-const FILES: [File; 10] = golden![
+const FILES: [File; 11] = golden![
     "srtio3_001",
     "srtio3_001_aberrated",
+    "srtio3_001_optics",
     "srtio3_prism_f2",
     "si_110",
     "si_110_prism_f2",

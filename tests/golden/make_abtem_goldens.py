@@ -327,6 +327,42 @@ def case_srtio3_001_aberrated():
     save(name, arrays, described, settings_for(atoms, gpts, dz, n, scan, aberrations_A_rad={"perfect": {}, **ABERRATIONS}), atoms)
 
 
+# Mistilts (x, y) in mrad of 3 and 8 mrad in all; abTEM's `tilt` multiplies its propagators by exp(-2 pi i dz (kx tan tx + ky tan ty))
+# and leaves probe and detectors as they are.
+TILTS = {"tilt_3": (2.4, 1.8), "tilt_8": (-6.4, 4.8)}
+FOCAL_SPREAD = 25.0  # standard deviation, A
+SOURCE_FWHM = 0.9  # A
+
+
+def case_srtio3_001_optics():
+    """Mistilt, focal spread and source size, 10 cells (3.9 nm), plain multislice. Focal spread: abTEM's own Gaussian distribution, 33 foci evenly spaced up to
+    4 standard deviations, about an underfocus of 20 A. Source size: abTEM's gaussian_filter of a scan of the whole cell."""
+    name, dz = "srtio3_001_optics", A_STO / 2
+    atoms, gpts, n = rounded(srtio3(3, 3, 10)), (300, 300), 20
+    exact, _ = potentials(atoms, gpts, dz, n)
+    scan = grid_scan((A_STO, A_STO), (10, 12))
+    arrays = {k: multislice(exact, scan, tilt=v) for k, v in TILTS.items()}
+    foci = abtem.distributions.gaussian(FOCAL_SPREAD, num_samples=33, center=20.0, sampling_limit=4.0)
+    # abTEM reduces an ensemble to sum(w I) / sum(w); one focus after the other takes less memory
+    at_foci = [w * multislice(exact, scan, defocus=float(d)) for d, w in zip(foci.values, foci.weights)]
+    arrays["focal_spread"] = sum(at_foci) / sum(foci.weights)
+    arrays["focus_20"] = multislice(exact, scan, defocus=20.0)
+    print("  focal spread changes by", abs(arrays["focal_spread"] - arrays["focus_20"]).max(axis=(1, 2)))
+    fine = grid_scan((A_STO, A_STO), (26, 26))
+    probe = abtem.Probe(energy=ENERGY, semiangle_cutoff=SEMIANGLE)
+    images = probe.scan(exact, scan=fine, detectors=detectors(), lazy=False, max_batch=64)
+    sigma = SOURCE_FWHM / np.sqrt(8 * np.log(2))
+    arrays["source"] = stack([i.gaussian_filter(sigma, boundary="periodic") for i in images])
+    described = {k: IMAGES + f"; tilt {v} mrad" for k, v in TILTS.items()}
+    described["focal_spread"] = IMAGES + "; mean over 33 foci, weighted by abtem.distributions.gaussian"
+    described["focus_20"] = IMAGES + "; defocus 20 A, no focal spread"
+    described["source"] = IMAGES + "; 26 x 26 points of the same cell, blurred by the source"
+    settings = settings_for(atoms, gpts, dz, n, scan, tilts_mrad=TILTS, focal_spread_A=FOCAL_SPREAD, defocus_A=20.0, source_fwhm_A=SOURCE_FWHM)
+    same = {"atoms": "srtio3_001_aberrated.xyz", "cell_A": atoms.cell.lengths().tolist()}
+    assert np.array_equal(ase.io.read(HERE / same["atoms"]).positions, atoms.positions)
+    save(name, arrays, described, {**same, **settings})
+
+
 def case_exit_intensity():
     """One exit wave, pixel by pixel: the diffraction pattern at a position without symmetry, 3.9 nm."""
     name, dz, at = "exit_intensity", A_STO / 2, (0.3 * A_STO, 0.2 * A_STO)

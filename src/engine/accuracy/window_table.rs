@@ -106,8 +106,8 @@ pub(super) fn relative_size(settings: &Settings) -> f64 {
         / (MEASURED_WAVELENGTH_ANGSTROM / MEASURED_SEMIANGLE_MRAD)
 }
 
-/// Largest distance in Angstrom by which aberrations, defocus included, displace rays within the aperture:
-/// `|grad chi| / 2 pi` with respect to k.
+/// Largest distance in Angstrom by which aberrations, defocus included, displace rays within the aperture: `|grad chi| / 2 pi` with
+/// respect to k; and two standard deviations of the focus more.
 pub(super) fn geometric_radius(settings: &Settings) -> f64 {
     let optics = &settings.optics;
     let wavelength = optics.wavelength_angstrom();
@@ -127,7 +127,8 @@ pub(super) fn geometric_radius(settings: &Settings) -> f64 {
             most = most.max(slope_x.hypot(slope_y) / (2.0 * step));
         }
     }
-    most / std::f64::consts::TAU
+    let spread = 2.0 * optics.focal_spread_angstrom * optics.semiangle_mrad * 1e-3;
+    most / std::f64::consts::TAU + spread
 }
 
 #[cfg(test)]

@@ -9,22 +9,26 @@ use super::column_statistics::{ColumnPoint, KindAudit, column_points, kind_audit
 pub use super::options::AuditOptions;
 use super::places::{AuditPlace, places};
 use super::power_spectrum::{PowerBand, power};
-use crate::engine::Algorithm;
+use crate::engine::{Algorithm, ProbeStep};
 use crate::error::Result;
 use crate::imaging::direct::rectangle_plan;
 use crate::imaging::imaging_cost::SimulationRuns;
-use crate::imaging::pixels::PixelBox;
+use crate::imaging::pixels::{PixelBox, PixelRect};
 use crate::imaging::region_imager::RegionImager;
 use crate::imaging::simulator::Simulator;
+use crate::imaging::source_imager::{blurred, margin_px};
 use crate::potential::slices::Slicing;
 use crate::progress::{InterruptOnly, Progress};
 use crate::recipe::{CheckedRecipe, Recipe};
+use crate::resample::image_band_limit;
 use crate::specimen::Specimen;
 
 /// Columns as bright as this share of the brightest count as bright.
 const BRIGHT: f64 = 0.4;
 /// Distance of the pixels compared in Angstrom, about.
 const POINT_ANGSTROM: f64 = 0.5;
+/// Distance of the reference's probes where the source blurs them, in Nyquist distances of the image.
+const NYQUIST_SHARE: f64 = 0.9;
 /// Slices of the reference where there are particles: thinner than the world's, so that audits show what slices make of them.
 const PARTICLE_SPAN_ANGSTROM: f64 = 0.1;
 
@@ -112,10 +116,16 @@ pub fn audit(
     let mut columns = Vec::new();
     for AuditPlace { pixels, .. } in &places {
         let ours = imager.mean_of(pixels, configurations, &InterruptOnly(progress))?;
-        let (margin, thickness) = (reference.margin_angstrom(), specimen.thickness_nm());
-        let pixel_box = PixelBox::new(pixels, recipe.field.pixel_nm(), margin, thickness);
-        let atoms = |configuration| imager.atoms(&pixel_box.area, configuration);
-        let exact = reference.mean(&pixel_box, configurations, atoms, progress)?;
+        let point = |pixels: &PixelRect| {
+            let (margin, thickness) = (reference.margin_angstrom(), specimen.thickness_nm());
+            let pixel_box = PixelBox::new(pixels, recipe.field.pixel_nm(), margin, thickness);
+            let atoms = |configuration| imager.atoms(&pixel_box.area, configuration);
+            reference.mean(&pixel_box, configurations, atoms, progress)
+        };
+        let exact = match recipe.optics.source() {
+            Some(source) => blurred((source, pixel), pixels, point)?,
+            None => point(pixels)?,
+        };
         columns.push(column_points(recipe, specimen, pixels, [&ours, &exact]));
         images.push((ours, exact));
     }
@@ -131,11 +141,20 @@ pub fn audit(
 
 /// The exact engine.
 fn reference(recipe: &Recipe, specimen: &dyn Specimen) -> Simulator {
-    let reference = Simulator::new(recipe, Algorithm::Multislice).with_large_probe_box();
+    let mut reference = Simulator::new(recipe, Algorithm::Multislice).with_large_probe_box();
+    if recipe.optics.source().is_some() {
+        // All pixels are needed, not every so many-th: probes at the Nyquist distance carry them.
+        reference = reference.with_probe_step(ProbeStep::Angstrom(NYQUIST_SHARE * nyquist(recipe)));
+    }
     match specimen.film() {
         Some(_) => reference.with_slices(Slicing::Grouped(PARTICLE_SPAN_ANGSTROM)),
         None => reference,
     }
+}
+
+/// The Nyquist distance of the image in Angstrom.
+fn nyquist(recipe: &Recipe) -> f64 {
+    0.5 / image_band_limit(&recipe.optics.optics())
 }
 
 fn stride(options: &AuditOptions, pixel_angstrom: f64) -> usize {
@@ -158,7 +177,15 @@ pub fn audit_cost(
     let configurations = options.configurations.unwrap_or(all).clamp(1, all);
     let reference = reference(recipe, specimen).with_configurations(configurations);
     let edge = (options.size_nm / recipe.field.pixel_nm()).round().max(1.0) as usize;
-    let probes = edge.div_ceil(stride(options, 10.0 * recipe.field.pixel_nm())).pow(2);
+    let pixel = 10.0 * recipe.field.pixel_nm();
+    let probes = match recipe.optics.source() {
+        None => edge.div_ceil(stride(options, pixel)).pow(2),
+        Some(source) => {
+            let margin = margin_px(source, pixel)?;
+            let width = pixel * (edge + 2 * margin) as f64;
+            (width / (NYQUIST_SHARE * nyquist(recipe))).ceil().powi(2) as usize
+        }
+    };
     let regions = if options.at_nm.is_empty() { options.regions } else { options.at_nm.len() };
     Ok(rectangle_plan(recipe, specimen, &reference, [edge; 2], regions)?.0.for_probes(probes))
 }

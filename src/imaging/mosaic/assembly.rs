@@ -46,12 +46,14 @@ pub struct Assembly {
 }
 
 impl Assembly {
-    /// For `shape` pixels from pixel `first` (row, column) of the full field.
+    /// For `shape` pixels from pixel `first` (row, column) of the full field. A tilted beam has moved by `way` (Angstrom) at half
+    /// thickness: a pixel shows the columns that the beam meets there.
     pub fn new(
         specimen: &dyn Specimen,
         first: [usize; 2],
         shape: [usize; 2],
         pixel_nm: f64,
+        way: [f64; 2],
     ) -> Self {
         let area = Region::of_pixels(first, shape, pixel_nm).grown(BEYOND_NM);
         let mut units: Vec<PlacedUnit> = Vec::new();
@@ -71,7 +73,8 @@ impl Assembly {
         let row = |row: usize| {
             let (mut shares, mut near, mut bin) = (Vec::new(), Vec::new(), None);
             for column in 0..shape[1] {
-                let at = [first[1] + column, first[0] + row].map(|p| p as f64 * pixel_angstrom);
+                let at = [first[1] + column, first[0] + row];
+                let at = [0, 1].map(|k| at[k] as f64 * pixel_angstrom + way[k]);
                 let here = at.map(|v| (v / BIN_ANGSTROM).floor() as i64);
                 if bin != Some(here) {
                     bin = Some(here);
@@ -110,7 +113,7 @@ impl Assembly {
             of_unit[share.unit].push(share);
         }
         let patch = |(unit, shares): (&PlacedUnit, &Vec<&PixelShare>)| -> Vec<f64> {
-            let found = unit.tag.and_then(|tag| Some((tag, library.cell_images(tag.family)?)));
+            let found = unit.tag.and_then(|tag| Some((tag, library.cell_images(&tag)?)));
             let Some((tag, cell)) = found.filter(|_| !shares.is_empty()) else {
                 return vec![0.0; shares.len()];
             };

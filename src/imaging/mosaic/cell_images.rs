@@ -28,6 +28,8 @@ const SURROUNDINGS_DRAW: u32 = 1 << 20;
 pub struct CellImages {
     /// Geometry.
     pub sheet: LibraryCell,
+    /// Settings of the engine, with optics as seen from the sheet.
+    settings: Settings,
     /// Distance of the samples of images along x and y in Angstrom: cells hold a whole number.
     pub step_angstrom: [f64; 2],
     /// Samples (rows, columns).
@@ -61,7 +63,7 @@ pub struct Realisation {
 
 impl CellImages {
     /// The sheets of a family, yet without images.
-    pub(super) fn new(sheet: LibraryCell, family: UnitFamily, settings: &Settings) -> Self {
+    pub(super) fn new(sheet: LibraryCell, family: UnitFamily, settings: Settings) -> Self {
         let (scan, step_angstrom, shape) = samples(&sheet, &settings.optics);
         let index = sheet.units.iter().enumerate().map(|(n, u)| ((u.kind, u.cell), n)).collect();
         let mut pristine = BTreeMap::<usize, Vec<usize>>::new();
@@ -85,6 +87,7 @@ impl CellImages {
             images: vec![Vec::new(); sheet.count],
             means: Vec::new(),
             sheet,
+            settings,
         }
     }
 
@@ -215,26 +218,20 @@ impl CellImages {
         atoms
     }
 
-    pub(super) fn plan(&self, settings: &Settings) -> Result<Plan> {
+    pub(super) fn plan(&self) -> Result<Plan> {
         let heights = self.sheet.units.iter().flat_map(|u| u.members.iter().flatten());
         let heights: Vec<f64> = heights.map(|s| s.position[2]).collect();
-        Plan::new(settings, self.sheet.box_angstrom, &heights)
+        Plan::new(&self.settings, self.sheet.box_angstrom, &heights)
     }
 
     /// What an image (sheet, configuration) shows.
-    pub(super) fn note(
-        &self,
-        settings: &Settings,
-        sigma: &dyn Fn(u8) -> f64,
-        image: [usize; 2],
-    ) -> ImageNote {
-        ImageNote::new(&self.sheet, &self.elements(), (settings, sigma), image)
+    pub(super) fn note(&self, sigma: &dyn Fn(u8) -> f64, image: [usize; 2]) -> ImageNote {
+        ImageNote::new(&self.sheet, &self.elements(), (&self.settings, sigma), image)
     }
 
     /// All that decides one image (sheet, configuration).
     pub(super) fn key(
         &self,
-        settings: &Settings,
         sigma: &dyn Fn(u8) -> f64,
         [sheet, configuration]: [usize; 2],
     ) -> String {
@@ -242,7 +239,7 @@ impl CellImages {
             self.elements().into_iter().map(|n| (elements::symbol(n), sigma(n))).collect();
         let text = serde_json::json!({
             "numerics": NUMERICS_VERSION,
-            "settings": settings,
+            "settings": self.settings,
             "sigma_angstrom": sigmas,
             "sheet": self.digests[sheet],
             "step_angstrom": self.scan.step_angstrom,

@@ -1,6 +1,6 @@
 //! The library: images of the sheets, one for each sheet and phonon configuration; which of them are missing, and what those take.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use crate::engine::{PlannedScan, Settings, Simulation};
 use crate::error::{Error, Result};
@@ -9,7 +9,7 @@ use crate::imaging::mosaic::image_note::{ImageNote, NewImages};
 use crate::imaging::mosaic::library_cache::Cache;
 use crate::progress::{Progress, ProgressShare};
 use crate::specimen::specimen_trait::Specimen;
-use crate::specimen::units::unit_tag::UnitFamily;
+use crate::specimen::units::unit_tag::{TurnedFamily, UnitTag};
 
 /// An image that has to be simulated.
 pub struct MissingImage {
@@ -21,9 +21,9 @@ pub struct MissingImage {
 
 /// All sheets that a world needs.
 pub struct ImageLibrary {
-    cells: BTreeMap<UnitFamily, CellImages>,
-    /// Settings of the engine, for given displacements.
-    settings: Settings,
+    cells: BTreeMap<TurnedFamily, CellImages>,
+    /// Whether images do not change when turned, so that turned sheets share them.
+    round: bool,
     configurations: usize,
 }
 
@@ -34,25 +34,37 @@ impl ImageLibrary {
     /// [`Error::Invalid`] for a family that the specimen lacks.
     pub fn new(
         specimen: &dyn Specimen,
-        families: impl Iterator<Item = UnitFamily>,
+        families: impl Iterator<Item = TurnedFamily>,
         settings: &Settings,
     ) -> Result<Self> {
         let configurations = settings.configurations() as usize;
         let settings = Settings { phonons: None, ..settings.clone() };
-        let cell = |family: UnitFamily| {
+        let round = settings.optics.is_round();
+        let cell = |turned: TurnedFamily| {
+            let family = turned.family;
             let sheet = specimen.library_cell(family).ok_or_else(|| {
                 let expected = "the specimen has no sheet of this family";
                 Error::invalid(crate::Setting::Library, format!("{family:?}"), expected)
             })?;
-            Ok((family, CellImages::new(sheet.rounded(), family, &settings)))
+            let settings = match round {
+                true => settings.clone(),
+                false => Settings {
+                    optics: settings.optics.seen_from(turned.frame()),
+                    ..settings.clone()
+                },
+            };
+            Ok((turned, CellImages::new(sheet.rounded(), family, settings)))
         };
-        let cells = families.map(cell).collect::<Result<_>>()?;
-        Ok(ImageLibrary { cells, settings, configurations })
+        let families: BTreeSet<TurnedFamily> =
+            families.map(|f| if round { f.straight() } else { f }).collect();
+        let cells = families.into_iter().map(cell).collect::<Result<_>>()?;
+        Ok(ImageLibrary { cells, round, configurations })
     }
 
-    /// The sheets of a family.
-    pub fn cell_images(&self, family: UnitFamily) -> Option<&CellImages> {
-        self.cells.get(&family)
+    /// The sheets of a unit's family.
+    pub fn cell_images(&self, tag: &UnitTag) -> Option<&CellImages> {
+        let turned = TurnedFamily::of(tag);
+        self.cells.get(&if self.round { turned.straight() } else { turned })
     }
 
     /// Phonon configurations of each sheet.
@@ -72,7 +84,7 @@ impl ImageLibrary {
     /// Those of the settings.
     pub fn largest_plan(&self) -> Result<Option<PlannedScan>> {
         let largest = self.cells.values().max_by_key(|s| s.probes());
-        let plan = |s: &CellImages| Ok(PlannedScan::new(s.plan(&self.settings)?, s.scan, None));
+        let plan = |s: &CellImages| Ok(PlannedScan::new(s.plan()?, s.scan, None));
         largest.map(plan).transpose()
     }
 
@@ -100,9 +112,7 @@ impl ImageLibrary {
             let sheets = 0..cell.sheet.count;
             sheets.flat_map(move |s| (0..self.configurations).map(move |c| (cell, [s, c])))
         });
-        all.filter(move |(cell, image)| {
-            !cache.has(material, &cell.key(&self.settings, sigma, *image))
-        })
+        all.filter(move |(cell, image)| !cache.has(material, &cell.key(sigma, *image)))
     }
 
     /// The images that the cache lacks.
@@ -131,7 +141,7 @@ impl ImageLibrary {
             notes.iter().filter_map(|n| serde_json::from_str(n).ok()).collect();
         let mut new: BTreeMap<String, usize> = BTreeMap::new();
         for (cell, image) in self.lacking(material, sigma, cache) {
-            let why = cell.note(&self.settings, sigma, image).difference(&kept);
+            let why = cell.note(sigma, image).difference(&kept);
             *new.entry(why).or_default() += 1;
         }
         new.into_iter().map(|(why, images)| NewImages::new(images, why)).collect()
@@ -153,14 +163,14 @@ impl ImageLibrary {
         let probes = self.probes();
         progress.start("library", "probe", probes as u64);
         for cell in self.cells.values_mut() {
-            let plan = cell.plan(&self.settings)?;
+            let plan = cell.plan()?;
             let mut simulation = None;
             for sheet in 0..cell.sheet.count {
                 for configuration in 0..self.configurations {
                     if progress.interrupted() {
                         return Err(Error::Interrupted);
                     }
-                    let key = cell.key(&self.settings, sigma, [sheet, configuration]);
+                    let key = cell.key(sigma, [sheet, configuration]);
                     let share = ProgressShare::new(progress, cell.probes());
                     let image = match cache.load(material, &key, cell.scan.shape, progress) {
                         Some(image) => {
@@ -176,7 +186,7 @@ impl ImageLibrary {
                             let atoms = cell.atoms(sheet, configuration, sigma);
                             let images = simulation.images(&atoms, &cell.scan, &share)?;
                             let image = images.image(0, 0).to_owned();
-                            let note = cell.note(&self.settings, sigma, [sheet, configuration]);
+                            let note = cell.note(sigma, [sheet, configuration]);
                             let about = serde_json::to_string(&note).unwrap_or_default();
                             if let Err(e) = cache.save(material, &key, &about, &image) {
                                 keep.get_or_insert(e);

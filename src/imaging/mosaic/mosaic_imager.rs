@@ -166,7 +166,9 @@ impl RegionImager for MosaicImager {
         }
         let PixelRect { first, shape, .. } = *pixels;
         let pixel = self.recipe.field.pixel_nm();
-        let assembly = Assembly::new(&*self.specimen, first, shape, pixel);
+        let half = 5.0 * self.specimen.thickness_nm();
+        let way = self.simulator.settings().optics.slope().map(|s| s * half);
+        let assembly = Assembly::new(&*self.specimen, first, shape, pixel, way);
         let seed = self.recipe.seed;
         let mut image = assembly.image(&self.library, &self.kernel, seed, configurations);
         let missing = assembly.missing();
@@ -187,7 +189,7 @@ impl RegionImager for MosaicImager {
         let (seed, library) = (self.recipe.seed, &self.library);
         let of_column = |column: &AtomColumn| {
             let tag = column.unit?;
-            let cell = library.cell_images(tag.family)?;
+            let cell = library.cell_images(&tag)?;
             let of_unit = cell.realisations(tag.entry, (seed, tag.id), library.configurations());
             let realisation = of_unit[configuration];
             Some(move |n: usize| {

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use crate::recipe::region::Region;
 use crate::recipe::tables::Field;
 use crate::specimen::specimen_trait::Specimen;
-use crate::specimen::units::unit_tag::UnitFamily;
+use crate::specimen::units::unit_tag::TurnedFamily;
 
 /// UnitKinds whose patches reach into the field lie no further outside it than this, in nm.
 pub const BEYOND_NM: f64 = 0.6;
@@ -17,8 +17,8 @@ const STRIPE_NM: f64 = 2.5;
 /// What a field holds.
 #[derive(Debug, Default)]
 pub struct FieldSurvey {
-    /// Families of units.
-    pub families: BTreeSet<UnitFamily>,
+    /// Families of units, and how their sheets are turned.
+    pub families: BTreeSet<TurnedFamily>,
     /// Columns with a place in the library.
     pub tagged: u64,
     /// Columns without.
@@ -37,7 +37,7 @@ pub fn survey(specimen: &dyn Specimen, field: &Field) -> FieldSurvey {
             match column.unit {
                 Some(unit) => {
                     found.tagged += 1;
-                    found.families.insert(unit.family);
+                    found.families.insert(TurnedFamily::of(&unit));
                 }
                 None => found.untagged += 1,
             }

@@ -41,6 +41,38 @@ pub struct UnitTag {
     pub frame: [[f64; 2]; 2],
 }
 
+/// A family whose sheets lie in the field in one way.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct TurnedFamily {
+    /// The family.
+    pub family: UnitFamily,
+    /// [`UnitTag::frame`] in parts of 1e-7.
+    frame: [[i64; 2]; 2],
+}
+
+/// Parts of a number that tells frames apart.
+const FRAME_PARTS: f64 = 1e7;
+
+impl TurnedFamily {
+    /// That of a unit.
+    pub fn of(tag: &UnitTag) -> Self {
+        let parts = tag.frame.map(|row| row.map(|v| (v * FRAME_PARTS).round() as i64));
+        TurnedFamily { family: tag.family, frame: parts }
+    }
+
+    /// The family as if its sheets were not turned.
+    #[must_use]
+    pub fn straight(self) -> Self {
+        let one = FRAME_PARTS as i64;
+        TurnedFamily { frame: [[one, 0], [0, one]], ..self }
+    }
+
+    /// See [`UnitTag::frame`].
+    pub fn frame(&self) -> [[f64; 2]; 2] {
+        self.frame.map(|row| row.map(|v| v as f64 / FRAME_PARTS))
+    }
+}
+
 impl UnitTag {
     /// For a unit of an unrotated lattice; `first` is its first column.
     pub fn unrotated(

@@ -3,7 +3,9 @@
 use ndarray::{Array2, Axis};
 
 use super::{ABTEM, Case, FRACTION, Group, compare_all, percent, shown_percent};
-use crate::engine::{Algorithm, BeyondLimit, GridChoice, Settings, Site, diffraction};
+use crate::engine::{
+    Algorithm, BeyondLimit, GridChoice, Scan, Settings, Site, Source, SourceBlur, diffraction,
+};
 use crate::error::Result;
 use crate::optics::Aberration;
 use crate::potential::projected::{PlacedAtom, PotentialFilter, Projector};
@@ -68,6 +70,15 @@ pub fn cases() -> Vec<Case> {
             aberrated,
         ),
         case(
+            "abtem-optics",
+            "Mistilt, focal spread and source size",
+            OPTICS,
+            false,
+            9.0,
+            8,
+            optics,
+        ),
+        case(
             "abtem-diffraction",
             "A diffraction pattern, pixel by pixel",
             DIFFRACTION,
@@ -106,6 +117,9 @@ const PRISM_F2_SI: &str = "A quarter of the atoms is missing; windows of 10.9 x 
 const ABERRATED: &str = "8 x 8 probes, 3.9 nm of SrTiO3: no aberrations, coefficients up to third order, and all of abTEM's up to \
     fifth; each turns the edge of the aperture by about a radian or more, so that a wrong sign, order or angle would show. \
     abTEM's plain multislice is the reference (its PRISM normalises aberrated probes wrongly).";
+const OPTICS: &str = "10 x 12 probes, 3.9 nm of SrTiO3: the specimen tilted by 3 and 8 mrad in all, by multislice and PRISM; a focal spread of \
+    25 A (standard deviation), where abTEM takes 33 evenly spaced foci and we a Gauss-Hermite quadrature; a Gaussian source of \
+    0.9 A (full width at half maximum), which abTEM applies in real space and we in Fourier space.";
 const DIFFRACTION: &str =
     "One probe at a position without symmetry on 3.9 nm of SrTiO3; all pixels inside 120 mrad.";
 const POTENTIALS: &str =
@@ -214,6 +228,51 @@ fn aberrated(lab: &Lab) -> Result<Findings> {
         compare_all(&mut findings, label, &images, references.outer_iter(), &g.scan(), [SAME; 4]);
     }
     Ok(findings)
+}
+
+fn optics(lab: &Lab) -> Result<Findings> {
+    let g = Golden::load("srtio3_001_optics")?;
+    let mut findings = Findings::default();
+    let spread = g.json["focal_spread_A"].as_f64().unwrap_or(f64::NAN);
+    let focus = g.json["defocus_A"].as_f64().unwrap_or(f64::NAN);
+    let (none, straight) = (Algorithm::Multislice, [0.0; 2]);
+    let tilted = |name: &str| Golden::pair(&g.json["tilts_mrad"][name]);
+    for (name, label, algorithm, tilt, defocus, sigma) in [
+        ("tilt_3", "3 mrad, ", none, tilted("tilt_3"), 0.0, 0.0),
+        ("tilt_8", "8 mrad, ", none, tilted("tilt_8"), 0.0, 0.0),
+        ("tilt_8", "8 mrad by PRISM, ", prism(1), tilted("tilt_8"), 0.0, 0.0),
+        ("focus_20", "in one focus, ", none, straight, focus, 0.0),
+        ("focal_spread", "focal spread, ", none, straight, focus, spread),
+        ("focal_spread", "focal spread by PRISM, ", prism(1), straight, focus, spread),
+    ] {
+        let mut settings = Settings { algorithm, full_exit_grid: true, ..g.settings() };
+        settings.optics.mistilt_mrad = tilt;
+        settings.optics.focal_spread_angstrom = sigma;
+        settings.optics.aberrations.add_defocus(defocus);
+        let images = lab.execute(&g.plan_from_plane(&settings)?, &g.sites, &g.scan())?;
+        let references = g.images(name)?;
+        compare_all(&mut findings, label, &images, references.outer_iter(), &g.scan(), [SAME; 4]);
+    }
+    source(lab, &g, &mut findings)?;
+    Ok(findings)
+}
+
+fn source(lab: &Lab, g: &Golden, findings: &mut Findings) -> Result<()> {
+    let references = g.images("source")?;
+    let (ny, nx) = (references.dim().1, references.dim().2);
+    let [x, y] = Golden::pair(&g.json["scan"]["end_A"]);
+    let step_angstrom = [x / nx as f64, y / ny as f64];
+    let scan = Scan { step_angstrom, shape: [ny, nx], ..g.scan() };
+    let fwhm = g.json["source_fwhm_A"].as_f64().unwrap_or(f64::NAN);
+    // One cell of the crystal is a period of the image.
+    let blur = SourceBlur::new(Source::gaussian(fwhm), &scan, [x, y])?;
+    let mut images = lab.execute(&g.plan_from_plane(&g.settings())?, &g.sites, blur.scan())?;
+    for mut image in images.data.index_axis_mut(Axis(0), 0).outer_iter_mut() {
+        let blurred = blur.image(image.view());
+        image.assign(&blurred);
+    }
+    compare_all(findings, "source, ", &images, references.outer_iter(), &scan, [SAME; 4]);
+    Ok(())
 }
 
 /// Aberrations of a set, `C12` with its angle `phi12`.

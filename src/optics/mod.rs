@@ -7,6 +7,10 @@ use num_complex::Complex64;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
 
+mod focal_spread;
+
+pub use focal_spread::{Focus, foci};
+
 /// One aberration coefficient `C_nm` in polar notation.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Aberration {
@@ -126,7 +130,10 @@ pub enum ApertureEdge {
     Hard,
 }
 
-/// Beam energy, aperture and aberrations.
+/// Largest mistilt along x and y in mrad: beyond, the columns of a crystal lie side by side.
+pub const MOST_MISTILT_MRAD: f64 = 20.0;
+
+/// Beam energy, aperture and aberrations, and what spreads or tilts the beam.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Optics {
     /// Beam energy in eV.
@@ -139,6 +146,22 @@ pub struct Optics {
     /// Edge of the aperture.
     #[serde(default)]
     pub edge: ApertureEdge,
+    /// Mistilt (x, y) of the specimen in mrad: the beam runs along `(tan x, tan y, 1)` of the specimen, whose slices stay
+    /// planes of constant z; detectors are centred on the beam. abTEM's `tilt` has the same sign.
+    #[serde(default, skip_serializing_if = "is_none_of")]
+    pub mistilt_mrad: [f64; 2],
+    /// Standard deviation in Angstrom of the focus, over which images are averaged: `C_c dE / E` with the standard deviation dE
+    /// of the beam's energy.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub focal_spread_angstrom: f64,
+}
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
+}
+
+fn is_none_of(values: &[f64; 2]) -> bool {
+    *values == [0.0; 2]
 }
 
 impl Default for Optics {
@@ -148,6 +171,8 @@ impl Default for Optics {
             semiangle_mrad: 21.0,
             aberrations: Aberrations::default(),
             edge: ApertureEdge::Soft,
+            mistilt_mrad: [0.0; 2],
+            focal_spread_angstrom: 0.0,
         }
     }
 }
@@ -174,7 +199,50 @@ impl Optics {
             let expected = format!("must be between {low} and {high}");
             return Err(Error::invalid(Setting::SemiangleMrad, self.semiangle_mrad, expected));
         }
-        self.aberrations.0.iter().try_for_each(|a| self.validate_aberration(a))
+        self.aberrations.0.iter().try_for_each(|a| self.validate_aberration(a))?;
+        self.validate_mistilt()?;
+        foci(self).map(|_| ())
+    }
+
+    fn validate_mistilt(&self) -> Result<()> {
+        let [x, y] = self.mistilt_mrad;
+        if x.abs() <= MOST_MISTILT_MRAD && y.abs() <= MOST_MISTILT_MRAD {
+            return Ok(());
+        }
+        let expected = format!("each must be from -{MOST_MISTILT_MRAD} to {MOST_MISTILT_MRAD}");
+        Err(Error::invalid(Setting::MistiltMrad, format!("{x},{y}"), expected))
+    }
+
+    /// How far (x, y) the beam moves in Angstrom on its way down by one Angstrom.
+    pub fn slope(&self) -> [f64; 2] {
+        self.mistilt_mrad.map(|t| libm::tan(t * 1e-3))
+    }
+
+    /// Whether images stay the same when specimen and scan are turned about the beam.
+    pub fn is_round(&self) -> bool {
+        let round = |a: &Aberration| a.symmetry == 0 || a.magnitude_angstrom == 0.0;
+        self.mistilt_mrad == [0.0; 2] && self.aberrations.0.iter().all(round)
+    }
+
+    /// These optics seen from axes whose directions are the columns of the orthogonal matrix `frame`: (x, y) there are
+    /// `frame` times (x, y).
+    #[must_use]
+    pub fn seen_from(&self, frame: [[f64; 2]; 2]) -> Self {
+        let [[a, b], [c, d]] = frame;
+        let [x, y] = self.mistilt_mrad;
+        let [sx, sy] = [x, y].map(|t| libm::tan(t * 1e-3));
+        let back = |u: f64, v: f64| 1e3 * libm::atan(u * sx + v * sy);
+        // A direction at azimuth p is seen at p - turn, or mirrored at turn - p.
+        let (turn, hand) = (libm::atan2(c, a), (a * d - b * c).signum());
+        let turned = |t: &Aberration| match t.symmetry {
+            0 => *t,
+            _ => Aberration { azimuth_rad: hand * (t.azimuth_rad - turn), ..*t },
+        };
+        Optics {
+            mistilt_mrad: if is_none_of(&[x, y]) { [x, y] } else { [back(a, c), back(b, d)] },
+            aberrations: Aberrations(self.aberrations.0.iter().map(turned).collect()),
+            ..self.clone()
+        }
     }
 
     /// The phase of each aberration is bounded where the aperture ends.

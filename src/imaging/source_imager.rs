@@ -1,0 +1,174 @@
+//! The size of the electron source in fields: images of any rectangle, made with a margin and blurred.
+//!
+//! The margin reaches as far as the source, so nothing wraps. Where it would begin before the full field, whose pixels count from
+//! 0, the image is continued by its mirror image there: this touches the outermost pixels of a full field only.
+
+use std::path::Path;
+
+use ndarray::Array2;
+
+use super::displaced_atoms::DisplacedAtoms;
+use super::imaging_cost::ImagingCost;
+use super::pixels::PixelRect;
+use super::region_imager::RegionImager;
+use crate::engine::{Scan, Source, SourceBlur};
+use crate::error::Result;
+use crate::progress::Progress;
+use crate::recipe::{Recipe, Region};
+
+/// An imager whose images are blurred by a source.
+pub struct SourceImager {
+    inner: Box<dyn RegionImager>,
+    source: Source,
+    pixel_angstrom: f64,
+}
+
+impl SourceImager {
+    /// The imager as it is for a point source, or blurred by that of the recipe.
+    pub fn blurring(inner: Box<dyn RegionImager>, recipe: &Recipe) -> Box<dyn RegionImager> {
+        let pixel_angstrom = 10.0 * recipe.field.pixel_nm();
+        match recipe.optics.source() {
+            Some(source) => Box::new(SourceImager { inner, source, pixel_angstrom }),
+            None => inner,
+        }
+    }
+}
+
+/// The image of a rectangle for a source, from `sharp`, which makes that of a wider one for a point source.
+///
+/// # Errors
+/// Those of `sharp`, and of the source.
+pub fn blurred(
+    (source, pixel_angstrom): (Source, f64),
+    pixels: &PixelRect,
+    sharp: impl FnOnce(&PixelRect) -> Result<Array2<f64>>,
+) -> Result<Array2<f64>> {
+    let scan =
+        Scan { origin_angstrom: [0.0; 2], step_angstrom: [pixel_angstrom; 2], shape: pixels.shape };
+    let blur = SourceBlur::new(source, &scan, [f64::INFINITY; 2])?;
+    let [x, y] = blur.margin();
+    let margin = [y, x];
+    let before = [0, 1].map(|k| margin[k].min(pixels.first[k]));
+    let wide = PixelRect::new(
+        [0, 1].map(|k| pixels.first[k] - before[k]),
+        [0, 1].map(|k| pixels.shape[k] + before[k] + margin[k]),
+    );
+    let image = sharp(&wide)?;
+    let lacks = [0, 1].map(|k| margin[k] - before[k]);
+    let image = if lacks == [0, 0] { image } else { mirrored(&image, lacks) };
+    Ok(pixels.sampled(blur.blurred(image)))
+}
+
+/// Pixels that images need around them on every side for a source.
+///
+/// # Errors
+/// Those of the source.
+pub fn margin_px(source: Source, pixel_angstrom: f64) -> Result<usize> {
+    let step_angstrom = [pixel_angstrom; 2];
+    let scan = Scan { origin_angstrom: [0.0; 2], step_angstrom, shape: [1, 1] };
+    Ok(SourceBlur::new(source, &scan, [f64::INFINITY; 2])?.margin()[0])
+}
+
+/// An image continued by so many rows and columns before its first.
+fn mirrored(image: &Array2<f64>, [above, left]: [usize; 2]) -> Array2<f64> {
+    let (rows, columns) = image.dim();
+    let at = |i: usize, before: usize, n: usize| {
+        if i >= before { i - before } else { (before - i).min(n - 1) }
+    };
+    Array2::from_shape_fn((rows + above, columns + left), |(i, j)| {
+        image[[at(i, above, rows), at(j, left, columns)]]
+    })
+}
+
+impl RegionImager for SourceImager {
+    fn name(&self) -> &'static str {
+        self.inner.name()
+    }
+
+    fn parameters(&self) -> serde_json::Value {
+        let mut parameters = self.inner.parameters();
+        parameters["source"] = serde_json::json!(self.source);
+        parameters
+    }
+
+    fn keep_in(&mut self, folder: &Path) {
+        self.inner.keep_in(folder);
+    }
+
+    fn prepare(&mut self, progress: &dyn Progress) -> Result<()> {
+        self.inner.prepare(progress)
+    }
+
+    fn mean_of(
+        &self,
+        pixels: &PixelRect,
+        configurations: usize,
+        progress: &dyn Progress,
+    ) -> Result<Array2<f64>> {
+        blurred((self.source, self.pixel_angstrom), pixels, |wide| {
+            self.inner.mean_of(wide, configurations, progress)
+        })
+    }
+
+    fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
+        self.inner.atoms(area, configuration)
+    }
+
+    fn cost(&self, subtile: [usize; 2], subtiles: usize) -> Result<ImagingCost> {
+        self.inner.cost(subtile, subtiles)
+    }
+
+    fn stage(&self) -> [&'static str; 2] {
+        self.inner.stage()
+    }
+
+    fn work(&self, pixels: &PixelRect) -> usize {
+        self.inner.work(pixels)
+    }
+
+    fn window_angstrom(&self) -> Option<f64> {
+        self.inner.window_angstrom()
+    }
+
+    fn library(&self) -> Option<[usize; 2]> {
+        self.inner.library()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn wave(first: [usize; 2], shape: [usize; 2]) -> Array2<f64> {
+        let at = |(i, j): (usize, usize)| {
+            2.0 + (0.9 * (first[0] + i) as f64).cos() + (0.7 * (first[1] + j) as f64 + 0.3).sin()
+        };
+        Array2::from_shape_fn((shape[0], shape[1]), at)
+    }
+
+    /// Waves are damped by the transform of the Gaussian, in the middle of the field and at its edge, and every other pixel is
+    /// one of all.
+    #[test]
+    fn rectangles_are_blurred_with_a_margin() {
+        let (source, pixel) = (Source::gaussian(0.9), 0.2);
+        let sigma = 0.9 / (8.0 * std::f64::consts::LN_2).sqrt();
+        let damped = |turn: f64| (-0.5 * (turn * sigma / pixel).powi(2)).exp();
+        let made = |first: [usize; 2], stride: usize| {
+            let pixels = PixelRect::new(first, [12, 15]).every(stride);
+            blurred((source, pixel), &pixels, |wide| Ok(wave(wide.first, wide.shape))).unwrap()
+        };
+        let image = made([40, 30], 1);
+        for ((i, j), v) in image.indexed_iter() {
+            let (y, x) = (0.9 * (40 + i) as f64, 0.7 * (30 + j) as f64 + 0.3);
+            let expected = 2.0 + damped(0.9) * y.cos() + damped(0.7) * x.sin();
+            assert!((v - expected).abs() < 2e-3, "{i} {j}: {v} {expected}");
+        }
+        let every = made([40, 30], 3);
+        assert_eq!(every[[2, 4]], image[[6, 12]]);
+        // far from the edge it is the same there
+        let edge = made([0, 0], 1);
+        let inside =
+            2.0 + damped(0.9) * (0.9_f64 * 11.0).cos() + damped(0.7) * (0.7_f64 * 14.0 + 0.3).sin();
+        assert!((edge[[11, 14]] - inside).abs() < 2e-3);
+    }
+}
