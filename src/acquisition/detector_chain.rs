@@ -2,8 +2,8 @@
 
 use rand_distr::{Distribution, Gamma, Poisson};
 
+use super::acquisition_settings::Acquisition;
 use super::exposure::{ELECTRONS_PER_PA_US, Exposure};
-use super::settings::Acquisition;
 use crate::rng::{ItemRng, Purpose, normal3};
 
 /// What happens to the electrons of a pixel, in this order:

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::settings::Acquisition;
+use super::acquisition_settings::Acquisition;
 
 /// A named set of values.
 ///

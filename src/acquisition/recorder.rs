@@ -5,10 +5,10 @@ use std::ops::Range;
 use ndarray::Array2;
 use rayon::prelude::*;
 
+use super::acquisition_settings::Acquisition;
 use super::detector_chain::DetectorChain;
 use super::exposure::Exposure;
 use super::scan_path::ScanPath;
-use super::settings::Acquisition;
 use super::source_image::SourceImage;
 
 /// Records an image line by line.

@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use super::settings::Acquisition;
+use super::acquisition_settings::Acquisition;
 use crate::rng::{Purpose, normal3, uniform};
 
 /// The pixels that a scan is meant to visit.
