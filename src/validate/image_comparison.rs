@@ -18,6 +18,8 @@ use crate::progress::Progress;
 const SEARCHED_ANGSTROM: f64 = 3.0;
 /// Most places at which a moved scan is simulated.
 const MOST_SCANS: usize = 3;
+/// How often the best of them is found more exactly.
+const MOST_REFINED: usize = 2;
 /// A rms difference, of the mean, at which nothing better is looked for.
 const FOUND: f64 = 1e-3;
 
@@ -208,12 +210,21 @@ fn margin(scan: &Scan) -> [usize; 2] {
 
 /// Our image with a margin about it.
 fn ours_beyond(progress: &dyn Progress, c: &ImageComparison) -> Result<WideImage> {
-    let margin = margin(c.scan);
-    let step = c.scan.step_angstrom;
-    let origin_angstrom = [0, 1].map(|k| c.scan.origin_angstrom[k] - margin[k] as f64 * step[k]);
-    let shape = [0, 1].map(|i| c.scan.shape[i] + 2 * margin[1 - i]);
+    beyond(progress, c, c.scan, margin(c.scan), "simulating about the scan")
+}
+
+fn beyond(
+    progress: &dyn Progress,
+    c: &ImageComparison,
+    inner: &Scan,
+    margin: [usize; 2],
+    stage: &str,
+) -> Result<WideImage> {
+    let step = inner.step_angstrom;
+    let origin_angstrom = [0, 1].map(|k| inner.origin_angstrom[k] - margin[k] as f64 * step[k]);
+    let shape = [0, 1].map(|i| inner.shape[i] + 2 * margin[1 - i]);
     let scan = Scan { origin_angstrom, step_angstrom: step, shape };
-    Ok(WideImage { data: at_scan(progress, c, &scan, "simulating about the scan")?, margin })
+    Ok(WideImage { data: at_scan(progress, c, &scan, stage)?, margin })
 }
 
 fn at_scan(
@@ -237,22 +248,40 @@ fn simulated(
     guess: Explanation,
 ) -> Result<Explanation> {
     let turned = guess.turn.apply(reference);
-    let mut best: Option<Explanation> = None;
-    for shift in likely_shifts(wide, &turned).into_iter().take(MOST_SCANS) {
+    // The margin is there to find what interpolation was off by: near no shift at all it is exact.
+    let narrow = margin(c.scan).map(|n| n.min(2));
+    let look = |shift: [f64; 2]| -> Result<(Explanation, WideImage)> {
         let step = c.scan.step_angstrom;
         let origin_angstrom = [0, 1].map(|i| c.scan.origin_angstrom[i] + shift[i] * step[i]);
         let scan = Scan { origin_angstrom, ..*c.scan };
-        let ours = at_scan(progress, c, &scan, "simulating a moved scan")?;
+        let around = beyond(progress, c, &scan, narrow, "simulating a moved scan")?;
+        let ours = around.inner();
         let factor = guess.factor.map(|_| best_gain(turned.view(), ours.view()));
         let rms = Difference::between(ours.view(), (&turned * factor.unwrap_or(1.0)).view()).rms;
-        if best.is_none_or(|b| rms < b.rms) {
-            best = Some(Explanation { shift: Some(shift), factor, rms, ..guess });
-        }
-        if rms < FOUND {
-            break;
+        Ok((Explanation { shift: Some(shift), factor, rms, ..guess }, around))
+    };
+    let mut best: Option<(Explanation, WideImage)> = None;
+    let mut next = likely_shifts(wide, &turned).into_iter().take(MOST_SCANS);
+    while let Some(shift) = next.next().filter(|_| best.as_ref().is_none_or(|b| b.0.rms > FOUND)) {
+        let found = look(shift)?;
+        if best.as_ref().is_none_or(|b| found.0.rms < b.0.rms) {
+            best = Some(found);
         }
     }
-    Ok(best.unwrap_or(guess))
+    let Some((mut best, mut around)) = best else { return Ok(guess) };
+    for _ in 0..MOST_REFINED {
+        let further = likely_shifts(&around, &turned).first().copied().unwrap_or_default();
+        let shift = best.shift.unwrap_or_default();
+        if best.rms <= FOUND || further == [0.0; 2] {
+            break;
+        }
+        let found = look([shift[0] + further[0], shift[1] + further[1]])?;
+        if found.0.rms >= best.rms {
+            break;
+        }
+        (best, around) = found;
+    }
+    Ok(best)
 }
 
 /// What the two comparisons, in abTEM's numerics and converged, say together.
