@@ -298,7 +298,6 @@ impl PreparedReference {
         let comparison = ImageComparison {
             plan: &self.plan,
             sites: &self.specimen.sites,
-            cell_angstrom: [self.specimen.size[0], self.specimen.size[1]],
             scan: &self.scan,
             reference: &self.reference,
             units: self.units,

@@ -5,7 +5,7 @@ use std::time::Instant;
 use ndarray::Array2;
 
 use super::difference::{Difference, best_gain};
-use super::explain::{self, Explanation, MUCH_BETTER};
+use super::explain::{Explanation, MUCH_BETTER, WideImage, explanations, likely_shifts};
 use super::user::{Reference, ValueUnits};
 use super::{
     Check, Figure, Findings, ImagePair, Lab, Limit, NamedSetting, Outcome, Verdict, overall,
@@ -14,10 +14,14 @@ use crate::engine::{Plan, Scan, Site};
 use crate::error::Result;
 use crate::progress::Progress;
 
-/// How often a moved scan is simulated: found, then found better.
-const MOST_SCANS: usize = 2;
-/// A rms difference that no one looks into any more, of the mean.
-const NOTHING_LEFT: f64 = 1e-5;
+/// How far from where it is said to be a scan is looked for, along x and y; crystals repeat within that.
+const SEARCHED_ANGSTROM: f64 = 3.0;
+/// Most places at which a moved scan is simulated.
+const MOST_SCANS: usize = 3;
+/// How often the best of them is found more exactly.
+const MOST_REFINED: usize = 2;
+/// A rms difference, of the mean, at which nothing better is looked for.
+const FOUND: f64 = 1e-3;
 
 /// What a comparison needs to know.
 pub struct ImageComparison<'a> {
@@ -25,8 +29,6 @@ pub struct ImageComparison<'a> {
     pub plan: &'a Plan,
     /// The atoms.
     pub sites: &'a [Site],
-    /// The cell along x and y in Angstrom.
-    pub cell_angstrom: [f64; 2],
     /// Probes on the pixels of the reference.
     pub scan: &'a Scan,
     /// The reference.
@@ -95,7 +97,7 @@ pub fn compare(progress: &dyn Progress, c: &ImageComparison) -> Result<Outcome> 
         ]);
     }
     if verdict == Verdict::Fail {
-        notes.push(explained(progress, c, &ours, &reference, &mut findings)?);
+        notes.push(explained(progress, c, &reference, &mut findings)?);
         notes.extend(c.remedy.clone());
     }
     notes.extend(converged.map(|off| told_by_both(verdict == Verdict::Pass, &off, c.tolerance)));
@@ -152,15 +154,11 @@ fn figure(
 fn explained(
     progress: &dyn Progress,
     c: &ImageComparison,
-    ours: &Array2<f64>,
     reference: &Array2<f64>,
     findings: &mut Findings,
 ) -> Result<String> {
-    let cell = c.cell_angstrom;
-    let shape = [c.scan.shape[1], c.scan.shape[0]];
-    let periodic =
-        [0, 1].map(|i| (c.scan.step_angstrom[i] * shape[i] as f64 / cell[i] - 1.0).abs() < 1e-6);
-    let found = explain::explanations(ours, reference, periodic);
+    let wide = ours_beyond(progress, c)?;
+    let found = explanations(&wide, reference);
     let step = c.scan.step_angstrom;
     let left = |e: &Explanation, how: &str| {
         let what = format!("rms difference left by {}{how}, of the mean", e.words(step));
@@ -173,13 +171,13 @@ fn explained(
     let Some(mut best) = found.best else {
         let least = found.alone.iter().map(|e| e.rms).fold(found.now, f64::min);
         return Ok(format!(
-            "neither a factor, nor another orientation, nor a shift of the scan explains the difference: of its rms of \
-             {now:.2} % of the mean at least {:.2} % are left",
+            "neither a factor, nor another orientation, nor a shift of the scan by up to {SEARCHED_ANGSTROM} A explains the \
+             difference: of its rms of {now:.2} % of the mean at least {:.2} % are left",
             100.0 * least
         ));
     };
     if best.shift.is_some() {
-        best = simulated(progress, c, reference, best)?;
+        best = simulated(progress, c, &wide, reference, best)?;
         findings.checks.push(left(&best, ", simulated"));
     }
     let start = best.shift.map_or_else(String::new, |shift| {
@@ -201,36 +199,89 @@ fn explained(
     ))
 }
 
-/// The same with the scan where it seems to be: simulated, and once more where the second look finds it.
+/// Pixels (x, y) by which our image has to reach beyond the reference.
+fn margin(scan: &Scan) -> [usize; 2] {
+    let along = |k: usize| match scan.shape[1 - k] {
+        1 => 0,
+        _ => (SEARCHED_ANGSTROM / scan.step_angstrom[k]).ceil() as usize,
+    };
+    [along(0), along(1)]
+}
+
+/// Our image with a margin about it.
+fn ours_beyond(progress: &dyn Progress, c: &ImageComparison) -> Result<WideImage> {
+    beyond(progress, c, c.scan, margin(c.scan), "simulating about the scan")
+}
+
+fn beyond(
+    progress: &dyn Progress,
+    c: &ImageComparison,
+    inner: &Scan,
+    margin: [usize; 2],
+    stage: &str,
+) -> Result<WideImage> {
+    let step = inner.step_angstrom;
+    let origin_angstrom = [0, 1].map(|k| inner.origin_angstrom[k] - margin[k] as f64 * step[k]);
+    let shape = [0, 1].map(|i| inner.shape[i] + 2 * margin[1 - i]);
+    let scan = Scan { origin_angstrom, step_angstrom: step, shape };
+    Ok(WideImage { data: at_scan(progress, c, &scan, stage)?, margin })
+}
+
+fn at_scan(
+    progress: &dyn Progress,
+    c: &ImageComparison,
+    scan: &Scan,
+    stage: &str,
+) -> Result<Array2<f64>> {
+    progress.start(stage, "probes", scan.len() as u64);
+    let images = Lab::new(progress, scan.len()).execute(c.plan, c.sites, scan)?;
+    progress.finish();
+    Ok(images.image(0, 0).mapv(f64::from))
+}
+
+/// The same with the scan where it is likely to be: crystals nearly repeat, so several places are simulated.
 fn simulated(
     progress: &dyn Progress,
     c: &ImageComparison,
+    wide: &WideImage,
     reference: &Array2<f64>,
     guess: Explanation,
 ) -> Result<Explanation> {
     let turned = guess.turn.apply(reference);
-    let mut shift = guess.shift.unwrap_or_default();
-    let mut best: Option<Explanation> = None;
-    for _ in 0..MOST_SCANS {
-        let origin = [0, 1].map(|i| c.scan.origin_angstrom[i] + shift[i] * c.scan.step_angstrom[i]);
-        let scan = Scan { origin_angstrom: origin, ..*c.scan };
-        progress.start("simulating a moved scan", "probes", scan.len() as u64);
-        let ours = Lab::new(progress, scan.len()).execute(c.plan, c.sites, &scan)?;
-        progress.finish();
-        let ours = ours.image(0, 0).mapv(f64::from);
+    // The margin is there to find what interpolation was off by: near no shift at all it is exact.
+    let narrow = margin(c.scan).map(|n| n.min(2));
+    let look = |shift: [f64; 2]| -> Result<(Explanation, WideImage)> {
+        let step = c.scan.step_angstrom;
+        let origin_angstrom = [0, 1].map(|i| c.scan.origin_angstrom[i] + shift[i] * step[i]);
+        let scan = Scan { origin_angstrom, ..*c.scan };
+        let around = beyond(progress, c, &scan, narrow, "simulating a moved scan")?;
+        let ours = around.inner();
         let factor = guess.factor.map(|_| best_gain(turned.view(), ours.view()));
         let rms = Difference::between(ours.view(), (&turned * factor.unwrap_or(1.0)).view()).rms;
-        let this = Explanation { shift: Some(shift), factor, rms, ..guess };
-        if best.is_none_or(|b| rms < b.rms) {
-            best = Some(this);
+        Ok((Explanation { shift: Some(shift), factor, rms, ..guess }, around))
+    };
+    let mut best: Option<(Explanation, WideImage)> = None;
+    let mut next = likely_shifts(wide, &turned).into_iter().take(MOST_SCANS);
+    while let Some(shift) = next.next().filter(|_| best.as_ref().is_none_or(|b| b.0.rms > FOUND)) {
+        let found = look(shift)?;
+        if best.as_ref().is_none_or(|b| found.0.rms < b.0.rms) {
+            best = Some(found);
         }
-        let further = explain::nearby_shift(&ours, &turned);
-        if rms < NOTHING_LEFT || further == [0.0; 2] {
+    }
+    let Some((mut best, mut around)) = best else { return Ok(guess) };
+    for _ in 0..MOST_REFINED {
+        let further = likely_shifts(&around, &turned).first().copied().unwrap_or_default();
+        let shift = best.shift.unwrap_or_default();
+        if best.rms <= FOUND || further == [0.0; 2] {
             break;
         }
-        shift = [shift[0] + further[0], shift[1] + further[1]];
+        let found = look([shift[0] + further[0], shift[1] + further[1]])?;
+        if found.0.rms >= best.rms {
+            break;
+        }
+        (best, around) = found;
     }
-    Ok(best.unwrap_or(guess))
+    Ok(best)
 }
 
 /// What the two comparisons, in abTEM's numerics and converged, say together.
