@@ -150,7 +150,7 @@ struct AcquireSummary {
 }
 
 /// A place, and what stands there.
-struct Place {
+struct AcquiredPlace {
     recipe: CheckedRecipe,
     specimen: Arc<dyn Specimen>,
     /// How the world was made, if there is one.
@@ -176,10 +176,10 @@ impl Acquire {
         let picture = self.png.then(|| self.output.with_extension("png"));
         let outputs = std::iter::once(&self.output).chain(&picture);
         check_outputs(outputs, self.recipe.inputs(&recipe), self.overwrite)?;
-        let place = Place { specimen: specimen(&recipe)?, recipe, made };
+        let place = AcquiredPlace { specimen: specimen(&recipe)?, recipe, made };
         let (recording, source) = self.record(&place, &reporter)?;
         let command_line = text::command_line();
-        let Place { recipe, specimen, .. } = &place;
+        let AcquiredPlace { recipe, specimen, .. } = &place;
         recording.write(&self.output, self.overwrite, recipe, &**specimen, &command_line)?;
         if let Some(path) = &picture {
             let image = recording.data.index_axis(Axis(0), 0).mapv(|v| v as f32);
@@ -203,10 +203,10 @@ impl Acquire {
 
     fn record(
         &self,
-        place: &Place,
+        place: &AcquiredPlace,
         reporter: &super::progress_bar::Reporter,
     ) -> anyhow::Result<(FieldRecording, &'static str)> {
-        let Place { recipe, specimen, made } = place;
+        let AcquiredPlace { recipe, specimen, made } = place;
         let (part, options) = (self.part(recipe)?, self.options(recipe));
         let parts = refinement(recipe);
         if let Some(world) = self.recipe.world().filter(|_| parts == 1) {

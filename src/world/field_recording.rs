@@ -146,7 +146,7 @@ pub fn record(
     let reach = [0, 1].map(|k| [reach[k][0].min(meant[k][0]), reach[k][1].max(meant[k][1])]);
     check_size(&frame, reach, recipe.field.pixel_nm(), options)?;
     let image = source.image(reach, progress)?;
-    let mut lines = Lines::new(&frame, options);
+    let mut lines = KeptFrames::new(&frame, options);
     let frames = options.acquisition.frames;
     progress.start("recording", "line", (frames * frame.shape[0]) as u64);
     for number in 0..frames {
@@ -216,14 +216,14 @@ fn check_size(
 }
 
 /// What is kept of the frames.
-struct Lines {
+struct KeptFrames {
     data: Array3<f64>,
     stages: Option<RecordingStages>,
     keep_frames: bool,
     clipped: u64,
 }
 
-impl Lines {
+impl KeptFrames {
     fn new(frame: &ScanFrame, options: &RecordingOptions) -> Self {
         let [rows, columns] = frame.shape;
         let frames = options.acquisition.frames;
@@ -232,7 +232,7 @@ impl Lines {
             moved: Array3::zeros((frames, rows, columns)),
             electrons: Array3::zeros((frames, rows, columns)),
         };
-        Lines {
+        KeptFrames {
             data: Array3::zeros((kept, rows, columns)),
             stages: options.keep_stages.then(stages),
             keep_frames: options.keep_frames,

@@ -202,7 +202,8 @@ def alike():
     assert np.array_equal(world["recording"][:], again["recording"][:])
     a, b = world["stages/moved"][:], recipe["stages/moved"][:]
     print(f"the world's own image and the recipe's: {np.abs(a - b).max() / b.max():.2g} of the maximum")
-    assert np.abs(a - b).max() < 1e-3 * b.max()
+    # The world was blended from its sub-tiles, and windows are right to 1 % of bright columns or so.
+    assert np.abs(a - b).max() < 0.025 * b.max() and abs(a.mean() / b.mean() - 1) < 3e-3
     for name in ["position", "position_in_image", "vacancies"]:
         assert np.array_equal(world[f"ground_truth/columns/{name}"][:], recipe[f"ground_truth/columns/{name}"][:])
 
@@ -231,9 +232,9 @@ def world():
     fraction = whole(poor, "tiles") * poor["tiles"].attrs["scale"] + poor["tiles"].attrs["offset"]
     counts = fraction * about["counts_of_whole_beam"] + about["counts_of_no_beam"]
     near("counts are whole numbers", np.abs(counts - np.round(counts)).max(), 0, 0.02)
-    near("most counts of two frames of 8 bits", counts.max(), 510, 510)
+    near("most counts of 8 bits", counts.max(), 128, 127.5)
     valid = poor["valid_region"][:]
-    # 0.2 nm/s for two frames of 1 s or so: 20 pixels, and scale and shear beside
+    # 0.2 nm/s for 1 s or so: 10 pixels, and scale and shear beside
     print(f"{100 * (1 - valid.mean()):.1f} % of the pixels are not valid")
     assert 0.01 < 1 - valid.mean() < 0.25 and valid[100:150, 100:250].all()
     assert np.all(plain["valid_region"][:])
@@ -241,7 +242,7 @@ def world():
     places = poor["ground_truth/columns/position"][:] / about["pixel_size_nm"]
     seen = poor["ground_truth/columns/position_in_image"][:]
     drift = poor["ground_truth/drift"][:]
-    assert seen.shape == places.shape and drift.shape == (2 * clean.shape[0], 3)
+    assert seen.shape == places.shape and drift.shape == (clean.shape[0], 3)
     moved = (seen - places).mean(axis=0)
     # the specimen drifts by the mean of the curve
     mean = drift[:, 1:].mean(axis=0) / about["pixel_size_nm"]
