@@ -36,6 +36,7 @@ mod world_writer;
 pub use atoms_file::{AtomRow, AtomsHeader, AtomsWriter, RowFormat, writable};
 #[cfg(feature = "hdf5")]
 use hdf5_errors::At;
+#[cfg(feature = "hdf5")]
 pub use hdf5_guard::read_through;
 #[cfg(feature = "hdf5")]
 pub use truth_writer::{LineKind, ParticleBatch, TruthBatch, TruthWriter};
