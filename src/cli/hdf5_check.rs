@@ -6,7 +6,7 @@
 
 use super::signals;
 use std::ffi::OsStr;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitCode, ExitStatus, Stdio};
 use std::time::Duration;
 use stemgen::{Error, io};
@@ -68,7 +68,7 @@ pub fn check(file: &Path) -> stemgen::Result<()> {
     if !file.is_file() {
         return Ok(());
     }
-    let program = std::env::current_exe().map_err(|e| Error::io(file, "check", e))?;
+    let program = program().map_err(|e| Error::io(file, "check", e))?;
     let started = Command::new(program)
         .arg(READ_THROUGH)
         .arg(file)
@@ -86,6 +86,14 @@ pub fn check(file: &Path) -> stemgen::Result<()> {
             0,
             format!("is damaged: {}; copy or build it again", said(status)),
         )),
+    }
+}
+
+/// This program, also where its file was replaced meanwhile.
+fn program() -> std::io::Result<PathBuf> {
+    match cfg!(target_os = "linux") {
+        true => Ok(PathBuf::from("/proc/self/exe")),
+        false => std::env::current_exe(),
     }
 }
 

@@ -13,13 +13,13 @@ const CHECKSUM: usize = 4;
 
 /// How the chunks of a dataset are packed.
 pub(super) struct Filters {
-    steps: Vec<Step>,
+    steps: Vec<FilterStep>,
     /// Bytes of a value, which are shuffled.
     value_bytes: usize,
 }
 
 #[derive(Clone, Copy, PartialEq)]
-enum Step {
+enum FilterStep {
     Deflate,
     Shuffle,
     Checksum,
@@ -29,16 +29,16 @@ impl Filters {
     /// The filters of a dataset, of which those are undone that cannot unpack a little to a lot, or are bounded.
     pub fn of(plan: &DatasetCreate, value_bytes: usize) -> Guarded<Self> {
         let known = |filter: &Filter| match filter {
-            Filter::Deflate(_) => Ok(Step::Deflate),
-            Filter::Shuffle => Ok(Step::Shuffle),
-            Filter::Fletcher32 => Ok(Step::Checksum),
+            Filter::Deflate(_) => Ok(FilterStep::Deflate),
+            Filter::Shuffle => Ok(FilterStep::Shuffle),
+            Filter::Fletcher32 => Ok(FilterStep::Checksum),
             other => Err(format!(
                 "is packed by {other:?}, which is not read; save it again with gzip, or unpacked"
             )),
         };
         let filters = plan.get_filters().map_err(damaged)?;
-        let steps: Vec<Step> = filters.iter().map(known).collect::<Guarded<_>>()?;
-        if steps.iter().filter(|step| **step == Step::Deflate).count() > 1 {
+        let steps: Vec<FilterStep> = filters.iter().map(known).collect::<Guarded<_>>()?;
+        if steps.iter().filter(|step| **step == FilterStep::Deflate).count() > 1 {
             return Err("is packed twice, which is not read; save it again".into());
         }
         Ok(Filters { steps, value_bytes })
@@ -54,9 +54,9 @@ impl Filters {
                 continue;
             }
             bytes = match step {
-                Step::Deflate => inflated(&bytes, most)?,
-                Step::Shuffle => unshuffled(&bytes, self.value_bytes),
-                Step::Checksum => checked(bytes)?,
+                FilterStep::Deflate => inflated(&bytes, most)?,
+                FilterStep::Shuffle => unshuffled(&bytes, self.value_bytes),
+                FilterStep::Checksum => checked(bytes)?,
             };
         }
         match bytes.len() == expected {

@@ -2,15 +2,10 @@
 //! against the size of the file before memory is asked for. Reasons are given as text, without the name of the file.
 
 use std::collections::HashSet;
-use std::path::Path;
 
 use hdf5::plist::dataset_create::Layout;
 use hdf5::types::VarLenUnicode;
 use hdf5::{Dataset, File, Group, H5Type, LinkType, Location, LocationType};
-
-use super::hdf5_values;
-use super::world_file::regular_file;
-use crate::error::{Error, Result};
 
 /// Bytes of the largest numbers that values are read as.
 const LARGEST_NUMBER_BYTES: usize = 8;
@@ -24,8 +19,6 @@ const DEEPEST: usize = 64;
 const MOST_OBJECTS: usize = 1 << 20;
 /// Chunks that a dataset may be cut into.
 const MOST_CHUNKS: usize = 1 << 20;
-/// Texts that an attribute may hold: one for each axis of an array.
-const MOST_TEXTS: usize = 64;
 /// Bytes that the path of a dataset may have.
 const LONGEST_PATH: usize = 4096;
 /// Any file may announce so many bytes ...
@@ -40,7 +33,8 @@ pub(super) fn datasets(file: &File) -> Guarded<Vec<String>> {
     walk(file).map(|walk| walk.datasets)
 }
 
-fn walk(file: &File) -> Guarded<Walk> {
+/// All groups and datasets of a file; see [`datasets`].
+pub(super) fn walk(file: &File) -> Guarded<Walk> {
     if file.userblock() > 0 {
         return Err(
             "begins with a block of other data, which is not read; `h5unjam` takes it out".into()
@@ -52,48 +46,15 @@ fn walk(file: &File) -> Guarded<Walk> {
     Ok(walk)
 }
 
-/// Has the library read everything of a file that it reads for this program, the values of chunks aside: what the file holds, what
-/// is said of it, and where its values lie. Of some damaged files the library does not come back (1.10.8 hangs, dies or takes all
-/// memory): a process that calls this before another opens the file finds out.
-///
-/// # Errors
-/// [`Error::Io`], or [`Error::Parse`] for a file that is refused.
-pub fn read_through(path: &Path) -> Result<()> {
-    let bytes = regular_file(path)?;
-    let refused = |fault: String| Error::parse(path, 0, fault);
-    let file = File::open(path).map_err(|e| refused(first_line(&e)))?;
-    let walk = walk(&file).map_err(refused)?;
-    for name in std::iter::once("/").chain(walk.groups.iter().map(String::as_str)) {
-        let group = file.group(name).map_err(|e| refused(damaged(e)))?;
-        read_attributes(&group);
-    }
-    for name in &walk.datasets {
-        // One that cannot be read may be one that nobody asks for.
-        let Ok(dataset) = file.dataset(name) else { continue };
-        read_attributes(&dataset);
-        let stored = check_storage(&dataset, bytes);
-        let _ = stored.and_then(|()| hdf5_values::look_through(&dataset, path));
-    }
-    Ok(())
-}
-
-/// Reads the attributes of a thing in all the ways that there are. Their values are of no interest here.
-fn read_attributes(at: &Location) {
-    for name in at.attr_names().unwrap_or_default() {
-        let _ = (number::<f64>(at, &name), pair(at, &name), text(at, &name));
-        let count = at.attr(&name).map_or(0, |a| a.size());
-        if count <= MOST_TEXTS {
-            let _ = texts(at, &name, count);
-        }
-    }
-}
-
-struct Walk {
+/// What was found on the way through a file.
+pub(super) struct Walk {
     /// Groups that were visited: links may lead back to one that holds them.
     seen: HashSet<String>,
     objects: usize,
-    groups: Vec<String>,
-    datasets: Vec<String>,
+    /// Paths of the groups but the first.
+    pub groups: Vec<String>,
+    /// Paths of the datasets.
+    pub datasets: Vec<String>,
 }
 
 impl Walk {

@@ -133,7 +133,7 @@ struct Chunks<'a> {
 }
 
 /// Where a chunk lies in the file.
-struct Place {
+struct ChunkPlace {
     address: u64,
     bytes: usize,
     /// Bits of the filters that were not applied to it.
@@ -186,7 +186,7 @@ impl<'a> Chunks<'a> {
     }
 
     /// Where in the file the chunk lies whose first value is at `offset`, if it was written.
-    fn place(&self, offset: &[usize]) -> Guarded<Option<Place>> {
+    fn place(&self, offset: &[usize]) -> Guarded<Option<ChunkPlace>> {
         let place: Vec<u64> = offset.iter().map(|n| *n as u64).collect();
         let (mut skipped, mut address, mut bytes) = (0, NOWHERE, 0);
         // SAFETY: the dataset has as many axes as `place`, and the others are single values.
@@ -208,7 +208,7 @@ impl<'a> Chunks<'a> {
         if address.checked_add(bytes).is_none_or(|end| end > self.file_bytes) {
             return Err(format!("has a chunk beyond the end of the file, at {offset:?}"));
         }
-        Ok(Some(Place { address, bytes: bytes as usize, skipped }))
+        Ok(Some(ChunkPlace { address, bytes: bytes as usize, skipped }))
     }
 
     /// The bytes of the chunk whose first value is at `offset`, if it was written.

@@ -11,6 +11,8 @@ mod hdf5_filters;
 #[cfg(feature = "hdf5")]
 mod hdf5_guard;
 #[cfg(feature = "hdf5")]
+mod hdf5_look;
+#[cfg(feature = "hdf5")]
 mod hdf5_values;
 #[cfg(feature = "hdf5")]
 pub mod hspy_file;
@@ -36,7 +38,8 @@ mod world_writer;
 pub use atoms_file::{AtomRow, AtomsHeader, AtomsWriter, RowFormat, writable};
 #[cfg(feature = "hdf5")]
 use hdf5_errors::At;
-pub use hdf5_guard::read_through;
+#[cfg(feature = "hdf5")]
+pub use hdf5_look::read_through;
 #[cfg(feature = "hdf5")]
 pub use truth_writer::{LineKind, ParticleBatch, TruthBatch, TruthWriter};
 #[cfg(feature = "report")]

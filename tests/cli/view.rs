@@ -130,7 +130,7 @@ fn bad_requests_are_explained() {
         (&["other.h5"], "no group /metadata, but entry"),
         (&["nan.h5"], "nan.h5: holds NaN at row 17, column 7 of the image (/tiles/1_0)"),
         (&["nan.h5", "--html"], "holds NaN at row 17, column 7"),
-        (&["damaged.h5"], "/tiles/0_1 cannot be read; the file is damaged"),
+        (&["damaged.h5"], "/tiles/0_1 has a chunk at [0, 0] that does not unpack"),
         (&["w.h5", "--html", "--clean"], "--keep-clean"),
         (&["w.h5", "--html", "--overlay", "particles"], "no particles"),
         (&["w.h5", "--html", "--size", "900"], "cannot be used with"),

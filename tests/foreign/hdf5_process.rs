@@ -64,11 +64,12 @@ fn a_file_that_hangs_the_library_is_refused() {
     endless(&here.join("r.h5"), reference);
     assert!(survives(&here.join("w.h5")) && !survives(&here.join("bad.h5")));
     let si = concat!(env!("CARGO_MANIFEST_DIR"), "/structures/si.cif");
-    let commands: [&[&str]; 5] = [
+    let commands: [&[&str]; 6] = [
         &["view", "bad.h5"],
         &["compare", "w.h5", "bad.h5"],
         &["tiles", "bad.h5", "-n", "1", "-o", "t.npz"],
         &["audit", "bad.h5"],
+        &["acquire", "bad.h5", "-o", "a.h5"],
         &["validate", "--reference", "r.h5", "--structure", si],
     ];
     let children: Vec<_> =

@@ -1,0 +1,49 @@
+//! A look through all of an HDF5 file, for a process that may end of it.
+
+use std::path::Path;
+
+use hdf5::{File, Location};
+
+use super::hdf5_guard::{check_storage, damaged, first_line, number, pair, text, texts, walk};
+use super::hdf5_values;
+use super::world_file::regular_file;
+use crate::error::{Error, Result};
+
+/// Texts that an attribute may hold: one for each axis of an array.
+const MOST_TEXTS: usize = 64;
+
+/// Has the library read everything of a file that it reads for this program, the values of chunks aside: what the file holds, what
+/// is said of it, and where its values lie. Of some damaged files the library does not come back (1.10.8 hangs, dies or takes all
+/// memory): a process that calls this before another opens the file finds out.
+///
+/// # Errors
+/// [`Error::Io`], or [`Error::Parse`] for a file that is refused.
+pub fn read_through(path: &Path) -> Result<()> {
+    let bytes = regular_file(path)?;
+    let refused = |fault: String| Error::parse(path, 0, fault);
+    let file = File::open(path).map_err(|e| refused(first_line(&e)))?;
+    let walk = walk(&file).map_err(refused)?;
+    for name in std::iter::once("/").chain(walk.groups.iter().map(String::as_str)) {
+        let group = file.group(name).map_err(|e| refused(damaged(e)))?;
+        read_attributes(&group);
+    }
+    for name in &walk.datasets {
+        // One that cannot be read may be one that nobody asks for.
+        let Ok(dataset) = file.dataset(name) else { continue };
+        read_attributes(&dataset);
+        let stored = check_storage(&dataset, bytes);
+        let _ = stored.and_then(|()| hdf5_values::look_through(&dataset, path));
+    }
+    Ok(())
+}
+
+/// Reads the attributes of a thing in all the ways that there are. Their values are of no interest here.
+fn read_attributes(at: &Location) {
+    for name in at.attr_names().unwrap_or_default() {
+        let _ = (number::<f64>(at, &name), pair(at, &name), text(at, &name));
+        let count = at.attr(&name).map_or(0, |a| a.size());
+        if count <= MOST_TEXTS {
+            let _ = texts(at, &name, count);
+        }
+    }
+}
