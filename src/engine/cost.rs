@@ -7,6 +7,7 @@ use super::probe_scan::Scan;
 use super::settings::Algorithm;
 use super::slice_coverage::{SliceCoverage, place};
 use super::stepper::waves_together;
+use crate::optics::foci;
 use crate::structure::Site;
 
 /// At most so many windows are looked at to estimate how many slices a wave passes.
@@ -63,7 +64,9 @@ pub struct PlannedScan {
 impl Cost {
     /// The cost of a scan whose waves pass all slices of the plan.
     pub fn new(plan: &Plan, scan: &Scan) -> Self {
-        let waves = expanded_waves(plan, scan).unwrap_or(scan.len());
+        // Expanded probes of all foci share their waves.
+        let foci = foci(&plan.settings.optics).map_or(1, |foci| foci.len());
+        let waves = expanded_waves(plan, scan).unwrap_or(scan.len() * foci);
         Cost {
             probes: scan.len(),
             waves_per_probe: waves as f64 / scan.len().max(1) as f64,
@@ -72,7 +75,7 @@ impl Cost {
             configurations: plan.settings.configurations(),
             step_flops: 2.0 * transform_flops(&plan.wave_grid),
             potential_flops: plan.slices.len() as f64 * 4.0 * transform_flops(&plan.potential_grid),
-            reduction_flops: reduction_flops(plan),
+            reduction_flops: reduction_flops(plan) * foci as f64,
             shared_bytes: shared_bytes(plan),
             thread_bytes: thread_bytes(plan),
             probe_bytes: plan.settings.detectors.len() * plan.record_after.len() * IMAGE_BYTES,
