@@ -4,7 +4,7 @@ use stemgen::engine::{
     Algorithm, Expansion, Images, Plan, ProbeBox, ProbeStep, Scan, Settings, Site, exit_wave,
     simulate,
 };
-use stemgen::optics::{Aberration, Optics, foci};
+use stemgen::optics::{Aberration, Aberrations, Optics, foci};
 use stemgen::progress::Silent;
 
 const A: f64 = 3.905;
@@ -52,7 +52,7 @@ fn tilted(settings: &Settings, mistilt_mrad: [f64; 2]) -> Settings {
 }
 
 /// Seen along the beam, the planes of a tilted specimen lie beside each other: the same as an upright specimen whose planes are
-/// moved by `-z tan(tilt)`. No approximation is in between.
+/// moved by `-z tan(tilt)`. Potentials on the grid differ a little, nothing else does.
 #[test]
 fn a_tilted_crystal_is_one_with_planes_moved_sideways() {
     let upright = crystal([3, 3, 12]);
@@ -67,8 +67,8 @@ fn a_tilted_crystal_is_one_with_planes_moved_sideways() {
     let windows = Algorithm::Window { width_angstrom: 7.8 };
     let each = (Expansion::Off, ProbeStep::Scan);
     for (algorithm, (expansion, probe_step), most) in [
-        (Algorithm::Multislice, each, 3e-5),
-        (Algorithm::Prism { interpolation: [1, 1] }, each, 3e-5),
+        (Algorithm::Multislice, each, 3e-4),
+        (Algorithm::Prism { interpolation: [1, 1] }, each, 3e-4),
         // a window begins at a pixel, and the beam moves by parts of one
         (windows, each, 1e-2),
         (windows, (Expansion::Auto, ProbeStep::Auto), 1e-2),
@@ -182,6 +182,35 @@ fn focal_spread_is_the_mean_over_foci() {
             assert!(error < 1e-3, "{error}");
             let sharp = run(&at_focus(&settings, 0.0), &specimen, &scan);
             assert!(difference(&sharp, &spread) > 0.02);
+        }
+    }
+}
+
+/// A turned or mirrored grain sees the beam from its own axes: every direction has the phase that it has in the field.
+#[test]
+fn turned_grains_see_the_same_beam() {
+    let optics = Optics {
+        mistilt_mrad: [6.0, -3.0],
+        aberrations: Aberrations(
+            ["C10=-50", "C12=30@0.3", "C21=900@-1.1", "C23=700@2.0", "C45=1e6@0.2"]
+                .map(|text| Aberration::parse(text).unwrap())
+                .to_vec(),
+        ),
+        ..Optics::default()
+    };
+    assert!(!optics.is_round() && Optics::default().is_round());
+    let (sin, cos) = 0.4_f64.sin_cos();
+    for frame in [[[cos, -sin], [sin, cos]], [[-cos, sin], [sin, cos]], [[1.0, 0.0], [0.0, 1.0]]] {
+        let seen = optics.seen_from(frame);
+        let back = |[x, y]: [f64; 2]| [0, 1].map(|k| frame[0][k] * x + frame[1][k] * y);
+        let expected = back(optics.slope());
+        (0..2).for_each(|k| assert!((seen.slope()[k] - expected[k]).abs() < 1e-12));
+        for step in 0..12 {
+            let phi = 0.5 * f64::from(step);
+            let [x, y] = back([phi.cos(), phi.sin()]);
+            let field = optics.aberrations.chi(0.025, 0.021, phi);
+            let sheet = seen.aberrations.chi(0.025, 0.021, y.atan2(x));
+            assert!((field - sheet).abs() < 1e-9, "{frame:?} {phi}: {field} {sheet}");
         }
     }
 }
