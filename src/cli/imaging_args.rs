@@ -47,7 +47,7 @@ pub struct MicroscopeArgs {
     pub focal_spread: Option<f64>,
     /// Width of the electron source in A (full width at half maximum; 0.7-1.0 is usual), a Gaussian
     /// [default: a point]
-    #[arg(long, value_name = "A", value_parser = values::positive)]
+    #[arg(long, value_name = "A", value_parser = values::positive, allow_negative_numbers = true)]
     pub source_size: Option<f64>,
     /// Share of the source in long tails, from 0 to 1: a Lorentz profile of the same width in place of the Gaussian
     #[arg(long, value_name = "SHARE", value_parser = values::finite, allow_negative_numbers = true)]
