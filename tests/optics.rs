@@ -70,8 +70,8 @@ fn a_tilted_crystal_is_one_with_planes_moved_sideways() {
         (Algorithm::Multislice, each, 3e-4),
         (Algorithm::Prism { interpolation: [1, 1] }, each, 3e-4),
         // a window begins at a pixel, and the beam moves by parts of one
-        (windows, each, 1e-2),
-        (windows, (Expansion::Auto, ProbeStep::Auto), 1e-2),
+        (windows, each, 3e-3),
+        (windows, (Expansion::Auto, ProbeStep::Auto), 3e-3),
     ] {
         let settings = Settings { algorithm, expansion, probe_step, ..Settings::default() };
         let one = run(&tilted(&settings, tilt), &upright, &scan());
