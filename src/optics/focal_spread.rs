@@ -37,7 +37,7 @@ pub fn foci(optics: &Optics) -> Result<Vec<Focus>> {
         return Ok(vec![Focus { offset_angstrom: 0.0, weight: 1.0 }]);
     }
     let found = || (3..=MOST_POINTS).step_by(2).find(|n| error(optics, sigma, *n) <= ALLOWED);
-    match found().filter(|_| sigma > 0.0) {
+    match found().filter(|_| sigma > 0.0 && sigma.is_finite()) {
         Some(points) => Ok(rule(points, sigma)),
         None => {
             let most = largest(optics);

@@ -264,7 +264,8 @@ def coarse():
     plain, ideal = load("coarse_plain.h5"), load("coarse.h5")
     a, b = whole(plain, "clean"), whole(ideal, "clean")
     print(f"the image at half the pixel: {np.abs(a - b).max() / a.max():.2g} of the maximum")
-    assert np.abs(a - b).max() < 2e-3 * a.max()
+    # Windows are right to 1 % of bright columns or so; half a pixel astray would be 40 %.
+    assert np.abs(a - b).max() < 0.025 * a.max() and abs(a.mean() / b.mean() - 1) < 3e-3
     fraction = whole(ideal, "tiles") * ideal["tiles"].attrs["scale"] + ideal["tiles"].attrs["offset"]
     electrons = ideal["metadata"].attrs["electrons_per_pixel"]
     squares = ((fraction - b) ** 2).sum() * electrons / b.sum()
