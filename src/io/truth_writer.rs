@@ -138,7 +138,7 @@ impl TruthWriter {
     /// More sites and columns.
     ///
     /// # Errors
-    /// [`Error::Hdf5`].
+    /// [`crate::Error::Hdf5`].
     pub fn append(&self, batch: &TruthBatch) -> Result<()> {
         self.append_lists(batch).at(&self.path)
     }
@@ -199,7 +199,7 @@ impl TruthWriter {
     /// A polyline between two grains or phases.
     ///
     /// # Errors
-    /// [`Error::Hdf5`].
+    /// [`crate::Error::Hdf5`].
     pub fn boundary(&self, line: &[[f32; 2]], kind: LineKind) -> Result<()> {
         let group = match kind {
             LineKind::Grains(..) => &self.grain_boundaries,
@@ -228,7 +228,7 @@ impl TruthWriter {
     /// Adds the phase map, to be filled row by row; `phases` are the names of its codes.
     ///
     /// # Errors
-    /// [`Error::Hdf5`].
+    /// [`crate::Error::Hdf5`].
     pub fn create_phase_map(&self, phases: &[String]) -> Result<()> {
         let write = || {
             let ([shape, chunk], name) = (self.shape, schema::PHASE_MAP);
@@ -243,7 +243,7 @@ impl TruthWriter {
     /// Rows of the phase map, from row `first`.
     ///
     /// # Errors
-    /// [`Error::Hdf5`].
+    /// [`crate::Error::Hdf5`].
     pub fn phase_rows(&self, first: usize, rows: ArrayView2<i32>) -> Result<()> {
         let write = || {
             let map = self.group.dataset(schema::PHASE_MAP)?;
@@ -255,7 +255,7 @@ impl TruthWriter {
     /// All particles.
     ///
     /// # Errors
-    /// [`Error::Hdf5`].
+    /// [`crate::Error::Hdf5`].
     pub fn particles(&self, particles: &ParticleBatch) -> Result<()> {
         let write = || {
             let group = self.group.create_group(schema::PARTICLES)?;
