@@ -312,13 +312,12 @@ impl AcquireSummary {
         let [x, y] = self.origin_nm;
         lines.add("first pixel", format!("{x:.3}, {y:.3} nm"));
         lines.add("image", self.source.to_owned());
-        let (dose, current) = (self.dose_electrons_per_angstrom2, self.beam_current_pa);
-        let per_pixel = self.electrons_per_pixel;
+        let numbers =
+            [self.dose_electrons_per_angstrom2, self.beam_current_pa, self.electrons_per_pixel];
+        let [dose, current, per_pixel] = numbers.map(|v| text::significant(v, 4));
         lines.add(
             "dose",
-            format!(
-                "{dose:.4} e/A2: {current:.4} pA, {per_pixel:.4} electrons on a pixel of a frame"
-            ),
+            format!("{dose} e/A2: {current} pA, {per_pixel} electrons on a pixel of a frame"),
         );
         let [x, y] = self.drift_nm;
         let scan = text::duration(self.duration_s);
