@@ -238,7 +238,8 @@ fn many_kills() {
 #[test]
 #[ignore = "takes a quarter of an hour"]
 fn many_requests_to_end() {
-    let met = hit_all("-TERM", Some(143), 30, 4);
+    // On a quiet machine every other build ends before it is asked to.
+    let met = hit_all("-TERM", Some(143), 60, 4);
     println!("{met} builds were asked to end; all ended in the same bytes");
     assert!(met >= 200, "{met} builds were asked");
 }
