@@ -33,6 +33,10 @@ Examples:
       --scan-start 0,0 --scan-end 3.905,3.905 --like-abtem \\
       --gpts 300,300 --slice-thickness 1.9525
 
+A reference file is asked for its scan first: the defaults of --scan-start and --scan-end do not
+hold here. An .npy or .npz tells nothing: give both, or --scan-start and --scan-step. abTEM 1.0.11
+writes 0,0 for the start whatever it was.
+
 Exit code: 0 if all numbers lie within their limits, 3 if not, 1 on errors.";
 
 /// Check the program against abTEM, published numbers and conservation laws, or against your own image
