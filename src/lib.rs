@@ -109,6 +109,7 @@
 //! - [`optics`]: the lens: aperture and aberrations; mistilt and focal spread
 //! - [`resample`]: interpolation of images between probes
 //! - [`acquisition`]: from the noise-free image to the recording: scan errors, doses, detectors
+//! - [`damage`]: how likely an electron displaces an atom
 //! - [`detect`]: annular detectors
 //! - [`engine`]: from atoms and a scan to images: plan, then simulate
 //! - [`recipe`]: what a world is made of, read from TOML and checked
@@ -131,6 +132,7 @@
 
 pub mod acquisition;
 pub mod constants;
+pub mod damage;
 pub mod detect;
 pub mod engine;
 pub mod error;
