@@ -118,6 +118,7 @@
 //! - [`io`]: files of images, worlds and atoms
 //! - [`render`]: PNG pictures, drawings of specimens, HTML pages
 //! - [`world`]: tiles with their truth, and whole worlds
+//! - [`live`]: worlds in memory that change under the beam
 //! - [`validate`]: checks against published numbers and other programs, and their reports
 //!
 //! # Features
@@ -140,6 +141,7 @@ pub mod fft;
 pub mod files;
 pub mod imaging;
 pub mod io;
+pub mod live;
 mod matrix;
 pub mod numerics;
 pub mod optics;

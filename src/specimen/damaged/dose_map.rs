@@ -40,6 +40,25 @@ impl DoseMap {
         }
     }
 
+    /// Adds the doses of another map.
+    pub fn add_all(&mut self, other: &DoseMap) {
+        for (block, more) in &other.blocks {
+            let cells = self.blocks.entry(*block).or_insert_with(|| vec![0.0; more.len()]);
+            cells.iter_mut().zip(more).for_each(|(dose, more)| *dose += more);
+        }
+    }
+
+    /// The greatest dose, after another map is added, of the places that have electrons there.
+    pub fn greatest_with(&self, other: &DoseMap) -> f64 {
+        let sum = |(block, more): (&[i64; 2], &Vec<f64>)| {
+            let before = self.blocks.get(block);
+            let dose = |(cell, more): (usize, &f64)| before.map_or(0.0, |cells| cells[cell]) + more;
+            let exposed = more.iter().enumerate().filter(|(_, more)| **more > 0.0);
+            exposed.map(dose).fold(0.0, f64::max)
+        };
+        other.blocks.iter().map(sum).fold(0.0, f64::max)
+    }
+
     /// The dose at (x, y) in nm, in electrons per square Angstrom.
     pub fn at(&self, position_nm: [f64; 2]) -> f64 {
         let (block, cell) = place(position_nm.map(|v| (v / CELL_NM).floor() as i64));
@@ -114,6 +133,12 @@ mod tests {
             (map.at([0.1, 0.1]) - 2e3).abs() < 1e-9 && (map.at([-0.4, -0.2]) - 2e3).abs() < 1e-9
         );
         assert_eq!(map.at([0.6, 0.1]), 0.0);
+        let mut other = DoseMap::default();
+        other.add(&Region { x: [0.4, 9.0], y: [0.0, 0.1] }, 100.0 * 0.86 * 500.0);
+        assert!((map.greatest_with(&other) - 2.5e3).abs() < 1e-9);
+        other.add_all(&map);
+        assert!((other.greatest() - 2.5e3).abs() < 1e-9);
+        assert!((other.electrons() - 2.43e5).abs() < 1e-6);
         assert!((map.greatest() - 2e3).abs() < 1e-9);
         // the cell from -0.55 to -0.5 nm is hit on 0.012 of 0.05 nm
         assert!((map.at([-0.52, 0.1]) - 2e3 * 0.24).abs() < 1e-6, "{}", map.at([-0.52, 0.1]));
