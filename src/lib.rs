@@ -118,6 +118,7 @@
 //! - [`render`]: PNG pictures, drawings of specimens, HTML pages
 //! - [`world`]: tiles with their truth, and whole worlds
 //! - [`validate`]: checks against published numbers and other programs, and their reports
+//! - [`cli`]: the command line of the programs: arguments, progress bars, words
 //!
 //! # Features
 //!
@@ -130,6 +131,8 @@
 //! | `cli` (default) | the program; implies all others | libhdf5 |
 
 pub mod acquisition;
+#[cfg(feature = "cli")]
+pub mod cli;
 pub mod constants;
 pub mod detect;
 pub mod engine;
