@@ -120,6 +120,7 @@
 //! - [`world`]: tiles with their truth, and whole worlds
 //! - [`live`]: worlds in memory that change under the beam
 //! - [`validate`]: checks against published numbers and other programs, and their reports
+//! - [`cli`]: the command line of the programs: arguments, progress bars, words
 //!
 //! # Features
 //!
@@ -132,6 +133,8 @@
 //! | `cli` (default) | the program; implies all others | libhdf5 |
 
 pub mod acquisition;
+#[cfg(feature = "cli")]
+pub mod cli;
 pub mod constants;
 pub mod damage;
 pub mod detect;

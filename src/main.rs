@@ -1,7 +1,5 @@
 //! The `stemgen` program.
 
-mod cli;
-
 fn main() -> std::process::ExitCode {
-    cli::main()
+    stemgen::cli::main()
 }

@@ -145,7 +145,7 @@ fn files(folder: &Path) -> Vec<PathBuf> {
 /// The sources of the library.
 fn library() -> Vec<Source> {
     let root = root();
-    let outside = [root.join("cli"), root.join("main.rs")];
+    let outside = [root.join("main.rs")];
     let paths = files(&root).into_iter().filter(|p| !outside.iter().any(|o| p.starts_with(o)));
     paths.map(|path| source(&root, path)).collect()
 }

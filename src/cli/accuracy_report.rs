@@ -5,11 +5,9 @@ use super::plan_report::{self, Lines};
 use super::progress_bar::Reporter;
 use super::structure_args::Prepared;
 use super::text;
+use crate::engine::{AccuracyFound, Algorithm, Cost, Plan, Scan, Settings, settings_for_accuracy};
 use serde::Serialize;
 use std::time::Instant;
-use stemgen::engine::{
-    AccuracyFound, Algorithm, Cost, Plan, Scan, Settings, settings_for_accuracy,
-};
 
 /// What was found, and the time that finding it took.
 #[derive(Debug, Clone, Serialize)]

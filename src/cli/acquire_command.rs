@@ -6,6 +6,16 @@ use super::hints::hinted;
 use super::plan_report::Lines;
 use super::recipe_args::{RecipeArgs, WorldEngine};
 use super::{output, pictures, text, values};
+use crate::acquisition::{Acquisition, Profile};
+use crate::files::outputs::check_outputs;
+use crate::imaging::Cache;
+use crate::io::WorldFile;
+use crate::recipe::CheckedRecipe;
+use crate::specimen::{Specimen, specimen};
+use crate::world::noise_free::{refined, refinement};
+use crate::world::{
+    Electrons, FieldRecording, ImagerSource, RecordedPart, RecordingOptions, WorldSource, record,
+};
 use anyhow::{anyhow, bail};
 use clap::{Args, ValueEnum};
 use ndarray::Axis;
@@ -13,16 +23,6 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
-use stemgen::acquisition::{Acquisition, Profile};
-use stemgen::files::outputs::check_outputs;
-use stemgen::imaging::Cache;
-use stemgen::io::WorldFile;
-use stemgen::recipe::CheckedRecipe;
-use stemgen::specimen::{Specimen, specimen};
-use stemgen::world::noise_free::{refined, refinement};
-use stemgen::world::{
-    Electrons, FieldRecording, ImagerSource, RecordedPart, RecordingOptions, WorldSource, record,
-};
 
 const EXAMPLES: &str = "\
 Examples:

@@ -5,15 +5,15 @@ use super::estimate;
 use super::plan_report::Lines;
 use super::recipe_args::{RecipeArgs, WorldEngine};
 use super::values;
-use anyhow::bail;
-use clap::Args;
-use stemgen::imaging::{
+use crate::imaging::{
     AUDIT_REMEDY, Audit, AuditOptions, Cache, ImagingChoice, MethodChoice, Simulator, audit,
     audit_cost,
 };
-use stemgen::recipe::CheckedRecipe;
-use stemgen::specimen::specimen;
-use stemgen::world::BuildOptions;
+use crate::recipe::CheckedRecipe;
+use crate::specimen::specimen;
+use crate::world::BuildOptions;
+use anyhow::bail;
+use clap::Args;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -115,7 +115,7 @@ pub fn imaging_of(
 }
 
 /// The imager of a world that is not there yet: a mosaic, or a film, with windows as `stemgen build` chooses them.
-fn planned(recipe: &CheckedRecipe, cache: Cache) -> anyhow::Result<ImagingChoice> {
+pub fn planned(recipe: &CheckedRecipe, cache: Cache) -> anyhow::Result<ImagingChoice> {
     let policy = BuildOptions { cache, ..BuildOptions::default() }.policy(recipe)?;
     Ok(match policy.imaging.method {
         MethodChoice::Auto => ImagingChoice { method: MethodChoice::Mosaic, ..policy.imaging },

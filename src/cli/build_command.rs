@@ -8,20 +8,20 @@ use super::plan_report::Lines;
 use super::recipe_args::RecipeArgs;
 use super::values::{self, EngineName as Engine};
 use super::{estimate, output, pictures, slips, text};
+use crate::acquisition::{Acquisition, AcquisitionTable, Profile};
+use crate::engine::Expansion;
+use crate::files::outputs::check_outputs;
+use crate::imaging::{Audit, Cache};
+use crate::io::WorldFile;
+use crate::progress::Progress;
+use crate::recipe::{CheckedRecipe, Difficulty, Recipe};
+use crate::world::footprint::PICTURE;
+use crate::world::{
+    BuildMethod, BuildOptions, BuildProfile, BuildSummary, Companion, WorldBuild, work_folder,
+};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
-use stemgen::acquisition::{Acquisition, AcquisitionTable, Profile};
-use stemgen::engine::Expansion;
-use stemgen::files::outputs::check_outputs;
-use stemgen::imaging::{Audit, Cache};
-use stemgen::io::WorldFile;
-use stemgen::progress::Progress;
-use stemgen::recipe::{CheckedRecipe, Difficulty, Recipe};
-use stemgen::world::footprint::PICTURE;
-use stemgen::world::{
-    BuildMethod, BuildOptions, BuildProfile, BuildSummary, Companion, WorldBuild, work_folder,
-};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -269,12 +269,12 @@ impl Build {
 }
 
 /// A failure, with what an earlier run has left to go on from.
-fn with_what_is_kept(error: stemgen::Error, path: &Path) -> anyhow::Error {
+fn with_what_is_kept(error: crate::Error, path: &Path) -> anyhow::Error {
     let work = work_folder(path);
     let kept =
         format!("{} keeps what is done; the same command goes on from there", work.display());
     match (error, work.is_dir()) {
-        (error @ stemgen::Error::Interrupted, true) => hinted(error, kept),
+        (error @ crate::Error::Interrupted, true) => hinted(error, kept),
         (error, true) => {
             let hint = hints::of(&error).map(|hint| format!("{hint}; "));
             hinted(error, hint.unwrap_or_default() + &kept)

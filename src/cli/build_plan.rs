@@ -2,13 +2,13 @@
 
 use super::plan_report::{Lines, PlanReport};
 use super::text;
+use crate::engine::check_memory;
+use crate::imaging::{MethodChoice, MosaicCost, SimulationRuns};
+use crate::recipe::Recipe;
+use crate::world::WorldBuild;
+use crate::world::footprint::PICTURE;
 use serde::Serialize;
 use std::path::PathBuf;
-use stemgen::engine::check_memory;
-use stemgen::imaging::{MethodChoice, MosaicCost, SimulationRuns};
-use stemgen::recipe::Recipe;
-use stemgen::world::WorldBuild;
-use stemgen::world::footprint::PICTURE;
 
 /// What a build would do and take.
 #[derive(Serialize)]

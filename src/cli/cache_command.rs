@@ -2,9 +2,9 @@
 
 use super::plan_report::Lines;
 use super::text;
+use crate::imaging::mosaic::library_cache::{Cache, Holding};
 use clap::{Args, Subcommand};
 use std::path::PathBuf;
-use stemgen::imaging::mosaic::library_cache::{Cache, Holding};
 
 const EXAMPLES: &str = "\
 Examples:

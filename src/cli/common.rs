@@ -1,10 +1,10 @@
 //! Options that all subcommands share.
 
 use super::progress_bar::Reporter;
+use crate::engine::check_memory;
+use crate::progress::Progress;
 use anyhow::Context;
 use clap::Args;
-use stemgen::engine::check_memory;
-use stemgen::progress::Progress;
 
 /// Running and reporting.
 #[derive(Debug, Args)]
@@ -40,7 +40,7 @@ impl Force {
         needed_bytes: u64,
         remedy: &str,
         reporter: &Reporter,
-    ) -> stemgen::Result<()> {
+    ) -> crate::Result<()> {
         match check_memory(needed_bytes, remedy) {
             Err(e) if self.force => {
                 reporter.warn(&e.to_string());

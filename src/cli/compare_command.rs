@@ -3,14 +3,13 @@
 use super::common::Common;
 use super::validate_command::DIFFERENT;
 use super::{hdf5_check, text, values};
+use crate::files::outputs::check_outputs;
+use crate::io::WorldFile;
+use crate::validate::report::{ReportOrigin, sentence, value, worlds_page};
+use crate::validate::worlds::{DEFAULT_ALPHA, Sameness, WorldComparison, compare};
 use clap::Args;
 use serde::Serialize;
 use std::path::PathBuf;
-use std::process::ExitCode;
-use stemgen::files::outputs::check_outputs;
-use stemgen::io::WorldFile;
-use stemgen::validate::report::{ReportOrigin, sentence, value, worlds_page};
-use stemgen::validate::worlds::{DEFAULT_ALPHA, Sameness, WorldComparison, compare};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -64,7 +63,7 @@ struct CompareSummary<'a> {
 
 impl Compare {
     /// Runs the subcommand; the exit code tells the verdict.
-    pub fn run(self) -> anyhow::Result<ExitCode> {
+    pub fn run(self) -> anyhow::Result<u8> {
         let reporter = self.common.start()?;
         hdf5_check::check(&self.a)?;
         hdf5_check::check(&self.b)?;
@@ -77,13 +76,13 @@ impl Compare {
                 pixels[0][0], pixels[0][1], pixels[1][0], pixels[1][1], sites[0], sites[1]
             );
             self.common.print(&serde_json::json!({ "pixels": pixels, "sites": sites }), &text)?;
-            return Ok(ExitCode::SUCCESS);
+            return Ok(0);
         }
         check_outputs([&self.output], [&self.a, &self.b], self.overwrite)?;
         let comparison = compare(&self.a, &self.b, self.alpha, &reporter)?;
         let origin = ReportOrigin::now(text::command_line());
         let page = worlds_page(&comparison, [&worlds[0], &worlds[1]], &origin)?;
-        stemgen::files::atomic_write::write(&self.output, page.as_bytes())?;
+        crate::files::atomic_write::write(&self.output, page.as_bytes())?;
         let summary = CompareSummary {
             summary: sentence(&comparison),
             origin: &origin,
@@ -92,8 +91,8 @@ impl Compare {
         };
         self.common.print(&summary, &self.lines(&comparison))?;
         Ok(match comparison.verdict {
-            Sameness::Different => ExitCode::from(DIFFERENT),
-            _ => ExitCode::SUCCESS,
+            Sameness::Different => DIFFERENT,
+            _ => 0,
         })
     }
 

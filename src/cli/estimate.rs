@@ -1,9 +1,9 @@
 //! Speed of this machine, and how long a plan will take.
 
+use crate::engine::{Cost, Plan};
+use crate::fft::{Fft2, good_size};
 use rayon::prelude::*;
 use std::time::{Duration, Instant};
-use stemgen::engine::{Cost, Plan};
-use stemgen::fft::{Fft2, good_size};
 
 /// How long the speed is measured.
 const MEASURED: Duration = Duration::from_millis(400);

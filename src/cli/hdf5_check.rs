@@ -4,12 +4,13 @@
 //! itself once more for a file that it did not write just now; that process reads what the file holds and ends. If it ends in
 //! order, the program opens the file and says itself what is wrong with it, if anything is.
 
+use super::invocation::Invocation;
 use super::signals;
-use std::ffi::OsStr;
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitCode, ExitStatus, Stdio};
+use crate::{Error, io};
+use std::ffi::{OsStr, OsString};
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::Duration;
-use stemgen::{Error, io};
 
 /// First argument of the process that reads through the file in the second.
 const READ_THROUGH: &str = "hdf5-read-through";
@@ -23,17 +24,16 @@ const MEMORY_BYTES: u64 = 2 << 30;
 const LOOKS: [Duration; 2] = [Duration::from_micros(500), Duration::from_millis(20)];
 
 /// Where this process was started for nothing but that, does it.
-pub fn serve() -> Option<ExitCode> {
-    let mut words = std::env::args_os().skip(1);
-    if words.next().as_deref() != Some(OsStr::new(READ_THROUGH)) {
+pub fn serve(arguments: &[OsString]) -> Option<u8> {
+    let [word, file, ..] = arguments else { return None };
+    if word != OsStr::new(READ_THROUGH) {
         return None;
     }
-    let file = words.next()?;
-    let file = Path::new(&file);
+    let file = Path::new(file);
     limit(file);
     // Whoever opens the file next tells what is wrong with it.
     let _ = io::read_through(file);
-    Some(ExitCode::SUCCESS)
+    Some(0)
 }
 
 /// Limits what this process may take, and has it end with the one that started it.
@@ -64,12 +64,13 @@ fn limit(file: &Path) {
 ///
 /// # Errors
 /// [`Error::Parse`] naming the file; [`Error::Interrupted`].
-pub fn check(file: &Path) -> stemgen::Result<()> {
+pub fn check(file: &Path) -> crate::Result<()> {
     if !file.is_file() {
         return Ok(());
     }
-    let program = program().map_err(|e| Error::io(file, "check", e))?;
-    let started = Command::new(program)
+    let again = Invocation::now().again().map_err(|e| Error::io(file, "check", e))?;
+    let started = Command::new(&again[0])
+        .args(&again[1..])
         .arg(READ_THROUGH)
         .arg(file)
         .stdin(Stdio::null())
@@ -86,14 +87,6 @@ pub fn check(file: &Path) -> stemgen::Result<()> {
             0,
             format!("is damaged: {}; copy or build it again", said(status)),
         )),
-    }
-}
-
-/// This program, also where its file was replaced meanwhile.
-fn program() -> std::io::Result<PathBuf> {
-    match cfg!(target_os = "linux") {
-        true => Ok(PathBuf::from("/proc/self/exe")),
-        false => std::env::current_exe(),
     }
 }
 

@@ -1,8 +1,11 @@
 //! Errors on standard error, with a hint where that helps.
 
+use super::invocation::Invocation;
 use super::{signals, text};
-use std::process::ExitCode;
-use stemgen::{Error, Setting};
+use crate::{Error, Setting};
+
+/// Exit code of a failure.
+const FAILURE: u8 = 1;
 
 /// A failure together with what to do about it.
 #[derive(Debug)]
@@ -27,7 +30,7 @@ pub fn hinted(source: impl Into<anyhow::Error>, hint: impl Into<String>) -> anyh
 }
 
 /// Prints the error and its hint; returns the exit code.
-pub fn report(error: &anyhow::Error, subcommand: &str) -> ExitCode {
+pub fn report(error: &anyhow::Error, subcommand: &str) -> u8 {
     let (error, own) = match error.downcast_ref::<Hinted>() {
         Some(h) => (&h.source, Some(h.hint.clone())),
         None => (error, None),
@@ -48,13 +51,13 @@ pub fn report(error: &anyhow::Error, subcommand: &str) -> ExitCode {
         Some(Error::Set { .. }) => "--set ",
         _ => "",
     };
-    text::complain(&format!("error: {option}{message}"));
+    text::complain(&format!("error: {option}{}", Invocation::now().named(&message)));
     if let Some(hint) = hint.or_else(fallback) {
-        text::complain(&format!("hint: {hint}"));
+        text::complain(&format!("hint: {}", Invocation::now().named(&hint)));
     }
     match known {
-        Some(Error::Interrupted) => ExitCode::from(signals::exit_code()),
-        _ => ExitCode::FAILURE,
+        Some(Error::Interrupted) => signals::exit_code(),
+        _ => FAILURE,
     }
 }
 

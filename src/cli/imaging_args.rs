@@ -4,15 +4,15 @@ use super::slips;
 use super::values::{
     self, EngineName, NumberSeries, ParametrizationName, ProbeBoxName, ProjectionName,
 };
-use anyhow::bail;
-use clap::Args;
-use stemgen::detect::Detector;
-use stemgen::engine::settings::{AUTO_ANGLE_MARGIN, DEFAULT_BAND_FRACTION};
-use stemgen::engine::{
+use crate::detect::Detector;
+use crate::engine::settings::{AUTO_ANGLE_MARGIN, DEFAULT_BAND_FRACTION};
+use crate::engine::{
     Algorithm, BeyondLimit, Expansion, GridChoice, Phonons, ProbeStep, Settings, Source,
 };
-use stemgen::optics::{Aberration, Aberrations, Optics};
-use stemgen::potential::slices::Slicing;
+use crate::optics::{Aberration, Aberrations, Optics};
+use crate::potential::slices::Slicing;
+use anyhow::bail;
+use clap::Args;
 
 /// Window of `simulate --algorithm window` in Angstrom.
 const WINDOW_ANGSTROM: f64 = 11.7;

@@ -3,11 +3,11 @@
 use super::progress_bar::Reporter;
 use super::recipe_args::is_recipe_file;
 use super::text;
+use crate::recipe::{CheckedRecipe, Recipe};
+use crate::specimen::{counted_sites, estimated_sites, specimen};
 use clap::Args;
 use serde::Serialize;
 use std::path::Path;
-use stemgen::recipe::{CheckedRecipe, Recipe};
-use stemgen::specimen::{counted_sites, estimated_sites, specimen};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -80,7 +80,7 @@ impl List {
             let tiers = match own {
                 Some(file) => {
                     let text = std::fs::read_to_string(file)
-                        .map_err(|e| stemgen::Error::io(file, "read", e))?;
+                        .map_err(|e| crate::Error::io(file, "read", e))?;
                     Recipe::tiers_in(&name, &text)?
                 }
                 None => Recipe::tiers(&name)?,

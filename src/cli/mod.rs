@@ -12,6 +12,7 @@ mod estimate;
 mod hdf5_check;
 mod hints;
 mod imaging_args;
+mod invocation;
 mod list_command;
 mod not_offered;
 mod output;
@@ -22,6 +23,8 @@ mod progress_bar;
 mod recipe_args;
 mod reference_scan;
 mod scan_args;
+#[doc(hidden)]
+pub mod shared;
 mod show_recipe_command;
 mod signals;
 mod simulate_command;
@@ -37,8 +40,11 @@ mod values;
 mod view_command;
 mod view_picture;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use std::ffi::OsString;
 use std::process::ExitCode;
+
+pub use invocation::Invocation;
 
 /// Simulates STEM images and generates whole annotated specimens (worlds).
 #[derive(Debug, Parser)]
@@ -82,19 +88,30 @@ enum Command {
     Glossary,
 }
 
-/// Runs the program and reports what went wrong.
+/// Runs the program `stemgen` with the arguments of this process, and reports what went wrong.
 pub fn main() -> ExitCode {
+    ExitCode::from(run(Invocation::of_process()))
+}
+
+/// Runs a program as it was called, once in a process, and reports what went wrong on standard error. Listens to signals, and starts
+/// the threads that all of the process use. Returns the exit code.
+pub fn run(invocation: Invocation) -> u8 {
+    let invocation = invocation.remember();
     // Before all else: that process hears no signals, and has no options.
-    if let Some(ended) = hdf5_check::serve() {
+    if let Some(ended) = hdf5_check::serve(&invocation.arguments) {
         return ended;
     }
-    let done = |()| ExitCode::SUCCESS;
+    let done = |()| 0;
     if let Err(error) = signals::listen() {
         text::complain(&format!("warning: Ctrl-C ends the program at once: {error}"));
     }
-    let command = match Cli::try_parse() {
+    let command = match parse(invocation) {
         Ok(cli) => cli.command,
-        Err(error) => not_offered::advised(error).exit(),
+        Err(error) => {
+            // Nothing is left to tell the failure to.
+            let _ = error.print();
+            return u8::try_from(error.exit_code()).unwrap_or(u8::MAX);
+        }
     };
     let (name, result) = match command {
         Command::Simulate(command) => ("simulate", command.run().map(done)),
@@ -109,9 +126,22 @@ pub fn main() -> ExitCode {
         Command::Compare(command) => ("compare", command.run()),
         Command::List(command) => ("list", command.run().map(done)),
         Command::ShowRecipe(command) => ("show-recipe", command.run().map(done)),
-        Command::Glossary => ("glossary", text::print(GLOSSARY.trim_end()).map(done)),
+        Command::Glossary => ("glossary", text::print(&glossary(invocation)).map(done)),
     };
     result.unwrap_or_else(|error| hints::report(&error, name))
+}
+
+fn glossary(invocation: &Invocation) -> String {
+    invocation.named(GLOSSARY.trim_end()).into_owned()
+}
+
+/// Reads the arguments.
+fn parse(invocation: &Invocation) -> Result<Cli, clap::Error> {
+    let mut definition = invocation.named_in(Cli::command().name(invocation.name));
+    let program = OsString::from(invocation.name);
+    let words = std::iter::once(&program).chain(&invocation.arguments);
+    let matches = definition.try_get_matches_from_mut(words).map_err(not_offered::advised)?;
+    Cli::from_arg_matches(&matches).map_err(|error| error.format(&mut definition))
 }
 
 #[cfg(test)]

@@ -1,14 +1,14 @@
 //! PNG files and pages beside the results.
 
+use crate::files::atomic_write;
+use crate::io::WorldFile;
+use crate::io::image_file::ImageStack;
+use crate::io::schema::OVERVIEW_FACTOR;
+use crate::render::Picture;
+use crate::render::html::{ImageOfStack, StackPage};
 use ndarray::{Array2, ArrayView2};
 use std::f64::consts::PI;
 use std::path::Path;
-use stemgen::files::atomic_write;
-use stemgen::io::WorldFile;
-use stemgen::io::image_file::ImageStack;
-use stemgen::io::schema::OVERVIEW_FACTOR;
-use stemgen::render::Picture;
-use stemgen::render::html::{ImageOfStack, StackPage};
 
 /// Pixels that are not square by more than this are resampled.
 const SQUARE: f64 = 1.005;
@@ -51,7 +51,7 @@ pub fn write_page(
 }
 
 /// The whole of a world as a PNG.
-pub fn of_world(world: &WorldFile) -> stemgen::Result<Vec<u8>> {
+pub fn of_world(world: &WorldFile) -> crate::Result<Vec<u8>> {
     let [rows, columns] = world.shape();
     let pixel = 10.0 * world.metadata().pixel_size_nm;
     if rows.max(columns) <= WHOLE_WORLD {
@@ -61,7 +61,7 @@ pub fn of_world(world: &WorldFile) -> stemgen::Result<Vec<u8>> {
 }
 
 /// An image with pixels of `step` (x, y) Angstrom as a PNG.
-fn png(image: ArrayView2<f32>, step: [f64; 2], scale_bar: bool) -> stemgen::Result<Vec<u8>> {
+pub fn png(image: ArrayView2<f32>, step: [f64; 2], scale_bar: bool) -> crate::Result<Vec<u8>> {
     let (image, pixel) = resampled(image, step);
     let (rows, columns) = image.dim();
     let values: Vec<f32> = image.into_iter().collect();

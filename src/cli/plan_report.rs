@@ -1,14 +1,14 @@
 //! Plans as text and as JSON, for `--dry-run`.
 
 use super::{estimate, text};
+use crate::engine::{Cost, Grid, Plan, Scan};
 use serde::Serialize;
-use stemgen::engine::{Cost, Grid, Plan, Scan};
 
 /// What a simulation will do.
 #[derive(Debug, Serialize)]
 pub struct PlanReport {
     /// Algorithm and its parameters.
-    pub algorithm: stemgen::engine::Algorithm,
+    pub algorithm: crate::engine::Algorithm,
     /// Grid of the waves.
     pub wave_grid: GridReport,
     /// Grid of the transmission functions.
@@ -174,15 +174,14 @@ fn middle([least, most]: [f64; 2]) -> f64 {
 }
 
 /// One line about an algorithm.
-pub fn algorithm(algorithm: &stemgen::engine::Algorithm) -> String {
-    use stemgen::engine::Algorithm::{Multislice, Prism, Window};
+pub fn algorithm(algorithm: &crate::engine::Algorithm) -> String {
+    use crate::engine::Algorithm::{Multislice, Prism, Window};
     match algorithm {
         Multislice => "multislice".into(),
         Prism { interpolation: [x, y] } => format!("PRISM, interpolation {x},{y}"),
         Window { width_angstrom } => {
             format!("window of {} A", (width_angstrom * 100.0).round() / 100.0)
         }
-        other => format!("{other:?}"),
     }
 }
 
@@ -196,7 +195,7 @@ pub fn scan(scan: &Scan) -> String {
 }
 
 /// One line about the beam and the lens.
-pub fn beam(optics: &stemgen::optics::Optics) -> String {
+pub fn beam(optics: &crate::optics::Optics) -> String {
     let mut text = format!("{} keV, {} mrad", optics.energy_ev / 1e3, optics.semiangle_mrad);
     for a in &optics.aberrations.0 {
         text += &match (a.order, a.symmetry) {

@@ -1,15 +1,15 @@
 //! Conventional imaging: a plane wave and an objective lens.
 
 use super::structure_args::Prepared;
+use crate::Error;
+use crate::detect::Detector;
+use crate::engine::settings::AUTO_ANGLE_MARGIN;
+use crate::engine::{Algorithm, GridChoice, Plan, Settings, exit_wave, lens_image};
+use crate::optics::Optics;
+use crate::progress::Progress;
 use anyhow::bail;
 use ndarray::{Array3, Axis};
 use num_complex::Complex32;
-use stemgen::Error;
-use stemgen::detect::Detector;
-use stemgen::engine::settings::AUTO_ANGLE_MARGIN;
-use stemgen::engine::{Algorithm, GridChoice, Plan, Settings, exit_wave, lens_image};
-use stemgen::optics::Optics;
-use stemgen::progress::Progress;
 
 /// Angle in mrad that grids chosen by the program carry; as for scans with the default detector.
 const ANGLE_MRAD: f64 = 200.0;
@@ -48,7 +48,7 @@ pub fn run(
     lenses: &[Optics],
     specimen: &Prepared,
     progress: &dyn Progress,
-) -> stemgen::Result<Conventional> {
+) -> crate::Result<Conventional> {
     let n = plan.settings.configurations();
     let (ny, nx) = plan.wave_grid.shape();
     let mut exit_waves = Array3::zeros((n as usize, ny, nx));

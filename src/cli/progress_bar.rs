@@ -1,13 +1,13 @@
 //! Progress on standard error: bars on a terminal, lines elsewhere.
 
 use super::{signals, text};
+use crate::progress::Progress;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::collections::VecDeque;
 use std::io::IsTerminal;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
-use stemgen::progress::Progress;
 
 /// Lines of progress: the first after, then every.
 const FIRST_LINE: Duration = Duration::from_secs(2);

@@ -3,11 +3,11 @@
 use super::hdf5_check;
 use super::hints::hinted;
 use super::values::{self, Tier};
+use crate::engine::Settings;
+use crate::recipe::{CheckedRecipe, Difficulty, Override, Recipe};
 use anyhow::{Context, anyhow};
 use clap::Args;
 use std::path::{Path, PathBuf};
-use stemgen::engine::Settings;
-use stemgen::recipe::{CheckedRecipe, Difficulty, Override, Recipe};
 
 /// The recipe.
 #[derive(Debug, Args)]
@@ -93,7 +93,7 @@ impl RecipeArgs {
             );
         }
         hdf5_check::check(&file)?;
-        let world = stemgen::io::WorldFile::open(&file)?;
+        let world = crate::io::WorldFile::open(&file)?;
         let metadata = world.metadata();
         let Some(text) = &metadata.recipe else {
             anyhow::bail!("{}: holds no recipe; it was not built by stemgen", file.display());
@@ -112,7 +112,7 @@ impl RecipeArgs {
     fn changes(&self) -> anyhow::Result<Vec<Override>> {
         let removed = self.unset.iter().map(|key| Override::without(key));
         let changed = self.set.iter().map(|text| text.parse());
-        Ok(removed.chain(changed).collect::<stemgen::Result<_>>()?)
+        Ok(removed.chain(changed).collect::<crate::Result<_>>()?)
     }
 
     /// The world that stands in place of a material.

@@ -2,10 +2,10 @@
 
 use super::hints::hinted;
 use super::scan_args::ScanArgs;
-use stemgen::engine::Scan;
-use stemgen::io::arrays::ForeignArray;
-use stemgen::optics::Optics;
-use stemgen::validate::user::Reference;
+use crate::engine::Scan;
+use crate::io::arrays::ForeignArray;
+use crate::optics::Optics;
+use crate::validate::user::Reference;
 
 /// How far pixels of a file and of the options may differ.
 const SAME_PIXEL: f64 = 1e-3;

@@ -1,10 +1,10 @@
 //! Options of the scan.
 
 use super::values;
+use crate::engine::Scan;
+use crate::optics::Optics;
 use anyhow::bail;
 use clap::Args;
-use stemgen::engine::Scan;
-use stemgen::optics::Optics;
 
 /// Most probe positions accepted.
 const MOST_PROBES: f64 = 1e9;

@@ -50,12 +50,12 @@ pub fn listen() -> std::io::Result<()> {
 
 #[cfg(unix)]
 mod unix {
-    use super::{SIGNAL, exit_code};
+    use crate::cli::signals::{SIGNAL, exit_code};
     use crate::cli::text;
+    use crate::files::unfinished;
     use signal_hook::iterator::Signals;
     use std::sync::atomic::Ordering::Relaxed;
     use std::time::Duration;
-    use stemgen::files::unfinished;
 
     /// How long the program has to end by itself.
     const GRACE: Duration = Duration::from_secs(1);

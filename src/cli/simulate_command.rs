@@ -11,13 +11,13 @@ use super::simulate_results::SideFiles;
 use super::structure_args::{Prepared, StructureArgs};
 use super::values::{self, Bits};
 use super::{estimate, output, slips};
+use crate::engine::{Cost, Plan, ProbeRaster, Scan, check_memory};
+use crate::files::outputs::check_outputs;
+use crate::progress::Progress;
 use anyhow::bail;
 use clap::Args;
 use serde::Serialize;
 use std::path::PathBuf;
-use stemgen::engine::{Cost, Plan, ProbeRaster, Scan, check_memory};
-use stemgen::files::outputs::check_outputs;
-use stemgen::progress::Progress;
 
 /// Edge of a cell in Angstrom below which a probe meets its own periodic images.
 const NARROW_CELL_ANGSTROM: f64 = 10.0;

@@ -7,16 +7,16 @@ use super::progress_bar::Reporter;
 use super::simulate_command::{PlannedSeries, Simulate};
 use super::structure_args::Prepared;
 use super::{output, pictures, text};
+use crate::engine::{Scan, SourceBlur, simulate_series};
+use crate::io::hspy_file::write_hspy;
+use crate::io::image_file::{ExitWaves, ImageCounts, ImageStack, Origin, write_images};
+use crate::io::tiff_file::write_tiff;
+use crate::world::Noise;
 use ndarray::{Array3, Axis};
 use num_complex::Complex32;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::time::Instant;
-use stemgen::engine::{Scan, SourceBlur, simulate_series};
-use stemgen::io::hspy_file::write_hspy;
-use stemgen::io::image_file::{ExitWaves, ImageCounts, ImageStack, Origin, write_images};
-use stemgen::io::tiff_file::write_tiff;
-use stemgen::world::Noise;
 
 /// What images of scans are measured in.
 const FRACTION: &str = "fraction of the incident beam";

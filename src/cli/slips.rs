@@ -1,10 +1,10 @@
 //! Likely slips: values that are possible, but hardly meant.
 
+use crate::optics::Aberration;
+use crate::structure::Structure;
+use crate::structure::lattice::{face_distances, inverse, row_times};
 use anyhow::bail;
 use std::path::Path;
-use stemgen::optics::Aberration;
-use stemgen::structure::Structure;
-use stemgen::structure::lattice::{face_distances, inverse, row_times};
 
 /// Angles below this in mrad are taken for radians.
 const LEAST_ANGLE_MRAD: f64 = 1.0;
@@ -134,7 +134,7 @@ pub fn check_scan(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stemgen::structure::Atom;
+    use crate::structure::Atom;
 
     #[test]
     fn angles_in_radians_are_found() {

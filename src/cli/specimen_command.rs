@@ -5,18 +5,18 @@ use super::plan_report::Lines;
 use super::progress_bar::Reporter;
 use super::recipe_args::RecipeArgs;
 use super::{output, text, values};
+use crate::files::outputs::check_outputs;
+use crate::io::writable;
+use crate::recipe::{CheckedRecipe, Recipe};
+use crate::specimen::{Specimen, estimated_sites, specimen};
+use crate::structure::Format;
+use crate::world::footprint::atoms_bytes;
+use crate::world::{Drawing, ExportOptions, ExportSummary, export};
 use clap::Args;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-use stemgen::files::outputs::check_outputs;
-use stemgen::io::writable;
-use stemgen::recipe::{CheckedRecipe, Recipe};
-use stemgen::specimen::{Specimen, estimated_sites, specimen};
-use stemgen::structure::Format;
-use stemgen::world::footprint::atoms_bytes;
-use stemgen::world::{Drawing, ExportOptions, ExportSummary, export};
 
 const EXAMPLES: &str = "\
 Examples:

@@ -2,12 +2,12 @@
 
 use super::slips;
 use super::values::{self, SigmaSource};
+use crate::engine::{Phonons, Site, mean_heights};
+use crate::structure::{self, FrameRange, Sigmas, elements};
 use anyhow::bail;
 use clap::Args;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use stemgen::engine::{Phonons, Site, mean_heights};
-use stemgen::structure::{self, FrameRange, Sigmas, elements};
 
 /// The specimen.
 #[derive(Debug, Args)]

@@ -1,8 +1,9 @@
 //! Standard output, and numbers for people.
 
+use super::invocation::Invocation;
+pub use crate::progress::duration;
 use anyhow::Context;
 use std::io::{ErrorKind, Write};
-pub use stemgen::progress::duration;
 
 /// Prints a line on standard output. A reader that has closed the pipe (`| head`) is no fault.
 pub fn print(text: &str) -> anyhow::Result<()> {
@@ -78,8 +79,9 @@ pub fn command_line() -> String {
             false => format!("'{}'", text.replace('\'', r"'\''").replace('\0', "")),
         }
     };
-    let program = std::iter::once("stemgen".to_owned());
-    program.chain(std::env::args_os().skip(1).map(quote)).collect::<Vec<_>>().join(" ")
+    let Invocation { name, arguments, .. } = Invocation::now();
+    let program = std::iter::once((*name).to_owned());
+    program.chain(arguments.iter().cloned().map(quote)).collect::<Vec<_>>().join(" ")
 }
 
 #[cfg(test)]

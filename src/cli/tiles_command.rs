@@ -5,16 +5,16 @@ use super::common::Common;
 use super::plan_report::Lines;
 use super::recipe_args::RecipeArgs;
 use super::{output, text, values};
+use crate::files::outputs::check_outputs;
+use crate::imaging::Cache;
+use crate::io::npz_file::write_npz;
+use crate::specimen::specimen;
+use crate::world::{TrainingOptions, training_set};
 use anyhow::bail;
 use clap::Args;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::time::Instant;
-use stemgen::files::outputs::check_outputs;
-use stemgen::imaging::Cache;
-use stemgen::io::npz_file::write_npz;
-use stemgen::specimen::specimen;
-use stemgen::world::{TrainingOptions, training_set};
 
 const EXAMPLES: &str = "\
 Examples:

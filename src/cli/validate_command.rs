@@ -4,15 +4,14 @@ use super::common::Common;
 use super::progress_bar::Reporter;
 use super::text;
 use super::validate_reference::ReferenceArgs;
+use crate::files::outputs::check_outputs;
+use crate::progress::Progress;
+use crate::validate::report::{Report, ReportOrigin, suite_page};
+use crate::validate::suite::{Case, selected};
+use crate::validate::{Outcome, Verdict};
 use clap::Args;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
-use stemgen::files::outputs::check_outputs;
-use stemgen::progress::Progress;
-use stemgen::validate::report::{Report, ReportOrigin, suite_page};
-use stemgen::validate::suite::{Case, selected};
-use stemgen::validate::{Outcome, Verdict};
 
 /// Exit code where something was compared and found to differ.
 pub const DIFFERENT: u8 = 3;
@@ -82,11 +81,11 @@ struct Listed {
 
 impl Validate {
     /// Runs the subcommand; the exit code tells the verdict.
-    pub fn run(self) -> anyhow::Result<ExitCode> {
+    pub fn run(self) -> anyhow::Result<u8> {
         let reporter = self.common.start()?;
         let cases = selected(&self.cases, self.quick)?;
         if self.list || (self.common.dry_run && !self.reference.given()) {
-            return self.list(&cases).map(|()| ExitCode::SUCCESS);
+            return self.list(&cases).map(|()| 0);
         }
         let read = self.reference.files();
         let prepared = self.reference.prepare(&reporter)?;
@@ -97,7 +96,7 @@ impl Validate {
             Some(prepared) if self.common.dry_run => {
                 let (json, text) = prepared.planned();
                 self.common.print(&json, &text)?;
-                return Ok(ExitCode::SUCCESS);
+                return Ok(0);
             }
             Some(prepared) => {
                 let outcome = prepared.run(&reporter)?;
@@ -110,11 +109,11 @@ impl Validate {
             }
         };
         let page = suite_page(&report)?;
-        stemgen::files::atomic_write::write(&self.output, page.as_bytes())?;
+        crate::files::atomic_write::write(&self.output, page.as_bytes())?;
         self.common.print(&report, &summary(&report, &self.output))?;
         Ok(match report.verdict {
-            Verdict::Fail => ExitCode::from(DIFFERENT),
-            _ => ExitCode::SUCCESS,
+            Verdict::Fail => DIFFERENT,
+            _ => 0,
         })
     }
 

@@ -10,17 +10,17 @@ use super::reference_scan::{asked_pixels, reference_scan};
 use super::scan_args::ScanArgs;
 use super::structure_args::{Prepared, SpecimenArgs};
 use super::values;
+use crate::engine::{Cost, GridChoice, Plan, Scan, Settings};
+use crate::io::arrays::{self, ForeignArray};
+use crate::potential::slices::Slicing;
+use crate::progress::Progress as _;
+use crate::validate::golden::like_abtem;
+use crate::validate::image_comparison::{ImageComparison, compare};
+use crate::validate::user::{self, Order, Reference, ValueUnits};
+use crate::validate::{NamedSetting, Outcome};
 use anyhow::{anyhow, bail};
 use clap::{Args, ValueEnum};
 use std::path::{Path, PathBuf};
-use stemgen::engine::{Cost, GridChoice, Plan, Scan, Settings};
-use stemgen::io::arrays::{self, ForeignArray};
-use stemgen::potential::slices::Slicing;
-use stemgen::progress::Progress as _;
-use stemgen::validate::golden::like_abtem;
-use stemgen::validate::image_comparison::{ImageComparison, compare};
-use stemgen::validate::user::{self, Order, Reference, ValueUnits};
-use stemgen::validate::{NamedSetting, Outcome};
 
 /// abTEM's slice thickness unless another is asked for, in Angstrom.
 const ABTEM_SLICE_ANGSTROM: f64 = 1.0;

@@ -2,17 +2,17 @@
 
 use super::not_offered::not_offered;
 use super::slips;
+use crate::detect::Detector;
+use crate::engine::{Expansion, ProbeStep};
+use crate::io::tiff_file::TiffDepth;
+use crate::optics::Aberration;
+use crate::potential::projected::Projection;
+use crate::potential::scattering::Parametrization;
+use crate::recipe::Difficulty;
+use crate::structure::{FrameRange, LARGEST_SIGMA_ANGSTROM, Sigmas, elements};
 use clap::ValueEnum;
 use std::collections::BTreeMap;
 use std::str::FromStr;
-use stemgen::detect::Detector;
-use stemgen::engine::{Expansion, ProbeStep};
-use stemgen::io::tiff_file::TiffDepth;
-use stemgen::optics::Aberration;
-use stemgen::potential::projected::Projection;
-use stemgen::potential::scattering::Parametrization;
-use stemgen::recipe::Difficulty;
-use stemgen::structure::{FrameRange, LARGEST_SIGMA_ANGSTROM, Sigmas, elements};
 
 type Parsed<T> = Result<T, String>;
 
@@ -271,7 +271,7 @@ pub enum ProbeBoxName {
     Large,
 }
 
-impl From<ProbeBoxName> for stemgen::engine::ProbeBox {
+impl From<ProbeBoxName> for crate::engine::ProbeBox {
     fn from(name: ProbeBoxName) -> Self {
         match name {
             ProbeBoxName::Cell => Self::Cell,

@@ -9,13 +9,13 @@ use super::view_picture::{
     Overlay, PictureArgs, WorldPart, boundaries, boundaries_or_phases, particles,
 };
 use super::{output, text};
+use crate::files::outputs::check_outputs;
+use crate::io::WorldFile;
+use crate::recipe::{CheckedRecipe, Difficulty, Recipe};
+use crate::render::html::WorldPage;
 use anyhow::{anyhow, bail};
 use clap::Args;
 use std::path::{Path, PathBuf};
-use stemgen::files::outputs::check_outputs;
-use stemgen::io::WorldFile;
-use stemgen::recipe::{CheckedRecipe, Difficulty, Recipe};
-use stemgen::render::html::WorldPage;
 
 const EXAMPLES: &str = "\
 Examples:

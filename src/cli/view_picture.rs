@@ -2,13 +2,13 @@
 
 use super::hints::hinted;
 use super::{pictures, values};
+use crate::io::{ParticleBatch, WorldColumn, WorldFile};
+use crate::render::{Colormap, Contrast, Picture, RgbImage, Scene, Swatch, palette};
 use anyhow::anyhow;
 use clap::{Args, ValueEnum};
 use ndarray::Array2;
 use std::collections::BTreeMap;
 use std::ops::Range;
-use stemgen::io::{ParticleBatch, WorldColumn, WorldFile};
-use stemgen::render::{Colormap, Contrast, Picture, RgbImage, Scene, Swatch, palette};
 
 /// Rows that are read at a time.
 const ROWS_AT_ONCE: usize = 512;
@@ -47,6 +47,7 @@ pub type Values = [f64; 2];
 
 /// Colours of a picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[expect(missing_docs, reason = "the help shows the names alone")]
 pub enum ColormapName {
     Gray,
     Viridis,
@@ -94,6 +95,10 @@ pub struct WorldPart {
 }
 
 impl WorldPart {
+    /// The picture of these pixels.
+    ///
+    /// # Errors
+    /// Those of the file, and overlays that the world has nothing for.
     pub fn picture(&self, view: &PictureArgs, world: &WorldFile) -> anyhow::Result<RgbImage> {
         let (image, pixel_nm, contrast) = self.image(view, world)?;
         let (rows, columns) = image.dim();
