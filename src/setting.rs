@@ -226,6 +226,8 @@ settings! {
     // Live worlds
     /// The greatest dose that a live world is made for.
     MostDose = "greatest dose (electrons per square Angstrom)",
+    /// How often a place is recorded.
+    Recordings = "recordings",
     /// A stored moment of a live world.
     Snapshot = "snapshot",
     /// What the beam does to a specimen.

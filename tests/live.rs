@@ -303,3 +303,70 @@ fn damage_of_elements_that_are_not_there_is_refused() {
         assert!(error.contains(part), "{change}: {error}");
     }
 }
+
+/// `cargo test --release --test live -- --ignored --nocapture measured`, with the library of SrTiO3 easy in the cache: times of
+/// looks, 10 000 recordings, and audits after nearly 1e6 electrons per square Angstrom.
+#[test]
+#[ignore = "takes minutes, and half an hour with an empty cache"]
+fn measured_latency_memory_and_audits() {
+    let recipe = CheckedRecipe::load("srtio3", stemgen::recipe::Difficulty::Easy).unwrap();
+    let begun = std::time::Instant::now();
+    let mut live = LiveWorld::new(&recipe, 11, &LiveOptions::default(), &Silent).unwrap();
+    println!("a new world, library cached: {:?}", begun.elapsed());
+    let times = |live: &LiveWorld, n: usize| {
+        let mut ms: Vec<f64> = (0..n)
+            .map(|k| {
+                let at = std::time::Instant::now();
+                let first = [130 + 150 * (k % 25), 140 + 170 * (k / 25)];
+                live.look(&PixelRect::new(first, [128, 128])).unwrap();
+                1e3 * at.elapsed().as_secs_f64()
+            })
+            .collect();
+        ms.sort_by(f64::total_cmp);
+        [ms[0], ms[n / 2], ms[n * 99 / 100]]
+    };
+    println!("first looks (least, median, 99 %) in ms: {:.2?}", times(&live, 300));
+    println!("later looks: {:.2?}", times(&live, 300));
+    let pixel_nm = recipe.field.pixel_nm();
+    let request = |n: usize, dose: f64| LiveRequest {
+        part: RecordedPart {
+            centre_nm: [5.0 + 0.37 * (n % 200) as f64, 5.0 + 0.81 * (n / 200 % 90) as f64],
+            size_nm: [128.0 * pixel_nm; 2],
+            pixel_nm,
+        },
+        electrons: Electrons::Dose(dose),
+        acquisition: Profile::Ideal.acquisition(),
+        keep_frames: false,
+    };
+    let place = request(6060, 0.0);
+    for n in 0..4 {
+        let begun = std::time::Instant::now();
+        live.acquire(&LiveRequest { electrons: Electrons::Dose(2.4e5), ..place }, &Silent).unwrap();
+        println!("recording {n} of a place that dies: {:?}", begun.elapsed());
+    }
+    println!("lost: {:?}", live.history().iter().map(|h| h.lost["O"]).collect::<Vec<_>>());
+    let options =
+        AuditOptions { regions: 1, at_nm: vec![place.part.centre_nm], ..AuditOptions::default() };
+    let found = audit(live.imaged_recipe(), live.specimen(), live.imager(), &options, &Silent);
+    let found = found.unwrap();
+    println!("audit: bright {:.3} %, all {:.3} %", found.bright_rms_percent, found.all_rms_percent);
+    assert!(found.bright_rms_percent < 0.5 && found.all_rms_percent < 0.5);
+    let memory = || {
+        let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+        let line = status.lines().find(|l| l.starts_with("VmRSS")).unwrap_or_default().to_owned();
+        line
+    };
+    let begun = std::time::Instant::now();
+    for n in 0..10_000 {
+        live.acquire(&request(n, 1e2), &Silent).unwrap();
+        if n % 2500 == 0 {
+            println!(
+                "{n} recordings: {:?}, {}, {} blocks",
+                begun.elapsed(),
+                memory(),
+                live.kept_blocks()
+            );
+        }
+    }
+    println!("10 000 recordings: {:?}, {}", begun.elapsed(), memory());
+}

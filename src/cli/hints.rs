@@ -195,6 +195,7 @@ fn options(setting: Setting) -> Option<&'static str> {
         S::Case => Some("--case, and --list for what there is"),
         S::Alpha => Some("--alpha"),
         S::MostDose => Some("--most-dose"),
+        S::Recordings => Some("--dose-series"),
         S::Damage => Some("--set damage.KEY=VALUE, or --unset damage"),
         S::StructureFile
         | S::Crystal

@@ -233,6 +233,12 @@ impl LiveWorld {
         Ok(recording)
     }
 
+    /// A place in nm of the full field.
+    pub(super) fn full_field_nm(&self, place_nm: [f64; 2]) -> [f64; 2] {
+        let origin = self.recipe.field.origin_nm();
+        [0, 1].map(|k| place_nm[k] + origin[k])
+    }
+
     /// Seed of the next recording.
     fn recording_seed(&self) -> u64 {
         let [low, high, ..] =

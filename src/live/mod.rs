@@ -4,8 +4,12 @@
 //! mosaic, in the cache of the user.
 
 mod block_imager;
+mod dose_series;
 mod live_history;
 mod live_world;
+#[cfg(feature = "hdf5")]
+mod series_writer;
 
+pub use dose_series::DoseSeries;
 pub use live_history::{LiveAcquisition, LiveSnapshot};
 pub use live_world::{LiveOptions, LiveRequest, LiveTruth, LiveWorld, MOST_DOSE};
