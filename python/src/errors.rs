@@ -2,8 +2,11 @@
 
 use pyo3::exceptions::{PyKeyboardInterrupt, PyRuntimeError};
 use pyo3::prelude::*;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use stemgen::{Error, Setting};
+
+/// Number of the system's error for a file that is there already.
+const EXISTS: i32 = 17;
 
 /// What went wrong in Rust.
 #[derive(Debug)]
@@ -85,8 +88,13 @@ impl Facts {
         match error {
             Error::Io { path, source, .. } => Facts { errno: errno(source), ..at("file", path) },
             Error::Parse { path, .. } => at("format", path),
-            Error::Choice { path, setting, .. } => {
-                Facts { setting: Some(*setting), ..at("format", path) }
+            Error::Choice { setting, .. } => Facts { setting: Some(*setting), ..of("value") },
+            Error::Invalid { setting: Setting::Output, value, .. } if Path::new(value).exists() => {
+                Facts {
+                    setting: Some(Setting::Output),
+                    errno: Some(EXISTS),
+                    ..at("file", &PathBuf::from(value))
+                }
             }
             Error::Invalid { setting: setting @ Setting::WorldFile, value, .. } => {
                 Facts { setting: Some(*setting), ..at("format", &PathBuf::from(value)) }
@@ -112,7 +120,7 @@ fn errno(source: &std::io::Error) -> Option<i32> {
     let of_kind = || match source.kind() {
         NotFound => Some(2),
         PermissionDenied => Some(13),
-        AlreadyExists => Some(17),
+        AlreadyExists => Some(EXISTS),
         IsADirectory => Some(21),
         _ => None,
     };

@@ -6,15 +6,30 @@ import importlib.util
 import sys
 import time
 from collections.abc import Callable
-from typing import Any, TypedDict
+from typing import Any, ParamSpec, TypedDict, TypeVar
 
-from .errors import _invalid
+from .errors import _invalid, _wrong_type
 
 #: Called with the stage, its unit, and how many of how many units are done.
 ProgressCallback = Callable[[str, str, int, int], object]
 Progress = bool | ProgressCallback | None
 
 _SECONDS_BETWEEN_LINES = 8.0
+
+_Arguments = ParamSpec("_Arguments")
+_Result = TypeVar("_Result")
+
+
+def call(function: Callable[_Arguments, _Result], *args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Result:
+    """Calls a function of the extension; options of a wrong type become an error of the package."""
+    try:
+        return function(*args, **kwargs)
+    except TypeError as error:
+        # Errors of a callback have a traceback of their own.
+        own = error.__traceback__ is not None and error.__traceback__.tb_next is None
+        if not own or not str(error).startswith(("argument '", "failed to extract")):
+            raise
+        raise _wrong_type(error) from None
 
 
 class Running(TypedDict):

@@ -21,6 +21,7 @@ __all__ = [
     "NotEnoughMemory",
     "OutputLocked",
     "StemworldsError",
+    "WrongType",
 ]
 
 
@@ -41,6 +42,10 @@ class StemworldsError(Exception):
 
 class InvalidValue(StemworldsError, ValueError):
     """A value is out of its limits, or two contradict each other."""
+
+
+class WrongType(StemworldsError, TypeError):
+    """A value is of another type than expected: a text for a number, say."""
 
 
 class FileError(StemworldsError, OSError):
@@ -221,7 +226,7 @@ def _of_library(
     if kind == "file" and errno is not None:
         family = _ERRNOS.get(errno, FileError)
     keyword = _KEYWORDS.get(setting) if setting else None
-    if family is FileThere:
+    if family is FileThere and setting == "Output":
         keyword = "overwrite"
     if keyword and keyword not in message:
         message = f"{message} (argument {keyword})"
@@ -240,3 +245,20 @@ def _invalid(keyword: str, message: str) -> InvalidValue:
     error = InvalidValue(f"{message} (argument {keyword})")
     error.keyword = keyword
     return error
+
+
+def _wrong_type(error: TypeError) -> WrongType:
+    """What the extension says of an option that it cannot take, in fewer words."""
+    told = str(error)
+    keyword = told.rsplit(".", 1)[-1] if "field" in told else told.split("'")[1]
+    causes = []
+    cause = error.__cause__
+    while cause is not None:
+        causes.append(str(cause))
+        if "field" in str(cause):
+            keyword = str(cause).rsplit(".", 1)[-1]
+        cause = cause.__cause__
+    why = causes[-1].splitlines()[0] if causes else "is of another type than expected"
+    wrong = WrongType(f"{keyword}: {why} (argument {keyword})")
+    wrong.keyword = keyword
+    return wrong

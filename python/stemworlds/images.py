@@ -19,7 +19,7 @@ Float32Array = npt.NDArray[np.float32]
 Path = str | os.PathLike[str]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Image:
     """An image with its axes.
 
@@ -43,7 +43,12 @@ class Image:
     thicknesses_angstrom: tuple[float, ...] = ()
     counts: npt.NDArray[np.uint32] | None = None
     electrons_per_pixel: float | None = None
-    metadata: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        dy, dx = self.sampling_nm
+        shape = " x ".join(map(str, self.array.shape))
+        return f"<Image {self.name}: {shape} pixels of {dx:.4g} x {dy:.4g} nm, {self.units}>"
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -113,8 +118,10 @@ class Image:
         from hyperspy.signals import Signal2D
 
         signal = Signal2D(self.array.copy())
-        for name, scale, offset in zip("yx", self.sampling_nm, self.origin_nm, strict=True):
-            axis = signal.axes_manager[signal.axes_manager.signal_axes["yx".index(name) == 0].name]
+        # HyperSpy lists x first.
+        for axis, name, scale, offset in zip(
+            signal.axes_manager.signal_axes, "xy", self.sampling_nm[::-1], self.origin_nm[::-1], strict=True
+        ):
             axis.name, axis.scale, axis.offset, axis.units = name, scale, offset, "nm"
         signal.metadata.General.title = self.name
         return signal
