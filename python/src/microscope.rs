@@ -306,7 +306,7 @@ impl ScanOptions {
                 // The coarsest step that samples an incoherent image: its band ends at twice the semiangle.
                 let nyquist = optics.wavelength_angstrom() / (4e-3 * optics.semiangle_mrad);
                 let step = step.unwrap_or(nyquist);
-                if !(step > 0.0) {
+                if step.is_nan() || step <= 0.0 {
                     return refuse(
                         Setting::Region,
                         format!("step {step} A"),

@@ -71,7 +71,7 @@ impl Recording {
                 "zoom and pixel_nm both set it; give one",
             );
         }
-        if let Some(zoom) = self.zoom.filter(|zoom| !(*zoom > 0.0)) {
+        if let Some(zoom) = self.zoom.filter(|zoom| zoom.is_nan() || *zoom <= 0.0) {
             return refuse(Setting::RecordedPixelNm, format!("zoom {zoom}"), "expected above 0");
         }
         let pixel_nm = self.pixel_nm.unwrap_or(own / self.zoom.unwrap_or(1.0));
