@@ -1,5 +1,5 @@
 #!/bin/sh
-# Installs what the tests need (Debian or Ubuntu with Rust) and runs them all.
+# Installs what the tests need (Debian or Ubuntu with Rust and Python 3.11 or newer) and runs them all.
 set -eu
 cd "$(dirname "$0")/.."
 as_root() { if [ "$(id -u)" = 0 ]; then "$@"; else sudo "$@"; fi; }
@@ -17,3 +17,4 @@ else
     echo "tests/run.sh: Chromium and chromedriver cannot be installed here; pages will not be tested" >&2
 fi
 cargo test --release
+sh python/test.sh

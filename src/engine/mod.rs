@@ -57,6 +57,6 @@ pub use settings::{
     Algorithm, BeyondLimit, Expansion, GridChoice, Phonons, ProbeBox, ProbeStep, Settings,
 };
 pub(crate) use simulate::elements;
-pub use simulate::{Simulation, diffraction, exit_wave, simulate};
+pub use simulate::{Simulation, diffraction, exit_wave, mean_diffraction, simulate};
 pub use source_size::{Source, SourceBlur};
 pub use speed::{Speed, measure_speed};

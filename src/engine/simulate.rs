@@ -225,6 +225,30 @@ pub fn diffraction(
     position_angstrom: [f64; 2],
     progress: &dyn Progress,
 ) -> Result<Array2<f32>> {
+    diffraction_of(plan, sites, position_angstrom, 0..1, progress)
+}
+
+/// The same, the mean over all configurations.
+///
+/// # Errors
+/// Those of [`diffraction()`].
+pub fn mean_diffraction(
+    plan: &Plan,
+    sites: &[Site],
+    position_angstrom: [f64; 2],
+    progress: &dyn Progress,
+) -> Result<Array2<f32>> {
+    let all = 0..plan.settings.configurations();
+    diffraction_of(plan, sites, position_angstrom, all, progress)
+}
+
+fn diffraction_of(
+    plan: &Plan,
+    sites: &[Site],
+    position_angstrom: [f64; 2],
+    configurations: std::ops::Range<u32>,
+    progress: &dyn Progress,
+) -> Result<Array2<f32>> {
     if matches!(plan.settings.algorithm, Algorithm::Prism { .. }) {
         return Err(Error::invalid(
             crate::Setting::Algorithm,
@@ -233,13 +257,20 @@ pub fn diffraction(
         ));
     }
     let builder = TransmissionBuilder::new(plan, &elements(sites))?;
-    let transmission = builder.build(sites, 0, progress)?;
     let mut engine = Multislice::new(plan);
-    let patterns = engine.diffraction(&transmission, position_angstrom);
-    let last = patterns.into_iter().next_back().unwrap_or_default();
-    let shape = plan.wave_grid.shape();
-    Array2::from_shape_vec(shape, last)
-        .map_err(|e| Error::invalid(crate::Setting::Pattern, e, "has the shape of the wave grid"))
+    let share = 1.0 / configurations.len() as f32;
+    let mut sum = Array2::zeros(plan.wave_grid.shape());
+    for configuration in configurations {
+        let transmission = builder.build(sites, configuration, progress)?;
+        let patterns = engine.diffraction(&transmission, position_angstrom);
+        let last = patterns.into_iter().next_back().unwrap_or_default();
+        let pattern = Array2::from_shape_vec(sum.dim(), last);
+        sum += &pattern.map_err(|e| {
+            Error::invalid(crate::Setting::Pattern, e, "has the shape of the wave grid")
+        })?;
+        builder.reclaim(transmission);
+    }
+    Ok(sum * share)
 }
 
 /// The wave at the exit surface that a plane wave along the beam becomes in one phonon configuration.

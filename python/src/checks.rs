@@ -1,0 +1,222 @@
+//! Audits, validation, comparison of worlds, and the cache.
+
+use crate::builds::CacheChoice;
+use crate::errors::{Fault, Told};
+use crate::guest::{Running, run};
+use crate::recipes::checked;
+use pyo3::prelude::*;
+use std::path::{Path, PathBuf};
+use stemgen::Setting;
+use stemgen::cli::shared::{WorldEngine, imaging_of, planned, threads};
+use stemgen::engine::check_memory;
+use stemgen::files::{atomic_write, outputs::check_outputs};
+use stemgen::imaging::{AUDIT_REMEDY, AuditOptions, Cache, ImagingChoice, audit, audit_cost};
+use stemgen::io::WorldFile;
+use stemgen::progress::Progress;
+use stemgen::recipe::CheckedRecipe;
+use stemgen::specimen::specimen;
+use stemgen::validate::report::{Report, ReportOrigin, sentence, suite_page, worlds_page};
+use stemgen::validate::suite::{Case, selected};
+use stemgen::validate::worlds::compare;
+
+/// A recipe, or a world and with it how it was made.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct Field {
+    toml: Option<String>,
+    pub world: Option<PathBuf>,
+    /// Changes of [acquisition] of a world's recipe: `key=value`.
+    acquisition: Vec<String>,
+}
+
+impl Field {
+    /// The recipe, and how the world was made if there is one.
+    ///
+    /// # Errors
+    /// Those of recipe and file.
+    pub fn resolve(&self) -> Result<(CheckedRecipe, Option<WorldEngine>), Fault> {
+        let (text, made) = match (&self.world, &self.toml) {
+            (Some(path), _) => made(path)?,
+            (None, toml) => (toml.clone().unwrap_or_default(), None),
+        };
+        let recipe = checked(&text)?;
+        if self.acquisition.is_empty() {
+            return Ok((recipe, made));
+        }
+        let changes = self.acquisition.iter().map(|change| change.parse());
+        let changes = changes.collect::<stemgen::Result<Vec<_>>>()?;
+        Ok((recipe.recipe().with_overrides(&changes)?.checked()?, made))
+    }
+
+    /// How its images are made.
+    ///
+    /// # Errors
+    /// Those of the policy of builds.
+    pub fn imaging(
+        recipe: &CheckedRecipe,
+        made: Option<&WorldEngine>,
+        cache: Cache,
+    ) -> Result<ImagingChoice, Fault> {
+        Ok(imaging_of(recipe, made, cache)?)
+    }
+}
+
+/// The recipe of a world, and how it was made.
+fn made(path: &Path) -> Result<(String, Option<WorldEngine>), Fault> {
+    let world = WorldFile::open(path)?;
+    let metadata = world.metadata();
+    let foreign = |why: &str| Fault::File(path.to_owned(), why.to_owned());
+    let Some(text) = metadata.recipe.clone() else {
+        return Err(foreign("holds no recipe; it was not built by stemgen"));
+    };
+    let settings = metadata.engine_parameters.as_deref().map(serde_json::from_str).transpose();
+    let settings = settings
+        .map_err(|e| foreign(&format!("engine_parameters are not those of this program: {e}")))?;
+    let made = metadata.engine.clone().zip(settings);
+    Ok((text, made.map(|(engine, settings)| WorldEngine { engine, settings })))
+}
+
+/// What is audited.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct Auditing {
+    field: Field,
+    regions: usize,
+    at_nm: Vec<[f64; 2]>,
+    size_nm: f64,
+    stride: Option<usize>,
+    configurations: Option<usize>,
+    seed: u64,
+    cache: CacheChoice,
+    force: bool,
+}
+
+/// Simulates regions of a world exactly, and compares; JSON.
+#[pyfunction]
+pub fn audit_field(py: Python<'_>, options: Auditing, running: Running) -> PyResult<String> {
+    run(py, running, move |guest| {
+        let (recipe, made) = options.field.resolve()?;
+        let asked = AuditOptions {
+            regions: options.regions,
+            size_nm: options.size_nm,
+            stride: options.stride,
+            seed: options.seed,
+            at_nm: options.at_nm.clone(),
+            configurations: options.configurations,
+        };
+        if made.as_ref().is_some_and(|made| made.engine == "multislice") {
+            let words = "the world was made by multislice, which is what audits compare with";
+            return Err(Fault::Words(words.into()));
+        }
+        let specimen = specimen(&recipe)?;
+        let cache = options.cache.cache();
+        let choice = match &made {
+            Some(_) => Field::imaging(&recipe, made.as_ref(), cache)?,
+            None => planned(&recipe, cache)?,
+        };
+        let cost = audit_cost(&recipe, &*specimen, &asked)?.cost;
+        match check_memory(cost.memory_bytes(threads()), AUDIT_REMEDY) {
+            Err(e) if options.force => guest.warn(&e.to_string()),
+            checked => checked?,
+        }
+        let mut imager = choice.imager(&recipe, &specimen)?;
+        imager.prepare(guest)?;
+        Ok(serde_json::to_string(&audit(&recipe, &*specimen, &*imager, &asked, guest)?)?)
+    })
+}
+
+/// Runs cases of the validation; JSON. `out` gets a page (HTML).
+#[pyfunction]
+pub fn validate_suite(
+    py: Python<'_>,
+    cases: Vec<String>,
+    quick: bool,
+    out: Option<PathBuf>,
+    overwrite: bool,
+    running: Running,
+) -> PyResult<String> {
+    run(py, running, move |guest| {
+        let subject = match (cases.is_empty(), quick) {
+            (true, false) => "its shipped references",
+            (true, true) => "the quick part of its shipped references",
+            (false, _) => "some of its shipped references",
+        };
+        let chosen = selected(&cases, quick)?;
+        check_outputs(&out, [] as [&PathBuf; 0], overwrite)?;
+        guest.start("validating", "steps", chosen.iter().map(Case::units).sum());
+        let outcomes = chosen.iter().map(|case| case.run(guest)).collect::<Result<_, _>>()?;
+        guest.finish();
+        let report =
+            Report::new(subject, ReportOrigin::now("stemworlds.validate".into()), outcomes);
+        if let Some(out) = &out {
+            atomic_write::write(out, suite_page(&report)?.as_bytes())?;
+        }
+        Ok(serde_json::to_string(&report)?)
+    })
+}
+
+/// Cases of the validation: name, title, whether it is quick, seconds on two cores.
+#[pyfunction]
+pub fn validation_cases(py: Python<'_>) -> PyResult<Vec<(String, String, bool, f64)>> {
+    let cases = selected(&[], false).told(py)?;
+    let row = |case: Case| (case.name.to_owned(), case.title.to_owned(), case.quick, case.seconds);
+    Ok(cases.into_iter().map(row).collect())
+}
+
+/// Compares two worlds by their statistics; JSON. `out` gets a page (HTML).
+#[pyfunction]
+pub fn compare_worlds(
+    py: Python<'_>,
+    paths: [PathBuf; 2],
+    alpha: f64,
+    out: Option<PathBuf>,
+    overwrite: bool,
+    running: Running,
+) -> PyResult<String> {
+    run(py, running, move |guest| {
+        let [a, b] = &paths;
+        let worlds = [WorldFile::open(a)?, WorldFile::open(b)?];
+        check_outputs(&out, &paths, overwrite)?;
+        let comparison = compare(a, b, alpha, guest)?;
+        if let Some(out) = &out {
+            let origin = ReportOrigin::now("stemworlds.compare".into());
+            let page = worlds_page(&comparison, [&worlds[0], &worlds[1]], &origin)?;
+            atomic_write::write(out, page.as_bytes())?;
+        }
+        let mut report = serde_json::to_value(&comparison)?;
+        report["summary"] = sentence(&comparison).into();
+        Ok(report.to_string())
+    })
+}
+
+/// The folder of the user's cache.
+#[pyfunction]
+pub fn cache_folder() -> Option<PathBuf> {
+    Cache::of_user().folder().map(Path::to_owned)
+}
+
+type Holdings = Vec<(String, usize, u64)>;
+
+/// What the user's cache holds: material, images, bytes.
+#[pyfunction]
+pub fn cache_list(py: Python<'_>) -> PyResult<Holdings> {
+    let held = py.detach(|| Cache::of_user().holdings()).told(py)?;
+    Ok(held.into_iter().map(|h| (h.material, h.images, h.bytes)).collect())
+}
+
+/// Removes what the user's cache holds of a material, or all; returns what was removed.
+#[pyfunction]
+pub fn cache_clear(py: Python<'_>, material: Option<String>) -> PyResult<Holdings> {
+    let removed = py.detach(|| -> Result<Holdings, Fault> {
+        let cache = Cache::of_user();
+        let removed = cache.clear(material.as_deref())?;
+        if let (Some(name), true) = (&material, removed.is_empty()) {
+            let known: Vec<String> = cache.holdings()?.into_iter().map(|h| h.material).collect();
+            let known = if known.is_empty() { "nothing".into() } else { known.join(", ") };
+            let expected = format!("the cache has no simulations of it; it holds {known}");
+            return Err(Fault::Value(Setting::Material, name.clone(), expected));
+        }
+        Ok(removed.into_iter().map(|h| (h.material, h.images, h.bytes)).collect())
+    });
+    removed.told(py)
+}

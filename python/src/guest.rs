@@ -1,0 +1,189 @@
+//! Long calls: a guest in the process of somebody else.
+//!
+//! Work runs on a thread of its own in a pool of its own, which both end with the call: nothing of the process is touched, and
+//! nothing outlives a fork. Meanwhile the calling thread, without the interpreter's lock, looks ten times a second whether the
+//! user wants to stop, and reports progress.
+
+use crate::errors::{Fault, error};
+use pyo3::prelude::*;
+use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+use stemgen::progress::Progress;
+
+/// How often signals are looked for, and progress is reported.
+const LOOK: Duration = Duration::from_millis(100);
+/// How long work that was asked to stop is waited for. It then ends by itself, at its next look.
+const GRACE: Duration = Duration::from_millis(700);
+
+/// How a call runs.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct Running {
+    /// Number of threads; all processors when `None`.
+    threads: Option<usize>,
+    /// Called with (stage, unit, done, total); `None` reports nothing.
+    progress: Option<Py<PyAny>>,
+}
+
+/// What happened that the caller hears of.
+enum Event {
+    Start { stage: String, unit: String, total: u64 },
+    Finish,
+    Warning(String),
+}
+
+/// Passes on what the library reports, and the wish to stop.
+pub struct Guest {
+    stop: AtomicBool,
+    done: AtomicU64,
+    events: Sender<Event>,
+}
+
+impl Guest {
+    fn tell(&self, event: Event) {
+        // Nobody listens any more after an interrupt.
+        let _ = self.events.send(event);
+    }
+}
+
+impl Progress for Guest {
+    fn start(&self, stage: &str, unit: &str, total: u64) {
+        self.done.store(0, Relaxed);
+        self.tell(Event::Start { stage: stage.to_owned(), unit: unit.to_owned(), total });
+    }
+    fn advance(&self, n: u64) {
+        self.done.fetch_add(n, Relaxed);
+    }
+    fn finish(&self) {
+        self.tell(Event::Finish);
+    }
+    fn warn(&self, message: &str) {
+        self.tell(Event::Warning(message.to_owned()));
+    }
+    fn interrupted(&self) -> bool {
+        self.stop.load(Relaxed)
+    }
+}
+
+/// The stage that is told of.
+struct Told {
+    stage: String,
+    unit: String,
+    total: u64,
+}
+
+/// What the calling thread does meanwhile.
+struct Listener {
+    guest: Arc<Guest>,
+    events: Receiver<Event>,
+    running: Running,
+    told: Option<Told>,
+}
+
+impl Listener {
+    /// Passes on all that has happened.
+    fn listen(&mut self, py: Python<'_>) -> PyResult<()> {
+        while let Ok(event) = self.events.try_recv() {
+            match event {
+                Event::Start { stage, unit, total } => {
+                    self.told = Some(Told { stage, unit, total });
+                    self.report(py, Some(0))?;
+                }
+                Event::Finish => {
+                    let total = self.told.as_ref().map(|told| told.total);
+                    self.report(py, total)?;
+                    self.told = None;
+                }
+                Event::Warning(message) => warn(py, &message)?,
+            }
+        }
+        self.report(py, None)
+    }
+
+    fn report(&self, py: Python<'_>, done: Option<u64>) -> PyResult<()> {
+        let (Some(told), Some(callback)) = (&self.told, &self.running.progress) else {
+            return Ok(());
+        };
+        let done = done.unwrap_or_else(|| self.guest.done.load(Relaxed)).min(told.total);
+        callback.call1(py, (&told.stage, &told.unit, done, told.total)).map(drop)
+    }
+}
+
+fn warn(py: Python<'_>, message: &str) -> PyResult<()> {
+    let logger = py.import("logging")?.call_method1("getLogger", ("stemworlds",))?;
+    logger.call_method1("warning", ("%s", message)).map(drop)
+}
+
+type Outcome<T> = Result<Result<T, Fault>, Box<dyn Any + Send>>;
+
+/// Runs `work` as [the module](self) says. What it takes is its own, so that an interrupted call can return at once.
+pub fn run<T, W>(py: Python<'_>, running: Running, work: W) -> PyResult<T>
+where
+    T: Send + 'static,
+    W: FnOnce(&Guest) -> Result<T, Fault> + Send + 'static,
+{
+    let (events, heard) = channel();
+    let guest = Arc::new(Guest { stop: AtomicBool::new(false), done: AtomicU64::new(0), events });
+    // Only so that the interpreter's lock can be given up around it.
+    let ended = Mutex::new(start(guest.clone(), running.threads, work)?);
+    let mut listener = Listener { guest, events: heard, running, told: None };
+    let mut asked: Option<(PyErr, Instant)> = None;
+    loop {
+        let received =
+            py.detach(|| ended.lock().unwrap_or_else(PoisonError::into_inner).recv_timeout(LOOK));
+        if asked.is_none() {
+            let heard = py.check_signals().and_then(|()| listener.listen(py));
+            if let Err(wish) = heard {
+                listener.guest.stop.store(true, Relaxed);
+                asked = Some((wish, Instant::now()));
+            }
+        }
+        match (received, asked.take()) {
+            (Err(RecvTimeoutError::Timeout), Some((wish, since))) if since.elapsed() > GRACE => {
+                return Err(wish);
+            }
+            (Err(RecvTimeoutError::Timeout), still) => asked = still,
+            (_, Some((wish, _))) => return Err(wish),
+            (Ok(outcome), None) => return finished(py, outcome),
+            (Err(RecvTimeoutError::Disconnected), None) => {
+                return Err(error(py, Fault::Internal("the computation ended".into())));
+            }
+        }
+    }
+}
+
+/// Starts the work; what it comes to is sent when it ends.
+fn start<T, W>(guest: Arc<Guest>, threads: Option<usize>, work: W) -> PyResult<Receiver<Outcome<T>>>
+where
+    T: Send + 'static,
+    W: FnOnce(&Guest) -> Result<T, Fault> + Send + 'static,
+{
+    let (send, ended) = channel();
+    let body = move || {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads.unwrap_or(0))
+            .thread_name(|n| format!("stemworlds-{n}"));
+        let outcome = match pool.build() {
+            Ok(pool) => catch_unwind(AssertUnwindSafe(|| pool.install(|| work(&guest)))),
+            Err(e) => Ok(Err(Fault::Internal(format!("cannot start threads: {e}")))),
+        };
+        let _ = send.send(outcome);
+    };
+    std::thread::Builder::new().name("stemworlds".into()).spawn(body)?;
+    Ok(ended)
+}
+
+fn finished<T>(py: Python<'_>, outcome: Outcome<T>) -> PyResult<T> {
+    match outcome {
+        Ok(result) => result.map_err(|fault| error(py, fault)),
+        Err(panic) => {
+            let text = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
+            let text = text.or_else(|| panic.downcast_ref::<String>().cloned());
+            Err(error(py, Fault::Internal(text.unwrap_or_default())))
+        }
+    }
+}

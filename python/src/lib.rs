@@ -1,0 +1,55 @@
+//! The extension module of `stemworlds`: thin glue between Python and the library.
+//!
+//! Python gives all options, in dicts; what is told of them is in the package's own sources (`stemworlds/`). Long calls run as
+//! [`guest`] says; errors are made by `stemworlds.errors`.
+
+mod builds;
+mod checks;
+mod command_line;
+mod errors;
+mod files;
+mod guest;
+mod microscope;
+mod recipes;
+mod recordings;
+mod simulate;
+mod specimens;
+mod structures;
+mod worlds;
+
+use pyo3::prelude::*;
+use pyo3::types::PyModule;
+
+#[pymodule]
+fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    module.add_class::<worlds::WorldReader>()?;
+    module.add_function(wrap_pyfunction!(builds::build_world, module)?)?;
+    module.add_function(wrap_pyfunction!(builds::plan_build, module)?)?;
+    module.add_function(wrap_pyfunction!(checks::audit_field, module)?)?;
+    module.add_function(wrap_pyfunction!(checks::cache_clear, module)?)?;
+    module.add_function(wrap_pyfunction!(checks::cache_folder, module)?)?;
+    module.add_function(wrap_pyfunction!(checks::cache_list, module)?)?;
+    module.add_function(wrap_pyfunction!(checks::compare_worlds, module)?)?;
+    module.add_function(wrap_pyfunction!(checks::validate_suite, module)?)?;
+    module.add_function(wrap_pyfunction!(checks::validation_cases, module)?)?;
+    module.add_function(wrap_pyfunction!(command_line::check_file, module)?)?;
+    module.add_function(wrap_pyfunction!(command_line::main, module)?)?;
+    module.add_function(wrap_pyfunction!(errors::settings, module)?)?;
+    module.add_function(wrap_pyfunction!(files::save_hspy, module)?)?;
+    module.add_function(wrap_pyfunction!(files::save_tiff, module)?)?;
+    module.add_function(wrap_pyfunction!(recipes::describe_recipe, module)?)?;
+    module.add_function(wrap_pyfunction!(recipes::recipes, module)?)?;
+    module.add_function(wrap_pyfunction!(recipes::resolve_recipe, module)?)?;
+    module.add_function(wrap_pyfunction!(recordings::record_field, module)?)?;
+    module.add_function(wrap_pyfunction!(simulate::diffraction, module)?)?;
+    module.add_function(wrap_pyfunction!(simulate::plan_simulation, module)?)?;
+    module.add_function(wrap_pyfunction!(simulate::simulate, module)?)?;
+    module.add_function(wrap_pyfunction!(simulate::simulate_plane_wave, module)?)?;
+    module.add_function(wrap_pyfunction!(specimens::draw_recipe, module)?)?;
+    module.add_function(wrap_pyfunction!(specimens::specimen_sites, module)?)?;
+    module.add_function(wrap_pyfunction!(worlds::png, module)?)?;
+    module.add_function(wrap_pyfunction!(worlds::view_world, module)?)?;
+    module.add_function(wrap_pyfunction!(worlds::write_file, module)?)?;
+    Ok(())
+}

@@ -1,0 +1,138 @@
+//! Recipes travel as TOML: resolved and checked, with their crystals in them.
+
+use crate::errors::{Fault, Told};
+use pyo3::prelude::*;
+use std::path::PathBuf;
+use stemgen::acquisition::{AcquisitionTable, Profile};
+use stemgen::recipe::{CheckedRecipe, Difficulty, Override, Recipe};
+use stemgen::{Error, Setting};
+
+use crate::microscope::choice;
+
+/// Where a recipe is.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct RecipeSource {
+    /// Of a recipe that comes with the library.
+    name: Option<String>,
+    /// Of a TOML file.
+    path: Option<PathBuf>,
+    /// TOML; files of crystals are looked for in the current folder.
+    text: Option<String>,
+    difficulty: Option<String>,
+}
+
+/// What is changed of it.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct Changes {
+    /// `key=value`, in TOML; or a key alone, which is taken out.
+    set: Vec<String>,
+    grid: Option<[usize; 2]>,
+    seed: Option<u64>,
+    /// Name of a profile of the recording.
+    acquisition: Option<String>,
+}
+
+/// The tiers, by name.
+const TIERS: [(&str, Difficulty); 3] =
+    [("easy", Difficulty::Easy), ("medium", Difficulty::Medium), ("hard", Difficulty::Hard)];
+
+/// The profile of a name.
+pub fn profile(name: &str) -> Result<Profile, Fault> {
+    let known = [("ideal", Profile::Ideal), ("routine", Profile::Routine), ("poor", Profile::Poor)];
+    choice(Setting::Acquisition, name, &known)
+}
+
+impl RecipeSource {
+    fn recipe(&self) -> Result<Recipe, Fault> {
+        let tier = self.difficulty.as_deref();
+        let tier = tier.map(|tier| choice(Setting::Difficulty, tier, &TIERS)).transpose()?;
+        match (&self.name, &self.path, &self.text) {
+            (Some(name), ..) => self.built_in(name, tier),
+            (_, Some(path), _) => Ok(Recipe::from_file(path, tier)?),
+            (.., text) => {
+                let text = text.as_deref().unwrap_or_default();
+                Ok(Recipe::from_toml_str("recipe", text, tier)?)
+            }
+        }
+    }
+
+    fn built_in(&self, name: &str, tier: Option<Difficulty>) -> Result<Recipe, Fault> {
+        let tiers = Recipe::tiers(name)?;
+        if tier.is_none() && !tiers.is_empty() {
+            let names: Vec<String> = tiers.iter().map(|t| format!("\"{}\"", t.name())).collect();
+            let expected = format!("{name} comes in tiers; choose one of {}", names.join(", "));
+            return Err(Fault::Value(Setting::Difficulty, "None".into(), expected));
+        }
+        Ok(Recipe::load(name, tier)?)
+    }
+}
+
+impl Changes {
+    fn apply(&self, recipe: Recipe) -> Result<Recipe, Fault> {
+        let change = |text: &String| match text.contains('=') {
+            true => text.parse::<Override>(),
+            false => Override::without(text),
+        };
+        let changes = self.set.iter().map(change).collect::<Result<Vec<Override>, Error>>()?;
+        let mut recipe = recipe.with_overrides(&changes)?;
+        recipe.seed = self.seed.unwrap_or(recipe.seed);
+        if let Some([rows, columns]) = self.grid {
+            recipe = recipe.with_grid(rows, columns)?;
+        }
+        if let Some(name) = &self.acquisition {
+            let table = recipe.acquisition.unwrap_or_default();
+            recipe.acquisition = Some(AcquisitionTable { profile: Some(profile(name)?), ..table });
+        }
+        Ok(recipe)
+    }
+}
+
+/// Resolves, changes and checks a recipe; returns it as TOML.
+#[pyfunction]
+pub fn resolve_recipe(py: Python<'_>, source: RecipeSource, changes: Changes) -> PyResult<String> {
+    let resolved = py.detach(|| -> Result<String, Fault> {
+        Ok(changes.apply(source.recipe()?)?.checked()?.to_toml())
+    });
+    resolved.told(py)
+}
+
+/// A resolved recipe.
+///
+/// # Errors
+/// Those of the recipe.
+pub fn checked(toml: &str) -> Result<CheckedRecipe, Fault> {
+    Ok(Recipe::from_toml_str("recipe", toml, None)?.checked()?)
+}
+
+/// Recipes that come with the library, with their tiers.
+#[pyfunction]
+pub fn recipes(py: Python<'_>) -> PyResult<Vec<(String, Vec<String>)>> {
+    let tiers = |name: &'static str| {
+        let tiers = Recipe::tiers(name)?;
+        Ok((name.to_owned(), tiers.iter().map(|tier| tier.name().to_owned()).collect()))
+    };
+    let all = Recipe::built_in().map(tiers).collect::<Result<_, Error>>();
+    all.told(py)
+}
+
+/// What follows from a recipe: a dict of pixels, field and places.
+#[pyfunction]
+pub fn describe_recipe(py: Python<'_>, toml: &str) -> PyResult<String> {
+    let recipe = checked(toml).told(py)?;
+    let field = &recipe.field;
+    let shape = field.pixels(field.built_grid());
+    let facts = serde_json::json!({
+        "id": recipe.id,
+        "tier": recipe.tier.map(|tier| tier.name()),
+        "seed": recipe.seed,
+        "grid": field.built_grid(),
+        "shape": shape,
+        "pixel_nm": field.pixel_nm(),
+        "fov_nm": shape.map(|n| n as f64 * field.pixel_nm()),
+        "configurations": recipe.phonons.configurations.max(1),
+        "dose_electrons_per_angstrom2": recipe.dose.electrons_per_angstrom2,
+    });
+    Ok(facts.to_string())
+}

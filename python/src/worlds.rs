@@ -1,0 +1,384 @@
+//! World files, open for reading.
+
+use crate::errors::{Fault, Told, error};
+use crate::guest::{Running, run};
+use ndarray::{Array1, Array2};
+use numpy::{IntoPyArray, PyArray2};
+use pyo3::prelude::*;
+use pyo3::types::{PyBytes, PyDict};
+use std::path::PathBuf;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use stemgen::cli::shared::{ColormapName, Overlay, PictureArgs, WorldPart, of_world};
+use stemgen::files::{atomic_write, outputs::check_outputs};
+use stemgen::io::WorldFile;
+use stemgen::render::html::WorldPage;
+use stemgen::{Error, Setting};
+
+use crate::microscope::choice;
+
+/// Bytes of the name of a defect, and of a composition.
+const DEFECT_NAME: usize = 16;
+const COMPOSITION: usize = 32;
+
+/// A file that is open in the process with this number.
+struct Opened {
+    process: u32,
+    file: WorldFile,
+}
+
+/// A world file. It is opened when first read, and again in a process that was forked.
+#[pyclass(frozen, module = "stemworlds._core")]
+pub struct WorldReader {
+    path: PathBuf,
+    opened: Mutex<Option<Opened>>,
+}
+
+impl WorldReader {
+    fn opened(&self) -> Result<MutexGuard<'_, Option<Opened>>, Fault> {
+        let mut guard = self.opened.lock().unwrap_or_else(PoisonError::into_inner);
+        let process = std::process::id();
+        if let Some(other) = guard.take_if(|opened| opened.process != process) {
+            // It belongs to the process that forked.
+            std::mem::forget(other);
+        }
+        if guard.is_none() {
+            *guard = Some(Opened { process, file: WorldFile::open(&self.path)? });
+        }
+        Ok(guard)
+    }
+
+    /// Reads without the interpreter's lock.
+    fn with<T: Send>(
+        &self,
+        py: Python<'_>,
+        read: impl FnOnce(&WorldFile) -> Result<T, Fault> + Send,
+    ) -> PyResult<T> {
+        let found = py.detach(|| match &*self.opened()? {
+            Some(opened) => read(&opened.file),
+            None => Err(Fault::Internal("the file is not open".into())),
+        });
+        found.map_err(|fault| error(py, fault))
+    }
+}
+
+type Rows = (usize, usize);
+
+#[pymethods]
+impl WorldReader {
+    #[new]
+    fn new(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+        let reader = WorldReader { path, opened: Mutex::new(None) };
+        reader.with(py, |_| Ok(()))?;
+        Ok(reader)
+    }
+
+    /// Closes the file; it is opened again when read.
+    fn close(&self) {
+        *self.opened.lock().unwrap_or_else(PoisonError::into_inner) = None;
+    }
+
+    /// What describes the world, as JSON.
+    fn metadata(&self, py: Python<'_>) -> PyResult<String> {
+        self.with(py, |world| {
+            let m = world.metadata();
+            let facts = serde_json::json!({
+                "pixel_nm": m.pixel_size_nm,
+                "tile_size_px": m.tile_size_px,
+                "overlap_px": m.overlap_px,
+                "grid": m.grid_shape,
+                "shape": world.shape(),
+                "fov_nm": m.fov_nm,
+                "scaling": m.scaling,
+                "recipe": m.recipe,
+                "version": m.version,
+                "source": m.source,
+                "engine": m.engine,
+                "engine_parameters": m.engine_parameters,
+                "material": m.material,
+                "thickness_nm": m.thickness_nm,
+                "dose_electrons_per_angstrom2": m.dose_electrons_per_angstrom2,
+                "noise": m.noise,
+                "seed": m.seed,
+                "wall_time_s": m.wall_time_s,
+                "has_clean": world.has_clean(),
+                "phases": world.phase_names()?,
+                "site_count": world.site_count()?,
+            });
+            Ok(facts.to_string())
+        })
+    }
+
+    /// A tile, [y, x].
+    fn tile<'py>(
+        &self,
+        py: Python<'py>,
+        row: usize,
+        column: usize,
+        clean: bool,
+    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let tile = self.with(py, |world| {
+            let [rows, columns] = world.metadata().grid_shape;
+            if row >= rows || column >= columns {
+                let expected = format!("the world has {rows} x {columns} tiles, counted from 0");
+                return Err(Fault::Value(Setting::Grid, format!("{row}, {column}"), expected));
+            }
+            if clean {
+                // The reader's own words where there is none.
+                world.stitched_clean(0..1, 0..1)?;
+                return Ok(world.clean_tile(row, column)?);
+            }
+            Ok(world.tile(row, column)?)
+        })?;
+        Ok(tile.into_pyarray(py))
+    }
+
+    /// The image of some rows and columns of pixels, [y, x].
+    fn image<'py>(
+        &self,
+        py: Python<'py>,
+        rows: Rows,
+        columns: Rows,
+        clean: bool,
+    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let image = self.with(py, |world| {
+            let (rows, columns) = (rows.0..rows.1, columns.0..columns.1);
+            Ok(match clean {
+                true => world.stitched_clean(rows, columns)?,
+                false => world.stitched(rows, columns)?,
+            })
+        })?;
+        Ok(image.into_pyarray(py))
+    }
+
+    /// The overview, [y, x].
+    fn overview<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        Ok(self.with(py, |world| Ok(world.overview()?))?.into_pyarray(py))
+    }
+
+    /// Phases of pixels, [y, x]; `None` in a world of one phase.
+    fn phase_map<'py>(
+        &self,
+        py: Python<'py>,
+        rows: Rows,
+        columns: Rows,
+    ) -> PyResult<Option<Bound<'py, PyArray2<i32>>>> {
+        let map =
+            self.with(py, |world| Ok(world.phase_map(rows.0..rows.1, columns.0..columns.1)?))?;
+        Ok(map.map(|map| map.into_pyarray(py)))
+    }
+
+    /// Columns: a dict of arrays.
+    fn columns(&self, py: Python<'_>) -> PyResult<Py<PyDict>> {
+        let columns = self.with(py, |world| Ok(world.columns()?))?;
+        let out = PyDict::new(py);
+        let mut compositions = Vec::with_capacity(COMPOSITION * columns.len());
+        let mut positions = Vec::with_capacity(columns.len());
+        let mut counts = Vec::with_capacity(columns.len());
+        for column in &columns {
+            push_padded(&mut compositions, column.composition.as_bytes(), COMPOSITION);
+            positions.push(column.position_nm);
+            counts.push([column.sites, column.vacancies, column.substitutions]);
+        }
+        out.set_item("positions_nm", ndarray::arr2(&positions).into_pyarray(py))?;
+        out.set_item("counts", ndarray::arr2(&counts).into_pyarray(py))?;
+        out.set_item("compositions", PyBytes::new(py, &compositions))?;
+        Ok(out.unbind())
+    }
+
+    /// Lattice sites: a dict of arrays.
+    fn sites(&self, py: Python<'_>) -> PyResult<Py<PyDict>> {
+        let lists = self.with(py, |world| {
+            let mut all = SiteArrays::default();
+            world.for_each_chunk_of_sites(|_, truth| all.add(truth))?;
+            Ok(all)
+        })?;
+        let out = PyDict::new(py);
+        out.set_item("positions_nm", ndarray::arr2(&lists.positions).into_pyarray(py))?;
+        out.set_item("z_nm", Array1::from(lists.z).into_pyarray(py))?;
+        out.set_item("types", Array1::from(lists.types).into_pyarray(py))?;
+        out.set_item("defects", Array1::from(lists.defects).into_pyarray(py))?;
+        out.set_item("numbers", Array1::from(lists.numbers).into_pyarray(py))?;
+        out.set_item("columns", Array1::from(lists.columns).into_pyarray(py))?;
+        out.set_item("names", PyBytes::new(py, &lists.names))?;
+        Ok(out.unbind())
+    }
+
+    /// Particles: a dict of arrays.
+    fn particles(&self, py: Python<'_>) -> PyResult<Py<PyDict>> {
+        let particles = self.with(py, |world| Ok(world.particles()?))?;
+        let out = PyDict::new(py);
+        let names: Vec<&str> = particles.morphologies.iter().map(|name| name.as_str()).collect();
+        out.set_item("centres_nm", ndarray::arr2(&particles.centres).into_pyarray(py))?;
+        out.set_item("orientations", ndarray::arr2(&particles.orientations).into_pyarray(py))?;
+        out.set_item("morphologies", names)?;
+        out.set_item("diameters_nm", Array1::from(particles.diameters).into_pyarray(py))?;
+        Ok(out.unbind())
+    }
+
+    /// Boundaries of grains and phases: what they separate, and corners (x, y) in nm.
+    fn boundaries(&self, py: Python<'_>) -> PyResult<Vec<(String, Py<PyArray2<f32>>)>> {
+        let lines = self.with(py, |world| Ok(world.boundary_lines()?))?;
+        let array = |points: Vec<[f32; 2]>| ndarray::arr2(&points).into_pyarray(py).unbind();
+        Ok(lines.into_iter().map(|line| (line.text, array(line.points_nm))).collect())
+    }
+
+    /// The whole world as PNG.
+    fn png<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        let bytes = self.with(py, |world| Ok(of_world(world)?))?;
+        Ok(PyBytes::new(py, &bytes))
+    }
+}
+
+/// Lists of sites.
+#[derive(Default)]
+struct SiteArrays {
+    positions: Vec<[f32; 2]>,
+    z: Vec<f32>,
+    types: Vec<i32>,
+    defects: Vec<bool>,
+    numbers: Vec<i32>,
+    columns: Vec<i32>,
+    names: Vec<u8>,
+}
+
+impl SiteArrays {
+    fn add(&mut self, truth: &stemgen::io::GroundTruth) {
+        self.positions.extend(&truth.positions);
+        self.z.extend(&truth.z);
+        self.types.extend(&truth.types);
+        self.defects.extend(&truth.defects);
+        self.numbers.extend(&truth.numbers);
+        self.columns.extend(&truth.columns);
+        for name in &truth.defect_names {
+            push_padded(&mut self.names, name.as_bytes(), DEFECT_NAME);
+        }
+    }
+}
+
+fn push_padded(out: &mut Vec<u8>, text: &[u8], length: usize) {
+    let end = out.len() + length;
+    out.extend(text.iter().take(length));
+    out.resize(end, 0);
+}
+
+/// How a world is shown.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct ViewOptions {
+    world: PathBuf,
+    out: PathBuf,
+    html: bool,
+    region_nm: Option<[f64; 4]>,
+    clean: bool,
+    colormap: String,
+    contrast: [f64; 2],
+    overlays: Vec<String>,
+    size: u32,
+    overwrite: bool,
+}
+
+impl ViewOptions {
+    fn picture(&self) -> Result<PictureArgs, Fault> {
+        use ColormapName::{Gray, Inferno, Magma, Viridis};
+        let colors = [("gray", Gray), ("viridis", Viridis), ("inferno", Inferno), ("magma", Magma)];
+        let overlays = [
+            ("defects", Overlay::Defects),
+            ("phases", Overlay::Phases),
+            ("boundaries", Overlay::Boundaries),
+            ("particles", Overlay::Particles),
+            ("columns", Overlay::Columns),
+        ];
+        let [low, high] = self.contrast;
+        if !(0.0 <= low && low < high && high <= 100.0) {
+            let expected = "two percentages that rise, from 0 to 100".to_owned();
+            let value = format!("{low}, {high}");
+            return Err(Fault::Value(Setting::ContrastPercentiles, value, expected));
+        }
+        if !(64..=16_384).contains(&self.size) {
+            let expected = "expected 64 to 16384".to_owned();
+            return Err(Fault::Value(Setting::LongestSidePixels, self.size.to_string(), expected));
+        }
+        let overlay = |name: &String| choice(Setting::Page, name, &overlays);
+        Ok(PictureArgs {
+            clean: self.clean,
+            colormap: choice(Setting::Colormap, &self.colormap, &colors)?,
+            contrast: self.contrast,
+            overlay: self.overlays.iter().map(overlay).collect::<Result<_, _>>()?,
+            size: self.size,
+        })
+    }
+
+    fn part(&self, world: &WorldFile) -> Result<WorldPart, Fault> {
+        let [height, width] = world.shape();
+        let pixel_nm = world.metadata().pixel_size_nm;
+        let Some([x0, y0, x1, y1]) = self.region_nm else {
+            return Ok(WorldPart { rows: 0..height, columns: 0..width, pixel_nm });
+        };
+        let range = |low: f64, high: f64, size: usize| {
+            let clamp = |v: f64| v.clamp(0.0, size as f64) as usize;
+            clamp((low / pixel_nm + 0.5).floor())..clamp((high / pixel_nm + 0.5).ceil())
+        };
+        let (rows, columns) = (range(y0, y1, height), range(x0, x1, width));
+        if rows.is_empty() || columns.is_empty() {
+            let [h, w] = [height, width].map(|n| n as f64 * pixel_nm);
+            let expected = format!("the field goes from 0, 0 to {w:.2}, {h:.2} nm");
+            let value = format!("{x0}, {y0}, {x1}, {y1}");
+            return Err(Error::invalid(Setting::Region, value, expected).into());
+        }
+        Ok(WorldPart { rows, columns, pixel_nm })
+    }
+}
+
+/// Draws a part of a world as PNG, or makes a page (HTML) of it.
+#[pyfunction]
+pub fn view_world(py: Python<'_>, options: ViewOptions, running: Running) -> PyResult<()> {
+    run(py, running, move |_| {
+        let world = WorldFile::open(&options.world)?;
+        let picture = options.picture()?;
+        check_outputs([&options.out], [&options.world], options.overwrite)?;
+        let part = options.part(&world)?;
+        if !options.html {
+            return Ok(part.picture(&picture, &world)?.write_png(&options.out)?);
+        }
+        if options.clean {
+            world.stitched_clean(0..1, 0..1)?;
+        }
+        let mut overlays = options.overlays.clone();
+        if overlays.iter().any(|name| name == "phases") {
+            overlays.push("boundaries".into());
+        }
+        let title = options.world.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let page = WorldPage {
+            title,
+            colormap: picture.colormap.into(),
+            contrast: picture.contrast,
+            overlays,
+            region: options.region_nm,
+            clean: options.clean,
+        };
+        Ok(page.page(&world)?.write(&options.out)?)
+    })
+}
+
+/// An image with pixels (x, y) in Angstrom as PNG.
+#[pyfunction]
+pub fn png<'py>(
+    py: Python<'py>,
+    image: numpy::PyReadonlyArray2<'py, f32>,
+    step_angstrom: [f64; 2],
+    scale_bar: bool,
+) -> PyResult<Bound<'py, PyBytes>> {
+    let image: Array2<f32> = image.as_array().to_owned();
+    let bytes = py.detach(|| stemgen::cli::shared::png(image.view(), step_angstrom, scale_bar));
+    Ok(PyBytes::new(py, &bytes.told(py)?))
+}
+
+/// Writes bytes to a file that is there as a whole or not at all.
+#[pyfunction]
+pub fn write_file(py: Python<'_>, path: PathBuf, bytes: &[u8], overwrite: bool) -> PyResult<()> {
+    let write = || -> Result<(), Fault> {
+        check_outputs([&path], [] as [&PathBuf; 0], overwrite)?;
+        Ok(atomic_write::write(&path, bytes)?)
+    };
+    write().told(py)
+}

@@ -1,0 +1,74 @@
+"""STEM images of atoms, and worlds: large images of specimens with defects, with the truth about each atom.
+
+Lengths of atoms and probes are in Angstrom, those of fields and worlds in nm, and names say so. Images are arrays ``[y, x]`` in
+fractions of the incident beam. Every error is a :class:`StemworldsError`.
+
+    >>> import stemworlds as sw
+    >>> image = sw.simulate("si.cif", zone=(1, 1, 0), repeat=(3, 4, 13))          # doctest: +SKIP
+    >>> world = sw.build("srtio3", difficulty="easy", grid=(2, 2), out="w.h5")    # doctest: +SKIP
+    >>> world.tile(0, 0), world.columns, world.sites                             # doctest: +SKIP
+"""
+
+from . import cache, errors
+from ._core import __version__
+from .atoms import AtomArrays
+from .building import BuildPlan, build, plan
+from .checking import Audit, Comparison, Validation, audit, compare, validate, validation_cases
+from .errors import (
+    FileError,
+    FormatError,
+    InvalidValue,
+    NotEnoughMemory,
+    StemworldsError,
+)
+from .images import DiffractionPattern, Image, Images, PlaneWave
+from .recipes import Recipe, recipes
+from .recording import Recording, acquire
+from .simulation import Scan, SimulationPlan, diffraction, plan_simulation, plane_wave, simulate
+from .specimens import specimen, specimen_arrays
+from .viewing import view
+from .worlds import COLUMN_CLASSES, Table, World, WorldMetadata
+
+
+__all__ = [
+    "COLUMN_CLASSES",
+    "AtomArrays",
+    "Audit",
+    "BuildPlan",
+    "Comparison",
+    "DiffractionPattern",
+    "FileError",
+    "FormatError",
+    "Image",
+    "Images",
+    "InvalidValue",
+    "NotEnoughMemory",
+    "PlaneWave",
+    "Recipe",
+    "Recording",
+    "Scan",
+    "SimulationPlan",
+    "StemworldsError",
+    "Table",
+    "Validation",
+    "World",
+    "WorldMetadata",
+    "__version__",
+    "acquire",
+    "audit",
+    "build",
+    "cache",
+    "compare",
+    "diffraction",
+    "errors",
+    "plan",
+    "plan_simulation",
+    "plane_wave",
+    "recipes",
+    "simulate",
+    "specimen",
+    "specimen_arrays",
+    "validate",
+    "validation_cases",
+    "view",
+]

@@ -1,0 +1,264 @@
+"""What can go wrong: one family of exceptions, with the library's words and the keywords of Python.
+
+Every exception is a :class:`StemworldsError`. Bad values are a :class:`ValueError` too, files an :class:`OSError`, and a lack of
+memory a :class:`MemoryError`. Ctrl-C raises :class:`KeyboardInterrupt`, as anywhere.
+"""
+
+from __future__ import annotations
+
+import errno as _errno
+import os as _os
+
+__all__ = [
+    "DiskFull",
+    "FileError",
+    "FileForbidden",
+    "FileMissing",
+    "FileThere",
+    "FormatError",
+    "InternalError",
+    "InvalidValue",
+    "NotEnoughMemory",
+    "OutputLocked",
+    "StemworldsError",
+    "WrongType",
+]
+
+
+class StemworldsError(Exception):
+    """Something went wrong in stemworlds; the message says what, where, and what to do.
+
+    Attributes:
+        keyword: the argument that mends it, where one does.
+        setting: the library's name of that setting.
+    """
+
+    keyword: str | None = None
+    setting: str | None = None
+
+    def __str__(self) -> str:
+        return str(self.args[0]) if self.args else ""
+
+
+class InvalidValue(StemworldsError, ValueError):
+    """A value is out of its limits, or two contradict each other."""
+
+
+class WrongType(StemworldsError, TypeError):
+    """A value is of another type than expected: a text for a number, say."""
+
+
+class FileError(StemworldsError, OSError):
+    """A file cannot be read or written; ``filename`` and ``errno`` tell which and why."""
+
+
+class FileMissing(FileError, FileNotFoundError):
+    """A file or its folder is not there."""
+
+
+class FileThere(FileError, FileExistsError):
+    """A file is there already; ``overwrite=True`` replaces it."""
+
+
+class FileForbidden(FileError, PermissionError):
+    """A file or folder may not be read or written."""
+
+
+class FormatError(FileError, ValueError):
+    """A file is damaged, or holds something else."""
+
+
+class DiskFull(FileError):
+    """There is no room on the disk for what will be written."""
+
+
+class OutputLocked(FileError):
+    """Another process is writing the same file."""
+
+
+class NotEnoughMemory(StemworldsError, MemoryError):
+    """A computation takes more memory than is free; ``force=True`` goes on all the same."""
+
+
+class InternalError(StemworldsError, RuntimeError):
+    """A fault of the program: please report it."""
+
+
+#: The argument for each setting of the library; ``None`` where a key of the recipe, or nothing, mends it.
+_KEYWORDS: dict[str, str | None] = {
+    "EnergyKev": "energy_kv",
+    "SemiangleMrad": "semiangle_mrad",
+    "Aberration": "aberrations or defocus_angstrom",
+    "MistiltMrad": "tilt_mrad",
+    "FocalSpreadAngstrom": "focal_spread_angstrom",
+    "SourceLorentzShare": "source_lorentz",
+    "SourceSizeAngstrom": "source_size_angstrom",
+    "Detector": "detectors",
+    "DetectorName": "detectors",
+    "Detectors": "detectors",
+    "StructureFile": "atoms",
+    "Crystal": None,
+    "Cell": "zone",
+    "Zone": "zone",
+    "Up": "up",
+    "Repeat": "repeat",
+    "SupercellAtoms": "repeat",
+    "Occupancy": "atoms",
+    "SiteOccupancy": "atoms",
+    "ThermalSigma": "sigma",
+    "ClusterDiameterNm": None,
+    "Algorithm": "engine",
+    "CellAngstrom": "atoms",
+    "CellHeightAngstrom": "atoms",
+    "Gpts": "gpts",
+    "SamplingAngstrom": "sampling_angstrom",
+    "SliceThicknessAngstrom": "slice_thickness_angstrom",
+    "SliceSpanAngstrom": "slice_thickness_angstrom",
+    "ThicknessAngstrom": "thicknesses_angstrom",
+    "AngleMargin": "angle_margin",
+    "BandFraction": "band_fraction",
+    "BandTaper": "band_taper",
+    "ExpansionPercent": "expansion_percent",
+    "Oversampling": "oversampling",
+    "PhononConfigurations": "phonons",
+    "ProbeBox": "probe_box",
+    "Interpolation": "interpolation",
+    "WindowAngstrom": "window_angstrom",
+    "AccuracyPercent": "accuracy_percent",
+    "Pattern": None,
+    "SampleStepAngstrom": "probe_step",
+    "Material": "recipe",
+    "Difficulty": "difficulty",
+    "Recipe": None,
+    "Grid": "grid",
+    "Alloy": None,
+    "AlloyRate": None,
+    "AlloyEndMember": None,
+    "BoundaryCount": None,
+    "BoundarySigma": None,
+    "Domains": None,
+    "DomainCrystal": None,
+    "Particles": None,
+    "ParticleCount": None,
+    "ParticleDiameterNm": None,
+    "VacancyRate": None,
+    "CrystalSites": None,
+    "ColumnSites": None,
+    "SubtileNm": "subtile_nm",
+    "BuildProfile": "profile",
+    "TilePixels": "size",
+    "Dose": "dose",
+    "BeamCurrentPa": "current_pa",
+    "Acquisition": "profile or acquisition",
+    "RecordedRegionNm": "region_nm or at_nm",
+    "RecordedPixelNm": "pixel_nm or zoom",
+    "EngineMarginAngstrom": None,
+    "EngineImageShape": None,
+    "Intensity": None,
+    "Library": "cache",
+    "LargestErrorPercent": "max_error_percent",
+    "AuditedRegionNm": "size_nm",
+    "AuditCentreNm": "regions or at_nm",
+    "VacuumAngstrom": "vacuum_angstrom",
+    "Output": "out",
+    "WorldFile": None,
+    "SitesInFile": None,
+    "SiteRange": None,
+    "Region": "region_nm or scan",
+    "CleanImage": "clean",
+    "DataSet": None,
+    "ImageAxes": None,
+    "ImageIndex": None,
+    "ImageUnits": None,
+    "Colormap": "colormap",
+    "ContrastRange": "contrast",
+    "ContrastPercentiles": "contrast",
+    "LongestSidePixels": "size",
+    "PixelAngstrom": None,
+    "Images": None,
+    "ImageShape": None,
+    "ImageValue": None,
+    "MarkerPosition": None,
+    "Page": "overlays",
+    "Figure": None,
+    "Case": "cases",
+    "Reference": None,
+    "ScatteringFactor": None,
+    "Alpha": "alpha",
+    "PixelSizeNm": None,
+}
+
+_KINDS: dict[str, type[StemworldsError]] = {
+    "value": InvalidValue,
+    "file": FileError,
+    "format": FormatError,
+    "disk": DiskFull,
+    "locked": OutputLocked,
+    "memory": NotEnoughMemory,
+    "internal": InternalError,
+}
+
+_ERRNOS: dict[int, type[FileError]] = {
+    _errno.ENOENT: FileMissing,
+    _errno.ENOTDIR: FileMissing,
+    _errno.EEXIST: FileThere,
+    _errno.EACCES: FileForbidden,
+    _errno.EPERM: FileForbidden,
+    _errno.EROFS: FileForbidden,
+    _errno.ENOSPC: DiskFull,
+}
+
+_ADVICE = {
+    "memory": "force=True goes on all the same",
+    "internal": "this is a fault of the program: please report it",
+}
+
+
+def _of_library(
+    kind: str,
+    message: str,
+    setting: str | None = None,
+    path: str | _os.PathLike[str] | None = None,
+    errno: int | None = None,
+) -> StemworldsError:
+    """The exception for an error of the library; the extension calls this."""
+    family = _KINDS.get(kind, InternalError)
+    if kind == "file" and errno is not None:
+        family = _ERRNOS.get(errno, FileError)
+    keyword = _KEYWORDS.get(setting) if setting else None
+    if family is FileThere and setting == "Output":
+        keyword = "overwrite"
+    if keyword and keyword not in message:
+        message = f"{message} (argument {keyword})"
+    if kind in _ADVICE:
+        message = f"{message}; {_ADVICE[kind]}"
+    error = family(message)
+    error.keyword, error.setting = keyword, setting
+    if isinstance(error, OSError):
+        error.errno = errno
+        error.filename = None if path is None else _os.fspath(path)
+    return error
+
+
+def _invalid(keyword: str, message: str) -> InvalidValue:
+    """A value that the package refuses by itself."""
+    error = InvalidValue(f"{message} (argument {keyword})")
+    error.keyword = keyword
+    return error
+
+
+def _wrong_type(error: TypeError) -> WrongType:
+    """What the extension says of an option that it cannot take, in fewer words."""
+    told = str(error)
+    keyword = told.rsplit(".", 1)[-1] if "field" in told else told.split("'")[1]
+    causes = []
+    cause = error.__cause__
+    while cause is not None:
+        causes.append(str(cause))
+        if "field" in str(cause):
+            keyword = str(cause).rsplit(".", 1)[-1]
+        cause = cause.__cause__
+    why = causes[-1].splitlines()[0] if causes else "is of another type than expected"
+    wrong = WrongType(f"{keyword}: {why} (argument {keyword})")
+    wrong.keyword = keyword
+    return wrong

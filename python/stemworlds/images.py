@@ -1,0 +1,288 @@
+"""Results: light objects over NumPy arrays."""
+
+from __future__ import annotations
+
+import base64
+import html
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from . import _core
+from .errors import _invalid
+
+Float32Array = npt.NDArray[np.float32]
+Path = str | os.PathLike[str]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Image:
+    """An image with its axes.
+
+    Attributes:
+        name: name of the detector, or of what the image shows.
+        array: float32, ``[y, x]``, or ``[thickness, y, x]`` where several thicknesses were recorded.
+        sampling_nm: edge of a pixel along ``(y, x)`` in nm.
+        origin_nm: place of the first pixel ``(y, x)`` in nm.
+        units: what the values are.
+        thicknesses_angstrom: thickness of the specimen, one for each image.
+        counts: electrons counted, uint32 with the shape of ``array``, where a dose was given.
+        electrons_per_pixel: electrons that fell on a pixel, where a dose was given.
+        metadata: how it was made.
+    """
+
+    name: str
+    array: Float32Array
+    sampling_nm: tuple[float, float]
+    origin_nm: tuple[float, float] = (0.0, 0.0)
+    units: str = "fraction of the incident beam"
+    thicknesses_angstrom: tuple[float, ...] = ()
+    counts: npt.NDArray[np.uint32] | None = None
+    electrons_per_pixel: float | None = None
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        dy, dx = self.sampling_nm
+        shape = " x ".join(map(str, self.array.shape))
+        return f"<Image {self.name}: {shape} pixels of {dx:.4g} x {dy:.4g} nm, {self.units}>"
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the array."""
+        return self.array.shape
+
+    @property
+    def extent_nm(self) -> tuple[float, float, float, float]:
+        """Left, right, lower and upper edge in nm, as ``matplotlib.pyplot.imshow`` takes them."""
+        rows, columns = self.array.shape[-2:]
+        (dy, dx), (y, x) = self.sampling_nm, self.origin_nm
+        return (x - dx / 2, x + (columns - 0.5) * dx, y + (rows - 0.5) * dy, y - dy / 2)
+
+    @property
+    def noisy(self) -> Image:
+        """The image that the counted electrons make: counts over the electrons of a pixel.
+
+        Raises:
+            InvalidValue: without a dose.
+        """
+        if self.counts is None or not self.electrons_per_pixel:
+            raise _invalid("dose", "the image was made without a dose, so no electrons were counted")
+        array = (self.counts / self.electrons_per_pixel).astype(np.float32)
+        return replace(self, name=f"{self.name}_noisy", array=array)
+
+    def at(self, thickness: int) -> Image:
+        """The image at one of several thicknesses, counted from 0, ``[y, x]``."""
+        if self.array.ndim == 2:
+            if thickness not in (0, -1):
+                raise _invalid("thickness", f"thickness = {thickness}: there is one image only")
+            return self
+        counts = None if self.counts is None else self.counts[thickness]
+        at = self.thicknesses_angstrom[thickness]
+        array = self.array[thickness]
+        return replace(self, array=array, counts=counts, thicknesses_angstrom=(at,))
+
+    def __array__(self, dtype: npt.DTypeLike = None, copy: bool | None = None) -> npt.NDArray[Any]:
+        array: npt.NDArray[Any] = self.array if dtype is None else self.array.astype(dtype)
+        return array.copy() if copy else array
+
+    def _stack(self) -> dict[str, Any]:
+        data = self.array if self.array.ndim == 3 else self.array[np.newaxis]
+        (dy, dx), (y, x) = self.sampling_nm, self.origin_nm
+        return {
+            "name": self.name,
+            "data": np.ascontiguousarray(data, dtype=np.float32),
+            "units": self.units,
+            "step_angstrom": (10 * dx, 10 * dy),
+            "origin_angstrom": (10 * x, 10 * y),
+            "thicknesses_angstrom": list(self.thicknesses_angstrom) or [0.0] * len(data),
+        }
+
+    def to_hspy(self, path: Path, *, overwrite: bool = False) -> None:
+        """Writes a file for HyperSpy (``.hspy``), with axes in Angstrom. HyperSpy is not needed."""
+        _core.save_hspy(os.fspath(path), [self._stack()], overwrite)
+
+    def to_tiff(self, path: Path, *, bits: int = 32, overwrite: bool = False) -> None:
+        """Writes a TIFF of 8, 16 or 32 bits, with pixels and values calibrated for ImageJ."""
+        _core.save_tiff(os.fspath(path), self._stack(), bits, overwrite)
+
+    def to_png(self, path: Path, *, scale_bar: bool = True, overwrite: bool = False) -> None:
+        """Writes a picture; of several thicknesses, the last."""
+        _core.write_file(os.fspath(path), self._png(scale_bar), overwrite)
+
+    def to_hyperspy(self) -> Any:
+        """The image as a ``hyperspy.signals.Signal2D``, with axes in nm. HyperSpy has to be installed."""
+        from hyperspy.signals import Signal2D
+
+        signal = Signal2D(self.array.copy())
+        # HyperSpy lists x first.
+        for axis, name, scale, offset in zip(
+            signal.axes_manager.signal_axes, "xy", self.sampling_nm[::-1], self.origin_nm[::-1], strict=True
+        ):
+            axis.name, axis.scale, axis.offset, axis.units = name, scale, offset, "nm"
+        signal.metadata.General.title = self.name
+        return signal
+
+    def to_abtem(self) -> Any:
+        """The image as ``abtem.measurements.Images``, whose arrays are ``[x, y]``. abTEM has to be installed."""
+        from abtem.measurements import Images as AbtemImages
+
+        dy, dx = self.sampling_nm
+        array = np.ascontiguousarray(np.swapaxes(self.array, -1, -2))
+        if array.ndim == 3:
+            raise _invalid("array", "abTEM takes one thickness: image.at(n).to_abtem()")
+        return AbtemImages(array, sampling=(10 * dx, 10 * dy), metadata={"label": self.name})
+
+    def plot(self, ax: Any = None, **options: Any) -> Any:
+        """Draws the image with matplotlib, and returns the axes. ``options`` go to ``imshow``."""
+        import matplotlib.pyplot as plt
+
+        if ax is None:
+            _, ax = plt.subplots()
+        image = self.at(-1)
+        ax.imshow(image.array, **{"cmap": "gray", "extent": self.extent_nm, **options})
+        ax.set(title=self.name, xlabel="x (nm)", ylabel="y (nm)")
+        return ax
+
+    def _png(self, scale_bar: bool = True) -> bytes:
+        array = np.ascontiguousarray(self.at(-1).array, dtype=np.float32)
+        dy, dx = self.sampling_nm
+        return _core.png(array, (10 * dx, 10 * dy), scale_bar)
+
+    def _repr_png_(self) -> bytes:
+        return self._png()
+
+    def _repr_html_(self) -> str:
+        picture = base64.b64encode(self._png()).decode()
+        rows, columns = self.array.shape[-2:]
+        dy, dx = self.sampling_nm
+        about = (
+            f"{html.escape(self.name)}: {columns} x {rows} pixels of {dx:.4g} x {dy:.4g} nm, "
+            f"{float(self.array.min()):.3g} to {float(self.array.max()):.3g} {html.escape(self.units)}"
+        )
+        return f'<figure><img src="data:image/png;base64,{picture}"><figcaption>{about}</figcaption></figure>'
+
+
+class Images(Mapping[str, Image]):
+    """Images of one simulation, by name. Where there is one only, it can be used as that image."""
+
+    def __init__(self, images: Mapping[str, Image], *, metadata: Mapping[str, Any]) -> None:
+        self._images = dict(images)
+        self.metadata: Mapping[str, Any] = metadata
+
+    def __getitem__(self, name: str) -> Image:
+        try:
+            return self._images[name]
+        except KeyError:
+            raise KeyError(f"{name!r}; there are {', '.join(map(repr, self._images))}") from None
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._images)
+
+    def __len__(self) -> int:
+        return len(self._images)
+
+    def __repr__(self) -> str:
+        return f"Images({', '.join(f'{name}: {image.shape}' for name, image in self.items())})"
+
+    @property
+    def only(self) -> Image:
+        """The image, where there is one only.
+
+        Raises:
+            InvalidValue: where there are several.
+        """
+        if len(self) == 1:
+            return next(iter(self._images.values()))
+        raise _invalid("detectors", f"there are {len(self)} images; choose one: result[{next(iter(self))!r}]")
+
+    @property
+    def array(self) -> Float32Array:
+        """Array of the only image, ``[y, x]``."""
+        return self.only.array
+
+    @property
+    def sampling_nm(self) -> tuple[float, float]:
+        """Edge of a pixel along ``(y, x)`` in nm."""
+        return next(iter(self._images.values())).sampling_nm
+
+    @property
+    def origin_nm(self) -> tuple[float, float]:
+        """Place of the first pixel ``(y, x)`` in nm."""
+        return next(iter(self._images.values())).origin_nm
+
+    def __array__(self, dtype: npt.DTypeLike = None, copy: bool | None = None) -> npt.NDArray[Any]:
+        return self.only.__array__(dtype, copy)
+
+    def to_hspy(self, path: Path, *, overwrite: bool = False) -> None:
+        """Writes all images to one file for HyperSpy (``.hspy``); ``hyperspy.api.load`` returns them."""
+        _core.save_hspy(os.fspath(path), [image._stack() for image in self.values()], overwrite)
+
+    def to_tiff(self, path: Path, *, bits: int = 32, overwrite: bool = False) -> None:
+        """Writes the only image as TIFF."""
+        self.only.to_tiff(path, bits=bits, overwrite=overwrite)
+
+    def to_png(self, path: Path, *, scale_bar: bool = True, overwrite: bool = False) -> None:
+        """Writes a picture of the only image."""
+        self.only.to_png(path, scale_bar=scale_bar, overwrite=overwrite)
+
+    def to_hyperspy(self) -> Any:
+        """The only image as a signal of HyperSpy."""
+        return self.only.to_hyperspy()
+
+    def to_abtem(self) -> Any:
+        """The only image as abTEM has it."""
+        return self.only.to_abtem()
+
+    def plot(self, ax: Any = None, **options: Any) -> Any:
+        """Draws the only image with matplotlib."""
+        return self.only.plot(ax, **options)
+
+    def _repr_html_(self) -> str:
+        return "".join(image._repr_html_() for image in self.values())
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneWave:
+    """What a plane wave becomes in a specimen.
+
+    Attributes:
+        exit_waves: complex64, ``[configuration, y, x]``; 1 is the amplitude of the incident wave.
+        images: the image through the lens for each defocus, averaged over configurations.
+        sampling_nm: edge of a pixel along ``(y, x)`` in nm.
+    """
+
+    exit_waves: npt.NDArray[np.complex64]
+    images: tuple[Image, ...]
+    sampling_nm: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class DiffractionPattern:
+    """The diffraction pattern of one probe, averaged over phonon configurations.
+
+    Attributes:
+        array: float32, ``[ky, kx]``, fractions of the incident beam in each pixel; the unscattered beam is at ``centre``.
+        sampling_mrad: edge of a pixel along ``(ky, kx)`` in mrad.
+        band_limit_mrad: scattering is carried to this angle; the pattern is 0 beyond.
+    """
+
+    array: Float32Array
+    sampling_mrad: tuple[float, float]
+    band_limit_mrad: float
+
+    @property
+    def centre(self) -> tuple[int, int]:
+        """Row and column of the unscattered beam."""
+        rows, columns = self.array.shape
+        return rows // 2, columns // 2
+
+    def annulus(self, inner_mrad: float, outer_mrad: float) -> float:
+        """The fraction of the beam between two angles; whole pixels count."""
+        rows, columns = np.indices(self.array.shape)
+        (row, column), (dy, dx) = self.centre, self.sampling_mrad
+        angle = np.hypot((rows - row) * dy, (columns - column) * dx)
+        return float(self.array[(angle >= inner_mrad) & (angle < outer_mrad)].sum(dtype=np.float64))

@@ -1,0 +1,146 @@
+"""Recordings: a place of a world or of a recipe, with the errors of a real microscope."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from . import _core
+from ._fields import FieldLike, field_options
+from ._running import Progress, call, running
+from .images import Image
+from .recipes import Acquisition
+from .worlds import Table
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A recording, and the truth about it.
+
+    Attributes:
+        array: what the file of a microscope would hold, float64 ``[y, x]``; ``[frame, y, x]`` where frames are kept.
+        ideal: the noise-free image at the pixels that were meant, in fractions of the beam.
+        columns: atomic columns; ``x_nm``, ``y_nm`` from the centre of the first pixel, ``x_px``, ``y_px`` where each appears.
+        position_in_image: where columns appear, ``[frame, column, (x, y)]`` in pixels, or the mean of all frames.
+        drift: of each line of each frame: time in s, and drift ``(x, y)`` in nm.
+        moved, electrons: what lies between the noise-free image and the recording, ``[frame, y, x]``, where it was asked for.
+    """
+
+    array: npt.NDArray[np.float64]
+    ideal: Image
+    columns: Table
+    position_in_image: npt.NDArray[np.float64]
+    drift: npt.NDArray[np.float64]
+    pixel_nm: float
+    origin_nm: tuple[float, float]
+    dose: float
+    current_pa: float
+    electrons_per_pixel: float
+    clipped_pixels: int
+    moved: npt.NDArray[np.float32] | None
+    electrons: npt.NDArray[np.float32] | None
+
+    @property
+    def image(self) -> Image:
+        """The recording as an image (the sum of all frames), in counts."""
+        array = self.array if self.array.ndim == 2 else self.array.sum(axis=0)
+        return Image("recording", array.astype(np.float32), (self.pixel_nm,) * 2, self.ideal.origin_nm, units="counts")
+
+    def plot(self, ax: Any = None, **options: Any) -> Any:
+        """Draws the recording with matplotlib."""
+        return self.image.plot(ax, **options)
+
+    def _repr_html_(self) -> str:
+        return self.image._repr_html_()
+
+
+def acquire(
+    field: FieldLike,
+    *,
+    profile: Acquisition | None = None,
+    acquisition: Mapping[str, Any] | None = None,
+    region_nm: tuple[float, float, float, float] | None = None,
+    at_nm: tuple[float, float] | None = None,
+    zoom: float | None = None,
+    pixel_nm: float | None = None,
+    dose: float | None = None,
+    current_pa: float | None = None,
+    dwell_us: float | None = None,
+    frames: int | None = None,
+    keep_frames: bool = False,
+    stages: bool = False,
+    scan_seed: int = 1,
+    cache: bool | str | os.PathLike[str] = True,
+    out: str | os.PathLike[str] | None = None,
+    overwrite: bool = False,
+    threads: int | None = None,
+    progress: Progress = False,
+    **recipe: Any,
+) -> Recording:
+    """Records a place as a microscope does: drift, jitter, hum, dose and detector.
+
+    Args:
+        field: a :class:`World`, the path of one, or a recipe (no world is needed then).
+        profile: set of values for the microscope; by default those of the recipe, or ``"ideal"``.
+        acquisition: single values, ``{"drift_nm_per_s": (0.5, 0)}``; docs/acquisition.md explains them.
+        region_nm: part to record, left, upper, right and lower edge. at_nm: or its middle, with as many pixels as a tile.
+        zoom: how many times finer the pixels are than those of the world. pixel_nm: or their edge.
+        dose: electrons per square Angstrom, all frames together. current_pa: or the current of the beam.
+        dwell_us: time on each pixel. frames: number of frames; keep_frames keeps them one by one. stages: keep what lies between.
+        scan_seed: of electrons, noise, jitter and random drift.
+        out: file (HDF5) to write too.
+        **recipe: ``difficulty``, ``set``, ``unset``, ``grid``, ``seed`` of a recipe.
+    """
+    options = {
+        "field": field_options(field, recipe, acquisition),
+        "profile": profile,
+        "region_nm": region_nm,
+        "at_nm": at_nm,
+        "zoom": zoom,
+        "pixel_nm": pixel_nm,
+        "dose": dose,
+        "current_pa": current_pa,
+        "dwell_us": dwell_us,
+        "frames": frames,
+        "keep_frames": keep_frames,
+        "stages": stages,
+        "seed": scan_seed,
+        "cache": cache if isinstance(cache, bool) else os.fspath(cache),
+        "out": None if out is None else os.fspath(out),
+        "overwrite": overwrite,
+    }
+    found = call(_core.record_field, options, running(threads, progress))
+    pixel = found["pixel_nm"]
+    x, y = found["origin_nm"]
+    places = found["position_in_image"]
+    data = found["data"]
+    return Recording(
+        array=data if keep_frames else data[0],
+        ideal=Image("ideal", found["ideal"], (pixel, pixel), (y, x)),
+        columns=_columns(found, places.mean(axis=0)),
+        position_in_image=places if keep_frames else places[0],
+        drift=found["drift"],
+        pixel_nm=pixel,
+        origin_nm=(x, y),
+        dose=found["dose"],
+        current_pa=found["current_pa"],
+        electrons_per_pixel=found["electrons_per_pixel"],
+        clipped_pixels=found["clipped"],
+        moved=found.get("moved"),
+        electrons=found.get("electrons"),
+    )
+
+
+def _columns(found: Mapping[str, Any], places: npt.NDArray[np.float64]) -> Table:
+    fields = [("x_nm", "f4"), ("y_nm", "f4"), ("x_px", "f4"), ("y_px", "f4"), ("sites", "i4"), ("vacancies", "i4")]
+    out = np.zeros(len(places), [*fields, ("substitutions", "i4"), ("composition", "U32")])
+    out["x_nm"], out["y_nm"] = found["positions_nm"].reshape(-1, 2).T
+    out["x_px"], out["y_px"] = places.T
+    out["sites"], out["vacancies"], out["substitutions"] = found["counts"].reshape(-1, 3).T
+    out["composition"] = found["compositions"]
+    return Table(out)

@@ -1,0 +1,410 @@
+"""Images, exit waves and diffraction patterns of atoms."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, TypedDict, Unpack
+
+import numpy as np
+
+from . import _core
+from ._running import Progress, call, running
+from .atoms import Atoms, atoms_source
+from .errors import _invalid
+from .images import DiffractionPattern, Image, Images, PlaneWave
+
+Engine = Literal["multislice", "prism", "window"]
+Sigma = float | Mapping[str, float] | Literal["from-file"]
+Detectors = Mapping[str, tuple[float, float]]
+Aberrations = Mapping[str, float | tuple[float, float]]
+
+_HAADF: Detectors = {"HAADF": (68.0, 200.0)}
+
+
+@dataclass(frozen=True)
+class Scan:
+    """Probe positions: a raster over a part of the simulated box.
+
+    Attributes:
+        start: first probe ``(x, y)``.
+        end: end of the scan ``(x, y)``, itself not scanned; the edges of the box when ``None``.
+        unit: of ``start`` and ``end``: ``"cell"`` (fractions of the box, after ``zone`` and ``repeat``), ``"nm"`` or
+            ``"angstrom"``.
+        step_angstrom: distance of probes, made a little smaller so that it divides the scan; by default the Nyquist limit of the
+            image, wavelength / (4 semiangle).
+        points: number of probes along ``(x, y)``, in place of ``step_angstrom``.
+    """
+
+    start: tuple[float, float] = (0.0, 0.0)
+    end: tuple[float, float] | None = None
+    unit: Literal["cell", "nm", "angstrom"] = "cell"
+    step_angstrom: float | None = None
+    points: tuple[int, int] | None = None
+
+    def _options(self) -> dict[str, Any]:
+        return {
+            "start": _pair("scan", self.start),
+            "end": None if self.end is None else _pair("scan", self.end),
+            "unit": self.unit,
+            "step_angstrom": self.step_angstrom,
+            "points": None if self.points is None else _counts("scan", self.points, 2),
+        }
+
+
+class SimulationOptions(TypedDict, total=False):
+    """Options of :func:`simulate`, :func:`plan_simulation`, :func:`plane_wave` and :func:`diffraction`.
+
+    Specimen:
+        zone: lattice direction along the beam; builds an orthogonal box.
+        up: lattice direction along +y, perpendicular to the zone.
+        repeat: how often the cell (after ``zone``) is repeated along x, y and the beam.
+        phonons: number of frozen-phonon configurations to average; needs ``sigma``. Default: atoms exactly as given.
+        sigma: standard deviation of each Cartesian component of the thermal displacement in A: one for all, one for each element, or
+            ``"from-file"``, the U or B of a CIF.
+        frames: frames of a trajectory (extended XYZ) to average, ``range(10, 200, 5)``.
+        seed: of thermal displacements, mixed sites and counted electrons. Default 1.
+
+    Microscope:
+        energy_kv: accelerating voltage in kV. Default 200.
+        semiangle_mrad: convergence semiangle; the objective aperture of a plane wave. Default 21.
+        defocus_angstrom: from the entrance surface, positive is underfocus. Several make a series. Default 0.
+        aberrations: coefficients in A, ``{"C30": 1e5, "C12": (30, 0.3)}``, with the azimuth in rad as the second.
+        tilt_mrad: mistilt of the specimen ``(x, y)``, up to 20 mrad.
+        focal_spread_angstrom: standard deviation of the focus.
+        source_size_angstrom: full width of the electron source at half maximum; a point by default.
+        source_lorentz: share of the source in long tails, 0 to 1.
+        detectors: inner and outer angle in mrad by name. Default ``{"HAADF": (68, 200)}``.
+        allow_empty_angles: go on when a detector reaches beyond what the grid carries.
+
+    Results:
+        scan: probe positions; the whole box by default.
+        thicknesses_angstrom: thicknesses at which images are recorded, moved to slice boundaries; the whole by default.
+        dose: electrons per square Angstrom; electrons are then counted.
+
+    Numerics:
+        engine: ``"multislice"`` (exact, default), ``"prism"`` (exact with interpolation 1), ``"window"``.
+        accuracy_percent: takes the narrowest window whose error (rms, per cent of the mean image) is at most this.
+        interpolation: of PRISM, one number or one for x and y.
+        window_angstrom: width of the window that follows each probe. Default 11.7.
+        sampling_angstrom, gpts: pixel of the grid at most, or grid points along ``(x, y)``; by default the grid carries the outermost
+            detector angle times ``angle_margin`` (1.2).
+        slice_thickness_angstrom: slices of equal thickness at most this; by default one for each atomic plane.
+        projection: ``"infinite"`` (default) or ``"finite"``. parametrization: ``"lobato"`` (default), ``"kirkland"``, ``"peng"``.
+        band_fraction, band_taper, oversampling, probe_step, expansion_percent, probe_box, full_exit_grid, tail_correction: as
+            ``stemworlds simulate --help`` explains.
+        force: go on though more memory is needed than is free.
+
+    Running:
+        threads: number of threads; all processors by default. The result is the same for any number.
+        progress: ``True`` for a bar (tqdm where installed), or a function of (stage, unit, done, total).
+    """
+
+    zone: tuple[int, int, int] | None
+    up: tuple[int, int, int] | None
+    repeat: tuple[int, int, int] | None
+    phonons: int | None
+    sigma: Sigma | None
+    frames: range | None
+    seed: int
+    energy_kv: float
+    semiangle_mrad: float
+    defocus_angstrom: float | Sequence[float]
+    aberrations: Aberrations
+    tilt_mrad: tuple[float, float]
+    focal_spread_angstrom: float
+    source_size_angstrom: float | None
+    source_lorentz: float
+    detectors: Detectors
+    allow_empty_angles: bool
+    scan: Scan | None
+    thicknesses_angstrom: Sequence[float]
+    dose: float | None
+    engine: Engine | None
+    accuracy_percent: float | None
+    interpolation: int | tuple[int, int] | None
+    window_angstrom: float | None
+    sampling_angstrom: float | None
+    gpts: tuple[int, int] | None
+    slice_thickness_angstrom: float | None
+    projection: Literal["infinite", "finite"]
+    parametrization: Literal["lobato", "kirkland", "peng"]
+    band_fraction: float | None
+    band_taper: float
+    oversampling: int | None
+    angle_margin: float
+    probe_step: Literal["auto", "scan"] | float
+    expansion_percent: Literal["auto", "off"] | float
+    probe_box: Literal["cell", "large"] | None
+    full_exit_grid: bool
+    tail_correction: bool
+    force: bool
+    threads: int | None
+    progress: Progress
+
+
+@dataclass(frozen=True)
+class SimulationPlan:
+    """What a simulation would do and take; nothing was simulated.
+
+    Attributes:
+        atoms: number of atoms. box_angstrom: edges of the box ``(x, y, z)``.
+        scan_shape: probes along ``(y, x)`` of the image; ``probes`` are those that are propagated.
+        band_limit_mrad: scattering is carried to this angle.
+        memory_bytes: about; time_range_s: at least and at most, from a short measurement.
+        warnings: what should be known. details: everything, as ``stemworlds simulate --dry-run --json`` has it.
+    """
+
+    atoms: int
+    box_angstrom: tuple[float, float, float]
+    scan_shape: tuple[int, int]
+    probes: int
+    slices: int
+    configurations: int
+    band_limit_mrad: float
+    memory_bytes: int
+    time_range_s: tuple[float, float]
+    warnings: tuple[str, ...]
+    details: Mapping[str, Any]
+
+
+def simulate(atoms: Atoms, **options: Unpack[SimulationOptions]) -> Images:
+    """Simulates STEM images of atoms.
+
+    Args:
+        atoms: ``ase.Atoms``, :class:`AtomArrays`, or the path of a CIF, extended XYZ or POSCAR file. Lengths are in Angstrom; the
+            beam runs along +z.
+        **options: see :class:`SimulationOptions`.
+
+    Returns:
+        One :class:`Image` for each detector, ``[y, x]`` in fractions of the incident beam; ``[thickness, y, x]`` where several
+        thicknesses are asked for. Of a defocus series, each for itself: ``"HAADF_defocus_20A"``. Where there is one image only, the
+        result can be used as that.
+
+    Raises:
+        InvalidValue: for an option out of its limits. FormatError, FileError: for the file. NotEnoughMemory. KeyboardInterrupt.
+    """
+    simulation = _simulation(atoms, options)
+    found = call(_core.simulate, simulation, _run(options))
+    (dx, dy), (x, y) = found["step_angstrom"], found["origin_angstrom"]
+    metadata = {
+        "settings": json.loads(found["settings"]),
+        "box_angstrom": tuple(found["box_angstrom"]),
+        "band_limit_mrad": found["band_limit_mrad"],
+        "accuracy": [json.loads(text) for text in found["accuracy"]],
+    }
+    thicknesses = tuple(found["thicknesses_angstrom"])
+    images = {}
+    for item in found["images"]:
+        data, counts = item["data"], item["counts"]
+        if len(thicknesses) == 1:
+            data, counts = data[0], None if counts is None else counts[0]
+        more = {"defocus_angstrom": item["defocus_angstrom"], "annulus_mrad": tuple(item["annulus_mrad"])}
+        images[item["name"]] = Image(
+            name=item["name"],
+            array=data,
+            sampling_nm=(dy / 10, dx / 10),
+            origin_nm=(y / 10, x / 10),
+            thicknesses_angstrom=thicknesses,
+            counts=counts,
+            electrons_per_pixel=found["electrons_per_pixel"],
+            metadata={**metadata, **more},
+        )
+    return Images(images, metadata=metadata)
+
+
+def plan_simulation(atoms: Atoms, **options: Unpack[SimulationOptions]) -> SimulationPlan:
+    """What :func:`simulate` would do and take with the same arguments; nothing is simulated."""
+    report = json.loads(call(_core.plan_simulation, _simulation(atoms, options), _run(options)))
+    x, y, z = report["box_angstrom"]
+    rows, columns = report["scan_shape"]
+    least, most = report["estimated_range_s"]
+    return SimulationPlan(
+        atoms=report["atoms"],
+        box_angstrom=(x, y, z),
+        scan_shape=(rows, columns),
+        probes=report["probes"],
+        slices=report["slices"]["count"],
+        configurations=report["configurations"],
+        band_limit_mrad=report["band_limit_mrad"],
+        memory_bytes=report["memory_bytes"],
+        time_range_s=(least, most),
+        warnings=tuple(report["warnings"]),
+        details=report,
+    )
+
+
+def plane_wave(atoms: Atoms, **options: Unpack[SimulationOptions]) -> PlaneWave:
+    """Propagates a plane wave through atoms, and images it through the lens: conventional TEM.
+
+    Args:
+        atoms: as :func:`simulate` takes them.
+        **options: see :class:`SimulationOptions`; those of scan, source and detectors have no meaning here.
+
+    Returns:
+        Exit waves ``[configuration, y, x]``, and an image ``[y, x]`` for each defocus.
+    """
+    unused = {"scan", "detectors", "source_size_angstrom", "dose", "accuracy_percent"} & options.keys()
+    if unused:
+        name = sorted(unused)[0]
+        raise _invalid(name, f"{name} is for scanned images; a plane wave has no such thing")
+    found = call(_core.simulate_plane_wave, _simulation(atoms, options), _run(options))
+    dx, dy = found["step_angstrom"]
+    sampling = (dy / 10, dx / 10)
+    images = (
+        Image("lens", array, sampling, units="intensity; that of the incident wave is 1", metadata={"defocus_angstrom": defocus})
+        for array, defocus in zip(found["images"], _defoci(options), strict=True)
+    )
+    return PlaneWave(exit_waves=found["exit_waves"], images=tuple(images), sampling_nm=sampling)
+
+
+def diffraction(
+    atoms: Atoms, position_angstrom: tuple[float, float], **options: Unpack[SimulationOptions]
+) -> DiffractionPattern:
+    """The diffraction pattern of one probe, the mean over phonon configurations, by multislice or in a window.
+
+    Args:
+        atoms: as :func:`simulate` takes them.
+        position_angstrom: where the probe stands, ``(x, y)``.
+        **options: see :class:`SimulationOptions`. The grid carries the outermost detector angle.
+    """
+    found = call(
+        _core.diffraction, _simulation(atoms, options), _pair("position_angstrom", position_angstrom), _run(options)
+    )
+    dx, dy = found["step_mrad"]
+    return DiffractionPattern(
+        array=np.fft.fftshift(found["data"]),
+        sampling_mrad=(dy, dx),
+        band_limit_mrad=found["band_limit_mrad"],
+    )
+
+
+def _run(options: SimulationOptions) -> Any:
+    return running(options.get("threads"), options.get("progress"))
+
+
+def _simulation(atoms: Atoms, options: SimulationOptions) -> dict[str, Any]:
+    """All options, as the extension takes them."""
+    unknown = options.keys() - SimulationOptions.__annotations__.keys()
+    if unknown:
+        raise TypeError(f"unexpected keyword argument {sorted(unknown)[0]!r}")
+    return {
+        "atoms": atoms_source(atoms),
+        "specimen": _specimen(options),
+        "microscope": _microscope(options),
+        "numerics": _numerics(options),
+        "scan": (options.get("scan") or Scan())._options(),
+        "dose": options.get("dose"),
+        "force": options.get("force", False),
+    }
+
+
+def _specimen(options: SimulationOptions) -> dict[str, Any]:
+    frames = options.get("frames")
+    sigma = options.get("sigma")
+    if frames is not None and (not isinstance(frames, range) or frames.start < 0 or frames.step < 1):
+        raise _invalid("frames", f"frames = {frames!r}: expected range(start, end, step)")
+    phonons = options.get("phonons")
+    if phonons is not None:
+        _whole("phonons", phonons, 0, 2**32 - 1)
+    return {
+        "zone": _directions("zone", options.get("zone")),
+        "up": _directions("up", options.get("up")),
+        "repeat": None if options.get("repeat") is None else _counts("repeat", options["repeat"], 3),
+        "phonons": phonons,
+        "sigma": dict(sigma) if isinstance(sigma, Mapping) else sigma,
+        "frames": None if frames is None else (frames.start, frames.stop, frames.step),
+        "seed": _whole("seed", options.get("seed", 1), 0, 2**64 - 1),
+    }
+
+
+def _microscope(options: SimulationOptions) -> dict[str, Any]:
+    detectors = options.get("detectors", _HAADF)
+    listed = []
+    for name, angles in detectors.items():
+        inner, outer = _pair("detectors", angles)
+        listed.append((name, inner, outer))
+    return {
+        "energy_kv": options.get("energy_kv", 200.0),
+        "semiangle_mrad": options.get("semiangle_mrad", 21.0),
+        "defocus_angstrom": _defoci(options),
+        "aberrations": [_aberration(*item) for item in options.get("aberrations", {}).items()],
+        "tilt_mrad": _pair("tilt_mrad", options.get("tilt_mrad", (0.0, 0.0))),
+        "focal_spread_angstrom": options.get("focal_spread_angstrom", 0.0),
+        "source_size_angstrom": options.get("source_size_angstrom"),
+        "source_lorentz": options.get("source_lorentz", 0.0),
+        "detectors": listed,
+        "allow_empty_angles": options.get("allow_empty_angles", False),
+    }
+
+
+def _numerics(options: SimulationOptions) -> dict[str, Any]:
+    interpolation = options.get("interpolation")
+    if isinstance(interpolation, int):
+        interpolation = (interpolation, interpolation)
+    gpts = options.get("gpts")
+    return {
+        "engine": options.get("engine"),
+        "accuracy_percent": options.get("accuracy_percent"),
+        "interpolation": None if interpolation is None else _counts("interpolation", interpolation, 2),
+        "window_angstrom": options.get("window_angstrom"),
+        "sampling_angstrom": options.get("sampling_angstrom"),
+        "gpts": None if gpts is None else _counts("gpts", gpts, 2),
+        "slice_thickness_angstrom": options.get("slice_thickness_angstrom"),
+        "projection": options.get("projection", "infinite"),
+        "parametrization": options.get("parametrization", "lobato"),
+        "band_fraction": options.get("band_fraction"),
+        "band_taper": options.get("band_taper", 0.0),
+        "oversampling": options.get("oversampling"),
+        "angle_margin": options.get("angle_margin", 1.2),
+        "probe_step": options.get("probe_step", "auto"),
+        "expansion_percent": options.get("expansion_percent", "auto"),
+        "probe_box": options.get("probe_box"),
+        "full_exit_grid": options.get("full_exit_grid", False),
+        "tail_correction": options.get("tail_correction", True),
+        "thicknesses_angstrom": [float(t) for t in options.get("thicknesses_angstrom", ())],
+    }
+
+
+def _defoci(options: SimulationOptions) -> list[float]:
+    defocus = options.get("defocus_angstrom", 0.0)
+    return [float(d) for d in defocus] if isinstance(defocus, (Sequence, np.ndarray)) else [float(defocus)]
+
+
+def _aberration(name: str, value: float | tuple[float, float]) -> str:
+    magnitude, azimuth = value if isinstance(value, (tuple, list)) else (value, 0.0)
+    return f"{name}={float(magnitude)!r}@{float(azimuth)!r}"
+
+
+def _pair(keyword: str, values: Any) -> tuple[float, float]:
+    try:
+        first, second = (float(value) for value in values)
+    except (TypeError, ValueError):
+        raise _invalid(keyword, f"{values!r}: expected two numbers") from None
+    return first, second
+
+
+def _counts(keyword: str, values: Any, length: int) -> tuple[int, ...]:
+    try:
+        counts = tuple(values)
+    except TypeError:
+        counts = ()
+    if len(counts) != length:
+        raise _invalid(keyword, f"{keyword} = {values!r}: expected {length} whole numbers")
+    return tuple(_whole(keyword, count, 1, 2**32 - 1) for count in counts)
+
+
+def _directions(keyword: str, values: Any) -> tuple[int, ...] | None:
+    if values is None:
+        return None
+    found = tuple(values) if isinstance(values, (Sequence, np.ndarray)) else ()
+    if len(found) != 3 or isinstance(values, str):
+        raise _invalid(keyword, f"{keyword} = {values!r}: expected three whole numbers, such as (1, 1, 0)")
+    return tuple(_whole(keyword, value, -1000, 1000) for value in found)
+
+
+def _whole(keyword: str, value: Any, low: int, high: int) -> int:
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)) or not low <= value <= high:
+        raise _invalid(keyword, f"{keyword} = {value!r}: expected a whole number from {low} to {high}")
+    return int(value)

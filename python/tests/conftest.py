@@ -1,0 +1,53 @@
+"""What the tests share: a small world, atoms, and the command line of the same wheel."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import stemworlds as sw
+
+HERE = Path(__file__).parent
+SOURCES = HERE.parent
+ROOT = SOURCES.parent
+
+#: A field of a tile and a thin specimen: seconds to build.
+TINY: dict[str, Any] = {"set": {"field.thickness_nm": 0.4, "phonons.configurations": 2}, "grid": (1, 2), "seed": 5}
+
+
+def pytest_configure() -> None:
+    """The wheel is tested, never the source tree."""
+    assert not Path(sw.__file__).is_relative_to(SOURCES), f"{sw.__file__} is no installed package"
+
+
+@pytest.fixture(autouse=True)
+def no_cache(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    monkeypatch.setenv("STEMGEN_CACHE", str(tmp_path_factory.getbasetemp() / "cache"))
+    yield
+
+
+@pytest.fixture(scope="session")
+def world_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("worlds") / "tiny.h5"
+    sw.build("test", out=path, keep_clean=True, cache=False, audit=0, **TINY).close()
+    return path
+
+
+@pytest.fixture(scope="session")
+def silicon() -> Any:
+    """Silicon along [001], 16.3 x 16.3 x 10.9 A."""
+    from ase.build import bulk
+
+    return bulk("Si", cubic=True) * (3, 3, 2)
+
+
+def command(*arguments: object, cwd: Path, check: bool = True) -> subprocess.CompletedProcess[str]:
+    """Runs the console script of the package."""
+    program = Path(sys.executable).with_name("stemworlds")
+    words = [str(program), *map(str, arguments)]
+    return subprocess.run(words, cwd=cwd, check=check, text=True, capture_output=True)

@@ -1,0 +1,85 @@
+"""Images in other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+import stemworlds as sw
+
+
+@pytest.fixture(scope="module")
+def images(silicon: Any) -> sw.Images:
+    scan = sw.Scan(start=(0.1, 0.2), end=(0.3, 0.5), points=(5, 7))
+    return sw.simulate(silicon, scan=scan, detectors={"HAADF": (68, 200), "BF": (0, 20)}, thicknesses_angstrom=(4, 9))
+
+
+def test_results_are_mappings_and_images(images: sw.Images, silicon: Any) -> None:
+    assert list(images) == ["HAADF", "BF"] and len(images) == 2
+    with pytest.raises(sw.InvalidValue, match="choose one"):
+        images.array
+    with pytest.raises(KeyError, match="'HAADF'"):
+        images["ADF"]
+    one = sw.simulate(silicon, scan=sw.Scan(points=(3, 2)))
+    assert one.array.shape == (2, 3) and np.asarray(one).dtype == np.float32
+    assert np.asarray(one.only, dtype=np.float64).dtype == np.float64
+    np.testing.assert_allclose(one.sampling_nm, (silicon.cell[1, 1] / 20, silicon.cell[0, 0] / 30))
+    assert images["HAADF"].at(0).array.shape == (7, 5) and images["HAADF"].at(1).thicknesses_angstrom[0] > 4
+
+
+def test_notebooks_show_images(images: sw.Images) -> None:
+    assert images["HAADF"]._repr_png_().startswith(b"\x89PNG")
+    assert images._repr_html_().count("<figure>") == 2
+
+
+def test_hspy_files_have_the_layout(images: sw.Images, tmp_path: Path) -> None:
+    images.to_hspy(tmp_path / "all.hspy")
+    with h5py.File(tmp_path / "all.hspy") as file:
+        assert set(file["Experiments"]) == {"HAADF", "BF"}
+        np.testing.assert_array_equal(file["Experiments/BF/data"][:], images["BF"].array)
+        axis = file["Experiments/BF/axis-2"].attrs
+        np.testing.assert_allclose(axis["scale"], 10 * images["BF"].sampling_nm[1])
+        np.testing.assert_allclose(axis["offset"], 10 * images["BF"].origin_nm[1])
+
+
+def test_hyperspy_opens_our_files(images: sw.Images, tmp_path: Path) -> None:
+    hs = pytest.importorskip("hyperspy.api")
+    image = images["HAADF"].at(1)
+    image.to_hspy(tmp_path / "one.hspy")
+    signal = hs.load(tmp_path / "one.hspy")
+    np.testing.assert_array_equal(signal.data, image.array)
+    assert signal.axes_manager["x"].scale == pytest.approx(10 * image.sampling_nm[1])
+    assert signal.axes_manager["y"].offset == pytest.approx(10 * image.origin_nm[0])
+    made = image.to_hyperspy()
+    assert made.axes_manager["x"].scale == pytest.approx(image.sampling_nm[1]) and made.axes_manager["x"].units == "nm"
+    assert made.axes_manager["y"].offset == pytest.approx(image.origin_nm[0])
+    np.testing.assert_array_equal(made.data, image.array)
+
+
+def test_tiff(images: sw.Images, tmp_path: Path) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    images["HAADF"].to_tiff(tmp_path / "a.tif")
+    np.testing.assert_array_equal(tifffile.imread(tmp_path / "a.tif"), images["HAADF"].array)
+    with pytest.raises(sw.InvalidValue):
+        images["HAADF"].to_tiff(tmp_path / "b.tif", bits=12)
+
+
+def test_plots(images: sw.Images, world_path: Path) -> None:
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("Agg")
+    ax = images["HAADF"].plot()
+    assert ax.get_images()[0].get_extent() == pytest.approx(images["HAADF"].extent_nm)
+    ax = sw.World(world_path).plot((1, 1, 2, 2), overlay="columns")
+    assert len(ax.lines[0].get_xdata()) > 3
+
+
+def test_tables(world_path: Path, tmp_path: Path) -> None:
+    table = sw.World(world_path).truth_table()
+    table.to_csv(tmp_path / "t.csv")
+    lines = (tmp_path / "t.csv").read_text().splitlines()
+    assert lines[0].split(",") == list(table.names) and len(lines) == 1 + len(table)
+    assert "<table>" in table._repr_html_()

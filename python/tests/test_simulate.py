@@ -1,0 +1,123 @@
+"""Images of atoms, against the command line and against each other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from conftest import ROOT, command
+
+import stemworlds as sw
+
+SCAN = sw.Scan(end=(0.25, 0.5), points=(5, 7))
+
+
+def test_bytes_are_those_of_the_command_line(tmp_path: Path) -> None:
+    silicon = ROOT / "structures/si.cif"
+    end = "3.840297,2.715500"  # two cells of [110] are 7.68 x 5.43 A wide
+    command(
+        *("simulate", silicon, "--zone", "1,1,0", "--repeat", "3,2,3", "--phonons", 2, "--sigma", 0.08),
+        *("--detector", "HAADF=68-200", "--detector", "ABF=10-21", "--thicknesses", "5,11", "--dose", 1e4),
+        *("--defocus", "0:40:40", "--scan-end", end, "--scan-points", "5,7", "--seed", 3, "-o", "si.h5"),
+        cwd=tmp_path,
+    )
+    x, y = (float(v) for v in end.split(","))
+    images = sw.simulate(
+        silicon,
+        zone=(1, 1, 0),
+        repeat=(3, 2, 3),
+        phonons=2,
+        sigma={"Si": 0.08},
+        detectors={"HAADF": (68, 200), "ABF": (10, 21)},
+        thicknesses_angstrom=(5, 11),
+        dose=1e4,
+        defocus_angstrom=[0, 40],
+        scan=sw.Scan(end=(x, y), unit="angstrom", points=(5, 7)),
+        seed=3,
+    )
+    assert list(images) == ["HAADF_defocus_0A", "ABF_defocus_0A", "HAADF_defocus_40A", "ABF_defocus_40A"]
+    with h5py.File(tmp_path / "si.h5") as file:
+        for name, image in images.items():
+            stored = file[f"images/{name}"]
+            assert image.array.shape == (2, 7, 5) and image.array.dtype == np.float32
+            assert stored[:].tobytes() == image.array.tobytes()
+            assert file[f"counts/{name}"][:].tobytes() == image.counts.tobytes()
+            assert file[f"images/{name}_noisy"][:].tobytes() == image.noisy.array.tobytes()
+            np.testing.assert_allclose(stored.attrs["sampling_angstrom"], np.multiply(10, image.sampling_nm))
+            np.testing.assert_allclose(stored.attrs["thicknesses_angstrom"], image.thicknesses_angstrom)
+        assert file.attrs["command_line"].startswith("stemworlds simulate ")
+
+
+def test_any_number_of_threads_gives_the_same_bytes(silicon: Any) -> None:
+    one, two = (sw.simulate(silicon, scan=SCAN, phonons=3, sigma=0.08, threads=n).array for n in (1, 2))
+    assert one.tobytes() == two.tobytes()
+
+
+def test_atoms_come_as_ase_arrays_and_files(silicon: Any, tmp_path: Path) -> None:
+    silicon.write(tmp_path / "si.extxyz")
+    arrays = sw.AtomArrays(silicon.numbers, silicon.positions, silicon.cell.array)
+    images = [sw.simulate(atoms, scan=SCAN).array for atoms in (silicon, arrays, tmp_path / "si.extxyz")]
+    assert images[0].tobytes() == images[1].tobytes()
+    np.testing.assert_allclose(images[0], images[2], atol=1e-6)  # the file has eight digits
+
+
+def test_scans_in_cells_nm_and_angstrom_are_one(silicon: Any) -> None:
+    width = silicon.cell[0, 0]
+    scans = [
+        sw.Scan(start=(0.1, 0.2), end=(0.4, 0.5), points=(4, 3)),
+        sw.Scan(start=(0.01 * width, 0.02 * width), end=(0.04 * width, 0.05 * width), unit="nm", points=(4, 3)),
+        sw.Scan(start=(0.1 * width, 0.2 * width), end=(0.4 * width, 0.5 * width), unit="angstrom", points=(4, 3)),
+    ]
+    images = [sw.simulate(silicon, scan=scan) for scan in scans]
+    for image in images:
+        np.testing.assert_allclose(image.array, images[0].array, rtol=1e-4)
+        np.testing.assert_allclose(image.origin_nm, (0.02 * width, 0.01 * width))
+        np.testing.assert_allclose(image.sampling_nm, (0.01 * width, 0.0075 * width))
+    step = sw.simulate(silicon, scan=sw.Scan(end=(0.25, 0.25), step_angstrom=1.0))
+    assert step.array.shape == (5, 5)  # 4.07 A in steps of at most 1 A
+
+
+def test_a_plan_computes_nothing(silicon: Any) -> None:
+    plan = sw.plan_simulation(silicon, scan=SCAN, phonons=4, sigma=0.08)
+    assert (plan.atoms, plan.scan_shape, plan.configurations) == (len(silicon), (7, 5), 4)
+    assert plan.band_limit_mrad > 200 and plan.memory_bytes > 0
+    assert 0 < plan.time_range_s[0] <= plan.time_range_s[1]
+    assert plan.details["algorithm"] == {"name": "multislice"}
+
+
+def test_an_accuracy_is_told(silicon: Any) -> None:
+    image = sw.simulate(silicon, scan=SCAN, accuracy_percent=1.0).only
+    assert image.metadata["accuracy"][0]["asked_percent"] == 1.0
+
+
+def test_diffraction_adds_up_to_the_detectors(silicon: Any) -> None:
+    detectors = {"bright": (0, 10), "dark": (100, 200)}
+    at = (2.0, 3.0)
+    pattern = sw.diffraction(silicon, at, detectors=detectors, phonons=2, sigma=0.08)
+    spot = sw.Scan(start=at, end=(at[0] + 0.1, at[1] + 0.1), unit="angstrom", points=(1, 1))
+    images = sw.simulate(silicon, scan=spot, detectors=detectors, phonons=2, sigma=0.08)
+    assert 0.99 < pattern.array.sum() < 1.0001
+    for name, angles in detectors.items():
+        # pixels on the edges count in part on detectors
+        assert pattern.annulus(*angles) == pytest.approx(float(images[name].array[0, 0]), rel=0.1)
+    row, column = np.unravel_index(pattern.array.argmax(), pattern.array.shape)
+    assert np.hypot(row - pattern.centre[0], column - pattern.centre[1]) * pattern.sampling_mrad[0] < 22
+
+
+def test_plane_waves(silicon: Any) -> None:
+    wave = sw.plane_wave(silicon, phonons=2, sigma=0.08, semiangle_mrad=12, defocus_angstrom=[0, 200])
+    assert wave.exit_waves.shape[0] == 2 and wave.exit_waves.dtype == np.complex64
+    assert [image.metadata["defocus_angstrom"] for image in wave.images] == [0.0, 200.0]
+    power = (np.abs(wave.exit_waves) ** 2).mean()
+    assert power == pytest.approx(1.0, abs=0.01)
+    assert wave.images[0].array.std() != pytest.approx(wave.images[1].array.std())
+
+
+def test_sources_blur(silicon: Any) -> None:
+    scan = sw.Scan(end=(1 / 3, 1 / 3), points=(16, 16))
+    sharp, blurred = (sw.simulate(silicon, scan=scan, source_size_angstrom=size).array for size in (None, 1.0))
+    assert blurred.max() < 0.9 * sharp.max()
+    assert blurred.mean() == pytest.approx(sharp.mean(), rel=1e-3)

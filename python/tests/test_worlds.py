@@ -1,0 +1,186 @@
+"""Worlds: built, read, and beside h5py."""
+
+from __future__ import annotations
+
+import multiprocessing
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from conftest import TINY, command
+
+import stemworlds as sw
+
+
+def datasets(path: Path) -> dict[str, bytes]:
+    """Bytes of all datasets but what tells of the run."""
+    found: dict[str, bytes] = {}
+    with h5py.File(path) as file:
+        file.visititems(lambda name, item: found.update({name: item[()].tobytes()}) if isinstance(item, h5py.Dataset) else None)
+    return found
+
+
+def test_bytes_are_those_of_the_command_line(tmp_path: Path, world_path: Path) -> None:
+    changes = [f"--set={key}={value}" for key, value in TINY["set"].items()]
+    command(
+        *("build", "test", "--grid", "1x2", "--seed", TINY["seed"], *changes),
+        *("--keep-clean", "--audit", 0, "--no-cache", "--quiet", "-o", "cli.h5"),
+        cwd=tmp_path,
+    )
+    ours, theirs = datasets(world_path), datasets(tmp_path / "cli.h5")
+    assert len(ours) > 15 and ours.keys() == theirs.keys()
+    assert [name for name in ours if ours[name] != theirs[name]] == []
+
+
+def test_a_world_reads_as_h5py_reads_it(world_path: Path) -> None:
+    with sw.World(world_path) as world, h5py.File(world_path) as file:
+        assert world.grid == (1, 2) and world.shape == (128, 252)
+        assert world.tile(0, 1).array.tobytes() == file["tiles/0_1"][:].tobytes()
+        assert world.tile(0, 1, clean=True).array.tobytes() == file["clean/0_1"][:].tobytes()
+        whole = world.image()
+        assert whole.array[:, 124:].tobytes() == world.tile(0, 1).array.tobytes()
+        assert world.tile(0, 1).origin_nm == pytest.approx((0, 124 * world.pixel_nm))
+        truth = file["ground_truth"]
+        sites = world.sites
+        np.testing.assert_array_equal(np.stack([sites["x_nm"], sites["y_nm"]], 1), truth["atom_positions"][:])
+        for ours, theirs in (("type", "atom_types"), ("defect", "defect_mask"), ("number", "atomic_numbers"), ("column", "atom_columns")):
+            np.testing.assert_array_equal(sites[ours], truth[theirs][:])
+        np.testing.assert_array_equal(world.defect_names, truth["defect_types"][:])
+        columns = world.columns
+        np.testing.assert_array_equal(columns["vacancies"], truth["columns/vacancies"][:])
+        np.testing.assert_array_equal(columns["composition"].astype("S"), truth["columns/composition"][:])
+        assert (sites["type"] == 1).sum() == columns["vacancies"].sum() > 0
+        assert world.phase_map is None and len(world.particles) == 0
+        assert world.metadata.noise is True and world.metadata.seed == TINY["seed"]
+        assert world.recipe == sw.Recipe("test", **TINY)
+
+
+def test_regions_and_tables(world_path: Path) -> None:
+    world = sw.World(world_path)
+    region = (1.0, 0.5, 3.0, 2.0)
+    image = world.image(region)
+    first = tuple(round(v / world.pixel_nm) for v in image.origin_nm)
+    rows, columns = image.array.shape
+    np.testing.assert_array_equal(image.array, world.image().array[first[0] : first[0] + rows, first[1] : first[1] + columns])
+    table = world.truth_table(region)
+    assert 0 < len(table) < len(world.columns)
+    np.testing.assert_allclose(table["x_px"], (table["x_nm"] - image.origin_nm[1]) / world.pixel_nm, atol=1e-3)
+    inside = (table["x_px"] >= -0.5) & (table["x_px"] <= columns - 0.5) & (table["y_px"] >= -0.5) & (table["y_px"] <= rows - 0.5)
+    assert inside.all()
+    np.testing.assert_array_equal(table["class"], 1 + (table["vacancies"] > 0))
+    # Bright columns are where the truth says.
+    clean = world.image(clean=True).array
+    heavy = world.truth_table().array
+    heavy = heavy[np.char.find(heavy["composition"], "Sr") >= 0]
+    inner = (heavy["x_px"] > 1) & (heavy["x_px"] < 250) & (heavy["y_px"] > 1) & (heavy["y_px"] < 126)
+    at = clean[np.rint(heavy["y_px"][inner]).astype(int), np.rint(heavy["x_px"][inner]).astype(int)]
+    assert np.median(at) > 3 * np.median(clean)
+
+
+def test_phases_and_boundaries(tmp_path: Path) -> None:
+    small = {"field.thickness_nm": 0.4, "phonons.configurations": 1, "field.fov_nm": [5.16, 5.16], "field.grid": [2, 2]}
+    recipe = sw.Recipe("batio3", "easy", set={**small, "domains.sharpness_sigma_px": 8.0})
+    world = sw.build(recipe, out=tmp_path / "phases.h5", cache=False, audit=0)
+    phases = world.phase_map
+    assert phases is not None and phases.shape == world.shape
+    assert world.metadata.phases == ("cubic", "tetragonal") and set(np.unique(phases)) == {0, 1}
+    assert any(text.startswith("phase boundary") for text, _ in world.boundaries)
+    table = world.truth_table()
+    assert set(np.unique(table["phase"])) == {0, 1}
+
+
+def test_the_same_file_is_open_in_h5py_in_either_order(world_path: Path) -> None:
+    programs = (
+        "import h5py, stemworlds as sw; f = h5py.File({p!r}); w = sw.World({p!r})",
+        "import stemworlds as sw; w = sw.World({p!r}); w.tile(0, 0); import h5py; f = h5py.File({p!r})",
+    )
+    check = "; assert (f['tiles/0_1'][:] == w.tile(0, 1).array).all(); f.close(); assert w.columns.size; print('ok')"
+    for program in programs:
+        text = (program + check).format(p=str(world_path))
+        done = subprocess.run([sys.executable, "-c", text], text=True, capture_output=True)
+        assert done.stdout == "ok\n", done.stderr
+
+
+def tile_sum(path: Path) -> float:
+    return float(sw.World(path).tile(0, 0).array.sum())
+
+
+def simulated_sum(world: sw.World) -> float:
+    """In a child: a world that came with the fork, or by pickle, and a computation in threads."""
+    image = sw.acquire("test", cache=False, region_nm=(1.0, 1.0, 1.3, 1.3), threads=2, **TINY)
+    return float(world.tile(0, 1).array.sum()) + float(image.ideal.array.sum())
+
+
+@pytest.mark.filterwarnings("ignore:This process:DeprecationWarning")
+@pytest.mark.parametrize("method", ["fork", "spawn"])
+def test_workers_work(world_path: Path, method: str) -> None:
+    world = sw.World(world_path)
+    expected = [tile_sum(world_path), simulated_sum(world)]  # also starts threads before the fork
+    with multiprocessing.get_context(method).Pool(1) as pool:
+        found = [pool.apply_async(tile_sum, (world_path,)), pool.apply_async(simulated_sum, (world,))]
+        assert [result.get(timeout=120) for result in found] == expected
+    assert pickle.loads(pickle.dumps(world)).grid == world.grid
+
+
+def test_a_finished_build_is_not_replaced_and_goes_on_where_it_was(tmp_path: Path, world_path: Path) -> None:
+    with pytest.raises(FileExistsError):
+        sw.build("test", out=world_path, cache=False, audit=0, **TINY)
+    plan = sw.plan("test", cache=False, audit=0, **TINY)
+    assert plan.grid == (1, 2) and plan.shape == (128, 252) and plan.configurations == 2
+    assert plan.memory_bytes > 0 and plan.disk_bytes > 0
+
+
+def test_pictures_and_pages(world_path: Path, tmp_path: Path) -> None:
+    world = sw.World(world_path)
+    sw.view(world, out=tmp_path / "w.png", overlays=["defects"], region_nm=(0, 0, 2, 2), size=256)
+    sw.view(world_path, out=tmp_path / "w.html")
+    sw.view("test", out=tmp_path / "specimen.png", **TINY)
+    for name in ("w.png", "specimen.png"):
+        assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
+    assert "<html" in (tmp_path / "w.html").read_text()[:200].lower()
+    assert "data:image/png" in world._repr_html_() and "<figure>" in world.tile(0, 0)._repr_html_()
+    with pytest.raises(FileExistsError):
+        sw.view(world, out=tmp_path / "w.png")
+
+
+def test_audits_and_comparisons(world_path: Path, tmp_path: Path) -> None:
+    audit = sw.audit(world_path, regions=1, size_nm=0.5, configurations=1, cache=False)
+    assert audit.regions == 1 and 0 < audit.all_rms_percent < 5
+    same = sw.compare(world_path, world_path, out=tmp_path / "compare.html")
+    assert same.verdict == "same" and same.summary and same.different == ()
+    assert (tmp_path / "compare.html").stat().st_size > 1000
+
+
+def test_validation_runs_cases(tmp_path: Path) -> None:
+    names = sw.validation_cases()
+    assert len(names) > 5
+    quick = next(name for name in names if name.startswith("kirkland"))
+    found = sw.validate([quick], out=tmp_path / "v.html")
+    assert found.passed and found.failed == () and len(found.details["cases"]) == 1
+    with pytest.raises(sw.InvalidValue, match="known cases"):
+        sw.validate(["nothing"])
+
+
+def test_recordings(world_path: Path, tmp_path: Path) -> None:
+    place = {"region_nm": (1.2, 1.2, 2.4, 2.2), "dose": 1e4}
+    made = sw.acquire(world_path, profile="routine", frames=2, keep_frames=True, out=tmp_path / "r.h5", **place)
+    assert made.array.shape == (2, *made.ideal.array.shape) and len(made.columns) > 0
+    assert made.dose == pytest.approx(1e4)
+    with h5py.File(tmp_path / "r.h5") as file:
+        np.testing.assert_array_equal(file["recording"][:], made.array)
+    ideal = sw.acquire(world_path, **place)
+    still = sw.acquire(world_path, acquisition={"drift_nm_per_s": (0.5, 0.0)}, **place)
+    assert np.abs(still.drift[-1, 1:]).max() > 0.005 > np.abs(ideal.drift).max(axis=0)[1]
+    assert not np.array_equal(ideal.array, still.array)
+
+
+def test_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("STEMGEN_CACHE", str(tmp_path / "cache"))
+    assert sw.cache.path() == str(tmp_path / "cache") and sw.cache.list() == ()
+    with pytest.raises(sw.InvalidValue, match="holds nothing"):
+        sw.cache.clear("srtio3")
+    assert sw.cache.clear() == ()
