@@ -10,7 +10,9 @@ use crate::acquisition::{Acquisition, Profile};
 use crate::files::atomic_write;
 use crate::files::outputs::check_outputs;
 use crate::imaging::Cache;
-use crate::live::{DoseSeries, LiveAcquisition, LiveOptions, LiveRequest, LiveWorld};
+use crate::live::{
+    DoseSeries, LiveAcquisition, LiveOptions, LiveRequest, LiveWorld, check_recordings,
+};
 use crate::recipe::CheckedRecipe;
 use crate::render::{Contrast, Picture, animated_png};
 use crate::world::{BuildOptions, Electrons, RecordedPart};
@@ -26,12 +28,12 @@ const EXAMPLES: &str = "\
 Examples:
   A place of SrTiO3 that loses oxygen: 20 recordings of 5e4 electrons per square Angstrom, with an animation:
     stemgen live srtio3 --difficulty easy --grid 4x4 --dose-series 20 --dose 5e4 -o dying.h5 --animation
-  Silicon at 200 kV, which displaces its atoms, closer up and as a good microscope records it:
-    stemgen live sige --grid 4x4 --set alloy.rate=0 --zoom 2 --profile routine \\
+  Silicon at 200 kV, which displaces its atoms, as a good microscope records it:
+    stemgen live sige --difficulty easy --grid 4x4 --set alloy.rate=0 --profile routine \\
       --dose-series 30 --dose 2e5 -o silicon.h5 --animation
   Another energy to knock oxygen out, and none lost by ionisation:
-    stemgen live srtio3 --grid 4x4 --set damage.threshold_ev.O=25 --unset damage.radiolysis_barn \\
-      --dose-series 10 --dose 1e5 -o knock-on.h5
+    stemgen live srtio3 --difficulty easy --grid 4x4 --set damage.threshold_ev.O=25 \\
+      --unset damage.radiolysis_barn --dose-series 10 --dose 1e5 -o knock-on.h5
   In Python:
     import h5py
     f = h5py.File(\"dying.h5\")
@@ -123,6 +125,7 @@ impl Live {
             let name = self.output.with_extension("h5");
             bail!("--output {}: did you mean {}?", self.output.display(), name.display());
         }
+        check_recordings(self.dose_series)?;
         let recipe = self.recipe.resolve()?;
         let animation = self.animation.then(|| self.output.with_extension("png"));
         let outputs = std::iter::once(&self.output).chain(&animation);

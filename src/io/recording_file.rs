@@ -12,7 +12,7 @@
 //!   each column appears ((frame, column, 2) for frames that are kept), and `drift`: (line, 3), time in s and the drift (x, y) in nm;
 //! - `/series`, in files of [`crate::live`] only, where `/recording` is a stack of recordings of one place, one after the other, and
 //!   `/ideal` and `/ground_truth` are of the first: `ideal` (recording, row, column), `vacancies` (recording, column), `dose_before`
-//!   (recording; electrons per square Angstrom in the middle of the place), `lost/ELEMENT` (recording), and the attribute `history` (JSON);
+//!   (recording; mean electrons per square Angstrom on the place), `lost/ELEMENT` (recording), and the attribute `history` (JSON);
 //! - `/entry`: the recording once more, by a link, as NXdata with its axes.
 
 use std::collections::BTreeMap;
@@ -73,7 +73,7 @@ pub struct SeriesPart<'a> {
     pub ideal: &'a Array3<f32>,
     /// Vacant sites of the columns of the ground truth when each began: (recording, column).
     pub vacancies: &'a Array2<i32>,
-    /// Dose in electrons per square Angstrom that the middle of the place had had when each began.
+    /// Mean dose in electrons per square Angstrom that the place had had when each began.
     pub dose_before: &'a [f64],
     /// Atoms that each took away, by element.
     pub lost: BTreeMap<String, Vec<u64>>,

@@ -7,6 +7,7 @@ use super::live_world::{LiveRequest, LiveWorld};
 use crate::engine::check_memory;
 use crate::error::{Error, Result};
 use crate::progress::Progress;
+use crate::recipe::Region;
 use crate::setting::Setting;
 use crate::world::FieldRecording;
 
@@ -25,7 +26,7 @@ pub struct DoseSeries {
     pub ideal: Array3<f32>,
     /// Vacant sites of each column of the first recording when each recording began: (recording, column).
     pub vacancies: Array2<i32>,
-    /// Dose in electrons per square Angstrom that the middle of the place had had when each recording began.
+    /// Mean dose in electrons per square Angstrom that the place had had when each recording began.
     pub dose_before: Vec<f64>,
     /// Pixels that the converter cut off, in all recordings.
     pub clipped: u64,
@@ -33,27 +34,38 @@ pub struct DoseSeries {
     pub history: Vec<LiveAcquisition>,
 }
 
+/// Whether a series may have so many recordings.
+///
+/// # Errors
+/// [`Error::Invalid`] for none, or more than 100 000.
+pub fn check_recordings(count: usize) -> Result<()> {
+    if (1..=MOST_RECORDINGS).contains(&count) {
+        return Ok(());
+    }
+    Err(Error::invalid(Setting::Recordings, count, "expected 1 to 100000 recordings"))
+}
+
 impl LiveWorld {
     /// Records one place `count` times. Frames are added.
     ///
     /// # Errors
-    /// As [`LiveWorld::acquire`]; [`Error::Invalid`] for no recordings, or more than 100 000; [`Error::Memory`].
+    /// As [`LiveWorld::acquire`] and [`check_recordings`]; [`Error::Memory`].
     pub fn dose_series(
         &mut self,
         request: &LiveRequest,
         count: usize,
         progress: &dyn Progress,
     ) -> Result<DoseSeries> {
-        if !(1..=MOST_RECORDINGS).contains(&count) {
-            let expected = "expected 1 to 100000 recordings";
-            return Err(Error::invalid(Setting::Recordings, count, expected));
-        }
+        check_recordings(count)?;
         let request = LiveRequest { keep_frames: false, ..*request };
-        let place = self.full_field_nm(request.part.centre_nm);
+        let middle = self.full_field_nm(request.part.centre_nm);
+        let edges =
+            [0, 1].map(|k| [-0.5, 0.5].map(|half| middle[k] + half * request.part.size_nm[k]));
+        let place = Region { x: edges[0], y: edges[1] };
         progress.start("recording", "recording", count as u64);
         let mut series: Option<DoseSeries> = None;
         for number in 0..count {
-            let dose = self.specimen().dose().at(place);
+            let dose = self.specimen().dose().mean(&place);
             let one = self.acquire(&request, progress)?;
             let series = match &mut series {
                 Some(series) => series,

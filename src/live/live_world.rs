@@ -9,7 +9,7 @@ use super::block_imager::BlockImager;
 use super::live_history::{LiveAcquisition, LiveSnapshot};
 use crate::acquisition::Acquisition;
 use crate::error::{Error, Result};
-use crate::imaging::{PixelRect, RegionImager};
+use crate::imaging::{MethodChoice, PixelRect, RegionImager};
 use crate::progress::{InterruptOnly, Progress, Silent};
 use crate::recipe::{CheckedRecipe, Recipe, Region, StructureKind};
 use crate::rng::{Purpose, words};
@@ -114,7 +114,12 @@ impl LiveWorld {
         let whole = specimen(&recipe)?;
         let damaged = Arc::new(DamagedSpecimen::new(whole, &recipe, options.most_dose));
         let seen: Arc<dyn Specimen> = Arc::clone(&damaged) as Arc<dyn Specimen>;
-        let mut imager = options.imaging.policy(&fine)?.imaging.imager(&fine, &seen)?;
+        let mut imaging = options.imaging.policy(&fine)?.imaging;
+        if imaging.method == MethodChoice::Auto {
+            // A library serves the specimen again and again while it changes.
+            imaging.method = MethodChoice::Mosaic;
+        }
+        let mut imager = imaging.imager(&fine, &seen)?;
         imager.prepare(progress)?;
         let imager = BlockImager::new(imager, &fine, &damaged, options.image_bytes)?;
         let most_dose = options.most_dose;

@@ -10,6 +10,6 @@ mod live_world;
 #[cfg(feature = "hdf5")]
 mod series_writer;
 
-pub use dose_series::DoseSeries;
+pub use dose_series::{DoseSeries, check_recordings};
 pub use live_history::{LiveAcquisition, LiveSnapshot};
 pub use live_world::{LiveOptions, LiveRequest, LiveTruth, LiveWorld, MOST_DOSE};

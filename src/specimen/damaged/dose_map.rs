@@ -65,6 +65,21 @@ impl DoseMap {
         self.blocks.get(&block).map_or(0.0, |cells| cells[cell])
     }
 
+    /// The mean dose of a region, in electrons per square Angstrom.
+    pub fn mean(&self, region: &Region) -> f64 {
+        let [across, down] = [region.x, region.y].map(shares);
+        let (mut sum, mut area) = (0.0, 0.0);
+        for (row, height) in &down {
+            for (column, width) in &across {
+                let (block, cell) = place([*column, *row]);
+                let dose = self.blocks.get(&block).map_or(0.0, |cells| cells[cell]);
+                sum += dose * height * width;
+                area += height * width;
+            }
+        }
+        if area > 0.0 { sum / area } else { 0.0 }
+    }
+
     /// The greatest dose anywhere, in electrons per square Angstrom.
     pub fn greatest(&self) -> f64 {
         self.blocks.values().flatten().copied().fold(0.0, f64::max)
@@ -133,6 +148,8 @@ mod tests {
             (map.at([0.1, 0.1]) - 2e3).abs() < 1e-9 && (map.at([-0.4, -0.2]) - 2e3).abs() < 1e-9
         );
         assert_eq!(map.at([0.6, 0.1]), 0.0);
+        let mean = map.mean(&Region { x: [0.3, 0.5], y: [0.1, 0.2] });
+        assert!((mean - 0.94 * 2e3).abs() < 1e-6, "{mean}");
         let mut other = DoseMap::default();
         other.add(&Region { x: [0.4, 9.0], y: [0.0, 0.1] }, 100.0 * 0.86 * 500.0);
         assert!((map.greatest_with(&other) - 2.5e3).abs() < 1e-9);
