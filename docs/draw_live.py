@@ -23,11 +23,11 @@ with h5py.File(sys.argv[1]) as file:
     sites = file["ground_truth/columns/number_of_sites"][:].sum()
 
 bright = np.percentile(recordings[0], 99.9)
-figure, axes = plt.subplots(1, len(SHOWN), figsize=(12, 3.3), dpi=80)
+figure, axes = plt.subplots(1, len(SHOWN), figsize=(12, 3.4), dpi=80)
 for axis, number in zip(axes, SHOWN):
     axis.imshow(recordings[number], cmap="gray", vmin=0, vmax=bright)
     share = 100 * vacant[number] / sites
     axis.set_title(f"{doses[number] / 1e5:.1f}e5 e/A$^2$: {share:.0f} % lost", fontsize=11)
     axis.axis("off")
-figure.tight_layout(pad=0.3)
+figure.subplots_adjust(left=0.005, right=0.995, bottom=0.01, top=0.9, wspace=0.02)
 figure.savefig(sys.argv[2])
