@@ -15,6 +15,7 @@ mod recordings;
 mod simulate;
 mod specimens;
 mod structures;
+mod tiles;
 mod worlds;
 
 use pyo3::prelude::*;
@@ -23,6 +24,7 @@ use pyo3::types::PyModule;
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    module.add_class::<tiles::TileSource>()?;
     module.add_class::<worlds::WorldReader>()?;
     module.add_function(wrap_pyfunction!(builds::build_world, module)?)?;
     module.add_function(wrap_pyfunction!(builds::plan_build, module)?)?;

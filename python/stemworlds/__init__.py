@@ -9,6 +9,8 @@ fractions of the incident beam. Every error is a :class:`StemworldsError`.
     >>> world.tile(0, 0), world.columns, world.sites                             # doctest: +SKIP
 """
 
+from typing import Any as _Any
+
 from . import cache, errors
 from ._core import __version__
 from .atoms import AtomArrays
@@ -21,11 +23,13 @@ from .errors import (
     NotEnoughMemory,
     StemworldsError,
 )
+from .exporting import export
 from .images import DiffractionPattern, Image, Images, PlaneWave
 from .recipes import Recipe, recipes
 from .recording import Recording, acquire
 from .simulation import Scan, SimulationPlan, diffraction, plan_simulation, plane_wave, simulate
 from .specimens import specimen, specimen_arrays
+from .streaming import Sample, Stream, Targets, stream
 from .viewing import view
 from .worlds import COLUMN_CLASSES, Table, World, WorldMetadata
 
@@ -46,10 +50,13 @@ __all__ = [
     "PlaneWave",
     "Recipe",
     "Recording",
+    "Sample",
     "Scan",
     "SimulationPlan",
     "StemworldsError",
+    "Stream",
     "Table",
+    "Targets",
     "Validation",
     "World",
     "WorldMetadata",
@@ -61,6 +68,7 @@ __all__ = [
     "compare",
     "diffraction",
     "errors",
+    "export",
     "plan",
     "plan_simulation",
     "plane_wave",
@@ -68,7 +76,17 @@ __all__ = [
     "simulate",
     "specimen",
     "specimen_arrays",
+    "stream",
     "validate",
     "validation_cases",
     "view",
 ]
+
+
+def __getattr__(name: str) -> _Any:
+    # Imports PyTorch only where it is asked for.
+    if name == "torch":
+        import importlib
+
+        return importlib.import_module(".torch", __name__)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

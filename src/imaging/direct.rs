@@ -9,10 +9,12 @@ use super::imaging_cost::{ImagingCost, SimulationRuns};
 use super::pixels::{PixelBox, PixelRect};
 use super::region_imager::RegionImager;
 use super::simulator::Simulator;
+use super::turned_raster::{TurnedRaster, between_probes};
 use crate::engine::PlannedScan;
 use crate::error::Result;
 use crate::progress::{Progress, ProgressShare};
 use crate::recipe::{CheckedRecipe, Region};
+use crate::resample::image_band_limit;
 use crate::specimen::Specimen;
 
 /// Edge in nm of the blocks in which the exact engine makes a rectangle: each probe takes as long as its cell is large.
@@ -57,9 +59,18 @@ impl DirectImager {
     ) -> Result<Array2<f64>> {
         let (margin, thickness) = (self.simulator.margin_angstrom(), self.specimen.thickness_nm());
         let pixels = PixelBox::new(pixels, self.recipe.field.pixel_nm(), margin, thickness);
+        self.simulate_box(&pixels, configurations, progress)
+    }
+
+    fn simulate_box(
+        &self,
+        pixels: &PixelBox,
+        configurations: usize,
+        progress: &dyn Progress,
+    ) -> Result<Array2<f64>> {
         let simulator = self.simulator.with_configurations(configurations);
         let sites = mean_atoms(&*self.specimen, &pixels.area, &self.recipe.phonons);
-        let image = simulator.image(&sites, &pixels, progress)?;
+        let image = simulator.image(&sites, pixels, progress)?;
         Ok(image.mapv(f64::from))
     }
 }
@@ -117,6 +128,21 @@ impl RegionImager for DirectImager {
             }
         }
         Ok(image)
+    }
+
+    fn image_at(
+        &self,
+        raster: &TurnedRaster,
+        configurations: usize,
+        progress: &dyn Progress,
+    ) -> Result<Option<Array2<f64>>> {
+        let around = (self.simulator.margin_angstrom(), self.specimen.thickness_nm());
+        let band_limit = image_band_limit(&self.simulator.settings().optics);
+        let places = raster.places_angstrom();
+        let values = between_probes(&places, band_limit, around, |pixels| {
+            self.simulate_box(pixels, configurations, progress)
+        })?;
+        Ok(Array2::from_shape_vec(raster.shape, values).ok())
     }
 
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {

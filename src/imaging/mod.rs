@@ -2,7 +2,7 @@
 //!
 //! specimen -> slices -> engine -> detector image. A [`RegionImager`] makes it, in one of three ways: [`direct`] simulates the
 //! atoms that are there, [`mosaic`] shares simulations among columns that are alike, [`film`] treats the light atoms of a
-//! thin film each by itself. [`choose`] picks one, and [`mod@audit`] tells its error. [`source_imager`] blurs any of them by the
+//! thin film each by itself. [`choose`] picks one, and [`mod@audit`] tells its error. [`turned_raster`] asks for the image at places between pixels. [`source_imager`] blurs any of them by the
 //! electron source.
 
 pub mod audit;
@@ -16,6 +16,7 @@ pub mod pixels;
 pub mod region_imager;
 pub mod simulator;
 pub mod source_imager;
+pub mod turned_raster;
 
 pub use audit::kept_audits::KeptAudits;
 pub use audit::region_audit::{AUDIT_REMEDY, Audit, AuditOptions, audit, audit_cost};
@@ -32,3 +33,4 @@ pub use pixels::{PixelBox, PixelRect};
 pub use region_imager::RegionImager;
 pub use simulator::Simulator;
 pub use source_imager::SourceImager;
+pub use turned_raster::{TurnedRaster, turned_image};

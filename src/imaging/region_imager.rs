@@ -7,6 +7,7 @@ use ndarray::Array2;
 use super::displaced_atoms::DisplacedAtoms;
 use super::imaging_cost::ImagingCost;
 use super::pixels::PixelRect;
+use super::turned_raster::TurnedRaster;
 use crate::error::Result;
 use crate::progress::Progress;
 use crate::recipe::region::Region;
@@ -46,6 +47,21 @@ pub trait RegionImager: Send + Sync {
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Array2<f64>>;
+
+    /// The noise-free image at the places of a raster, [row, column], as fraction of the beam, as [`RegionImager::mean_of`] has it at
+    /// pixels: interpolated once, from the probes that were simulated. `None` of imagers that have none of their own; see
+    /// [`turned_image`](super::turned_raster::turned_image).
+    ///
+    /// # Errors
+    /// Those of the engine, and [`crate::Error::Interrupted`].
+    fn image_at(
+        &self,
+        _raster: &TurnedRaster,
+        _configurations: usize,
+        _progress: &dyn Progress,
+    ) -> Result<Option<Array2<f64>>> {
+        Ok(None)
+    }
 
     /// The displaced atoms of an area (nm of the full field) in one phonon configuration: those that the image shows.
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms;

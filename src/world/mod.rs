@@ -9,6 +9,7 @@ pub mod blended_image;
 pub mod build_options;
 #[cfg(feature = "hdf5")]
 mod build_summary;
+mod column_labels;
 mod field_recording;
 #[cfg(feature = "hdf5")]
 mod field_scan;
@@ -24,6 +25,7 @@ pub mod specimen_drawing;
 #[cfg(feature = "hdf5")]
 mod subtile_store;
 pub mod subtiles;
+mod training_sample;
 mod training_set;
 #[cfg(feature = "hdf5")]
 pub mod truth;
@@ -53,6 +55,7 @@ pub use region_truth::{ColumnTruth, SiteTruth};
 pub use specimen_drawing::Drawing;
 #[cfg(feature = "hdf5")]
 pub use subtile_store::work_folder;
+pub use training_sample::{SampleOptions, TrainingSample, training_sample};
 pub use training_set::{COLUMN_CLASSES, TrainingOptions, TrainingSet, training_set};
 #[cfg(feature = "hdf5")]
 pub use truth::Counts;

@@ -4,8 +4,9 @@ use std::collections::HashMap;
 
 use ndarray::{Array1, Array2, Array3, Axis, s};
 
+use super::column_labels::{REACH_SIGMAS, class_of, draw_column, facts_of};
 use super::noise::Noise;
-use super::region_truth::{ColumnTruth, list, phase_map};
+use super::region_truth::{list, phase_map};
 use crate::error::{Error, Result};
 use crate::imaging::{PixelRect, RegionImager};
 use crate::progress::{InterruptOnly, Progress};
@@ -15,10 +16,6 @@ use crate::specimen::Specimen;
 
 /// Edge in pixels of the blocks that images are made of, each once.
 const BLOCK_PX: usize = 128;
-/// Columns outside a tile show in its labels up to so many standard deviations.
-const REACH_SIGMAS: f64 = 4.0;
-/// Class masks hold the pixels where the heat map is above this.
-const IN_MASK: f32 = 0.5;
 
 /// What is asked for.
 #[derive(Debug, Clone, PartialEq)]
@@ -247,41 +244,15 @@ impl TrainingSet {
         let (_, columns) = list(&specimen.query(&around), origin, 0);
         let mut heat = self.heat_maps.index_axis_mut(Axis(0), tile);
         let mut mask = self.class_masks.index_axis_mut(Axis(0), tile);
-        let size = heat.dim().0 as i64;
-        let reach = (REACH_SIGMAS * sigma_px).ceil() as i64;
+        let size = heat.dim().0 as f64;
         for column in &columns {
             let at = [1, 0].map(|k| f64::from(column.position_nm[k]) / pixel);
-            let class = class_of(column);
-            let span = |k: usize| {
-                let centre = at[k].round() as i64;
-                (centre - reach).max(0)..(centre + reach + 1).min(size)
-            };
-            for i in span(0) {
-                for j in span(1) {
-                    let square = (i as f64 - at[0]).powi(2) + (j as f64 - at[1]).powi(2);
-                    let value = libm::exp(-0.5 * square / (sigma_px * sigma_px)) as f32;
-                    let place = [i as usize, j as usize];
-                    if value > heat[place] {
-                        heat[place] = value;
-                        mask[place] = if value > IN_MASK { class } else { 0 };
-                    }
-                }
-            }
-            let inside = at.iter().all(|v| (-0.5..size as f64 - 0.5).contains(v));
-            if inside {
+            draw_column(at, class_of(column), sigma_px, &mut heat, &mut mask);
+            if at.iter().all(|v| (-0.5..size - 0.5).contains(v)) {
                 lists.tiles.push(tile as i32);
                 lists.positions.push(at.map(|v| v as f32));
-                let heaviest = column.atoms.iter().map(|(z, _)| i32::from(*z)).max().unwrap_or(0);
-                let ColumnTruth { sites, vacancies, substitutions, .. } = *column;
-                let [sites, vacancies, substitutions] =
-                    [sites, vacancies, substitutions].map(|n| n as i32);
-                lists.facts.push([i32::from(class), sites, vacancies, substitutions, heaviest]);
+                lists.facts.push(facts_of(column));
             }
         }
     }
-}
-
-/// Index into [`COLUMN_CLASSES`].
-fn class_of(column: &ColumnTruth) -> u8 {
-    1 + u8::from(column.vacancies > 0) + 2 * u8::from(column.substitutions > 0)
 }

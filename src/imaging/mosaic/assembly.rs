@@ -40,9 +40,8 @@ pub struct Assembly {
     units: Vec<PlacedUnit>,
     shares: Vec<PixelShare>,
     shape: [usize; 2],
-    /// First pixel (row, column) of the full field.
-    first: [usize; 2],
-    pixel_angstrom: f64,
+    /// Places (x, y) of all pixels in Angstrom of the full field.
+    places: Vec<[f64; 2]>,
 }
 
 impl Assembly {
@@ -55,7 +54,24 @@ impl Assembly {
         pixel_nm: f64,
         way: [f64; 2],
     ) -> Self {
-        let area = Region::of_pixels(first, shape, pixel_nm).grown(BEYOND_NM);
+        let pixel_angstrom = 10.0 * pixel_nm;
+        let place = |n: usize| {
+            let at = [first[1] + n % shape[1], first[0] + n / shape[1]];
+            at.map(|p| p as f64 * pixel_angstrom)
+        };
+        let places = (0..shape[0] * shape[1]).map(place).collect();
+        Self::of_places(specimen, &Region::of_pixels(first, shape, pixel_nm), shape, places, way)
+    }
+
+    /// For pixels at any `places` (x, y) in Angstrom of the full field, row by row, all of them in a region.
+    pub fn of_places(
+        specimen: &dyn Specimen,
+        region: &Region,
+        shape: [usize; 2],
+        places: Vec<[f64; 2]>,
+        way: [f64; 2],
+    ) -> Self {
+        let area = region.grown(BEYOND_NM);
         let mut units: Vec<PlacedUnit> = Vec::new();
         let mut known: HashMap<u64, usize> = HashMap::new();
         let mut bins: HashMap<[i64; 2], Vec<(usize, [f64; 2])>> = HashMap::new();
@@ -69,12 +85,11 @@ impl Assembly {
             });
             bins.entry(at.map(|v| (v / BIN_ANGSTROM).floor() as i64)).or_default().push((unit, at));
         }
-        let pixel_angstrom = 10.0 * pixel_nm;
         let row = |row: usize| {
             let (mut shares, mut near, mut bin) = (Vec::new(), Vec::new(), None);
             for column in 0..shape[1] {
-                let at = [first[1] + column, first[0] + row];
-                let at = [0, 1].map(|k| at[k] as f64 * pixel_angstrom + way[k]);
+                let at = places[row * shape[1] + column];
+                let at = [0, 1].map(|k| at[k] + way[k]);
                 let here = at.map(|v| (v / BIN_ANGSTROM).floor() as i64);
                 if bin != Some(here) {
                     bin = Some(here);
@@ -88,7 +103,7 @@ impl Assembly {
         };
         let shares: Vec<Vec<PixelShare>> = (0..shape[0]).into_par_iter().map(row).collect();
         let shares = shares.into_iter().flatten().collect();
-        Assembly { units, shares, shape, first, pixel_angstrom }
+        Assembly { units, shares, shape, places }
     }
 
     /// Pixels that need more than the library has: by index, and the weight of what is missing.
@@ -145,9 +160,7 @@ impl Assembly {
         tag: &UnitTag,
         cell: &CellImages,
     ) -> [f64; 2] {
-        let (row, column) = (pixel / self.shape[1], pixel % self.shape[1]);
-        let at = [self.first[1] + column, self.first[0] + row];
-        let d = [0, 1].map(|k| at[k] as f64 * self.pixel_angstrom - unit.centre[k]);
+        let d = [0, 1].map(|k| self.places[pixel][k] - unit.centre[k]);
         // The inverse of an orthogonal matrix is its transpose.
         let [u, v] = tag.frame;
         [0, 1].map(|k| (u[k] * d[0] + v[k] * d[1]) / cell.step_angstrom[k])

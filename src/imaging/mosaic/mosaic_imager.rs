@@ -18,6 +18,7 @@ use crate::imaging::imaging_cost::{ImagingCost, SimulationRuns};
 use crate::imaging::pixels::{PixelBox, PixelRect};
 use crate::imaging::region_imager::RegionImager;
 use crate::imaging::simulator::Simulator;
+use crate::imaging::turned_raster::{TurnedRaster, between_probes};
 use crate::progress::{InterruptOnly, Progress};
 use crate::recipe::{CheckedRecipe, Region};
 use crate::resample::{Kernel, image_band_limit};
@@ -118,6 +119,38 @@ impl MosaicImager {
         Ok(mean.mapv(|v| v as f32))
     }
 
+    /// Simulates probes around places (x, y) in Angstrom with the atoms of the mosaic, and interpolates.
+    fn direct_at(
+        &self,
+        places: &[[f64; 2]],
+        configurations: usize,
+        progress: &dyn Progress,
+    ) -> Result<Vec<f64>> {
+        let around = (self.simulator.margin_angstrom(), self.specimen.thickness_nm());
+        let band_limit = image_band_limit(&self.simulator.settings().optics);
+        between_probes(places, band_limit, around, |pixels| {
+            let atoms = |configuration| self.atoms(&pixels.area, configuration);
+            self.simulator.mean(pixels, configurations, atoms, &InterruptOnly(progress))
+        })
+    }
+
+    /// How far (x, y) a tilted beam has moved at half thickness, in Angstrom.
+    fn way(&self) -> [f64; 2] {
+        let half = 5.0 * self.specimen.thickness_nm();
+        self.simulator.settings().optics.slope().map(|s| s * half)
+    }
+
+    fn check_prepared(&self, progress: &dyn Progress) -> Result<()> {
+        if progress.interrupted() {
+            return Err(Error::Interrupted);
+        }
+        if self.simulated.is_none() {
+            let expected = "the imager has to be prepared before it makes images";
+            return Err(Error::invalid(crate::Setting::Library, "empty", expected));
+        }
+        Ok(())
+    }
+
     fn rectangle(&self, edge: usize, runs: usize) -> Result<SimulationRuns> {
         let shape = [edge; 2];
         Ok(rectangle_plan(&self.recipe, &*self.specimen, &self.simulator, shape, runs)?.0)
@@ -157,18 +190,10 @@ impl RegionImager for MosaicImager {
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Array2<f64>> {
-        if progress.interrupted() {
-            return Err(Error::Interrupted);
-        }
-        if self.simulated.is_none() {
-            let expected = "the imager has to be prepared before it makes images";
-            return Err(Error::invalid(crate::Setting::Library, "empty", expected));
-        }
+        self.check_prepared(progress)?;
         let PixelRect { first, shape, .. } = *pixels;
         let pixel = self.recipe.field.pixel_nm();
-        let half = 5.0 * self.specimen.thickness_nm();
-        let way = self.simulator.settings().optics.slope().map(|s| s * half);
-        let assembly = Assembly::new(&*self.specimen, first, shape, pixel, way);
+        let assembly = Assembly::new(&*self.specimen, first, shape, pixel, self.way());
         let seed = self.recipe.seed;
         let mut image = assembly.image(&self.library, &self.kernel, seed, configurations);
         let missing = assembly.missing(&self.library);
@@ -181,6 +206,29 @@ impl RegionImager for MosaicImager {
             }
         }
         Ok(pixels.sampled(image))
+    }
+
+    fn image_at(
+        &self,
+        raster: &TurnedRaster,
+        configurations: usize,
+        progress: &dyn Progress,
+    ) -> Result<Option<Array2<f64>>> {
+        self.check_prepared(progress)?;
+        let places = raster.places_angstrom();
+        let (region, shape) = (raster.region(), raster.shape);
+        let assembly =
+            Assembly::of_places(&*self.specimen, &region, shape, places.clone(), self.way());
+        let seed = self.recipe.seed;
+        let mut image = assembly.image(&self.library, &self.kernel, seed, configurations);
+        for (_, members) in blocks(&assembly.missing(), [0, 0], shape) {
+            let there: Vec<[f64; 2]> = members.iter().map(|(pixel, _)| places[*pixel]).collect();
+            let values = self.direct_at(&there, configurations, progress)?;
+            for ((pixel, weight), value) in members.iter().zip(values) {
+                image[[pixel / shape[1], pixel % shape[1]]] += weight * value;
+            }
+        }
+        Ok(Some(image))
     }
 
     /// Atoms of units with a place in the library move as in the simulations that their images come from, others

@@ -1,0 +1,238 @@
+"""Endless, exact, annotated samples, made on the fly."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from . import _core
+from ._running import Progress, call, running
+from .errors import _invalid
+from .recipes import Difficulty, Recipe, RecipeLike
+
+#: Fields of :attr:`Targets.columns`.
+SAMPLE_COLUMN_DTYPE = np.dtype(
+    [
+        ("x_px", "f4"),
+        ("y_px", "f4"),
+        ("class", "i4"),
+        ("number", "i4"),
+        ("occupancy", "f4"),
+        ("sites", "i4"),
+        ("vacancies", "i4"),
+        ("substitutions", "i4"),
+    ]
+)
+#: Fields of :attr:`Targets.particles`.
+SAMPLE_PARTICLE_DTYPE = np.dtype([("x_px", "f8"), ("y_px", "f8"), ("radius_px", "f8"), ("morphology", "U16")])
+
+
+@dataclass(frozen=True, eq=False)
+class Targets:
+    """What a sample shows. Arrays of images are ``[y, x]``.
+
+    Attributes:
+        heat_map: float32, Gaussians of height 1 about columns; the nearest column counts.
+        class_mask: uint8, class of the column (:data:`COLUMN_CLASSES`) where the heat map is above one half; 0 elsewhere.
+        phase_mask: int32, phase of each pixel.
+        columns: columns in the sample, :data:`SAMPLE_COLUMN_DTYPE`; ``number`` is the heaviest atom's, ``occupancy`` the share of sites
+            that hold an atom.
+        particles: outlines of particles that reach into the sample, :data:`SAMPLE_PARTICLE_DTYPE`.
+    """
+
+    heat_map: npt.NDArray[np.float32]
+    class_mask: npt.NDArray[np.uint8]
+    phase_mask: npt.NDArray[np.int32]
+    columns: npt.NDArray[np.void]
+    particles: npt.NDArray[np.void]
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """An annotated image. It unpacks: ``image, targets = sample``.
+
+    Attributes:
+        index: its number. source: index of its recipe.
+        image: float32 ``[y, x]``, counts over the electrons of a pixel: fractions of the beam with noise.
+        counts: uint32, electrons counted. clean: float32, the image without noise, in fractions of the beam.
+        dose: electrons per square Angstrom. pixel_nm: edge of a pixel. angle_deg: by which it is turned against the specimen.
+        centre_nm: its middle ``(x, y)`` in the field.
+    """
+
+    index: int
+    source: int
+    image: npt.NDArray[np.float32]
+    counts: npt.NDArray[np.uint32]
+    clean: npt.NDArray[np.float32]
+    targets: Targets
+    dose: float
+    pixel_nm: float
+    angle_deg: float
+    centre_nm: tuple[float, float]
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter((self.image, self.targets))
+
+
+class Stream:
+    """Samples by their numbers; see :func:`stream`."""
+
+    def __init__(self, sources: Sequence[_core.TileSource], weights: Sequence[float], seed: int, batch: int, threads: int | None) -> None:
+        self._sources = list(sources)
+        total = math.fsum(weights)
+        self._shares = np.cumsum([weight / total for weight in weights])
+        self.seed = seed
+        self.batch = batch
+        self.threads = threads
+
+    def prepare(self, *, index: int = 0, progress: Progress = False) -> None:
+        """Fills the libraries that samples from ``index`` on draw from; otherwise the first sample waits for that."""
+        for source in self._sources:
+            call(source.prepare, index, running(self.threads, progress))
+
+    def sample(self, index: int) -> Sample:
+        """The sample of this number: the same for the same seed, whatever else was asked for."""
+        return self.samples([index])[0]
+
+    def samples(self, indices: Sequence[int]) -> list[Sample]:
+        """The samples of these numbers, made in parallel."""
+        wanted = [(int(index), self._source(int(index))) for index in indices]
+        found: dict[int, Sample] = {}
+        for number, source in enumerate(self._sources):
+            mine = [index for index, chosen in wanted if chosen == number]
+            if mine:
+                made = call(source.samples, mine, running(self.threads, False))
+                found.update((item["index"], _sample(item, number)) for item in made)
+        return [found[index] for index, _ in wanted]
+
+    def iterate(self, first: int = 0, step: int = 1, count: int | None = None) -> Iterator[Sample]:
+        """Samples ``first``, ``first + step`` ...; endless without ``count``."""
+        done = 0
+        while count is None or done < count:
+            size = self.batch if count is None else min(self.batch, count - done)
+            yield from self.samples(range(first + done * step, first + (done + size) * step, step))
+            done += size
+
+    def __iter__(self) -> Iterator[Sample]:
+        return self.iterate()
+
+    def _source(self, index: int) -> int:
+        if len(self._sources) == 1:
+            return 0
+        draw = np.random.Generator(np.random.Philox(key=self.seed, counter=[0, 0, 0, index])).random()
+        return min(int(np.searchsorted(self._shares, draw, side="right")), len(self._sources) - 1)
+
+
+def stream(
+    recipe: RecipeLike | Mapping[RecipeLike, float] | Sequence[RecipeLike],
+    *,
+    difficulty: Difficulty | None = None,
+    dose: float | tuple[float, float] | None = None,
+    size: int = 128,
+    pixel_nm: float | tuple[float, float] | None = None,
+    angle_deg: float | tuple[float, float] = (0.0, 360.0),
+    heat_sigma_px: float = 2.0,
+    seed: int = 1,
+    samples_per_specimen: int | None = None,
+    batch: int = 16,
+    cache: bool | str | os.PathLike[str] = True,
+    threads: int | None = None,
+    **changes: Any,
+) -> Stream:
+    """An endless stream of annotated images, each at a place of its own of a specimen that is computed on the fly.
+
+    Places, angles, pixels and doses are drawn anew for each sample. Images are interpolated once, from the probes that were simulated, at
+    the very places of their pixels. The same seed and index give the same sample, whatever the number of threads and workers.
+
+    Args:
+        recipe: name, path, TOML, dict or :class:`Recipe`; or several, a list, or a dict with a weight for each.
+        difficulty: the tier, where recipes have some.
+        dose: electrons per square Angstrom, or a range, drawn evenly in its logarithm; that of the recipe by default.
+        size: edge of a sample in pixels. pixel_nm: edge of a pixel, or a range; that of the recipe by default.
+        angle_deg: angle by which the scan is turned against the specimen, or a range.
+        heat_sigma_px: standard deviation of a column in the heat maps.
+        samples_per_specimen: lay out another specimen, with a seed of its own, after so many samples; one specimen for all by default.
+        batch: samples that are made at once, in parallel.
+        **changes: ``set``, ``unset``, ``grid`` of the recipes, as :class:`Recipe` takes them; ``grid`` says how large the field is.
+
+    Returns:
+        A :class:`Stream`: iterate over it, or ask for a sample by its number.
+    """
+    options = {
+        "size_px": size,
+        "pixel_nm": None if pixel_nm is None else _range("pixel_nm", pixel_nm),
+        "angle_rad": tuple(math.radians(angle) for angle in _range("angle_deg", angle_deg)),
+        "dose": None if dose is None else _range("dose", dose),
+        "sigma_px": heat_sigma_px,
+        "seed": seed,
+        "per_specimen": samples_per_specimen,
+        "cache": cache if isinstance(cache, bool) else os.fspath(cache),
+    }
+    if batch < 1 or (samples_per_specimen is not None and samples_per_specimen < 1):
+        raise _invalid("batch or samples_per_specimen", "expected whole numbers above 0")
+    sources, weights = [], []
+    for one, weight in _weighted(recipe):
+        if not weight > 0:
+            raise _invalid("recipe", f"weight {weight}: expected a number above 0")
+        resolved = one if isinstance(one, Recipe) and not changes else Recipe(one, _tier(one, difficulty), **changes)
+        sources.append(call(_core.TileSource, {**options, "toml": resolved.toml}, running(threads, False)))
+        weights.append(weight)
+    return Stream(sources, weights, seed, batch, threads)
+
+
+def _tier(recipe: RecipeLike, difficulty: Difficulty | None) -> Difficulty | None:
+    return None if isinstance(recipe, Recipe) else difficulty
+
+
+def _weighted(recipe: Any) -> list[tuple[RecipeLike, float]]:
+    if isinstance(recipe, Recipe) or isinstance(recipe, (str, os.PathLike)):
+        return [(recipe, 1.0)]
+    if isinstance(recipe, Mapping):
+        # A recipe as a dict has a version; a mixture has weights.
+        if "version" in recipe:
+            return [(recipe, 1.0)]
+        return [(one, float(weight)) for one, weight in recipe.items()]
+    found = [(one, 1.0) for one in recipe]
+    if not found:
+        raise _invalid("recipe", "there is no recipe to draw from")
+    return found
+
+
+def _range(keyword: str, value: Any) -> tuple[float, float]:
+    try:
+        low, high = value if isinstance(value, (tuple, list, np.ndarray)) else (value, value)
+        return float(low), float(high)
+    except (TypeError, ValueError):
+        raise _invalid(keyword, f"{keyword} = {value!r}: expected a number, or (low, high)") from None
+
+
+def _sample(item: Mapping[str, Any], source: int) -> Sample:
+    counts = item["counts"]
+    facts = item["columns"].reshape(-1, 5)
+    columns = np.zeros(len(facts), SAMPLE_COLUMN_DTYPE)
+    columns["x_px"], columns["y_px"] = item["positions_px"].reshape(-1, 2).T
+    columns["class"], columns["sites"], columns["vacancies"], columns["substitutions"], columns["number"] = facts.T
+    columns["occupancy"] = 1 - columns["vacancies"] / np.maximum(columns["sites"], 1)
+    outlines = item["particles_px"].reshape(-1, 3)
+    particles = np.zeros(len(outlines), SAMPLE_PARTICLE_DTYPE)
+    particles["x_px"], particles["y_px"], particles["radius_px"] = outlines.T
+    particles["morphology"] = item["morphologies"]
+    targets = Targets(item["heat_map"], item["class_mask"], item["phase_mask"], columns, particles)
+    return Sample(
+        index=item["index"],
+        source=source,
+        image=(counts / item["electrons_per_pixel"]).astype(np.float32),
+        counts=counts,
+        clean=item["clean"],
+        targets=targets,
+        dose=item["dose"],
+        pixel_nm=item["pixel_nm"],
+        angle_deg=math.degrees(item["angle_rad"]),
+        centre_nm=tuple(item["centre_nm"]),
+    )

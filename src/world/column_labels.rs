@@ -1,0 +1,50 @@
+//! Labels of columns: heat maps and class masks.
+
+use ndarray::ArrayViewMut2;
+
+use super::region_truth::ColumnTruth;
+
+/// Columns outside a tile show in its labels up to so many standard deviations.
+pub(super) const REACH_SIGMAS: f64 = 4.0;
+/// Class masks hold the pixels where the heat map is above this.
+const IN_MASK: f32 = 0.5;
+
+/// Index of a column into [`COLUMN_CLASSES`](super::COLUMN_CLASSES).
+pub(super) fn class_of(column: &ColumnTruth) -> u8 {
+    1 + u8::from(column.vacancies > 0) + 2 * u8::from(column.substitutions > 0)
+}
+
+/// Draws a column at (row, column) in pixels: a Gaussian of height 1 in the heat map, its class where that is above one half.
+pub(super) fn draw_column(
+    at: [f64; 2],
+    class: u8,
+    sigma_px: f64,
+    heat: &mut ArrayViewMut2<f32>,
+    mask: &mut ArrayViewMut2<u8>,
+) {
+    let (rows, columns) = heat.dim();
+    let reach = (REACH_SIGMAS * sigma_px).ceil() as i64;
+    let span = |k: usize, size: usize| {
+        let centre = at[k].round() as i64;
+        (centre - reach).max(0)..(centre + reach + 1).min(size as i64)
+    };
+    for i in span(0, rows) {
+        for j in span(1, columns) {
+            let square = (i as f64 - at[0]).powi(2) + (j as f64 - at[1]).powi(2);
+            let value = libm::exp(-0.5 * square / (sigma_px * sigma_px)) as f32;
+            let place = [i as usize, j as usize];
+            if value > heat[place] {
+                heat[place] = value;
+                mask[place] = if value > IN_MASK { class } else { 0 };
+            }
+        }
+    }
+}
+
+/// Class, sites, vacancies, substitutions and atomic number of the heaviest atom of a column.
+pub(super) fn facts_of(column: &ColumnTruth) -> [i32; 5] {
+    let heaviest = column.atoms.iter().map(|(z, _)| i32::from(*z)).max().unwrap_or(0);
+    let ColumnTruth { sites, vacancies, substitutions, .. } = *column;
+    let [sites, vacancies, substitutions] = [sites, vacancies, substitutions].map(|n| n as i32);
+    [i32::from(class_of(column)), sites, vacancies, substitutions, heaviest]
+}

@@ -1,0 +1,215 @@
+//! Labelled samples at random places, turned and magnified at random: one by one, each by its number.
+
+use ndarray::{Array2, arr2};
+
+use super::column_labels::{REACH_SIGMAS, class_of, draw_column, facts_of};
+use super::noise::Noise;
+use super::region_truth::{list, particles_reaching, phases_of_points};
+use crate::error::{Error, Result};
+use crate::imaging::{RegionImager, TurnedRaster, turned_image};
+use crate::progress::Progress;
+use crate::recipe::{CheckedRecipe, Field};
+use crate::rng::{self, Purpose};
+use crate::setting::Setting;
+use crate::specimen::{ParticleTruth, Specimen};
+
+/// How far samples stay from the edge of the full field, in nm: what interpolation and windows need around them.
+const EDGE_NM: f64 = 0.5;
+/// Numbers of the draws of a sample; those of [`training_set`](super::training_set) are 0 to 2.
+const PLACE: [u32; 2] = [8, 9];
+const ANGLE: u32 = 10;
+const PIXEL: u32 = 11;
+const DOSE: u32 = 12;
+
+/// What samples are drawn from. Each value is drawn evenly between two limits, pixel and dose evenly in their logarithm.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SampleOptions {
+    /// Edge of a sample in pixels.
+    pub size_px: usize,
+    /// Least and greatest edge of a pixel in nm.
+    pub pixel_nm: [f64; 2],
+    /// Least and greatest angle in rad by which the raster is turned against the field.
+    pub angle_rad: [f64; 2],
+    /// Least and greatest dose in electrons per square Angstrom.
+    pub dose: [f64; 2],
+    /// Standard deviation in pixels of a column in the heat maps.
+    pub sigma_px: f64,
+    /// Seed of places, angles, pixels, doses and noise.
+    pub seed: u64,
+}
+
+/// A labelled image. All arrays of images are [row, column] = [y, x].
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct TrainingSample {
+    /// Where it lies in the field.
+    pub raster: TurnedRaster,
+    /// Dose in electrons per square Angstrom.
+    pub dose: f64,
+    /// Electrons that fell on a pixel.
+    pub electrons_per_pixel: f64,
+    /// Counted electrons.
+    pub counts: Array2<u32>,
+    /// The image without noise, as fraction of the beam.
+    pub clean: Array2<f32>,
+    /// Gaussians of height 1 about columns; the nearest column counts.
+    pub heat_map: Array2<f32>,
+    /// Index into [`COLUMN_CLASSES`](super::COLUMN_CLASSES) of the column whose heat map is above one half there.
+    pub class_mask: Array2<u8>,
+    /// Phase of each pixel, as an index into the phases of the specimen.
+    pub phase_mask: Array2<i32>,
+    /// (x, y) in pixels of each column in the sample: (column, 2).
+    pub positions_px: Array2<f32>,
+    /// Class, sites, vacancies, substitutions and atomic number of the heaviest atom of each: (column, 5).
+    pub columns: Array2<i32>,
+    /// Particles that reach into the sample: x, y and radius of the outline in pixels.
+    pub particles_px: Vec<[f64; 3]>,
+    /// Their shapes.
+    pub morphologies: Vec<String>,
+}
+
+impl SampleOptions {
+    /// Checks what does not depend on a sample's number.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for values out of limits, and samples that do not fit into the field.
+    pub fn check(&self, field: &Field) -> Result<()> {
+        let refuse = |setting, value: String, expected: String| {
+            Err(Error::invalid(setting, value, expected))
+        };
+        let rises = |[low, high]: [f64; 2]| low <= high && low.is_finite() && high.is_finite();
+        let [low, high] = self.pixel_nm;
+        if !rises(self.pixel_nm) || low < 1e-4 || high > 10.0 {
+            let expected = "expected 0.0001 to 10 nm, the lower first".into();
+            return refuse(Setting::RecordedPixelNm, format!("{low}, {high}"), expected);
+        }
+        let [low, high] = self.dose;
+        if !rises(self.dose) || low < 1e-3 || high > 1e12 {
+            let expected = "expected 0.001 to 1e12 electrons per square Angstrom, the lower first";
+            return refuse(Setting::Dose, format!("{low}, {high}"), expected.into());
+        }
+        if !rises(self.angle_rad) {
+            let expected = "expected two angles, the lower first".into();
+            return refuse(Setting::RecordedRegionNm, format!("{:?}", self.angle_rad), expected);
+        }
+        if !(0.3..=50.0).contains(&self.sigma_px) || !(8..=8192).contains(&self.size_px) {
+            let value = format!("{} pixels, sigma {}", self.size_px, self.sigma_px);
+            let expected = "samples have 8 to 8192 pixels, a column in heat maps 0.3 to 50".into();
+            return refuse(Setting::TilePixels, value, expected);
+        }
+        let room = self.room_nm(field, self.pixel_nm[1]);
+        if room.iter().any(|[low, high]| low > high) {
+            let value = format!("{} pixels of {} nm", self.size_px, self.pixel_nm[1]);
+            let [height, width] =
+                field.pixels(field.built_grid()).map(|n| n as f64 * field.pixel_nm());
+            let expected =
+                format!("does not fit, turned, into the field of {height:.2} x {width:.2} nm");
+            return refuse(Setting::TilePixels, value, expected);
+        }
+        Ok(())
+    }
+
+    /// Where the centre (x, y) may lie, in nm of the full field: so that all corners are in the built field, however it is turned.
+    fn room_nm(&self, field: &Field, pixel_nm: f64) -> [[f64; 2]; 2] {
+        let turned = self.angle_rad != [0.0; 2];
+        let half =
+            0.5 * self.size_px as f64 * pixel_nm * if turned { libm::sqrt(2.0) } else { 1.0 };
+        let built = field.built_region();
+        [built.x, built.y].map(|[low, high]| [low + half + EDGE_NM, high - half - EDGE_NM])
+    }
+
+    /// Where sample `index` lies, and its dose in electrons per square Angstrom.
+    pub fn draw(&self, field: &Field, index: u64) -> (TurnedRaster, f64) {
+        let uniform = |draw: u32| rng::uniform(self.seed, Purpose::Tile, draw, index);
+        let even = |[low, high]: [f64; 2], draw: u32| low + uniform(draw) * (high - low);
+        let log = |range: [f64; 2], draw: u32| match range {
+            [low, high] if low == high => low,
+            range => libm::exp(even(range.map(libm::log), draw)),
+        };
+        let pixel_nm = log(self.pixel_nm, PIXEL);
+        let room = self.room_nm(field, pixel_nm);
+        let raster = TurnedRaster {
+            centre_nm: [0, 1].map(|k| even(room[k], PLACE[k])),
+            pixel_nm,
+            angle_rad: even(self.angle_rad, ANGLE),
+            shape: [self.size_px; 2],
+        };
+        (raster, log(self.dose, DOSE))
+    }
+}
+
+/// Makes sample `index`. It is a function of recipe, options and index alone. The imager has been prepared.
+///
+/// # Errors
+/// Those of [`SampleOptions::check`] and of the engine, [`Error::Interrupted`].
+pub fn training_sample(
+    recipe: &CheckedRecipe,
+    specimen: &dyn Specimen,
+    imager: &dyn RegionImager,
+    options: &SampleOptions,
+    index: u64,
+    progress: &dyn Progress,
+) -> Result<TrainingSample> {
+    options.check(&recipe.field)?;
+    let (raster, dose) = options.draw(&recipe.field, index);
+    let clean = turned_image(recipe, imager, &raster, progress)?.mapv(|v| v as f32);
+    let electrons_per_pixel = dose * (10.0 * raster.pixel_nm).powi(2);
+    let size = options.size_px;
+    // Each sample has rows of its own in an endless field of noise.
+    let origin_px = [(index as usize).wrapping_mul(size), 0];
+    let noise = Noise { seed: options.seed, electrons_per_pixel, origin_px, full_width_px: size };
+    let mut sample = TrainingSample {
+        raster,
+        dose,
+        electrons_per_pixel,
+        counts: noise.counted(&clean),
+        clean,
+        heat_map: Array2::zeros((size, size)),
+        class_mask: Array2::zeros((size, size)),
+        phase_mask: phases_of_points(specimen, [size; 2], |row, column| {
+            raster.place_nm(row as f64, column as f64)
+        }),
+        positions_px: Array2::zeros((0, 2)),
+        columns: Array2::zeros((0, 5)),
+        particles_px: Vec::new(),
+        morphologies: Vec::new(),
+    };
+    sample.label(specimen, options.sigma_px);
+    Ok(sample)
+}
+
+impl TrainingSample {
+    /// Draws and lists the columns and particles.
+    fn label(&mut self, specimen: &dyn Specimen, sigma_px: f64) {
+        let raster = self.raster;
+        let region = raster.region();
+        let around = region.grown(REACH_SIGMAS * sigma_px * raster.pixel_nm);
+        let centre = raster.centre_nm;
+        let (_, columns) = list(&specimen.query(&around), centre, 0);
+        let [rows, width] = raster.shape.map(|n| n as f64 - 0.5);
+        let (mut heat, mut mask) = (self.heat_map.view_mut(), self.class_mask.view_mut());
+        let (mut positions, mut facts) = (Vec::new(), Vec::new());
+        for column in &columns {
+            let place = [0, 1].map(|k| centre[k] + f64::from(column.position_nm[k]));
+            let at = raster.place_px(place);
+            draw_column(at, class_of(column), sigma_px, &mut heat, &mut mask);
+            if (-0.5..rows).contains(&at[0]) && (-0.5..width).contains(&at[1]) {
+                positions.push([at[1] as f32, at[0] as f32]);
+                facts.push(facts_of(column));
+            }
+        }
+        self.positions_px = arr2(&positions);
+        self.columns = arr2(&facts);
+        for ParticleTruth { centre_nm: [x, y, _], diameter_nm, morphology, .. } in
+            particles_reaching(specimen, &region)
+        {
+            let [row, column] = raster.place_px([x, y]);
+            let radius = 0.5 * diameter_nm / raster.pixel_nm;
+            let beyond = |at: f64, size: f64| at < -0.5 - radius || at > size + radius;
+            if !beyond(row, rows) && !beyond(column, width) {
+                self.particles_px.push([column, row, radius]);
+                self.morphologies.push(morphology);
+            }
+        }
+    }
+}
