@@ -109,6 +109,7 @@
 //! - [`optics`]: the lens: aperture and aberrations; mistilt and focal spread
 //! - [`resample`]: interpolation of images between probes
 //! - [`acquisition`]: from the noise-free image to the recording: scan errors, doses, detectors
+//! - [`damage`]: how likely an electron displaces an atom
 //! - [`detect`]: annular detectors
 //! - [`engine`]: from atoms and a scan to images: plan, then simulate
 //! - [`recipe`]: what a world is made of, read from TOML and checked
@@ -117,6 +118,7 @@
 //! - [`io`]: files of images, worlds and atoms
 //! - [`render`]: PNG pictures, drawings of specimens, HTML pages
 //! - [`world`]: tiles with their truth, and whole worlds
+//! - [`live`]: worlds in memory that change under the beam
 //! - [`validate`]: checks against published numbers and other programs, and their reports
 //! - [`cli`]: the command line of the programs: arguments, progress bars, words
 //!
@@ -134,6 +136,7 @@ pub mod acquisition;
 #[cfg(feature = "cli")]
 pub mod cli;
 pub mod constants;
+pub mod damage;
 pub mod detect;
 pub mod engine;
 pub mod error;
@@ -141,6 +144,7 @@ pub mod fft;
 pub mod files;
 pub mod imaging;
 pub mod io;
+pub mod live;
 mod matrix;
 pub mod numerics;
 pub mod optics;

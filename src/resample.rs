@@ -17,6 +17,7 @@ use crate::setting::Setting;
 use ndarray::{Array2, ArrayView2, Axis};
 use rayon::prelude::*;
 use std::f64::consts::{PI, TAU};
+use std::ops::Range;
 
 /// Number of samples that a value is interpolated from, along each axis.
 pub const TAPS: usize = 16;
@@ -42,6 +43,16 @@ pub fn image_band_limit(optics: &Optics) -> f64 {
 /// The Nyquist distance in Angstrom: samples at most so far apart determine an image with this band limit (1/Angstrom).
 pub fn nyquist_step(band_limit: f64) -> f64 {
     MOST_PRODUCT / band_limit
+}
+
+/// The samples that values between the positions `low` and `high` are interpolated from: those within [`HALF_WIDTH`] on either side,
+/// of `all` that there are, and at least [`TAPS`] where there are so many.
+pub fn samples_around([low, high]: [f64; 2], all: Range<usize>) -> Range<usize> {
+    let within = |at: f64| at.clamp(all.start as f64, (all.end as f64 - 1.0).max(all.start as f64));
+    let first = (within(low).floor() as usize).saturating_sub(HALF_WIDTH).max(all.start);
+    let end = (within(high).ceil() as usize + HALF_WIDTH + 1).min(all.end);
+    let end = end.max((first + TAPS).min(all.end));
+    first.min(end.saturating_sub(TAPS).max(all.start))..end
 }
 
 /// What lies beyond the first and last samples.
@@ -398,6 +409,15 @@ mod tests {
             let exact = sampled(32, 29);
             assert!(found.iter().zip(&exact).all(|(a, b)| (a - b).abs() < 1e-5 * most));
         }
+    }
+
+    #[test]
+    fn sixteen_samples_are_taken_also_at_edges() {
+        assert_eq!(samples_around([30.2, 40.0], 0..100), 22..49);
+        assert_eq!(samples_around([3.0, 4.0], 0..100), 0..16);
+        assert_eq!(samples_around([96.0, 96.5], 5..100), 84..100);
+        assert_eq!(samples_around([-9.0, 200.0], 5..100), 5..100);
+        assert_eq!(samples_around([2.0, 3.0], 0..10), 0..10);
     }
 
     #[test]

@@ -46,6 +46,10 @@ pub enum Purpose {
     PulseHeight = 44,
     /// Noise of the read-out.
     ReadNoise = 45,
+    /// Which atoms the beam displaces, and when.
+    Damage = 48,
+    /// Seeds of the recordings of a live world.
+    LiveRecording = 49,
 }
 
 const MULTIPLIERS: [u32; 2] = [0xD251_1F53, 0xCD9E_8D57];

@@ -223,6 +223,15 @@ settings! {
     Page = "page",
     /// A figure of a report.
     Figure = "figure",
+    // Live worlds
+    /// The greatest dose that a live world is made for.
+    MostDose = "greatest dose (electrons per square Angstrom)",
+    /// How often a place is recorded.
+    Recordings = "recordings",
+    /// A stored moment of a live world.
+    Snapshot = "snapshot",
+    /// What the beam does to a specimen.
+    Damage = "damage",
     // Validation
     /// A case of the validation.
     Case = "case",

@@ -129,6 +129,11 @@ impl Acquisition {
         (!known).then(|| ("bits", self.bits.to_string(), expected))
     }
 
+    /// Time from the beginning of one line of so many pixels to that of the next, in s.
+    pub fn line_s(&self, columns: usize) -> f64 {
+        1e-6 * (columns as f64 * self.dwell_us + self.flyback_us)
+    }
+
     /// The largest count that the converter gives; `None` for one that does not round.
     pub fn full_scale(&self) -> Option<f64> {
         (self.bits < 32).then(|| f64::from((1_u32 << self.bits) - 1))

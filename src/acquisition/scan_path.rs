@@ -94,8 +94,7 @@ impl ScanPath {
 
     /// Time from one line to the next in s.
     pub fn line_s(&self) -> f64 {
-        let Acquisition { dwell_us, flyback_us, .. } = self.settings;
-        1e-6 * (self.frame.shape[1] as f64 * dwell_us + flyback_us)
+        self.settings.line_s(self.frame.shape[1])
     }
 
     /// Time that all frames take in s.

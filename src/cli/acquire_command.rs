@@ -279,7 +279,6 @@ impl Acquire {
         let [_, x, y] = recording.drift.last().copied().unwrap_or_default();
         let lines = recording.drift.len() as f64;
         let acquisition = options.acquisition;
-        let line_us = frame.shape[1] as f64 * acquisition.dwell_us + acquisition.flyback_us;
         AcquireSummary {
             file_bytes: output::size(&self.output),
             output: self.output.clone(),
@@ -290,7 +289,7 @@ impl Acquire {
             dose_electrons_per_angstrom2: exposure.dose(),
             beam_current_pa: exposure.current_pa(),
             electrons_per_pixel: exposure.electrons_per_pixel,
-            duration_s: 1e-6 * line_us * lines,
+            duration_s: acquisition.line_s(frame.shape[1]) * lines,
             drift_nm: [x, y],
             columns: recording.columns.len(),
             clipped_pixels: recording.clipped,

@@ -330,11 +330,10 @@ impl Built {
             },
         );
         if let Some(acquisition) = &self.acquisition {
-            let Acquisition { frames, dwell_us, flyback_us, .. } = acquisition;
-            let line_us = self.pixels[1] as f64 * dwell_us + flyback_us;
-            let scan_s = 1e-6 * line_us * (self.pixels[0] * frames) as f64;
+            let Acquisition { frames, dwell_us, .. } = acquisition;
             let plural = if *frames == 1 { "frame" } else { "frames" };
-            let scan = text::duration(scan_s);
+            let scanned = (self.pixels[0] * frames) as f64;
+            let scan = text::duration(acquisition.line_s(self.pixels[1]) * scanned);
             lines.add(
                 "recording",
                 format!("{frames} {plural} in one scan of {scan}, {dwell_us} us a pixel"),

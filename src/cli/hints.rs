@@ -194,6 +194,9 @@ fn options(setting: Setting) -> Option<&'static str> {
         S::ContrastPercentiles => Some("--contrast"),
         S::Case => Some("--case, and --list for what there is"),
         S::Alpha => Some("--alpha"),
+        S::MostDose => Some("--most-dose"),
+        S::Recordings => Some("--dose-series"),
+        S::Damage => Some("--set damage.KEY=VALUE, or --unset damage"),
         S::StructureFile
         | S::Crystal
         | S::Occupancy
@@ -222,6 +225,7 @@ fn options(setting: Setting) -> Option<&'static str> {
         | S::Page
         | S::Figure
         | S::Reference
+        | S::Snapshot
         | S::ScatteringFactor
         | S::PixelSizeNm => None,
     }

@@ -14,6 +14,7 @@ mod hints;
 mod imaging_args;
 mod invocation;
 mod list_command;
+mod live_command;
 mod not_offered;
 mod output;
 mod pictures;
@@ -63,6 +64,7 @@ Examples:
   stemgen view worlds/srtio3_easy_2x2.h5 --overlay defects
   stemgen tiles worlds/srtio3_easy_2x2.h5 --random-dose 1e3,1e5 -n 200 -o train.npz
   stemgen acquire worlds/srtio3_easy_2x2.h5 --profile routine -o tile.h5 --png
+  stemgen live srtio3 --difficulty easy --grid 4x4 --dose-series 20 --dose 5e4 -o dying.h5 --animation
   stemgen validate --quick
 
 `stemgen COMMAND --help` explains every option, with more examples; `stemgen glossary` the terms.";
@@ -78,6 +80,7 @@ enum Command {
     View(Box<view_command::View>),
     Tiles(Box<tiles_command::Tiles>),
     Acquire(Box<acquire_command::Acquire>),
+    Live(Box<live_command::Live>),
     Audit(Box<audit_command::AuditCommand>),
     Cache(Box<cache_command::CacheCommand>),
     Validate(Box<validate_command::Validate>),
@@ -119,6 +122,7 @@ pub fn run(invocation: Invocation) -> u8 {
         Command::Specimen(command) => ("specimen", command.run().map(done)),
         Command::View(command) => ("view", command.run().map(done)),
         Command::Acquire(command) => ("acquire", command.run().map(done)),
+        Command::Live(command) => ("live", command.run().map(done)),
         Command::Tiles(command) => ("tiles", command.run().map(done)),
         Command::Audit(command) => ("audit", command.run().map(done)),
         Command::Cache(command) => ("cache", command.run().map(done)),

@@ -23,8 +23,19 @@ const MOST_CHUNKS: usize = 1 << 20;
 const LONGEST_PATH: usize = 4096;
 /// Any file may announce so many bytes ...
 const ALWAYS_ALLOWED_BYTES: u128 = 256 << 20;
-/// ... and a large one this many times its size: compressed specimen-free images come to that.
+/// ... a larger one this many times its size: compressed specimen-free images come to that ...
 const LARGEST_EXPANSION: u128 = 64;
+/// ... but no more than this, so that no file of a few MB takes a GiB ...
+const MOST_EXPANDED_BYTES: u128 = 896 << 20;
+/// ... unless it is so large that the values are stored almost as they are: bytes become numbers of 8 bytes.
+const PLAIN_EXPANSION: u128 = 8;
+
+/// How many bytes may be read from one dataset of a file of so many.
+fn allowed_bytes(file_bytes: u64) -> u128 {
+    let file = u128::from(file_bytes);
+    let expanded = (LARGEST_EXPANSION * file).min(MOST_EXPANDED_BYTES);
+    ALWAYS_ALLOWED_BYTES.max(expanded).max(PLAIN_EXPANSION * file)
+}
 
 /// The paths of all datasets, those of a group before those of the groups in it.
 ///
@@ -158,14 +169,14 @@ fn check_end(dataset: &Dataset, file_bytes: u64) -> Guarded<()> {
 
 /// Holds an array of values of `value_bytes` bytes against a file of `file_bytes` bytes.
 pub(super) fn check_bytes(shape: &[usize], value_bytes: usize, file_bytes: u64) -> Guarded<()> {
-    let allowed = ALWAYS_ALLOWED_BYTES.max(LARGEST_EXPANSION * u128::from(file_bytes));
+    let allowed = allowed_bytes(file_bytes);
     // Axes of length 0 hide what the others come to.
     let product = |n: u128, length: &usize| n.saturating_mul((*length).max(1) as u128);
     let announced = shape.iter().fold(value_bytes as u128, product);
     if announced > allowed {
         return Err(format!(
             "announces {shape:?} values, {announced} bytes, in a file of {file_bytes}; at most {allowed} bytes are \
-             read from it ({LARGEST_EXPANSION} times its size, or 256 MiB)"
+             read from it ({LARGEST_EXPANSION} times its size up to 896 MiB, {PLAIN_EXPANSION} times beyond)"
         ));
     }
     Ok(())
@@ -205,4 +216,16 @@ pub(super) fn damaged(error: hdf5::Error) -> String {
 
 pub(super) fn first_line(error: &hdf5::Error) -> String {
     error.to_string().lines().next().unwrap_or_default().to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_may_be_read_follows_the_size_of_the_file() {
+        let mib = |n: u64| n << 20;
+        let found = [1, 8, 13, 20, 112, 1000].map(|n| allowed_bytes(mib(n)) >> 20);
+        assert_eq!(found, [256, 512, 832, 896, 896, 8000]);
+    }
 }

@@ -10,8 +10,12 @@
 //!   hit the detector; on request;
 //! - `/ground_truth`: as in a world, from the centre of the first pixel; with `columns/position_in_image`, (x, y) in pixels where
 //!   each column appears ((frame, column, 2) for frames that are kept), and `drift`: (line, 3), time in s and the drift (x, y) in nm;
+//! - `/series`, in files of [`crate::live`] only, where `/recording` is a stack of recordings of one place, one after the other, and
+//!   `/ideal` and `/ground_truth` are of the first: `ideal` (recording, row, column), `vacancies` (recording, column), `dose_before`
+//!   (recording; mean electrons per square Angstrom on the place), `lost/ELEMENT` (recording), and the attribute `history` (JSON);
 //! - `/entry`: the recording once more, by a link, as NXdata with its axes.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use hdf5::{File, H5Type};
@@ -48,14 +52,33 @@ pub struct RecordingFile<'a> {
     pub frame: &'a ScanFrame,
     /// Counts: (frame, row, column).
     pub data: &'a Array3<f64>,
-    /// Whether the frames were kept; `data` holds one, their sum, otherwise.
-    pub keeps_frames: bool,
+    /// Whether `data` is a stack, of frames or of recordings; it holds one otherwise.
+    pub is_stack: bool,
+    /// Whether each of its images is the sum of several frames.
+    pub is_sum: bool,
     /// The noise-free image, [row, column].
     pub ideal: &'a Array2<f32>,
     /// The noise-free image where the beam was, and the electrons: (frame, row, column).
     pub stages: Option<[&'a Array3<f32>; 2]>,
     /// Pixels that the converter cut off.
     pub clipped: u64,
+    /// What changed from recording to recording of a series.
+    pub series: Option<SeriesPart<'a>>,
+}
+
+/// What changed from recording to recording.
+#[derive(Debug, Clone)]
+pub struct SeriesPart<'a> {
+    /// The noise-free image when each began: (recording, row, column).
+    pub ideal: &'a Array3<f32>,
+    /// Vacant sites of the columns of the ground truth when each began: (recording, column).
+    pub vacancies: &'a Array2<i32>,
+    /// Mean dose in electrons per square Angstrom that the place had had when each began.
+    pub dose_before: &'a [f64],
+    /// Atoms that each took away, by element.
+    pub lost: BTreeMap<String, Vec<u64>>,
+    /// What was done, as JSON.
+    pub history: String,
 }
 
 /// Writes a recording; `truth` adds the ground truth. The file appears complete or not at all; an existing one is replaced only
@@ -76,6 +99,9 @@ pub fn write_recording(
         write_images(&file, recording).at(path)?;
         let writer = TruthWriter::create(&file, path, [shape, chunk(shape)]).at(path)?;
         truth(&writer)?;
+        if let Some(series) = &recording.series {
+            write_series(&file, series, chunk(shape)).at(path)?;
+        }
         write_entry(&file, recording).at(path)?;
         file.flush().at(path)
     })
@@ -105,8 +131,7 @@ fn write_header(file: &File, r: &RecordingFile) -> hdf5::Result<()> {
 }
 
 fn write_images(file: &File, r: &RecordingFile) -> hdf5::Result<()> {
-    let added = !r.keeps_frames && r.exposure.frames > 1;
-    match (r.acquisition.bits, added) {
+    match (r.acquisition.bits, r.is_sum) {
         (32, _) => write_counts::<f32>(file, r, |v| v as f32)?,
         (_, true) => write_counts::<u32>(file, r, |v| v as u32)?,
         (8, false) => write_counts::<u8>(file, r, |v| v as u8)?,
@@ -135,7 +160,7 @@ fn write_counts<T: H5Type + Clone>(
     let data = r.data.mapv(convert);
     let [rows, columns] = chunk(r.frame.shape);
     let builder = file.new_dataset_builder();
-    let dataset = match r.keeps_frames {
+    let dataset = match r.is_stack {
         true => {
             let builder = builder.chunk([1, rows, columns]).shuffle().deflate(DEFLATE);
             builder.with_data(&data).create("recording")?
@@ -147,6 +172,22 @@ fn write_counts<T: H5Type + Clone>(
     };
     text(&dataset, "units", "counts")?;
     number(&dataset, "pixel_size_nm", r.frame.pixel_nm)
+}
+
+fn write_series(file: &File, series: &SeriesPart, [rows, columns]: [usize; 2]) -> hdf5::Result<()> {
+    let group = file.create_group("series")?;
+    text(&group, "history", &series.history)?;
+    let builder = group.new_dataset_builder().chunk([1, rows, columns]).shuffle().deflate(DEFLATE);
+    let ideal = builder.with_data(series.ideal).create("ideal")?;
+    text(&ideal, "units", "fraction of the incident beam")?;
+    group.new_dataset_builder().with_data(series.vacancies).create("vacancies")?;
+    let dose = group.new_dataset_builder().with_data(series.dose_before).create("dose_before")?;
+    text(&dose, "units", "electrons per square Angstrom")?;
+    let lost = group.create_group("lost")?;
+    for (element, atoms) in &series.lost {
+        lost.new_dataset_builder().with_data(atoms).create(element.as_str())?;
+    }
+    Ok(())
 }
 
 fn write_entry(file: &File, r: &RecordingFile) -> hdf5::Result<()> {
@@ -164,8 +205,9 @@ fn write_entry(file: &File, r: &RecordingFile) -> hdf5::Result<()> {
     };
     let [rows, columns] = r.frame.shape;
     let mut axes = Vec::new();
-    if r.keeps_frames {
-        axes.push(("frame", (0..r.exposure.frames).map(|f| f as f64).collect(), ""));
+    if r.is_stack {
+        let name = if r.series.is_some() { "recording" } else { "frame" };
+        axes.push((name, (0..r.data.len_of(Axis(0))).map(|f| f as f64).collect(), ""));
     }
     axes.push(("y", along(1, rows), "nm"));
     axes.push(("x", along(0, columns), "nm"));

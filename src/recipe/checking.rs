@@ -34,9 +34,22 @@ pub fn check(recipe: &Recipe) -> Checked<OrientedCrystals> {
     within("detector.outer_mrad", detector.outer_mrad, detector.inner_mrad + 0.1, 1000.0)?;
     within("dose.electrons_per_angstrom2", recipe.dose.electrons_per_angstrom2, 1e-3, 1e12)?;
     let recorded = recipe.acquisition.and_then(|table| table.resolved().fault());
-    match recorded {
-        Some((key, value, expected)) => fault(&format!("acquisition.{key}"), value, expected),
-        None => Ok(crystals),
+    if let Some((key, value, expected)) = recorded {
+        return fault(&format!("acquisition.{key}"), value, expected);
+    }
+    check_damage(recipe, &elements)?;
+    Ok(crystals)
+}
+
+/// What the beam displaces has to be in the specimen.
+fn check_damage(recipe: &Recipe, elements: &[String]) -> Checked {
+    let Some(damage) = &recipe.damage else { return Ok(()) };
+    for (name, symbol) in damage.elements() {
+        one_of(&format!("damage.{name}"), symbol, elements)?;
+    }
+    match damage.fault() {
+        Some((key, value, expected)) => fault(&format!("damage.{key}"), value, expected),
+        None => Ok(()),
     }
 }
 

@@ -8,6 +8,7 @@ use super::optics_table::OpticsTable;
 use super::origin::RecipeOrigin;
 use super::tables::*;
 use crate::acquisition::AcquisitionTable;
+use crate::damage::DamageTable;
 use crate::error::{Error, Result};
 
 /// A resolved recipe: every value that decides what a world holds. The values are as they were written;
@@ -71,6 +72,9 @@ pub struct Recipe {
     /// How the image is recorded. Without it the tiles are the noise-free image with Poisson noise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub acquisition: Option<AcquisitionTable>,
+    /// What the beam does to the specimen of a live world. Images and worlds show it before any electron has hit it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub damage: Option<DamageTable>,
     /// Where the values were written, for errors: no part of what a recipe is.
     #[serde(skip)]
     pub origin: RecipeOrigin,

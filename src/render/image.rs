@@ -3,7 +3,7 @@
 use super::canvas::RgbImage;
 use super::colormap::Colormap;
 use super::enlarge::{Enlarge, Matrix, SizeChange, check_finite, enlarge, shrink};
-use super::overlay::{Marker, draw_bar, draw_marker};
+use super::overlay::{Marker, draw_bar, draw_caption, draw_marker};
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 use std::path::Path;
@@ -56,6 +56,8 @@ pub struct Picture<'a> {
     pub pixel_angstrom: Option<f64>,
     /// Marks, drawn in this order.
     pub markers: Vec<Marker>,
+    /// A line of text in the upper left corner, where it fits.
+    pub caption: Option<String>,
 }
 
 impl<'a> Picture<'a> {
@@ -81,6 +83,7 @@ impl<'a> Picture<'a> {
             enlarge: Enlarge::default(),
             pixel_angstrom: None,
             markers: Vec::new(),
+            caption: None,
         })
     }
 
@@ -125,6 +128,9 @@ impl<'a> Picture<'a> {
                 ));
             }
             image.bar_angstrom = draw_bar(&mut image, pixel / scale.factor());
+        }
+        if let Some(caption) = &self.caption {
+            draw_caption(&mut image, caption);
         }
         Ok(image)
     }

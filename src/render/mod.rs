@@ -1,6 +1,7 @@
 //! Pictures for people: 8-bit PNG files with contrast, scale bar and markers, and drawings
 //! of specimens; HTML pages to look at images with.
 
+mod animation;
 mod canvas;
 mod colormap;
 mod enlarge;
@@ -13,6 +14,7 @@ mod overlay;
 mod scene;
 mod strokes;
 
+pub use animation::animated_png;
 pub use canvas::RgbImage;
 pub use colormap::Colormap;
 pub use enlarge::Enlarge;

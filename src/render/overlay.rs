@@ -121,6 +121,20 @@ pub(super) fn draw_bar(image: &mut RgbImage, angstrom_per_pixel: f64) -> Option<
     Some(length)
 }
 
+/// Writes a line of text in the upper left corner, on a box as that of the scale bar; nothing where it does not fit.
+pub(super) fn draw_caption(image: &mut RgbImage, caption: &str) {
+    let at = ScaleBar::new(image);
+    let size = [font::width(caption, at.digit) + 2.0 * at.padding, at.digit + 2.0 * at.padding];
+    if size[0] + 2.0 * at.margin > image.width as f64 {
+        return;
+    }
+    let low = [at.margin - 0.5; 2];
+    let high = [0, 1].map(|k| low[k] + size[k]);
+    image.fill(low, high, 0.35 * at.digit, BLACK, 0.6);
+    let start = [low[0] + at.padding, high[1] - at.padding];
+    image.stroke(&font::lines(caption, start, at.digit), 0.135 * at.digit, WHITE, 1.0);
+}
+
 /// The largest of 1, 2, 5 times a power of ten that is not above `limit`.
 fn round_below(limit: f64) -> Option<f64> {
     if !(1e-6..=1e12).contains(&limit) {

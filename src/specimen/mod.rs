@@ -8,6 +8,7 @@ pub mod census;
 pub(crate) mod coherent;
 pub(crate) mod column_index;
 pub(crate) mod composition;
+pub mod damaged;
 pub(crate) mod defects;
 pub mod domains;
 pub mod epitaxy;
@@ -24,6 +25,7 @@ pub(crate) mod wave;
 
 pub use atom_columns::{AtomColumn, Sites};
 pub use census::{counted_sites, estimated_sites};
+pub use damaged::{damaged_specimen::DamagedSpecimen, dose_map::DoseMap};
 #[cfg(all(test, feature = "hdf5"))]
 pub(crate) use factory::LAID_OUT;
 pub use factory::specimen;

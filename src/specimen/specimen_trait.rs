@@ -114,6 +114,10 @@ pub trait Specimen: Send + Sync {
     fn library_cell(&self, _family: UnitFamily) -> Option<LibraryCell> {
         None
     }
+    /// The families that units of a family may come to belong to while the specimen changes; itself among them.
+    fn reached_families(&self, family: UnitFamily) -> Vec<UnitFamily> {
+        vec![family]
+    }
     /// The film behind everything else, for specimens that have one.
     fn film(&self) -> Option<ThinFilm> {
         None

@@ -184,6 +184,19 @@ pub fn record(
     })
 }
 
+/// The path and the exposure of a scan of a part of the field, in nm of the full field.
+///
+/// # Errors
+/// [`Error::Invalid`] for a part or values out of limits.
+pub(crate) fn scan_of(
+    recipe: &CheckedRecipe,
+    part: &RecordedPart,
+    options: &RecordingOptions,
+) -> Result<(ScanPath, Exposure)> {
+    let recorder = recorder(&part.frame(recipe.field.origin_nm())?, options)?;
+    Ok((recorder.path().clone(), *recorder.exposure()))
+}
+
 /// The recorder of a frame.
 fn recorder(frame: &ScanFrame, options: &RecordingOptions) -> Result<Recorder> {
     let acquisition = &options.acquisition;

@@ -9,7 +9,7 @@ use super::noise_free::{band_limit, refinement};
 use crate::acquisition::{Acquisition, Exposure, Recorder, ScanFrame, ScanPath, SourceImage};
 use crate::error::{Error, Result};
 use crate::recipe::Recipe;
-use crate::resample::{HALF_WIDTH, Kernel, TAPS};
+use crate::resample::{Kernel, TAPS, samples_around};
 use crate::setting::Setting;
 
 /// The scan of a built field. Values are the counts turned back to fractions of the beam, as if the detector had no errors.
@@ -101,13 +101,8 @@ impl FieldScan {
         late: &mut [f64],
     ) -> Result<ScannedRows> {
         let [_, [low, high]] = self.path().reach_nm(rows.clone());
-        let last = self.shape[0] as f64;
-        let row = |nm: f64| (nm / self.pixel_nm).clamp(0.0, last - 1.0);
-        let first = (row(low).floor() as usize).saturating_sub(HALF_WIDTH);
-        let end = (row(high).ceil() as usize + HALF_WIDTH + 1).min(self.shape[0]);
-        // the kernel takes 16 rows
-        let end = end.max((first + TAPS).min(self.shape[0]));
-        let first = first.min(end - TAPS);
+        let Range { start: first, end } =
+            samples_around([low, high].map(|nm| nm / self.pixel_nm), 0..self.shape[0]);
         let origin = [0.0, first as f64 * self.pixel_nm];
         let image = SourceImage::with_kernel(
             clean(first..end)?,

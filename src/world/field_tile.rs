@@ -63,11 +63,26 @@ pub fn field_tile(
     progress: &dyn Progress,
 ) -> Result<FieldTile> {
     check(recipe, pixels, dose)?;
+    let configurations = recipe.phonons.configurations.max(1);
+    let clean = imager.mean_of(pixels, configurations, progress)?.mapv(|v| v as f32);
+    tile_of_image(recipe, specimen, pixels, clean, dose)
+}
+
+/// A tile whose noise-free image is there.
+///
+/// # Errors
+/// [`Error::Invalid`] as for [`field_tile`].
+pub(crate) fn tile_of_image(
+    recipe: &CheckedRecipe,
+    specimen: &dyn Specimen,
+    pixels: &PixelRect,
+    clean: Array2<f32>,
+    dose: Option<f64>,
+) -> Result<FieldTile> {
+    check(recipe, pixels, dose)?;
     let field = &recipe.field;
     let (pixel, built) = (field.pixel_nm(), field.origin_nm());
     let region = pixels.region(pixel);
-    let configurations = recipe.phonons.configurations.max(1);
-    let clean = imager.mean_of(pixels, configurations, progress)?.mapv(|v| v as f32);
     let counts = dose.map(|dose| Noise::new(recipe, dose, pixels.first).counted(&clean));
     let (sites, columns) = list(&specimen.query(&region), built, 0);
     let phase_names = specimen.phases();

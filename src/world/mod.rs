@@ -42,9 +42,11 @@ pub use atoms_export::{ExportOptions, ExportSummary, export};
 pub use build_options::{BuildMethod, BuildOptions, BuildPolicy, BuildProfile};
 #[cfg(feature = "hdf5")]
 pub use build_summary::BuildSummary;
+pub(crate) use field_recording::scan_of;
 pub use field_recording::{
     Electrons, FieldRecording, RecordedPart, RecordingOptions, RecordingStages, record,
 };
+pub(crate) use field_tile::tile_of_image;
 pub use field_tile::{FieldTile, field_tile};
 pub use noise::Noise;
 pub use noise_free::{ImagerSource, NoiseFree};

@@ -8,7 +8,7 @@ use crate::imaging::{PixelRect, RegionImager};
 use crate::optics::Optics;
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Recipe};
-use crate::resample::{HALF_WIDTH, MARGIN, image_band_limit, nyquist_step};
+use crate::resample::{MARGIN, image_band_limit, nyquist_step, samples_around};
 use crate::setting::Setting;
 
 /// Pixels of the source are at most this fraction of the inverse band limit: they are then interpolated with an error of about
@@ -98,14 +98,10 @@ pub trait NoiseFree {
         }
         let pixel = self.recipe().field.pixel_nm();
         let [low, end] = self.extent_px();
+        // nm are (x, y), pixels (row, column)
         let range = |k: usize| {
-            // nm are (x, y), pixels (row, column)
-            let [from, to] = reach_nm[1 - k].map(|nm| nm / pixel);
-            let first = (from.floor() as usize).saturating_sub(HALF_WIDTH).max(low[k]);
-            let last = (to.ceil() as usize + HALF_WIDTH + 1).min(end[k]);
-            // the kernel takes 16 pixels
-            let first = first.min(last.saturating_sub(2 * HALF_WIDTH)).max(low[k]);
-            [first, last - first]
+            let around = samples_around(reach_nm[1 - k].map(|nm| nm / pixel), low[k]..end[k]);
+            [around.start, around.len()]
         };
         let [[row, rows], [column, columns]] = [range(0), range(1)];
         let pixels = PixelRect::new([row, column], [rows, columns]);

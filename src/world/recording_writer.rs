@@ -5,6 +5,7 @@ use std::path::Path;
 use super::field_recording::FieldRecording;
 use super::truth;
 use crate::error::Result;
+use crate::io::TruthWriter;
 use crate::io::recording_file::{RecordingFile, write_recording};
 use crate::recipe::CheckedRecipe;
 use crate::specimen::Specimen;
@@ -22,7 +23,15 @@ impl FieldRecording {
         specimen: &dyn Specimen,
         command_line: &str,
     ) -> Result<()> {
-        let file = RecordingFile {
+        let file = self.file(recipe, command_line);
+        write_recording(path, overwrite, &file, &|writer| {
+            self.write_truth(recipe, specimen, writer)
+        })
+    }
+
+    /// What a file of it holds, but for the truth.
+    pub(crate) fn file(&self, recipe: &CheckedRecipe, command_line: &str) -> RecordingFile<'_> {
+        RecordingFile {
             command_line: command_line.to_owned(),
             recipe: recipe.to_toml(),
             acquisition: &self.options.acquisition,
@@ -30,15 +39,24 @@ impl FieldRecording {
             seed: self.options.seed,
             frame: &self.frame,
             data: &self.data,
-            keeps_frames: self.options.keep_frames,
+            is_stack: self.options.keep_frames,
+            is_sum: !self.options.keep_frames && self.exposure.frames > 1,
             ideal: &self.ideal,
             stages: self.stages.as_ref().map(|s| [&s.moved, &s.electrons]),
             clipped: self.clipped,
-        };
+            series: None,
+        }
+    }
+
+    /// Writes the truth about it; what it does not hold itself is that of the specimen.
+    pub(crate) fn write_truth(
+        &self,
+        recipe: &CheckedRecipe,
+        specimen: &dyn Specimen,
+        writer: &TruthWriter,
+    ) -> Result<()> {
         let first = recipe.field.origin_nm();
         let origin = [0, 1].map(|k| first[k] + self.frame.origin_nm[k]);
-        write_recording(path, overwrite, &file, &|writer| {
-            truth::write_recorded(specimen, self, origin, writer)
-        })
+        truth::write_recorded(specimen, self, origin, writer)
     }
 }

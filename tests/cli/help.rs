@@ -25,6 +25,7 @@ fn help_is_as_stored() {
     compare("view", &["view"]);
     compare("tiles", &["tiles"]);
     compare("acquire", &["acquire"]);
+    compare("live", &["live"]);
     compare("audit", &["audit"]);
     compare("cache", &["cache"]);
     compare("cache-list", &["cache", "list"]);

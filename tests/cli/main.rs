@@ -10,6 +10,7 @@ mod errors;
 mod help;
 #[path = "../common/python.rs"]
 mod interpreter;
+mod live;
 mod outputs;
 mod recipes;
 mod simulate;

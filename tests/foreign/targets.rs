@@ -87,6 +87,12 @@ impl Target {
         }
     }
 
+    /// Bytes of the file that an input of a few bytes was turned into.
+    pub fn file_bytes(&self) -> usize {
+        let made = self.folder.path().join("s.h5");
+        std::fs::metadata(made).map_or(0, |file| file.len() as usize)
+    }
+
     fn file(&self, name: &str, input: &[u8]) -> PathBuf {
         let path = self.folder.path().join(name);
         std::fs::write(&path, input).unwrap();

@@ -107,9 +107,10 @@ impl Assembly {
     }
 
     /// Pixels that need more than the library has: by index, and the weight of what is missing.
-    pub fn missing(&self) -> HashMap<usize, f64> {
+    pub fn missing(&self, library: &ImageLibrary) -> HashMap<usize, f64> {
         let mut missing = HashMap::new();
-        for share in self.shares.iter().filter(|s| self.units[s.unit].tag.is_none()) {
+        let there = |unit: &PlacedUnit| unit.tag.is_some_and(|t| library.cell_images(&t).is_some());
+        for share in self.shares.iter().filter(|s| !there(&self.units[s.unit])) {
             *missing.entry(share.pixel).or_insert(0.0) += share.weight;
         }
         missing

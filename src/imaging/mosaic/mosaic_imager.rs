@@ -196,7 +196,7 @@ impl RegionImager for MosaicImager {
         let assembly = Assembly::new(&*self.specimen, first, shape, pixel, self.way());
         let seed = self.recipe.seed;
         let mut image = assembly.image(&self.library, &self.kernel, seed, configurations);
-        let missing = assembly.missing();
+        let missing = assembly.missing(&self.library);
         for (block, members) in blocks(&missing, first, shape) {
             let direct = self.direct(&block, configurations, progress)?;
             for (pixel, weight) in members {

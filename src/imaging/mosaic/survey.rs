@@ -44,12 +44,19 @@ pub fn survey(specimen: &dyn Specimen, field: &Field) -> FieldSurvey {
         }
         found
     };
-    (0..count).into_par_iter().map(stripe).reduce(FieldSurvey::default, |mut a, b| {
-        a.families.extend(b.families);
-        FieldSurvey {
-            tagged: a.tagged + b.tagged,
-            untagged: a.untagged + b.untagged,
-            families: a.families,
-        }
-    })
+    let mut found =
+        (0..count).into_par_iter().map(stripe).reduce(FieldSurvey::default, |mut a, b| {
+            a.families.extend(b.families);
+            FieldSurvey {
+                tagged: a.tagged + b.tagged,
+                untagged: a.untagged + b.untagged,
+                families: a.families,
+            }
+        });
+    let reached = |turned: &TurnedFamily| {
+        let turned = *turned;
+        specimen.reached_families(turned.family).into_iter().map(move |f| turned.with_family(f))
+    };
+    found.families = found.families.iter().flat_map(reached).collect();
+    found
 }

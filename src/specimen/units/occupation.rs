@@ -180,6 +180,23 @@ pub fn sheets(units: usize, configurations: usize) -> usize {
     PATCHES_PER_BIN.div_ceil(units.max(1) * configurations)
 }
 
+/// Of a specimen without defects, what the beam makes of it: vacancies of the one element that it displaces.
+fn displaced_element(recipe: &Recipe) -> Result<Option<DefectKind>> {
+    let Some(damage) = &recipe.damage else { return Ok(None) };
+    let mut displaced = Vec::new();
+    for (_, symbol) in damage.elements() {
+        let element = elements::atomic_number(symbol)?;
+        if damage.cross_section_angstrom2(symbol, element, recipe.optics.energy_kv) > 0.0 {
+            displaced.push(element);
+        }
+    }
+    displaced.dedup();
+    Ok(match displaced[..] {
+        [element] => Some(DefectKind { element, by: None }),
+        _ => None,
+    })
+}
+
 /// The only kind of defect of a recipe, if there is one; `Err` for several.
 fn process(recipe: &Recipe) -> Result<std::result::Result<Option<DefectKind>, ()>> {
     let number = elements::atomic_number;
@@ -192,6 +209,9 @@ fn process(recipe: &Recipe) -> Result<std::result::Result<Option<DefectKind>, ()
     }
     if let Some(a) = recipe.alloy.as_ref().filter(|a| a.rate > 0.0) {
         found.push(DefectKind { element: number(&a.host)?, by: Some(number(&a.guest)?) });
+    }
+    if found.is_empty() {
+        found.extend(displaced_element(recipe)?);
     }
     // Atoms that move away from vacancies are not on their lattice sites.
     let relaxed = recipe.vacancies.as_ref().is_some_and(|v| v.relaxation_angstrom > 0.0);

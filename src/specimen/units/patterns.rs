@@ -28,6 +28,14 @@ pub fn bin_of(rate: f64) -> usize {
         .unwrap_or(0)
 }
 
+/// All bins, the nearest to a rate (in its square root) first.
+pub fn nearest_bins(rate: f64) -> Vec<usize> {
+    let distance = |n: &usize| (RATES[*n].sqrt() - rate.max(0.0).sqrt()).abs();
+    let mut bins: Vec<usize> = (0..RATES.len()).collect();
+    bins.sort_by(|a, b| distance(a).total_cmp(&distance(b)));
+    bins
+}
+
 /// Rate of a bin.
 pub fn rate_of(bin: usize) -> f64 {
     RATES[bin]

@@ -67,6 +67,12 @@ impl TurnedFamily {
         TurnedFamily { frame: [[one, 0], [0, one]], ..self }
     }
 
+    /// Another family whose sheets lie in the field in the same way.
+    #[must_use]
+    pub fn with_family(self, family: UnitFamily) -> Self {
+        TurnedFamily { family, ..self }
+    }
+
     /// See [`UnitTag::frame`].
     pub fn frame(&self) -> [[f64; 2]; 2] {
         self.frame.map(|row| row.map(|v| v as f64 / FRAME_PARTS))

@@ -1,0 +1,74 @@
+//! The table `[damage]` of a recipe: how easily the beam displaces the atoms of each element.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::knock_on::knock_on_angstrom2;
+
+/// A barn in square Angstrom.
+pub const BARN_ANGSTROM2: f64 = 1e-8;
+/// Threshold energies in eV.
+const THRESHOLD_EV: [f64; 2] = [1.0, 1000.0];
+/// Effective cross-sections of radiolysis in barn.
+const RADIOLYSIS_BARN: [f64; 2] = [0.0, 1e9];
+
+/// What the beam does to the specimen. An atom of which nothing is said stays where it is.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DamageTable {
+    /// Energy in eV that displaces an atom for good, by symbol of the element (knock-on).
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub threshold_ev: BTreeMap<String, f64>,
+    /// Effective cross-section in barn for the loss of an atom by ionisation, by symbol of the element.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub radiolysis_barn: BTreeMap<String, f64>,
+}
+
+impl DamageTable {
+    /// Cross-section in square Angstrom for the loss of an atom of an element, by its symbol and atomic number: an atom is lost with the
+    /// probability `1 - exp(-cross-section dose)`.
+    pub fn cross_section_angstrom2(&self, symbol: &str, number: u8, energy_kv: f64) -> f64 {
+        let knock_on = self.threshold_ev.get(symbol);
+        let knock_on = knock_on.map_or(0.0, |ev| knock_on_angstrom2(number, 1e3 * energy_kv, *ev));
+        let radiolysis = self.radiolysis_barn.get(symbol).map_or(0.0, |b| b * BARN_ANGSTROM2);
+        knock_on + radiolysis
+    }
+
+    /// The symbols of all elements that the table names.
+    pub fn elements(&self) -> impl Iterator<Item = (&'static str, &String)> {
+        let of = |name| move |symbol| (name, symbol);
+        let first = self.threshold_ev.keys().map(of("threshold_ev"));
+        first.chain(self.radiolysis_barn.keys().map(of("radiolysis_barn")))
+    }
+
+    /// The first value outside its limits: its key, the value, and what is allowed.
+    pub fn fault(&self) -> Option<(String, f64, String)> {
+        let tables = [
+            ("threshold_ev", &self.threshold_ev, THRESHOLD_EV),
+            ("radiolysis_barn", &self.radiolysis_barn, RADIOLYSIS_BARN),
+        ];
+        tables.into_iter().find_map(|(name, values, [low, high])| {
+            let wrong = values.iter().find(|(_, v)| !(low..=high).contains(*v))?;
+            Some((format!("{name}.{}", wrong.0), *wrong.1, format!("expected {low} to {high}")))
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn knock_on_and_radiolysis_add_up() {
+        let one = |v: f64| BTreeMap::from([("C".to_owned(), v)]);
+        let table = DamageTable { threshold_ev: one(17.0), radiolysis_barn: one(5.0) };
+        let both = table.cross_section_angstrom2("C", 6, 200.0);
+        let knock_on = knock_on_angstrom2(6, 200e3, 17.0);
+        assert!(knock_on > 0.0 && (both - knock_on - 5e-8).abs() < 1e-15);
+        assert_eq!(table.cross_section_angstrom2("O", 8, 200.0), 0.0);
+        assert!(table.fault().is_none());
+        let (key, value, _) = DamageTable { threshold_ev: one(-3.0), ..table }.fault().unwrap();
+        assert_eq!((key.as_str(), value), ("threshold_ev.C", -3.0));
+    }
+}

@@ -1,0 +1,8 @@
+//! What the beam does to atoms: how likely an electron displaces one.
+
+mod atomic_masses;
+mod damage_table;
+mod knock_on;
+
+pub use damage_table::{BARN_ANGSTROM2, DamageTable};
+pub use knock_on::{greatest_transfer_ev, knock_on_angstrom2};

@@ -1,0 +1,218 @@
+//! Images of a field in blocks that are kept until the specimen there has changed.
+
+use std::collections::HashMap;
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::path::Path;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use ndarray::{Array2, s};
+
+use crate::error::Result;
+use crate::imaging::source_imager::margin_px;
+use crate::imaging::{DisplacedAtoms, ImagingCost, PixelRect, RegionImager};
+use crate::progress::Progress;
+use crate::recipe::{CheckedRecipe, Region};
+use crate::specimen::{DamagedSpecimen, Specimen};
+
+/// Edge of a block in pixels.
+const BLOCK_PX: usize = 64;
+/// A block shows nothing that lies further outside of it, in nm: more than half a window of a probe.
+const REACH_NM: f64 = 1.2;
+
+/// An imager that keeps what it has made.
+pub struct BlockImager {
+    inner: Box<dyn RegionImager>,
+    recipe: CheckedRecipe,
+    specimen: Arc<DamagedSpecimen>,
+    /// Blocks that are kept at most.
+    most: usize,
+    reach_nm: f64,
+    kept: Mutex<KeptBlocks>,
+}
+
+#[derive(Default)]
+struct KeptBlocks {
+    blocks: HashMap<[usize; 2], Block>,
+    /// Where the specimen may have changed, one region after the other.
+    exposed: Vec<Region>,
+    clock: u64,
+}
+
+struct Block {
+    image: Array2<f32>,
+    /// What it shows.
+    contents: u64,
+    /// How many of the exposed regions it takes into account.
+    seen: usize,
+    used: u64,
+}
+
+impl BlockImager {
+    /// Keeps blocks of the images of `inner`, made of `recipe` and `specimen`, in about so many bytes.
+    pub fn new(
+        inner: Box<dyn RegionImager>,
+        recipe: &CheckedRecipe,
+        specimen: &Arc<DamagedSpecimen>,
+        bytes: usize,
+    ) -> Result<Self> {
+        let pixel_nm = recipe.field.pixel_nm();
+        let blurred = |source| margin_px(source, 10.0 * pixel_nm);
+        let more = recipe.optics.source().map(blurred).transpose()?.unwrap_or(0) as f64 * pixel_nm;
+        Ok(BlockImager {
+            inner,
+            recipe: recipe.clone(),
+            specimen: Arc::clone(specimen),
+            most: (bytes / (4 * BLOCK_PX * BLOCK_PX)).max(16),
+            reach_nm: REACH_NM + more,
+            kept: Mutex::default(),
+        })
+    }
+
+    /// Tells that the specimen may have changed in a region (nm of the full field).
+    pub fn changed(&self, region: Region) {
+        self.kept().exposed.push(region);
+    }
+
+    /// Number of blocks that are kept.
+    pub fn blocks(&self) -> usize {
+        self.kept().blocks.len()
+    }
+
+    fn kept(&self) -> MutexGuard<'_, KeptBlocks> {
+        self.kept.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Pixels of a block.
+    fn rect(&self, block: [usize; 2]) -> PixelRect {
+        let full = self.recipe.field.pixels(self.recipe.field.grid);
+        let first = block.map(|b| b * BLOCK_PX);
+        PixelRect::new(first, [0, 1].map(|k| BLOCK_PX.min(full[k] - first[k])))
+    }
+
+    /// What a block shows, as a number.
+    fn contents(&self, pixels: &PixelRect) -> u64 {
+        let area = pixels.region(self.recipe.field.pixel_nm()).grown(self.reach_nm);
+        let found = self.specimen.query(&area);
+        let mut hasher = DefaultHasher::new();
+        for column in &found.columns {
+            column.id.hash(&mut hasher);
+            column.unit.map(|unit| (unit.family, unit.entry)).hash(&mut hasher);
+            for site in &found.sites[column.sites.clone()] {
+                (site.kind as u8, site.number).hash(&mut hasher);
+            }
+        }
+        hasher.finish()
+    }
+
+    /// A block, from what is kept where that is still right.
+    fn block(&self, block: [usize; 2], progress: &dyn Progress) -> Result<Array2<f32>> {
+        let pixels = self.rect(block);
+        let area = pixels.region(self.recipe.field.pixel_nm()).grown(self.reach_nm);
+        let mut kept = self.kept();
+        kept.clock += 1;
+        let (now, exposures) = (kept.clock, kept.exposed.len());
+        let mut contents = None;
+        if let Some(seen) = kept.blocks.get(&block).map(|b| b.seen) {
+            let meets = |r: &Region| {
+                let both = r.intersection(&area);
+                both.x[0] < both.x[1] && both.y[0] < both.y[1]
+            };
+            if kept.exposed[seen..].iter().any(meets) {
+                contents = Some(self.contents(&pixels));
+            }
+            let known = kept.blocks.get_mut(&block);
+            if let Some(known) = known.filter(|b| contents.is_none_or(|c| c == b.contents)) {
+                (known.seen, known.used) = (exposures, now);
+                return Ok(known.image.clone());
+            }
+        }
+        drop(kept);
+        let all = self.recipe.phonons.configurations.max(1);
+        let image = self.inner.mean_of(&pixels, all, progress)?.mapv(|v| v as f32);
+        // Of a specimen that no dose changes, nobody asks.
+        let contents = match (contents, self.specimen.is_lasting()) {
+            (Some(contents), _) => contents,
+            (None, true) => 0,
+            (None, false) => self.contents(&pixels),
+        };
+        let made = Block { image: image.clone(), contents, seen: exposures, used: now };
+        self.keep(block, made);
+        Ok(image)
+    }
+
+    /// Keeps a block; the eighth that was used longest ago makes room.
+    fn keep(&self, block: [usize; 2], made: Block) {
+        let mut kept = self.kept();
+        if kept.blocks.len() >= self.most {
+            let mut ages: Vec<u64> = kept.blocks.values().map(|b| b.used).collect();
+            ages.sort_unstable();
+            let oldest = ages[ages.len() / 8];
+            kept.blocks.retain(|_, b| b.used > oldest);
+        }
+        kept.blocks.insert(block, made);
+    }
+}
+
+impl RegionImager for BlockImager {
+    fn name(&self) -> &'static str {
+        self.inner.name()
+    }
+    fn parameters(&self) -> serde_json::Value {
+        self.inner.parameters()
+    }
+    fn keep_in(&mut self, folder: &Path) {
+        self.inner.keep_in(folder);
+    }
+    fn prepare(&mut self, progress: &dyn Progress) -> Result<()> {
+        self.inner.prepare(progress)
+    }
+
+    fn mean_of(
+        &self,
+        pixels: &PixelRect,
+        configurations: usize,
+        progress: &dyn Progress,
+    ) -> Result<Array2<f64>> {
+        if configurations != self.recipe.phonons.configurations.max(1) {
+            return self.inner.mean_of(pixels, configurations, progress);
+        }
+        let PixelRect { first, shape, .. } = *pixels;
+        let mut image = Array2::zeros(shape);
+        let blocks = |k: usize| first[k] / BLOCK_PX..(first[k] + shape[k]).div_ceil(BLOCK_PX);
+        for row in blocks(0) {
+            for column in blocks(1) {
+                let part = self.block([row, column], progress)?;
+                let start = [row, column].map(|b| b * BLOCK_PX);
+                let low = [0, 1].map(|k| start[k].max(first[k]));
+                let high = [0, 1].map(|k| (start[k] + part.shape()[k]).min(first[k] + shape[k]));
+                let own = |from: [usize; 2]| {
+                    let range = |k: usize| low[k] - from[k]..high[k] - from[k];
+                    [range(0), range(1)]
+                };
+                let ([to_rows, to_columns], [rows, columns]) = (own(first), own(start));
+                let from = part.slice(s![rows, columns]).mapv(f64::from);
+                image.slice_mut(s![to_rows, to_columns]).assign(&from);
+            }
+        }
+        Ok(pixels.sampled(image))
+    }
+
+    fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
+        self.inner.atoms(area, configuration)
+    }
+    fn cost(&self, subtile: [usize; 2], subtiles: usize) -> Result<ImagingCost> {
+        self.inner.cost(subtile, subtiles)
+    }
+    fn stage(&self) -> [&'static str; 2] {
+        self.inner.stage()
+    }
+    fn work(&self, pixels: &PixelRect) -> usize {
+        self.inner.work(pixels)
+    }
+    fn window_angstrom(&self) -> Option<f64> {
+        self.inner.window_angstrom()
+    }
+    fn library(&self) -> Option<[usize; 2]> {
+        self.inner.library()
+    }
+}

@@ -1,0 +1,111 @@
+//! One place, recorded again and again.
+
+use ndarray::{Array2, Array3, Axis};
+
+use super::live_history::LiveAcquisition;
+use super::live_world::{LiveRequest, LiveWorld};
+use crate::engine::check_memory;
+use crate::error::{Error, Result};
+use crate::progress::Progress;
+use crate::recipe::Region;
+use crate::setting::Setting;
+use crate::world::FieldRecording;
+
+/// Recordings that a series may have.
+const MOST_RECORDINGS: usize = 100_000;
+
+/// Recordings of one place, one after the other.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct DoseSeries {
+    /// The first, with the truth of that time.
+    pub first: FieldRecording,
+    /// What the file of a microscope would hold: (recording, row, column).
+    pub data: Array3<f64>,
+    /// The noise-free image at the pixels that were meant, when each recording began: (recording, row, column), as fraction of the beam.
+    pub ideal: Array3<f32>,
+    /// Vacant sites of each column of the first recording when each recording began: (recording, column).
+    pub vacancies: Array2<i32>,
+    /// Mean dose in electrons per square Angstrom that the place had had when each recording began.
+    pub dose_before: Vec<f64>,
+    /// Pixels that the converter cut off, in all recordings.
+    pub clipped: u64,
+    /// What was done, and lost.
+    pub history: Vec<LiveAcquisition>,
+}
+
+/// Whether a series may have so many recordings.
+///
+/// # Errors
+/// [`Error::Invalid`] for none, or more than 100 000.
+pub fn check_recordings(count: usize) -> Result<()> {
+    if (1..=MOST_RECORDINGS).contains(&count) {
+        return Ok(());
+    }
+    Err(Error::invalid(Setting::Recordings, count, "expected 1 to 100000 recordings"))
+}
+
+impl LiveWorld {
+    /// Records one place `count` times. Frames are added.
+    ///
+    /// # Errors
+    /// As [`LiveWorld::acquire`] and [`check_recordings`]; [`Error::Memory`].
+    pub fn dose_series(
+        &mut self,
+        request: &LiveRequest,
+        count: usize,
+        progress: &dyn Progress,
+    ) -> Result<DoseSeries> {
+        check_recordings(count)?;
+        let request = LiveRequest { keep_frames: false, ..*request };
+        let middle = self.full_field_nm(request.part.centre_nm);
+        let edges =
+            [0, 1].map(|k| [-0.5, 0.5].map(|half| middle[k] + half * request.part.size_nm[k]));
+        let place = Region { x: edges[0], y: edges[1] };
+        progress.start("recording", "recording", count as u64);
+        let mut series: Option<DoseSeries> = None;
+        for number in 0..count {
+            let dose = self.specimen().dose().mean(&place);
+            let one = self.acquire(&request, progress)?;
+            let series = match &mut series {
+                Some(series) => series,
+                None => series.insert(DoseSeries::of(&one, count)?),
+            };
+            series.set(number, &one);
+            series.dose_before.push(dose);
+            series.history.extend(self.history().last().cloned());
+            progress.advance(1);
+        }
+        progress.finish();
+        series.ok_or(Error::Interrupted)
+    }
+}
+
+impl DoseSeries {
+    /// Room for `count` recordings like the first.
+    fn of(first: &FieldRecording, count: usize) -> Result<Self> {
+        let [rows, columns] = first.frame.shape;
+        let bytes = (count * (rows * columns * 12 + first.columns.len() * 4)) as u64;
+        check_memory(bytes, "record fewer times, or a smaller part")?;
+        Ok(DoseSeries {
+            first: first.clone(),
+            data: Array3::zeros((count, rows, columns)),
+            ideal: Array3::zeros((count, rows, columns)),
+            vacancies: Array2::zeros((count, first.columns.len())),
+            dose_before: Vec::with_capacity(count),
+            clipped: 0,
+            history: Vec::with_capacity(count),
+        })
+    }
+
+    fn set(&mut self, number: usize, one: &FieldRecording) {
+        self.data.index_axis_mut(Axis(0), number).assign(&one.data.index_axis(Axis(0), 0));
+        self.clipped += one.clipped;
+        self.ideal.index_axis_mut(Axis(0), number).assign(&one.ideal);
+        // A specimen that has lost atoms has the columns that it had, in the same order.
+        let mut vacancies = self.vacancies.row_mut(number);
+        for (to, column) in vacancies.iter_mut().zip(&one.columns) {
+            *to = column.vacancies as i32;
+        }
+    }
+}

@@ -1,0 +1,369 @@
+//! A world that changes under the beam.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use ndarray::Array2;
+
+use super::block_imager::BlockImager;
+use super::live_history::{LiveAcquisition, LiveSnapshot};
+use crate::acquisition::Acquisition;
+use crate::error::{Error, Result};
+use crate::imaging::{MethodChoice, PixelRect, RegionImager};
+use crate::progress::{InterruptOnly, Progress, Silent};
+use crate::recipe::{CheckedRecipe, Recipe, Region, StructureKind};
+use crate::rng::{Purpose, words};
+use crate::setting::Setting;
+use crate::specimen::{
+    DamagedSpecimen, DoseMap, ParticleTruth, SiteKind, Specimen, particles_in, specimen,
+};
+use crate::structure::elements;
+use crate::world::noise_free::{refined, refinement};
+use crate::world::region_truth::list;
+use crate::world::{
+    BuildOptions, ColumnTruth, Electrons, FieldRecording, FieldTile, ImagerSource, RecordedPart,
+    RecordingOptions, SiteTruth, record, scan_of, tile_of_image,
+};
+
+/// The greatest dose that a live world is made for unless another is asked for, in electrons per square Angstrom.
+pub const MOST_DOSE: f64 = 1e6;
+/// Doses that differ by less than this share are the same.
+const ROUNDING: f64 = 1e-9;
+/// Version of snapshots.
+const SNAPSHOT_VERSION: u32 = 1;
+
+/// How a live world is made.
+#[derive(Debug, Clone)]
+pub struct LiveOptions {
+    /// How images are made, as for worlds on disk.
+    pub imaging: BuildOptions,
+    /// The greatest dose at any place, in electrons per square Angstrom: the library of a mosaic shows what is left after it.
+    pub most_dose: f64,
+    /// Bytes for images that are kept.
+    pub image_bytes: usize,
+}
+
+impl Default for LiveOptions {
+    fn default() -> Self {
+        let imaging = BuildOptions::default();
+        LiveOptions { imaging, most_dose: MOST_DOSE, image_bytes: 256 << 20 }
+    }
+}
+
+/// What is to be recorded, and how.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LiveRequest {
+    /// Where, and with which pixel.
+    pub part: RecordedPart,
+    /// The dose.
+    pub electrons: Electrons,
+    /// The scan and the detector.
+    pub acquisition: Acquisition,
+    /// Keep the frames one by one; they are added otherwise.
+    pub keep_frames: bool,
+}
+
+/// What is in a region. Places are (x, y) in nm from the centre of the first built pixel of the field.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct LiveTruth {
+    /// Sites of the columns in the region.
+    pub sites: Vec<SiteTruth>,
+    /// Columns whose position lies in the region.
+    pub columns: Vec<ColumnTruth>,
+    /// Particles whose centre lies in the region.
+    pub particles: Vec<ParticleTruth>,
+}
+
+/// A world in memory. Recordings change its specimen as the table `[damage]` of the recipe says; the same recipe, seed and
+/// recordings give the same bytes, whatever the number of threads.
+///
+/// A recording shows the specimen as it was when the recording began; its electrons count when it has ended. The dose of a
+/// column is that of the pixels above it: tails of the probe are left out.
+pub struct LiveWorld {
+    recipe: CheckedRecipe,
+    fine: CheckedRecipe,
+    /// Pixels of `fine` in one of `recipe`, along each axis.
+    parts: usize,
+    specimen: Arc<DamagedSpecimen>,
+    imager: BlockImager,
+    most_dose: f64,
+    history: Vec<LiveAcquisition>,
+}
+
+impl LiveWorld {
+    /// Lays out the specimen of a recipe with this seed, and fills the library of its mosaic: from the cache, or by
+    /// simulations, which take minutes.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a greatest dose out of limits, and a film that the beam would change; those of the specimen and the engine;
+    /// [`Error::Interrupted`].
+    pub fn new(
+        recipe: &CheckedRecipe,
+        seed: u64,
+        options: &LiveOptions,
+        progress: &dyn Progress,
+    ) -> Result<Self> {
+        let recipe = own_recipe(recipe, seed)?;
+        if !(1e-3..=1e12).contains(&options.most_dose) {
+            let expected = "expected 0.001 to 1e12 electrons per square Angstrom";
+            return Err(Error::invalid(Setting::MostDose, options.most_dose, expected));
+        }
+        let parts = refinement(&recipe);
+        let fine = refined(&recipe, parts)?;
+        let whole = specimen(&recipe)?;
+        let damaged = Arc::new(DamagedSpecimen::new(whole, &recipe, options.most_dose));
+        let seen: Arc<dyn Specimen> = Arc::clone(&damaged) as Arc<dyn Specimen>;
+        let mut imaging = options.imaging.policy(&fine)?.imaging;
+        if imaging.method == MethodChoice::Auto {
+            // A library serves the specimen again and again while it changes.
+            imaging.method = MethodChoice::Mosaic;
+        }
+        let mut imager = imaging.imager(&fine, &seen)?;
+        imager.prepare(progress)?;
+        let imager = BlockImager::new(imager, &fine, &damaged, options.image_bytes)?;
+        let most_dose = options.most_dose;
+        Ok(LiveWorld { recipe, fine, parts, specimen: damaged, imager, most_dose, history: vec![] })
+    }
+
+    /// The recipe, with the seed.
+    pub fn recipe(&self) -> &CheckedRecipe {
+        &self.recipe
+    }
+
+    /// The specimen as it is now.
+    pub fn specimen(&self) -> &DamagedSpecimen {
+        &self.specimen
+    }
+
+    /// Makes images of the specimen as it is now, at pixels of [`LiveWorld::imaged_recipe`]; for audits.
+    pub fn imager(&self) -> &dyn RegionImager {
+        &self.imager
+    }
+
+    /// The recipe with pixels fine enough for recordings.
+    pub fn imaged_recipe(&self) -> &CheckedRecipe {
+        &self.fine
+    }
+
+    /// All recordings so far.
+    pub fn history(&self) -> &[LiveAcquisition] {
+        &self.history
+    }
+
+    /// Number of blocks of the image that are kept.
+    pub fn kept_blocks(&self) -> usize {
+        self.imager.blocks()
+    }
+
+    /// The noise-free image of some pixels of the field and what is there, without an electron spent.
+    ///
+    /// # Errors
+    /// As [`crate::world::field_tile`].
+    pub fn look(&self, pixels: &PixelRect) -> Result<FieldTile> {
+        let finer = |p: [usize; 2]| p.map(|n| n.saturating_mul(self.parts));
+        let full = self.recipe.field.pixels(self.recipe.field.grid);
+        let inside = (0..2).all(|k| {
+            let end = pixels.first[k].checked_add(pixels.shape[k]);
+            pixels.shape[k] > 0 && end.is_some_and(|end| end <= full[k])
+        });
+        let clean = match inside {
+            true => {
+                let fine = PixelRect::new(finer(pixels.first), finer(pixels.shape));
+                let all = self.recipe.phonons.configurations.max(1);
+                let image = self.imager.mean_of(&fine.every(self.parts), all, &Silent)?;
+                image.mapv(|v| v as f32)
+            }
+            // refused there
+            false => Array2::zeros([0, 0]),
+        };
+        tile_of_image(&self.recipe, &*self.specimen, pixels, clean, None)
+    }
+
+    /// What is in a region (nm from the centre of the first built pixel of the field) now.
+    pub fn truth(&self, region: &Region) -> LiveTruth {
+        let [x, y] = self.recipe.field.origin_nm();
+        let shift = |range: [f64; 2], by: f64| range.map(|v| v + by);
+        let region = Region { x: shift(region.x, x), y: shift(region.y, y) };
+        let (sites, columns) = list(&self.specimen.query(&region), [x, y], 0);
+        let particle = |p: ParticleTruth| {
+            let [u, v, z] = p.centre_nm;
+            ParticleTruth { centre_nm: [u - x, v - y, z], ..p }
+        };
+        let particles = particles_in(&*self.specimen, &region).into_iter().map(particle);
+        LiveTruth { sites, columns, particles: particles.collect() }
+    }
+
+    /// Records a part of the field. The specimen is then what the electrons have left of it.
+    ///
+    /// # Errors
+    /// As [`record`]; [`Error::Invalid`] for a dose beyond what the world was made for. The world is then as it was.
+    pub fn acquire(
+        &mut self,
+        request: &LiveRequest,
+        progress: &dyn Progress,
+    ) -> Result<FieldRecording> {
+        let options = RecordingOptions {
+            acquisition: request.acquisition,
+            electrons: request.electrons,
+            seed: self.recording_seed(),
+            keep_frames: request.keep_frames,
+            keep_stages: false,
+        };
+        let (path, exposure) = scan_of(&self.recipe, &request.part, &options)?;
+        let mut spent = DoseMap::default();
+        let area = expose(&mut spent, &path, &exposure);
+        self.check_dose(&spent)?;
+        let source = ImagerSource { imager: &self.imager, recipe: &self.fine };
+        let (recipe, part) = (&self.recipe, &request.part);
+        let quiet = InterruptOnly(progress);
+        let recording = record(recipe, &*self.specimen, &source, part, &options, &quiet)?;
+        let before = self.atoms(&area);
+        self.specimen.expose(|dose| dose.add_all(&spent));
+        self.imager.changed(area);
+        let lost = lost(&before, &self.atoms(&area));
+        let begun_s = self.history.last().map_or(0.0, |last| last.begun_s + last.duration_s);
+        self.history.push(LiveAcquisition {
+            number: self.history.len(),
+            begun_s,
+            duration_s: path.duration_s(),
+            centre_nm: part.centre_nm,
+            size_nm: part.size_nm,
+            shape: path.frame().shape,
+            dose: exposure.dose(),
+            current_pa: exposure.current_pa(),
+            electrons: spent.electrons(),
+            lost,
+        });
+        Ok(recording)
+    }
+
+    /// A place in nm of the full field.
+    pub(super) fn full_field_nm(&self, place_nm: [f64; 2]) -> [f64; 2] {
+        let origin = self.recipe.field.origin_nm();
+        [0, 1].map(|k| place_nm[k] + origin[k])
+    }
+
+    /// Seed of the next recording.
+    fn recording_seed(&self) -> u64 {
+        let [low, high, ..] =
+            words(self.recipe.seed, Purpose::LiveRecording, 0, self.history.len() as u64);
+        u64::from(high) << 32 | u64::from(low)
+    }
+
+    fn check_dose(&self, spent: &DoseMap) -> Result<()> {
+        if self.specimen.is_lasting() {
+            return Ok(());
+        }
+        let greatest = self.specimen.dose().greatest_with(spent);
+        if greatest <= self.most_dose * (1.0 + ROUNDING) {
+            return Ok(());
+        }
+        let expected = format!(
+            "the world was made for up to {} electrons per square Angstrom at any place, earlier recordings included; \
+             make it for more",
+            self.most_dose
+        );
+        Err(Error::invalid(Setting::Dose, format!("{greatest:.4}"), expected))
+    }
+
+    /// Numbers of atoms in a region (nm of the full field), by element; none of a specimen that no dose changes.
+    fn atoms(&self, area: &Region) -> BTreeMap<u8, u64> {
+        let mut atoms = BTreeMap::new();
+        if self.specimen.is_lasting() {
+            return atoms;
+        }
+        // The dose of a unit is that of its centre.
+        for site in self.specimen.sites(&area.grown(0.3)) {
+            if site.kind != SiteKind::Vacancy {
+                *atoms.entry(site.number).or_default() += 1;
+            }
+        }
+        atoms
+    }
+
+    /// What has been done so far.
+    pub fn snapshot(&self) -> LiveSnapshot {
+        LiveSnapshot {
+            version: SNAPSHOT_VERSION,
+            recipe: self.recipe.to_toml(),
+            most_dose: self.most_dose,
+            dose: self.specimen.dose().clone(),
+            history: self.history.clone(),
+        }
+    }
+
+    /// Goes back (or on) to a moment of a world of the same recipe and seed.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a snapshot of another world, or one that is damaged.
+    pub fn restore(&mut self, snapshot: &LiveSnapshot) -> Result<()> {
+        let refuse = |value: &str, expected: &str| {
+            Err(Error::invalid(Setting::Snapshot, value.to_owned(), expected))
+        };
+        if snapshot.version != SNAPSHOT_VERSION {
+            let value = format!("version {}", snapshot.version);
+            return refuse(&value, "this program reads snapshots of version 1");
+        }
+        if snapshot.recipe != self.recipe.to_toml() {
+            return refuse("another recipe or seed", "expected a snapshot of this world");
+        }
+        if !snapshot.dose.is_sound() || snapshot.dose.greatest() > self.most_dose * (1.0 + ROUNDING)
+        {
+            return refuse(
+                "its doses",
+                "expected doses from 0 to that which the world was made for",
+            );
+        }
+        self.specimen.expose(|dose| dose.clone_from(&snapshot.dose));
+        self.imager.changed(Region { x: [-1e9, 1e9], y: [-1e9, 1e9] });
+        self.history.clone_from(&snapshot.history);
+        Ok(())
+    }
+}
+
+/// The recipe with another seed.
+fn own_recipe(recipe: &CheckedRecipe, seed: u64) -> Result<CheckedRecipe> {
+    let mut own: Recipe = recipe.recipe().clone();
+    own.seed = seed;
+    if own.structure == StructureKind::Particles && own.damage.is_some() {
+        let expected =
+            "films and particles do not change under the beam yet; leave the table [damage] out";
+        return Err(Error::invalid(Setting::Damage, "particles", expected));
+    }
+    own.checked()
+}
+
+/// Adds the electrons of a scan, line by line; returns the area (nm of the full field) that they lie in.
+fn expose(
+    dose: &mut DoseMap,
+    path: &crate::acquisition::ScanPath,
+    exposure: &crate::acquisition::Exposure,
+) -> Region {
+    let frame = path.frame();
+    let ([rows, columns], half) = (frame.shape, 0.5 * frame.pixel_nm);
+    let electrons = exposure.electrons_per_pixel * columns as f64;
+    let mut area = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
+    for number in 0..path.frames() {
+        for row in 0..rows {
+            let ends = [0, columns - 1].map(|column| path.place_nm(number, row, column));
+            let y = 0.5 * (ends[0][1] + ends[1][1]);
+            let x = [ends[0][0].min(ends[1][0]) - half, ends[0][0].max(ends[1][0]) + half];
+            let line = Region { x, y: [y - half, y + half] };
+            dose.add(&line, electrons);
+            for (all, own) in area.iter_mut().zip([line.x, line.y]) {
+                *all = [all[0].min(own[0]), all[1].max(own[1])];
+            }
+        }
+    }
+    Region { x: area[0], y: area[1] }
+}
+
+/// How many atoms of each element are there no more.
+fn lost(before: &BTreeMap<u8, u64>, after: &BTreeMap<u8, u64>) -> BTreeMap<String, u64> {
+    let gone = |(number, count): (&u8, &u64)| {
+        let left = after.get(number).copied().unwrap_or_default();
+        (*count > left).then(|| (elements::symbol(*number).to_owned(), count - left))
+    };
+    before.iter().filter_map(gone).collect()
+}

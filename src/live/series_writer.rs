@@ -1,0 +1,54 @@
+//! Files of series of recordings.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::dose_series::DoseSeries;
+use super::live_world::LiveWorld;
+use crate::error::Result;
+use crate::io::recording_file::{RecordingFile, SeriesPart, write_recording};
+
+impl DoseSeries {
+    /// Writes a file with the recordings and all that is known of them; its schema is that of [`crate::io::recording_file`].
+    ///
+    /// # Errors
+    /// [`crate::Error::Io`], [`crate::Error::Hdf5`].
+    pub fn write(
+        &self,
+        path: &Path,
+        overwrite: bool,
+        world: &LiveWorld,
+        command_line: &str,
+    ) -> Result<()> {
+        let series = SeriesPart {
+            ideal: &self.ideal,
+            vacancies: &self.vacancies,
+            dose_before: &self.dose_before,
+            lost: self.lost(),
+            history: serde_json::to_string(&self.history).unwrap_or_default(),
+        };
+        let file = RecordingFile {
+            data: &self.data,
+            is_stack: true,
+            is_sum: self.first.exposure.frames > 1,
+            clipped: self.clipped,
+            series: Some(series),
+            ..self.first.file(world.recipe(), command_line)
+        };
+        write_recording(path, overwrite, &file, &|writer| {
+            self.first.write_truth(world.recipe(), world.specimen(), writer)
+        })
+    }
+
+    /// Atoms that each recording took away, by element.
+    fn lost(&self) -> BTreeMap<String, Vec<u64>> {
+        let mut lost = BTreeMap::new();
+        for (number, one) in self.history.iter().enumerate() {
+            for (element, atoms) in &one.lost {
+                let all = lost.entry(element.clone());
+                all.or_insert_with(|| vec![0; self.history.len()])[number] = *atoms;
+            }
+        }
+        lost
+    }
+}

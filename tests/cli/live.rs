@@ -1,0 +1,81 @@
+//! Series of a specimen that loses atoms.
+
+use super::{fails, json, python, stemgen};
+
+const SERIES: [&str; 11] = [
+    "live",
+    "test",
+    "--no-cache",
+    "--set",
+    "field.thickness_nm=0.4",
+    "--set",
+    "damage.radiolysis_barn.O=20",
+    "--grid",
+    "1x1",
+    "--dose-series",
+    "3",
+];
+
+#[test]
+fn a_series_shows_what_it_takes_away() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let told = json(
+        stemgen(here)
+            .args(SERIES)
+            .args(["--at", "1.9,1.9", "--zoom", "2", "--dose", "2e5", "--profile", "routine"])
+            .args(["--frame-s", "0.5", "-o", "s.h5", "--animation", "--quiet"]),
+    );
+    assert_eq!(told["recordings"], 3);
+    assert!(told["lost"]["O"].as_u64().unwrap() > 3, "{told}");
+    assert_eq!(told["history"].as_array().unwrap().len(), 3);
+    python("check_series.py", &[&here.join("s.h5"), &here.join("s.png")]);
+}
+
+#[test]
+fn nothing_lost_is_said_and_nonsense_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let told = fails(stemgen(here).args(["live", "test", "-o", "s.png"]));
+    assert!(told.contains("s.h5"), "{told}");
+    let told = fails(
+        stemgen(here)
+            .args([&SERIES[..], &["--dose", "1e5", "--most-dose", "1e5", "-o", "s.h5"]].concat()),
+    );
+    assert!(told.contains("the series comes to") && told.contains("larger --most-dose"), "{told}");
+    let told = fails(stemgen(here).args([
+        "live",
+        "test",
+        "--dose-series",
+        "0",
+        "--no-cache",
+        "-o",
+        "s.h5",
+        "--set",
+        "field.thickness_nm=0.4",
+        "--grid",
+        "1x1",
+    ]));
+    assert!(told.contains("--dose-series"), "{told}");
+    let told = fails(stemgen(here).args([
+        "live",
+        "test",
+        "--set",
+        "damage.threshold_ev.Xx=3",
+        "-o",
+        "s.h5",
+    ]));
+    assert!(told.contains("damage.threshold_ev") && told.contains("holds"), "{told}");
+    let told = fails(stemgen(here).args([
+        "live",
+        "pt",
+        "--difficulty",
+        "easy",
+        "--set",
+        "damage.threshold_ev.C=17",
+        "-o",
+        "s.h5",
+    ]));
+    assert!(told.contains("--unset damage"), "{told}");
+    assert!(!here.join("s.h5").exists());
+}

@@ -1,0 +1,372 @@
+//! Live worlds: what electrons take away, that it stays away, and that images show what is left.
+
+use std::sync::{Arc, OnceLock};
+
+use stemgen::acquisition::Profile;
+use stemgen::imaging::{AuditOptions, Cache, PixelRect, audit};
+use stemgen::live::{LiveOptions, LiveRequest, LiveSnapshot, LiveWorld};
+use stemgen::progress::Silent;
+use stemgen::recipe::{CheckedRecipe, Recipe, Region};
+use stemgen::specimen::{DamagedSpecimen, SiteKind, Specimen, specimen};
+use stemgen::world::{BuildMethod, BuildOptions, Electrons, RecordedPart};
+
+/// Oxygen goes with a cross-section of 20 barn: a fifth of it after 1e6 electrons per square Angstrom.
+fn recipe(changes: &[&str]) -> CheckedRecipe {
+    let recipe = Recipe::load("test", None).unwrap();
+    let own = ["damage.radiolysis_barn.O=20", "field.thickness_nm=0.4"];
+    let changes: Vec<_> = own.iter().chain(changes).map(|c| c.parse().unwrap()).collect();
+    recipe.with_overrides(&changes).unwrap().checked().unwrap()
+}
+
+/// Simulations that all tests of this file share.
+fn cache() -> Cache {
+    static FOLDER: OnceLock<tempfile::TempDir> = OnceLock::new();
+    Cache::at(FOLDER.get_or_init(|| tempfile::tempdir().unwrap()).path().to_owned())
+}
+
+fn options(method: BuildMethod) -> LiveOptions {
+    let imaging = BuildOptions { method, cache: cache(), ..BuildOptions::default() };
+    LiveOptions { imaging, ..LiveOptions::default() }
+}
+
+fn world(changes: &[&str]) -> LiveWorld {
+    LiveWorld::new(&recipe(changes), 7, &options(BuildMethod::Mosaic), &Silent).unwrap()
+}
+
+fn request(centre_nm: [f64; 2], zoom: f64, dose: f64) -> LiveRequest {
+    let pixel_nm = recipe(&[]).field.pixel_nm() / zoom;
+    LiveRequest {
+        part: RecordedPart { centre_nm, size_nm: [64.0 * pixel_nm; 2], pixel_nm },
+        electrons: Electrons::Dose(dose),
+        acquisition: Profile::Ideal.acquisition(),
+        keep_frames: false,
+    }
+}
+
+/// Vacant and present sites of oxygen.
+fn oxygen(specimen: &dyn Specimen, region: &Region) -> [usize; 2] {
+    let sites = specimen.sites(region);
+    let count = |vacant: bool| {
+        let own = |s: &&stemgen::specimen::SpecimenSite| {
+            s.number == 8 && (s.kind == SiteKind::Vacancy) == vacant
+        };
+        sites.iter().filter(own).count()
+    };
+    [count(true), count(false)]
+}
+
+/// After a dose D a share 1 - exp(-sigma D) is gone, and no other element.
+#[test]
+fn a_dose_takes_the_share_that_its_cross_section_says() {
+    let recipe = recipe(&["field.thickness_nm=4.0"]);
+    let inner = specimen(&recipe).unwrap();
+    let damaged = DamagedSpecimen::new(Arc::clone(&inner), &recipe, 1e8);
+    let field = recipe.field.full_region();
+    let [vacant, present] = oxygen(&*inner, &field);
+    let all = inner.sites(&field);
+    let mut last = vacant;
+    for dose in [1e6, 3e6, 1e7] {
+        damaged.expose(|map| {
+            let now = map.at([3.0, 3.0]);
+            let area = field.grown(1.0);
+            let angstrom2 = 100.0 * (area.x[1] - area.x[0]) * (area.y[1] - area.y[0]);
+            map.add(&area, (dose - now) * angstrom2);
+        });
+        let share = 1.0 - (-20e-8f64 * dose).exp();
+        let [now, _] = oxygen(&damaged, &field);
+        let (lost, expected) = ((now - vacant) as f64, share * present as f64);
+        let error = (present as f64 * share * (1.0 - share)).sqrt();
+        assert!((lost - expected).abs() < 4.0 * error, "{dose}: {lost} of {expected} +- {error}");
+        assert!(now >= last);
+        last = now;
+        let sites = damaged.sites(&field);
+        assert_eq!(sites.len(), all.len());
+        let moved =
+            |(a, b): (&stemgen::specimen::SpecimenSite, &stemgen::specimen::SpecimenSite)| {
+                a.position_nm != b.position_nm
+                    || a.key != b.key
+                    || (a.number != 8 && a.kind != b.kind)
+            };
+        assert!(!sites.iter().zip(&all).any(moved));
+        // Every unit that is in the library holds what the library shows.
+        let found = damaged.query(&field);
+        let tagged = found.columns.iter().filter(|c| c.unit.is_some()).count();
+        assert!(tagged > 0 && tagged >= inner.query(&field).columns.len() * 8 / 10, "{tagged}");
+    }
+}
+
+/// The order and the size of the steps in which a dose comes make no difference.
+#[test]
+fn what_is_left_depends_on_the_dose_alone() {
+    let recipe = recipe(&[]);
+    let field = recipe.field.full_region();
+    let angstrom2 = 100.0 * (field.x[1] - field.x[0]) * (field.y[1] - field.y[0]);
+    let after = |doses: &[f64]| {
+        let damaged = DamagedSpecimen::new(specimen(&recipe).unwrap(), &recipe, 1e6);
+        for dose in doses {
+            damaged.expose(|map| map.add(&field, dose * angstrom2));
+            damaged.query(&field);
+        }
+        damaged.query(&field)
+    };
+    let once = after(&[524_288.0]);
+    assert_eq!(once, after(&[262_144.0, 131_072.0, 131_072.0]));
+    assert_ne!(once, after(&[131_072.0]));
+}
+
+#[test]
+fn recordings_change_the_specimen_where_they_are_made() {
+    let mut live = world(&[]);
+    let [h, w] = live.recipe().field.pixels(live.recipe().field.built_grid());
+    let pixel = live.recipe().field.pixel_nm();
+    let tile = PixelRect::new([h / 2 - 32, w / 2 - 32], [64, 64]);
+    // the same pixels
+    let centre = [1, 0].map(|k| (tile.first[k] as f64 + 31.5) * pixel);
+    let far = PixelRect::new([4, 4], [64, 64]);
+    let (before, there) = (live.look(&tile).unwrap(), live.look(&far).unwrap());
+    let first = live.acquire(&request(centre, 1.0, 8e5), &Silent).unwrap();
+    assert_eq!(first.ideal.dim(), (64, 64));
+    // The recording shows the specimen as it was.
+    let worst =
+        first.ideal.iter().zip(&before.clean).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    let most = before.clean.iter().copied().fold(0.0, f32::max);
+    assert!(worst < 2e-3 * most, "{worst} of {most}");
+    let record = &live.history()[0];
+    let lost = record.lost["O"];
+    assert_eq!(record.lost.len(), 1);
+    assert!((record.electrons / (8e5 * 100.0 * (64.0 * pixel).powi(2)) - 1.0).abs() < 1e-9);
+    let after = live.look(&tile).unwrap();
+    let gone = |tile: &stemgen::world::FieldTile| -> u32 {
+        tile.columns.iter().map(|c| c.vacancies).sum()
+    };
+    assert!(gone(&after) > gone(&before) && u64::from(gone(&after) - gone(&before)) <= lost);
+    assert_ne!(after.clean, before.clean);
+    assert_eq!(live.look(&far).unwrap().clean, there.clean);
+    let error = live.acquire(&request(centre, 1.0, 8e5), &Silent).unwrap_err().to_string();
+    assert!(error.contains("made for up to 1000000"), "{error}");
+    assert_eq!((live.history().len(), live.look(&tile).unwrap().clean), (1, after.clean));
+}
+
+/// Blocks that are kept are those that would be made anew.
+#[test]
+fn kept_images_are_those_of_the_specimen_as_it_is() {
+    let mut live = world(&[]);
+    let recipe = live.imaged_recipe().clone();
+    let pixel = recipe.field.pixel_nm();
+    let policy = options(BuildMethod::Mosaic).imaging.policy(&recipe).unwrap();
+    for (x, y, dose) in [(2.0, 2.0, 2e5), (3.1, 2.2, 3e5), (2.4, 3.9, 4e5), (9.0, 5.5, 1e5)] {
+        let first = [y, x].map(|nm| (nm / pixel) as usize - 50);
+        let rect = PixelRect::new(first, [150, 120]);
+        let kept = live.imager().mean_of(&rect, 1, &Silent).unwrap();
+        let again = damaged_again(&live);
+        let mut anew = policy.imaging.imager(&recipe, &again).unwrap();
+        anew.prepare(&Silent).unwrap();
+        let made = anew.mean_of(&rect, 1, &Silent).unwrap();
+        let off = kept.iter().zip(&made).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        let most = made.iter().copied().fold(0.0, f64::max);
+        assert!(off < 1e-6 * most, "{off} of {most}");
+        let region = rect.region(pixel);
+        assert_eq!(live.specimen().query(&region), again.query(&region));
+        live.acquire(&request([x, y], 1.0, dose), &Silent).unwrap();
+    }
+}
+
+/// A specimen of its own that has had the same doses.
+fn damaged_again(live: &LiveWorld) -> Arc<dyn Specimen> {
+    let recipe = live.recipe();
+    let again = DamagedSpecimen::new(specimen(recipe).unwrap(), recipe, 1e6);
+    again.expose(|map| map.clone_from(&live.specimen().dose()));
+    Arc::new(again)
+}
+
+#[test]
+fn the_same_recordings_give_the_same_bytes_on_any_number_of_threads() {
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let mut live = world(&[]);
+            let mut out = Vec::new();
+            for n in 0..6 {
+                let place = [2.0 + 0.7 * f64::from(n), 2.2 + 0.4 * f64::from(n % 3)];
+                let mut request = request(place, 1.0 + f64::from(n % 2), 5e4);
+                request.acquisition = Profile::Routine.acquisition();
+                out.push(live.acquire(&request, &Silent).unwrap());
+            }
+            (out, live.snapshot())
+        })
+    };
+    let (one, three) = (run(1), run(3));
+    assert_eq!(one.0, three.0);
+    assert_eq!(one.1, three.1);
+}
+
+#[test]
+fn a_world_goes_on_from_a_snapshot() {
+    let mut live = world(&[]);
+    live.acquire(&request([3.0, 3.0], 1.0, 3e5), &Silent).unwrap();
+    let snapshot = live.snapshot();
+    let text = serde_json::to_string(&snapshot).unwrap();
+    let second = live.acquire(&request([3.2, 3.0], 2.0, 3e5), &Silent).unwrap();
+    let third = live.acquire(&request([3.2, 3.0], 2.0, 1e5), &Silent).unwrap();
+    // in the same world, and in a new one
+    let stored: LiveSnapshot = serde_json::from_str(&text).unwrap();
+    for mut again in [world(&[]), live] {
+        again.restore(&stored).unwrap();
+        assert_eq!(again.snapshot(), snapshot);
+        assert_eq!(again.acquire(&request([3.2, 3.0], 2.0, 3e5), &Silent).unwrap(), second);
+        assert_eq!(again.acquire(&request([3.2, 3.0], 2.0, 1e5), &Silent).unwrap(), third);
+    }
+    let mut other =
+        LiveWorld::new(&recipe(&[]), 8, &options(BuildMethod::Mosaic), &Silent).unwrap();
+    let error = other.restore(&stored).unwrap_err().to_string();
+    assert!(error.contains("another recipe or seed"), "{error}");
+}
+
+/// Many recordings in little memory: blocks are dropped, and come back the same.
+#[test]
+fn memory_is_bounded_and_images_do_not_depend_on_it() {
+    let small = LiveOptions { image_bytes: 0, ..options(BuildMethod::Mosaic) };
+    let mut tight = LiveWorld::new(&recipe(&[]), 7, &small, &Silent).unwrap();
+    let mut roomy = world(&[]);
+    for n in 0..60 {
+        let place = [1.2 + 0.15 * f64::from(n), 1.5 + 0.07 * f64::from(n)];
+        let request = request(place, 1.0, 1e4);
+        let [a, b] = [&mut tight, &mut roomy].map(|w| w.acquire(&request, &Silent).unwrap());
+        assert_eq!(a, b);
+        assert!(tight.kept_blocks() <= 16);
+    }
+    assert!(roomy.kept_blocks() > 16);
+    assert_eq!(tight.snapshot(), roomy.snapshot());
+}
+
+/// A column that has lost atoms shows the image of the atoms that are left, as the exact engine finds it.
+#[test]
+fn damaged_places_pass_an_audit() {
+    let mut live = world(&["phonons.configurations=2"]);
+    let centre = [5.0, 3.5];
+    live.acquire(&request(centre, 1.0, 1e6), &Silent).unwrap();
+    assert!(live.history()[0].lost["O"] > 10);
+    let options =
+        AuditOptions { regions: 1, size_nm: 0.8, at_nm: vec![centre], ..AuditOptions::default() };
+    let found =
+        audit(live.imaged_recipe(), live.specimen(), live.imager(), &options, &Silent).unwrap();
+    assert!(found.bright_rms_percent < 0.5 && found.all_rms_percent < 0.5, "{found:?}");
+}
+
+#[test]
+fn a_world_without_damage_stays_as_it_is() {
+    let recipe = Recipe::load("test", None).unwrap().checked().unwrap();
+    let mut live = LiveWorld::new(&recipe, 1, &options(BuildMethod::Mosaic), &Silent).unwrap();
+    let tile = PixelRect::new([60, 60], [64, 64]);
+    let before = live.look(&tile).unwrap();
+    live.acquire(&request([3.0, 3.0], 1.0, 1e11), &Silent).unwrap();
+    assert!(live.history()[0].lost.is_empty());
+    assert_eq!(live.look(&tile).unwrap().clean, before.clean);
+}
+
+#[test]
+fn what_makes_no_sense_is_refused_with_what_is_allowed() {
+    let mut live = world(&[]);
+    for (request, part) in [
+        (request([3.0, 3.0], 1.0, -1.0), "0.001 to 1e12"),
+        (request([300.0, 3.0], 1.0, 10.0), "would leave the field"),
+        (request([f64::NAN, 3.0], 1.0, 10.0), "finite place"),
+        (request([3.0, 3.0], 1e9, 10.0), "0.0001 to 10 nm"),
+    ] {
+        let error = live.acquire(&request, &Silent).unwrap_err().to_string();
+        assert!(error.contains(part), "{error}");
+    }
+    assert!(live.history().is_empty());
+    let error = live.look(&PixelRect::new([0, 0], [9999, 3])).unwrap_err().to_string();
+    assert!(error.contains("rectangle in the full field"), "{error}");
+    let most = LiveOptions { most_dose: -5.0, ..options(BuildMethod::Mosaic) };
+    let Err(error) = LiveWorld::new(&recipe(&[]), 1, &most, &Silent) else { panic!("accepted") };
+    assert!(error.to_string().contains("0.001 to 1e12"), "{error}");
+    let pt = Recipe::load("pt", stemgen::recipe::Difficulty::Easy).unwrap();
+    let pt = pt.with_overrides(&["damage.threshold_ev.C=17".parse().unwrap()]).unwrap();
+    let made = LiveWorld::new(&pt.checked().unwrap(), 1, &options(BuildMethod::Auto), &Silent);
+    let Err(error) = made else { panic!("accepted") };
+    assert!(error.to_string().contains("films and particles"), "{error}");
+}
+
+#[test]
+fn damage_of_elements_that_are_not_there_is_refused() {
+    for (change, part) in [
+        ("damage.threshold_ev.Fe=20", "the crystal holds"),
+        ("damage.threshold_ev.O=-3", "1 to 1000"),
+        ("damage.radiolysis_barn.O=1e12", "0 to 1000000000"),
+        ("damage.threshold=3", "threshold_ev"),
+    ] {
+        let recipe = Recipe::load("test", None).unwrap();
+        let error = recipe.with_overrides(&[change.parse().unwrap()]).and_then(|r| r.checked());
+        let error = error.unwrap_err().to_string();
+        assert!(error.contains(part), "{change}: {error}");
+    }
+}
+
+/// `cargo test --release --test live -- --ignored --nocapture measured`, with the library of SrTiO3 easy in the cache: times of
+/// looks, 10 000 recordings, and audits after nearly 1e6 electrons per square Angstrom.
+#[test]
+#[ignore = "takes minutes, and half an hour with an empty cache"]
+fn measured_latency_memory_and_audits() {
+    let recipe = CheckedRecipe::load("srtio3", stemgen::recipe::Difficulty::Easy).unwrap();
+    let begun = std::time::Instant::now();
+    let mut live = LiveWorld::new(&recipe, 11, &LiveOptions::default(), &Silent).unwrap();
+    println!("a new world, library cached: {:?}", begun.elapsed());
+    let times = |live: &LiveWorld, n: usize| {
+        let mut ms: Vec<f64> = (0..n)
+            .map(|k| {
+                let at = std::time::Instant::now();
+                let first = [130 + 150 * (k % 25), 140 + 170 * (k / 25)];
+                live.look(&PixelRect::new(first, [128, 128])).unwrap();
+                1e3 * at.elapsed().as_secs_f64()
+            })
+            .collect();
+        ms.sort_by(f64::total_cmp);
+        [ms[0], ms[n / 2], ms[n * 99 / 100]]
+    };
+    println!("first looks (least, median, 99 %) in ms: {:.2?}", times(&live, 300));
+    println!("later looks: {:.2?}", times(&live, 300));
+    let pixel_nm = recipe.field.pixel_nm();
+    let request = |n: usize, dose: f64| LiveRequest {
+        part: RecordedPart {
+            centre_nm: [5.0 + 0.37 * (n % 200) as f64, 5.0 + 0.81 * (n / 200 % 90) as f64],
+            size_nm: [128.0 * pixel_nm; 2],
+            pixel_nm,
+        },
+        electrons: Electrons::Dose(dose),
+        acquisition: Profile::Ideal.acquisition(),
+        keep_frames: false,
+    };
+    let place = request(6060, 0.0);
+    for n in 0..4 {
+        let begun = std::time::Instant::now();
+        live.acquire(&LiveRequest { electrons: Electrons::Dose(2.4e5), ..place }, &Silent).unwrap();
+        println!("recording {n} of a place that dies: {:?}", begun.elapsed());
+    }
+    println!("lost: {:?}", live.history().iter().map(|h| h.lost["O"]).collect::<Vec<_>>());
+    let options =
+        AuditOptions { regions: 1, at_nm: vec![place.part.centre_nm], ..AuditOptions::default() };
+    let found = audit(live.imaged_recipe(), live.specimen(), live.imager(), &options, &Silent);
+    let found = found.unwrap();
+    println!("audit: bright {:.3} %, all {:.3} %", found.bright_rms_percent, found.all_rms_percent);
+    assert!(found.bright_rms_percent < 0.5 && found.all_rms_percent < 0.5);
+    let memory = || {
+        let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+        let line = status.lines().find(|l| l.starts_with("VmRSS")).unwrap_or_default().to_owned();
+        line
+    };
+    let begun = std::time::Instant::now();
+    for n in 0..10_000 {
+        live.acquire(&request(n, 1e2), &Silent).unwrap();
+        if n % 2500 == 0 {
+            println!(
+                "{n} recordings: {:?}, {}, {} blocks",
+                begun.elapsed(),
+                memory(),
+                live.kept_blocks()
+            );
+        }
+    }
+    println!("10 000 recordings: {:?}, {}", begun.elapsed(), memory());
+}
