@@ -221,7 +221,7 @@ impl RegionImager for MosaicImager {
             Assembly::of_places(&*self.specimen, &region, shape, places.clone(), self.way());
         let seed = self.recipe.seed;
         let mut image = assembly.image(&self.library, &self.kernel, seed, configurations);
-        for (_, members) in blocks(&assembly.missing(), [0, 0], shape) {
+        for (_, members) in blocks(&assembly.missing(&self.library), [0, 0], shape) {
             let there: Vec<[f64; 2]> = members.iter().map(|(pixel, _)| places[*pixel]).collect();
             let values = self.direct_at(&there, configurations, progress)?;
             for ((pixel, weight), value) in members.iter().zip(values) {
