@@ -11,6 +11,10 @@ place=target/python
 wheel=
 case "${1:-}" in "" | --) ;; *) wheel=$1; shift ;; esac
 [ "${1:-}" = -- ] && shift
+if ! "${PYTHON:-python3}" -c 'import sys, ensurepip, venv; sys.exit(sys.version_info < (3, 11))'; then
+    echo "python/test.sh: Python 3.11 or newer with venv is needed; PYTHON names another" >&2
+    exit 1
+fi
 rm -rf "$place/venv"
 mkdir -p "$place"
 "${PYTHON:-python3}" -m venv "$place/venv"

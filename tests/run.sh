@@ -17,4 +17,8 @@ else
     echo "tests/run.sh: Chromium and chromedriver cannot be installed here; pages will not be tested" >&2
 fi
 cargo test --release
+# Debian's Python has no venv without a package of its own.
+if ! python3 -c 'import ensurepip, venv' >/dev/null 2>&1; then
+    as_root apt-get update -qq && as_root apt-get install -y -qq python3-venv >/dev/null
+fi
 sh python/test.sh

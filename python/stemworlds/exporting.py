@@ -125,7 +125,8 @@ def _parquet(samples: list[Sample]) -> bytes:
 
 def _coco(samples: list[Sample]) -> bytes:
     shapes = sorted({str(name) for sample in samples for name in sample.targets.particles["morphology"]})
-    images, annotations = [], []
+    images: list[dict[str, Any]] = []
+    annotations: list[dict[str, Any]] = []
     for sample in samples:
         height, width = sample.image.shape
         images.append({"id": sample.index, "file_name": f"{sample.index:08d}.tif", "height": height, "width": width})
@@ -165,7 +166,7 @@ def _webdataset(samples: list[Sample]) -> bytes:
     with tarfile.open(fileobj=file, mode="w", format=tarfile.USTAR_FORMAT) as tar:
         for sample in samples:
             targets = sample.targets
-            about = {"index": sample.index, "dose": sample.dose, "pixel_nm": sample.pixel_nm, "angle_deg": sample.angle_deg}
+            about: dict[str, Any] = {"index": sample.index, "dose": sample.dose, "pixel_nm": sample.pixel_nm, "angle_deg": sample.angle_deg}
             names = targets.columns.dtype.names or ()
             about["columns"] = [dict(zip(names, row, strict=True)) for row in targets.columns.tolist()]
             arrays = {"image.npy": sample.image, "heat_map.npy": targets.heat_map, "mask.npy": targets.class_mask}

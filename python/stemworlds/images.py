@@ -85,7 +85,7 @@ class Image:
         array = self.array[thickness]
         return replace(self, array=array, counts=counts, thicknesses_angstrom=(at,))
 
-    def __array__(self, dtype: npt.DTypeLike = None, copy: bool | None = None) -> npt.NDArray[Any]:
+    def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> npt.NDArray[Any]:
         array: npt.NDArray[Any] = self.array if dtype is None else self.array.astype(dtype)
         return array.copy() if copy else array
 
@@ -214,7 +214,7 @@ class Images(Mapping[str, Image]):
         """Place of the first pixel ``(y, x)`` in nm."""
         return next(iter(self._images.values())).origin_nm
 
-    def __array__(self, dtype: npt.DTypeLike = None, copy: bool | None = None) -> npt.NDArray[Any]:
+    def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> npt.NDArray[Any]:
         return self.only.__array__(dtype, copy)
 
     def to_hspy(self, path: Path, *, overwrite: bool = False) -> None:
