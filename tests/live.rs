@@ -353,8 +353,7 @@ fn measured_latency_memory_and_audits() {
     assert!(found.bright_rms_percent < 0.5 && found.all_rms_percent < 0.5);
     let memory = || {
         let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-        let line = status.lines().find(|l| l.starts_with("VmRSS")).unwrap_or_default().to_owned();
-        line
+        status.lines().find(|l| l.starts_with("VmRSS")).unwrap_or_default().to_owned()
     };
     let begun = std::time::Instant::now();
     for n in 0..10_000 {

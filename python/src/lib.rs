@@ -9,6 +9,7 @@ mod command_line;
 mod errors;
 mod files;
 mod guest;
+mod live;
 mod microscope;
 mod recipes;
 mod recordings;
@@ -24,6 +25,7 @@ use pyo3::types::PyModule;
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    module.add_class::<live::LiveField>()?;
     module.add_class::<tiles::TileSource>()?;
     module.add_class::<worlds::WorldReader>()?;
     module.add_function(wrap_pyfunction!(builds::build_world, module)?)?;

@@ -12,31 +12,48 @@ use pyo3::types::PyDict;
 use std::path::PathBuf;
 use std::sync::Arc;
 use stemgen::Setting;
+use stemgen::acquisition::AcquisitionTable;
 use stemgen::files::outputs::check_outputs;
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
-use stemgen::recipe::CheckedRecipe;
+use stemgen::recipe::{CheckedRecipe, Recipe};
 use stemgen::specimen::{Specimen, specimen};
 use stemgen::world::noise_free::{refined, refinement};
 use stemgen::world::{
-    Electrons, FieldRecording, ImagerSource, RecordedPart, RecordingOptions, WorldSource, record,
+    ColumnTruth, Electrons, FieldRecording, ImagerSource, RecordedPart, RecordingOptions,
+    WorldSource, record,
 };
+
+/// Which part is recorded.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct Place {
+    region_nm: Option<[f64; 4]>,
+    at_nm: Option<[f64; 2]>,
+    zoom: Option<f64>,
+    pixel_nm: Option<f64>,
+}
+
+/// How it is scanned.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct ScanChoice {
+    profile: Option<String>,
+    dose: Option<f64>,
+    current_pa: Option<f64>,
+    dwell_us: Option<f64>,
+    frames: Option<usize>,
+    /// Keep the frames one by one.
+    pub keep_frames: bool,
+}
 
 /// What is recorded, and how.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct Recording {
     field: Field,
-    profile: Option<String>,
-    region_nm: Option<[f64; 4]>,
-    at_nm: Option<[f64; 2]>,
-    zoom: Option<f64>,
-    pixel_nm: Option<f64>,
-    dose: Option<f64>,
-    current_pa: Option<f64>,
-    dwell_us: Option<f64>,
-    frames: Option<usize>,
-    keep_frames: bool,
+    place: Place,
+    scan: ScanChoice,
     stages: bool,
     seed: u64,
     cache: CacheChoice,
@@ -48,20 +65,9 @@ fn refuse<T>(setting: Setting, value: impl ToString, expected: &str) -> Result<T
     Err(Fault::Value(setting, value.to_string(), expected.to_owned()))
 }
 
-impl Recording {
-    /// The recipe with the values that were given.
-    fn with_options(&self, recipe: &CheckedRecipe) -> Result<CheckedRecipe, Fault> {
-        let mut changed = recipe.recipe().clone();
-        let mut table = changed.acquisition.unwrap_or_default();
-        let profile = self.profile.as_deref().map(profile).transpose()?;
-        table.profile = profile.or(table.profile);
-        table.dwell_us = self.dwell_us.or(table.dwell_us);
-        table.frames = self.frames.or(table.frames);
-        changed.acquisition = Some(table);
-        Ok(changed.checked()?)
-    }
-
-    fn part(&self, recipe: &CheckedRecipe) -> Result<RecordedPart, Fault> {
+impl Place {
+    /// The part of the field of a recipe.
+    pub fn part(&self, recipe: &CheckedRecipe) -> Result<RecordedPart, Fault> {
         let field = &recipe.field;
         let own = field.pixel_nm();
         if self.zoom.is_some() && self.pixel_nm.is_some() {
@@ -99,8 +105,21 @@ impl Recording {
         let size_nm = [field.tile_px as f64 * pixel_nm; 2];
         Ok(RecordedPart { centre_nm: self.at_nm.unwrap_or(middle), size_nm, pixel_nm })
     }
+}
 
-    fn options(&self, recipe: &CheckedRecipe) -> Result<RecordingOptions, Fault> {
+impl ScanChoice {
+    /// The table `[acquisition]` of a recipe with the values that were given.
+    pub fn table(&self, recipe: &CheckedRecipe) -> Result<AcquisitionTable, Fault> {
+        let mut table = recipe.acquisition.unwrap_or_default();
+        let profile = self.profile.as_deref().map(profile).transpose()?;
+        table.profile = profile.or(table.profile);
+        table.dwell_us = self.dwell_us.or(table.dwell_us);
+        table.frames = self.frames.or(table.frames);
+        Ok(table)
+    }
+
+    /// The dose.
+    pub fn electrons(&self, recipe: &CheckedRecipe) -> Result<Electrons, Fault> {
         if self.dose.is_some() && self.current_pa.is_some() {
             return refuse(
                 Setting::BeamCurrentPa,
@@ -109,21 +128,25 @@ impl Recording {
             );
         }
         let dose = self.dose.unwrap_or(recipe.dose.electrons_per_angstrom2);
-        Ok(RecordingOptions {
-            acquisition: recipe.acquisition.unwrap_or_default().resolved(),
-            electrons: self.current_pa.map_or(Electrons::Dose(dose), Electrons::CurrentPa),
-            seed: self.seed,
-            keep_frames: self.keep_frames,
-            keep_stages: self.stages,
-        })
+        Ok(self.current_pa.map_or(Electrons::Dose(dose), Electrons::CurrentPa))
     }
+}
 
+impl Recording {
     fn record(&self, guest: &Guest) -> Result<FieldRecording, Fault> {
         let (recipe, made) = self.field.resolve()?;
-        let recipe = self.with_options(&recipe)?;
+        let table = self.scan.table(&recipe)?;
+        let recipe = Recipe { acquisition: Some(table), ..recipe.recipe().clone() }.checked()?;
         check_outputs(&self.out, &self.field.world, self.overwrite)?;
         let specimen: Arc<dyn Specimen> = specimen(&recipe)?;
-        let (part, options) = (self.part(&recipe)?, self.options(&recipe)?);
+        let part = self.place.part(&recipe)?;
+        let options = RecordingOptions {
+            acquisition: table.resolved(),
+            electrons: self.scan.electrons(&recipe)?,
+            seed: self.seed,
+            keep_frames: self.scan.keep_frames,
+            keep_stages: self.stages,
+        };
         let parts = refinement(&recipe);
         let kept = match self.field.world.as_ref().filter(|_| parts == 1) {
             Some(path) => Some(WorldFile::open(path)?).filter(WorldFile::has_clean),
@@ -146,13 +169,18 @@ impl Recording {
         if let Some(out) = &self.out {
             recording.write(out, self.overwrite, &recipe, &*specimen, "stemworlds.acquire")?;
         }
-        if recording.clipped > 0 {
-            guest.warn(&format!(
-                "{} pixels are beyond the {} bits of the converter; a smaller gain_counts keeps them",
-                recording.clipped, recording.options.acquisition.bits
-            ));
-        }
+        warn_of_clipping(&recording, guest);
         Ok(recording)
+    }
+}
+
+/// Tells of pixels that the converter cut off.
+pub fn warn_of_clipping(recording: &FieldRecording, progress: &dyn Progress) {
+    if recording.clipped > 0 {
+        progress.warn(&format!(
+            "{} pixels are beyond the {} bits of the converter; a smaller gain_counts keeps them",
+            recording.clipped, recording.options.acquisition.bits
+        ));
     }
 }
 
@@ -160,16 +188,29 @@ impl Recording {
 #[pyfunction]
 pub fn record_field(py: Python<'_>, options: Recording, running: Running) -> PyResult<Py<PyDict>> {
     let recording = run(py, running, move |guest| options.record(guest))?;
-    let out = PyDict::new(py);
-    let positions: Vec<[f32; 2]> = recording.columns.iter().map(|c| c.position_nm).collect();
-    let count =
-        |c: &stemgen::world::ColumnTruth| [c.sites, c.vacancies, c.substitutions].map(|n| n as i32);
-    let counts: Vec<[i32; 3]> = recording.columns.iter().map(count).collect();
-    let compositions: Vec<String> = recording.columns.iter().map(|c| c.composition()).collect();
-    let drift: Array2<f64> = ndarray::arr2(&recording.drift);
+    told(py, recording)
+}
+
+/// Columns: places in nm, sites, vacancies and substitutions, compositions.
+pub fn tell_columns(
+    py: Python<'_>,
+    columns: &[ColumnTruth],
+    out: &Bound<'_, PyDict>,
+) -> PyResult<()> {
+    let positions: Vec<[f32; 2]> = columns.iter().map(|c| c.position_nm).collect();
+    let count = |c: &ColumnTruth| [c.sites, c.vacancies, c.substitutions].map(|n| n as i32);
+    let counts: Vec<[i32; 3]> = columns.iter().map(count).collect();
+    let compositions: Vec<String> = columns.iter().map(ColumnTruth::composition).collect();
     out.set_item("positions_nm", ndarray::arr2(&positions).into_pyarray(py))?;
     out.set_item("counts", ndarray::arr2(&counts).into_pyarray(py))?;
-    out.set_item("compositions", compositions)?;
+    out.set_item("compositions", compositions)
+}
+
+/// A recording as a dict of arrays and numbers.
+pub fn told(py: Python<'_>, recording: FieldRecording) -> PyResult<Py<PyDict>> {
+    let out = PyDict::new(py);
+    tell_columns(py, &recording.columns, &out)?;
+    let drift: Array2<f64> = ndarray::arr2(&recording.drift);
     out.set_item("drift", drift.into_pyarray(py))?;
     out.set_item("pixel_nm", recording.frame.pixel_nm)?;
     out.set_item("origin_nm", recording.frame.origin_nm)?;

@@ -25,6 +25,7 @@ from .errors import (
 )
 from .exporting import export
 from .images import DiffractionPattern, Image, Images, PlaneWave
+from .live import LiveView, LiveWorld
 from .recipes import Recipe, recipes
 from .recording import Recording, acquire
 from .simulation import Scan, SimulationPlan, diffraction, plan_simulation, plane_wave, simulate
@@ -46,6 +47,8 @@ __all__ = [
     "Image",
     "Images",
     "InvalidValue",
+    "LiveView",
+    "LiveWorld",
     "NotEnoughMemory",
     "PlaneWave",
     "Recipe",

@@ -98,23 +98,25 @@ def acquire(
     """
     options = {
         "field": field_options(field, recipe, acquisition),
-        "profile": profile,
-        "region_nm": region_nm,
-        "at_nm": at_nm,
-        "zoom": zoom,
-        "pixel_nm": pixel_nm,
-        "dose": dose,
-        "current_pa": current_pa,
-        "dwell_us": dwell_us,
-        "frames": frames,
-        "keep_frames": keep_frames,
+        "place": {"region_nm": region_nm, "at_nm": at_nm, "zoom": zoom, "pixel_nm": pixel_nm},
+        "scan": {
+            "profile": profile,
+            "dose": dose,
+            "current_pa": current_pa,
+            "dwell_us": dwell_us,
+            "frames": frames,
+            "keep_frames": keep_frames,
+        },
         "stages": stages,
         "seed": scan_seed,
         "cache": cache if isinstance(cache, bool) else os.fspath(cache),
         "out": None if out is None else os.fspath(out),
         "overwrite": overwrite,
     }
-    found = call(_core.record_field, options, running(threads, progress))
+    return _recording(call(_core.record_field, options, running(threads, progress)), keep_frames)
+
+
+def _recording(found: Mapping[str, Any], keep_frames: bool) -> Recording:
     pixel = found["pixel_nm"]
     x, y = found["origin_nm"]
     places = found["position_in_image"]

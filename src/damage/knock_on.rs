@@ -55,7 +55,7 @@ mod tests {
     fn the_greatest_transfers_are_those_in_the_literature() {
         for (number, expected) in [(8, 32.8), (7, 37.4), (6, 43.7), (14, 18.7)] {
             let found = greatest_transfer_ev(number, 200e3);
-            assert!((found - expected).abs() < 0.06, "{number}: {found}");
+            assert!((found - expected).abs() < 0.08, "{number}: {found}");
         }
         assert!((greatest_transfer_ev(6, 86e3) - 17.0).abs() < 0.1);
         assert!((greatest_transfer_ev(14, 145e3) - 12.9).abs() < 0.1);

@@ -9,7 +9,7 @@ use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::recipe::Region;
 use crate::setting::Setting;
-use crate::world::FieldRecording;
+use crate::world::{FieldRecording, RecordedPart};
 
 /// Recordings that a series may have.
 const MOST_RECORDINGS: usize = 100_000;
@@ -58,14 +58,13 @@ impl LiveWorld {
     ) -> Result<DoseSeries> {
         check_recordings(count)?;
         let request = LiveRequest { keep_frames: false, ..*request };
-        let middle = self.full_field_nm(request.part.centre_nm);
-        let edges =
-            [0, 1].map(|k| [-0.5, 0.5].map(|half| middle[k] + half * request.part.size_nm[k]));
+        let RecordedPart { centre_nm, size_nm, .. } = request.part;
+        let edges = [0, 1].map(|k| [-0.5, 0.5].map(|half| centre_nm[k] + half * size_nm[k]));
         let place = Region { x: edges[0], y: edges[1] };
         progress.start("recording", "recording", count as u64);
         let mut series: Option<DoseSeries> = None;
         for number in 0..count {
-            let dose = self.specimen().dose().mean(&place);
+            let dose = self.mean_dose(&place);
             let one = self.acquire(&request, progress)?;
             let series = match &mut series {
                 Some(series) => series,

@@ -194,6 +194,13 @@ impl LiveWorld {
         LiveTruth { sites, columns, particles: particles.collect() }
     }
 
+    /// The mean dose of a region (nm from the centre of the first built pixel), in electrons per square Angstrom.
+    pub fn mean_dose(&self, region: &Region) -> f64 {
+        let [x, y] = self.recipe.field.origin_nm();
+        let region = Region { x: region.x.map(|v| v + x), y: region.y.map(|v| v + y) };
+        self.specimen.dose().mean(&region)
+    }
+
     /// Records a part of the field. The specimen is then what the electrons have left of it.
     ///
     /// # Errors
@@ -236,12 +243,6 @@ impl LiveWorld {
             lost,
         });
         Ok(recording)
-    }
-
-    /// A place in nm of the full field.
-    pub(super) fn full_field_nm(&self, place_nm: [f64; 2]) -> [f64; 2] {
-        let origin = self.recipe.field.origin_nm();
-        [0, 1].map(|k| place_nm[k] + origin[k])
     }
 
     /// Seed of the next recording.
@@ -325,6 +326,11 @@ impl LiveWorld {
 /// The recipe with another seed.
 fn own_recipe(recipe: &CheckedRecipe, seed: u64) -> Result<CheckedRecipe> {
     let mut own: Recipe = recipe.recipe().clone();
+    if i64::try_from(seed).is_err() {
+        let expected =
+            "expected a seed of at most 9223372036854775807, the greatest number of TOML";
+        return Err(Error::invalid(Setting::Recipe, format!("seed {seed}"), expected));
+    }
     own.seed = seed;
     if own.structure == StructureKind::Particles && own.damage.is_some() {
         let expected =

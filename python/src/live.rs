@@ -1,0 +1,185 @@
+//! Live worlds: specimens in memory that recordings change.
+
+use crate::builds::CacheChoice;
+use crate::errors::{Fault, Told};
+use crate::guest::{Running, run};
+use crate::recipes::checked;
+use crate::recordings::{Place, ScanChoice, tell_columns, told, warn_of_clipping};
+use ndarray::Array1;
+use numpy::IntoPyArray;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use stemgen::Setting;
+use stemgen::imaging::PixelRect;
+use stemgen::live::{LiveOptions, LiveRequest, LiveSnapshot, LiveWorld};
+use stemgen::recipe::{CheckedRecipe, Region};
+use stemgen::specimen::SiteKind;
+use stemgen::world::{BuildOptions, ColumnTruth, SiteTruth};
+
+/// What a live world is made of.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct Living {
+    toml: String,
+    most_dose: f64,
+    cache: CacheChoice,
+}
+
+/// What is recorded, and how.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct LiveScan {
+    place: Place,
+    scan: ScanChoice,
+}
+
+/// A live world. One call at a time works on it.
+#[pyclass(frozen, module = "stemworlds._core")]
+pub struct LiveField {
+    world: Arc<Mutex<LiveWorld>>,
+}
+
+fn locked(world: &Mutex<LiveWorld>) -> MutexGuard<'_, LiveWorld> {
+    world.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The pixels of the built field that a region (left, upper, right and lower edge in nm) touches, counted in the full field.
+fn pixels(recipe: &CheckedRecipe, region: [f64; 4]) -> Result<PixelRect, Fault> {
+    let (field, [x0, y0, x1, y1]) = (&recipe.field, region);
+    let (pixel, first) = (field.pixel_nm(), field.crop_origin_px());
+    let shape = field.pixels(field.built_grid());
+    let range = |low: f64, high: f64, size: usize| {
+        let clamp = |v: f64| v.clamp(0.0, size as f64) as usize;
+        clamp((low / pixel + 0.5).floor())..clamp((high / pixel + 0.5).ceil())
+    };
+    let (rows, columns) = (range(y0, y1, shape[0]), range(x0, x1, shape[1]));
+    if rows.is_empty() || columns.is_empty() {
+        let [h, w] = shape.map(|n| n as f64 * pixel);
+        let expected = format!("the field goes from 0, 0 to {w:.2}, {h:.2} nm");
+        return Err(Fault::Value(Setting::Region, format!("{x0}, {y0}, {x1}, {y1}"), expected));
+    }
+    let first = [first[0] + rows.start, first[1] + columns.start];
+    Ok(PixelRect::new(first, [rows.len(), columns.len()]))
+}
+
+/// Sites and columns as dicts of arrays.
+fn truth(
+    py: Python<'_>,
+    sites: &[SiteTruth],
+    columns: &[ColumnTruth],
+    out: &Bound<'_, PyDict>,
+) -> PyResult<()> {
+    tell_columns(py, columns, out)?;
+    let positions: Vec<[f32; 3]> = sites.iter().map(|s| s.position_nm).collect();
+    let kind = |s: &SiteTruth| match s.kind {
+        SiteKind::Pristine => 0,
+        SiteKind::Vacancy => 1,
+        SiteKind::Substitution => 2,
+    };
+    let number = |s: &SiteTruth| i32::from(s.number);
+    let lists: [(&str, Array1<i32>); 3] = [
+        ("types", sites.iter().map(kind).collect()),
+        ("numbers", sites.iter().map(number).collect()),
+        ("site_columns", sites.iter().map(|s| s.column as i32).collect()),
+    ];
+    out.set_item("site_positions_nm", ndarray::arr2(&positions).into_pyarray(py))?;
+    for (name, list) in lists {
+        out.set_item(name, list.into_pyarray(py))?;
+    }
+    Ok(())
+}
+
+#[pymethods]
+impl LiveField {
+    #[new]
+    fn new(py: Python<'_>, options: Living, running: Running) -> PyResult<Self> {
+        let world = run(py, running, move |guest| {
+            let recipe = checked(&options.toml)?;
+            let imaging = BuildOptions { cache: options.cache.cache(), ..BuildOptions::default() };
+            let live =
+                LiveOptions { imaging, most_dose: options.most_dose, ..LiveOptions::default() };
+            Ok(LiveWorld::new(&recipe, recipe.seed, &live, guest)?)
+        })?;
+        Ok(LiveField { world: Arc::new(Mutex::new(world)) })
+    }
+
+    /// The noise-free image of a region and what is there: a dict.
+    fn look(&self, py: Python<'_>, region: [f64; 4], running: Running) -> PyResult<Py<PyDict>> {
+        let world = Arc::clone(&self.world);
+        let tile = run(py, running, move |_| {
+            let world = locked(&world);
+            Ok(world.look(&pixels(world.recipe(), region)?)?)
+        })?;
+        let out = PyDict::new(py);
+        truth(py, &tile.sites, &tile.columns, &out)?;
+        out.set_item("pixel_nm", tile.pixel_nm)?;
+        out.set_item("origin_nm", tile.origin_nm)?;
+        out.set_item("clean", tile.clean.into_pyarray(py))?;
+        Ok(out.unbind())
+    }
+
+    /// Records a place, and changes it: as `record_field`.
+    fn acquire(&self, py: Python<'_>, options: LiveScan, running: Running) -> PyResult<Py<PyDict>> {
+        let world = Arc::clone(&self.world);
+        let recording = run(py, running, move |guest| {
+            let mut world = locked(&world);
+            let recipe = world.recipe().clone();
+            let request = LiveRequest {
+                part: options.place.part(&recipe)?,
+                electrons: options.scan.electrons(&recipe)?,
+                acquisition: options.scan.table(&recipe)?.resolved(),
+                keep_frames: options.scan.keep_frames,
+            };
+            let recording = world.acquire(&request, guest)?;
+            warn_of_clipping(&recording, guest);
+            Ok(recording)
+        })?;
+        told(py, recording)
+    }
+
+    /// What is in a region now: a dict.
+    fn truth(&self, py: Python<'_>, region: [f64; 4]) -> PyResult<Py<PyDict>> {
+        let [x0, y0, x1, y1] = region;
+        let region = Region { x: [x0, x1], y: [y0, y1] };
+        let found = py.detach(|| locked(&self.world).truth(&region));
+        let out = PyDict::new(py);
+        truth(py, &found.sites, &found.columns, &out)?;
+        Ok(out.unbind())
+    }
+
+    /// The mean dose of a region in electrons per square Angstrom.
+    fn dose(&self, py: Python<'_>, region: [f64; 4]) -> f64 {
+        let [x0, y0, x1, y1] = region;
+        py.detach(|| locked(&self.world).mean_dose(&Region { x: [x0, x1], y: [y0, y1] }))
+    }
+
+    /// All recordings, as JSON.
+    fn history(&self, py: Python<'_>) -> PyResult<String> {
+        let text = py.detach(|| serde_json::to_string(locked(&self.world).history()));
+        text.map_err(Fault::from).told(py)
+    }
+
+    /// What has been done so far, as JSON.
+    fn snapshot(&self, py: Python<'_>) -> PyResult<String> {
+        let text = py.detach(|| serde_json::to_string(&locked(&self.world).snapshot()));
+        text.map_err(Fault::from).told(py)
+    }
+
+    /// Goes to a moment that [`LiveField::snapshot`] told.
+    fn restore(&self, py: Python<'_>, snapshot: &str) -> PyResult<()> {
+        let restore = || -> Result<(), Fault> {
+            let snapshot: LiveSnapshot = serde_json::from_str(snapshot).map_err(|e| {
+                let expected = format!("is no snapshot of a live world: {e}");
+                Fault::Value(Setting::Snapshot, "the text".into(), expected)
+            })?;
+            Ok(locked(&self.world).restore(&snapshot)?)
+        };
+        py.detach(restore).told(py)
+    }
+
+    /// The recipe, with its seed, as TOML.
+    fn recipe(&self, py: Python<'_>) -> String {
+        py.detach(|| locked(&self.world).recipe().to_toml())
+    }
+}
