@@ -27,11 +27,11 @@ pub struct BlockImager {
     /// Blocks that are kept at most.
     most: usize,
     reach_nm: f64,
-    kept: Mutex<KeptBlocks>,
+    kept: Mutex<ImagedBlocks>,
 }
 
 #[derive(Default)]
-struct KeptBlocks {
+struct ImagedBlocks {
     blocks: HashMap<[usize; 2], Block>,
     /// Where the specimen may have changed, one region after the other.
     exposed: Vec<Region>,
@@ -78,7 +78,7 @@ impl BlockImager {
         self.kept().blocks.len()
     }
 
-    fn kept(&self) -> MutexGuard<'_, KeptBlocks> {
+    fn kept(&self) -> MutexGuard<'_, ImagedBlocks> {
         self.kept.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
