@@ -13,10 +13,11 @@ import numpy as np
 from . import _core
 from ._running import Progress, call, running
 from .images import Image
-from .recipes import Acquisition, Recipe, RecipeLike
+from .recipes import Acquisition, Difficulty, Recipe, RecipeLike
 from .recording import Recording, _recording
 from .worlds import COLUMN_DTYPE, SITE_DTYPE, StructuredArray
 
+#: Left, upper, right and lower edge in nm.
 Region = tuple[float, float, float, float]
 
 
@@ -51,7 +52,7 @@ class LiveWorld:
     def __init__(
         self,
         recipe: RecipeLike,
-        difficulty: str | None = None,
+        difficulty: Difficulty | None = None,
         *,
         most_dose: float = 1e6,
         cache: bool | str | os.PathLike[str] = True,
