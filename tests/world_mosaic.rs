@@ -133,6 +133,21 @@ fn a_mosaic_of_10_nm_is_the_exact_image_of_its_atoms() {
     assert!(found.all_rms_percent < 0.5, "{}", found.all_rms_percent);
 }
 
+/// The library of a part of a field has no boundary; places at one are simulated as they are, not left black.
+#[test]
+fn places_that_the_library_does_not_know_are_simulated() {
+    let changes = ["field.fov_nm=[2.12, 14.36]", "field.grid=[1, 7]", "phonons.configurations=1"];
+    let changes: Vec<_> = changes.iter().map(|c| c.parse().unwrap()).collect();
+    let whole = recipe(2, 0.0).with_overrides(&changes).unwrap();
+    let part = whole.clone().with_grid(1, 1).unwrap();
+    let [all, some] = [&whole, &part].map(|r| mosaic(r, &specimen(r).unwrap()));
+    assert!(some.survey().families.len() < all.survey().families.len());
+    let pixels = PixelRect::new([30, 225], [40, 30]);
+    let [known, unknown] = [all, some].map(|m| m.mean_of(&pixels, 1, &Silent).unwrap());
+    let ratio = unknown.mean().unwrap() / known.mean().unwrap();
+    assert!((ratio - 1.0).abs() < 0.1, "{ratio}");
+}
+
 #[test]
 fn bytes_depend_neither_on_threads_nor_on_the_cache() {
     let folder = tempfile::tempdir().unwrap();
