@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -22,6 +23,8 @@ TINY: dict[str, Any] = {"set": {"field.thickness_nm": 0.4, "phonons.configuratio
 
 def pytest_configure() -> None:
     """The wheel is tested, never the source tree."""
+    # A shell that starts this in the background has SIGINT ignored, and Python then leaves it so.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     assert not Path(sw.__file__).is_relative_to(SOURCES), f"{sw.__file__} is no installed package"
 
 
