@@ -45,17 +45,17 @@ def test_snapshots_and_threads_give_the_same_bytes(folder: str) -> None:
         live.acquire(at_nm=(1.9, 1.9), zoom=2, dose=1e5)
     moment = one.snapshot()
     assert moment == two.snapshot()
-    results = [live.acquire(at_nm=(2.0, 1.8), dose=1e5, profile="poor").array for live in (one, two)]
+    results = [live.acquire(at_nm=(2.0, 1.8), zoom=2, dose=1e5, profile="poor").array for live in (one, two)]
     again = world(folder)
     again.restore(moment)
-    results.append(again.acquire(at_nm=(2.0, 1.8), dose=1e5, profile="poor").array)
+    results.append(again.acquire(at_nm=(2.0, 1.8), zoom=2, dose=1e5, profile="poor").array)
     assert results[0].tobytes() == results[1].tobytes() == results[2].tobytes()
 
 
 def test_what_is_wrong_is_said(folder: str) -> None:
     live = world(folder)
     with pytest.raises(sw.InvalidValue, match="made for up to 500000"):
-        live.acquire(at_nm=(1.9, 1.9), dose=6e5)
+        live.acquire(at_nm=(1.9, 1.9), zoom=2, dose=6e5)
     assert live.history == ()
     with pytest.raises(sw.InvalidValue, match="the field goes from 0, 0"):
         live.look((90, 90, 91, 91))
