@@ -47,3 +47,5 @@ if ! timeout 240 "$python" -m pip install -q hyperspy; then
     echo "SKIPPED: hyperspy cannot be installed; its reader of our files is not tested" >&2
 fi
 "$python" -m pytest python/tests -c python/pyproject.toml --rootdir python "$@"
+# All examples of the pages run while the site is built.
+sh docs/build.sh "$wheel"
