@@ -50,6 +50,7 @@ AT_ONCE = 2
 _LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)")
 _MARK = re.compile(r"<!-- *(needs|not run|picture|aside): *(.*?) *-->")
 _ERROR_LINE = re.compile(r"Cell In\[\d+\], line (\d+)")
+_PROGRAMS = {"abtem": "abTEM"}
 _NOTHING_TO_SEE = ("<Axes", "<matplotlib.", "[<matplotlib.", "Text(", "array([<Axes", "<Figure")
 
 
@@ -253,7 +254,7 @@ def written(page: Page, targets: dict[str, str], out: Path) -> str:
         if block.missing:
             shown = f"*Not run when this page was made: {block.needs} was not installed.*"
         if block.aside:
-            parts.append(f'<div class="sides"><div>\n\n*{block.aside}*\n\n```python\n{block.text}\n```\n\n</div>\n')
+            parts.append(f'<div class="sides"><div>\n\n*{_PROGRAMS.get(block.aside, block.aside)}*\n\n```python\n{block.text}\n```\n\n</div>\n')
         elif beside:
             parts.append(f'<div>\n\n*stemworlds*\n\n```python\n{block.text}\n```\n\n</div></div>\n')
         else:
