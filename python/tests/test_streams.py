@@ -45,6 +45,13 @@ def test_a_sample_depends_on_seed_and_index_alone(stream: sw.Stream) -> None:
     assert digest(other.sample(0)) != first[0]
 
 
+def test_a_stream_goes_to_another_process(stream: sw.Stream) -> None:
+    """As the workers of a DataLoader get it where processes are spawned."""
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        [found] = pool.map(stream.samples, [[3, 1]])
+    assert [digest(sample) for sample in found] == [digest(sample) for sample in stream.samples([3, 1])]
+
+
 def test_samples_show_what_their_targets_say(stream: sw.Stream) -> None:
     for sample in stream.iterate(count=6):
         image, targets = sample
