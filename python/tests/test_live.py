@@ -7,7 +7,7 @@ import pytest
 
 import stemworlds as sw
 
-THIN = {"damage.radiolysis_barn.O": 20, "field.thickness_nm": 0.4}
+THIN = {"damage.radiolysis_barn.O": 60, "field.thickness_nm": 0.4}
 PLACE = (1.2, 1.2, 2.4, 2.2)
 
 

@@ -28,12 +28,19 @@ pub struct TurnedRaster {
 impl TurnedRaster {
     /// The place of the centre of a pixel; row and column may lie between pixels.
     pub fn place_nm(&self, row: f64, column: f64) -> [f64; 2] {
+        self.places_nm()(row, column)
+    }
+
+    /// What [`TurnedRaster::place_nm`] gives, for many pixels.
+    pub fn places_nm(self) -> impl Fn(f64, f64) -> [f64; 2] + Sync {
         let [middle_row, middle_column] = self.middle();
-        let (across, down) =
-            ((column - middle_column) * self.pixel_nm, (row - middle_row) * self.pixel_nm);
         let (sine, cosine) = (libm::sin(self.angle_rad), libm::cos(self.angle_rad));
-        let [x, y] = self.centre_nm;
-        [x + across * cosine - down * sine, y + across * sine + down * cosine]
+        let ([x, y], pixel_nm) = (self.centre_nm, self.pixel_nm);
+        move |row, column| {
+            let (across, down) =
+                ((column - middle_column) * pixel_nm, (row - middle_row) * pixel_nm);
+            [x + across * cosine - down * sine, y + across * sine + down * cosine]
+        }
     }
 
     /// Row and column, in pixels, of a place.
@@ -64,8 +71,11 @@ impl TurnedRaster {
     /// The places of all pixels in Angstrom, row by row.
     pub(super) fn places_angstrom(&self) -> Vec<[f64; 2]> {
         let [rows, columns] = self.shape;
-        let place = |n: usize| self.place_nm((n / columns) as f64, (n % columns) as f64);
-        (0..rows * columns).map(|n| place(n).map(|nm| 10.0 * nm)).collect()
+        let place = self.places_nm();
+        let pixels = 0..rows * columns;
+        pixels
+            .map(|n| place((n / columns) as f64, (n % columns) as f64).map(|nm| 10.0 * nm))
+            .collect()
     }
 }
 
@@ -136,18 +146,18 @@ fn band_limit(recipe: &CheckedRecipe) -> f64 {
     })
 }
 
-/// ScannedSamples of an image, [row, column].
-struct ScannedSamples {
-    values: Array2<f64>,
+/// Samples of an image, [row, column].
+pub(super) struct ScannedSamples {
+    pub(super) values: Array2<f64>,
     /// Place (x, y) of the first in Angstrom.
-    first: [f64; 2],
+    pub(super) first: [f64; 2],
     /// Their distance in Angstrom.
-    step: f64,
+    pub(super) step: f64,
 }
 
 impl ScannedSamples {
     /// Values at places (x, y) in Angstrom. There are at least [`TAPS`] samples along each axis.
-    fn at(&self, places: &[[f64; 2]], kernel: &Kernel) -> Vec<f64> {
+    pub(super) fn at(&self, places: &[[f64; 2]], kernel: &Kernel) -> Vec<f64> {
         let (rows, columns) = self.values.dim();
         let value = |place: &[f64; 2]| {
             let [x, y] = [0, 1].map(|k| (place[k] - self.first[k]) / self.step);

@@ -28,10 +28,14 @@ pub(super) fn draw_column(
         let centre = at[k].round() as i64;
         (centre - reach).max(0)..(centre + reach + 1).min(size as i64)
     };
+    // A Gaussian is the product of one along each axis.
+    let along =
+        |k: usize, i: i64| libm::exp(-0.5 * (i as f64 - at[k]).powi(2) / (sigma_px * sigma_px));
+    let across: Vec<f64> = span(1, columns).map(|j| along(1, j)).collect();
     for i in span(0, rows) {
-        for j in span(1, columns) {
-            let square = (i as f64 - at[0]).powi(2) + (j as f64 - at[1]).powi(2);
-            let value = libm::exp(-0.5 * square / (sigma_px * sigma_px)) as f32;
+        let down = along(0, i);
+        for (j, across) in span(1, columns).zip(&across) {
+            let value = (down * across) as f32;
             let place = [i as usize, j as usize];
             if value > heat[place] {
                 heat[place] = value;

@@ -155,6 +155,7 @@ pub fn training_sample(
     let clean = turned_image(recipe, imager, &raster, progress)?.mapv(|v| v as f32);
     let electrons_per_pixel = dose * (10.0 * raster.pixel_nm).powi(2);
     let size = options.size_px;
+    let place_nm = raster.places_nm();
     // Each sample has rows of its own in an endless field of noise.
     let origin_px = [(index as usize).wrapping_mul(size), 0];
     let noise = Noise { seed: options.seed, electrons_per_pixel, origin_px, full_width_px: size };
@@ -167,7 +168,7 @@ pub fn training_sample(
         heat_map: Array2::zeros((size, size)),
         class_mask: Array2::zeros((size, size)),
         phase_mask: phases_of_points(specimen, [size; 2], |row, column| {
-            raster.place_nm(row as f64, column as f64)
+            place_nm(row as f64, column as f64)
         }),
         positions_px: Array2::zeros((0, 2)),
         columns: Array2::zeros((0, 5)),

@@ -10,6 +10,7 @@ use crate::imaging::mosaic::image_library::ImageLibrary;
 use crate::imaging::mosaic::survey::BEYOND_NM;
 use crate::recipe::region::Region;
 use crate::resample::{Kernel, TAPS, Weights};
+use crate::simd::vectorised;
 use crate::specimen::specimen_trait::Specimen;
 use crate::specimen::units::unit_tag::UnitTag;
 
@@ -108,9 +109,10 @@ impl Assembly {
 
     /// Pixels that need more than the library has: by index, and the weight of what is missing.
     pub fn missing(&self, library: &ImageLibrary) -> HashMap<usize, f64> {
-        let mut missing = HashMap::new();
         let there = |unit: &PlacedUnit| unit.tag.is_some_and(|t| library.cell_images(&t).is_some());
-        for share in self.shares.iter().filter(|s| !there(&self.units[s.unit])) {
+        let there: Vec<bool> = self.units.iter().map(there).collect();
+        let mut missing = HashMap::new();
+        for share in self.shares.iter().filter(|share| !there[share.unit]) {
             *missing.entry(share.pixel).or_insert(0.0) += share.weight;
         }
         missing
@@ -183,7 +185,8 @@ fn push_shares(
         if d2 > reach {
             continue;
         }
-        let weight = libm::exp(-(d2 - least) / (2.0 * SOFTNESS));
+        // Most pixels have one column only, whose weight is 1.
+        let weight = if d2 == least { 1.0 } else { libm::exp(-(d2 - least) / (2.0 * SOFTNESS)) };
         // A unit counts from the nearest of its columns.
         match shares[start..].iter_mut().find(|s| s.unit == *unit) {
             Some(share) => share.weight = share.weight.max(weight),
@@ -221,12 +224,12 @@ fn values(
         let (rows, columns) = image.dim();
         // Along axes that are not periodic, units of a kind lie at the same place.
         let wrap = |i: i64, n: usize| i.rem_euclid(n as i64) as usize;
-        let places: Vec<usize> = (x[0]..=x[1]).map(|i| wrap(i + shift[0], columns)).collect();
+        let first = wrap(x[0] + shift[0], columns);
+        let standard = image.as_standard_layout();
+        let samples = standard.as_slice().unwrap_or_default();
         for (line, i) in patch.chunks_exact_mut(size(x)).zip(y[0]..=y[1]) {
-            let row = image.row(wrap(i + shift[1], rows));
-            for (to, place) in line.iter_mut().zip(&places) {
-                *to += weight * f64::from(row[*place]);
-            }
+            let row = &samples[wrap(i + shift[1], rows) * columns..][..columns];
+            add_wrapped(line, row, first, weight);
         }
     };
     if whole {
@@ -238,20 +241,51 @@ fn values(
             add(image, shift, 1.0 / realisations.len() as f64);
         }
     }
+    // Column by column, so that the 16 lines of a value are summed at once.
+    let lines = size(y);
+    let patch: Vec<f64> =
+        (0..patch.len()).map(|n| patch[n % lines * size(x) + n / lines]).collect();
     let value = |offset: &[f64; 2]| {
         let at = |k: usize, first: i64| {
             let w = weights(k, offset[k] + centre[k]);
             ((w.first - first) as usize, w.values)
         };
         let ((column, across), (row, down)) = (at(0, x[0]), at(1, y[0]));
-        let line = |i: usize| {
-            let start = (row + i) * size(x) + column;
-            let samples = &patch[start..start + across.len()];
-            samples.iter().zip(&across).map(|(s, w)| s * w).sum::<f64>()
-        };
-        down.iter().enumerate().map(|(i, w)| w * line(i)).sum()
+        weighted(&patch[column * lines + row..], lines, &across, &down)
     };
     offsets.iter().map(value).collect()
+}
+
+/// Adds the samples of a periodic row, from number `first` on, times a weight.
+fn add_wrapped(to: &mut [f64], row: &[f32], first: usize, weight: f64) {
+    let (mut to, mut first) = (to, first);
+    while !to.is_empty() {
+        let (part, rest) = to.split_at_mut(to.len().min(row.len() - first));
+        let samples = &row[first..first + part.len()];
+        vectorised(
+            #[inline(always)]
+            || part.iter_mut().zip(samples).for_each(|(to, s)| *to += weight * f64::from(*s)),
+        );
+        (to, first) = (rest, 0);
+    }
+}
+
+/// The sum of 16 x 16 samples with weights: first along each line, one sample after the other, then over the lines. Samples of a line
+/// lie `stride` apart, and lines beside each other.
+fn weighted(samples: &[f64], stride: usize, across: &[f64; TAPS], down: &[f64; TAPS]) -> f64 {
+    vectorised(
+        #[inline(always)]
+        || {
+            let mut lines = [0.0f64; TAPS];
+            for (k, weight) in across.iter().enumerate() {
+                let column = &samples[k * stride..][..TAPS];
+                for (sum, sample) in lines.iter_mut().zip(column) {
+                    *sum += sample * weight;
+                }
+            }
+            down.iter().zip(&lines).map(|(weight, line)| weight * line).sum()
+        },
+    )
 }
 
 /// The number of configurations if `realisations` are all of one unit, else 0.

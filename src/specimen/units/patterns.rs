@@ -62,27 +62,33 @@ fn binomial(sites: usize, rate: f64) -> Vec<f64> {
     p
 }
 
-/// The binomial distribution among `sites` sites whose mean is that of `rate` when numbers outside `limits` become
-/// the nearest limit; that of `rate` itself where its mean lies outside.
-fn within(sites: usize, rate: f64, limits: [usize; 2]) -> Vec<f64> {
+/// The number at which a distribution passes `u`: the binomial one among `sites` sites whose mean is that of `rate` when numbers
+/// outside `limits` become the nearest limit; that of `rate` itself where its mean lies outside.
+fn drawn_within(sites: usize, rate: f64, limits: [usize; 2], u: f64) -> usize {
     let plain = binomial(sites, rate);
     let goal = sites as f64 * rate;
     if goal <= limits[0] as f64 || goal >= limits[1] as f64 {
-        return plain;
+        return drawn(&plain, u);
     }
     let mean = |p: &[f64]| {
         let term = |(n, p): (usize, &f64)| n.clamp(limits[0], limits[1]) as f64 * p;
         p.iter().enumerate().map(term).sum::<f64>()
     };
     if (mean(&plain) - goal).abs() < 1e-4 * goal {
-        return plain;
+        return drawn(&plain, u);
     }
-    let (mut low, mut high) = (0.0, 1.0);
+    // The number drawn grows with the rate: where both ends of the bracket give the same, all rates between do.
+    let (mut low, mut high) = ((0.0, 0), (1.0, sites));
     for _ in 0..40 {
-        let middle = 0.5 * (low + high);
-        if mean(&binomial(sites, middle)) < goal { low = middle } else { high = middle }
+        if low.1 == high.1 {
+            return low.1;
+        }
+        let middle = 0.5 * (low.0 + high.0);
+        let distribution = binomial(sites, middle);
+        let end = (middle, drawn(&distribution, u));
+        if mean(&distribution) < goal { low = end } else { high = end }
     }
-    binomial(sites, 0.5 * (low + high))
+    drawn(&binomial(sites, 0.5 * (low.0 + high.0)), u)
 }
 
 /// The number at which the distribution passes `u`.
@@ -159,7 +165,7 @@ impl PatternTable {
         if (first as f64) > least.ceil() || (last as f64) < most.floor() || mean > last as f64 {
             return None;
         }
-        let count = drawn(&within(open, rate, [first, last]), u[0]).clamp(first, last);
+        let count = drawn_within(open, rate, [first, last], u[0]).clamp(first, last);
         let above = numbers.partition_point(|n| *n < count);
         let (low, high) =
             (numbers[above.saturating_sub(usize::from(numbers[above] != count))], numbers[above]);
