@@ -182,7 +182,9 @@ def run(page: Page, out: Path) -> str:
                 (out / "made" / name).write_bytes(picture)
                 up = "../" * page.target.count("/")
                 alt = block.picture or "What the code above draws"
-                shown = f"![{alt}]({up}made/{name})"
+                # Pictures of Jupyter, not of matplotlib, fill the page if they may.
+                width = "" if block.code and "plt." in block.text or "plot(" in block.text else "{width=22em}"
+                shown = f"![{alt}]({up}made/{name}){width}"
                 if block.picture:
                     (out / "made" / f"{_slug(block.picture)}.png").write_bytes(picture)
             block.shown.append(shown)
@@ -245,10 +247,13 @@ def written(page: Page, targets: dict[str, str], out: Path) -> str:
     beside = False
     for number, block in enumerate(page.blocks):
         if not block.code:
-            parts.append(_links(page, block.text, targets, out))
+            text = _links(page, block.text, targets, out)
             if number == 0 and page.has_notebook:
                 up = "../" * page.target.count("/")
-                parts.append(f'\n<p class="notebook"><a href="{up}notebooks/{page.slug}.ipynb" download>This page as a notebook</a></p>\n')
+                offer = f'<p class="notebook"><a href="{up}notebooks/{page.slug}.ipynb" download>This page as a notebook</a></p>'
+                title, _, rest = text.partition("\n")
+                text = f"{title}\n\n{offer}\n{rest}"
+            parts.append(text)
             continue
         shown = "\n\n".join(block.shown)
         if block.missing:

@@ -157,12 +157,14 @@ def test_bad_streams_are_refused() -> None:
         sw.stream([], cache=False)
 
 
-@pytest.mark.parametrize("workers", [0, 2])
-def test_data_loaders_yield_the_same_samples(stream: sw.Stream, workers: int) -> None:
+@pytest.mark.parametrize(("workers", "start"), [(0, None), (2, "fork"), (2, "spawn")])
+def test_data_loaders_yield_the_same_samples(stream: sw.Stream, workers: int, start: str | None) -> None:
     torch = pytest.importorskip("torch")
-    loader = torch.utils.data.DataLoader(sw.torch.TileDataset(stream, count=8), batch_size=2, num_workers=workers)
+    dataset = sw.torch.TileDataset(stream, count=8)
+    loader = torch.utils.data.DataLoader(dataset, batch_size=2, num_workers=workers, multiprocessing_context=start)
     found: dict[int, bytes] = {}
-    for batch in loader:
+    for number, batch in enumerate(loader):
         assert batch["image"].shape == (2, 1, 48, 48) and batch["class_mask"].dtype == torch.int64
         found.update((int(index), image.numpy().tobytes()) for index, image in zip(batch["index"], batch["image"], strict=True))
+    assert number == 3, "none twice"
     assert found == {sample.index: sample.image.tobytes() for sample in stream.iterate(count=8)}
