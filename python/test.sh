@@ -46,4 +46,9 @@ fi
 if ! timeout 240 "$python" -m pip install -q hyperspy; then
     echo "SKIPPED: hyperspy cannot be installed; its reader of our files is not tested" >&2
 fi
+if ! timeout 120 "$python" -m pip install -q basedpyright; then
+    echo "SKIPPED: basedpyright cannot be installed; types are checked by mypy only" >&2
+fi
 "$python" -m pytest python/tests -c python/pyproject.toml --rootdir python "$@"
+# All examples of the pages run while the site is built.
+sh docs/build.sh "$wheel"

@@ -14,7 +14,7 @@ from typing import Any as _Any
 from . import cache, errors
 from ._core import __version__
 from .atoms import AtomArrays
-from .building import BuildPlan, build, plan
+from .building import BuildOptions, BuildPlan, build, plan
 from .checking import Audit, Comparison, Validation, audit, compare, validate, validation_cases
 from .errors import (
     FileError,
@@ -28,7 +28,7 @@ from .images import DiffractionPattern, Image, Images, PlaneWave
 from .live import LiveView, LiveWorld
 from .recipes import Recipe, recipes
 from .recording import Recording, acquire
-from .simulation import Scan, SimulationPlan, diffraction, plan_simulation, plane_wave, simulate
+from .simulation import Scan, SimulationOptions, SimulationPlan, diffraction, plan_simulation, plane_wave, simulate
 from .specimens import specimen, specimen_arrays
 from .streaming import Sample, Stream, Targets, stream
 from .viewing import view
@@ -39,6 +39,7 @@ __all__ = [
     "COLUMN_CLASSES",
     "AtomArrays",
     "Audit",
+    "BuildOptions",
     "BuildPlan",
     "Comparison",
     "DiffractionPattern",
@@ -55,6 +56,7 @@ __all__ = [
     "Recording",
     "Sample",
     "Scan",
+    "SimulationOptions",
     "SimulationPlan",
     "StemworldsError",
     "Stream",

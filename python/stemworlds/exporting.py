@@ -30,15 +30,15 @@ def export(
 ) -> str:
     """Writes samples to a file; its ending says which.
 
-    ========== ==================================================================================================
-    ``.npz``   stacks ``images``, ``clean``, ``heat_maps`` (N, H, W) float32, ``masks``, ``phase_masks`` (N, H, W); as AtomAI's
-               ``Segmentor.fit(images, masks)`` takes them
-    ``.h5``    the same as HDF5; h5py has to be installed
-    ``.csv``   columns: sample, x and y in pixels, class, number, occupancy, sites, vacancies, substitutions
+    ============ ================================================================================================
+    ``.npz``     stacks ``images``, ``clean``, ``heat_maps`` (N, H, W) float32, ``masks``, ``phase_masks`` (N, H, W); as AtomAI's
+                 ``Segmentor.fit(images, masks)`` takes them
+    ``.h5``      the same as HDF5; h5py has to be installed
+    ``.csv``     columns: sample, x and y in pixels, class, number, occupancy, sites, vacancies, substitutions
     ``.parquet`` the same; pyarrow has to be installed
-    ``.json``  COCO: outlines of particles, one category for each shape
-    ``.tar``   WebDataset: for each sample ``image.npy``, ``heat_map.npy``, ``mask.npy``, ``columns.json``
-    ========== ==================================================================================================
+    ``.json``    COCO: outlines of particles, one category for each shape
+    ``.tar``     WebDataset: for each sample ``image.npy``, ``heat_map.npy``, ``mask.npy``, ``columns.json``
+    ============ ================================================================================================
 
     Args:
         samples: a :class:`Stream`, or samples. count: number of samples, needed for a stream, which is endless.

@@ -81,15 +81,19 @@ class Sample:
 
 
 class Stream:
-    """Samples by their numbers; see :func:`stream`."""
+    """Samples by their numbers; see :func:`stream`. It can be pickled: spawned processes make it anew from its recipes."""
 
-    def __init__(self, sources: Sequence[_core.TileSource], weights: Sequence[float], seed: int, batch: int, threads: int | None) -> None:
-        self._sources = list(sources)
+    def __init__(self, fields: Sequence[Mapping[str, Any]], weights: Sequence[float], seed: int, batch: int, threads: int | None) -> None:
+        self._made = (tuple(fields), tuple(weights))
+        self._sources = [call(_core.TileSource, field, running(threads, False)) for field in fields]
         total = math.fsum(weights)
         self._shares = np.cumsum([weight / total for weight in weights])
         self.seed = seed
         self.batch = batch
         self.threads = threads
+
+    def __reduce__(self) -> tuple[type[Stream], tuple[Any, ...]]:
+        return Stream, (*self._made, self.seed, self.batch, self.threads)
 
     def prepare(self, *, index: int = 0, progress: Progress = False) -> None:
         """Fills the libraries that samples from ``index`` on draw from; otherwise the first sample waits for that."""
@@ -176,14 +180,14 @@ def stream(
     }
     if batch < 1 or (samples_per_specimen is not None and samples_per_specimen < 1):
         raise _invalid("batch or samples_per_specimen", "expected whole numbers above 0")
-    sources, weights = [], []
+    fields, weights = [], []
     for one, weight in _weighted(recipe):
         if not weight > 0:
             raise _invalid("recipe", f"weight {weight}: expected a number above 0")
         resolved = one if isinstance(one, Recipe) and not changes else Recipe(one, _tier(one, difficulty), **changes)
-        sources.append(call(_core.TileSource, {**options, "toml": resolved.toml}, running(threads, False)))
+        fields.append({**options, "toml": resolved.toml})
         weights.append(weight)
-    return Stream(sources, weights, seed, batch, threads)
+    return Stream(fields, weights, seed, batch, threads)
 
 
 def _tier(recipe: RecipeLike, difficulty: Difficulty | None) -> Difficulty | None:

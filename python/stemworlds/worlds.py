@@ -130,7 +130,7 @@ class World:
     """
 
     def __init__(self, path: str | os.PathLike[str], *, check: bool = False) -> None:
-        self.path = os.fspath(path)
+        self.path: str = os.fspath(path)
         #: What :func:`build` says of a world that it has just built.
         self.summary: Mapping[str, Any] | None = None
         if check:
@@ -139,7 +139,7 @@ class World:
         facts = json.loads(self._reader.metadata())
         for name in ("grid", "shape", "fov_nm", "scaling", "phases"):
             facts[name] = None if facts[name] is None else tuple(facts[name])
-        self.metadata = WorldMetadata(**facts)
+        self.metadata: WorldMetadata = WorldMetadata(**facts)
 
     def close(self) -> None:
         """Closes the file. It is opened again when read."""

@@ -1,4 +1,4 @@
-"""What docs/python.md and the README show of the package runs."""
+"""What the README shows of the package runs. The pages of docs/ run when their site is built: docs/build.sh."""
 
 from __future__ import annotations
 
@@ -12,16 +12,6 @@ from conftest import ROOT
 
 def snippets(page: Path) -> list[str]:
     return re.findall(r"^```python\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
-
-
-def test_the_snippets_of_the_page_run_one_after_the_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    found = snippets(ROOT / "docs/python.md")
-    assert len(found) >= 6
-    names: dict[str, object] = {}
-    for snippet in found:
-        exec(compile(snippet, "docs/python.md", "exec"), names)
-    assert (tmp_path / "gold.hspy").exists() and (tmp_path / "small.html").exists()
 
 
 def test_the_readme_shows_the_python_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

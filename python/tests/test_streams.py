@@ -45,6 +45,13 @@ def test_a_sample_depends_on_seed_and_index_alone(stream: sw.Stream) -> None:
     assert digest(other.sample(0)) != first[0]
 
 
+def test_a_stream_goes_to_another_process(stream: sw.Stream) -> None:
+    """As the workers of a DataLoader get it where processes are spawned."""
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        [found] = pool.map(stream.samples, [[3, 1]])
+    assert [digest(sample) for sample in found] == [digest(sample) for sample in stream.samples([3, 1])]
+
+
 def test_samples_show_what_their_targets_say(stream: sw.Stream) -> None:
     for sample in stream.iterate(count=6):
         image, targets = sample
@@ -150,12 +157,14 @@ def test_bad_streams_are_refused() -> None:
         sw.stream([], cache=False)
 
 
-@pytest.mark.parametrize("workers", [0, 2])
-def test_data_loaders_yield_the_same_samples(stream: sw.Stream, workers: int) -> None:
+@pytest.mark.parametrize(("workers", "start"), [(0, None), (2, "fork"), (2, "spawn")])
+def test_data_loaders_yield_the_same_samples(stream: sw.Stream, workers: int, start: str | None) -> None:
     torch = pytest.importorskip("torch")
-    loader = torch.utils.data.DataLoader(sw.torch.TileDataset(stream, count=8), batch_size=2, num_workers=workers)
+    dataset = sw.torch.TileDataset(stream, count=8)
+    loader = torch.utils.data.DataLoader(dataset, batch_size=2, num_workers=workers, multiprocessing_context=start)
     found: dict[int, bytes] = {}
-    for batch in loader:
+    for number, batch in enumerate(loader):
         assert batch["image"].shape == (2, 1, 48, 48) and batch["class_mask"].dtype == torch.int64
         found.update((int(index), image.numpy().tobytes()) for index, image in zip(batch["index"], batch["image"], strict=True))
+    assert number == 3, "none twice"
     assert found == {sample.index: sample.image.tobytes() for sample in stream.iterate(count=8)}

@@ -6,7 +6,16 @@ use std::process::Command;
 
 /// All pages of the repository.
 fn pages() -> Vec<PathBuf> {
-    let folders = ["", "docs", "worlds", "generate", "benches", "tests/golden"];
+    let folders = [
+        "",
+        "docs",
+        "docs/how-to",
+        "docs/tutorials",
+        "worlds",
+        "generate",
+        "benches",
+        "tests/golden",
+    ];
     let all = folders.iter().flat_map(|folder| std::fs::read_dir(file(folder)).unwrap());
     let paths = all.map(|entry| entry.unwrap().path());
     let pages: Vec<PathBuf> = paths.filter(|p| p.extension().is_some_and(|e| e == "md")).collect();
