@@ -59,6 +59,11 @@ pub struct ChosenImager {
 }
 
 impl ChosenImager {
+    /// Whether it takes less than simulating the whole field.
+    pub fn shares(&self) -> bool {
+        self.shares
+    }
+
     /// What making a field takes, of which each of `subtiles` parts has `subtile` (rows, columns) pixels.
     ///
     /// # Errors

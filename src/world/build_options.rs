@@ -121,14 +121,14 @@ impl Default for BuildOptions {
     }
 }
 
-/// What is to be said of a layer before the specimen whose effect on the probe is left out.
-fn layer_warning(recipe: &CheckedRecipe, method: MethodChoice) -> Option<String> {
+/// What is to be said of a layer before the specimen whose effect on the probe is left out where columns share simulations.
+pub(super) fn layer_warning(recipe: &CheckedRecipe) -> Option<String> {
     let nm = recipe.surface.map_or(0.0, |table| table.entrance_nm);
     let percent = LAYER_ERROR_PERCENT[0] + LAYER_ERROR_PERCENT[1] * nm;
-    (nm > 0.0 && method != MethodChoice::Direct).then(|| {
+    (nm > 0.0).then(|| {
         format!(
-            "the {nm} nm of carbon before the specimen scatter the probe, which leaves bright columns about {percent:.1} % off where \
-             columns share simulations; direct simulation in windows shows it, and takes as long as a world without a library"
+            "the {nm} nm of carbon before the specimen scatter the probe, which a mosaic leaves out: bright columns are about {percent:.1} % off; \
+             simulating all of the field in windows shows it, and takes as long as that takes"
         )
     })
 }
@@ -159,8 +159,7 @@ impl BuildOptions {
         let subtile_nm = self.subtiles(&simulator, method);
         let check = self.imaging_check(recipe)?;
         let imaging = ImagingChoice { simulator, method, cache: self.cache.clone() };
-        let warnings = warning.into_iter().chain(layer_warning(recipe, method)).collect();
-        Ok(BuildPolicy { imaging, check, subtile_nm, warnings })
+        Ok(BuildPolicy { imaging, check, subtile_nm, warnings: warning.into_iter().collect() })
     }
 
     fn published(&self) -> bool {
