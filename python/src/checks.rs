@@ -16,6 +16,7 @@ use stemgen::progress::Progress;
 use stemgen::recipe::CheckedRecipe;
 use stemgen::specimen::specimen;
 use stemgen::validate::report::{Report, ReportOrigin, sentence, suite_page, worlds_page};
+use stemgen::validate::soundness::check_world;
 use stemgen::validate::suite::{Case, selected};
 use stemgen::validate::worlds::compare;
 
@@ -187,6 +188,12 @@ pub fn compare_worlds(
         report["summary"] = sentence(&comparison).into();
         Ok(report.to_string())
     })
+}
+
+/// Whether a world agrees with itself; JSON.
+#[pyfunction]
+pub fn verify_world(py: Python<'_>, path: PathBuf, running: Running) -> PyResult<String> {
+    run(py, running, move |guest| Ok(serde_json::to_string(&check_world(&path, guest)?)?))
 }
 
 /// The folder of the user's cache.

@@ -35,6 +35,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(checks::cache_folder, module)?)?;
     module.add_function(wrap_pyfunction!(checks::cache_list, module)?)?;
     module.add_function(wrap_pyfunction!(checks::compare_worlds, module)?)?;
+    module.add_function(wrap_pyfunction!(checks::verify_world, module)?)?;
     module.add_function(wrap_pyfunction!(checks::validate_suite, module)?)?;
     module.add_function(wrap_pyfunction!(checks::validation_cases, module)?)?;
     module.add_function(wrap_pyfunction!(command_line::check_file, module)?)?;

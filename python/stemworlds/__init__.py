@@ -15,7 +15,7 @@ from . import cache, errors
 from ._core import __version__
 from .atoms import AtomArrays
 from .building import BuildOptions, BuildPlan, build, plan
-from .checking import Audit, Comparison, Validation, audit, compare, validate, validation_cases
+from .checking import Audit, Comparison, Validation, Verification, audit, compare, validate, validation_cases, verify
 from .errors import (
     FileError,
     FormatError,
@@ -63,6 +63,7 @@ __all__ = [
     "Table",
     "Targets",
     "Validation",
+    "Verification",
     "World",
     "WorldMetadata",
     "__version__",
@@ -84,6 +85,7 @@ __all__ = [
     "stream",
     "validate",
     "validation_cases",
+    "verify",
     "view",
 ]
 

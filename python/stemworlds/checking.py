@@ -159,5 +159,32 @@ def compare(
     return Comparison(verdict=found["verdict"], summary=found["summary"], different=different, details=found)
 
 
+@dataclass(frozen=True)
+class Verification:
+    """Whether a world file is whole and agrees with itself.
+
+    Attributes:
+        sound: nothing is wrong. faults: what is, by name of the check. details: what each check found, by name.
+    """
+
+    sound: bool
+    faults: Mapping[str, str]
+    details: Mapping[str, str]
+
+
+def verify(world: Path, *, threads: int | None = None, progress: Progress = False) -> Verification:
+    """Holds tiles against each other and the overview, lists of the truth against each other and the field, and counts against the dose.
+
+    Args:
+        world: the file.
+
+    Raises:
+        FileError: the file is not there, or cannot be read.
+    """
+    checks = json.loads(call(_core.verify_world, os.fspath(world), running(threads, progress)))
+    faults = {check["what"]: check["found"] for check in checks if check["outcome"] == "fault"}
+    return Verification(sound=not faults, faults=faults, details={check["what"]: check["found"] for check in checks})
+
+
 def _path(path: Path | None) -> str | None:
     return None if path is None else os.fspath(path)

@@ -155,6 +155,18 @@ def test_audits_and_comparisons(world_path: Path, tmp_path: Path) -> None:
     assert (tmp_path / "compare.html").stat().st_size > 1000
 
 
+def test_a_world_is_verified(world_path: Path, tmp_path: Path) -> None:
+    found = sw.verify(world_path)
+    assert found.sound and found.faults == {} and set(found.details) >= {"tiles", "sites", "columns", "counts"}
+    damaged = tmp_path / "damaged.h5"
+    damaged.write_bytes(world_path.read_bytes())
+    with h5py.File(damaged, "r+") as file:
+        file["ground_truth/atom_types"][3] = 7
+    assert list(sw.verify(damaged).faults) == ["sites"]
+    with pytest.raises(FileNotFoundError):
+        sw.verify(tmp_path / "nothing.h5")
+
+
 def test_validation_runs_cases(tmp_path: Path) -> None:
     names = sw.validation_cases()
     assert len(names) > 5

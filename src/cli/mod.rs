@@ -38,6 +38,7 @@ mod tiles_command;
 mod validate_command;
 mod validate_reference;
 mod values;
+mod verify_command;
 mod view_command;
 mod view_picture;
 
@@ -85,6 +86,7 @@ enum Command {
     Cache(Box<cache_command::CacheCommand>),
     Validate(Box<validate_command::Validate>),
     Compare(Box<compare_command::Compare>),
+    Verify(Box<verify_command::Verify>),
     List(Box<list_command::List>),
     ShowRecipe(Box<show_recipe_command::ShowRecipe>),
     /// Explain the terms of the program: window, mosaic, library, sub-tile, tail ...
@@ -128,6 +130,7 @@ pub fn run(invocation: Invocation) -> u8 {
         Command::Cache(command) => ("cache", command.run().map(done)),
         Command::Validate(command) => ("validate", command.run()),
         Command::Compare(command) => ("compare", command.run()),
+        Command::Verify(command) => ("verify", command.run()),
         Command::List(command) => ("list", command.run().map(done)),
         Command::ShowRecipe(command) => ("show-recipe", command.run().map(done)),
         Command::Glossary => ("glossary", text::print(&glossary(invocation)).map(done)),

@@ -3,7 +3,7 @@
 //!
 //! The suite ([`suite::cases`]) is one list that users run (`stemgen validate`) and tests run. Each case
 //! returns [`Findings`]: numbers with their limits, and figures. [`user`] reads an image that somebody else
-//! computed, [`image_comparison`] compares it and [`explain`] says what a difference may come from; [`worlds`] compares two world files by statistics. [`report`] makes one HTML page of any.
+//! computed, [`image_comparison`] compares it and [`explain`] says what a difference may come from; [`worlds`] compares two world files by statistics, [`soundness`] checks one. [`report`] makes one HTML page of any.
 
 pub mod difference;
 pub mod explain;
@@ -11,6 +11,7 @@ pub mod golden;
 pub mod image_comparison;
 mod lab;
 pub mod report;
+pub mod soundness;
 pub mod statistics;
 pub mod suite;
 pub mod user;

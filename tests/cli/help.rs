@@ -32,6 +32,7 @@ fn help_is_as_stored() {
     compare("cache-clear", &["cache", "clear"]);
     compare("validate", &["validate"]);
     compare("compare", &["compare"]);
+    compare("verify", &["verify"]);
     compare("list", &["list"]);
     compare("show-recipe", &["show-recipe"]);
 }

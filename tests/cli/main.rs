@@ -19,6 +19,7 @@ mod skipped;
 mod specimen;
 mod tiles;
 mod validate;
+mod verify;
 mod view;
 
 use std::path::Path;

@@ -1,0 +1,326 @@
+//! Is a world file sound: does what it holds agree with itself?
+//!
+//! Shapes and types are checked where the file is opened. Here tiles are held against each other and the overview, the lists of the
+//! ground truth against each other and the field, and the noise against the noise-free image and the dose.
+
+use std::path::Path;
+
+use ndarray::{Array2, s};
+use serde::Serialize;
+
+use crate::error::{Error, Result};
+use crate::io::schema::{OVERVIEW_FACTOR, atom_type};
+use crate::io::{GroundTruth, WorldFile, WorldMetadata};
+use crate::progress::Progress;
+use crate::recipe::Recipe;
+
+/// Pixels of the overview differ by at most so much from the mean of what they show.
+const OVERVIEW_ERROR: f64 = 1e-5;
+/// Positions of sites are at most so far outside the field, in nm: columns at its edge have sites that are displaced.
+const OUTSIDE_NM: f64 = 0.1;
+/// Counts are whole numbers to this much, or to single precision.
+const COUNT_ERROR: f64 = 0.02;
+/// Counts agree with the noise-free image where their mean and their scatter are nearer than so many standard errors.
+const STANDARD_ERRORS: f64 = 6.0;
+/// Pixels with fewer electrons expected do not count for the scatter.
+const FEWEST_ELECTRONS: f64 = 0.5;
+
+/// What became of a check.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Outcome {
+    /// All is as it should be.
+    Sound,
+    /// Something is not.
+    Fault,
+    /// The file does not hold what the check needs.
+    Skipped,
+}
+
+/// One check of a world.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct WorldCheck {
+    /// What was checked.
+    pub what: &'static str,
+    /// What became of it.
+    pub outcome: Outcome,
+    /// What was found.
+    pub found: String,
+}
+
+/// Checks a world file; a file that cannot be opened as a world has that as its one fault.
+///
+/// # Errors
+/// [`Error::Io`] for a file that is not there, [`Error::Interrupted`].
+pub fn check_world(path: &Path, progress: &dyn Progress) -> Result<Vec<WorldCheck>> {
+    let opened = match WorldFile::open(path) {
+        Ok(world) => world,
+        Err(error @ Error::Io { .. }) => return Err(error),
+        Err(error) => return Ok(vec![checked("schema", Err(error))?]),
+    };
+    let m = opened.metadata();
+    let schema =
+        format!("{} x {} tiles of {} pixels", m.grid_shape[0], m.grid_shape[1], m.tile_size_px);
+    let tiles = m.grid_shape[0] * m.grid_shape[1];
+    progress.start("checking", "tile", tiles as u64);
+    let mut checks = vec![checked("schema", Ok(Ok(schema)))?];
+    checks.push(checked("tiles", check_tiles(&opened, progress))?);
+    progress.finish();
+    checks.push(checked("overview", check_overview(&opened, progress))?);
+    checks.push(checked("sites", check_sites(&opened))?);
+    checks.push(checked("columns", check_columns(&opened))?);
+    checks.push(checked("counts", check_counts(&opened, progress))?);
+    Ok(checks)
+}
+
+/// What a check found: a sentence, or a fault.
+type Found = std::result::Result<String, String>;
+
+/// Why a check was skipped, as the beginning of what it found.
+const SKIPPED: &str = "not checked: ";
+
+fn checked(what: &'static str, found: Result<Found>) -> Result<WorldCheck> {
+    let (outcome, found) = match found {
+        Ok(Ok(found)) if found.starts_with(SKIPPED) => {
+            (Outcome::Skipped, found[SKIPPED.len()..].to_owned())
+        }
+        Ok(Ok(found)) => (Outcome::Sound, found),
+        Ok(Err(fault)) => (Outcome::Fault, fault),
+        Err(Error::Interrupted) => return Err(Error::Interrupted),
+        Err(error) => (Outcome::Fault, error.to_string()),
+    };
+    Ok(WorldCheck { what, outcome, found })
+}
+
+/// Values are from 0 to 1 (fractions of the beam in the noise-free image), and the pixels that tiles share the same.
+fn check_tiles(world: &WorldFile, progress: &dyn Progress) -> Result<Found> {
+    let WorldMetadata { grid_shape: [rows, columns], overlap_px, tile_size_px, .. } =
+        *world.metadata();
+    let rest = tile_size_px - overlap_px;
+    let (mut least, mut most) = (f32::INFINITY, f32::NEG_INFINITY);
+    for clean in [false, true].into_iter().filter(|clean| !clean || world.has_clean()) {
+        let group = if clean { "clean" } else { "tiles" };
+        let mut above: Vec<Array2<f32>> = Vec::new();
+        for row in 0..rows {
+            let mut strips = Vec::with_capacity(columns);
+            let mut left: Option<Array2<f32>> = None;
+            for column in 0..columns {
+                if progress.interrupted() {
+                    return Err(Error::Interrupted);
+                }
+                let tile = match clean {
+                    true => world.clean_tile(row, column)?,
+                    false => world.tile(row, column)?,
+                };
+                world.check_finite(&tile, [row * rest, column * rest], clean)?;
+                let low = tile.iter().fold(f32::INFINITY, |a, b| a.min(*b));
+                let high = tile.iter().fold(f32::NEG_INFINITY, |a, b| a.max(*b));
+                if low < 0.0 || high > 1.0 {
+                    return Ok(Err(format!(
+                        "/{group}/{row}_{column} has values from {low} to {high}, expected 0 to 1"
+                    )));
+                }
+                if !clean {
+                    (least, most) = (least.min(low), most.max(high));
+                    progress.advance(1);
+                }
+                let same = |other: Option<&Array2<f32>>, part: Array2<f32>| {
+                    other.is_none_or(|o| *o == part)
+                };
+                if !same(left.as_ref(), tile.slice(s![.., ..overlap_px]).to_owned())
+                    || !same(above.get(column), tile.slice(s![..overlap_px, ..]).to_owned())
+                {
+                    return Ok(Err(format!(
+                        "/{group}/{row}_{column} differs from a neighbour in the {overlap_px} pixels that they share"
+                    )));
+                }
+                left = Some(tile.slice(s![.., rest..]).to_owned());
+                strips.push(tile.slice(s![rest.., ..]).to_owned());
+            }
+            above = strips;
+        }
+    }
+    let clean = if world.has_clean() { ", the noise-free ones too" } else { "" };
+    Ok(Ok(format!("values from {least} to {most}; shared pixels are the same{clean}")))
+}
+
+/// Each pixel of the overview is the mean of those that it stands for.
+fn check_overview(world: &WorldFile, progress: &dyn Progress) -> Result<Found> {
+    let overview = world.overview()?;
+    let [height, width] = world.shape();
+    let mut worst = 0.0_f64;
+    for (row, line) in overview.outer_iter().enumerate() {
+        if progress.interrupted() {
+            return Err(Error::Interrupted);
+        }
+        let first = row * OVERVIEW_FACTOR;
+        let band = world.stitched(first..(first + OVERVIEW_FACTOR).min(height), 0..width)?;
+        for (column, value) in line.iter().enumerate() {
+            let first = column * OVERVIEW_FACTOR;
+            let part = band.slice(s![.., first..(first + OVERVIEW_FACTOR).min(width)]);
+            let mean = part.iter().map(|v| f64::from(*v)).sum::<f64>() / part.len() as f64;
+            worst = worst.max((mean - f64::from(*value)).abs());
+        }
+    }
+    Ok(match worst <= OVERVIEW_ERROR {
+        true => Ok(format!("the mean of the image to within {worst:.1e}")),
+        false => Err(format!("differs by up to {worst:.2e} from the mean of the image")),
+    })
+}
+
+/// Sites lie in the field, types are known, masks mark what types say, and numbers are those of elements.
+fn check_sites(world: &WorldFile) -> Result<Found> {
+    let m = world.metadata();
+    let [height, width] = m.fov_nm;
+    let inside = |[x, y]: [f32; 2]| {
+        let within = |v: f32, size: f64| (-OUTSIDE_NM..=size + OUTSIDE_NM).contains(&f64::from(v));
+        within(x, width) && within(y, height)
+    };
+    let (mut fault, mut count, mut defects) = (None, 0, 0);
+    let of_site = |truth: &GroundTruth, i: usize| -> Option<String> {
+        let kind = truth.types[i];
+        let known = [atom_type::PRISTINE, atom_type::VACANCY, atom_type::SUBSTITUTION];
+        if !inside(truth.positions[i]) {
+            let [x, y] = truth.positions[i];
+            return Some(format!("lies at x {x}, y {y} nm, outside the field"));
+        }
+        if !known.contains(&kind) {
+            return Some(format!("has type {kind}, expected 0, 1 or 2"));
+        }
+        if truth.defects[i] != (kind != atom_type::PRISTINE) {
+            return Some(format!("has type {kind} and defect_mask {}", truth.defects[i]));
+        }
+        let number = truth.numbers.get(i);
+        number.filter(|z| !(1..=118).contains(*z)).map(|z| format!("has atomic number {z}"))
+    };
+    world.for_each_chunk_of_sites(|first, truth| {
+        count += truth.types.len();
+        defects += truth.defects.iter().filter(|d| **d).count();
+        let found = (0..truth.types.len()).find_map(|i| Some((first + i, of_site(truth, i)?)));
+        fault = fault.take().or(found);
+    })?;
+    Ok(match fault {
+        Some((site, what)) => Err(format!("site {site} {what}")),
+        None => Ok(format!("{count} in the field, {defects} of them defects, as their types say")),
+    })
+}
+
+/// Numbers of sites and defects of each column are those of its sites.
+fn check_columns(world: &WorldFile) -> Result<Found> {
+    let columns = world.columns()?;
+    let mut counted = vec![[0_i32; 3]; columns.len()];
+    let (mut fault, mut told) = (None, false);
+    world.for_each_chunk_of_sites(|first, truth| {
+        for (i, column) in truth.columns.iter().enumerate() {
+            told = true;
+            let Some(counts) = usize::try_from(*column).ok().and_then(|c| counted.get_mut(c))
+            else {
+                let site = first + i;
+                fault.get_or_insert(format!(
+                    "site {site} is of column {column}, which is not listed"
+                ));
+                continue;
+            };
+            counts[0] += 1;
+            counts[1] += i32::from(truth.types[i] == atom_type::VACANCY);
+            counts[2] += i32::from(truth.types[i] == atom_type::SUBSTITUTION);
+        }
+    })?;
+    if !told {
+        return Ok(Ok(format!("{SKIPPED}the file does not say to which columns sites belong")));
+    }
+    let differs = columns.iter().zip(&counted).position(|(column, counts)| {
+        [column.sites, column.vacancies, column.substitutions] != *counts
+    });
+    Ok(match (fault, differs) {
+        (Some(fault), _) => Err(fault),
+        (None, Some(n)) => {
+            let c = &columns[n];
+            let listed = [c.sites, c.vacancies, c.substitutions];
+            Err(format!(
+                "column {n} lists {listed:?} sites, vacancies and substitutions, and has {:?}",
+                counted[n]
+            ))
+        }
+        (None, None) => Ok(format!("{} with the numbers of their sites", columns.len())),
+    })
+}
+
+/// Whole numbers of electrons, whose mean and scatter are those of the noise-free image at the dose.
+fn check_counts(world: &WorldFile, progress: &dyn Progress) -> Result<Found> {
+    let m = world.metadata();
+    let recipe = m.recipe.as_ref().and_then(|toml| Recipe::from_toml_str("world", toml, None).ok());
+    let skipped = |why: &str| Ok(Ok(format!("{SKIPPED}{why}")));
+    if recipe.is_some_and(|recipe| recipe.acquisition.is_some()) {
+        return skipped("a recording holds what a detector makes of electrons");
+    }
+    let (Some([scale, offset]), Some(dose), Some(true)) =
+        (m.scaling, m.dose_electrons_per_angstrom2, m.noise)
+    else {
+        return skipped("the file does not say that it holds counted electrons, or at which dose");
+    };
+    let electrons = dose * (10.0 * m.pixel_size_nm).powi(2);
+    let mut noise = NoiseStatistics::default();
+    for row in 0..m.grid_shape[0] {
+        for column in 0..m.grid_shape[1] {
+            if progress.interrupted() {
+                return Err(Error::Interrupted);
+            }
+            let tile = world.tile(row, column)?;
+            let counts = tile.mapv(|v| (f64::from(v) * scale + offset) * electrons);
+            // A value is right to half a step of single precision of the largest.
+            let error = COUNT_ERROR.max(2.0 * f64::from(f32::EPSILON) * scale * electrons);
+            if let Some((at, n)) =
+                counts.indexed_iter().find(|(_, n)| (*n - n.round()).abs() > error)
+            {
+                return Ok(Err(format!(
+                    "/tiles/{row}_{column} holds {n:.3} electrons at pixel {at:?}"
+                )));
+            }
+            if world.has_clean() {
+                let clean = world.clean_tile(row, column)?;
+                noise.add(&counts, &clean.mapv(|v| f64::from(v) * electrons));
+            }
+        }
+    }
+    if !world.has_clean() {
+        return Ok(Ok("whole numbers of electrons".into()));
+    }
+    let [mean, scatter] = noise.standard_errors();
+    let told = format!(
+        "mean and scatter are off by {mean:+.1} and {scatter:+.1} standard errors from those of the noise-free image"
+    );
+    Ok(match mean.abs().max(scatter.abs()) <= STANDARD_ERRORS {
+        true => Ok(format!("whole numbers of electrons; {told}")),
+        false => Err(told),
+    })
+}
+
+/// Sums over pixels of counts n, with expectation and variance e.
+#[derive(Default)]
+struct NoiseStatistics {
+    /// Of n - e, and of e.
+    difference: [f64; 2],
+    /// Of (n - e)^2 / e - 1, and of its variance 2 + 1 / e.
+    scatter: [f64; 2],
+}
+
+impl NoiseStatistics {
+    fn add(&mut self, counts: &Array2<f64>, expected: &Array2<f64>) {
+        for (n, e) in counts.iter().zip(expected) {
+            let d = n.round() - e;
+            self.difference[0] += d;
+            self.difference[1] += e;
+            if *e >= FEWEST_ELECTRONS {
+                self.scatter[0] += d * d / e - 1.0;
+                self.scatter[1] += 2.0 + 1.0 / e;
+            }
+        }
+    }
+
+    /// How far sums lie from 0.
+    fn standard_errors(&self) -> [f64; 2] {
+        [self.difference, self.scatter]
+            .map(|[sum, variance]| if variance > 0.0 { sum / variance.sqrt() } else { 0.0 })
+    }
+}
