@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::crystal_source::CrystalSource;
+use super::detector_tables::DetectorTables;
 use super::difficulty::Difficulty;
 use super::optics_table::OpticsTable;
 use super::origin::RecipeOrigin;
@@ -65,8 +66,8 @@ pub struct Recipe {
     pub phonons: PhononTable,
     /// The probe.
     pub optics: OpticsTable,
-    /// The detector.
-    pub detector: DetectorTable,
+    /// The detector, or several.
+    pub detector: DetectorTables,
     /// Noise.
     pub dose: Dose,
     /// How the image is recorded. Without it the tiles are the noise-free image with Poisson noise.
