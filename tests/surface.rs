@@ -112,7 +112,7 @@ fn layers_add_what_the_exact_engine_shows() {
             let (pixel, margin) = (recipe.field.pixel_nm(), simulator.margin_angstrom());
             let pixels = PixelBox::new(&place(), pixel, margin, 0.1 * thickness);
             let atoms = |configuration| imager.atoms(&pixels.area, configuration);
-            simulator.mean(&pixels, 1, atoms, &Silent).unwrap()
+            simulator.means(&pixels, 1, atoms, &Silent).unwrap().remove(0)
         };
         let with = exact(&*imager, layers.before_angstrom(), layers.thickness_angstrom());
         let without = exact(&crystal, 0.0, 10.0 * specimen.thickness_nm());
@@ -213,6 +213,19 @@ fn rectangles_and_turned_rasters_share_one_image() {
     let turned = turned_image(&recipe, &*imager, &raster, &Silent).unwrap();
     let worst = turned.iter().zip(&whole).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     assert!(worst < 1e-6 * whole.iter().fold(0.0, |a: f64, b| a.max(*b)), "{worst}");
+}
+
+/// Atoms that scatter each by itself make no bright field, and no library holds the layers for several detectors.
+#[test]
+fn detectors_in_the_beam_are_simulated_with_the_layers() {
+    let layer = "surface.entrance_nm=1";
+    assert!(SurfaceImager::can_cover(&recipe(&[layer])));
+    assert!(SurfaceImager::can_cover(&recipe(&[
+        "detector.inner_mrad=10",
+        "detector.outer_mrad=21"
+    ])));
+    let bright = ["detector.inner_mrad=10", "detector.outer_mrad=21", layer];
+    assert!(!SurfaceImager::can_cover(&recipe(&bright)));
 }
 
 #[test]

@@ -123,7 +123,7 @@ fn a_mosaic_of_10_nm_is_the_exact_image_of_its_atoms() {
     let mut recipe = recipe(0, 0.0);
     recipe.field.thickness_nm = 10.0;
     recipe.phonons.configurations = 2;
-    (recipe.detector.inner_mrad, recipe.detector.outer_mrad) = (68.0, 200.0);
+    recipe.detector = stemgen::recipe::DetectorTables::one(68.0, 200.0);
     let specimen = specimen(&recipe).unwrap();
     let mosaic = mosaic(&recipe, &specimen);
     let options = AuditOptions { at_nm: vec![[3.1, 3.1], [1.2, 4.0]], ..AuditOptions::default() };

@@ -150,7 +150,8 @@ impl Simulation {
             for (t, sharp) in image.data.outer_iter().enumerate() {
                 let origin_px = [(n * thicknesses + t) * rows, 0];
                 let seed = self.specimen.seed();
-                let noise = Noise { seed, electrons_per_pixel, origin_px, full_width_px };
+                let noise =
+                    Noise { seed, electrons_per_pixel, origin_px, full_width_px, detector: 0 };
                 counts.index_axis_mut(Axis(0), t).assign(&noise.counted(&sharp.to_owned()));
             }
             image.counts = Some(counts);

@@ -198,6 +198,9 @@ impl Acquire {
         table.dwell_us = self.dwell_us.or(table.dwell_us);
         table.frames = self.frames.or(table.frames);
         changed.acquisition = Some(table);
+        if self.recipe.world().is_none() {
+            changed.detector = changed.detector.main_alone();
+        }
         Ok(changed.checked()?)
     }
 

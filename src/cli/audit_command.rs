@@ -52,6 +52,9 @@ pub struct AuditCommand {
     /// Seed of the places
     #[arg(long, value_name = "N", default_value_t = 1)]
     audit_seed: u64,
+    /// Width of the window that follows each probe, in A, of a recipe that has no world yet [default: as `build` chooses]
+    #[arg(long, value_name = "A", value_parser = values::finite, allow_negative_numbers = true)]
+    window: Option<f64>,
     /// Neither read nor keep simulations in the cache
     #[arg(long)]
     no_cache: bool,
@@ -86,8 +89,11 @@ impl AuditCommand {
         let cache = if self.no_cache { Cache::none() } else { Cache::of_user() };
         let choice = match &made {
             Some(_) => imaging_of(&recipe, made.as_ref(), cache)?,
-            None => planned(&recipe, cache)?,
+            None => planned(&recipe, cache, self.window)?,
         };
+        if made.is_some() && self.window.is_some() {
+            bail!("--window: the world was made with a window of its own; name its recipe instead");
+        }
         let cost = audit_cost(&recipe, &*specimen, &options)?.cost;
         let bytes = cost.memory_bytes(estimate::threads());
         self.force.check_memory(bytes, AUDIT_REMEDY, &reporter)?;
@@ -115,16 +121,29 @@ pub fn imaging_of(
 }
 
 /// The imager of a world that is not there yet: a mosaic, or a film, with windows as `stemgen build` chooses them.
-pub fn planned(recipe: &CheckedRecipe, cache: Cache) -> anyhow::Result<ImagingChoice> {
-    let policy = BuildOptions { cache, ..BuildOptions::default() }.policy(recipe)?;
+pub fn planned(
+    recipe: &CheckedRecipe,
+    cache: Cache,
+    window_angstrom: Option<f64>,
+) -> anyhow::Result<ImagingChoice> {
+    let options = BuildOptions { cache, window_angstrom, ..BuildOptions::default() };
+    let policy = options.policy(recipe)?;
     Ok(match policy.imaging.method {
         MethodChoice::Auto => ImagingChoice { method: MethodChoice::Mosaic, ..policy.imaging },
         _ => policy.imaging,
     })
 }
 
+/// All detectors, one after the other.
 fn text(audit: &Audit) -> String {
+    audit.all().map(text_of_detector).collect::<Vec<_>>().join("\n")
+}
+
+fn text_of_detector(audit: &Audit) -> String {
     let mut lines = Lines::default();
+    if let Some(name) = &audit.detector {
+        lines.add("detector", name.clone());
+    }
     let [n, all] = audit.configurations;
     let windows = audit.window_angstrom.map(|w| format!(" (windows of {w:.1} A)"));
     lines.add(

@@ -232,6 +232,7 @@ impl Simulate {
             electrons_per_pixel: self.results.dose? * x * y,
             origin_px: [0, 0],
             full_width_px: scan.shape[1],
+            detector: 0,
         })
     }
 

@@ -6,7 +6,7 @@ use super::plan_report::Lines;
 use super::recipe_args::RecipeArgs;
 use super::{output, text, values};
 use crate::files::outputs::check_outputs;
-use crate::imaging::Cache;
+use crate::imaging::{Cache, OneDetector};
 use crate::io::npz_file::write_npz;
 use crate::specimen::specimen;
 use crate::world::{TrainingOptions, training_set};
@@ -51,6 +51,9 @@ pub struct Tiles {
     /// [default: that of the recipe]
     #[arg(long, value_name = "LOW,HIGH", value_parser = values::point)]
     random_dose: Option<[f64; 2]>,
+    /// Which detector of a world or recipe that has several [default: the first]
+    #[arg(long, value_name = "NAME")]
+    detector: Option<String>,
     /// Standard deviation of a column in the heat maps, in pixels
     #[arg(long, value_name = "PX", default_value_t = 2.0, value_parser = values::positive)]
     heat_sigma: f64,
@@ -110,6 +113,9 @@ impl Tiles {
         let cache = if self.no_cache { Cache::none() } else { Cache::of_user() };
         let specimen = specimen(&recipe)?;
         let mut imager = imaging_of(&recipe, made.as_ref(), cache)?.imager(&recipe, &specimen)?;
+        if let Some(name) = &self.detector {
+            imager = Box::new(OneDetector::named(name, &recipe, imager)?);
+        }
         imager.prepare(&reporter)?;
         let set = training_set(&recipe, &*specimen, &*imager, &options, &reporter)?;
         write_npz(&self.output, self.overwrite, |npz| {

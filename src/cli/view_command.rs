@@ -25,6 +25,8 @@ Examples:
     stemgen view worlds/srtio3_easy_1x1.h5 --region 0.2,0.2,2.2,2.2 --overlay defects
   Phases and their boundaries over the noiseless image:
     stemgen view worlds/batio3_hard_4x4.h5 --clean --overlay phases --colormap inferno -o b.png
+  Another detector of a world that has several:
+    stemgen view worlds/srtio3_easy_1x1.h5 --detector ABF
   The specimen of a recipe, before anything is simulated:
     stemgen view srtio3 --difficulty easy --grid 2x2
   A page for the browser that zooms to single atoms and shows what the truth says of each:
@@ -46,6 +48,9 @@ pub struct View {
     /// Only the central tiles of a recipe, rows x columns [default: the whole field]
     #[arg(long, value_name = "RxC", value_parser = values::rows_columns)]
     grid: Option<[usize; 2]>,
+    /// Which detector of a world that has several [default: the first]
+    #[arg(long, value_name = "NAME")]
+    detector: Option<String>,
     /// Write a page (HTML) that works offline; the options below then say what it shows first
     #[arg(long)]
     html: bool,
@@ -73,7 +78,10 @@ impl View {
             return self.draw_recipe(&recipe);
         }
         hdf5_check::check(&self.world)?;
-        let world = WorldFile::open(&self.world)?;
+        let mut world = WorldFile::open(&self.world)?;
+        if let Some(name) = &self.detector {
+            world = world.on_detector(name)?;
+        }
         let ending = if self.html { "html" } else { "view.png" };
         let path = self.output.clone().unwrap_or_else(|| self.world.with_extension(ending));
         check_outputs([&path], [&self.world], self.overwrite)?;
@@ -108,9 +116,9 @@ impl View {
 
     /// Draws the specimen of a recipe, with all that is known of it.
     fn draw_recipe(&self, recipe: &CheckedRecipe) -> anyhow::Result<()> {
-        if self.html || self.region.is_some() || self.picture.clean {
+        if self.html || self.region.is_some() || self.picture.clean || self.detector.is_some() {
             bail!(
-                "{}: of a recipe the specimen is drawn as a whole; build the world for --html, --region and --clean",
+                "{}: of a recipe the specimen is drawn as a whole; build the world for --html, --region, --clean and --detector",
                 self.world.display()
             );
         }

@@ -111,7 +111,7 @@ impl ImagingChoice {
         specimen: &Arc<dyn Specimen>,
     ) -> Result<ChosenImager> {
         let mut declined = None;
-        if self.method != MethodChoice::Direct {
+        if self.method != MethodChoice::Direct && SurfaceImager::can_cover(recipe) {
             let shares = true;
             if let Some(film) = FilmImager::new(recipe, specimen, &self.simulator)? {
                 let imager = self.finished(Box::new(film), recipe, &**specimen)?;
@@ -242,6 +242,11 @@ impl ImagingCheck {
     /// Whether what an audit found is as right as asked.
     fn accepts(&self, found: Option<&Audit>, progress: &dyn Progress) -> bool {
         let Some(found) = found else { return true };
+        found.all().all(|found| self.accepts_one(found, progress))
+    }
+
+    /// Whether what was found for one detector is.
+    fn accepts_one(&self, found: &Audit, progress: &dyn Progress) -> bool {
         let columns = found.bright_rms_percent.max(found.all_rms_percent);
         let asked =
             [(columns, self.max_error_percent), (found.mean_rms_percent, self.accuracy_percent)];
@@ -249,8 +254,9 @@ impl ImagingCheck {
             asked.into_iter().find(|(error, limit)| limit.is_some_and(|limit| *error > limit));
         let Some((_, Some(limit))) = over else { return true };
         let window = found.window_angstrom.map_or(String::new(), |w| format!(" of {w:.1} A"));
+        let of = found.detector.as_ref().map_or(String::new(), |name| format!(", {name}"));
         progress.warn(&format!(
-            "{}{window}: {:.2} % at bright columns, {:.2} % over all pixels, {:.2} % of the mean image, and at most {limit} % are asked for",
+            "{}{window}{of}: {:.2} % at bright columns, {:.2} % over all pixels, {:.2} % of the mean image, and at most {limit} % are asked for",
             found.engine, found.bright_rms_percent, found.all_rms_percent, found.mean_rms_percent
         ));
         false

@@ -68,7 +68,7 @@ impl DirectImager {
         pixels: &PixelRect,
         configurations: usize,
         progress: &dyn Progress,
-    ) -> Result<Array2<f64>> {
+    ) -> Result<Vec<Array2<f64>>> {
         let (margin, thickness) = (self.simulator.margin_angstrom(), self.thickness_nm());
         let pixels = PixelBox::new(pixels, self.recipe.field.pixel_nm(), margin, thickness);
         self.simulate_box(&pixels, configurations, progress)
@@ -79,15 +79,15 @@ impl DirectImager {
         pixels: &PixelBox,
         configurations: usize,
         progress: &dyn Progress,
-    ) -> Result<Array2<f64>> {
+    ) -> Result<Vec<Array2<f64>>> {
         if self.layers.is_some() {
             let atoms = |configuration| self.atoms(&pixels.area, configuration);
-            return self.simulator.mean(pixels, configurations, atoms, progress);
+            return self.simulator.means(pixels, configurations, atoms, progress);
         }
         let simulator = self.simulator.with_configurations(configurations);
         let sites = mean_atoms(&*self.specimen, &pixels.area, &self.recipe.phonons);
-        let image = simulator.image(&sites, pixels, progress)?;
-        Ok(image.mapv(f64::from))
+        let images = simulator.images(&sites, pixels, progress)?;
+        Ok(images.into_iter().map(|image| image.mapv(f64::from)).collect())
     }
 }
 
@@ -138,22 +138,38 @@ impl RegionImager for DirectImager {
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Array2<f64>> {
+        Ok(self.means_of(pixels, configurations, progress)?.swap_remove(0))
+    }
+
+    fn detectors(&self) -> usize {
+        self.simulator.detectors()
+    }
+
+    fn means_of(
+        &self,
+        pixels: &PixelRect,
+        configurations: usize,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Array2<f64>>> {
         let [rows, columns] = self.block(pixels.shape);
         if pixels.stride > 1 || [rows, columns] == pixels.shape {
             return self.simulate(pixels, configurations, progress);
         }
-        let mut image = Array2::zeros((pixels.shape[0], pixels.shape[1]));
+        let whole = Array2::zeros((pixels.shape[0], pixels.shape[1]));
+        let mut images = vec![whole; self.detectors()];
         for y in (0..pixels.shape[0]).step_by(rows) {
             for x in (0..pixels.shape[1]).step_by(columns) {
                 let shape = [rows.min(pixels.shape[0] - y), columns.min(pixels.shape[1] - x)];
                 let block = PixelRect::new([pixels.first[0] + y, pixels.first[1] + x], shape);
                 let share = ProgressShare::new(progress, shape[0] * shape[1] * configurations);
-                let part = self.simulate(&block, configurations, &share)?;
+                let parts = self.simulate(&block, configurations, &share)?;
                 share.complete();
-                image.slice_mut(s![y..y + shape[0], x..x + shape[1]]).assign(&part);
+                for (image, part) in images.iter_mut().zip(&parts) {
+                    image.slice_mut(s![y..y + shape[0], x..x + shape[1]]).assign(part);
+                }
             }
         }
-        Ok(image)
+        Ok(images)
     }
 
     fn image_at(
@@ -166,7 +182,7 @@ impl RegionImager for DirectImager {
         let band_limit = image_band_limit(&self.simulator.settings().optics);
         let places = raster.places_angstrom();
         let values = between_probes(&places, band_limit, around, |pixels| {
-            self.simulate_box(pixels, configurations, progress)
+            Ok(self.simulate_box(pixels, configurations, progress)?.swap_remove(0))
         })?;
         Ok(Array2::from_shape_vec(raster.shape, values).ok())
     }

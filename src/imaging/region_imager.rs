@@ -36,8 +36,8 @@ pub trait RegionImager: Send + Sync {
         Ok(())
     }
 
-    /// The noise-free image of the pixels, [row, column] = [y, x] of shape [`PixelRect::sampled_shape`], as fraction of the
-    /// beam: the mean over the first `configurations` phonon configurations.
+    /// The noise-free image of the pixels on the main detector, [row, column] = [y, x] of shape [`PixelRect::sampled_shape`], as
+    /// fraction of the beam: the mean over the first `configurations` phonon configurations.
     ///
     /// # Errors
     /// Those of the engine, and [`crate::Error::Interrupted`].
@@ -47,6 +47,25 @@ pub trait RegionImager: Send + Sync {
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Array2<f64>>;
+
+    /// How many images [`RegionImager::means_of`] makes: one for each detector.
+    fn detectors(&self) -> usize {
+        1
+    }
+
+    /// The noise-free images on all detectors, in the order of the recipe: [`RegionImager::mean_of`] gives the first of them. They
+    /// come from the same simulation of the same atoms.
+    ///
+    /// # Errors
+    /// As [`RegionImager::mean_of`].
+    fn means_of(
+        &self,
+        pixels: &PixelRect,
+        configurations: usize,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Array2<f64>>> {
+        Ok(vec![self.mean_of(pixels, configurations, progress)?])
+    }
 
     /// The noise-free image at the places of a raster, [row, column], as fraction of the beam, as [`RegionImager::mean_of`] has it at
     /// pixels: interpolated once, from the probes that were simulated. `None` of imagers that have none of their own; see

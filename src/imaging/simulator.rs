@@ -1,6 +1,5 @@
 //! The engine behind a world.
 
-use crate::detect::Detector;
 use crate::engine::settings::EXACT_BAND_FRACTION;
 use crate::engine::{
     Algorithm, BeyondLimit, Expansion, GridChoice, Phonons, Plan, ProbeBox, ProbeRaster, ProbeStep,
@@ -63,11 +62,7 @@ impl Simulator {
         let settings = Settings {
             probe_step: if coarse { ProbeStep::Scan } else { ProbeStep::Auto },
             optics,
-            detectors: vec![Detector::new(
-                "HAADF",
-                recipe.detector.inner_mrad,
-                recipe.detector.outer_mrad,
-            )],
+            detectors: recipe.detector.all(),
             phonons: Some(Phonons {
                 configurations: recipe.phonons.configurations as u32,
                 seed: recipe.seed,
@@ -90,32 +85,39 @@ impl Simulator {
         simulator
     }
 
-    /// The mean image of some phonon configurations; `atoms` gives those of each, displaced. They have the same elements
-    /// and mean heights in all.
+    /// The mean image on each detector, in their order, over some phonon configurations; `atoms` gives those of each, displaced.
+    /// They have the same elements and mean heights in all.
     ///
     /// # Errors
-    /// As [`Simulator::image`].
-    pub fn mean(
+    /// As [`Simulator::images`].
+    pub fn means(
         &self,
         pixels: &PixelBox,
         configurations: usize,
         atoms: impl Fn(usize) -> DisplacedAtoms,
         progress: &dyn Progress,
-    ) -> Result<Array2<f64>> {
+    ) -> Result<Vec<Array2<f64>>> {
         let settings = Settings { phonons: None, ..self.settings.clone() };
         let first = atoms(0);
         let plan = Plan::new(&settings, pixels.size_angstrom, &first.heights)?;
         let mut simulation = Simulation::new(&plan, &elements(&first.sites))?;
         let mut first = Some(first.sites);
-        let mut sum = Array2::<f64>::zeros(pixels.scan.shape);
+        let mut sums = vec![Array2::<f64>::zeros(pixels.scan.shape); self.detectors()];
         for configuration in 0..configurations {
             let share = ProgressShare::new(progress, pixels.scan.len());
             let sites = first.take().unwrap_or_else(|| atoms(configuration).sites);
             let images = simulation.images(&sites, &pixels.scan, &share)?;
-            sum.zip_mut_with(&images.image(0, 0), |s, v| *s += f64::from(*v));
+            for (detector, sum) in sums.iter_mut().enumerate() {
+                sum.zip_mut_with(&images.image(0, detector), |s, v| *s += f64::from(*v));
+            }
             share.complete();
         }
-        Ok(sum.mapv(|s| s / configurations as f64))
+        Ok(sums.into_iter().map(|sum| sum.mapv(|s| s / configurations as f64)).collect())
+    }
+
+    /// How many detectors there are.
+    pub fn detectors(&self) -> usize {
+        self.settings.detectors.len()
     }
 
     /// The same with probes as in an infinite specimen (see [`ProbeBox`]).
@@ -256,20 +258,21 @@ impl Simulator {
         Err(Error::invalid(crate::Setting::EngineMarginAngstrom, margin, expected))
     }
 
-    /// The image of some atoms at their mean positions, [row, column] = [y, x], as fraction of the beam: the mean over the
-    /// phonon configurations of the settings. The box holds the specimen from the entrance surface z = 0 to its exit surface.
+    /// The image of some atoms at their mean positions on each detector, [row, column] = [y, x], as fraction of the beam: the mean
+    /// over the phonon configurations of the settings. The box holds the specimen from the entrance surface z = 0 to its exit surface.
     ///
     /// # Errors
     /// Those of [`Plan::new`] and [`simulate`]; [`Error::Interrupted`] when asked to stop.
-    pub fn image(
+    pub fn images(
         &self,
         sites: &[Site],
         pixels: &PixelBox,
         progress: &dyn Progress,
-    ) -> Result<Array2<f32>> {
+    ) -> Result<Vec<Array2<f32>>> {
         let heights: Vec<f64> = sites.iter().map(|s| s.position[2]).collect();
         let plan = Plan::new(&self.settings, pixels.size_angstrom, &heights)?;
         let images = simulate(&plan, sites, &pixels.scan, progress)?;
-        Ok(images.data.index_axis_move(Axis(0), 0).index_axis_move(Axis(0), 0))
+        let at_exit = images.data.index_axis_move(Axis(0), 0);
+        Ok(at_exit.outer_iter().map(|image| image.to_owned()).collect())
     }
 }

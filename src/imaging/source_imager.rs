@@ -34,15 +34,15 @@ impl SourceImager {
     }
 }
 
-/// The image of a rectangle for a source, from `sharp`, which makes that of a wider one for a point source.
+/// The images of a rectangle for a source, from `sharp`, which makes those of a wider one for a point source.
 ///
 /// # Errors
 /// Those of `sharp`, and of the source.
 pub fn blurred(
     (source, pixel_angstrom): (Source, f64),
     pixels: &PixelRect,
-    sharp: impl FnOnce(&PixelRect) -> Result<Array2<f64>>,
-) -> Result<Array2<f64>> {
+    sharp: impl FnOnce(&PixelRect) -> Result<Vec<Array2<f64>>>,
+) -> Result<Vec<Array2<f64>>> {
     let scan =
         Scan { origin_angstrom: [0.0; 2], step_angstrom: [pixel_angstrom; 2], shape: pixels.shape };
     let blur = SourceBlur::new(source, &scan, [f64::INFINITY; 2])?;
@@ -53,10 +53,12 @@ pub fn blurred(
         [0, 1].map(|k| pixels.first[k] - before[k]),
         [0, 1].map(|k| pixels.shape[k] + before[k] + margin[k]),
     );
-    let image = sharp(&wide)?;
     let lacks = [0, 1].map(|k| margin[k] - before[k]);
-    let image = if lacks == [0, 0] { image } else { mirrored(&image, lacks) };
-    Ok(pixels.sampled(blur.blurred(image)))
+    let blurred = |image: Array2<f64>| {
+        let image = if lacks == [0, 0] { image } else { mirrored(&image, lacks) };
+        pixels.sampled(blur.blurred(image))
+    };
+    Ok(sharp(&wide)?.into_iter().map(blurred).collect())
 }
 
 /// Pixels that images need around them on every side for a source.
@@ -105,8 +107,24 @@ impl RegionImager for SourceImager {
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Array2<f64>> {
+        let images = blurred((self.source, self.pixel_angstrom), pixels, |wide| {
+            Ok(vec![self.inner.mean_of(wide, configurations, progress)?])
+        });
+        Ok(images?.swap_remove(0))
+    }
+
+    fn detectors(&self) -> usize {
+        self.inner.detectors()
+    }
+
+    fn means_of(
+        &self,
+        pixels: &PixelRect,
+        configurations: usize,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Array2<f64>>> {
         blurred((self.source, self.pixel_angstrom), pixels, |wide| {
-            self.inner.mean_of(wide, configurations, progress)
+            self.inner.means_of(wide, configurations, progress)
         })
     }
 
@@ -155,7 +173,8 @@ mod tests {
         let damped = |turn: f64| (-0.5 * (turn * sigma / pixel).powi(2)).exp();
         let made = |first: [usize; 2], stride: usize| {
             let pixels = PixelRect::new(first, [12, 15]).every(stride);
-            blurred((source, pixel), &pixels, |wide| Ok(wave(wide.first, wide.shape))).unwrap()
+            let sharp = |wide: &PixelRect| Ok(vec![wave(wide.first, wide.shape)]);
+            blurred((source, pixel), &pixels, sharp).unwrap().remove(0)
         };
         let image = made([40, 30], 1);
         for ((i, j), v) in image.indexed_iter() {

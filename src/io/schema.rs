@@ -14,6 +14,9 @@ pub const OVERVIEW_FACTOR: usize = 8;
 pub const TILES: &str = "tiles";
 /// Group of noiseless tiles, in fractions of the beam.
 pub const CLEAN: &str = "clean";
+/// Group of the detectors of a world with several: one group each, with its tiles, overview and noiseless tiles. Those of the main
+/// detector are links to where the images of a single detector lie.
+pub const DETECTORS: &str = "detectors";
 /// Group of the ground truth.
 pub const TRUTH: &str = "ground_truth";
 /// Which pixels show specimen.
@@ -39,4 +42,9 @@ pub type CompositionText = FixedAscii<32>;
 /// Name of the dataset of a tile.
 pub fn tile_name(row: usize, column: usize) -> String {
     format!("{row}_{column}")
+}
+
+/// Path of the group of a detector.
+pub fn detector_group(name: &str) -> String {
+    format!("{DETECTORS}/{name}")
 }

@@ -11,6 +11,8 @@ use ndarray::{Array, Array1, Array2, Dimension, s};
 use super::hdf5_guard::{self, check_storage, first_line, number, text};
 use super::hdf5_values::{self, Plain};
 use super::schema::{self, DefectName};
+use super::world_detectors;
+use crate::detect::Detector;
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 
@@ -52,6 +54,8 @@ pub struct WorldMetadata {
     pub seed: Option<u64>,
     /// Time that the last run of the build took, in s.
     pub wall_time_s: Option<f64>,
+    /// The detectors of a world with names for them, the main one first; else none.
+    pub detectors: Vec<Detector>,
 }
 
 /// Sites of a world, in the order of the file.
@@ -79,8 +83,10 @@ pub struct WorldFile {
     pub(super) path: PathBuf,
     pub(super) file: File,
     /// Size of the file.
-    bytes: u64,
-    metadata: WorldMetadata,
+    pub(super) bytes: u64,
+    pub(super) metadata: WorldMetadata,
+    /// The group of the detector whose images are read, with `/` behind it; empty for the main one.
+    pub(super) images: String,
 }
 
 /// How long to wait for a lock. HDF5 locks what it writes, and a process that is being started at that
@@ -129,7 +135,8 @@ impl WorldFile {
         })?;
         hdf5_guard::datasets(&file).map_err(|fault| not_a_world(path, fault))?;
         let metadata = read_metadata(path, &file)?;
-        let world = WorldFile { path: path.to_owned(), file, bytes, metadata };
+        let images = String::new();
+        let world = WorldFile { path: path.to_owned(), file, bytes, metadata, images };
         world.check()?;
         Ok(world)
     }
@@ -153,7 +160,7 @@ impl WorldFile {
         let tile =
             [0, 1].map(|k| (at[k] / (m.tile_size_px - m.overlap_px)).min(m.grid_shape[k] - 1));
         let group = if clean { schema::CLEAN } else { schema::TILES };
-        let name = schema::tile_name(tile[0], tile[1]);
+        let (name, group) = (schema::tile_name(tile[0], tile[1]), self.of_images(group));
         let what = format!(
             "holds {value} at row {}, column {} of the image (/{group}/{name}), where a finite \
              intensity is expected; build it again",
@@ -184,7 +191,7 @@ impl WorldFile {
 
     /// Whether the file holds noiseless tiles.
     pub fn has_clean(&self) -> bool {
-        self.file.link_exists(schema::CLEAN)
+        self.file.link_exists(&self.of_images(schema::CLEAN))
     }
 
     /// A noiseless tile (rows = y, columns = x; both `tile_size_px`) in fractions of the beam.
@@ -262,14 +269,15 @@ impl WorldFile {
     /// # Errors
     /// [`Error::Invalid`] for a damaged file.
     pub fn overview(&self) -> Result<Array2<f32>> {
-        let dataset = self.dataset(schema::OVERVIEW)?;
+        let name = self.of_images(schema::OVERVIEW);
+        let dataset = self.dataset(&name)?;
         let expected = self.shape().map(|n| n.div_ceil(schema::OVERVIEW_FACTOR));
         if dataset.shape() != expected {
             let found = dataset.shape();
             let fault = format!("has an overview of shape {found:?}, expected {expected:?}");
             return Err(not_a_world(&self.path, fault));
         }
-        self.all(&dataset, schema::OVERVIEW)
+        self.all(&dataset, &name)
     }
 
     /// Number of lattice sites.
@@ -310,7 +318,7 @@ impl WorldFile {
     }
 
     fn tile_of(&self, group: &str, row: usize, column: usize) -> Result<Array2<f32>> {
-        let name = format!("{group}/{}", schema::tile_name(row, column));
+        let name = format!("{}/{}", self.of_images(group), schema::tile_name(row, column));
         let dataset = self.dataset(&name)?;
         let size = self.metadata.tile_size_px;
         if dataset.shape() != [size, size] {
@@ -378,10 +386,11 @@ impl WorldFile {
     }
 
     /// All tiles there, lists of the ground truth equally long, and sizes that fit each other.
-    fn check(&self) -> Result<()> {
+    pub(super) fn check(&self) -> Result<()> {
         let refuse = |found: String| Err(not_a_world(&self.path, found));
-        let tiles = self.file.group(schema::TILES);
-        let tiles = tiles.map_err(|_| not_a_world(&self.path, "has no group /tiles"))?;
+        let name = self.of_images(schema::TILES);
+        let tiles = self.file.group(&name);
+        let tiles = tiles.map_err(|_| not_a_world(&self.path, format!("has no group /{name}")))?;
         let [rows, columns] = self.metadata.grid_shape;
         if tiles.len() != (rows * columns) as u64 {
             return refuse(format!("has {} of {} tiles", tiles.len(), rows * columns));
@@ -404,8 +413,10 @@ impl WorldFile {
     /// its pixels.
     fn check_size(&self) -> Result<()> {
         let m = &self.metadata;
-        let (name, size) =
-            (format!("{}/{}", schema::TILES, schema::tile_name(0, 0)), m.tile_size_px);
+        let (name, size) = (
+            format!("{}/{}", self.of_images(schema::TILES), schema::tile_name(0, 0)),
+            m.tile_size_px,
+        );
         let shape = self.dataset(&name)?.shape();
         if shape != [size, size] {
             let found =
@@ -459,17 +470,13 @@ fn read_metadata(path: &Path, file: &File) -> Result<WorldMetadata> {
         false => Err(missing(name)),
     };
     let grid = pair("grid_shape")?;
-    let scaling = file
-        .group(schema::TILES)
-        .ok()
-        .and_then(|t| Some([number::<f64>(&t, "scale")?, number::<f64>(&t, "offset")?]));
     let metadata = WorldMetadata {
         pixel_size_nm: need("pixel_size_nm")?,
         tile_size_px: size(need("tile_size_px")?, "tile_size_px")?,
         overlap_px: size(need("overlap_px")?, "overlap_px")?,
         grid_shape: [size(grid[0], "grid_shape")?, size(grid[1], "grid_shape")?],
         fov_nm: pair("fov_nm")?,
-        scaling,
+        scaling: scaling(file, schema::TILES),
         recipe: text(&group, "recipe"),
         version: text(&group, "stemgen_version"),
         source: text(&group, "source"),
@@ -481,6 +488,7 @@ fn read_metadata(path: &Path, file: &File) -> Result<WorldMetadata> {
         dose_electrons_per_angstrom2: number(&group, "dose_electrons_per_angstrom2"),
         seed: number(&group, "seed"),
         wall_time_s: number(&group, "wall_time_s"),
+        detectors: world_detectors::read(file).map_err(|fault| not_a_world(path, fault))?,
     };
     if !PIXELS_NM.contains(&metadata.pixel_size_nm) {
         return Err(missing("pixel_size_nm"));
@@ -499,6 +507,12 @@ fn read_metadata(path: &Path, file: &File) -> Result<WorldMetadata> {
         return Err(missing("grid_shape"));
     }
     Ok(metadata)
+}
+
+/// Scale and offset of a group of tiles.
+pub(super) fn scaling(file: &File, tiles: &str) -> Option<[f64; 2]> {
+    let tiles = file.group(tiles).ok()?;
+    Some([number::<f64>(&tiles, "scale")?, number::<f64>(&tiles, "offset")?])
 }
 
 /// What an HDF5 file without metadata of a world is.

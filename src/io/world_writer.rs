@@ -10,6 +10,7 @@ use super::At;
 use super::schema;
 use super::truth_writer::TruthWriter;
 use crate::acquisition::{Acquisition, Exposure};
+use crate::detect::Detector;
 use crate::error::{Error, Result};
 
 const DEFLATE: u8 = 1;
@@ -37,6 +38,8 @@ pub struct Header {
     pub noise: bool,
     /// Seed of all random numbers.
     pub seed: u64,
+    /// The detectors of a world with names for them, the main one first; else none.
+    pub detectors: Vec<Detector>,
     /// Texts: name and value.
     pub texts: Vec<(&'static str, String)>,
 }
@@ -45,6 +48,9 @@ pub struct Header {
 pub struct WorldWriter {
     path: PathBuf,
     file: File,
+    detectors: Vec<Detector>,
+    /// Where images go: the file, or the group of another detector than the main one.
+    images: Group,
     tiles: Group,
     clean: Option<Group>,
     truth: TruthWriter,
@@ -73,13 +79,15 @@ impl WorldWriter {
             write_header(&metadata, header)?;
             let tile = [header.tile_size_px.min(shape[0]), header.tile_size_px.min(shape[1])];
             let valid = compressed::<bool>(&file, schema::VALID_REGION, shape.into(), &tile)?;
-            let clean = keep_clean.then(|| file.create_group(schema::CLEAN)).transpose()?;
-            if let Some(clean) = &clean {
-                text(clean, "unit", "fraction of the incident beam")?;
+            let (tiles, clean) = image_groups(&file, keep_clean)?;
+            if !header.detectors.is_empty() {
+                write_detectors(&file, &header.detectors, keep_clean)?;
             }
             Ok(WorldWriter {
                 path: path.to_owned(),
-                tiles: file.create_group(schema::TILES)?,
+                detectors: header.detectors.clone(),
+                images: file.group("/")?,
+                tiles,
                 clean,
                 truth: TruthWriter::create(&file, path, [shape, tile])?,
                 valid,
@@ -87,6 +95,21 @@ impl WorldWriter {
             })
         };
         make().at(path)
+    }
+
+    /// Images that are written from now on are those of another detector, counted from 0 for the main one.
+    ///
+    /// # Errors
+    /// [`Error::Hdf5`].
+    pub fn next_detector(&mut self, number: usize, keep_clean: bool) -> Result<()> {
+        let name = self.detectors.get(number).map_or("", |d| d.name.as_str());
+        let make = || -> hdf5::Result<(Group, (Group, Option<Group>))> {
+            let group = self.file.group(&schema::detector_group(name))?;
+            let groups = image_groups(&group, keep_clean)?;
+            Ok((group, groups))
+        };
+        (self.images, (self.tiles, self.clean)) = make().at(&self.path)?;
+        Ok(())
     }
 
     /// The linear scaling of all tiles: fraction of the beam = value * scale + offset.
@@ -127,7 +150,7 @@ impl WorldWriter {
     /// [`Error::Hdf5`].
     pub fn overview(&self, pixels: ArrayView2<f32>) -> Result<()> {
         let write = || {
-            let builder = self.file.new_dataset_builder().shuffle().deflate(DEFLATE);
+            let builder = self.images.new_dataset_builder().shuffle().deflate(DEFLATE);
             let dataset = builder.with_data(pixels).create(schema::OVERVIEW)?;
             number(&dataset, "factor", schema::OVERVIEW_FACTOR as u64)?;
             text(&dataset, "description", "stitched tiles, area average; edge blocks are partial")
@@ -200,6 +223,34 @@ fn write_header(group: &Group, h: &Header) -> hdf5::Result<()> {
     number(group, "noise", h.noise)?;
     number(group, "seed", h.seed)?;
     h.texts.iter().try_for_each(|(name, value)| text(group, name, value))
+}
+
+/// The groups of tiles, and of noiseless ones if they are kept.
+fn image_groups(group: &Group, keep_clean: bool) -> hdf5::Result<(Group, Option<Group>)> {
+    let clean = keep_clean.then(|| group.create_group(schema::CLEAN)).transpose()?;
+    if let Some(clean) = &clean {
+        text(clean, "unit", "fraction of the incident beam")?;
+    }
+    Ok((group.create_group(schema::TILES)?, clean))
+}
+
+/// A group for each detector. That of the main one has links to its images, which lie where those of a single detector do.
+fn write_detectors(file: &File, detectors: &[Detector], keep_clean: bool) -> hdf5::Result<()> {
+    let all = file.create_group(schema::DETECTORS)?;
+    let names: Vec<VarLenUnicode> = detectors.iter().filter_map(|d| d.name.parse().ok()).collect();
+    all.new_attr_builder().with_data(&names).create("names")?;
+    for (n, detector) in detectors.iter().enumerate() {
+        let group = all.create_group(&detector.name)?;
+        number(&group, "inner_mrad", detector.inner_mrad)?;
+        number(&group, "outer_mrad", detector.outer_mrad)?;
+        if n == 0 {
+            let clean = keep_clean.then_some(schema::CLEAN);
+            for name in [schema::TILES, schema::OVERVIEW].into_iter().chain(clean) {
+                group.link_soft(&format!("/{name}"), name)?;
+            }
+        }
+    }
+    Ok(())
 }
 
 fn write_tile(group: &Group, row: usize, col: usize, pixels: ArrayView2<f32>) -> hdf5::Result<()> {

@@ -339,6 +339,8 @@ fn own_recipe(recipe: &CheckedRecipe, seed: u64) -> Result<CheckedRecipe> {
         return Err(Error::invalid(Setting::Recipe, format!("seed {seed}"), expected));
     }
     own.seed = seed;
+    // A recording has one detector.
+    own.detector = own.detector.main_alone();
     if own.structure == StructureKind::Particles && own.damage.is_some() {
         let expected =
             "films and particles do not change under the beam yet; leave the table [damage] out";

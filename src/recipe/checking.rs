@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use super::checking_defects::check_defects;
 use super::checking_particles::check_particles;
+use super::detector_tables::check_detectors;
 use super::fault::{Checked, check_guest, crystal_fault, fault, needed, one_of, within};
 use super::limits::{BEYOND_FIELD_NM, MOST_CELLS_ACROSS, MOST_CELLS_ALONG_BEAM};
 use super::optics_table::check_optics;
@@ -29,9 +30,7 @@ pub fn check(recipe: &Recipe) -> Checked<OrientedCrystals> {
     within("phonons.configurations", phonons.configurations as f64, 1.0, 10_000.0)?;
     check_elements("phonons.sigma_angstrom", &phonons.sigma_angstrom, &elements, 0.0, 0.5)?;
     check_optics(&recipe.optics)?;
-    let detector = &recipe.detector;
-    within("detector.inner_mrad", detector.inner_mrad, 0.0, 1000.0)?;
-    within("detector.outer_mrad", detector.outer_mrad, detector.inner_mrad + 0.1, 1000.0)?;
+    check_detectors(&recipe.detector)?;
     within("dose.electrons_per_angstrom2", recipe.dose.electrons_per_angstrom2, 1e-3, 1e12)?;
     let recorded = recipe.acquisition.and_then(|table| table.resolved().fault());
     if let Some((key, value, expected)) = recorded {

@@ -8,6 +8,7 @@ mod checking;
 mod checking_defects;
 mod checking_particles;
 pub mod crystal_source;
+pub mod detector_tables;
 pub mod difficulty;
 mod fault;
 pub mod limits;
@@ -24,6 +25,7 @@ mod toml_errors;
 
 pub use checked::CheckedRecipe;
 pub use crystal_source::CrystalSource;
+pub use detector_tables::{DetectorTable, DetectorTables, NamedDetectorTable};
 pub use difficulty::Difficulty;
 pub use limits::BEYOND_FIELD_NM;
 pub use optics_table::OpticsTable;

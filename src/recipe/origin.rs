@@ -28,10 +28,20 @@ impl PartialEq for RecipeOrigin {
 /// What is said of an array that stands where a table is expected.
 pub(super) const NO_ARRAY: &str = "expected a table of keys and values, found an array";
 
-/// The first key of a recipe that has an array as its value. Arrays stand in tables only; serde would take one for a
-/// table whose values stand in the order of the source.
+/// The one key of a recipe that may be an array of tables.
+const ARRAY: &str = "detector";
+
+/// The first key of a recipe that has an array as its value. Arrays stand in tables only, but those of detectors; serde would take
+/// one for a table whose values stand in the order of the source.
 pub(super) fn array_for_table(table: &toml::Table) -> Option<&str> {
-    table.iter().find(|(_, value)| value.is_array()).map(|(key, _)| key.as_str())
+    table
+        .iter()
+        .find(|(key, value)| match value {
+            // Of tables; what else stands in it is told where it is read.
+            toml::Value::Array(list) if *key == ARRAY => list.iter().any(toml::Value::is_array),
+            value => value.is_array(),
+        })
+        .map(|(key, _)| key.as_str())
 }
 
 /// The text of a recipe.

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::crystal_source::CrystalSource;
+use super::detector_tables::DetectorTables;
 use super::difficulty::Difficulty;
 use super::optics_table::OpticsTable;
 use super::origin::RecipeOrigin;
@@ -66,8 +67,8 @@ pub struct Recipe {
     pub phonons: PhononTable,
     /// The probe.
     pub optics: OpticsTable,
-    /// The detector.
-    pub detector: DetectorTable,
+    /// The detector, or several.
+    pub detector: DetectorTables,
     /// Noise.
     pub dose: Dose,
     /// Amorphous carbon on the faces of the specimen.

@@ -211,16 +211,6 @@ pub struct PhononTable {
     pub sigma_angstrom: BTreeMap<String, f64>,
 }
 
-/// The annular detector.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct DetectorTable {
-    /// Inner angle in mrad.
-    pub inner_mrad: f64,
-    /// Outer angle in mrad.
-    pub outer_mrad: f64,
-}
-
 /// Noise.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -1,5 +1,6 @@
 //! Errors of TOML in the words of recipes.
 
+use super::detector_tables::{DetectorTable, NamedDetectorTable};
 use super::optics_table::OpticsTable;
 use super::tables::*;
 
@@ -46,6 +47,10 @@ fn with_keys(message: &str) -> String {
     let keys = keys_of(name);
     match keys.is_empty() {
         true => format!("{before}expected a table"),
+        false if name == "DetectorTable" => format!(
+            "{before}expected a table with the keys {}, or several tables [[detector]] that have a name too",
+            keys.join(", ")
+        ),
         false => format!("{before}expected a table with the keys {}", keys.join(", ")),
     }
 }
@@ -69,6 +74,7 @@ fn keys_of(name: &str) -> Vec<String> {
         "PhononTable" => known::<PhononTable>(),
         "OpticsTable" => known::<OpticsTable>(),
         "DetectorTable" => known::<DetectorTable>(),
+        "NamedDetectorTable" => known::<NamedDetectorTable>(),
         "Dose" => known::<Dose>(),
         _ => Vec::new(),
     }

@@ -23,6 +23,8 @@ pub struct BlendedImage<'a> {
     noise: Option<Noise>,
     /// The recording that takes the place of noise.
     scan: Option<&'a FieldScan>,
+    /// Which of how many detectors it is on.
+    detector: [usize; 2],
     shape: [usize; 2],
     grid: [usize; 2],
     tile: usize,
@@ -46,10 +48,20 @@ impl<'a> BlendedImage<'a> {
             store,
             noise: noise.then(|| Noise::new(recipe, dose, field.crop_origin_px())),
             scan,
+            detector: [0, recipe.detector.count()],
             shape: field.pixels(field.built_grid()),
             grid: field.built_grid(),
             tile: field.tile_px,
             stride: field.stride_px(),
+        }
+    }
+
+    /// The same image on another detector.
+    pub fn of_detector(&self, number: usize) -> Self {
+        BlendedImage {
+            detector: [number, self.detector[1]],
+            noise: self.noise.map(|noise| noise.of_detector(number as u16)),
+            ..*self
         }
     }
 
@@ -65,12 +77,19 @@ impl<'a> BlendedImage<'a> {
 
     /// Rows of the sub-tiles, at their own pixel.
     fn fine(&self, rows: Range<usize>) -> Result<Array2<f32>> {
+        let [number, count] = self.detector;
         self.partition.blend(rows, |tile| {
-            self.store.load(tile.index, tile.shape(), &Silent).ok_or_else(|| {
+            let images = self.store.load(tile.index, tile.stored_shape(count), &Silent);
+            let images = images.ok_or_else(|| {
                 let path = self.store.path(tile.index);
                 let lost = std::io::Error::other("changed while the world was being written");
                 Error::io(&path, "read", lost)
-            })
+            })?;
+            let rows = tile.rows.len();
+            match count {
+                1 => Ok(images),
+                _ => Ok(images.slice(s![number * rows..(number + 1) * rows, ..]).to_owned()),
+            }
         })
     }
 

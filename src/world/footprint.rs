@@ -21,18 +21,17 @@ const WORK_FOLDER: u64 = 100_000;
 const XYZ_SITE: u64 = 56;
 const CIF_SITE: u64 = 72;
 
-/// Bytes of a world's file.
-pub fn world_bytes(field: &Field, sites: u64, keep_clean: bool) -> u64 {
-    let images = if keep_clean { 2 } else { 1 };
+/// Bytes of a world's file with so many images: one or, with the noiseless ones, two for each detector.
+pub fn world_bytes(field: &Field, sites: u64, images: usize) -> u64 {
     let [rows, columns] = field.built_grid().map(|n| n as u64);
     let tile = (field.tile_px * field.tile_px) as u64 * PIXEL + TILE;
-    WORLD + rows * columns * images * tile + sites * WORLD_SITE
+    WORLD + rows * columns * images as u64 * tile + sites * WORLD_SITE
 }
 
-/// Bytes of the work folder of a build in so many sub-tiles; without a library.
-pub fn work_bytes(field: &Field, subtiles: usize) -> u64 {
+/// Bytes of the work folder of a build in so many sub-tiles of so many detectors; without a library.
+pub fn work_bytes(field: &Field, subtiles: usize, detectors: usize) -> u64 {
     let [height, width] = field.pixels(field.built_grid()).map(|n| n as u64);
-    WORK_FOLDER + height * width * SUBTILE_PIXEL + subtiles as u64 * SUBTILE
+    WORK_FOLDER + height * width * detectors as u64 * SUBTILE_PIXEL + subtiles as u64 * SUBTILE
 }
 
 /// Bytes of a file of so many atoms.

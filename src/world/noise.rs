@@ -18,7 +18,12 @@ pub struct Noise {
     pub origin_px: [usize; 2],
     /// Width of the full field in pixels.
     pub full_width_px: usize,
+    /// Number of the detector: each draws numbers of its own.
+    pub detector: u16,
 }
+
+/// A field has fewer pixels than 2 to this power.
+const PIXEL_BITS: u32 = 48;
 
 impl Noise {
     /// The noise of an image at a dose in electrons per square Angstrom; pixel (0, 0) of the image is pixel `first` (row, column) of
@@ -31,7 +36,14 @@ impl Noise {
             electrons_per_pixel: dose * pixel_angstrom * pixel_angstrom,
             origin_px: first,
             full_width_px: field.pixels(field.grid)[1],
+            detector: 0,
         }
+    }
+
+    /// The same on another detector of the recipe; 0 is the main one.
+    #[must_use]
+    pub fn of_detector(self, detector: u16) -> Self {
+        Noise { detector, ..self }
     }
 
     /// The electrons that are counted in an image of fractions of the beam; both [row, column]. Counts beyond 2^32 are cut off.
@@ -69,7 +81,10 @@ impl Noise {
 
     fn draw(&self, expected: f64, pixel: u64) -> f64 {
         match Poisson::new(expected) {
-            Ok(poisson) => poisson.sample(&mut ItemRng::new(self.seed, Purpose::Dose, pixel)),
+            Ok(poisson) => {
+                let item = pixel | u64::from(self.detector) << PIXEL_BITS;
+                poisson.sample(&mut ItemRng::new(self.seed, Purpose::Dose, item))
+            }
             // Not positive: no electrons.
             Err(_) => 0.0,
         }
@@ -88,6 +103,7 @@ mod tests {
                 electrons_per_pixel: 1000.0,
                 origin_px: [3, 7],
                 full_width_px: 900,
+                detector: 0,
             };
             let mut band = Array2::from_elem((200, 500), (expected / 1000.0) as f32);
             noise.apply(&mut band, 11);
@@ -102,13 +118,39 @@ mod tests {
 
     #[test]
     fn a_band_has_the_noise_of_the_whole() {
-        let noise =
-            Noise { seed: 5, electrons_per_pixel: 50.0, origin_px: [0, 0], full_width_px: 40 };
+        let noise = Noise {
+            seed: 5,
+            electrons_per_pixel: 50.0,
+            origin_px: [0, 0],
+            full_width_px: 40,
+            detector: 0,
+        };
         let mut whole = Array2::from_elem((20, 40), 0.1f32);
         noise.apply(&mut whole, 0);
         let part = Noise { origin_px: [0, 6], ..noise };
         let mut band = Array2::from_elem((5, 30), 0.1f32);
         part.apply(&mut band, 8);
         assert_eq!(whole.slice(ndarray::s![8..13, 6..36]), band);
+    }
+
+    #[test]
+    fn detectors_draw_numbers_of_their_own() {
+        let noise = Noise {
+            seed: 5,
+            electrons_per_pixel: 400.0,
+            origin_px: [0, 0],
+            full_width_px: 300,
+            detector: 0,
+        };
+        let image = Array2::from_elem((200, 300), 0.25f32);
+        let counts = |n: u16| noise.of_detector(n).counted(&image).mapv(|v| f64::from(v) - 100.0);
+        let (a, b, c) = (counts(0), counts(1), counts(2));
+        assert_eq!(a, noise.counted(&image).mapv(|v| f64::from(v) - 100.0));
+        let n = a.len() as f64;
+        for (a, b) in [(&a, &b), (&b, &c), (&a, &c)] {
+            let covariance = (a * b).sum() / n;
+            // Independent: 100 electrons of variance over the square root of the pixels, four times.
+            assert!(covariance.abs() < 4.0 * 100.0 / n.sqrt(), "{covariance}");
+        }
     }
 }

@@ -24,6 +24,11 @@ impl SubTile {
     pub fn shape(&self) -> [usize; 2] {
         [self.rows.len(), self.columns.len()]
     }
+
+    /// Rows and columns of the images of several detectors, one below the other.
+    pub fn stored_shape(&self, detectors: usize) -> [usize; 2] {
+        [detectors * self.rows.len(), self.columns.len()]
+    }
 }
 
 /// A partition of a raster into sub-tiles.

@@ -158,7 +158,13 @@ pub fn training_sample(
     let place_nm = raster.places_nm();
     // Each sample has rows of its own in an endless field of noise.
     let origin_px = [(index as usize).wrapping_mul(size), 0];
-    let noise = Noise { seed: options.seed, electrons_per_pixel, origin_px, full_width_px: size };
+    let noise = Noise {
+        seed: options.seed,
+        electrons_per_pixel,
+        origin_px,
+        full_width_px: size,
+        detector: 0,
+    };
     let mut sample = TrainingSample {
         raster,
         dose,

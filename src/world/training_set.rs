@@ -95,6 +95,7 @@ pub fn training_set(
             electrons_per_pixel: dose * set.pixel_angstrom.powi(2),
             origin_px: [tile * size, 0],
             full_width_px: size,
+            detector: 0,
         };
         let mut noisy = clean.clone();
         noise.apply(&mut noisy, 0);

@@ -102,6 +102,12 @@ impl WorldBuild {
     ) -> Result<Self> {
         // What cannot be recorded is told before the work.
         let scan = FieldScan::of(recipe)?;
+        let detectors = recipe.detector.count();
+        if scan.is_some() && detectors > 1 {
+            let expected = "a recording has one detector; write one table [detector], or take the table [acquisition] out";
+            let value = format!("[table] with {detectors} detectors");
+            return Err(Error::invalid(crate::Setting::Acquisition, value, expected));
+        }
         if scan.is_some() && !options.noise {
             let expected = "a recording has noise; take the table out, or leave the noise in";
             return Err(Error::invalid(
@@ -218,13 +224,19 @@ impl WorldBuild {
 
     /// Bytes on disk that the build needs beside its output, sub-tiles included; the cache and a companion come on top.
     pub fn disk_bytes(&self) -> u64 {
-        self.world_bytes()
-            + footprint::work_bytes(&self.layout.imaged.field, self.layout.partition.len())
+        self.world_bytes() + self.work_bytes()
+    }
+
+    fn work_bytes(&self) -> u64 {
+        let BuildLayout { imaged, partition, .. } = &self.layout;
+        footprint::work_bytes(&imaged.field, partition.len(), imaged.detector.count())
     }
 
     fn world_bytes(&self) -> u64 {
         let sites = estimated_sites(&*self.layout.specimen, &self.layout.recipe.field);
-        footprint::world_bytes(&self.layout.recipe.field, sites, self.layout.options.keep_clean)
+        let recipe = &self.layout.recipe;
+        let images = recipe.detector.count() * if self.layout.options.keep_clean { 2 } else { 1 };
+        footprint::world_bytes(&recipe.field, sites, images)
     }
 
     /// Whether an earlier run of this build has finished the world `output` and was ended before it could put all in order:
@@ -361,8 +373,7 @@ impl WorldBuild {
         // A cache without room is no fault: the work folder then keeps what it can.
         let cache = self.policy.imaging.cache.folder();
         let cache = cache.filter(|f| disk_space::free_bytes_below(f).is_none_or(|b| b > library));
-        let sub_tiles =
-            footprint::work_bytes(&self.layout.imaged.field, self.layout.partition.len());
+        let sub_tiles = self.work_bytes();
         let kept_here = if cache.is_none() { library } else { 0 };
         let mut needed = vec![
             (output, self.world_bytes()),

@@ -17,7 +17,7 @@ use crate::imaging::{Audit, PixelRect, RegionImager};
 use crate::io::{Header, WorldFile, WorldWriter};
 use crate::numerics::NUMERICS_VERSION;
 use crate::progress::{Progress, ProgressShare};
-use crate::recipe::CheckedRecipe;
+use crate::recipe::{CheckedRecipe, DetectorTables};
 use crate::specimen::Specimen;
 
 /// What is built, and in which parts.
@@ -60,13 +60,13 @@ impl Job<'_> {
             partition.subtiles().map(|t| self.imager.work(&self.pixels(&t))).collect();
         let [stage, unit] = self.imager.stage();
         self.progress.start(stage, unit, work.iter().sum::<usize>() as u64);
-        let mut resumed = 0;
+        let (mut resumed, detectors) = (0, self.layout.recipe.detector.count());
         for (tile, work) in partition.subtiles().zip(work) {
             if self.progress.interrupted() {
                 return Err(Error::Interrupted);
             }
             let share = ProgressShare::new(self.progress, work);
-            if store.load(tile.index, tile.shape(), self.progress).is_some() {
+            if store.load(tile.index, tile.stored_shape(detectors), self.progress).is_some() {
                 resumed += 1;
                 share.found();
             } else {
@@ -85,18 +85,18 @@ impl Job<'_> {
         PixelRect::new(first, tile.shape())
     }
 
+    /// The images of a sub-tile on all detectors, one below the other.
     fn simulate_one(&self, tile: &SubTile, progress: &dyn Progress) -> Result<Array2<f32>> {
         let configurations = self.layout.recipe.phonons.configurations.max(1);
-        let image = self.imager.mean_of(&self.pixels(tile), configurations, progress)?;
-        if image.shape() != tile.shape() {
-            let expected = format!("the imager was asked for {:?}", tile.shape());
-            return Err(Error::invalid(
-                crate::Setting::EngineImageShape,
-                format!("{:?}", image.shape()),
-                expected,
-            ));
+        let images = self.imager.means_of(&self.pixels(tile), configurations, progress)?;
+        let expected = self.layout.recipe.detector.count();
+        if images.len() != expected || images.iter().any(|i| i.shape() != tile.shape()) {
+            let shapes: Vec<&[usize]> = images.iter().map(|i| i.shape()).collect();
+            let expected = format!("the imager was asked for {expected} of {:?}", tile.shape());
+            let setting = crate::Setting::EngineImageShape;
+            return Err(Error::invalid(setting, format!("{shapes:?}"), expected));
         }
-        match image.iter().find(|v| !v.is_finite()) {
+        match images.iter().flatten().find(|v| !v.is_finite()) {
             Some(bad) => {
                 let place = format!("sub-tile {} of {}", tile.index, self.imager.name());
                 Err(Error::invalid(
@@ -105,7 +105,11 @@ impl Job<'_> {
                     format!("{place}: must be finite"),
                 ))
             }
-            None => Ok(image.mapv(|v| v as f32)),
+            None => {
+                let values = images.iter().flatten().map(|v| *v as f32).collect();
+                let shape = tile.stored_shape(images.len());
+                Ok(Array2::from_shape_vec(shape, values).unwrap_or_default())
+            }
         }
     }
 
@@ -116,9 +120,14 @@ impl Job<'_> {
         let image =
             BlendedImage::new(recipe, (partition, *parts), store, options.noise, scan.as_ref());
         let keep_clean = options.keep_clean;
-        let writer = WorldWriter::create(path, &self.header(), keep_clean)?;
+        let mut writer = WorldWriter::create(path, &self.header(), keep_clean)?;
         let range = image.range(self.progress)?;
         image.write(&writer, range, keep_clean, self.progress)?;
+        for number in 1..recipe.detector.count() {
+            writer.next_detector(number, keep_clean)?;
+            let image = image.of_detector(number);
+            image.write(&writer, image.range(self.progress)?, keep_clean, self.progress)?;
+        }
         if let Some(scan) = &scan {
             writer.recorded(scan.acquisition(), scan.exposure(), scan.counts_of_fraction())?;
         }
@@ -186,6 +195,10 @@ impl Job<'_> {
             dose: recipe.dose.electrons_per_angstrom2,
             noise: self.layout.options.noise,
             seed: recipe.seed,
+            detectors: match &recipe.detector {
+                DetectorTables::One(_) => Vec::new(),
+                several => several.all(),
+            },
             texts,
         }
     }
@@ -194,9 +207,11 @@ impl Job<'_> {
 /// Reads back every tile: a write that failed without a word is found here.
 fn verify(path: &Path, counts: Counts) -> Result<()> {
     let world = WorldFile::open(path)?;
-    let [rows, columns] = world.metadata().grid_shape;
-    for r in 0..rows {
-        for c in 0..columns {
+    let others = world.detectors().iter().skip(1).map(|d| world.on_detector(&d.name));
+    let others = others.collect::<Result<Vec<_>>>()?;
+    for world in std::iter::once(&world).chain(&others) {
+        let [rows, columns] = world.metadata().grid_shape;
+        for (r, c) in (0..rows).flat_map(|r| (0..columns).map(move |c| (r, c))) {
             world.tile(r, c)?;
             if world.has_clean() {
                 world.clean_tile(r, c)?;

@@ -81,8 +81,8 @@ fn what_is_written_was_counted() {
     let [world, picture] = Method::Subtiles.expected().each_ref().map(|bytes| bytes.len() as u64);
     let tiny = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/cli/tiny.toml"));
     let field = CheckedRecipe::from_file(tiny, None).unwrap().field.clone();
-    assert!(world < world_bytes(&field, 65, false), "{world}");
-    assert!(work < work_bytes(&field, 9), "{work}");
+    assert!(world < world_bytes(&field, 65, 1), "{world}");
+    assert!(work < work_bytes(&field, 9, 1), "{work}");
     assert!(picture < PICTURE, "{picture}");
 }
 

@@ -65,6 +65,9 @@ pub struct RegionAudit {
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Audit {
+    /// Name of the detector, where there are several.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub detector: Option<String>,
     /// Engine that the world was made with.
     pub engine: String,
     /// Width of its windows.
@@ -88,6 +91,16 @@ pub struct Audit {
     pub power: Vec<PowerBand>,
     /// Region by region.
     pub regions: Vec<RegionAudit>,
+    /// The same of the other detectors.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub others: Vec<Audit>,
+}
+
+impl Audit {
+    /// The audits of all detectors, the main one first.
+    pub fn all(&self) -> impl Iterator<Item = &Audit> {
+        std::iter::once(self).chain(&self.others)
+    }
 }
 
 /// Audits an imager: compares its images of some regions with multislice on the full grid, with those very atoms. The imager
@@ -115,31 +128,56 @@ pub fn audit(
     let points =
         |p: &AuditPlace| p.pixels.sampled_shape().iter().product::<usize>() * configurations;
     progress.start("auditing", "probe", places.iter().map(points).sum::<usize>() as u64);
-    let mut images = Vec::new();
-    let mut columns = Vec::new();
+    let mut pairs = Vec::new();
     for AuditPlace { pixels, .. } in &places {
-        let ours = imager.mean_of(pixels, configurations, &InterruptOnly(progress))?;
+        let ours = imager.means_of(pixels, configurations, &InterruptOnly(progress))?;
         let point = |pixels: &PixelRect| {
             let margin = reference.margin_angstrom();
             let pixel_box = PixelBox::new(pixels, recipe.field.pixel_nm(), margin, thickness);
             let atoms = |configuration| imager.atoms(&pixel_box.area, configuration);
-            reference.mean(&pixel_box, configurations, atoms, progress)
+            reference.means(&pixel_box, configurations, atoms, progress)
         };
         let exact = match recipe.optics.source() {
             Some(source) => blurred((source, pixel), pixels, point)?,
             None => point(pixels)?,
         };
-        columns.push(column_points(recipe, specimen, pixels, [&ours, &exact]));
-        images.push((ours, exact));
+        pairs.push(ours.into_iter().zip(exact).collect::<Vec<ImagePair>>());
     }
     progress.finish();
-    let top = columns.iter().flatten().map(|c: &ColumnPoint| c.exact).fold(1e-12, f64::max);
-    let regions = places.iter().zip(images).zip(&columns);
-    let compared = |((place, images), columns): ((&AuditPlace, _), &Vec<ColumnPoint>)| {
-        compare(place.centre_nm, images, columns, step_angstrom, top)
+    let detectors = recipe.detector.all();
+    let of_detector = |n: usize| {
+        let pairs: Vec<&ImagePair> = pairs.iter().filter_map(|pairs| pairs.get(n)).collect();
+        let found = compared(recipe, specimen, (&places, &pairs), step_angstrom);
+        let name = detectors.get(n).filter(|_| detectors.len() > 1).map(|d| d.name.clone());
+        Audit { detector: name, ..summary(imager, [configurations, all], found, step_angstrom) }
     };
-    let regions = regions.map(compared).collect();
-    Ok(summary(imager, [configurations, all], regions, &columns, step_angstrom))
+    let others = (1..imager.detectors()).map(of_detector).collect();
+    Ok(Audit { others, ..of_detector(0) })
+}
+
+/// Our image of a region, and the exact one.
+type ImagePair = (Array2<f64>, Array2<f64>);
+
+/// What the regions tell, and the columns of each.
+type Compared = (Vec<RegionAudit>, Vec<Vec<ColumnPoint>>);
+
+/// Compares the images of all regions on one detector.
+fn compared(
+    recipe: &Recipe,
+    specimen: &dyn Specimen,
+    (places, pairs): (&[AuditPlace], &[&ImagePair]),
+    step_angstrom: f64,
+) -> Compared {
+    let points = |(place, (ours, exact)): (&AuditPlace, &&ImagePair)| {
+        column_points(recipe, specimen, &place.pixels, [ours, exact])
+    };
+    let columns: Vec<Vec<ColumnPoint>> = places.iter().zip(pairs).map(points).collect();
+    let top = columns.iter().flatten().map(|c: &ColumnPoint| c.exact).fold(1e-12, f64::max);
+    let region = |((place, pair), columns): ((&AuditPlace, &&ImagePair), &Vec<ColumnPoint>)| {
+        compare(place.centre_nm, (*pair).clone(), columns, step_angstrom, top)
+    };
+    let regions = places.iter().zip(pairs).zip(&columns).map(region).collect();
+    (regions, columns)
 }
 
 /// The exact engine.
@@ -242,8 +280,7 @@ fn mean_rms_percent(images: &[[&Array2<f64>; 2]]) -> f64 {
 fn summary(
     imager: &dyn RegionImager,
     configurations: [usize; 2],
-    regions: Vec<RegionAudit>,
-    columns: &[Vec<ColumnPoint>],
+    (regions, columns): Compared,
     step_angstrom: f64,
 ) -> Audit {
     let weighted = |of: &dyn Fn(&RegionAudit) -> (f64, f64)| {
@@ -258,6 +295,7 @@ fn summary(
     }
     let images: Vec<[&Array2<f64>; 2]> = regions.iter().map(|r| [&r.ours, &r.exact]).collect();
     Audit {
+        detector: None,
         engine: imager.name().into(),
         window_angstrom: imager.window_angstrom(),
         reference: "multislice".into(),
@@ -275,5 +313,6 @@ fn summary(
         kinds: kinds.iter().map(|(kind, points)| kind_audit(kind, points)).collect(),
         power: power(&images, step_angstrom),
         regions,
+        others: Vec::new(),
     }
 }

@@ -48,7 +48,7 @@ pub struct FilmImager {
 }
 
 impl FilmImager {
-    /// `None` for specimens without a film, and engines without windows.
+    /// `None` for specimens without a film, engines without windows, and several detectors.
     ///
     /// # Errors
     /// Those of the settings.
@@ -64,6 +64,9 @@ impl FilmImager {
         else {
             return Ok(None);
         };
+        if simulator.detectors() > 1 {
+            return Ok(None);
+        }
         let band_limit = image_band_limit(&settings.optics);
         let step = Kernel::default_step(band_limit);
         let simulator = Simulator::of(Settings {

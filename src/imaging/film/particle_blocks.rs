@@ -226,6 +226,7 @@ impl ParticleBlocks {
             shape: samples.shape,
         };
         let pixels = PixelBox::of_area(area, scan, 10.0 * self.scene.specimen.thickness_nm());
-        self.scene.simulator.mean(&pixels, configurations, moved, progress)
+        // Films have one detector.
+        Ok(self.scene.simulator.means(&pixels, configurations, moved, progress)?.swap_remove(0))
     }
 }

@@ -11,6 +11,7 @@ use ndarray::{Array2, s};
 use super::block_cache::BlockCache;
 use super::film_blocks::{REACH_ANGSTROM, scattering_map};
 use super::samples::Samples;
+use crate::detect::Detector;
 use crate::engine::Settings;
 use crate::engine::single_scattering::SingleScattering;
 use crate::error::Result;
@@ -43,6 +44,14 @@ pub struct SurfaceImager {
 }
 
 impl SurfaceImager {
+    /// Whether the layers of a recipe, if it has any, can be added: to the image of one detector that the direct beam does not reach.
+    /// Atoms that scatter each by itself tell nothing of the others.
+    pub fn can_cover(recipe: &CheckedRecipe) -> bool {
+        let detectors = recipe.detector.all();
+        let dark = |d: &Detector| d.inner_mrad > recipe.optics.convergence_mrad;
+        recipe.surface.is_none() || (detectors.len() == 1 && detectors.iter().all(dark))
+    }
+
     /// The imager as it is, or with the layers of the recipe; `settings` are those without them.
     ///
     /// # Errors

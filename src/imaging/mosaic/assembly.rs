@@ -118,10 +118,10 @@ impl Assembly {
         missing
     }
 
-    /// The image, mean over the first `configurations`, without what [`Assembly::missing`] lists.
+    /// The image on a detector, mean over the first `configurations`, without what [`Assembly::missing`] lists.
     pub fn image(
         &self,
-        library: &ImageLibrary,
+        (library, detector): (&ImageLibrary, usize),
         kernel: &Kernel,
         seed: u64,
         configurations: usize,
@@ -140,7 +140,7 @@ impl Assembly {
             realisations.truncate(configurations);
             let offsets: Vec<[f64; 2]> =
                 shares.iter().map(|s| self.offset(s.pixel, unit, &tag, cell)).collect();
-            values(cell, &realisations, &offsets, kernel)
+            values((cell, detector), &realisations, &offsets, kernel)
         };
         let values: Vec<Vec<f64>> = self.units.par_iter().zip(&of_unit).map(patch).collect();
         // Summed unit by unit, so that the bytes do not depend on threads.
@@ -197,9 +197,9 @@ fn push_shares(
     shares[start..].iter_mut().for_each(|s| s.weight /= total);
 }
 
-/// The mean image of some configurations of a unit at `offsets` from its centre.
+/// The mean image of some configurations of a unit on a detector, at `offsets` from its centre.
 fn values(
-    cell: &CellImages,
+    (cell, detector): (&CellImages, usize),
     realisations: &[Realisation],
     offsets: &[[f64; 2]],
     kernel: &Kernel,
@@ -233,11 +233,11 @@ fn values(
         }
     };
     if whole {
-        add(cell.mean(realisations[0].sheet), [0, 0], 1.0);
+        add(cell.mean(detector, realisations[0].sheet), [0, 0], 1.0);
     } else {
         for (realisation, at) in realisations.iter().zip(&centres) {
             let shift = [0, 1].map(|k| (at[k] - centre[k]).round() as i64);
-            let image = cell.image(realisation.sheet, realisation.configuration);
+            let image = cell.image(detector, realisation.sheet, realisation.configuration);
             add(image, shift, 1.0 / realisations.len() as f64);
         }
     }

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use ndarray::{Array2, Axis};
+use ndarray::{Array2, Axis, s};
 use sha2::{Digest, Sha256};
 
 use crate::engine::{Plan, Scan, Settings, Site};
@@ -44,10 +44,10 @@ pub struct CellImages {
     index: BTreeMap<(usize, usize), usize>,
     /// Entries without defects, by kind.
     pristine: BTreeMap<usize, Vec<usize>>,
-    /// Images by sheet and configuration; empty until simulated or read.
-    pub(super) images: Vec<Vec<Array2<f32>>>,
-    /// Their means over the configurations.
-    means: Vec<Array2<f32>>,
+    /// Images by detector, sheet and configuration; empty until simulated or read.
+    images: Vec<Vec<Vec<Array2<f32>>>>,
+    /// Their means over the configurations, by detector and sheet.
+    means: Vec<Vec<Array2<f32>>>,
 }
 
 /// One configuration of one unit: where its image is, and its displacements.
@@ -84,7 +84,7 @@ impl CellImages {
             digests,
             index,
             pristine,
-            images: vec![Vec::new(); sheet.count],
+            images: vec![vec![Vec::new(); sheet.count]; settings.detectors.len()],
             means: Vec::new(),
             sheet,
             settings,
@@ -96,8 +96,23 @@ impl CellImages {
         self.scan.len()
     }
 
+    /// Rows and columns of what the probes of one configuration give: the images of the detectors, one below the other.
+    pub(super) fn probe_shape(&self) -> [usize; 2] {
+        [self.images.len() * self.scan.shape[0], self.scan.shape[1]]
+    }
+
+    /// Takes the next configuration of a sheet, as the probes gave it (see [`CellImages::probe_shape`]).
+    pub(super) fn add(&mut self, sheet: usize, probes: &Array2<f32>) {
+        let rows = self.scan.shape[0];
+        for detector in 0..self.images.len() {
+            let part = probes.slice(s![detector * rows..(detector + 1) * rows, ..]);
+            let image = self.resampled(part.to_owned());
+            self.images[detector][sheet].push(image);
+        }
+    }
+
     /// An image as it is kept, from what the probes gave.
-    pub(super) fn resampled(&self, probes: Array2<f32>) -> Array2<f32> {
+    fn resampled(&self, probes: Array2<f32>) -> Array2<f32> {
         let axes =
             [(Axis(0), 1), (Axis(1), 0)].into_iter().filter(|(_, k)| self.sheet.periodic[*k]);
         axes.fold(probes, |image, (axis, _)| {
@@ -105,19 +120,19 @@ impl CellImages {
         })
     }
 
-    /// The image of one configuration of a sheet: (row = y, column = x), fractions of the beam.
-    pub fn image(&self, sheet: usize, configuration: usize) -> &Array2<f32> {
-        &self.images[sheet][configuration]
+    /// The image of one configuration of a sheet on a detector: (row = y, column = x), fractions of the beam.
+    pub fn image(&self, detector: usize, sheet: usize, configuration: usize) -> &Array2<f32> {
+        &self.images[detector][sheet][configuration]
     }
 
-    /// The mean over all configurations of a sheet.
-    pub fn mean(&self, sheet: usize) -> &Array2<f32> {
-        &self.means[sheet]
+    /// The mean over all configurations of a sheet on a detector.
+    pub fn mean(&self, detector: usize, sheet: usize) -> &Array2<f32> {
+        &self.means[detector][sheet]
     }
 
     /// Number of configurations of a sheet.
     pub fn configurations(&self, sheet: usize) -> usize {
-        self.images[sheet].len()
+        self.images[0][sheet].len()
     }
 
     /// The unit of an entry, and its sheet.
@@ -251,7 +266,10 @@ impl CellImages {
 
     /// Takes the images that were simulated or read, sheet by sheet, for those of all its configurations.
     pub(super) fn average(&mut self) {
-        self.means = self.images.iter().map(|images| mean(images, self.shape)).collect();
+        let means = |sheets: &Vec<Vec<Array2<f32>>>| {
+            sheets.iter().map(|images| mean(images, self.shape)).collect()
+        };
+        self.means = self.images.iter().map(means).collect();
     }
 
     /// All elements that its sheets may hold, ascending.

@@ -2,7 +2,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::engine::{PlannedScan, Settings, Simulation};
+use ndarray::Array2;
+
+use crate::engine::{Images, PlannedScan, Settings, Simulation};
 use crate::error::{Error, Result};
 use crate::imaging::mosaic::cell_images::CellImages;
 use crate::imaging::mosaic::image_note::{ImageNote, NewImages};
@@ -25,6 +27,7 @@ pub struct ImageLibrary {
     /// Whether images do not change when turned, so that turned sheets share them.
     round: bool,
     configurations: usize,
+    detectors: usize,
 }
 
 impl ImageLibrary {
@@ -58,7 +61,8 @@ impl ImageLibrary {
         let families: BTreeSet<TurnedFamily> =
             families.map(|f| if round { f.straight() } else { f }).collect();
         let cells = families.into_iter().map(cell).collect::<Result<_>>()?;
-        Ok(ImageLibrary { cells, round, configurations })
+        let detectors = settings.detectors.len();
+        Ok(ImageLibrary { cells, round, configurations, detectors })
     }
 
     /// The sheets of a unit's family.
@@ -91,7 +95,8 @@ impl ImageLibrary {
     /// Bytes that the images will take.
     pub fn image_bytes(&self) -> u64 {
         let of = |s: &CellImages| {
-            s.shape[0] * s.shape[1] * s.sheet.count * (self.configurations + 1) * 4
+            let images = s.sheet.count * (self.configurations + 1) * self.detectors;
+            s.shape[0] * s.shape[1] * images * 4
         };
         self.cells.values().map(of).sum::<usize>() as u64
     }
@@ -124,7 +129,7 @@ impl ImageLibrary {
     ) -> Vec<MissingImage> {
         let missing = |cell: &CellImages| MissingImage {
             probes: cell.probes(),
-            bytes: Cache::file_bytes(cell.scan.shape),
+            bytes: Cache::file_bytes(cell.probe_shape()),
         };
         self.lacking(material, sigma, cache).map(|(cell, _)| missing(cell)).collect()
     }
@@ -172,7 +177,7 @@ impl ImageLibrary {
                     }
                     let key = cell.key(sigma, [sheet, configuration]);
                     let share = ProgressShare::new(progress, cell.probes());
-                    let image = match cache.load(material, &key, cell.scan.shape, progress) {
+                    let image = match cache.load(material, &key, cell.probe_shape(), progress) {
                         Some(image) => {
                             share.found();
                             image
@@ -185,7 +190,7 @@ impl ImageLibrary {
                             };
                             let atoms = cell.atoms(sheet, configuration, sigma);
                             let images = simulation.images(&atoms, &cell.scan, &share)?;
-                            let image = images.image(0, 0).to_owned();
+                            let image = stacked(&images);
                             let note = cell.note(sigma, [sheet, configuration]);
                             let about = serde_json::to_string(&note).unwrap_or_default();
                             if let Err(e) = cache.save(material, &key, &about, &image) {
@@ -195,8 +200,7 @@ impl ImageLibrary {
                             image
                         }
                     };
-                    let image = cell.resampled(image);
-                    cell.images[sheet].push(image);
+                    cell.add(sheet, &image);
                 }
             }
             cell.average();
@@ -207,4 +211,11 @@ impl ImageLibrary {
         }
         Ok(missing)
     }
+}
+
+/// The images of all detectors, one below the other.
+fn stacked(images: &Images) -> Array2<f32> {
+    let (_, detectors, rows, columns) = images.data.dim();
+    let values = images.data.iter().copied().collect();
+    Array2::from_shape_vec((detectors * rows, columns), values).unwrap_or_default()
 }

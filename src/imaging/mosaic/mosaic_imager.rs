@@ -110,13 +110,13 @@ impl MosaicImager {
         pixels: &PixelRect,
         configurations: usize,
         progress: &dyn Progress,
-    ) -> Result<Array2<f32>> {
+    ) -> Result<Vec<Array2<f32>>> {
         let (margin, thickness) = (self.simulator.margin_angstrom(), self.specimen.thickness_nm());
         let pixels = PixelBox::new(pixels, self.recipe.field.pixel_nm(), margin, thickness);
         let atoms = |configuration| self.atoms(&pixels.area, configuration);
         let quiet = InterruptOnly(progress);
-        let mean = self.simulator.mean(&pixels, configurations, atoms, &quiet)?;
-        Ok(mean.mapv(|v| v as f32))
+        let means = self.simulator.means(&pixels, configurations, atoms, &quiet)?;
+        Ok(means.into_iter().map(|mean| mean.mapv(|v| v as f32)).collect())
     }
 
     /// Simulates probes around places (x, y) in Angstrom with the atoms of the mosaic, and interpolates.
@@ -130,7 +130,8 @@ impl MosaicImager {
         let band_limit = image_band_limit(&self.simulator.settings().optics);
         between_probes(places, band_limit, around, |pixels| {
             let atoms = |configuration| self.atoms(&pixels.area, configuration);
-            self.simulator.mean(pixels, configurations, atoms, &InterruptOnly(progress))
+            let quiet = InterruptOnly(progress);
+            Ok(self.simulator.means(pixels, configurations, atoms, &quiet)?.swap_remove(0))
         })
     }
 
@@ -149,6 +150,35 @@ impl MosaicImager {
             return Err(Error::invalid(crate::Setting::Library, "empty", expected));
         }
         Ok(())
+    }
+
+    /// The images on the first `detectors`.
+    fn images(
+        &self,
+        detectors: usize,
+        pixels: &PixelRect,
+        configurations: usize,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Array2<f64>>> {
+        self.check_prepared(progress)?;
+        let PixelRect { first, shape, .. } = *pixels;
+        let pixel = self.recipe.field.pixel_nm();
+        let assembly = Assembly::new(&*self.specimen, first, shape, pixel, self.way());
+        let (kernel, seed) = (&self.kernel, self.recipe.seed);
+        let image = |n: usize| assembly.image((&self.library, n), kernel, seed, configurations);
+        let mut images: Vec<Array2<f64>> = (0..detectors).map(image).collect();
+        let missing = assembly.missing(&self.library);
+        for (block, members) in blocks(&missing, first, shape) {
+            let direct = self.direct(&block, configurations, progress)?;
+            for (pixel, weight) in members {
+                let [row, column] = [pixel / shape[1], pixel % shape[1]];
+                let at = [first[0] + row - block.first[0], first[1] + column - block.first[1]];
+                for (image, direct) in images.iter_mut().zip(&direct) {
+                    image[[row, column]] += weight * f64::from(direct[at]);
+                }
+            }
+        }
+        Ok(images.into_iter().map(|image| pixels.sampled(image)).collect())
     }
 
     fn rectangle(&self, edge: usize, runs: usize) -> Result<SimulationRuns> {
@@ -190,22 +220,20 @@ impl RegionImager for MosaicImager {
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Array2<f64>> {
-        self.check_prepared(progress)?;
-        let PixelRect { first, shape, .. } = *pixels;
-        let pixel = self.recipe.field.pixel_nm();
-        let assembly = Assembly::new(&*self.specimen, first, shape, pixel, self.way());
-        let seed = self.recipe.seed;
-        let mut image = assembly.image(&self.library, &self.kernel, seed, configurations);
-        let missing = assembly.missing(&self.library);
-        for (block, members) in blocks(&missing, first, shape) {
-            let direct = self.direct(&block, configurations, progress)?;
-            for (pixel, weight) in members {
-                let [row, column] = [pixel / shape[1], pixel % shape[1]];
-                let at = [first[0] + row - block.first[0], first[1] + column - block.first[1]];
-                image[[row, column]] += weight * f64::from(direct[at]);
-            }
-        }
-        Ok(pixels.sampled(image))
+        Ok(self.images(1, pixels, configurations, progress)?.swap_remove(0))
+    }
+
+    fn detectors(&self) -> usize {
+        self.simulator.detectors()
+    }
+
+    fn means_of(
+        &self,
+        pixels: &PixelRect,
+        configurations: usize,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Array2<f64>>> {
+        self.images(self.detectors(), pixels, configurations, progress)
     }
 
     fn image_at(
@@ -220,7 +248,8 @@ impl RegionImager for MosaicImager {
         let assembly =
             Assembly::of_places(&*self.specimen, &region, shape, places.clone(), self.way());
         let seed = self.recipe.seed;
-        let mut image = assembly.image(&self.library, &self.kernel, seed, configurations);
+        let main = (&self.library, 0);
+        let mut image = assembly.image(main, &self.kernel, seed, configurations);
         for (_, members) in blocks(&assembly.missing(&self.library), [0, 0], shape) {
             let there: Vec<[f64; 2]> = members.iter().map(|(pixel, _)| places[*pixel]).collect();
             let values = self.direct_at(&there, configurations, progress)?;

@@ -109,14 +109,30 @@ pub fn compare(a: &Path, b: &Path, alpha: f64, progress: &dyn Progress) -> Resul
             "of a world is positive",
         ));
     }
+    let others = common_detectors(&worlds);
     let frequencies = spectrum::Bands::common(pixels, worlds.each_ref().map(|w| w.shape()));
-    let rows = worlds.iter().map(|w| w.shape()[0] as u64).sum();
-    progress.start("reading", "rows", rows);
+    let rows: u64 = worlds.iter().map(|w| w.shape()[0] as u64).sum();
+    progress.start("reading", "rows", rows * (1 + others.len() as u64));
     let [first, second] = &worlds;
-    let (a, b) =
-        (measure(first, a, &frequencies, progress)?, measure(second, b, &frequencies, progress)?);
+    let measured = |worlds: [&WorldFile; 2]| -> Result<[Measured; 2]> {
+        let [first, second] = worlds;
+        Ok([
+            measure(first, a, &frequencies, progress)?,
+            measure(second, b, &frequencies, progress)?,
+        ])
+    };
+    let main = measured([first, second])?;
+    let mut all = lines(&main[0], &main[1]);
+    all.extend(detectors_line(&worlds));
+    for name in others {
+        let pair = [first.on_detector(&name)?, second.on_detector(&name)?];
+        let [a, b] = measured([&pair[0], &pair[1]])?;
+        let named = |line: Line| Line { what: format!("{name}: {}", line.what), ..line };
+        all.extend(image_lines(&a, &b).into_iter().map(named));
+    }
     progress.finish();
-    let (lines, line_alpha) = judged(lines(&a, &b), alpha);
+    let (lines, line_alpha) = judged(all, alpha);
+    let [a, b] = main;
     let different = lines.iter().any(|l| l.verdict == Sameness::Different);
     let verdict = if different { Sameness::Different } else { Sameness::Same };
     Ok(WorldComparison { verdict, alpha, line_alpha, lines, a, b })
@@ -146,25 +162,71 @@ fn lines(a: &Measured, b: &Measured) -> Vec<Line> {
     for (what, unit, blocks) in [
         ("sites", "per nm2", [&a.sites, &b.sites]),
         ("atomic columns", "per nm2", [&a.columns, &b.columns]),
-        ("mean of the image", "of the beam", [&a.intensity, &b.intensity]),
     ] {
         lines.push(z_line(what.into(), unit, blocks, 0.0, paired));
     }
-    let exchange = match paired {
+    let [mean, others @ ..] = image_lines(a, b);
+    let neighbours = [&a.neighbours_nm, &b.neighbours_nm];
+    let what = "nearest neighbours of columns";
+    lines.extend([mean, distribution(what, "nm", neighbours, exchange(a, b))]);
+    lines.extend(others);
+    lines
+}
+
+fn exchange(a: &Measured, b: &Measured) -> Exchange {
+    match a.shape == b.shape && pixel(a, b).verdict == Sameness::Same {
         true => Exchange::AtPlaces(a.blocks),
         false => Exchange::Any([a.blocks, b.blocks]),
+    }
+}
+
+/// What is compared of the image on one detector.
+fn image_lines(a: &Measured, b: &Measured) -> [Line; 4] {
+    let paired = a.shape == b.shape && pixel(a, b).verdict == Sameness::Same;
+    let (mean, unit) = ("mean of the image".to_owned(), "of the beam");
+    [
+        z_line(mean, unit, [&a.intensity, &b.intensity], 0.0, paired),
+        distribution(
+            "intensity of columns",
+            unit,
+            [&a.intensities, &b.intensities],
+            exchange(a, b),
+        ),
+        noise(a, b, paired),
+        spectra(a, b, paired),
+    ]
+}
+
+/// Names of the detectors besides the main ones that both worlds have.
+fn common_detectors([a, b]: &[WorldFile; 2]) -> Vec<String> {
+    let there = |name: &String| b.detectors().iter().skip(1).any(|d| d.name == *name);
+    let names = a.detectors().iter().skip(1).map(|d| d.name.clone());
+    names.filter(there).collect()
+}
+
+/// Whether both have the same detectors; nothing where neither has names for them.
+fn detectors_line([a, b]: &[WorldFile; 2]) -> Option<Line> {
+    let told = |w: &WorldFile| -> Vec<String> {
+        let all = w.detectors().iter();
+        all.map(|d| format!("{} {}-{} mrad", d.name, d.inner_mrad, d.outer_mrad)).collect()
     };
-    lines.push(distribution(
-        "nearest neighbours of columns",
-        "nm",
-        [&a.neighbours_nm, &b.neighbours_nm],
-        exchange,
-    ));
-    let intensities = [&a.intensities, &b.intensities];
-    lines.push(distribution("intensity of columns", "of the beam", intensities, exchange));
-    lines.push(noise(a, b, paired));
-    lines.push(spectra(a, b, paired));
-    lines
+    let (a, b) = (told(a), told(b));
+    let text = |names: &[String]| match names.is_empty() {
+        true => "one without a name".to_owned(),
+        false => names.join(", "),
+    };
+    let same = a == b;
+    (!a.is_empty() || !b.is_empty()).then(|| Line {
+        what: "detectors".into(),
+        unit: "",
+        a: None,
+        b: None,
+        text: format!("{} | {}", text(&a), text(&b)),
+        test: "the same list",
+        statistic: f64::from(u8::from(!same)),
+        p: f64::from(u8::from(same)),
+        verdict: if same { Sameness::Same } else { Sameness::Different },
+    })
 }
 
 fn plain(value: f64) -> Option<Ratio> {

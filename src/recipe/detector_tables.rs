@@ -1,0 +1,239 @@
+//! The table `[detector]`, or several `[[detector]]`: the annuli that a world shows.
+
+use std::fmt;
+
+use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
+use serde::de::{Deserialize, Deserializer, MapAccess, SeqAccess, Visitor};
+use serde::{Deserialize as DeriveDeserialize, Serialize};
+
+use super::fault::{Checked, fault, within};
+use crate::detect::Detector;
+
+/// The name of a detector that has none of its own.
+const USUAL_NAME: &str = "HAADF";
+/// Detectors of a recipe, at most.
+const MOST_DETECTORS: usize = 16;
+/// Longest name of a detector.
+const LONGEST_NAME: usize = 32;
+/// Largest angle of a detector in mrad, and least width.
+const LARGEST_MRAD: f64 = 1000.0;
+const LEAST_WIDTH_MRAD: f64 = 0.1;
+
+/// One annular detector without a name.
+#[derive(Debug, Clone, PartialEq, Serialize, DeriveDeserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DetectorTable {
+    /// Inner angle in mrad.
+    pub inner_mrad: f64,
+    /// Outer angle in mrad.
+    pub outer_mrad: f64,
+}
+
+/// One of several annular detectors.
+#[derive(Debug, Clone, PartialEq, Serialize, DeriveDeserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NamedDetectorTable {
+    /// Its name: that of its images in files.
+    pub name: String,
+    /// Inner angle in mrad.
+    pub inner_mrad: f64,
+    /// Outer angle in mrad.
+    pub outer_mrad: f64,
+}
+
+/// The detectors of a recipe.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(untagged)]
+pub enum DetectorTables {
+    /// `[detector]`: one.
+    One(DetectorTable),
+    /// `[[detector]]`: several, the main one first. All come from the same simulation.
+    Several(Vec<NamedDetectorTable>),
+}
+
+impl DetectorTables {
+    /// One detector without a name.
+    pub fn one(inner_mrad: f64, outer_mrad: f64) -> Self {
+        DetectorTables::One(DetectorTable { inner_mrad, outer_mrad })
+    }
+
+    /// The detectors, the main one first; at least one in a checked recipe.
+    pub fn all(&self) -> Vec<Detector> {
+        match self {
+            DetectorTables::One(d) => vec![Detector::new(USUAL_NAME, d.inner_mrad, d.outer_mrad)],
+            DetectorTables::Several(tables) => {
+                let of =
+                    |d: &NamedDetectorTable| Detector::new(&d.name, d.inner_mrad, d.outer_mrad);
+                tables.iter().map(of).collect()
+            }
+        }
+    }
+
+    /// How many there are.
+    pub fn count(&self) -> usize {
+        match self {
+            DetectorTables::One(_) => 1,
+            DetectorTables::Several(tables) => tables.len(),
+        }
+    }
+
+    /// The same with the main detector alone.
+    #[must_use]
+    pub fn main_alone(&self) -> Self {
+        match self {
+            DetectorTables::One(_) => self.clone(),
+            DetectorTables::Several(tables) => {
+                DetectorTables::Several(tables.iter().take(1).cloned().collect())
+            }
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for DetectorTables {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(TableOrArray)
+    }
+}
+
+/// Tells a table from an array of tables, so that errors are those of the one that was written.
+struct TableOrArray;
+
+impl<'de> Visitor<'de> for TableOrArray {
+    type Value = DetectorTables;
+
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        // What the name stands for is put in its place where errors are put into words.
+        f.write_str("struct DetectorTable")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<DetectorTables, A::Error> {
+        DetectorTable::deserialize(MapAccessDeserializer::new(map)).map(DetectorTables::One)
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, list: A) -> Result<DetectorTables, A::Error> {
+        Vec::deserialize(SeqAccessDeserializer::new(list)).map(DetectorTables::Several)
+    }
+}
+
+/// Limits of names and angles.
+pub fn check_detectors(detectors: &DetectorTables) -> Checked {
+    let tables = match detectors {
+        DetectorTables::One(d) => {
+            within("detector.inner_mrad", d.inner_mrad, 0.0, LARGEST_MRAD)?;
+            let least = d.inner_mrad + LEAST_WIDTH_MRAD;
+            return within("detector.outer_mrad", d.outer_mrad, least, LARGEST_MRAD);
+        }
+        DetectorTables::Several(tables) => tables,
+    };
+    if !(1..=MOST_DETECTORS).contains(&tables.len()) {
+        let expected = format!(
+            "expected 1 to {MOST_DETECTORS} tables [[detector]], each with name, inner_mrad and outer_mrad"
+        );
+        return fault("detector", format!("{} tables", tables.len()), expected);
+    }
+    for (n, table) in tables.iter().enumerate() {
+        check_name(&table.name)?;
+        let alike = |other: &&NamedDetectorTable| other.name.eq_ignore_ascii_case(&table.name);
+        if let Some(other) = tables[..n].iter().find(alike) {
+            let expected =
+                format!("every [[detector]] needs a name of its own, and one is `{}`", other.name);
+            return fault("detector.name", &table.name, expected);
+        }
+        let (inner, outer) = (table.inner_mrad, table.outer_mrad);
+        let wide = outer >= inner + LEAST_WIDTH_MRAD;
+        if !(0.0..=LARGEST_MRAD).contains(&inner) || !wide || outer > LARGEST_MRAD {
+            let value = format!("{}: {inner} to {outer} mrad", table.name);
+            let expected = format!(
+                "expected 0 <= inner_mrad < outer_mrad <= {LARGEST_MRAD}, at least {LEAST_WIDTH_MRAD} mrad apart"
+            );
+            return fault("detector", value, expected);
+        }
+    }
+    Ok(())
+}
+
+/// The name becomes that of a group in files.
+fn check_name(name: &str) -> Checked {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "_-.".contains(c);
+    let begins = name.starts_with(|c: char| c.is_ascii_alphanumeric());
+    match begins && name.len() <= LONGEST_NAME && name.chars().all(plain) {
+        true => Ok(()),
+        false => fault(
+            "detector.name",
+            format!("{name:?}"),
+            format!(
+                "expected at most {LONGEST_NAME} letters, digits, `_`, `-` and `.`, a letter or digit first, such as \"ABF\""
+            ),
+        ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recipe::{Difficulty, Override, Recipe};
+
+    fn with(value: &str) -> crate::Result<Recipe> {
+        let change: Override = format!("detector={value}").parse()?;
+        let recipe = Recipe::load("srtio3", Difficulty::Easy)?.with_overrides(&[change])?;
+        Ok(recipe.checked()?.recipe().clone())
+    }
+
+    const TWO: &str = "[{name=\"HAADF\",inner_mrad=68,outer_mrad=200},{name=\"ABF\",inner_mrad=10,outer_mrad=21}]";
+
+    #[test]
+    fn a_table_stays_a_table_and_an_array_an_array() {
+        let one = Recipe::load("srtio3", Difficulty::Easy).unwrap();
+        assert_eq!(one.detector.all(), [Detector::new("HAADF", 68.0, 200.0)]);
+        assert!(one.to_toml().contains("\n[detector]\ninner_mrad = 68.0\nouter_mrad = 200.0\n"));
+        let two = with(TWO).unwrap();
+        let expected = [Detector::new("HAADF", 68.0, 200.0), Detector::new("ABF", 10.0, 21.0)];
+        assert_eq!(two.detector.all(), expected);
+        assert!(two.to_toml().contains("[[detector]]\nname = \"ABF\""), "{}", two.to_toml());
+        assert_eq!(Recipe::from_toml_str("copy", &two.to_toml(), None).unwrap(), two);
+        assert_eq!(two.detector.main_alone().all(), expected[..1]);
+    }
+
+    #[test]
+    fn what_is_no_set_of_detectors_is_refused() {
+        let named = |name: &str, inner: f64, outer: f64| {
+            format!("{{name=\"{name}\",inner_mrad={inner:?},outer_mrad={outer:?}}}")
+        };
+        let haadf = named("HAADF", 68.0, 200.0);
+        for (value, parts) in [
+            ("[]".to_owned(), vec!["0 tables", "expected 1 to 16 tables [[detector]]"]),
+            (format!("[{haadf},{haadf}]"), vec!["a name of its own", "`HAADF`"]),
+            (format!("[{haadf},{}]", named("haadf", 30.0, 60.0)), vec!["a name of its own"]),
+            (
+                format!("[{haadf},{}]", named("ABF", 21.0, 10.0)),
+                vec!["ABF: 21 to 10 mrad", "inner_mrad < outer_mrad"],
+            ),
+            (format!("[{}]", named("a/b", 21.0, 30.0)), vec!["a/b", "letters, digits"]),
+            (format!("[{}]", named("..", 21.0, 30.0)), vec!["a letter or digit first"]),
+            (format!("[{}]", named("x", -1.0, 30.0)), vec!["x: -1 to 30 mrad"]),
+            ("[{inner_mrad=68,outer_mrad=200}]".to_owned(), vec!["missing field `name`"]),
+            (
+                "[{name=\"a\",inner_mrad=68,outer=200}]".to_owned(),
+                vec!["did you mean `outer_mrad`?"],
+            ),
+            ("{inner_mrad=68,outer=200}".to_owned(), vec!["did you mean `outer_mrad`?"]),
+            ("3".to_owned(), vec!["a table with the keys inner_mrad, outer_mrad", "[[detector]]"]),
+            ("[3]".to_owned(), vec!["a table with the keys name, inner_mrad, outer_mrad"]),
+        ] {
+            let message = with(&value).unwrap_err().to_string();
+            for part in parts {
+                assert!(message.contains(part), "{value}: no `{part}` in {message}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_tier_may_have_other_detectors_than_the_base() {
+        let text = Recipe::load("test", None).unwrap().to_toml();
+        let tiered = format!(
+            "{text}\n[[difficulty.easy.detector]]\nname = \"ABF\"\ninner_mrad = 10.0\nouter_mrad = 21.0\n"
+        );
+        let recipe = Recipe::from_toml_str("tiered.toml", &tiered, Some(Difficulty::Easy)).unwrap();
+        assert_eq!(recipe.detector.all(), [Detector::new("ABF", 10.0, 21.0)]);
+    }
+}
