@@ -171,7 +171,7 @@ def stream(
         **changes: ``set``, ``unset``, ``grid`` of the recipes, as :class:`Recipe` takes them; ``grid`` says how large the field is.
 
     Returns:
-        A :class:`Stream`: iterate over it, or ask for a sample by its number.
+        A :class:`Stream`. Iterate over it, or ask for a sample by its number.
     """
     options = {
         "size_px": size,
