@@ -106,7 +106,7 @@ impl Building {
     fn run(&self, guest: &Guest) -> Result<String, Fault> {
         let recipe = checked(&self.toml)?;
         let build = WorldBuild::new(&recipe, &self.options()?)?;
-        build.policy().warnings.iter().for_each(|warning| guest.warn(warning));
+        build.warnings()?.iter().for_each(|warning| guest.warn(warning));
         let picture = self.png.then(|| self.out.with_extension("png"));
         let outputs = [Some(&self.out), picture.as_ref()].into_iter().flatten();
         let complete = build.is_complete(&self.out);
@@ -144,7 +144,7 @@ pub fn plan_build(py: Python<'_>, options: Building, running: Running) -> PyResu
         let recipe = checked(&options.toml)?;
         let build = WorldBuild::new(&recipe, &options.options()?)?;
         let mut report = serde_json::to_value(DryRun::new(&recipe, &build, options.out.clone())?)?;
-        let more = DryRun::warnings(&build)?.into_iter().chain(build.policy().warnings.clone());
+        let more = DryRun::warnings(&build)?.into_iter().chain(build.warnings()?);
         if let Some(warnings) = report["warnings"].as_array_mut() {
             let known = warnings.clone();
             warnings.extend(more.map(Into::into).filter(|text| !known.contains(text)));

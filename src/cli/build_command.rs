@@ -162,7 +162,7 @@ impl Build {
         let reporter = self.common.start()?;
         let recipe = self.recorded(self.recipe.resolve()?)?;
         let build = WorldBuild::new(&recipe, &self.options())?;
-        build.policy().warnings.iter().for_each(|w| reporter.warn(w));
+        build.warnings()?.iter().for_each(|w| reporter.warn(w));
         let path = self.output(&recipe);
         if self.common.dry_run {
             slips::check_hdf5_name(&path)?;

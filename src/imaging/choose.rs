@@ -7,6 +7,7 @@ use super::audit::kept_audits::KeptAudits;
 use super::audit::region_audit::{Audit, AuditOptions};
 use super::direct::{DirectImager, rectangle_plan};
 use super::film::film_imager::FilmImager;
+use super::film::surface_imager::SurfaceImager;
 use super::imaging_cost::ImagingCost;
 use super::mosaic::library_cache::Cache;
 use super::mosaic::mosaic_cost::MosaicCost;
@@ -58,6 +59,11 @@ pub struct ChosenImager {
 }
 
 impl ChosenImager {
+    /// Whether it takes less than simulating the whole field.
+    pub fn shares(&self) -> bool {
+        self.shares
+    }
+
     /// What making a field takes, of which each of `subtiles` parts has `subtile` (rows, columns) pixels.
     ///
     /// # Errors
@@ -108,19 +114,31 @@ impl ImagingChoice {
         if self.method != MethodChoice::Direct {
             let shares = true;
             if let Some(film) = FilmImager::new(recipe, specimen, &self.simulator)? {
-                let imager = SourceImager::blurring(Box::new(film), recipe);
+                let imager = self.finished(Box::new(film), recipe, &**specimen)?;
                 return Ok(ChosenImager { imager, shares, declined });
             }
             let (simulator, cache) = (self.simulator.clone(), self.cache.clone());
             let mosaic = MosaicImager::new(recipe, specimen, simulator, cache)?;
             if self.method == MethodChoice::Mosaic || mosaic.pays() {
-                let imager = SourceImager::blurring(Box::new(mosaic), recipe);
+                let imager = self.finished(Box::new(mosaic), recipe, &**specimen)?;
                 return Ok(ChosenImager { imager, shares, declined });
             }
             declined = Some(mosaic.mosaic_cost());
         }
         let imager = self.blurred_direct(recipe, specimen)?;
         Ok(ChosenImager { imager, shares: false, declined })
+    }
+
+    /// An imager of the specimen alone for a point source, with the layers on its faces, and blurred by the source.
+    fn finished(
+        &self,
+        imager: Box<dyn RegionImager>,
+        recipe: &CheckedRecipe,
+        specimen: &dyn Specimen,
+    ) -> Result<Box<dyn RegionImager>> {
+        let settings = self.simulator.settings();
+        let imager = SurfaceImager::covering(imager, recipe, specimen, settings)?;
+        Ok(SourceImager::blurring(imager, recipe))
     }
 
     fn blurred_direct(

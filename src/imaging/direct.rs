@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use ndarray::{Array2, s};
 
-use super::displaced_atoms::{DisplacedAtoms, displaced_by_seed, mean_atoms};
+use super::displaced_atoms::{DisplacedAtoms, displaced_by_seed, mean_atoms, with_layers};
 use super::imaging_cost::{ImagingCost, SimulationRuns};
 use super::pixels::{PixelBox, PixelRect};
 use super::region_imager::RegionImager;
@@ -15,7 +15,7 @@ use crate::error::Result;
 use crate::progress::{Progress, ProgressShare};
 use crate::recipe::{CheckedRecipe, Region};
 use crate::resample::image_band_limit;
-use crate::specimen::Specimen;
+use crate::specimen::{Specimen, SurfaceLayers};
 
 /// Edge in nm of the blocks in which the exact engine makes a rectangle: each probe takes as long as its cell is large.
 const EXACT_BLOCK_NM: f64 = 1.0;
@@ -25,6 +25,8 @@ const EXACT_BLOCK_NM: f64 = 1.0;
 pub struct DirectImager {
     recipe: CheckedRecipe,
     specimen: Arc<dyn Specimen>,
+    layers: Option<Arc<SurfaceLayers>>,
+    /// Focused as the recipe says, counted from the specimen's face, not from that of a layer before it.
     simulator: Simulator,
 }
 
@@ -39,7 +41,11 @@ impl DirectImager {
         simulator: Simulator,
     ) -> Result<Self> {
         simulator.check_margin()?;
-        Ok(DirectImager { recipe: recipe.clone(), specimen: Arc::clone(specimen), simulator })
+        let layers = SurfaceLayers::of(recipe, specimen.thickness_nm()).map(Arc::new);
+        let before = layers.as_ref().map_or(0.0, |layers| layers.before_angstrom());
+        let simulator = simulator.with_focus_deeper(before);
+        let (recipe, specimen) = (recipe.clone(), Arc::clone(specimen));
+        Ok(DirectImager { recipe, specimen, layers, simulator })
     }
 
     /// Rows and columns of the pixels of a rectangle that are simulated in one cell.
@@ -51,13 +57,19 @@ impl DirectImager {
         }
     }
 
+    /// Thickness in nm of specimen and layers.
+    fn thickness_nm(&self) -> f64 {
+        let specimen = self.specimen.thickness_nm();
+        self.layers.as_ref().map_or(specimen, |layers| 0.1 * layers.thickness_angstrom())
+    }
+
     fn simulate(
         &self,
         pixels: &PixelRect,
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Array2<f64>> {
-        let (margin, thickness) = (self.simulator.margin_angstrom(), self.specimen.thickness_nm());
+        let (margin, thickness) = (self.simulator.margin_angstrom(), self.thickness_nm());
         let pixels = PixelBox::new(pixels, self.recipe.field.pixel_nm(), margin, thickness);
         self.simulate_box(&pixels, configurations, progress)
     }
@@ -68,6 +80,10 @@ impl DirectImager {
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Array2<f64>> {
+        if self.layers.is_some() {
+            let atoms = |configuration| self.atoms(&pixels.area, configuration);
+            return self.simulator.mean(pixels, configurations, atoms, progress);
+        }
         let simulator = self.simulator.with_configurations(configurations);
         let sites = mean_atoms(&*self.specimen, &pixels.area, &self.recipe.phonons);
         let image = simulator.image(&sites, pixels, progress)?;
@@ -89,9 +105,19 @@ pub fn rectangle_plan(
     let field = &recipe.field;
     let pixel = field.pixel_nm();
     let somewhere = Region::of_pixels(field.crop_origin_px(), [rows, columns], pixel);
-    let z: Vec<f64> = specimen.sites(&somewhere).iter().map(|s| 10.0 * s.position_nm[2]).collect();
+    let mut z: Vec<f64> =
+        specimen.sites(&somewhere).iter().map(|s| 10.0 * s.position_nm[2]).collect();
+    let mut thickness = 10.0 * specimen.thickness_nm();
+    if let Some(layers) = SurfaceLayers::of(recipe, specimen.thickness_nm()) {
+        for layer in layers.layers() {
+            let heights = layer.atoms(&somewhere).into_iter().map(|s| s.position[2]);
+            z.extend(heights.map(|z| layer.slice_height_angstrom(z)));
+        }
+        z.iter_mut().for_each(|z| *z += layers.before_angstrom());
+        thickness = layers.thickness_angstrom();
+    }
     let size = [columns, rows].map(|n| 10.0 * pixel * n as f64);
-    let plan = simulator.plan(size, 10.0 * specimen.thickness_nm(), &z)?;
+    let plan = simulator.plan(size, thickness, &z)?;
     let probes = simulator.probes(&plan, [rows, columns], 10.0 * pixel)?;
     let scan = *probes.scan();
     Ok((SimulationRuns::new(PlannedScan::new(plan, scan, None), runs), scan.step_angstrom))
@@ -136,7 +162,7 @@ impl RegionImager for DirectImager {
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Option<Array2<f64>>> {
-        let around = (self.simulator.margin_angstrom(), self.specimen.thickness_nm());
+        let around = (self.simulator.margin_angstrom(), self.thickness_nm());
         let band_limit = image_band_limit(&self.simulator.settings().optics);
         let places = raster.places_angstrom();
         let values = between_probes(&places, band_limit, around, |pixels| {
@@ -147,7 +173,12 @@ impl RegionImager for DirectImager {
 
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
         let which = (self.recipe.seed, configuration);
-        displaced_by_seed(&*self.specimen, area, which, &self.recipe.phonons)
+        let atoms = displaced_by_seed(&*self.specimen, area, which, &self.recipe.phonons);
+        let slope = self.simulator.settings().optics.slope();
+        match &self.layers {
+            Some(layers) => with_layers(layers, atoms, area, which, slope),
+            None => atoms,
+        }
     }
 
     fn cost(&self, subtile: [usize; 2], subtiles: usize) -> Result<ImagingCost> {

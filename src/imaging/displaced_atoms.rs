@@ -7,6 +7,7 @@ use crate::recipe::tables::PhononTable;
 use crate::specimen::atom_columns::AtomColumn;
 use crate::specimen::sites::DISPLACED_NM;
 use crate::specimen::specimen_trait::Specimen;
+use crate::specimen::surface_layers::SurfaceLayers;
 
 /// Displaced atoms of an area.
 #[derive(Debug, Default)]
@@ -66,5 +67,30 @@ pub fn displaced_atoms<M: Fn(usize) -> [f64; 3]>(
             atoms.heights.push(mean[2]);
         }
     }
+    atoms
+}
+
+/// The atoms of a specimen's area with those of the layers on its faces, in Angstrom from the face that the beam enters first. A beam
+/// that moves by `slope` (x, y) on each Angstrom of its way meets the specimen where it would without layers.
+pub fn with_layers(
+    layers: &SurfaceLayers,
+    mut atoms: DisplacedAtoms,
+    area: &Region,
+    (seed, configuration): (u64, usize),
+    slope: [f64; 2],
+) -> DisplacedAtoms {
+    for layer in layers.layers() {
+        for atom in layer.atoms(area) {
+            let position = displaced(&atom, seed, configuration as u32);
+            atoms.heights.push(layer.slice_height_angstrom(atom.position[2]));
+            atoms.sites.push(Site { position, sigma_angstrom: 0.0, ..atom });
+        }
+    }
+    let down = layers.before_angstrom();
+    let way = [slope[0] * down, slope[1] * down, down];
+    for site in &mut atoms.sites {
+        site.position = [0, 1, 2].map(|k| site.position[k] + way[k]);
+    }
+    atoms.heights.iter_mut().for_each(|z| *z += down);
     atoms
 }

@@ -152,6 +152,16 @@ impl Simulator {
         }
     }
 
+    /// The same with the focus so many Angstrom deeper.
+    #[must_use]
+    pub fn with_focus_deeper(&self, angstrom: f64) -> Self {
+        let mut settings = self.settings.clone();
+        if angstrom != 0.0 {
+            settings.optics.aberrations.add_defocus(angstrom);
+        }
+        Simulator { settings }
+    }
+
     /// The same with windows of another width.
     #[must_use]
     pub fn with_window(&self, width_angstrom: f64) -> Self {

@@ -37,6 +37,9 @@ pub fn check(recipe: &Recipe) -> Checked<OrientedCrystals> {
     if let Some((key, value, expected)) = recorded {
         return fault(&format!("acquisition.{key}"), value, expected);
     }
+    if let Some((key, value, expected)) = recipe.surface.and_then(|table| table.fault()) {
+        return fault(&format!("surface.{key}"), value, expected);
+    }
     check_damage(recipe, &elements)?;
     Ok(crystals)
 }

@@ -18,6 +18,7 @@ pub mod overrides;
 mod reading;
 pub mod region;
 pub mod resolved_recipe;
+pub mod surface_table;
 pub mod tables;
 mod toml_errors;
 
@@ -30,4 +31,5 @@ pub use origin::RecipeOrigin;
 pub use overrides::Override;
 pub use region::Region;
 pub use resolved_recipe::Recipe;
+pub use surface_table::SurfaceTable;
 pub use tables::*;

@@ -6,6 +6,7 @@ use super::crystal_source::CrystalSource;
 use super::difficulty::Difficulty;
 use super::optics_table::OpticsTable;
 use super::origin::RecipeOrigin;
+use super::surface_table::SurfaceTable;
 use super::tables::*;
 use crate::acquisition::AcquisitionTable;
 use crate::damage::DamageTable;
@@ -69,6 +70,9 @@ pub struct Recipe {
     pub detector: DetectorTable,
     /// Noise.
     pub dose: Dose,
+    /// Amorphous carbon on the faces of the specimen.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub surface: Option<SurfaceTable>,
     /// How the image is recorded. Without it the tiles are the noise-free image with Poisson noise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub acquisition: Option<AcquisitionTable>,

@@ -20,6 +20,7 @@ pub(crate) mod roughness;
 pub mod sites;
 pub mod specimen_trait;
 pub mod stripes;
+pub mod surface_layers;
 pub mod units;
 pub(crate) mod wave;
 
@@ -31,3 +32,4 @@ pub(crate) use factory::LAID_OUT;
 pub use factory::specimen;
 pub use sites::{DISPLACED_NM, SiteKind, SpecimenSite};
 pub use specimen_trait::{Boundary, BoundaryKind, ParticleTruth, Specimen, ThinFilm, particles_in};
+pub use surface_layers::{CarbonLayer, SurfaceLayers};

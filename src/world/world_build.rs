@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
-use super::build_options::{BuildOptions, BuildPolicy};
+use super::build_options::{BuildOptions, BuildPolicy, layer_warning};
 use super::build_summary::BuildSummary;
 use super::field_scan::FieldScan;
 use super::footprint;
@@ -132,6 +132,22 @@ impl WorldBuild {
     /// What the options come to.
     pub fn policy(&self) -> &BuildPolicy {
         &self.policy
+    }
+
+    /// What is to be said of the accuracy.
+    ///
+    /// # Errors
+    /// Those of the settings.
+    pub fn warnings(&self) -> Result<Vec<String>> {
+        let mut warnings = self.policy.warnings.clone();
+        // Choosing an imager takes a look at the whole field.
+        if let Some(warning) = layer_warning(&self.layout.recipe)
+            && self.own.is_none()
+            && self.chosen()?.shares()
+        {
+            warnings.push(warning);
+        }
+        Ok(warnings)
     }
 
     /// Number of sub-tiles, and rows and columns of pixels of each.

@@ -21,7 +21,7 @@ use crate::potential::slices::Slicing;
 use crate::progress::{InterruptOnly, Progress};
 use crate::recipe::{CheckedRecipe, Recipe};
 use crate::resample::image_band_limit;
-use crate::specimen::Specimen;
+use crate::specimen::{Specimen, SurfaceLayers};
 
 /// Columns as bright as this share of the brightest count as bright.
 const BRIGHT: f64 = 0.4;
@@ -109,6 +109,9 @@ pub fn audit(
     let stride = stride(options, pixel);
     let step_angstrom = pixel * stride as f64;
     let places = places(recipe, specimen, options, stride)?;
+    let layers = SurfaceLayers::of(recipe, specimen.thickness_nm());
+    let thickness =
+        layers.map_or(specimen.thickness_nm(), |layers| 0.1 * layers.thickness_angstrom());
     let points =
         |p: &AuditPlace| p.pixels.sampled_shape().iter().product::<usize>() * configurations;
     progress.start("auditing", "probe", places.iter().map(points).sum::<usize>() as u64);
@@ -117,7 +120,7 @@ pub fn audit(
     for AuditPlace { pixels, .. } in &places {
         let ours = imager.mean_of(pixels, configurations, &InterruptOnly(progress))?;
         let point = |pixels: &PixelRect| {
-            let (margin, thickness) = (reference.margin_angstrom(), specimen.thickness_nm());
+            let margin = reference.margin_angstrom();
             let pixel_box = PixelBox::new(pixels, recipe.field.pixel_nm(), margin, thickness);
             let atoms = |configuration| imager.atoms(&pixel_box.area, configuration);
             reference.mean(&pixel_box, configurations, atoms, progress)
@@ -141,7 +144,11 @@ pub fn audit(
 
 /// The exact engine.
 fn reference(recipe: &Recipe, specimen: &dyn Specimen) -> Simulator {
-    let mut reference = Simulator::new(recipe, Algorithm::Multislice).with_large_probe_box();
+    let layers = SurfaceLayers::of(recipe, specimen.thickness_nm());
+    let before = layers.map_or(0.0, |layers| layers.before_angstrom());
+    let mut reference = Simulator::new(recipe, Algorithm::Multislice)
+        .with_large_probe_box()
+        .with_focus_deeper(before);
     if recipe.optics.source().is_some() {
         // All pixels are needed, not every so many-th: probes at the Nyquist distance carry them.
         reference = reference.with_probe_step(ProbeStep::Angstrom(NYQUIST_SHARE * nyquist(recipe)));

@@ -72,34 +72,33 @@ impl FilmBlocks {
         };
         let outside = 0.5 * scene.window_angstrom;
         let depth = scene.film.depth_nm.map(|z| 10.0 * z);
-        let of_film = self.map(&raster, &film, (scene.film.number, depth), configurations)?;
+        let which = (scene.recipe.seed, configurations);
+        let of_film = scattering_map(&raster, &film, (scene.film.number, depth), which)?;
         let mut images = [image(&of_film, 0.0), image(&of_film, outside)];
         // Particles lie above the film.
         let above = [0.0, depth[0]];
         let numbers: BTreeSet<u8> = particles.iter().map(|s| s.number).collect();
         for number in numbers {
-            let map = self.map(&raster, &particles, (number, above), configurations)?;
+            let map = scattering_map(&raster, &particles, (number, above), which)?;
             let far = image(&map, outside);
             images.iter_mut().for_each(|sum| *sum += &far);
         }
         Ok(images)
     }
+}
 
-    /// Those of some atoms that are of element `number`, in all their configurations, on a raster.
-    fn map<'r>(
-        &self,
-        raster: &'r SingleScattering<'r>,
-        atoms: &[Site],
-        (number, depth_angstrom): (u8, [f64; 2]),
-        configurations: usize,
-    ) -> Result<ScatteringMap<'r>> {
-        let mut map = raster.map(number, depth_angstrom)?;
-        for configuration in 0..configurations as u32 {
-            let of = atoms.par_iter().filter(|s| s.number == number);
-            let moved: Vec<[f64; 3]> =
-                of.map(|s| displaced(s, self.scene.recipe.seed, configuration)).collect();
-            map.add(&moved, 1.0 / configurations as f64);
-        }
-        Ok(map)
+/// Those of some atoms that are of element `number`, in so many configurations of a seed, on a raster.
+pub fn scattering_map<'r>(
+    raster: &'r SingleScattering<'r>,
+    atoms: &[Site],
+    (number, depth_angstrom): (u8, [f64; 2]),
+    (seed, configurations): (u64, usize),
+) -> Result<ScatteringMap<'r>> {
+    let mut map = raster.map(number, depth_angstrom)?;
+    for configuration in 0..configurations as u32 {
+        let of = atoms.par_iter().filter(|s| s.number == number);
+        let moved: Vec<[f64; 3]> = of.map(|s| displaced(s, seed, configuration)).collect();
+        map.add(&moved, 1.0 / configurations as f64);
     }
+    Ok(map)
 }

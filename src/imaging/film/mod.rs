@@ -1,4 +1,4 @@
-//! Particles on a thin film of light atoms.
+//! Thin films of light atoms: under particles, and on the faces of any specimen.
 
 mod block_cache;
 mod film_blocks;
@@ -6,3 +6,4 @@ pub mod film_imager;
 mod film_scene;
 mod particle_blocks;
 mod samples;
+pub mod surface_imager;

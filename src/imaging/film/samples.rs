@@ -49,6 +49,17 @@ impl Samples {
         (start as usize..end.max(start) as usize, (start + offset) as usize)
     }
 
+    /// Those that places in a region (nm of the full field) are interpolated from, `step` Angstrom apart.
+    pub fn around(region: &Region, step: f64) -> Self {
+        let margin = HALF_WIDTH as i64;
+        let range = |[low, high]: [f64; 2]| {
+            let first = (10.0 * low / step).floor() as i64 - margin;
+            (first, ((10.0 * high / step).floor() as i64 + 2 + margin - first) as usize)
+        };
+        let ((x, columns), (y, rows)) = (range(region.x), range(region.y));
+        Samples { first: [y, x], shape: [rows, columns] }
+    }
+
     /// Those that pixels `pixel` samples apart are interpolated from.
     pub fn under(first: [usize; 2], shape: [usize; 2], pixel: f64) -> Self {
         // With whole stencils on all sides, a pixel does not depend on where the samples end.

@@ -1,0 +1,179 @@
+//! Layers of carbon on the faces of a specimen that an imager makes without them.
+//!
+//! Atoms of a layer make their images independently of each other and of the specimen ([`crate::engine::single_scattering`]), which are
+//! added to that of the specimen. What a layer before the specimen does to the probe is left out.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use ndarray::{Array2, s};
+
+use super::block_cache::BlockCache;
+use super::film_blocks::{REACH_ANGSTROM, scattering_map};
+use super::samples::Samples;
+use crate::engine::Settings;
+use crate::engine::single_scattering::SingleScattering;
+use crate::error::Result;
+use crate::imaging::displaced_atoms::{DisplacedAtoms, with_layers};
+use crate::imaging::imaging_cost::ImagingCost;
+use crate::imaging::pixels::PixelRect;
+use crate::imaging::region_imager::RegionImager;
+use crate::imaging::turned_raster::{ScannedSamples, TurnedRaster};
+use crate::progress::Progress;
+use crate::recipe::{CheckedRecipe, Region};
+use crate::resample::{Edge, Kernel, image_band_limit};
+use crate::specimen::{CarbonLayer, Specimen, SurfaceLayers};
+use crate::structure::carbon::network::CARBON;
+
+/// Edge in samples of the blocks that are made at once.
+const BLOCK: i64 = 256;
+/// Blocks that are kept for the next rectangle: half a MB each.
+const KEPT: usize = 64;
+
+/// See the module.
+pub struct SurfaceImager {
+    inner: Box<dyn RegionImager>,
+    layers: SurfaceLayers,
+    recipe: CheckedRecipe,
+    settings: Settings,
+    kernel: Kernel,
+    /// Distance of samples in Angstrom.
+    step: f64,
+    kept: BlockCache<Arc<Array2<f64>>>,
+}
+
+impl SurfaceImager {
+    /// The imager as it is, or with the layers of the recipe; `settings` are those without them.
+    ///
+    /// # Errors
+    /// Those of the settings.
+    pub fn covering(
+        inner: Box<dyn RegionImager>,
+        recipe: &CheckedRecipe,
+        specimen: &dyn Specimen,
+        settings: &Settings,
+    ) -> Result<Box<dyn RegionImager>> {
+        let Some(layers) = SurfaceLayers::of(recipe, specimen.thickness_nm()) else {
+            return Ok(inner);
+        };
+        let band_limit = image_band_limit(&settings.optics);
+        let step = Kernel::default_step(band_limit);
+        let kernel = Kernel::new(step, band_limit)?;
+        let (recipe, settings) = (recipe.clone(), settings.clone());
+        let kept = BlockCache::new(KEPT);
+        Ok(Box::new(SurfaceImager { inner, layers, recipe, settings, kernel, step, kept }))
+    }
+
+    /// The image of the layers at some samples, in the mean over some configurations.
+    fn layers_at(&self, samples: &Samples, configurations: usize) -> Result<Array2<f64>> {
+        let mut image = Array2::zeros(samples.shape);
+        for index in samples.blocks(BLOCK) {
+            let make = || Ok(Arc::new(self.block(index, configurations)?));
+            let block = self.kept.get((index, configurations), make)?;
+            let place = Samples::block(index, BLOCK);
+            let (rows, row) = samples.shared(&place, 0);
+            let (columns, column) = samples.shared(&place, 1);
+            let to = s![row..row + rows.len(), column..column + columns.len()];
+            image.slice_mut(to).assign(&block.slice(s![rows, columns]));
+        }
+        Ok(image)
+    }
+
+    fn block(&self, index: [i64; 2], configurations: usize) -> Result<Array2<f64>> {
+        let margin = (REACH_ANGSTROM / self.step).ceil();
+        let region = Samples::block(index, BLOCK).region(self.step, margin * self.step);
+        let margin = margin as usize;
+        let least = [BLOCK as usize + 2 * margin; 2];
+        let raster = SingleScattering::new(&self.settings, self.step, least)?;
+        let inner = margin..margin + BLOCK as usize;
+        let mut sum = Array2::zeros([BLOCK as usize; 2]);
+        for layer in self.layers.layers() {
+            let CarbonLayer { depth_angstrom, .. } = *layer;
+            let which = (self.recipe.seed, configurations);
+            let atoms = layer.atoms(&region);
+            let map = scattering_map(&raster, &atoms, (CARBON, depth_angstrom), which)?;
+            sum += &map.image(0.0).slice(s![inner.clone(), inner.clone()]);
+        }
+        Ok(sum)
+    }
+}
+
+impl RegionImager for SurfaceImager {
+    fn name(&self) -> &'static str {
+        self.inner.name()
+    }
+
+    fn parameters(&self) -> serde_json::Value {
+        let mut parameters = self.inner.parameters();
+        parameters["surface"] = serde_json::json!({ "reach_angstrom": REACH_ANGSTROM });
+        parameters
+    }
+
+    fn keep_in(&mut self, folder: &Path) {
+        self.inner.keep_in(folder);
+    }
+
+    fn prepare(&mut self, progress: &dyn Progress) -> Result<()> {
+        self.inner.prepare(progress)
+    }
+
+    fn mean_of(
+        &self,
+        pixels: &PixelRect,
+        configurations: usize,
+        progress: &dyn Progress,
+    ) -> Result<Array2<f64>> {
+        let image = self.inner.mean_of(pixels, configurations, progress)?;
+        let PixelRect { first, shape, .. } = *pixels;
+        let pixel = 10.0 * self.recipe.field.pixel_nm() / self.step;
+        let samples = Samples::under(first, shape, pixel);
+        let layers = self.layers_at(&samples, configurations)?;
+        let at = [0, 1].map(|k| first[k] as f64 * pixel - samples.first[k] as f64);
+        let layers = self.kernel.raster(layers.view(), at, [pixel; 2], shape, [Edge::Open; 2]);
+        Ok(image + pixels.sampled(layers.mapv(|v| v.max(0.0))))
+    }
+
+    fn image_at(
+        &self,
+        raster: &TurnedRaster,
+        configurations: usize,
+        progress: &dyn Progress,
+    ) -> Result<Option<Array2<f64>>> {
+        let Some(mut image) = self.inner.image_at(raster, configurations, progress)? else {
+            return Ok(None);
+        };
+        let samples = Samples::around(&raster.region(), self.step);
+        let first = [1, 0].map(|k| samples.first[k] as f64 * self.step);
+        let values = self.layers_at(&samples, configurations)?;
+        let layers = ScannedSamples { values, first, step: self.step };
+        let layers = layers.at(&raster.places_angstrom(), &self.kernel);
+        image.iter_mut().zip(layers).for_each(|(v, layer)| *v += layer.max(0.0));
+        Ok(Some(image))
+    }
+
+    fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
+        let atoms = self.inner.atoms(area, configuration);
+        let which = (self.recipe.seed, configuration);
+        with_layers(&self.layers, atoms, area, which, self.settings.optics.slope())
+    }
+
+    fn cost(&self, subtile: [usize; 2], subtiles: usize) -> Result<ImagingCost> {
+        self.inner.cost(subtile, subtiles)
+    }
+
+    fn stage(&self) -> [&'static str; 2] {
+        self.inner.stage()
+    }
+
+    fn work(&self, pixels: &PixelRect) -> usize {
+        self.inner.work(pixels)
+    }
+
+    fn window_angstrom(&self) -> Option<f64> {
+        self.inner.window_angstrom()
+    }
+
+    fn library(&self) -> Option<[usize; 2]> {
+        self.inner.library()
+    }
+}
