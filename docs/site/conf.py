@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from docutils.nodes import SkipNode
@@ -56,6 +57,12 @@ def _displayed(writer: Any, node: Any) -> None:
     raise SkipNode
 
 
+def _plain(_app: Any, _what: str, _name: str, _object: Any, _options: Any, signature: str, returned: str) -> tuple[str, str]:
+    """Names of our own types in unions, as they are written."""
+    names = (re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text) if text else text for text in (signature, returned))
+    return next(names), next(names)
+
+
 def _whole(app: Any, error: Exception | None) -> None:
     """Every public name of the package stands in the reference."""
     if error is not None or app.builder.name != "html":
@@ -68,4 +75,5 @@ def _whole(app: Any, error: Exception | None) -> None:
 
 def setup(app: Any) -> None:
     app.add_html_math_renderer("mathml", (_inline, None), (_displayed, None))
+    app.connect("autodoc-process-signature", _plain)
     app.connect("build-finished", _whole)

@@ -23,18 +23,22 @@ class BuildOptions(TypedDict, total=False):
         difficulty, set, unset, grid, seed, acquisition: as :class:`Recipe` takes them.
 
     Image:
-        noise: add Poisson noise. Default ``True``. keep_clean: also store the noise-free tiles.
+        noise: add Poisson noise. Default ``True``.
+        keep_clean: also store the noise-free tiles.
         engine: how images are made; by default a mosaic, or windows where a field is too small for it to pay.
-        window_angstrom: width of the window that follows each probe. interpolation: of PRISM, along x and y.
+        window_angstrom: width of the window that follows each probe.
+        interpolation: of PRISM, along x and y.
         accuracy_percent: widen the windows until the audit's rms error is at most so many per cent of the mean image.
         max_error_percent: the same for the errors at bright columns and over all pixels of the brightest column.
-        expansion_percent: ``"auto"``, ``"off"`` or per cent. profile: ``"published"`` takes the settings of the published worlds.
+        expansion_percent: ``"auto"``, ``"off"`` or per cent.
+        profile: ``"published"`` takes the settings of the published worlds.
         audit: regions that are simulated exactly beforehand; 0 for none, 1 by default.
         subtile_nm, subtile_overlap_nm: width and overlap of what is simulated at once.
 
     Running:
         cache: ``False`` keeps no simulations for other worlds; a path is another folder for them.
-        overwrite: replace an existing file. png: also write a picture beside the file.
+        overwrite: replace an existing file.
+        png: also write a picture beside the file.
         force: go on though more memory is needed than is free.
         threads: number of threads; all processors by default. The result is the same for any number.
         progress: ``True`` for a bar, or a function of (stage, unit, done, total).
@@ -71,9 +75,13 @@ class BuildPlan:
     """What a build would do and take; nothing was simulated or written.
 
     Attributes:
-        grid: rows and columns of tiles. shape: height and width in pixels. fov_nm: the same in nm.
-        subtiles: parts that are simulated at once. memory_bytes, disk_bytes: about, at most.
-        time_range_s: at least and at most, from a short measurement. warnings: what should be known.
+        grid: rows and columns of tiles.
+        shape: height and width in pixels.
+        fov_nm: the same in nm.
+        subtiles: parts that are simulated at once.
+        memory_bytes, disk_bytes: about, at most.
+        time_range_s: at least and at most, from a short measurement.
+        warnings: what should be known.
         details: everything, as ``stemworlds build --dry-run --json`` has it.
     """
 
@@ -106,7 +114,10 @@ def build(recipe: RecipeLike, *, out: str | os.PathLike[str], **options: Unpack[
         The world, open for reading; ``summary`` tells how it was built.
 
     Raises:
-        InvalidValue: for recipe and options. FileThere: unless ``overwrite``. DiskFull, OutputLocked, NotEnoughMemory.
+        InvalidValue: for recipe and options.
+        FileThere: unless ``overwrite``.
+        DiskFull, OutputLocked: where the file cannot be written.
+        NotEnoughMemory: unless ``force``.
         KeyboardInterrupt: what is done is kept in ``FILE.work``.
     """
     built = call(_core.build_world, _building(recipe, out, options), _run(options))

@@ -21,7 +21,8 @@ class Audit:
 
     Attributes:
         bright_rms_percent: rms error at bright columns, in per cent of their intensity.
-        all_rms_percent: rms error of all pixels, in per cent of the brightest column. worst_percent: the greatest of them.
+        all_rms_percent: rms error of all pixels, in per cent of the brightest column.
+        worst_percent: the greatest of them.
         regions: number of regions that were simulated again.
         details: everything, as ``stemworlds audit --json`` has it.
     """
@@ -52,8 +53,11 @@ def audit(
 
     Args:
         field: a :class:`World`, the path of one, or a recipe, of which the error of a world is told before it is built.
-        regions: number of regions, drawn at random. at_nm: centres ``(x, y)`` in nm in place of random ones.
-        size_nm: edge of a region. stride: compare every how many-th pixel. configurations: phonon configurations to average.
+        regions: number of regions, drawn at random.
+        at_nm: centres ``(x, y)`` in nm in place of random ones.
+        size_nm: edge of a region.
+        stride: compare every how many-th pixel.
+        configurations: phonon configurations to average.
         audit_seed: of the places.
         **recipe: ``difficulty``, ``set``, ``unset``, ``grid``, ``seed`` of a recipe, as :class:`Recipe` takes them.
     """
@@ -84,7 +88,8 @@ class Validation:
 
     Attributes:
         passed: whether all numbers lie within their limits.
-        failed: names of the cases with a number beyond its limit. details: everything.
+        failed: names of the cases with a number beyond its limit.
+        details: everything.
     """
 
     passed: bool
@@ -109,7 +114,8 @@ def validate(
     """Checks the program against abTEM, published numbers and conservation laws: some minutes.
 
     Args:
-        cases: names of cases; all by default. quick: the quick ones only.
+        cases: names of cases; all by default.
+        quick: the quick ones only.
         out: page (HTML) to write.
     """
     names = [cases] if isinstance(cases, str) else list(cases)
@@ -125,8 +131,10 @@ class Comparison:
     """Whether two worlds are of one kind.
 
     Attributes:
-        verdict: ``"same"``, ``"different"`` or ``"undecided"``. summary: the same in a sentence.
-        different: what differs. details: everything.
+        verdict: ``"same"``, ``"different"`` or ``"undecided"``.
+        summary: the same in a sentence.
+        different: what differs.
+        details: everything.
     """
 
     verdict: Literal["same", "different", "undecided"]
@@ -148,7 +156,8 @@ def compare(
     """Compares two worlds by their statistics.
 
     Args:
-        a, b: the files. alpha: how often worlds of one kind may be called different.
+        a, b: the files.
+        alpha: how often worlds of one kind may be called different.
         out: page (HTML) to write.
     """
     paths = [os.fspath(a), os.fspath(b)]

@@ -41,7 +41,8 @@ def export(
     ============ ================================================================================================
 
     Args:
-        samples: a :class:`Stream`, or samples. count: number of samples, needed for a stream, which is endless.
+        samples: a :class:`Stream`, or samples.
+        count: number of samples, needed for a stream, which is endless.
 
     Returns:
         The path of the file.

@@ -27,7 +27,8 @@ class LiveView:
 
     Attributes:
         image: the noise-free image, in fractions of the beam.
-        columns: columns in it, :data:`COLUMN_DTYPE`. sites: their sites, :data:`SITE_DTYPE`.
+        columns: columns in it, :data:`COLUMN_DTYPE`.
+        sites: their sites, :data:`SITE_DTYPE`.
     """
 
     image: Image

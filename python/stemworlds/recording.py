@@ -88,10 +88,16 @@ def acquire(
         field: a :class:`World`, the path of one, or a recipe (no world is needed then).
         profile: set of values for the microscope; by default those of the recipe, or ``"ideal"``.
         acquisition: single values, ``{"drift_nm_per_s": (0.5, 0)}``; docs/acquisition.md explains them.
-        region_nm: part to record, left, upper, right and lower edge. at_nm: or its middle, with as many pixels as a tile.
-        zoom: how many times finer the pixels are than those of the world. pixel_nm: or their edge.
-        dose: electrons per square Angstrom, all frames together. current_pa: or the current of the beam.
-        dwell_us: time on each pixel. frames: number of frames; keep_frames keeps them one by one. stages: keep what lies between.
+        region_nm: part to record, left, upper, right and lower edge.
+        at_nm: its middle in place of ``region_nm``, with as many pixels as a tile.
+        zoom: how many times finer the pixels are than those of the world.
+        pixel_nm: edge of a pixel, in place of ``zoom``.
+        dose: electrons per square Angstrom, all frames together.
+        current_pa: the current of the beam, in place of ``dose``.
+        dwell_us: time on each pixel.
+        frames: number of frames.
+        keep_frames: keep them one by one.
+        stages: keep what lies between the noise-free image and the recording.
         scan_seed: of electrons, noise, jitter and random drift.
         out: file (HDF5) to write too.
         **recipe: ``difficulty``, ``set``, ``unset``, ``grid``, ``seed`` of a recipe.

@@ -91,7 +91,8 @@ class SimulationOptions(TypedDict, total=False):
         sampling_angstrom, gpts: pixel of the grid at most, or grid points along ``(x, y)``; by default the grid carries the outermost
             detector angle times ``angle_margin`` (1.2).
         slice_thickness_angstrom: slices of equal thickness at most this; by default one for each atomic plane.
-        projection: ``"infinite"`` (default) or ``"finite"``. parametrization: ``"lobato"`` (default), ``"kirkland"``, ``"peng"``.
+        projection: ``"infinite"`` (default) or ``"finite"``.
+        parametrization: ``"lobato"`` (default), ``"kirkland"``, ``"peng"``.
         band_fraction, band_taper, oversampling, probe_step, expansion_percent, probe_box, full_exit_grid, tail_correction: as
             ``stemworlds simulate --help`` explains.
         force: go on though more memory is needed than is free.
@@ -149,11 +150,13 @@ class SimulationPlan:
     """What a simulation would do and take; nothing was simulated.
 
     Attributes:
-        atoms: number of atoms. box_angstrom: edges of the box ``(x, y, z)``.
+        atoms: number of atoms.
+        box_angstrom: edges of the box ``(x, y, z)``.
         scan_shape: probes along ``(y, x)`` of the image; ``probes`` are those that are propagated.
         band_limit_mrad: scattering is carried to this angle.
         memory_bytes: about; time_range_s: at least and at most, from a short measurement.
-        warnings: what should be known. details: everything, as ``stemworlds simulate --dry-run --json`` has it.
+        warnings: what should be known.
+        details: everything, as ``stemworlds simulate --dry-run --json`` has it.
     """
 
     atoms: int
@@ -183,7 +186,10 @@ def simulate(atoms: Atoms, **options: Unpack[SimulationOptions]) -> Images:
         result can be used as that.
 
     Raises:
-        InvalidValue: for an option out of its limits. FormatError, FileError: for the file. NotEnoughMemory. KeyboardInterrupt.
+        InvalidValue: for an option out of its limits.
+        FormatError, FileError: for the file.
+        NotEnoughMemory: unless ``force``.
+        KeyboardInterrupt: after Ctrl-C.
     """
     simulation = _simulation(atoms, options)
     found = call(_core.simulate, simulation, _run(options))

@@ -58,10 +58,14 @@ class Sample:
     """An annotated image. It unpacks: ``image, targets = sample``.
 
     Attributes:
-        index: its number. source: index of its recipe.
+        index: its number.
+        source: index of its recipe.
         image: float32 ``[y, x]``, counts over the electrons of a pixel: fractions of the beam with noise.
-        counts: uint32, electrons counted. clean: float32, the image without noise, in fractions of the beam.
-        dose: electrons per square Angstrom. pixel_nm: edge of a pixel. angle_deg: by which it is turned against the specimen.
+        counts: uint32, electrons counted.
+        clean: float32, the image without noise, in fractions of the beam.
+        dose: electrons per square Angstrom.
+        pixel_nm: edge of a pixel.
+        angle_deg: by which it is turned against the specimen.
         centre_nm: its middle ``(x, y)`` in the field.
     """
 
@@ -158,7 +162,8 @@ def stream(
         recipe: name, path, TOML, dict or :class:`Recipe`; or several, a list, or a dict with a weight for each.
         difficulty: the tier, where recipes have some.
         dose: electrons per square Angstrom, or a range, drawn evenly in its logarithm; that of the recipe by default.
-        size: edge of a sample in pixels. pixel_nm: edge of a pixel, or a range; that of the recipe by default.
+        size: edge of a sample in pixels.
+        pixel_nm: edge of a pixel, or a range; that of the recipe by default.
         angle_deg: angle by which the scan is turned against the specimen, or a range.
         heat_sigma_px: standard deviation of a column in the heat maps.
         samples_per_specimen: lay out another specimen, with a seed of its own, after so many samples; one specimen for all by default.
@@ -166,7 +171,7 @@ def stream(
         **changes: ``set``, ``unset``, ``grid`` of the recipes, as :class:`Recipe` takes them; ``grid`` says how large the field is.
 
     Returns:
-        A :class:`Stream`: iterate over it, or ask for a sample by its number.
+        A :class:`Stream`. Iterate over it, or ask for a sample by its number.
     """
     options = {
         "size_px": size,

@@ -38,7 +38,8 @@ def view(
         region_nm: only this part, left, upper, right and lower edge; what a page shows first.
         clean: the noiseless image, of a world built with ``keep_clean=True``.
         contrast: percentiles of the image that become the first and the last colour.
-        overlays: what is drawn over the image. size: longest side of a picture in pixels.
+        overlays: what is drawn over the image.
+        size: longest side of a picture in pixels.
         **recipe: ``difficulty``, ``set``, ``unset``, ``grid``, ``seed`` of a recipe.
 
     Returns:

@@ -86,8 +86,11 @@ class WorldMetadata:
     """What describes a world. Other programs may write less: those are ``None``.
 
     Attributes:
-        pixel_nm: edge of a pixel in nm. tile_size_px, overlap_px: of tiles. grid: rows and columns of tiles.
-        shape: height and width in pixels. fov_nm: the same in nm.
+        pixel_nm: edge of a pixel in nm.
+        tile_size_px, overlap_px: of tiles.
+        grid: rows and columns of tiles.
+        shape: height and width in pixels.
+        fov_nm: the same in nm.
         scaling: scale and offset, fraction of the beam = value * scale + offset.
         phases: names of the phases by their codes.
     """
@@ -126,7 +129,8 @@ class World:
         check: first reads the file through in a process of its own: damaged files of strangers may end or hang the HDF5 library.
 
     Raises:
-        FileMissing, FileForbidden: FormatError: for a file that is no world, or damaged.
+        FileMissing, FileForbidden: where the file cannot be read.
+        FormatError: for a file that is no world, or damaged.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, check: bool = False) -> None:
