@@ -95,7 +95,7 @@ fn the_probe_is_focused_on_the_same_plane_whatever_the_thickness_of_the_film() {
             atoms.heights = atoms.sites.iter().map(|s| s.position[2]).collect();
             atoms
         };
-        (ours, simulator.mean(&roomy, 1, atoms, &Silent).unwrap())
+        (ours, simulator.means(&roomy, 1, atoms, &Silent).unwrap().remove(0))
     };
     for carbon_nm in [1.0, 1.1] {
         let (ours, exact) = image(carbon_nm);
@@ -128,7 +128,7 @@ fn whole(
     let pixels =
         PixelBox::new(&PixelRect::new(first, shape), recipe.field.pixel_nm(), margin, thickness);
     let atoms = |configuration| film.atoms(&pixels.area, configuration);
-    simulator.mean(&pixels, configurations, atoms, &Silent).unwrap()
+    simulator.means(&pixels, configurations, atoms, &Silent).unwrap().remove(0)
 }
 
 /// The bare film, against windows in which all atoms are simulated together.

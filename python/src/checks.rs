@@ -112,7 +112,7 @@ pub fn audit_field(py: Python<'_>, options: Auditing, running: Running) -> PyRes
         let cache = options.cache.cache();
         let choice = match &made {
             Some(_) => Field::imaging(&recipe, made.as_ref(), cache)?,
-            None => planned(&recipe, cache)?,
+            None => planned(&recipe, cache, None)?,
         };
         let cost = audit_cost(&recipe, &*specimen, &asked)?.cost;
         match check_memory(cost.memory_bytes(threads()), AUDIT_REMEDY) {
