@@ -141,12 +141,12 @@ pub fn audit(
             Some(source) => blurred((source, pixel), pixels, point)?,
             None => point(pixels)?,
         };
-        pairs.push(ours.into_iter().zip(exact).collect::<Vec<ImagePair>>());
+        pairs.push(ours.into_iter().zip(exact).collect::<Vec<AuditImages>>());
     }
     progress.finish();
     let detectors = recipe.detector.all();
     let of_detector = |n: usize| {
-        let pairs: Vec<&ImagePair> = pairs.iter().filter_map(|pairs| pairs.get(n)).collect();
+        let pairs: Vec<&AuditImages> = pairs.iter().filter_map(|pairs| pairs.get(n)).collect();
         let found = compared(recipe, specimen, (&places, &pairs), step_angstrom);
         let name = detectors.get(n).filter(|_| detectors.len() > 1).map(|d| d.name.clone());
         Audit { detector: name, ..summary(imager, [configurations, all], found, step_angstrom) }
@@ -156,24 +156,24 @@ pub fn audit(
 }
 
 /// Our image of a region, and the exact one.
-type ImagePair = (Array2<f64>, Array2<f64>);
+type AuditImages = (Array2<f64>, Array2<f64>);
 
 /// What the regions tell, and the columns of each.
-type Compared = (Vec<RegionAudit>, Vec<Vec<ColumnPoint>>);
+type ComparedRegions = (Vec<RegionAudit>, Vec<Vec<ColumnPoint>>);
 
 /// Compares the images of all regions on one detector.
 fn compared(
     recipe: &Recipe,
     specimen: &dyn Specimen,
-    (places, pairs): (&[AuditPlace], &[&ImagePair]),
+    (places, pairs): (&[AuditPlace], &[&AuditImages]),
     step_angstrom: f64,
-) -> Compared {
-    let points = |(place, (ours, exact)): (&AuditPlace, &&ImagePair)| {
+) -> ComparedRegions {
+    let points = |(place, (ours, exact)): (&AuditPlace, &&AuditImages)| {
         column_points(recipe, specimen, &place.pixels, [ours, exact])
     };
     let columns: Vec<Vec<ColumnPoint>> = places.iter().zip(pairs).map(points).collect();
     let top = columns.iter().flatten().map(|c: &ColumnPoint| c.exact).fold(1e-12, f64::max);
-    let region = |((place, pair), columns): ((&AuditPlace, &&ImagePair), &Vec<ColumnPoint>)| {
+    let region = |((place, pair), columns): ((&AuditPlace, &&AuditImages), &Vec<ColumnPoint>)| {
         compare(place.centre_nm, (*pair).clone(), columns, step_angstrom, top)
     };
     let regions = places.iter().zip(pairs).zip(&columns).map(region).collect();
@@ -280,7 +280,7 @@ fn mean_rms_percent(images: &[[&Array2<f64>; 2]]) -> f64 {
 fn summary(
     imager: &dyn RegionImager,
     configurations: [usize; 2],
-    (regions, columns): Compared,
+    (regions, columns): ComparedRegions,
     step_angstrom: f64,
 ) -> Audit {
     let weighted = |of: &dyn Fn(&RegionAudit) -> (f64, f64)| {
