@@ -5,9 +5,8 @@ use std::path::Path;
 use ndarray::Array2;
 
 use super::displaced_atoms::DisplacedAtoms;
-use super::imaging_cost::ImagingCost;
 use super::pixels::PixelRect;
-use super::region_imager::RegionImager;
+use super::region_imager::{RegionImager, told_by_inner};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::recipe::{Recipe, Region};
@@ -70,23 +69,5 @@ impl RegionImager for OneDetector {
         self.inner.atoms(area, configuration)
     }
 
-    fn cost(&self, subtile: [usize; 2], subtiles: usize) -> Result<ImagingCost> {
-        self.inner.cost(subtile, subtiles)
-    }
-
-    fn stage(&self) -> [&'static str; 2] {
-        self.inner.stage()
-    }
-
-    fn work(&self, pixels: &PixelRect) -> usize {
-        self.inner.work(pixels)
-    }
-
-    fn window_angstrom(&self) -> Option<f64> {
-        self.inner.window_angstrom()
-    }
-
-    fn library(&self) -> Option<[usize; 2]> {
-        self.inner.library()
-    }
+    told_by_inner!();
 }

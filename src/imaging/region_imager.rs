@@ -12,6 +12,36 @@ use crate::error::Result;
 use crate::progress::Progress;
 use crate::recipe::region::Region;
 
+/// In the implementation of an imager around another one, its field `inner`: what it tells as that one does.
+macro_rules! told_by_inner {
+    () => {
+        fn cost(
+            &self,
+            subtile: [usize; 2],
+            subtiles: usize,
+        ) -> $crate::Result<$crate::imaging::ImagingCost> {
+            self.inner.cost(subtile, subtiles)
+        }
+
+        fn stage(&self) -> [&'static str; 2] {
+            self.inner.stage()
+        }
+
+        fn work(&self, pixels: &$crate::imaging::PixelRect) -> usize {
+            self.inner.work(pixels)
+        }
+
+        fn window_angstrom(&self) -> Option<f64> {
+            self.inner.window_angstrom()
+        }
+
+        fn library(&self) -> Option<[usize; 2]> {
+            self.inner.library()
+        }
+    };
+}
+pub(crate) use told_by_inner;
+
 /// Makes the noise-free image of any rectangle of one field.
 ///
 /// Pixels that two rectangles share are the same in both, up to the error that the imager states: a field can be made

@@ -8,8 +8,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use ndarray::{Array2, s};
 
 use crate::error::Result;
+use crate::imaging::region_imager::told_by_inner;
 use crate::imaging::source_imager::margin_px;
-use crate::imaging::{DisplacedAtoms, ImagingCost, PixelRect, RegionImager};
+use crate::imaging::{DisplacedAtoms, PixelRect, RegionImager};
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Region};
 use crate::specimen::{DamagedSpecimen, Specimen};
@@ -200,19 +201,5 @@ impl RegionImager for BlockImager {
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
         self.inner.atoms(area, configuration)
     }
-    fn cost(&self, subtile: [usize; 2], subtiles: usize) -> Result<ImagingCost> {
-        self.inner.cost(subtile, subtiles)
-    }
-    fn stage(&self) -> [&'static str; 2] {
-        self.inner.stage()
-    }
-    fn work(&self, pixels: &PixelRect) -> usize {
-        self.inner.work(pixels)
-    }
-    fn window_angstrom(&self) -> Option<f64> {
-        self.inner.window_angstrom()
-    }
-    fn library(&self) -> Option<[usize; 2]> {
-        self.inner.library()
-    }
+    told_by_inner!();
 }

@@ -16,9 +16,8 @@ use crate::engine::Settings;
 use crate::engine::single_scattering::SingleScattering;
 use crate::error::Result;
 use crate::imaging::displaced_atoms::{DisplacedAtoms, with_layers};
-use crate::imaging::imaging_cost::ImagingCost;
 use crate::imaging::pixels::PixelRect;
-use crate::imaging::region_imager::RegionImager;
+use crate::imaging::region_imager::{RegionImager, told_by_inner};
 use crate::imaging::turned_raster::{ScannedSamples, TurnedRaster};
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Region};
@@ -166,23 +165,5 @@ impl RegionImager for SurfaceImager {
         with_layers(&self.layers, atoms, area, which, self.settings.optics.slope())
     }
 
-    fn cost(&self, subtile: [usize; 2], subtiles: usize) -> Result<ImagingCost> {
-        self.inner.cost(subtile, subtiles)
-    }
-
-    fn stage(&self) -> [&'static str; 2] {
-        self.inner.stage()
-    }
-
-    fn work(&self, pixels: &PixelRect) -> usize {
-        self.inner.work(pixels)
-    }
-
-    fn window_angstrom(&self) -> Option<f64> {
-        self.inner.window_angstrom()
-    }
-
-    fn library(&self) -> Option<[usize; 2]> {
-        self.inner.library()
-    }
+    told_by_inner!();
 }
