@@ -3,7 +3,7 @@
 use super::common::Common;
 use super::hdf5_check;
 use super::validate_command::DIFFERENT;
-use crate::validate::soundness::{Outcome, WorldCheck, check_world};
+use crate::validate::soundness::{CheckOutcome, WorldCheck, check_world};
 use clap::Args;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -51,7 +51,7 @@ impl Verify {
             return Ok(0);
         }
         let checks = check_world(&self.world, &reporter)?;
-        let sound = checks.iter().all(|c| c.outcome != Outcome::Fault);
+        let sound = checks.iter().all(|c| c.outcome != CheckOutcome::Fault);
         let summary = VerifySummary { world: &self.world, sound, checks: &checks };
         self.common.print(&summary, &self.lines(&checks, sound))?;
         Ok(if sound { 0 } else { DIFFERENT })
@@ -61,9 +61,9 @@ impl Verify {
         let mut out = String::new();
         for WorldCheck { what, outcome, found } in checks {
             let word = match outcome {
-                Outcome::Sound => "sound",
-                Outcome::Fault => "FAULT",
-                Outcome::Skipped => "skipped",
+                CheckOutcome::Sound => "sound",
+                CheckOutcome::Fault => "FAULT",
+                CheckOutcome::Skipped => "skipped",
             };
             out += &format!("{word:<8} {what:<9} {found}\n");
         }

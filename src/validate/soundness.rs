@@ -28,7 +28,7 @@ const FEWEST_ELECTRONS: f64 = 0.5;
 /// What became of a check.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Outcome {
+pub enum CheckOutcome {
     /// All is as it should be.
     Sound,
     /// Something is not.
@@ -43,7 +43,7 @@ pub struct WorldCheck {
     /// What was checked.
     pub what: &'static str,
     /// What became of it.
-    pub outcome: Outcome,
+    pub outcome: CheckOutcome,
     /// What was found.
     pub found: String,
 }
@@ -74,26 +74,26 @@ pub fn check_world(path: &Path, progress: &dyn Progress) -> Result<Vec<WorldChec
 }
 
 /// What a check found: a sentence, or a fault.
-type Found = std::result::Result<String, String>;
+type FoundOrFault = std::result::Result<String, String>;
 
 /// Why a check was skipped, as the beginning of what it found.
 const SKIPPED: &str = "not checked: ";
 
-fn checked(what: &'static str, found: Result<Found>) -> Result<WorldCheck> {
+fn checked(what: &'static str, found: Result<FoundOrFault>) -> Result<WorldCheck> {
     let (outcome, found) = match found {
         Ok(Ok(found)) if found.starts_with(SKIPPED) => {
-            (Outcome::Skipped, found[SKIPPED.len()..].to_owned())
+            (CheckOutcome::Skipped, found[SKIPPED.len()..].to_owned())
         }
-        Ok(Ok(found)) => (Outcome::Sound, found),
-        Ok(Err(fault)) => (Outcome::Fault, fault),
+        Ok(Ok(found)) => (CheckOutcome::Sound, found),
+        Ok(Err(fault)) => (CheckOutcome::Fault, fault),
         Err(Error::Interrupted) => return Err(Error::Interrupted),
-        Err(error) => (Outcome::Fault, error.to_string()),
+        Err(error) => (CheckOutcome::Fault, error.to_string()),
     };
     Ok(WorldCheck { what, outcome, found })
 }
 
 /// Values are from 0 to 1 (fractions of the beam in the noise-free image), and the pixels that tiles share the same.
-fn check_tiles(world: &WorldFile, progress: &dyn Progress) -> Result<Found> {
+fn check_tiles(world: &WorldFile, progress: &dyn Progress) -> Result<FoundOrFault> {
     let WorldMetadata { grid_shape: [rows, columns], overlap_px, tile_size_px, .. } =
         *world.metadata();
     let rest = tile_size_px - overlap_px;
@@ -145,7 +145,7 @@ fn check_tiles(world: &WorldFile, progress: &dyn Progress) -> Result<Found> {
 }
 
 /// Each pixel of the overview is the mean of those that it stands for.
-fn check_overview(world: &WorldFile, progress: &dyn Progress) -> Result<Found> {
+fn check_overview(world: &WorldFile, progress: &dyn Progress) -> Result<FoundOrFault> {
     let overview = world.overview()?;
     let [height, width] = world.shape();
     let mut worst = 0.0_f64;
@@ -169,7 +169,7 @@ fn check_overview(world: &WorldFile, progress: &dyn Progress) -> Result<Found> {
 }
 
 /// Sites lie in the field, types are known, masks mark what types say, and numbers are those of elements.
-fn check_sites(world: &WorldFile) -> Result<Found> {
+fn check_sites(world: &WorldFile) -> Result<FoundOrFault> {
     let m = world.metadata();
     let [height, width] = m.fov_nm;
     let inside = |[x, y]: [f32; 2]| {
@@ -206,7 +206,7 @@ fn check_sites(world: &WorldFile) -> Result<Found> {
 }
 
 /// Numbers of sites and defects of each column are those of its sites.
-fn check_columns(world: &WorldFile) -> Result<Found> {
+fn check_columns(world: &WorldFile) -> Result<FoundOrFault> {
     let columns = world.columns()?;
     let mut counted = vec![[0_i32; 3]; columns.len()];
     let (mut fault, mut told) = (None, false);
@@ -247,7 +247,7 @@ fn check_columns(world: &WorldFile) -> Result<Found> {
 }
 
 /// Whole numbers of electrons, whose mean and scatter are those of the noise-free image at the dose.
-fn check_counts(world: &WorldFile, progress: &dyn Progress) -> Result<Found> {
+fn check_counts(world: &WorldFile, progress: &dyn Progress) -> Result<FoundOrFault> {
     let m = world.metadata();
     let recipe = m.recipe.as_ref().and_then(|toml| Recipe::from_toml_str("world", toml, None).ok());
     let skipped = |why: &str| Ok(Ok(format!("{SKIPPED}{why}")));

@@ -6,11 +6,11 @@
 
 use std::panic::catch_unwind;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::time::Duration;
 
 use super::allocation::watch;
+use super::process;
 use super::targets::Target;
 
 /// Executions of each target unless `STEMGEN_FUZZ` says otherwise.
@@ -45,7 +45,7 @@ fn campaign(name: &'static str) {
     let note = folder.path().join("note");
     let (mut next, mut accepted, mut findings) = (first, 0, Vec::new());
     while next < first + count && findings.len() < 20 {
-        let run = Command::new(std::env::current_exe().unwrap())
+        let run = process(std::env::current_exe().unwrap())
             .args(["--exact", "fuzz::executions", "--ignored", "--nocapture"])
             .env("STEMGEN_FUZZ_TARGET", name)
             .env("STEMGEN_FUZZ_NOTE", &note)
