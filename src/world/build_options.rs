@@ -27,9 +27,6 @@ const LEAST_REGIONS: usize = 4;
 const PARTICLE_AUDIT_CONFIGURATIONS: usize = 4;
 /// The least error in per cent for which [`window_for`] has a window.
 const LEAST_OF_TABLE: f64 = 0.4;
-/// Rms error in per cent at bright columns where the effect of carbon before the specimen on the probe is left out: so much, and so much
-/// more for each nm. Audits of SrTiO3 of 4 nm found 1.15, 2.0 and 3.7 with 1, 3 and 5 nm.
-const LAYER_ERROR_PERCENT: [f64; 2] = [0.4, 0.65];
 /// Interpolation of PRISM unless another is asked for: windows of 10 A in sub-tiles of 2.5 nm.
 const INTERPOLATION: [usize; 2] = [4, 4];
 
@@ -119,18 +116,6 @@ impl Default for BuildOptions {
             subtile_overlap_nm: None,
         }
     }
-}
-
-/// What is to be said of a layer before the specimen whose effect on the probe is left out where columns share simulations.
-pub(super) fn layer_warning(recipe: &CheckedRecipe) -> Option<String> {
-    let nm = recipe.surface.map_or(0.0, |table| table.entrance_nm);
-    let percent = LAYER_ERROR_PERCENT[0] + LAYER_ERROR_PERCENT[1] * nm;
-    (nm > 0.0).then(|| {
-        format!(
-            "the {nm} nm of carbon before the specimen scatter the probe, which a mosaic leaves out: bright columns are about {percent:.1} % off; \
-             simulating all of the field in windows shows it, and takes as long as that takes"
-        )
-    })
 }
 
 /// What the options come to for one recipe.
