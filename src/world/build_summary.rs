@@ -1,4 +1,4 @@
-//! What a build tells of its result.
+//! What a build tells of its result, before and after.
 
 use std::path::PathBuf;
 
@@ -6,6 +6,11 @@ use serde::{Deserialize, Serialize};
 
 use super::truth::Counts;
 use crate::imaging::Audit;
+use crate::recipe::Recipe;
+
+/// Rms error in per cent at bright columns where the effect of carbon before the specimen on the probe is left out: so much, and so much
+/// more for each nm. Audits of SrTiO3 of 4 nm found 1.15, 2.0 and 3.7 with 1, 3 and 5 nm.
+const LAYER_ERROR_PERCENT: [f64; 2] = [0.4, 0.65];
 
 /// What was built.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -33,4 +38,16 @@ pub struct BuildSummary {
     pub range: [f32; 2],
     /// Time of this run in s.
     pub wall_time_s: f64,
+}
+
+/// What is to be said of a layer before the specimen whose effect on the probe is left out where columns share simulations.
+pub(super) fn layer_warning(recipe: &Recipe) -> Option<String> {
+    let nm = recipe.surface.map_or(0.0, |table| table.entrance_nm);
+    let percent = LAYER_ERROR_PERCENT[0] + LAYER_ERROR_PERCENT[1] * nm;
+    (nm > 0.0).then(|| {
+        format!(
+            "the {nm} nm of carbon before the specimen scatter the probe, which a mosaic leaves out: bright columns are about {percent:.1} % off; \
+             simulating all of the field in windows shows it, and takes as long as that takes"
+        )
+    })
 }

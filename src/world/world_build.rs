@@ -7,7 +7,7 @@ use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
 use super::build_options::{BuildOptions, BuildPolicy};
-use super::build_summary::BuildSummary;
+use super::build_summary::{BuildSummary, layer_warning};
 use super::field_scan::FieldScan;
 use super::footprint;
 use super::noise_free::{refined, refinement, too_coarse};
@@ -57,10 +57,6 @@ pub fn build(
 ) -> Result<BuildSummary> {
     WorldBuild::new(recipe, options)?.run(output, progress)
 }
-
-/// Rms error in per cent at bright columns where the effect of carbon before the specimen on the probe is left out: so much, and so much
-/// more for each nm. Audits of SrTiO3 of 4 nm found 1.15, 2.0 and 3.7 with 1, 3 and 5 nm.
-const LAYER_ERROR_PERCENT: [f64; 2] = [0.4, 0.65];
 
 /// A build that is laid out: what it takes can be asked before it runs.
 pub struct WorldBuild {
@@ -439,18 +435,6 @@ fn try_partial(output: &Path) -> Result<()> {
     // Whatever became of it: the reason of a failure matters more.
     let _ = fs::remove_file(&partial);
     tried
-}
-
-/// What is to be said of a layer before the specimen whose effect on the probe is left out where columns share simulations.
-fn layer_warning(recipe: &CheckedRecipe) -> Option<String> {
-    let nm = recipe.surface.map_or(0.0, |table| table.entrance_nm);
-    let percent = LAYER_ERROR_PERCENT[0] + LAYER_ERROR_PERCENT[1] * nm;
-    (nm > 0.0).then(|| {
-        format!(
-            "the {nm} nm of carbon before the specimen scatter the probe, which a mosaic leaves out: bright columns are about {percent:.1} % off; \
-             simulating all of the field in windows shows it, and takes as long as that takes"
-        )
-    })
 }
 
 #[cfg(test)]
