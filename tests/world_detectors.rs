@@ -8,12 +8,12 @@ use std::sync::Arc;
 use ndarray::Array2;
 use stemgen::engine::{Algorithm, Plan, simulate};
 use stemgen::imaging::{
-    AuditOptions, Cache, DirectImager, MosaicImager, PixelBox, PixelRect, RegionImager, Simulator,
-    audit, displaced_atoms::mean_atoms,
+    AuditOptions, Cache, DirectImager, MethodChoice, MosaicImager, PixelBox, PixelRect,
+    RegionImager, Simulator, audit, displaced_atoms::mean_atoms,
 };
 use stemgen::io::WorldFile;
 use stemgen::progress::Silent;
-use stemgen::recipe::{CheckedRecipe, Override, Recipe};
+use stemgen::recipe::{CheckedRecipe, Difficulty, Override, Recipe};
 use stemgen::specimen::Specimen;
 use stemgen::validate::worlds::{Sameness, compare};
 use stemgen::world::{BuildMethod, BuildOptions, WorldBuild, build};
@@ -72,9 +72,15 @@ fn windows_and_the_exact_engine_give_the_images_of_a_simulation_with_these_detec
         let plan = Plan::new(simulator.settings(), pixel_box.size_angstrom, &heights).unwrap();
         let expected = simulate(&plan, &atoms, &pixel_box.scan, &Silent).unwrap();
         assert_eq!((ours.len(), imager.detectors()), (3, 3));
-        for (n, image) in ours.iter().enumerate() {
+        for (n, image) in ours.iter().enumerate().take(2) {
             assert_eq!(image.mapv(|v| v as f32), expected.image(0, n), "{algorithm:?} {n}");
         }
+        // Windows crop the beam; the bright field is scaled to what all of it gives.
+        let factors = ours[2].mapv(|v| v as f32) / expected.image(0, 2);
+        let first = factors[[0, 0]];
+        assert!(factors.iter().all(|f| (f / first - 1.0).abs() < 1e-6), "{algorithm:?}");
+        let windows = matches!(algorithm, Algorithm::Window { .. });
+        assert!(if windows { first > 1.02 && first < 1.15 } else { first == 1.0 }, "{first}");
         // The whole of the annulus is brighter than its part, and the bright field than both.
         assert!(ours[1].sum() > 0.5 * ours[0].sum() && ours[2].sum() > 5.0 * ours[0].sum());
         assert_eq!(imager.mean_of(&pixels, 2, &Silent).unwrap(), ours[0]);
@@ -195,6 +201,31 @@ fn two_worlds_are_compared_on_every_detector() {
     let line = other.lines.iter().find(|l| l.what == "detectors").unwrap();
     assert_eq!(line.verdict, Sameness::Different);
     assert!(line.text.contains("ABF 10-21 mrad") && line.text.contains("one without a name"));
+}
+
+/// Bright fields make the windows of a mosaic wider, and that is said; detectors outside the beam do not.
+#[test]
+fn a_bright_field_takes_wider_windows() {
+    let policy = |detectors: &str| {
+        let recipe = Recipe::load("srtio3", Difficulty::Hard).unwrap();
+        let recipe = recipe.with_overrides(&[detectors.parse().unwrap()]).unwrap();
+        BuildOptions::default().policy(&recipe.checked().unwrap()).unwrap()
+    };
+    let bright = policy(THREE);
+    assert_eq!(bright.imaging.method, MethodChoice::Auto);
+    assert_eq!(bright.imaging.simulator.window_angstrom(), Some(15.6));
+    assert!(bright.warnings[0].contains("ABF sees the beam itself"), "{:?}", bright.warnings);
+    let dark = policy(
+        "detector=[{name=\"HAADF\",inner_mrad=68.0,outer_mrad=200.0},{name=\"ADF\",inner_mrad=50.0,outer_mrad=100.0}]",
+    );
+    assert_eq!(dark.imaging.method, MethodChoice::Auto);
+    assert_eq!(dark.imaging.simulator.window_angstrom(), Some(7.8));
+    // Between one and two semiangles neither does.
+    let between = policy(
+        "detector=[{name=\"HAADF\",inner_mrad=68.0,outer_mrad=200.0},{name=\"LAADF\",inner_mrad=25.0,outer_mrad=60.0}]",
+    );
+    assert_eq!(between.imaging.simulator.name(), "prism");
+    assert!(between.warnings[0].contains("LAADF"), "{:?}", between.warnings);
 }
 
 #[test]

@@ -6,6 +6,7 @@
 //! electron source.
 
 pub mod audit;
+pub mod beam_share;
 pub mod choose;
 pub mod direct;
 pub mod displaced_atoms;

@@ -7,6 +7,7 @@ use crate::engine::{
     window_for,
 };
 use crate::error::{Error, Result};
+use crate::imaging::beam_share::beam_factors;
 use crate::imaging::displaced_atoms::DisplacedAtoms;
 use crate::imaging::pixels::PixelBox;
 use crate::potential::slices::Slicing;
@@ -15,7 +16,7 @@ use crate::progress::ProgressShare;
 use crate::recipe::{BEYOND_FIELD_NM, Recipe};
 use crate::resample::{Kernel, image_band_limit};
 use crate::specimen::DISPLACED_NM;
-use ndarray::{Array2, Axis};
+use ndarray::{Array2, ArrayView2, Axis};
 
 /// Simulates sub-tiles of a world with [`crate::engine`].
 #[derive(Debug, Clone)]
@@ -112,7 +113,9 @@ impl Simulator {
             }
             share.complete();
         }
-        Ok(sums.into_iter().map(|sum| sum.mapv(|s| s / configurations as f64)).collect())
+        let mean =
+            |(sum, factor): (Array2<f64>, f64)| sum.mapv(|s| s / configurations as f64 * factor);
+        Ok(sums.into_iter().zip(beam_factors(&plan)?).map(mean).collect())
     }
 
     /// How many detectors there are.
@@ -273,6 +276,8 @@ impl Simulator {
         let plan = Plan::new(&self.settings, pixels.size_angstrom, &heights)?;
         let images = simulate(&plan, sites, &pixels.scan, progress)?;
         let at_exit = images.data.index_axis_move(Axis(0), 0);
-        Ok(at_exit.outer_iter().map(|image| image.to_owned()).collect())
+        let factors = beam_factors(&plan)?;
+        let image = |(image, factor): (ArrayView2<f32>, &f64)| image.mapv(|v| v * *factor as f32);
+        Ok(at_exit.outer_iter().zip(&factors).map(image).collect())
     }
 }

@@ -261,7 +261,12 @@ impl CellImages {
             "shape": self.scan.shape,
             "configuration": configuration,
         });
-        hex(&Sha256::digest(text.to_string()))
+        // Images of several detectors are scaled in a way of their own.
+        let text = match self.settings.detectors.len() {
+            1 => text.to_string(),
+            _ => format!("{text} {}", crate::imaging::beam_share::VERSION),
+        };
+        hex(&Sha256::digest(text))
     }
 
     /// Takes the images that were simulated or read, sheet by sheet, for those of all its configurations.

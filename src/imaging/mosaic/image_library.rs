@@ -6,6 +6,7 @@ use ndarray::Array2;
 
 use crate::engine::{Images, PlannedScan, Settings, Simulation};
 use crate::error::{Error, Result};
+use crate::imaging::beam_share::beam_factors;
 use crate::imaging::mosaic::cell_images::CellImages;
 use crate::imaging::mosaic::image_note::{ImageNote, NewImages};
 use crate::imaging::mosaic::library_cache::Cache;
@@ -169,7 +170,7 @@ impl ImageLibrary {
         progress.start("library", "probe", probes as u64);
         for cell in self.cells.values_mut() {
             let plan = cell.plan()?;
-            let mut simulation = None;
+            let (mut simulation, mut factors) = (None, Vec::new());
             for sheet in 0..cell.sheet.count {
                 for configuration in 0..self.configurations {
                     if progress.interrupted() {
@@ -186,11 +187,14 @@ impl ImageLibrary {
                             missing += 1;
                             let simulation = match &mut simulation {
                                 Some(simulation) => simulation,
-                                none => none.insert(Simulation::new(&plan, &cell.elements())?),
+                                none => {
+                                    factors = beam_factors(&plan)?;
+                                    none.insert(Simulation::new(&plan, &cell.elements())?)
+                                }
                             };
                             let atoms = cell.atoms(sheet, configuration, sigma);
                             let images = simulation.images(&atoms, &cell.scan, &share)?;
-                            let image = stacked(&images);
+                            let image = stacked(&images, &factors);
                             let note = cell.note(sigma, [sheet, configuration]);
                             let about = serde_json::to_string(&note).unwrap_or_default();
                             if let Err(e) = cache.save(material, &key, &about, &image) {
@@ -213,9 +217,10 @@ impl ImageLibrary {
     }
 }
 
-/// The images of all detectors, one below the other.
-fn stacked(images: &Images) -> Array2<f32> {
+/// The images of all detectors times their factors, one below the other.
+fn stacked(images: &Images, factors: &[f64]) -> Array2<f32> {
     let (_, detectors, rows, columns) = images.data.dim();
-    let values = images.data.iter().copied().collect();
+    let of = |(n, factor): (usize, &f64)| images.image(0, n).mapv(|v| v * *factor as f32);
+    let values = factors.iter().enumerate().flat_map(|f| of(f).into_iter()).collect();
     Array2::from_shape_vec((detectors * rows, columns), values).unwrap_or_default()
 }

@@ -1,0 +1,46 @@
+//! The share of the beam that low-angle detectors miss because probes are cropped.
+//!
+//! Windows and large boxes crop the tail of a probe. What of it passes the specimen falls on detectors within the aperture, so that their
+//! images lack a few per cent, nearly the same everywhere: ABF 10-21 mrad of SrTiO3 (10 nm, windows of 7.8 A) lacks 4.5 %, and is right
+//! to 0.4 % when multiplied by the factor that makes it right without a specimen.
+
+use crate::detect::Detector;
+use crate::engine::{Plan, Scan, Settings, Simulation};
+use crate::error::Result;
+use crate::progress::Silent;
+
+/// Version of the factors, part of the keys of images that they scale.
+pub const VERSION: u32 = 1;
+
+/// What the images on each detector are multiplied by. Recipes with one detector have 1: their images stay as they are.
+///
+/// # Errors
+/// Those of the engine.
+pub fn beam_factors(plan: &Plan) -> Result<Vec<f64>> {
+    let settings = &plan.settings;
+    let wanted = |d: &Detector| settings.detectors.len() > 1 && seen_directly(settings, d) > 0.0;
+    if !settings.large_probe_box() || !settings.detectors.iter().any(wanted) {
+        return Ok(vec![1.0; settings.detectors.len()]);
+    }
+    // One probe in the middle, without a specimen.
+    let middle = [0, 1].map(|k| 0.5 * plan.transmission_grid.extent_angstrom[k]);
+    let scan = Scan { origin_angstrom: middle, step_angstrom: [1.0; 2], shape: [1, 1] };
+    let images = Simulation::new(plan, &[])?.images(&[], &scan, &Silent)?;
+    let factor = |(n, d): (usize, &Detector)| {
+        let found = f64::from(images.image(0, n)[[0, 0]]);
+        match wanted(d) && found > 0.0 {
+            true => seen_directly(settings, d) / found,
+            false => 1.0,
+        }
+    };
+    Ok(settings.detectors.iter().enumerate().map(factor).collect())
+}
+
+/// The share of the beam on a detector without a specimen; 0 for one that reaches out of the aperture.
+fn seen_directly(settings: &Settings, detector: &Detector) -> f64 {
+    let semiangle = settings.optics.semiangle_mrad;
+    match detector.outer_mrad <= semiangle {
+        true => (detector.outer_mrad.powi(2) - detector.inner_mrad.powi(2)) / semiangle.powi(2),
+        false => 0.0,
+    }
+}
