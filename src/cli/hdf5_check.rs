@@ -5,6 +5,7 @@
 //! order, the program opens the file and says itself what is wrong with it, if anything is.
 
 use super::invocation::Invocation;
+use super::last_words;
 use super::signals;
 use crate::{Error, io};
 use std::ffi::{OsStr, OsString};
@@ -65,6 +66,16 @@ fn limit(file: &Path) {
 /// # Errors
 /// [`Error::Parse`] naming the file; [`Error::Interrupted`].
 pub fn check(file: &Path) -> crate::Result<()> {
+    survive(file)?;
+    last_words::name(file);
+    Ok(())
+}
+
+/// [`check`] for a process that is not this program alone, and whose signals are not its own.
+///
+/// # Errors
+/// As there.
+pub fn survive(file: &Path) -> crate::Result<()> {
     if !file.is_file() {
         return Ok(());
     }

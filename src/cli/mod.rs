@@ -13,6 +13,7 @@ mod hdf5_check;
 mod hints;
 mod imaging_args;
 mod invocation;
+mod last_words;
 mod list_command;
 mod live_command;
 mod not_offered;

@@ -3,7 +3,7 @@
 pub use super::audit_command::{imaging_of, planned};
 pub use super::build_plan::DryRun;
 pub use super::estimate::threads;
-pub use super::hdf5_check::check;
+pub use super::hdf5_check::survive;
 pub use super::pictures::{of_world, png};
 pub use super::plan_report::PlanReport;
 pub use super::plane_wave::{Conventional, run as plane_wave, settings as plane_wave_settings};

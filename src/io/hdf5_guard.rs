@@ -158,9 +158,15 @@ pub(super) fn check_storage(dataset: &Dataset, file_bytes: u64) -> Guarded<()> {
 
 /// Refuses a dataset in one piece that lies beyond the end of the file.
 fn check_end(dataset: &Dataset, file_bytes: u64) -> Guarded<()> {
+    let bytes = dataset.dtype().map_err(damaged)?.size() as u64 * dataset.size() as u64;
+    // libhdf5 1.10.8 reads values within the description of the dataset beyond their end.
+    if dataset.dcpl().map_err(damaged)?.layout() == Layout::Compact
+        && bytes > dataset.storage_size()
+    {
+        return Err("announces more values than it holds".into());
+    }
     // One within its own description, or that was never written, lies nowhere.
     let Some(first) = dataset.offset() else { return Ok(()) };
-    let bytes = dataset.dtype().map_err(damaged)?.size() as u64 * dataset.size() as u64;
     match first.checked_add(bytes).is_some_and(|end| end <= file_bytes) {
         true => Ok(()),
         false => Err("reaches beyond the end of the file".into()),

@@ -63,7 +63,7 @@ pub(super) fn part<T: Plain, D: Dimension>(
         _ if lengths.contains(&0) => Vec::new(),
         Layout::Chunked => {
             let chunks = Chunks::of(dataset, &stored, path)?;
-            converted(chunks.part(ranges, &lengths)?, &stored, lengths.iter().product())?
+            chunks.part(ranges, &lengths, &stored)?
         }
         _ if lengths == shape => dataset.read_raw().map_err(damaged)?,
         _ => {
@@ -166,10 +166,35 @@ impl<'a> Chunks<'a> {
         })
     }
 
-    /// The bytes of a part, without gaps.
-    fn part(&self, ranges: &[Range<usize>], lengths: &[usize]) -> Guarded<Vec<u8>> {
+    /// The values of a part, without gaps. There is one copy of them, which first holds those of the file's type.
+    fn part<T: Plain>(
+        &self,
+        ranges: &[Range<usize>],
+        lengths: &[usize],
+        stored: &Datatype,
+    ) -> Guarded<Vec<T>> {
         let count: usize = lengths.iter().product();
-        let mut out = self.fill.repeat(count);
+        let room = (count * size_of::<T>().max(self.value_bytes)).div_ceil(size_of::<T>());
+        // SAFETY: zeros are a value as any other bytes are (`Plain`).
+        let mut values = vec![unsafe { MaybeUninit::<T>::zeroed().assume_init() }; room];
+        // SAFETY: all bytes of the values, which may become any others (`Plain`).
+        let out = unsafe {
+            std::slice::from_raw_parts_mut(
+                values.as_mut_ptr().cast::<u8>(),
+                size_of_val(&values[..]),
+            )
+        };
+        for value in out[..count * self.value_bytes].chunks_exact_mut(self.value_bytes.max(1)) {
+            value.copy_from_slice(&self.fill);
+        }
+        self.gather(ranges, lengths, out)?;
+        convert::<T>(out, stored, count)?;
+        values.truncate(count);
+        Ok(values)
+    }
+
+    /// Puts the bytes of a part at the beginning of `out`, without gaps.
+    fn gather(&self, ranges: &[Range<usize>], lengths: &[usize], out: &mut [u8]) -> Guarded<()> {
         let first: Vec<usize> = ranges.iter().zip(&self.shape).map(|(r, n)| r.start / n).collect();
         let end: Vec<usize> =
             ranges.iter().zip(&self.shape).map(|(r, n)| r.end.div_ceil(*n)).collect();
@@ -177,10 +202,10 @@ impl<'a> Chunks<'a> {
         loop {
             let offset: Vec<usize> = at.iter().zip(&self.shape).map(|(i, n)| i * n).collect();
             if let Some(chunk) = self.chunk(&offset)? {
-                self.copy(&chunk, &offset, ranges, lengths, &mut out);
+                self.copy(&chunk, &offset, ranges, lengths, out);
             }
             if !step(&mut at, &first, &end) {
-                return Ok(out);
+                return Ok(());
             }
         }
     }
@@ -267,28 +292,20 @@ fn step(at: &mut [usize], first: &[usize], end: &[usize]) -> bool {
     false
 }
 
-/// Values of the file's type as those of another.
-fn converted<T: Plain>(mut bytes: Vec<u8>, stored: &Datatype, count: usize) -> Guarded<Vec<T>> {
+/// Turns values of the file's type into those of another, in their place.
+fn convert<T: Plain>(bytes: &mut [u8], stored: &Datatype, count: usize) -> Guarded<()> {
     let wanted = Datatype::from_type::<T>().map_err(damaged)?;
-    let size = size_of::<T>();
-    if *stored != wanted {
-        bytes.resize(count * size.max(stored.size()), 0);
-        // SAFETY: the buffer has room for the values of either type, and neither refers to other places.
-        let done = hdf5::sync::sync(|| unsafe {
-            let at = bytes.as_mut_ptr().cast();
-            H5Tconvert(stored.id(), wanted.id(), count, at, std::ptr::null_mut(), H5P_DEFAULT)
-        });
-        if done < 0 {
-            return Err(format!("holds values of another kind than {wanted:?}"));
-        }
+    if *stored == wanted {
+        return Ok(());
     }
-    let value = |bytes: &[u8]| {
-        let mut value = MaybeUninit::<T>::uninit();
-        // SAFETY: as many bytes as a value has, each pattern of which is one (`Plain`).
-        unsafe {
-            std::ptr::copy_nonoverlapping(bytes.as_ptr(), value.as_mut_ptr().cast(), size);
-            value.assume_init()
-        }
-    };
-    Ok(bytes[..count * size].chunks_exact(size).map(value).collect())
+    assert!(bytes.len() >= count * size_of::<T>().max(stored.size()), "room for either type");
+    // SAFETY: the buffer has room for the values of either type, and neither refers to other places.
+    let done = hdf5::sync::sync(|| unsafe {
+        let at = bytes.as_mut_ptr().cast();
+        H5Tconvert(stored.id(), wanted.id(), count, at, std::ptr::null_mut(), H5P_DEFAULT)
+    });
+    match done {
+        done if done < 0 => Err(format!("holds values of another kind than {wanted:?}")),
+        _ => Ok(()),
+    }
 }
