@@ -18,7 +18,6 @@ WORLD, OUTPUT = sys.argv[1:3]
 PLAIN = ["--dose", "1e8"]
 PANELS = [
     ("noise-free", None, PLAIN),
-    ("dose 1e5 e/A2", [], ["--dose", "1e5"]),
     ("dose 1e4 e/A2", [], ["--dose", "1e4"]),
     ("drift 2 nm/s along x", ["drift_nm_per_s=[2,0]"], PLAIN),
     ("random drift, 0.5 nm after 1 s", ["drift_random_nm_per_sqrt_s=0.5"], PLAIN),
@@ -28,6 +27,11 @@ PANELS = [
     ("scale 15 %, shear 15 %", ["scale_percent=[15,0]", "shear_percent=15"], PLAIN),
     ("late light 60 %, 40 us", ["afterglow_share=0.6", "afterglow_us=40"], ["--dose", "1e5"]),
     ("saturation at 10 pA", ["saturation_pa=10"], ["--current-pa", "1000"]),
+    (
+        "carbon, to 5 nm in 16 frames",
+        ["contamination_angstrom3_per_electron=5.4e-7", "frames=16"],
+        PLAIN,
+    ),
     ("poor, dose 1e5 e/A2", ["profile=poor"], ["--dose", "1e5"]),
 ]
 

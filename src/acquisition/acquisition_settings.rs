@@ -61,6 +61,9 @@ acquisition! {
     scale_percent: [f64; 2],
     /// Displacement along x over distance along y, in per cent.
     shear_percent: f64,
+    /// Volume of carbon in cubic Angstrom that each electron leaves on the specimen: the thickness in Angstrom that a dose of 1 e/A^2
+    /// adds where the beam has been. Frames see what those before have left.
+    contamination_angstrom3_per_electron: f64,
     /// Detective quantum efficiency: electrons give pulses of different height, of relative variance 1 / DQE - 1.
     dqe: f64,
     /// Share of the light that comes late.
@@ -87,7 +90,7 @@ const BITS: [u32; 4] = [8, 12, 16, 32];
 
 impl Acquisition {
     /// The values with their limits.
-    fn limited(&self) -> [(f64, Limits); 22] {
+    fn limited(&self) -> [(f64, Limits); 23] {
         let drift = ("drift_nm_per_s", [-100.0, 100.0]);
         let hum = ("hum_angstrom", [0.0, 100.0]);
         let scale = ("scale_percent", [-20.0, 20.0]);
@@ -107,6 +110,10 @@ impl Acquisition {
             (self.scale_percent[0], scale),
             (self.scale_percent[1], scale),
             (self.shear_percent, ("shear_percent", [-20.0, 20.0])),
+            (
+                self.contamination_angstrom3_per_electron,
+                ("contamination_angstrom3_per_electron", [0.0, 10.0]),
+            ),
             (self.dqe, ("dqe", [0.01, 1.0])),
             (self.afterglow_share, ("afterglow_share", [0.0, 0.9])),
             (self.afterglow_us, ("afterglow_us", [1e-3, 1e6])),
@@ -169,6 +176,9 @@ mod tests {
         assert_eq!(fault(|a| a.frames = 0), Some("frames"));
         assert_eq!(fault(|a| a.drift_nm_per_s[1] = f64::NAN), Some("drift_nm_per_s"));
         assert_eq!(fault(|a| a.dqe = 0.0), Some("dqe"));
+        let key = Some("contamination_angstrom3_per_electron");
+        assert_eq!(fault(|a| a.contamination_angstrom3_per_electron = -1e-3), key);
+        assert_eq!(fault(|a| a.contamination_angstrom3_per_electron = 11.0), key);
         assert_eq!(fault(|a| a.bits = 10), Some("bits"));
     }
 }

@@ -15,6 +15,7 @@ use super::acquisition_settings::Acquisition;
 /// | overshoot (A), decay (us) | 0 | 0.1, 100 | 0.5, 200 |
 /// | hum of 50 Hz (A), per axis | 0 | 0.05, 0.02 | 0.3, 0.1 |
 /// | scale (%), shear (%) | 0 | 0.5, -0.5, 0.2 | 2, -1, 1 |
+/// | contamination | none | none | none |
 /// | DQE | 1 | 0.8 | 0.5 |
 /// | afterglow: share, time (us) | 0 | 0.02, 20 | 0.1, 50 |
 /// | saturation (pA) | none | none | 50 |
@@ -24,7 +25,8 @@ use super::acquisition_settings::Acquisition;
 /// The effects are those that L. Jones and P. D. Nellist, Microsc. Microanal. 19 (2013) 1050 (drift, hum, jitter), F. F. Krause et
 /// al., Ultramicroscopy 161 (2016) 146 (detector), and T. Mullarkey et al., doi:10.1093/micmic/ozad061 (late light, streaks)
 /// describe; a drift of 0.5 nm per minute (routine) is what makers of microscopes promise for a stage at rest. The other
-/// values are our own choice of a good and of a bad day: set those that are known of an instrument.
+/// values are our own choice of a good and of a bad day: set those that are known of an instrument. How fast carbon grows depends on
+/// the specimen more than on the microscope, by orders of magnitude, so no profile has any.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Profile {
@@ -51,6 +53,7 @@ const IDEAL: Acquisition = Acquisition {
     hum_angstrom: [0.0; 2],
     scale_percent: [0.0; 2],
     shear_percent: 0.0,
+    contamination_angstrom3_per_electron: 0.0,
     dqe: 1.0,
     afterglow_share: 0.0,
     afterglow_us: 20.0,

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use ndarray::Array2;
+use rayon::prelude::*;
 
 use crate::error::{Error, Result};
 use crate::resample::{Kernel, MARGIN, TAPS};
@@ -64,6 +65,30 @@ impl SourceImage {
             [first + margin, first + (n as f64 - 1.0) * self.pixel_nm - margin]
         };
         [range(0, columns), range(1, rows)]
+    }
+
+    /// The least and the greatest x and y in nm of its pixels.
+    pub fn extent_nm(&self) -> [[f64; 2]; 2] {
+        let (rows, columns) = self.values.dim();
+        let range = |k: usize, n: usize| {
+            [self.origin_nm[k], self.origin_nm[k] + (n as f64 - 1.0) * self.pixel_nm]
+        };
+        [range(0, columns), range(1, rows)]
+    }
+
+    /// The sum of this image and another one, which has no negative values, at the pixels of this one.
+    #[must_use]
+    pub fn plus(&self, other: &SourceImage) -> Self {
+        let mut values = self.values.clone();
+        let lines: Vec<_> = values.outer_iter_mut().enumerate().collect();
+        lines.into_par_iter().for_each(|(row, mut line)| {
+            for (column, value) in line.iter_mut().enumerate() {
+                let at = [column, row].map(|p| p as f64 * self.pixel_nm);
+                let place = [0, 1].map(|k| self.origin_nm[k] + at[k]);
+                *value += other.at(place).max(0.0) as f32;
+            }
+        });
+        SourceImage { values, ..self.clone() }
     }
 
     /// The image at a place (x, y) in nm, as fraction of the beam.

@@ -42,7 +42,7 @@ Examples:
     f[\"ground_truth/columns/position_in_image\"][:]         # where each column appears, (x, y) in pixels
 
 `stemgen show-recipe srtio3 --difficulty easy --set acquisition.profile=routine` and docs/acquisition.md tell the
-keys of [acquisition]: drift, line jitter, fly-back, mains hum, scale and shear, DQE, late light, saturation, gain, bits.";
+keys of [acquisition]: drift, line jitter, fly-back, mains hum, scale and shear, contamination, DQE, late light, saturation, gain, bits.";
 
 /// A set of values for a microscope.
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -143,6 +143,8 @@ struct AcquireSummary {
     duration_s: f64,
     drift_nm: [f64; 2],
     columns: usize,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    carbon_nm: Vec<f64>,
     clipped_pixels: u64,
     source: &'static str,
     acquisition: Acquisition,
@@ -295,6 +297,7 @@ impl Acquire {
             duration_s: acquisition.line_s(frame.shape[1]) * lines,
             drift_nm: [x, y],
             columns: recording.columns.len(),
+            carbon_nm: recording.carbon_nm.clone(),
             clipped_pixels: recording.clipped,
             source,
             acquisition,
@@ -324,6 +327,9 @@ impl AcquireSummary {
         let [x, y] = self.drift_nm;
         let scan = text::duration(self.duration_s);
         lines.add("scan", format!("{scan}; drift {x:.3}, {y:.3} nm until the last line"));
+        if let Some(nm) = self.carbon_nm.last() {
+            lines.add("carbon", format!("{nm:.3} nm under the last frame"));
+        }
         lines.add("columns", text::count(self.columns as u64));
         lines.add("time", text::duration(self.wall_time_s));
         let size = text::bytes(self.file_bytes);

@@ -7,7 +7,7 @@ use super::hints::{self, hinted};
 use super::plan_report::Lines;
 use super::recipe_args::RecipeArgs;
 use super::values::{self, EngineName as Engine};
-use super::{estimate, output, pictures, slips, text};
+use super::{estimate, output, pictures, slips, text, world_hspy};
 use crate::acquisition::{Acquisition, AcquisitionTable, Profile};
 use crate::engine::Expansion;
 use crate::files::outputs::check_outputs;
@@ -62,6 +62,9 @@ pub struct Build {
     /// Replace existing files
     #[arg(long, help_heading = "Results")]
     overwrite: bool,
+    /// Also write a file for HyperSpy (.hspy), beside the file: the whole image, in fractions of the beam
+    #[arg(long, help_heading = "Results")]
+    hspy: bool,
     /// Leave out the picture
     #[arg(long, help_heading = "Results")]
     no_png: bool,
@@ -133,6 +136,8 @@ enum ProfileName {
 struct Built {
     output: PathBuf,
     file_bytes: u64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    hspy: Option<PathBuf>,
     picture: Option<PathBuf>,
     material: String,
     difficulty: Option<Difficulty>,
@@ -170,7 +175,8 @@ impl Build {
             return self.common.print(&report, &report.text());
         }
         let picture = (!self.no_png).then(|| path.with_extension("png"));
-        let outputs = [Some(&path), picture.as_ref()].into_iter().flatten();
+        let hspy = self.hspy.then(|| path.with_extension("hspy"));
+        let outputs = [Some(&path), picture.as_ref(), hspy.as_ref()].into_iter().flatten();
         let complete = build.is_complete(&path);
         check_outputs(outputs, self.recipe.files(&recipe), self.overwrite || complete)?;
         slips::check_hdf5_name(&path)?;
@@ -189,7 +195,15 @@ impl Build {
             .run_with(&path, companion.as_ref(), &reporter)
             .map_err(|e| with_what_is_kept(e, &path))?;
         let world = WorldFile::open(&path)?;
-        let built = self.built(&recipe, &summary, &world, picture)?;
+        if let Some(path) = &hspy {
+            world_hspy::write_world(
+                path,
+                self.overwrite || complete,
+                &world,
+                &recipe.detector.all(),
+            )?;
+        }
+        let built = Built { hspy, ..self.built(&recipe, &summary, &world, picture)? };
         self.common.print(&built, &built.text())
     }
 
@@ -244,6 +258,7 @@ impl Build {
             output: summary.path.clone(),
             file_bytes: output::size(&summary.path),
             picture,
+            hspy: None,
             material: recipe.id.clone(),
             difficulty: recipe.tier,
             seed: recipe.seed,
@@ -360,6 +375,9 @@ impl Built {
         lines.add("time", text::duration(self.wall_time_s));
         let size = text::bytes(self.file_bytes);
         lines.add("file", format!("{} ({size})", self.output.display()));
+        if let Some(path) = &self.hspy {
+            lines.add("HyperSpy", path.display().to_string());
+        }
         if let Some(picture) = &self.picture {
             lines.add("picture", picture.display().to_string());
         }

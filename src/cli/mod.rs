@@ -42,6 +42,7 @@ mod values;
 mod verify_command;
 mod view_command;
 mod view_picture;
+mod world_hspy;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::ffi::OsString;

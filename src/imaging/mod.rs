@@ -26,6 +26,7 @@ pub use choose::{ChosenImager, ImagingCheck, ImagingChoice, MethodChoice};
 pub use direct::DirectImager;
 pub use displaced_atoms::DisplacedAtoms;
 pub use film::film_imager::FilmImager;
+pub use film::grown_carbon::{CarbonPatch, GrownCarbon, MOST_GROWN_ANGSTROM};
 pub use film::surface_imager::SurfaceImager;
 pub use imaging_cost::{ImagingCost, SimulationRuns};
 pub use mosaic::image_note::NewImages;

@@ -6,6 +6,7 @@
 //! - `/recording`: counts, (row, column) or (frame, row, column): uint8 or uint16 from a converter, uint32 where its frames are
 //!   added, else float32;
 //! - `/ideal`: float32 (row, column), the noise-free image at the pixels that were meant, in fractions of the beam;
+//! - `/carbon_nm`: (frame), mean thickness of the carbon on the part when each frame began, where it grows or is there;
 //! - `/stages/moved`, `/stages/electrons`: (frame, row, column), the noise-free image where the beam was, and the electrons that
 //!   hit the detector; on request;
 //! - `/ground_truth`: as in a world, from the centre of the first pixel; with `columns/position_in_image`, (x, y) in pixels where
@@ -60,6 +61,8 @@ pub struct RecordingFile<'a> {
     pub ideal: &'a Array2<f32>,
     /// The noise-free image where the beam was, and the electrons: (frame, row, column).
     pub stages: Option<[&'a Array3<f32>; 2]>,
+    /// Mean thickness in nm of the carbon on the part when each frame began; empty without any.
+    pub carbon_nm: &'a [f64],
     /// Pixels that the converter cut off.
     pub clipped: u64,
     /// What changed from recording to recording of a series.
@@ -140,6 +143,10 @@ fn write_images(file: &File, r: &RecordingFile) -> hdf5::Result<()> {
     let builder = file.new_dataset_builder().chunk(chunk(r.frame.shape)).shuffle().deflate(DEFLATE);
     let ideal = builder.with_data(r.ideal).create("ideal")?;
     text(&ideal, "units", "fraction of the incident beam")?;
+    if !r.carbon_nm.is_empty() {
+        let carbon = file.new_dataset_builder().with_data(r.carbon_nm).create("carbon_nm")?;
+        text(&carbon, "units", "nm")?;
+    }
     let Some(stages) = r.stages else { return Ok(()) };
     let group = file.create_group("stages")?;
     let names = [("moved", "fraction of the incident beam"), ("electrons", "electrons")];

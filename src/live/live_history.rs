@@ -27,6 +27,9 @@ pub struct LiveAcquisition {
     pub current_pa: f64,
     /// Electrons on the specimen, all frames together.
     pub electrons: f64,
+    /// Mean thickness in nm of the carbon on the part when it began.
+    #[serde(default)]
+    pub carbon_nm: f64,
     /// Atoms that the specimen has lost, by element.
     pub lost: BTreeMap<String, u64>,
 }
@@ -43,6 +46,9 @@ pub struct LiveSnapshot {
     pub most_dose: f64,
     /// The doses of all places.
     pub dose: DoseMap,
+    /// Thickness in Angstrom of the carbon on all places, in the place of doses; none in snapshots of before there was any.
+    #[serde(default)]
+    pub carbon_angstrom: DoseMap,
     /// All recordings.
     pub history: Vec<LiveAcquisition>,
 }

@@ -9,7 +9,7 @@ use super::block_imager::BlockImager;
 use super::live_history::{LiveAcquisition, LiveSnapshot};
 use crate::acquisition::Acquisition;
 use crate::error::{Error, Result};
-use crate::imaging::{MethodChoice, PixelRect, RegionImager};
+use crate::imaging::{GrownCarbon, MOST_GROWN_ANGSTROM, MethodChoice, PixelRect, RegionImager};
 use crate::progress::{InterruptOnly, Progress, Silent};
 use crate::recipe::{CheckedRecipe, Recipe, Region, StructureKind};
 use crate::rng::{Purpose, words};
@@ -21,8 +21,9 @@ use crate::structure::elements;
 use crate::world::noise_free::{refined, refinement};
 use crate::world::region_truth::list;
 use crate::world::{
-    BuildOptions, ColumnTruth, Electrons, FieldRecording, FieldTile, ImagerSource, RecordedPart,
-    RecordingOptions, SiteTruth, record, scan_of, tile_of_image,
+    BuildOptions, CarbonBefore, ColumnTruth, Electrons, FieldRecording, FieldTile, ImagerSource,
+    RecordedPart, RecordingOptions, SiteTruth, expose_frame, grown, record_over, scan_of,
+    tile_of_image,
 };
 
 /// The greatest dose that a live world is made for unless another is asked for, in electrons per square Angstrom.
@@ -90,6 +91,10 @@ pub struct LiveWorld {
     specimen: Arc<DamagedSpecimen>,
     imager: BlockImager,
     most_dose: f64,
+    /// Thickness of the carbon in Angstrom, where a dose has made any.
+    carbon: DoseMap,
+    /// Made when carbon grows for the first time.
+    carbon_film: Option<GrownCarbon>,
     history: Vec<LiveAcquisition>,
 }
 
@@ -125,7 +130,17 @@ impl LiveWorld {
         imager.prepare(progress)?;
         let imager = BlockImager::new(imager, &fine, &damaged, options.image_bytes)?;
         let most_dose = options.most_dose;
-        Ok(LiveWorld { recipe, fine, parts, specimen: damaged, imager, most_dose, history: vec![] })
+        Ok(LiveWorld {
+            recipe,
+            fine,
+            parts,
+            specimen: damaged,
+            imager,
+            most_dose,
+            carbon: DoseMap::default(),
+            carbon_film: None,
+            history: vec![],
+        })
     }
 
     /// The recipe, with the seed.
@@ -138,7 +153,7 @@ impl LiveWorld {
         &self.specimen
     }
 
-    /// Makes images of the specimen as it is now, at pixels of [`LiveWorld::imaged_recipe`]; for audits.
+    /// Makes images of the specimen as it is now, without the carbon that has grown on it, at pixels of [`LiveWorld::imaged_recipe`]; for audits.
     pub fn imager(&self) -> &dyn RegionImager {
         &self.imager
     }
@@ -174,12 +189,41 @@ impl LiveWorld {
                 let fine = PixelRect::new(finer(pixels.first), finer(pixels.shape));
                 let all = self.recipe.phonons.configurations.max(1);
                 let image = self.imager.mean_of(&fine.every(self.parts), all, &Silent)?;
-                image.mapv(|v| v as f32)
+                self.with_carbon(pixels, image.mapv(|v| v as f32))?
             }
             // refused there
             false => Array2::zeros([0, 0]),
         };
         tile_of_image(&self.recipe, &*self.specimen, pixels, clean, None)
+    }
+
+    /// An image of some pixels with the carbon that is there.
+    fn with_carbon(&self, pixels: &PixelRect, mut image: Array2<f32>) -> Result<Array2<f32>> {
+        let Some(film) = &self.carbon_film else { return Ok(image) };
+        let pixel = self.recipe.field.pixel_nm();
+        let mut patch = film.patch(&pixels.region(pixel));
+        patch.grow(&self.carbon)?;
+        let carbon = patch.image();
+        for ((row, column), value) in image.indexed_iter_mut() {
+            let at = [pixels.first[1] + column, pixels.first[0] + row];
+            *value += carbon.at(at.map(|p| p as f64 * pixel)).max(0.0) as f32;
+        }
+        Ok(image)
+    }
+
+    /// The film of which the carbon is, if there is some or an electron adds to it.
+    fn make_carbon_film(&mut self, per_electron: f64) -> Result<()> {
+        if self.carbon_film.is_none() && (per_electron > 0.0 || self.carbon.greatest() > 0.0) {
+            self.carbon_film = Some(GrownCarbon::on(&self.recipe, self.specimen.thickness_nm())?);
+        }
+        Ok(())
+    }
+
+    /// Mean thickness in nm of the carbon that has grown on a region (nm from the centre of the first built pixel).
+    pub fn mean_carbon_nm(&self, region: &Region) -> f64 {
+        let [x, y] = self.recipe.field.origin_nm();
+        let region = Region { x: region.x.map(|v| v + x), y: region.y.map(|v| v + y) };
+        0.1 * self.carbon.mean(&region)
     }
 
     /// What is in a region (nm from the centre of the first built pixel of the field) now.
@@ -223,10 +267,16 @@ impl LiveWorld {
         let mut spent = DoseMap::default();
         let area = expose(&mut spent, &path, &exposure);
         self.check_dose(&request.part, exposure.dose(), &spent)?;
+        let rate = request.acquisition.contamination_angstrom3_per_electron;
+        self.make_carbon_film(rate)?;
         let source = ImagerSource { imager: &self.imager, recipe: &self.fine };
         let (recipe, part) = (&self.recipe, &request.part);
         let quiet = InterruptOnly(progress);
-        let recording = record(recipe, &*self.specimen, &source, part, &options, &quiet)?;
+        let film = self.carbon_film.as_ref();
+        let carbon = film.map(|film| CarbonBefore { film, angstrom: &self.carbon });
+        let (specimen, carbon) = (&*self.specimen, carbon.as_ref());
+        let recording = record_over(recipe, specimen, &source, part, &options, carbon, &quiet)?;
+        self.carbon.add_all(&grown(&path, &exposure, rate));
         let before = self.atoms(&area);
         self.specimen.expose(|dose| dose.add_all(&spent));
         self.imager.changed(area);
@@ -242,6 +292,7 @@ impl LiveWorld {
             dose: exposure.dose(),
             current_pa: exposure.current_pa(),
             electrons: spent.electrons(),
+            carbon_nm: recording.carbon_nm.first().copied().unwrap_or(0.0),
             lost,
         });
         Ok(recording)
@@ -297,6 +348,7 @@ impl LiveWorld {
             recipe: self.recipe.to_toml(),
             most_dose: self.most_dose,
             dose: self.specimen.dose().clone(),
+            carbon_angstrom: self.carbon.clone(),
             history: self.history.clone(),
         }
     }
@@ -322,6 +374,15 @@ impl LiveWorld {
                 "its doses",
                 "expected doses from 0 to that which the world was made for",
             );
+        }
+        let carbon = &snapshot.carbon_angstrom;
+        if !carbon.is_sound() || carbon.greatest() > MOST_GROWN_ANGSTROM * (1.0 + ROUNDING) {
+            return refuse("its carbon", "expected thicknesses from 0 to 60 Angstrom");
+        }
+        let before = std::mem::replace(&mut self.carbon, carbon.clone());
+        if let Err(fault) = self.make_carbon_film(0.0) {
+            self.carbon = before;
+            return Err(fault);
         }
         self.specimen.expose(|dose| dose.clone_from(&snapshot.dose));
         self.imager.changed(Region { x: [-1e9, 1e9], y: [-1e9, 1e9] });
@@ -355,20 +416,11 @@ fn expose(
     path: &crate::acquisition::ScanPath,
     exposure: &crate::acquisition::Exposure,
 ) -> Region {
-    let frame = path.frame();
-    let ([rows, columns], half) = (frame.shape, 0.5 * frame.pixel_nm);
-    let electrons = exposure.electrons_per_pixel * columns as f64;
     let mut area = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
     for number in 0..path.frames() {
-        for row in 0..rows {
-            let ends = [0, columns - 1].map(|column| path.place_nm(number, row, column));
-            let y = 0.5 * (ends[0][1] + ends[1][1]);
-            let x = [ends[0][0].min(ends[1][0]) - half, ends[0][0].max(ends[1][0]) + half];
-            let line = Region { x, y: [y - half, y + half] };
-            dose.add(&line, electrons);
-            for (all, own) in area.iter_mut().zip([line.x, line.y]) {
-                *all = [all[0].min(own[0]), all[1].max(own[1])];
-            }
+        let own = expose_frame(dose, path, exposure.electrons_per_pixel, number);
+        for (all, own) in area.iter_mut().zip([own.x, own.y]) {
+            *all = [all[0].min(own[0]), all[1].max(own[1])];
         }
     }
     Region { x: area[0], y: area[1] }

@@ -2,15 +2,17 @@
 
 use ndarray::{Array2, Array3, Axis};
 
+use super::contamination::{CarbonBefore, GrowingCarbon, check_thickness, grown};
 use super::noise_free::NoiseFree;
 use super::region_truth::{ColumnTruth, SiteTruth, list};
-use crate::acquisition::{Acquisition, Exposure, Recorder, ScanFrame, ScanPath};
+use crate::acquisition::{Acquisition, Exposure, Recorder, ScanFrame, ScanPath, SourceImage};
 use crate::engine::check_memory;
 use crate::error::{Error, Result};
+use crate::imaging::GrownCarbon;
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Region};
 use crate::setting::Setting;
-use crate::specimen::Specimen;
+use crate::specimen::{DoseMap, Specimen};
 
 /// Rows that are recorded at a time.
 const ROWS_AT_ONCE: usize = 256;
@@ -108,7 +110,8 @@ pub struct FieldRecording {
     pub exposure: Exposure,
     /// What the file of a microscope would hold: (frame, row, column), or one frame that is the sum of all.
     pub data: Array3<f64>,
-    /// The noise-free image at the pixels that were meant, [row, column], as fraction of the beam.
+    /// The noise-free image at the pixels that were meant, [row, column], as fraction of the beam; with the carbon that was there when
+    /// the recording began.
     pub ideal: Array2<f32>,
     /// What lies between them, where it was asked for.
     pub stages: Option<RecordingStages>,
@@ -120,11 +123,13 @@ pub struct FieldRecording {
     pub columns: Vec<ColumnTruth>,
     /// Where columns appear, in pixels (x, y) from the centre of the first: (frame, column, 2), or the mean of all frames.
     pub position_in_image: Array3<f64>,
+    /// Mean thickness in nm of the carbon on the part when each frame began; empty if there is none and none grows.
+    pub carbon_nm: Vec<f64>,
     /// Pixels that the converter cut off, in all frames.
     pub clipped: u64,
 }
 
-/// Records a part of the field of a recipe.
+/// Records a part of the field of a recipe, on which no carbon has grown yet.
 ///
 /// # Errors
 /// [`Error::Invalid`] for a part that the beam leaves, or values out of limits; [`Error::Memory`]; those of the source, and
@@ -137,34 +142,45 @@ pub fn record(
     options: &RecordingOptions,
     progress: &dyn Progress,
 ) -> Result<FieldRecording> {
+    let rate = options.acquisition.contamination_angstrom3_per_electron;
+    let film = (rate > 0.0).then(|| GrownCarbon::on(recipe, specimen.thickness_nm()));
+    let film = film.transpose()?;
+    let none = DoseMap::default();
+    let carbon = film.as_ref().map(|film| CarbonBefore { film, angstrom: &none });
+    record_over(recipe, specimen, source, part, options, carbon.as_ref(), progress)
+}
+
+/// The same with carbon on the specimen, or none that could grow.
+///
+/// # Errors
+/// As [`record`]; [`Error::Invalid`] for carbon that would become too thick.
+pub(crate) fn record_over(
+    recipe: &CheckedRecipe,
+    specimen: &dyn Specimen,
+    source: &dyn NoiseFree,
+    part: &RecordedPart,
+    options: &RecordingOptions,
+    carbon: Option<&CarbonBefore>,
+    progress: &dyn Progress,
+) -> Result<FieldRecording> {
     let origin = recipe.field.origin_nm();
     let frame = part.frame(origin)?;
     let recorder = recorder(&frame, options)?;
+    let rate = options.acquisition.contamination_angstrom3_per_electron;
+    if let Some(before) = carbon {
+        let more = grown(recorder.path(), recorder.exposure(), rate);
+        check_thickness(before.angstrom, &more, rate)?;
+    }
     let region = region_of(&frame).grown(-0.5 * frame.pixel_nm);
     let meant = [region.x, region.y];
     let reach = recorder.path().reach_nm(0..frame.shape[0]);
     let reach = [0, 1].map(|k| [reach[k][0].min(meant[k][0]), reach[k][1].max(meant[k][1])]);
     check_size(&frame, reach, recipe.field.pixel_nm(), options)?;
     let image = source.image(reach, progress)?;
-    let mut lines = KeptFrames::new(&frame, options);
-    let frames = options.acquisition.frames;
-    progress.start("recording", "line", (frames * frame.shape[0]) as u64);
-    for number in 0..frames {
-        let mut late = 0.0;
-        for first in (0..frame.shape[0]).step_by(ROWS_AT_ONCE) {
-            if progress.interrupted() {
-                return Err(Error::Interrupted);
-            }
-            let rows = first..(first + ROWS_AT_ONCE).min(frame.shape[0]);
-            lines.add(number, first, &recorder.rows(number, rows.clone(), &image, &mut late));
-            progress.advance(rows.len() as u64);
-        }
-    }
-    progress.finish();
-    let ideal = Array2::from_shape_fn(frame.shape, |(row, column)| {
-        let at = [column, row].map(|p| p as f64 * frame.pixel_nm);
-        image.at([0, 1].map(|k| frame.origin_nm[k] + at[k])) as f32
-    });
+    let carbon = carbon.map(|before| GrowingCarbon::new(before, &image, rate)).transpose()?;
+    let begun = carbon.as_ref().map(|carbon| carbon.over(&image));
+    let ideal = meant_image(&frame, begun.as_ref().unwrap_or(&image));
+    let (lines, carbon_nm) = all_frames(&recorder, options, (&image, carbon), progress)?;
     let path = recorder.path();
     let (sites, columns) = list(&specimen.query(&region_of(&frame)), frame.origin_nm, 0);
     let position_in_image = appearances(path, &columns, options);
@@ -180,8 +196,50 @@ pub fn record(
         sites,
         columns,
         position_in_image,
+        carbon_nm,
         clipped: lines.clipped,
     })
+}
+
+/// The image at the pixels that were meant.
+fn meant_image(frame: &ScanFrame, image: &SourceImage) -> Array2<f32> {
+    Array2::from_shape_fn(frame.shape, |(row, column)| {
+        let at = [column, row].map(|p| p as f64 * frame.pixel_nm);
+        image.at([0, 1].map(|k| frame.origin_nm[k] + at[k])) as f32
+    })
+}
+
+/// Records all frames of an image, on which carbon may grow; returns the mean thickness in nm of that when each began, too.
+fn all_frames(
+    recorder: &Recorder,
+    options: &RecordingOptions,
+    (image, mut carbon): (&SourceImage, Option<GrowingCarbon>),
+    progress: &dyn Progress,
+) -> Result<(KeptFrames, Vec<f64>)> {
+    let frame = *recorder.path().frame();
+    let mut lines = KeptFrames::new(&frame, options);
+    let mut carbon_nm = Vec::new();
+    let (frames, rows) = (options.acquisition.frames, frame.shape[0]);
+    progress.start("recording", "line", (frames * rows) as u64);
+    for number in 0..frames {
+        let covered = carbon.as_ref().map(|carbon| carbon.over(image));
+        let image = covered.as_ref().unwrap_or(image);
+        carbon_nm.extend(carbon.as_ref().map(|carbon| carbon.mean_nm(&region_of(&frame))));
+        let mut late = 0.0;
+        for first in (0..rows).step_by(ROWS_AT_ONCE) {
+            if progress.interrupted() {
+                return Err(Error::Interrupted);
+            }
+            let rows = first..(first + ROWS_AT_ONCE).min(rows);
+            lines.add(number, first, &recorder.rows(number, rows.clone(), image, &mut late));
+            progress.advance(rows.len() as u64);
+        }
+        if let Some(carbon) = carbon.as_mut().filter(|_| number + 1 < frames) {
+            carbon.after_frame(recorder.path(), recorder.exposure(), number)?;
+        }
+    }
+    progress.finish();
+    Ok((lines, carbon_nm))
 }
 
 /// The path and the exposure of a scan of a part of the field, in nm of the full field.

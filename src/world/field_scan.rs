@@ -40,6 +40,12 @@ impl FieldScan {
     pub fn of(recipe: &Recipe) -> Result<Option<Self>> {
         let Some(table) = recipe.acquisition else { return Ok(None) };
         let acquisition = table.resolved();
+        if acquisition.contamination_angstrom3_per_electron > 0.0 {
+            let rate = acquisition.contamination_angstrom3_per_electron;
+            let value = format!("contamination_angstrom3_per_electron = {rate}");
+            let expected = "carbon grows in recordings of a part (acquire) and in live worlds only: expected 0 where a whole world is recorded";
+            return Err(Error::invalid(Setting::Acquisition, value, expected));
+        }
         let field = &recipe.field;
         let (meant, pixel_nm) = (field.pixels(field.built_grid()), field.pixel_nm());
         let parts = refinement(recipe);

@@ -10,6 +10,7 @@ pub mod build_options;
 #[cfg(feature = "hdf5")]
 mod build_summary;
 mod column_labels;
+mod contamination;
 mod field_recording;
 #[cfg(feature = "hdf5")]
 mod field_scan;
@@ -42,10 +43,11 @@ pub use atoms_export::{ExportOptions, ExportSummary, export};
 pub use build_options::{BuildMethod, BuildOptions, BuildPolicy, BuildProfile};
 #[cfg(feature = "hdf5")]
 pub use build_summary::BuildSummary;
-pub(crate) use field_recording::scan_of;
+pub(crate) use contamination::{CarbonBefore, expose_frame, grown};
 pub use field_recording::{
     Electrons, FieldRecording, RecordedPart, RecordingOptions, RecordingStages, record,
 };
+pub(crate) use field_recording::{record_over, scan_of};
 pub(crate) use field_tile::tile_of_image;
 pub use field_tile::{FieldTile, field_tile};
 pub use noise::Noise;

@@ -43,6 +43,7 @@ impl FieldRecording {
             is_sum: !self.options.keep_frames && self.exposure.frames > 1,
             ideal: &self.ideal,
             stages: self.stages.as_ref().map(|s| [&s.moved, &s.electrons]),
+            carbon_nm: &self.carbon_nm,
             clipped: self.clipped,
             series: None,
         }

@@ -35,6 +35,22 @@ fn a_world_is_built_with_its_picture() {
     assert_eq!(summary["dose_electrons_per_angstrom2"], serde_json::Value::Null);
 }
 
+/// The world's image as HyperSpy reads it: as in the world file, in fractions of the beam.
+#[test]
+fn a_world_is_written_for_hyperspy_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = tiny(folder.path());
+    command.args(["--keep-clean", "--hspy", "--no-png", "-o", "w.h5"]);
+    let told = stdout(&command.output().unwrap());
+    assert!(told.contains("w.hspy"), "{told}");
+    let told = python("check_world_hspy.py", &[&folder.path().join("w.h5")]);
+    assert_eq!(told, "HAADF, HAADF_clean\n");
+    // what is there is kept
+    let mut again = tiny(folder.path());
+    let message = fails(again.args(["--hspy", "--no-png", "-o", "w.h5", "--seed", "9"]));
+    assert!(message.contains("--overwrite"), "{message}");
+}
+
 #[test]
 fn the_library_builds_the_same_file() {
     use stemgen::imaging::Cache;
