@@ -66,8 +66,12 @@ impl Filters {
     }
 }
 
+/// How many bytes a byte unpacks to at most (zlib's documentation).
+const LARGEST_DEFLATION: usize = 1032;
+
 fn inflated(packed: &[u8], most: usize) -> Guarded<Vec<u8>> {
-    let mut bytes = Vec::new();
+    // Room for all from the start: a vector that grows is there twice for a moment.
+    let mut bytes = Vec::with_capacity(most.min(packed.len().saturating_mul(LARGEST_DEFLATION)));
     let mut decoder = ZlibDecoder::new(packed).take(most as u64 + 1);
     decoder.read_to_end(&mut bytes).map_err(|e| format!("does not unpack ({e})"))?;
     match bytes.len() > most {

@@ -30,6 +30,9 @@ const MOST_EXPANDED_BYTES: u128 = 896 << 20;
 /// ... unless it is so large that the values are stored almost as they are: bytes become numbers of 8 bytes.
 const PLAIN_EXPANSION: u128 = 8;
 
+/// A chunk is there twice while the order of its bytes is undone.
+const COPIES_OF_A_CHUNK: u128 = 2;
+
 /// How many bytes may be read from one dataset of a file of so many.
 fn allowed_bytes(file_bytes: u64) -> u128 {
     let file = u128::from(file_bytes);
@@ -147,6 +150,7 @@ pub(super) fn check_storage(dataset: &Dataset, file_bytes: u64) -> Guarded<()> {
     check_bytes(&shape, bytes, file_bytes)?;
     let Some(chunk) = plan.chunk() else { return check_end(dataset, file_bytes) };
     check_bytes(&chunk, bytes, file_bytes)?;
+    check_chunk(&chunk, &shape, bytes, file_bytes)?;
     let along = shape.iter().zip(&chunk).map(|(n, c)| n.div_ceil((*c).max(1)));
     match along.fold(1_usize, usize::saturating_mul) {
         count if count > MOST_CHUNKS => {
@@ -154,6 +158,21 @@ pub(super) fn check_storage(dataset: &Dataset, file_bytes: u64) -> Guarded<()> {
         }
         _ => Ok(()),
     }
+}
+
+/// Refuses chunks so large that unpacking one takes more memory, beside the values, than a file of `file_bytes` bytes may.
+fn check_chunk(chunk: &[usize], shape: &[usize], bytes: usize, file_bytes: u64) -> Guarded<()> {
+    let all =
+        |lengths: &[usize]| lengths.iter().fold(bytes as u128, |n, k| n.saturating_mul(*k as u128));
+    let needed = all(shape).saturating_add(all(chunk).saturating_mul(COPIES_OF_A_CHUNK));
+    let allowed = allowed_bytes(file_bytes);
+    if needed > allowed {
+        return Err(format!(
+            "is packed in chunks of {chunk:?} values: unpacking one takes {needed} bytes with the values, for a file of \
+             {file_bytes}; at most {allowed} are taken; save it again in smaller chunks"
+        ));
+    }
+    Ok(())
 }
 
 /// Refuses a dataset in one piece that lies beyond the end of the file.

@@ -63,18 +63,19 @@ impl WorldFile {
         let positions: Array2<f32> = self.all(&dataset("position")?, "position")?;
         let (sites, vacancies) = (counts("number_of_sites")?, counts("vacancies")?);
         let substitutions = counts("substitutions")?;
+        let n = positions.nrows();
+        // Checked before compositions are made: they take the most.
+        let alike = [sites.len(), vacancies.len(), substitutions.len()] == [n; 3];
         let compositions: Vec<CompositionText> =
             match self.file.link_exists(&format!("{name}/composition")) {
-                true => {
+                true if alike => {
                     let texts =
                         self.dataset_of::<CompositionText>(&format!("{name}/composition"))?;
                     self.list(&texts, "composition")?
                 }
-                false => vec![CompositionText::default(); sites.len()],
+                _ => vec![CompositionText::default(); if alike { n } else { 0 }],
             };
-        let n = positions.nrows();
-        let lengths = [sites.len(), vacancies.len(), substitutions.len(), compositions.len()];
-        if positions.ncols() != 2 || lengths != [n; 4] {
+        if positions.ncols() != 2 || !alike || compositions.len() != n {
             return Err(not_a_world(&self.path, "has lists of columns of unequal length"));
         }
         self.check_places(positions.iter(), "columns")?;
