@@ -63,6 +63,18 @@ impl WorldReader {
 
 type Rows = (usize, usize);
 
+/// What `read` makes of a world, with the images of a detector; the main one without a name.
+fn on_detector<T>(
+    world: &WorldFile,
+    detector: Option<&str>,
+    read: impl FnOnce(&WorldFile) -> Result<T, Fault>,
+) -> Result<T, Fault> {
+    match detector {
+        None => read(world),
+        Some(name) => read(&world.on_detector(name)?),
+    }
+}
+
 #[pymethods]
 impl WorldReader {
     #[new]
@@ -101,6 +113,7 @@ impl WorldReader {
                 "seed": m.seed,
                 "wall_time_s": m.wall_time_s,
                 "has_clean": world.has_clean(),
+                "detectors": world.detectors(),
                 "phases": world.phase_names()?,
                 "site_count": world.site_count()?,
             });
@@ -115,8 +128,9 @@ impl WorldReader {
         row: usize,
         column: usize,
         clean: bool,
+        detector: Option<&str>,
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        let tile = self.with(py, |world| {
+        let read = |world: &WorldFile| {
             let [rows, columns] = world.metadata().grid_shape;
             if row >= rows || column >= columns {
                 let expected = format!("the world has {rows} x {columns} tiles, counted from 0");
@@ -128,7 +142,8 @@ impl WorldReader {
                 return Ok(world.clean_tile(row, column)?);
             }
             Ok(world.tile(row, column)?)
-        })?;
+        };
+        let tile = self.with(py, |world| on_detector(world, detector, read))?;
         Ok(tile.into_pyarray(py))
     }
 
@@ -139,20 +154,33 @@ impl WorldReader {
         rows: Rows,
         columns: Rows,
         clean: bool,
+        detector: Option<&str>,
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        let image = self.with(py, |world| {
+        let read = |world: &WorldFile| {
             let (rows, columns) = (rows.0..rows.1, columns.0..columns.1);
             Ok(match clean {
                 true => world.stitched_clean(rows, columns)?,
                 false => world.stitched(rows, columns)?,
             })
-        })?;
+        };
+        let image = self.with(py, |world| on_detector(world, detector, read))?;
         Ok(image.into_pyarray(py))
     }
 
     /// The overview, [y, x].
-    fn overview<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        Ok(self.with(py, |world| Ok(world.overview()?))?.into_pyarray(py))
+    fn overview<'py>(
+        &self,
+        py: Python<'py>,
+        detector: Option<&str>,
+    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let read = |world: &WorldFile| Ok(world.overview()?);
+        Ok(self.with(py, |world| on_detector(world, detector, read))?.into_pyarray(py))
+    }
+
+    /// Scale and offset of the images of a detector: fraction of the beam = value * scale + offset.
+    fn scaling(&self, py: Python<'_>, detector: Option<&str>) -> PyResult<Option<[f64; 2]>> {
+        let read = |world: &WorldFile| Ok(world.metadata().scaling);
+        self.with(py, |world| on_detector(world, detector, read))
     }
 
     /// Phases of pixels, [y, x]; `None` in a world of one phase.

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from . import _core
-from ._fields import FieldLike, field_options
+from ._fields import FieldLike, field_options, world_path
 from ._running import Progress, call, running
+from .worlds import World
 
 Path = str | os.PathLike[str]
 
@@ -45,6 +47,7 @@ def audit(
     audit_seed: int = 1,
     cache: bool | Path = True,
     force: bool = False,
+    check: bool = True,
     threads: int | None = None,
     progress: Progress = False,
     **recipe: Any,
@@ -59,8 +62,12 @@ def audit(
         stride: compare every how many-th pixel.
         configurations: phonon configurations to average.
         audit_seed: of the places.
+        check: first reads a world given by its path through in a process of its own, as :class:`World` does.
         **recipe: ``difficulty``, ``set``, ``unset``, ``grid``, ``seed`` of a recipe, as :class:`Recipe` takes them.
     """
+    path = None if isinstance(field, World) else world_path(field)
+    if check and path is not None:
+        check_file(path)
     options = {
         "field": field_options(field, recipe),
         "regions": regions,
@@ -150,6 +157,7 @@ def compare(
     alpha: float = 0.001,
     out: Path | None = None,
     overwrite: bool = False,
+    check: bool = True,
     threads: int | None = None,
     progress: Progress = False,
 ) -> Comparison:
@@ -159,8 +167,12 @@ def compare(
         a, b: the files.
         alpha: how often worlds of one kind may be called different.
         out: page (HTML) to write.
+        check: first reads both files through in a process of their own, as :class:`World` does.
     """
     paths = [os.fspath(a), os.fspath(b)]
+    if check:
+        for path in paths:
+            check_file(path)
     found = json.loads(
         call(_core.compare_worlds, paths, alpha, _path(out), overwrite, running(threads, progress))
     )
@@ -181,18 +193,26 @@ class Verification:
     details: Mapping[str, str]
 
 
-def verify(world: Path, *, threads: int | None = None, progress: Progress = False) -> Verification:
+def verify(world: Path, *, check: bool = True, threads: int | None = None, progress: Progress = False) -> Verification:
     """Holds tiles against each other and the overview, lists of the truth against each other and the field, and counts against the dose.
 
     Args:
         world: the file.
+        check: first reads it through in a process of its own, as :class:`World` does.
 
     Raises:
         FileError: the file is not there, or cannot be read.
     """
+    if check:
+        check_file(os.fspath(world))
     checks = json.loads(call(_core.verify_world, os.fspath(world), running(threads, progress)))
-    faults = {check["what"]: check["found"] for check in checks if check["outcome"] == "fault"}
-    return Verification(sound=not faults, faults=faults, details={check["what"]: check["found"] for check in checks})
+    faults = {one["what"]: one["found"] for one in checks if one["outcome"] == "fault"}
+    return Verification(sound=not faults, faults=faults, details={one["what"]: one["found"] for one in checks})
+
+
+def check_file(path: str) -> None:
+    """Reads a file through in a process of its own: damaged files of strangers may end or hang the HDF5 library."""
+    _core.check_file(path, [sys.executable, "-m", "stemworlds"])
 
 
 def _path(path: Path | None) -> str | None:

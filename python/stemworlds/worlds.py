@@ -93,6 +93,7 @@ class WorldMetadata:
         fov_nm: the same in nm.
         scaling: scale and offset, fraction of the beam = value * scale + offset.
         phases: names of the phases by their codes.
+        detectors: inner and outer angle in mrad of each detector of a world that names several, the main one first; else none.
     """
 
     pixel_nm: float
@@ -116,6 +117,7 @@ class WorldMetadata:
     has_clean: bool
     phases: tuple[str, ...]
     site_count: int
+    detectors: Mapping[str, tuple[float, float]]
 
 
 class World:
@@ -143,6 +145,7 @@ class World:
         facts = json.loads(self._reader.metadata())
         for name in ("grid", "shape", "fov_nm", "scaling", "phases"):
             facts[name] = None if facts[name] is None else tuple(facts[name])
+        facts["detectors"] = {one["name"]: (one["inner_mrad"], one["outer_mrad"]) for one in facts["detectors"]}
         self.metadata: WorldMetadata = WorldMetadata(**facts)
 
     def close(self) -> None:
@@ -193,35 +196,50 @@ class World:
             raise _invalid("path", f"{self.path}: holds no recipe; it was not built by stemgen")
         return Recipe(self.metadata.recipe)
 
-    def tile(self, row: int, column: int, *, clean: bool = False) -> Image:
-        """A tile: normalised as in the file (0 to 1), or without noise in fractions of the beam."""
+    @property
+    def detectors(self) -> Mapping[str, tuple[float, float]]:
+        """Inner and outer angle in mrad of each detector, the main one first; none in a world of one detector without a name."""
+        return self.metadata.detectors
+
+    def tile(self, row: int, column: int, *, clean: bool = False, detector: str | None = None) -> Image:
+        """A tile: normalised as in the file (0 to 1), or without noise in fractions of the beam.
+
+        Args:
+            row, column: counted from 0.
+            clean: without noise.
+            detector: name of one of :attr:`detectors`; the main one by default.
+        """
         stride = self.metadata.tile_size_px - self.metadata.overlap_px
         if row < 0 or column < 0:
             raise _invalid("grid", f"tile {row}, {column}: tiles are counted from 0")
-        return self._image(f"tile {row}, {column}", self._reader.tile(row, column, clean), (row * stride, column * stride), clean)
+        return self._image(f"tile {row}, {column}", self._reader.tile(row, column, clean, detector), (row * stride, column * stride), clean)
 
-    def image(self, region_nm: tuple[float, float, float, float] | None = None, *, clean: bool = False) -> Image:
+    def image(
+        self, region_nm: tuple[float, float, float, float] | None = None, *, clean: bool = False, detector: str | None = None
+    ) -> Image:
         """The image of a region, left, upper, right and lower edge in nm; the whole by default.
 
         Args:
             region_nm: all pixels that it touches are taken.
             clean: the image without noise, in fractions of the beam, of a world built with ``keep_clean=True``; otherwise
                 normalised as in the file, 0 to 1.
+            detector: name of one of :attr:`detectors`; the main one by default.
         """
         rows, columns = self._pixels(region_nm)
-        array = self._reader.image(rows, columns, clean)
+        array = self._reader.image(rows, columns, clean, detector)
         return self._image("world", array, (rows[0], columns[0]), clean)
 
-    def fractions(self, image: Image) -> npt.NDArray[np.float32]:
-        """The values of a normalised image as fractions of the beam."""
-        if self.metadata.scaling is None:
+    def fractions(self, image: Image, *, detector: str | None = None) -> npt.NDArray[np.float32]:
+        """The values of a normalised image of a detector as fractions of the beam."""
+        scaling = self._reader.scaling(detector)
+        if scaling is None:
             raise _invalid("path", f"{self.path}: tells no scaling")
-        scale, offset = self.metadata.scaling
+        scale, offset = scaling
         return (image.array * scale + offset).astype(np.float32)
 
-    def overview(self) -> Image:
+    def overview(self, *, detector: str | None = None) -> Image:
         """The whole image, made smaller by 8."""
-        array = self._reader.overview()
+        array = self._reader.overview(detector)
         pixel = 8 * self.pixel_nm
         shift = 3.5 * self.pixel_nm
         return Image("overview", array, (pixel, pixel), (shift, shift), units="normalised, 0 to 1")

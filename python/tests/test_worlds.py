@@ -7,6 +7,7 @@ import pickle
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -145,6 +146,56 @@ def test_pictures_and_pages(world_path: Path, tmp_path: Path) -> None:
     assert "data:image/png" in world._repr_html_() and "<figure>" in world.tile(0, 0)._repr_html_()
     with pytest.raises(FileExistsError):
         sw.view(world, out=tmp_path / "w.png")
+
+
+def test_detectors_have_names(tmp_path: Path, world_path: Path) -> None:
+    angles = {"HAADF": (68.0, 200.0), "ABF": (11.0, 21.0)}
+    tables = [{"name": name, "inner_mrad": low, "outer_mrad": high} for name, (low, high) in angles.items()]
+    path = tmp_path / "two.h5"
+    options: dict[str, Any] = {"set": {"field.thickness_nm": 0.4, "detector": tables}, "grid": (1, 1), "seed": 5}
+    with sw.build("test", out=path, keep_clean=True, cache=False, audit=0, **options) as world:
+        assert list(world.detectors.items()) == list(angles.items())
+        with h5py.File(path) as file:
+            abf, main = file["detectors/ABF"], file["tiles/0_0"][()]
+            assert np.array_equal(world.tile(0, 0).array, main)
+            assert np.array_equal(world.tile(0, 0, detector="HAADF").array, main)
+            assert np.array_equal(world.tile(0, 0, detector="ABF").array, abf["tiles/0_0"][()])
+            assert np.array_equal(world.tile(0, 0, detector="ABF", clean=True).array, abf["clean/0_0"][()])
+            scale, offset = (abf["tiles"].attrs[name] for name in ("scale", "offset"))
+            image = world.image(detector="ABF")
+            assert np.array_equal(image.array, abf["tiles/0_0"][()])
+            assert np.allclose(world.fractions(image, detector="ABF"), image.array * scale + offset)
+            assert np.array_equal(world.overview(detector="ABF").array, abf["overview"][()])
+        with pytest.raises(sw.StemworldsError, match="no detector `BF`; it has HAADF, ABF"):
+            world.tile(0, 0, detector="BF")
+    one = sw.World(world_path)
+    assert one.detectors == {}
+    with pytest.raises(sw.StemworldsError, match="one detector without a name"):
+        one.image(detector="ABF")
+
+
+def test_damaged_files_are_read_elsewhere_first(tmp_path: Path, world_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    checked: list[str] = []
+    whole = sw.checking.check_file
+
+    def check(path: str) -> None:
+        checked.append(path)
+        whole(path)
+
+    monkeypatch.setattr(sw.checking, "check_file", check)
+    path = str(world_path)
+    assert sw.verify(path).sound and sw.compare(path, path).verdict == "same"
+    assert checked == [path] * 3
+    sw.audit(path, regions=1, size_nm=0.5, configurations=1, cache=False)
+    sw.audit(sw.World(path), regions=1, size_nm=0.5, configurations=1, cache=False)
+    assert checked == [path] * 4
+    assert sw.verify(path, check=False).sound and len(checked) == 4
+    cut = tmp_path / "cut.h5"
+    cut.write_bytes(world_path.read_bytes()[: world_path.stat().st_size // 2])
+    assert list(sw.verify(cut).faults) == ["schema"]
+    for use in (sw.audit, lambda other: sw.compare(path, other)):
+        with pytest.raises(sw.FormatError, match="cut.h5"):
+            use(cut)
 
 
 def test_audits_and_comparisons(world_path: Path, tmp_path: Path) -> None:
