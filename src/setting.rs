@@ -149,6 +149,8 @@ settings! {
     ColumnSites = "sites of a column",
     /// The width of a sub-tile, and how far sub-tiles overlap.
     SubtileNm = "sub-tile (nm)",
+    /// Which of several processes this is.
+    Shard = "shard",
     /// The set of engine settings of a build.
     BuildProfile = "profile",
     /// A rectangle of pixels of a field.

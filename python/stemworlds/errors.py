@@ -145,6 +145,7 @@ _KEYWORDS: dict[str, str | None] = {
     "CrystalSites": None,
     "ColumnSites": None,
     "SubtileNm": "subtile_nm",
+    "Shard": "shard",
     "BuildProfile": "profile",
     "TilePixels": "size",
     "Dose": "dose",

@@ -2,14 +2,17 @@
 
 use super::acquire_command::AcquisitionName;
 use super::build_plan::DryRun;
+use super::build_shard::ShardReport;
 use super::common::{Common, Force};
 use super::hints::{self, hinted};
 use super::plan_report::Lines;
+use super::progress_bar::Reporter;
 use super::recipe_args::RecipeArgs;
 use super::values::{self, EngineName as Engine};
 use super::{estimate, output, pictures, slips, text, world_hspy};
 use crate::acquisition::{Acquisition, AcquisitionTable, Profile};
 use crate::engine::Expansion;
+use crate::files::Shard;
 use crate::files::outputs::check_outputs;
 use crate::imaging::{Audit, Cache};
 use crate::io::WorldFile;
@@ -31,6 +34,9 @@ Examples:
     stemgen build srtio3 --difficulty hard --dry-run
   Another specimen of the same kind, and the noiseless image with it:
     stemgen build srtio3 --difficulty medium --grid 4x4 --seed 7 --keep-clean -o seven.h5
+  In parts, on machines that see the same files; then the world from them:
+    stemgen build gan --difficulty hard --shard 0/4    # ... and 1/4, 2/4, 3/4
+    stemgen build gan --difficulty hard
   From a recipe of your own, with the settings of the published worlds:
     stemgen build --recipe mine.toml --difficulty easy --profile published
 
@@ -68,6 +74,11 @@ pub struct Build {
     /// Leave out the picture
     #[arg(long, help_heading = "Results")]
     no_png: bool,
+    /// Make part K (from 0) of N of what the world takes, for several processes or machines that see the same files; `slurm`: that
+    /// of a task of a job array. The same command without --shard finds all parts and writes the world
+    #[arg(long, value_name = "K/N|slurm", value_parser = values::shard, help_heading = "Running")]
+    #[arg(conflicts_with_all = ["dry_run", "overwrite", "hspy", "max_error", "accuracy"])]
+    shard: Option<Shard>,
     #[command(flatten)]
     common: Common,
     #[command(flatten)]
@@ -177,6 +188,14 @@ impl Build {
         let picture = (!self.no_png).then(|| path.with_extension("png"));
         let hspy = self.hspy.then(|| path.with_extension("hspy"));
         let outputs = [Some(&path), picture.as_ref(), hspy.as_ref()].into_iter().flatten();
+        if let Some(shard) = self.shard {
+            slips::check_hdf5_name(&path)?;
+            check_outputs([&path], self.recipe.files(&recipe), false)?;
+            self.check_memory(&build, &reporter)?;
+            let part = ShardReport::of(build, &path, shard, &reporter);
+            let part = part.map_err(|e| with_what_is_kept(e, &path))?;
+            return self.common.print(&part, &part.text());
+        }
         let complete = build.is_complete(&path);
         check_outputs(outputs, self.recipe.files(&recipe), self.overwrite || complete)?;
         slips::check_hdf5_name(&path)?;
@@ -188,8 +207,7 @@ impl Build {
         if !complete {
             build.check_disk(&path, companion.as_ref())?;
             DryRun::warnings(&build)?.iter().for_each(|w| reporter.warn(w));
-            let (needed, remedy) = build.memory(&build.cost()?, estimate::threads())?;
-            self.force.check_memory(needed, remedy, &reporter)?;
+            self.check_memory(&build, &reporter)?;
         }
         let summary = build
             .run_with(&path, companion.as_ref(), &reporter)
@@ -205,6 +223,11 @@ impl Build {
         }
         let built = Built { hspy, ..self.built(&recipe, &summary, &world, picture)? };
         self.common.print(&built, &built.text())
+    }
+
+    fn check_memory(&self, build: &WorldBuild, reporter: &Reporter) -> anyhow::Result<()> {
+        let (needed, remedy) = build.memory(&build.cost()?, estimate::threads())?;
+        Ok(self.force.check_memory(needed, remedy, reporter)?)
     }
 
     /// What the arguments ask for; everything else is as the library builds.

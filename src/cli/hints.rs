@@ -168,6 +168,7 @@ fn options(setting: Setting) -> Option<&'static str> {
         | S::VacancyRate => Some("--set, which changes a value of the recipe"),
         S::BuildProfile => Some("--profile"),
         S::Dose => Some("--set dose.electrons_per_angstrom2=..."),
+        S::Shard => Some("--shard"),
         S::SubtileNm => Some("--subtile and --subtile-overlap"),
         S::LargestErrorPercent => {
             Some("--max-error, --engine multislice, --engine prism --interpolation 1, and --audit")

@@ -5,6 +5,7 @@ mod acquire_command;
 mod audit_command;
 mod build_command;
 mod build_plan;
+mod build_shard;
 mod cache_command;
 mod common;
 mod compare_command;

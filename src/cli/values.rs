@@ -4,6 +4,7 @@ use super::not_offered::not_offered;
 use super::slips;
 use crate::detect::Detector;
 use crate::engine::{Expansion, ProbeStep};
+use crate::files::Shard;
 use crate::io::tiff_file::TiffDepth;
 use crate::optics::Aberration;
 use crate::potential::projected::Projection;
@@ -40,6 +41,15 @@ pub struct NumberSeries(pub Vec<f64>);
 
 /// Most values of a series.
 const LONGEST_SERIES: f64 = 1000.0;
+
+/// `0/16`, or `slurm` for that of a task of a job array.
+pub fn shard(text: &str) -> Parsed<Shard> {
+    let shard = match text.trim() {
+        "slurm" => Shard::of_slurm(|name| std::env::var(name).ok()),
+        text => text.parse(),
+    };
+    shard.map_err(|e| e.to_string())
+}
 
 /// `30` or `0:100:20`.
 pub fn series(text: &str) -> Parsed<NumberSeries> {

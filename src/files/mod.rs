@@ -6,7 +6,9 @@ pub mod atomic_write;
 pub mod disk_space;
 mod output_lock;
 pub mod outputs;
+mod shard;
 pub mod unfinished;
 pub mod whole_file;
 
 pub use output_lock::OutputLock;
+pub use shard::Shard;

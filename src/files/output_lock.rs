@@ -6,6 +6,7 @@ use crate::setting::Setting;
 use std::fs::File;
 use std::io::{Read, Seek, Write};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// The right to write an output: a locked file `<output>.lock` beside it, which names the holder. The
 /// system gives the lock back when the process ends, however that happens; the file goes when this is
@@ -14,8 +15,17 @@ use std::path::{Path, PathBuf};
 pub struct OutputLock {
     path: PathBuf,
     /// Holds the lock while open.
-    _file: File,
-    _unfinished: Unfinished,
+    file: File,
+    _unfinished: Option<Unfinished>,
+}
+
+/// Who may hold a lock beside this process.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Holders {
+    /// Nobody.
+    One,
+    /// Others that share it.
+    Several,
 }
 
 impl OutputLock {
@@ -25,6 +35,18 @@ impl OutputLock {
     /// # Errors
     /// [`Error::Locked`] naming the holder, [`Error::Io`].
     pub fn hold(output: &Path) -> Result<Self> {
+        Self::lock(output, Holders::One)
+    }
+
+    /// Locks `output` for this process and all others that share it: those that make parts of it.
+    ///
+    /// # Errors
+    /// As [`OutputLock::hold`], if a process holds it alone.
+    pub fn share(output: &Path) -> Result<Self> {
+        Self::lock(output, Holders::Several)
+    }
+
+    fn lock(output: &Path, holders: Holders) -> Result<Self> {
         let mut name = output.as_os_str().to_owned();
         name.push(".lock");
         let path = PathBuf::from(name);
@@ -32,6 +54,7 @@ impl OutputLock {
             let why = "is no lock of this program, and the build would replace it; move it away, or name another output";
             Err(Error::invalid(Setting::Output, path.display(), why))
         };
+        let mut patience = MOMENTS;
         loop {
             let fail = |e| Error::io(&path, "create", e);
             // A link would have a file made, or changed, elsewhere.
@@ -45,9 +68,16 @@ impl OutputLock {
                 .truncate(false)
                 .open(&path)
                 .map_err(fail)?;
-            if !try_lock(&file).map_err(fail)? {
+            if !try_lock(&file, holders).map_err(fail)? {
                 // An unreadable name of the holder makes the message poorer, not the lock weaker.
-                let holder = match beginning(&file).unwrap_or_default().trim() {
+                let found = beginning(&file).unwrap_or_default();
+                // The last of those that share it holds it alone for a moment.
+                if found.starts_with(SHARED) && patience > 0 {
+                    patience -= 1;
+                    std::thread::sleep(MOMENT);
+                    continue;
+                }
+                let holder = match found.trim() {
                     text if text.starts_with(PROCESS) => text.to_owned(),
                     _ => "another process".to_owned(),
                 };
@@ -68,22 +98,41 @@ impl OutputLock {
                 writeln!(file, "{}", myself())?;
                 file.flush()
             };
-            write(&mut file).map_err(fail)?;
-            let _unfinished = Unfinished::at(&path);
-            return Ok(OutputLock { path, _file: file, _unfinished });
+            let unfinished = match holders {
+                Holders::One => {
+                    write(&mut file).map_err(fail)?;
+                    Some(Unfinished::at(&path))
+                }
+                Holders::Several if found.starts_with(SHARED) => None,
+                Holders::Several => {
+                    // All that share it write the same.
+                    file.set_len(0).and_then(|()| file.rewind()).map_err(fail)?;
+                    file.write_all(SHARED.as_bytes()).map_err(fail)?;
+                    None
+                }
+            };
+            return Ok(OutputLock { path, file, _unfinished: unfinished });
         }
     }
 }
 
 impl Drop for OutputLock {
     fn drop(&mut self) {
-        // A lock file that stays behind holds nothing.
+        // A lock file that stays behind holds nothing. The last of those that share one removes it.
+        if !try_lock(&self.file, Holders::One).unwrap_or(false) {
+            return;
+        }
         let _ = std::fs::remove_file(&self.path);
     }
 }
 
+/// How often, and how long each time, a lock that processes share is waited for.
+const MOMENTS: usize = 10;
+const MOMENT: Duration = Duration::from_millis(20);
 /// How the text in a lock begins.
 const PROCESS: &str = "process ";
+/// The text in a lock that processes share.
+const SHARED: &str = "process that makes a part of it (a shard)\n";
 /// Bytes of a lock that are read.
 const READ_BYTES: u64 = 1 << 16;
 
@@ -111,9 +160,13 @@ fn myself() -> String {
 }
 
 #[cfg(unix)]
-fn try_lock(file: &File) -> std::io::Result<bool> {
+fn try_lock(file: &File, holders: Holders) -> std::io::Result<bool> {
     use rustix::fs::{FlockOperation, flock};
-    match flock(file, FlockOperation::NonBlockingLockExclusive) {
+    let operation = match holders {
+        Holders::One => FlockOperation::NonBlockingLockExclusive,
+        Holders::Several => FlockOperation::NonBlockingLockShared,
+    };
+    match flock(file, operation) {
         Ok(()) => Ok(true),
         Err(rustix::io::Errno::WOULDBLOCK) => Ok(false),
         // File systems without locks.
@@ -125,7 +178,7 @@ fn try_lock(file: &File) -> std::io::Result<bool> {
 }
 
 #[cfg(not(unix))]
-fn try_lock(_: &File) -> std::io::Result<bool> {
+fn try_lock(_: &File, _: Holders) -> std::io::Result<bool> {
     Ok(true)
 }
 
@@ -166,6 +219,26 @@ mod tests {
             std::fs::write(folder.path().join("w.h5.lock"), left).unwrap();
             OutputLock::hold(&output).unwrap();
         }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn shards_share_an_output_and_the_end_is_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let output = folder.path().join("w.h5");
+        let shards: Vec<_> = (0..3).map(|_| OutputLock::share(&output).unwrap()).collect();
+        let told = OutputLock::hold(&output).unwrap_err().to_string();
+        assert!(told.contains("a shard"), "{told}");
+        let mut shards = shards.into_iter();
+        drop(shards.next());
+        assert!(OutputLock::hold(&output).is_err());
+        shards.for_each(drop);
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+        let end = OutputLock::hold(&output).unwrap();
+        let told = OutputLock::share(&output).unwrap_err().to_string();
+        assert!(told.contains(&format!("process {}", std::process::id())), "{told}");
+        drop(end);
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }
 
     #[cfg(unix)]

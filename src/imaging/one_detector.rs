@@ -8,6 +8,7 @@ use super::displaced_atoms::DisplacedAtoms;
 use super::pixels::PixelRect;
 use super::region_imager::{RegionImager, told_by_inner};
 use crate::error::{Error, Result};
+use crate::files::Shard;
 use crate::progress::Progress;
 use crate::recipe::{Recipe, Region};
 use crate::setting::Setting;
@@ -54,6 +55,10 @@ impl RegionImager for OneDetector {
 
     fn prepare(&mut self, progress: &dyn Progress) -> Result<()> {
         self.inner.prepare(progress)
+    }
+
+    fn prepare_part(&mut self, shard: Shard, progress: &dyn Progress) -> Result<usize> {
+        self.inner.prepare_part(shard, progress)
     }
 
     fn mean_of(

@@ -9,6 +9,7 @@ use super::imaging_cost::ImagingCost;
 use super::pixels::PixelRect;
 use super::turned_raster::TurnedRaster;
 use crate::error::Result;
+use crate::files::Shard;
 use crate::progress::Progress;
 use crate::recipe::region::Region;
 
@@ -64,6 +65,15 @@ pub trait RegionImager: Send + Sync {
     /// Those of the engine, and [`crate::Error::Interrupted`].
     fn prepare(&mut self, _progress: &dyn Progress) -> Result<()> {
         Ok(())
+    }
+
+    /// Does a part of what [`RegionImager::prepare`] does, for other processes to find where this one keeps it. Returns how many things
+    /// the parts of others still lack.
+    ///
+    /// # Errors
+    /// Those of the engine, [`crate::Error::Interrupted`], and those of files: what is not kept is lost.
+    fn prepare_part(&mut self, _shard: Shard, _progress: &dyn Progress) -> Result<usize> {
+        Ok(0)
     }
 
     /// The noise-free image of the pixels on the main detector, [row, column] = [y, x] of shape [`PixelRect::sampled_shape`], as

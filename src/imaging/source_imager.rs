@@ -12,6 +12,7 @@ use super::pixels::PixelRect;
 use super::region_imager::{RegionImager, told_by_inner};
 use crate::engine::{Scan, Source, SourceBlur};
 use crate::error::Result;
+use crate::files::Shard;
 use crate::progress::Progress;
 use crate::recipe::{Recipe, Region};
 
@@ -98,6 +99,10 @@ impl RegionImager for SourceImager {
 
     fn prepare(&mut self, progress: &dyn Progress) -> Result<()> {
         self.inner.prepare(progress)
+    }
+
+    fn prepare_part(&mut self, shard: Shard, progress: &dyn Progress) -> Result<usize> {
+        self.inner.prepare_part(shard, progress)
     }
 
     fn mean_of(

@@ -37,6 +37,8 @@ mod world_build;
 #[cfg(feature = "hdf5")]
 mod world_job;
 #[cfg(feature = "hdf5")]
+mod world_shard;
+#[cfg(feature = "hdf5")]
 mod world_source;
 
 pub use atoms_export::{ExportOptions, ExportSummary, export};
@@ -63,5 +65,7 @@ pub use training_set::{COLUMN_CLASSES, TrainingOptions, TrainingSet, training_se
 pub use truth::Counts;
 #[cfg(feature = "hdf5")]
 pub use world_build::{Companion, WorldBuild, build};
+#[cfg(feature = "hdf5")]
+pub use world_shard::ShardSummary;
 #[cfg(feature = "hdf5")]
 pub use world_source::WorldSource;

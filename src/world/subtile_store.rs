@@ -54,6 +54,31 @@ impl SubtileStore {
         Ok(store)
     }
 
+    /// Opens the same among other processes that make sub-tiles of the same build. Nothing is removed.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a folder of another build, [`Error::Io`] when it cannot be made, read or written.
+    pub fn join(output: &Path, key: &str) -> Result<Self> {
+        let folder = &work_folder(output);
+        fs::create_dir_all(folder).map_err(|e| Error::io(folder, "create", e))?;
+        let build = format!("{:x?}", Sha256::digest(key).as_slice());
+        let store = SubtileStore { arrays: arrays(folder), build };
+        let key_path = folder.join(KEY_FILE);
+        match fs::read_to_string(&key_path) {
+            Ok(found) if found == key => Ok(store),
+            Ok(found) => {
+                let number = store.arrays.files()?.arrays.len();
+                Err(kept(output, number, &difference(&found, key)))
+            }
+            Err(e) if e.kind() == ErrorKind::NotFound => {
+                // All that do this at the same time write the same.
+                atomic_write::write(&key_path, key.as_bytes())?;
+                Ok(store)
+            }
+            Err(e) => Err(Error::io(&key_path, "read", e)),
+        }
+    }
+
     /// Refuses the sub-tiles of another recipe that lie in the work folder of `output`, before any work.
     ///
     /// # Errors

@@ -60,12 +60,12 @@ pub fn build(
 
 /// A build that is laid out: what it takes can be asked before it runs.
 pub struct WorldBuild {
-    layout: BuildLayout,
-    policy: BuildPolicy,
+    pub(super) layout: BuildLayout,
+    pub(super) policy: BuildPolicy,
     /// An imager that takes the place of what the options choose.
-    own: Option<Box<dyn RegionImager>>,
+    pub(super) own: Option<Box<dyn RegionImager>>,
     /// What the options choose: the field has to be looked at for it, once.
-    chosen: OnceLock<ChosenImager>,
+    pub(super) chosen: OnceLock<ChosenImager>,
 }
 
 impl WorldBuild {
@@ -285,7 +285,7 @@ impl WorldBuild {
         Ok(BuildSummary { wall_time_s: started.elapsed().as_secs_f64(), ..summary })
     }
 
-    fn check_output(&self, output: &Path, complete: bool) -> Result<()> {
+    pub(super) fn check_output(&self, output: &Path, complete: bool) -> Result<()> {
         let overwrite = self.layout.options.overwrite || complete;
         check_outputs([output], [] as [&Path; 0], overwrite)
     }
@@ -386,7 +386,7 @@ impl WorldBuild {
 }
 
 /// An imager that is right enough, ready, and its audit.
-fn checked(
+pub(super) fn checked(
     layout: &BuildLayout,
     policy: &BuildPolicy,
     mut first: ChosenImager,

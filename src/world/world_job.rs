@@ -13,6 +13,7 @@ use super::subtile_store::SubtileStore;
 use super::subtiles::{Partition, SubTile};
 use super::truth::{self, Counts};
 use crate::error::{Error, Result};
+use crate::files::Shard;
 use crate::imaging::{Audit, PixelRect, RegionImager};
 use crate::io::{Header, WorldFile, WorldWriter};
 use crate::numerics::NUMERICS_VERSION;
@@ -55,13 +56,19 @@ impl Job<'_> {
 
     /// Makes the images that are missing; returns how many sub-tiles were there.
     pub fn simulate(&self, store: &SubtileStore) -> Result<usize> {
+        let [_, resumed] = self.simulate_part(store, Shard::WHOLE)?;
+        Ok(resumed)
+    }
+
+    /// The same for the sub-tiles of one of several processes; returns how many those are, and how many were there.
+    pub fn simulate_part(&self, store: &SubtileStore, shard: Shard) -> Result<[usize; 2]> {
         let partition = &self.layout.partition;
-        let work: Vec<usize> =
-            partition.subtiles().map(|t| self.imager.work(&self.pixels(&t))).collect();
+        let tiles: Vec<SubTile> = partition.subtiles().filter(|t| shard.does(t.index)).collect();
+        let work: Vec<usize> = tiles.iter().map(|t| self.imager.work(&self.pixels(t))).collect();
         let [stage, unit] = self.imager.stage();
         self.progress.start(stage, unit, work.iter().sum::<usize>() as u64);
         let (mut resumed, detectors) = (0, self.layout.recipe.detector.count());
-        for (tile, work) in partition.subtiles().zip(work) {
+        for (tile, work) in tiles.iter().zip(work) {
             if self.progress.interrupted() {
                 return Err(Error::Interrupted);
             }
@@ -70,12 +77,12 @@ impl Job<'_> {
                 resumed += 1;
                 share.found();
             } else {
-                store.save(tile.index, &self.simulate_one(&tile, &share)?)?;
+                store.save(tile.index, &self.simulate_one(tile, &share)?)?;
                 share.complete();
             }
         }
         self.progress.finish();
-        Ok(resumed)
+        Ok([tiles.len(), resumed])
     }
 
     /// The pixels of a sub-tile in the full field.

@@ -15,6 +15,7 @@ use crate::detect::Detector;
 use crate::engine::Settings;
 use crate::engine::single_scattering::SingleScattering;
 use crate::error::Result;
+use crate::files::Shard;
 use crate::imaging::displaced_atoms::{DisplacedAtoms, with_layers};
 use crate::imaging::pixels::PixelRect;
 use crate::imaging::region_imager::{RegionImager, told_by_inner};
@@ -123,6 +124,10 @@ impl RegionImager for SurfaceImager {
 
     fn prepare(&mut self, progress: &dyn Progress) -> Result<()> {
         self.inner.prepare(progress)
+    }
+
+    fn prepare_part(&mut self, shard: Shard, progress: &dyn Progress) -> Result<usize> {
+        self.inner.prepare_part(shard, progress)
     }
 
     fn mean_of(

@@ -4,8 +4,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use ndarray::Array2;
 
-use crate::engine::{Images, PlannedScan, Settings, Simulation};
+use crate::engine::{Images, Plan, PlannedScan, Settings, Simulation};
 use crate::error::{Error, Result};
+use crate::files::Shard;
 use crate::imaging::beam_share::beam_factors;
 use crate::imaging::mosaic::cell_images::CellImages;
 use crate::imaging::mosaic::image_note::{ImageNote, NewImages};
@@ -115,8 +116,7 @@ impl ImageLibrary {
         cache: &'a Cache,
     ) -> impl Iterator<Item = (&'a CellImages, [usize; 2])> {
         let all = self.cells.values().flat_map(move |cell| {
-            let sheets = 0..cell.sheet.count;
-            sheets.flat_map(move |s| (0..self.configurations).map(move |c| (cell, [s, c])))
+            images_of(cell, self.configurations).map(move |image| (cell, image))
         });
         all.filter(move |(cell, image)| !cache.has(material, &cell.key(sigma, *image)))
     }
@@ -166,46 +166,32 @@ impl ImageLibrary {
     ) -> Result<usize> {
         let mut missing = 0;
         let mut keep: Option<Error> = None;
-        let probes = self.probes();
-        progress.start("library", "probe", probes as u64);
+        progress.start("library", "probe", self.probes() as u64);
         for cell in self.cells.values_mut() {
             let plan = cell.plan()?;
-            let (mut simulation, mut factors) = (None, Vec::new());
-            for sheet in 0..cell.sheet.count {
-                for configuration in 0..self.configurations {
-                    if progress.interrupted() {
-                        return Err(Error::Interrupted);
-                    }
-                    let key = cell.key(sigma, [sheet, configuration]);
-                    let share = ProgressShare::new(progress, cell.probes());
-                    let image = match cache.load(material, &key, cell.probe_shape(), progress) {
-                        Some(image) => {
-                            share.found();
-                            image
-                        }
-                        None => {
-                            missing += 1;
-                            let simulation = match &mut simulation {
-                                Some(simulation) => simulation,
-                                none => {
-                                    factors = beam_factors(&plan)?;
-                                    none.insert(Simulation::new(&plan, &cell.elements())?)
-                                }
-                            };
-                            let atoms = cell.atoms(sheet, configuration, sigma);
-                            let images = simulation.images(&atoms, &cell.scan, &share)?;
-                            let image = stacked(&images, &factors);
-                            let note = cell.note(sigma, [sheet, configuration]);
-                            let about = serde_json::to_string(&note).unwrap_or_default();
-                            if let Err(e) = cache.save(material, &key, &about, &image) {
-                                keep.get_or_insert(e);
-                            }
-                            share.complete();
-                            image
-                        }
-                    };
-                    cell.add(sheet, &image);
+            let mut simulator = CellSimulator::new(&plan, sigma);
+            for image in images_of(cell, self.configurations) {
+                if progress.interrupted() {
+                    return Err(Error::Interrupted);
                 }
+                let key = cell.key(sigma, image);
+                let share = ProgressShare::new(progress, cell.probes());
+                let values = match cache.load(material, &key, cell.probe_shape(), progress) {
+                    Some(values) => {
+                        share.found();
+                        values
+                    }
+                    None => {
+                        missing += 1;
+                        let values = simulator.simulated(cell, image, &share)?;
+                        let kept =
+                            cache.save(material, &key, &simulator.note(cell, image), &values);
+                        keep = keep.or(kept.err());
+                        share.complete();
+                        values
+                    }
+                };
+                cell.add(image[0], &values);
             }
             cell.average();
         }
@@ -214,6 +200,91 @@ impl ImageLibrary {
             progress.warn(&format!("simulations were not kept for later builds: {why}"));
         }
         Ok(missing)
+    }
+
+    /// Simulates those images of one of several processes that the cache lacks, and keeps them there. Returns how many.
+    ///
+    /// # Errors
+    /// Those of the engine, [`Error::Interrupted`], and those of the cache.
+    pub fn fill_part(
+        &self,
+        shard: Shard,
+        material: &str,
+        sigma: &dyn Fn(u8) -> f64,
+        cache: &Cache,
+        progress: &dyn Progress,
+    ) -> Result<usize> {
+        let mut simulated = 0;
+        let mut number = 0;
+        progress.start("library", "probe", self.probes().div_ceil(shard.count()) as u64);
+        for cell in self.cells.values() {
+            let plan = cell.plan()?;
+            let mut simulator = CellSimulator::new(&plan, sigma);
+            for image in images_of(cell, self.configurations) {
+                number += 1;
+                if !shard.does(number - 1) {
+                    continue;
+                }
+                if progress.interrupted() {
+                    return Err(Error::Interrupted);
+                }
+                let key = cell.key(sigma, image);
+                let share = ProgressShare::new(progress, cell.probes());
+                if cache.load(material, &key, cell.probe_shape(), progress).is_some() {
+                    share.found();
+                    continue;
+                }
+                simulated += 1;
+                let values = simulator.simulated(cell, image, &share)?;
+                let kept = cache.save(material, &key, &simulator.note(cell, image), &values);
+                // It may be kept elsewhere.
+                kept.or_else(|e| if cache.has(material, &key) { Ok(()) } else { Err(e) })?;
+                share.complete();
+            }
+        }
+        progress.finish();
+        Ok(simulated)
+    }
+}
+
+/// All images (sheet, configuration) of a cell.
+fn images_of(cell: &CellImages, configurations: usize) -> impl Iterator<Item = [usize; 2]> + use<> {
+    (0..cell.sheet.count).flat_map(move |s| (0..configurations).map(move |c| [s, c]))
+}
+
+/// Simulates images of one cell; made ready by the first of them.
+struct CellSimulator<'a> {
+    plan: &'a Plan,
+    sigma: &'a dyn Fn(u8) -> f64,
+    ready: Option<(Simulation<'a>, Vec<f64>)>,
+}
+
+impl<'a> CellSimulator<'a> {
+    fn new(plan: &'a Plan, sigma: &'a dyn Fn(u8) -> f64) -> Self {
+        CellSimulator { plan, sigma, ready: None }
+    }
+
+    /// An image (sheet, configuration) of the cell, as it is kept.
+    fn simulated(
+        &mut self,
+        cell: &CellImages,
+        image: [usize; 2],
+        progress: &dyn Progress,
+    ) -> Result<Array2<f32>> {
+        let (simulation, factors) = match &mut self.ready {
+            Some(ready) => ready,
+            none => {
+                let simulation = Simulation::new(self.plan, &cell.elements())?;
+                none.insert((simulation, beam_factors(self.plan)?))
+            }
+        };
+        let atoms = cell.atoms(image[0], image[1], self.sigma);
+        Ok(stacked(&simulation.images(&atoms, &cell.scan, progress)?, factors))
+    }
+
+    /// What is written beside it.
+    fn note(&self, cell: &CellImages, image: [usize; 2]) -> String {
+        serde_json::to_string(&cell.note(self.sigma, image)).unwrap_or_default()
     }
 }
 

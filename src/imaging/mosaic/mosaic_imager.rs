@@ -12,6 +12,7 @@ use super::library_cache::Cache;
 use super::mosaic_cost::MosaicCost;
 use super::survey::{FieldSurvey, survey};
 use crate::error::{Error, Result};
+use crate::files::Shard;
 use crate::imaging::direct::rectangle_plan;
 use crate::imaging::displaced_atoms::{DisplacedAtoms, displaced_atoms};
 use crate::imaging::imaging_cost::{ImagingCost, SimulationRuns};
@@ -208,6 +209,11 @@ impl RegionImager for MosaicImager {
         let sigma = |number| recipe.phonons.sigma_angstrom(number);
         self.simulated = Some(self.library.fill(&recipe.id, &sigma, &self.cache, progress)?);
         Ok(())
+    }
+
+    fn prepare_part(&mut self, shard: Shard, progress: &dyn Progress) -> Result<usize> {
+        self.library.fill_part(shard, &self.recipe.id, &self.sigma(), &self.cache, progress)?;
+        Ok(self.library.missing(&self.recipe.id, &self.sigma(), &self.cache).len())
     }
 
     fn library(&self) -> Option<[usize; 2]> {
