@@ -225,6 +225,13 @@ impl Build {
         self.common.print(&built, &built.text())
     }
 
+    /// What it would do and take.
+    pub fn planned(&self) -> anyhow::Result<DryRun> {
+        let recipe = self.recorded(self.recipe.resolve()?)?;
+        let build = WorldBuild::new(&recipe, &self.options())?;
+        DryRun::new(&recipe, &build, self.output(&recipe))
+    }
+
     fn check_memory(&self, build: &WorldBuild, reporter: &Reporter) -> anyhow::Result<()> {
         let (needed, remedy) = build.memory(&build.cost()?, estimate::threads())?;
         Ok(self.force.check_memory(needed, remedy, reporter)?)

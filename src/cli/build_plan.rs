@@ -8,7 +8,7 @@ use crate::recipe::Recipe;
 use crate::world::WorldBuild;
 use crate::world::footprint::PICTURE;
 use serde::Serialize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// What a build would do and take.
 #[derive(Serialize)]
@@ -87,6 +87,25 @@ impl DryRun {
     pub fn warnings(build: &WorldBuild) -> anyhow::Result<Vec<String>> {
         let (subtile, _) = build.subtile_plan()?;
         Ok(report(&SimulationRuns { runs: 0, ..subtile }).warnings)
+    }
+
+    /// Bytes of memory on so many threads, and the longest time in s that is expected on the threads of this process; and how many
+    /// those are.
+    pub fn takes(&self, threads: usize) -> (u64, f64, usize) {
+        let more = threads as f64 / self.plan.threads as f64;
+        // What threads share is counted for each: at most a little too much.
+        let memory = self.plan.memory_bytes as f64 * more.max(1.0);
+        (memory as u64, self.plan.estimated_range_s[1], self.plan.threads)
+    }
+
+    /// Whether it simulates a library before the field.
+    pub fn has_library(&self) -> bool {
+        self.mosaic_used && self.mosaic.as_ref().is_some_and(|m| m.missing > 0)
+    }
+
+    /// The file that would be written.
+    pub fn output(&self) -> &Path {
+        &self.output
     }
 
     /// Name and value, line by line.

@@ -33,6 +33,7 @@ mod signals;
 mod simulate_command;
 mod simulate_results;
 mod slips;
+mod slurm_command;
 mod specimen_command;
 mod structure_args;
 mod text;
@@ -86,6 +87,7 @@ enum Command {
     Acquire(Box<acquire_command::Acquire>),
     Live(Box<live_command::Live>),
     Audit(Box<audit_command::AuditCommand>),
+    Slurm(Box<slurm_command::Slurm>),
     Cache(Box<cache_command::CacheCommand>),
     Validate(Box<validate_command::Validate>),
     Compare(Box<compare_command::Compare>),
@@ -130,6 +132,7 @@ pub fn run(invocation: Invocation) -> u8 {
         Command::Live(command) => ("live", command.run().map(done)),
         Command::Tiles(command) => ("tiles", command.run().map(done)),
         Command::Audit(command) => ("audit", command.run().map(done)),
+        Command::Slurm(command) => ("slurm", command.run().map(done)),
         Command::Cache(command) => ("cache", command.run().map(done)),
         Command::Validate(command) => ("validate", command.run()),
         Command::Compare(command) => ("compare", command.run()),

@@ -155,3 +155,101 @@ fn bad_shards_are_explained() {
     }
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
 }
+
+/// What the script for a cluster does, by a stand-in of `sbatch` that runs each job at once, or by a Slurm of one node.
+fn by_script(folder: &Path, around: &mut Command) -> String {
+    let mut slurm = stemgen(folder);
+    slurm.env("STEMGEN_CACHE", folder.join("cache"));
+    slurm.args(["slurm", "--shards", "3", "--cpus", "1", "build", "--recipe"]);
+    slurm.args([&file("tests/cli/tiny.toml"), "--no-png", "-o", "w o r'ld.h5"]).args(MOSAIC);
+    let script = slurm.output().unwrap();
+    assert!(script.status.success(), "{}", stderr(&script));
+    std::fs::write(folder.join("jobs.sh"), stdout(&script)).unwrap();
+    around.current_dir(folder).env("STEMGEN_CACHE", folder.join("cache"));
+    let ended = around.env("STEMGEN", env!("CARGO_BIN_EXE_stemgen")).output().unwrap();
+    let told = stdout(&ended) + &stderr(&ended);
+    assert!(ended.status.success(), "{told}");
+    let world = std::fs::read(folder.join("w o r'ld.h5")).unwrap_or_else(|e| panic!("{e}: {told}"));
+    assert!(world == alone(&MOSAIC), "{told}");
+    told
+}
+
+/// Runs the tasks of an array one after the other, and tells the number of the job.
+const SBATCH: &str = r#"#!/bin/bash
+set -eu
+echo "$*" >> asked.txt
+tasks=""
+while [ "$1" != --wrap ]; do
+    case "$1" in --array=0-*) tasks=$(seq 0 "${1#--array=0-}") ;; esac
+    shift
+done
+if [ -n "$tasks" ]; then
+    for task in $tasks; do
+        export SLURM_ARRAY_TASK_ID=$task SLURM_ARRAY_TASK_MIN=0 SLURM_ARRAY_TASK_COUNT=$(echo "$tasks" | wc -l)
+        bash -c "$2" >&2
+    done
+else
+    bash -c "$2" >&2
+fi
+wc -l < asked.txt
+"#;
+
+#[cfg(unix)]
+#[test]
+fn a_script_for_a_cluster_builds_the_world() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    std::fs::create_dir(here.join("bin")).unwrap();
+    let sbatch = here.join("bin/sbatch");
+    std::fs::write(&sbatch, SBATCH).unwrap();
+    std::fs::set_permissions(&sbatch, std::fs::Permissions::from_mode(0o755)).unwrap();
+    let path = format!("{}:{}", here.join("bin").display(), std::env::var("PATH").unwrap());
+    let told = by_script(here, Command::new("bash").arg("jobs.sh").env("PATH", path));
+    assert!(told.contains("job 3 writes w o r'ld.h5"), "{told}");
+    let asked = std::fs::read_to_string(here.join("asked.txt")).unwrap();
+    let asked: Vec<&str> = asked.lines().collect();
+    assert_eq!(asked.len(), 3, "{asked:?}");
+    assert!(asked[0].contains("--array=0-2") && !asked[0].contains("--dependency"), "{asked:?}");
+    assert!(asked[1].contains("--array=0-2 --dependency=afterok:1 "), "{asked:?}");
+    assert!(
+        asked[2].contains("--dependency=afterok:2 ") && !asked[2].contains("--array"),
+        "{asked:?}"
+    );
+    assert!(
+        asked.iter().all(|a| a.contains("--cpus-per-task=1") && a.contains("--mem=")),
+        "{asked:?}"
+    );
+}
+
+/// With a real Slurm (Debian: slurm-wlm and munge, as root).
+#[test]
+#[ignore = "starts Slurm on this machine"]
+fn slurm_builds_the_world() {
+    for program in ["sbatch", "slurmctld", "slurmd", "munged"] {
+        if !Command::new("which").arg(program).output().is_ok_and(|o| o.status.success()) {
+            return super::skipped::skipped(&format!("no {program}; install slurm-wlm and munge"));
+        }
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let wait = "last=$(bash jobs.sh); echo \"$last\"; number=${last#job }; number=${number%% *}; \
+                srun --dependency=afterany:$number true; cat slurm-*.out";
+    let mut around = Command::new("bash");
+    around.arg(file("tests/slurm/one_node.sh")).arg(here.join("slurm")).args(["bash", "-c", wait]);
+    let told = by_script(here, &mut around);
+    print!("{told}");
+    assert_eq!(told.matches("/3 of w o r'ld.h5").count(), 6, "{told}");
+}
+
+#[test]
+fn bad_jobs_are_explained() {
+    let folder = tempfile::tempdir().unwrap();
+    let told =
+        |words: &[&str]| fails(stemgen(folder.path()).args(["slurm", "--shards", "2"]).args(words));
+    assert!(told(&["biuld", "srtio3"]).contains("`biuld` is no build"));
+    assert!(told(&["build", "srtio3"]).contains("comes in tiers"));
+    assert!(told(&["build", "srtio3", "--difficulty", "easiest"]).contains("easiest"));
+    assert!(told(&["build", "test", "--shard=0/2"]).contains("--shard has no place"));
+    assert!(fails(stemgen(folder.path()).args(["slurm", "build", "test"])).contains("--shards"));
+}

@@ -1,0 +1,216 @@
+//! `stemgen slurm`: the jobs that build a world on a cluster.
+
+use std::ffi::OsString;
+use std::path::PathBuf;
+
+use clap::{Args, Parser};
+use serde::Serialize;
+
+use super::build_command::Build;
+use super::build_plan::DryRun;
+use super::invocation::Invocation;
+use super::text;
+
+/// Jobs get this many times the longest time that is expected, and this much more in s: a node may be slower than this machine, or busy.
+const MARGIN: f64 = 2.0;
+const START_S: f64 = 300.0;
+/// The same of memory.
+const MEMORY_MARGIN: f64 = 1.25;
+const MEMORY_BYTES: f64 = 1e9;
+
+const EXAMPLES: &str = "\
+Examples:
+  Sixteen shards of four processors each; look at the script, then submit it:
+    stemgen slurm --shards 16 --cpus 4 build gan --difficulty hard -o gan.h5 > gan.sh
+    bash gan.sh
+  On an account, in a partition:
+    stemgen slurm --shards 64 --account nano --partition short build srtio3 --difficulty hard
+
+The script submits an array of shards, a second one where sub-tiles need the library of all shards, and the
+build that writes the world. Memory and times are those of `stemgen build --dry-run` on this machine with a
+margin. The output and the cache ($STEMGEN_CACHE, else ~/.cache/stemgen) have to lie where all nodes see them.
+A job that was killed is submitted again with the same line: what is done is kept.";
+
+/// Print a script that builds a world on a cluster with Slurm
+#[derive(Debug, Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Slurm {
+    /// Shards: tasks of the job array
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1000))]
+    shards: u16,
+    /// Processors of each task
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    cpus: u16,
+    /// Account that is charged
+    #[arg(long, value_name = "NAME")]
+    account: Option<String>,
+    /// Partition of the cluster
+    #[arg(long, value_name = "NAME")]
+    partition: Option<String>,
+    /// Print the plan and the script as JSON
+    #[arg(long)]
+    json: bool,
+    /// The build, as typed behind `stemgen`
+    #[arg(value_name = "build ...", required = true, num_args = 1.., trailing_var_arg = true, allow_hyphen_values = true)]
+    build: Vec<OsString>,
+}
+
+/// Reads what is typed behind `build`.
+#[derive(Debug, Parser)]
+#[command(name = "build")]
+struct BuildLine {
+    #[command(flatten)]
+    build: Build,
+}
+
+/// What the jobs get.
+#[derive(Serialize)]
+struct ClusterJobs {
+    shards: u16,
+    cpus: u16,
+    memory_bytes: u64,
+    time_s: f64,
+    /// Arrays before the last job.
+    arrays: usize,
+    output: PathBuf,
+    script: String,
+}
+
+impl Slurm {
+    /// Runs the subcommand.
+    pub fn run(self) -> anyhow::Result<()> {
+        let words = self.words()?;
+        let line = BuildLine::try_parse_from(&words).map_err(|e| {
+            let told = e.render().to_string();
+            anyhow::anyhow!("{}", told.trim().trim_start_matches("error: "))
+        })?;
+        let plan = line.build.planned()?;
+        let jobs = self.jobs(&plan, &words);
+        if self.json {
+            return text::print(&serde_json::to_string_pretty(&jobs)?);
+        }
+        text::print(jobs.script.trim_end())
+    }
+
+    /// What was typed from `build` on, as texts.
+    fn words(&self) -> anyhow::Result<Vec<String>> {
+        let text = |word: &OsString| {
+            let text = word.to_str().map(str::to_owned);
+            text.ok_or_else(|| anyhow::anyhow!("{}: is no text in UTF-8", word.display()))
+        };
+        let words: Vec<String> = self.build.iter().map(text).collect::<anyhow::Result<_>>()?;
+        if words[0] != "build" {
+            anyhow::bail!(
+                "`{}` is no build: write the options of this command first, then `build` and its own, as in `{} slurm --shards 16 build srtio3 --difficulty hard`",
+                words[0],
+                Invocation::now().name
+            );
+        }
+        let own = ["--shard", "--dry-run", "--threads", "--overwrite", "--hspy", "--json"];
+        let is = |word: &str, name: &str| word == name || word.starts_with(&format!("{name}="));
+        if let Some(name) = own.iter().find(|name| words.iter().any(|w| is(w, name))) {
+            anyhow::bail!("{name} has no place in the jobs of a cluster; leave it out");
+        }
+        Ok(words)
+    }
+
+    fn jobs(&self, plan: &DryRun, words: &[String]) -> ClusterJobs {
+        let (memory, seconds, threads) = plan.takes(usize::from(self.cpus));
+        let tasks = f64::from(self.shards) * f64::from(self.cpus);
+        let share = seconds * threads as f64 / tasks;
+        let mut jobs = ClusterJobs {
+            shards: self.shards,
+            cpus: self.cpus,
+            memory_bytes: (MEMORY_MARGIN * memory as f64 + MEMORY_BYTES) as u64,
+            time_s: MARGIN * share + START_S,
+            arrays: if plan.has_library() { 2 } else { 1 },
+            output: plan.output().to_owned(),
+            script: String::new(),
+        };
+        jobs.script = self.script(&jobs, words);
+        jobs
+    }
+
+    fn script(&self, jobs: &ClusterJobs, words: &[String]) -> String {
+        let program = Invocation::now().name;
+        let build = words.iter().map(|w| quoted(w)).collect::<Vec<_>>().join(" ");
+        let line = format!("{build} --threads {}", self.cpus);
+        let name = jobs.output.file_stem().unwrap_or_default().to_string_lossy();
+        let mut options = vec![
+            "--parsable".to_owned(),
+            format!("--job-name={}", quoted(&name)),
+            format!("--cpus-per-task={}", self.cpus),
+            format!("--mem={}M", jobs.memory_bytes.div_ceil(1_000_000)),
+            format!("--time={}", (jobs.time_s / 60.0).ceil()),
+        ];
+        options.extend(self.account.iter().map(|a| format!("--account={}", quoted(a))));
+        options.extend(self.partition.iter().map(|p| format!("--partition={}", quoted(p))));
+        let array = format!("--array=0-{}", self.shards - 1);
+        let mut script = format!(
+            "#!/bin/bash\n\
+             # Builds {} in {} shards of {} processors. Submit it from the folder that holds what it names: bash FILE\n\
+             # The output and the cache ($STEMGEN_CACHE, else ~/.cache/stemgen) have to lie where all nodes see them.\n\
+             set -euo pipefail\n\
+             program=${{STEMGEN:-$(command -v {program} || true)}}\n\
+             [ -n \"$program\" ] || {{ echo \"{program} is not in PATH: set STEMGEN to its path\" >&2; exit 1; }}\n\
+             job() {{ sbatch {} \"$@\"; }}\n",
+            jobs.output.display(),
+            jobs.shards,
+            jobs.cpus,
+            options.join(" "),
+        );
+        let stages: &[&str] = match jobs.arrays {
+            2 => &["The library, shard by shard.", "The sub-tiles, when the library is there."],
+            _ => &["The sub-tiles, shard by shard."],
+        };
+        let mut after = String::new();
+        for (n, stage) in stages.iter().enumerate() {
+            script += &format!(
+                "# {stage}\nstage{n}=$(job {array} {after}--wrap \"'$program' {} --shard slurm\")\n",
+                escaped(&line)
+            );
+            after = format!("--dependency=afterok:$stage{n} ");
+        }
+        script += &format!(
+            "# The world from all parts.\nlast=$(job {after}--wrap \"'$program' {}\")\necho \"job $last writes {}\"\n",
+            escaped(&line),
+            escaped(&jobs.output.display().to_string())
+        );
+        script
+    }
+}
+
+/// A word as a shell takes it for one.
+fn quoted(word: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=,:+@%".contains(c);
+    match !word.is_empty() && word.chars().all(plain) {
+        true => word.to_owned(),
+        false => format!("'{}'", word.replace('\'', "'\\''")),
+    }
+}
+
+/// A text as it stands between double quotes in a shell.
+fn escaped(text: &str) -> String {
+    let mut out = String::new();
+    for c in text.chars() {
+        if "\\\"$`".contains(c) {
+            out.push('\\');
+        }
+        out.push(c);
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_reach_the_program_as_they_were_typed() {
+        let odd = "a b'c\"d$e`f\\g";
+        let script = format!("bash -c \"printf %s {}\"", escaped(&quoted(odd)));
+        let run = std::process::Command::new("bash").args(["-c", &script]).output().unwrap();
+        assert_eq!(String::from_utf8(run.stdout).unwrap(), odd);
+        assert_eq!(quoted("vacancies.rate=0.02"), "vacancies.rate=0.02");
+    }
+}
