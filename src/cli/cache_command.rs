@@ -1,5 +1,6 @@
 //! `stemgen cache`.
 
+use super::cache_transfer::{Export, Fill, Import, VerifyCache};
 use super::plan_report::Lines;
 use super::text;
 use crate::imaging::mosaic::library_cache::{Cache, Holding};
@@ -10,6 +11,8 @@ const EXAMPLES: &str = "\
 Examples:
   What is there, and how large it is:
     stemgen cache list
+  Take the library of a material to another machine:
+    stemgen cache export srtio3 -o srtio3.stemlib    # there: stemgen cache import srtio3.stemlib
   Remove what belongs to one material, or all:
     stemgen cache clear srtio3
     stemgen cache clear
@@ -18,7 +21,7 @@ The cache holds the mosaic's simulations, for all worlds of a material: another 
 them from there. It lies in $STEMGEN_CACHE, else in stemgen/ of $XDG_CACHE_HOME or ~/.cache. Nothing is lost with
 it but time.";
 
-/// List or clear the simulations that worlds share
+/// List, move, check, fill or clear the simulations that worlds share
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct CacheCommand {
@@ -34,6 +37,10 @@ enum Action {
         #[arg(long)]
         json: bool,
     },
+    Export(Export),
+    Import(Import),
+    Verify(VerifyCache),
+    Fill(Fill),
     /// Remove the simulations of a material, or all
     Clear {
         /// Only this material
@@ -53,27 +60,32 @@ struct CacheReport {
 
 impl CacheCommand {
     /// Runs the subcommand.
-    pub fn run(self) -> anyhow::Result<()> {
+    pub fn run(self) -> anyhow::Result<u8> {
         let cache = Cache::of_user();
         let (materials, json, removed) = match self.action {
+            Action::Export(export) => return export.run().map(|()| 0),
+            Action::Import(import) => return import.run().map(|()| 0),
+            Action::Fill(fill) => return fill.run().map(|()| 0),
+            Action::Verify(verify) => return verify.run(),
             Action::List { json } => (cache.holdings()?, json, false),
             Action::Clear { material, json } => {
-                let removed = cache.clear(material.as_deref())?;
-                if let (Some(name), true) = (&material, removed.is_empty()) {
-                    let known: Vec<String> =
-                        cache.holdings()?.into_iter().map(|h| h.material).collect();
-                    let known = if known.is_empty() { "nothing".into() } else { known.join(", ") };
-                    anyhow::bail!("the cache has no simulations of `{name}`; it holds {known}");
-                }
-                (removed, json, true)
+                check_known(&cache, material.as_deref())?;
+                (cache.clear(material.as_deref())?, json, true)
             }
         };
         let report = CacheReport { folder: cache.folder().map(PathBuf::from), materials };
-        if json {
-            return text::print(&serde_json::to_string_pretty(&report)?);
-        }
-        text::print(&report.text(removed))
+        let told = if json { serde_json::to_string_pretty(&report)? } else { report.text(removed) };
+        text::print(&told)?;
+        Ok(0)
     }
+}
+
+/// Refuses a material of which the cache has nothing.
+pub fn check_known(cache: &Cache, material: Option<&str>) -> anyhow::Result<()> {
+    let known: Vec<String> = cache.holdings()?.into_iter().map(|h| h.material).collect();
+    let Some(name) = material.filter(|m| !known.iter().any(|k| k == m)) else { return Ok(()) };
+    let known = if known.is_empty() { "nothing".into() } else { known.join(", ") };
+    anyhow::bail!("the cache has no simulations of `{name}`; it holds {known}")
 }
 
 impl CacheReport {

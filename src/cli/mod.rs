@@ -7,6 +7,7 @@ mod build_command;
 mod build_plan;
 mod build_shard;
 mod cache_command;
+mod cache_transfer;
 mod common;
 mod compare_command;
 mod estimate;
@@ -24,6 +25,7 @@ mod plan_report;
 mod plane_wave;
 mod progress_bar;
 mod recipe_args;
+mod recipe_choice;
 mod reference_scan;
 mod scan_args;
 #[doc(hidden)]
@@ -133,7 +135,7 @@ pub fn run(invocation: Invocation) -> u8 {
         Command::Tiles(command) => ("tiles", command.run().map(done)),
         Command::Audit(command) => ("audit", command.run().map(done)),
         Command::Slurm(command) => ("slurm", command.run().map(done)),
-        Command::Cache(command) => ("cache", command.run().map(done)),
+        Command::Cache(command) => ("cache", command.run()),
         Command::Validate(command) => ("validate", command.run()),
         Command::Compare(command) => ("compare", command.run()),
         Command::Verify(command) => ("verify", command.run()),

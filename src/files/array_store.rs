@@ -74,6 +74,21 @@ impl ArrayStore {
         atomic_write::write(&self.path(name), &encoded(key, note, array))
     }
 
+    /// Puts the bytes of a file that [`checked`] found whole under a name, unless a whole one of this key is there. Returns whether it
+    /// did.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn add(&self, key: &str, file: &[u8]) -> Result<bool> {
+        let path = self.path(key);
+        if fs::read(&path).is_ok_and(|there| checked(&there, key).is_ok()) {
+            return Ok(false);
+        }
+        fs::create_dir_all(&self.folder).map_err(|e| Error::io(&self.folder, "create", e))?;
+        atomic_write::write(&path, file)?;
+        Ok(true)
+    }
+
     /// The files of arrays in the folder, and what writers that were killed have left; none where there is no folder.
     ///
     /// # Errors
@@ -160,6 +175,28 @@ fn encoded(key: &str, note: &str, array: &Array2<f32>) -> Vec<u8> {
     bytes
 }
 
+/// The note of the array that the bytes of a file hold under a key, or what is wrong with them.
+///
+/// # Errors
+/// What is wrong.
+pub fn checked(bytes: &[u8], key: &str) -> std::result::Result<String, &'static str> {
+    let [rows, columns] = shape_of(bytes).ok_or("is cut off")?;
+    decoded(bytes, key, [rows, columns])?;
+    let note = HEAD + number(bytes, 2)..HEAD + number(bytes, 2) + number(bytes, 3);
+    let note = bytes.get(note).ok_or("is cut off")?;
+    Ok(String::from_utf8_lossy(note).into_owned())
+}
+
+fn shape_of(bytes: &[u8]) -> Option<[usize; 2]> {
+    (bytes.len() >= HEAD).then(|| [number(bytes, 0), number(bytes, 1)])
+}
+
+/// A number of the head.
+fn number(bytes: &[u8], n: usize) -> usize {
+    let at = MAGIC.len() + 4 * n;
+    u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]) as usize
+}
+
 /// The array, or what is wrong with the file.
 fn decoded(
     bytes: &[u8],
@@ -175,17 +212,15 @@ fn decoded(
     if Sha256::digest(head).as_slice() != digest {
         return Err("is damaged");
     }
-    let number = |n: usize| {
-        let at = MAGIC.len() + 4 * n;
-        let four = [head[at], head[at + 1], head[at + 2], head[at + 3]];
-        u32::from_le_bytes(four) as usize
-    };
+    let number = |n| number(head, n);
     let (key_end, rest) = (HEAD + number(2), HEAD + number(2) + number(3));
     if head.get(HEAD..key_end).ok_or(cut)? != key.as_bytes() {
         return Err("holds another image");
     }
     let values = head.get(rest..).ok_or(cut)?;
-    if [number(0), number(1)] != shape || values.len() != 4 * shape[0] * shape[1] {
+    if [number(0), number(1)] != shape
+        || values.len() as u128 != 4 * shape[0] as u128 * shape[1] as u128
+    {
         return Err("has another shape");
     }
     let value = |b: &[u8]| f32::from_le_bytes([b[0], b[1], b[2], b[3]]);

@@ -129,6 +129,26 @@ impl ImagingChoice {
         Ok(ChosenImager { imager, shares: false, declined })
     }
 
+    /// The mosaic of a field, if its images are made from one.
+    ///
+    /// # Errors
+    /// Those of the settings.
+    pub fn mosaic(
+        &self,
+        recipe: &CheckedRecipe,
+        specimen: &Arc<dyn Specimen>,
+    ) -> Result<Option<MosaicImager>> {
+        if self.method == MethodChoice::Direct
+            || !SurfaceImager::can_cover(recipe)
+            || FilmImager::new(recipe, specimen, &self.simulator)?.is_some()
+        {
+            return Ok(None);
+        }
+        let (simulator, cache) = (self.simulator.clone(), self.cache.clone());
+        let mosaic = MosaicImager::new(recipe, specimen, simulator, cache)?;
+        Ok(Some(mosaic).filter(|m| self.method == MethodChoice::Mosaic || m.pays()))
+    }
+
     /// An imager of the specimen alone for a point source, with the layers on its faces, and blurred by the source.
     fn finished(
         &self,

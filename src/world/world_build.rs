@@ -23,7 +23,7 @@ use crate::files::{OutputLock, disk_space};
 use crate::imaging::direct::rectangle_plan;
 use crate::imaging::{
     AUDIT_REMEDY, Audit, Cache, ChosenImager, ImagingChoice, ImagingCost, MethodChoice,
-    RegionImager, SimulationRuns, audit_cost,
+    MosaicImager, RegionImager, SimulationRuns, audit_cost,
 };
 use crate::io::{WorldFile, WorldWriter};
 use crate::numerics::NUMERICS_VERSION;
@@ -191,6 +191,15 @@ impl WorldBuild {
         let BuildLayout { imaged, specimen, .. } = &self.layout;
         let chosen = self.policy.imaging.chosen(imaged, specimen)?;
         Ok(self.chosen.get_or_init(|| chosen))
+    }
+
+    /// The mosaic that the image is made from, with its library, if it is.
+    ///
+    /// # Errors
+    /// Those of the settings.
+    pub fn library(&self) -> Result<Option<MosaicImager>> {
+        let BuildLayout { imaged, specimen, .. } = &self.layout;
+        self.policy.imaging.mosaic(imaged, specimen)
     }
 
     /// What the audit before the build takes, if there is one; `cost` is that of the image.

@@ -85,3 +85,82 @@ fn materials_are_listed_and_removed() {
     assert!(materials(&json(&mut cache(here, &["list"]))).is_empty());
     assert_eq!(std::fs::read_dir(here.join("cache")).unwrap().count(), 0);
 }
+
+/// Builds the tiny world, with the cache in a folder of `folder`; returns what it tells.
+fn tiny_with(folder: &Path, cache: &str) -> serde_json::Value {
+    let mut command = stemgen(folder);
+    command.env("STEMGEN_CACHE", folder.join(cache)).args(["build", "--recipe"]);
+    command.args([&file("tests/cli/tiny.toml"), "--engine", "mosaic", "--audit", "0", "--no-png"]);
+    json(command.args(["--overwrite", "--quiet", "-o", "w.h5"]))
+}
+
+#[test]
+fn a_library_travels_in_a_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let first = tiny_with(here, "cache");
+    assert_eq!(first["library"][0], first["library"][1], "{first}");
+    let world = std::fs::read(here.join("w.h5")).unwrap();
+    let told = printed(&mut cache(here, &["export", "tiny", "-o", "tiny.stemlib"]));
+    assert!(told.contains("18 images") && told.contains("tiny.stemlib"), "{told}");
+    let message = fails(&mut cache(here, &["export", "tiny", "-o", "tiny.stemlib"]));
+    assert!(message.contains("--overwrite"), "{message}");
+    let message = fails(&mut cache(here, &["export", "gan", "-o", "gan.stemlib"]));
+    assert!(message.contains("`gan`; it holds tiny"), "{message}");
+    let elsewhere = |arguments: &[&str]| {
+        let mut command = stemgen(here);
+        command.env("STEMGEN_CACHE", here.join("elsewhere")).arg("cache").args(arguments);
+        command
+    };
+    let cut = std::fs::read(here.join("tiny.stemlib")).unwrap();
+    std::fs::write(here.join("cut.stemlib"), &cut[..cut.len() / 2]).unwrap();
+    let message = fails(&mut elsewhere(&["import", "cut.stemlib"]));
+    assert!(message.contains("cut.stemlib") && message.contains("copy it again"), "{message}");
+    let message = fails(&mut elsewhere(&["import", "w.h5"]));
+    assert!(message.contains("is no library"), "{message}");
+    assert!(!here.join("elsewhere").exists(), "nothing was taken");
+    let told = json(&mut elsewhere(&["import", "tiny.stemlib"]));
+    assert_eq!(told["added"], 18, "{told}");
+    assert_eq!(tiny_with(here, "elsewhere")["library"][1], 0);
+    assert!(std::fs::read(here.join("w.h5")).unwrap() == world);
+}
+
+#[test]
+fn damaged_and_foreign_images_are_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let hard = ["srtio3", "--difficulty", "hard"];
+    // One image of the smallest kind there is in worlds that come with the program.
+    let told = printed(cache(here, &["fill"]).args(hard).args(["--shard", "5/128"]));
+    assert!(told.contains("srtio3_hard") && told.contains("1 simulated now, 127 are"), "{told}");
+    let told = json(&mut cache(here, &["fill", "--all", "--difficulty", "easy", "--dry-run"]));
+    let names: Vec<&str> =
+        told.as_array().unwrap().iter().map(|w| w["world"].as_str().unwrap()).collect();
+    assert_eq!(names, ["srtio3_easy", "batio3_easy", "sige_easy", "gan_easy"]);
+    let again = |code: i32| {
+        let arguments = ["--recompute", "2", "--json"];
+        let run = cache(here, &["verify"]).args(hard).args(arguments).output().unwrap();
+        assert_eq!(run.status.code(), Some(code), "{}", stderr(&run));
+        serde_json::from_str::<serde_json::Value>(&stdout(&run)).unwrap()
+    };
+    let told = again(0);
+    assert_eq!((&told["images"], &told["recomputed"][0]["difference"]), (&1.into(), &0.0.into()));
+    // Whole, with another image's values: its checksum is right.
+    let mut files = std::fs::read_dir(here.join("cache/srtio3")).unwrap();
+    let path = files.next().unwrap().unwrap().path();
+    let mut bytes = std::fs::read(&path).unwrap();
+    let body = bytes.len() - 32;
+    bytes[body - 1] ^= 1;
+    let digest = <sha2::Sha256 as sha2::Digest>::digest(&bytes[..body]);
+    bytes[body..].copy_from_slice(&digest);
+    std::fs::write(&path, &bytes).unwrap();
+    let told = again(3);
+    assert!(told["sound"] == false && told["damaged"].as_array().unwrap().is_empty(), "{told}");
+    bytes[body / 2] ^= 1;
+    std::fs::write(&path, &bytes).unwrap();
+    let run = cache(here, &["verify"]).output().unwrap();
+    assert_eq!(run.status.code(), Some(3));
+    assert!(stdout(&run).contains("DAMAGED") && stdout(&run).contains("0 of 1 images"));
+    let told = fails(&mut cache(here, &["verify", "--recompute", "1"]));
+    assert!(told.contains("<MATERIAL>"), "{told}");
+}

@@ -30,7 +30,9 @@ fn help_is_as_stored() {
     compare("slurm", &["slurm"]);
     compare("cache", &["cache"]);
     compare("cache-list", &["cache", "list"]);
-    compare("cache-clear", &["cache", "clear"]);
+    for action in ["export", "import", "verify", "fill", "clear"] {
+        compare(&format!("cache-{action}"), &["cache", action]);
+    }
     compare("validate", &["validate"]);
     compare("compare", &["compare"]);
     compare("verify", &["verify"]);

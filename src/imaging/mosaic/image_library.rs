@@ -12,6 +12,7 @@ use crate::imaging::mosaic::cell_images::CellImages;
 use crate::imaging::mosaic::image_note::{ImageNote, NewImages};
 use crate::imaging::mosaic::library_cache::Cache;
 use crate::progress::{Progress, ProgressShare};
+use crate::rng::{Purpose, words};
 use crate::specimen::specimen_trait::Specimen;
 use crate::specimen::units::unit_tag::{TurnedFamily, UnitTag};
 
@@ -245,7 +246,75 @@ impl ImageLibrary {
         progress.finish();
         Ok(simulated)
     }
+
+    /// Simulates some images again that the cache holds: `count` of them, drawn with `seed`.
+    ///
+    /// # Errors
+    /// Those of the engine, [`Error::Interrupted`].
+    pub fn recomputed(
+        &self,
+        (count, seed): (usize, u64),
+        material: &str,
+        sigma: &dyn Fn(u8) -> f64,
+        cache: &Cache,
+        progress: &dyn Progress,
+    ) -> Result<Vec<RecomputedImage>> {
+        let all = self
+            .cells
+            .values()
+            .flat_map(|cell| images_of(cell, self.configurations).map(move |image| (cell, image)));
+        let mut drawn: Vec<_> = all
+            .filter(|(cell, image)| cache.has(material, &cell.key(sigma, *image)))
+            .enumerate()
+            .map(|(n, held)| (words(seed, Purpose::Library, RECOMPUTED_DRAW, n as u64), held))
+            .collect();
+        drawn.sort_by_key(|(word, _)| *word);
+        drawn.truncate(count);
+        let probes: usize = drawn.iter().map(|(_, (cell, _))| cell.probes()).sum();
+        progress.start("simulating again", "probe", probes as u64);
+        let mut found = Vec::new();
+        for (_, (cell, image)) in drawn {
+            if progress.interrupted() {
+                return Err(Error::Interrupted);
+            }
+            let (key, plan) = (cell.key(sigma, image), cell.plan()?);
+            let share = ProgressShare::new(progress, cell.probes());
+            // A damaged one was told in a warning.
+            let Some(kept) = cache.load(material, &key, cell.probe_shape(), progress) else {
+                continue;
+            };
+            let now = CellSimulator::new(&plan, sigma).simulated(cell, image, &share)?;
+            share.complete();
+            let brightest = now.iter().fold(0.0_f32, |m, v| m.max(v.abs()));
+            let greatest = kept.iter().zip(&now).fold(0.0_f32, |m, (a, b)| m.max((a - b).abs()));
+            found.push(RecomputedImage { key, difference: f64::from(greatest / brightest) });
+        }
+        progress.finish();
+        Ok(found)
+    }
 }
+
+/// An image of the cache that was simulated again.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+#[non_exhaustive]
+pub struct RecomputedImage {
+    /// Its name in the cache.
+    pub key: String,
+    /// The greatest difference of its values, in parts of the brightest one.
+    pub difference: f64,
+}
+
+impl RecomputedImage {
+    /// Whether the two are the same but for rounding, which differs from processor to processor.
+    pub fn agrees(&self) -> bool {
+        self.difference <= SAME
+    }
+}
+
+/// Images differ by less from processor to processor, in parts of the brightest value.
+const SAME: f64 = 1e-5;
+/// Draw of [`Purpose::Library`] for the images that are simulated again.
+const RECOMPUTED_DRAW: u32 = 1 << 21;
 
 /// All images (sheet, configuration) of a cell.
 fn images_of(cell: &CellImages, configurations: usize) -> impl Iterator<Item = [usize; 2]> + use<> {

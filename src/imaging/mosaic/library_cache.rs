@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use ndarray::Array2;
 
 use crate::error::{Error, Result};
-use crate::files::array_store::{ArrayStore, Stored};
+use crate::files::array_store::{ArrayStore, Stored, checked};
 use crate::progress::Progress;
 
 const EXTENSION: &str = "sheet";
@@ -36,6 +36,16 @@ pub struct Holding {
     pub images: usize,
     /// Their size.
     pub bytes: u64,
+}
+
+/// A damaged image of a cache.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
+#[non_exhaustive]
+pub struct CacheFault {
+    /// Its file.
+    pub path: PathBuf,
+    /// What is wrong with it.
+    pub fault: &'static str,
 }
 
 impl Cache {
@@ -110,6 +120,59 @@ impl Cache {
     /// Whether there is a file for the image named `key`; whether it can be used, only [`Cache::load`] tells.
     pub fn has(&self, material: &str, key: &str) -> bool {
         self.places(material).iter().any(|store| store.path(key).is_file())
+    }
+
+    /// The files of a material's images, by name.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn files(&self, material: &str) -> Result<Vec<PathBuf>> {
+        self.of(material).map_or(Ok(Vec::new()), |store| Ok(store.files()?.arrays))
+    }
+
+    /// Reads all images of a material, or of all; returns how many there are, and those that are damaged.
+    ///
+    /// # Errors
+    /// [`Error::Io`], [`Error::Interrupted`].
+    pub fn verify(
+        &self,
+        material: Option<&str>,
+        progress: &dyn Progress,
+    ) -> Result<(usize, Vec<CacheFault>)> {
+        let mut paths = Vec::new();
+        for holding in self.holdings()? {
+            if material.is_none_or(|m| m == holding.material) {
+                paths.extend(self.files(&holding.material)?);
+            }
+        }
+        progress.start("reading", "image", paths.len() as u64);
+        let mut faults = Vec::new();
+        for path in &paths {
+            if progress.interrupted() {
+                return Err(Error::Interrupted);
+            }
+            let key = path.file_stem().unwrap_or_default().to_string_lossy();
+            let bytes = fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+            if let Err(fault) = checked(&bytes, &key) {
+                faults.push(CacheFault { path: path.clone(), fault });
+            }
+            progress.advance(1);
+        }
+        progress.finish();
+        Ok((paths.len(), faults))
+    }
+
+    /// Puts the file of an image in its place, which [`crate::files::array_store::checked`] found whole, unless a whole one is there.
+    /// Returns whether it did.
+    ///
+    /// # Errors
+    /// [`Error::Io`]; [`Error::Invalid`] where there is no folder for it.
+    pub fn add(&self, material: &str, key: &str, file: &[u8]) -> Result<bool> {
+        let Some(store) = self.of(material) else {
+            let expected = "there is no folder for it: name one in the environment, STEMGEN_CACHE";
+            return Err(Error::invalid(crate::Setting::Library, "cache", expected));
+        };
+        store.add(key, file)
     }
 
     /// The notes of all images of a material.

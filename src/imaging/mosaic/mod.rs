@@ -13,6 +13,8 @@ pub mod assembly;
 pub mod cell_images;
 pub mod image_library;
 pub mod image_note;
+#[cfg(feature = "hdf5")]
+pub mod library_archive;
 pub mod library_cache;
 pub mod mosaic_cost;
 pub mod mosaic_imager;

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use ndarray::Array2;
 
 use super::assembly::Assembly;
-use super::image_library::ImageLibrary;
+use super::image_library::{ImageLibrary, RecomputedImage};
 use super::library_cache::Cache;
 use super::mosaic_cost::MosaicCost;
 use super::survey::{FieldSurvey, survey};
@@ -98,6 +98,28 @@ impl MosaicImager {
             unique_columns: self.survey.untagged,
             image_bytes: self.library.image_bytes(),
         }
+    }
+
+    /// Simulates those images of one of several processes that the cache lacks, and keeps them there. Returns how many.
+    ///
+    /// # Errors
+    /// Those of the engine and of the cache, [`Error::Interrupted`].
+    pub fn fill_part(&self, shard: Shard, progress: &dyn Progress) -> Result<usize> {
+        self.library.fill_part(shard, &self.recipe.id, &self.sigma(), &self.cache, progress)
+    }
+
+    /// Simulates up to `count` of the images that the cache holds again; `seed` draws them.
+    ///
+    /// # Errors
+    /// Those of the engine, [`Error::Interrupted`].
+    pub fn recomputed(
+        &self,
+        count: usize,
+        seed: u64,
+        progress: &dyn Progress,
+    ) -> Result<Vec<RecomputedImage>> {
+        let draw = (count, seed);
+        self.library.recomputed(draw, &self.recipe.id, &self.sigma(), &self.cache, progress)
     }
 
     /// Standard deviation of an element's displacements in Angstrom.
@@ -212,7 +234,7 @@ impl RegionImager for MosaicImager {
     }
 
     fn prepare_part(&mut self, shard: Shard, progress: &dyn Progress) -> Result<usize> {
-        self.library.fill_part(shard, &self.recipe.id, &self.sigma(), &self.cache, progress)?;
+        self.fill_part(shard, progress)?;
         Ok(self.library.missing(&self.recipe.id, &self.sigma(), &self.cache).len())
     }
 

@@ -1,0 +1,348 @@
+//! Libraries as one file, to take to another machine.
+//!
+//! All numbers are little-endian. `STEMLIB1`, the version of the numerics (u32), the number of images (u32); for each image, by
+//! material and key: the lengths of material and key (u16 each), the bytes of its file in the cache ([`crate::files::array_store`])
+//! and those it is packed in (u64 each), material, key, and what is packed; then the SHA-256 of all that. An image is packed by zlib after
+//! its bytes are put in the order 0, 4, 8 ... 1, 5, 9 ...: nothing is lost, and the bytes of the file depend on nothing else than its images.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::{Read, Write};
+use std::path::Path;
+
+use flate2::Compression;
+use flate2::read::ZlibDecoder;
+use flate2::write::ZlibEncoder;
+use rayon::prelude::*;
+use serde::Serialize;
+use sha2::{Digest, Sha256};
+
+use super::image_note::ImageNote;
+use super::library_cache::{Cache, Holding};
+use crate::error::{Error, Result};
+use crate::files::array_store;
+use crate::files::atomic_write;
+use crate::numerics::NUMERICS_VERSION;
+use crate::progress::Progress;
+
+const MAGIC: &[u8; 8] = b"STEMLIB1";
+const DIGEST: usize = 32;
+/// Bytes of a value: its bytes lie this far apart in the order in which they are packed.
+const VALUE: usize = 4;
+/// The largest image: no library has one of a tenth of it.
+const LARGEST_IMAGE: u64 = 1 << 30;
+
+/// What an archive holds, or what was taken from one.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[non_exhaustive]
+pub struct ArchiveSummary {
+    /// Images by material, with what they take in the cache.
+    pub materials: Vec<Holding>,
+    /// Images of which the cache had none before; of an export, all.
+    pub added: usize,
+    /// Images of other versions of the program, which were left out.
+    pub outdated: usize,
+    /// Bytes of the archive.
+    pub archive_bytes: u64,
+}
+
+/// An image in an archive.
+struct Entry<'a> {
+    material: &'a str,
+    key: &'a str,
+    image_bytes: u64,
+    packed: &'a [u8],
+}
+
+/// Writes the images of a material, or all, of a cache to a file. Those of other versions of the program are left out.
+///
+/// # Errors
+/// [`Error::Io`]; [`Error::Parse`] for a cache that holds a damaged image.
+pub fn export(
+    cache: &Cache,
+    material: Option<&str>,
+    path: &Path,
+    progress: &dyn Progress,
+) -> Result<ArchiveSummary> {
+    let mut files = Vec::new();
+    for holding in cache.holdings()? {
+        if material.is_none_or(|m| m == holding.material) {
+            let of = cache.files(&holding.material)?;
+            files.extend(of.into_iter().map(|file| (holding.material.clone(), file)));
+        }
+    }
+    progress.start("packing", "image", files.len() as u64);
+    let packed = files.par_iter().map(|(material, file)| {
+        if progress.interrupted() {
+            return Err(Error::Interrupted);
+        }
+        let key = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let bytes = fs::read(file).map_err(|e| Error::io(file, "read", e))?;
+        let note = array_store::checked(&bytes, &key).map_err(|why| {
+            let message = format!("{why}; remove it, and the next build simulates it again");
+            Error::Parse { path: file.clone(), line: 0, message }
+        })?;
+        progress.advance(1);
+        let note: Option<ImageNote> = serde_json::from_str(&note).ok();
+        let current = note.is_some_and(|note| note.numerics == NUMERICS_VERSION);
+        Ok(current.then(|| (material.as_str(), key, bytes.len() as u64, packed(&bytes))))
+    });
+    let packed: Vec<_> = packed.collect::<Result<_>>()?;
+    progress.finish();
+    let outdated = packed.iter().filter(|p| p.is_none()).count();
+    let images: Vec<_> = packed.into_iter().flatten().collect();
+    let mut out = MAGIC.to_vec();
+    out.extend(NUMERICS_VERSION.to_le_bytes());
+    out.extend((images.len() as u32).to_le_bytes());
+    let mut materials = Tally::default();
+    for (material, key, bytes, packed) in &images {
+        out.extend((material.len() as u16).to_le_bytes());
+        out.extend((key.len() as u16).to_le_bytes());
+        out.extend(bytes.to_le_bytes());
+        out.extend((packed.len() as u64).to_le_bytes());
+        out.extend(material.as_bytes());
+        out.extend(key.as_bytes());
+        out.extend(packed);
+        materials.add(material, *bytes);
+    }
+    let digest = Sha256::digest(&out);
+    out.extend(digest);
+    atomic_write::write(path, &out)?;
+    let archive_bytes = out.len() as u64;
+    Ok(ArchiveSummary {
+        materials: materials.holdings(),
+        added: images.len(),
+        outdated,
+        archive_bytes,
+    })
+}
+
+/// Puts the images of an archive into a cache. Those that are there already stay as they are.
+///
+/// # Errors
+/// [`Error::Parse`] for a file that is no archive, is damaged, or is of another version of the numerics: then nothing is put there;
+/// [`Error::Io`].
+pub fn import(cache: &Cache, path: &Path, progress: &dyn Progress) -> Result<ArchiveSummary> {
+    let bytes = fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+    let refused = |message: String| Error::Parse { path: path.to_owned(), line: 0, message };
+    let entries = entries(&bytes).map_err(refused)?;
+    progress.start("unpacking", "image", entries.len() as u64);
+    let images = entries.par_iter().map(|entry| {
+        progress.advance(1);
+        unpacked(entry).map_err(|why| refused(format!("{}/{}: {why}", entry.material, entry.key)))
+    });
+    // All before the first is written.
+    let images: Vec<Vec<u8>> = images.collect::<Result<_>>()?;
+    progress.finish();
+    let (mut added, mut materials) = (0, Tally::default());
+    for (entry, image) in entries.iter().zip(&images) {
+        if progress.interrupted() {
+            return Err(Error::Interrupted);
+        }
+        materials.add(entry.material, entry.image_bytes);
+        added += usize::from(cache.add(entry.material, entry.key, image)?);
+    }
+    let archive_bytes = bytes.len() as u64;
+    Ok(ArchiveSummary { materials: materials.holdings(), added, outdated: 0, archive_bytes })
+}
+
+/// The images of an archive, or what is wrong with it.
+fn entries(bytes: &[u8]) -> std::result::Result<Vec<Entry<'_>>, String> {
+    if bytes.len() < MAGIC.len() || &bytes[..MAGIC.len()] != MAGIC {
+        return Err(
+            "is no library of simulations; expected a file that an export of the cache wrote"
+                .into(),
+        );
+    }
+    let body = bytes.len().checked_sub(DIGEST).filter(|body| *body >= MAGIC.len() + 8);
+    let (body, digest) = bytes.split_at(body.ok_or("is cut off; copy it again")?);
+    if Sha256::digest(body).as_slice() != digest {
+        return Err("is cut off or damaged: its checksum is another; copy it again".into());
+    }
+    let mut rest = Reader(&body[MAGIC.len()..]);
+    let version = rest.number(4)?;
+    if version != u64::from(NUMERICS_VERSION) {
+        return Err(format!(
+            "holds simulations of version {version} of the numerics, and this program has {NUMERICS_VERSION}: it would not use them; export \
+             them with the same program"
+        ));
+    }
+    let mut entries = Vec::new();
+    for _ in 0..rest.number(4)? {
+        let lengths = [rest.number(2)?, rest.number(2)?];
+        let [image_bytes, packed_bytes] = [rest.number(8)?, rest.number(8)?];
+        let [material, key] = [rest.text(lengths[0])?, rest.text(lengths[1])?];
+        // They become names of a folder and a file.
+        if !is_name(material) || !is_key(key) || image_bytes > LARGEST_IMAGE {
+            return Err(format!(
+                "holds an image with the name {material:?}/{key:?}, which none can have"
+            ));
+        }
+        entries.push(Entry { material, key, image_bytes, packed: rest.bytes(packed_bytes)? });
+    }
+    match rest.0.is_empty() {
+        true => Ok(entries),
+        false => Err("holds more than it says".into()),
+    }
+}
+
+fn is_name(material: &str) -> bool {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_+.".contains(c);
+    !material.is_empty() && !material.starts_with('.') && material.chars().all(plain)
+}
+
+fn is_key(key: &str) -> bool {
+    key.len() == 2 * DIGEST && key.chars().all(|c| c.is_ascii_hexdigit())
+}
+
+/// What is left of a file.
+struct Reader<'a>(&'a [u8]);
+
+impl<'a> Reader<'a> {
+    fn bytes(&mut self, count: u64) -> std::result::Result<&'a [u8], String> {
+        let count = usize::try_from(count).ok().filter(|n| *n <= self.0.len());
+        let (bytes, rest) = self.0.split_at(count.ok_or("says that it holds more than it does")?);
+        self.0 = rest;
+        Ok(bytes)
+    }
+
+    fn number(&mut self, count: u64) -> std::result::Result<u64, String> {
+        let bytes = self.bytes(count)?;
+        Ok(bytes.iter().rev().fold(0, |n, b| n << 8 | u64::from(*b)))
+    }
+
+    fn text(&mut self, count: u64) -> std::result::Result<&'a str, String> {
+        std::str::from_utf8(self.bytes(count)?).map_err(|_| "holds a name that is no text".into())
+    }
+}
+
+fn packed(bytes: &[u8]) -> Vec<u8> {
+    let ordered: Vec<u8> =
+        (0..VALUE).flat_map(|k| bytes.iter().skip(k).step_by(VALUE)).copied().collect();
+    let mut encoder = ZlibEncoder::new(Vec::new(), Compression::best());
+    // Writing to memory does not fail.
+    let _ = encoder.write_all(&ordered);
+    encoder.finish().unwrap_or_default()
+}
+
+/// The bytes of an image's file, whole and of the right name.
+fn unpacked(entry: &Entry) -> std::result::Result<Vec<u8>, String> {
+    let mut ordered = Vec::new();
+    let most = entry.image_bytes + 1;
+    let read = ZlibDecoder::new(entry.packed).take(most).read_to_end(&mut ordered);
+    read.map_err(|e| format!("does not unpack ({e})"))?;
+    if ordered.len() as u64 != entry.image_bytes {
+        return Err("unpacks to another size than it says".into());
+    }
+    let mut bytes = vec![0; ordered.len()];
+    let places = (0..VALUE).flat_map(|k| (k..bytes.len()).step_by(VALUE)).collect::<Vec<_>>();
+    places.into_iter().zip(&ordered).for_each(|(at, byte)| bytes[at] = *byte);
+    array_store::checked(&bytes, entry.key)?;
+    Ok(bytes)
+}
+
+/// Images by material.
+#[derive(Default)]
+struct Tally(BTreeMap<String, (usize, u64)>);
+
+impl Tally {
+    fn add(&mut self, material: &str, bytes: u64) {
+        let sum = self.0.entry(material.to_owned()).or_default();
+        *sum = (sum.0 + 1, sum.1 + bytes);
+    }
+
+    fn holdings(self) -> Vec<Holding> {
+        let holding = |(material, (images, bytes))| Holding { material, images, bytes };
+        self.0.into_iter().map(holding).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::progress::Silent;
+    use ndarray::Array2;
+
+    fn note(numerics: u32) -> String {
+        serde_json::json!({ "numerics": numerics, "settings": "", "sigma": "", "sites": "", "process": "", "rate": 0.0, "image": [0, 0] })
+            .to_string()
+    }
+
+    fn key(n: usize) -> String {
+        format!("{n:064x}")
+    }
+
+    /// A cache with images of two materials, and its archive.
+    fn archive(folder: &Path) -> (Cache, std::path::PathBuf) {
+        let cache = Cache::at(folder.join("cache"));
+        for (n, material) in ["a", "a", "b"].into_iter().enumerate() {
+            let image = Array2::from_shape_fn((5, 7), |(i, j)| ((i * 7 + j + n) as f32).sin());
+            cache.save(material, &key(n), &note(NUMERICS_VERSION), &image).unwrap();
+        }
+        let old = Array2::from_elem((2, 2), 1.0);
+        cache.save("b", &key(9), &note(NUMERICS_VERSION - 1), &old).unwrap();
+        let path = folder.join("all.stemlib");
+        let told = export(&cache, None, &path, &Silent).unwrap();
+        assert_eq!((told.added, told.outdated), (3, 1));
+        assert_eq!(told.materials.iter().map(|m| m.images).collect::<Vec<_>>(), [2, 1]);
+        assert_eq!(told.archive_bytes, fs::metadata(&path).unwrap().len());
+        (cache, path)
+    }
+
+    #[test]
+    fn images_travel_and_stay_what_they_are() {
+        let folder = tempfile::tempdir().unwrap();
+        let (cache, path) = archive(folder.path());
+        let other = Cache::at(folder.path().join("other"));
+        assert_eq!(import(&other, &path, &Silent).unwrap().added, 3);
+        for (n, material) in ["a", "a", "b"].into_iter().enumerate() {
+            let image = cache.load(material, &key(n), [5, 7], &Silent);
+            assert!(image.is_some() && image == other.load(material, &key(n), [5, 7], &Silent));
+        }
+        assert_eq!(import(&other, &path, &Silent).unwrap().added, 0);
+        // Damaged ones are replaced.
+        let damaged = folder.path().join("other/a").join(format!("{}.sheet", key(0)));
+        fs::write(&damaged, "no").unwrap();
+        assert_eq!(import(&other, &path, &Silent).unwrap().added, 1);
+        let again = folder.path().join("again.stemlib");
+        export(&other, None, &again, &Silent).unwrap();
+        assert!(fs::read(&path).unwrap() == fs::read(&again).unwrap());
+        let one = folder.path().join("one.stemlib");
+        assert_eq!(export(&other, Some("b"), &one, &Silent).unwrap().added, 1);
+    }
+
+    #[test]
+    fn nothing_is_taken_from_a_damaged_archive() {
+        let folder = tempfile::tempdir().unwrap();
+        let (_, path) = archive(folder.path());
+        let whole = fs::read(&path).unwrap();
+        let other = Cache::at(folder.path().join("other"));
+        let told = |bytes: &[u8]| {
+            fs::write(&path, bytes).unwrap();
+            let told = import(&other, &path, &Silent).unwrap_err().to_string();
+            assert!(told.contains("all.stemlib") && other.holdings().unwrap().is_empty(), "{told}");
+            told
+        };
+        for at in 0..whole.len() {
+            let mut bytes = whole.clone();
+            bytes[at] ^= 1;
+            told(&bytes);
+            told(&whole[..at]);
+        }
+        // Changed by someone who knows how.
+        let signed = |change: &dyn Fn(&mut Vec<u8>)| {
+            let mut bytes = whole[..whole.len() - DIGEST].to_vec();
+            change(&mut bytes);
+            let digest = Sha256::digest(&bytes);
+            bytes.extend(digest);
+            told(&bytes)
+        };
+        assert!(signed(&|b| b[8] += 1).contains("version"));
+        assert!(signed(&|b| b[12] += 1).contains("more than it does"));
+        assert!(signed(&|b| b[12] -= 1).contains("more than it says"));
+        assert!(signed(&|b| b[36] = b'/').contains("which none can have"));
+        assert!(signed(&|b| b[36] = b'.').contains("which none can have"));
+        assert!(signed(&|b| b[20] += 1).contains("another size"));
+        assert!(signed(&|b| b[37] ^= 1).contains("another image"));
+    }
+}
