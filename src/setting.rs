@@ -186,6 +186,8 @@ settings! {
     Output = "output",
     /// A file with a world.
     WorldFile = "world file",
+    /// The list of released worlds.
+    Manifest = "manifest",
     /// The number of sites in a world file.
     SitesInFile = "sites in file",
     /// A range of a world's sites.

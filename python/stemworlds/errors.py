@@ -146,6 +146,7 @@ _KEYWORDS: dict[str, str | None] = {
     "ColumnSites": None,
     "SubtileNm": "subtile_nm",
     "Shard": "shard",
+    "Manifest": "manifest",
     "BuildProfile": "profile",
     "TilePixels": "size",
     "Dose": "dose",

@@ -1,6 +1,7 @@
 //! `stemgen build`.
 
 use super::acquire_command::AcquisitionName;
+use super::build_all;
 use super::build_plan::DryRun;
 use super::build_shard::ShardReport;
 use super::common::{Common, Force};
@@ -22,7 +23,7 @@ use crate::world::footprint::PICTURE;
 use crate::world::{
     BuildMethod, BuildOptions, BuildProfile, BuildSummary, Companion, WorldBuild, work_folder,
 };
-use clap::{Args, ValueEnum};
+use clap::{Arg, Args, ValueEnum};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -46,28 +47,35 @@ command goes on from there. `stemgen glossary` explains window, mosaic, library,
 
 /// Build a world: a whole annotated specimen and its image
 #[derive(Debug, Args)]
-#[command(after_help = EXAMPLES)]
+#[command(after_help = EXAMPLES, mut_args(with_all))]
 pub struct Build {
     #[command(flatten)]
-    recipe: RecipeArgs,
+    pub(super) recipe: RecipeArgs,
+    /// All worlds whose recipes come with the program, or all of --materials, at --difficulty or at all tiers. What is there is
+    /// kept; --output names a folder
+    #[arg(long, conflicts_with_all = ["material", "recipe", "hspy"])]
+    all: bool,
+    /// With --all: only these
+    #[arg(long, value_name = "NAME,...", value_delimiter = ',', requires = "all")]
+    pub(super) materials: Vec<String>,
     /// Record the field in one scan with the errors of a microscope: drift, jitter, the detector. Changes
     /// [acquisition] of the recipe (see `stemgen acquire --help`); tiles are then what it records
     #[arg(long, value_name = "NAME", conflicts_with = "no_noise")]
-    acquisition: Option<AcquisitionName>,
+    pub(super) acquisition: Option<AcquisitionName>,
     /// Leave out the Poisson noise
     #[arg(long)]
-    no_noise: bool,
+    pub(super) no_noise: bool,
     /// Also store the noiseless tiles
     #[arg(long)]
-    keep_clean: bool,
+    pub(super) keep_clean: bool,
     #[command(flatten)]
     method: Method,
     /// File to write [default: worlds/MATERIAL_TIER[_RxC][_seedN].h5]
     #[arg(short, long, value_name = "FILE.h5", help_heading = "Results")]
-    output: Option<PathBuf>,
+    pub(super) output: Option<PathBuf>,
     /// Replace existing files
     #[arg(long, help_heading = "Results")]
-    overwrite: bool,
+    pub(super) overwrite: bool,
     /// Also write a file for HyperSpy (.hspy), beside the file: the whole image, in fractions of the beam
     #[arg(long, help_heading = "Results")]
     hspy: bool,
@@ -78,9 +86,9 @@ pub struct Build {
     /// of a task of a job array. The same command without --shard finds all parts and writes the world
     #[arg(long, value_name = "K/N|slurm", value_parser = values::shard, help_heading = "Running")]
     #[arg(conflicts_with_all = ["dry_run", "overwrite", "hspy", "max_error", "accuracy"])]
-    shard: Option<Shard>,
+    pub(super) shard: Option<Shard>,
     #[command(flatten)]
-    common: Common,
+    pub(super) common: Common,
     #[command(flatten)]
     force: Force,
 }
@@ -144,19 +152,19 @@ enum ProfileName {
 }
 
 #[derive(Serialize)]
-struct Built {
-    output: PathBuf,
-    file_bytes: u64,
+pub struct Built {
+    pub output: PathBuf,
+    pub file_bytes: u64,
     #[serde(skip_serializing_if = "Option::is_none")]
     hspy: Option<PathBuf>,
     picture: Option<PathBuf>,
     material: String,
     difficulty: Option<Difficulty>,
     seed: u64,
-    tiles: [usize; 2],
+    pub tiles: [usize; 2],
     pixels: [usize; 2],
     fov_nm: [f64; 2],
-    sites: u64,
+    pub sites: u64,
     vacancies: u64,
     substitutions: u64,
     columns: u64,
@@ -164,18 +172,29 @@ struct Built {
     phase_boundaries: usize,
     dose_electrons_per_angstrom2: Option<f64>,
     acquisition: Option<Acquisition>,
-    engine: String,
+    pub engine: String,
     library: Option<[usize; 2]>,
-    audit: Option<Audit>,
+    pub audit: Option<Audit>,
     subtiles: usize,
     subtiles_resumed: usize,
-    wall_time_s: f64,
+    pub wall_time_s: f64,
+}
+
+/// Has a material not needed where all are asked for.
+fn with_all(argument: Arg) -> Arg {
+    match argument.get_id() == "material" {
+        true => argument.required_unless_present("all"),
+        false => argument,
+    }
 }
 
 impl Build {
     /// Runs the subcommand.
     pub fn run(self) -> anyhow::Result<()> {
         let reporter = self.common.start()?;
+        if self.all {
+            return build_all::run(&self, &reporter);
+        }
         let recipe = self.recorded(self.recipe.resolve()?)?;
         let build = WorldBuild::new(&recipe, &self.options())?;
         build.warnings()?.iter().for_each(|w| reporter.warn(w));
@@ -185,34 +204,55 @@ impl Build {
             let report = DryRun::new(&recipe, &build, path)?;
             return self.common.print(&report, &report.text());
         }
-        let picture = (!self.no_png).then(|| path.with_extension("png"));
-        let hspy = self.hspy.then(|| path.with_extension("hspy"));
-        let outputs = [Some(&path), picture.as_ref(), hspy.as_ref()].into_iter().flatten();
         if let Some(shard) = self.shard {
-            slips::check_hdf5_name(&path)?;
-            check_outputs([&path], self.recipe.files(&recipe), false)?;
-            self.check_memory(&build, &reporter)?;
-            let part = ShardReport::of(build, &path, shard, &reporter);
-            let part = part.map_err(|e| with_what_is_kept(e, &path))?;
+            let part = self.part((&recipe, build), &path, shard, &reporter)?;
             return self.common.print(&part, &part.text());
         }
-        let complete = build.is_complete(&path);
-        check_outputs(outputs, self.recipe.files(&recipe), self.overwrite || complete)?;
-        slips::check_hdf5_name(&path)?;
+        let built = self.make((&recipe, build), &path, &reporter)?;
+        self.common.print(&built, &built.text())
+    }
+
+    /// Makes a part of a world.
+    pub fn part(
+        &self,
+        (recipe, build): (&CheckedRecipe, WorldBuild),
+        path: &Path,
+        shard: Shard,
+        reporter: &Reporter,
+    ) -> anyhow::Result<ShardReport> {
+        slips::check_hdf5_name(path)?;
+        check_outputs([path], self.recipe.files(recipe), false)?;
+        self.check_memory(&build, reporter)?;
+        ShardReport::of(build, path, shard, reporter).map_err(|e| with_what_is_kept(e, path))
+    }
+
+    /// Makes a world, and what goes beside it.
+    pub fn make(
+        &self,
+        (recipe, build): (&CheckedRecipe, WorldBuild),
+        path: &Path,
+        reporter: &Reporter,
+    ) -> anyhow::Result<Built> {
+        let picture = (!self.no_png).then(|| path.with_extension("png"));
+        let hspy = self.hspy.then(|| path.with_extension("hspy"));
+        let outputs = [Some(path), picture.as_deref(), hspy.as_deref()].into_iter().flatten();
+        let complete = build.is_complete(path);
+        check_outputs(outputs, self.recipe.files(recipe), self.overwrite || complete)?;
+        slips::check_hdf5_name(path)?;
         let companion = picture.as_deref().map(|path| Companion {
             path,
             most_bytes: PICTURE,
             content: &pictures::of_world,
         });
         if !complete {
-            build.check_disk(&path, companion.as_ref())?;
+            build.check_disk(path, companion.as_ref())?;
             DryRun::warnings(&build)?.iter().for_each(|w| reporter.warn(w));
-            self.check_memory(&build, &reporter)?;
+            self.check_memory(&build, reporter)?;
         }
         let summary = build
-            .run_with(&path, companion.as_ref(), &reporter)
-            .map_err(|e| with_what_is_kept(e, &path))?;
-        let world = WorldFile::open(&path)?;
+            .run_with(path, companion.as_ref(), reporter)
+            .map_err(|e| with_what_is_kept(e, path))?;
+        let world = WorldFile::open(path)?;
         if let Some(path) = &hspy {
             world_hspy::write_world(
                 path,
@@ -221,8 +261,7 @@ impl Build {
                 &recipe.detector.all(),
             )?;
         }
-        let built = Built { hspy, ..self.built(&recipe, &summary, &world, picture)? };
-        self.common.print(&built, &built.text())
+        Ok(Built { hspy, ..self.built(recipe, &summary, &world, picture)? })
     }
 
     /// What it would do and take.
@@ -238,7 +277,7 @@ impl Build {
     }
 
     /// What the arguments ask for; everything else is as the library builds.
-    fn options(&self) -> BuildOptions {
+    pub fn options(&self) -> BuildOptions {
         let m = &self.method;
         let usual = BuildOptions::default();
         BuildOptions {
@@ -261,7 +300,7 @@ impl Build {
     }
 
     /// The recipe with the profile of its recording.
-    fn recorded(&self, recipe: CheckedRecipe) -> anyhow::Result<CheckedRecipe> {
+    pub fn recorded(&self, recipe: CheckedRecipe) -> anyhow::Result<CheckedRecipe> {
         let Some(profile) = self.acquisition else { return Ok(recipe) };
         let mut changed = recipe.recipe().clone();
         let table = changed.acquisition.unwrap_or_default();

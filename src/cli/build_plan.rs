@@ -98,6 +98,11 @@ impl DryRun {
         (memory as u64, self.plan.estimated_range_s[1], self.plan.threads)
     }
 
+    /// The time in s that is expected on the threads of this process.
+    pub fn expected_s(&self) -> f64 {
+        self.plan.estimated_time_s
+    }
+
     /// Whether it simulates a library before the field.
     pub fn has_library(&self) -> bool {
         self.mosaic_used && self.mosaic.as_ref().is_some_and(|m| m.missing > 0)

@@ -30,6 +30,11 @@ impl ShardReport {
         Ok(ShardReport { output: output.to_owned(), summary })
     }
 
+    /// Time that it took in s.
+    pub fn wall_time_s(&self) -> f64 {
+        self.summary.wall_time_s
+    }
+
     /// Name and value, line by line.
     pub fn text(&self) -> String {
         let s = &self.summary;

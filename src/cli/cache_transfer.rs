@@ -16,7 +16,7 @@ use crate::files::outputs::check_outputs;
 use crate::imaging::mosaic::library_archive::{ArchiveSummary, export, import};
 use crate::imaging::{Cache, CacheFault, RecomputedImage};
 use crate::progress::Progress;
-use crate::recipe::{CheckedRecipe, Difficulty};
+use crate::recipe::{Difficulty, Recipe};
 use crate::world::{BuildOptions, WorldBuild};
 
 const FILL_EXAMPLES: &str = "\
@@ -184,7 +184,7 @@ impl VerifyCache {
         if let (Some(count), Some(material)) = (self.recompute, &self.material) {
             let chosen =
                 recipes(std::slice::from_ref(material), self.difficulty.map(Difficulty::from))?;
-            for recipe in &chosen {
+            for recipe in chosen {
                 let Some(library) = build_of(recipe)?.library()? else { continue };
                 recomputed.extend(library.recomputed(usize::from(count), self.seed, &reporter)?);
             }
@@ -244,8 +244,8 @@ impl Fill {
         let shard = self.shard.unwrap_or(Shard::WHOLE);
         let mut filled = Vec::new();
         for recipe in recipes(&self.materials, self.difficulty.map(Difficulty::from))? {
-            let Some(library) = build_of(&recipe)?.library()? else { continue };
             let world = world_name(&recipe);
+            let Some(library) = build_of(recipe)?.library()? else { continue };
             let cost = library.mosaic_cost();
             let (images, lacking) = (cost.images, cost.missing);
             if self.common.dry_run {
@@ -283,6 +283,6 @@ impl Fill {
 }
 
 /// The build of a world as it comes.
-fn build_of(recipe: &CheckedRecipe) -> crate::Result<WorldBuild> {
-    WorldBuild::new(recipe, &BuildOptions::default())
+fn build_of(recipe: Recipe) -> crate::Result<WorldBuild> {
+    WorldBuild::new(&recipe.checked()?, &BuildOptions::default())
 }

@@ -169,6 +169,7 @@ fn options(setting: Setting) -> Option<&'static str> {
         S::BuildProfile => Some("--profile"),
         S::Dose => Some("--set dose.electrons_per_angstrom2=..."),
         S::Shard => Some("--shard"),
+        S::Manifest => Some("--manifest"),
         S::SubtileNm => Some("--subtile and --subtile-overlap"),
         S::LargestErrorPercent => {
             Some("--max-error, --engine multislice, --engine prism --interpolation 1, and --audit")

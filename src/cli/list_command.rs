@@ -174,13 +174,7 @@ fn table(rows: &[RecipeRow]) -> String {
     ];
     let mut cells = vec![head.map(str::to_owned)];
     cells.extend(rows.iter().map(RecipeRow::cells));
-    let width = |k: usize| cells.iter().map(|c| c[k].chars().count()).max().unwrap_or(0);
-    let widths: Vec<usize> = (0..head.len()).map(width).collect();
-    let line = |row: &[String; 10]| {
-        let padded = row.iter().zip(&widths).map(|(cell, w)| format!("{cell:w$}"));
-        padded.collect::<Vec<_>>().join("  ").trim_end().to_owned()
-    };
-    cells.iter().map(line).collect::<Vec<_>>().join("\n")
+    text::table(&cells)
 }
 
 impl RecipeRow {

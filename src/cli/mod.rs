@@ -3,6 +3,7 @@
 mod accuracy_report;
 mod acquire_command;
 mod audit_command;
+mod build_all;
 mod build_command;
 mod build_plan;
 mod build_shard;
@@ -27,6 +28,7 @@ mod progress_bar;
 mod recipe_args;
 mod recipe_choice;
 mod reference_scan;
+mod regenerate_command;
 mod scan_args;
 #[doc(hidden)]
 pub mod shared;
@@ -89,6 +91,7 @@ enum Command {
     Acquire(Box<acquire_command::Acquire>),
     Live(Box<live_command::Live>),
     Audit(Box<audit_command::AuditCommand>),
+    Regenerate(Box<regenerate_command::Regenerate>),
     Slurm(Box<slurm_command::Slurm>),
     Cache(Box<cache_command::CacheCommand>),
     Validate(Box<validate_command::Validate>),
@@ -134,6 +137,7 @@ pub fn run(invocation: Invocation) -> u8 {
         Command::Live(command) => ("live", command.run().map(done)),
         Command::Tiles(command) => ("tiles", command.run().map(done)),
         Command::Audit(command) => ("audit", command.run().map(done)),
+        Command::Regenerate(command) => ("regenerate", command.run()),
         Command::Slurm(command) => ("slurm", command.run().map(done)),
         Command::Cache(command) => ("cache", command.run()),
         Command::Validate(command) => ("validate", command.run()),

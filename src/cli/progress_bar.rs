@@ -71,6 +71,13 @@ impl Reporter {
         self.stage.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// Tells something that is no warning, as progress does.
+    pub fn note(&self, message: &str) {
+        if self.mode != Mode::Quiet && !self.interrupted() {
+            text::complain(message);
+        }
+    }
+
     fn draw(&self) {
         let Ok(mut guard) = self.stage.try_lock() else { return };
         let Some(stage) = guard.as_mut() else { return };

@@ -2,6 +2,7 @@
 
 use super::hdf5_check;
 use super::hints::hinted;
+use super::recipe_choice::world_name;
 use super::values::{self, Tier};
 use crate::engine::Settings;
 use crate::recipe::{CheckedRecipe, Difficulty, Override, Recipe};
@@ -48,7 +49,12 @@ pub struct WorldEngine {
 impl RecipeArgs {
     /// The recipe, resolved, changed and checked.
     pub fn resolve(&self) -> anyhow::Result<CheckedRecipe> {
-        let mut recipe = self.chosen()?.with_overrides(&self.changes()?)?;
+        self.changed(self.chosen()?)
+    }
+
+    /// A recipe with what the other options ask for, checked.
+    pub fn changed(&self, recipe: Recipe) -> anyhow::Result<CheckedRecipe> {
+        let mut recipe = recipe.with_overrides(&self.changes()?)?;
         recipe.seed = self.seed.unwrap_or(recipe.seed);
         if let Some([rows, columns]) = self.grid {
             recipe = recipe.with_grid(rows, columns)?;
@@ -161,11 +167,19 @@ impl RecipeArgs {
 
     /// `MATERIAL[_TIER][_RxC][_seedN]`, the usual beginning of the name of a result.
     pub fn stem(&self, recipe: &Recipe) -> String {
-        let tier = recipe.tier.map(|t| format!("_{}", t.name())).unwrap_or_default();
+        self.stem_of(recipe, self.chosen().ok().map(|r| r.seed))
+    }
+
+    /// The same for a recipe whose own seed is known.
+    pub fn stem_of(&self, recipe: &Recipe, own: Option<u64>) -> String {
         let grid = self.grid.map(|[r, c]| format!("_{r}x{c}")).unwrap_or_default();
-        let own = self.chosen().ok().map(|r| r.seed);
         let seed = (own != Some(recipe.seed)).then(|| format!("_seed{}", recipe.seed));
-        format!("{}{tier}{grid}{}", recipe.id, seed.unwrap_or_default())
+        format!("{}{grid}{}", world_name(recipe), seed.unwrap_or_default())
+    }
+
+    /// The tier.
+    pub fn difficulty(&self) -> Option<Difficulty> {
+        self.difficulty.map(Difficulty::from)
     }
 }
 

@@ -1,13 +1,13 @@
 //! Several recipes at once: materials and tiers.
 
-use crate::recipe::{CheckedRecipe, Difficulty, Recipe};
+use crate::recipe::{Difficulty, Recipe};
 
 /// The recipes of some materials that come with the program, or of all of them, at one tier or at all; by material, then tier. A recipe
-/// without tiers is left out where a tier is asked for.
+/// without tiers is left out where a tier is asked for and it is not named.
 pub fn recipes(
     materials: &[String],
     difficulty: Option<Difficulty>,
-) -> anyhow::Result<Vec<CheckedRecipe>> {
+) -> anyhow::Result<Vec<Recipe>> {
     let all: Vec<String> = Recipe::built_in().map(str::to_owned).collect();
     let names = if materials.is_empty() { &all } else { materials };
     let mut chosen = Vec::new();
@@ -15,7 +15,7 @@ pub fn recipes(
         let tiers = Recipe::tiers(name)?;
         let tiers: Vec<Option<Difficulty>> = match tiers.is_empty() {
             true if difficulty.is_some() && materials.is_empty() => Vec::new(),
-            true => vec![difficulty],
+            true => vec![None],
             false => tiers
                 .into_iter()
                 .map(Some)
@@ -23,7 +23,7 @@ pub fn recipes(
                 .collect(),
         };
         for tier in tiers {
-            chosen.push(CheckedRecipe::load(name, tier)?);
+            chosen.push(Recipe::load(name, tier)?);
         }
     }
     Ok(chosen)

@@ -40,6 +40,8 @@ pub struct WorldMetadata {
     pub source: Option<String>,
     /// Engine that simulated it.
     pub engine: Option<String>,
+    /// Version of the numerics ([`crate::numerics`]).
+    pub numerics: Option<u32>,
     /// Settings of the engine as JSON.
     pub engine_parameters: Option<String>,
     /// Material or identifier of the recipe.
@@ -479,6 +481,7 @@ fn read_metadata(path: &Path, file: &File) -> Result<WorldMetadata> {
         scaling: scaling(file, schema::TILES),
         recipe: text(&group, "recipe"),
         version: text(&group, "stemgen_version"),
+        numerics: text(&group, "numerics_version").and_then(|v| v.parse().ok()),
         source: text(&group, "source"),
         engine: text(&group, "engine"),
         engine_parameters: text(&group, "engine_parameters"),

@@ -3,13 +3,14 @@
 //!
 //! The suite ([`suite::cases`]) is one list that users run (`stemgen validate`) and tests run. Each case
 //! returns [`Findings`]: numbers with their limits, and figures. [`user`] reads an image that somebody else
-//! computed, [`image_comparison`] compares it and [`explain`] says what a difference may come from; [`worlds`] compares two world files by statistics, [`soundness`] checks one. [`report`] makes one HTML page of any.
+//! computed, [`image_comparison`] compares it and [`explain`] says what a difference may come from; [`worlds`] compares two world files by statistics, [`soundness`] checks one; [`manifest`] knows released ones by their digests. [`report`] makes one HTML page of any.
 
 pub mod difference;
 pub mod explain;
 pub mod golden;
 pub mod image_comparison;
 mod lab;
+pub mod manifest;
 pub mod report;
 pub mod soundness;
 pub mod statistics;

@@ -27,6 +27,7 @@ fn help_is_as_stored() {
     compare("acquire", &["acquire"]);
     compare("live", &["live"]);
     compare("audit", &["audit"]);
+    compare("regenerate", &["regenerate"]);
     compare("slurm", &["slurm"]);
     compare("cache", &["cache"]);
     compare("cache-list", &["cache", "list"]);

@@ -13,6 +13,7 @@ mod interpreter;
 mod live;
 mod outputs;
 mod recipes;
+mod released;
 mod shards;
 mod simulate;
 #[path = "../common/skipped.rs"]

@@ -1,0 +1,133 @@
+//! Many worlds at once, `build --all`, and released ones once more, `regenerate`.
+
+use super::{fails, file, json, stderr, stdout, stemgen};
+use std::path::Path;
+use std::process::Command;
+
+/// Worlds of one tile each that take a second.
+fn build_all(folder: &Path) -> Command {
+    let mut command = stemgen(folder);
+    command.args(["build", "--all", "--grid", "1x1", "--engine", "window", "--audit", "0"]);
+    command.args(["--set", "phonons.configurations=1", "--set", "field.thickness_nm=0.4"]);
+    command.args(["--no-png", "-o", "all", "--materials", "srtio3,test"]);
+    command
+}
+
+fn outcomes(told: &serde_json::Value) -> Vec<(&str, &str)> {
+    let all = told.as_array().unwrap().iter();
+    all.map(|w| (w["name"].as_str().unwrap(), w["outcome"].as_str().unwrap())).collect()
+}
+
+#[test]
+fn all_worlds_are_built_in_one_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let told = json(build_all(here).args(["--dry-run"]));
+    let names = ["srtio3_easy_1x1", "srtio3_medium_1x1", "srtio3_hard_1x1", "test_1x1"];
+    assert_eq!(outcomes(&told), names.map(|name| (name, "planned")));
+    assert!(!here.join("all").exists());
+    let told = json(build_all(here).args(["--difficulty", "hard"]));
+    // `test` has no tiers, and is named.
+    assert_eq!(outcomes(&told)[0], ("srtio3_hard_1x1", "built"));
+    let before =
+        std::fs::metadata(here.join("all/srtio3_hard_1x1.h5")).unwrap().modified().unwrap();
+    let run = build_all(here).output().unwrap();
+    assert!(run.status.success(), "{}", stderr(&run));
+    let (table, progress) = (stdout(&run), stderr(&run));
+    assert_eq!(table.lines().count(), 5, "{table}");
+    let kept = table.lines().find(|l| l.starts_with("srtio3_hard_1x1")).unwrap();
+    assert!(kept.contains("was there"), "{table}");
+    assert!(progress.contains("world 1 of 4, srtio3_easy_1x1: about"), "{progress}");
+    assert!(progress.contains("all that are left: about"), "{progress}");
+    let after = std::fs::metadata(here.join("all/srtio3_hard_1x1.h5")).unwrap().modified().unwrap();
+    assert_eq!(before, after);
+    for name in names {
+        assert!(here.join(format!("all/{name}.h5")).is_file(), "{name}");
+    }
+    // The same as one by one.
+    let mut one = stemgen(here);
+    one.args(["build", "srtio3", "--difficulty", "easy", "--grid", "1x1", "--engine", "window"]);
+    one.args(["--set", "phonons.configurations=1", "--set", "field.thickness_nm=0.4"]);
+    assert!(one.args(["--audit", "0", "--no-png", "-o", "one.h5"]).status().unwrap().success());
+    let bytes = |path: &str| std::fs::read(here.join(path)).unwrap();
+    assert!(bytes("one.h5") == bytes("all/srtio3_easy_1x1.h5"));
+    // Other worlds under these names.
+    let told = fails(build_all(here).arg("--no-noise"));
+    assert!(told.contains("srtio3_easy_1x1.h5: exists") && told.contains("--overwrite"), "{told}");
+    std::fs::write(here.join("file"), "").unwrap();
+    let told = fails(stemgen(here).args(["build", "--all", "-o", "file"]));
+    assert!(told.contains("is a file"), "{told}");
+    let told = fails(stemgen(here).args(["build", "--all", "--materials", "stio3"]));
+    assert!(told.contains("known materials"), "{told}");
+}
+
+#[test]
+fn shards_share_all_worlds() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    for shard in ["1/2", "0/2"] {
+        let told = json(build_all(here).args(["--shard", shard, "--difficulty", "easy"]));
+        assert_eq!(outcomes(&told)[0], ("srtio3_easy_1x1", "part"), "{told}");
+    }
+    let told = json(build_all(here).args(["--difficulty", "easy"]));
+    assert_eq!(told[0]["subtiles_resumed"], told[0]["subtiles"], "{told}");
+}
+
+fn regenerate(folder: &Path) -> Command {
+    let mut command = stemgen(folder);
+    command.arg("regenerate");
+    command
+}
+
+/// Also that the manifest which comes with the program is that of this version.
+#[test]
+fn a_released_world_is_what_it_was() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let told = json(regenerate(here).args(["test", "-o", "again"]));
+    let sameness = told[0]["sameness"]["sameness"].as_str().unwrap();
+    assert!(["same_bytes", "same_image"].contains(&sameness), "{told}");
+    assert!(told[0]["peak_memory_bytes"].as_u64().unwrap() > 10_000_000, "{told}");
+    let text = std::fs::read_to_string(file("worlds/manifest.toml")).unwrap();
+    let world = text.split("[[world]]").find(|w| w.contains("name = \"test\"")).unwrap();
+    let head = text.split("[[world]]").next().unwrap();
+    let with = |change: &dyn Fn(String) -> String| {
+        std::fs::write(here.join("m.toml"), change(format!("{head}[[world]]{world}"))).unwrap();
+        regenerate(here).args(["--manifest", "m.toml", "-o", "again"]).output().unwrap()
+    };
+    let ended = with(&|text| text);
+    assert_eq!(ended.status.code(), Some(0), "{}", stderr(&ended));
+    assert!(stdout(&ended).contains("was there"), "{}", stdout(&ended));
+    let ended = with(&|text| text.replacen("truth_sha256 = \"", "truth_sha256 = \"0", 1));
+    assert_eq!(ended.status.code(), Some(3));
+    assert!(stdout(&ended).contains("DIFFERS: truth"), "{}", stdout(&ended));
+    let ended = with(&|text| text.replacen("samples = [0.", "samples = [0.1", 1));
+    assert_eq!(ended.status.code(), Some(3));
+    assert!(stdout(&ended).contains("image before noise"), "{}", stdout(&ended));
+    // Values that differ by rounding, on another kind of processor.
+    let ended = with(&|text| text.replace("\"x86_64", "\"other"));
+    assert_eq!(ended.status.code(), Some(0));
+    assert!(stdout(&ended).contains("of another kind of processor"), "{}", stdout(&ended));
+    let ended = with(&|text| text.replacen("numerics = ", "numerics = 9", 1));
+    assert_eq!(ended.status.code(), Some(1));
+    assert!(stderr(&ended).contains("take the program that the manifest came with"));
+    let told = fails(regenerate(here).arg("nope"));
+    assert!(told.contains("nope: is no world of the manifest") && told.contains("test"), "{told}");
+}
+
+#[test]
+fn a_world_is_pinned() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let pin = ["test", "--manifest", "mine.toml", "--pin", "--check", "--no-cache"];
+    let told = json(regenerate(here).args(pin));
+    assert!(told[0].get("sameness").is_none(), "{told}");
+    let left: Vec<_> = std::fs::read_dir(here).unwrap().map(|e| e.unwrap().file_name()).collect();
+    assert_eq!(left, ["mine.toml"]);
+    let mine = std::fs::read_to_string(here.join("mine.toml")).unwrap();
+    let released = std::fs::read_to_string(file("worlds/manifest.toml")).unwrap();
+    for key in ["recipe_sha256", "truth_sha256"] {
+        let line = mine.lines().find(|l| l.starts_with(key)).unwrap();
+        assert!(released.contains(line), "{line}");
+    }
+}
