@@ -9,6 +9,7 @@ use std::path::PathBuf;
 use stemgen::Setting;
 use stemgen::cli::shared::{DryRun, of_world, threads};
 use stemgen::engine::check_memory;
+use stemgen::files::Shard;
 use stemgen::files::outputs::check_outputs;
 use stemgen::imaging::Cache;
 use stemgen::progress::Progress;
@@ -129,12 +130,35 @@ impl Building {
         let summary = build.run_with(&self.out, companion.as_ref(), guest)?;
         Ok(serde_json::to_string(&summary)?)
     }
+
+    fn run_part(&self, shard: [usize; 2], guest: &Guest) -> Result<String, Fault> {
+        let shard = Shard::new(shard[0], shard[1])?;
+        let build = WorldBuild::new(&checked(&self.toml)?, &self.options()?)?;
+        check_outputs([&self.out], [] as [&PathBuf; 0], false)?;
+        let (needed, remedy) = build.memory(&build.cost()?, threads())?;
+        match check_memory(needed, remedy) {
+            Err(e) if self.force => guest.warn(&e.to_string()),
+            checked => checked?,
+        }
+        Ok(serde_json::to_string(&build.run_part(&self.out, shard, guest)?)?)
+    }
 }
 
 /// Builds a world; returns what was built as JSON.
 #[pyfunction]
 pub fn build_world(py: Python<'_>, options: Building, running: Running) -> PyResult<String> {
     run(py, running, move |guest| options.run(guest))
+}
+
+/// Makes part `shard[0]` (from 0) of `shard[1]` of what a world takes; returns what was done as JSON.
+#[pyfunction]
+pub fn build_part(
+    py: Python<'_>,
+    options: Building,
+    shard: [usize; 2],
+    running: Running,
+) -> PyResult<String> {
+    run(py, running, move |guest| options.run_part(shard, guest))
 }
 
 /// What a build would do and take, as JSON. Nothing is simulated or written.

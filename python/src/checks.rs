@@ -10,6 +10,7 @@ use stemgen::Setting;
 use stemgen::cli::shared::{WorldEngine, imaging_of, planned, threads};
 use stemgen::engine::check_memory;
 use stemgen::files::{atomic_write, outputs::check_outputs};
+use stemgen::imaging::mosaic::library_archive;
 use stemgen::imaging::{AUDIT_REMEDY, AuditOptions, Cache, ImagingChoice, audit, audit_cost};
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
@@ -194,6 +195,31 @@ pub fn compare_worlds(
 #[pyfunction]
 pub fn verify_world(py: Python<'_>, path: PathBuf, running: Running) -> PyResult<String> {
     run(py, running, move |guest| Ok(serde_json::to_string(&check_world(&path, guest)?)?))
+}
+
+/// Writes what the user's cache holds of a material, or all, to a file; returns what that holds as JSON.
+#[pyfunction]
+pub fn cache_export(
+    py: Python<'_>,
+    out: PathBuf,
+    material: Option<String>,
+    overwrite: bool,
+    running: Running,
+) -> PyResult<String> {
+    run(py, running, move |guest| {
+        check_outputs([&out], [] as [&PathBuf; 0], overwrite)?;
+        let found = library_archive::export(&Cache::of_user(), material.as_deref(), &out, guest)?;
+        Ok(serde_json::to_string(&found)?)
+    })
+}
+
+/// Takes the images of a file into the user's cache; returns what it holds as JSON.
+#[pyfunction]
+pub fn cache_import(py: Python<'_>, path: PathBuf, running: Running) -> PyResult<String> {
+    run(py, running, move |guest| {
+        let found = library_archive::import(&Cache::of_user(), &path, guest)?;
+        Ok(serde_json::to_string(&found)?)
+    })
 }
 
 /// The folder of the user's cache.

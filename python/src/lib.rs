@@ -28,11 +28,14 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<live::LiveField>()?;
     module.add_class::<tiles::TileSource>()?;
     module.add_class::<worlds::WorldReader>()?;
+    module.add_function(wrap_pyfunction!(builds::build_part, module)?)?;
     module.add_function(wrap_pyfunction!(builds::build_world, module)?)?;
     module.add_function(wrap_pyfunction!(builds::plan_build, module)?)?;
     module.add_function(wrap_pyfunction!(checks::audit_field, module)?)?;
     module.add_function(wrap_pyfunction!(checks::cache_clear, module)?)?;
+    module.add_function(wrap_pyfunction!(checks::cache_export, module)?)?;
     module.add_function(wrap_pyfunction!(checks::cache_folder, module)?)?;
+    module.add_function(wrap_pyfunction!(checks::cache_import, module)?)?;
     module.add_function(wrap_pyfunction!(checks::cache_list, module)?)?;
     module.add_function(wrap_pyfunction!(checks::compare_worlds, module)?)?;
     module.add_function(wrap_pyfunction!(checks::verify_world, module)?)?;

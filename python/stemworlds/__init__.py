@@ -14,7 +14,7 @@ from typing import Any as _Any
 from . import cache, errors
 from ._core import __version__
 from .atoms import AtomArrays
-from .building import BuildOptions, BuildPlan, build, plan
+from .building import BuildOptions, BuildPart, BuildPlan, build, build_part, plan
 from .checking import Audit, Comparison, Validation, Verification, audit, compare, validate, validation_cases, verify
 from .errors import (
     FileError,
@@ -40,6 +40,7 @@ __all__ = [
     "AtomArrays",
     "Audit",
     "BuildOptions",
+    "BuildPart",
     "BuildPlan",
     "Comparison",
     "DiffractionPattern",
@@ -70,6 +71,7 @@ __all__ = [
     "acquire",
     "audit",
     "build",
+    "build_part",
     "cache",
     "compare",
     "diffraction",

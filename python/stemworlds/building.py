@@ -71,6 +71,25 @@ class BuildOptions(TypedDict, total=False):
 
 
 @dataclass(frozen=True)
+class BuildPart:
+    """What :func:`build_part` did.
+
+    Attributes:
+        shard: number of the part, from 0, and how many there are.
+        library_lacks: simulations of the library that other parts have not made yet; sub-tiles are made when there are none.
+        subtiles: sub-tiles of this part that are there now.
+        subtiles_resumed: those of them that were there before.
+        wall_time_s: time it took.
+    """
+
+    shard: tuple[int, int]
+    library_lacks: int
+    subtiles: int
+    subtiles_resumed: int
+    wall_time_s: float
+
+
+@dataclass(frozen=True)
 class BuildPlan:
     """What a build would do and take; nothing was simulated or written.
 
@@ -124,6 +143,33 @@ def build(recipe: RecipeLike, *, out: str | os.PathLike[str], **options: Unpack[
     world = World(out)
     world.summary = json.loads(built)
     return world
+
+
+def build_part(recipe: RecipeLike, *, out: str | os.PathLike[str], shard: tuple[int, int], **options: Unpack[BuildOptions]) -> BuildPart:
+    """Makes one of several parts of what a world takes, for processes or machines that see the same files.
+
+    :func:`build` with the same arguments, but for ``shard``, finds all parts, makes what is missing, and writes the world: the same
+    bytes for any number of parts. The sub-tiles of a mosaic need the library of all parts: start the parts again when all have ended,
+    or leave the sub-tiles to :func:`build`.
+
+    Args:
+        recipe: name, path, TOML, dict or :class:`Recipe`.
+        out: the file that :func:`build` will write.
+        shard: number of this part, from 0, and how many there are.
+        **options: see :class:`BuildOptions`.
+
+    Raises:
+        InvalidValue: for recipe, options and shard, and for parts of another world beside ``out``, which are kept.
+        FileThere, OutputLocked, DiskFull: where the world cannot be made.
+    """
+    made = json.loads(call(_core.build_part, _building(recipe, out, options), shard, _run(options)))
+    return BuildPart(
+        shard=(made["shard"][0], made["shard"][1]),
+        library_lacks=made["library_lacks"],
+        subtiles=made["subtiles"],
+        subtiles_resumed=made["subtiles_resumed"],
+        wall_time_s=made["wall_time_s"],
+    )
 
 
 def plan(recipe: RecipeLike, **options: Unpack[BuildOptions]) -> BuildPlan:

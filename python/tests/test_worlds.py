@@ -247,3 +247,44 @@ def test_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(sw.InvalidValue, match="holds nothing"):
         sw.cache.clear("srtio3")
     assert sw.cache.clear() == ()
+
+
+def test_parts_make_the_same_world(tmp_path: Path) -> None:
+    mosaic: dict[str, Any] = {
+        "set": {"field.thickness_nm": 0.4, "phonons.configurations": 1},
+        "grid": (1, 1),
+        "engine": "window",
+        "audit": 0,
+        "subtile_nm": 1.0,
+        "subtile_overlap_nm": 0.1,
+    }
+    sw.build("test", out=tmp_path / "whole.h5", **mosaic).close()
+    for shard in ((1, 2), (0, 2)):
+        part = sw.build_part("test", out=tmp_path / "parts.h5", shard=shard, **mosaic)
+        assert part.shard == shard and part.library_lacks == 0
+        assert part.subtiles > 1 and part.subtiles_resumed == 0
+    with sw.build("test", out=tmp_path / "parts.h5", **mosaic) as world:
+        assert world.summary["subtiles_resumed"] == world.summary["subtiles"]
+    assert datasets(tmp_path / "parts.h5") == datasets(tmp_path / "whole.h5")
+    with pytest.raises(sw.InvalidValue, match="0/2 to 1/2"):
+        sw.build_part("test", out=tmp_path / "more.h5", shard=(2, 2), **mosaic)
+    with pytest.raises(sw.errors.FileThere, match="parts.h5"):
+        sw.build_part("test", out=tmp_path / "parts.h5", shard=(0, 2), **mosaic)
+
+
+def test_a_library_travels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("STEMGEN_CACHE", str(tmp_path / "cache"))
+    mosaic: dict[str, Any] = {"set": {"field.thickness_nm": 0.4, "phonons.configurations": 1}, "engine": "mosaic", "window_angstrom": 5.0}
+    sw.build("test", out=tmp_path / "w.h5", grid=(1, 1), audit=0, **mosaic).close()
+    (held,) = sw.cache.list()
+    file = tmp_path / "test.stemlib"
+    assert sw.cache.export_library(file) == {"test": held}
+    with pytest.raises(sw.errors.FileThere, match="test.stemlib"):
+        sw.cache.export_library(file)
+    monkeypatch.setenv("STEMGEN_CACHE", str(tmp_path / "elsewhere"))
+    assert sw.cache.list() == ()
+    assert sw.cache.import_library(file) == {"test": held}
+    assert sw.cache.list() == (held,)
+    file.write_bytes(file.read_bytes()[:-1])
+    with pytest.raises(sw.FormatError, match="copy it again"):
+        sw.cache.import_library(file)
