@@ -5,6 +5,9 @@ use crate::setting::Setting;
 use num_complex::Complex32;
 use serde::{Deserialize, Serialize};
 
+/// Thin annuli between two angles of a response.
+const ANNULI: usize = 16;
+
 /// An annular detector: `inner <= theta < outer`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Detector {
@@ -14,12 +17,16 @@ pub struct Detector {
     pub inner_mrad: f64,
     /// Outer angle in mrad.
     pub outer_mrad: f64,
+    /// Share of the electrons that it counts at some angles: (mrad, 0 to 1), by rising angle, with straight lines between and the
+    /// nearest beyond. All of them without any.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub response: Vec<[f64; 2]>,
 }
 
 impl Detector {
     /// A named annulus.
     pub fn new(name: &str, inner_mrad: f64, outer_mrad: f64) -> Self {
-        Detector { name: name.to_owned(), inner_mrad, outer_mrad }
+        Detector { name: name.to_owned(), inner_mrad, outer_mrad, response: Vec::new() }
     }
 
     /// Reads `NAME=INNER-OUTER` or `INNER-OUTER` (mrad).
@@ -46,7 +53,7 @@ impl Detector {
         if inner_mrad < 0.0 || outer_mrad <= inner_mrad {
             return Err(bad("the outer angle must exceed the inner, which must not be negative"));
         }
-        Ok(Detector { name, inner_mrad, outer_mrad })
+        Ok(Detector { name, inner_mrad, outer_mrad, response: Vec::new() })
     }
 
     /// Whether `theta_mrad` falls on the detector.
@@ -54,8 +61,52 @@ impl Detector {
         self.inner_mrad <= theta_mrad && theta_mrad < self.outer_mrad
     }
 
+    /// The same with a response.
+    #[must_use]
+    pub fn with_response(self, response: Vec<[f64; 2]>) -> Self {
+        Detector { response, ..self }
+    }
+
+    /// The share of the electrons that it counts at an angle on it.
+    pub fn response_at(&self, theta_mrad: f64) -> f64 {
+        let after = self.response.partition_point(|[angle, _]| *angle <= theta_mrad);
+        let at = |n: usize| self.response.get(n);
+        match (after.checked_sub(1).and_then(at), at(after)) {
+            (Some([a, from]), Some([b, to])) => from + (to - from) * (theta_mrad - a) / (b - a),
+            (Some([_, share]), None) | (None, Some([_, share])) => *share,
+            (None, None) => 1.0,
+        }
+    }
+
+    /// Annuli (inner and outer angle in mrad, share that is counted) that together are this one within `limit_mrad`: one without a
+    /// response, else thin ones.
+    pub fn annuli(&self, limit_mrad: f64) -> Vec<([f64; 2], f64)> {
+        let outer = self.outer_mrad.min(limit_mrad);
+        if self.response.is_empty() {
+            return vec![([self.inner_mrad, outer], 1.0)];
+        }
+        let knots = self.response.iter().map(|[angle, _]| *angle);
+        let within = knots.filter(|angle| self.inner_mrad < *angle && *angle < outer);
+        let ends: Vec<f64> =
+            std::iter::once(self.inner_mrad).chain(within).chain([outer]).collect();
+        let thin = |pair: &[f64]| {
+            let (from, width) = (pair[0], (pair[1] - pair[0]) / ANNULI as f64);
+            (0..ANNULI).map(move |n| {
+                let inner = from + n as f64 * width;
+                ([inner, inner + width], inner + 0.5 * width)
+            })
+        };
+        let all = ends.windows(2).flat_map(thin);
+        all.map(|(range, middle)| (range, self.response_at(middle))).collect()
+    }
+
     /// How much of a pixel at `theta_mrad` counts, with edges `ramp_mrad` wide.
     fn weight(&self, theta_mrad: f64, ramp_mrad: f64) -> f64 {
+        self.share_on(theta_mrad, ramp_mrad) * self.response_at(theta_mrad)
+    }
+
+    /// How much of a pixel at `theta_mrad` lies on it, with edges `ramp_mrad` wide.
+    fn share_on(&self, theta_mrad: f64, ramp_mrad: f64) -> f64 {
         if ramp_mrad <= 0.0 {
             return f64::from(u8::from(self.contains(theta_mrad)));
         }
@@ -199,6 +250,23 @@ mod tests {
         }
         // exactly on the inner edge belongs to the outer annulus
         assert!(!detectors[0].contains(10.0) && detectors[1].contains(10.0));
+    }
+
+    #[test]
+    fn a_response_counts_a_share_of_each_angle() {
+        let plain = Detector::new("d", 10.0, 50.0);
+        assert!([0.0, 30.0, 99.0].iter().all(|a| plain.response_at(*a) == 1.0));
+        assert_eq!(plain.annuli(40.0), [([10.0, 40.0], 1.0)]);
+        let d = plain.with_response(vec![[20.0, 1.0], [30.0, 0.5], [40.0, 0.7]]);
+        let shares = [5.0, 20.0, 25.0, 30.0, 35.0, 40.0, 60.0].map(|a| d.response_at(a));
+        let expected = [1.0, 1.0, 0.75, 0.5, 0.6, 0.7, 0.7];
+        assert!(shares.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{shares:?}");
+        let annuli = d.annuli(45.0);
+        assert_eq!((annuli[0].0[0], annuli[annuli.len() - 1].0[1]), (10.0, 45.0));
+        assert!(annuli.windows(2).all(|w| (w[0].0[1] - w[1].0[0]).abs() < 1e-9));
+        // 10 whole, 10 at three quarters, 10 at 0.6, 5 at 0.7
+        let sum: f64 = annuli.iter().map(|([a, b], share)| (b - a) * share).sum();
+        assert!((sum - 27.0).abs() < 1e-9, "{sum}");
     }
 
     #[test]

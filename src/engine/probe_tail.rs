@@ -172,13 +172,16 @@ impl<'a> ProbeTail<'a> {
 fn cross_sections(plan: &Plan, sites: &[Site], detector: &Detector) -> Result<BTreeMap<u8, f64>> {
     let optics = &plan.settings.optics;
     let per_mrad = 1e-3 / optics.wavelength_angstrom();
-    let outer = detector.outer_mrad.min(plan.cutoff_mrad());
+    let annuli = detector.annuli(plan.cutoff_mrad());
     let sigma = interaction_parameter(optics.energy_ev);
-    let range = [detector.inner_mrad, outer].map(|angle| angle * per_mrad);
     let elements: BTreeSet<u8> = sites.iter().map(|s| s.number).collect();
     let section = |number: u8| {
         let factor = ScatteringFactor::new(plan.settings.parametrization, number)?;
-        Ok((number, cross_section(&factor, sigma, range[0], range[1])))
+        let parts = annuli.iter().map(|(range, share)| {
+            let [inner, outer] = range.map(|angle| angle * per_mrad);
+            share * cross_section(&factor, sigma, inner, outer)
+        });
+        Ok((number, parts.sum()))
     };
     elements.into_iter().map(section).collect()
 }

@@ -262,7 +262,7 @@ impl Scatterer {
                     let (sine, cosine) = libm::sincos(PI * (spoke as f64 + 0.5) / SPOKES as f64);
                     let (along, across) = (p * cosine, p * sine);
                     let [a, b] = [along - half, along + half].map(|v| amplitude(across.hypot(v)));
-                    (a * b.conj()).re * seen([along, across], &directions, [inner, outer])
+                    (a * b.conj()).re * seen([along, across], &directions, detector, per_mrad)
                 };
                 (0..SPOKES).map(term).sum::<f64>() / SPOKES as f64 * TAU * p * width
             };
@@ -291,12 +291,16 @@ fn directions(aperture: f64, half: f64) -> Vec<[f64; 2]> {
 }
 
 /// The share of the directions from which scattering by `p` leads onto the detector.
-fn seen(p: [f64; 2], directions: &[[f64; 2]], [inner, outer]: [f64; 2]) -> f64 {
-    let hit = |k: &&[f64; 2]| {
-        let square = (p[0] + k[0]).powi(2) + (p[1] + k[1]).powi(2);
-        inner * inner <= square && square < outer * outer
+fn seen(p: [f64; 2], directions: &[[f64; 2]], detector: &Detector, per_mrad: f64) -> f64 {
+    let [inner, outer] = [detector.inner_mrad, detector.outer_mrad].map(|a| a * per_mrad);
+    let square = |k: &[f64; 2]| (p[0] + k[0]).powi(2) + (p[1] + k[1]).powi(2);
+    let hit = |square: &f64| inner * inner <= *square && *square < outer * outer;
+    let hits = directions.iter().map(square).filter(hit);
+    let counted = match detector.response.is_empty() {
+        true => hits.count() as f64,
+        false => hits.map(|square| detector.response_at(square.sqrt() / per_mrad)).sum(),
     };
-    directions.iter().filter(hit).count() as f64 / directions.len() as f64
+    counted / directions.len() as f64
 }
 
 #[cfg(test)]

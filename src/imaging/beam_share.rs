@@ -40,7 +40,12 @@ pub fn beam_factors(plan: &Plan) -> Result<Vec<f64>> {
 fn seen_directly(settings: &Settings, detector: &Detector) -> f64 {
     let semiangle = settings.optics.semiangle_mrad;
     match detector.outer_mrad <= semiangle {
-        true => (detector.outer_mrad.powi(2) - detector.inner_mrad.powi(2)) / semiangle.powi(2),
+        true => {
+            let part = |([inner, outer], share): ([f64; 2], f64)| {
+                share * (outer * outer - inner * inner) / semiangle.powi(2)
+            };
+            detector.annuli(semiangle).into_iter().map(part).sum()
+        }
         false => 0.0,
     }
 }

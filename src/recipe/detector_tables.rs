@@ -15,6 +15,8 @@ const USUAL_NAME: &str = "HAADF";
 const MOST_DETECTORS: usize = 16;
 /// Longest name of a detector.
 const LONGEST_NAME: usize = 32;
+/// Angles of a response, at most.
+const MOST_ANGLES: usize = 1000;
 /// Largest angle of a detector in mrad, and least width.
 const LARGEST_MRAD: f64 = 1000.0;
 const LEAST_WIDTH_MRAD: f64 = 0.1;
@@ -27,6 +29,9 @@ pub struct DetectorTable {
     pub inner_mrad: f64,
     /// Outer angle in mrad.
     pub outer_mrad: f64,
+    /// Share of the electrons that it counts at some angles, `[[mrad, share], ...]`; all of them without.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub response: Vec<[f64; 2]>,
 }
 
 /// One of several annular detectors.
@@ -39,6 +44,9 @@ pub struct NamedDetectorTable {
     pub inner_mrad: f64,
     /// Outer angle in mrad.
     pub outer_mrad: f64,
+    /// Share of the electrons that it counts at some angles, `[[mrad, share], ...]`; all of them without.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub response: Vec<[f64; 2]>,
 }
 
 /// The detectors of a recipe.
@@ -54,16 +62,21 @@ pub enum DetectorTables {
 impl DetectorTables {
     /// One detector without a name.
     pub fn one(inner_mrad: f64, outer_mrad: f64) -> Self {
-        DetectorTables::One(DetectorTable { inner_mrad, outer_mrad })
+        DetectorTables::One(DetectorTable { inner_mrad, outer_mrad, response: Vec::new() })
     }
 
     /// The detectors, the main one first; at least one in a checked recipe.
     pub fn all(&self) -> Vec<Detector> {
         match self {
-            DetectorTables::One(d) => vec![Detector::new(USUAL_NAME, d.inner_mrad, d.outer_mrad)],
+            DetectorTables::One(d) => {
+                let detector = Detector::new(USUAL_NAME, d.inner_mrad, d.outer_mrad);
+                vec![detector.with_response(d.response.clone())]
+            }
             DetectorTables::Several(tables) => {
-                let of =
-                    |d: &NamedDetectorTable| Detector::new(&d.name, d.inner_mrad, d.outer_mrad);
+                let of = |d: &NamedDetectorTable| {
+                    let detector = Detector::new(&d.name, d.inner_mrad, d.outer_mrad);
+                    detector.with_response(d.response.clone())
+                };
                 tables.iter().map(of).collect()
             }
         }
@@ -121,7 +134,8 @@ pub fn check_detectors(detectors: &DetectorTables) -> Checked {
         DetectorTables::One(d) => {
             within("detector.inner_mrad", d.inner_mrad, 0.0, LARGEST_MRAD)?;
             let least = d.inner_mrad + LEAST_WIDTH_MRAD;
-            return within("detector.outer_mrad", d.outer_mrad, least, LARGEST_MRAD);
+            within("detector.outer_mrad", d.outer_mrad, least, LARGEST_MRAD)?;
+            return check_response(&d.response);
         }
         DetectorTables::Several(tables) => tables,
     };
@@ -148,8 +162,25 @@ pub fn check_detectors(detectors: &DetectorTables) -> Checked {
             );
             return fault("detector", value, expected);
         }
+        check_response(&table.response)?;
     }
     Ok(())
+}
+
+/// Angles rise, shares are shares, and some electrons are counted.
+fn check_response(response: &[[f64; 2]]) -> Checked {
+    let angles = response.iter().all(|[angle, _]| (0.0..=LARGEST_MRAD).contains(angle));
+    let shares = response.iter().all(|[_, share]| (0.0..=1.0).contains(share));
+    let rising = response.windows(2).all(|w| w[0][0] < w[1][0]);
+    let some = response.is_empty() || response.iter().any(|[_, share]| *share > 0.0);
+    if angles && shares && rising && some && response.len() <= MOST_ANGLES {
+        return Ok(());
+    }
+    let expected = format!(
+        "expected at most {MOST_ANGLES} pairs [mrad, share] of rising angles up to {LARGEST_MRAD} mrad, with shares from 0 to 1 that \
+         are not all 0"
+    );
+    fault("detector.response", format!("{response:?}"), expected)
 }
 
 /// The name becomes that of a group in files.
