@@ -119,6 +119,7 @@
 //! - [`render`]: PNG pictures, drawings of specimens, HTML pages
 //! - [`world`]: tiles with their truth, and whole worlds
 //! - [`live`]: worlds in memory that change under the beam
+//! - [`benchmark`]: scores of what agents found in a world, and of the dose it took
 //! - [`validate`]: checks against published numbers and other programs, and their reports
 //! - [`cli`]: the command line of the programs: arguments, progress bars, words
 //!
@@ -133,6 +134,7 @@
 //! | `cli` (default) | the program; implies all others | libhdf5 |
 
 pub mod acquisition;
+pub mod benchmark;
 #[cfg(feature = "cli")]
 pub mod cli;
 pub mod constants;

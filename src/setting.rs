@@ -186,6 +186,8 @@ settings! {
     Output = "output",
     /// A file with a world.
     WorldFile = "world file",
+    /// A score of an agent.
+    Score = "score",
     /// The list of released worlds.
     Manifest = "manifest",
     /// The number of sites in a world file.

@@ -147,6 +147,7 @@ _KEYWORDS: dict[str, str | None] = {
     "SubtileNm": "subtile_nm",
     "Shard": "shard",
     "Manifest": "manifest",
+    "Score": "score",
     "BuildProfile": "profile",
     "TilePixels": "size",
     "Dose": "dose",

@@ -229,6 +229,7 @@ fn options(setting: Setting) -> Option<&'static str> {
         | S::Reference
         | S::Snapshot
         | S::ScatteringFactor
+        | S::Score
         | S::PixelSizeNm => None,
     }
 }
