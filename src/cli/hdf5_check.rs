@@ -71,7 +71,7 @@ pub fn check(file: &Path) -> crate::Result<()> {
     Ok(())
 }
 
-/// [`check`] for a process that is not this program alone, and whose signals are not its own.
+/// The same check for a process that is not this program alone, and whose signals are not its own.
 ///
 /// # Errors
 /// As there.

@@ -250,7 +250,7 @@ impl LiveWorld {
     /// Records a part of the field. The specimen is then what the electrons have left of it.
     ///
     /// # Errors
-    /// As [`record`]; [`Error::Invalid`] for a dose beyond what the world was made for. The world is then as it was.
+    /// As [`record`](crate::world::record); [`Error::Invalid`] for a dose beyond what the world was made for. The world is then as it was.
     pub fn acquire(
         &mut self,
         request: &LiveRequest,
