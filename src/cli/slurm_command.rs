@@ -3,6 +3,7 @@
 use std::ffi::OsString;
 use std::path::PathBuf;
 
+use clap::error::ErrorKind;
 use clap::{Args, Parser};
 use serde::Serialize;
 
@@ -80,10 +81,16 @@ impl Slurm {
     /// Runs the subcommand.
     pub fn run(self) -> anyhow::Result<()> {
         let words = self.words()?;
-        let line = BuildLine::try_parse_from(&words).map_err(|e| {
-            let told = e.render().to_string();
-            anyhow::anyhow!("{}", told.trim().trim_start_matches("error: "))
-        })?;
+        let line = match BuildLine::try_parse_from(&words) {
+            Ok(line) => line,
+            Err(help) if help.kind() == ErrorKind::DisplayHelp => {
+                return text::print(help.render().to_string().trim_end());
+            }
+            Err(e) => {
+                let told = e.render().to_string();
+                anyhow::bail!("{}", told.trim().trim_start_matches("error: "));
+            }
+        };
         let plan = line.build.planned()?;
         let jobs = self.jobs(&plan, &words);
         if self.json {
