@@ -52,7 +52,7 @@ fn scores_are_those_of_scikit_learn() {
             let rows: Vec<Vec<i32>> = read(&case[key]);
             Array2::from_shape_fn((rows.len(), rows[0].len()), |(i, j)| rows[i][j])
         };
-        let found = phase_iou(Some(&map("found")), &map("truth"));
+        let found = phase_iou(Some(&map("found")), &map("truth")).unwrap();
         assert!(near(found, case["iou"].as_f64().unwrap()), "{found} {}", case["iou"]);
     }
     for case in references("classes") {
@@ -157,6 +157,7 @@ fn a_census_is_by_counts_or_by_places() {
 fn nothing_said_of_phases_is_right_where_there_is_one() {
     let (one, two) =
         (Array2::zeros((4, 4)), Array2::from_shape_fn((4, 4), |(i, _)| (i / 2) as i32));
+    let phase_iou = |found: Option<&Array2<i32>>, truth| phase_iou(found, truth).unwrap();
     assert!(near(phase_iou(None, &one), 1.0) && near(phase_iou(None, &two), 0.0));
     assert!(near(phase_iou(Some(&two), &two), 1.0));
     // Half of the pixels of one phase, as another: (8 / 16 + 0) / 2.
@@ -166,6 +167,13 @@ fn nothing_said_of_phases_is_right_where_there_is_one() {
     let half =
         Array2::from_shape_fn((4, 4), |(i, j)| if j < 2 { (i / 2) as i32 } else { NO_PHASE });
     assert!(near(phase_iou(Some(&half), &two), 0.5));
+    // Where the truth is not known, nothing is right or wrong.
+    let part =
+        Array2::from_shape_fn((4, 4), |(i, j)| if j < 2 { (i / 2) as i32 } else { NO_PHASE });
+    assert!(near(phase_iou(Some(&two), &part), 1.0));
+    assert!(
+        stemgen::benchmark::task_scores::phase_iou(Some(&one), &Array2::zeros((4, 5))).is_err()
+    );
 }
 
 fn particle(x: f64, diameter_nm: f64, morphology: &str) -> FoundParticle {

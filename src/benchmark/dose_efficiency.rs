@@ -78,6 +78,7 @@ impl DoseCurve {
 
     /// The same from another number of points, at least two.
     pub fn metrics_of(&self, count: usize) -> DoseMetrics {
+        let count = count.max(2);
         let scores = self.checkpoints(count);
         let shares: Vec<f64> = (0..count).map(|k| share_at(k, count)).collect();
         let area = |weight: &dyn Fn(f64) -> f64| {

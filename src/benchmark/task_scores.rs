@@ -7,6 +7,8 @@ use serde::Serialize;
 
 use super::findings::{FoundColumn, FoundParticle, PlacedDefect};
 use super::matching::{most_pairs, nearest_pairs};
+use crate::error::{Error, Result};
+use crate::setting::Setting;
 
 /// Found and true places of the paper's tasks are a pair within this distance in nm.
 pub const PAPER_RADIUS_NM: f64 = 5.0;
@@ -78,14 +80,20 @@ pub fn defect_census(
 }
 
 /// Phase mapping: the mean over the phases that are there or were predicted of the pixels that both maps give to a phase over those that either does.
-/// Pixels with [`NO_PHASE`] are wrong. `None` is right in a field of one phase, and worth nothing elsewhere. Maps, [row, column], have to be of
-/// one shape.
-pub fn phase_iou(found: Option<&Array2<i32>>, truth: &Array2<i32>) -> f64 {
-    let present: BTreeSet<i32> = truth.iter().copied().collect();
-    let Some(found) = found else { return f64::from(u8::from(present.len() <= 1)) };
+/// Pixels without a prediction ([`NO_PHASE`]) are wrong, and pixels whose true phase is not known do not count. `None` is right in a field of one phase, and worth nothing elsewhere.
+///
+/// # Errors
+/// [`Error::Invalid`] for maps, [row, column], of two shapes.
+pub fn phase_iou(found: Option<&Array2<i32>>, truth: &Array2<i32>) -> Result<f64> {
+    let present: BTreeSet<i32> = truth.iter().copied().filter(|p| *p != NO_PHASE).collect();
+    let Some(found) = found else { return Ok(f64::from(u8::from(present.len() <= 1))) };
+    if found.dim() != truth.dim() {
+        let expected = format!("the map of the field has the shape {:?}", truth.dim());
+        return Err(Error::invalid(Setting::Score, format!("{:?}", found.dim()), expected));
+    }
     let mut both: BTreeMap<i32, u64> = BTreeMap::new();
     let mut either: BTreeMap<i32, u64> = BTreeMap::new();
-    for (a, b) in found.iter().zip(truth) {
+    for (a, b) in found.iter().zip(truth).filter(|(_, b)| **b != NO_PHASE) {
         if a == b {
             *both.entry(*a).or_default() += 1;
         } else if *a != NO_PHASE {
@@ -95,7 +103,7 @@ pub fn phase_iou(found: Option<&Array2<i32>>, truth: &Array2<i32>) -> f64 {
     }
     let iou =
         |(phase, all): (&i32, &u64)| both.get(phase).copied().unwrap_or(0) as f64 / *all as f64;
-    mean(&either.iter().map(iou).collect::<Vec<_>>())
+    Ok(mean(&either.iter().map(iou).collect::<Vec<_>>()))
 }
 
 /// Parts of the particle census.

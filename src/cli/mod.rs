@@ -3,6 +3,7 @@
 mod accuracy_report;
 mod acquire_command;
 mod audit_command;
+mod build_again;
 mod build_all;
 mod build_command;
 mod build_plan;
@@ -15,6 +16,7 @@ mod estimate;
 mod hdf5_check;
 mod hints;
 mod imaging_args;
+mod info_command;
 mod invocation;
 mod last_words;
 mod list_command;
@@ -97,6 +99,7 @@ enum Command {
     Validate(Box<validate_command::Validate>),
     Compare(Box<compare_command::Compare>),
     Verify(Box<verify_command::Verify>),
+    Info(Box<info_command::Info>),
     List(Box<list_command::List>),
     ShowRecipe(Box<show_recipe_command::ShowRecipe>),
     /// Explain the terms of the program: window, mosaic, library, sub-tile, tail ...
@@ -143,6 +146,7 @@ pub fn run(invocation: Invocation) -> u8 {
         Command::Validate(command) => ("validate", command.run()),
         Command::Compare(command) => ("compare", command.run()),
         Command::Verify(command) => ("verify", command.run()),
+        Command::Info(command) => ("info", command.run().map(done)),
         Command::List(command) => ("list", command.run().map(done)),
         Command::ShowRecipe(command) => ("show-recipe", command.run().map(done)),
         Command::Glossary => ("glossary", text::print(&glossary(invocation)).map(done)),

@@ -10,7 +10,7 @@ use serde::Serialize;
 use super::build_command::Build;
 use super::build_plan::DryRun;
 use super::invocation::Invocation;
-use super::text;
+use super::text::{self, quoted};
 
 /// Jobs get this many times the longest time that is expected, and this much more in s: a node may be slower than this machine, or busy.
 const MARGIN: f64 = 2.0;
@@ -184,15 +184,6 @@ impl Slurm {
             escaped(&jobs.output.display().to_string())
         );
         script
-    }
-}
-
-/// A word as a shell takes it for one.
-fn quoted(word: &str) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=,:+@%".contains(c);
-    match !word.is_empty() && word.chars().all(plain) {
-        true => word.to_owned(),
-        false => format!("'{}'", word.replace('\'', "'\\''")),
     }
 }
 

@@ -82,17 +82,19 @@ pub fn count(n: u64) -> String {
 
 /// The command line as typed, quoted for a shell where need be.
 pub fn command_line() -> String {
-    let quote = |a: std::ffi::OsString| {
-        let text = a.to_string_lossy().into_owned();
-        let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,=@:+%".contains(c);
-        match !text.is_empty() && text.chars().all(plain) {
-            true => text,
-            false => format!("'{}'", text.replace('\'', r"'\''").replace('\0', "")),
-        }
-    };
+    let quote = |a: std::ffi::OsString| quoted(&a.to_string_lossy());
     let Invocation { name, arguments, .. } = Invocation::now();
     let program = std::iter::once((*name).to_owned());
     program.chain(arguments.iter().cloned().map(quote)).collect::<Vec<_>>().join(" ")
+}
+
+/// A word as a shell takes it for one.
+pub fn quoted(word: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,=@:+%".contains(c);
+    match !word.is_empty() && word.chars().all(plain) {
+        true => word.to_owned(),
+        false => format!("'{}'", word.replace('\'', r"'\''").replace('\0', "")),
+    }
 }
 
 #[cfg(test)]

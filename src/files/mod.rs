@@ -4,6 +4,7 @@
 pub mod array_store;
 pub mod atomic_write;
 pub mod disk_space;
+pub mod file_digest;
 mod output_lock;
 pub mod outputs;
 mod shard;

@@ -33,6 +33,8 @@ mod world_detectors;
 #[cfg(feature = "hdf5")]
 mod world_file;
 #[cfg(feature = "hdf5")]
+mod world_making;
+#[cfg(feature = "hdf5")]
 mod world_truth;
 #[cfg(feature = "hdf5")]
 mod world_writer;
@@ -48,6 +50,8 @@ pub use truth_writer::{LineKind, ParticleBatch, TruthBatch, TruthWriter};
 use world_file::regular_file;
 #[cfg(feature = "hdf5")]
 pub use world_file::{GroundTruth, WorldFile, WorldMetadata};
+#[cfg(feature = "hdf5")]
+pub use world_making::WorldMaking;
 #[cfg(feature = "hdf5")]
 pub use world_truth::{BoundaryLine, WorldColumn};
 #[cfg(feature = "hdf5")]

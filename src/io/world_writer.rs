@@ -40,6 +40,8 @@ pub struct Header {
     pub seed: u64,
     /// The detectors of a world with names for them, the main one first; else none.
     pub detectors: Vec<Detector>,
+    /// Largest width, and overlap, of sub-tiles in nm.
+    pub subtile_nm: Option<[f64; 2]>,
     /// Texts: name and value.
     pub texts: Vec<(&'static str, String)>,
 }
@@ -222,6 +224,9 @@ fn write_header(group: &Group, h: &Header) -> hdf5::Result<()> {
     number(group, "dose_electrons_per_angstrom2", h.dose)?;
     number(group, "noise", h.noise)?;
     number(group, "seed", h.seed)?;
+    if let Some(nm) = h.subtile_nm {
+        group.new_attr_builder().with_data(&nm).create("subtile_nm")?;
+    }
     h.texts.iter().try_for_each(|(name, value)| text(group, name, value))
 }
 

@@ -19,6 +19,8 @@ pub mod footprint;
 pub mod noise;
 pub mod noise_free;
 #[cfg(feature = "hdf5")]
+mod options_of_world;
+#[cfg(feature = "hdf5")]
 mod recording_writer;
 pub mod region_truth;
 #[cfg(feature = "render")]
@@ -34,6 +36,8 @@ pub mod truth;
 mod work_folder;
 #[cfg(feature = "hdf5")]
 mod world_build;
+#[cfg(feature = "hdf5")]
+mod world_facts;
 #[cfg(feature = "hdf5")]
 mod world_job;
 #[cfg(feature = "hdf5")]
@@ -65,6 +69,8 @@ pub use training_set::{COLUMN_CLASSES, TrainingOptions, TrainingSet, training_se
 pub use truth::Counts;
 #[cfg(feature = "hdf5")]
 pub use world_build::{Companion, WorldBuild, build};
+#[cfg(feature = "hdf5")]
+pub use world_facts::{RecordingFacts, WorldFacts};
 #[cfg(feature = "hdf5")]
 pub use world_shard::ShardSummary;
 #[cfg(feature = "hdf5")]

@@ -202,6 +202,7 @@ impl Job<'_> {
             dose: recipe.dose.electrons_per_angstrom2,
             noise: self.layout.options.noise,
             seed: recipe.seed,
+            subtile_nm: self.layout.options.policy(recipe).ok().map(|policy| policy.subtile_nm),
             detectors: match &recipe.detector {
                 DetectorTables::One(_) => Vec::new(),
                 several => several.all(),

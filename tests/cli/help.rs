@@ -37,6 +37,7 @@ fn help_is_as_stored() {
     compare("validate", &["validate"]);
     compare("compare", &["compare"]);
     compare("verify", &["verify"]);
+    compare("info", &["info"]);
     compare("list", &["list"]);
     compare("show-recipe", &["show-recipe"]);
 }

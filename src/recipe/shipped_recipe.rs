@@ -1,0 +1,179 @@
+//! A recipe told by one that comes with the program, and what differs from it.
+
+use toml::{Table, Value};
+
+use super::difficulty::Difficulty;
+use super::overrides::Override;
+use super::resolved_recipe::Recipe;
+use crate::error::Result;
+
+/// What has to be done to a recipe that comes with the program.
+#[derive(Debug, Clone, PartialEq)]
+pub enum RecipeChange {
+    /// Set a value, as text: `vacancies.rate=0.02`.
+    Set(String),
+    /// Take a value or a table away.
+    Unset(String),
+}
+
+/// A recipe that comes with the program, and what makes another one of it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ShippedRecipe {
+    /// Its name.
+    pub material: String,
+    /// Its tier, if it has any.
+    pub tier: Option<Difficulty>,
+    /// What is changed, in this order: first what is taken away.
+    pub changes: Vec<RecipeChange>,
+    /// Another seed.
+    pub seed: Option<u64>,
+    /// Rows and columns of the central tiles that are taken of the whole field.
+    pub grid: Option<[usize; 2]>,
+}
+
+impl Recipe {
+    /// The same recipe, told by the one of its name that comes with the program; `None` where there is none, or where a
+    /// difference fits on no line, such as a crystal of one's own.
+    pub fn as_shipped(&self) -> Option<ShippedRecipe> {
+        let shipped = Recipe::load(&self.id, self.tier).ok()?;
+        let table = |recipe: &Recipe| toml::from_str::<Table>(&recipe.to_toml()).ok();
+        let (mut base, mut wanted) = (table(&shipped)?, table(self)?);
+        for table in [&mut base, &mut wanted] {
+            table.remove("seed");
+            table.get_mut("field").and_then(Value::as_table_mut).map(|field| field.remove("crop"));
+        }
+        let mut changes = Vec::new();
+        differences("", &base, &wanted, &mut changes)?;
+        changes.sort_by_key(|change| matches!(change, RecipeChange::Set(_)));
+        let told = ShippedRecipe {
+            material: self.id.clone(),
+            tier: self.tier,
+            changes,
+            seed: (self.seed != shipped.seed).then_some(self.seed),
+            grid: self.field.crop,
+        };
+        (told.recipe().ok()? == *self).then_some(told)
+    }
+}
+
+impl ShippedRecipe {
+    /// The recipe that it tells.
+    ///
+    /// # Errors
+    /// Those of [`Recipe::load`], [`Recipe::with_overrides`] and [`Recipe::with_grid`].
+    pub fn recipe(&self) -> Result<Recipe> {
+        let changes = self.changes.iter().map(RecipeChange::to_override);
+        let shipped = Recipe::load(&self.material, self.tier)?;
+        let mut recipe = shipped.with_overrides(&changes.collect::<Result<Vec<_>>>()?)?;
+        recipe.seed = self.seed.unwrap_or(recipe.seed);
+        match self.grid {
+            Some([rows, columns]) => recipe.with_grid(rows, columns),
+            None => Ok(recipe),
+        }
+    }
+}
+
+impl RecipeChange {
+    fn to_override(&self) -> Result<Override> {
+        match self {
+            RecipeChange::Set(text) => text.parse(),
+            RecipeChange::Unset(key) => Override::without(key),
+        }
+    }
+}
+
+/// Adds what makes the table `wanted` of `base`, below the dotted key `within`; `None` where that fits on no line.
+fn differences(
+    within: &str,
+    base: &Table,
+    wanted: &Table,
+    changes: &mut Vec<RecipeChange>,
+) -> Option<()> {
+    let dotted = |key: &str| match within {
+        "" => key.to_owned(),
+        _ => format!("{within}.{key}"),
+    };
+    let gone = base.keys().filter(|key| !wanted.contains_key(*key));
+    changes.extend(gone.map(|key| RecipeChange::Unset(dotted(key))));
+    for (key, value) in wanted {
+        let empty = Table::new();
+        match (base.get(key), value) {
+            (Some(old), new) if old == new => {}
+            (Some(Value::Table(old)), Value::Table(new)) => {
+                differences(&dotted(key), old, new, changes)?;
+            }
+            // Values one by one read better than a table on a line.
+            (None, Value::Table(new)) if !new.is_empty() => {
+                differences(&dotted(key), &empty, new, changes)?;
+            }
+            (_, new) => changes.push(RecipeChange::Set(setting(&dotted(key), new)?)),
+        }
+    }
+    Some(())
+}
+
+/// `key=value`, a word without quotes where that means the same.
+fn setting(key: &str, value: &Value) -> Option<String> {
+    if let Value::String(word) = value {
+        let plain = |c: char| c.is_ascii_alphanumeric() || "_-".contains(c);
+        let short = format!("{key}={word}");
+        if !word.is_empty() && word.chars().all(plain) && means(&short, value) {
+            return Some(short);
+        }
+    }
+    let long = format!("{key}={value}");
+    means(&long, value).then_some(long)
+}
+
+/// Whether a change sets its key to just that value.
+fn means(change: &str, value: &Value) -> bool {
+    let key = change.split('=').next().unwrap_or_default();
+    let mut table = Table::new();
+    let applied = change.parse::<Override>().and_then(|o| o.apply(&mut table));
+    let set = key.split('.').try_fold(&Value::Table(table), |v, part| v.get(part)).cloned();
+    applied.is_ok() && set.as_ref() == Some(value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn told(material: &str, tier: Option<Difficulty>, changes: &[&str]) -> ShippedRecipe {
+        let changes: Vec<Override> = changes.iter().map(|c| c.parse().unwrap()).collect();
+        let recipe = Recipe::load(material, tier).unwrap().with_overrides(&changes).unwrap();
+        let told = recipe.as_shipped().unwrap();
+        assert_eq!(told.recipe().unwrap(), recipe);
+        told
+    }
+
+    #[test]
+    fn recipes_are_told_by_their_differences() {
+        let easy = Some(Difficulty::Easy);
+        assert_eq!(told("srtio3", easy, &[]).changes, []);
+        let set = |text: &str| RecipeChange::Set(text.into());
+        let changed =
+            told("srtio3", easy, &["vacancies.rate=0.02", "vacancies.element=Ti", "seed=9"]);
+        assert_eq!(changed.changes, [set("vacancies.element=Ti"), set("vacancies.rate=0.02")]);
+        assert_eq!((changed.seed, changed.grid), (Some(9), None));
+        let surface = told("srtio3", easy, &["surface.entrance_nm=1.0"]);
+        assert!(surface.changes.contains(&set("surface.entrance_nm=1.0")), "{surface:?}");
+        let two = "detector=[{name=\"A\", inner_mrad=68.0, outer_mrad=200.0}, {name=\"B\", inner_mrad=10.0, outer_mrad=21.0}]";
+        assert_eq!(told("gan", easy, &[two]).changes.len(), 1);
+        let recipe = Recipe::load("test", None).unwrap().with_grid(1, 2).unwrap();
+        let recipe = recipe.with_overrides(&[Override::without("vacancies").unwrap()]).unwrap();
+        let told = recipe.as_shipped().unwrap();
+        assert_eq!(told.changes, [RecipeChange::Unset("vacancies".into())]);
+        assert_eq!((told.grid, told.recipe().unwrap()), (Some([1, 2]), recipe));
+    }
+
+    #[test]
+    fn what_is_no_variant_of_a_shipped_recipe_is_not_told() {
+        let mut recipe = Recipe::load("test", None).unwrap();
+        recipe.id = "mine".into();
+        assert_eq!(recipe.as_shipped(), None);
+        let mut recipe = Recipe::load("test", None).unwrap();
+        recipe.crystal.name = "own.cif".into();
+        recipe.crystal.text = Some("# first\ndata_own\n".into());
+        assert_eq!(recipe.as_shipped(), None);
+    }
+}
