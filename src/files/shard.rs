@@ -42,8 +42,7 @@ impl Shard {
             let parsed = value.as_deref().and_then(|v| v.trim().parse().ok());
             parsed.ok_or_else(|| {
                 let found = value.unwrap_or_else(|| "nothing".into());
-                let expected =
-                    "a number: this is for the tasks of a Slurm job array (sbatch --array)";
+                let expected = "a number: this is for the tasks of a Slurm job array";
                 Error::invalid(Setting::Shard, format!("{name} = {found}"), expected)
             })
         };
@@ -132,6 +131,6 @@ mod tests {
         assert_eq!(array("16", "10", Some("2")).unwrap(), Shard::new(3, 4).unwrap());
         assert!(array("18", "10", Some("2")).is_err());
         let told = Shard::of_slurm(|_| None).unwrap_err().to_string();
-        assert!(told.contains("SLURM_ARRAY_TASK_ID") && told.contains("sbatch --array"), "{told}");
+        assert!(told.contains("SLURM_ARRAY_TASK_ID") && told.contains("job array"), "{told}");
     }
 }
