@@ -5,12 +5,12 @@ use std::sync::Arc;
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
-use super::benchmark_world::{BenchmarkWorld, PhaseSamples, RegionTruth};
+use super::benchmark_world::{BenchmarkWorld, PhaseSamples, RegionTruth, TrueColumn};
 use super::dose_efficiency::DoseCurve;
 use super::electron_counts::AcquisitionKey;
 use super::episode_record::{EpisodeRecord, RecordedAcquisition};
 use super::episode_settings::{EpisodeSettings, MULTIPLIER, OVERVIEW_PX, Reward, TileNoise, ZOOM};
-use super::findings::Findings;
+use super::findings::{Findings, FoundColumn};
 use super::seen_truth::SeenTruth;
 use super::task::{Task, TaskKind, TaskScore};
 use super::view::{FieldFacts, View};
@@ -390,6 +390,26 @@ impl Episode {
     /// The truth of what was seen.
     pub fn seen(&self) -> &SeenTruth {
         &self.seen
+    }
+
+    /// What an agent that knows the truth would declare of what was seen. Phases are known there only.
+    ///
+    /// # Errors
+    /// Those of the world.
+    pub fn truth_seen(&self) -> Result<Findings> {
+        let seen = &self.seen;
+        let phases = match self.phases()? {
+            Some(samples) => seen.phases(&samples, self.field().pixel_nm),
+            None => None,
+        };
+        let column = |c: &TrueColumn| FoundColumn { position_nm: c.position_nm, score: 1.0 };
+        Ok(Findings {
+            counts: None,
+            defects: Some(seen.defects().to_vec()),
+            phases,
+            particles: seen.particles().to_vec(),
+            columns: seen.columns().iter().filter(|c| c.defective).map(column).collect(),
+        })
     }
 
     /// Declarations that could not be read.

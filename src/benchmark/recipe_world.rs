@@ -39,14 +39,18 @@ pub enum Split {
 }
 
 impl Split {
-    /// The seed of specimen `number` of a recipe.
-    pub fn seed(self, recipe: &Recipe, number: u64) -> u64 {
-        let [low, high, ..] = words(recipe.seed, Purpose::HeldOut, self as u32, number);
+    /// The seed of the specimen of an episode (seed, number) of a recipe.
+    pub fn seed(self, recipe: &Recipe, (seed, number): (u64, u32)) -> u64 {
+        let pair = |[low, high, ..]: [u32; 4]| u64::from(high) << 32 | u64::from(low);
+        let episode = pair(words(seed, Purpose::HeldOut, EPISODE_DRAW, u64::from(number)));
+        let drawn = pair(words(recipe.seed, Purpose::HeldOut, self as u32, episode));
         // TOML holds signed numbers.
-        let drawn = u64::from(high >> 2) << 32 | u64::from(low);
-        drawn << 1 | self as u64
+        drawn >> 2 << 1 | self as u64
     }
 }
+
+/// Draw that makes one number of an episode's two.
+const EPISODE_DRAW: u32 = 2;
 
 /// Makes worlds of one recipe, which share the library of their images.
 pub struct RecipeSource {

@@ -1,7 +1,10 @@
 //! The truth of what an agent has seen.
 
-use super::benchmark_world::{RegionTruth, TrueColumn};
+use ndarray::Array2;
+
+use super::benchmark_world::{PhaseSamples, RegionTruth, TrueColumn};
 use super::findings::{FoundParticle, PlacedDefect};
+use super::task_scores::NO_PHASE;
 use crate::recipe::Region;
 
 /// The parts of a field that were acquired, and what was there when they were: where two parts overlap, in the later one.
@@ -49,6 +52,21 @@ impl SeenTruth {
     /// Particles that reach into any part.
     pub fn particles(&self) -> &[FoundParticle] {
         &self.particles
+    }
+
+    /// The samples of phases that lie in any part, and no prediction elsewhere; `None` where there is one phase in all of the field.
+    pub fn phases(&self, samples: &PhaseSamples, pixel_nm: f64) -> Option<Array2<i32>> {
+        let first = *samples.phases.first()?;
+        if samples.phases.iter().all(|phase| *phase == first) {
+            return None;
+        }
+        let stride = samples.stride_px;
+        let at = |n: usize| (n * stride + stride / 2) as f64 * pixel_nm;
+        Some(Array2::from_shape_fn(samples.phases.dim(), |(row, column)| {
+            let place = [at(column), at(row)];
+            let seen = self.views.iter().any(|view| view.contains(place));
+            if seen { samples.phases[[row, column]] } else { NO_PHASE }
+        }))
     }
 
     /// Whether each part holds a particle: as is claimed, and as is true.
