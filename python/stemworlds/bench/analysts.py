@@ -1,0 +1,260 @@
+"""Analysts that need no network: nothing, the truth, and thresholds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from ..errors import _invalid
+from .findings import Findings
+from .peaks import Peaks, find_peaks
+from .protocols import needed
+
+if TYPE_CHECKING:
+    from .environment import Acquired, FieldFacts
+
+__all__ = ["Heuristic", "Nothing", "Oracle"]
+
+Values = npt.NDArray[np.float64]
+
+#: Defects of one kind nearer than this are one, seen in two tiles that overlap.
+_SAME_NM = 0.08
+
+
+class Nothing:
+    """Declares that nothing is there: no defects, one phase, no particles. The floor of every navigator."""
+
+    def start(self, field: FieldFacts, random: np.random.Generator) -> None:
+        pass
+
+    def findings(self, tiles: Sequence[Acquired]) -> Findings:
+        return Findings()
+
+
+class _KnowsTruth(Protocol):
+    def truth_seen(self) -> Findings: ...
+
+
+class Oracle:
+    """Declares the truth of the tiles it has seen. The ceiling of every navigator."""
+
+    def __init__(self) -> None:
+        self._world: _KnowsTruth | None = None
+
+    def attach(self, world: _KnowsTruth) -> None:
+        """Takes the environment that is played; :meth:`Agent.play` calls this."""
+        self._world = world
+
+    def start(self, field: FieldFacts, random: np.random.Generator) -> None:
+        pass
+
+    def findings(self, tiles: Sequence[Acquired]) -> Findings:
+        if self._world is None:
+            raise _invalid("analyst", "Oracle: no environment; play it by Agent.play, or call attach first")
+        return self._world.truth_seen()
+
+
+class TileByTile:
+    """Base of analysts that look at each tile once. Those that derive from it have :meth:`look` and :meth:`summary`."""
+
+    def start(self, field: FieldFacts, random: np.random.Generator) -> None:
+        self.field = field
+        self.random = random
+        self._looked: list[Acquired] = []
+        self.begin()
+
+    def findings(self, tiles: Sequence[Acquired]) -> Findings:
+        self._follow(tiles)
+        return self.summary()
+
+    def _follow(self, tiles: Sequence[Acquired]) -> None:
+        known = len(self._looked)
+        if len(tiles) < known or any(a is not b for a, b in zip(tiles, self._looked, strict=False)):
+            # Another history: from the start.
+            self._looked, known = [], 0
+            self.begin()
+        for tile in tiles[known:]:
+            self.look(tile)
+            self._looked.append(tile)
+
+    def begin(self) -> None:
+        """Forgets what was seen."""
+        raise NotImplementedError
+
+    def look(self, tile: Acquired) -> None:
+        """Looks at one more tile."""
+        raise NotImplementedError
+
+    def summary(self) -> Findings:
+        """What all tiles show."""
+        raise NotImplementedError
+
+
+class PlacedDefects:
+    """Defects by kind, each once although tiles overlap."""
+
+    def __init__(self) -> None:
+        self._places: dict[str, list[tuple[float, float]]] = {}
+
+    def add(self, kind: str, places_nm: Values) -> None:
+        """Adds places (N, 2), x and y in nm, but those that are there already."""
+        known = self._places.setdefault(kind, [])
+        before = np.array(known).reshape(-1, 2)
+        for x, y in places_nm.reshape(-1, 2):
+            if len(before) == 0 or float(np.hypot(before[:, 0] - x, before[:, 1] - y).min()) > _SAME_NM:
+                known.append((float(x), float(y)))
+
+    def arrays(self) -> dict[str, Values]:
+        return {kind: np.array(places, dtype=np.float64).reshape(-1, 2) for kind, places in sorted(self._places.items())}
+
+
+class Heuristic(TileByTile):
+    """The paper's analyst by thresholds.
+
+    Atoms: peaks of a tile, each with its z-score against the running mean and deviation of all peak intensities of the episode, this
+    tile's among them. Above ``threshold`` it is a substitution, below its negative a vacancy.
+
+    Phases: the mean intensities of the tiles, split at their median, if the halves are ``bimodality`` deviations apart (Cohen's d); else
+    there is one phase. The split of a single normal mode has d = 2.65, that of a uniform one 3.46.
+
+    Args:
+        threshold: in standard deviations.
+        bimodality: the least Cohen's d that makes two phases.
+        particles: looks for particles: Otsu's threshold, connected regions, equivalent diameter. By default there are none.
+    """
+
+    def __init__(self, threshold: float = 1.5, *, bimodality: float = 4.0, particles: bool = False) -> None:
+        if not (math.isfinite(threshold) and threshold > 0):
+            raise _invalid("threshold", f"threshold = {threshold}: expected a number above 0")
+        if not (math.isfinite(bimodality) and bimodality >= 0):
+            raise _invalid("bimodality", f"bimodality = {bimodality}: expected a number from 0 on")
+        self.threshold, self.bimodality, self.particles = threshold, bimodality, particles
+
+    def begin(self) -> None:
+        self._count, self._mean, self._squares = 0, 0.0, 0.0
+        self._defects = PlacedDefects()
+        self._columns: list[Values] = []
+        self._levels: list[tuple[int, int, float]] = []
+        self._found: list[tuple[float, float, float]] = []
+        self._uncertain: list[float] = []
+
+    def look(self, tile: Acquired) -> None:
+        intensity = tile.image.astype(np.float64) * tile.scale + tile.offset
+        self._levels.append((tile.row, tile.column, float(intensity.mean())))
+        peaks = find_peaks(intensity, tile.pixel_nm)
+        self._remember(peaks.intensity)
+        z = self._scores(peaks.intensity)
+        places = places_nm(peaks, tile)
+        self._defects.add("substitution", places[z > self.threshold])
+        self._defects.add("vacancy", places[z < -self.threshold])
+        self._columns.append(np.column_stack([places, np.abs(z)]))
+        self._uncertain.append(_doubt(np.abs(z) - self.threshold))
+        if self.particles:
+            self._found.extend(find_particles(intensity, tile))
+
+    def summary(self) -> Findings:
+        particles = np.array(self._found, dtype=np.float64).reshape(-1, 3)
+        columns = np.concatenate([np.zeros((0, 3)), *self._columns])
+        names = ["unknown"] * len(particles)
+        return Findings(
+            counts=None,
+            defects=self._defects.arrays(),
+            phases=self._phases(),
+            particles=particles,
+            morphologies=names,
+            columns=columns,
+        )
+
+    def uncertainty(self, tiles: Sequence[Acquired]) -> Values:
+        """Of each tile, how near its peaks are to the threshold: mean entropy of a logistic step, in bits."""
+        self._follow(tiles)
+        return np.array(self._uncertain)
+
+    def _remember(self, intensity: Values) -> None:
+        """Welford's running mean and sum of squares."""
+        for value in intensity.tolist():
+            self._count += 1
+            step = value - self._mean
+            self._mean += step / self._count
+            self._squares += step * (value - self._mean)
+
+    def _scores(self, intensity: Values) -> Values:
+        deviation = math.sqrt(self._squares / self._count) if self._count else 0.0
+        if deviation == 0:
+            return np.zeros_like(intensity)
+        result: Values = (intensity - self._mean) / deviation
+        return result
+
+    def _phases(self) -> npt.NDArray[np.int64] | None:
+        """Phase of each tile that was seen, -1 of the others, (rows, columns)."""
+        split = median_split(np.array([level for _, _, level in self._levels]), self.bimodality)
+        if split is None:
+            return None
+        grid = np.full(self.field.grid, -1, dtype=np.int64)
+        for (row, column, _), upper in zip(self._levels, split, strict=True):
+            grid[row, column] = int(upper)
+        return grid
+
+
+def median_split(levels: Values, least_d: float) -> npt.NDArray[np.bool_] | None:
+    """Which levels are above the median, if the halves are ``least_d`` deviations apart (Cohen's d); ``None`` for one mode."""
+    upper = levels > np.median(levels) if len(levels) else np.zeros(0, dtype=bool)
+    high, low = levels[upper], levels[~upper]
+    if min(len(high), len(low)) < 2:
+        return None
+    freedom = len(high) + len(low) - 2
+    pooled = math.sqrt((high.var(ddof=1) * (len(high) - 1) + low.var(ddof=1) * (len(low) - 1)) / freedom)
+    apart = float(high.mean() - low.mean())
+    return upper if apart > 0 and apart >= least_d * pooled else None
+
+
+def places_nm(peaks: Peaks, tile: Acquired) -> Values:
+    """Places (N, 2) of peaks, x and y in nm in the field."""
+    height, width = tile.image.shape
+    x = tile.centre_nm[0] + (peaks.column_px - (width - 1) / 2) * tile.pixel_nm
+    y = tile.centre_nm[1] + (peaks.row_px - (height - 1) / 2) * tile.pixel_nm
+    return np.column_stack([x, y])
+
+
+def find_particles(intensity: Values, tile: Acquired, *, least_nm: float = 0.5) -> list[tuple[float, float, float]]:
+    """Bright regions of a tile as (x, y, equivalent diameter) in nm.
+
+    Otsu's threshold of the image smoothed by 0.1 nm; no region if the two sides of it are less than 4 deviations apart.
+    """
+    filters, measure, ndimage = needed("skimage.filters"), needed("skimage.measure"), needed("scipy.ndimage")
+    smooth: Values = ndimage.gaussian_filter(intensity, max(0.1 / tile.pixel_nm, 1.0), mode="nearest")
+    if float(np.ptp(smooth)) == 0:
+        return []
+    level = float(filters.threshold_otsu(smooth))
+    bright, dark = smooth[smooth > level], smooth[smooth <= level]
+    if min(bright.size, dark.size) < 2 or float(bright.mean() - dark.mean()) < 4 * math.sqrt((bright.var() + dark.var()) / 2):
+        return []
+    regions: list[Any] = measure.regionprops(measure.label(smooth > level))
+    height, width = intensity.shape
+    found = []
+    for region in regions:
+        row, column = region.centroid
+        diameter = float(region.equivalent_diameter_area) * tile.pixel_nm
+        if diameter >= least_nm:
+            x = tile.centre_nm[0] + (column - (width - 1) / 2) * tile.pixel_nm
+            y = tile.centre_nm[1] + (row - (height - 1) / 2) * tile.pixel_nm
+            found.append((float(x), float(y), diameter))
+    return found
+
+
+def _doubt(beyond: Values) -> float:
+    """Mean entropy in bits of logistic steps of width a quarter of a deviation."""
+    if beyond.size == 0:
+        return 0.0
+    chance = 1 / (1 + np.exp(-np.clip(beyond / 0.25, -40, 40)))
+    return float(entropy_bits(np.stack([chance, 1 - chance])).mean())
+
+
+def entropy_bits(chances: Values) -> Values:
+    """Entropy over the first axis, in bits."""
+    result: Values = -(chances * np.log2(np.maximum(chances, 1e-300))).sum(axis=0)
+    return result

@@ -1,0 +1,157 @@
+"""A language model behind an OpenAI-compatible address, over the standard library."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import os
+import re
+import time
+import urllib.error
+import urllib.parse
+import urllib.request
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+from ..errors import StemworldsError, _invalid
+
+__all__ = ["Endpoint", "EndpointError", "Unparsable"]
+
+_Read = TypeVar("_Read")
+
+#: Answers of servers that another try may mend.
+_PASSING = {408, 409, 425, 429, 500, 502, 503, 504, 529}
+
+
+class EndpointError(StemworldsError):
+    """The service cannot be used: address, key or model are wrong, or it has never answered."""
+
+
+class Unparsable(StemworldsError):
+    """No reply could be read, after all tries."""
+
+
+@dataclass
+class Endpoint:
+    """An OpenAI-compatible service of chat completions.
+
+    Args:
+        url: the part before ``/chat/completions``: ``"https://openrouter.ai/api/v1"``.
+        model: its name there.
+        key_variable: the environment variable that holds the key; without it no key is sent.
+        temperature, max_tokens: of each request.
+        retries: further tries after a failure or a reply that cannot be read.
+        timeout_s: of one request.
+        pause_s: before the first retry; each later one waits twice as long.
+
+    Attributes:
+        calls, retried, failed: requests asked for, further tries, and requests that no try could mend.
+    """
+
+    url: str
+    model: str
+    key_variable: str = "OPENAI_API_KEY"
+    temperature: float = 0.0
+    max_tokens: int = 1024
+    retries: int = 3
+    timeout_s: float = 60.0
+    pause_s: float = 1.0
+    calls: int = field(default=0, init=False)
+    retried: int = field(default=0, init=False)
+    failed: int = field(default=0, init=False)
+    _answered: bool = field(default=False, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        parts = urllib.parse.urlsplit(self.url)
+        if parts.scheme not in ("http", "https") or not parts.netloc:
+            raise _invalid("url", f"url = {self.url!r}: expected an http or https address such as https://openrouter.ai/api/v1")
+        if not self.model:
+            raise _invalid("model", "model is empty: give the name that the service knows it by")
+        if self.retries < 0 or self.timeout_s <= 0 or self.pause_s < 0 or self.max_tokens < 1:
+            raise _invalid("retries, timeout_s, pause_s or max_tokens", "a number of the endpoint is out of its limits")
+
+    def ask(self, instructions: str, question: str, *, png: bytes | None = None, read: Callable[[str], _Read]) -> _Read:
+        """Asks, and reads the reply by ``read``, which raises :class:`ValueError` for one that it cannot read.
+
+        Raises:
+            Unparsable: after all tries.
+            EndpointError: if the service refuses the request (wrong key, unknown model), or has never answered at all.
+        """
+        body = json.dumps(self._body(instructions, question, png)).encode()
+        self.calls += 1
+        last: Exception | None = None
+        for attempt in range(self.retries + 1):
+            if attempt:
+                self.retried += 1
+                time.sleep(self.pause_s * 2 ** (attempt - 1))
+            try:
+                return read(self._reply(body))
+            except urllib.error.HTTPError as error:
+                if error.code not in _PASSING:
+                    raise EndpointError(_refused(self.url, self.key_variable, error)) from error
+                last = error
+            except (OSError, http.client.HTTPException, ValueError, KeyError, IndexError, TypeError) as error:
+                last = error
+        self.failed += 1
+        if not self._answered:
+            raise EndpointError(f"{self.url}: no answer in {self.retries + 1} tries ({last}); is the address right?") from last
+        raise Unparsable(f"{self.url}: no reply that can be read in {self.retries + 1} tries ({last})") from last
+
+    def _body(self, instructions: str, question: str, png: bytes | None) -> dict[str, Any]:
+        content: Any = question
+        if png is not None:
+            import base64
+
+            image = {"url": "data:image/png;base64," + base64.b64encode(png).decode(), "detail": "high"}
+            content = [{"type": "text", "text": question}, {"type": "image_url", "image_url": image}]
+        return {
+            "model": self.model,
+            "temperature": self.temperature,
+            "max_tokens": self.max_tokens,
+            "messages": [{"role": "system", "content": instructions}, {"role": "user", "content": content}],
+        }
+
+    def _reply(self, body: bytes) -> str:
+        headers = {"Content-Type": "application/json", "User-Agent": "stemworlds"}
+        key = os.environ.get(self.key_variable, "").strip()
+        if key:
+            headers["Authorization"] = f"Bearer {key}"
+        request = urllib.request.Request(self.url.rstrip("/") + "/chat/completions", data=body, headers=headers, method="POST")
+        with urllib.request.urlopen(request, timeout=self.timeout_s) as answer:
+            told = json.loads(answer.read())
+        self._answered = True
+        content = told["choices"][0]["message"]["content"]
+        if not isinstance(content, str) or not content.strip():
+            raise ValueError("the reply is empty")
+        return content
+
+
+def json_of(reply: str) -> dict[str, Any]:
+    """The last whole JSON object in a reply, with or without a fence about it.
+
+    Raises:
+        ValueError: if there is none.
+    """
+    fenced = re.findall(r"```(?:json)?\s*(.*?)```", reply, re.DOTALL)
+    decoder = json.JSONDecoder()
+    for text in [*reversed(fenced), reply]:
+        found: dict[str, Any] | None = None
+        at = text.find("{")
+        while at >= 0:
+            try:
+                value, end = decoder.raw_decode(text, at)
+            except ValueError:
+                at = text.find("{", at + 1)
+                continue
+            found = value if isinstance(value, dict) else found
+            at = text.find("{", end)
+        if found is not None:
+            return found
+    raise ValueError("the reply holds no JSON object")
+
+
+def _refused(url: str, key_variable: str, error: urllib.error.HTTPError) -> str:
+    said = error.read(300).decode(errors="replace").strip()
+    advice = f"; is the key in {key_variable} right?" if error.code in (401, 403) else "; are address and model right?"
+    return f"{url}: the service refuses the request, {error.code} {error.reason}: {said}{advice}"
