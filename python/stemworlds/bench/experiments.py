@@ -1,0 +1,227 @@
+"""Experiments: which agents play which tasks in which worlds, read from TOML."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import math
+import os
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from ..errors import FileMissing, FormatError, InvalidValue, _invalid
+from .catalogue import agent_specification, unknown
+
+__all__ = ["Episode", "Experiment", "experiments", "read_experiment"]
+
+#: Tasks by the names that experiments use, and the environments.
+TASKS = {
+    "defect-census": "DefectCensus",
+    "phase-mapping": "PhaseMapping",
+    "targeted": "Targeted",
+    "particle-census": "ParticleCensus",
+}
+_KEYS = {"name", "about", "tasks", "strict", "seeds", "budgets", "agents", "worlds", "environment"}
+_WORLD_KEYS = {"name", "file", "recipe", "difficulty", "grid", "set", "live", "split", "tasks"}
+_OPTIONS = {"horizon", "cadence", "exposure", "noise", "damage", "target", "cache", "threads", "reward"}
+#: Steps that an acquisition takes at most, with its navigation and declaration.
+_STEPS_A_TILE = 4
+_REFERENCE_DOSE = 100.0
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One combination of an experiment.
+
+    Attributes:
+        agent: its table, see :func:`agent_specification`.
+        task: name as in :data:`TASKS`, with ``-strict`` behind it for the strict forms.
+        world: its table.
+        seed, budget: of the episode; the budget in electrons per square Angstrom.
+        environment: further keywords of the environment.
+    """
+
+    agent: Mapping[str, Any]
+    task: str
+    world: Mapping[str, Any]
+    seed: int
+    budget: float
+    environment: Mapping[str, Any]
+
+    @property
+    def key(self) -> str:
+        """Names the combination in files of results: 16 digits made of all of it."""
+        parts = [self.agent, self.task, _essence(self.world), self.seed, float(self.budget), self.environment]
+        return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:16]
+
+    @property
+    def environment_id(self) -> str:
+        task, strict = self.task.removesuffix("-strict"), self.task.endswith("-strict")
+        return f"stemworlds/{TASKS[task]}{'Strict' if strict else ''}-v0"
+
+    @property
+    def environment_options(self) -> dict[str, Any]:
+        """Keywords of :func:`gymnasium.make`."""
+        given = {key: value for key, value in self.world.items() if key not in ("name", "file", "tasks")}
+        if "file" in self.world:
+            given["world"] = self.world["file"]
+        if "grid" in given:
+            given["grid"] = tuple(given["grid"])
+        horizon = max(200, _STEPS_A_TILE * math.ceil(self.budget / _REFERENCE_DOSE))
+        return {"horizon": horizon, **given, **self.environment, "budget": float(self.budget)}
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What :func:`read_experiment` reads; iterating gives its episodes, those of a world one after the other."""
+
+    name: str
+    about: str
+    tasks: tuple[str, ...]
+    seeds: tuple[int, ...]
+    budgets: tuple[float, ...]
+    agents: tuple[Mapping[str, Any], ...]
+    worlds: tuple[Mapping[str, Any], ...]
+    environment: Mapping[str, Any]
+
+    def __iter__(self) -> Iterator[Episode]:
+        for world, budget, task in itertools.product(self.worlds, self.budgets, self.tasks):
+            if task.removesuffix("-strict") in world.get("tasks", TASKS):
+                for agent, seed in itertools.product(self.agents, self.seeds):
+                    yield Episode(agent, task, world, seed, budget, self.environment)
+
+
+def experiments() -> dict[str, str]:
+    """Names of the experiments that come with the package, and what each is for."""
+    return {name: read_experiment(name).about for name in _packaged()}
+
+
+def _packaged() -> dict[str, str]:
+    folder = resources.files(__package__) / "experiments"
+    files = sorted((entry for entry in folder.iterdir() if entry.name.endswith(".toml")), key=lambda entry: entry.name)
+    return {entry.name.removesuffix(".toml"): entry.read_text(encoding="utf-8") for entry in files}
+
+
+def read_experiment(source: str | os.PathLike[str]) -> Experiment:
+    """Reads the TOML file of an experiment, or one that comes with the package by its name. Worlds lie relative to the file.
+
+    Raises:
+        FileMissing: if there is neither a file nor an experiment of that name.
+        FormatError: if it is no TOML.
+        InvalidValue: for unknown keys, agents, tasks and worlds.
+    """
+    path = Path(source)
+    packaged = _packaged()
+    if not path.is_file():
+        if str(source) not in packaged:
+            raise FileMissing(f"{source}: no such file, and no experiment of the package: {', '.join(packaged)}")
+        text, folder = packaged[str(source)], Path()
+    else:
+        text, folder = path.read_text(encoding="utf-8"), path.parent
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise FormatError(f"{source}: not TOML: {error}") from error
+    try:
+        return _experiment(table, folder, path.stem)
+    except InvalidValue as error:
+        raise InvalidValue(f"{source}: {error}") from error
+
+
+def _experiment(table: Mapping[str, Any], folder: Path, stem: str) -> Experiment:
+    _known("experiment", table, _KEYS)
+    tasks = [_task(name) for name in _listed(table, "tasks", list(TASKS))]
+    strict = table.get("strict", False)
+    if not isinstance(strict, bool):
+        raise _invalid("strict", f"strict = {strict!r}: expected true or false")
+    options = table.get("environment", {})
+    _known("environment", options, _OPTIONS)
+    agents = [agent_specification(given) for given in _listed(table, "agents", None)]
+    worlds = [_world(given, folder) for given in _listed(table, "worlds", None)]
+    for kind, names in (("agent", [agent["name"] for agent in agents]), ("world", [world["name"] for world in worlds])):
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise _invalid(f"{kind}s", f"{kind} {twice[0]!r} is there twice: give each a name of its own")
+    return Experiment(
+        name=str(table.get("name", stem)),
+        about=str(table.get("about", "")),
+        tasks=tuple(f"{task}-strict" if strict else task for task in tasks),
+        seeds=_seeds(table.get("seeds", 10)),
+        budgets=tuple(_budget(value) for value in _listed(table, "budgets", [5000.0])),
+        agents=tuple(agents),
+        worlds=tuple(worlds),
+        environment=dict(options),
+    )
+
+
+def _listed(table: Mapping[str, Any], key: str, default: list[Any] | None) -> list[Any]:
+    given = table.get(key, default)
+    if not isinstance(given, list) or not given:
+        raise _invalid(key, f"{key}: expected a list with one entry or more")
+    return given
+
+
+def _known(where: str, table: Any, keys: set[str]) -> None:
+    if not isinstance(table, Mapping):
+        raise _invalid(where, f"{where}: expected a table")
+    for key in table:
+        if key not in keys:
+            raise _invalid(where, f"{where}: key {key!r}: {unknown(key, keys)}")
+
+
+def _task(name: Any) -> str:
+    if name not in TASKS:
+        raise _invalid("tasks", f"task {name!r}: {unknown(str(name), TASKS)}")
+    return str(name)
+
+
+def _seeds(given: Any) -> tuple[int, ...]:
+    """Seeds as a list, or their number from 0 on."""
+    seeds = list(range(given)) if isinstance(given, int) and not isinstance(given, bool) else given
+    good = isinstance(seeds, list) and seeds and all(isinstance(s, int) and not isinstance(s, bool) and 0 <= s < 2**32 for s in seeds)
+    if not good or len(set(seeds)) < len(seeds):
+        raise _invalid("seeds", f"seeds = {given!r}: expected their number, or a list of different whole numbers from 0 on")
+    return tuple(seeds)
+
+
+def _budget(given: Any) -> float:
+    if isinstance(given, bool) or not isinstance(given, int | float) or not (math.isfinite(given) and given > 0):
+        raise _invalid("budgets", f"budget {given!r}: expected electrons per square Angstrom, above 0")
+    return float(given)
+
+
+def _world(given: Any, folder: Path) -> dict[str, Any]:
+    """A world as a table: the path of a file, or a table with ``file`` or ``recipe``."""
+    table = {"file": given} if isinstance(given, str) else given
+    _known("worlds", table, _WORLD_KEYS)
+    if ("file" in table) == ("recipe" in table):
+        raise _invalid("worlds", f"world {dict(table)}: expected either file or recipe")
+    for task in table.get("tasks", []):
+        _task(task)
+    made = dict(table)
+    if "file" in table:
+        path = folder / str(table["file"])
+        if not path.is_file():
+            raise _invalid("worlds", f"world {table['file']!r}: there is no such file in {folder.resolve()}")
+        made["file"] = str(path)
+        made.setdefault("name", path.stem)
+        return made
+    made.setdefault("name", "-".join([Path(str(table["recipe"])).stem, *([table["difficulty"]] if "difficulty" in table else [])]))
+    made.setdefault("live", True)
+    if made["live"]:
+        made.setdefault("split", "test")
+    return made
+
+
+def _essence(world: Mapping[str, Any]) -> dict[str, Any]:
+    """What makes a world: of a file its name and size, wherever it lies."""
+    kept = {key: value for key, value in world.items() if key != "tasks"}
+    if "file" in world:
+        path = Path(world["file"])
+        kept["file"] = [path.name, path.stat().st_size if path.exists() else 0]
+    return kept

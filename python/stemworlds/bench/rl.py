@@ -1,0 +1,119 @@
+"""Reinforcement learning with stable-baselines3, which has to be installed (``stemworlds[rl]``)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, Literal
+
+from ..errors import FileMissing, _invalid
+from .protocols import Analyst, needed
+
+if TYPE_CHECKING:
+    import gymnasium as gym
+
+__all__ = ["PolicyAgent", "train"]
+
+Algorithm = Literal["DQN", "PPO", "SAC"]
+
+#: The paper's settings.
+_SETTINGS: dict[str, dict[str, Any]] = {
+    "DQN": {"learning_rate": 1e-4, "buffer_size": 50_000, "batch_size": 64, "exploration_fraction": 0.3, "gamma": 0.99},
+    "PPO": {"learning_rate": 3e-4, "n_steps": 2048, "n_epochs": 10, "clip_range": 0.2, "ent_coef": 0.01, "gae_lambda": 0.95},
+    "SAC": {"learning_rate": 3e-4, "buffer_size": 50_000, "batch_size": 64, "tau": 0.005, "ent_coef": "auto"},
+}
+
+
+def train(
+    algorithm: Algorithm,
+    environments: Sequence[Callable[[], gym.Env[Any, Any]]],
+    *,
+    analyst: Callable[[], Analyst],
+    steps: int = 50_000,
+    seed: int = 0,
+    settings: dict[str, Any] | None = None,
+) -> Any:
+    """Trains a policy in several worlds at once, with the paper's settings.
+
+    DQN and PPO choose among 8 x 8 places and 3 actions (:class:`DiscreteGrid`), SAC chooses a place (:class:`TargetBox`).
+
+    Args:
+        environments: each makes an environment: ``lambda: gym.make("stemworlds/DefectCensus-v0", recipe="srtio3", live=True,
+            split="train", reward="score_gain")``. Those with ``reward="none"`` teach nothing.
+        analyst: makes the analyst of an environment; each has its own.
+        steps: in all of them together.
+        settings: of the algorithm, in place of the paper's.
+
+    Returns:
+        The model of stable-baselines3: ``model.save("dqn.zip")`` keeps it for :class:`PolicyAgent`.
+
+    The buffers of DQN and SAC hold 50 000 observations, each with a tile of 64 kB and an overview of 16 kB: 8 GB for both ends of a step.
+    """
+    if algorithm not in _SETTINGS:
+        raise _invalid("algorithm", f"algorithm = {algorithm!r}: expected one of {', '.join(_SETTINGS)}")
+    if not environments:
+        raise _invalid("environments", "environments: expected one or more")
+    library, vectors = needed("stable_baselines3"), needed("stable_baselines3.common.vec_env")
+    made = vectors.DummyVecEnv([_Wrapped(make, algorithm, analyst) for make in environments])
+    chosen = {**_SETTINGS[algorithm], **(settings or {})}
+    if algorithm == "PPO" and settings is None:
+        # Rollouts of 2048 steps in all environments together.
+        chosen["n_steps"] = max(chosen["n_steps"] // len(environments), 2)
+    model = getattr(library, algorithm)("MultiInputPolicy", made, seed=seed, **chosen)
+    model.learn(total_timesteps=steps)
+    return model
+
+
+class _Wrapped:
+    """Makes an environment with the actions of an algorithm."""
+
+    def __init__(self, make: Callable[[], gym.Env[Any, Any]], algorithm: str, analyst: Callable[[], Analyst]) -> None:
+        self._make, self._algorithm, self._analyst = make, algorithm, analyst
+
+    def __call__(self) -> gym.Env[Any, Any]:
+        return _with_actions(self._make(), self._algorithm, self._analyst())
+
+
+def _with_actions(env: gym.Env[Any, Any], algorithm: str, analyst: Analyst) -> Any:
+    from .wrappers import DiscreteGrid, TargetBox
+
+    return TargetBox(env, analyst=analyst) if algorithm == "SAC" else DiscreteGrid(env, analyst=analyst)
+
+
+class PolicyAgent:
+    """Plays a trained policy.
+
+    Args:
+        name: of the agent.
+        algorithm: ``"DQN"``, ``"PPO"`` or ``"SAC"``.
+        model: the file that :func:`train`'s model was saved to.
+        analyst: who declares.
+        deterministic: takes the best action, not a drawn one.
+    """
+
+    def __init__(
+        self, name: str, *, algorithm: Algorithm, model: str | os.PathLike[str], analyst: Analyst, deterministic: bool = True
+    ) -> None:
+        if algorithm not in _SETTINGS:
+            raise _invalid("algorithm", f"algorithm = {algorithm!r}: expected one of {', '.join(_SETTINGS)}")
+        path = os.fspath(model)
+        if not os.path.exists(path):
+            raise FileMissing(f"{path}: there is no such policy; stemworlds.bench.rl.train makes one")
+        self.name, self.algorithm, self.analyst, self.deterministic = name, algorithm, analyst, deterministic
+        self._model = getattr(needed("stable_baselines3"), algorithm).load(path, device="cpu")
+
+    def run(self, env: gym.Env[Any, Any], seed: int) -> dict[str, Any]:
+        """Plays one episode; see :func:`play`."""
+        world: Any = env.unwrapped
+        acting = _with_actions(env, self.algorithm, self.analyst)
+        if hasattr(self.analyst, "attach"):
+            self.analyst.attach(world)
+        needed("stable_baselines3.common.utils").set_random_seed(seed)
+        observation, _ = acting.reset(seed=seed)
+        over = False
+        while not over:
+            action, _ = self._model.predict(observation, deterministic=self.deterministic)
+            observation, _, terminated, truncated, _ = acting.step(action)
+            over = bool(terminated or truncated)
+        notes = getattr(self.analyst, "notes", dict)()
+        return {"notes": notes}

@@ -1,0 +1,120 @@
+"""Statistics of results: intervals, paired tests, equivalence, agreement of rankings."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ..errors import _invalid
+from .protocols import needed
+
+__all__ = ["Equivalence", "bootstrap_interval", "dec_auc", "on_checkpoints", "paired_wilcoxon", "rank_agreement", "tost"]
+
+Values = npt.NDArray[np.float64]
+Numbers = Sequence[float] | Values
+
+CHECKPOINTS = 50
+
+
+def bootstrap_interval(values: Numbers, *, level: float = 0.95, resamples: int = 10_000, seed: int = 0) -> tuple[float, float]:
+    """Interval of the mean by the bias-corrected and accelerated bootstrap (BCa). Of values that are all equal, that value."""
+    data = _numbers("values", values)
+    if len(data) == 1 or float(np.ptp(data)) == 0.0:
+        return float(data[0]), float(data[0])
+    stats = needed("scipy.stats")
+    made = stats.bootstrap(
+        (data,), np.mean, confidence_level=level, n_resamples=resamples, method="BCa", rng=np.random.default_rng(seed), vectorized=True
+    )
+    return float(made.confidence_interval.low), float(made.confidence_interval.high)
+
+
+def paired_wilcoxon(a: Numbers, b: Numbers) -> float:
+    """Two-sided p of the signed-rank test of pairs; 1 where all differences are 0."""
+    return _signed_rank(_differences(a, b), "two-sided")
+
+
+@dataclass(frozen=True)
+class Equivalence:
+    """Two one-sided tests.
+
+    Attributes:
+        pairs: their number.
+        mean, deviation: of the differences a - b; the deviation is that of a sample.
+        p_low, p_high: that the difference is not above -margin, and not below +margin.
+        margin, level: as asked.
+    """
+
+    pairs: int
+    mean: float
+    deviation: float
+    p_low: float
+    p_high: float
+    margin: float
+    level: float
+
+    @property
+    def equivalent(self) -> bool:
+        """Whether both tests say so."""
+        return max(self.p_low, self.p_high) < self.level
+
+
+def tost(a: Numbers, b: Numbers, *, margin: float = 0.05, level: float = 0.05) -> Equivalence:
+    """Whether pairs are equivalent within ``margin``: two one-sided signed-rank tests, of a - b + margin and a - b - margin."""
+    if not margin > 0:
+        raise _invalid("margin", f"margin = {margin}: expected a number above 0")
+    apart = _differences(a, b)
+    deviation = float(apart.std(ddof=1)) if len(apart) > 1 else 0.0
+    low, high = _signed_rank(apart + margin, "greater"), _signed_rank(apart - margin, "less")
+    return Equivalence(len(apart), float(apart.mean()), deviation, low, high, margin, level)
+
+
+def rank_agreement(a: Numbers, b: Numbers) -> float:
+    """Spearman's rho; nan where one of them is constant."""
+    first, second = _numbers("a", a), _numbers("b", b)
+    if len(first) != len(second) or len(first) < 2 or np.ptp(first) == 0 or np.ptp(second) == 0:
+        return float("nan")
+    return float(needed("scipy.stats").spearmanr(first, second).statistic)
+
+
+def on_checkpoints(curve: Sequence[Sequence[float]], checkpoints: int = CHECKPOINTS) -> Values:
+    """Scores at equally spaced shares of the budget, (checkpoints,): 0 before the first record, linear between, constant after the last."""
+    at = np.linspace(0, 1, checkpoints)
+    if len(curve) == 0:
+        return np.zeros(checkpoints)
+    shares, scores = np.array(curve, dtype=np.float64).T
+    # A record at a checkpoint counts for it, whatever the last bits of its share.
+    result: Values = np.where(at < shares[0] - 1e-9, 0.0, np.interp(at, shares, scores))
+    return result
+
+
+def dec_auc(curve: Sequence[Sequence[float]], checkpoints: int = CHECKPOINTS) -> float:
+    """Area under the curve of score against share of the budget."""
+    return float(np.trapezoid(on_checkpoints(curve, checkpoints), dx=1 / (checkpoints - 1)))
+
+
+def _signed_rank(apart: Values, alternative: str) -> float:
+    if not np.any(apart):
+        return 1.0
+    with warnings.catch_warnings():
+        # Few pairs, or ties: the values hold all the same.
+        warnings.simplefilter("ignore")
+        return float(needed("scipy.stats").wilcoxon(apart, alternative=alternative).pvalue)
+
+
+def _differences(a: Numbers, b: Numbers) -> Values:
+    first, second = _numbers("a", a), _numbers("b", b)
+    if len(first) != len(second):
+        raise _invalid("a or b", f"{len(first)} and {len(second)} values are no pairs")
+    # Differences that are equal on paper are equal here too, so that ties are ties.
+    return np.round(first - second, 12)
+
+
+def _numbers(keyword: str, values: Numbers) -> Values:
+    data = np.asarray(values, dtype=np.float64).ravel()
+    if len(data) == 0 or not np.isfinite(data).all():
+        raise _invalid(keyword, f"{keyword}: expected one finite number or more")
+    return data
