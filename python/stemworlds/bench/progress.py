@@ -1,0 +1,79 @@
+"""How far a run is, and when it will end."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+
+_SECONDS_BETWEEN_LINES = 10.0
+_SECONDS_BETWEEN_CHANGES = 0.2
+
+
+class Progress:
+    """One line that changes on a terminal, else a line now and then. The end is estimated from the pace so far, and not before there is one."""
+
+    def __init__(self, episodes: int, skipped: int, say: Callable[[str], object] | None) -> None:
+        self._episodes, self._say = episodes, say
+        self._terminal = say is None and sys.stderr.isatty()
+        self._done = self._failed = 0
+        self._began = self._last = time.monotonic()
+        self._errors: set[str] = set()
+        if skipped:
+            self._line(f"{skipped} episodes are done already, {episodes} are left")
+
+    def step(self, what: str) -> None:
+        """One more episode."""
+        self._done += 1
+        self._show(what)
+
+    def failed(self, error: str) -> None:
+        """One episode ended with an error; errors of one kind are told once."""
+        self._failed += 1
+        kind = error.partition(": ")[2]
+        if kind not in self._errors:
+            self._errors.add(kind)
+            self._line(f"error: {error}")
+
+    def close(self) -> None:
+        if self._terminal:
+            sys.stderr.write("\r\x1b[K")
+            sys.stderr.flush()
+
+    def _show(self, what: str) -> None:
+        now = time.monotonic()
+        between = _SECONDS_BETWEEN_CHANGES if self._terminal else _SECONDS_BETWEEN_LINES
+        over = self._done + self._failed == self._episodes
+        if now - self._last < between and not over:
+            return
+        self._last = now
+        text = f"{self._done + self._failed} of {self._episodes}, {self._left(now)}; {what}"
+        if self._terminal:
+            sys.stderr.write("\r\x1b[K" + text[:150])
+            sys.stderr.flush()
+        else:
+            self._line(text)
+
+    def _left(self, now: float) -> str:
+        done = self._done + self._failed
+        left = self._episodes - done
+        if left == 0:
+            return f"{in_words(now - self._began)} in all"
+        return f"about {in_words((now - self._began) / done * left)} left"
+
+    def _line(self, text: str) -> None:
+        if self._say is not None:
+            self._say(text)
+            return
+        if self._terminal:
+            sys.stderr.write("\r\x1b[K")
+        print(text, file=sys.stderr, flush=True)
+
+
+def in_words(seconds: float) -> str:
+    """A time as one reads it."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    if seconds < 5400:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"

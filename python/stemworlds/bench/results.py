@@ -1,0 +1,90 @@
+"""Files of results: a JSON object a line, appended as episodes end."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any
+
+from ..errors import FileError, FileMissing, FormatError, OutputLocked
+
+__all__ = ["ResultFile", "read_results"]
+
+Row = dict[str, Any]
+
+
+class ResultFile:
+    """A file of results that is written to, by one process at a time. A last line that was cut off in the writing is removed."""
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self._file: IO[bytes] | None = None
+
+    def __enter__(self) -> ResultFile:
+        import fcntl
+
+        try:
+            self._file = open(self.path, "a+b")  # noqa: SIM115
+        except OSError as error:
+            raise FileError(f"{self.path}: cannot be written: {error.strerror}") from error
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            self._file.close()
+            raise OutputLocked(f"{self.path}: another run writes it; wait for its end, or give another file") from None
+        self._file.seek(0)
+        told = self._file.read()
+        whole = told.rfind(b"\n") + 1
+        if whole < len(told):
+            self._file.truncate(whole)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._file is not None:
+            self._file.close()
+
+    def finished(self) -> set[str]:
+        """Keys of the combinations that are there."""
+        return {row["key"] for row in _rows(self.path)}
+
+    def append(self, row: Row) -> None:
+        """Writes a row through to the disk."""
+        assert self._file is not None, "the file is not open"
+        self._file.write(json.dumps(row, separators=(",", ":"), allow_nan=False).encode() + b"\n")
+        self._file.flush()
+        with contextlib.suppress(OSError):
+            os.fsync(self._file.fileno())
+
+
+def read_results(path: str | os.PathLike[str]) -> list[Row]:
+    """The rows of a file of results; of a combination that is there twice, the last.
+
+    Raises:
+        FileMissing: if it is not there.
+        FormatError: if a line is no result; the message names the line.
+    """
+    if not Path(path).is_file():
+        raise FileMissing(f"{path}: there is no such file of results; stemworlds bench run writes one")
+    rows = {row["key"]: row for row in _rows(Path(path))}
+    if not rows:
+        raise FormatError(f"{path}: no results in it yet")
+    return list(rows.values())
+
+
+def _rows(path: Path) -> Iterator[Row]:
+    with open(path, encoding="utf-8") as lines:
+        for number, line in enumerate(lines, 1):
+            if not line.endswith("\n"):
+                # Cut off in the writing, or still being written.
+                return
+            try:
+                row = json.loads(line)
+            except ValueError as error:
+                raise FormatError(f"{path}:{number}: no JSON: {error}") from error
+            if not isinstance(row, dict) or not {"key", "agent", "task", "world", "seed", "budget", "curve", "metrics"} <= row.keys():
+                raise FormatError(f"{path}:{number}: no result of an episode")
+            yield row

@@ -1,0 +1,282 @@
+"""Runs experiments: many episodes, several processes, nothing twice."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import signal
+import sys
+import time
+import traceback
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from ..errors import StemworldsError, _invalid
+from .agents import play
+from .catalogue import make_agent
+from .experiments import Episode, Experiment
+from .progress import Progress
+from .results import ResultFile
+
+if TYPE_CHECKING:
+    import gymnasium as gym
+
+__all__ = ["RunSummary", "run_experiment"]
+
+Row = dict[str, Any]
+Make: TypeAlias = "Callable[[Episode], gym.Env[Any, Any]]"
+#: Worlds that a process keeps open.
+_MOST_OPEN = 2
+
+
+@dataclass
+class RunSummary:
+    """What a run did.
+
+    Attributes:
+        episodes: of the experiment.
+        skipped: those that the file held before.
+        done: those that were played.
+        failed: those that ended with an error, each with its message; they are played when the experiment is run again.
+        interrupted: whether Ctrl-C ended it.
+        seconds: it took.
+    """
+
+    episodes: int
+    skipped: int = 0
+    done: int = 0
+    failed: list[str] = field(default_factory=list)
+    interrupted: bool = False
+    seconds: float = 0.0
+
+
+def run_experiment(
+    experiment: Experiment,
+    out: str | os.PathLike[str],
+    *,
+    processes: int | None = None,
+    progress: Callable[[str], object] | None = None,
+    make: Callable[[Episode], gym.Env[Any, Any]] | None = None,
+) -> RunSummary:
+    """Plays all episodes of an experiment that the file of results does not hold yet, and appends each as it ends.
+
+    The rows are the same for any number of processes but for their order and ``wall``, the times.
+
+    Args:
+        out: the file of results, JSON lines.
+        processes: how many play at once; by default as many as there are processors.
+        progress: takes lines; by default they go to standard error, as one line that changes on a terminal.
+        make: makes the environment of an episode, by default the one that its task and world name. It has to be a function of a module.
+    """
+    if processes is not None and not 1 <= processes <= 4096:
+        raise _invalid("processes", f"processes = {processes}: expected a whole number from 1 to 4096")
+    began = time.monotonic()
+    every = list(experiment)
+    if not every:
+        raise _invalid("tasks", f"{experiment.name}: no world is for any of its tasks, so there are no episodes")
+    with ResultFile(out) as file:
+        finished = file.finished()
+        open_episodes = [episode for episode in every if episode.key not in finished]
+        summary = RunSummary(len(every), skipped=len(every) - len(open_episodes))
+        shown = Progress(len(open_episodes), summary.skipped, progress)
+        count = min(processes or _processors(), max(len(open_episodes), 1))
+        try:
+            for row in _played(open_episodes, count, experiment.name, make or _environment):
+                if "error" in row:
+                    summary.failed.append(row["error"])
+                    shown.failed(row["error"])
+                else:
+                    file.append(row)
+                    summary.done += 1
+                    shown.step(f"{row['agent']}, {row['task']}, {row['world']}, seed {row['seed']}: {row['metrics']['dec_auc']:.3f}")
+        except KeyboardInterrupt:
+            summary.interrupted = True
+        shown.close()
+    summary.seconds = time.monotonic() - began
+    return summary
+
+
+def _processors() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _played(episodes: Sequence[Episode], processes: int, name: str, make: Make) -> Iterator[Row]:
+    """Rows of the episodes as they come."""
+    if processes == 1:
+        player = _Player(name, make)
+        try:
+            for episode in episodes:
+                yield player.row(episode)
+        finally:
+            player.close()
+        return
+    # A context of its own: forks of a process with threads may hang.
+    pool = ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), _begin_process, (name, make))
+    waiting: set[Future[Row]] = set()
+    finished = False
+    try:
+        with _importable_main():
+            waiting = {pool.submit(_play_one, episode) for episode in episodes}
+        while waiting:
+            ended, waiting = wait(waiting, timeout=1.0, return_when=FIRST_COMPLETED)
+            for future in ended:
+                yield future.result()
+        finished = True
+    except BrokenProcessPool as error:
+        raise StemworldsError("a process ended by itself: too little memory? fewer processes take less of it") from error
+    finally:
+        workers = list((getattr(pool, "_processes", None) or {}).values())
+        pool.shutdown(wait=finished, cancel_futures=True)
+        if not finished:
+            for worker in workers:
+                worker.terminate()
+
+
+@contextmanager
+def _importable_main() -> Iterator[None]:
+    """Keeps new processes from running the script of this one again: they need nothing of it."""
+    main = sys.modules["__main__"]
+    kept = {key: main.__dict__.pop(key) for key in ("__file__",) if key in main.__dict__}
+    spec, main.__spec__ = main.__spec__, None
+    try:
+        yield
+    finally:
+        main.__dict__.update(kept)
+        main.__spec__ = spec
+
+
+_player: _Player | None = None
+
+
+def _begin_process(name: str, make: Make) -> None:
+    """Each process plays by one thread; Ctrl-C is the first process's business."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    global _player
+    _player = _Player(name, make)
+
+
+def _play_one(episode: Episode) -> Row:
+    assert _player is not None, "the process has begun"
+    return _player.row(episode)
+
+
+def _environment(episode: Episode) -> gym.Env[Any, Any]:
+    """The environment that the task and the world of an episode name."""
+    import gymnasium
+
+    from . import environment  # noqa: F401  (registers the environments)
+
+    return gymnasium.make(episode.environment_id, disable_env_checker=True, **episode.environment_options)
+
+
+class _Player:
+    """Plays episodes; worlds and agents stay for the next."""
+
+    def __init__(self, experiment: str, make: Make) -> None:
+        self._experiment, self._make = experiment, make
+        self._worlds: OrderedDict[str, Any] = OrderedDict()
+        self._agents: dict[str, Any] = {}
+
+    def close(self) -> None:
+        for env in self._worlds.values():
+            env.close()
+        self._worlds.clear()
+
+    def row(self, episode: Episode) -> Row:
+        """The row of an episode, or its error."""
+        try:
+            with _one_thread():
+                record = play(self._world(episode), self._agent(episode), episode.seed)
+            return row_of(episode, record, self._experiment)
+        except Exception as error:
+            what = f"{episode.agent['name']}, {episode.task}, {episode.world['name']}, seed {episode.seed}"
+            return {"error": f"{what}: {_told(error)}"}
+
+    def _agent(self, episode: Episode) -> Any:
+        name = json.dumps(episode.agent, sort_keys=True)
+        if name not in self._agents:
+            self._agents[name] = make_agent(episode.agent)
+        return self._agents[name]
+
+    def _world(self, episode: Episode) -> Any:
+        name = json.dumps([episode.environment_id, episode.environment_options], sort_keys=True)
+        if name in self._worlds:
+            self._worlds.move_to_end(name)
+        else:
+            while len(self._worlds) >= _MOST_OPEN:
+                self._worlds.popitem(last=False)[1].close()
+            self._worlds[name] = self._make(episode)
+        return self._worlds[name]
+
+
+def _told(error: Exception) -> str:
+    """What an error says; of errors that are not ours, where it came from too."""
+    if isinstance(error, StemworldsError):
+        return str(error)
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__}: {error} ({frame.filename}:{frame.lineno})"
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Linear algebra on one thread: the same bits everywhere, and the processes do not stand in each other's way."""
+    try:
+        from threadpoolctl import threadpool_limits
+    except ImportError:
+        yield
+        return
+    with threadpool_limits(1):
+        yield
+
+
+def row_of(episode: Episode, record: Row, experiment: str) -> Row:
+    """What is kept of an episode."""
+    from .. import __version__
+
+    facts = {key: value for key, value in episode.world.items() if key in ("recipe", "difficulty")}
+    return {
+        "key": episode.key,
+        "experiment": experiment,
+        "agent": episode.agent["name"],
+        "task": episode.task,
+        "world": episode.world["name"],
+        **facts,
+        "seed": episode.seed,
+        "budget": episode.budget,
+        "metrics": _plain(record["metrics"]),
+        "curve": _plain(record["curve"]),
+        "scores": _plain(record.get("scores")),
+        "grid": _plain(record.get("grid")),
+        "tiles": [_plain(_place(acquired)) for acquired in record["acquisitions"]],
+        "dose": [_plain(acquired["cost"]) for acquired in record["acquisitions"]],
+        "ended_by": record.get("ended_by"),
+        "unreadable": _plain(record.get("unreadable", 0)),
+        "notes": _plain(record["notes"]),
+        "modes": record["modes"],
+        "specification": _plain(dict(episode.agent)),
+        "version": __version__,
+        "wall": _plain(record["wall"]),
+    }
+
+
+def _place(acquired: Row) -> Any:
+    return acquired["tile"] if "tile" in acquired else [acquired["row"], acquired["column"]]
+
+
+def _plain(value: Any) -> Any:
+    """Numbers and lists of NumPy as those of Python; numbers that are not finite as None."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, dict):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, float) and (value != value or value in (float("inf"), float("-inf"))):
+        return None
+    return value
