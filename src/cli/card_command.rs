@@ -122,6 +122,7 @@ impl CardCommand {
             hdf5_check::check(&path)?;
             worlds.push(card_world(&WorldFile::open(&path)?)?);
         }
+        worlds.sort_by(|a, b| a.name.cmp(&b.name));
         let draw = |file: &WorldFile, world: &CardWorld| picture(file, world);
         let (folder, overwrite) = (out.as_path(), self.overwrite);
         let card = Card { about: &about, worlds: &worlds, folder, overwrite, draw: &draw };
@@ -149,8 +150,14 @@ impl CardCommand {
     /// Where the card goes.
     fn folder(&self) -> anyhow::Result<PathBuf> {
         match (&self.output, &self.worlds[..]) {
+            (Some(out), _) if out.is_file() => {
+                bail!("{}: is a file; --output names a folder, which may be new", out.display())
+            }
             (Some(out), _) => Ok(out.clone()),
             (None, [one]) if one.is_dir() => Ok(one.clone()),
+            (None, [one]) if !one.exists() => {
+                Err(Error::io(one, "read", std::io::ErrorKind::NotFound.into()).into())
+            }
             (None, [one]) => bail!(
                 "{}: is no folder; name one, or where the card goes with --output, such as {}",
                 one.display(),
@@ -167,6 +174,7 @@ fn card_world(file: &WorldFile) -> crate::Result<CardWorld> {
     let (recipe, output) = (CardWorld::recipe_path(&world.name), world.file_name());
     let again = BuildAgain::of(file, Path::new(&recipe), Path::new(&output))?;
     world.command = again.line_of(PROGRAM).filter(|line| !line.chars().any(char::is_control));
+    world.note = again.note.filter(|_| world.command.is_some());
     world.recipe_text = again.recipe.filter(|_| world.command.is_some());
     Ok(world)
 }
@@ -215,6 +223,7 @@ fn told(summary: &CardSummary, worlds: usize) -> String {
         ("creator", "--creator or --organization"),
         ("url", "--url"),
         ("datePublished", "--date"),
+        ("citeAs", "--cite"),
     ];
     let missing: Vec<&str> = options
         .into_iter()

@@ -114,13 +114,14 @@ impl CardAbout {
         }
     }
 
-    /// Properties that Croissant asks for and that were not said.
+    /// Properties that Croissant asks for, or recommends, and that were not said.
     pub fn missing(&self) -> Vec<&'static str> {
         let said = [
             ("license", self.license.is_some()),
             ("creator", !self.creators.is_empty()),
             ("url", self.url.is_some()),
             ("datePublished", self.published.is_some()),
+            ("citeAs", self.citation.is_some()),
         ];
         said.into_iter().filter(|(_, there)| !there).map(|(name, _)| name).collect()
     }
@@ -210,7 +211,7 @@ mod tests {
     fn what_is_said_is_checked() {
         let about = CardAbout::new("Worlds");
         about.check().unwrap();
-        assert_eq!(about.missing(), ["license", "creator", "url", "datePublished"]);
+        assert_eq!(about.missing(), ["license", "creator", "url", "datePublished", "citeAs"]);
         let fails = |change: fn(&mut CardAbout)| {
             let mut about = CardAbout::new("Worlds");
             change(&mut about);

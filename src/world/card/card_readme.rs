@@ -51,7 +51,7 @@ impl ReadmeWorld<'_> {
 /// Writes the card.
 pub(super) fn readme(about: &CardAbout, words: &CardWords, worlds: &[ReadmeWorld]) -> String {
     let mut page = Markdown::new();
-    head(about, worlds, &mut page);
+    head(about, words, worlds, &mut page);
     page.paragraph(MARK);
     page.paragraph(format!("# {}", printable(&about.title)));
     page.paragraph(description(about, words));
@@ -64,7 +64,7 @@ pub(super) fn readme(about: &CardAbout, words: &CardWords, worlds: &[ReadmeWorld
     commands(worlds, &mut page);
     let lists = [
         ("What it is for", &words.uses),
-        ("What it over-represents", &words.biases),
+        ("Biases", &words.biases),
         ("Limits", &words.limitations),
     ];
     for (title, sentences) in lists.into_iter().filter(|(_, list)| !list.is_empty()) {
@@ -76,7 +76,7 @@ pub(super) fn readme(about: &CardAbout, words: &CardWords, worlds: &[ReadmeWorld
 }
 
 /// The head that data hubs read.
-fn head(about: &CardAbout, worlds: &[ReadmeWorld], page: &mut Markdown) {
+fn head(about: &CardAbout, words: &CardWords, worlds: &[ReadmeWorld], page: &mut Markdown) {
     page.line(format!("---\npretty_name: {}", quoted(&about.title)));
     match about.license.as_ref().map(|license| (license.hub_name, &license.url)) {
         Some((Some(name), _)) => page.line(format!("license: {name}")),
@@ -85,7 +85,9 @@ fn head(about: &CardAbout, worlds: &[ReadmeWorld], page: &mut Markdown) {
         }
         None => page.line("license: unknown"),
     }
-    page.line("annotations_creators:\n- machine-generated");
+    if words.all_simulated {
+        page.line("annotations_creators:\n- machine-generated");
+    }
     page.line("task_categories:\n- image-segmentation\n- object-detection");
     let tiles = |w: &ReadmeWorld| w.line.world.facts.tiles.iter().product::<usize>();
     let category = match worlds.iter().map(tiles).sum() {
@@ -279,6 +281,16 @@ fn commands(worlds: &[ReadmeWorld], page: &mut Markdown) {
         let recipes = if recipes { " to which `recipes/` is copied" } else { "" };
         page.paragraph(format!("With the same version of stemgen, in another folder{recipes}:"));
         page.code("sh", &all.join("\n"));
+        let note = |w: &ReadmeWorld| {
+            Some(format!("{}: {}.", w.name(), printable(w.line.world.note.as_ref()?)))
+        };
+        let notes: Vec<String> = worlds.iter().filter_map(note).collect();
+        if !notes.is_empty() {
+            page.paragraph(
+                "Where the result may differ, as the program says that wrote this card:",
+            );
+            page.list(&notes);
+        }
     }
 }
 
@@ -298,7 +310,7 @@ fn publication(about: &CardAbout, words: &CardWords, page: &mut Markdown) {
     lines.push(format!("Version {}{}.", about.version, day.unwrap_or_default()));
     lines.extend(about.url.as_ref().map(|url| format!("Page: <{url}>")));
     lines.push(format!("Personal or sensitive information: {}", words.personal));
-    lines.push(format!("Social impact: {}", words.social));
+    lines.push(format!("Impact on people: {}", words.social));
     lines.push(printable(&words.maintenance));
     page.list(&lines);
     if let Some(citation) = &about.citation {

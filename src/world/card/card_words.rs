@@ -195,7 +195,7 @@ fn biases(worlds: &[CardWorld], share: DefectShare) -> Vec<String> {
     if share.columns > 0 {
         let percent = 100.0 * share.with_defects as f64 / share.columns as f64;
         text.push(format!(
-            "Classes are uneven: {} of {} columns ({percent:.2} %) hold a vacancy or a substitution.",
+            "{} of {} columns ({percent:.2} %) hold a vacancy or a substitution.",
             share.with_defects, share.columns
         ));
     }
@@ -249,7 +249,7 @@ fn limitations(worlds: &[CardWorld]) -> Vec<String> {
     let configurations =
         worlds.iter().filter_map(|w| w.facts.phonon_configurations).map(|n| n as f64);
     if let Some(n) = range(configurations, plain) {
-        text.push(format!("Each image is the mean of {n} phonon configurations."));
+        text.push(format!("Phonon configurations that each image is the mean of: {n}."));
     }
     if let Some(which) = named(worlds, |w| w.is_ours() && w.facts.recording.is_none()) {
         text.push(format!(
@@ -304,7 +304,7 @@ fn uses(worlds: &[CardWorld]) -> Vec<String> {
 }
 
 fn maintenance(worlds: &[CardWorld]) -> String {
-    let again = match named(worlds, |w| w.command.is_some()) {
+    let again = match named(worlds, |w| w.command.is_some() && w.note.is_none()) {
         Some(which) => format!(
             " The column `command` of worlds.csv has the command that makes a world again, to the byte with the same version of \
              the numerics on the same kind of processor ({which})."

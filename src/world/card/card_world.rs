@@ -20,6 +20,8 @@ pub struct CardWorld {
     pub facts: WorldFacts,
     /// The command that makes it again, where there is one.
     pub command: Option<String>,
+    /// Where the result of that command may differ from this file, if it may.
+    pub note: Option<String>,
     /// The recipe as TOML, where that command reads it from `recipes/NAME.toml`.
     pub recipe_text: Option<String>,
     /// The recipe that the file holds, where this version reads it.
@@ -39,6 +41,7 @@ impl CardWorld {
             name: card_name(path)?,
             facts: WorldFacts::of(world)?,
             command: None,
+            note: None,
             recipe_text: None,
             recipe: text.and_then(|text| Recipe::from_toml_str("recipe", text, None).ok()),
         })

@@ -22,6 +22,8 @@ use crate::setting::Setting;
 
 /// No card is longer.
 const LARGEST_README: u64 = 16 << 20;
+/// Files of each world, for progress: tables, picture, world.
+const FILES_EACH: usize = TABLES.len() + 2;
 /// Folders whose files belong to a card.
 const FOLDERS: [&str; 5] = ["columns", "defects", "particles", "pictures", "recipes"];
 
@@ -166,13 +168,12 @@ impl Card<'_> {
         copied: &[&CardWorld],
         progress: &dyn Progress,
     ) -> Result<CardSummary> {
-        progress.start("card", "world", self.worlds.len() as u64);
+        progress.start("card", "file", (self.worlds.len() * FILES_EACH) as u64);
         let mut prepared = Vec::new();
         let mut share = DefectShare::default();
         for world in self.worlds {
             let copy = copied.iter().any(|c| c.name == world.name);
             prepared.push(self.prepare_world(world, staging, copy, &mut share, progress)?);
-            progress.advance(1);
         }
         progress.finish();
         let of_worlds = self.worlds.iter().zip(&prepared);
@@ -216,7 +217,7 @@ impl Card<'_> {
         share.with_defects += file.columns()?.iter().filter(|c| with_defects(c)).count();
         let (mut tables, mut others) = (Vec::new(), Vec::new());
         for table in TABLES {
-            stop_if_asked(progress)?;
+            progress.advance(1);
             let path = table.path(name);
             // A table without lines has no types: hubs cannot put it together with those of other worlds.
             match write_table(table, &file, name, &staging.join(&path), progress)? {
@@ -228,6 +229,7 @@ impl Card<'_> {
                 }
             }
         }
+        progress.advance(1);
         let path = picture_path(name);
         atomic_write::write(&staging.join(&path), &(self.draw)(&file, world)?)?;
         others.push(listed(staging, &path, &format!("The world {name}, drawn."), "image/png")?);
@@ -237,7 +239,10 @@ impl Card<'_> {
             let text = format!("The recipe of the world {name}.");
             others.push(listed(staging, &path, &text, "application/toml")?);
         }
-        stop_if_asked(progress)?;
+        progress.advance(1);
+        if progress.interrupted() {
+            return Err(Error::Interrupted);
+        }
         let own = world.file_name();
         if copy {
             let to = staging.join(&own);
@@ -333,10 +338,6 @@ fn names_in(folder: &Path) -> Vec<String> {
     let mut names: Vec<String> = names.filter(|name| !name.starts_with('.')).collect();
     names.sort();
     names
-}
-
-fn stop_if_asked(progress: &dyn Progress) -> Result<()> {
-    if progress.interrupted() { Err(Error::Interrupted) } else { Ok(()) }
 }
 
 fn picture_path(name: &str) -> String {
