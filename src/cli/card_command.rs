@@ -28,9 +28,10 @@ Examples:
     stemgen card worlds/srtio3_*.h5 -o srtio3-worlds/ --title 'SrTiO3 with oxygen vacancies' \\
       --license CC-BY-4.0 --creator 'A. Person' --url https://example.org/srtio3 --date 2026-11-23
 
-README.md is for people, and its head for the hub; croissant.json (Croissant 1.1 with RAI fields) for programs.
-Beside them lie worlds.csv, and of each world columns/, defects/ and particles/NAME.csv, a picture, and its recipe
-where the command that makes it again needs it. The same worlds and options make the same bytes.";
+README.md is for people, and its head for the hub; croissant.json (Croissant 1.1 with RAI fields)
+is for programs. Beside them lie worlds.csv, and of each world its columns, defects and particles as
+CSV, a picture, and its recipe where the command that makes it again needs it. The same worlds and
+options make the same bytes.";
 
 /// Write the card of a folder of worlds, ready for a data hub: README, Croissant, tables, pictures
 #[derive(Debug, Args)]
