@@ -13,10 +13,16 @@ use crate::error::Error;
 use crate::files::outputs::folder;
 use crate::io::WorldFile;
 use crate::progress::Progress;
-use crate::world::card::{Card, CardAbout, CardSummary, CardWorld, DataCreator, DataLicense};
+use crate::world::card::{
+    Card, CardAbout, CardPictures, CardSummary, CardWorld, DataCreator, DataLicense,
+};
 
 /// Longest side of a picture in pixels.
 const PICTURE: u32 = 700;
+/// Of a wider field a part is drawn too: its columns are too small for rings, in nm.
+const WIDE_NM: f64 = 17.5;
+/// Edge of that part in nm.
+const PART_NM: f64 = 8.0;
 /// The program that makes worlds again, whatever this one is called: the card is the same.
 const PROGRAM: &str = "stemgen";
 
@@ -124,7 +130,7 @@ impl CardCommand {
             worlds.push(card_world(&WorldFile::open(&path)?)?);
         }
         worlds.sort_by(|a, b| a.name.cmp(&b.name));
-        let draw = |file: &WorldFile, world: &CardWorld| picture(file, world);
+        let draw = |file: &WorldFile, world: &CardWorld| pictures(file, world);
         let (folder, overwrite) = (out.as_path(), self.overwrite);
         let card = Card { about: &about, worlds: &worlds, folder, overwrite, draw: &draw };
         if self.common.dry_run {
@@ -180,8 +186,48 @@ fn card_world(file: &WorldFile) -> crate::Result<CardWorld> {
     Ok(world)
 }
 
-/// The whole field with all that is known of it, as a PNG.
-fn picture(file: &WorldFile, world: &CardWorld) -> crate::Result<Vec<u8>> {
+/// The whole field, and a part of a wide one.
+fn pictures(file: &WorldFile, world: &CardWorld) -> crate::Result<CardPictures> {
+    let [height, width] = file.shape();
+    let pixel_nm = world.facts.pixel_size_nm;
+    let whole = picture(file, world, WorldPart { rows: 0..height, columns: 0..width, pixel_nm })?;
+    if world.facts.fov_nm.iter().all(|nm| *nm <= WIDE_NM) {
+        return Ok(CardPictures { whole, part: None });
+    }
+    let place = place_of_interest(file, world)?;
+    let range = |at_nm: f64, size: usize| {
+        let edge = ((PART_NM / pixel_nm).round() as usize).clamp(1, size);
+        let first = (at_nm / pixel_nm - 0.5 * edge as f64).round().max(0.0) as usize;
+        first.min(size - edge)..first.min(size - edge) + edge
+    };
+    let (rows, columns) = (range(place[1], height), range(place[0], width));
+    let nm = |pixels: usize| text::significant(pixels as f64 * pixel_nm, 3);
+    let [x, y] = [columns.start, rows.start].map(|first| format!("{:.1}", first as f64 * pixel_nm));
+    let told =
+        format!("{} x {} nm of it, from x = {x}, y = {y} nm", nm(columns.len()), nm(rows.len()));
+    let part = picture(file, world, WorldPart { rows, columns, pixel_nm })?;
+    Ok(CardPictures { whole, part: Some((told, part)) })
+}
+
+/// The particle or the defect that is nearest to the centre of the field, (x, y) in nm; the centre where there is none.
+fn place_of_interest(file: &WorldFile, world: &CardWorld) -> crate::Result<[f64; 2]> {
+    let [height, width] = world.facts.fov_nm;
+    let centre = [0.5 * width, 0.5 * height];
+    let mut places: Vec<[f32; 2]> =
+        file.particles()?.centres.iter().map(|[x, y, _]| [*x, *y]).collect();
+    if places.is_empty() {
+        let columns = file.columns()?.into_iter();
+        let with_defects = columns.filter(|c| c.vacancies > 0 || c.substitutions > 0);
+        places.extend(with_defects.map(|c| c.position_nm));
+    }
+    let places = places.into_iter().map(|place| place.map(f64::from));
+    let distance = |[x, y]: &[f64; 2]| (x - centre[0]).hypot(y - centre[1]);
+    let nearest = places.min_by(|a, b| distance(a).total_cmp(&distance(b)));
+    Ok(nearest.unwrap_or(centre))
+}
+
+/// Some pixels with all that is known of them, as a PNG.
+fn picture(file: &WorldFile, world: &CardWorld, part: WorldPart) -> crate::Result<Vec<u8>> {
     let facts = &world.facts;
     let lines = facts.grain_boundaries + facts.phase_boundaries;
     let there = [
@@ -198,8 +244,6 @@ fn picture(file: &WorldFile, world: &CardWorld) -> crate::Result<Vec<u8>> {
         overlay: overlay.collect(),
         size: PICTURE,
     };
-    let [height, width] = file.shape();
-    let part = WorldPart { rows: 0..height, columns: 0..width, pixel_nm: facts.pixel_size_nm };
     let fault = |e: &dyn std::fmt::Display| {
         Error::parse(file.path(), 0, format!("cannot be drawn: {e}; copy or build it again"))
     };

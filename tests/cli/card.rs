@@ -261,6 +261,39 @@ fn the_same_worlds_make_the_same_bytes() {
 }
 
 #[test]
+fn of_a_wide_field_a_part_is_drawn_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let (own, wide) = (file("tests/cli/tiny.toml"), "field.fov_nm=[18,18]");
+    for (name, more) in [("narrow.h5", &[][..]), ("wide.h5", &["--set", wide, "--audit", "0"])] {
+        let mut command = stemgen(here);
+        command.args(["build", "--recipe", &own, "-o", name, "--no-png", "--quiet"]).args(more);
+        let output = command.output().unwrap();
+        assert!(output.status.success(), "{}", stderr(&output));
+    }
+    let output = card(here, [".", "--quiet"]).output().unwrap();
+    assert!(output.status.success() && output.stdout.is_empty(), "{}", stderr(&output));
+    let files = contents(here);
+    assert!(files.contains_key("parts/wide.png") && !files.contains_key("parts/narrow.png"));
+    assert!(files["parts/wide.png"] != files["pictures/wide.png"]);
+    let readme = String::from_utf8(files["README.md"].clone()).unwrap();
+    assert!(
+        readme.contains("](parts/wide.png)") && readme.contains(" nm of it, from x = "),
+        "{readme}"
+    );
+    let planned = json(&mut card(here, [".", "--dry-run"]));
+    let planned = planned["outputs"].as_array().unwrap();
+    let planned =
+        |name: &str| planned.iter().any(|p| Path::new(p.as_str().unwrap()).ends_with(name));
+    assert!(
+        files.keys().filter(|n| !n.ends_with(".h5")).all(|name| planned(name)),
+        "{:?}",
+        files.keys()
+    );
+    assert!(contents(here) == files, "a dry run writes");
+}
+
+#[test]
 fn what_is_no_folder_of_worlds_is_refused_and_nothing_is_left() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();

@@ -12,12 +12,18 @@ pub(super) const MARK: &str =
 
 /// What a world file holds.
 const SCHEMA: &str = include_str!("card_schema.md");
+/// How a world, `WORLD.h5`, is loaded.
+const LOADING: &str = include_str!("card_loading.md");
+/// How a table is loaded; `RECORDS` stands for its name.
+const RECORDS: &str = include_str!("card_records.md");
 
 /// What is shown of a world besides what its line in the table says.
 pub(super) struct ReadmeWorld<'a> {
     pub(super) line: WorldLine<'a>,
     /// Path of its picture.
     pub(super) picture: String,
+    /// What the picture of a part shows, and its path.
+    pub(super) part: Option<(&'a str, String)>,
     /// Tables that it has.
     pub(super) tables: Vec<&'static CardTable>,
 }
@@ -107,28 +113,32 @@ fn head(about: &CardAbout, words: &CardWords, worlds: &[ReadmeWorld], page: &mut
     page.line("---");
 }
 
-/// Two pictures in a line.
+/// Two pictures in a line: a world and a part of it, or two worlds where no parts are needed.
 fn pictures(worlds: &[ReadmeWorld], page: &mut Markdown) {
     let title = |w: &ReadmeWorld| format!("**{}**: {}", w.name(), w.contents());
-    let picture = |w: &ReadmeWorld| format!("![{}]({})", w.name(), w.picture);
-    if let [one] = worlds {
-        page.table([&title(one)], [[picture(one)]].into_iter());
-    } else {
-        let row = |cells: Vec<String>| {
-            let mut cells = cells.into_iter();
-            [0, 1].map(|_| cells.next().unwrap_or_default())
-        };
-        let rows = worlds.chunks(2).flat_map(|pair| {
-            [row(pair.iter().map(title).collect()), row(pair.iter().map(picture).collect())]
-        });
-        let rows: Vec<[String; 2]> = rows.collect();
-        if let Some(([left, right], below)) = rows.split_first() {
-            page.table([left, right], below.iter().cloned());
+    let picture = |text: &str, path: &str| format!("![{text}]({path})");
+    let whole = |w: &ReadmeWorld| [title(w), picture(&w.name(), &w.picture)];
+    let part = |w: &ReadmeWorld| match &w.part {
+        Some((text, path)) => [(*text).to_owned(), picture(text, path)],
+        None => Default::default(),
+    };
+    let pairs: Vec<[[String; 2]; 2]> = match worlds.iter().any(|w| w.part.is_some()) {
+        true => worlds.iter().map(|w| [whole(w), part(w)]).collect(),
+        false => {
+            let second = |pair: &[ReadmeWorld]| pair.get(1).map(whole).unwrap_or_default();
+            worlds.chunks(2).map(|pair| [whole(&pair[0]), second(pair)]).collect()
         }
+    };
+    let rows = pairs.into_iter().flat_map(|[left, right]| {
+        let ([title, picture], [other, second]) = (left, right);
+        [[title, other], [picture, second]]
+    });
+    let rows: Vec<[String; 2]> = rows.collect();
+    if let Some(([left, right], below)) = rows.split_first() {
+        page.table([left, right], below.iter().cloned());
     }
     page.paragraph(
-        "Each picture shows a whole field. Rings, or a tint where columns are too small, mark vacancies and \
-         substitutions; tints and lines mark phases, boundaries and particles, as the legends say.",
+        "Rings, or a tint where columns are too small, mark vacancies and substitutions; tints and lines mark phases, boundaries and particles, as the legends say.",
     );
 }
 
@@ -182,43 +192,10 @@ fn table_of_worlds(worlds: &[ReadmeWorld], page: &mut Markdown) {
 
 fn loading(worlds: &[ReadmeWorld], page: &mut Markdown) {
     let Some(first) = worlds.first() else { return };
-    let (file, name) = (first.line.world.file_name(), first.name());
-    page.paragraph("## How to load it");
-    page.paragraph("Any reader of HDF5 opens a world, h5py for one (`pip install h5py`):");
-    page.code(
-        "python",
-        &format!(
-            "import h5py\n\n\
-             with h5py.File(\"{file}\") as world:\n    \
-             tile = world[\"tiles/0_0\"][:]  # [y, x], from 0 to 1\n    \
-             x, y = world[\"ground_truth/atom_positions\"][:].T  # nm, from the centre of pixel (0, 0)\n    \
-             vacant = world[\"ground_truth/atom_types\"][:] == 1  # the sites without an atom"
-        ),
-    );
-    page.paragraph(
-        "`stemworlds`, the Python package of stemgen, puts tiles together and makes tables of the truth:",
-    );
-    page.code(
-        "python",
-        &format!(
-            "import stemworlds as sw\n\n\
-             with sw.World(\"{file}\") as world:\n    \
-             image = world.image().array  # the whole field, [y, x]\n    \
-             table = world.truth_table()  # one line for each column: place, what it holds, class"
-        ),
-    );
+    page.paragraph(LOADING.trim_end().replace("WORLD.h5", &first.line.world.file_name()));
     if let Some(table) = TABLES.into_iter().find(|table| first.has(table)) {
-        let set = record_set(table, &name);
-        page.paragraph("The tables beside are records of Croissant (`pip install mlcroissant`):");
-        page.code(
-            "python",
-            &format!(
-                "import mlcroissant\n\n\
-                 data = mlcroissant.Dataset(\"croissant.json\")\n\
-                 record = next(iter(data.records(\"{set}\")))\n\
-                 print(record[\"{set}/x_nm\"], record[\"{set}/y_nm\"])"
-            ),
-        );
+        let set = record_set(table, &first.name());
+        page.paragraph(RECORDS.trim_end().replace("RECORDS", &set));
     }
 }
 

@@ -28,6 +28,15 @@ pub struct CardWorld {
     pub recipe: Option<Recipe>,
 }
 
+/// The pictures of a world, as PNG.
+#[derive(Debug, Clone)]
+pub struct CardPictures {
+    /// The whole field.
+    pub whole: Vec<u8>,
+    /// A part of it where columns are large enough to be seen, and what it is; none where the whole shows them.
+    pub part: Option<(String, Vec<u8>)>,
+}
+
 impl CardWorld {
     /// Looks at a world; no command is known for it yet.
     ///

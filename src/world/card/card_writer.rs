@@ -10,7 +10,7 @@ use super::card_croissant::{RecordSource, croissant};
 use super::card_readme::{MARK, ReadmeWorld, readme};
 use super::card_tables::{CardTable, TABLES, WorldLine, write_table, write_worlds};
 use super::card_words::{CardWords, DefectShare};
-use super::card_world::CardWorld;
+use super::card_world::{CardPictures, CardWorld};
 use crate::error::{Error, Result};
 use crate::files::atomic_write;
 use crate::files::disk_space::check_places;
@@ -25,7 +25,7 @@ const LARGEST_README: u64 = 16 << 20;
 /// Files of each world, for progress: tables, picture, world.
 const FILES_EACH: usize = TABLES.len() + 2;
 /// Folders whose files belong to a card.
-const FOLDERS: [&str; 5] = ["columns", "defects", "particles", "pictures", "recipes"];
+const FOLDERS: [&str; 6] = ["columns", "defects", "particles", "parts", "pictures", "recipes"];
 
 /// A file of the folder of a card.
 #[derive(Debug, Clone, Serialize)]
@@ -68,14 +68,16 @@ pub struct Card<'a> {
     pub folder: &'a Path,
     /// Whether files that are there are replaced, though no card says that they are its own.
     pub overwrite: bool,
-    /// Draws a world with its defects, as a PNG.
-    pub draw: &'a dyn Fn(&WorldFile, &CardWorld) -> Result<Vec<u8>>,
+    /// Draws a world with its defects.
+    pub draw: &'a dyn Fn(&WorldFile, &CardWorld) -> Result<CardPictures>,
 }
 
 /// A world whose files are ready.
 struct PreparedWorld {
     file: CardFile,
     tables: Vec<&'static CardTable>,
+    /// What the picture of a part shows, where there is one.
+    part: Option<String>,
     others: Vec<CardFile>,
 }
 
@@ -86,7 +88,7 @@ impl Card<'_> {
         let mut paths = vec!["README.md".to_owned(), "croissant.json".into(), "worlds.csv".into()];
         for world in self.worlds {
             paths.extend(TABLES.map(|table| table.path(&world.name)));
-            paths.push(picture_path(&world.name));
+            paths.extend([picture_path(&world.name), part_path(&world.name)]);
             if world.recipe_text.is_some() {
                 paths.push(CardWorld::recipe_path(&world.name));
             }
@@ -195,6 +197,7 @@ impl Card<'_> {
         let pages = of_worlds.map(|(world, p)| ReadmeWorld {
             line: world_line(world, p),
             picture: picture_path(&world.name),
+            part: p.part.as_ref().map(|text| (text.as_str(), part_path(&world.name))),
             tables: p.tables.clone(),
         });
         let text = readme(self.about, &words, &pages.collect::<Vec<_>>());
@@ -230,9 +233,16 @@ impl Card<'_> {
             }
         }
         progress.advance(1);
-        let path = picture_path(name);
-        atomic_write::write(&staging.join(&path), &(self.draw)(&file, world)?)?;
-        others.push(listed(staging, &path, &format!("The world {name}, drawn."), "image/png")?);
+        let CardPictures { whole, part } = (self.draw)(&file, world)?;
+        let mut draw = |path: String, text: String, png: &[u8]| {
+            atomic_write::write(&staging.join(&path), png)?;
+            others.push(listed(staging, &path, &text, "image/png")?);
+            Ok(())
+        };
+        draw(picture_path(name), format!("The world {name}, drawn."), &whole)?;
+        if let Some((text, png)) = &part {
+            draw(part_path(name), format!("Of the world {name}: {text}."), png)?;
+        }
         if let Some(recipe) = &world.recipe_text {
             let path = CardWorld::recipe_path(name);
             atomic_write::write(&staging.join(&path), recipe.as_bytes())?;
@@ -252,7 +262,7 @@ impl Card<'_> {
         let text = format!("The world {name}: its image and its truth.");
         let mut file = listed(&from, &own, &text, "application/x-hdf5")?;
         file.command.clone_from(&world.command);
-        Ok(PreparedWorld { file, tables, others })
+        Ok(PreparedWorld { file, tables, part: part.map(|(text, _)| text), others })
     }
 
     /// Moves the files that are ready to their places, those that say what the others are last.
@@ -342,6 +352,10 @@ fn names_in(folder: &Path) -> Vec<String> {
 
 fn picture_path(name: &str) -> String {
     format!("pictures/{name}.png")
+}
+
+fn part_path(name: &str) -> String {
+    format!("parts/{name}.png")
 }
 
 fn world_line<'a>(world: &'a CardWorld, prepared: &'a PreparedWorld) -> WorldLine<'a> {

@@ -13,5 +13,5 @@ mod card_world;
 mod card_writer;
 
 pub use card_about::{CardAbout, DataCreator, DataLicense};
-pub use card_world::CardWorld;
+pub use card_world::{CardPictures, CardWorld};
 pub use card_writer::{Card, CardFile, CardSummary};
