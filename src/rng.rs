@@ -50,6 +50,10 @@ pub enum Purpose {
     Damage = 48,
     /// Seeds of the recordings of a live world.
     LiveRecording = 49,
+    /// Seeds of specimens that the benchmark makes, for training and for scores.
+    HeldOut = 50,
+    /// Electrons that an episode of the benchmark counts.
+    Acquired = 51,
 }
 
 const MULTIPLIERS: [u32; 2] = [0xD251_1F53, 0xCD9E_8D57];

@@ -188,6 +188,10 @@ settings! {
     WorldFile = "world file",
     /// A score of an agent.
     Score = "score",
+    /// The rules of an episode of the benchmark, or an action in it.
+    Episode = "episode",
+    /// What an agent declares.
+    Findings = "findings",
     /// The list of released worlds.
     Manifest = "manifest",
     /// The number of sites in a world file.

@@ -3,6 +3,7 @@
 //! Python gives all options, in dicts; what is told of them is in the package's own sources (`stemworlds/`). Long calls run as
 //! [`guest`] says; errors are made by `stemworlds.errors`.
 
+mod bench;
 mod builds;
 mod checks;
 mod command_line;
@@ -25,9 +26,11 @@ use pyo3::types::PyModule;
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    module.add_class::<bench::Episodes>()?;
     module.add_class::<live::LiveField>()?;
     module.add_class::<tiles::TileSource>()?;
     module.add_class::<worlds::WorldReader>()?;
+    module.add_function(wrap_pyfunction!(bench::dose_metrics, module)?)?;
     module.add_function(wrap_pyfunction!(builds::build_part, module)?)?;
     module.add_function(wrap_pyfunction!(builds::build_world, module)?)?;
     module.add_function(wrap_pyfunction!(builds::plan_build, module)?)?;

@@ -148,6 +148,8 @@ _KEYWORDS: dict[str, str | None] = {
     "Shard": "shard",
     "Manifest": "manifest",
     "Score": "score",
+    "Episode": "settings",
+    "Findings": "findings",
     "BuildProfile": "profile",
     "TilePixels": "size",
     "Dose": "dose",

@@ -1,6 +1,14 @@
 //! What agents declare, and what the truth says, in the same form.
 
+use std::collections::BTreeMap;
+
+use ndarray::Array2;
 use serde::{Deserialize, Serialize};
+
+use super::task_scores::NO_PHASE;
+use crate::error::{Error, Result};
+use crate::setting::Setting;
+use crate::specimen::SiteKind;
 
 /// A defect at a place.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -9,6 +17,15 @@ pub struct PlacedDefect {
     pub kind: String,
     /// (x, y) in nm from the centre of pixel (0, 0) of the field.
     pub position_nm: [f64; 2],
+}
+
+/// The name of a type of defect; `None` for the atom that belongs there.
+pub fn type_name(kind: SiteKind) -> Option<&'static str> {
+    match kind {
+        SiteKind::Pristine => None,
+        SiteKind::Vacancy => Some("vacancy"),
+        SiteKind::Substitution => Some("substitution"),
+    }
 }
 
 /// A particle.
@@ -29,4 +46,193 @@ pub struct FoundColumn {
     pub position_nm: [f64; 2],
     /// Any number that is greater where a defect is more likely.
     pub score: f64,
+}
+
+/// All that an agent says of a field so far. What it leaves empty it says is not there; what a task does not ask for is not looked at.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Findings {
+    /// Number of defects by type; those of `defects` when `None`.
+    pub counts: Option<BTreeMap<String, u64>>,
+    /// Defects with their places; `None` gives none, and counts alone are scored.
+    pub defects: Option<Vec<PlacedDefect>>,
+    /// Phases of the whole field in equal parts, [row, column]; [`NO_PHASE`] where there is no prediction. `None` says that there is one.
+    pub phases: Option<Array2<i32>>,
+    /// Particles.
+    pub particles: Vec<FoundParticle>,
+    /// Columns, for the scores by column.
+    pub columns: Vec<FoundColumn>,
+}
+
+/// The text of a report, as programs write it.
+#[derive(Debug, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct Report {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    counts: Option<BTreeMap<String, u64>>,
+    /// Places (x, y) in nm by type.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    defects: Option<BTreeMap<String, Vec<[f64; 2]>>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    phases: Option<Vec<Vec<i32>>>,
+    /// x, y, diameter.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    particles: Vec<[f64; 3]>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    morphologies: Vec<String>,
+    /// x, y, score.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    columns: Vec<[f64; 3]>,
+}
+
+fn refuse(value: impl Into<String>, expected: impl Into<String>) -> Error {
+    Error::invalid(Setting::Findings, value.into(), expected.into())
+}
+
+impl Findings {
+    /// Reads a report: a JSON object with any of `counts` (numbers by type), `defects` (lists of [x, y] in nm by type), `phases` (lists of
+    /// rows), `particles` ([x, y, diameter] in nm), `morphologies` (one for each particle) and `columns` ([x, y, score]).
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for text that is no such object.
+    pub fn read(report: &str) -> Result<Self> {
+        let report: Report = serde_json::from_str(report)
+            .map_err(|e| refuse("the report", format!("is no JSON object of findings: {e}")))?;
+        let rows = report.phases.as_ref().map(Vec::len);
+        let phases = report.phases.map(|lines| {
+            let width = lines.first().map_or(0, Vec::len);
+            let values: Vec<i32> = lines.into_iter().flatten().collect();
+            Array2::from_shape_vec((rows.unwrap_or_default(), width), values)
+                .map_err(|_| refuse("phases", "has rows of several lengths"))
+        });
+        let particle = |(n, [x, y, diameter_nm]): (usize, [f64; 3])| FoundParticle {
+            position_nm: [x, y],
+            diameter_nm,
+            morphology: report.morphologies.get(n).cloned().unwrap_or_default(),
+        };
+        if report.morphologies.len() > report.particles.len() {
+            return Err(refuse("morphologies", "has more entries than there are particles"));
+        }
+        let placed = |(kind, places): (String, Vec<[f64; 2]>)| {
+            let of = move |position_nm| PlacedDefect { kind: kind.clone(), position_nm };
+            places.into_iter().map(of)
+        };
+        let findings = Findings {
+            counts: report.counts,
+            defects: report.defects.map(|list| list.into_iter().flat_map(placed).collect()),
+            phases: phases.transpose()?,
+            particles: report.particles.iter().copied().enumerate().map(particle).collect(),
+            columns: report
+                .columns
+                .iter()
+                .map(|[x, y, score]| FoundColumn { position_nm: [*x, *y], score: *score })
+                .collect(),
+        };
+        findings.check()?;
+        Ok(findings)
+    }
+
+    /// The text that [`Findings::read`] reads.
+    pub fn report(&self) -> String {
+        let defects = self.defects.as_ref().map(|list| {
+            let mut of: BTreeMap<String, Vec<[f64; 2]>> = BTreeMap::new();
+            list.iter().for_each(|d| of.entry(d.kind.clone()).or_default().push(d.position_nm));
+            of
+        });
+        let flat = |at: [f64; 2], value: f64| [at[0], at[1], value];
+        let report = Report {
+            counts: self.counts.clone(),
+            defects,
+            phases: self.phases.as_ref().map(|map| map.outer_iter().map(|r| r.to_vec()).collect()),
+            particles: self.particles.iter().map(|p| flat(p.position_nm, p.diameter_nm)).collect(),
+            morphologies: self.particles.iter().map(|p| p.morphology.clone()).collect(),
+            columns: self.columns.iter().map(|c| flat(c.position_nm, c.score)).collect(),
+        };
+        serde_json::to_string(&report).unwrap_or_default()
+    }
+
+    /// All numbers finite, and maps not empty.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] otherwise.
+    pub fn check(&self) -> Result<()> {
+        let defects = self.defects.iter().flatten().flat_map(|d| d.position_nm);
+        let particles =
+            self.particles.iter().flat_map(|p| [p.position_nm[0], p.position_nm[1], p.diameter_nm]);
+        let columns =
+            self.columns.iter().flat_map(|c| [c.position_nm[0], c.position_nm[1], c.score]);
+        if let Some(odd) = defects.chain(particles).chain(columns).find(|v| !v.is_finite()) {
+            return Err(refuse(odd.to_string(), "expected finite numbers"));
+        }
+        if let Some(odd) = self.particles.iter().find(|p| p.diameter_nm < 0.0) {
+            return Err(refuse(odd.diameter_nm.to_string(), "diameters are not negative"));
+        }
+        match &self.phases {
+            Some(map) if map.is_empty() => {
+                Err(refuse("phases", "a map has one row and column at least"))
+            }
+            Some(map) if map.iter().any(|p| *p < NO_PHASE) => {
+                Err(refuse("phases", "phases are numbers from 0 on, and -1 is no prediction"))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Numbers of defects by type.
+    pub fn defect_counts(&self) -> BTreeMap<String, u64> {
+        self.counts.clone().unwrap_or_else(|| counted(self.defects.iter().flatten()))
+    }
+}
+
+/// Numbers of defects by type.
+pub fn counted<'a>(defects: impl Iterator<Item = &'a PlacedDefect>) -> BTreeMap<String, u64> {
+    let mut counts: BTreeMap<String, u64> = BTreeMap::new();
+    for defect in defects {
+        match counts.get_mut(&defect.kind) {
+            Some(count) => *count += 1,
+            None => drop(counts.insert(defect.kind.clone(), 1)),
+        }
+    }
+    counts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reports_come_back() {
+        let placed = |kind: &str, x| PlacedDefect { kind: kind.into(), position_nm: [x, 2.0] };
+        let findings = Findings {
+            counts: Some(BTreeMap::from([("vacancy".into(), 3)])),
+            defects: Some(vec![placed("substitution", 0.5), placed("vacancy", 1.5)]),
+            phases: Some(ndarray::arr2(&[[0, 1, NO_PHASE], [1, 1, 0]])),
+            particles: vec![FoundParticle {
+                position_nm: [1.0, 2.0],
+                diameter_nm: 3.0,
+                morphology: "wulff".into(),
+            }],
+            columns: vec![FoundColumn { position_nm: [0.1, 0.2], score: -4.0 }],
+        };
+        assert_eq!(Findings::read(&findings.report()).unwrap(), findings);
+        assert_eq!(Findings::read("{}").unwrap(), Findings::default());
+        assert_eq!(Findings { counts: None, ..findings }.defect_counts().len(), 2);
+    }
+
+    #[test]
+    fn odd_reports_are_refused() {
+        for report in [
+            "",
+            "[]",
+            "{\"defect\": {}}",
+            "{\"phases\": [[0, 1], [0]]}",
+            "{\"phases\": []}",
+            "{\"phases\": [[-2]]}",
+            "{\"counts\": {\"vacancy\": -1}}",
+            "{\"particles\": [[0, 0, -1]]}",
+            "{\"particles\": [[0, 0, 1e999]]}",
+            "{\"morphologies\": [\"wulff\"]}",
+        ] {
+            assert!(Findings::read(report).is_err(), "{report}");
+        }
+    }
 }

@@ -1,12 +1,36 @@
-//! The benchmark: what agents found in a world, scored against the truth and against the dose that it took.
+//! The benchmark: agents act in a world under a dose budget, and what they found is scored against the truth and against the dose.
 //!
-//! Four tasks have a score from 0 to 1 ([`task_scores`]); [`dose_efficiency`] makes one number of the scores of an episode. All are pure
-//! functions of lists and maps. The tasks are those of the STEMGym paper; where it leaves something open, the function says what was chosen.
+//! An [`Episode`] lets an agent look, spend dose and say what it found, in a [`BenchmarkWorld`]: a world file, or a specimen of a recipe
+//! that is on no disk. Four tasks have a score from 0 to 1 ([`task_scores`]); [`dose_efficiency`] makes one number of the scores of an
+//! episode. Tasks and rules are those of the STEMGym paper; where it leaves something open, the item says what was chosen.
 
+pub mod benchmark_world;
+pub mod changing_world;
 pub mod dose_efficiency;
+pub mod electron_counts;
+pub mod episode;
+pub mod episode_record;
+pub mod episode_settings;
+#[cfg(feature = "hdf5")]
+pub mod file_world;
 pub mod findings;
 pub mod matching;
+pub mod recipe_world;
+pub mod seen_truth;
+pub mod task;
 pub mod task_scores;
+pub mod view;
 
+pub use benchmark_world::{BenchmarkWorld, PhaseSamples, RecordedView, RegionTruth, TrueColumn};
+pub use changing_world::ChangingWorld;
 pub use dose_efficiency::{DoseCurve, DoseMetrics};
-pub use findings::{FoundColumn, FoundParticle, PlacedDefect};
+pub use episode::{Action, Ending, Episode, Outcome};
+pub use episode_record::{EpisodeRecord, RecordedAcquisition};
+pub use episode_settings::{EpisodeSettings, Exposure, Reward, TileNoise};
+#[cfg(feature = "hdf5")]
+pub use file_world::FileWorld;
+pub use findings::{Findings, FoundColumn, FoundParticle, PlacedDefect};
+pub use recipe_world::{RecipeSource, RecipeWorld, Split};
+pub use seen_truth::SeenTruth;
+pub use task::{Task, TaskKind, TaskScore};
+pub use view::{FieldFacts, View};

@@ -233,6 +233,8 @@ fn options(setting: Setting) -> Option<&'static str> {
         | S::Snapshot
         | S::ScatteringFactor
         | S::Score
+        | S::Episode
+        | S::Findings
         | S::PixelSizeNm => None,
     }
 }

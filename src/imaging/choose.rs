@@ -9,6 +9,7 @@ use super::direct::{DirectImager, rectangle_plan};
 use super::film::film_imager::FilmImager;
 use super::film::surface_imager::SurfaceImager;
 use super::imaging_cost::ImagingCost;
+use super::mosaic::image_library::SharedSheets;
 use super::mosaic::library_cache::Cache;
 use super::mosaic::mosaic_cost::MosaicCost;
 use super::mosaic::mosaic_imager::MosaicImager;
@@ -99,6 +100,31 @@ impl ImagingChoice {
         specimen: &Arc<dyn Specimen>,
     ) -> Result<Box<dyn RegionImager>> {
         Ok(self.chosen(recipe, specimen)?.imager)
+    }
+
+    /// The imager of one of many specimens that differ in little but their seed. It shares the library of a mosaic with the others,
+    /// and need not be prepared: what an image needs first is then read from the cache, or simulated.
+    ///
+    /// # Errors
+    /// Those of the settings.
+    pub fn imager_of_many(
+        &self,
+        recipe: &CheckedRecipe,
+        specimen: &Arc<dyn Specimen>,
+        shared: &Arc<SharedSheets>,
+    ) -> Result<Box<dyn RegionImager>> {
+        if self.method == MethodChoice::Direct || !SurfaceImager::can_cover(recipe) {
+            return self.blurred_direct(recipe, specimen);
+        }
+        let imager: Box<dyn RegionImager> =
+            match FilmImager::new(recipe, specimen, &self.simulator)? {
+                Some(film) => Box::new(film),
+                None => {
+                    let (simulator, cache) = (self.simulator.clone(), self.cache.clone());
+                    Box::new(MosaicImager::growing(recipe, specimen, simulator, cache, shared)?)
+                }
+            };
+        self.finished(imager, recipe, &**specimen)
     }
 
     /// The imager of a field, yet to be prepared, and why it was chosen.

@@ -12,6 +12,9 @@ use crate::recipe::{CheckedRecipe, Region};
 use crate::resample::{HALF_WIDTH, Kernel, TAPS, image_band_limit};
 use crate::setting::Setting;
 
+/// Places are right to this, in nm.
+const ROUNDING_NM: f64 = 1e-9;
+
 /// Places on a square raster of any pixel, turned by any angle. Places are (x, y) in nm of the full field.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TurnedRaster {
@@ -95,7 +98,9 @@ pub fn turned_image(
     progress: &dyn Progress,
 ) -> Result<Array2<f64>> {
     let (inside, region) = (recipe.field.full_region(), raster.region());
-    if region.intersection(&inside) != region || raster.shape.contains(&0) {
+    // Rounding does not lead out of the field.
+    let within = region.grown(-ROUNDING_NM);
+    if within.intersection(&inside) != within || raster.shape.contains(&0) {
         let ([x0, x1], [y0, y1]) = (region.x, region.y);
         let value = format!("x {x0:.2} to {x1:.2} nm, y {y0:.2} to {y1:.2} nm");
         let ([x0, x1], [y0, y1]) = (inside.x, inside.y);

@@ -3,13 +3,12 @@
 use hdf5::types::FixedAscii;
 
 pub use super::atom_type;
+pub use crate::recipe::OVERVIEW_FACTOR;
 
 /// Group whose attributes describe the world.
 pub const METADATA: &str = "metadata";
 /// Low-resolution overview, normalised like the tiles.
 pub const OVERVIEW: &str = "overview";
-/// Pixels that one pixel of the overview averages, along each axis.
-pub const OVERVIEW_FACTOR: usize = 8;
 /// Group of normalised tiles.
 pub const TILES: &str = "tiles";
 /// Group of noiseless tiles, in fractions of the beam.

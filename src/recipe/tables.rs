@@ -36,6 +36,9 @@ impl StructureKind {
     }
 }
 
+/// Pixels that one pixel of a world's overview averages, along each axis.
+pub const OVERVIEW_FACTOR: usize = 8;
+
 /// Field of view, tiles and thickness.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -1,6 +1,6 @@
 //! Puts the image of a rectangle of pixels together from units.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 
 use ndarray::Array2;
 use rayon::prelude::*;
@@ -12,7 +12,7 @@ use crate::recipe::region::Region;
 use crate::resample::{Kernel, TAPS, Weights};
 use crate::simd::vectorised;
 use crate::specimen::specimen_trait::Specimen;
-use crate::specimen::units::unit_tag::UnitTag;
+use crate::specimen::units::unit_tag::{TurnedFamily, UnitTag};
 
 /// Width of the ramps between units: weights go with exp(-d^2 / 2 s), d being the distance from the unit's nearest
 /// column in Angstrom, and this is s. Halfway between columns 2 A apart the ramp is 0.3 A wide.
@@ -105,6 +105,11 @@ impl Assembly {
         let shares: Vec<Vec<PixelShare>> = (0..shape[0]).into_par_iter().map(row).collect();
         let shares = shares.into_iter().flatten().collect();
         Assembly { units, shares, shape, places }
+    }
+
+    /// The families of its units.
+    pub fn families(&self) -> BTreeSet<TurnedFamily> {
+        self.units.iter().filter_map(|unit| unit.tag.as_ref()).map(TurnedFamily::of).collect()
     }
 
     /// Pixels that need more than the library has: by index, and the weight of what is missing.

@@ -269,6 +269,12 @@ impl CellImages {
         hex(&Sha256::digest(text))
     }
 
+    /// All that decides the images of so many configurations.
+    pub(super) fn name(&self, sigma: &dyn Fn(u8) -> f64, configurations: usize) -> String {
+        let first = self.key(sigma, [0, 0]);
+        hex(&Sha256::digest(format!("{first} {configurations} {}", self.digests.join(" "))))
+    }
+
     /// Takes the images that were simulated or read, sheet by sheet, for those of all its configurations.
     pub(super) fn average(&mut self) {
         let means = |sheets: &Vec<Vec<Array2<f32>>>| {

@@ -1,6 +1,7 @@
 //! The library: images of the sheets, one for each sheet and phonon configuration; which of them are missing, and what those take.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use ndarray::Array2;
 
@@ -24,9 +25,35 @@ pub struct MissingImage {
     pub bytes: u64,
 }
 
+/// Sheets with their images that the libraries of several specimens share, such as those of one recipe with other seeds.
+#[derive(Default)]
+pub struct SharedSheets {
+    /// By all that decides the images of a sheet.
+    filled: Mutex<HashMap<String, Arc<CellImages>>>,
+}
+
+impl SharedSheets {
+    /// Sheets of this name, from those that are there or else from `fill`. Two that ask at once may both fill them: a lock that is held
+    /// during work in threads would wait for itself.
+    fn get(
+        &self,
+        name: String,
+        fill: impl FnOnce() -> Result<CellImages>,
+    ) -> Result<Arc<CellImages>> {
+        let lock = || self.filled.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(found) = lock().get(&name) {
+            return Ok(Arc::clone(found));
+        }
+        let made = Arc::new(fill()?);
+        Ok(Arc::clone(lock().entry(name).or_insert(made)))
+    }
+}
+
 /// All sheets that a world needs.
+#[derive(Clone)]
 pub struct ImageLibrary {
-    cells: BTreeMap<TurnedFamily, CellImages>,
+    cells: BTreeMap<TurnedFamily, Arc<CellImages>>,
+    settings: Settings,
     /// Whether images do not change when turned, so that turned sheets share them.
     round: bool,
     configurations: usize,
@@ -43,35 +70,89 @@ impl ImageLibrary {
         families: impl Iterator<Item = TurnedFamily>,
         settings: &Settings,
     ) -> Result<Self> {
-        let configurations = settings.configurations() as usize;
-        let settings = Settings { phonons: None, ..settings.clone() };
-        let round = settings.optics.is_round();
-        let cell = |turned: TurnedFamily| {
-            let family = turned.family;
-            let sheet = specimen.library_cell(family).ok_or_else(|| {
-                let expected = "the specimen has no sheet of this family";
-                Error::invalid(crate::Setting::Library, format!("{family:?}"), expected)
-            })?;
-            let settings = match round {
-                true => settings.clone(),
-                false => Settings {
-                    optics: settings.optics.seen_from(turned.frame()),
-                    ..settings.clone()
-                },
-            };
-            Ok((turned, CellImages::new(sheet.rounded(), family, settings)))
+        let mut library = Self::empty(settings);
+        let families: BTreeSet<TurnedFamily> = families.map(|f| library.shared(f)).collect();
+        for turned in families {
+            let cell = library.cell(specimen, turned)?;
+            library.cells.insert(turned, Arc::new(cell));
+        }
+        Ok(library)
+    }
+
+    /// Without any sheet.
+    pub fn empty(settings: &Settings) -> Self {
+        ImageLibrary {
+            cells: BTreeMap::new(),
+            settings: Settings { phonons: None, ..settings.clone() },
+            round: settings.optics.is_round(),
+            configurations: settings.configurations() as usize,
+            detectors: settings.detectors.len(),
+        }
+    }
+
+    /// The family whose sheets serve another one too.
+    fn shared(&self, turned: TurnedFamily) -> TurnedFamily {
+        if self.round { turned.straight() } else { turned }
+    }
+
+    /// The sheets of a family, yet without images.
+    fn cell(&self, specimen: &dyn Specimen, turned: TurnedFamily) -> Result<CellImages> {
+        let family = turned.family;
+        let sheet = specimen.library_cell(family).ok_or_else(|| {
+            let expected = "the specimen has no sheet of this family";
+            Error::invalid(crate::Setting::Library, format!("{family:?}"), expected)
+        })?;
+        let settings = match self.round {
+            true => self.settings.clone(),
+            false => Settings {
+                optics: self.settings.optics.seen_from(turned.frame()),
+                ..self.settings.clone()
+            },
         };
-        let families: BTreeSet<TurnedFamily> =
-            families.map(|f| if round { f.straight() } else { f }).collect();
-        let cells = families.into_iter().map(cell).collect::<Result<_>>()?;
-        let detectors = settings.detectors.len();
-        Ok(ImageLibrary { cells, round, configurations, detectors })
+        Ok(CellImages::new(sheet.rounded(), family, settings))
+    }
+
+    /// The families of these that are not there.
+    pub fn unknown(&self, families: BTreeSet<TurnedFamily>) -> Vec<TurnedFamily> {
+        let shared: BTreeSet<TurnedFamily> = families.into_iter().map(|f| self.shared(f)).collect();
+        shared.into_iter().filter(|f| !self.cells.contains_key(f)).collect()
+    }
+
+    /// Takes in the sheets of some families with their images: from those that are shared, from the cache, or by simulations.
+    ///
+    /// # Errors
+    /// As [`ImageLibrary::new`] and [`ImageLibrary::fill`].
+    pub fn add(
+        &mut self,
+        (specimen, families): (&dyn Specimen, &[TurnedFamily]),
+        shared: &SharedSheets,
+        (material, sigma, cache): (&str, &dyn Fn(u8) -> f64, &Cache),
+        progress: &dyn Progress,
+    ) -> Result<()> {
+        let configurations = self.configurations;
+        let mut cells = Vec::new();
+        for turned in families {
+            cells.push((*turned, self.cell(specimen, *turned)?));
+        }
+        let probes = |(_, cell): &(_, CellImages)| cell.probes() * cell.sheet.count;
+        let all = configurations * cells.iter().map(probes).sum::<usize>();
+        progress.start("library", "probe", all as u64);
+        for (turned, mut cell) in cells {
+            let name = cell.name(sigma, configurations);
+            let filled = shared.get(name, || {
+                let images = (material, sigma, cache);
+                fill_cell(&mut cell, configurations, images, progress)?;
+                Ok(cell)
+            })?;
+            self.cells.insert(turned, filled);
+        }
+        progress.finish();
+        Ok(())
     }
 
     /// The sheets of a unit's family.
     pub fn cell_images(&self, tag: &UnitTag) -> Option<&CellImages> {
-        let turned = TurnedFamily::of(tag);
-        self.cells.get(&if self.round { turned.straight() } else { turned })
+        self.cells.get(&self.shared(TurnedFamily::of(tag))).map(|cell| &**cell)
     }
 
     /// Phonon configurations of each sheet.
@@ -81,7 +162,7 @@ impl ImageLibrary {
 
     /// Probes that all its images take.
     pub fn probes(&self) -> usize {
-        let of = |s: &CellImages| s.probes() * s.sheet.count * self.configurations;
+        let of = |s: &Arc<CellImages>| s.probes() * s.sheet.count * self.configurations;
         self.cells.values().map(of).sum()
     }
 
@@ -91,13 +172,13 @@ impl ImageLibrary {
     /// Those of the settings.
     pub fn largest_plan(&self) -> Result<Option<PlannedScan>> {
         let largest = self.cells.values().max_by_key(|s| s.probes());
-        let plan = |s: &CellImages| Ok(PlannedScan::new(s.plan()?, s.scan, None));
+        let plan = |s: &Arc<CellImages>| Ok(PlannedScan::new(s.plan()?, s.scan, None));
         largest.map(plan).transpose()
     }
 
     /// Bytes that the images will take.
     pub fn image_bytes(&self) -> u64 {
-        let of = |s: &CellImages| {
+        let of = |s: &Arc<CellImages>| {
             let images = s.sheet.count * (self.configurations + 1) * self.detectors;
             s.shape[0] * s.shape[1] * images * 4
         };
@@ -117,7 +198,7 @@ impl ImageLibrary {
         cache: &'a Cache,
     ) -> impl Iterator<Item = (&'a CellImages, [usize; 2])> {
         let all = self.cells.values().flat_map(move |cell| {
-            images_of(cell, self.configurations).map(move |image| (cell, image))
+            images_of(cell, self.configurations).map(move |image| (&**cell, image))
         });
         all.filter(move |(cell, image)| !cache.has(material, &cell.key(sigma, *image)))
     }
@@ -169,32 +250,11 @@ impl ImageLibrary {
         let mut keep: Option<Error> = None;
         progress.start("library", "probe", self.probes() as u64);
         for cell in self.cells.values_mut() {
-            let plan = cell.plan()?;
-            let mut simulator = CellSimulator::new(&plan, sigma);
-            for image in images_of(cell, self.configurations) {
-                if progress.interrupted() {
-                    return Err(Error::Interrupted);
-                }
-                let key = cell.key(sigma, image);
-                let share = ProgressShare::new(progress, cell.probes());
-                let values = match cache.load(material, &key, cell.probe_shape(), progress) {
-                    Some(values) => {
-                        share.found();
-                        values
-                    }
-                    None => {
-                        missing += 1;
-                        let values = simulator.simulated(cell, image, &share)?;
-                        let kept =
-                            cache.save(material, &key, &simulator.note(cell, image), &values);
-                        keep = keep.or(kept.err());
-                        share.complete();
-                        values
-                    }
-                };
-                cell.add(image[0], &values);
-            }
-            cell.average();
+            // Nobody else has it yet.
+            let Some(cell) = Arc::get_mut(cell) else { continue };
+            let found = fill_cell(cell, self.configurations, (material, sigma, cache), progress)?;
+            missing += found.0;
+            keep = keep.or(found.1);
         }
         progress.finish();
         if let Some(why) = keep {
@@ -315,6 +375,43 @@ impl RecomputedImage {
 const SAME: f64 = 1e-5;
 /// Draw of [`Purpose::Library`] for the images that are simulated again.
 const RECOMPUTED_DRAW: u32 = 1 << 21;
+
+/// Reads the images of a cell from the cache, and simulates those that it lacks. Returns how many it lacked, and why they could not be kept.
+fn fill_cell(
+    cell: &mut CellImages,
+    configurations: usize,
+    (material, sigma, cache): (&str, &dyn Fn(u8) -> f64, &Cache),
+    progress: &dyn Progress,
+) -> Result<(usize, Option<Error>)> {
+    let mut missing = 0;
+    let mut keep: Option<Error> = None;
+    let plan = cell.plan()?;
+    let mut simulator = CellSimulator::new(&plan, sigma);
+    for image in images_of(cell, configurations) {
+        if progress.interrupted() {
+            return Err(Error::Interrupted);
+        }
+        let key = cell.key(sigma, image);
+        let share = ProgressShare::new(progress, cell.probes());
+        let values = match cache.load(material, &key, cell.probe_shape(), progress) {
+            Some(values) => {
+                share.found();
+                values
+            }
+            None => {
+                missing += 1;
+                let values = simulator.simulated(cell, image, &share)?;
+                let kept = cache.save(material, &key, &simulator.note(cell, image), &values);
+                keep = keep.or(kept.err());
+                share.complete();
+                values
+            }
+        };
+        cell.add(image[0], &values);
+    }
+    cell.average();
+    Ok((missing, keep))
+}
 
 /// All images (sheet, configuration) of a cell.
 fn images_of(cell: &CellImages, configurations: usize) -> impl Iterator<Item = [usize; 2]> + use<> {

@@ -1,13 +1,13 @@
 //! Library, assembly, and direct simulation of what does not repeat.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use ndarray::Array2;
 
 use super::assembly::Assembly;
-use super::image_library::{ImageLibrary, RecomputedImage};
+use super::image_library::{ImageLibrary, RecomputedImage, SharedSheets};
 use super::library_cache::Cache;
 use super::mosaic_cost::MosaicCost;
 use super::survey::{FieldSurvey, survey};
@@ -20,11 +20,12 @@ use crate::imaging::pixels::{PixelBox, PixelRect};
 use crate::imaging::region_imager::RegionImager;
 use crate::imaging::simulator::Simulator;
 use crate::imaging::turned_raster::{TurnedRaster, between_probes};
-use crate::progress::{InterruptOnly, Progress};
+use crate::progress::{InterruptOnly, Progress, Silent};
 use crate::recipe::{CheckedRecipe, Region};
 use crate::resample::{Kernel, image_band_limit};
 use crate::specimen::atom_columns::AtomColumn;
 use crate::specimen::specimen_trait::Specimen;
+use crate::specimen::units::unit_tag::TurnedFamily;
 
 /// Edge in pixels of the blocks in which pixels that need direct simulation are gathered.
 const BLOCK_PX: usize = 48;
@@ -39,11 +40,18 @@ pub struct MosaicImager {
     specimen: Arc<dyn Specimen>,
     simulator: Simulator,
     cache: Cache,
-    library: ImageLibrary,
+    library: Arc<ImageLibrary>,
     kernel: Kernel,
     survey: FieldSurvey,
     /// Images of the library that were simulated, not read from the cache; `None` before the library is filled.
     simulated: Option<usize>,
+    growing: Option<GrowingLibrary>,
+}
+
+/// A library that takes sheets in when an image first needs them.
+struct GrowingLibrary {
+    shared: Arc<SharedSheets>,
+    so_far: Mutex<Arc<ImageLibrary>>,
 }
 
 impl MosaicImager {
@@ -65,8 +73,80 @@ impl MosaicImager {
         let band_limit = image_band_limit(&settings.optics);
         let kernel = Kernel::new(Kernel::default_step(band_limit), band_limit)?;
         let (recipe, specimen) = (recipe.clone(), Arc::clone(specimen));
-        let simulated = None;
-        Ok(MosaicImager { recipe, specimen, simulator, cache, library, kernel, survey, simulated })
+        let (library, simulated, growing) = (Arc::new(library), None, None);
+        Ok(MosaicImager {
+            recipe,
+            specimen,
+            simulator,
+            cache,
+            library,
+            kernel,
+            survey,
+            simulated,
+            growing,
+        })
+    }
+
+    /// Surveys nothing: sheets are taken from `shared`, the cache or a simulation when an image first needs them. Images are the same
+    /// as those of [`MosaicImager::new`].
+    ///
+    /// # Errors
+    /// Those of the settings.
+    pub fn growing(
+        recipe: &CheckedRecipe,
+        specimen: &Arc<dyn Specimen>,
+        simulator: Simulator,
+        cache: Cache,
+        shared: &Arc<SharedSheets>,
+    ) -> Result<Self> {
+        simulator.check_margin()?;
+        let settings = simulator.settings();
+        let library = Arc::new(ImageLibrary::empty(settings));
+        let band_limit = image_band_limit(&settings.optics);
+        let kernel = Kernel::new(Kernel::default_step(band_limit), band_limit)?;
+        let growing =
+            GrowingLibrary { shared: Arc::clone(shared), so_far: Mutex::new(Arc::clone(&library)) };
+        Ok(MosaicImager {
+            recipe: recipe.clone(),
+            specimen: Arc::clone(specimen),
+            simulator,
+            cache,
+            library,
+            kernel,
+            survey: FieldSurvey::default(),
+            simulated: Some(0),
+            growing: Some(growing),
+        })
+    }
+
+    /// The library with the sheets of these families. What an image lacks is simulated quietly.
+    fn library_with(
+        &self,
+        families: BTreeSet<TurnedFamily>,
+        progress: &dyn Progress,
+    ) -> Result<Arc<ImageLibrary>> {
+        self.library_of(families, &InterruptOnly(progress))
+    }
+
+    fn library_of(
+        &self,
+        families: BTreeSet<TurnedFamily>,
+        progress: &dyn Progress,
+    ) -> Result<Arc<ImageLibrary>> {
+        let Some(growing) = &self.growing else { return Ok(Arc::clone(&self.library)) };
+        let so_far = || growing.so_far.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = Arc::clone(&so_far());
+        let unknown = known.unknown(families);
+        if unknown.is_empty() {
+            return Ok(known);
+        }
+        let sigma = self.sigma();
+        let images = (self.recipe.id.as_str(), &sigma as &dyn Fn(u8) -> f64, &self.cache);
+        let mut more = ImageLibrary::clone(&known);
+        more.add((&*self.specimen, &unknown), &growing.shared, images, progress)?;
+        let more = Arc::new(more);
+        *so_far() = Arc::clone(&more);
+        Ok(more)
     }
 
     /// What the field holds.
@@ -187,10 +267,11 @@ impl MosaicImager {
         let PixelRect { first, shape, .. } = *pixels;
         let pixel = self.recipe.field.pixel_nm();
         let assembly = Assembly::new(&*self.specimen, first, shape, pixel, self.way());
+        let library = self.library_with(assembly.families(), progress)?;
         let (kernel, seed) = (&self.kernel, self.recipe.seed);
-        let image = |n: usize| assembly.image((&self.library, n), kernel, seed, configurations);
+        let image = |n: usize| assembly.image((&library, n), kernel, seed, configurations);
         let mut images: Vec<Array2<f64>> = (0..detectors).map(image).collect();
-        let missing = assembly.missing(&self.library);
+        let missing = assembly.missing(&library);
         for (block, members) in blocks(&missing, first, shape) {
             let direct = self.direct(&block, configurations, progress)?;
             for (pixel, weight) in members {
@@ -224,12 +305,18 @@ impl RegionImager for MosaicImager {
     }
 
     fn prepare(&mut self, progress: &dyn Progress) -> Result<()> {
+        if self.growing.is_some() {
+            let found = survey(&*self.specimen, &self.recipe.field).families;
+            return self.library_of(found, progress).map(drop);
+        }
         if self.simulated.is_some() {
             return Ok(());
         }
         let recipe = self.recipe.clone();
         let sigma = |number| recipe.phonons.sigma_angstrom(number);
-        self.simulated = Some(self.library.fill(&recipe.id, &sigma, &self.cache, progress)?);
+        if let Some(library) = Arc::get_mut(&mut self.library) {
+            self.simulated = Some(library.fill(&recipe.id, &sigma, &self.cache, progress)?);
+        }
         Ok(())
     }
 
@@ -276,9 +363,9 @@ impl RegionImager for MosaicImager {
         let assembly =
             Assembly::of_places(&*self.specimen, &region, shape, places.clone(), self.way());
         let seed = self.recipe.seed;
-        let main = (&self.library, 0);
-        let mut image = assembly.image(main, &self.kernel, seed, configurations);
-        for (_, members) in blocks(&assembly.missing(&self.library), [0, 0], shape) {
+        let library = self.library_with(assembly.families(), progress)?;
+        let mut image = assembly.image((&library, 0), &self.kernel, seed, configurations);
+        for (_, members) in blocks(&assembly.missing(&library), [0, 0], shape) {
             let there: Vec<[f64; 2]> = members.iter().map(|(pixel, _)| places[*pixel]).collect();
             let values = self.direct_at(&there, configurations, progress)?;
             for ((pixel, weight), value) in members.iter().zip(values) {
@@ -291,7 +378,17 @@ impl RegionImager for MosaicImager {
     /// Atoms of units with a place in the library move as in the simulations that their images come from, others
     /// as in all engines.
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
-        let (seed, library) = (self.recipe.seed, &self.library);
+        let library = match &self.growing {
+            None => Arc::clone(&self.library),
+            // Atoms move as the library has it, whether an image has needed it or not.
+            Some(_) => {
+                let columns = self.specimen.query(area).columns;
+                let tags = columns.iter().filter_map(|column| column.unit.as_ref());
+                let families = tags.map(TurnedFamily::of).collect();
+                self.library_with(families, &Silent).unwrap_or_else(|_| Arc::clone(&self.library))
+            }
+        };
+        let seed = self.recipe.seed;
         let of_column = |column: &AtomColumn| {
             let tag = column.unit?;
             let cell = library.cell_images(&tag)?;

@@ -1,0 +1,443 @@
+//! Episodes of the benchmark, one or many at once.
+
+use crate::builds::CacheChoice;
+use crate::errors::{Fault, Told};
+use crate::guest::{Guest, Running, run};
+use crate::microscope::choice;
+use crate::recipes::checked;
+use ndarray::{Array1, Array2, Array3, Axis};
+use numpy::IntoPyArray;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use rayon::prelude::*;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use stemgen::benchmark::{
+    Action, BenchmarkWorld, ChangingWorld, DoseCurve, Ending, Episode, EpisodeSettings, Exposure,
+    FieldFacts, FileWorld, Findings, RecipeSource, RecordedAcquisition, Reward, Split, Task,
+    TaskKind, TileNoise,
+};
+use stemgen::progress::Silent;
+use stemgen::world::BuildOptions;
+use stemgen::{Error, Setting};
+
+/// What an episode acts in.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct Scene {
+    /// A world file; else a recipe.
+    world: Option<PathBuf>,
+    toml: Option<String>,
+    /// Acquisitions change the specimen.
+    damage: bool,
+    split: String,
+    cache: CacheChoice,
+}
+
+/// The rules.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct Rules {
+    task: String,
+    strict: bool,
+    target: Option<String>,
+    budget: f64,
+    horizon: u32,
+    cadence: u32,
+    exposure: String,
+    noise: Option<String>,
+    reward: String,
+    phase_stride_px: usize,
+    overview: bool,
+}
+
+/// Where worlds come from.
+enum Worlds {
+    File(Arc<FileWorld>),
+    Recipe { source: RecipeSource, split: Split, damage: bool },
+}
+
+impl Worlds {
+    fn new(scene: &Scene, guest: &Guest) -> Result<Self, Fault> {
+        let options = BuildOptions { cache: scene.cache.cache(), ..BuildOptions::default() };
+        if let Some(path) = &scene.world {
+            return Ok(Worlds::File(Arc::new(FileWorld::open(path, &options)?)));
+        }
+        let splits = [("train", Split::Train), ("test", Split::Test)];
+        let split = choice(Setting::Episode, &scene.split, &splits)?;
+        let recipe = checked(scene.toml.as_deref().unwrap_or_default())?;
+        let source = RecipeSource::new(&recipe, &options, guest)?;
+        Ok(Worlds::Recipe { source, split, damage: scene.damage })
+    }
+
+    fn facts(&self) -> &FieldFacts {
+        match self {
+            Worlds::File(world) => world.facts(),
+            Worlds::Recipe { source, .. } => source.facts(),
+        }
+    }
+
+    /// The world of an episode (seed, number).
+    fn world(&self, episode: (u64, u32), guest: &Guest) -> Result<Arc<dyn BenchmarkWorld>, Fault> {
+        Ok(match self {
+            Worlds::File(world) => Arc::clone(world) as Arc<dyn BenchmarkWorld>,
+            Worlds::Recipe { source, split, damage } => {
+                let seed = split.seed(source.recipe(), episode);
+                match damage {
+                    true => Arc::new(ChangingWorld::new(source, seed, guest)?),
+                    false => Arc::new(source.world(seed)?),
+                }
+            }
+        })
+    }
+}
+
+impl Rules {
+    fn task(&self) -> Result<Task, Fault> {
+        use TaskKind::{DefectCensus, ParticleCensus, PhaseMapping, Targeted};
+        let kinds = [DefectCensus, PhaseMapping, Targeted, ParticleCensus];
+        let kinds = kinds.map(|kind| (kind.name(), kind));
+        let kind = choice(Setting::Episode, &self.task, &kinds)?;
+        Ok(Task { kind, strict: self.strict, target: self.target.clone() })
+    }
+
+    fn settings(&self, field: &FieldFacts) -> Result<EpisodeSettings, Fault> {
+        let exposures = [("tier", Exposure::Tier), ("physical", Exposure::Physical)];
+        let noises = [("poisson", TileNoise::Poisson), ("stored", TileNoise::Stored)];
+        let rewards =
+            [("none", Reward::None), ("score_gain", Reward::ScoreGain), ("sparse", Reward::Sparse)];
+        let own = if field.recorded { TileNoise::Stored } else { TileNoise::Poisson };
+        let noise = self.noise.as_deref().map(|n| choice(Setting::Episode, n, &noises));
+        let settings = EpisodeSettings {
+            budget: self.budget,
+            horizon: self.horizon,
+            cadence: self.cadence,
+            exposure: choice(Setting::Episode, &self.exposure, &exposures)?,
+            noise: noise.transpose()?.unwrap_or(own),
+            reward: choice(Setting::Episode, &self.reward, &rewards)?,
+            phase_stride_px: self.phase_stride_px,
+            overview: self.overview,
+        };
+        settings.check(field)?;
+        Ok(settings)
+    }
+}
+
+/// One of many episodes.
+#[derive(Default)]
+struct Slot {
+    episode: Option<Episode>,
+}
+
+/// What a step of a slot came to.
+#[derive(Default)]
+struct Stepped {
+    reward: f64,
+    ended: Option<Ending>,
+    acquired: Option<RecordedAcquisition>,
+    fault: Option<String>,
+}
+
+/// What the slots do: those with an episode (seed, number) begin it, the others act.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+struct Moves {
+    begin: Vec<Option<(u64, u32)>>,
+    kinds: Vec<i64>,
+    positions: Vec<[f64; 2]>,
+    zooms: Vec<f64>,
+    doses: Vec<f64>,
+    reports: Vec<Option<String>>,
+}
+
+/// Episodes with one task in worlds of one kind.
+#[pyclass(frozen, module = "stemworlds._core")]
+pub struct Episodes {
+    worlds: Arc<Worlds>,
+    task: Task,
+    settings: EpisodeSettings,
+    slots: Arc<Mutex<Vec<Slot>>>,
+}
+
+fn locked(slots: &Mutex<Vec<Slot>>) -> MutexGuard<'_, Vec<Slot>> {
+    slots.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Moves {
+    fn action(&self, n: usize) -> (Action, Option<String>) {
+        let action = match self.kinds[n] {
+            0 => Action::Navigate(self.positions[n]),
+            1 => Action::Acquire { zoom: self.zooms[n], multiplier: self.doses[n] },
+            2 => match Findings::read(self.reports[n].as_deref().unwrap_or("{}")) {
+                Ok(findings) => Action::Declare(findings),
+                Err(e) => return (Action::Unreadable, Some(e.to_string())),
+            },
+            _ => Action::Done,
+        };
+        (action, None)
+    }
+
+    fn check(&self, slots: usize) -> Result<(), Fault> {
+        let lengths = [
+            self.begin.len(),
+            self.kinds.len(),
+            self.positions.len(),
+            self.zooms.len(),
+            self.doses.len(),
+            self.reports.len(),
+        ];
+        if lengths == [slots; 6] {
+            return Ok(());
+        }
+        let expected = format!("expected actions for {slots} environments");
+        Err(Fault::Value(Setting::Episode, format!("{lengths:?}"), expected))
+    }
+}
+
+/// Observations of all slots, in arrays that begin with the slot.
+struct Seen {
+    tile: Array3<f32>,
+    overview: Array3<f32>,
+    position: Array2<f32>,
+    dose_left: Array2<f32>,
+    step_fraction: Array2<f32>,
+    visited: Array3<i8>,
+    mask: Array2<i8>,
+}
+
+impl Seen {
+    fn of(slots: &[Slot], field: &FieldFacts, guest: &Guest) -> Result<Self, Fault> {
+        let n = slots.len();
+        let overview_px = stemgen::benchmark::episode_settings::OVERVIEW_PX;
+        let mut seen = Seen {
+            tile: Array3::zeros((n, field.tile_px, field.tile_px)),
+            overview: Array3::zeros((n, overview_px, overview_px)),
+            position: Array2::zeros((n, 2)),
+            dose_left: Array2::zeros((n, 1)),
+            step_fraction: Array2::zeros((n, 1)),
+            visited: Array3::zeros((n, field.grid[0], field.grid[1])),
+            mask: Array2::zeros((n, 4)),
+        };
+        for (k, episode) in slots.iter().enumerate() {
+            let Some(episode) = &episode.episode else { continue };
+            seen.tile.index_axis_mut(Axis(0), k).assign(&**episode.tile());
+            let visited = seen.visited.index_axis_mut(Axis(0), k);
+            ndarray::Zip::from(visited).and(episode.visited()).for_each(|to, v| *to = *v as i8);
+            for (axis, value) in episode.position().into_iter().enumerate() {
+                seen.position[[k, axis]] = value as f32;
+            }
+            seen.dose_left[[k, 0]] = episode.dose_left() as f32;
+            seen.step_fraction[[k, 0]] = episode.step_fraction() as f32;
+            for (which, allowed) in episode.mask().into_iter().enumerate() {
+                seen.mask[[k, which]] = i8::from(allowed);
+            }
+        }
+        let windows: Vec<_> = slots.iter().zip(seen.overview.outer_iter_mut()).collect();
+        windows.into_par_iter().try_for_each(|(slot, mut to)| -> Result<(), Error> {
+            if let Some(episode) = &slot.episode {
+                to.assign(&episode.overview(guest)?);
+            }
+            Ok(())
+        })?;
+        Ok(seen)
+    }
+
+    fn told<'py>(self, py: Python<'py>, out: &Bound<'py, PyDict>) -> PyResult<()> {
+        out.set_item("tile", self.tile.into_pyarray(py))?;
+        out.set_item("overview", self.overview.into_pyarray(py))?;
+        out.set_item("position", self.position.into_pyarray(py))?;
+        out.set_item("dose_left", self.dose_left.into_pyarray(py))?;
+        out.set_item("step_fraction", self.step_fraction.into_pyarray(py))?;
+        out.set_item("visited", self.visited.into_pyarray(py))?;
+        out.set_item("action_mask", self.mask.into_pyarray(py))
+    }
+}
+
+fn name_of(ending: Ending) -> &'static str {
+    match ending {
+        Ending::Done => "done",
+        Ending::Refused => "refused",
+        Ending::Horizon => "horizon",
+    }
+}
+
+fn acquired<'py>(py: Python<'py>, what: &RecordedAcquisition) -> PyResult<Bound<'py, PyDict>> {
+    let out = PyDict::new(py);
+    out.set_item("row", what.tile[0])?;
+    out.set_item("column", what.tile[1])?;
+    out.set_item("centre_nm", (what.centre_nm[0], what.centre_nm[1]))?;
+    out.set_item("size_nm", what.size_nm)?;
+    out.set_item("zoom", what.zoom)?;
+    out.set_item("dose", what.multiplier)?;
+    out.set_item("cost", what.cost)?;
+    out.set_item("electrons_per_pixel", what.electrons_per_pixel)?;
+    Ok(out)
+}
+
+#[pymethods]
+impl Episodes {
+    #[new]
+    fn new(
+        py: Python<'_>,
+        scene: Scene,
+        rules: Rules,
+        count: usize,
+        running: Running,
+    ) -> PyResult<Self> {
+        run(py, running, move |guest| {
+            let worlds = Worlds::new(&scene, guest)?;
+            let (task, settings) = (rules.task()?, rules.settings(worlds.facts())?);
+            let slots = (0..count).map(|_| Slot::default()).collect();
+            Ok(Episodes {
+                worlds: Arc::new(worlds),
+                task,
+                settings,
+                slots: Arc::new(Mutex::new(slots)),
+            })
+        })
+    }
+
+    /// Facts of the field, the rules and the task, as JSON.
+    fn facts(&self, py: Python<'_>) -> PyResult<String> {
+        let facts = serde_json::json!({
+            "field": self.worlds.facts(), "settings": self.settings, "task": self.task,
+        });
+        serde_json::to_string(&facts).map_err(Fault::from).told(py)
+    }
+
+    /// One step of all slots: a dict of arrays.
+    fn step(&self, py: Python<'_>, moves: Moves, running: Running) -> PyResult<Py<PyDict>> {
+        let (worlds, slots) = (Arc::clone(&self.worlds), Arc::clone(&self.slots));
+        let (task, settings) = (self.task.clone(), self.settings.clone());
+        let (seen, stepped, facts) = run(py, running, move |guest| {
+            let mut slots = locked(&slots);
+            moves.check(slots.len())?;
+            let act = |(n, slot): (usize, &mut Slot)| -> Result<Stepped, Fault> {
+                if let Some(which) = moves.begin[n] {
+                    let world = worlds.world(which, guest)?;
+                    let (task, settings) = (task.clone(), settings.clone());
+                    slot.episode = Some(Episode::new(world, task, settings, which)?);
+                    return Ok(Stepped::default());
+                }
+                let Some(episode) = &mut slot.episode else {
+                    let expected = "reset the environment first".to_owned();
+                    return Err(Fault::Value(Setting::Episode, "a step".into(), expected));
+                };
+                let (action, fault) = moves.action(n);
+                let done = episode.act(action, &Quiet(guest))?;
+                let (reward, ended, acquired) = (done.reward, done.ended, done.acquired);
+                Ok(Stepped { reward, ended, acquired, fault })
+            };
+            let stepped =
+                slots.par_iter_mut().enumerate().map(act).collect::<Result<Vec<_>, _>>()?;
+            let seen = Seen::of(&slots, worlds.facts(), guest)?;
+            let facts = |slot: &Slot| {
+                let of = |e: &Episode| (e.spent(), e.acquisitions().len(), e.unreadable());
+                slot.episode.as_ref().map_or((0.0, 0, 0), of)
+            };
+            let facts: Vec<_> = slots.iter().map(facts).collect();
+            Ok((seen, stepped, facts))
+        })?;
+        let out = PyDict::new(py);
+        seen.told(py, &out)?;
+        let reward: Array1<f64> = stepped.iter().map(|s| s.reward).collect();
+        out.set_item("reward", reward.into_pyarray(py))?;
+        let ended: Vec<_> = stepped.iter().map(|s| s.ended.map(name_of)).collect();
+        out.set_item("ended", ended)?;
+        let lists: Vec<_> = stepped
+            .iter()
+            .map(|s| s.acquired.as_ref().map(|what| acquired(py, what)).transpose())
+            .collect::<PyResult<_>>()?;
+        out.set_item("acquired", lists)?;
+        out.set_item("fault", stepped.iter().map(|s| s.fault.as_deref()).collect::<Vec<_>>())?;
+        out.set_item("spent", facts.iter().map(|f| f.0).collect::<Vec<_>>())?;
+        out.set_item("tiles", facts.iter().map(|f| f.1).collect::<Vec<_>>())?;
+        out.set_item("unreadable", facts.iter().map(|f| f.2).collect::<Vec<_>>())?;
+        Ok(out.unbind())
+    }
+
+    /// The record of a slot, as JSON.
+    fn record(&self, py: Python<'_>, slot: usize, running: Running) -> PyResult<String> {
+        self.of(py, slot, running, |episode| {
+            Ok(serde_json::to_string(&episode.record()?).map_err(Fault::from)?)
+        })
+    }
+
+    /// The score of what was declared last in a slot.
+    fn score(&self, py: Python<'_>, slot: usize, running: Running) -> PyResult<f64> {
+        self.of(py, slot, running, |episode| Ok(episode.score()?))
+    }
+
+    /// The truth of what was seen in a slot, as a report.
+    fn truth_seen(&self, py: Python<'_>, slot: usize, running: Running) -> PyResult<String> {
+        self.of(py, slot, running, |episode| Ok(episode.truth_seen()?.report()))
+    }
+
+    /// The whole overview in units of tiles that `overview` pixels show, put together window by window: for pictures.
+    fn overview<'py>(
+        &self,
+        py: Python<'py>,
+        slot: usize,
+        size: usize,
+        running: Running,
+    ) -> PyResult<Bound<'py, numpy::PyArray2<f32>>> {
+        let image = self.of(py, slot, running, move |episode| {
+            Ok(episode.world().overview([0.5, 0.5], size, &Silent)?)
+        })?;
+        Ok(image.into_pyarray(py))
+    }
+}
+
+impl Episodes {
+    fn of<T: Send + 'static>(
+        &self,
+        py: Python<'_>,
+        slot: usize,
+        running: Running,
+        tell: impl FnOnce(&Episode) -> Result<T, Fault> + Send + 'static,
+    ) -> PyResult<T> {
+        let slots = Arc::clone(&self.slots);
+        run(py, running, move |_| {
+            let slots = locked(&slots);
+            match slots.get(slot).and_then(|slot| slot.episode.as_ref()) {
+                Some(episode) => tell(episode),
+                None => {
+                    let expected = "reset the environment first".to_owned();
+                    Err(Fault::Value(Setting::Episode, "no episode".into(), expected))
+                }
+            }
+        })
+    }
+}
+
+/// Passes on only the wish to stop, and warnings.
+struct Quiet<'a>(&'a Guest);
+
+impl stemgen::progress::Progress for Quiet<'_> {
+    fn start(&self, _: &str, _: &str, _: u64) {}
+    fn advance(&self, _: u64) {}
+    fn finish(&self) {}
+    fn warn(&self, message: &str) {
+        self.0.warn(message);
+    }
+    fn interrupted(&self) -> bool {
+        self.0.interrupted()
+    }
+}
+
+/// The numbers that [`DoseCurve`] makes of records (share of the budget, score), as JSON.
+#[pyfunction]
+pub fn dose_metrics(
+    py: Python<'_>,
+    records: Vec<[f64; 2]>,
+    checkpoints: usize,
+) -> PyResult<String> {
+    let metrics = || -> Result<String, Fault> {
+        let mut curve = DoseCurve::default();
+        for [share, score] in records {
+            curve.record(share, score)?;
+        }
+        Ok(serde_json::to_string(&curve.metrics_of(checkpoints)).map_err(Fault::from)?)
+    };
+    metrics().told(py)
+}

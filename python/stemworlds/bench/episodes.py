@@ -1,0 +1,249 @@
+"""What one environment and many share: options, facts, and steps of the extension."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from .. import _core
+from .._running import Progress, call, running
+from ..errors import _invalid
+from ..recipes import Difficulty, Recipe, RecipeLike
+from .findings import Findings
+
+Task = Literal["defect-census", "phase-mapping", "targeted", "particle-census"]
+Exposure = Literal["tier", "physical"]
+Noise = Literal["poisson", "stored"]
+Reward = Literal["none", "score_gain", "sparse"]
+Split = Literal["train", "test"]
+
+#: Kinds of actions.
+NAVIGATE, ACQUIRE, DECLARE, DONE = range(4)
+#: Limits of the zoom of an acquisition.
+ZOOM = (1.0, 8.0)
+#: Limits of its dose, times the reference dose of 100 electrons per square Angstrom.
+DOSE = (0.1, 10.0)
+#: Edge of the part of the overview that is shown, in its pixels.
+OVERVIEW_PX = 64
+
+
+@dataclass(frozen=True)
+class FieldFacts:
+    """What is known of a field before anything is looked at.
+
+    Attributes:
+        name: of the world.
+        material: of the recipe.
+        grid: rows and columns of tiles.
+        tile_px: edge of a tile in pixels.
+        overlap_px: pixels that neighbouring tiles share.
+        pixel_nm: edge of a pixel.
+        size_nm: height and width.
+        phases: names of the phases; empty where there is one.
+        task: what is asked for.
+        target: the type of defect that targeted characterisation asks for.
+        strict: whether places have to be right to 0.1 nm.
+        budget: electrons per square Angstrom.
+        horizon: number of steps.
+    """
+
+    name: str
+    material: str
+    grid: tuple[int, int]
+    tile_px: int
+    overlap_px: int
+    pixel_nm: float
+    size_nm: tuple[float, float]
+    phases: tuple[str, ...]
+    task: Task
+    target: str | None
+    strict: bool
+    budget: float
+    horizon: int
+    scale: float
+    offset: float
+
+    def centre_of(self, row: int, column: int) -> tuple[float, float]:
+        """The middle ``(x, y)`` of a tile in fractions of the field's width and height."""
+        stride = self.tile_px - self.overlap_px
+        rows, columns = (n * stride + self.overlap_px for n in self.grid)
+        return (column * stride + self.tile_px / 2) / columns, (row * stride + self.tile_px / 2) / rows
+
+
+@dataclass(frozen=True, eq=False)
+class Acquired:
+    """An acquisition.
+
+    Attributes:
+        row, column: of the tile whose middle is nearest.
+        centre_nm: its middle ``(x, y)`` in the field.
+        size_nm: its edge.
+        pixel_nm: edge of one of its pixels.
+        zoom: it shows 1 / zoom of a tile's width.
+        dose: times the reference dose.
+        cost: what it took of the budget, in electrons per square Angstrom.
+        electrons_per_pixel: electrons on a pixel.
+        scale, offset: fraction of the beam = image * scale + offset.
+        image: float32 ``[y, x]``, what the observation shows as ``tile``.
+    """
+
+    row: int
+    column: int
+    centre_nm: tuple[float, float]
+    size_nm: float
+    pixel_nm: float
+    zoom: float
+    dose: float
+    cost: float
+    electrons_per_pixel: float
+    scale: float
+    offset: float
+    image: npt.NDArray[np.float32]
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Acquired):
+            return NotImplemented
+        mine, others = dict(vars(self)), dict(vars(other))
+        return np.array_equal(mine.pop("image"), others.pop("image")) and mine == others
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+@dataclass
+class Moves:
+    """What each of some environments does next."""
+
+    begin: list[tuple[int, int] | None]
+    kinds: list[int]
+    positions: list[tuple[float, float]]
+    zooms: list[float]
+    doses: list[float]
+    reports: list[str | None]
+
+    @staticmethod
+    def none(count: int) -> Moves:
+        """Ends all episodes, until something else is filled in."""
+        return Moves([None] * count, [DONE] * count, [(0.5, 0.5)] * count, [1.0] * count, [1.0] * count, [None] * count)
+
+
+class Episodes:
+    """Episodes of one task in worlds of one kind; :class:`MicroscopeEnv` and :class:`MicroscopeVectorEnv` drive them."""
+
+    def __init__(
+        self,
+        count: int,
+        task: Task,
+        strict: bool,
+        *,
+        world: str | os.PathLike[str] | None = None,
+        recipe: RecipeLike | None = None,
+        difficulty: Difficulty | None = None,
+        live: bool = True,
+        damage: bool = False,
+        split: Split = "train",
+        budget: float = 5000.0,
+        horizon: int = 200,
+        cadence: int = 5,
+        exposure: Exposure = "tier",
+        noise: Noise | None = None,
+        reward: Reward = "none",
+        target: str | None = None,
+        overview: bool = True,
+        phase_stride_px: int = 8,
+        cache: bool | str | os.PathLike[str] = True,
+        threads: int | None = None,
+        progress: Progress = False,
+        **changes: Any,
+    ) -> None:
+        if (world is None) == (recipe is None):
+            raise _invalid("world or recipe", "name either a world file (world=...) or a recipe (recipe=...)")
+        if world is not None and (changes or difficulty is not None or damage):
+            given = ", ".join([*changes, *(["difficulty"] if difficulty else []), *(["damage"] if damage else [])])
+            raise _invalid("world", f"{given}: a world file is as it is; these belong to recipe=...")
+        if recipe is not None and not live:
+            raise _invalid("live", "live=False: worlds of a recipe are made at each reset; build a file and pass world=... instead")
+        self._threads = threads
+        scene = {
+            "world": None if world is None else os.fspath(world),
+            "toml": None if recipe is None else Recipe(recipe, difficulty, **changes).toml,
+            "damage": damage,
+            "split": split,
+            "cache": cache if isinstance(cache, bool) else os.fspath(cache),
+        }
+        rules = {
+            "task": task,
+            "strict": strict,
+            "target": target,
+            "budget": budget,
+            "horizon": horizon,
+            "cadence": cadence,
+            "exposure": exposure,
+            "noise": noise,
+            "reward": reward,
+            "phase_stride_px": phase_stride_px,
+            "overview": overview,
+        }
+        self._core = call(_core.Episodes, scene, rules, count, running(threads, progress))
+        told = json.loads(self._core.facts())
+        field, settings, asked = told["field"], told["settings"], told["task"]
+        rows, columns = (n * (field["tile_px"] - field["overlap_px"]) + field["overlap_px"] for n in field["grid"])
+        self.field = FieldFacts(
+            name=field["name"],
+            material=field["material"],
+            grid=(field["grid"][0], field["grid"][1]),
+            tile_px=field["tile_px"],
+            overlap_px=field["overlap_px"],
+            pixel_nm=field["pixel_nm"],
+            size_nm=(rows * field["pixel_nm"], columns * field["pixel_nm"]),
+            phases=tuple(field["phases"]),
+            task=asked["kind"],
+            target=asked["target"] or (field["target"] if asked["kind"] == "targeted" else None),
+            strict=asked["strict"],
+            budget=settings["budget"],
+            horizon=settings["horizon"],
+            scale=field["scaling"][0],
+            offset=field["scaling"][1],
+        )
+
+    def step(self, moves: Moves) -> dict[str, Any]:
+        """One step of all: arrays of observations and lists of what happened."""
+        found: dict[str, Any] = call(self._core.step, vars(moves), running(self._threads, False))
+        return found
+
+    def record(self, slot: int) -> dict[str, Any]:
+        """The record of an episode so far."""
+        found: dict[str, Any] = json.loads(call(self._core.record, slot, running(self._threads, False)))
+        return found
+
+    def score(self, slot: int) -> float:
+        """The score of what was declared last."""
+        score: float = call(self._core.score, slot, running(self._threads, False))
+        return score
+
+    def truth_seen(self, slot: int) -> Findings:
+        """The truth of what was seen."""
+        return Findings.read(call(self._core.truth_seen, slot, running(self._threads, False)))
+
+    def overview(self, slot: int, size: int) -> npt.NDArray[np.float32]:
+        """The overview, or the middle of it: ``size`` pixels along each axis."""
+        image: npt.NDArray[np.float32] = call(self._core.overview, slot, size, running(self._threads, False))
+        return image
+
+    def acquired(self, what: Mapping[str, Any], image: npt.NDArray[np.float32]) -> Acquired:
+        """An acquisition as agents are told of it."""
+        pixel = what["size_nm"] / self.field.tile_px
+        return Acquired(**what, pixel_nm=pixel, scale=self.field.scale, offset=self.field.offset, image=image.copy())
+
+
+def observation(found: Mapping[str, Any], slot: int, pixel_nm: float) -> dict[str, npt.NDArray[Any]]:
+    """The observation of one environment, in arrays of its own."""
+    names: Sequence[str] = ("tile", "overview", "position", "dose_left", "visited", "step_fraction", "action_mask")
+    seen = {name: found[name][slot].copy() for name in names}
+    seen["pixel_size_nm"] = np.array([pixel_nm], dtype=np.float32)
+    return seen

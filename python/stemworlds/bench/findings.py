@@ -1,0 +1,95 @@
+"""What an agent says of a field."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..errors import _invalid
+
+#: Phase maps hold this where nothing is predicted.
+NO_PHASE = -1
+
+
+def _places(width: int) -> npt.NDArray[np.float64]:
+    return np.zeros((0, width))
+
+
+@dataclass(eq=False)
+class Findings:
+    """All that is known of a field so far. What is left empty is said not to be there; a task looks only at what it asks for.
+
+    Attributes:
+        counts: number of defects by type, ``{"vacancy": 3}``; those of ``defects`` when ``None``.
+        defects: places ``(x, y)`` in nm, ``(N, 2)``, by type: ``"vacancy"``, ``"substitution"``. With ``None`` counts alone are scored.
+        phases: int ``[row, column]``, phases of the whole field in equal parts, as many as you like; :data:`NO_PHASE` where nothing is
+            predicted. ``None`` says that there is one phase.
+        particles: ``(N, 3)``: x, y and diameter in nm.
+        morphologies: their shapes: ``"wulff"``, ``"icosahedral"``, ``"decahedral"``.
+        columns: ``(N, 3)``: x, y in nm, and a number that is greater where a defect is more likely; for the scores by column.
+    """
+
+    counts: Mapping[str, int] | None = None
+    defects: Mapping[str, npt.ArrayLike] | None = None
+    phases: npt.NDArray[np.integer[Any]] | None = None
+    particles: npt.NDArray[np.float64] = field(default_factory=lambda: _places(3))
+    morphologies: Sequence[str] = ()
+    columns: npt.NDArray[np.float64] = field(default_factory=lambda: _places(3))
+
+    def report(self) -> str:
+        """The text (JSON) that a declaration takes.
+
+        Raises:
+            InvalidValue: for arrays of another shape.
+        """
+        out: dict[str, Any] = {}
+        if self.counts is not None:
+            out["counts"] = {kind: int(count) for kind, count in self.counts.items()}
+        if self.defects is not None:
+            out["defects"] = {kind: _listed("defects", places, 2) for kind, places in self.defects.items()}
+        if self.phases is not None:
+            out["phases"] = np.asarray(self.phases).astype(int).tolist()
+        out["particles"] = _listed("particles", self.particles, 3)
+        out["morphologies"] = list(self.morphologies)
+        out["columns"] = _listed("columns", self.columns, 3)
+        return json.dumps(out, separators=(",", ":"))
+
+    @staticmethod
+    def read(report: str) -> Findings:
+        """Findings from the text that :meth:`report` gives.
+
+        Raises:
+            InvalidValue: for text that is no JSON object of findings.
+        """
+        try:
+            found = json.loads(report)
+            defects = found.get("defects")
+            return Findings(
+                counts=found.get("counts"),
+                defects=None if defects is None else {kind: _array(places, 2) for kind, places in defects.items()},
+                phases=None if found.get("phases") is None else np.array(found["phases"], dtype=np.int32),
+                particles=_array(found.get("particles", ()), 3),
+                morphologies=tuple(found.get("morphologies", ())),
+                columns=_array(found.get("columns", ()), 3),
+            )
+        except (ValueError, TypeError, AttributeError) as error:
+            raise _invalid("findings", f"findings: the text is no report: {error}") from None
+
+
+def _array(values: Any, width: int) -> npt.NDArray[np.float64]:
+    return np.asarray(values, dtype=np.float64).reshape(-1, width)
+
+
+def _listed(name: str, values: npt.ArrayLike, width: int) -> list[list[float]]:
+    array = np.asarray(values, dtype=np.float64)
+    if array.size == 0:
+        return []
+    if array.ndim != 2 or array.shape[1] != width:
+        raise _invalid("findings", f"{name} has shape {array.shape}: expected (N, {width})")
+    listed: list[list[float]] = array.tolist()
+    return listed

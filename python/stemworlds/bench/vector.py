@@ -1,0 +1,135 @@
+"""Many environments at once, stepped by one call of the library."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+
+from ..errors import _invalid
+from .environment import action_space, observation_space
+from .episodes import Acquired, Episodes, FieldFacts, Moves, Task
+from .findings import Findings
+
+Arrays = dict[str, npt.NDArray[Any]]
+
+
+class MicroscopeVectorEnv(gym.vector.VectorEnv[Arrays, Mapping[str, Any], npt.NDArray[Any]]):
+    """Environments as :class:`MicroscopeEnv`, stepped together in threads. Each does exactly what a single one with its seed does.
+
+    After the end of an episode the next step begins another one in its place (``AutoresetMode.NEXT_STEP``).
+
+    Args:
+        num_envs: how many.
+        **options: as for :class:`MicroscopeEnv`.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"autoreset_mode": AutoresetMode.NEXT_STEP, "render_modes": []}
+
+    def __init__(self, num_envs: int = 1, task: Task = "defect-census", strict: bool = False, *, render_mode: str | None = None, **options: Any) -> None:
+        if num_envs < 1:
+            raise _invalid("num_envs", f"num_envs = {num_envs}: expected a whole number above 0")
+        self.num_envs = num_envs
+        self._episodes = Episodes(num_envs, task, strict, **options)
+        self.render_mode = render_mode
+        self.single_observation_space = observation_space(self.field)
+        self.single_action_space = action_space()
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._seeds: list[tuple[int, int] | None] = [None] * num_envs
+        self._over = np.zeros(num_envs, dtype=bool)
+
+    @property
+    def field(self) -> FieldFacts:
+        """What is known of the field before anything is looked at."""
+        return self._episodes.field
+
+    def reset(self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None) -> tuple[Arrays, dict[str, Any]]:
+        """Begins another episode in each environment. A single seed gives environment ``n`` the seed ``seed + n``."""
+        seeds = [None if seed is None else seed + n for n in range(self.num_envs)] if seed is None or isinstance(seed, int) else list(seed)
+        if len(seeds) != self.num_envs:
+            raise _invalid("seed", f"{len(seeds)} seeds for {self.num_envs} environments")
+        if isinstance(seed, int):
+            super().reset(seed=seed)
+        moves = Moves.none(self.num_envs)
+        for n, own in enumerate(seeds):
+            self._begin(n, own)
+            moves.begin[n] = self._seeds[n]
+        self._over[:] = False
+        found = self._episodes.step(moves)
+        return self._observations(found), self._info(found)
+
+    def _begin(self, n: int, seed: int | None) -> None:
+        known = self._seeds[n]
+        if seed is not None:
+            self._seeds[n] = (int(seed), 0)
+        elif known is None:
+            self._seeds[n] = (int(self.np_random.integers(2**62)), 0)
+        else:
+            self._seeds[n] = (known[0], known[1] + 1)
+
+    def step(self, actions: Mapping[str, Any]) -> tuple[Arrays, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], dict[str, Any]]:
+        """One step of all. ``actions`` holds arrays (``type``, ``position``, ``zoom``, ``dose``) and a list ``report``; what it lacks
+        takes its default."""
+        count = self.num_envs
+        moves = Moves.none(count)
+        moves.kinds = np.asarray(actions["type"]).reshape(count).astype(int).tolist()
+        if "position" in actions:
+            moves.positions = [(x, y) for x, y in np.asarray(actions["position"], dtype=np.float64).reshape(count, 2).tolist()]
+        for name, target in (("zoom", moves.zooms), ("dose", moves.doses)):
+            if name in actions:
+                target[:] = np.asarray(actions[name], dtype=np.float64).reshape(count).tolist()
+        for n, report in enumerate(actions.get("report", ())):
+            moves.reports[n] = report.report() if isinstance(report, Findings) else str(report) or "{}"
+        for n in np.flatnonzero(self._over):
+            self._begin(int(n), None)
+            moves.begin[n] = self._seeds[n]
+        found = self._episodes.step(moves)
+        ended: list[str | None] = found["ended"]
+        terminated = np.array([how in ("done", "refused") for how in ended])
+        truncated = np.array([how == "horizon" for how in ended])
+        self._over = terminated | truncated
+        return self._observations(found), found["reward"], terminated, truncated, self._info(found)
+
+    def _observations(self, found: Mapping[str, Any]) -> Arrays:
+        seen = {name: found[name] for name in self.single_observation_space if name != "pixel_size_nm"}
+        seen["pixel_size_nm"] = np.full((self.num_envs, 1), self.field.pixel_nm, dtype=np.float32)
+        return seen
+
+    def _info(self, found: Mapping[str, Any]) -> dict[str, Any]:
+        info: dict[str, Any] = {
+            "dose_spent": np.array(found["spent"]),
+            "tiles": np.array(found["tiles"]),
+            "unreadable": np.array(found["unreadable"]),
+        }
+        acquired = np.array([what is not None for what in found["acquired"]])
+        if acquired.any():
+            made: list[Acquired | None] = [
+                None if what is None else self._episodes.acquired(what, image) for what, image in zip(found["acquired"], found["tile"], strict=True)
+            ]
+            info["acquired"] = _objects(made)
+            info["_acquired"] = acquired
+        over = np.array([how is not None for how in found["ended"]])
+        if over.any():
+            info["record"] = _objects([self._episodes.record(n) if there else None for n, there in enumerate(over)])
+            info["_record"] = over
+        return info
+
+    def truth_seen(self, n: int) -> Findings:
+        """The truth of what environment ``n`` has seen."""
+        return self._episodes.truth_seen(n)
+
+    def record(self, n: int) -> dict[str, Any]:
+        """What environment ``n`` has done so far, and its scores."""
+        return self._episodes.record(n)
+
+
+def _objects(values: Sequence[Any]) -> npt.NDArray[np.object_]:
+    out = np.empty(len(values), dtype=object)
+    out[:] = values
+    return out

@@ -1,0 +1,400 @@
+//! Worlds of a recipe that are on no disk: a specimen for each seed, imaged where it is looked at.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use ndarray::{Array2, s};
+
+use super::benchmark_world::{BenchmarkWorld, PhaseSamples, RegionTruth, TrueColumn, window};
+use super::findings::{FoundParticle, PlacedDefect, type_name};
+use super::view::{FieldFacts, View};
+use crate::error::{Error, Result};
+use crate::imaging::{MethodChoice, RegionImager, SharedSheets, TurnedRaster, turned_image};
+use crate::progress::{InterruptOnly, Progress};
+use crate::recipe::{CheckedRecipe, OVERVIEW_FACTOR, Recipe, Region, StructureKind};
+use crate::rng::{Purpose, words};
+use crate::setting::Setting;
+use crate::specimen::{ParticleTruth, SiteKind, Specimen, specimen};
+use crate::world::noise_free::band_limit;
+use crate::world::region_truth::{list, particles_reaching, phases_of_points};
+use crate::world::{BuildOptions, ColumnTruth, Noise, SiteTruth};
+
+/// Images of views that a world keeps.
+const KEPT_VIEWS: usize = 256;
+/// Edge in pixels of the blocks of the overview that are made at once.
+const BLOCK_PX: usize = 32;
+/// Places of a field at which the brightest pixel is looked for.
+const SCALED_PLACES: usize = 5;
+/// What is brighter than the brightest pixel of these places by more than this share is cut off.
+const HEADROOM: f64 = 1.2;
+
+/// Which seeds specimens are made of: none is in both, so that nobody trains on what is scored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Split {
+    /// For training: even seeds.
+    #[default]
+    Train,
+    /// For scores: odd seeds.
+    Test,
+}
+
+impl Split {
+    /// The seed of the specimen of an episode (seed, number) of a recipe.
+    pub fn seed(self, recipe: &Recipe, (seed, number): (u64, u32)) -> u64 {
+        let pair = |[low, high, ..]: [u32; 4]| u64::from(high) << 32 | u64::from(low);
+        let episode = pair(words(seed, Purpose::HeldOut, EPISODE_DRAW, u64::from(number)));
+        let drawn = pair(words(recipe.seed, Purpose::HeldOut, self as u32, episode));
+        // TOML holds signed numbers.
+        drawn >> 2 << 1 | self as u64
+    }
+}
+
+/// Draw that makes one number of an episode's two.
+const EPISODE_DRAW: u32 = 2;
+
+/// Makes worlds of one recipe, which share the library of their images.
+pub struct RecipeSource {
+    recipe: CheckedRecipe,
+    options: BuildOptions,
+    shared: Arc<SharedSheets>,
+    facts: FieldFacts,
+}
+
+impl RecipeSource {
+    /// Fills the library: from the cache, or by simulations, which take minutes. Then the brightness of a few places gives the
+    /// scale of tiles, the same for all seeds.
+    ///
+    /// # Errors
+    /// Those of the specimen and the engine, [`Error::Interrupted`].
+    pub fn new(
+        recipe: &CheckedRecipe,
+        options: &BuildOptions,
+        progress: &dyn Progress,
+    ) -> Result<Self> {
+        let field = &recipe.field;
+        let facts = FieldFacts {
+            name: name_of(recipe),
+            material: recipe.id.clone(),
+            grid: field.built_grid(),
+            tile_px: field.tile_px,
+            overlap_px: field.overlap_px,
+            pixel_nm: field.pixel_nm(),
+            dose: recipe.dose.electrons_per_angstrom2,
+            scaling: [1.0, 0.0],
+            phases: Vec::new(),
+            target: target(recipe),
+            recorded: false,
+            margin_px: 0,
+        };
+        let (recipe, options) = (recipe.clone(), options.clone());
+        let shared = Arc::new(SharedSheets::default());
+        let mut source = RecipeSource { recipe, options, shared, facts };
+        let mut first = source.world_of(source.recipe.clone())?;
+        first.imager.prepare(progress)?;
+        source.facts.phases = first.specimen.phases();
+        source.facts.scaling = first.scaling(&InterruptOnly(progress))?;
+        Ok(source)
+    }
+
+    /// The recipe.
+    pub fn recipe(&self) -> &CheckedRecipe {
+        &self.recipe
+    }
+
+    /// Facts of the field of all its worlds.
+    pub fn facts(&self) -> &FieldFacts {
+        &self.facts
+    }
+
+    /// How images are made.
+    pub fn options(&self) -> &BuildOptions {
+        &self.options
+    }
+
+    /// The recipe with another seed.
+    ///
+    /// # Errors
+    /// Those of the recipe's limits.
+    pub fn recipe_of(&self, seed: u64) -> Result<CheckedRecipe> {
+        let mut other = self.recipe.recipe().clone();
+        other.seed = seed;
+        other.checked()
+    }
+
+    /// The world of a seed.
+    ///
+    /// # Errors
+    /// Those of the specimen.
+    pub fn world(&self, seed: u64) -> Result<RecipeWorld> {
+        self.world_of(self.recipe_of(seed)?)
+    }
+
+    fn world_of(&self, recipe: CheckedRecipe) -> Result<RecipeWorld> {
+        let specimen = specimen(&recipe)?;
+        let mut imaging = self.options.policy(&recipe)?.imaging;
+        if imaging.method == MethodChoice::Auto {
+            // A library serves one specimen after the other.
+            imaging.method = MethodChoice::Mosaic;
+        }
+        let imager = imaging.imager_of_many(&recipe, &specimen, &self.shared)?;
+        let name = format!("{}, seed {}", self.facts.name, recipe.seed);
+        let facts = FieldFacts { name, ..self.facts.clone() };
+        let kept = Mutex::default();
+        Ok(RecipeWorld { recipe, specimen, imager, facts, kept })
+    }
+}
+
+fn name_of(recipe: &Recipe) -> String {
+    let tier = recipe.tier.map_or(String::new(), |tier| format!(" {}", tier.name()));
+    format!("{}{tier}", recipe.id)
+}
+
+/// The kind of defect that a recipe has most of.
+fn target(recipe: &Recipe) -> Option<String> {
+    let substituted = recipe.alloy.is_some() || recipe.substitutions.is_some();
+    match (recipe.structure, recipe.vacancies.is_some(), substituted) {
+        (StructureKind::Particles, ..) => None,
+        (_, true, _) => type_name(SiteKind::Vacancy).map(str::to_owned),
+        (_, false, true) => type_name(SiteKind::Substitution).map(str::to_owned),
+        (_, false, false) => None,
+    }
+}
+
+/// What a world has made.
+#[derive(Default)]
+struct Made {
+    views: HashMap<([usize; 2], u64), Arc<Array2<f32>>>,
+    blocks: HashMap<[usize; 2], Arc<Array2<f32>>>,
+    phases: HashMap<usize, Arc<PhaseSamples>>,
+}
+
+/// A specimen of a recipe, and images of the places that are looked at.
+pub struct RecipeWorld {
+    recipe: CheckedRecipe,
+    specimen: Arc<dyn Specimen>,
+    imager: Box<dyn RegionImager>,
+    facts: FieldFacts,
+    kept: Mutex<Made>,
+}
+
+impl RecipeWorld {
+    /// The recipe, with the seed.
+    pub fn recipe(&self) -> &CheckedRecipe {
+        &self.recipe
+    }
+
+    /// The specimen.
+    pub fn specimen(&self) -> &Arc<dyn Specimen> {
+        &self.specimen
+    }
+
+    fn kept(&self) -> MutexGuard<'_, Made> {
+        self.kept.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn configurations(&self) -> usize {
+        self.recipe.phonons.configurations.max(1)
+    }
+
+    /// A rectangle of the field's own pixels, or places between them.
+    fn image(&self, view: &View, progress: &dyn Progress) -> Result<Array2<f32>> {
+        let field = &self.recipe.field;
+        let image = if view.zoom == 1.0 {
+            let first = field.crop_origin_px();
+            let mut pixels = view.pixels();
+            pixels.first = [0, 1].map(|k| pixels.first[k] + first[k]);
+            self.imager.mean_of(&pixels, self.configurations(), progress)?
+        } else {
+            let raster = view.raster(field.pixel_nm(), field.origin_nm());
+            turned_image(&self.recipe, &*self.imager, &raster, progress)?
+        };
+        Ok(image.mapv(|v| v as f32))
+    }
+
+    /// Scale and offset of tiles: the brightest pixel of a few places, with its noise and [`HEADROOM`].
+    fn scaling(&self, progress: &dyn Progress) -> Result<[f64; 2]> {
+        let [height, width] = self.facts.size_nm();
+        let mut particles = self.truth(&self.whole(), false)?.particles;
+        particles.sort_by(|a, b| b.diameter_nm.total_cmp(&a.diameter_nm));
+        let inside = |p: &&FoundParticle| self.whole().contains(p.position_nm);
+        let of_particle = |p: &FoundParticle| [p.position_nm[0] / width, p.position_nm[1] / height];
+        let mut places: Vec<[f64; 2]> =
+            particles.iter().filter(inside).take(1).map(of_particle).collect();
+        if places.is_empty() {
+            let even = |n: usize| (n as f64 + 0.5) / SCALED_PLACES as f64;
+            places = (0..SCALED_PLACES).map(|n| [even(n), even(n)]).collect();
+        }
+        let mut brightest = 0.0f64;
+        for place in places {
+            let image = self.image(&self.facts.view_at(place, 1.0), progress)?;
+            brightest = image.iter().fold(brightest, |m, v| m.max(f64::from(*v)));
+        }
+        let electrons = self.facts.dose * (10.0 * self.facts.pixel_nm).powi(2);
+        let noise = if electrons > 0.0 { (brightest / electrons).sqrt() } else { 0.0 };
+        Ok([(HEADROOM * brightest + 5.0 * noise).max(f64::MIN_POSITIVE), 0.0])
+    }
+
+    fn whole(&self) -> Region {
+        Region::of_pixels([0, 0], self.facts.shape_px(), self.facts.pixel_nm)
+    }
+
+    /// Shape of the overview: whole pixels of it.
+    fn overview_shape(&self) -> [usize; 2] {
+        self.facts.shape_px().map(|n| n / OVERVIEW_FACTOR)
+    }
+
+    /// A block of the overview: each of its pixels is the mean of so many places that nothing in the image is finer, with the noise of
+    /// the electrons of its area.
+    fn block(&self, at: [usize; 2], progress: &dyn Progress) -> Result<Arc<Array2<f32>>> {
+        if let Some(found) = self.kept().blocks.get(&at) {
+            return Ok(Arc::clone(found));
+        }
+        let (shape, pixel) = (self.overview_shape(), self.facts.pixel_nm);
+        let first = at.map(|n| n * BLOCK_PX);
+        let size = [0, 1].map(|k| BLOCK_PX.min(shape[k] - first[k]));
+        let edge_nm = OVERVIEW_FACTOR as f64 * pixel;
+        // Frequencies that alias to none are above those in the image.
+        let places = (10.0 * edge_nm * band_limit(&self.recipe)).ceil().max(1.0) as usize;
+        let origin = self.recipe.field.origin_nm();
+        let middle = |k: usize| {
+            let from_edge = first[k] as f64 + 0.5 * size[k] as f64;
+            from_edge * edge_nm - 0.5 * pixel
+        };
+        let raster = TurnedRaster {
+            centre_nm: [middle(1) + origin[0], middle(0) + origin[1]],
+            pixel_nm: edge_nm / places as f64,
+            angle_rad: 0.0,
+            shape: size.map(|n| n * places),
+        };
+        let fine = turned_image(&self.recipe, &*self.imager, &raster, progress)?;
+        let mean = Array2::from_shape_fn(size, |(i, j)| {
+            let part = s![i * places..(i + 1) * places, j * places..(j + 1) * places];
+            fine.slice(part).mean().unwrap_or_default() as f32
+        });
+        let noise = Noise {
+            seed: self.recipe.seed ^ OVERVIEW_STREAM,
+            electrons_per_pixel: self.facts.dose * (10.0 * edge_nm).powi(2),
+            origin_px: first,
+            full_width_px: shape[1],
+            detector: 0,
+        };
+        let [scale, offset] = self.facts.scaling;
+        let mut block = mean;
+        if noise.electrons_per_pixel > 0.0 {
+            noise.apply(&mut block, 0);
+        }
+        block.mapv_inplace(|v| ((f64::from(v) - offset) / scale).clamp(0.0, 1.0) as f32);
+        let block = Arc::new(block);
+        self.kept().blocks.insert(at, Arc::clone(&block));
+        Ok(block)
+    }
+}
+
+/// Overviews draw numbers of their own.
+const OVERVIEW_STREAM: u64 = 0x6F76_6572_7669_6577;
+
+impl BenchmarkWorld for RecipeWorld {
+    fn facts(&self) -> &FieldFacts {
+        &self.facts
+    }
+
+    fn clean(&self, view: &View, progress: &dyn Progress) -> Result<Arc<Array2<f32>>> {
+        let key = (view.first_px, view.zoom.to_bits());
+        if let Some(found) = self.kept().views.get(&key) {
+            return Ok(Arc::clone(found));
+        }
+        let image = Arc::new(self.image(view, &InterruptOnly(progress))?);
+        let mut kept = self.kept();
+        if kept.views.len() >= KEPT_VIEWS {
+            kept.views.clear();
+        }
+        kept.views.insert(key, Arc::clone(&image));
+        Ok(image)
+    }
+
+    fn stored(&self, _view: &View) -> Result<Array2<f32>> {
+        let expected = "a world of a recipe holds no tiles: count electrons, or build it as a file";
+        Err(Error::invalid(Setting::Episode, "stored tiles", expected))
+    }
+
+    fn overview(
+        &self,
+        position: [f64; 2],
+        size: usize,
+        progress: &dyn Progress,
+    ) -> Result<Array2<f32>> {
+        let shape = self.overview_shape();
+        let first = window(position, shape, size);
+        let mut out = Array2::zeros([size; 2]);
+        let end = |k: usize| (first[k] + size).min(shape[k]);
+        let blocks = |k: usize| first[k] / BLOCK_PX..end(k).div_ceil(BLOCK_PX);
+        for (row, column) in blocks(0).flat_map(|r| blocks(1).map(move |c| (r, c))) {
+            let block = self.block([row, column], &InterruptOnly(progress))?;
+            let start = [row, column].map(|n| n * BLOCK_PX);
+            let low = [0, 1].map(|k| start[k].max(first[k]));
+            let dim = block.dim();
+            let high = [(start[0] + dim.0).min(end(0)), (start[1] + dim.1).min(end(1))];
+            let part = |from: [usize; 2]| {
+                s![low[0] - from[0]..high[0] - from[0], low[1] - from[1]..high[1] - from[1]]
+            };
+            out.slice_mut(part(first)).assign(&block.slice(part(start)));
+        }
+        Ok(out)
+    }
+
+    fn truth(&self, region: &Region, columns: bool) -> Result<RegionTruth> {
+        let origin = self.recipe.field.origin_nm();
+        Ok(truth_of(&*self.specimen, region, origin, columns))
+    }
+
+    fn phases(&self, stride_px: usize) -> Result<Arc<PhaseSamples>> {
+        if let Some(found) = self.kept().phases.get(&stride_px) {
+            return Ok(Arc::clone(found));
+        }
+        let (origin, pixel) = (self.recipe.field.origin_nm(), self.facts.pixel_nm);
+        let shape = PhaseSamples::shape(self.facts.shape_px(), stride_px);
+        let phases = phases_of_points(&*self.specimen, shape, |row, column| {
+            let at = [column, row].map(|n| (n * stride_px + stride_px / 2) as f64 * pixel);
+            [at[0] + origin[0], at[1] + origin[1]]
+        });
+        let samples = Arc::new(PhaseSamples { phases, stride_px });
+        self.kept().phases.insert(stride_px, Arc::clone(&samples));
+        Ok(samples)
+    }
+}
+
+/// A site lies no further beside the place of its column, in nm.
+const BESIDE_NM: f64 = 0.3;
+
+/// What is in a region of a specimen, which counts from the field's first pixel at `origin` (x, y) in nm of the full field.
+pub(super) fn truth_of(
+    specimen: &dyn Specimen,
+    region: &Region,
+    origin: [f64; 2],
+    columns: bool,
+) -> RegionTruth {
+    let shift = |range: [f64; 2], by: f64| range.map(|v| v + by);
+    let there = Region { x: shift(region.x, origin[0]), y: shift(region.y, origin[1]) };
+    let (sites, found) = list(&specimen.query(&there.grown(BESIDE_NM)), origin, 0);
+    let placed = |s: &SiteTruth| {
+        let kind = type_name(s.kind)?;
+        let [x, y, _] = s.position_nm.map(f64::from);
+        let inside = region.contains([x, y]);
+        inside.then(|| PlacedDefect { kind: kind.to_owned(), position_nm: [x, y] })
+    };
+    let column = |c: &ColumnTruth| {
+        let position_nm = c.position_nm.map(f64::from);
+        let defective = c.vacancies + c.substitutions > 0;
+        region.contains(position_nm).then_some(TrueColumn { position_nm, defective })
+    };
+    let particle = |p: ParticleTruth| FoundParticle {
+        position_nm: [p.centre_nm[0] - origin[0], p.centre_nm[1] - origin[1]],
+        diameter_nm: p.diameter_nm,
+        morphology: p.morphology,
+    };
+    RegionTruth {
+        defects: sites.iter().filter_map(placed).collect(),
+        columns: if columns { found.iter().filter_map(column).collect() } else { Vec::new() },
+        particles: particles_reaching(specimen, &there).into_iter().map(particle).collect(),
+    }
+}

@@ -1,0 +1,391 @@
+//! Episodes of the benchmark: what an agent sees, what it pays, and how it is scored.
+
+use std::path::PathBuf;
+use std::sync::{Arc, OnceLock};
+
+use ndarray::Array2;
+use stemgen::benchmark::{
+    Action, BenchmarkWorld, ChangingWorld, Ending, Episode, EpisodeSettings, Exposure, FileWorld,
+    Findings, RecipeSource, Reward, Split, Task, TaskKind, TileNoise, View,
+};
+use stemgen::imaging::{Cache, MethodChoice, PixelRect};
+use stemgen::progress::Silent;
+use stemgen::recipe::{CheckedRecipe, Difficulty, Recipe, Region};
+use stemgen::specimen::specimen;
+use stemgen::world::{BuildMethod, BuildOptions, build, field_tile};
+
+fn folder() -> PathBuf {
+    static FOLDER: OnceLock<tempfile::TempDir> = OnceLock::new();
+    FOLDER.get_or_init(|| tempfile::tempdir().unwrap()).path().to_owned()
+}
+
+fn options() -> BuildOptions {
+    let cache = Cache::at(folder().join("cache"));
+    BuildOptions { method: BuildMethod::Mosaic, cache, audit_regions: 0, ..BuildOptions::default() }
+}
+
+fn changed(name: &str, tier: Option<Difficulty>, changes: &[&str]) -> CheckedRecipe {
+    let changes: Vec<_> = changes.iter().map(|c| c.parse().unwrap()).collect();
+    Recipe::load(name, tier).unwrap().with_overrides(&changes).unwrap().checked().unwrap()
+}
+
+/// The recipe for tests, thin: 2 x 2 tiles.
+fn recipe() -> CheckedRecipe {
+    changed("test", None, &["field.thickness_nm=0.4"])
+}
+
+fn source() -> &'static RecipeSource {
+    static SOURCE: OnceLock<RecipeSource> = OnceLock::new();
+    SOURCE.get_or_init(|| RecipeSource::new(&recipe(), &options(), &Silent).unwrap())
+}
+
+fn file() -> Arc<dyn BenchmarkWorld> {
+    static FILE: OnceLock<Arc<FileWorld>> = OnceLock::new();
+    let open = || {
+        let path = folder().join("world.h5");
+        let options = BuildOptions { keep_clean: true, ..options() };
+        build(&recipe(), &path, &options, &Silent).unwrap();
+        Arc::new(FileWorld::open(&path, &options).unwrap())
+    };
+    Arc::clone(FILE.get_or_init(open)) as Arc<dyn BenchmarkWorld>
+}
+
+fn task(kind: TaskKind) -> Task {
+    Task { kind, strict: false, target: None }
+}
+
+fn episode(world: Arc<dyn BenchmarkWorld>, kind: TaskKind, settings: EpisodeSettings) -> Episode {
+    Episode::new(world, task(kind), settings, (5, 0)).unwrap()
+}
+
+const ACQUIRE: Action = Action::Acquire { zoom: 1.0, multiplier: 1.0 };
+
+fn tile(world: &dyn BenchmarkWorld, n: usize) -> Action {
+    let grid = world.facts().grid;
+    Action::Navigate(world.facts().centre_of([n / grid[1] % grid[0], n % grid[1]]))
+}
+
+fn rms(a: &Array2<f32>, b: &Array2<f32>) -> f64 {
+    let square = a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>();
+    (square / a.len() as f64).sqrt() / f64::from(b.mean().unwrap())
+}
+
+/// A specimen of the benchmark has the image that a world of its recipe and seed has, whatever was looked at before.
+#[test]
+fn images_of_seeds_are_those_of_worlds() {
+    for seed in [3, 4] {
+        let world = source().world(seed).unwrap();
+        let recipe = source().recipe_of(seed).unwrap();
+        let specimen = specimen(&recipe).unwrap();
+        let mut imaging = options().policy(&recipe).unwrap().imaging;
+        imaging.method = MethodChoice::Mosaic;
+        let mut imager = imaging.imager(&recipe, &specimen).unwrap();
+        imager.prepare(&Silent).unwrap();
+        for first_px in [[124, 0], [17, 93]] {
+            let view = View { first_px, tile_px: 128, zoom: 1.0 };
+            let pixels = PixelRect::new(first_px, [128; 2]);
+            let expected = field_tile(&recipe, &*specimen, &*imager, &pixels, None, &Silent);
+            assert_eq!(*world.clean(&view, &Silent).unwrap(), expected.unwrap().clean);
+        }
+    }
+}
+
+#[test]
+fn a_file_and_its_recipe_are_the_same_world() {
+    let (file, made) = (file(), source().world(recipe().seed).unwrap());
+    assert_eq!(file.facts().target, made.facts().target);
+    assert_eq!(file.facts().grid, made.facts().grid);
+    let view = View { first_px: [30, 77], tile_px: 128, zoom: 1.0 };
+    let image = |world: &dyn BenchmarkWorld, view: &View| world.clean(view, &Silent).unwrap();
+    let plain = rms(&image(&*file, &view), &image(&made, &view));
+    assert!(plain < 2e-3, "{plain}");
+    // Between pixels, and at the very edge of the field.
+    for (first_px, zoom) in [([30, 77], 2.0), ([0, 124], 3.3), ([124, 0], 8.0)] {
+        let view = View { first_px, tile_px: 128, zoom };
+        let difference = rms(&image(&*file, &view), &image(&made, &view));
+        assert!(difference < 5e-3, "{zoom}: {difference}");
+    }
+    let region = Region { x: [0.5, 3.1], y: [-0.01, 2.2] };
+    let sorted = |world: &dyn BenchmarkWorld| {
+        let truth = world.truth(&region, true).unwrap();
+        let mut defects: Vec<_> =
+            truth.defects.iter().map(|d| (d.kind.clone(), d.position_nm)).collect();
+        defects.sort_by(|a, b| a.partial_cmp(b).unwrap());
+        let mut columns: Vec<_> =
+            truth.columns.iter().map(|c| (c.position_nm, c.defective)).collect();
+        columns.sort_by(|a, b| a.partial_cmp(b).unwrap());
+        (defects, columns)
+    };
+    let (defects, columns) = sorted(&*file);
+    assert!(defects.len() > 3 && columns.len() > 50);
+    assert_eq!((defects, columns), sorted(&made));
+    let overview = |world: &dyn BenchmarkWorld| world.overview([0.5, 0.5], 64, &Silent).unwrap();
+    let mean = |map: &Array2<f32>| f64::from(map.slice(ndarray::s![..31, ..31]).mean().unwrap());
+    let [a, b] = [(&*file), (&made as &dyn BenchmarkWorld)].map(|world| {
+        let [scale, offset] = world.facts().scaling;
+        mean(&overview(world)) * scale + offset
+    });
+    assert!((a / b - 1.0).abs() < 0.01, "{a} {b}");
+}
+
+/// Electrons are counted about the noise-free image, with the dose of the tier or that of the budget.
+#[test]
+fn tiles_have_the_noise_of_their_dose() {
+    let world = file();
+    let facts = world.facts().clone();
+    let view = facts.view_at(facts.centre_of([0, 1]), 1.0);
+    let clean = world.clean(&view, &Silent).unwrap();
+    for (exposure, dose) in [(Exposure::Tier, facts.dose), (Exposure::Physical, 100.0)] {
+        let settings = EpisodeSettings { exposure, ..EpisodeSettings::default() };
+        let mut episode = episode(Arc::clone(&world), TaskKind::DefectCensus, settings);
+        episode.act(tile(&*world, 1), &Silent).unwrap();
+        let action = Action::Acquire { zoom: 1.0, multiplier: 3.0 };
+        let acquired = episode.act(action, &Silent).unwrap().acquired.unwrap();
+        assert_eq!((acquired.cost, acquired.tile), (300.0, [0, 1]));
+        let electrons = dose * 3.0 * (10.0 * facts.pixel_nm).powi(2);
+        assert!((acquired.electrons_per_pixel - electrons).abs() < 1e-9 * electrons);
+        if exposure == Exposure::Physical {
+            // Few electrons, most of them beyond the scale: pixels without any are as many as Poisson's law says.
+            let none = episode.tile().iter().filter(|v| **v == 0.0).count() as f64;
+            let expected: f64 = clean.iter().map(|v| (-f64::from(*v) * electrons).exp()).sum();
+            assert!((none - expected).abs() < 5.0 * expected.sqrt(), "{none} {expected}");
+            continue;
+        }
+        let [scale, offset] = facts.scaling;
+        let (mut chi2, mut count) = (0.0, 0.0);
+        for (seen, clean) in episode.tile().iter().zip(&*clean) {
+            let expected = f64::from(*clean) * electrons;
+            let counted = (f64::from(*seen) * scale + offset) * electrons;
+            if expected + 6.0 * expected.sqrt() < (scale + offset) * electrons
+                && expected - 6.0 * expected.sqrt() > offset * electrons
+            {
+                chi2 += (counted - expected).powi(2) / expected;
+                count += 1.0;
+            }
+        }
+        let mean = chi2 / count;
+        assert!(count > 1000.0 && (0.9..1.1).contains(&mean), "{mean} of {count}");
+    }
+    let settings = EpisodeSettings { noise: TileNoise::Stored, ..EpisodeSettings::default() };
+    let mut stored = episode(Arc::clone(&world), TaskKind::DefectCensus, settings);
+    stored.act(tile(&*world, 1), &Silent).unwrap();
+    stored.act(ACQUIRE, &Silent).unwrap();
+    let path = folder().join("world.h5");
+    let expected = stemgen::io::WorldFile::open(&path).unwrap().tile(0, 1).unwrap();
+    assert_eq!(**stored.tile(), expected);
+}
+
+/// What would score 1: the truth of what was seen.
+fn right(episode: &Episode) -> Action {
+    let defects = Some(episode.seen().defects().to_vec());
+    Action::Declare(Findings { defects, ..Findings::default() })
+}
+
+/// An agent that is always right has the paper's ceiling; one that says so only at the end nearly nothing.
+#[test]
+fn curves_are_those_of_the_paper() {
+    let world = file();
+    for (early, expected) in [(true, 0.90816), (false, 0.01020)] {
+        let settings = EpisodeSettings::default();
+        let mut episode = episode(Arc::clone(&world), TaskKind::DefectCensus, settings);
+        for n in 0..50 {
+            episode.act(tile(&*world, n), &Silent).unwrap();
+            episode.act(ACQUIRE, &Silent).unwrap();
+            if early || n == 49 {
+                let said = right(&episode);
+                episode.act(said, &Silent).unwrap();
+            }
+        }
+        assert_eq!(episode.mask(), [true, false, true, true]);
+        let outcome = episode.act(Action::Done, &Silent).unwrap();
+        assert_eq!(outcome.ended, Some(Ending::Done));
+        let record = episode.record().unwrap();
+        assert_eq!((record.spent, record.acquisitions.len()), (5000.0, 50));
+        assert_eq!(record.curve.len(), if early { 10 } else { 1 });
+        assert!((record.metrics.dec_auc - expected).abs() < 5e-6, "{:?}", record.metrics);
+        assert!(episode.act(Action::Done, &Silent).is_err());
+    }
+}
+
+/// An acquisition that does not fit is refused, ends the episode, and costs nothing.
+#[test]
+fn budgets_are_kept() {
+    let world = file();
+    let settings = EpisodeSettings { budget: 950.0, ..EpisodeSettings::default() };
+    let mut episode = episode(world, TaskKind::DefectCensus, settings);
+    let zoomed = Action::Acquire { zoom: 3.0, multiplier: 1.0 };
+    assert_eq!(episode.act(zoomed.clone(), &Silent).unwrap().ended, None);
+    assert!((episode.dose_left() - 50.0 / 950.0).abs() < 1e-12);
+    assert_eq!(episode.mask(), [true, true, true, true]);
+    let outcome = episode.act(ACQUIRE, &Silent).unwrap();
+    assert_eq!((outcome.ended, outcome.acquired), (Some(Ending::Refused), None));
+    assert_eq!(episode.spent(), 900.0);
+    assert_eq!(episode.mask(), [false; 4]);
+    // Nothing was declared.
+    let record = episode.record().unwrap();
+    assert_eq!((record.curve.len(), record.metrics.dec_auc), (0, 0.0));
+}
+
+#[test]
+fn horizons_end_episodes() {
+    let settings = EpisodeSettings { horizon: 3, ..EpisodeSettings::default() };
+    let mut episode = episode(file(), TaskKind::DefectCensus, settings);
+    assert_eq!(episode.act(ACQUIRE, &Silent).unwrap().ended, None);
+    assert_eq!(episode.act(Action::Unreadable, &Silent).unwrap().ended, None);
+    let said = right(&episode);
+    assert_eq!(episode.act(said, &Silent).unwrap().ended, Some(Ending::Horizon));
+    let record = episode.record().unwrap();
+    assert_eq!((record.unreadable, record.metrics.final_score), (1, 1.0));
+}
+
+/// Gains add up to the final score; without one look nothing is worth anything.
+#[test]
+fn rewards_add_up() {
+    let world = file();
+    let of = |reward| {
+        let settings = EpisodeSettings { reward, ..EpisodeSettings::default() };
+        let mut episode = episode(Arc::clone(&world), TaskKind::DefectCensus, settings);
+        let mut sum = 0.0;
+        let empty = Action::Declare(Findings::default());
+        let mut pay = |episode: &mut Episode, action| {
+            sum += episode.act(action, &Silent).unwrap().reward;
+        };
+        pay(&mut episode, empty);
+        assert_eq!(episode.score().unwrap(), 0.0);
+        for n in 0..4 {
+            pay(&mut episode, tile(&*world, n));
+            pay(&mut episode, ACQUIRE);
+            if n == 2 {
+                let said = right(&episode);
+                pay(&mut episode, said);
+            }
+        }
+        pay(&mut episode, Action::Done);
+        (sum, episode.score().unwrap())
+    };
+    let (gains, score) = of(Reward::ScoreGain);
+    assert!(score > 0.3 && score < 1.0 && (gains - score).abs() < 1e-12, "{gains} {score}");
+    assert_eq!(of(Reward::Sparse), (score, score));
+    assert_eq!(of(Reward::None), (0.0, score));
+}
+
+/// The same seed, number and actions give the same bytes; another number does not.
+#[test]
+fn episodes_repeat() {
+    let world: Arc<dyn BenchmarkWorld> = Arc::new(source().world(9).unwrap());
+    let run = |number: u32, threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let settings = EpisodeSettings::default();
+        let task = task(TaskKind::DefectCensus);
+        let again: Arc<dyn BenchmarkWorld> = Arc::new(source().world(9).unwrap());
+        let mut episode = Episode::new(again, task, settings, (5, number)).unwrap();
+        pool.install(|| {
+            episode.act(tile(&*world, 2), &Silent).unwrap();
+            episode.act(Action::Acquire { zoom: 1.7, multiplier: 1.0 }, &Silent).unwrap();
+            (episode.tile().clone(), episode.overview(&Silent).unwrap())
+        })
+    };
+    let first = run(0, 1);
+    assert_eq!(first, run(0, 3));
+    assert_ne!(first.0, run(1, 1).0);
+}
+
+/// An acquisition shows, and is scored by, the specimen as it was when it began.
+#[test]
+fn doses_change_worlds_for_later() {
+    let recipe =
+        changed("test", None, &["field.thickness_nm=0.4", "damage.radiolysis_barn.O=4000"]);
+    let source = RecipeSource::new(&recipe, &options(), &Silent).unwrap();
+    let world: Arc<dyn BenchmarkWorld> = Arc::new(ChangingWorld::new(&source, 4, &Silent).unwrap());
+    let still = source.world(4).unwrap();
+    let mut episode =
+        episode(Arc::clone(&world), TaskKind::DefectCensus, EpisodeSettings::default());
+    let mut seen = Vec::new();
+    for _ in 0..3 {
+        episode.act(ACQUIRE, &Silent).unwrap();
+        seen.push(episode.seen().defects().len());
+    }
+    let view = world.facts().view_at([0.5, 0.5], 1.0);
+    let before = still.truth(&view.region(world.facts().pixel_nm), false).unwrap().defects.len();
+    assert_eq!(seen[0], before);
+    assert!(seen[1] > seen[0] && seen[2] > seen[1], "{seen:?}");
+    // At an edge of the field too.
+    episode.act(Action::Navigate([0.0, 1.0]), &Silent).unwrap();
+    episode.act(ACQUIRE, &Silent).unwrap();
+}
+
+#[test]
+fn seeds_for_training_are_never_those_for_scores() {
+    let recipe = recipe();
+    let seeds = |split: Split| {
+        (0..200).map(|n| split.seed(&recipe, (n / 2, n as u32 % 2))).collect::<Vec<_>>()
+    };
+    let (train, test) = (seeds(Split::Train), seeds(Split::Test));
+    assert!(train.iter().all(|s| s % 2 == 0) && test.iter().all(|s| s % 2 == 1));
+    let mut all = [train, test].concat();
+    all.sort_unstable();
+    all.dedup();
+    assert_eq!(all.len(), 400);
+    assert!(all.iter().all(|s| i64::try_from(*s).is_ok()));
+}
+
+/// Comparing phases at every eighth pixel changes the score of maps in parts like tiles by less than stated.
+#[test]
+fn phases_are_compared_at_some_pixels() {
+    let changes = [
+        "field.thickness_nm=0.4",
+        "phonons.configurations=1",
+        "detector.inner_mrad=50",
+        "detector.outer_mrad=90",
+    ];
+    let recipe = changed("batio3", Some(Difficulty::Hard), &changes);
+    let recipe = recipe.recipe().clone().with_grid(12, 40).unwrap().checked().unwrap();
+    let source = RecipeSource::new(&recipe, &options(), &Silent).unwrap();
+    let world: Arc<dyn BenchmarkWorld> = Arc::new(source.world(6).unwrap());
+    assert_eq!(world.facts().phases.len(), 2);
+    let truth = world.phases(1).unwrap();
+    let by_tile = Array2::from_shape_fn((12, 40), |(i, j)| {
+        truth.phases[[i * 124 + 64, j * 124 + 64]] * i32::from(j != 7)
+    });
+    let score = |phase_stride_px: usize, map: Option<&Array2<i32>>| {
+        let settings = EpisodeSettings { phase_stride_px, ..EpisodeSettings::default() };
+        let mut episode = episode(Arc::clone(&world), TaskKind::PhaseMapping, settings);
+        episode.act(ACQUIRE, &Silent).unwrap();
+        let findings = Findings { phases: map.cloned(), ..Findings::default() };
+        episode.act(Action::Declare(findings), &Silent).unwrap();
+        episode.score().unwrap()
+    };
+    let (all, some) = (score(1, Some(&by_tile)), score(8, Some(&by_tile)));
+    assert!(all > 0.8 && all < 0.99, "{all}");
+    assert!((all - some).abs() < 0.002, "{all} {some}");
+    assert_eq!(score(1, Some(&truth.phases)), 1.0);
+    assert_eq!(score(8, None), 0.0);
+}
+
+#[test]
+fn bad_rules_and_actions_are_refused() {
+    let bad = [
+        EpisodeSettings { budget: 0.0, ..EpisodeSettings::default() },
+        EpisodeSettings { budget: f64::NAN, ..EpisodeSettings::default() },
+        EpisodeSettings { horizon: 0, ..EpisodeSettings::default() },
+        EpisodeSettings { cadence: 0, ..EpisodeSettings::default() },
+        EpisodeSettings { phase_stride_px: 0, ..EpisodeSettings::default() },
+    ];
+    for settings in bad {
+        let task = task(TaskKind::DefectCensus);
+        assert!(Episode::new(file(), task, settings.clone(), (0, 0)).is_err(), "{settings:?}");
+    }
+    let mut episode = episode(file(), TaskKind::DefectCensus, EpisodeSettings::default());
+    assert!(episode.act(Action::Navigate([f64::NAN, 0.0]), &Silent).is_err());
+    let odd = Action::Acquire { zoom: f64::INFINITY, multiplier: 1.0 };
+    assert!(episode.act(odd, &Silent).is_err());
+    assert_eq!((episode.spent(), episode.step_fraction()), (0.0, 0.0));
+    // Beyond their limits, zoom and dose are moved into them.
+    let far = Action::Acquire { zoom: 0.0, multiplier: 1e9 };
+    assert_eq!(episode.act(far, &Silent).unwrap().acquired.unwrap().cost, 1000.0);
+    let settings = EpisodeSettings { noise: TileNoise::Stored, ..EpisodeSettings::default() };
+    let made: Arc<dyn BenchmarkWorld> = Arc::new(source().world(2).unwrap());
+    let task = task(TaskKind::Targeted);
+    let mut stored = Episode::new(made, task, settings, (0, 0)).unwrap();
+    assert!(stored.act(ACQUIRE, &Silent).unwrap_err().to_string().contains("no tiles"));
+}
