@@ -233,6 +233,8 @@ settings! {
     Page = "page",
     /// A figure of a report.
     Figure = "figure",
+    /// What a publisher says of a folder of worlds.
+    Card = "data card",
     // Live worlds
     /// The greatest dose that a live world is made for.
     MostDose = "greatest dose (electrons per square Angstrom)",

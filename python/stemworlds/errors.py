@@ -186,6 +186,7 @@ _KEYWORDS: dict[str, str | None] = {
     "MarkerPosition": None,
     "Page": "overlays",
     "Figure": None,
+    "Card": None,
     "MostDose": "dose",
     "Recordings": "frames",
     "Snapshot": None,

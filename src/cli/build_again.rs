@@ -54,8 +54,13 @@ impl BuildAgain {
 
     /// The command as it is typed.
     pub fn line(&self) -> Option<String> {
+        self.line_of(Invocation::now().name)
+    }
+
+    /// The same for the program `name`.
+    pub fn line_of(&self, name: &str) -> Option<String> {
         let words = self.arguments.as_ref()?;
-        let program = std::iter::once(Invocation::now().name.to_owned());
+        let program = std::iter::once(name.to_owned());
         Some(program.chain(words.iter().map(|w| quoted(w))).collect::<Vec<_>>().join(" "))
     }
 }

@@ -10,6 +10,7 @@ mod build_plan;
 mod build_shard;
 mod cache_command;
 mod cache_transfer;
+mod card_command;
 mod common;
 mod compare_command;
 mod estimate;
@@ -100,6 +101,7 @@ enum Command {
     Compare(Box<compare_command::Compare>),
     Verify(Box<verify_command::Verify>),
     Info(Box<info_command::Info>),
+    Card(Box<card_command::CardCommand>),
     List(Box<list_command::List>),
     ShowRecipe(Box<show_recipe_command::ShowRecipe>),
     /// Explain the terms of the program: window, mosaic, library, sub-tile, tail ...
@@ -147,6 +149,7 @@ pub fn run(invocation: Invocation) -> u8 {
         Command::Compare(command) => ("compare", command.run()),
         Command::Verify(command) => ("verify", command.run()),
         Command::Info(command) => ("info", command.run().map(done)),
+        Command::Card(command) => ("card", command.run().map(done)),
         Command::List(command) => ("list", command.run().map(done)),
         Command::ShowRecipe(command) => ("show-recipe", command.run().map(done)),
         Command::Glossary => ("glossary", text::print(&glossary(invocation)).map(done)),

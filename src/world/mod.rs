@@ -9,6 +9,8 @@ pub mod blended_image;
 pub mod build_options;
 #[cfg(feature = "hdf5")]
 mod build_summary;
+#[cfg(feature = "report")]
+pub mod card;
 mod column_labels;
 mod contamination;
 mod field_recording;

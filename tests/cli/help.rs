@@ -38,6 +38,7 @@ fn help_is_as_stored() {
     compare("compare", &["compare"]);
     compare("verify", &["verify"]);
     compare("info", &["info"]);
+    compare("card", &["card"]);
     compare("list", &["list"]);
     compare("show-recipe", &["show-recipe"]);
 }

@@ -3,6 +3,7 @@
 mod acquire;
 mod build;
 mod cache;
+mod card;
 mod checks;
 mod compare;
 mod docs;
