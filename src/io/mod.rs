@@ -20,6 +20,8 @@ pub mod hspy_file;
 pub mod image_file;
 #[cfg(feature = "report")]
 pub mod npz_file;
+#[cfg(feature = "report")]
+pub mod recorded;
 #[cfg(feature = "hdf5")]
 pub mod recording_file;
 #[cfg(feature = "hdf5")]
