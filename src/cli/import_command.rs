@@ -6,6 +6,7 @@ use super::plan_report::Lines;
 use super::{output, text, values};
 use crate::files::outputs::check_outputs;
 use crate::io::recorded::{self, ImageChoice};
+use crate::progress::Progress;
 use crate::world::replay::{PixelOrigin, ReplayFacts, ReplayOptions, ReplayWorld};
 use clap::Args;
 use serde::Serialize;
@@ -44,7 +45,7 @@ pub struct Import {
     #[arg(long, value_name = "NM", value_parser = values::positive, help_heading = "Scale")]
     #[arg(allow_hyphen_values = true)]
     pixel_size: Option<f64>,
-    /// Measure the pixel by a distance of planes of the crystal in nm, which shows in the Fourier transform within 12 %
+    /// Measure the pixel by a distance of planes of the crystal in nm, which shows in the Fourier transform within 15 %
     /// of where the file, or --pixel-size, has it
     #[arg(long, value_name = "NM", value_parser = values::positive, help_heading = "Scale")]
     #[arg(allow_hyphen_values = true)]
@@ -62,6 +63,9 @@ pub struct Import {
     #[command(flatten)]
     common: Common,
 }
+
+/// Files are seldom wrong by more.
+const USUAL_PERCENT: f64 = 10.0;
 
 /// Two numbers of one option.
 type Percentiles = [f64; 2];
@@ -94,6 +98,14 @@ impl Import {
         let world = ReplayWorld::new(recorded::read(&self.file, &choice)?, &options)?;
         if !self.common.dry_run {
             world.write(&self.output, self.overwrite, &reporter)?;
+        }
+        let told = world.facts().pixel_size_in_file_nm;
+        let change = told.map_or(0.0, |told| 100.0 * (world.facts().pixel_size_nm / told - 1.0));
+        if world.facts().calibration.is_some() && change.abs() > USUAL_PERCENT {
+            reporter.warn(&format!(
+                "the calibration changes the file's pixel by {change:+.1} %, more than is usual: is {} nm the spacing that was found?",
+                self.calibrate.unwrap_or_default()
+            ));
         }
         let summary = ImportSummary {
             input: self.file,

@@ -12,7 +12,7 @@ use crate::fft::{Fft2, frequency, good_size};
 use crate::setting::Setting;
 
 /// Spacings may differ by so much from what the first guess of the pixel says.
-const REACH: f64 = 0.12;
+const REACH: f64 = 0.15;
 /// Pixels along an edge of the part that is transformed, at most.
 const LARGEST_PX: usize = 4096;
 /// A peak is so many times as strong as the median about it. The greatest of a million values of noise is 20 times as strong.
@@ -20,11 +20,15 @@ const LEAST_CONTRAST: f64 = 50.0;
 /// Peaks of the same family have this share of the strongest at least, ...
 const LEAST_SHARE: f64 = 0.05;
 /// ... its spacing to so much, ...
-const SAME_SPACING: f64 = 0.04;
+const SAME_SPACING: f64 = 0.06;
 /// ... and another direction by so many degrees.
 const APART_DEG: f64 = 10.0;
 /// Periods of the spacing that the part has to hold.
 const FEWEST_PERIODS: f64 = 6.0;
+/// A peak that the scan has smeared reaches over so many bins to each side ...
+const PEAK_BINS: i64 = 3;
+/// ... as far as it is so many times as strong as the median.
+const PEAK_CONTRAST: f64 = 8.0;
 /// Periods in a pixel at most: beyond, the transform ends.
 const NYQUIST: f64 = 0.5;
 
@@ -54,7 +58,7 @@ pub struct Calibration {
     pub peaks: Vec<CalibrationPeak>,
 }
 
-/// Measures a known spacing in an image, [row, column], of which all values are finite. Peaks within 12 % of where
+/// Measures a known spacing in an image, [row, column], of which all values are finite. Peaks within 15 % of where
 /// `first_guess_nm`, the edge of a pixel, has them are looked for; the strongest counts, with those of other directions that have
 /// nearly its spacing.
 ///
@@ -125,7 +129,7 @@ fn power_spectrum(image: &Array2<f64>, n: usize) -> Array2<f64> {
 fn peaks(power: &Array2<f64>, [low, high]: [f64; 2]) -> Vec<CalibrationPeak> {
     let n = power.nrows();
     let mut about = Vec::new();
-    let mut found: Vec<(f64, [f64; 2])> = Vec::new();
+    let mut found: Vec<(f64, [i64; 2])> = Vec::new();
     for ((row, column), value) in power.indexed_iter() {
         let [ky, kx] = [row, column].map(|k| frequency(k, n));
         let length = (kx as f64).hypot(ky as f64);
@@ -138,9 +142,7 @@ fn peaks(power: &Array2<f64>, [low, high]: [f64; 2]) -> Vec<CalibrationPeak> {
         let around = |i: i64, j: i64| power[[wrapped(ky + i, n), wrapped(kx + j, n)]];
         let neighbours = (-1..=1).flat_map(|i| (-1..=1).map(move |j| (i, j)));
         if neighbours.filter(|at| *at != (0, 0)).all(|(i, j)| around(i, j) < *value) {
-            let x = kx as f64 + vertex([around(0, -1), *value, around(0, 1)]);
-            let y = ky as f64 + vertex([around(-1, 0), *value, around(1, 0)]);
-            found.push((*value, [x, y]));
+            found.push((*value, [kx, ky]));
         }
     }
     if about.is_empty() {
@@ -150,7 +152,8 @@ fn peaks(power: &Array2<f64>, [low, high]: [f64; 2]) -> Vec<CalibrationPeak> {
     found.retain(|(value, _)| *value > LEAST_CONTRAST * median);
     found.sort_by(|a, b| b.0.total_cmp(&a.0));
     let mut peaks: Vec<CalibrationPeak> = Vec::new();
-    for (value, [x, y]) in found {
+    for (value, bin) in found {
+        let [x, y] = centre(power, bin, median);
         let peak = CalibrationPeak {
             spacing_px: n as f64 / x.hypot(y),
             direction_deg: y.atan2(x).to_degrees(),
@@ -181,11 +184,21 @@ fn wrapped(k: i64, n: usize) -> usize {
     k.rem_euclid(n as i64) as usize
 }
 
-/// Where the parabola through the logarithms of three values has its vertex, from the one in the middle.
-fn vertex(values: [f64; 3]) -> f64 {
-    let [a, b, c] = values.map(|v| v.max(f64::MIN_POSITIVE).ln());
-    let bend = a - 2.0 * b + c;
-    if bend < 0.0 { (0.5 * (a - c) / bend).clamp(-0.5, 0.5) } else { 0.0 }
+/// The centre of mass (x, y) of a peak about its strongest bin.
+fn centre(power: &Array2<f64>, [kx, ky]: [i64; 2], median: f64) -> [f64; 2] {
+    let n = power.nrows();
+    let (mut sum, mut moments) = (0.0, [0.0; 2]);
+    for (i, j) in
+        (-PEAK_BINS..=PEAK_BINS).flat_map(|i| (-PEAK_BINS..=PEAK_BINS).map(move |j| (i, j)))
+    {
+        let value = power[[wrapped(ky + i, n), wrapped(kx + j, n)]];
+        if value > PEAK_CONTRAST * median {
+            sum += value - median;
+            moments[0] += (value - median) * (kx + j) as f64;
+            moments[1] += (value - median) * (ky + i) as f64;
+        }
+    }
+    moments.map(|moment| moment / sum)
 }
 
 #[cfg(test)]
