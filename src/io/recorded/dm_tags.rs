@@ -215,7 +215,10 @@ impl DmFile {
     /// A text, which is an array of letters of UTF-16.
     pub fn text(&mut self, tag: Option<&DmTag>) -> Option<String> {
         let Some(DmTag::Array(DmArray { code: 4, count, at, .. })) = tag else { return None };
-        let bytes = self.part(*at, 2 * *count).ok().filter(|_| *count <= LONGEST_TEXT)?;
+        if *count > LONGEST_TEXT {
+            return None;
+        }
+        let bytes = self.part(*at, 2 * *count).ok()?;
         let order = if self.big_endian { u16::from_be_bytes } else { u16::from_le_bytes };
         let letters: Vec<u16> = bytes.chunks_exact(2).map(|b| order([b[0], b[1]])).collect();
         Some(String::from_utf16_lossy(&letters).trim_end_matches('\0').to_owned())
@@ -233,7 +236,7 @@ impl DmFile {
         Ok(part)
     }
 
-    /// The number of a value's bytes, of a type by its code.
+    /// Whether the greater bytes of values come first.
     pub fn big_endian(&self) -> bool {
         self.big_endian
     }

@@ -3,19 +3,16 @@
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use hdf5::types::{FixedAscii, FixedUnicode, TypeDescriptor, VarLenAscii};
-use hdf5::{Dataset, File, H5Type, Location};
+use hdf5::types::TypeDescriptor;
+use hdf5::{Dataset, File};
 use ndarray::{Array2, ArrayD, Axis, IxDyn};
 
 use super::{ImageChoice, frame_of};
 use crate::error::{Error, Result};
 use crate::io::arrays::held;
-use crate::io::hdf5_guard::{check_storage, datasets, first_line, number, text};
+use crate::io::hdf5_guard::{check_storage, datasets, first_line};
 use crate::io::hdf5_values::{self, Plain, is_float};
 use crate::io::regular_file;
-
-/// Bytes of the longest text of fixed length that is read.
-const LONGEST_TEXT: usize = 256;
 
 /// An HDF5 file.
 pub(super) struct Hdf5Source {
@@ -154,16 +151,4 @@ fn value_kind(dataset: &Dataset) -> ValueKind {
         Err(_) if is_float(&kind) => ValueKind::Real,
         _ => ValueKind::Other,
     }
-}
-
-/// An attribute that is a text, of any kind of texts.
-pub(super) fn any_text(at: &Location, name: &str) -> Option<String> {
-    fn of<T: H5Type>(at: &Location, name: &str, told: impl Fn(&T) -> &[u8]) -> Option<String> {
-        let found = number::<T>(at, name)?;
-        Some(String::from_utf8_lossy(told(&found)).trim_end_matches('\0').to_owned())
-    }
-    text(at, name)
-        .or_else(|| of::<VarLenAscii>(at, name, |t| t.as_bytes()))
-        .or_else(|| of::<FixedUnicode<LONGEST_TEXT>>(at, name, |t| t.as_bytes()))
-        .or_else(|| of::<FixedAscii<LONGEST_TEXT>>(at, name, |t| t.as_bytes()))
 }

@@ -1,11 +1,11 @@
 //! HDF5 files of HyperSpy (`.hspy`, `.hdf5`): signals at `/Experiments/NAME/data`, with a group for each axis beside them.
 
-use super::hdf5_source::{Hdf5Source, any_text};
+use super::hdf5_source::Hdf5Source;
 use super::length_units::{StatedPixel, square_nm};
 use super::{ImageChoice, RecordedFormat, RecordedImage};
 use crate::error::Result;
 use crate::io::arrays::choose;
-use crate::io::hdf5_guard::number;
+use crate::io::hdf5_guard::{any_text, number};
 
 const SIGNALS: &str = "/Experiments/";
 /// Energies in keV below its metadata, for images of either kind of microscope.

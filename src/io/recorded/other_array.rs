@@ -4,12 +4,12 @@ use std::path::Path;
 
 use ndarray::{ArrayD, Axis};
 
-use super::hdf5_source::{Hdf5Source, any_text};
+use super::hdf5_source::Hdf5Source;
 use super::length_units::{StatedPixel, square_nm};
 use super::{ImageChoice, RecordedFormat, RecordedImage, frame_of};
 use crate::error::{Error, Result};
 use crate::io::arrays::{self, ArrayAxis, choose};
-use crate::io::hdf5_guard::pair;
+use crate::io::hdf5_guard::{any_text, pair};
 
 const UNSAID: &str = "it says nothing of its pixels";
 /// Endings of the arrays that are no HDF5.
