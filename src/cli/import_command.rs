@@ -31,7 +31,7 @@ that are no numbers become the median of the image, and are marked in /valid_reg
 /// Make a world of a recorded image
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
-pub struct Import {
+pub struct ImportImage {
     /// File with a recorded image
     #[arg(value_name = "FILE")]
     file: PathBuf,
@@ -81,7 +81,7 @@ struct ImportSummary {
     facts: ReplayFacts,
 }
 
-impl Import {
+impl ImportImage {
     /// Runs the subcommand.
     pub fn run(self) -> anyhow::Result<()> {
         let reporter = self.common.start()?;

@@ -93,7 +93,7 @@ enum Command {
     Tiles(Box<tiles_command::Tiles>),
     Acquire(Box<acquire_command::Acquire>),
     Live(Box<live_command::Live>),
-    Import(Box<import_command::Import>),
+    Import(Box<import_command::ImportImage>),
     Audit(Box<audit_command::AuditCommand>),
     Regenerate(Box<regenerate_command::Regenerate>),
     Slurm(Box<slurm_command::Slurm>),

@@ -12,7 +12,11 @@ const SHAPE: [usize; 2] = [260, 390];
 
 fn brightness(row: usize, column: usize) -> f32 {
     let wave = |k: usize| (2.0 * std::f32::consts::PI * k as f32 / 16.0).cos();
-    let noise = ((row * 7919 + column * 104_729) % 1000) as f32 * 1e-3;
+    // A number without a period (S. Vigna's splitmix64).
+    let mixed = (row * SHAPE[1] + column) as u64;
+    let mixed = mixed.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    let mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let noise = ((mixed ^ (mixed >> 27)) >> 40) as f32 / (1 << 24) as f32;
     1000.0 + 100.0 * (wave(row) + wave(column)) + 20.0 * noise
 }
 

@@ -1,4 +1,7 @@
 //! Files of DigitalMicrograph, written from the descriptions of the format (C. B. Boothroyd; G. Jefferis).
+//!
+//! Each test uses a part of this.
+#![allow(dead_code)]
 
 /// A tag.
 #[derive(Clone)]

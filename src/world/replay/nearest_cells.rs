@@ -76,7 +76,7 @@ mod tests {
         for count in [1, 2, 40, 900] {
             // half of them in a corner, so that many squares are empty
             let point = |n: u64| {
-                let part = if n % 2 == 0 { 1.0 } else { 0.2 };
+                let part = if n.is_multiple_of(2) { 1.0 } else { 0.2 };
                 [part * draw(0, n) * 199.0, part * draw(1, n) * 149.0]
             };
             let points: Vec<[f64; 2]> = (0..count).map(point).collect();
