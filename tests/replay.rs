@@ -416,7 +416,8 @@ fn the_layout_of_the_paper_becomes_a_world_with_cells_phases_and_gaps() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("Sm_0_1.h5");
         let made = cell_file(folder.path(), &path, transposed);
-        let recorded = only(&path);
+        let recorded = read(&path, &named("/main image")).unwrap();
+        assert_eq!(recorded.cells, only(&path).cells);
         assert_eq!(recorded.format, RecordedFormat::UnitCells);
         let replay = ReplayWorld::new(recorded, &ReplayOptions::default()).unwrap();
         let output = folder.path().join("replay.h5");
@@ -521,6 +522,12 @@ fn a_frame_of_a_file_with_one_is_the_first() {
     let path = stored(folder.path(), "a.dm4", &DM4.file(tags));
     assert!(read(&path, &frame(0)).is_ok());
     assert!(refused(&path, &frame(1)).contains("no frame 1"));
+    // A file without a list of thumbnails, and an image with an axis of length 1 too many.
+    let values = floats(DM4, (0..6).map(|k| k as f32));
+    let mut tags = document(vec![image("a", &[3, 2, 1, 1], 2, 6, values, (1.0, "nm"))]);
+    tags.retain(|(name, _)| *name != "Thumbnails");
+    let found = only(&stored(folder.path(), "c.dm4", &DM4.file(tags)));
+    assert_eq!((found.name.as_str(), found.pixels.dim()), ("a", (2, 3)));
     let wild = Dm::Group(vec![("ImageData", Dm::Group(vec![("Data", Dm::Text("none"))]))]);
     let path = stored(folder.path(), "b.dm4", &DM4.file(document(vec![wild])));
     assert!(refused(&path, &ImageChoice::default()).contains("two axes"));

@@ -16,7 +16,7 @@ const EXAMPLES: &str = "\
 Examples:
   An image of DigitalMicrograph, with the pixel size that it tells:
     stemgen import MoS2.dm3 -o mos2.h5
-  The same, calibrated: MoS2 has planes 0.2737 nm apart, which are looked for in the Fourier transform:
+  The same, measured on planes 0.2737 nm apart, in the Fourier transform:
     stemgen import MoS2.dm3 --calibrate 0.2737 -o mos2.h5
   A file that says nothing of its pixels; they are 0.0128 nm wide:
     stemgen import image.tif --pixel-size 0.0128 -o world.h5
@@ -24,9 +24,10 @@ Examples:
     stemgen import scan.emd --dataset HAADF --index 3 -o world.h5
     stemgen import reconstruction.h5 --dataset /object/phase --pixel-size 0.02 -o world.h5
 
-It reads DM3 and DM4, Velox EMD, HyperSpy (.hspy, .hdf5), any other HDF5 (py4DSTEM ...), TIFF, .npy, .npz, zarr, and
-the HDF5 files of the BiFeO3 images of the STEMGym paper with their unit cells. Noise stays as it was recorded. Values
-that are no numbers become the median of the image, and are marked in /valid_region. docs/replay.md tells the rest.";
+It reads DM3 and DM4, Velox EMD, HyperSpy (.hspy, .hdf5), any other HDF5 (py4DSTEM ...), TIFF, .npy,
+.npz, zarr, and the HDF5 files of the BiFeO3 images of the STEMGym paper with their unit cells. Noise
+stays as it was recorded. Values that are no numbers become the median of the image, and are marked
+in /valid_region. docs/replay.md tells the rest.";
 
 /// Make a world of a recorded image
 #[derive(Debug, Args)]
@@ -45,8 +46,8 @@ pub struct ImportImage {
     #[arg(long, value_name = "NM", value_parser = values::positive, help_heading = "Scale")]
     #[arg(allow_hyphen_values = true)]
     pixel_size: Option<f64>,
-    /// Measure the pixel by a distance of planes of the crystal in nm, which shows in the Fourier transform within 15 %
-    /// of where the file, or --pixel-size, has it
+    /// Measure the pixel by a distance of planes of the crystal, in nm: its peak in the Fourier transform is looked for
+    /// within 15 % of where the file, or --pixel-size, has it
     #[arg(long, value_name = "NM", value_parser = values::positive, help_heading = "Scale")]
     #[arg(allow_hyphen_values = true)]
     calibrate: Option<f64>,

@@ -10,6 +10,9 @@ use super::{ImageChoice, RecordedFormat, RecordedImage, frame_of};
 use crate::error::Result;
 use crate::io::arrays::{NumberType, choose, held};
 
+/// Kind of the values of thumbnails.
+const COLOURS: f64 = 23.0;
+
 /// An image of a file, before its values are read.
 struct DmImage {
     name: String,
@@ -33,7 +36,10 @@ pub(super) fn read(path: &Path, choice: &ImageChoice) -> Result<RecordedImage> {
     let names: Vec<String> = images.iter().map(|image| image.name.clone()).collect();
     let name = choose(path, &names, choice.dataset.as_deref())?.to_owned();
     let at = names.iter().position(|n| *n == name).unwrap_or(0);
-    let image = images.swap_remove(at);
+    let mut image = images.swap_remove(at);
+    while image.lengths.len() > 2 && image.lengths.last() == Some(&1) {
+        image.lengths.pop();
+    }
     let refuse = |file: &DmFile, reason: &str| Err(file.refused(path, reason));
     let (columns, rows, frames) = match image.lengths[..] {
         [columns, rows] => (columns, rows, 1),
@@ -80,7 +86,10 @@ fn images(tree: &DmTag, file: &mut DmFile) -> Vec<DmImage> {
     };
     let mut images: Vec<DmImage> = Vec::new();
     for (number, tags) in list.entries().enumerate() {
-        if thumbnails.contains(&(number as f64)) {
+        let kind = tags.number(&["ImageData", "DataType"]).unwrap_or(0.0);
+        // Files without a list of thumbnails begin with one.
+        let first = thumbnails.is_empty() && number == 0 && kind == COLOURS;
+        if thumbnails.contains(&(number as f64)) || first {
             continue;
         }
         let told = file.text(tags.get(&["Name"])).filter(|name| !name.is_empty());
@@ -98,7 +107,7 @@ fn images(tree: &DmTag, file: &mut DmFile) -> Vec<DmImage> {
         images.push(DmImage {
             name,
             lengths: lengths.map(length).collect(),
-            kind: tags.number(&["ImageData", "DataType"]).unwrap_or(0.0),
+            kind,
             data,
             tags: tags.clone(),
         });

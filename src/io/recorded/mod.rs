@@ -147,7 +147,7 @@ pub fn read(path: &Path, choice: &ImageChoice) -> Result<RecordedImage> {
                 velox_image::read(&source, choice)
             } else if hyperspy_signal::is_one(&source) {
                 hyperspy_signal::read(&source, choice)
-            } else if unit_cells::is_one(&source) && choice.dataset.is_none() {
+            } else if unit_cells::is_one(&source, choice) {
                 unit_cells::read(&source, choice)
             } else {
                 other_array::read_hdf5(&source, choice)

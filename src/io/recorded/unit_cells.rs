@@ -34,9 +34,10 @@ fn find<'a>(source: &'a Hdf5Source, wanted: &str) -> Option<&'a str> {
     source.names.iter().find(at_top).map(String::as_str)
 }
 
-/// Whether a file has this layout.
-pub(super) fn is_one(source: &Hdf5Source) -> bool {
-    ["main image", "xy_COM"].iter().all(|name| find(source, name).is_some())
+/// Whether a file has this layout, and no other image of it is chosen.
+pub(super) fn is_one(source: &Hdf5Source, choice: &ImageChoice) -> bool {
+    let main = choice.dataset.as_deref().is_none_or(|name| plain(name) == plain("main image"));
+    main && ["main image", "xy_COM"].iter().all(|name| find(source, name).is_some())
 }
 
 /// Reads the image with its cells.

@@ -103,9 +103,9 @@ pub struct ReplayFacts {
 pub struct ReplayWorld {
     facts: ReplayFacts,
     file_name: String,
-    sha256: String,
+    sha256: Option<String>,
     percentiles: [f64; 2],
-    /// The image of the world, without gaps.
+    /// The recorded image, without gaps; the world has its first rows and columns.
     image: Array2<f64>,
     valid: Array2<bool>,
     cells: RecordedCells,
@@ -117,22 +117,21 @@ impl ReplayWorld {
     /// # Errors
     /// [`Error::Choice`] where the file does not tell the size of a pixel, for an image smaller than a tile and one of a single
     /// value; [`Error::Invalid`] for options out of limits, and a spacing that the image does not show; [`Error::Io`].
-    pub fn new(recorded: RecordedImage, options: &ReplayOptions) -> Result<Self> {
+    pub fn new(mut recorded: RecordedImage, options: &ReplayOptions) -> Result<Self> {
         let path = recorded.path.clone();
         let (rows, columns) = recorded.pixels.dim();
         let tiles = grid([rows, columns], &path)?;
         let first_guess = first_guess(&recorded, options)?;
-        let FilledImage { image, valid, range } = FilledImage::of(&recorded, options)?;
+        let FilledImage { image, valid, range } = FilledImage::of(&mut recorded, options)?;
         let calibration = options
             .spacing_nm
             .map(|spacing| calibrate(&image, spacing, first_guess))
             .transpose()?;
         let pixels = tiles.map(|n| n * STRIDE_PX + OVERLAP_PX);
         let invalid_pixels = valid.iter().filter(|v| !**v).count();
-        let part = s![..pixels[0], ..pixels[1]];
-        let (image, valid) = (image.slice(part).to_owned(), valid.slice(part).to_owned());
+        let part = image.slice(s![..pixels[0], ..pixels[1]]);
         let share = |beyond: &dyn Fn(f64) -> bool| {
-            image.iter().filter(|v| beyond(**v)).count() as f64 / image.len() as f64
+            part.iter().filter(|v| beyond(**v)).count() as f64 / part.len() as f64
         };
         let listed = recorded.cells.as_ref().map_or(0, |cells| cells.positions_px.len());
         let cells = match recorded.cells {
@@ -163,7 +162,9 @@ impl ReplayWorld {
             energy_kev: recorded.energy_kev,
             detector: recorded.detector,
         };
-        let (sha256, _) = sha256_of_file(&path)?;
+        // Those of zarr are folders.
+        let sha256 = path.is_file().then(|| sha256_of_file(&path)).transpose()?;
+        let sha256 = sha256.map(|(digest, _)| digest);
         let file_name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let percentiles = options.percentiles;
         Ok(ReplayWorld { facts, file_name, sha256, percentiles, image, valid, cells })
@@ -196,7 +197,6 @@ impl ReplayWorld {
         let mut texts = vec![
             ("source", "replay".to_owned()),
             ("source_file", self.file_name.clone()),
-            ("source_sha256", self.sha256.clone()),
             ("source_format", f.format.to_owned()),
             ("source_image", f.image.clone()),
             (
@@ -219,6 +219,7 @@ impl ReplayWorld {
                 format!("{} pixels without a finite value {gaps}", f.invalid_pixels),
             ));
         }
+        texts.extend(self.sha256.clone().map(|digest| ("source_sha256", digest)));
         texts.extend(f.detector.clone().map(|name| ("recorded_detector", name)));
         let calibration = f.calibration.as_ref().and_then(|c| serde_json::to_string(c).ok());
         texts.extend(calibration.map(|json| ("calibration", json)));
@@ -261,7 +262,7 @@ impl ReplayWorld {
     fn write_images(&self, writer: &WorldWriter, progress: &dyn Progress) -> Result<()> {
         let [low, high] = self.facts.range;
         writer.scaling_of_recorded(high - low, low)?;
-        let [rows, columns] = self.facts.tiles;
+        let ([rows, columns], [_, width]) = (self.facts.tiles, self.facts.pixels);
         let mut overview = Overview::new(self.facts.pixels);
         progress.start("writing tiles", "tile", (rows * columns) as u64);
         for row in 0..rows {
@@ -269,7 +270,7 @@ impl ReplayWorld {
                 return Err(Error::Interrupted);
             }
             let first = row * STRIDE_PX;
-            let band = self.image.slice(s![first..first + TILE_PX, ..]);
+            let band = self.image.slice(s![first..first + TILE_PX, ..width]);
             let band = band.mapv(|v| ((v - low) / (high - low)).clamp(0.0, 1.0) as f32);
             for column in 0..columns {
                 let left = column * STRIDE_PX;
@@ -278,7 +279,7 @@ impl ReplayWorld {
             }
             let own = if row + 1 == rows { TILE_PX } else { STRIDE_PX };
             overview.add(first, band.slice(s![..own, ..]));
-            writer.valid_rows(first, self.valid.slice(s![first..first + own, ..]))?;
+            writer.valid_rows(first, self.valid.slice(s![first..first + own, ..width]))?;
         }
         progress.finish();
         writer.overview(overview.mean().view())
@@ -380,18 +381,19 @@ struct FilledImage {
 }
 
 impl FilledImage {
-    fn of(recorded: &RecordedImage, options: &ReplayOptions) -> Result<Self> {
+    /// Takes the pixels of a recorded image.
+    fn of(recorded: &mut RecordedImage, options: &ReplayOptions) -> Result<Self> {
         let [low, high] = options.percentiles;
         if !(0.0 <= low && low < high && high <= 100.0) {
             let expected = "expected two percentiles from 0 to 100, the lower first";
             let value = format!("{low},{high}");
             return Err(Error::invalid(Setting::ContrastPercentiles, value, expected));
         }
+        let mut image = std::mem::take(&mut recorded.pixels);
         let refuse =
             |message: &str| Err(Error::choice(&recorded.path, Setting::ReplayImage, message));
-        let valid = recorded.pixels.mapv(f64::is_finite);
-        let finite = recorded.pixels.iter().copied().filter(|v| v.is_finite());
-        let mut values: Vec<f64> = finite.collect();
+        let valid = image.mapv(f64::is_finite);
+        let mut values: Vec<f64> = image.iter().copied().filter(|v| v.is_finite()).collect();
         if values.is_empty() {
             return refuse("its image has no pixel with a finite value");
         }
@@ -401,7 +403,7 @@ impl FilledImage {
                 "its image has one value at both percentiles: it is empty, or nearly so; percentiles further apart may help",
             );
         }
-        let image = recorded.pixels.mapv(|v| if v.is_finite() { v } else { median });
+        image.mapv_inplace(|v| if v.is_finite() { v } else { median });
         Ok(FilledImage { image, valid, range: [low, high] })
     }
 }
