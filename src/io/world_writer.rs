@@ -186,7 +186,7 @@ impl WorldWriter {
     /// [`Error::Hdf5`].
     pub fn valid_rows(&self, first: usize, rows: ArrayView2<bool>) -> Result<()> {
         let selection = ndarray::s![first..first + rows.nrows(), ..];
-        self.valid.write_slice(rows, selection).at(&self.path)
+        self.valid.write_slice(&rows.as_standard_layout(), selection).at(&self.path)
     }
 
     /// What the tiles were recorded with: counts of all frames = fraction of the beam * `counts[0]` + `counts[1]`.
