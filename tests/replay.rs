@@ -341,6 +341,9 @@ fn a_known_spacing_calibrates_the_image_of_a_world() {
     }
 }
 
+/// A place beside the image.
+const OUTSIDE: [f64; 2] = [-3.0, 10.0];
+
 /// What a file of the BiFeO3 layout holds.
 struct CellFile {
     image: Array2<f64>,
@@ -378,7 +381,7 @@ fn cell_file(folder: &Path, path: &Path, transposed: bool) -> CellFile {
         add("main image", &image);
         // One place too many lies outside.
         let mut listed = places.clone();
-        listed.push([-30.0, 10.0]);
+        listed.push(OUTSIDE);
         let mut vectors = polarisations.clone();
         vectors.push([1.0, 1.0]);
         add("xy_COM", &table(&listed));
@@ -478,6 +481,8 @@ fn check_truth(world: &WorldFile, made: &CellFile) {
         let far = |p: &[f64; 2]| (p[0] - j as f64).hypot(p[1] - i as f64);
         let known = cells.filter(|(_, p)| p[0].is_finite());
         let mut near: Vec<(f64, i32)> = known.map(|(at, p)| (far(at), quadrant(*p))).collect();
+        // The one that lies outside counts for the pixels that are nearest to it.
+        near.push((far(&OUTSIDE), 0));
         near.sort_by(|a, b| a.0.total_cmp(&b.0));
         // Where two are equally near, either will do.
         let least = near[0].0 + 1e-9;

@@ -12,7 +12,7 @@ pub(super) struct NearestCells {
 }
 
 impl NearestCells {
-    /// Points (x, y) in pixels, in an image of so many rows and columns.
+    /// Finite points (x, y) in pixels, in or beside an image of so many rows and columns.
     pub fn new(points: Vec<[f64; 2]>, [rows, columns]: [usize; 2]) -> Self {
         let area = (rows * columns) as f64;
         let edge = (area / points.len().max(1) as f64).sqrt().max(1.0);
@@ -35,7 +35,7 @@ impl NearestCells {
         let [x, y] = self.square(place);
         let mut best: Option<(f64, u32)> = None;
         for ring in 0..=self.count[0].max(self.count[1]) {
-            // Squares of this ring are at least so far away; points at the edge may lie half a pixel outside of their square.
+            // Points of this ring are at least so far away; those beside the image lie even farther than the squares they are in.
             let away = (ring as f64 - 1.0) * self.edge - 1.0;
             if best.is_some_and(|(squared, _)| away > 0.0 && away * away > squared) {
                 break;
@@ -77,7 +77,7 @@ mod tests {
             // half of them in a corner, so that many squares are empty
             let point = |n: u64| {
                 let part = if n.is_multiple_of(2) { 1.0 } else { 0.2 };
-                [part * draw(0, n) * 199.0, part * draw(1, n) * 149.0]
+                [part * draw(0, n) * 260.0 - 30.0, part * draw(1, n) * 149.0]
             };
             let points: Vec<[f64; 2]> = (0..count).map(point).collect();
             let cells = NearestCells::new(points.clone(), [150, 200]);

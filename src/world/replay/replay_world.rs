@@ -109,6 +109,8 @@ pub struct ReplayWorld {
     image: Array2<f64>,
     valid: Array2<bool>,
     cells: RecordedCells,
+    /// Places in pixels, and quadrants of the polarisation, of all cells that have both, in the tiles or beside them.
+    quadrants: Vec<([f64; 2], i32)>,
 }
 
 impl ReplayWorld {
@@ -134,6 +136,7 @@ impl ReplayWorld {
             part.iter().filter(|v| beyond(**v)).count() as f64 / part.len() as f64
         };
         let listed = recorded.cells.as_ref().map_or(0, |cells| cells.positions_px.len());
+        let quadrants = recorded.cells.as_ref().map(quadrants).unwrap_or_default();
         let cells = match recorded.cells {
             Some(cells) => inside(cells, pixels, &path)?,
             None => RecordedCells::default(),
@@ -158,7 +161,7 @@ impl ReplayWorld {
             invalid_pixels,
             sites,
             sites_left_out: listed - sites,
-            phases: phases(&cells),
+            phases: phases(&quadrants),
             energy_kev: recorded.energy_kev,
             detector: recorded.detector,
         };
@@ -167,7 +170,7 @@ impl ReplayWorld {
         let sha256 = sha256.map(|(digest, _)| digest);
         let file_name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let percentiles = options.percentiles;
-        Ok(ReplayWorld { facts, file_name, sha256, percentiles, image, valid, cells })
+        Ok(ReplayWorld { facts, file_name, sha256, percentiles, image, valid, cells, quadrants })
     }
 
     /// What the world will hold.
@@ -309,9 +312,7 @@ impl ReplayWorld {
 
     /// The phase map: each pixel has the quadrant of the nearest cell.
     fn write_phases(&self, writer: &WorldWriter, progress: &dyn Progress) -> Result<()> {
-        let cells = self.cells.positions_px.iter().zip(&self.cells.polarisations);
-        let known: Vec<([f64; 2], i32)> =
-            cells.filter_map(|(at, p)| Some((*at, quadrant(*p)?))).collect();
+        let known = &self.quadrants;
         let [rows, columns] = self.facts.pixels;
         let places = known.iter().map(|(at, _)| *at).collect();
         let nearest = NearestCells::new(places, self.facts.pixels);
@@ -449,10 +450,15 @@ fn quadrant([x, y]: [f64; 2]) -> Option<i32> {
     })
 }
 
+/// Places and quadrants of the cells that have both.
+fn quadrants(cells: &RecordedCells) -> Vec<([f64; 2], i32)> {
+    let all = cells.positions_px.iter().zip(&cells.polarisations);
+    let known = all.filter(|(at, _)| at.iter().all(|v| v.is_finite()));
+    known.filter_map(|(at, p)| Some((*at, quadrant(*p)?))).collect()
+}
+
 /// Names of the phases, where cells have more than one.
-fn phases(cells: &RecordedCells) -> Vec<String> {
-    let mut codes: Vec<i32> = cells.polarisations.iter().filter_map(|p| quadrant(*p)).collect();
-    codes.sort_unstable();
-    codes.dedup();
-    if codes.len() > 1 { QUADRANTS.map(str::to_owned).to_vec() } else { Vec::new() }
+fn phases(quadrants: &[([f64; 2], i32)]) -> Vec<String> {
+    let several = quadrants.windows(2).any(|pair| pair[0].1 != pair[1].1);
+    if several { QUADRANTS.map(str::to_owned).to_vec() } else { Vec::new() }
 }
