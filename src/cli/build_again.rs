@@ -34,6 +34,12 @@ impl BuildAgain {
             Ok(BuildAgain { arguments: None, recipe: None, note: Some(note.to_owned()) })
         };
         let Some(text) = &world.metadata().recipe else {
+            if let Some(recorded) = world.making().recorded {
+                return none(&format!(
+                    "it is a recorded image; `stemgen import` makes it of {}",
+                    recorded.file
+                ));
+            }
             return none("the file holds no recipe; it was not built by stemgen");
         };
         let name = world.path().display().to_string();

@@ -17,6 +17,7 @@ mod estimate;
 mod hdf5_check;
 mod hints;
 mod imaging_args;
+mod import_command;
 mod info_command;
 mod invocation;
 mod last_words;
@@ -93,6 +94,7 @@ enum Command {
     Tiles(Box<tiles_command::Tiles>),
     Acquire(Box<acquire_command::Acquire>),
     Live(Box<live_command::Live>),
+    Import(Box<import_command::ImportImage>),
     Audit(Box<audit_command::AuditCommand>),
     Regenerate(Box<regenerate_command::Regenerate>),
     Slurm(Box<slurm_command::Slurm>),
@@ -140,6 +142,7 @@ pub fn run(invocation: Invocation) -> u8 {
         Command::View(command) => ("view", command.run().map(done)),
         Command::Acquire(command) => ("acquire", command.run().map(done)),
         Command::Live(command) => ("live", command.run().map(done)),
+        Command::Import(command) => ("import", command.run().map(done)),
         Command::Tiles(command) => ("tiles", command.run().map(done)),
         Command::Audit(command) => ("audit", command.run().map(done)),
         Command::Regenerate(command) => ("regenerate", command.run()),

@@ -25,6 +25,8 @@ mod options_of_world;
 #[cfg(feature = "hdf5")]
 mod recording_writer;
 pub mod region_truth;
+#[cfg(feature = "report")]
+pub mod replay;
 #[cfg(feature = "render")]
 pub mod specimen_drawing;
 #[cfg(feature = "hdf5")]

@@ -9,6 +9,7 @@ mod compare;
 mod docs;
 mod errors;
 mod help;
+mod import;
 mod info;
 #[path = "../common/python.rs"]
 mod interpreter;
