@@ -221,7 +221,7 @@ impl Episode {
             electrons_per_pixel,
         };
         self.acquisitions.push(what.clone());
-        self.due = self.acquisitions.len() as u32 % self.settings.cadence == 0;
+        self.due = (self.acquisitions.len() as u32).is_multiple_of(self.settings.cadence);
         Ok(Some(what))
     }
 
