@@ -42,7 +42,8 @@ if ldd "$extension" | grep -iE "hdf5|libz|libpython"; then
     echo "python/test.sh: the extension needs libraries that a bare system lacks" >&2
     exit 1
 fi
-"$python" -m pip install -q pytest ase h5py mypy tqdm matplotlib tifffile pycocotools nbclient nbformat ipykernel
+"$python" -m pip install -q pytest ase h5py mypy tqdm matplotlib tifffile pycocotools nbclient nbformat ipykernel \
+    "mlcroissant>=1.1.1,<1.2" pyyaml
 if ! timeout 240 "$python" -m pip install -q hyperspy; then
     echo "SKIPPED: hyperspy cannot be installed; its reader of our files is not tested" >&2
 fi

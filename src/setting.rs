@@ -210,6 +210,12 @@ settings! {
     ImageIndex = "index",
     /// The unit of an image's values.
     ImageUnits = "units",
+    /// The edge of a pixel of a recorded image.
+    ReplayPixelNm = "pixel of the recorded image (nm)",
+    /// A spacing of the specimen that calibrates a recorded image.
+    ReplaySpacingNm = "known spacing (nm)",
+    /// A recorded image that becomes a world.
+    ReplayImage = "recorded image",
     // Pictures and reports
     /// The colours of a picture.
     Colormap = "colormap",
@@ -233,6 +239,8 @@ settings! {
     Page = "page",
     /// A figure of a report.
     Figure = "figure",
+    /// What a publisher says of a folder of worlds.
+    Card = "data card",
     // Live worlds
     /// The greatest dose that a live world is made for.
     MostDose = "greatest dose (electrons per square Angstrom)",

@@ -9,6 +9,7 @@ from docutils.nodes import SkipNode
 from docutils.utils.math.latex2mathml import tex2mathml
 
 import stemworlds
+import stemworlds.bench
 
 project = "stemgen and stemworlds"
 author = "the authors of stemgen"
@@ -68,7 +69,8 @@ def _whole(app: Any, error: Exception | None) -> None:
     if error is not None or app.builder.name != "html":
         return
     told = {name.rpartition(".")[2] for name in app.env.domaindata["py"]["objects"]}
-    untold = sorted(set(stemworlds.__all__) - told - {"__version__"})
+    public = {*stemworlds.__all__, *stemworlds.bench.__all__}
+    untold = sorted(public - told - {"__version__"})
     if untold:
         raise RuntimeError(f"docs/site/reference lacks {', '.join(untold)}")
 

@@ -13,9 +13,9 @@ use rayon::prelude::*;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use stemgen::benchmark::{
-    Action, BenchmarkWorld, ChangingWorld, DoseCurve, Ending, Episode, EpisodeSettings, Exposure,
-    FieldFacts, FileWorld, Findings, RecipeSource, RecordedAcquisition, Reward, Split, Task,
-    TaskKind, TileNoise,
+    AgentAction, AgentFindings, BenchmarkWorld, ChangingWorld, DoseCurve, Ending, Episode,
+    EpisodeSettings, FieldFacts, FileWorld, RecipeSource, RecordedAcquisition, Reward, Split, Task,
+    TaskKind, TileDose, TileNoise,
 };
 use stemgen::progress::Silent;
 use stemgen::world::BuildOptions;
@@ -78,13 +78,18 @@ impl Worlds {
     }
 
     /// The world of an episode (seed, number).
-    fn world(&self, episode: (u64, u32), guest: &Guest) -> Result<Arc<dyn BenchmarkWorld>, Fault> {
+    fn world(
+        &self,
+        episode: (u64, u32),
+        settings: &EpisodeSettings,
+        guest: &Guest,
+    ) -> Result<Arc<dyn BenchmarkWorld>, Fault> {
         Ok(match self {
             Worlds::File(world) => Arc::clone(world) as Arc<dyn BenchmarkWorld>,
             Worlds::Recipe { source, split, damage } => {
                 let seed = split.seed(source.recipe(), episode);
                 match damage {
-                    true => Arc::new(ChangingWorld::new(source, seed, guest)?),
+                    true => Arc::new(ChangingWorld::new(source, seed, settings, guest)?),
                     false => Arc::new(source.world(seed)?),
                 }
             }
@@ -102,7 +107,7 @@ impl Rules {
     }
 
     fn settings(&self, field: &FieldFacts) -> Result<EpisodeSettings, Fault> {
-        let exposures = [("tier", Exposure::Tier), ("physical", Exposure::Physical)];
+        let exposures = [("tier", TileDose::Tier), ("physical", TileDose::Physical)];
         let noises = [("poisson", TileNoise::Poisson), ("stored", TileNoise::Stored)];
         let rewards =
             [("none", Reward::None), ("score_gain", Reward::ScoreGain), ("sparse", Reward::Sparse)];
@@ -164,15 +169,15 @@ fn locked(slots: &Mutex<Vec<Slot>>) -> MutexGuard<'_, Vec<Slot>> {
 }
 
 impl Moves {
-    fn action(&self, n: usize) -> (Action, Option<String>) {
+    fn action(&self, n: usize) -> (AgentAction, Option<String>) {
         let action = match self.kinds[n] {
-            0 => Action::Navigate(self.positions[n]),
-            1 => Action::Acquire { zoom: self.zooms[n], multiplier: self.doses[n] },
-            2 => match Findings::read(self.reports[n].as_deref().unwrap_or("{}")) {
-                Ok(findings) => Action::Declare(findings),
-                Err(e) => return (Action::Unreadable, Some(e.to_string())),
+            0 => AgentAction::Navigate(self.positions[n]),
+            1 => AgentAction::Acquire { zoom: self.zooms[n], multiplier: self.doses[n] },
+            2 => match AgentFindings::read(self.reports[n].as_deref().unwrap_or("{}")) {
+                Ok(findings) => AgentAction::Declare(findings),
+                Err(e) => return (AgentAction::Unreadable, Some(e.to_string())),
             },
-            _ => Action::Done,
+            _ => AgentAction::Done,
         };
         (action, None)
     }
@@ -314,7 +319,7 @@ impl Episodes {
             moves.check(slots.len())?;
             let act = |(n, slot): (usize, &mut Slot)| -> Result<Stepped, Fault> {
                 if let Some(which) = moves.begin[n] {
-                    let world = worlds.world(which, guest)?;
+                    let world = worlds.world(which, &settings, guest)?;
                     let (task, settings) = (task.clone(), settings.clone());
                     slot.episode = Some(Episode::new(world, task, settings, which)?);
                     return Ok(Stepped::default());

@@ -14,6 +14,7 @@ mod live;
 mod microscope;
 mod recipes;
 mod recordings;
+mod replays;
 mod simulate;
 mod specimens;
 mod structures;
@@ -53,6 +54,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(recipes::recipes, module)?)?;
     module.add_function(wrap_pyfunction!(recipes::resolve_recipe, module)?)?;
     module.add_function(wrap_pyfunction!(recordings::record_field, module)?)?;
+    module.add_function(wrap_pyfunction!(replays::import_image, module)?)?;
     module.add_function(wrap_pyfunction!(simulate::diffraction, module)?)?;
     module.add_function(wrap_pyfunction!(simulate::plan_simulation, module)?)?;
     module.add_function(wrap_pyfunction!(simulate::simulate, module)?)?;

@@ -25,6 +25,7 @@ from .errors import (
 )
 from .exporting import export
 from .images import DiffractionPattern, Image, Images, PlaneWave
+from .importing import import_image
 from .live import LiveView, LiveWorld
 from .recipes import Recipe, recipes
 from .recording import Recording, acquire
@@ -77,6 +78,7 @@ __all__ = [
     "diffraction",
     "errors",
     "export",
+    "import_image",
     "plan",
     "plan_simulation",
     "plane_wave",

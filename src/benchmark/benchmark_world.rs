@@ -6,7 +6,7 @@ use std::sync::Arc;
 use ndarray::Array2;
 
 use super::findings::{FoundParticle, PlacedDefect};
-use super::view::{FieldFacts, View};
+use super::view::{FieldFacts, TileView};
 use crate::error::Result;
 use crate::progress::Progress;
 use crate::recipe::Region;
@@ -66,13 +66,13 @@ pub trait BenchmarkWorld: Send + Sync {
     ///
     /// # Errors
     /// Those of the engine or the file, and [`crate::Error::Interrupted`].
-    fn clean(&self, view: &View, progress: &dyn Progress) -> Result<Arc<Array2<f32>>>;
+    fn clean(&self, view: &TileView, progress: &dyn Progress) -> Result<Arc<Array2<f32>>>;
 
     /// A view of the image as the world holds it, with its noise, in units of tiles.
     ///
     /// # Errors
     /// [`crate::Error::Invalid`] of worlds that hold no image; those of the file.
-    fn stored(&self, view: &View) -> Result<Array2<f32>>;
+    fn stored(&self, view: &TileView) -> Result<Array2<f32>>;
 
     /// The part of the overview, in units of tiles, of so many of its pixels about a position (x, y) in fractions of the field;
     /// zeros beyond a field that is smaller.
@@ -104,7 +104,7 @@ pub trait BenchmarkWorld: Send + Sync {
     /// As [`BenchmarkWorld::clean`].
     fn exposed(
         &self,
-        _view: &View,
+        _view: &TileView,
         _dose: f64,
         _columns: bool,
         _progress: &dyn Progress,

@@ -5,8 +5,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use ndarray::{Array2, Axis};
 
 use super::benchmark_world::{BenchmarkWorld, PhaseSamples, RecordedView, RegionTruth};
+use super::episode_settings::EpisodeSettings;
 use super::recipe_world::{RecipeSource, RecipeWorld, truth_of};
-use super::view::{FieldFacts, View};
+use super::view::{FieldFacts, TileView};
 use crate::acquisition::Profile;
 use crate::error::Result;
 use crate::live::{LiveOptions, LiveRequest, LiveWorld};
@@ -25,13 +26,20 @@ pub struct ChangingWorld {
 }
 
 impl ChangingWorld {
-    /// The world of a seed.
+    /// The world of a seed, for an episode with these rules.
     ///
     /// # Errors
     /// Those of [`LiveWorld::new`].
-    pub fn new(source: &RecipeSource, seed: u64, progress: &dyn Progress) -> Result<Self> {
+    pub fn new(
+        source: &RecipeSource,
+        seed: u64,
+        settings: &EpisodeSettings,
+        progress: &dyn Progress,
+    ) -> Result<Self> {
         let still = source.world(seed)?;
-        let live = LiveOptions { imaging: source.options().clone(), ..LiveOptions::default() };
+        let imaging = source.options().clone();
+        let most_dose = settings.most_dose(still.facts());
+        let live = LiveOptions { imaging, most_dose, ..LiveOptions::default() };
         let live = Mutex::new(LiveWorld::new(source.recipe(), seed, &live, progress)?);
         let facts = FieldFacts { margin_px: MARGIN, ..still.facts().clone() };
         Ok(ChangingWorld { facts, still, live })
@@ -47,11 +55,11 @@ impl BenchmarkWorld for ChangingWorld {
         &self.facts
     }
 
-    fn clean(&self, view: &View, progress: &dyn Progress) -> Result<Arc<Array2<f32>>> {
+    fn clean(&self, view: &TileView, progress: &dyn Progress) -> Result<Arc<Array2<f32>>> {
         self.still.clean(view, progress)
     }
 
-    fn stored(&self, view: &View) -> Result<Array2<f32>> {
+    fn stored(&self, view: &TileView) -> Result<Array2<f32>> {
         self.still.stored(view)
     }
 
@@ -75,7 +83,7 @@ impl BenchmarkWorld for ChangingWorld {
 
     fn exposed(
         &self,
-        view: &View,
+        view: &TileView,
         dose: f64,
         columns: bool,
         progress: &dyn Progress,

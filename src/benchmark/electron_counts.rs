@@ -8,7 +8,17 @@ use crate::rng::{ItemRng, Purpose, words};
 /// Up to so many expected electrons a count is found by adding up probabilities; beyond, by rejection.
 const MOST_ADDED: f64 = 40.0;
 /// Counts that are tried; with [`MOST_ADDED`] expected electrons more are less likely than 1e-40.
-const MOST_TRIED: u32 = 256;
+const MOST_TRIED: usize = 256;
+/// 1 / n: a product is quicker than a division.
+const INVERSE: [f64; MOST_TRIED + 1] = {
+    let mut inverse = [0.0; MOST_TRIED + 1];
+    let mut n = 1;
+    while n <= MOST_TRIED {
+        inverse[n] = 1.0 / n as f64;
+        n += 1;
+    }
+    inverse
+};
 /// An image has fewer pixels than 2 to this power.
 const PIXEL_BITS: u32 = 28;
 
@@ -67,13 +77,13 @@ fn inverted(expected: f64, high: u32, low: u32) -> f64 {
     let uniform = (word as f64 + 0.5) / 9_007_199_254_740_992.0;
     let mut probability = libm::exp(-expected);
     let mut sum = probability;
-    let mut count = 0u32;
+    let mut count = 0;
     while sum < uniform && count < MOST_TRIED {
         count += 1;
-        probability *= expected / f64::from(count);
+        probability *= expected * INVERSE[count];
         sum += probability;
     }
-    f64::from(count)
+    count as f64
 }
 
 #[cfg(test)]

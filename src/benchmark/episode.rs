@@ -10,10 +10,10 @@ use super::dose_efficiency::DoseCurve;
 use super::electron_counts::AcquisitionKey;
 use super::episode_record::{EpisodeRecord, RecordedAcquisition};
 use super::episode_settings::{EpisodeSettings, MULTIPLIER, OVERVIEW_PX, Reward, TileNoise, ZOOM};
-use super::findings::{Findings, FoundColumn};
+use super::findings::{AgentFindings, FoundColumn};
 use super::seen_truth::SeenTruth;
 use super::task::{Task, TaskKind, TaskScore};
-use super::view::{FieldFacts, View};
+use super::view::{FieldFacts, TileView};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::setting::Setting;
@@ -23,7 +23,7 @@ const ROUNDING: f64 = 1e-9;
 
 /// What an agent does.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Action {
+pub enum AgentAction {
     /// Goes to a place (x, y) in fractions of the field's width and height. It costs nothing.
     Navigate([f64; 2]),
     /// Records the view at the present place.
@@ -34,7 +34,7 @@ pub enum Action {
         multiplier: f64,
     },
     /// Says what is known by now of the field, in place of all that was said before.
-    Declare(Findings),
+    Declare(AgentFindings),
     /// A declaration that could not be read: what was said before stands.
     Unreadable,
     /// Ends the episode.
@@ -55,7 +55,7 @@ pub enum Ending {
 
 /// What a step led to.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Outcome {
+pub struct StepOutcome {
     /// What it pays.
     pub reward: f64,
     /// How the episode ended, if it did.
@@ -72,12 +72,12 @@ pub struct Episode {
     seed: u64,
     number: u32,
     step: u32,
-    view: View,
+    view: TileView,
     spent: f64,
     tile: Arc<Array2<f32>>,
     visited: Array2<u8>,
     seen: SeenTruth,
-    findings: Option<Findings>,
+    findings: Option<AgentFindings>,
     declared: u32,
     unreadable: u32,
     acquisitions: Vec<RecordedAcquisition>,
@@ -135,7 +135,7 @@ impl Episode {
     ///
     /// # Errors
     /// [`Error::Invalid`] after the end and for numbers that are not finite; those of the world. The episode is then as it was.
-    pub fn act(&mut self, action: Action, progress: &dyn Progress) -> Result<Outcome> {
+    pub fn act(&mut self, action: AgentAction, progress: &dyn Progress) -> Result<StepOutcome> {
         if self.ended.is_some() {
             let expected = "the episode has ended; begin another one";
             return Err(Error::invalid(Setting::Episode, "an action", expected));
@@ -144,8 +144,8 @@ impl Episode {
         let mut pays = false;
         let mut ended = None;
         match action {
-            Action::Navigate(position) => self.navigate(position)?,
-            Action::Acquire { zoom, multiplier } => {
+            AgentAction::Navigate(position) => self.navigate(position)?,
+            AgentAction::Acquire { zoom, multiplier } => {
                 let [zoom, multiplier] = within([zoom, multiplier])?;
                 match self.acquire(zoom, multiplier, progress)? {
                     Some(what) => {
@@ -155,14 +155,14 @@ impl Episode {
                     None => ended = Some(Ending::Refused),
                 }
             }
-            Action::Declare(findings) => {
+            AgentAction::Declare(findings) => {
                 findings.check()?;
                 self.findings = Some(findings);
                 self.declared += 1;
                 pays = true;
             }
-            Action::Unreadable => self.unreadable += 1,
-            Action::Done => ended = Some(Ending::Done),
+            AgentAction::Unreadable => self.unreadable += 1,
+            AgentAction::Done => ended = Some(Ending::Done),
         }
         self.step += 1;
         if self.step >= self.settings.horizon {
@@ -173,7 +173,7 @@ impl Episode {
             self.ended = ended;
         }
         let reward = self.reward(pays)?;
-        Ok(Outcome { reward, ended, acquired })
+        Ok(StepOutcome { reward, ended, acquired })
     }
 
     fn navigate(&mut self, position: [f64; 2]) -> Result<()> {
@@ -198,7 +198,7 @@ impl Episode {
         }
         let world = Arc::clone(&self.world);
         let field = world.facts();
-        let view = View { zoom, ..self.view };
+        let view = TileView { zoom, ..self.view };
         let electrons_per_pixel = self.settings.electrons_per_pixel(field, multiplier);
         let (tile, truth) = self.recorded(&view, multiplier, electrons_per_pixel, progress)?;
         // A score of what was seen so far.
@@ -221,14 +221,14 @@ impl Episode {
             electrons_per_pixel,
         };
         self.acquisitions.push(what.clone());
-        self.due = self.acquisitions.len() as u32 % self.settings.cadence == 0;
+        self.due = (self.acquisitions.len() as u32).is_multiple_of(self.settings.cadence);
         Ok(Some(what))
     }
 
     /// The tile of a view, and what was there.
     fn recorded(
         &self,
-        view: &View,
+        view: &TileView,
         multiplier: f64,
         electrons_per_pixel: f64,
         progress: &dyn Progress,
@@ -369,7 +369,7 @@ impl Episode {
         f64::from(self.step) / f64::from(self.settings.horizon)
     }
 
-    /// Tiles (row, column) of which something was acquired: 1.
+    /// ReadTiles (row, column) of which something was acquired: 1.
     pub fn visited(&self) -> &Array2<u8> {
         &self.visited
     }
@@ -396,14 +396,14 @@ impl Episode {
     ///
     /// # Errors
     /// Those of the world.
-    pub fn truth_seen(&self) -> Result<Findings> {
+    pub fn truth_seen(&self) -> Result<AgentFindings> {
         let seen = &self.seen;
         let phases = match self.phases()? {
             Some(samples) => seen.phases(&samples, self.field().pixel_nm),
             None => None,
         };
         let column = |c: &TrueColumn| FoundColumn { position_nm: c.position_nm, score: 1.0 };
-        Ok(Findings {
+        Ok(AgentFindings {
             counts: None,
             defects: Some(seen.defects().to_vec()),
             phases,

@@ -24,7 +24,7 @@ pub const OVERVIEW_PX: usize = 64;
 /// How many electrons a pixel gets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Exposure {
+pub enum TileDose {
     /// The dose of the world's tier times the multiplier, whatever the zoom: the paper's tiles.
     #[default]
     Tier,
@@ -38,7 +38,7 @@ pub enum Exposure {
 pub enum TileNoise {
     /// Electrons are counted anew in each acquisition.
     Poisson,
-    /// Tiles are those that the world holds, whatever the dose.
+    /// ReadTiles are those that the world holds, whatever the dose.
     Stored,
 }
 
@@ -65,7 +65,7 @@ pub struct EpisodeSettings {
     /// Acquisitions from one record of the score to the next.
     pub cadence: u32,
     /// How many electrons a pixel gets.
-    pub exposure: Exposure,
+    pub exposure: TileDose,
     /// Where the noise comes from.
     pub noise: TileNoise,
     /// What a step pays.
@@ -83,7 +83,7 @@ impl Default for EpisodeSettings {
             budget: BUDGET,
             horizon: HORIZON,
             cadence: CADENCE,
-            exposure: Exposure::Tier,
+            exposure: TileDose::Tier,
             noise: TileNoise::Poisson,
             reward: Reward::None,
             phase_stride_px: 8,
@@ -132,9 +132,14 @@ impl EpisodeSettings {
     /// Dose of a pixel of a field without zoom, with the multiplier 1.
     pub fn dose(&self, field: &FieldFacts) -> f64 {
         match self.exposure {
-            Exposure::Tier => field.dose,
-            Exposure::Physical => REFERENCE_DOSE,
+            TileDose::Tier => field.dose,
+            TileDose::Physical => REFERENCE_DOSE,
         }
+    }
+
+    /// The dose of a place that gets the whole budget, in electrons per square Angstrom.
+    pub fn most_dose(&self, field: &FieldFacts) -> f64 {
+        self.dose(field) * self.budget / REFERENCE_DOSE
     }
 
     /// Electrons on a pixel of an acquisition. With a zoom a pixel is smaller, and the dose greater by as much.

@@ -12,7 +12,7 @@ use super::benchmark_world::{
 };
 use super::findings::{FoundParticle, PlacedDefect, type_name};
 use super::recipe_world::{RecipeSource, RecipeWorld};
-use super::view::{FieldFacts, View};
+use super::view::{FieldFacts, TileView};
 use crate::error::{Error, Result};
 use crate::imaging::TurnedRaster;
 use crate::io::{WorldFile, schema::atom_type};
@@ -29,8 +29,8 @@ const REPLAY: &str = "replay";
 /// Rows of pixels of the phase map that are read at a time.
 const PHASE_ROWS: usize = 256;
 
-/// Tiles that were read, by row and column.
-type Tiles = Mutex<HashMap<[usize; 2], Arc<Array2<f32>>>>;
+/// ReadTiles that were read, by row and column.
+type ReadTiles = Mutex<HashMap<[usize; 2], Arc<Array2<f32>>>>;
 
 /// A world file. What was read once is kept.
 ///
@@ -40,8 +40,8 @@ pub struct FileWorld {
     facts: FieldFacts,
     has_clean: bool,
     options: BuildOptions,
-    tiles: Tiles,
-    clean: Tiles,
+    tiles: ReadTiles,
+    clean: ReadTiles,
     overview: Array2<f32>,
     defects: ByPlace<SiteKind>,
     columns: OnceLock<ByPlace<bool>>,
@@ -79,8 +79,8 @@ impl FileWorld {
             facts: facts(path, &file, &sites)?,
             has_clean: file.has_clean(),
             options: options.clone(),
-            tiles: Tiles::default(),
-            clean: Tiles::default(),
+            tiles: ReadTiles::default(),
+            clean: ReadTiles::default(),
             overview,
             defects: ByPlace::new(sites.into_iter()),
             columns: OnceLock::new(),
@@ -170,7 +170,7 @@ impl FileWorld {
     /// A view between the pixels of an image.
     fn between(
         &self,
-        view: &View,
+        view: &TileView,
         kernel: &Kernel,
         pixels: impl Fn(Range<usize>, Range<usize>) -> Result<Array2<f32>>,
     ) -> Result<Array2<f32>> {
@@ -251,7 +251,7 @@ impl BenchmarkWorld for FileWorld {
         &self.facts
     }
 
-    fn clean(&self, view: &View, progress: &dyn Progress) -> Result<Arc<Array2<f32>>> {
+    fn clean(&self, view: &TileView, progress: &dyn Progress) -> Result<Arc<Array2<f32>>> {
         let pixel_angstrom = 10.0 * self.facts.pixel_nm;
         if self.has_clean && view.zoom == 1.0 {
             let stride = self.facts.stride_px();
@@ -274,7 +274,7 @@ impl BenchmarkWorld for FileWorld {
         self.again(progress)?.clean(view, progress)
     }
 
-    fn stored(&self, view: &View) -> Result<Array2<f32>> {
+    fn stored(&self, view: &TileView) -> Result<Array2<f32>> {
         let size = view.tile_px;
         let [row, column] = view.first_px;
         if view.zoom == 1.0 {

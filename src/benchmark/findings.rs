@@ -50,7 +50,7 @@ pub struct FoundColumn {
 
 /// All that an agent says of a field so far. What it leaves empty it says is not there; what a task does not ask for is not looked at.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Findings {
+pub struct AgentFindings {
     /// Number of defects by type; those of `defects` when `None`.
     pub counts: Option<BTreeMap<String, u64>>,
     /// Defects with their places; `None` gives none, and counts alone are scored.
@@ -66,7 +66,7 @@ pub struct Findings {
 /// The text of a report, as programs write it.
 #[derive(Debug, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-struct Report {
+struct FindingsText {
     #[serde(skip_serializing_if = "Option::is_none")]
     counts: Option<BTreeMap<String, u64>>,
     /// Places (x, y) in nm by type.
@@ -88,14 +88,14 @@ fn refuse(value: impl Into<String>, expected: impl Into<String>) -> Error {
     Error::invalid(Setting::Findings, value.into(), expected.into())
 }
 
-impl Findings {
+impl AgentFindings {
     /// Reads a report: a JSON object with any of `counts` (numbers by type), `defects` (lists of [x, y] in nm by type), `phases` (lists of
     /// rows), `particles` ([x, y, diameter] in nm), `morphologies` (one for each particle) and `columns` ([x, y, score]).
     ///
     /// # Errors
     /// [`Error::Invalid`] for text that is no such object.
     pub fn read(report: &str) -> Result<Self> {
-        let report: Report = serde_json::from_str(report)
+        let report: FindingsText = serde_json::from_str(report)
             .map_err(|e| refuse("the report", format!("is no JSON object of findings: {e}")))?;
         let rows = report.phases.as_ref().map(Vec::len);
         let phases = report.phases.map(|lines| {
@@ -116,7 +116,7 @@ impl Findings {
             let of = move |position_nm| PlacedDefect { kind: kind.clone(), position_nm };
             places.into_iter().map(of)
         };
-        let findings = Findings {
+        let findings = AgentFindings {
             counts: report.counts,
             defects: report.defects.map(|list| list.into_iter().flat_map(placed).collect()),
             phases: phases.transpose()?,
@@ -139,7 +139,7 @@ impl Findings {
             of
         });
         let flat = |at: [f64; 2], value: f64| [at[0], at[1], value];
-        let report = Report {
+        let report = FindingsText {
             counts: self.counts.clone(),
             defects,
             phases: self.phases.as_ref().map(|map| map.outer_iter().map(|r| r.to_vec()).collect()),
@@ -202,7 +202,7 @@ mod tests {
     #[test]
     fn reports_come_back() {
         let placed = |kind: &str, x| PlacedDefect { kind: kind.into(), position_nm: [x, 2.0] };
-        let findings = Findings {
+        let findings = AgentFindings {
             counts: Some(BTreeMap::from([("vacancy".into(), 3)])),
             defects: Some(vec![placed("substitution", 0.5), placed("vacancy", 1.5)]),
             phases: Some(ndarray::arr2(&[[0, 1, NO_PHASE], [1, 1, 0]])),
@@ -213,9 +213,9 @@ mod tests {
             }],
             columns: vec![FoundColumn { position_nm: [0.1, 0.2], score: -4.0 }],
         };
-        assert_eq!(Findings::read(&findings.report()).unwrap(), findings);
-        assert_eq!(Findings::read("{}").unwrap(), Findings::default());
-        assert_eq!(Findings { counts: None, ..findings }.defect_counts().len(), 2);
+        assert_eq!(AgentFindings::read(&findings.report()).unwrap(), findings);
+        assert_eq!(AgentFindings::read("{}").unwrap(), AgentFindings::default());
+        assert_eq!(AgentFindings { counts: None, ..findings }.defect_counts().len(), 2);
     }
 
     #[test]
@@ -232,7 +232,7 @@ mod tests {
             "{\"particles\": [[0, 0, 1e999]]}",
             "{\"morphologies\": [\"wulff\"]}",
         ] {
-            assert!(Findings::read(report).is_err(), "{report}");
+            assert!(AgentFindings::read(report).is_err(), "{report}");
         }
     }
 }

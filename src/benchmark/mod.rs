@@ -24,13 +24,13 @@ pub mod view;
 pub use benchmark_world::{BenchmarkWorld, PhaseSamples, RecordedView, RegionTruth, TrueColumn};
 pub use changing_world::ChangingWorld;
 pub use dose_efficiency::{DoseCurve, DoseMetrics};
-pub use episode::{Action, Ending, Episode, Outcome};
+pub use episode::{AgentAction, Ending, Episode, StepOutcome};
 pub use episode_record::{EpisodeRecord, RecordedAcquisition};
-pub use episode_settings::{EpisodeSettings, Exposure, Reward, TileNoise};
+pub use episode_settings::{EpisodeSettings, Reward, TileDose, TileNoise};
 #[cfg(feature = "hdf5")]
 pub use file_world::FileWorld;
-pub use findings::{Findings, FoundColumn, FoundParticle, PlacedDefect};
+pub use findings::{AgentFindings, FoundColumn, FoundParticle, PlacedDefect};
 pub use recipe_world::{RecipeSource, RecipeWorld, Split};
 pub use seen_truth::SeenTruth;
 pub use task::{Task, TaskKind, TaskScore};
-pub use view::{FieldFacts, View};
+pub use view::{FieldFacts, TileView};

@@ -7,7 +7,7 @@ use ndarray::{Array2, s};
 
 use super::benchmark_world::{BenchmarkWorld, PhaseSamples, RegionTruth, TrueColumn, window};
 use super::findings::{FoundParticle, PlacedDefect, type_name};
-use super::view::{FieldFacts, View};
+use super::view::{FieldFacts, TileView};
 use crate::error::{Error, Result};
 use crate::imaging::{MethodChoice, RegionImager, SharedSheets, TurnedRaster, turned_image};
 use crate::progress::{InterruptOnly, Progress};
@@ -197,7 +197,7 @@ impl RecipeWorld {
     }
 
     /// A rectangle of the field's own pixels, or places between them.
-    fn image(&self, view: &View, progress: &dyn Progress) -> Result<Array2<f32>> {
+    fn image(&self, view: &TileView, progress: &dyn Progress) -> Result<Array2<f32>> {
         let field = &self.recipe.field;
         let image = if view.zoom == 1.0 {
             let first = field.crop_origin_px();
@@ -298,7 +298,7 @@ impl BenchmarkWorld for RecipeWorld {
         &self.facts
     }
 
-    fn clean(&self, view: &View, progress: &dyn Progress) -> Result<Arc<Array2<f32>>> {
+    fn clean(&self, view: &TileView, progress: &dyn Progress) -> Result<Arc<Array2<f32>>> {
         let key = (view.first_px, view.zoom.to_bits());
         if let Some(found) = self.kept().views.get(&key) {
             return Ok(Arc::clone(found));
@@ -312,7 +312,7 @@ impl BenchmarkWorld for RecipeWorld {
         Ok(image)
     }
 
-    fn stored(&self, _view: &View) -> Result<Array2<f32>> {
+    fn stored(&self, _view: &TileView) -> Result<Array2<f32>> {
         let expected = "a world of a recipe holds no tiles: count electrons, or build it as a file";
         Err(Error::invalid(Setting::Episode, "stored tiles", expected))
     }

@@ -4,7 +4,7 @@ use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
 use super::benchmark_world::PhaseSamples;
-use super::findings::Findings;
+use super::findings::AgentFindings;
 use super::seen_truth::SeenTruth;
 use super::task_scores::{
     ColumnScore, PAPER_RADIUS_NM, ParticleScore, STRICT_RADIUS_NM, column_score, defect_census,
@@ -74,7 +74,7 @@ impl Task {
     /// Those of [`phase_iou`].
     pub fn score(
         &self,
-        findings: &Findings,
+        findings: &AgentFindings,
         seen: &SeenTruth,
         phases: Option<&PhaseSamples>,
     ) -> Result<f64> {
@@ -84,7 +84,7 @@ impl Task {
     fn score_within(
         &self,
         strict: bool,
-        findings: &Findings,
+        findings: &AgentFindings,
         seen: &SeenTruth,
         phases: Option<&PhaseSamples>,
     ) -> Result<f64> {
@@ -117,7 +117,7 @@ impl Task {
     /// As [`Task::score`].
     pub fn all_scores(
         &self,
-        findings: &Findings,
+        findings: &AgentFindings,
         seen: &SeenTruth,
         phases: Option<&PhaseSamples>,
     ) -> Result<TaskScore> {
@@ -136,7 +136,7 @@ impl Task {
     }
 }
 
-fn particles(strict: bool, findings: &Findings, seen: &SeenTruth) -> ParticleScore {
+fn particles(strict: bool, findings: &AgentFindings, seen: &SeenTruth) -> ParticleScore {
     let radius = if strict { STRICT_PARTICLE_RADIUS_NM } else { PAPER_RADIUS_NM };
     let tiles = seen.occupied(&findings.particles);
     particle_census(&tiles, &findings.particles, seen.particles(), radius)
@@ -179,7 +179,8 @@ mod tests {
         let mut seen = SeenTruth::default();
         let truth = RegionTruth { defects: vec![placed(1.0)], ..RegionTruth::default() };
         seen.add(Region { x: [0.0, 3.0], y: [0.0, 1.0] }, truth);
-        let findings = Findings { defects: Some(vec![placed(2.0)]), ..Findings::default() };
+        let findings =
+            AgentFindings { defects: Some(vec![placed(2.0)]), ..AgentFindings::default() };
         let task = Task { kind: TaskKind::Targeted, strict: false, target: Some("vacancy".into()) };
         let scores = task.all_scores(&findings, &seen, None).unwrap();
         assert_eq!((scores.paper, scores.strict), (1.0, 0.0));

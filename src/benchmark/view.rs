@@ -51,7 +51,7 @@ impl FieldFacts {
     }
 
     /// The tile (row, column) whose middle is nearest to that of a view.
-    pub fn tile_of(&self, view: &View) -> [usize; 2] {
+    pub fn tile_of(&self, view: &TileView) -> [usize; 2] {
         [0, 1].map(|k| {
             let n = (view.first_px[k] + self.stride_px() / 2) / self.stride_px();
             n.min(self.grid[k] - 1)
@@ -60,7 +60,7 @@ impl FieldFacts {
 
     /// The view of a place (x, y), in fractions of the field's width and height: the whole pixels about it, moved inwards where they
     /// would reach out of the field.
-    pub fn view_at(&self, position: [f64; 2], zoom: f64) -> View {
+    pub fn view_at(&self, position: [f64; 2], zoom: f64) -> TileView {
         let shape = self.shape_px();
         let first = |k: usize| {
             let centre = position[1 - k].clamp(0.0, 1.0) * shape[k] as f64 - 0.5;
@@ -69,11 +69,11 @@ impl FieldFacts {
             let margin = self.margin_px.min(last / 2);
             first.clamp(margin, last - margin)
         };
-        View { first_px: [first(0), first(1)], tile_px: self.tile_px, zoom }
+        TileView { first_px: [first(0), first(1)], tile_px: self.tile_px, zoom }
     }
 
     /// The middle (x, y) of a view in fractions of the field's width and height.
-    pub fn position_of(&self, view: &View) -> [f64; 2] {
+    pub fn position_of(&self, view: &TileView) -> [f64; 2] {
         let shape = self.shape_px();
         [1, 0].map(|k| (view.first_px[k] as f64 + 0.5 * self.tile_px as f64) / shape[k] as f64)
     }
@@ -81,13 +81,13 @@ impl FieldFacts {
     /// The middle (x, y) of a tile (row, column) in fractions of the field's width and height.
     pub fn centre_of(&self, tile: [usize; 2]) -> [f64; 2] {
         let first_px = tile.map(|n| n * self.stride_px());
-        self.position_of(&View { first_px, tile_px: self.tile_px, zoom: 1.0 })
+        self.position_of(&TileView { first_px, tile_px: self.tile_px, zoom: 1.0 })
     }
 }
 
 /// A square of the field.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct View {
+pub struct TileView {
     /// First row and column of the pixels of the field that it shows without zoom.
     pub first_px: [usize; 2],
     /// Its rows and columns.
@@ -96,7 +96,7 @@ pub struct View {
     pub zoom: f64,
 }
 
-impl View {
+impl TileView {
     /// The pixels of the field without zoom.
     pub fn pixels(&self) -> PixelRect {
         PixelRect::new(self.first_px, [self.tile_px; 2])
@@ -169,8 +169,8 @@ mod tests {
 
     #[test]
     fn zoom_shows_the_middle() {
-        let view = View { first_px: [124, 0], tile_px: 128, zoom: 4.0 };
-        let (whole, part) = (View { zoom: 1.0, ..view }.region(0.02), view.region(0.02));
+        let view = TileView { first_px: [124, 0], tile_px: 128, zoom: 4.0 };
+        let (whole, part) = (TileView { zoom: 1.0, ..view }.region(0.02), view.region(0.02));
         assert!((whole.y[0] - 123.5 * 0.02).abs() < 1e-12 && (whole.x[0] + 0.01).abs() < 1e-12);
         assert!((part.x[1] - part.x[0] - 0.64).abs() < 1e-12);
         assert!((part.x[0] + part.x[1] - whole.x[0] - whole.x[1]).abs() < 1e-12);

@@ -34,6 +34,12 @@ impl BuildAgain {
             Ok(BuildAgain { arguments: None, recipe: None, note: Some(note.to_owned()) })
         };
         let Some(text) = &world.metadata().recipe else {
+            if let Some(recorded) = world.making().recorded {
+                return none(&format!(
+                    "it is a recorded image; `stemgen import` makes it of {}",
+                    recorded.file
+                ));
+            }
             return none("the file holds no recipe; it was not built by stemgen");
         };
         let name = world.path().display().to_string();
@@ -54,8 +60,13 @@ impl BuildAgain {
 
     /// The command as it is typed.
     pub fn line(&self) -> Option<String> {
+        self.line_of(Invocation::now().name)
+    }
+
+    /// The same for the program `name`.
+    pub fn line_of(&self, name: &str) -> Option<String> {
         let words = self.arguments.as_ref()?;
-        let program = std::iter::once(Invocation::now().name.to_owned());
+        let program = std::iter::once(name.to_owned());
         Some(program.chain(words.iter().map(|w| quoted(w))).collect::<Vec<_>>().join(" "))
     }
 }

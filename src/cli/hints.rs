@@ -187,6 +187,9 @@ fn options(setting: Setting) -> Option<&'static str> {
         S::ImageAxes => Some("--axes xy or --axes yx; leave it out where the file tells the order"),
         S::ImageIndex => Some("--index"),
         S::ImageUnits => Some("--units percent and --units fitted"),
+        S::ReplayPixelNm => Some("--pixel-size NM, and --calibrate NM, which measures it"),
+        S::ReplaySpacingNm => Some("--calibrate NM, and --pixel-size NM where to begin"),
+        S::ReplayImage => Some("--dataset NAME and --index N, which choose another"),
         S::WorldFile => Some(
             "`stemgen build`, which writes worlds; `stemgen simulate` draws its images with --png and --html",
         ),
@@ -199,6 +202,9 @@ fn options(setting: Setting) -> Option<&'static str> {
         S::MostDose => Some("--most-dose"),
         S::Recordings => Some("--dose-series"),
         S::Damage => Some("--set damage.KEY=VALUE, or --unset damage"),
+        S::Card => {
+            Some("--title, --license, --creator, --organization, --url, --date and --data-version")
+        }
         S::StructureFile
         | S::Crystal
         | S::Occupancy

@@ -12,7 +12,7 @@ use super::{hdf5_check, output, text};
 use crate::files::atomic_write;
 use crate::files::file_digest::sha256_of_file;
 use crate::files::outputs::check_outputs;
-use crate::io::WorldFile;
+use crate::io::{RecordedSource, WorldFile};
 use crate::world::WorldFacts;
 
 const EXAMPLES: &str = "\
@@ -80,7 +80,10 @@ impl Info {
             told.push(self.of(&world)?);
             if let Some(out) = &self.recipe_out {
                 let Some(recipe) = &world.metadata().recipe else {
-                    bail!("{}: holds no recipe; it was not built by stemgen", path.display());
+                    bail!(
+                        "{}: holds no recipe: it was recorded, or made by another program",
+                        path.display()
+                    );
                 };
                 check_outputs([out], [path], self.overwrite)?;
                 atomic_write::write(out, recipe.as_bytes())?;
@@ -228,8 +231,28 @@ fn making_lines(f: &WorldFacts, lines: &mut Lines) {
         );
         lines.add("audit", found);
     }
+    if let Some(recorded) = &f.recorded {
+        recorded_lines(recorded, lines);
+    }
     if let Some(version) = &f.stemgen_version {
         let numerics = f.numerics_version.map(|n| format!(", numerics version {n}"));
         lines.add("made by", format!("stemgen {version}{}", numerics.unwrap_or_default()));
+    }
+}
+
+fn recorded_lines(recorded: &RecordedSource, lines: &mut Lines) {
+    let energy = recorded.energy_kev.map(|kev| format!("{kev} keV"));
+    let about = [&recorded.format, &recorded.image, &recorded.detector, &energy];
+    let mut about: Vec<&str> = about.into_iter().filter_map(|t| t.as_deref()).collect();
+    about.dedup();
+    lines.add("recorded in", format!("{} ({})", recorded.file, about.join(", ")));
+    for (name, told) in [
+        ("pixel from", &recorded.pixel_size_from),
+        ("scaling", &recorded.normalisation),
+        ("gaps", &recorded.gaps),
+    ] {
+        if let Some(told) = told {
+            lines.add(name, told.clone());
+        }
     }
 }

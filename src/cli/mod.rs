@@ -10,12 +10,14 @@ mod build_plan;
 mod build_shard;
 mod cache_command;
 mod cache_transfer;
+mod card_command;
 mod common;
 mod compare_command;
 mod estimate;
 mod hdf5_check;
 mod hints;
 mod imaging_args;
+mod import_command;
 mod info_command;
 mod invocation;
 mod last_words;
@@ -92,6 +94,7 @@ enum Command {
     Tiles(Box<tiles_command::Tiles>),
     Acquire(Box<acquire_command::Acquire>),
     Live(Box<live_command::Live>),
+    Import(Box<import_command::ImportImage>),
     Audit(Box<audit_command::AuditCommand>),
     Regenerate(Box<regenerate_command::Regenerate>),
     Slurm(Box<slurm_command::Slurm>),
@@ -100,6 +103,7 @@ enum Command {
     Compare(Box<compare_command::Compare>),
     Verify(Box<verify_command::Verify>),
     Info(Box<info_command::Info>),
+    Card(Box<card_command::CardCommand>),
     List(Box<list_command::List>),
     ShowRecipe(Box<show_recipe_command::ShowRecipe>),
     /// Explain the terms of the program: window, mosaic, library, sub-tile, tail ...
@@ -138,6 +142,7 @@ pub fn run(invocation: Invocation) -> u8 {
         Command::View(command) => ("view", command.run().map(done)),
         Command::Acquire(command) => ("acquire", command.run().map(done)),
         Command::Live(command) => ("live", command.run().map(done)),
+        Command::Import(command) => ("import", command.run().map(done)),
         Command::Tiles(command) => ("tiles", command.run().map(done)),
         Command::Audit(command) => ("audit", command.run().map(done)),
         Command::Regenerate(command) => ("regenerate", command.run()),
@@ -147,6 +152,7 @@ pub fn run(invocation: Invocation) -> u8 {
         Command::Compare(command) => ("compare", command.run()),
         Command::Verify(command) => ("verify", command.run()),
         Command::Info(command) => ("info", command.run().map(done)),
+        Command::Card(command) => ("card", command.run().map(done)),
         Command::List(command) => ("list", command.run().map(done)),
         Command::ShowRecipe(command) => ("show-recipe", command.run().map(done)),
         Command::Glossary => ("glossary", text::print(&glossary(invocation)).map(done)),

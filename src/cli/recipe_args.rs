@@ -5,6 +5,7 @@ use super::hints::hinted;
 use super::recipe_choice::world_name;
 use super::values::{self, Tier};
 use crate::engine::Settings;
+use crate::io::WorldFile;
 use crate::recipe::{CheckedRecipe, Difficulty, Override, Recipe};
 use anyhow::{Context, anyhow};
 use clap::Args;
@@ -99,10 +100,13 @@ impl RecipeArgs {
             );
         }
         hdf5_check::check(&file)?;
-        let world = crate::io::WorldFile::open(&file)?;
+        let world = WorldFile::open(&file)?;
         let metadata = world.metadata();
         let Some(text) = &metadata.recipe else {
-            anyhow::bail!("{}: holds no recipe; it was not built by stemgen", file.display());
+            anyhow::bail!(
+                "{}: holds no recipe, so nothing can be simulated of it: it was recorded, or made by another program",
+                file.display()
+            );
         };
         let recipe = Recipe::from_toml_str(&file.display().to_string(), text, None)?;
         let recipe = recipe.with_overrides(&self.changes()?)?.checked()?;
@@ -112,6 +116,28 @@ impl RecipeArgs {
         })?;
         let made = metadata.engine.clone().zip(settings);
         Ok((recipe, made.map(|(engine, settings)| WorldEngine { engine, settings })))
+    }
+
+    /// The world that stands in place of a material, if its file holds no recipe: an image that was recorded, or one of another
+    /// program.
+    pub fn world_without_recipe(&self) -> anyhow::Result<Option<WorldFile>> {
+        let Some(file) = self.world().filter(|file| file.is_file()) else { return Ok(None) };
+        hdf5_check::check(&file)?;
+        let world = WorldFile::open(&file)?;
+        if world.metadata().recipe.is_some() {
+            return Ok(None);
+        }
+        if self.difficulty.is_some()
+            || !(self.set.is_empty() && self.unset.is_empty())
+            || self.grid.is_some()
+            || self.seed.is_some()
+        {
+            anyhow::bail!(
+                "{}: is a world without a recipe; leave out --difficulty, --set, --unset, --grid and --seed",
+                file.display()
+            );
+        }
+        Ok(Some(world))
     }
 
     /// What `--unset` and `--set` ask for.

@@ -3,13 +3,16 @@
 use super::audit_command::imaging_of;
 use super::common::Common;
 use super::plan_report::Lines;
+use super::progress_bar::Reporter;
 use super::recipe_args::RecipeArgs;
 use super::{output, text, values};
 use crate::files::outputs::check_outputs;
 use crate::imaging::{Cache, OneDetector};
+use crate::io::WorldFile;
 use crate::io::npz_file::write_npz;
 use crate::specimen::specimen;
-use crate::world::{TrainingOptions, training_set};
+use crate::world::replay::stored_training_set;
+use crate::world::{TrainingOptions, TrainingSet, training_set};
 use anyhow::bail;
 use clap::Args;
 use serde::Serialize;
@@ -32,7 +35,8 @@ height 1 about columns), class_masks (0 background, 1 pristine column, 2 with va
 substitutions, 4 with both), phase_masks, dose, origins_px (row, column), column_tiles,
 column_positions_px (row, column), columns (class, sites, vacancies, substitutions, heaviest atomic
 number) and pixel_angstrom. The noise-free image is made again from the recipe, from the cache where a
-mosaic was built before; every part of the field is made once.";
+mosaic was built before; every part of the field is made once. A world without a recipe (`stemgen import`)
+gives tiles of its stored image, from 0 to 1, with the noise that it has; clean and dose are left out.";
 
 /// Write tiles at random places with labels, for training (NumPy .npz)
 #[derive(Debug, Args)]
@@ -80,7 +84,7 @@ struct TilesSummary {
     tiles: usize,
     size_px: usize,
     pixel_angstrom: f64,
-    dose_electrons_per_angstrom2: [f64; 2],
+    dose_electrons_per_angstrom2: Option<[f64; 2]>,
     columns: usize,
     phases: Vec<String>,
     wall_time_s: f64,
@@ -100,16 +104,13 @@ impl Tiles {
             let name = self.output.with_extension("npz");
             bail!("--output {}: did you mean {}?", self.output.display(), name.display());
         }
+        if let Some(world) = self.recipe.world_without_recipe()? {
+            return self.cut(&world, begun, &reporter);
+        }
         let (recipe, made) = self.recipe.resolve_or_world()?;
         check_outputs([&self.output], self.recipe.inputs(&recipe), self.overwrite)?;
         let dose = recipe.dose.electrons_per_angstrom2;
-        let options = TrainingOptions {
-            tiles: self.number as usize,
-            size_px: self.size,
-            dose: self.random_dose.unwrap_or([dose; 2]),
-            sigma_px: self.heat_sigma,
-            seed: self.tile_seed,
-        };
+        let options = self.options(self.random_dose.unwrap_or([dose; 2]));
         let cache = if self.no_cache { Cache::none() } else { Cache::of_user() };
         let specimen = specimen(&recipe)?;
         let mut imager = imaging_of(&recipe, made.as_ref(), cache)?.imager(&recipe, &specimen)?;
@@ -118,13 +119,56 @@ impl Tiles {
         }
         imager.prepare(&reporter)?;
         let set = training_set(&recipe, &*specimen, &*imager, &options, &reporter)?;
+        self.finish(&set, Some(options.dose), specimen.phases(), begun)
+    }
+
+    /// Cuts tiles from the stored image of a world without a recipe, such as a recorded image: they have its noise.
+    fn cut(&self, world: &WorldFile, begun: Instant, reporter: &Reporter) -> anyhow::Result<()> {
+        let path = world.path();
+        if self.random_dose.is_some() {
+            bail!(
+                "{}: its noise is that of the recording, and no other can be drawn; leave out --random-dose",
+                path.display()
+            );
+        }
+        let world = match &self.detector {
+            Some(name) => world.on_detector(name)?,
+            None => WorldFile::open(path)?,
+        };
+        check_outputs([&self.output], [path], self.overwrite)?;
+        let set = stored_training_set(&world, &self.options([1.0; 2]), reporter)?;
+        self.finish(&set, None, world.phase_names()?, begun)
+    }
+
+    fn options(&self, dose: [f64; 2]) -> TrainingOptions {
+        TrainingOptions {
+            tiles: self.number as usize,
+            size_px: self.size,
+            dose,
+            sigma_px: self.heat_sigma,
+            seed: self.tile_seed,
+        }
+    }
+
+    /// Writes tiles, and tells of them. Without a dose there are no noise-free ones either.
+    fn finish(
+        &self,
+        set: &TrainingSet,
+        dose: Option<[f64; 2]>,
+        phases: Vec<String>,
+        begun: Instant,
+    ) -> anyhow::Result<()> {
         write_npz(&self.output, self.overwrite, |npz| {
             npz.add("images", &set.images)?;
-            npz.add("clean", &set.clean)?;
+            if dose.is_some() {
+                npz.add("clean", &set.clean)?;
+            }
             npz.add("heat_maps", &set.heat_maps)?;
             npz.add("class_masks", &set.class_masks)?;
             npz.add("phase_masks", &set.phase_masks)?;
-            npz.add("dose", &set.dose)?;
+            if dose.is_some() {
+                npz.add("dose", &set.dose)?;
+            }
             npz.add("origins_px", &set.origins_px)?;
             npz.add("column_tiles", &set.column_tiles)?;
             npz.add("column_positions_px", &set.column_positions_px)?;
@@ -134,12 +178,12 @@ impl Tiles {
         let summary = TilesSummary {
             file_bytes: output::size(&self.output),
             output: self.output.clone(),
-            tiles: options.tiles,
-            size_px: options.size_px,
+            tiles: self.number as usize,
+            size_px: self.size,
             pixel_angstrom: set.pixel_angstrom,
-            dose_electrons_per_angstrom2: options.dose,
+            dose_electrons_per_angstrom2: dose,
             columns: set.columns.nrows(),
-            phases: specimen.phases(),
+            phases,
             wall_time_s: begun.elapsed().as_secs_f64(),
         };
         self.common.print(&summary, &summary.text())
@@ -152,9 +196,11 @@ impl TilesSummary {
         let n = text::count(self.tiles as u64);
         let (size, pixel) = (self.size_px, self.pixel_angstrom);
         lines.add("tiles", format!("{n} of {size} x {size} pixels of {pixel:.4} A"));
-        let [low, high] = self.dose_electrons_per_angstrom2;
-        let range = if low == high { format!("{low}") } else { format!("{low} to {high}") };
-        lines.add("dose", format!("{range} electrons per square Angstrom"));
+        let dose = self.dose_electrons_per_angstrom2.map(|[low, high]| {
+            let range = if low == high { format!("{low}") } else { format!("{low} to {high}") };
+            format!("{range} electrons per square Angstrom")
+        });
+        lines.add("dose", dose.unwrap_or_else(|| "that of the stored image".into()));
         lines.add("columns", text::count(self.columns as u64));
         if !self.phases.is_empty() {
             let codes = self.phases.iter().enumerate().map(|(n, name)| format!("{n} {name}"));

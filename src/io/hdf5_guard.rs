@@ -4,11 +4,14 @@
 use std::collections::HashSet;
 
 use hdf5::plist::dataset_create::Layout;
-use hdf5::types::VarLenUnicode;
+use hdf5::types::{FixedAscii, FixedUnicode, VarLenAscii, VarLenUnicode};
 use hdf5::{Dataset, File, Group, H5Type, LinkType, Location, LocationType};
 
 /// Bytes of the largest numbers that values are read as.
 const LARGEST_NUMBER_BYTES: usize = 8;
+
+/// Bytes of the longest text of fixed length that is read.
+const LONGEST_TEXT: usize = 256;
 
 /// Why a file is refused.
 pub(super) type Guarded<T> = std::result::Result<T, String>;
@@ -221,6 +224,18 @@ pub(super) fn pair(at: &Location, name: &str) -> Option<[f64; 2]> {
 /// An attribute that is a text in UTF-8.
 pub(super) fn text(at: &Location, name: &str) -> Option<String> {
     number::<VarLenUnicode>(at, name).as_ref().and_then(string)
+}
+
+/// An attribute that is a text, of any kind of texts.
+pub(super) fn any_text(at: &Location, name: &str) -> Option<String> {
+    fn of<T: H5Type>(at: &Location, name: &str, bytes: impl Fn(&T) -> &[u8]) -> Option<String> {
+        let found = number::<T>(at, name)?;
+        Some(String::from_utf8_lossy(bytes(&found)).trim_end_matches('\0').to_owned())
+    }
+    text(at, name)
+        .or_else(|| of::<VarLenAscii>(at, name, |t| t.as_bytes()))
+        .or_else(|| of::<FixedUnicode<LONGEST_TEXT>>(at, name, |t| t.as_bytes()))
+        .or_else(|| of::<FixedAscii<LONGEST_TEXT>>(at, name, |t| t.as_bytes()))
 }
 
 /// An attribute that is `count` texts in UTF-8.

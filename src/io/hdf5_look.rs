@@ -4,7 +4,7 @@ use std::path::Path;
 
 use hdf5::{File, Location};
 
-use super::hdf5_guard::{check_storage, damaged, first_line, number, pair, text, texts, walk};
+use super::hdf5_guard::{any_text, check_storage, damaged, first_line, number, pair, texts, walk};
 use super::hdf5_values;
 use super::world_file::regular_file;
 use crate::error::{Error, Result};
@@ -40,7 +40,7 @@ pub fn read_through(path: &Path) -> Result<()> {
 /// Reads the attributes of a thing in all the ways that there are. Their values are of no interest here.
 fn read_attributes(at: &Location) {
     for name in at.attr_names().unwrap_or_default() {
-        let _ = (number::<f64>(at, &name), pair(at, &name), text(at, &name));
+        let _ = (number::<f64>(at, &name), pair(at, &name), any_text(at, &name));
         let count = at.attr(&name).map_or(0, |a| a.size());
         if count <= MOST_TEXTS {
             let _ = texts(at, &name, count);

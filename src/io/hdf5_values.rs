@@ -15,7 +15,7 @@ use hdf5::types::{FixedAscii, TypeDescriptor};
 use hdf5::{Dataset, Datatype, H5Type, Hyperslab, SliceOrIndex};
 use hdf5_sys::h5d::H5Dget_chunk_info_by_coord;
 use hdf5_sys::h5p::{H5P_DEFAULT, H5Pget_fill_value};
-use hdf5_sys::h5t::H5Tconvert;
+use hdf5_sys::h5t::{H5T_class_t, H5Tconvert, H5Tget_class};
 use ndarray::{Array, ArrayD, Dimension};
 
 use super::hdf5_filters::Filters;
@@ -114,8 +114,16 @@ fn check_kind(stored: &Datatype) -> Guarded<()> {
         Ok(other) => {
             Err(format!("holds values of the type `{other}`; expected numbers or short texts"))
         }
+        Err(_) if is_float(stored) => Ok(()),
         Err(e) => Err(damaged(e)),
     }
+}
+
+/// Whether values are floating-point numbers, of the widths too that have no name here: those of two bytes.
+pub(super) fn is_float(stored: &Datatype) -> bool {
+    // SAFETY: the type is open.
+    let class = hdf5::sync::sync(|| unsafe { H5Tget_class(stored.id()) });
+    class == H5T_class_t::H5T_FLOAT && stored.size() <= size_of::<f64>()
 }
 
 /// The chunks of a dataset.

@@ -20,6 +20,8 @@ pub mod hspy_file;
 pub mod image_file;
 #[cfg(feature = "report")]
 pub mod npz_file;
+#[cfg(feature = "report")]
+pub mod recorded;
 #[cfg(feature = "hdf5")]
 pub mod recording_file;
 #[cfg(feature = "hdf5")]
@@ -51,7 +53,7 @@ use world_file::regular_file;
 #[cfg(feature = "hdf5")]
 pub use world_file::{GroundTruth, WorldFile, WorldMetadata};
 #[cfg(feature = "hdf5")]
-pub use world_making::WorldMaking;
+pub use world_making::{RecordedSource, WorldMaking};
 #[cfg(feature = "hdf5")]
 pub use world_truth::{BoundaryLine, WorldColumn};
 #[cfg(feature = "hdf5")]

@@ -30,6 +30,8 @@ pub const PHASE_MAP: &str = "phase_map";
 pub const PARTICLES: &str = "particles";
 /// Group of projected atomic columns below the ground truth.
 pub const COLUMNS: &str = "columns";
+/// Group below the ground truth of what a recorded file says of its unit cells; only where it lists some.
+pub const UNIT_CELLS: &str = "unit_cells";
 
 /// `defect_types`: `""`, `"vacancy_O"`, `"substitution_Ge"`.
 pub type DefectName = FixedAscii<16>;

@@ -143,6 +143,55 @@ impl TruthWriter {
         self.append_lists(batch).at(&self.path)
     }
 
+    /// Sites of which nothing is known but where they are, (x, y) in nm: all pristine. The lists of what is not known are taken out.
+    ///
+    /// # Errors
+    /// [`crate::Error::Hdf5`].
+    pub fn places_alone(&self, positions_nm: &[[f32; 2]]) -> Result<()> {
+        let count = positions_nm.len();
+        let write = || {
+            append_pairs(&self.site_pairs, positions_nm)?;
+            append(&self.types, &vec![schema::atom_type::PRISTINE; count])?;
+            append(&self.defects, &vec![false; count])?;
+            append(&self.defect_names, &vec![DefectName::default(); count])?;
+            ["atom_z", "atomic_numbers", "atom_columns", schema::COLUMNS]
+                .iter()
+                .try_for_each(|name| self.group.unlink(name))?;
+            self.group.delete_attr("listing")?;
+            text(&self.group, "listing", "places that the recorded file lists")
+        };
+        write().at(&self.path)
+    }
+
+    /// What a recorded file says of the sites one by one: a vector, in its units, and intensities with their names.
+    ///
+    /// # Errors
+    /// [`crate::Error::Hdf5`].
+    pub fn unit_cells(
+        &self,
+        polarisations: &[[f32; 2]],
+        intensities: &[(String, Vec<f32>)],
+    ) -> Result<()> {
+        let write = || {
+            let group = self.group.create_group(schema::UNIT_CELLS)?;
+            text(&group, "refers_to", "rows of atom_positions")?;
+            if !polarisations.is_empty() {
+                let builder = group.new_dataset_builder().with_data(rows(polarisations)?);
+                let dataset = builder.create("polarisation")?;
+                text(
+                    &dataset,
+                    "axes",
+                    "(x, y): x with the column, y with the row; unit of the recorded file",
+                )?;
+            }
+            for (name, values) in intensities {
+                group.new_dataset_builder().with_data(values).create(name.as_str())?;
+            }
+            Ok(())
+        };
+        write().at(&self.path)
+    }
+
     /// Where more columns appear in a recording: (x, y) in pixels from the centre of the first.
     ///
     /// # Errors

@@ -1,5 +1,7 @@
 //! How a world was made, as far as its file tells and [`super::WorldMetadata`] does not.
 
+use serde::Serialize;
+
 use super::hdf5_guard::{number, pair, text};
 use super::schema;
 use super::world_file::WorldFile;
@@ -18,6 +20,49 @@ pub struct WorldMaking {
     pub acquisition: Option<String>,
     /// Current of the beam of a recording in pA.
     pub beam_current_pa: Option<f64>,
+    /// Where a recorded image comes from.
+    pub recorded: Option<RecordedSource>,
+}
+
+/// Where the image of a world comes from that was recorded and not simulated.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct RecordedSource {
+    /// Name of its file.
+    pub file: String,
+    /// Checksum of that file.
+    pub sha256: Option<String>,
+    /// Kind of that file.
+    pub format: Option<String>,
+    /// Name of the image in it.
+    pub image: Option<String>,
+    /// Where the size of a pixel comes from.
+    pub pixel_size_from: Option<String>,
+    /// What of the recorded values became 0 and 1.
+    pub normalisation: Option<String>,
+    /// What stands in place of values that are missing.
+    pub gaps: Option<String>,
+    /// Name of the detector.
+    pub detector: Option<String>,
+    /// Energy of the electrons.
+    pub energy_kev: Option<f64>,
+}
+
+impl RecordedSource {
+    fn of(group: &hdf5::Group) -> Option<Self> {
+        let told = |name: &str| text(group, name).filter(|value| !value.is_empty());
+        Some(RecordedSource {
+            file: told("source_file")?,
+            sha256: told("source_sha256"),
+            format: told("source_format"),
+            image: told("source_image"),
+            pixel_size_from: told("pixel_size_from"),
+            normalisation: told("normalisation"),
+            gaps: told("gaps"),
+            detector: told("recorded_detector"),
+            energy_kev: number(group, "recorded_energy_kev").filter(|v: &f64| v.is_finite()),
+        })
+    }
 }
 
 impl WorldFile {
@@ -29,6 +74,7 @@ impl WorldFile {
             subtile_nm: pair(&group, "subtile_nm").filter(|nm| nm.iter().all(|v| v.is_finite())),
             audit: text(&group, "audit"),
             acquisition: text(&group, "acquisition"),
+            recorded: RecordedSource::of(&group),
             beam_current_pa: number(&group, "beam_current_pa").filter(|v: &f64| v.is_finite()),
         }
     }

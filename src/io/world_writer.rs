@@ -30,20 +30,22 @@ pub struct Header {
     pub fov_nm: [f64; 2],
     /// Row and column of pixel (0, 0) in the full field.
     pub origin_px: [usize; 2],
-    /// Thickness of the specimen in nm.
-    pub thickness_nm: f64,
-    /// Electrons per square Angstrom.
-    pub dose: f64,
-    /// Whether the tiles hold noise.
-    pub noise: bool,
-    /// Seed of all random numbers.
-    pub seed: u64,
+    /// Thickness of the specimen in nm, if known.
+    pub thickness_nm: Option<f64>,
+    /// Electrons per square Angstrom, if known.
+    pub dose: Option<f64>,
+    /// Whether the tiles hold the noise of that dose, if known.
+    pub noise: Option<bool>,
+    /// Seed of all random numbers, if there are some.
+    pub seed: Option<u64>,
     /// The detectors of a world with names for them, the main one first; else none.
     pub detectors: Vec<Detector>,
     /// Largest width, and overlap, of sub-tiles in nm.
     pub subtile_nm: Option<[f64; 2]>,
     /// Texts: name and value.
     pub texts: Vec<(&'static str, String)>,
+    /// Other numbers: name and value.
+    pub numbers: Vec<(&'static str, f64)>,
 }
 
 /// A world file being written.
@@ -127,6 +129,24 @@ impl WorldWriter {
         write().at(&self.path)
     }
 
+    /// The linear scaling of all tiles of a recorded image: value in its file = value * scale + offset. Nothing is known of fractions
+    /// of the beam.
+    ///
+    /// # Errors
+    /// [`Error::Hdf5`].
+    pub fn scaling_of_recorded(&self, scale: f64, offset: f64) -> Result<()> {
+        let write = || {
+            number(&self.tiles, "recorded_scale", scale)?;
+            number(&self.tiles, "recorded_offset", offset)?;
+            text(
+                &self.tiles,
+                "unit",
+                "value in the recorded file = value * recorded_scale + recorded_offset; values beyond 0 and 1 are cut off",
+            )
+        };
+        write().at(&self.path)
+    }
+
     /// A tile, normalised.
     ///
     /// # Errors
@@ -166,7 +186,7 @@ impl WorldWriter {
     /// [`Error::Hdf5`].
     pub fn valid_rows(&self, first: usize, rows: ArrayView2<bool>) -> Result<()> {
         let selection = ndarray::s![first..first + rows.nrows(), ..];
-        self.valid.write_slice(rows, selection).at(&self.path)
+        self.valid.write_slice(&rows.as_standard_layout(), selection).at(&self.path)
     }
 
     /// What the tiles were recorded with: counts of all frames = fraction of the beam * `counts[0]` + `counts[1]`.
@@ -220,13 +240,22 @@ fn write_header(group: &Group, h: &Header) -> hdf5::Result<()> {
     array("grid_shape", h.grid_shape)?;
     array("origin_px_in_full_field", h.origin_px)?;
     group.new_attr_builder().with_data(&h.fov_nm).create("fov_nm")?;
-    number(group, "thickness_nm", h.thickness_nm)?;
-    number(group, "dose_electrons_per_angstrom2", h.dose)?;
-    number(group, "noise", h.noise)?;
-    number(group, "seed", h.seed)?;
+    if let Some(nm) = h.thickness_nm {
+        number(group, "thickness_nm", nm)?;
+    }
+    if let Some(dose) = h.dose {
+        number(group, "dose_electrons_per_angstrom2", dose)?;
+    }
+    if let Some(noise) = h.noise {
+        number(group, "noise", noise)?;
+    }
+    if let Some(seed) = h.seed {
+        number(group, "seed", seed)?;
+    }
     if let Some(nm) = h.subtile_nm {
         group.new_attr_builder().with_data(&nm).create("subtile_nm")?;
     }
+    h.numbers.iter().try_for_each(|(name, value)| number(group, name, *value))?;
     h.texts.iter().try_for_each(|(name, value)| text(group, name, value))
 }
 

@@ -11,7 +11,12 @@ const IN_MASK: f32 = 0.5;
 
 /// Index of a column into [`COLUMN_CLASSES`](super::COLUMN_CLASSES).
 pub(super) fn class_of(column: &ColumnTruth) -> u8 {
-    1 + u8::from(column.vacancies > 0) + 2 * u8::from(column.substitutions > 0)
+    class_of_counts(column.vacancies as i32, column.substitutions as i32)
+}
+
+/// The same of its numbers of vacancies and substitutions.
+pub(super) fn class_of_counts(vacancies: i32, substitutions: i32) -> u8 {
+    1 + u8::from(vacancies > 0) + 2 * u8::from(substitutions > 0)
 }
 
 /// Draws a column at (row, column) in pixels: a Gaussian of height 1 in the heat map, its class where that is above one half.

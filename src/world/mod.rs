@@ -9,6 +9,8 @@ pub mod blended_image;
 pub mod build_options;
 #[cfg(feature = "hdf5")]
 mod build_summary;
+#[cfg(feature = "report")]
+pub mod card;
 mod column_labels;
 mod contamination;
 mod field_recording;
@@ -23,6 +25,8 @@ mod options_of_world;
 #[cfg(feature = "hdf5")]
 mod recording_writer;
 pub mod region_truth;
+#[cfg(feature = "report")]
+pub mod replay;
 #[cfg(feature = "render")]
 pub mod specimen_drawing;
 #[cfg(feature = "hdf5")]

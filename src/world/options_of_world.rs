@@ -2,6 +2,7 @@
 
 use crate::engine::{Algorithm, Expansion, Settings};
 use crate::error::Result;
+use crate::imaging::film::film_imager::film_settings;
 use crate::imaging::{Audit, Cache, MethodChoice};
 use crate::io::WorldFile;
 use crate::recipe::CheckedRecipe;
@@ -96,7 +97,9 @@ impl BuildOptions {
     fn leads_to(&self, recipe: &CheckedRecipe, engine: &str, settings: &Settings) -> Result<bool> {
         // Options that contradict each other are none that a world was built with.
         let Ok(policy) = self.policy(recipe) else { return Ok(false) };
-        if policy.imaging.simulator.settings() != settings {
+        let own = policy.imaging.simulator.settings();
+        let own = if engine == "film" { film_settings(own) } else { own.clone() };
+        if own != *settings {
             return Ok(false);
         }
         let shares = matches!(engine, "mosaic" | "film");

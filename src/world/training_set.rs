@@ -42,7 +42,7 @@ pub const COLUMN_CLASSES: [&str; 5] =
 pub struct TrainingSet {
     /// Counted electrons over those of a pixel: fractions of the beam with noise.
     pub images: Array3<f32>,
-    /// The same without noise.
+    /// The same without noise; no tiles where the noise is that of a recording.
     pub clean: Array3<f32>,
     /// Gaussians of height 1 about columns; the nearest column counts.
     pub heat_maps: Array3<f32>,
@@ -50,7 +50,7 @@ pub struct TrainingSet {
     pub class_masks: Array3<u8>,
     /// Phase of each pixel, as an index into the phases of the specimen.
     pub phase_masks: Array3<i32>,
-    /// Dose of each tile in electrons per square Angstrom.
+    /// Dose of each tile in electrons per square Angstrom; NaN where it is not known.
     pub dose: Array1<f64>,
     /// Row and column of each tile's first pixel in the built field.
     pub origins_px: Array2<i64>,
@@ -113,19 +113,23 @@ pub fn training_set(
 }
 
 fn check(recipe: &CheckedRecipe, options: &TrainingOptions) -> Result<()> {
-    let shape = recipe.field.pixels(recipe.field.built_grid());
+    check_sizes(recipe.field.pixels(recipe.field.built_grid()), options)?;
+    let [low, high] = options.dose;
+    if !(1e-3..=1e12).contains(&low) || !(low..=1e12).contains(&high) {
+        let expected = "expected 0.001 to 1e12 electrons per square Angstrom, the lower first";
+        return Err(Error::invalid(crate::Setting::Dose, format!("{low},{high}"), expected));
+    }
+    Ok(())
+}
+
+/// Checks the lengths in pixels, for a field of so many rows and columns.
+pub(super) fn check_sizes(shape: [usize; 2], options: &TrainingOptions) -> Result<()> {
     let least = shape[0].min(shape[1]);
     let refuse =
         |setting, value: String, expected: String| Err(Error::invalid(setting, value, expected));
     if !(8..=least).contains(&options.size_px) {
         let expected = format!("tiles have from 8 pixels to those of the field, {least}");
         return refuse(crate::Setting::TilePixels, options.size_px.to_string(), expected);
-    }
-    let [low, high] = options.dose;
-    if !(1e-3..=1e12).contains(&low) || !(low..=1e12).contains(&high) {
-        let expected =
-            "expected 0.001 to 1e12 electrons per square Angstrom, the lower first".into();
-        return refuse(crate::Setting::Dose, format!("{low},{high}"), expected);
     }
     if !(0.3..=50.0).contains(&options.sigma_px) {
         let expected = "a column in heat maps is 0.3 to 50 pixels wide".into();
@@ -137,13 +141,18 @@ fn check(recipe: &CheckedRecipe, options: &TrainingOptions) -> Result<()> {
 /// First pixel (row, column) in the built field, and dose, of a tile.
 fn draw(recipe: &CheckedRecipe, options: &TrainingOptions, tile: u64) -> ([usize; 2], f64) {
     let shape = recipe.field.pixels(recipe.field.built_grid());
-    let uniform = |draw: u32| rng::uniform(options.seed, Purpose::Tile, draw, tile);
-    let corner = [0, 1].map(|k| {
-        let room = shape[k] - options.size_px + 1;
-        ((uniform(k as u32) * room as f64) as usize).min(room - 1)
-    });
+    let share = rng::uniform(options.seed, Purpose::Tile, 2, tile);
     let [low, high] = options.dose.map(libm::log);
-    (corner, libm::exp(low + uniform(2) * (high - low)))
+    (corner(shape, options, tile), libm::exp(low + share * (high - low)))
+}
+
+/// First pixel (row, column) of a tile in a field of so many rows and columns.
+pub(super) fn corner(shape: [usize; 2], options: &TrainingOptions, tile: u64) -> [usize; 2] {
+    [0, 1].map(|k| {
+        let room = shape[k] - options.size_px + 1;
+        let share = rng::uniform(options.seed, Purpose::Tile, k as u32, tile);
+        ((share * room as f64) as usize).min(room - 1)
+    })
 }
 
 /// Images put together from blocks of the field that is built: no block reaches beyond it, so a small world is made once.
@@ -196,14 +205,21 @@ impl TileBlocks<'_> {
 
 /// The columns of all tiles, one after the other.
 #[derive(Default)]
-struct ColumnLists {
+pub(super) struct ColumnLists {
     tiles: Vec<i32>,
     positions: Vec<[f32; 2]>,
     facts: Vec<[i32; 5]>,
 }
 
 impl ColumnLists {
-    fn into_set(self, mut set: TrainingSet) -> TrainingSet {
+    /// A column of a tile, at (row, column) in pixels, with its facts.
+    pub(super) fn add(&mut self, tile: usize, at: [f64; 2], facts: [i32; 5]) {
+        self.tiles.push(tile as i32);
+        self.positions.push(at.map(|v| v as f32));
+        self.facts.push(facts);
+    }
+
+    pub(super) fn into_set(self, mut set: TrainingSet) -> TrainingSet {
         set.column_tiles = Array1::from(self.tiles);
         set.column_positions_px = ndarray::arr2(&self.positions);
         set.columns = ndarray::arr2(&self.facts);
@@ -212,7 +228,7 @@ impl ColumnLists {
 }
 
 impl TrainingSet {
-    fn empty(n: usize, size: usize, pixel_angstrom: f64) -> Self {
+    pub(super) fn empty(n: usize, size: usize, pixel_angstrom: f64) -> Self {
         TrainingSet {
             images: Array3::zeros((n, size, size)),
             clean: Array3::zeros((n, size, size)),
@@ -250,9 +266,7 @@ impl TrainingSet {
             let at = [1, 0].map(|k| f64::from(column.position_nm[k]) / pixel);
             draw_column(at, class_of(column), sigma_px, &mut heat, &mut mask);
             if at.iter().all(|v| (-0.5..size - 0.5).contains(v)) {
-                lists.tiles.push(tile as i32);
-                lists.positions.push(at.map(|v| v as f32));
-                lists.facts.push(facts_of(column));
+                lists.add(tile, at, facts_of(column));
             }
         }
     }

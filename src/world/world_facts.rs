@@ -6,7 +6,7 @@ use crate::acquisition::Acquisition;
 use crate::detect::Detector;
 use crate::error::Result;
 use crate::imaging::Audit;
-use crate::io::WorldFile;
+use crate::io::{RecordedSource, WorldFile};
 use crate::recipe::{Difficulty, Recipe};
 
 /// What a world file holds. What the file does not tell is `None`.
@@ -53,6 +53,8 @@ pub struct WorldFacts {
     pub noise_free_image: bool,
     /// What the tiles were recorded with.
     pub recording: Option<RecordingFacts>,
+    /// Where the image comes from, if it was recorded and not simulated.
+    pub recorded: Option<RecordedSource>,
     /// Lattice sites, vacant ones included.
     pub sites: usize,
     /// Vacant sites.
@@ -132,6 +134,7 @@ impl WorldFacts {
                 beam_current_pa: making.beam_current_pa,
                 acquisition,
             }),
+            recorded: making.recorded,
             sites: world.site_count()?,
             vacancies: sum(|c| c.vacancies),
             substitutions: sum(|c| c.substitutions),

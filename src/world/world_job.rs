@@ -198,16 +198,17 @@ impl Job<'_> {
             grid_shape: field.built_grid(),
             fov_nm: shape.map(|n| n as f64 * field.pixel_nm()),
             origin_px: field.crop_origin_px(),
-            thickness_nm: self.layout.specimen.thickness_nm(),
-            dose: recipe.dose.electrons_per_angstrom2,
-            noise: self.layout.options.noise,
-            seed: recipe.seed,
+            thickness_nm: Some(self.layout.specimen.thickness_nm()),
+            dose: Some(recipe.dose.electrons_per_angstrom2),
+            noise: Some(self.layout.options.noise),
+            seed: Some(recipe.seed),
             subtile_nm: self.layout.options.policy(recipe).ok().map(|policy| policy.subtile_nm),
             detectors: match &recipe.detector {
                 DetectorTables::One(_) => Vec::new(),
                 several => several.all(),
             },
             texts,
+            numbers: Vec::new(),
         }
     }
 }

@@ -26,6 +26,7 @@ fn help_is_as_stored() {
     compare("tiles", &["tiles"]);
     compare("acquire", &["acquire"]);
     compare("live", &["live"]);
+    compare("import", &["import"]);
     compare("audit", &["audit"]);
     compare("regenerate", &["regenerate"]);
     compare("slurm", &["slurm"]);
@@ -38,6 +39,7 @@ fn help_is_as_stored() {
     compare("compare", &["compare"]);
     compare("verify", &["verify"]);
     compare("info", &["info"]);
+    compare("card", &["card"]);
     compare("list", &["list"]);
     compare("show-recipe", &["show-recipe"]);
 }

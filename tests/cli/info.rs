@@ -72,6 +72,22 @@ fn the_command_that_is_told_makes_the_same_tiles_and_truth() {
 }
 
 #[test]
+fn a_film_with_particles_is_made_again_too() {
+    let changes = [
+        "field.fov_nm=[3,3]",
+        "field.grid=[2,2]",
+        "field.thickness_nm=1",
+        "particles.count=1",
+        "particles.diameter_nm=[1.2,1.5]",
+        "phonons.configurations=1",
+    ];
+    let changes = changes.iter().flat_map(|change| ["--set", change]);
+    let words = ["pt", "--difficulty", "easy", "--audit", "0"].into_iter().chain(changes);
+    let line = made_again(&words.collect::<Vec<_>>());
+    assert!(line.starts_with("stemgen build pt --difficulty easy --set "), "{line}");
+}
+
+#[test]
 fn what_a_world_holds_is_told() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();

@@ -3,11 +3,13 @@
 mod acquire;
 mod build;
 mod cache;
+mod card;
 mod checks;
 mod compare;
 mod docs;
 mod errors;
 mod help;
+mod import;
 mod info;
 #[path = "../common/python.rs"]
 mod interpreter;

@@ -35,7 +35,7 @@ macro_rules! targets {
     )*};
 }
 
-targets! { cif xyz poscar recipe set npy npz zarr tif hdf5_bytes hdf5_shapes }
+targets! { cif xyz poscar recipe set npy npz zarr tif dm hdf5_bytes hdf5_shapes }
 
 /// Runs a target in other processes, one after another if they end early.
 fn campaign(name: &'static str) {

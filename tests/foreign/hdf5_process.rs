@@ -30,15 +30,16 @@ fn told(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-/// Has the program read a file in three ways. Returns those that did not end in order, with what they said; with words in order:
+/// Has the program read a file in four ways. Returns those that did not end in order, with what they said; with words in order:
 /// what was said of the others.
 pub fn read_by_the_program(file: &Path) -> Result<Vec<String>, String> {
     let here = tempfile::tempdir().unwrap();
     std::fs::copy(file, here.path().join("f.h5")).unwrap();
     let si = concat!(env!("CARGO_MANIFEST_DIR"), "/structures/si.cif");
-    let commands: [&[&str]; 3] = [
+    let commands: [&[&str]; 4] = [
         &["view", "f.h5", "-o", "f.png"],
         &["verify", "f.h5"],
+        &["import", "f.h5", "-o", "i.h5", "--pixel-size", "0.1"],
         &["validate", "--reference", "f.h5", "--structure", si],
     ];
     let ended = commands.map(|arguments| {
@@ -65,7 +66,7 @@ fn files_that_kill_the_library_are_named_by_the_program() {
         // Other versions may notice it themselves.
         if hdf5::library_version() == (1, 10, 8) && name == "header.h5" {
             let named = |w: &&String| w.contains("f.h5: is damaged: the HDF5 library");
-            assert_eq!(words.iter().filter(named).count(), 3, "{words:?}");
+            assert_eq!(words.iter().filter(named).count(), 4, "{words:?}");
         }
     }
 }

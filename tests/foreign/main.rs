@@ -2,11 +2,14 @@
 //! Nothing outside of them is read.
 
 mod allocation;
+#[path = "../common/dm_bytes.rs"]
+mod dm_bytes;
 mod fuzz;
 mod hdf5_files;
 mod hdf5_process;
 mod large_files;
 mod mutation;
+mod recorded_files;
 mod targets;
 
 use std::os::unix::process::CommandExt;

@@ -2,12 +2,16 @@
 
 use std::path::{Path, PathBuf};
 
-use stemgen::io::arrays;
+use stemgen::io::recorded::ImageChoice;
+use stemgen::io::{self, arrays};
 use stemgen::recipe::{Difficulty, Override, Recipe};
 use stemgen::structure::{Format, parse};
+use stemgen::world::replay::{ReplayOptions, ReplayWorld};
 
+use super::dm_bytes::{DM3, DM3_BIG, DM4};
 use super::hdf5_files::{odd_world, read_world, reference, world};
 use super::mutation::{Dice, binary, text};
+use super::recorded_files::{dm_files, signal, unit_cells, velox};
 
 /// Processor time and addresses that a process may take to read through a small file.
 const SECONDS: u64 = 1;
@@ -43,7 +47,7 @@ fn survives(path: &Path) -> bool {
 }
 
 /// Names of all targets.
-pub const TARGETS: [&str; 11] = [
+pub const TARGETS: [&str; 12] = [
     "cif",
     "xyz",
     "poscar",
@@ -53,6 +57,7 @@ pub const TARGETS: [&str; 11] = [
     "npz",
     "zarr",
     "tif",
+    "dm",
     "hdf5_bytes",
     "hdf5_shapes",
 ];
@@ -82,7 +87,7 @@ impl Target {
         let mut dice = Dice::new(self.name, number);
         match self.name {
             "npy" | "zarr" if dice.one_in(2) => text(&self.corpus, &mut dice),
-            "npy" | "npz" | "zarr" | "tif" | "hdf5_bytes" => binary(&self.corpus, &mut dice),
+            "npy" | "npz" | "zarr" | "tif" | "dm" | "hdf5_bytes" => binary(&self.corpus, &mut dice),
             // The counter itself: the file is made by the library.
             "hdf5_shapes" => dice.next().to_le_bytes().to_vec(),
             _ => text(&self.corpus, &mut dice),
@@ -106,8 +111,9 @@ impl Target {
                 }
                 // Both, whatever the other makes of it.
                 let accepted = read_world(&path).is_ok();
-                accepted | arrays::read(&path, None).is_ok()
+                accepted | arrays::read(&path, None).is_ok() | recorded(&path)
             }
+            "dm" => recorded(&self.file("f.dm", input)),
             "hdf5_shapes" => {
                 let path = self.folder.path().join("s.h5");
                 let seed = u64::from_le_bytes(input.try_into().unwrap());
@@ -159,6 +165,20 @@ impl Target {
     }
 }
 
+/// Whether a recorded image is read, and taken for a world where it is.
+fn recorded(path: &Path) -> bool {
+    let choices = [(None, None), (Some("HAADF"), Some(0)), (None, Some(1))];
+    let mut accepted = false;
+    for (dataset, index) in choices {
+        let choice = ImageChoice { dataset: dataset.map(str::to_owned), index };
+        if let Ok(image) = io::recorded::read(path, &choice) {
+            accepted = true;
+            let _ = ReplayWorld::new(image, &ReplayOptions::default());
+        }
+    }
+    accepted
+}
+
 fn structure(format: Format, input: &[u8]) -> bool {
     match parse(format, input, Path::new("f")) {
         Ok(structure) => structure.resolve_occupancy(1).is_ok(),
@@ -201,7 +221,14 @@ fn corpus(name: &str, folder: &Path) -> Vec<Vec<u8>> {
         "xyz" => structures(|name| name.ends_with("xyz")),
         "poscar" => structures(|name| name.starts_with(['P', 'C']) || name.ends_with(".vasp")),
         "recipe" => read("generate", |name| name.ends_with(".toml")),
-        "hdf5_bytes" => vec![made("w.h5", world), made("r.h5", reference)],
+        "hdf5_bytes" => vec![
+            made("w.h5", world),
+            made("r.h5", reference),
+            made("v.emd", velox),
+            made("s.hspy", signal),
+            made("c.h5", unit_cells),
+        ],
+        "dm" => [DM3, DM3_BIG, DM4].into_iter().flat_map(dm_files).collect(),
         "hdf5_shapes" => vec![Vec::new()],
         other => read(&format!("tests/fuzz/{other}"), |_| true),
     }

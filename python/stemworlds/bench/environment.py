@@ -20,6 +20,7 @@ Step = tuple[Observation, float, bool, bool, dict[str, Any]]
 
 #: Longest report that the action space holds. Longer ones are read too.
 REPORT_CHARACTERS = 4096
+_LARGEST_PIXEL_NM = 1e3
 _REPORT_ALPHABET = frozenset(' "+,-.0123456789:[]_abcdefghijklmnopqrstuvwxyz{}')
 
 
@@ -37,7 +38,7 @@ def observation_space(field: FieldFacts) -> spaces.Dict:
             "dose_left": box(0, 1, 1),
             "visited": spaces.Box(0, 1, field.grid, np.int8),
             "step_fraction": box(0, 1, 1),
-            "pixel_size_nm": box(0, np.inf, 1),
+            "pixel_size_nm": box(0, _LARGEST_PIXEL_NM, 1),
             "action_mask": spaces.Box(0, 1, (4,), np.int8),
         }
     )

@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
+from gymnasium.utils import RecordConstructorArgs
 
 from .environment import MicroscopeEnv, Observation, Step
 from .episodes import ACQUIRE, DONE, Acquired
@@ -26,14 +27,16 @@ def _nothing(seen: Sequence[Acquired]) -> Findings:
     return Findings()
 
 
-class _Deciding(gym.Wrapper[Observation, Any, Observation, Any]):
+class _Deciding(gym.Wrapper[Observation, Any, Observation, Any], RecordConstructorArgs):
     """An environment whose analyst declares after each acquisition what it has found; the agent decides where to look.
 
     ``analyse`` gets everything that was acquired in the episode, or is an object with a method of that name.
     """
 
-    def __init__(self, env: gym.Env[Any, Any], analyst: Any = None, declare_every: int = 1) -> None:
-        super().__init__(env)
+    def __init__(self, env: gym.Env[Any, Any], analyst: Any, declare_every: int, **others: Any) -> None:
+        # With it an environment can be made again from its specification.
+        RecordConstructorArgs.__init__(self, analyst=analyst, declare_every=declare_every, **others)
+        gym.Wrapper.__init__(self, env)
         self._analyst = analyst
         self._analyse: Analyse = _nothing if analyst is None else getattr(analyst, "analyse", analyst)
         self._every = declare_every
@@ -46,10 +49,10 @@ class _Deciding(gym.Wrapper[Observation, Any, Observation, Any]):
         assert isinstance(inside, MicroscopeEnv)
         return inside
 
-    def reset(self, **arguments: Any) -> tuple[Observation, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
         """Begins another episode, and tells the analyst, where it has a method ``reset``."""
         self._seen.clear()
-        out = super().reset(**arguments)
+        out = super().reset(seed=seed, options=options)
         tell = getattr(self._analyst, "reset", None)
         if tell is not None:
             tell(self.microscope.field)
@@ -85,7 +88,7 @@ class DiscreteGrid(_Deciding):
     """
 
     def __init__(self, env: gym.Env[Any, Any], analyst: Any = None, cells: int = 8, declare_every: int = 1) -> None:
-        super().__init__(env, analyst, declare_every)
+        super().__init__(env, analyst, declare_every, cells=cells)
         self._cells = cells
         self.action_space = spaces.Discrete(3 * cells * cells)
 
@@ -141,7 +144,7 @@ class GridChoice(_Deciding):
     """
 
     def __init__(self, env: gym.Env[Any, Any], analyst: Any = None, cells: int = 8, declare_every: int = 1) -> None:
-        super().__init__(env, analyst, declare_every)
+        super().__init__(env, analyst, declare_every, cells=cells)
         self._cells = cells
         self.action_space = spaces.MultiDiscrete([cells, cells, len(ZOOMS), len(DOSES)])
 
@@ -152,11 +155,12 @@ class GridChoice(_Deciding):
         return self._acquire(place, ZOOMS[zoom], DOSES[dose])
 
 
-class ByteImages(gym.ObservationWrapper[Observation, Any, Observation]):
+class ByteImages(gym.ObservationWrapper[Observation, Any, Observation], RecordConstructorArgs):
     """Tile and overview as uint8 with one channel, ``(rows, columns, 1)``: what convolutional policies take for images."""
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
-        super().__init__(env)
+        RecordConstructorArgs.__init__(self)
+        gym.ObservationWrapper.__init__(self, env)
         inside = env.observation_space
         assert isinstance(inside, spaces.Dict)
         kept = dict(inside.spaces)

@@ -47,6 +47,17 @@ pub struct FilmImager {
     kernel: Kernel,
 }
 
+/// The settings of the windows of particles, where those asked for are `settings`.
+pub fn film_settings(settings: &Settings) -> Settings {
+    Settings {
+        probe_box: Some(ProbeBox::Large),
+        probe_step: ProbeStep::Scan,
+        tail_correction: false,
+        slicing: Slicing::Grouped(SPAN_ANGSTROM),
+        ..settings.clone()
+    }
+}
+
 impl FilmImager {
     /// `None` for specimens without a film, engines without windows, and several detectors.
     ///
@@ -69,13 +80,7 @@ impl FilmImager {
         }
         let band_limit = image_band_limit(&settings.optics);
         let step = Kernel::default_step(band_limit);
-        let simulator = Simulator::of(Settings {
-            probe_box: Some(ProbeBox::Large),
-            probe_step: ProbeStep::Scan,
-            tail_correction: false,
-            slicing: Slicing::Grouped(SPAN_ANGSTROM),
-            ..settings.clone()
-        });
+        let simulator = Simulator::of(film_settings(settings));
         let scene = Arc::new(FilmScene {
             recipe: recipe.clone(),
             specimen: Arc::clone(specimen),

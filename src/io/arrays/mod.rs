@@ -21,6 +21,7 @@ use ndarray::ArrayD;
 
 use crate::error::{Error, Result};
 use crate::setting::Setting;
+pub(super) use number_type::NumberType;
 pub(crate) use numpy::unpack as unpack_npz;
 
 /// What a file says of one dimension of an array.
@@ -96,7 +97,7 @@ pub const MOST_VALUES: usize = 1 << 26;
 const MOST_AXES: usize = 64;
 
 /// The number of values of an array of this shape, or why it is too large. Nothing was asked for yet.
-fn held(shape: &[usize]) -> std::result::Result<usize, String> {
+pub(super) fn held(shape: &[usize]) -> std::result::Result<usize, String> {
     let count = shape.iter().try_fold(1_usize, |n, length| n.checked_mul(*length));
     // Axes of length 0 hide what the others come to.
     let fits = shape.len() <= MOST_AXES && shape.iter().all(|length| *length <= MOST_VALUES);
@@ -133,7 +134,7 @@ impl ForeignArray {
 }
 
 /// The array called `name`, or the only one there is.
-fn choose<'a>(path: &Path, found: &'a [String], name: Option<&str>) -> Result<&'a str> {
+pub(super) fn choose<'a>(path: &Path, found: &'a [String], name: Option<&str>) -> Result<&'a str> {
     const SHOWN: usize = 12;
     let mut listed = found.iter().take(SHOWN).cloned().collect::<Vec<_>>().join(", ");
     if found.len() > SHOWN {

@@ -1,0 +1,6 @@
+"""A microscope that other programs drive over a socket; see ``docs/serve.md``."""
+
+from .microscope import Microscope
+from .server import Client, Server
+
+__all__ = ["Client", "Microscope", "Server"]

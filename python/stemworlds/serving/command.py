@@ -1,0 +1,72 @@
+"""``stemworlds serve``: a microscope on a socket."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from .. import errors
+from ..live import LiveWorld
+from ..recipes import Recipe
+from .microscope import Microscope
+from .server import ADDRESS, Server
+
+_EXAMPLES = """
+examples:
+  stemworlds serve srtio3 --difficulty easy
+  stemworlds serve mine.toml --port 9001 --profile routine --current 50
+
+The specimen changes under the beam as the table [damage] of the recipe says. Clients: docs/serve.md.
+"""
+
+
+def parser() -> argparse.ArgumentParser:
+    """The arguments."""
+    made = argparse.ArgumentParser(
+        prog="stemworlds serve",
+        description="Serves a microscope with a specimen that other programs drive over a socket.",
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    made.add_argument("recipe", help="name or TOML file of a recipe")
+    made.add_argument("--difficulty", choices=["easy", "medium", "hard"], help="tier, where the recipe has some")
+    made.add_argument("--grid", metavar="RxC", help="only the central tiles")
+    made.add_argument("--seed", type=int, help="seed of the specimen")
+    made.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change a value of the recipe; TOML")
+    made.add_argument("--host", default=ADDRESS[0], help="address to listen on (default: %(default)s, this computer only)")
+    made.add_argument("--port", type=int, default=ADDRESS[1], help="port (default: %(default)s; 0 takes a free one)")
+    made.add_argument("--profile", choices=["ideal", "routine", "poor"], default="ideal", help="errors of scan and detector")
+    made.add_argument("--fov", type=float, default=50.0, metavar="ANGSTROM", help="field of view (default: %(default)s)")
+    made.add_argument("--current", type=float, default=20.0, metavar="PA", help="current of the beam (default: %(default)s)")
+    made.add_argument("--most-dose", type=float, default=1e6, help="greatest dose of any place, in electrons per square Angstrom (default: 1e6)")
+    made.add_argument("--threads", type=int, help="number of threads")
+    return made
+
+
+def main(arguments: list[str]) -> int:
+    """Serves until it is interrupted; returns the exit code."""
+    given = parser().parse_args(arguments)
+    try:
+        grid = None if given.grid is None else _grid(given.grid)
+        changed = Recipe(given.recipe, given.difficulty, grid=grid, seed=given.seed, unset=given.set)
+        print(f"making the specimen of {changed['id']}; its library takes minutes the first time", file=sys.stderr)
+        world = LiveWorld(changed, most_dose=given.most_dose, threads=given.threads, progress=True)
+        microscope = Microscope(world, profile=given.profile, fov_angstrom=given.fov, current_pa=given.current)
+        server = Server(microscope, (given.host, given.port))
+    except (errors.StemworldsError, ValueError, OSError, OverflowError) as error:
+        print(f"stemworlds serve: {error}", file=sys.stderr)
+        return 1
+    with server:
+        print(f"listening on {given.host}:{server.port}; Ctrl-C ends it", flush=True)
+        try:
+            server.serve_forever()
+        except KeyboardInterrupt:
+            print("ended", file=sys.stderr)
+    return 0
+
+
+def _grid(text: str) -> tuple[int, int]:
+    rows, _, columns = text.lower().partition("x")
+    if not (rows.isdigit() and columns.isdigit()):
+        raise ValueError(f"--grid {text}: expected rows x columns, as 4x4")
+    return int(rows), int(columns)

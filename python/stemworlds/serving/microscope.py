@@ -1,0 +1,249 @@
+"""The verbs that clients use, and the state that they change."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import json
+import math
+import threading
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..live import LiveWorld
+from ..recipes import Acquisition
+from .messages import Answer
+
+Arguments = Mapping[str, str]
+
+#: Longest frame in s; as long as asyncroscopy's own server takes.
+LONGEST_FRAME_S = 600.0
+#: Edge in nm of the square that a beam at rest hits.
+BEAM_NM = 0.1
+#: Rows and columns of an image.
+SIZES = (8, 4096)
+
+
+class Microscope:
+    """A microscope with a specimen that its electrons change. One call at a time works on it.
+
+    Every public method is a verb. Lengths on the wire have the units of the programs that are imitated: the stage is in m, the field
+    of view in Angstrom, currents in pA, times in s, and the beam in fractions of the field of view.
+
+    Args:
+        world: the specimen.
+        profile: errors of scan and detector: ``"ideal"``, ``"routine"``, ``"poor"``.
+        fov_angstrom: edge of the field of view.
+        current_pa: current of the beam.
+    """
+
+    def __init__(self, world: LiveWorld, *, profile: Acquisition = "ideal", fov_angstrom: float = 50.0, current_pa: float = 20.0) -> None:
+        self._world = world
+        self._profile = profile
+        recipe = world.recipe
+        rows, columns = recipe.grid
+        tile, overlap, pixel = recipe["field.tile_px"], recipe["field.overlap_px"], recipe.pixel_nm
+        self._width_nm, self._height_nm = ((n * (tile - overlap) + overlap) * pixel for n in (columns, rows))
+        self._stage_m = np.zeros(5)
+        self._fov_angstrom = fov_angstrom
+        self._current_pa = current_pa
+        self._beam = (0.5, 0.5)
+        self._blanked = True
+        self._busy = threading.Lock()
+
+    def answer(self, verb: str, arguments: Arguments) -> Answer:
+        """What a verb comes to.
+
+        Raises:
+            ValueError: for an unknown verb, and for arguments that make no sense, missing ones too; the message is for the client.
+        """
+        does = self._verbs().get(verb)
+        if does is None:
+            raise ValueError(f"unknown verb {verb!r}; discover_commands lists those that there are")
+        if verb == "get_status":
+            # It never waits.
+            return does(arguments)
+        with self._busy:
+            return does(arguments)
+
+    def _verbs(self) -> dict[str, Callable[[Arguments], Answer]]:
+        own = {"answer"}
+        return {name: getattr(self, name) for name in dir(self) if not name.startswith("_") and name not in own}
+
+    def connect(self, arguments: Arguments) -> Answer:
+        """Tells that the microscope is there. Addresses that clients send are not needed."""
+        return f"Connected to a simulated microscope: {self._world.recipe['id']}"
+
+    connect_AS = connect
+
+    def set_routing_table(self, arguments: Arguments) -> Answer:
+        """Accepted, as there is one server for all."""
+        return "Routing table is not needed: one server answers all"
+
+    def discover_commands(self, arguments: Arguments) -> Answer:
+        """All verbs, as JSON."""
+        return json.dumps(sorted(self._verbs()))
+
+    def get_help(self, arguments: Arguments) -> Answer:
+        """What ``command_name`` does, as JSON."""
+        name = arguments.get("command_name", "")
+        if name not in self._verbs():
+            return json.dumps({"error": f"unknown verb {name!r}"})
+        doc = inspect.getdoc(getattr(self, name)) or ""
+        return json.dumps({"name": name, "summary": doc.split("\n")[0], "doc": doc})
+
+    def get_status(self, arguments: Arguments) -> Answer:
+        """Whether an image is being recorded."""
+        return "Microscope is Busy" if self._busy.locked() else "Microscope is Ready"
+
+    def get_stage(self, arguments: Arguments) -> Answer:
+        """x, y, z in m and the two tilts in rad, float32; 0, 0 is the middle of the specimen."""
+        return self._stage_m.astype(np.float32)
+
+    def set_stage(self, arguments: Arguments) -> Answer:
+        """Moves the stage to ``x`` and ``y`` in m, or by them with ``relative=True``. The field of view has to stay on the specimen."""
+        x, y = (_number(arguments, key, default=math.nan) for key in ("x", "y"))
+        relative = arguments.get("relative", "False").lower() in ("true", "1")
+        moved = self._stage_m.copy()
+        for axis, value in enumerate((x, y)):
+            if not math.isnan(value):
+                moved[axis] = value + (moved[axis] if relative else 0.0)
+        if any(_number(arguments, key, default=0.0) for key in ("z", "a", "b")):
+            raise ValueError("z, a, b: the specimen is thin and flat: only x and y move it")
+        self._region(moved, self._fov_angstrom)
+        self._stage_m = moved
+        return f"Stage moved to {moved[0]:.4e}, {moved[1]:.4e} m"
+
+    def set_fov(self, arguments: Arguments) -> Answer:
+        """Sets the edge of the field of view, ``fov`` in Angstrom."""
+        fov = _number(arguments, "fov")
+        if not 1.0 <= fov <= 1e5:
+            raise ValueError(f"fov={fov}: expected 1 to 1e5 Angstrom")
+        self._region(self._stage_m, fov)
+        self._fov_angstrom = fov
+        return f"FOV set to {fov} A"
+
+    def get_fov(self, arguments: Arguments) -> Answer:
+        """The edge of the field of view in Angstrom."""
+        return np.array([self._fov_angstrom], dtype=np.float32)
+
+    def set_current(self, arguments: Arguments) -> Answer:
+        """Sets the current of the beam, ``current`` in pA."""
+        current = _number(arguments, "current")
+        if not 1e-3 <= current <= 1e6:
+            raise ValueError(f"current={current}: expected 0.001 to 1e6 pA")
+        self._current_pa = current
+        return f"Beam current set to {current} pA"
+
+    set_beam_current = set_current
+
+    def get_current(self, arguments: Arguments) -> Answer:
+        """The current of the beam in pA."""
+        return np.array([self._current_pa], dtype=np.float32)
+
+    get_beam_current = get_current
+
+    def get_scanned_image(self, arguments: Arguments) -> Answer:
+        """Records the field of view: ``size`` x ``size`` pixels, ``dwell_time`` in s, ``scanning_detector`` (or ``detector``) HAADF.
+
+        The dose is current x dwell time / pixel area; it changes the specimen. The answer is float32, in counts of the detector.
+        """
+        detector = arguments.get("scanning_detector", arguments.get("detector", "HAADF"))
+        if detector.upper() != "HAADF":
+            raise ValueError(f"detector {detector!r}: this microscope has HAADF")
+        size = int(_number(arguments, "size", default=512))
+        dwell_s = _number(arguments, "dwell_time", default=2e-6)
+        if not SIZES[0] <= size <= SIZES[1]:
+            raise ValueError(f"size={size}: expected {SIZES[0]} to {SIZES[1]} pixels")
+        if not 1e-9 <= dwell_s or dwell_s * size * size > LONGEST_FRAME_S:
+            raise ValueError(f"dwell_time={dwell_s}: expected at least 1e-9 s, and at most {LONGEST_FRAME_S:.0f} s for all pixels")
+        return self._recorded(self._region(self._stage_m, self._fov_angstrom), size, dwell_s)
+
+    def get_dose(self, arguments: Arguments) -> Answer:
+        """The mean dose that the field of view has had, in electrons per square Angstrom."""
+        dose = self._world.dose(self._region(self._stage_m, self._fov_angstrom))
+        return np.array([dose], dtype=np.float32)
+
+    def place_beam(self, arguments: Arguments) -> Answer:
+        """Moves the resting beam to ``x``, ``y`` (or ``beam_pos=(x,y)``) in fractions of the field of view. It stays blanked."""
+        if "beam_pos" in arguments:
+            x, y = _pair(arguments["beam_pos"])
+        else:
+            x, y = _number(arguments, "x"), _number(arguments, "y")
+        if not (0 <= x <= 1 and 0 <= y <= 1):
+            raise ValueError(f"{x}, {y}: expected fractions of the field of view, from 0 to 1")
+        self._beam = (x, y)
+        return f"Beam moved to {x}, {y}"
+
+    def unblank_beam(self, arguments: Arguments) -> Answer:
+        """Lets the resting beam hit the specimen for ``duration`` (or ``dwell_time``) seconds, then blanks it again."""
+        given = arguments.get("duration", arguments.get("dwell_time"))
+        if given is None:
+            raise ValueError("duration: say for how many seconds; a simulated beam does not wait for the next command")
+        duration = _float("duration", given)
+        if not 0 < duration <= LONGEST_FRAME_S:
+            raise ValueError(f"duration={duration}: expected up to {LONGEST_FRAME_S:.0f} s")
+        left, top, right, bottom = self._region(self._stage_m, self._fov_angstrom)
+        x, y = left + self._beam[0] * (right - left), top + self._beam[1] * (bottom - top)
+        half = 0.5 * BEAM_NM
+        self._recorded((x - half, y - half, x + half, y + half), 1, duration)
+        return f"Beam unblanked for {duration} s"
+
+    def blank_beam(self, arguments: Arguments) -> Answer:
+        """Blanks the beam; between commands it always is."""
+        return "Beam blanked"
+
+    def _recorded(self, region_nm: tuple[float, float, float, float], size: int, dwell_s: float) -> npt.NDArray[np.float32]:
+        recording = self._world.acquire(
+            region_nm=region_nm,
+            pixel_nm=(region_nm[2] - region_nm[0]) / size,
+            current_pa=self._current_pa,
+            dwell_us=1e6 * dwell_s,
+            profile=self._profile,
+        )
+        return np.asarray(recording.image.data, dtype=np.float32).reshape(size, size)
+
+    def _region(self, stage_m: npt.NDArray[np.float64], fov_angstrom: float) -> tuple[float, float, float, float]:
+        """The field of view in nm of the specimen.
+
+        Raises:
+            ValueError: where it leaves the specimen.
+        """
+        half = 0.05 * fov_angstrom
+        x, y = 0.5 * self._width_nm + 1e9 * stage_m[0], 0.5 * self._height_nm + 1e9 * stage_m[1]
+        if x - half < 0 or y - half < 0 or x + half > self._width_nm or y + half > self._height_nm:
+            raise ValueError(
+                f"a field of view of {fov_angstrom} A at stage {stage_m[0]:.3e}, {stage_m[1]:.3e} m leaves the specimen, "
+                f"which is {10 * self._width_nm:.0f} x {10 * self._height_nm:.0f} A"
+            )
+        return float(x - half), float(y - half), float(x + half), float(y + half)
+
+
+def _number(arguments: Arguments, key: str, default: float | None = None) -> float:
+    if key not in arguments:
+        if default is None:
+            raise ValueError(f"{key} is missing")
+        return default
+    return _float(key, arguments[key])
+
+
+def _float(key: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise ValueError(f"{key}={text!r}: expected a number") from None
+    if not math.isfinite(value):
+        raise ValueError(f"{key}={text}: expected a finite number")
+    return value
+
+
+def _pair(text: str) -> tuple[float, float]:
+    try:
+        found: Any = ast.literal_eval(text)
+        x, y = (float(v) for v in found)
+    except (ValueError, TypeError, SyntaxError):
+        raise ValueError(f"beam_pos={text!r}: expected (x,y)") from None
+    return x, y

@@ -1,0 +1,197 @@
+"""Environments of the benchmark, with Gymnasium's own checks."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import stemworlds as sw
+from stemworlds import bench
+
+RECIPE: dict[str, Any] = {"recipe": "test", "set": {"field.thickness_nm": 0.4}}
+
+
+@pytest.fixture(scope="module")
+def world_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("bench") / "w.h5"
+    sw.build("test", out=path, keep_clean=True, audit=0, set={"field.thickness_nm": 0.4})
+    return path
+
+
+def same(a: Any, b: Any) -> bool:
+    return set(a) == set(b) and all(np.array_equal(a[name], b[name]) for name in a)
+
+
+@pytest.mark.parametrize("task", bench.TASKS)
+@pytest.mark.parametrize("suffix", ["", "Strict"])
+def test_gymnasium_accepts_all_environments(world_file: Path, task: str, suffix: str) -> None:
+    env = gym.make(f"stemworlds/{task}{suffix}-v0", world=world_file, render_mode="rgb_array")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # Zoom and dose have their own units.
+        warnings.filterwarnings("ignore", message=".*symmetric and normalized.*")
+        check_env(env.unwrapped)
+
+
+def test_gymnasium_accepts_wrapped_environments(world_file: Path) -> None:
+    def make() -> gym.Env[Any, Any]:
+        return gym.make("stemworlds/DefectCensus-v0", world=world_file).unwrapped
+
+    for wrapped in (bench.DiscreteGrid(make()), bench.TargetBox(make()), bench.GridChoice(make()), bench.ByteImages(make())):
+        check_env(wrapped, skip_render_check=True)
+
+
+def test_specimens_of_recipes_are_new_at_each_reset() -> None:
+    env = gym.make("stemworlds/DefectCensus-v0", **RECIPE).unwrapped
+    assert isinstance(env, bench.MicroscopeEnv)
+
+    def look() -> tuple[Any, sw.bench.Findings]:
+        seen = env.acquire(0, 1)
+        return seen[0]["tile"], env.truth_seen()
+
+    env.reset(seed=3)
+    first, truth = look()
+    env.reset()
+    other, _ = look()
+    assert not np.array_equal(first, other)
+    env.reset(seed=3)
+    again, true_again = look()
+    assert np.array_equal(first, again)
+    assert truth.report() == true_again.report()
+    tested = gym.make("stemworlds/DefectCensus-v0", split="test", **RECIPE).unwrapped
+    assert isinstance(tested, bench.MicroscopeEnv)
+    tested.reset(seed=3)
+    tested.acquire(0, 1)
+    assert tested.truth_seen().report() != truth.report()
+    # Another environment of the same kind tells the same.
+    twin = gym.make("stemworlds/DefectCensus-v0", **RECIPE).unwrapped
+    assert isinstance(twin, bench.MicroscopeEnv)
+    twin.reset(seed=3)
+    assert np.array_equal(twin.acquire(0, 1)[0]["tile"], first)
+
+
+def test_many_environments_do_what_single_ones_do(world_file: Path) -> None:
+    for options in ({"world": world_file}, RECIPE):
+        many = gym.make_vec("stemworlds/Targeted-v0", num_envs=3, vectorization_mode="vector_entry_point", horizon=4, **options)
+        single = [gym.make("stemworlds/Targeted-v0", horizon=4, **options).unwrapped for _ in range(3)]
+        seen, _ = many.reset(seed=7)
+        for n, env in enumerate(single):
+            assert same(env.reset(seed=7 + n)[0], {name: values[n] for name, values in seen.items()})
+        rng = np.random.default_rng(1)
+        over = np.zeros(3, dtype=bool)
+        for step in range(11):
+            action: dict[str, Any] = {
+                "type": rng.integers(0, 3, 3),
+                "position": rng.random((3, 2), dtype=np.float32),
+                "zoom": rng.uniform(1, 3, (3, 1)),
+                "dose": rng.uniform(0.5, 2, (3, 1)),
+                "report": ["{}", '{"defects": {"vacancy": [[1, 2]]}}', "no report"],
+            }
+            seen, reward, terminated, truncated, _ = many.step(action)
+            for n, env in enumerate(single):
+                if over[n]:
+                    mine, paid, ended, cut = env.reset()[0], 0.0, False, False
+                else:
+                    mine, paid, ended, cut, _ = env.step({name: values[n] for name, values in action.items()})
+                assert same(mine, {name: values[n] for name, values in seen.items()}), (step, n)
+                assert (paid, ended, cut) == (reward[n], terminated[n], truncated[n])
+            over = terminated | truncated
+        assert over.any() or step > 4
+
+
+def test_an_oracle_gets_the_paper_s_ceiling(world_file: Path) -> None:
+    for task in bench.TASKS:
+        env = gym.make(f"stemworlds/{task}-v0", world=world_file).unwrapped
+        assert isinstance(env, bench.MicroscopeEnv)
+        env.reset(seed=0)
+        rows, columns = env.field.grid
+        for n in range(50):
+            env.acquire(n // columns % rows, n % columns)
+            if n % 5 == 4:
+                env.declare(env.truth_seen())
+        *_, terminated, truncated, info = env.step({"type": bench.DONE})
+        assert (terminated, truncated) == (True, False)
+        record = info["record"]
+        assert record["ended"] == "done" and len(record["curve"]) == 10
+        assert record["metrics"]["dec_auc"] == pytest.approx(0.90816, abs=5e-6)
+        assert record["scores"]["strict"] == pytest.approx(1.0)
+
+
+def test_what_does_not_fit_the_budget_ends_the_episode(world_file: Path) -> None:
+    env = gym.make("stemworlds/DefectCensus-v0", world=world_file, budget=250.0).unwrapped
+    assert isinstance(env, bench.MicroscopeEnv)
+    env.reset(seed=0)
+    assert env.acquire(0, 0)[4]["acquired"].cost == 100.0
+    assert list(env.action_masks()) == [True] * 4
+    *_, terminated, _, info = env.acquire(0, 1, dose=2.0)
+    assert terminated and info["refused"] and info["dose_spent"] == 100.0
+    assert list(env.action_masks()) == [False] * 4
+    with pytest.raises(sw.InvalidValue, match="has ended"):
+        env.step({"type": bench.NAVIGATE})
+
+
+def test_reports_that_cannot_be_read_are_counted(world_file: Path) -> None:
+    env = gym.make("stemworlds/DefectCensus-v0", world=world_file).unwrapped
+    assert isinstance(env, bench.MicroscopeEnv)
+    env.reset(seed=0)
+    env.acquire(0, 0)
+    env.declare(env.truth_seen())
+    info = env.step({"type": bench.DECLARE, "report": "I see atoms"})[4]
+    assert info["unreadable"] == 1 and "JSON" in info["fault"]
+    assert env.score() == 1.0
+
+
+def test_findings_come_back() -> None:
+    findings = bench.Findings(
+        defects={"vacancy": np.array([[1.0, 2.0]]), "substitution": np.zeros((0, 2))},
+        phases=np.array([[0, 1, bench.NO_PHASE]]),
+        particles=np.array([[1.0, 2.0, 3.0]]),
+        morphologies=["wulff"],
+        columns=np.array([[0.0, 1.0, -2.0]]),
+    )
+    assert bench.Findings.read(findings.report()).report() == findings.report()
+    with pytest.raises(sw.InvalidValue, match="shape"):
+        bench.Findings(defects={"vacancy": np.zeros((3, 3))}).report()
+    with pytest.raises(sw.InvalidValue, match="no report"):
+        bench.Findings.read("[")
+
+
+def test_pictures_show_the_episode(world_file: Path) -> None:
+    env = gym.make("stemworlds/DefectCensus-v0", world=world_file, render_mode="rgb_array").unwrapped
+    assert isinstance(env, bench.MicroscopeEnv)
+    env.reset(seed=0)
+    empty = env.render()
+    env.acquire(1, 2)
+    env.declare(env.truth_seen())
+    full = env.render()
+    assert full.shape == empty.shape and full.dtype == np.uint8 and (full != empty).mean() > 0.05
+    text = gym.make("stemworlds/DefectCensus-v0", world=world_file, render_mode="ansi").unwrapped
+    assert isinstance(text, bench.MicroscopeEnv)
+    text.reset(seed=0)
+    text.acquire(1, 2)
+    lines = str(text.render()).splitlines()
+    assert lines[:2] == ["...", "..@"] and "1 tiles, 100 of 5000" in lines[2]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({}, "either a world file"),
+        ({"world": "w.h5", "recipe": "test"}, "either a world file"),
+        ({"world": "w.h5", "difficulty": "easy"}, "difficulty"),
+        ({"recipe": "test", "split": "both"}, "train"),
+        ({"recipe": "test", "budget": -1.0, "cache": True}, "budget"),
+        ({"recipe": "test", "live": False}, "live"),
+    ],
+)
+def test_bad_options_are_told(options: dict[str, Any], words: str) -> None:
+    if options.get("recipe"):
+        options = {**RECIPE, **options}
+    with pytest.raises(sw.StemworldsError, match=words):
+        gym.make("stemworlds/DefectCensus-v0", **options)

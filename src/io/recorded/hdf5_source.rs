@@ -1,0 +1,154 @@
+//! An HDF5 file with images: its data sets, read within what the file can hold.
+
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use hdf5::types::TypeDescriptor;
+use hdf5::{Dataset, File};
+use ndarray::{Array2, ArrayD, Axis, IxDyn};
+
+use super::{ImageChoice, frame_of};
+use crate::error::{Error, Result};
+use crate::io::arrays::held;
+use crate::io::hdf5_guard::{check_storage, datasets, first_line};
+use crate::io::hdf5_values::{self, Plain, is_float};
+use crate::io::regular_file;
+
+/// An HDF5 file.
+pub(super) struct Hdf5Source {
+    pub path: PathBuf,
+    pub file: File,
+    bytes: u64,
+    /// Paths of all data sets.
+    pub names: Vec<String>,
+}
+
+impl Hdf5Source {
+    pub fn open(path: &Path) -> Result<Self> {
+        let bytes = regular_file(path)?;
+        let refused = |fault: String| Error::parse(path, 0, fault);
+        let file = File::open(path)
+            .map_err(|e| refused(format!("is damaged or truncated HDF5 ({})", first_line(&e))))?;
+        let names = datasets(&file).map_err(refused)?;
+        Ok(Hdf5Source { path: path.to_owned(), file, bytes, names })
+    }
+
+    /// An error about this file.
+    pub fn refused(&self, fault: impl Into<String>) -> Error {
+        Error::parse(&self.path, 0, fault)
+    }
+
+    /// Whether there is a data set of that path.
+    pub fn has(&self, name: &str) -> bool {
+        self.names.iter().any(|n| n == name)
+    }
+
+    /// A data set whose values lie in this file.
+    pub fn dataset(&self, name: &str) -> Result<Dataset> {
+        let opened = self.file.dataset(name);
+        let dataset = opened.map_err(|e| self.refused(format!("{name}: {}", first_line(&e))))?;
+        check_storage(&dataset, self.bytes).map_err(|f| self.refused(format!("{name} {f}")))?;
+        Ok(dataset)
+    }
+
+    /// All values of a data set.
+    pub fn all<T: Plain>(&self, name: &str) -> Result<ArrayD<T>> {
+        let dataset = self.dataset(name)?;
+        held(&dataset.shape()).map_err(|f| self.refused(f))?;
+        let values = hdf5_values::all::<T, IxDyn>(&dataset, &self.path);
+        values.map_err(|f| self.refused(format!("{name} {f}")))
+    }
+
+    /// Part of the values of a data set.
+    pub fn part<T: Plain>(&self, name: &str, ranges: &[Range<usize>]) -> Result<ArrayD<T>> {
+        let dataset = self.dataset(name)?;
+        let lengths: Vec<usize> = ranges.iter().map(Range::len).collect();
+        held(&lengths).map_err(|f| self.refused(f))?;
+        let values = hdf5_values::part::<T, IxDyn>(&dataset, &self.path, ranges);
+        values.map_err(|f| self.refused(format!("{name} {f}")))
+    }
+
+    /// The two-dimensional image of a data set of two axes, or the chosen frame of one of three, whose axis `frame_axis` counts
+    /// frames. An axis of length 1 may be anywhere.
+    pub fn image(
+        &self,
+        name: &str,
+        frame_axis: usize,
+        choice: &ImageChoice,
+    ) -> Result<Array2<f64>> {
+        let dataset = self.dataset(name)?;
+        self.check_real(name, &dataset)?;
+        let shape = dataset.shape();
+        let frames = match shape.len() {
+            2 => 1,
+            3 => shape[frame_axis],
+            n => {
+                let found = format!(
+                    "{name} has {n} axes, {shape:?}; an image has two, and a third for its frames"
+                );
+                return Err(self.refused(found));
+            }
+        };
+        let frame = frame_of(&self.path, name, frames, choice.index)?;
+        let mut ranges: Vec<Range<usize>> = shape.iter().map(|n| 0..*n).collect();
+        if shape.len() == 3 {
+            ranges[frame_axis] = frame..frame + 1;
+        }
+        let mut values = self.part::<f64>(name, &ranges)?;
+        if shape.len() == 3 {
+            values = values.index_axis_move(Axis(frame_axis), 0);
+        }
+        let values = values.as_standard_layout().into_owned();
+        values.into_dimensionality().map_err(|e| self.refused(e.to_string()))
+    }
+
+    /// Refuses complex numbers, colours and texts.
+    fn check_real(&self, name: &str, dataset: &Dataset) -> Result<()> {
+        match value_kind(dataset) {
+            ValueKind::Real => Ok(()),
+            ValueKind::Compound(parts) => Err(self.refused(format!(
+                "{name} holds values made of {parts}: complex numbers or colours; expected grey values"
+            ))),
+            ValueKind::Other => Err(self.refused(format!("{name} holds no numbers"))),
+        }
+    }
+
+    /// Data sets that may be images: real numbers and two axes or more.
+    pub fn images(&self) -> Vec<String> {
+        let may_be = |name: &&String| {
+            self.file.dataset(name).is_ok_and(|d| {
+                value_kind(&d) == ValueKind::Real
+                    && check_storage(&d, self.bytes).is_ok()
+                    && d.ndim() >= 2
+            })
+        };
+        self.names.iter().filter(may_be).cloned().collect()
+    }
+}
+
+/// What the values of a data set are.
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum ValueKind {
+    Real,
+    /// Values of several parts, with their names.
+    Compound(String),
+    Other,
+}
+
+fn value_kind(dataset: &Dataset) -> ValueKind {
+    let Ok(kind) = dataset.dtype() else { return ValueKind::Other };
+    match kind.to_descriptor() {
+        Ok(
+            TypeDescriptor::Float(_)
+            | TypeDescriptor::Integer(_)
+            | TypeDescriptor::Unsigned(_)
+            | TypeDescriptor::Boolean,
+        ) => ValueKind::Real,
+        Ok(TypeDescriptor::Compound(parts)) => {
+            let names: Vec<&str> = parts.fields.iter().map(|f| f.name.as_str()).collect();
+            ValueKind::Compound(names.join(" and "))
+        }
+        Err(_) if is_float(&kind) => ValueKind::Real,
+        _ => ValueKind::Other,
+    }
+}

@@ -1,0 +1,116 @@
+//! Text of a card as it grows: Markdown, and the YAML of its head.
+
+/// A page of Markdown.
+pub(super) struct Markdown(String);
+
+impl Markdown {
+    pub(super) fn new() -> Self {
+        Markdown(String::new())
+    }
+
+    /// Adds a line.
+    pub(super) fn line(&mut self, text: impl AsRef<str>) {
+        self.0.push_str(text.as_ref());
+        self.0.push('\n');
+    }
+
+    /// Adds a heading or a paragraph, with an empty line before it.
+    pub(super) fn paragraph(&mut self, text: impl AsRef<str>) {
+        if !self.0.is_empty() {
+            self.0.push('\n');
+        }
+        self.line(text);
+    }
+
+    /// Adds a list.
+    pub(super) fn list(&mut self, items: &[String]) {
+        self.0.push('\n');
+        items.iter().for_each(|item| self.line(format!("- {item}")));
+    }
+
+    /// Adds code.
+    pub(super) fn code(&mut self, language: &str, code: &str) {
+        self.paragraph(format!("```{language}\n{}\n```", code.trim_end()));
+    }
+
+    /// Adds a table.
+    pub(super) fn table<const N: usize>(
+        &mut self,
+        head: [&str; N],
+        rows: impl Iterator<Item = [String; N]>,
+    ) {
+        self.paragraph(format!("| {} |\n|{}", head.join(" | "), "---|".repeat(N)));
+        rows.for_each(|row| self.line(format!("| {} |", row.join(" | "))));
+    }
+
+    pub(super) fn text(self) -> String {
+        self.0
+    }
+}
+
+/// Text in a cell of a table, or in a sentence: what a file holds must not become markup.
+pub(super) fn printable(text: &str) -> String {
+    let mut out = String::new();
+    for c in text.chars() {
+        match c {
+            c if c.is_control() => out.push(' '),
+            '|' | '<' | '>' | '[' | ']' | '*' | '\\' => out.extend(['\\', c]),
+            c => out.push(c),
+        }
+    }
+    out
+}
+
+/// Text as YAML: JSON is YAML.
+pub(super) fn quoted(text: &str) -> String {
+    serde_json::Value::from(text).to_string()
+}
+
+/// At most so many digits behind the point, without zeros at the end.
+pub(super) fn short(value: f64, digits: usize) -> String {
+    let text = format!("{value:.digits$}");
+    match text.contains('.') {
+        true => text.trim_end_matches('0').trim_end_matches('.').to_owned(),
+        false => text,
+    }
+}
+
+/// `4.7 MB`.
+pub(super) fn size(bytes: u64) -> String {
+    match bytes {
+        0..1000 => format!("{bytes} B"),
+        1000..1_000_000 => format!("{:.1} kB", bytes as f64 / 1e3),
+        1_000_000..1_000_000_000 => format!("{:.1} MB", bytes as f64 / 1e6),
+        _ => format!("{:.2} GB", bytes as f64 / 1e9),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_file_holds_is_no_markup() {
+        assert_eq!(printable("a|b<script>\nc"), "a\\|b\\<script\\> c");
+        assert_eq!(quoted("a: \"b\""), "\"a: \\\"b\\\"\"");
+    }
+
+    #[test]
+    fn numbers_are_short() {
+        assert_eq!(
+            [short(100.0, 2), short(0.020_145, 5), short(5.0765, 2)],
+            ["100", "0.02014", "5.08"]
+        );
+        assert_eq!([size(999), size(143_000), size(68_000_000)], ["999 B", "143.0 kB", "68.0 MB"]);
+    }
+
+    #[test]
+    fn pages_are_put_together() {
+        let mut page = Markdown::new();
+        page.paragraph("# A");
+        page.list(&["b".into()]);
+        page.table(["c", "d"], [["1".to_owned(), "2".to_owned()]].into_iter());
+        page.code("sh", "e\n");
+        assert_eq!(page.text(), "# A\n\n- b\n\n| c | d |\n|---|---|\n| 1 | 2 |\n\n```sh\ne\n```\n");
+    }
+}
