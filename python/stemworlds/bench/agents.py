@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from ..errors import _invalid
+from .episodes import DONE
 from .findings import Findings
 from .protocols import Analyst, Look, Navigator, Planner, Seen
 from .reconstruction import reconstructed
@@ -21,7 +22,6 @@ __all__ = ["Agent", "CompressedSensing", "Plays", "play", "random_of"]
 
 #: Electrons per square Angstrom of an acquisition with zoom 1 and dose 1.
 _REFERENCE_DOSE = 100.0
-_DONE = 3
 #: Steps of an acquisition and a declaration.
 _ROUND = 3
 
@@ -44,7 +44,7 @@ def play(env: gym.Env[Any, Any], agent: Plays, seed: int) -> dict[str, Any]:
     """Plays one episode.
 
     Returns:
-        The record of the environment, and beside it ``agent``, ``notes`` (what analyst and planner counted), ``modes`` (the plan of each
+        The record of the environment, and beside it ``agent``, ``grid`` (rows and columns of tiles), ``notes`` (what analyst and planner counted), ``modes`` (the plan of each
         acquisition) and ``wall`` (``seconds``, ``seconds_per_tile``). All but ``wall`` is the same each time.
     """
     began = time.perf_counter()
@@ -52,6 +52,7 @@ def play(env: gym.Env[Any, Any], agent: Plays, seed: int) -> dict[str, Any]:
     seconds = time.perf_counter() - began
     world: Any = env.unwrapped
     record: dict[str, Any] = dict(world.record())
+    record["grid"] = list(world.field.grid)
     tiles = len(record["acquisitions"])
     record.update({"agent": agent.name, "notes": {}, "modes": [], **more})
     record["wall"] = {"seconds": seconds, "seconds_per_tile": seconds / max(tiles, 1)}
@@ -189,7 +190,7 @@ class _Episode:
     def finish(self) -> None:
         self.declare()
         if not self.over:
-            self._took(self._world.step({"type": _DONE}), 1)
+            self._took(self._world.step({"type": DONE}), 1)
 
     def _took(self, returned: tuple[Any, ...], steps: int) -> None:
         observation, _, terminated, truncated, self._info = returned

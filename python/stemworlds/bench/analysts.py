@@ -15,7 +15,7 @@ from .peaks import Peaks, find_peaks
 from .protocols import needed
 
 if TYPE_CHECKING:
-    from .environment import Acquired, FieldFacts
+    from .episodes import Acquired, FieldFacts
 
 __all__ = ["Heuristic", "Nothing", "Oracle"]
 
@@ -46,7 +46,7 @@ class Oracle:
         self._world: _KnowsTruth | None = None
 
     def attach(self, world: _KnowsTruth) -> None:
-        """Takes the environment that is played; :meth:`Agent.play` calls this."""
+        """Takes the environment that is played; :func:`play` calls this."""
         self._world = world
 
     def start(self, field: FieldFacts, random: np.random.Generator) -> None:
@@ -54,7 +54,7 @@ class Oracle:
 
     def findings(self, tiles: Sequence[Acquired]) -> Findings:
         if self._world is None:
-            raise _invalid("analyst", "Oracle: no environment; play it by Agent.play, or call attach first")
+            raise _invalid("analyst", "Oracle: no environment; play it by stemworlds.bench.play, or call attach first")
         return self._world.truth_seen()
 
 
@@ -99,17 +99,27 @@ class PlacedDefects:
 
     def __init__(self) -> None:
         self._places: dict[str, list[tuple[float, float]]] = {}
+        #: Those of each kind by square of that edge, so that neighbours are found at once.
+        self._squares: dict[tuple[str, int, int], list[tuple[float, float]]] = {}
 
     def add(self, kind: str, places_nm: Values) -> None:
         """Adds places (N, 2), x and y in nm, but those that are there already."""
-        known = self._places.setdefault(kind, [])
-        before = np.array(known).reshape(-1, 2)
-        for x, y in places_nm.reshape(-1, 2):
-            if len(before) == 0 or float(np.hypot(before[:, 0] - x, before[:, 1] - y).min()) > _SAME_NM:
-                known.append((float(x), float(y)))
+        fresh = [(x, y) for x, y in places_nm.reshape(-1, 2).tolist() if not self._known(kind, x, y)]
+        self._places.setdefault(kind, []).extend(fresh)
+        for x, y in fresh:
+            self._squares.setdefault((kind, *_square(x, y)), []).append((x, y))
+
+    def _known(self, kind: str, x: float, y: float) -> bool:
+        column, row = _square(x, y)
+        near = (self._squares.get((kind, c, r), ()) for c in range(column - 1, column + 2) for r in range(row - 1, row + 2))
+        return any(math.hypot(x - other_x, y - other_y) <= _SAME_NM for places in near for other_x, other_y in places)
 
     def arrays(self) -> dict[str, Values]:
         return {kind: np.array(places, dtype=np.float64).reshape(-1, 2) for kind, places in sorted(self._places.items())}
+
+
+def _square(x: float, y: float) -> tuple[int, int]:
+    return math.floor(x / _SAME_NM), math.floor(y / _SAME_NM)
 
 
 class Heuristic(TileByTile):

@@ -16,7 +16,7 @@ from .onnx import OnnxAnalyst
 from .planners import LanguageModelPlanner, ModePlanner, NoPlanner, PlannerLimits
 from .vlm import VisionLanguageAnalyst
 
-__all__ = ["agent_specification", "agents", "make_agent"]
+__all__ = ["agent_names", "agent_specification", "make_agent"]
 
 Table = Mapping[str, Any]
 
@@ -88,7 +88,7 @@ _PRESETS: dict[str, Table] = {
 }
 
 
-def agents() -> list[str]:
+def agent_names() -> list[str]:
     """Names of the agents that :func:`make_agent` knows."""
     return list(_PRESETS)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import itertools
 import json
@@ -17,7 +18,7 @@ from typing import Any
 from ..errors import FileMissing, FormatError, InvalidValue, _invalid
 from .catalogue import agent_specification, unknown
 
-__all__ = ["Episode", "Experiment", "experiments", "read_experiment"]
+__all__ = ["Episode", "Experiment", "packaged_experiments", "read_experiment"]
 
 #: Tasks by the names that experiments use, and the environments.
 TASKS = {
@@ -28,6 +29,10 @@ TASKS = {
 }
 _KEYS = {"name", "about", "tasks", "strict", "seeds", "budgets", "agents", "worlds", "environment"}
 _WORLD_KEYS = {"name", "file", "recipe", "difficulty", "grid", "set", "live", "split", "tasks"}
+#: Where agents name files of networks.
+_NETWORKS = (("analyst", "models"), ("policy", "model"))
+#: Options of the environment that change no result.
+_OF_THE_MACHINE = {"cache", "threads"}
 _OPTIONS = {"horizon", "cadence", "exposure", "noise", "damage", "target", "cache", "threads", "reward"}
 #: Steps that an acquisition takes at most, with its navigation and declaration.
 _STEPS_A_TILE = 4
@@ -56,7 +61,8 @@ class Episode:
     @property
     def key(self) -> str:
         """Names the combination in files of results: 16 digits made of all of it."""
-        parts = [self.agent, self.task, _essence(self.world), self.seed, float(self.budget), self.environment]
+        options = {key: value for key, value in self.environment.items() if key not in _OF_THE_MACHINE}
+        parts = [_agent_essence(self.agent), self.task, _essence(self.world), self.seed, float(self.budget), options]
         return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:16]
 
     @property
@@ -69,7 +75,8 @@ class Episode:
         """Keywords of :func:`gymnasium.make`."""
         given = {key: value for key, value in self.world.items() if key not in ("name", "file", "tasks")}
         if "file" in self.world:
-            given["world"] = self.world["file"]
+            # A file is as it is; its difficulty is a label for the report.
+            given = {"world": self.world["file"]}
         if "grid" in given:
             given["grid"] = tuple(given["grid"])
         horizon = max(200, _STEPS_A_TILE * math.ceil(self.budget / _REFERENCE_DOSE))
@@ -96,7 +103,7 @@ class Experiment:
                     yield Episode(agent, task, world, seed, budget, self.environment)
 
 
-def experiments() -> dict[str, str]:
+def packaged_experiments() -> dict[str, str]:
     """Names of the experiments that come with the package, and what each is for."""
     return {name: read_experiment(name).about for name in _packaged()}
 
@@ -141,7 +148,7 @@ def _experiment(table: Mapping[str, Any], folder: Path, stem: str) -> Experiment
         raise _invalid("strict", f"strict = {strict!r}: expected true or false")
     options = table.get("environment", {})
     _known("environment", options, _OPTIONS)
-    agents = [agent_specification(given) for given in _listed(table, "agents", None)]
+    agents = [_located(agent_specification(given), folder) for given in _listed(table, "agents", None)]
     worlds = [_world(given, folder) for given in _listed(table, "worlds", None)]
     for kind, names in (("agent", [agent["name"] for agent in agents]), ("world", [world["name"] for world in worlds])):
         twice = sorted({name for name in names if names.count(name) > 1})
@@ -211,6 +218,8 @@ def _world(given: Any, folder: Path) -> dict[str, Any]:
         made["file"] = str(path)
         made.setdefault("name", path.stem)
         return made
+    if (folder / str(table["recipe"])).is_file():
+        made["recipe"] = str(folder / str(table["recipe"]))
     made.setdefault("name", "-".join([Path(str(table["recipe"])).stem, *([table["difficulty"]] if "difficulty" in table else [])]))
     made.setdefault("live", True)
     if made["live"]:
@@ -218,10 +227,49 @@ def _world(given: Any, folder: Path) -> dict[str, Any]:
     return made
 
 
+def _located(agent: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """An agent whose networks lie relative to the file of the experiment."""
+
+    def at(path: Any) -> Any:
+        return [at(one) for one in path] if isinstance(path, list) else str(folder / str(path))
+
+    for part, key in _NETWORKS:
+        if key in agent.get(part, {}):
+            agent = {**agent, part: {**agent[part], key: at(agent[part][key])}}
+    return agent
+
+
+def _agent_essence(agent: Mapping[str, Any]) -> dict[str, Any]:
+    """What makes an agent: of networks their contents, wherever they lie."""
+    kept = dict(agent)
+    for part, key in _NETWORKS:
+        if key in kept.get(part, {}):
+            given = kept[part][key]
+            kept[part] = {**kept[part], key: [_contents(path) for path in (given if isinstance(given, list) else [given])]}
+    return kept
+
+
+def _contents(path: str) -> str:
+    """Names what a file holds."""
+    try:
+        about = os.stat(path)
+    except OSError:
+        return f"{Path(path).name}, missing"
+    return _digest(path, about.st_size, about.st_mtime_ns)
+
+
+@functools.lru_cache(maxsize=64)
+def _digest(path: str, _size: int, _changed_ns: int) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:16]
+
+
 def _essence(world: Mapping[str, Any]) -> dict[str, Any]:
-    """What makes a world: of a file its name and size, wherever it lies."""
+    """What makes a world: of a file its name and size, of a recipe of one's own its text, wherever they lie."""
     kept = {key: value for key, value in world.items() if key != "tasks"}
     if "file" in world:
         path = Path(world["file"])
         kept["file"] = [path.name, path.stat().st_size if path.exists() else 0]
+    elif Path(world["recipe"]).is_file():
+        kept["recipe"] = _contents(world["recipe"])
     return kept

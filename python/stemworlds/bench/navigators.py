@@ -15,7 +15,7 @@ from .peaks import find_peaks
 from .protocols import Look, Seen, needed
 
 if TYPE_CHECKING:
-    from .environment import Acquired, FieldFacts
+    from .episodes import Acquired, FieldFacts
 
 __all__ = ["GaussianProcess", "RandomMask", "RandomTiles", "Raster"]
 

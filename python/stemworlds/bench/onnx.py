@@ -16,7 +16,7 @@ from .peaks import Peaks, find_peaks
 from .protocols import needed
 
 if TYPE_CHECKING:
-    from .environment import Acquired
+    from .episodes import Acquired
 
 __all__ = ["OnnxAnalyst"]
 

@@ -14,7 +14,7 @@ from .endpoint import Endpoint, Unparsable, json_of
 from .protocols import Plan, Seen
 
 if TYPE_CHECKING:
-    from .environment import FieldFacts
+    from .episodes import FieldFacts
 
 __all__ = ["LanguageModelPlanner", "ModePlanner", "NoPlanner", "PlannerLimits"]
 

@@ -34,6 +34,7 @@ class Progress:
         if kind not in self._errors:
             self._errors.add(kind)
             self._line(f"error: {error}")
+        self._show("an error")
 
     def close(self) -> None:
         if self._terminal:

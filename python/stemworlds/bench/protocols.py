@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ..errors import StemworldsError
 
 if TYPE_CHECKING:
-    from .environment import Acquired, FieldFacts
+    from .episodes import Acquired, FieldFacts
     from .findings import Findings
 
 __all__ = ["Analyst", "Look", "Navigator", "Plan", "Planner", "Seen"]

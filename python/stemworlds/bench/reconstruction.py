@@ -12,7 +12,7 @@ import numpy.typing as npt
 from .protocols import needed
 
 if TYPE_CHECKING:
-    from .environment import Acquired, FieldFacts
+    from .episodes import Acquired, FieldFacts
 
 Values = npt.NDArray[np.float64]
 

@@ -12,9 +12,10 @@ from typing import IO, Any
 
 from ..errors import FileError, FileMissing, FormatError, OutputLocked
 
-__all__ = ["ResultFile", "read_results"]
+__all__ = ["ResultFile", "read_failures", "read_results"]
 
 Row = dict[str, Any]
+_NEEDED = {"key", "agent", "task", "world", "seed", "budget"}
 
 
 class ResultFile:
@@ -48,8 +49,8 @@ class ResultFile:
             self._file.close()
 
     def finished(self) -> set[str]:
-        """Keys of the combinations that are there."""
-        return {row["key"] for row in _rows(self.path)}
+        """Keys of the combinations that are there; not of those that ended with an error."""
+        return {row["key"] for row in _rows(self.path) if "error" not in row}
 
     def append(self, row: Row) -> None:
         """Writes a row through to the disk."""
@@ -69,10 +70,16 @@ def read_results(path: str | os.PathLike[str]) -> list[Row]:
     """
     if not Path(path).is_file():
         raise FileMissing(f"{path}: there is no such file of results; stemworlds bench run writes one")
-    rows = {row["key"]: row for row in _rows(Path(path))}
+    rows = {row["key"]: row for row in _rows(Path(path)) if "error" not in row}
     if not rows:
-        raise FormatError(f"{path}: no results in it yet")
+        raise FormatError(f"{path}: no results in it yet; stemworlds bench run EXPERIMENT --out {path} goes on with it")
     return list(rows.values())
+
+
+def read_failures(path: str | os.PathLike[str]) -> list[Row]:
+    """The episodes of a file of results that ended with an error, and were not played since: key, agent, task, world, seed, budget, error."""
+    last = {row["key"]: row for row in _rows(Path(path))}
+    return [row for row in last.values() if "error" in row]
 
 
 def _rows(path: Path) -> Iterator[Row]:
@@ -85,6 +92,6 @@ def _rows(path: Path) -> Iterator[Row]:
                 row = json.loads(line)
             except ValueError as error:
                 raise FormatError(f"{path}:{number}: no JSON: {error}") from error
-            if not isinstance(row, dict) or not {"key", "agent", "task", "world", "seed", "budget", "curve", "metrics"} <= row.keys():
+            if not isinstance(row, dict) or not _NEEDED <= row.keys() or not ("error" in row or {"curve", "metrics"} <= row.keys()):
                 raise FormatError(f"{path}:{number}: no result of an episode")
             yield row

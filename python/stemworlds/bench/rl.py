@@ -6,11 +6,17 @@ import os
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from ..errors import FileMissing, _invalid
+from .agents import random_of
 from .protocols import Analyst, needed
 
 if TYPE_CHECKING:
     import gymnasium as gym
+
+    from .episodes import Acquired, FieldFacts
+    from .findings import Findings
 
 __all__ = ["PolicyAgent", "train"]
 
@@ -38,8 +44,8 @@ def train(
     DQN and PPO choose among 8 x 8 places and 3 actions (:class:`DiscreteGrid`), SAC chooses a place (:class:`TargetBox`).
 
     Args:
-        environments: each makes an environment: ``lambda: gym.make("stemworlds/DefectCensus-v0", recipe="srtio3", live=True,
-            split="train", reward="score_gain")``. Those with ``reward="none"`` teach nothing.
+        environments: each makes an environment: ``lambda: gym.make("stemworlds/DefectCensus-v0", recipe="srtio3", split="train",
+            reward="score_gain")``. Those with ``reward="none"`` teach nothing.
         analyst: makes the analyst of an environment; each has its own.
         steps: in all of them together.
         settings: of the algorithm, in place of the paper's.
@@ -47,7 +53,8 @@ def train(
     Returns:
         The model of stable-baselines3: ``model.save("dqn.zip")`` keeps it for :class:`PolicyAgent`.
 
-    The buffers of DQN and SAC hold 50 000 observations, each with a tile of 64 kB and an overview of 16 kB: 8 GB for both ends of a step.
+    Images are bytes (:class:`ByteImages`), which a convolutional network takes in. The buffers of DQN and SAC hold 50 000 observations of 20 kB:
+    2 GB for both ends of a step. A policy is for fields with as many tiles as those it was trained in.
     """
     if algorithm not in _SETTINGS:
         raise _invalid("algorithm", f"algorithm = {algorithm!r}: expected one of {', '.join(_SETTINGS)}")
@@ -71,13 +78,29 @@ class _Wrapped:
         self._make, self._algorithm, self._analyst = make, algorithm, analyst
 
     def __call__(self) -> gym.Env[Any, Any]:
-        return _with_actions(self._make(), self._algorithm, self._analyst())
+        env = self._make()
+        return _with_actions(env, self._algorithm, _Analysing(self._analyst(), env.unwrapped, lambda: np.random.default_rng(0)))
 
 
-def _with_actions(env: gym.Env[Any, Any], algorithm: str, analyst: Analyst) -> Any:
-    from .wrappers import DiscreteGrid, TargetBox
+class _Analysing:
+    """An analyst at the interface of the wrappers."""
 
-    return TargetBox(env, analyst=analyst) if algorithm == "SAC" else DiscreteGrid(env, analyst=analyst)
+    def __init__(self, analyst: Analyst, world: Any, random: Callable[[], np.random.Generator]) -> None:
+        self._analyst, self._random = analyst, random
+        if hasattr(analyst, "attach"):
+            analyst.attach(world)
+
+    def reset(self, field: FieldFacts) -> None:
+        self._analyst.start(field, self._random())
+
+    def analyse(self, seen: Sequence[Acquired]) -> Findings:
+        return self._analyst.findings(seen)
+
+
+def _with_actions(env: gym.Env[Any, Any], algorithm: str, analyst: _Analysing) -> Any:
+    from .wrappers import ByteImages, DiscreteGrid, TargetBox
+
+    return ByteImages(TargetBox(env, analyst=analyst) if algorithm == "SAC" else DiscreteGrid(env, analyst=analyst))
 
 
 class PolicyAgent:
@@ -104,10 +127,7 @@ class PolicyAgent:
 
     def run(self, env: gym.Env[Any, Any], seed: int) -> dict[str, Any]:
         """Plays one episode; see :func:`play`."""
-        world: Any = env.unwrapped
-        acting = _with_actions(env, self.algorithm, self.analyst)
-        if hasattr(self.analyst, "attach"):
-            self.analyst.attach(world)
+        acting = _with_actions(env, self.algorithm, _Analysing(self.analyst, env.unwrapped, lambda: random_of(seed, self.name)))
         needed("stable_baselines3.common.utils").set_random_seed(seed)
         observation, _ = acting.reset(seed=seed)
         over = False

@@ -15,6 +15,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from ..errors import StemworldsError, _invalid
@@ -43,7 +44,7 @@ class RunSummary:
         episodes: of the experiment.
         skipped: those that the file held before.
         done: those that were played.
-        failed: those that ended with an error, each with its message; they are played when the experiment is run again.
+        failed: those that ended with an error, each with its message. The file notes them; they are played when the experiment is run again.
         interrupted: whether Ctrl-C ended it.
         seconds: it took.
     """
@@ -90,6 +91,7 @@ def run_experiment(
             for row in _played(open_episodes, count, experiment.name, make or _environment):
                 if "error" in row:
                     summary.failed.append(row["error"])
+                    file.append(row)
                     shown.failed(row["error"])
                 else:
                     file.append(row)
@@ -117,7 +119,7 @@ def _played(episodes: Sequence[Episode], processes: int, name: str, make: Make) 
             player.close()
         return
     # A context of its own: forks of a process with threads may hang.
-    pool = ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), _begin_process, (name, make))
+    pool = ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), _begin_process, (name, make, max(_processors() // processes, 1)))
     waiting: set[Future[Row]] = set()
     finished = False
     try:
@@ -152,12 +154,15 @@ def _importable_main() -> Iterator[None]:
 
 
 _player: _Player | None = None
+#: Threads of an environment; None for as many as there are processors.
+_threads: int | None = None
 
 
-def _begin_process(name: str, make: Make) -> None:
-    """Each process plays by one thread; Ctrl-C is the first process's business."""
+def _begin_process(name: str, make: Make, threads: int) -> None:
+    """Each process has its share of the processors; Ctrl-C is the first process's business."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    global _player
+    global _player, _threads
+    _threads = threads
     _player = _Player(name, make)
 
 
@@ -170,9 +175,7 @@ def _environment(episode: Episode) -> gym.Env[Any, Any]:
     """The environment that the task and the world of an episode name."""
     import gymnasium
 
-    from . import environment  # noqa: F401  (registers the environments)
-
-    return gymnasium.make(episode.environment_id, disable_env_checker=True, **episode.environment_options)
+    return gymnasium.make(episode.environment_id, disable_env_checker=True, **{"threads": _threads, **episode.environment_options})
 
 
 class _Player:
@@ -196,7 +199,7 @@ class _Player:
             return row_of(episode, record, self._experiment)
         except Exception as error:
             what = f"{episode.agent['name']}, {episode.task}, {episode.world['name']}, seed {episode.seed}"
-            return {"error": f"{what}: {_told(error)}"}
+            return {**_combination(episode, self._experiment), "error": f"{what}: {_told(error)}"}
 
     def _agent(self, episode: Episode) -> Any:
         name = json.dumps(episode.agent, sort_keys=True)
@@ -239,7 +242,28 @@ def row_of(episode: Episode, record: Row, experiment: str) -> Row:
     """What is kept of an episode."""
     from .. import __version__
 
-    facts = {key: value for key, value in episode.world.items() if key in ("recipe", "difficulty")}
+    return {
+        **_combination(episode, experiment),
+        "specimen": record.get("world"),
+        "metrics": _plain(record["metrics"]),
+        "curve": _plain(record["curve"]),
+        "scores": _plain(record.get("scores")),
+        "grid": _plain(record.get("grid")),
+        "tiles": [_plain(acquired["tile"]) for acquired in record["acquisitions"]],
+        "dose": [_plain(acquired["cost"]) for acquired in record["acquisitions"]],
+        "ended": record.get("ended"),
+        "steps": record.get("steps"),
+        "unreadable": _plain(record.get("unreadable", 0)),
+        "notes": _plain(record["notes"]),
+        "modes": record["modes"],
+        "version": __version__,
+        "wall": _plain(record["wall"]),
+    }
+
+
+def _combination(episode: Episode, experiment: str) -> Row:
+    """What names an episode in a file of results."""
+    facts = {key: Path(value).stem if key == "recipe" else value for key, value in episode.world.items() if key in ("recipe", "difficulty")}
     return {
         "key": episode.key,
         "experiment": experiment,
@@ -249,24 +273,8 @@ def row_of(episode: Episode, record: Row, experiment: str) -> Row:
         **facts,
         "seed": episode.seed,
         "budget": episode.budget,
-        "metrics": _plain(record["metrics"]),
-        "curve": _plain(record["curve"]),
-        "scores": _plain(record.get("scores")),
-        "grid": _plain(record.get("grid")),
-        "tiles": [_plain(_place(acquired)) for acquired in record["acquisitions"]],
-        "dose": [_plain(acquired["cost"]) for acquired in record["acquisitions"]],
-        "ended_by": record.get("ended_by"),
-        "unreadable": _plain(record.get("unreadable", 0)),
-        "notes": _plain(record["notes"]),
-        "modes": record["modes"],
         "specification": _plain(dict(episode.agent)),
-        "version": __version__,
-        "wall": _plain(record["wall"]),
     }
-
-
-def _place(acquired: Row) -> Any:
-    return acquired["tile"] if "tile" in acquired else [acquired["row"], acquired["column"]]
 
 
 def _plain(value: Any) -> Any:

@@ -16,7 +16,7 @@ from .findings import Findings
 from .peaks import Peaks, find_peaks
 
 if TYPE_CHECKING:
-    from .environment import Acquired
+    from .episodes import Acquired
 
 __all__ = ["VisionLanguageAnalyst"]
 
