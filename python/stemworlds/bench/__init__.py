@@ -4,13 +4,35 @@ Importing it registers the environments with Gymnasium:
 
     >>> import gymnasium as gym, stemworlds.bench
     >>> env = gym.make("stemworlds/DefectCensus-v0", recipe="srtio3", difficulty="easy")   # doctest: +SKIP
+
+Agents play episodes, and experiments are many of them:
+
+    >>> from stemworlds.bench import make_agent, play
+    >>> record = play(env, make_agent("GP-UCB"), seed=0)                                   # doctest: +SKIP
+
+Agents need ``pip install 'stemworlds[agents]'``; what else they need is imported when it is used.
 """
 
+from .agents import Agent, CompressedSensing, Plays, play
+from .analysts import Heuristic, Nothing, Oracle, TileByTile
+from .catalogue import agent_names, agent_specification, make_agent
+from .endpoint import Endpoint, EndpointError, Unparsable
 from .environment import MicroscopeEnv
 from .episodes import ACQUIRE, DECLARE, DONE, NAVIGATE, Acquired, FieldFacts
+from .experiments import Episode, Experiment, packaged_experiments, read_experiment
 from .findings import NO_PHASE, Findings
+from .navigators import GaussianProcess, RandomMask, RandomTiles, Raster
+from .onnx import OnnxAnalyst
+from .planners import LanguageModelPlanner, ModePlanner, NoPlanner, PlannerLimits
+from .protocols import Analyst, Look, Navigator, Plan, Planner, Seen
 from .registration import TASKS, register
+from .report import leaderboard, write_report
+from .results import ResultFile, read_failures, read_results
+from .rl import PolicyAgent, train_policy
+from .runner import RunSummary, run_experiment
+from .statistics import Equivalence, bootstrap_interval, dec_auc, on_checkpoints, paired_wilcoxon, rank_agreement, tost
 from .vector import MicroscopeVectorEnv
+from .vlm import VisionLanguageAnalyst
 from .wrappers import ByteImages, DiscreteGrid, GridChoice, TargetBox
 
 __all__ = [
@@ -21,15 +43,65 @@ __all__ = [
     "NO_PHASE",
     "TASKS",
     "Acquired",
+    "Agent",
+    "Analyst",
     "ByteImages",
+    "CompressedSensing",
     "DiscreteGrid",
+    "Endpoint",
+    "EndpointError",
+    "Episode",
+    "Equivalence",
+    "Experiment",
     "FieldFacts",
     "Findings",
+    "GaussianProcess",
     "GridChoice",
+    "Heuristic",
+    "LanguageModelPlanner",
+    "Look",
     "MicroscopeEnv",
     "MicroscopeVectorEnv",
+    "ModePlanner",
+    "Navigator",
+    "NoPlanner",
+    "Nothing",
+    "OnnxAnalyst",
+    "Oracle",
+    "Plan",
+    "Planner",
+    "PlannerLimits",
+    "Plays",
+    "PolicyAgent",
+    "RandomMask",
+    "RandomTiles",
+    "Raster",
+    "ResultFile",
+    "RunSummary",
+    "Seen",
     "TargetBox",
+    "TileByTile",
+    "Unparsable",
+    "VisionLanguageAnalyst",
+    "agent_names",
+    "agent_specification",
+    "bootstrap_interval",
+    "dec_auc",
+    "leaderboard",
+    "make_agent",
+    "on_checkpoints",
+    "packaged_experiments",
+    "paired_wilcoxon",
+    "play",
+    "rank_agreement",
+    "read_experiment",
+    "read_failures",
+    "read_results",
     "register",
+    "run_experiment",
+    "tost",
+    "train_policy",
+    "write_report",
 ]
 
 register()

@@ -32,7 +32,7 @@ class Plays(Protocol):
     name: str
 
     def run(self, env: gym.Env[Any, Any], seed: int) -> dict[str, Any]:
-        """Plays one episode; returns what belongs to its record besides the record of the environment."""
+        """Plays one episode; returns what belongs to its record besides the record of the environment (or that too, as ``record``)."""
 
 
 def random_of(seed: int, name: str) -> np.random.Generator:
@@ -51,7 +51,7 @@ def play(env: gym.Env[Any, Any], agent: Plays, seed: int) -> dict[str, Any]:
     more = agent.run(env, seed)
     seconds = time.perf_counter() - began
     world: Any = env.unwrapped
-    record: dict[str, Any] = dict(world.record())
+    record: dict[str, Any] = dict(more.pop("record", None) or world.record())
     record["grid"] = list(world.field.grid)
     tiles = len(record["acquisitions"])
     record.update({"agent": agent.name, "notes": {}, "modes": [], **more})
@@ -108,7 +108,7 @@ class Agent:
         if not episode.over:
             episode.undeclared = self.last_word(seen)
             episode.finish()
-        return {"notes": self._notes(), "modes": modes if any(modes) else []}
+        return {"notes": self._notes(), "modes": modes if any(modes) else [], "record": episode.record()}
 
     def last_word(self, seen: Seen) -> Findings | None:
         """What is declared at the end of an episode."""
@@ -165,6 +165,10 @@ class _Episode:
         self.over = False
         self.undeclared: Findings | None = None
 
+    def record(self) -> dict[str, Any] | None:
+        """The record that the last step gave."""
+        return self._info.get("record")
+
     def dose_left(self) -> float:
         return 1 - float(self._info["dose_spent"]) / float(self._info["budget"])
 
@@ -202,7 +206,8 @@ class _Episode:
 
 
 def _merged(first: Findings, second: Findings) -> Findings:
-    """Both findings; where both have phases, those of the first."""
+    """Both findings; where both have phases, those of the first. The columns are those of the first: only tiles that were seen have scores
+    by column."""
     defects = dict(first.defects or {})
     for kind, places in (second.defects or {}).items():
         defects[kind] = np.concatenate([defects[kind], places]) if kind in defects else places
@@ -215,7 +220,7 @@ def _merged(first: Findings, second: Findings) -> Findings:
         phases=phases,
         particles=np.concatenate([_rows(first.particles), _rows(second.particles)]),
         morphologies=[*(first.morphologies or []), *(second.morphologies or [])],
-        columns=np.concatenate([_rows(first.columns), _rows(second.columns)]),
+        columns=_rows(first.columns),
     )
 
 

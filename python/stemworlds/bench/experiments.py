@@ -16,23 +16,19 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import FileMissing, FormatError, InvalidValue, _invalid
+from . import registration
 from .catalogue import agent_specification, unknown
 
 __all__ = ["Episode", "Experiment", "packaged_experiments", "read_experiment"]
 
-#: Tasks by the names that experiments use, and the environments.
-TASKS = {
-    "defect-census": "DefectCensus",
-    "phase-mapping": "PhaseMapping",
-    "targeted": "Targeted",
-    "particle-census": "ParticleCensus",
-}
+#: Tasks by the names that experiments use, and those of their environments.
+TASKS = {str(task): name for name, task in registration.TASKS.items()}
 _KEYS = {"name", "about", "tasks", "strict", "seeds", "budgets", "agents", "worlds", "environment"}
 _WORLD_KEYS = {"name", "file", "recipe", "difficulty", "grid", "set", "live", "split", "tasks"}
 #: Where agents name files of networks.
 _NETWORKS = (("analyst", "models"), ("policy", "model"))
 #: Options of the environment that change no result.
-_OF_THE_MACHINE = {"cache", "threads"}
+OF_THE_MACHINE = {"cache", "threads"}
 _OPTIONS = {"horizon", "cadence", "exposure", "noise", "damage", "target", "cache", "threads", "reward"}
 #: Steps that an acquisition takes at most, with its navigation and declaration.
 _STEPS_A_TILE = 4
@@ -61,7 +57,7 @@ class Episode:
     @property
     def key(self) -> str:
         """Names the combination in files of results: 16 digits made of all of it."""
-        options = {key: value for key, value in self.environment.items() if key not in _OF_THE_MACHINE}
+        options = {key: value for key, value in self.environment.items() if key not in OF_THE_MACHINE}
         parts = [_agent_essence(self.agent), self.task, _essence(self.world), self.seed, float(self.budget), options]
         return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:16]
 

@@ -8,6 +8,8 @@ from collections.abc import Callable
 
 _SECONDS_BETWEEN_LINES = 10.0
 _SECONDS_BETWEEN_CHANGES = 0.2
+#: No end is foretold before so many episodes.
+_LEAST_FOR_A_PACE = 4
 
 
 class Progress:
@@ -18,6 +20,8 @@ class Progress:
         self._terminal = say is None and sys.stderr.isatty()
         self._done = self._failed = 0
         self._began = self._last = time.monotonic()
+        #: The end of the first episode: what came before it, a library perhaps, comes once.
+        self._first: float | None = None
         self._errors: set[str] = set()
         if skipped:
             self._line(f"{skipped} episodes are done already, {episodes} are left")
@@ -43,6 +47,8 @@ class Progress:
 
     def _show(self, what: str) -> None:
         now = time.monotonic()
+        if self._first is None:
+            self._first = now
         between = _SECONDS_BETWEEN_CHANGES if self._terminal else _SECONDS_BETWEEN_LINES
         over = self._done + self._failed == self._episodes
         if now - self._last < between and not over:
@@ -60,7 +66,9 @@ class Progress:
         left = self._episodes - done
         if left == 0:
             return f"{in_words(now - self._began)} in all"
-        return f"about {in_words((now - self._began) / done * left)} left"
+        if done < _LEAST_FOR_A_PACE or self._first is None:
+            return f"{in_words(now - self._began)} so far"
+        return f"about {in_words((now - self._first) / (done - 1) * left)} left"
 
     def _line(self, text: str) -> None:
         if self._say is not None:

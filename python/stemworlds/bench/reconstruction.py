@@ -76,9 +76,12 @@ def reconstructed(field: FieldFacts, tiles: Sequence[Acquired]) -> list[Any]:
     shown = ((filled - low) / scale).astype(np.float32)
     height_nm, width_nm = field.size_nm
     missing = ((row, column) for row in range(rows) for column in range(columns) if (row, column) not in seen)
+    zoom = needed("scipy.ndimage").zoom
     made = []
     for row, column in missing:
-        image = shown[row * block : (row + 1) * block, column * block : (column + 1) * block].repeat(bins, axis=0).repeat(bins, axis=1)
+        image = shown[row * block : (row + 1) * block, column * block : (column + 1) * block]
+        # Blocks of equal pixels would have edges that look like atoms.
+        image = zoom(image, bins, order=1, mode="nearest", grid_mode=True) if bins > 1 else image
         stride_nm = (field.tile_px - field.overlap_px) * field.pixel_nm
         half = (field.tile_px - 1) / 2 * field.pixel_nm
         centre = (min(column * stride_nm + half, width_nm), min(row * stride_nm + half, height_nm))

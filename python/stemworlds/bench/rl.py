@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from .episodes import Acquired, FieldFacts
     from .findings import Findings
 
-__all__ = ["PolicyAgent", "train"]
+__all__ = ["PolicyAgent", "train_policy"]
 
 Algorithm = Literal["DQN", "PPO", "SAC"]
 
@@ -30,7 +30,7 @@ _SETTINGS: dict[str, dict[str, Any]] = {
 }
 
 
-def train(
+def train_policy(
     algorithm: Algorithm,
     environments: Sequence[Callable[[], gym.Env[Any, Any]]],
     *,
@@ -109,7 +109,7 @@ class PolicyAgent:
     Args:
         name: of the agent.
         algorithm: ``"DQN"``, ``"PPO"`` or ``"SAC"``.
-        model: the file that :func:`train`'s model was saved to.
+        model: the file that :func:`train_policy`'s model was saved to.
         analyst: who declares.
         deterministic: takes the best action, not a drawn one.
     """
@@ -121,7 +121,7 @@ class PolicyAgent:
             raise _invalid("algorithm", f"algorithm = {algorithm!r}: expected one of {', '.join(_SETTINGS)}")
         path = os.fspath(model)
         if not os.path.exists(path):
-            raise FileMissing(f"{path}: there is no such policy; stemworlds.bench.rl.train makes one")
+            raise FileMissing(f"{path}: there is no such policy; stemworlds.bench.train_policy makes one")
         self.name, self.algorithm, self.analyst, self.deterministic = name, algorithm, analyst, deterministic
         self._model = getattr(needed("stable_baselines3"), algorithm).load(path, device="cpu")
 
@@ -130,10 +130,10 @@ class PolicyAgent:
         acting = _with_actions(env, self.algorithm, _Analysing(self.analyst, env.unwrapped, lambda: random_of(seed, self.name)))
         needed("stable_baselines3.common.utils").set_random_seed(seed)
         observation, _ = acting.reset(seed=seed)
-        over = False
+        over, info = False, {}
         while not over:
             action, _ = self._model.predict(observation, deterministic=self.deterministic)
-            observation, _, terminated, truncated, _ = acting.step(action)
+            observation, _, terminated, truncated, info = acting.step(action)
             over = bool(terminated or truncated)
         notes = getattr(self.analyst, "notes", dict)()
-        return {"notes": notes}
+        return {"notes": notes, "record": info.get("record")}

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from ..errors import StemworldsError, _invalid
 from .agents import play
 from .catalogue import make_agent
-from .experiments import Episode, Experiment
+from .experiments import OF_THE_MACHINE, Episode, Experiment
 from .progress import Progress
 from .results import ResultFile
 
@@ -274,6 +274,7 @@ def _combination(episode: Episode, experiment: str) -> Row:
         "seed": episode.seed,
         "budget": episode.budget,
         "specification": _plain(dict(episode.agent)),
+        "environment": _plain({key: value for key, value in episode.environment.items() if key not in OF_THE_MACHINE}),
     }
 
 
