@@ -2,58 +2,53 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 
-from stemworlds.bench.experiments import Episode
-from stemworlds.bench.findings import Findings
+from stemworlds.bench import Acquired, Episode, FieldFacts, Findings
 
 PIXEL_NM = 0.02
 APART_PX = 16
 STRIDE_PX = 124
 
 
-@dataclass(frozen=True, eq=False)
-class Facts:
-    grid: tuple[int, int]
-    budget: float
-    task: str = "defect-census"
-    tile_px: int = 128
-    overlap_px: int = 4
-    pixel_nm: float = PIXEL_NM
-    phases: tuple[str, ...] = ()
-    material: str = "lattice"
+def facts(grid: tuple[int, int] = (5, 6), budget: float = 1000.0, horizon: int = 200) -> FieldFacts:
+    """A field of so many tiles."""
+    return FieldFacts(
+        name="lattice",
+        material="lattice",
+        grid=grid,
+        tile_px=128,
+        overlap_px=4,
+        pixel_nm=PIXEL_NM,
+        size_nm=((grid[0] * STRIDE_PX + 4) * PIXEL_NM, (grid[1] * STRIDE_PX + 4) * PIXEL_NM),
+        phases=(),
+        task="defect-census",
+        target=None,
+        strict=False,
+        budget=budget,
+        horizon=horizon,
+        scale=1.0,
+        offset=0.0,
+    )
 
-    @property
-    def size_nm(self) -> tuple[float, float]:
-        return (self.grid[0] * STRIDE_PX + 4) * PIXEL_NM, (self.grid[1] * STRIDE_PX + 4) * PIXEL_NM
 
-
-@dataclass(frozen=True, eq=False)
-class Acquired:
-    row: int
-    column: int
-    centre_nm: tuple[float, float]
-    size_nm: float
-    pixel_nm: float
-    zoom: float
-    dose: float
-    cost: float
-    electrons_per_pixel: float
-    scale: float
-    offset: float
-    image: npt.NDArray[np.float32]
+def acquired(image: npt.NDArray[Any], row: int = 0, column: int = 0, dose: float = 1.0, zoom: float = 1.0) -> Acquired:
+    """A tile that shows these fractions of the beam."""
+    scale = float(image.max())
+    centre = ((column * STRIDE_PX + 63.5) * PIXEL_NM, (row * STRIDE_PX + 63.5) * PIXEL_NM)
+    shown = (image / scale).astype(np.float32)
+    return Acquired(row, column, centre, 128 * PIXEL_NM, PIXEL_NM, zoom, dose, 100 * dose * zoom**2, 400 * dose, scale, 0.0, shown)
 
 
 class Lattice(gym.Env[Any, Any]):
     """A field with a lattice of atoms; columns of tiles from ``bright_from`` on are a brighter phase. Scores the counts as F1 of each kind."""
 
     def __init__(self, grid: tuple[int, int] = (5, 6), budget: float = 1000.0, horizon: int = 200, bright_from: int | None = None) -> None:
-        self.field = Facts(grid, budget)
+        self.field = facts(grid, budget, horizon)
         self.horizon, self.bright_from = horizon, bright_from
         random = np.random.default_rng(7)
         height, width = (n * STRIDE_PX + 4 for n in grid)
@@ -72,7 +67,7 @@ class Lattice(gym.Env[Any, Any]):
     def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
         super().reset(seed=seed)
         self.episode_seed = seed
-        self.steps, self.spent, self.refused, self.ended_by = 0, 0.0, False, None
+        self.steps, self.spent, self.refused, self.ended = 0, 0.0, False, None
         self.at = (0, 0)
         self.acquired: list[Acquired] = []
         self.curve: list[list[float]] = []
@@ -84,7 +79,7 @@ class Lattice(gym.Env[Any, Any]):
         self.steps += 2
         cost = 100.0 * dose * zoom**2
         if self.spent + cost > self.field.budget + 1e-9:
-            self.refused, self.ended_by = True, "refused"
+            self.refused, self.ended = True, "refused"
             return self._returned({})
         if self.acquired and len(self.acquired) % 5 == 0:
             self._record()
@@ -94,10 +89,7 @@ class Lattice(gym.Env[Any, Any]):
         electrons = 400.0 * dose
         noise = np.random.default_rng([int(self.episode_seed or 0), len(self.acquired)])
         shown = noise.poisson(clean * electrons) / electrons
-        scale = float(shown.max())
-        centre = ((left + 63.5) * PIXEL_NM, (top + 63.5) * PIXEL_NM)
-        image = (shown / scale).astype(np.float32)
-        tile = Acquired(row, column, centre, 128 * PIXEL_NM, PIXEL_NM, zoom, dose, cost, electrons, scale, 0.0, image)
+        tile = acquired(shown, row, column, dose, zoom)
         self.acquired.append(tile)
         return self._returned({"acquired": tile})
 
@@ -110,7 +102,7 @@ class Lattice(gym.Env[Any, Any]):
     def step(self, action: dict[str, Any]) -> tuple[Any, ...]:
         assert action == {"type": 3}, "agents make all other steps by acquire and declare"
         self.steps += 1
-        self.ended_by = "done"
+        self.ended = "done"
         return self._returned({})
 
     def truth_seen(self) -> Findings:
@@ -142,8 +134,8 @@ class Lattice(gym.Env[Any, Any]):
             "curve": curve,
             "metrics": metrics,
             "acquisitions": places,
-            "ended_by": self.ended_by,
-            "grid": list(self.field.grid),
+            "ended": self.ended,
+            "scores": {"paper": curve[-1][1], "strict": curve[-1][1] / 2, "columns": None},
             "seed": self.episode_seed,
         }
 
@@ -155,10 +147,10 @@ class Lattice(gym.Env[Any, Any]):
 
     def _returned(self, more: dict[str, Any]) -> tuple[Any, ...]:
         observation = {"step_fraction": np.array([self.steps / self.horizon], dtype=np.float32)}
-        truncated = self.steps >= self.horizon and self.ended_by is None
+        truncated = self.steps >= self.horizon and self.ended is None
         if truncated:
-            self.ended_by = "horizon"
-        return observation, 0.0, self.ended_by in ("done", "refused"), truncated, self._info(more)
+            self.ended = "horizon"
+        return observation, 0.0, self.ended in ("done", "refused"), truncated, self._info(more)
 
 
 def lattice_of(episode: Episode) -> Lattice:

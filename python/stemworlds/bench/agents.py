@@ -106,7 +106,9 @@ class Agent:
             if len(seen.tiles) % self.declare_every == 0:
                 episode.declare()
         if not episode.over:
-            episode.undeclared = self.last_word(seen)
+            word = self.last_word(seen)
+            if word is not seen.findings:
+                episode.undeclared = word
             episode.finish()
         return {"notes": self._notes(), "modes": modes if any(modes) else [], "record": episode.record()}
 

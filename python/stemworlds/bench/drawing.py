@@ -89,7 +89,7 @@ def _top(lines: Sequence[Line]) -> float:
     if most <= 0:
         return 1.0
     step = 10.0 ** math.floor(math.log10(most))
-    return next(step * factor for factor in (1, 1.5, 2, 3, 4, 5, 6, 8, 10) if step * factor >= most * 1.02 or factor == 10)
+    return next(step * factor for factor in (1, 1.5, 2, 3, 4, 5, 6, 8, 10) if step * factor >= min(most * 1.02, 1.0) or factor == 10)
 
 
 def _axes(ticks: Mapping[str, float], top: float) -> str:

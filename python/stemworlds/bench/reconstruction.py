@@ -47,7 +47,7 @@ def inpaint(image: Values, known: npt.NDArray[np.bool_], rounds: int = _ROUNDS) 
     filled = scaled.copy()
     for _ in range(rounds):
         filled = np.where(known, scaled, denoise(filled, weight=0.1, max_num_iter=10))
-    result: Values = filled * (spread if spread > 0 else 1.0) + mean
+    result: Values = np.where(known, image, filled * (spread if spread > 0 else 1.0) + mean)
     return result
 
 

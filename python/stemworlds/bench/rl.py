@@ -90,6 +90,10 @@ class _Analysing:
         if hasattr(analyst, "attach"):
             analyst.attach(world)
 
+    def __deepcopy__(self, memo: dict[int, Any]) -> _Analysing:
+        """Wrappers copy their arguments for the specification; the world of this one stays what it is."""
+        return self
+
     def reset(self, field: FieldFacts) -> None:
         self._analyst.start(field, self._random())
 
