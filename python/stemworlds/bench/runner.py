@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 import time
 import traceback
 from collections import OrderedDict
@@ -161,9 +162,17 @@ _threads: int | None = None
 def _begin_process(name: str, make: Make, threads: int) -> None:
     """Each process has its share of the processors; Ctrl-C is the first process's business."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
     global _player, _threads
     _threads = threads
     _player = _Player(name, make)
+
+
+def _end_with(parent: int) -> None:
+    """Ends this process when the first one is gone, however it ended."""
+    while os.getppid() == parent:
+        time.sleep(0.5)
+    os._exit(1)
 
 
 def _play_one(episode: Episode) -> Row:
