@@ -439,7 +439,8 @@ mod tests {
         let builder = TransmissionBuilder::new(&plan, &[78]).unwrap();
         let mut transmission = builder.build(&sites, 0, &Silent).unwrap();
         let scan = Scan { origin_angstrom: [0.3, 10.1], step_angstrom: [1.1, 0.6], shape: [2, 25] };
-        let run = |t: &Transmission| Multislice::new(&plan).run(t, (&scan).into(), &Silent).unwrap();
+        let run =
+            |t: &Transmission| Multislice::new(&plan).run(t, (&scan).into(), &Silent).unwrap();
         let skipping = run(&transmission);
         let filled = transmission.filled(0..plan.slices.len()).count();
         let within = |x: f64| {
