@@ -100,7 +100,7 @@ def test_single_probes_are_those_of_a_scan(silicon: Any, engine: Any) -> None:
         "phonons": 2,
         "sigma": 0.08,
         "defocus_angstrom": [0, 30],
-        "thicknesses_angstrom": (5, 11),
+        "thicknesses_angstrom": (5, 10),
         "engine": engine,
         "probe_step": "scan",
     }
