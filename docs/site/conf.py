@@ -10,6 +10,7 @@ from docutils.utils.math.latex2mathml import tex2mathml
 
 import stemworlds
 import stemworlds.bench
+import stemworlds.serving
 
 project = "stemgen and stemworlds"
 author = "the authors of stemgen"
@@ -69,7 +70,7 @@ def _whole(app: Any, error: Exception | None) -> None:
     if error is not None or app.builder.name != "html":
         return
     told = {name.rpartition(".")[2] for name in app.env.domaindata["py"]["objects"]}
-    public = {*stemworlds.__all__, *stemworlds.bench.__all__}
+    public = {*stemworlds.__all__, *stemworlds.bench.__all__, *stemworlds.serving.__all__}
     untold = sorted(public - told - {"__version__"})
     if untold:
         raise RuntimeError(f"docs/site/reference lacks {', '.join(untold)}")

@@ -58,6 +58,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(simulate::diffraction, module)?)?;
     module.add_function(wrap_pyfunction!(simulate::plan_simulation, module)?)?;
     module.add_function(wrap_pyfunction!(simulate::simulate, module)?)?;
+    module.add_function(wrap_pyfunction!(simulate::simulate_places, module)?)?;
     module.add_function(wrap_pyfunction!(simulate::simulate_plane_wave, module)?)?;
     module.add_function(wrap_pyfunction!(specimens::draw_recipe, module)?)?;
     module.add_function(wrap_pyfunction!(specimens::specimen_sites, module)?)?;

@@ -278,14 +278,19 @@ pub fn settings(
     })
 }
 
+/// A unit of lengths (x, y) in Angstrom, for a box of `size`.
+pub fn length_unit(word: &str, size: [f64; 2]) -> Result<[f64; 2], Fault> {
+    let units = [("cell", size), ("nm", [10.0; 2]), ("angstrom", [1.0; 2]), ("A", [1.0; 2])];
+    choice(Setting::Region, word, &units)
+}
+
 impl ScanOptions {
     /// The raster over a box of `size` (x, y) in Angstrom, and what is to be said of it.
     ///
     /// # Errors
     /// A scan that is empty, or much longer than the box.
     pub fn scan(&self, size: [f64; 2], optics: &Optics) -> Result<(Scan, Option<String>), Fault> {
-        let units = [("cell", size), ("nm", [10.0; 2]), ("angstrom", [1.0; 2]), ("A", [1.0; 2])];
-        let unit = choice(Setting::Region, &self.unit, &units)?;
+        let unit = length_unit(&self.unit, size)?;
         let start = [0, 1].map(|k| self.start[k] * unit[k]);
         let end = self.end.map_or(size, |end| [0, 1].map(|k| end[k] * unit[k]));
         let window = [0, 1].map(|k| end[k] - start[k]);

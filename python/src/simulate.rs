@@ -2,7 +2,7 @@
 
 use crate::errors::{Fault, Told};
 use crate::guest::{Guest, Running, run};
-use crate::microscope::{Microscope, Numerics, ScanOptions, settings};
+use crate::microscope::{Microscope, Numerics, ScanOptions, length_unit, settings};
 use crate::structures::{AtomsSource, SpecimenOptions};
 use ndarray::{Array2, Array3, Axis};
 use num_complex::Complex32;
@@ -14,7 +14,7 @@ use stemgen::cli::shared::{
 };
 use stemgen::engine::{
     Cost, Plan, ProbeRaster, Scan, SourceBlur, check_memory, mean_diffraction,
-    settings_for_accuracy, simulate_series,
+    settings_for_accuracy, simulate_places as engine_places, simulate_series,
 };
 use stemgen::progress::Progress;
 use stemgen::world::Noise;
@@ -215,6 +215,52 @@ pub fn simulate(py: Python<'_>, options: Simulation, running: Running) -> PyResu
     out.set_item("settings", serde_json::to_string(&plan.settings).map_err(Fault::from).told(py)?)?;
     out.set_item("band_limit_mrad", plan.band_limit_mrad)?;
     out.set_item("accuracy", planned.accuracy)?;
+    Ok(out.unbind())
+}
+
+/// Simulates single probes at `places` (x, y) in `unit`. Returns a dict: `values`, a list of pairs of a name and an array (thickness,
+/// place); and what they share.
+#[pyfunction]
+pub fn simulate_places(
+    py: Python<'_>,
+    options: Simulation,
+    places: Vec<[f64; 2]>,
+    unit: String,
+    running: Running,
+) -> PyResult<Py<PyDict>> {
+    type Values = Vec<(String, Array2<f32>)>;
+    let work = move |guest: &Guest| -> Result<(Values, Vec<[f64; 2]>, Planned), Fault> {
+        let mut planned = options.plans(guest)?;
+        let [x, y, _] = planned.specimen.size;
+        let unit = length_unit(&unit, [x, y])?;
+        let places: Vec<_> = places.iter().map(|p| [p[0] * unit[0], p[1] * unit[1]]).collect();
+        // As many probes that share no waves, for an estimate of memory.
+        let step_angstrom = [1e3, 0.0];
+        planned.scan = Scan { step_angstrom, shape: [1, places.len()], ..planned.scan };
+        planned.warnings.iter().for_each(|warning| guest.warn(warning));
+        options.check_memory(&planned)?;
+        let frames = planned.specimen.frames();
+        let series = engine_places(&planned.plans, &frames, &places, guest)?;
+        let mut values = Vec::new();
+        let defoci = &options.microscope.defocus_angstrom;
+        for ((plan, images), defocus) in planned.plans.iter().zip(&series).zip(defoci) {
+            for (n, detector) in plan.settings.detectors.iter().enumerate() {
+                let row = images.data.index_axis(Axis(1), n).index_axis_move(Axis(1), 0);
+                values.push((options.name(&detector.name, *defocus), row.to_owned()));
+            }
+        }
+        Ok((values, places, planned))
+    };
+    let (values, places, planned) = run(py, running, work)?;
+    let plan = &planned.plans[0];
+    let values: Vec<_> = values.into_iter().map(|(n, v)| (n, v.into_pyarray(py))).collect();
+    let out = PyDict::new(py);
+    out.set_item("values", values)?;
+    out.set_item("places_angstrom", places)?;
+    out.set_item("thicknesses_angstrom", plan.thicknesses_angstrom())?;
+    out.set_item("box_angstrom", planned.specimen.size)?;
+    out.set_item("settings", serde_json::to_string(&plan.settings).map_err(Fault::from).told(py)?)?;
+    out.set_item("band_limit_mrad", plan.band_limit_mrad)?;
     Ok(out.unbind())
 }
 

@@ -29,7 +29,17 @@ from .importing import import_image
 from .live import LiveView, LiveWorld
 from .recipes import Recipe, recipes
 from .recording import Recording, acquire
-from .simulation import Scan, SimulationOptions, SimulationPlan, diffraction, plan_simulation, plane_wave, simulate
+from .simulation import (
+    ProbeValues,
+    Scan,
+    SimulationOptions,
+    SimulationPlan,
+    diffraction,
+    plan_simulation,
+    plane_wave,
+    simulate,
+    simulate_probes,
+)
 from .specimens import specimen, specimen_arrays
 from .streaming import Sample, Stream, Targets, stream
 from .viewing import view
@@ -54,6 +64,7 @@ __all__ = [
     "LiveWorld",
     "NotEnoughMemory",
     "PlaneWave",
+    "ProbeValues",
     "Recipe",
     "Recording",
     "Sample",
@@ -84,6 +95,7 @@ __all__ = [
     "plane_wave",
     "recipes",
     "simulate",
+    "simulate_probes",
     "specimen",
     "specimen_arrays",
     "stream",

@@ -90,4 +90,4 @@ class _Lines:
         if now >= self._next and total > 0:
             self._next = now + _SECONDS_BETWEEN_LINES
             percent = 100 * done / total
-            print(f"{stage}: {percent:.0f} %, {done} of {total} {unit}", file=sys.stderr)
+            print(f"{stage}: {percent:.0f} %, {done} of {total} {unit}s", file=sys.stderr)

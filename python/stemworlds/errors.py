@@ -148,7 +148,7 @@ _KEYWORDS: dict[str, str | None] = {
     "Shard": "shard",
     "Manifest": "manifest",
     "Score": "score",
-    "Episode": "settings",
+    "Episode": None,
     "Findings": "findings",
     "BuildProfile": "profile",
     "TilePixels": "size",

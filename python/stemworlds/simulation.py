@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypedDict, Unpack
 
 import numpy as np
+import numpy.typing as npt
 
 from . import _core
 from ._running import Progress, call, running
@@ -218,6 +219,85 @@ def simulate(atoms: Atoms, **options: Unpack[SimulationOptions]) -> Images:
             metadata={**metadata, **more},
         )
     return Images(images, metadata=metadata)
+
+
+@dataclass(frozen=True, eq=False)
+class ProbeValues(Mapping[str, npt.NDArray[np.float32]]):
+    """What single probes give: ``values["HAADF"]``, by the name of the detector, in fractions of the incident beam.
+
+    Attributes:
+        values_of: float32 [probe], or [thickness, probe] where several thicknesses were asked for, by name.
+        positions_angstrom: float64 [probe, (x, y)].
+        thicknesses_angstrom: thicknesses at which the values are recorded.
+        metadata: what was simulated.
+    """
+
+    values_of: Mapping[str, npt.NDArray[np.float32]]
+    positions_angstrom: npt.NDArray[np.float64]
+    thicknesses_angstrom: tuple[float, ...]
+    metadata: Mapping[str, Any]
+
+    def __getitem__(self, name: str) -> npt.NDArray[np.float32]:
+        return self.values_of[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.values_of)
+
+    def __len__(self) -> int:
+        return len(self.values_of)
+
+
+def simulate_probes(
+    atoms: Atoms,
+    positions: npt.ArrayLike,
+    *,
+    unit: Literal["cell", "nm", "angstrom"] = "angstrom",
+    **options: Unpack[SimulationOptions],
+) -> ProbeValues:
+    """Simulates single probes, each where you say: at atomic columns, along a line, at the places of a scan with errors.
+
+    Each probe is propagated by itself, so a raster is simulated faster by :func:`simulate`. With ``engine="window"`` each has a
+    window of its own.
+
+    Args:
+        atoms: as :func:`simulate` takes them.
+        positions: ``(x, y)`` of each probe, of shape (N, 2). The box is periodic.
+        unit: of the positions: ``"angstrom"``, ``"nm"``, or ``"cell"``, fractions of the box after ``zone`` and ``repeat``.
+        **options: see :class:`SimulationOptions`. ``scan``, ``dose``, ``source_size_angstrom`` and ``accuracy_percent`` need a
+            raster, and PRISM has no single probes.
+
+    Returns:
+        Values by the name of the detector; of a defocus series ``"HAADF_defocus_20A"``.
+
+    Raises:
+        InvalidValue: for positions that are no pairs of finite numbers, and options out of their limits.
+        FormatError, FileError, NotEnoughMemory, KeyboardInterrupt: as :func:`simulate`.
+    """
+    unused = {"scan", "source_size_angstrom", "dose", "accuracy_percent"} & options.keys()
+    if unused:
+        name = sorted(unused)[0]
+        raise _invalid(name, f"{name} needs a raster of probes: simulate() has one")
+    try:
+        places = np.asarray(positions, dtype=np.float64)
+    except (TypeError, ValueError):
+        places = np.empty(0)
+    if places.ndim != 2 or places.shape[1] != 2 or len(places) == 0:
+        raise _invalid("positions", f"positions of shape {np.shape(places)}: expected (N, 2), x and y of one probe or more")
+    if not np.isfinite(places).all():
+        raise _invalid("positions", f"positions: {places[~np.isfinite(places).all(axis=1)][0]} are no finite numbers")
+    pairs = [(float(x), float(y)) for x, y in places]
+    found = call(_core.simulate_places, _simulation(atoms, options), pairs, unit, _run(options))
+    thicknesses = tuple(found["thicknesses_angstrom"])
+    return ProbeValues(
+        values_of={name: data[0] if len(thicknesses) == 1 else data for name, data in found["values"]},
+        positions_angstrom=np.array(found["places_angstrom"]),
+        thicknesses_angstrom=thicknesses,
+        metadata={
+            "settings": json.loads(found["settings"]),
+            "box_angstrom": tuple(found["box_angstrom"]),
+            "band_limit_mrad": found["band_limit_mrad"],
+        },
+    )
 
 
 def plan_simulation(atoms: Atoms, **options: Unpack[SimulationOptions]) -> SimulationPlan:

@@ -17,6 +17,8 @@ HERE = Path(__file__).parent
 SOURCES = HERE.parent
 ROOT = SOURCES.parent
 
+#: Changes of a thin specimen that loses oxygen fast; its library is shared.
+DYING: dict[str, Any] = {"damage.radiolysis_barn.O": 60, "field.thickness_nm": 0.4}
 #: A field of a tile and a thin specimen: seconds to build.
 TINY: dict[str, Any] = {"set": {"field.thickness_nm": 0.4, "phonons.configurations": 2}, "grid": (1, 2), "seed": 5}
 
@@ -39,6 +41,12 @@ def world_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("worlds") / "tiny.h5"
     sw.build("test", out=path, keep_clean=True, cache=False, audit=0, **TINY).close()
     return path
+
+
+@pytest.fixture(scope="session")
+def library(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The folder of the libraries of live worlds."""
+    return str(tmp_path_factory.mktemp("library"))
 
 
 @pytest.fixture(scope="session")

@@ -195,3 +195,19 @@ def test_bad_options_are_told(options: dict[str, Any], words: str) -> None:
         options = {**RECIPE, **options}
     with pytest.raises(sw.StemworldsError, match=words):
         gym.make("stemworlds/DefectCensus-v0", **options)
+
+
+def test_recorded_data_are_shown_as_they_are(tmp_path: Path) -> None:
+    y, x = np.mgrid[:260, :390]
+    noise = np.random.default_rng(1).normal(scale=20, size=x.shape)
+    np.save(tmp_path / "recorded.npy", 1000 + 50 * (np.cos(2 * np.pi * x / 16) + np.cos(2 * np.pi * y / 16)) + noise)
+    world = sw.import_image(tmp_path / "recorded.npy", out=tmp_path / "replay.h5", pixel_nm=0.026)
+    env = gym.make("stemworlds/DefectCensus-v0", world=world.path).unwrapped
+    assert isinstance(env, bench.MicroscopeEnv)
+    for seed in (0, 1):
+        env.reset(seed=seed)
+        seen, _, _, _, info = env.acquire(1, 2, dose=2.0)
+        assert np.array_equal(seen["tile"], world.tile(1, 2).array)
+        assert info["dose_spent"] == 200 and info["acquired"].electrons_per_pixel == 0
+    with pytest.raises(sw.InvalidValue, match="noise of their own"):
+        gym.make("stemworlds/DefectCensus-v0", world=world.path, noise="poisson").reset()

@@ -4,24 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from conftest import DYING
 
 import stemworlds as sw
 
-THIN = {"damage.radiolysis_barn.O": 60, "field.thickness_nm": 0.4}
 PLACE = (1.2, 1.2, 2.4, 2.2)
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> str:
-    return str(tmp_path_factory.mktemp("library"))
+def world(library: str, seed: int = 3, threads: int = 2) -> sw.LiveWorld:
+    return sw.LiveWorld("test", grid=(1, 1), set=DYING, seed=seed, most_dose=5e5, cache=library, threads=threads)
 
 
-def world(folder: str, seed: int = 3, threads: int = 2) -> sw.LiveWorld:
-    return sw.LiveWorld("test", grid=(1, 1), set=THIN, seed=seed, most_dose=5e5, cache=folder, threads=threads)
-
-
-def test_recordings_take_atoms_away(folder: str) -> None:
-    live = world(folder)
+def test_recordings_take_atoms_away(library: str) -> None:
+    live = world(library)
     before = live.look(PLACE)
     assert before.image.array.dtype == np.float32 and len(before.columns) > 10
     assert before.image.origin_nm[1] == pytest.approx(PLACE[0], abs=0.05)
@@ -39,21 +34,21 @@ def test_recordings_take_atoms_away(folder: str) -> None:
     assert len(live.columns(PLACE)) >= len(after.columns) - 4 and len(live.sites(PLACE)) > 0
 
 
-def test_snapshots_and_threads_give_the_same_bytes(folder: str) -> None:
-    one, two = world(folder, threads=1), world(folder, threads=2)
+def test_snapshots_and_threads_give_the_same_bytes(library: str) -> None:
+    one, two = world(library, threads=1), world(library, threads=2)
     for live in (one, two):
         live.acquire(at_nm=(1.9, 1.9), zoom=2, dose=1e5)
     moment = one.snapshot()
     assert moment == two.snapshot()
     results = [live.acquire(at_nm=(2.0, 1.8), zoom=2, dose=1e5, profile="poor").array for live in (one, two)]
-    again = world(folder)
+    again = world(library)
     again.restore(moment)
     results.append(again.acquire(at_nm=(2.0, 1.8), zoom=2, dose=1e5, profile="poor").array)
     assert results[0].tobytes() == results[1].tobytes() == results[2].tobytes()
 
 
-def test_what_is_wrong_is_said(folder: str) -> None:
-    live = world(folder)
+def test_what_is_wrong_is_said(library: str) -> None:
+    live = world(library)
     with pytest.raises(sw.InvalidValue, match="made for up to 500000"):
         live.acquire(at_nm=(1.9, 1.9), zoom=2, dose=6e5)
     assert live.history == ()
@@ -62,6 +57,6 @@ def test_what_is_wrong_is_said(folder: str) -> None:
     with pytest.raises(sw.InvalidValue, match="no snapshot"):
         live.restore("{}")
     with pytest.raises(sw.InvalidValue, match="another recipe or seed"):
-        live.restore(world(folder, seed=4).snapshot())
+        live.restore(world(library, seed=4).snapshot())
     with pytest.raises(sw.InvalidValue, match="leave the field"):
         live.acquire(at_nm=(99, 1), dose=1)

@@ -93,6 +93,46 @@ def test_an_accuracy_is_told(silicon: Any) -> None:
     assert image.metadata["accuracy"][0]["asked_percent"] == 1.0
 
 
+@pytest.mark.parametrize("engine", ["multislice", "window"])
+def test_single_probes_are_those_of_a_scan(silicon: Any, engine: Any) -> None:
+    options: Any = {
+        "detectors": {"HAADF": (68, 200), "BF": (0, 20)},
+        "phonons": 2,
+        "sigma": 0.08,
+        "defocus_angstrom": [0, 30],
+        "thicknesses_angstrom": (5, 10),
+        "engine": engine,
+        "probe_step": "scan",
+    }
+    # Probes so far apart that each has a window of its own.
+    images = sw.simulate(silicon, scan=sw.Scan((0.1, 0.2), (0.5, 0.6), points=(3, 2)), **options)
+    x, y = np.meshgrid([0.1, 0.1 + 0.4 / 3, 0.1 + 0.8 / 3], [0.2, 0.4])
+    values = sw.simulate_probes(silicon, np.column_stack([x.ravel(), y.ravel()]), unit="cell", **options)
+    assert list(values) == list(images) and len(values) == 4 and values.thicknesses_angstrom == images["BF_defocus_0A"].thicknesses_angstrom
+    for name, image in images.items():
+        np.testing.assert_allclose(values[name], image.array.reshape(2, 6), rtol=2e-5)
+    box = values.metadata["box_angstrom"]
+    np.testing.assert_allclose(values.positions_angstrom[0], [0.1 * box[0], 0.2 * box[1]])
+    nm = sw.simulate_probes(silicon, values.positions_angstrom / 10, unit="nm", **options)
+    np.testing.assert_allclose(nm["HAADF_defocus_30A"], values["HAADF_defocus_30A"], rtol=2e-5)
+
+
+@pytest.mark.parametrize(
+    ("positions", "more", "says"),
+    [
+        ([1.0, 2.0], {}, "expected \\(N, 2\\)"),
+        ([], {}, "one probe or more"),
+        ([(1.0, float("nan"))], {}, "no finite numbers"),
+        ([(1.0, 1.0)], {"dose": 1e3}, "needs a raster"),
+        ([(1.0, 1.0)], {"engine": "prism"}, "single probes"),
+        ([(1.0, 1.0)], {"unit": "pm"}, "choose one of"),
+    ],
+)
+def test_impossible_probes_are_refused(silicon: Any, positions: Any, more: Any, says: str) -> None:
+    with pytest.raises(sw.InvalidValue, match=says):
+        sw.simulate_probes(silicon, positions, **more)
+
+
 def test_diffraction_adds_up_to_the_detectors(silicon: Any) -> None:
     detectors = {"bright": (0, 10), "dark": (100, 200)}
     at = (2.0, 3.0)

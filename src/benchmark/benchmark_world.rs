@@ -1,6 +1,5 @@
 //! What an episode asks of a world.
 
-use std::collections::HashMap;
 use std::sync::Arc;
 
 use ndarray::Array2;
@@ -122,38 +121,6 @@ pub(super) fn window(position: [f64; 2], shape: [usize; 2], size: usize) -> [usi
     })
 }
 
-/// Edge of the cells in which things are looked up, in nm.
-const CELL_NM: f64 = 2.5;
-
-/// Things with places, looked up by region.
-#[derive(Debug, Clone)]
-pub(super) struct ByPlace<T> {
-    cells: HashMap<[i64; 2], Vec<([f64; 2], T)>>,
-}
-
-impl<T: Clone> ByPlace<T> {
-    /// Things with their places (x, y) in nm.
-    pub fn new(things: impl Iterator<Item = ([f64; 2], T)>) -> Self {
-        let mut cells: HashMap<[i64; 2], Vec<([f64; 2], T)>> = HashMap::new();
-        for (place, thing) in things {
-            cells.entry(place.map(cell)).or_default().push((place, thing));
-        }
-        ByPlace { cells }
-    }
-
-    /// Those in a region, in the order in which they were given, cell by cell.
-    pub fn within(&self, region: &Region) -> Vec<([f64; 2], T)> {
-        let range = |[low, high]: [f64; 2]| cell(low)..=cell(high);
-        let cells = range(region.y).flat_map(|y| range(region.x).map(move |x| [x, y]));
-        let all = cells.filter_map(|at| self.cells.get(&at)).flatten();
-        all.filter(|(place, _)| region.contains(*place)).cloned().collect()
-    }
-}
-
-fn cell(nm: f64) -> i64 {
-    (nm / CELL_NM).floor() as i64
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -163,21 +130,5 @@ mod tests {
         assert_eq!(window([0.5, 0.5], [200, 100], 64), [68, 18]);
         assert_eq!(window([0.0, 1.0], [200, 100], 64), [136, 0]);
         assert_eq!(window([0.9, 0.1], [30, 40], 64), [0, 0]);
-    }
-
-    #[test]
-    fn places_are_found_in_their_regions() {
-        let places: Vec<[f64; 2]> = (0..900)
-            .map(|n| [(n % 30) as f64 * 0.37 - 2.0, (n / 30) as f64 * 0.41 - 3.0])
-            .collect();
-        let by_place = ByPlace::new(places.iter().map(|p| (*p, ())));
-        for region in [
-            Region { x: [-2.0, 0.5], y: [-3.0, 7.0] },
-            Region { x: [1.11, 1.12], y: [-0.1, 0.4] },
-            Region { x: [-9.0, 99.0], y: [-9.0, 99.0] },
-        ] {
-            let expected = places.iter().filter(|p| region.contains(**p)).count();
-            assert_eq!(by_place.within(&region).len(), expected);
-        }
     }
 }

@@ -7,9 +7,8 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use ndarray::{Array2, s};
 
-use super::benchmark_world::{
-    BenchmarkWorld, ByPlace, PhaseSamples, RegionTruth, TrueColumn, window,
-};
+use super::benchmark_world::{BenchmarkWorld, PhaseSamples, RegionTruth, TrueColumn, window};
+use super::by_place::ByPlace;
 use super::findings::{FoundParticle, PlacedDefect, type_name};
 use super::recipe_world::{RecipeSource, RecipeWorld};
 use super::view::{FieldFacts, TileView};

@@ -5,6 +5,8 @@
 //! episode. Tasks and rules are those of the STEMGym paper; where it leaves something open, the item says what was chosen.
 
 pub mod benchmark_world;
+#[cfg(feature = "hdf5")]
+mod by_place;
 pub mod changing_world;
 pub mod dose_efficiency;
 pub mod electron_counts;

@@ -4,7 +4,7 @@ use super::basis::Basis;
 use super::plan::Plan;
 use super::probe::{CroppedProbe, Probe};
 use super::probe_patches::{Patch, ProbePatches, amplitude_nyquist};
-use super::probe_scan::Scan;
+use super::probe_scan::{ProbePlaces, Scan};
 use super::stepper::{SliceStep, StepWorkspace, Stepper, TransmissionView};
 use super::transmission::Transmission;
 use super::workspace_pool::WorkspacePool;
@@ -67,11 +67,11 @@ impl<'a> Multislice<'a> {
     pub fn run(
         &mut self,
         transmission: &Transmission,
-        scan: &Scan,
+        places: ProbePlaces<'_>,
         progress: &dyn Progress,
     ) -> Result<Vec<f64>> {
-        let groups = self.groups(scan);
-        self.run_groups(transmission, scan, groups, progress)
+        let groups = self.groups(places);
+        self.run_groups(transmission, places.len(), groups, progress)
     }
 
     /// As [`Multislice::run`], with the same bytes, for the probes of these indices; zeros stand for some of the others.
@@ -86,19 +86,19 @@ impl<'a> Multislice<'a> {
         progress: &dyn Progress,
     ) -> Result<Vec<f64>> {
         let wanted: HashSet<usize> = indices.iter().copied().collect();
-        let (mut groups, basis) = self.groups(scan);
+        let (mut groups, basis) = self.groups(scan.into());
         if basis.is_none() {
             // The waves of a group do not depend on each other.
             groups.iter_mut().for_each(|g| g.probes.retain(|(i, _)| wanted.contains(i)));
         }
         groups.retain(|g| g.probes.iter().any(|(i, _)| wanted.contains(i)));
-        self.run_groups(transmission, scan, (groups, basis), progress)
+        self.run_groups(transmission, scan.len(), (groups, basis), progress)
     }
 
     fn run_groups(
         &mut self,
         transmission: &Transmission,
-        scan: &Scan,
+        probes: usize,
         (groups, basis): (Vec<Patch>, Option<Arc<Basis>>),
         progress: &dyn Progress,
     ) -> Result<Vec<f64>> {
@@ -123,7 +123,7 @@ impl<'a> Multislice<'a> {
         });
         let values = values.collect::<Result<Vec<_>>>()?;
         let per_probe = self.plan.settings.detectors.len() * self.plan.record_after.len();
-        let mut out = vec![0.0; scan.len() * per_probe];
+        let mut out = vec![0.0; probes * per_probe];
         for (group, values) in groups.iter().zip(&values) {
             for ((i, _), values) in group.probes.iter().zip(values.chunks_exact(per_probe)) {
                 out[i * per_probe..][..per_probe].copy_from_slice(values);
@@ -141,10 +141,10 @@ impl<'a> Multislice<'a> {
         }
     }
 
-    /// The patches of a scan: whole, with the basis of their probes, if probes are expanded; otherwise in parts whose
+    /// The patches of probes: whole, with the basis of their probes, if probes are expanded; otherwise in parts whose
     /// waves step together.
-    fn groups(&mut self, scan: &Scan) -> (Vec<Patch>, Option<Arc<Basis>>) {
-        let patches = ProbePatches::new(self.plan, scan);
+    fn groups(&mut self, places: ProbePlaces<'_>) -> (Vec<Patch>, Option<Arc<Basis>>) {
+        let patches = ProbePatches::new(self.plan, places);
         if let Some(basis) = self.basis(&patches) {
             return (patches.patches, Some(basis));
         }
@@ -439,7 +439,8 @@ mod tests {
         let builder = TransmissionBuilder::new(&plan, &[78]).unwrap();
         let mut transmission = builder.build(&sites, 0, &Silent).unwrap();
         let scan = Scan { origin_angstrom: [0.3, 10.1], step_angstrom: [1.1, 0.6], shape: [2, 25] };
-        let run = |t: &Transmission| Multislice::new(&plan).run(t, &scan, &Silent).unwrap();
+        let run =
+            |t: &Transmission| Multislice::new(&plan).run(t, (&scan).into(), &Silent).unwrap();
         let skipping = run(&transmission);
         let filled = transmission.filled(0..plan.slices.len()).count();
         let within = |x: f64| {

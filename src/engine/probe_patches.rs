@@ -1,7 +1,7 @@
 //! Patches of probes that share a window: where the window lies, and whether the probes are expanded in fewer waves.
 
 use super::plan::Plan;
-use super::probe_scan::Scan;
+use super::probe_scan::{ProbePlaces, Scan};
 use super::settings::Expansion;
 use crate::resample::image_band_limit;
 use std::ops::Range;
@@ -54,8 +54,14 @@ pub(super) struct ProbePatches {
 }
 
 impl ProbePatches {
-    /// A function of the plan and the scan alone, whatever the number of threads.
-    pub fn new(plan: &Plan, scan: &Scan) -> Self {
+    /// A function of the plan and the places alone, whatever the number of threads.
+    pub fn new<'a>(plan: &Plan, places: impl Into<ProbePlaces<'a>>) -> Self {
+        let scan = match places.into() {
+            ProbePlaces::Raster(scan) => scan,
+            ProbePlaces::Each(positions) => {
+                return ProbePatches { patches: single_patches(plan, positions), error: None };
+            }
+        };
         let error = expansion_error(plan).filter(|_| expanded_waves(plan, scan).is_some());
         let most = error.map_or(TOGETHER_ANGSTROM, |_| patch_angstrom(plan));
         ProbePatches { patches: patches(plan, scan, most), error }
@@ -128,6 +134,25 @@ pub(super) fn largest_half(plan: &Plan) -> [f64; 2] {
 fn width(plan: &Plan) -> f64 {
     let [x, y] = plan.wave_grid.extent_angstrom;
     x.min(y)
+}
+
+/// A patch for each probe, with a window around it. Without windows there is one patch, and its window is the cell.
+fn single_patches(plan: &Plan, positions: &[[f64; 2]]) -> Vec<Patch> {
+    let probe = |(i, &position)| (i, position);
+    if !plan.has_windows() {
+        let probes = positions.iter().enumerate().map(probe).collect();
+        return vec![Patch { origin: (0, 0), probes }];
+    }
+    let (cell, grid) = (&plan.transmission_grid, &plan.wave_grid);
+    let pixel = grid.sampling_angstrom();
+    let patch = |(i, position): (usize, [f64; 2])| {
+        let first =
+            [0, 1].map(|k| (position[k] / pixel[k]).round() as i64 - grid.points[k] as i64 / 2);
+        let wrap = |k: usize| first[k].rem_euclid(cell.points[k] as i64) as usize;
+        let local = [0, 1].map(|k| position[k] - first[k] as f64 * pixel[k]);
+        Patch { origin: (wrap(1), wrap(0)), probes: vec![(i, local)] }
+    };
+    positions.iter().enumerate().map(probe).map(patch).collect()
 }
 
 /// Divides a scan into even patches of at most `most` Angstrom along each axis, each with a window around its middle.

@@ -31,3 +31,42 @@ impl Scan {
         ]
     }
 }
+
+/// Probes of a scan, or each at a place of its own.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum ProbePlaces<'a> {
+    Raster(&'a Scan),
+    /// Positions (x, y) in Angstrom.
+    Each(&'a [[f64; 2]]),
+}
+
+impl ProbePlaces<'_> {
+    pub fn len(&self) -> usize {
+        match self {
+            ProbePlaces::Raster(scan) => scan.len(),
+            ProbePlaces::Each(positions) => positions.len(),
+        }
+    }
+
+    /// Rows and columns of the image; places of their own stand in one row.
+    pub fn shape(&self) -> [usize; 2] {
+        match self {
+            ProbePlaces::Raster(scan) => scan.shape,
+            ProbePlaces::Each(positions) => [1, positions.len()],
+        }
+    }
+
+    /// Position (x, y) of a probe in Angstrom.
+    pub fn position(&self, index: usize) -> [f64; 2] {
+        match self {
+            ProbePlaces::Raster(scan) => scan.position(index),
+            ProbePlaces::Each(positions) => positions[index],
+        }
+    }
+}
+
+impl<'a> From<&'a Scan> for ProbePlaces<'a> {
+    fn from(scan: &'a Scan) -> Self {
+        ProbePlaces::Raster(scan)
+    }
+}

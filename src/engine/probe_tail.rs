@@ -11,7 +11,7 @@ use super::grid::Grid;
 use super::plan::Plan;
 use super::probe::{probe_in_box, repeated};
 use super::probe_patches::{ProbePatches, window_centre};
-use super::probe_scan::Scan;
+use super::probe_scan::ProbePlaces;
 use super::single_precision::single;
 use crate::constants::interaction_parameter;
 use crate::detect::Detector;
@@ -64,12 +64,12 @@ impl<'a> ProbeTail<'a> {
     ///
     /// # Errors
     /// An element that the tables lack.
-    pub fn values(&self, sites: &[Site], scan: &Scan) -> Result<Vec<f64>> {
+    pub fn values(&self, sites: &[Site], places: ProbePlaces<'_>) -> Result<Vec<f64>> {
         let plan = self.plan;
         let detectors = &plan.settings.detectors;
         let thicknesses = plan.thicknesses_angstrom();
-        let mut out = vec![0.0; scan.len() * thicknesses.len() * detectors.len()];
-        let alike = self.alike(scan);
+        let mut out = vec![0.0; places.len() * thicknesses.len() * detectors.len()];
+        let alike = self.alike(places);
         let seen = detectors.iter().enumerate().filter(|(_, d)| applies(d, plan));
         let atoms = seen.map(|(d, detector)| Ok((d, self.atoms(sites, detector)?)));
         let atoms: Vec<(usize, Vec<Buffer>)> = atoms.collect::<Result<_>>()?;
@@ -84,7 +84,7 @@ impl<'a> ProbeTail<'a> {
                 for (d, atoms) in &atoms {
                     let map = self.cell.correlate(&tail, &atoms[r], &mut scratch.0);
                     let at = |i: usize| (i * thicknesses.len() + r) * detectors.len() + d;
-                    let value = |&i: &usize| (at(i), self.cell.value(&map, scan.position(i)));
+                    let value = |&i: &usize| (at(i), self.cell.value(&map, places.position(i)));
                     values.extend(probes.iter().map(value));
                 }
             }
@@ -127,14 +127,14 @@ impl<'a> ProbeTail<'a> {
     }
 
     /// Groups of probes at nearly the same position in their windows: their distance (x, y) in Angstrom from the middle, and
-    /// their indices in the scan.
-    fn alike(&self, scan: &Scan) -> Vec<([f64; 2], Vec<usize>)> {
+    /// their indices.
+    fn alike(&self, places: ProbePlaces<'_>) -> Vec<([f64; 2], Vec<usize>)> {
         let plan = self.plan;
         if !plan.has_windows() {
             // The probe is cropped to the cell once, and its tail moves with it.
-            return vec![([0.0; 2], (0..scan.len()).collect())];
+            return vec![([0.0; 2], (0..places.len()).collect())];
         }
-        let patches = ProbePatches::new(plan, scan);
+        let patches = ProbePatches::new(plan, places);
         let (centre, half) = (window_centre(plan), patches.half(plan));
         let number = half.map(|h| (2.0 * h / ALIKE_ANGSTROM).ceil().max(1.0));
         let width = [0, 1].map(|k| 2.0 * half[k] / number[k]);

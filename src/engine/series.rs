@@ -7,10 +7,10 @@
 use super::detector_images::Images;
 use super::plan::Plan;
 use super::probe_raster::ProbeRaster;
-use super::probe_scan::Scan;
+use super::probe_scan::{ProbePlaces, Scan};
 use super::simulate::{LensEngine, elements};
 use super::transmission::TransmissionBuilder;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::progress::{Progress, ProgressShare};
 use crate::structure::Site;
 
@@ -24,19 +24,50 @@ pub fn simulate_series(
     scan: &Scan,
     progress: &dyn Progress,
 ) -> Result<Vec<Images>> {
-    let total: usize = plans.iter().map(|plan| probes(plan, scan) * frames.len()).sum();
+    series(plans, frames, scan.into(), progress)
+}
+
+/// As [`simulate_series`], of single probes, each at a place (x, y) in Angstrom. A probe is propagated at every place, in a window
+/// of its own where the plan has windows; their values are in one row, (thickness, detector, 0, place).
+///
+/// # Errors
+/// Those of [`simulate()`](super::simulate()); places that are no finite numbers; plans for PRISM, which has no single probes.
+pub fn simulate_places(
+    plans: &[Plan],
+    frames: &[&[Site]],
+    places_angstrom: &[[f64; 2]],
+    progress: &dyn Progress,
+) -> Result<Vec<Images>> {
+    if let Some(bad) = places_angstrom.iter().find(|p| !p.iter().all(|v| v.is_finite())) {
+        let expected = "a place of a probe is two finite numbers";
+        return Err(Error::invalid(crate::Setting::Region, format!("{bad:?}"), expected));
+    }
+    if places_angstrom.is_empty() {
+        let expected = "expected one place of a probe or more";
+        return Err(Error::invalid(crate::Setting::Region, "nothing", expected));
+    }
+    series(plans, frames, ProbePlaces::Each(places_angstrom), progress)
+}
+
+fn series(
+    plans: &[Plan],
+    frames: &[&[Site]],
+    places: ProbePlaces<'_>,
+    progress: &dyn Progress,
+) -> Result<Vec<Images>> {
+    let total: usize = plans.iter().map(|plan| probes(plan, places) * frames.len()).sum();
     progress.start("simulating", "probes", total as u64);
     let mut all = Vec::new();
     for group in plans.chunk_by(differ_in_the_lens) {
-        all.extend(group_images(group, frames, scan, progress)?);
+        all.extend(group_images(group, frames, places, progress)?);
     }
     progress.finish();
     Ok(all)
 }
 
 /// Of one image of one frame, for the bar.
-fn probes(plan: &Plan, scan: &Scan) -> usize {
-    scan.len() * plan.settings.configurations() as usize
+fn probes(plan: &Plan, places: ProbePlaces<'_>) -> usize {
+    places.len() * plan.settings.configurations() as usize
 }
 
 fn differ_in_the_lens(one: &Plan, other: &Plan) -> bool {
@@ -50,19 +81,28 @@ fn differ_in_the_lens(one: &Plan, other: &Plan) -> bool {
 fn group_images(
     plans: &[Plan],
     frames: &[&[Site]],
-    scan: &Scan,
+    places: ProbePlaces<'_>,
     progress: &dyn Progress,
 ) -> Result<Vec<Images>> {
     let all: Vec<Site> = frames.iter().flat_map(|sites| sites.iter().copied()).collect();
-    let raster = ProbeRaster::new(&plans[0], scan)?;
+    let raster = match places {
+        ProbePlaces::Raster(scan) => Some(ProbeRaster::new(&plans[0], scan)?),
+        ProbePlaces::Each(_) => None,
+    };
+    let simulated = raster.as_ref().map_or(places, |raster| raster.scan().into());
     let builder = TransmissionBuilder::new(&plans[0], &elements(&all))?;
     let mut lenses: Vec<LensEngine> = plans.iter().map(LensEngine::new).collect();
     let mut sums = Vec::new();
     for (number, sites) in frames.iter().enumerate() {
-        let share = ProgressShare::new(progress, plans.iter().map(|plan| probes(plan, scan)).sum());
-        let images = LensEngine::images(&mut lenses, &builder, sites, raster.scan(), &share)?;
+        let share =
+            ProgressShare::new(progress, plans.iter().map(|plan| probes(plan, places)).sum());
+        let images = LensEngine::images(&mut lenses, &builder, sites, simulated, &share)?;
         share.complete();
-        let images = images.into_iter().map(|i| raster.images(i));
+        let of_scan = |images| match &raster {
+            Some(raster) => raster.images(images),
+            None => images,
+        };
+        let images = images.into_iter().map(of_scan);
         if frames.len() == 1 {
             return Ok(images.collect());
         }
@@ -147,6 +187,32 @@ mod tests {
             let (totals, done) = bars.0.into_inner().unwrap();
             assert_eq!((totals, done), (vec![3 * 2 * 30], 3 * 2 * 30));
         }
+    }
+
+    #[test]
+    fn single_probes_are_those_of_a_scan() {
+        let scan = Scan { origin_angstrom: [0.5, -0.2], step_angstrom: [2.9, 3.1], shape: [2, 3] };
+        let places: Vec<[f64; 2]> = (0..scan.len()).rev().map(|i| scan.position(i)).collect();
+        let sites = sites();
+        for algorithm in [Algorithm::Multislice, Algorithm::Window { width_angstrom: 7.8 }] {
+            let plans = plans(algorithm);
+            let of_scan = simulate_series(&plans, &[&sites], &scan, &Silent).unwrap();
+            let of_places = simulate_places(&plans, &[&sites], &places, &Silent).unwrap();
+            for (scanned, single) in of_scan.iter().zip(&of_places) {
+                assert_eq!(single.data.shape(), &[1, 1, 1, 6]);
+                let mut backwards: Vec<f32> = scanned.data.iter().copied().collect();
+                backwards.reverse();
+                assert_eq!(single.data.iter().copied().collect::<Vec<f32>>(), backwards);
+            }
+        }
+        let refused = |plans: &[Plan], places: &[[f64; 2]]| {
+            simulate_places(plans, &[&sites], places, &Silent).unwrap_err().to_string()
+        };
+        let exact = plans(Algorithm::Multislice);
+        assert!(refused(&exact, &[[f64::NAN, 0.0]]).contains("finite"));
+        assert!(refused(&exact, &[]).contains("one place"));
+        let prism = plans(Algorithm::Prism { interpolation: [1, 1] });
+        assert!(refused(&prism, &places).contains("single probes"));
     }
 
     #[test]

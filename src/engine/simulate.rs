@@ -5,7 +5,7 @@ use super::multislice::Multislice;
 use super::plan::Plan;
 use super::prism::Prism;
 use super::probe_raster::ProbeRaster;
-use super::probe_scan::Scan;
+use super::probe_scan::{ProbePlaces, Scan};
 use super::probe_tail::ProbeTail;
 use super::settings::Algorithm;
 use super::stepper::{Stepper, TransmissionView};
@@ -62,7 +62,7 @@ impl<'a> LensEngine<'a> {
         LensEngine { plan, engine, tail: ProbeTail::new(plan) }
     }
 
-    /// The images of scans with a probe at every position, averaged over phonon configurations, through each of these
+    /// The images of probes at these places, averaged over phonon configurations, through each of these
     /// lenses. Their plans differ in nothing but aberrations, and `builder` is of one of them: transmission functions, and
     /// with PRISM the waves, are made once for all.
     ///
@@ -72,24 +72,24 @@ impl<'a> LensEngine<'a> {
         lenses: &mut [Self],
         builder: &TransmissionBuilder<'a>,
         sites: &[Site],
-        scan: &Scan,
+        places: ProbePlaces<'_>,
         progress: &dyn Progress,
     ) -> Result<Vec<Images>> {
         let Some(plan) = lenses.first().map(|lens| lens.plan) else { return Ok(Vec::new()) };
         let configurations = plan.settings.configurations();
-        let values = scan.len() * plan.record_after.len() * plan.settings.detectors.len();
+        let values = places.len() * plan.record_after.len() * plan.settings.detectors.len();
         let mut sums = vec![vec![0.0_f64; values]; lenses.len()];
-        let (units, unit) = units(plan, scan, lenses.len());
+        let (units, unit) = units(plan, places, lenses.len());
         progress.start("simulating", unit, units * u64::from(configurations));
         for configuration in 0..configurations {
             let transmission = builder.build(sites, configuration, progress)?;
-            let each = Self::intensities(lenses, &transmission, scan, progress)?;
+            let each = Self::intensities(lenses, &transmission, places, progress)?;
             for (sum, values) in sums.iter_mut().zip(each) {
                 sum.iter_mut().zip(values).for_each(|(s, v)| *s += v);
             }
             builder.reclaim(transmission);
         }
-        let images = lenses.iter().zip(sums).map(|(lens, sum)| lens.mean(sum, sites, scan));
+        let images = lenses.iter().zip(sums).map(|(lens, sum)| lens.mean(sum, sites, places));
         let images = images.collect::<Result<Vec<_>>>()?;
         progress.finish();
         Ok(images)
@@ -99,7 +99,7 @@ impl<'a> LensEngine<'a> {
     fn intensities(
         lenses: &mut [Self],
         transmission: &Transmission,
-        scan: &Scan,
+        places: ProbePlaces<'_>,
         progress: &dyn Progress,
     ) -> Result<Vec<Vec<f64>>> {
         let beams = |lens: &Self| match &lens.engine {
@@ -108,25 +108,28 @@ impl<'a> LensEngine<'a> {
         };
         let amplitudes: Vec<_> = lenses.iter().filter_map(beams).collect();
         if let Some(LensEngine { engine: WaveEngine::Prism(prism), .. }) = lenses.first_mut() {
-            return prism.run(transmission, scan, &amplitudes, progress);
+            return match places {
+                ProbePlaces::Raster(scan) => prism.run(transmission, scan, &amplitudes, progress),
+                ProbePlaces::Each(_) => Err(single_probes_of_prism()),
+            };
         }
         let each = lenses.iter_mut().filter_map(|lens| match &mut lens.engine {
-            WaveEngine::Multislice(m) => Some(m.run(transmission, scan, progress)),
+            WaveEngine::Multislice(m) => Some(m.run(transmission, places, progress)),
             WaveEngine::Prism(_) => None,
         });
         each.collect()
     }
 
     /// The mean of sums over configurations, with the tail of the probe.
-    fn mean(&self, mut sum: Vec<f64>, sites: &[Site], scan: &Scan) -> Result<Images> {
+    fn mean(&self, mut sum: Vec<f64>, sites: &[Site], places: ProbePlaces<'_>) -> Result<Images> {
         let plan = self.plan;
         let (records, detectors) = (plan.record_after.len(), plan.settings.detectors.len());
         let n = f64::from(plan.settings.configurations());
         if let Some(tail) = &self.tail {
-            let values = tail.values(sites, scan)?;
+            let values = tail.values(sites, places)?;
             sum.iter_mut().zip(values).for_each(|(s, t)| *s += n * t);
         }
-        let [rows, columns] = scan.shape;
+        let [rows, columns] = places.shape();
         let data = Array4::from_shape_fn((records, detectors, rows, columns), |(t, d, y, x)| {
             (sum[((y * columns + x) * records + t) * detectors + d] / n) as f32
         });
@@ -143,9 +146,15 @@ impl<'a> LensEngine<'a> {
     }
 }
 
+/// Beams are summed for whole rows and columns of probes.
+fn single_probes_of_prism() -> Error {
+    let expected = "use multislice or windows for single probes";
+    Error::invalid(crate::Setting::Algorithm, "prism", expected)
+}
+
 /// What one configuration counts as progress, through so many lenses.
-fn units(plan: &Plan, scan: &Scan, lenses: usize) -> (u64, &'static str) {
-    let probes = scan.len() * lenses;
+fn units(plan: &Plan, places: ProbePlaces<'_>, lenses: usize) -> (u64, &'static str) {
+    let probes = places.len() * lenses;
     match plan.beams {
         0 => (probes as u64, "probes"),
         beams => (((beams + probes) * plan.record_after.len().max(1)) as u64, "waves and probes"),
@@ -174,7 +183,8 @@ impl<'a> Simulation<'a> {
     ) -> Result<Images> {
         let raster = ProbeRaster::new(self.lens.plan, scan)?;
         let lens = std::slice::from_mut(&mut self.lens);
-        let mut images = LensEngine::images(lens, &self.builder, sites, raster.scan(), progress)?;
+        let mut images =
+            LensEngine::images(lens, &self.builder, sites, raster.scan().into(), progress)?;
         Ok(raster.images(images.remove(0)))
     }
 
@@ -193,17 +203,13 @@ impl<'a> Simulation<'a> {
         progress: &dyn Progress,
     ) -> Result<Vec<f64>> {
         let WaveEngine::Multislice(multislice) = &mut self.lens.engine else {
-            return Err(Error::invalid(
-                crate::Setting::Algorithm,
-                "prism",
-                "use multislice or windows for single probes",
-            ));
+            return Err(single_probes_of_prism());
         };
         let transmission = self.builder.build(sites, configuration, progress)?;
         let mut values = multislice.run_some(&transmission, scan, indices, progress)?;
         self.builder.reclaim(transmission);
         if let Some(tail) = &self.lens.tail {
-            let tails = tail.values(sites, scan)?;
+            let tails = tail.values(sites, scan.into())?;
             values.iter_mut().zip(tails).for_each(|(v, t)| *v += t);
         }
         let plan = self.lens.plan;

@@ -128,8 +128,9 @@ class Agent:
     def _notes(self) -> dict[str, float]:
         notes: dict[str, float] = {}
         for part in (self.analyst, self.planner):
-            if hasattr(part, "notes"):
-                notes.update(part.notes())
+            tell = getattr(part, "notes", None)
+            if tell is not None:
+                notes.update(tell())
         return notes
 
 

@@ -74,7 +74,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _described(argparse.ArgumentParser, _ABOUT, _EXAMPLES, prog="stemworlds bench")
+    parser: argparse.ArgumentParser = _described(argparse.ArgumentParser, _ABOUT, _EXAMPLES, prog="stemworlds bench")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
 
     def add(name: str, does: Callable[[argparse.Namespace], int], brief: str, about: str, examples: str) -> argparse.ArgumentParser:

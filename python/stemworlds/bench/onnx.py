@@ -97,7 +97,8 @@ class OnnxAnalyst(TileByTile):
     def _run(self, image: npt.NDArray[np.float32]) -> tuple[Values, int | None]:
         """Probabilities (classes, y, x), and the phase of the tile."""
         taken = np.ascontiguousarray(image[np.newaxis, np.newaxis], dtype=np.float32)
-        total, phases = 0.0, 0.0
+        total: Values = np.zeros((len(self.classes), *image.shape))
+        phases: Values = np.zeros(1)
         for session, wanted in self._networks:
             given = session.run(wanted, {session.get_inputs()[0].name: taken})
             scores = np.asarray(given[0][0], dtype=np.float64)
@@ -111,7 +112,7 @@ class OnnxAnalyst(TileByTile):
                 told = told.reshape(len(told), -1)
                 phases = phases + (told if self.probabilities else _softmax(told)).mean(axis=1)
         phase = None if self.phase_output is None else int(np.argmax(phases))
-        return np.asarray(total) / len(self._networks), phase
+        return total / len(self._networks), phase
 
 
 def _softmax(scores: Values) -> Values:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -71,7 +72,7 @@ class Seen:
     """
 
     field: FieldFacts
-    tiles: list[Acquired] = field(default_factory=list)
+    tiles: list[Acquired] = dataclasses.field(default_factory=list)
     findings: Findings | None = None
     dose_left: float = 1.0
     plan: Plan | None = None
@@ -94,7 +95,7 @@ class Seen:
             return 0
         if self.findings.counts is not None:
             return int(sum(self.findings.counts.values()))
-        return sum(len(places) for places in (self.findings.defects or {}).values())
+        return sum(len(np.asarray(places)) for places in (self.findings.defects or {}).values())
 
 
 @runtime_checkable

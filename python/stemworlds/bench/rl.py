@@ -79,7 +79,8 @@ class _Wrapped:
 
     def __call__(self) -> gym.Env[Any, Any]:
         env = self._make()
-        return _with_actions(env, self._algorithm, _Analysing(self._analyst(), env.unwrapped, lambda: np.random.default_rng(0)))
+        acting: gym.Env[Any, Any] = _with_actions(env, self._algorithm, _Analysing(self._analyst(), env.unwrapped, lambda: np.random.default_rng(0)))
+        return acting
 
 
 class _Analysing:
@@ -134,10 +135,11 @@ class PolicyAgent:
         acting = _with_actions(env, self.algorithm, _Analysing(self.analyst, env.unwrapped, lambda: random_of(seed, self.name)))
         needed("stable_baselines3.common.utils").set_random_seed(seed)
         observation, _ = acting.reset(seed=seed)
-        over, info = False, {}
+        over = False
+        info: dict[str, Any] = {}
         while not over:
             action, _ = self._model.predict(observation, deterministic=self.deterministic)
             observation, _, terminated, truncated, info = acting.step(action)
             over = bool(terminated or truncated)
-        notes = getattr(self.analyst, "notes", dict)()
-        return {"notes": notes, "record": info.get("record")}
+        tell = getattr(self.analyst, "notes", None)
+        return {"notes": {} if tell is None else tell(), "record": info.get("record")}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import multiprocessing
 import os
@@ -239,7 +240,7 @@ def _told(error: Exception) -> str:
 def _one_thread() -> Iterator[None]:
     """Linear algebra on one thread: the same bits everywhere, and the processes do not stand in each other's way."""
     try:
-        from threadpoolctl import threadpool_limits
+        threadpool_limits = importlib.import_module("threadpoolctl").threadpool_limits
     except ImportError:
         yield
         return

@@ -94,9 +94,10 @@ class Results:
             seen: dict[str, Any] = {}
             for row in self.rows:
                 name = str(row[key]) if key else ""
-                if seen.setdefault(name, row.get(what)) != row.get(what):
+                known = seen.setdefault(name, row.get(what))
+                if known != row.get(what):
                     which = f"agent {name!r} is of two kinds" if key else "they are of environments with different options"
-                    raise _invalid("results", f"these results do not go together: {which} ({seen[name]} and {row.get(what)}); report them apart")
+                    raise _invalid("results", f"these results do not go together: {which} ({known} and {row.get(what)}); report them apart")
 
     def pick(self, agent: str, task: str, budget: float | None = None) -> list[Row]:
         """Rows of an agent in a task, in the order of worlds and seeds."""

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import argparse
 import sys
+import tomllib
+from typing import Any
+
+import numpy as np
 
 from .. import errors
 from ..live import LiveWorld
 from ..recipes import Recipe
-from .microscope import Microscope
+from .microscope import Microscope, specimen_size_nm, view_nm
 from .server import ADDRESS, Server
 
 _EXAMPLES = """
@@ -48,7 +52,9 @@ def main(arguments: list[str]) -> int:
     given = parser().parse_args(arguments)
     try:
         grid = None if given.grid is None else _grid(given.grid)
-        changed = Recipe(given.recipe, given.difficulty, grid=grid, seed=given.seed, unset=given.set)
+        changes = dict(_change(text) for text in given.set)
+        changed = Recipe(given.recipe, given.difficulty, grid=grid, seed=given.seed, set=changes)
+        view_nm(specimen_size_nm(changed), np.zeros(2), given.fov)
         print(f"making the specimen of {changed['id']}; its library takes minutes the first time", file=sys.stderr)
         world = LiveWorld(changed, most_dose=given.most_dose, threads=given.threads, progress=True)
         microscope = Microscope(world, profile=given.profile, fov_angstrom=given.fov, current_pa=given.current)
@@ -63,6 +69,17 @@ def main(arguments: list[str]) -> int:
         except KeyboardInterrupt:
             print("ended", file=sys.stderr)
     return 0
+
+
+def _change(text: str) -> tuple[str, Any]:
+    key, equals, value = text.partition("=")
+    if not equals:
+        raise ValueError(f"--set {text}: expected KEY=VALUE, as phonons.configurations=4")
+    try:
+        return key.strip(), tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        # Plain words need no quotes.
+        return key.strip(), value.strip()
 
 
 def _grid(text: str) -> tuple[int, int]:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..live import LiveWorld
-from ..recipes import Acquisition
+from ..recipes import Acquisition, Recipe
 from .messages import Answer
 
 Arguments = Mapping[str, str]
@@ -43,10 +43,7 @@ class Microscope:
     def __init__(self, world: LiveWorld, *, profile: Acquisition = "ideal", fov_angstrom: float = 50.0, current_pa: float = 20.0) -> None:
         self._world = world
         self._profile = profile
-        recipe = world.recipe
-        rows, columns = recipe.grid
-        tile, overlap, pixel = recipe["field.tile_px"], recipe["field.overlap_px"], recipe.pixel_nm
-        self._width_nm, self._height_nm = ((n * (tile - overlap) + overlap) * pixel for n in (columns, rows))
+        self._size_nm = specimen_size_nm(world.recipe)
         self._stage_m = np.zeros(5)
         self._fov_angstrom = fov_angstrom
         self._current_pa = current_pa
@@ -113,7 +110,7 @@ class Microscope:
                 moved[axis] = value + (moved[axis] if relative else 0.0)
         if any(_number(arguments, key, default=0.0) for key in ("z", "a", "b")):
             raise ValueError("z, a, b: the specimen is thin and flat: only x and y move it")
-        self._region(moved, self._fov_angstrom)
+        view_nm(self._size_nm, moved, self._fov_angstrom)
         self._stage_m = moved
         return f"Stage moved to {moved[0]:.4e}, {moved[1]:.4e} m"
 
@@ -122,7 +119,7 @@ class Microscope:
         fov = _number(arguments, "fov")
         if not 1.0 <= fov <= 1e5:
             raise ValueError(f"fov={fov}: expected 1 to 1e5 Angstrom")
-        self._region(self._stage_m, fov)
+        view_nm(self._size_nm, self._stage_m, fov)
         self._fov_angstrom = fov
         return f"FOV set to {fov} A"
 
@@ -160,11 +157,11 @@ class Microscope:
             raise ValueError(f"size={size}: expected {SIZES[0]} to {SIZES[1]} pixels")
         if not 1e-9 <= dwell_s or dwell_s * size * size > LONGEST_FRAME_S:
             raise ValueError(f"dwell_time={dwell_s}: expected at least 1e-9 s, and at most {LONGEST_FRAME_S:.0f} s for all pixels")
-        return self._recorded(self._region(self._stage_m, self._fov_angstrom), size, dwell_s)
+        return self._recorded(self._view_nm(), size, dwell_s)
 
     def get_dose(self, arguments: Arguments) -> Answer:
         """The mean dose that the field of view has had, in electrons per square Angstrom."""
-        dose = self._world.dose(self._region(self._stage_m, self._fov_angstrom))
+        dose = self._world.dose(self._view_nm())
         return np.array([dose], dtype=np.float32)
 
     def place_beam(self, arguments: Arguments) -> Answer:
@@ -186,7 +183,7 @@ class Microscope:
         duration = _float("duration", given)
         if not 0 < duration <= LONGEST_FRAME_S:
             raise ValueError(f"duration={duration}: expected up to {LONGEST_FRAME_S:.0f} s")
-        left, top, right, bottom = self._region(self._stage_m, self._fov_angstrom)
+        left, top, right, bottom = self._view_nm()
         x, y = left + self._beam[0] * (right - left), top + self._beam[1] * (bottom - top)
         half = 0.5 * BEAM_NM
         self._recorded((x - half, y - half, x + half, y + half), 1, duration)
@@ -204,22 +201,34 @@ class Microscope:
             dwell_us=1e6 * dwell_s,
             profile=self._profile,
         )
-        return np.asarray(recording.image.data, dtype=np.float32).reshape(size, size)
+        return recording.array.astype(np.float32)
 
-    def _region(self, stage_m: npt.NDArray[np.float64], fov_angstrom: float) -> tuple[float, float, float, float]:
-        """The field of view in nm of the specimen.
+    def _view_nm(self) -> tuple[float, float, float, float]:
+        return view_nm(self._size_nm, self._stage_m, self._fov_angstrom)
 
-        Raises:
-            ValueError: where it leaves the specimen.
-        """
-        half = 0.05 * fov_angstrom
-        x, y = 0.5 * self._width_nm + 1e9 * stage_m[0], 0.5 * self._height_nm + 1e9 * stage_m[1]
-        if x - half < 0 or y - half < 0 or x + half > self._width_nm or y + half > self._height_nm:
-            raise ValueError(
-                f"a field of view of {fov_angstrom} A at stage {stage_m[0]:.3e}, {stage_m[1]:.3e} m leaves the specimen, "
-                f"which is {10 * self._width_nm:.0f} x {10 * self._height_nm:.0f} A"
-            )
-        return float(x - half), float(y - half), float(x + half), float(y + half)
+
+def specimen_size_nm(recipe: Recipe) -> tuple[float, float]:
+    """Width and height of the field of a recipe."""
+    rows, columns = recipe.grid
+    tile, overlap = recipe["field.tile_px"], recipe["field.overlap_px"]
+    width, height = ((n * (tile - overlap) + overlap) * recipe.pixel_nm for n in (columns, rows))
+    return width, height
+
+
+def view_nm(size_nm: tuple[float, float], stage_m: npt.NDArray[np.float64], fov_angstrom: float) -> tuple[float, float, float, float]:
+    """A field of view in nm of a specimen of that size: left, upper, right and lower edge.
+
+    Raises:
+        ValueError: where it leaves the specimen.
+    """
+    half = 0.05 * fov_angstrom
+    x, y = 0.5 * size_nm[0] + 1e9 * stage_m[0], 0.5 * size_nm[1] + 1e9 * stage_m[1]
+    if not (half > 0 and x - half >= 0 and y - half >= 0 and x + half <= size_nm[0] and y + half <= size_nm[1]):
+        raise ValueError(
+            f"a field of view of {fov_angstrom} A at stage {stage_m[0]:.3e}, {stage_m[1]:.3e} m leaves the specimen, "
+            f"which is {10 * size_nm[0]:.0f} x {10 * size_nm[1]:.0f} A"
+        )
+    return float(x - half), float(y - half), float(x + half), float(y + half)
 
 
 def _number(arguments: Arguments, key: str, default: float | None = None) -> float:
