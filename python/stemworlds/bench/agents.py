@@ -75,8 +75,11 @@ class Agent:
         for keyword, part, kind in (("navigator", navigator, Navigator), ("analyst", analyst, Analyst)):
             if not isinstance(part, kind):
                 raise _invalid(keyword, f"{part!r} has not the methods of {kind.__name__}")
-        self.name, self.navigator, self.analyst, self.planner = name, navigator, analyst, planner
-        self.declare_every = declare_every
+        self.name: str = name
+        self.navigator: Navigator = navigator
+        self.analyst: Analyst = analyst
+        self.planner: Planner | None = planner
+        self.declare_every: int = declare_every
 
     def __repr__(self) -> str:
         return f"Agent({self.name!r})"
@@ -146,7 +149,7 @@ class CompressedSensing(Agent):
         super().__init__(name, navigator, analyst, declare_every=declare_every)
         if second is analyst:
             raise _invalid("second", "the analyst of the tiles that were filled in has to be another one than that of the acquired")
-        self.second = second
+        self.second: Analyst | None = second
 
     def _start(self, world: Any, seen: Seen, seed: int) -> None:
         super()._start(world, seen, seed)

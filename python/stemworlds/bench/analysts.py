@@ -62,8 +62,8 @@ class TileByTile:
     """Base of analysts that look at each tile once. Those that derive from it have :meth:`look` and :meth:`summary`."""
 
     def start(self, field: FieldFacts, random: np.random.Generator) -> None:
-        self.field = field
-        self.random = random
+        self.field: FieldFacts = field
+        self.random: np.random.Generator = random
         self._looked: list[Acquired] = []
         self.begin()
 
@@ -142,7 +142,9 @@ class Heuristic(TileByTile):
             raise _invalid("threshold", f"threshold = {threshold}: expected a number above 0")
         if not (math.isfinite(bimodality) and bimodality >= 0):
             raise _invalid("bimodality", f"bimodality = {bimodality}: expected a number from 0 on")
-        self.threshold, self.bimodality, self.particles = threshold, bimodality, particles
+        self.threshold: float = threshold
+        self.bimodality: float = bimodality
+        self.particles: bool = particles
 
     def begin(self) -> None:
         self._count, self._mean, self._squares = 0, 0.0, 0.0

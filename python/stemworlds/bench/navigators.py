@@ -56,7 +56,7 @@ class RandomMask:
     def __init__(self, share: float = 0.2) -> None:
         if not 0 < share <= 1:
             raise _invalid("share", f"share = {share}: expected more than 0 and at most 1")
-        self.share = share
+        self.share: float = share
 
     def start(self, field: FieldFacts, random: np.random.Generator) -> None:
         tiles = math.prod(field.grid)
@@ -90,7 +90,11 @@ class GaussianProcess:
             raise _invalid("beta", f"beta = {beta}: expected a number from 0 on")
         if initial < 1 or refit < 1:
             raise _invalid("initial or refit", f"initial = {initial}, refit = {refit}: expected 1 or more")
-        self.acquisition, self.beta, self.interest, self.initial, self.refit = acquisition, beta, interest, initial, refit
+        self.acquisition: Acquisition = acquisition
+        self.beta: float = beta
+        self.interest: Interest = interest
+        self.initial: int = initial
+        self.refit: int = refit
 
     def start(self, field: FieldFacts, random: np.random.Generator) -> None:
         rows, columns = field.grid

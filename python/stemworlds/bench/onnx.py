@@ -51,8 +51,11 @@ class OnnxAnalyst(TileByTile):
         paths = [models] if isinstance(models, str | os.PathLike) else list(models)
         if not paths or len(classes) < 2:
             raise _invalid("models or classes", "expected one network or more, and two classes or more")
-        self.classes, self.output, self.phase_output = tuple(classes), output, phase_output
-        self.probabilities, self.least = probabilities, least
+        self.classes: tuple[str, ...] = tuple(classes)
+        self.output: str | None = output
+        self.phase_output: str | None = phase_output
+        self.probabilities: bool = probabilities
+        self.least: float = least
         self._networks = [_network(os.fspath(path), output, phase_output) for path in paths]
 
     def begin(self) -> None:

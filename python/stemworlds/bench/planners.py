@@ -69,7 +69,7 @@ class ModePlanner:
     """
 
     def __init__(self, limits: PlannerLimits | None = None) -> None:
-        self.limits = PlannerLimits() if limits is None else limits
+        self.limits: PlannerLimits = PlannerLimits() if limits is None else limits
 
     def start(self, field: FieldFacts, random: np.random.Generator) -> None:
         self._mode = "SURVEY"
@@ -98,7 +98,8 @@ class LanguageModelPlanner:
     def __init__(self, endpoint: Endpoint, *, every: int = 5) -> None:
         if every < 1:
             raise _invalid("every", f"every = {every}: expected 1 or more")
-        self.endpoint, self.every = endpoint, every
+        self.endpoint: Endpoint = endpoint
+        self.every: int = every
         self._rules = ModePlanner()
 
     def start(self, field: FieldFacts, random: np.random.Generator) -> None:
@@ -106,8 +107,8 @@ class LanguageModelPlanner:
         self._task = field.task
         self._last: str | None = None
         self._asked = -1
-        self.fallbacks = 0
-        self.calls = 0
+        self.fallbacks: int = 0
+        self.calls: int = 0
 
     def plan(self, seen: Seen) -> Plan:
         rules = self._rules.plan(seen)

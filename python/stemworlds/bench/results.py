@@ -22,7 +22,7 @@ class ResultFile:
     """A file of results that is written to, by one process at a time. A last line that was cut off in the writing is removed."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = Path(path)
+        self.path: Path = Path(path)
         self._file: IO[bytes] | None = None
 
     def __enter__(self) -> ResultFile:

@@ -127,7 +127,10 @@ class PolicyAgent:
         path = os.fspath(model)
         if not os.path.exists(path):
             raise FileMissing(f"{path}: there is no such policy; stemworlds.bench.train_policy makes one")
-        self.name, self.algorithm, self.analyst, self.deterministic = name, algorithm, analyst, deterministic
+        self.name: str = name
+        self.algorithm: Algorithm = algorithm
+        self.analyst: Analyst = analyst
+        self.deterministic: bool = deterministic
         self._model = getattr(needed("stable_baselines3"), algorithm).load(path, device="cpu")
 
     def run(self, env: gym.Env[Any, Any], seed: int) -> dict[str, Any]:

@@ -74,19 +74,19 @@ class Results:
         for path in paths:
             rows.update({row["key"]: row for row in read_results(path)})
             failures.update({row["key"]: row for row in read_failures(path)})
-        self.rows = sorted(rows.values(), key=_place)
-        self.failures = sorted((row for key, row in failures.items() if key not in rows), key=_place)
+        self.rows: list[Row] = sorted(rows.values(), key=_place)
+        self.failures: list[Row] = sorted((row for key, row in failures.items() if key not in rows), key=_place)
         self._check()
         self._by: dict[tuple[str, str, float], list[Row]] = {}
         for row in self.rows:
             self._by.setdefault((row["agent"], row["task"], row["budget"]), []).append(row)
-        self.role = {row["agent"]: _role(row) for row in self.rows}
-        self.agents = sorted(self.role, key=lambda name: _agent_place(name, self.role[name]))
-        self.tasks = sorted({row["task"] for row in self.rows}, key=_task_place)
-        self.budgets = sorted({row["budget"] for row in self.rows})
-        self.worlds = list(dict.fromkeys(row["world"] for row in sorted(self.rows, key=_world_place)))
+        self.role: dict[str, Role] = {row["agent"]: _role(row) for row in self.rows}
+        self.agents: list[str] = sorted(self.role, key=lambda name: _agent_place(name, self.role[name]))
+        self.tasks: list[str] = sorted({row["task"] for row in self.rows}, key=_task_place)
+        self.budgets: list[float] = sorted({row["budget"] for row in self.rows})
+        self.worlds: list[str] = list(dict.fromkeys(row["world"] for row in sorted(self.rows, key=_world_place)))
         common = Counter(row["budget"] for row in self.rows)
-        self.budget = PAPER_BUDGET if PAPER_BUDGET in common else max(common, key=lambda budget: (common[budget], -budget))
+        self.budget: float = PAPER_BUDGET if PAPER_BUDGET in common else max(common, key=lambda budget: (common[budget], -budget))
 
     def _check(self) -> None:
         """One name is one agent, one world and one kind of environment."""
@@ -156,8 +156,8 @@ class Results:
         found: dict[str, dict[str, list[float]]] = {}
         for row in self.pick(agent, task):
             if row.get("difficulty") in DIFFICULTIES:
-                material = row.get("recipe", row["world"])
-                found.setdefault(material, {}).setdefault(row["difficulty"], []).append(row["metrics"]["dec_auc"])
+                material, level = str(row.get("recipe", row["world"])), str(row["difficulty"])
+                found.setdefault(material, {}).setdefault(level, []).append(row["metrics"]["dec_auc"])
         every = {difficulty for values in found.values() for difficulty in values}
         whole = [values for values in found.values() if values.keys() == every]
         if len(every) < 2 or not whole:

@@ -38,13 +38,13 @@ class VisionLanguageAnalyst(TileByTile):
     """
 
     def __init__(self, endpoint: Endpoint) -> None:
-        self.endpoint = endpoint
+        self.endpoint: Endpoint = endpoint
 
     def begin(self) -> None:
         self._defects = PlacedDefects()
         self._columns: list[Values] = []
         self._phases: dict[tuple[int, int], int] = {}
-        self.unparsable = 0
+        self.unparsable: int = 0
         self._before = (self.endpoint.calls, self.endpoint.retried)
 
     def look(self, tile: Acquired) -> None:
