@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -96,13 +96,18 @@ class MicroscopeEnv(gym.Env[Observation, Action]):
         render_mode: ``"rgb_array"`` or ``"ansi"``.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array", "ansi"], "render_fps": 5}
+    metadata: dict[str, Any] = {  # noqa: RUF012 (as Gymnasium declares it)
+        "render_modes": ["rgb_array", "ansi"],
+        "render_fps": 5,
+    }
+    observation_space: spaces.Space[Observation]
+    action_space: spaces.Space[Action]
 
     def __init__(self, task: Task = "defect-census", strict: bool = False, *, render_mode: str | None = None, **options: Any) -> None:
         self._episodes = Episodes(1, task, strict, **options)
         self.render_mode = render_mode
-        self.observation_space = observation_space(self.field)
-        self.action_space = action_space()
+        self.observation_space = cast("spaces.Space[Observation]", observation_space(self.field))
+        self.action_space = cast("spaces.Space[Action]", action_space())
         self._seed: int | None = None
         self._number = 0
         self._seen: list[Acquired] = []

@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -112,7 +112,7 @@ class Acquired:
         mine, others = dict(vars(self)), dict(vars(other))
         return np.array_equal(mine.pop("image"), others.pop("image")) and mine == others
 
-    __hash__ = None  # type: ignore[assignment]
+    __hash__: ClassVar[None]  # type: ignore[assignment]
 
 
 @dataclass
@@ -193,7 +193,7 @@ class Episodes:
         told = json.loads(self._core.facts())
         field, settings, asked = told["field"], told["settings"], told["task"]
         rows, columns = (n * (field["tile_px"] - field["overlap_px"]) + field["overlap_px"] for n in field["grid"])
-        self.field = FieldFacts(
+        self.field: FieldFacts = FieldFacts(
             name=field["name"],
             material=field["material"],
             grid=(field["grid"][0], field["grid"][1]),

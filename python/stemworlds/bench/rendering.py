@@ -122,7 +122,8 @@ def _tile(scene: Scene) -> Picture:
     per_nm = _PANEL_PX / last.size_nm
 
     def place(positions: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        return (positions - np.asarray(last.centre_nm)) * per_nm + _PANEL_PX / 2
+        at: npt.NDArray[np.float64] = (positions - np.asarray(last.centre_nm)) * per_nm + _PANEL_PX / 2
+        return at
 
     truth = scene.episodes.truth_seen(0)
     for _, places in _by_kind(truth):

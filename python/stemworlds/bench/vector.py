@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
@@ -29,7 +30,11 @@ class MicroscopeVectorEnv(gym.vector.VectorEnv[Arrays, Mapping[str, Any], npt.ND
         **options: as for :class:`MicroscopeEnv`.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"autoreset_mode": AutoresetMode.NEXT_STEP, "render_modes": []}
+    metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.NEXT_STEP, "render_modes": []}  # noqa: RUF012 (as Gymnasium declares it)
+    observation_space: spaces.Space[Arrays]
+    action_space: spaces.Space[Mapping[str, Any]]
+    single_observation_space: spaces.Space[Arrays]
+    single_action_space: spaces.Space[Mapping[str, Any]]
 
     def __init__(self, num_envs: int = 1, task: Task = "defect-census", strict: bool = False, *, render_mode: str | None = None, **options: Any) -> None:
         if num_envs < 1:
@@ -37,10 +42,12 @@ class MicroscopeVectorEnv(gym.vector.VectorEnv[Arrays, Mapping[str, Any], npt.ND
         self.num_envs = num_envs
         self._episodes = Episodes(num_envs, task, strict, **options)
         self.render_mode = render_mode
-        self.single_observation_space = observation_space(self.field)
-        self.single_action_space = action_space()
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
+        single = observation_space(self.field)
+        self._seen_names = [name for name in single.spaces if name != "pixel_size_nm"]
+        self.single_observation_space = cast("spaces.Space[Arrays]", single)
+        self.single_action_space = cast("spaces.Space[Mapping[str, Any]]", action_space())
+        self.observation_space = cast("spaces.Space[Arrays]", batch_space(self.single_observation_space, num_envs))
+        self.action_space = cast("spaces.Space[Mapping[str, Any]]", batch_space(self.single_action_space, num_envs))
         self._seeds: list[tuple[int, int] | None] = [None] * num_envs
         self._over = np.zeros(num_envs, dtype=bool)
 
@@ -86,9 +93,9 @@ class MicroscopeVectorEnv(gym.vector.VectorEnv[Arrays, Mapping[str, Any], npt.ND
                 target[:] = np.asarray(actions[name], dtype=np.float64).reshape(count).tolist()
         for n, report in enumerate(actions.get("report", ())):
             moves.reports[n] = report.report() if isinstance(report, Findings) else str(report) or "{}"
-        for n in np.flatnonzero(self._over):
-            self._begin(int(n), None)
-            moves.begin[n] = self._seeds[n]
+        for over in np.flatnonzero(self._over).tolist():
+            self._begin(over, None)
+            moves.begin[over] = self._seeds[over]
         found = self._episodes.step(moves)
         ended: list[str | None] = found["ended"]
         terminated = np.array([how in ("done", "refused") for how in ended])
@@ -97,7 +104,7 @@ class MicroscopeVectorEnv(gym.vector.VectorEnv[Arrays, Mapping[str, Any], npt.ND
         return self._observations(found), found["reward"], terminated, truncated, self._info(found)
 
     def _observations(self, found: Mapping[str, Any]) -> Arrays:
-        seen = {name: found[name] for name in self.single_observation_space if name != "pixel_size_nm"}
+        seen = {name: found[name] for name in self._seen_names}
         seen["pixel_size_nm"] = np.full((self.num_envs, 1), self.field.pixel_nm, dtype=np.float32)
         return seen
 

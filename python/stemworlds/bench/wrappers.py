@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -58,12 +58,17 @@ class _Deciding(gym.Wrapper[Observation, Any, Observation, Any], RecordConstruct
             tell(self.microscope.field)
         return out
 
+    def _do(self, action: dict[str, Any]) -> Step:
+        """A step of the environment inside."""
+        seen, reward, terminated, truncated, info = self.env.step(action)
+        return seen, float(reward), terminated, truncated, info
+
     def _acquire(self, position: npt.ArrayLike, zoom: float = 1.0, dose: float = 1.0) -> Step:
         """Goes there, acquires, and declares."""
-        went = self.env.step({"type": 0, "position": np.asarray(position, dtype=np.float32)})
+        went = self._do({"type": 0, "position": np.asarray(position, dtype=np.float32)})
         if went[2] or went[3]:
             return went
-        out = self.env.step({"type": ACQUIRE, "zoom": zoom, "dose": dose})
+        out = self._do({"type": ACQUIRE, "zoom": zoom, "dose": dose})
         rewards = float(went[1]) + float(out[1])
         what = out[4].get("acquired")
         if what is not None:
@@ -100,10 +105,10 @@ class DiscreteGrid(_Deciding):
         """Does one of the actions."""
         cell, what = divmod(int(action), 3)
         if what == 2:
-            return self.env.step({"type": DONE})
+            return self._do({"type": DONE})
         if what == 1:
             return self._acquire(self._centre(cell))
-        return self.env.step({"type": 0, "position": self._centre(cell)})
+        return self._do({"type": 0, "position": self._centre(cell)})
 
     def action_masks(self) -> npt.NDArray[np.bool_]:
         """Which actions are of use: for MaskablePPO. A cell is acquired once."""
@@ -166,7 +171,7 @@ class ByteImages(gym.ObservationWrapper[Observation, Any, Observation], RecordCo
         kept = dict(inside.spaces)
         for name in ("tile", "overview"):
             kept[name] = spaces.Box(0, 255, (*(kept[name].shape or ()), 1), np.uint8)
-        self.observation_space = spaces.Dict(kept)
+        self.observation_space = cast("spaces.Space[Observation]", spaces.Dict(kept))
 
     def observation(self, observation: Observation) -> Observation:
         """The same with images as bytes."""
