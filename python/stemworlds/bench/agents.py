@@ -44,8 +44,8 @@ def play(env: gym.Env[Any, Any], agent: Plays, seed: int) -> dict[str, Any]:
     """Plays one episode.
 
     Returns:
-        The record of the environment, and beside it ``agent``, ``grid`` (rows and columns of tiles), ``notes`` (what analyst and planner counted), ``modes`` (the plan of each
-        acquisition) and ``wall`` (``seconds``, ``seconds_per_tile``). All but ``wall`` is the same each time.
+        The record of the environment, and beside it ``agent``, ``grid`` (rows and columns of tiles), ``notes`` (what analyst and planner
+        counted), ``modes`` (the plan of each acquisition) and ``wall`` (``seconds``, ``seconds_per_tile``). All but ``wall`` is the same each time.
     """
     began = time.perf_counter()
     more = agent.run(env, seed)

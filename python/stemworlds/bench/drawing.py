@@ -40,7 +40,8 @@ def panels(lines: Sequence[Line], places: Values, ticks: Mapping[str, float], ab
     lines = [line for line in lines if line.role != "ceiling" or float(np.nanmax(line.heights)) <= top]
     behind = "".join(f'<path class="{_kind(line)}" d="{_path(places, line.heights, top)}"/>' for line in lines)
     clip = f'<clipPath id="{identity}c"><rect x="{_LEFT}" y="{_TOP}" width="{_WIDTH - _LEFT - _RIGHT}" height="{_HEIGHT - _TOP - _BOTTOM}"/></clipPath>'
-    shared = f'<svg class="shared" aria-hidden="true"><defs>{clip}<g id="{identity}">{_axes(ticks, top)}<g clip-path="url(#{identity}c)">{behind}</g></g></defs></svg>'
+    scenery = f'<g id="{identity}">{_axes(ticks, top)}<g clip-path="url(#{identity}c)">{behind}</g></g>'
+    shared = f'<svg class="shared" aria-hidden="true"><defs>{clip}{scenery}</defs></svg>'
     drawn = []
     for line in lines:
         band = ""

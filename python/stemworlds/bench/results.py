@@ -29,7 +29,7 @@ class ResultFile:
         import fcntl
 
         try:
-            self._file = open(self.path, "a+b")  # noqa: SIM115
+            self._file = open(self.path, "a+b")
         except OSError as error:
             raise FileError(f"{self.path}: cannot be written: {error.strerror}") from error
         try:

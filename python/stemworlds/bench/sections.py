@@ -29,7 +29,8 @@ def summary(results: Results) -> str:
     experiments = ", ".join(sorted({str(row.get("experiment", "?")) for row in rows}))
     versions = ", ".join(sorted({str(row.get("version", "?")) for row in rows}))
     seeds = len({row["seed"] for row in rows})
-    counts = f"{len(rows)} episodes: {len(results.agents)} agents, {len(results.tasks)} tasks, {len(results.worlds)} worlds, {seeds} seeds"
+    numbers = {"agent": len(results.agents), "task": len(results.tasks), "world": len(results.worlds), "seed": seeds}
+    counts = f"{_counted(len(rows), 'episode')}: {', '.join(_counted(count, what) for what, count in numbers.items())}"
     budgets = " and ".join(f"{budget:g}" for budget in results.budgets) if len(results.budgets) < 3 else _range(results.budgets)
     return (
         f'<p class="soft">{html.escape(experiments)}; {counts}; budget {budgets} e/Å²; stemworlds {html.escape(versions)}.</p>'
@@ -110,7 +111,7 @@ def worlds(results: Results) -> str:
     for task in results.tasks:
         agents = results.in_task(task)
         there = [world for world in results.worlds if any(results.values(agent, task, world=world) for agent in agents)]
-        lines = [(agent, [_short(cell(results.values(agent, task, world=world))) for world in there]) for agent in agents]
+        lines = [(agent, [_mean(results.values(agent, task, world=world)) for world in there]) for agent in agents]
         if lines:
             out.append(f"<h3>{task}</h3>{_table(results, there, lines)}")
     return "".join(out)
@@ -176,7 +177,8 @@ def strict(results: Results) -> str:
         return ""
     return (
         "<p>Scores of what was declared last. 5 nm are wider than a tile, so the paper's rule takes almost any guess for a hit. Strictly, places "
-        "have to be right to 0.1 nm, of particles to 0.5 nm. Precision, recall and average precision are by column, of agents that list columns.</p>" + "".join(out)
+        "have to be right to 0.1 nm, of particles to 0.5 nm. Precision, recall and average precision are by column, of agents that list "
+        f"columns.</p>{''.join(out)}"
     )
 
 
@@ -200,11 +202,14 @@ def pairs(results: Results) -> str:
                 kind, mark = ("differ", " ≠") if differ else ("same", " ≈") if pair.equivalence.equivalent else ("", "")
                 if differ and pair.equivalence.equivalent:
                     kind, mark = "same", " ≈≠"
-                told_by = f"{agent} against {other}: Wilcoxon p {pair.p:.3g}, Holm {pair.p_holm:.3g}; TOST p {pair.equivalence.p_low:.3g}, {pair.equivalence.p_high:.3g}; {pair.equivalence.pairs} cases"
-                cells.append(f'<td class="{kind}" title="{html.escape(told_by)}">{-pair.equivalence.mean:+.3f}{mark}</td>')
+                same = pair.equivalence
+                tests = f"Wilcoxon p {pair.p:.3g}, Holm {pair.p_holm:.3g}; TOST p {same.p_low:.3g}, {same.p_high:.3g}; {same.pairs} cases"
+                title = html.escape(f"{agent} against {other}: {tests}")
+                cells.append(f'<td class="{kind}" title="{title}">{-same.mean:+.3f}{mark}</td>')
             body.append(f'<tr><th scope="row">{html.escape(agent)}</th>{"".join(cells)}</tr>')
         head = "".join(f'<th scope="col">{html.escape(agent)}</th>' for agent in agents[:-1])
-        out.append(f'<h3>{task}</h3><div class="wide"><table class="matrix"><thead><tr><td></td>{head}</tr></thead><tbody>{"".join(body)}</tbody></table></div>')
+        table = f'<table class="matrix"><thead><tr><td></td>{head}</tr></thead><tbody>{"".join(body)}</tbody></table>'
+        out.append(f'<h3>{task}</h3><div class="wide">{table}</div>')
     if not out:
         return ""
     return (
@@ -274,6 +279,14 @@ def faults(results: Results) -> str:
 
 def _short(own: Cell | None) -> str:
     return "" if own is None else f"{own.mean:.3f} <small>± {own.deviation:.3f}</small>"
+
+
+def _mean(values: Sequence[float]) -> str:
+    return f"{np.mean(values):.3f}" if values else ""
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
 def _range(values: Sequence[float]) -> str:
