@@ -50,6 +50,14 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 @pytest.fixture(scope="session")
+def field_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """2 x 3 tiles for agents."""
+    path = tmp_path_factory.mktemp("fields") / "w.h5"
+    sw.build("test", out=path, keep_clean=True, audit=0, set={"field.thickness_nm": 0.4}).close()
+    return path
+
+
+@pytest.fixture(scope="session")
 def silicon() -> Any:
     """Silicon along [001], 16.3 x 16.3 x 10.9 A."""
     from ase.build import bulk

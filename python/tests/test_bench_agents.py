@@ -21,13 +21,6 @@ pytest.importorskip("skimage")
 RECIPE: dict[str, Any] = {"recipe": "test", "set": {"field.thickness_nm": 0.4}}
 
 
-@pytest.fixture(scope="module")
-def world_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("agents") / "w.h5"
-    sw.build("test", out=path, keep_clean=True, audit=0, set={"field.thickness_nm": 0.4})
-    return path
-
-
 def seen_of(tiles: list[bench.Acquired], grid: tuple[int, int] = (5, 6), **more: Any) -> bench.Seen:
     return bench.Seen(facts(grid), tiles, **more)
 
@@ -48,8 +41,8 @@ def told(record: dict[str, Any]) -> str:
 
 
 @pytest.mark.parametrize("name", bench.agent_names())
-def test_all_agents_play_worlds_and_repeat_themselves(world_file: Path, name: str) -> None:
-    env = gym.make("stemworlds/DefectCensus-v0", world=world_file, budget=500.0)
+def test_all_agents_play_worlds_and_repeat_themselves(field_path: Path, name: str) -> None:
+    env = gym.make("stemworlds/DefectCensus-v0", world=field_path, budget=500.0)
     agent = bench.make_agent(name)
     record = bench.play(env, agent, 3)
     assert record["ended"] == "done" and record["spent"] <= 500 and record["unreadable"] == 0
@@ -70,8 +63,8 @@ def test_agents_play_recipes_and_all_tasks() -> None:
         assert len({record["world"] for record in records.values()}) == 1
 
 
-def test_floor_and_ceiling(world_file: Path) -> None:
-    env = gym.make("stemworlds/DefectCensus-v0", world=world_file, budget=600.0)
+def test_floor_and_ceiling(field_path: Path) -> None:
+    env = gym.make("stemworlds/DefectCensus-v0", world=field_path, budget=600.0)
     scores = {name: bench.play(env, bench.make_agent(name), 0)["metrics"]["dec_auc"] for name in ("Nothing", "Raster", "Raster+Oracle")}
     assert scores["Nothing"] == 0.0 < scores["Raster"] < scores["Raster+Oracle"]
 

@@ -21,14 +21,6 @@ from stemworlds.errors import FileMissing, FormatError, OutputLocked
 pytest.importorskip("sklearn")
 
 AGENTS = ["Nothing", "Random", "GP-UCB", "STEMAgent"]
-SMALL = {"field.thickness_nm": 0.4}
-
-
-@pytest.fixture(scope="module")
-def world_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("runner") / "w.h5"
-    sw.build("test", out=path, keep_clean=True, audit=0, set=SMALL)
-    return path
 
 
 def experiment(folder: Path, text: str = "", worlds: str = '["w.h5"]', seeds: int = 2) -> bench.Experiment:
@@ -79,9 +71,9 @@ def wait_for_rows(out: Path, count: int) -> None:
 
 
 @pytest.mark.parametrize(("how", "processes"), [(signal.SIGKILL, "2"), (signal.SIGINT, "2")])
-def test_a_run_goes_on_after_its_end(world_file: Path, tmp_path: Path, how: signal.Signals, processes: str) -> None:
+def test_a_run_goes_on_after_its_end(field_path: Path, tmp_path: Path, how: signal.Signals, processes: str) -> None:
     asked = tmp_path / "e.toml"
-    asked.write_text(f'seeds = 30\nbudgets = [500]\ntasks = ["targeted"]\nagents = ["Random", "GP-UCB"]\nworlds = ["{world_file}"]\n')
+    asked.write_text(f'seeds = 30\nbudgets = [500]\ntasks = ["targeted"]\nagents = ["Random", "GP-UCB"]\nworlds = ["{field_path}"]\n')
     out = tmp_path / "out.jsonl"
     process = start(asked, out, "--processes", processes)
     wait_for_rows(out, 3)
@@ -154,7 +146,7 @@ def test_a_combination_has_the_same_name_wherever_it_lies(tmp_path: Path) -> Non
     keys = []
     for folder in (tmp_path / "a", tmp_path / "b"):
         folder.mkdir()
-        keys.append([episode.key for episode in experiment(folder, "environment = {threads = %d}" % len(keys))])
+        keys.append([episode.key for episode in experiment(folder, f"environment = {{threads = {len(keys)}}}")])
     assert keys[0] == keys[1] and len(set(keys[0])) == 8
     (tmp_path / "b/w.h5").write_bytes(b"another")
     assert not set(keys[0]) & {episode.key for episode in experiment(tmp_path / "b")}

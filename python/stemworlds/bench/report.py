@@ -169,7 +169,8 @@ p{max-width:76ch;margin:6px 0 12px}.soft,small{color:var(--soft)}small{font-size
 .wide{overflow-x:auto}table{border-collapse:collapse;font-variant-numeric:tabular-nums;font-size:14px}
 th,td{padding:5px 12px 5px 0;text-align:left;vertical-align:top;border-bottom:1px solid var(--rule);white-space:nowrap}
 thead th{font-weight:600;color:var(--soft);font-size:13px;white-space:normal}tbody th{font-weight:500;padding-right:20px}
-tr.floor th,tr.ceiling th{color:var(--soft)}i.role{font-style:normal;font-size:11px;color:var(--soft);border:1px solid var(--rule);border-radius:8px;padding:0 6px}
+tr.floor th,tr.ceiling th{color:var(--soft)}i.role{font-style:normal;font-size:11px;color:var(--soft);border:1px solid var(--rule);
+border-radius:8px;padding:0 6px}
 table.matrix{font-size:12px}table.matrix td,table.matrix th{padding:3px 6px}td.same{background:var(--good)}td.differ{background:var(--bad)}
 table.matrix thead th{writing-mode:vertical-rl;transform:rotate(180deg);vertical-align:bottom;padding:6px 3px}
 .panels{display:grid;grid-template-columns:repeat(auto-fill,minmax(210px,1fr));gap:14px 18px;margin:10px 0}

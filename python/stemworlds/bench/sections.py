@@ -205,7 +205,7 @@ def pairs(results: Results) -> str:
                 same = pair.equivalence
                 tests = f"Wilcoxon p {pair.p:.3g}, Holm {pair.p_holm:.3g}; TOST p {same.p_low:.3g}, {same.p_high:.3g}; {same.pairs} cases"
                 title = html.escape(f"{agent} against {other}: {tests}")
-                cells.append(f'<td class="{kind}" title="{title}">{-same.mean:+.3f}{mark}</td>')
+                cells.append(f'<td class="{kind}" title="{title}">{0.0 - same.mean:+.3f}{mark}</td>')
             body.append(f'<tr><th scope="row">{html.escape(agent)}</th>{"".join(cells)}</tr>')
         head = "".join(f'<th scope="col">{html.escape(agent)}</th>' for agent in agents[:-1])
         table = f'<table class="matrix"><thead><tr><td></td>{head}</tr></thead><tbody>{"".join(body)}</tbody></table>'
@@ -215,7 +215,7 @@ def pairs(results: Results) -> str:
     return (
         "<p>Mean difference of DEC-AUC, row minus column, in the worlds and seeds that both played. ≠: the paired Wilcoxon test tells them apart "
         "(p below 0.05 after Holm's correction for the pairs of the task). ≈: equivalent within 0.05 by two one-sided Wilcoxon tests (both p below "
-        f"0.05). Without a mark the episodes do not decide. All p values are in the table of pairs beside this page.</p>{''.join(out)}"
+        f"0.05). Without a mark the episodes do not decide. Ceilings are left out. All p values are in the table of pairs beside this page.</p>{''.join(out)}"
     )
 
 
@@ -232,7 +232,8 @@ def agreement(results: Results) -> str:
             own = "no ranks" if math.isnan(rho[metric]) else f"<b>{rho[metric]:.3f}</b>"
             cells.append(own + ("" if paper is None else f"<br><small>paper {paper:.3f}</small>"))
         lines.append((_METRIC_WORDS[metric], cells))
-    return "<p>Spearman's rank correlation of the agents' means by DEC-AUC and by each other metric.</p>" + _table(None, list(found), lines)
+    about = "<p>Spearman's rank correlation of the agents' means by DEC-AUC and by each other metric, without floor and ceilings.</p>"
+    return about + _table(None, list(found), lines)
 
 
 def discretisation(results: Results) -> str:

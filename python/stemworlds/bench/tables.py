@@ -123,8 +123,8 @@ class Results:
         return curves.mean(axis=0), low, high
 
     def pairs(self, task: str) -> list[Pair]:
-        """All pairs of agents that share five cases or more."""
-        tables = {agent: self.by_case(agent, task) for agent in self.in_task(task)}
+        """All pairs of agents, but for ceilings, that share five cases or more."""
+        tables = {agent: self.by_case(agent, task) for agent in self.in_task(task) if self.role[agent] != "ceiling"}
         found = []
         for a, b in itertools.combinations(tables, 2):
             cases = [case for case in tables[a] if case in tables[b]]
@@ -135,8 +135,9 @@ class Results:
         return [Pair(a, b, p, q, equal) for (a, b, p, equal), q in zip(found, corrected, strict=True)]
 
     def agreement(self, task: str) -> dict[str, float] | None:
-        """Spearman's rho of the agents' means by DEC-AUC and by each other metric; ``None`` for fewer than three agents."""
-        agents = self.in_task(task)
+        """Spearman's rho of the agents' means by DEC-AUC and by each other metric, without floor and ceilings, which all metrics put
+        at the ends; ``None`` for fewer than three agents."""
+        agents = [agent for agent in self.in_task(task) if self.role[agent] == "agent"]
         if len(agents) < 3:
             return None
         means = {
