@@ -167,6 +167,9 @@ def test_pictures_show_the_episode(world_file: Path) -> None:
     assert isinstance(env, bench.MicroscopeEnv)
     env.reset(seed=0)
     empty = env.render()
+    # The overview of the file lies below, half as bright.
+    field = np.asarray(empty)[8:264, 8:392]
+    assert 10 < field.std() and field.max() <= 127
     env.acquire(1, 2)
     env.declare(env.truth_seen())
     full = env.render()

@@ -29,6 +29,8 @@ NAVIGATE, ACQUIRE, DECLARE, DONE = range(4)
 ZOOM = (1.0, 8.0)
 #: Limits of its dose, times the reference dose of 100 electrons per square Angstrom.
 DOSE = (0.1, 10.0)
+#: Pixels of the field to one of the overview.
+OVERVIEW_FACTOR = 8
 #: Edge of the part of the overview that is shown, in its pixels.
 OVERVIEW_PX = 64
 
@@ -169,6 +171,8 @@ class Episodes:
         if recipe is not None and not live:
             raise _invalid("live", "live=False: worlds of a recipe are made at each reset; build a file and pass world=... instead")
         self._threads = threads
+        self._of_file = world is not None
+        self._whole: npt.NDArray[np.float32] | None = None
         scene = {
             "world": None if world is None else os.fspath(world),
             "toml": None if recipe is None else Recipe(recipe, difficulty, **changes).toml,
@@ -234,6 +238,13 @@ class Episodes:
         """The overview, or the middle of it: ``size`` pixels along each axis."""
         image: npt.NDArray[np.float32] = call(self._core.overview, slot, size, running(self._threads, False))
         return image
+
+    def whole_overview(self) -> npt.NDArray[np.float32] | None:
+        """The overview of a whole file; ``None`` of a recipe, of which it would have to be simulated."""
+        if self._of_file and self._whole is None:
+            rows, columns = (int(n / self.field.pixel_nm + 0.5) // OVERVIEW_FACTOR for n in self.field.size_nm)
+            self._whole = self.overview(0, max(rows, columns))[:rows, :columns]
+        return self._whole
 
     def acquired(self, what: Mapping[str, Any], image: npt.NDArray[np.float32]) -> Acquired:
         """An acquisition as agents are told of it."""

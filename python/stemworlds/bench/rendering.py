@@ -36,7 +36,7 @@ class Scene:
 
 
 def picture(scene: Scene) -> Picture:
-    """Left the field with the tiles seen so far; right the last tile with what is there (green) and what was found (red circles);
+    """Left the field with the tiles seen so far, on the overview of a world file; right the last tile with what is there (green) and what was found (red circles);
     below, score over dose."""
     out = np.full((_PANEL_PX + _CURVE_PX + 3 * _GAP_PX, 2 * _PANEL_PX + 3 * _GAP_PX, 3), 24, np.uint8)
     left, right = _GAP_PX, 2 * _GAP_PX + _PANEL_PX
@@ -73,12 +73,11 @@ def _by_kind(findings: Findings) -> Iterable[tuple[str, npt.NDArray[np.float64]]
         yield kind, np.asarray(places, dtype=np.float64).reshape(-1, 2)
 
 
-def _colours(image: npt.NDArray[np.float32], size: int) -> Picture:
+def _colours(image: npt.NDArray[np.float32], shape: tuple[int, int]) -> Picture:
     """Grey values of an image, enlarged or reduced to so many pixels; contrast from the 1st to the 99.5th percentile."""
     low, high = np.percentile(image, [1, 99.5])
     grey = np.clip((image - low) / max(float(high - low), 1e-9), 0, 1)
-    rows = (np.arange(size) * image.shape[0] // size).clip(0, image.shape[0] - 1)
-    columns = (np.arange(size) * image.shape[1] // size).clip(0, image.shape[1] - 1)
+    rows, columns = (np.arange(n) * edge // n for n, edge in zip(shape, image.shape, strict=True))
     values = (255 * grey[np.ix_(rows, columns)]).astype(np.uint8)
     return np.repeat(values[:, :, None], 3, axis=2)
 
@@ -94,6 +93,10 @@ def _map(scene: Scene) -> Picture:
 
     _, bottom, _, end = box(rows - 1, columns - 1)
     out[bottom:], out[:, end:] = 24, 24
+    overview = scene.episodes.whole_overview()
+    if overview is not None:
+        # Half as bright as what was paid for.
+        out[:bottom, :end] = _colours(overview, (bottom, end)) // 2
     images = [what.image for what in scene.seen]
     if images:
         low, high = np.percentile(np.stack(images), [1, 99.5])
@@ -118,7 +121,7 @@ def _tile(scene: Scene) -> Picture:
     if not scene.seen:
         return np.full((_PANEL_PX, _PANEL_PX, 3), _GREY, np.uint8)
     last = scene.seen[-1]
-    out = _colours(last.image, _PANEL_PX)
+    out = _colours(last.image, (_PANEL_PX, _PANEL_PX))
     per_nm = _PANEL_PX / last.size_nm
 
     def place(positions: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
