@@ -31,6 +31,14 @@ class Progress:
         self._done += 1
         self._show(what)
 
+    def note(self, text: str) -> None:
+        """What goes on before there are episodes."""
+        if self._terminal:
+            sys.stderr.write("\r\x1b[K" + text[:150])
+            sys.stderr.flush()
+        else:
+            self._line(text)
+
     def failed(self, error: str) -> None:
         """One episode ended with an error; errors of one kind are told once."""
         self._failed += 1

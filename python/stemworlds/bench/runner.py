@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import json
 import multiprocessing
@@ -90,6 +91,8 @@ def run_experiment(
         shown = Progress(len(open_episodes), summary.skipped, progress)
         count = min(processes or _processors(), max(len(open_episodes), 1))
         try:
+            if count > 1 and make is None:
+                _fill_libraries(open_episodes, shown)
             for row in _played(open_episodes, count, experiment.name, make or _environment):
                 if "error" in row:
                     summary.failed.append(row["error"])
@@ -186,6 +189,16 @@ def _environment(episode: Episode) -> gym.Env[Any, Any]:
     import gymnasium
 
     return gymnasium.make(episode.environment_id, disable_env_checker=True, **{"threads": _threads, **episode.environment_options})
+
+
+def _fill_libraries(episodes: Sequence[Episode], shown: Progress) -> None:
+    """Makes each world of a recipe once, on all processors: else every process would simulate the same library."""
+    worlds = {json.dumps(episode.world, sort_keys=True): episode for episode in episodes if "recipe" in episode.world}
+    for number, episode in enumerate(worlds.values(), 1):
+        shown.note(f"library of {episode.world['name']}, {number} of {len(worlds)} (minutes where it is not in the cache)")
+        # The episodes tell what is wrong with a world.
+        with contextlib.suppress(Exception):
+            _environment(episode).close()
 
 
 class _Player:
