@@ -15,7 +15,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from conftest import DYING
 
@@ -48,11 +47,6 @@ def client(port: int) -> Iterator[Client]:
         yield connected
 
 
-def numbers(answer: object) -> npt.NDArray[np.float64]:
-    assert isinstance(answer, np.ndarray)
-    return answer.astype(np.float64)
-
-
 def raw(port: int, request: bytes) -> bytes:
     """What the bytes of a client without our code come to."""
     with socket.create_connection(("127.0.0.1", port), timeout=60) as connection, connection.makefile("rb") as answers:
@@ -74,10 +68,10 @@ def test_the_bytes_are_those_that_clients_of_asyncroscopy_read(port: int) -> Non
 
 def test_the_dose_is_current_times_dwell_time_per_pixel(client: Client, world: sw.LiveWorld, library: str) -> None:
     client("set_current", current=200.0)
-    image = numbers(client("get_scanned_image", detector="HAADF", size=32, dwell_time=20e-6))
+    image = client.array("get_scanned_image", detector="HAADF", size=32, dwell_time=20e-6)
     assert image.shape == (32, 32)
     expected = 200.0 * 20e-6 * ELECTRONS_PER_PA_S / (10.0 / 32) ** 2
-    assert numbers(client("get_dose"))[0] == pytest.approx(expected, rel=0.1)
+    assert client.array("get_dose")[0] == pytest.approx(expected, rel=0.1)
     [told] = world.history
     assert told["dose"] == pytest.approx(expected, rel=1e-6)
     # The same by hand, in another world of the same seed.
@@ -107,10 +101,10 @@ def test_the_specimen_changes_under_the_beam(client: Client, world: sw.LiveWorld
 
 def test_the_stage_moves_the_field_of_view(client: Client, world: sw.LiveWorld) -> None:
     client("set_fov", fov=8.0)
-    assert numbers(client("get_fov"))[0] == 8.0
+    assert client.array("get_fov")[0] == 8.0
     client("set_stage", x=2e-10, y=-1e-10)
     client("set_stage", x=1e-10, relative=True)
-    assert np.allclose(numbers(client("get_stage")), [3e-10, -1e-10, 0, 0, 0])
+    assert np.allclose(client.array("get_stage"), [3e-10, -1e-10, 0, 0, 0])
     client("get_scanned_image", size=16, dwell_time=1e-6)
     middle = world.recipe["field.tile_px"] * world.recipe.pixel_nm / 2
     around = (middle + 0.3 - 0.3, middle - 0.1 - 0.3, middle + 0.3 + 0.3, middle - 0.1 + 0.3)
@@ -147,7 +141,7 @@ def test_what_makes_no_sense_is_refused_and_changes_nothing(client: Client, verb
     else:
         with pytest.raises(RuntimeError, match=re.escape(says)):
             client(verb, **arguments)
-    assert client("get_status") == "Microscope is Ready" and numbers(client("get_dose"))[0] == 0
+    assert client("get_status") == "Microscope is Ready" and client.array("get_dose")[0] == 0
 
 
 def test_damaged_requests_end_the_connection_and_not_the_server(port: int) -> None:
@@ -191,7 +185,7 @@ def test_the_command_serves_until_it_is_interrupted(library: str) -> None:
         assert told.startswith("listening on 127.0.0.1:"), run.stderr.read()
         with Client(("127.0.0.1", int(told.split(":")[1].split(";")[0]))) as client:
             assert "simulated" in str(client("connect", host="localhost", port=9001))
-            assert numbers(client("get_scanned_image", size=16, dwell_time=1e-6)).shape == (16, 16)
+            assert client.array("get_scanned_image", size=16, dwell_time=1e-6).shape == (16, 16)
         run.send_signal(signal.SIGINT)
         assert run.wait(60) == 0 and "Traceback" not in run.stderr.read()
 

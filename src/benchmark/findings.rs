@@ -95,6 +95,10 @@ impl AgentFindings {
     /// # Errors
     /// [`Error::Invalid`] for text that is no such object.
     pub fn read(report: &str) -> Result<Self> {
+        if !report.trim_start().starts_with('{') {
+            // A list would be taken for its values in order.
+            return Err(refuse("the report", "is no JSON object of findings"));
+        }
         let report: FindingsText = serde_json::from_str(report)
             .map_err(|e| refuse("the report", format!("is no JSON object of findings: {e}")))?;
         let rows = report.phases.as_ref().map(Vec::len);

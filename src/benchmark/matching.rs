@@ -1,6 +1,6 @@
 //! Pairs of places that are found and places that are true: one to one, none farther apart than a limit.
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::HashMap;
 
 /// For each found place the true ones within `radius_nm`, nearest first.
 fn neighbours(found: &[[f64; 2]], truth: &[[f64; 2]], radius_nm: f64) -> Vec<Vec<(usize, f64)>> {
@@ -23,18 +23,73 @@ fn neighbours(found: &[[f64; 2]], truth: &[[f64; 2]], radius_nm: f64) -> Vec<Vec
 }
 
 /// The greatest number of pairs of a found and a true place (x, y in nm) within `radius_nm` of each other, no place in two of them
-/// (Hopcroft and Karp, SIAM J. Comput. 2, 225 (1973)). Places have to be finite, and `radius_nm` above 0.
+/// (augmenting paths after A. Pothen and C.-J. Fan, ACM Trans. Math. Softw. 16, 303 (1990)). Places have to be finite, and
+/// `radius_nm` above 0.
 pub fn most_pairs(found: &[[f64; 2]], truth: &[[f64; 2]], radius_nm: f64) -> usize {
-    let near = neighbours(found, truth, radius_nm);
     let mut pairs = Pairs { of_found: vec![None; found.len()], of_truth: vec![None; truth.len()] };
-    let mut count = 0;
+    let mut free = PlaceGrid::new(truth, radius_nm, 0..truth.len());
+    for (n, place) in found.iter().enumerate() {
+        if let Some(t) = free.take(place) {
+            pairs.join(n, t);
+        }
+    }
     loop {
-        let Some(mut depth) = pairs.depths(&near) else { return count };
+        let paired = (0..truth.len()).filter(|t| pairs.of_truth[*t].is_some());
+        let mut untried = PlaceGrid::new(truth, radius_nm, paired);
+        let mut more = false;
         for start in 0..found.len() {
-            if pairs.of_found[start].is_none() && pairs.augment(start, &near, &mut depth) {
-                count += 1;
+            if pairs.of_found[start].is_none() {
+                more |= pairs.augment(start, found, (&mut free, &mut untried));
             }
         }
+        if !more {
+            return pairs.of_found.iter().flatten().count();
+        }
+    }
+}
+
+/// True places, from which those near a found one are taken.
+struct PlaceGrid<'a> {
+    truth: &'a [[f64; 2]],
+    radius_nm: f64,
+    cells: HashMap<[i64; 2], Vec<usize>>,
+}
+
+/// Cells of the grid along a radius: all places of a cell are then within the radius of each other.
+const CELLS: i64 = 2;
+
+impl<'a> PlaceGrid<'a> {
+    fn new(truth: &'a [[f64; 2]], radius_nm: f64, listed: impl Iterator<Item = usize>) -> Self {
+        let mut grid = PlaceGrid { truth, radius_nm, cells: HashMap::new() };
+        for n in listed {
+            grid.cells.entry(grid.cell(&truth[n])).or_default().push(n);
+        }
+        grid
+    }
+
+    fn cell(&self, place: &[f64; 2]) -> [i64; 2] {
+        place.map(|v| (v * CELLS as f64 / self.radius_nm).floor() as i64)
+    }
+
+    /// One that is within the radius, which is then no longer there. Its own cell comes first.
+    fn take(&mut self, place: &[f64; 2]) -> Option<usize> {
+        let [x, y] = self.cell(place);
+        let rings = 0..=CELLS;
+        let around = rings.flat_map(|ring| {
+            let square = (-ring..=ring).flat_map(move |dy| (-ring..=ring).map(move |dx| [dx, dy]));
+            square.filter(move |d| d[0].abs().max(d[1].abs()) == ring)
+        });
+        for [dx, dy] in around {
+            let Some(list) = self.cells.get_mut(&[x + dx, y + dy]) else { continue };
+            let near = |n: &usize| {
+                let [u, v] = self.truth[*n];
+                (place[0] - u).hypot(place[1] - v) <= self.radius_nm
+            };
+            if let Some(at) = list.iter().rposition(near) {
+                return Some(list.swap_remove(at));
+            }
+        }
+        None
     }
 }
 
@@ -45,56 +100,35 @@ struct Pairs {
 }
 
 impl Pairs {
-    /// How many pairs a path to each found place changes, from those without one; `None` where no path ends at a true place without one.
-    fn depths(&self, near: &[Vec<(usize, f64)>]) -> Option<Vec<usize>> {
-        let mut depth = vec![usize::MAX; near.len()];
-        let mut queue: VecDeque<usize> = VecDeque::new();
-        for (n, pair) in self.of_found.iter().enumerate() {
-            if pair.is_none() {
-                depth[n] = 0;
-                queue.push_back(n);
-            }
-        }
-        let mut ends = false;
-        while let Some(n) = queue.pop_front() {
-            for (t, _) in &near[n] {
-                match self.of_truth[*t] {
-                    None => ends = true,
-                    Some(next) if depth[next] == usize::MAX => {
-                        depth[next] = depth[n] + 1;
-                        queue.push_back(next);
-                    }
-                    Some(_) => {}
-                }
-            }
-        }
-        ends.then_some(depth)
+    fn join(&mut self, n: usize, t: usize) {
+        (self.of_found[n], self.of_truth[t]) = (Some(t), Some(n));
     }
 
-    /// Pairs `start` along a shortest path, if there is one; places that lead nowhere are not tried again. Without recursion: paths may
-    /// be as long as the lists.
-    fn augment(&mut self, start: usize, near: &[Vec<(usize, f64)>], depth: &mut [usize]) -> bool {
-        // (found place, which of its neighbours is tried next)
-        let mut path = vec![(start, 0)];
-        while let Some((n, next)) = path.last_mut() {
-            let here = *n;
-            let Some((t, _)) = near[here].get(*next) else {
-                depth[here] = usize::MAX;
-                path.pop();
-                continue;
-            };
-            *next += 1;
-            match self.of_truth[*t] {
-                Some(other) if depth[here] != usize::MAX && depth[other] == depth[here] + 1 => {
-                    path.push((other, 0));
+    /// Pairs `start` along a path of places that change their partners, if there is one. True places that were tried lead nowhere in
+    /// this round, and are taken from the grid. Without recursion: paths may be as long as the lists.
+    fn augment(
+        &mut self,
+        start: usize,
+        found: &[[f64; 2]],
+        (free, untried): (&mut PlaceGrid<'_>, &mut PlaceGrid<'_>),
+    ) -> bool {
+        // Found places, and the true ones that they would change to; the last has none yet.
+        let (mut path, mut changes) = (vec![start], Vec::new());
+        while let Some(&n) = path.last() {
+            if let Some(t) = free.take(&found[n]) {
+                changes.push(t);
+                path.into_iter().zip(changes).for_each(|(n, t)| self.join(n, t));
+                return true;
+            }
+            let next = untried.take(&found[n]);
+            match next.and_then(|t| Some((t, self.of_truth[t]?))) {
+                Some((t, other)) => {
+                    changes.push(t);
+                    path.push(other);
                 }
-                Some(_) => {}
                 None => {
-                    for (n, next) in path {
-                        let t = near[n][next - 1].0;
-                        (self.of_found[n], self.of_truth[t]) = (Some(t), Some(n));
-                    }
-                    return true;
+                    path.pop();
+                    changes.pop();
                 }
             }
         }
@@ -102,19 +136,57 @@ impl Pairs {
     }
 }
 
-/// The pairs (found, true) of the greatest number of them whose distances have the least sum: for short lists, such as particles.
-/// The time grows with the cube of their length.
+/// The pairs (found, true) of the greatest number of them whose distances have the least sum. The time grows with the cube of the
+/// number of places that hang together by such distances.
 pub fn nearest_pairs(found: &[[f64; 2]], truth: &[[f64; 2]], radius_nm: f64) -> Vec<[usize; 2]> {
-    let near = neighbours(found, truth, radius_nm);
-    // Successive shortest paths, from found places without a pair to true ones without.
-    let mut pairs = Pairs { of_found: vec![None; found.len()], of_truth: vec![None; truth.len()] };
-    while let Some(path) = shortest_path(&pairs, &near) {
-        for [n, t] in path {
-            (pairs.of_found[n], pairs.of_truth[t]) = (Some(t), Some(n));
+    let mut all = Vec::new();
+    for [founds, truths] in groups(&neighbours(found, truth, radius_nm), truth.len()) {
+        let at = |indices: &[usize], places: &[[f64; 2]]| -> Vec<[f64; 2]> {
+            indices.iter().map(|n| places[*n]).collect()
+        };
+        let near = neighbours(&at(&founds, found), &at(&truths, truth), radius_nm);
+        let mut pairs =
+            Pairs { of_found: vec![None; founds.len()], of_truth: vec![None; truths.len()] };
+        // Successive shortest paths, from found places without a pair to true ones without.
+        while let Some(path) = shortest_path(&pairs, &near) {
+            path.into_iter().for_each(|[n, t]| pairs.join(n, t));
         }
+        let pair = |(n, t): (usize, &Option<usize>)| t.map(|t| [founds[n], truths[t]]);
+        all.extend(pairs.of_found.iter().enumerate().filter_map(pair));
     }
-    let pair = |(n, t): (usize, &Option<usize>)| t.map(|t| [n, t]);
-    pairs.of_found.iter().enumerate().filter_map(pair).collect()
+    all.sort_unstable();
+    all
+}
+
+/// Found places with the true ones that hang together with them, each in ascending order.
+fn groups(near: &[Vec<(usize, f64)>], truths: usize) -> Vec<[Vec<usize>; 2]> {
+    let mut near_truth = vec![Vec::new(); truths];
+    for (n, list) in near.iter().enumerate() {
+        list.iter().for_each(|(t, _)| near_truth[*t].push(n));
+    }
+    let (mut found_known, mut truth_known) = (vec![false; near.len()], vec![false; truths]);
+    let mut groups = Vec::new();
+    for first in 0..near.len() {
+        let (mut founds, mut members) = (vec![first], Vec::new());
+        if near[first].is_empty() || std::mem::replace(&mut found_known[first], true) {
+            continue;
+        }
+        let mut next = 0;
+        while let Some(&n) = founds.get(next) {
+            next += 1;
+            for (t, _) in &near[n] {
+                if !std::mem::replace(&mut truth_known[*t], true) {
+                    members.push(*t);
+                    let new = near_truth[*t].iter().copied();
+                    founds.extend(new.filter(|m| !std::mem::replace(&mut found_known[*m], true)));
+                }
+            }
+        }
+        founds.sort_unstable();
+        members.sort_unstable();
+        groups.push([founds, members]);
+    }
+    groups
 }
 
 /// The pairs of the path that makes one pair more at the least cost (Bellman and Ford).
@@ -170,6 +242,48 @@ mod tests {
         assert_eq!(nearest_pairs(&found, &truth, 1.0), [[0, 0], [1, 1]]);
         // Edges belong to the circle, on both sides of a cell.
         assert_eq!(most_pairs(&[[-1.0, 0.0]], &[[0.0, 0.0]], 1.0), 1);
+    }
+
+    #[test]
+    fn no_other_pairing_has_more_pairs() {
+        // Flows by the plainest way: one augmenting path after the other through a matrix of neighbours.
+        fn plain(
+            near: &[Vec<bool>],
+            n: usize,
+            seen: &mut [bool],
+            of: &mut [Option<usize>],
+        ) -> bool {
+            (0..seen.len()).any(|t| {
+                let open = near[n][t] && !seen[t];
+                seen[t] |= near[n][t];
+                let ends = open && of[t].is_none_or(|m| plain(near, m, seen, of));
+                if ends {
+                    of[t] = Some(n);
+                }
+                ends
+            })
+        }
+        let mut state = 1_u64;
+        let mut place = || {
+            let mut next = || {
+                state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+                (state >> 40) as f64 / (1 << 24) as f64
+            };
+            [10.0 * next(), 10.0 * next() - 5.0]
+        };
+        for (founds, truths, radius_nm) in
+            [(60, 60, 0.8), (80, 40, 1.5), (30, 90, 5.0), (70, 70, 0.1), (90, 90, 1.1)]
+        {
+            let found: Vec<_> = (0..founds).map(|_| place()).collect();
+            let truth: Vec<_> = (0..truths).map(|_| place()).collect();
+            let near = |f: &[f64; 2], t: &[f64; 2]| (f[0] - t[0]).hypot(f[1] - t[1]) <= radius_nm;
+            let matrix: Vec<Vec<bool>> =
+                found.iter().map(|f| truth.iter().map(|t| near(f, t)).collect()).collect();
+            let mut of = vec![None; truths];
+            let ends = |n: &usize| plain(&matrix, *n, &mut vec![false; truths], &mut of);
+            let most = (0..founds).filter(ends).count();
+            assert_eq!(most_pairs(&found, &truth, radius_nm), most, "{radius_nm}");
+        }
     }
 
     #[test]

@@ -7,6 +7,8 @@ import socketserver
 import threading
 from typing import Any
 
+import numpy.typing as npt
+
 from ..errors import StemworldsError
 from .messages import LONGEST_ANSWER, LONGEST_REQUEST, Answer, packed, parsed, receive, send, unpacked
 from .microscope import Microscope
@@ -93,7 +95,7 @@ class Client:
     """A client of such a server, for scripts and tests.
 
     >>> microscope = Client()                                                     # doctest: +SKIP
-    >>> image = microscope("get_scanned_image", size=256, dwell_time=2e-6)        # doctest: +SKIP
+    >>> image = microscope.array("get_scanned_image", size=256, dwell_time=2e-6)  # doctest: +SKIP
     """
 
     def __init__(self, address: tuple[str, int] = ADDRESS, timeout_s: float | None = 600.0) -> None:
@@ -114,6 +116,17 @@ class Client:
         answer = unpacked(message)
         if isinstance(answer, str) and answer.startswith("ERROR: "):
             raise RuntimeError(answer.removeprefix("ERROR: "))
+        return answer
+
+    def array(self, verb: str, **arguments: object) -> npt.NDArray[Any]:
+        """Sends a verb whose answer is an array.
+
+        Raises:
+            RuntimeError, ConnectionError: as a call; the first for answers that are text, too.
+        """
+        answer = self(verb, **arguments)
+        if isinstance(answer, str):
+            raise RuntimeError(f"{verb}: the answer is no array: {answer}")
         return answer
 
     def close(self) -> None:
