@@ -14,7 +14,7 @@ Agents need ``pip install 'stemworlds[agents]'``; what else they need is importe
 """
 
 from .agents import Agent, CompressedSensing, Plays, play
-from .analysts import Heuristic, Nothing, Oracle, TileByTile
+from .analysts import ColumnOracle, Heuristic, Nothing, Oracle, TileByTile
 from .catalogue import agent_names, agent_specification, make_agent
 from .endpoint import Endpoint, EndpointError, Unparsable
 from .environment import MicroscopeEnv
@@ -46,6 +46,7 @@ __all__ = [
     "Agent",
     "Analyst",
     "ByteImages",
+    "ColumnOracle",
     "CompressedSensing",
     "DiscreteGrid",
     "Endpoint",

@@ -9,7 +9,7 @@ from typing import Any
 
 from ..errors import InvalidValue, _invalid
 from .agents import Agent, CompressedSensing, Plays
-from .analysts import Heuristic, Nothing, Oracle
+from .analysts import ColumnOracle, Heuristic, Nothing, Oracle
 from .endpoint import Endpoint
 from .navigators import GaussianProcess, RandomMask, RandomTiles, Raster
 from .onnx import OnnxAnalyst
@@ -49,6 +49,7 @@ _NAVIGATORS: dict[str, Callable[..., Any]] = {"random": RandomTiles, "raster": R
 _ANALYSTS: dict[str, Callable[..., Any]] = {
     "nothing": Nothing,
     "oracle": Oracle,
+    "columns": ColumnOracle,
     "heuristic": Heuristic,
     "onnx": OnnxAnalyst,
     "vlm": _vlm,
@@ -83,6 +84,7 @@ _PRESETS: dict[str, Table] = {
     "STEMAgent rule planner": {"navigator": "gp", "analyst": "heuristic", "planner": "rules"},
     "Random+Oracle": {"navigator": "random", "analyst": "oracle"},
     "Raster+Oracle": {"navigator": "raster", "analyst": "oracle"},
+    "Raster+Columns": {"navigator": "raster", "analyst": "columns"},
     "GP-UCB+Oracle": {"navigator": "gp", "analyst": "oracle"},
     "STEMAgent+Oracle": {"navigator": "gp", "analyst": "oracle", "planner": "modes"},
 }
@@ -137,7 +139,7 @@ def make_agent(given: str | Table) -> Plays:
     parts = {part: _made(name, part, whole[part], kinds) for part, kinds in _KINDS.items() if part in whole}
     every = {"declare_every": whole["declare_every"]} if "declare_every" in whole else {}
     if isinstance(parts["navigator"], RandomMask) and "planner" not in parts:
-        oracle = whole["analyst"]["kind"] == "oracle"
+        oracle = whole["analyst"]["kind"] in ("oracle", "columns")
         second = None if oracle else _made(name, "analyst", whole["analyst"], _ANALYSTS)
         return CompressedSensing(name, parts["navigator"], parts["analyst"], second, **every)
     return Agent(name, **parts, **every)

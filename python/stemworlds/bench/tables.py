@@ -224,7 +224,7 @@ def files(paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) -> l
 
 def _role(row: Row) -> Role:
     analyst = row.get("specification", {}).get("analyst", {}).get("kind")
-    return "floor" if analyst == "nothing" else "ceiling" if analyst == "oracle" else "agent"
+    return "floor" if analyst == "nothing" else "ceiling" if analyst in ("oracle", "columns") else "agent"
 
 
 def _agent_place(name: str, role: Role) -> tuple[Any, ...]:
