@@ -64,7 +64,7 @@ class ColumnOracle(Oracle):
 
     def findings(self, tiles: Sequence[Acquired]) -> Findings:
         truth = super().findings(tiles)
-        once = {kind: np.unique(np.round(places, 3), axis=0) for kind, places in (truth.defects or {}).items()}
+        once = {kind: np.unique(np.round(np.asarray(places, dtype=np.float64), 3), axis=0) for kind, places in (truth.defects or {}).items()}
         return replace(truth, counts=None, defects=once)
 
 
