@@ -54,7 +54,7 @@ struct Rules {
 /// Where worlds come from.
 enum Worlds {
     File(Arc<FileWorld>),
-    Recipe { source: RecipeSource, split: Split, damage: bool },
+    Recipe { source: Box<RecipeSource>, split: Split, damage: bool },
 }
 
 impl Worlds {
@@ -66,7 +66,7 @@ impl Worlds {
         let splits = [("train", Split::Train), ("test", Split::Test)];
         let split = choice(Setting::Episode, &scene.split, &splits)?;
         let recipe = checked(scene.toml.as_deref().unwrap_or_default())?;
-        let source = RecipeSource::new(&recipe, &options, guest)?;
+        let source = Box::new(RecipeSource::new(&recipe, &options, guest)?);
         Ok(Worlds::Recipe { source, split, damage: scene.damage })
     }
 
@@ -364,7 +364,7 @@ impl Episodes {
     /// The record of a slot, as JSON.
     fn record(&self, py: Python<'_>, slot: usize, running: Running) -> PyResult<String> {
         self.of(py, slot, running, |episode| {
-            Ok(serde_json::to_string(&episode.record()?).map_err(Fault::from)?)
+            serde_json::to_string(&episode.record()?).map_err(Fault::from)
         })
     }
 
@@ -442,7 +442,7 @@ pub fn dose_metrics(
         for [share, score] in records {
             curve.record(share, score)?;
         }
-        Ok(serde_json::to_string(&curve.metrics_of(checkpoints)).map_err(Fault::from)?)
+        serde_json::to_string(&curve.metrics_of(checkpoints)).map_err(Fault::from)
     };
     metrics().told(py)
 }
