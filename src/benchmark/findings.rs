@@ -135,7 +135,7 @@ impl AgentFindings {
         Ok(findings)
     }
 
-    /// The text that [`Findings::read`] reads.
+    /// The text that [`AgentFindings::read`] reads.
     pub fn report(&self) -> String {
         let defects = self.defects.as_ref().map(|list| {
             let mut of: BTreeMap<String, Vec<[f64; 2]>> = BTreeMap::new();
