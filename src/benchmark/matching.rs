@@ -68,7 +68,9 @@ impl<'a> PlaceGrid<'a> {
     }
 
     fn cell(&self, place: &[f64; 2]) -> [i64; 2] {
-        place.map(|v| (v * CELLS as f64 / self.radius_nm).floor() as i64)
+        // Slightly wider, so that rounding puts no place that is just within the radius into a cell beyond.
+        let edge_nm = self.radius_nm * (1.0 + 1e-9) / CELLS as f64;
+        place.map(|v| (v / edge_nm).floor() as i64)
     }
 
     /// One that is within the radius, which is then no longer there. Its own cell comes first.
