@@ -30,7 +30,7 @@ fi
 size=$(wc -c <"$wheel")
 echo "$wheel: $size bytes"
 [ "$size" -lt 15000000 ] || { echo "python/test.sh: the wheel is larger than 15 MB; is it stripped?" >&2; exit 1; }
-"$python" -m pip install -q "$wheel"
+"$python" -m pip install -q "$wheel" ./library
 # By itself: numpy is all it needs, and no HDF5 library is on the system's path for it.
 (cd "$place" && "$python" -c "
 import stemworlds as sw

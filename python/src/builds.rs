@@ -58,8 +58,8 @@ impl CacheChoice {
     pub fn cache(&self) -> Cache {
         match self {
             CacheChoice::Used(true) => Cache::of_user(),
-            CacheChoice::Used(false) => Cache::none(),
-            CacheChoice::Folder(folder) => Cache::at(folder.clone()),
+            CacheChoice::Used(false) => Cache::supplied(),
+            CacheChoice::Folder(folder) => Cache::supplied().in_folder(folder.clone()),
         }
     }
 }

@@ -11,7 +11,9 @@ use stemgen::cli::shared::{WorldEngine, imaging_of, planned, threads};
 use stemgen::engine::check_memory;
 use stemgen::files::{atomic_write, outputs::check_outputs};
 use stemgen::imaging::mosaic::library_archive;
-use stemgen::imaging::{AUDIT_REMEDY, AuditOptions, Cache, ImagingChoice, audit, audit_cost};
+use stemgen::imaging::{
+    AUDIT_REMEDY, AuditOptions, Cache, ImagingChoice, SuppliedLibrary, audit, audit_cost,
+};
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
 use stemgen::recipe::CheckedRecipe;
@@ -226,6 +228,25 @@ pub fn cache_import(py: Python<'_>, path: PathBuf, running: Running) -> PyResult
 #[pyfunction]
 pub fn cache_folder() -> Option<PathBuf> {
     Cache::of_user().folder().map(Path::to_owned)
+}
+
+/// Says where the library is that comes along with the package.
+#[pyfunction]
+pub fn set_library(folder: PathBuf) {
+    SuppliedLibrary::set_of_program(folder);
+}
+
+/// The folder of the library that comes along.
+#[pyfunction]
+pub fn library_folder() -> Option<PathBuf> {
+    SuppliedLibrary::of_program().map(|library| library.folder().to_owned())
+}
+
+/// What the library that comes along holds: material, images, bytes.
+#[pyfunction]
+pub fn library_list(py: Python<'_>) -> Holdings {
+    let held = py.detach(|| SuppliedLibrary::of_program().map(|library| library.holdings()));
+    held.into_iter().flatten().map(|h| (h.material, h.images, h.bytes)).collect()
 }
 
 type Holdings = Vec<(String, usize, u64)>;

@@ -41,6 +41,9 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(checks::cache_folder, module)?)?;
     module.add_function(wrap_pyfunction!(checks::cache_import, module)?)?;
     module.add_function(wrap_pyfunction!(checks::cache_list, module)?)?;
+    module.add_function(wrap_pyfunction!(checks::library_folder, module)?)?;
+    module.add_function(wrap_pyfunction!(checks::library_list, module)?)?;
+    module.add_function(wrap_pyfunction!(checks::set_library, module)?)?;
     module.add_function(wrap_pyfunction!(checks::compare_worlds, module)?)?;
     module.add_function(wrap_pyfunction!(checks::verify_world, module)?)?;
     module.add_function(wrap_pyfunction!(checks::validate_suite, module)?)?;

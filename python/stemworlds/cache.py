@@ -1,4 +1,8 @@
-"""The simulations that worlds share, on disk."""
+"""The simulations that worlds share, on disk.
+
+Those of the package's own crystalline recipes come along in ``stemworlds-library``, a package of data (``pip install
+stemworlds[library]``); they are only read, and looked for first. The cache keeps what is simulated beside these.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +10,20 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.util import find_spec
 
 from . import _core
 from ._running import Progress, call, running
 
 
+_data = find_spec("stemworlds_library")
+if _data is not None and _data.submodule_search_locations:
+    _core.set_library(_data.submodule_search_locations[0])
+
+
 @dataclass(frozen=True)
 class Holding:
-    """What the cache holds of a material."""
+    """What the cache, or the library that comes along, holds of a material."""
 
     material: str
     images: int
@@ -29,6 +39,18 @@ def path() -> str | None:
 def list() -> tuple[Holding, ...]:
     """What the cache holds, by material."""
     return tuple(Holding(*held) for held in _core.cache_list())
+
+
+def library_path() -> str | None:
+    """The folder of the library that comes along: ``$STEMGEN_LIBRARY`` (empty for none), else that of the package
+    ``stemworlds-library`` or of the clone that this package was built in; ``None`` where there is none of these."""
+    folder = _core.library_folder()
+    return None if folder is None else str(folder)
+
+
+def library() -> tuple[Holding, ...]:
+    """What the library that comes along holds, by material."""
+    return tuple(Holding(*held) for held in _core.library_list())
 
 
 def clear(material: str | None = None) -> tuple[Holding, ...]:

@@ -1,14 +1,13 @@
 //! `stemgen acquire`.
 
 use super::audit_command::imaging_of;
-use super::common::Common;
+use super::common::{CacheArgs, Common};
 use super::hints::hinted;
 use super::plan_report::Lines;
 use super::recipe_args::{RecipeArgs, WorldEngine};
 use super::{output, pictures, text, values};
 use crate::acquisition::{Acquisition, Profile};
 use crate::files::outputs::check_outputs;
-use crate::imaging::Cache;
 use crate::io::WorldFile;
 use crate::recipe::CheckedRecipe;
 use crate::specimen::{Specimen, specimen};
@@ -113,9 +112,8 @@ pub struct Acquire {
     /// Store what lies between the noise-free image and the recording too
     #[arg(long, help_heading = "Results")]
     stages: bool,
-    /// Neither read nor keep simulations in the cache
-    #[arg(long)]
-    no_cache: bool,
+    #[command(flatten)]
+    kept: CacheArgs,
     /// File to write
     #[arg(short, long, value_name = "FILE.h5", help_heading = "Results")]
     output: PathBuf,
@@ -223,7 +221,7 @@ impl Acquire {
             }
         }
         let fine = refined(recipe, parts)?;
-        let cache = if self.no_cache { Cache::none() } else { Cache::of_user() };
+        let cache = self.kept.cache();
         let mut imager = imaging_of(&fine, made.as_ref(), cache)?.imager(&fine, specimen)?;
         imager.prepare(reporter)?;
         let source = ImagerSource { imager: &*imager, recipe: &fine };

@@ -1,6 +1,6 @@
 //! `stemgen audit`.
 
-use super::common::{Common, Force};
+use super::common::{CacheArgs, Common, Force};
 use super::estimate;
 use super::plan_report::Lines;
 use super::recipe_args::{RecipeArgs, WorldEngine};
@@ -55,9 +55,8 @@ pub struct AuditCommand {
     /// Width of the window that follows each probe, in A, of a recipe that has no world yet [default: as `build` chooses]
     #[arg(long, value_name = "A", value_parser = values::finite, allow_negative_numbers = true)]
     window: Option<f64>,
-    /// Neither read nor keep simulations in the cache
-    #[arg(long)]
-    no_cache: bool,
+    #[command(flatten)]
+    kept: CacheArgs,
     #[command(flatten)]
     force: Force,
     #[command(flatten)]
@@ -86,7 +85,7 @@ impl AuditCommand {
             bail!("the world was made with `{}`, which is what audits compare with", made.engine);
         }
         let specimen = specimen(&recipe)?;
-        let cache = if self.no_cache { Cache::none() } else { Cache::of_user() };
+        let cache = self.kept.cache();
         let choice = match &made {
             Some(_) => imaging_of(&recipe, made.as_ref(), cache)?,
             None => planned(&recipe, cache, self.window)?,

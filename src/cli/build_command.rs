@@ -4,7 +4,7 @@ use super::acquire_command::AcquisitionName;
 use super::build_all;
 use super::build_plan::DryRun;
 use super::build_shard::ShardReport;
-use super::common::{Common, Force};
+use super::common::{CacheArgs, Common, Force};
 use super::hints::{self, hinted};
 use super::plan_report::Lines;
 use super::progress_bar::Reporter;
@@ -15,7 +15,7 @@ use crate::acquisition::{Acquisition, AcquisitionTable, Profile};
 use crate::engine::Expansion;
 use crate::files::Shard;
 use crate::files::outputs::check_outputs;
-use crate::imaging::{Audit, Cache};
+use crate::imaging::Audit;
 use crate::io::WorldFile;
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Difficulty, Recipe};
@@ -122,7 +122,8 @@ struct Method {
     #[arg(long, value_name = "NAME")]
     profile: Option<ProfileName>,
     /// Regions that are simulated exactly beforehand, with the same atoms; the file tells the error found. 0
-    /// leaves it out; with --accuracy or --max-error at least four [default: 1 for mosaics and films, 0 for others]
+    /// leaves it out; with --accuracy or --max-error at least four [default: 1 for films and mosaics, 0 for others and for mosaics
+    /// of the library that comes along, which was audited when it was made]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=1000))]
     audit: Option<u16>,
     /// Widen the windows, or leave the mosaic, until the audit's errors (rms at bright columns, and over all
@@ -130,10 +131,8 @@ struct Method {
     #[arg(long, value_name = "PERCENT", value_parser = values::percent, allow_negative_numbers = true)]
     #[arg(conflicts_with_all = ["profile", "interpolation"])]
     max_error: Option<f64>,
-    /// Neither read nor keep the mosaic's simulations in the cache (see `stemgen cache`); FILE.work keeps them until
-    /// the world is complete
-    #[arg(long)]
-    no_cache: bool,
+    #[command(flatten)]
+    kept: CacheArgs,
     /// Largest width of a sub-tile, which is simulated at once, in nm [default: mosaic: 8; window,
     /// multislice: 4; prism: 2.5; published: 7]
     #[arg(long, value_name = "NM", value_parser = values::finite, allow_negative_numbers = true)]
@@ -175,6 +174,8 @@ pub struct Built {
     pub engine: String,
     library: Option<[usize; 2]>,
     pub audit: Option<Audit>,
+    /// Whether there is no audit because the errors are known: those of the library that comes along.
+    audit_known: bool,
     subtiles: usize,
     subtiles_resumed: usize,
     pub wall_time_s: f64,
@@ -293,7 +294,7 @@ impl Build {
             audit_regions: m.audit.map_or(usual.audit_regions, usize::from),
             audit_direct: m.audit.is_some_and(|n| n > 0),
             max_error_percent: m.max_error,
-            cache: if m.no_cache { Cache::none() } else { usual.cache },
+            cache: m.kept.cache(),
             subtile_nm: m.subtile,
             subtile_overlap_nm: m.subtile_overlap,
         }
@@ -345,6 +346,9 @@ impl Build {
             engine: summary.engine.clone(),
             library: summary.library,
             audit: summary.audit.clone(),
+            audit_known: summary.audit.is_none()
+                && summary.library.is_some()
+                && self.options().audit_regions > 0,
             subtiles: summary.subtiles,
             subtiles_resumed: summary.subtiles_resumed,
             wall_time_s: summary.wall_time_s,
@@ -440,6 +444,9 @@ impl Built {
                 audit.bright_rms_percent, audit.all_rms_percent
             );
             lines.add("audit", found);
+        } else if self.audit_known {
+            let why = "none: the library that comes along was audited when it was made; --audit 1 makes one";
+            lines.add("audit", why);
         }
         lines.add("time", text::duration(self.wall_time_s));
         let size = text::bytes(self.file_bytes);

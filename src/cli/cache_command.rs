@@ -19,7 +19,8 @@ Examples:
 
 The cache holds the mosaic's simulations, for all worlds of a material: another seed or a larger field takes
 them from there. It lies in $STEMGEN_CACHE, else in stemgen/ of $XDG_CACHE_HOME or ~/.cache. Nothing is lost with
-it but time.";
+it but time. Before it, simulations are looked for in the library that comes along with the program, which holds
+those of its own crystalline recipes ($STEMGEN_LIBRARY names another folder for it, or none).";
 
 /// List, move, check, fill or clear the simulations that worlds share
 #[derive(Debug, Args)]
@@ -56,6 +57,14 @@ enum Action {
 struct CacheReport {
     folder: Option<PathBuf>,
     materials: Vec<Holding>,
+    /// What comes along with the program; none where something was removed.
+    library: Option<LibraryReport>,
+}
+
+#[derive(serde::Serialize)]
+struct LibraryReport {
+    folder: PathBuf,
+    materials: Vec<Holding>,
 }
 
 impl CacheCommand {
@@ -69,20 +78,30 @@ impl CacheCommand {
             Action::Verify(verify) => return verify.run(),
             Action::List { json } => (cache.holdings()?, json, false),
             Action::Clear { material, json } => {
-                check_known(&cache, material.as_deref())?;
+                check_known(&cache, material.as_deref(), false)?;
                 (cache.clear(material.as_deref())?, json, true)
             }
         };
-        let report = CacheReport { folder: cache.folder().map(PathBuf::from), materials };
+        let library = cache.supplied_library().filter(|_| !removed).map(|supplied| LibraryReport {
+            folder: supplied.folder().to_owned(),
+            materials: supplied.holdings(),
+        });
+        let report = CacheReport { folder: cache.folder().map(PathBuf::from), materials, library };
         let told = if json { serde_json::to_string_pretty(&report)? } else { report.text(removed) };
         text::print(&told)?;
         Ok(0)
     }
 }
 
-/// Refuses a material of which the cache has nothing.
-pub fn check_known(cache: &Cache, material: Option<&str>) -> anyhow::Result<()> {
-    let known: Vec<String> = cache.holdings()?.into_iter().map(|h| h.material).collect();
+/// Refuses a material of which the cache, and with `supplied` the library that comes along, has nothing.
+pub fn check_known(cache: &Cache, material: Option<&str>, supplied: bool) -> anyhow::Result<()> {
+    let mut held = cache.holdings()?;
+    if let Some(library) = cache.supplied_library().filter(|_| supplied) {
+        held.extend(library.holdings());
+    }
+    let mut known: Vec<String> = held.into_iter().map(|h| h.material).collect();
+    known.sort();
+    known.dedup();
     let Some(name) = material.filter(|m| !known.iter().any(|k| k == m)) else { return Ok(()) };
     let known = if known.is_empty() { "nothing".into() } else { known.join(", ") };
     anyhow::bail!("the cache has no simulations of `{name}`; it holds {known}")
@@ -108,6 +127,13 @@ impl CacheReport {
         }
         if self.materials.is_empty() {
             lines.add("holds", "nothing");
+        }
+        if let Some(library) = &self.library {
+            lines.add("library", format!("{} (comes along, read only)", library.folder.display()));
+            for h in &library.materials {
+                let images = text::count(h.images as u64);
+                lines.add(h.material.clone(), format!("{images} images, {}", text::bytes(h.bytes)));
+            }
         }
         lines.text()
     }

@@ -61,7 +61,7 @@ pub struct Import {
     common: Common,
 }
 
-/// Check that simulations in the cache are whole, and that they are what this program simulates
+/// Check that simulations in the cache, and in the library that comes along, are whole, and what this program simulates
 #[derive(Debug, Args)]
 #[command(after_help = VERIFY_EXAMPLES)]
 pub struct VerifyCache {
@@ -97,6 +97,9 @@ pub struct Fill {
     /// Part K (from 0) of N of it, for several processes; `slurm`: that of a task of a job array
     #[arg(long, value_name = "K/N|slurm", value_parser = values::shard)]
     shard: Option<Shard>,
+    /// Simulate also what the library that comes along with the program holds
+    #[arg(long)]
+    no_library: bool,
     #[command(flatten)]
     common: Common,
 }
@@ -106,7 +109,7 @@ impl Export {
     pub fn run(self) -> anyhow::Result<()> {
         let reporter = self.common.start()?;
         let cache = Cache::of_user();
-        super::cache_command::check_known(&cache, self.material.as_deref())?;
+        super::cache_command::check_known(&cache, self.material.as_deref(), false)?;
         check_outputs([&self.output], [] as [PathBuf; 0], self.overwrite)?;
         if self.common.dry_run {
             return self
@@ -164,6 +167,8 @@ fn holdings(found: &ArchiveSummary) -> Lines {
 struct CacheVerification {
     sound: bool,
     images: usize,
+    /// Images that come along with the program, all of them whole.
+    supplied: usize,
     damaged: Vec<CacheFault>,
     recomputed: Vec<RecomputedImage>,
 }
@@ -173,19 +178,23 @@ impl VerifyCache {
     pub fn run(self) -> anyhow::Result<u8> {
         let reporter = self.common.start()?;
         let cache = Cache::of_user();
-        super::cache_command::check_known(&cache, self.material.as_deref())?;
+        super::cache_command::check_known(&cache, self.material.as_deref(), true)?;
         if self.common.dry_run {
             let folder = cache.folder().map(|f| f.display().to_string()).unwrap_or_default();
             self.common.print(&folder, &format!("{folder} would be read"))?;
             return Ok(0);
         }
         let (images, damaged) = cache.verify(self.material.as_deref(), &reporter)?;
+        let supplied = match cache.supplied_library() {
+            Some(library) => library.verified(&reporter)?.iter().map(|h| h.images).sum(),
+            None => 0,
+        };
         let mut recomputed = Vec::new();
         if let (Some(count), Some(material)) = (self.recompute, &self.material) {
             let chosen =
                 recipes(std::slice::from_ref(material), self.difficulty.map(Difficulty::from))?;
             for recipe in chosen {
-                let Some(library) = build_of(recipe)?.library()? else { continue };
+                let Some(library) = build_of(recipe, &cache)?.library()? else { continue };
                 recomputed.extend(library.recomputed(usize::from(count), self.seed, &reporter)?);
             }
             if recomputed.is_empty() {
@@ -195,7 +204,7 @@ impl VerifyCache {
             }
         }
         let sound = damaged.is_empty() && recomputed.iter().all(RecomputedImage::agrees);
-        let found = CacheVerification { sound, images, damaged, recomputed };
+        let found = CacheVerification { sound, images, supplied, damaged, recomputed };
         self.common.print(&found, &found.text())?;
         Ok(if sound { 0 } else { DIFFERENT })
     }
@@ -206,6 +215,10 @@ impl CacheVerification {
         let mut lines = Lines::default();
         let whole = text::count((self.images - self.damaged.len()) as u64);
         lines.add("whole", format!("{whole} of {} images", text::count(self.images as u64)));
+        if self.supplied > 0 {
+            let all = text::count(self.supplied as u64);
+            lines.add("library", format!("{all} images that come along, all whole"));
+        }
         for fault in &self.damaged {
             lines.add(
                 "DAMAGED",
@@ -242,10 +255,12 @@ impl Fill {
     pub fn run(self) -> anyhow::Result<()> {
         let reporter = self.common.start()?;
         let shard = self.shard.unwrap_or(Shard::WHOLE);
+        let cache = Cache::of_user();
+        let cache = if self.no_library { cache.without_supplied() } else { cache };
         let mut filled = Vec::new();
         for recipe in recipes(&self.materials, self.difficulty.map(Difficulty::from))? {
             let world = world_name(&recipe);
-            let Some(library) = build_of(recipe)?.library()? else { continue };
+            let Some(library) = build_of(recipe, &cache)?.library()? else { continue };
             let cost = library.mosaic_cost();
             let (images, lacking) = (cost.images, cost.missing);
             if self.common.dry_run {
@@ -283,6 +298,7 @@ impl Fill {
 }
 
 /// The build of a world as it comes.
-fn build_of(recipe: Recipe) -> crate::Result<WorldBuild> {
-    WorldBuild::new(&recipe.checked()?, &BuildOptions::default())
+fn build_of(recipe: Recipe, cache: &Cache) -> crate::Result<WorldBuild> {
+    let options = BuildOptions { cache: cache.clone(), ..BuildOptions::default() };
+    WorldBuild::new(&recipe.checked()?, &options)
 }

@@ -2,6 +2,7 @@
 
 use super::progress_bar::Reporter;
 use crate::engine::check_memory;
+use crate::imaging::Cache;
 use crate::progress::Progress;
 use anyhow::Context;
 use clap::Args;
@@ -31,6 +32,26 @@ pub struct Force {
     /// Go on though more memory is needed than is free
     #[arg(long)]
     force: bool,
+}
+
+/// What is not simulated again.
+#[derive(Debug, Clone, Args)]
+#[command(next_help_heading = "Running")]
+pub struct CacheArgs {
+    /// Neither read nor keep the mosaic's simulations in the cache (see `stemgen cache`)
+    #[arg(long)]
+    no_cache: bool,
+    /// Take no simulations from the library that comes along with the program; with --no-cache too, all are made
+    #[arg(long)]
+    no_library: bool,
+}
+
+impl CacheArgs {
+    /// Where simulations are found and kept.
+    pub fn cache(&self) -> Cache {
+        let cache = if self.no_cache { Cache::supplied() } else { Cache::of_user() };
+        if self.no_library { cache.without_supplied() } else { cache }
+    }
 }
 
 impl Force {

@@ -1,7 +1,7 @@
 //! `stemgen live`.
 
 use super::acquire_command::AcquisitionName;
-use super::common::Common;
+use super::common::{CacheArgs, Common};
 use super::hints::hinted;
 use super::plan_report::Lines;
 use super::recipe_args::RecipeArgs;
@@ -9,7 +9,6 @@ use super::{output, text, values};
 use crate::acquisition::{Acquisition, Profile};
 use crate::files::atomic_write;
 use crate::files::outputs::check_outputs;
-use crate::imaging::Cache;
 use crate::live::{
     DoseSeries, LiveAcquisition, LiveOptions, LiveRequest, LiveWorld, check_recordings,
 };
@@ -74,9 +73,8 @@ pub struct Live {
     /// simulations beforehand [default: what the series comes to]
     #[arg(long, value_name = "D", value_parser = values::positive)]
     most_dose: Option<f64>,
-    /// Neither read nor keep simulations in the cache
-    #[arg(long)]
-    no_cache: bool,
+    #[command(flatten)]
+    kept: CacheArgs,
     /// File to write
     #[arg(short, long, value_name = "FILE.h5", help_heading = "Results")]
     output: PathBuf,
@@ -190,7 +188,7 @@ impl Live {
                 "a larger --most-dose, or a smaller --dose or --dose-series",
             ));
         }
-        let cache = if self.no_cache { Cache::none() } else { Cache::of_user() };
+        let cache = self.kept.cache();
         let imaging = BuildOptions { cache, ..BuildOptions::default() };
         Ok(LiveOptions { imaging, most_dose, ..LiveOptions::default() })
     }

@@ -39,6 +39,7 @@ pub mod shared;
 mod show_recipe_command;
 mod signals;
 mod simulate_command;
+mod simulate_parts;
 mod simulate_results;
 mod slips;
 mod slurm_command;

@@ -6,7 +6,7 @@ use std::time::Instant;
 use clap::Args;
 use serde::Serialize;
 
-use super::common::{Common, Force};
+use super::common::{CacheArgs, Common, Force};
 use super::estimate;
 use super::hdf5_check;
 use super::progress_bar::Reporter;
@@ -15,7 +15,6 @@ use super::text;
 use super::validate_command::DIFFERENT;
 use crate::files::atomic_write;
 use crate::files::whole_file;
-use crate::imaging::Cache;
 use crate::io::WorldFile;
 use crate::numerics::{NUMERICS_VERSION, processor};
 use crate::recipe::CheckedRecipe;
@@ -59,9 +58,8 @@ pub struct Regenerate {
     /// Write what was found to the manifest of --manifest, which may be new; NAMEs may be any that come with the program
     #[arg(long, requires = "manifest")]
     pin: bool,
-    /// Neither read nor keep simulations in the cache
-    #[arg(long)]
-    no_cache: bool,
+    #[command(flatten)]
+    kept: CacheArgs,
     #[command(flatten)]
     common: Common,
     #[command(flatten)]
@@ -154,7 +152,7 @@ impl Regenerate {
         reporter: &Reporter,
     ) -> anyhow::Result<(Regenerated, PinnedWorld)> {
         let usual = BuildOptions { keep_clean: true, ..BuildOptions::default() };
-        let cache = if self.no_cache { Cache::none() } else { usual.cache.clone() };
+        let cache = self.kept.cache();
         let build = WorldBuild::new(recipe, &BuildOptions { cache, ..usual })?;
         let folder = self.output.clone().unwrap_or_else(|| PathBuf::from("worlds"));
         let removed = self.check.then(|| tempfile::tempdir_in(".")).transpose()?;

@@ -7,17 +7,19 @@ use super::plan_report::{self, Lines, PlanReport};
 use super::plane_wave;
 use super::progress_bar::Reporter;
 use super::scan_args::ScanArgs;
+use super::simulate_parts::ScanParts;
 use super::simulate_results::SideFiles;
 use super::structure_args::{Prepared, StructureArgs};
 use super::values::{self, Bits};
 use super::{estimate, output, slips};
 use crate::engine::{Cost, Plan, ProbeRaster, Scan, check_memory};
+use crate::files::Shard;
 use crate::files::outputs::check_outputs;
 use crate::progress::Progress;
 use anyhow::bail;
 use clap::Args;
 use serde::Serialize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Edge of a cell in Angstrom below which a probe meets its own periodic images.
 const NARROW_CELL_ANGSTROM: f64 = 10.0;
@@ -36,6 +38,9 @@ Examples:
   A defocus series with a finite source, counted electrons, and TIFF for ImageJ:
     stemgen simulate si.cif --repeat 3,3,10 --scan-end 5.431,5.431 --defocus 0:100:20 \\
       --source-size 0.8 --dose 1e4 --tiff 16
+  In parts, on machines that see the same files; then the images from them:
+    stemgen simulate md.xyz --frames 10:200:5 --shard 0/4    # ... and 1/4, 2/4, 3/4
+    stemgen simulate md.xyz --frames 10:200:5
   High-resolution TEM image at Scherzer-like defocus:
     stemgen simulate si.cif --repeat 2,2,5 --plane-wave --semiangle 12 --aberration C30=1.2e7 \\
       --defocus 650
@@ -83,6 +88,11 @@ pub struct Results {
     /// Replace existing files
     #[arg(long)]
     pub overwrite: bool,
+    /// Simulate part K (from 0) of N of the probes, for several processes, and keep it in FILE.work; `slurm`: that of a task
+    /// of a job array. The same command without it then writes the images
+    #[arg(long, value_name = "K/N|slurm", value_parser = values::shard, conflicts_with = "plane_wave")]
+    #[arg(help_heading = "Running")]
+    pub shard: Option<Shard>,
     /// Also write a picture of every image, beside the file
     #[arg(long)]
     pub png: bool,
@@ -168,7 +178,26 @@ impl Simulate {
             let (needed, remedy) = self.memory(plan, &scan);
             self.force.check_memory(needed, remedy, &reporter)?;
         }
+        if let Some(shard) = self.results.shard {
+            let blur = self.source_blur(&scan, [specimen.size[0], specimen.size[1]])?;
+            let wide = blur.as_ref().map_or(&scan, |b| b.scan());
+            let parts = Self::parts(&planned, &specimen, wide, &output);
+            let (told, report) = parts.make(shard, &reporter)?;
+            return self.common.print(&report, &told);
+        }
         self.execute(&planned, &specimen, &scan, &files, &reporter)
+    }
+
+    /// What several processes may share.
+    pub(super) fn parts<'a>(
+        planned: &'a PlannedSeries,
+        specimen: &'a Prepared,
+        scan: &Scan,
+        output: &'a Path,
+    ) -> ScanParts<'a> {
+        let more = specimen.more_frames.iter().map(Vec::as_slice);
+        let frames = std::iter::once(specimen.sites.as_slice()).chain(more).collect();
+        ScanParts { plans: &planned.plans, frames, scan: *scan, output }
     }
 
     /// The plans before any accuracy is asked for, and the scan.

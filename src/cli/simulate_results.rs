@@ -7,11 +7,12 @@ use super::progress_bar::Reporter;
 use super::simulate_command::{PlannedSeries, Simulate};
 use super::structure_args::Prepared;
 use super::{output, pictures, text};
-use crate::engine::{Scan, SourceBlur, simulate_series};
+use crate::engine::{Scan, SourceBlur, simulate_series_from};
+use crate::files::OutputLock;
 use crate::io::hspy_file::write_hspy;
 use crate::io::image_file::{ExitWaves, ImageCounts, ImageStack, Origin, write_images};
 use crate::io::tiff_file::write_tiff;
-use crate::world::Noise;
+use crate::world::{Noise, work_folder};
 use ndarray::{Array3, Axis};
 use num_complex::Complex32;
 use serde::Serialize;
@@ -111,6 +112,9 @@ impl Simulate {
         reporter: &Reporter,
     ) -> anyhow::Result<()> {
         let begun = Instant::now();
+        let path = self.output();
+        // Others may be about to write their parts.
+        let _lock = work_folder(&path).is_dir().then(|| OutputLock::hold(&path)).transpose()?;
         let (images, waves) = match self.results.plane_wave {
             true => self.conventional(planned, specimen, reporter)?,
             false => (self.scanned(planned, specimen, scan, reporter)?, None),
@@ -145,9 +149,9 @@ impl Simulate {
         let waves = waves.map(|w| ExitWaves { data: w.view(), step_angstrom: scan.step_angstrom });
         let wall_time_s = begun.elapsed().as_secs_f64();
         let origin = self.origin(planned, specimen, wall_time_s)?;
-        let path = self.output();
         write_images(&path, self.results.overwrite, &origin, &all, &counted, waves)?;
         self.write_beside(planned, specimen, files, &all)?;
+        Self::parts(planned, specimen, scan, &path).remove()?;
         let electrons: Vec<u64> = counts.iter().flat_map(electrons).collect();
         let summary = SimulateSummary {
             file_bytes: output::size(&path),
@@ -174,9 +178,11 @@ impl Simulate {
         let [x, y, _] = specimen.size;
         let blur = self.source_blur(scan, [x, y])?;
         let wide = blur.as_ref().map_or(scan, |b| b.scan());
-        let more = specimen.more_frames.iter().map(Vec::as_slice);
-        let frames: Vec<_> = std::iter::once(specimen.sites.as_slice()).chain(more).collect();
-        let series = simulate_series(&planned.plans, &frames, wide, reporter)?;
+        let output = self.output();
+        let shared = Self::parts(planned, specimen, wide, &output);
+        let parts = shared.read(reporter)?;
+        let (plans, frames) = (shared.plans, &shared.frames);
+        let series = simulate_series_from(plans, frames, wide, &parts, reporter)?;
         let mut made = Vec::new();
         for (plan, images) in planned.plans.iter().zip(&series) {
             for (i, detector) in plan.settings.detectors.iter().enumerate() {

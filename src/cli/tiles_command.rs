@@ -1,13 +1,13 @@
 //! `stemgen tiles`.
 
 use super::audit_command::imaging_of;
-use super::common::Common;
+use super::common::{CacheArgs, Common};
 use super::plan_report::Lines;
 use super::progress_bar::Reporter;
 use super::recipe_args::RecipeArgs;
 use super::{output, text, values};
 use crate::files::outputs::check_outputs;
-use crate::imaging::{Cache, OneDetector};
+use crate::imaging::OneDetector;
 use crate::io::WorldFile;
 use crate::io::npz_file::write_npz;
 use crate::specimen::specimen;
@@ -64,9 +64,8 @@ pub struct Tiles {
     /// Seed of places, doses and noise
     #[arg(long, value_name = "N", default_value_t = 1)]
     tile_seed: u64,
-    /// Neither read nor keep simulations in the cache
-    #[arg(long)]
-    no_cache: bool,
+    #[command(flatten)]
+    kept: CacheArgs,
     /// File to write
     #[arg(short, long, value_name = "FILE.npz", help_heading = "Results")]
     output: PathBuf,
@@ -111,7 +110,7 @@ impl Tiles {
         check_outputs([&self.output], self.recipe.inputs(&recipe), self.overwrite)?;
         let dose = recipe.dose.electrons_per_angstrom2;
         let options = self.options(self.random_dose.unwrap_or([dose; 2]));
-        let cache = if self.no_cache { Cache::none() } else { Cache::of_user() };
+        let cache = self.kept.cache();
         let specimen = specimen(&recipe)?;
         let mut imager = imaging_of(&recipe, made.as_ref(), cache)?.imager(&recipe, &specimen)?;
         if let Some(name) = &self.detector {

@@ -6,7 +6,7 @@
 //! - potentials to transmission functions: `slice_coverage`, `phase_grating`, `transmission`;
 //! - waves: `stepper` (one slice after the other), `probe`, `basis` (probes expanded in fewer waves);
 //! - the algorithms: `multislice`, `prism` with `prism_reduce`, `probe_tail` and [`single_scattering`];
-//! - [`simulate()`], [`simulate_series`], [`simulate_places`], [`lens_image`], [`SourceBlur`], [`measure_speed`], [`check_memory`];
+//! - [`simulate()`], [`simulate_series`], [`simulate_part`] and [`ScanPart`] (shared by several processes), [`simulate_places`], [`lens_image`], [`SourceBlur`], [`measure_speed`], [`check_memory`];
 //! - `accuracy`: the window for an error that is asked for, measured on a sample of probes.
 
 mod accuracy;
@@ -28,6 +28,7 @@ mod probe_patches;
 mod probe_raster;
 mod probe_scan;
 mod probe_tail;
+mod scan_part;
 mod series;
 pub mod settings;
 mod simulate;
@@ -52,7 +53,8 @@ pub use lens::lens_image;
 pub use plan::Plan;
 pub use probe_raster::{ProbeRaster, probe_margin_angstrom};
 pub use probe_scan::Scan;
-pub use series::{simulate_places, simulate_series};
+pub use scan_part::ScanPart;
+pub use series::{simulate_part, simulate_places, simulate_series, simulate_series_from};
 pub use settings::{
     Algorithm, BeyondLimit, Expansion, GridChoice, Phonons, ProbeBox, ProbeStep, Settings,
 };

@@ -15,8 +15,8 @@ use crate::matrix::{gram, multiply};
 use crate::progress::Progress;
 use num_complex::Complex32;
 use rayon::prelude::*;
+use std::collections::HashMap;
 use std::collections::hash_map::Entry;
-use std::collections::{HashMap, HashSet};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -74,25 +74,24 @@ impl<'a> Multislice<'a> {
         self.run_groups(transmission, places.len(), groups, progress)
     }
 
-    /// As [`Multislice::run`], with the same bytes, for the probes of these indices; zeros stand for some of the others.
+    /// As [`Multislice::run`], with the same bytes, for the probes that are wanted; zeros stand for some of the others.
     ///
     /// # Errors
     /// [`Error::Interrupted`].
     pub fn run_some(
         &mut self,
         transmission: &Transmission,
-        scan: &Scan,
-        indices: &[usize],
+        places: ProbePlaces<'_>,
+        wanted: &[bool],
         progress: &dyn Progress,
     ) -> Result<Vec<f64>> {
-        let wanted: HashSet<usize> = indices.iter().copied().collect();
-        let (mut groups, basis) = self.groups(scan.into());
+        let (mut groups, basis) = self.groups(places);
         if basis.is_none() {
             // The waves of a group do not depend on each other.
-            groups.iter_mut().for_each(|g| g.probes.retain(|(i, _)| wanted.contains(i)));
+            groups.iter_mut().for_each(|g| g.probes.retain(|(i, _)| wanted[*i]));
         }
-        groups.retain(|g| g.probes.iter().any(|(i, _)| wanted.contains(i)));
-        self.run_groups(transmission, scan.len(), (groups, basis), progress)
+        groups.retain(|g| g.probes.iter().any(|(i, _)| wanted[*i]));
+        self.run_groups(transmission, places.len(), (groups, basis), progress)
     }
 
     fn run_groups(

@@ -8,9 +8,11 @@ use super::detector_images::Images;
 use super::plan::Plan;
 use super::probe_raster::ProbeRaster;
 use super::probe_scan::{ProbePlaces, Scan};
+use super::scan_part::{Known, ScanPart, blank, probes_of, values_of};
 use super::simulate::{LensEngine, elements};
 use super::transmission::TransmissionBuilder;
 use crate::error::{Error, Result};
+use crate::files::Shard;
 use crate::progress::{Progress, ProgressShare};
 use crate::structure::Site;
 
@@ -24,7 +26,67 @@ pub fn simulate_series(
     scan: &Scan,
     progress: &dyn Progress,
 ) -> Result<Vec<Images>> {
-    series(plans, frames, scan.into(), progress)
+    series(plans, frames, scan.into(), &[], progress)
+}
+
+/// As [`simulate_series`], with the same bytes, from parts that other processes have made; what none of them has is simulated.
+///
+/// # Errors
+/// Those of [`simulate()`](super::simulate()); parts of another series.
+pub fn simulate_series_from(
+    plans: &[Plan],
+    frames: &[&[Site]],
+    scan: &Scan,
+    parts: &[ScanPart],
+    progress: &dyn Progress,
+) -> Result<Vec<Images>> {
+    series(plans, frames, scan.into(), parts, progress)
+}
+
+/// The part of one of several processes that share a series.
+///
+/// # Errors
+/// Those of [`simulate()`](super::simulate()); plans for PRISM, whose waves are of all probes.
+pub fn simulate_part(
+    plans: &[Plan],
+    frames: &[&[Site]],
+    scan: &Scan,
+    shard: Shard,
+    progress: &dyn Progress,
+) -> Result<ScanPart> {
+    let rasters = plans.iter().map(|plan| ProbeRaster::new(plan, scan));
+    let rasters = rasters.collect::<Result<Vec<_>>>()?;
+    let wanted: Vec<Vec<bool>> =
+        plans.iter().zip(&rasters).map(|(p, r)| probes_of(p, r.scan(), shard)).collect();
+    let probes = |mask: &Vec<bool>| mask.iter().filter(|w| **w).count();
+    let each = |(plan, mask): (&Plan, &Vec<bool>)| {
+        probes(mask) * plan.settings.configurations() as usize * frames.len()
+    };
+    let total: usize = plans.iter().zip(&wanted).map(each).sum();
+    progress.start("simulating", "probes", total as u64);
+    let mut part = ScanPart::new(shard);
+    let mut first = 0;
+    for group in plans.chunk_by(differ_in_the_lens) {
+        let (raster, wanted) = (&rasters[first], &wanted[first]);
+        let mut run = LensGroup::new(group, frames)?;
+        let share = ProgressShare::new(progress, each((&group[0], wanted)) * group.len());
+        let mut by_plan = vec![Vec::new(); group.len()];
+        for sites in frames {
+            let places = (raster.scan().into(), Some(wanted.as_slice()));
+            let images = match probes(wanted) {
+                0 => run.blank(raster.scan().into()),
+                _ => run.images(sites, places, &share)?,
+            };
+            for (kept, images) in by_plan.iter_mut().zip(&images) {
+                kept.push(values_of(images, wanted));
+            }
+        }
+        share.complete();
+        by_plan.into_iter().flatten().for_each(|values| part.push(values));
+        first += group.len();
+    }
+    progress.finish();
+    Ok(part)
 }
 
 /// As [`simulate_series`], of single probes, each at a place (x, y) in Angstrom. A probe is propagated at every place, in a window
@@ -46,20 +108,22 @@ pub fn simulate_places(
         let expected = "expected one place of a probe or more";
         return Err(Error::invalid(crate::Setting::Region, "nothing", expected));
     }
-    series(plans, frames, ProbePlaces::Each(places_angstrom), progress)
+    series(plans, frames, ProbePlaces::Each(places_angstrom), &[], progress)
 }
 
 fn series(
     plans: &[Plan],
     frames: &[&[Site]],
     places: ProbePlaces<'_>,
+    parts: &[ScanPart],
     progress: &dyn Progress,
 ) -> Result<Vec<Images>> {
     let total: usize = plans.iter().map(|plan| probes(plan, places) * frames.len()).sum();
     progress.start("simulating", "probes", total as u64);
     let mut all = Vec::new();
     for group in plans.chunk_by(differ_in_the_lens) {
-        all.extend(group_images(group, frames, places, progress)?);
+        let known = Known { parts, first: all.len() * frames.len(), frames: frames.len() };
+        all.extend(group_images(group, frames, places, &known, progress)?);
     }
     progress.finish();
     Ok(all)
@@ -77,27 +141,68 @@ fn differ_in_the_lens(one: &Plan, other: &Plan) -> bool {
     alike == *one
 }
 
+/// Lenses of plans that differ in nothing but aberrations, made ready.
+struct LensGroup<'a> {
+    plans: &'a [Plan],
+    builder: TransmissionBuilder<'a>,
+    lenses: Vec<LensEngine<'a>>,
+}
+
+impl<'a> LensGroup<'a> {
+    fn new(plans: &'a [Plan], frames: &[&[Site]]) -> Result<Self> {
+        let all: Vec<Site> = frames.iter().flat_map(|sites| sites.iter().copied()).collect();
+        let builder = TransmissionBuilder::new(&plans[0], &elements(&all))?;
+        Ok(LensGroup { plans, builder, lenses: plans.iter().map(LensEngine::new).collect() })
+    }
+
+    /// As [`LensEngine::images`].
+    fn images(
+        &mut self,
+        sites: &[Site],
+        places: (ProbePlaces<'_>, Option<&[bool]>),
+        progress: &dyn Progress,
+    ) -> Result<Vec<Images>> {
+        LensEngine::images(&mut self.lenses, &self.builder, sites, places, progress)
+    }
+
+    /// Images without values.
+    fn blank(&self, places: ProbePlaces<'_>) -> Vec<Images> {
+        self.plans.iter().map(|plan| blank(plan, places)).collect()
+    }
+}
+
 /// Of plans that differ in nothing but aberrations.
 fn group_images(
     plans: &[Plan],
     frames: &[&[Site]],
     places: ProbePlaces<'_>,
+    known: &Known<'_>,
     progress: &dyn Progress,
 ) -> Result<Vec<Images>> {
-    let all: Vec<Site> = frames.iter().flat_map(|sites| sites.iter().copied()).collect();
     let raster = match places {
         ProbePlaces::Raster(scan) => Some(ProbeRaster::new(&plans[0], scan)?),
         ProbePlaces::Each(_) => None,
     };
     let simulated = raster.as_ref().map_or(places, |raster| raster.scan().into());
-    let builder = TransmissionBuilder::new(&plans[0], &elements(&all))?;
-    let mut lenses: Vec<LensEngine> = plans.iter().map(LensEngine::new).collect();
+    let missing = known.missing(&plans[0], raster.as_ref().map(ProbeRaster::scan));
+    let mut run = LensGroup::new(plans, frames)?;
     let mut sums = Vec::new();
     for (number, sites) in frames.iter().enumerate() {
         let share =
             ProgressShare::new(progress, plans.iter().map(|plan| probes(plan, places)).sum());
-        let images = LensEngine::images(&mut lenses, &builder, sites, simulated, &share)?;
+        let wanted = missing.as_deref();
+        let mut images = match wanted.is_some_and(|w| !w.contains(&true)) {
+            true => run.blank(simulated),
+            false => run.images(sites, (simulated, wanted), &share)?,
+        };
         share.complete();
+        for (lens, images) in images.iter_mut().enumerate() {
+            known.put(
+                images,
+                (&plans[0], raster.as_ref().map(ProbeRaster::scan)),
+                [lens, number],
+            )?;
+        }
         let of_scan = |images| match &raster {
             Some(raster) => raster.images(images),
             None => images,
@@ -187,6 +292,58 @@ mod tests {
             let (totals, done) = bars.0.into_inner().unwrap();
             assert_eq!((totals, done), (vec![3 * 2 * 30], 3 * 2 * 30));
         }
+    }
+
+    #[test]
+    fn parts_of_several_processes_make_the_same_bytes() {
+        // Dense enough for windows to be expanded, and for the scan to be interpolated.
+        let dense = Scan { origin_angstrom: [0.5, 0.2], step_angstrom: [0.3; 2], shape: [17, 19] };
+        let coarse = Scan { origin_angstrom: [0.5, 0.2], step_angstrom: [1.7; 2], shape: [5, 4] };
+        let (first, mut second) = (sites(), sites());
+        second.iter_mut().for_each(|s| s.position[0] += 0.2);
+        let frames: [&[Site]; 2] = [&first, &second];
+        for (algorithm, scan) in [
+            (Algorithm::Multislice, coarse),
+            (Algorithm::Window { width_angstrom: 7.8 }, dense),
+            (Algorithm::Window { width_angstrom: 7.8 }, coarse),
+        ] {
+            let mut plans = plans(algorithm);
+            let finer = Settings { band_fraction: 0.7, ..plans[0].settings.clone() };
+            plans.insert(1, Plan::new(&finer, [16.0, 16.0, 4.0], &[1.0, 3.0, 3.1]).unwrap());
+            let whole = simulate_series(&plans, &frames, &scan, &Silent).unwrap();
+            let of = (plans.as_slice(), frames.len(), &scan);
+            let counts: &[usize] = if scan == dense { &[1, 3, 7] } else { &[3] };
+            for &count in counts {
+                let part = |k| {
+                    let shard = Shard::new(k, count).unwrap();
+                    let part = simulate_part(&plans, &frames, &scan, shard, &Silent).unwrap();
+                    let array = part.to_array();
+                    let shape = ScanPart::shape(shard, &plans, frames.len(), &scan).unwrap();
+                    assert_eq!(array.shape(), shape);
+                    assert_eq!(ScanPart::from_array(&array, shard, of).unwrap(), part);
+                    let cut = array.slice(ndarray::s![..array.nrows().saturating_sub(1), ..]);
+                    assert!(
+                        array.nrows() == 0
+                            || ScanPart::from_array(&cut.to_owned(), shard, of).is_err()
+                    );
+                    part
+                };
+                let mut parts: Vec<ScanPart> = (0..count).rev().map(part).collect();
+                let from = |parts: &[ScanPart]| {
+                    simulate_series_from(&plans, &frames, &scan, parts, &Silent).unwrap()
+                };
+                assert!(from(&parts) == whole, "{algorithm:?} in {count}");
+                parts.remove(0);
+                assert!(from(&parts) == whole, "{algorithm:?} in {count}, one missing");
+                // One that stands for another is noticed by what it holds.
+                let other =
+                    [simulate_part(&plans, &[&second], &scan, Shard::WHOLE, &Silent).unwrap()];
+                assert!(simulate_series_from(&plans, &frames, &scan, &other, &Silent).is_err());
+            }
+        }
+        let prism = plans(Algorithm::Prism { interpolation: [1, 1] });
+        let refused = simulate_part(&prism, &frames, &dense, Shard::WHOLE, &Silent).unwrap_err();
+        assert!(refused.to_string().contains("single probes"), "{refused}");
     }
 
     #[test]

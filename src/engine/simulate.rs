@@ -64,15 +64,15 @@ impl<'a> LensEngine<'a> {
 
     /// The images of probes at these places, averaged over phonon configurations, through each of these
     /// lenses. Their plans differ in nothing but aberrations, and `builder` is of one of them: transmission functions, and
-    /// with PRISM the waves, are made once for all.
+    /// with PRISM the waves, are made once for all. Where only some are `wanted`, the values of others mean nothing.
     ///
     /// # Errors
-    /// Those of [`simulate()`].
+    /// Those of [`simulate()`]; some probes of PRISM.
     pub fn images(
         lenses: &mut [Self],
         builder: &TransmissionBuilder<'a>,
         sites: &[Site],
-        places: ProbePlaces<'_>,
+        (places, wanted): (ProbePlaces<'_>, Option<&[bool]>),
         progress: &dyn Progress,
     ) -> Result<Vec<Images>> {
         let Some(plan) = lenses.first().map(|lens| lens.plan) else { return Ok(Vec::new()) };
@@ -83,7 +83,7 @@ impl<'a> LensEngine<'a> {
         progress.start("simulating", unit, units * u64::from(configurations));
         for configuration in 0..configurations {
             let transmission = builder.build(sites, configuration, progress)?;
-            let each = Self::intensities(lenses, &transmission, places, progress)?;
+            let each = Self::intensities(lenses, &transmission, (places, wanted), progress)?;
             for (sum, values) in sums.iter_mut().zip(each) {
                 sum.iter_mut().zip(values).for_each(|(s, v)| *s += v);
             }
@@ -99,7 +99,7 @@ impl<'a> LensEngine<'a> {
     fn intensities(
         lenses: &mut [Self],
         transmission: &Transmission,
-        places: ProbePlaces<'_>,
+        (places, wanted): (ProbePlaces<'_>, Option<&[bool]>),
         progress: &dyn Progress,
     ) -> Result<Vec<Vec<f64>>> {
         let beams = |lens: &Self| match &lens.engine {
@@ -109,12 +109,17 @@ impl<'a> LensEngine<'a> {
         let amplitudes: Vec<_> = lenses.iter().filter_map(beams).collect();
         if let Some(LensEngine { engine: WaveEngine::Prism(prism), .. }) = lenses.first_mut() {
             return match places {
-                ProbePlaces::Raster(scan) => prism.run(transmission, scan, &amplitudes, progress),
-                ProbePlaces::Each(_) => Err(single_probes_of_prism()),
+                ProbePlaces::Raster(scan) if wanted.is_none() => {
+                    prism.run(transmission, scan, &amplitudes, progress)
+                }
+                _ => Err(single_probes_of_prism()),
             };
         }
         let each = lenses.iter_mut().filter_map(|lens| match &mut lens.engine {
-            WaveEngine::Multislice(m) => Some(m.run(transmission, places, progress)),
+            WaveEngine::Multislice(m) => Some(match wanted {
+                Some(wanted) => m.run_some(transmission, places, wanted, progress),
+                None => m.run(transmission, places, progress),
+            }),
             WaveEngine::Prism(_) => None,
         });
         each.collect()
@@ -148,7 +153,7 @@ impl<'a> LensEngine<'a> {
 
 /// Beams are summed for whole rows and columns of probes.
 fn single_probes_of_prism() -> Error {
-    let expected = "use multislice or windows for single probes";
+    let expected = "its waves are of all probes; use multislice or windows for single probes, and for parts of a scan";
     Error::invalid(crate::Setting::Algorithm, "prism", expected)
 }
 
@@ -184,7 +189,7 @@ impl<'a> Simulation<'a> {
         let raster = ProbeRaster::new(self.lens.plan, scan)?;
         let lens = std::slice::from_mut(&mut self.lens);
         let mut images =
-            LensEngine::images(lens, &self.builder, sites, raster.scan().into(), progress)?;
+            LensEngine::images(lens, &self.builder, sites, (raster.scan().into(), None), progress)?;
         Ok(raster.images(images.remove(0)))
     }
 
@@ -206,7 +211,9 @@ impl<'a> Simulation<'a> {
             return Err(single_probes_of_prism());
         };
         let transmission = self.builder.build(sites, configuration, progress)?;
-        let mut values = multislice.run_some(&transmission, scan, indices, progress)?;
+        let mut wanted = vec![false; scan.len()];
+        indices.iter().for_each(|i| wanted[*i] = true);
+        let mut values = multislice.run_some(&transmission, scan.into(), &wanted, progress)?;
         self.builder.reclaim(transmission);
         if let Some(tail) = &self.lens.tail {
             let tails = tail.values(sites, scan.into())?;

@@ -197,8 +197,11 @@ fn number(bytes: &[u8], n: usize) -> usize {
     u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]]) as usize
 }
 
-/// The array, or what is wrong with the file.
-fn decoded(
+/// The array [row, column] in the bytes of a file, if it was saved under this key with this shape (rows, columns) and is whole.
+///
+/// # Errors
+/// What is wrong with the file.
+pub fn decoded(
     bytes: &[u8],
     key: &str,
     shape: [usize; 2],

@@ -55,6 +55,8 @@ pub struct ChosenImager {
     pub imager: Box<dyn RegionImager>,
     /// Whether it takes less than simulating the whole field.
     shares: bool,
+    /// Whether it is a mosaic whose images were audited when they were made.
+    known: bool,
     /// A mosaic that would not pay.
     declined: Option<MosaicCost>,
 }
@@ -141,18 +143,19 @@ impl ImagingChoice {
             let shares = true;
             if let Some(film) = FilmImager::new(recipe, specimen, &self.simulator)? {
                 let imager = self.finished(Box::new(film), recipe, &**specimen)?;
-                return Ok(ChosenImager { imager, shares, declined });
+                return Ok(ChosenImager { imager, shares, known: false, declined });
             }
             let (simulator, cache) = (self.simulator.clone(), self.cache.clone());
             let mosaic = MosaicImager::new(recipe, specimen, simulator, cache)?;
             if self.method == MethodChoice::Mosaic || mosaic.pays() {
+                let known = mosaic.is_known();
                 let imager = self.finished(Box::new(mosaic), recipe, &**specimen)?;
-                return Ok(ChosenImager { imager, shares, declined });
+                return Ok(ChosenImager { imager, shares, known, declined });
             }
             declined = Some(mosaic.mosaic_cost());
         }
         let imager = self.blurred_direct(recipe, specimen)?;
-        Ok(ChosenImager { imager, shares: false, declined })
+        Ok(ChosenImager { imager, shares: false, known: false, declined })
     }
 
     /// The mosaic of a field, if its images are made from one.
@@ -211,7 +214,8 @@ impl ImagingChoice {
     }
 
     /// Prepares the imager of a field, `first` if it is right enough; returns the audit of what was chosen, if one was asked
-    /// for. Imagers that simulate the field itself are audited only where that or a largest error is asked for. Where the error
+    /// for. Imagers that simulate the field itself, and mosaics of nothing but the library that comes along, are audited only where
+    /// that or a largest error is asked for. Where the error
     /// is too large, wider windows are tried, then direct simulation in windows, and then the exact engine takes their place.
     ///
     /// # Errors
@@ -237,7 +241,8 @@ impl ImagingChoice {
             }
             let mut imager = chosen.imager;
             imager.prepare(progress)?;
-            let found = audited(&*imager)?;
+            let needless = chosen.known && !check.asked();
+            let found = if needless { None } else { audited(&*imager)? };
             if check.accepts(found.as_ref(), progress) {
                 return Ok((imager, found));
             }
@@ -283,6 +288,11 @@ impl ImagingCheck {
     /// Whether an error is asked for.
     pub fn limited(&self) -> bool {
         self.max_error_percent.is_some() || self.accuracy_percent.is_some()
+    }
+
+    /// Whether an audit is asked for, whatever the imager.
+    pub fn asked(&self) -> bool {
+        self.direct || self.limited()
     }
 
     /// Whether what an audit found is as right as asked.

@@ -34,6 +34,8 @@ pub use mosaic::image_note::NewImages;
 pub use mosaic::library_cache::{CACHE_VARIABLE, Cache, CacheFault, Holding};
 pub use mosaic::mosaic_cost::MosaicCost;
 pub use mosaic::mosaic_imager::MosaicImager;
+#[cfg(feature = "hdf5")]
+pub use mosaic::supplied_library::{LIBRARY_VARIABLE, SuppliedLibrary};
 pub use one_detector::OneDetector;
 pub use pixels::{PixelBox, PixelRect};
 pub use region_imager::RegionImager;

@@ -208,11 +208,14 @@ impl WorldBuild {
     /// Those of the plan.
     pub fn audit_cost(&self, cost: &ImagingCost) -> Result<Option<SimulationRuns>> {
         let BuildPolicy { imaging, check, .. } = &self.policy;
-        let shares = cost.particle_probes.is_some() || cost.mosaic.as_ref().is_some_and(|m| m.pays);
-        let audited = check.audit.as_ref().filter(|_| {
-            let forced = imaging.method == MethodChoice::Mosaic || check.direct;
-            self.own.is_none() && (shares || forced || check.limited())
-        });
+        let mosaic = cost.mosaic.as_ref();
+        let forced = imaging.method == MethodChoice::Mosaic;
+        let known = mosaic.is_some_and(|m| m.is_known(&self.layout.recipe) && (m.pays || forced));
+        let shares = cost.particle_probes.is_some() || mosaic.is_some_and(|m| m.pays) || forced;
+        let audited = check
+            .audit
+            .as_ref()
+            .filter(|_| self.own.is_none() && (check.asked() || (shares && !known)));
         let BuildLayout { imaged, specimen, .. } = &self.layout;
         audited.map(|options| audit_cost(imaged, &**specimen, options)).transpose()
     }

@@ -7,7 +7,7 @@ use std::process::Command;
 /// The program with a cache of its own in `folder`.
 fn with_cache(folder: &Path) -> Command {
     let mut command = stemgen(folder);
-    command.env("STEMGEN_CACHE", folder.join("cache"));
+    command.env("STEMGEN_CACHE", folder.join("cache")).env("STEMGEN_LIBRARY", "");
     command
 }
 
@@ -123,6 +123,51 @@ fn a_library_travels_in_a_file() {
     assert_eq!(told["added"], 18, "{told}");
     assert_eq!(tiny_with(here, "elsewhere")["library"][1], 0);
     assert!(std::fs::read(here.join("w.h5")).unwrap() == world);
+}
+
+#[test]
+fn a_library_comes_along() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let simulated = tiny_with(here, "cache");
+    let world = std::fs::read(here.join("w.h5")).unwrap();
+    std::fs::create_dir(here.join("library")).unwrap();
+    printed(&mut cache(here, &["export", "tiny", "-o", "library/tiny.stemlib"]));
+    let build = |options: &[&str]| {
+        let mut command = stemgen(here);
+        command.env("STEMGEN_CACHE", here.join("unused")).env("STEMGEN_LIBRARY", "library");
+        command.args(["build", "--recipe", &file("tests/cli/tiny.toml"), "--engine", "mosaic"]);
+        command
+            .args(["--audit", "0", "--no-png", "--overwrite", "--json", "-o", "w.h5"])
+            .args(options);
+        let run = command.output().unwrap();
+        assert!(run.status.success(), "{}", stderr(&run));
+        assert!(std::fs::read(here.join("w.h5")).unwrap() == world, "{options:?}");
+        let told: serde_json::Value = serde_json::from_str(&stdout(&run)).unwrap();
+        (told["library"][1].as_u64().unwrap(), stderr(&run))
+    };
+    assert_eq!(build(&[]).0, 0);
+    assert_eq!(build(&["--no-cache"]).0, 0);
+    assert!(!here.join("unused").exists(), "it is read where it is");
+    let all = simulated["library"][0].as_u64().unwrap();
+    assert_eq!(build(&["--no-library", "--no-cache"]).0, all);
+    let listed = |arguments: &[&str]| {
+        let mut command = stemgen(here);
+        command.env("STEMGEN_CACHE", here.join("unused")).env("STEMGEN_LIBRARY", "library");
+        printed(command.arg("cache").args(arguments))
+    };
+    assert!(listed(&["list"]).contains("comes along"), "{}", listed(&["list"]));
+    assert!(listed(&["verify", "tiny"]).contains("18 images that come along, all whole"));
+    // What cannot be used is told, once, and simulated.
+    let whole = std::fs::read(here.join("library/tiny.stemlib")).unwrap();
+    for (change, word) in [(whole.len() / 2, "damaged"), (8, "damaged")] {
+        let mut bytes = whole.clone();
+        bytes[change] ^= 1;
+        std::fs::write(here.join("library/tiny.stemlib"), bytes).unwrap();
+        let (simulated, told) = build(&["--no-cache"]);
+        assert_eq!((simulated, told.matches("nothing of it is used").count()), (all, 1), "{told}");
+        assert!(told.contains(word) && told.contains("tiny.stemlib"), "{told}");
+    }
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Worlds in parts: `--shard`, whatever the number of parts, their order, and what becomes of them.
 
-use super::{fails, file, json, stderr, stdout, stemgen};
+use super::{fails, file, json, python, stderr, stdout, stemgen};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
@@ -252,4 +252,70 @@ fn bad_jobs_are_explained() {
     assert!(told(&["build", "srtio3", "--difficulty", "easiest"]).contains("easiest"));
     assert!(told(&["build", "test", "--shard=0/2"]).contains("--shard has no place"));
     assert!(fails(stemgen(folder.path()).args(["slurm", "build", "test"])).contains("--shards"));
+}
+
+/// A defocus series with a source and displaced atoms, in windows.
+fn series(folder: &Path) -> Command {
+    let mut command = stemgen(folder);
+    command.args(["simulate", &file("structures/si.cif"), "--repeat", "4,4,1", "--window", "7"]);
+    command.args(["--scan-end", "5.431,5.431", "--defocus", "0:40:40", "--source-size", "0.8"]);
+    command.args(["--phonons", "2", "--sigma", "Si=0.08", "--dose", "1e4"]);
+    command
+}
+
+#[test]
+fn scans_are_simulated_in_parts() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let images = || python("digest.py", &[&here.join("si.h5")]);
+    let whole = series(here).output().unwrap();
+    assert!(whole.status.success(), "{}", stderr(&whole));
+    let expected = images();
+    std::fs::remove_file(here.join("si.h5")).unwrap();
+    for count in [1, 3, 7] {
+        let parts: Vec<Child> =
+            (0..count).map(|k| start(series(here), &format!("{k}/{count}"))).collect();
+        for part in parts {
+            let ended = part.wait_with_output().unwrap();
+            assert!(ended.status.success(), "{}", stderr(&ended));
+        }
+        assert!(!here.join("si.h5").exists() && !here.join("si.h5.lock").exists());
+        // One is missing, one is damaged, one is there already.
+        if count == 7 {
+            std::fs::remove_file(here.join("si.h5.work/part_2_of_7.part")).unwrap();
+            std::fs::write(here.join("si.h5.work/part_3_of_7.part"), b"STEMARR1 and no more")
+                .unwrap();
+            let again = json(series(here).args(["--shard", "4/7"]));
+            assert_eq!(
+                (&again["resumed"], &again["shard"]),
+                (&true.into(), &serde_json::json!([4, 7]))
+            );
+        }
+        let run = series(here).output().unwrap();
+        assert!(run.status.success(), "{}", stderr(&run));
+        assert_eq!(
+            stderr(&run).contains("part_3_of_7.part: is cut off"),
+            count == 7,
+            "{}",
+            stderr(&run)
+        );
+        assert_eq!(images(), expected, "{count} parts");
+        assert!(!here.join("si.h5.work").exists());
+        std::fs::remove_file(here.join("si.h5")).unwrap();
+    }
+    // Parts of other images are refused, and stay.
+    assert!(series(here).args(["--shard", "0/2"]).status().unwrap().success());
+    for shard in [&["--shard", "1/2"][..], &[]] {
+        let told = fails(series(here).args(["--seed", "5"]).args(shard));
+        assert!(told.contains("part_0_of_2.part: is a part of other images"), "{told}");
+    }
+    assert!(series(here).args(["--shard", "1/2"]).status().unwrap().success());
+    let told = fails(series(here).args(["--shard", "2/2"]));
+    assert!(told.contains("0/2 to 1/2"), "{told}");
+    let mut prism = stemgen(here);
+    prism.args(["simulate", &file("structures/si.cif"), "--algorithm", "prism", "-o", "p.h5"]);
+    let told = fails(prism.args(["--repeat", "2,2,1", "--shard", "0/2"]));
+    assert!(told.contains("parts of a scan"), "{told}");
+    let told = fails(series(here).args(["--plane-wave", "--shard", "0/2"]));
+    assert!(told.contains("cannot be used with"), "{told}");
 }

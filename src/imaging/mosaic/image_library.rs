@@ -12,6 +12,7 @@ use crate::imaging::beam_share::beam_factors;
 use crate::imaging::mosaic::cell_images::CellImages;
 use crate::imaging::mosaic::image_note::{ImageNote, NewImages};
 use crate::imaging::mosaic::library_cache::Cache;
+use crate::imaging::mosaic::supplied_images::is_supplied;
 use crate::progress::{Progress, ProgressShare};
 use crate::rng::{Purpose, words};
 use crate::specimen::specimen_trait::Specimen;
@@ -166,6 +167,15 @@ impl ImageLibrary {
         self.cells.values().map(of).sum()
     }
 
+    /// Probes that those of its images take that do not come along with the program.
+    pub fn probes_not_supplied(&self, material: &str, sigma: &dyn Fn(u8) -> f64) -> usize {
+        let of = |cell: &Arc<CellImages>| {
+            let new = |image: &[usize; 2]| !is_supplied(material, &cell.key(sigma, *image));
+            cell.probes() * images_of(cell, self.configurations).filter(new).count()
+        };
+        self.cells.values().map(of).sum()
+    }
+
     /// The plan for the image with the most samples; `None` for a library without sheets.
     ///
     /// # Errors
@@ -305,6 +315,15 @@ impl ImageLibrary {
         }
         progress.finish();
         Ok(simulated)
+    }
+
+    /// The names of all its images in a cache.
+    pub fn keys(&self, sigma: &dyn Fn(u8) -> f64) -> Vec<String> {
+        let of = |cell: &Arc<CellImages>| {
+            let images = images_of(cell, self.configurations);
+            images.map(|image| cell.key(sigma, image)).collect::<Vec<_>>()
+        };
+        self.cells.values().flat_map(of).collect()
     }
 
     /// Simulates some images again that the cache holds: `count` of them, drawn with `seed`.

@@ -8,6 +8,7 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::{Read, Write};
+use std::ops::Range;
 use std::path::Path;
 
 use flate2::Compression;
@@ -52,6 +53,62 @@ struct Entry<'a> {
     key: &'a str,
     image_bytes: u64,
     packed: &'a [u8],
+}
+
+/// An archive in memory, to be read an image at a time.
+#[derive(Debug)]
+pub struct Archive {
+    bytes: Vec<u8>,
+    /// By material and key: where an image lies, and what it takes unpacked.
+    images: BTreeMap<(String, String), (Range<usize>, u64)>,
+}
+
+impl Archive {
+    /// Reads an archive.
+    ///
+    /// # Errors
+    /// [`Error::Parse`] for a file that is no archive, is damaged, or is of another version of the numerics; [`Error::Io`].
+    pub fn open(path: &Path) -> Result<Self> {
+        let bytes = fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+        let refused = |message: String| Error::Parse { path: path.to_owned(), line: 0, message };
+        let place = |entry: Entry<'_>| {
+            let start = entry.packed.as_ptr() as usize - bytes.as_ptr() as usize;
+            let names = (entry.material.to_owned(), entry.key.to_owned());
+            (names, (start..start + entry.packed.len(), entry.image_bytes))
+        };
+        let images = entries(&bytes).map_err(refused)?.into_iter().map(place).collect();
+        Ok(Archive { bytes, images })
+    }
+
+    /// Materials and keys of its images.
+    pub fn names(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.images.keys().map(|(material, key)| (material.as_str(), key.as_str()))
+    }
+
+    /// Whether it holds an image.
+    pub fn has(&self, material: &str, key: &str) -> bool {
+        self.images.contains_key(&(material.to_owned(), key.to_owned()))
+    }
+
+    /// The bytes of an image's file in a cache; `None` where it holds none.
+    ///
+    /// # Errors
+    /// What is wrong with an image that an archive was written with.
+    pub fn file(&self, material: &str, key: &str) -> Option<std::result::Result<Vec<u8>, String>> {
+        let ((material, key), (place, image_bytes)) =
+            self.images.get_key_value(&(material.to_owned(), key.to_owned()))?;
+        let packed = &self.bytes[place.clone()];
+        Some(unpacked(&Entry { material, key, image_bytes: *image_bytes, packed }))
+    }
+
+    /// What it holds, by material, with what that takes in a cache.
+    pub fn holdings(&self) -> Vec<Holding> {
+        let mut materials = Tally::default();
+        for ((material, _), (_, image_bytes)) in &self.images {
+            materials.add(material, *image_bytes);
+        }
+        materials.holdings()
+    }
 }
 
 /// Writes the images of a material, or all, of a cache to a file. Those of other versions of the program are left out.

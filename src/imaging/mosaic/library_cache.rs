@@ -1,4 +1,4 @@
-//! Images of the library on disk, shared by all builds of a user.
+//! Images of the library on disk, shared by all builds of a user, behind those that come along with the program.
 //!
 //! One file for each image, named by the SHA-256 of all that decides it, in a folder for each material.
 
@@ -7,7 +7,11 @@ use std::path::{Path, PathBuf};
 
 use ndarray::Array2;
 
+#[cfg(feature = "hdf5")]
+use super::supplied_library::SuppliedLibrary;
 use crate::error::{Error, Result};
+#[cfg(feature = "hdf5")]
+use crate::files::array_store::decoded;
 use crate::files::array_store::{ArrayStore, Stored, checked};
 use crate::progress::Progress;
 
@@ -18,9 +22,11 @@ pub const CACHE_VARIABLE: &str = "STEMGEN_CACHE";
 /// What a file takes besides its values, rounded up to blocks of the disk.
 const FILE_BYTES: u64 = 8192;
 
-/// A folder of images; none keeps nothing.
-#[derive(Debug, Clone, PartialEq, Eq)]
+/// A folder of images; none keeps nothing. Images that come along with the program are found before it.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Cache {
+    #[cfg(feature = "hdf5")]
+    supplied: Option<SuppliedLibrary>,
     folder: Option<PathBuf>,
     /// Where images are kept that cannot be kept in the folder.
     fallback: Option<PathBuf>,
@@ -51,22 +57,56 @@ pub struct CacheFault {
 impl Cache {
     /// The cache in a folder, which is made when first written to.
     pub fn at(folder: PathBuf) -> Self {
-        Cache { folder: Some(folder), fallback: None }
+        Cache { folder: Some(folder), ..Cache::default() }
     }
 
-    /// A cache that keeps nothing.
+    /// A cache that holds and keeps nothing: all is simulated.
     pub fn none() -> Self {
-        Cache { folder: None, fallback: None }
+        Cache::default()
     }
 
-    /// The user's cache: `$STEMGEN_CACHE`, or `stemgen` in `$XDG_CACHE_HOME` or `~/.cache`; none where neither
-    /// is known.
+    /// The library that comes along with the program, and no folder: nothing is kept.
+    pub fn supplied() -> Self {
+        Cache {
+            #[cfg(feature = "hdf5")]
+            supplied: SuppliedLibrary::of_program(),
+            ..Cache::default()
+        }
+    }
+
+    /// The library that comes along with the program, and the user's cache: `$STEMGEN_CACHE`, or `stemgen` in `$XDG_CACHE_HOME` or
+    /// `~/.cache`; none where neither is known.
     pub fn of_user() -> Self {
         let variable =
             |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
         let home = || Some(variable("HOME")?.join(".cache"));
         let shared = || Some(variable("XDG_CACHE_HOME").or_else(home)?.join("stemgen"));
-        Cache { folder: variable(CACHE_VARIABLE).or_else(shared), fallback: None }
+        Cache { folder: variable(CACHE_VARIABLE).or_else(shared), ..Cache::supplied() }
+    }
+
+    /// The same, kept in a folder.
+    #[must_use]
+    pub fn in_folder(self, folder: PathBuf) -> Self {
+        Cache { folder: Some(folder), ..self }
+    }
+
+    /// The same without the library that comes along.
+    #[must_use]
+    pub fn without_supplied(self) -> Self {
+        Cache { folder: self.folder, fallback: self.fallback, ..Cache::default() }
+    }
+
+    /// The same with another library that is only read.
+    #[cfg(feature = "hdf5")]
+    #[must_use]
+    pub fn with_supplied(self, supplied: SuppliedLibrary) -> Self {
+        Cache { supplied: Some(supplied), ..self }
+    }
+
+    /// The library that comes along, if there is one.
+    #[cfg(feature = "hdf5")]
+    pub fn supplied_library(&self) -> Option<&SuppliedLibrary> {
+        self.supplied.as_ref()
     }
 
     /// Its folder.
@@ -104,6 +144,17 @@ impl Cache {
         shape: [usize; 2],
         progress: &dyn Progress,
     ) -> Option<Array2<f32>> {
+        #[cfg(feature = "hdf5")]
+        if let Some(supplied) = &self.supplied
+            && let Some(file) = supplied.file(material, key, progress)
+        {
+            match decoded(&file, key, shape) {
+                Ok(image) => return Some(image),
+                Err(why) => {
+                    progress.warn(&format!("{}: {key}: {why}", supplied.folder().display()))
+                }
+            }
+        }
         for store in self.places(material) {
             match store.load(key, key, shape) {
                 Stored::Whole(image) => return Some(image),
@@ -119,6 +170,10 @@ impl Cache {
 
     /// Whether there is a file for the image named `key`; whether it can be used, only [`Cache::load`] tells.
     pub fn has(&self, material: &str, key: &str) -> bool {
+        #[cfg(feature = "hdf5")]
+        if self.supplied.as_ref().is_some_and(|s| s.has(material, key)) {
+            return true;
+        }
         self.places(material).iter().any(|store| store.path(key).is_file())
     }
 
@@ -177,7 +232,11 @@ impl Cache {
 
     /// The notes of all images of a material.
     pub fn notes(&self, material: &str) -> Vec<String> {
-        self.of(material).map(|store| store.notes()).unwrap_or_default()
+        #[allow(unused_mut)]
+        let mut notes = self.of(material).map(|store| store.notes()).unwrap_or_default();
+        #[cfg(feature = "hdf5")]
+        notes.extend(self.supplied.iter().flat_map(|s| s.notes(material)));
+        notes
     }
 
     /// Keeps an image. `note` is for people who look into the file.

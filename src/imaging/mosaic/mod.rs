@@ -2,7 +2,8 @@
 //!
 //! The image around an atomic column depends on the displacements and the occupation of that column's own
 //! atoms; those of its neighbours change it by less than 0.5 %. So units with the same contents in the same
-//! surroundings share simulations, made once in small cells ([`image_library`]) and kept on disk ([`library_cache`]). Each
+//! surroundings share simulations, made once in small cells ([`image_library`]) and kept on disk ([`library_cache`]); those of
+//! the program's own recipes come along with it (`supplied_library`). Each
 //! pixel takes the image of the unit nearest to it, with narrow ramps halfway between units ([`assembly`]).
 //! What is unlike anything else is simulated where it lies.
 //!
@@ -18,4 +19,7 @@ pub mod library_archive;
 pub mod library_cache;
 pub mod mosaic_cost;
 pub mod mosaic_imager;
+pub mod supplied_images;
+#[cfg(feature = "hdf5")]
+pub mod supplied_library;
 pub mod survey;

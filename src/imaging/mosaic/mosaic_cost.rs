@@ -1,6 +1,7 @@
 //! What making a mosaic will take.
 
 use super::image_note::NewImages;
+use crate::recipe::CheckedRecipe;
 
 /// What a mosaic will take.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
@@ -8,6 +9,8 @@ use super::image_note::NewImages;
 pub struct MosaicCost {
     /// Whether it takes less than simulating the field itself.
     pub pays: bool,
+    /// Whether all its images come along with the program.
+    pub supplied: bool,
     /// Images of sheets.
     pub images: usize,
     /// Those that the cache lacks.
@@ -24,4 +27,11 @@ pub struct MosaicCost {
     pub unique_columns: u64,
     /// Memory of the library's images.
     pub image_bytes: u64,
+}
+
+impl MosaicCost {
+    /// Whether its errors are known: those of the library that comes along, with nothing on the faces of the specimen.
+    pub fn is_known(&self, recipe: &CheckedRecipe) -> bool {
+        self.supplied && recipe.surface.is_none()
+    }
 }

@@ -154,14 +154,28 @@ impl MosaicImager {
         &self.survey
     }
 
-    /// Whether the library takes clearly fewer probes than the field.
+    /// Whether the images of the library that do not come along with the program take clearly fewer probes than the field.
     pub fn pays(&self) -> bool {
         let [rows, columns] = self.recipe.field.pixels(self.recipe.field.built_grid());
         let (tagged, untagged) = (self.survey.tagged, self.survey.untagged);
         let all = (tagged + untagged).max(1) as f64;
         let probes = rows * columns * self.library.configurations();
         let repeating = probes as f64 * tagged as f64 / all;
-        tagged > 0 && (self.library.probes() as f64) < WORTH * repeating
+        tagged > 0 && (self.probes_not_supplied() as f64) < WORTH * repeating
+    }
+
+    /// Whether all images of the library come along with the program.
+    fn is_supplied(&self) -> bool {
+        self.survey.tagged > 0 && self.probes_not_supplied() == 0
+    }
+
+    /// As [`MosaicCost::is_known`].
+    pub fn is_known(&self) -> bool {
+        self.is_supplied() && self.recipe.surface.is_none()
+    }
+
+    fn probes_not_supplied(&self) -> usize {
+        self.library.probes_not_supplied(&self.recipe.id, &self.sigma())
     }
 
     /// What filling the library takes.
@@ -169,6 +183,7 @@ impl MosaicImager {
         let missing = self.library.missing(&self.recipe.id, &self.sigma(), &self.cache);
         MosaicCost {
             pays: self.pays(),
+            supplied: self.is_supplied(),
             images: self.library.image_count(),
             missing: missing.len(),
             new: self.library.new_images(&self.recipe.id, &self.sigma(), &self.cache),
@@ -186,6 +201,11 @@ impl MosaicImager {
     /// Those of the engine and of the cache, [`Error::Interrupted`].
     pub fn fill_part(&self, shard: Shard, progress: &dyn Progress) -> Result<usize> {
         self.library.fill_part(shard, &self.recipe.id, &self.sigma(), &self.cache, progress)
+    }
+
+    /// The names of all images of its library in a cache.
+    pub fn image_keys(&self) -> Vec<String> {
+        self.library.keys(&self.sigma())
     }
 
     /// Simulates up to `count` of the images that the cache holds again; `seed` draws them.
