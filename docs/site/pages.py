@@ -38,6 +38,7 @@ ROOT = Path(__file__).resolve().parents[2]
 ELSEWHERE = {
     "worlds/README.md": "repository/world-files.md",
     "generate/README.md": "repository/recipes.md",
+    "library/README.md": "repository/library.md",
     "benches/README.md": "repository/benchmarks.md",
     "CONTRIBUTING.md": "repository/contributing.md",
     "CHANGELOG.md": "repository/changelog.md",
@@ -280,6 +281,8 @@ def _links(page: Page, text: str, targets: dict[str, str], out: Path) -> str:
         up = "../" * page.target.count("/")
         if str(place) in targets:
             return f"{mark}[{label}]({up}{targets[str(place)]}{'#' + heading if heading else ''})"
+        if place.suffix == ".md":
+            raise PageError(f"{page.path}: {target} is no page of the site; name it in ELSEWHERE of docs/site/pages.py, and in front.md")
         if (ROOT / place).is_file():
             name = str(place).replace("/", "-")
             shutil.copy(ROOT / place, out / "made" / name)
