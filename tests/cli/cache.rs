@@ -168,6 +168,9 @@ fn a_library_comes_along() {
         assert_eq!((simulated, told.matches("nothing of it is used").count()), (all, 1), "{told}");
         assert!(told.contains(word) && told.contains("tiny.stemlib"), "{told}");
     }
+    std::fs::remove_dir_all(here.join("library")).unwrap();
+    let (simulated, told) = build(&["--no-cache"]);
+    assert_eq!((simulated, told.matches("no such folder").count()), (all, 1), "{told}");
 }
 
 #[test]

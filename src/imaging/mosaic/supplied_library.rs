@@ -146,7 +146,10 @@ impl SuppliedLibrary {
         key: &str,
         progress: &dyn Progress,
     ) -> Option<Vec<u8>> {
-        let opened = self.archive(material)?;
+        let Some(opened) = self.archive(material) else {
+            self.tell_if_missing(progress);
+            return None;
+        };
         let found = match &opened.archive {
             Ok(archive) => archive.file(material, key)?,
             Err(why) => {
@@ -162,6 +165,17 @@ impl SuppliedLibrary {
                 .warn(&format!("{folder}/{material}.{EXTENSION}: {key}: {why}; simulated again"));
         };
         found.inspect_err(tell).ok()
+    }
+
+    /// Warns, once in a process, of a folder that is not there; one without archives for a material is as it should be.
+    fn tell_if_missing(&self, progress: &dyn Progress) {
+        static TOLD: AtomicBool = AtomicBool::new(false);
+        if !self.folder.is_dir() && !TOLD.swap(true, Ordering::Relaxed) {
+            let folder = self.folder.display();
+            progress.warn(&format!(
+                "{folder}: no such folder; no library is used ({LIBRARY_VARIABLE} names it)"
+            ));
+        }
     }
 
     /// Whether it holds an image.
