@@ -10,7 +10,7 @@ use ndarray::Array2;
 use stemgen::engine::Algorithm;
 use stemgen::imaging::{
     AuditOptions, Cache, DisplacedAtoms, ImagingCost, MosaicImager, PixelRect, RegionImager,
-    Simulator, audit,
+    Simulator, TurnedRaster, audit,
 };
 use stemgen::io::WorldFile;
 use stemgen::progress::{Progress, Silent};
@@ -146,6 +146,32 @@ fn places_that_the_library_does_not_know_are_simulated() {
     let [known, unknown] = [all, some].map(|m| m.mean_of(&pixels, 1, &Silent).unwrap());
     let ratio = unknown.mean().unwrap() / known.mean().unwrap();
     assert!((ratio - 1.0).abs() < 0.1, "{ratio}");
+}
+
+/// Overviews show what the library lacks as other columns nearby, and the rest as it is.
+#[test]
+fn overviews_simulate_no_column_of_their_own() {
+    let changes = ["field.fov_nm=[2.12, 14.36]", "field.grid=[1, 7]", "phonons.configurations=1"];
+    let changes: Vec<_> = changes.iter().map(|c| c.parse().unwrap()).collect();
+    let whole = recipe(2, 0.0).with_overrides(&changes).unwrap();
+    let part = whole.clone().with_grid(1, 1).unwrap();
+    let [all, some] = [&whole, &part].map(|r| mosaic(r, &specimen(r).unwrap()));
+    let raster =
+        TurnedRaster { centre_nm: [4.8, 1.0], pixel_nm: 0.04, angle_rad: 0.0, shape: [32, 40] };
+    let images = |mosaic: &MosaicImager| {
+        let exact = mosaic.image_at(&raster, 1, &Silent).unwrap().unwrap();
+        (exact, mosaic.overview_at(&raster, 1, &Silent).unwrap().unwrap())
+    };
+    let (exact, overview) = images(&all);
+    assert_eq!(exact, overview, "nothing is missing");
+    let (exact, overview) = images(&some);
+    let same = exact.iter().zip(&overview).filter(|(a, b)| a == b).count();
+    assert!(same > 50 && exact.len() - same > 50, "{same} of {}", exact.len());
+    let ratio = overview.mean().unwrap() / exact.mean().unwrap();
+    assert!((ratio - 1.0).abs() < 0.1, "{ratio}");
+    let brightest = |image: &Array2<f64>| image.iter().fold(0.0f64, |m, v| m.max(*v));
+    let ratio = brightest(&overview) / brightest(&exact);
+    assert!((ratio - 1.0).abs() < 0.2, "{ratio}");
 }
 
 #[test]

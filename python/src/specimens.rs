@@ -12,7 +12,7 @@ use stemgen::cli::shared::draw_specimen;
 use stemgen::io::atom_type;
 use stemgen::recipe::Region;
 use stemgen::specimen::stripes::for_each_stripe;
-use stemgen::specimen::{Sites, specimen};
+use stemgen::specimen::{Sites, SurfaceLayers, specimen};
 use stemgen::{Error, Setting};
 
 /// Sites one after the other.
@@ -38,10 +38,26 @@ impl SiteLists {
         }
         self.first_column += sites.columns.len();
     }
+
+    /// The carbon on the faces of a specimen in a region: pristine atoms of no column.
+    fn add_layers(&mut self, layers: &SurfaceLayers, region: &Region, origin_nm: [f64; 2]) {
+        for (layer, area) in layers.parts(region) {
+            for atom in layer.atoms(&area) {
+                let [x, y, z] = atom.position.map(|v| 0.1 * v);
+                let corner = [area.x[0] - origin_nm[0], area.y[0] - origin_nm[1]];
+                self.positions_nm.push([x + corner[0], y + corner[1], z]);
+                self.numbers.push(i32::from(atom.number));
+                self.types.push(atom_type::PRISTINE);
+                self.columns.push(-1);
+            }
+        }
+        let down = 0.1 * layers.before_angstrom();
+        self.positions_nm.iter_mut().for_each(|place| place[2] += down);
+    }
 }
 
 /// The lattice sites of a recipe's built field, in the order of the ground truth, or of a region (x0, y0, x1, y1) in nm: a dict of
-/// arrays. Positions count from the centre of the first built pixel.
+/// arrays. Positions count from the centre of the first built pixel, and along the beam from the face that it enters.
 #[pyfunction]
 pub fn specimen_sites(
     py: Python<'_>,
@@ -68,9 +84,14 @@ pub fn specimen_sites(
                 region
             }
         };
+        let mut thickness_nm = specimen.thickness_nm();
+        if let Some(layers) = SurfaceLayers::of(&recipe, thickness_nm) {
+            lists.add_layers(&layers, &region, origin);
+            thickness_nm = 0.1 * layers.thickness_angstrom();
+        }
         let edges = [region.x, region.y];
         let relative = [0, 1].map(|k| edges[k].map(|v| v - origin[k]));
-        Ok((lists, relative, specimen.thickness_nm()))
+        Ok((lists, relative, thickness_nm))
     };
     let (lists, [x, y], thickness_nm) = run(py, running, work)?;
     let positions: Array2<f64> = ndarray::arr2(&lists.positions_nm);

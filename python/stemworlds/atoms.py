@@ -30,7 +30,7 @@ class AtomArrays:
         numbers: atomic numbers, ``[atom]``.
         positions: ``[atom, 3]`` in Angstrom; the beam runs along +z.
         cell: vectors as rows, ``[3, 3]``, in Angstrom.
-        arrays: more that is known of each atom. Specimens have ``column``, the index of the atomic column in the truth of a world;
+        arrays: more that is known of each atom. Specimens have ``column``, the index of the atomic column in the truth of a world, or -1;
             ``defect``, such as ``"substitution_Ge"`` or ``"none"``; ``atom_type``, 0 pristine, 1 vacancy, 2 substitution.
     """
 

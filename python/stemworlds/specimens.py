@@ -34,7 +34,8 @@ def specimen(
     """The atoms of a recipe's specimen: ``ase.Atoms`` where ASE is installed, else :class:`AtomArrays`.
 
     Beside positions and numbers each atom has ``column``, the index of its atomic column, ``defect`` (``"substitution_Ge"``, or
-    ``"none"``) and ``atom_type`` (0 pristine, 1 vacancy, 2 substitution).
+    ``"none"``) and ``atom_type`` (0 pristine, 1 vacancy, 2 substitution). Carbon on the faces (``[surface]`` of the recipe) comes last, in
+    column -1; z counts from the face that the beam enters.
 
     Args:
         recipe: name, path, TOML, dict or :class:`Recipe`.

@@ -38,7 +38,7 @@ def test_worlds_are_made_from_it(tmp_path: Path) -> None:
     assert world.summary is not None
     images, simulated = world.summary["library"]
     assert images > 50 and simulated == 0 and world.summary["engine"] == "mosaic"
-    with gym.make("stemworlds/DefectCensus-v0", recipe="gan", difficulty="medium", live=True) as env:
+    with gym.make("stemworlds/DefectCensus-v0", recipe="sige", difficulty="medium", live=True) as env:
         for seed in range(3):
             env.reset(seed=seed)
             env.action_space.seed(seed)

@@ -40,13 +40,16 @@ def test_changes_give_another_recipe() -> None:
         recipe["nothing.here"]
 
 
-def test_specimens_are_those_of_the_command_line(tmp_path: Path) -> None:
+@pytest.mark.parametrize("layers", [{}, {"surface.entrance_nm": 1, "surface.exit_nm": 0.5}])
+def test_specimens_are_those_of_the_command_line(tmp_path: Path, layers: dict[str, float]) -> None:
     from ase.io import read
 
-    changes = [f"--set={key}={value}" for key, value in TINY["set"].items()]
+    settings = {**TINY["set"], **layers}
+    changes = [f"--set={key}={value}" for key, value in settings.items()]
     command("specimen", "test", "--grid", "1x2", "--seed", TINY["seed"], *changes, "-o", "atoms.extxyz", cwd=tmp_path)
     stored = read(tmp_path / "atoms.extxyz")
-    atoms = sw.specimen("test", **TINY)
+    atoms = sw.specimen("test", **{**TINY, "set": settings})
+    assert (atoms.arrays["column"] == -1).any() == bool(layers)
     assert len(atoms) == len(stored) and (atoms.numbers == stored.numbers).all()
     np.testing.assert_allclose(atoms.positions, stored.positions, atol=2e-4)
     np.testing.assert_allclose(atoms.cell.lengths(), stored.cell.lengths(), atol=1e-4)

@@ -9,7 +9,9 @@ use super::benchmark_world::{BenchmarkWorld, PhaseSamples, RegionTruth, TrueColu
 use super::findings::{FoundParticle, PlacedDefect, type_name};
 use super::view::{FieldFacts, TileView};
 use crate::error::{Error, Result};
-use crate::imaging::{MethodChoice, RegionImager, SharedSheets, TurnedRaster, turned_image};
+use crate::imaging::{
+    MethodChoice, RegionImager, SharedSheets, TurnedRaster, overview_image, turned_image,
+};
 use crate::progress::{InterruptOnly, Progress};
 use crate::recipe::{CheckedRecipe, OVERVIEW_FACTOR, Recipe, Region, StructureKind};
 use crate::rng::{Purpose, words};
@@ -266,7 +268,7 @@ impl RecipeWorld {
             angle_rad: 0.0,
             shape: size.map(|n| n * places),
         };
-        let fine = turned_image(&self.recipe, &*self.imager, &raster, progress)?;
+        let fine = overview_image(&self.recipe, &*self.imager, &raster, progress)?;
         let mean = Array2::from_shape_fn(size, |(i, j)| {
             let part = s![i * places..(i + 1) * places, j * places..(j + 1) * places];
             fine.slice(part).mean().unwrap_or_default() as f32

@@ -8,10 +8,10 @@ use super::{output, text, values};
 use crate::files::outputs::check_outputs;
 use crate::io::writable;
 use crate::recipe::{CheckedRecipe, Recipe};
-use crate::specimen::{Specimen, estimated_sites, specimen};
+use crate::specimen::{Specimen, specimen};
 use crate::structure::Format;
 use crate::world::footprint::atoms_bytes;
-use crate::world::{Drawing, ExportOptions, ExportSummary, export};
+use crate::world::{Drawing, ExportOptions, ExportSummary, estimated_rows, export};
 use clap::Args;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -30,7 +30,8 @@ Examples:
 
 The columns of the file are species, position, occupancy, atom_type (0 pristine, 1 vacancy, 2
 substitution), defect_type, and column, the index of the atomic column in the world's ground truth. The
-field is cut out of a larger specimen, so its edges do not fit together: the cell is --vacuum wider.";
+field is cut out of a larger specimen, so its edges do not fit together: the cell is --vacuum wider.
+Carbon on its faces ([surface]) follows the sites, in column -1; z counts from the face that the beam enters.";
 
 /// Write the atoms of a specimen, each with its defect
 #[derive(Debug, Args)]
@@ -85,6 +86,7 @@ struct Written {
     sites: u64,
     rows: u64,
     columns: u64,
+    layer_atoms: u64,
     atoms: BTreeMap<&'static str, u64>,
     defects: BTreeMap<String, u64>,
     boundaries: usize,
@@ -125,7 +127,8 @@ impl SpecimenCommand {
         }
         let field = &recipe.field;
         let shape = field.pixels(field.built_grid());
-        let ExportSummary { sites, rows, columns, atoms, defects, cell_angstrom } = summary;
+        let ExportSummary { sites, rows, columns, layer_atoms, atoms, defects, cell_angstrom } =
+            summary;
         let written = Written {
             file_bytes: output::size(&path),
             output: path,
@@ -140,6 +143,7 @@ impl SpecimenCommand {
             sites,
             rows,
             columns,
+            layer_atoms,
             atoms,
             defects,
             boundaries: specimen.boundaries().len(),
@@ -169,7 +173,7 @@ pub fn draw_specimen(recipe: &CheckedRecipe, picture: &Path, quiet: bool) -> any
 /// What would be written.
 fn planned(specimen: &dyn Specimen, recipe: &Recipe, format: Format, output: PathBuf) -> Planned {
     let field = &recipe.field;
-    let sites = estimated_sites(specimen, field);
+    let sites = estimated_rows(specimen, recipe);
     Planned {
         material: recipe.id.clone(),
         difficulty: recipe.tier.map(|t| t.name()),
@@ -222,6 +226,9 @@ impl Written {
         lines.add("defects", if defects.is_empty() { "none".into() } else { defects });
         let [sites, columns] = [self.sites, self.columns].map(text::count);
         lines.add("sites", format!("{sites} in {columns} columns"));
+        if self.layer_atoms > 0 {
+            lines.add("carbon", format!("{} atoms on the faces", text::count(self.layer_atoms)));
+        }
         lines.add("boundaries", self.boundaries.to_string());
         lines.add("time", text::duration(self.wall_time_s));
         let size = text::bytes(self.file_bytes);

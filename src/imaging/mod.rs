@@ -41,4 +41,4 @@ pub use pixels::{PixelBox, PixelRect};
 pub use region_imager::RegionImager;
 pub use simulator::Simulator;
 pub use source_imager::SourceImager;
-pub use turned_raster::{TurnedRaster, turned_image};
+pub use turned_raster::{TurnedRaster, overview_image, turned_image};

@@ -122,6 +122,20 @@ pub trait RegionImager: Send + Sync {
         Ok(None)
     }
 
+    /// As [`RegionImager::image_at`], for an overview, whose pixels are wider than a column: columns that only a simulation of their own
+    /// would show may look like others nearby.
+    ///
+    /// # Errors
+    /// As [`RegionImager::image_at`].
+    fn overview_at(
+        &self,
+        raster: &TurnedRaster,
+        configurations: usize,
+        progress: &dyn Progress,
+    ) -> Result<Option<Array2<f64>>> {
+        self.image_at(raster, configurations, progress)
+    }
+
     /// The displaced atoms of an area (nm of the full field) in one phonon configuration: those that the image shows.
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms;
 

@@ -97,6 +97,33 @@ pub fn turned_image(
     raster: &TurnedRaster,
     progress: &dyn Progress,
 ) -> Result<Array2<f64>> {
+    check_within(recipe, raster)?;
+    let configurations = recipe.phonons.configurations.max(1);
+    match imager.image_at(raster, configurations, progress)? {
+        Some(image) => Ok(image),
+        None => from_pixels(recipe, imager, raster, configurations, progress),
+    }
+}
+
+/// As [`turned_image`], for an overview; see [`RegionImager::overview_at`].
+///
+/// # Errors
+/// As [`turned_image`].
+pub fn overview_image(
+    recipe: &CheckedRecipe,
+    imager: &dyn RegionImager,
+    raster: &TurnedRaster,
+    progress: &dyn Progress,
+) -> Result<Array2<f64>> {
+    check_within(recipe, raster)?;
+    let configurations = recipe.phonons.configurations.max(1);
+    match imager.overview_at(raster, configurations, progress)? {
+        Some(image) => Ok(image),
+        None => from_pixels(recipe, imager, raster, configurations, progress),
+    }
+}
+
+fn check_within(recipe: &CheckedRecipe, raster: &TurnedRaster) -> Result<()> {
     let (inside, region) = (recipe.field.full_region(), raster.region());
     // Rounding does not lead out of the field.
     let within = region.grown(-ROUNDING_NM);
@@ -108,11 +135,7 @@ pub fn turned_image(
             format!("the full field is x {x0:.2} to {x1:.2} nm, y {y0:.2} to {y1:.2} nm");
         return Err(Error::invalid(Setting::RecordedRegionNm, value, expected));
     }
-    let configurations = recipe.phonons.configurations.max(1);
-    match imager.image_at(raster, configurations, progress)? {
-        Some(image) => Ok(image),
-        None => from_pixels(recipe, imager, raster, configurations, progress),
-    }
+    Ok(())
 }
 
 /// Interpolates the pixels of the field.

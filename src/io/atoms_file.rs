@@ -1,7 +1,7 @@
 //! Writes the sites of a specimen piece by piece, as extended XYZ or CIF.
 //!
 //! Beside element and position every site has `atom_type` (codes of [`super::atom_type`]),
-//! `defect_type` (`none`, `vacancy_O` ...), `column` (the index of its atomic column) and `occupancy`
+//! `defect_type` (`none`, `vacancy_O` ...), `column` (the index of its atomic column, -1 for none) and `occupancy`
 //! (0 for a vacant site). In extended XYZ a vacant site has the species `X`, which no program takes
 //! for an atom; in CIF it keeps the element that is missing.
 
@@ -28,8 +28,8 @@ pub struct AtomRow<'a> {
     pub atom_type: i32,
     /// Name of the defect; empty for none.
     pub defect: &'a str,
-    /// Index of the column.
-    pub column: u64,
+    /// Index of the column; none, written as -1, for an atom of a layer on the specimen.
+    pub column: Option<u64>,
 }
 
 /// What stands at the head of a file of atoms.
@@ -144,7 +144,7 @@ impl RowFormat {
                 [x, y, z].into_iter().for_each(|value| fixed(out, value, 5));
             }
         }
-        let (code, column) = (row.atom_type, row.column);
+        let (code, column) = (row.atom_type, row.column.map_or(-1, |n| n as i64));
         text(out, format_args!("{occupancy} {code} {defect} {column}\n"));
     }
 }

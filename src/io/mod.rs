@@ -37,6 +37,8 @@ mod world_file;
 #[cfg(feature = "hdf5")]
 mod world_making;
 #[cfg(feature = "hdf5")]
+mod world_metadata;
+#[cfg(feature = "hdf5")]
 mod world_truth;
 #[cfg(feature = "hdf5")]
 mod world_writer;
@@ -51,9 +53,11 @@ pub use truth_writer::{LineKind, ParticleBatch, TruthBatch, TruthWriter};
 #[cfg(feature = "report")]
 use world_file::regular_file;
 #[cfg(feature = "hdf5")]
-pub use world_file::{GroundTruth, WorldFile, WorldMetadata};
+pub use world_file::{GroundTruth, WorldFile};
 #[cfg(feature = "hdf5")]
 pub use world_making::{RecordedSource, WorldMaking};
+#[cfg(feature = "hdf5")]
+pub use world_metadata::WorldMetadata;
 #[cfg(feature = "hdf5")]
 pub use world_truth::{BoundaryLine, WorldColumn};
 #[cfg(feature = "hdf5")]

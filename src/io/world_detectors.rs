@@ -4,7 +4,8 @@ use hdf5::File;
 
 use super::hdf5_guard::{self, Guarded, number};
 use super::schema;
-use super::world_file::{WorldFile, scaling};
+use super::world_file::WorldFile;
+use super::world_metadata::scaling;
 use crate::detect::Detector;
 use crate::error::{Error, Result};
 use crate::setting::Setting;

@@ -10,7 +10,8 @@ use super::hdf5_guard::{number, text};
 use super::hdf5_values::Plain;
 use super::schema::{self, CompositionText, MorphologyName, atom_type};
 use super::truth_writer::ParticleBatch;
-use super::world_file::{GroundTruth, WorldFile, not_a_world};
+use super::world_file::{GroundTruth, WorldFile};
+use super::world_metadata::not_a_world;
 use crate::error::Result;
 use crate::structure::elements;
 

@@ -8,13 +8,17 @@ use crate::engine::Site;
 use crate::potential::slices::GROUP_ANGSTROM;
 use crate::recipe::{Recipe, Region};
 use crate::rng::{Purpose, words};
+use crate::structure::carbon::block::DENSITY;
 use crate::structure::carbon::carbon_film::{Film, FilmAtom};
+use crate::structure::carbon::melt::ATOMS_PER_CUBIC_ANGSTROM;
 use crate::structure::carbon::network::CARBON;
 
 /// From the outermost plane of the specimen to the carbon, in Angstrom: between a bond and the distance of graphite's layers.
 const CONTACT_ANGSTROM: f64 = 2.0;
 /// Bits in the keys of the atoms of the layers before and behind the specimen, which no other atoms have.
 const KEYS: [u64; 2] = [1 << 62, 1 << 61];
+/// Edge in nm along y of the parts of a layer that are listed at a time.
+const PART_NM: f64 = 13.0;
 /// Number of the draw that gives each layer a seed.
 const SEED: u32 = 16;
 
@@ -72,6 +76,15 @@ impl SurfaceLayers {
         &self.layers
     }
 
+    /// The layers in parts of a region, in the order in which lists of atoms have them: layer by layer, from the top of the region down.
+    pub fn parts(&self, region: &Region) -> Vec<(&CarbonLayer, Region)> {
+        let [top, bottom] = region.y;
+        let count = ((bottom - top) / PART_NM).ceil().max(1.0) as usize;
+        let edge = |n: usize| top + (bottom - top) * n as f64 / count as f64;
+        let part = |n: usize| Region { x: region.x, y: [edge(n), edge(n + 1)] };
+        self.layers.iter().flat_map(|layer| (0..count).map(move |n| (layer, part(n)))).collect()
+    }
+
     /// From the face that the beam enters to that of the specimen, in Angstrom.
     pub fn before_angstrom(&self) -> f64 {
         self.extent[0]
@@ -84,6 +97,13 @@ impl SurfaceLayers {
 }
 
 impl CarbonLayer {
+    /// About how many atoms it has in an area.
+    pub fn estimated_atoms(&self, area: &Region) -> u64 {
+        let [width, height] = [area.x, area.y].map(|[low, high]| 10.0 * (high - low));
+        let [begin, end] = self.depth_angstrom;
+        (DENSITY * ATOMS_PER_CUBIC_ANGSTROM * width * height * (end - begin)).round() as u64
+    }
+
     /// The height in Angstrom of an atom at `z_angstrom`, with the layer in equal slices as thick as in any specimen without planes.
     pub fn slice_height_angstrom(&self, z_angstrom: f64) -> f64 {
         let depth_nm = self.depth_angstrom.map(|z| 0.1 * z);
@@ -137,7 +157,12 @@ mod tests {
             // 2.0 g/cm3 are 0.1003 atoms per cubic Angstrom
             let expected = 0.1003 * 120.0 * 150.0 * (to - from);
             assert!((atoms.len() as f64 / expected - 1.0).abs() < 0.06, "{}", atoms.len());
+            assert!((layer.estimated_atoms(&area) as f64 / expected - 1.0).abs() < 0.001);
             keys.extend(atoms.iter().map(|s| s.key));
+            let mine = both.parts(&area).into_iter().filter(|(l, _)| l.key == layer.key);
+            let in_parts = mine.flat_map(|(l, part)| l.atoms(&part)).map(|s| s.key);
+            let all: std::collections::HashSet<u64> = in_parts.collect();
+            assert_eq!(all, atoms.iter().map(|s| s.key).collect());
         }
         let count: usize = both.layers().iter().map(|l| l.atoms(&area).len()).sum();
         assert_eq!(keys.len(), count);

@@ -10,12 +10,15 @@ use crate::files::atomic_write;
 use crate::files::{OutputLock, disk_space};
 use crate::io::{AtomRow, AtomsHeader, AtomsWriter, RowFormat, atom_type, writable};
 use crate::progress::Progress;
+use crate::recipe::region::Region;
 use crate::recipe::resolved_recipe::Recipe;
 use crate::specimen::atom_columns::{AtomColumn, Sites};
 use crate::specimen::census::estimated_sites;
 use crate::specimen::sites::SiteKind;
 use crate::specimen::specimen_trait::Specimen;
 use crate::specimen::stripes::for_each_stripe;
+use crate::specimen::surface_layers::SurfaceLayers;
+use crate::structure::carbon::network::CARBON;
 use crate::structure::elements;
 use crate::world::footprint;
 use crate::world::region_truth::defect_name;
@@ -50,6 +53,8 @@ pub struct ExportSummary {
     pub rows: u64,
     /// Atomic columns.
     pub columns: u64,
+    /// Atoms of the layers on the faces of the specimen.
+    pub layer_atoms: u64,
     /// Atoms of each element.
     pub atoms: BTreeMap<&'static str, u64>,
     /// Defects of each kind: `vacancy_O`.
@@ -60,7 +65,9 @@ pub struct ExportSummary {
 
 /// Writes the sites of the built field to `path`; its ending says which format (`.extxyz`, `.xyz` or
 /// `.cif`). Order, and numbers of columns, are those of the ground truth of a world of this recipe.
-/// `visit` sees all sites, in the same order, with positions in nm in the full field.
+/// `visit` sees all sites, in the same order, with positions in nm in the full field. Atoms of layers on the specimen's faces
+/// follow, layer by layer from the top of the field down, and belong to no column; with a layer before the specimen z counts from
+/// the layer's face.
 ///
 /// # Errors
 /// [`Error::Invalid`] for another ending or a vacuum out of limits, [`Error::Locked`],
@@ -82,9 +89,10 @@ pub fn export(
         ));
     }
     let _lock = OutputLock::hold(path)?;
-    let sites = estimated_sites(specimen, &recipe.field);
+    let layers = SurfaceLayers::of(recipe, specimen.thickness_nm());
+    let sites = estimated_rows(specimen, recipe);
     disk_space::check_space(path, footprint::atoms_bytes(writable(path)?, sites))?;
-    let frame = Frame::new(specimen, recipe, options);
+    let frame = Frame::new(specimen, recipe, options, layers.as_ref());
     let mut summary = ExportSummary { cell_angstrom: frame.cell, ..ExportSummary::default() };
     atomic_write::write_with(path, options.overwrite, |temporary| {
         let mut writer = AtomsWriter::create(temporary, path, &header(recipe, &frame))?;
@@ -96,9 +104,64 @@ pub fn export(
             summary.add(&stripe.sites, options.vacancies);
             Ok(())
         })?;
+        if let Some(layers) = &layers {
+            write_layers(
+                &mut writer,
+                layers,
+                &recipe.field.built_region(),
+                &frame,
+                &mut summary,
+                progress,
+            )?;
+        }
         writer.finish(summary.rows)
     })?;
     Ok(summary)
+}
+
+/// About how many rows [`export`] writes.
+pub fn estimated_rows(specimen: &dyn Specimen, recipe: &Recipe) -> u64 {
+    let built = recipe.field.built_region();
+    let layers = SurfaceLayers::of(recipe, specimen.thickness_nm());
+    let of_layers = layers.iter().flat_map(SurfaceLayers::layers);
+    estimated_sites(specimen, &recipe.field)
+        + of_layers.map(|layer| layer.estimated_atoms(&built)).sum::<u64>()
+}
+
+fn write_layers(
+    writer: &mut AtomsWriter,
+    layers: &SurfaceLayers,
+    built: &Region,
+    frame: &Frame,
+    summary: &mut ExportSummary,
+    progress: &dyn Progress,
+) -> Result<()> {
+    let parts = layers.parts(built);
+    progress.start("writing layers", "part", parts.len() as u64);
+    for (layer, area) in parts {
+        if progress.interrupted() {
+            return Err(Error::Interrupted);
+        }
+        let mut out = Vec::new();
+        for atom in layer.atoms(&area) {
+            let [x, y, z] = atom.position.map(|v| 0.1 * v);
+            let row = AtomRow {
+                number: atom.number,
+                position_angstrom: frame.place([x + area.x[0], y + area.y[0], z]),
+                atom_type: atom_type::PRISTINE,
+                defect: "",
+                column: None,
+            };
+            summary.layer_atoms += 1;
+            writer.rows().push(&mut out, &row, summary.sites + summary.layer_atoms);
+        }
+        writer.append(out)?;
+        progress.advance(1);
+    }
+    progress.finish();
+    summary.rows += summary.layer_atoms;
+    *summary.atoms.entry(elements::symbol(CARBON)).or_default() += summary.layer_atoms;
+    Ok(())
 }
 
 impl ExportSummary {
@@ -124,17 +187,27 @@ struct Frame {
     cell: [f64; 3],
     /// Position in nm in the full field of the corner of the cell.
     corner_nm: [f64; 2],
+    /// From the face that the beam enters to that of the specimen, in Angstrom.
+    before_angstrom: f64,
     vacancies: bool,
 }
 
 impl Frame {
-    fn new(specimen: &dyn Specimen, recipe: &Recipe, options: &ExportOptions) -> Self {
+    fn new(
+        specimen: &dyn Specimen,
+        recipe: &Recipe,
+        options: &ExportOptions,
+        layers: Option<&SurfaceLayers>,
+    ) -> Self {
         let built = recipe.field.built_region();
         let vacuum = options.vacuum_angstrom;
         let edge = |range: [f64; 2]| 10.0 * (range[1] - range[0]) + vacuum;
+        let specimen_angstrom = 10.0 * specimen.thickness_nm();
+        let thickness = layers.map_or(specimen_angstrom, SurfaceLayers::thickness_angstrom);
         Frame {
-            cell: [edge(built.x), edge(built.y), 10.0 * specimen.thickness_nm() + vacuum],
+            cell: [edge(built.x), edge(built.y), thickness + vacuum],
             corner_nm: [built.x[0] - 0.05 * vacuum, built.y[0] - 0.05 * vacuum],
+            before_angstrom: layers.map_or(0.0, SurfaceLayers::before_angstrom),
             vacancies: options.vacancies,
         }
     }
@@ -168,17 +241,21 @@ impl Frame {
         if site.kind == SiteKind::Vacancy && !self.vacancies {
             return;
         }
-        let [x, y, z] = site.position_nm;
-        let [left, top] = self.corner_nm;
         let defect = defect_name(site.kind, site.number);
         let row = AtomRow {
             number: site.number,
-            position_angstrom: [10.0 * (x - left), 10.0 * (y - top), 10.0 * z],
+            position_angstrom: self.place(site.position_nm),
             atom_type: atom_type::code(site.kind),
             defect: &defect,
-            column,
+            column: Some(column),
         };
         rows.push(out, &row, serial);
+    }
+
+    /// A place in the full field, counted from the face of the specimen, as it stands in the cell in Angstrom.
+    fn place(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
+        let [left, top] = self.corner_nm;
+        [10.0 * (x - left), 10.0 * (y - top), 10.0 * z + self.before_angstrom]
     }
 }
 
@@ -188,9 +265,13 @@ fn header(recipe: &Recipe, frame: &Frame) -> AtomsHeader {
     let first = field.crop_origin_px();
     let origin = [first[1], first[0]].map(|p| p as f64 * pixel);
     let [x, y] = [0, 1].map(|k| 10.0 * (origin[k] - frame.corner_nm[k]));
-    let sigmas = recipe.phonons.sigma_angstrom.iter().map(|(e, s)| format!("{e}={s}"));
+    let mut sigmas = recipe.phonons.sigma_angstrom.clone();
+    if let Some(surface) = &recipe.surface {
+        sigmas.entry(elements::symbol(CARBON).into()).or_insert(surface.sigma_angstrom);
+    }
+    let sigmas = sigmas.iter().map(|(e, s)| format!("{e}={s}"));
     let tier = recipe.tier.map(|t| format!("_{}", t.name())).unwrap_or_default();
-    AtomsHeader {
+    let mut header = AtomsHeader {
         name: format!("{}{tier}", recipe.id),
         cell_angstrom: frame.cell,
         notes: vec![
@@ -203,5 +284,9 @@ fn header(recipe: &Recipe, frame: &Frame) -> AtomsHeader {
             ("sigma", sigmas.collect::<Vec<_>>().join(",")),
         ],
         recipe: recipe.to_toml(),
+    };
+    if recipe.surface.is_some() {
+        header.notes.push(("specimen_face_angstrom", frame.before_angstrom.to_string()));
     }
+    header
 }

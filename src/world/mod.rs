@@ -23,6 +23,8 @@ pub mod noise_free;
 #[cfg(feature = "hdf5")]
 mod options_of_world;
 #[cfg(feature = "hdf5")]
+mod publish;
+#[cfg(feature = "hdf5")]
 mod recording_writer;
 pub mod region_truth;
 #[cfg(feature = "report")]
@@ -49,7 +51,7 @@ mod world_shard;
 #[cfg(feature = "hdf5")]
 mod world_source;
 
-pub use atoms_export::{ExportOptions, ExportSummary, export};
+pub use atoms_export::{ExportOptions, ExportSummary, estimated_rows, export};
 pub use build_options::{BuildMethod, BuildOptions, BuildPolicy, BuildProfile};
 #[cfg(feature = "hdf5")]
 pub use build_summary::BuildSummary;
@@ -62,6 +64,8 @@ pub(crate) use field_tile::tile_of_image;
 pub use field_tile::{FieldTile, field_tile};
 pub use noise::Noise;
 pub use noise_free::{ImagerSource, NoiseFree};
+#[cfg(feature = "hdf5")]
+pub use publish::Companion;
 pub use region_truth::{ColumnTruth, SiteTruth};
 #[cfg(feature = "render")]
 pub use specimen_drawing::Drawing;
@@ -72,7 +76,7 @@ pub use training_set::{COLUMN_CLASSES, TrainingOptions, TrainingSet, training_se
 #[cfg(feature = "hdf5")]
 pub use truth::Counts;
 #[cfg(feature = "hdf5")]
-pub use world_build::{Companion, WorldBuild, build};
+pub use world_build::{WorldBuild, build};
 #[cfg(feature = "hdf5")]
 pub use world_facts::{RecordingFacts, WorldFacts};
 #[cfg(feature = "hdf5")]

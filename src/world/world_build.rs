@@ -1,8 +1,7 @@
 //! Builds a world: image sub-tile by sub-tile, then the file.
 
 use std::fs;
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
@@ -11,12 +10,12 @@ use super::build_summary::{BuildSummary, layer_warning};
 use super::field_scan::FieldScan;
 use super::footprint;
 use super::noise_free::{refined, refinement, too_coarse};
-use super::subtile_store::{SubtileStore, beside};
+use super::publish::{Companion, partial, place, publish_companion, try_partial};
+use super::subtile_store::SubtileStore;
 use super::subtiles::Partition;
 use super::work_folder::WorkFolder;
 use super::world_job::{BuildLayout, Job};
 use crate::error::{Error, Result};
-use crate::files::atomic_write::sync_folder;
 use crate::files::outputs::check_outputs;
 use crate::files::unfinished::Unfinished;
 use crate::files::{OutputLock, disk_space};
@@ -25,22 +24,10 @@ use crate::imaging::{
     AUDIT_REMEDY, Audit, Cache, ChosenImager, ImagingChoice, ImagingCost, MethodChoice,
     MosaicImager, RegionImager, SimulationRuns, audit_cost,
 };
-use crate::io::{WorldFile, WorldWriter};
 use crate::numerics::NUMERICS_VERSION;
 use crate::progress::Progress;
 use crate::recipe::CheckedRecipe;
 use crate::specimen::{Specimen, estimated_sites, specimen};
-
-/// A file that is made from a finished world and belongs to it, such as its picture. A build that is ended before it is there goes on
-/// with it.
-pub struct Companion<'a> {
-    /// Where it goes.
-    pub path: &'a Path,
-    /// What it takes on disk, at most.
-    pub most_bytes: u64,
-    /// Makes what it holds.
-    pub content: &'a dyn Fn(&WorldFile) -> Result<Vec<u8>>,
-}
 
 /// Builds the world of `recipe` into the file `output`, as `stemgen build` does. Finished sub-tiles are kept in the folder
 /// `<output>.work` until the file is complete; a build that finds them goes on from there.
@@ -411,42 +398,6 @@ pub(super) fn checked(
     let imaging = ImagingChoice { cache, ..imaging.clone() };
     let BuildLayout { imaged, specimen, .. } = layout;
     imaging.checked_imager(imaged, specimen, first, (check, &work.audits()), progress)
-}
-
-/// `path` with an ending that tells that the file is not finished.
-fn partial(path: &Path) -> PathBuf {
-    beside(path, ".partial")
-}
-
-/// Puts a file that is complete in its place.
-fn place(partial: &Path, path: &Path) -> Result<()> {
-    fs::rename(partial, path).map_err(|e| Error::io(path, "write", e))?;
-    sync_folder(path)
-}
-
-/// Writes a companion under another name and puts it in place when it is complete.
-fn publish_companion(companion: &Companion, world: &Path) -> Result<()> {
-    let content = (companion.content)(&WorldFile::open(world)?)?;
-    let partial = partial(companion.path);
-    let write = || {
-        let mut file = fs::File::create(&partial)?;
-        file.write_all(&content)?;
-        file.sync_all()
-    };
-    let written = write().map_err(|e| Error::io(companion.path, "write", e));
-    let placed = written.and_then(|()| place(&partial, companion.path));
-    let _ = fs::remove_file(&partial);
-    placed
-}
-
-/// Finds before any work what would keep the file from being written at the end: names that HDF5 does not take, names too long,
-/// folders that may not be written.
-fn try_partial(output: &Path) -> Result<()> {
-    let partial = partial(output);
-    let tried = WorldWriter::try_file(&partial);
-    // Whatever became of it: the reason of a failure matters more.
-    let _ = fs::remove_file(&partial);
-    tried
 }
 
 #[cfg(test)]

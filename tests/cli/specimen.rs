@@ -140,3 +140,47 @@ fn bad_requests_write_nothing() {
     assert_eq!(std::fs::read(here.join("there.cif")).unwrap(), b"precious");
     assert_eq!(std::fs::read_dir(here).unwrap().count(), 1);
 }
+
+#[test]
+fn layers_on_the_faces_follow_the_sites() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let without = json(tiny(here, "specimen").args(["-o", "a.extxyz"]));
+    let mut command = tiny(here, "specimen");
+    command.args(["--set", "surface.entrance_nm=1", "--set", "surface.exit_nm=0.6"]);
+    let plan = json(command.args(["-o", "b.extxyz", "--dry-run"]));
+    let mut command = tiny(here, "specimen");
+    command.args(["--set", "surface.entrance_nm=1", "--set", "surface.exit_nm=0.6"]);
+    let with = json(command.args(["-o", "b.extxyz"]));
+    let number = |summary: &serde_json::Value, key: &str| summary[key].as_u64().unwrap();
+    let carbon = number(&with, "layer_atoms");
+    assert_eq!(number(&with, "rows"), number(&without, "rows") + carbon);
+    assert_eq!(with["sites"], without["sites"]);
+    assert_eq!(number(&without, "layer_atoms"), 0);
+    let area: f64 = (0..2).map(|k| 10.0 * with["fov_nm"][k].as_f64().unwrap()).product();
+    let expected = 0.1003 * area * 16.0;
+    assert!((carbon as f64 / expected - 1.0).abs() < 0.1, "{carbon} of {expected}");
+    let planned = number(&plan, "estimated_sites") as f64;
+    assert!((planned / number(&with, "rows") as f64 - 1.0).abs() < 0.1, "{plan}");
+    let [plain, layered] = ["a.extxyz", "b.extxyz"].map(|name| read(here, name).atoms);
+    let (sites, layers) = layered.split_at(plain.len());
+    // 10 A of carbon and 2 A to the specimen.
+    for (a, b) in sites.iter().zip(&plain) {
+        assert!(a.number == b.number && (a.position[2] - b.position[2] - 12.0).abs() < 2e-5);
+    }
+    let exit = 12.0 + 10.0 * with["thickness_nm"].as_f64().unwrap() + 2.0;
+    let before = layers.iter().filter(|a| a.position[2] <= 10.0).count();
+    assert!((before as f64 / carbon as f64 - 10.0 / 16.0).abs() < 0.05, "{before} of {carbon}");
+    for atom in layers {
+        let z = atom.position[2];
+        assert!(
+            atom.number == 6 && ((0.0..=10.0).contains(&z) || (exit..=exit + 6.0).contains(&z))
+        );
+    }
+    let text = std::fs::read_to_string(here.join("b.extxyz")).unwrap();
+    let comment = text.lines().nth(1).unwrap();
+    assert!(comment.contains("specimen_face_angstrom=\"12\""), "{comment}");
+    assert!(comment.contains("sigma=\"C=0.08,"), "{comment}");
+    assert_eq!(text.lines().filter(|l| l.ends_with(" 0 none -1")).count() as u64, carbon);
+    assert!(json(stemgen(here).args(["simulate", "b.extxyz", "--dry-run"]))["probes"].is_u64());
+}

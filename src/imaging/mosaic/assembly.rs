@@ -11,6 +11,7 @@ use crate::imaging::mosaic::survey::BEYOND_NM;
 use crate::recipe::region::Region;
 use crate::resample::{Kernel, TAPS, Weights};
 use crate::simd::vectorised;
+use crate::specimen::sites::SiteKind;
 use crate::specimen::specimen_trait::Specimen;
 use crate::specimen::units::unit_tag::{TurnedFamily, UnitTag};
 
@@ -19,6 +20,8 @@ use crate::specimen::units::unit_tag::{TurnedFamily, UnitTag};
 const SOFTNESS: f64 = 0.15;
 /// Weights below this are left out.
 const LEAST_WEIGHT: f64 = 1e-4;
+/// A column stands in for another the better the nearer it is: so far counts as much as a mean atomic number that differs by 1.
+const STAND_IN_ANGSTROM: f64 = 4.0;
 /// Edge in Angstrom of the bins in which columns are looked up: those that share a pixel are nearer.
 const BIN_ANGSTROM: f64 = 3.0;
 
@@ -27,6 +30,15 @@ struct PlacedUnit {
     tag: Option<UnitTag>,
     /// Centre in Angstrom.
     centre: [f64; 2],
+}
+
+/// A column of a unit.
+struct PlacedColumn {
+    unit: usize,
+    /// Position in Angstrom.
+    at: [f64; 2],
+    /// Mean atomic number of its atoms.
+    mean_number: f64,
 }
 
 /// The share of a unit in a pixel.
@@ -39,6 +51,7 @@ struct PixelShare {
 /// Where the units' images overlap: the pixels of a rectangle and the units that make them.
 pub struct Assembly {
     units: Vec<PlacedUnit>,
+    columns: Vec<PlacedColumn>,
     shares: Vec<PixelShare>,
     shape: [usize; 2],
     /// Places (x, y) of all pixels in Angstrom of the full field.
@@ -73,10 +86,11 @@ impl Assembly {
         way: [f64; 2],
     ) -> Self {
         let area = region.grown(BEYOND_NM);
-        let mut units: Vec<PlacedUnit> = Vec::new();
+        let (mut units, mut columns): (Vec<PlacedUnit>, Vec<PlacedColumn>) = Default::default();
         let mut known: HashMap<u64, usize> = HashMap::new();
         let mut bins: HashMap<[i64; 2], Vec<(usize, [f64; 2])>> = HashMap::new();
-        for column in specimen.query(&area).columns {
+        let found = specimen.query(&area);
+        for column in found.columns {
             let id = column.unit.map_or(column.id, |u| u.id);
             let at = column.position_nm.map(|v| 10.0 * v);
             let unit = *known.entry(id).or_insert_with(|| {
@@ -84,6 +98,11 @@ impl Assembly {
                 units.push(PlacedUnit { tag: column.unit, centre });
                 units.len() - 1
             });
+            let atoms = found.sites[column.sites].iter();
+            let atoms = atoms.filter(|site| site.kind != SiteKind::Vacancy);
+            let (count, sum) =
+                atoms.fold((0.0f64, 0.0), |(n, z), a| (n + 1.0, z + f64::from(a.number)));
+            columns.push(PlacedColumn { unit, at, mean_number: sum / count.max(1.0) });
             bins.entry(at.map(|v| (v / BIN_ANGSTROM).floor() as i64)).or_default().push((unit, at));
         }
         let row = |row: usize| {
@@ -104,7 +123,32 @@ impl Assembly {
         };
         let shares: Vec<Vec<PixelShare>> = (0..shape[0]).into_par_iter().map(row).collect();
         let shares = shares.into_iter().flatten().collect();
-        Assembly { units, shares, shape, places }
+        Assembly { units, columns, shares, shape, places }
+    }
+
+    /// With the images of other columns, those with the most similar content nearby, in place of those that the library lacks. Of
+    /// no use but for pictures that show much more than a column.
+    #[must_use]
+    pub fn with_stand_ins(mut self, library: &ImageLibrary) -> Self {
+        let there = |n: usize| self.units[n].tag.is_some_and(|t| library.cell_images(&t).is_some());
+        let there: Vec<bool> = (0..self.units.len()).map(there).collect();
+        let known: Vec<&PlacedColumn> = self.columns.iter().filter(|c| there[c.unit]).collect();
+        let mut stand_ins = Vec::new();
+        for column in self.columns.iter().filter(|c| !there[c.unit]) {
+            let unlike = |other: &PlacedColumn| {
+                let away = libm::hypot(other.at[0] - column.at[0], other.at[1] - column.at[1]);
+                away / STAND_IN_ANGSTROM + (other.mean_number - column.mean_number).abs()
+            };
+            let best = known.iter().min_by(|a, b| unlike(a).total_cmp(&unlike(b)));
+            let Some(other) = best else { continue };
+            let unit = &self.units[other.unit];
+            let centre = [0, 1].map(|k| column.at[k] + unit.centre[k] - other.at[k]);
+            stand_ins.push((column.unit, PlacedUnit { tag: unit.tag, centre }));
+        }
+        for (unit, stand_in) in stand_ins {
+            self.units[unit] = stand_in;
+        }
+        self
     }
 
     /// The families of its units.

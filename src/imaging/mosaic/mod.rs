@@ -17,6 +17,7 @@ pub mod image_note;
 #[cfg(feature = "hdf5")]
 pub mod library_archive;
 pub mod library_cache;
+pub mod missing_blocks;
 pub mod mosaic_cost;
 pub mod mosaic_imager;
 pub mod supplied_images;

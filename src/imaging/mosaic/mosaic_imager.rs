@@ -1,6 +1,6 @@
 //! Library, assembly, and direct simulation of what does not repeat.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -9,6 +9,7 @@ use ndarray::Array2;
 use super::assembly::Assembly;
 use super::image_library::{ImageLibrary, RecomputedImage, SharedSheets};
 use super::library_cache::Cache;
+use super::missing_blocks::{BLOCK_ANGSTROM, BLOCK_PX, blocks};
 use super::mosaic_cost::MosaicCost;
 use super::survey::{FieldSurvey, survey};
 use crate::error::{Error, Result};
@@ -27,8 +28,6 @@ use crate::specimen::atom_columns::AtomColumn;
 use crate::specimen::specimen_trait::Specimen;
 use crate::specimen::units::unit_tag::TurnedFamily;
 
-/// Edge in pixels of the blocks in which pixels that need direct simulation are gathered.
-const BLOCK_PX: usize = 48;
 /// A library is worth its cost where it takes fewer probes than this share of the field's.
 const WORTH: f64 = 0.8;
 /// Edge of the surroundings of a column that only it shows, in Angstrom.
@@ -258,6 +257,36 @@ impl MosaicImager {
         })
     }
 
+    /// The image at the places of a raster; with stand-ins, columns like no other are not simulated.
+    fn image_of(
+        &self,
+        raster: &TurnedRaster,
+        (configurations, stand_ins): (usize, bool),
+        progress: &dyn Progress,
+    ) -> Result<Array2<f64>> {
+        self.check_prepared(progress)?;
+        let places = raster.places_angstrom();
+        let (region, shape) = (raster.region(), raster.shape);
+        let mut assembly =
+            Assembly::of_places(&*self.specimen, &region, shape, places.clone(), self.way());
+        let seed = self.recipe.seed;
+        let library = self.library_with(assembly.families(), progress)?;
+        if stand_ins {
+            assembly = assembly.with_stand_ins(&library);
+        }
+        let mut image = assembly.image((&library, 0), &self.kernel, seed, configurations);
+        let edge = (0.1 * BLOCK_ANGSTROM / raster.pixel_nm).ceil() as usize;
+        let missing = assembly.missing(&library);
+        for (_, members) in blocks(&missing, [0, 0], shape, edge.clamp(1, BLOCK_PX)) {
+            let there: Vec<[f64; 2]> = members.iter().map(|(pixel, _)| places[*pixel]).collect();
+            let values = self.direct_at(&there, configurations, progress)?;
+            for ((pixel, weight), value) in members.iter().zip(values) {
+                image[[pixel / shape[1], pixel % shape[1]]] += weight * value;
+            }
+        }
+        Ok(image)
+    }
+
     /// How far (x, y) a tilted beam has moved at half thickness, in Angstrom.
     fn way(&self) -> [f64; 2] {
         let half = 5.0 * self.specimen.thickness_nm();
@@ -292,7 +321,7 @@ impl MosaicImager {
         let image = |n: usize| assembly.image((&library, n), kernel, seed, configurations);
         let mut images: Vec<Array2<f64>> = (0..detectors).map(image).collect();
         let missing = assembly.missing(&library);
-        for (block, members) in blocks(&missing, first, shape) {
+        for (block, members) in blocks(&missing, first, shape, BLOCK_PX) {
             let direct = self.direct(&block, configurations, progress)?;
             for (pixel, weight) in members {
                 let [row, column] = [pixel / shape[1], pixel % shape[1]];
@@ -377,22 +406,16 @@ impl RegionImager for MosaicImager {
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Option<Array2<f64>>> {
-        self.check_prepared(progress)?;
-        let places = raster.places_angstrom();
-        let (region, shape) = (raster.region(), raster.shape);
-        let assembly =
-            Assembly::of_places(&*self.specimen, &region, shape, places.clone(), self.way());
-        let seed = self.recipe.seed;
-        let library = self.library_with(assembly.families(), progress)?;
-        let mut image = assembly.image((&library, 0), &self.kernel, seed, configurations);
-        for (_, members) in blocks(&assembly.missing(&library), [0, 0], shape) {
-            let there: Vec<[f64; 2]> = members.iter().map(|(pixel, _)| places[*pixel]).collect();
-            let values = self.direct_at(&there, configurations, progress)?;
-            for ((pixel, weight), value) in members.iter().zip(values) {
-                image[[pixel / shape[1], pixel % shape[1]]] += weight * value;
-            }
-        }
-        Ok(Some(image))
+        self.image_of(raster, (configurations, false), progress).map(Some)
+    }
+
+    fn overview_at(
+        &self,
+        raster: &TurnedRaster,
+        configurations: usize,
+        progress: &dyn Progress,
+    ) -> Result<Option<Array2<f64>>> {
+        self.image_of(raster, (configurations, true), progress).map(Some)
     }
 
     /// Atoms of units with a place in the library move as in the simulations that their images come from, others
@@ -457,30 +480,4 @@ impl RegionImager for MosaicImager {
     fn window_angstrom(&self) -> Option<f64> {
         self.simulator.window_angstrom()
     }
-}
-
-/// Pixels (indices in the rectangle of `shape` at `first`) and the weight of what is missing there.
-type Weighted = Vec<(usize, f64)>;
-
-/// Gathers pixels into the least rectangles within blocks of the full field.
-fn blocks(
-    missing: &HashMap<usize, f64>,
-    first: [usize; 2],
-    shape: [usize; 2],
-) -> Vec<(PixelRect, Weighted)> {
-    let mut by_block: BTreeMap<[usize; 2], Weighted> = BTreeMap::new();
-    for (&pixel, &weight) in missing {
-        let at = [first[0] + pixel / shape[1], first[1] + pixel % shape[1]];
-        by_block.entry(at.map(|v| v / BLOCK_PX)).or_default().push((pixel, weight));
-    }
-    let range = |places: &mut dyn Iterator<Item = usize>| {
-        let (low, high) = places.fold((usize::MAX, 0), |(l, h), v| (l.min(v), h.max(v)));
-        [low, high - low + 1]
-    };
-    let rectangle = |pixels: &Weighted| {
-        let rows = range(&mut pixels.iter().map(|p| first[0] + p.0 / shape[1]));
-        let columns = range(&mut pixels.iter().map(|p| first[1] + p.0 % shape[1]));
-        PixelRect::new([rows[0], columns[0]], [rows[1], columns[1]])
-    };
-    by_block.into_values().map(|pixels| (rectangle(&pixels), pixels)).collect()
 }

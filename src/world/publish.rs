@@ -1,0 +1,57 @@
+//! Puts a finished world, and the file that belongs to it, in their places.
+
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use super::subtile_store::beside;
+use crate::error::{Error, Result};
+use crate::files::atomic_write::sync_folder;
+use crate::io::{WorldFile, WorldWriter};
+
+/// A file that is made from a finished world and belongs to it, such as its picture. A build that is ended before it is there goes on
+/// with it.
+pub struct Companion<'a> {
+    /// Where it goes.
+    pub path: &'a Path,
+    /// What it takes on disk, at most.
+    pub most_bytes: u64,
+    /// Makes what it holds.
+    pub content: &'a dyn Fn(&WorldFile) -> Result<Vec<u8>>,
+}
+
+/// `path` with an ending that tells that the file is not finished.
+pub fn partial(path: &Path) -> PathBuf {
+    beside(path, ".partial")
+}
+
+/// Puts a file that is complete in its place.
+pub fn place(partial: &Path, path: &Path) -> Result<()> {
+    fs::rename(partial, path).map_err(|e| Error::io(path, "write", e))?;
+    sync_folder(path)
+}
+
+/// Writes a companion under another name and puts it in place when it is complete.
+pub fn publish_companion(companion: &Companion, world: &Path) -> Result<()> {
+    let content = (companion.content)(&WorldFile::open(world)?)?;
+    let partial = partial(companion.path);
+    let write = || {
+        let mut file = fs::File::create(&partial)?;
+        file.write_all(&content)?;
+        file.sync_all()
+    };
+    let written = write().map_err(|e| Error::io(companion.path, "write", e));
+    let placed = written.and_then(|()| place(&partial, companion.path));
+    let _ = fs::remove_file(&partial);
+    placed
+}
+
+/// Finds before any work what would keep the file from being written at the end: names that HDF5 does not take, names too long,
+/// folders that may not be written.
+pub fn try_partial(output: &Path) -> Result<()> {
+    let partial = partial(output);
+    let tried = WorldWriter::try_file(&partial);
+    // Whatever became of it: the reason of a failure matters more.
+    let _ = fs::remove_file(&partial);
+    tried
+}
