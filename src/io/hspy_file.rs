@@ -5,6 +5,7 @@ use std::path::Path;
 use hdf5::{File, Group};
 
 use super::At;
+use super::hdf5_create;
 use super::image_file::ImageStack;
 use super::world_writer::{number, text};
 use crate::error::Result;
@@ -23,10 +24,10 @@ const UNIT: &str = "\u{c5}";
 pub fn write_hspy(path: &Path, overwrite: bool, stacks: &[ImageStack]) -> Result<()> {
     atomic_write::write_with(path, overwrite, |temporary| {
         let write = || -> hdf5::Result<()> {
-            let file = File::create(temporary)?;
+            let file = hdf5_create::file(temporary)?;
             text(&file, "file_format", "HyperSpy")?;
             text(&file, "file_format_version", FORMAT_VERSION)?;
-            let experiments = file.create_group("Experiments")?;
+            let experiments = hdf5_create::group(&file, "Experiments")?;
             stacks.iter().try_for_each(|stack| signal(&experiments, stack))?;
             file.flush()
         };
@@ -35,7 +36,7 @@ pub fn write_hspy(path: &Path, overwrite: bool, stacks: &[ImageStack]) -> Result
 }
 
 fn signal(experiments: &Group, stack: &ImageStack) -> hdf5::Result<()> {
-    let group = experiments.create_group(stack.name)?;
+    let group = hdf5_create::group(&experiments, stack.name)?;
     text(&group, "package", "hyperspy")?;
     text(&group, "package_version", "2.0")?;
     let data = stack.data.as_standard_layout();
@@ -57,7 +58,7 @@ fn signal(experiments: &Group, stack: &ImageStack) -> hdf5::Result<()> {
     axes.push(("y", rows, [y0, y], false));
     axes.push(("x", columns, [x0, x], false));
     for (n, (name, size, [offset, scale], navigate)) in axes.into_iter().enumerate() {
-        let axis = group.create_group(&format!("axis-{n}"))?;
+        let axis = hdf5_create::group(&group, &format!("axis-{n}"))?;
         text(&axis, "_type", "UniformDataAxis")?;
         text(&axis, "name", name)?;
         text(&axis, "units", UNIT)?;
@@ -67,15 +68,15 @@ fn signal(experiments: &Group, stack: &ImageStack) -> hdf5::Result<()> {
         number(&axis, "navigate", navigate)?;
         number(&axis, "is_binned", false)?;
     }
-    let metadata = group.create_group("metadata")?;
-    let general = metadata.create_group("General")?;
+    let metadata = hdf5_create::group(&group, "metadata")?;
+    let general = hdf5_create::group(&metadata, "General")?;
     text(&general, "title", stack.name)?;
-    let about = metadata.create_group("Signal")?;
+    let about = hdf5_create::group(&metadata, "Signal")?;
     text(&about, "signal_type", "")?;
     text(&about, "quantity", stack.units)?;
-    group.create_group("original_metadata")?;
-    group.create_group("learning_results")?;
-    let attributes = group.create_group("attributes")?;
+    hdf5_create::group(&group, "original_metadata")?;
+    hdf5_create::group(&group, "learning_results")?;
+    let attributes = hdf5_create::group(&group, "attributes")?;
     number(&attributes, "_lazy", false)?;
     number(&attributes, "ragged", false)
 }

@@ -22,6 +22,7 @@ use ndarray::{ArrayView1, ArrayView2, ArrayView3};
 use num_complex::Complex32;
 
 use super::At;
+use super::hdf5_create;
 use super::world_writer::{number, text};
 use crate::engine::{Site, Source};
 use crate::error::Result;
@@ -116,13 +117,13 @@ pub fn write_images(
 ) -> Result<()> {
     atomic_write::write_with(path, overwrite, |temporary| {
         let write = || -> hdf5::Result<()> {
-            let file = File::create(temporary)?;
+            let file = hdf5_create::file(temporary)?;
             write_origin(&file, origin)?;
-            write_specimen(&file.create_group("specimen")?, origin)?;
-            let group = file.create_group("images")?;
+            write_specimen(&hdf5_create::group(&file, "specimen")?, origin)?;
+            let group = hdf5_create::group(&file, "images")?;
             images.iter().try_for_each(|stack| write_stack(&group, stack))?;
             if !counts.is_empty() {
-                let group = file.create_group("counts")?;
+                let group = hdf5_create::group(&file, "counts")?;
                 counts.iter().try_for_each(|counts| write_counts(&group, counts))?;
             }
             write_entry(&file, images, counts)?;
@@ -202,7 +203,7 @@ fn write_entry(file: &File, images: &[ImageStack], counts: &[ImageCounts]) -> hd
     text(file, "default", "entry")?;
     number(file, "version_major", 0_i64)?;
     number(file, "version_minor", 2_i64)?;
-    let entry = file.create_group("entry")?;
+    let entry = hdf5_create::group(&file, "entry")?;
     text(&entry, "NX_class", "NXentry")?;
     text(&entry, "default", first.name)?;
     for stack in images {
@@ -216,7 +217,7 @@ fn write_entry(file: &File, images: &[ImageStack], counts: &[ImageCounts]) -> hd
 }
 
 fn write_nxdata(file: &File, data: &str, name: &str, stack: &ImageStack) -> hdf5::Result<()> {
-    let group = file.create_group(&format!("entry/{name}"))?;
+    let group = hdf5_create::group(&file, &format!("entry/{name}"))?;
     text(&group, "NX_class", "NXdata")?;
     text(&group, "signal", "data")?;
     axes(&group, AXES)?;

@@ -5,6 +5,8 @@ pub mod arrays;
 pub mod atom_type;
 mod atoms_file;
 #[cfg(feature = "hdf5")]
+mod hdf5_create;
+#[cfg(feature = "hdf5")]
 mod hdf5_errors;
 #[cfg(feature = "hdf5")]
 mod hdf5_filters;

@@ -23,6 +23,7 @@ use hdf5::{File, H5Type};
 use ndarray::{Array2, Array3, Axis};
 
 use super::At;
+use super::hdf5_create;
 use super::truth_writer::TruthWriter;
 use super::world_writer::{number, text};
 use crate::acquisition::{Acquisition, Exposure, ScanFrame};
@@ -96,7 +97,7 @@ pub fn write_recording(
     truth: &dyn Fn(&TruthWriter) -> Result<()>,
 ) -> Result<()> {
     atomic_write::write_with(path, overwrite, |temporary| {
-        let file = File::create(temporary).at(path)?;
+        let file = hdf5_create::file(temporary).at(path)?;
         let shape = recording.frame.shape;
         write_header(&file, recording).at(path)?;
         write_images(&file, recording).at(path)?;
@@ -148,7 +149,7 @@ fn write_images(file: &File, r: &RecordingFile) -> hdf5::Result<()> {
         text(&carbon, "units", "nm")?;
     }
     let Some(stages) = r.stages else { return Ok(()) };
-    let group = file.create_group("stages")?;
+    let group = hdf5_create::group(&file, "stages")?;
     let names = [("moved", "fraction of the incident beam"), ("electrons", "electrons")];
     for ((name, units), data) in names.into_iter().zip(stages) {
         let [rows, columns] = chunk(r.frame.shape);
@@ -182,7 +183,7 @@ fn write_counts<T: H5Type + Clone>(
 }
 
 fn write_series(file: &File, series: &SeriesPart, [rows, columns]: [usize; 2]) -> hdf5::Result<()> {
-    let group = file.create_group("series")?;
+    let group = hdf5_create::group(&file, "series")?;
     text(&group, "history", &series.history)?;
     let builder = group.new_dataset_builder().chunk([1, rows, columns]).shuffle().deflate(DEFLATE);
     let ideal = builder.with_data(series.ideal).create("ideal")?;
@@ -190,7 +191,7 @@ fn write_series(file: &File, series: &SeriesPart, [rows, columns]: [usize; 2]) -
     group.new_dataset_builder().with_data(series.vacancies).create("vacancies")?;
     let dose = group.new_dataset_builder().with_data(series.dose_before).create("dose_before")?;
     text(&dose, "units", "electrons per square Angstrom")?;
-    let lost = group.create_group("lost")?;
+    let lost = hdf5_create::group(&group, "lost")?;
     for (element, atoms) in &series.lost {
         lost.new_dataset_builder().with_data(atoms).create(element.as_str())?;
     }
@@ -200,10 +201,10 @@ fn write_series(file: &File, series: &SeriesPart, [rows, columns]: [usize; 2]) -
 fn write_entry(file: &File, r: &RecordingFile) -> hdf5::Result<()> {
     text(file, "NX_class", "NXroot")?;
     text(file, "default", "entry")?;
-    let entry = file.create_group("entry")?;
+    let entry = hdf5_create::group(&file, "entry")?;
     text(&entry, "NX_class", "NXentry")?;
     text(&entry, "default", "recording")?;
-    let group = entry.create_group("recording")?;
+    let group = hdf5_create::group(&entry, "recording")?;
     text(&group, "NX_class", "NXdata")?;
     text(&group, "signal", "data")?;
     group.link_soft("/recording", "data")?;

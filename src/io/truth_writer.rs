@@ -6,6 +6,7 @@ use hdf5::{Dataset, Extents, File, Group, H5Type};
 use ndarray::{Array3, ArrayView1, ArrayView2};
 
 use super::At;
+use super::hdf5_create;
 use super::schema::{self, CompositionText, DefectName, MorphologyName};
 use super::world_writer::{compressed, number, text};
 use crate::error::Result;
@@ -87,8 +88,8 @@ pub struct TruthWriter {
 impl TruthWriter {
     /// Creates the group in a file; its image has `shape[0]` rows and columns, in chunks of `shape[1]`.
     pub(super) fn create(file: &File, path: &Path, shape: [[usize; 2]; 2]) -> hdf5::Result<Self> {
-        let group = file.create_group(schema::TRUTH)?;
-        let columns = group.create_group(schema::COLUMNS)?;
+        let group = hdf5_create::group(&file, schema::TRUTH)?;
+        let columns = hdf5_create::group(&group, schema::COLUMNS)?;
         let list = (0..).into();
         let truth = TruthWriter {
             path: path.to_owned(),
@@ -107,8 +108,8 @@ impl TruthWriter {
                 growing::<i32>(&columns, "substitutions", &list)?,
             ],
             column_compositions: growing::<CompositionText>(&columns, "composition", &list)?,
-            grain_boundaries: group.create_group(schema::GRAIN_BOUNDARIES)?,
-            phase_boundaries: group.create_group(schema::PHASE_BOUNDARIES)?,
+            grain_boundaries: hdf5_create::group(&group, schema::GRAIN_BOUNDARIES)?,
+            phase_boundaries: hdf5_create::group(&group, schema::PHASE_BOUNDARIES)?,
             group,
         };
         text(&truth.z, "unit", "nm")?;
@@ -173,7 +174,7 @@ impl TruthWriter {
         intensities: &[(String, Vec<f32>)],
     ) -> Result<()> {
         let write = || {
-            let group = self.group.create_group(schema::UNIT_CELLS)?;
+            let group = hdf5_create::group(&self.group, schema::UNIT_CELLS)?;
             text(&group, "refers_to", "rows of atom_positions")?;
             if !polarisations.is_empty() {
                 let builder = group.new_dataset_builder().with_data(rows(polarisations)?);
@@ -307,7 +308,7 @@ impl TruthWriter {
     /// [`crate::Error::Hdf5`].
     pub fn particles(&self, particles: &ParticleBatch) -> Result<()> {
         let write = || {
-            let group = self.group.create_group(schema::PARTICLES)?;
+            let group = hdf5_create::group(&self.group, schema::PARTICLES)?;
             let new = || group.new_dataset_builder();
             let centres = new().with_data(rows(&particles.centres)?).create("centre")?;
             text(&centres, "unit", "nm")?;

@@ -7,6 +7,7 @@ use hdf5::{Dataset, Extents, File, Group, H5Type};
 use ndarray::ArrayView2;
 
 use super::At;
+use super::hdf5_create;
 use super::schema;
 use super::truth_writer::TruthWriter;
 use crate::acquisition::{Acquisition, Exposure};
@@ -67,7 +68,7 @@ impl WorldWriter {
     /// # Errors
     /// [`Error::Hdf5`], [`Error::Io`].
     pub(crate) fn try_file(path: &Path) -> Result<()> {
-        File::create(path).at(path).map(drop)
+        hdf5_create::file(path).at(path).map(drop)
     }
 
     /// Creates (or replaces) the file and all that does not depend on the image.
@@ -78,8 +79,8 @@ impl WorldWriter {
         let stride = header.tile_size_px - header.overlap_px;
         let shape = header.grid_shape.map(|n| n * stride + header.overlap_px);
         let make = || -> hdf5::Result<WorldWriter> {
-            let file = File::create(path)?;
-            let metadata = file.create_group(schema::METADATA)?;
+            let file = hdf5_create::file(path)?;
+            let metadata = hdf5_create::group(&file, schema::METADATA)?;
             write_header(&metadata, header)?;
             let tile = [header.tile_size_px.min(shape[0]), header.tile_size_px.min(shape[1])];
             let valid = compressed::<bool>(&file, schema::VALID_REGION, shape.into(), &tile)?;
@@ -261,20 +262,20 @@ fn write_header(group: &Group, h: &Header) -> hdf5::Result<()> {
 
 /// The groups of tiles, and of noiseless ones if they are kept.
 fn image_groups(group: &Group, keep_clean: bool) -> hdf5::Result<(Group, Option<Group>)> {
-    let clean = keep_clean.then(|| group.create_group(schema::CLEAN)).transpose()?;
+    let clean = keep_clean.then(|| hdf5_create::group(group, schema::CLEAN)).transpose()?;
     if let Some(clean) = &clean {
         text(clean, "unit", "fraction of the incident beam")?;
     }
-    Ok((group.create_group(schema::TILES)?, clean))
+    Ok((hdf5_create::group(group, schema::TILES)?, clean))
 }
 
 /// A group for each detector. That of the main one has links to its images, which lie where those of a single detector do.
 fn write_detectors(file: &File, detectors: &[Detector], keep_clean: bool) -> hdf5::Result<()> {
-    let all = file.create_group(schema::DETECTORS)?;
+    let all = hdf5_create::group(file, schema::DETECTORS)?;
     let names: Vec<VarLenUnicode> = detectors.iter().filter_map(|d| d.name.parse().ok()).collect();
     all.new_attr_builder().with_data(&names).create("names")?;
     for (n, detector) in detectors.iter().enumerate() {
-        let group = all.create_group(&detector.name)?;
+        let group = hdf5_create::group(&all, &detector.name)?;
         number(&group, "inner_mrad", detector.inner_mrad)?;
         number(&group, "outer_mrad", detector.outer_mrad)?;
         if n == 0 {
