@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use hdf5::{File, Group};
+use hdf5::Group;
 
 use super::At;
 use super::hdf5_create;
