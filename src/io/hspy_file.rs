@@ -36,7 +36,7 @@ pub fn write_hspy(path: &Path, overwrite: bool, stacks: &[ImageStack]) -> Result
 }
 
 fn signal(experiments: &Group, stack: &ImageStack) -> hdf5::Result<()> {
-    let group = hdf5_create::group(&experiments, stack.name)?;
+    let group = hdf5_create::group(experiments, stack.name)?;
     text(&group, "package", "hyperspy")?;
     text(&group, "package_version", "2.0")?;
     let data = stack.data.as_standard_layout();

@@ -203,7 +203,7 @@ fn write_entry(file: &File, images: &[ImageStack], counts: &[ImageCounts]) -> hd
     text(file, "default", "entry")?;
     number(file, "version_major", 0_i64)?;
     number(file, "version_minor", 2_i64)?;
-    let entry = hdf5_create::group(&file, "entry")?;
+    let entry = hdf5_create::group(file, "entry")?;
     text(&entry, "NX_class", "NXentry")?;
     text(&entry, "default", first.name)?;
     for stack in images {
@@ -217,7 +217,7 @@ fn write_entry(file: &File, images: &[ImageStack], counts: &[ImageCounts]) -> hd
 }
 
 fn write_nxdata(file: &File, data: &str, name: &str, stack: &ImageStack) -> hdf5::Result<()> {
-    let group = hdf5_create::group(&file, &format!("entry/{name}"))?;
+    let group = hdf5_create::group(file, &format!("entry/{name}"))?;
     text(&group, "NX_class", "NXdata")?;
     text(&group, "signal", "data")?;
     axes(&group, AXES)?;

@@ -149,7 +149,7 @@ fn write_images(file: &File, r: &RecordingFile) -> hdf5::Result<()> {
         text(&carbon, "units", "nm")?;
     }
     let Some(stages) = r.stages else { return Ok(()) };
-    let group = hdf5_create::group(&file, "stages")?;
+    let group = hdf5_create::group(file, "stages")?;
     let names = [("moved", "fraction of the incident beam"), ("electrons", "electrons")];
     for ((name, units), data) in names.into_iter().zip(stages) {
         let [rows, columns] = chunk(r.frame.shape);
@@ -183,7 +183,7 @@ fn write_counts<T: H5Type + Clone>(
 }
 
 fn write_series(file: &File, series: &SeriesPart, [rows, columns]: [usize; 2]) -> hdf5::Result<()> {
-    let group = hdf5_create::group(&file, "series")?;
+    let group = hdf5_create::group(file, "series")?;
     text(&group, "history", &series.history)?;
     let builder = group.new_dataset_builder().chunk([1, rows, columns]).shuffle().deflate(DEFLATE);
     let ideal = builder.with_data(series.ideal).create("ideal")?;
@@ -201,7 +201,7 @@ fn write_series(file: &File, series: &SeriesPart, [rows, columns]: [usize; 2]) -
 fn write_entry(file: &File, r: &RecordingFile) -> hdf5::Result<()> {
     text(file, "NX_class", "NXroot")?;
     text(file, "default", "entry")?;
-    let entry = hdf5_create::group(&file, "entry")?;
+    let entry = hdf5_create::group(file, "entry")?;
     text(&entry, "NX_class", "NXentry")?;
     text(&entry, "default", "recording")?;
     let group = hdf5_create::group(&entry, "recording")?;

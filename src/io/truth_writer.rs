@@ -88,7 +88,7 @@ pub struct TruthWriter {
 impl TruthWriter {
     /// Creates the group in a file; its image has `shape[0]` rows and columns, in chunks of `shape[1]`.
     pub(super) fn create(file: &File, path: &Path, shape: [[usize; 2]; 2]) -> hdf5::Result<Self> {
-        let group = hdf5_create::group(&file, schema::TRUTH)?;
+        let group = hdf5_create::group(file, schema::TRUTH)?;
         let columns = hdf5_create::group(&group, schema::COLUMNS)?;
         let list = (0..).into();
         let truth = TruthWriter {
