@@ -148,7 +148,7 @@ impl Simulate {
         let waves = waves.as_ref();
         let waves = waves.map(|w| ExitWaves { data: w.view(), step_angstrom: scan.step_angstrom });
         let wall_time_s = begun.elapsed().as_secs_f64();
-        let origin = self.origin(planned, specimen, wall_time_s)?;
+        let origin = self.origin(planned, specimen)?;
         write_images(&path, self.results.overwrite, &origin, &all, &counted, waves)?;
         self.write_beside(planned, specimen, files, &all)?;
         Self::parts(planned, specimen, scan, &path).remove()?;
@@ -311,7 +311,6 @@ impl Simulate {
         &self,
         planned: &PlannedSeries,
         specimen: &'a Prepared,
-        wall_time_s: f64,
     ) -> anyhow::Result<Origin<'a>> {
         let plan = &planned.plans[0];
         Ok(Origin {
@@ -321,7 +320,6 @@ impl Simulate {
             wavelength_angstrom: plan.settings.optics.wavelength_angstrom(),
             band_limit_mrad: plan.band_limit_mrad,
             source: self.microscope.source(),
-            wall_time_s,
             accuracy: AccuracyReport::json_of(&planned.accuracies)?,
             box_angstrom: specimen.size,
             sites: &specimen.sites,

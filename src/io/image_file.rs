@@ -2,7 +2,7 @@
 //!
 //! - `/` attributes: `format` ("stemgen images"), `format_version`, `stemgen_version`,
 //!   `command_line`, `settings` (JSON), `structure_file`, `wavelength_angstrom`, `band_limit_mrad`,
-//!   `wall_time_s`; `accuracy` (JSON: asked and found) if one was asked for; `source_fwhm_angstrom` and
+//!   `accuracy` (JSON: asked and found) if one was asked for; `source_fwhm_angstrom` and
 //!   `source_lorentz_share` if the source is no point;
 //! - `/images/NAME`: float32, always (thickness, y, x), with `units`, `axes`, `sampling_angstrom` and
 //!   `origin_angstrom` as (y, x), `thicknesses_angstrom`, and `inner_mrad`, `outer_mrad` of a
@@ -49,8 +49,6 @@ pub struct Origin<'a> {
     pub band_limit_mrad: f64,
     /// The electron source; `None` for a point.
     pub source: Option<Source>,
-    /// Time taken in s.
-    pub wall_time_s: f64,
     /// What was asked and found about the accuracy, as JSON.
     pub accuracy: Option<String>,
     /// Edges of the box in Angstrom.
@@ -152,7 +150,7 @@ fn write_origin(file: &File, o: &Origin) -> hdf5::Result<()> {
         number(file, "source_fwhm_angstrom", source.fwhm_angstrom)?;
         number(file, "source_lorentz_share", source.lorentz_share)?;
     }
-    number(file, "wall_time_s", o.wall_time_s)
+    Ok(())
 }
 
 fn write_specimen(group: &Group, o: &Origin) -> hdf5::Result<()> {

@@ -12,7 +12,7 @@ with h5py.File(sys.argv[1]) as f:
     settings = json.loads(f.attrs["settings"])
     assert settings["optics"]["energy_ev"] == 200e3
     assert abs(f.attrs["wavelength_angstrom"] - 0.025079) < 1e-6
-    assert f.attrs["wall_time_s"] >= 0
+    assert "wall_time_s" not in f.attrs, "the same command gives the same bytes"
     cell = f["specimen/cell"][()]
     positions, numbers = f["specimen/positions"][()], f["specimen/numbers"][()]
     assert positions.shape == (len(numbers), 3) and set(numbers) == {14}

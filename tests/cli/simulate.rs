@@ -171,6 +171,25 @@ fn frames_and_displacements_come_from_files() {
     assert!(told.contains("_atom_site_u_iso_or_equiv"), "{told}");
 }
 
+/// The same command gives the same bytes, at any time.
+#[test]
+fn the_same_command_writes_the_same_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let once = || {
+        let mut command = stemgen(folder.path());
+        command.arg("simulate").arg(file("structures/si.cif"));
+        command.args(["--sampling", "0.1", "--detector", "ADF=40-80", "--scan-points", "4,4"]);
+        command.args(["--phonons", "2", "--sigma", "0.08", "--dose", "1e4", "--hspy"]);
+        let run = command.args(["--overwrite", "--quiet", "-o", "a.h5"]).output().unwrap();
+        assert!(run.status.success(), "{}", stderr(&run));
+        ["a.h5", "a.hspy"].map(|name| std::fs::read(folder.path().join(name)).unwrap())
+    };
+    let first = once();
+    // Another second of the clock.
+    std::thread::sleep(std::time::Duration::from_millis(1100));
+    assert!(first == once());
+}
+
 /// A part of the cell with a source is that part of the whole with the same source.
 #[test]
 fn a_source_blurs_parts_as_the_whole() {
