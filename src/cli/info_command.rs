@@ -12,7 +12,7 @@ use super::{hdf5_check, output, text};
 use crate::files::atomic_write;
 use crate::files::file_digest::sha256_of_file;
 use crate::files::outputs::check_outputs;
-use crate::io::{RecordedSource, WorldFile};
+use crate::io::{ImageKind, RecordedSource, StoredImages, WorldFile};
 use crate::world::WorldFacts;
 
 const EXAMPLES: &str = "\
@@ -24,15 +24,17 @@ Examples:
   Its recipe as a file, to change and to build from:
     stemgen info mine.h5 --recipe-out mine.toml
 
+Of a file that `simulate`, `acquire` or `live` wrote it tells the images and the command.
+
 The command makes the same bytes of tiles and truth with the same version of the numerics on the same kind of
 processor. Where it names a recipe file, --recipe-out writes that file.";
 
-/// Tell what a world file holds, and the command that makes it again
+/// Tell what a world, or a file of images, holds, and the command that makes it again
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Info {
-    /// World files
-    #[arg(value_name = "WORLD.h5", required = true)]
+    /// World files, and files of images
+    #[arg(value_name = "FILE.h5", required = true)]
     worlds: Vec<PathBuf>,
     /// Also tell the SHA-256 of the file
     #[arg(long)]
@@ -67,17 +69,57 @@ pub struct WorldInfo {
     pub again: BuildAgain,
 }
 
+/// All about a file of images, as `--json` prints it.
+#[derive(Serialize)]
+pub struct ImagesInfo {
+    /// The file.
+    pub file: PathBuf,
+    /// Its size.
+    pub file_bytes: u64,
+    /// Its checksum, if asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sha256: Option<String>,
+    /// What the images are.
+    pub kind: &'static str,
+    /// Their names.
+    pub images: Vec<String>,
+    /// The command that made it, as it was typed.
+    pub command: Option<String>,
+}
+
+impl ImagesInfo {
+    fn text(&self) -> String {
+        let mut lines = Lines::default();
+        lines.add(self.kind, self.file.display().to_string());
+        lines.add("file", text::bytes(self.file_bytes));
+        if let Some(digest) = &self.sha256 {
+            lines.add("SHA-256", digest.clone());
+        }
+        lines.add("images", self.images.join(", "));
+        lines.add("made by", self.command.clone().unwrap_or_else(|| "no command known".into()));
+        lines.text()
+    }
+}
+
 impl Info {
     /// Runs the subcommand.
     pub fn run(self) -> anyhow::Result<()> {
         if let (Some(out), false) = (&self.recipe_out, self.worlds.len() == 1) {
             bail!("--recipe-out {}: takes the recipe of one world; name one", out.display());
         }
-        let mut told = Vec::new();
+        let (mut told, mut images, mut texts) = (Vec::new(), Vec::new(), Vec::new());
         for path in &self.worlds {
             hdf5_check::check(path)?;
+            if let Some(stored) = StoredImages::open(path)? {
+                let info = self.of_images(path, stored)?;
+                texts.push(info.text());
+                images.push(info);
+                continue;
+            }
             let world = WorldFile::open(path)?;
-            told.push(self.of(&world)?);
+            let info = self.of(&world)?;
+            texts.push(info.text());
+            told.push(info);
             if let Some(out) = &self.recipe_out {
                 let Some(recipe) = &world.metadata().recipe else {
                     bail!(
@@ -90,11 +132,31 @@ impl Info {
             }
         }
         if self.json {
-            let all = serde_json::json!({ "worlds": told });
+            let mut all = serde_json::json!({ "worlds": told });
+            if !images.is_empty() {
+                all["images"] = serde_json::to_value(images)?;
+            }
             return text::print(&serde_json::to_string_pretty(&all)?);
         }
-        let texts: Vec<String> = told.iter().map(WorldInfo::text).collect();
         text::print(&texts.join("\n\n"))
+    }
+
+    fn of_images(&self, path: &Path, stored: StoredImages) -> anyhow::Result<ImagesInfo> {
+        if self.recipe_out.is_some() {
+            bail!("--recipe-out: {}: is no world", path.display());
+        }
+        let sha256 = self.checksum.then(|| sha256_of_file(path)).transpose()?;
+        Ok(ImagesInfo {
+            file: path.to_owned(),
+            file_bytes: output::size(path),
+            sha256: sha256.map(|(digest, _)| digest),
+            kind: match stored.kind {
+                ImageKind::Simulated => "simulated images",
+                ImageKind::Recording => "recording",
+            },
+            images: stored.names,
+            command: stored.command_line,
+        })
     }
 
     fn of(&self, world: &WorldFile) -> crate::Result<WorldInfo> {

@@ -52,6 +52,7 @@ mod validate_reference;
 mod values;
 mod verify_command;
 mod view_command;
+mod view_images;
 mod view_picture;
 mod world_hspy;
 

@@ -5,12 +5,13 @@ use super::hints::hinted;
 use super::recipe_args::is_recipe_file;
 use super::specimen_command::draw_specimen;
 use super::values::{self, Tier};
+use super::view_images::{self, ImageChoice};
 use super::view_picture::{
     Overlay, PictureArgs, WorldPart, boundaries, boundaries_or_phases, particles,
 };
 use super::{output, text};
 use crate::files::outputs::check_outputs;
-use crate::io::WorldFile;
+use crate::io::{StoredImages, WorldFile};
 use crate::recipe::{CheckedRecipe, Difficulty, Recipe};
 use crate::render::html::WorldPage;
 use anyhow::{anyhow, bail};
@@ -29,18 +30,21 @@ Examples:
     stemgen view worlds/srtio3_easy_1x1.h5 --detector ABF
   The specimen of a recipe, before anything is simulated:
     stemgen view srtio3 --difficulty easy --grid 2x2
+  A recording, or an image that `simulate` made:
+    stemgen view tile.h5
   A page for the browser that zooms to single atoms and shows what the truth says of each:
     stemgen view worlds/srtio3_easy_1x1.h5 --html
 
 The page is one file that needs no network: overlays, values and columns under the pointer, line profiles.
 x grows to the right and y down, from the centre of pixel (0, 0), as in the world's ground truth.";
 
-/// Draw a world, or a part of it, as PNG, or make a page to look at it in a browser
+/// Draw a world, a part of it, an image or a recording as PNG, or make a page to look at a world in a browser
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct View {
-    /// World file; or a recipe, by its name or its file (.toml), of which the specimen is drawn
-    #[arg(value_name = "WORLD|RECIPE")]
+    /// World file; a file of `simulate`, `acquire` or `live`; or a recipe, by its name or its file (.toml), of which the
+    /// specimen is drawn
+    #[arg(value_name = "FILE|RECIPE")]
     world: PathBuf,
     /// The tier of a recipe that has some
     #[arg(long, value_name = "TIER")]
@@ -48,9 +52,12 @@ pub struct View {
     /// Only the central tiles of a recipe, rows x columns [default: the whole field]
     #[arg(long, value_name = "RxC", value_parser = values::rows_columns)]
     grid: Option<[usize; 2]>,
-    /// Which detector of a world that has several [default: the first]
+    /// Which detector of a world that has several, or which image of a file of `simulate` [default: the first]
     #[arg(long, value_name = "NAME")]
     detector: Option<String>,
+    /// Which image of a stack of thicknesses, frames or recordings, from 0 on [default: the last]
+    #[arg(long, value_name = "NUMBER")]
+    index: Option<usize>,
     /// Write a page (HTML) that works offline; the options below then say what it shows first
     #[arg(long)]
     html: bool,
@@ -78,6 +85,12 @@ impl View {
             return self.draw_recipe(&recipe);
         }
         hdf5_check::check(&self.world)?;
+        if let Some(images) = StoredImages::open(&self.world)? {
+            return self.draw_image(&images);
+        }
+        if self.index.is_some() {
+            bail!("--index: a world is one image; leave it out");
+        }
         let mut world = WorldFile::open(&self.world)?;
         if let Some(name) = &self.detector {
             world = world.on_detector(name)?;
@@ -116,7 +129,12 @@ impl View {
 
     /// Draws the specimen of a recipe, with all that is known of it.
     fn draw_recipe(&self, recipe: &CheckedRecipe) -> anyhow::Result<()> {
-        if self.html || self.region.is_some() || self.picture.clean || self.detector.is_some() {
+        if self.html
+            || self.region.is_some()
+            || self.picture.clean
+            || self.detector.is_some()
+            || self.index.is_some()
+        {
             bail!(
                 "{}: of a recipe the specimen is drawn as a whole; build the world for --html, --region, --clean and --detector",
                 self.world.display()
@@ -127,6 +145,22 @@ impl View {
         check_outputs([&path], [&self.world], self.overwrite)?;
         draw_specimen(recipe, &path, self.quiet)?;
         self.tell(&path.display().to_string())
+    }
+
+    /// Draws a simulated image or a recording.
+    fn draw_image(&self, images: &StoredImages) -> anyhow::Result<()> {
+        if self.html || self.region.is_some() || !self.picture.overlay.is_empty() {
+            bail!(
+                "{}: is no world; leave out --html, --region and --overlay (`simulate --html` makes a page of its images)",
+                self.world.display()
+            );
+        }
+        let path = self.output.clone().unwrap_or_else(|| self.world.with_extension("view.png"));
+        check_outputs([&path], [&self.world], self.overwrite)?;
+        let choice = ImageChoice { name: self.detector.as_deref(), index: self.index };
+        let (picture, what) = view_images::picture(images, &choice, &self.picture)?;
+        picture.write_png(&path)?;
+        self.tell(&format!("{}: {what}", path.display()))
     }
 
     fn tell(&self, line: &str) -> anyhow::Result<()> {

@@ -23,7 +23,7 @@ const SIDES: std::ops::RangeInclusive<i64> = 64..=16_384;
 /// What a picture of a world shows, and how.
 #[derive(Debug, Args)]
 pub struct PictureArgs {
-    /// The noiseless image, of a world built with --keep-clean
+    /// The noiseless image: of a world built with --keep-clean, or what a recording was meant to show
     #[arg(long)]
     pub clean: bool,
     /// Colours

@@ -28,6 +28,8 @@ pub mod recorded;
 pub mod recording_file;
 #[cfg(feature = "hdf5")]
 pub mod schema;
+#[cfg(feature = "hdf5")]
+mod stored_images;
 #[cfg(feature = "report")]
 pub mod tiff_file;
 #[cfg(feature = "hdf5")]
@@ -50,6 +52,8 @@ pub use atoms_file::{AtomRow, AtomsHeader, AtomsWriter, RowFormat, writable};
 use hdf5_errors::At;
 #[cfg(feature = "hdf5")]
 pub use hdf5_look::read_through;
+#[cfg(feature = "hdf5")]
+pub use stored_images::{ImageKind, StoredImage, StoredImages};
 #[cfg(feature = "hdf5")]
 pub use truth_writer::{LineKind, ParticleBatch, TruthBatch, TruthWriter};
 #[cfg(feature = "report")]

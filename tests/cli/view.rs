@@ -1,6 +1,6 @@
 //! `stemgen view`.
 
-use super::{fails, file, stderr, stemgen};
+use super::{fails, file, stderr, stdout, stemgen};
 use std::path::Path;
 use stemgen::io::WorldFile;
 use stemgen::render::palette;
@@ -207,4 +207,60 @@ fn the_specimen_of_a_recipe_is_drawn() {
     assert!(run.success() && folder.path().join("t.png").exists());
     let told = super::fails(&mut view(&["srtio3", "--difficulty", "easy", "--html"]));
     assert!(told.contains("build the world for --html"), "{told}");
+}
+
+/// What `simulate` and `acquire` write can be looked at, and tells the command that made it.
+#[test]
+fn images_and_recordings_are_drawn_and_described() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    build(here);
+    let run = |arguments: &[&str]| {
+        let done = stemgen(here).args(arguments).output().unwrap();
+        assert!(done.status.success(), "{arguments:?}: {}", stderr(&done));
+        stdout(&done)
+    };
+    let si = file("structures/si.cif");
+    let simulate = ["simulate", &si, "--sampling", "0.1", "--scan-points", "6,4", "--quiet"];
+    let detectors = ["--detector", "ADF=40-80", "--detector", "BF=0-10"];
+    let thick = ["--thicknesses", "2.7,5.431", "-o", "i.h5"];
+    run(&[&simulate[..], &detectors, &thick].concat());
+    run(&[
+        "acquire",
+        "w.h5",
+        "--dose",
+        "1e4",
+        "--frames",
+        "2",
+        "--keep-frames",
+        "-o",
+        "r.h5",
+        "--quiet",
+    ]);
+
+    let told = run(&["view", "i.h5", "--detector", "BF", "--index", "0", "--size", "128"]);
+    assert!(told.contains("BF, number 0 of 0 to 1, 0.54 x 0.54 nm"), "{told}");
+    let told = run(&["view", "r.h5", "-o", "r.png"]);
+    assert!(told.contains("recording, number 1 of 0 to 1"), "{told}");
+    run(&["view", "r.h5", "--clean", "-o", "c.png"]);
+    let bytes = |name: &str| std::fs::read(here.join(name)).unwrap();
+    assert!(bytes("i.view.png").starts_with(b"\x89PNG") && bytes("r.png") != bytes("c.png"));
+
+    let told = run(&["info", "i.h5", "r.h5"]);
+    assert!(told.contains("ADF, BF") && told.contains("stemgen acquire w.h5"), "{told}");
+    let told: serde_json::Value = serde_json::from_str(&run(&["info", "r.h5", "--json"])).unwrap();
+    assert_eq!(told["images"][0]["kind"], "recording");
+
+    for (arguments, fault) in [
+        (&["view", "i.h5", "--detector", "HAADF", "-o", "f.png"][..], "there are ADF, BF"),
+        (&["view", "i.h5", "--index", "2", "-o", "f.png"], "has 2 images, from 0 to 1"),
+        (&["view", "i.h5", "--clean", "-o", "f.png"], "--clean"),
+        (&["view", "r.h5", "--overlay", "defects", "-o", "f.png"], "is no world"),
+        (&["view", "w.h5", "--index", "0", "-o", "f.png"], "a world is one image"),
+        (&["view", "i.h5", "-o", "i.h5", "--overwrite"], "i.h5"),
+    ] {
+        let told = fails(stemgen(here).args(arguments));
+        assert!(told.contains(fault), "{arguments:?}: {told}");
+        assert!(!here.join("f.png").exists());
+    }
 }
