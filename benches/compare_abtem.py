@@ -9,7 +9,7 @@
 A case is a crystal whose atoms are displaced once (two codes, the same atoms); every run makes its whole HAADF image
 68-167 mrad with probes at the Nyquist distance of the image. Errors are taken over one cell of the crystal in the middle, against
 stemgen's plain multislice on the full grid with all scattering to 250 mrad, which agrees within 0.08 % with abTEM refined in the grid
-until it no longer changes (tests/golden.rs): rms difference and mean difference, both divided by the mean.
+until it no longer changes (tests/physics/golden.rs): rms difference and mean difference, both divided by the mean.
 
 Runs of abTEM: prismF-S is PRISM with interpolation F on pixels of at most S Angstrom, multislice-S plain multislice. All have slices
 of one atomic plane, as ours have; -thin: 1 A slices, as published images have. Plain multislice and PRISM with F = 1 are timed on the

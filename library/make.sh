@@ -11,6 +11,6 @@ for material in batio3 gan sige srtio3; do
     target/release/stemgen cache fill "$material" --no-library
     target/release/stemgen cache export "$material" --overwrite -o "library/$material.stemlib"
 done
-STEMGEN_UPDATE=1 cargo test --release --test library by_heart
+STEMGEN_UPDATE=1 cargo test --release --test worlds by_heart
 ls -l library/*.stemlib
 echo "Now put the version of the numerics into library/pyproject.toml and python/pyproject.toml."

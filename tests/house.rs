@@ -504,7 +504,7 @@ fn only_sources_are_committed() {
     for name in names {
         let first = name.split('/').next().unwrap();
         assert!(TOP.contains(&first), "{name} is committed; is it a source?");
-        // The simulations that come along; `tests/library.rs` limits their size.
+        // The simulations that come along; `tests/worlds/library.rs` limits their size.
         if first == "library" && name.ends_with(".stemlib") {
             continue;
         }

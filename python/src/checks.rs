@@ -1,4 +1,4 @@
-//! Audits, validation, comparison of worlds, and the cache.
+//! Audits, validation, comparison of worlds.
 
 use crate::builds::CacheChoice;
 use crate::errors::{Fault, Told};
@@ -10,10 +10,7 @@ use stemgen::Setting;
 use stemgen::cli::shared::{WorldEngine, imaging_of, planned, threads};
 use stemgen::engine::check_memory;
 use stemgen::files::{atomic_write, outputs::check_outputs};
-use stemgen::imaging::mosaic::library_archive;
-use stemgen::imaging::{
-    AUDIT_REMEDY, AuditOptions, Cache, ImagingChoice, SuppliedLibrary, audit, audit_cost,
-};
+use stemgen::imaging::{AUDIT_REMEDY, AuditOptions, Cache, ImagingChoice, audit, audit_cost};
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
 use stemgen::recipe::CheckedRecipe;
@@ -197,80 +194,4 @@ pub fn compare_worlds(
 #[pyfunction]
 pub fn verify_world(py: Python<'_>, path: PathBuf, running: Running) -> PyResult<String> {
     run(py, running, move |guest| Ok(serde_json::to_string(&check_world(&path, guest)?)?))
-}
-
-/// Writes what the user's cache holds of a material, or all, to a file; returns what that holds as JSON.
-#[pyfunction]
-pub fn cache_export(
-    py: Python<'_>,
-    out: PathBuf,
-    material: Option<String>,
-    overwrite: bool,
-    running: Running,
-) -> PyResult<String> {
-    run(py, running, move |guest| {
-        check_outputs([&out], [] as [&PathBuf; 0], overwrite)?;
-        let found = library_archive::export(&Cache::of_user(), material.as_deref(), &out, guest)?;
-        Ok(serde_json::to_string(&found)?)
-    })
-}
-
-/// Takes the images of a file into the user's cache; returns what it holds as JSON.
-#[pyfunction]
-pub fn cache_import(py: Python<'_>, path: PathBuf, running: Running) -> PyResult<String> {
-    run(py, running, move |guest| {
-        let found = library_archive::import(&Cache::of_user(), &path, guest)?;
-        Ok(serde_json::to_string(&found)?)
-    })
-}
-
-/// The folder of the user's cache.
-#[pyfunction]
-pub fn cache_folder() -> Option<PathBuf> {
-    Cache::of_user().folder().map(Path::to_owned)
-}
-
-/// Says where the library is that comes along with the package.
-#[pyfunction]
-pub fn set_library(folder: PathBuf) {
-    SuppliedLibrary::set_of_program(folder);
-}
-
-/// The folder of the library that comes along.
-#[pyfunction]
-pub fn library_folder() -> Option<PathBuf> {
-    SuppliedLibrary::of_program().map(|library| library.folder().to_owned())
-}
-
-/// What the library that comes along holds: material, images, bytes.
-#[pyfunction]
-pub fn library_list(py: Python<'_>) -> Holdings {
-    let held = py.detach(|| SuppliedLibrary::of_program().map(|library| library.holdings()));
-    held.into_iter().flatten().map(|h| (h.material, h.images, h.bytes)).collect()
-}
-
-type Holdings = Vec<(String, usize, u64)>;
-
-/// What the user's cache holds: material, images, bytes.
-#[pyfunction]
-pub fn cache_list(py: Python<'_>) -> PyResult<Holdings> {
-    let held = py.detach(|| Cache::of_user().holdings()).told(py)?;
-    Ok(held.into_iter().map(|h| (h.material, h.images, h.bytes)).collect())
-}
-
-/// Removes what the user's cache holds of a material, or all; returns what was removed.
-#[pyfunction]
-pub fn cache_clear(py: Python<'_>, material: Option<String>) -> PyResult<Holdings> {
-    let removed = py.detach(|| -> Result<Holdings, Fault> {
-        let cache = Cache::of_user();
-        let removed = cache.clear(material.as_deref())?;
-        if let (Some(name), true) = (&material, removed.is_empty()) {
-            let known: Vec<String> = cache.holdings()?.into_iter().map(|h| h.material).collect();
-            let known = if known.is_empty() { "nothing".into() } else { known.join(", ") };
-            let expected = format!("the cache has no simulations of it; it holds {known}");
-            return Err(Fault::Value(Setting::Material, name.clone(), expected));
-        }
-        Ok(removed.into_iter().map(|h| (h.material, h.images, h.bytes)).collect())
-    });
-    removed.told(py)
 }

@@ -5,6 +5,7 @@
 
 mod bench;
 mod builds;
+mod caches;
 mod checks;
 mod command_line;
 mod errors;
@@ -36,14 +37,16 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(builds::build_world, module)?)?;
     module.add_function(wrap_pyfunction!(builds::plan_build, module)?)?;
     module.add_function(wrap_pyfunction!(checks::audit_field, module)?)?;
-    module.add_function(wrap_pyfunction!(checks::cache_clear, module)?)?;
-    module.add_function(wrap_pyfunction!(checks::cache_export, module)?)?;
-    module.add_function(wrap_pyfunction!(checks::cache_folder, module)?)?;
-    module.add_function(wrap_pyfunction!(checks::cache_import, module)?)?;
-    module.add_function(wrap_pyfunction!(checks::cache_list, module)?)?;
-    module.add_function(wrap_pyfunction!(checks::library_folder, module)?)?;
-    module.add_function(wrap_pyfunction!(checks::library_list, module)?)?;
-    module.add_function(wrap_pyfunction!(checks::set_library, module)?)?;
+    module.add_function(wrap_pyfunction!(caches::cache_clear, module)?)?;
+    module.add_function(wrap_pyfunction!(caches::cache_export, module)?)?;
+    module.add_function(wrap_pyfunction!(caches::cache_fill, module)?)?;
+    module.add_function(wrap_pyfunction!(caches::cache_folder, module)?)?;
+    module.add_function(wrap_pyfunction!(caches::cache_import, module)?)?;
+    module.add_function(wrap_pyfunction!(caches::cache_list, module)?)?;
+    module.add_function(wrap_pyfunction!(caches::cache_verify, module)?)?;
+    module.add_function(wrap_pyfunction!(caches::library_folder, module)?)?;
+    module.add_function(wrap_pyfunction!(caches::library_list, module)?)?;
+    module.add_function(wrap_pyfunction!(caches::set_library, module)?)?;
     module.add_function(wrap_pyfunction!(checks::compare_worlds, module)?)?;
     module.add_function(wrap_pyfunction!(checks::verify_world, module)?)?;
     module.add_function(wrap_pyfunction!(checks::validate_suite, module)?)?;

@@ -14,6 +14,8 @@ from importlib.util import find_spec
 
 from . import _core
 from ._running import Progress, call, running
+from .errors import _invalid
+from .recipes import Difficulty, Recipe, RecipeLike
 
 
 _data = find_spec("stemworlds_library")
@@ -28,6 +30,40 @@ class Holding:
     material: str
     images: int
     bytes: int
+
+
+@dataclass(frozen=True)
+class Filling:
+    """What was done to the simulations that worlds of a recipe share.
+
+    Attributes:
+        images: how many they are.
+        simulated: of them, simulated by this call.
+        lacking: of them, still to be simulated, by other parts.
+    """
+
+    images: int
+    simulated: int
+    lacking: int
+
+
+@dataclass(frozen=True)
+class CacheVerification:
+    """Whether the simulations in the cache are whole, and what this version simulates.
+
+    Attributes:
+        sound: none is damaged, and those that were simulated again agree.
+        images: number of images in the cache.
+        supplied: number of those in the library that comes along, all whole.
+        damaged: what is wrong with a file, by its path; remove it, and the next build simulates it again.
+        recomputed: greatest difference of images that were simulated again, in parts of the brightest value, by their names.
+    """
+
+    sound: bool
+    images: int
+    supplied: int
+    damaged: Mapping[str, str]
+    recomputed: Mapping[str, float]
 
 
 def path() -> str | None:
@@ -56,6 +92,71 @@ def library() -> tuple[Holding, ...]:
 def clear(material: str | None = None) -> tuple[Holding, ...]:
     """Removes the simulations of a material, or all; returns what was removed. Nothing is lost with them but time."""
     return tuple(Holding(*held) for held in _core.cache_clear(material))
+
+
+def fill(
+    recipe: RecipeLike,
+    difficulty: Difficulty | None = None,
+    *,
+    shard: tuple[int, int] = (0, 1),
+    library: bool = True,
+    threads: int | None = None,
+    progress: Progress = False,
+) -> Filling:
+    """Simulates what the worlds of a recipe share, whatever their seed, before any of them is built.
+
+    After Ctrl-C what is done is kept.
+
+    Args:
+        recipe: name, path, TOML, dict or :class:`~stemworlds.Recipe`.
+        difficulty: the tier, where the recipe has some.
+        shard: number of a part, from 0, and how many there are, for processes or machines that see the same cache.
+        library: ``False`` simulates also what the library that comes along holds.
+
+    Returns:
+        What was done: all numbers are 0 where worlds of the recipe share nothing, as films do.
+
+    Raises:
+        InvalidValue: for the recipe and ``shard``.
+    """
+    toml = Recipe(recipe, difficulty).toml
+    done = call(_core.cache_fill, toml, shard, library, running(threads, progress))
+    return Filling(*done) if done else Filling(0, 0, 0)
+
+
+def verify(
+    material: str | None = None,
+    *,
+    recompute: int = 0,
+    difficulty: Difficulty | None = None,
+    seed: int = 1,
+    threads: int | None = None,
+    progress: Progress = False,
+) -> CacheVerification:
+    """Reads all simulations of a material, or of all, and simulates some of them again.
+
+    Args:
+        material: only this one.
+        recompute: so many images of the recipe of this name, drawn by ``seed``, are simulated and compared.
+        difficulty: the tier of that recipe.
+
+    Raises:
+        InvalidValue: where nothing is held of the material.
+    """
+    again = None
+    if recompute:
+        if material is None:
+            raise _invalid("material", "material = None: recompute takes the name of a recipe")
+        again = (Recipe(material, difficulty).toml, recompute, seed)
+    images, supplied, damaged, compared = call(_core.cache_verify, material, again, running(threads, progress))
+    agree = all(agrees for _, _, agrees in compared)
+    return CacheVerification(
+        sound=not damaged and agree,
+        images=images,
+        supplied=supplied,
+        damaged={str(path): fault for path, fault in damaged},
+        recomputed={name: difference for name, difference, _ in compared},
+    )
 
 
 def export_library(

@@ -288,3 +288,31 @@ def test_a_library_travels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     file.write_bytes(file.read_bytes()[:-1])
     with pytest.raises(sw.FormatError, match="copy it again"):
         sw.cache.import_library(file)
+
+
+def test_a_cache_is_filled_in_parts_and_verified(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("STEMGEN_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("STEMGEN_LIBRARY", "")
+    recipe = sw.Recipe("test", set={"field.thickness_nm": 0.4, "optics.convergence_mrad": 10})
+    first = sw.cache.fill(recipe, shard=(1, 2))
+    assert 0 < first.simulated < first.images == first.simulated + first.lacking
+    rest = sw.cache.fill(recipe)
+    assert (rest.images, rest.simulated, rest.lacking) == (first.images, first.lacking, 0)
+    assert sw.cache.fill(recipe).simulated == 0
+    (held,) = sw.cache.list()
+    found = sw.cache.verify("test")
+    assert found.sound and found.images == held.images == rest.images and found.supplied == 0
+    file = next(path for path in (tmp_path / "cache").rglob("*") if path.is_file() and path.stat().st_size > 1000)
+    file.write_bytes(file.read_bytes()[:-1])
+    found = sw.cache.verify()
+    assert not found.sound and list(found.damaged) == [str(file)]
+    with pytest.raises(sw.InvalidValue, match="holds test"):
+        sw.cache.verify("gan")
+    with pytest.raises(sw.InvalidValue, match="recompute takes the name"):
+        sw.cache.verify(recompute=1)
+    with pytest.raises(sw.StemworldsError, match=r"sw\.cache\.fill makes them"):
+        sw.cache.verify("test", recompute=1)
+    with pytest.raises(sw.InvalidValue, match="0/2 to 1/2"):
+        sw.cache.fill(recipe, shard=(2, 2))
+    # Films share nothing.
+    assert sw.cache.fill("pt", "easy") == sw.cache.Filling(0, 0, 0)

@@ -8,7 +8,7 @@
 //!
 //! For 50 A of amorphous carbon (2.0 g/cm3, 68-200 mrad, 200 kV) the mean is right to 1 %. Pixels deviate by 5 % rms of the
 //! film's mean intensity in one configuration, by 3.0 % in the mean of 4 and by 2.5 % in that of 7
-//! (tests/world_film.rs). The film is 1 % as bright as a Pt column.
+//! (tests/worlds/film.rs). The film is 1 % as bright as a Pt column.
 
 use super::settings::Settings;
 use crate::constants::interaction_parameter;

@@ -1,4 +1,4 @@
-"""Scores by scikit-learn and scipy, for tests/benchmark.rs: python3 tests/benchmark/make_references.py > tests/benchmark/references.json
+"""Scores by scikit-learn and scipy, for tests/worlds/scores.rs: python3 tests/benchmark/make_references.py > tests/benchmark/references.json
 
 Made with scikit-learn 1.7 or later, scipy 1.15 or later, numpy 2.
 """

@@ -5,7 +5,7 @@
 
 use sha2::{Digest, Sha256};
 
-/// `STEMGEN_UPDATE=1 cargo test --test library` renews it.
+/// `STEMGEN_UPDATE=1 cargo test --test worlds library::` renews it.
 const DIGESTS: &[u8] = include_bytes!("supplied_images.bin");
 
 /// What stands for an image in the list.

@@ -12,7 +12,7 @@ use stemgen::benchmark::task_scores::{
 use stemgen::benchmark::{DoseCurve, FoundColumn, FoundParticle, PlacedDefect};
 
 fn references(name: &str) -> Vec<Value> {
-    let text = include_str!("benchmark/references.json");
+    let text = include_str!("../benchmark/references.json");
     let all: Value = serde_json::from_str(text).unwrap();
     let cases = all[name].as_array().unwrap().clone();
     assert!(cases.len() > 2);

@@ -210,16 +210,17 @@ fn a_world_goes_on_from_a_snapshot() {
     let third = live.acquire(&request([3.2, 3.0], 2.0, 1e5), &Silent).unwrap();
     // in the same world, and in a new one
     let stored: LiveSnapshot = serde_json::from_str(&text).unwrap();
+    let other =
+        LiveSnapshot { recipe: stored.recipe.replace("seed = 7", "seed = 8"), ..stored.clone() };
+    assert_ne!(other.recipe, stored.recipe);
     for mut again in [world(&[]), live] {
+        let error = again.restore(&other).unwrap_err().to_string();
+        assert!(error.contains("another recipe or seed"), "{error}");
         again.restore(&stored).unwrap();
         assert_eq!(again.snapshot(), snapshot);
         assert_eq!(again.acquire(&request([3.2, 3.0], 2.0, 3e5), &Silent).unwrap(), second);
         assert_eq!(again.acquire(&request([3.2, 3.0], 2.0, 1e5), &Silent).unwrap(), third);
     }
-    let mut other =
-        LiveWorld::new(&recipe(&[]), 8, &options(BuildMethod::Mosaic), &Silent).unwrap();
-    let error = other.restore(&stored).unwrap_err().to_string();
-    assert!(error.contains("another recipe or seed"), "{error}");
 }
 
 /// Many recordings in little memory: blocks are dropped, and come back the same.
@@ -255,7 +256,9 @@ fn damaged_places_pass_an_audit() {
 
 #[test]
 fn a_world_without_damage_stays_as_it_is() {
-    let recipe = Recipe::load("test", None).unwrap().checked().unwrap();
+    let thin = ["field.thickness_nm=0.4".parse().unwrap()];
+    let recipe = Recipe::load("test", None).unwrap().with_overrides(&thin).unwrap();
+    let recipe = recipe.checked().unwrap();
     let mut live = LiveWorld::new(&recipe, 1, &options(BuildMethod::Mosaic), &Silent).unwrap();
     let tile = PixelRect::new([60, 60], [64, 64]);
     let before = live.look(&tile).unwrap();
@@ -304,7 +307,7 @@ fn damage_of_elements_that_are_not_there_is_refused() {
     }
 }
 
-/// `cargo test --release --test live -- --ignored --nocapture measured`, with the library of SrTiO3 easy in the cache: times of
+/// `cargo test --release --test worlds -- --ignored --nocapture measured`, with the library of SrTiO3 easy in the cache: times of
 /// looks, 10 000 recordings, and audits after nearly 1e6 electrons per square Angstrom.
 #[test]
 #[ignore = "takes minutes, and half an hour with an empty cache"]

@@ -1,13 +1,13 @@
 //! The programs of `examples/` run and write what they say.
 
 #[allow(dead_code)]
-#[path = "../examples/build_world.rs"]
+#[path = "../../examples/build_world.rs"]
 mod build_world;
 #[allow(dead_code)]
-#[path = "../examples/simulate_cif.rs"]
+#[path = "../../examples/simulate_cif.rs"]
 mod simulate_cif;
 #[allow(dead_code)]
-#[path = "../examples/tile_with_truth.rs"]
+#[path = "../../examples/tile_with_truth.rs"]
 mod tile_with_truth;
 
 use std::path::Path;

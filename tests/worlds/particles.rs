@@ -1,12 +1,10 @@
 //! Platinum on carbon: every number of the tables, measured from the specimens and from files.
 
-mod common;
-
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::Path;
 use std::sync::LazyLock;
 
-use common::{Spots, build, specimen};
+use crate::common::{Spots, build, specimen};
 use proptest::prelude::*;
 use stemgen::io::WorldFile;
 use stemgen::progress::Silent;
@@ -409,7 +407,7 @@ fn a_field_without_particles_is_carbon() {
 
 #[test]
 fn recipes_that_cannot_be_are_told_why() {
-    let good = include_str!("../generate/pt.toml");
+    let good = include_str!("../../generate/pt.toml");
     let cases = [
         ("count = 21 ", "count = 400", "particles.count = 400: 60 x 60 nm have room for at most"),
         (

@@ -4,12 +4,10 @@
 //! 1e-5 of the brightest, caches and work folders of users hold other images than the program would make now, and the
 //! version has to be raised with the change.
 
-mod common;
-
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use common::specimen;
+use crate::common::specimen;
 use ndarray::Array2;
 use serde_json::{Value, json};
 use stemgen::imaging::{Cache, ImagingChoice, MethodChoice, PixelRect, RegionImager};

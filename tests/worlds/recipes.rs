@@ -4,16 +4,14 @@
 //! comment `# base:`), first the comment `# expected:` with what the error has to say. `# remove: text` drops
 //! lines of the original.
 
-mod common;
-
 use std::path::Path;
 
-use common::specimen;
+use crate::common::specimen;
 use stemgen::recipe::{Difficulty, Recipe, Region};
 use stemgen::specimen::SiteKind;
 use stemgen::structure::{Atom, Structure, elements, min_pair_distance, shortest_distances};
 
-const GOOD: &str = include_str!("../generate/srtio3.toml");
+const GOOD: &str = include_str!("../../generate/srtio3.toml");
 
 /// The built-in recipe with the changes of a bad one.
 fn changed(changes: &str) -> String {
@@ -149,7 +147,7 @@ fn block<'t>(markdown: &'t str, language: &str) -> &'t str {
 
 #[test]
 fn the_recipe_of_the_documentation_needs_only_a_crystal() {
-    let text = include_str!("../generate/README.md");
+    let text = include_str!("../../generate/README.md");
     let folder = tempfile::tempdir().unwrap();
     let (cif, toml) = (folder.path().join("ceo2.cif"), folder.path().join("ceo2.toml"));
     std::fs::write(&cif, block(text, "cif")).unwrap();
@@ -205,7 +203,7 @@ fn other_crystals_make_grains() {
         ("gaas", "[001]", "[110]", 2.448),
     ];
     for (crystal, zone, y, nearest) in cases {
-        let text = block(include_str!("../generate/README.md"), "toml")
+        let text = block(include_str!("../../generate/README.md"), "toml")
             .replace("\"ceo2.cif\"", &format!("\"{crystal}\""))
             .replace("[001]", zone)
             .replace("[010]", y)

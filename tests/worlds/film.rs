@@ -1,10 +1,8 @@
 //! Particles on a film: each kind of atom in its own way, against simulations of all atoms together.
 
-mod common;
-
 use std::sync::Arc;
 
-use common::specimen;
+use crate::common::specimen;
 use ndarray::Array2;
 use stemgen::engine::Algorithm;
 use stemgen::imaging::{
@@ -16,7 +14,7 @@ use stemgen::specimen::{Specimen, SpecimenSite};
 
 /// A field of 8 nm with one particle of about 1.4 nm on `carbon_nm` of carbon.
 fn recipe(carbon_nm: f64, configurations: usize) -> Recipe {
-    let text = include_str!("../generate/pt.toml");
+    let text = include_str!("../../generate/pt.toml");
     let plain = Recipe::from_toml_str("pt.toml", text, Some(Difficulty::Easy)).unwrap();
     let mut small = plain.clone();
     small.field.fov_nm = [8.0, 8.0];

@@ -1,15 +1,11 @@
 //! Worlds as files: schema, resume, overwriting, faults. The engine is a stand-in.
 
-mod common;
-#[path = "common/python.rs"]
-mod python;
-
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::sync::Mutex;
 use std::sync::atomic::Ordering::Relaxed;
 
-use common::{Spots, build};
+use crate::common::{Spots, build};
+use crate::process::process;
 use stemgen::io::WorldFile;
 use stemgen::progress::{Progress, Silent};
 use stemgen::recipe::{Difficulty, Recipe};
@@ -30,7 +26,7 @@ fn work_folder(output: &Path) -> PathBuf {
 
 fn assert_schema(path: &Path) {
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/schema/check_world.py");
-    let run = Command::new(python::with_h5py()).arg(script).arg(path).output().unwrap();
+    let run = process(crate::python::with_h5py()).arg(script).arg(path).output().unwrap();
     let text = String::from_utf8_lossy(&run.stdout) + String::from_utf8_lossy(&run.stderr);
     assert!(run.status.success(), "{text}");
 }

@@ -173,11 +173,11 @@ fn threads_change_nothing() {
     assert_eq!(with(1), with(3));
 }
 
-fn live() -> LiveWorld {
+fn live(cache: &std::path::Path) -> LiveWorld {
     let recipe = recipe(&["field.thickness_nm=0.4"]);
     let imaging = BuildOptions {
         method: BuildMethod::Mosaic,
-        cache: Cache::none(),
+        cache: Cache::at(cache.to_owned()),
         ..BuildOptions::default()
     };
     LiveWorld::new(&recipe, 7, &LiveOptions { imaging, ..LiveOptions::default() }, &Silent).unwrap()
@@ -186,7 +186,8 @@ fn live() -> LiveWorld {
 /// The rectangle that every microscopist knows: brighter where one has looked longest.
 #[test]
 fn a_live_world_keeps_its_carbon() {
-    let mut world = live();
+    let cache = tempfile::tempdir().unwrap();
+    let mut world = live(cache.path());
     let pixel_nm = world.recipe().field.pixel_nm();
     let part = RecordedPart { centre_nm: CENTRE_NM, size_nm: [1.5; 2], pixel_nm };
     let acquisition = growing(1, 1e-4);
@@ -219,7 +220,7 @@ fn a_live_world_keeps_its_carbon() {
     let text = serde_json::to_string(&world.snapshot()).unwrap();
     let stored: LiveSnapshot = serde_json::from_str(&text).unwrap();
     let next = world.acquire(&request, &Silent).unwrap();
-    let mut again = live();
+    let mut again = live(cache.path());
     again.restore(&stored).unwrap();
     assert_eq!(again.acquire(&request, &Silent).unwrap(), next);
 }

@@ -1,7 +1,5 @@
 //! Worlds with several detectors: all from one simulation, each with images, scaling and noise of its own.
 
-mod common;
-
 use std::path::Path;
 use std::sync::Arc;
 

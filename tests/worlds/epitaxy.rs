@@ -1,14 +1,9 @@
 //! Si/Ge and InGaN specimens at full size against the tables of the worlds, measured from the sites.
 
-mod common;
-
-#[path = "common/specimens.rs"]
-mod specimens;
-
 use std::collections::{BTreeMap, HashSet};
 
-use common::specimen;
-use specimens::{CASES, Case, assert_rate, by_parts, cases, normal_cdf, number, shortest};
+use crate::common::specimen;
+use crate::specimens::{CASES, Case, assert_rate, by_parts, cases, normal_cdf, number, shortest};
 use stemgen::recipe::{Difficulty, Recipe, Region};
 use stemgen::specimen::SiteKind;
 

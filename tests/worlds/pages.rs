@@ -4,18 +4,12 @@
 //! Without Chromium and chromedriver these tests say that they are skipped; with
 //! `STEMGEN_REQUIRE_BROWSER` set they fail.
 
-mod common;
-#[path = "common/python.rs"]
-mod python;
-#[path = "common/skipped.rs"]
-mod skipped;
-
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
-use common::{Spots, build};
-use skipped::skipped;
+use crate::common::{Spots, build};
+use crate::process::process;
+use crate::skipped::skipped;
 use stemgen::progress::Silent;
 use stemgen::recipe::{Difficulty, Recipe};
 use stemgen::world::BuildOptions;
@@ -28,7 +22,7 @@ fn file(name: &str) -> PathBuf {
 /// Whether there is a browser.
 fn browser() -> bool {
     let script = file("tests/browser/webdriver.py");
-    let run = Command::new(python::with_h5py()).arg(script).output().unwrap();
+    let run = process(crate::python::with_h5py()).arg(script).output().unwrap();
     if run.status.success() {
         return true;
     }
@@ -44,7 +38,7 @@ fn check(script: &str, arguments: &[impl AsRef<OsStr>]) {
         return;
     }
     let script = file(&format!("tests/browser/{script}"));
-    let run = Command::new(python::with_h5py())
+    let run = process(crate::python::with_h5py())
         .arg(script)
         .args(arguments)
         .env("PYTHONDONTWRITEBYTECODE", "1")
@@ -55,7 +49,7 @@ fn check(script: &str, arguments: &[impl AsRef<OsStr>]) {
 }
 
 fn stemgen(folder: &Path, arguments: &[&str]) {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_stemgen"));
+    let mut command = process(env!("CARGO_BIN_EXE_stemgen"));
     let run = command.current_dir(folder).args(arguments).output().unwrap();
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
 }

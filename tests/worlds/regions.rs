@@ -1,15 +1,10 @@
 //! What holds for specimens of every kind: seeds, relaxation, and that every region shows the same atoms.
 
-mod common;
-
-#[path = "common/specimens.rs"]
-mod specimens;
-
 use std::collections::{HashMap, HashSet};
 
-use common::specimen;
+use crate::common::specimen;
+use crate::specimens::{CASES, assert_rate, number};
 use proptest::prelude::*;
-use specimens::{CASES, assert_rate, number};
 use stemgen::recipe::{Difficulty, Recipe, Region};
 use stemgen::specimen::{SiteKind, SpecimenSite};
 

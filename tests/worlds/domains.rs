@@ -1,14 +1,11 @@
 //! BaTiO3 specimens at full size against the tables of the worlds, measured from the sites.
 
-mod common;
-
-#[path = "common/specimens.rs"]
-mod specimens;
-
 use std::collections::BTreeMap;
 
-use common::specimen;
-use specimens::{CASES, Case, assert_rate, by_parts, cases, normal_cdf, shortest, signed_distance};
+use crate::common::specimen;
+use crate::specimens::{
+    CASES, Case, assert_rate, by_parts, cases, normal_cdf, shortest, signed_distance,
+};
 use stemgen::recipe::{Difficulty, Recipe, Region};
 use stemgen::specimen::{BoundaryKind, SiteKind, SpecimenSite};
 

@@ -1,13 +1,9 @@
 //! Worlds of recorded images: what files say is read as they say it, and the world holds nothing else.
 
-mod common;
-#[path = "common/dm_bytes.rs"]
-mod dm_bytes;
-
 use std::path::{Path, PathBuf};
 
-use common::{Spots, build};
-use dm_bytes::{DM3, DM3_BIG, DM4, Dm, DmStyle, document, floats, image};
+use crate::common::{Spots, build};
+use crate::dm_bytes::{DM3, DM3_BIG, DM4, Dm, DmStyle, document, floats, image};
 use ndarray::{Array2, Array3, arr2, s};
 use stemgen::io::hspy_file::write_hspy;
 use stemgen::io::image_file::ImageStack;

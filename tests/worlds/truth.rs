@@ -1,17 +1,13 @@
 //! Worlds of every material and tier, built over the whole field with a stand-in engine (and thin, to
 //! be quick), and measured in the file.
 
-mod common;
-#[path = "common/specimens.rs"]
-mod specimens;
-
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
-use common::{Spots, StandIn, build};
+use crate::common::{Spots, StandIn, build};
+use crate::specimens::{normal_cdf, signed_distance};
 use ndarray::Array2;
-use specimens::{normal_cdf, signed_distance};
 use stemgen::Result;
 use stemgen::engine::Site;
 use stemgen::imaging::PixelBox;

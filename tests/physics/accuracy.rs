@@ -232,7 +232,7 @@ fn what_windows_cannot_do_is_done_exactly() {
     }
 }
 
-/// Minutes to hours: `cargo test --release --test accuracy -- --ignored --nocapture CASE`.
+/// Minutes to hours: `cargo test --release --test physics -- --ignored --nocapture CASE`.
 mod at_full_size {
     use super::*;
 

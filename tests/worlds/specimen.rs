@@ -1,12 +1,10 @@
 //! The SrTiO3 specimen at full size: rates, clusters, boundaries, and that every region shows the
 //! same atoms.
 
-mod common;
-
 use std::collections::{HashMap, HashSet};
 use std::sync::LazyLock;
 
-use common::specimen;
+use crate::common::specimen;
 use proptest::prelude::*;
 use stemgen::recipe::{Difficulty, Recipe, Region};
 use stemgen::specimen::{BoundaryKind, SiteKind, Specimen, SpecimenSite};

@@ -1,4 +1,4 @@
-//! Engines against each other, beyond the cases of the shipped suite (`tests/validate.rs`).
+//! Engines against each other, beyond the cases of the shipped suite (`tests/physics/validate.rs`).
 
 use stemgen::detect::Detector;
 use stemgen::engine::{

@@ -149,8 +149,8 @@ fn focal_spread_is_the_mean_over_foci() {
         let mut settings = Settings { algorithm, expansion, probe_step, ..Settings::default() };
         settings.optics.focal_spread_angstrom = 25.0;
         settings.optics.aberrations.0.push(Aberration::parse("C12=15@0.4").unwrap());
-        let step_angstrom = [0.25, 0.25];
-        let scan = Scan { step_angstrom, shape: [9, 9], ..scan() };
+        let step_angstrom = [0.5, 0.5];
+        let scan = Scan { step_angstrom, shape: [5, 5], ..scan() };
         let spread = run(&settings, &specimen, &scan);
         let mean = |foci: &[(f64, f64)]| {
             let each = Settings { expansion: Expansion::Off, ..settings.clone() };

@@ -10,7 +10,7 @@ use stemgen::recipe::{Difficulty, Recipe};
 use stemgen::specimen::specimen;
 use stemgen::world::{BuildMethod, BuildOptions, field_tile};
 
-const GUIDE: &str = include_str!("../CONTRIBUTING.md");
+const GUIDE: &str = include_str!("../../CONTRIBUTING.md");
 
 fn file(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(name)

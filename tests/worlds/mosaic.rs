@@ -1,11 +1,9 @@
 //! Mosaics: worlds put together from a library of exactly simulated units.
 
-mod common;
-
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use common::specimen;
+use crate::common::specimen;
 use ndarray::Array2;
 use stemgen::engine::Algorithm;
 use stemgen::imaging::{
@@ -103,7 +101,7 @@ fn a_mosaic_is_the_exact_image_of_its_atoms() {
     }
     // The check can fail: the vacancies and displacements of another seed are other atoms.
     let other = Recipe { seed: 4, ..recipe.clone() };
-    let other_specimen = common::specimen(&other).unwrap();
+    let other_specimen = crate::common::specimen(&other).unwrap();
     let others = self::mosaic(&other, &other_specimen);
     let mixed = OtherAtoms { images: &mosaic, atoms: &others };
     let wrong = audit(&recipe, &*specimen, &mixed, &options, &Silent).unwrap();
@@ -116,7 +114,7 @@ fn a_mosaic_is_the_exact_image_of_its_atoms() {
 }
 
 /// As thick as worlds are, with their detector. Takes a few minutes, so on demand:
-/// `cargo test --release --test world_mosaic -- --ignored --nocapture`
+/// `cargo test --release --test worlds mosaic:: -- --ignored --nocapture`
 #[test]
 #[ignore = "takes minutes"]
 fn a_mosaic_of_10_nm_is_the_exact_image_of_its_atoms() {

@@ -1,7 +1,5 @@
 //! Tiles with their truth on the fly: the same numbers as in a world file.
 
-mod common;
-
 use std::sync::{Arc, Mutex};
 
 use ndarray::Array2;

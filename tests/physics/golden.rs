@@ -1,5 +1,5 @@
 //! Comparison with arrays that abTEM 1.0.11 computed (see `golden/README.md`), beyond the cases of the
-//! shipped suite (`tests/validate.rs`).
+//! shipped suite (`tests/physics/validate.rs`).
 
 use ndarray::{Array1, ArrayView2, Axis};
 use stemgen::engine::settings::EXACT_BAND_FRACTION;

@@ -1,0 +1,36 @@
+//! Worlds: recipes, specimens, truth, images, files, pages; living worlds, recorded series, and the scores of agents.
+
+mod build;
+#[path = "../common/mod.rs"]
+mod common;
+mod contributing;
+mod detectors;
+#[path = "../common/dm_bytes.rs"]
+mod dm_bytes;
+mod domains;
+mod episodes;
+mod epitaxy;
+mod examples;
+mod film;
+mod library;
+mod live;
+mod mosaic;
+mod pages;
+mod particles;
+mod pictures;
+#[path = "../common/process.rs"]
+mod process;
+#[path = "../common/python.rs"]
+mod python;
+mod recipes;
+mod regions;
+mod replay;
+mod samples;
+mod scores;
+#[path = "../common/skipped.rs"]
+mod skipped;
+mod specimen;
+#[path = "../common/specimens.rs"]
+mod specimens;
+mod tiles;
+mod truth;
