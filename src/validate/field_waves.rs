@@ -143,3 +143,112 @@ fn direction(dimensions: usize, number: u32) -> Vec<f64> {
     normals.iter_mut().for_each(|v| *v /= length);
     normals
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::validate::statistics::{Places, kolmogorov_smirnov, paired_error};
+
+    const SIDE: usize = 12;
+
+    /// Uniform numbers in [0, 1).
+    fn noise(n: usize, seed: u32) -> Vec<f64> {
+        let word = |i: usize| philox4x32_10([i as u32, 0, 0, 0], [seed, 7])[0];
+        (0..n).map(|i| f64::from(word(i)) / 4_294_967_296.0).collect()
+    }
+
+    /// What places have in common, over so many of them along y, with a variance of 1/12: a moving mean.
+    fn common(seed: u32, over: usize) -> Vec<f64> {
+        let own = noise((SIDE + over) * SIDE, seed);
+        let mean = |y: usize, x: usize| {
+            (0..over).map(|k| own[(y + k) * SIDE + x] - 0.5).sum::<f64>() / (over as f64).sqrt()
+        };
+        (0..SIDE * SIDE).map(|i| mean(i / SIDE, i % SIDE)).collect()
+    }
+
+    /// 20 columns at each of 144 places: every other place is 20 % brighter in all worlds, as at a boundary, and what places have in
+    /// common scatters from world to world.
+    fn world(seed: u32, over: usize, brighter: f64) -> Vec<(u32, f32)> {
+        let (common, own) = (common(seed, over), noise(SIDE * SIDE * 20, seed + 10_000));
+        let value = |i: usize| {
+            let place = i / 20;
+            let boundary = if place.is_multiple_of(2) { 1.2 } else { 1.0 };
+            let scatter = 0.1 * common[place] + 0.2 * own[i];
+            (place as u32, (brighter * (boundary + scatter)) as f32)
+        };
+        (0..SIDE * SIDE * 20).map(value).collect()
+    }
+
+    fn sums(world: &[(u32, f32)]) -> Vec<(f64, f64)> {
+        let mut sums = vec![(0.0, 0.0); SIDE * SIDE];
+        for (place, v) in world {
+            let sum = &mut sums[*place as usize];
+            *sum = (sum.0 + f64::from(*v), sum.1 + 1.0);
+        }
+        sums
+    }
+
+    fn tests(waves: &FieldWaves, a: &[(u32, f32)], b: &[(u32, f32)]) -> [f64; 3] {
+        let (of_a, of_b) = (sums(a), sums(b));
+        let pairs = of_a.iter().zip(&of_b);
+        let rows: Vec<Vec<f64>> =
+            pairs.map(|(a, b)| vec![a.0 - b.0, a.0 * a.0 - b.0 * b.0]).collect();
+        [
+            waves.difference(&of_a, &of_b).p,
+            kolmogorov_smirnov(a, b, Places::Same(waves)).p,
+            waves.largest_in_errors(&rows).1,
+        ]
+    }
+
+    /// Probabilities are uniform between worlds of one kind, also where neighbouring places have much in common, and 3 % are found.
+    #[test]
+    fn worlds_of_one_kind_are_called_different_at_the_rate_asked_for() {
+        for (over, waves) in [(1, [5, 5]), (4, [2, 5])] {
+            let waves = FieldWaves::new([SIDE, SIDE], waves);
+            let pair = |n: u32| [world(2 * n + 1, over, 1.0), world(2 * n + 2, over, 1.0)];
+            let all: Vec<[f64; 3]> =
+                (0..120).map(pair).map(|[a, b]| tests(&waves, &a, &b)).collect();
+            for test in 0..3 {
+                let p = || all.iter().map(|p| p[test]);
+                let mean = p().sum::<f64>() / 120.0;
+                let below = |limit: f64| p().filter(|p| *p < limit).count();
+                println!("{over} {test}: {mean}, {}, {}", below(0.05), below(0.5));
+                // A uniform number: mean 0.5 with an error of 0.026; 6 of 120 below 0.05 with one of 2.4.
+                assert!((mean - 0.5).abs() < 0.09, "{over}, test {test}: {mean}");
+                assert!((1..=14).contains(&below(0.05)), "{over}, test {test}: {}", below(0.05));
+                assert!((42..=78).contains(&below(0.5)), "{over}, test {test}: {}", below(0.5));
+            }
+            for p in tests(&waves, &world(1, over, 1.0), &world(2, over, 1.03)) {
+                assert!(p < 5e-3, "{p}");
+            }
+        }
+    }
+
+    /// What blocks have in common makes errors told by single blocks too small: this is the fault that waves mend.
+    #[test]
+    fn single_blocks_take_what_gathers_for_a_difference() {
+        let blocks = |n: u32| {
+            let [a, b] = [1, 2].map(|k| sums(&world(2 * n + k, 4, 1.0)));
+            let t =
+                (Ratio::of_blocks(&a).value - Ratio::of_blocks(&b).value) / paired_error(&a, &b);
+            student_two_sided(t, SIDE * SIDE - 1)
+        };
+        let below = (0..120).filter(|n| blocks(*n) < 0.05).count();
+        assert!(below > 20, "{below} of 120");
+    }
+
+    /// Of one number, turning is Student's test.
+    #[test]
+    fn turning_one_number_is_the_test_of_student() {
+        let waves = FieldWaves::new([4, 4], [2, 3]);
+        let values: Vec<Vec<f64>> = noise(16, 3).iter().map(|v| vec![v - 0.4]).collect();
+        let blocks = |shift: f64| -> Vec<(f64, f64)> {
+            values.iter().map(|v| (shift + v[0], 1.0)).collect()
+        };
+        let expected = waves.difference(&blocks(0.0), &[(0.0, 1.0); 16]);
+        let (found, p) = waves.largest_in_errors(&values);
+        assert!((found / expected.t.abs() - 1.0).abs() < 1e-9, "{found} {expected:?}");
+        assert!((p / expected.p - 1.0).abs() < 0.3, "{p} {expected:?}");
+        assert_eq!(waves.count(), 5);
+    }
+}

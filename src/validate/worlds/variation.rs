@@ -83,3 +83,25 @@ impl Variation {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn recipes_tell_how_their_worlds_vary() {
+        let told = |text: &str, extent| Variation::told_by(Some(&text.parse().unwrap()), extent);
+        let wells = "[wells]\nroughness_nm = 0.5\nroughness_correlation_nm = 3.0";
+        assert_eq!(told(wells, [16.0, 16.0]), Variation::AlongY(3.0));
+        assert_eq!(told("[wells]\nroughness_nm = 0.0", [16.0, 16.0]), Variation::Local);
+        let domains = "[field]\nfov_nm = [100.0, 100]\n[domains]\nwaviness = 0.1";
+        assert_eq!(told(domains, [99.5, 100.1]), Variation::FullHeight);
+        assert_eq!(told(domains, [10.0, 100.0]), Variation::Beyond(100.0));
+        assert_eq!(Variation::told_by(None, [1.0, 1.0]), Variation::Local);
+        let most = Variation::AlongY(3.0).most(Variation::Local);
+        assert_eq!(most, Variation::AlongY(3.0));
+        assert_eq!((most.waves(16.1), most.waves(80.0)), (Some([2, 5]), Some([5, 5])));
+        assert_eq!((most.rows_of_part(16, 16.0), most.rows_of_part(16, 80.0)), (Some(8), Some(2)));
+        assert_eq!(Variation::Beyond(100.0).waves(10.0), None);
+    }
+}
