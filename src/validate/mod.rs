@@ -7,6 +7,7 @@
 
 pub mod difference;
 pub mod explain;
+pub mod field_waves;
 pub mod golden;
 pub mod image_comparison;
 mod lab;

@@ -31,8 +31,8 @@ pub fn worlds_page(
          stemgen {}, {}, {}. A line is called different where chance would produce such a difference between equal worlds with a \
          probability below {:.2e}, so that all lines together call equal worlds different at the rate {}. Fields are divided into \
          blocks ({} and {}), since neighbouring sites and pixels are not independent. Where both fields have the same pixels, errors \
-         come from the differences of blocks at one place, and the significance of distances from exchanging them at random; \
-         otherwise from all blocks.</p>\n",
+         and the significance of distances come from slow waves over the differences of blocks at one place; \
+         otherwise from parts of each field.</p>\n",
         word(c.verdict),
         escape(&sentence(c)),
         escape(&origin.command_line),

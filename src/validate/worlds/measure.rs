@@ -7,6 +7,7 @@ use ndarray::{Array2, s};
 use serde::Serialize;
 
 use super::spectrum::{Bands, Collector, Spectrum};
+use super::variation::Variation;
 use crate::constants::wavelength_angstrom;
 use crate::error::{Error, Result};
 use crate::io::schema::atom_type;
@@ -55,6 +56,10 @@ pub struct Measured {
     pub pixel_nm: f64,
     /// Number of blocks.
     pub blocks: usize,
+    /// Their rows and columns.
+    pub grid: [usize; 2],
+    /// How worlds of the recipe vary.
+    pub variation: Variation,
     /// Atomic numbers of all sites; empty where the file has none.
     pub elements: BTreeSet<u8>,
     /// Defects and sites, by name of the defect.
@@ -84,6 +89,11 @@ pub struct Measured {
 }
 
 impl Measured {
+    /// Height and width in nm.
+    pub fn extent_nm(&self) -> [f64; 2] {
+        self.shape.map(|n| n as f64 * self.pixel_nm)
+    }
+
     /// The rates of a defect that this world does not have.
     pub fn no_defects(&self) -> Vec<(f64, f64)> {
         self.site_counts.iter().map(|n| (0.0, *n)).collect()
@@ -102,6 +112,10 @@ impl Blocks {
     fn new(shape: [usize; 2], pixel_nm: f64) -> Self {
         let count = shape.map(|n| (n / SMALLEST_BLOCK_PX).clamp(1, BLOCKS));
         Blocks { count, shape, pixel_nm }
+    }
+
+    fn extent_nm(&self) -> [f64; 2] {
+        self.shape.map(|n| n as f64 * self.pixel_nm)
     }
 
     fn len(&self) -> usize {
@@ -159,6 +173,8 @@ pub fn measure(
         shape: world.shape(),
         pixel_nm: metadata.pixel_size_nm,
         blocks: blocks.len(),
+        grid: blocks.count,
+        variation: Variation::told_by(recipe(world).as_ref(), blocks.extent_nm()),
         elements: sites.elements,
         defects: sites.defects.iter().map(|(name, counts)| (name.clone(), rates(counts))).collect(),
         sites: per_area(&sites.counts),
@@ -420,7 +436,8 @@ impl<'a> ColumnSquares<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::validate::statistics::{Exchange, kolmogorov_smirnov};
+    use crate::validate::field_waves::FieldWaves;
+    use crate::validate::statistics::{Places, kolmogorov_smirnov};
 
     #[test]
     fn nearest_neighbours_are_as_by_brute_force() {
@@ -468,7 +485,8 @@ mod tests {
             let blocks = |v: Vec<f32>| -> Vec<(u32, f32)> {
                 v.into_iter().enumerate().map(|(i, v)| (i as u32 / 100, v)).collect()
             };
-            kolmogorov_smirnov(&blocks(a), &blocks(b), Exchange::AtPlaces(64))
+            let waves = FieldWaves::new([8, 8], [5, 5]);
+            kolmogorov_smirnov(&blocks(a), &blocks(b), Places::Same(&waves))
         };
         let raw = compare(counts(1), scaled.clone());
         assert!(raw.p < 1e-3 && raw.distance > 0.1, "rounding alone: {raw:?}");

@@ -1,14 +1,16 @@
 //! Are two worlds the same kind of specimen, imaged alike? Two that cannot be equal byte for byte (another
 //! seed, another processor, another program) are compared by statistics, each with a test and its threshold.
 //!
-//! A field is divided into blocks, at most 16 x 16: neighbouring sites and pixels are not independent. Where both fields have the
-//! same pixels, the blocks at one place are a pair. Two worlds of one kind could have each other's block there: errors come from
-//! the scatter of the differences of pairs, and the significance of distances from exchanging the blocks of pairs at random. What
-//! both have at one place (a boundary, a well) is no difference, nor does it hide one. Other fields are compared
-//! by the scatter of all blocks of each, and by exchanging any of them.
+//! A field is divided into blocks, at most 16 x 16. Where both fields have the same pixels, the blocks at one place are a pair, and slow
+//! waves over their differences tell how far two worlds of one kind differ ([`field_waves`](super::field_waves)): what both have at one
+//! place (a boundary, a well) is no difference, nor does it hide one. Other fields are compared by the scatter of all blocks of each,
+//! and by exchanging any of them. Where the recipes tell of interfaces that wander, parts are as large as those wander
+//! ([`Variation`]); a property whose variation no part of the field tells stays undecided.
 
 mod measure;
+mod parts;
 mod spectrum;
+mod variation;
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -17,10 +19,11 @@ use serde::Serialize;
 
 pub use measure::{Measured, measure};
 pub use spectrum::Spectrum;
+pub use variation::Variation;
 
+use self::parts::Comparing;
 use super::statistics::{
-    Exchange, Ratio, binomial_error, kolmogorov_smirnov, largest_of_pairs, paired_error,
-    student_two_sided, two_sided,
+    Places, Ratio, binomial_error, kolmogorov_smirnov, paired_error, student_two_sided, two_sided,
 };
 use crate::error::{Error, Result};
 use crate::io::WorldFile;
@@ -152,48 +155,43 @@ fn judged(mut lines: Vec<Line>, alpha: f64) -> (Vec<Line>, f64) {
 
 /// All lines; those with a test are `Same` whatever their probability, or `Undecided`.
 fn lines(a: &Measured, b: &Measured) -> Vec<Line> {
-    let paired = a.shape == b.shape && pixel(a, b).verdict == Sameness::Same;
+    let by = comparing(a, b);
     let mut lines = vec![pixel(a, b), elements_line(a, b)];
     let names: BTreeSet<&String> = a.defects.keys().chain(b.defects.keys()).collect();
     for name in names {
         let of = |m: &Measured| m.defects.get(name).cloned().unwrap_or_else(|| m.no_defects());
-        lines.push(rate(format!("{name} per site"), [&of(a), &of(b)], paired));
+        lines.push(rate(format!("{name} per site"), [&of(a), &of(b)], &by));
     }
     for (what, unit, blocks) in [
         ("sites", "per nm2", [&a.sites, &b.sites]),
         ("atomic columns", "per nm2", [&a.columns, &b.columns]),
     ] {
-        lines.push(z_line(what.into(), unit, blocks, 0.0, paired));
+        lines.push(mean_line(what.into(), unit, blocks, 0.0, &by));
     }
     let [mean, others @ ..] = image_lines(a, b);
     let neighbours = [&a.neighbours_nm, &b.neighbours_nm];
-    let what = "nearest neighbours of columns";
-    lines.extend([mean, distribution(what, "nm", neighbours, exchange(a, b))]);
+    lines.extend([mean, distribution("nearest neighbours of columns", "nm", neighbours, &by)]);
     lines.extend(others);
     lines
 }
 
-fn exchange(a: &Measured, b: &Measured) -> Exchange {
-    match a.shape == b.shape && pixel(a, b).verdict == Sameness::Same {
-        true => Exchange::AtPlaces(a.blocks),
-        false => Exchange::Any([a.blocks, b.blocks]),
-    }
+fn same_pixels(a: &Measured, b: &Measured) -> bool {
+    a.shape == b.shape && pixel(a, b).verdict == Sameness::Same
+}
+
+fn comparing(a: &Measured, b: &Measured) -> Comparing {
+    Comparing::new(a, b, same_pixels(a, b))
 }
 
 /// What is compared of the image on one detector.
 fn image_lines(a: &Measured, b: &Measured) -> [Line; 4] {
-    let paired = a.shape == b.shape && pixel(a, b).verdict == Sameness::Same;
+    let by = comparing(a, b);
     let (mean, unit) = ("mean of the image".to_owned(), "of the beam");
     [
-        z_line(mean, unit, [&a.intensity, &b.intensity], 0.0, paired),
-        distribution(
-            "intensity of columns",
-            unit,
-            [&a.intensities, &b.intensities],
-            exchange(a, b),
-        ),
-        noise(a, b, paired),
-        spectra(a, b, paired),
+        mean_line(mean, unit, [&a.intensity, &b.intensity], 0.0, &by),
+        distribution("intensity of columns", unit, [&a.intensities, &b.intensities], &by),
+        noise(a, b),
+        spectra(a, b, &by),
     ]
 }
 
@@ -273,124 +271,151 @@ fn elements_line(a: &Measured, b: &Measured) -> Line {
     }
 }
 
-fn z_line(
+/// A mean over the field.
+fn mean_line(
     what: String,
     unit: &'static str,
     [a, b]: [&Vec<(f64, f64)>; 2],
     least_error: f64,
-    paired: bool,
+    by: &Comparing,
 ) -> Line {
-    let (of_a, of_b) = (Ratio::of_blocks(a), Ratio::of_blocks(b));
-    let difference = of_a.value - of_b.value;
-    let error = match paired {
-        true => paired_error(a, b),
-        false => of_a.error.hypot(of_b.error).max(least_error),
+    let (test, t, p, [of_a, of_b]) = match by {
+        Comparing::Waves { blocks, .. } => {
+            let found = blocks.difference(a, b);
+            let ratios = [a, b].map(|v| Ratio::of_blocks(v));
+            ("t of the difference, error from slow waves over the field", found.t, found.p, ratios)
+        }
+        Comparing::Parts([first, second]) => {
+            let parts = [first.sums(a), second.sums(b)];
+            let ratios = parts.each_ref().map(|v| Ratio::of_blocks(v));
+            let t = ratios[0].z(ratios[1], least_error);
+            let freedom = first.count().min(second.count()).saturating_sub(1);
+            let p = if t == 0.0 { 1.0 } else { student_two_sided(t, freedom) };
+            ("t of the difference, errors from parts of the fields", t, p, ratios)
+        }
+        Comparing::Nothing(_) => ("none", f64::NAN, 1.0, [a, b].map(|v| Ratio::of_blocks(v))),
     };
-    let z = if difference == 0.0 { 0.0 } else { difference / error };
+    let known = !(t.is_nan() || p.is_nan());
     Line {
         what,
         unit,
         a: Some(of_a),
         b: Some(of_b),
-        text: String::new(),
-        test: match paired {
-            true => "t of the difference, error from pairs of blocks",
-            false => "t of the difference, errors from blocks",
-        },
-        statistic: z,
-        p: if z.is_nan() { 1.0 } else { student_two_sided(z, a.len().min(b.len()) - 1) },
-        verdict: if z.is_nan() { Sameness::Undecided } else { Sameness::Same },
+        text: by.why_not(),
+        test,
+        statistic: if known { t } else { 0.0 },
+        p: if known { p } else { 1.0 },
+        verdict: if known { Sameness::Same } else { Sameness::Undecided },
     }
 }
 
-/// A rate of events. Without pairs its error is at least that of independent ones.
-fn rate(what: String, blocks: [&Vec<(f64, f64)>; 2], paired: bool) -> Line {
+/// A rate of events. From parts of each field its error is at least that of independent ones.
+fn rate(what: String, blocks: [&Vec<(f64, f64)>; 2], by: &Comparing) -> Line {
     let sum = |v: &[(f64, f64)]| v.iter().fold((0.0, 0.0), |s, b| (s.0 + b.0, s.1 + b.1));
     let least = binomial_error(sum(blocks[0]), sum(blocks[1]));
-    z_line(what, "", blocks, least, paired)
+    mean_line(what, "", blocks, least, by)
 }
 
 fn distribution(
     what: &str,
     unit: &'static str,
     [a, b]: [&Vec<(u32, f32)>; 2],
-    exchange: Exchange,
+    by: &Comparing,
 ) -> Line {
     let mean =
         |s: &[(u32, f32)]| s.iter().map(|(_, v)| f64::from(*v)).sum::<f64>() / s.len() as f64;
-    let ks = kolmogorov_smirnov(a, b, exchange);
     let few = a.is_empty() && b.is_empty();
+    let (test, ks) = match by {
+        Comparing::Waves { blocks, .. } => (
+            "two-sample Kolmogorov-Smirnov, turned with slow waves over the field",
+            Some(kolmogorov_smirnov(a, b, Places::Same(blocks))),
+        ),
+        Comparing::Parts([first, second]) => {
+            let places = Places::Any([first.count(), second.count()]);
+            let found = kolmogorov_smirnov(&first.values(a), &second.values(b), places);
+            ("two-sample Kolmogorov-Smirnov, parts exchanged", Some(found))
+        }
+        Comparing::Nothing(_) => ("none", None),
+    };
+    let known = ks.filter(|_| !few);
     Line {
         what: what.into(),
         unit,
         a: plain(mean(a)).filter(|r| r.value.is_finite()),
         b: plain(mean(b)).filter(|r| r.value.is_finite()),
-        text: "means of the distributions".into(),
-        test: match exchange {
-            Exchange::AtPlaces(_) => "two-sample Kolmogorov-Smirnov, pairs of blocks exchanged",
-            Exchange::Any(_) => "two-sample Kolmogorov-Smirnov, blocks exchanged",
+        text: match by {
+            Comparing::Nothing(_) => by.why_not(),
+            _ => "means of the distributions".into(),
         },
-        statistic: ks.distance,
-        p: ks.p,
-        verdict: if few { Sameness::Undecided } else { Sameness::Same },
+        test,
+        statistic: known.map_or(0.0, |ks| ks.distance),
+        p: known.map_or(1.0, |ks| ks.p),
+        verdict: if known.is_some() { Sameness::Same } else { Sameness::Undecided },
     }
 }
 
-/// The dose that the noise beyond the optical limit tells.
-fn noise(a: &Measured, b: &Measured, paired: bool) -> Line {
+/// The dose that the noise beyond the optical limit tells. Electrons are counted one by one: segments are independent.
+fn noise(a: &Measured, b: &Measured) -> Line {
     let dose = |r: Ratio| Ratio { value: 1.0 / r.value, error: r.error / (r.value * r.value) };
     let enough = [a, b].iter().all(|m| m.spectrum.noise.len() >= FEWEST_SEGMENTS);
-    let blocks = [&a.spectrum.noise, &b.spectrum.noise];
-    let [of_a, of_b] = blocks.map(|v| Ratio::of_blocks(v));
-    let mut line = Line {
+    let [of_a, of_b] = [a, b].map(|m| Ratio::of_blocks(&m.spectrum.noise));
+    let error = match same_pixels(a, b) {
+        true => paired_error(&a.spectrum.noise, &b.spectrum.noise),
+        false => of_a.error.hypot(of_b.error),
+    };
+    let difference = of_a.value - of_b.value;
+    let t = if difference == 0.0 { 0.0 } else { difference / error };
+    let known = enough && !t.is_nan();
+    let freedom = a.spectrum.noise.len().min(b.spectrum.noise.len()).saturating_sub(1);
+    Line {
         what: "dose told by the noise".into(),
         unit: "electrons per A2",
         a: Some(dose(of_a)),
         b: Some(dose(of_b)),
         text: String::new(),
         test: "t of the noise power beyond the optical limit",
-        statistic: 0.0,
-        p: 1.0,
-        verdict: Sameness::Undecided,
-    };
-    if enough {
-        let z_line = z_line(String::new(), "", blocks, 0.0, paired);
-        (line.statistic, line.p, line.verdict) = (z_line.statistic, z_line.p, z_line.verdict);
+        statistic: if known { t } else { 0.0 },
+        p: if known { student_two_sided(t, freedom) } else { 1.0 },
+        verdict: if known { Sameness::Same } else { Sameness::Undecided },
     }
-    line
 }
 
 /// Largest difference of the spectra over all bands.
-fn spectra(a: &Measured, b: &Measured, paired: bool) -> Line {
+fn spectra(a: &Measured, b: &Measured, by: &Comparing) -> Line {
     let few = [a, b].iter().any(|m| m.spectrum.segments.len() < FEWEST_SEGMENTS);
     let bands = a.spectrum.bands.count;
-    let (statistic, p) = match paired {
-        true => {
-            let segments = a.spectrum.segments.iter().zip(&b.spectrum.segments);
+    let (test, found) = match by {
+        _ if few => ("none", None),
+        Comparing::Waves { segments, .. } => {
+            let pairs = a.spectrum.segments.iter().zip(&b.spectrum.segments);
             let difference = |(a, b): (&Vec<f64>, &Vec<f64>)| -> Vec<f64> {
                 a.iter().zip(b).map(|(a, b)| a - b).collect()
             };
-            largest_of_pairs(&segments.map(difference).collect::<Vec<_>>())
+            let found = segments.largest_in_errors(&pairs.map(difference).collect::<Vec<_>>());
+            ("largest t over all bands, turned with slow waves over the field", Some(found))
         }
-        false => {
+        Comparing::Parts(_) => {
             let ratios = a.spectrum.ratio(&b.spectrum);
             let z = ratios.iter().map(|r| (r.value.ln() / r.error).abs());
             let largest = z.filter(|z| z.is_finite()).fold(0.0, f64::max);
-            (largest, 1.0 - (1.0 - two_sided(largest)).powf(bands.max(1) as f64))
+            let p = 1.0 - (1.0 - two_sided(largest)).powf(bands.max(1) as f64);
+            ("largest z of the ratio over all bands, Sidak", Some((largest, p)))
         }
+        Comparing::Nothing(_) => ("none", None),
     };
+    let bands = format!("{bands} bands up to {:.1} 1/nm", a.spectrum.highest());
     Line {
         what: "power spectrum of the image".into(),
         unit: "",
         a: None,
         b: None,
-        text: format!("{bands} bands up to {:.1} 1/nm", a.spectrum.highest()),
-        test: match paired {
-            true => "largest z over all bands, pairs of segments exchanged",
-            false => "largest z of the ratio over all bands, Sidak",
+        text: match by {
+            Comparing::Nothing(_) => by.why_not(),
+            _ => bands,
         },
-        statistic,
-        p,
-        verdict: if few { Sameness::Undecided } else { Sameness::Same },
+        test,
+        statistic: found.map_or(0.0, |f| f.0),
+        p: found.map_or(1.0, |f| f.1),
+        verdict: if found.is_some() { Sameness::Same } else { Sameness::Undecided },
     }
 }

@@ -53,7 +53,10 @@ pub struct Spectrum {
     pub bands: Bands,
     /// Mean power of each band in nm2, over all segments.
     pub power: Vec<f64>,
-    /// Power of each band in each segment.
+    /// Rows and columns of segments.
+    #[serde(skip)]
+    pub grid: [usize; 2],
+    /// Power of each band in each segment, row by row.
     #[serde(skip)]
     pub segments: Vec<Vec<f64>>,
     /// Noise power (A2) and mean of each segment: their ratio is one over the dose.
@@ -95,6 +98,7 @@ pub struct Collector {
     limit: f64,
     fft: Arc<dyn Fft<f64>>,
     window: Vec<f64>,
+    grid: [usize; 2],
     segments: Vec<Vec<f64>>,
     noise: Vec<(f64, f64)>,
 }
@@ -111,6 +115,7 @@ impl Collector {
             limit: limit.min(0.85 * corner),
             fft: FftPlanner::new().plan_fft_forward(n),
             window: (0..n).map(hann).collect(),
+            grid: [0, 0],
             segments: Vec::new(),
             noise: Vec::new(),
         }
@@ -119,6 +124,7 @@ impl Collector {
     /// Takes the whole segments of a strip of the image.
     pub fn add(&mut self, strip: ArrayView2<f64>) {
         let n = self.bands.segment;
+        self.grid = [self.grid[0] + strip.nrows() / n, strip.ncols() / n];
         for segment in strip.exact_chunks((n, n)) {
             self.segment(segment);
         }
@@ -163,6 +169,7 @@ impl Collector {
         Spectrum {
             power: (0..self.bands.count).map(mean).collect(),
             bands: self.bands,
+            grid: self.grid,
             segments: self.segments,
             noise: self.noise,
         }

@@ -1,0 +1,90 @@
+//! What tells how far two worlds differ by chance: waves over both fields, or parts of each.
+
+use super::Measured;
+use super::variation::Variation;
+use crate::validate::field_waves::FieldWaves;
+
+/// How two worlds are held against each other.
+#[derive(Debug)]
+pub enum Comparing {
+    /// Both have the same pixels: by waves over their differences.
+    Waves {
+        /// Over the blocks.
+        blocks: FieldWaves,
+        /// Over the segments of spectra.
+        segments: FieldWaves,
+    },
+    /// They have not: by parts of each.
+    Parts([Parts; 2]),
+    /// Worlds of the recipe vary over this length in nm, which neither field holds.
+    Nothing(f64),
+}
+
+/// Which blocks of a field make an independent part: those of so many rows.
+#[derive(Debug, Clone, Copy)]
+pub struct Parts {
+    rows: usize,
+    columns: usize,
+    /// Rows of a part.
+    at_once: usize,
+}
+
+impl Parts {
+    /// How many there are.
+    pub fn count(&self) -> usize {
+        (self.rows / self.at_once).max(1) * self.columns
+    }
+
+    /// The part of a block. What is left over at the bottom belongs to the last.
+    pub fn of(&self, block: usize) -> usize {
+        let last = (self.rows / self.at_once).max(1) - 1;
+        (block / self.columns / self.at_once).min(last) * self.columns + block % self.columns
+    }
+
+    /// Sums over the blocks of each part.
+    pub fn sums(&self, blocks: &[(f64, f64)]) -> Vec<(f64, f64)> {
+        let mut sums = vec![(0.0, 0.0); self.count()];
+        for (block, (top, bottom)) in blocks.iter().enumerate() {
+            let sum = &mut sums[self.of(block)];
+            *sum = (sum.0 + top, sum.1 + bottom);
+        }
+        sums
+    }
+
+    /// Values with their parts in place of their blocks.
+    pub fn values(&self, sample: &[(u32, f32)]) -> Vec<(u32, f32)> {
+        sample.iter().map(|(block, v)| (self.of(*block as usize) as u32, *v)).collect()
+    }
+}
+
+impl Comparing {
+    /// `same` tells whether both have the same pixels.
+    pub fn new(a: &Measured, b: &Measured, same: bool) -> Self {
+        let variation = a.variation.most(b.variation);
+        let waves = variation.waves(a.extent_nm()[0]);
+        let parts = [a, b].map(|m| {
+            let [rows, columns] = m.grid;
+            let at_once = variation.rows_of_part(rows, m.extent_nm()[0])?;
+            Some(Parts { rows, columns, at_once })
+        });
+        match (variation, waves, parts) {
+            (_, Some(waves), _) if same => Comparing::Waves {
+                blocks: FieldWaves::new(a.grid, waves),
+                segments: FieldWaves::new(a.spectrum.grid, waves),
+            },
+            (_, _, [Some(a), Some(b)]) if !same => Comparing::Parts([a, b]),
+            (Variation::Beyond(nm), ..) => Comparing::Nothing(nm),
+            _ => Comparing::Nothing(f64::INFINITY),
+        }
+    }
+
+    /// What is said of lines that have no test.
+    pub fn why_not(&self) -> String {
+        match self {
+            Comparing::Nothing(nm) => format!(
+                "phase boundaries of the recipe wander over {nm:.0} nm, more than the field: two seeds differ in this"
+            ),
+            _ => String::new(),
+        }
+    }
+}

@@ -1,0 +1,107 @@
+//! Over what lengths worlds of one recipe differ. Sites and electrons are drawn one by one, but interfaces and phase boundaries wander:
+//! what a field holds of them varies over their length, which no place of the field tells alone.
+
+use serde::Serialize;
+
+/// Slow waves along an axis where nothing varies over more than a fifth of the field.
+const WAVES: usize = 5;
+/// Waves over the width where parts of the full height are all that is independent.
+const WAVES_ACROSS: usize = 16;
+/// Number of the fastest wave along y that holds 80 % of the power of the slowest, times the correlation length (of a Gaussian
+/// correlation), in heights of the field.
+const FASTEST: f64 = 0.21;
+/// Independent parts are as high as the integral of the correlation, sqrt(2 pi) correlation lengths.
+const PART: f64 = 2.5;
+
+/// How worlds of one kind vary, from the least to the most.
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd, Serialize)]
+#[serde(rename_all = "snake_case", tag = "kind", content = "nm")]
+pub enum Variation {
+    /// Places far apart vary on their own, as far as the recipe tells.
+    Local,
+    /// Interfaces along y vary over this correlation length in nm.
+    AlongY(f64),
+    /// Boundaries along y wander over the height of the field, all of which is there.
+    FullHeight,
+    /// Boundaries wander over this length in nm, and only a part of it is there.
+    Beyond(f64),
+}
+
+impl Variation {
+    /// What the recipe of a world tells, whose height and width are `extent_nm`.
+    pub fn told_by(recipe: Option<&toml::Table>, extent_nm: [f64; 2]) -> Self {
+        let value = |keys: [&str; 2]| recipe?.get(keys[0])?.get(keys[1]);
+        let as_number = |v: &toml::Value| v.as_float().or_else(|| v.as_integer().map(|i| i as f64));
+        let number = |keys: [&str; 2]| value(keys).and_then(as_number);
+        let field = value(["field", "fov_nm"]).and_then(|v| v.as_array());
+        let full: Vec<f64> = field.into_iter().flatten().filter_map(as_number).collect();
+        if number(["domains", "waviness"]).is_some_and(|w| w > 0.0) {
+            // Tiles of whole pixels may leave a per cent of the field.
+            return match full[..] {
+                [height, width] if extent_nm[0] < 0.98 * height || extent_nm[1] < 0.98 * width => {
+                    Variation::Beyond(height)
+                }
+                _ => Variation::FullHeight,
+            };
+        }
+        match number(["wells", "roughness_nm"]).is_some_and(|r| r > 0.0) {
+            true => number(["wells", "roughness_correlation_nm"])
+                .map_or(Variation::FullHeight, Variation::AlongY),
+            false => Variation::Local,
+        }
+    }
+
+    /// The more of two.
+    pub fn most(self, other: Self) -> Self {
+        if other > self { other } else { self }
+    }
+
+    /// Waves along y and x, the constant one counted, that hold as much of the variation as the mean of a field of this height does;
+    /// nothing where no part of it is independent of the others.
+    pub fn waves(self, height_nm: f64) -> Option<[usize; 2]> {
+        match self {
+            Variation::Local => Some([WAVES, WAVES]),
+            Variation::AlongY(length) => {
+                let fastest = (FASTEST * height_nm / length) as usize;
+                Some([(1 + fastest).min(WAVES), WAVES])
+            }
+            Variation::FullHeight => Some([1, WAVES_ACROSS]),
+            Variation::Beyond(_) => None,
+        }
+    }
+
+    /// Of so many rows of blocks, those that make an independent part; nothing where there is no such part.
+    pub fn rows_of_part(self, rows: usize, height_nm: f64) -> Option<usize> {
+        match self {
+            Variation::Local => Some(1),
+            Variation::AlongY(length) => {
+                let part = (PART * length / height_nm * rows as f64).ceil();
+                Some((part as usize).clamp(1, rows))
+            }
+            Variation::FullHeight => Some(rows),
+            Variation::Beyond(_) => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn recipes_tell_how_their_worlds_vary() {
+        let told = |text: &str, extent| Variation::told_by(Some(&text.parse().unwrap()), extent);
+        let wells = "[wells]\nroughness_nm = 0.5\nroughness_correlation_nm = 3.0";
+        assert_eq!(told(wells, [16.0, 16.0]), Variation::AlongY(3.0));
+        assert_eq!(told("[wells]\nroughness_nm = 0.0", [16.0, 16.0]), Variation::Local);
+        let domains = "[field]\nfov_nm = [100.0, 100]\n[domains]\nwaviness = 0.1";
+        assert_eq!(told(domains, [99.5, 100.1]), Variation::FullHeight);
+        assert_eq!(told(domains, [10.0, 100.0]), Variation::Beyond(100.0));
+        assert_eq!(Variation::told_by(None, [1.0, 1.0]), Variation::Local);
+        let most = Variation::AlongY(3.0).most(Variation::Local);
+        assert_eq!(most, Variation::AlongY(3.0));
+        assert_eq!((most.waves(16.1), most.waves(80.0)), (Some([2, 5]), Some([5, 5])));
+        assert_eq!((most.rows_of_part(16, 16.0), most.rows_of_part(16, 80.0)), (Some(8), Some(2)));
+        assert_eq!(Variation::Beyond(100.0).waves(10.0), None);
+    }
+}
