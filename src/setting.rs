@@ -248,8 +248,6 @@ settings! {
     Recordings = "recordings",
     /// A stored moment of a live world.
     Snapshot = "snapshot",
-    /// What the beam does to a specimen.
-    Damage = "damage",
     // Validation
     /// A case of the validation.
     Case = "case",

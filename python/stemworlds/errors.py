@@ -193,7 +193,6 @@ _KEYWORDS: dict[str, str | None] = {
     "MostDose": "dose",
     "Recordings": "frames",
     "Snapshot": None,
-    "Damage": None,
     "Case": "cases",
     "Reference": None,
     "ScatteringFactor": None,

@@ -201,7 +201,6 @@ fn options(setting: Setting) -> Option<&'static str> {
         S::Alpha => Some("--alpha"),
         S::MostDose => Some("--most-dose"),
         S::Recordings => Some("--dose-series"),
-        S::Damage => Some("--set damage.KEY=VALUE, or --unset damage"),
         S::Card => {
             Some("--title, --license, --creator, --organization, --url, --date and --data-version")
         }

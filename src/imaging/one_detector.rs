@@ -74,5 +74,9 @@ impl RegionImager for OneDetector {
         self.inner.atoms(area, configuration)
     }
 
+    fn shown_area(&self, pixels: &PixelRect) -> Option<Region> {
+        self.inner.shown_area(pixels)
+    }
+
     told_by_inner!();
 }

@@ -39,6 +39,10 @@ macro_rules! told_by_inner {
         fn library(&self) -> Option<[usize; 2]> {
             self.inner.library()
         }
+
+        fn doubt(&self, area: &$crate::recipe::Region) {
+            self.inner.doubt(area);
+        }
     };
 }
 pub(crate) use told_by_inner;
@@ -164,4 +168,14 @@ pub trait RegionImager: Send + Sync {
     fn library(&self) -> Option<[usize; 2]> {
         None
     }
+
+    /// The area (nm of the full field) of all atoms that have a part in the image of some pixels, of imagers that make blocks of a field
+    /// as a whole; `None` of those whose pixels show what is within a window of them.
+    fn shown_area(&self, _pixels: &PixelRect) -> Option<Region> {
+        None
+    }
+
+    /// Tells that atoms of an area (nm of the full field) may be others than they were: blocks that were kept and show any are made again
+    /// where that is so.
+    fn doubt(&self, _area: &Region) {}
 }

@@ -136,6 +136,14 @@ impl RegionImager for SourceImager {
         self.inner.atoms(area, configuration)
     }
 
+    /// That of the pixels around them from which the source takes its share.
+    fn shown_area(&self, pixels: &PixelRect) -> Option<Region> {
+        let margin = margin_px(self.source, self.pixel_angstrom).unwrap_or_default();
+        let first = pixels.first.map(|n| n.saturating_sub(margin));
+        let shape = [0, 1].map(|k| pixels.first[k] + pixels.shape[k] + margin - first[k]);
+        self.inner.shown_area(&PixelRect::new(first, shape))
+    }
+
     told_by_inner!();
 }
 

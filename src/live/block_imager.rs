@@ -20,6 +20,10 @@ const BLOCK_PX: usize = 64;
 /// A block shows nothing that lies further outside of it, in nm: more than half a window of a probe.
 const REACH_NM: f64 = 1.2;
 
+/// Atoms that have changed may lie so far outside of where the electrons were, in nm: doses count in cells, and those of a column at its
+/// middle.
+const EDGE_NM: f64 = 0.2;
+
 /// An imager that keeps what it has made.
 pub struct BlockImager {
     inner: Box<dyn RegionImager>,
@@ -71,6 +75,11 @@ impl BlockImager {
 
     /// Tells that the specimen may have changed in a region (nm of the full field).
     pub fn changed(&self, region: Region) {
+        if self.specimen.is_lasting() {
+            return;
+        }
+        let region = region.grown(EDGE_NM);
+        self.inner.doubt(&region);
         self.kept().exposed.push(region);
     }
 
@@ -90,10 +99,14 @@ impl BlockImager {
         PixelRect::new(first, [0, 1].map(|k| BLOCK_PX.min(full[k] - first[k])))
     }
 
+    /// Pixels and what lies within a window of them, in nm of the full field.
+    fn around(&self, pixels: &PixelRect) -> Region {
+        pixels.region(self.recipe.field.pixel_nm()).grown(self.reach_nm)
+    }
+
     /// What a block shows, as a number.
     fn contents(&self, pixels: &PixelRect) -> u64 {
-        let area = pixels.region(self.recipe.field.pixel_nm()).grown(self.reach_nm);
-        let found = self.specimen.query(&area);
+        let found = self.specimen.query(&self.around(pixels));
         let mut hasher = DefaultHasher::new();
         for column in &found.columns {
             column.id.hash(&mut hasher);
@@ -108,21 +121,23 @@ impl BlockImager {
     /// A block, from what is kept where that is still right.
     fn block(&self, block: [usize; 2], progress: &dyn Progress) -> Result<Array2<f32>> {
         let pixels = self.rect(block);
-        let area = pixels.region(self.recipe.field.pixel_nm()).grown(self.reach_nm);
+        let shown = self.inner.shown_area(&pixels);
+        let area = shown.unwrap_or_else(|| self.around(&pixels));
         let mut kept = self.kept();
         kept.clock += 1;
         let (now, exposures) = (kept.clock, kept.exposed.len());
         let mut contents = None;
         if let Some(seen) = kept.blocks.get(&block).map(|b| b.seen) {
-            let meets = |r: &Region| {
-                let both = r.intersection(&area);
-                both.x[0] < both.x[1] && both.y[0] < both.y[1]
-            };
-            if kept.exposed[seen..].iter().any(meets) {
+            let meets = kept.exposed[seen..].iter().any(|region| region.meets(&area));
+            // An imager with blocks of its own finds out itself what has changed.
+            if meets && shown.is_none() {
                 contents = Some(self.contents(&pixels));
             }
-            let known = kept.blocks.get_mut(&block);
-            if let Some(known) = known.filter(|b| contents.is_none_or(|c| c == b.contents)) {
+            let holds = |b: &&mut Block| match (meets, contents) {
+                (true, contents) => contents == Some(b.contents),
+                (false, _) => true,
+            };
+            if let Some(known) = kept.blocks.get_mut(&block).filter(holds) {
                 (known.seen, known.used) = (exposures, now);
                 return Ok(known.image.clone());
             }
@@ -130,11 +145,11 @@ impl BlockImager {
         drop(kept);
         let all = self.recipe.phonons.configurations.max(1);
         let image = self.inner.mean_of(&pixels, all, progress)?.mapv(|v| v as f32);
-        // Of a specimen that no dose changes, nobody asks.
-        let contents = match (contents, self.specimen.is_lasting()) {
-            (Some(contents), _) => contents,
-            (None, true) => 0,
-            (None, false) => self.contents(&pixels),
+        // Of a specimen that no dose changes, nobody asks, nor of an imager that finds out itself.
+        let contents = match contents {
+            Some(contents) => contents,
+            None if shown.is_some() || self.specimen.is_lasting() => 0,
+            None => self.contents(&pixels),
         };
         let made = Block { image: image.clone(), contents, seen: exposures, used: now };
         self.keep(block, made);

@@ -11,7 +11,7 @@ use crate::acquisition::Acquisition;
 use crate::error::{Error, Result};
 use crate::imaging::{GrownCarbon, MOST_GROWN_ANGSTROM, MethodChoice, PixelRect, RegionImager};
 use crate::progress::{InterruptOnly, Progress, Silent};
-use crate::recipe::{CheckedRecipe, Recipe, Region, StructureKind};
+use crate::recipe::{CheckedRecipe, Recipe, Region};
 use crate::rng::{Purpose, words};
 use crate::setting::Setting;
 use crate::specimen::{
@@ -103,8 +103,7 @@ impl LiveWorld {
     /// simulations, which take minutes.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a greatest dose out of limits, and a film that the beam would change; those of the specimen and the engine;
-    /// [`Error::Interrupted`].
+    /// [`Error::Invalid`] for a greatest dose out of limits; those of the specimen and the engine; [`Error::Interrupted`].
     pub fn new(
         recipe: &CheckedRecipe,
         seed: u64,
@@ -402,11 +401,6 @@ fn own_recipe(recipe: &CheckedRecipe, seed: u64) -> Result<CheckedRecipe> {
     own.seed = seed;
     // A recording has one detector.
     own.detector = own.detector.main_alone();
-    if own.structure == StructureKind::Particles && own.damage.is_some() {
-        let expected =
-            "films and particles do not change under the beam yet; leave the table [damage] out";
-        return Err(Error::invalid(Setting::Damage, "particles", expected));
-    }
     own.checked()
 }
 

@@ -23,6 +23,11 @@ impl Region {
         let cut = |a: [f64; 2], b: [f64; 2]| [a[0].max(b[0]), a[1].min(b[1])];
         Region { x: cut(self.x, other.x), y: cut(self.y, other.y) }
     }
+    /// Whether any place lies in both.
+    pub fn meets(&self, other: &Region) -> bool {
+        let both = self.intersection(other);
+        both.x[0] < both.x[1] && both.y[0] < both.y[1]
+    }
     /// The area that the pixels `rows` x `columns` from pixel (row, column) `first` cover.
     pub fn of_pixels(first: [usize; 2], shape: [usize; 2], pixel_nm: f64) -> Region {
         let edge = |p: usize| (p as f64 - 0.5) * pixel_nm;

@@ -66,16 +66,5 @@ fn nothing_lost_is_said_and_nonsense_is_refused() {
         "s.h5",
     ]));
     assert!(told.contains("damage.threshold_ev") && told.contains("holds"), "{told}");
-    let told = fails(stemgen(here).args([
-        "live",
-        "pt",
-        "--difficulty",
-        "easy",
-        "--set",
-        "damage.threshold_ev.C=17",
-        "-o",
-        "s.h5",
-    ]));
-    assert!(told.contains("--unset damage"), "{told}");
     assert!(!here.join("s.h5").exists());
 }

@@ -1,7 +1,7 @@
 //! What was made of the blocks of a field last, for rectangles that share them.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use crate::error::Result;
 
@@ -15,7 +15,8 @@ pub struct BlockCache<T> {
 }
 
 struct KeptBlocks<T> {
-    blocks: BTreeMap<BlockKey, T>,
+    /// Blocks, and whether what they show may have changed.
+    blocks: BTreeMap<BlockKey, (T, bool)>,
     order: VecDeque<BlockKey>,
 }
 
@@ -25,19 +26,33 @@ impl<T: Clone> BlockCache<T> {
         BlockCache { most, kept: Mutex::new(kept) }
     }
 
-    /// The block of this key; `make` makes it where it was not kept.
+    /// The block of this key; `make` makes it where it was not kept, or its contents may have changed.
     ///
     /// # Errors
     /// Those of `make`.
     pub fn get(&self, key: BlockKey, make: impl FnOnce() -> Result<T>) -> Result<T> {
-        let kept = || self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(found) = kept().blocks.get(&key) {
-            return Ok(found.clone());
-        }
+        self.get_unless_changed(key, |_| false, make)
+    }
+
+    /// The same, but a block that may have changed is kept where `holds` finds that it has not.
+    ///
+    /// # Errors
+    /// Those of `make`.
+    pub fn get_unless_changed(
+        &self,
+        key: BlockKey,
+        holds: impl FnOnce(&T) -> bool,
+        make: impl FnOnce() -> Result<T>,
+    ) -> Result<T> {
+        let found = self.kept().blocks.get(&key).cloned();
         // Not under the lock: two threads may make the same block, and get the same.
-        let made = make()?;
-        let mut kept = kept();
-        if kept.blocks.insert(key, made.clone()).is_none() {
+        let made = match found {
+            Some((found, false)) => return Ok(found),
+            Some((found, true)) if holds(&found) => found,
+            _ => make()?,
+        };
+        let mut kept = self.kept();
+        if kept.blocks.insert(key, (made.clone(), false)).is_none() {
             kept.order.push_back(key);
         }
         if kept.order.len() > self.most
@@ -46,5 +61,37 @@ impl<T: Clone> BlockCache<T> {
             kept.blocks.remove(&oldest);
         }
         Ok(made)
+    }
+
+    /// Tells that blocks for whose number `concerned` is true may have changed.
+    pub fn doubt(&self, concerned: impl Fn([i64; 2]) -> bool) {
+        for ((index, _), (_, doubtful)) in &mut self.kept().blocks {
+            *doubtful |= concerned(*index);
+        }
+    }
+
+    fn kept(&self) -> MutexGuard<'_, KeptBlocks<T>> {
+        self.kept.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn blocks_in_doubt_are_made_again_unless_they_hold() {
+        let cache = BlockCache::new(2);
+        let get = |n: i64, value: i64, holds: bool| {
+            cache.get_unless_changed(([n, 0], 1), |_| holds, || Ok(value)).unwrap()
+        };
+        assert_eq!([get(0, 1, false), get(1, 2, false)], [1, 2]);
+        cache.doubt(|index| index == [0, 0]);
+        assert_eq!([get(0, 3, true), get(1, 4, false)], [1, 2]);
+        cache.doubt(|index| index == [0, 0]);
+        assert_eq!([get(0, 5, false), get(1, 6, false)], [5, 2]);
+        assert_eq!([get(0, 7, false), cache.get(([1, 0], 1), || Ok(8)).unwrap()], [5, 2]);
+        // a third one takes the place of the first
+        assert_eq!([get(2, 9, false), get(0, 10, false)], [9, 10]);
     }
 }

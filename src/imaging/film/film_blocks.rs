@@ -16,6 +16,7 @@ use crate::engine::Site;
 use crate::engine::phonons::displaced;
 use crate::engine::single_scattering::{ScatteringMap, SingleScattering};
 use crate::error::Result;
+use crate::recipe::Region;
 
 /// Atoms further than this from a probe do not count, in Angstrom: a particle of 4 nm at this distance from its edge is seen with
 /// 2 % of the film's intensity.
@@ -57,10 +58,32 @@ impl FilmBlocks {
         Ok(images)
     }
 
+    /// The area of the atoms of a block, in nm of the full field.
+    fn area(&self, index: [i64; 2]) -> Region {
+        let step = self.scene.step;
+        Samples::block(index, BLOCK).region(step, (REACH_ANGSTROM / step).ceil() * step)
+    }
+
+    /// The area of all atoms that have a part in the images at some samples, in nm of the full field.
+    pub fn shown_area(&self, samples: &Samples) -> Region {
+        let all = samples.blocks(BLOCK).into_iter().map(|index| self.area(index));
+        let join = |a: [f64; 2], b: [f64; 2]| [a[0].min(b[0]), a[1].max(b[1])];
+        let none = [f64::INFINITY, f64::NEG_INFINITY];
+        all.fold(Region { x: none, y: none }, |sum, own| Region {
+            x: join(sum.x, own.x),
+            y: join(sum.y, own.y),
+        })
+    }
+
+    /// Tells that atoms of an area may have changed.
+    pub fn doubt(&self, area: &Region) {
+        self.kept.doubt(|index| self.area(index).meets(area));
+    }
+
     fn block(&self, index: [i64; 2], configurations: usize) -> Result<[Array2<f64>; 2]> {
         let scene = &self.scene;
         let margin = (REACH_ANGSTROM / scene.step).ceil();
-        let region = Samples::block(index, BLOCK).region(scene.step, margin * scene.step);
+        let region = self.area(index);
         let (film, particles): (Vec<Site>, Vec<Site>) =
             scene.atoms(&region).into_iter().partition(|s| scene.film.holds(s.key));
         let margin = margin as usize;

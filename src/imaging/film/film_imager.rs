@@ -141,6 +141,17 @@ impl RegionImager for FilmImager {
         ["assembling", "step"]
     }
 
+    /// That of the film's blocks: particles have smaller ones.
+    fn shown_area(&self, &PixelRect { first, shape, .. }: &PixelRect) -> Option<Region> {
+        let pixel = 10.0 * self.scene.recipe.field.pixel_nm() / self.scene.step;
+        Some(self.film.shown_area(&Samples::under(first, shape, pixel)))
+    }
+
+    fn doubt(&self, area: &Region) {
+        self.film.doubt(area);
+        self.particles.doubt(area);
+    }
+
     fn window_angstrom(&self) -> Option<f64> {
         Some(self.scene.window_angstrom)
     }

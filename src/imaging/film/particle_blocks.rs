@@ -3,6 +3,7 @@
 //! Blocks lie at fixed places of the full field and are simulated as a whole, so that the image of a particle does not depend on
 //! the rectangle that is asked for.
 
+use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
 
 use ndarray::Array2;
@@ -44,10 +45,26 @@ pub struct BlockImage {
     pub share: Array2<f64>,
 }
 
+/// A block as it is kept.
+#[derive(Clone)]
+struct KeptBlock {
+    /// Digest of the atoms around it.
+    atoms: u64,
+    /// `None` where windows hold no atoms of particles.
+    image: Option<Arc<BlockImage>>,
+}
+
 /// See the module.
 pub struct ParticleBlocks {
     scene: Arc<FilmScene>,
-    kept: BlockCache<Option<Arc<BlockImage>>>,
+    kept: BlockCache<KeptBlock>,
+}
+
+/// Which atoms these are, as a number.
+fn digest(atoms: &[Site]) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    atoms.iter().for_each(|s| (s.key, s.number).hash(&mut hasher));
+    hasher.finish()
 }
 
 impl ParticleBlocks {
@@ -109,6 +126,16 @@ impl ParticleBlocks {
         samples.blocks(BLOCK)
     }
 
+    /// The area of the atoms of a block, in nm of the full field.
+    fn area(&self, index: [i64; 2]) -> Region {
+        Samples::block(index, BLOCK).region(self.scene.step, self.margin())
+    }
+
+    /// Tells that atoms of an area may have changed: blocks are simulated again if they hold others than before.
+    pub fn doubt(&self, area: &Region) {
+        self.kept.doubt(|index| self.area(index).meets(area));
+    }
+
     /// The image of a block in the mean over some configurations; `None` where windows hold no atoms of particles.
     ///
     /// # Errors
@@ -119,20 +146,25 @@ impl ParticleBlocks {
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Option<Arc<BlockImage>>> {
-        self.kept.get((index, configurations), || {
-            Ok(self.simulated(index, configurations, progress)?.map(Arc::new))
-        })
+        let atoms = || self.scene.atoms(&self.area(index));
+        let make = || {
+            let around = atoms();
+            let image = self.simulated(index, &around, configurations, progress)?.map(Arc::new);
+            Ok(KeptBlock { atoms: digest(&around), image })
+        };
+        let holds = |kept: &KeptBlock| kept.atoms == digest(&atoms());
+        Ok(self.kept.get_unless_changed((index, configurations), holds, make)?.image)
     }
 
     fn simulated(
         &self,
         index: [i64; 2],
+        around: &[Site],
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Option<BlockImage>> {
         let whole = Samples::block(index, BLOCK);
         // Atoms from whose windows on samples of the block may lie.
-        let around = self.scene.atoms(&whole.region(self.scene.step, self.margin()));
         let particles: Vec<[f64; 2]> = around
             .iter()
             .filter(|s| !self.scene.film.holds(s.key))

@@ -170,5 +170,9 @@ impl RegionImager for SurfaceImager {
         with_layers(&self.layers, atoms, area, which, self.settings.optics.slope())
     }
 
+    fn shown_area(&self, pixels: &PixelRect) -> Option<Region> {
+        self.inner.shown_area(pixels)
+    }
+
     told_by_inner!();
 }

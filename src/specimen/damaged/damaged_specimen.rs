@@ -218,12 +218,10 @@ impl Specimen for DamagedSpecimen {
         // All columns of a unit have the dose of its centre.
         let mut dose_of = BTreeMap::new();
         for column in &mut found.columns {
-            let (id, place) = match &column.unit {
-                Some(tag) => (tag.id, tag.centre_nm),
-                None => (column.id, column.position_nm),
+            let dose = match &column.unit {
+                Some(tag) => *dose_of.entry(tag.id).or_insert_with(|| doses.at(tag.centre_nm)),
+                None => doses.at(column.position_nm),
             };
-            let dose =
-                *dose_of.entry((column.unit.is_some(), id)).or_insert_with(|| doses.at(place));
             if dose > 0.0 {
                 let sites = column.sites.clone();
                 self.aged(column, &mut found.sites[sites], dose);
