@@ -38,7 +38,7 @@ Examples:
 The page is one file that needs no network: overlays, values and columns under the pointer, line profiles.
 x grows to the right and y down, from the centre of pixel (0, 0), as in the world's ground truth.";
 
-/// Draw a world, a part of it, an image or a recording as PNG, or make a page to look at a world in a browser
+/// Draw a world, an image or a recording as PNG, or make a page of a world for the browser
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct View {

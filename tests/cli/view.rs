@@ -126,7 +126,7 @@ fn bad_requests_are_explained() {
         (&["w.h5", "--overlay", "columns", "--region", "9,9,10,10"], "0,0 to 1.40,1.40"),
         (&["w.h5", "--region", "1,1,0,0"], "right of and below"),
         (&["w.h5", "-o", "there.png"], "--overwrite"),
-        (&["images.h5"], "images of `stemgen simulate`"),
+        (&["images.h5"], "holds no images"),
         (&["other.h5"], "no group /metadata, but entry"),
         (&["nan.h5"], "nan.h5: holds NaN at row 17, column 7 of the image (/tiles/1_0)"),
         (&["nan.h5", "--html"], "holds NaN at row 17, column 7"),
