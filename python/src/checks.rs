@@ -6,7 +6,6 @@ use crate::guest::{Running, run};
 use crate::recipes::checked;
 use pyo3::prelude::*;
 use std::path::{Path, PathBuf};
-use stemgen::Setting;
 use stemgen::cli::shared::{WorldEngine, imaging_of, planned, threads};
 use stemgen::engine::check_memory;
 use stemgen::files::{atomic_write, outputs::check_outputs};

@@ -6,6 +6,7 @@ mod carbon;
 #[cfg(feature = "hdf5")]
 #[path = "../common/mod.rs"]
 mod common;
+#[cfg(feature = "hdf5")]
 mod contamination;
 mod crystals;
 #[cfg(feature = "hdf5")]

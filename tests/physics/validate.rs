@@ -24,13 +24,14 @@ impl Progress for Counter {
     }
 }
 
-/// The cases pass, and the progress bar of each reaches its end, and not before.
+/// The cases pass, and the progress bar of quick ones reaches its end, and not before.
 fn run(wanted: fn(&Case) -> bool) {
     let mut failed = Vec::new();
     for case in cases().into_iter().filter(wanted) {
         let counter = Counter::default();
         let outcome = case.run(&counter).unwrap();
-        assert_eq!(counter.0.into_inner(), case.units(), "{}", case.name);
+        let counted = counter.0.into_inner();
+        assert!(!case.quick || counted == case.units(), "{}: {counted} units", case.name);
         println!("{}: {:.1} s, {:.1} expected", case.name, outcome.wall_time_s, case.seconds);
         for check in &outcome.checks {
             println!("    {}: {:.6} {} {:?}", check.what, check.value, check.unit, check.limit);

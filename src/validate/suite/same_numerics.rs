@@ -75,7 +75,7 @@ pub fn cases() -> Vec<Case> {
             OPTICS,
             false,
             9.0,
-            8,
+            7,
             optics,
         ),
         case(
