@@ -1,6 +1,6 @@
 //! What tells how far two worlds differ by chance: waves over both fields, or parts of each.
 
-use super::Measured;
+use super::measure::Measured;
 use super::variation::Variation;
 use crate::validate::field_waves::FieldWaves;
 
