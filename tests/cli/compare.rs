@@ -58,7 +58,7 @@ fn worlds_are_the_same_or_different() {
     build(f, "a.h5", &[]);
     build(f, "seed.h5", &["seed=77"]);
     build(f, "dose.h5", &["seed=3", "dose.electrons_per_angstrom2=1e5"]);
-    build(f, "rate.h5", &["seed=4", "vacancies.rate=0.35"]);
+    build(f, "rate.h5", &["seed=4", "vacancies.rate=0.5"]);
     let tiny = std::fs::read_to_string(file("tests/cli/tiny.toml")).unwrap();
     let other = tiny.replace("\"srtio3\"", "\"batio3_cubic\"");
     let other =

@@ -1,6 +1,6 @@
 //! What tells how far two worlds differ by chance: waves over both fields, or parts of each.
 
-use super::Measured;
+use super::measure::Measured;
 use super::variation::Variation;
 use crate::validate::field_waves::FieldWaves;
 
@@ -15,21 +15,21 @@ pub enum Comparing {
         segments: FieldWaves,
     },
     /// They have not: by parts of each.
-    Parts([Parts; 2]),
+    Parts([FieldParts; 2]),
     /// Worlds of the recipe vary over this length in nm, which neither field holds.
     Nothing(f64),
 }
 
 /// Which blocks of a field make an independent part: those of so many rows.
 #[derive(Debug, Clone, Copy)]
-pub struct Parts {
+pub struct FieldParts {
     rows: usize,
     columns: usize,
     /// Rows of a part.
     at_once: usize,
 }
 
-impl Parts {
+impl FieldParts {
     /// How many there are.
     pub fn count(&self) -> usize {
         (self.rows / self.at_once).max(1) * self.columns
@@ -65,7 +65,7 @@ impl Comparing {
         let parts = [a, b].map(|m| {
             let [rows, columns] = m.grid;
             let at_once = variation.rows_of_part(rows, m.extent_nm()[0])?;
-            Some(Parts { rows, columns, at_once })
+            Some(FieldParts { rows, columns, at_once })
         });
         match (variation, waves, parts) {
             (_, Some(waves), _) if same => Comparing::Waves {
