@@ -1,4 +1,4 @@
-"""Draws docs/optics.png: what each setting of the optics, and a layer of carbon, makes of the same crystal. Needs matplotlib, h5py and
+"""Draws docs/optics.png: what each setting of the optics makes of the same crystal. Needs matplotlib, h5py and
 stemgen on the path.
 
     python3 docs/draw_optics.py docs/optics.png
@@ -38,9 +38,8 @@ def image(folder, options):
     command = ["stemgen", "simulate", *CRYSTAL, *SCAN, *options, "-q", "--overwrite", "-o", path]
     subprocess.run(command, check=True)
     with h5py.File(path) as file:
-        found = []
-        file.visititems(lambda _, item: found.append(item[:]) if getattr(item, "ndim", 0) >= 2 else None)
-    return max(found, key=lambda a: a.size).squeeze()
+        [found] = file["images"].values()
+        return found[0]
 
 
 figure, axes = plt.subplots(3, 4, figsize=(8.4, 6.9), layout="constrained")
