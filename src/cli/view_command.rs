@@ -5,7 +5,7 @@ use super::hints::hinted;
 use super::recipe_args::is_recipe_file;
 use super::specimen_command::draw_specimen;
 use super::values::{self, Tier};
-use super::view_images::{self, ImageChoice};
+use super::view_images::{self, ViewedImage};
 use super::view_picture::{
     Overlay, PictureArgs, WorldPart, boundaries, boundaries_or_phases, particles,
 };
@@ -157,7 +157,7 @@ impl View {
         }
         let path = self.output.clone().unwrap_or_else(|| self.world.with_extension("view.png"));
         check_outputs([&path], [&self.world], self.overwrite)?;
-        let choice = ImageChoice { name: self.detector.as_deref(), index: self.index };
+        let choice = ViewedImage { name: self.detector.as_deref(), index: self.index };
         let (picture, what) = view_images::picture(images, &choice, &self.picture)?;
         picture.write_png(&path)?;
         self.tell(&format!("{}: {what}", path.display()))

@@ -8,7 +8,7 @@ use crate::render::{Contrast, Picture, RgbImage};
 use anyhow::anyhow;
 
 /// Which image of a file is drawn.
-pub struct ImageChoice<'a> {
+pub struct ViewedImage<'a> {
     /// Name of the image; `None`: the first, or the ideal image of a recording if the picture is to be clean.
     pub name: Option<&'a str>,
     /// Its number in a stack; `None`: the last.
@@ -21,7 +21,7 @@ pub struct ImageChoice<'a> {
 /// Those of the file; a clean image of a file that holds no recording.
 pub fn picture(
     images: &StoredImages,
-    choice: &ImageChoice<'_>,
+    choice: &ViewedImage<'_>,
     view: &PictureArgs,
 ) -> anyhow::Result<(RgbImage, String)> {
     let name = match (view.clean, choice.name, images.kind) {
