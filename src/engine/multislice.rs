@@ -5,6 +5,7 @@ use super::plan::Plan;
 use super::probe::{CroppedProbe, Probe};
 use super::probe_patches::{Patch, ProbePatches, amplitude_nyquist};
 use super::probe_scan::{ProbePlaces, Scan};
+use super::slice_coverage::LocalSlice;
 use super::stepper::{SliceStep, StepWorkspace, Stepper, TransmissionView};
 use super::transmission::Transmission;
 use super::workspace_pool::WorkspacePool;
@@ -40,7 +41,13 @@ pub(super) struct MultisliceWorkspace {
     step: StepWorkspace,
     /// Amplitudes of the waves on each detector.
     amplitudes: Vec<Vec<Complex32>>,
+    /// Transmission functions of the next steps.
+    transmissions: Vec<Buffer>,
 }
+
+/// All waves of a patch pass so many steps before the next: their transmission functions are put in order once for all waves, and are in a
+/// cache still.
+const STEPS_TOGETHER: usize = 16;
 
 /// The steps up to each recorded thickness, from the one before it.
 type SlicePath = Vec<Vec<SliceStep>>;
@@ -137,6 +144,7 @@ impl<'a> Multislice<'a> {
             copy: self.stepper.fft().buffer(),
             step: self.stepper.workspace(),
             amplitudes: vec![Vec::new(); self.plan.settings.detectors.len()],
+            transmissions: Vec::new(),
         }
     }
 
@@ -190,7 +198,7 @@ impl<'a> Multislice<'a> {
     /// The same from the waves of a basis, which alone are propagated.
     fn expanded(
         &self,
-        MultisliceWorkspace { waves, copy, step, amplitudes }: &mut MultisliceWorkspace,
+        MultisliceWorkspace { waves, copy, step, amplitudes, transmissions }: &mut MultisliceWorkspace,
         path: &SlicePath,
         view: TransmissionView<'_>,
         group: &Patch,
@@ -211,15 +219,18 @@ impl<'a> Multislice<'a> {
         let scale = self.scale();
         for (r, steps) in path.iter().enumerate() {
             amplitudes.iter_mut().for_each(Vec::clear);
-            for waves in waves.chunks_mut(self.stepper.waves_together()) {
-                for slice_step in steps {
-                    self.stepper.propagate(waves, *slice_step, view, step);
+            for steps in steps.chunks(STEPS_TOGETHER) {
+                self.stepper.arrange(steps, view, transmissions, step);
+                for waves in waves.chunks_mut(self.stepper.waves_together()) {
+                    for (slice_step, t) in steps.iter().zip(&*transmissions) {
+                        self.stepper.propagate_through(waves, *slice_step, t, step);
+                    }
                 }
-                for wave in waves {
-                    copy.copy_from_slice(wave);
-                    self.stepper.transform_columns(copy, false, &mut step.fft);
-                    self.map.gather(copy, |d, psi| amplitudes[d].extend_from_slice(psi));
-                }
+            }
+            for wave in &*waves {
+                copy.copy_from_slice(wave);
+                self.stepper.transform_columns(copy, false, &mut step.fft);
+                self.map.gather(copy, |d, psi| amplitudes[d].extend_from_slice(psi));
             }
             for (d, amplitudes) in amplitudes.iter().enumerate() {
                 let matrix = detected(amplitudes, basis.len());
@@ -275,16 +286,17 @@ impl<'a> Multislice<'a> {
 
     /// The distinct paths of groups of probes, and the index of the path of each group.
     fn paths(&mut self, t: &Transmission, groups: &[Patch]) -> (Vec<SlicePath>, Vec<usize>) {
-        let within: Vec<Vec<usize>> =
+        let within: Vec<Vec<LocalSlice>> =
             groups.par_iter().map(|g| t.coverage.within(g.origin)).collect();
         let mut paths = Vec::new();
         let mut known = HashMap::new();
         let mut path_of = Vec::with_capacity(groups.len());
         for slices in within {
-            path_of.push(match known.entry(slices) {
+            let key: Vec<_> = slices.iter().map(LocalSlice::key).collect();
+            path_of.push(match known.entry(key) {
                 Entry::Occupied(known) => *known.get(),
                 Entry::Vacant(new) => {
-                    paths.push(self.path(new.key()));
+                    paths.push(self.path(&slices));
                     *new.insert(paths.len() - 1)
                 }
             });
@@ -293,12 +305,12 @@ impl<'a> Multislice<'a> {
     }
 
     /// The steps through these slices up to each recorded thickness.
-    fn path(&mut self, slices: &[usize]) -> SlicePath {
+    fn path(&mut self, slices: &[LocalSlice]) -> SlicePath {
         let mut at = (self.plan.slices.entrance(), [0; 2]);
         let mut rest = slices;
         let mut path = Vec::new();
         for last in &self.plan.record_after {
-            let (passed, others) = rest.split_at(rest.partition_point(|slice| slice <= last));
+            let (passed, others) = rest.split_at(rest.partition_point(|step| step.last <= *last));
             let (steps, end) = self.stepper.path(at, passed.iter().copied());
             path.push(steps);
             (at, rest) = (end, others);
@@ -398,6 +410,7 @@ mod tests {
     use super::super::transmission::TransmissionBuilder;
     use super::super::{Algorithm, ProbeStep, Settings, Site};
     use super::*;
+    use crate::potential::slices::Slicing;
     use crate::progress::Silent;
 
     /// A tilted Pt crystal that reaches over an edge of the cell and leaves half of it empty.
@@ -456,5 +469,40 @@ mod tests {
         let most = all.iter().copied().fold(0.0, f64::max);
         let off = skipping.iter().zip(&all).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         assert!(off < 5e-5 * most, "{off} of {most}");
+    }
+
+    /// Slices act where their atoms in a window are, and join there, also where an image is recorded on the way. Measured: probes are
+    /// 0.07 % off rms, and 0.13 % at one height.
+    #[test]
+    fn local_slices_are_nearer_to_thin_ones_than_slices_at_one_height() {
+        let cell = 28.0;
+        let sites = tilted_crystal(cell);
+        let heights: Vec<f64> = sites.iter().map(|s| s.position[2]).collect();
+        let scan = Scan { origin_angstrom: [1.2, 5.1], step_angstrom: [0.5, 0.6], shape: [6, 6] };
+        let run = |slicing: Slicing| {
+            let settings = Settings {
+                algorithm: Algorithm::Window { width_angstrom: 5.9 },
+                probe_step: ProbeStep::Scan,
+                thicknesses_angstrom: vec![10.0, 20.0],
+                slicing,
+                ..Settings::default()
+            };
+            let plan = Plan::new(&settings, [cell, cell, 20.0], &heights).unwrap();
+            let builder = TransmissionBuilder::new(&plan, &[78]).unwrap();
+            let transmission = builder.build(&sites, 0, &Silent).unwrap();
+            let mut engine = Multislice::new(&plan);
+            let steps = transmission.coverage.within((0, 0)).len();
+            (engine.run(&transmission, (&scan).into(), &Silent).unwrap(), steps)
+        };
+        let (exact, thin) = run(Slicing::Grouped(0.02));
+        let off = |values: &[f64]| {
+            let relative = values.iter().zip(&exact).map(|(v, e)| (v / e - 1.0).powi(2));
+            (relative.sum::<f64>() / exact.len() as f64).sqrt()
+        };
+        let (one_height, _) = run(Slicing::Grouped(0.35));
+        let (local, few) = run(Slicing::Local(0.35));
+        let (one_height, local) = (off(&one_height), off(&local));
+        assert!(local < 0.002 && local < 0.6 * one_height, "{local} {one_height}");
+        assert!(3 * few < 2 * thin, "{few} {thin}");
     }
 }

@@ -244,7 +244,7 @@ mod tests {
             let mut settings = Settings { algorithm, ..Settings::default() };
             settings.optics.aberrations = Aberrations::defocus(defocus);
             settings.phonons = Some(Phonons { configurations: 2, seed: 3 });
-            Plan::new(&settings, [16.0, 16.0, 4.0], &[1.0, 3.0, 3.1]).unwrap()
+            Plan::new(&settings, [11.0, 11.0, 4.0], &[1.0, 3.0, 3.1]).unwrap()
         };
         [0.0, 40.0, -25.0].map(plan).to_vec()
     }
@@ -309,10 +309,10 @@ mod tests {
         ] {
             let mut plans = plans(algorithm);
             let finer = Settings { band_fraction: 0.7, ..plans[0].settings.clone() };
-            plans.insert(1, Plan::new(&finer, [16.0, 16.0, 4.0], &[1.0, 3.0, 3.1]).unwrap());
+            plans.insert(1, Plan::new(&finer, [11.0, 11.0, 4.0], &[1.0, 3.0, 3.1]).unwrap());
             let whole = simulate_series(&plans, &frames, &scan, &Silent).unwrap();
             let of = (plans.as_slice(), frames.len(), &scan);
-            let counts: &[usize] = if scan == dense { &[1, 3, 7] } else { &[3] };
+            let counts: &[usize] = if scan == dense { &[3, 7] } else { &[3] };
             for &count in counts {
                 let part = |k| {
                     let shard = Shard::new(k, count).unwrap();
@@ -379,7 +379,7 @@ mod tests {
         second.iter_mut().for_each(|s| s.position[0] += 0.2);
         let mut plans = plans(Algorithm::Multislice);
         let finer = Settings { band_fraction: 0.7, ..plans[0].settings.clone() };
-        plans.insert(1, Plan::new(&finer, [16.0, 16.0, 4.0], &[1.0, 3.0, 3.1]).unwrap());
+        plans.insert(1, Plan::new(&finer, [11.0, 11.0, 4.0], &[1.0, 3.0, 3.1]).unwrap());
         assert!(!differ_in_the_lens(&plans[0], &plans[1]));
         let series = simulate_series(&plans, &[&first, &second], &scan, &Silent).unwrap();
         for (plan, images) in plans.iter().zip(&series) {

@@ -2,7 +2,6 @@
 
 use super::plan::Plan;
 use super::stepper::{StepWorkspace, Stepper};
-use super::transmission::TransmissionLayout;
 use crate::fft::Buffer;
 use num_complex::Complex32;
 use rayon::prelude::*;
@@ -46,7 +45,7 @@ pub fn measure_speed(plan: &Plan, duration: Duration) -> Speed {
         per_thread.sum::<f64>()
     };
     let steps_per_s = rate(&|waves, w| {
-        stepper.transmit(waves, &ones, TransmissionLayout::Arranged, (0, 0), w);
+        stepper.transmit(waves, &ones, w);
         stepper.propagate_freely(waves, &propagator, &mut w.fft);
     });
     let scale = 1.0 / (shape.0 * shape.1) as f32;

@@ -9,6 +9,7 @@
 
 use super::grid::Grid;
 use super::plan::Plan;
+use super::slice_coverage::LocalSlice;
 use super::transmission::{Transmission, TransmissionLayout};
 use crate::fft::{BandLimit, BandLimitedMultiplier, Buffer, Fft2, Scratch, lanes};
 use num_complex::Complex32;
@@ -28,19 +29,19 @@ pub(super) struct Stepper {
     anti_aliasing: BandLimit,
     /// Columns within the band limit.
     band: Vec<Range<usize>>,
-    /// Heights in Angstrom where the slices' potentials act, and how many pixels (x, y) windows have moved there.
-    planes: Vec<(f64, [i64; 2])>,
+    /// How many pixels (x, y) windows have moved at each slice.
+    window_moves: Vec<[i64; 2]>,
     /// Propagators for the distances met so far.
     propagators: Vec<BandLimitedMultiplier>,
     /// The index of the propagator for a distance in 1e-9 Angstrom, in which windows move so many pixels (x, y).
     by_distance: HashMap<(i64, [i64; 2]), usize>,
 }
 
-/// One step of a wave: propagation to the plane of a slice, and transmission through the slice.
+/// One step of a wave: propagation to the plane where slices act, and transmission through them.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SliceStep {
-    /// The slice.
-    pub slice: usize,
+    first: usize,
+    last: usize,
     /// Index of the propagator to its plane.
     propagator: usize,
     /// How many pixels (x, y) windows have moved there.
@@ -60,6 +61,8 @@ pub(super) struct StepWorkspace {
     pub fft: Scratch,
     /// A block of rows of a transmission function.
     block: Buffer,
+    /// The same row by row, as a product.
+    product: Buffer,
 }
 
 /// Waves of so many bytes in all stay in a core's cache.
@@ -90,7 +93,7 @@ impl Stepper {
             slope: plan.settings.optics.slope(),
             anti_aliasing: plan.anti_aliasing(),
             band,
-            planes: plan.slices.planes.iter().map(|z| (*z, plan.window_shift(*z))).collect(),
+            window_moves: plan.slices.planes.iter().map(|z| plan.window_shift(*z)).collect(),
             propagators: Vec::new(),
             by_distance: HashMap::new(),
         }
@@ -101,15 +104,16 @@ impl Stepper {
     pub fn path(
         &mut self,
         start: (f64, [i64; 2]),
-        slices: impl Iterator<Item = usize>,
+        slices: impl Iterator<Item = LocalSlice>,
     ) -> (Vec<SliceStep>, (f64, [i64; 2])) {
         let mut at = start;
         let mut steps = Vec::new();
-        for slice in slices {
-            let plane = self.planes[slice];
+        for LocalSlice { first, last, height_angstrom } in slices {
+            // Windows move with the beam's place at the first slice of a step; the propagator knows.
+            let plane = (height_angstrom, self.window_moves[first]);
             let pixels = [0, 1].map(|k| plane.1[k] - at.1[k]);
             let propagator = self.propagator_index(plane.0 - at.0, pixels);
-            steps.push(SliceStep { slice, propagator, moved: plane.1 });
+            steps.push(SliceStep { first, last, propagator, moved: plane.1 });
             at = plane;
         }
         (steps, at)
@@ -121,10 +125,15 @@ impl Stepper {
     }
 
     pub fn workspace(&self) -> StepWorkspace {
-        StepWorkspace { fft: self.fft.scratch(), block: Buffer::zeros(self.fft.arranged_len()) }
+        let width = self.fft.shape().1 + lanes();
+        StepWorkspace {
+            fft: self.fft.scratch(),
+            block: Buffer::zeros(self.fft.arranged_len()),
+            product: Buffer::zeros(lanes() * width + lanes()),
+        }
     }
 
-    /// Propagates waves to a slice and transmits them through it.
+    /// Propagates waves to where a step acts, and transmits them.
     pub fn propagate(
         &self,
         waves: &mut [Buffer],
@@ -133,10 +142,83 @@ impl Stepper {
         w: &mut StepWorkspace,
     ) {
         self.propagate_freely(waves, &self.propagators[step.propagator], &mut w.fft);
-        if let Some(t) = &view.transmission.slices[step.slice] {
-            let origin = self.moved(view.origin, step.moved);
-            self.transmit(waves, t, view.transmission.layout, origin, w);
+        for b in 0..self.fft.row_blocks() {
+            let by = match (view.transmission.layout, &view.transmission.slices[step.first]) {
+                (TransmissionLayout::Arranged, Some(t)) => &t[b * w.block.len()..][..w.block.len()],
+                _ => {
+                    self.arrange_rows((step, b), view, &mut w.block, &mut w.product);
+                    &w.block
+                }
+            };
+            self.transmit_rows(waves, b, by, &mut w.fft);
         }
+    }
+
+    /// The transmission functions of steps, for [`Stepper::propagate_through`].
+    pub fn arrange(
+        &self,
+        steps: &[SliceStep],
+        view: TransmissionView<'_>,
+        out: &mut Vec<Buffer>,
+        w: &mut StepWorkspace,
+    ) {
+        let (blocks, arranged) = (self.fft.row_blocks(), self.fft.arranged_len());
+        if out.len() < steps.len() {
+            out.resize_with(steps.len(), || Buffer::zeros(blocks * arranged));
+        }
+        for (step, out) in steps.iter().zip(out) {
+            for (b, block) in out.chunks_exact_mut(arranged).take(blocks).enumerate() {
+                self.arrange_rows((*step, b), view, block, &mut w.product);
+            }
+        }
+    }
+
+    /// [`Stepper::propagate`] with the transmission function as [`Stepper::arrange`] made it.
+    pub fn propagate_through(
+        &self,
+        waves: &mut [Buffer],
+        step: SliceStep,
+        transmission: &[Complex32],
+        w: &mut StepWorkspace,
+    ) {
+        self.propagate_freely(waves, &self.propagators[step.propagator], &mut w.fft);
+        self.transmit(waves, transmission, w);
+    }
+
+    /// A block of rows of the transmission function of a step in a window, in the order of [`Fft2::arrange_block`]: the product of
+    /// those of its slices, of which those without atoms are 1.
+    fn arrange_rows(
+        &self,
+        (step, b): (SliceStep, usize),
+        view: TransmissionView<'_>,
+        out: &mut [Complex32],
+        product: &mut [Complex32],
+    ) {
+        let all = &view.transmission.slices[step.first..=step.last];
+        let mut slices = all.iter().flatten();
+        let Some(first) = slices.next() else {
+            return out.fill(Complex32::ONE);
+        };
+        let TransmissionLayout::Padded { stride } = view.transmission.layout else {
+            return out.copy_from_slice(&first[b * out.len()..][..out.len()]);
+        };
+        let origin = self.moved(view.origin, step.moved);
+        let from = (origin.0 + b * lanes()) * stride + origin.1;
+        if step.first == step.last {
+            return self.fft.arrange_block(&first[from..], stride, out);
+        }
+        let width = self.fft.shape().1 + lanes();
+        for (y, row) in product.chunks_exact_mut(width).take(lanes()).enumerate() {
+            let at = from + y * stride;
+            row.copy_from_slice(&first[at..at + width]);
+        }
+        for slice in slices {
+            for (y, row) in product.chunks_exact_mut(width).take(lanes()).enumerate() {
+                let at = from + y * stride;
+                row.iter_mut().zip(&slice[at..at + width]).for_each(|(p, t)| *p *= t);
+            }
+        }
+        self.fft.arrange_block(product, width, out);
     }
 
     /// The pixel (row, column) of the cell under the first of a window that began at `origin` and moved so many pixels (x, y).
@@ -188,42 +270,27 @@ impl Stepper {
         self.fft.multiplier(&row, &row_k2, &column, &column_k2, self.anti_aliasing)
     }
 
-    /// Multiplies waves by the transmission function `t`: inverse transform of rows, product, forward transform.
-    pub fn transmit(
-        &self,
-        waves: &mut [Buffer],
-        t: &[Complex32],
-        layout: TransmissionLayout,
-        origin: (usize, usize),
-        w: &mut StepWorkspace,
-    ) {
-        let (rows, stride) = (lanes(), self.fft.stride());
-        let arranged = self.fft.arranged_len();
-        for b in 0..self.fft.row_blocks() {
-            let by = match layout {
-                TransmissionLayout::Arranged => &t[b * arranged..][..arranged],
-                TransmissionLayout::Padded { stride } => {
-                    let first = (origin.0 + b * rows) * stride + origin.1;
-                    let area = &t[first..];
-                    if b + 1 < self.fft.row_blocks() {
-                        self.prefetch(&area[rows * stride..], stride);
-                    }
-                    self.fft.arrange_block(area, stride, &mut w.block);
-                    &w.block
-                }
-            };
-            for wave in &mut *waves {
-                let block = &mut wave[b * rows * stride..][..rows * stride];
-                self.fft.convolve_block(block, &self.band, by, &mut w.fft);
-            }
+    /// Multiplies waves by the transmission function `t` in the order of [`Fft2::arrange_block`]: inverse transform of rows,
+    /// product, forward transform.
+    pub fn transmit(&self, waves: &mut [Buffer], t: &[Complex32], w: &mut StepWorkspace) {
+        let blocks = t.chunks_exact(self.fft.arranged_len()).take(self.fft.row_blocks());
+        for (b, by) in blocks.enumerate() {
+            self.transmit_rows(waves, b, by, &mut w.fft);
         }
     }
 
-    /// Prefetches a block of rows.
-    fn prefetch(&self, rows: &[Complex32], stride: usize) {
-        let columns = self.fft.shape().1;
-        for row in rows.chunks(stride).take(lanes()) {
-            prefetch(&row[..columns.min(row.len())]);
+    /// [`Stepper::transmit`] for the b-th block of rows.
+    fn transmit_rows(
+        &self,
+        waves: &mut [Buffer],
+        b: usize,
+        by: &[Complex32],
+        scratch: &mut Scratch,
+    ) {
+        let rows = lanes() * self.fft.stride();
+        for wave in waves {
+            let block = &mut wave[b * rows..][..rows];
+            self.fft.convolve_block(block, &self.band, by, scratch);
         }
     }
 
@@ -256,17 +323,4 @@ impl Stepper {
             self.fft.some_columns(wave, range.clone(), inverse, scratch);
         }
     }
-}
-
-/// Prefetches data into the cache.
-#[inline]
-fn prefetch(data: &[Complex32]) {
-    #[cfg(target_arch = "x86_64")]
-    for line in data.chunks(8) {
-        use std::arch::x86_64::{_MM_HINT_T1, _mm_prefetch};
-        // Safe: a prefetch is a hint and reads nothing.
-        unsafe { _mm_prefetch::<_MM_HINT_T1>(line.as_ptr().cast()) };
-    }
-    #[cfg(not(target_arch = "x86_64"))]
-    let _ = data;
 }

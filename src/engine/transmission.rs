@@ -2,7 +2,7 @@
 
 use super::phase_grating::{GratingWorkspace, PhaseGrating, SliceAtoms};
 use super::plan::Plan;
-use super::slice_coverage::{SliceCoverage, place};
+use super::slice_coverage::{LocalSlice, SliceCoverage, place};
 use super::workspace_pool::WorkspacePool;
 use crate::error::{Error, Result};
 use crate::fft::lanes;
@@ -186,8 +186,8 @@ impl<'a> TransmissionBuilder<'a> {
 }
 
 impl Transmission {
-    /// Of these slices, those that hold atoms.
-    pub fn filled(&self, slices: Range<usize>) -> impl Iterator<Item = usize> {
-        slices.filter(|&i| self.slices[i].is_some())
+    /// Of these slices, those that hold atoms, where they act in the mean of the cell.
+    pub fn filled(&self, slices: Range<usize>) -> impl Iterator<Item = LocalSlice> {
+        slices.filter(|&i| self.slices[i].is_some()).map(|i| self.coverage.in_the_mean(i))
     }
 }

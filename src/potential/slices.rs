@@ -14,6 +14,9 @@ pub enum Slicing {
     Planes,
     /// Atoms within so many Angstrom along the beam share a slice, at their mean height.
     Grouped(f64),
+    /// The same, but in a window each slice acts where those of its atoms are that lie near the window's middle, and slices join
+    /// where that puts atoms off by little. Engines without windows take slices as in [`Slicing::Grouped`].
+    Local(f64),
     /// Slices of equal thickness, at most this many Angstrom and as near to that as possible.
     Thickness(f64),
     /// The same, but the first slice begins at z = 0 of the cell even where atoms lie on its faces, as in abTEM.
@@ -76,7 +79,7 @@ impl Slices {
         z.iter_mut().for_each(|v| *v = wrap(*v, entrance, height));
         z.sort_by(f64::total_cmp);
         match slicing {
-            Slicing::Planes | Slicing::Grouped(_) if z.is_empty() => {
+            Slicing::Planes | Slicing::Grouped(_) | Slicing::Local(_) if z.is_empty() => {
                 if height > MOST_SLICES {
                     let expected = format!("at most {MOST_SLICES} where there are no atoms");
                     let setting = crate::Setting::CellHeightAngstrom;
@@ -88,10 +91,12 @@ impl Slices {
                 let planes = planes(&z).unwrap_or_else(|| groups(&z, GROUP_ANGSTROM));
                 Ok(Self::around(&planes, entrance, height))
             }
-            Slicing::Grouped(span) if !(span >= 0.0 && span.is_finite()) => {
+            Slicing::Grouped(span) | Slicing::Local(span) if !(span >= 0.0 && span.is_finite()) => {
                 Err(Error::invalid(crate::Setting::SliceSpanAngstrom, span, "must be 0 or more"))
             }
-            Slicing::Grouped(span) => Ok(Self::around(&groups(&z, span), entrance, height)),
+            Slicing::Grouped(span) | Slicing::Local(span) => {
+                Ok(Self::around(&groups(&z, span), entrance, height))
+            }
             Slicing::Thickness(t) | Slicing::ThicknessFromFace(t) => {
                 let [least, most] = [THICKNESSES_ANGSTROM.start(), THICKNESSES_ANGSTROM.end()];
                 if !THICKNESSES_ANGSTROM.contains(&t) || height / t > MOST_SLICES {

@@ -73,6 +73,7 @@ fn numerics() -> impl Strategy<Value = Settings> {
         Just(Slicing::Planes),
         value(1.0).prop_map(Slicing::Thickness),
         value(0.5).prop_map(Slicing::Grouped),
+        value(0.5).prop_map(Slicing::Local),
     ];
     let step = prop_oneof![
         Just(ProbeStep::Auto),

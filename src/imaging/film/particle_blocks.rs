@@ -26,7 +26,7 @@ const BEYOND_WINDOW_ANGSTROM: f64 = 1.0;
 const POTENTIAL_ANGSTROM: f64 = 1.5;
 /// Film behind particles is in slices of this thickness in Angstrom. An audit (7.8 A windows, 4 configurations, film there in slices of
 /// 0.5 A): bright columns 0.33 % off with 2 A, 0.34 % with 1 A, which takes a quarter more time.
-const FILM_SLICE_ANGSTROM: f64 = 2.0;
+pub const FILM_SLICE_ANGSTROM: f64 = 2.0;
 /// Edge in samples of the blocks in which particles are simulated: wider ones spare potentials and take memory.
 const BLOCK: i64 = 64;
 /// Probes of such a block.
