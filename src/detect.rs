@@ -8,6 +8,9 @@ use serde::{Deserialize, Serialize};
 /// Thin annuli between two angles of a response.
 const ANNULI: usize = 16;
 
+/// Greatest angle: a right angle.
+const MOST_MRAD: f64 = 1570.0;
+
 /// An annular detector: `inner <= theta < outer`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Detector {
@@ -52,6 +55,9 @@ impl Detector {
         }
         if inner_mrad < 0.0 || outer_mrad <= inner_mrad {
             return Err(bad("the outer angle must exceed the inner, which must not be negative"));
+        }
+        if outer_mrad > MOST_MRAD {
+            return Err(bad("the outer angle is at most 1570 mrad, a right angle"));
         }
         Ok(Detector { name, inner_mrad, outer_mrad, response: Vec::new() })
     }

@@ -130,6 +130,17 @@ pub enum Error {
     Interrupted,
 }
 
+/// Longest number that is written with all its digits.
+const LONGEST_NUMBER: usize = 24;
+
+/// A value as it was given, but for numbers of hundreds of digits, such as 1e308.
+fn readable(value: String) -> String {
+    match value.parse::<f64>() {
+        Ok(number) if value.len() > LONGEST_NUMBER => format!("{number:e}"),
+        _ => value,
+    }
+}
+
 impl Error {
     /// Builds an [`Error::Io`].
     pub fn io(path: &Path, action: &'static str, source: std::io::Error) -> Self {
@@ -137,7 +148,7 @@ impl Error {
     }
     /// Builds an [`Error::Invalid`].
     pub fn invalid(setting: Setting, value: impl ToString, expected: impl Into<String>) -> Self {
-        Error::Invalid { setting, value: value.to_string(), expected: expected.into() }
+        Error::Invalid { setting, value: readable(value.to_string()), expected: expected.into() }
     }
     /// Builds an [`Error::Parse`].
     pub fn parse(path: &Path, line: usize, message: impl Into<String>) -> Self {

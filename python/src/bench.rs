@@ -103,7 +103,9 @@ impl Rules {
         let kinds = [DefectCensus, PhaseMapping, Targeted, ParticleCensus];
         let kinds = kinds.map(|kind| (kind.name(), kind));
         let kind = choice(Setting::Episode, &self.task, &kinds)?;
-        Ok(Task { kind, strict: self.strict, target: self.target.clone() })
+        let task = Task { kind, strict: self.strict, target: self.target.clone() };
+        task.check()?;
+        Ok(task)
     }
 
     fn settings(&self, field: &FieldFacts) -> Result<EpisodeSettings, Fault> {

@@ -44,11 +44,22 @@ fn locked(world: &Mutex<LiveWorld>) -> MutexGuard<'_, LiveWorld> {
     world.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// Refuses a region that is turned around, empty, or no region at all.
+fn checked_region([x0, y0, x1, y1]: [f64; 4]) -> Result<(), Fault> {
+    let ordered = x0 < x1 && y0 < y1 && [x0, y0, x1, y1].iter().all(|v| v.is_finite());
+    if ordered {
+        return Ok(());
+    }
+    let expected = "expected left < right and upper < lower edge, in nm".to_owned();
+    Err(Fault::Value(Setting::Region, format!("{x0}, {y0}, {x1}, {y1}"), expected))
+}
+
 /// The pixels of the built field that a region (left, upper, right and lower edge in nm) touches, counted in the full field.
 fn pixels(recipe: &CheckedRecipe, region: [f64; 4]) -> Result<PixelRect, Fault> {
     let (field, [x0, y0, x1, y1]) = (&recipe.field, region);
     let (pixel, first) = (field.pixel_nm(), field.crop_origin_px());
     let shape = field.pixels(field.built_grid());
+    checked_region(region)?;
     let range = |low: f64, high: f64, size: usize| {
         let clamp = |v: f64| v.clamp(0.0, size as f64) as usize;
         clamp((low / pixel + 0.5).floor())..clamp((high / pixel + 0.5).ceil())
@@ -141,6 +152,7 @@ impl LiveField {
     /// What is in a region now: a dict.
     fn truth(&self, py: Python<'_>, region: [f64; 4]) -> PyResult<Py<PyDict>> {
         let [x0, y0, x1, y1] = region;
+        checked_region(region).told(py)?;
         let region = Region { x: [x0, x1], y: [y0, y1] };
         let found = py.detach(|| locked(&self.world).truth(&region));
         let out = PyDict::new(py);
@@ -149,9 +161,11 @@ impl LiveField {
     }
 
     /// The mean dose of a region in electrons per square Angstrom.
-    fn dose(&self, py: Python<'_>, region: [f64; 4]) -> f64 {
+    fn dose(&self, py: Python<'_>, region: [f64; 4]) -> PyResult<f64> {
         let [x0, y0, x1, y1] = region;
-        py.detach(|| locked(&self.world).mean_dose(&Region { x: [x0, x1], y: [y0, y1] }))
+        checked_region(region).told(py)?;
+        let region = Region { x: [x0, x1], y: [y0, y1] };
+        Ok(py.detach(|| locked(&self.world).mean_dose(&region)))
     }
 
     /// All recordings, as JSON.

@@ -12,7 +12,7 @@ use pyo3::types::PyDict;
 use std::path::PathBuf;
 use std::sync::Arc;
 use stemgen::Setting;
-use stemgen::acquisition::AcquisitionTable;
+use stemgen::acquisition::{AcquisitionTable, clipping_warning};
 use stemgen::files::outputs::check_outputs;
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
@@ -176,11 +176,11 @@ impl Recording {
 
 /// Tells of pixels that the converter cut off.
 pub fn warn_of_clipping(recording: &FieldRecording, progress: &dyn Progress) {
-    if recording.clipped > 0 {
-        progress.warn(&format!(
-            "{} pixels are beyond the {} bits of the converter; a smaller gain_counts keeps them",
-            recording.clipped, recording.options.acquisition.bits
-        ));
+    let [rows, columns] = recording.frame.shape;
+    let pixels = rows * columns * recording.exposure.frames;
+    let bits = recording.options.acquisition.bits;
+    if let Some(warning) = clipping_warning(recording.clipped, pixels, bits) {
+        progress.warn(&warning);
     }
 }
 

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from . import _core
 from ._fields import FieldLike, field_options
 from ._running import Progress, call, running
+from .errors import _invalid
 from .images import Image
 from .recipes import Acquisition
 from .worlds import Table
@@ -102,6 +103,8 @@ def acquire(
         out: file (HDF5) to write too.
         **recipe: ``difficulty``, ``set``, ``unset``, ``grid``, ``seed`` of a recipe.
     """
+    if frames is not None and frames < 1:
+        raise _invalid("frames", f"frames = {frames}: expected a whole number above 0")
     options = {
         "field": field_options(field, recipe, acquisition),
         "place": {"region_nm": region_nm, "at_nm": at_nm, "zoom": zoom, "pixel_nm": pixel_nm},

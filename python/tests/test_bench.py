@@ -136,6 +136,24 @@ def test_what_does_not_fit_the_budget_ends_the_episode(world_file: Path) -> None
         env.step({"type": bench.NAVIGATE})
 
 
+def test_actions_of_no_kind_are_refused(world_file: Path) -> None:
+    env = gym.make("stemworlds/Targeted-v0", world=world_file).unwrapped
+    assert isinstance(env, bench.MicroscopeEnv)
+    env.reset(seed=0)
+    for action in ({}, {"type": 4}, {"type": -1}, {"type": 1.5}, {"type": "acquire"}):
+        with pytest.raises(sw.InvalidValue, match="1 acquires"):
+            env.step(action)
+    many = bench.MicroscopeVectorEnv(2, "targeted", world=world_file)
+    many.reset(seed=0)
+    for actions in ({}, {"type": [0, 7]}):
+        with pytest.raises(sw.InvalidValue, match="1 acquires"):
+            many.step(actions)
+    # The episodes go on.
+    assert not env.step({"type": bench.ACQUIRE, "zoom": 1.0, "dose": 1e9})[2]
+    with pytest.raises(sw.StemworldsError, match="vacancy"):
+        gym.make("stemworlds/Targeted-v0", world=world_file, target="vacancies")
+
+
 def test_reports_that_cannot_be_read_are_counted(world_file: Path) -> None:
     env = gym.make("stemworlds/DefectCensus-v0", world=world_file).unwrapped
     assert isinstance(env, bench.MicroscopeEnv)
@@ -191,6 +209,7 @@ def test_pictures_show_the_episode(world_file: Path) -> None:
         ({"recipe": "test", "split": "both"}, "train"),
         ({"recipe": "test", "budget": -1.0, "cache": True}, "budget"),
         ({"recipe": "test", "live": False}, "live"),
+        ({"world": "w.h5", "split": "test"}, "split"),
     ],
 )
 def test_bad_options_are_told(options: dict[str, Any], words: str) -> None:

@@ -198,6 +198,24 @@ def test_wrong_files_of_results_are_told(tmp_path: Path) -> None:
             bench.read_results(tmp_path / "o.jsonl")
     with pytest.raises(FileMissing, match="no experiment of the package"):
         bench.read_experiment("nothing-of-the-kind")
+    (tmp_path / "o.jsonl").write_bytes(b"\xff\xfe\n")
+    with pytest.raises(FormatError, match=":1: no JSON"):
+        bench.read_results(tmp_path / "o.jsonl")
+    with pytest.raises(FormatError, match="no text in UTF-8"):
+        bench.read_experiment(tmp_path / "o.jsonl")
+
+
+def test_files_that_hold_something_else_stay_as_they_are(tmp_path: Path) -> None:
+    asked = experiment(tmp_path)
+    for held in (b"my notes, without an end", b"a line\nand no end", b"\x89HDF\r\n\x1a\nabc", b'{"name": "of my own"}', b'{"key":1}\n{"key":"'):
+        out = tmp_path / "notes.txt"
+        out.write_bytes(held)
+        with pytest.raises(FormatError, match=r"notes\.txt"):
+            bench.run_experiment(asked, out, processes=1, make=lattice_of)
+        assert out.read_bytes() == held
+    out = tmp_path / "cut.jsonl"
+    out.write_bytes(b'{"key":"half of a li')
+    assert bench.run_experiment(asked, out, processes=1, make=lattice_of).done == 8
 
 
 def test_times_left_are_told_when_there_is_a_pace(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -54,6 +54,10 @@ def test_what_is_wrong_is_said(library: str) -> None:
     assert live.history == ()
     with pytest.raises(sw.InvalidValue, match="the field goes from 0, 0"):
         live.look((90, 90, 91, 91))
+    for turned in [(4, 1, 4, 4), (4, 4, 1, 1), (float("nan"), 1, 4, 4)]:
+        for what in (live.look, live.dose, live.columns):
+            with pytest.raises(sw.InvalidValue, match="left < right"):
+                what(turned)
     with pytest.raises(sw.InvalidValue, match="no snapshot"):
         live.restore("{}")
     with pytest.raises(sw.InvalidValue, match="another recipe or seed"):

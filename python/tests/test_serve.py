@@ -117,6 +117,7 @@ def test_the_stage_moves_the_field_of_view(client: Client, world: sw.LiveWorld) 
     [
         ("get_scaned_image", {}, "discover_commands"),
         ("get_scanned_image", {"size": 5}, "8 to 4096"),
+        ("get_scanned_image", {"size": 64, "dwel_time": 1e-6}, "takes no 'dwel_time'"),
         ("get_scanned_image", {"size": "many"}, "expected a number"),
         ("get_scanned_image", {"size": 64, "dwell_time": 1.0}, "600 s"),
         ("get_scanned_image", {"size": 64, "dwell_time": "nan"}, "finite"),

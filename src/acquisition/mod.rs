@@ -13,6 +13,6 @@ pub use acquisition_settings::{Acquisition, AcquisitionTable};
 pub use detector_chain::{Counted, DetectorChain};
 pub use exposure::{ELECTRONS_PER_PA_US, Exposure};
 pub use profiles::Profile;
-pub use recorder::{RecordedRows, Recorder};
+pub use recorder::{RecordedRows, Recorder, clipping_warning};
 pub use scan_path::{ScanFrame, ScanPath};
 pub use source_image::SourceImage;

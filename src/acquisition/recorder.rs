@@ -33,6 +33,17 @@ pub struct RecordedRows {
     pub clipped: u64,
 }
 
+/// What is said of `clipped` of so many pixels that a converter cut off; nothing if it cut off none.
+pub fn clipping_warning(clipped: u64, pixels: usize, bits: u32) -> Option<String> {
+    let share = 100.0 * clipped as f64 / pixels.max(1) as f64;
+    let share = if share < 0.01 { "less than 0.01".to_owned() } else { format!("{share:.2}") };
+    (clipped > 0).then(|| {
+        format!(
+            "{share} % of the pixels are beyond the {bits} bits of the converter; a smaller acquisition.gain_counts keeps them"
+        )
+    })
+}
+
 impl Recorder {
     /// A recorder of scans along `path`.
     pub fn new(settings: &Acquisition, path: ScanPath, exposure: Exposure, seed: u64) -> Self {

@@ -92,7 +92,7 @@ impl Episode {
     /// Begins at the middle of the field. The noise of acquisitions depends on seed, number and step alone.
     ///
     /// # Errors
-    /// Those of [`EpisodeSettings::check`], and [`Error::Invalid`] for a field that is smaller than a tile.
+    /// Those of [`EpisodeSettings::check`] and [`Task::check`], and [`Error::Invalid`] for a field that is smaller than a tile.
     pub fn new(
         world: Arc<dyn BenchmarkWorld>,
         task: Task,
@@ -101,6 +101,7 @@ impl Episode {
     ) -> Result<Self> {
         let field = world.facts();
         settings.check(field)?;
+        task.check()?;
         let view = field.view_at([0.5, 0.5], 1.0);
         let task = match task.kind {
             TaskKind::Targeted => {

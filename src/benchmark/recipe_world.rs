@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use ndarray::{Array2, s};
+use rayon::prelude::*;
 
 use super::benchmark_world::{BenchmarkWorld, PhaseSamples, RegionTruth, TrueColumn, window};
 use super::findings::{FoundParticle, PlacedDefect, type_name};
@@ -24,7 +25,7 @@ use crate::world::{BuildOptions, ColumnTruth, Noise, SiteTruth};
 /// Images of views that a world keeps.
 const KEPT_VIEWS: usize = 256;
 /// Edge in pixels of the blocks of the overview that are made at once.
-const BLOCK_PX: usize = 32;
+const BLOCK_PX: usize = 16;
 /// Places of a field at which the brightest pixel is looked for.
 const SCALED_PLACES: usize = 5;
 /// What is brighter than the brightest pixel of these places by more than this share is cut off.
@@ -330,9 +331,13 @@ impl BenchmarkWorld for RecipeWorld {
         let mut out = Array2::zeros([size; 2]);
         let end = |k: usize| (first[k] + size).min(shape[k]);
         let blocks = |k: usize| first[k] / BLOCK_PX..end(k).div_ceil(BLOCK_PX);
-        for (row, column) in blocks(0).flat_map(|r| blocks(1).map(move |c| (r, c))) {
-            let block = self.block([row, column], &InterruptOnly(progress))?;
-            let start = [row, column].map(|n| n * BLOCK_PX);
+        let places: Vec<[usize; 2]> =
+            blocks(0).flat_map(|r| blocks(1).map(move |c| [r, c])).collect();
+        let quiet = InterruptOnly(progress);
+        let made: Vec<Arc<Array2<f32>>> =
+            places.par_iter().map(|at| self.block(*at, &quiet)).collect::<Result<_>>()?;
+        for (place, block) in places.into_iter().zip(made) {
+            let start = place.map(|n| n * BLOCK_PX);
             let low = [0, 1].map(|k| start[k].max(first[k]));
             let dim = block.dim();
             let high = [(start[0] + dim.0).min(end(0)), (start[1] + dim.1).min(end(1))];

@@ -4,13 +4,15 @@ use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
 use super::benchmark_world::PhaseSamples;
-use super::findings::AgentFindings;
+use super::findings::{AgentFindings, type_name};
 use super::seen_truth::SeenTruth;
 use super::task_scores::{
     ColumnScore, PAPER_RADIUS_NM, ParticleScore, STRICT_RADIUS_NM, column_score, defect_census,
     particle_census, phase_iou, targeted_f1,
 };
-use crate::error::Result;
+use crate::error::{Error, Result};
+use crate::setting::Setting;
+use crate::specimen::SiteKind;
 
 /// Particles are a pair in the strict form within this distance of their centres in nm: a fifth of the diameter of common ones.
 pub const STRICT_PARTICLE_RADIUS_NM: f64 = 0.5;
@@ -68,6 +70,21 @@ pub struct TaskScore {
 }
 
 impl Task {
+    /// Refuses a target that is no type of defect.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`].
+    pub fn check(&self) -> Result<()> {
+        let known = [SiteKind::Vacancy, SiteKind::Substitution].map(type_name);
+        match &self.target {
+            Some(target) if !known.contains(&Some(target.as_str())) => {
+                let expected = "the target is a type of defect: vacancy or substitution";
+                Err(Error::invalid(Setting::Episode, target, expected))
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// The score of the task from 0 to 1. `phases` are needed for phase mapping alone.
     ///
     /// # Errors

@@ -6,7 +6,7 @@ use super::hints::hinted;
 use super::plan_report::Lines;
 use super::recipe_args::{RecipeArgs, WorldEngine};
 use super::{output, pictures, text, values};
-use crate::acquisition::{Acquisition, Profile};
+use crate::acquisition::{Acquisition, Profile, clipping_warning};
 use crate::files::outputs::check_outputs;
 use crate::io::WorldFile;
 use crate::recipe::CheckedRecipe;
@@ -78,7 +78,7 @@ pub struct Acquire {
     #[arg(long, value_name = "X0,Y0,X1,Y1", value_parser = values::rectangle)]
     #[arg(allow_hyphen_values = true, conflicts_with = "at", help_heading = "Recording")]
     region: Option<[f64; 4]>,
-    /// Middle of the part, in nm from the upper left corner; as many pixels as a tile [default: the middle of the field]
+    /// Middle of the part, in nm from the centre of the first pixel; as many pixels as a tile [default: the middle of the field]
     #[arg(long, value_name = "X,Y", value_parser = values::point, help_heading = "Recording")]
     #[arg(allow_hyphen_values = true)]
     at: Option<[f64; 2]>,
@@ -91,6 +91,7 @@ pub struct Acquire {
     pixel_nm: Option<f64>,
     /// Electrons per square Angstrom, all frames together [default: the dose of the recipe]
     #[arg(long, value_name = "D", value_parser = values::positive, help_heading = "Recording")]
+    #[arg(allow_hyphen_values = true)]
     dose: Option<f64>,
     /// Current of the beam in pA, in place of --dose
     #[arg(long, value_name = "I", value_parser = values::positive, conflicts_with = "dose")]
@@ -101,13 +102,14 @@ pub struct Acquire {
     #[arg(allow_hyphen_values = true)]
     dwell_us: Option<f64>,
     /// Number of frames, one after the other
-    #[arg(long, value_name = "N", help_heading = "Recording")]
+    #[arg(long, value_name = "N", help_heading = "Recording", allow_hyphen_values = true)]
     frames: Option<usize>,
     /// Keep the frames one by one, in place of their sum
     #[arg(long, help_heading = "Recording")]
     keep_frames: bool,
     /// Seed of electrons, noise, jitter and random drift
     #[arg(long, value_name = "N", default_value_t = 1, help_heading = "Recording")]
+    #[arg(allow_hyphen_values = true)]
     scan_seed: u64,
     /// Store what lies between the noise-free image and the recording too
     #[arg(long, help_heading = "Results")]
@@ -259,17 +261,15 @@ impl Acquire {
     }
 
     fn warn_of_clipping(&self, recording: &FieldRecording) {
-        if recording.clipped == 0 || self.common.quiet {
+        if self.common.quiet {
             return;
         }
         let [rows, columns] = recording.frame.shape;
-        let all = (rows * columns * recording.exposure.frames) as f64;
-        let share = 100.0 * recording.clipped as f64 / all;
-        text::complain(&format!(
-            "warning: {share:.2} % of the pixels are beyond the {} bits of the converter; a smaller \
-             acquisition.gain_counts keeps them",
-            recording.options.acquisition.bits
-        ));
+        let pixels = rows * columns * recording.exposure.frames;
+        let bits = recording.options.acquisition.bits;
+        if let Some(warning) = clipping_warning(recording.clipped, pixels, bits) {
+            text::complain(&format!("warning: {warning}"));
+        }
     }
 
     fn summary(

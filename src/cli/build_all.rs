@@ -65,11 +65,18 @@ enum WorldResult {
 pub fn run(build: &Build, reporter: &Reporter) -> anyhow::Result<()> {
     let mut targets = targets(build, reporter)?;
     let mut outcomes = Vec::new();
+    let planned = targets.iter().filter(|t| !t.kept).count();
+    reporter.start("estimating", "world", planned as u64);
     for target in targets.iter_mut().filter(|t| !t.kept) {
+        if reporter.interrupted() {
+            return Err(crate::Error::Interrupted.into());
+        }
         let world = WorldBuild::new(&target.recipe, &build.options())?;
         let report = DryRun::new(&target.recipe, &world, target.path.clone())?;
         target.expected_s = report.expected_s() / build.shard.map_or(1, |s| s.count()) as f64;
+        reporter.advance(1);
     }
+    reporter.finish();
     let mut clock = Clock::new(&targets);
     for (number, target) in targets.iter().enumerate() {
         let result = match target.kept {

@@ -439,11 +439,14 @@ impl Built {
             lines.add("library", format!("{images} images, {simulated} of them simulated now"));
         }
         if let Some(audit) = &self.audit {
-            let found = format!(
-                "{:.2} % rms at bright columns, {:.2} % over all pixels, against multislice of the same atoms",
-                audit.bright_rms_percent, audit.all_rms_percent
-            );
-            lines.add("audit", found);
+            for audit in audit.all() {
+                let of = audit.detector.as_ref().map_or(String::new(), |name| format!("{name}: "));
+                let found = format!(
+                    "{of}{:.2} % rms at bright columns, {:.2} % over all pixels, against multislice of the same atoms",
+                    audit.bright_rms_percent, audit.all_rms_percent
+                );
+                lines.add("audit", found);
+            }
         } else if self.audit_known {
             let why = "none: the library that comes along was audited when it was made; --audit 1 makes one";
             lines.add("audit", why);

@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use super::common::Common;
 use super::plan_report::Lines;
+use super::recipe_args::is_recipe_file;
 use super::recipe_choice::{recipes, world_name};
 use super::text;
 use super::validate_command::DIFFERENT;
@@ -16,8 +17,8 @@ use crate::files::outputs::check_outputs;
 use crate::imaging::mosaic::library_archive::{ArchiveSummary, export, import};
 use crate::imaging::{Cache, CacheFault, RecomputedImage};
 use crate::progress::Progress;
-use crate::recipe::{Difficulty, Recipe};
-use crate::world::{BuildOptions, WorldBuild};
+use crate::recipe::{Difficulty, Recipe, StructureKind};
+use crate::world::{BuildMethod, BuildOptions, WorldBuild};
 
 const FILL_EXAMPLES: &str = "\
 Examples:
@@ -65,8 +66,8 @@ pub struct Import {
 #[derive(Debug, Args)]
 #[command(after_help = VERIFY_EXAMPLES)]
 pub struct VerifyCache {
-    /// Only this material
-    #[arg(value_name = "MATERIAL")]
+    /// Only this material; with --recompute also a recipe file of one's own
+    #[arg(value_name = "MATERIAL|RECIPE.toml")]
     material: Option<String>,
     /// Tier of the recipe whose simulations are made again
     #[arg(long, value_name = "TIER", requires = "recompute")]
@@ -110,7 +111,7 @@ impl Export {
         let reporter = self.common.start()?;
         let cache = Cache::of_user();
         super::cache_command::check_known(&cache, self.material.as_deref(), false)?;
-        check_outputs([&self.output], [] as [PathBuf; 0], self.overwrite)?;
+        check_outputs([&self.output], cache.folder(), self.overwrite)?;
         if self.common.dry_run {
             return self
                 .common
@@ -178,28 +179,37 @@ impl VerifyCache {
     pub fn run(self) -> anyhow::Result<u8> {
         let reporter = self.common.start()?;
         let cache = Cache::of_user();
-        super::cache_command::check_known(&cache, self.material.as_deref(), true)?;
+        let again = self.recipes()?;
+        // Of a recipe of one's own, the cache knows the id.
+        let material = again.first().map(|recipe| &recipe.id).or(self.material.as_ref());
+        let material = material.map(String::as_str);
+        super::cache_command::check_known(&cache, material, true)?;
         if self.common.dry_run {
             let folder = cache.folder().map(|f| f.display().to_string()).unwrap_or_default();
             self.common.print(&folder, &format!("{folder} would be read"))?;
             return Ok(0);
         }
-        let (images, damaged) = cache.verify(self.material.as_deref(), &reporter)?;
+        let (images, damaged) = cache.verify(material, &reporter)?;
         let supplied = match cache.supplied_library() {
             Some(library) => library.verified(&reporter)?.iter().map(|h| h.images).sum(),
             None => 0,
         };
         let mut recomputed = Vec::new();
         if let (Some(count), Some(material)) = (self.recompute, &self.material) {
-            let chosen =
-                recipes(std::slice::from_ref(material), self.difficulty.map(Difficulty::from))?;
-            for recipe in chosen {
-                let Some(library) = build_of(recipe, &cache)?.library()? else { continue };
+            for recipe in again.iter().cloned() {
+                // As it comes, a field may be too small for a library to pay.
+                let shares = recipe.structure != StructureKind::Particles;
+                let method = if shares { BuildMethod::Mosaic } else { BuildMethod::Auto };
+                let Some(library) = build_of(recipe, &cache, method)?.library()? else { continue };
                 recomputed.extend(library.recomputed(usize::from(count), self.seed, &reporter)?);
             }
             if recomputed.is_empty() {
+                let maker = match is_recipe_file(material) {
+                    true => format!("stemgen build --recipe {material}"),
+                    false => format!("stemgen cache fill {material}"),
+                };
                 anyhow::bail!(
-                    "the cache holds no simulations of {material} that its worlds use; `stemgen cache fill {material}` makes them"
+                    "the cache holds no simulations of {material} that its worlds use; `{maker}` makes them"
                 );
             }
         }
@@ -207,6 +217,26 @@ impl VerifyCache {
         let found = CacheVerification { sound, images, supplied, damaged, recomputed };
         self.common.print(&found, &found.text())?;
         Ok(if sound { 0 } else { DIFFERENT })
+    }
+
+    /// The recipes whose images are made again: those of a material, or of a file.
+    fn recipes(&self) -> anyhow::Result<Vec<Recipe>> {
+        let Some(name) = self.material.as_ref().filter(|_| self.recompute.is_some()) else {
+            return Ok(Vec::new());
+        };
+        let tier = self.difficulty.map(Difficulty::from);
+        if !is_recipe_file(name) {
+            return recipes(std::slice::from_ref(name), tier);
+        }
+        let tiers = match tier {
+            Some(tier) => vec![tier],
+            None => Recipe::tiers_of_file(name.as_ref())?,
+        };
+        let tiers: Vec<Option<Difficulty>> = match tiers.is_empty() {
+            true => vec![None],
+            false => tiers.into_iter().map(Some).collect(),
+        };
+        tiers.into_iter().map(|tier| Ok(Recipe::from_file(name.as_ref(), tier)?)).collect()
     }
 }
 
@@ -260,7 +290,9 @@ impl Fill {
         let mut filled = Vec::new();
         for recipe in recipes(&self.materials, self.difficulty.map(Difficulty::from))? {
             let world = world_name(&recipe);
-            let Some(library) = build_of(recipe, &cache)?.library()? else { continue };
+            let Some(library) = build_of(recipe, &cache, BuildMethod::Auto)?.library()? else {
+                continue;
+            };
             let cost = library.mosaic_cost();
             let (images, lacking) = (cost.images, cost.missing);
             if self.common.dry_run {
@@ -297,8 +329,8 @@ impl Fill {
     }
 }
 
-/// The build of a world as it comes.
-fn build_of(recipe: Recipe, cache: &Cache) -> crate::Result<WorldBuild> {
-    let options = BuildOptions { cache: cache.clone(), ..BuildOptions::default() };
+/// The build of a world.
+fn build_of(recipe: Recipe, cache: &Cache, method: BuildMethod) -> crate::Result<WorldBuild> {
+    let options = BuildOptions { cache: cache.clone(), method, ..BuildOptions::default() };
     WorldBuild::new(&recipe.checked()?, &options)
 }

@@ -73,3 +73,38 @@ pub fn seconds(plan: &Plan, cost: &Cost, runs: usize) -> [f64; 2] {
 pub fn threads() -> usize {
     rayon::current_num_threads()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::engine::{Scan, Settings};
+    use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+
+    /// Where other work takes the processors, the most grows, and the least stays what a machine that does nothing else takes.
+    #[test]
+    fn ranges_of_time_hold_what_else_runs() {
+        let plan = Plan::new(&Settings::default(), [12.0, 12.0, 4.0], &[2.0]).unwrap();
+        let step_angstrom = [0.5; 2];
+        let scan = Scan { origin_angstrom: [2.0; 2], step_angstrom, shape: [8, 8] };
+        let cost = Cost::new(&plan, &scan);
+        let alone = seconds(&plan, &cost, 1);
+        assert!(0.0 < alone[0] && 2.0 * alone[0] < alone[1], "{alone:?}");
+        assert_eq!(seconds(&plan, &cost, 0), [0.0; 2]);
+        let done = AtomicBool::new(false);
+        let busy = std::thread::scope(|scope| {
+            for _ in 0..2 * threads() {
+                scope.spawn(|| {
+                    while !done.load(Relaxed) {
+                        std::hint::spin_loop();
+                    }
+                });
+            }
+            let busy = seconds(&plan, &cost, 1);
+            done.store(true, Relaxed);
+            busy
+        });
+        // Two thirds of the time are taken: 2.1 times 3 from the least to the most.
+        assert!(busy[1] > 3.2 * busy[0], "{alone:?} {busy:?}");
+        assert!((0.3..3.0).contains(&(busy[0] / alone[0])), "{alone:?} {busy:?}");
+    }
+}

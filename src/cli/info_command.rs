@@ -12,6 +12,7 @@ use super::{hdf5_check, output, text};
 use crate::files::atomic_write;
 use crate::files::file_digest::sha256_of_file;
 use crate::files::outputs::check_outputs;
+use crate::imaging::Audit;
 use crate::io::{ImageKind, RecordedSource, StoredImages, WorldFile};
 use crate::world::WorldFacts;
 
@@ -284,9 +285,10 @@ fn making_lines(f: &WorldFacts, lines: &mut Lines) {
         let phonons = f.phonon_configurations.map(|n| format!(", phonon configurations: {n}"));
         lines.add("engine", format!("{engine}{window}{}", phonons.unwrap_or_default()));
     }
-    if let Some(audit) = &f.audit {
+    for audit in f.audit.iter().flat_map(Audit::all) {
+        let of = audit.detector.as_ref().map_or(String::new(), |name| format!("{name}: "));
         let found = format!(
-            "{:.2} % rms at bright columns, {:.2} % of the mean image; regions: {}",
+            "{of}{:.2} % rms at bright columns, {:.2} % of the mean image; regions: {}",
             audit.bright_rms_percent,
             audit.mean_rms_percent,
             audit.regions.len()

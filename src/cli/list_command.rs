@@ -78,11 +78,7 @@ impl List {
         for name in names {
             let own = is_recipe_file(&name).then(|| Path::new(&name));
             let tiers = match own {
-                Some(file) => {
-                    let text = std::fs::read_to_string(file)
-                        .map_err(|e| crate::Error::io(file, "read", e))?;
-                    Recipe::tiers_in(&name, &text)?
-                }
+                Some(file) => Recipe::tiers_of_file(file)?,
                 None => Recipe::tiers(&name)?,
             };
             let tiers =

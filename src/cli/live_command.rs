@@ -6,14 +6,15 @@ use super::hints::hinted;
 use super::plan_report::Lines;
 use super::recipe_args::RecipeArgs;
 use super::{output, text, values};
-use crate::acquisition::{Acquisition, Profile};
+use crate::acquisition::{Acquisition, Profile, clipping_warning};
 use crate::files::atomic_write;
 use crate::files::outputs::check_outputs;
 use crate::live::{
     DoseSeries, LiveAcquisition, LiveOptions, LiveRequest, LiveWorld, check_recordings,
 };
+use crate::progress::Progress;
 use crate::recipe::CheckedRecipe;
-use crate::render::{Contrast, Picture, animated_png};
+use crate::render::{Contrast, FRAME_S, Picture, animated_png};
 use crate::world::{BuildOptions, Electrons, RecordedPart};
 use anyhow::{anyhow, bail};
 use clap::Args;
@@ -58,7 +59,7 @@ pub struct Live {
     #[arg(long, value_name = "I", value_parser = values::positive, conflicts_with = "dose")]
     #[arg(help_heading = "Recording")]
     current_pa: Option<f64>,
-    /// Middle of the place, in nm from the upper left corner; as many pixels as a tile [default: the middle of the field]
+    /// Middle of the place, in nm from the centre of the first pixel; as many pixels as a tile [default: the middle of the field]
     #[arg(long, value_name = "X,Y", value_parser = values::point, help_heading = "Recording")]
     #[arg(allow_hyphen_values = true)]
     at: Option<[f64; 2]>,
@@ -124,6 +125,10 @@ impl Live {
             bail!("--output {}: did you mean {}?", self.output.display(), name.display());
         }
         check_recordings(self.dose_series)?;
+        if !FRAME_S.contains(&self.frame_s) {
+            let [least, most] = [FRAME_S.start(), FRAME_S.end()];
+            bail!("--frame-s {}: write {least} to {most} seconds", self.frame_s);
+        }
         let recipe = self.recipe.resolve()?;
         let animation = self.animation.then(|| self.output.with_extension("png"));
         let outputs = std::iter::once(&self.output).chain(&animation);
@@ -137,6 +142,11 @@ impl Live {
             );
         }
         let series = world.dose_series(&request, self.dose_series, &reporter)?;
+        let pixels = series.data.len() * request.acquisition.frames;
+        let bits = request.acquisition.bits;
+        if let Some(warning) = clipping_warning(series.clipped, pixels, bits) {
+            reporter.warn(&warning);
+        }
         series.write(&self.output, self.overwrite, &world, &text::command_line())?;
         if let Some(path) = &animation {
             atomic_write::write(path, &self.animated(&series)?)?;

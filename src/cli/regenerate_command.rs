@@ -17,6 +17,7 @@ use crate::files::atomic_write;
 use crate::files::whole_file;
 use crate::io::WorldFile;
 use crate::numerics::{NUMERICS_VERSION, processor};
+use crate::progress::Progress;
 use crate::recipe::CheckedRecipe;
 use crate::validate::manifest::{Manifest, PinnedSameness, PinnedWorld};
 use crate::world::{BuildOptions, WorldBuild};
@@ -37,7 +38,7 @@ Examples:
 
 Each world is built with its image before noise, and compared with the manifest: the digests of its recipe, its
 truth and its tiles. On another kind of processor images are rounded differently, and 64 values before noise decide.
-The exit code is 3 if a world differs.";
+The exit code is 3 if a world differs, and 1 if one could not be made or compared.";
 
 /// Make released worlds again, and check that they are what was released
 #[derive(Debug, Args)]
@@ -71,6 +72,9 @@ struct Regenerated {
     name: String,
     #[serde(skip_serializing_if = "Option::is_none")]
     sameness: Option<PinnedSameness>,
+    /// Why it could not be made or compared.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    error: Option<String>,
     engine: String,
     audit_bright_percent: Option<f64>,
     audit_all_percent: Option<f64>,
@@ -98,7 +102,15 @@ impl Regenerate {
         for (number, recipe) in chosen.iter().enumerate() {
             let name = world_name(recipe);
             reporter.note(&format!("world {} of {}: {name}", number + 1, chosen.len()));
-            let (mut made, found) = self.one(&name, recipe, &reporter)?;
+            let (mut made, found) = match self.one(&name, recipe, &reporter) {
+                Ok(made) => made,
+                Err(error) if reporter.interrupted() => return Err(error),
+                Err(error) => {
+                    reporter.note(&format!("error: {name}: {error:#}"));
+                    all.push(Regenerated { error: Some(format!("{error:#}")), ..new(&name) });
+                    continue;
+                }
+            };
             made.sameness =
                 manifest.worlds.iter().find(|w| w.name == name).map(|w| w.compare(&found));
             if let (true, Some(path)) = (self.pin, &self.manifest) {
@@ -108,6 +120,13 @@ impl Regenerate {
             all.push(made);
         }
         self.common.print(&all, &table(&all))?;
+        let failed = all.iter().filter(|r| r.error.is_some()).count();
+        if failed > 0 {
+            anyhow::bail!(
+                "{failed} of {} worlds were not compared; the same command tries them again",
+                all.len()
+            );
+        }
         let differs =
             |r: &&Regenerated| matches!(r.sameness, Some(PinnedSameness::Different { .. }));
         Ok(if all.iter().any(|r| differs(&r)) { DIFFERENT } else { 0 })
@@ -158,15 +177,7 @@ impl Regenerate {
         let removed = self.check.then(|| tempfile::tempdir_in(".")).transpose()?;
         let folder = removed.as_ref().map_or(folder.as_path(), |f| f.path());
         let path = folder.join(format!("{name}.h5"));
-        let mut made = Regenerated {
-            name: name.to_owned(),
-            sameness: None,
-            engine: String::new(),
-            audit_bright_percent: None,
-            audit_all_percent: None,
-            wall_time_s: None,
-            peak_memory_bytes: None,
-        };
+        let mut made = new(name);
         if path.exists() && !build.is_complete(&path) {
             hdf5_check::check(&path)?;
             made.engine = "was there".into();
@@ -182,8 +193,30 @@ impl Regenerate {
             made.audit_all_percent = summary.audit.as_ref().map(|a| a.all_rms_percent);
             made.engine = summary.engine;
         }
-        let found = PinnedWorld::of(name, &WorldFile::open(&path)?, reporter)?;
+        let found = PinnedWorld::of(name, &WorldFile::open(&path)?, reporter);
+        // Worlds that this command builds have it.
+        let found = found.map_err(|error| match error {
+            crate::Error::Choice { .. } => anyhow::anyhow!(
+                "{}: holds no noiseless image to compare; move it away, and it is built again with one",
+                path.display()
+            ),
+            error => error.into(),
+        })?;
         Ok((made, found))
+    }
+}
+
+/// Nothing is known of a world yet.
+fn new(name: &str) -> Regenerated {
+    Regenerated {
+        name: name.to_owned(),
+        sameness: None,
+        error: None,
+        engine: String::new(),
+        audit_bright_percent: None,
+        audit_all_percent: None,
+        wall_time_s: None,
+        peak_memory_bytes: None,
     }
 }
 
@@ -200,6 +233,7 @@ fn table(all: &[Regenerated]) -> String {
     let percent = |p: Option<f64>| p.map_or(String::new(), |p| format!("{p:.2}"));
     for r in all {
         let found = match &r.sameness {
+            None if r.error.is_some() => "FAILED: the error is above".into(),
             None => format!("noted, numerics {NUMERICS_VERSION}, {}", processor()),
             Some(PinnedSameness::SameBytes) => "the same bytes".into(),
             Some(PinnedSameness::SameImage { difference, known_processor }) => {

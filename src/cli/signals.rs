@@ -34,6 +34,7 @@ pub fn exit_code() -> u8 {
 pub fn listen() -> std::io::Result<()> {
     use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
     let heard = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|signal| !unix::is_ignored(*signal));
+    unix::ignore_file_size();
     let signals = signal_hook::iterator::Signals::new(heard)?;
     std::thread::Builder::new().name("signals".into()).spawn(move || unix::serve(signals))?;
     Ok(())
@@ -82,6 +83,16 @@ mod unix {
         text::complain("error: interrupted");
         text::complain("hint: run the same command again; a build goes on from what it has kept");
         signal_hook::low_level::exit(exit_code().into())
+    }
+
+    /// A limit of the size of files (`ulimit -f`, quotas) is then an error of the write, which is told, in place of a signal that ends
+    /// the program without a word.
+    #[allow(unsafe_code)]
+    pub fn ignore_file_size() {
+        // SAFETY: no handler is installed, and no thread but this one runs yet.
+        unsafe {
+            libc::signal(libc::SIGXFSZ, libc::SIG_IGN);
+        }
     }
 
     /// Whether the program was started with a signal ignored.

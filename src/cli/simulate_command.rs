@@ -156,6 +156,7 @@ impl Simulate {
             bail!("--plane-wave images one structure; leave --frames out");
         }
         let (mut planned, scan) = self.plan(&specimen)?;
+        self.check_noise(&planned, &scan)?;
         let files = self.side_files(&planned);
         let output = self.output();
         if !self.common.dry_run {

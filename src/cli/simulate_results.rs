@@ -13,6 +13,7 @@ use crate::io::hspy_file::write_hspy;
 use crate::io::image_file::{ExitWaves, ImageCounts, ImageStack, Origin, write_images};
 use crate::io::tiff_file::write_tiff;
 use crate::world::{Noise, work_folder};
+use anyhow::bail;
 use ndarray::{Array3, Axis};
 use num_complex::Complex32;
 use serde::Serialize;
@@ -231,6 +232,28 @@ impl Simulate {
         Ok((made.collect(), Some(exit_waves)))
     }
 
+    /// Refuses a dose whose electrons cannot be counted, and names of images that those of noisy images repeat.
+    pub(super) fn check_noise(&self, planned: &PlannedSeries, scan: &Scan) -> anyhow::Result<()> {
+        let Some(noise) = self.noise(scan) else { return Ok(()) };
+        if noise.electrons_per_pixel > MOST_ELECTRONS {
+            let [x, y] = scan.step_angstrom;
+            bail!(
+                "--dose {:e}: {:.3e} electrons on a pixel of {x:.3} x {y:.3} A are more than can be counted; write at most {:.2e}",
+                noise.electrons_per_pixel / (x * y),
+                noise.electrons_per_pixel,
+                MOST_ELECTRONS / (x * y)
+            );
+        }
+        let names = self.image_names(planned);
+        let twice = names.iter().enumerate().find(|(n, name)| names[..*n].contains(name));
+        match twice {
+            Some((_, name)) => bail!(
+                "--detector: the noisy image of one would have the name of another, {name}; give it another name"
+            ),
+            None => Ok(()),
+        }
+    }
+
     fn noise(&self, scan: &Scan) -> Option<Noise> {
         let [x, y] = scan.step_angstrom;
         Some(Noise {
@@ -336,6 +359,9 @@ impl Simulate {
         Ok(source.map(|source| SourceBlur::new(source, scan, cell)).transpose()?)
     }
 }
+
+/// Electrons on a pixel at most: counts are 32-bit numbers, and of a plane wave pixels get several times the mean.
+const MOST_ELECTRONS: f64 = 1e9;
 
 impl MadeImage {
     fn stack<'a>(&'a self, scan: &Scan, thicknesses_angstrom: &'a [f64]) -> ImageStack<'a> {

@@ -113,8 +113,19 @@ impl Slurm {
                 Invocation::now().name
             );
         }
-        let own = ["--shard", "--dry-run", "--threads", "--overwrite", "--hspy", "--json"];
         let is = |word: &str, name: &str| word == name || word.starts_with(&format!("{name}="));
+        let audited = ["--accuracy", "--max-error"];
+        if let Some(name) = audited.iter().find(|name| words.iter().any(|w| is(w, name))) {
+            anyhow::bail!(
+                "{name} lets an audit choose the engine, which parts cannot do; name it instead: --engine window --window 7.8"
+            );
+        }
+        if words.iter().any(|w| is(w, "--all")) {
+            anyhow::bail!(
+                "--all: a script builds one world; print one script for each, `build srtio3 --difficulty easy` and so on"
+            );
+        }
+        let own = ["--shard", "--dry-run", "--threads", "--overwrite", "--hspy", "--json"];
         if let Some(name) = own.iter().find(|name| words.iter().any(|w| is(w, name))) {
             anyhow::bail!("{name} has no place in the jobs of a cluster; leave it out");
         }

@@ -80,12 +80,26 @@ pub fn count(n: u64) -> String {
     out
 }
 
-/// The command line as typed, quoted for a shell where need be.
+/// The command line as typed, quoted for a shell where need be, without the number of threads: what a file holds does not depend on it.
 pub fn command_line() -> String {
-    let quote = |a: std::ffi::OsString| quoted(&a.to_string_lossy());
     let Invocation { name, arguments, .. } = Invocation::now();
-    let program = std::iter::once((*name).to_owned());
-    program.chain(arguments.iter().cloned().map(quote)).collect::<Vec<_>>().join(" ")
+    let words = arguments.iter().map(|word| word.to_string_lossy().into_owned()).collect();
+    let words = without_threads(words).into_iter().map(|word| quoted(&word));
+    std::iter::once((*name).to_owned()).chain(words).collect::<Vec<_>>().join(" ")
+}
+
+/// Words of a command line without `--threads N`.
+fn without_threads(words: Vec<String>) -> Vec<String> {
+    let mut kept = Vec::with_capacity(words.len());
+    let mut words = words.into_iter();
+    while let Some(word) = words.next() {
+        match word.as_str() {
+            "--threads" => drop(words.next()),
+            _ if word.starts_with("--threads=") => {}
+            _ => kept.push(word),
+        }
+    }
+    kept
 }
 
 /// A word as a shell takes it for one.
@@ -109,6 +123,11 @@ mod tests {
         assert_eq!(duration(0.04), "0.0 s");
         assert_eq!(duration(200.0), "3 min 20 s");
         assert_eq!(duration(7500.0), "2 h 05 min");
+        assert_eq!(duration_range([40.0, 200.0]), "40 s to 3 min 20 s");
+        assert_eq!(duration_range([40.0, 40.2]), "about 40 s");
+        let words = ["live", "r.toml", "--threads", "3", "--dose=5", "--threads=2", "-o", "x.h5"];
+        let kept = without_threads(words.map(str::to_owned).into());
+        assert_eq!(kept.join(" "), "live r.toml --dose=5 -o x.h5");
         assert_eq!(significant(0.012345, 3), "0.0123");
         assert_eq!(significant(1234.5, 3), "1234");
         assert_eq!(significant(0.000012345, 3), "1.23e-5");

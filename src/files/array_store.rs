@@ -55,7 +55,12 @@ impl ArrayStore {
 
     /// The array under `name`, if it was saved under this key with this shape (rows, columns) and is whole.
     pub fn load(&self, name: &str, key: &str, shape: [usize; 2]) -> Stored {
-        match fs::read(self.path(name)) {
+        let path = self.path(name);
+        // A pipe or a device may never end.
+        if fs::metadata(&path).is_ok_and(|there| !there.is_file()) {
+            return Stored::Unusable("is no regular file");
+        }
+        match fs::read(&path) {
             Ok(bytes) => decoded(&bytes, key, shape).map_or_else(Stored::Unusable, Stored::Whole),
             // Nor can anything lie below a file.
             Err(e) if [ErrorKind::NotFound, ErrorKind::NotADirectory].contains(&e.kind()) => {
@@ -81,7 +86,8 @@ impl ArrayStore {
     /// [`Error::Io`].
     pub fn add(&self, key: &str, file: &[u8]) -> Result<bool> {
         let path = self.path(key);
-        if fs::read(&path).is_ok_and(|there| checked(&there, key).is_ok()) {
+        let whole = |path: &Path| fs::read(path).is_ok_and(|there| checked(&there, key).is_ok());
+        if path.is_file() && whole(&path) {
             return Ok(false);
         }
         fs::create_dir_all(&self.folder).map_err(|e| Error::io(&self.folder, "create", e))?;

@@ -17,12 +17,16 @@ pub fn check_outputs<P: AsRef<Path>, Q: AsRef<Path>>(
     inputs: impl IntoIterator<Item = Q>,
     overwrite: bool,
 ) -> Result<()> {
-    let inputs: Vec<Identity> =
-        inputs.into_iter().map(|path| Identity::of(path.as_ref())).collect();
+    let inputs: Vec<Q> = inputs.into_iter().collect();
+    let read_folders: Vec<PathBuf> = inputs.iter().filter_map(whole_folder).collect();
+    let read: Vec<Identity> = inputs.iter().map(|path| Identity::of(path.as_ref())).collect();
     let mut seen: Vec<Identity> = Vec::new();
     for path in outputs {
         let path = path.as_ref();
         let refuse = |why: &str| Err(Error::invalid(Setting::Output, path.display(), why));
+        if path.to_str().is_none() {
+            return refuse("is no text in UTF-8, which HDF5 needs; name another file");
+        }
         let there = fs::metadata(path).ok();
         if there.as_ref().is_some_and(fs::Metadata::is_dir) || names_folder(path) {
             return refuse("is a folder; name a file in it, such as world.h5");
@@ -30,9 +34,22 @@ pub fn check_outputs<P: AsRef<Path>, Q: AsRef<Path>>(
         if there.as_ref().is_some_and(|m| !m.is_file()) {
             return refuse("is no regular file; name another");
         }
+        if is_of_the_system(path) {
+            return refuse("is a device or stream of the system, or a link to one; name a file");
+        }
+        let beside = folder(path).canonicalize();
+        if beside.is_ok_and(|beside| read_folders.iter().any(|read| beside.starts_with(read))) {
+            return refuse("lies in a folder that this command reads; name another");
+        }
         let identity = Identity::of(path);
-        if inputs.contains(&identity) {
+        if read.contains(&identity) {
             return refuse("is read by this command and would be replaced; name another file");
+        }
+        if inputs.iter().any(|input| is_unfinished_part(input.as_ref(), path)) {
+            return refuse(
+                "cannot be written: this command reads a file with the name of an unfinished part of it (.partial, .lock, .work); \
+                 name another file",
+            );
         }
         if seen.contains(&identity) {
             return refuse(
@@ -44,10 +61,51 @@ pub fn check_outputs<P: AsRef<Path>, Q: AsRef<Path>>(
             return refuse("exists; name another file, or allow overwriting");
         }
         let folder = folder(path);
+        if let Some(file) = folder.ancestors().find(|above| above.is_file()) {
+            let why = format!("would lie in {}, which is a file and no folder", file.display());
+            return refuse(&why);
+        }
         fs::create_dir_all(folder).map_err(|e| Error::io(folder, "create", e))?;
         tempfile::tempfile_in(folder).map_err(|e| Error::io(folder, "create a file in", e))?;
     }
     Ok(())
+}
+
+/// Whether an input has the name of what a build keeps beside `output` until it is finished, and then removes.
+fn is_unfinished_part(input: &Path, output: &Path) -> bool {
+    let beside = |ending: &str| {
+        let mut name = output.as_os_str().to_owned();
+        name.push(ending);
+        PathBuf::from(name).canonicalize().ok()
+    };
+    let Ok(input) = input.canonicalize() else { return false };
+    let [partial, lock, work] = [".partial", ".lock", ".work"].map(beside);
+    [partial, lock].into_iter().flatten().any(|own| own == input)
+        || work.is_some_and(|work| input.starts_with(work))
+}
+
+/// The folder that an input is, such as a zarr array, without links and detours.
+fn whole_folder<P: AsRef<Path>>(input: P) -> Option<PathBuf> {
+    input.as_ref().is_dir().then(|| input.as_ref().canonicalize().ok())?
+}
+
+/// Whether a path is a node below `/dev` or `/proc`, such as `/dev/stdout`, or a link that leads there. What stands behind it may be a
+/// regular file (`> file` in a shell), but a rename would replace the node.
+fn is_of_the_system(path: &Path) -> bool {
+    const MOST_LINKS: usize = 40;
+    let mut at = path.to_owned();
+    for _ in 0..MOST_LINKS {
+        let Ok(there) = folder(&at).canonicalize() else { return false };
+        let memory = there.starts_with("/dev/shm");
+        if there.starts_with("/proc") || (there.starts_with("/dev") && !memory) {
+            return true;
+        }
+        match fs::read_link(&at) {
+            Ok(next) => at = there.join(next),
+            Err(_) => return false,
+        }
+    }
+    true
 }
 
 /// Whether a path can only be that of a folder, such as `new/` or `..`.
@@ -125,11 +183,44 @@ mod tests {
     }
 
     #[test]
+    fn inputs_are_no_unfinished_parts_of_results() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        fs::create_dir(at("w.h5.work")).unwrap();
+        for name in ["w.h5.partial", "w.h5.work/key.json", "w.png.lock"] {
+            fs::write(at(name), "recipe").unwrap();
+            let told = refusal(&[&at("w.h5"), &at("w.png")], &[&at(name)], true);
+            assert!(told.contains("unfinished part"), "{name}: {told}");
+        }
+        fs::write(at("recipe.toml"), "").unwrap();
+        check_outputs([at("w.h5")], [at("recipe.toml")], true).unwrap();
+    }
+
+    #[test]
     fn folders_and_devices_are_refused() {
         let folder = tempfile::tempdir().unwrap();
         assert!(refusal(&[folder.path()], &[], true).contains("is a folder"));
         #[cfg(unix)]
-        assert!(refusal(&[Path::new("/dev/null")], &[], true).contains("no regular file"));
+        {
+            assert!(refusal(&[Path::new("/dev/null")], &[], true).contains("no regular file"));
+            // A stream that goes to a regular file: a rename would replace the link.
+            let target = fs::File::create(folder.path().join("target")).unwrap();
+            let stream = {
+                use std::os::fd::AsRawFd;
+                format!("/proc/self/fd/{}", target.as_raw_fd())
+            };
+            let link = folder.path().join("stream");
+            std::os::unix::fs::symlink(&stream, &link).unwrap();
+            for path in [Path::new(&stream), &link] {
+                assert!(refusal(&[path], &[], true).contains("stream of the system"));
+            }
+        }
+        let array = folder.path().join("a.zarr");
+        fs::create_dir(&array).unwrap();
+        fs::write(array.join("0.0"), "chunk").unwrap();
+        assert!(
+            refusal(&[&array.join("0.0")], &[&array], true).contains("that this command reads")
+        );
         let file = folder.path().join("file");
         fs::write(&file, "").unwrap();
         assert!(refusal(&[&file.join("w.h5")], &[], true).contains("cannot create"));

@@ -29,11 +29,12 @@ pub use film::film_imager::FilmImager;
 pub use film::grown_carbon::{CarbonPatch, GrownCarbon, MOST_GROWN_ANGSTROM};
 pub use film::surface_imager::SurfaceImager;
 pub use imaging_cost::{ImagingCost, SimulationRuns};
-pub use mosaic::image_library::{RecomputedImage, SharedSheets};
+pub use mosaic::image_library::RecomputedImage;
 pub use mosaic::image_note::NewImages;
 pub use mosaic::library_cache::{CACHE_VARIABLE, Cache, CacheFault, Holding};
 pub use mosaic::mosaic_cost::MosaicCost;
 pub use mosaic::mosaic_imager::MosaicImager;
+pub use mosaic::shared_sheets::SharedSheets;
 #[cfg(feature = "hdf5")]
 pub use mosaic::supplied_library::{LIBRARY_VARIABLE, SuppliedLibrary};
 pub use one_detector::OneDetector;

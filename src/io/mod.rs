@@ -45,6 +45,8 @@ mod world_metadata;
 #[cfg(feature = "hdf5")]
 mod world_truth;
 #[cfg(feature = "hdf5")]
+mod world_types;
+#[cfg(feature = "hdf5")]
 mod world_writer;
 
 pub use atoms_file::{AtomRow, AtomsHeader, AtomsWriter, RowFormat, writable};

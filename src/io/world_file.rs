@@ -172,11 +172,20 @@ impl WorldFile {
     /// # Errors
     /// As [`WorldFile::stitched`]; [`Error::Choice`] when the world was built without.
     pub fn stitched_clean(&self, rows: Range<usize>, columns: Range<usize>) -> Result<Array2<f32>> {
-        if !self.has_clean() {
-            let message = "holds no noiseless image; build the world again and keep that image too";
-            return Err(Error::choice(&self.path, Setting::CleanImage, message));
-        }
+        self.need_clean()?;
         self.stitched_of(schema::CLEAN, rows, columns)
+    }
+
+    /// Fails where the world was built without noiseless tiles.
+    ///
+    /// # Errors
+    /// [`Error::Choice`].
+    pub fn need_clean(&self) -> Result<()> {
+        let message = "holds no noiseless image; build the world again and keep that image too";
+        match self.has_clean() {
+            true => Ok(()),
+            false => Err(Error::choice(&self.path, Setting::CleanImage, message)),
+        }
     }
 
     fn stitched_of(
@@ -233,6 +242,18 @@ impl WorldFile {
             return Err(not_a_world(&self.path, fault));
         }
         self.all(&dataset, &name)
+    }
+
+    /// How many pixels of the image, along an edge, the file says that a pixel of the overview stands for.
+    pub fn overview_factor(&self) -> Option<u64> {
+        let overview = self.dataset(&self.of_images(schema::OVERVIEW)).ok()?;
+        hdf5_guard::number(&overview, "factor")
+    }
+
+    /// The pixel (row, column) of the recipe's whole field at which the file says that its own begins.
+    pub fn origin_px(&self) -> Option<[f64; 2]> {
+        let metadata = self.file.group(schema::METADATA).ok()?;
+        hdf5_guard::pair(&metadata, "origin_px_in_full_field")
     }
 
     /// Number of lattice sites.

@@ -105,6 +105,12 @@ pub(super) fn read_metadata(path: &Path, file: &File) -> Result<WorldMetadata> {
     if metadata.scaling.is_some_and(|s| !s.iter().all(finite)) {
         return Err(not_a_world(path, "/tiles has a scale or offset that is no finite number"));
     }
+    if metadata.scaling.is_some_and(|[scale, _]| scale <= 0.0) {
+        return Err(not_a_world(path, "/tiles has a scale that is not above 0"));
+    }
+    if metadata.dose_electrons_per_angstrom2.is_some_and(|d| !(d > 0.0 && d.is_finite())) {
+        return Err(missing("dose_electrons_per_angstrom2"));
+    }
     if metadata.thickness_nm.is_some_and(|t| !(t > 0.0 && t.is_finite())) {
         return Err(missing("thickness_nm"));
     }

@@ -64,7 +64,7 @@ impl LiveWorld {
         progress.start("recording", "recording", count as u64);
         let mut series: Option<DoseSeries> = None;
         for number in 0..count {
-            let dose = self.mean_dose(&place);
+            let dose = self.mean_dose_within(&place);
             let one = self.acquire(&request, progress)?;
             let series = match &mut series {
                 Some(series) => series,

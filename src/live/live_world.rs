@@ -239,11 +239,20 @@ impl LiveWorld {
         LiveTruth { sites, columns, particles: particles.collect() }
     }
 
-    /// The mean dose of a region (nm from the centre of the first built pixel), in electrons per square Angstrom.
+    /// The mean dose of a region (nm from the centre of the first built pixel), in electrons per square Angstrom. Electrons are
+    /// kept in cells of 0.05 nm: the outermost ones of what was exposed reach beyond it.
     pub fn mean_dose(&self, region: &Region) -> f64 {
+        self.specimen.dose().mean(&self.in_full_field(region))
+    }
+
+    /// The mean dose of a region that was exposed as a whole: without its outermost cells.
+    pub(super) fn mean_dose_within(&self, region: &Region) -> f64 {
+        self.specimen.dose().mean_within(&self.in_full_field(region))
+    }
+
+    fn in_full_field(&self, region: &Region) -> Region {
         let [x, y] = self.recipe.field.origin_nm();
-        let region = Region { x: region.x.map(|v| v + x), y: region.y.map(|v| v + y) };
-        self.specimen.dose().mean(&region)
+        Region { x: region.x.map(|v| v + x), y: region.y.map(|v| v + y) }
     }
 
     /// Records a part of the field. The specimen is then what the electrons have left of it.
@@ -367,8 +376,8 @@ impl LiveWorld {
         if snapshot.recipe != self.recipe.to_toml() {
             return refuse("another recipe or seed", "expected a snapshot of this world");
         }
-        if !snapshot.dose.is_sound() || snapshot.dose.greatest() > self.most_dose * (1.0 + ROUNDING)
-        {
+        let most = UNEVEN * self.most_dose * (1.0 + ROUNDING);
+        if !snapshot.dose.is_sound() || snapshot.dose.greatest() > most {
             return refuse(
                 "its doses",
                 "expected doses from 0 to that which the world was made for",
@@ -393,11 +402,6 @@ impl LiveWorld {
 /// The recipe with another seed.
 fn own_recipe(recipe: &CheckedRecipe, seed: u64) -> Result<CheckedRecipe> {
     let mut own: Recipe = recipe.recipe().clone();
-    if i64::try_from(seed).is_err() {
-        let expected =
-            "expected a seed of at most 9223372036854775807, the greatest number of TOML";
-        return Err(Error::invalid(Setting::Recipe, format!("seed {seed}"), expected));
-    }
     own.seed = seed;
     // A recording has one detector.
     own.detector = own.detector.main_alone();

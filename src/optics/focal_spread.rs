@@ -75,7 +75,9 @@ fn error(optics: &Optics, sigma: f64, points: usize) -> f64 {
         let sum: f64 = rule.iter().map(|f| f.weight * libm::cos(w * f.offset_angstrom)).sum();
         (sum - libm::exp(-0.5 * (w * sigma).powi(2))).abs()
     };
-    (1..=FREQUENCIES).map(off).fold(0.0, f64::max)
+    // What is beyond the range of numbers is as wrong as can be: a maximum would pass over it.
+    let worse = |most: f64, off: f64| if off.is_nan() { f64::INFINITY } else { most.max(off) };
+    (1..=FREQUENCIES).map(off).fold(0.0, worse)
 }
 
 /// The Gauss-Hermite rule for a Gaussian of standard deviation `sigma`, by ascending offset.
@@ -152,7 +154,7 @@ mod tests {
         let points: Vec<usize> =
             [5.0, 10.0, 25.0, 40.0].map(|s| foci(&spread(s)).unwrap().len()).into();
         assert_eq!(points, [3, 3, 5, 9]);
-        for bad in [-1.0, 1e4, f64::NAN, f64::INFINITY] {
+        for bad in [-1.0, 1e4, 1e308, f64::NAN, f64::INFINITY] {
             let message = foci(&spread(bad)).unwrap_err().to_string();
             assert!(message.contains("must be from 0 to"), "{message}");
         }

@@ -22,6 +22,10 @@ pub fn check(recipe: &Recipe) -> Checked<OrientedCrystals> {
     if recipe.version != 1 {
         return fault("version", recipe.version, "this program reads recipes of version 1");
     }
+    if i64::try_from(recipe.seed).is_err() {
+        let expected = format!("expected at most {}, the greatest number of TOML", i64::MAX);
+        return fault("seed", recipe.seed, &expected);
+    }
     check_names(recipe)?;
     check_field(&recipe.field)?;
     check_tables(recipe)?;

@@ -62,6 +62,15 @@ impl Recipe {
         Ok(Difficulty::ALL.into_iter().filter(there).collect())
     }
 
+    /// The tiers of a recipe in a file.
+    ///
+    /// # Errors
+    /// As [`Recipe::tiers_in`], and those of reading.
+    pub fn tiers_of_file(path: &Path) -> Result<Vec<Difficulty>> {
+        let text = whole_file::read_text(path, LARGEST_FILE)?;
+        Recipe::tiers_in(&path.display().to_string(), &text)
+    }
+
     /// Reads a recipe from a file.
     ///
     /// # Errors

@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use crate::setting::Setting;
 
 /// Times that a picture may stand, in seconds.
-const FRAME_S: std::ops::RangeInclusive<f64> = 0.01..=60.0;
+pub const FRAME_S: std::ops::RangeInclusive<f64> = 0.01..=60.0;
 
 /// An animated PNG of pictures of one size, each shown for `frame_s` seconds, without end. Programs that know no animations show the
 /// first.

@@ -14,7 +14,7 @@ mod overlay;
 mod scene;
 mod strokes;
 
-pub use animation::animated_png;
+pub use animation::{FRAME_S, animated_png};
 pub use canvas::RgbImage;
 pub use colormap::Colormap;
 pub use enlarge::Enlarge;

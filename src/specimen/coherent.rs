@@ -4,6 +4,10 @@
 //! in x only: along y and the beam the whole specimen keeps the period of the reference crystal, so
 //! that neighbouring parts of other lattice parameters stay coherent.
 
+use std::ops::Range;
+
+use rayon::prelude::*;
+
 use crate::recipe::limits::BEYOND_FIELD_NM;
 use crate::recipe::region::Region;
 use crate::recipe::tables::Field;
@@ -16,14 +20,21 @@ pub(super) const NM: f64 = 0.1;
 /// How far apart neighbouring planes are, as a map from the field to the reference lattice that rises
 /// with x. All in nm.
 pub trait Stretch {
-    /// x of the reference lattice at the point (x, y) of the field.
-    fn to_reference(&self, position: [f64; 2]) -> f64;
-    /// The x in the field at which [`Stretch::to_reference`] is `position[0]`.
-    fn to_field(&self, position: [f64; 2]) -> f64;
+    /// What all points of one y share.
+    type Row: Send + Sync;
+    /// See [`Stretch::Row`].
+    fn row(&self, y: f64) -> Self::Row;
+    /// x of the reference lattice at the point x of a row of the field.
+    fn to_reference(&self, x: f64, row: &Self::Row) -> f64;
+    /// The x of a row of the field at which [`Stretch::to_reference`] is `reference`.
+    fn to_field(&self, reference: f64, row: &Self::Row) -> f64;
     /// How much [`Stretch::to_reference`] may differ between two values of y, and columns from their
     /// undeformed position in the cell.
     fn spread(&self) -> f64;
 }
+
+/// Cells with one index across x, and what their columns of each kind share.
+type RowOfCells<R> = (i64, Vec<(usize, R)>);
 
 /// See the module.
 pub struct Coherent<S> {
@@ -70,31 +81,96 @@ impl<S: Stretch> Coherent<S> {
         (cell as f64 + chain.z) * self.crystal.cell[2] * NM
     }
 
-    /// Calls `f(column, position, more)` for the columns of the specimen whose position lies in `region`;
-    /// `place` tells it, and more, from the position in the reference lattice.
+    /// Calls `f(column, position, more, row)` for the columns of the specimen whose position lies in `region`;
+    /// `place` tells it, and more, from the position in the reference lattice and its row.
     pub fn for_each_column<T>(
         &self,
         region: &Region,
-        place: impl Fn(ColumnIndex, [f64; 2]) -> ([f64; 2], T),
-        mut f: impl FnMut(ColumnIndex, [f64; 2], T),
+        place: impl Fn(ColumnIndex, [f64; 2], &S::Row) -> ([f64; 2], T),
+        mut f: impl FnMut(ColumnIndex, [f64; 2], T, &S::Row),
     ) {
         let region = region.intersection(&self.extent);
+        let rows = self.rows(&region);
+        for i in self.cells(&region, 0) {
+            self.for_each_at(i, &rows, &region, &place, &mut f);
+        }
+    }
+
+    /// Counts over the columns of a region whose `kinds` are wanted, on all threads: `add` counts one, `merge` puts two counts
+    /// together, in any order.
+    pub fn tally<T, A: Default + Send>(
+        &self,
+        region: &Region,
+        kinds: impl Fn(usize) -> bool + Sync,
+        place: impl Fn(ColumnIndex, [f64; 2], &S::Row) -> ([f64; 2], T) + Sync,
+        add: impl Fn(&mut A, ColumnIndex, T, &S::Row) + Sync,
+        merge: impl Fn(A, A) -> A + Sync,
+    ) -> A
+    where
+        S: Sync,
+    {
+        let region = region.intersection(&self.extent);
+        let mut rows = self.rows(&region);
+        rows.iter_mut().for_each(|(_, of_row)| of_row.retain(|(kind, _)| kinds(*kind)));
+        let counted = |mut counts: A, i: i64| {
+            let mut add = |index: ColumnIndex, _: [f64; 2], more: T, row: &S::Row| {
+                add(&mut counts, index, more, row);
+            };
+            self.for_each_at(i, &rows, &region, &place, &mut add);
+            counts
+        };
+        let cells = self.cells(&region, 0).into_par_iter();
+        cells.fold(A::default, counted).reduce(A::default, &merge)
+    }
+
+    /// Cells of the reference lattice along an axis whose columns may lie in a part of the specimen.
+    pub fn cells(&self, region: &Region, axis: usize) -> Range<i64> {
         if region.x[0] >= region.x[1] || region.y[0] >= region.y[1] {
-            return;
+            return 0..0;
         }
         let spread = self.stretch.spread();
         let y = [region.y[0] - spread, region.y[1] + spread];
-        let low = self.stretch.to_reference([region.x[0], y[0]]) - spread;
-        let high = self.stretch.to_reference([region.x[1], y[0]]) + spread;
-        let cell = |v: f64, k: usize| ((v - self.origin[k]) / (self.crystal.cell[k] * NM)).floor();
-        for i in cell(low, 0) as i64 - 1..=cell(high, 0) as i64 {
-            for j in cell(y[0], 1) as i64 - 1..=cell(y[1], 1) as i64 {
-                for kind in 0..self.crystal.columns.len() {
-                    let index = ColumnIndex { grain: 0, kind, cell: [i, j] };
-                    let (position, more) = place(index, self.reference(index));
-                    if region.contains(position) {
-                        f(index, position, more);
-                    }
+        let ends = match axis {
+            0 => {
+                let row = self.stretch.row(y[0]);
+                [
+                    self.stretch.to_reference(region.x[0], &row) - spread,
+                    self.stretch.to_reference(region.x[1], &row) + spread,
+                ]
+            }
+            _ => y,
+        };
+        let cell =
+            |v: f64| ((v - self.origin[axis]) / (self.crystal.cell[axis] * NM)).floor() as i64;
+        cell(ends[0]) - 1..cell(ends[1]) + 1
+    }
+
+    /// The rows of cells across x that may lie in a part of the specimen, and what each kind of column shares in one.
+    fn rows(&self, region: &Region) -> Vec<RowOfCells<S::Row>> {
+        let of_kind = |kind: usize, j: i64| {
+            let index = ColumnIndex { grain: 0, kind, cell: [0, j] };
+            (kind, self.stretch.row(self.reference(index)[1]))
+        };
+        let kinds = 0..self.crystal.columns.len();
+        let row = |j: i64| (j, kinds.clone().map(|kind| of_kind(kind, j)).collect());
+        self.cells(region, 1).map(row).collect()
+    }
+
+    /// The columns with this index along x.
+    fn for_each_at<T>(
+        &self,
+        i: i64,
+        rows: &[RowOfCells<S::Row>],
+        region: &Region,
+        place: &impl Fn(ColumnIndex, [f64; 2], &S::Row) -> ([f64; 2], T),
+        f: &mut impl FnMut(ColumnIndex, [f64; 2], T, &S::Row),
+    ) {
+        for (j, kinds) in rows {
+            for (kind, row) in kinds {
+                let index = ColumnIndex { grain: 0, kind: *kind, cell: [i, *j] };
+                let (position, more) = place(index, self.reference(index), row);
+                if region.contains(position) {
+                    f(index, position, more, row);
                 }
             }
         }

@@ -47,7 +47,48 @@ impl Interface {
     fn reach(&self) -> f64 {
         self.deviation.as_ref().map_or(0.0, Roughness::greatest)
     }
+
+    /// Whether all points at `x` lie beyond it, or none; nothing where it is near.
+    fn passed_anywhere(&self, x: f64) -> Option<bool> {
+        // Rounding does not lead across.
+        let reach = self.reach() + ROUNDING_NM;
+        ((x - self.x).abs() > reach).then_some(x > self.x)
+    }
+
+    /// The same for the points at x and y.
+    fn passed_along_beam(&self, [x, y]: [f64; 2]) -> Option<bool> {
+        self.passed_anywhere(x).or_else(|| {
+            let [low, high] = self.deviation.as_ref()?.range(y).map(|d| self.x + d);
+            let (before, beyond) = (x < low - ROUNDING_NM, x > high + ROUNDING_NM);
+            (before || beyond).then_some(beyond)
+        })
+    }
+
+    fn passed(&self, [x, y, z]: [f64; 3]) -> bool {
+        self.passed_anywhere(x).unwrap_or_else(|| x >= self.at(y, z))
+    }
 }
+
+/// Whether what has passed the left side of a well or not, and so its right side, lies in it.
+fn between([left, right]: [Option<bool>; 2]) -> Option<bool> {
+    match [left, right] {
+        [Some(true), Some(false)] => Some(true),
+        [Some(false), _] | [_, Some(true)] => Some(false),
+        _ => None,
+    }
+}
+
+/// Whether something lies in any of several wells.
+fn in_any(wells: impl Iterator<Item = Option<bool>>) -> Option<bool> {
+    let mut inside = false;
+    for well in wells {
+        inside |= well?;
+    }
+    Some(inside)
+}
+
+/// Distances from interfaces are known better than this.
+const ROUNDING_NM: f64 = 1e-6;
 
 impl Composition {
     /// That of a recipe, with a first guess of the fraction in the wells (see
@@ -116,12 +157,36 @@ impl Composition {
         }
     }
 
+    /// Whether all points at `x` lie in a well, or none; nothing where an interface is near.
+    pub fn well_column(&self, x: f64) -> Option<bool> {
+        let Composition::Wells { sides, .. } = self else { return Some(false) };
+        in_any(sides.iter().map(|sides| between(sides.each_ref().map(|s| s.passed_anywhere(x)))))
+    }
+
+    /// As [`Composition::well_column`], for the points at x and y.
+    pub fn well_along_beam(&self, at: [f64; 2]) -> Option<bool> {
+        let Composition::Wells { sides, .. } = self else { return Some(false) };
+        in_any(sides.iter().map(|sides| between(sides.each_ref().map(|s| s.passed_along_beam(at)))))
+    }
+
+    /// Where the interfaces lie at y and some heights: those of one interface after the other.
+    pub fn interfaces_at(&self, y: f64, heights: &[f64]) -> Vec<f64> {
+        let Composition::Wells { sides, .. } = self else { return Vec::new() };
+        let of_side = |side: &Interface| heights.iter().map(|z| side.at(y, *z)).collect::<Vec<_>>();
+        sides.iter().flatten().flat_map(of_side).collect()
+    }
+
+    /// How many of the heights of [`Composition::interfaces_at`] lie in a well at x.
+    pub fn count_in_wells(x: f64, interfaces: &[f64], heights: usize) -> usize {
+        let wells = || interfaces.chunks_exact(2 * heights);
+        let inside = |n: &usize| wells().any(|at| at[*n] <= x && x < at[heights + n]);
+        (0..heights).filter(inside).count()
+    }
+
     /// Whether a point lies in a well.
-    pub fn holds_well(&self, [x, y, z]: [f64; 3]) -> bool {
+    pub fn holds_well(&self, at: [f64; 3]) -> bool {
         let Composition::Wells { sides, .. } = self else { return false };
-        let near = |[l, r]: &[Interface; 2]| x >= l.x - l.reach() && x < r.x + r.reach();
-        let inside = |[l, r]: &[Interface; 2]| x >= l.at(y, z) && x < r.at(y, z);
-        sides.iter().any(|sides| near(sides) && inside(sides))
+        sides.iter().any(|[left, right]| left.passed(at) && !right.passed(at))
     }
 
     /// Names of the phases, if there are two.

@@ -13,13 +13,14 @@ use crate::specimen::atom_columns::Sites;
 use crate::specimen::coherent::{Coherent, NM, Stretch};
 use crate::specimen::column_index::ColumnIndex;
 use crate::specimen::defects::rules::Defects;
+use crate::specimen::defects::vacancies::DistanceHistogram;
 use crate::specimen::sites::SpecimenSite;
 use crate::specimen::specimen_trait::{Boundary, BoundaryKind, Specimen};
 use crate::specimen::units::library_cell::LibraryCell;
 use crate::specimen::units::occupation::UnitOccupation;
 use crate::specimen::units::unit_tag::UnitFamily;
 use crate::specimen::units::unit_tag::UnitTag;
-use crate::specimen::wave::{WavyLine, normal_cdf, normal_cdf_integral};
+use crate::specimen::wave::{WavyLine, normal_cdf, normal_cdf_and_integral};
 use crate::structure::Structure;
 
 /// Sites of the two phases may differ by less than this fraction of the cell along each edge.
@@ -78,31 +79,44 @@ impl Domains {
         };
         specimen.contents = UnitOccupation::new(recipe, &specimen.lattice.crystal)?;
         specimen.defects = Defects::fit(recipe, |element, histogram| {
-            specimen.for_each_column(&specimen.lattice.field, |index, _, (ideal, _)| {
-                let chains = &specimen.lattice.crystal.columns[index.kind].chains;
-                let count = chains.iter().filter(|c| c.number == element).count();
-                histogram.add(specimen.lattice.stretch.distance(ideal), count as u64);
-            });
+            let lattice = &specimen.lattice;
+            let holding = |kind: usize| {
+                let chains = &lattice.crystal.columns[kind].chains;
+                chains.iter().filter(|c| c.number == element).count() as u64
+            };
+            let add =
+                |counts: &mut DistanceHistogram, index: ColumnIndex, (ideal, _), row: &Row| {
+                    counts.add(lattice.stretch.distance(ideal, row), holding(index.kind));
+                };
+            let kinds = |kind: usize| holding(kind) > 0;
+            let place =
+                |index: ColumnIndex, at: [f64; 2], row: &Row| specimen.place(index, at, row);
+            *histogram =
+                lattice.tally(&lattice.field, kinds, place, add, DistanceHistogram::merged);
         })?;
         Ok(specimen)
     }
 
-    /// Calls `f(column, its position, and that before displacement with the order parameter there)`.
+    /// Calls `f(column, its position, and that before displacement with the order parameter there, its row)`.
     fn for_each_column(
         &self,
         region: &Region,
-        f: impl FnMut(ColumnIndex, [f64; 2], ([f64; 2], f64)),
+        f: impl FnMut(ColumnIndex, [f64; 2], ([f64; 2], f64), &Row),
     ) {
-        let place = |index: ColumnIndex, reference: [f64; 2]| self.place(index, reference);
+        let place = |index: ColumnIndex, at: [f64; 2], row: &Row| self.place(index, at, row);
         self.lattice.for_each_column(region, place, f);
     }
 
-    /// Position of a column from its place in the reference lattice, that before displacement, and the order
+    /// Position of a column from its place in the reference lattice and its row, that before displacement, and the order
     /// parameter there.
-    fn place(&self, index: ColumnIndex, reference: [f64; 2]) -> ([f64; 2], ([f64; 2], f64)) {
-        let stretch = &self.lattice.stretch;
-        let ideal = [stretch.to_field(reference), reference[1]];
-        let order = stretch.at(ideal);
+    fn place(
+        &self,
+        index: ColumnIndex,
+        reference: [f64; 2],
+        row: &Row,
+    ) -> ([f64; 2], ([f64; 2], f64)) {
+        let ideal = [self.lattice.stretch.to_field(reference[0], row), reference[1]];
+        let order = order(row, ideal[0]);
         let shift = self.column_shifts[index.kind];
         ([0, 1].map(|k| ideal[k] + order * shift[k]), (ideal, order))
     }
@@ -112,14 +126,17 @@ impl Domains {
         let contents = self.contents.as_ref()?;
         let (kind, member, first) = contents.unit_of(index);
         let members = &contents.units.kinds[kind];
-        let centre = self
-            .lattice
-            .centre(members, first, |column| self.place(column, self.lattice.reference(column)).0);
         let stretch = &self.lattice.stretch;
+        let place = |column: ColumnIndex| {
+            let at = self.lattice.reference(column);
+            self.place(column, at, &stretch.row(at[1])).0
+        };
+        let centre = self.lattice.centre(members, first, place);
         let element = contents.process.map_or(0, |p| p.element);
-        let rate = self.defects.at(stretch.distance(centre)).rate(element);
+        let row = stretch.row(centre[1]);
+        let rate = self.defects.at(stretch.distance(centre, &row)).rate(element);
         let entry = contents.draw(kind, first, rate)?;
-        let structure = (stretch.at(centre) * ORDER_STEPS).round() as usize;
+        let structure = (order(&row, centre[0]) * ORDER_STEPS).round() as usize;
         Some(UnitTag::unrotated((first, member), centre, structure, entry))
     }
 }
@@ -127,8 +144,8 @@ impl Domains {
 impl Specimen for Domains {
     fn query(&self, region: &Region) -> Sites {
         let mut out = Sites::default();
-        self.for_each_column(region, |index, column, ([x, y], order)| {
-            let defects = self.defects.at(self.lattice.stretch.distance([x, y]));
+        self.for_each_column(region, |index, column, ([x, y], order), row| {
+            let defects = self.defects.at(self.lattice.stretch.distance([x, y], row));
             let tag = self.tag(index);
             let contents = self.contents.as_ref().zip(tag);
             let chains = &self.lattice.crystal.columns[index.kind].chains;
@@ -194,6 +211,9 @@ impl Specimen for Domains {
     }
 }
 
+/// The boundaries where they cross a row: their x, and the width of the transition along x, in nm.
+type Row = Vec<[f64; 2]>;
+
 /// How much of the second phase there is at a point, from 0 to 1.
 struct OrderParameter {
     lines: Vec<WavyLine>,
@@ -227,8 +247,49 @@ impl OrderParameter {
         }
     }
 
-    /// The boundaries where they cross `y`: their x, and the width of the transition along x.
-    fn crossings(&self, y: f64) -> Vec<[f64; 2]> {
+    /// Distance of a point of a row from the nearest boundary in nm.
+    fn distance(&self, position: [f64; 2], row: &Row) -> f64 {
+        let across = |n: &usize| (position[0] - row[*n][0]).abs();
+        let lines = 0..self.lines.len();
+        // Where the likely one comes first, the others are seldom looked at.
+        let Some(likely) = lines.clone().min_by(|a, b| across(a).total_cmp(&across(b))) else {
+            return f64::INFINITY;
+        };
+        let nearer = |known, n: usize| self.lines[n].nearer(position, row[n][0], known);
+        let known = nearer(f64::INFINITY, likely);
+        lines.filter(|n| *n != likely).fold(known, nearer)
+    }
+}
+
+/// The order parameter at `x` of a row.
+fn order(row: &Row, x: f64) -> f64 {
+    let mut sum = 0.0;
+    for (k, [middle, sigma]) in row.iter().enumerate() {
+        sum += sign(k) * normal_cdf((x - middle) / sigma);
+    }
+    sum.clamp(0.0, 1.0)
+}
+
+/// The same, and its integral over x.
+fn order_and_integral(row: &Row, x: f64) -> [f64; 2] {
+    let mut sums = [0.0; 2];
+    for (k, [middle, sigma]) in row.iter().enumerate() {
+        let [value, integral] = normal_cdf_and_integral((x - middle) / sigma);
+        sums[0] += sign(k) * value;
+        sums[1] += sign(k) * (sigma * integral);
+    }
+    [sums[0].clamp(0.0, 1.0), sums[1]]
+}
+
+/// Every second boundary leads back to the first phase.
+fn sign(boundary: usize) -> f64 {
+    if boundary.is_multiple_of(2) { 1.0 } else { -1.0 }
+}
+
+impl Stretch for OrderParameter {
+    type Row = Row;
+
+    fn row(&self, y: f64) -> Row {
         let crossing = |line: &WavyLine| {
             let [x, cosine] = line.x_and_cosine(y);
             [x, self.sigma / cosine]
@@ -236,48 +297,16 @@ impl OrderParameter {
         self.lines.iter().map(crossing).collect()
     }
 
-    fn at(&self, [x, y]: [f64; 2]) -> f64 {
-        order(&self.crossings(y), x)
+    fn to_reference(&self, x: f64, row: &Row) -> f64 {
+        x - self.strain * order_and_integral(row, x)[1]
     }
 
-    /// Distance from the nearest boundary in nm.
-    fn distance(&self, position: [f64; 2]) -> f64 {
-        self.lines.iter().map(|line| line.distance(position)).fold(f64::INFINITY, f64::min)
-    }
-}
-
-/// Sum over the crossings of `f(z, sigma)`, z being the distance in units of sigma, with alternating
-/// sign.
-fn alternating(crossings: &[[f64; 2]], x: f64, f: impl Fn(f64, f64) -> f64) -> f64 {
-    let term = |(k, [middle, sigma]): (usize, &[f64; 2])| {
-        let value = f((x - middle) / sigma, *sigma);
-        if k % 2 == 0 { value } else { -value }
-    };
-    crossings.iter().enumerate().map(term).sum()
-}
-
-/// The order parameter.
-fn order(crossings: &[[f64; 2]], x: f64) -> f64 {
-    alternating(crossings, x, |z, _| normal_cdf(z)).clamp(0.0, 1.0)
-}
-
-/// Its integral over x.
-fn integral(crossings: &[[f64; 2]], x: f64) -> f64 {
-    alternating(crossings, x, |z, sigma| sigma * normal_cdf_integral(z))
-}
-
-impl Stretch for OrderParameter {
-    fn to_reference(&self, [x, y]: [f64; 2]) -> f64 {
-        x - self.strain * integral(&self.crossings(y), x)
-    }
-
-    fn to_field(&self, [reference, y]: [f64; 2]) -> f64 {
-        let crossings = self.crossings(y);
+    fn to_field(&self, reference: f64, row: &Row) -> f64 {
         // Newton's method on a function whose slope is 1 but for a few per cent.
         let mut x = reference;
         for _ in 0..20 {
-            let slope = 1.0 - self.strain * order(&crossings, x);
-            let step = (reference - x + self.strain * integral(&crossings, x)) / slope;
+            let [order, integral] = order_and_integral(row, x);
+            let step = (reference - x + self.strain * integral) / (1.0 - self.strain * order);
             x += step;
             if step.abs() < 1e-12 {
                 break;

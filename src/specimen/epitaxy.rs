@@ -5,6 +5,8 @@
 //! are given, the biaxial strain that coherence imposes lengthens it by Poisson's effect,
 //! eps_perp = -2 (C13 / C33) eps_par (C12 / C11 for a cubic crystal along a cube axis).
 
+use rayon::prelude::*;
+
 use crate::error::{Error, Result};
 use crate::recipe::CheckedRecipe;
 use crate::recipe::limits::BEYOND_FIELD_NM;
@@ -95,9 +97,10 @@ impl Epitaxy {
     /// the rate. The lattice depends on the fraction, and the number of planes in the wells on the
     /// lattice, hence the iteration.
     fn fill_wells(&mut self, alloy: &Alloy, wells: &Wells) -> Result<()> {
+        let lines = self.host_lines();
         let mut last = f64::NAN;
         for _ in 0..FILLINGS {
-            let share = self.share_of_wells();
+            let share = self.share_of_wells(&lines);
             let fraction = alloy.rate / share;
             if !(0.0..=1.0).contains(&fraction) {
                 let expected = format!(
@@ -114,23 +117,54 @@ impl Epitaxy {
             self.lattice.stretch = self.spacing.stretch(&self.composition, &self.lattice.field);
         }
         // Where the last lattice moved a plane across an interface, the share is that of this lattice.
-        self.composition.set_fraction((alloy.rate / self.share_of_wells()).min(1.0));
+        self.composition.set_fraction((alloy.rate / self.share_of_wells(&lines)).min(1.0));
         Ok(())
     }
 
+    /// The columns of the field with host sites as lines along y, one for each kind.
+    fn host_lines(&self) -> Vec<HostLine> {
+        let lattice = &self.lattice;
+        let line = |kind: usize| {
+            let chains = lattice.crystal.columns[kind].chains.iter();
+            let hosts = chains.filter(|chain| chain.number == self.host);
+            let heights: Vec<f64> = hosts
+                .flat_map(|c| (0..lattice.cells_along_beam).map(|n| lattice.height(n, c)))
+                .collect();
+            let y = |j: i64| lattice.reference(ColumnIndex { grain: 0, kind, cell: [0, j] })[1];
+            let inside = |y: &f64| lattice.field.contains([lattice.field.x[0], *y]);
+            let rows: Vec<f64> = lattice.cells(&lattice.field, 1).map(y).filter(inside).collect();
+            let interfaces = |y: &f64| self.composition.interfaces_at(*y, &heights);
+            let interfaces = rows.par_iter().map(interfaces).collect();
+            HostLine { kind, sites: heights.len(), rows, interfaces }
+        };
+        let lines = (0..lattice.crystal.columns.len()).map(line);
+        lines.filter(|line| line.sites > 0).collect()
+    }
+
     /// Share of the field's host sites that lie in wells.
-    fn share_of_wells(&self) -> f64 {
-        let [mut inside, mut all] = [0u64; 2];
-        self.for_each_column(&self.lattice.field, |index, [x, y]| {
-            let chains = &self.lattice.crystal.columns[index.kind].chains;
-            for chain in chains.iter().filter(|c| c.number == self.host) {
-                for cell in 0..self.lattice.cells_along_beam {
-                    let z = self.lattice.height(cell, chain);
-                    all += 1;
-                    inside += u64::from(self.composition.holds_well([x, y, z]));
-                }
+    fn share_of_wells(&self, lines: &[HostLine]) -> f64 {
+        let (lattice, wells) = (&self.lattice, &self.composition);
+        // All columns of one kind and one index along x have the same x.
+        let count = |(i, line): (i64, &HostLine)| {
+            let index = ColumnIndex { grain: 0, kind: line.kind, cell: [i, 0] };
+            let x = lattice.stretch.to_field(lattice.reference(index)[0], &());
+            if !lattice.field.contains([x, lattice.field.y[0]]) {
+                return [0; 2];
             }
-        });
+            let inside = |(y, at): (&f64, &Vec<f64>)| match wells.well_along_beam([x, *y]) {
+                Some(within) => usize::from(within) * line.sites,
+                None => Composition::count_in_wells(x, at, line.sites),
+            };
+            let all = line.rows.len() * line.sites;
+            match wells.well_column(x) {
+                Some(within) => [usize::from(within) * all, all],
+                None => [line.rows.iter().zip(&line.interfaces).map(inside).sum(), all],
+            }
+        };
+        let cells = lattice.cells(&lattice.field, 0).into_par_iter();
+        let columns = cells.flat_map_iter(|i| lines.iter().map(move |line| (i, line)));
+        let sum = |a: [usize; 2], b: [usize; 2]| [a[0] + b[0], a[1] + b[1]];
+        let [inside, all] = columns.map(count).reduce(Default::default, sum);
         inside as f64 / all.max(1) as f64
     }
 
@@ -141,7 +175,7 @@ impl Epitaxy {
         let members = &contents.units.kinds[kind];
         let position = |column: ColumnIndex| {
             let at = self.lattice.reference(column);
-            [self.lattice.stretch.to_field(at), at[1]]
+            [self.lattice.stretch.to_field(at[0], &()), at[1]]
         };
         let centre = self.lattice.centre(members, first, position);
         let entry = match contents.process.filter(|p| p.element == self.host && p.by.is_some()) {
@@ -199,9 +233,22 @@ impl Epitaxy {
 
     /// Calls `f(column, position)`.
     fn for_each_column(&self, region: &Region, mut f: impl FnMut(ColumnIndex, [f64; 2])) {
-        let place = |_, at: [f64; 2]| ([self.lattice.stretch.to_field(at), at[1]], ());
-        self.lattice.for_each_column(region, place, |index, position, ()| f(index, position));
+        let stretch = &self.lattice.stretch;
+        let place = |_, at: [f64; 2], row: &()| ([stretch.to_field(at[0], row), at[1]], ());
+        self.lattice.for_each_column(region, place, |index, position, (), ()| f(index, position));
     }
+}
+
+/// Columns of one kind with one index along x, whichever.
+struct HostLine {
+    /// Kind of the columns.
+    kind: usize,
+    /// Host sites of a column.
+    sites: usize,
+    /// Their y in nm.
+    rows: Vec<f64>,
+    /// For each, where the interfaces lie at the heights of the sites (see [`Composition::interfaces_at`]).
+    interfaces: Vec<Vec<f64>>,
 }
 
 /// What a unit may hold.
@@ -354,13 +401,17 @@ impl TabulatedStretch {
 }
 
 impl Stretch for TabulatedStretch {
-    fn to_reference(&self, [x, _]: [f64; 2]) -> f64 {
+    type Row = ();
+
+    fn row(&self, _y: f64) {}
+
+    fn to_reference(&self, x: f64, _row: &()) -> f64 {
         let n = ((x - self.start) / STEP_NM).clamp(0.0, (self.reference.len() - 2) as f64);
         let [low, high] = [self.reference[n as usize], self.reference[n as usize + 1]];
         low + (n - n.floor()) * (high - low)
     }
 
-    fn to_field(&self, [reference, _]: [f64; 2]) -> f64 {
+    fn to_field(&self, reference: f64, _row: &()) -> f64 {
         let above = self.reference.partition_point(|r| *r <= reference);
         let n = above.clamp(1, self.reference.len() - 1) - 1;
         let [low, high] = [self.reference[n], self.reference[n + 1]];

@@ -1,5 +1,7 @@
 //! Rough interfaces: Gaussian random surfaces.
 
+use rayon::prelude::*;
+
 use crate::rng::{Purpose, normal3, uniform};
 
 /// Waves that are summed; their wave vectors are normally distributed.
@@ -19,6 +21,8 @@ pub struct Roughness {
     /// Row by row: y, then z.
     heights: Vec<f64>,
     means: Vec<f64>,
+    /// Least and greatest height of each row.
+    ranges: Vec<[f64; 2]>,
     greatest: f64,
 }
 
@@ -51,10 +55,8 @@ impl Roughness {
             waves.iter().map(|[ky, kz, phase]| libm::cos(ky * y + kz * z + phase)).sum()
         };
         let rows = across as usize + 1;
-        let mut heights: Vec<f64> = (0..rows)
-            .flat_map(|i| (0..depth).map(move |k| (i, k)))
-            .map(|(i, k)| height(i, k))
-            .collect();
+        let mut heights: Vec<f64> =
+            (0..rows * depth).into_par_iter().map(|n| height(n / depth, n % depth)).collect();
         let inside = |i: usize| {
             let y = range[0] + i as f64 * step[0];
             field[0] <= y && y < field[1]
@@ -68,7 +70,12 @@ impl Roughness {
         let means =
             heights.chunks(depth).map(|row| row.iter().sum::<f64>() / depth as f64).collect();
         let greatest = heights.iter().fold(0.0, |g: f64, h| g.max(h.abs()));
-        Roughness { start: range[0], step, depth, heights, means, greatest }
+        let extremes = |row: &[f64]| {
+            let start = [f64::INFINITY, f64::NEG_INFINITY];
+            row.iter().fold(start, |[l, h], v| [l.min(*v), h.max(*v)])
+        };
+        let ranges = heights.chunks(depth).map(extremes).collect();
+        Roughness { start: range[0], step, depth, heights, means, ranges, greatest }
     }
 
     /// The deviation at a point, between the points of the grid by linear interpolation.
@@ -87,6 +94,13 @@ impl Roughness {
     pub fn mean_along_beam(&self, y: f64) -> f64 {
         let (i, s) = split((y - self.start) / self.step[0], self.means.len());
         self.means[i] + s * (self.means[i + 1] - self.means[i])
+    }
+
+    /// No deviation at this y is below the first or above the second, but for rounding.
+    pub fn range(&self, y: f64) -> [f64; 2] {
+        let (i, _) = split((y - self.start) / self.step[0], self.means.len());
+        let [a, b] = [self.ranges[i], self.ranges[i + 1]];
+        [a[0].min(b[0]), a[1].max(b[1])]
     }
 
     /// The greatest deviation.
@@ -151,6 +165,10 @@ mod tests {
         let mean: f64 =
             (0..10_000).map(|k| r.at(y, (f64::from(k) + 0.5) * 1e-3)).sum::<f64>() / 1e4;
         assert!((mean - r.mean_along_beam(y)).abs() < 0.02);
+        let all: Vec<f64> = (0..=1000).map(|k| r.at(y, f64::from(k) * 0.01)).collect();
+        let [low, high] = r.range(y);
+        assert!(all.iter().all(|h| (low - 1e-12..=high + 1e-12).contains(h)));
+        assert!(high - low < 2.0 * r.greatest());
         assert!(r.greatest() < 1.5);
     }
 }

@@ -8,6 +8,10 @@ use crate::recipe::region::Region;
 const HARMONICS: u32 = 3;
 /// Distance between the corners of the polyline in nm.
 const STEP_NM: f64 = 0.5;
+/// Steps of a block, which is passed over as a whole where it is too far away.
+const BLOCK: usize = 8;
+/// Bounds of distances are taken so much wider than they are.
+const ROUNDING_NM: f64 = 1e-6;
 const TURN: f64 = 2.0 * std::f64::consts::PI;
 
 /// The line x = `mean_x` + excursion(y), in nm.
@@ -22,6 +26,8 @@ pub struct WavyLine {
     harmonics: Vec<[f64; 2]>,
     /// The line as corners STEP_NM apart in y, as far as the specimen reaches.
     corners: Vec<[f64; 2]>,
+    /// Least and greatest x of each [`BLOCK`] of steps.
+    blocks: Vec<[f64; 2]>,
 }
 
 impl WavyLine {
@@ -42,8 +48,9 @@ impl WavyLine {
             [weight / f64::from(n * n), phase]
         };
         let harmonics = (1..=HARMONICS).map(harmonic).collect();
+        let [corners, blocks] = [vec![], vec![]];
         let mut line =
-            WavyLine { mean_x, amplitude, y0: field.y[0], height, harmonics, corners: vec![] };
+            WavyLine { mean_x, amplitude, y0: field.y[0], height, harmonics, corners, blocks };
         let samples = 4096;
         let at = |k: u32| line.excursion(line.y0 + height * f64::from(k) / f64::from(samples))[0];
         let greatest = (0..samples).map(at).fold(0.0, |g: f64, e| g.max(e.abs()));
@@ -54,6 +61,11 @@ impl WavyLine {
             .map(|k| field.y[0] - beyond + STEP_NM * k as f64)
             .map(|y| [line.x(y), y])
             .collect();
+        let range = |start: usize| {
+            let x = line.corners[start..].iter().take(BLOCK + 1).map(|c| c[0]);
+            x.fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], x| [l.min(x), h.max(x)])
+        };
+        line.blocks = (0..count).step_by(BLOCK).map(range).collect();
         line
     }
 
@@ -98,41 +110,75 @@ impl WavyLine {
         line
     }
 
-    /// Distance of a point from the line.
-    pub fn distance(&self, [x, y]: [f64; 2]) -> f64 {
-        let across = (x - self.x(y)).abs();
+    /// Distance of a point from the line, which crosses its y at `crossing`; or `known` where the line is no nearer than that.
+    pub fn nearer(&self, [x, y]: [f64; 2], crossing: f64, known: f64) -> f64 {
+        // All of the line is at least so far away along x; rounding is less than a femtometre.
+        let least = ((x - self.mean_x).abs() - self.amplitude - ROUNDING_NM).max(0.0);
+        if least >= known {
+            return known;
+        }
+        let nearest = (x - crossing).abs().min(known);
         let first = self.corners.first().map_or(0.0, |c| c[1]);
-        // Nothing farther along y than the line is across can be nearer.
-        let corner =
-            |y: f64| ((y - first) / STEP_NM).clamp(0.0, self.corners.len() as f64) as usize;
-        let window = corner(y - across)..(corner(y + across) + 2).min(self.corners.len());
-        let segments = self.corners.get(window).unwrap_or_default().windows(2);
-        segments.map(|s| to_segment([x, y], s[0], s[1])).fold(across, f64::min)
+        // Nothing farther along y than this can be nearer.
+        let along = (nearest * nearest - least * least).max(0.0).sqrt() + ROUNDING_NM;
+        let last = self.blocks.len().saturating_sub(1) as f64;
+        let edge = STEP_NM * BLOCK as f64;
+        let block = |y: f64| ((y - first) / edge).clamp(0.0, last) as usize;
+        let of_block = |n: usize, square: f64| {
+            let start = n * BLOCK;
+            let end = (start + BLOCK + 1).min(self.corners.len());
+            let segments = self.corners[start..end].windows(2);
+            segments.map(|s| square_to_segment([x, y], s[0], s[1])).fold(square, f64::min)
+        };
+        let beside = block(y);
+        let mut square = of_block(beside, nearest * nearest);
+        for n in block(y - along)..=block(y + along) {
+            let [low, high] = self.blocks[n];
+            let dx = (low - x).max(x - high).max(0.0);
+            let start = first + edge * n as f64;
+            let dy = (start - y).max(y - start - edge).max(0.0);
+            let far = dx * dx + dy * dy > square + ROUNDING_NM * (1.0 + square);
+            if n != beside && !far {
+                square = of_block(n, square);
+            }
+        }
+        nearest.min(square.sqrt())
     }
 }
 
-fn to_segment(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
+fn square_to_segment(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
     let [d, q] = [[b[0] - a[0], b[1] - a[1]], [p[0] - a[0], p[1] - a[1]]];
     let t = ((d[0] * q[0] + d[1] * q[1]) / (d[0] * d[0] + d[1] * d[1])).clamp(0.0, 1.0);
     let (x, y) = (q[0] - t * d[0], q[1] - t * d[1]);
-    (x * x + y * y).sqrt()
+    x * x + y * y
 }
+
+/// Above, the normal distribution and its integral are 1 and z to the last bit.
+const ALL_Z: f64 = 8.5;
 
 /// Standard normal cumulative distribution.
 pub fn normal_cdf(z: f64) -> f64 {
     0.5 * libm::erfc(-z * std::f64::consts::FRAC_1_SQRT_2)
 }
 
-/// Its integral from minus infinity.
-pub fn normal_cdf_integral(z: f64) -> f64 {
+/// The same, and its integral from minus infinity.
+pub fn normal_cdf_and_integral(z: f64) -> [f64; 2] {
+    if z > ALL_Z {
+        return [1.0, z];
+    }
     let density = libm::exp(-0.5 * z * z) / libm::sqrt(TURN);
-    z * normal_cdf(z) + density
+    let cdf = normal_cdf(z);
+    [cdf, z * cdf + density]
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::rng::words;
+
+    fn distance(line: &WavyLine, point: [f64; 2]) -> f64 {
+        line.nearer(point, line.x(point[1]), f64::INFINITY)
+    }
 
     const FIELD: Region = Region { x: [0.0, 100.0], y: [0.0, 80.0] };
 
@@ -146,7 +192,7 @@ mod tests {
         }
         let straight = WavyLine::new(40.0, 0.0, &FIELD, 12.0, 3, 0);
         assert_eq!(straight.x(12.3), 40.0);
-        assert_eq!(straight.distance([43.5, 20.0]), 3.5);
+        assert_eq!(distance(&straight, [43.5, 20.0]), 3.5);
     }
 
     #[test]
@@ -159,7 +205,16 @@ mod tests {
             let far = |y: f64| ((line.x(y) - p[0]).powi(2) + (y - p[1]).powi(2)).sqrt();
             let fine =
                 (-1000..9000).map(|n| far(0.01 * f64::from(n))).fold(f64::INFINITY, f64::min);
-            assert!((line.distance(p) - fine).abs() < 0.01, "{} {fine}", line.distance(p));
+            assert!((distance(&line, p) - fine).abs() < 0.01, "{} {fine}", distance(&line, p));
+            // What is left out for speed is never what is nearest, to the last bit.
+            let across = (p[0] - line.x(p[1])).abs();
+            let all = line.corners.windows(2).map(|s| square_to_segment(p, s[0], s[1]).sqrt());
+            let all = all.fold(across, f64::min);
+            assert_eq!(distance(&line, p).to_bits(), all.to_bits());
+            for known in [0.3 * all, all, 1.5 * all] {
+                let found = line.nearer(p, line.x(p[1]), known);
+                assert_eq!(found.to_bits(), all.min(known).to_bits());
+            }
         }
     }
 
@@ -172,7 +227,11 @@ mod tests {
             (0..40_000).map(|k| normal_cdf(z - 5e-4 - 1e-3 * f64::from(k)) * 1e-3).sum::<f64>()
         };
         for z in [-3.0, -0.4, 0.0, 2.5] {
-            assert!((normal_cdf_integral(z) - numeric(z)).abs() < 1e-6);
+            assert!((normal_cdf_and_integral(z)[1] - numeric(z)).abs() < 1e-6);
+        }
+        for z in (0..4000).map(|n| ALL_Z + 0.01 * f64::from(n)) {
+            let density = libm::exp(-0.5 * z * z) / libm::sqrt(TURN);
+            assert_eq!([1.0, z], [normal_cdf(z), z * normal_cdf(z) + density], "{z}");
         }
     }
 }

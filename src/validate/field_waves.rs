@@ -23,6 +23,8 @@ pub struct FieldWaves {
 pub struct MeanDifference {
     /// Its value.
     pub value: f64,
+    /// Its standard error.
+    pub error: f64,
     /// In standard errors.
     pub t: f64,
     /// Probability of one at least as large between fields of one kind.
@@ -71,11 +73,9 @@ impl FieldWaves {
         let amplitude =
             |wave: &Vec<f64>| wave.iter().zip(&differences).map(|(w, d)| w * d).sum::<f64>();
         let power: f64 = self.waves.iter().map(|w| amplitude(w).powi(2)).sum();
-        let t = match value {
-            0.0 => 0.0,
-            value => value / (power / self.count() as f64).sqrt(),
-        };
-        MeanDifference { value, t, p: student_two_sided(t, self.count()) }
+        let error = (power / self.count() as f64).sqrt();
+        let t = if value == 0.0 { 0.0 } else { value / error };
+        MeanDifference { value, error, t, p: student_two_sided(t, self.count()) }
     }
 
     /// The largest of several sums over all places, and the share of turns of sum and waves with one at least as large. `values`
@@ -228,14 +228,23 @@ mod tests {
     /// What blocks have in common makes errors told by single blocks too small: this is the fault that waves mend.
     #[test]
     fn single_blocks_take_what_gathers_for_a_difference() {
-        let blocks = |n: u32| {
+        let waves = FieldWaves::new([SIDE, SIDE], [2, 5]);
+        let (mut below, mut squares) = (0, [0.0; 3]);
+        for n in 0..120 {
             let [a, b] = [1, 2].map(|k| sums(&world(2 * n + k, 4, 1.0)));
-            let t =
-                (Ratio::of_blocks(&a).value - Ratio::of_blocks(&b).value) / paired_error(&a, &b);
-            student_two_sided(t, SIDE * SIDE - 1)
-        };
-        let below = (0..120).filter(|n| blocks(*n) < 0.05).count();
+            let (of_blocks, of_waves) = (paired_error(&a, &b), waves.difference(&a, &b));
+            let t = of_waves.value / of_blocks;
+            below += usize::from(student_two_sided(t, SIDE * SIDE - 1) < 0.05);
+            let all = [of_waves.value, of_waves.error, of_blocks];
+            squares.iter_mut().zip(all).for_each(|(s, v)| *s += v * v);
+        }
         assert!(below > 20, "{below} of 120");
+        // The scatter of the differences themselves, of which 120 tell 6.5 %.
+        let [_, by_waves, by_blocks] = squares.map(|s| (s / squares[0]).sqrt());
+        println!(
+            "errors told, in units of the scatter: {by_waves} by waves, {by_blocks} by blocks"
+        );
+        assert!((0.75..1.25).contains(&by_waves) && by_blocks < 0.75, "{by_waves} {by_blocks}");
     }
 
     /// Of one number, turning is Student's test.

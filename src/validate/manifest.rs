@@ -139,16 +139,14 @@ impl PinnedWorld {
     /// What a world is known by; it has to hold the image before noise.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a world without recipe or image before noise; those of the file, [`Error::Interrupted`].
+    /// [`Error::Invalid`] for a world without recipe, [`Error::Choice`] for one without image before noise; those of the file, [`Error::Interrupted`].
     pub fn of(name: &str, world: &WorldFile, progress: &dyn Progress) -> Result<Self> {
         let m = world.metadata();
         let lacking = |what: &str| {
             Error::invalid(Setting::WorldFile, world.path().display(), format!("holds no {what}"))
         };
         let recipe = m.recipe.as_ref().ok_or_else(|| lacking("recipe"))?;
-        if !world.has_clean() {
-            return Err(lacking("image before noise"));
-        }
+        world.need_clean()?;
         let checked = crate::recipe::Recipe::from_toml_str(name, recipe, None)?;
         Ok(PinnedWorld {
             name: name.to_owned(),

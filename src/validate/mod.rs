@@ -16,6 +16,7 @@ pub mod report;
 pub mod soundness;
 pub mod statistics;
 pub mod suite;
+mod truth_soundness;
 pub mod user;
 pub mod worlds;
 

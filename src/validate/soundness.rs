@@ -1,27 +1,28 @@
 //! Is a world file sound: does what it holds agree with itself?
 //!
-//! Shapes and types are checked where the file is opened. Here tiles are held against each other and the overview, the lists of the
-//! ground truth against each other and the field, and the noise against the noise-free image and the dose.
+//! Tiles are held against each other and the overview, attributes against the recipe, the lists of the ground truth against each other
+//! and the field, and the noise against the noise-free image and the dose.
 
 use std::path::Path;
 
 use ndarray::{Array2, s};
 use serde::Serialize;
 
+use super::truth_soundness::{check_boundaries, check_columns, check_sites};
 use crate::error::{Error, Result};
-use crate::io::schema::{OVERVIEW_FACTOR, atom_type};
-use crate::io::{GroundTruth, WorldFile, WorldMetadata};
+use crate::io::schema::OVERVIEW_FACTOR;
+use crate::io::{WorldFile, WorldMetadata};
 use crate::progress::Progress;
 use crate::recipe::Recipe;
 
 /// Pixels of the overview differ by at most so much from the mean of what they show.
 const OVERVIEW_ERROR: f64 = 1e-5;
-/// Positions of sites are at most so far outside the field, in nm: columns at its edge have sites that are displaced.
-const OUTSIDE_NM: f64 = 0.1;
 /// Counts are whole numbers to this much, or to single precision.
 const COUNT_ERROR: f64 = 0.02;
 /// Counts agree with the noise-free image where their mean and their scatter are nearer than so many standard errors.
 const STANDARD_ERRORS: f64 = 6.0;
+/// Numbers of a recipe and of its attributes differ by at most this share.
+const SAME: f64 = 1e-9;
 /// Pixels with fewer electrons expected do not count for the scatter.
 const FEWEST_ELECTRONS: f64 = 0.5;
 
@@ -63,21 +64,24 @@ pub fn check_world(path: &Path, progress: &dyn Progress) -> Result<Vec<WorldChec
         format!("{} x {} tiles of {} pixels", m.grid_shape[0], m.grid_shape[1], m.tile_size_px);
     let tiles = m.grid_shape[0] * m.grid_shape[1];
     progress.start("checking", "tile", tiles as u64);
-    let mut checks = vec![checked("schema", Ok(Ok(schema)))?];
+    let types = opened.check_types().map(|n| Ok(format!("{schema}; {n} datasets of its types")));
+    let mut checks = vec![checked("schema", types)?];
     checks.push(checked("tiles", check_tiles(&opened, progress))?);
     progress.finish();
     checks.push(checked("overview", check_overview(&opened, progress))?);
+    checks.push(checked("attributes", check_attributes(&opened))?);
     checks.push(checked("sites", check_sites(&opened))?);
     checks.push(checked("columns", check_columns(&opened))?);
+    checks.push(checked("boundaries", check_boundaries(&opened))?);
     checks.push(checked("counts", check_counts(&opened, progress))?);
     Ok(checks)
 }
 
 /// What a check found: a sentence, or a fault.
-type FoundOrFault = std::result::Result<String, String>;
+pub(super) type FoundOrFault = std::result::Result<String, String>;
 
 /// Why a check was skipped, as the beginning of what it found.
-const SKIPPED: &str = "not checked: ";
+pub(super) const SKIPPED: &str = "not checked: ";
 
 fn checked(what: &'static str, found: Result<FoundOrFault>) -> Result<WorldCheck> {
     let (outcome, found) = match found {
@@ -159,7 +163,9 @@ fn check_overview(world: &WorldFile, progress: &dyn Progress) -> Result<FoundOrF
             let first = column * OVERVIEW_FACTOR;
             let part = band.slice(s![.., first..(first + OVERVIEW_FACTOR).min(width)]);
             let mean = part.iter().map(|v| f64::from(*v)).sum::<f64>() / part.len() as f64;
-            worst = worst.max((mean - f64::from(*value)).abs());
+            let off = (mean - f64::from(*value)).abs();
+            // A maximum would pass over what is no number.
+            worst = if off.is_nan() { f64::INFINITY } else { worst.max(off) };
         }
     }
     Ok(match worst <= OVERVIEW_ERROR {
@@ -168,81 +174,39 @@ fn check_overview(world: &WorldFile, progress: &dyn Progress) -> Result<FoundOrF
     })
 }
 
-/// Sites lie in the field, types are known, masks mark what types say, and numbers are those of elements.
-fn check_sites(world: &WorldFile) -> Result<FoundOrFault> {
+/// What is said of the world is what its recipe says.
+fn check_attributes(world: &WorldFile) -> Result<FoundOrFault> {
     let m = world.metadata();
-    let [height, width] = m.fov_nm;
-    let inside = |[x, y]: [f32; 2]| {
-        let within = |v: f32, size: f64| (-OUTSIDE_NM..=size + OUTSIDE_NM).contains(&f64::from(v));
-        within(x, width) && within(y, height)
+    let Some(text) = &m.recipe else {
+        return Ok(Ok(format!("{SKIPPED}the file holds no recipe")));
     };
-    let (mut fault, mut count, mut defects) = (None, 0, 0);
-    let of_site = |truth: &GroundTruth, i: usize| -> Option<String> {
-        let kind = truth.types[i];
-        let known = [atom_type::PRISTINE, atom_type::VACANCY, atom_type::SUBSTITUTION];
-        if !inside(truth.positions[i]) {
-            let [x, y] = truth.positions[i];
-            return Some(format!("lies at x {x}, y {y} nm, outside the field"));
-        }
-        if !known.contains(&kind) {
-            return Some(format!("has type {kind}, expected 0, 1 or 2"));
-        }
-        if truth.defects[i] != (kind != atom_type::PRISTINE) {
-            return Some(format!("has type {kind} and defect_mask {}", truth.defects[i]));
-        }
-        let number = truth.numbers.get(i);
-        number.filter(|z| !(1..=118).contains(*z)).map(|z| format!("has atomic number {z}"))
+    let Ok(recipe) = Recipe::from_toml_str("world", text, None) else {
+        return Ok(Ok(format!("{SKIPPED}its recipe is none that this version of stemgen takes")));
     };
-    world.for_each_chunk_of_sites(|first, truth| {
-        count += truth.types.len();
-        defects += truth.defects.iter().filter(|d| **d).count();
-        let found = (0..truth.types.len()).find_map(|i| Some((first + i, of_site(truth, i)?)));
-        fault = fault.take().or(found);
-    })?;
-    Ok(match fault {
-        Some((site, what)) => Err(format!("site {site} {what}")),
-        None => Ok(format!("{count} in the field, {defects} of them defects, as their types say")),
-    })
-}
-
-/// Numbers of sites and defects of each column are those of its sites.
-fn check_columns(world: &WorldFile) -> Result<FoundOrFault> {
-    let columns = world.columns()?;
-    let mut counted = vec![[0_i32; 3]; columns.len()];
-    let (mut fault, mut told) = (None, false);
-    world.for_each_chunk_of_sites(|first, truth| {
-        for (i, column) in truth.columns.iter().enumerate() {
-            told = true;
-            let Some(counts) = usize::try_from(*column).ok().and_then(|c| counted.get_mut(c))
-            else {
-                let site = first + i;
-                fault.get_or_insert(format!(
-                    "site {site} is of column {column}, which is not listed"
-                ));
-                continue;
-            };
-            counts[0] += 1;
-            counts[1] += i32::from(truth.types[i] == atom_type::VACANCY);
-            counts[2] += i32::from(truth.types[i] == atom_type::SUBSTITUTION);
-        }
-    })?;
-    if !told {
-        return Ok(Ok(format!("{SKIPPED}the file does not say to which columns sites belong")));
-    }
-    let differs = columns.iter().zip(&counted).position(|(column, counts)| {
-        [column.sites, column.vacancies, column.substitutions] != *counts
-    });
-    Ok(match (fault, differs) {
-        (Some(fault), _) => Err(fault),
-        (None, Some(n)) => {
-            let c = &columns[n];
-            let listed = [c.sites, c.vacancies, c.substitutions];
-            Err(format!(
-                "column {n} lists {listed:?} sites, vacancies and substitutions, and has {:?}",
-                counted[n]
-            ))
-        }
-        (None, None) => Ok(format!("{} with the numbers of their sites", columns.len())),
+    let field = &recipe.field;
+    let dose = recipe.dose.electrons_per_angstrom2;
+    let near = |a: f64, b: f64| (a - b).abs() <= SAME * b.abs();
+    let told = [
+        ("material", m.material.as_ref() == Some(&recipe.id)),
+        ("seed", m.seed == Some(recipe.seed)),
+        (
+            "dose_electrons_per_angstrom2",
+            m.dose_electrons_per_angstrom2.is_some_and(|d| near(d, dose)),
+        ),
+        ("source", m.source == recipe.source),
+        ("grid_shape", m.grid_shape == field.built_grid()),
+        ("tile_size_px", m.tile_size_px == field.tile_px),
+        ("overlap_px", m.overlap_px == field.overlap_px),
+        ("pixel_size_nm", near(m.pixel_size_nm, field.pixel_nm())),
+        (
+            "origin_px_in_full_field",
+            world.origin_px() == Some(field.crop_origin_px().map(|n| n as f64)),
+        ),
+        ("factor of /overview", world.overview_factor() == Some(OVERVIEW_FACTOR as u64)),
+    ];
+    Ok(match told.iter().find(|(_, same)| !same) {
+        Some((name, _)) => Err(format!("`{name}` is missing, or not that of the recipe")),
+        None => Ok("those of the recipe".to_owned()),
     })
 }
 

@@ -115,6 +115,9 @@ impl<'a> BlendedImage<'a> {
             progress.advance(rows.len() as u64);
         }
         progress.finish();
+        if let Some(warning) = bands.scan.as_ref().and_then(FieldScanRows::clipping_warning) {
+            progress.warn(&warning);
+        }
         Ok(range)
     }
 

@@ -27,8 +27,9 @@ const LEAST_REGIONS: usize = 4;
 const PARTICLE_AUDIT_CONFIGURATIONS: usize = 4;
 /// The least error in per cent for which [`window_for`] has a window.
 const LEAST_OF_TABLE: f64 = 0.4;
-/// Windows in Angstrom where one of several detectors lies within the aperture. Of SrTiO3 (10 nm, one phonon configuration, three
-/// regions of a mosaic) ABF 10-21 mrad is 0.55 % off at columns and 0.96 % over all pixels; 0.91 and 1.18 % with 7.8 A.
+/// Windows in Angstrom where one of several detectors lies within the aperture. Of hard SrTiO3 (10 nm, vacancies and a boundary, 8
+/// phonon configurations, two regions of a mosaic) ABF 10-21 mrad is 0.19 % off at columns and 0.53 % over all pixels; 0.71 and
+/// 0.89 % with 7.8 A.
 const BRIGHT_FIELD_WINDOW_ANGSTROM: f64 = 15.6;
 /// Interpolation of PRISM unless another is asked for: windows of 10 A in sub-tiles of 2.5 nm.
 const INTERPOLATION: [usize; 2] = [4, 4];
@@ -210,6 +211,9 @@ impl BuildOptions {
         Ok(match self.method {
             BuildMethod::Auto if self.interpolation.is_some() => (prism, None),
             BuildMethod::Auto if self.window_angstrom.is_none() => by_rule(recipe),
+            BuildMethod::Mosaic | BuildMethod::Window if self.window_angstrom.is_none() => {
+                bright_field_window(recipe).unwrap_or((window, None))
+            }
             BuildMethod::Auto | BuildMethod::Mosaic | BuildMethod::Window => (window, None),
             BuildMethod::Prism => (prism, None),
             BuildMethod::Multislice => (Algorithm::Multislice, None),
@@ -283,19 +287,24 @@ fn without_bright_field(recipe: &Recipe) -> Option<(Recipe, Vec<String>)> {
     })
 }
 
+/// Windows for recipes of several detectors of which one lies within the aperture, and what is to be said of their accuracy.
+fn bright_field_window(recipe: &CheckedRecipe) -> Option<(Algorithm, Option<String>)> {
+    let (others, bright) = without_bright_field(recipe)?;
+    let width = default_window(&others).ok()?.width_angstrom;
+    let width_angstrom = width.max(BRIGHT_FIELD_WINDOW_ANGSTROM);
+    let warning = format!(
+        "{} sees the beam itself, which takes windows of {width_angstrom:.1} A, about four times the time; a mosaic of them is 0.2 % \
+         off at columns and 0.5 % over all pixels (hard SrTiO3, ABF 10-21 mrad)",
+        bright.join(", ")
+    );
+    Some((Algorithm::Window { width_angstrom }, Some(warning)))
+}
+
 /// The algorithm where none is asked for: windows as wide as the specimen is thick, PRISM for detectors at low
 /// angles, which windows and mosaics cannot do. And what is to be said of its accuracy.
 fn by_rule(recipe: &CheckedRecipe) -> (Algorithm, Option<String>) {
-    if let Some((others, bright)) = without_bright_field(recipe)
-        && let Ok(choice) = default_window(&others)
-    {
-        let width_angstrom = choice.width_angstrom.max(BRIGHT_FIELD_WINDOW_ANGSTROM);
-        let warning = format!(
-            "{} sees the beam itself, which takes windows of {width_angstrom:.1} A, about five times the time; a mosaic of them is 0.6 % \
-             off at columns (SrTiO3, ABF 10-21 mrad), windows all over the field 0.3 %, but those take days for a large field",
-            bright.join(", ")
-        );
-        return (Algorithm::Window { width_angstrom }, Some(warning));
+    if let Some(choice) = bright_field_window(recipe) {
+        return choice;
     }
     match default_window(recipe) {
         Ok(choice) => {

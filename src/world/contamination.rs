@@ -7,9 +7,6 @@ use crate::recipe::Region;
 use crate::setting::Setting;
 use crate::specimen::DoseMap;
 
-/// Width of the edge of a region that is left out where its thickness is measured: that of the cells of [`DoseMap`].
-const EDGE_NM: f64 = 0.05;
-
 /// Thicknesses that differ by less than this share are the same.
 const ROUNDING: f64 = 1e-9;
 
@@ -47,9 +44,7 @@ impl<'a> GrowingCarbon<'a> {
 
     /// Mean thickness in nm in a region (nm of the full field), but for its outermost 0.05 nm, where cells reach beyond it.
     pub fn mean_nm(&self, region: &Region) -> f64 {
-        let inner = region.grown(-EDGE_NM);
-        let large = inner.x[1] - inner.x[0] > EDGE_NM && inner.y[1] - inner.y[0] > EDGE_NM;
-        0.1 * self.angstrom.mean(if large { &inner } else { region })
+        0.1 * self.angstrom.mean_within(region)
     }
 
     /// Adds what a frame leaves.

@@ -6,7 +6,9 @@ use std::sync::Arc;
 use ndarray::{Array2, s};
 
 use super::noise_free::{band_limit, refinement};
-use crate::acquisition::{Acquisition, Exposure, Recorder, ScanFrame, ScanPath, SourceImage};
+use crate::acquisition::{
+    Acquisition, Exposure, Recorder, ScanFrame, ScanPath, SourceImage, clipping_warning,
+};
 use crate::error::{Error, Result};
 use crate::recipe::Recipe;
 use crate::resample::{Kernel, TAPS, samples_around};
@@ -96,6 +98,7 @@ impl FieldScan {
             scan: self,
             clean: Box::new(clean),
             late: vec![0.0; self.acquisition.frames],
+            clipped: 0,
             last: None,
         }
     }
@@ -104,7 +107,7 @@ impl FieldScan {
         &self,
         rows: Range<usize>,
         clean: &dyn Fn(Range<usize>) -> Result<Array2<f32>>,
-        late: &mut [f64],
+        (late, clipped): (&mut [f64], &mut u64),
     ) -> Result<ScannedRows> {
         let [_, [low, high]] = self.path().reach_nm(rows.clone());
         let Range { start: first, end } =
@@ -122,6 +125,7 @@ impl FieldScan {
         let mut valid = Array2::from_elem(shape, true);
         for (frame, late) in late.iter_mut().enumerate() {
             let recorded = self.recorder.rows(frame, rows.clone(), &image, late);
+            *clipped += recorded.clipped;
             values.zip_mut_with(&recorded.values, |sum, value| *sum += f64::from(*value));
             for ((k, column), valid) in valid.indexed_iter_mut() {
                 let place = self.path().place_nm(frame, rows.start + k, column);
@@ -145,11 +149,20 @@ pub struct FieldScanRows<'a> {
     clean: Box<dyn Fn(Range<usize>) -> Result<Array2<f32>> + 'a>,
     /// Late light of each frame.
     late: Vec<f64>,
+    /// Pixels so far that the converter cut off.
+    clipped: u64,
     /// The band before, and its first row.
     last: Option<(usize, ScannedRows)>,
 }
 
 impl FieldScanRows<'_> {
+    /// What is to be said of pixels that the converter cut off, of all rows that were recorded.
+    pub fn clipping_warning(&self) -> Option<String> {
+        let Acquisition { frames, bits, .. } = self.scan.acquisition;
+        let [rows, columns] = self.scan.path().frame().shape;
+        clipping_warning(self.clipped, rows * columns * frames, bits)
+    }
+
     /// Rows of the recording.
     ///
     /// # Errors
@@ -161,7 +174,8 @@ impl FieldScanRows<'_> {
             Some((last.values.slice(part).to_owned(), last.valid.slice(part).to_owned()))
         });
         let start = rows.start + kept.as_ref().map_or(0, |(values, _)| values.nrows());
-        let new = self.scan.record(start..rows.end, &*self.clean, &mut self.late)?;
+        let so_far = (&mut self.late[..], &mut self.clipped);
+        let new = self.scan.record(start..rows.end, &*self.clean, so_far)?;
         let band = match kept {
             None => new,
             Some((values, valid)) => ScannedRows {

@@ -85,7 +85,9 @@ impl Noise {
                 let item = pixel | u64::from(self.detector) << PIXEL_BITS;
                 poisson.sample(&mut ItemRng::new(self.seed, Purpose::Dose, item))
             }
-            // Not positive: no electrons.
+            // More than can be drawn: their scatter is less than a part in a billion.
+            Err(_) if expected > 0.0 => expected,
+            // No electrons.
             Err(_) => 0.0,
         }
     }

@@ -46,6 +46,14 @@ pub fn publish_companion(companion: &Companion, world: &Path) -> Result<()> {
     placed
 }
 
+/// Finds before any work what would keep a companion from being written at the end.
+pub fn try_companion(companion: &Companion) -> Result<()> {
+    let partial = partial(companion.path);
+    let tried = fs::File::create(&partial).map_err(|e| Error::io(companion.path, "write", e));
+    let _ = fs::remove_file(&partial);
+    tried.map(drop)
+}
+
 /// Finds before any work what would keep the file from being written at the end: names that HDF5 does not take, names too long,
 /// folders that may not be written.
 pub fn try_partial(output: &Path) -> Result<()> {

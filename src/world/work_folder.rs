@@ -111,7 +111,10 @@ impl WorkFolder {
     /// # Errors
     /// [`Error::Invalid`].
     pub fn check_partial(&self, partial: &Path) -> Result<()> {
-        if self.folder.is_dir() || !partial.exists() {
+        let there = fs::symlink_metadata(partial);
+        // A link would have the unfinished file written elsewhere: no run has left it.
+        let link = there.as_ref().is_ok_and(|there| !there.is_file());
+        if there.is_err() || (self.folder.is_dir() && !link) {
             return Ok(());
         }
         let expected = "is where the unfinished file would go, and holds something else; move it, or name another file";

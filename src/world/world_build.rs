@@ -10,7 +10,7 @@ use super::build_summary::{BuildSummary, layer_warning};
 use super::field_scan::FieldScan;
 use super::footprint;
 use super::noise_free::{refined, refinement, too_coarse};
-use super::publish::{Companion, partial, place, publish_companion, try_partial};
+use super::publish::{Companion, partial, place, publish_companion, try_companion, try_partial};
 use super::subtile_store::SubtileStore;
 use super::subtiles::Partition;
 use super::work_folder::WorkFolder;
@@ -303,6 +303,9 @@ impl WorldBuild {
         // First, so that unfinished files are known to be of a build.
         work.create()?;
         try_partial(output)?;
+        if let Some(companion) = companion {
+            try_companion(companion)?;
+        }
         self.check_disk(output, companion)?;
         if self.own.is_none() {
             self.check_space(output, companion, self.library_bytes()?)?;

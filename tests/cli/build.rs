@@ -17,6 +17,8 @@ const SUBTILES: [&str; 4] = ["--subtile", "0.6", "--subtile-overlap", "0.1"];
 #[test]
 fn a_world_is_built_with_its_picture() {
     let folder = tempfile::tempdir().unwrap();
+    let told = fails(tiny(folder.path()).args(["--seed", "9223372036854775808"]));
+    assert!(told.contains("at most 9223372036854775807"), "{told}");
     let run = tiny(folder.path()).args(["--seed", "7", "--keep-clean"]).output().unwrap();
     assert!(run.status.success(), "{}", stderr(&run));
     let told = stdout(&run);

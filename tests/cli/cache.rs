@@ -73,6 +73,11 @@ fn materials_are_listed_and_removed() {
     assert!(*images > 0 && images == same, "{held:?}");
     let told = printed(&mut cache(here, &["list"]));
     assert!(told.contains(&format!("{images} images")), "{told}");
+    // Those of a recipe of one's own are simulated again too.
+    let tiny = file("tests/cli/tiny.toml");
+    let told = json(&mut cache(here, &["verify", &tiny, "--recompute", "1"]));
+    assert_eq!((&told["sound"], &told["images"]), (&true.into(), &(*images).into()), "{told}");
+    assert_eq!(told["recomputed"][0]["difference"], 0.0, "{told}");
 
     let told = fails(&mut cache(here, &["clear", "srtio3"]));
     assert!(told.contains("`srtio3`; it holds other, tiny"), "{told}");
@@ -210,5 +215,5 @@ fn damaged_and_foreign_images_are_found() {
     assert_eq!(run.status.code(), Some(3));
     assert!(stdout(&run).contains("DAMAGED") && stdout(&run).contains("0 of 1 images"));
     let told = fails(&mut cache(here, &["verify", "--recompute", "1"]));
-    assert!(told.contains("<MATERIAL>"), "{told}");
+    assert!(told.contains("<MATERIAL|RECIPE.toml>"), "{told}");
 }

@@ -38,6 +38,17 @@ fn nothing_lost_is_said_and_nonsense_is_refused() {
     let here = folder.path();
     let told = fails(stemgen(here).args(["live", "test", "-o", "s.png"]));
     assert!(told.contains("s.h5"), "{told}");
+    let told = fails(stemgen(here).args(SERIES).args([
+        "--dose",
+        "1e5",
+        "--animation",
+        "--frame-s",
+        "100",
+        "-o",
+        "s.h5",
+    ]));
+    assert!(told.contains("--frame-s 100: write 0.01 to 60 seconds"), "{told}");
+    assert!(!here.join("s.h5").exists());
     let told = fails(
         stemgen(here)
             .args([&SERIES[..], &["--dose", "1e5", "--most-dose", "1e5", "-o", "s.h5"]].concat()),

@@ -59,6 +59,9 @@ fn a_picture_never_replaces_its_world() {
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     let told = fails(&mut build(&["-o", "x.png", "--no-png"]));
     assert!(told.contains("did you mean x.h5?"), "{told}");
+    std::fs::write(folder.path().join("file"), "").unwrap();
+    let told = fails(&mut build(&["-o", "file/x.h5"]));
+    assert!(told.contains("would lie in file, which is a file"), "{told}");
 }
 
 /// Names that the file system takes, but not with an ending more, or not HDF5.
@@ -77,6 +80,8 @@ fn names_that_fail_at_the_end_fail_at_the_beginning() {
         let told = fails(&mut command);
         // a hard world takes a quarter of an hour
         assert!(begun.elapsed().as_secs() < 60, "{name:?}: {told}");
+        let why = if name.to_str().is_some() { "too long" } else { "no text in UTF-8" };
+        assert!(told.contains(why), "{name:?}: {told}");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "{name:?}: {told}");
     }
 }

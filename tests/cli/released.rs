@@ -111,6 +111,22 @@ fn a_released_world_is_what_it_was() {
     let ended = with(&|text| text.replacen("numerics = ", "numerics = 9", 1));
     assert_eq!(ended.status.code(), Some(1));
     assert!(stderr(&ended).contains("take the program that the manifest came with"));
+    // One that cannot be compared does not keep the others from it.
+    std::fs::write(here.join("again/srtio3_easy.h5"), "no HDF5").unwrap();
+    let ended = regenerate(here).args(["srtio3_easy", "test", "-o", "again"]).output().unwrap();
+    assert_eq!(ended.status.code(), Some(1));
+    let told = stderr(&ended);
+    assert!(told.contains("error: srtio3_easy: ") && told.contains("is not HDF5"), "{told}");
+    assert!(told.contains("1 of 2 worlds were not compared"), "{told}");
+    let table = stdout(&ended);
+    assert!(table.contains("FAILED") && table.contains("was there"), "{table}");
+    let f = hdf5::File::open_rw(here.join("again/test.h5")).unwrap();
+    f.unlink("clean").unwrap();
+    f.close().unwrap();
+    let ended = regenerate(here).args(["test", "-o", "again"]).output().unwrap();
+    assert_eq!(ended.status.code(), Some(1));
+    let told = stderr(&ended);
+    assert!(told.contains("holds no noiseless image to compare; move it away"), "{told}");
     let told = fails(regenerate(here).arg("nope"));
     assert!(told.contains("nope: is no world of the manifest") && told.contains("test"), "{told}");
 }

@@ -164,6 +164,16 @@ fn bad_shards_are_explained() {
         let told = fails(build(folder.path(), &[]).args(["--shard", "0/2"]).args(other));
         assert!(told.contains("cannot be used with"), "{told}");
     }
+    for (other, said) in [
+        (&["test", "--accuracy", "1%"][..], "--accuracy lets an audit choose the engine"),
+        (&["test", "--max-error=1"], "--max-error lets an audit choose the engine"),
+        (&["--all"], "a script builds one world"),
+        (&["test", "--shard", "0/2"], "--shard has no place"),
+    ] {
+        let mut command = stemgen(folder.path());
+        let told = fails(command.args(["slurm", "--shards", "2", "build"]).args(other));
+        assert!(told.contains(said), "{told}");
+    }
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
 }
 

@@ -1,6 +1,6 @@
 //! `stemgen simulate`.
 
-use super::{file, json, python, stderr, stdout, stemgen};
+use super::{fails, file, json, python, stderr, stdout, stemgen};
 use std::path::Path;
 use std::process::Command;
 
@@ -83,7 +83,9 @@ fn a_dry_run_tells_the_numbers_and_writes_nothing() {
     assert_eq!((&plan["scan"]["rows"], &plan["probes"]), (&66.into(), &(66 * 66).into()));
     assert_eq!((&plan["beams"], &plan["configurations"]), (&0.into(), &1.into()));
     assert!(number("memory_bytes") > 50e6 && number("memory_bytes") < 500e6);
-    assert!(number("estimated_time_s") > 0.0);
+    let [least, most] = [0, 1].map(|k| plan["estimated_range_s"][k].as_f64().unwrap());
+    let middle = number("estimated_time_s");
+    assert!(0.0 < least && least < middle && middle < most, "{least} {middle} {most}");
     assert_eq!(plan["warnings"], serde_json::json!([]));
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
 }
@@ -318,4 +320,24 @@ fn a_closed_pipe_is_no_fault() {
     let mut bash = Command::new("bash");
     let run = bash.args(["-c", &command]).current_dir(folder.path()).output().unwrap();
     assert!(run.status.success() && stderr(&run).is_empty(), "{}", stderr(&run));
+}
+
+#[test]
+fn electrons_beyond_counting_and_names_used_twice_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |more: &[&str]| {
+        let mut command = stemgen(folder.path());
+        command.arg("simulate").arg(file("structures/si.cif"));
+        command.args(["--scan-end", "1,1", "-o", "x.h5"]).args(more);
+        fails(&mut command)
+    };
+    for dose in ["1e20", "1e308"] {
+        let told = run(&["--dose", dose]);
+        assert!(told.contains("more than can be counted; write at most"), "{told}");
+    }
+    let told = run(&["--dose", "100", "--detector", "A=68-200", "--detector", "A_noisy=90-200"]);
+    assert!(told.contains("the name of another, A_noisy"), "{told}");
+    let told = run(&["--focal-spread", "1e308"]);
+    assert!(told.contains("1e308: must be from 0 to") && told.len() < 400, "{told}");
+    assert!(!folder.path().join("x.h5").exists());
 }

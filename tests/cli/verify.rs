@@ -71,7 +71,9 @@ fn a_sound_world_and_each_fault_are_told() {
         let dose = attribute.read_scalar::<f64>().unwrap();
         attribute.write_scalar(&(2.0 * dose)).unwrap();
     });
-    assert!(fault(here).starts_with("counts: mean and scatter"), "{}", fault(here));
+    let told = faults(here);
+    assert!(told[0].starts_with("attributes: `dose_electrons_per_angstrom2`"), "{told:?}");
+    assert!(told[1].starts_with("counts: mean and scatter") && told.len() == 2, "{told:?}");
     damaged(here, |f| {
         let types = f.dataset("ground_truth/atom_types").unwrap();
         let mut values = types.read_1d::<i32>().unwrap();
@@ -83,7 +85,9 @@ fn a_sound_world_and_each_fault_are_told() {
         values[pristine] = true;
         mask.write(&values).unwrap();
     });
-    assert!(fault(here).starts_with("columns: column"), "{}", fault(here));
+    let told = faults(here);
+    assert!(told[0].contains("has type 1 and the defect type ``"), "{told:?}");
+    assert!(told[1].starts_with("columns: column 0 lists"), "{told:?}");
     damaged(here, |f| tile(f, "overview", |o| o[[1, 1]] += 0.01));
     assert!(fault(here).starts_with("overview: differs"), "{}", fault(here));
     damaged(here, |f| {
@@ -92,7 +96,32 @@ fn a_sound_world_and_each_fault_are_told() {
         values[[5, 0]] = 90.0;
         positions.write(&values).unwrap();
     });
-    assert!(fault(here).contains("site 5 lies at x 90"), "{}", fault(here));
+    let told = faults(here);
+    assert!(told[0].contains("site 5 lies at x 90"), "{told:?}");
+    assert!(told[1].contains("site 5 lies beside its column"), "{told:?}");
+    damaged(here, |f| tile(f, "overview", |o| o[[1, 1]] = f32::NAN));
+    assert!(fault(here).starts_with("overview: differs"), "{}", fault(here));
+    damaged(here, |f| {
+        let lines = f.group("ground_truth/grain_boundaries").unwrap();
+        let points = ndarray::arr2(&[[0.1_f32, 0.1], [f32::NAN, 0.2]]);
+        lines.new_dataset_builder().with_data(&points).create("0").unwrap();
+    });
+    assert!(fault(here).contains("boundaries at NaN nm"), "{}", fault(here));
+    let attribute = |f: &hdf5::File, group: &str, name: &str, value: f64| {
+        f.group(group).unwrap().attr(name).unwrap().write_scalar(&value).unwrap();
+    };
+    for (group, name, value) in [
+        ("metadata", "dose_electrons_per_angstrom2", -1e5),
+        ("metadata", "dose_electrons_per_angstrom2", f64::NAN),
+        ("tiles", "scale", 0.0),
+    ] {
+        damaged(here, |f| attribute(f, group, name, value));
+        let told = fault(here);
+        assert!(
+            told.starts_with("schema:") && told.contains(name.split('_').next().unwrap()),
+            "{told}"
+        );
+    }
 }
 
 #[test]
@@ -106,4 +135,90 @@ fn what_is_no_world_is_told() {
     let output = stemgen(here).args(["verify", "nothing.h5"]).output().unwrap();
     assert_eq!(output.status.code(), Some(1), "{}", stdout(&output));
     assert!(stderr(&output).contains("nothing.h5"), "{}", stderr(&output));
+}
+
+/// Changes one value of a list of the truth.
+fn changed<T: hdf5::H5Type>(file: &hdf5::File, list: &str, at: usize, value: T) {
+    let dataset = file.dataset(&format!("ground_truth/{list}")).unwrap();
+    let mut values = dataset.read_raw::<T>().unwrap();
+    values[at] = value;
+    dataset.write_raw(&values).unwrap();
+}
+
+/// Puts another dataset in the place of one.
+fn replaced<T: hdf5::H5Type, D: ndarray::Dimension>(
+    file: &hdf5::File,
+    name: &str,
+    values: &ndarray::Array<T, D>,
+) {
+    file.unlink(name).unwrap();
+    file.new_dataset_builder().with_data(values).create(name).unwrap();
+}
+
+#[test]
+fn lists_that_contradict_each_other_are_told() {
+    use hdf5::types::{FixedAscii, VarLenUnicode};
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    built(here);
+    let told = |change: &dyn Fn(&hdf5::File)| {
+        damaged(here, change);
+        fault(here)
+    };
+    for depth in [f32::NAN, 7.0] {
+        let fault = told(&|f| changed(f, "atom_z", 3, depth));
+        assert!(fault.starts_with("sites: site 3 lies at a depth of"), "{fault}");
+    }
+    let name = FixedAscii::<16>::from_ascii("vacancy_O").unwrap();
+    let pristine = |f: &hdf5::File| {
+        let types = f.dataset("ground_truth/atom_types").unwrap().read_1d::<i32>().unwrap();
+        types.iter().position(|t| *t == 0).unwrap()
+    };
+    let fault = told(&|f| changed(f, "defect_types", pristine(f), name));
+    assert!(fault.contains("has type 0 and the defect type `vacancy_O`"), "{fault}");
+    let fault = told(&|f| changed(f, "atomic_numbers", pristine(f), 74));
+    assert!(fault.starts_with("columns: column") && fault.contains("which its sites are not"));
+    let fault = told(&|f| {
+        let place = f.dataset("ground_truth/columns/position").unwrap();
+        let x = place.read_raw::<f32>().unwrap()[4];
+        changed(f, "columns/position", 4, x + 0.02);
+    });
+    assert!(fault.starts_with("columns: column 2 is listed at x"), "{fault}");
+    let text = FixedAscii::<32>::from_ascii("W3").unwrap();
+    let fault = told(&|f| changed(f, "columns/composition", 1, text));
+    assert!(fault.starts_with("columns: column 1 is listed as `W3`"), "{fault}");
+
+    let fault = told(&|f| {
+        let wide = f.dataset("tiles/1_0").unwrap().read_2d::<f32>().unwrap().mapv(f64::from);
+        replaced(f, "tiles/1_0", &wide);
+    });
+    assert!(fault.contains("/tiles/1_0 holds float64, expected float32"), "{fault}");
+    let fault = told(&|f| {
+        let mask = f.dataset("ground_truth/defect_mask").unwrap().read_1d::<bool>().unwrap();
+        replaced(f, "ground_truth/defect_mask", &mask.mapv(u8::from));
+    });
+    assert!(fault.contains("defect_mask holds uint8, expected bool"), "{fault}");
+    let fault = told(&|f| replaced(f, "valid_region", &ndarray::arr2(&[[true, false]])));
+    assert!(fault.contains("/valid_region has the shape [1, 2]"), "{fault}");
+    let fault = told(&|f| f.unlink("valid_region").unwrap());
+    assert!(fault.contains("has no dataset /valid_region"), "{fault}");
+
+    let fault = told(&|f| f.group("metadata").unwrap().delete_attr("seed").unwrap());
+    assert!(fault.starts_with("attributes: `seed` is missing"), "{fault}");
+    let fault = told(&|f| {
+        let other: VarLenUnicode = "batio3".parse().unwrap();
+        let metadata = f.group("metadata").unwrap();
+        metadata.delete_attr("material").unwrap();
+        metadata.new_attr_builder().with_data(&[other]).create("material").unwrap();
+    });
+    assert!(fault.starts_with("attributes: `material`"), "{fault}");
+    let fault = told(&|f| {
+        let attribute = f.group("metadata").unwrap().attr("origin_px_in_full_field").unwrap();
+        attribute.write_raw(&[3i64, 4]).unwrap();
+    });
+    assert!(fault.starts_with("attributes: `origin_px_in_full_field`"), "{fault}");
+    let fault = told(&|f| {
+        f.dataset("overview").unwrap().attr("factor").unwrap().write_scalar(&5u64).unwrap();
+    });
+    assert!(fault.starts_with("attributes: `factor of /overview`"), "{fault}");
 }

@@ -204,11 +204,18 @@ fn two_worlds_are_compared_on_every_detector() {
 /// Bright fields make the windows of a mosaic wider, and that is said; detectors outside the beam do not.
 #[test]
 fn a_bright_field_takes_wider_windows() {
-    let policy = |detectors: &str| {
+    let by = |method: BuildMethod, detectors: &str| {
         let recipe = Recipe::load("srtio3", Difficulty::Hard).unwrap();
         let recipe = recipe.with_overrides(&[detectors.parse().unwrap()]).unwrap();
-        BuildOptions::default().policy(&recipe.checked().unwrap()).unwrap()
+        let options = BuildOptions { method, ..BuildOptions::default() };
+        options.policy(&recipe.checked().unwrap()).unwrap()
     };
+    let policy = |detectors: &str| by(BuildMethod::Auto, detectors);
+    for method in [BuildMethod::Mosaic, BuildMethod::Window] {
+        let asked = by(method, THREE);
+        assert_eq!(asked.imaging.simulator.window_angstrom(), Some(15.6));
+        assert!(asked.warnings[0].contains("ABF sees the beam itself"), "{:?}", asked.warnings);
+    }
     let bright = policy(THREE);
     assert_eq!(bright.imaging.method, MethodChoice::Auto);
     assert_eq!(bright.imaging.simulator.window_angstrom(), Some(15.6));

@@ -224,6 +224,24 @@ fn a_world_goes_on_from_a_snapshot() {
     }
 }
 
+/// Places that overlap add up to more than the mean of any recording: such a moment can be gone back to as well. And what is told of
+/// a place is what it was given.
+#[test]
+fn a_moment_of_uneven_doses_can_be_gone_back_to() {
+    let few = LiveOptions { most_dose: 5e5, ..options(BuildMethod::Mosaic) };
+    let mut live = LiveWorld::new(&recipe(&[]), 7, &few, &Silent).unwrap();
+    let first = request([2.3, 2.5], 1.0, 4.4e5);
+    live.acquire(&first, &Silent).unwrap();
+    let half = 0.5 * first.part.size_nm[0] - 0.05;
+    let place = Region { x: [2.3 - half, 2.3 + half], y: [2.5 - half, 2.5 + half] };
+    assert!((live.mean_dose(&place) / 4.4e5 - 1.0).abs() < 1e-9, "{}", live.mean_dose(&place));
+    live.acquire(&request([3.1, 2.5], 1.0, 2.2e5), &Silent).unwrap();
+    let moment = live.snapshot();
+    assert!(live.specimen().dose().greatest() > 5e5);
+    live.restore(&moment).unwrap();
+    assert_eq!(live.snapshot(), moment);
+}
+
 /// Many recordings in little memory: blocks are dropped, and come back the same.
 #[test]
 fn memory_is_bounded_and_images_do_not_depend_on_it() {

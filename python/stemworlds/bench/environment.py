@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from ..errors import _invalid
 from . import rendering
-from .episodes import ACQUIRE, DECLARE, DOSE, NAVIGATE, OVERVIEW_PX, ZOOM, Acquired, Episodes, FieldFacts, Moves, Task, observation
+from .episodes import ACQUIRE, DECLARE, DOSE, KINDS, NAVIGATE, OVERVIEW_PX, ZOOM, Acquired, Episodes, FieldFacts, Moves, Task, kinds, observation
 from .findings import Findings
 
 Observation = dict[str, npt.NDArray[Any]]
@@ -57,9 +58,15 @@ def action_space() -> spaces.Dict:
     )
 
 
+def _type(action: Action) -> Any:
+    if not isinstance(action, Mapping) or "type" not in action:
+        raise _invalid("action", f"action {action!r}: expected a dict with the key type: {KINDS}")
+    return action["type"]
+
+
 def fill(moves: Moves, slot: int, action: Action) -> None:
     """Puts an action of an environment where it belongs. What it lacks takes its default."""
-    moves.kinds[slot] = int(action["type"])
+    moves.kinds[slot] = kinds([_type(action)])[0]
     x, y = np.asarray(action.get("position", (0.5, 0.5)), dtype=np.float64).reshape(2)
     moves.positions[slot] = (float(x), float(y))
     moves.zooms[slot] = float(np.asarray(action.get("zoom", 1.0)).reshape(-1)[0])
@@ -73,7 +80,7 @@ class MicroscopeEnv(gym.Env[Observation, Action]):
 
     An action has a ``type``: 0 goes to ``position`` (x, y in fractions of the field), 1 acquires there with ``zoom`` and ``dose``, 2
     declares ``report`` (JSON, see :class:`Findings`), 3 ends the episode. Only acquisitions cost: 100 * dose * zoom**2 electrons per
-    square Angstrom. One that does not fit the budget is refused and ends the episode. Scores are recorded after every fifth acquired
+    square Angstrom. ``zoom`` and ``dose`` beyond the limits of the action space are moved to these. One that does not fit the budget is refused and ends the episode. Scores are recorded after every fifth acquired
     tile, with what was declared last before the next one, from the first declaration on.
 
     Args:
@@ -82,14 +89,14 @@ class MicroscopeEnv(gym.Env[Observation, Action]):
         world: a world file; or
         recipe: a recipe, of which each reset makes another specimen; with ``difficulty``, ``set``, ``unset``, ``grid``, ``seed``.
         damage: acquisitions change the specimen, as the table ``[damage]`` of the recipe says.
-        split: ``"train"`` or ``"test"``: seeds of specimens that have none in common.
+        split: of recipes: ``"train"`` (default) or ``"test"``: seeds of specimens that have none in common.
         budget: electrons per square Angstrom.
         horizon: number of steps.
         cadence: acquired tiles from one record of the score to the next.
         exposure: ``"tier"``: a pixel gets the dose of the world's tier times the multiplier; ``"physical"``: the dose that is paid for.
         noise: ``"poisson"`` counts electrons; ``"stored"`` shows the tiles of the file, and is what recorded data take.
         reward: ``"none"``; ``"score_gain"`` pays changes of the score, ``"sparse"`` the final score.
-        target: the type of defect that targeted characterisation asks for; the world's commonest by default.
+        target: the type of defect that targeted characterisation asks for, ``"vacancy"`` or ``"substitution"``; the world's commonest by default.
         overview: show the overview. Of a recipe it has to be simulated, which takes longer than a tile.
         phase_stride_px: phases are compared at every so many pixels.
         cache, threads, progress: as for :func:`stemworlds.build`; the first environment of a recipe fills its library, which takes minutes.

@@ -25,6 +25,8 @@ Split = Literal["train", "test"]
 
 #: Kinds of actions.
 NAVIGATE, ACQUIRE, DECLARE, DONE = range(4)
+#: The same in words.
+KINDS = "0 goes to a place, 1 acquires, 2 declares, 3 ends the episode"
 #: Limits of the zoom of an acquisition.
 ZOOM = (1.0, 8.0)
 #: Limits of its dose, times the reference dose of 100 electrons per square Angstrom.
@@ -117,6 +119,14 @@ class Acquired:
     __hash__: ClassVar[None]  # type: ignore[assignment]
 
 
+def kinds(given: Sequence[Any]) -> list[int]:
+    """Types of actions, as integers."""
+    for kind in given:
+        if kind not in range(4):
+            raise _invalid("action", f"type {kind!r}: {KINDS}")
+    return [int(kind) for kind in given]
+
+
 @dataclass
 class Moves:
     """What each of some environments does next."""
@@ -148,7 +158,7 @@ class Episodes:
         difficulty: Difficulty | None = None,
         live: bool = True,
         damage: bool = False,
-        split: Split = "train",
+        split: Split | None = None,
         budget: float = 5000.0,
         horizon: int = 200,
         cadence: int = 5,
@@ -168,6 +178,8 @@ class Episodes:
         if world is not None and (changes or difficulty is not None or damage):
             given = ", ".join([*changes, *(["difficulty"] if difficulty else []), *(["damage"] if damage else [])])
             raise _invalid("world", f"{given}: a world file is as it is; these belong to recipe=...")
+        if world is not None and split is not None:
+            raise _invalid("split", f"split={split!r}: a world file is one specimen; splits are those of recipe=...")
         if recipe is not None and not live:
             raise _invalid("live", "live=False: worlds of a recipe are made at each reset; build a file and pass world=... instead")
         self._threads = threads
@@ -177,7 +189,7 @@ class Episodes:
             "world": None if world is None else os.fspath(world),
             "toml": None if recipe is None else Recipe(recipe, difficulty, **changes).toml,
             "damage": damage,
-            "split": split,
+            "split": split or "train",
             "cache": cache if isinstance(cache, bool) else os.fspath(cache),
         }
         rules = {

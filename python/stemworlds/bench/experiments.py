@@ -15,7 +15,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from ..errors import FileMissing, FormatError, InvalidValue, _invalid
+from ..errors import FileError, FileMissing, FormatError, InvalidValue, _invalid
 from . import registration
 from .catalogue import agent_specification, unknown
 
@@ -125,7 +125,12 @@ def read_experiment(source: str | os.PathLike[str]) -> Experiment:
             raise FileMissing(f"{source}: no such file, and no experiment of the package: {', '.join(packaged)}")
         text, folder = packaged[str(source)], Path()
     else:
-        text, folder = path.read_text(encoding="utf-8"), path.parent
+        try:
+            text, folder = path.read_text(encoding="utf-8"), path.parent
+        except UnicodeDecodeError as error:
+            raise FormatError(f"{source}: not TOML: its bytes are no text in UTF-8") from error
+        except OSError as error:
+            raise FileError(f"{source}: cannot be read: {error.strerror}") from error
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

@@ -16,10 +16,17 @@ __all__ = ["ResultFile", "read_failures", "read_results"]
 
 Row = dict[str, Any]
 _NEEDED = {"key", "agent", "task", "world", "seed", "budget"}
+#: What each line begins with.
+_BEGINNING = b'{"key"'
 
 
 class ResultFile:
-    """A file of results that is written to, by one process at a time. A last line that was cut off in the writing is removed."""
+    """A file of results that is written to, by one process at a time. A last line that was cut off in the writing is removed.
+
+    Raises:
+        FormatError: if the file is there and holds something else; it stays as it is.
+        OutputLocked: if another run writes it.
+    """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path: Path = Path(path)
@@ -37,12 +44,26 @@ class ResultFile:
         except OSError:
             self._file.close()
             raise OutputLocked(f"{self.path}: another run writes it; wait for its end, or give another file") from None
+        try:
+            self._cut_off()
+        except BaseException:
+            self._file.close()
+            raise
+        return self
+
+    def _cut_off(self) -> None:
+        """Removes a last line without its end, if the file holds results and nothing else."""
+        assert self._file is not None, "the file is not open"
         self._file.seek(0)
         told = self._file.read()
         whole = told.rfind(b"\n") + 1
-        if whole < len(told):
+        rest = told[whole:]
+        for _ in _rows(self.path):
+            pass
+        if not rest.startswith(_BEGINNING[: len(rest)]):
+            raise FormatError(f"{self.path}: holds no results, and stays as it is; give another file")
+        if rest:
             self._file.truncate(whole)
-        return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         if self._file is not None:
@@ -83,14 +104,14 @@ def read_failures(path: str | os.PathLike[str]) -> list[Row]:
 
 
 def _rows(path: Path) -> Iterator[Row]:
-    with open(path, encoding="utf-8") as lines:
+    with open(path, "rb") as lines:
         for number, line in enumerate(lines, 1):
-            if not line.endswith("\n"):
+            if not line.endswith(b"\n"):
                 # Cut off in the writing, or still being written.
                 return
             try:
-                row = json.loads(line)
-            except ValueError as error:
+                row = json.loads(line.decode())
+            except (ValueError, RecursionError) as error:
                 raise FormatError(f"{path}:{number}: no JSON: {error}") from error
             if not isinstance(row, dict) or not _NEEDED <= row.keys() or not ("error" in row or {"curve", "metrics"} <= row.keys()):
                 raise FormatError(f"{path}:{number}: no result of an episode")

@@ -62,6 +62,9 @@ def main(arguments: list[str]) -> int:
     except (errors.StemworldsError, ValueError, OSError, OverflowError) as error:
         print(f"stemworlds serve: {error}", file=sys.stderr)
         return 1
+    except KeyboardInterrupt:
+        print("interrupted; the same command goes on with the library", file=sys.stderr)
+        return 130
     with server:
         print(f"listening on {given.host}:{server.port}; Ctrl-C ends it", flush=True)
         try:

@@ -25,6 +25,16 @@ LONGEST_FRAME_S = 600.0
 BEAM_NM = 0.1
 #: Rows and columns of an image.
 SIZES = (8, 4096)
+#: What verbs take that change something or record. A name that is spelt otherwise would be a silent default.
+_TAKES = {
+    "set_stage": {"x", "y", "z", "a", "b", "relative"},
+    "set_fov": {"fov"},
+    "set_current": {"current"},
+    "set_beam_current": {"current"},
+    "get_scanned_image": {"scanning_detector", "detector", "size", "dwell_time"},
+    "place_beam": {"x", "y", "beam_pos"},
+    "unblank_beam": {"duration", "dwell_time"},
+}
 
 
 class Microscope:
@@ -60,6 +70,10 @@ class Microscope:
         does = self._verbs().get(verb)
         if does is None:
             raise ValueError(f"unknown verb {verb!r}; discover_commands lists those that there are")
+        takes = _TAKES.get(verb, set(arguments))
+        unknown = sorted(set(arguments) - takes)
+        if unknown:
+            raise ValueError(f"{verb} takes no {unknown[0]!r}; it takes {', '.join(sorted(takes))}")
         if verb == "get_status":
             # It never waits.
             return does(arguments)

@@ -91,6 +91,11 @@ impl CellImages {
         }
     }
 
+    /// Whether its images are those of such a sheet with such settings.
+    pub(super) fn shows(&self, sheet: &LibraryCell, settings: &Settings) -> bool {
+        self.sheet == *sheet && self.settings == *settings
+    }
+
     /// Probes of one image.
     pub fn probes(&self) -> usize {
         self.scan.len()

@@ -1,7 +1,7 @@
 //! The library: images of the sheets, one for each sheet and phonon configuration; which of them are missing, and what those take.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
 
 use ndarray::Array2;
 
@@ -12,10 +12,12 @@ use crate::imaging::beam_share::beam_factors;
 use crate::imaging::mosaic::cell_images::CellImages;
 use crate::imaging::mosaic::image_note::{ImageNote, NewImages};
 use crate::imaging::mosaic::library_cache::Cache;
+use crate::imaging::mosaic::shared_sheets::SharedSheets;
 use crate::imaging::mosaic::supplied_images::is_supplied;
 use crate::progress::{Progress, ProgressShare};
 use crate::rng::{Purpose, words};
 use crate::specimen::specimen_trait::Specimen;
+use crate::specimen::units::library_cell::LibraryCell;
 use crate::specimen::units::unit_tag::{TurnedFamily, UnitTag};
 
 /// An image that has to be simulated.
@@ -24,30 +26,6 @@ pub struct MissingImage {
     pub probes: usize,
     /// What its file takes.
     pub bytes: u64,
-}
-
-/// Sheets with their images that the libraries of several specimens share, such as those of one recipe with other seeds.
-#[derive(Default)]
-pub struct SharedSheets {
-    /// By all that decides the images of a sheet.
-    filled: Mutex<HashMap<String, Arc<CellImages>>>,
-}
-
-impl SharedSheets {
-    /// Sheets of this name, from those that are there or else from `fill`. Two that ask at once may both fill them: a lock that is held
-    /// during work in threads would wait for itself.
-    fn get(
-        &self,
-        name: String,
-        fill: impl FnOnce() -> Result<CellImages>,
-    ) -> Result<Arc<CellImages>> {
-        let lock = || self.filled.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(found) = lock().get(&name) {
-            return Ok(Arc::clone(found));
-        }
-        let made = Arc::new(fill()?);
-        Ok(Arc::clone(lock().entry(name).or_insert(made)))
-    }
 }
 
 /// All sheets that a world needs.
@@ -98,6 +76,16 @@ impl ImageLibrary {
 
     /// The sheets of a family, yet without images.
     fn cell(&self, specimen: &dyn Specimen, turned: TurnedFamily) -> Result<CellImages> {
+        let (sheet, settings) = self.source(specimen, turned)?;
+        Ok(CellImages::new(sheet, turned.family, settings))
+    }
+
+    /// The sheets of a family, and the settings of their images.
+    fn source(
+        &self,
+        specimen: &dyn Specimen,
+        turned: TurnedFamily,
+    ) -> Result<(LibraryCell, Settings)> {
         let family = turned.family;
         let sheet = specimen.library_cell(family).ok_or_else(|| {
             let expected = "the specimen has no sheet of this family";
@@ -110,7 +98,7 @@ impl ImageLibrary {
                 ..self.settings.clone()
             },
         };
-        Ok(CellImages::new(sheet.rounded(), family, settings))
+        Ok((sheet.rounded(), settings))
     }
 
     /// The families of these that are not there.
@@ -131,9 +119,14 @@ impl ImageLibrary {
         progress: &dyn Progress,
     ) -> Result<()> {
         let configurations = self.configurations;
+        let with = (sigma, configurations);
         let mut cells = Vec::new();
         for turned in families {
-            cells.push((*turned, self.cell(specimen, *turned)?));
+            let (sheet, settings) = self.source(specimen, *turned)?;
+            match shared.of_family(*turned, (&sheet, &settings), with) {
+                Some(filled) => drop(self.cells.insert(*turned, filled)),
+                None => cells.push((*turned, CellImages::new(sheet, turned.family, settings))),
+            }
         }
         let probes = |(_, cell): &(_, CellImages)| cell.probes() * cell.sheet.count;
         let all = configurations * cells.iter().map(probes).sum::<usize>();
@@ -145,10 +138,18 @@ impl ImageLibrary {
                 fill_cell(&mut cell, configurations, images, progress)?;
                 Ok(cell)
             })?;
+            shared.keep(turned, &filled, with);
             self.cells.insert(turned, filled);
         }
         progress.finish();
         Ok(())
+    }
+
+    /// Takes in the sheets that another library of the same specimen has.
+    pub fn merge(&mut self, other: &Self) {
+        for (family, cell) in &other.cells {
+            self.cells.entry(*family).or_insert_with(|| Arc::clone(cell));
+        }
     }
 
     /// The sheets of a unit's family.

@@ -23,6 +23,7 @@ use super::library_cache::{Cache, Holding};
 use crate::error::{Error, Result};
 use crate::files::array_store;
 use crate::files::atomic_write;
+use crate::files::whole_file;
 use crate::numerics::NUMERICS_VERSION;
 use crate::progress::Progress;
 
@@ -30,6 +31,8 @@ const MAGIC: &[u8; 8] = b"STEMLIB1";
 const DIGEST: usize = 32;
 /// Bytes of a value: its bytes lie this far apart in the order in which they are packed.
 const VALUE: usize = 4;
+/// The largest archive that is read.
+const MOST_ARCHIVE_BYTES: usize = 4 << 30;
 /// The largest image: no library has one of a tenth of it.
 const LARGEST_IMAGE: u64 = 1 << 30;
 
@@ -69,7 +72,7 @@ impl Archive {
     /// # Errors
     /// [`Error::Parse`] for a file that is no archive, is damaged, or is of another version of the numerics; [`Error::Io`].
     pub fn open(path: &Path) -> Result<Self> {
-        let bytes = fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+        let bytes = whole_file::read(path, MOST_ARCHIVE_BYTES)?;
         let refused = |message: String| Error::Parse { path: path.to_owned(), line: 0, message };
         let place = |entry: Entry<'_>| {
             let start = entry.packed.as_ptr() as usize - bytes.as_ptr() as usize;
@@ -180,7 +183,7 @@ pub fn export(
 /// [`Error::Parse`] for a file that is no archive, is damaged, or is of another version of the numerics: then nothing is put there;
 /// [`Error::Io`].
 pub fn import(cache: &Cache, path: &Path, progress: &dyn Progress) -> Result<ArchiveSummary> {
-    let bytes = fs::read(path).map_err(|e| Error::io(path, "read", e))?;
+    let bytes = whole_file::read(path, MOST_ARCHIVE_BYTES)?;
     let refused = |message: String| Error::Parse { path: path.to_owned(), line: 0, message };
     let entries = entries(&bytes).map_err(refused)?;
     progress.start("unpacking", "image", entries.len() as u64);

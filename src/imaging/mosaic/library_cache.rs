@@ -207,6 +207,10 @@ impl Cache {
                 return Err(Error::Interrupted);
             }
             let key = path.file_stem().unwrap_or_default().to_string_lossy();
+            if !path.is_file() {
+                faults.push(CacheFault { path: path.clone(), fault: "is no regular file" });
+                continue;
+            }
             let bytes = fs::read(path).map_err(|e| Error::io(path, "read", e))?;
             if let Err(fault) = checked(&bytes, &key) {
                 faults.push(CacheFault { path: path.clone(), fault });

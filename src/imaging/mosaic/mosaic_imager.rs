@@ -7,10 +7,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 use ndarray::Array2;
 
 use super::assembly::Assembly;
-use super::image_library::{ImageLibrary, RecomputedImage, SharedSheets};
+use super::image_library::{ImageLibrary, RecomputedImage};
 use super::library_cache::Cache;
 use super::missing_blocks::{BLOCK_ANGSTROM, BLOCK_PX, blocks};
 use super::mosaic_cost::MosaicCost;
+use super::shared_sheets::SharedSheets;
 use super::survey::{FieldSurvey, survey};
 use crate::error::{Error, Result};
 use crate::files::Shard;
@@ -143,9 +144,11 @@ impl MosaicImager {
         let images = (self.recipe.id.as_str(), &sigma as &dyn Fn(u8) -> f64, &self.cache);
         let mut more = ImageLibrary::clone(&known);
         more.add((&*self.specimen, &unknown), &growing.shared, images, progress)?;
-        let more = Arc::new(more);
-        *so_far() = Arc::clone(&more);
-        Ok(more)
+        let mut so_far = so_far();
+        // What others have found meanwhile stays.
+        more.merge(&so_far);
+        *so_far = Arc::new(more);
+        Ok(Arc::clone(&so_far))
     }
 
     /// What the field holds.

@@ -80,6 +80,14 @@ impl DoseMap {
         if area > 0.0 { sum / area } else { 0.0 }
     }
 
+    /// The same without the outermost cells of the region, some of which reach beyond what was exposed; of a region too small for
+    /// that as [`DoseMap::mean`].
+    pub fn mean_within(&self, region: &Region) -> f64 {
+        let inner = region.grown(-CELL_NM);
+        let large = [inner.x, inner.y].iter().all(|[low, high]| high - low > CELL_NM);
+        self.mean(if large { &inner } else { region })
+    }
+
     /// The greatest dose anywhere, in electrons per square Angstrom.
     pub fn greatest(&self) -> f64 {
         self.blocks.values().flatten().copied().fold(0.0, f64::max)

@@ -27,6 +27,14 @@ impl DistanceHistogram {
         self.counts[bin] += n;
     }
 
+    /// The sites of both.
+    pub fn merged(mut self, other: Self) -> Self {
+        self.counts.resize(self.counts.len().max(other.counts.len()), 0);
+        self.counts.iter_mut().zip(&other.counts).for_each(|(sum, n)| *sum += n);
+        self.beyond += other.beyond;
+        self
+    }
+
     /// Mean of `f(distance in nm)` over the sites; 0 without any.
     fn mean(&self, f: impl Fn(f64) -> f64) -> f64 {
         let total = self.beyond + self.counts.iter().sum::<u64>();

@@ -7,6 +7,7 @@
 //! and by exchanging any of them. Where the recipes tell of interfaces that wander, parts are as large as those wander
 //! ([`Variation`]); a property whose variation no part of the field tells stays undecided.
 
+mod column_squares;
 mod measure;
 mod parts;
 mod spectrum;
@@ -57,7 +58,7 @@ pub struct Line {
     pub what: String,
     /// Its unit; empty for none.
     pub unit: &'static str,
-    /// Value and standard error in the first world.
+    /// Value in the first world, and its standard error; where slow waves tell that of the difference, a half of its square.
     pub a: Option<Ratio>,
     /// Value and standard error in the second world.
     pub b: Option<Ratio>,
@@ -282,7 +283,9 @@ fn mean_line(
     let (test, t, p, [of_a, of_b]) = match by {
         Comparing::Waves { blocks, .. } => {
             let found = blocks.difference(a, b);
-            let ratios = [a, b].map(|v| Ratio::of_blocks(v));
+            // What waves tell is the error of the difference, to which worlds of one kind add alike.
+            let error = found.error * std::f64::consts::FRAC_1_SQRT_2;
+            let ratios = [a, b].map(|v| Ratio { error, ..Ratio::of_blocks(v) });
             ("t of the difference, error from slow waves over the field", found.t, found.p, ratios)
         }
         Comparing::Parts([first, second]) => {
