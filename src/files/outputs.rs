@@ -223,7 +223,8 @@ mod tests {
         );
         let file = folder.path().join("file");
         fs::write(&file, "").unwrap();
-        assert!(refusal(&[&file.join("w.h5")], &[], true).contains("cannot create"));
+        let told = refusal(&[&file.join("w.h5")], &[], true);
+        assert!(told.contains("would lie in") && told.contains("a file and no folder"), "{told}");
         let missing = format!("{}/missing/", folder.path().display());
         let told = refusal(&[Path::new(&missing)], &[], true);
         assert!(told.contains("missing/:") && told.contains("is a folder"), "{told}");

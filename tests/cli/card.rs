@@ -319,7 +319,7 @@ fn what_is_no_folder_of_worlds_is_refused_and_nothing_is_left() {
         (&["w", "empty"], "--output"),
         (&["w", "half/a.h5", "w/test.h5", "-o", "new"], "has the name of"),
         (&["w", "-o", "file"], "is a file"),
-        (&["w", "-o", "file/new"], "cannot create"),
+        (&["w", "-o", "file/new"], "would lie in file, which is a file"),
         (&["w", "-o", "new", "--license", "free"], "CC-BY-4.0"),
         (&["w", "-o", "new", "--date", "today"], "2026-11-23"),
         (&["w", "-o", "new", "--url", "example.org"], "https://"),
