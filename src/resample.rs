@@ -18,6 +18,7 @@ use ndarray::{Array2, ArrayView2, Axis};
 use rayon::prelude::*;
 use std::f64::consts::{PI, TAU};
 use std::ops::Range;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Number of samples that a value is interpolated from, along each axis.
 pub const TAPS: usize = 16;
@@ -79,8 +80,16 @@ pub enum Edge {
 pub struct Kernel {
     /// `tables[n][phase]`: the weights if n + 1 of the samples lie at or below the position, which is `phase / PHASES` of a
     /// sample above the last of them. They add to 1.
-    tables: Vec<Vec<[f64; TAPS]>>,
+    tables: Arc<Tables>,
 }
+
+type Tables = Vec<Vec<[f64; TAPS]>>;
+
+/// Tables that were made last, by the bits of step times band limit: making one takes milliseconds, and the same few are asked for
+/// again and again.
+static KEPT: Mutex<Vec<(u64, Arc<Tables>)>> = Mutex::new(Vec::new());
+/// Their largest number; each takes 1 MB.
+const MOST_KEPT: usize = 8;
 
 /// The samples that a value is interpolated from, and their weights, which add to 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -100,6 +109,21 @@ impl Kernel {
     pub fn new(step: f64, band_limit: f64) -> Result<Self> {
         Self::check(step, band_limit)?;
         let product = step * band_limit;
+        let kept = || KEPT.lock().unwrap_or_else(PoisonError::into_inner);
+        let found = kept().iter().find(|(of, _)| *of == product.to_bits()).map(|(_, t)| t.clone());
+        if let Some(tables) = found {
+            return Ok(Kernel { tables });
+        }
+        let tables = Arc::new(Self::tables(product));
+        let mut kept = kept();
+        if kept.len() >= MOST_KEPT {
+            kept.remove(0);
+        }
+        kept.push((product.to_bits(), Arc::clone(&tables)));
+        Ok(Kernel { tables })
+    }
+
+    fn tables(product: f64) -> Tables {
         let factor = Cholesky::new(|i, j| {
             let noise = if i == j { NOISE } else { 0.0 };
             correlation((i as f64 - j as f64) * product) + noise
@@ -118,7 +142,7 @@ impl Kernel {
             let at = |phase: usize| below as f64 + phase as f64 / PHASES as f64;
             (0..=PHASES).map(|phase| row(at(phase))).collect()
         };
-        Ok(Kernel { tables: (0..TAPS - 1).map(table).collect() })
+        (0..TAPS - 1).map(table).collect()
     }
 
     /// Whether samples `step` apart carry an image without frequencies above `band_limit`.
@@ -418,6 +442,16 @@ mod tests {
         assert_eq!(samples_around([96.0, 96.5], 5..100), 84..100);
         assert_eq!(samples_around([-9.0, 200.0], 5..100), 5..100);
         assert_eq!(samples_around([2.0, 3.0], 0..10), 0..10);
+    }
+
+    #[test]
+    fn tables_that_are_kept_are_those_of_their_step() {
+        for n in (0..2 * MOST_KEPT).chain(0..2).chain([1, 0, 1]) {
+            let product = 0.4 + 0.005 * n as f64;
+            let kernel = Kernel::new(product, 1.0).unwrap();
+            assert!(*kernel.tables == Kernel::tables(product), "{product}");
+        }
+        assert!(KEPT.lock().unwrap().len() <= MOST_KEPT);
     }
 
     #[test]

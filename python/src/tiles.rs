@@ -88,10 +88,8 @@ impl Source {
             None => self.recipe.clone(),
             Some(_) => {
                 let [low, high, ..] = words(self.options.seed, Purpose::Tile, SPECIMEN, number);
-                let mut other = self.recipe.recipe().clone();
                 // TOML holds signed numbers.
-                other.seed = (u64::from(high) << 31) ^ u64::from(low);
-                other.checked()?
+                self.recipe.with_seed((u64::from(high) << 31) ^ u64::from(low))?
             }
         };
         let specimen = specimen(&recipe)?;

@@ -17,6 +17,7 @@ pub mod episode_settings;
 pub mod file_world;
 pub mod findings;
 pub mod matching;
+mod overview_blocks;
 pub mod recipe_world;
 pub mod seen_truth;
 pub mod task;

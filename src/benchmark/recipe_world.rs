@@ -8,6 +8,7 @@ use rayon::prelude::*;
 
 use super::benchmark_world::{BenchmarkWorld, PhaseSamples, RegionTruth, TrueColumn, window};
 use super::findings::{FoundParticle, PlacedDefect, type_name};
+use super::overview_blocks::OverviewBlocks;
 use super::view::{FieldFacts, TileView};
 use crate::error::{Error, Result};
 use crate::imaging::{
@@ -24,8 +25,6 @@ use crate::world::{BuildOptions, ColumnTruth, Noise, SiteTruth};
 
 /// Images of views that a world keeps.
 const KEPT_VIEWS: usize = 256;
-/// Edge in pixels of the blocks of the overview that are made at once.
-const BLOCK_PX: usize = 16;
 /// Places of a field at which the brightest pixel is looked for.
 const SCALED_PLACES: usize = 5;
 /// What is brighter than the brightest pixel of these places by more than this share is cut off.
@@ -119,9 +118,7 @@ impl RecipeSource {
     /// # Errors
     /// Those of the recipe's limits.
     pub fn recipe_of(&self, seed: u64) -> Result<CheckedRecipe> {
-        let mut other = self.recipe.recipe().clone();
-        other.seed = seed;
-        other.checked()
+        self.recipe.with_seed(seed)
     }
 
     /// The world of a seed.
@@ -246,15 +243,21 @@ impl RecipeWorld {
         self.facts.shape_px().map(|n| n / OVERVIEW_FACTOR)
     }
 
+    fn overview_blocks(&self) -> OverviewBlocks {
+        let start = self.facts.position_of(&self.facts.view_at([0.5; 2], 1.0));
+        OverviewBlocks::new(self.overview_shape(), start)
+    }
+
     /// A block of the overview: each of its pixels is the mean of so many places that nothing in the image is finer, with the noise of
     /// the electrons of its area.
     fn block(&self, at: [usize; 2], progress: &dyn Progress) -> Result<Arc<Array2<f32>>> {
         if let Some(found) = self.kept().blocks.get(&at) {
             return Ok(Arc::clone(found));
         }
-        let (shape, pixel) = (self.overview_shape(), self.facts.pixel_nm);
-        let first = at.map(|n| n * BLOCK_PX);
-        let size = [0, 1].map(|k| BLOCK_PX.min(shape[k] - first[k]));
+        let pixel = self.facts.pixel_nm;
+        let of_block = self.overview_blocks().pixels(at);
+        let first = [0, 1].map(|k| of_block[k].start);
+        let size = [0, 1].map(|k| of_block[k].len());
         let edge_nm = OVERVIEW_FACTOR as f64 * pixel;
         // Frequencies that alias to none are above those in the image.
         let places = (10.0 * edge_nm * band_limit(&self.recipe)).ceil().max(1.0) as usize;
@@ -278,7 +281,7 @@ impl RecipeWorld {
             seed: self.recipe.seed ^ OVERVIEW_STREAM,
             electrons_per_pixel: self.facts.dose * (10.0 * edge_nm).powi(2),
             origin_px: first,
-            full_width_px: shape[1],
+            full_width_px: self.overview_shape()[1],
             detector: 0,
         };
         let [scale, offset] = self.facts.scaling;
@@ -330,17 +333,16 @@ impl BenchmarkWorld for RecipeWorld {
         let first = window(position, shape, size);
         let mut out = Array2::zeros([size; 2]);
         let end = |k: usize| (first[k] + size).min(shape[k]);
-        let blocks = |k: usize| first[k] / BLOCK_PX..end(k).div_ceil(BLOCK_PX);
-        let places: Vec<[usize; 2]> =
-            blocks(0).flat_map(|r| blocks(1).map(move |c| [r, c])).collect();
+        let blocks = self.overview_blocks();
+        let places = blocks.covering([0, 1].map(|k| first[k]..end(k)));
         let quiet = InterruptOnly(progress);
         let made: Vec<Arc<Array2<f32>>> =
             places.par_iter().map(|at| self.block(*at, &quiet)).collect::<Result<_>>()?;
         for (place, block) in places.into_iter().zip(made) {
-            let start = place.map(|n| n * BLOCK_PX);
+            let of_block = blocks.pixels(place);
+            let start = [0, 1].map(|k| of_block[k].start);
             let low = [0, 1].map(|k| start[k].max(first[k]));
-            let dim = block.dim();
-            let high = [(start[0] + dim.0).min(end(0)), (start[1] + dim.1).min(end(1))];
+            let high = [0, 1].map(|k| of_block[k].end.min(end(k)));
             let part = |from: [usize; 2]| {
                 s![low[0] - from[0]..high[0] - from[0], low[1] - from[1]..high[1] - from[1]]
             };

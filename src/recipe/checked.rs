@@ -25,7 +25,7 @@ pub struct CheckedRecipe(Arc<Parts>);
 #[derive(Debug)]
 struct Parts {
     recipe: Recipe,
-    crystals: OrientedCrystals,
+    crystals: Arc<OrientedCrystals>,
 }
 
 impl Deref for CheckedRecipe {
@@ -57,12 +57,28 @@ impl CheckedRecipe {
         &self.0.recipe
     }
 
+    /// The same with another seed, on which neither limits nor crystals depend.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a seed that TOML cannot hold.
+    pub fn with_seed(&self, seed: u64) -> Result<Self> {
+        let mut recipe = self.0.recipe.clone();
+        recipe.seed = seed;
+        match checking::check_seed(seed) {
+            Ok(()) => {
+                let crystals = Arc::clone(&self.0.crystals);
+                Ok(CheckedRecipe(Arc::new(Parts { recipe, crystals })))
+            }
+            Err(fault) => Err(recipe.error_of(fault)),
+        }
+    }
+
     /// The crystal in a box whose z axis is the zone axis; lengths in Angstrom.
     ///
     /// # Errors
     /// [`Error::Invalid`] for particles, which have orientations of their own.
     pub fn structure(&self) -> Result<&Structure> {
-        match &self.0.crystals {
+        match &*self.0.crystals {
             OrientedCrystals::Columns { structure, .. } => Ok(structure),
             OrientedCrystals::Particles { .. } => Err(self.lacks("crystal along a zone axis")),
         }
@@ -73,7 +89,7 @@ impl CheckedRecipe {
     /// # Errors
     /// As [`CheckedRecipe::structure`].
     pub fn columns(&self) -> Result<&ColumnCrystal> {
-        match &self.0.crystals {
+        match &*self.0.crystals {
             OrientedCrystals::Columns { columns, .. } => Ok(columns),
             OrientedCrystals::Particles { .. } => Err(self.lacks("crystal along a zone axis")),
         }
@@ -84,7 +100,7 @@ impl CheckedRecipe {
     /// # Errors
     /// [`Error::Invalid`] for other specimens.
     pub fn second_crystal(&self) -> Result<&Structure> {
-        match &self.0.crystals {
+        match &*self.0.crystals {
             OrientedCrystals::Columns { second: Some(second), .. } => Ok(second),
             _ => Err(self.lacks("second crystal")),
         }
@@ -95,7 +111,7 @@ impl CheckedRecipe {
     /// # Errors
     /// [`Error::Invalid`] for other specimens.
     pub fn metal(&self) -> Result<(u8, &Metal)> {
-        match &self.0.crystals {
+        match &*self.0.crystals {
             OrientedCrystals::Particles { number, metal } => Ok((*number, metal)),
             OrientedCrystals::Columns { .. } => Err(self.lacks("particles")),
         }
@@ -118,7 +134,10 @@ impl Recipe {
     /// else [`Error::Invalid`] naming the key; and those of the crystals' files.
     pub fn checked(self) -> Result<CheckedRecipe> {
         match checking::check(&self) {
-            Ok(crystals) => Ok(CheckedRecipe(Arc::new(Parts { recipe: self, crystals }))),
+            Ok(crystals) => {
+                let crystals = Arc::new(crystals);
+                Ok(CheckedRecipe(Arc::new(Parts { recipe: self, crystals })))
+            }
             Err(fault) => Err(self.error_of(fault)),
         }
     }
@@ -157,5 +176,26 @@ fn value_at(table: &toml::Table, key: &str) -> Option<toml::Value> {
     match key.split_once('.') {
         Some((first, rest)) => value_at(table.get(first)?.as_table()?, rest),
         None => table.get(key).cloned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_seed_is_the_same_recipe_checked_again() {
+        for material in ["batio3", "sige", "pt"] {
+            let recipe = CheckedRecipe::load(material, Difficulty::Hard).unwrap();
+            let mut other = recipe.recipe().clone();
+            other.seed = 77;
+            let again = other.clone().checked().unwrap();
+            let with_seed = recipe.with_seed(77).unwrap();
+            assert_eq!(format!("{with_seed:?}"), format!("{again:?}"), "{material}");
+            other.seed = u64::MAX;
+            let told = recipe.with_seed(u64::MAX).unwrap_err().to_string();
+            assert_eq!(told, other.checked().unwrap_err().to_string());
+            assert!(told.contains("seed = 18446744073709551615"), "{told}");
+        }
     }
 }

@@ -22,10 +22,7 @@ pub fn check(recipe: &Recipe) -> Checked<OrientedCrystals> {
     if recipe.version != 1 {
         return fault("version", recipe.version, "this program reads recipes of version 1");
     }
-    if i64::try_from(recipe.seed).is_err() {
-        let expected = format!("expected at most {}, the greatest number of TOML", i64::MAX);
-        return fault("seed", recipe.seed, &expected);
-    }
+    check_seed(recipe.seed)?;
     check_names(recipe)?;
     check_field(&recipe.field)?;
     check_tables(recipe)?;
@@ -45,6 +42,12 @@ pub fn check(recipe: &Recipe) -> Checked<OrientedCrystals> {
     }
     check_damage(recipe, &elements)?;
     Ok(crystals)
+}
+
+/// Recipes are written down as TOML.
+pub fn check_seed(seed: u64) -> Checked {
+    let expected = || format!("expected at most {}, the greatest number of TOML", i64::MAX);
+    if i64::try_from(seed).is_err() { fault("seed", seed, expected()) } else { Ok(()) }
 }
 
 /// What the beam displaces has to be in the specimen.

@@ -292,15 +292,17 @@ fn values(
     }
     // Column by column, so that the 16 lines of a value are summed at once.
     let lines = size(y);
-    let patch: Vec<f64> =
-        (0..patch.len()).map(|n| patch[n % lines * size(x) + n / lines]).collect();
+    let mut turned = vec![0.0; patch.len()];
+    for (line, row) in patch.chunks_exact(size(x)).enumerate() {
+        turned[line..].iter_mut().step_by(lines).zip(row).for_each(|(to, value)| *to = *value);
+    }
     let value = |offset: &[f64; 2]| {
         let at = |k: usize, first: i64| {
             let w = weights(k, offset[k] + centre[k]);
             ((w.first - first) as usize, w.values)
         };
         let ((column, across), (row, down)) = (at(0, x[0]), at(1, y[0]));
-        weighted(&patch[column * lines + row..], lines, &across, &down)
+        weighted(&turned[column * lines + row..], lines, &across, &down)
     };
     offsets.iter().map(value).collect()
 }

@@ -35,15 +35,11 @@ impl DistanceHistogram {
         self
     }
 
-    /// Mean of `f(distance in nm)` over the sites; 0 without any.
-    fn mean(&self, f: impl Fn(f64) -> f64) -> f64 {
-        let total = self.beyond + self.counts.iter().sum::<u64>();
-        let at = |(bin, &n): (usize, &u64)| n as f64 * f((bin as f64 + 0.5) * BIN_NM);
-        let sum: f64 = self.counts.iter().enumerate().filter(|(_, n)| **n > 0).map(at).sum();
-        match total {
-            0 => 0.0,
-            _ => (sum + self.beyond as f64 * f(f64::INFINITY)) / total as f64,
-        }
+    /// The distances that there are (infinite where there is no boundary), and the number of sites at each.
+    fn entries(&self) -> impl Iterator<Item = (f64, u64)> + '_ {
+        let distance = |(bin, n): (usize, &u64)| ((bin as f64 + 0.5) * BIN_NM, *n);
+        let near = self.counts.iter().enumerate().map(distance);
+        near.filter(|(_, n)| *n > 0).chain([(f64::INFINITY, self.beyond)])
     }
 }
 
@@ -81,9 +77,13 @@ impl VacancyProfile {
         if !clustered || recipe.rate == 0.0 {
             return Ok(profile);
         }
+        let total = sites.entries().map(|(_, n)| n).sum::<u64>().max(1) as f64;
+        // How much is gathered at a distance does not depend on the amplitude.
+        let gathered: Vec<(f64, f64)> =
+            sites.entries().map(|(d, n)| (profile.gathered(d), n as f64)).collect();
         let rate_at = |amplitude| {
             let trial = VacancyProfile { amplitude, ..profile };
-            sites.mean(|d| trial.probability(d))
+            gathered.iter().map(|&(share, n)| n * trial.with_share(share)).sum::<f64>() / total
         };
         let mut high = recipe.rate;
         while rate_at(high) < recipe.rate {
@@ -105,7 +105,16 @@ impl VacancyProfile {
 
     /// Probability at `distance_nm` from the nearest boundary.
     pub fn probability(&self, distance_nm: f64) -> f64 {
+        self.with_share(self.gathered(distance_nm))
+    }
+
+    /// Share of the amplitude at a distance.
+    fn gathered(&self, distance_nm: f64) -> f64 {
         let t = distance_nm / self.sigma_nm;
-        (self.uniform + self.amplitude * libm::exp(-0.5 * t * t)).min(self.cap)
+        libm::exp(-0.5 * t * t)
+    }
+
+    fn with_share(&self, share: f64) -> f64 {
+        (self.uniform + self.amplitude * share).min(self.cap)
     }
 }

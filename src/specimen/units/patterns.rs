@@ -8,6 +8,7 @@
 //!
 //! The pool is laid out as the sheets of the mosaic's library: bin of rates, sheet, cell of the sheet.
 
+use std::borrow::Cow;
 use std::sync::OnceLock;
 
 use crate::rng::{self, Purpose};
@@ -84,20 +85,32 @@ fn drawn_within(sites: usize, rate: f64, limits: [usize; 2], u: f64) -> usize {
     if plain.mean_makes_negative(limits, goal, |mean| (mean - goal).abs() - 1e-4 * goal) {
         return plain.drawn(u);
     }
-    // The number drawn grows with the rate: where both ends of the bracket give the same, all rates between do.
+    // The number drawn grows with the rate: where both ends of a bracket give the same, all rates between do. The rate itself is one
+    // end, and nearly always the other is near.
     let (mut low, mut high) = ((0.0, 0), (1.0, sites));
-    for _ in 0..40 {
+    let (mut tried, mut step) = (plain, FIRST_STEP * rate);
+    for _ in 0..=40 {
+        let end = (tried.rate, tried.drawn(u));
+        let below = tried.mean_makes_negative(limits, goal, |mean| mean - goal);
+        if below {
+            low = end
+        } else {
+            high = end
+        }
         if low.1 == high.1 {
             return low.1;
         }
-        let middle = 0.5 * (low.0 + high.0);
-        let distribution = Binomial::new(sites, middle);
-        let end = (middle, distribution.drawn(u));
-        let below = distribution.mean_makes_negative(limits, goal, |mean| mean - goal);
-        if below { low = end } else { high = end }
+        // Once the other end is found, longer steps lead outside.
+        let stepped = if low.0 >= rate { rate + step } else { rate - step };
+        let inside = stepped > low.0 && stepped < high.0;
+        step *= 4.0;
+        tried = Binomial::new(sites, if inside { stepped } else { 0.5 * (low.0 + high.0) });
     }
     Binomial::new(sites, 0.5 * (low.0 + high.0)).drawn(u)
 }
+
+/// First distance from a rate, in units of it, at which one is looked for whose mean makes up for what the pool lacks.
+const FIRST_STEP: f64 = 0.02;
 
 /// A binomial distribution, of which no more is worked out than decides.
 struct Binomial {
@@ -155,6 +168,8 @@ pub struct PatternTable {
     pub cells: Vec<Vec<u16>>,
     /// Cells by their number of defects.
     by_count: Vec<Vec<u32>>,
+    /// The numbers that there are, ascending.
+    numbers: Vec<usize>,
 }
 
 impl PatternTable {
@@ -187,7 +202,8 @@ impl PatternTable {
         for (cell, pattern) in patterns.iter().enumerate() {
             by_count[pattern.len()].push(cell as u32);
         }
-        PatternTable { cells: patterns, by_count }
+        let numbers = (0..=sites).filter(|n| !by_count[*n].is_empty()).collect();
+        PatternTable { cells: patterns, by_count, numbers }
     }
 
     /// A cell whose pattern has a number of defects drawn at `rate` among the `allowed` sites, and all of
@@ -201,8 +217,9 @@ impl PatternTable {
         let all = open == allowed.len();
         let fits =
             |cell: &&u32| all || self.cells[**cell as usize].iter().all(|s| allowed[*s as usize]);
-        let there = |n: &usize| *n <= open && self.by_count[*n].iter().any(|c| fits(&c));
-        let numbers: Vec<usize> = (0..self.by_count.len()).filter(there).collect();
+        let there = |n: &&usize| **n <= open && self.by_count[**n].iter().any(|c| fits(&c));
+        let fitting = || self.numbers.iter().filter(there).copied().collect();
+        let numbers: Cow<[usize]> = if all { (&self.numbers).into() } else { fitting() };
         let (first, last) = (*numbers.first()?, *numbers.last()?);
         let (mean, variance) = (open as f64 * rate, open as f64 * rate * (1.0 - rate));
         let reach = spread * variance.sqrt();
@@ -216,7 +233,9 @@ impl PatternTable {
             (numbers[above.saturating_sub(usize::from(numbers[above] != count))], numbers[above]);
         let share = (count - low) as f64 / (high - low).max(1) as f64;
         let number = if u[2] < share { high } else { low };
-        let cells: Vec<u32> = self.by_count[number].iter().filter(fits).copied().collect();
+        let cells = &self.by_count[number];
+        let fitting = || cells.iter().filter(fits).copied().collect();
+        let cells: Cow<[u32]> = if all { cells.into() } else { fitting() };
         cells.get((u[1] * cells.len() as f64) as usize).map(|c| *c as usize)
     }
 
