@@ -1,5 +1,6 @@
 //! The right of one process to write an output.
 
+use super::outputs::{LOCK, beside};
 use super::unfinished::Unfinished;
 use crate::error::{Error, Result};
 use crate::setting::Setting;
@@ -47,9 +48,7 @@ impl OutputLock {
     }
 
     fn lock(output: &Path, holders: Holders) -> Result<Self> {
-        let mut name = output.as_os_str().to_owned();
-        name.push(".lock");
-        let path = PathBuf::from(name);
+        let path = beside(output, LOCK);
         let foreign = || {
             let why = "is no lock of this program, and the build would replace it; move it away, or name another output";
             Err(Error::invalid(Setting::Output, path.display(), why))

@@ -37,8 +37,8 @@ pub fn check_outputs<P: AsRef<Path>, Q: AsRef<Path>>(
         if is_of_the_system(path) {
             return refuse("is a device or stream of the system, or a link to one; name a file");
         }
-        let beside = folder(path).canonicalize();
-        if beside.is_ok_and(|beside| read_folders.iter().any(|read| beside.starts_with(read))) {
+        let into = folder(path).canonicalize();
+        if into.is_ok_and(|into| read_folders.iter().any(|read| into.starts_with(read))) {
             return refuse("lies in a folder that this command reads; name another");
         }
         let identity = Identity::of(path);
@@ -71,15 +71,25 @@ pub fn check_outputs<P: AsRef<Path>, Q: AsRef<Path>>(
     Ok(())
 }
 
+/// Ending of the file that an output is until it is complete.
+pub const PARTIAL: &str = ".partial";
+/// Ending of the file that tells who writes an output.
+pub const LOCK: &str = ".lock";
+/// Ending of the folder in which a build keeps its work until its output is complete.
+pub const WORK: &str = ".work";
+
+/// `path` with something after its name.
+pub fn beside(path: &Path, ending: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(ending);
+    PathBuf::from(name)
+}
+
 /// Whether an input has the name of what a build keeps beside `output` until it is finished, and then removes.
 fn is_unfinished_part(input: &Path, output: &Path) -> bool {
-    let beside = |ending: &str| {
-        let mut name = output.as_os_str().to_owned();
-        name.push(ending);
-        PathBuf::from(name).canonicalize().ok()
-    };
     let Ok(input) = input.canonicalize() else { return false };
-    let [partial, lock, work] = [".partial", ".lock", ".work"].map(beside);
+    let [partial, lock, work] =
+        [PARTIAL, LOCK, WORK].map(|ending| beside(output, ending).canonicalize().ok());
     [partial, lock].into_iter().flatten().any(|own| own == input)
         || work.is_some_and(|work| input.starts_with(work))
 }

@@ -4,9 +4,9 @@ use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use super::subtile_store::beside;
 use crate::error::{Error, Result};
 use crate::files::atomic_write::sync_folder;
+use crate::files::outputs::{PARTIAL, beside};
 use crate::io::{WorldFile, WorldWriter};
 
 /// A file that is made from a finished world and belongs to it, such as its picture. A build that is ended before it is there goes on
@@ -22,7 +22,7 @@ pub struct Companion<'a> {
 
 /// `path` with an ending that tells that the file is not finished.
 pub fn partial(path: &Path) -> PathBuf {
-    beside(path, ".partial")
+    beside(path, PARTIAL)
 }
 
 /// Puts a file that is complete in its place.

@@ -10,6 +10,7 @@ use sha2::{Digest, Sha256};
 use crate::error::{Error, Result};
 use crate::files::array_store::{ArrayStore, Stored};
 use crate::files::atomic_write;
+use crate::files::outputs::{WORK, beside};
 use crate::progress::Progress;
 use crate::setting::Setting;
 
@@ -187,14 +188,7 @@ fn name(index: usize) -> String {
 
 /// Where the build of an output keeps its work until it is complete.
 pub fn work_folder(output: &Path) -> PathBuf {
-    beside(output, ".work")
-}
-
-/// `path` with something after its name.
-pub(super) fn beside(path: &Path, suffix: &str) -> PathBuf {
-    let mut name = path.as_os_str().to_owned();
-    name.push(suffix);
-    PathBuf::from(name)
+    beside(output, WORK)
 }
 
 #[cfg(test)]

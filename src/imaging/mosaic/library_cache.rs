@@ -207,6 +207,7 @@ impl Cache {
                 return Err(Error::Interrupted);
             }
             let key = path.file_stem().unwrap_or_default().to_string_lossy();
+            progress.advance(1);
             if !path.is_file() {
                 faults.push(CacheFault { path: path.clone(), fault: "is no regular file" });
                 continue;
@@ -215,7 +216,6 @@ impl Cache {
             if let Err(fault) = checked(&bytes, &key) {
                 faults.push(CacheFault { path: path.clone(), fault });
             }
-            progress.advance(1);
         }
         progress.finish();
         Ok((paths.len(), faults))

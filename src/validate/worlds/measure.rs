@@ -36,6 +36,7 @@ const DISTANCE_RESOLUTION_NM: f32 = 1e-3;
 /// The same for intensities, as a share of their mean: where few electrons are counted, many columns have equal ones, and those of
 /// two worlds differ by rounding.
 const INTENSITY_RESOLUTION: f32 = 1e-3;
+
 /// Measurements of a world. Pairs (numerator, denominator) are per block.
 #[derive(Debug, Clone, Serialize)]
 #[non_exhaustive]
