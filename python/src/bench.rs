@@ -11,13 +11,16 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use rayon::prelude::*;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::time::SystemTime;
 use stemgen::benchmark::{
     AgentAction, AgentFindings, BenchmarkWorld, ChangingWorld, DoseCurve, Ending, Episode,
     EpisodeSettings, FieldFacts, FileWorld, RecipeSource, RecordedAcquisition, Reward, Split, Task,
     TaskKind, TileDose, TileNoise,
 };
+use stemgen::imaging::Cache;
 use stemgen::progress::Silent;
+use stemgen::recipe::Recipe;
 use stemgen::world::BuildOptions;
 use stemgen::{Error, Setting};
 
@@ -54,19 +57,47 @@ struct Rules {
 /// Where worlds come from.
 enum Worlds {
     File(Arc<FileWorld>),
-    Recipe { source: Box<RecipeSource>, split: Split, damage: bool },
+    Recipe { source: Arc<RecipeSource>, split: Split, damage: bool },
 }
+
+/// What environments of this process use, by all that decides it: those of different tasks share a specimen and its images.
+struct InUse<K, T>(Mutex<Vec<(K, Weak<T>)>>);
+
+impl<K: PartialEq, T> InUse<K, T> {
+    /// What is in use by that key, or else what `make` makes.
+    fn get(&self, key: K, make: impl FnOnce() -> Result<T, Fault>) -> Result<Arc<T>, Fault> {
+        let all = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let found = all().iter().find(|(other, _)| *other == key).and_then(|(_, it)| it.upgrade());
+        if let Some(found) = found {
+            return Ok(found);
+        }
+        let made = Arc::new(make()?);
+        let mut all = all();
+        all.retain(|(_, it)| it.strong_count() > 0);
+        all.push((key, Arc::downgrade(&made)));
+        Ok(made)
+    }
+}
+
+/// Recipes travel with their crystals in them, so equal ones make the same worlds.
+static SOURCES: InUse<(Recipe, Cache), RecipeSource> = InUse(Mutex::new(Vec::new()));
+/// Files by their path, length and time of change.
+static FILES: InUse<(PathBuf, Option<(u64, SystemTime)>, Cache), FileWorld> =
+    InUse(Mutex::new(Vec::new()));
 
 impl Worlds {
     fn new(scene: &Scene, guest: &Guest) -> Result<Self, Fault> {
         let options = BuildOptions { cache: scene.cache.cache(), ..BuildOptions::default() };
         if let Some(path) = &scene.world {
-            return Ok(Worlds::File(Arc::new(FileWorld::open(path, &options)?)));
+            let about = path.metadata().and_then(|about| Ok((about.len(), about.modified()?))).ok();
+            let key = (path.clone(), about, options.cache.clone());
+            return Ok(Worlds::File(FILES.get(key, || Ok(FileWorld::open(path, &options)?))?));
         }
         let splits = [("train", Split::Train), ("test", Split::Test)];
         let split = choice(Setting::Episode, &scene.split, &splits)?;
         let recipe = checked(scene.toml.as_deref().unwrap_or_default())?;
-        let source = Box::new(RecipeSource::new(&recipe, &options, guest)?);
+        let key = (recipe.recipe().clone(), options.cache.clone());
+        let source = SOURCES.get(key, || Ok(RecipeSource::new(&recipe, &options, guest)?))?;
         Ok(Worlds::Recipe { source, split, damage: scene.damage })
     }
 
@@ -90,7 +121,7 @@ impl Worlds {
                 let seed = split.seed(source.recipe(), episode);
                 match damage {
                     true => Arc::new(ChangingWorld::new(source, seed, settings, guest)?),
-                    false => Arc::new(source.world(seed)?),
+                    false => source.shared_world(seed)?,
                 }
             }
         })

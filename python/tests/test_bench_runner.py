@@ -54,6 +54,19 @@ def test_any_number_of_processes_gives_the_same_rows(tmp_path: Path) -> None:
     assert (more.done, more.skipped) == (4, 8)
 
 
+def test_a_process_plays_all_episodes_in_a_specimen(tmp_path: Path) -> None:
+    asked = list(experiment(tmp_path, seeds=3))
+    assert [episode.seed for episode in asked] == [0] * 4 + [1] * 4 + [2] * 4
+    deal = bench.runner._Deal(asked, 2)
+    # The first process is quick; the other plays one episode.
+    played = [deal.next_of(0), deal.next_of(1)]
+    assert [episode.seed for episode in played if episode is not None] == [0, 1]
+    quick = [deal.next_of(0) for _ in range(11)]
+    assert [None if episode is None else episode.seed for episode in quick] == [0] * 3 + [2] * 4 + [1] * 3 + [None]
+    found = [episode.key for episode in [*played, *quick] if episode is not None]
+    assert sorted(found) == sorted(episode.key for episode in asked)
+
+
 def start(asked: Path, out: Path, *words: str) -> subprocess.Popen[str]:
     program = str(Path(sys.executable).with_name("stemworlds"))
     # Its own group: a signal of the terminal goes to all of it.

@@ -21,7 +21,7 @@ use crate::world::{Electrons, RecordedPart};
 /// edge of the field.
 pub struct ChangingWorld {
     facts: FieldFacts,
-    still: RecipeWorld,
+    still: Arc<RecipeWorld>,
     live: Mutex<LiveWorld>,
 }
 
@@ -36,7 +36,7 @@ impl ChangingWorld {
         settings: &EpisodeSettings,
         progress: &dyn Progress,
     ) -> Result<Self> {
-        let still = source.world(seed)?;
+        let still = source.shared_world(seed)?;
         let imaging = source.options().clone();
         let most_dose = settings.most_dose(still.facts());
         let live = LiveOptions { imaging, most_dose, ..LiveOptions::default() };

@@ -1,7 +1,7 @@
 //! Worlds of a recipe that are on no disk: a specimen for each seed, imaged where it is looked at.
 
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
 use ndarray::{Array2, s};
 use rayon::prelude::*;
@@ -24,7 +24,7 @@ use crate::world::region_truth::{list, particles_reaching, phases_of_points};
 use crate::world::{BuildOptions, ColumnTruth, Noise, SiteTruth};
 
 /// Images of views that a world keeps.
-const KEPT_VIEWS: usize = 256;
+const KEPT_VIEWS: usize = 512;
 /// Places of a field at which the brightest pixel is looked for.
 const SCALED_PLACES: usize = 5;
 /// What is brighter than the brightest pixel of these places by more than this share is cut off.
@@ -60,6 +60,7 @@ pub struct RecipeSource {
     options: BuildOptions,
     shared: Arc<SharedSheets>,
     facts: FieldFacts,
+    in_use: Mutex<HashMap<u64, Weak<RecipeWorld>>>,
 }
 
 impl RecipeSource {
@@ -90,7 +91,7 @@ impl RecipeSource {
         };
         let (recipe, options) = (recipe.clone(), options.clone());
         let shared = Arc::new(SharedSheets::default());
-        let mut source = RecipeSource { recipe, options, shared, facts };
+        let mut source = RecipeSource { recipe, options, shared, facts, in_use: Mutex::default() };
         let mut first = source.world_of(source.recipe.clone())?;
         first.imager.prepare(progress)?;
         source.facts.phases = first.specimen.phases();
@@ -127,6 +128,23 @@ impl RecipeSource {
     /// Those of the specimen.
     pub fn world(&self, seed: u64) -> Result<RecipeWorld> {
         self.world_of(self.recipe_of(seed)?)
+    }
+
+    /// The world of a seed, and if somebody uses it already that one, with the images that it has made: episodes of many agents and
+    /// tasks in one specimen simulate a place once.
+    ///
+    /// # Errors
+    /// Those of the specimen.
+    pub fn shared_world(&self, seed: u64) -> Result<Arc<RecipeWorld>> {
+        let in_use = || self.in_use.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(found) = in_use().get(&seed).and_then(Weak::upgrade) {
+            return Ok(found);
+        }
+        let made = Arc::new(self.world(seed)?);
+        let mut in_use = in_use();
+        in_use.retain(|_, world| world.strong_count() > 0);
+        in_use.insert(seed, Arc::downgrade(&made));
+        Ok(made)
     }
 
     fn world_of(&self, recipe: CheckedRecipe) -> Result<RecipeWorld> {

@@ -177,9 +177,14 @@ impl Composition {
     }
 
     /// How many of the heights of [`Composition::interfaces_at`] lie in a well at x.
-    pub fn count_in_wells(x: f64, interfaces: &[f64], heights: usize) -> usize {
-        let wells = || interfaces.chunks_exact(2 * heights);
-        let inside = |n: &usize| wells().any(|at| at[*n] <= x && x < at[heights + n]);
+    pub fn count_in_wells(&self, x: f64, interfaces: &[f64], heights: usize) -> usize {
+        let Composition::Wells { sides, .. } = self else { return 0 };
+        let wells = sides.iter().zip(interfaces.chunks_exact(2 * heights));
+        let far = |sides: &[Interface; 2]| {
+            between(sides.each_ref().map(|side| side.passed_anywhere(x))) == Some(false)
+        };
+        let near: Vec<&[f64]> = wells.filter(|(sides, _)| !far(sides)).map(|(_, at)| at).collect();
+        let inside = |n: &usize| near.iter().any(|at| at[*n] <= x && x < at[heights + n]);
         (0..heights).filter(inside).count()
     }
 

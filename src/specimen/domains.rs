@@ -14,8 +14,9 @@ use crate::specimen::coherent::{Coherent, NM, Stretch};
 use crate::specimen::column_index::ColumnIndex;
 use crate::specimen::defects::rules::Defects;
 use crate::specimen::defects::vacancies::DistanceHistogram;
-use crate::specimen::sites::SpecimenSite;
+use crate::specimen::sites::{SiteKind, SpecimenSite};
 use crate::specimen::specimen_trait::{Boundary, BoundaryKind, Specimen};
+use crate::specimen::units::known_tags::KnownTags;
 use crate::specimen::units::library_cell::LibraryCell;
 use crate::specimen::units::occupation::UnitOccupation;
 use crate::specimen::units::unit_tag::UnitFamily;
@@ -121,10 +122,9 @@ impl Domains {
         ([0, 1].map(|k| ideal[k] + order * shift[k]), (ideal, order))
     }
 
-    /// Place of a column in the library.
-    fn tag(&self, index: ColumnIndex) -> Option<UnitTag> {
+    /// Place in the library of a unit of a kind, by its first column.
+    fn tag(&self, kind: usize, first: ColumnIndex) -> Option<UnitTag> {
         let contents = self.contents.as_ref()?;
-        let (kind, member, first) = contents.unit_of(index);
         let members = &contents.units.kinds[kind];
         let stretch = &self.lattice.stretch;
         let place = |column: ColumnIndex| {
@@ -137,16 +137,22 @@ impl Domains {
         let rate = self.defects.at(stretch.distance(centre, &row)).rate(element);
         let entry = contents.draw(kind, first, rate)?;
         let structure = (order(&row, centre[0]) * ORDER_STEPS).round() as usize;
-        Some(UnitTag::unrotated((first, member), centre, structure, entry))
+        Some(UnitTag::unrotated((first, 0), centre, structure, entry))
     }
 }
 
 impl Specimen for Domains {
     fn query(&self, region: &Region) -> Sites {
         let mut out = Sites::default();
+        let mut tags = KnownTags::default();
         self.for_each_column(region, |index, column, ([x, y], order), row| {
-            let defects = self.defects.at(self.lattice.stretch.distance([x, y], row));
-            let tag = self.tag(index);
+            let tag = self.contents.as_ref().and_then(|contents| {
+                let (kind, member, first) = contents.unit_of(index);
+                tags.get((first, member), || self.tag(kind, first))
+            });
+            let distance = || self.lattice.stretch.distance([x, y], row);
+            // What units hold is drawn already.
+            let defects = tag.is_none().then(|| self.defects.at(distance()));
             let contents = self.contents.as_ref().zip(tag);
             let chains = &self.lattice.crystal.columns[index.kind].chains;
             let cells = 0..self.lattice.cells_along_beam;
@@ -156,7 +162,8 @@ impl Specimen for Domains {
                 let key = index.key(chain, cell);
                 let (kind, number) = match &contents {
                     Some((c, tag)) => c.holds(tag.entry, [index.kind, n, cell], chain.number),
-                    None => defects.of(key, chain.number),
+                    None => (defects.as_ref())
+                        .map_or((SiteKind::Pristine, chain.number), |d| d.of(key, chain.number)),
                 };
                 let ideal = [x, y, self.lattice.height(cell, chain)];
                 let shift = self.shifts[chain.site];

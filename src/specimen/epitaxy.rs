@@ -20,6 +20,7 @@ use crate::specimen::composition::Composition;
 use crate::specimen::defects::rules::Defects;
 use crate::specimen::sites::{SiteKind, SpecimenSite};
 use crate::specimen::specimen_trait::{Boundary, BoundaryKind, Specimen};
+use crate::specimen::units::known_tags::KnownTags;
 use crate::specimen::units::library_cell::LibraryCell;
 use crate::specimen::units::occupation::UnitOccupation;
 use crate::specimen::units::patterns;
@@ -153,7 +154,7 @@ impl Epitaxy {
             }
             let inside = |(y, at): (&f64, &Vec<f64>)| match wells.well_along_beam([x, *y]) {
                 Some(within) => usize::from(within) * line.sites,
-                None => Composition::count_in_wells(x, at, line.sites),
+                None => wells.count_in_wells(x, at, line.sites),
             };
             let all = line.rows.len() * line.sites;
             match wells.well_column(x) {
@@ -168,10 +169,9 @@ impl Epitaxy {
         inside as f64 / all.max(1) as f64
     }
 
-    /// Place of a column in the library.
-    fn tag(&self, index: ColumnIndex) -> Option<UnitTag> {
+    /// Place in the library of a unit of a kind, by its first column.
+    fn tag(&self, kind: usize, first: ColumnIndex) -> Option<UnitTag> {
         let contents = self.contents.as_ref()?;
-        let (kind, member, first) = contents.unit_of(index);
         let members = &contents.units.kinds[kind];
         let position = |column: ColumnIndex| {
             let at = self.lattice.reference(column);
@@ -187,12 +187,17 @@ impl Epitaxy {
             Some(_) => {
                 let around = self.composition.mean(centre[0]);
                 let open = self.open_sites(contents, (kind, first), position);
+                let rates = (open.rate, around);
                 let drawn = contents.draw_among(kind, first, open.rate, around, &open.allowed);
-                // Where few sites are open the pool may lack what could be there, but seldom what is: nothing.
-                drawn.or_else(|| contents.find(kind, first, open.rate, around, &open.guests))?
+                // Where few sites are open the pool may lack what could be there, but seldom what is: nothing. Else the number of guests
+                // is right, and some lie above or below the well.
+                let found = || contents.find(kind, first, open.rate, around, &open.guests);
+                let nearest =
+                    || contents.nearest(kind, first, rates, (&open.guests, &open.allowed));
+                drawn.or_else(found).or_else(nearest)?
             }
         };
-        Some(UnitTag::unrotated((first, member), centre, 0, entry))
+        Some(UnitTag::unrotated((first, 0), centre, 0, entry))
     }
 
     /// The sites of a unit that guests may take; `position` is that of a column.
@@ -265,10 +270,14 @@ impl Specimen for Epitaxy {
     fn query(&self, region: &Region) -> Sites {
         let mut out = Sites::default();
         let defects = self.defects.at(f64::INFINITY);
+        let mut tags = KnownTags::default();
         self.for_each_column(region, |index, [x, y]| {
             let chains = &self.lattice.crystal.columns[index.kind].chains;
             let cells = 0..self.lattice.cells_along_beam;
-            let tag = self.tag(index);
+            let tag = self.contents.as_ref().and_then(|contents| {
+                let (kind, member, first) = contents.unit_of(index);
+                tags.get((first, member), || self.tag(kind, first))
+            });
             let contents = self.contents.as_ref().zip(tag);
             let sites =
                 cells.flat_map(|cell| chains.iter().enumerate().map(move |(n, c)| (cell, n, c)));
@@ -383,15 +392,17 @@ struct TabulatedStretch {
 
 impl TabulatedStretch {
     /// `relative(x)` is the length of a cell at x over that of the reference.
-    fn new(field: &Region, relative: impl Fn(f64) -> f64) -> Self {
+    fn new(field: &Region, relative: impl Fn(f64) -> f64 + Sync) -> Self {
         let beyond = ((BEYOND_FIELD_NM + 2.0) / STEP_NM).ceil();
         let start = field.x[0] - beyond * STEP_NM;
         let count = ((field.x[1] - field.x[0]) / STEP_NM + 2.0 * beyond).ceil() as usize;
+        let step = |n: usize| STEP_NM / relative(start + (n as f64 + 0.5) * STEP_NM);
+        let steps: Vec<f64> = (0..count).into_par_iter().map(step).collect();
         // The substrate's lattice is undisturbed at the left edge of the field.
         let mut reference = vec![0.0];
         let mut sum = 0.0;
-        for n in 0..count {
-            sum += STEP_NM / relative(start + (n as f64 + 0.5) * STEP_NM);
+        for step in steps {
+            sum += step;
             reference.push(sum);
         }
         let shift = field.x[0] - reference[beyond as usize];
@@ -420,5 +431,36 @@ impl Stretch for TabulatedStretch {
 
     fn spread(&self) -> f64 {
         2.0 * STEP_NM
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recipe::Difficulty;
+
+    /// At rough interfaces the pool holds what is nearest: nothing has to be simulated by itself, and few guests leave the wells.
+    #[test]
+    fn all_columns_are_in_the_library_and_few_guests_beside_the_wells() {
+        for difficulty in [Difficulty::Medium, Difficulty::Hard] {
+            let recipe = CheckedRecipe::load("gan", difficulty).unwrap();
+            let specimen = Epitaxy::new(&recipe).unwrap();
+            let field = recipe.field.full_region();
+            let [mut guests, mut beside, mut alone] = [0u32; 3];
+            for k in 0..20 {
+                let y = [0, 1].map(|n| field.y[0] + 4.0 * f64::from(k + n));
+                let found = specimen.query(&Region { y, ..field });
+                alone += found.columns.iter().filter(|c| c.unit.is_none()).count() as u32;
+                for site in found.sites.iter().filter(|s| s.kind == SiteKind::Substitution) {
+                    guests += 1;
+                    beside += u32::from(specimen.composition.at(site.position_nm) == 0.0);
+                }
+            }
+            println!(
+                "{difficulty:?}: {guests} guests, {beside} beside the wells, {alone} columns alone"
+            );
+            assert_eq!(alone, 0, "{difficulty:?}");
+            assert!(f64::from(beside) < 0.01 * f64::from(guests), "{difficulty:?}: {beside}");
+        }
     }
 }

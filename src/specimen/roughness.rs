@@ -42,7 +42,6 @@ impl Roughness {
         let steps = |span: f64| (span * STEPS / length).ceil().max(1.0);
         let [across, along] = [steps(range[1] - range[0]), steps(thickness)];
         let step = [(range[1] - range[0]) / across, thickness / along];
-        let depth = along as usize + 1;
         let waves: Vec<[f64; 3]> = (0..WAVES)
             .map(|n| {
                 let [ky, kz, _] = normal3(seed, Purpose::Interface, number, n);
@@ -50,13 +49,26 @@ impl Roughness {
                 [ky / length, kz / length, 2.0 * std::f64::consts::PI * phase]
             })
             .collect();
-        let height = |i: usize, k: usize| -> f64 {
-            let (y, z) = (range[0] + i as f64 * step[0], k as f64 * step[1]);
-            waves.iter().map(|[ky, kz, phase]| libm::cos(ky * y + kz * z + phase)).sum()
-        };
         let rows = across as usize + 1;
-        let mut heights: Vec<f64> =
-            (0..rows * depth).into_par_iter().map(|n| height(n / depth, n % depth)).collect();
+        let depth = along as usize + 1;
+        // cos(a + b) = cos a cos b - sin a sin b: a depends on y alone and b on z alone, which leaves few cosines to work out.
+        let turn = |angle: f64| [libm::cos(angle), libm::sin(angle)];
+        let of_z: Vec<Vec<[f64; 2]>> = waves
+            .iter()
+            .map(|[_, kz, _]| (0..depth).map(|k| turn(kz * (k as f64 * step[1]))).collect())
+            .collect();
+        let row = |i: usize| {
+            let y = range[0] + i as f64 * step[0];
+            let mut heights = vec![0.0; depth];
+            for ([ky, _, phase], of_z) in waves.iter().zip(&of_z) {
+                let [cos, sin] = turn(ky * y + phase);
+                for (height, [cos_z, sin_z]) in heights.iter_mut().zip(of_z) {
+                    *height += cos * cos_z - sin * sin_z;
+                }
+            }
+            heights
+        };
+        let mut heights: Vec<f64> = (0..rows).into_par_iter().flat_map_iter(row).collect();
         let inside = |i: usize| {
             let y = range[0] + i as f64 * step[0];
             field[0] <= y && y < field[1]

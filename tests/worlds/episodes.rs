@@ -290,6 +290,27 @@ fn episodes_repeat() {
     assert_ne!(first.0, run(1, 1).0);
 }
 
+/// Episodes in one specimen share a world while it is in use. What one has looked at changes nothing for another.
+#[test]
+fn worlds_in_use_are_shared() {
+    let (source, alone) = (source(), source().world(31).unwrap());
+    let (one, other) = (source.shared_world(31).unwrap(), source.shared_world(31).unwrap());
+    assert!(Arc::ptr_eq(&one, &other));
+    assert!(!Arc::ptr_eq(&one, &source.shared_world(33).unwrap()));
+    let view = one.facts().view_at([0.3, 0.6], 1.0);
+    let looked = one.clean(&view, &Silent).unwrap();
+    assert!(Arc::ptr_eq(&looked, &other.clean(&view, &Silent).unwrap()));
+    for at in [[0.3, 0.6], [0.4, 0.5]] {
+        let view = one.facts().view_at(at, 1.0);
+        let (shared, own) = (other.clean(&view, &Silent), alone.clean(&view, &Silent));
+        assert_eq!(shared.unwrap(), own.unwrap());
+    }
+    let gone = Arc::downgrade(&one);
+    drop((one, other));
+    assert!(gone.upgrade().is_none());
+    source.shared_world(31).unwrap();
+}
+
 /// An acquisition shows, and is scored by, the specimen as it was when it began.
 #[test]
 fn doses_change_worlds_for_later() {

@@ -62,6 +62,11 @@ class Episode:
         return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:16]
 
     @property
+    def specimen(self) -> str:
+        """Names the specimen: episodes that have one in common may share its images."""
+        return json.dumps([self.world, self.seed], sort_keys=True, default=str)
+
+    @property
     def environment_id(self) -> str:
         task, strict = self.task.removesuffix("-strict"), self.task.endswith("-strict")
         return f"stemworlds/{TASKS[task]}{'Strict' if strict else ''}-v0"
@@ -81,7 +86,7 @@ class Episode:
 
 @dataclass(frozen=True)
 class Experiment:
-    """What :func:`read_experiment` reads; iterating gives its episodes, those of a world one after the other."""
+    """What :func:`read_experiment` reads; iterating gives its episodes, those of a world and in it those of a seed one after the other."""
 
     name: str
     about: str
@@ -93,10 +98,10 @@ class Experiment:
     environment: Mapping[str, Any]
 
     def __iter__(self) -> Iterator[Episode]:
-        for world, budget, task in itertools.product(self.worlds, self.budgets, self.tasks):
-            if task.removesuffix("-strict") in world.get("tasks", TASKS):
-                for agent, seed in itertools.product(self.agents, self.seeds):
-                    yield Episode(agent, task, world, seed, budget, self.environment)
+        for world in self.worlds:
+            tasks = [task for task in self.tasks if task.removesuffix("-strict") in world.get("tasks", TASKS)]
+            for seed, budget, agent, task in itertools.product(self.seeds, self.budgets, self.agents, tasks):
+                yield Episode(agent, task, world, seed, budget, self.environment)
 
 
 def packaged_experiments() -> dict[str, str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import itertools
 import json
 import multiprocessing
 import os
@@ -12,8 +13,8 @@ import sys
 import threading
 import time
 import traceback
-from collections import OrderedDict
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -35,8 +36,8 @@ __all__ = ["RunSummary", "run_experiment"]
 
 Row = dict[str, Any]
 Make: TypeAlias = "Callable[[Episode], gym.Env[Any, Any]]"
-#: Worlds that a process keeps open.
-_MOST_OPEN = 2
+#: Episodes that a process is given at once: it goes on while the row of the one before is written.
+_AT_ONCE = 2
 
 
 @dataclass
@@ -124,25 +125,56 @@ def _played(episodes: Sequence[Episode], processes: int, name: str, make: Make) 
             player.close()
         return
     # A context of its own: forks of a process with threads may hang.
-    pool = ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), _begin_process, (name, make, max(_processors() // processes, 1)))
-    waiting: set[Future[Row]] = set()
+    spawn = multiprocessing.get_context("spawn")
+    begin = (name, make, max(_processors() // processes, 1))
+    # A pool for each process, since it is not the same which of them plays an episode: see _Deal.
+    pools = [ProcessPoolExecutor(1, spawn, _begin_process, begin) for _ in range(processes)]
+    deal = _Deal(episodes, processes)
+    waiting: dict[Future[Row], int] = {}
     finished = False
+
+    def give(process: int) -> None:
+        episode = deal.next_of(process)
+        if episode is not None:
+            waiting[pools[process].submit(_play_one, episode)] = process
+
     try:
+        # Each process gets its first episode here, and begins with it.
         with _importable_main():
-            waiting = {pool.submit(_play_one, episode) for episode in episodes}
+            for process in [*range(processes)] * _AT_ONCE:
+                give(process)
         while waiting:
-            ended, waiting = wait(waiting, timeout=1.0, return_when=FIRST_COMPLETED)
+            ended, _ = wait(waiting, timeout=1.0, return_when=FIRST_COMPLETED)
             for future in ended:
+                give(waiting.pop(future))
                 yield future.result()
         finished = True
     except BrokenProcessPool as error:
         raise StemworldsError("a process ended by itself: too little memory? fewer processes take less of it") from error
     finally:
-        workers = list((getattr(pool, "_processes", None) or {}).values())
-        pool.shutdown(wait=finished, cancel_futures=True)
+        workers = [worker for pool in pools for worker in (getattr(pool, "_processes", None) or {}).values()]
+        for pool in pools:
+            pool.shutdown(wait=finished, cancel_futures=True)
         if not finished:
             for worker in workers:
                 worker.terminate()
+
+
+class _Deal:
+    """Which process plays which episodes: all in one specimen, so that its images are made once, until others would have nothing to do."""
+
+    def __init__(self, episodes: Sequence[Episode], processes: int) -> None:
+        self._specimens = deque(deque(group) for _, group in itertools.groupby(episodes, lambda episode: episode.specimen))
+        self._own: list[deque[Episode]] = [deque() for _ in range(processes)]
+
+    def next_of(self, process: int) -> Episode | None:
+        """What a process plays next; ``None`` if nothing is left."""
+        if not self._own[process] and self._specimens:
+            self._own[process] = self._specimens.popleft()
+        if self._own[process]:
+            return self._own[process].popleft()
+        most = max(self._own, key=len)
+        return most.pop() if most else None
 
 
 @contextmanager
@@ -202,23 +234,24 @@ def _fill_libraries(episodes: Sequence[Episode], shown: Progress) -> None:
 
 
 class _Player:
-    """Plays episodes; worlds and agents stay for the next."""
+    """Plays episodes; environments of a world and agents stay for the next."""
 
     def __init__(self, experiment: str, make: Make) -> None:
         self._experiment, self._make = experiment, make
-        self._worlds: OrderedDict[str, Any] = OrderedDict()
+        self._world: Mapping[str, Any] | None = None
+        self._open: dict[str, Any] = {}
         self._agents: dict[str, Any] = {}
 
     def close(self) -> None:
-        for env in self._worlds.values():
+        for env in self._open.values():
             env.close()
-        self._worlds.clear()
+        self._open.clear()
 
     def row(self, episode: Episode) -> Row:
         """The row of an episode, or its error."""
         try:
             with _one_thread():
-                record = play(self._world(episode), self._agent(episode), episode.seed)
+                record = play(self._environment(episode), self._agent(episode), episode.seed)
             return row_of(episode, record, self._experiment)
         except Exception as error:
             what = f"{episode.agent['name']}, {episode.task}, {episode.world['name']}, seed {episode.seed}"
@@ -230,15 +263,15 @@ class _Player:
             self._agents[name] = make_agent(episode.agent)
         return self._agents[name]
 
-    def _world(self, episode: Episode) -> Any:
+    def _environment(self, episode: Episode) -> Any:
+        """The environment of an episode. Those of its world stay open: they share the images of a specimen."""
+        if self._world != episode.world:
+            self.close()
+            self._world = episode.world
         name = json.dumps([episode.environment_id, episode.environment_options], sort_keys=True)
-        if name in self._worlds:
-            self._worlds.move_to_end(name)
-        else:
-            while len(self._worlds) >= _MOST_OPEN:
-                self._worlds.popitem(last=False)[1].close()
-            self._worlds[name] = self._make(episode)
-        return self._worlds[name]
+        if name not in self._open:
+            self._open[name] = self._make(episode)
+        return self._open[name]
 
 
 def _told(error: Exception) -> str:

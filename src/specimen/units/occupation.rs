@@ -143,6 +143,21 @@ impl UnitOccupation {
         })
     }
 
+    /// The place in the library of a unit with as many defects as `wanted`, most of them on `allowed` sites, if the pool has that number.
+    pub fn nearest(
+        &self,
+        kind: usize,
+        index: ColumnIndex,
+        (rate, around): (f64, f64),
+        (wanted, allowed): (&[u16], &[bool]),
+    ) -> Option<PatternIndex> {
+        let who = (self.seed, index.id());
+        bins(rate, around).into_iter().find_map(|bin| {
+            let cell = self.pool.nearest(kind, bin, (wanted, allowed), who)?;
+            Some(PatternIndex { bin, kind, cell })
+        })
+    }
+
     /// What a site of a unit holds: the atom of chain `chain` of a column of kind `column` in cell `depth` along
     /// the beam, where `number` belongs.
     pub fn holds(

@@ -247,6 +247,20 @@ impl PatternTable {
         cells.get((u * cells.len() as f64) as usize).map(|c| *c as usize)
     }
 
+    /// A cell with as many defects as `wanted`, the most of them on `allowed` sites and then on the same sites as there; `u` is a
+    /// uniform number. `None` if the pool has no pattern of that number.
+    pub fn nearest(&self, wanted: &[u16], allowed: &[bool], u: f64) -> Option<usize> {
+        let alike = |cell: u32| {
+            let sites = || self.cells[cell as usize].iter();
+            let inside = sites().filter(|site| allowed[usize::from(**site)]).count();
+            (inside, sites().filter(|site| wanted.contains(site)).count())
+        };
+        let cells = self.by_count.get(wanted.len())?;
+        let most = cells.iter().map(|cell| alike(*cell)).max()?;
+        let best: Vec<u32> = cells.iter().copied().filter(|cell| alike(*cell) == most).collect();
+        best.get((u * best.len() as f64) as usize).map(|c| *c as usize)
+    }
+
     /// The cells in which a unit holds no defect.
     pub fn pristine(&self) -> &[u32] {
         &self.by_count[0]
@@ -312,6 +326,18 @@ impl DefectPatterns {
         (seed, id): (u64, u64),
     ) -> Option<usize> {
         self.patterns(kind, bin).find(defects, rng::uniform(seed, Purpose::Pool, 1, id))
+    }
+
+    /// The cell of a pattern with as many defects as `wanted`, see [`PatternTable::nearest`].
+    pub fn nearest(
+        &self,
+        kind: usize,
+        bin: usize,
+        (wanted, allowed): (&[u16], &[bool]),
+        (seed, id): (u64, u64),
+    ) -> Option<usize> {
+        let u = rng::uniform(seed, Purpose::Pool, 1, id);
+        self.patterns(kind, bin).nearest(wanted, allowed, u)
     }
 }
 
@@ -480,6 +506,27 @@ mod tests {
             assert_ne!(more.cells[..25], more.cells[25..50]);
         }
         assert_eq!([0, 1, 2, 3, 4].map(halved), [0.5, 0.25, 0.75, 0.125, 0.625]);
+    }
+
+    #[test]
+    fn the_nearest_pattern_has_the_number_and_few_sites_beside_the_allowed() {
+        let patterns = PatternTable::new(20, bin_of(0.15), [8, 25], 1);
+        let allowed: Vec<bool> = (0..20).map(|s| s < 6).collect();
+        let inside = |cell: usize| patterns.cells[cell].iter().filter(|s| **s < 6).count();
+        let wanted = [1, 2, 4];
+        let of_three: Vec<usize> =
+            (0..200).filter(|n| patterns.cells[*n].len() == wanted.len()).collect();
+        let most = of_three.iter().map(|n| inside(*n)).max().unwrap();
+        assert!(most < 3, "the pool has none that fits");
+        for u in [0.0, 0.3, 0.7, 0.999] {
+            let found = patterns.nearest(&wanted, &allowed, u).unwrap();
+            assert!(of_three.contains(&found) && inside(found) == most);
+        }
+        // The pattern itself, if it is there.
+        let there = patterns.cells[of_three[0]].clone();
+        let all = [true; 20];
+        assert_eq!(patterns.cells[patterns.nearest(&there, &all, 0.5).unwrap()], there);
+        assert_eq!(patterns.nearest(&[0; 20], &all, 0.5), None);
     }
 
     #[test]

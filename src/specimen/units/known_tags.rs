@@ -1,0 +1,22 @@
+//! Tags of units that were asked for before.
+
+use std::collections::HashMap;
+
+use super::unit_tag::UnitTag;
+use crate::specimen::column_index::ColumnIndex;
+
+/// The tags of units so far: all columns of a unit ask for the same one, but for which of them they are.
+#[derive(Default)]
+pub struct KnownTags(HashMap<u64, Option<UnitTag>>);
+
+impl KnownTags {
+    /// The tag of column `member` of the unit that is named by its `first` column; `make` makes that of any member.
+    pub fn get(
+        &mut self,
+        (first, member): (ColumnIndex, usize),
+        make: impl FnOnce() -> Option<UnitTag>,
+    ) -> Option<UnitTag> {
+        let tag = *self.0.entry(first.id()).or_insert_with(make);
+        tag.map(|tag| UnitTag { member, ..tag })
+    }
+}
