@@ -81,9 +81,9 @@ impl<K: PartialEq, T> InUse<K, T> {
 
 /// Recipes travel with their crystals in them, so equal ones make the same worlds.
 static SOURCES: InUse<(Recipe, Cache), RecipeSource> = InUse(Mutex::new(Vec::new()));
-/// Files by their path, length and time of change.
-static FILES: InUse<(PathBuf, Option<(u64, SystemTime)>, Cache), FileWorld> =
-    InUse(Mutex::new(Vec::new()));
+/// A file by its path, length and time of change, and the cache of what it lacks.
+type FileKey = (PathBuf, Option<(u64, SystemTime)>, Cache);
+static FILES: InUse<FileKey, FileWorld> = InUse(Mutex::new(Vec::new()));
 
 impl Worlds {
     fn new(scene: &Scene, guest: &Guest) -> Result<Self, Fault> {

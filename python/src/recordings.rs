@@ -68,8 +68,7 @@ fn refuse<T>(setting: Setting, value: impl ToString, expected: &str) -> Result<T
 impl Place {
     /// The part of the field of a recipe.
     pub fn part(&self, recipe: &CheckedRecipe) -> Result<RecordedPart, Fault> {
-        let field = &recipe.field;
-        let own = field.pixel_nm();
+        let own = recipe.field.pixel_nm();
         if self.zoom.is_some() && self.pixel_nm.is_some() {
             return refuse(
                 Setting::RecordedPixelNm,
@@ -100,10 +99,7 @@ impl Place {
             let centre_nm = [0.5 * (x0 + x1), 0.5 * (y0 + y1)];
             return Ok(RecordedPart { centre_nm, size_nm: [x1 - x0, y1 - y0], pixel_nm });
         }
-        let shape = field.pixels(field.built_grid());
-        let middle = [shape[1], shape[0]].map(|n| 0.5 * (n as f64 - 1.0) * own);
-        let size_nm = [field.tile_px as f64 * pixel_nm; 2];
-        Ok(RecordedPart { centre_nm: self.at_nm.unwrap_or(middle), size_nm, pixel_nm })
+        Ok(RecordedPart::tile_at(recipe, self.at_nm, pixel_nm))
     }
 }
 

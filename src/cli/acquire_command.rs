@@ -243,10 +243,7 @@ impl Acquire {
             let centre_nm = [0.5 * (x0 + x1), 0.5 * (y0 + y1)];
             return Ok(RecordedPart { centre_nm, size_nm: [x1 - x0, y1 - y0], pixel_nm });
         }
-        let shape = field.pixels(field.built_grid());
-        let middle = [shape[1], shape[0]].map(|n| 0.5 * (n as f64 - 1.0) * own);
-        let size_nm = [field.tile_px as f64 * pixel_nm; 2];
-        Ok(RecordedPart { centre_nm: self.at.unwrap_or(middle), size_nm, pixel_nm })
+        Ok(RecordedPart::tile_at(recipe, self.at, pixel_nm))
     }
 
     fn options(&self, recipe: &CheckedRecipe) -> RecordingOptions {

@@ -10,7 +10,8 @@ use crate::engine::check_memory;
 use crate::error::{Error, Result};
 use crate::imaging::GrownCarbon;
 use crate::progress::Progress;
-use crate::recipe::{CheckedRecipe, Region};
+use crate::recipe::{CheckedRecipe, Recipe, Region};
+use crate::resample::MARGIN;
 use crate::setting::Setting;
 use crate::specimen::{DoseMap, Specimen};
 
@@ -35,6 +36,24 @@ pub struct RecordedPart {
 }
 
 impl RecordedPart {
+    /// As many pixels of an edge of `pixel_nm` as a tile of the recipe, about a place or else the middle of the field. Without a place, the
+    /// edges of a single tile are left out, where nothing can be recorded.
+    pub fn tile_at(recipe: &Recipe, at_nm: Option<[f64; 2]>, pixel_nm: f64) -> Self {
+        let (field, own) = (&recipe.field, recipe.field.pixel_nm());
+        let size_nm = field.tile_px as f64 * pixel_nm;
+        if let Some(centre_nm) = at_nm {
+            return RecordedPart { centre_nm, size_nm: [size_nm; 2], pixel_nm };
+        }
+        let [rows, columns] = field.pixels(field.built_grid());
+        let centre_nm = [columns, rows].map(|n| 0.5 * (n as f64 - 1.0) * own);
+        let within = |n: usize| n.saturating_sub(2 * (MARGIN + 1)) as f64 * own;
+        RecordedPart {
+            centre_nm,
+            size_nm: [columns, rows].map(|n| size_nm.min(within(n))),
+            pixel_nm,
+        }
+    }
+
     /// The pixels of a scan of this part, in nm of the full field, whose first built pixel is at `origin_nm`.
     ///
     /// # Errors

@@ -122,6 +122,9 @@ fn worlds_are_recorded_in_one_scan() {
     coarse("coarse_plain.h5", &[]);
     coarse("coarse.h5", &["--acquisition", "ideal"]);
     println!("{}", python("check_recordings.py", &[Path::new("coarse"), here]));
+    // Of a single tile, all but the edges.
+    let told = json(stemgen(here).args(["acquire", "coarse_plain.h5", "-o", "whole.h5"]));
+    assert_eq!(told["shape"], serde_json::json!([120, 120]));
 
     let told = fails(&mut build("x.h5", &["--acquisition", "poor", "--no-noise"]));
     assert!(told.contains("--no-noise"), "{told}");

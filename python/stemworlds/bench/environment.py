@@ -10,9 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from ..errors import _invalid
 from . import rendering
-from .episodes import ACQUIRE, DECLARE, DOSE, KINDS, NAVIGATE, OVERVIEW_PX, ZOOM, Acquired, Episodes, FieldFacts, Moves, Task, kinds, observation
+from .episodes import ACQUIRE, DECLARE, DOSE, NAVIGATE, OVERVIEW_PX, ZOOM, Acquired, Episodes, FieldFacts, Moves, Task, kinds, observation, reported, type_of
 from .findings import Findings
 
 Observation = dict[str, npt.NDArray[Any]]
@@ -58,21 +57,14 @@ def action_space() -> spaces.Dict:
     )
 
 
-def _type(action: Action) -> Any:
-    if not isinstance(action, Mapping) or "type" not in action:
-        raise _invalid("action", f"action {action!r}: expected a dict with the key type: {KINDS}")
-    return action["type"]
-
-
 def fill(moves: Moves, slot: int, action: Action) -> None:
     """Puts an action of an environment where it belongs. What it lacks takes its default."""
-    moves.kinds[slot] = kinds([_type(action)])[0]
+    moves.kinds[slot] = kinds([type_of(action)])[0]
     x, y = np.asarray(action.get("position", (0.5, 0.5)), dtype=np.float64).reshape(2)
     moves.positions[slot] = (float(x), float(y))
     moves.zooms[slot] = float(np.asarray(action.get("zoom", 1.0)).reshape(-1)[0])
     moves.doses[slot] = float(np.asarray(action.get("dose", 1.0)).reshape(-1)[0])
-    report = action.get("report", "")
-    moves.reports[slot] = report.report() if isinstance(report, Findings) else str(report) or "{}"
+    moves.reports[slot] = reported(action.get("report", ""))
 
 
 class MicroscopeEnv(gym.Env[Observation, Action]):

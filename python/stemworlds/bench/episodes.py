@@ -119,6 +119,18 @@ class Acquired:
     __hash__: ClassVar[None]  # type: ignore[assignment]
 
 
+def type_of(action: Any) -> Any:
+    """The type of an action, or those of many."""
+    if not isinstance(action, Mapping) or "type" not in action:
+        raise _invalid("action", f"action {action!r}: expected a dict with the key type: {KINDS}")
+    return action["type"]
+
+
+def reported(report: Any) -> str:
+    """What an action declares, as the extension reads it."""
+    return report.report() if isinstance(report, Findings) else str(report) or "{}"
+
+
 def kinds(given: Sequence[Any]) -> list[int]:
     """Types of actions, as integers."""
     for kind in given:

@@ -14,7 +14,7 @@ from gymnasium.vector.utils import batch_space
 
 from ..errors import _invalid
 from .environment import action_space, observation_space
-from .episodes import KINDS, Acquired, Episodes, FieldFacts, Moves, Task, kinds
+from .episodes import Acquired, Episodes, FieldFacts, Moves, Task, kinds, reported, type_of
 from .findings import Findings
 
 Arrays = dict[str, npt.NDArray[Any]]
@@ -85,16 +85,14 @@ class MicroscopeVectorEnv(gym.vector.VectorEnv[Arrays, Mapping[str, Any], npt.ND
         takes its default."""
         count = self.num_envs
         moves = Moves.none(count)
-        if not isinstance(actions, Mapping) or "type" not in actions:
-            raise _invalid("action", f"actions: expected a dict of arrays with the key type: {KINDS}")
-        moves.kinds = kinds(np.asarray(actions["type"]).reshape(count).tolist())
+        moves.kinds = kinds(np.asarray(type_of(actions)).reshape(count).tolist())
         if "position" in actions:
             moves.positions = [(x, y) for x, y in np.asarray(actions["position"], dtype=np.float64).reshape(count, 2).tolist()]
         for name, target in (("zoom", moves.zooms), ("dose", moves.doses)):
             if name in actions:
                 target[:] = np.asarray(actions[name], dtype=np.float64).reshape(count).tolist()
         for n, report in enumerate(actions.get("report", ())):
-            moves.reports[n] = report.report() if isinstance(report, Findings) else str(report) or "{}"
+            moves.reports[n] = reported(report)
         for over in np.flatnonzero(self._over).tolist():
             self._begin(over, None)
             moves.begin[over] = self._seeds[over]
