@@ -5,6 +5,8 @@
 //! distance from a boundary, carries both across: the lattice stays coherent, and nothing jumps. Along y
 //! and the beam the second phase is strained to the period of the first.
 
+use std::cell::LazyCell;
+
 use crate::error::{Error, Result};
 use crate::recipe::CheckedRecipe;
 use crate::recipe::limits::BEYOND_FIELD_NM;
@@ -14,7 +16,7 @@ use crate::specimen::coherent::{Coherent, NM, Stretch};
 use crate::specimen::column_index::ColumnIndex;
 use crate::specimen::defects::rules::Defects;
 use crate::specimen::defects::vacancies::DistanceHistogram;
-use crate::specimen::sites::{SiteKind, SpecimenSite};
+use crate::specimen::sites::SpecimenSite;
 use crate::specimen::specimen_trait::{Boundary, BoundaryKind, Specimen};
 use crate::specimen::units::known_tags::KnownTags;
 use crate::specimen::units::library_cell::LibraryCell;
@@ -150,9 +152,9 @@ impl Specimen for Domains {
                 let (kind, member, first) = contents.unit_of(index);
                 tags.get((first, member), || self.tag(kind, first))
             });
-            let distance = || self.lattice.stretch.distance([x, y], row);
-            // What units hold is drawn already.
-            let defects = tag.is_none().then(|| self.defects.at(distance()));
+            // Nobody asks where units say what they hold.
+            let defects =
+                LazyCell::new(|| self.defects.at(self.lattice.stretch.distance([x, y], row)));
             let contents = self.contents.as_ref().zip(tag);
             let chains = &self.lattice.crystal.columns[index.kind].chains;
             let cells = 0..self.lattice.cells_along_beam;
@@ -162,8 +164,7 @@ impl Specimen for Domains {
                 let key = index.key(chain, cell);
                 let (kind, number) = match &contents {
                     Some((c, tag)) => c.holds(tag.entry, [index.kind, n, cell], chain.number),
-                    None => (defects.as_ref())
-                        .map_or((SiteKind::Pristine, chain.number), |d| d.of(key, chain.number)),
+                    None => defects.of(key, chain.number),
                 };
                 let ideal = [x, y, self.lattice.height(cell, chain)];
                 let shift = self.shifts[chain.site];
