@@ -11,12 +11,12 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use rayon::prelude::*;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::SystemTime;
 use stemgen::benchmark::{
     AgentAction, AgentFindings, BenchmarkWorld, ChangingWorld, DoseCurve, Ending, Episode,
-    EpisodeSettings, FieldFacts, FileWorld, RecipeSource, RecordedAcquisition, Reward, Split, Task,
-    TaskKind, TileDose, TileNoise,
+    EpisodeSettings, FieldFacts, FileWorld, InUse, RecipeSource, RecordedAcquisition, Reward,
+    Split, Task, TaskKind, TileDose, TileNoise,
 };
 use stemgen::imaging::Cache;
 use stemgen::progress::Silent;
@@ -60,30 +60,13 @@ enum Worlds {
     Recipe { source: Arc<RecipeSource>, split: Split, damage: bool },
 }
 
-/// What environments of this process use, by all that decides it: those of different tasks share a specimen and its images.
-struct InUse<K, T>(Mutex<Vec<(K, Weak<T>)>>);
-
-impl<K: PartialEq, T> InUse<K, T> {
-    /// What is in use by that key, or else what `make` makes.
-    fn get(&self, key: K, make: impl FnOnce() -> Result<T, Fault>) -> Result<Arc<T>, Fault> {
-        let all = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let found = all().iter().find(|(other, _)| *other == key).and_then(|(_, it)| it.upgrade());
-        if let Some(found) = found {
-            return Ok(found);
-        }
-        let made = Arc::new(make()?);
-        let mut all = all();
-        all.retain(|(_, it)| it.strong_count() > 0);
-        all.push((key, Arc::downgrade(&made)));
-        Ok(made)
-    }
-}
+// What environments of this process use, by all that decides it: those of different tasks share a specimen and its images.
 
 /// Recipes travel with their crystals in them, so equal ones make the same worlds.
-static SOURCES: InUse<(Recipe, Cache), RecipeSource> = InUse(Mutex::new(Vec::new()));
+static SOURCES: InUse<(Recipe, Cache), RecipeSource> = InUse::new();
 /// A file by its path, length and time of change, and the cache of what it lacks.
 type FileKey = (PathBuf, Option<(u64, SystemTime)>, Cache);
-static FILES: InUse<FileKey, FileWorld> = InUse(Mutex::new(Vec::new()));
+static FILES: InUse<FileKey, FileWorld> = InUse::new();
 
 impl Worlds {
     fn new(scene: &Scene, guest: &Guest) -> Result<Self, Fault> {

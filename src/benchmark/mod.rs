@@ -16,6 +16,7 @@ pub mod episode_settings;
 #[cfg(feature = "hdf5")]
 pub mod file_world;
 pub mod findings;
+pub mod in_use;
 pub mod matching;
 mod overview_blocks;
 pub mod recipe_world;
@@ -33,6 +34,7 @@ pub use episode_settings::{EpisodeSettings, Reward, TileDose, TileNoise};
 #[cfg(feature = "hdf5")]
 pub use file_world::FileWorld;
 pub use findings::{AgentFindings, FoundColumn, FoundParticle, PlacedDefect};
+pub use in_use::InUse;
 pub use recipe_world::{RecipeSource, RecipeWorld, Split};
 pub use seen_truth::SeenTruth;
 pub use task::{Task, TaskKind, TaskScore};

@@ -1,13 +1,14 @@
 //! Worlds of a recipe that are on no disk: a specimen for each seed, imaged where it is looked at.
 
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use ndarray::{Array2, s};
 use rayon::prelude::*;
 
 use super::benchmark_world::{BenchmarkWorld, PhaseSamples, RegionTruth, TrueColumn, window};
 use super::findings::{FoundParticle, PlacedDefect, type_name};
+use super::in_use::InUse;
 use super::overview_blocks::OverviewBlocks;
 use super::view::{FieldFacts, TileView};
 use crate::error::{Error, Result};
@@ -60,7 +61,7 @@ pub struct RecipeSource {
     options: BuildOptions,
     shared: Arc<SharedSheets>,
     facts: FieldFacts,
-    in_use: Mutex<HashMap<u64, Weak<RecipeWorld>>>,
+    in_use: InUse<u64, RecipeWorld>,
 }
 
 impl RecipeSource {
@@ -91,7 +92,7 @@ impl RecipeSource {
         };
         let (recipe, options) = (recipe.clone(), options.clone());
         let shared = Arc::new(SharedSheets::default());
-        let mut source = RecipeSource { recipe, options, shared, facts, in_use: Mutex::default() };
+        let mut source = RecipeSource { recipe, options, shared, facts, in_use: InUse::new() };
         let mut first = source.world_of(source.recipe.clone())?;
         first.imager.prepare(progress)?;
         source.facts.phases = first.specimen.phases();
@@ -136,15 +137,7 @@ impl RecipeSource {
     /// # Errors
     /// Those of the specimen.
     pub fn shared_world(&self, seed: u64) -> Result<Arc<RecipeWorld>> {
-        let in_use = || self.in_use.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(found) = in_use().get(&seed).and_then(Weak::upgrade) {
-            return Ok(found);
-        }
-        let made = Arc::new(self.world(seed)?);
-        let mut in_use = in_use();
-        in_use.retain(|_, world| world.strong_count() > 0);
-        in_use.insert(seed, Arc::downgrade(&made));
-        Ok(made)
+        self.in_use.get(seed, || self.world(seed))
     }
 
     fn world_of(&self, recipe: CheckedRecipe) -> Result<RecipeWorld> {
