@@ -229,6 +229,7 @@ fn group_images(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::detect::Detector;
     use crate::engine::{Algorithm, Phonons, Settings, simulate};
     use crate::optics::Aberrations;
     use crate::progress::Silent;
@@ -242,6 +243,8 @@ mod tests {
     fn plans(algorithm: Algorithm) -> Vec<Plan> {
         let plan = |defocus: f64| {
             let mut settings = Settings { algorithm, ..Settings::default() };
+            // Narrow, so that the waves are small.
+            settings.detectors = vec![Detector::new("ADF", 40.0, 80.0)];
             settings.optics.aberrations = Aberrations::defocus(defocus);
             settings.phonons = Some(Phonons { configurations: 2, seed: 3 });
             Plan::new(&settings, [11.0, 11.0, 4.0], &[1.0, 3.0, 3.1]).unwrap()

@@ -11,6 +11,8 @@ fn world(folder: &std::path::Path) {
             "test",
             "--set",
             "field.fov_nm=[5.04, 7.52]",
+            "--set",
+            "field.thickness_nm=0.4",
             "--keep-clean",
             "--audit",
             "0",
@@ -72,7 +74,8 @@ fn a_world_and_its_recipe_are_recorded_alike() {
     let place = ["--region", "2.0,2.0,3.0,3.0", "--profile", "poor", "--dose", "1e5", "--no-cache"];
     let recipe =
         ["acquire", "test", "--set", "field.fov_nm=[5.04, 7.52]", "-o", "r.h5", "--stages"];
-    let told = json(stemgen(here).args(recipe).args(place));
+    let thin = ["--set", "field.thickness_nm=0.4"];
+    let told = json(stemgen(here).args(recipe).args(thin).args(place));
     assert_eq!(told["source"], "made from the recipe");
     let told = json(stemgen(here).args(["acquire", "w.h5", "-o", "w1.h5", "--stages"]).args(place));
     assert_eq!(told["source"], "the noise-free image of the world");
@@ -89,7 +92,8 @@ fn worlds_are_recorded_in_one_scan() {
     let build = |name: &str, options: &[&str]| {
         let mut command = stemgen(here);
         command.args(["build", "test", "--set", "field.fov_nm=[5.04, 7.52]", "--keep-clean"]);
-        command.args(["--audit", "0", "--no-cache", "--no-png", "-o", name]).args(options);
+        command.args(["--set", "field.thickness_nm=0.4", "--audit", "0", "--no-cache", "--no-png"]);
+        command.args(["-o", name]).args(options);
         command
     };
     let told = json(&mut build("plain.h5", &[]));
@@ -111,6 +115,8 @@ fn worlds_are_recorded_in_one_scan() {
             "test",
             "--grid",
             "1x1",
+            "--set",
+            "field.thickness_nm=0.4",
             "--keep-clean",
             "--audit",
             "0",

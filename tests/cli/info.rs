@@ -55,8 +55,8 @@ fn the_command_that_is_told_makes_the_same_tiles_and_truth() {
     let line = with(&["--seed", "5", "--no-noise", "--keep-clean"]);
     let common = "build test --set field.thickness_nm=0.4 --grid 1x1";
     assert_eq!(line, format!("stemgen {common} --seed 5 --no-noise --keep-clean -o w.h5"));
-    let line =
-        with(&["--engine", "mosaic", "--window", "5", "--audit", "0", "--unset", "vacancies"]);
+    let mosaic = ["--engine", "mosaic", "--window", "5", "--audit", "0", "--unset", "vacancies"];
+    let line = with(&[&mosaic[..], &["--set", "boundaries.count=0"]].concat());
     assert!(line.contains("--grid 1x1 --engine mosaic --window 5 --audit 0"), "{line}");
     assert!(line.contains("--unset vacancies"), "{line}");
     let line = with(&["--expansion", "0.5", "--subtile", "1.1", "--subtile-overlap", "0.2"]);

@@ -2,12 +2,14 @@
 
 use super::{fails, json, python, stemgen};
 
-const SERIES: [&str; 11] = [
+const SERIES: [&str; 13] = [
     "live",
     "test",
     "--no-cache",
     "--set",
     "field.thickness_nm=0.4",
+    "--set",
+    "boundaries.count=0",
     "--set",
     "damage.radiolysis_barn.O=20",
     "--grid",

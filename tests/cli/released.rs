@@ -4,11 +4,21 @@ use super::{fails, file, json, stderr, stdout, stemgen};
 use std::path::Path;
 use std::process::Command;
 
+/// Thin, with a narrow detector and without phonons: nothing for measuring.
+const QUICK: [&str; 6] = [
+    "--set",
+    "phonons.configurations=1",
+    "--set",
+    "field.thickness_nm=0.4",
+    "--set",
+    "detector={inner_mrad=50,outer_mrad=90}",
+];
+
 /// Worlds of one tile each that take a second.
 fn build_all(folder: &Path) -> Command {
     let mut command = stemgen(folder);
     command.args(["build", "--all", "--grid", "1x1", "--engine", "window", "--audit", "0"]);
-    command.args(["--set", "phonons.configurations=1", "--set", "field.thickness_nm=0.4"]);
+    command.args(QUICK);
     command.args(["--no-png", "-o", "all", "--materials", "srtio3,test"]);
     command
 }
@@ -47,7 +57,7 @@ fn all_worlds_are_built_in_one_run() {
     // The same as one by one.
     let mut one = stemgen(here);
     one.args(["build", "srtio3", "--difficulty", "easy", "--grid", "1x1", "--engine", "window"]);
-    one.args(["--set", "phonons.configurations=1", "--set", "field.thickness_nm=0.4"]);
+    one.args(QUICK);
     assert!(one.args(["--audit", "0", "--no-png", "-o", "one.h5"]).status().unwrap().success());
     let bytes = |path: &str| std::fs::read(here.join(path)).unwrap();
     assert!(bytes("one.h5") == bytes("all/srtio3_easy_1x1.h5"));

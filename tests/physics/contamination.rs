@@ -174,7 +174,7 @@ fn threads_change_nothing() {
 }
 
 fn live(cache: &std::path::Path) -> LiveWorld {
-    let recipe = recipe(&["field.thickness_nm=0.4"]);
+    let recipe = recipe(&["field.thickness_nm=0.4", "boundaries.count=0"]);
     let imaging = BuildOptions {
         method: BuildMethod::Mosaic,
         cache: Cache::at(cache.to_owned()),

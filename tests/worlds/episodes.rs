@@ -316,6 +316,7 @@ fn worlds_in_use_are_shared() {
 fn doses_change_worlds_for_later() {
     let changes = [
         "field.thickness_nm=0.4",
+        "field.tile_px=64",
         "damage.radiolysis_barn.O=4000",
         "dose.electrons_per_angstrom2=1e4",
     ];

@@ -11,10 +11,11 @@ use stemgen::recipe::{CheckedRecipe, Recipe, Region};
 use stemgen::specimen::{DamagedSpecimen, SiteKind, Specimen, specimen};
 use stemgen::world::{BuildMethod, BuildOptions, Electrons, RecordedPart};
 
-/// Oxygen goes with a cross-section of 20 barn: a fifth of it after 1e6 electrons per square Angstrom.
+/// Oxygen goes with a cross-section of 20 barn: a fifth of it after 1e6 electrons per square Angstrom. One grain, whose library has
+/// a fifth of the images that a boundary needs.
 fn recipe(changes: &[&str]) -> CheckedRecipe {
     let recipe = Recipe::load("test", None).unwrap();
-    let own = ["damage.radiolysis_barn.O=20", "field.thickness_nm=0.4"];
+    let own = ["damage.radiolysis_barn.O=20", "field.thickness_nm=0.4", "boundaries.count=0"];
     let changes: Vec<_> = own.iter().chain(changes).map(|c| c.parse().unwrap()).collect();
     recipe.with_overrides(&changes).unwrap().checked().unwrap()
 }
@@ -131,7 +132,7 @@ fn recordings_change_the_specimen_where_they_are_made() {
     let worst =
         first.ideal.iter().zip(&before.clean).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
     let most = before.clean.iter().copied().fold(0.0, f32::max);
-    assert!(worst < 2e-3 * most, "{worst} of {most}");
+    assert!(worst < 5e-3 * most, "{worst} of {most}");
     let record = &live.history()[0];
     let lost = record.lost["O"];
     assert_eq!(record.lost.len(), 1);
@@ -285,6 +286,7 @@ fn film() -> CheckedRecipe {
         "damage.radiolysis_barn.C=20",
         "damage.radiolysis_barn.Pt=10",
         "phonons.configurations=1",
+        "detector={inner_mrad=50, outer_mrad=90}",
     ];
     let changes: Vec<_> = changes.iter().map(|c| c.parse().unwrap()).collect();
     let recipe = Recipe::load("pt", stemgen::recipe::Difficulty::Easy).unwrap();
@@ -378,7 +380,7 @@ fn films_show_the_atoms_that_are_left() {
 
 #[test]
 fn a_world_without_damage_stays_as_it_is() {
-    let thin = ["field.thickness_nm=0.4".parse().unwrap()];
+    let thin = ["field.thickness_nm=0.4", "boundaries.count=0"].map(|c| c.parse().unwrap());
     let recipe = Recipe::load("test", None).unwrap().with_overrides(&thin).unwrap();
     let recipe = recipe.checked().unwrap();
     let mut live = LiveWorld::new(&recipe, 1, &options(BuildMethod::Mosaic), &Silent).unwrap();

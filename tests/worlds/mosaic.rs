@@ -1,7 +1,7 @@
 //! Mosaics: worlds put together from a library of exactly simulated units.
 
 use std::collections::HashMap;
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 
 use crate::common::specimen;
 use ndarray::Array2;
@@ -40,9 +40,13 @@ fn recipe(count: usize, rate: f64) -> Recipe {
 }
 
 fn mosaic(recipe: &Recipe, specimen: &Arc<dyn Specimen>) -> MosaicImager {
+    mosaic_from(recipe, specimen, Cache::none())
+}
+
+fn mosaic_from(recipe: &Recipe, specimen: &Arc<dyn Specimen>, cache: Cache) -> MosaicImager {
     let simulator = Simulator::new(recipe, Algorithm::Window { width_angstrom: 7.8 });
     let recipe = recipe.clone().checked().unwrap();
-    let mut mosaic = MosaicImager::new(&recipe, specimen, simulator, Cache::none()).unwrap();
+    let mut mosaic = MosaicImager::new(&recipe, specimen, simulator, cache).unwrap();
     mosaic.prepare(&Silent).unwrap();
     mosaic
 }
@@ -80,7 +84,10 @@ impl RegionImager for OtherAtoms<'_> {
 fn a_mosaic_is_the_exact_image_of_its_atoms() {
     let recipe = recipe(1, 0.04);
     let specimen = specimen(&recipe).unwrap();
-    let mosaic = mosaic(&recipe, &specimen);
+    // Other seeds have the same library.
+    let folder = tempfile::tempdir().unwrap();
+    let cache = Cache::at(folder.path().to_owned());
+    let mosaic = mosaic_from(&recipe, &specimen, cache.clone());
     let survey = mosaic.survey();
     assert!(survey.families.len() >= 2, "crystal and boundary: {survey:?}");
     assert!(survey.untagged * 100 < survey.tagged, "{survey:?}");
@@ -102,7 +109,7 @@ fn a_mosaic_is_the_exact_image_of_its_atoms() {
     // The check can fail: the vacancies and displacements of another seed are other atoms.
     let other = Recipe { seed: 4, ..recipe.clone() };
     let other_specimen = crate::common::specimen(&other).unwrap();
-    let others = self::mosaic(&other, &other_specimen);
+    let others = mosaic_from(&other, &other_specimen, cache);
     let mixed = OtherAtoms { images: &mosaic, atoms: &others };
     let wrong = audit(&recipe, &*specimen, &mixed, &options, &Silent).unwrap();
     println!("{wrong:?}");
@@ -131,14 +138,19 @@ fn a_mosaic_of_10_nm_is_the_exact_image_of_its_atoms() {
     assert!(found.all_rms_percent < 0.5, "{}", found.all_rms_percent);
 }
 
-/// The library of a part of a field has no boundary; places at one are simulated as they are, not left black.
-#[test]
-fn places_that_the_library_does_not_know_are_simulated() {
+/// A field with two boundaries, and its first tile, which has none.
+static WHOLE_AND_PART: LazyLock<[MosaicImager; 2]> = LazyLock::new(|| {
     let changes = ["field.fov_nm=[2.12, 14.36]", "field.grid=[1, 7]", "phonons.configurations=1"];
     let changes: Vec<_> = changes.iter().map(|c| c.parse().unwrap()).collect();
     let whole = recipe(2, 0.0).with_overrides(&changes).unwrap();
     let part = whole.clone().with_grid(1, 1).unwrap();
-    let [all, some] = [&whole, &part].map(|r| mosaic(r, &specimen(r).unwrap()));
+    [&whole, &part].map(|r| mosaic(r, &specimen(r).unwrap()))
+});
+
+/// The library of a part of a field has no boundary; places at one are simulated as they are, not left black.
+#[test]
+fn places_that_the_library_does_not_know_are_simulated() {
+    let [all, some] = &*WHOLE_AND_PART;
     assert!(some.survey().families.len() < all.survey().families.len());
     let pixels = PixelRect::new([30, 225], [40, 30]);
     let [known, unknown] = [all, some].map(|m| m.mean_of(&pixels, 1, &Silent).unwrap());
@@ -149,20 +161,16 @@ fn places_that_the_library_does_not_know_are_simulated() {
 /// Overviews show what the library lacks as other columns nearby, and the rest as it is.
 #[test]
 fn overviews_simulate_no_column_of_their_own() {
-    let changes = ["field.fov_nm=[2.12, 14.36]", "field.grid=[1, 7]", "phonons.configurations=1"];
-    let changes: Vec<_> = changes.iter().map(|c| c.parse().unwrap()).collect();
-    let whole = recipe(2, 0.0).with_overrides(&changes).unwrap();
-    let part = whole.clone().with_grid(1, 1).unwrap();
-    let [all, some] = [&whole, &part].map(|r| mosaic(r, &specimen(r).unwrap()));
+    let [all, some] = &*WHOLE_AND_PART;
     let raster =
         TurnedRaster { centre_nm: [4.8, 1.0], pixel_nm: 0.04, angle_rad: 0.0, shape: [32, 40] };
     let images = |mosaic: &MosaicImager| {
         let exact = mosaic.image_at(&raster, 1, &Silent).unwrap().unwrap();
         (exact, mosaic.overview_at(&raster, 1, &Silent).unwrap().unwrap())
     };
-    let (exact, overview) = images(&all);
+    let (exact, overview) = images(all);
     assert_eq!(exact, overview, "nothing is missing");
-    let (exact, overview) = images(&some);
+    let (exact, overview) = images(some);
     let same = exact.iter().zip(&overview).filter(|(a, b)| a == b).count();
     assert!(same > 50 && exact.len() - same > 50, "{same} of {}", exact.len());
     let ratio = overview.mean().unwrap() / exact.mean().unwrap();

@@ -1,6 +1,6 @@
 //! Images on turned rasters, and labelled samples on them.
 
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 
 use ndarray::Array2;
 use stemgen::engine::{Algorithm, Expansion};
@@ -38,7 +38,8 @@ struct Field {
     mosaic: MosaicImager,
 }
 
-fn field() -> Field {
+/// All tests of this file look at the same field: its library takes a while.
+static FIELD: LazyLock<Field> = LazyLock::new(|| {
     let recipe = Recipe::from_toml_str("thin.toml", RECIPE, None).unwrap().checked().unwrap();
     let specimen = specimen(&recipe).unwrap();
     let simulator = Simulator::new(&recipe, Algorithm::Window { width_angstrom: 7.8 });
@@ -49,7 +50,7 @@ fn field() -> Field {
     let mut mosaic = MosaicImager::new(&recipe, &specimen, simulator, Cache::none()).unwrap();
     mosaic.prepare(&Silent).unwrap();
     Field { recipe, specimen, direct, mosaic }
-}
+});
 
 /// The raster of the pixels of a rectangle.
 fn raster(field: &Field, pixels: &PixelRect) -> TurnedRaster {
@@ -68,9 +69,9 @@ fn difference(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
 
 #[test]
 fn a_straight_raster_has_the_pixels_of_the_field_and_a_turned_one_its_places() {
-    let field = field();
+    let field = &*FIELD;
     let pixels = PixelRect::new([100, 90], [30, 36]);
-    let straight = raster(&field, &pixels);
+    let straight = raster(field, &pixels);
     let imagers: [&dyn RegionImager; 2] = [&field.direct, &field.mosaic];
     for (imager, most) in imagers.into_iter().zip([0.5, 1e-6]) {
         let image =
@@ -113,9 +114,9 @@ fn options() -> SampleOptions {
 
 #[test]
 fn samples_depend_on_their_number_alone_and_their_labels_on_what_they_show() {
-    let field = field();
+    let field = &*FIELD;
     let sample = |index: u64| {
-        let Field { recipe, specimen, mosaic, .. } = &field;
+        let Field { recipe, specimen, mosaic, .. } = field;
         training_sample(recipe, &**specimen, mosaic, &options(), index, &Silent).unwrap()
     };
     let all: Vec<_> = (0..4).map(sample).collect();
@@ -144,7 +145,7 @@ fn samples_depend_on_their_number_alone_and_their_labels_on_what_they_show() {
 
 #[test]
 fn impossible_samples_are_refused() {
-    let field = field();
+    let field = &*FIELD;
     let told = |options: SampleOptions| {
         options.check(&field.recipe.field).expect_err("refused").to_string()
     };
