@@ -59,8 +59,8 @@ fn the_command_that_is_told_makes_the_same_tiles_and_truth() {
     let line = with(&[&mosaic[..], &["--set", "boundaries.count=0"]].concat());
     assert!(line.contains("--grid 1x1 --engine mosaic --window 5 --audit 0"), "{line}");
     assert!(line.contains("--unset vacancies"), "{line}");
-    let line = with(&["--expansion", "0.5", "--subtile", "1.1", "--subtile-overlap", "0.2"]);
-    assert!(line.contains("--expansion 0.5 --subtile 1.1 --subtile-overlap 0.2 -o"), "{line}");
+    let line = with(&["--expansion", "0.5", "--subtile", "2", "--subtile-overlap", "0.2"]);
+    assert!(line.contains("--expansion 0.5 --subtile 2 --subtile-overlap 0.2 -o"), "{line}");
     assert!(with(&["--acquisition", "routine"]).contains("--set acquisition.profile=routine"));
 
     // A recipe of one's own; the engine is named where sub-tiles or the method are not the usual ones.

@@ -25,7 +25,14 @@ const WINDOWS: [&str; 6] = ["--engine", "window", "--subtile", "0.6", "--subtile
 fn build(folder: &Path, method: &[&str]) -> Command {
     let mut command = stemgen(folder);
     command.env("STEMGEN_CACHE", folder.join("cache"));
-    command.args(["build", "--recipe", &file("tests/cli/tiny.toml"), "--no-png", "-o", "w.h5"]);
+    command.args([
+        "build",
+        "--recipe",
+        &file("tests/cli/tiny_library.toml"),
+        "--no-png",
+        "-o",
+        "w.h5",
+    ]);
     command.args(method);
     command
 }
@@ -182,7 +189,9 @@ fn by_script(folder: &Path, around: &mut Command) -> String {
     let mut slurm = stemgen(folder);
     slurm.env("STEMGEN_CACHE", folder.join("cache"));
     slurm.args(["slurm", "--shards", "3", "--cpus", "1", "build", "--recipe"]);
-    slurm.args([&file("tests/cli/tiny.toml"), "--no-png", "-o", "w o r'ld.h5"]).args(MOSAIC);
+    slurm
+        .args([&file("tests/cli/tiny_library.toml"), "--no-png", "-o", "w o r'ld.h5"])
+        .args(MOSAIC);
     let script = slurm.output().unwrap();
     assert!(script.status.success(), "{}", stderr(&script));
     std::fs::write(folder.join("jobs.sh"), stdout(&script)).unwrap();
