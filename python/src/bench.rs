@@ -74,13 +74,13 @@ impl Worlds {
         if let Some(path) = &scene.world {
             let about = path.metadata().and_then(|about| Ok((about.len(), about.modified()?))).ok();
             let key = (path.clone(), about, options.cache.clone());
-            return Ok(Worlds::File(FILES.get(key, || Ok(FileWorld::open(path, &options)?))?));
+            return Ok(Worlds::File(FILES.get(key, || FileWorld::open(path, &options))?));
         }
         let splits = [("train", Split::Train), ("test", Split::Test)];
         let split = choice(Setting::Episode, &scene.split, &splits)?;
         let recipe = checked(scene.toml.as_deref().unwrap_or_default())?;
         let key = (recipe.recipe().clone(), options.cache.clone());
-        let source = SOURCES.get(key, || Ok(RecipeSource::new(&recipe, &options, guest)?))?;
+        let source = SOURCES.get(key, || RecipeSource::new(&recipe, &options, guest))?;
         Ok(Worlds::Recipe { source, split, damage: scene.damage })
     }
 
