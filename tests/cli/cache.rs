@@ -203,6 +203,14 @@ fn damaged_and_foreign_images_are_found() {
     let names: Vec<&str> =
         told.as_array().unwrap().iter().map(|w| w["world"].as_str().unwrap()).collect();
     assert_eq!(names, ["srtio3_easy", "batio3_easy", "sige_easy", "gan_easy"]);
+    let again = |code: i32| {
+        let arguments = ["--recompute", "2", "--json"];
+        let run = cache(here, &["verify"]).args(hard).args(arguments).output().unwrap();
+        assert_eq!(run.status.code(), Some(code), "{}", stderr(&run));
+        serde_json::from_str::<serde_json::Value>(&stdout(&run)).unwrap()
+    };
+    let told = again(0);
+    assert_eq!((&told["images"], &told["recomputed"][0]["difference"]), (&1.into(), &0.0.into()));
     // Whole, with another image's values: its checksum is right.
     let mut files = std::fs::read_dir(here.join("cache/srtio3")).unwrap();
     let path = files.next().unwrap().unwrap().path();
@@ -212,13 +220,8 @@ fn damaged_and_foreign_images_are_found() {
     let digest = <sha2::Sha256 as sha2::Digest>::digest(&bytes[..body]);
     bytes[body..].copy_from_slice(&digest);
     std::fs::write(&path, &bytes).unwrap();
-    let arguments = ["--recompute", "2", "--json"];
-    let run = cache(here, &["verify"]).args(hard).args(arguments).output().unwrap();
-    assert_eq!(run.status.code(), Some(3), "{}", stderr(&run));
-    let told: serde_json::Value = serde_json::from_str(&stdout(&run)).unwrap();
+    let told = again(3);
     assert!(told["sound"] == false && told["damaged"].as_array().unwrap().is_empty(), "{told}");
-    let difference = told["recomputed"][0]["difference"].as_f64().unwrap();
-    assert!(told["images"] == 1 && difference > 0.0, "{told}");
     bytes[body / 2] ^= 1;
     std::fs::write(&path, &bytes).unwrap();
     let run = cache(here, &["verify"]).output().unwrap();
