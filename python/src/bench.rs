@@ -60,9 +60,8 @@ enum Worlds {
     Recipe { source: Arc<RecipeSource>, split: Split, damage: bool },
 }
 
-// What environments of this process use, by all that decides it: those of different tasks share a specimen and its images.
-
-/// Recipes travel with their crystals in them, so equal ones make the same worlds.
+/// What environments of this process use: those of different tasks share a specimen and its images. Recipes travel with their crystals
+/// in them, so equal ones make the same worlds.
 static SOURCES: InUse<(Recipe, Cache), RecipeSource> = InUse::new();
 /// A file by its path, length and time of change, and the cache of what it lacks.
 type FileKey = (PathBuf, Option<(u64, SystemTime)>, Cache);

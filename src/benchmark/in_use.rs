@@ -29,8 +29,9 @@ impl<K: PartialEq, T> InUse<K, T> {
     /// # Errors
     /// Those of `make`.
     pub fn get<E>(&self, key: K, make: impl FnOnce() -> Result<T, E>) -> Result<Arc<T>, E> {
-        let found = self.all().iter().find(|(other, _)| *other == key).map(|(_, it)| it.upgrade());
-        if let Some(Some(found)) = found {
+        let alive = |(other, it): &(K, Weak<T>)| (*other == key).then(|| it.upgrade()).flatten();
+        let found = self.all().iter().find_map(alive);
+        if let Some(found) = found {
             return Ok(found);
         }
         let made = Arc::new(make()?);
