@@ -17,8 +17,8 @@ HERE = Path(__file__).parent
 SOURCES = HERE.parent
 ROOT = SOURCES.parent
 
-#: Changes of a thin specimen that loses oxygen fast; its library is shared.
-DYING: dict[str, Any] = {"damage.radiolysis_barn.O": 60, "field.thickness_nm": 0.4}
+#: Changes of a thin specimen of one grain that loses oxygen fast; its library is shared.
+DYING: dict[str, Any] = {"damage.radiolysis_barn.O": 60, "field.thickness_nm": 0.4, "boundaries.count": 0}
 #: A field of a tile and a thin specimen: seconds to build.
 TINY: dict[str, Any] = {"set": {"field.thickness_nm": 0.4, "phonons.configurations": 2}, "grid": (1, 2), "seed": 5}
 

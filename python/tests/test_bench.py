@@ -17,21 +17,14 @@ from stemworlds import bench
 RECIPE: dict[str, Any] = {"recipe": "test", "set": {"field.thickness_nm": 0.4}}
 
 
-@pytest.fixture(scope="module")
-def world_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("bench") / "w.h5"
-    sw.build("test", out=path, keep_clean=True, audit=0, set={"field.thickness_nm": 0.4})
-    return path
-
-
 def same(a: Any, b: Any) -> bool:
     return set(a) == set(b) and all(np.array_equal(a[name], b[name]) for name in a)
 
 
 @pytest.mark.parametrize("task", bench.TASKS)
 @pytest.mark.parametrize("suffix", ["", "Strict"])
-def test_gymnasium_accepts_all_environments(world_file: Path, task: str, suffix: str) -> None:
-    env = gym.make(f"stemworlds/{task}{suffix}-v0", world=world_file, render_mode="rgb_array")
+def test_gymnasium_accepts_all_environments(field_path: Path, task: str, suffix: str) -> None:
+    env = gym.make(f"stemworlds/{task}{suffix}-v0", world=field_path, render_mode="rgb_array")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         # Zoom and dose have their own units.
@@ -39,9 +32,9 @@ def test_gymnasium_accepts_all_environments(world_file: Path, task: str, suffix:
         check_env(env.unwrapped)
 
 
-def test_gymnasium_accepts_wrapped_environments(world_file: Path) -> None:
+def test_gymnasium_accepts_wrapped_environments(field_path: Path) -> None:
     def make() -> gym.Env[Any, Any]:
-        return gym.make("stemworlds/DefectCensus-v0", world=world_file).unwrapped
+        return gym.make("stemworlds/DefectCensus-v0", world=field_path).unwrapped
 
     for wrapped in (bench.DiscreteGrid(make()), bench.TargetBox(make()), bench.GridChoice(make()), bench.ByteImages(make())):
         check_env(wrapped, skip_render_check=True)
@@ -76,8 +69,8 @@ def test_specimens_of_recipes_are_new_at_each_reset() -> None:
     assert np.array_equal(twin.acquire(0, 1)[0]["tile"], first)
 
 
-def test_many_environments_do_what_single_ones_do(world_file: Path) -> None:
-    for options in ({"world": world_file}, RECIPE):
+def test_many_environments_do_what_single_ones_do(field_path: Path) -> None:
+    for options in ({"world": field_path}, RECIPE):
         many = gym.make_vec("stemworlds/Targeted-v0", num_envs=3, vectorization_mode="vector_entry_point", horizon=4, **options)
         single = [gym.make("stemworlds/Targeted-v0", horizon=4, **options).unwrapped for _ in range(3)]
         seen, _ = many.reset(seed=7)
@@ -105,9 +98,9 @@ def test_many_environments_do_what_single_ones_do(world_file: Path) -> None:
         assert over.any() or step > 4
 
 
-def test_an_oracle_gets_the_paper_s_ceiling(world_file: Path) -> None:
+def test_an_oracle_gets_the_paper_s_ceiling(field_path: Path) -> None:
     for task in bench.TASKS:
-        env = gym.make(f"stemworlds/{task}-v0", world=world_file).unwrapped
+        env = gym.make(f"stemworlds/{task}-v0", world=field_path).unwrapped
         assert isinstance(env, bench.MicroscopeEnv)
         env.reset(seed=0)
         rows, columns = env.field.grid
@@ -123,8 +116,8 @@ def test_an_oracle_gets_the_paper_s_ceiling(world_file: Path) -> None:
         assert record["scores"]["strict"] == pytest.approx(1.0)
 
 
-def test_what_does_not_fit_the_budget_ends_the_episode(world_file: Path) -> None:
-    env = gym.make("stemworlds/DefectCensus-v0", world=world_file, budget=250.0).unwrapped
+def test_what_does_not_fit_the_budget_ends_the_episode(field_path: Path) -> None:
+    env = gym.make("stemworlds/DefectCensus-v0", world=field_path, budget=250.0).unwrapped
     assert isinstance(env, bench.MicroscopeEnv)
     env.reset(seed=0)
     assert env.acquire(0, 0)[4]["acquired"].cost == 100.0
@@ -136,14 +129,14 @@ def test_what_does_not_fit_the_budget_ends_the_episode(world_file: Path) -> None
         env.step({"type": bench.NAVIGATE})
 
 
-def test_actions_of_no_kind_are_refused(world_file: Path) -> None:
-    env = gym.make("stemworlds/Targeted-v0", world=world_file).unwrapped
+def test_actions_of_no_kind_are_refused(field_path: Path) -> None:
+    env = gym.make("stemworlds/Targeted-v0", world=field_path).unwrapped
     assert isinstance(env, bench.MicroscopeEnv)
     env.reset(seed=0)
     for action in ({}, {"type": 4}, {"type": -1}, {"type": 1.5}, {"type": "acquire"}):
         with pytest.raises(sw.InvalidValue, match="1 acquires"):
             env.step(action)
-    many = bench.MicroscopeVectorEnv(2, "targeted", world=world_file)
+    many = bench.MicroscopeVectorEnv(2, "targeted", world=field_path)
     many.reset(seed=0)
     for actions in ({}, {"type": [0, 7]}):
         with pytest.raises(sw.InvalidValue, match="1 acquires"):
@@ -151,11 +144,11 @@ def test_actions_of_no_kind_are_refused(world_file: Path) -> None:
     # The episodes go on.
     assert not env.step({"type": bench.ACQUIRE, "zoom": 1.0, "dose": 1e9})[2]
     with pytest.raises(sw.StemworldsError, match="vacancy"):
-        gym.make("stemworlds/Targeted-v0", world=world_file, target="vacancies")
+        gym.make("stemworlds/Targeted-v0", world=field_path, target="vacancies")
 
 
-def test_reports_that_cannot_be_read_are_counted(world_file: Path) -> None:
-    env = gym.make("stemworlds/DefectCensus-v0", world=world_file).unwrapped
+def test_reports_that_cannot_be_read_are_counted(field_path: Path) -> None:
+    env = gym.make("stemworlds/DefectCensus-v0", world=field_path).unwrapped
     assert isinstance(env, bench.MicroscopeEnv)
     env.reset(seed=0)
     env.acquire(0, 0)
@@ -180,8 +173,8 @@ def test_findings_come_back() -> None:
         bench.Findings.read("[")
 
 
-def test_pictures_show_the_episode(world_file: Path) -> None:
-    env = gym.make("stemworlds/DefectCensus-v0", world=world_file, render_mode="rgb_array").unwrapped
+def test_pictures_show_the_episode(field_path: Path) -> None:
+    env = gym.make("stemworlds/DefectCensus-v0", world=field_path, render_mode="rgb_array").unwrapped
     assert isinstance(env, bench.MicroscopeEnv)
     env.reset(seed=0)
     empty = env.render()
@@ -192,7 +185,7 @@ def test_pictures_show_the_episode(world_file: Path) -> None:
     env.declare(env.truth_seen())
     full = env.render()
     assert full.shape == empty.shape and full.dtype == np.uint8 and (full != empty).mean() > 0.05
-    text = gym.make("stemworlds/DefectCensus-v0", world=world_file, render_mode="ansi").unwrapped
+    text = gym.make("stemworlds/DefectCensus-v0", world=field_path, render_mode="ansi").unwrapped
     assert isinstance(text, bench.MicroscopeEnv)
     text.reset(seed=0)
     text.acquire(1, 2)

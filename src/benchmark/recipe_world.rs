@@ -225,7 +225,8 @@ impl RecipeWorld {
     /// Scale and offset of tiles: the brightest pixel of a few places, with its noise and [`HEADROOM`].
     fn scaling(&self, progress: &dyn Progress) -> Result<[f64; 2]> {
         let [height, width] = self.facts.size_nm();
-        let mut particles = self.truth(&self.whole(), false)?.particles;
+        let origin = self.recipe.field.origin_nm();
+        let mut particles = particles_of(&*self.specimen, &self.whole(), origin);
         particles.sort_by(|a, b| b.diameter_nm.total_cmp(&a.diameter_nm));
         let inside = |p: &&FoundParticle| self.whole().contains(p.position_nm);
         let of_particle = |p: &FoundParticle| [p.position_nm[0] / width, p.position_nm[1] / height];
@@ -393,8 +394,7 @@ pub(super) fn truth_of(
     origin: [f64; 2],
     columns: bool,
 ) -> RegionTruth {
-    let shift = |range: [f64; 2], by: f64| range.map(|v| v + by);
-    let there = Region { x: shift(region.x, origin[0]), y: shift(region.y, origin[1]) };
+    let there = from_origin(region, origin);
     let (sites, found) = list(&specimen.query(&there.grown(BESIDE_NM)), origin, 0);
     let placed = |s: &SiteTruth| {
         let kind = type_name(s.kind)?;
@@ -407,14 +407,26 @@ pub(super) fn truth_of(
         let defective = c.vacancies + c.substitutions > 0;
         region.contains(position_nm).then_some(TrueColumn { position_nm, defective })
     };
+    RegionTruth {
+        defects: sites.iter().filter_map(placed).collect(),
+        columns: if columns { found.iter().filter_map(column).collect() } else { Vec::new() },
+        particles: particles_of(specimen, region, origin),
+    }
+}
+
+/// The particles that reach into such a region.
+fn particles_of(specimen: &dyn Specimen, region: &Region, origin: [f64; 2]) -> Vec<FoundParticle> {
     let particle = |p: ParticleTruth| FoundParticle {
         position_nm: [p.centre_nm[0] - origin[0], p.centre_nm[1] - origin[1]],
         diameter_nm: p.diameter_nm,
         morphology: p.morphology,
     };
-    RegionTruth {
-        defects: sites.iter().filter_map(placed).collect(),
-        columns: if columns { found.iter().filter_map(column).collect() } else { Vec::new() },
-        particles: particles_reaching(specimen, &there).into_iter().map(particle).collect(),
-    }
+    let there = from_origin(region, origin);
+    particles_reaching(specimen, &there).into_iter().map(particle).collect()
+}
+
+/// A region that counts from `origin`, in the full field.
+fn from_origin(region: &Region, origin: [f64; 2]) -> Region {
+    let shift = |range: [f64; 2], by: f64| range.map(|v| v + by);
+    Region { x: shift(region.x, origin[0]), y: shift(region.y, origin[1]) }
 }

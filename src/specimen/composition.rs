@@ -157,6 +157,17 @@ impl Composition {
         }
     }
 
+    /// The fraction at all points at x and y; nothing where an interface is near.
+    pub fn along_beam(&self, at: [f64; 2]) -> Option<f64> {
+        match self {
+            Composition::Linear { .. } => Some(self.mean(at[0])),
+            Composition::Wells { fraction, .. } => {
+                let inside = self.well_along_beam(at)?;
+                Some(if inside { *fraction } else { 0.0 })
+            }
+        }
+    }
+
     /// Whether all points at `x` lie in a well, or none; nothing where an interface is near.
     pub fn well_column(&self, x: f64) -> Option<bool> {
         let Composition::Wells { sides, .. } = self else { return Some(false) };

@@ -11,7 +11,7 @@ use crate::error::{Error, Result};
 use crate::recipe::CheckedRecipe;
 use crate::recipe::limits::BEYOND_FIELD_NM;
 use crate::recipe::region::Region;
-use crate::specimen::atom_columns::Sites;
+use crate::specimen::atom_columns::{AtomColumn, Sites};
 use crate::specimen::coherent::{Coherent, NM, Stretch};
 use crate::specimen::column_index::ColumnIndex;
 use crate::specimen::defects::rules::Defects;
@@ -141,10 +141,9 @@ impl Domains {
         let structure = (order(&row, centre[0]) * ORDER_STEPS).round() as usize;
         Some(UnitTag::unrotated((first, 0), centre, structure, entry))
     }
-}
 
-impl Specimen for Domains {
-    fn query(&self, region: &Region) -> Sites {
+    /// The columns of a region; no sites if not `with_sites`.
+    fn listed(&self, region: &Region, with_sites: bool) -> Sites {
         let mut out = Sites::default();
         let mut tags = KnownTags::default();
         self.for_each_column(region, |index, column, ([x, y], order), row| {
@@ -157,7 +156,7 @@ impl Specimen for Domains {
                 LazyCell::new(|| self.defects.at(self.lattice.stretch.distance([x, y], row)));
             let contents = self.contents.as_ref().zip(tag);
             let chains = &self.lattice.crystal.columns[index.kind].chains;
-            let cells = 0..self.lattice.cells_along_beam;
+            let cells = 0..if with_sites { self.lattice.cells_along_beam } else { 0 };
             let sites =
                 cells.flat_map(|cell| chains.iter().enumerate().map(move |(n, c)| (cell, n, c)));
             let sites = sites.map(|(cell, n, chain)| {
@@ -174,6 +173,16 @@ impl Specimen for Domains {
             out.push_column(index.id(), column, tag, sites);
         });
         out
+    }
+}
+
+impl Specimen for Domains {
+    fn query(&self, region: &Region) -> Sites {
+        self.listed(region, true)
+    }
+
+    fn columns(&self, region: &Region) -> Vec<AtomColumn> {
+        self.listed(region, false).columns
     }
 
     fn library_cell(&self, family: UnitFamily) -> Option<LibraryCell> {

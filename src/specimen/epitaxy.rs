@@ -5,6 +5,8 @@
 //! are given, the biaxial strain that coherence imposes lengthens it by Poisson's effect,
 //! eps_perp = -2 (C13 / C33) eps_par (C12 / C11 for a cubic crystal along a cube axis).
 
+use std::cell::LazyCell;
+
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
@@ -13,7 +15,7 @@ use crate::recipe::limits::BEYOND_FIELD_NM;
 use crate::recipe::region::Region;
 use crate::recipe::tables::{Alloy, CompositionProfile, Wells};
 use crate::rng::{self, Purpose};
-use crate::specimen::atom_columns::Sites;
+use crate::specimen::atom_columns::{AtomColumn, Sites};
 use crate::specimen::coherent::{Coherent, NM, Stretch};
 use crate::specimen::column_index::ColumnIndex;
 use crate::specimen::composition::Composition;
@@ -191,9 +193,9 @@ impl Epitaxy {
                 let drawn = contents.draw_among(kind, first, open.rate, around, &open.allowed);
                 // Where few sites are open the pool may lack what could be there, but seldom what is: nothing. Else the number of guests
                 // is right, and some lie above or below the well.
-                let found = || contents.find(kind, first, open.rate, around, &open.guests);
-                let nearest =
-                    || contents.nearest(kind, first, rates, (&open.guests, &open.allowed));
+                let guests = LazyCell::new(|| self.guests(contents, (kind, first), position));
+                let found = || contents.find(kind, first, open.rate, around, &guests);
+                let nearest = || contents.nearest(kind, first, rates, (&guests, &open.allowed));
                 drawn.or_else(found).or_else(nearest)?
             }
         };
@@ -204,36 +206,97 @@ impl Epitaxy {
     fn open_sites(
         &self,
         contents: &UnitOccupation,
-        (kind, first): (usize, ColumnIndex),
+        unit: (usize, ColumnIndex),
         position: impl Fn(ColumnIndex) -> [f64; 2],
     ) -> OpenSites {
-        let allowed = vec![false; contents.pool.sites(kind)];
-        let mut open = OpenSites { rate: 0.0, allowed, guests: Vec::new() };
+        let allowed = vec![false; contents.pool.sites(unit.0)];
+        let mut open = OpenSites { rate: 0.0, allowed };
+        self.for_each_host(contents, unit, position, |site, fraction, _| {
+            open.allowed[site] = fraction > 0.0;
+            open.rate = open.rate.max(fraction);
+        });
+        open
+    }
+
+    /// The sites of a unit that hold a guest if each is drawn by itself, ascending.
+    fn guests(
+        &self,
+        contents: &UnitOccupation,
+        unit: (usize, ColumnIndex),
+        position: impl Fn(ColumnIndex) -> [f64; 2],
+    ) -> Vec<u16> {
+        let mut guests = Vec::new();
+        self.for_each_host(contents, unit, position, |site, fraction, key| {
+            if self.draws_guest(fraction, key) {
+                guests.push(site as u16);
+            }
+        });
+        guests.sort_unstable();
+        guests
+    }
+
+    /// Calls `f(site, fraction of guests there, key)` for the sites of a unit that guests may take.
+    fn for_each_host(
+        &self,
+        contents: &UnitOccupation,
+        (kind, first): (usize, ColumnIndex),
+        position: impl Fn(ColumnIndex) -> [f64; 2],
+        mut f: impl FnMut(usize, f64, u64),
+    ) {
         for member in &contents.units.kinds[kind] {
             let cell = [0, 1].map(|k| first.cell[k] + member.cell[k]);
             let index = ColumnIndex { kind: member.kind, cell, ..first };
             let [x, y] = position(index);
+            let along_beam = self.composition.along_beam([x, y]);
             let chains = &self.lattice.crystal.columns[member.kind].chains;
             for (n, chain) in chains.iter().enumerate() {
                 for cell in 0..self.lattice.cells_along_beam {
                     let Some(site) = contents.site(member.kind, n, cell) else { continue };
-                    let z = self.lattice.height(cell, chain);
-                    let here = self.composition.at([x, y, z]);
-                    open.allowed[site] = here > 0.0;
-                    open.rate = open.rate.max(here);
-                    if self.draws_guest(here, index.key(chain, cell)) {
-                        open.guests.push(site as u16);
-                    }
+                    let there = || self.composition.at([x, y, self.lattice.height(cell, chain)]);
+                    f(site, along_beam.unwrap_or_else(there), index.key(chain, cell));
                 }
             }
         }
-        open.guests.sort_unstable();
-        open
     }
 
     /// Whether a site drawn by itself holds a guest.
     fn draws_guest(&self, fraction: f64, key: u64) -> bool {
         fraction > 0.0 && rng::uniform(self.seed, Purpose::Defect, GUEST_DRAW, key) < fraction
+    }
+
+    /// The columns of a region; no sites if not `with_sites`.
+    fn listed(&self, region: &Region, with_sites: bool) -> Sites {
+        let mut out = Sites::default();
+        let defects = self.defects.at(f64::INFINITY);
+        let mut tags = KnownTags::default();
+        self.for_each_column(region, |index, [x, y]| {
+            let chains = &self.lattice.crystal.columns[index.kind].chains;
+            let cells = 0..if with_sites { self.lattice.cells_along_beam } else { 0 };
+            let tag = self.contents.as_ref().and_then(|contents| {
+                let (kind, member, first) = contents.unit_of(index);
+                tags.get((first, member), || self.tag(kind, first))
+            });
+            let contents = self.contents.as_ref().zip(tag);
+            let sites =
+                cells.flat_map(|cell| chains.iter().enumerate().map(move |(n, c)| (cell, n, c)));
+            let sites = sites.map(|(cell, n, chain)| {
+                let key = index.key(chain, cell);
+                let z = self.lattice.height(cell, chain);
+                if let Some((contents, tag)) = &contents {
+                    let place = [index.kind, n, cell];
+                    let (kind, number) = contents.holds(tag.entry, place, chain.number);
+                    return SpecimenSite { key, position_nm: [x, y, z], number, kind };
+                }
+                let (mut kind, mut number) = defects.of(key, chain.number);
+                let host = kind == SiteKind::Pristine && number == self.host;
+                if host && self.draws_guest(self.composition.at([x, y, z]), key) {
+                    (kind, number) = (SiteKind::Substitution, self.guest);
+                }
+                SpecimenSite { key, position_nm: [x, y, z], number, kind }
+            });
+            out.push_column(index.id(), [x, y], tag, sites);
+        });
+        out
     }
 
     /// Calls `f(column, position)`.
@@ -262,43 +325,15 @@ struct OpenSites {
     rate: f64,
     /// Which sites are open.
     allowed: Vec<bool>,
-    /// The sites that hold one if each is drawn by itself, ascending.
-    guests: Vec<u16>,
 }
 
 impl Specimen for Epitaxy {
     fn query(&self, region: &Region) -> Sites {
-        let mut out = Sites::default();
-        let defects = self.defects.at(f64::INFINITY);
-        let mut tags = KnownTags::default();
-        self.for_each_column(region, |index, [x, y]| {
-            let chains = &self.lattice.crystal.columns[index.kind].chains;
-            let cells = 0..self.lattice.cells_along_beam;
-            let tag = self.contents.as_ref().and_then(|contents| {
-                let (kind, member, first) = contents.unit_of(index);
-                tags.get((first, member), || self.tag(kind, first))
-            });
-            let contents = self.contents.as_ref().zip(tag);
-            let sites =
-                cells.flat_map(|cell| chains.iter().enumerate().map(move |(n, c)| (cell, n, c)));
-            let sites = sites.map(|(cell, n, chain)| {
-                let key = index.key(chain, cell);
-                let z = self.lattice.height(cell, chain);
-                if let Some((contents, tag)) = &contents {
-                    let place = [index.kind, n, cell];
-                    let (kind, number) = contents.holds(tag.entry, place, chain.number);
-                    return SpecimenSite { key, position_nm: [x, y, z], number, kind };
-                }
-                let (mut kind, mut number) = defects.of(key, chain.number);
-                let host = kind == SiteKind::Pristine && number == self.host;
-                if host && self.draws_guest(self.composition.at([x, y, z]), key) {
-                    (kind, number) = (SiteKind::Substitution, self.guest);
-                }
-                SpecimenSite { key, position_nm: [x, y, z], number, kind }
-            });
-            out.push_column(index.id(), [x, y], tag, sites);
-        });
-        out
+        self.listed(region, true)
+    }
+
+    fn columns(&self, region: &Region) -> Vec<AtomColumn> {
+        self.listed(region, false).columns
     }
 
     fn library_cell(&self, family: UnitFamily) -> Option<LibraryCell> {

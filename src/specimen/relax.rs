@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, HashMap};
 use crate::error::Result;
 use crate::recipe::CheckedRecipe;
 use crate::recipe::region::Region;
-use crate::specimen::atom_columns::Sites;
+use crate::specimen::atom_columns::{AtomColumn, Sites};
 use crate::specimen::sites::{DISPLACED_NM, SiteKind, SpecimenSite};
 use crate::specimen::specimen_trait::ThinFilm;
 use crate::specimen::specimen_trait::{Boundary, ParticleTruth, Specimen};
@@ -50,6 +50,9 @@ impl Specimen for Relaxed {
         let vacant: Vec<_> = around.into_iter().filter(|s| s.kind == SiteKind::Vacancy).collect();
         outward(&mut sites.sites, &vacant, self.distance_nm, &self.reach);
         sites
+    }
+    fn columns(&self, region: &Region) -> Vec<AtomColumn> {
+        self.inner.columns(region)
     }
     fn expected_sites(&self, region: &Region) -> Option<u64> {
         self.inner.expected_sites(region)

@@ -1,6 +1,6 @@
 //! What every specimen can tell: its sites region by region, boundaries, phases and particles.
 
-use super::atom_columns::Sites;
+use super::atom_columns::{AtomColumn, Sites};
 use super::sites::SpecimenSite;
 use super::units::library_cell::LibraryCell;
 use super::units::unit_tag::UnitFamily;
@@ -86,6 +86,12 @@ pub trait Specimen: Send + Sync {
     /// The columns whose position lies in a region. The specimen ends [`BEYOND_FIELD_NM`](crate::recipe::BEYOND_FIELD_NM) outside
     /// the field; a region has the same sites whichever way it is asked for.
     fn query(&self, region: &Region) -> Sites;
+    /// The same columns in the same order, none with its sites. Takes less time where units say what columns are.
+    fn columns(&self, region: &Region) -> Vec<AtomColumn> {
+        let mut columns = self.query(region).columns;
+        columns.iter_mut().for_each(|column| column.sites = 0..0);
+        columns
+    }
     /// The sites of those columns.
     fn sites(&self, region: &Region) -> Vec<SpecimenSite> {
         self.query(region).sites
@@ -125,5 +131,25 @@ pub trait Specimen: Send + Sync {
     /// Particles whose centre lies in the specimen.
     fn particles(&self) -> Vec<ParticleTruth> {
         Vec::new()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::recipe::region::Region;
+    use crate::recipe::{CheckedRecipe, Difficulty};
+    use crate::specimen::specimen;
+
+    #[test]
+    fn columns_are_those_of_the_query_without_their_sites() {
+        for id in ["srtio3", "batio3", "gan", "sige", "pt"] {
+            let recipe = CheckedRecipe::load(id, Difficulty::Hard).unwrap();
+            let specimen = specimen(&recipe).unwrap();
+            let region = Region { x: [20.0, 35.0], y: [4.0, 6.0] };
+            let mut expected = specimen.query(&region).columns;
+            assert!(expected.len() > 10, "{id}");
+            expected.iter_mut().for_each(|column| column.sites = 0..0);
+            assert_eq!(specimen.columns(&region), expected, "{id}");
+        }
     }
 }

@@ -11,6 +11,7 @@ use crate::imaging::mosaic::survey::BEYOND_NM;
 use crate::recipe::region::Region;
 use crate::resample::{Kernel, TAPS, Weights};
 use crate::simd::vectorised;
+use crate::specimen::atom_columns::{AtomColumn, Sites};
 use crate::specimen::sites::SiteKind;
 use crate::specimen::specimen_trait::Specimen;
 use crate::specimen::units::unit_tag::{TurnedFamily, UnitTag};
@@ -34,11 +35,10 @@ struct PlacedUnit {
 
 /// A column of a unit.
 struct PlacedColumn {
+    id: u64,
     unit: usize,
     /// Position in Angstrom.
     at: [f64; 2],
-    /// Mean atomic number of its atoms.
-    mean_number: f64,
 }
 
 /// The share of a unit in a pixel.
@@ -50,6 +50,8 @@ struct PixelShare {
 
 /// Where the units' images overlap: the pixels of a rectangle and the units that make them.
 pub struct Assembly {
+    /// Where its columns lie.
+    area: Region,
     units: Vec<PlacedUnit>,
     columns: Vec<PlacedColumn>,
     shares: Vec<PixelShare>,
@@ -89,8 +91,7 @@ impl Assembly {
         let (mut units, mut columns): (Vec<PlacedUnit>, Vec<PlacedColumn>) = Default::default();
         let mut known: HashMap<u64, usize> = HashMap::new();
         let mut bins: HashMap<[i64; 2], Vec<(usize, [f64; 2])>> = HashMap::new();
-        let found = specimen.query(&area);
-        for column in found.columns {
+        for column in specimen.columns(&area) {
             let id = column.unit.map_or(column.id, |u| u.id);
             let at = column.position_nm.map(|v| 10.0 * v);
             let unit = *known.entry(id).or_insert_with(|| {
@@ -98,11 +99,7 @@ impl Assembly {
                 units.push(PlacedUnit { tag: column.unit, centre });
                 units.len() - 1
             });
-            let atoms = found.sites[column.sites].iter();
-            let atoms = atoms.filter(|site| site.kind != SiteKind::Vacancy);
-            let (count, sum) =
-                atoms.fold((0.0f64, 0.0), |(n, z), a| (n + 1.0, z + f64::from(a.number)));
-            columns.push(PlacedColumn { unit, at, mean_number: sum / count.max(1.0) });
+            columns.push(PlacedColumn { id: column.id, unit, at });
             bins.entry(at.map(|v| (v / BIN_ANGSTROM).floor() as i64)).or_default().push((unit, at));
         }
         let row = |row: usize| {
@@ -123,21 +120,27 @@ impl Assembly {
         };
         let shares: Vec<Vec<PixelShare>> = (0..shape[0]).into_par_iter().map(row).collect();
         let shares = shares.into_iter().flatten().collect();
-        Assembly { units, columns, shares, shape, places }
+        Assembly { area, units, columns, shares, shape, places }
     }
 
     /// With the images of other columns, those with the most similar content nearby, in place of those that the library lacks. Of
     /// no use but for pictures that show much more than a column.
     #[must_use]
-    pub fn with_stand_ins(mut self, library: &ImageLibrary) -> Self {
+    pub fn with_stand_ins(mut self, specimen: &dyn Specimen, library: &ImageLibrary) -> Self {
         let there = |n: usize| self.units[n].tag.is_some_and(|t| library.cell_images(&t).is_some());
         let there: Vec<bool> = (0..self.units.len()).map(there).collect();
+        if there.iter().all(|there| *there) {
+            return self;
+        }
+        let mean_numbers = mean_numbers(&specimen.query(&self.area));
+        let mean_number =
+            |column: &PlacedColumn| mean_numbers.get(&column.id).copied().unwrap_or(0.0);
         let known: Vec<&PlacedColumn> = self.columns.iter().filter(|c| there[c.unit]).collect();
         let mut stand_ins = Vec::new();
         for column in self.columns.iter().filter(|c| !there[c.unit]) {
             let unlike = |other: &PlacedColumn| {
                 let away = libm::hypot(other.at[0] - column.at[0], other.at[1] - column.at[1]);
-                away / STAND_IN_ANGSTROM + (other.mean_number - column.mean_number).abs()
+                away / STAND_IN_ANGSTROM + (mean_number(other) - mean_number(column)).abs()
             };
             let best = known.iter().min_by(|a, b| unlike(a).total_cmp(&unlike(b)));
             let Some(other) = best else { continue };
@@ -216,6 +219,18 @@ impl Assembly {
         let [u, v] = tag.frame;
         [0, 1].map(|k| (u[k] * d[0] + v[k] * d[1]) / cell.step_angstrom[k])
     }
+}
+
+/// Mean atomic number of the atoms of each column.
+fn mean_numbers(found: &Sites) -> HashMap<u64, f64> {
+    let mean = |column: &AtomColumn| {
+        let atoms = found.sites[column.sites.clone()].iter();
+        let atoms = atoms.filter(|site| site.kind != SiteKind::Vacancy);
+        let (count, sum) =
+            atoms.fold((0.0f64, 0.0), |(n, z), a| (n + 1.0, z + f64::from(a.number)));
+        (column.id, sum / count.max(1.0))
+    };
+    found.columns.iter().map(mean).collect()
 }
 
 /// Shares of the columns `near` (their units and positions) in a pixel at `at`.

@@ -275,7 +275,7 @@ impl MosaicImager {
         let seed = self.recipe.seed;
         let library = self.library_with(assembly.families(), progress)?;
         if stand_ins {
-            assembly = assembly.with_stand_ins(&library);
+            assembly = assembly.with_stand_ins(&*self.specimen, &library);
         }
         let mut image = assembly.image((&library, 0), &self.kernel, seed, configurations);
         let edge = (0.1 * BLOCK_ANGSTROM / raster.pixel_nm).ceil() as usize;
@@ -428,7 +428,7 @@ impl RegionImager for MosaicImager {
             None => Arc::clone(&self.library),
             // Atoms move as the library has it, whether an image has needed it or not.
             Some(_) => {
-                let columns = self.specimen.query(area).columns;
+                let columns = self.specimen.columns(area);
                 let tags = columns.iter().filter_map(|column| column.unit.as_ref());
                 let families = tags.map(TurnedFamily::of).collect();
                 self.library_with(families, &Silent).unwrap_or_else(|_| Arc::clone(&self.library))

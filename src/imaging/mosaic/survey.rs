@@ -33,7 +33,7 @@ pub fn survey(specimen: &dyn Specimen, field: &Field) -> FieldSurvey {
     let stripe = |n: usize| {
         let mut found = FieldSurvey::default();
         let region = Region { x: area.x, y: [edge(n), edge(n + 1)] };
-        for column in specimen.query(&region).columns {
+        for column in specimen.columns(&region) {
             match column.unit {
                 Some(unit) => {
                     found.tagged += 1;

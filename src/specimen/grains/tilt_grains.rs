@@ -8,7 +8,7 @@ use crate::recipe::CheckedRecipe;
 use crate::recipe::limits::BEYOND_FIELD_NM;
 use crate::recipe::region::Region;
 use crate::recipe::tables::Boundaries;
-use crate::specimen::atom_columns::Sites;
+use crate::specimen::atom_columns::{AtomColumn, Sites};
 use crate::specimen::coherent::NM;
 use crate::specimen::column_index::ColumnIndex;
 use crate::specimen::defects::rules::Defects;
@@ -363,10 +363,9 @@ impl Grains {
         }
         (kept != 0).then_some(Present { index, position, kept })
     }
-}
 
-impl Specimen for Grains {
-    fn query(&self, region: &Region) -> Sites {
+    /// The columns of a region; no sites if not `with_sites`.
+    fn listed(&self, region: &Region, with_sites: bool) -> Sites {
         let mut out = Sites::default();
         self.for_each_column(region, |column| {
             let [x, y] = column.position.map(|v| v * NM);
@@ -374,7 +373,7 @@ impl Specimen for Grains {
             let held = self.contents.as_ref().zip(tag);
             let held = held.map(|(c, t)| (c, t, self.pattern(c, &t)));
             let defects = self.defects.at(self.distance_nm(column.position[0]));
-            let cells = 0..self.cells_along_beam;
+            let cells = 0..if with_sites { self.cells_along_beam } else { 0 };
             let sites = cells.flat_map(|cell| {
                 self.chains(&column).enumerate().map(move |(there, (n, c))| (cell, there, n, c))
             });
@@ -394,6 +393,16 @@ impl Specimen for Grains {
             out.push_column(column.index.id(), [x, y], tag, sites);
         });
         out
+    }
+}
+
+impl Specimen for Grains {
+    fn query(&self, region: &Region) -> Sites {
+        self.listed(region, true)
+    }
+
+    fn columns(&self, region: &Region) -> Vec<AtomColumn> {
+        self.listed(region, false).columns
     }
 
     fn library_cell(&self, family: UnitFamily) -> Option<LibraryCell> {
