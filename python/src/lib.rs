@@ -1,7 +1,7 @@
 //! The extension module of `stemworlds`: thin glue between Python and the library.
 //!
 //! Python gives all options, in dicts; what is told of them is in the package's own sources (`stemworlds/`). Long calls run as
-//! [`guest`] says; errors are made by `stemworlds.errors`.
+//! `guest` says; errors are made by `stemworlds.errors`.
 
 mod bench;
 mod builds;

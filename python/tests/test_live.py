@@ -31,7 +31,12 @@ def test_recordings_take_atoms_away(library: str) -> None:
     assert not np.array_equal(after.image.array, before.image.array)
     vacant = after.sites["type"] == 1
     assert set(after.sites["number"][vacant]) == {8} and vacant.sum() == after.columns["vacancies"].sum()
-    assert len(live.columns(PLACE)) >= len(after.columns) - 4 and len(live.sites(PLACE)) > 0
+    # The image is of whole pixels about the place.
+    left, upper, right, lower = PLACE
+    x, y = after.columns["x_nm"], after.columns["y_nm"]
+    inside = after.columns[(left <= x) & (x <= right) & (upper <= y) & (y <= lower)]
+    assert np.array_equal(live.columns(PLACE), inside) and 10 < len(inside) < len(after.columns)
+    assert len(live.sites(PLACE)) == inside["sites"].sum()
 
 
 def test_snapshots_and_threads_give_the_same_bytes(library: str) -> None:

@@ -133,17 +133,17 @@ impl Assembly {
             return self;
         }
         let mean_numbers = mean_numbers(&specimen.query(&self.area));
-        let mean_number =
-            |column: &PlacedColumn| mean_numbers.get(&column.id).copied().unwrap_or(0.0);
-        let known: Vec<&PlacedColumn> = self.columns.iter().filter(|c| there[c.unit]).collect();
+        let number = |id: u64| mean_numbers.get(&id).copied().unwrap_or(0.0);
+        let columns = self.columns.iter().map(|column| (column, number(column.id)));
+        let (known, unknown): (Vec<_>, Vec<_>) = columns.partition(|(c, _)| there[c.unit]);
         let mut stand_ins = Vec::new();
-        for column in self.columns.iter().filter(|c| !there[c.unit]) {
-            let unlike = |other: &PlacedColumn| {
+        for (column, own_number) in unknown {
+            let unlike = |(other, its_number): &(&PlacedColumn, f64)| {
                 let away = libm::hypot(other.at[0] - column.at[0], other.at[1] - column.at[1]);
-                away / STAND_IN_ANGSTROM + (mean_number(other) - mean_number(column)).abs()
+                away / STAND_IN_ANGSTROM + (its_number - own_number).abs()
             };
             let best = known.iter().min_by(|a, b| unlike(a).total_cmp(&unlike(b)));
-            let Some(other) = best else { continue };
+            let Some((other, _)) = best else { continue };
             let unit = &self.units[other.unit];
             let centre = [0, 1].map(|k| column.at[k] + unit.centre[k] - other.at[k]);
             stand_ins.push((column.unit, PlacedUnit { tag: unit.tag, centre }));
