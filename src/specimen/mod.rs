@@ -3,6 +3,7 @@
 //! recipe -> specimen. A specimen is never held in memory as a whole: [`Specimen::query`] works out the columns and sites of
 //! any region, the same whichever way it is asked for.
 
+pub(crate) mod alloy_spacing;
 pub mod atom_columns;
 pub mod census;
 pub(crate) mod coherent;
