@@ -394,7 +394,7 @@ pub(super) fn truth_of(
     origin: [f64; 2],
     columns: bool,
 ) -> RegionTruth {
-    let there = from_origin(region, origin);
+    let there = region.moved(origin);
     let (sites, found) = list(&specimen.query(&there.grown(BESIDE_NM)), origin, 0);
     let placed = |s: &SiteTruth| {
         let kind = type_name(s.kind)?;
@@ -421,12 +421,5 @@ fn particles_of(specimen: &dyn Specimen, region: &Region, origin: [f64; 2]) -> V
         diameter_nm: p.diameter_nm,
         morphology: p.morphology,
     };
-    let there = from_origin(region, origin);
-    particles_reaching(specimen, &there).into_iter().map(particle).collect()
-}
-
-/// A region that counts from `origin`, in the full field.
-fn from_origin(region: &Region, origin: [f64; 2]) -> Region {
-    let shift = |range: [f64; 2], by: f64| range.map(|v| v + by);
-    Region { x: shift(region.x, origin[0]), y: shift(region.y, origin[1]) }
+    particles_reaching(specimen, &region.moved(origin)).into_iter().map(particle).collect()
 }

@@ -220,16 +220,13 @@ impl LiveWorld {
 
     /// Mean thickness in nm of the carbon that has grown on a region (nm from the centre of the first built pixel).
     pub fn mean_carbon_nm(&self, region: &Region) -> f64 {
-        let [x, y] = self.recipe.field.origin_nm();
-        let region = Region { x: region.x.map(|v| v + x), y: region.y.map(|v| v + y) };
-        0.1 * self.carbon.mean(&region)
+        0.1 * self.carbon.mean(&self.in_full_field(region))
     }
 
     /// What is in a region (nm from the centre of the first built pixel of the field) now.
     pub fn truth(&self, region: &Region) -> LiveTruth {
         let [x, y] = self.recipe.field.origin_nm();
-        let shift = |range: [f64; 2], by: f64| range.map(|v| v + by);
-        let region = Region { x: shift(region.x, x), y: shift(region.y, y) };
+        let region = region.moved([x, y]);
         let (sites, columns) = list(&self.specimen.query(&region), [x, y], 0);
         let particle = |p: ParticleTruth| {
             let [u, v, z] = p.centre_nm;
@@ -251,8 +248,7 @@ impl LiveWorld {
     }
 
     fn in_full_field(&self, region: &Region) -> Region {
-        let [x, y] = self.recipe.field.origin_nm();
-        Region { x: region.x.map(|v| v + x), y: region.y.map(|v| v + y) }
+        region.moved(self.recipe.field.origin_nm())
     }
 
     /// Records a part of the field. The specimen is then what the electrons have left of it.

@@ -18,6 +18,10 @@ impl Region {
     pub fn grown(&self, nm: f64) -> Region {
         Region { x: [self.x[0] - nm, self.x[1] + nm], y: [self.y[0] - nm, self.y[1] + nm] }
     }
+    /// The region moved by (x, y) in nm.
+    pub fn moved(&self, [x, y]: [f64; 2]) -> Region {
+        Region { x: self.x.map(|v| v + x), y: self.y.map(|v| v + y) }
+    }
     /// The part that also lies in `other`; may be empty.
     pub fn intersection(&self, other: &Region) -> Region {
         let cut = |a: [f64; 2], b: [f64; 2]| [a[0].max(b[0]), a[1].min(b[1])];

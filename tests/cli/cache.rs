@@ -222,6 +222,8 @@ fn damaged_and_foreign_images_are_found() {
     std::fs::write(&path, &bytes).unwrap();
     let told = again(3);
     assert!(told["sound"] == false && told["damaged"].as_array().unwrap().is_empty(), "{told}");
+    let difference = told["recomputed"][0]["difference"].as_f64().unwrap();
+    assert!(told["images"] == 1 && difference > 0.0, "{told}");
     bytes[body / 2] ^= 1;
     std::fs::write(&path, &bytes).unwrap();
     let run = cache(here, &["verify"]).output().unwrap();
