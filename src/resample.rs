@@ -14,6 +14,7 @@
 use crate::error::{Error, Result};
 use crate::optics::Optics;
 use crate::setting::Setting;
+use crate::simd::vectorised;
 use ndarray::{Array2, ArrayView2, Axis};
 use rayon::prelude::*;
 use std::f64::consts::{PI, TAU};
@@ -167,12 +168,14 @@ impl Kernel {
     }
 
     /// Weights of the samples around `position`, as many on either side.
+    #[inline(always)]
     pub fn weights(&self, position: f64) -> Weights {
         let below = position.floor();
         self.row(below as i64 - (HALF_WIDTH as i64 - 1), HALF_WIDTH - 1, position - below)
     }
 
     /// Weights of samples around `position`, all of them within the first `n` (at least [`TAPS`]) samples.
+    #[inline(always)]
     pub fn weights_within(&self, position: f64, n: usize) -> Weights {
         let position = position.clamp(0.0, n as f64 - 1.0);
         let below = position.floor().min(n as f64 - 2.0);
@@ -181,6 +184,7 @@ impl Kernel {
     }
 
     /// Weights for a position that is `fraction` beyond the `below`-th of the samples from `first` on.
+    #[inline(always)]
     fn row(&self, first: i64, below: usize, fraction: f64) -> Weights {
         let at = fraction * PHASES as f64;
         let phase = (at as usize).min(PHASES - 1);
@@ -283,32 +287,54 @@ impl Cholesky {
     }
 }
 
-/// A periodic image (rows = y, columns = x) with `n` samples along `axis`, by trigonometric interpolation. The first sample
-/// stays where it was; the result is exact if old and new samples are closer than the Nyquist distance.
-pub fn periodic_samples(image: ArrayView2<'_, f32>, axis: Axis, n: usize) -> Array2<f32> {
-    let from = image.len_of(axis);
-    // Dirichlet's kernel: 1 at 0, and 0 at all other samples.
-    let dirichlet = |distance: f64| {
-        let (a, all) = (PI * distance / from as f64, from as f64);
-        let sine = libm::sin(a);
-        match sine.abs() < 1e-12 {
-            true => 1.0,
-            false if from % 2 == 1 => libm::sin(all * a) / (all * sine),
-            false => libm::sin(all * a) * libm::cos(a) / (all * sine),
-        }
-    };
-    let weights = Array2::from_shape_fn((n, from), |(i, j)| {
-        dirichlet(i as f64 * from as f64 / n as f64 - j as f64)
-    });
-    let mut shape = image.raw_dim();
-    shape[axis.index()] = n;
-    let mut out = Array2::zeros(shape);
-    for (from, mut to) in image.lanes(axis).into_iter().zip(out.lanes_mut(axis)) {
-        for (to, row) in to.iter_mut().zip(weights.outer_iter()) {
-            *to = row.iter().zip(from).map(|(w, v)| w * f64::from(*v)).sum::<f64>() as f32;
-        }
+/// Gives periodic images another number of samples along an axis, by trigonometric interpolation. The first sample stays where it
+/// was; the result is exact if old and new samples are closer than the Nyquist distance.
+pub struct PeriodicResampling {
+    /// Weights of the old samples (columns) in each new one.
+    weights: Array2<f64>,
+}
+
+impl PeriodicResampling {
+    /// From so many samples to so many.
+    pub fn new(from: usize, to: usize) -> Self {
+        // Dirichlet's kernel: 1 at 0, and 0 at all other samples.
+        let dirichlet = |distance: f64| {
+            let (a, all) = (PI * distance / from as f64, from as f64);
+            let sine = libm::sin(a);
+            match sine.abs() < 1e-12 {
+                true => 1.0,
+                false if from % 2 == 1 => libm::sin(all * a) / (all * sine),
+                false => libm::sin(all * a) * libm::cos(a) / (all * sine),
+            }
+        };
+        let weights = Array2::from_shape_fn((to, from), |(i, j)| {
+            dirichlet(i as f64 * from as f64 / to as f64 - j as f64)
+        });
+        PeriodicResampling { weights }
     }
-    out
+
+    /// The image (rows = y, columns = x) with the new number of samples along `axis`, along which it has the old one.
+    pub fn of(&self, image: ArrayView2<'_, f32>, axis: Axis) -> Array2<f32> {
+        // The axis goes down, so that whole rows are summed at once.
+        let down = |image: Array2<f32>| match axis {
+            Axis(0) => image,
+            _ => image.reversed_axes().as_standard_layout().into_owned(),
+        };
+        let from = down(image.as_standard_layout().into_owned()).mapv(f64::from);
+        let mut to = Array2::<f32>::zeros((self.weights.nrows(), from.ncols()));
+        for (mut to, weights) in to.outer_iter_mut().zip(self.weights.outer_iter()) {
+            let mut sums = vec![0.0f64; from.ncols()];
+            for (weight, row) in weights.iter().zip(from.outer_iter()) {
+                let row = row.to_slice().unwrap_or_default();
+                vectorised(
+                    #[inline(always)]
+                    || sums.iter_mut().zip(row).for_each(|(sum, v)| *sum += weight * v),
+                );
+            }
+            to.iter_mut().zip(sums).for_each(|(to, sum)| *to = sum as f32);
+        }
+        down(to)
+    }
 }
 
 #[cfg(test)]
@@ -425,11 +451,11 @@ mod tests {
                     image(&waves, at[0] * length, at[1] * length) as f32
                 })
             };
-            let found = periodic_samples(sampled(n, 25).view(), Axis(0), 32);
+            let found = PeriodicResampling::new(n, 32).of(sampled(n, 25).view(), Axis(0));
             let exact = sampled(32, 25);
             let most = exact.iter().fold(0.0f32, |m, v| m.max(v.abs()));
             assert!(found.iter().zip(&exact).all(|(a, b)| (a - b).abs() < 1e-5 * most));
-            let found = periodic_samples(found.view(), Axis(1), 29);
+            let found = PeriodicResampling::new(25, 29).of(found.view(), Axis(1));
             let exact = sampled(32, 29);
             assert!(found.iter().zip(&exact).all(|(a, b)| (a - b).abs() < 1e-5 * most));
         }

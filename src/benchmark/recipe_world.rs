@@ -24,6 +24,8 @@ use crate::world::noise_free::band_limit;
 use crate::world::region_truth::{list, particles_reaching, phases_of_points};
 use crate::world::{BuildOptions, ColumnTruth, Noise, SiteTruth};
 
+/// Above this share of an image's band limit there is less than 0.01 % of its power (see [`crate::resample::Kernel`]).
+const HIGHEST_SHARE: f64 = 0.9;
 /// Images of views that a world keeps.
 const KEPT_VIEWS: usize = 512;
 /// Places of a field at which the brightest pixel is looked for.
@@ -271,8 +273,9 @@ impl RecipeWorld {
         let first = [0, 1].map(|k| of_block[k].start);
         let size = [0, 1].map(|k| of_block[k].len());
         let edge_nm = OVERVIEW_FACTOR as f64 * pixel;
-        // Frequencies that alias to none are above those in the image.
-        let places = (10.0 * edge_nm * band_limit(&self.recipe)).ceil().max(1.0) as usize;
+        // The lowest frequency that looks like none is one of which images hold next to nothing.
+        let highest = HIGHEST_SHARE * band_limit(&self.recipe);
+        let places = (10.0 * edge_nm * highest).ceil().max(1.0) as usize;
         let origin = self.recipe.field.origin_nm();
         let middle = |k: usize| {
             let from_edge = first[k] as f64 + 0.5 * size[k] as f64;

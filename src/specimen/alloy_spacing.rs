@@ -63,9 +63,45 @@ impl Spacing {
         vegard(self.along) * (1.0 - 2.0 * mix(self.c13) / mix(self.c33) * strain)
     }
 
-    /// The stretch of a field of this composition.
-    pub fn stretch(&self, composition: &Composition, field: &Region) -> TabulatedStretch {
-        TabulatedStretch::new(field, |x| self.relative(composition.mean(x)))
+    /// The stretch of a field of this composition, with this fraction in its wells (see [`Composition::fraction`]).
+    pub fn stretch(&self, composition: &TabulatedComposition, fraction: f64) -> TabulatedStretch {
+        let TabulatedComposition { field_start, start, beyond, shares } = composition;
+        let step = |share: &f64| STEP_NM / self.relative(fraction * share);
+        let steps: Vec<f64> = shares.par_iter().map(step).collect();
+        // The substrate's lattice is undisturbed at the left edge of the field.
+        let mut reference = vec![0.0];
+        let mut sum = 0.0;
+        for step in steps {
+            sum += step;
+            reference.push(sum);
+        }
+        let shift = field_start - reference[*beyond];
+        reference.iter_mut().for_each(|r| *r += shift);
+        TabulatedStretch { start: *start, reference }
+    }
+}
+
+/// Mean compositions over the fraction in the wells, which may yet change.
+pub struct TabulatedComposition {
+    /// Left edge of the field in nm.
+    field_start: f64,
+    /// First x in nm.
+    start: f64,
+    /// Steps before the field.
+    beyond: usize,
+    /// Of the middles of all steps.
+    shares: Vec<f64>,
+}
+
+impl TabulatedComposition {
+    /// Of a field.
+    pub fn new(composition: &Composition, field: &Region) -> Self {
+        let beyond = ((BEYOND_FIELD_NM + 2.0) / STEP_NM).ceil();
+        let start = field.x[0] - beyond * STEP_NM;
+        let count = ((field.x[1] - field.x[0]) / STEP_NM + 2.0 * beyond).ceil() as usize;
+        let share = |n: usize| composition.share_of_near(start + (n as f64 + 0.5) * STEP_NM);
+        let shares = (0..count).into_par_iter().map(share).collect();
+        TabulatedComposition { field_start: field.x[0], start, beyond: beyond as usize, shares }
     }
 }
 
@@ -75,27 +111,6 @@ pub struct TabulatedStretch {
     start: f64,
     /// Reference x at `start + n * STEP_NM`.
     reference: Vec<f64>,
-}
-
-impl TabulatedStretch {
-    /// `relative(x)` is the length of a cell at x over that of the reference.
-    fn new(field: &Region, relative: impl Fn(f64) -> f64 + Sync) -> Self {
-        let beyond = ((BEYOND_FIELD_NM + 2.0) / STEP_NM).ceil();
-        let start = field.x[0] - beyond * STEP_NM;
-        let count = ((field.x[1] - field.x[0]) / STEP_NM + 2.0 * beyond).ceil() as usize;
-        let step = |n: usize| STEP_NM / relative(start + (n as f64 + 0.5) * STEP_NM);
-        let steps: Vec<f64> = (0..count).into_par_iter().map(step).collect();
-        // The substrate's lattice is undisturbed at the left edge of the field.
-        let mut reference = vec![0.0];
-        let mut sum = 0.0;
-        for step in steps {
-            sum += step;
-            reference.push(sum);
-        }
-        let shift = field.x[0] - reference[beyond as usize];
-        reference.iter_mut().for_each(|r| *r += shift);
-        TabulatedStretch { start, reference }
-    }
 }
 
 impl Stretch for TabulatedStretch {

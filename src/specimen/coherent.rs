@@ -65,7 +65,7 @@ impl<S: Stretch> Coherent<S> {
         &self,
         members: &[UnitMember],
         first: ColumnIndex,
-        place: impl Fn(ColumnIndex) -> [f64; 2],
+        mut place: impl FnMut(ColumnIndex) -> [f64; 2],
     ) -> [f64; 2] {
         let mut sum = [0.0; 2];
         for member in members {

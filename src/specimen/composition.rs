@@ -3,6 +3,7 @@
 use crate::recipe::limits::BEYOND_FIELD_NM;
 use crate::recipe::region::Region;
 use crate::recipe::tables::{Alloy, CompositionProfile, Wells};
+use crate::simd::vectorised;
 use crate::specimen::roughness::Roughness;
 use crate::specimen::wave::normal_cdf;
 
@@ -87,6 +88,8 @@ fn in_any(wells: impl Iterator<Item = Option<bool>>) -> Option<bool> {
     Some(inside)
 }
 
+/// Standard deviations of an interface beyond which the normal distribution is below 1e-23.
+const FAR: f64 = 10.0;
 /// Distances from interfaces are known better than this.
 const ROUNDING_NM: f64 = 1e-6;
 
@@ -127,18 +130,37 @@ impl Composition {
         }
     }
 
+    /// The fraction in the wells; 1 of a gradient.
+    pub fn fraction(&self) -> f64 {
+        match self {
+            Composition::Linear { .. } => 1.0,
+            Composition::Wells { fraction, .. } => *fraction,
+        }
+    }
+
     /// The mean over y and the beam.
     pub fn mean(&self, x: f64) -> f64 {
+        self.fraction() * self.share(x, normal_cdf)
+    }
+
+    /// [`Composition::mean`] over [`Composition::fraction`] to within 1e-23: 0 where only interfaces more than [`FAR`] standard
+    /// deviations away would add to it.
+    pub fn share_of_near(&self, x: f64) -> f64 {
+        self.share(x, |z| if z < -FAR { 0.0 } else { normal_cdf(z) })
+    }
+
+    /// The mean over the fraction, with the normal distribution.
+    fn share(&self, x: f64, normal: impl Fn(f64) -> f64) -> f64 {
         match self {
             Composition::Linear { x: [left, right], highest } => {
                 (highest * (x - left) / (right - left)).clamp(0.0, 1.0)
             }
-            Composition::Wells { fraction, sides, roughness } => {
+            Composition::Wells { sides, roughness, .. } => {
                 let beyond = |side: &Interface| match *roughness > 0.0 {
-                    true => normal_cdf((x - side.x) / roughness),
+                    true => normal((x - side.x) / roughness),
                     false => f64::from(u8::from(x >= side.x)),
                 };
-                fraction * sides.iter().map(|[l, r]| beyond(l) - beyond(r)).sum::<f64>()
+                sides.iter().map(|[l, r]| beyond(l) - beyond(r)).sum::<f64>()
             }
         }
     }
@@ -168,35 +190,31 @@ impl Composition {
         }
     }
 
-    /// Whether all points at `x` lie in a well, or none; nothing where an interface is near.
-    pub fn well_column(&self, x: f64) -> Option<bool> {
-        let Composition::Wells { sides, .. } = self else { return Some(false) };
-        in_any(sides.iter().map(|sides| between(sides.each_ref().map(|s| s.passed_anywhere(x)))))
-    }
-
-    /// As [`Composition::well_column`], for the points at x and y.
-    pub fn well_along_beam(&self, at: [f64; 2]) -> Option<bool> {
+    /// Whether all points at x and y lie in a well, or none; nothing where an interface is near.
+    fn well_along_beam(&self, at: [f64; 2]) -> Option<bool> {
         let Composition::Wells { sides, .. } = self else { return Some(false) };
         in_any(sides.iter().map(|sides| between(sides.each_ref().map(|s| s.passed_along_beam(at)))))
     }
 
-    /// Where the interfaces lie at y and some heights: those of one interface after the other.
-    pub fn interfaces_at(&self, y: f64, heights: &[f64]) -> Vec<f64> {
-        let Composition::Wells { sides, .. } = self else { return Vec::new() };
-        let of_side = |side: &Interface| heights.iter().map(|z| side.at(y, *z)).collect::<Vec<_>>();
-        sides.iter().flatten().flat_map(of_side).collect()
+    /// Where the interfaces lie at y and some heights.
+    pub fn interfaces_at(&self, y: f64, heights: &[f64]) -> InterfacesAlongBeam {
+        let Composition::Wells { sides, .. } = self else { return InterfacesAlongBeam::default() };
+        let at = |side: &Interface| -> Vec<f64> {
+            match &side.deviation {
+                None => vec![side.x; heights.len()],
+                Some(rough) => rough.along_beam(y, heights).map(|d| side.x + d).collect(),
+            }
+        };
+        let sides = sides.iter().map(|sides| sides.each_ref().map(|s| OneInterface::new(at(s))));
+        InterfacesAlongBeam { wells: sides.collect(), heights: heights.len() }
     }
 
-    /// How many of the heights of [`Composition::interfaces_at`] lie in a well at x.
-    pub fn count_in_wells(&self, x: f64, interfaces: &[f64], heights: usize) -> usize {
-        let Composition::Wells { sides, .. } = self else { return 0 };
-        let wells = sides.iter().zip(interfaces.chunks_exact(2 * heights));
-        let far = |sides: &[Interface; 2]| {
-            between(sides.each_ref().map(|side| side.passed_anywhere(x))) == Some(false)
-        };
-        let near: Vec<&[f64]> = wells.filter(|(sides, _)| !far(sides)).map(|(_, at)| at).collect();
-        let inside = |n: &usize| near.iter().any(|at| at[*n] <= x && x < at[heights + n]);
-        (0..heights).filter(inside).count()
+    /// Whether all points at `x` lie in a well for sure, and the wells of which some points may.
+    pub fn wells_near(&self, x: f64) -> (bool, Vec<usize>) {
+        let Composition::Wells { sides, .. } = self else { return (false, Vec::new()) };
+        let within = |n: &usize| between(sides[*n].each_ref().map(|s| s.passed_anywhere(x)));
+        let near = (0..sides.len()).filter(|n| within(n).is_none()).collect();
+        ((0..sides.len()).any(|n| within(&n) == Some(true)), near)
     }
 
     /// Whether a point lies in a well.
@@ -229,5 +247,98 @@ impl Composition {
             Some(rough) => rough.corners(y).into_iter().map(|y| [side.projected(y), y]).collect(),
         };
         sides.iter().flatten().map(line).collect()
+    }
+}
+
+/// Where the interfaces of all wells lie at one y and some heights.
+#[derive(Debug, Default)]
+pub struct InterfacesAlongBeam {
+    wells: Vec<[OneInterface; 2]>,
+    heights: usize,
+}
+
+/// Where one interface lies at some heights.
+#[derive(Debug)]
+struct OneInterface {
+    at: Vec<f64>,
+    least: f64,
+    greatest: f64,
+}
+
+impl OneInterface {
+    fn new(at: Vec<f64>) -> Self {
+        let least = at.iter().copied().fold(f64::INFINITY, f64::min);
+        let greatest = at.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        OneInterface { at, least, greatest }
+    }
+
+    /// Whether a point at `x` is beyond it at all heights, or at none; nothing in between.
+    fn passed(&self, x: f64) -> Option<bool> {
+        (x < self.least || x >= self.greatest).then_some(x >= self.greatest)
+    }
+}
+
+impl InterfacesAlongBeam {
+    /// How many of the heights lie in one of these wells at `x`.
+    pub fn count_in(&self, wells: &[usize], x: f64) -> usize {
+        let mut unsure = None;
+        for well in wells.iter().map(|n| &self.wells[*n]) {
+            match between(well.each_ref().map(|side| side.passed(x))) {
+                Some(true) => return self.heights,
+                Some(false) => {}
+                None if unsure.is_none() => unsure = Some(well),
+                None => return self.count_each(wells, x),
+            }
+        }
+        let Some([left, right]) = unsure else { return 0 };
+        let sides = left.at.iter().zip(&right.at);
+        vectorised(
+            #[inline(always)]
+            || sides.map(|(left, right)| usize::from(*left <= x && x < *right)).sum(),
+        )
+    }
+
+    /// The same, height by height: a height may lie in two wells that overlap.
+    fn count_each(&self, wells: &[usize], x: f64) -> usize {
+        let inside = |height: &usize| {
+            let well = |n: &usize| self.wells[*n].each_ref().map(|side| side.at[*height]);
+            wells.iter().map(well).any(|[left, right]| left <= x && x < right)
+        };
+        (0..self.heights).filter(inside).count()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recipe::{CheckedRecipe, Difficulty};
+
+    #[test]
+    fn sites_in_wells_are_counted_as_asked_one_by_one() {
+        let field = Region { x: [0.0, 40.0], y: [0.0, 30.0] };
+        let heights: Vec<f64> = (0..25).map(|n| 0.1 + 0.32 * f64::from(n)).collect();
+        // The last wells overlap.
+        let recipe = CheckedRecipe::load("gan", Difficulty::Hard).unwrap();
+        let alloy = recipe.alloy.as_ref().unwrap();
+        for (count, width_nm, roughness_nm) in [(4, 3.0, 0.5), (4, 3.0, 0.0), (10, 5.0, 0.5)] {
+            let wells = Wells { count, width_nm, roughness_nm, roughness_correlation_nm: 2.0 };
+            let composition = Composition::new(alloy, Some(&wells), &field, 8.0, 3);
+            let mut partly = 0;
+            for y in [3.1, 17.7] {
+                let interfaces = composition.interfaces_at(y, &heights);
+                for x in (0..400).map(|n| 0.1 * f64::from(n) + 0.013) {
+                    let one_by_one =
+                        heights.iter().filter(|z| composition.holds_well([x, y, **z])).count();
+                    let (surely, near) = composition.wells_near(x);
+                    let counted =
+                        if surely { heights.len() } else { interfaces.count_in(&near, x) };
+                    assert_eq!(counted, one_by_one, "{wells:?} at {x}, {y}");
+                    partly += usize::from(counted > 0 && counted < heights.len());
+                    let near = composition.fraction() * composition.share_of_near(x);
+                    assert_eq!(1.0 + composition.mean(x), 1.0 + near);
+                }
+            }
+            assert_eq!(partly > 20, roughness_nm > 0.0, "{partly}");
+        }
     }
 }

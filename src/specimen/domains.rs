@@ -6,6 +6,7 @@
 //! and the beam the second phase is strained to the period of the first.
 
 use std::cell::LazyCell;
+use std::collections::HashMap;
 
 use crate::error::{Error, Result};
 use crate::recipe::CheckedRecipe;
@@ -23,13 +24,16 @@ use crate::specimen::units::library_cell::LibraryCell;
 use crate::specimen::units::occupation::UnitOccupation;
 use crate::specimen::units::unit_tag::UnitFamily;
 use crate::specimen::units::unit_tag::UnitTag;
-use crate::specimen::wave::{WavyLine, normal_cdf, normal_cdf_and_integral};
+use crate::specimen::wave::{WavyLine, normal_cdf_and_integral, normal_cdf_or_zero};
 use crate::structure::Structure;
 
 /// Sites of the two phases may differ by less than this fraction of the cell along each edge.
 const LARGEST_SHIFT: f64 = 0.1;
 /// Ratio of the edges of the two cells.
 const LARGEST_STRETCH: f64 = 0.1;
+
+/// Rounding leads less far across an edge.
+const EDGE_NM: f64 = 1e-6;
 
 /// Steps of the order parameter in which the library has sheets: between them atoms are less than 0.02 A off.
 const ORDER_STEPS: f64 = 4.0;
@@ -88,12 +92,17 @@ impl Domains {
                 chains.iter().filter(|c| c.number == element).count() as u64
             };
             let add =
-                |counts: &mut DistanceHistogram, index: ColumnIndex, (ideal, _), row: &Row| {
+                |counts: &mut DistanceHistogram, index: ColumnIndex, ideal: [f64; 2], row: &Row| {
                     counts.add(lattice.stretch.distance(ideal, row), holding(index.kind));
                 };
             let kinds = |kind: usize| holding(kind) > 0;
-            let place =
-                |index: ColumnIndex, at: [f64; 2], row: &Row| specimen.place(index, at, row);
+            // Near the edges of the field displacements decide whether a column is in it.
+            let surely = lattice.field.grown(-largest - EDGE_NM);
+            let place = |index: ColumnIndex, at: [f64; 2], row: &Row| {
+                let ideal = [lattice.stretch.to_field(at[0], row), at[1]];
+                let inside = surely.contains(ideal);
+                (if inside { ideal } else { specimen.place(index, at, row).0 }, ideal)
+            };
             *histogram =
                 lattice.tally(&lattice.field, kinds, place, add, DistanceHistogram::merged);
         })?;
@@ -125,20 +134,20 @@ impl Domains {
     }
 
     /// Place in the library of a unit of a kind, by its first column.
-    fn tag(&self, kind: usize, first: ColumnIndex) -> Option<UnitTag> {
+    fn tag(&self, kind: usize, first: ColumnIndex, rows: &mut KnownRows) -> Option<UnitTag> {
         let contents = self.contents.as_ref()?;
         let members = &contents.units.kinds[kind];
         let stretch = &self.lattice.stretch;
         let place = |column: ColumnIndex| {
             let at = self.lattice.reference(column);
-            self.place(column, at, &stretch.row(at[1])).0
+            self.place(column, at, rows.at(at[1])).0
         };
         let centre = self.lattice.centre(members, first, place);
         let element = contents.process.map_or(0, |p| p.element);
-        let row = stretch.row(centre[1]);
-        let rate = self.defects.at(stretch.distance(centre, &row)).rate(element);
+        let row = rows.at(centre[1]);
+        let rate = self.defects.at(stretch.distance(centre, row)).rate(element);
         let entry = contents.draw(kind, first, rate)?;
-        let structure = (order(&row, centre[0]) * ORDER_STEPS).round() as usize;
+        let structure = (order(row, centre[0]) * ORDER_STEPS).round() as usize;
         Some(UnitTag::unrotated((first, 0), centre, structure, entry))
     }
 
@@ -146,10 +155,11 @@ impl Domains {
     fn listed(&self, region: &Region, with_sites: bool) -> Sites {
         let mut out = Sites::default();
         let mut tags = KnownTags::default();
+        let mut rows = KnownRows { stretch: &self.lattice.stretch, rows: HashMap::new() };
         self.for_each_column(region, |index, column, ([x, y], order), row| {
             let tag = self.contents.as_ref().and_then(|contents| {
                 let (kind, member, first) = contents.unit_of(index);
-                tags.get((first, member), || self.tag(kind, first))
+                tags.get((first, member), || self.tag(kind, first, &mut rows))
             });
             // Nobody asks where units say what they hold.
             let defects =
@@ -231,6 +241,18 @@ impl Specimen for Domains {
 /// The boundaries where they cross a row: their x, and the width of the transition along x, in nm.
 type Row = Vec<[f64; 2]>;
 
+/// Rows that were asked for before: many units have the same y.
+struct KnownRows<'a> {
+    stretch: &'a OrderParameter,
+    rows: HashMap<u64, Row>,
+}
+
+impl KnownRows<'_> {
+    fn at(&mut self, y: f64) -> &Row {
+        self.rows.entry(y.to_bits()).or_insert_with(|| self.stretch.row(y))
+    }
+}
+
 /// How much of the second phase there is at a point, from 0 to 1.
 struct OrderParameter {
     lines: Vec<WavyLine>,
@@ -282,7 +304,7 @@ impl OrderParameter {
 fn order(row: &Row, x: f64) -> f64 {
     let mut sum = 0.0;
     for (k, [middle, sigma]) in row.iter().enumerate() {
-        sum += sign(k) * normal_cdf((x - middle) / sigma);
+        sum += sign(k) * normal_cdf_or_zero((x - middle) / sigma);
     }
     sum.clamp(0.0, 1.0)
 }

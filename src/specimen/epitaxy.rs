@@ -2,6 +2,7 @@
 //! or quantum wells. `alloy_spacing` tells how far apart its planes are.
 
 use std::cell::LazyCell;
+use std::collections::HashMap;
 
 use rayon::prelude::*;
 
@@ -10,11 +11,11 @@ use crate::recipe::CheckedRecipe;
 use crate::recipe::region::Region;
 use crate::recipe::tables::{Alloy, CompositionProfile, Wells};
 use crate::rng::{self, Purpose};
-use crate::specimen::alloy_spacing::{Spacing, TabulatedStretch};
+use crate::specimen::alloy_spacing::{Spacing, TabulatedComposition, TabulatedStretch};
 use crate::specimen::atom_columns::{AtomColumn, Sites};
 use crate::specimen::coherent::{Coherent, NM, Stretch};
 use crate::specimen::column_index::ColumnIndex;
-use crate::specimen::composition::Composition;
+use crate::specimen::composition::{Composition, InterfacesAlongBeam};
 use crate::specimen::defects::rules::Defects;
 use crate::specimen::sites::{SiteKind, SpecimenSite};
 use crate::specimen::specimen_trait::{Boundary, BoundaryKind, Specimen};
@@ -64,7 +65,8 @@ impl Epitaxy {
             crystal.cells_along_beam(recipe.field.thickness_nm) as f64 * crystal.cell[2] * NM;
         let wells = recipe.wells.as_ref();
         let composition = Composition::new(alloy, wells, &field, thickness, recipe.seed);
-        let stretch = spacing.stretch(&composition, &field);
+        let table = TabulatedComposition::new(&composition, &field);
+        let stretch = spacing.stretch(&table, composition.fraction());
         let number = elements::atomic_number;
         let mut specimen = Epitaxy {
             lattice: Coherent::new(crystal, &recipe.field, stretch),
@@ -78,7 +80,7 @@ impl Epitaxy {
         };
         specimen.contents = UnitOccupation::new(recipe, &specimen.lattice.crystal)?;
         if let (CompositionProfile::Wells, Some(wells)) = (alloy.profile, wells) {
-            specimen.fill_wells(alloy, wells)?;
+            specimen.fill_wells(alloy, wells, &table)?;
         }
         specimen.defects = Defects::fit(recipe, |element, histogram| {
             let sites = specimen.lattice.crystal.chains().filter(|c| c.number == element).count();
@@ -90,7 +92,12 @@ impl Epitaxy {
     /// Sets the fraction of guests in the wells to that which makes the mean over the field's host sites
     /// the rate. The lattice depends on the fraction, and the number of planes in the wells on the
     /// lattice, hence the iteration.
-    fn fill_wells(&mut self, alloy: &Alloy, wells: &Wells) -> Result<()> {
+    fn fill_wells(
+        &mut self,
+        alloy: &Alloy,
+        wells: &Wells,
+        table: &TabulatedComposition,
+    ) -> Result<()> {
         let lines = self.host_lines();
         let mut last = f64::NAN;
         for _ in 0..FILLINGS {
@@ -108,7 +115,7 @@ impl Epitaxy {
                 break;
             }
             last = fraction;
-            self.lattice.stretch = self.spacing.stretch(&self.composition, &self.lattice.field);
+            self.lattice.stretch = self.spacing.stretch(table, fraction);
         }
         // Where the last lattice moved a plane across an interface, the share is that of this lattice.
         self.composition.set_fraction((alloy.rate / self.share_of_wells(&lines)).min(1.0));
@@ -128,8 +135,7 @@ impl Epitaxy {
             let inside = |y: &f64| lattice.field.contains([lattice.field.x[0], *y]);
             let rows: Vec<f64> = lattice.cells(&lattice.field, 1).map(y).filter(inside).collect();
             let interfaces = |y: &f64| self.composition.interfaces_at(*y, &heights);
-            let interfaces = rows.par_iter().map(interfaces).collect();
-            HostLine { kind, sites: heights.len(), rows, interfaces }
+            HostLine { kind, sites: heights.len(), rows: rows.par_iter().map(interfaces).collect() }
         };
         let lines = (0..lattice.crystal.columns.len()).map(line);
         lines.filter(|line| line.sites > 0).collect()
@@ -145,14 +151,10 @@ impl Epitaxy {
             if !lattice.field.contains([x, lattice.field.y[0]]) {
                 return [0; 2];
             }
-            let inside = |(y, at): (&f64, &Vec<f64>)| match wells.well_along_beam([x, *y]) {
-                Some(within) => usize::from(within) * line.sites,
-                None => wells.count_in_wells(x, at, line.sites),
-            };
             let all = line.rows.len() * line.sites;
-            match wells.well_column(x) {
-                Some(within) => [usize::from(within) * all, all],
-                None => [line.rows.iter().zip(&line.interfaces).map(inside).sum(), all],
+            match wells.wells_near(x) {
+                (true, _) => [all; 2],
+                (false, near) => [line.rows.iter().map(|row| row.count_in(&near, x)).sum(), all],
             }
         };
         let cells = lattice.cells(&lattice.field, 0).into_par_iter();
@@ -162,8 +164,13 @@ impl Epitaxy {
         inside as f64 / all.max(1) as f64
     }
 
-    /// Place in the library of a unit of a kind, by its first column.
-    fn tag(&self, kind: usize, first: ColumnIndex) -> Option<UnitTag> {
+    /// Place in the library of a unit of a kind, by its first column; `mean` is [`Composition::mean`].
+    fn tag(
+        &self,
+        kind: usize,
+        first: ColumnIndex,
+        mean: impl FnOnce(f64) -> f64,
+    ) -> Option<UnitTag> {
         let contents = self.contents.as_ref()?;
         let members = &contents.units.kinds[kind];
         let position = |column: ColumnIndex| {
@@ -178,7 +185,7 @@ impl Epitaxy {
                 self.defects.at(f64::INFINITY).rate(contents.process.map_or(0, |p| p.element)),
             )?,
             Some(_) => {
-                let around = self.composition.mean(centre[0]);
+                let around = mean(centre[0]);
                 let open = self.open_sites(contents, (kind, first), position);
                 let rates = (open.rate, around);
                 let drawn = contents.draw_among(kind, first, open.rate, around, &open.allowed);
@@ -260,12 +267,16 @@ impl Epitaxy {
         let mut out = Sites::default();
         let defects = self.defects.at(f64::INFINITY);
         let mut tags = KnownTags::default();
+        // Many units have the same x.
+        let mut means: HashMap<u64, f64> = HashMap::new();
+        let mut mean =
+            |x: f64| *means.entry(x.to_bits()).or_insert_with(|| self.composition.mean(x));
         self.for_each_column(region, |index, [x, y]| {
             let chains = &self.lattice.crystal.columns[index.kind].chains;
             let cells = 0..if with_sites { self.lattice.cells_along_beam } else { 0 };
             let tag = self.contents.as_ref().and_then(|contents| {
                 let (kind, member, first) = contents.unit_of(index);
-                tags.get((first, member), || self.tag(kind, first))
+                tags.get((first, member), || self.tag(kind, first, &mut mean))
             });
             let contents = self.contents.as_ref().zip(tag);
             let sites =
@@ -304,10 +315,8 @@ struct HostLine {
     kind: usize,
     /// Host sites of a column.
     sites: usize,
-    /// Their y in nm.
-    rows: Vec<f64>,
-    /// For each, where the interfaces lie at the heights of the sites (see [`Composition::interfaces_at`]).
-    interfaces: Vec<Vec<f64>>,
+    /// Where the interfaces lie at the y of each and the heights of the sites.
+    rows: Vec<InterfacesAlongBeam>,
 }
 
 /// What a unit may hold.

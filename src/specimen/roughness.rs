@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use crate::rng::{Purpose, normal3, uniform};
+use crate::simd::vectorised;
 
 /// Waves that are summed; their wave vectors are normally distributed.
 const WAVES: u64 = 64;
@@ -53,18 +54,28 @@ impl Roughness {
         let depth = along as usize + 1;
         // cos(a + b) = cos a cos b - sin a sin b: a depends on y alone and b on z alone, which leaves few cosines to work out.
         let turn = |angle: f64| [libm::cos(angle), libm::sin(angle)];
-        let of_z: Vec<Vec<[f64; 2]>> = waves
+        let of_z: Vec<[Vec<f64>; 2]> = waves
             .iter()
-            .map(|[_, kz, _]| (0..depth).map(|k| turn(kz * (k as f64 * step[1]))).collect())
+            .map(|[_, kz, _]| {
+                let turned = (0..depth).map(|k| turn(kz * (k as f64 * step[1]))).map(Into::into);
+                let (cosines, sines) = turned.unzip::<f64, f64, Vec<_>, Vec<_>>();
+                [cosines, sines]
+            })
             .collect();
         let row = |i: usize| {
             let y = range[0] + i as f64 * step[0];
             let mut heights = vec![0.0; depth];
-            for ([ky, _, phase], of_z) in waves.iter().zip(&of_z) {
+            for ([ky, _, phase], [cosines, sines]) in waves.iter().zip(&of_z) {
                 let [cos, sin] = turn(ky * y + phase);
-                for (height, [cos_z, sin_z]) in heights.iter_mut().zip(of_z) {
-                    *height += cos * cos_z - sin * sin_z;
-                }
+                vectorised(
+                    #[inline(always)]
+                    || {
+                        let of_z = cosines.iter().zip(sines);
+                        for (height, (cos_z, sin_z)) in heights.iter_mut().zip(of_z) {
+                            *height += cos * cos_z - sin * sin_z;
+                        }
+                    },
+                );
             }
             heights
         };
@@ -92,14 +103,19 @@ impl Roughness {
 
     /// The deviation at a point, between the points of the grid by linear interpolation.
     pub fn at(&self, y: f64, z: f64) -> f64 {
-        let rows = self.means.len();
-        let (i, s) = split((y - self.start) / self.step[0], rows);
-        let (k, t) = split(z / self.step[1], self.depth);
-        let row = |i: usize| {
-            let n = i * self.depth + k;
-            self.heights[n] + t * (self.heights[n + 1] - self.heights[n])
-        };
-        row(i) + s * (row(i + 1) - row(i))
+        self.along_beam(y, &[z]).sum()
+    }
+
+    /// The deviations at one y and some z.
+    pub fn along_beam<'a>(&'a self, y: f64, z: &'a [f64]) -> impl Iterator<Item = f64> + 'a {
+        let (i, s) = split((y - self.start) / self.step[0], self.means.len());
+        let rows = self.heights[i * self.depth..(i + 2) * self.depth].split_at(self.depth);
+        z.iter().map(move |z| {
+            let (k, t) = split(z / self.step[1], self.depth);
+            let of_row = |row: &[f64]| row[k] + t * (row[k + 1] - row[k]);
+            let [low, high] = [rows.0, rows.1].map(of_row);
+            low + s * (high - low)
+        })
     }
 
     /// Its mean along the beam.

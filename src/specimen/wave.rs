@@ -1,8 +1,11 @@
 //! Wavy lines: phase boundaries that run along y.
 
+use std::iter::once;
+
 use crate::rng::{Purpose, uniform};
 
 use crate::recipe::region::Region;
+use crate::simd::vectorised;
 
 /// Waves on one boundary, of which the field holds 1, 2 ... whole periods.
 const HARMONICS: u32 = 3;
@@ -26,8 +29,72 @@ pub struct WavyLine {
     harmonics: Vec<[f64; 2]>,
     /// The line as corners STEP_NM apart in y, as far as the specimen reaches.
     corners: Vec<[f64; 2]>,
-    /// Least and greatest x of each [`BLOCK`] of steps.
-    blocks: Vec<[f64; 2]>,
+    blocks: Vec<SegmentBlock>,
+}
+
+/// Some segments between neighbouring corners.
+#[derive(Debug, Clone)]
+struct SegmentBlock {
+    /// Least and greatest x.
+    range: [f64; 2],
+    /// Their first corners: x of all, then y.
+    from: [[f64; BLOCK]; 2],
+    /// From those to their second corners.
+    along: [[f64; BLOCK]; 2],
+}
+
+impl SegmentBlock {
+    /// Of at least two corners and at most [`BLOCK`] + 1; the last segment fills the block.
+    fn new(corners: &[[f64; 2]]) -> Self {
+        let segment = |n: usize| {
+            let n = n.min(corners.len() - 2);
+            (corners[n], corners[n + 1])
+        };
+        let from = [0, 1].map(|k| std::array::from_fn(|n| segment(n).0[k]));
+        let along = [0, 1].map(|k| {
+            std::array::from_fn(|n| {
+                let (a, b) = segment(n);
+                b[k] - a[k]
+            })
+        });
+        let x = corners.iter().map(|c| c[0]);
+        let range = x.fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], x| [l.min(x), h.max(x)]);
+        SegmentBlock { range, from, along }
+    }
+
+    /// Square of the distance of a point from the nearest of them.
+    #[inline(always)]
+    fn square(&self, [x, y]: [f64; 2]) -> f64 {
+        let mut squares = [0.0; BLOCK];
+        for (n, square) in squares.iter_mut().enumerate() {
+            let d = [self.along[0][n], self.along[1][n]];
+            let q = [x - self.from[0][n], y - self.from[1][n]];
+            let t = (d[0] * q[0] + d[1] * q[1]) / (d[0] * d[0] + d[1] * d[1]);
+            let t = lesser(greater(t, 0.0), 1.0);
+            let (x, y) = (q[0] - t * d[0], q[1] - t * d[1]);
+            *square = x * x + y * y;
+        }
+        // Half and half, as vector units do it.
+        let mut half = BLOCK / 2;
+        while half > 0 {
+            let (low, high) = squares.split_at_mut(half);
+            low.iter_mut().zip(high).for_each(|(a, b)| *a = lesser(*a, *b));
+            half /= 2;
+        }
+        squares[0]
+    }
+}
+
+/// As `min` of numbers, which takes more instructions since it looks for what is none.
+#[inline(always)]
+fn lesser(a: f64, b: f64) -> f64 {
+    if a < b { a } else { b }
+}
+
+/// As `max`; see [`lesser`].
+#[inline(always)]
+fn greater(a: f64, b: f64) -> f64 {
+    if a > b { a } else { b }
 }
 
 impl WavyLine {
@@ -48,11 +115,11 @@ impl WavyLine {
             [weight / f64::from(n * n), phase]
         };
         let harmonics = (1..=HARMONICS).map(harmonic).collect();
-        let [corners, blocks] = [vec![], vec![]];
+        let (corners, blocks) = (Vec::new(), Vec::new());
         let mut line =
             WavyLine { mean_x, amplitude, y0: field.y[0], height, harmonics, corners, blocks };
         let samples = 4096;
-        let at = |k: u32| line.excursion(line.y0 + height * f64::from(k) / f64::from(samples))[0];
+        let at = |k: u32| line.excursion(line.y0 + height * f64::from(k) / f64::from(samples));
         let greatest = (0..samples).map(at).fold(0.0, |g: f64, e| g.max(e.abs()));
         line.harmonics.iter_mut().for_each(|h| h[0] *= amplitude / greatest);
         let count = ((height + 2.0 * beyond) / STEP_NM).ceil() as usize;
@@ -61,29 +128,35 @@ impl WavyLine {
             .map(|k| field.y[0] - beyond + STEP_NM * k as f64)
             .map(|y| [line.x(y), y])
             .collect();
-        let range = |start: usize| {
-            let x = line.corners[start..].iter().take(BLOCK + 1).map(|c| c[0]);
-            x.fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], x| [l.min(x), h.max(x)])
+        let block = |start: usize| {
+            let end = (start + BLOCK + 1).min(line.corners.len());
+            SegmentBlock::new(&line.corners[start..end])
         };
-        line.blocks = (0..count).step_by(BLOCK).map(range).collect();
+        line.blocks = (0..count).step_by(BLOCK).map(block).collect();
         line
     }
 
-    /// Excursion and its derivative.
-    fn excursion(&self, y: f64) -> [f64; 2] {
-        let mut sum = [0.0; 2];
-        for (n, [amplitude, phase]) in (1..).zip(&self.harmonics) {
+    /// The waves at y: amplitude, wave number and phase of each.
+    fn waves(&self, y: f64) -> impl Iterator<Item = [f64; 3]> + '_ {
+        (1..).zip(&self.harmonics).map(move |(n, [amplitude, phase])| {
             let k = TURN * f64::from(n) / self.height;
-            let angle = k * (y - self.y0) + phase;
-            sum[0] += amplitude * libm::cos(angle);
-            sum[1] -= amplitude * k * libm::sin(angle);
-        }
-        sum
+            [*amplitude, k, k * (y - self.y0) + phase]
+        })
+    }
+
+    fn excursion(&self, y: f64) -> f64 {
+        self.waves(y).fold(0.0, |sum, [amplitude, _, angle]| sum + amplitude * libm::cos(angle))
+    }
+
+    /// Derivative of the excursion.
+    fn slope(&self, y: f64) -> f64 {
+        let add = |sum, [amplitude, k, angle]: [f64; 3]| sum - amplitude * k * libm::sin(angle);
+        self.waves(y).fold(0.0, add)
     }
 
     /// x of the line.
     pub fn x(&self, y: f64) -> f64 {
-        self.mean_x + self.excursion(y)[0]
+        self.mean_x + self.excursion(y)
     }
 
     /// Whether the line lies at or left of a point.
@@ -96,8 +169,8 @@ impl WavyLine {
 
     /// x of the line, and the cosine of the angle between its normal and x.
     pub fn x_and_cosine(&self, y: f64) -> [f64; 2] {
-        let [excursion, slope] = self.excursion(y);
-        [self.mean_x + excursion, 1.0 / (1.0 + slope * slope).sqrt()]
+        let slope = self.slope(y);
+        [self.x(y), 1.0 / (1.0 + slope * slope).sqrt()]
     }
 
     /// Corners of the line between `y[0]` and `y[1]`, those two included.
@@ -124,36 +197,30 @@ impl WavyLine {
         let last = self.blocks.len().saturating_sub(1) as f64;
         let edge = STEP_NM * BLOCK as f64;
         let block = |y: f64| ((y - first) / edge).clamp(0.0, last) as usize;
-        let of_block = |n: usize, square: f64| {
-            let start = n * BLOCK;
-            let end = (start + BLOCK + 1).min(self.corners.len());
-            let segments = self.corners[start..end].windows(2);
-            segments.map(|s| square_to_segment([x, y], s[0], s[1])).fold(square, f64::min)
-        };
-        let beside = block(y);
-        let mut square = of_block(beside, nearest * nearest);
-        for n in block(y - along)..=block(y + along) {
-            let [low, high] = self.blocks[n];
-            let dx = (low - x).max(x - high).max(0.0);
-            let start = first + edge * n as f64;
-            let dy = (start - y).max(y - start - edge).max(0.0);
-            let far = dx * dx + dy * dy > square + ROUNDING_NM * (1.0 + square);
-            if n != beside && !far {
-                square = of_block(n, square);
-            }
-        }
+        let [lowest, beside, highest] = [y - along, y, y + along].map(block);
+        let square = vectorised(
+            #[inline(always)]
+            || {
+                let mut square = nearest * nearest;
+                // The block beside the point is likely to be the nearest, which spares a look at others.
+                for n in once(beside).chain(lowest..beside).chain(beside + 1..highest + 1) {
+                    let block = &self.blocks[n];
+                    let [low, high] = block.range;
+                    let dx = greater(greater(low - x, x - high), 0.0);
+                    let start = first + edge * n as f64;
+                    let dy = greater(greater(start - y, y - start - edge), 0.0);
+                    if dx * dx + dy * dy <= square + ROUNDING_NM * (1.0 + square) {
+                        square = lesser(square, block.square([x, y]));
+                    }
+                }
+                square
+            },
+        );
         nearest.min(square.sqrt())
     }
 }
 
-fn square_to_segment(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
-    let [d, q] = [[b[0] - a[0], b[1] - a[1]], [p[0] - a[0], p[1] - a[1]]];
-    let t = ((d[0] * q[0] + d[1] * q[1]) / (d[0] * d[0] + d[1] * d[1])).clamp(0.0, 1.0);
-    let (x, y) = (q[0] - t * d[0], q[1] - t * d[1]);
-    x * x + y * y
-}
-
-/// Above, the normal distribution and its integral are 1 and z to the last bit.
+/// Above, the normal distribution and its integral are 1 and z to the last bit; below minus this, both are less than 1e-16.
 const ALL_Z: f64 = 8.5;
 
 /// Standard normal cumulative distribution.
@@ -161,10 +228,18 @@ pub fn normal_cdf(z: f64) -> f64 {
     0.5 * libm::erfc(-z * std::f64::consts::FRAC_1_SQRT_2)
 }
 
+/// The same, and 0 where it is less than 1e-16.
+pub fn normal_cdf_or_zero(z: f64) -> f64 {
+    if z < -ALL_Z { 0.0 } else { normal_cdf(z) }
+}
+
 /// The same, and its integral from minus infinity.
 pub fn normal_cdf_and_integral(z: f64) -> [f64; 2] {
     if z > ALL_Z {
         return [1.0, z];
+    }
+    if z < -ALL_Z {
+        return [0.0; 2];
     }
     let density = libm::exp(-0.5 * z * z) / libm::sqrt(TURN);
     let cdf = normal_cdf(z);
@@ -181,6 +256,13 @@ mod tests {
     }
 
     const FIELD: Region = Region { x: [0.0, 100.0], y: [0.0, 80.0] };
+
+    fn square_to_segment(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> f64 {
+        let [d, q] = [[b[0] - a[0], b[1] - a[1]], [p[0] - a[0], p[1] - a[1]]];
+        let t = ((d[0] * q[0] + d[1] * q[1]) / (d[0] * d[0] + d[1] * d[1])).clamp(0.0, 1.0);
+        let (x, y) = (q[0] - t * d[0], q[1] - t * d[1]);
+        x * x + y * y
+    }
 
     #[test]
     fn the_amplitude_is_the_greatest_excursion() {
@@ -232,6 +314,7 @@ mod tests {
         for z in (0..4000).map(|n| ALL_Z + 0.01 * f64::from(n)) {
             let density = libm::exp(-0.5 * z * z) / libm::sqrt(TURN);
             assert_eq!([1.0, z], [normal_cdf(z), z * normal_cdf(z) + density], "{z}");
+            assert!(normal_cdf(-z) < 1e-16 && density - z * normal_cdf(-z) < 1e-16, "{z}");
         }
     }
 }

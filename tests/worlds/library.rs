@@ -5,8 +5,10 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use ndarray::{Array2, ArrayView2, s};
+use stemgen::benchmark::{BenchmarkWorld, RecipeSource, TileView};
 use stemgen::imaging::mosaic::supplied_images::digest;
-use stemgen::imaging::{Cache, MosaicImager, SuppliedLibrary};
+use stemgen::imaging::{Cache, MosaicImager, RegionImager, SuppliedLibrary, TurnedRaster};
 use stemgen::numerics::NUMERICS_VERSION;
 use stemgen::progress::Silent;
 use stemgen::recipe::{Difficulty, Recipe};
@@ -82,4 +84,73 @@ fn an_image_drawn_by_chance_is_what_the_program_simulates() {
     println!("STEMGEN_DRAW={draw}: {material} {tier:?}, {found:?}");
     assert_eq!(found.len(), 1);
     assert!(found[0].agrees(), "STEMGEN_DRAW={draw}: {material} {tier:?}, {found:?}: {REMEDY}");
+}
+
+/// Rms of the difference of two images, in per cent of the mean of the second.
+fn rms_percent(found: ArrayView2<'_, f64>, exact: ArrayView2<'_, f64>) -> f64 {
+    let square = (&found - &exact).mapv(|d| d * d).mean().unwrap();
+    100.0 * square.sqrt() / exact.mean().unwrap()
+}
+
+/// Means over 2 x 2 or more pixels.
+fn means(image: ArrayView2<'_, f64>, edge: usize) -> Array2<f64> {
+    let block = |i: usize, j: usize| {
+        image.slice(s![i * edge..(i + 1) * edge, j * edge..(j + 1) * edge]).mean().unwrap()
+    };
+    Array2::from_shape_fn((image.nrows() / edge, image.ncols() / edge), |(i, j)| block(i, j))
+}
+
+/// What is left out of overviews (phonons of single columns, and ramps between them) is little beside the image at the same places.
+#[test]
+fn overviews_are_the_image_but_for_details() {
+    for (material, pixel_nm, places, most_percent) in [
+        ("srtio3", 0.161, 3, 3.5),
+        ("batio3", 0.161, 3, 4.0),
+        ("gan", 0.258, 4, 2.5),
+        ("sige", 0.161, 3, 2.0),
+    ] {
+        let mut mosaic = mosaic(material, Difficulty::Hard);
+        mosaic.prepare(&Silent).unwrap();
+        let raster = TurnedRaster {
+            centre_nm: [20.0, 30.0],
+            pixel_nm: pixel_nm / f64::from(places),
+            angle_rad: 0.0,
+            shape: [20 * places as usize; 2],
+        };
+        let exact = mosaic.image_at(&raster, 18, &Silent).unwrap().unwrap();
+        let overview = mosaic.overview_at(&raster, 18, &Silent).unwrap().unwrap();
+        let of_places = rms_percent(overview.view(), exact.view());
+        let [overview, exact] = [overview, exact].map(|i| means(i.view(), places as usize));
+        let of_pixels = rms_percent(overview.view(), exact.view());
+        println!("{material}: places {of_places:.2} %, pixels {of_pixels:.2} %");
+        assert!(of_pixels < most_percent, "{material}: {of_pixels}");
+    }
+}
+
+/// Places in a pixel of an overview are fewer than the pixels of the field that it averages, which shows at sharp columns.
+#[test]
+fn overviews_are_about_the_means_of_pixels() {
+    for (material, most_percent) in [("srtio3", 7.5), ("gan", 4.0), ("batio3", 7.5), ("sige", 4.5)]
+    {
+        // Next to no noise.
+        let bright = ["dose.electrons_per_angstrom2=1e12".parse().unwrap()];
+        let recipe = Recipe::load(material, Some(Difficulty::Hard)).unwrap();
+        let recipe = recipe.with_overrides(&bright).unwrap().checked().unwrap();
+        let cache = Cache::none().with_supplied(supplied());
+        let options = BuildOptions { cache, ..BuildOptions::default() };
+        let source = RecipeSource::new(&recipe, &options, &Silent).unwrap();
+        let world = source.world(1).unwrap();
+        let overview = world.overview([0.5; 2], 64, &Silent).unwrap().mapv(f64::from);
+        let facts = world.facts().clone();
+        // The window about the middle: its pixels 24 to 40 are those of a tile.
+        let middle = facts.shape_px().map(|n| n / 16 - 8);
+        let view = TileView { first_px: middle.map(|n| 8 * n), ..facts.view_at([0.5; 2], 1.0) };
+        let tile = world.clean(&view, &Silent).unwrap();
+        let mean = means(tile.mapv(|v| f64::from(v) / facts.scaling[0]).view(), 8);
+        let [error, shifted] =
+            [0, 1].map(|n| rms_percent(overview.slice(s![24..40, 24 + n..40 + n]), mean.view()));
+        println!("{material}: {error:.2} % of the mean, one pixel off {shifted:.1} %");
+        assert!(error < most_percent, "{material}: {error}");
+        assert!(shifted > 2.0 * error, "{material}: {shifted}");
+    }
 }

@@ -18,7 +18,9 @@ use crate::specimen::units::unit_tag::{TurnedFamily, UnitTag};
 
 /// Width of the ramps between units: weights go with exp(-d^2 / 2 s), d being the distance from the unit's nearest
 /// column in Angstrom, and this is s. Halfway between columns 2 A apart the ramp is 0.3 A wide.
-const SOFTNESS: f64 = 0.15;
+pub const RAMPS: f64 = 0.15;
+/// No ramps: a place shows the nearest unit alone.
+pub const NO_RAMPS: f64 = 0.0;
 /// Weights below this are left out.
 const LEAST_WEIGHT: f64 = 1e-4;
 /// A column stands in for another the better the nearer it is: so far counts as much as a mean atomic number that differs by 1.
@@ -76,16 +78,18 @@ impl Assembly {
             at.map(|p| p as f64 * pixel_angstrom)
         };
         let places = (0..shape[0] * shape[1]).map(place).collect();
-        Self::of_places(specimen, &Region::of_pixels(first, shape, pixel_nm), shape, places, way)
+        let region = Region::of_pixels(first, shape, pixel_nm);
+        Self::of_places(specimen, &region, shape, places, (way, RAMPS))
     }
 
-    /// For pixels at any `places` (x, y) in Angstrom of the full field, row by row, all of them in a region.
+    /// For pixels at any `places` (x, y) in Angstrom of the full field, row by row, all of them in a region; with [`RAMPS`] between
+    /// units or [`NO_RAMPS`].
     pub fn of_places(
         specimen: &dyn Specimen,
         region: &Region,
         shape: [usize; 2],
         places: Vec<[f64; 2]>,
-        way: [f64; 2],
+        (way, ramps): ([f64; 2], f64),
     ) -> Self {
         let area = region.grown(BEYOND_NM);
         let (mut units, mut columns): (Vec<PlacedUnit>, Vec<PlacedColumn>) = Default::default();
@@ -103,7 +107,7 @@ impl Assembly {
             bins.entry(at.map(|v| (v / BIN_ANGSTROM).floor() as i64)).or_default().push((unit, at));
         }
         let row = |row: usize| {
-            let (mut shares, mut near, mut bin) = (Vec::new(), Vec::new(), None);
+            let (mut shares, mut near, mut bin) = (Vec::new(), NearColumns::default(), None);
             for column in 0..shape[1] {
                 let at = places[row * shape[1] + column];
                 let at = [0, 1].map(|k| at[k] + way[k]);
@@ -111,10 +115,9 @@ impl Assembly {
                 if bin != Some(here) {
                     bin = Some(here);
                     let around = (0..9).map(|n| [here[0] + n % 3 - 1, here[1] + n / 3 - 1]);
-                    near.clear();
-                    near.extend(around.filter_map(|b| bins.get(&b)).flatten());
+                    near.set(around.filter_map(|b| bins.get(&b)).flatten());
                 }
-                push_shares(row * shape[1] + column, at, &near, &mut shares);
+                near.push_shares(row * shape[1] + column, at, ramps, &mut shares);
             }
             shares
         };
@@ -154,6 +157,11 @@ impl Assembly {
         self
     }
 
+    /// Places (x, y) of its pixels in Angstrom of the full field, row by row.
+    pub fn places(&self) -> &[[f64; 2]] {
+        &self.places
+    }
+
     /// The families of its units.
     pub fn families(&self) -> BTreeSet<TurnedFamily> {
         self.units.iter().filter_map(|unit| unit.tag.as_ref()).map(TurnedFamily::of).collect()
@@ -178,6 +186,26 @@ impl Assembly {
         seed: u64,
         configurations: usize,
     ) -> Array2<f64> {
+        self.image_of((library, detector), kernel, |cell, tag| {
+            let mut own = cell.realisations(tag.entry, (seed, tag.id), library.configurations());
+            own.truncate(configurations);
+            own
+        })
+    }
+
+    /// As [`Assembly::image`] on the first detector, with the mean over all configurations of its entry in the library for each unit,
+    /// where the others are means over some that differ from unit to unit. Of no use where phonons of single columns matter.
+    pub fn overview(&self, library: &ImageLibrary, kernel: &Kernel) -> Array2<f64> {
+        let all = library.configurations();
+        self.image_of((library, 0), kernel, |cell, tag| cell.own_realisations(tag.entry, all))
+    }
+
+    fn image_of(
+        &self,
+        (library, detector): (&ImageLibrary, usize),
+        kernel: &Kernel,
+        realisations: impl Fn(&CellImages, &UnitTag) -> Vec<Realisation> + Sync,
+    ) -> Array2<f64> {
         let mut of_unit: Vec<Vec<&PixelShare>> = self.units.iter().map(|_| Vec::new()).collect();
         for share in &self.shares {
             of_unit[share.unit].push(share);
@@ -187,12 +215,9 @@ impl Assembly {
             let Some((tag, cell)) = found.filter(|_| !shares.is_empty()) else {
                 return vec![0.0; shares.len()];
             };
-            let mut realisations =
-                cell.realisations(tag.entry, (seed, tag.id), library.configurations());
-            realisations.truncate(configurations);
             let offsets: Vec<[f64; 2]> =
                 shares.iter().map(|s| self.offset(s.pixel, unit, &tag, cell)).collect();
-            values((cell, detector), &realisations, &offsets, kernel)
+            values((cell, detector), &realisations(cell, &tag), &offsets, kernel)
         };
         let values: Vec<Vec<f64>> = self.units.par_iter().zip(&of_unit).map(patch).collect();
         // Summed unit by unit, so that the bytes do not depend on threads.
@@ -233,32 +258,63 @@ fn mean_numbers(found: &Sites) -> HashMap<u64, f64> {
     found.columns.iter().map(mean).collect()
 }
 
-/// Shares of the columns `near` (their units and positions) in a pixel at `at`.
-fn push_shares(
-    pixel: usize,
-    at: [f64; 2],
-    near: &[(usize, [f64; 2])],
-    shares: &mut Vec<PixelShare>,
-) {
-    let square = |p: &[f64; 2]| (at[0] - p[0]).powi(2) + (at[1] - p[1]).powi(2);
-    let least = near.iter().map(|(_, p)| square(p)).fold(f64::INFINITY, f64::min);
-    let reach = least - 2.0 * SOFTNESS * LEAST_WEIGHT.ln();
-    let start = shares.len();
-    for (unit, position) in near {
-        let d2 = square(position);
-        if d2 > reach {
-            continue;
+/// The columns around some pixels.
+#[derive(Default)]
+struct NearColumns {
+    units: Vec<usize>,
+    /// Their x and y.
+    at: [Vec<f64>; 2],
+    /// Squares of their distances from a pixel.
+    squares: Vec<f64>,
+}
+
+impl NearColumns {
+    fn set<'a>(&mut self, columns: impl Iterator<Item = &'a (usize, [f64; 2])>) {
+        self.units.clear();
+        self.at.iter_mut().for_each(Vec::clear);
+        for (unit, at) in columns {
+            self.units.push(*unit);
+            self.at.iter_mut().zip(at).for_each(|(list, v)| list.push(*v));
         }
-        // Most pixels have one column only, whose weight is 1.
-        let weight = if d2 == least { 1.0 } else { libm::exp(-(d2 - least) / (2.0 * SOFTNESS)) };
-        // A unit counts from the nearest of its columns.
-        match shares[start..].iter_mut().find(|s| s.unit == *unit) {
-            Some(share) => share.weight = share.weight.max(weight),
-            None => shares.push(PixelShare { pixel, unit: *unit, weight }),
-        }
+        self.squares.resize(self.units.len(), 0.0);
     }
-    let total: f64 = shares[start..].iter().map(|s| s.weight).sum();
-    shares[start..].iter_mut().for_each(|s| s.weight /= total);
+
+    /// Adds their shares in a pixel at `at`, with ramps of this width (see [`RAMPS`]).
+    fn push_shares(
+        &mut self,
+        pixel: usize,
+        at: [f64; 2],
+        ramps: f64,
+        shares: &mut Vec<PixelShare>,
+    ) {
+        let (squares, [x, y]) = (&mut self.squares, &self.at);
+        vectorised(
+            #[inline(always)]
+            || {
+                for ((square, x), y) in squares.iter_mut().zip(x).zip(y) {
+                    let (dx, dy) = (at[0] - x, at[1] - y);
+                    *square = dx * dx + dy * dy;
+                }
+            },
+        );
+        let least = squares.iter().copied().fold(f64::INFINITY, f64::min);
+        let reach = least - 2.0 * ramps * LEAST_WEIGHT.ln();
+        let start = shares.len();
+        for (unit, &d2) in self.units.iter().zip(&*squares) {
+            if d2 > reach {
+                continue;
+            }
+            // Most pixels have one column only, whose weight is 1.
+            let weight = if d2 == least { 1.0 } else { libm::exp(-(d2 - least) / (2.0 * ramps)) };
+            // A unit counts from the nearest of its columns.
+            match shares[start..].iter_mut().find(|s| s.unit == *unit) {
+                Some(share) => share.weight = share.weight.max(weight),
+                None => shares.push(PixelShare { pixel, unit: *unit, weight }),
+            }
+        }
+        let total: f64 = shares[start..].iter().map(|s| s.weight).sum();
+        shares[start..].iter_mut().for_each(|s| s.weight /= total);
+    }
 }
 
 /// The mean image of some configurations of a unit on a detector, at `offsets` from its centre.
@@ -311,15 +367,21 @@ fn values(
     for (line, row) in patch.chunks_exact(size(x)).enumerate() {
         turned[line..].iter_mut().step_by(lines).zip(row).for_each(|(to, value)| *to = *value);
     }
-    let value = |offset: &[f64; 2]| {
-        let at = |k: usize, first: i64| {
-            let w = weights(k, offset[k] + centre[k]);
-            ((w.first - first) as usize, w.values)
-        };
-        let ((column, across), (row, down)) = (at(0, x[0]), at(1, y[0]));
-        weighted(&turned[column * lines + row..], lines, &across, &down)
-    };
-    offsets.iter().map(value).collect()
+    vectorised(
+        #[inline(always)]
+        || {
+            let at = |k: usize, offset: &[f64; 2], first: i64| {
+                let w = weights(k, offset[k] + centre[k]);
+                ((w.first - first) as usize, w.values)
+            };
+            let value = |offset: &[f64; 2]| {
+                let (column, across) = at(0, offset, x[0]);
+                let (row, down) = at(1, offset, y[0]);
+                weighted(&turned[column * lines + row..], lines, &across, &down)
+            };
+            offsets.iter().map(value).collect()
+        },
+    )
 }
 
 /// Adds the samples of a periodic row, from number `first` on, times a weight.
@@ -338,20 +400,16 @@ fn add_wrapped(to: &mut [f64], row: &[f32], first: usize, weight: f64) {
 
 /// The sum of 16 x 16 samples with weights: first along each line, one sample after the other, then over the lines. Samples of a line
 /// lie `stride` apart, and lines beside each other.
+#[inline(always)]
 fn weighted(samples: &[f64], stride: usize, across: &[f64; TAPS], down: &[f64; TAPS]) -> f64 {
-    vectorised(
-        #[inline(always)]
-        || {
-            let mut lines = [0.0f64; TAPS];
-            for (k, weight) in across.iter().enumerate() {
-                let column = &samples[k * stride..][..TAPS];
-                for (sum, sample) in lines.iter_mut().zip(column) {
-                    *sum += sample * weight;
-                }
-            }
-            down.iter().zip(&lines).map(|(weight, line)| weight * line).sum()
-        },
-    )
+    let mut lines = [0.0f64; TAPS];
+    for (k, weight) in across.iter().enumerate() {
+        let column = &samples[k * stride..][..TAPS];
+        for (sum, sample) in lines.iter_mut().zip(column) {
+            *sum += sample * weight;
+        }
+    }
+    down.iter().zip(&lines).map(|(weight, line)| weight * line).sum()
 }
 
 /// The number of configurations if `realisations` are all of one unit, else 0.

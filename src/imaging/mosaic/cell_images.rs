@@ -10,7 +10,7 @@ use crate::error::Result;
 use crate::imaging::mosaic::image_note::ImageNote;
 use crate::numerics::NUMERICS_VERSION;
 use crate::optics::Optics;
-use crate::resample::{Kernel, image_band_limit, nyquist_step, periodic_samples};
+use crate::resample::{Kernel, PeriodicResampling, image_band_limit, nyquist_step};
 use crate::rng::{self, Purpose};
 use crate::specimen::sites::SiteKind;
 use crate::specimen::units::library_cell::{LibraryCell, LibrarySite, LibraryUnit};
@@ -36,6 +36,8 @@ pub struct CellImages {
     pub shape: [usize; 2],
     /// The probes that are propagated for an image: along axes on which sheets repeat no more than it takes.
     pub(super) scan: Scan,
+    /// What makes samples (rows, columns) of what the probes gave, along axes on which sheets repeat.
+    resampling: [Option<PeriodicResampling>; 2],
     /// Seed of the phonons of each sheet.
     seeds: Vec<u64>,
     /// Digest of the geometry and contents of each sheet.
@@ -76,7 +78,12 @@ impl CellImages {
             .map(|n| hex(&Sha256::digest(description(&sheet, family, n))))
             .collect();
         let seed = |d: &String| u64::from_str_radix(&d[..16], 16).unwrap_or_default();
+        let resampling = [(0, 1), (1, 0)].map(|(axis, k)| {
+            let new = || PeriodicResampling::new(scan.shape[axis], shape[axis]);
+            sheet.periodic[k].then(new)
+        });
         CellImages {
+            resampling,
             scan,
             step_angstrom,
             shape,
@@ -118,10 +125,10 @@ impl CellImages {
 
     /// An image as it is kept, from what the probes gave.
     fn resampled(&self, probes: Array2<f32>) -> Array2<f32> {
-        let axes =
-            [(Axis(0), 1), (Axis(1), 0)].into_iter().filter(|(_, k)| self.sheet.periodic[*k]);
-        axes.fold(probes, |image, (axis, _)| {
-            periodic_samples(image.view(), axis, self.shape[axis.index()])
+        let axes = [Axis(0), Axis(1)].into_iter().zip(&self.resampling);
+        axes.fold(probes, |image, (axis, resampling)| match resampling {
+            Some(resampling) => resampling.of(image.view(), axis),
+            None => image,
         })
     }
 
@@ -164,9 +171,7 @@ impl CellImages {
         let (sheet, unit) = own(entry.cell);
         let pristine = self.sheet.units[unit].patterns[sheet].is_empty();
         let Some(alike) = self.pristine.get(&entry.kind).filter(|_| pristine) else {
-            return (0..configurations)
-                .map(|configuration| Realisation { sheet, unit, configuration })
-                .collect();
+            return self.own_realisations(entry, configurations);
         };
         let all = alike.len() * configurations;
         let mut taken: Vec<usize> = Vec::with_capacity(configurations);
@@ -185,6 +190,13 @@ impl CellImages {
             Realisation { sheet, unit, configuration: pick % configurations }
         };
         taken.into_iter().map(realisation).collect()
+    }
+
+    /// So many configurations of the unit of an entry itself.
+    pub fn own_realisations(&self, entry: PatternIndex, configurations: usize) -> Vec<Realisation> {
+        let (sheet, unit) = self.locate(entry.kind, entry.cell);
+        let realisation = |configuration| Realisation { sheet, unit, configuration };
+        (0..configurations).map(realisation).collect()
     }
 
     /// Displacement, in standard deviations and along the axes of the sheet, of site `site` of column

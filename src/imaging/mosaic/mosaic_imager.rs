@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use ndarray::Array2;
 
-use super::assembly::Assembly;
+use super::assembly::{Assembly, NO_RAMPS, RAMPS};
 use super::image_library::{ImageLibrary, RecomputedImage};
 use super::library_cache::Cache;
 use super::missing_blocks::{BLOCK_ANGSTROM, BLOCK_PX, blocks};
@@ -260,34 +260,34 @@ impl MosaicImager {
         })
     }
 
-    /// The image at the places of a raster; with stand-ins, columns like no other are not simulated.
-    fn image_of(
+    /// What makes the image at the places of a raster, with so wide ramps between units.
+    fn assembly_at(&self, raster: &TurnedRaster, ramps: f64) -> Assembly {
+        let (places, region) = (raster.places_angstrom(), raster.region());
+        let how = (self.way(), ramps);
+        Assembly::of_places(&*self.specimen, &region, raster.shape, places, how)
+    }
+
+    /// Adds what the library lacks to the image at the places of a raster.
+    fn add_missing(
         &self,
+        image: &mut Array2<f64>,
+        (assembly, library): (&Assembly, &ImageLibrary),
         raster: &TurnedRaster,
-        (configurations, stand_ins): (usize, bool),
+        configurations: usize,
         progress: &dyn Progress,
-    ) -> Result<Array2<f64>> {
-        self.check_prepared(progress)?;
-        let places = raster.places_angstrom();
-        let (region, shape) = (raster.region(), raster.shape);
-        let mut assembly =
-            Assembly::of_places(&*self.specimen, &region, shape, places.clone(), self.way());
-        let seed = self.recipe.seed;
-        let library = self.library_with(assembly.families(), progress)?;
-        if stand_ins {
-            assembly = assembly.with_stand_ins(&*self.specimen, &library);
-        }
-        let mut image = assembly.image((&library, 0), &self.kernel, seed, configurations);
+    ) -> Result<()> {
         let edge = (0.1 * BLOCK_ANGSTROM / raster.pixel_nm).ceil() as usize;
-        let missing = assembly.missing(&library);
-        for (_, members) in blocks(&missing, [0, 0], shape, edge.clamp(1, BLOCK_PX)) {
-            let there: Vec<[f64; 2]> = members.iter().map(|(pixel, _)| places[*pixel]).collect();
+        let missing = assembly.missing(library);
+        for (_, members) in blocks(&missing, [0, 0], raster.shape, edge.clamp(1, BLOCK_PX)) {
+            let place = |(pixel, _): &(usize, f64)| assembly.places()[*pixel];
+            let there: Vec<[f64; 2]> = members.iter().map(place).collect();
             let values = self.direct_at(&there, configurations, progress)?;
+            let columns = raster.shape[1];
             for ((pixel, weight), value) in members.iter().zip(values) {
-                image[[pixel / shape[1], pixel % shape[1]]] += weight * value;
+                image[[pixel / columns, pixel % columns]] += weight * value;
             }
         }
-        Ok(image)
+        Ok(())
     }
 
     /// How far (x, y) a tilted beam has moved at half thickness, in Angstrom.
@@ -409,7 +409,14 @@ impl RegionImager for MosaicImager {
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Option<Array2<f64>>> {
-        self.image_of(raster, (configurations, false), progress).map(Some)
+        self.check_prepared(progress)?;
+        let assembly = self.assembly_at(raster, RAMPS);
+        let library = self.library_with(assembly.families(), progress)?;
+        let seed = self.recipe.seed;
+        let mut image = assembly.image((&library, 0), &self.kernel, seed, configurations);
+        let made = (&assembly, &*library);
+        self.add_missing(&mut image, made, raster, configurations, progress)?;
+        Ok(Some(image))
     }
 
     fn overview_at(
@@ -418,7 +425,15 @@ impl RegionImager for MosaicImager {
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Option<Array2<f64>>> {
-        self.image_of(raster, (configurations, true), progress).map(Some)
+        self.check_prepared(progress)?;
+        let assembly = self.assembly_at(raster, NO_RAMPS);
+        let library = self.library_with(assembly.families(), progress)?;
+        let assembly = assembly.with_stand_ins(&*self.specimen, &library);
+        let mut image = assembly.overview(&library, &self.kernel);
+        // Without any column that could stand in, all are missing.
+        let made = (&assembly, &*library);
+        self.add_missing(&mut image, made, raster, configurations, progress)?;
+        Ok(Some(image))
     }
 
     /// Atoms of units with a place in the library move as in the simulations that their images come from, others

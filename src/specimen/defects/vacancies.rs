@@ -97,6 +97,10 @@ impl VacancyProfile {
         let mut low = 0.0;
         for _ in 0..100 {
             let middle = 0.5 * (low + high);
+            // No number lies between them.
+            if middle <= low || middle >= high {
+                break;
+            }
             if rate_at(middle) < recipe.rate { low = middle } else { high = middle }
         }
         profile.amplitude = high;
