@@ -89,7 +89,7 @@ class MicroscopeEnv(gym.Env[Observation, Action]):
         noise: ``"poisson"`` counts electrons; ``"stored"`` shows the tiles of the file, and is what recorded data take.
         reward: ``"none"``; ``"score_gain"`` pays changes of the score, ``"sparse"`` the final score.
         target: the type of defect that targeted characterisation asks for, ``"vacancy"`` or ``"substitution"``; the world's commonest by default.
-        overview: show the overview. Of a recipe it has to be simulated, which takes longer than a tile.
+        overview: show the overview. Of a recipe it is made where one looks, which takes about as long as two or three tiles.
         phase_stride_px: phases are compared at every so many pixels.
         cache, threads, progress: as for :func:`stemworlds.build`; the first environment of a recipe fills its library, which takes minutes.
         render_mode: ``"rgb_array"`` or ``"ansi"``.

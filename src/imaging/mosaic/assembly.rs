@@ -17,7 +17,7 @@ use crate::specimen::specimen_trait::Specimen;
 use crate::specimen::units::unit_tag::{TurnedFamily, UnitTag};
 
 /// Width of the ramps between units: weights go with exp(-d^2 / 2 s), d being the distance from the unit's nearest
-/// column in Angstrom, and this is s. Halfway between columns 2 A apart the ramp is 0.3 A wide.
+/// column in Angstrom, and this is s in square Angstrom. Halfway between columns 2 A apart the ramp is 0.3 A wide.
 pub const RAMPS: f64 = 0.15;
 /// No ramps: a place shows the nearest unit alone.
 pub const NO_RAMPS: f64 = 0.0;
@@ -193,8 +193,8 @@ impl Assembly {
         })
     }
 
-    /// As [`Assembly::image`] on the first detector, with the mean over all configurations of its entry in the library for each unit,
-    /// where the others are means over some that differ from unit to unit. Of no use where phonons of single columns matter.
+    /// As [`Assembly::image`] on the first detector, but each unit is the mean over all configurations of its entry in the library, where
+    /// that takes some for each unit, different ones. Of no use where the phonons of single columns matter.
     pub fn overview(&self, library: &ImageLibrary, kernel: &Kernel) -> Array2<f64> {
         let all = library.configurations();
         self.image_of((library, 0), kernel, |cell, tag| cell.own_realisations(tag.entry, all))
