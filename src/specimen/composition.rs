@@ -40,6 +40,13 @@ impl Interface {
     fn at(&self, y: f64, z: f64) -> f64 {
         self.x + self.deviation.as_ref().map_or(0.0, |d| d.at(y, z))
     }
+    /// The same at some heights.
+    fn along_beam(&self, y: f64, heights: &[f64]) -> Vec<f64> {
+        match &self.deviation {
+            None => vec![self.x; heights.len()],
+            Some(rough) => rough.along_beam(y, heights).map(|d| self.x + d).collect(),
+        }
+    }
     /// Mean along the beam.
     fn projected(&self, y: f64) -> f64 {
         self.x + self.deviation.as_ref().map_or(0.0, |d| d.mean_along_beam(y))
@@ -199,13 +206,8 @@ impl Composition {
     /// Where the interfaces lie at y and some heights.
     pub fn interfaces_at(&self, y: f64, heights: &[f64]) -> InterfacesAlongBeam {
         let Composition::Wells { sides, .. } = self else { return InterfacesAlongBeam::default() };
-        let at = |side: &Interface| -> Vec<f64> {
-            match &side.deviation {
-                None => vec![side.x; heights.len()],
-                Some(rough) => rough.along_beam(y, heights).map(|d| side.x + d).collect(),
-            }
-        };
-        let sides = sides.iter().map(|sides| sides.each_ref().map(|s| OneInterface::new(at(s))));
+        let one = |side: &Interface| OneInterface::new(side.along_beam(y, heights));
+        let sides = sides.iter().map(|sides| sides.each_ref().map(one));
         InterfacesAlongBeam { wells: sides.collect(), heights: heights.len() }
     }
 

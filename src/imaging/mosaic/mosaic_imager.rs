@@ -267,15 +267,15 @@ impl MosaicImager {
         Assembly::of_places(&*self.specimen, &region, raster.shape, places, how)
     }
 
-    /// Adds what the library lacks to the image at the places of a raster.
-    fn add_missing(
+    /// The image at the places of a raster, with what the library lacks.
+    fn with_missing(
         &self,
-        image: &mut Array2<f64>,
+        mut image: Array2<f64>,
         (assembly, library): (&Assembly, &ImageLibrary),
         raster: &TurnedRaster,
         configurations: usize,
         progress: &dyn Progress,
-    ) -> Result<()> {
+    ) -> Result<Array2<f64>> {
         let edge = (0.1 * BLOCK_ANGSTROM / raster.pixel_nm).ceil() as usize;
         let missing = assembly.missing(library);
         for (_, members) in blocks(&missing, [0, 0], raster.shape, edge.clamp(1, BLOCK_PX)) {
@@ -287,7 +287,7 @@ impl MosaicImager {
                 image[[pixel / columns, pixel % columns]] += weight * value;
             }
         }
-        Ok(())
+        Ok(image)
     }
 
     /// How far (x, y) a tilted beam has moved at half thickness, in Angstrom.
@@ -413,10 +413,9 @@ impl RegionImager for MosaicImager {
         let assembly = self.assembly_at(raster, RAMPS);
         let library = self.library_with(assembly.families(), progress)?;
         let seed = self.recipe.seed;
-        let mut image = assembly.image((&library, 0), &self.kernel, seed, configurations);
+        let image = assembly.image((&library, 0), &self.kernel, seed, configurations);
         let made = (&assembly, &*library);
-        self.add_missing(&mut image, made, raster, configurations, progress)?;
-        Ok(Some(image))
+        self.with_missing(image, made, raster, configurations, progress).map(Some)
     }
 
     fn overview_at(
@@ -429,11 +428,10 @@ impl RegionImager for MosaicImager {
         let assembly = self.assembly_at(raster, NO_RAMPS);
         let library = self.library_with(assembly.families(), progress)?;
         let assembly = assembly.with_stand_ins(&*self.specimen, &library);
-        let mut image = assembly.overview(&library, &self.kernel);
+        let image = assembly.overview(&library, &self.kernel);
         // Without any column that could stand in, all are missing.
         let made = (&assembly, &*library);
-        self.add_missing(&mut image, made, raster, configurations, progress)?;
-        Ok(Some(image))
+        self.with_missing(image, made, raster, configurations, progress).map(Some)
     }
 
     /// Atoms of units with a place in the library move as in the simulations that their images come from, others
