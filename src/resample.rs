@@ -316,11 +316,7 @@ impl PeriodicResampling {
     /// The image (rows = y, columns = x) with the new number of samples along `axis`, along which it has the old one.
     pub fn of(&self, image: ArrayView2<'_, f32>, axis: Axis) -> Array2<f32> {
         // The axis goes down, so that whole rows are summed at once.
-        let down = |image: Array2<f32>| match axis {
-            Axis(0) => image,
-            _ => image.reversed_axes().as_standard_layout().into_owned(),
-        };
-        let from = down(image.as_standard_layout().into_owned()).mapv(f64::from);
+        let from = down(image, axis).as_standard_layout().mapv(f64::from);
         let mut to = Array2::<f32>::zeros((self.weights.nrows(), from.ncols()));
         for (mut to, weights) in to.outer_iter_mut().zip(self.weights.outer_iter()) {
             let mut sums = vec![0.0f64; from.ncols()];
@@ -333,7 +329,15 @@ impl PeriodicResampling {
             }
             to.iter_mut().zip(sums).for_each(|(to, sum)| *to = sum as f32);
         }
-        down(to)
+        down(to.view(), axis).as_standard_layout().into_owned()
+    }
+}
+
+/// With `axis` and the rows exchanged.
+fn down(image: ArrayView2<'_, f32>, axis: Axis) -> ArrayView2<'_, f32> {
+    match axis {
+        Axis(0) => image,
+        _ => image.reversed_axes(),
     }
 }
 

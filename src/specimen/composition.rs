@@ -5,7 +5,7 @@ use crate::recipe::region::Region;
 use crate::recipe::tables::{Alloy, CompositionProfile, Wells};
 use crate::simd::vectorised;
 use crate::specimen::roughness::Roughness;
-use crate::specimen::wave::normal_cdf;
+use crate::specimen::wave::{normal_cdf, normal_cdf_or_zero};
 
 /// Fraction of guests on host sites as a function of the position, all lengths in nm.
 #[derive(Debug)]
@@ -95,8 +95,6 @@ fn in_any(wells: impl Iterator<Item = Option<bool>>) -> Option<bool> {
     Some(inside)
 }
 
-/// Standard deviations of an interface beyond which the normal distribution is below 1e-23.
-const FAR: f64 = 10.0;
 /// Distances from interfaces are known better than this.
 const ROUNDING_NM: f64 = 1e-6;
 
@@ -150,10 +148,10 @@ impl Composition {
         self.fraction() * self.share(x, normal_cdf)
     }
 
-    /// [`Composition::mean`] over [`Composition::fraction`] to within 1e-23: 0 where only interfaces more than [`FAR`] standard
+    /// [`Composition::mean`] over [`Composition::fraction`] to within 1e-23: 0 where only interfaces more than ten standard
     /// deviations away would add to it.
     pub fn share_of_near(&self, x: f64) -> f64 {
-        self.share(x, |z| if z < -FAR { 0.0 } else { normal_cdf(z) })
+        self.share(x, normal_cdf_or_zero)
     }
 
     /// The mean over the fraction, with the normal distribution.
@@ -214,9 +212,14 @@ impl Composition {
     /// Whether all points at `x` lie in a well for sure, and the wells of which some points may.
     pub fn wells_near(&self, x: f64) -> (bool, Vec<usize>) {
         let Composition::Wells { sides, .. } = self else { return (false, Vec::new()) };
-        let within = |n: &usize| between(sides[*n].each_ref().map(|s| s.passed_anywhere(x)));
-        let near = (0..sides.len()).filter(|n| within(n).is_none()).collect();
-        ((0..sides.len()).any(|n| within(&n) == Some(true)), near)
+        let (mut surely, mut near) = (false, Vec::new());
+        for (n, sides) in sides.iter().enumerate() {
+            match between(sides.each_ref().map(|s| s.passed_anywhere(x))) {
+                Some(within) => surely |= within,
+                None => near.push(n),
+            }
+        }
+        (surely, near)
     }
 
     /// Whether a point lies in a well.
@@ -319,9 +322,9 @@ mod tests {
     fn sites_in_wells_are_counted_as_asked_one_by_one() {
         let field = Region { x: [0.0, 40.0], y: [0.0, 30.0] };
         let heights: Vec<f64> = (0..25).map(|n| 0.1 + 0.32 * f64::from(n)).collect();
-        // The last wells overlap.
         let recipe = CheckedRecipe::load("gan", Difficulty::Hard).unwrap();
         let alloy = recipe.alloy.as_ref().unwrap();
+        // The last wells overlap.
         for (count, width_nm, roughness_nm) in [(4, 3.0, 0.5), (4, 3.0, 0.0), (10, 5.0, 0.5)] {
             let wells = Wells { count, width_nm, roughness_nm, roughness_correlation_nm: 2.0 };
             let composition = Composition::new(alloy, Some(&wells), &field, 8.0, 3);

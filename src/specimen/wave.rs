@@ -222,15 +222,17 @@ impl WavyLine {
 
 /// Above, the normal distribution and its integral are 1 and z to the last bit; below minus this, both are less than 1e-16.
 const ALL_Z: f64 = 8.5;
+/// Below minus this, the normal distribution is less than 1e-23.
+const NO_Z: f64 = 10.0;
 
 /// Standard normal cumulative distribution.
 pub fn normal_cdf(z: f64) -> f64 {
     0.5 * libm::erfc(-z * std::f64::consts::FRAC_1_SQRT_2)
 }
 
-/// The same, and 0 where it is less than 1e-16.
+/// The same, and 0 where it is less than 1e-23: further than [`NO_Z`] below the mean.
 pub fn normal_cdf_or_zero(z: f64) -> f64 {
-    if z < -ALL_Z { 0.0 } else { normal_cdf(z) }
+    if z < -NO_Z { 0.0 } else { normal_cdf(z) }
 }
 
 /// The same, and its integral from minus infinity.
@@ -314,6 +316,7 @@ mod tests {
         for z in (0..4000).map(|n| ALL_Z + 0.01 * f64::from(n)) {
             let density = libm::exp(-0.5 * z * z) / libm::sqrt(TURN);
             assert_eq!([1.0, z], [normal_cdf(z), z * normal_cdf(z) + density], "{z}");
+            assert!(z < NO_Z || normal_cdf(-z) < 1e-23, "{z}");
             assert!(normal_cdf(-z) < 1e-16 && density - z * normal_cdf(-z) < 1e-16, "{z}");
         }
     }

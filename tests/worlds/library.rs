@@ -22,11 +22,13 @@ fn supplied() -> SuppliedLibrary {
     SuppliedLibrary::at(Path::new(env!("CARGO_MANIFEST_DIR")).join("library"))
 }
 
+fn options() -> BuildOptions {
+    BuildOptions { cache: Cache::none().with_supplied(supplied()), ..BuildOptions::default() }
+}
+
 fn mosaic(material: &str, tier: Difficulty) -> MosaicImager {
     let recipe = Recipe::load(material, Some(tier)).unwrap().checked().unwrap();
-    let cache = Cache::none().with_supplied(supplied());
-    let options = BuildOptions { cache, ..BuildOptions::default() };
-    WorldBuild::new(&recipe, &options).unwrap().library().unwrap().expect("a mosaic")
+    WorldBuild::new(&recipe, &options()).unwrap().library().unwrap().expect("a mosaic")
 }
 
 #[test]
@@ -92,7 +94,7 @@ fn rms_percent(found: ArrayView2<'_, f64>, exact: ArrayView2<'_, f64>) -> f64 {
     100.0 * square.sqrt() / exact.mean().unwrap()
 }
 
-/// Means over 2 x 2 or more pixels.
+/// Means over squares of so many pixels along an edge.
 fn means(image: ArrayView2<'_, f64>, edge: usize) -> Array2<f64> {
     let block = |i: usize, j: usize| {
         image.slice(s![i * edge..(i + 1) * edge, j * edge..(j + 1) * edge]).mean().unwrap()
@@ -117,8 +119,8 @@ fn overviews_are_the_image_but_for_details() {
             angle_rad: 0.0,
             shape: [20 * places as usize; 2],
         };
-        let exact = mosaic.image_at(&raster, 18, &Silent).unwrap().unwrap();
-        let overview = mosaic.overview_at(&raster, 18, &Silent).unwrap().unwrap();
+        let exact = mosaic.image_at(&raster, 16, &Silent).unwrap().unwrap();
+        let overview = mosaic.overview_at(&raster, 16, &Silent).unwrap().unwrap();
         let of_places = rms_percent(overview.view(), exact.view());
         let [overview, exact] = [overview, exact].map(|i| means(i.view(), places as usize));
         let of_pixels = rms_percent(overview.view(), exact.view());
@@ -136,9 +138,7 @@ fn overviews_are_about_the_means_of_pixels() {
         let bright = ["dose.electrons_per_angstrom2=1e12".parse().unwrap()];
         let recipe = Recipe::load(material, Some(Difficulty::Hard)).unwrap();
         let recipe = recipe.with_overrides(&bright).unwrap().checked().unwrap();
-        let cache = Cache::none().with_supplied(supplied());
-        let options = BuildOptions { cache, ..BuildOptions::default() };
-        let source = RecipeSource::new(&recipe, &options, &Silent).unwrap();
+        let source = RecipeSource::new(&recipe, &options(), &Silent).unwrap();
         let world = source.world(1).unwrap();
         let overview = world.overview([0.5; 2], 64, &Silent).unwrap().mapv(f64::from);
         let facts = world.facts().clone();
