@@ -21,7 +21,8 @@ use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Difficulty, Recipe};
 use crate::world::footprint::PICTURE;
 use crate::world::{
-    BuildMethod, BuildOptions, BuildProfile, BuildSummary, Companion, WorldBuild, work_folder,
+    BuildMethod, BuildOptions, BuildProfile, BuildSummary, Companion, WorldBuild, remove_leftovers,
+    work_folder,
 };
 use clap::{Arg, Args, ValueEnum};
 use serde::Serialize;
@@ -222,7 +223,8 @@ impl Build {
         reporter: &Reporter,
     ) -> anyhow::Result<ShardReport> {
         slips::check_hdf5_name(path)?;
-        check_outputs([path], self.recipe.files(recipe), false)?;
+        check_outputs([path], self.recipe.files(recipe), false)
+            .inspect_err(|_| remove_leftovers(path))?;
         self.check_memory(&build, reporter)?;
         ShardReport::of(build, path, shard, reporter).map_err(|e| with_what_is_kept(e, path))
     }
@@ -238,7 +240,8 @@ impl Build {
         let hspy = self.hspy.then(|| path.with_extension("hspy"));
         let outputs = [Some(path), picture.as_deref(), hspy.as_deref()].into_iter().flatten();
         let complete = build.is_complete(path);
-        check_outputs(outputs, self.recipe.files(recipe), self.overwrite || complete)?;
+        check_outputs(outputs, self.recipe.files(recipe), self.overwrite || complete)
+            .inspect_err(|_| remove_leftovers(path))?;
         slips::check_hdf5_name(path)?;
         let companion = picture.as_deref().map(|path| Companion {
             path,

@@ -11,7 +11,8 @@ use super::build_summary::BuildSummary;
 use super::footprint;
 use super::subtile_store::{SubtileStore, work_folder};
 use crate::error::{Error, Result};
-use crate::files::atomic_write;
+use crate::files::outputs::{LOCK, beside};
+use crate::files::{OutputLock, atomic_write};
 use crate::imaging::{Cache, KeptAudits};
 use crate::progress::Progress;
 
@@ -141,6 +142,18 @@ impl WorkFolder {
         }
         self.remove_if_empty();
         Ok(())
+    }
+}
+
+/// Removes what a run leaves beside a whole world if it is ended in its very last steps: an empty work folder and a lock. Both stay
+/// where another process holds the lock.
+pub fn remove_leftovers(output: &Path) {
+    let work = WorkFolder::of(output);
+    if !work.path().exists() && !beside(output, LOCK).exists() {
+        return;
+    }
+    if let Ok(_lock) = OutputLock::hold(output) {
+        work.remove_if_empty();
     }
 }
 

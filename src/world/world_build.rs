@@ -13,7 +13,7 @@ use super::noise_free::{refined, refinement, too_coarse};
 use super::publish::{Companion, partial, place, publish_companion, try_companion, try_partial};
 use super::subtile_store::SubtileStore;
 use super::subtiles::Partition;
-use super::work_folder::WorkFolder;
+use super::work_folder::{WorkFolder, remove_leftovers};
 use super::world_job::{BuildLayout, Job};
 use crate::error::{Error, Result};
 use crate::files::outputs::check_outputs;
@@ -287,6 +287,7 @@ impl WorldBuild {
     pub(super) fn check_output(&self, output: &Path, complete: bool) -> Result<()> {
         let overwrite = self.layout.options.overwrite || complete;
         check_outputs([output], [] as [&Path; 0], overwrite)
+            .inspect_err(|_| remove_leftovers(output))
     }
 
     /// Makes the world, up to its place.

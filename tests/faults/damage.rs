@@ -213,3 +213,16 @@ fn files_of_others_beside_the_output_stay() {
     succeeds(&mut build(here, Method::Subtiles));
     assert_eq!(fs::read(here.join("w.h5.work/notes.txt")).unwrap(), b"precious");
 }
+
+/// What a run leaves that was ended in its very last steps: the next one is refused, since the world is whole, and puts all in order.
+#[test]
+fn nothing_is_left_beside_a_whole_world() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    succeeds(&mut build(here, Method::Library));
+    fs::create_dir(here.join("w.h5.work")).unwrap();
+    fs::write(here.join("w.h5.lock"), "process 1\n").unwrap();
+    let told = fails(&mut build(here, Method::Library));
+    assert!(told.contains("w.h5: exists"), "{told}");
+    assert_done(here, Method::Library, "leftovers");
+}

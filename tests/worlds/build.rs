@@ -175,6 +175,17 @@ fn a_world_is_replaced_only_when_told_so() {
     let refused = build(&recipe(1, 1), &Spots::new(), &path, &options(), &Silent).unwrap_err();
     assert!(refused.to_string().contains("allow overwriting"), "{refused}");
     assert_eq!(std::fs::read(&path).unwrap(), b"precious");
+    // What a run leaves that was ended in its very last steps goes, if it is empty.
+    let [work, lock] = ["w.h5.work", "w.h5.lock"].map(|name| folder.path().join(name));
+    for kept in [None, Some(work.join("notes.txt"))] {
+        std::fs::create_dir(&work).unwrap();
+        kept.iter().for_each(|notes| std::fs::write(notes, "precious").unwrap());
+        std::fs::write(&lock, "process 1\n").unwrap();
+        let again = build(&recipe(1, 1), &Spots::new(), &path, &options(), &Silent).unwrap_err();
+        assert_eq!(again.to_string(), refused.to_string());
+        assert!(!lock.exists() && work.exists() == kept.is_some());
+    }
+    std::fs::remove_dir_all(&work).unwrap();
     let options = BuildOptions { overwrite: true, ..options() };
     build(&recipe(1, 1), &Spots::new(), &path, &options, &Silent).unwrap();
     assert!(WorldFile::open(&path).is_ok());
