@@ -68,8 +68,8 @@ pub struct Projector {
 struct Species {
     number: u8,
     factor: ScatteringFactor,
-    /// `V(k)` of one atom in V Angstrom on the half plane kx >= 0: ny rows of nx / 2 + 1 elements.
-    half_plane: Vec<f32>,
+    /// `V(k)` of one atom in V Angstrom on the quarter plane kx, ky >= 0: ny / 2 + 1 rows of nx / 2 + 1 elements.
+    quarter_plane: Vec<f32>,
 }
 
 /// Work space of one thread.
@@ -100,19 +100,20 @@ impl Projector {
                 if u > 0.0 { u / u.sin() } else { 1.0 }
             }
         };
-        let mut species = Vec::new();
-        for &number in elements {
+        let (high, wide) = (ny / 2 + 1, nx / 2 + 1);
+        let unit = POTENTIAL_PER_SCATTERING_FACTOR / (extent[0] * extent[1]);
+        let species = elements.iter().map(|&number| {
             let factor = ScatteringFactor::new(parametrization, number)?;
-            let mut half_plane = Vec::with_capacity(ny * (nx / 2 + 1));
-            let unit = POTENTIAL_PER_SCATTERING_FACTOR / (extent[0] * extent[1]);
-            for iy in 0..ny {
-                for ix in 0..=nx / 2 {
-                    let q2 = k2(iy, ix, (ny, nx), extent);
-                    half_plane.push((unit * factor.at(q2) * reshaped(iy, ix, q2)) as f32);
-                }
+            let mut quarter_plane = Vec::with_capacity(high * wide);
+            for iy in 0..high {
+                let q2: Vec<f64> = (0..wide).map(|ix| k2(iy, ix, (ny, nx), extent)).collect();
+                let values = factor.at_each(&q2);
+                let row = (0..wide).map(|ix| unit * values[ix] * reshaped(iy, ix, q2[ix]));
+                quarter_plane.extend(row.map(|v| v as f32));
             }
-            species.push(Species { number, factor, half_plane });
-        }
+            Ok(Species { number, factor, quarter_plane })
+        });
+        let species = species.collect::<Result<_>>()?;
         let spread = shape == PotentialFilter::AbtemPlacement;
         Ok(Projector { fft: Fft2::new(ny, nx), extent, spread, species })
     }
@@ -222,12 +223,13 @@ impl Projector {
         let (cosines, sines) = products.split_at(2 * high * wide);
         for iy in 0..ny {
             let fy = frequency(iy, ny);
-            let at = fy.unsigned_abs() as usize * 2 * wide;
+            let row = fy.unsigned_abs() as usize;
+            let at = row * 2 * wide;
             let (cos_cos, cos_sin) = cosines[at..][..2 * wide].split_at(wide);
             let (sin_cos, sin_sin) = sines[at..][..2 * wide].split_at(wide);
             let sign = if fy < 0 { -1.0 } else { 1.0 };
             let sum = &mut sum[iy * self.fft.stride()..][..wide];
-            let factors = &species.half_plane[iy * wide..][..wide];
+            let factors = &species.quarter_plane[row * wide..][..wide];
             vectorised(
                 #[inline(always)]
                 || {

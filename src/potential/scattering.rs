@@ -4,6 +4,7 @@
 //! approximation, rest mass. Tables, formulas and papers: `data/*.csv`.
 
 use crate::error::{Error, Result};
+use crate::simd::vectorised;
 use crate::structure::elements;
 use std::f64::consts::PI;
 use std::sync::OnceLock;
@@ -82,6 +83,29 @@ impl ScatteringFactor {
             Term::Gaussian { a, b } => a * (-b * q2).exp(),
         };
         self.terms.iter().map(term).sum()
+    }
+
+    /// [`ScatteringFactor::at`] at each of many places, digit by digit.
+    pub fn at_each(&self, q2: &[f64]) -> Vec<f64> {
+        let mut sums = vec![0.0; q2.len()];
+        vectorised(
+            #[inline(always)]
+            || {
+                for term in &self.terms {
+                    let places = sums.iter_mut().zip(q2);
+                    match *term {
+                        Term::Lorentzian { a, b } => places.for_each(|(s, q2)| *s += a / (q2 + b)),
+                        Term::SquaredLorentzian { a, b } => {
+                            places.for_each(|(s, q2)| *s += a / ((q2 + b) * (q2 + b)));
+                        }
+                        Term::Gaussian { a, b } => {
+                            places.for_each(|(s, q2)| *s += a * (-b * q2).exp());
+                        }
+                    }
+                }
+            },
+        );
+        sums
     }
 
     /// The projected potential at distance `r` (Angstrom, above 0) from the axis, in units of
@@ -185,6 +209,16 @@ mod tests {
             let q2 = 60.0_f64 * 60.0;
             let bare = f64::from(number) / (2.0 * PI * PI * 0.529_177_21 * q2);
             assert!((f.at(q2) / bare - 1.0).abs() < 0.01, "{number}: {} {bare}", f.at(q2));
+        }
+    }
+
+    #[test]
+    fn many_places_at_once_are_each_by_itself() {
+        let q2: Vec<f64> = (0..37).map(|i| 0.003 * f64::from(i * i * i)).collect();
+        for p in ALL {
+            let f = ScatteringFactor::new(p, 38).unwrap();
+            let each: Vec<f64> = q2.iter().map(|q2| f.at(*q2)).collect();
+            assert_eq!(f.at_each(&q2), each, "{p:?}");
         }
     }
 

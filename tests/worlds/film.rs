@@ -45,7 +45,7 @@ fn film(recipe: &Recipe, specimen: &Arc<dyn Specimen>) -> FilmImager {
 fn audited(recipe: &Recipe, at_nm: [f64; 2]) -> Audit {
     let specimen = specimen(recipe).unwrap();
     let film = film(recipe, &specimen);
-    let options = AuditOptions { at_nm: vec![at_nm], size_nm: 1.0, ..AuditOptions::default() };
+    let options = AuditOptions { at_nm: vec![at_nm], size_nm: 0.7, ..AuditOptions::default() };
     let found = audit(recipe, &*specimen, &film, &options, &Silent).unwrap();
     println!("{found:?}");
     found
@@ -58,7 +58,7 @@ fn a_particle_on_a_film_is_the_exact_image_of_its_atoms() {
     let specimen = specimen(&recipe).unwrap();
     let centre = specimen.particles()[0].centre_nm;
     let origin = recipe.field.crop_origin_px().map(|p| p as f64 * recipe.field.pixel_nm());
-    let found = audited(&recipe, [centre[0] - origin[1] + 0.3, centre[1] - origin[0]]);
+    let found = audited(&recipe, [centre[0] - origin[1] + 0.45, centre[1] - origin[0]]);
     let region = &found.regions[0];
     assert!(region.bright_columns > 5, "{found:?}");
     // measured 0.38, 0.16 and 0.01 %; without the film behind the particle 0.76 and 0.28 % (5.9 A windows)
