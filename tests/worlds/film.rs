@@ -61,7 +61,7 @@ fn a_particle_on_a_film_is_the_exact_image_of_its_atoms() {
     let found = audited(&recipe, [centre[0] - origin[1] + 0.45, centre[1] - origin[0]]);
     let region = &found.regions[0];
     assert!(region.bright_columns > 5, "{found:?}");
-    // measured 0.38, 0.20 and -0.10 %; on 1 nm, without the film behind the particle 0.76 and 0.28 % (5.9 A windows)
+    // measured 0.38, 0.20 and -0.10 %; without the film behind the particle 0.76 and 0.28 % (1 nm wide, 5.9 A windows)
     assert!(region.bright_rms_percent < 0.4, "{}", region.bright_rms_percent);
     assert!(region.all_rms_percent < 0.22, "{}", region.all_rms_percent);
     assert!(region.mean_percent.abs() < 0.2, "{}", region.mean_percent);

@@ -180,6 +180,10 @@ fn overviews_simulate_no_column_of_their_own() {
     let [all, some] = &overviews;
     let same = all.iter().zip(some).filter(|(a, b)| a == b).count();
     assert!(same > 50 && all.len() - same > 50, "{same} of {}", all.len());
+    let ratio = some.mean().unwrap() / all.mean().unwrap();
+    assert!((ratio - 1.0).abs() < 0.1, "{ratio}");
+    let ratio = brightest(some) / brightest(all);
+    assert!((ratio - 1.0).abs() < 0.2, "{ratio}");
 }
 
 #[test]
