@@ -13,23 +13,26 @@ use super::overview_blocks::OverviewBlocks;
 use super::view::{FieldFacts, TileView};
 use crate::error::{Error, Result};
 use crate::imaging::{
-    MethodChoice, RegionImager, SharedSheets, TurnedRaster, overview_image, turned_image,
+    MethodChoice, PixelRect, RegionImager, SharedSheets, TurnedRaster, overview_image, turned_image,
 };
 use crate::progress::{InterruptOnly, Progress};
 use crate::recipe::{CheckedRecipe, OVERVIEW_FACTOR, Recipe, Region, StructureKind};
 use crate::rng::{Purpose, words};
 use crate::setting::Setting;
-use crate::specimen::{ParticleTruth, SiteKind, Specimen, specimen};
+use crate::specimen::{ParticleOutline, SiteKind, Specimen, outlines_in, specimen};
 use crate::world::noise_free::band_limit;
-use crate::world::region_truth::{list, particles_reaching, phases_of_points};
+use crate::world::region_truth::{list, phases_of_points};
 use crate::world::{BuildOptions, ColumnTruth, Noise, SiteTruth};
 
 /// Above this share of an image's band limit there is less than 0.01 % of its power (see [`crate::resample::Kernel`]).
 const HIGHEST_SHARE: f64 = 0.9;
 /// Images of views that a world keeps.
 const KEPT_VIEWS: usize = 512;
-/// Places of a field at which the brightest pixel is looked for.
+/// Places of a field, or particles, at which the brightest pixel is looked for.
 const SCALED_PLACES: usize = 5;
+/// Edge in pixels of the part of a particle in which the brightest pixel is looked for, in one phonon configuration: wider than columns
+/// are apart.
+const PARTICLE_PX: usize = 24;
 /// What is brighter than the brightest pixel of these places by more than this share is cut off.
 const HEADROOM: f64 = 1.2;
 
@@ -98,7 +101,7 @@ impl RecipeSource {
         let mut first = source.world_of(source.recipe.clone())?;
         first.imager.prepare(progress)?;
         source.facts.phases = first.specimen.phases();
-        source.facts.scaling = first.scaling(&InterruptOnly(progress))?;
+        source.facts.scaling = source.scaling(&first, &InterruptOnly(progress))?;
         Ok(source)
     }
 
@@ -140,6 +143,42 @@ impl RecipeSource {
     /// Those of the specimen.
     pub fn shared_world(&self, seed: u64) -> Result<Arc<RecipeWorld>> {
         self.in_use.get(seed, || self.world(seed))
+    }
+
+    /// Scale and offset of tiles: the brightest pixel of a few places of a world, or of its largest particles, with its noise and
+    /// [`HEADROOM`].
+    fn scaling(&self, world: &RecipeWorld, progress: &dyn Progress) -> Result<[f64; 2]> {
+        let mut brightest = self.brightest_of_particles(world, progress)?;
+        if brightest == 0.0 {
+            let even = |n: usize| (n as f64 + 0.5) / SCALED_PLACES as f64;
+            for place in (0..SCALED_PLACES).map(|n| [even(n), even(n)]) {
+                let image = world.image(&self.facts.view_at(place, 1.0), progress)?;
+                brightest = image.iter().fold(brightest, |m, v| m.max(f64::from(*v)));
+            }
+        }
+        let electrons = self.facts.dose * (10.0 * self.facts.pixel_nm).powi(2);
+        let noise = if electrons > 0.0 { (brightest / electrons).sqrt() } else { 0.0 };
+        Ok([(HEADROOM * brightest + 5.0 * noise).max(f64::MIN_POSITIVE), 0.0])
+    }
+
+    /// The brightest of [`PARTICLE_PX`] pixels each way about the centres of the largest particles, 0 where there are none: those pixels
+    /// alone are simulated, in one phonon configuration.
+    fn brightest_of_particles(&self, world: &RecipeWorld, progress: &dyn Progress) -> Result<f64> {
+        let RecipeWorld { recipe, specimen, .. } = world;
+        let mut particles = outlines_in(&**specimen, &recipe.field.built_region());
+        particles.sort_by(|a, b| b.diameter_nm.total_cmp(&a.diameter_nm));
+        particles.truncate(SCALED_PLACES);
+        let mut imaging = self.options.policy(recipe)?.imaging;
+        imaging.method = MethodChoice::Direct;
+        let imager = imaging.imager_of_many(recipe, specimen, &self.shared)?;
+        let mut brightest = 0.0f64;
+        for ParticleOutline { centre_nm, .. } in particles {
+            let middle = [1, 0].map(|k| (centre_nm[k] / self.facts.pixel_nm).round() as usize);
+            let first = middle.map(|n| n.saturating_sub(PARTICLE_PX / 2));
+            let image = imager.mean_of(&PixelRect::new(first, [PARTICLE_PX; 2]), 1, progress)?;
+            brightest = image.iter().fold(brightest, |m, v| m.max(*v));
+        }
+        Ok(brightest)
     }
 
     fn world_of(&self, recipe: CheckedRecipe) -> Result<RecipeWorld> {
@@ -222,34 +261,6 @@ impl RecipeWorld {
             turned_image(&self.recipe, &*self.imager, &raster, progress)?
         };
         Ok(image.mapv(|v| v as f32))
-    }
-
-    /// Scale and offset of tiles: the brightest pixel of a few places, with its noise and [`HEADROOM`].
-    fn scaling(&self, progress: &dyn Progress) -> Result<[f64; 2]> {
-        let [height, width] = self.facts.size_nm();
-        let origin = self.recipe.field.origin_nm();
-        let mut particles = particles_of(&*self.specimen, &self.whole(), origin);
-        particles.sort_by(|a, b| b.diameter_nm.total_cmp(&a.diameter_nm));
-        let inside = |p: &&FoundParticle| self.whole().contains(p.position_nm);
-        let of_particle = |p: &FoundParticle| [p.position_nm[0] / width, p.position_nm[1] / height];
-        let mut places: Vec<[f64; 2]> =
-            particles.iter().filter(inside).take(1).map(of_particle).collect();
-        if places.is_empty() {
-            let even = |n: usize| (n as f64 + 0.5) / SCALED_PLACES as f64;
-            places = (0..SCALED_PLACES).map(|n| [even(n), even(n)]).collect();
-        }
-        let mut brightest = 0.0f64;
-        for place in places {
-            let image = self.image(&self.facts.view_at(place, 1.0), progress)?;
-            brightest = image.iter().fold(brightest, |m, v| m.max(f64::from(*v)));
-        }
-        let electrons = self.facts.dose * (10.0 * self.facts.pixel_nm).powi(2);
-        let noise = if electrons > 0.0 { (brightest / electrons).sqrt() } else { 0.0 };
-        Ok([(HEADROOM * brightest + 5.0 * noise).max(f64::MIN_POSITIVE), 0.0])
-    }
-
-    fn whole(&self) -> Region {
-        Region::of_pixels([0, 0], self.facts.shape_px(), self.facts.pixel_nm)
     }
 
     /// Shape of the overview: whole pixels of it.
@@ -419,10 +430,12 @@ pub(super) fn truth_of(
 
 /// The particles that reach into such a region.
 fn particles_of(specimen: &dyn Specimen, region: &Region, origin: [f64; 2]) -> Vec<FoundParticle> {
-    let particle = |p: ParticleTruth| FoundParticle {
-        position_nm: [p.centre_nm[0] - origin[0], p.centre_nm[1] - origin[1]],
+    let particle = |p: ParticleOutline| FoundParticle {
+        position_nm: [0, 1].map(|k| p.centre_nm[k] - origin[k]),
         diameter_nm: p.diameter_nm,
         morphology: p.morphology,
     };
-    particles_reaching(specimen, &region.moved(origin)).into_iter().map(particle).collect()
+    let there = region.moved(origin);
+    let particles = specimen.particle_outlines().into_iter();
+    particles.filter(|p| p.reaches(&there)).map(particle).collect()
 }

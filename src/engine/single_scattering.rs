@@ -232,8 +232,27 @@ impl ScatteringMap<'_> {
     }
 }
 
-impl Scatterer {
-    fn new(settings: &Settings, detector: &Detector, number: u8) -> Result<Self> {
+/// The cross section of an atom of an element for the first detector, in square Angstrom: the mean over the directions of the probe.
+///
+/// # Errors
+/// An element that the tables lack.
+pub fn cross_section_angstrom2(settings: &Settings, number: u8) -> Result<f64> {
+    Ok(Integrals::new(settings, &settings.detectors[0], number)?.over_detector(0.0))
+}
+
+/// What an atom scatters, and the detector that it is integrated over; angles are in 1/Angstrom.
+struct Integrals<'a> {
+    detector: &'a Detector,
+    per_mrad: f64,
+    aperture: f64,
+    /// Scattering amplitudes at even steps from `low`.
+    amplitudes: Vec<Complex64>,
+    low: f64,
+    step: f64,
+}
+
+impl<'a> Integrals<'a> {
+    fn new(settings: &Settings, detector: &'a Detector, number: u8) -> Result<Self> {
         let optics = &settings.optics;
         let factor = ScatteringFactor::new(settings.parametrization, number)?;
         let per_mrad = 1e-3 / optics.wavelength_angstrom();
@@ -243,31 +262,44 @@ impl Scatterer {
         let low = (inner - 2.0 * aperture).max(0.0);
         let step = (outer + 2.0 * aperture - low) / (2 * RADII) as f64;
         let ks: Vec<f64> = (0..=2 * RADII).map(|i| low + i as f64 * step).collect();
-        let sigma = interaction_parameter(optics.energy_ev);
-        let table = amplitudes(&factor, sigma, &ks);
-        let amplitude = |k: f64| {
-            let at = ((k - low) / step).clamp(0.0, (2 * RADII) as f64 - 1e-9);
-            let (i, t) = (at as usize, at.fract());
-            table[i] * (1.0 - t) + table[i + 1] * t
-        };
+        let amplitudes = amplitudes(&factor, interaction_parameter(optics.energy_ev), &ks);
+        Ok(Integrals { detector, per_mrad, aperture, amplitudes, low, step })
+    }
+
+    fn amplitude(&self, k: f64) -> Complex64 {
+        let at = ((k - self.low) / self.step).clamp(0.0, (2 * RADII) as f64 - 1e-9);
+        let (i, t) = (at as usize, at.fract());
+        self.amplitudes[i] * (1.0 - t) + self.amplitudes[i + 1] * t
+    }
+
+    /// The product of the waves that are scattered from two directions of the probe, `2 half` apart, over the detector: mean over
+    /// such pairs of directions. With `half` 0 the cross section in square Angstrom.
+    fn over_detector(&self, half: f64) -> f64 {
+        let Integrals { detector, per_mrad, aperture, .. } = *self;
+        let [inner, outer] = [detector.inner_mrad, detector.outer_mrad].map(|a| a * per_mrad);
         let range = [(inner - aperture).max(0.0), outer + aperture];
         let width = (range[1] - range[0]) / RADII as f64;
-        let mut transfer = [0.0; TRANSFER_POINTS + 1];
-        for (n, value) in transfer.iter_mut().enumerate() {
-            let half = aperture * n as f64 / TRANSFER_POINTS as f64;
-            let directions = directions(aperture, half);
-            let ring = |i: usize| {
-                let p = range[0] + (i as f64 + 0.5) * width;
-                let term = |spoke: usize| {
-                    let (sine, cosine) = libm::sincos(PI * (spoke as f64 + 0.5) / SPOKES as f64);
-                    let (along, across) = (p * cosine, p * sine);
-                    let [a, b] = [along - half, along + half].map(|v| amplitude(across.hypot(v)));
-                    (a * b.conj()).re * seen([along, across], &directions, detector, per_mrad)
-                };
-                (0..SPOKES).map(term).sum::<f64>() / SPOKES as f64 * TAU * p * width
+        let directions = directions(aperture, half);
+        let ring = |i: usize| {
+            let p = range[0] + (i as f64 + 0.5) * width;
+            let term = |spoke: usize| {
+                let (sine, cosine) = libm::sincos(PI * (spoke as f64 + 0.5) / SPOKES as f64);
+                let (along, across) = (p * cosine, p * sine);
+                let [a, b] = [along - half, along + half].map(|v| self.amplitude(across.hypot(v)));
+                (a * b.conj()).re * seen([along, across], &directions, detector, per_mrad)
             };
-            *value = (0..RADII).map(ring).sum();
-        }
+            (0..SPOKES).map(term).sum::<f64>() / SPOKES as f64 * TAU * p * width
+        };
+        (0..RADII).map(ring).sum()
+    }
+}
+
+impl Scatterer {
+    fn new(settings: &Settings, detector: &Detector, number: u8) -> Result<Self> {
+        let integrals = Integrals::new(settings, detector, number)?;
+        let half = |n: usize| integrals.aperture * n as f64 / TRANSFER_POINTS as f64;
+        let transfer: [f64; TRANSFER_POINTS + 1] =
+            std::array::from_fn(|n| integrals.over_detector(half(n)));
         let section = transfer[0];
         Ok(Scatterer { section, transfer: transfer.map(|t| t / section) })
     }

@@ -127,7 +127,7 @@ pub trait RegionImager: Send + Sync {
     }
 
     /// As [`RegionImager::image_at`], for an overview, whose pixels are wider than a column: columns that only a simulation of their own
-    /// would show may look like others nearby.
+    /// would show may look like others nearby, and pixels may show the mean of their area.
     ///
     /// # Errors
     /// As [`RegionImager::image_at`].

@@ -14,9 +14,7 @@ use crate::progress::{InterruptOnly, Progress, Silent};
 use crate::recipe::{CheckedRecipe, Recipe, Region};
 use crate::rng::{Purpose, words};
 use crate::setting::Setting;
-use crate::specimen::{
-    DamagedSpecimen, DoseMap, ParticleTruth, SiteKind, Specimen, particles_in, specimen,
-};
+use crate::specimen::{DamagedSpecimen, DoseMap, ParticleTruth, SiteKind, Specimen, specimen};
 use crate::structure::elements;
 use crate::world::noise_free::{refined, refinement};
 use crate::world::region_truth::list;
@@ -232,8 +230,9 @@ impl LiveWorld {
             let [u, v, z] = p.centre_nm;
             ParticleTruth { centre_nm: [u - x, v - y, z], ..p }
         };
-        let particles = particles_in(&*self.specimen, &region).into_iter().map(particle);
-        LiveTruth { sites, columns, particles: particles.collect() }
+        let mut particles = self.specimen.particles_reaching(&region);
+        particles.retain(|p| region.contains(p.outline().centre_nm));
+        LiveTruth { sites, columns, particles: particles.into_iter().map(particle).collect() }
     }
 
     /// The mean dose of a region (nm from the centre of the first built pixel), in electrons per square Angstrom. Electrons are

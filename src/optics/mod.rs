@@ -87,6 +87,12 @@ impl Aberrations {
         a
     }
 
+    /// The defocus in Angstrom (positive: underfocus), -C10.
+    pub fn defocus_angstrom(&self) -> f64 {
+        let c10 = self.0.iter().filter(|a| (a.order, a.symmetry) == (1, 0));
+        c10.map(|a| -a.magnitude_angstrom).sum()
+    }
+
     /// Adds `C10 = -defocus`.
     pub fn add_defocus(&mut self, defocus_angstrom: f64) {
         if defocus_angstrom != 0.0 {

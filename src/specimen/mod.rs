@@ -32,5 +32,7 @@ pub use damaged::{damaged_specimen::DamagedSpecimen, dose_map::DoseMap};
 pub(crate) use factory::LAID_OUT;
 pub use factory::specimen;
 pub use sites::{DISPLACED_NM, SiteKind, SpecimenSite};
-pub use specimen_trait::{Boundary, BoundaryKind, ParticleTruth, Specimen, ThinFilm, particles_in};
+pub use specimen_trait::{
+    Boundary, BoundaryKind, ParticleOutline, ParticleTruth, Specimen, ThinFilm, outlines_in,
+};
 pub use surface_layers::{CarbonLayer, SurfaceLayers};

@@ -19,9 +19,8 @@ use crate::rng::{Purpose, uniform, words};
 use crate::specimen::atom_columns::{AtomColumn, Sites};
 use crate::specimen::defects::rules::{Defects, LocalDefects};
 use crate::specimen::sites::{DISPLACED_NM, SiteKind, SpecimenSite};
-use crate::specimen::specimen_trait::ThinFilm;
-use crate::specimen::specimen_trait::{ParticleTruth, Specimen};
-use crate::structure::carbon::block::DENSITY;
+use crate::specimen::specimen_trait::{ParticleOutline, ParticleTruth, Specimen, ThinFilm};
+use crate::structure::carbon::block::{DENSITY, atoms_per_nm2};
 use crate::structure::carbon::carbon_film::{Film, FilmAtom};
 use crate::structure::carbon::network::CARBON;
 use crate::structure::particles::rotation::Rotation;
@@ -135,7 +134,20 @@ impl ParticlesOnCarbon {
         })
     }
 
-    fn push_particle(&self, index: usize, region: &Region, out: &mut Sites) {
+    fn truth(&self, particle: &PlacedParticle) -> ParticleTruth {
+        let ParticleOutline { centre_nm: [x, y], diameter_nm, morphology } = particle.outline();
+        let centre_nm = [x, y, self.height(particle) * NM];
+        ParticleTruth { centre_nm, diameter_nm, morphology, orientation: particle.rotation.0 }
+    }
+
+    /// Adds the columns of a particle in a region; `height` tells the depth of its centre in Angstrom if there are any.
+    fn push_particle(
+        &self,
+        index: usize,
+        region: &Region,
+        height: impl FnOnce(&PlacedParticle) -> f64,
+        out: &mut Sites,
+    ) {
         let particle = &self.particles[index];
         let [x, y] = particle.centre;
         let box_nm = |c: f64| [(c - particle.radius) * NM, (c + particle.radius) * NM];
@@ -143,7 +155,7 @@ impl ParticlesOnCarbon {
         if all.x[0] > all.x[1] || all.y[0] > all.y[1] {
             return;
         }
-        let height = self.height(particle);
+        let height = height(particle);
         for row in &particle.rows {
             let n = row.len() as f64;
             let mean = |k: usize| particle.atoms[row.clone()].iter().map(|p| p[k]).sum::<f64>() / n;
@@ -173,7 +185,7 @@ impl Specimen for ParticlesOnCarbon {
             return out;
         }
         for index in 0..self.particles.len() {
-            self.push_particle(index, &region, &mut out);
+            self.push_particle(index, &region, |p| self.height(p), &mut out);
         }
         // A little more than the region: whether an atom lies inside is decided in nm.
         let area = [region.x, region.y].map(|[low, high]| [low / NM - 1e-6, high / NM + 1e-6]);
@@ -214,17 +226,30 @@ impl Specimen for ParticlesOnCarbon {
 
     fn film(&self) -> Option<ThinFilm> {
         let depth_nm = [self.face, self.face + self.thickness].map(|z| z * NM);
-        Some(ThinFilm { number: CARBON, depth_nm, other_keys: PARTICLE_KEY })
+        let atoms_per_nm2 = atoms_per_nm2(self.thickness * NM);
+        Some(ThinFilm { number: CARBON, depth_nm, atoms_per_nm2, other_keys: PARTICLE_KEY })
     }
 
     fn particles(&self) -> Vec<ParticleTruth> {
-        let truth = |p: &PlacedParticle| ParticleTruth {
-            centre_nm: [p.centre[0], p.centre[1], self.height(p)].map(|v| v * NM),
-            diameter_nm: p.diameter_nm,
-            morphology: p.morphology.name().to_owned(),
-            orientation: p.rotation.0,
-        };
-        self.particles.iter().map(truth).collect()
+        self.particles.iter().map(|p| self.truth(p)).collect()
+    }
+
+    fn particles_reaching(&self, region: &Region) -> Vec<ParticleTruth> {
+        let reaching = self.particles.iter().filter(|p| p.outline().reaches(region));
+        reaching.map(|p| self.truth(p)).collect()
+    }
+
+    fn particle_outlines(&self) -> Vec<ParticleOutline> {
+        self.particles.iter().map(PlacedParticle::outline).collect()
+    }
+
+    fn particles_on_a_plane(&self, region: &Region) -> Sites {
+        let mut out = Sites::default();
+        for index in 0..self.particles.len() {
+            let height = |p: &PlacedParticle| self.face - self.contact - p.lowest();
+            self.push_particle(index, region, height, &mut out);
+        }
+        out
     }
 }
 
@@ -256,6 +281,14 @@ impl PlacedParticle {
         })
     }
 
+    fn outline(&self) -> ParticleOutline {
+        ParticleOutline {
+            centre_nm: self.centre.map(|c| c * NM),
+            diameter_nm: self.diameter_nm,
+            morphology: self.morphology.name().to_owned(),
+        }
+    }
+
     /// Extent along the beam.
     fn tall(&self) -> f64 {
         let ends = self
@@ -265,9 +298,14 @@ impl PlacedParticle {
         ends[1] - ends[0]
     }
 
+    /// Depth below the centre of the atom that lies lowest.
+    fn lowest(&self) -> f64 {
+        self.atoms.iter().map(|p| p[2]).fold(f64::NEG_INFINITY, f64::max)
+    }
+
     /// The greatest depth of the centre at which no atom is nearer than `contact` to one of the carbon.
     fn resting_height(&self, carbon: &[FilmAtom], contact: f64, face: f64) -> f64 {
-        let lowest = self.atoms.iter().map(|p| p[2]).fold(f64::NEG_INFINITY, f64::max);
+        let lowest = self.lowest();
         let mut height = face + 2.0 * contact - lowest;
         for p in self.atoms.iter().filter(|p| p[2] > lowest - 6.0 * contact) {
             let [x, y] = [0, 1].map(|k| self.centre[k] + p[k]);
@@ -305,6 +343,7 @@ fn rows(atoms: &mut Vec<[f64; 3]>, a: f64) -> Vec<Range<usize>> {
         p[2].total_cmp(&q[2]).then(p[0].total_cmp(&q[0])).then(p[1].total_cmp(&q[1]))
     });
     let slope = libm::tan(ROW_TILT_DEG.to_radians());
+    let near = Laterally::new(atoms, slope * ROW_STEP * a + ROW_STRAIN);
     let mut before = vec![None; atoms.len()];
     let mut after = vec![None; atoms.len()];
     for i in 0..atoms.len() {
@@ -312,10 +351,14 @@ fn rows(atoms: &mut Vec<[f64; 3]>, a: f64) -> Vec<Range<usize>> {
         let in_row = |&j: &usize| {
             let d: [f64; 3] = std::array::from_fn(|k| atoms[j][k] - p[k]);
             let off = (d[0] * d[0] + d[1] * d[1]).sqrt();
-            d[2] > 1.0 && off < slope * d[2] + ROW_STRAIN && before[j].is_none()
+            d[2] > 1.0
+                && atoms[j][2] <= p[2] + ROW_STEP * a
+                && off < slope * d[2] + ROW_STRAIN
+                && before[j].is_none()
         };
-        let end = atoms.partition_point(|q| q[2] <= p[2] + ROW_STEP * a);
-        if let Some(next) = (i + 1..end).find(in_row) {
+        if let Some(next) =
+            near.about(&p).filter_map(|cell| cell.iter().copied().find(in_row)).min()
+        {
             after[i] = Some(next);
             before[next] = Some(i);
         }
@@ -333,6 +376,47 @@ fn rows(atoms: &mut Vec<[f64; 3]>, a: f64) -> Vec<Range<usize>> {
     }
     *atoms = sorted;
     rows
+}
+
+/// Atoms in cells of (x, y).
+struct Laterally {
+    edge: f64,
+    first: [f64; 2],
+    shape: [usize; 2],
+    /// Atom numbers of each cell, ascending.
+    cells: Vec<Vec<usize>>,
+}
+
+impl Laterally {
+    fn new(atoms: &[[f64; 3]], edge: f64) -> Self {
+        let ends = |k: usize| {
+            let all = atoms.iter().map(|p| p[k]);
+            all.fold([f64::INFINITY, f64::NEG_INFINITY], |e, v| [e[0].min(v), e[1].max(v)])
+        };
+        let ends = [ends(0), ends(1)];
+        let shape = ends.map(|[low, high]| ((high - low).max(0.0) / edge) as usize + 1);
+        let cells = vec![Vec::new(); shape[0] * shape[1]];
+        let mut out = Laterally { edge, first: ends.map(|e| e[0]), shape, cells };
+        for (n, p) in atoms.iter().enumerate() {
+            let [x, y] = out.cell(p);
+            out.cells[y * shape[0] + x].push(n);
+        }
+        out
+    }
+
+    fn cell(&self, p: &[f64; 3]) -> [usize; 2] {
+        [0, 1].map(|k| ((p[k] - self.first[k]) / self.edge) as usize)
+    }
+
+    /// The cells about a place, in which all atoms within an edge of it lie.
+    fn about(&self, p: &[f64; 3]) -> impl Iterator<Item = &[usize]> {
+        let [x, y] = self.cell(p);
+        let near = |k: usize, at: usize| at.saturating_sub(1)..(at + 2).min(self.shape[k]);
+        let columns = near(0, x);
+        near(1, y).flat_map(move |y| {
+            columns.clone().map(move |x| self.cells[y * self.shape[0] + x].as_slice())
+        })
+    }
 }
 
 /// Adds a row; one that runs too far to the side for a column is cut in halves.

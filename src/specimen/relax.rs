@@ -8,7 +8,7 @@ use crate::recipe::region::Region;
 use crate::specimen::atom_columns::{AtomColumn, Sites};
 use crate::specimen::sites::{DISPLACED_NM, SiteKind, SpecimenSite};
 use crate::specimen::specimen_trait::ThinFilm;
-use crate::specimen::specimen_trait::{Boundary, ParticleTruth, Specimen};
+use crate::specimen::specimen_trait::{Boundary, ParticleOutline, ParticleTruth, Specimen};
 use crate::specimen::units::library_cell::LibraryCell;
 use crate::specimen::units::unit_tag::UnitFamily;
 use crate::structure::{PAIR_CUTOFF_ANGSTROM, elements, shortest_distances};
@@ -77,6 +77,15 @@ impl Specimen for Relaxed {
     }
     fn particles(&self) -> Vec<ParticleTruth> {
         self.inner.particles()
+    }
+    fn particles_reaching(&self, region: &Region) -> Vec<ParticleTruth> {
+        self.inner.particles_reaching(region)
+    }
+    fn particle_outlines(&self) -> Vec<ParticleOutline> {
+        self.inner.particle_outlines()
+    }
+    fn particles_on_a_plane(&self, region: &Region) -> Sites {
+        self.inner.particles_on_a_plane(region)
     }
 }
 
@@ -188,12 +197,21 @@ mod tests {
             })
         }
         fn film(&self) -> Option<ThinFilm> {
-            Some(ThinFilm { number: 6, depth_nm: [0.0, 1.0], other_keys: 1 })
+            Some(ThinFilm { number: 6, depth_nm: [0.0, 1.0], atoms_per_nm2: 1.0, other_keys: 1 })
         }
         fn particles(&self) -> Vec<ParticleTruth> {
             let morphology = "wulff".into();
             let (centre_nm, orientation) = ([0.0; 3], [1.0, 0.0, 0.0, 0.0]);
             vec![ParticleTruth { centre_nm, diameter_nm: 1.0, morphology, orientation }]
+        }
+        fn particles_reaching(&self, _: &Region) -> Vec<ParticleTruth> {
+            [self.particles(), self.particles()].concat()
+        }
+        fn particle_outlines(&self) -> Vec<ParticleOutline> {
+            vec![self.particles()[0].outline(); 3]
+        }
+        fn particles_on_a_plane(&self, region: &Region) -> Sites {
+            self.query(region)
         }
     }
 
@@ -211,6 +229,8 @@ mod tests {
         let family = UnitFamily { motif: 0, structure: 0, bin: 5 };
         assert_eq!(relaxed.library_cell(family).map(|cell| cell.count), Some(5));
         assert_eq!(relaxed.film().map(|film| film.number), Some(6));
-        assert_eq!(relaxed.particles().len(), 1);
+        assert_eq!((relaxed.particles().len(), relaxed.particles_reaching(&region).len()), (1, 2));
+        assert_eq!(relaxed.particle_outlines().len(), 3);
+        assert_eq!(relaxed.particles_on_a_plane(&region).sites.len(), 1);
     }
 }

@@ -47,11 +47,38 @@ pub struct ParticleTruth {
     pub orientation: [f64; 4],
 }
 
+impl ParticleTruth {
+    /// The particle as it is seen along the beam.
+    pub fn outline(&self) -> ParticleOutline {
+        let [x, y, _] = self.centre_nm;
+        let morphology = self.morphology.clone();
+        ParticleOutline { centre_nm: [x, y], diameter_nm: self.diameter_nm, morphology }
+    }
+}
+
+/// A particle as it is seen along the beam.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ParticleOutline {
+    /// Centre (x, y) in nm of the full field.
+    pub centre_nm: [f64; 2],
+    /// Diameter in nm.
+    pub diameter_nm: f64,
+    /// Shape, as in [`ParticleTruth`].
+    pub morphology: String,
+}
+
+impl ParticleOutline {
+    /// Whether a sphere of its diameter reaches into a region.
+    pub fn reaches(&self, region: &Region) -> bool {
+        region.grown(0.5 * self.diameter_nm).contains(self.centre_nm)
+    }
+}
+
 /// The particles of a specimen with their centre in a region.
-pub fn particles_in(specimen: &dyn Specimen, region: &Region) -> Vec<ParticleTruth> {
-    let mut particles = specimen.particles();
-    particles.retain(|p| region.contains([p.centre_nm[0], p.centre_nm[1]]));
-    particles
+pub fn outlines_in(specimen: &dyn Specimen, region: &Region) -> Vec<ParticleOutline> {
+    let mut outlines = specimen.particle_outlines();
+    outlines.retain(|p| region.contains(p.centre_nm));
+    outlines
 }
 
 /// A thin film of weakly scattering atoms behind everything else.
@@ -61,6 +88,8 @@ pub struct ThinFilm {
     pub number: u8,
     /// Where it begins and ends along the beam, in nm.
     pub depth_nm: [f64; 2],
+    /// Its atoms in the mean.
+    pub atoms_per_nm2: f64,
     /// Bits of keys that all atoms but those of the film have.
     pub other_keys: u64,
 }
@@ -131,6 +160,21 @@ pub trait Specimen: Send + Sync {
     /// Particles whose centre lies in the specimen.
     fn particles(&self) -> Vec<ParticleTruth> {
         Vec::new()
+    }
+    /// Those of them that reach into a region. How deep the others lie is not found out, which may take long.
+    fn particles_reaching(&self, region: &Region) -> Vec<ParticleTruth> {
+        let mut particles = self.particles();
+        particles.retain(|p| p.outline().reaches(region));
+        particles
+    }
+    /// All particles as they are seen along the beam: how deep they lie is not found out.
+    fn particle_outlines(&self) -> Vec<ParticleOutline> {
+        self.particles().iter().map(ParticleTruth::outline).collect()
+    }
+    /// The columns of particles in a region, on a film that is as flat as a plane: for overviews, since no atom of the film has to be
+    /// made. Nothing of specimens without a film.
+    fn particles_on_a_plane(&self, _region: &Region) -> Sites {
+        Sites::default()
     }
 }
 

@@ -8,7 +8,7 @@ use crate::engine::Site;
 use crate::potential::slices::GROUP_ANGSTROM;
 use crate::recipe::{Recipe, Region};
 use crate::rng::{Purpose, words};
-use crate::structure::carbon::block::DENSITY;
+use crate::structure::carbon::block::{DENSITY, atoms_per_nm2};
 use crate::structure::carbon::carbon_film::{Film, FilmAtom};
 use crate::structure::carbon::melt::ATOMS_PER_CUBIC_ANGSTROM;
 use crate::structure::carbon::network::CARBON;
@@ -107,7 +107,8 @@ impl CarbonLayer {
     /// The height in Angstrom of an atom at `z_angstrom`, with the layer in equal slices as thick as in any specimen without planes.
     pub fn slice_height_angstrom(&self, z_angstrom: f64) -> f64 {
         let depth_nm = self.depth_angstrom.map(|z| 0.1 * z);
-        let film = ThinFilm { number: CARBON, depth_nm, other_keys: 0 };
+        let atoms_per_nm2 = atoms_per_nm2(depth_nm[1] - depth_nm[0]);
+        let film = ThinFilm { number: CARBON, depth_nm, atoms_per_nm2, other_keys: 0 };
         film.slice_height_angstrom(z_angstrom, GROUP_ANGSTROM)
     }
 

@@ -3,9 +3,7 @@
 use ndarray::Array2;
 
 use super::noise::Noise;
-use super::region_truth::{
-    ColumnTruth, SiteTruth, boundary_parts, list, particles_reaching, phase_map,
-};
+use super::region_truth::{ColumnTruth, SiteTruth, boundary_parts, list, phase_map};
 use crate::error::{Error, Result};
 use crate::imaging::{PixelRect, RegionImager};
 use crate::progress::Progress;
@@ -107,7 +105,7 @@ pub(crate) fn tile_of_image(
         phase_map: (phase_names.len() > 1).then(|| phase_map(specimen, pixels, pixel)),
         phase_names,
         boundaries: boundaries.collect(),
-        particles: particles_reaching(specimen, &region).into_iter().map(particle).collect(),
+        particles: specimen.particles_reaching(&region).into_iter().map(particle).collect(),
     })
 }
 

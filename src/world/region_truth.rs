@@ -7,9 +7,7 @@ use rayon::prelude::*;
 
 use crate::imaging::pixels::PixelRect;
 use crate::recipe::Region;
-use crate::specimen::{
-    AtomColumn, Boundary, ParticleTruth, SiteKind, Sites, Specimen, SpecimenSite,
-};
+use crate::specimen::{AtomColumn, Boundary, SiteKind, Sites, Specimen, SpecimenSite};
 use crate::structure::elements;
 
 /// A lattice site. Positions count from the centre of a pixel that the list states.
@@ -128,14 +126,6 @@ pub fn phases_of_points(
         }
     });
     map
-}
-
-/// The particles that reach into a region, with positions in nm of the full field.
-pub fn particles_reaching(specimen: &dyn Specimen, region: &Region) -> Vec<ParticleTruth> {
-    let mut particles = specimen.particles();
-    particles
-        .retain(|p| region.grown(0.5 * p.diameter_nm).contains([p.centre_nm[0], p.centre_nm[1]]));
-    particles
 }
 
 /// The parts of a boundary that lie in a region: lines of corners (x, y) in nm of the full field.

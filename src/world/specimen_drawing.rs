@@ -7,7 +7,7 @@ use crate::recipe::resolved_recipe::Recipe;
 use crate::render::{RgbImage, Scene, Swatch, palette};
 use crate::specimen::atom_columns::Sites;
 use crate::specimen::sites::SiteKind;
-use crate::specimen::specimen_trait::Specimen;
+use crate::specimen::specimen_trait::{Specimen, outlines_in};
 use crate::structure::elements;
 use crate::world::atoms_export::ExportSummary;
 
@@ -72,8 +72,8 @@ impl<'a> Drawing<'a> {
                 boundary.line_nm.iter().map(|[x, y]| [x - corner[0], y - corner[1]]).collect();
             self.scene.line(&points, palette::LINE);
         }
-        for particle in self.specimen.particles() {
-            let [x, y, _] = particle.centre_nm;
+        for particle in self.specimen.particle_outlines() {
+            let [x, y] = particle.centre_nm;
             let centre = [x - corner[0], y - corner[1]];
             self.scene.circle(centre, 0.5 * particle.diameter_nm, palette::LINE);
         }
@@ -116,9 +116,7 @@ impl<'a> Drawing<'a> {
         if !self.specimen.boundaries().is_empty() {
             scene.legend(Swatch::Line(palette::LINE), "boundary");
         }
-        let particles = self.specimen.particles();
-        let inside = |c: [f64; 3]| self.built.contains([c[0], c[1]]);
-        match particles.iter().filter(|p| inside(p.centre_nm)).count() {
+        match outlines_in(self.specimen, &self.built).len() {
             0 => {}
             1 => scene.legend(Swatch::Ring(palette::LINE), "1 particle"),
             n => scene.legend(Swatch::Ring(palette::LINE), format!("{n} particles")),

@@ -4,14 +4,14 @@ use ndarray::{Array2, arr2};
 
 use super::column_labels::{REACH_SIGMAS, class_of, draw_column, facts_of};
 use super::noise::Noise;
-use super::region_truth::{list, particles_reaching, phases_of_points};
+use super::region_truth::{list, phases_of_points};
 use crate::error::{Error, Result};
 use crate::imaging::{RegionImager, TurnedRaster, turned_image};
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Field};
 use crate::rng::{self, Purpose};
 use crate::setting::Setting;
-use crate::specimen::{ParticleTruth, Specimen};
+use crate::specimen::{ParticleOutline, Specimen};
 
 /// How far samples stay from the edge of the full field, in nm: what interpolation and windows need around them.
 const EDGE_NM: f64 = 0.5;
@@ -207,10 +207,9 @@ impl TrainingSample {
         }
         self.positions_px = arr2(&positions);
         self.columns = arr2(&facts);
-        for ParticleTruth { centre_nm: [x, y, _], diameter_nm, morphology, .. } in
-            particles_reaching(specimen, &region)
-        {
-            let [row, column] = raster.place_px([x, y]);
+        let particles = specimen.particle_outlines().into_iter().filter(|p| p.reaches(&region));
+        for ParticleOutline { centre_nm, diameter_nm, morphology } in particles {
+            let [row, column] = raster.place_px(centre_nm);
             let radius = 0.5 * diameter_nm / raster.pixel_nm;
             let beyond = |at: f64, size: f64| at < -0.5 - radius || at > size + radius;
             if !beyond(row, rows) && !beyond(column, width) {

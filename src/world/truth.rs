@@ -11,7 +11,7 @@ use crate::recipe::{Field, Region};
 use crate::specimen::stripes::for_each_stripe;
 use crate::specimen::{Boundary, BoundaryKind, SiteKind, Sites, Specimen};
 use crate::world::region_truth::{
-    ColumnTruth, SiteTruth, boundary_parts, list, particles_reaching, phase_map, phases_of_points,
+    ColumnTruth, SiteTruth, boundary_parts, list, phase_map, phases_of_points,
 };
 
 /// What was listed.
@@ -170,11 +170,11 @@ fn write_particles(
     origin: [f64; 2],
     writer: &TruthWriter,
 ) -> Result<()> {
-    if specimen.particles().is_empty() {
+    if specimen.particle_outlines().is_empty() {
         return Ok(());
     }
     let mut batch = ParticleBatch::default();
-    for particle in particles_reaching(specimen, built) {
+    for particle in specimen.particles_reaching(built) {
         let [x, y, z] = particle.centre_nm;
         batch.centres.push([(x - origin[0]) as f32, (y - origin[1]) as f32, z as f32]);
         batch.diameters.push(particle.diameter_nm as f32);

@@ -1,5 +1,6 @@
 //! Episodes of the benchmark: what an agent sees, what it pays, and how it is scored.
 
+use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
 
@@ -356,6 +357,50 @@ fn seeds_for_training_are_never_those_for_scores() {
     all.dedup();
     assert_eq!(all.len(), 400);
     assert!(all.iter().all(|s| i64::try_from(*s).is_ok()));
+}
+
+/// Where particles lie is told, and shown by overviews, before any is simulated; tiles with them are not cut off.
+#[test]
+fn particles_are_seen_from_afar() {
+    let changes = [
+        "field.fov_nm=[8.0, 8.0]",
+        "field.grid=[5, 5]",
+        "field.tile_px=132",
+        "field.thickness_nm=1.0",
+        "particles.count=1",
+        "particles.diameter_nm=[1.2, 1.6]",
+        "phonons.configurations=1",
+    ];
+    let recipe = changed("pt", Some(Difficulty::Easy), &changes);
+    let options = BuildOptions { method: BuildMethod::Auto, ..options() };
+    let source = RecipeSource::new(&recipe, &options, &Silent).unwrap();
+    let facts = source.facts();
+    let [height, width] = facts.size_nm();
+    let whole = Region { x: [0.0, width], y: [0.0, height] };
+    let world = source.world(1).unwrap();
+    let particle = world.truth(&whole, false).unwrap().particles.remove(0);
+    let placed = world.specimen().particles().remove(0);
+    assert_eq!(particle.position_nm, placed.outline().centre_nm);
+    assert_eq!(particle.diameter_nm, placed.diameter_nm);
+
+    let overview = world.overview([0.5; 2], 80, &Silent).unwrap();
+    let [x, y] = particle.position_nm;
+    let mean = |distances_nm: Range<f64>| {
+        let place = |n: usize| (8.0 * n as f64 + 3.5) * facts.pixel_nm;
+        let distance = |(i, j): (usize, usize)| (place(j) - x).hypot(place(i) - y);
+        let chosen =
+            overview.indexed_iter().filter(|(at, _)| distances_nm.contains(&distance(*at)));
+        let values: Vec<f32> = chosen.map(|(_, v)| *v).collect();
+        values.iter().sum::<f32>() / values.len() as f32
+    };
+    let (on, beside) = (mean(0.0..0.4), mean(1.5..9.0));
+    assert!(on > 4.0 * beside && beside > 0.0, "{on} {beside}");
+
+    let tile = world.clean(&facts.view_at([x / width, y / height], 1.0), &Silent).unwrap();
+    let brightest = tile.iter().fold(0.0f64, |m, v| m.max(f64::from(*v)));
+    let share = brightest / facts.scaling[0];
+    println!("{on} {beside} {share}");
+    assert!((0.3..1.0).contains(&share), "{share}");
 }
 
 /// Comparing phases at every eighth pixel changes the score of maps in parts like tiles by less than stated.

@@ -10,7 +10,9 @@ use stemgen::io::WorldFile;
 use stemgen::progress::Silent;
 use stemgen::recipe::{Difficulty, Recipe, Region};
 use stemgen::specimen::particles::ROW_TILT_DEG;
-use stemgen::specimen::{DISPLACED_NM, ParticleTruth, SiteKind, Specimen, SpecimenSite};
+use stemgen::specimen::{
+    DISPLACED_NM, ParticleOutline, ParticleTruth, SiteKind, Specimen, SpecimenSite,
+};
 use stemgen::structure::particles::rotation::Rotation;
 use stemgen::structure::particles::{Metal, Morphology};
 use stemgen::world::BuildOptions;
@@ -287,6 +289,22 @@ fn about_85_percent_of_the_easy_tiles_hold_no_particle() {
 }
 
 #[test]
+fn outlines_and_parts_are_those_of_all_particles() {
+    for case in CASES.iter() {
+        let expected: Vec<_> = case.particles.iter().map(|p| p.truth.outline()).collect();
+        assert_eq!(specimen(&case.recipe).unwrap().particle_outlines(), expected);
+    }
+    // A specimen that was not asked for all of them before.
+    let case = &CASES[2];
+    let part = Region { x: [0.0, 30.0], y: [0.0, 20.0] };
+    let reaching = specimen(&case.recipe).unwrap().particles_reaching(&part);
+    let mut all: Vec<_> = case.particles.iter().map(|p| p.truth.clone()).collect();
+    all.retain(|p| p.outline().reaches(&part));
+    assert_eq!(reaching, all);
+    assert!(!reaching.is_empty() && reaching.len() < case.particles.len());
+}
+
+#[test]
 fn another_seed_gives_other_particles_of_the_same_kind() {
     let mut recipe = Recipe::load("pt", Difficulty::Easy).unwrap();
     // A thin film is sooner made.
@@ -375,11 +393,11 @@ fn a_part_of_the_field_lists_the_particles_that_reach_into_it() {
     let particles = world.particles().unwrap();
     // The default seed has a particle in the middle, so that the smallest world shows one.
     assert_eq!(particles.centres.len(), 1);
-    let all = specimen(&recipe).unwrap().particles();
+    let all = specimen(&recipe).unwrap().particle_outlines();
     let pixel = recipe.field.pixel_nm();
-    let same = |p: &&ParticleTruth| {
+    let same = |p: &&ParticleOutline| {
         let [x, y, _] = particles.centres[0].map(f64::from);
-        let [px, py, _] = p.centre_nm;
+        let [px, py] = p.centre_nm;
         (px - column as f64 * pixel - x).abs() < 1e-4 && (py - row as f64 * pixel - y).abs() < 1e-4
     };
     assert_eq!(all.iter().filter(same).count(), 1);

@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use crate::imaging::pixels::PixelRect;
 use crate::recipe::Recipe;
 use crate::rng::{self, Purpose};
-use crate::specimen::{Specimen, particles_in};
+use crate::specimen::{Specimen, outlines_in};
 
 /// A region of the field.
 pub struct AuditPlace {
@@ -55,7 +55,7 @@ fn random_corners(
     let field = &recipe.field;
     let (shape, pixel) = (field.pixels(field.built_grid()), field.pixel_nm());
     let origin = field.crop_origin_px();
-    let particles = particles_in(specimen, &field.built_region());
+    let particles = outlines_in(specimen, &field.built_region());
     let uniform = |n: u64, k: u32| rng::uniform(options.seed, Purpose::Audit, k, n);
     let anywhere =
         |n: u64| [0, 1].map(|k| (uniform(n, k) * (shape[k as usize] - edge + 1) as f64) as usize);

@@ -14,6 +14,7 @@ use std::sync::Arc;
 use ndarray::Array2;
 
 use super::film_blocks::{FilmBlocks, REACH_ANGSTROM};
+use super::film_overview::film_overview;
 use super::film_scene::FilmScene;
 use super::particle_blocks::{BLOCK_PROBES, BlockImage, FILM_SLICE_ANGSTROM, ParticleBlocks};
 use super::samples::Samples;
@@ -25,6 +26,7 @@ use crate::imaging::imaging_cost::{ImagingCost, SimulationRuns};
 use crate::imaging::pixels::PixelRect;
 use crate::imaging::region_imager::RegionImager;
 use crate::imaging::simulator::Simulator;
+use crate::imaging::turned_raster::TurnedRaster;
 use crate::potential::slices::{GROUP_ANGSTROM, Slicing};
 use crate::progress::{Progress, ProgressShare};
 use crate::recipe::{CheckedRecipe, Region};
@@ -138,6 +140,18 @@ impl RegionImager for FilmImager {
         Ok(pixels.sampled(image.mapv(|v| v.max(0.0))))
     }
 
+    fn overview_at(
+        &self,
+        raster: &TurnedRaster,
+        _configurations: usize,
+        progress: &dyn Progress,
+    ) -> Result<Option<Array2<f64>>> {
+        if progress.interrupted() {
+            return Err(Error::Interrupted);
+        }
+        film_overview(&self.scene, raster).map(Some)
+    }
+
     fn stage(&self) -> [&'static str; 2] {
         ["assembling", "step"]
     }
@@ -181,11 +195,11 @@ impl RegionImager for FilmImager {
     fn work(&self, &PixelRect { first, shape: [rows, columns], .. }: &PixelRect) -> usize {
         // The way of probes through particles, from one pixel in 64.
         let pixel = self.scene.recipe.field.pixel_nm();
-        let particles = self.scene.specimen.particles();
-        let spheres: Vec<([f64; 3], f64)> =
+        let particles = self.scene.specimen.particle_outlines();
+        let spheres: Vec<([f64; 2], f64)> =
             particles.iter().map(|p| (p.centre_nm, self.particles.reach_nm(p))).collect();
         let chord = |x: f64, y: f64| {
-            let through = |(c, r): &([f64; 3], f64)| {
+            let through = |(c, r): &([f64; 2], f64)| {
                 2.0 * (r * r - (c[0] - x).powi(2) - (c[1] - y).powi(2)).max(0.0).sqrt()
             };
             let way = spheres.iter().map(through).sum::<f64>();

@@ -3,6 +3,7 @@
 mod block_cache;
 mod film_blocks;
 pub mod film_imager;
+mod film_overview;
 mod film_scene;
 pub mod grown_carbon;
 mod particle_blocks;

@@ -18,7 +18,7 @@ use crate::imaging::displaced_atoms::DisplacedAtoms;
 use crate::imaging::pixels::PixelBox;
 use crate::progress::Progress;
 use crate::recipe::Region;
-use crate::specimen::{ParticleTruth, particles_in};
+use crate::specimen::{ParticleOutline, outlines_in};
 
 /// Windows hold no atoms of a particle further than half their width and this from the probe, in Angstrom.
 const BEYOND_WINDOW_ANGSTROM: f64 = 1.0;
@@ -78,7 +78,7 @@ impl ParticleBlocks {
     }
 
     /// Distance from the centre of a particle up to which probes are propagated, about.
-    pub fn reach_nm(&self, particle: &ParticleTruth) -> f64 {
+    pub fn reach_nm(&self, particle: &ParticleOutline) -> f64 {
         0.5 * particle.diameter_nm + 0.1 * self.near()
     }
 
@@ -89,9 +89,8 @@ impl ParticleBlocks {
 
     /// Probes that the particles of the built field take, for each configuration.
     pub fn particle_probes(&self) -> usize {
-        let area = |p: &ParticleTruth| std::f64::consts::PI * self.reach_nm(p).powi(2);
-        let particles =
-            particles_in(&*self.scene.specimen, &self.scene.recipe.field.built_region());
+        let area = |p: &ParticleOutline| std::f64::consts::PI * self.reach_nm(p).powi(2);
+        let particles = outlines_in(&*self.scene.specimen, &self.scene.recipe.field.built_region());
         let step_nm = 0.1 * self.scene.step;
         (particles.iter().map(area).sum::<f64>() / (step_nm * step_nm)) as usize
     }
@@ -102,10 +101,10 @@ impl ParticleBlocks {
     /// # Errors
     /// Those of the settings.
     pub fn block_plan(&self) -> Result<Option<PlannedScan>> {
-        let mut particles = self.scene.specimen.particles();
+        let mut particles = self.scene.specimen.particle_outlines();
         let moment = |n: i32| particles.iter().map(|p| p.diameter_nm.powi(n)).sum::<f64>();
         let mean = moment(3) / moment(2);
-        let off = |p: &ParticleTruth| (p.diameter_nm - mean).abs();
+        let off = |p: &ParticleOutline| (p.diameter_nm - mean).abs();
         particles.sort_by(|a, b| off(a).total_cmp(&off(b)));
         let Some(particle) = particles.first() else { return Ok(None) };
         let half = 0.05 * BLOCK as f64 * self.scene.step + 0.1 * self.margin();

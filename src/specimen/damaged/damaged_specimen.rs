@@ -18,7 +18,9 @@ use crate::recipe::resolved_recipe::Recipe;
 use crate::rng::{Purpose, uniform};
 use crate::specimen::atom_columns::{AtomColumn, Sites};
 use crate::specimen::sites::{SiteKind, SpecimenSite};
-use crate::specimen::specimen_trait::{Boundary, ParticleTruth, Specimen, ThinFilm};
+use crate::specimen::specimen_trait::{
+    Boundary, ParticleOutline, ParticleTruth, Specimen, ThinFilm,
+};
 use crate::specimen::units::library_cell::LibraryCell;
 use crate::specimen::units::patterns::{bin_of, nearest_bins, rate_of};
 use crate::specimen::units::unit_tag::{PatternIndex, UnitFamily, UnitTag};
@@ -199,21 +201,9 @@ impl DamagedSpecimen {
             }
         }
     }
-}
 
-/// The vacancies of a unit (ascending) that had some before; `None` if atoms are lost that no pattern of its kind lacks.
-fn vacancies(kind: &KindPatterns, before: &[u16], lost: &[bool]) -> Option<Vec<u16>> {
-    let mut vacant = before.to_vec();
-    for (site, _) in kind.sites.iter().zip(lost).filter(|(_, lost)| **lost) {
-        vacant.push(site.defect?);
-    }
-    vacant.sort_unstable();
-    Some(vacant)
-}
-
-impl Specimen for DamagedSpecimen {
-    fn query(&self, region: &Region) -> Sites {
-        let mut found = self.inner.query(region);
+    /// Columns, and their sites, after what they have been through.
+    fn with_losses(&self, mut found: Sites) -> Sites {
         let doses = self.dose();
         // All columns of a unit have the dose of its centre.
         let mut dose_of = BTreeMap::new();
@@ -228,6 +218,22 @@ impl Specimen for DamagedSpecimen {
             }
         }
         found
+    }
+}
+
+/// The vacancies of a unit (ascending) that had some before; `None` if atoms are lost that no pattern of its kind lacks.
+fn vacancies(kind: &KindPatterns, before: &[u16], lost: &[bool]) -> Option<Vec<u16>> {
+    let mut vacant = before.to_vec();
+    for (site, _) in kind.sites.iter().zip(lost).filter(|(_, lost)| **lost) {
+        vacant.push(site.defect?);
+    }
+    vacant.sort_unstable();
+    Some(vacant)
+}
+
+impl Specimen for DamagedSpecimen {
+    fn query(&self, region: &Region) -> Sites {
+        self.with_losses(self.inner.query(region))
     }
     fn expected_sites(&self, region: &Region) -> Option<u64> {
         self.inner.expected_sites(region)
@@ -255,5 +261,14 @@ impl Specimen for DamagedSpecimen {
     }
     fn particles(&self) -> Vec<ParticleTruth> {
         self.inner.particles()
+    }
+    fn particles_reaching(&self, region: &Region) -> Vec<ParticleTruth> {
+        self.inner.particles_reaching(region)
+    }
+    fn particle_outlines(&self) -> Vec<ParticleOutline> {
+        self.inner.particle_outlines()
+    }
+    fn particles_on_a_plane(&self, region: &Region) -> Sites {
+        self.with_losses(self.inner.particles_on_a_plane(region))
     }
 }

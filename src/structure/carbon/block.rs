@@ -5,6 +5,7 @@
 
 use std::sync::LazyLock;
 
+use super::melt::ATOMS_PER_CUBIC_ANGSTROM;
 use super::network::{Neighbours, Network};
 
 /// Edge of the cube in Angstrom.
@@ -14,6 +15,11 @@ pub const DENSITY: f64 = 2.0;
 
 /// Atoms nearer than this are bonded, in Angstrom: in the gap between the first and the second peak of g(r).
 pub const BOND: f64 = 1.85;
+
+/// Atoms of a film of so many nm of it.
+pub fn atoms_per_nm2(thickness_nm: f64) -> f64 {
+    1e3 * DENSITY * ATOMS_PER_CUBIC_ANGSTROM * thickness_nm
+}
 
 const STEPS: f64 = 65_536.0;
 /// How often atoms with fewer than two bonds are taken off a cut.

@@ -1,6 +1,6 @@
 //! Marks decahedra: five twinned tetrahedra about a common axis, with re-entrant notches.
 
-use super::{Candidate, Cluster, Metal, Vec3};
+use super::{Candidate, Cluster, Metal, Morphology, Vec3};
 
 /// Five crystals about a common axis. Seen along it, each fills a wedge with rows of atoms (i, j), i steps along one side of it
 /// and j along the other; the row has `axis - i - j` atoms, so that {111} facets cap it.
@@ -31,6 +31,8 @@ impl Decahedron {
 }
 
 impl Candidate for Decahedron {
+    const MORPHOLOGY: Morphology = Morphology::Decahedral;
+
     fn count(&self) -> usize {
         self.axis + 5 * self.rows().map(|[i, j]| self.axis - i - j).sum::<usize>()
     }
@@ -58,6 +60,10 @@ impl Candidate for Decahedron {
             }
         }
         Cluster::centred(positions)
+    }
+
+    fn key(&self) -> [u64; 4] {
+        [self.axis, self.depth, self.arm, 0].map(|n| n as u64)
     }
 }
 

@@ -1,6 +1,9 @@
 //! Mackay's icosahedra, whole or with a part of the next shell.
 
-use super::{Candidate, Cluster, Metal, Vec3};
+use std::collections::BTreeSet;
+use std::sync::LazyLock;
+
+use super::{Candidate, Cluster, Metal, Morphology, Vec3};
 use crate::structure::lattice::{dot, norm, subtract};
 
 /// Closed shells about an atom, and facets of one more.
@@ -55,6 +58,17 @@ fn faces(v: &[Vec3; 12]) -> Vec<[usize; 3]> {
     faces
 }
 
+/// Edges of so many facets, and vertices of which three facets or more are there.
+static BORDERS: LazyLock<[[usize; 2]; 21]> = LazyLock::new(|| {
+    let faces = faces(&vertices());
+    std::array::from_fn(|facets| {
+        let edge = |[a, b, c]: [usize; 3]| [[a, b], [b, c], [a, c]];
+        let edges: BTreeSet<_> = faces[..facets].iter().copied().flat_map(edge).collect();
+        let of_vertex = |v: usize| faces[..facets].iter().filter(|f| f.contains(&v)).count();
+        [edges.len(), (0..12).filter(|v| of_vertex(*v) >= 3).count()]
+    })
+});
+
 /// Five-fold, three-fold and two-fold axis.
 pub(super) fn axes() -> [Vec3; 3] {
     let v = vertices();
@@ -93,13 +107,14 @@ fn places(shell: usize, faces: &[[usize; 3]], facets: usize) -> Vec<ShellPlace> 
 }
 
 impl Candidate for Icosahedron {
+    const MORPHOLOGY: Morphology = Morphology::Icosahedral;
+
     fn count(&self) -> usize {
         let n = self.shells;
         let closed = (10 * n * n * n + 15 * n * n + 11 * n) / 3 + 1;
-        match self.facets {
-            0 => closed,
-            _ => closed + places(n + 1, &faces(&vertices()), self.facets).len(),
-        }
+        // Of the next shell: what lies within facets, on edges between vertices, and on vertices.
+        let [edges, vertices] = BORDERS[self.facets];
+        closed + self.facets * (n * n.saturating_sub(1) / 2) + edges * n + vertices
     }
 
     fn cluster(&self, metal: &Metal) -> Cluster {
@@ -120,6 +135,10 @@ impl Candidate for Icosahedron {
         }
         debug_assert!(positions.iter().all(|p| dot(*p, *p).is_finite()));
         Cluster::centred(positions)
+    }
+
+    fn key(&self) -> [u64; 4] {
+        [self.shells, self.facets, 0, 0].map(|n| n as u64)
     }
 }
 

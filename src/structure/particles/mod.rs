@@ -9,6 +9,9 @@ mod icosahedron;
 pub mod rotation;
 mod wulff;
 
+use std::collections::HashMap;
+use std::sync::{LazyLock, Mutex, PoisonError};
+
 use super::lattice::Vec3;
 use super::neighbors::for_each_pair;
 use super::{Atom, Structure};
@@ -20,7 +23,7 @@ pub use icosahedron::Icosahedron;
 pub use wulff::Wulff;
 
 /// Shape of a particle.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Morphology {
     /// Single crystal bounded by {111} and {100}: the truncated octahedron of Wulff's construction. Its frame
@@ -176,10 +179,38 @@ const TOLERANCE_NM: f64 = 0.04;
 
 /// A way to make a cluster.
 pub trait Candidate {
+    /// Shape of the cluster.
+    const MORPHOLOGY: Morphology;
     /// Number of atoms.
     fn count(&self) -> usize;
     /// The cluster.
     fn cluster(&self, metal: &Metal) -> Cluster;
+    /// What tells it from others of its shape.
+    fn key(&self) -> [u64; 4];
+}
+
+/// What tells a cluster from others: the bits of the metal's numbers, the shape, and [`Candidate::key`].
+type ClusterKey = ([u64; 2], Morphology, [u64; 4]);
+
+/// Surface energies of clusters that were looked at: particles of other specimens are chosen among the same.
+static ENERGIES: LazyLock<Mutex<HashMap<ClusterKey, f64>>> = LazyLock::new(Mutex::default);
+/// Surface energies that are kept; 64 bytes each.
+const KEPT_ENERGIES: usize = 1 << 18;
+
+fn surface_energy<R: Candidate>(candidate: &R, metal: &Metal) -> f64 {
+    let of_metal = [metal.a, metal.surface_energy_ratio].map(f64::to_bits);
+    let key = (of_metal, R::MORPHOLOGY, candidate.key());
+    let energies = || ENERGIES.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(known) = energies().get(&key) {
+        return *known;
+    }
+    let energy = candidate.cluster(metal).surface_energy(metal);
+    let mut energies = energies();
+    if energies.len() >= KEPT_ENERGIES {
+        energies.clear();
+    }
+    energies.insert(key, energy);
+    energy
 }
 
 /// The particle of a shape whose diameter in nm is nearest to `diameter_nm` and within `limits_nm`: of
@@ -195,7 +226,8 @@ pub fn build(
 ) -> Result<Cluster> {
     match morphology {
         Morphology::Wulff => {
-            choose(wulff::candidates(metal, diameter_nm), metal, diameter_nm, limits_nm)
+            let candidates = wulff::candidates(metal, diameter_nm, limits_nm[1]);
+            choose(candidates, metal, diameter_nm, limits_nm)
         }
         Morphology::Icosahedral => {
             choose(icosahedron::candidates(metal, diameter_nm), metal, diameter_nm, limits_nm)
@@ -207,22 +239,20 @@ pub fn build(
 }
 
 fn choose<R: Candidate>(
-    mut candidates: Vec<R>,
+    candidates: Vec<R>,
     metal: &Metal,
     diameter_nm: f64,
     limits_nm: [f64; 2],
 ) -> Result<Cluster> {
-    let diameter = |r: &R| metal.diameter_nm(r.count());
-    let off = |r: &R| (diameter(r) - diameter_nm).abs();
-    candidates.retain(|r| (limits_nm[0]..=limits_nm[1]).contains(&diameter(r)));
+    let with_diameter = candidates.into_iter().map(|r| (metal.diameter_nm(r.count()), r));
+    let inside = |(diameter, _): &(f64, R)| (limits_nm[0]..=limits_nm[1]).contains(diameter);
+    let mut candidates: Vec<(f64, R)> = with_diameter.filter(inside).collect();
+    let off = |(diameter, _): &(f64, R)| (diameter - diameter_nm).abs();
     let nearest = candidates.iter().map(off).fold(f64::INFINITY, f64::min);
     candidates.retain(|r| off(r) <= nearest.max(TOLERANCE_NM));
-    let scored = candidates.into_iter().map(|r| {
-        let cluster = r.cluster(metal);
-        (cluster.surface_energy(metal), cluster)
-    });
-    let best = scored.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, cluster)| cluster);
-    best.ok_or_else(|| {
+    let scored = candidates.into_iter().map(|(_, r)| (surface_energy(&r, metal), r));
+    let best = scored.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, candidate)| candidate);
+    best.map(|candidate| candidate.cluster(metal)).ok_or_else(|| {
         let [low, high] = limits_nm;
         let expected =
             format!("no particle has a diameter from {low} to {high} nm; widen the range");

@@ -1,6 +1,8 @@
 //! Truncated octahedra.
 
-use super::{Candidate, Cluster, Metal, Vec3};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use super::{Candidate, Cluster, Metal, Morphology, Vec3};
 
 /// The lattice points of a face-centred cubic crystal within planes about a centre: {111} at one distance, {100}
 /// at another (G. Wulff, Z. Kristallogr. 34, 449 (1901)).
@@ -50,6 +52,8 @@ impl Wulff {
 }
 
 impl Candidate for Wulff {
+    const MORPHOLOGY: Morphology = Morphology::Wulff;
+
     fn count(&self) -> usize {
         self.count
     }
@@ -59,22 +63,61 @@ impl Candidate for Wulff {
         let all = points(metal, self.centre, reach);
         Cluster::centred(all.into_iter().filter(inside).collect())
     }
+
+    fn key(&self) -> [u64; 4] {
+        let [x, y, z] = self.centre;
+        [x, y, z, self.distance].map(f64::to_bits)
+    }
 }
 
-/// Clusters of about this diameter, about centres all over the cell.
-pub(super) fn candidates(metal: &Metal, diameter_nm: f64) -> Vec<Wulff> {
+/// How deep points lie about centres all over the cell.
+struct Depths {
+    metal: Metal,
+    /// Only those of less than so many Angstrom.
+    reach: f64,
+    /// For each centre in Angstrom, ascending.
+    about: Vec<(Vec3, Vec<f64>)>,
+}
+
+/// The last that were asked for: particles of one recipe have the same.
+static DEPTHS: Mutex<Option<Arc<Depths>>> = Mutex::new(None);
+
+impl Depths {
+    fn new(metal: &Metal, reach: f64) -> Self {
+        let about = |centre: Vec3| {
+            let mut depths: Vec<f64> =
+                points(metal, centre, reach).into_iter().map(|p| depth(metal, p)).collect();
+            depths.retain(|&d| d < reach);
+            depths.sort_unstable_by(f64::total_cmp);
+            (centre, depths)
+        };
+        Depths { metal: *metal, reach, about: centres().into_iter().map(about).collect() }
+    }
+
+    /// Those up to `reach` Angstrom, and perhaps more.
+    fn kept(metal: &Metal, reach: f64) -> Arc<Self> {
+        let mut kept = DEPTHS.lock().unwrap_or_else(PoisonError::into_inner);
+        match &*kept {
+            Some(depths) if depths.metal == *metal && depths.reach >= reach => Arc::clone(depths),
+            _ => Arc::clone(kept.insert(Arc::new(Depths::new(metal, reach)))),
+        }
+    }
+}
+
+/// Clusters of about this diameter, of at most `most_nm`, about centres all over the cell.
+pub(super) fn candidates(metal: &Metal, diameter_nm: f64, most_nm: f64) -> Vec<Wulff> {
+    // The planes of a cluster of a fourth more atoms stand 5.1 Angstrom from its centre for each nm.
+    const REACH: f64 = 7.0;
     let wanted = metal.count(diameter_nm);
-    let reach = 7.0 * diameter_nm;
+    let kept = Depths::kept(metal, REACH * diameter_nm.max(most_nm));
     let mut out = Vec::new();
-    for centre in centres() {
-        let mut depths: Vec<f64> =
-            points(metal, centre, reach).into_iter().map(|p| depth(metal, p)).collect();
-        depths.retain(|&d| d < reach);
-        depths.sort_by(f64::total_cmp);
+    for (centre, depths) in &kept.about {
+        let depths = &depths[..depths.partition_point(|d| *d < REACH * diameter_nm)];
         // Shells end where the next point lies deeper.
-        let ends = (1..depths.len()).filter(|&n| depths[n] > depths[n - 1] + 1e-6);
-        let near = ends.filter(|&n| (0.8..1.25).contains(&(n as f64 / wanted)));
-        out.extend(near.map(|n| Wulff { centre, distance: depths[n - 1], count: n }));
+        let near = (1..depths.len().min((1.25 * wanted).ceil() as usize))
+            .filter(|&n| (0.8..1.25).contains(&(n as f64 / wanted)));
+        let ends = near.filter(|&n| depths[n] > depths[n - 1] + 1e-6);
+        out.extend(ends.map(|n| Wulff { centre: *centre, distance: depths[n - 1], count: n }));
     }
     out
 }
@@ -90,4 +133,18 @@ fn centres() -> Vec<Vec3> {
         }
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Points that are kept for larger clusters serve smaller ones.
+    #[test]
+    fn candidates_do_not_depend_on_how_far_points_are_known() {
+        let metal = Metal { a: 3.7, surface_energy_ratio: 1.1 };
+        let known = |most_nm: f64| candidates(&metal, 1.5, most_nm);
+        let few = known(1.5);
+        assert!(few.len() > 100 && few == known(4.0) && few == known(1.5), "{}", few.len());
+    }
 }
