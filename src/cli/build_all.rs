@@ -18,7 +18,7 @@ use crate::io::WorldFile;
 use crate::numerics::NUMERICS_VERSION;
 use crate::progress::Progress;
 use crate::recipe::CheckedRecipe;
-use crate::world::WorldBuild;
+use crate::world::{WorldBuild, remove_leftovers};
 
 /// One of the worlds.
 struct Target {
@@ -80,7 +80,12 @@ pub fn run(build: &Build, reporter: &Reporter) -> anyhow::Result<()> {
     let mut clock = Clock::new(&targets);
     for (number, target) in targets.iter().enumerate() {
         let result = match target.kept {
-            true => WorldResult::Kept { file_bytes: super::output::size(&target.path) },
+            true => {
+                if !build.common.dry_run {
+                    remove_leftovers(&target.path);
+                }
+                WorldResult::Kept { file_bytes: super::output::size(&target.path) }
+            }
             false if build.common.dry_run => WorldResult::Planned { expected_s: target.expected_s },
             false => {
                 let [own, all] =

@@ -20,7 +20,7 @@ use crate::numerics::{NUMERICS_VERSION, processor};
 use crate::progress::Progress;
 use crate::recipe::CheckedRecipe;
 use crate::validate::manifest::{Manifest, PinnedSameness, PinnedWorld};
-use crate::world::{BuildOptions, WorldBuild};
+use crate::world::{BuildOptions, WorldBuild, remove_leftovers};
 
 /// The released worlds, `worlds/manifest.toml`.
 const RELEASED: &str = include_str!("../../worlds/manifest.toml");
@@ -180,6 +180,7 @@ impl Regenerate {
         let mut made = new(name);
         if path.exists() && !build.is_complete(&path) {
             hdf5_check::check(&path)?;
+            remove_leftovers(&path);
             made.engine = "was there".into();
         } else {
             std::fs::create_dir_all(folder).map_err(|e| crate::Error::io(folder, "create", e))?;

@@ -15,6 +15,9 @@ pub struct Wulff {
     count: usize,
 }
 
+/// Diameter up to which points are kept for the particles of a recipe: 27 MB.
+const LARGEST_NM: f64 = 10.0;
+
 /// Finest division of the cell edge for centres.
 const DIVISIONS: i32 = 8;
 
@@ -109,7 +112,7 @@ pub(super) fn candidates(metal: &Metal, diameter_nm: f64, most_nm: f64) -> Vec<W
     // The planes of a cluster of a fourth more atoms stand 5.1 Angstrom from its centre for each nm.
     const REACH: f64 = 7.0;
     let wanted = metal.count(diameter_nm);
-    let kept = Depths::kept(metal, REACH * diameter_nm.max(most_nm));
+    let kept = Depths::kept(metal, REACH * diameter_nm.max(most_nm.min(LARGEST_NM)));
     let mut out = Vec::new();
     for (centre, depths) in &kept.about {
         let depths = &depths[..depths.partition_point(|d| *d < REACH * diameter_nm)];
@@ -146,5 +149,6 @@ mod tests {
         let known = |most_nm: f64| candidates(&metal, 1.5, most_nm);
         let few = known(1.5);
         assert!(few.len() > 100 && few == known(4.0) && few == known(1.5), "{}", few.len());
+        assert!(few == known(f64::INFINITY));
     }
 }
