@@ -148,24 +148,37 @@ impl RecipeSource {
     /// Scale and offset of tiles: the brightest pixel of a few places of a world, or of its largest particles, with its noise and
     /// [`HEADROOM`].
     fn scaling(&self, world: &RecipeWorld, progress: &dyn Progress) -> Result<[f64; 2]> {
-        let mut brightest = self.brightest_of_particles(world, progress)?;
-        if brightest == 0.0 {
-            let even = |n: usize| (n as f64 + 0.5) / SCALED_PLACES as f64;
-            for place in (0..SCALED_PLACES).map(|n| [even(n), even(n)]) {
-                let image = world.image(&self.facts.view_at(place, 1.0), progress)?;
-                brightest = image.iter().fold(brightest, |m, v| m.max(f64::from(*v)));
-            }
-        }
+        let brightest = match self.brightest_of_particles(world, progress)? {
+            Some(brightest) => brightest,
+            None => self.brightest_of_places(world, progress)?,
+        };
         let electrons = self.facts.dose * (10.0 * self.facts.pixel_nm).powi(2);
         let noise = if electrons > 0.0 { (brightest / electrons).sqrt() } else { 0.0 };
         Ok([(HEADROOM * brightest + 5.0 * noise).max(f64::MIN_POSITIVE), 0.0])
     }
 
-    /// The brightest of [`PARTICLE_PX`] pixels each way about the centres of the largest particles, 0 where there are none: those pixels
-    /// alone are simulated, in one phonon configuration.
-    fn brightest_of_particles(&self, world: &RecipeWorld, progress: &dyn Progress) -> Result<f64> {
+    fn brightest_of_places(&self, world: &RecipeWorld, progress: &dyn Progress) -> Result<f64> {
+        let even = |n: usize| (n as f64 + 0.5) / SCALED_PLACES as f64;
+        let mut brightest = 0.0f64;
+        for place in (0..SCALED_PLACES).map(|n| [even(n), even(n)]) {
+            let image = world.image(&self.facts.view_at(place, 1.0), progress)?;
+            brightest = image.iter().fold(brightest, |m, v| m.max(f64::from(*v)));
+        }
+        Ok(brightest)
+    }
+
+    /// The brightest of [`PARTICLE_PX`] pixels each way about the centres of the largest particles, if there are any: those pixels alone
+    /// are simulated, in one phonon configuration.
+    fn brightest_of_particles(
+        &self,
+        world: &RecipeWorld,
+        progress: &dyn Progress,
+    ) -> Result<Option<f64>> {
         let RecipeWorld { recipe, specimen, .. } = world;
         let mut particles = outlines_in(&**specimen, &recipe.field.built_region());
+        if particles.is_empty() {
+            return Ok(None);
+        }
         particles.sort_by(|a, b| b.diameter_nm.total_cmp(&a.diameter_nm));
         particles.truncate(SCALED_PLACES);
         let mut imaging = self.options.policy(recipe)?.imaging;
@@ -178,7 +191,7 @@ impl RecipeSource {
             let image = imager.mean_of(&PixelRect::new(first, [PARTICLE_PX; 2]), 1, progress)?;
             brightest = image.iter().fold(brightest, |m, v| m.max(*v));
         }
-        Ok(brightest)
+        Ok(Some(brightest))
     }
 
     fn world_of(&self, recipe: CheckedRecipe) -> Result<RecipeWorld> {

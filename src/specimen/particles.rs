@@ -20,7 +20,7 @@ use crate::specimen::atom_columns::{AtomColumn, Sites};
 use crate::specimen::defects::rules::{Defects, LocalDefects};
 use crate::specimen::sites::{DISPLACED_NM, SiteKind, SpecimenSite};
 use crate::specimen::specimen_trait::{ParticleOutline, ParticleTruth, Specimen, ThinFilm};
-use crate::structure::carbon::block::{DENSITY, atoms_per_nm2};
+use crate::structure::carbon::block::atoms_per_nm2;
 use crate::structure::carbon::carbon_film::{Film, FilmAtom};
 use crate::structure::carbon::network::CARBON;
 use crate::structure::particles::rotation::Rotation;
@@ -212,12 +212,11 @@ impl Specimen for ParticlesOnCarbon {
     }
 
     fn expected_sites(&self, region: &Region) -> Option<u64> {
-        // g/cm3 to atoms per nm3
-        let carbon = DENSITY * 602.214_076 / 12.011;
         let area = (region.x[1] - region.x[0]) * (region.y[1] - region.y[0]);
         let inside = |p: &&PlacedParticle| region.contains(p.centre.map(|c| c * NM));
         let metal: usize = self.particles.iter().filter(inside).map(|p| p.atoms.len()).sum();
-        Some((carbon * area * self.thickness * NM).round() as u64 + metal as u64)
+        let carbon = atoms_per_nm2(self.thickness * NM) * area;
+        Some(carbon.round() as u64 + metal as u64)
     }
 
     fn thickness_nm(&self) -> f64 {

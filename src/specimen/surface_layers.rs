@@ -8,9 +8,8 @@ use crate::engine::Site;
 use crate::potential::slices::GROUP_ANGSTROM;
 use crate::recipe::{Recipe, Region};
 use crate::rng::{Purpose, words};
-use crate::structure::carbon::block::{DENSITY, atoms_per_nm2};
+use crate::structure::carbon::block::atoms_per_nm2;
 use crate::structure::carbon::carbon_film::{Film, FilmAtom};
-use crate::structure::carbon::melt::ATOMS_PER_CUBIC_ANGSTROM;
 use crate::structure::carbon::network::CARBON;
 
 /// From the outermost plane of the specimen to the carbon, in Angstrom: between a bond and the distance of graphite's layers.
@@ -99,9 +98,9 @@ impl SurfaceLayers {
 impl CarbonLayer {
     /// About how many atoms it has in an area.
     pub fn estimated_atoms(&self, area: &Region) -> u64 {
-        let [width, height] = [area.x, area.y].map(|[low, high]| 10.0 * (high - low));
+        let [width, height] = [area.x, area.y].map(|[low, high]| high - low);
         let [begin, end] = self.depth_angstrom;
-        (DENSITY * ATOMS_PER_CUBIC_ANGSTROM * width * height * (end - begin)).round() as u64
+        (atoms_per_nm2(0.1 * (end - begin)) * width * height).round() as u64
     }
 
     /// The height in Angstrom of an atom at `z_angstrom`, with the layer in equal slices as thick as in any specimen without planes.
