@@ -399,7 +399,6 @@ fn particles_are_seen_from_afar() {
     let tile = world.clean(&facts.view_at([x / width, y / height], 1.0), &Silent).unwrap();
     let brightest = tile.iter().fold(0.0f64, |m, v| m.max(f64::from(*v)));
     let share = brightest / facts.scaling[0];
-    println!("{on} {beside} {share}");
     assert!((0.3..1.0).contains(&share), "{share}");
 }
 
