@@ -53,9 +53,12 @@ impl Roughness {
         let rows = across as usize + 1;
         let depth = along as usize + 1;
         // cos(a + b) = cos a cos b - sin a sin b: a depends on y alone and b on z alone, which leaves few cosines to work out.
-        let turn = |angle: f64| [libm::cos(angle), libm::sin(angle)];
+        let turn = |angle: f64| {
+            let (sin, cos) = libm::sincos(angle);
+            [cos, sin]
+        };
         let of_z: Vec<[Vec<f64>; 2]> = waves
-            .iter()
+            .par_iter()
             .map(|[_, kz, _]| {
                 let turned = (0..depth).map(|k| turn(kz * (k as f64 * step[1]))).map(Into::into);
                 let (cosines, sines) = turned.unzip::<f64, f64, Vec<_>, Vec<_>>();

@@ -5,6 +5,7 @@ use std::collections::{BTreeSet, HashMap};
 use ndarray::Array2;
 use rayon::prelude::*;
 
+use crate::imaging::mosaic::bins::{Bins, grouped};
 use crate::imaging::mosaic::cell_images::{CellImages, Realisation};
 use crate::imaging::mosaic::image_library::ImageLibrary;
 use crate::imaging::mosaic::survey::BEYOND_NM;
@@ -29,8 +30,11 @@ const STAND_IN_ANGSTROM: f64 = 4.0;
 const BIN_ANGSTROM: f64 = 3.0;
 
 /// A unit of the world.
+#[derive(Clone, Copy)]
 struct PlacedUnit {
     tag: Option<UnitTag>,
+    /// That of its tag in the list of families.
+    family: usize,
     /// Centre in Angstrom.
     centre: [f64; 2],
 }
@@ -50,10 +54,32 @@ struct PixelShare {
     weight: f64,
 }
 
+/// The families of units, each once.
+#[derive(Default)]
+struct Families {
+    list: Vec<TurnedFamily>,
+    known: HashMap<TurnedFamily, usize>,
+}
+
+impl Families {
+    /// The index of a unit's family. Most units are of the same family as the one before.
+    fn index(&mut self, before: usize, tag: &UnitTag) -> usize {
+        let family = TurnedFamily::of(tag);
+        if self.list.get(before) == Some(&family) {
+            return before;
+        }
+        *self.known.entry(family).or_insert_with(|| {
+            self.list.push(family);
+            self.list.len() - 1
+        })
+    }
+}
+
 /// Where the units' images overlap: the pixels of a rectangle and the units that make them.
 pub struct Assembly {
     /// Where its columns lie.
     area: Region,
+    families: Vec<TurnedFamily>,
     units: Vec<PlacedUnit>,
     columns: Vec<PlacedColumn>,
     shares: Vec<PixelShare>,
@@ -94,28 +120,29 @@ impl Assembly {
         let area = region.grown(BEYOND_NM);
         let (mut units, mut columns): (Vec<PlacedUnit>, Vec<PlacedColumn>) = Default::default();
         let mut known: HashMap<u64, usize> = HashMap::new();
-        let mut bins: HashMap<[i64; 2], Vec<(usize, [f64; 2])>> = HashMap::new();
+        let (mut families, mut family) = (Families::default(), 0);
         for column in specimen.columns(&area) {
             let id = column.unit.map_or(column.id, |u| u.id);
             let at = column.position_nm.map(|v| 10.0 * v);
             let unit = *known.entry(id).or_insert_with(|| {
                 let centre = column.unit.map_or(at, |u| u.centre_nm.map(|v| 10.0 * v));
-                units.push(PlacedUnit { tag: column.unit, centre });
+                family = column.unit.map_or(family, |tag| families.index(family, &tag));
+                units.push(PlacedUnit { tag: column.unit, family, centre });
                 units.len() - 1
             });
             columns.push(PlacedColumn { id: column.id, unit, at });
-            bins.entry(at.map(|v| (v / BIN_ANGSTROM).floor() as i64)).or_default().push((unit, at));
         }
+        let bins = Bins::new(columns.iter().map(|column| column.at), BIN_ANGSTROM);
         let row = |row: usize| {
-            let (mut shares, mut near, mut bin) = (Vec::new(), NearColumns::default(), None);
+            let (mut shares, mut near, mut last) = (Vec::new(), NearColumns::default(), None);
             for column in 0..shape[1] {
                 let at = places[row * shape[1] + column];
                 let at = [0, 1].map(|k| at[k] + way[k]);
-                let here = at.map(|v| (v / BIN_ANGSTROM).floor() as i64);
-                if bin != Some(here) {
-                    bin = Some(here);
+                let here = bins.bin(at);
+                if last != Some(here) {
+                    last = Some(here);
                     let around = (0..9).map(|n| [here[0] + n % 3 - 1, here[1] + n / 3 - 1]);
-                    near.set(around.filter_map(|b| bins.get(&b)).flatten());
+                    near.set(around.flat_map(|b| bins.of(b)).map(|n| &columns[*n]));
                 }
                 near.push_shares(row * shape[1] + column, at, ramps, &mut shares);
             }
@@ -123,15 +150,14 @@ impl Assembly {
         };
         let shares: Vec<Vec<PixelShare>> = (0..shape[0]).into_par_iter().map(row).collect();
         let shares = shares.into_iter().flatten().collect();
-        Assembly { area, units, columns, shares, shape, places }
+        Assembly { area, families: families.list, units, columns, shares, shape, places }
     }
 
     /// With the images of other columns, those with the most similar content nearby, in place of those that the library lacks. Of
     /// no use but for pictures that show much more than a column.
     #[must_use]
     pub fn with_stand_ins(mut self, specimen: &dyn Specimen, library: &ImageLibrary) -> Self {
-        let there = |n: usize| self.units[n].tag.is_some_and(|t| library.cell_images(&t).is_some());
-        let there: Vec<bool> = (0..self.units.len()).map(there).collect();
+        let there = self.held_by(library);
         if there.iter().all(|there| *there) {
             return self;
         }
@@ -149,7 +175,7 @@ impl Assembly {
             let Some((other, _)) = best else { continue };
             let unit = &self.units[other.unit];
             let centre = [0, 1].map(|k| column.at[k] + unit.centre[k] - other.at[k]);
-            stand_ins.push((column.unit, PlacedUnit { tag: unit.tag, centre }));
+            stand_ins.push((column.unit, PlacedUnit { centre, ..*unit }));
         }
         for (unit, stand_in) in stand_ins {
             self.units[unit] = stand_in;
@@ -164,13 +190,24 @@ impl Assembly {
 
     /// The families of its units.
     pub fn families(&self) -> BTreeSet<TurnedFamily> {
-        self.units.iter().filter_map(|unit| unit.tag.as_ref()).map(TurnedFamily::of).collect()
+        self.families.iter().copied().collect()
+    }
+
+    /// The sheets of each of its families.
+    fn cells<'a>(&self, library: &'a ImageLibrary) -> Vec<Option<&'a CellImages>> {
+        self.families.iter().map(|family| library.cell_images(*family)).collect()
+    }
+
+    /// Whether the library has the sheets of each unit.
+    fn held_by(&self, library: &ImageLibrary) -> Vec<bool> {
+        let cells = self.cells(library);
+        let held = |unit: &PlacedUnit| unit.tag.is_some() && cells[unit.family].is_some();
+        self.units.iter().map(held).collect()
     }
 
     /// Pixels that need more than the library has: by index, and the weight of what is missing.
     pub fn missing(&self, library: &ImageLibrary) -> HashMap<usize, f64> {
-        let there = |unit: &PlacedUnit| unit.tag.is_some_and(|t| library.cell_images(&t).is_some());
-        let there: Vec<bool> = self.units.iter().map(there).collect();
+        let there = self.held_by(library);
         let mut missing = HashMap::new();
         for share in self.shares.iter().filter(|share| !there[share.unit]) {
             *missing.entry(share.pixel).or_insert(0.0) += share.weight;
@@ -206,25 +243,27 @@ impl Assembly {
         kernel: &Kernel,
         realisations: impl Fn(&CellImages, &UnitTag) -> Vec<Realisation> + Sync,
     ) -> Array2<f64> {
-        let mut of_unit: Vec<Vec<&PixelShare>> = self.units.iter().map(|_| Vec::new()).collect();
-        for share in &self.shares {
-            of_unit[share.unit].push(share);
-        }
-        let patch = |(unit, shares): (&PlacedUnit, &Vec<&PixelShare>)| -> Vec<f64> {
-            let found = unit.tag.and_then(|tag| Some((tag, library.cell_images(&tag)?)));
-            let Some((tag, cell)) = found.filter(|_| !shares.is_empty()) else {
-                return vec![0.0; shares.len()];
+        let of_share = self.shares.iter().map(|share| share.unit);
+        let (starts, by_unit) = grouped(self.units.len(), of_share);
+        let of_unit = |n: usize| by_unit[starts[n]..starts[n + 1]].iter().map(|s| &self.shares[*s]);
+        let cells = self.cells(library);
+        let patch = |n: usize| -> Vec<f64> {
+            let unit = &self.units[n];
+            let found = unit.tag.and_then(|tag| Some((tag, cells[unit.family]?)));
+            let Some((tag, cell)) = found.filter(|_| starts[n] < starts[n + 1]) else {
+                return vec![0.0; starts[n + 1] - starts[n]];
             };
-            let offsets: Vec<[f64; 2]> =
-                shares.iter().map(|s| self.offset(s.pixel, unit, &tag, cell)).collect();
+            let offset = |share: &PixelShare| self.offset(share.pixel, unit, &tag, cell);
+            let offsets: Vec<[f64; 2]> = of_unit(n).map(offset).collect();
             values((cell, detector), &realisations(cell, &tag), &offsets, kernel)
         };
-        let values: Vec<Vec<f64>> = self.units.par_iter().zip(&of_unit).map(patch).collect();
+        let units = 0..self.units.len();
+        let values: Vec<Vec<f64>> = units.clone().into_par_iter().map(patch).collect();
         // Summed unit by unit, so that the bytes do not depend on threads.
         let mut image = Array2::zeros(self.shape);
         let pixels = image.as_slice_mut().unwrap_or_default();
-        for (shares, values) in of_unit.iter().zip(&values) {
-            for (share, value) in shares.iter().zip(values) {
+        for (n, values) in units.zip(&values) {
+            for (share, value) in of_unit(n).zip(values) {
                 pixels[share.pixel] += share.weight * value;
             }
         }
@@ -269,10 +308,10 @@ struct NearColumns {
 }
 
 impl NearColumns {
-    fn set<'a>(&mut self, columns: impl Iterator<Item = &'a (usize, [f64; 2])>) {
+    fn set<'a>(&mut self, columns: impl Iterator<Item = &'a PlacedColumn>) {
         self.units.clear();
         self.at.iter_mut().for_each(Vec::clear);
-        for (unit, at) in columns {
+        for PlacedColumn { unit, at, .. } in columns {
             self.units.push(*unit);
             self.at.iter_mut().zip(at).for_each(|(list, v)| list.push(*v));
         }

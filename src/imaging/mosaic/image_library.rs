@@ -18,7 +18,7 @@ use crate::progress::{Progress, ProgressShare};
 use crate::rng::{Purpose, words};
 use crate::specimen::specimen_trait::Specimen;
 use crate::specimen::units::library_cell::LibraryCell;
-use crate::specimen::units::unit_tag::{TurnedFamily, UnitTag};
+use crate::specimen::units::unit_tag::TurnedFamily;
 
 /// An image that has to be simulated.
 pub struct MissingImage {
@@ -152,9 +152,9 @@ impl ImageLibrary {
         }
     }
 
-    /// The sheets of a unit's family.
-    pub fn cell_images(&self, tag: &UnitTag) -> Option<&CellImages> {
-        self.cells.get(&self.shared(TurnedFamily::of(tag))).map(|cell| &**cell)
+    /// The sheets of a family.
+    pub fn cell_images(&self, family: TurnedFamily) -> Option<&CellImages> {
+        self.cells.get(&self.shared(family)).map(|cell| &**cell)
     }
 
     /// Phonon configurations of each sheet.

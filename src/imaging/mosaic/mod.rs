@@ -11,6 +11,7 @@
 //! simulate again.
 
 pub mod assembly;
+pub mod bins;
 pub mod cell_images;
 pub mod image_library;
 pub mod image_note;

@@ -450,7 +450,7 @@ impl RegionImager for MosaicImager {
         let seed = self.recipe.seed;
         let of_column = |column: &AtomColumn| {
             let tag = column.unit?;
-            let cell = library.cell_images(&tag)?;
+            let cell = library.cell_images(TurnedFamily::of(&tag))?;
             let of_unit = cell.realisations(tag.entry, (seed, tag.id), library.configurations());
             let realisation = of_unit[configuration];
             Some(move |n: usize| {
