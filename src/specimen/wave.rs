@@ -1,7 +1,5 @@
 //! Wavy lines: phase boundaries that run along y.
 
-use std::iter::once;
-
 use crate::rng::{Purpose, uniform};
 
 use crate::recipe::region::Region;
@@ -23,6 +21,10 @@ pub struct WavyLine {
     mean_x: f64,
     /// No less than any excursion.
     amplitude: f64,
+    /// No more than the cosine of the angle between y and any part of the line.
+    least_cosine: f64,
+    /// No part of the polyline is further from the line along x.
+    sag: f64,
     y0: f64,
     height: f64,
     /// Amplitude and phase of each harmonic.
@@ -115,15 +117,29 @@ impl WavyLine {
             [weight / f64::from(n * n), phase]
         };
         let harmonics = (1..=HARMONICS).map(harmonic).collect();
-        let (corners, blocks) = (Vec::new(), Vec::new());
-        let mut line =
-            WavyLine { mean_x, amplitude, y0: field.y[0], height, harmonics, corners, blocks };
+        let mut line = WavyLine {
+            mean_x,
+            amplitude,
+            least_cosine: 0.0,
+            sag: 0.0,
+            y0: field.y[0],
+            height,
+            harmonics,
+            corners: Vec::new(),
+            blocks: Vec::new(),
+        };
         let samples = 4096;
         let at = |k: u32| line.excursion(line.y0 + height * f64::from(k) / f64::from(samples));
         let greatest = (0..samples).map(at).fold(0.0, |g: f64, e| g.max(e.abs()));
         line.harmonics.iter_mut().for_each(|h| h[0] *= amplitude / greatest);
         let count = ((height + 2.0 * beyond) / STEP_NM).ceil() as usize;
-        line.amplitude = line.harmonics.iter().map(|h| h[0].abs()).sum();
+        // Bounds of the excursion and of its first two derivatives.
+        let greatest =
+            |order| line.waves(0.0).map(|[a, k, _]| a.abs() * k.powi(order)).sum::<f64>();
+        let [excursion, slope, bend] = [0, 1, 2].map(greatest);
+        line.amplitude = excursion;
+        line.least_cosine = 1.0 / (1.0 + slope * slope).sqrt();
+        line.sag = 0.125 * bend * STEP_NM * STEP_NM;
         line.corners = (0..=count)
             .map(|k| field.y[0] - beyond + STEP_NM * k as f64)
             .map(|y| [line.x(y), y])
@@ -185,25 +201,28 @@ impl WavyLine {
 
     /// Distance of a point from the line, which crosses its y at `crossing`; or `known` where the line is no nearer than that.
     pub fn nearer(&self, [x, y]: [f64; 2], crossing: f64, known: f64) -> f64 {
-        // All of the line is at least so far away along x; rounding is less than a femtometre.
-        let least = ((x - self.mean_x).abs() - self.amplitude - ROUNDING_NM).max(0.0);
+        // All of the line is at least so far away: along x, and at right angles to its steepest part; rounding is less than a femtometre.
+        let along_x = (x - self.mean_x).abs() - self.amplitude;
+        let steepest = self.least_cosine * ((x - crossing).abs() - self.sag);
+        let least = (along_x.max(steepest) - ROUNDING_NM).max(0.0);
         if least >= known {
             return known;
         }
         let nearest = (x - crossing).abs().min(known);
         let first = self.corners.first().map_or(0.0, |c| c[1]);
-        // Nothing farther along y than this can be nearer.
-        let along = (nearest * nearest - least * least).max(0.0).sqrt() + ROUNDING_NM;
         let last = self.blocks.len().saturating_sub(1) as f64;
         let edge = STEP_NM * BLOCK as f64;
         let block = |y: f64| ((y - first) / edge).clamp(0.0, last) as usize;
-        let [lowest, beside, highest] = [y - along, y, y + along].map(block);
+        let beside = block(y);
         let square = vectorised(
             #[inline(always)]
             || {
-                let mut square = nearest * nearest;
                 // The block beside the point is likely to be the nearest, which spares a look at others.
-                for n in once(beside).chain(lowest..beside).chain(beside + 1..highest + 1) {
+                let mut square = lesser(nearest * nearest, self.blocks[beside].square([x, y]));
+                // Nothing farther along y than this can be nearer.
+                let along = greater(square - least * least, 0.0).sqrt() + ROUNDING_NM;
+                let [lowest, highest] = [y - along, y + along].map(block);
+                for n in (lowest..beside).chain(beside + 1..highest + 1) {
                     let block = &self.blocks[n];
                     let [low, high] = block.range;
                     let dx = greater(greater(low - x, x - high), 0.0);
@@ -281,20 +300,23 @@ mod tests {
 
     #[test]
     fn distances_are_those_of_a_fine_search() {
-        let line = WavyLine::new(40.0, 9.0, &FIELD, 12.0, 5, 1);
-        for k in 0..200u32 {
+        let line = |[amplitude, number]: [u32; 2]| {
+            WavyLine::new(40.0, f64::from(amplitude), &FIELD, 12.0, 5, number)
+        };
+        let lines = [[9, 1], [1, 2], [14, 3]].map(line);
+        for (line, k) in lines.iter().flat_map(|line| (0..200u32).map(move |k| (line, k))) {
             let w = words(9, Purpose::Interface, 77, u64::from(k))
                 .map(|w| f64::from(w) / 2f64.powi(32));
             let p = [20.0 + 40.0 * w[0], 10.0 + 60.0 * w[1]];
             let far = |y: f64| ((line.x(y) - p[0]).powi(2) + (y - p[1]).powi(2)).sqrt();
             let fine =
                 (-1000..9000).map(|n| far(0.01 * f64::from(n))).fold(f64::INFINITY, f64::min);
-            assert!((distance(&line, p) - fine).abs() < 0.01, "{} {fine}", distance(&line, p));
+            assert!((distance(line, p) - fine).abs() < 0.01, "{} {fine}", distance(line, p));
             // What is left out for speed is never what is nearest, to the last bit.
             let across = (p[0] - line.x(p[1])).abs();
             let all = line.corners.windows(2).map(|s| square_to_segment(p, s[0], s[1]).sqrt());
             let all = all.fold(across, f64::min);
-            assert_eq!(distance(&line, p).to_bits(), all.to_bits());
+            assert_eq!(distance(line, p).to_bits(), all.to_bits());
             for known in [0.3 * all, all, 1.5 * all] {
                 let found = line.nearer(p, line.x(p[1]), known);
                 assert_eq!(found.to_bits(), all.min(known).to_bits());
