@@ -201,11 +201,11 @@ impl WavyLine {
 
     /// Distance of a point from the line, which crosses its y at `crossing`; or `known` where the line is no nearer than that.
     pub fn nearer(&self, [x, y]: [f64; 2], crossing: f64, known: f64) -> f64 {
-        // All of the line is at least so far away: along x, and at right angles to its steepest part; rounding is less than a femtometre.
-        let along_x = (x - self.mean_x).abs() - self.amplitude;
-        let steepest = self.least_cosine * ((x - crossing).abs() - self.sag);
-        let least = (along_x.max(steepest) - ROUNDING_NM).max(0.0);
-        if least >= known {
+        // All of the line is at least so far away along x, and so far at right angles to its steepest part; rounding is less than a
+        // femtometre.
+        let along_x = ((x - self.mean_x).abs() - self.amplitude - ROUNDING_NM).max(0.0);
+        let steepest = self.least_cosine * ((x - crossing).abs() - self.sag) - ROUNDING_NM;
+        if along_x.max(steepest) >= known {
             return known;
         }
         let nearest = (x - crossing).abs().min(known);
@@ -220,7 +220,7 @@ impl WavyLine {
                 // The block beside the point is likely to be the nearest, which spares a look at others.
                 let mut square = lesser(nearest * nearest, self.blocks[beside].square([x, y]));
                 // Nothing farther along y than this can be nearer.
-                let along = greater(square - least * least, 0.0).sqrt() + ROUNDING_NM;
+                let along = greater(square - along_x * along_x, 0.0).sqrt() + ROUNDING_NM;
                 let [lowest, highest] = [y - along, y + along].map(block);
                 for n in (lowest..beside).chain(beside + 1..highest + 1) {
                     let block = &self.blocks[n];
