@@ -121,7 +121,6 @@
 //! - [`live`]: worlds in memory that change under the beam
 //! - [`benchmark`]: scores of what agents found in a world, and of the dose it took
 //! - [`validate`]: checks against published numbers and other programs, and their reports
-//! - [`cli`]: the command line of the programs: arguments, progress bars, words
 //!
 //! # Features
 //!
@@ -131,12 +130,12 @@
 //! | `hdf5` (default) | files of images and worlds, [`world::build`] | libhdf5 |
 //! | `render` | PNG pictures and drawings | |
 //! | `report` | [`validate`], HTML pages, readers of other programs' arrays; implies `hdf5` and `render` | libhdf5 |
-//! | `cli` (default) | the program; implies all others | libhdf5 |
+//! | `static-hdf5` | an HDF5 library of its own in place of the system's | cmake |
+//!
+//! The program `stemgen` is the crate `stemgen-cli` beside this one.
 
 pub mod acquisition;
 pub mod benchmark;
-#[cfg(feature = "cli")]
-pub mod cli;
 pub mod constants;
 pub mod damage;
 pub mod detect;

@@ -3,6 +3,16 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+/// A folder of this repository.
+fn folder(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
+}
+
+/// All Rust sources of the library and of the command line.
+fn all_sources() -> Vec<PathBuf> {
+    [sources(&folder("src")), sources(&folder("cli/src"))].concat()
+}
+
 /// All Rust sources below `folder`.
 fn sources(folder: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
@@ -118,8 +128,7 @@ fn has_a_gap(text: &str) -> bool {
 #[test]
 fn no_sentence_has_a_gap() {
     assert!(has_a_gap("which     should do") && !has_a_gap("    indented\n    text"));
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
-    for path in sources(&root) {
+    for path in all_sources() {
         for (line, text) in literals(&fs::read_to_string(&path).unwrap()) {
             let text = joined(&text);
             assert!(!has_a_gap(&text), "{}:{line}: {text}", path.display());
@@ -128,13 +137,11 @@ fn no_sentence_has_a_gap() {
 }
 
 /// A message of the library is read through other front ends too, which have no such options; the
-/// command line adds the option in `cli/hints.rs`.
+/// command line adds the option in `cli/src/hints.rs`.
 #[test]
 fn the_library_names_no_options_of_the_command_line() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
-    let library = sources(&root).into_iter().filter(|p| !p.starts_with(root.join("cli")));
     let mut faults = Vec::new();
-    for path in library {
+    for path in sources(&folder("src")) {
         let source = fs::read_to_string(&path).unwrap();
         for (line, text) in literals(&source) {
             if names_an_option(&text) {
@@ -149,9 +156,8 @@ fn the_library_names_no_options_of_the_command_line() {
 /// A report tells the date; that is all.
 #[test]
 fn time_is_measured_with_a_clock_that_nobody_sets() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
-    let dated = root.join("validate/report/mod.rs");
-    for path in sources(&root).into_iter().filter(|path| *path != dated) {
+    let dated = folder("src/validate/report/mod.rs");
+    for path in all_sources().into_iter().filter(|path| *path != dated) {
         let source = fs::read_to_string(&path).unwrap();
         for word in ["SystemTime", "UNIX_EPOCH", ".modified()", "ClockId::Realtime"] {
             assert!(!source.contains(word), "{}: {word}", path.display());

@@ -7,7 +7,6 @@ use crate::recipes::checked;
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use stemgen::Setting;
-use stemgen::cli::shared::{DryRun, of_world, threads};
 use stemgen::engine::check_memory;
 use stemgen::files::Shard;
 use stemgen::files::outputs::check_outputs;
@@ -15,6 +14,7 @@ use stemgen::imaging::Cache;
 use stemgen::progress::Progress;
 use stemgen::world::footprint::PICTURE;
 use stemgen::world::{BuildMethod, BuildOptions, BuildProfile, Companion, WorldBuild};
+use stemgen_cli::shared::{DryRun, of_world, threads};
 
 /// Regions that a build may audit.
 const MOST_REGIONS: usize = 1000;

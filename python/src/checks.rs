@@ -6,7 +6,6 @@ use crate::guest::{Running, run};
 use crate::recipes::checked;
 use pyo3::prelude::*;
 use std::path::{Path, PathBuf};
-use stemgen::cli::shared::{WorldEngine, imaging_of, planned, threads};
 use stemgen::engine::check_memory;
 use stemgen::files::{atomic_write, outputs::check_outputs};
 use stemgen::imaging::{AUDIT_REMEDY, AuditOptions, Cache, ImagingChoice, audit, audit_cost};
@@ -18,6 +17,7 @@ use stemgen::validate::report::{Report, ReportOrigin, sentence, suite_page, worl
 use stemgen::validate::soundness::check_world;
 use stemgen::validate::suite::{Case, selected};
 use stemgen::validate::worlds::compare;
+use stemgen_cli::shared::{WorldEngine, imaging_of, planned, threads};
 
 /// A recipe, or a world and with it how it was made.
 #[derive(FromPyObject)]

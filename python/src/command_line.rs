@@ -3,7 +3,7 @@
 use pyo3::prelude::*;
 use std::ffi::OsString;
 use std::path::PathBuf;
-use stemgen::cli::{Invocation, run};
+use stemgen_cli::{Invocation, run};
 
 /// Runs the command line with `arguments`, once in a process, and returns the exit code. `again` is program and first arguments that
 /// start it once more.
@@ -20,5 +20,5 @@ pub fn main(py: Python<'_>, arguments: Vec<OsString>, again: Vec<OsString>) -> u
 pub fn check_file(py: Python<'_>, path: PathBuf, again: Vec<OsString>) -> PyResult<()> {
     use crate::errors::Told;
     Invocation { name: "stemworlds", arguments: Vec::new(), again }.remember();
-    py.detach(|| stemgen::cli::shared::survive(&path)).told(py)
+    py.detach(|| stemgen_cli::shared::survive(&path)).told(py)
 }

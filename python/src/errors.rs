@@ -36,8 +36,8 @@ impl From<serde_json::Error> for Fault {
 }
 
 /// Parts of the command line tell of errors in its own way.
-impl From<stemgen::cli::shared::CommandError> for Fault {
-    fn from(error: stemgen::cli::shared::CommandError) -> Self {
+impl From<stemgen_cli::shared::CommandError> for Fault {
+    fn from(error: stemgen_cli::shared::CommandError) -> Self {
         match error.downcast::<Error>() {
             Ok(error) => error.into(),
             Err(other) => Fault::Words(format!("{other:#}")),

@@ -3,7 +3,6 @@
 use crate::errors::Fault;
 use pyo3::prelude::*;
 use stemgen::Setting;
-use stemgen::cli::shared as slips;
 use stemgen::detect::Detector;
 use stemgen::engine::settings::DEFAULT_BAND_FRACTION;
 use stemgen::engine::{
@@ -14,6 +13,7 @@ use stemgen::optics::{Aberration, Aberrations, Optics};
 use stemgen::potential::projected::Projection;
 use stemgen::potential::scattering::Parametrization;
 use stemgen::potential::slices::Slicing;
+use stemgen_cli::shared as slips;
 
 /// Window of `engine="window"` in Angstrom.
 const WINDOW_ANGSTROM: f64 = 11.7;

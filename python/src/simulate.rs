@@ -9,9 +9,6 @@ use num_complex::Complex32;
 use numpy::{IntoPyArray, PyArray2, PyArray3};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use stemgen::cli::shared::{
-    Conventional, PlanReport, Prepared, plane_wave, plane_wave_settings, threads,
-};
 use stemgen::engine::{
     Cost, Plan, ProbeRaster, Scan, SourceBlur, check_memory, mean_diffraction,
     settings_for_accuracy, simulate_places as engine_places, simulate_series,
@@ -19,6 +16,9 @@ use stemgen::engine::{
 use stemgen::progress::Progress;
 use stemgen::world::Noise;
 use stemgen::{Error, Setting};
+use stemgen_cli::shared::{
+    Conventional, PlanReport, Prepared, plane_wave, plane_wave_settings, threads,
+};
 
 /// All that decides an image.
 #[derive(FromPyObject)]

@@ -8,12 +8,12 @@ use numpy::IntoPyArray;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::PathBuf;
-use stemgen::cli::shared::draw_specimen;
 use stemgen::io::atom_type;
 use stemgen::recipe::Region;
 use stemgen::specimen::stripes::for_each_stripe;
 use stemgen::specimen::{Sites, SurfaceLayers, specimen};
 use stemgen::{Error, Setting};
+use stemgen_cli::shared::draw_specimen;
 
 /// Sites one after the other.
 #[derive(Default)]

@@ -7,11 +7,11 @@ use pyo3::prelude::*;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use stemgen::Setting;
-use stemgen::cli::shared::{Prepared, atoms_outside};
 use stemgen::engine::{Phonons, Site, mean_heights};
 use stemgen::structure::{
     Atom, FrameRange, Sigmas, Structure, elements, read, read_frames, sigmas_of_file,
 };
+use stemgen_cli::shared::{Prepared, atoms_outside};
 
 /// Where the atoms are.
 #[derive(FromPyObject)]

@@ -8,11 +8,11 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, PoisonError};
-use stemgen::cli::shared::{ColormapName, Overlay, PictureArgs, WorldPart, of_world};
 use stemgen::files::{atomic_write, outputs::check_outputs};
 use stemgen::io::WorldFile;
 use stemgen::render::html::WorldPage;
 use stemgen::{Error, Setting};
+use stemgen_cli::shared::{ColormapName, Overlay, PictureArgs, WorldPart, of_world};
 
 use crate::microscope::choice;
 
@@ -397,7 +397,7 @@ pub fn png<'py>(
     scale_bar: bool,
 ) -> PyResult<Bound<'py, PyBytes>> {
     let image: Array2<f32> = image.as_array().to_owned();
-    let bytes = py.detach(|| stemgen::cli::shared::png(image.view(), step_angstrom, scale_bar));
+    let bytes = py.detach(|| stemgen_cli::shared::png(image.view(), step_angstrom, scale_bar));
     Ok(PyBytes::new(py, &bytes.told(py)?))
 }
 

@@ -30,6 +30,18 @@ pub enum Algorithm {
     },
 }
 
+impl std::fmt::Display for Algorithm {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Algorithm::Multislice => f.write_str("multislice"),
+            Algorithm::Prism { interpolation: [x, y] } => write!(f, "PRISM, interpolation {x},{y}"),
+            Algorithm::Window { width_angstrom } => {
+                write!(f, "window of {} A", (width_angstrom * 100.0).round() / 100.0)
+            }
+        }
+    }
+}
+
 /// How fine the grid is.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

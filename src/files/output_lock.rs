@@ -53,7 +53,10 @@ impl OutputLock {
             let why = "is no lock of this program, and the build would replace it; move it away, or name another output";
             Err(Error::invalid(Setting::Output, path.display(), why))
         };
-        let mut patience = MOMENTS;
+        let mut patience = match holders {
+            Holders::One => MOMENTS,
+            Holders::Several => MANY_MOMENTS,
+        };
         loop {
             let fail = |e| Error::io(&path, "create", e);
             // A link would have a file made, or changed, elsewhere.
@@ -125,8 +128,10 @@ impl Drop for OutputLock {
     }
 }
 
-/// How often, and how long each time, a lock that processes share is waited for.
+/// How often, and how long each time, a lock that processes share is waited for: by one that wants it alone, which is refused while
+/// others have it, and by one that shares it, whom only the last one's moment keeps out, however slow the machine is.
 const MOMENTS: usize = 10;
+const MANY_MOMENTS: usize = 500;
 const MOMENT: Duration = Duration::from_millis(20);
 /// How the text in a lock begins.
 const PROCESS: &str = "process ";

@@ -32,12 +32,15 @@ impl RgbImage {
     /// # Errors
     /// [`Error::Io`].
     pub fn write_png(&self, path: &Path) -> Result<()> {
-        let bytes =
-            self.encode().map_err(|e| Error::io(path, "encode", std::io::Error::other(e)))?;
+        let bytes = self.encode().map_err(|e| Error::io(path, "encode", e))?;
         atomic_write::write(path, &bytes)
     }
 
-    pub(crate) fn encode(&self) -> std::result::Result<Vec<u8>, png::EncodingError> {
+    /// The bytes of a PNG file.
+    ///
+    /// # Errors
+    /// What the encoder says, as for an image without pixels.
+    pub fn encode(&self) -> std::io::Result<Vec<u8>> {
         let mut bytes = Vec::new();
         let mut encoder = png::Encoder::new(&mut bytes, self.width as u32, self.height as u32);
         encoder.set_color(png::ColorType::Rgb);

@@ -36,7 +36,6 @@ const INTERPOLATION: [usize; 2] = [4, 4];
 
 /// How images are made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-#[non_exhaustive]
 pub enum BuildMethod {
     /// A mosaic, or windows where a field is too small for it to pay; films with particles by their parts; PRISM for detectors
     /// at low angles.

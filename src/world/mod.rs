@@ -75,8 +75,8 @@ pub use training_sample::{SampleOptions, TrainingSample, training_sample};
 pub use training_set::{COLUMN_CLASSES, TrainingOptions, TrainingSet, training_set};
 #[cfg(feature = "hdf5")]
 pub use truth::Counts;
-#[cfg(feature = "cli")]
-pub(crate) use work_folder::remove_leftovers;
+#[cfg(feature = "hdf5")]
+pub use work_folder::remove_leftovers;
 #[cfg(feature = "hdf5")]
 pub use world_build::{WorldBuild, build};
 #[cfg(feature = "hdf5")]

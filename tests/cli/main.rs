@@ -15,6 +15,10 @@ mod info;
 mod interpreter;
 mod live;
 mod outputs;
+#[path = "../common/points.rs"]
+mod points;
+#[path = "../common/process.rs"]
+mod process;
 mod recipes;
 mod released;
 mod shards;
@@ -32,14 +36,14 @@ use std::process::{Command, Output};
 
 /// The program, run in `folder`.
 fn stemgen(folder: &Path) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_stemgen"));
+    let mut command = process::process(env!("CARGO_BIN_EXE_stemgen"));
     command.current_dir(folder).stdin(std::process::Stdio::null());
     command
 }
 
 /// A file of this repository.
 fn file(name: &str) -> String {
-    format!("{}/{name}", env!("CARGO_MANIFEST_DIR"))
+    format!("{}/{name}", concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
 }
 
 fn stdout(output: &Output) -> String {
@@ -74,7 +78,8 @@ fn json(command: &mut Command) -> serde_json::Value {
 /// Runs a script of this folder with a Python that has h5py; returns what it prints.
 fn python(script: &str, arguments: &[&Path]) -> String {
     let script = file(&format!("tests/cli/{script}"));
-    let run = Command::new(interpreter::with_h5py()).arg(script).args(arguments).output().unwrap();
+    let run =
+        process::process(interpreter::with_h5py()).arg(script).args(arguments).output().unwrap();
     assert!(run.status.success(), "{}{}", stdout(&run), stderr(&run));
     stdout(&run)
 }

@@ -1,9 +1,9 @@
 //! Worlds in parts: `--shard`, whatever the number of parts, their order, and what becomes of them.
 
+use super::points::{Point, can_trace, meets};
 use super::{fails, file, json, python, stderr, stdout, stemgen};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
-use std::time::Duration;
 
 /// A mosaic whose library takes most of the time, in many sub-tiles.
 const MOSAIC: [&str; 10] = [
@@ -96,14 +96,21 @@ fn any_number_of_parts_and_any_method_make_the_same_bytes() {
 
 #[test]
 fn killed_parts_and_missing_ones_do_no_harm() {
+    if !can_trace() {
+        return;
+    }
     let whole = alone(&MOSAIC);
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    for wait_ms in [0, 60, 120, 250, 400] {
-        let mut part = start(build(here, &MOSAIC), "1/3");
-        std::thread::sleep(Duration::from_millis(wait_ms));
-        let _ = part.kill();
-        part.wait().unwrap();
+    for point in [
+        Point { name: "an image is kept", call: "renameat", path: "", count: 2 },
+        Point { name: "a later image is kept", call: "renameat", path: "", count: 3 },
+        Point { name: "the lock is taken", call: "openat", path: "w.h5.lock", count: 1 },
+    ] {
+        let mut part = build(here, &MOSAIC);
+        part.args(["--shard", "1/3", "--threads", "1", "--quiet"]);
+        let ended = meets(&mut part, point, "signal=SIGKILL");
+        assert_eq!(ended.status.code(), None, "{}", stderr(&ended));
     }
     // Parts of another number of them, out of order, one of them never.
     for shard in ["2/4", "0/4", "3/4"] {
@@ -235,7 +242,7 @@ fn a_script_for_a_cluster_builds_the_world() {
     std::fs::write(&sbatch, SBATCH).unwrap();
     std::fs::set_permissions(&sbatch, std::fs::Permissions::from_mode(0o755)).unwrap();
     let path = format!("{}:{}", here.join("bin").display(), std::env::var("PATH").unwrap());
-    let told = by_script(here, Command::new("bash").arg("jobs.sh").env("PATH", path));
+    let told = by_script(here, super::process::process("bash").arg("jobs.sh").env("PATH", path));
     assert!(told.contains("job 3 writes w o r'ld.h5"), "{told}");
     let asked = std::fs::read_to_string(here.join("asked.txt")).unwrap();
     let asked: Vec<&str> = asked.lines().collect();
@@ -265,7 +272,7 @@ fn slurm_builds_the_world() {
     let here = folder.path();
     let wait = "last=$(bash jobs.sh); echo \"$last\"; number=${last#job }; number=${number%% *}; \
                 srun --dependency=afterany:$number true; cat slurm-*.out";
-    let mut around = Command::new("bash");
+    let mut around = super::process::process("bash");
     around.arg(file("tests/slurm/one_node.sh")).arg(here.join("slurm")).args(["bash", "-c", wait]);
     let told = by_script(here, &mut around);
     print!("{told}");

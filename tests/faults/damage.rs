@@ -1,7 +1,9 @@
 //! What lies on the disk is damaged, foreign, removed, from another time, or written by two at once: pixels are never wrong.
 
-use super::{Method, assert_done, build, fails, files, has_image, has_subtile, names};
-use super::{stderr, succeeds, wait_for};
+use super::points::{Held, Point, can_trace, meets};
+use super::{
+    FIRST_IMAGE, Method, assert_done, build, fails, files, names, stderr, subtile, succeeds,
+};
 use std::fs::{self, File, FileTimes};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
@@ -33,12 +35,10 @@ fn with_ending(folder: &Path, ending: &str) -> Vec<PathBuf> {
     found
 }
 
-/// A build that was killed when a part of it was there.
-fn killed(folder: &Path, method: Method, when: impl Fn(&Path) -> bool) {
-    let mut child = build(folder, method).spawn().unwrap();
-    assert!(wait_for(|| when(folder)));
-    child.kill().unwrap();
-    child.wait().unwrap();
+/// A build that was killed at a point.
+fn killed(folder: &Path, method: Method, point: Point) {
+    let ended = meets(&mut build(folder, method), point, "signal=SIGKILL");
+    assert_eq!(ended.status.code(), None, "{}", stderr(&ended));
 }
 
 #[test]
@@ -62,11 +62,14 @@ fn damaged_images_of_the_cache_are_made_again() {
 
 #[test]
 fn damaged_sub_tiles_are_made_again() {
+    if !can_trace() {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    killed(here, Method::Subtiles, |f| has_subtile(f, 6));
+    killed(here, Method::Subtiles, subtile(7));
     let tiles = with_ending(&here.join("w.h5.work"), "bin");
-    assert!(tiles.len() >= 7, "{tiles:?}");
+    assert_eq!(tiles.len(), 7, "{tiles:?}");
     damage(&tiles);
     let told = succeeds(&mut build(here, Method::Subtiles));
     assert_eq!(told.matches("; simulated again").count(), tiles.len(), "{told}");
@@ -75,9 +78,12 @@ fn damaged_sub_tiles_are_made_again() {
 
 #[test]
 fn audits_and_libraries_are_kept_in_the_work_folder() {
+    if !can_trace() {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    killed(here, Method::NoCache, |f| has_subtile(f, 0));
+    killed(here, Method::NoCache, subtile(1));
     assert!(!here.join("cache").exists());
     let library = with_ending(&here.join("w.h5.work/library"), "sheet");
     let audits = with_ending(&here.join("w.h5.work/audits"), "audit");
@@ -93,7 +99,7 @@ fn audits_and_libraries_are_kept_in_the_work_folder() {
     // A damaged audit is made again.
     fs::remove_file(here.join("w.h5")).unwrap();
     fs::remove_file(here.join("w.png")).unwrap();
-    killed(here, Method::NoCache, |f| has_subtile(f, 0));
+    killed(here, Method::NoCache, subtile(1));
     let [audit] = &with_ending(&here.join("w.h5.work/audits"), "audit")[..] else { panic!() };
     let text = fs::read_to_string(audit).unwrap();
     fs::write(audit, text.replacen("bright_rms_percent\":", "bright_rms_percent\":1", 1)).unwrap();
@@ -105,13 +111,15 @@ fn audits_and_libraries_are_kept_in_the_work_folder() {
 /// As a kill between the world and its picture leaves it.
 #[test]
 fn a_world_without_its_picture_is_finished() {
+    if !can_trace() {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     // A folder where the picture goes: the world is put in place, the picture is not.
-    let mut child = build(here, Method::Subtiles).spawn().unwrap();
-    assert!(wait_for(|| has_subtile(here, 0)));
+    let held = Held::at(&build(here, Method::Subtiles), subtile(0));
     fs::create_dir_all(here.join("w.png/in the way")).unwrap();
-    assert!(!child.wait().unwrap().success());
+    assert_eq!(held.go_on().status.code(), Some(1));
     assert!(names(here).contains("w.h5") && names(here).contains("w.h5.work"), "{:?}", names(here));
     fs::remove_dir_all(here.join("w.png")).unwrap();
     let written = fs::metadata(here.join("w.h5")).unwrap().modified().unwrap();
@@ -138,37 +146,43 @@ fn a_cache_that_cannot_be_written_is_told_once() {
 
 #[test]
 fn two_builds_share_a_cache() {
+    if !can_trace() {
+        return;
+    }
     let [a, b] = [(); 2].map(|()| tempfile::tempdir().unwrap());
     let cache = a.path().join("cache");
-    let children = [&a, &b].map(|folder| {
+    let [one, mut other] = [&a, &b].map(|folder| {
         let mut command = build(folder.path(), Method::Library);
-        command.env("STEMGEN_CACHE", &cache).spawn().unwrap()
+        command.env("STEMGEN_CACHE", &cache);
+        command
     });
-    for child in children {
-        let ended = child.wait_with_output().unwrap();
-        assert!(ended.status.success(), "{}", stderr(&ended));
-    }
+    // The other takes the one image that is there, and makes all that the first looked for in vain.
+    let held = Held::at(&one, FIRST_IMAGE);
+    succeeds(&mut other);
+    let ended = held.go_on();
+    assert!(ended.status.success(), "{}", stderr(&ended));
     assert_done(a.path(), Method::Library, "one");
     assert_done(b.path(), Method::Library, "the other");
 }
 
 #[test]
 fn a_folder_deleted_under_a_build_is_an_error_and_no_more() {
+    if !can_trace() {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    for target in ["w.h5.work", "cache", ""] {
+    // Folders are made again where there is a folder to make them in.
+    for (target, code) in [("w.h5.work", 0), ("cache", 0), ("", 1)] {
         let place = here.join("place");
         fs::create_dir(&place).unwrap();
-        let child = build(&place, Method::Library).spawn().unwrap();
-        assert!(wait_for(|| has_image(&place)));
-        // Files may come while it is deleted.
-        wait_for(|| fs::remove_dir_all(place.join(target)).is_ok() || !place.join(target).exists());
-        let ended = child.wait_with_output().unwrap();
+        let held = Held::at(&build(&place, Method::Library), FIRST_IMAGE);
+        fs::remove_dir_all(place.join(target)).unwrap();
+        let ended = held.go_on();
         let told = stderr(&ended);
-        assert!(matches!(ended.status.code(), Some(0 | 1)), "{target}: {:?} {told}", ended.status);
-        assert!(!told.contains("panicked"), "{told}");
-        if !ended.status.success() {
-            assert!(told.contains("error: "), "{told}");
+        assert_eq!(ended.status.code(), Some(code), "{target}: {told}");
+        assert!(!told.contains("panicked") && (code == 0 || told.contains("error: ")), "{told}");
+        if code != 0 {
             fs::create_dir_all(&place).unwrap();
             succeeds(&mut build(&place, Method::Library));
         }
@@ -179,9 +193,12 @@ fn a_folder_deleted_under_a_build_is_an_error_and_no_more() {
 
 #[test]
 fn times_of_files_change_nothing() {
+    if !can_trace() {
+        return;
+    }
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    killed(here, Method::Library, |f| has_subtile(f, 2));
+    killed(here, Method::Library, subtile(3));
     for (number, path) in files(here).iter().enumerate() {
         let decades = Duration::from_secs(60 * 365 * 86_400);
         let time = match number % 2 {

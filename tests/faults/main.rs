@@ -8,15 +8,19 @@ mod disks;
 mod kills;
 mod memory;
 mod paths;
+#[path = "../common/points.rs"]
+mod points;
+#[path = "../common/process.rs"]
+mod process;
 mod signals;
 #[path = "../common/skipped.rs"]
 mod skipped;
 
+use points::Point;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::sync::OnceLock;
-use std::time::{Duration, Instant};
 
 /// How the tiny world is built.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -71,7 +75,7 @@ const SMALL: [&str; 10] = [
 /// Builds `w.h5` and `w.png` in a folder, with a cache there.
 fn build(folder: &Path, method: Method) -> Command {
     let mut command = stemgen(folder);
-    let recipe = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/cli/tiny.toml");
+    let recipe = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/cli/tiny.toml");
     command.args(["build", "--recipe", recipe, "-o", "w.h5"]);
     command.args(SMALL).args(method.arguments());
     command
@@ -134,24 +138,22 @@ fn files(folder: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// Waits until `done` says so, for a minute at most; whether it did.
-fn wait_for(mut done: impl FnMut() -> bool) -> bool {
-    let begun = Instant::now();
-    while !done() {
-        if begun.elapsed() > Duration::from_secs(60) {
-            return false;
-        }
-        std::thread::sleep(Duration::from_micros(200));
-    }
-    true
+/// The call that puts the sub-tile of this number in place.
+const fn subtile(number: usize) -> Point {
+    const PATHS: [&str; 9] = [
+        "w.h5.work/subtile_000000.bin",
+        "w.h5.work/subtile_000001.bin",
+        "w.h5.work/subtile_000002.bin",
+        "w.h5.work/subtile_000003.bin",
+        "w.h5.work/subtile_000004.bin",
+        "w.h5.work/subtile_000005.bin",
+        "w.h5.work/subtile_000006.bin",
+        "w.h5.work/subtile_000007.bin",
+        "w.h5.work/subtile_000008.bin",
+    ];
+    Point::on("a sub-tile is written", "renameat", PATHS[number])
 }
 
-/// Whether the sub-tile of this number is there.
-fn has_subtile(folder: &Path, number: usize) -> bool {
-    folder.join(format!("w.h5.work/subtile_{number:06}.bin")).exists()
-}
-
-/// Whether the cache holds an image.
-fn has_image(folder: &Path) -> bool {
-    files(&folder.join("cache")).iter().any(|f| f.extension().is_some_and(|e| e == "sheet"))
-}
+/// The call that puts the first image of an empty library in place.
+const FIRST_IMAGE: Point =
+    Point { name: "the first image is kept", call: "renameat", path: "", count: 1 };

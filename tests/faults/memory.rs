@@ -13,7 +13,7 @@ fn limited(folder: &Path, kilobytes: u64, arguments: &[&str]) -> Output {
     command.current_dir(folder).output().unwrap()
 }
 
-const SILICON: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/structures/si.cif");
+const SILICON: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../structures/si.cif");
 
 #[test]
 fn dry_runs_of_wide_cells_take_little() {

@@ -42,7 +42,7 @@ fn place() -> tempfile::TempDir {
     link("nowhere.xyz", "dangling.xyz");
     link("folder", "way");
     link("round", "round");
-    fs::copy(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/cli/tiny.toml"), here.join("in.toml"))
+    fs::copy(concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/cli/tiny.toml"), here.join("in.toml"))
         .unwrap();
     folder
 }

@@ -201,7 +201,7 @@ fn set(input: &[u8]) -> bool {
 
 /// The files that are changed.
 fn corpus(name: &str, folder: &Path) -> Vec<Vec<u8>> {
-    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let here = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/.."));
     let read = |folder: &str, fits: fn(&str) -> bool| {
         let entries = std::fs::read_dir(here.join(folder)).unwrap();
         let mut paths: Vec<PathBuf> = entries.map(|e| e.unwrap().path()).collect();

@@ -18,7 +18,7 @@ struct Specimen {
 
 /// A crystal of the repository; `sigma` displaces its atoms.
 fn crystal(file: &str, zone: [i32; 3], repeat: [usize; 3], sigma: f64) -> Specimen {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("structures").join(file);
+    let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/..")).join("structures").join(file);
     let structure = structure::read(&path).unwrap().oriented(zone, None).unwrap();
     let structure = structure.repeat(repeat).unwrap();
     let site = |(key, a): (usize, &structure::Atom)| Site {

@@ -4,7 +4,7 @@ use std::path::Path;
 use stemgen::structure::{Atom, Structure, elements, lattice, min_pair_distance, read};
 
 fn crystal(name: &str) -> Structure {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("structures");
+    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/..")).join("structures");
     read(&folder.join(name)).unwrap_or_else(|e| panic!("{e}"))
 }
 
@@ -71,7 +71,7 @@ fn crystals_agree_with_literature() {
 
 #[test]
 fn every_crystal_is_in_the_table_and_names_its_source() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("structures");
+    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/..")).join("structures");
     for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
         if path.extension().is_none_or(|e| e != "cif") {

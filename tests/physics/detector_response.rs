@@ -107,7 +107,7 @@ fn independent_atoms_count_the_shares() {
 }
 
 fn recipe(detector: &str) -> stemgen::Result<CheckedRecipe> {
-    let tiny = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/cli/tiny.toml"));
+    let tiny = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/cli/tiny.toml"));
     Recipe::from_file(tiny, None)?.with_overrides(&[detector.parse()?])?.checked()
 }
 

@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use stemgen::structure::{Format, Structure, elements, min_pair_distance, parse, read};
 
 fn files(kind: &str) -> Vec<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/structures").join(kind);
+    let folder =
+        Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/..")).join("tests/structures").join(kind);
     let mut files: Vec<PathBuf> = std::fs::read_dir(folder)
         .unwrap()
         .map(|entry| entry.unwrap().path())
@@ -18,7 +19,8 @@ fn files(kind: &str) -> Vec<PathBuf> {
 }
 
 fn good(name: &str) -> Structure {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/structures/good");
+    let folder =
+        Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/..")).join("tests/structures/good");
     read(&folder.join(name)).unwrap_or_else(|e| panic!("{e}"))
 }
 
@@ -91,7 +93,9 @@ fn occupancies_are_kept_per_site() {
 #[test]
 fn one_crystal_in_three_formats() {
     let (xyz, poscar) = (good("srtio3.xyz"), good("POSCAR_srtio3"));
-    let cif = read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("structures/srtio3.cif")).unwrap();
+    let cif =
+        read(&Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/..")).join("structures/srtio3.cif"))
+            .unwrap();
     assert_eq!(xyz, poscar);
     assert_eq!(xyz, cif);
 }

@@ -25,7 +25,7 @@ fn work_folder(output: &Path) -> PathBuf {
 }
 
 fn assert_schema(path: &Path) {
-    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/schema/check_world.py");
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/schema/check_world.py");
     let run = process(crate::python::with_h5py()).arg(script).arg(path).output().unwrap();
     let text = String::from_utf8_lossy(&run.stdout) + String::from_utf8_lossy(&run.stderr);
     assert!(run.status.success(), "{text}");

@@ -13,7 +13,7 @@ use stemgen::world::{BuildMethod, BuildOptions, field_tile};
 const GUIDE: &str = include_str!("../../CONTRIBUTING.md");
 
 fn file(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
+    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/..")).join(name)
 }
 
 /// The text of the block of a language; blocks of lists are indented.

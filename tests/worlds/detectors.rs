@@ -22,7 +22,7 @@ const THREE: &str = "detector=[{name=\"HAADF\",inner_mrad=50.0,outer_mrad=90.0},
 
 /// Thin SrTiO3, 2 x 2 tiles of 16 pixels.
 fn tiny(changes: &[&str]) -> CheckedRecipe {
-    let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/cli/tiny.toml"));
+    let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/cli/tiny.toml"));
     let changes: Vec<Override> = changes.iter().map(|c| c.parse().unwrap()).collect();
     let recipe = Recipe::from_file(path, None).unwrap().with_overrides(&changes).unwrap();
     recipe.checked().unwrap()

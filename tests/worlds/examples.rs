@@ -16,7 +16,7 @@ use stemgen::io::WorldFile;
 
 #[test]
 fn a_cif_is_simulated() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let root = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/.."));
     simulate_cif::run(&root.join("structures/srtio3.cif")).unwrap();
 }
 

@@ -19,7 +19,7 @@ const REMEDY: &str = "the library is not that of this version of the numerics, o
 const MOST_BYTES: u64 = 30_000_000;
 
 fn supplied() -> SuppliedLibrary {
-    SuppliedLibrary::at(Path::new(env!("CARGO_MANIFEST_DIR")).join("library"))
+    SuppliedLibrary::at(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/..")).join("library"))
 }
 
 fn options() -> BuildOptions {
@@ -50,8 +50,10 @@ fn it_holds_what_the_recipes_need_and_nothing_else() {
     assert!(bytes <= MOST_BYTES, "{bytes} bytes");
     assert_eq!(supplied().verified(&Silent).unwrap().len(), MATERIALS.len());
     for file in ["library/pyproject.toml", "python/pyproject.toml"] {
-        let text =
-            std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(file)).unwrap();
+        let text = std::fs::read_to_string(
+            Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/..")).join(file),
+        )
+        .unwrap();
         let words =
             [format!("version = \"{NUMERICS_VERSION}."), format!("library=={NUMERICS_VERSION}.*")];
         assert!(words.iter().any(|w| text.contains(w)), "{file}: {REMEDY}");
@@ -67,7 +69,8 @@ fn the_program_knows_its_images_by_heart() {
     };
     let mut digests: Vec<[u8; 8]> = MATERIALS.into_iter().flat_map(of).collect();
     digests.sort();
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/imaging/mosaic/supplied_images.bin");
+    let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
+        .join("src/imaging/mosaic/supplied_images.bin");
     if std::env::var_os("STEMGEN_UPDATE").is_some() {
         std::fs::write(&path, digests.as_flattened()).unwrap();
     }

@@ -16,7 +16,7 @@ use stemgen::world::BuildOptions;
 
 /// A file of this repository.
 fn file(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
+    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/..")).join(name)
 }
 
 /// Whether there is a browser.

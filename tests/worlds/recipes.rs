@@ -16,7 +16,8 @@ const GOOD: &str = include_str!("../../generate/srtio3.toml");
 /// The built-in recipe with the changes of a bad one.
 fn changed(changes: &str) -> String {
     let base = changes.lines().find_map(|l| l.strip_prefix("# base: ")).unwrap_or("srtio3");
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("generate/{base}.toml"));
+    let path =
+        Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/..")).join(format!("generate/{base}.toml"));
     let good = std::fs::read_to_string(path).unwrap();
     let mut text = String::new();
     let removed: Vec<&str> = changes.lines().filter_map(|l| l.strip_prefix("# remove: ")).collect();
@@ -50,7 +51,7 @@ fn sections(changes: &str) -> Vec<(String, String)> {
 
 #[test]
 fn bad_recipes_are_told_what_is_wrong() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/recipes/bad");
+    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/..")).join("tests/recipes/bad");
     let (mut count, mut faults) = (0, Vec::new());
     for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();

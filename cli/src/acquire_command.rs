@@ -1,0 +1,334 @@
+//! `stemgen acquire`.
+
+use super::audit_command::imaging_of;
+use super::common::{CacheArgs, Common};
+use super::hints::hinted;
+use super::plan_report::Lines;
+use super::recipe_args::{RecipeArgs, WorldEngine};
+use super::{output, pictures, text, values};
+use anyhow::{anyhow, bail};
+use clap::{Args, ValueEnum};
+use ndarray::Axis;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+use stemgen::acquisition::{Acquisition, Profile, clipping_warning};
+use stemgen::files::outputs::check_outputs;
+use stemgen::io::WorldFile;
+use stemgen::recipe::CheckedRecipe;
+use stemgen::specimen::{Specimen, specimen};
+use stemgen::world::noise_free::{refined, refinement};
+use stemgen::world::{
+    Electrons, FieldRecording, ImagerSource, RecordedPart, RecordingOptions, WorldSource, record,
+};
+
+const EXAMPLES: &str = "\
+Examples:
+  A tile in the middle of a world, as a good microscope records it, with a picture:
+    stemgen acquire worlds/srtio3_easy_2x2.h5 --profile routine -o tile.h5 --png
+  Twenty fast frames of a place, kept one by one, from a recipe (no world is needed):
+    stemgen acquire srtio3 --difficulty easy --profile routine --region 20,20,24,24 \\
+      --current-pa 30 --dwell-us 1 --frames 20 --keep-frames -o frames.h5
+  A closer look, four times as many pixels along each axis:
+    stemgen acquire worlds/srtio3_easy_2x2.h5 --at 2.5,2.5 --zoom 4 --dose 1e5 -o closer.h5
+  One effect alone: a drift of 0.5 nm/s along x:
+    stemgen acquire srtio3 --difficulty easy --set acquisition.drift_nm_per_s=[0.5,0] -o drift.h5
+  In Python:
+    import h5py
+    f = h5py.File(\"tile.h5\")
+    f[\"recording\"][:], f[\"ideal\"][:]                        # counts, and the noise-free image
+    f[\"ground_truth/columns/position_in_image\"][:]         # where each column appears, (x, y) in pixels
+
+`stemgen show-recipe srtio3 --difficulty easy --set acquisition.profile=routine` and docs/acquisition.md tell the
+keys of [acquisition]: drift, line jitter, fly-back, mains hum, scale and shear, contamination, DQE, late light, saturation, gain, bits.";
+
+/// A set of values for a microscope.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub enum AcquisitionName {
+    /// Poisson noise only
+    Ideal,
+    /// A corrected microscope, well kept
+    Routine,
+    /// A bad day: drift, hum, an old detector
+    Poor,
+}
+
+impl From<AcquisitionName> for Profile {
+    fn from(name: AcquisitionName) -> Self {
+        match name {
+            AcquisitionName::Ideal => Profile::Ideal,
+            AcquisitionName::Routine => Profile::Routine,
+            AcquisitionName::Poor => Profile::Poor,
+        }
+    }
+}
+
+/// Record a place of a world or of a recipe, with the errors of scan and detector
+#[derive(Debug, Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Acquire {
+    #[command(flatten)]
+    recipe: RecipeArgs,
+    /// Values of the microscope; --set acquisition.KEY=VALUE changes single ones [default: those of the recipe, or
+    /// ideal]
+    #[arg(long, value_name = "NAME", help_heading = "Recording")]
+    profile: Option<AcquisitionName>,
+    /// Part to record, in nm: left, upper, right and lower edge
+    #[arg(long, value_name = "X0,Y0,X1,Y1", value_parser = values::rectangle)]
+    #[arg(allow_hyphen_values = true, conflicts_with = "at", help_heading = "Recording")]
+    region: Option<[f64; 4]>,
+    /// Middle of the part, in nm from the centre of the first pixel; as many pixels as a tile [default: the middle of the field]
+    #[arg(long, value_name = "X,Y", value_parser = values::point, help_heading = "Recording")]
+    #[arg(allow_hyphen_values = true)]
+    at: Option<[f64; 2]>,
+    /// How many times finer the pixels are than those of the world
+    #[arg(long, value_name = "Z", value_parser = values::positive, help_heading = "Recording")]
+    zoom: Option<f64>,
+    /// Edge of a pixel in nm, in place of --zoom
+    #[arg(long, value_name = "NM", value_parser = values::positive, conflicts_with = "zoom")]
+    #[arg(help_heading = "Recording")]
+    pixel_nm: Option<f64>,
+    /// Electrons per square Angstrom, all frames together [default: the dose of the recipe]
+    #[arg(long, value_name = "D", value_parser = values::positive, help_heading = "Recording")]
+    #[arg(allow_hyphen_values = true)]
+    dose: Option<f64>,
+    /// Current of the beam in pA, in place of --dose
+    #[arg(long, value_name = "I", value_parser = values::positive, conflicts_with = "dose")]
+    #[arg(help_heading = "Recording")]
+    current_pa: Option<f64>,
+    /// Time on each pixel in microseconds
+    #[arg(long, value_name = "US", value_parser = values::finite, help_heading = "Recording")]
+    #[arg(allow_hyphen_values = true)]
+    dwell_us: Option<f64>,
+    /// Number of frames, one after the other
+    #[arg(long, value_name = "N", help_heading = "Recording", allow_hyphen_values = true)]
+    frames: Option<usize>,
+    /// Keep the frames one by one, in place of their sum
+    #[arg(long, help_heading = "Recording")]
+    keep_frames: bool,
+    /// Seed of electrons, noise, jitter and random drift
+    #[arg(long, value_name = "N", default_value_t = 1, help_heading = "Recording")]
+    #[arg(allow_hyphen_values = true)]
+    scan_seed: u64,
+    /// Store what lies between the noise-free image and the recording too
+    #[arg(long, help_heading = "Results")]
+    stages: bool,
+    #[command(flatten)]
+    kept: CacheArgs,
+    /// File to write
+    #[arg(short, long, value_name = "FILE.h5", help_heading = "Results")]
+    output: PathBuf,
+    /// Write a picture (.png) beside it too
+    #[arg(long, help_heading = "Results")]
+    png: bool,
+    /// Replace existing files
+    #[arg(long, help_heading = "Results")]
+    overwrite: bool,
+    #[command(flatten)]
+    common: Common,
+}
+
+#[derive(Serialize)]
+struct AcquireSummary {
+    output: PathBuf,
+    file_bytes: u64,
+    shape: [usize; 2],
+    frames: usize,
+    pixel_nm: f64,
+    origin_nm: [f64; 2],
+    dose_electrons_per_angstrom2: f64,
+    beam_current_pa: f64,
+    electrons_per_pixel: f64,
+    duration_s: f64,
+    drift_nm: [f64; 2],
+    columns: usize,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    carbon_nm: Vec<f64>,
+    clipped_pixels: u64,
+    source: &'static str,
+    acquisition: Acquisition,
+    wall_time_s: f64,
+}
+
+/// A place, and what stands there.
+struct AcquiredPlace {
+    recipe: CheckedRecipe,
+    specimen: Arc<dyn Specimen>,
+    /// How the world was made, if there is one.
+    made: Option<WorldEngine>,
+}
+
+impl Acquire {
+    /// Runs the subcommand.
+    pub fn run(self) -> anyhow::Result<()> {
+        let begun = Instant::now();
+        let reporter = self.common.start()?;
+        if self.common.dry_run {
+            bail!(
+                "--dry-run: a recording has no plan; `stemgen build --dry-run` of its recipe tells what the image takes"
+            );
+        }
+        if !self.output.extension().is_some_and(|e| e == "h5" || e == "hdf5") {
+            let name = self.output.with_extension("h5");
+            bail!("--output {}: did you mean {}?", self.output.display(), name.display());
+        }
+        let (recipe, made) = self.recipe.resolve_or_world_with("acquisition")?;
+        let recipe = self.with_options(recipe)?;
+        let picture = self.png.then(|| self.output.with_extension("png"));
+        let outputs = std::iter::once(&self.output).chain(&picture);
+        check_outputs(outputs, self.recipe.inputs(&recipe), self.overwrite)?;
+        let place = AcquiredPlace { specimen: specimen(&recipe)?, recipe, made };
+        let (recording, source) = self.record(&place, &reporter)?;
+        let command_line = text::command_line();
+        let AcquiredPlace { recipe, specimen, .. } = &place;
+        recording.write(&self.output, self.overwrite, recipe, &**specimen, &command_line)?;
+        if let Some(path) = &picture {
+            let image = recording.data.index_axis(Axis(0), 0).mapv(|v| v as f32);
+            pictures::write(path, image.view(), [10.0 * recording.frame.pixel_nm; 2], true)?;
+        }
+        self.warn_of_clipping(&recording);
+        let summary = self.summary(&recording, source, begun);
+        self.common.print(&summary, &summary.text())
+    }
+
+    /// The recipe with the values that were typed.
+    fn with_options(&self, recipe: CheckedRecipe) -> anyhow::Result<CheckedRecipe> {
+        let mut changed = recipe.recipe().clone();
+        let mut table = changed.acquisition.unwrap_or_default();
+        table.profile = self.profile.map(Profile::from).or(table.profile);
+        table.dwell_us = self.dwell_us.or(table.dwell_us);
+        table.frames = self.frames.or(table.frames);
+        changed.acquisition = Some(table);
+        if self.recipe.world().is_none() {
+            changed.detector = changed.detector.main_alone();
+        }
+        Ok(changed.checked()?)
+    }
+
+    fn record(
+        &self,
+        place: &AcquiredPlace,
+        reporter: &super::progress_bar::Reporter,
+    ) -> anyhow::Result<(FieldRecording, &'static str)> {
+        let AcquiredPlace { recipe, specimen, made } = place;
+        let (part, options) = (self.part(recipe)?, self.options(recipe));
+        let parts = refinement(recipe);
+        if let Some(world) = self.recipe.world().filter(|_| parts == 1) {
+            let world = WorldFile::open(&world)?;
+            if world.has_clean() {
+                let source = WorldSource { world: &world, recipe };
+                let recording = record(recipe, &**specimen, &source, &part, &options, reporter)?;
+                return Ok((recording, "the noise-free image of the world"));
+            }
+        }
+        let fine = refined(recipe, parts)?;
+        let cache = self.kept.cache();
+        let mut imager = imaging_of(&fine, made.as_ref(), cache)?.imager(&fine, specimen)?;
+        imager.prepare(reporter)?;
+        let source = ImagerSource { imager: &*imager, recipe: &fine };
+        let recording = record(recipe, &**specimen, &source, &part, &options, reporter)?;
+        Ok((recording, "made from the recipe"))
+    }
+
+    fn part(&self, recipe: &CheckedRecipe) -> anyhow::Result<RecordedPart> {
+        let field = &recipe.field;
+        let own = field.pixel_nm();
+        let pixel_nm = self.pixel_nm.unwrap_or(own / self.zoom.unwrap_or(1.0));
+        if let Some([x0, y0, x1, y1]) = self.region {
+            if x1 <= x0 || y1 <= y0 {
+                let fault = anyhow!("--region {x0},{y0},{x1},{y1} is empty");
+                return Err(hinted(fault, "left, upper, right and lower edge in nm"));
+            }
+            let centre_nm = [0.5 * (x0 + x1), 0.5 * (y0 + y1)];
+            return Ok(RecordedPart { centre_nm, size_nm: [x1 - x0, y1 - y0], pixel_nm });
+        }
+        Ok(RecordedPart::tile_at(recipe, self.at, pixel_nm))
+    }
+
+    fn options(&self, recipe: &CheckedRecipe) -> RecordingOptions {
+        let dose = self.dose.unwrap_or(recipe.dose.electrons_per_angstrom2);
+        RecordingOptions {
+            acquisition: recipe.acquisition.unwrap_or_default().resolved(),
+            electrons: self.current_pa.map_or(Electrons::Dose(dose), Electrons::CurrentPa),
+            seed: self.scan_seed,
+            keep_frames: self.keep_frames,
+            keep_stages: self.stages,
+        }
+    }
+
+    fn warn_of_clipping(&self, recording: &FieldRecording) {
+        if self.common.quiet {
+            return;
+        }
+        let [rows, columns] = recording.frame.shape;
+        let pixels = rows * columns * recording.exposure.frames;
+        let bits = recording.options.acquisition.bits;
+        if let Some(warning) = clipping_warning(recording.clipped, pixels, bits) {
+            text::complain(&format!("warning: {warning}"));
+        }
+    }
+
+    fn summary(
+        &self,
+        recording: &FieldRecording,
+        source: &'static str,
+        begun: Instant,
+    ) -> AcquireSummary {
+        let FieldRecording { frame, exposure, options, .. } = recording;
+        let [_, x, y] = recording.drift.last().copied().unwrap_or_default();
+        let lines = recording.drift.len() as f64;
+        let acquisition = options.acquisition;
+        AcquireSummary {
+            file_bytes: output::size(&self.output),
+            output: self.output.clone(),
+            shape: frame.shape,
+            frames: exposure.frames,
+            pixel_nm: frame.pixel_nm,
+            origin_nm: frame.origin_nm,
+            dose_electrons_per_angstrom2: exposure.dose(),
+            beam_current_pa: exposure.current_pa(),
+            electrons_per_pixel: exposure.electrons_per_pixel,
+            duration_s: acquisition.line_s(frame.shape[1]) * lines,
+            drift_nm: [x, y],
+            columns: recording.columns.len(),
+            carbon_nm: recording.carbon_nm.clone(),
+            clipped_pixels: recording.clipped,
+            source,
+            acquisition,
+            wall_time_s: begun.elapsed().as_secs_f64(),
+        }
+    }
+}
+
+impl AcquireSummary {
+    fn text(&self) -> String {
+        let mut lines = Lines::default();
+        let [rows, columns] = self.shape;
+        let frames =
+            if self.frames > 1 { format!(", {} frames", self.frames) } else { String::new() };
+        let pixels = format!("{rows} x {columns} pixels of {:.5} nm{frames}", self.pixel_nm);
+        lines.add("recording", pixels);
+        let [x, y] = self.origin_nm;
+        lines.add("first pixel", format!("{x:.3}, {y:.3} nm"));
+        lines.add("image", self.source.to_owned());
+        let numbers =
+            [self.dose_electrons_per_angstrom2, self.beam_current_pa, self.electrons_per_pixel];
+        let [dose, current, per_pixel] = numbers.map(|v| text::significant(v, 4));
+        lines.add(
+            "dose",
+            format!("{dose} e/A2: {current} pA, {per_pixel} electrons on a pixel of a frame"),
+        );
+        let [x, y] = self.drift_nm;
+        let scan = text::duration(self.duration_s);
+        lines.add("scan", format!("{scan}; drift {x:.3}, {y:.3} nm until the last line"));
+        if let Some(nm) = self.carbon_nm.last() {
+            lines.add("carbon", format!("{nm:.3} nm under the last frame"));
+        }
+        lines.add("columns", text::count(self.columns as u64));
+        lines.add("time", text::duration(self.wall_time_s));
+        let size = text::bytes(self.file_bytes);
+        lines.add("file", format!("{} ({size})", Path::new(&self.output).display()));
+        lines.text()
+    }
+}

@@ -1,0 +1,170 @@
+//! The command that makes a world again.
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use super::invocation::Invocation;
+use super::text::quoted;
+use stemgen::engine::Expansion;
+use stemgen::io::WorldFile;
+use stemgen::numerics::NUMERICS_VERSION;
+use stemgen::recipe::{CheckedRecipe, Recipe, RecipeChange};
+use stemgen::world::{BuildMethod, BuildOptions, BuildProfile};
+
+/// Changes of a recipe that stand on the command line; more are read better in a file.
+const MOST_CHANGES: usize = 6;
+
+/// How a world is made again.
+#[derive(Debug, Clone, Serialize)]
+pub struct BuildAgain {
+    /// The words of the command behind the program's name; none where there is no such command.
+    pub arguments: Option<Vec<String>>,
+    /// The recipe as TOML, where the command reads it from a file.
+    pub recipe: Option<String>,
+    /// Why there is no command, or where its pixels may differ.
+    pub note: Option<String>,
+}
+
+impl BuildAgain {
+    /// How a world is made again, with results in `output`; `recipe_file` is where its recipe is to lie if it is none of the
+    /// program's own.
+    pub fn of(world: &WorldFile, recipe_file: &Path, output: &Path) -> stemgen::Result<Self> {
+        let none = |note: &str| {
+            Ok(BuildAgain { arguments: None, recipe: None, note: Some(note.to_owned()) })
+        };
+        let Some(text) = &world.metadata().recipe else {
+            if let Some(recorded) = world.making().recorded {
+                return none(&format!(
+                    "it is a recorded image; `stemgen import` makes it of {}",
+                    recorded.file
+                ));
+            }
+            return none("the file holds no recipe; it was not built by stemgen");
+        };
+        let name = world.path().display().to_string();
+        let read = Recipe::from_toml_str(&name, text, None).and_then(Recipe::checked);
+        let Ok(recipe) = read else {
+            return none("its recipe is none that this version of stemgen takes");
+        };
+        let Some(options) = BuildOptions::of_world(world, &recipe)? else {
+            return none("no options of build lead to its engine settings");
+        };
+        let mut words = vec!["build".to_owned()];
+        let own = recipe_words(&recipe, &mut words, recipe_file);
+        words.extend(options_words(&options));
+        words.extend(["-o".to_owned(), output.display().to_string()]);
+        let recipe = own.then(|| recipe.to_toml());
+        Ok(BuildAgain { arguments: Some(words), recipe, note: note(world) })
+    }
+
+    /// The command as it is typed.
+    pub fn line(&self) -> Option<String> {
+        self.line_of(Invocation::now().name)
+    }
+
+    /// The same for the program `name`.
+    pub fn line_of(&self, name: &str) -> Option<String> {
+        let words = self.arguments.as_ref()?;
+        let program = std::iter::once(name.to_owned());
+        Some(program.chain(words.iter().map(|w| quoted(w))).collect::<Vec<_>>().join(" "))
+    }
+}
+
+/// Why pixels may differ.
+fn note(world: &WorldFile) -> Option<String> {
+    let making = world.making();
+    match (making.numerics_version, making.subtile_nm) {
+        (Some(NUMERICS_VERSION), Some(_)) => None,
+        (Some(NUMERICS_VERSION), None) => Some(
+            "the file does not tell the size of its sub-tiles: pixels differ if it was not the usual one"
+                .into(),
+        ),
+        (made, _) => Some(format!(
+            "made with version {} of the numerics, this program has version {NUMERICS_VERSION}: the truth is the same, pixels differ",
+            made.map_or("(not told)".into(), |v| v.to_string())
+        )),
+    }
+}
+
+/// Adds what chooses the recipe; returns whether that is a file.
+fn recipe_words(recipe: &CheckedRecipe, words: &mut Vec<String>, file: &Path) -> bool {
+    let mut add = |text: &[&str]| words.extend(text.iter().map(|w| (*w).to_owned()));
+    let shipped = recipe.as_shipped().filter(|told| told.changes.len() <= MOST_CHANGES);
+    let Some(told) = shipped else {
+        add(&["--recipe", &file.display().to_string()]);
+        return true;
+    };
+    add(&[&told.material]);
+    if let Some(tier) = told.tier {
+        add(&["--difficulty", tier.name()]);
+    }
+    for change in &told.changes {
+        match change {
+            RecipeChange::Set(text) => add(&["--set", text]),
+            RecipeChange::Unset(key) => add(&["--unset", key]),
+        }
+    }
+    if let Some([rows, columns]) = told.grid {
+        add(&["--grid", &format!("{rows}x{columns}")]);
+    }
+    if let Some(seed) = told.seed {
+        add(&["--seed", &seed.to_string()]);
+    }
+    false
+}
+
+/// The options of `stemgen build` that stand for some of the library.
+fn options_words(options: &BuildOptions) -> Vec<String> {
+    let usual = BuildOptions::default();
+    let mut words = Vec::new();
+    let mut add = |flag: &str, value: Option<String>| {
+        words.push(flag.to_owned());
+        words.extend(value);
+    };
+    if options.profile == BuildProfile::Published {
+        add("--profile", Some("published".into()));
+    }
+    let engine = match options.method {
+        BuildMethod::Auto => None,
+        BuildMethod::Mosaic => Some("mosaic"),
+        BuildMethod::Window => Some("window"),
+        BuildMethod::Prism => Some("prism"),
+        BuildMethod::Multislice => Some("multislice"),
+    };
+    if let Some(engine) = engine {
+        add("--engine", Some(engine.into()));
+    }
+    if let Some(width) = options.window_angstrom {
+        add("--window", Some(width.to_string()));
+    }
+    if let Some([x, y]) = options.interpolation {
+        add("--interpolation", Some(format!("{x},{y}")));
+    }
+    match options.expansion {
+        Expansion::Error(share) => add("--expansion", Some((100.0 * share).to_string())),
+        Expansion::Off => add("--expansion", Some("off".into())),
+        _ => {}
+    }
+    for (flag, length) in
+        [("--subtile", options.subtile_nm), ("--subtile-overlap", options.subtile_overlap_nm)]
+    {
+        if let Some(nm) = length {
+            add(flag, Some(nm.to_string()));
+        }
+    }
+    if (options.audit_regions, options.audit_direct) != (usual.audit_regions, usual.audit_direct) {
+        add("--audit", Some(options.audit_regions.to_string()));
+    }
+    for (flag, set) in [("--no-noise", !options.noise), ("--keep-clean", options.keep_clean)] {
+        if set {
+            add(flag, None);
+        }
+    }
+    words
+}
+
+/// Where the recipe of a world is put beside it.
+pub fn recipe_file(world: &Path) -> PathBuf {
+    world.with_extension("toml")
+}

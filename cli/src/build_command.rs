@@ -1,0 +1,468 @@
+//! `stemgen build`.
+
+use super::acquire_command::AcquisitionName;
+use super::build_all;
+use super::build_plan::DryRun;
+use super::build_shard::ShardReport;
+use super::common::{CacheArgs, Common, Force};
+use super::hints::{self, hinted};
+use super::plan_report::Lines;
+use super::progress_bar::Reporter;
+use super::recipe_args::RecipeArgs;
+use super::values::{self, EngineName as Engine};
+use super::{estimate, output, pictures, slips, text, world_hspy};
+use clap::{Arg, Args, ValueEnum};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use stemgen::acquisition::{Acquisition, AcquisitionTable, Profile};
+use stemgen::engine::Expansion;
+use stemgen::files::Shard;
+use stemgen::files::outputs::check_outputs;
+use stemgen::imaging::Audit;
+use stemgen::io::WorldFile;
+use stemgen::progress::Progress;
+use stemgen::recipe::{CheckedRecipe, Difficulty, Recipe};
+use stemgen::world::footprint::PICTURE;
+use stemgen::world::{
+    BuildMethod, BuildOptions, BuildProfile, BuildSummary, Companion, WorldBuild, remove_leftovers,
+    work_folder,
+};
+
+const EXAMPLES: &str = "\
+Examples:
+  The central 2 x 2 tiles of the easy SrTiO3 world, with a picture beside:
+    stemgen build srtio3 --difficulty easy --grid 2x2
+  What would the whole world take?
+    stemgen build srtio3 --difficulty hard --dry-run
+  Another specimen of the same kind, and the noiseless image with it:
+    stemgen build srtio3 --difficulty medium --grid 4x4 --seed 7 --keep-clean -o seven.h5
+  In parts, on machines that see the same files; then the world from them:
+    stemgen build gan --difficulty hard --shard 0/4    # ... and 1/4, 2/4, 3/4
+    stemgen build gan --difficulty hard
+  From a recipe of your own, with the settings of the published worlds:
+    stemgen build --recipe mine.toml --difficulty easy --profile published
+
+What is done (simulations of the library, the audit, sub-tiles) is kept in the cache and in
+FILE.work until the world and its picture are complete: after Ctrl-C or a power failure the same
+command goes on from there. `stemgen glossary` explains window, mosaic, library, sub-tile and audit.";
+
+/// Build a world: a whole annotated specimen and its image
+#[derive(Debug, Args)]
+#[command(after_help = EXAMPLES, mut_args(with_all))]
+pub struct Build {
+    #[command(flatten)]
+    pub(super) recipe: RecipeArgs,
+    /// All worlds whose recipes come with the program, or all of --materials, at --difficulty or at all tiers. What is there is
+    /// kept; --output names a folder
+    #[arg(long, conflicts_with_all = ["material", "recipe", "hspy"])]
+    all: bool,
+    /// With --all: only these
+    #[arg(long, value_name = "NAME,...", value_delimiter = ',', requires = "all")]
+    pub(super) materials: Vec<String>,
+    /// Record the field in one scan with the errors of a microscope: drift, jitter, the detector. Changes
+    /// [acquisition] of the recipe (see `stemgen acquire --help`); tiles are then what it records
+    #[arg(long, value_name = "NAME", conflicts_with = "no_noise")]
+    pub(super) acquisition: Option<AcquisitionName>,
+    /// Leave out the Poisson noise
+    #[arg(long)]
+    pub(super) no_noise: bool,
+    /// Also store the noiseless tiles
+    #[arg(long)]
+    pub(super) keep_clean: bool,
+    #[command(flatten)]
+    method: Method,
+    /// File to write [default: worlds/MATERIAL_TIER[_RxC][_seedN].h5]
+    #[arg(short, long, value_name = "FILE.h5", help_heading = "Results")]
+    pub(super) output: Option<PathBuf>,
+    /// Replace existing files
+    #[arg(long, help_heading = "Results")]
+    pub(super) overwrite: bool,
+    /// Also write a file for HyperSpy (.hspy), beside the file: the whole image, in fractions of the beam
+    #[arg(long, help_heading = "Results")]
+    hspy: bool,
+    /// Leave out the picture
+    #[arg(long, help_heading = "Results")]
+    no_png: bool,
+    /// Make part K (from 0) of N of what the world takes, for several processes or machines that see the same files; `slurm`: that
+    /// of a task of a job array. The same command without --shard finds all parts and writes the world
+    #[arg(long, value_name = "K/N|slurm", value_parser = values::shard, help_heading = "Running")]
+    #[arg(conflicts_with_all = ["dry_run", "overwrite", "hspy", "max_error", "accuracy"])]
+    pub(super) shard: Option<Shard>,
+    #[command(flatten)]
+    pub(super) common: Common,
+    #[command(flatten)]
+    force: Force,
+}
+
+/// How it is simulated.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Method")]
+struct Method {
+    /// How images are made [default: mosaic, or window where a field is too small for it to pay]
+    #[arg(long, value_name = "NAME", conflicts_with = "profile")]
+    engine: Option<Engine>,
+    /// Width of the window that follows each probe, in A [default: 7.8]
+    #[arg(long, value_name = "A", value_parser = values::finite, allow_negative_numbers = true)]
+    #[arg(conflicts_with_all = ["interpolation", "profile"])]
+    window: Option<f64>,
+    /// Widen the windows, or leave the mosaic, until the audit's rms error is at most so many per cent of the mean
+    /// image; where no window does, the exact engine
+    #[arg(long, value_name = "PERCENT", value_parser = values::percent, allow_negative_numbers = true)]
+    #[arg(conflicts_with_all = ["window", "interpolation", "profile"])]
+    accuracy: Option<f64>,
+    /// Windows and mosaics: expand probes that share a window in fewer waves, each right to so many per cent of its
+    /// amplitude. `off` propagates every probe; `auto`: 1 % in 7.8 A, less in wider windows
+    #[arg(long, value_name = "PERCENT|off|auto", default_value = "auto", value_parser = values::expansion)]
+    #[arg(allow_negative_numbers = true, conflicts_with_all = ["interpolation", "profile"])]
+    expansion: Expansion,
+    /// PRISM interpolation factor, or one for x and one for y [default: 4]
+    #[arg(long, value_name = "F[,FY]", value_parser = values::factors, conflicts_with = "profile")]
+    interpolation: Option<[usize; 2]>,
+    /// `published`: the coarser settings of the published worlds (PRISM, 0.05 A, slices of 1 A)
+    /// [default: default]
+    #[arg(long, value_name = "NAME")]
+    profile: Option<ProfileName>,
+    /// Regions that are simulated exactly beforehand, with the same atoms; the file tells the error found. 0
+    /// leaves it out; with --accuracy or --max-error at least four [default: 1 for films and mosaics, 0 for others and for mosaics
+    /// of the library that comes along, which was audited when it was made]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=1000))]
+    audit: Option<u16>,
+    /// Widen the windows, or leave the mosaic, until the audit's errors (rms at bright columns, and over all
+    /// pixels of the brightest column) are at most so many per cent; where no window does, the exact engine
+    #[arg(long, value_name = "PERCENT", value_parser = values::percent, allow_negative_numbers = true)]
+    #[arg(conflicts_with_all = ["profile", "interpolation"])]
+    max_error: Option<f64>,
+    #[command(flatten)]
+    kept: CacheArgs,
+    /// Largest width of a sub-tile, which is simulated at once, in nm [default: mosaic: 8; window,
+    /// multislice: 4; prism: 2.5; published: 7]
+    #[arg(long, value_name = "NM", value_parser = values::finite, allow_negative_numbers = true)]
+    subtile: Option<f64>,
+    /// Overlap of sub-tiles in nm [default: a quarter of the sub-tile, at most 1]
+    #[arg(long, value_name = "NM", value_parser = values::finite, allow_negative_numbers = true)]
+    subtile_overlap: Option<f64>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum ProfileName {
+    /// Carries all scattering to the detector
+    Default,
+    /// As the published STEMGym worlds
+    Published,
+}
+
+#[derive(Serialize)]
+pub struct Built {
+    pub output: PathBuf,
+    pub file_bytes: u64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    hspy: Option<PathBuf>,
+    picture: Option<PathBuf>,
+    material: String,
+    difficulty: Option<Difficulty>,
+    seed: u64,
+    pub tiles: [usize; 2],
+    pixels: [usize; 2],
+    fov_nm: [f64; 2],
+    pub sites: u64,
+    vacancies: u64,
+    substitutions: u64,
+    columns: u64,
+    grain_boundaries: usize,
+    phase_boundaries: usize,
+    dose_electrons_per_angstrom2: Option<f64>,
+    acquisition: Option<Acquisition>,
+    pub engine: String,
+    library: Option<[usize; 2]>,
+    pub audit: Option<Audit>,
+    /// Whether there is no audit because the errors are known: those of the library that comes along.
+    audit_known: bool,
+    subtiles: usize,
+    subtiles_resumed: usize,
+    pub wall_time_s: f64,
+}
+
+/// Has a material not needed where all are asked for.
+fn with_all(argument: Arg) -> Arg {
+    match argument.get_id() == "material" {
+        true => argument.required_unless_present("all"),
+        false => argument,
+    }
+}
+
+impl Build {
+    /// Runs the subcommand.
+    pub fn run(self) -> anyhow::Result<()> {
+        let reporter = self.common.start()?;
+        if self.all {
+            return build_all::run(&self, &reporter);
+        }
+        let recipe = self.recorded(self.recipe.resolve()?)?;
+        let build = WorldBuild::new(&recipe, &self.options())?;
+        build.warnings()?.iter().for_each(|w| reporter.warn(w));
+        let path = self.output(&recipe);
+        if self.common.dry_run {
+            slips::check_hdf5_name(&path)?;
+            let report = DryRun::new(&recipe, &build, path)?;
+            return self.common.print(&report, &report.text());
+        }
+        if let Some(shard) = self.shard {
+            let part = self.part((&recipe, build), &path, shard, &reporter)?;
+            return self.common.print(&part, &part.text());
+        }
+        let built = self.make((&recipe, build), &path, &reporter)?;
+        self.common.print(&built, &built.text())
+    }
+
+    /// Makes a part of a world.
+    pub fn part(
+        &self,
+        (recipe, build): (&CheckedRecipe, WorldBuild),
+        path: &Path,
+        shard: Shard,
+        reporter: &Reporter,
+    ) -> anyhow::Result<ShardReport> {
+        slips::check_hdf5_name(path)?;
+        check_outputs([path], self.recipe.files(recipe), false)
+            .inspect_err(|_| remove_leftovers(path))?;
+        self.check_memory(&build, reporter)?;
+        ShardReport::of(build, path, shard, reporter).map_err(|e| with_what_is_kept(e, path))
+    }
+
+    /// Makes a world, and what goes beside it.
+    pub fn make(
+        &self,
+        (recipe, build): (&CheckedRecipe, WorldBuild),
+        path: &Path,
+        reporter: &Reporter,
+    ) -> anyhow::Result<Built> {
+        let picture = (!self.no_png).then(|| path.with_extension("png"));
+        let hspy = self.hspy.then(|| path.with_extension("hspy"));
+        let outputs = [Some(path), picture.as_deref(), hspy.as_deref()].into_iter().flatten();
+        let complete = build.is_complete(path);
+        check_outputs(outputs, self.recipe.files(recipe), self.overwrite || complete)
+            .inspect_err(|_| remove_leftovers(path))?;
+        slips::check_hdf5_name(path)?;
+        let companion = picture.as_deref().map(|path| Companion {
+            path,
+            most_bytes: PICTURE,
+            content: &pictures::of_world,
+        });
+        if !complete {
+            build.check_disk(path, companion.as_ref())?;
+            DryRun::warnings(&build)?.iter().for_each(|w| reporter.warn(w));
+            self.check_memory(&build, reporter)?;
+        }
+        let summary = build
+            .run_with(path, companion.as_ref(), reporter)
+            .map_err(|e| with_what_is_kept(e, path))?;
+        let world = WorldFile::open(path)?;
+        if let Some(path) = &hspy {
+            world_hspy::write_world(
+                path,
+                self.overwrite || complete,
+                &world,
+                &recipe.detector.all(),
+            )?;
+        }
+        Ok(Built { hspy, ..self.built(recipe, &summary, &world, picture)? })
+    }
+
+    /// What it would do and take.
+    pub fn planned(&self) -> anyhow::Result<DryRun> {
+        let recipe = self.recorded(self.recipe.resolve()?)?;
+        let build = WorldBuild::new(&recipe, &self.options())?;
+        DryRun::new(&recipe, &build, self.output(&recipe))
+    }
+
+    fn check_memory(&self, build: &WorldBuild, reporter: &Reporter) -> anyhow::Result<()> {
+        let (needed, remedy) = build.memory(&build.cost()?, estimate::threads())?;
+        Ok(self.force.check_memory(needed, remedy, reporter)?)
+    }
+
+    /// What the arguments ask for; everything else is as the library builds.
+    pub fn options(&self) -> BuildOptions {
+        let m = &self.method;
+        let usual = BuildOptions::default();
+        BuildOptions {
+            noise: !self.no_noise,
+            keep_clean: self.keep_clean,
+            overwrite: self.overwrite,
+            method: m.engine.map_or(usual.method, Into::into),
+            profile: m.profile.map_or(usual.profile, Into::into),
+            window_angstrom: m.window,
+            accuracy_percent: m.accuracy,
+            expansion: m.expansion,
+            interpolation: m.interpolation,
+            audit_regions: m.audit.map_or(usual.audit_regions, usize::from),
+            audit_direct: m.audit.is_some_and(|n| n > 0),
+            max_error_percent: m.max_error,
+            cache: m.kept.cache(),
+            subtile_nm: m.subtile,
+            subtile_overlap_nm: m.subtile_overlap,
+        }
+    }
+
+    /// The recipe with the profile of its recording.
+    pub fn recorded(&self, recipe: CheckedRecipe) -> anyhow::Result<CheckedRecipe> {
+        let Some(profile) = self.acquisition else { return Ok(recipe) };
+        let mut changed = recipe.recipe().clone();
+        let table = changed.acquisition.unwrap_or_default();
+        changed.acquisition = Some(AcquisitionTable { profile: Some(profile.into()), ..table });
+        Ok(changed.checked()?)
+    }
+
+    fn output(&self, recipe: &Recipe) -> PathBuf {
+        let profile = self.acquisition.map(|a| format!("_{}", Profile::from(a).name()));
+        let stem = self.recipe.stem(recipe) + &profile.unwrap_or_default();
+        let default = || Path::new("worlds").join(stem + ".h5");
+        self.output.clone().unwrap_or_else(default)
+    }
+
+    fn built(
+        &self,
+        recipe: &Recipe,
+        summary: &BuildSummary,
+        world: &WorldFile,
+        picture: Option<PathBuf>,
+    ) -> anyhow::Result<Built> {
+        let dose = recipe.dose.electrons_per_angstrom2;
+        Ok(Built {
+            output: summary.path.clone(),
+            file_bytes: output::size(&summary.path),
+            picture,
+            hspy: None,
+            material: recipe.id.clone(),
+            difficulty: recipe.tier,
+            seed: recipe.seed,
+            tiles: summary.grid,
+            pixels: world.shape(),
+            fov_nm: summary.fov_nm,
+            sites: summary.counts.sites,
+            vacancies: summary.counts.vacancies,
+            substitutions: summary.counts.substitutions,
+            columns: summary.counts.columns,
+            grain_boundaries: world.boundaries()?.len(),
+            phase_boundaries: world.phase_boundaries()?.len(),
+            dose_electrons_per_angstrom2: (!self.no_noise).then_some(dose),
+            acquisition: recipe.acquisition.map(|table| table.resolved()),
+            engine: summary.engine.clone(),
+            library: summary.library,
+            audit: summary.audit.clone(),
+            audit_known: summary.audit.is_none()
+                && summary.library.is_some()
+                && self.options().audit_regions > 0,
+            subtiles: summary.subtiles,
+            subtiles_resumed: summary.subtiles_resumed,
+            wall_time_s: summary.wall_time_s,
+        })
+    }
+}
+
+/// A failure, with what an earlier run has left to go on from.
+fn with_what_is_kept(error: stemgen::Error, path: &Path) -> anyhow::Error {
+    let work = work_folder(path);
+    let kept =
+        format!("{} keeps what is done; the same command goes on from there", work.display());
+    match (error, work.is_dir()) {
+        (error @ stemgen::Error::Interrupted, true) => hinted(error, kept),
+        (error, true) => {
+            let hint = hints::of(&error).map(|hint| format!("{hint}; "));
+            hinted(error, hint.unwrap_or_default() + &kept)
+        }
+        (error, false) => error.into(),
+    }
+}
+
+impl From<Engine> for BuildMethod {
+    fn from(engine: Engine) -> Self {
+        match engine {
+            Engine::Multislice => BuildMethod::Multislice,
+            Engine::Prism => BuildMethod::Prism,
+            Engine::Window => BuildMethod::Window,
+            Engine::Mosaic => BuildMethod::Mosaic,
+        }
+    }
+}
+
+impl From<ProfileName> for BuildProfile {
+    fn from(name: ProfileName) -> Self {
+        match name {
+            ProfileName::Default => BuildProfile::Default,
+            ProfileName::Published => BuildProfile::Published,
+        }
+    }
+}
+
+impl Built {
+    fn text(&self) -> String {
+        let mut lines = Lines::default();
+        let tier = self.difficulty.map(|d| format!(", {}", d.name())).unwrap_or_default();
+        lines.add("world", format!("{}{tier}, seed {}", self.material, self.seed));
+        let ([rows, columns], [ny, nx], [h, w]) = (self.tiles, self.pixels, self.fov_nm);
+        lines.add("tiles", format!("{rows} x {columns}: {ny} x {nx} pixels, {h:.2} x {w:.2} nm"));
+        let found = [
+            (self.vacancies, "vacancy", "vacancies"),
+            (self.substitutions, "substitution", "substitutions"),
+            (self.grain_boundaries as u64, "grain boundary", "grain boundaries"),
+            (self.phase_boundaries as u64, "phase boundary", "phase boundaries"),
+        ];
+        let found = found.into_iter().filter(|(n, _, _)| *n > 0).map(|(n, one, many)| {
+            format!(", {} {}", text::count(n), if n == 1 { one } else { many })
+        });
+        let [sites, columns] = [self.sites, self.columns].map(text::count);
+        let found: String = found.collect();
+        lines.add("holds", format!("{sites} sites in {columns} columns{found}"));
+        lines.add(
+            "dose",
+            match self.dose_electrons_per_angstrom2 {
+                Some(dose) => format!("{dose} electrons per square Angstrom"),
+                None => "no noise".into(),
+            },
+        );
+        if let Some(acquisition) = &self.acquisition {
+            let Acquisition { frames, dwell_us, .. } = acquisition;
+            let plural = if *frames == 1 { "frame" } else { "frames" };
+            let scanned = (self.pixels[0] * frames) as f64;
+            let scan = text::duration(acquisition.line_s(self.pixels[1]) * scanned);
+            lines.add(
+                "recording",
+                format!("{frames} {plural} in one scan of {scan}, {dwell_us} us a pixel"),
+            );
+        }
+        let resumed = match self.subtiles_resumed {
+            0 => String::new(),
+            n => format!(", {n} of them from an earlier run"),
+        };
+        let plural = if self.subtiles == 1 { "sub-tile" } else { "sub-tiles" };
+        lines.add("engine", format!("{}, {} {plural}{resumed}", self.engine, self.subtiles));
+        if let Some([images, simulated]) = self.library {
+            let images = text::count(images as u64);
+            let simulated = text::count(simulated as u64);
+            lines.add("library", format!("{images} images, {simulated} of them simulated now"));
+        }
+        if let Some(audit) = &self.audit {
+            for audit in audit.all() {
+                let of = audit.detector.as_ref().map_or(String::new(), |name| format!("{name}: "));
+                let found = format!(
+                    "{of}{:.2} % rms at bright columns, {:.2} % over all pixels, against multislice of the same atoms",
+                    audit.bright_rms_percent, audit.all_rms_percent
+                );
+                lines.add("audit", found);
+            }
+        } else if self.audit_known {
+            let why = "none: the library that comes along was audited when it was made; --audit 1 makes one";
+            lines.add("audit", why);
+        }
+        lines.add("time", text::duration(self.wall_time_s));
+        let size = text::bytes(self.file_bytes);
+        lines.add("file", format!("{} ({size})", self.output.display()));
+        if let Some(path) = &self.hspy {
+            lines.add("HyperSpy", path.display().to_string());
+        }
+        if let Some(picture) = &self.picture {
+            lines.add("picture", picture.display().to_string());
+        }
+        lines.text()
+    }
+}

@@ -1,0 +1,110 @@
+//! Speed of this machine, and how long a plan will take.
+
+use rayon::prelude::*;
+use std::time::{Duration, Instant};
+use stemgen::engine::{Cost, Plan};
+use stemgen::fft::{Fft2, good_size};
+
+/// How long the speed is measured.
+const MEASURED: Duration = Duration::from_millis(400);
+/// Transforms of more points than this are no slower by the operation than smaller ones, but take memory.
+const MOST_POINTS: usize = 1 << 22;
+/// How far times have been off on a machine that does nothing else, shorter and longer.
+const OFF: [f64; 2] = [0.7, 1.5];
+
+/// Nominal floating-point operations per second, on all threads at once.
+struct MachineSpeed {
+    /// With what else runs on the machine now.
+    now: f64,
+    /// As if nothing else ran.
+    alone: f64,
+}
+
+/// The speed of transforms of the plan's wave grid, or of a smaller one.
+fn speed(plan: &Plan) -> MachineSpeed {
+    let (mut ny, mut nx) = plan.wave_grid.shape();
+    while ny * nx > MOST_POINTS {
+        (ny, nx) = (good_size(ny.div_ceil(2), 1), good_size(nx.div_ceil(2), 1));
+    }
+    let fft = Fft2::new(ny, nx);
+    let run = |_: usize| {
+        let (mut data, mut scratch) = (fft.buffer(), fft.scratch());
+        let (begun, busy) = (Instant::now(), thread_seconds());
+        let mut done = 0.0;
+        while done == 0.0 || begun.elapsed() < MEASURED {
+            fft.forward(&mut data, &mut scratch);
+            fft.inverse(&mut data, &mut scratch);
+            done += 2.0 * fft.nominal_flops();
+        }
+        let busy = (thread_seconds() - busy).max(1e-9);
+        [done / begun.elapsed().as_secs_f64(), done / busy]
+    };
+    let sum = |a: [f64; 2], b: [f64; 2]| [a[0] + b[0], a[1] + b[1]];
+    let speeds = (0..threads()).into_par_iter().with_max_len(1).map(run);
+    let [now, alone] = speeds.reduce(|| [0.0; 2], sum);
+    MachineSpeed { now, alone: alone.max(now) }
+}
+
+/// Seconds that this thread has computed; where the system does not say, those of the clock on the wall.
+fn thread_seconds() -> f64 {
+    #[cfg(unix)]
+    {
+        let time = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
+        time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
+    }
+    #[cfg(not(unix))]
+    {
+        static BEGUN: std::sync::LazyLock<Instant> = std::sync::LazyLock::new(Instant::now);
+        BEGUN.elapsed().as_secs_f64()
+    }
+}
+
+/// Estimated time in seconds, at least and at most, for `runs` simulations that each cost so much.
+pub fn seconds(plan: &Plan, cost: &Cost, runs: usize) -> [f64; 2] {
+    if runs == 0 {
+        return [0.0; 2];
+    }
+    let flops = runs as f64 * cost.nominal_flops();
+    let speed = speed(plan);
+    [OFF[0] * flops / speed.alone, OFF[1] * flops / speed.now]
+}
+
+/// Number of threads that compute.
+pub fn threads() -> usize {
+    rayon::current_num_threads()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+    use stemgen::engine::{Scan, Settings};
+
+    /// Where other work takes the processors, the most grows, and the least stays what a machine that does nothing else takes.
+    #[test]
+    fn ranges_of_time_hold_what_else_runs() {
+        let plan = Plan::new(&Settings::default(), [12.0, 12.0, 4.0], &[2.0]).unwrap();
+        let step_angstrom = [0.5; 2];
+        let scan = Scan { origin_angstrom: [2.0; 2], step_angstrom, shape: [8, 8] };
+        let cost = Cost::new(&plan, &scan);
+        let alone = seconds(&plan, &cost, 1);
+        assert!(0.0 < alone[0] && 2.0 * alone[0] < alone[1], "{alone:?}");
+        assert_eq!(seconds(&plan, &cost, 0), [0.0; 2]);
+        let done = AtomicBool::new(false);
+        let busy = std::thread::scope(|scope| {
+            for _ in 0..2 * threads() {
+                scope.spawn(|| {
+                    while !done.load(Relaxed) {
+                        std::hint::spin_loop();
+                    }
+                });
+            }
+            let busy = seconds(&plan, &cost, 1);
+            done.store(true, Relaxed);
+            busy
+        });
+        // Two thirds of the time are taken: 2.1 times 3 from the least to the most.
+        assert!(busy[1] > 3.2 * busy[0], "{alone:?} {busy:?}");
+        assert!((0.3..3.0).contains(&(busy[0] / alone[0])), "{alone:?} {busy:?}");
+    }
+}

@@ -1,0 +1,187 @@
+//! `stemgen import`.
+
+use super::common::Common;
+use super::hdf5_check;
+use super::plan_report::Lines;
+use super::{output, text, values};
+use clap::Args;
+use serde::Serialize;
+use std::path::PathBuf;
+use stemgen::files::outputs::check_outputs;
+use stemgen::io::recorded::{self, ImageChoice};
+use stemgen::progress::Progress;
+use stemgen::world::replay::{PixelOrigin, ReplayFacts, ReplayOptions, ReplayWorld};
+
+const EXAMPLES: &str = "\
+Examples:
+  An image of DigitalMicrograph, with the pixel size that it tells:
+    stemgen import MoS2.dm3 -o mos2.h5
+  The same, measured on planes 0.2737 nm apart, in the Fourier transform:
+    stemgen import MoS2.dm3 --calibrate 0.2737 -o mos2.h5
+  A file that says nothing of its pixels; they are 0.0128 nm wide:
+    stemgen import image.tif --pixel-size 0.0128 -o world.h5
+  One image of several (without these options the error lists them):
+    stemgen import scan.emd --dataset HAADF --index 3 -o world.h5
+    stemgen import reconstruction.h5 --dataset /object/phase --pixel-size 0.02 -o world.h5
+
+It reads DM3 and DM4, Velox EMD, HyperSpy (.hspy, .hdf5), any other HDF5 (py4DSTEM ...), TIFF, .npy,
+.npz, zarr, and the HDF5 files of the BiFeO3 images of the STEMGym paper with their unit cells. Noise
+stays as it was recorded. Values that are no numbers become the median of the image, and are marked
+in /valid_region. docs/replay.md tells the rest.";
+
+/// Make a world of a recorded image
+#[derive(Debug, Args)]
+#[command(after_help = EXAMPLES)]
+pub struct ImportImage {
+    /// File with a recorded image
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+    /// Which image of a file that holds several: its name, or the path of a data set
+    #[arg(long, value_name = "NAME")]
+    dataset: Option<String>,
+    /// Which frame of an image that has several, counted from 0
+    #[arg(long, value_name = "N")]
+    index: Option<usize>,
+    /// Edge of a pixel in nm [default: as the file says]
+    #[arg(long, value_name = "NM", value_parser = values::positive, help_heading = "Scale")]
+    #[arg(allow_hyphen_values = true)]
+    pixel_size: Option<f64>,
+    /// Measure the pixel by a distance of planes of the crystal, in nm: its peak in the Fourier transform is looked for
+    /// within 15 % of where the file, or --pixel-size, has it
+    #[arg(long, value_name = "NM", value_parser = values::positive, help_heading = "Scale")]
+    #[arg(allow_hyphen_values = true)]
+    calibrate: Option<f64>,
+    /// Percentiles of the recorded values that become 0 and 1; values beyond are cut off
+    #[arg(long, value_name = "LOW,HIGH", default_value = "0.1,99.9", help_heading = "Scale")]
+    #[arg(value_parser = values::percentiles)]
+    contrast: Percentiles,
+    /// World to write
+    #[arg(short, long, value_name = "WORLD.h5", help_heading = "Results")]
+    output: PathBuf,
+    /// Replace an existing file
+    #[arg(long, help_heading = "Results")]
+    overwrite: bool,
+    #[command(flatten)]
+    common: Common,
+}
+
+/// Files are seldom wrong by more.
+const USUAL_PERCENT: f64 = 10.0;
+
+/// Two numbers of one option.
+type Percentiles = [f64; 2];
+
+/// As `--json` prints it.
+#[derive(Serialize)]
+struct ImportSummary {
+    input: PathBuf,
+    output: PathBuf,
+    /// None of a dry run.
+    file_bytes: Option<u64>,
+    #[serde(flatten)]
+    facts: ReplayFacts,
+}
+
+impl ImportImage {
+    /// Runs the subcommand.
+    pub fn run(self) -> anyhow::Result<()> {
+        let reporter = self.common.start()?;
+        check_outputs([&self.output], [&self.file], self.overwrite)?;
+        if recorded::is_hdf5_inside(&self.file)? {
+            hdf5_check::check(&self.file)?;
+        }
+        let choice = ImageChoice { dataset: self.dataset.clone(), index: self.index };
+        let options = ReplayOptions {
+            pixel_nm: self.pixel_size,
+            spacing_nm: self.calibrate,
+            percentiles: self.contrast,
+        };
+        let world = ReplayWorld::new(recorded::read(&self.file, &choice)?, &options)?;
+        if !self.common.dry_run {
+            world.write(&self.output, self.overwrite, &reporter)?;
+        }
+        let told = world.facts().pixel_size_in_file_nm;
+        let change = told.map_or(0.0, |told| 100.0 * (world.facts().pixel_size_nm / told - 1.0));
+        if world.facts().calibration.is_some() && change.abs() > USUAL_PERCENT {
+            reporter.warn(&format!(
+                "the calibration changes the file's pixel by {change:+.1} %, more than is usual: is {} nm the spacing that was found?",
+                self.calibrate.unwrap_or_default()
+            ));
+        }
+        let summary = ImportSummary {
+            input: self.file,
+            file_bytes: (!self.common.dry_run).then(|| output::size(&self.output)),
+            output: self.output,
+            facts: world.facts().clone(),
+        };
+        self.common.print(&summary, &summary.text())
+    }
+}
+
+impl ImportSummary {
+    fn text(&self) -> String {
+        let f = &self.facts;
+        let mut lines = Lines::default();
+        let [rows, columns] = f.recorded_px;
+        let about = [f.image.as_str(), f.detector.as_deref().unwrap_or_default()];
+        let mut about: Vec<String> =
+            about.into_iter().filter(|t| !t.is_empty()).map(str::to_owned).collect();
+        about.dedup();
+        about.extend(f.energy_kev.map(|kev| format!("{kev} keV")));
+        let about = about.iter().map(|t| format!(", {t}")).collect::<String>();
+        lines.add("image", format!("{}{about}, {rows} x {columns} pixels", f.format));
+        let [rows, columns] = f.tiles;
+        let [height, width] = f.pixels;
+        lines.add("tiles", format!("{rows} x {columns}, of its first {height} x {width} pixels"));
+        lines.add("pixel", self.pixel());
+        if let Some(c) = &f.calibration {
+            let peak = |p: &stemgen::world::replay::CalibrationPeak| {
+                format!("{:.3} px at {:.1} degrees", p.spacing_px, p.direction_deg)
+            };
+            let peaks: Vec<String> = c.peaks.iter().map(peak).collect();
+            lines.add("measured on", format!("{} nm: {}", c.spacing_nm, peaks.join(", ")));
+        }
+        let [low, high] = f.range.map(|v| text::significant(v, 5));
+        let [below, above] = f.cut_off.map(|share| text::significant(100.0 * share, 2));
+        lines.add(
+            "scaling",
+            format!("{low} to {high} become 0 to 1; {below} % below, {above} % above"),
+        );
+        if f.invalid_pixels > 0 {
+            let count = text::count(f.invalid_pixels as u64);
+            lines.add("gaps", format!("{count} pixels without a value have the median"));
+        }
+        if f.sites + f.sites_left_out > 0 {
+            let out = text::count(f.sites_left_out as u64);
+            lines.add("places", format!("{}, left out: {out}", text::count(f.sites as u64)));
+        }
+        if !f.phases.is_empty() {
+            lines.add("phases", f.phases.join(", "));
+        }
+        let path = self.output.display();
+        match self.file_bytes {
+            Some(bytes) => lines.add("world", format!("{path} ({})", text::bytes(bytes))),
+            None => lines.add("world", format!("{path} would be written")),
+        }
+        lines.text()
+    }
+
+    fn pixel(&self) -> String {
+        let f = &self.facts;
+        let nm = |v: f64| text::significant(v, 5);
+        let pixel = nm(f.pixel_size_nm);
+        let told = match f.pixel_size_in_file_nm {
+            Some(told) if f.pixel_size_from != PixelOrigin::File => {
+                let change = 100.0 * (f.pixel_size_nm / told - 1.0);
+                format!("; the file says {} nm ({change:+.2} % to here)", nm(told))
+            }
+            _ => String::new(),
+        };
+        let from = match f.pixel_size_from {
+            PixelOrigin::File => ", as the file says",
+            PixelOrigin::Given => ", as given",
+            PixelOrigin::Calibrated => ", calibrated",
+        };
+        format!("{pixel} nm{from}{told}")
+    }
+}

@@ -1,0 +1,5 @@
+//! The `stemgen` program.
+
+fn main() -> std::process::ExitCode {
+    stemgen_cli::main()
+}

@@ -1,0 +1,219 @@
+//! Options that choose a recipe and change it.
+
+use super::hdf5_check;
+use super::hints::hinted;
+use super::recipe_choice::world_name;
+use super::values::{self, Tier};
+use anyhow::{Context, anyhow};
+use clap::Args;
+use std::path::{Path, PathBuf};
+use stemgen::engine::Settings;
+use stemgen::io::WorldFile;
+use stemgen::recipe::{CheckedRecipe, Difficulty, Override, Recipe};
+
+/// The recipe.
+#[derive(Debug, Args)]
+pub struct RecipeArgs {
+    /// Material or other recipe that comes with the program (`stemgen list` shows them), or a file of one's own
+    /// (.toml)
+    #[arg(value_name = "MATERIAL", required_unless_present = "recipe")]
+    material: Option<String>,
+    /// How many defects and how much dose, where the recipe has tiers
+    #[arg(long, value_name = "TIER")]
+    difficulty: Option<Tier>,
+    /// Recipe (TOML) in place of MATERIAL; without --difficulty if it has no tiers
+    #[arg(long, value_name = "FILE", conflicts_with = "material")]
+    recipe: Option<PathBuf>,
+    /// Change a value of the recipe, such as vacancies.rate=0.02 (repeatable); `stemgen show-recipe`
+    /// prints all keys
+    #[arg(long, value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// Take a value or a table out of the recipe, such as vacancies or boundaries.sigma (repeatable)
+    #[arg(long, value_name = "KEY")]
+    unset: Vec<String>,
+    /// Only the central tiles, rows x columns [default: the whole field]
+    #[arg(long, value_name = "RxC", value_parser = values::rows_columns)]
+    grid: Option<[usize; 2]>,
+    /// Seed of all random numbers [default: that of the recipe]
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+}
+
+/// How a world was made.
+pub struct WorldEngine {
+    /// Name of the engine.
+    pub engine: String,
+    /// Its settings.
+    pub settings: Settings,
+}
+
+impl RecipeArgs {
+    /// The recipe, resolved, changed and checked.
+    pub fn resolve(&self) -> anyhow::Result<CheckedRecipe> {
+        self.changed(self.chosen()?)
+    }
+
+    /// A recipe with what the other options ask for, checked.
+    pub fn changed(&self, recipe: Recipe) -> anyhow::Result<CheckedRecipe> {
+        let mut recipe = recipe.with_overrides(&self.changes()?)?;
+        recipe.seed = self.seed.unwrap_or(recipe.seed);
+        if let Some([rows, columns]) = self.grid {
+            recipe = recipe.with_grid(rows, columns)?;
+        }
+        Ok(recipe.checked()?)
+    }
+
+    /// The same, or the recipe of a world file named in place of a material, and how that world was made.
+    pub fn resolve_or_world(&self) -> anyhow::Result<(CheckedRecipe, Option<WorldEngine>)> {
+        self.resolve_or_world_but(None)
+    }
+
+    /// The same; `--set` and `--unset` may change a table of a world's recipe that its specimen and image do not depend on.
+    pub fn resolve_or_world_with(
+        &self,
+        table: &'static str,
+    ) -> anyhow::Result<(CheckedRecipe, Option<WorldEngine>)> {
+        self.resolve_or_world_but(Some(table))
+    }
+
+    fn resolve_or_world_but(
+        &self,
+        free: Option<&'static str>,
+    ) -> anyhow::Result<(CheckedRecipe, Option<WorldEngine>)> {
+        let Some(file) = self.world() else {
+            return Ok((self.resolve()?, None));
+        };
+        let is_free = |change: &String| {
+            let key = change.split(['.', '=']).next().unwrap_or_default();
+            free.is_some_and(|table| key.trim() == table)
+        };
+        let changes = self.set.iter().chain(&self.unset);
+        if self.difficulty.is_some()
+            || !changes.clone().all(is_free)
+            || self.grid.is_some()
+            || self.seed.is_some()
+        {
+            let but = free.map(|table| format!(" (but of [{table}])")).unwrap_or_default();
+            anyhow::bail!(
+                "{}: a world has its recipe; leave out --difficulty, --set{but}, --unset, --grid and --seed",
+                file.display()
+            );
+        }
+        hdf5_check::check(&file)?;
+        let world = WorldFile::open(&file)?;
+        let metadata = world.metadata();
+        let Some(text) = &metadata.recipe else {
+            anyhow::bail!(
+                "{}: holds no recipe, so nothing can be simulated of it: it was recorded, or made by another program",
+                file.display()
+            );
+        };
+        let recipe = Recipe::from_toml_str(&file.display().to_string(), text, None)?;
+        let recipe = recipe.with_overrides(&self.changes()?)?.checked()?;
+        let settings = metadata.engine_parameters.as_deref().map(serde_json::from_str).transpose();
+        let settings = settings.with_context(|| {
+            format!("{}: engine_parameters are not those of this program", file.display())
+        })?;
+        let made = metadata.engine.clone().zip(settings);
+        Ok((recipe, made.map(|(engine, settings)| WorldEngine { engine, settings })))
+    }
+
+    /// The world that stands in place of a material, if its file holds no recipe: an image that was recorded, or one of another
+    /// program.
+    pub fn world_without_recipe(&self) -> anyhow::Result<Option<WorldFile>> {
+        let Some(file) = self.world().filter(|file| file.is_file()) else { return Ok(None) };
+        hdf5_check::check(&file)?;
+        let world = WorldFile::open(&file)?;
+        if world.metadata().recipe.is_some() {
+            return Ok(None);
+        }
+        if self.difficulty.is_some()
+            || !(self.set.is_empty() && self.unset.is_empty())
+            || self.grid.is_some()
+            || self.seed.is_some()
+        {
+            anyhow::bail!(
+                "{}: is a world without a recipe; leave out --difficulty, --set, --unset, --grid and --seed",
+                file.display()
+            );
+        }
+        Ok(Some(world))
+    }
+
+    /// What `--unset` and `--set` ask for.
+    fn changes(&self) -> anyhow::Result<Vec<Override>> {
+        let removed = self.unset.iter().map(|key| Override::without(key));
+        let changed = self.set.iter().map(|text| text.parse());
+        Ok(removed.chain(changed).collect::<stemgen::Result<_>>()?)
+    }
+
+    /// The world that stands in place of a material.
+    pub fn world(&self) -> Option<PathBuf> {
+        self.material.as_ref().map(PathBuf::from).filter(|f| is_world(f))
+    }
+
+    /// The file of the recipe, if it is none of the program's own.
+    fn file(&self) -> Option<PathBuf> {
+        let named = || self.material.as_deref().filter(|m| is_recipe_file(m)).map(PathBuf::from);
+        self.recipe.clone().or_else(named)
+    }
+
+    fn chosen(&self) -> anyhow::Result<Recipe> {
+        let difficulty = self.difficulty.map(Difficulty::from);
+        if let Some(file) = self.file() {
+            return Ok(Recipe::from_file(&file, difficulty)?);
+        }
+        let Some(material) = &self.material else {
+            anyhow::bail!("MATERIAL or --recipe is needed");
+        };
+        let tiers = Recipe::tiers(material)?;
+        if difficulty.is_none() && !tiers.is_empty() {
+            let names: Vec<&str> = tiers.iter().map(|t| t.name()).collect();
+            let fault = anyhow!("{material} comes in tiers, and none is chosen");
+            return Err(hinted(fault, format!("add --difficulty {}", names.join("|"))));
+        }
+        Ok(Recipe::load(material, difficulty)?)
+    }
+
+    /// The files that a recipe is read from: its own, and those of its crystals.
+    pub fn files(&self, recipe: &Recipe) -> Vec<PathBuf> {
+        let Some(file) = self.file() else { return Vec::new() };
+        let folder = file.parent().unwrap_or(Path::new(""));
+        let second = recipe.domains.iter().map(|d| &d.crystal);
+        let end = recipe.alloy.iter().map(|a| &a.end_member);
+        let crystals = std::iter::once(&recipe.crystal).chain(second).chain(end);
+        let crystals = crystals.filter(|c| c.text.is_some()).map(|c| folder.join(&c.name));
+        std::iter::once(file.clone()).chain(crystals).collect()
+    }
+
+    /// The same, and a world that stands in place of a material.
+    pub fn inputs(&self, recipe: &Recipe) -> Vec<PathBuf> {
+        self.files(recipe).into_iter().chain(self.world()).collect()
+    }
+
+    /// `MATERIAL[_TIER][_RxC][_seedN]`, the usual beginning of the name of a result.
+    pub fn stem(&self, recipe: &Recipe) -> String {
+        self.stem_of(recipe, self.chosen().ok().map(|r| r.seed))
+    }
+
+    /// The same for a recipe whose own seed is known.
+    pub fn stem_of(&self, recipe: &Recipe, own: Option<u64>) -> String {
+        let grid = self.grid.map(|[r, c]| format!("_{r}x{c}")).unwrap_or_default();
+        let seed = (own != Some(recipe.seed)).then(|| format!("_seed{}", recipe.seed));
+        format!("{}{grid}{}", world_name(recipe), seed.unwrap_or_default())
+    }
+
+    /// The tier.
+    pub fn difficulty(&self) -> Option<Difficulty> {
+        self.difficulty.map(Difficulty::from)
+    }
+}
+
+/// Whether a name is that of a recipe's file.
+pub fn is_recipe_file(name: &str) -> bool {
+    Path::new(name).extension().is_some_and(|e| e.eq_ignore_ascii_case("toml"))
+}
+
+fn is_world(file: &Path) -> bool {
+    file.extension().is_some_and(|e| e == "h5" || e == "hdf5")
+}

@@ -1,0 +1,95 @@
+//! Where the pixels of a reference lie: what its file tells, and the options tell of the rest.
+
+use super::hints::hinted;
+use super::scan_args::ScanArgs;
+use stemgen::engine::Scan;
+use stemgen::io::arrays::ForeignArray;
+use stemgen::optics::Optics;
+use stemgen::validate::user::Reference;
+
+/// How far pixels of a file and of the options may differ.
+const SAME_PIXEL: f64 = 1e-3;
+
+/// The numbers of pixels (x, y) that the options tell by themselves.
+pub fn asked_pixels(args: &ScanArgs, optics: &Optics) -> anyhow::Result<Option<[usize; 2]>> {
+    if args.scan_points.is_some() {
+        return Ok(args.scan_points);
+    }
+    match (args.scan_start, args.scan_end, args.scan_step) {
+        (Some(_), Some(end), Some(_)) => {
+            let [rows, columns] = args.scan(end, optics)?.shape;
+            Ok(Some([columns, rows]))
+        }
+        _ => Ok(None),
+    }
+}
+
+/// The scan of a reference. What neither the file nor the options tell is asked for.
+pub fn reference_scan(
+    args: Option<&ScanArgs>,
+    optics: &Optics,
+    array: &ForeignArray,
+    reference: &Reference,
+) -> anyhow::Result<Scan> {
+    let none = ScanArgs { scan_start: None, scan_end: None, scan_step: None, scan_points: None };
+    let args = args.unwrap_or(&none);
+    let (rows, columns) = reference.data.dim();
+    let same_count = |shape: [usize; 2]| match shape == [rows, columns] {
+        true => Ok(()),
+        false => {
+            let fault = array.error(format!(
+                "has {columns} x {rows} pixels (x, y), but the scan has {} x {}",
+                shape[1], shape[0]
+            ));
+            let hint = "mend --scan-points or --scan-step, or leave them out; is --axes right?";
+            Err(hinted(fault, hint))
+        }
+    };
+    if let Some([x, y]) = args.scan_points {
+        same_count([y, x])?;
+    }
+    let told = reference.step_angstrom;
+    let start = args.scan_start.or(told.map(|_| reference.origin_angstrom));
+    let pixel = told.or(args.scan_step.map(|step| [step; 2]));
+    let scan = match (start, args.scan_end, pixel) {
+        (Some(_), Some(end), _) => {
+            let points = args.scan_points.or(args.scan_step.is_none().then_some([columns, rows]));
+            ScanArgs { scan_start: start, scan_points: points, ..args.clone() }.scan(end, optics)?
+        }
+        (Some(origin_angstrom), None, Some(step_angstrom)) => {
+            Scan { origin_angstrom, step_angstrom, shape: [rows, columns] }
+        }
+        _ => return Err(untold(args, array, [columns, rows])),
+    };
+    same_count(scan.shape)?;
+    same_pixels(&scan, told, array)?;
+    Ok(scan)
+}
+
+/// Nothing is guessed: abTEM's arrays say neither where a scan began nor where it ended.
+fn untold(args: &ScanArgs, array: &ForeignArray, [x, y]: [usize; 2]) -> anyhow::Error {
+    let missing = match (args.scan_start.is_some(), args.scan_end.is_some()) {
+        (true, _) => "--scan-end X,Y, or --scan-step A for square pixels",
+        (false, true) => "--scan-start X,Y",
+        (false, false) => "--scan-start X,Y and --scan-end X,Y",
+    };
+    hinted(
+        array.error(format!("does not say where its {x} x {y} pixels (x, y) are")),
+        format!(
+            "give {missing}: those of abtem.GridScan(start, end, endpoint=False). to_zarr and to_tiff tell the pixels, not the start"
+        ),
+    )
+}
+
+fn same_pixels(scan: &Scan, told: Option<[f64; 2]>, array: &ForeignArray) -> anyhow::Result<()> {
+    let Some(told) = told else { return Ok(()) };
+    let step = scan.step_angstrom;
+    if (0..2).all(|i| (step[i] / told[i] - 1.0).abs() <= SAME_PIXEL) {
+        return Ok(());
+    }
+    let fault = array.error(format!(
+        "has pixels of {:.4} x {:.4} A, but the scan has {:.4} x {:.4} A",
+        told[0], told[1], step[0], step[1]
+    ));
+    Err(hinted(fault, "leave --scan-end and --scan-step out: the file tells the pixels"))
+}

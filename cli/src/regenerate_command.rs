@@ -1,0 +1,257 @@
+//! `stemgen regenerate`: the released worlds once more.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use clap::Args;
+use serde::Serialize;
+
+use super::common::{CacheArgs, Common, Force};
+use super::estimate;
+use super::hdf5_check;
+use super::progress_bar::Reporter;
+use super::recipe_choice::{recipes, world_name};
+use super::text;
+use super::validate_command::DIFFERENT;
+use stemgen::files::atomic_write;
+use stemgen::files::whole_file;
+use stemgen::io::WorldFile;
+use stemgen::numerics::{NUMERICS_VERSION, processor};
+use stemgen::progress::Progress;
+use stemgen::recipe::CheckedRecipe;
+use stemgen::validate::manifest::{Manifest, PinnedSameness, PinnedWorld};
+use stemgen::world::{BuildOptions, WorldBuild, remove_leftovers};
+
+/// The released worlds, `worlds/manifest.toml`.
+const RELEASED: &str = include_str!("../../worlds/manifest.toml");
+/// No manifest is longer.
+const LARGEST_MANIFEST: usize = 16 << 20;
+
+const EXAMPLES: &str = "\
+Examples:
+  One released world, in worlds/, and whether it is what was released:
+    stemgen regenerate srtio3_hard
+  Are all of them what they were? Nothing is left behind:
+    stemgen regenerate --check
+  The worlds that a manifest of one's own lists:
+    stemgen regenerate --manifest mine.toml -o mine/
+
+Each world is built with its image before noise, and compared with the manifest: the digests of its recipe, its
+truth and its tiles. On another kind of processor images are rounded differently, and 64 values before noise decide.
+The exit code is 3 if a world differs, and 1 if one could not be made or compared.";
+
+/// Make released worlds again, and check that they are what was released
+#[derive(Debug, Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Regenerate {
+    /// Worlds of the manifest, such as srtio3_hard [default: all]
+    #[arg(value_name = "NAME")]
+    names: Vec<String>,
+    /// Keep no world: build each in a folder that is removed
+    #[arg(long, conflicts_with = "output")]
+    check: bool,
+    /// Folder to write to [default: worlds]; worlds that are there are compared as they are
+    #[arg(short, long, value_name = "FOLDER")]
+    output: Option<PathBuf>,
+    /// List of worlds in place of that of the program
+    #[arg(long, value_name = "FILE")]
+    manifest: Option<PathBuf>,
+    /// Write what was found to the manifest of --manifest, which may be new; NAMEs may be any that come with the program
+    #[arg(long, requires = "manifest")]
+    pin: bool,
+    #[command(flatten)]
+    kept: CacheArgs,
+    #[command(flatten)]
+    common: Common,
+    #[command(flatten)]
+    force: Force,
+}
+
+#[derive(Serialize)]
+struct Regenerated {
+    name: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sameness: Option<PinnedSameness>,
+    /// Why it could not be made or compared.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    error: Option<String>,
+    engine: String,
+    audit_bright_percent: Option<f64>,
+    audit_all_percent: Option<f64>,
+    /// Nothing of a world that was there.
+    wall_time_s: Option<f64>,
+    /// The largest memory that the process has had so far.
+    peak_memory_bytes: Option<u64>,
+}
+
+impl Regenerate {
+    /// Runs the subcommand; the exit code tells whether all worlds are what was released.
+    pub fn run(self) -> anyhow::Result<u8> {
+        let reporter = self.common.start()?;
+        let mut manifest = self.read_manifest()?;
+        let chosen = self.chosen(&manifest)?;
+        if self.common.dry_run {
+            let names: Vec<String> = chosen.iter().map(|r| world_name(r)).collect();
+            self.common.print(&names, &names.join("\n"))?;
+            return Ok(0);
+        }
+        if chosen.is_empty() {
+            anyhow::bail!("the manifest lists no worlds: nothing is made");
+        }
+        let mut all = Vec::new();
+        for (number, recipe) in chosen.iter().enumerate() {
+            let name = world_name(recipe);
+            reporter.note(&format!("world {} of {}: {name}", number + 1, chosen.len()));
+            let (mut made, found) = match self.one(&name, recipe, &reporter) {
+                Ok(made) => made,
+                Err(error) if reporter.interrupted() => return Err(error),
+                Err(error) => {
+                    reporter.note(&format!("error: {name}: {error:#}"));
+                    all.push(Regenerated { error: Some(format!("{error:#}")), ..new(&name) });
+                    continue;
+                }
+            };
+            made.sameness =
+                manifest.worlds.iter().find(|w| w.name == name).map(|w| w.compare(&found));
+            if let (true, Some(path)) = (self.pin, &self.manifest) {
+                manifest.pin(found);
+                atomic_write::write(path, manifest.to_toml().as_bytes())?;
+            }
+            all.push(made);
+        }
+        self.common.print(&all, &table(&all))?;
+        let failed = all.iter().filter(|r| r.error.is_some()).count();
+        if failed > 0 {
+            anyhow::bail!(
+                "{failed} of {} worlds were not compared; the same command tries them again",
+                all.len()
+            );
+        }
+        let differs =
+            |r: &&Regenerated| matches!(r.sameness, Some(PinnedSameness::Different { .. }));
+        Ok(if all.iter().any(|r| differs(&r)) { DIFFERENT } else { 0 })
+    }
+
+    fn read_manifest(&self) -> anyhow::Result<Manifest> {
+        let Some(path) = &self.manifest else {
+            return Ok(Manifest::from_toml("worlds/manifest.toml", RELEASED)?);
+        };
+        if self.pin && !path.exists() {
+            return Ok(Manifest::empty());
+        }
+        let text = whole_file::read_text(path, LARGEST_MANIFEST)?;
+        Ok(Manifest::from_toml(&path.display().to_string(), &text)?)
+    }
+
+    /// The recipes of the worlds that are asked for.
+    fn chosen(&self, manifest: &Manifest) -> anyhow::Result<Vec<CheckedRecipe>> {
+        let mut left: Vec<&String> = self.names.iter().collect();
+        let mut chosen = Vec::new();
+        for recipe in recipes(&[], None)? {
+            let name = world_name(&recipe);
+            let listed = self.pin || manifest.worlds.iter().any(|w| w.name == name);
+            let asked = left.iter().position(|n| **n == name);
+            if listed && (asked.is_some() || self.names.is_empty()) {
+                chosen.push(recipe.checked()?);
+                asked.map(|k| left.remove(k));
+            }
+        }
+        if let Some(unknown) = left.first() {
+            let known: Vec<&str> = manifest.worlds.iter().map(|w| w.name.as_str()).collect();
+            anyhow::bail!("{unknown}: is no world of the manifest; it lists {}", known.join(", "));
+        }
+        Ok(chosen)
+    }
+
+    /// Makes a world, or opens it where it is, and looks at it.
+    fn one(
+        &self,
+        name: &str,
+        recipe: &CheckedRecipe,
+        reporter: &Reporter,
+    ) -> anyhow::Result<(Regenerated, PinnedWorld)> {
+        let usual = BuildOptions { keep_clean: true, ..BuildOptions::default() };
+        let cache = self.kept.cache();
+        let build = WorldBuild::new(recipe, &BuildOptions { cache, ..usual })?;
+        let folder = self.output.clone().unwrap_or_else(|| PathBuf::from("worlds"));
+        let removed = self.check.then(|| tempfile::tempdir_in(".")).transpose()?;
+        let folder = removed.as_ref().map_or(folder.as_path(), |f| f.path());
+        let path = folder.join(format!("{name}.h5"));
+        let mut made = new(name);
+        if path.exists() && !build.is_complete(&path) {
+            hdf5_check::check(&path)?;
+            remove_leftovers(&path);
+            made.engine = "was there".into();
+        } else {
+            std::fs::create_dir_all(folder).map_err(|e| stemgen::Error::io(folder, "create", e))?;
+            let (needed, remedy) = build.memory(&build.cost()?, estimate::threads())?;
+            self.force.check_memory(needed, remedy, reporter)?;
+            let began = Instant::now();
+            let summary = build.run(&path, reporter)?;
+            made.wall_time_s = Some(began.elapsed().as_secs_f64());
+            made.peak_memory_bytes = peak_memory();
+            made.audit_bright_percent = summary.audit.as_ref().map(|a| a.bright_rms_percent);
+            made.audit_all_percent = summary.audit.as_ref().map(|a| a.all_rms_percent);
+            made.engine = summary.engine;
+        }
+        let found = PinnedWorld::of(name, &WorldFile::open(&path)?, reporter);
+        // Worlds that this command builds have it.
+        let found = found.map_err(|error| match error {
+            stemgen::Error::Choice { .. } => anyhow::anyhow!(
+                "{}: holds no noiseless image to compare; move it away, and it is built again with one",
+                path.display()
+            ),
+            error => error.into(),
+        })?;
+        Ok((made, found))
+    }
+}
+
+/// Nothing is known of a world yet.
+fn new(name: &str) -> Regenerated {
+    Regenerated {
+        name: name.to_owned(),
+        sameness: None,
+        error: None,
+        engine: String::new(),
+        audit_bright_percent: None,
+        audit_all_percent: None,
+        wall_time_s: None,
+        peak_memory_bytes: None,
+    }
+}
+
+/// The most memory that this process has had, where the system tells it.
+fn peak_memory() -> Option<u64> {
+    let status = std::fs::read_to_string(Path::new("/proc/self/status")).ok()?;
+    let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"))?;
+    Some(1024 * line.trim().trim_end_matches("kB").trim().parse::<u64>().ok()?)
+}
+
+fn table(all: &[Regenerated]) -> String {
+    let head = ["world", "engine", "bright %", "all %", "time", "memory", "found"];
+    let mut rows = vec![head.map(str::to_owned)];
+    let percent = |p: Option<f64>| p.map_or(String::new(), |p| format!("{p:.2}"));
+    for r in all {
+        let found = match &r.sameness {
+            None if r.error.is_some() => "FAILED: the error is above".into(),
+            None => format!("noted, numerics {NUMERICS_VERSION}, {}", processor()),
+            Some(PinnedSameness::SameBytes) => "the same bytes".into(),
+            Some(PinnedSameness::SameImage { difference, known_processor }) => {
+                let of = if *known_processor { "" } else { ", of another kind of processor" };
+                format!("the same truth, and image within {difference:.1e} before noise{of}")
+            }
+            Some(PinnedSameness::Different { what }) => format!("DIFFERS: {}", what.join(", ")),
+        };
+        rows.push([
+            r.name.clone(),
+            r.engine.clone(),
+            percent(r.audit_bright_percent),
+            percent(r.audit_all_percent),
+            r.wall_time_s.map(text::duration).unwrap_or_default(),
+            r.peak_memory_bytes.map(text::bytes).unwrap_or_default(),
+            found,
+        ]);
+    }
+    text::table(&rows)
+}

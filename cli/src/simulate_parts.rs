@@ -1,0 +1,170 @@
+//! `stemgen simulate --shard`: one of several processes that share the probes of a scan, and what becomes of their parts.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::{Context, bail};
+use serde::Serialize;
+use sha2::{Digest, Sha256};
+
+use super::plan_report::Lines;
+use super::progress_bar::Reporter;
+use super::text;
+use stemgen::engine::{Plan, Scan, ScanPart, Site, simulate_part};
+use stemgen::files::array_store::{ArrayStore, Stored};
+use stemgen::files::{OutputLock, Shard};
+use stemgen::numerics::NUMERICS_VERSION;
+use stemgen::progress::Progress;
+use stemgen::world::work_folder;
+
+const EXTENSION: &str = "part";
+
+/// What is simulated, and where its parts lie.
+pub struct ScanParts<'a> {
+    pub plans: &'a [Plan],
+    pub frames: Vec<&'a [Site]>,
+    pub scan: Scan,
+    pub output: &'a Path,
+}
+
+/// What a shard tells at its end.
+#[derive(Serialize)]
+struct ScanShardReport {
+    output: PathBuf,
+    /// Its number, from 0, and how many there are.
+    shard: [usize; 2],
+    /// Values that it has.
+    values: usize,
+    /// Whether it was there.
+    resumed: bool,
+    wall_time_s: f64,
+}
+
+impl ScanParts<'_> {
+    fn store(&self) -> ArrayStore {
+        ArrayStore::new(work_folder(self.output), EXTENSION)
+    }
+
+    /// All that decides the values, but for the number of the part.
+    fn key(&self) -> String {
+        let settings: Vec<_> = self.plans.iter().map(|plan| &plan.settings).collect();
+        let grids: Vec<_> = self.plans.iter().map(|plan| format!("{:?}", plan.slices)).collect();
+        let scan = format!("{:?}", self.scan);
+        let text = serde_json::json!([NUMERICS_VERSION, settings, grids, scan]);
+        let mut digest = Sha256::new_with_prefix(text.to_string());
+        for sites in &self.frames {
+            digest.update(sites.len().to_le_bytes());
+            for site in *sites {
+                site.position.iter().for_each(|x| digest.update(x.to_le_bytes()));
+                digest.update([site.number]);
+                digest.update(site.sigma_angstrom.to_le_bytes());
+                digest.update(site.key.to_le_bytes());
+            }
+        }
+        digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+
+    /// Makes a part, and keeps it. Parts of other images are refused, and never removed.
+    pub fn make(
+        &self,
+        shard: Shard,
+        reporter: &Reporter,
+    ) -> anyhow::Result<(String, impl Serialize)> {
+        let begun = Instant::now();
+        let _lock = OutputLock::share(self.output)?;
+        let (store, key) = (self.store(), self.key());
+        self.found(&key)?;
+        let (name, key) = (name(shard), of_shard(&key, shard));
+        let shape = ScanPart::shape(shard, self.plans, self.frames.len(), &self.scan)?;
+        let resumed = matches!(store.load(&name, &key, shape), Stored::Whole(_));
+        if !resumed {
+            let part = simulate_part(self.plans, &self.frames, &self.scan, shard, reporter)?;
+            store.save(&name, &key, "", &part.to_array())?;
+        }
+        let report = ScanShardReport {
+            output: self.output.to_owned(),
+            shard: [shard.index(), shard.count()],
+            values: shape[0] * shape[1],
+            resumed,
+            wall_time_s: begun.elapsed().as_secs_f64(),
+        };
+        Ok((report.text(), report))
+    }
+
+    /// The parts that are there; none of them is of other images.
+    pub fn read(&self, reporter: &Reporter) -> anyhow::Result<Vec<ScanPart>> {
+        let (store, key) = (self.store(), self.key());
+        let mut parts = Vec::new();
+        let series = (self.plans, self.frames.len(), &self.scan);
+        for (shard, path) in self.found(&key)? {
+            let shape = ScanPart::shape(shard, self.plans, self.frames.len(), &self.scan)?;
+            match store.load(&name(shard), &of_shard(&key, shard), shape) {
+                Stored::Whole(array) => parts.push(ScanPart::from_array(&array, shard, series)?),
+                Stored::Missing => {}
+                Stored::Unusable(why) => {
+                    reporter.warn(&format!("{}: {why}; simulated again", path.display()));
+                }
+            }
+        }
+        if !parts.is_empty() {
+            let folder = store.folder().display();
+            reporter.note(&format!("{} of the parts of this scan are in {folder}", parts.len()));
+        }
+        Ok(parts)
+    }
+
+    /// Removes the parts, and their folder if nothing else lies in it.
+    pub fn remove(&self) -> anyhow::Result<()> {
+        Ok(self.store().clear()?)
+    }
+
+    /// The files of parts, with their shards.
+    ///
+    /// A damaged file may be of this series: it is made again. One whose key is another's is not.
+    fn found(&self, key: &str) -> anyhow::Result<Vec<(Shard, PathBuf)>> {
+        let mut found = Vec::new();
+        for path in self.store().files()?.arrays {
+            let shard = path.file_stem().and_then(|stem| stem.to_str()).and_then(shard_of);
+            let Some(shard) = shard else { continue };
+            let bytes = std::fs::read(&path).with_context(|| path.display().to_string())?;
+            let other = stemgen::files::array_store::checked(&bytes, &of_shard(key, shard))
+                .is_err_and(|why| why == "holds another image");
+            if other {
+                bail!(
+                    "{}: is a part of other images, or of another version of the program; remove {} if nobody needs it, or name another output",
+                    path.display(),
+                    self.store().folder().display()
+                );
+            }
+            found.push((shard, path));
+        }
+        Ok(found)
+    }
+}
+
+fn name(shard: Shard) -> String {
+    format!("part_{}_of_{}", shard.index(), shard.count())
+}
+
+fn shard_of(name: &str) -> Option<Shard> {
+    let (index, count) = name.strip_prefix("part_")?.split_once("_of_")?;
+    Shard::new(index.parse().ok()?, count.parse().ok()?).ok()
+}
+
+fn of_shard(key: &str, shard: Shard) -> String {
+    format!("{key} {shard}")
+}
+
+impl ScanShardReport {
+    fn text(&self) -> String {
+        let mut lines = Lines::default();
+        let [index, count] = self.shard;
+        lines.add("shard", format!("{index}/{count} of {}", self.output.display()));
+        let was = if self.resumed { ", which were there" } else { "" };
+        lines.add("values", format!("{}{was}", text::count(self.values as u64)));
+        let next = "when all shards are done, the same command without --shard writes the images";
+        lines.add("next", next);
+        lines.add("time", text::duration(self.wall_time_s));
+        lines.text()
+    }
+}

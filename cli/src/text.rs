@@ -1,0 +1,136 @@
+//! Standard output, and numbers for people.
+
+use super::invocation::Invocation;
+use anyhow::Context;
+use std::io::{ErrorKind, Write};
+pub use stemgen::progress::duration;
+
+/// Prints a line on standard output. A reader that has closed the pipe (`| head`) is no fault.
+pub fn print(text: &str) -> anyhow::Result<()> {
+    let mut out = std::io::stdout().lock();
+    match writeln!(out, "{text}").and_then(|()| out.flush()) {
+        Err(e) if e.kind() == ErrorKind::BrokenPipe => Ok(()),
+        other => other.context("cannot write to standard output"),
+    }
+}
+
+/// Prints a line on standard error, if anybody is there.
+pub fn complain(text: &str) {
+    // Nothing is left to tell the failure to.
+    let _ = writeln!(std::io::stderr().lock(), "{text}");
+}
+
+/// Rows of cells as a table: columns as wide as their widest cell.
+pub fn table<const N: usize>(rows: &[[String; N]]) -> String {
+    let width = |k: usize| rows.iter().map(|row| row[k].chars().count()).max().unwrap_or(0);
+    let widths: Vec<usize> = (0..N).map(width).collect();
+    let line = |row: &[String; N]| {
+        let padded = row.iter().zip(&widths).map(|(cell, w)| format!("{cell:w$}"));
+        padded.collect::<Vec<_>>().join("  ").trim_end().to_owned()
+    };
+    rows.iter().map(line).collect::<Vec<_>>().join("\n")
+}
+
+/// `1.3 GB`.
+pub fn bytes(n: u64) -> String {
+    let units = ["B", "kB", "MB", "GB", "TB"];
+    let mut value = n as f64;
+    let mut unit = 0;
+    while value >= 999.5 && unit + 1 < units.len() {
+        value /= 1000.0;
+        unit += 1;
+    }
+    match unit {
+        0 => format!("{n} B"),
+        _ if value < 9.95 => format!("{value:.1} {}", units[unit]),
+        _ => format!("{value:.0} {}", units[unit]),
+    }
+}
+
+/// `2 to 5 s`, `40 s to 2 min 10 s`: from the least to the most.
+pub fn duration_range([least, most]: [f64; 2]) -> String {
+    match [least, most].map(duration) {
+        [a, b] if a == b => format!("about {a}"),
+        [a, b] => format!("{a} to {b}"),
+    }
+}
+
+/// At least `digits` significant digits, without an exponent for usual sizes.
+pub fn significant(value: f64, digits: i32) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return format!("{value}");
+    }
+    let magnitude = value.abs().log10().floor() as i32;
+    if magnitude < -4 {
+        return format!("{value:.*e}", (digits - 1).max(0) as usize);
+    }
+    format!("{value:.*}", (digits - 1 - magnitude).max(0) as usize)
+}
+
+/// Whole numbers with a space between thousands: `12 345`.
+pub fn count(n: u64) -> String {
+    let digits = n.to_string();
+    let mut out = String::new();
+    for (i, c) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) && digits.len() > 4 {
+            out.push(' ');
+        }
+        out.push(c);
+    }
+    out
+}
+
+/// The command line as typed, quoted for a shell where need be, without the number of threads: what a file holds does not depend on it.
+pub fn command_line() -> String {
+    let Invocation { name, arguments, .. } = Invocation::now();
+    let words = arguments.iter().map(|word| word.to_string_lossy().into_owned()).collect();
+    let words = without_threads(words).into_iter().map(|word| quoted(&word));
+    std::iter::once((*name).to_owned()).chain(words).collect::<Vec<_>>().join(" ")
+}
+
+/// Words of a command line without `--threads N`.
+fn without_threads(words: Vec<String>) -> Vec<String> {
+    let mut kept = Vec::with_capacity(words.len());
+    let mut words = words.into_iter();
+    while let Some(word) = words.next() {
+        match word.as_str() {
+            "--threads" => drop(words.next()),
+            _ if word.starts_with("--threads=") => {}
+            _ => kept.push(word),
+        }
+    }
+    kept
+}
+
+/// A word as a shell takes it for one.
+pub fn quoted(word: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,=@:+%".contains(c);
+    match !word.is_empty() && word.chars().all(plain) {
+        true => word.to_owned(),
+        false => format!("'{}'", word.replace('\'', r"'\''").replace('\0', "")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_readable() {
+        assert_eq!(bytes(12), "12 B");
+        assert_eq!(bytes(1_340_000_000), "1.3 GB");
+        assert_eq!(bytes(999_900), "1.0 MB");
+        assert_eq!(duration(0.04), "0.0 s");
+        assert_eq!(duration(200.0), "3 min 20 s");
+        assert_eq!(duration(7500.0), "2 h 05 min");
+        assert_eq!(duration_range([40.0, 200.0]), "40 s to 3 min 20 s");
+        assert_eq!(duration_range([40.0, 40.2]), "about 40 s");
+        let words = ["live", "r.toml", "--threads", "3", "--dose=5", "--threads=2", "-o", "x.h5"];
+        let kept = without_threads(words.map(str::to_owned).into());
+        assert_eq!(kept.join(" "), "live r.toml --dose=5 -o x.h5");
+        assert_eq!(significant(0.012345, 3), "0.0123");
+        assert_eq!(significant(1234.5, 3), "1234");
+        assert_eq!(significant(0.000012345, 3), "1.23e-5");
+        assert_eq!((count(1234), count(1_234_567)), ("1234".into(), "1 234 567".into()));
+    }
+}

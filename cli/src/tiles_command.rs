@@ -1,0 +1,213 @@
+//! `stemgen tiles`.
+
+use super::audit_command::imaging_of;
+use super::common::{CacheArgs, Common};
+use super::plan_report::Lines;
+use super::progress_bar::Reporter;
+use super::recipe_args::RecipeArgs;
+use super::{output, text, values};
+use anyhow::bail;
+use clap::Args;
+use serde::Serialize;
+use std::path::PathBuf;
+use std::time::Instant;
+use stemgen::files::outputs::check_outputs;
+use stemgen::imaging::OneDetector;
+use stemgen::io::WorldFile;
+use stemgen::io::npz_file::write_npz;
+use stemgen::specimen::specimen;
+use stemgen::world::replay::stored_training_set;
+use stemgen::world::{TrainingOptions, TrainingSet, training_set};
+
+const EXAMPLES: &str = "\
+Examples:
+  200 tiles of a world at random places and doses:
+    stemgen tiles worlds/srtio3_easy_2x2.h5 --random-dose 1e3,1e5 -n 200 -o train.npz
+  The same of a recipe, without building a world first:
+    stemgen tiles srtio3 --difficulty easy --grid 4x4 -n 200 --random-dose 1e3,1e5 -o train.npz
+  In Python:
+    import numpy as np
+    train = np.load(\"train.npz\")
+    train[\"images\"], train[\"heat_maps\"], train[\"class_masks\"]    # each (200, 128, 128)
+
+The file holds images (with noise, fractions of the beam), clean (without), heat_maps (Gaussians of
+height 1 about columns), class_masks (0 background, 1 pristine column, 2 with vacancies, 3 with
+substitutions, 4 with both), phase_masks, dose, origins_px (row, column), column_tiles,
+column_positions_px (row, column), columns (class, sites, vacancies, substitutions, heaviest atomic
+number) and pixel_angstrom. The noise-free image is made again from the recipe, from the cache where a
+mosaic was built before; every part of the field is made once. A world without a recipe (`stemgen import`)
+gives tiles of its stored image, from 0 to 1, with the noise that it has; clean and dose are left out.";
+
+/// Write tiles at random places with labels, for training (NumPy .npz)
+#[derive(Debug, Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Tiles {
+    #[command(flatten)]
+    recipe: RecipeArgs,
+    /// Number of tiles
+    #[arg(short = 'n', long, value_name = "N", default_value_t = 100)]
+    #[arg(value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    number: u32,
+    /// Edge of a tile in pixels
+    #[arg(long, value_name = "PX", default_value_t = 128)]
+    size: usize,
+    /// Dose of each tile in electrons per square Angstrom, drawn between these, evenly in its logarithm
+    /// [default: that of the recipe]
+    #[arg(long, value_name = "LOW,HIGH", value_parser = values::point)]
+    random_dose: Option<[f64; 2]>,
+    /// Which detector of a world or recipe that has several [default: the first]
+    #[arg(long, value_name = "NAME")]
+    detector: Option<String>,
+    /// Standard deviation of a column in the heat maps, in pixels
+    #[arg(long, value_name = "PX", default_value_t = 2.0, value_parser = values::positive)]
+    heat_sigma: f64,
+    /// Seed of places, doses and noise
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    tile_seed: u64,
+    #[command(flatten)]
+    kept: CacheArgs,
+    /// File to write
+    #[arg(short, long, value_name = "FILE.npz", help_heading = "Results")]
+    output: PathBuf,
+    /// Replace existing files
+    #[arg(long, help_heading = "Results")]
+    overwrite: bool,
+    #[command(flatten)]
+    common: Common,
+}
+
+#[derive(Serialize)]
+struct TilesSummary {
+    output: PathBuf,
+    file_bytes: u64,
+    tiles: usize,
+    size_px: usize,
+    pixel_angstrom: f64,
+    dose_electrons_per_angstrom2: Option<[f64; 2]>,
+    columns: usize,
+    phases: Vec<String>,
+    wall_time_s: f64,
+}
+
+impl Tiles {
+    /// Runs the subcommand.
+    pub fn run(self) -> anyhow::Result<()> {
+        let begun = Instant::now();
+        let reporter = self.common.start()?;
+        if self.common.dry_run {
+            bail!(
+                "--dry-run: `stemgen build --dry-run` of the same recipe tells what its image takes"
+            );
+        }
+        if !self.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("npz")) {
+            let name = self.output.with_extension("npz");
+            bail!("--output {}: did you mean {}?", self.output.display(), name.display());
+        }
+        if let Some(world) = self.recipe.world_without_recipe()? {
+            return self.cut(&world, begun, &reporter);
+        }
+        let (recipe, made) = self.recipe.resolve_or_world()?;
+        check_outputs([&self.output], self.recipe.inputs(&recipe), self.overwrite)?;
+        let dose = recipe.dose.electrons_per_angstrom2;
+        let options = self.options(self.random_dose.unwrap_or([dose; 2]));
+        let cache = self.kept.cache();
+        let specimen = specimen(&recipe)?;
+        let mut imager = imaging_of(&recipe, made.as_ref(), cache)?.imager(&recipe, &specimen)?;
+        if let Some(name) = &self.detector {
+            imager = Box::new(OneDetector::named(name, &recipe, imager)?);
+        }
+        imager.prepare(&reporter)?;
+        let set = training_set(&recipe, &*specimen, &*imager, &options, &reporter)?;
+        self.finish(&set, Some(options.dose), specimen.phases(), begun)
+    }
+
+    /// Cuts tiles from the stored image of a world without a recipe, such as a recorded image: they have its noise.
+    fn cut(&self, world: &WorldFile, begun: Instant, reporter: &Reporter) -> anyhow::Result<()> {
+        let path = world.path();
+        if self.random_dose.is_some() {
+            bail!(
+                "{}: its noise is that of the recording, and no other can be drawn; leave out --random-dose",
+                path.display()
+            );
+        }
+        let world = match &self.detector {
+            Some(name) => world.on_detector(name)?,
+            None => WorldFile::open(path)?,
+        };
+        check_outputs([&self.output], [path], self.overwrite)?;
+        let set = stored_training_set(&world, &self.options([1.0; 2]), reporter)?;
+        self.finish(&set, None, world.phase_names()?, begun)
+    }
+
+    fn options(&self, dose: [f64; 2]) -> TrainingOptions {
+        TrainingOptions {
+            tiles: self.number as usize,
+            size_px: self.size,
+            dose,
+            sigma_px: self.heat_sigma,
+            seed: self.tile_seed,
+        }
+    }
+
+    /// Writes tiles, and tells of them. Without a dose there are no noise-free ones either.
+    fn finish(
+        &self,
+        set: &TrainingSet,
+        dose: Option<[f64; 2]>,
+        phases: Vec<String>,
+        begun: Instant,
+    ) -> anyhow::Result<()> {
+        write_npz(&self.output, self.overwrite, |npz| {
+            npz.add("images", &set.images)?;
+            if dose.is_some() {
+                npz.add("clean", &set.clean)?;
+            }
+            npz.add("heat_maps", &set.heat_maps)?;
+            npz.add("class_masks", &set.class_masks)?;
+            npz.add("phase_masks", &set.phase_masks)?;
+            if dose.is_some() {
+                npz.add("dose", &set.dose)?;
+            }
+            npz.add("origins_px", &set.origins_px)?;
+            npz.add("column_tiles", &set.column_tiles)?;
+            npz.add("column_positions_px", &set.column_positions_px)?;
+            npz.add("columns", &set.columns)?;
+            npz.add("pixel_angstrom", &ndarray::arr1(&[set.pixel_angstrom]))
+        })?;
+        let summary = TilesSummary {
+            file_bytes: output::size(&self.output),
+            output: self.output.clone(),
+            tiles: self.number as usize,
+            size_px: self.size,
+            pixel_angstrom: set.pixel_angstrom,
+            dose_electrons_per_angstrom2: dose,
+            columns: set.columns.nrows(),
+            phases,
+            wall_time_s: begun.elapsed().as_secs_f64(),
+        };
+        self.common.print(&summary, &summary.text())
+    }
+}
+
+impl TilesSummary {
+    fn text(&self) -> String {
+        let mut lines = Lines::default();
+        let n = text::count(self.tiles as u64);
+        let (size, pixel) = (self.size_px, self.pixel_angstrom);
+        lines.add("tiles", format!("{n} of {size} x {size} pixels of {pixel:.4} A"));
+        let dose = self.dose_electrons_per_angstrom2.map(|[low, high]| {
+            let range = if low == high { format!("{low}") } else { format!("{low} to {high}") };
+            format!("{range} electrons per square Angstrom")
+        });
+        lines.add("dose", dose.unwrap_or_else(|| "that of the stored image".into()));
+        lines.add("columns", text::count(self.columns as u64));
+        if !self.phases.is_empty() {
+            let codes = self.phases.iter().enumerate().map(|(n, name)| format!("{n} {name}"));
+            lines.add("phases", codes.collect::<Vec<_>>().join(", "));
+        }
+        lines.add("time", text::duration(self.wall_time_s));
+        let size = text::bytes(self.file_bytes);
+        lines.add("file", format!("{} ({size})", self.output.display()));
+        lines.text()
+    }
+}

@@ -1,0 +1,314 @@
+//! Comparison with an image of another program.
+
+use super::accuracy_report::AccuracyReport;
+use super::hdf5_check;
+use super::hints::hinted;
+use super::imaging_args::{self, MicroscopeArgs, NumericsArgs};
+use super::plan_report::{self, Lines, PlanReport};
+use super::progress_bar::Reporter;
+use super::reference_scan::{asked_pixels, reference_scan};
+use super::scan_args::ScanArgs;
+use super::structure_args::{Prepared, SpecimenArgs};
+use super::values;
+use anyhow::{anyhow, bail};
+use clap::{Args, ValueEnum};
+use std::path::{Path, PathBuf};
+use stemgen::engine::{Cost, GridChoice, Plan, Scan, Settings};
+use stemgen::io::arrays::{self, ForeignArray};
+use stemgen::potential::slices::Slicing;
+use stemgen::progress::Progress as _;
+use stemgen::validate::golden::like_abtem;
+use stemgen::validate::image_comparison::{ImageComparison, compare};
+use stemgen::validate::user::{self, Order, Reference, ValueUnits};
+use stemgen::validate::{NamedSetting, Outcome};
+
+/// abTEM's slice thickness unless another is asked for, in Angstrom.
+const ABTEM_SLICE_ANGSTROM: f64 = 1.0;
+const REMEDY: &str = "ours is converged in the grid, abTEM's images carry the error of theirs; --like-abtem with the --gpts and \
+                      --slice-thickness of the reference computes as abTEM does, and tells whether that explains it";
+
+/// Your own reference.
+#[derive(Debug, Args)]
+pub struct ReferenceArgs {
+    /// Compare with this image instead: .npy, .npz, .tif, .h5 or a zarr folder
+    #[arg(long, value_name = "FILE", requires = "structure", help_heading = "Your reference")]
+    reference: Option<PathBuf>,
+    /// Atoms that the reference shows: CIF, extended XYZ or POSCAR
+    #[arg(long, value_name = "FILE", requires = "reference", help_heading = "Your reference")]
+    structure: Option<PathBuf>,
+    /// Array of the file, where it holds several
+    #[arg(long, value_name = "NAME", requires = "reference", help_heading = "Your reference")]
+    dataset: Option<String>,
+    /// Which image of a stack, from 0; one number for each dimension that is not x or y
+    #[arg(long, value_name = "I,J,...", value_delimiter = ',', requires = "reference")]
+    #[arg(help_heading = "Your reference")]
+    index: Vec<usize>,
+    /// Order of the dimensions, where the file does not say; abTEM's arrays are xy
+    #[arg(long, value_name = "ORDER", requires = "reference", help_heading = "Your reference")]
+    axes: Option<AxesName>,
+    /// What the values are
+    #[arg(long, value_name = "NAME", default_value = "fraction", help_heading = "Your reference")]
+    units: UnitsName,
+    /// Largest difference allowed, in per cent of the maximum of the reference
+    #[arg(long, value_name = "PERCENT", default_value = "1", value_parser = values::percent)]
+    #[arg(allow_negative_numbers = true, help_heading = "Your reference")]
+    tolerance: f64,
+    /// Compute as abTEM does: potentials on the grid of the wave with its pixel correction, slices of
+    /// --slice-thickness [default: 1 A], its anti-aliasing and focus; needs --gpts or --sampling
+    #[arg(long, requires = "reference", help_heading = "Your reference")]
+    like_abtem: bool,
+    #[command(flatten)]
+    specimen: Option<SpecimenArgs>,
+    #[command(flatten)]
+    microscope: Option<MicroscopeArgs>,
+    #[command(flatten)]
+    scan: Option<ScanArgs>,
+    #[command(flatten)]
+    numerics: Option<NumericsArgs>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum AxesName {
+    /// First index along x
+    Xy,
+    /// First index along y
+    Yx,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum UnitsName {
+    /// Fractions of the beam
+    Fraction,
+    /// Per cent of the beam
+    Percent,
+    /// Anything proportional: the factor is fitted
+    Fitted,
+}
+
+/// Everything that a comparison needs.
+pub struct PreparedReference {
+    name: String,
+    structure: String,
+    reference: Reference,
+    specimen: Prepared,
+    plan: Plan,
+    /// See [`ImageComparison::converged`].
+    converged: Option<Plan>,
+    scan: Scan,
+    units: ValueUnits,
+    tolerance: f64,
+    source: String,
+    remedy: Option<String>,
+}
+
+/// Options as if none had been given.
+fn defaults<T: Args>() -> anyhow::Result<T> {
+    let command = T::augment_args(clap::Command::new("defaults").no_binary_name(true));
+    let matches = command.try_get_matches_from(std::iter::empty::<String>())?;
+    Ok(T::from_arg_matches(&matches)?)
+}
+
+impl ReferenceArgs {
+    /// Whether a reference was given.
+    pub fn given(&self) -> bool {
+        self.reference.is_some()
+    }
+
+    /// The files that are read.
+    pub fn files(&self) -> Vec<PathBuf> {
+        [&self.reference, &self.structure].into_iter().flatten().cloned().collect()
+    }
+
+    /// Reads and plans; `None` without a reference.
+    pub fn prepare(self, reporter: &Reporter) -> anyhow::Result<Option<PreparedReference>> {
+        let (Some(path), Some(structure)) = (&self.reference, &self.structure) else {
+            return self.refuse_options().map(|()| None);
+        };
+        if !(self.tolerance > 0.0 && self.tolerance <= 100.0) {
+            bail!("--tolerance {}: write per cent above 0 and up to 100", self.tolerance);
+        }
+        if arrays::is_hdf5(path) {
+            hdf5_check::check(path)?;
+        }
+        let array = arrays::read(path, self.dataset.as_deref())?;
+        let options = |given: Option<SpecimenArgs>| given.map_or_else(defaults, Ok);
+        let specimen_args = options(self.specimen)?;
+        let microscope: MicroscopeArgs = self.microscope.map_or_else(defaults, Ok)?;
+        let numerics: NumericsArgs = self.numerics.map_or_else(defaults, Ok)?;
+        let specimen = specimen_args.prepare(structure)?;
+        let phonons = specimen_args.phonons();
+        let mut settings = imaging_args::settings(&microscope, &numerics, phonons, Vec::new())?;
+        if settings.detectors.len() > 1 {
+            let fault = anyhow!("{} detectors for one reference", settings.detectors.len());
+            return Err(hinted(
+                fault,
+                "give the one --detector that the reference was computed with",
+            ));
+        }
+        agree(&array, &settings)?;
+        let converged = self.like_abtem.then(|| converged_settings(&settings));
+        if self.like_abtem {
+            settings = abtem_settings(&settings, &numerics, specimen.size)?;
+        }
+        let scan_args = self.scan.as_ref();
+        let pixels = scan_args.map(|args| asked_pixels(args, &settings.optics)).transpose()?;
+        let order = self.axes.map(|a| if a == AxesName::Xy { Order::Xy } else { Order::Yx });
+        let mut reference = user::reference(&array, order, &self.index, pixels.flatten())?;
+        let units = match self.units {
+            UnitsName::Fraction => ValueUnits::Fraction,
+            UnitsName::Percent => ValueUnits::Percent,
+            UnitsName::Fitted => ValueUnits::Fitted,
+        };
+        user::in_fractions(&array, &mut reference.data, units)?;
+        let scan = reference_scan(scan_args, &settings.optics, &array, &reference)?;
+        let accuracy =
+            AccuracyReport::choose(numerics.accuracy, &mut settings, &specimen, &scan, reporter)?;
+        let plan = Plan::new(&settings, specimen.size, &specimen.heights)?;
+        plan.warnings.iter().for_each(|w| reporter.warn(w));
+        let planned = |s: Settings| Plan::new(&s, specimen.size, &specimen.heights);
+        let converged = converged.map(planned).transpose()?;
+        let accuracy = accuracy.map_or_else(String::new, |a| format!("; ours: {}", a.text()));
+        Ok(Some(PreparedReference {
+            name: file_name(path),
+            structure: file_name(structure),
+            source: format!("{} (x and y: {}){accuracy}", path.display(), reference.orientation),
+            reference,
+            specimen,
+            plan,
+            converged,
+            scan,
+            units,
+            tolerance: self.tolerance / 100.0,
+            remedy: (!self.like_abtem).then(|| REMEDY.to_owned()),
+        }))
+    }
+
+    /// Options of an image make no sense for the suite.
+    fn refuse_options(&self) -> anyhow::Result<()> {
+        let given = [
+            (self.specimen.is_some(), "options of the specimen"),
+            (self.microscope.is_some(), "options of the microscope"),
+            (self.scan.is_some(), "options of the scan"),
+            (self.numerics.is_some(), "options of the numerics"),
+        ];
+        match given.iter().find(|(given, _)| *given) {
+            None => Ok(()),
+            Some((_, which)) => {
+                let hint =
+                    "they belong to --reference FILE --structure FILE; the suite has its own";
+                Err(hinted(anyhow!("{which} without a reference"), hint))
+            }
+        }
+    }
+}
+
+fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
+}
+
+/// Refuses settings that the file contradicts.
+fn agree(array: &ForeignArray, settings: &Settings) -> anyhow::Result<()> {
+    let optics = &settings.optics;
+    let told = [
+        (array.energy_ev.map(|e| e / 1e3), optics.energy_ev / 1e3, "keV", "--energy"),
+        (array.semiangle_mrad, optics.semiangle_mrad, "mrad", "--semiangle"),
+    ];
+    for (told, ours, unit, option) in told {
+        if let Some(told) = told.filter(|t| (t / ours - 1.0).abs() > 1e-6) {
+            let fault = anyhow!(
+                "{} was computed with {told} {unit}, not with {ours} {unit}",
+                array.path.display()
+            );
+            return Err(hinted(fault, format!("{option} {told}")));
+        }
+    }
+    Ok(())
+}
+
+/// Our own grid and slices in place of those given.
+fn converged_settings(settings: &Settings) -> Settings {
+    Settings { grid: GridChoice::Auto, slicing: Slicing::Planes, ..settings.clone() }
+}
+
+fn abtem_settings(
+    settings: &Settings,
+    numerics: &NumericsArgs,
+    size: [f64; 3],
+) -> anyhow::Result<Settings> {
+    let points = match (numerics.gpts, numerics.sampling) {
+        (Some(points), _) => points,
+        (None, Some(sampling)) => [0, 1].map(|i| (size[i] / sampling - 1e-9).ceil() as usize),
+        (None, None) => {
+            let fault = anyhow!("--like-abtem needs abTEM's grid");
+            return Err(hinted(
+                fault,
+                "give the --gpts or the --sampling of the abTEM calculation",
+            ));
+        }
+    };
+    let thickness = numerics.slice_thickness.unwrap_or(ABTEM_SLICE_ANGSTROM);
+    // Slices of equal thickness; the focus moves by half of one.
+    let slice = size[2] / (size[2] / thickness - 1e-9).ceil().max(1.0);
+    Ok(like_abtem(settings, GridChoice::Points(points), slice))
+}
+
+impl PreparedReference {
+    /// What would be done.
+    pub fn planned(&self) -> (PlanReport, String) {
+        let report = self.report();
+        let mut lines = Lines::default();
+        lines.add("reference", self.source.clone());
+        lines.add("atoms", self.specimen.sites.len().to_string());
+        report.lines(&mut lines);
+        lines.add("probes", plan_report::scan(&self.scan));
+        report.costs(&mut lines);
+        (report, lines.text())
+    }
+
+    fn report(&self) -> PlanReport {
+        PlanReport::new(&self.plan, &Cost::new(&self.plan, &self.scan), 1)
+    }
+
+    /// What ours is computed with.
+    fn settings(&self) -> Vec<NamedSetting> {
+        let settings = &self.plan.settings;
+        let [x, y, z] = self.specimen.size;
+        let mut lines = Lines::default();
+        lines.add("atoms", format!("{} in {x:.3} x {y:.3} x {z:.3} A", self.specimen.sites.len()));
+        lines.add("beam", plan_report::beam(&settings.optics));
+        let d = &settings.detectors[0];
+        lines.add("detector", format!("{}, {} to {} mrad", d.name, d.inner_mrad, d.outer_mrad));
+        lines.add("probes", plan_report::scan(&self.scan));
+        self.report().numerics(&mut lines);
+        if self.converged.is_some() {
+            lines.add("numerics", "abTEM's: potentials on the grid of the wave, even slices");
+        }
+        let named = |(name, value)| NamedSetting { name, value };
+        lines.into_rows().into_iter().map(named).collect()
+    }
+
+    /// Simulates and compares.
+    pub fn run(self, reporter: &Reporter) -> anyhow::Result<Outcome> {
+        let detector = &self.plan.settings.detectors[0];
+        let about = format!(
+            "{}, {:.0} to {:.0} mrad, of {}, computed by stemgen and compared with the image in {}.",
+            detector.name, detector.inner_mrad, detector.outer_mrad, self.structure, self.name,
+        );
+        let settings = self.settings();
+        let comparison = ImageComparison {
+            plan: &self.plan,
+            sites: &self.specimen.sites,
+            scan: &self.scan,
+            reference: &self.reference,
+            units: self.units,
+            converged: self.converged.as_ref(),
+            tolerance: self.tolerance,
+            name: self.name,
+            about,
+            settings,
+            source: self.source,
+            remedy: self.remedy,
+        };
+        Ok(compare(reporter, &comparison)?)
+    }
+}

@@ -1,0 +1,225 @@
+//! `stemgen view`.
+
+use super::hdf5_check;
+use super::hints::hinted;
+use super::recipe_args::is_recipe_file;
+use super::specimen_command::draw_specimen;
+use super::values::{self, Tier};
+use super::view_images::{self, ViewedImage};
+use super::view_picture::{
+    Overlay, PictureArgs, WorldPart, boundaries, boundaries_or_phases, particles,
+};
+use super::{output, text};
+use anyhow::{anyhow, bail};
+use clap::Args;
+use std::path::{Path, PathBuf};
+use stemgen::files::outputs::check_outputs;
+use stemgen::io::{StoredImages, WorldFile};
+use stemgen::recipe::{CheckedRecipe, Difficulty, Recipe};
+use stemgen::render::html::WorldPage;
+
+const EXAMPLES: &str = "\
+Examples:
+  The whole field:
+    stemgen view worlds/srtio3_easy_1x1.h5
+  A part of it, 2 nm wide, with every defect:
+    stemgen view worlds/srtio3_easy_1x1.h5 --region 0.2,0.2,2.2,2.2 --overlay defects
+  Phases and their boundaries over the noiseless image:
+    stemgen view worlds/batio3_hard_4x4.h5 --clean --overlay phases --colormap inferno -o b.png
+  Another detector of a world that has several:
+    stemgen view worlds/srtio3_easy_1x1.h5 --detector ABF
+  The specimen of a recipe, before anything is simulated:
+    stemgen view srtio3 --difficulty easy --grid 2x2
+  A recording, or an image that `simulate` made:
+    stemgen view tile.h5
+  A page for the browser that zooms to single atoms and shows what the truth says of each:
+    stemgen view worlds/srtio3_easy_1x1.h5 --html
+
+The page is one file that needs no network: overlays, values and columns under the pointer, line profiles.
+x grows to the right and y down, from the centre of pixel (0, 0), as in the world's ground truth.";
+
+/// Draw a world, an image or a recording as PNG, or make a page of a world for the browser
+#[derive(Debug, Args)]
+#[command(after_help = EXAMPLES)]
+pub struct View {
+    /// World file; a file of `simulate`, `acquire` or `live`; or a recipe, by its name or its file (.toml), of which the
+    /// specimen is drawn
+    #[arg(value_name = "FILE|RECIPE")]
+    world: PathBuf,
+    /// The tier of a recipe that has some
+    #[arg(long, value_name = "TIER")]
+    difficulty: Option<Tier>,
+    /// Only the central tiles of a recipe, rows x columns [default: the whole field]
+    #[arg(long, value_name = "RxC", value_parser = values::rows_columns)]
+    grid: Option<[usize; 2]>,
+    /// Which detector of a world that has several, or which image of a file of `simulate` [default: the first]
+    #[arg(long, value_name = "NAME")]
+    detector: Option<String>,
+    /// Which image of a stack of thicknesses, frames or recordings, from 0 on [default: the last]
+    #[arg(long, value_name = "NUMBER")]
+    index: Option<usize>,
+    /// Write a page (HTML) that works offline; the options below then say what it shows first
+    #[arg(long)]
+    html: bool,
+    /// Only this part, in nm: left, upper, right and lower edge
+    #[arg(long, value_name = "X0,Y0,X1,Y1", value_parser = values::rectangle)]
+    #[arg(allow_hyphen_values = true)]
+    region: Option<[f64; 4]>,
+    #[command(flatten)]
+    picture: PictureArgs,
+    /// File to write [default: WORLD with the ending .view.png, or .html]
+    #[arg(short, long, value_name = "FILE", help_heading = "Results")]
+    output: Option<PathBuf>,
+    /// Replace an existing file
+    #[arg(long, help_heading = "Results")]
+    overwrite: bool,
+    /// Print nothing but errors
+    #[arg(short, long, help_heading = "Running")]
+    quiet: bool,
+}
+
+impl View {
+    /// Runs the subcommand.
+    pub fn run(self) -> anyhow::Result<()> {
+        if let Some(recipe) = self.recipe()? {
+            return self.draw_recipe(&recipe);
+        }
+        hdf5_check::check(&self.world)?;
+        if let Some(images) = StoredImages::open(&self.world)? {
+            return self.draw_image(&images);
+        }
+        if self.index.is_some() {
+            bail!("--index: a world is one image; leave it out");
+        }
+        let mut world = WorldFile::open(&self.world)?;
+        if let Some(name) = &self.detector {
+            world = world.on_detector(name)?;
+        }
+        let ending = if self.html { "html" } else { "view.png" };
+        let path = self.output.clone().unwrap_or_else(|| self.world.with_extension(ending));
+        check_outputs([&path], [&self.world], self.overwrite)?;
+        let part = self.part(&world)?;
+        if self.html {
+            return self.write_page(&world, &path);
+        }
+        let picture = part.picture(&self.picture, &world)?;
+        picture.write_png(&path)?;
+        let [h, w] = [&part.rows, &part.columns].map(|r| r.len() as f64 * part.pixel_nm);
+        self.tell(&format!("{}: {w:.2} x {h:.2} nm", path.display()))
+    }
+
+    /// The recipe that stands in place of a world.
+    fn recipe(&self) -> anyhow::Result<Option<CheckedRecipe>> {
+        let name = self.world.to_string_lossy();
+        let tier = self.difficulty.map(Difficulty::from);
+        let recipe = match is_recipe_file(&name) {
+            true => Recipe::from_file(&self.world, tier)?,
+            false if Recipe::built_in().any(|known| known == name) => Recipe::load(&name, tier)?,
+            false if tier.is_some() || self.grid.is_some() => {
+                bail!("{name}: a world has its recipe; leave out --difficulty and --grid")
+            }
+            false => return Ok(None),
+        };
+        let recipe = match self.grid {
+            Some([rows, columns]) => recipe.with_grid(rows, columns)?,
+            None => recipe,
+        };
+        Ok(Some(recipe.checked()?))
+    }
+
+    /// Draws the specimen of a recipe, with all that is known of it.
+    fn draw_recipe(&self, recipe: &CheckedRecipe) -> anyhow::Result<()> {
+        if self.html
+            || self.region.is_some()
+            || self.picture.clean
+            || self.detector.is_some()
+            || self.index.is_some()
+        {
+            bail!(
+                "{}: of a recipe the specimen is drawn as a whole; build the world for --html, --region, --clean and --detector",
+                self.world.display()
+            );
+        }
+        let usual = || PathBuf::from(format!("{}.view.png", recipe.id));
+        let path = self.output.clone().unwrap_or_else(usual);
+        check_outputs([&path], [&self.world], self.overwrite)?;
+        draw_specimen(recipe, &path, self.quiet)?;
+        self.tell(&path.display().to_string())
+    }
+
+    /// Draws a simulated image or a recording.
+    fn draw_image(&self, images: &StoredImages) -> anyhow::Result<()> {
+        if self.html || self.region.is_some() || !self.picture.overlay.is_empty() {
+            bail!(
+                "{}: is no world; leave out --html, --region and --overlay (`simulate --html` makes a page of its images)",
+                self.world.display()
+            );
+        }
+        let path = self.output.clone().unwrap_or_else(|| self.world.with_extension("view.png"));
+        check_outputs([&path], [&self.world], self.overwrite)?;
+        let choice = ViewedImage { name: self.detector.as_deref(), index: self.index };
+        let (picture, what) = view_images::picture(images, &choice, &self.picture)?;
+        picture.write_png(&path)?;
+        self.tell(&format!("{}: {what}", path.display()))
+    }
+
+    fn tell(&self, line: &str) -> anyhow::Result<()> {
+        if self.quiet { Ok(()) } else { text::print(line) }
+    }
+
+    fn write_page(&self, world: &WorldFile, path: &Path) -> anyhow::Result<()> {
+        if self.picture.clean && !world.has_clean() {
+            // The reader's own words about it.
+            world.stitched_clean(0..1, 0..1)?;
+        }
+        if self.picture.overlay.contains(&Overlay::Phases) {
+            boundaries_or_phases(world)?;
+        }
+        if self.picture.overlay.contains(&Overlay::Boundaries) {
+            boundaries(world)?;
+        }
+        if self.picture.overlay.contains(&Overlay::Particles) {
+            particles(world)?;
+        }
+        let title = self.world.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let names = |overlay: &Overlay| match overlay {
+            Overlay::Defects => vec!["defects"],
+            Overlay::Phases => vec!["phases", "boundaries"],
+            Overlay::Boundaries => vec!["boundaries"],
+            Overlay::Particles => vec!["particles"],
+            Overlay::Columns => vec!["columns"],
+        };
+        let page = WorldPage {
+            title,
+            colormap: self.picture.colormap.into(),
+            contrast: self.picture.contrast,
+            overlays: self.picture.overlay.iter().flat_map(names).map(str::to_owned).collect(),
+            region: self.region,
+            clean: self.picture.clean,
+        };
+        page.page(world)?.write(path)?;
+        let size = text::bytes(output::size(path));
+        self.tell(&format!("{} ({size}); open it in a browser", path.display()))
+    }
+
+    /// The pixels of the region.
+    fn part(&self, world: &WorldFile) -> anyhow::Result<WorldPart> {
+        let [height, width] = world.shape();
+        let pixel_nm = world.metadata().pixel_size_nm;
+        let Some([x0, y0, x1, y1]) = self.region else {
+            return Ok(WorldPart { rows: 0..height, columns: 0..width, pixel_nm });
+        };
+        let range = |low: f64, high: f64, size: usize| {
+            let clamp = |v: f64| v.clamp(0.0, size as f64) as usize;
+            clamp((low / pixel_nm + 0.5).floor())..clamp((high / pixel_nm + 0.5).ceil())
+        };
+        let (rows, columns) = (range(y0, y1, height), range(x0, x1, width));
+        if rows.is_empty() || columns.is_empty() {
+            let [h, w] = [height, width].map(|n| n as f64 * pixel_nm);
+            let fault = anyhow!("--region {x0},{y0},{x1},{y1} lies outside the world");
+            let hint = format!("the field goes from 0,0 to {w:.2},{h:.2} nm");
+            return Err(hinted(fault, hint));
+        }
+        Ok(WorldPart { rows, columns, pixel_nm })
+    }
+}

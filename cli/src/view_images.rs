@@ -1,0 +1,55 @@
+//! `stemgen view` of simulated images and recordings.
+
+use super::hints::hinted;
+use super::pictures;
+use super::view_picture::PictureArgs;
+use anyhow::anyhow;
+use stemgen::io::{ImageKind, StoredImages};
+use stemgen::render::{Contrast, Picture, RgbImage};
+
+/// Which image of a file is drawn.
+pub struct ViewedImage<'a> {
+    /// Name of the image; `None`: the first, or the ideal image of a recording if the picture is to be clean.
+    pub name: Option<&'a str>,
+    /// Its number in a stack; `None`: the last.
+    pub index: Option<usize>,
+}
+
+/// The picture of an image, and what it shows in words.
+///
+/// # Errors
+/// Those of the file; a clean image of a file that holds no recording.
+pub fn picture(
+    images: &StoredImages,
+    choice: &ViewedImage<'_>,
+    view: &PictureArgs,
+) -> anyhow::Result<(RgbImage, String)> {
+    let name = match (view.clean, choice.name, images.kind) {
+        (true, None, ImageKind::Recording) => "ideal",
+        (true, ..) => {
+            let fault =
+                anyhow!("--clean: is for worlds and recordings, and names no image beside it");
+            return Err(hinted(fault, format!("--detector takes {}", images.names.join(", "))));
+        }
+        (false, Some(name), _) => name,
+        (false, None, _) => &images.names[0],
+    };
+    let image = images.image(name, choice.index)?;
+    let (rows, columns) = image.values.dim();
+    let size = [columns, rows].map(|n| n as f64);
+    let [width, height] = [0, 1].map(|k| 0.1 * size[k] * image.step_angstrom[k]);
+    let (values, pixel) = pictures::resampled(image.values.view(), image.step_angstrom);
+    let shape = values.dim();
+    let values: Vec<f32> = values.into_iter().collect();
+    let mut picture = Picture::new(&values, [shape.0, shape.1])?;
+    picture.pixel_angstrom = Some(pixel);
+    picture.max_side = view.size as usize;
+    picture.colormap = view.colormap.into();
+    let [low, high] = view.contrast;
+    picture.contrast = Contrast::Percentile { low, high };
+    let number = match image.of {
+        1 => String::new(),
+        n => format!(", number {} of 0 to {}", choice.index.unwrap_or(n - 1), n - 1),
+    };
+    Ok((picture.render()?, format!("{name}{number}, {width:.2} x {height:.2} nm")))
+}

@@ -1,0 +1,63 @@
+//! The image of a world as a file for HyperSpy.
+
+use std::path::Path;
+
+use ndarray::{Array2, Axis};
+
+use stemgen::detect::Detector;
+use stemgen::engine::check_memory;
+use stemgen::error::Result;
+use stemgen::io::WorldFile;
+use stemgen::io::hspy_file::write_hspy;
+use stemgen::io::image_file::ImageStack;
+
+/// Bytes that an image takes for each of its pixels: as read, and as fractions of the beam.
+const BYTES: u64 = 8;
+
+/// Writes the images of a world as signals, in fractions of the beam: one for each of `detectors`, with `_clean` behind its name for
+/// the image without noise, where the world has that.
+///
+/// # Errors
+/// [`stemgen::Error::Memory`] for a world too large to be held at once; those of reading and writing.
+pub fn write_world(
+    path: &Path,
+    overwrite: bool,
+    world: &WorldFile,
+    detectors: &[Detector],
+) -> Result<()> {
+    let [rows, columns] = world.shape();
+    let each = if world.has_clean() { 2 } else { 1 };
+    let bytes = (rows * columns * each * detectors.len()) as u64 * BYTES;
+    check_memory(bytes, "leave --hspy out: the world's own file opens in h5py, part by part")?;
+    let mut images: Vec<(String, Array2<f32>, &Detector)> = Vec::new();
+    for detector in detectors {
+        let own = match world.detectors().is_empty() {
+            true => None,
+            false => Some(world.on_detector(&detector.name)?),
+        };
+        let world = own.as_ref().unwrap_or(world);
+        let [scale, offset] = world.metadata().scaling.unwrap_or([1.0, 0.0]);
+        let fraction = |v: f32| (f64::from(v) * scale + offset) as f32;
+        let image = world.stitched(0..rows, 0..columns)?.mapv_into(fraction);
+        images.push((detector.name.clone(), image, detector));
+        if world.has_clean() {
+            let clean = world.stitched_clean(0..rows, 0..columns)?;
+            images.push((format!("{}_clean", detector.name), clean, detector));
+        }
+    }
+    let pixel = 10.0 * world.metadata().pixel_size_nm;
+    let stacks: Vec<ImageStack> = images
+        .iter()
+        .map(|(name, image, detector)| ImageStack {
+            name,
+            data: image.view().insert_axis(Axis(0)),
+            units: "fraction of the incident beam",
+            step_angstrom: [pixel; 2],
+            origin_angstrom: [0.0; 2],
+            thicknesses_angstrom: &[],
+            defocus_angstrom: None,
+            annulus_mrad: Some([detector.inner_mrad, detector.outer_mrad]),
+        })
+        .collect();
+    write_hspy(path, overwrite, &stacks)
+}

@@ -1,5 +1,0 @@
-//! The `stemgen` program.
-
-fn main() -> std::process::ExitCode {
-    stemgen::cli::main()
-}
