@@ -1,6 +1,6 @@
 //! Simulates the HAADF image of a crystal from a CIF file and prints it as numbers.
 //!
-//!     cargo run --release --no-default-features --example simulate_cif [FILE.cif]
+//!     cargo run --release -p stemgen --no-default-features --example simulate_cif [FILE.cif]
 //!
 //! Takes `structures/srtio3.cif` unless a file is named. Prints the grid and the slices of the plan, then the intensity of each
 //! probe position of one unit cell in per cent of the beam: a row of the image on each line.

@@ -1,6 +1,6 @@
 //! Makes one tile of a world with its truth, without a file: images for training as they are needed.
 //!
-//!     cargo run --release --no-default-features --features render --example tile_with_truth [FILE.png]
+//!     cargo run --release -p stemgen --no-default-features --features render --example tile_with_truth [FILE.png]
 //!
 //! Prints the sites, columns and vacancies of a tile of SrTiO3, the counted electrons, and where the columns with vacancies lie in
 //! pixels; then writes the counts as a picture, with these columns marked, to `tile.png` unless a file is named.

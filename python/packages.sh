@@ -1,6 +1,10 @@
 #!/bin/sh
-# Makes the environments below target/ in which python/test.sh builds the wheel and tests it: all but the wheel itself. It waits for
-# the network most of the time, so tests/run.sh starts it beside the compiler. PYTHON names the interpreter.
+# Makes the environments below target/ in which python/test.sh builds the wheel and tests it: all but the wheel itself.
+#
+#     sh python/packages.sh [build]
+#
+# With `build`, only what compiles the HDF5 library and the wheel. The rest waits for the network most of the time, so tests/run.sh
+# starts it beside the compiler. PYTHON names the interpreter.
 set -eu
 cd "$(dirname "$0")/.."
 place=target/python
@@ -12,6 +16,7 @@ mkdir -p "$place" target/docs
 # Those of pyproject.toml's build-system; they stay, so that the next run builds nothing twice.
 [ -x "$place/build/bin/maturin" ] || "${PYTHON:-python3}" -m venv "$place/build"
 "$place/build/bin/python" -m pip install -q "maturin>=1.16,<2" "cmake>=3.26"
+[ "${1:-}" != build ] || exit 0
 rm -rf "$place/venv"
 "${PYTHON:-python3}" -m venv "$place/venv"
 python="$place/venv/bin/python"

@@ -38,12 +38,12 @@ if ldd "$extension" | grep -iE "hdf5|libz|libpython"; then
     echo "python/test.sh: the extension needs libraries that a bare system lacks" >&2
     exit 1
 fi
-# All examples of the pages run while the site is built, beside the tests. Who picks tests by hand does without.
+# Examples of pages that changed run while the site is built, beside the tests. Who picks tests by hand does without.
 docs=
 if [ $# -eq 0 ]; then
-    sh docs/build.sh "$wheel" >"$place/docs.log" 2>&1 &
+    sh docs/build.sh --changed "$wheel" >"$place/docs.log" 2>&1 &
     docs=$!
     trap 'kill "$docs" 2>/dev/null || :' EXIT
 fi
-"$python" -m pytest python/tests -c python/pyproject.toml --rootdir python "$@"
+"$python" -m pytest python/tests -c python/pyproject.toml --rootdir python --durations=10 "$@"
 [ -z "$docs" ] || { wait "$docs" || { cat "$place/docs.log" >&2; exit 1; }; cat "$place/docs.log"; }

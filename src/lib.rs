@@ -128,8 +128,8 @@
 //! |---|---|---|
 //! | none | everything up to [`imaging`], tiles with noise and truth on the fly, files of atoms | |
 //! | `hdf5` (default) | files of images and worlds, [`world::build`] | libhdf5 |
-//! | `render` | PNG pictures and drawings | |
-//! | `report` | [`validate`], HTML pages, readers of other programs' arrays; implies `hdf5` and `render` | libhdf5 |
+//! | `render` (default) | PNG pictures and drawings | |
+//! | `report` (default) | [`validate`], HTML pages, readers of other programs' arrays; implies `hdf5` and `render` | libhdf5 |
 //! | `static-hdf5` | an HDF5 library of its own in place of the system's | cmake |
 //!
 //! The program `stemgen` is the crate `stemgen-cli` beside this one.

@@ -37,7 +37,8 @@ Examples:
     stemgen regenerate --manifest mine.toml -o mine/
 
 Each world is built with its image before noise, and compared with the manifest: the digests of its recipe, its
-truth and its tiles. On another kind of processor images are rounded differently, and 64 values before noise decide.
+truth and its tiles. A digest that differs is a difference. The manifest lists digests for some kinds of processors; on
+another kind images are rounded differently, so only 64 values before noise are compared, and the table says so.
 The exit code is 3 if a world differs, and 1 if one could not be made or compared.";
 
 /// Make released worlds again, and check that they are what was released
@@ -237,10 +238,9 @@ fn table(all: &[Regenerated]) -> String {
             None if r.error.is_some() => "FAILED: the error is above".into(),
             None => format!("noted, numerics {NUMERICS_VERSION}, {}", processor()),
             Some(PinnedSameness::SameBytes) => "the same bytes".into(),
-            Some(PinnedSameness::SameImage { difference, known_processor }) => {
-                let of = if *known_processor { "" } else { ", of another kind of processor" };
-                format!("the same truth, and image within {difference:.1e} before noise{of}")
-            }
+            Some(PinnedSameness::SameValues { difference, values }) => format!(
+                "the same truth, and {values} values before noise within {difference:.1e}; all tiles are compared only on the kinds of processor that the manifest lists"
+            ),
             Some(PinnedSameness::Different { what }) => format!("DIFFERS: {}", what.join(", ")),
         };
         rows.push([

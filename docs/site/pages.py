@@ -1,6 +1,10 @@
 """Makes the sources of the site: copies the pages, runs their Python, and puts what it shows below it.
 
-    python docs/site/pages.py OUT [PAGE ...]          # of some pages only: docs/tour.md
+    python docs/site/pages.py OUT [PAGE ...]          # runs some pages only: docs/tour.md
+    python docs/site/pages.py OUT --changed           # runs those only whose Python is not listed in ran.json
+
+ran.json lists the Python of each page, as a digest, as it was when all pages were run last. `STEMGEN_UPDATE=1` renews the list once all
+pages have run.
 
 Each page is a notebook of its own: its blocks of Python run one after the other in a new kernel and an empty folder. A block that fails
 ends the build, with page and line. Comments above a block say more about it:
@@ -15,8 +19,10 @@ ends the build, with page and line. Comments above a block say more about it:
 from __future__ import annotations
 
 import base64
+import hashlib
 import html
 import importlib.util
+import json
 import os
 import re
 import shutil
@@ -43,8 +49,10 @@ ELSEWHERE = {
     "CONTRIBUTING.md": "repository/contributing.md",
     "CHANGELOG.md": "repository/changelog.md",
 }
-#: Seconds that one block may take.
-LONGEST_S = 240
+#: Digests of the Python of all pages, as it ran last.
+RAN = Path(__file__).parent / "ran.json"
+#: Seconds after which a block is taken to hang; minutes are usual on a slow machine.
+LONGEST_S = 3600
 #: Pages that run at the same time.
 AT_ONCE = 2
 
@@ -93,6 +101,11 @@ class Page:
     @property
     def slug(self) -> str:
         return self.target.removesuffix(".md").replace("/", "-")
+
+    @property
+    def digest(self) -> str:
+        """Stands for the Python of the page."""
+        return hashlib.sha256("\0".join(block.text for block in self.blocks if block.code).encode()).hexdigest()
 
     @property
     def has_notebook(self) -> bool:
@@ -312,6 +325,18 @@ def _gallery(pages: list[Page]) -> str:
     return '<div class="gallery">' + "".join(items) + "</div>"
 
 
+def changed(pages: list[Page]) -> list[Page]:
+    """The pages whose Python is not that which ran last."""
+    ran = json.loads(RAN.read_text())
+    return [page for page in pages if any(block.code for block in page.blocks) and ran.get(page.path) != page.digest]
+
+
+def record(pages: list[Page]) -> None:
+    """Keeps what ran."""
+    digests = {page.path: page.digest for page in pages if any(block.code for block in page.blocks)}
+    RAN.write_text(json.dumps(dict(sorted(digests.items())), indent=1) + "\n")
+
+
 def make(out: Path, only: list[str]) -> None:
     """Writes the sources of the whole site; runs all pages, or some."""
     shutil.rmtree(out, ignore_errors=True)
@@ -321,7 +346,11 @@ def make(out: Path, only: list[str]) -> None:
     for page in pages:
         for needs in sorted({block.needs or block.aside for block in page.blocks if block.missing}):
             print(f"SKIPPED: {page.path}: {needs} is not installed; what needs it does not run", file=sys.stderr)
-    chosen = [page for page in pages if not only or page.path in only]
+    if only == ["--changed"]:
+        chosen = changed(pages)
+        print(f"pages: {len(chosen)} run, whose Python changed; the others are compiled only", flush=True)
+    else:
+        chosen = [page for page in pages if not only or page.path in only]
     # The gallery makes the library that other pages share.
     first = [page for page in chosen if page.path == "docs/gallery.md"]
     rest = [page for page in chosen if page not in first]
@@ -329,6 +358,8 @@ def make(out: Path, only: list[str]) -> None:
         with ThreadPoolExecutor(AT_ONCE) as pool:
             for line in filter(None, pool.map(lambda page: run(page, out), some)):
                 print(line, flush=True)
+    if not only and os.environ.get("STEMGEN_UPDATE"):
+        record(pages)
     targets = {page.path: page.target for page in pages}
     for page in pages:
         place = out / page.target

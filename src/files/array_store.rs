@@ -186,8 +186,24 @@ fn encoded(key: &str, note: &str, array: &Array2<f32>) -> Vec<u8> {
 /// # Errors
 /// What is wrong.
 pub fn checked(bytes: &[u8], key: &str) -> std::result::Result<String, &'static str> {
-    let [rows, columns] = shape_of(bytes).ok_or("is cut off")?;
-    decoded(bytes, key, [rows, columns])?;
+    array_of(bytes, key)?;
+    note_of(bytes)
+}
+
+/// The array [row, column] that the bytes of a file hold under a key, whatever its shape is.
+///
+/// # Errors
+/// What is wrong with the file.
+pub fn array_of(bytes: &[u8], key: &str) -> std::result::Result<Array2<f32>, &'static str> {
+    decoded(bytes, key, shape_of(bytes).ok_or("is cut off")?)
+}
+
+/// The note in the bytes of a file, which need not be whole otherwise.
+///
+/// # Errors
+/// What is wrong with the file.
+pub fn note_of(bytes: &[u8]) -> std::result::Result<String, &'static str> {
+    shape_of(bytes).ok_or("is cut off")?;
     let note = HEAD + number(bytes, 2)..HEAD + number(bytes, 2) + number(bytes, 3);
     let note = bytes.get(note).ok_or("is cut off")?;
     Ok(String::from_utf8_lossy(note).into_owned())

@@ -66,12 +66,13 @@ pub struct PinnedWorld {
 pub enum PinnedSameness {
     /// Truth and image.
     SameBytes,
-    /// The same truth, and an image that differs by rounding: of another kind of processor.
-    SameImage {
+    /// The same truth, and near values before noise. The manifest has no digest of this kind of processor, so the other pixels are not
+    /// compared.
+    SameValues {
         /// Greatest difference of the values before noise, in parts of the brightest one.
         difference: f64,
-        /// Whether the manifest has digests of this kind of processor, which differ.
-        known_processor: bool,
+        /// How many values were compared.
+        values: usize,
     },
     /// Something differs.
     Different {
@@ -177,14 +178,16 @@ impl PinnedWorld {
         if self.samples.len() != found.samples.len() || !near {
             what.push(format!("image before noise, by {difference:.1e} of its brightest value"));
         }
-        if !what.is_empty() {
-            return PinnedSameness::Different { what };
-        }
         let known =
             |(kind, digest): (&String, &String)| self.image_sha256.get(kind).map(|d| d == digest);
-        match found.image_sha256.iter().find_map(known) {
-            Some(true) => PinnedSameness::SameBytes,
-            known => PinnedSameness::SameImage { difference, known_processor: known.is_some() },
+        let whole = found.image_sha256.iter().find_map(known);
+        if whole == Some(false) && near {
+            what.push("tiles, whose digest is not that of this kind of processor".to_owned());
+        }
+        match whole {
+            _ if !what.is_empty() => PinnedSameness::Different { what },
+            Some(_) => PinnedSameness::SameBytes,
+            None => PinnedSameness::SameValues { difference, values: apart.len() },
         }
     }
 }
@@ -303,16 +306,13 @@ mod tests {
             w.samples[1] += 2e-6;
             w.image_sha256 = [("two".to_owned(), "j".to_owned())].into();
         };
-        let PinnedSameness::SameImage { difference, known_processor } = other(&rounded) else {
-            panic!()
-        };
-        assert!((difference - 4e-6).abs() < 1e-7 && !known_processor);
-        let same = other(&|w| w.image_sha256 = [("one".to_owned(), "j".to_owned())].into());
-        assert_eq!(same, PinnedSameness::SameImage { difference: 0.0, known_processor: true });
+        let PinnedSameness::SameValues { difference, values } = other(&rounded) else { panic!() };
+        assert!((difference - 4e-6).abs() < 1e-7 && values == 2);
         let named = |change: &dyn Fn(&mut PinnedWorld), word: &str| {
             let PinnedSameness::Different { what } = other(change) else { panic!("{word}") };
             assert!(what.len() == 1 && what[0].contains(word), "{what:?}");
         };
+        named(&|w| w.image_sha256 = [("one".to_owned(), "j".to_owned())].into(), "tiles");
         named(&|w| w.truth_sha256 = "u".into(), "truth");
         named(&|w| w.recipe_sha256 = "u".into(), "recipe");
         named(&|w| w.samples[1] += 1e-5, "before noise, by 2.0e-5");

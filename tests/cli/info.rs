@@ -36,6 +36,7 @@ fn made_again(arguments: &[&str]) -> String {
     let run = super::process::process("sh")
         .current_dir(second.path())
         .env("PATH", format!("{}:{}", program.parent().unwrap().display(), env!("PATH")))
+        .env("STEMGEN_CACHE", super::cache(first.path()))
         .args(["-c", &format!("{line} --quiet --no-png")])
         .output()
         .unwrap();

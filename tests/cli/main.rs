@@ -31,14 +31,30 @@ mod validate;
 mod verify;
 mod view;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
+use std::sync::LazyLock;
 
-/// The program, run in `folder`.
+/// The program, run in `folder` as on a machine of two cores, with a library of the folder's own in place of the user's.
 fn stemgen(folder: &Path) -> Command {
     let mut command = process::process(env!("CARGO_BIN_EXE_stemgen"));
     command.current_dir(folder).stdin(std::process::Stdio::null());
+    command.env("STEMGEN_CACHE", cache(folder)).env("RAYON_NUM_THREADS", "2");
     command
+}
+
+/// Where the program keeps its library when it runs in `folder`, whose name is no other's: not in it, where tests count files. What
+/// the last run left is removed.
+fn cache(folder: &Path) -> PathBuf {
+    static ALL: LazyLock<PathBuf> = LazyLock::new(|| {
+        let all = Path::new(env!("CARGO_TARGET_TMPDIR")).join("libraries-of-cli");
+        if all.exists() {
+            std::fs::remove_dir_all(&all).unwrap();
+        }
+        all
+    });
+    let name = folder.to_str().unwrap().replace('/', "_");
+    ALL.join(name)
 }
 
 /// A file of this repository.

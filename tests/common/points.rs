@@ -118,7 +118,7 @@ impl Held {
             let stopped = text.lines().find(|line| line.ends_with("--- stopped by SIGSTOP ---"));
             if let Some(line) = stopped {
                 let thread = line.split_whitespace().next().unwrap().parse().unwrap();
-                let program = process_of(thread);
+                let program = status_of(thread, "Tgid:");
                 return Held { strace: Some(strace), program, _log: beside };
             }
             if strace.try_wait().unwrap().is_some() {
@@ -133,6 +133,16 @@ impl Held {
     /// Number of the process.
     pub fn id(&self) -> i32 {
         self.program
+    }
+
+    /// Number of the process that started this one: the traced program itself, where a process of its own stands still.
+    pub fn parent(&self) -> i32 {
+        status_of(self.program, "PPid:")
+    }
+
+    /// Waits for the end of the traced program while a process of its own stands still.
+    pub fn wait(mut self) -> Output {
+        self.strace.take().unwrap().wait_with_output().unwrap()
     }
 
     /// Sends a signal, which the program hears when it goes on.
@@ -165,9 +175,9 @@ impl Drop for Held {
     }
 }
 
-/// The process that a thread belongs to.
-fn process_of(thread: i32) -> i32 {
+/// A number that the system tells of a process or thread.
+fn status_of(thread: i32, field: &str) -> i32 {
     let status = std::fs::read_to_string(format!("/proc/{thread}/status")).unwrap();
-    let group = status.lines().find_map(|line| line.strip_prefix("Tgid:")).unwrap();
-    group.trim().parse().unwrap()
+    let value = status.lines().find_map(|line| line.strip_prefix(field)).unwrap();
+    value.trim().parse().unwrap()
 }

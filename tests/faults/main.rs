@@ -2,6 +2,8 @@
 //! the disk: in the end the same bytes are there, and nothing half-written.
 #![cfg(unix)]
 
+#[path = "../common/cases.rs"]
+mod cases;
 mod clocks;
 mod damage;
 mod disks;
@@ -85,6 +87,7 @@ fn build(folder: &Path, method: Method) -> Command {
 fn stemgen(folder: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_stemgen"));
     command.current_dir(folder).env("STEMGEN_CACHE", folder.join("cache"));
+    command.env("RAYON_NUM_THREADS", "2");
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
     command
 }

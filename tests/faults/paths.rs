@@ -1,8 +1,9 @@
 //! Any output path is refused or written, and nothing else is touched.
 
+use super::cases::cases;
 use super::stemgen;
 use proptest::prelude::*;
-use proptest::test_runner::{Config, TestRunner};
+use proptest::test_runner::TestRunner;
 use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::fs;
@@ -88,13 +89,7 @@ fn part() -> impl Strategy<Value = Vec<u8>> {
 #[test]
 fn any_output_is_refused_or_written_and_nothing_else_is_touched() {
     let parts = proptest::collection::vec(part(), 1..4);
-    let config = Config { cases: 150, failure_persistence: None, ..Config::default() };
-    let mut runner = TestRunner::new_with_rng(
-        config,
-        proptest::test_runner::TestRng::deterministic_rng(
-            proptest::test_runner::RngAlgorithm::ChaCha,
-        ),
-    );
+    let mut runner = TestRunner::new(cases(150));
     let mut written = 0;
     let count = std::cell::Cell::new(0);
     runner

@@ -9,9 +9,13 @@ mod hdf5_files;
 mod hdf5_process;
 mod large_files;
 mod mutation;
+#[path = "../common/points.rs"]
+mod points;
 #[path = "../common/process.rs"]
 mod process;
 mod recorded_files;
+#[path = "../common/skipped.rs"]
+mod skipped;
 mod targets;
 
 use process::process;

@@ -4,6 +4,7 @@
 //! bonds of graphite (1.42 A) and diamond (1.54 A), the second at 2.5 A (F. Li and J. S. Lannin, Phys. Rev. Lett. 65, 1905 (1990);
 //! G. Galli et al., Phys. Rev. Lett. 62, 555 (1989)).
 
+use super::cases::cases;
 use std::collections::HashMap;
 use std::sync::LazyLock;
 
@@ -245,7 +246,7 @@ fn a_film_is_the_same_whichever_area_comes_first() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(30))]
+    #![proptest_config(cases(30))]
     /// An area shows the same atoms as its parts, and no key twice.
     #[test]
     fn areas_agree(x in 40.0f64..90.0, y in 40.0f64..90.0, w in 0.5f64..30.0, cut in 0.0f64..1.0) {

@@ -3,6 +3,8 @@
 mod accuracy;
 mod acquisition;
 mod carbon;
+#[path = "../common/cases.rs"]
+mod cases;
 #[path = "../common/mod.rs"]
 mod common;
 mod contamination;

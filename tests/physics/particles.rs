@@ -1,5 +1,6 @@
 //! Nanoparticles: magic numbers, coordination, facets, strain, and any diameter.
 
+use super::cases::cases;
 use std::collections::BTreeMap;
 
 use proptest::prelude::*;
@@ -158,7 +159,7 @@ fn wulff_particles_show_111_and_100_facets() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(60))]
+    #![proptest_config(cases(60))]
     /// Any diameter: near what was asked, no atom loose, no two atoms close.
     #[test]
     fn any_diameter_can_be_built(shape in 0usize..3, diameter in 1.0f64..5.0) {

@@ -1,6 +1,7 @@
 //! Every file in `tests/structures/good` is read, every one in `bad` fails with its expected
 //! message, and no mutation of a good file panics.
 
+use super::cases::cases;
 use proptest::prelude::*;
 use std::path::{Path, PathBuf};
 use stemgen::structure::{Format, Structure, elements, min_pair_distance, parse, read};
@@ -180,7 +181,7 @@ fn mutate(bytes: &mut Vec<u8>, mutation: &Mutation) {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 3000, ..ProptestConfig::default() })]
+    #![proptest_config(cases(3000))]
 
     #[test]
     fn mutated_files_never_panic(

@@ -115,10 +115,10 @@ fn names_code(word: &str) -> bool {
 
 #[test]
 fn every_subcommand_took_the_steps() {
-    let commands = fs::read_to_string(file("src/cli/mod.rs")).unwrap();
+    let commands = fs::read_to_string(file("cli/src/lib.rs")).unwrap();
     let help = fs::read_to_string(file("tests/cli/help.rs")).unwrap();
     let mut count = 0;
-    for entry in fs::read_dir(file("src/cli")).unwrap() {
+    for entry in fs::read_dir(file("cli/src")).unwrap() {
         let name = entry.unwrap().file_name().into_string().unwrap();
         let Some(name) = name.strip_suffix("_command.rs") else { continue };
         let words = name.replace('_', "-");

@@ -1,6 +1,8 @@
 //! Worlds: recipes, specimens, truth, images, files, pages; living worlds, recorded series, and the scores of agents.
 
 mod build;
+#[path = "../common/cases.rs"]
+mod cases;
 #[path = "../common/mod.rs"]
 mod common;
 mod contributing;

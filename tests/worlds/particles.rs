@@ -1,5 +1,6 @@
 //! Platinum on carbon: every number of the tables, measured from the specimens and from files.
 
+use super::cases::cases;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::Path;
 use std::sync::LazyLock;
@@ -500,7 +501,7 @@ fn particles_that_cannot_be_made_or_placed_are_named() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(24))]
+    #![proptest_config(cases(24))]
     /// A region around a particle shows the same sites as its two halves, and no key twice.
     #[test]
     fn regions_agree(tier in 0usize..3, which in 0usize..21, size in 0.5f64..3.0, cut in 0.0f64..1.0) {

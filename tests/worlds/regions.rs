@@ -1,5 +1,6 @@
 //! What holds for specimens of every kind: seeds, relaxation, and that every region shows the same atoms.
 
+use super::cases::cases;
 use std::collections::{HashMap, HashSet};
 
 use crate::common::specimen;
@@ -73,7 +74,7 @@ fn vacancies_and_relaxation_work_in_every_kind_of_specimen() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(60))]
+    #![proptest_config(cases(60))]
     /// A region shows the same sites as the two halves that it falls into, and no key twice.
     #[test]
     fn regions_agree(

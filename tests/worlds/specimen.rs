@@ -1,6 +1,7 @@
 //! The SrTiO3 specimen at full size: rates, clusters, boundaries, and that every region shows the
 //! same atoms.
 
+use super::cases::cases;
 use std::collections::{HashMap, HashSet};
 use std::sync::LazyLock;
 
@@ -231,7 +232,7 @@ fn cations_beside_a_vacancy_move_away_when_asked() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(40))]
+    #![proptest_config(cases(40))]
     /// A region shows the same sites as the two halves that it falls into, and no key twice.
     #[test]
     fn regions_agree(

@@ -19,9 +19,8 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use super::image_note::ImageNote;
-use super::library_cache::{Cache, Holding};
+use super::library_cache::{Cache, Holding, checked_image};
 use crate::error::{Error, Result};
-use crate::files::array_store;
 use crate::files::atomic_write;
 use crate::files::whole_file;
 use crate::numerics::NUMERICS_VERSION;
@@ -33,8 +32,9 @@ const DIGEST: usize = 32;
 const VALUE: usize = 4;
 /// The largest archive that is read.
 const MOST_ARCHIVE_BYTES: usize = 4 << 30;
-/// The largest image: no library has one of a tenth of it.
-const LARGEST_IMAGE: u64 = 1 << 30;
+/// The largest image: the largest of the supplied libraries has a hundredth of it. Images are unpacked one after the other, in three
+/// copies, so that an archive that claims much takes less than 1 GB.
+const LARGEST_IMAGE: u64 = 256 << 20;
 
 /// What an archive holds, or what was taken from one.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -138,7 +138,7 @@ pub fn export(
         }
         let key = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let bytes = fs::read(file).map_err(|e| Error::io(file, "read", e))?;
-        let note = array_store::checked(&bytes, &key).map_err(|why| {
+        let note = checked_image(&bytes, &key).map_err(|why| {
             let message = format!("{why}; remove it, and the next build simulates it again");
             Error::Parse { path: file.clone(), line: 0, message }
         })?;
@@ -187,20 +187,22 @@ pub fn import(cache: &Cache, path: &Path, progress: &dyn Progress) -> Result<Arc
     let refused = |message: String| Error::Parse { path: path.to_owned(), line: 0, message };
     let entries = entries(&bytes).map_err(refused)?;
     progress.start("unpacking", "image", entries.len() as u64);
-    let images = entries.par_iter().map(|entry| {
-        progress.advance(1);
-        unpacked(entry).map_err(|why| refused(format!("{}/{}: {why}", entry.material, entry.key)))
-    });
-    // All before the first is written.
-    let images: Vec<Vec<u8>> = images.collect::<Result<_>>()?;
-    progress.finish();
-    let (mut added, mut materials) = (0, Tally::default());
-    for (entry, image) in entries.iter().zip(&images) {
+    let image = |entry: &Entry<'_>| {
         if progress.interrupted() {
             return Err(Error::Interrupted);
         }
+        unpacked(entry).map_err(|why| refused(format!("{}/{}: {why}", entry.material, entry.key)))
+    };
+    // All are looked at before the first is written, and none is kept meanwhile.
+    for entry in &entries {
+        image(entry)?;
+        progress.advance(1);
+    }
+    progress.finish();
+    let (mut added, mut materials) = (0, Tally::default());
+    for entry in &entries {
         materials.add(entry.material, entry.image_bytes);
-        added += usize::from(cache.add(entry.material, entry.key, image)?);
+        added += usize::from(cache.add(entry.material, entry.key, &image(entry)?)?);
     }
     let archive_bytes = bytes.len() as u64;
     Ok(ArchiveSummary { materials: materials.holdings(), added, outdated: 0, archive_bytes })
@@ -295,9 +297,10 @@ fn unpacked(entry: &Entry) -> std::result::Result<Vec<u8>, String> {
         return Err("unpacks to another size than it says".into());
     }
     let mut bytes = vec![0; ordered.len()];
-    let places = (0..VALUE).flat_map(|k| (k..bytes.len()).step_by(VALUE)).collect::<Vec<_>>();
-    places.into_iter().zip(&ordered).for_each(|(at, byte)| bytes[at] = *byte);
-    array_store::checked(&bytes, entry.key)?;
+    let places = (0..VALUE).flat_map(|k| (k..ordered.len()).step_by(VALUE));
+    places.zip(&ordered).for_each(|(at, byte)| bytes[at] = *byte);
+    drop(ordered);
+    checked_image(&bytes, entry.key)?;
     Ok(bytes)
 }
 
@@ -336,7 +339,8 @@ mod tests {
     fn archive(folder: &Path) -> (Cache, std::path::PathBuf) {
         let cache = Cache::at(folder.join("cache"));
         for (n, material) in ["a", "a", "b"].into_iter().enumerate() {
-            let image = Array2::from_shape_fn((5, 7), |(i, j)| ((i * 7 + j + n) as f32).sin());
+            let image =
+                Array2::from_shape_fn((5, 7), |(i, j)| ((i * 7 + j + n) as f32).sin().abs());
             cache.save(material, &key(n), &note(NUMERICS_VERSION), &image).unwrap();
         }
         let old = Array2::from_elem((2, 2), 1.0);
@@ -374,7 +378,7 @@ mod tests {
     #[test]
     fn nothing_is_taken_from_a_damaged_archive() {
         let folder = tempfile::tempdir().unwrap();
-        let (_, path) = archive(folder.path());
+        let (cache, path) = archive(folder.path());
         let whole = fs::read(&path).unwrap();
         let other = Cache::at(folder.path().join("other"));
         let told = |bytes: &[u8]| {
@@ -404,5 +408,24 @@ mod tests {
         assert!(signed(&|b| b[36] = b'.').contains("which none can have"));
         assert!(signed(&|b| b[20] += 1).contains("another size"));
         assert!(signed(&|b| b[37] ^= 1).contains("another image"));
+        // Whole, and no image.
+        for value in [-0.1, 1.1, f32::NAN, f32::INFINITY] {
+            let odd = Array2::from_elem((2, 2), value);
+            cache.save("a", &key(0), &note(NUMERICS_VERSION), &odd).unwrap();
+            let told = export(&cache, None, &path, &Silent).unwrap_err().to_string();
+            assert!(told.contains("below 0 or above 1"), "{value}: {told}");
+            assert!(cache.load("a", &key(0), [2, 2], &Silent).is_none(), "{value}");
+            assert_eq!(cache.verify(None, &Silent).unwrap().1.len(), 1, "{value}");
+            let file = fs::read(folder.path().join("cache/a").join(format!("{}.sheet", key(0))));
+            let file = file.unwrap();
+            let packed = packed(&file);
+            let entry = Entry {
+                material: "a",
+                key: &key(0),
+                image_bytes: file.len() as u64,
+                packed: &packed,
+            };
+            assert!(unpacked(&entry).unwrap_err().contains("below 0 or above 1"), "{value}");
+        }
     }
 }

@@ -12,7 +12,7 @@ use super::supplied_library::SuppliedLibrary;
 use crate::error::{Error, Result};
 #[cfg(feature = "hdf5")]
 use crate::files::array_store::decoded;
-use crate::files::array_store::{ArrayStore, Stored, checked};
+use crate::files::array_store::{ArrayStore, Stored, array_of, note_of};
 use crate::progress::Progress;
 
 const EXTENSION: &str = "sheet";
@@ -148,7 +148,7 @@ impl Cache {
         if let Some(supplied) = &self.supplied
             && let Some(file) = supplied.file(material, key, progress)
         {
-            match decoded(&file, key, shape) {
+            match decoded(&file, key, shape).and_then(possible) {
                 Ok(image) => return Some(image),
                 Err(why) => {
                     progress.warn(&format!("{}: {key}: {why}", supplied.folder().display()))
@@ -156,14 +156,15 @@ impl Cache {
             }
         }
         for store in self.places(material) {
-            match store.load(key, key, shape) {
-                Stored::Whole(image) => return Some(image),
-                Stored::Missing => {}
-                Stored::Unusable(why) => {
-                    let path = store.path(key);
-                    progress.warn(&format!("{}: {why}; simulated again", path.display()));
-                }
-            }
+            let why = match store.load(key, key, shape) {
+                Stored::Whole(image) => match possible(image) {
+                    Ok(image) => return Some(image),
+                    Err(why) => why,
+                },
+                Stored::Missing => continue,
+                Stored::Unusable(why) => why,
+            };
+            progress.warn(&format!("{}: {why}; simulated again", store.path(key).display()));
         }
         None
     }
@@ -213,7 +214,7 @@ impl Cache {
                 continue;
             }
             let bytes = fs::read(path).map_err(|e| Error::io(path, "read", e))?;
-            if let Err(fault) = checked(&bytes, &key) {
+            if let Err(fault) = checked_image(&bytes, &key) {
                 faults.push(CacheFault { path: path.clone(), fault });
             }
         }
@@ -221,7 +222,7 @@ impl Cache {
         Ok((paths.len(), faults))
     }
 
-    /// Puts the file of an image in its place, which [`crate::files::array_store::checked`] found whole, unless a whole one is there.
+    /// Puts the file of an image in its place, that was found whole, unless a whole one is there.
     /// Returns whether it did.
     ///
     /// # Errors
@@ -291,6 +292,30 @@ impl Cache {
         }
         Ok(chosen)
     }
+}
+
+/// Rounding beyond the bounds of a fraction of the beam.
+const ROUNDING: f32 = 1e-4;
+
+/// An image, if all its values can be fractions of the beam: a file may be whole, and still be none of this program's images.
+///
+/// # Errors
+/// What is wrong.
+pub(super) fn possible(image: Array2<f32>) -> std::result::Result<Array2<f32>, &'static str> {
+    // Not a number is in no range.
+    match image.iter().all(|v| (-ROUNDING..=1.0 + ROUNDING).contains(v)) {
+        true => Ok(image),
+        false => Err("holds values below 0 or above 1, which no fraction of the beam has"),
+    }
+}
+
+/// The note of an image that the bytes of a file hold under a key.
+///
+/// # Errors
+/// What is wrong with the file.
+pub(super) fn checked_image(bytes: &[u8], key: &str) -> std::result::Result<String, &'static str> {
+    possible(array_of(bytes, key)?)?;
+    note_of(bytes)
 }
 
 fn store(folder: &Path, material: &str) -> ArrayStore {

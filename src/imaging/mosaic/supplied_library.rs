@@ -189,7 +189,7 @@ impl SuppliedLibrary {
         let Some(archive) = opened.usable() else { return Vec::new() };
         let note = |(material, key): (&str, &str)| {
             let file = archive.file(material, key)?.ok()?;
-            array_store::checked(&file, key).ok()
+            array_store::note_of(&file).ok()
         };
         archive.names().filter_map(note).collect()
     }
