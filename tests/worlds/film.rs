@@ -71,6 +71,7 @@ fn a_particle_on_a_film_is_the_exact_image_of_its_atoms() {
 /// A particle of 3 nm along a zone axis, on films that differ by half a slice of the film: its columns show what moves the focus, as
 /// slices of the film beyond the specimen once did (by the vacuum above the particle, 16 A).
 #[test]
+#[ignore = "long"]
 fn the_probe_is_focused_on_the_same_plane_whatever_the_thickness_of_the_film() {
     let image = |carbon_nm: f64| {
         let mut recipe = recipe(carbon_nm, 1);
@@ -132,6 +133,7 @@ fn whole(
 
 /// The bare film, against windows in which all atoms are simulated together.
 #[test]
+#[ignore = "long"]
 fn a_film_of_50_angstrom_is_right_in_the_mean() {
     let recipe = recipe(5.0, 2);
     let specimen = specimen(&recipe).unwrap();
@@ -216,6 +218,7 @@ fn an_image_does_not_depend_on_how_it_is_cut() {
 
 /// Atoms of the film's element in a particle are part of the particle.
 #[test]
+#[ignore = "long"]
 fn carbon_in_a_particle_is_no_film() {
     let mut recipe = recipe(1.0, 1);
     let text = "{ element = \"Pt\", by = \"C\", rate = 0.4 }";

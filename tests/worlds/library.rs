@@ -78,6 +78,7 @@ fn the_program_knows_its_images_by_heart() {
 
 /// Another one for each version of the numerics; `STEMGEN_DRAW` names others.
 #[test]
+#[ignore = "long"]
 fn an_image_drawn_by_chance_is_what_the_program_simulates() {
     let usual = u64::from(NUMERICS_VERSION);
     let draw = std::env::var("STEMGEN_DRAW").map_or(usual, |d| d.parse().unwrap());

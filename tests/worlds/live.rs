@@ -117,6 +117,7 @@ fn what_is_left_depends_on_the_dose_alone() {
 }
 
 #[test]
+#[ignore = "long"]
 fn recordings_change_the_specimen_where_they_are_made() {
     let mut live = world(&["boundaries.count=1"]);
     let [h, w] = live.recipe().field.pixels(live.recipe().field.built_grid());
@@ -335,6 +336,7 @@ fn films_and_particles_lose_the_share_that_their_cross_sections_say() {
 /// Images of a film, kept or not, are those of a new world that has had the same doses: near the place and away from it, bit by bit, and
 /// with any number of threads. The exact engine finds the same for the atoms that are left.
 #[test]
+#[ignore = "long"]
 fn films_show_the_atoms_that_are_left() {
     let recipe = film();
     let mut live = LiveWorld::new(&recipe, 7, &options(BuildMethod::Auto), &Silent).unwrap();

@@ -149,6 +149,7 @@ static WHOLE_AND_PART: LazyLock<[MosaicImager; 2]> = LazyLock::new(|| {
 
 /// The library of a part of a field has no boundary; places at one are simulated as they are, not left black.
 #[test]
+#[ignore = "long"]
 fn places_that_the_library_does_not_know_are_simulated() {
     let [all, some] = &*WHOLE_AND_PART;
     assert!(some.survey().families.len() < all.survey().families.len());
@@ -160,6 +161,7 @@ fn places_that_the_library_does_not_know_are_simulated() {
 
 /// Overviews show what the library lacks as other columns nearby, and the rest as it is.
 #[test]
+#[ignore = "long"]
 fn overviews_simulate_no_column_of_their_own() {
     let [all, some] = &*WHOLE_AND_PART;
     let raster =

@@ -278,6 +278,7 @@ fn tiles_with_particles(recipe: &Recipe, atoms: impl Iterator<Item = [f64; 2]>) 
 }
 
 #[test]
+#[ignore = "long"]
 fn about_85_percent_of_the_easy_tiles_hold_no_particle() {
     let empty = |case: &Case| {
         let atoms = case.particles.iter().flat_map(|p| &p.atoms);
@@ -336,6 +337,7 @@ fn built(folder: &Path, difficulty: Difficulty, grid: [usize; 2]) -> (Recipe, Wo
 }
 
 #[test]
+#[ignore = "long"]
 fn files_hold_particles_columns_and_carbon() {
     let folder = tempfile::tempdir().unwrap();
     let phonons = [(4, 1e4), (8, 5e3), (16, 1e3)];
