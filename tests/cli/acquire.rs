@@ -86,6 +86,7 @@ fn a_world_and_its_recipe_are_recorded_alike() {
 
 /// A whole world in one scan: the tiles are the recording, `/clean` the image, and the truth follows.
 #[test]
+#[ignore = "long"]
 fn worlds_are_recorded_in_one_scan() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();

@@ -128,20 +128,6 @@ fn a_largest_error_is_kept() {
     assert!(written.all(|n| !n.to_string_lossy().starts_with("impossible")));
 }
 
-#[test]
-fn the_test_world_has_the_published_schema() {
-    let folder = tempfile::tempdir().unwrap();
-    let built = json(stemgen(folder.path()).args(["build", "test", "--keep-clean"]));
-    assert_eq!(
-        (&built["output"], &built["grain_boundaries"]),
-        (&"worlds/test.h5".into(), &1.into())
-    );
-    assert_eq!(built["tiles"], serde_json::json!([2, 3]));
-    assert!(built["vacancies"].as_u64().unwrap() > 50, "{built}");
-    let told = python("../schema/check_world.py", &[&folder.path().join("worlds/test.h5")]);
-    assert!(told.contains("the schema holds"), "{told}");
-}
-
 /// The example of worlds/README.md reads what the formulas there say.
 #[test]
 fn the_example_of_the_readme_reads_a_world() {

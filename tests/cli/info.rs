@@ -60,19 +60,28 @@ fn the_command_that_is_told_makes_the_same_tiles_and_truth() {
     let line = with(&[&mosaic[..], &["--set", "boundaries.count=0"]].concat());
     assert!(line.contains("--grid 1x1 --engine mosaic --window 5 --audit 0"), "{line}");
     assert!(line.contains("--unset vacancies"), "{line}");
-    let line = with(&["--expansion", "0.5", "--subtile", "2", "--subtile-overlap", "0.2"]);
-    assert!(line.contains("--expansion 0.5 --subtile 2 --subtile-overlap 0.2 -o"), "{line}");
-    assert!(with(&["--acquisition", "routine"]).contains("--set acquisition.profile=routine"));
 
     // A recipe of one's own; the engine is named where sub-tiles or the method are not the usual ones.
     let line = of_file(&["--engine", "multislice"]);
     assert_eq!(line, "stemgen build --recipe w.toml --engine multislice -o w.h5");
-    assert!(of_file(&["--interpolation", "2,1"]).contains("--interpolation 2,1"));
     // So small a field is simulated in windows without a word.
     assert!(!of_file(&["--engine", "window"]).contains("--engine"));
 }
 
 #[test]
+#[ignore = "long"]
+fn the_command_that_is_told_holds_options_of_the_numerics() {
+    let small = ["test", "--grid", "1x1", "--set", "field.thickness_nm=0.4"];
+    let with = |more: &[&'static str]| made_again(&[&small, more].concat());
+    let line = with(&["--expansion", "0.5", "--subtile", "2", "--subtile-overlap", "0.2"]);
+    assert!(line.contains("--expansion 0.5 --subtile 2 --subtile-overlap 0.2 -o"), "{line}");
+    assert!(with(&["--acquisition", "routine"]).contains("--set acquisition.profile=routine"));
+    let line = made_again(&["--recipe", &file("tests/cli/tiny.toml"), "--interpolation", "2,1"]);
+    assert!(line.contains("--interpolation 2,1"), "{line}");
+}
+
+#[test]
+#[ignore = "long"]
 fn a_film_with_particles_is_made_again_too() {
     let changes = [
         "field.fov_nm=[3,3]",

@@ -1,6 +1,6 @@
 //! Many worlds at once, `build --all`, and released ones once more, `regenerate`.
 
-use super::{fails, file, json, stderr, stdout, stemgen};
+use super::{fails, file, json, python, stderr, stdout, stemgen};
 use std::path::Path;
 use std::process::Command;
 
@@ -111,6 +111,8 @@ fn a_released_world_is_what_it_was() {
     let sameness = told[0]["sameness"]["sameness"].as_str().unwrap();
     assert!(["same_bytes", "same_values"].contains(&sameness), "{told}");
     assert!(told[0]["peak_memory_bytes"].as_u64().unwrap() > 10_000_000, "{told}");
+    let checked = python("../schema/check_world.py", &[&here.join("again/test.h5")]);
+    assert!(checked.contains("the schema holds"), "{checked}");
     let text = std::fs::read_to_string(file("worlds/manifest.toml")).unwrap();
     let world = text.split("[[world]]").find(|w| w.contains("name = \"test\"")).unwrap();
     let head = text.split("[[world]]").next().unwrap();

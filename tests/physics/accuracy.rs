@@ -183,6 +183,7 @@ fn the_accuracy_asked_for_is_kept_with_phonons() {
 /// Of a trajectory all frames count: here the first, of carbon in the places of gallium and arsenic, would be content with a narrow
 /// window.
 #[test]
+#[ignore = "long"]
 fn the_accuracy_asked_for_is_kept_on_a_trajectory() {
     let Specimen { sites, cell } = crystal("gaas.cif", [1, 1, 0], [3, 4, 8], 0.0);
     let light: Vec<Site> = sites.iter().map(|s| Site { number: 6, ..*s }).collect();

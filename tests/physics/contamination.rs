@@ -87,6 +87,7 @@ fn mean(values: impl Iterator<Item = f64>) -> f64 {
 /// Thickness = rate x dose of the frames before, and as bright as a layer of this thickness that was there from the beginning. Read
 /// from the file.
 #[test]
+#[ignore = "long"]
 fn a_file_shows_as_much_carbon_as_the_dose_has_made() {
     let recipe = recipe(&[]);
     // 1e8 e/A2 in 5 frames, 2e7 each: 1 nm of carbon from frame to frame

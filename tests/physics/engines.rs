@@ -102,6 +102,7 @@ fn prism_without_interpolation_is_multislice() {
 }
 
 #[test]
+#[ignore = "long"]
 fn prism_with_aberrations_and_different_factors_per_axis_stays_close() {
     let (sites, cell) = srtio3([6, 6, 2]);
     let mut optics = Optics::default();
@@ -191,6 +192,7 @@ fn expanded_probes_give_the_images_of_each() {
 /// Images interpolated from probes 0.28 A apart against a probe at every point of the scan: rms difference over
 /// the standard deviation of the image, for a scan of the whole (periodic) cell and for a part of it.
 #[test]
+#[ignore = "long"]
 fn interpolated_images_are_those_of_a_probe_at_every_point() {
     let (srtio3, srtio3_cell) = srtio3([2, 2, 5]);
     let (pt, pt_cell) = platinum([2, 2, 5]);

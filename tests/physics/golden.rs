@@ -28,6 +28,7 @@ fn check(g: &Golden, settings: &Settings, reference: &str) {
 
 /// Without interpolation PRISM is multislice: no array of its own is needed.
 #[test]
+#[ignore = "long"]
 fn si_110_by_prism() {
     let g = Golden::load("si_110").unwrap();
     check(&g, &Settings { algorithm: PRISM, ..g.settings() }, "multislice");
@@ -46,6 +47,7 @@ fn aberrated_probes_by_prism() {
 
 /// Potentials on a finer grid, limited after the exponential.
 #[test]
+#[ignore = "long"]
 fn oversampled_transmission_functions() {
     let g = Golden::load("displaced_bandlimit").unwrap();
     let expected = g.matrix("t_960_limited").unwrap();
