@@ -12,7 +12,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from conftest import TINY, command
+from conftest import LONGEST_S, TINY, command
 
 import stemworlds as sw
 
@@ -102,7 +102,7 @@ def test_the_same_file_is_open_in_h5py_in_either_order(world_path: Path) -> None
     check = "; assert (f['tiles/0_1'][:] == w.tile(0, 1).array).all(); f.close(); assert w.columns.size; print('ok')"
     for program in programs:
         text = (program + check).format(p=str(world_path))
-        done = subprocess.run([sys.executable, "-c", text], text=True, capture_output=True)
+        done = subprocess.run([sys.executable, "-c", text], text=True, capture_output=True, timeout=LONGEST_S)
         assert done.stdout == "ok\n", done.stderr
 
 
@@ -123,16 +123,23 @@ def test_workers_work(world_path: Path, method: str) -> None:
     expected = [tile_sum(world_path), simulated_sum(world)]  # also starts threads before the fork
     with multiprocessing.get_context(method).Pool(1) as pool:
         found = [pool.apply_async(tile_sum, (world_path,)), pool.apply_async(simulated_sum, (world,))]
-        assert [result.get(timeout=120) for result in found] == expected
+        assert [result.get(timeout=LONGEST_S) for result in found] == expected
     assert pickle.loads(pickle.dumps(world)).grid == world.grid
 
 
-def test_a_finished_build_is_not_replaced_and_goes_on_where_it_was(tmp_path: Path, world_path: Path) -> None:
+def test_a_finished_build_is_not_replaced(world_path: Path) -> None:
+    before = world_path.read_bytes()
     with pytest.raises(FileExistsError):
         sw.build("test", out=world_path, cache=False, audit=0, **TINY)
+    assert world_path.read_bytes() == before
+
+
+def test_a_plan_tells_what_a_build_takes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     plan = sw.plan("test", cache=False, audit=0, **TINY)
     assert plan.grid == (1, 2) and plan.shape == (128, 252) and plan.configurations == 2
     assert plan.memory_bytes > 0 and plan.disk_bytes > 0
+    assert list(tmp_path.iterdir()) == [], "nothing was written"
 
 
 def test_pictures_and_pages(world_path: Path, tmp_path: Path) -> None:
