@@ -176,7 +176,7 @@ def test_a_limit_of_steps_is_a_horizon(field_path: Path) -> None:
     assert paid(gym.wrappers.TimeLimit(gym.make("stemworlds/DefectCensus-v0", **options), 10)) == by_horizon
     # The lesser one counts.
     assert paid(gym.make("stemworlds/DefectCensus-v0", max_episode_steps=20, horizon=10, **options)) == by_horizon
-    many = gym.make_vec("stemworlds/DefectCensus-v0", 2, vectorization_mode="vector_entry_point", vector_kwargs={"max_episode_steps": 3}, **options)
+    many = gym.make_vec("stemworlds/DefectCensus-v0", 2, vectorization_mode="vector_entry_point", max_episode_steps=3, **options)
     many.reset(seed=0)
     assert [many.step({"type": [0, 0]})[3].tolist() for _ in range(3)] == [[False] * 2, [False] * 2, [True] * 2]
     # Steps of an agent that are several of the environment cannot be counted so.
