@@ -68,7 +68,8 @@ def ended(pid: int) -> bool:
 
 
 @pytest.fixture(autouse=True)
-def no_cache(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+def own_cache(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """All tests share a cache that is none of the user's. Where a test compares with something else, that is made without."""
     monkeypatch.setenv("STEMGEN_CACHE", str(tmp_path_factory.getbasetemp() / "cache"))
     yield
 
@@ -76,7 +77,7 @@ def no_cache(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathF
 @pytest.fixture(scope="session")
 def world_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("worlds") / "tiny.h5"
-    sw.build("test", out=path, keep_clean=True, cache=False, audit=0, **TINY).close()
+    sw.build("test", out=path, keep_clean=True, audit=0, **TINY).close()
     return path
 
 

@@ -99,7 +99,7 @@ def test_no_thread_and_no_handler_stays(tmp_path: Path) -> None:
     caught = lambda: [line for line in open("/proc/self/status") if line.startswith("SigCgt")]
     before = (tasks(), handlers(), caught())
     options = {TINY!r}
-    world = sw.build("test", out={str(tmp_path / "w.h5")!r}, cache=False, audit=1, png=True, **options)
+    world = sw.build("test", out={str(tmp_path / "w.h5")!r}, audit=1, png=True, **options)
     sw.plan("test", **options); sw.specimen_arrays("test", **options); sw.view(world, out={str(tmp_path / "v.html")!r})
     sw.acquire(world, region_nm=(1.2, 1.2, 1.5, 1.5)); sw.audit(world, regions=1, size_nm=0.3, configurations=1)
     sw.specimen_arrays("pt", difficulty="easy", grid=(1, 1)); sw.Recipe("pt", "easy"); sw.compare(world.path, world.path)
