@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from . import _core
+from ._forking import Used
 from ._running import Progress, call, running
 from .images import Image
 from .recipes import Acquisition, Difficulty, Recipe, RecipeLike
@@ -42,6 +43,9 @@ class LiveWorld:
     The same recipe, seed and recordings give the same values, whatever the number of threads. The first world of a recipe fills
     the library of its mosaic, which takes minutes; it is kept for all others. docs/live.md tells more.
 
+    Threads may share a world: one call at a time works on it. A process that is forked while another thread uses the world has a copy that
+    refuses all calls.
+
     Args:
         recipe: name, path, TOML, dict or :class:`Recipe`; ``**changes`` are ``difficulty``, ``set``, ``unset``, ``grid``, ``seed``.
         most_dose: the greatest dose that any place may get, in electrons per square Angstrom, all recordings together.
@@ -66,15 +70,16 @@ class LiveWorld:
         kept = cache if isinstance(cache, bool) else os.fspath(cache)
         options = {"toml": toml, "most_dose": most_dose, "cache": kept}
         self._field = call(_core.LiveField, options, running(threads, progress))
+        self._used = Used("this live world", "make another LiveWorld in the child (restore takes it to a snapshot)")
 
     @property
     def recipe(self) -> Recipe:
         """The recipe, with its seed."""
-        return Recipe(self._field.recipe())
+        return Recipe(self._used.by(self._field.recipe)())
 
     def look(self, region_nm: Region) -> LiveView:
         """The noise-free image of a region (left, upper, right and lower edge) and what is there. It costs no electron."""
-        found = call(self._field.look, region_nm, running(self._threads, False))
+        found = self._used.by(call)(self._field.look, region_nm, running(self._threads, False))
         pixel, (x, y) = found["pixel_nm"], found["origin_nm"]
         image = Image("live", found["clean"], (pixel, pixel), (y, x))
         return LiveView(image, _columns(found), _sites(found))
@@ -110,28 +115,29 @@ class LiveWorld:
                 "keep_frames": keep_frames,
             },
         }
-        return _recording(call(self._field.acquire, options, running(self._threads, progress)), keep_frames)
+        recorded = self._used.by(call)(self._field.acquire, options, running(self._threads, progress))
+        return _recording(recorded, keep_frames)
 
     def columns(self, region_nm: Region) -> StructuredArray:
         """Columns in a region as they are now, :data:`COLUMN_DTYPE`."""
-        return _columns(call(self._field.truth, region_nm))
+        return _columns(self._used.by(call)(self._field.truth, region_nm))
 
     def sites(self, region_nm: Region) -> StructuredArray:
         """Sites of these columns, vacant ones too, :data:`SITE_DTYPE`."""
-        return _sites(call(self._field.truth, region_nm))
+        return _sites(self._used.by(call)(self._field.truth, region_nm))
 
     def dose(self, region_nm: Region) -> float:
         """Mean dose that a region has had, in electrons per square Angstrom."""
-        return call(self._field.dose, region_nm)
+        return self._used.by(call)(self._field.dose, region_nm)
 
     @property
     def history(self) -> tuple[Mapping[str, Any], ...]:
         """All recordings: place, dose, current, electrons, time, and the atoms that each took away (``lost``)."""
-        return tuple(json.loads(self._field.history()))
+        return tuple(json.loads(self._used.by(self._field.history)()))
 
     def snapshot(self) -> str:
         """This moment, as text (JSON), for :meth:`restore`."""
-        return self._field.snapshot()
+        return self._used.by(self._field.snapshot)()
 
     def restore(self, snapshot: str) -> None:
         """Goes to a moment of a world of the same recipe and seed.
@@ -139,7 +145,7 @@ class LiveWorld:
         Raises:
             InvalidValue: for a snapshot of another world, or a text that is none.
         """
-        call(self._field.restore, snapshot)
+        self._used.by(call)(self._field.restore, snapshot)
 
 
 def _columns(found: Mapping[str, Any]) -> StructuredArray:

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _core
+from ._forking import Used
 from ._running import Progress, call, running
 from .errors import _invalid
 from .recipes import Difficulty, Recipe, RecipeLike
@@ -90,6 +91,7 @@ class Stream:
     def __init__(self, fields: Sequence[Mapping[str, Any]], weights: Sequence[float], seed: int, batch: int, threads: int | None) -> None:
         self._made = (tuple(fields), tuple(weights))
         self._sources = [call(_core.TileSource, field, running(threads, False)) for field in fields]
+        self._used = Used("this stream", "make another one in the child")
         total = math.fsum(weights)
         self._shares = np.cumsum([weight / total for weight in weights])
         self.seed = seed
@@ -102,7 +104,7 @@ class Stream:
     def prepare(self, *, index: int = 0, progress: Progress = False) -> None:
         """Fills the libraries that samples from ``index`` on draw from; otherwise the first sample waits for that."""
         for source in self._sources:
-            call(source.prepare, index, running(self.threads, progress))
+            self._used.by(call)(source.prepare, index, running(self.threads, progress))
 
     def sample(self, index: int) -> Sample:
         """The sample of this number: the same for the same seed, whatever else was asked for."""
@@ -115,7 +117,7 @@ class Stream:
         for number, source in enumerate(self._sources):
             mine = [index for index, chosen in wanted if chosen == number]
             if mine:
-                made = call(source.samples, mine, running(self.threads, False))
+                made = self._used.by(call)(source.samples, mine, running(self.threads, False))
                 found.update((item["index"], _sample(item, number)) for item in made)
         return [found[index] for index, _ in wanted]
 

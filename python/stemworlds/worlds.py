@@ -17,6 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _core
+from ._forking import reading
+from ._text import table_cell
 from .errors import _invalid
 from .images import Image
 from .recipes import Recipe
@@ -64,11 +66,11 @@ class Table:
         return pandas.DataFrame({name: self.array[name] for name in self.names})
 
     def to_csv(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        """Writes the table as CSV."""
+        """Writes the table as CSV. Texts that a spreadsheet would compute, as those that begin with =, get an apostrophe before them."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(self.names)
-        writer.writerows(self.array.tolist())
+        writer.writerows(map(table_cell, row) for row in self.array.tolist())
         _core.write_file(os.fspath(path), text.getvalue().encode(), overwrite)
 
     def __repr__(self) -> str:
@@ -141,8 +143,8 @@ class World:
         self.summary: Mapping[str, Any] | None = None
         if check:
             _core.check_file(self.path, [sys.executable, "-m", "stemworlds"])
-        self._reader = _core.WorldReader(self.path)
-        facts = json.loads(self._reader.metadata())
+        self._reader = reading(_core.WorldReader)(self.path)
+        facts = json.loads(reading(self._reader.metadata)())
         for name in ("grid", "shape", "fov_nm", "scaling", "phases"):
             facts[name] = None if facts[name] is None else tuple(facts[name])
         facts["detectors"] = {one["name"]: (one["inner_mrad"], one["outer_mrad"]) for one in facts["detectors"]}
@@ -150,7 +152,7 @@ class World:
 
     def close(self) -> None:
         """Closes the file. It is opened again when read."""
-        self._reader.close()
+        reading(self._reader.close)()
 
     def __enter__(self) -> World:
         return self
@@ -212,7 +214,7 @@ class World:
         stride = self.metadata.tile_size_px - self.metadata.overlap_px
         if row < 0 or column < 0:
             raise _invalid("grid", f"tile {row}, {column}: tiles are counted from 0")
-        return self._image(f"tile {row}, {column}", self._reader.tile(row, column, clean, detector), (row * stride, column * stride), clean)
+        return self._image(f"tile {row}, {column}", reading(self._reader.tile)(row, column, clean, detector), (row * stride, column * stride), clean)
 
     def image(
         self, region_nm: tuple[float, float, float, float] | None = None, *, clean: bool = False, detector: str | None = None
@@ -226,12 +228,12 @@ class World:
             detector: name of one of :attr:`detectors`; the main one by default.
         """
         rows, columns = self._pixels(region_nm)
-        array = self._reader.image(rows, columns, clean, detector)
+        array = reading(self._reader.image)(rows, columns, clean, detector)
         return self._image("world", array, (rows[0], columns[0]), clean)
 
     def fractions(self, image: Image, *, detector: str | None = None) -> npt.NDArray[np.float32]:
         """The values of a normalised image of a detector as fractions of the beam."""
-        scaling = self._reader.scaling(detector)
+        scaling = reading(self._reader.scaling)(detector)
         if scaling is None:
             raise _invalid("path", f"{self.path}: tells no scaling")
         scale, offset = scaling
@@ -239,7 +241,7 @@ class World:
 
     def overview(self, *, detector: str | None = None) -> Image:
         """The whole image, made smaller by 8."""
-        array = self._reader.overview(detector)
+        array = reading(self._reader.overview)(detector)
         pixel = 8 * self.pixel_nm
         shift = 3.5 * self.pixel_nm
         return Image("overview", array, (pixel, pixel), (shift, shift), units="normalised, 0 to 1")
@@ -247,7 +249,7 @@ class World:
     @property
     def columns(self) -> StructuredArray:
         """All atomic columns, a structured array of :data:`COLUMN_DTYPE`."""
-        found = self._reader.columns()
+        found = reading(self._reader.columns)()
         out = np.zeros(len(found["positions_nm"]), COLUMN_DTYPE)
         out["x_nm"], out["y_nm"] = found["positions_nm"].reshape(-1, 2).T
         out["sites"], out["vacancies"], out["substitutions"] = found["counts"].reshape(-1, 3).T
@@ -261,7 +263,7 @@ class World:
         ``type`` is 0 pristine, 1 vacancy, 2 substitution; ``number`` the atomic number, of a vacancy that of the missing atom;
         ``column`` an index into :attr:`columns`. What a file of another program lacks is -1, or NaN.
         """
-        found = self._reader.sites()
+        found = reading(self._reader.sites)()
         out = np.zeros(len(found["types"]), SITE_DTYPE)
         out["x_nm"], out["y_nm"] = found["positions_nm"].reshape(-1, 2).T
         out["type"], out["defect"] = found["types"], found["defects"]
@@ -272,12 +274,12 @@ class World:
     @property
     def defect_names(self) -> npt.NDArray[np.bytes_]:
         """Name of the defect at each site, ``b"vacancy_O"``; empty for none."""
-        return np.frombuffer(self._reader.sites()["names"], "S16")
+        return np.frombuffer(reading(self._reader.sites)()["names"], "S16")
 
     @property
     def particles(self) -> StructuredArray:
         """Particles that reach into the image, a structured array of :data:`PARTICLE_DTYPE`; none in most worlds."""
-        found = self._reader.particles()
+        found = reading(self._reader.particles)()
         out = np.zeros(len(found["diameters_nm"]), PARTICLE_DTYPE)
         out["x_nm"], out["y_nm"], out["z_nm"] = found["centres_nm"].reshape(-1, 3).T
         out["diameter_nm"], out["morphology"] = found["diameters_nm"], found["morphologies"]
@@ -287,13 +289,13 @@ class World:
     @property
     def boundaries(self) -> list[tuple[str, npt.NDArray[np.float32]]]:
         """Boundaries of grains and phases: what they separate, and corners ``[point, (x, y)]`` in nm."""
-        return self._reader.boundaries()
+        return reading(self._reader.boundaries)()
 
     @property
     def phase_map(self) -> npt.NDArray[np.int32] | None:
         """Phase of each pixel, ``[y, x]``, an index into ``metadata.phases``; ``None`` in a world of one phase."""
         height, width = self.shape
-        return self._reader.phase_map((0, height), (0, width))
+        return reading(self._reader.phase_map)((0, height), (0, width))
 
     def truth_table(self, region_nm: tuple[float, float, float, float] | None = None) -> Table:
         """The atomic columns as a table: places in nm and pixels, what each holds, and its class (:data:`COLUMN_CLASSES`).
@@ -313,7 +315,7 @@ class World:
             out[name] = columns[name]
         out["x_px"], out["y_px"] = x, y
         out["class"] = 1 + (columns["vacancies"] > 0) + 2 * (columns["substitutions"] > 0)
-        phases = self._reader.phase_map((first_row, last_row), (first_column, last_column))
+        phases = reading(self._reader.phase_map)((first_row, last_row), (first_column, last_column))
         if phases is not None:
             rows, places = (np.rint(v).astype(int) for v in (y, x))
             out["phase"] = phases[rows.clip(0, phases.shape[0] - 1), places.clip(0, phases.shape[1] - 1)]
@@ -338,7 +340,7 @@ class World:
         return ax
 
     def _repr_html_(self) -> str:
-        picture = base64.b64encode(self._reader.png()).decode()
+        picture = base64.b64encode(reading(self._reader.png)()).decode()
         return f'<figure><img src="data:image/png;base64,{picture}"><figcaption>{html.escape(repr(self))}</figcaption></figure>'
 
     def _image(self, name: str, array: npt.NDArray[np.float32], first: tuple[int, int], clean: bool) -> Image:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import faulthandler
+import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +19,9 @@ import stemworlds as sw
 HERE = Path(__file__).parent
 SOURCES = HERE.parent
 ROOT = SOURCES.parent
+
+#: Seconds after which a test hangs. Nothing else in these tests may depend on how long something takes.
+LONGEST_S = 1800
 
 #: Changes of a thin specimen of one grain that loses oxygen fast; its library is shared.
 DYING: dict[str, Any] = {"damage.radiolysis_barn.O": 60, "field.thickness_nm": 0.4, "boundaries.count": 0}
@@ -30,8 +36,40 @@ def pytest_configure() -> None:
     assert not Path(sw.__file__).is_relative_to(SOURCES), f"{sw.__file__} is no installed package"
 
 
+@pytest.fixture(scope="session")
+def standard_error() -> Iterator[Any]:
+    """Standard error as it is outside of tests."""
+    with os.fdopen(os.dup(sys.__stderr__.fileno() if sys.__stderr__ is not None else 2), "w") as file:
+        yield file
+
+
 @pytest.fixture(autouse=True)
-def no_cache(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+def no_hang(standard_error: Any) -> Iterator[None]:
+    """A test that hangs ends the run, and says where it was."""
+    faulthandler.dump_traceback_later(LONGEST_S, exit=True, file=standard_error)
+    yield
+    faulthandler.cancel_dump_traceback_later()
+
+
+def until(happened: Callable[[], Any], process: subprocess.Popen[Any] | None = None) -> Any:
+    """Waits for what another thread or process does, and returns it; fails where that process ends without."""
+    while not (found := happened()):
+        assert process is None or process.poll() is None, f"the process has ended with {process.returncode}"
+        time.sleep(0.01)
+    return found
+
+
+def ended(pid: int) -> bool:
+    """Whether a process is gone, or has ended and waits for its parent."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] in "ZX"
+    except (FileNotFoundError, ProcessLookupError):
+        return True
+
+
+@pytest.fixture(autouse=True)
+def own_cache(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """All tests share a cache that is none of the user's. Where a test compares with something else, that is made without."""
     monkeypatch.setenv("STEMGEN_CACHE", str(tmp_path_factory.getbasetemp() / "cache"))
     yield
 
@@ -39,7 +77,7 @@ def no_cache(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathF
 @pytest.fixture(scope="session")
 def world_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("worlds") / "tiny.h5"
-    sw.build("test", out=path, keep_clean=True, cache=False, audit=0, **TINY).close()
+    sw.build("test", out=path, keep_clean=True, audit=0, **TINY).close()
     return path
 
 
@@ -69,4 +107,4 @@ def command(*arguments: object, cwd: Path, check: bool = True) -> subprocess.Com
     """Runs the console script of the package."""
     program = Path(sys.executable).with_name("stemworlds")
     words = [str(program), *map(str, arguments)]
-    return subprocess.run(words, cwd=cwd, check=check, text=True, capture_output=True)
+    return subprocess.run(words, cwd=cwd, check=check, text=True, capture_output=True, timeout=LONGEST_S)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import warnings
 from pathlib import Path
 from typing import Any
@@ -78,6 +80,7 @@ def test_many_environments_do_what_single_ones_do(field_path: Path) -> None:
             assert same(env.reset(seed=7 + n)[0], {name: values[n] for name, values in seen.items()})
         rng = np.random.default_rng(1)
         over = np.zeros(3, dtype=bool)
+        episodes = 0
         for step in range(11):
             action: dict[str, Any] = {
                 "type": rng.integers(0, 3, 3),
@@ -95,7 +98,93 @@ def test_many_environments_do_what_single_ones_do(field_path: Path) -> None:
                 assert same(mine, {name: values[n] for name, values in seen.items()}), (step, n)
                 assert (paid, ended, cut) == (reward[n], terminated[n], truncated[n])
             over = terminated | truncated
-        assert over.any() or step > 4
+            episodes += int(over.sum())
+        # The horizon is four steps, and the next one begins the next episode.
+        assert episodes == 6
+
+
+def looks_of(env: Any, seed: int) -> list[Any]:
+    """What an environment shows and pays in some steps of an episode."""
+    rng = np.random.default_rng(seed)
+    out = []
+    for _ in range(4):
+        seen, paid, *_, info = env.acquire(*(int(n) for n in rng.integers(0, 2, 2)))
+        out += [*seen.values(), paid, info["dose_spent"]]
+        out += [env.declare(env.truth_seen())[1], env.score()]
+    return out
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["copy", "pickle"])
+@pytest.mark.parametrize("options", [{}, {**RECIPE, "damage": True, "reward": "score_gain"}], ids=["file", "damage"])
+def test_a_copy_is_in_the_same_episode(field_path: Path, copied: Any, options: dict[str, Any]) -> None:
+    made = gym.make("stemworlds/Targeted-v0", **(options or {"world": field_path}), overview=False)
+    # Before the first reset.
+    env = copied(made)
+    for one in (made, env):
+        one.reset(seed=4)
+        one.step({"type": bench.ACQUIRE, "zoom": 2.0, "dose": 2.0})
+        one.step({"type": bench.DECLARE, "report": '{"defects": {"vacancy": [[1, 2]]}}'})
+    twin = copied(env)
+    assert twin.unwrapped.record() == env.unwrapped.record() == made.unwrapped.record()
+    wanted = looks_of(made.unwrapped, 1)
+    for one in (env, twin):
+        assert all(np.array_equal(a, b) for a, b in zip(looks_of(one.unwrapped, 1), wanted, strict=True))
+    # The next episodes are the same, and neither knows of the other.
+    assert same(twin.reset()[0], env.reset()[0])
+    env.step({"type": bench.DONE})
+    assert not twin.step({"type": bench.ACQUIRE})[2]
+
+
+def test_copies_of_many_environments(field_path: Path) -> None:
+    many = bench.MicroscopeVectorEnv(3, "targeted", world=field_path, horizon=5, overview=False)
+    assert pickle.loads(pickle.dumps(many)).num_envs == 3
+    many.reset(seed=1)
+    rng = np.random.default_rng(2)
+
+    def action() -> dict[str, Any]:
+        kinds = rng.choice([0, 1, 1, 2, 3], 3)
+        return {"type": kinds, "position": rng.random((3, 2), dtype=np.float32), "dose": rng.uniform(0.5, 2, (3, 1))}
+
+    # Their episodes end at different steps, and the next ones begin.
+    for _ in range(8):
+        many.step(action())
+    twin = copy.deepcopy(many)
+    for _ in range(6):
+        doing = action()
+        for one, other in zip(many.step(doing), twin.step(doing), strict=True):
+            if isinstance(one, dict):
+                assert one.keys() == other.keys() and all(np.array_equal(one[name], other[name]) for name in one if name not in ("acquired", "record"))
+            else:
+                assert np.array_equal(one, other)
+    assert [many.record(n) for n in range(3)] == [twin.record(n) for n in range(3)]
+
+
+def test_a_limit_of_steps_is_a_horizon(field_path: Path) -> None:
+    def paid(env: gym.Env[Any, Any]) -> tuple[list[float], Any]:
+        env.reset(seed=0)
+        rewards = []
+        for number in range(10):
+            step = env.step({"type": 1} if number % 2 == 0 else {"type": 2, "report": env.unwrapped.truth_seen()})  # type: ignore[attr-defined]
+            rewards.append(float(step[1]))
+        assert step[2:4] == (False, True)
+        return rewards, step[4]["record"]
+
+    options: dict[str, Any] = {"world": field_path, "reward": "sparse", "overview": False}
+    by_horizon = paid(gym.make("stemworlds/DefectCensus-v0", horizon=10, **options))
+    assert by_horizon[0] == [0.0] * 9 + [1.0] and by_horizon[1]["ended"] == "horizon"
+    assert paid(gym.make("stemworlds/DefectCensus-v0", max_episode_steps=10, **options)) == by_horizon
+    assert paid(gym.wrappers.TimeLimit(gym.make("stemworlds/DefectCensus-v0", **options), 10)) == by_horizon
+    # The lesser one counts.
+    assert paid(gym.make("stemworlds/DefectCensus-v0", max_episode_steps=20, horizon=10, **options)) == by_horizon
+    many = gym.make_vec("stemworlds/DefectCensus-v0", 2, vectorization_mode="vector_entry_point", max_episode_steps=3, **options)
+    many.reset(seed=0)
+    assert [many.step({"type": [0, 0]})[3].tolist() for _ in range(3)] == [[False] * 2, [False] * 2, [True] * 2]
+    # Steps of an agent that are several of the environment cannot be counted so.
+    grid = gym.wrappers.TimeLimit(bench.DiscreteGrid(gym.make("stemworlds/DefectCensus-v0", **options).unwrapped), 10)
+    with pytest.raises(sw.InvalidValue, match="max_episode_steps = 10 counts steps of DiscreteGrid.*say horizon="):
+        grid.reset()
+    options["reward"] = "score_gain"
+    gym.wrappers.TimeLimit(bench.DiscreteGrid(gym.make("stemworlds/DefectCensus-v0", **options).unwrapped), 10).reset()
 
 
 def test_an_oracle_gets_the_paper_s_ceiling(field_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -351,14 +352,13 @@ def test_wrong_agents_are_told(given: Any, words: str) -> None:
         bench.make_agent(given)
 
 
-def network(path: Path, classes: int = 4) -> Path:
+def network(path: Path, classes: int = 4, bias: Sequence[float] = (10, 0, -5, -32)) -> Path:
     """A network of one layer: pixels above 0.25 are atoms, above 0.8 substitutions."""
     onnx = pytest.importorskip("onnx")
     pytest.importorskip("onnxruntime")
     helper = onnx.helper
     weights = np.array([-40, 0, 0, 40], dtype=np.float32)[:classes].reshape(classes, 1, 1, 1)
-    bias = np.array([10, 0, -5, -32], dtype=np.float32)[:classes]
-    made = [onnx.numpy_helper.from_array(array, name) for array, name in ((weights, "w"), (bias, "b"))]
+    made = [onnx.numpy_helper.from_array(array, name) for array, name in ((weights, "w"), (np.array(bias, dtype=np.float32)[:classes], "b"))]
     shape = [1, 1, 128, 128]
     graph = helper.make_graph(
         [helper.make_node("Conv", ["tile", "w", "b"], ["scores"])],
@@ -390,6 +390,15 @@ def test_networks_are_run(tmp_path: Path) -> None:
     wrong.start(facts(), np.random.default_rng(0))
     with pytest.raises(sw.InvalidValue, match="expected 4 classes"):
         wrong.findings([tile])
+    for number in (float("nan"), float("inf")):
+        unsound = bench.OnnxAnalyst(network(tmp_path / "unsound.onnx", bias=(number, 0, 0, 0)))
+        unsound.start(facts(), np.random.default_rng(0))
+        with pytest.raises(sw.InvalidValue, match="a score that is no number"):
+            unsound.findings([tile])
+    # A class that is never there is a number all the same.
+    never = bench.OnnxAnalyst(network(tmp_path / "never.onnx", bias=(10, 0, -np.inf, -32)))
+    never.start(facts(), np.random.default_rng(0))
+    assert len(never.findings([tile]).columns) == 3
     with pytest.raises(sw.InvalidValue, match="it has scores"):
         bench.OnnxAnalyst(path, output="mask")
     with pytest.raises(FileMissing):

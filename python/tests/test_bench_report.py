@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import errno
 import json
+import os
 import random
 from html.parser import HTMLParser
 from pathlib import Path
@@ -184,6 +186,88 @@ def test_agents_are_ranked_in_what_all_played(tmp_path: Path) -> None:
     assert {line["episodes"] for line in lines.values()} == {8} and "of 16 worlds and seeds the 8" in second[1]["note"]
     apart = [r for r in rows if (r["agent"] == "Raster") == (r["difficulty"] == "easy")]
     assert "in common" in bench.leaderboard(written(tmp_path / "g.jsonl", apart))[1]["note"]
+
+
+def test_what_results_say_is_text_and_nothing_else(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Results may come from strangers: neither pages, spreadsheets nor terminals do what they say."""
+    evil = {"Random": "=HYPERLINK(\"http://x\")", "Raster": "@SUM(A1)", "STEMAgent": "<script>x</script>", "Nothing": "-2\x1b[2J\r\nrank"}
+    rows = made()
+    for line in rows:
+        line["agent"] = evil.get(line["agent"], line["agent"])
+        line["world"] = "+" + line["world"]
+        line["notes"] = {"<img src=x onerror=y>": 2}
+        line["experiment"], line["version"] = "<b>", "<i>"
+    failed = {**rows[0], "key": "failed", "error": "x: <u>\x1b[2J"}
+    path = written(tmp_path / "r.jsonl", [*rows, failed])
+    page, *tables = bench.write_report(path, tmp_path / "page.html")
+    text = page.read_text()
+    Page(text)
+    assert not any(tag in text for tag in ("<script", "<img", "<b>;", "<i>.", "<u>")) and "&lt;img src=x" in text
+    for one in tables:
+        for line in table(one):
+            for name, value in line.items():
+                # Numbers stay numbers, the negative ones too.
+                numbers = name in ("mean_difference", "dec_auc", "ci95_low") or not value.startswith(("=", "+", "-", "@", "\t", "\r"))
+                assert numbers, (name, value)
+    names = {line["agent"] for line in table(tables[0])}
+    assert names == {"'=HYPERLINK(\"http://x\")", "'@SUM(A1)", "<script>x</script>", "'-2\x1b[2J\r\nrank", "Raster+Oracle"}
+    assert any(float(line["mean_difference"]) < 0 for line in table(tables[2]))
+    assert main(["leaderboard", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert all(line.isprintable() for line in said.split("\n")) and "-2\\x1b[2J\\r\\nrank" in said
+    (tmp_path / "odd.jsonl").write_text('{"key": "\\u001b[2J"}\n')
+    assert main(["leaderboard", str(tmp_path / "odd.jsonl")]) == 1
+    assert capsys.readouterr().err.removesuffix("\n").isprintable()
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("agent", 5),
+        ("task", "=1"),
+        ("world", None),
+        ("seed", "=1+1"),
+        ("seed", -1),
+        ("budget", "5000"),
+        ("budget", 10**400),
+        ("metrics", {"dec_auc": "=1"}),
+        ("curve", [[0, "x"]]),
+        ("curve", [[0]]),
+        ("grid", [10**9, 10**9]),
+        ("grid", ["4", 5]),
+        ("tiles", [[9, 0]]),
+        ("tiles", 3),
+        ("notes", {"x": "<b>"}),
+        ("wall", {"seconds": "=1"}),
+        ("scores", {"strict": "=1"}),
+        ("scores", {"columns": 3}),
+        ("specification", {"analyst": 5}),
+        ("unreadable", "="),
+    ],
+)
+def test_rows_of_another_kind_are_no_results(tmp_path: Path, key: str, value: Any) -> None:
+    rows = made(agents=["Raster"], seeds=1)
+    rows[2][key] = value
+    with pytest.raises(sw.FormatError, match=r"r\.jsonl:3: no result of an episode: ."):
+        bench.leaderboard(written(tmp_path / "r.jsonl", rows))
+
+
+@pytest.mark.parametrize("when", ["write", "replace"])
+def test_a_report_that_cannot_be_written_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, when: str) -> None:
+    path = written(tmp_path / "r.jsonl", made(agents=["Raster"]))
+    before = {file: file.read_bytes() for file in bench.write_report(path, tmp_path / "page.html")}
+    written(path, made(agents=["Random"]))
+
+    def full(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, {"write": "fsync", "replace": "replace"}[when], full)
+    with pytest.raises(sw.errors.DiskFull, match=r"page\.html: cannot be written: No space left"):
+        bench.write_report(path, tmp_path / "page.html")
+    assert {file: file.read_bytes() for file in tmp_path.iterdir() if file != path} == before
+    with pytest.raises(sw.errors.DiskFull):
+        bench.write_report(path, tmp_path / "new.html")
+    assert list(tmp_path.glob("*new*")) == []
 
 
 def test_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

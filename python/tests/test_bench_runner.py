@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import itertools
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
-import time
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
 import pytest
 from bench_world import Lattice, lattice_of
+from conftest import LONGEST_S, ended, until
 
 import stemworlds as sw
 from stemworlds import bench
-from stemworlds.errors import FileMissing, FormatError, OutputLocked
+from stemworlds.errors import DiskFull, FileMissing, FormatError, OutputLocked
 
 pytest.importorskip("sklearn")
 
@@ -67,6 +73,43 @@ def test_a_process_plays_all_episodes_in_a_specimen(tmp_path: Path) -> None:
     assert sorted(found) == sorted(episode.key for episode in asked)
 
 
+class Model:
+    """A language model that answers so many times, and then holds all that ask until it is told to go on."""
+
+    def __init__(self, answers: int) -> None:
+        self.held, self.go_on = threading.Event(), threading.Event()
+        asked = itertools.count(1)
+        model = self
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_POST(self) -> None:
+                self.rfile.read(int(self.headers["Content-Length"]))
+                if next(asked) > answers and not model.go_on.is_set():
+                    model.held.set()
+                    model.go_on.wait()
+                with contextlib.suppress(OSError):
+                    self.send_response(200)
+                    self.end_headers()
+                    self.wfile.write(b'{"choices": [{"message": {"content": "{\\"defects\\": []}"}}]}')
+
+            def log_message(self, *_: Any) -> None:
+                pass
+
+        self._server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.05,))
+        self.url = f"http://127.0.0.1:{self._server.server_port}"
+
+    def __enter__(self) -> Model:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.go_on.set()
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+
 def start(asked: Path, out: Path, *words: str) -> subprocess.Popen[str]:
     program = str(Path(sys.executable).with_name("stemworlds"))
     # Its own group: a signal of the terminal goes to all of it.
@@ -75,42 +118,135 @@ def start(asked: Path, out: Path, *words: str) -> subprocess.Popen[str]:
     )
 
 
-def wait_for_rows(out: Path, count: int) -> None:
-    for _ in range(600):
-        if out.exists() and out.read_bytes().count(b"\n") >= count:
-            return
-        time.sleep(0.05)
-    raise AssertionError("no rows came")
+def rows_in(out: Path) -> int:
+    return out.read_bytes().count(b"\n") if out.exists() else 0
 
 
-@pytest.mark.parametrize(("how", "processes"), [(signal.SIGKILL, "2"), (signal.SIGINT, "2")])
-def test_a_run_goes_on_after_its_end(field_path: Path, tmp_path: Path, how: signal.Signals, processes: str) -> None:
-    asked = tmp_path / "e.toml"
-    asked.write_text(f'seeds = 30\nbudgets = [500]\ntasks = ["targeted"]\nagents = ["Random", "GP-UCB"]\nworlds = ["{field_path}"]\n')
-    out = tmp_path / "out.jsonl"
-    process = start(asked, out, "--processes", processes)
-    wait_for_rows(out, 3)
-    # Ctrl-C reaches the whole group, a kill the first process alone.
-    (os.killpg if how == signal.SIGINT else os.kill)(process.pid, how)
-    said, errors = process.communicate(timeout=30)
-    if how == signal.SIGINT:
-        assert process.returncode == 130 and "goes on" in errors and "Traceback" not in errors, errors
-    there = len(bench.read_results(out))
-    assert 3 <= there < 60
-    # A last line that was cut off in the writing.
-    with open(out, "ab") as file:
-        file.write(b'{"key": "0123')
-    done = start(asked, out, "--processes", "2", "--json")
-    said, errors = done.communicate(timeout=120)
+def children(pid: int) -> list[int]:
+    """Processes that a process has made."""
+    with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+        return [int(child) for task in Path(f"/proc/{pid}/task").iterdir() for child in (task / "children").read_text().split()]
+    return []
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_a_run_goes_on_after_its_end(field_path: Path, tmp_path: Path, how: signal.Signals) -> None:
+    asked, out = tmp_path / "e.toml", tmp_path / "out.jsonl"
+    # Two agents that play by themselves, and one that cannot go on when the model is silent: so the run cannot end before it is ended.
+    with Model(answers=2) as model:
+        analyst = f'{{kind = "vlm", url = "{model.url}", model = "m", timeout_s = {LONGEST_S}}}'
+        agents = f'["Random", "GP-UCB", {{name = "asking", navigator = "raster", analyst = {analyst}}}]'
+        asked.write_text(f'seeds = 6\nbudgets = [200]\ntasks = ["targeted"]\nagents = {agents}\nworlds = ["{field_path}"]\n')
+        process = start(asked, out, "--processes", "2")
+        until(lambda: model.held.is_set() and rows_in(out) >= 3, process)
+        workers = children(process.pid)
+        assert len(workers) >= 2
+        # Ctrl-C reaches the whole group, all else the first process alone.
+        (os.killpg if how == signal.SIGINT else os.kill)(process.pid, how)
+        _, errors = process.communicate(timeout=LONGEST_S)
+        if how == signal.SIGINT:
+            assert process.returncode == 130 and "goes on" in errors and "Traceback" not in errors, errors
+        # Though each of them waits for the model, they end too.
+        until(lambda: all(map(ended, workers)))
+        there = len(bench.read_results(out))
+        assert 3 <= there < 18
+        # A last line that was cut off in the writing.
+        with open(out, "ab") as file:
+            file.write(b'{"key": "0123')
+        model.go_on.set()
+        done = start(asked, out, "--processes", "2", "--json")
+        said, errors = done.communicate(timeout=LONGEST_S)
     summary = json.loads(said)
     assert done.returncode == 0, errors
-    assert (summary["skipped"], summary["done"], summary["episodes"], summary["failed"]) == (there, 60 - there, 60, [])
+    assert (summary["skipped"], summary["done"], summary["episodes"], summary["failed"]) == (there, 18 - there, 18, [])
     lines = [json.loads(line) for line in out.read_text().splitlines()]
-    assert len({line["key"] for line in lines}) == len(lines) == 60
+    assert len({line["key"] for line in lines}) == len(lines) == 18
     env = sw.bench.runner._environment(next(iter(bench.read_experiment(asked))))
-    fresh = bench.play(env, bench.make_agent("GP-UCB"), 29)
-    [same] = [line for line in lines if (line["agent"], line["seed"]) == ("GP-UCB", 29)]
+    fresh = bench.play(env, bench.make_agent("GP-UCB"), 5)
+    [same] = [line for line in lines if (line["agent"], line["seed"]) == ("GP-UCB", 5)]
     assert same["curve"] == fresh["curve"] and same["metrics"] == fresh["metrics"]
+
+
+#: A module of a user. Its workers stop while they import it, before they have done anything of the runner's, and say so.
+SLOW = """
+import os, pathlib, time
+from bench_world import lattice_of
+
+HERE = pathlib.Path(__file__).parent
+if os.environ["FIRST"] != str(os.getpid()):
+    (HERE / f"{os.getpid()}.starting").touch()
+    while not (HERE / "go").exists():
+        time.sleep(0.01)
+
+
+def make(episode):
+    return lattice_of(episode)
+"""
+STARTS = """
+import os, sys
+os.environ["FIRST"] = str(os.getpid())
+sys.path[:0] = sys.argv[1:3]
+import slow
+from stemworlds import bench
+bench.run_experiment(bench.read_experiment(sys.argv[1] + "/e.toml"), sys.argv[1] + "/o.jsonl", processes=2, make=slow.make)
+"""
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
+def test_workers_that_start_end_with_the_first_process(tmp_path: Path, how: signal.Signals) -> None:
+    experiment(tmp_path)
+    (tmp_path / "slow.py").write_text(SLOW)
+    (tmp_path / "starts.py").write_text(STARTS)
+    words = [sys.executable, str(tmp_path / "starts.py"), str(tmp_path), str(Path(__file__).parent)]
+    process = subprocess.Popen(words, stderr=subprocess.DEVNULL)
+    starting = until(lambda: len(found := list(tmp_path.glob("*.starting"))) == 2 and found, process)
+    process.send_signal(how)
+    assert process.wait(LONGEST_S) == -how
+    # Only now they may go on, and find that nobody is there.
+    (tmp_path / "go").touch()
+    until(lambda: all(ended(int(path.stem)) for path in starting))
+    assert rows_in(tmp_path / "o.jsonl") == 0
+
+
+def test_a_full_disk_is_one_line_and_loses_nothing(field_path: Path, tmp_path: Path) -> None:
+    asked, out = tmp_path / "e.toml", tmp_path / "out.jsonl"
+    asked.write_text(f'seeds = 3\nbudgets = [200]\ntasks = ["targeted"]\nagents = ["Raster"]\nworlds = ["{field_path}"]\n')
+    words = [str(Path(sys.executable).with_name("stemworlds")), "bench", "run", str(asked), "--out", str(out), "--processes", "1"]
+
+    def run(room: int) -> subprocess.CompletedProcess[str]:
+        """With so many bytes for a file."""
+
+        def limit() -> None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (room, resource.RLIM_INFINITY))
+
+        return subprocess.run(words, text=True, capture_output=True, timeout=LONGEST_S, preexec_fn=limit)
+
+    # The first row fits, and half of the second.
+    assert run(1 << 30).returncode == 0
+    whole = out.read_bytes().splitlines(keepends=True)
+    out.unlink()
+    full = run(len(whole[0]) + len(whole[1]) // 2)
+    assert full.returncode == 1 and full.stderr.count("\n") == 1, full.stderr
+    assert full.stderr.startswith(f"error: {out}: cannot be written: File too large; all rows before are kept: make room, and run the same command again")
+    assert [row["seed"] for row in bench.read_results(out)] == [0] and rows_in(out) == 1 and out.read_bytes().endswith(b"\n")
+    assert run(1 << 30).returncode == 0
+    assert [row["seed"] for row in bench.read_results(out)] == [0, 1, 2]
+
+
+def test_a_disk_that_fails_leaves_whole_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, out = experiment(tmp_path), tmp_path / "o.jsonl"
+    synced: list[int] = []
+
+    def full(descriptor: int) -> None:
+        synced.append(descriptor)
+        if len(synced) == 3:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(DiskFull, match=r"o\.jsonl: cannot be written: No space left on device; all rows before are kept"):
+        bench.run_experiment(asked, out, processes=1, make=lattice_of)
+    assert len(bench.read_results(out)) == rows_in(out) == 2
+    assert bench.run_experiment(asked, out, processes=1, make=lattice_of).done == 6
 
 
 class Broken(Lattice):
@@ -191,6 +327,19 @@ def test_a_combination_has_the_same_name_wherever_it_lies(tmp_path: Path) -> Non
         ("strict = 1", "expected true or false"),
         ("environment = {horizn = 3}", "did you mean 'horizon'"),
         ("seeds = ", "not TOML"),
+        ("seeds = 1000000000000", "expected 1 to 100000"),
+        ("seeds = 0", "expected 1 to 100000"),
+        ("seeds = -3", "expected 1 to 100000"),
+        ("seeds = 100000\nbudgets = [1,2,3,4,5,6,7,8,9,10,11]", "4400000 episodes: expected 1000000 at most"),
+        ('tasks = [["defect-census"]]', "task .'defect-census'.: unknown"),
+        ("agents = [5]", "agent 5: expected a name or a table"),
+        ('agents = [{name = "x", policy = 5}]', "policy = 5: expected a table"),
+        ('agents = [{name = "x", navigator = "gp", analyst = "nothing", declare_every = "x"}]', "declare_every = 'x': expected a whole number"),
+        ('worlds = [{recipe = "test", tasks = 5}]', "tasks of a world = 5: expected a list"),
+        ('worlds = [{recipe = "test", grid = 3}]', "grid of a world = 3: expected rows and columns"),
+        ('worlds = [{recipe = "test", difficulty = ["easy"]}]', "difficulty of a world = .'easy'.: expected a text"),
+        ("name = 5", "name = 5: expected a text"),
+        (f"seeds = {'[' * 50_000}", "not TOML"),
     ],
 )
 def test_wrong_experiments_are_told(tmp_path: Path, text: str, words: str) -> None:
@@ -200,6 +349,41 @@ def test_wrong_experiments_are_told(tmp_path: Path, text: str, words: str) -> No
     with pytest.raises(sw.StemworldsError, match=words) as told:
         bench.read_experiment(tmp_path / "e.toml")
     assert str(tmp_path / "e.toml") in str(told.value)
+
+
+#: What TOML can hold.
+NONSENSE = [5, -1, 1.5, float("nan"), True, "x", "\0", [], [[]], [5], [["x"]], {}, {"x": 1}, {"name": "x"}, [{"x": []}], [{"name": "x"}], 10**400]
+
+
+@pytest.mark.parametrize(
+    "where",
+    [
+        *([key] for key in ("name", "about", "tasks", "strict", "seeds", "budgets", "agents", "worlds", "environment")),
+        *(["agents", 0, key] for key in ("name", "navigator", "analyst", "planner", "policy", "declare_every")),
+        *(["worlds", 0, key] for key in ("name", "recipe", "file", "difficulty", "grid", "live", "split", "tasks")),
+        *([key, 0] for key in ("tasks", "seeds", "budgets", "agents", "worlds")),
+        ["agents", 0, "navigator", "kind"],
+    ],
+    ids=lambda where: ".".join(map(str, where)),
+)
+def test_nonsense_is_an_error_of_its_own_or_an_experiment(tmp_path: Path, where: list[Any]) -> None:
+    path = tmp_path / "e.toml"
+    path.touch()
+    for value in NONSENSE:
+        table: dict[str, Any] = {"tasks": ["targeted"], "seeds": [0], "budgets": [5]}
+        table |= {"agents": [{"name": "x", "navigator": {"kind": "gp"}, "analyst": "nothing"}], "worlds": [{"recipe": "test"}]}
+        inner: Any = table
+        for key in where[:-1]:
+            inner = inner[key]
+        inner[where[-1]] = value
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("tomllib.loads", lambda text, table=table: table)
+            try:
+                episodes = list(bench.read_experiment(path))
+            except sw.StemworldsError as error:
+                assert str(error).startswith(str(path)) and len(str(error)) < 1000
+            else:
+                assert all(episode.key and episode.environment_options for episode in episodes)
 
 
 def test_wrong_files_of_results_are_told(tmp_path: Path) -> None:

@@ -67,6 +67,20 @@ def test_equivalence_is_two_one_sided_tests() -> None:
         bench.tost(a, b, margin=0.0)
 
 
+def test_few_pairs_are_tested_exactly_with_ties_and_zeros_too() -> None:
+    from stemworlds.bench.statistics import _signed_rank
+
+    random = np.random.default_rng(6)
+    for count in (1, 2, 5, 7, 7, 7):
+        # Tenths: many are equal, and some are zero.
+        apart = np.round(random.normal(0.05, 0.15, count), 1)
+        apart[0] = 0.3
+        for alternative in ("greater", "less", "two-sided"):
+            assert _signed_rank(apart, alternative) == pytest.approx(stats.wilcoxon(apart, alternative=alternative).pvalue, rel=1e-12)
+    # Thirteen at once, which SciPy takes seconds for: all of one sign, and two of them zero.
+    assert _signed_rank(np.array([0.1] * 6 + [0.2] * 5 + [0.0] * 2), "greater") == 2**-11
+
+
 def test_ranks_agree_as_scipy_says() -> None:
     random = np.random.default_rng(5)
     a, b = random.random(12), random.random(12)

@@ -28,10 +28,10 @@ def hub(tmp_path_factory: pytest.TempPathFactory, world_path: Path) -> Path:
     """A folder with vacancies, substitutions and a particle."""
     folder = tmp_path_factory.mktemp("hub")
     shutil.copyfile(world_path, folder / "vacancies.h5")
-    sw.build("sige", difficulty="easy", grid=(1, 1), set=THIN, out=folder / "substitutions.h5", cache=False, audit=0).close()
+    sw.build("sige", difficulty="easy", grid=(1, 1), set=THIN, out=folder / "substitutions.h5", audit=0).close()
     small = {"field.fov_nm": [3.0, 3.0], "field.grid": [2, 2], "particles.count": 1, "particles.diameter_nm": [1.2, 1.5]}
     film = THIN | small | {"field.thickness_nm": 1.0}
-    sw.build("pt", difficulty="easy", set=film, out=folder / "particles.h5", cache=False, audit=0).close()
+    sw.build("pt", difficulty="easy", set=film, out=folder / "particles.h5", audit=0).close()
     command("card", folder, *SAID, cwd=folder)
     return folder
 

@@ -83,3 +83,9 @@ def test_tables(world_path: Path, tmp_path: Path) -> None:
     lines = (tmp_path / "t.csv").read_text().splitlines()
     assert lines[0].split(",") == list(table.names) and len(lines) == 1 + len(table)
     assert "<table>" in table._repr_html_()
+
+
+def test_a_table_is_no_program_of_a_spreadsheet(tmp_path: Path) -> None:
+    array = np.array([(-1.5, "=1+1"), (2.0, "Sr"), (0.0, "@x"), (0.0, "-O"), (0.0, "+O")], dtype=[("x_nm", "f4"), ("composition", "U32")])
+    sw.Table(array).to_csv(tmp_path / "t.csv")
+    assert (tmp_path / "t.csv").read_text() == "x_nm,composition\n-1.5,'=1+1\n2.0,Sr\n0.0,'@x\n0.0,'-O\n0.0,'+O\n"

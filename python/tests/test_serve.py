@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
@@ -13,10 +14,11 @@ import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from conftest import DYING
+from conftest import DYING, LONGEST_S, until
 
 import stemworlds as sw
 from stemworlds.serving import Client, Microscope, Server
@@ -49,7 +51,7 @@ def client(port: int) -> Iterator[Client]:
 
 def raw(port: int, request: bytes) -> bytes:
     """What the bytes of a client without our code come to."""
-    with socket.create_connection(("127.0.0.1", port), timeout=60) as connection, connection.makefile("rb") as answers:
+    with socket.create_connection(("127.0.0.1", port), timeout=LONGEST_S) as connection, connection.makefile("rb") as answers:
         connection.sendall(struct.pack("!I", len(request)) + request)
         (length,) = struct.unpack("!I", answers.read(4))
         return answers.read(length)
@@ -119,16 +121,26 @@ def test_the_stage_moves_the_field_of_view(client: Client, world: sw.LiveWorld) 
         ("get_scanned_image", {"size": 5}, "8 to 4096"),
         ("get_scanned_image", {"size": 64, "dwel_time": 1e-6}, "takes no 'dwel_time'"),
         ("get_scanned_image", {"size": "many"}, "expected a number"),
+        ("get_scanned_image", {"size": 8.9}, "size=8.9: expected a whole number from 8 to 4096"),
+        ("get_scanned_image", {"size": 4096, "dwell_time": 1e-6}, "pixels of 0.00244 A"),
         ("get_scanned_image", {"size": 64, "dwell_time": 1.0}, "600 s"),
+        ("get_scanned_image", {"size": 64, "dwell_time": 0.2}, "1e-08 to 0.146 s for 64 x 64 pixels"),
+        ("get_scanned_image", {"size": 8, "dwell_time": 1.5}, "1e-08 to 1 s for 8 x 8 pixels"),
+        ("get_scanned_image", {"size": 8, "dwell_time": 9e-9}, "1e-08 to 1 s"),
         ("get_scanned_image", {"size": 64, "dwell_time": "nan"}, "finite"),
         ("get_scanned_image", {"detector": "BF"}, "HAADF"),
         ("set_current", {"current": -3}, "0.001"),
         ("set_current", {}, "missing"),
         ("set_stage", {"x": 1.0}, "leaves the specimen"),
         ("set_stage", {"a": 0.1}, "flat"),
+        ("set_stage", {"x": 1e-10, "relative": "yes"}, "relative='yes': expected true or false"),
+        ("set_fov", {"fov": 0.5}, "expected 1 Angstrom or more"),
         ("set_fov", {"fov": 5000}, "leaves the specimen"),
         ("place_beam", {"x": 2, "y": 0}, "from 0 to 1"),
-        ("place_beam", {"beam_pos": "(1"}, "expected (x,y)"),
+        *(("place_beam", {"beam_pos": odd}, "expected (x,y)") for odd in ("(1", "1,1", "(1,1,1)", "{0.1,0.2}", "((0.1,0.2))", "f(1,1)", "(" * 60_000)),
+        ("place_beam", {"beam_pos": "(0.1,x)"}, "expected a number"),
+        ("place_beam", {"beam_pos": "(0.1,nan)"}, "finite"),
+        ("unblank_beam", {"duration": 601}, "1e-08 to 600 s"),
         ("unblank_beam", {}, "duration"),
         ("set_current", {"current": 1e6}, None),
     ],
@@ -145,13 +157,106 @@ def test_what_makes_no_sense_is_refused_and_changes_nothing(client: Client, verb
     assert client("get_status") == "Microscope is Ready" and client.array("get_dose")[0] == 0
 
 
+def test_the_limits_in_messages_are_those_of_recordings(client: Client, world: sw.LiveWorld) -> None:
+    client("set_current", current=0.001)
+    for dwell_s in (1e-8, 1.0):
+        assert client.array("get_scanned_image", size=8, dwell_time=dwell_s).shape == (8, 8)
+    with pytest.raises(RuntimeError, match="expected a whole number"):
+        client("get_scanned_image", size=7)
+    # A minute is recorded in parts of a second.
+    for duration in (1e-8, 60.0):
+        client("unblank_beam", duration=duration)
+    times = [told["electrons"] / (1e-3 * ELECTRONS_PER_PA_S) for told in world.history[2:]]
+    assert times == pytest.approx([1e-8, 60.0], rel=1e-3)
+
+
+def test_a_busy_microscope_says_so_at_once(world: sw.LiveWorld) -> None:
+    microscope = Microscope(world, fov_angstrom=10.0)
+    with Server(microscope, ("127.0.0.1", 0)) as server:
+        server.start()
+        # As long as another client records.
+        with microscope._busy:
+            assert raw(server.port, b"get_status") == b"[str,18]Microscope is Busy"
+        assert raw(server.port, b"get_status") == b"[str,19]Microscope is Ready"
+
+
+def answer_of(connection: socket.socket) -> bytes:
+    """The next answer of a server; nothing where it has closed the connection."""
+    with connection.makefile("rb") as answers:
+        head = answers.read(4)
+        return answers.read(struct.unpack("!I", head)[0]) if head else b""
+
+
+def test_too_many_clients_are_told(world: sw.LiveWorld) -> None:
+    with Server(Microscope(world, fov_angstrom=10.0), ("127.0.0.1", 0), most_clients=2) as server:
+        server.start()
+        with Client(("127.0.0.1", server.port)) as one, Client(("127.0.0.1", server.port)) as two:
+            assert one("get_status") == two("get_status") == "Microscope is Ready"
+            with socket.create_connection(("127.0.0.1", server.port), timeout=LONGEST_S) as third:
+                assert b"ERROR: 2 clients are connected" in answer_of(third)
+
+        def served() -> bool:
+            with contextlib.suppress(OSError, struct.error):
+                return raw(server.port, b"get_status").endswith(b"Ready")
+            return False
+
+        # They have gone, which the server notices in its own time.
+        until(served)
+
+
+def test_idle_and_half_sent_messages_end_their_connection(world: sw.LiveWorld) -> None:
+    with Server(Microscope(world, fov_angstrom=10.0), ("127.0.0.1", 0), idle_s=0.1, message_s=LONGEST_S) as server:
+        server.start()
+        with socket.create_connection(("127.0.0.1", server.port), timeout=LONGEST_S) as idle:
+            assert answer_of(idle) == b""
+    with Server(Microscope(world, fov_angstrom=10.0), ("127.0.0.1", 0), message_s=0.1) as server:
+        server.start()
+        for half in (b"\0\0", struct.pack("!I", 100) + b"half"):
+            with socket.create_connection(("127.0.0.1", server.port), timeout=LONGEST_S) as slow:
+                slow.sendall(half)
+                assert b"ERROR: the message was not whole after 0.1 s" in answer_of(slow)
+
+
+def test_a_server_closes_whatever_it_does(world: sw.LiveWorld) -> None:
+    microscope = Microscope(world, fov_angstrom=10.0)
+    Server(microscope, ("127.0.0.1", 0)).close()
+    server = Server(microscope, ("127.0.0.1", 0)).start()
+    with Client(("127.0.0.1", server.port)) as client:
+        assert client("get_status") == "Microscope is Ready"
+        server.close()
+        with pytest.raises(ConnectionError):
+            client("get_status")
+    server.close()
+
+
+def test_the_port_is_taken_before_the_specimen_is_made(world: sw.LiveWorld) -> None:
+    made: list[int] = []
+
+    def microscope() -> Microscope:
+        made.append(1)
+        return Microscope(world, fov_angstrom=10.0)
+
+    with Server(microscope, ("127.0.0.1", 0)) as server:
+        assert made == [1]
+        with pytest.raises(OSError, match="in use"):
+            Server(microscope, ("127.0.0.1", server.port))
+        assert made == [1]
+
+
+@pytest.mark.parametrize(("option", "value"), [("fov_angstrom", 0.0), ("fov_angstrom", float("nan")), ("current_pa", -5.0), ("current_pa", float("nan"))])
+def test_a_microscope_has_sound_numbers(world: sw.LiveWorld, option: str, value: float) -> None:
+    options: dict[str, Any] = {"fov_angstrom": 10.0, option: value}
+    with pytest.raises(ValueError, match=f"{option.partition('_')[0]}={value}: expected"):
+        Microscope(world, **options)
+
+
 def test_damaged_requests_end_the_connection_and_not_the_server(port: int) -> None:
     assert raw(port, b"") == b"[str,27]ERROR: the request is empty"
     assert raw(port, b"set_current \xff\xfe").startswith(b"[str,")
-    with socket.create_connection(("127.0.0.1", port), timeout=60) as connection:
+    with socket.create_connection(("127.0.0.1", port), timeout=LONGEST_S) as connection:
         connection.sendall(b"GET / HTTP/1.1\r\n\r\n")
-        assert b"ERROR" in connection.recv(1000)
-    with socket.create_connection(("127.0.0.1", port), timeout=60) as connection:
+        assert b"ERROR" in answer_of(connection)
+    with socket.create_connection(("127.0.0.1", port), timeout=LONGEST_S) as connection:
         connection.sendall(struct.pack("!I", 100) + b"half")
     assert raw(port, b"get_status") == b"[str,19]Microscope is Ready"
 
@@ -188,7 +293,7 @@ def test_the_command_serves_until_it_is_interrupted(library: str) -> None:
             assert "simulated" in str(client("connect", host="localhost", port=9001))
             assert client.array("get_scanned_image", size=16, dwell_time=1e-6).shape == (16, 16)
         run.send_signal(signal.SIGINT)
-        assert run.wait(60) == 0 and "Traceback" not in run.stderr.read()
+        assert run.wait(LONGEST_S) == 0 and "Traceback" not in run.stderr.read()
 
 
 @pytest.mark.parametrize(
@@ -198,12 +303,24 @@ def test_the_command_serves_until_it_is_interrupted(library: str) -> None:
         (["test", "--grid", "0x4"], "grid"),
         (["test", "--grid", "four"], "rows x columns"),
         (["test", "--grid", "1x1", "--fov", "99999"], "leaves the specimen"),
+        (["test", "--grid", "1x1", "--fov", "nan"], "fov=nan: expected 1 Angstrom or more"),
+        (["test", "--grid", "1x1", "--fov", "10", "--current", "-5"], "current=-5.0: expected 0.001 to 1e+06 pA"),
+        (["test", "--grid", "1x1", "--fov", "10", "--current", "nan"], "current=nan: expected"),
+        (["test", "--grid", "1x1", "--fov", "10", "--port", "99999"], "--port 99999: expected 0 to 65535"),
         (["test", "--set", "vacancies.rat=0.1"], "did you mean `rate`?"),
         (["test", "--set", "nothing"], "KEY=VALUE"),
     ],
 )
 def test_errors_of_the_command_are_one_line(words: list[str], says: str, tmp_path: Path) -> None:
     changes = [word for key, value in DYING.items() for word in ("--set", f"{key}={value}")]
-    words = [sys.executable, "-m", "stemworlds", "serve", *words, "--port", "0", *(changes if "--fov" in words else [])]
-    run = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path, timeout=300)
-    assert run.returncode == 1 and says in run.stderr and "Traceback" not in run.stderr
+    words = [sys.executable, "-m", "stemworlds", "serve", *(() if "--port" in words else ("--port", "0")), *words, *(changes if "--fov" in words else [])]
+    run = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path, timeout=LONGEST_S)
+    assert run.returncode == 1 and says in run.stderr and run.stderr.count("\n") == 1
+
+
+def test_a_port_that_is_taken_costs_no_specimen(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        words = [sys.executable, "-m", "stemworlds", "serve", "test", "--grid", "1x1", "--fov", "10", "--port", str(port)]
+        run = subprocess.run(words, capture_output=True, text=True, cwd=tmp_path, timeout=LONGEST_S)
+    assert run.returncode == 1 and run.stderr.startswith(f"stemworlds serve: 127.0.0.1:{port}: Address already in use; --host and --port")

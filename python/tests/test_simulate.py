@@ -80,7 +80,7 @@ def test_scans_in_cells_nm_and_angstrom_are_one(silicon: Any) -> None:
     assert step.array.shape == (5, 5)  # 4.07 A in steps of at most 1 A
 
 
-def test_a_plan_computes_nothing(silicon: Any) -> None:
+def test_a_plan_tells_what_a_simulation_takes(silicon: Any) -> None:
     plan = sw.plan_simulation(silicon, scan=SCAN, phonons=4, sigma=0.08)
     assert (plan.atoms, plan.scan_shape, plan.configurations) == (len(silicon), (7, 5), 4)
     assert plan.band_limit_mrad > 200 and plan.memory_bytes > 0

@@ -21,6 +21,7 @@ OPTIONS: dict[str, Any] = {"size": 48, "dose": (1e3, 1e5), "pixel_nm": (0.02, 0.
 
 @pytest.fixture(scope="module")
 def stream() -> sw.Stream:
+    """Without a cache; others are compared with it."""
     return sw.stream("test", cache=False, set=TINY["set"], **OPTIONS)
 
 
@@ -29,7 +30,7 @@ def digest(sample: sw.Sample) -> tuple[int, bytes, bytes, bytes]:
 
 
 def in_a_worker(indices: list[int]) -> list[tuple[int, bytes, bytes, bytes]]:
-    stream = sw.stream("test", cache=False, set=TINY["set"], threads=1, **OPTIONS)
+    stream = sw.stream("test", set=TINY["set"], threads=1, **OPTIONS)
     return [digest(stream.sample(index)) for index in indices]
 
 
@@ -41,7 +42,7 @@ def test_a_sample_depends_on_seed_and_index_alone(stream: sw.Stream) -> None:
     with multiprocessing.get_context("spawn").Pool(2) as pool:
         found = pool.map(in_a_worker, [[0, 2, 4], [1, 3]])
     assert sorted(found[0] + found[1]) == first
-    other = sw.stream("test", cache=False, set=TINY["set"], **{**OPTIONS, "seed": 8})
+    other = sw.stream("test", set=TINY["set"], **{**OPTIONS, "seed": 8})
     assert digest(other.sample(0)) != first[0]
 
 
@@ -72,7 +73,7 @@ def test_a_straight_sample_is_the_world(stream: sw.Stream, world_path: Path) -> 
     """At the pixels of a world the same image is made of the same atoms."""
     world = sw.World(world_path)
     options = {**OPTIONS, "pixel_nm": None, "angle_deg": 0.0}
-    sample = sw.stream(world.recipe, cache=False, **options).sample(3)
+    sample = sw.stream(world.recipe, **options).sample(3)
     recipe = world.recipe
     full = np.array(recipe["field.grid"]) * 124 + 4
     built = np.array(recipe.shape)
@@ -89,17 +90,17 @@ def test_a_straight_sample_is_the_world(stream: sw.Stream, world_path: Path) -> 
 def test_mixtures_and_specimens_of_their_own() -> None:
     thick = sw.Recipe("test", set={**TINY["set"], "vacancies.rate": 0.2})
     thin = sw.Recipe("test", set=TINY["set"])
-    mixed = sw.stream({thick: 3.0, thin: 1.0}, cache=False, **{**OPTIONS, "size": 16})
+    mixed = sw.stream({thick: 3.0, thin: 1.0}, **{**OPTIONS, "size": 16})
     sources = np.array([mixed._source(index) for index in range(2000)])
     assert 0.22 < (sources == 1).mean() < 0.28
     assert {sample.source for sample in mixed.iterate(count=12)} == {0, 1}
-    other = sw.stream(thin, cache=False, samples_per_specimen=2, **{**OPTIONS, "size": 16})
+    other = sw.stream(thin, samples_per_specimen=2, **{**OPTIONS, "size": 16})
     assert len({digest(sample) for sample in other.iterate(count=6)}) == 6
 
 
 def test_particles_have_outlines(tmp_path: Path) -> None:
     recipe = sw.Recipe("pt", "easy", set={"field.fov_nm": [6.0, 6.0], "field.grid": [2, 2], "particles.count": 1, "phonons.configurations": 1, "field.thickness_nm": 1.0, "particles.diameter_nm": [1.5, 2.0]})
-    stream = sw.stream(recipe, cache=False, size=40, pixel_nm=0.1, angle_deg=0, seed=2, batch=2)
+    stream = sw.stream(recipe, size=40, pixel_nm=0.1, angle_deg=0, seed=2, batch=2)
     samples = list(stream.iterate(count=2))
     outlines = np.concatenate([sample.targets.particles for sample in samples])
     assert len(outlines) > 0 and set(outlines["morphology"]) <= {"wulff", "icosahedral", "decahedral"}
@@ -152,9 +153,9 @@ def test_bad_streams_are_refused() -> None:
         ({"batch": 0}, "above 0"),
     ):
         with pytest.raises(sw.InvalidValue, match=told):
-            sw.stream("test", cache=False, **bad)
+            sw.stream("test", **bad)
     with pytest.raises(sw.InvalidValue, match="no recipe"):
-        sw.stream([], cache=False)
+        sw.stream([])
 
 
 @pytest.mark.parametrize(("workers", "start"), [(0, None), (2, "fork"), (2, "spawn")])

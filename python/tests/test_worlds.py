@@ -12,7 +12,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from conftest import TINY, command
+from conftest import LONGEST_S, TINY, command
 
 import stemworlds as sw
 
@@ -85,7 +85,7 @@ def test_regions_and_tables(world_path: Path) -> None:
 def test_phases_and_boundaries(tmp_path: Path) -> None:
     small = {"field.thickness_nm": 0.4, "phonons.configurations": 1, "field.fov_nm": [5.16, 5.16], "field.grid": [2, 2]}
     recipe = sw.Recipe("batio3", "easy", set={**small, "domains.sharpness_sigma_px": 8.0})
-    world = sw.build(recipe, out=tmp_path / "phases.h5", cache=False, audit=0)
+    world = sw.build(recipe, out=tmp_path / "phases.h5", audit=0)
     phases = world.phase_map
     assert phases is not None and phases.shape == world.shape
     assert world.metadata.phases == ("cubic", "tetragonal") and set(np.unique(phases)) == {0, 1}
@@ -102,7 +102,7 @@ def test_the_same_file_is_open_in_h5py_in_either_order(world_path: Path) -> None
     check = "; assert (f['tiles/0_1'][:] == w.tile(0, 1).array).all(); f.close(); assert w.columns.size; print('ok')"
     for program in programs:
         text = (program + check).format(p=str(world_path))
-        done = subprocess.run([sys.executable, "-c", text], text=True, capture_output=True)
+        done = subprocess.run([sys.executable, "-c", text], text=True, capture_output=True, timeout=LONGEST_S)
         assert done.stdout == "ok\n", done.stderr
 
 
@@ -112,7 +112,7 @@ def tile_sum(path: Path) -> float:
 
 def simulated_sum(world: sw.World) -> float:
     """In a child: a world that came with the fork, or by pickle, and a computation in threads."""
-    image = sw.acquire("test", cache=False, region_nm=(1.0, 1.0, 1.3, 1.3), threads=2, **TINY)
+    image = sw.acquire("test", region_nm=(1.0, 1.0, 1.3, 1.3), threads=2, **TINY)
     return float(world.tile(0, 1).array.sum()) + float(image.ideal.array.sum())
 
 
@@ -123,16 +123,23 @@ def test_workers_work(world_path: Path, method: str) -> None:
     expected = [tile_sum(world_path), simulated_sum(world)]  # also starts threads before the fork
     with multiprocessing.get_context(method).Pool(1) as pool:
         found = [pool.apply_async(tile_sum, (world_path,)), pool.apply_async(simulated_sum, (world,))]
-        assert [result.get(timeout=120) for result in found] == expected
+        assert [result.get(timeout=LONGEST_S) for result in found] == expected
     assert pickle.loads(pickle.dumps(world)).grid == world.grid
 
 
-def test_a_finished_build_is_not_replaced_and_goes_on_where_it_was(tmp_path: Path, world_path: Path) -> None:
+def test_a_finished_build_is_not_replaced(world_path: Path) -> None:
+    before = world_path.read_bytes()
     with pytest.raises(FileExistsError):
         sw.build("test", out=world_path, cache=False, audit=0, **TINY)
+    assert world_path.read_bytes() == before
+
+
+def test_a_plan_tells_what_a_build_takes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     plan = sw.plan("test", cache=False, audit=0, **TINY)
     assert plan.grid == (1, 2) and plan.shape == (128, 252) and plan.configurations == 2
     assert plan.memory_bytes > 0 and plan.disk_bytes > 0
+    assert list(tmp_path.iterdir()) == [], "nothing was written"
 
 
 def test_pictures_and_pages(world_path: Path, tmp_path: Path) -> None:
@@ -153,7 +160,7 @@ def test_detectors_have_names(tmp_path: Path, world_path: Path) -> None:
     tables = [{"name": name, "inner_mrad": low, "outer_mrad": high} for name, (low, high) in angles.items()]
     path = tmp_path / "two.h5"
     options: dict[str, Any] = {"set": {"field.thickness_nm": 0.4, "detector": tables}, "grid": (1, 1), "seed": 5}
-    with sw.build("test", out=path, keep_clean=True, cache=False, audit=0, **options) as world:
+    with sw.build("test", out=path, keep_clean=True, audit=0, **options) as world:
         assert list(world.detectors.items()) == list(angles.items())
         with h5py.File(path) as file:
             abf, main = file["detectors/ABF"], file["tiles/0_0"][()]
@@ -186,8 +193,8 @@ def test_damaged_files_are_read_elsewhere_first(tmp_path: Path, world_path: Path
     path = str(world_path)
     assert sw.verify(path).sound and sw.compare(path, path).verdict == "same"
     assert checked == [path] * 3
-    sw.audit(path, regions=1, size_nm=0.5, configurations=1, cache=False)
-    sw.audit(sw.World(path), regions=1, size_nm=0.5, configurations=1, cache=False)
+    sw.audit(path, regions=1, size_nm=0.5, configurations=1)
+    sw.audit(sw.World(path), regions=1, size_nm=0.5, configurations=1)
     assert checked == [path] * 4
     assert sw.verify(path, check=False).sound and len(checked) == 4
     cut = tmp_path / "cut.h5"
@@ -199,7 +206,7 @@ def test_damaged_files_are_read_elsewhere_first(tmp_path: Path, world_path: Path
 
 
 def test_audits_and_comparisons(world_path: Path, tmp_path: Path) -> None:
-    audit = sw.audit(world_path, regions=1, size_nm=0.5, configurations=1, cache=False)
+    audit = sw.audit(world_path, regions=1, size_nm=0.5, configurations=1)
     assert audit.regions == 1 and 0 < audit.all_rms_percent < 5
     same = sw.compare(world_path, world_path, out=tmp_path / "compare.html")
     assert same.verdict == "same" and same.summary and same.different == ()

@@ -22,6 +22,8 @@ ARGUMENTS = [
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
     "--disable-dev-shm-usage", "--force-device-scale-factor=1",
 ]
+# Seconds after which something hangs. However slow the machine is, nothing else depends on time.
+LONGEST = 1800
 KEYS = {"escape": "\ue00c", "left": "\ue012", "right": "\ue014", "shift": "\ue008"}
 
 
@@ -38,10 +40,19 @@ class Browser:
 
     def __init__(self, size=(1400, 900), arguments=()):
         driver, browser = find()
+        # The profile, and all else that driver and browser leave.
         self.folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         self.process = subprocess.Popen(
-            [driver, "--port=0"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+            [driver, "--port=0"],
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env={**os.environ, "TMPDIR": self.folder.name},
         )
+        try:
+            self.begin(driver, browser, size, arguments)
+        except BaseException:
+            self.end()
+            raise
+
+    def begin(self, driver, browser, size, arguments):
         for line in self.process.stdout:
             if found := re.search(r"started successfully on port (\d+)", line):
                 self.root = f"http://127.0.0.1:{found[1]}"
@@ -57,7 +68,8 @@ class Browser:
                 *arguments,
             ],
         }
-        wanted = {"goog:chromeOptions": options, "goog:loggingPrefs": {"browser": "ALL"}}
+        limits = {"script": 1000 * LONGEST, "pageLoad": 1000 * LONGEST}
+        wanted = {"goog:chromeOptions": options, "goog:loggingPrefs": {"browser": "ALL"}, "timeouts": limits}
         answer = self.ask("POST", "/session", {"capabilities": {"alwaysMatch": wanted}})
         self.root += f"/session/{answer['sessionId']}"
 
@@ -68,9 +80,13 @@ class Browser:
         try:
             self.ask("DELETE", "")
         finally:
-            self.process.terminate()
-            self.process.wait(10)
-            self.folder.cleanup()
+            self.end()
+
+    def end(self):
+        self.process.terminate()
+        self.process.wait(LONGEST)
+        self.process.stdout.close()
+        self.folder.cleanup()
 
     def ask(self, method, path, body=None):
         data = None if body is None and method != "POST" else json.dumps(body or {}).encode()
@@ -78,7 +94,7 @@ class Browser:
         try:
             # No proxy: this is our own machine.
             opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
-            with opener.open(request, timeout=120) as answer:
+            with opener.open(request, timeout=LONGEST) as answer:
                 return json.load(answer)["value"]
         except urllib.error.HTTPError as error:
             raise RuntimeError(json.load(error)["value"]["message"]) from None
@@ -90,14 +106,14 @@ class Browser:
         """Runs JavaScript and returns what it returns."""
         return self.ask("POST", "/execute/sync", {"script": script, "args": list(arguments)})
 
-    def wait(self, script, what, seconds=30):
+    def wait(self, script, what):
         """Waits until JavaScript returns something true, and returns that."""
-        end = time.monotonic() + seconds
+        end = time.monotonic() + LONGEST
         while time.monotonic() < end:
             if value := self.run(script):
                 return value
             time.sleep(0.03)
-        raise AssertionError(f"waited {seconds} s for {what}; log: {self.log()}")
+        raise AssertionError(f"waited {LONGEST} s for {what}; log: {self.log()}")
 
     def still(self):
         """Waits until nothing moves or loads."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import inspect
+import reprlib
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -101,6 +102,8 @@ def agent_specification(given: str | Table) -> dict[str, Any]:
     Raises:
         InvalidValue: for unknown names, keys and options.
     """
+    if not isinstance(given, str | Mapping):
+        raise _invalid("agent", f"agent {reprlib.repr(given)}: expected a name or a table")
     if isinstance(given, str):
         if given not in _PRESETS:
             raise _invalid("agent", f"agent {given!r}: {unknown(given, _PRESETS)}")
@@ -110,7 +113,12 @@ def agent_specification(given: str | Table) -> dict[str, Any]:
             raise _invalid("agent", f"agent {given.get('name', '?')!r}: key {key!r}: {unknown(key, _KEYS)}")
     name = given.get("name")
     if not isinstance(name, str) or not name:
-        raise _invalid("agent", f"an agent has no name: {dict(given)}")
+        raise _invalid("agent", f"an agent has no name: {reprlib.repr(dict(given))}")
+    every = given.get("declare_every", 1)
+    if not isinstance(every, int) or isinstance(every, bool) or every < 1:
+        raise _invalid("agent", f"agent {name!r}: declare_every = {reprlib.repr(every)}: expected a whole number above 0")
+    if "policy" in given and not isinstance(given["policy"], Mapping):
+        raise _invalid("agent", f"agent {name!r}: policy = {reprlib.repr(given['policy'])}: expected a table")
     if "policy" in given:
         return {"name": name, "policy": dict(given["policy"]), "analyst": _part(name, "analyst", given.get("analyst", "nothing"), _ANALYSTS)}
     whole: dict[str, Any] = {"name": name}
@@ -152,7 +160,7 @@ def _part(agent: str, part: str, given: Any, kinds: Mapping[str, Callable[..., A
     """A part as a table with its kind; its options are checked by name."""
     table = {"kind": given} if isinstance(given, str) else given
     if not isinstance(table, Mapping) or not isinstance(table.get("kind"), str):
-        raise _invalid("agent", f"agent {agent!r}: {part} = {given!r}: expected a name, or a table with a kind")
+        raise _invalid("agent", f"agent {agent!r}: {part} = {reprlib.repr(given)}: expected a name, or a table with a kind")
     kind = table["kind"]
     if kind not in kinds:
         raise _invalid("agent", f"agent {agent!r}: {part} {kind!r}: {unknown(kind, kinds)}")

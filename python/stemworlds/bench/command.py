@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from .._text import printable
 from ..errors import StemworldsError
 from .catalogue import agent_names
 from .experiments import packaged_experiments, read_experiment
@@ -62,7 +63,7 @@ def main(words: Sequence[str] | None = None) -> int:
         code: int = options.does(options)
         return code
     except StemworldsError as error:
-        print(f"error: {error}", file=sys.stderr)
+        print(f"error: {printable(str(error))}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
@@ -127,7 +128,7 @@ def _tell(summary: RunSummary, options: argparse.Namespace) -> None:
     print(said)
     again = f"stemworlds bench run {options.experiment} --out {options.out}"
     if summary.failed:
-        print(f"error: {len(summary.failed)} episodes failed, the first: {summary.failed[0]}; '{again}' tries them again", file=sys.stderr)
+        print(f"error: {len(summary.failed)} episodes failed, the first: {printable(summary.failed[0])}; '{again}' tries them again", file=sys.stderr)
     if summary.interrupted:
         left = summary.episodes - summary.skipped - summary.done - len(summary.failed)
         print(f"interrupted: {left} episodes are left; '{again}' goes on", file=sys.stderr)
@@ -151,7 +152,8 @@ def _leaderboard(options: argparse.Namespace) -> int:
         if number:
             print()
         print(f"{table['task']}, {table['budget']:g} e/A2")
-        width = max(len(line["agent"]) for line in table["agents"])
+        names = {line["agent"]: printable(line["agent"]) for line in table["agents"]}
+        width = max(map(len, names.values()))
         print(f"  {'':3} {'agent':<{width}}  DEC-AUC  95 % interval     of the way  episodes")
         for line in table["agents"]:
             way = "" if line["of_the_way"] is None else f"{line['of_the_way']:.0%}"
@@ -159,7 +161,7 @@ def _leaderboard(options: argparse.Namespace) -> int:
             mark = {"floor": "  floor", "ceiling": "  ceiling"}.get(line["role"], "")
             rank = "" if line["rank"] is None else str(line["rank"])
             print(
-                f"  {rank:>3} {line['agent']:<{width}}  {line['mean']:7.3f}  {low:6.3f} to {high:5.3f}  {way:>10}  {line['episodes']:8d}{mark}"
+                f"  {rank:>3} {names[line['agent']]:<{width}}  {line['mean']:7.3f}  {low:6.3f} to {high:5.3f}  {way:>10}  {line['episodes']:8d}{mark}"
             )
         if table["note"]:
             print(f"  {table['note']}")

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import http.client
 import json
+import math
 import os
-import re
 import time
 import urllib.error
 import urllib.parse
-import urllib.request
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
+from .._text import printable
 from ..errors import StemworldsError, _invalid
+from .posting import LONGEST_REPLY, post
 
 __all__ = ["Endpoint", "EndpointError", "Unparsable"]
 
@@ -22,6 +23,12 @@ _Read = TypeVar("_Read")
 
 #: Answers of servers that another try may mend.
 _PASSING = {408, 409, 425, 429, 500, 502, 503, 504, 529}
+#: What reading a reply raises, whatever it holds: wrong types, numbers out of all limits, nesting without end.
+_UNREADABLE = (ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RecursionError)
+#: Braces of a reply that are tried as the beginning of an object, at most: so that reading takes time in proportion to its length.
+_MOST_BRACES = 100
+#: Characters of a stranger's words that messages repeat.
+_LONGEST_WORDS = 300
 
 
 class EndpointError(StemworldsError):
@@ -36,13 +43,15 @@ class Unparsable(StemworldsError):
 class Endpoint:
     """An OpenAI-compatible service of chat completions.
 
+    Redirects are not followed, so the key goes to no other address. Replies have 1 MB at most.
+
     Args:
         url: the part before ``/chat/completions``: ``"https://openrouter.ai/api/v1"``.
         model: its name there.
         key_variable: the environment variable that holds the key; without it no key is sent.
         temperature, max_tokens: of each request.
         retries: further tries after a failure or a reply that cannot be read.
-        timeout_s: of one request.
+        timeout_s: of one request, from the connection to the last byte of the reply.
         pause_s: before the first retry; each later one waits twice as long.
 
     Attributes:
@@ -68,7 +77,8 @@ class Endpoint:
             raise _invalid("url", f"url = {self.url!r}: expected an http or https address such as https://openrouter.ai/api/v1")
         if not self.model:
             raise _invalid("model", "model is empty: give the name that the service knows it by")
-        if self.retries < 0 or self.timeout_s <= 0 or self.pause_s < 0 or self.max_tokens < 1:
+        in_time = math.isfinite(self.timeout_s) and self.timeout_s > 0 and math.isfinite(self.pause_s) and self.pause_s >= 0
+        if self.retries < 0 or not in_time or self.max_tokens < 1:
             raise _invalid("retries, timeout_s, pause_s or max_tokens", "a number of the endpoint is out of its limits")
 
     def ask(self, instructions: str, question: str, *, png: bytes | None = None, read: Callable[[str], _Read]) -> _Read:
@@ -88,15 +98,17 @@ class Endpoint:
             try:
                 return read(self._reply(body))
             except urllib.error.HTTPError as error:
-                if error.code not in _PASSING:
-                    raise EndpointError(_refused(self.url, self.key_variable, error)) from error
+                with error:
+                    if error.code not in _PASSING:
+                        raise EndpointError(_refused(self.url, self.key_variable, error)) from error
                 last = error
-            except (OSError, http.client.HTTPException, ValueError, KeyError, IndexError, TypeError) as error:
+            except (OSError, http.client.HTTPException, *_UNREADABLE) as error:
                 last = error
         self.failed += 1
+        why = printable(str(last) or type(last).__name__, _LONGEST_WORDS)
         if not self._answered:
-            raise EndpointError(f"{self.url}: no answer in {self.retries + 1} tries ({last}); is the address right?") from last
-        raise Unparsable(f"{self.url}: no reply that can be read in {self.retries + 1} tries ({last})") from last
+            raise EndpointError(f"{self.url}: no answer in {self.retries + 1} tries ({why}); is the address right?") from last
+        raise Unparsable(f"{self.url}: no reply that can be read in {self.retries + 1} tries ({why})") from last
 
     def _body(self, instructions: str, question: str, png: bytes | None) -> dict[str, Any]:
         content: Any = question
@@ -117,11 +129,11 @@ class Endpoint:
         key = os.environ.get(self.key_variable, "").strip()
         if key:
             headers["Authorization"] = f"Bearer {key}"
-        request = urllib.request.Request(self.url.rstrip("/") + "/chat/completions", data=body, headers=headers, method="POST")
-        with urllib.request.urlopen(request, timeout=self.timeout_s) as answer:
-            told = json.loads(answer.read())
+        _, told = post(self.url.rstrip("/") + "/chat/completions", body, headers, self.timeout_s)
         self._answered = True
-        content = told["choices"][0]["message"]["content"]
+        if len(told) > LONGEST_REPLY:
+            raise ValueError(f"the reply is longer than {LONGEST_REPLY} bytes")
+        content = json.loads(told)["choices"][0]["message"]["content"]
         if not isinstance(content, str) or not content.strip():
             raise ValueError("the reply is empty")
         return content
@@ -133,15 +145,18 @@ def json_of(reply: str) -> dict[str, Any]:
     Raises:
         ValueError: if there is none.
     """
-    fenced = re.findall(r"```(?:json)?\s*(.*?)```", reply, re.DOTALL)
+    # Every second part lies between two fences.
+    fenced = [part.removeprefix("json") for part in reply.split("```")[1:-1:2]]
     decoder = json.JSONDecoder()
+    tries = _MOST_BRACES
     for text in [*reversed(fenced), reply]:
         found: dict[str, Any] | None = None
         at = text.find("{")
-        while at >= 0:
+        while at >= 0 and tries > 0:
             try:
                 value, end = decoder.raw_decode(text, at)
-            except ValueError:
+            except (ValueError, RecursionError):
+                tries -= 1
                 at = text.find("{", at + 1)
                 continue
             found = value if isinstance(value, dict) else found
@@ -152,6 +167,12 @@ def json_of(reply: str) -> dict[str, Any]:
 
 
 def _refused(url: str, key_variable: str, error: urllib.error.HTTPError) -> str:
-    said = error.read(300).decode(errors="replace").strip()
+    if 300 <= error.code < 400:
+        place = printable(error.headers.get("Location", "another address"), _LONGEST_WORDS)
+        return f"{url}: the service sends on to {place} ({error.code}), where the key is not sent; give the address of the service itself"
+    try:
+        said = printable(error.read(_LONGEST_WORDS).decode(errors="replace").strip())
+    except (OSError, http.client.HTTPException):
+        said = "no words"
     advice = f"; is the key in {key_variable} right?" if error.code in (401, 403) else "; are address and model right?"
-    return f"{url}: the service refuses the request, {error.code} {error.reason}: {said}{advice}"
+    return f"{url}: the service refuses the request, {error.code} {printable(str(error.reason), _LONGEST_WORDS)}: {said}{advice}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from typing import Any, cast
 
@@ -10,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from ..errors import _invalid
 from . import rendering
 from .episodes import ACQUIRE, DECLARE, DOSE, NAVIGATE, OVERVIEW_PX, ZOOM, Acquired, Episodes, FieldFacts, Moves, Task, kinds, observation, reported, type_of
 from .findings import Findings
@@ -75,6 +77,9 @@ class MicroscopeEnv(gym.Env[Observation, Action]):
     square Angstrom. ``zoom`` and ``dose`` beyond the limits of the action space are moved to these. One that does not fit the budget is refused and ends the episode. Scores are recorded after every fifth acquired
     tile, with what was declared last before the next one, from the first declaration on.
 
+    Environments can be pickled and copied (:func:`copy.deepcopy`). A copy is in the same episode: what was done in it is done again, which takes
+    about as long as the first time.
+
     Args:
         task: what is asked for.
         strict: places have to be right to 0.1 nm, not to the paper's 5 nm.
@@ -83,7 +88,7 @@ class MicroscopeEnv(gym.Env[Observation, Action]):
         damage: acquisitions change the specimen, as the table ``[damage]`` of the recipe says.
         split: of recipes: ``"train"`` (default) or ``"test"``: seeds of specimens that have none in common.
         budget: electrons per square Angstrom.
-        horizon: number of steps.
+        horizon: number of steps; ``max_episode_steps`` of :func:`gymnasium.make` does the same.
         cadence: acquired tiles from one record of the score to the next.
         exposure: ``"tier"``: a pixel gets the dose of the world's tier times the multiplier; ``"physical"``: the dose that is paid for.
         noise: ``"poisson"`` counts electrons; ``"stored"`` shows the tiles of the file, and is what recorded data take.
@@ -103,7 +108,10 @@ class MicroscopeEnv(gym.Env[Observation, Action]):
     action_space: spaces.Space[Action]
 
     def __init__(self, task: Task = "defect-census", strict: bool = False, *, render_mode: str | None = None, **options: Any) -> None:
-        self._episodes = Episodes(1, task, strict, **options)
+        self._made_of: dict[str, Any] = {"task": task, "strict": strict, **options}
+        self._episodes = Episodes(1, **self._made_of)
+        #: What was done since the last reset, with it.
+        self._done: list[Moves] = []
         self.render_mode = render_mode
         self.observation_space = cast("spaces.Space[Observation]", observation_space(self.field))
         self.action_space = cast("spaces.Space[Action]", action_space())
@@ -111,6 +119,19 @@ class MicroscopeEnv(gym.Env[Observation, Action]):
         self._number = 0
         self._seen: list[Acquired] = []
         self._last: Findings | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What pickle and :func:`copy.deepcopy` take: options, and what was done in the episode."""
+        state = dict(vars(self))
+        del state["_episodes"]
+        return state
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        """Makes the environment again, and does again what was done."""
+        vars(self).update(state)
+        self._episodes = Episodes(1, **self._made_of)
+        for moves in self._done:
+            self._episodes.step(moves)
 
     @property
     def field(self) -> FieldFacts:
@@ -125,6 +146,7 @@ class MicroscopeEnv(gym.Env[Observation, Action]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
         """Begins another episode. With a seed it is episode 0 of that seed; without, the next one."""
         super().reset(seed=seed)
+        self._limit()
         if seed is not None:
             self._seed, self._number = seed, 0
         elif self._seed is None:
@@ -135,14 +157,41 @@ class MicroscopeEnv(gym.Env[Observation, Action]):
         moves.begin[0] = (self._seed, self._number)
         self._seen.clear()
         self._last = None
-        found = self._episodes.step(moves)
+        self._done = []
+        found = self._does(moves)
         return observation(found, 0, self.field.pixel_nm), self._info(found)
+
+    def _does(self, moves: Moves) -> dict[str, Any]:
+        found = self._episodes.step(moves)
+        self._done.append(moves)
+        return found
+
+    def _limit(self) -> None:
+        """Takes the limit of a :class:`gymnasium.wrappers.TimeLimit` about this environment (``max_episode_steps`` makes one) for the horizon:
+        the step that it cuts the episode at is then the last one here too, and pays."""
+        limiter = _caller(self)
+        if limiter is None:
+            return
+        limit = int(limiter._max_episode_steps)
+        if limit >= self.field.horizon:
+            return
+        between = limiter.env
+        while between is not self:
+            if getattr(type(between), "several_steps", False):
+                if self._made_of.get("reward") != "sparse":
+                    return
+                raise _invalid(
+                    "horizon", f"max_episode_steps = {limit} counts steps of {type(between).__name__}, each of which is several here; say horizon=... instead"
+                )
+            between = between.env
+        self._made_of["horizon"] = limit
+        self._episodes = Episodes(1, **self._made_of)
 
     def step(self, action: Action) -> Step:
         """Does one thing. See the class for actions."""
         moves = Moves.none(1)
         fill(moves, 0, action)
-        found = self._episodes.step(moves)
+        found = self._does(moves)
         seen = observation(found, 0, self.field.pixel_nm)
         info = self._info(found)
         what = found["acquired"][0]
@@ -211,3 +260,14 @@ class MicroscopeEnv(gym.Env[Observation, Action]):
         if self.render_mode == "ansi":
             return rendering.text(scene)
         return None
+
+
+def _caller(env: gym.Env[Any, Any]) -> Any:
+    """The wrapper with a limit of steps that has called an environment, if one has: nothing else tells the environment of it."""
+    frame = sys._getframe(1)
+    while frame is not None:
+        about = frame.f_locals.get("self") if frame.f_code.co_name == "reset" else None
+        if isinstance(about, gym.wrappers.TimeLimit) and about.unwrapped is env:
+            return about
+        frame = frame.f_back  # type: ignore[assignment]
+    return None

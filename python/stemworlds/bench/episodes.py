@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import _core
+from .._forking import Used
 from .._running import Progress, call, running
 from ..errors import _invalid
 from ..recipes import Difficulty, Recipe, RecipeLike
@@ -218,6 +219,7 @@ class Episodes:
             "overview": overview,
         }
         self._core = call(_core.Episodes, scene, rules, count, running(threads, progress))
+        self._used = Used("this environment", "make another one in the child")
         told = json.loads(self._core.facts())
         field, settings, asked = told["field"], told["settings"], told["task"]
         rows, columns = (n * (field["tile_px"] - field["overlap_px"]) + field["overlap_px"] for n in field["grid"])
@@ -241,26 +243,26 @@ class Episodes:
 
     def step(self, moves: Moves) -> dict[str, Any]:
         """One step of all: arrays of observations and lists of what happened."""
-        found: dict[str, Any] = call(self._core.step, vars(moves), running(self._threads, False))
+        found: dict[str, Any] = self._used.by(call)(self._core.step, vars(moves), running(self._threads, False))
         return found
 
     def record(self, slot: int) -> dict[str, Any]:
         """The record of an episode so far."""
-        found: dict[str, Any] = json.loads(call(self._core.record, slot, running(self._threads, False)))
+        found: dict[str, Any] = json.loads(self._used.by(call)(self._core.record, slot, running(self._threads, False)))
         return found
 
     def score(self, slot: int) -> float:
         """The score of what was declared last."""
-        score: float = call(self._core.score, slot, running(self._threads, False))
+        score: float = self._used.by(call)(self._core.score, slot, running(self._threads, False))
         return score
 
     def truth_seen(self, slot: int) -> Findings:
         """The truth of what was seen."""
-        return Findings.read(call(self._core.truth_seen, slot, running(self._threads, False)))
+        return Findings.read(self._used.by(call)(self._core.truth_seen, slot, running(self._threads, False)))
 
     def overview(self, slot: int, size: int) -> npt.NDArray[np.float32]:
         """The overview, or the middle of it: ``size`` pixels along each axis."""
-        image: npt.NDArray[np.float32] = call(self._core.overview, slot, size, running(self._threads, False))
+        image: npt.NDArray[np.float32] = self._used.by(call)(self._core.overview, slot, size, running(self._threads, False))
         return image
 
     def whole_overview(self) -> npt.NDArray[np.float32] | None:

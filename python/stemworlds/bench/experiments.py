@@ -8,6 +8,8 @@ import itertools
 import json
 import math
 import os
+import reprlib
+import sys
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -33,6 +35,8 @@ _OPTIONS = {"horizon", "cadence", "exposure", "noise", "damage", "target", "cach
 #: Steps that an acquisition takes at most, with its navigation and declaration.
 _STEPS_A_TILE = 4
 _REFERENCE_DOSE = 100.0
+#: Most seeds, and most episodes: years of computing, and still few enough to be listed.
+_MOST_SEEDS, _MOST_EPISODES = 100_000, 1_000_000
 
 
 @dataclass(frozen=True)
@@ -140,6 +144,8 @@ def read_experiment(source: str | os.PathLike[str]) -> Experiment:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise FormatError(f"{source}: not TOML: {error}") from error
+    except RecursionError:
+        raise FormatError(f"{source}: not TOML of an experiment: its tables or lists are nested too deeply") from None
     try:
         return _experiment(table, folder, path.stem)
     except InvalidValue as error:
@@ -160,9 +166,11 @@ def _experiment(table: Mapping[str, Any], folder: Path, stem: str) -> Experiment
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise _invalid(f"{kind}s", f"{kind} {twice[0]!r} is there twice: give each a name of its own")
-    return Experiment(
-        name=str(table.get("name", stem)),
-        about=str(table.get("about", "")),
+    for key in ("name", "about"):
+        _text(key, table.get(key, ""))
+    made = Experiment(
+        name=table.get("name", stem),
+        about=table.get("about", ""),
         tasks=tuple(f"{task}-strict" if strict else task for task in tasks),
         seeds=_seeds(table.get("seeds", 10)),
         budgets=tuple(_budget(value) for value in _listed(table, "budgets", [5000.0])),
@@ -170,6 +178,16 @@ def _experiment(table: Mapping[str, Any], folder: Path, stem: str) -> Experiment
         worlds=tuple(worlds),
         environment=dict(options),
     )
+    most = len(made.worlds) * len(made.seeds) * len(made.budgets) * len(made.agents) * len(made.tasks)
+    if most > _MOST_EPISODES:
+        raise _invalid("seeds", f"{most} episodes: expected {_MOST_EPISODES} at most; take fewer seeds, or several experiments")
+    return made
+
+
+def _text(key: str, given: Any) -> str:
+    if not isinstance(given, str):
+        raise _invalid(key, f"{key} = {reprlib.repr(given)}: expected a text")
+    return given
 
 
 def _listed(table: Mapping[str, Any], key: str, default: list[Any] | None) -> list[Any]:
@@ -188,23 +206,27 @@ def _known(where: str, table: Any, keys: set[str]) -> None:
 
 
 def _task(name: Any) -> str:
-    if name not in TASKS:
-        raise _invalid("tasks", f"task {name!r}: {unknown(str(name), TASKS)}")
-    return str(name)
+    if not isinstance(name, str) or name not in TASKS:
+        raise _invalid("tasks", f"task {reprlib.repr(name)}: {unknown(str(name), TASKS)}")
+    return name
 
 
 def _seeds(given: Any) -> tuple[int, ...]:
     """Seeds as a list, or their number from 0 on."""
-    seeds = list(range(given)) if isinstance(given, int) and not isinstance(given, bool) else given
+    counted = isinstance(given, int) and not isinstance(given, bool)
+    if counted and not 0 < given <= _MOST_SEEDS or isinstance(given, list) and len(given) > _MOST_SEEDS:
+        raise _invalid("seeds", f"seeds = {reprlib.repr(given)}: expected 1 to {_MOST_SEEDS} of them")
+    seeds = list(range(given)) if counted else given
     good = isinstance(seeds, list) and seeds and all(isinstance(s, int) and not isinstance(s, bool) and 0 <= s < 2**32 for s in seeds)
     if not good or len(set(seeds)) < len(seeds):
-        raise _invalid("seeds", f"seeds = {given!r}: expected their number, or a list of different whole numbers from 0 on")
+        raise _invalid("seeds", f"seeds = {reprlib.repr(given)}: expected their number, or a list of different whole numbers from 0 on")
     return tuple(seeds)
 
 
 def _budget(given: Any) -> float:
-    if isinstance(given, bool) or not isinstance(given, int | float) or not (math.isfinite(given) and given > 0):
-        raise _invalid("budgets", f"budget {given!r}: expected electrons per square Angstrom, above 0")
+    number = isinstance(given, int | float) and not isinstance(given, bool)
+    if not number or not 0 < given <= sys.float_info.max:
+        raise _invalid("budgets", f"budget {reprlib.repr(given)}: expected electrons per square Angstrom, above 0")
     return float(given)
 
 
@@ -213,24 +235,41 @@ def _world(given: Any, folder: Path) -> dict[str, Any]:
     table = {"file": given} if isinstance(given, str) else given
     _known("worlds", table, _WORLD_KEYS)
     if ("file" in table) == ("recipe" in table):
-        raise _invalid("worlds", f"world {dict(table)}: expected either file or recipe")
+        raise _invalid("worlds", f"world {reprlib.repr(dict(table))}: expected either file or recipe")
+    for key in ("name", "file", "recipe", "difficulty", "split"):
+        if key in table:
+            _text(f"{key} of a world", table[key])
+    for key, kind, expected in (("live", bool, "true or false"), ("set", dict, "a table"), ("tasks", list, "a list of tasks"), ("grid", list, "rows and columns")):
+        if not isinstance(table.get(key, kind()), kind):
+            raise _invalid("worlds", f"{key} of a world = {reprlib.repr(table[key])}: expected {expected}")
+    grid = table.get("grid", [1, 1])
+    if len(grid) != 2 or not all(isinstance(n, int) and not isinstance(n, bool) and 0 < n < 2**31 for n in grid):
+        raise _invalid("worlds", f"grid of a world = {reprlib.repr(grid)}: expected rows and columns, as [4, 4]")
     for task in table.get("tasks", []):
         _task(task)
     made = dict(table)
     if "file" in table:
-        path = folder / str(table["file"])
-        if not path.is_file():
+        path = folder / table["file"]
+        if not _is_file(path):
             raise _invalid("worlds", f"world {table['file']!r}: there is no such file in {folder.resolve()}")
         made["file"] = str(path)
         made.setdefault("name", path.stem)
         return made
-    if (folder / str(table["recipe"])).is_file():
-        made["recipe"] = str(folder / str(table["recipe"]))
-    made.setdefault("name", "-".join([Path(str(table["recipe"])).stem, *([table["difficulty"]] if "difficulty" in table else [])]))
+    if _is_file(folder / table["recipe"]):
+        made["recipe"] = str(folder / table["recipe"])
+    made.setdefault("name", "-".join([Path(table["recipe"]).stem, *([table["difficulty"]] if "difficulty" in table else [])]))
     made.setdefault("live", True)
     if made["live"]:
         made.setdefault("split", "test")
     return made
+
+
+def _is_file(path: Path) -> bool:
+    """Also of what is no name of a file at all."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
 
 
 def _located(agent: dict[str, Any], folder: Path) -> dict[str, Any]:

@@ -36,6 +36,9 @@ class OnnxAnalyst(TileByTile):
         output, phase_output: names of the outputs; by default the first, and no phases.
         probabilities: the outputs are probabilities, not logits.
         least: the least probability of an atom.
+
+    Raises:
+        InvalidValue: when it runs, for a network whose outputs have another shape, or are not all numbers.
     """
 
     def __init__(
@@ -109,18 +112,27 @@ class OnnxAnalyst(TileByTile):
                 raise _invalid(
                     "classes", f"the network gives {scores.shape} for a tile of {image.shape}: expected {len(self.classes)} classes"
                 )
-            total = total + (scores if self.probabilities else _softmax(scores))
+            chances = scores if self.probabilities else _softmax(scores)
+            total = total + _numbers(chances, "a score")
             if self.phase_output is not None:
                 told = np.asarray(given[1][0], dtype=np.float64)
                 told = told.reshape(len(told), -1)
-                phases = phases + (told if self.probabilities else _softmax(told)).mean(axis=1)
+                phases = phases + _numbers(told if self.probabilities else _softmax(told), "a phase").mean(axis=1)
         phase = None if self.phase_output is None else int(np.argmax(phases))
         return total / len(self._networks), phase
 
 
+def _numbers(chances: Values, what: str) -> Values:
+    """Probabilities, if all of them are numbers."""
+    if not np.isfinite(chances).all():
+        raise _invalid("models", f"the network gives {what} that is no number (NaN or infinite); was its training sound?")
+    return chances
+
+
 def _softmax(scores: Values) -> Values:
-    powers = np.exp(scores - scores.max(axis=0))
-    result: Values = powers / powers.sum(axis=0)
+    with np.errstate(invalid="ignore"):
+        powers = np.exp(scores - scores.max(axis=0))
+        result: Values = powers / powers.sum(axis=0)
     return result
 
 

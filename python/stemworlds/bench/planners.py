@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -147,9 +148,9 @@ def plan_of(mode: str) -> Plan:
 
 def _read_mode(reply: str) -> str:
     mode = json_of(reply).get("mode")
-    if mode not in BETAS:
-        raise ValueError(f"mode = {mode!r}: expected one of {', '.join(BETAS)}")
-    return str(mode)
+    if not isinstance(mode, str) or mode not in BETAS:
+        raise ValueError(f"mode = {reprlib.repr(mode)}: expected one of {', '.join(BETAS)}")
+    return mode
 
 
 _INSTRUCTIONS = """You plan an experiment in a scanning transmission electron microscope. The budget of electrons is limited.

@@ -6,6 +6,8 @@ import sys
 import time
 from collections.abc import Callable
 
+from .._text import printable
+
 _SECONDS_BETWEEN_LINES = 10.0
 _SECONDS_BETWEEN_CHANGES = 0.2
 #: No end is foretold before so many episodes.
@@ -29,10 +31,11 @@ class Progress:
     def step(self, what: str) -> None:
         """One more episode."""
         self._done += 1
-        self._show(what)
+        self._show(printable(what))
 
     def note(self, text: str) -> None:
         """What goes on before there are episodes."""
+        text = printable(text)
         if self._terminal:
             sys.stderr.write("\r\x1b[K" + text[:150])
             sys.stderr.flush()
@@ -45,7 +48,7 @@ class Progress:
         kind = error.partition(": ")[2]
         if kind not in self._errors:
             self._errors.add(kind)
-            self._line(f"error: {error}")
+            self._line(f"error: {printable(error)}")
         self._show("an error")
 
     def close(self) -> None:

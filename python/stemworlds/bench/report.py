@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import csv
+import errno
 import html
 import io
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..errors import FileError, _invalid
+from .._text import table_cell
+from ..errors import DiskFull, FileError, _invalid
 from . import sections
 from .paper import told
 from .tables import ALTERNATIVES, Results, cell, files, ranking
@@ -59,6 +61,7 @@ def write_report(results: Paths, out: str | os.PathLike[str]) -> list[Path]:
     Raises:
         FileMissing, FormatError: for files that are no results.
         InvalidValue: for results that do not go together.
+        DiskFull, FileError: where a file cannot be written; those that were there before are as they were.
     """
     page = Path(out)
     if page.suffix != ".html":
@@ -70,12 +73,28 @@ def write_report(results: Paths, out: str | os.PathLike[str]) -> list[Path]:
         page.with_name(f"{page.stem}-episodes.csv"): _episodes_csv(read),
         page.with_name(f"{page.stem}-pairs.csv"): _pairs_csv(read),
     }
+    _write(made)
+    return list(made)
+
+
+def _write(made: Mapping[Path, str]) -> None:
+    """Writes all files, or none: beside their places first, then all get their names."""
+    aside = {path: path.with_name(f".{path.name}.{os.getpid()}.partial") for path in made}
+    path = next(iter(made))
     try:
         for path, text in made.items():
-            path.write_text(text, encoding="utf-8", newline="\n")
+            with open(aside[path], "w", encoding="utf-8", newline="\n") as file:
+                file.write(text)
+                file.flush()
+                os.fsync(file.fileno())
+        for path in made:
+            os.replace(aside[path], path)
     except OSError as error:
-        raise FileError(f"{error.filename}: cannot be written: {error.strerror}") from error
-    return list(made)
+        kind = DiskFull if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG) else FileError
+        raise kind(f"{path}: cannot be written: {error.strerror}") from error
+    finally:
+        for left in aside.values():
+            left.unlink(missing_ok=True)
 
 
 def leaderboard(results: Paths) -> list[dict[str, Any]]:
@@ -114,7 +133,7 @@ def _csv(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(head)
-    writer.writerows([f"{value:.6g}" if isinstance(value, float) else value for value in row] for row in rows)
+    writer.writerows([f"{value:.6g}" if isinstance(value, float) else table_cell(value) for value in row] for row in rows)
     return text.getvalue()
 
 

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import io
 import json
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any
+from typing import Any
 
-from ..errors import FileError, FileMissing, FormatError, OutputLocked
+from ..errors import DiskFull, FileError, FileMissing, FormatError, OutputLocked
+from .experiments import TASKS
 
 __all__ = ["ResultFile", "read_failures", "read_results"]
 
 Row = dict[str, Any]
-_NEEDED = {"key", "agent", "task", "world", "seed", "budget"}
+#: Metrics that every result has.
+METRICS = ("dec_auc", "final_score", "time_to_threshold", "early_weighted", "late_weighted", "half_budget")
+_TEXTS = {"key", "agent", "task", "world"}
+#: More rows or columns of tiles than any world has.
+_LARGEST_GRID = 10_000
 #: What each line begins with.
 _BEGINNING = b'{"key"'
 
@@ -30,13 +38,14 @@ class ResultFile:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path: Path = Path(path)
-        self._file: IO[bytes] | None = None
+        self._file: io.FileIO | None = None
 
     def __enter__(self) -> ResultFile:
         import fcntl
 
         try:
-            self._file = open(self.path, "a+b")
+            # Without a buffer: what could not be written is known, and does not come later.
+            self._file = open(self.path, "a+b", buffering=0)
         except OSError as error:
             raise FileError(f"{self.path}: cannot be written: {error.strerror}") from error
         try:
@@ -55,7 +64,7 @@ class ResultFile:
         """Removes a last line without its end, if the file holds results and nothing else."""
         assert self._file is not None, "the file is not open"
         self._file.seek(0)
-        told = self._file.read()
+        told = self._file.readall()
         whole = told.rfind(b"\n") + 1
         rest = told[whole:]
         for _ in _rows(self.path):
@@ -74,12 +83,36 @@ class ResultFile:
         return {row["key"] for row in _rows(self.path) if "error" not in row}
 
     def append(self, row: Row) -> None:
-        """Writes a row through to the disk."""
+        """Writes a row through to the disk.
+
+        Raises:
+            DiskFull, FileError: if that cannot be done; the file then holds the rows before, whole.
+        """
         assert self._file is not None, "the file is not open"
-        self._file.write(json.dumps(row, separators=(",", ":"), allow_nan=False).encode() + b"\n")
-        self._file.flush()
-        with contextlib.suppress(OSError):
-            os.fsync(self._file.fileno())
+        line = json.dumps(row, separators=(",", ":"), allow_nan=False).encode() + b"\n"
+        before = os.fstat(self._file.fileno()).st_size
+        try:
+            left = memoryview(line)
+            while left:
+                left = left[self._file.write(left) :]
+            _through(self._file.fileno())
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                self._file.truncate(before)
+            full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+            kind, advice = (DiskFull, "make room") if full else (FileError, "see to the disk")
+            raise kind(
+                f"{self.path}: cannot be written: {error.strerror}; all rows before are kept: {advice}, and run the same command again to go on"
+            ) from error
+
+
+def _through(descriptor: int) -> None:
+    """Hands a file to the disk; not all that can be written to knows what that is."""
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.EROFS, errno.ENOTSUP):
+            raise
 
 
 def read_results(path: str | os.PathLike[str]) -> list[Row]:
@@ -113,6 +146,64 @@ def _rows(path: Path) -> Iterator[Row]:
                 row = json.loads(line.decode())
             except (ValueError, RecursionError) as error:
                 raise FormatError(f"{path}:{number}: no JSON: {error}") from error
-            if not isinstance(row, dict) or not _NEEDED <= row.keys() or not ("error" in row or {"curve", "metrics"} <= row.keys()):
-                raise FormatError(f"{path}:{number}: no result of an episode")
+            fault = "no table" if not isinstance(row, dict) else _fault(row)
+            if fault:
+                raise FormatError(f"{path}:{number}: no result of an episode: {fault}")
             yield row
+
+
+def _fault(row: Row) -> str:
+    """What a row lacks, or has wrong; an empty text for a result as the runner writes them."""
+    missing = sorted(name for name in _TEXTS | {"seed", "budget"} if name not in row)
+    if missing:
+        return f"{missing[0]} is missing"
+    wrong = [name for name in _TEXTS if not isinstance(row[name], str)]
+    seed, budget = row["seed"], row["budget"]
+    if wrong or not _whole(seed, 0, 2**32 - 1) or not _number(budget) or budget <= 0:
+        return f"{sorted(wrong)[0]} is no text" if wrong else "seed or budget is no number within its limits"
+    if row["task"].removesuffix("-strict") not in TASKS:
+        return "its task is unknown"
+    if "error" in row:
+        return "" if isinstance(row["error"], str) else "error is no text"
+    curve, metrics = row.get("curve"), row.get("metrics")
+    if not isinstance(curve, list) or not all(isinstance(at, list) and len(at) == 2 and all(map(_number, at)) for at in curve):
+        return "curve is no list of pairs of numbers"
+    if not isinstance(metrics, dict) or not all(_number(metrics.get(name)) for name in METRICS):
+        return f"metrics are no numbers by the names {', '.join(METRICS)}"
+    return _fault_of_the_rest(row)
+
+
+def _fault_of_the_rest(row: Row) -> str:
+    """The same of what a result may leave out."""
+    for name in ("specification", "environment", "notes", "wall", "scores"):
+        if not isinstance(row.get(name) or {}, dict):
+            return f"{name} is no table"
+    if not isinstance(row.get("specification", {}).get("analyst", {}), dict):
+        return "the analyst of its specification is no table"
+    if not all(_number(count) for name in ("notes", "wall") for count in (row.get(name) or {}).values()):
+        return "notes or wall hold something else than numbers"
+    if row.get("wall") and not {"seconds", "seconds_per_tile"} <= row["wall"].keys():
+        return "wall has not seconds and seconds_per_tile"
+    scores = dict(row.get("scores") or {})
+    columns = scores.pop("columns", None)
+    if not isinstance(columns or {}, dict) or not all(score is None or _number(score) for score in (*scores.values(), *(columns or {}).values())):
+        return "scores hold something else than numbers"
+    if not _whole(row.get("unreadable", 0), 0, 2**53):
+        return "unreadable is no number"
+    grid, tiles = row.get("grid"), row.get("tiles") or []
+    if grid is not None and not (isinstance(grid, list) and len(grid) == 2 and all(_whole(n, 1, _LARGEST_GRID) for n in grid)):
+        return "grid is no pair of numbers"
+    limits = grid or [_LARGEST_GRID] * 2
+    pairs = isinstance(tiles, list) and all(isinstance(tile, list) and len(tile) == 2 for tile in tiles)
+    if not pairs or not all(_whole(n, 0, most - 1) for tile in tiles for n, most in zip(tile, limits, strict=True)):
+        return "tiles are no places in the grid"
+    return ""
+
+
+def _whole(value: Any, least: int, most: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and least <= value <= most
+
+
+def _number(value: Any) -> bool:
+    """Whether it is a finite number."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import importlib
 import itertools
 import json
 import multiprocessing
+import multiprocessing.connection
 import os
 import signal
 import sys
@@ -38,6 +40,8 @@ Row = dict[str, Any]
 Make: TypeAlias = "Callable[[Episode], gym.Env[Any, Any]]"
 #: Episodes that a process is given at once: it goes on while the row of the one before is written.
 _AT_ONCE = 2
+#: Linux: a signal for this process when the one that made it ends.
+_PR_SET_PDEATHSIG = 1
 
 
 @dataclass
@@ -126,7 +130,7 @@ def _played(episodes: Sequence[Episode], processes: int, name: str, make: Make) 
         return
     # A context of its own: forks of a process with threads may hang.
     spawn = multiprocessing.get_context("spawn")
-    begin = (name, make, max(_processors() // processes, 1))
+    begin = (os.getpid(), name, make, max(_processors() // processes, 1))
     # A pool for each process, since it is not the same which of them plays an episode: see _Deal.
     pools = [ProcessPoolExecutor(1, spawn, _begin_process, begin) for _ in range(processes)]
     deal = _Deal(episodes, processes)
@@ -195,20 +199,32 @@ _player: _Player | None = None
 _threads: int | None = None
 
 
-def _begin_process(name: str, make: Make, threads: int) -> None:
+def _begin_process(parent: int, name: str, make: Make, threads: int) -> None:
     """Each process has its share of the processors; Ctrl-C is the first process's business."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
+    _end_with(parent)
     global _player, _threads
     _threads = threads
     _player = _Player(name, make)
 
 
 def _end_with(parent: int) -> None:
-    """Ends this process when the first one is gone, however it ended."""
-    while os.getppid() == parent:
-        time.sleep(0.5)
-    os._exit(1)
+    """Ends this process when the first one is gone, however and whenever it ended."""
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError, AttributeError):
+            ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    # A process that ended before this line sends no signal.
+    if os.getppid() != parent:
+        os._exit(1)
+    threading.Thread(target=_watch, daemon=True).start()
+
+
+def _watch() -> None:
+    """The pipe from the first process closes with it, on any system."""
+    first = multiprocessing.parent_process()
+    if first is not None:
+        multiprocessing.connection.wait([first.sentinel])
+        os._exit(1)
 
 
 def _play_one(episode: Episode) -> Row:

@@ -269,7 +269,8 @@ def faults(results: Results) -> str:
         failed = sum(row["agent"] == agent for row in results.failures)
         unreadable = sum(int(row.get("unreadable") or 0) for row in rows)
         counted = ", ".join(f"{name.replace('_', ' ')} {count:g}" for name, count in sorted(notes.items()))
-        lines.append((agent, [str(len(rows)), str(failed), str(unreadable), *(str(ended[how]) for how in ("done", "refused", "horizon")), counted]))
+        ends = [str(ended[how]) for how in ("done", "refused", "horizon")]
+        lines.append((agent, [str(len(rows)), str(failed), str(unreadable), *ends, html.escape(counted)]))
     head = ["episodes", "failed", "unreadable reports", "ended themselves", "refused", "by the horizon", "counted by the agent"]
     out = _table(results, head, lines)
     kinds = Counter(str(row["error"]).partition(": ")[2] for row in results.failures)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from ..errors import _invalid
 from .catalogue import agent_names
 from .experiments import TASKS
-from .results import Row, read_failures, read_results
+from .results import METRICS, Row, read_failures, read_results
 from .statistics import Equivalence, bootstrap_interval, dec_auc, on_checkpoints, paired_wilcoxon, rank_agreement, tost
 
 Values = npt.NDArray[np.float64]
@@ -24,7 +24,8 @@ Role = Literal["floor", "agent", "ceiling"]
 Case = tuple[str, int]
 
 DIFFICULTIES = ("easy", "medium", "hard")
-ALTERNATIVES = ("final_score", "time_to_threshold", "early_weighted", "late_weighted", "half_budget")
+#: The metrics beside DEC-AUC.
+ALTERNATIVES = METRICS[1:]
 PAPER_BUDGET = 5000.0
 
 

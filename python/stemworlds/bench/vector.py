@@ -27,6 +27,7 @@ class MicroscopeVectorEnv(gym.vector.VectorEnv[Arrays, Mapping[str, Any], npt.ND
 
     Args:
         num_envs: how many.
+        max_episode_steps: the same as ``horizon``; the lesser counts.
         **options: as for :class:`MicroscopeEnv`.
     """
 
@@ -36,11 +37,26 @@ class MicroscopeVectorEnv(gym.vector.VectorEnv[Arrays, Mapping[str, Any], npt.ND
     single_observation_space: spaces.Space[Arrays]
     single_action_space: spaces.Space[Mapping[str, Any]]
 
-    def __init__(self, num_envs: int = 1, task: Task = "defect-census", strict: bool = False, *, render_mode: str | None = None, **options: Any) -> None:
+    def __init__(
+        self,
+        num_envs: int = 1,
+        task: Task = "defect-census",
+        strict: bool = False,
+        *,
+        render_mode: str | None = None,
+        max_episode_steps: int | None = None,
+        **options: Any,
+    ) -> None:
         if num_envs < 1:
             raise _invalid("num_envs", f"num_envs = {num_envs}: expected a whole number above 0")
         self.num_envs = num_envs
-        self._episodes = Episodes(num_envs, task, strict, **options)
+        if max_episode_steps is not None:
+            # As gymnasium.make_vec passes it.
+            options["horizon"] = min(max_episode_steps, options.get("horizon", max_episode_steps))
+        self._made_of: dict[str, Any] = {"count": num_envs, "task": task, "strict": strict, **options}
+        self._episodes = Episodes(**self._made_of)
+        #: What was done in the episode of each environment.
+        self._done: list[list[tuple[Any, ...]]] = [[] for _ in range(num_envs)]
         self.render_mode = render_mode
         single = observation_space(self.field)
         self._seen_names = [name for name in single.spaces if name != "pixel_size_nm"]
@@ -68,8 +84,41 @@ class MicroscopeVectorEnv(gym.vector.VectorEnv[Arrays, Mapping[str, Any], npt.ND
             self._begin(n, own)
             moves.begin[n] = self._seeds[n]
         self._over[:] = False
-        found = self._episodes.step(moves)
+        found = self._does(moves)
         return self._observations(found), self._info(found)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """As that of :class:`MicroscopeEnv`."""
+        state = dict(vars(self))
+        del state["_episodes"]
+        return state
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        vars(self).update(state)
+        self._episodes = Episodes(**self._made_of)
+        if None in self._seeds:
+            # Not one episode has begun.
+            return
+        most = max(map(len, self._done))
+        for step in range(most + 1):
+            moves = Moves.none(self.num_envs)
+            for n, own in enumerate(self._done):
+                # All end with the same step; those that have done less begin later.
+                at = step - (most - len(own)) - 1
+                if at < 0:
+                    moves.begin[n] = self._seeds[n]
+                else:
+                    moves.kinds[n], moves.positions[n], moves.zooms[n], moves.doses[n], moves.reports[n] = own[at]
+            self._episodes.step(moves)
+
+    def _does(self, moves: Moves) -> dict[str, Any]:
+        found = self._episodes.step(moves)
+        for n, own in enumerate(self._done):
+            if moves.begin[n] is not None:
+                own.clear()
+            else:
+                own.append((moves.kinds[n], moves.positions[n], moves.zooms[n], moves.doses[n], moves.reports[n]))
+        return found
 
     def _begin(self, n: int, seed: int | None) -> None:
         known = self._seeds[n]
@@ -96,7 +145,7 @@ class MicroscopeVectorEnv(gym.vector.VectorEnv[Arrays, Mapping[str, Any], npt.ND
         for over in np.flatnonzero(self._over).tolist():
             self._begin(over, None)
             moves.begin[over] = self._seeds[over]
-        found = self._episodes.step(moves)
+        found = self._does(moves)
         ended: list[str | None] = found["ended"]
         terminated = np.array([how in ("done", "refused") for how in ended])
         truncated = np.array([how == "horizon" for how in ended])

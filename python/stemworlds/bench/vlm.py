@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 import struct
 import zlib
 from collections.abc import Mapping
@@ -22,6 +23,9 @@ __all__ = ["VisionLanguageAnalyst"]
 
 Values = npt.NDArray[np.float64]
 
+#: More defects than a tile has atoms, and more phases than a field: such a reply makes no sense.
+_MOST_DEFECTS = 1000
+_MOST_PHASES = 256
 #: A defect that the model sees belongs to an atom nearer than this, in pixels of the tile.
 _NEAR_PX = 8.0
 _KINDS = ("vacancy", "substitution")
@@ -98,18 +102,18 @@ def _read(reply: str) -> dict[str, Any]:
     """Defects as (kind, row, column), and the phase."""
     told = json_of(reply)
     defects = told.get("defects", [])
-    if not isinstance(defects, list):
-        raise ValueError("defects is no list")
+    if not isinstance(defects, list) or len(defects) > _MOST_DEFECTS:
+        raise ValueError(f"defects is no list of at most {_MOST_DEFECTS}")
     found = []
     for defect in defects:
         if not isinstance(defect, Mapping) or defect.get("type") not in _KINDS:
-            raise ValueError(f"{defect!r} is no defect")
+            raise ValueError(f"{reprlib.repr(defect)} is no defect")
         row, column = float(defect["row"]), float(defect["col"])
         if not (0 <= row <= 127 and 0 <= column <= 127):
             raise ValueError(f"row {row}, col {column}: outside of the tile")
         found.append((str(defect["type"]), row, column))
     phase = told.get("phase")
-    if isinstance(phase, bool) or not isinstance(phase, int) or phase < 0:
+    if isinstance(phase, bool) or not isinstance(phase, int) or not 0 <= phase < _MOST_PHASES:
         phase = None
     return {"defects": found, "phase": phase}
 

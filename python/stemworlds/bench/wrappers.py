@@ -33,6 +33,9 @@ class _Deciding(gym.Wrapper[Observation, Any, Observation, Any], RecordConstruct
     ``analyse`` gets everything that was acquired in the episode, or is an object with a method of that name.
     """
 
+    #: A step of an agent is several of the environment.
+    several_steps = True
+
     def __init__(self, env: gym.Env[Any, Any], analyst: Any, declare_every: int, **others: Any) -> None:
         # With it an environment can be made again from its specification.
         RecordConstructorArgs.__init__(self, analyst=analyst, declare_every=declare_every, **others)

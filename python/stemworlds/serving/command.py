@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from .. import errors
+from .._text import printable
 from ..live import LiveWorld
 from ..recipes import Recipe
-from .microscope import Microscope, specimen_size_nm, view_nm
+from .microscope import Microscope, checked_current, checked_fov, specimen_size_nm, view_nm
 from .server import ADDRESS, Server
 
 _EXAMPLES = """
@@ -54,24 +55,38 @@ def main(arguments: list[str]) -> int:
         grid = None if given.grid is None else _grid(given.grid)
         changes = dict(_change(text) for text in given.set)
         changed = Recipe(given.recipe, given.difficulty, grid=grid, seed=given.seed, set=changes)
-        view_nm(specimen_size_nm(changed), np.zeros(2), given.fov)
-        print(f"making the specimen of {changed['id']}; its library takes minutes the first time", file=sys.stderr)
-        world = LiveWorld(changed, most_dose=given.most_dose, threads=given.threads, progress=True)
-        microscope = Microscope(world, profile=given.profile, fov_angstrom=given.fov, current_pa=given.current)
+        view_nm(specimen_size_nm(changed), np.zeros(2), checked_fov(given.fov))
+        checked_current(given.current)
+
+        def microscope() -> Microscope:
+            print(f"making the specimen of {changed['id']}; its library takes minutes the first time", file=sys.stderr)
+            world = LiveWorld(changed, most_dose=given.most_dose, threads=given.threads, progress=True)
+            return Microscope(world, profile=given.profile, fov_angstrom=given.fov, current_pa=given.current)
+
+        # The port is taken before the minutes that the specimen may take.
         server = Server(microscope, (given.host, given.port))
     except (errors.StemworldsError, ValueError, OSError, OverflowError) as error:
-        print(f"stemworlds serve: {error}", file=sys.stderr)
+        print(f"stemworlds serve: {printable(_told(error, given.host, given.port))}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("interrupted; the same command goes on with the library", file=sys.stderr)
         return 130
     with server:
-        print(f"listening on {given.host}:{server.port}; Ctrl-C ends it", flush=True)
         try:
+            print(f"listening on {given.host}:{server.port}; Ctrl-C ends it", flush=True)
             server.serve_forever()
         except KeyboardInterrupt:
             print("ended", file=sys.stderr)
     return 0
+
+
+def _told(error: Exception, host: str, port: int) -> str:
+    """What an error says; of the socket, which address and what to do."""
+    if isinstance(error, OSError) and not isinstance(error, errors.StemworldsError):
+        return f"{host}:{port}: {error.strerror or error}; --host and --port name another address"
+    if isinstance(error, OverflowError):
+        return f"--port {port}: expected 0 to 65535"
+    return str(error)
 
 
 def _change(text: str) -> tuple[str, Any]:

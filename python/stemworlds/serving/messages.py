@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import socket
 import struct
+import time
 from typing import Any
 
 import numpy as np
@@ -77,34 +78,50 @@ def send(connection: socket.socket, message: bytes) -> None:
     connection.sendall(struct.pack("!I", len(message)) + message)
 
 
-def receive(connection: socket.socket, longest: int) -> bytes | None:
-    """The next message; ``None`` where the other side has closed the connection.
+def receive(connection: socket.socket, longest: int, *, idle_s: float | None = None, message_s: float | None = None) -> bytes | None:
+    """The next message; ``None`` where the other side has closed the connection, or has said nothing for ``idle_s``.
+
+    Args:
+        message_s: seconds from the first byte of a message to the last.
 
     Raises:
         ValueError: for a message that is longer than ``longest``.
-        ConnectionError: where it ends early.
+        ConnectionError: where it ends early, or comes too slowly.
     """
-    head = _exactly(connection, 4)
-    if head is None:
+    if idle_s is not None:
+        connection.settimeout(idle_s)
+    try:
+        first = connection.recv(1)
+    except TimeoutError:
+        if idle_s is None:
+            raise
         return None
-    (length,) = struct.unpack("!I", head)
-    if length > longest:
-        raise ValueError(f"a message of {length} bytes: at most {longest} are read")
-    body = _exactly(connection, length)
-    if body is None:
-        raise ConnectionError("the connection was closed within a message")
-    return body
+    if not first:
+        return None
+    end = None if message_s is None else time.monotonic() + message_s
+    try:
+        (length,) = struct.unpack("!I", first + _exactly(connection, 3, end))
+        if length > longest:
+            raise ValueError(f"a message of {length} bytes: at most {longest} are read")
+        return _exactly(connection, length, end)
+    except TimeoutError:
+        if message_s is None:
+            raise
+        raise ConnectionError(f"the message was not whole after {message_s:g} s") from None
 
 
-def _exactly(connection: socket.socket, count: int) -> bytes | None:
+def _exactly(connection: socket.socket, count: int, end: float | None) -> bytes:
     parts: list[bytes] = []
     missing = count
     while missing:
+        if end is not None:
+            left = end - time.monotonic()
+            if left <= 0:
+                raise TimeoutError
+            connection.settimeout(left)
         part = connection.recv(min(missing, 1 << 20))
         if not part:
-            if parts:
-                raise ConnectionError("the connection was closed within a message")
-            return None
+            raise ConnectionError("the connection was closed within a message")
         parts.append(part)
         missing -= len(part)
     return b"".join(parts)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import ast
 import inspect
 import json
 import math
+import re
+import reprlib
 import threading
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,14 @@ Arguments = Mapping[str, str]
 
 #: Longest frame in s; as long as asyncroscopy's own server takes.
 LONGEST_FRAME_S = 600.0
+#: Time on a pixel in s, which recordings take. A longer rest of the beam is recorded in parts.
+DWELL_S = (1e-8, 1.0)
+#: Edge of a pixel in Angstrom.
+PIXEL_ANGSTROM = (1e-3, 100.0)
+#: Current of the beam in pA.
+CURRENT_PA = (1e-3, 1e6)
+#: Least field of view in Angstrom; the greatest is the specimen.
+LEAST_FOV_ANGSTROM = 1.0
 #: Edge in nm of the square that a beam at rest hits.
 BEAM_NM = 0.1
 #: Rows and columns of an image.
@@ -48,6 +56,9 @@ class Microscope:
         profile: errors of scan and detector: ``"ideal"``, ``"routine"``, ``"poor"``.
         fov_angstrom: edge of the field of view.
         current_pa: current of the beam.
+
+    Raises:
+        ValueError: for a field of view that is larger than the specimen, and a current out of limits.
     """
 
     def __init__(self, world: LiveWorld, *, profile: Acquisition = "ideal", fov_angstrom: float = 50.0, current_pa: float = 20.0) -> None:
@@ -55,8 +66,9 @@ class Microscope:
         self._profile = profile
         self._size_nm = specimen_size_nm(world.recipe)
         self._stage_m = np.zeros(5)
-        self._fov_angstrom = fov_angstrom
-        self._current_pa = current_pa
+        self._fov_angstrom = checked_fov(fov_angstrom)
+        self._current_pa = checked_current(current_pa)
+        view_nm(self._size_nm, self._stage_m, self._fov_angstrom)
         self._beam = (0.5, 0.5)
         self._blanked = True
         self._busy = threading.Lock()
@@ -69,7 +81,7 @@ class Microscope:
         """
         does = self._verbs().get(verb)
         if does is None:
-            raise ValueError(f"unknown verb {verb!r}; discover_commands lists those that there are")
+            raise ValueError(f"unknown verb {reprlib.repr(verb)}; discover_commands lists those that there are")
         takes = _TAKES.get(verb, set(arguments))
         unknown = sorted(set(arguments) - takes)
         if unknown:
@@ -117,7 +129,7 @@ class Microscope:
     def set_stage(self, arguments: Arguments) -> Answer:
         """Moves the stage to ``x`` and ``y`` in m, or by them with ``relative=True``. The field of view has to stay on the specimen."""
         x, y = (_number(arguments, key, default=math.nan) for key in ("x", "y"))
-        relative = arguments.get("relative", "False").lower() in ("true", "1")
+        relative = _flag(arguments, "relative")
         moved = self._stage_m.copy()
         for axis, value in enumerate((x, y)):
             if not math.isnan(value):
@@ -130,9 +142,7 @@ class Microscope:
 
     def set_fov(self, arguments: Arguments) -> Answer:
         """Sets the edge of the field of view, ``fov`` in Angstrom."""
-        fov = _number(arguments, "fov")
-        if not 1.0 <= fov <= 1e5:
-            raise ValueError(f"fov={fov}: expected 1 to 1e5 Angstrom")
+        fov = checked_fov(_number(arguments, "fov"))
         view_nm(self._size_nm, self._stage_m, fov)
         self._fov_angstrom = fov
         return f"FOV set to {fov} A"
@@ -143,9 +153,7 @@ class Microscope:
 
     def set_current(self, arguments: Arguments) -> Answer:
         """Sets the current of the beam, ``current`` in pA."""
-        current = _number(arguments, "current")
-        if not 1e-3 <= current <= 1e6:
-            raise ValueError(f"current={current}: expected 0.001 to 1e6 pA")
+        current = checked_current(_number(arguments, "current"))
         self._current_pa = current
         return f"Beam current set to {current} pA"
 
@@ -165,12 +173,20 @@ class Microscope:
         detector = arguments.get("scanning_detector", arguments.get("detector", "HAADF"))
         if detector.upper() != "HAADF":
             raise ValueError(f"detector {detector!r}: this microscope has HAADF")
-        size = int(_number(arguments, "size", default=512))
-        dwell_s = _number(arguments, "dwell_time", default=2e-6)
-        if not SIZES[0] <= size <= SIZES[1]:
-            raise ValueError(f"size={size}: expected {SIZES[0]} to {SIZES[1]} pixels")
-        if not 1e-9 <= dwell_s or dwell_s * size * size > LONGEST_FRAME_S:
-            raise ValueError(f"dwell_time={dwell_s}: expected at least 1e-9 s, and at most {LONGEST_FRAME_S:.0f} s for all pixels")
+        given, dwell_s = _number(arguments, "size", default=512), _number(arguments, "dwell_time", default=2e-6)
+        size = int(given)
+        if size != given or not SIZES[0] <= size <= SIZES[1]:
+            raise ValueError(f"size={given:g}: expected a whole number from {SIZES[0]} to {SIZES[1]}, pixels along an edge")
+        pixel = self._fov_angstrom / size
+        if not PIXEL_ANGSTROM[0] <= pixel <= PIXEL_ANGSTROM[1]:
+            raise ValueError(
+                f"size={size}: pixels of {pixel:.3g} A in a field of view of {self._fov_angstrom:g} A; expected {PIXEL_ANGSTROM[0]:g} to {PIXEL_ANGSTROM[1]:g} A"
+            )
+        longest = min(DWELL_S[1], LONGEST_FRAME_S / size**2)
+        if not DWELL_S[0] <= dwell_s <= longest:
+            raise ValueError(
+                f"dwell_time={dwell_s}: expected {DWELL_S[0]:g} to {longest:.3g} s for {size} x {size} pixels, which may take {LONGEST_FRAME_S:.0f} s together"
+            )
         return self._recorded(self._view_nm(), size, dwell_s)
 
     def get_dose(self, arguments: Arguments) -> Answer:
@@ -195,30 +211,57 @@ class Microscope:
         if given is None:
             raise ValueError("duration: say for how many seconds; a simulated beam does not wait for the next command")
         duration = _float("duration", given)
-        if not 0 < duration <= LONGEST_FRAME_S:
-            raise ValueError(f"duration={duration}: expected up to {LONGEST_FRAME_S:.0f} s")
+        if not DWELL_S[0] <= duration <= LONGEST_FRAME_S:
+            raise ValueError(f"duration={duration}: expected {DWELL_S[0]:g} to {LONGEST_FRAME_S:.0f} s")
         left, top, right, bottom = self._view_nm()
         x, y = left + self._beam[0] * (right - left), top + self._beam[1] * (bottom - top)
         half = 0.5 * BEAM_NM
-        self._recorded((x - half, y - half, x + half, y + half), 1, duration)
+        parts = math.ceil(duration / DWELL_S[1])
+        self._recorded((x - half, y - half, x + half, y + half), 1, duration / parts, parts)
         return f"Beam unblanked for {duration} s"
 
     def blank_beam(self, arguments: Arguments) -> Answer:
         """Blanks the beam; between commands it always is."""
         return "Beam blanked"
 
-    def _recorded(self, region_nm: tuple[float, float, float, float], size: int, dwell_s: float) -> npt.NDArray[np.float32]:
+    def _recorded(
+        self, region_nm: tuple[float, float, float, float], size: int, dwell_s: float, frames: int | None = None
+    ) -> npt.NDArray[np.float32]:
         recording = self._world.acquire(
             region_nm=region_nm,
             pixel_nm=(region_nm[2] - region_nm[0]) / size,
             current_pa=self._current_pa,
             dwell_us=1e6 * dwell_s,
+            frames=frames,
             profile=self._profile,
         )
         return recording.array.astype(np.float32)
 
     def _view_nm(self) -> tuple[float, float, float, float]:
         return view_nm(self._size_nm, self._stage_m, self._fov_angstrom)
+
+
+def checked_fov(fov_angstrom: float) -> float:
+    """A field of view that is large enough.
+
+    Raises:
+        ValueError: for others.
+    """
+    if not fov_angstrom >= LEAST_FOV_ANGSTROM:
+        raise ValueError(f"fov={fov_angstrom}: expected {LEAST_FOV_ANGSTROM:g} Angstrom or more, within the specimen")
+    return fov_angstrom
+
+
+def checked_current(current_pa: float) -> float:
+    """A current within limits.
+
+    Raises:
+        ValueError: for others.
+    """
+    low, high = CURRENT_PA
+    if not low <= current_pa <= high:
+        raise ValueError(f"current={current_pa}: expected {low:g} to {high:g} pA")
+    return current_pa
 
 
 def specimen_size_nm(recipe: Recipe) -> tuple[float, float]:
@@ -257,16 +300,25 @@ def _float(key: str, text: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        raise ValueError(f"{key}={text!r}: expected a number") from None
+        raise ValueError(f"{key}={reprlib.repr(text)}: expected a number") from None
     if not math.isfinite(value):
-        raise ValueError(f"{key}={text}: expected a finite number")
+        raise ValueError(f"{key}={reprlib.repr(text)}: expected a finite number")
     return value
 
 
+def _flag(arguments: Arguments, key: str) -> bool:
+    text = arguments.get(key, "false")
+    if text.lower() not in ("true", "false", "1", "0"):
+        raise ValueError(f"{key}={reprlib.repr(text)}: expected true or false")
+    return text.lower() in ("true", "1")
+
+
+#: Two numbers in brackets, as Python and JSON write them.
+_PAIR = re.compile(r"[(\[]([^,()\[\]]+),([^,()\[\]]+),?[)\]]")
+
+
 def _pair(text: str) -> tuple[float, float]:
-    try:
-        found: Any = ast.literal_eval(text)
-        x, y = (float(v) for v in found)
-    except (ValueError, TypeError, SyntaxError):
-        raise ValueError(f"beam_pos={text!r}: expected (x,y)") from None
-    return x, y
+    found = _PAIR.fullmatch(text)
+    if found is None:
+        raise ValueError(f"beam_pos={reprlib.repr(text)}: expected (x,y)")
+    return _float("beam_pos", found[1]), _float("beam_pos", found[2])
