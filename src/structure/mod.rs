@@ -4,6 +4,7 @@
 //! the beam runs along a zone axis; [`Structure::resolve_occupancy`] draws mixed sites; and
 //! [`Structure::sites`] makes of the atoms the sites that the engine simulates.
 
+mod alternatives;
 pub mod carbon;
 mod cif;
 pub mod coincidence;
@@ -11,25 +12,32 @@ pub mod columns;
 pub mod crystals;
 pub mod direction;
 pub mod elements;
+mod exclusive_sites;
+mod foreign_formats;
 mod frames;
 pub mod lattice;
 mod mixed_sites;
 mod neighbors;
 mod orient;
+mod overlap;
 pub mod particles;
 mod poscar;
+mod preparation;
 mod read;
 mod site;
 mod source_text;
 mod supercell;
 mod xyz;
 
+pub use alternatives::Alternative;
 pub use frames::{FrameRange, read_frames};
 pub(crate) use neighbors::for_each_pair;
 pub use neighbors::{min_pair_distance, shortest_distances};
+pub use orient::OrientedBox;
+pub use preparation::{Preparation, PreparedStructure};
 #[cfg(all(test, feature = "hdf5"))]
 pub(crate) use read::PARSED;
-pub use read::{Format, parse, read, sigmas_of_file};
+pub use read::{Format, ReadStructure, parse, parse_noted, read, read_noted, sigmas_of_file};
 pub use site::{LARGEST_SIGMA_ANGSTROM, Sigmas, Site};
 pub use xyz::write_extxyz;
 
@@ -48,6 +56,15 @@ pub struct Atom {
     pub position: [f64; 3],
     /// Fraction of the site that this atom occupies, in (0, 1].
     pub occupancy: f64,
+    /// Where a place can be filled in several ways: the place, and the way that this atom belongs to.
+    pub alternative: Option<Alternative>,
+}
+
+impl Atom {
+    /// An atom that occupies its site alone, at a position in Angstrom.
+    pub fn new(number: u8, position: [f64; 3]) -> Self {
+        Atom { number, position, occupancy: 1.0, alternative: None }
+    }
 }
 
 /// Atoms in a (triclinic) cell; the beam runs along +z.
@@ -60,6 +77,42 @@ pub struct Structure {
 }
 
 impl Structure {
+    /// Checks atoms that come from no file as those of a file are checked: a cell with volume, finite positions, elements that
+    /// exist, occupancies above 0, to 1, and no two atoms in one place.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] that names the atom, by its number from 0.
+    pub fn checked(self) -> Result<Self> {
+        let fault = |value: String, expected: String| {
+            Err(Error::invalid(Setting::StructureFile, value, expected))
+        };
+        if let Err(message) = source_text::check_cell(&self.cell) {
+            return fault(format!("cell {:?}", self.cell), message);
+        }
+        for (number, atom) in self.atoms.iter().enumerate() {
+            let Atom { position, occupancy, .. } = atom;
+            if !position.iter().all(|x| x.abs() <= source_text::FARTHEST) {
+                let value = format!("atoms[{number}] at {position:?} A");
+                return fault(value, "expected a position near the cell".into());
+            }
+            if !(*occupancy > 0.0 && *occupancy <= 1.0) {
+                let value = format!("atoms[{number}] with occupancy {occupancy}");
+                return fault(value, "expected above 0, to 1".into());
+            }
+            if !(1..=elements::MAX_ATOMIC_NUMBER).contains(&atom.number) {
+                let value = format!("atoms[{number}] with atomic number {}", atom.number);
+                return fault(value, format!("expected 1 to {}", elements::MAX_ATOMIC_NUMBER));
+            }
+        }
+        match overlap::Overlap::of(&self) {
+            None => Ok(self),
+            Some(overlap) => {
+                let message = overlap.told(&self, "this", |first| format!("atoms[{first}]"));
+                fault(format!("atoms[{}]", overlap.atom()), message)
+            }
+        }
+    }
+
     /// The edge lengths of the cell if its vectors lie along x, y and z to within `1e-4` A.
     ///
     /// # Errors
