@@ -328,7 +328,7 @@ mod tests {
         // On the exit face of a slab below vacuum.
         for z in [20.0, 20.0 + 1e-12, 20.0 - 1e-12] {
             let s = of(&[16.0, 18.0, z]);
-            assert_eq!((s.entrance(), s.index(s.wrap(z))), (0.5, 2), "{z}");
+            assert!((s.entrance() - 0.5).abs() < 1e-9 && s.index(s.wrap(z)) == 2, "{z}");
         }
         // One plane of a crystal, half of it rounded to the other face.
         let planes: Vec<f64> = (1..10).map(|i| 2.0 * f64::from(i)).collect();

@@ -1,7 +1,9 @@
 //! Sites that exclude each other: shared sites, the ways of filling a place, and sites closer than any bond.
 
 use std::collections::{BTreeMap, HashMap};
+use std::ops::ControlFlow;
 
+use super::neighbors::try_each_pair;
 use super::overlap::FULLEST_SITE;
 use super::{Alternative, Structure, elements, for_each_pair};
 
@@ -13,14 +15,18 @@ const SHORTEST_BOND: f64 = 1.2;
 const SHORTEST_BOND_CNO: f64 = 1.0;
 /// ... and for hydrogen (0.74 A in H2).
 const SHORTEST_BOND_H: f64 = 0.7;
+/// Pairs that exclude each other, for each atom, beyond which sites are no longer told apart ...
+const MOST_PAIRS_EACH: usize = 16;
+/// ... and in all.
+const MOST_PAIRS: usize = 20_000_000;
 /// Distances that differ by less than this in Angstrom are taken in the order of the atoms.
-const SAME_DISTANCE: f64 = 1e-3;
+const SAME_DISTANCE: f32 = 1e-3;
 
 /// Two partly occupied sites that are too close to be filled both, and too full to exclude each other.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct CrowdedPair {
-    pub atoms: [usize; 2],
-    pub distance: f64,
+    pub atoms: [u32; 2],
+    pub distance: f32,
 }
 
 /// The atoms of a structure in groups, of each of which at most one unit is there: an atom, or the atoms of one
@@ -62,15 +68,9 @@ impl ExclusiveSites {
         if structure.atoms.iter().all(|a| a.occupancy == 1.0 && a.alternative.is_none()) {
             return ExclusiveSites { group: site.clone(), site, crowded: Vec::new() };
         }
-        let mut close = Vec::new();
         // `i` never falls, so that `site[i]` is final when it is copied to j.
-        for_each_pair(structure, SHORTEST_BOND, |i, j, distance| {
-            if distance <= SAME_SITE {
-                site[j] = site[j].min(site[i]);
-            } else if i != j && excludes(structure, i, j, distance) {
-                close.push(CrowdedPair { atoms: [i, j], distance });
-            }
-        });
+        for_each_pair(structure, SAME_SITE, |i, j, _| site[j] = site[j].min(site[i]));
+        let mut close = close_pairs(structure);
         let mut forest = Forest((0..count).collect());
         let mut places: HashMap<u32, usize> = HashMap::new();
         for (i, atom) in structure.atoms.iter().enumerate() {
@@ -84,9 +84,9 @@ impl ExclusiveSites {
         for unit in units(structure, &site, &(0..count).collect::<Vec<_>>()) {
             loads[forest.root(unit.atoms[0])] += unit.occupancy;
         }
-        close.sort_by_key(|pair| ((pair.distance / SAME_DISTANCE) as u64, pair.atoms));
+        close.sort_by_key(|pair| ((pair.distance / SAME_DISTANCE) as u32, pair.atoms));
         close.retain(|pair| {
-            let [i, j] = pair.atoms.map(|atom| forest.root(atom));
+            let [i, j] = pair.atoms.map(|atom| forest.root(atom as usize));
             if i != j && loads[i] + loads[j] > FULLEST_SITE {
                 return true;
             }
@@ -142,6 +142,24 @@ pub(super) fn units(structure: &Structure, site: &[usize], members: &[usize]) ->
     units
 }
 
+/// Pairs of sites that cannot be filled both. A pile of atoms has too many: then those of the first ones.
+fn close_pairs(structure: &Structure) -> Vec<CrowdedPair> {
+    let most = MOST_PAIRS.min(structure.atoms.len().saturating_mul(MOST_PAIRS_EACH));
+    let (mut close, mut seen) = (Vec::new(), 0);
+    // Where it breaks off does not matter.
+    let _ = try_each_pair(structure, SHORTEST_BOND, |i, j, distance| {
+        seen += 1;
+        if distance > SAME_SITE && i != j && excludes(structure, i, j, distance) {
+            close.push(CrowdedPair { atoms: [i as u32, j as u32], distance: distance as f32 });
+        }
+        match close.len() > most || seen > 8 * most {
+            true => ControlFlow::Break(()),
+            false => ControlFlow::Continue(()),
+        }
+    });
+    close
+}
+
 /// Whether two atoms at a distance in Angstrom cannot be there together.
 fn excludes(structure: &Structure, i: usize, j: usize, distance: f64) -> bool {
     let (a, b) = (&structure.atoms[i], &structure.atoms[j]);
@@ -161,8 +179,8 @@ impl Structure {
     pub fn crowded_sites(&self) -> Option<String> {
         let crowded = ExclusiveSites::of(self).crowded;
         let CrowdedPair { atoms: [i, j], distance } = *crowded.first()?;
-        let name = |atom: usize| {
-            let atom = &self.atoms[atom];
+        let name = |atom: u32| {
+            let atom = &self.atoms[atom as usize];
             format!("{} (occupancy {})", elements::symbol(atom.number), atom.occupancy)
         };
         Some(format!(

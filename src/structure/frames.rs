@@ -199,7 +199,8 @@ mod tests {
             let frames = read_frames(&path, FrameRange { start, end: None, step })?;
             Ok::<_, Error>(frames.iter().map(|f| f.atoms[0].position[0]).collect::<Vec<_>>())
         };
-        assert_eq!(read(0, 2).unwrap(), [0.4, 0.4 * 3.0]);
+        let found = read(0, 2).unwrap();
+        assert!(found.len() == 2 && (found[0] - 0.4).abs() + (found[1] - 1.2).abs() < 1e-12);
         let told = super::super::read(&path).unwrap_err().to_string();
         assert!(told.contains("XDATCAR:8: a trajectory of 4 frames"), "{told}");
         // With a head for each frame, where the cell may change.

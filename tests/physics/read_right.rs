@@ -180,6 +180,9 @@ fn a_composition_that_is_not_the_formulas_is_told() {
     assert!(other[0].contains("check"), "{other:?}");
     let water = notes("_chemical_formula_sum 'Cs Cl H2'", cscl);
     assert!(water[0].contains("hydrogen is not among the sites"), "{water:?}");
+    // The sum of the whole cell, as pymatgen writes it.
+    let cell = "Cs1 Cs 0 0 0 1\nCs2 Cs 0 0 .5 1\nCl1 Cl .5 .5 .25 1\nCl2 Cl .5 .5 .75 1";
+    assert!(notes("_chemical_formula_sum 'Cs2 Cl2'\n_cell_formula_units_Z 2", cell).is_empty());
     let half = "Cs1 Cs 0 0 0 .5\nRb1 Rb 0 0 0 .5\nCl1 Cl .5 .5 .5 1";
     assert!(notes("_chemical_formula_sum 'Cs0.5 Rb0.5 Cl'", half).is_empty());
 }

@@ -68,6 +68,8 @@ pub fn from_label(label: &str, formula: Option<&Formula>) -> Result<NamedAtom, S
     let cure = "add a column _atom_site_type_symbol";
     let [one, two] = candidates(&word, formula)
         .map(|number| number.filter(|z| formula.is_none_or(|formula| formula.contains_key(z))));
+    // A whole symbol of two letters means its element, whatever the formula forgot.
+    let two = if one.is_none() { two.or_else(|| whole_symbol(&word)) } else { two };
     match (one, two) {
         (Some(one), Some(two)) if word.chars().nth(1).is_some_and(|c| c.is_ascii_uppercase()) => {
             let [one, two] = [one, two].map(elements::symbol);
@@ -85,6 +87,12 @@ pub fn from_label(label: &str, formula: Option<&Formula>) -> Result<NamedAtom, S
         }
         (None, None) => Err(format!("label `{label}` begins with no element symbol; {cure}")),
     }
+}
+
+/// The element of a word such as `Mn`.
+fn whole_symbol(word: &str) -> Option<u8> {
+    let small = word.chars().nth(1).is_some_and(|c| c.is_ascii_lowercase());
+    if word.len() == 2 && small { element(word) } else { None }
 }
 
 /// The elements of the first letter and of the first two. Words are none: `Vac` is no vanadium, and `RE` any rare earth, where the
@@ -150,6 +158,7 @@ mod tests {
         assert_eq!(from_label("Y1", Some(&yo)), Ok(atom(39)));
         let calcium = Formula::from([(20, 1.0), (8, 1.0)]);
         assert_eq!(from_label("CA1", Some(&calcium)), Ok(atom(20)));
+        assert_eq!(from_label("Mn1", Some(&calcium)), Ok(atom(25)));
         let carbon = Formula::from([(6, 1.0), (8, 1.0)]);
         assert_eq!(from_label("CA1", Some(&carbon)), Ok(atom(6)));
     }

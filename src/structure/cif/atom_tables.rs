@@ -87,7 +87,9 @@ pub fn sites<'t, 'a>(
             }
         }
     }
-    notes.extend(left_out(&bare));
+    if found.iter().all(|site| site.atom.number != 1) {
+        notes.extend(left_out(&bare));
+    }
     Ok(found)
 }
 

@@ -86,7 +86,10 @@ pub fn composition_note(block: &DataBlock, read: &Formula) -> Option<String> {
     };
     let units = z.unwrap_or(fitted);
     let differing = wrong(units);
-    if differing.is_empty() {
+    // Some programs (pymatgen) write the sum of the whole cell beside the number of its units.
+    let whole = |amount: &f64| (amount / units - (amount / units).round()).abs() < 1e-3;
+    let of_cell = units > 1.0 && formula.values().all(whole) && wrong(1.0).is_empty();
+    if differing.is_empty() || of_cell {
         return None;
     }
     let cause = match differing.as_slice() {
