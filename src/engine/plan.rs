@@ -58,14 +58,7 @@ impl Plan {
     /// Settings out of range; a detector beyond the band limit.
     pub fn new(settings: &Settings, cell_angstrom: [f64; 3], z: &[f64]) -> Result<Self> {
         settings.validate()?;
-        if cell_angstrom.iter().any(|l| !(*l > 0.0 && l.is_finite())) {
-            let value = format!("{cell_angstrom:?}");
-            return Err(Error::invalid(
-                crate::Setting::CellAngstrom,
-                value,
-                "edges must be positive",
-            ));
-        }
+        check_edges(cell_angstrom)?;
         let slices = Slices::new(settings.slicing, cell_angstrom[2], z)?;
         let record_after = record_after(&settings.thicknesses_angstrom, &slices)?;
         let extent = [cell_angstrom[0], cell_angstrom[1]];
@@ -75,8 +68,6 @@ impl Plan {
         };
         let grid = cell_grid(settings, extent, interpolation)?;
         let (cell_limit, mut warnings) = band_limit(settings, &grid)?;
-        warnings.extend(aliasing_warning(settings));
-        warnings.extend(same_slice_warning(&settings.thicknesses_angstrom, &record_after, &slices));
         let band_limit = match (settings.algorithm, settings.grid) {
             (Algorithm::Window { .. }, GridChoice::Auto) => window_band_limit(settings),
             _ => cell_limit,
@@ -87,13 +78,10 @@ impl Plan {
             }
             _ => (grid, grid),
         };
-        let wave_extent = wave_grid.extent_angstrom;
-        warnings.extend(probe_width::narrow_crop(
-            settings,
-            extent,
-            wave_extent,
-            slices.thickness(),
-        ));
+        warnings.extend(aliasing_warning(settings));
+        warnings.extend(same_slice_warning(settings, &record_after, &slices));
+        let wave = wave_grid.extent_angstrom;
+        warnings.extend(probe_width::narrow_crop(settings, extent, wave, slices.thickness()));
         let (potential_grid, core_cutoff) = match smooths_potentials(settings) {
             true => {
                 let (grid, cutoff) = smoothed_grid(extent, band_limit);
@@ -252,6 +240,14 @@ impl Plan {
     }
 }
 
+fn check_edges(cell_angstrom: [f64; 3]) -> Result<()> {
+    if cell_angstrom.iter().all(|l| *l > 0.0 && l.is_finite()) {
+        return Ok(());
+    }
+    let value = format!("{cell_angstrom:?}");
+    Err(Error::invalid(crate::Setting::CellAngstrom, value, "edges must be positive"))
+}
+
 /// Whether potentials are smoothed and the cores of atoms added in closed form.
 fn smooths_potentials(settings: &Settings) -> bool {
     settings.oversampling.is_none()
@@ -276,7 +272,8 @@ fn aliasing_warning(settings: &Settings) -> Option<String> {
 }
 
 /// What to say of thicknesses that end with one slice: they have one image.
-fn same_slice_warning(asked: &[f64], after: &[usize], slices: &Slices) -> Option<String> {
+fn same_slice_warning(settings: &Settings, after: &[usize], slices: &Slices) -> Option<String> {
+    let asked = &settings.thicknesses_angstrom;
     if asked.len() <= after.len() || asked.is_empty() {
         return None;
     }

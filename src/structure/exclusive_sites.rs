@@ -11,7 +11,7 @@ use super::{Alternative, Structure, elements, for_each_pair};
 const SAME_SITE: f64 = 0.01;
 /// Atoms of partly occupied sites nearer than this, in Angstrom, are not there together ...
 const SHORTEST_BOND: f64 = 1.2;
-/// ... but for C, N and O, whose shortest bonds are 1.10 A (nitrogen), ...
+/// ... but for C, N and O, whose shortest bonds are 1.10 A (nitrogen; 1.21 A between two of O), ...
 const SHORTEST_BOND_CNO: f64 = 1.0;
 /// ... and for hydrogen (0.74 A in H2).
 const SHORTEST_BOND_H: f64 = 0.7;
@@ -168,6 +168,7 @@ fn excludes(structure: &Structure, i: usize, j: usize, distance: f64) -> bool {
     let organic = |number: u8| (6..=8).contains(&number);
     let shortest = match (a.number, b.number) {
         (1, _) | (_, 1) => SHORTEST_BOND_H,
+        (8, 8) => SHORTEST_BOND,
         (a, b) if organic(a) && organic(b) => SHORTEST_BOND_CNO,
         _ => SHORTEST_BOND,
     };

@@ -5,6 +5,7 @@
 //! [`Structure::sites`] makes of the atoms the sites that the engine simulates.
 
 mod alternatives;
+mod atom_check;
 pub mod carbon;
 mod cif;
 pub mod coincidence;
@@ -77,42 +78,6 @@ pub struct Structure {
 }
 
 impl Structure {
-    /// Checks atoms that come from no file as those of a file are checked: a cell with volume, finite positions, elements that
-    /// exist, occupancies above 0, to 1, and no two atoms in one place.
-    ///
-    /// # Errors
-    /// [`Error::Invalid`] that names the atom, by its number from 0.
-    pub fn checked(self) -> Result<Self> {
-        let fault = |value: String, expected: String| {
-            Err(Error::invalid(Setting::StructureFile, value, expected))
-        };
-        if let Err(message) = source_text::check_cell(&self.cell) {
-            return fault(format!("cell {:?}", self.cell), message);
-        }
-        for (number, atom) in self.atoms.iter().enumerate() {
-            let Atom { position, occupancy, .. } = atom;
-            if !position.iter().all(|x| x.abs() <= source_text::FARTHEST) {
-                let value = format!("atoms[{number}] at {position:?} A");
-                return fault(value, "expected a position near the cell".into());
-            }
-            if !(*occupancy > 0.0 && *occupancy <= 1.0) {
-                let value = format!("atoms[{number}] with occupancy {occupancy}");
-                return fault(value, "expected above 0, to 1".into());
-            }
-            if !(1..=elements::MAX_ATOMIC_NUMBER).contains(&atom.number) {
-                let value = format!("atoms[{number}] with atomic number {}", atom.number);
-                return fault(value, format!("expected 1 to {}", elements::MAX_ATOMIC_NUMBER));
-            }
-        }
-        match overlap::Overlap::of(&self) {
-            None => Ok(self),
-            Some(overlap) => {
-                let message = overlap.told(&self, "this", |first| format!("atoms[{first}]"));
-                fault(format!("atoms[{}]", overlap.atom()), message)
-            }
-        }
-    }
-
     /// The edge lengths of the cell if its vectors lie along x, y and z to within `1e-4` A.
     ///
     /// # Errors
