@@ -230,6 +230,7 @@ pub fn simulate(py: Python<'_>, options: Simulation, running: Running) -> PyResu
     let plan = &planned.plans[0];
     out.set_item("images", listed)?;
     out.set_item("electrons_per_pixel", electrons_per_pixel)?;
+    out.set_item("strain_percent", planned.specimen.strain_percent)?;
     out.set_item("step_angstrom", planned.scan.step_angstrom)?;
     out.set_item("origin_angstrom", planned.scan.origin_angstrom)?;
     out.set_item("thicknesses_angstrom", plan.thicknesses_angstrom())?;
