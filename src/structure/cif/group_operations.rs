@@ -25,7 +25,7 @@ const MODULATED: [&str; 5] = [
 const MODULATION_DIMENSION: &str = "_cell_modulation_dimension";
 
 /// An operation as it is listed.
-struct Listed<'a> {
+struct ListedOperation<'a> {
     line: usize,
     word: &'a str,
     operation: Operation,
@@ -48,7 +48,7 @@ pub fn operations(
         let message = format!("more than {MOST_OPERATIONS} symmetry operations");
         return Err(text.error(listed[0].line, message));
     }
-    for Listed { line, word, operation } in &listed {
+    for ListedOperation { line, word, operation } in &listed {
         if operation.strain(cell) > LARGEST_STRAIN {
             let message = format!(
                 "symmetry operation `{word}` does not fit the cell; check its lengths and angles"
@@ -79,7 +79,7 @@ fn of_tags<'a>(
     block: &DataBlock<'a>,
     tags: &[&str],
     magnetic: bool,
-) -> Result<Vec<Listed<'a>>> {
+) -> Result<Vec<ListedOperation<'a>>> {
     let mut words: Vec<(usize, &str)> = Vec::new();
     if let Some((table, column)) =
         block.table(tags).and_then(|t| t.column(tags).map(|column| (t, column)))
@@ -90,7 +90,7 @@ fn of_tags<'a>(
     if let Some((line, _)) = words.get(MOST_OPERATIONS) {
         return Err(text.error(*line, format!("more than {MOST_OPERATIONS} symmetry operations")));
     }
-    let mut listed: Vec<Listed> = Vec::new();
+    let mut listed: Vec<ListedOperation> = Vec::new();
     for (line, word) in words {
         let place = match magnetic {
             true => without_time_reversal(word),
@@ -98,7 +98,7 @@ fn of_tags<'a>(
         };
         let operation = Operation::parse(place)
             .map_err(|why| text.error(line, format!("symmetry operation `{word}`: {why}")))?;
-        listed.push(Listed { line, word, operation });
+        listed.push(ListedOperation { line, word, operation });
     }
     if magnetic {
         listed = distinct(listed);
@@ -115,8 +115,8 @@ fn without_time_reversal(word: &str) -> &str {
 }
 
 /// Each operation once: two that differ in time reversal move atoms alike.
-fn distinct(listed: Vec<Listed<'_>>) -> Vec<Listed<'_>> {
-    let mut kept: Vec<Listed> = Vec::new();
+fn distinct(listed: Vec<ListedOperation<'_>>) -> Vec<ListedOperation<'_>> {
+    let mut kept: Vec<ListedOperation> = Vec::new();
     for one in listed {
         if !kept.iter().any(|other| other.operation.moves_alike(&one.operation)) {
             kept.push(one);
@@ -126,14 +126,17 @@ fn distinct(listed: Vec<Listed<'_>>) -> Vec<Listed<'_>> {
 }
 
 /// The operations followed by each of the centring translations.
-fn centred<'a>(listed: Vec<Listed<'a>>, centerings: Vec<Listed<'a>>) -> Vec<Listed<'a>> {
+fn centred<'a>(
+    listed: Vec<ListedOperation<'a>>,
+    centerings: Vec<ListedOperation<'a>>,
+) -> Vec<ListedOperation<'a>> {
     if centerings.is_empty() {
         return listed;
     }
     let both = centerings.iter().take(MOST_OPERATIONS).flat_map(|centering| {
-        listed.iter().map(|one| Listed {
+        listed.iter().map(|one| ListedOperation {
             operation: centering.operation.after(&one.operation),
-            ..Listed { line: one.line, word: one.word, operation: one.operation }
+            ..ListedOperation { line: one.line, word: one.word, operation: one.operation }
         })
     });
     distinct(both.take(2 * MOST_OPERATIONS).collect())
