@@ -59,6 +59,8 @@ settings! {
     Zone = "zone",
     /// The lattice direction along +y.
     Up = "up",
+    /// The strain that may make a cell orthogonal.
+    MaxStrain = "largest strain (%)",
     /// How often a cell is repeated.
     Repeat = "repeat",
     /// The number of atoms that a repeated or turned cell would have.

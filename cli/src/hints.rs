@@ -130,9 +130,11 @@ fn options(setting: Setting) -> Option<&'static str> {
         S::SourceSizeAngstrom => Some("--source-size"),
         S::SourceLorentzShare => Some("--source-lorentz"),
         S::Detector | S::DetectorName | S::Detectors => Some("--detector"),
-        S::Zone => Some("--zone and --up"),
+        S::Zone => Some("--zone and --up, and --max-strain PERCENT"),
+        S::MaxStrain => Some("--max-strain"),
         S::Cell => Some(
-            "--zone u,v,w and --up, which build such a box; --zone 0,0,1 looks along the cell's c axis",
+            "--zone u,v,w and --up, which build such a box; --zone 0,0,1 looks along the cell's c axis; --max-strain PERCENT makes \
+             nearly right angles right",
         ),
         S::Up => Some("--up"),
         S::Repeat | S::SupercellAtoms => Some("--repeat"),

@@ -9,7 +9,7 @@ pub use super::plan_report::PlanReport;
 pub use super::plane_wave::{Conventional, run as plane_wave, settings as plane_wave_settings};
 pub use super::recipe_args::WorldEngine;
 pub use super::slips::{
-    atoms_outside, check_scan, detector_in_radians, energy_in_ev, semiangle_in_radians,
+    azimuth_in_degrees, check_scan, detector_in_radians, energy_in_ev, semiangle_in_radians,
 };
 pub use super::specimen_command::draw_specimen;
 pub use super::structure_args::Prepared;

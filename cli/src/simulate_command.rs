@@ -170,7 +170,7 @@ impl Simulate {
         let accuracies = planned.accuracies.iter().zip(&planned.plans);
         warnings.extend(accuracies.filter_map(|(a, plan)| a.warning(plan, &scan)));
         warnings.extend(specimen.warnings.clone());
-        warnings.extend(self.warnings(&specimen, &scan));
+        warnings.extend(self.warnings(plan, &specimen, &scan));
         if self.common.dry_run {
             return self.dry_run(&planned, &specimen, &scan, warnings);
         }
@@ -263,10 +263,13 @@ impl Simulate {
     }
 
     /// Warnings about the specimen.
-    fn warnings(&self, specimen: &Prepared, scan: &Scan) -> Vec<String> {
-        let mut warnings = Vec::new();
+    fn warnings(&self, plan: &Plan, specimen: &Prepared, scan: &Scan) -> Vec<String> {
+        let aberrations = &self.microscope.aberration;
+        let mut warnings: Vec<String> =
+            aberrations.iter().filter_map(slips::azimuth_in_degrees).collect();
         let [x, y, _] = specimen.size;
         if !self.results.plane_wave {
+            warnings.extend(plan.narrow_cell());
             let left = slips::check_scan(scan.origin_angstrom, extent(scan), [x, y]);
             warnings.extend(left.ok().flatten());
         }

@@ -18,7 +18,7 @@ use stemgen::files::OutputLock;
 use stemgen::io::hspy_file::write_hspy;
 use stemgen::io::image_file::{ExitWaves, ImageCounts, ImageStack, Origin, write_images};
 use stemgen::io::tiff_file::write_tiff;
-use stemgen::world::{Noise, work_folder};
+use stemgen::world::{MOST_ELECTRONS_PER_PIXEL, Noise, work_folder};
 
 /// What images of scans are measured in.
 const FRACTION: &str = "fraction of the incident beam";
@@ -235,13 +235,13 @@ impl Simulate {
     /// Refuses a dose whose electrons cannot be counted, and names of images that those of noisy images repeat.
     pub(super) fn check_noise(&self, planned: &PlannedSeries, scan: &Scan) -> anyhow::Result<()> {
         let Some(noise) = self.noise(scan) else { return Ok(()) };
-        if noise.electrons_per_pixel > MOST_ELECTRONS {
+        if noise.electrons_per_pixel > MOST_ELECTRONS_PER_PIXEL {
             let [x, y] = scan.step_angstrom;
             bail!(
                 "--dose {:e}: {:.3e} electrons on a pixel of {x:.3} x {y:.3} A are more than can be counted; write at most {:.2e}",
                 noise.electrons_per_pixel / (x * y),
                 noise.electrons_per_pixel,
-                MOST_ELECTRONS / (x * y)
+                MOST_ELECTRONS_PER_PIXEL / (x * y)
             );
         }
         let names = self.image_names(planned);
@@ -345,6 +345,7 @@ impl Simulate {
             source: self.microscope.source(),
             accuracy: AccuracyReport::json_of(&planned.accuracies)?,
             box_angstrom: specimen.size,
+            strain_percent: specimen.strain_percent,
             sites: &specimen.sites,
         })
     }
@@ -359,9 +360,6 @@ impl Simulate {
         Ok(source.map(|source| SourceBlur::new(source, scan, cell)).transpose()?)
     }
 }
-
-/// Electrons on a pixel at most: counts are 32-bit numbers, and of a plane wave pixels get several times the mean.
-const MOST_ELECTRONS: f64 = 1e9;
 
 impl MadeImage {
     fn stack<'a>(&'a self, scan: &Scan, thicknesses_angstrom: &'a [f64]) -> ImageStack<'a> {

@@ -3,15 +3,11 @@
 use anyhow::bail;
 use std::path::Path;
 use stemgen::optics::Aberration;
-use stemgen::structure::Structure;
-use stemgen::structure::lattice::{face_distances, inverse, row_times};
 
 /// Angles below this in mrad are taken for radians.
 const LEAST_ANGLE_MRAD: f64 = 1.0;
 /// Semiangles below this in mrad are taken for radians.
 const LEAST_SEMIANGLE_MRAD: f64 = 0.1;
-/// Atoms further than this outside their cell, in Angstrom, are more than displaced.
-const OUTSIDE_ANGSTROM: f64 = 0.5;
 /// Endings of files that hold HDF5.
 const HDF5: [&str; 5] = ["h5", "hdf5", "hdf", "he5", "nxs"];
 
@@ -40,6 +36,19 @@ pub fn energy_in_ev(energy: f64) -> Option<String> {
         .then(|| format!("the energy is in keV; did you mean {}?", energy / 1e3))
 }
 
+/// What to say of an azimuth that looks like degrees: it is more than a turn.
+pub fn azimuth_in_degrees(aberration: &Aberration) -> Option<String> {
+    let Aberration { order, symmetry, azimuth_rad, .. } = *aberration;
+    let turns = azimuth_rad.abs() > std::f64::consts::TAU + 1e-3;
+    (turns && symmetry > 0).then(|| {
+        let meant = (azimuth_rad.to_radians() * 1e4).round() / 1e4;
+        format!(
+            "the azimuth of C{order}{symmetry} is {azimuth_rad} rad, more than a turn; azimuths are in radians: \
+             {azimuth_rad} degrees are {meant} rad"
+        )
+    })
+}
+
 /// Rounded, so that 0.068 rad are 68 mrad.
 fn round(value: f64) -> f64 {
     (value * 1e6).round() / 1e6
@@ -61,26 +70,6 @@ pub fn check_aberrations(defocus: f64, aberrations: &[Aberration]) -> anyhow::Re
         }
     }
     Ok(())
-}
-
-/// What to say of atoms outside their cell.
-pub fn atoms_outside(structure: &Structure) -> Option<String> {
-    let inverse = inverse(&structure.cell)?;
-    let heights = face_distances(&structure.cell);
-    let beyond = |position: [f64; 3]| {
-        let u = row_times(position, &inverse);
-        (0..3).map(|k| heights[k] * (-u[k]).max(u[k] - 1.0)).fold(0.0, f64::max)
-    };
-    let far = structure.atoms.iter().map(|a| beyond(a.position)).filter(|d| *d > OUTSIDE_ANGSTROM);
-    let (count, most) = far.fold((0, 0.0), |(n, most): (usize, f64), d| (n + 1, most.max(d)));
-    (count > 0).then(|| {
-        format!(
-            "{count} of {} atoms lie outside the cell, up to {most:.1} A; the cell is periodic, so they come in again on \
-             its other side. If atoms were turned without their cell, put them into a larger one \
-             (ASE: atoms.rotate(..., rotate_cell=True), or atoms.center(vacuum=5))",
-            structure.atoms.len()
-        )
-    })
 }
 
 /// Refuses names that promise another format than HDF5.
@@ -134,7 +123,6 @@ pub fn check_scan(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stemgen::structure::Atom;
 
     #[test]
     fn angles_in_radians_are_found() {
@@ -147,23 +135,22 @@ mod tests {
     }
 
     #[test]
+    fn azimuths_in_degrees_are_found() {
+        let told = |text: &str| azimuth_in_degrees(&Aberration::parse(text).unwrap());
+        assert!(told("C12=30@45").unwrap().contains("45 degrees are 0.7854 rad"));
+        assert!(told("C23=30@-90").is_some());
+        for usual in ["C12=30@0.3", "C12=30@6.28318", "C12=30@-3.1", "C30=1e5@90", "C12=30"] {
+            assert_eq!(told(usual), None, "{usual}");
+        }
+    }
+
+    #[test]
     fn scans_that_leave_the_cell_are_told_and_long_ones_refused() {
         assert_eq!(check_scan([0.0; 2], [22.0, 22.0], [22.0; 2]).unwrap(), None);
         let told = check_scan([-1.0, 0.0], [5.0, 5.0], [22.0; 2]).unwrap().unwrap();
         assert!(told.contains("from -1.000 to 4.000 A along x"), "{told}");
         let told = check_scan([0.0; 2], [5.0, 500.0], [22.0; 2]).unwrap_err().to_string();
         assert!(told.contains("500.0 A long along y") && told.contains("--scan-end"), "{told}");
-    }
-
-    #[test]
-    fn atoms_far_outside_are_counted() {
-        let atom = |x: f64| Atom { number: 14, position: [x, 1.0, 1.0], occupancy: 1.0 };
-        let cell = [[5.0, 0.0, 0.0], [0.0, 5.0, 0.0], [0.0, 0.0, 5.0]];
-        let inside = Structure { cell, atoms: vec![atom(-0.3), atom(5.4)] };
-        assert_eq!(atoms_outside(&inside), None);
-        let outside = Structure { cell, atoms: vec![atom(1.0), atom(-2.0), atom(6.5)] };
-        let told = atoms_outside(&outside).unwrap();
-        assert!(told.starts_with("2 of 3 atoms lie outside the cell, up to 2.0 A"), "{told}");
     }
 
     #[test]

@@ -1,13 +1,13 @@
 //! Options that prepare the specimen.
 
-use super::slips;
+use super::hints::hinted;
 use super::values::{self, SigmaSource};
-use anyhow::bail;
 use clap::Args;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use stemgen::Error;
 use stemgen::engine::{Phonons, Site, mean_heights};
-use stemgen::structure::{self, FrameRange, Sigmas, elements};
+use stemgen::structure::{self, FrameRange, Preparation, Sigmas, elements};
 
 /// The specimen.
 #[derive(Debug, Args)]
@@ -30,6 +30,11 @@ pub struct SpecimenArgs {
     /// Lattice direction along +y, perpendicular to the zone
     #[arg(long, value_name = "U,V,W", value_parser = values::direction, allow_hyphen_values = true)]
     pub up: Option<[i32; 3]>,
+    /// Make a box of a cell whose angles are nearly right: at most so much strain, in per cent. The strain is printed, and stored
+    /// in the file [default: with --zone or --up, angles within 1 mrad of right ones are made right]
+    #[arg(long, value_name = "PERCENT", value_parser = values::percent, allow_negative_numbers = true)]
+    #[arg(conflicts_with = "frames")]
+    pub max_strain: Option<f64>,
     /// Repeat the cell (after --zone) along x, y and the beam
     #[arg(long, value_name = "NX,NY,NZ", value_parser = values::counts3)]
     pub repeat: Option<[usize; 3]>,
@@ -41,7 +46,7 @@ pub struct SpecimenArgs {
     /// in a CIF
     #[arg(long, value_name = "A", value_parser = values::sigma_source, requires = "phonons")]
     pub sigma: Option<SigmaSource>,
-    /// Frozen phonons from a trajectory in extended XYZ: the mean over these frames, counted from 0, the last
+    /// Frozen phonons from a trajectory, extended XYZ or XDATCAR: the mean over these frames, counted from 0, the last
     /// excluded
     #[arg(long, value_name = "START:END[:STEP]|all", value_parser = values::frames)]
     #[arg(conflicts_with_all = ["phonons", "zone", "up"])]
@@ -64,6 +69,8 @@ pub struct Prepared {
     pub more_frames: Vec<Vec<Site>>,
     /// What is to be said of the atoms.
     pub warnings: Vec<String>,
+    /// The largest principal strain in per cent that made the box orthogonal.
+    pub strain_percent: Option<f64>,
 }
 
 impl Prepared {
@@ -97,22 +104,23 @@ impl SpecimenArgs {
         if let Some(range) = self.frames {
             return self.prepare_frames(file, range);
         }
-        let mut structure = structure::read(file)?;
-        let warnings = slips::atoms_outside(&structure).into_iter().collect();
-        if self.zone.is_some() || self.up.is_some() {
-            structure = structure.oriented(self.zone.unwrap_or([0, 0, 1]), self.up)?;
-        }
-        if let Some(count) = self.repeat {
-            structure = structure.repeat(count)?;
-        }
-        let structure = structure.resolve_occupancy(self.seed)?;
-        if structure.atoms.is_empty() {
-            bail!("{}: no atoms to simulate", file.display());
-        }
-        let size = structure.orthogonal_box()?;
-        let sites = structure.sites(&self.sigmas(file)?)?;
-        let heights = sites.iter().map(|s| s.position[2]).collect();
-        Ok(Prepared { size, sites, heights, warnings, more_frames: Vec::new() })
+        let preparation = Preparation {
+            zone: self.zone,
+            up: self.up,
+            max_strain_percent: self.max_strain,
+            repeat: self.repeat,
+            seed: self.seed,
+        };
+        let made = preparation.prepare(structure::read_noted(file).map_err(with_frames)?)?;
+        let sites = made.structure.sites(&self.sigmas(file)?)?;
+        Ok(Prepared {
+            size: made.size_angstrom,
+            heights: sites.iter().map(|s| s.position[2]).collect(),
+            sites,
+            warnings: made.notes,
+            more_frames: Vec::new(),
+            strain_percent: made.strain_percent,
+        })
     }
 
     fn sigmas(&self, file: &Path) -> anyhow::Result<Sigmas> {
@@ -134,8 +142,14 @@ impl SpecimenArgs {
         }
         let more_frames = frames.split_off(1);
         let sites = frames.remove(0);
-        let mut prepared =
-            Prepared { size, heights: Vec::new(), sites, warnings: Vec::new(), more_frames };
+        let mut prepared = Prepared {
+            size,
+            heights: Vec::new(),
+            sites,
+            warnings: Vec::new(),
+            more_frames,
+            strain_percent: None,
+        };
         prepared.heights = mean_heights(&prepared.frames());
         Ok(prepared)
     }
@@ -143,6 +157,16 @@ impl SpecimenArgs {
     /// The settings of the phonons.
     pub fn phonons(&self) -> Option<Phonons> {
         self.phonons.map(|configurations| Phonons { configurations, seed: self.seed })
+    }
+}
+
+/// The error, with the option that reads a trajectory where the file is one.
+fn with_frames(error: Error) -> anyhow::Error {
+    match &error {
+        Error::Parse { message, .. } if message.contains("frame") => {
+            hinted(error, "--frames all, or --frames START:END, averages over frames")
+        }
+        _ => error.into(),
     }
 }
 

@@ -136,6 +136,7 @@ impl ReferenceArgs {
         let microscope: MicroscopeArgs = self.microscope.map_or_else(defaults, Ok)?;
         let numerics: NumericsArgs = self.numerics.map_or_else(defaults, Ok)?;
         let specimen = specimen_args.prepare(structure)?;
+        specimen.warnings.iter().for_each(|w| reporter.warn(w));
         let phonons = specimen_args.phonons();
         let mut settings = imaging_args::settings(&microscope, &numerics, phonons, Vec::new())?;
         if settings.detectors.len() > 1 {

@@ -13,7 +13,7 @@ use stemgen::optics::Aberration;
 use stemgen::potential::projected::Projection;
 use stemgen::potential::scattering::Parametrization;
 use stemgen::recipe::Difficulty;
-use stemgen::structure::{FrameRange, LARGEST_SIGMA_ANGSTROM, Sigmas, elements};
+use stemgen::structure::{FrameRange, LARGEST_SIGMA_ANGSTROM, Sigmas, direction, elements};
 
 type Parsed<T> = Result<T, String>;
 
@@ -159,9 +159,13 @@ pub fn counts3(text: &str) -> Parsed<[usize; 3]> {
     numbers(text, ',', "three whole numbers, such as 3,3,10")
 }
 
-/// `u,v,w`.
+/// `u,v,w`; or the four indices of a hexagonal lattice, `u,v,t,w`.
 pub fn direction(text: &str) -> Parsed<[i32; 3]> {
-    numbers(text, ',', "three whole numbers, such as 1,1,0")
+    let form = "three whole numbers, such as 1,1,0 (or the four of a hexagonal lattice, 2,-1,-1,0)";
+    if text.matches(',').count() == 3 {
+        return direction::of_four(numbers(text, ',', form)?);
+    }
+    numbers(text, ',', form)
 }
 
 /// `F` or `FX,FY`.
@@ -361,6 +365,10 @@ mod tests {
         assert!(factors("0").is_err() && factors("1,2,3").is_err());
         assert_eq!(rows_columns("2X3"), Ok([2, 3]));
         assert_eq!(direction("-1,1,0"), Ok([-1, 1, 0]));
+        assert_eq!(direction("2,-1,-1,0"), Ok([1, 0, 0]));
+        assert_eq!(direction("1,1,-2,0"), Ok([1, 1, 0]));
+        assert!(direction("1,1,1,0").unwrap_err().contains("must add to 0"));
+        assert!(direction("1,1").is_err() && direction("0,0,0,0").is_err());
         assert_eq!(rectangle("0,1,2,3.5"), Ok([0.0, 1.0, 2.0, 3.5]));
         assert!(rectangle("0,1,0,2").is_err() && rectangle("0,1,2").is_err());
         assert_eq!(percentiles("1,99"), Ok([1.0, 99.0]));

@@ -145,6 +145,12 @@ impl Microscope {
         })
     }
 
+    /// What is possible, but hardly meant.
+    pub fn doubts(&self) -> Vec<String> {
+        let read = self.aberrations.iter().filter_map(|text| Aberration::parse(text).ok());
+        read.filter_map(|aberration| slips::azimuth_in_degrees(&aberration)).collect()
+    }
+
     fn detectors(&self) -> Result<Vec<Detector>, Fault> {
         let detector = |(name, inner, outer): &(String, f64, f64)| {
             let parsed = Detector::parse(&format!("{name}={inner}-{outer}"))?;

@@ -9,13 +9,13 @@ use num_complex::Complex32;
 use numpy::{IntoPyArray, PyArray2, PyArray3};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use stemgen::Setting;
 use stemgen::engine::{
     Cost, Plan, ProbeRaster, Scan, SourceBlur, check_memory, mean_diffraction,
     settings_for_accuracy, simulate_places as engine_places, simulate_series,
 };
 use stemgen::progress::Progress;
-use stemgen::world::Noise;
-use stemgen::{Error, Setting};
+use stemgen::world::{Noise, check_countable};
 use stemgen_cli::shared::{
     Conventional, PlanReport, Prepared, plane_wave, plane_wave_settings, threads,
 };
@@ -91,6 +91,8 @@ impl Simulation {
             plans.push(plan);
         }
         warnings.extend(plans.iter().take(1).flat_map(|plan| plan.warnings.clone()));
+        warnings.extend(plans.first().and_then(Plan::narrow_cell));
+        warnings.extend(self.microscope.doubts());
         let scan = scan.ok_or_else(|| Fault::Internal("no scan".into()))?;
         Ok(Planned { specimen, plans, scan, warnings, accuracy })
     }
@@ -163,13 +165,33 @@ impl Simulation {
         self.dose.map(|dose| dose * x * y)
     }
 
-    fn check_dose(&self) -> Result<(), Fault> {
+    /// Refuses a dose that is none, and one whose electrons cannot be counted.
+    fn check_dose(&self, scan: &Scan) -> Result<(), Fault> {
+        let [x, y] = scan.step_angstrom;
         match self.dose.filter(|dose| !(*dose > 0.0 && dose.is_finite())) {
-            None => Ok(()),
+            None => Ok(self.dose.map_or(Ok(()), |dose| check_countable(dose, x * y))?),
             Some(dose) => {
                 let expected = "expected electrons per square Angstrom, above 0".to_owned();
                 Err(Fault::Value(Setting::Dose, dose.to_string(), expected))
             }
+        }
+    }
+}
+
+/// Refuses places of probes that mean nothing: more than one cell outside a cell of `size` (x, y) in Angstrom, which repeats.
+fn check_places(places: &[[f64; 2]], size: [f64; 2]) -> Result<(), Fault> {
+    let near = |place: &[f64; 2]| (0..2).all(|k| (-size[k]..=2.0 * size[k]).contains(&place[k]));
+    match places.iter().position(|place| !near(place)) {
+        None => Ok(()),
+        Some(number) => {
+            let [x, y] = places[number];
+            let expected = format!(
+                "the cell of {:.3} x {:.3} A repeats, and this place is more than one cell outside; expected places in the \
+                 cell (check the unit)",
+                size[0], size[1]
+            );
+            let value = format!("places[{number}] at {x}, {y} A");
+            Err(Fault::Value(Setting::Region, value, expected))
         }
     }
 }
@@ -185,8 +207,8 @@ fn blurred(blur: &SourceBlur, sharp: ndarray::ArrayView3<f32>) -> Result<Array3<
 #[pyfunction]
 pub fn simulate(py: Python<'_>, options: Simulation, running: Running) -> PyResult<Py<PyDict>> {
     let work = move |guest: &Guest| {
-        options.check_dose()?;
         let planned = options.plans(guest)?;
+        options.check_dose(&planned.scan)?;
         planned.warnings.iter().for_each(|warning| guest.warn(warning));
         options.check_memory(&planned)?;
         let images = options.images(&planned, guest)?;
@@ -208,6 +230,7 @@ pub fn simulate(py: Python<'_>, options: Simulation, running: Running) -> PyResu
     let plan = &planned.plans[0];
     out.set_item("images", listed)?;
     out.set_item("electrons_per_pixel", electrons_per_pixel)?;
+    out.set_item("strain_percent", planned.specimen.strain_percent)?;
     out.set_item("step_angstrom", planned.scan.step_angstrom)?;
     out.set_item("origin_angstrom", planned.scan.origin_angstrom)?;
     out.set_item("thicknesses_angstrom", plan.thicknesses_angstrom())?;
@@ -234,6 +257,7 @@ pub fn simulate_places(
         let [x, y, _] = planned.specimen.size;
         let unit = length_unit(&unit, [x, y])?;
         let places: Vec<_> = places.iter().map(|p| [p[0] * unit[0], p[1] * unit[1]]).collect();
+        check_places(&places, [x, y])?;
         // As many probes that share no waves, for an estimate of memory.
         let step_angstrom = [1e3, 0.0];
         planned.scan = Scan { step_angstrom, shape: [1, places.len()], ..planned.scan };
@@ -287,6 +311,7 @@ pub fn plan_simulation(py: Python<'_>, options: Simulation, running: Running) ->
         report["atoms"] = planned.specimen.sites.len().into();
         report["composition"] = serde_json::to_value(planned.specimen.composition())?;
         report["box_angstrom"] = serde_json::json!(planned.specimen.size);
+        report["strain_percent"] = serde_json::json!(planned.specimen.strain_percent);
         report["scan_shape"] = serde_json::json!(planned.scan.shape);
         report["scan_step_angstrom"] = serde_json::json!(planned.scan.step_angstrom);
         report["scan_origin_angstrom"] = serde_json::json!(planned.scan.origin_angstrom);
@@ -316,7 +341,8 @@ pub fn simulate_plane_wave(
         }
         let lenses: Vec<_> = plans.iter().map(|plan| plan.settings.optics.clone()).collect();
         let Some(plan) = plans.first() else { return Err(Fault::Words("no defocus".into())) };
-        plan.warnings.iter().for_each(|warning| guest.warn(warning));
+        let doubts = specimen.warnings.iter().cloned().chain(options.microscope.doubts());
+        plan.warnings.iter().cloned().chain(doubts).for_each(|warning| guest.warn(&warning));
         let Conventional { exit_waves, images } = plane_wave(plan, &lenses, &specimen, guest)?;
         Ok((exit_waves, images, plan.wave_grid.sampling_angstrom()))
     };
@@ -344,10 +370,8 @@ pub fn diffraction(
         let planned = options.plans(guest)?;
         let plan = &planned.plans[0];
         planned.warnings.iter().for_each(|warning| guest.warn(warning));
-        if !position_angstrom.iter().all(|v| v.is_finite()) {
-            let value = format!("{position_angstrom:?}");
-            return Err(Error::invalid(Setting::Region, value, "expected a place in A").into());
-        }
+        let [x, y, _] = planned.specimen.size;
+        check_places(&[position_angstrom], [x, y])?;
         let pattern = mean_diffraction(plan, &planned.specimen.sites, position_angstrom, guest)?;
         let wavelength = plan.settings.optics.wavelength_angstrom();
         let step = plan.wave_grid.extent_angstrom.map(|extent| 1e3 * wavelength / extent);

@@ -9,9 +9,10 @@ use std::path::PathBuf;
 use stemgen::Setting;
 use stemgen::engine::{Phonons, Site, mean_heights};
 use stemgen::structure::{
-    Atom, FrameRange, Sigmas, Structure, elements, read, read_frames, sigmas_of_file,
+    Atom, FrameRange, Preparation, ReadStructure, Sigmas, Structure, elements, read_frames,
+    read_noted, sigmas_of_file,
 };
-use stemgen_cli::shared::{Prepared, atoms_outside};
+use stemgen_cli::shared::Prepared;
 
 /// Where the atoms are.
 #[derive(FromPyObject)]
@@ -68,6 +69,7 @@ pub enum SigmaSource {
 pub struct SpecimenOptions {
     zone: Option<[i32; 3]>,
     up: Option<[i32; 3]>,
+    max_strain_percent: Option<f64>,
     repeat: Option<[usize; 3]>,
     phonons: Option<u32>,
     sigma: Option<SigmaSource>,
@@ -87,10 +89,14 @@ impl AtomsSource {
         }
     }
 
-    fn structure(&self) -> Result<Structure, Fault> {
+    fn read(&self) -> Result<ReadStructure, Fault> {
         match self {
-            AtomsSource::File(path) => Ok(read(path)?),
-            AtomsSource::Arrays(arrays) => arrays.structure(),
+            AtomsSource::File(path) => Ok(read_noted(path)?),
+            AtomsSource::Arrays(arrays) => {
+                let structure = arrays.structure()?;
+                let notes = structure.crowded_sites().into_iter().collect();
+                Ok(ReadStructure { structure, notes })
+            }
         }
     }
 
@@ -126,6 +132,10 @@ impl AtomArrays {
             let value = format!("{:?} positions of {} atoms", positions.dim(), self.numbers.len());
             return refuse(value, "positions have the shape (atoms, 3)");
         }
+        if let Some(shares) = self.occupancies.as_ref().filter(|o| o.len() != self.numbers.len()) {
+            let value = format!("{} occupancies of {} atoms", shares.len(), self.numbers.len());
+            return refuse(value, "expected one for each atom");
+        }
         let finite = |values: &[f64; 3]| values.iter().all(|v| v.is_finite());
         if !positions.iter().all(|v| v.is_finite()) || !self.cell.iter().all(finite) {
             return refuse("nan or inf".into(), "positions and cell are finite, in A");
@@ -134,18 +144,12 @@ impl AtomArrays {
         for (n, number) in self.numbers.iter().enumerate() {
             let occupancy = self.occupancies.as_ref().and_then(|o| o.get(n).copied());
             let occupancy = occupancy.unwrap_or(1.0);
-            if !(occupancy > 0.0 && occupancy <= 1.0) {
-                return refuse(
-                    format!("occupancy {occupancy} of atom {n}"),
-                    "expected above 0, to 1",
-                );
-            }
             // Known elements only.
             let number = elements::atomic_number(&number.to_string())?;
             let position = [0, 1, 2].map(|k| positions[(n, k)]);
-            atoms.push(Atom { number, position, occupancy });
+            atoms.push(Atom { occupancy, ..Atom::new(number, position) });
         }
-        Ok(Structure { cell: self.cell, atoms })
+        Ok(Structure { cell: self.cell, atoms }.checked()?)
     }
 }
 
@@ -174,27 +178,23 @@ impl SpecimenOptions {
         if let Some((start, end, step)) = self.frames {
             return self.prepare_frames(source, FrameRange { start, end, step });
         }
-        let mut structure = source.structure()?;
-        let warnings = atoms_outside(&structure).into_iter().collect();
-        if self.zone.is_some() || self.up.is_some() {
-            structure = structure.oriented(self.zone.unwrap_or([0, 0, 1]), self.up)?;
-        }
-        if let Some(count) = self.repeat {
-            structure = structure.repeat(count)?;
-        }
-        let structure = structure.resolve_occupancy(self.seed)?;
-        if structure.atoms.is_empty() {
-            let value = source.name();
-            return Err(Fault::Value(
-                Setting::StructureFile,
-                value,
-                "has no atoms to simulate".into(),
-            ));
-        }
-        let size = structure.orthogonal_box()?;
-        let sites = structure.sites(&source.sigmas(self)?)?;
-        let heights = sites.iter().map(|s| s.position[2]).collect();
-        Ok(Prepared { size, sites, heights, warnings, more_frames: Vec::new() })
+        let preparation = Preparation {
+            zone: self.zone,
+            up: self.up,
+            max_strain_percent: self.max_strain_percent,
+            repeat: self.repeat,
+            seed: self.seed,
+        };
+        let made = preparation.prepare(source.read()?)?;
+        let sites = made.structure.sites(&source.sigmas(self)?)?;
+        Ok(Prepared {
+            size: made.size_angstrom,
+            heights: sites.iter().map(|s| s.position[2]).collect(),
+            sites,
+            warnings: made.notes,
+            more_frames: Vec::new(),
+            strain_percent: made.strain_percent,
+        })
     }
 
     fn check(&self) -> Result<(), Fault> {
@@ -226,11 +226,17 @@ impl SpecimenOptions {
                     "expected range(start, end, step) with frames in it",
                 )
             }
-            (_, _, Some(_)) if self.zone.is_some() || self.up.is_some() => refuse(
-                Setting::Zone,
-                "given",
-                "frames are taken as they are; leave zone and up out",
-            ),
+            (_, _, Some(_))
+                if self.zone.is_some()
+                    || self.up.is_some()
+                    || self.max_strain_percent.is_some() =>
+            {
+                refuse(
+                    Setting::Zone,
+                    "given",
+                    "frames are taken as they are; leave zone, up and max_strain_percent out",
+                )
+            }
             _ => Ok(()),
         }
     }
@@ -238,7 +244,7 @@ impl SpecimenOptions {
     /// Slices are those of the mean heights, where all frames have as many atoms.
     fn prepare_frames(&self, source: &AtomsSource, range: FrameRange) -> Result<Prepared, Fault> {
         let AtomsSource::File(path) = source else {
-            let expected = "frames are read from a file in extended XYZ";
+            let expected = "frames are read from a file, extended XYZ or XDATCAR";
             return Err(Fault::Value(Setting::StructureFile, "atoms".into(), expected.into()));
         };
         let (mut frames, mut size): (Vec<Vec<Site>>, [f64; 3]) = (Vec::new(), [0.0; 3]);
@@ -250,7 +256,14 @@ impl SpecimenOptions {
         let more_frames = frames.split_off(1);
         let sites = frames.remove(0);
         let warnings = Vec::new();
-        let mut prepared = Prepared { size, heights: Vec::new(), sites, warnings, more_frames };
+        let mut prepared = Prepared {
+            size,
+            heights: Vec::new(),
+            sites,
+            warnings,
+            more_frames,
+            strain_percent: None,
+        };
         prepared.heights = mean_heights(&prepared.frames());
         Ok(prepared)
     }

@@ -30,6 +30,8 @@ class AtomArrays:
         numbers: atomic numbers, ``[atom]``.
         positions: ``[atom, 3]`` in Angstrom; the beam runs along +z.
         cell: vectors as rows, ``[3, 3]``, in Angstrom.
+        occupancies: share of its site that each atom occupies, ``[atom]``, above 0, to 1; atoms within 0.01 A share a site. All 1 by
+            default.
         arrays: more that is known of each atom. Specimens have ``column``, the index of the atomic column in the truth of a world, or -1;
             ``defect``, such as ``"substitution_Ge"`` or ``"none"``; ``atom_type``, 0 pristine, 1 vacancy, 2 substitution.
     """
@@ -38,6 +40,7 @@ class AtomArrays:
     positions: npt.NDArray[np.float64]
     cell: npt.NDArray[np.float64]
     arrays: Mapping[str, npt.NDArray[Any]] = field(default_factory=dict)
+    occupancies: npt.NDArray[np.float64] | None = None
 
     def __len__(self) -> int:
         return len(self.numbers)
@@ -61,13 +64,46 @@ def atoms_source(atoms: Atoms) -> str | dict[str, Any]:
     if isinstance(atoms, (str, os.PathLike)):
         return os.fspath(atoms)
     if isinstance(atoms, AtomArrays):
-        return _arrays(atoms.numbers, atoms.positions, atoms.cell)
+        return _arrays(atoms.numbers, atoms.positions, atoms.cell, atoms.occupancies)
     if isinstance(atoms, AseAtoms):
-        return _arrays(atoms.get_atomic_numbers(), atoms.get_positions(), atoms.get_cell())
+        return _of_ase(atoms)
     raise _invalid("atoms", f"atoms = {type(atoms).__name__}: expected ase.Atoms, AtomArrays or the path of a file")
 
 
-def _arrays(numbers: Any, positions: Any, cell: Any) -> dict[str, Any]:
+def _of_ase(atoms: Any) -> dict[str, Any]:
+    """Atoms of ASE, with what they say of mixed sites and of where the cell begins."""
+    numbers, positions = np.asarray(atoms.get_atomic_numbers()), np.asarray(atoms.get_positions(), dtype=np.float64)
+    if hasattr(atoms, "get_celldisp"):
+        positions = positions - np.asarray(atoms.get_celldisp(), dtype=np.float64).reshape(3)
+    mixed = getattr(atoms, "info", {}).get("occupancy")
+    if not mixed:
+        return _arrays(numbers, positions, atoms.get_cell())
+    kinds = getattr(atoms, "arrays", {}).get("spacegroup_kinds")
+    if kinds is None:
+        raise _invalid(
+            "atoms",
+            "atoms.info['occupancy'] tells of mixed sites, and atoms.arrays has no 'spacegroup_kinds' that says which these are; "
+            "give the path of the file, or AtomArrays with occupancies, or remove the entry",
+        )
+    from ase.data import atomic_numbers
+
+    sites, drawn, shares = [], [], []
+    for site, kind in enumerate(np.asarray(kinds).tolist()):
+        # Keys are text since ASE 3.21, and were numbers before.
+        of_site = mixed.get(str(kind), mixed.get(kind))
+        if of_site is None:
+            raise _invalid("atoms", f"atoms.info['occupancy'] has no entry {kind!r}, which atom {site} is of")
+        for symbol, share in of_site.items():
+            if symbol not in atomic_numbers:
+                raise _invalid("atoms", f"atoms.info['occupancy'] has the unknown element {symbol!r}")
+            if atomic_numbers[symbol] > 0 and share > 0:
+                sites.append(site)
+                drawn.append(atomic_numbers[symbol])
+                shares.append(float(share))
+    return _arrays(np.asarray(drawn, dtype=np.int64), positions[sites], atoms.get_cell(), shares)
+
+
+def _arrays(numbers: Any, positions: Any, cell: Any, occupancies: Any = None) -> dict[str, Any]:
     found = np.asarray(numbers)
     if found.ndim != 1 or (found.size and (found.min() < 0 or not np.issubdtype(found.dtype, np.integer))):
         raise _invalid("atoms", "atomic numbers are a list of whole numbers")
@@ -79,5 +115,5 @@ def _arrays(numbers: Any, positions: Any, cell: Any) -> dict[str, Any]:
         "numbers": found.tolist(),
         "positions": places,
         "cell": vectors.tolist(),
-        "occupancies": None,
+        "occupancies": None if occupancies is None else [float(share) for share in occupancies],
     }

@@ -101,6 +101,7 @@ _KEYWORDS: dict[str, str | None] = {
     "Cell": "zone",
     "Zone": "zone",
     "Up": "up",
+    "MaxStrain": "max_strain_percent",
     "Repeat": "repeat",
     "SupercellAtoms": "repeat",
     "Occupancy": "atoms",

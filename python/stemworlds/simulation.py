@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypedDict, Unpack
@@ -58,13 +59,15 @@ class SimulationOptions(TypedDict, total=False):
     """Options of :func:`simulate`, :func:`plan_simulation`, :func:`plane_wave` and :func:`diffraction`.
 
     Specimen:
-        zone: lattice direction along the beam; builds an orthogonal box.
+        zone: lattice direction along the beam; builds an orthogonal box. Four indices are those of a hexagonal lattice.
         up: lattice direction along +y, perpendicular to the zone.
+        max_strain_percent: make a box of a cell whose angles are nearly right, with at most so much strain; a warning and
+            ``metadata["strain_percent"]`` tell how much it took.
         repeat: how often the cell (after ``zone``) is repeated along x, y and the beam.
         phonons: number of frozen-phonon configurations to average; needs ``sigma``. Default: atoms exactly as given.
         sigma: standard deviation of each Cartesian component of the thermal displacement in A: one for all, one for each element, or
             ``"from-file"``, the U or B of a CIF.
-        frames: frames of a trajectory (extended XYZ) to average, ``range(10, 200, 5)``.
+        frames: frames of a trajectory (extended XYZ, XDATCAR) to average, ``range(10, 200, 5)``.
         seed: of thermal displacements, mixed sites and counted electrons. Default 1.
 
     Microscope:
@@ -103,8 +106,9 @@ class SimulationOptions(TypedDict, total=False):
         progress: ``True`` for a bar (tqdm where installed), or a function of (stage, unit, done, total).
     """
 
-    zone: tuple[int, int, int] | None
-    up: tuple[int, int, int] | None
+    zone: tuple[int, int, int] | tuple[int, int, int, int] | None
+    up: tuple[int, int, int] | tuple[int, int, int, int] | None
+    max_strain_percent: float | None
     repeat: tuple[int, int, int] | None
     phonons: int | None
     sigma: Sigma | None
@@ -200,6 +204,7 @@ def simulate(atoms: Atoms, **options: Unpack[SimulationOptions]) -> Images:
         "box_angstrom": tuple(found["box_angstrom"]),
         "band_limit_mrad": found["band_limit_mrad"],
         "accuracy": [json.loads(text) for text in found["accuracy"]],
+        "strain_percent": found["strain_percent"],
     }
     thicknesses = tuple(found["thicknesses_angstrom"])
     images = {}
@@ -397,6 +402,7 @@ def _specimen(options: SimulationOptions) -> dict[str, Any]:
     return {
         "zone": _directions("zone", options.get("zone")),
         "up": _directions("up", options.get("up")),
+        "max_strain_percent": options.get("max_strain_percent"),
         "repeat": None if options.get("repeat") is None else _counts("repeat", options["repeat"], 3),
         "phonons": phonons,
         "sigma": dict(sigma) if isinstance(sigma, Mapping) else sigma,
@@ -485,9 +491,17 @@ def _directions(keyword: str, values: Any) -> tuple[int, ...] | None:
     if values is None:
         return None
     found = tuple(values) if isinstance(values, (Sequence, np.ndarray)) else ()
-    if len(found) != 3 or isinstance(values, str):
+    if len(found) not in (3, 4) or isinstance(values, str):
         raise _invalid(keyword, f"{keyword} = {values!r}: expected three whole numbers, such as (1, 1, 0)")
-    return tuple(_whole(keyword, value, -1000, 1000) for value in found)
+    indices = tuple(_whole(keyword, value, -1000, 1000) for value in found)
+    if len(indices) == 3:
+        return indices
+    u, v, t, w = indices
+    three = (2 * u + v, u + 2 * v, w)
+    if u + v + t != 0 or not any(three):
+        raise _invalid(keyword, f"{keyword} = {values!r}: the first three of four indices (hexagonal lattices) must add to 0")
+    divisor = math.gcd(*three)
+    return tuple(index // divisor for index in three)
 
 
 def _whole(keyword: str, value: Any, low: int, high: int) -> int:

@@ -161,3 +161,36 @@ def test_sources_blur(silicon: Any) -> None:
     sharp, blurred = (sw.simulate(silicon, scan=scan, source_size_angstrom=size).array for size in (None, 1.0))
     assert blurred.max() < 0.9 * sharp.max()
     assert blurred.mean() == pytest.approx(sharp.mean(), rel=1e-3)
+
+
+def test_mixed_sites_of_ase_are_those_of_the_file(tmp_path: Path) -> None:
+    from ase import io
+
+    path = tmp_path / "half.cif"
+    path.write_text(
+        "data_x\n_cell_length_a 5\n_cell_length_b 5\n_cell_length_c 5\n_cell_angle_alpha 90\n_cell_angle_beta 90\n"
+        "_cell_angle_gamma 90\n_symmetry_space_group_name_H-M 'P 1'\nloop_\n_atom_site_label\n_atom_site_type_symbol\n"
+        "_atom_site_fract_x\n_atom_site_fract_y\n_atom_site_fract_z\n_atom_site_occupancy\nA1 Si 0 0 0 0.5\nA2 Al 0 0 0 0.5\n"
+    )
+    by_path = sw.plan_simulation(path, repeat=(4, 4, 4)).details["composition"]
+    by_ase = sw.plan_simulation(io.read(path), repeat=(4, 4, 4)).details["composition"]
+    assert set(by_path) == set(by_ase) == {"Al", "Si"}
+    assert by_path == by_ase
+
+
+def test_the_cell_of_ase_may_begin_elsewhere(silicon: Any) -> None:
+    moved = silicon.copy()
+    moved.set_celldisp([-2.0, -2.0, -1.0])
+    moved.positions += [-2.0, -2.0, -1.0]
+    options: Any = {"scan": SCAN, "sampling_angstrom": 0.1, "detectors": {"ADF": (40, 80)}}
+    assert np.allclose(sw.simulate(moved, **options).array, sw.simulate(silicon, **options).array, atol=1e-7)
+
+
+def test_strain_is_told(silicon: Any, caplog: pytest.LogCaptureFixture) -> None:
+    sheared = silicon.copy()
+    cell = sheared.cell.array.copy()
+    cell[1, 0] = 0.05
+    sheared.set_cell(cell, scale_atoms=True)
+    images = sw.simulate(sheared, scan=SCAN, sampling_angstrom=0.1, detectors={"ADF": (40, 80)}, max_strain_percent=1)
+    assert "strained by 0.15" in caplog.text
+    assert images.metadata["strain_percent"] == pytest.approx(0.153, abs=0.01)

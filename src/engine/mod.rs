@@ -28,6 +28,7 @@ mod probe_patches;
 mod probe_raster;
 mod probe_scan;
 mod probe_tail;
+mod probe_width;
 mod scan_part;
 mod series;
 pub mod settings;

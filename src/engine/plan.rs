@@ -5,6 +5,7 @@ use super::grid::Grid;
 use super::grid_choice::{
     band_limit, carried_mrad, cell_grid, oversampled, smoothed_grid, window_grids,
 };
+use super::probe_width;
 use super::settings::{Algorithm, GridChoice, Settings};
 use crate::detect::{DetectorMap, Pattern};
 use crate::error::{Error, Result};
@@ -57,15 +58,9 @@ impl Plan {
     /// Settings out of range; a detector beyond the band limit.
     pub fn new(settings: &Settings, cell_angstrom: [f64; 3], z: &[f64]) -> Result<Self> {
         settings.validate()?;
-        if cell_angstrom.iter().any(|l| !(*l > 0.0 && l.is_finite())) {
-            let value = format!("{cell_angstrom:?}");
-            return Err(Error::invalid(
-                crate::Setting::CellAngstrom,
-                value,
-                "edges must be positive",
-            ));
-        }
+        check_edges(cell_angstrom)?;
         let slices = Slices::new(settings.slicing, cell_angstrom[2], z)?;
+        let record_after = record_after(&settings.thicknesses_angstrom, &slices)?;
         let extent = [cell_angstrom[0], cell_angstrom[1]];
         let interpolation = match settings.algorithm {
             Algorithm::Prism { interpolation } => interpolation,
@@ -73,7 +68,6 @@ impl Plan {
         };
         let grid = cell_grid(settings, extent, interpolation)?;
         let (cell_limit, mut warnings) = band_limit(settings, &grid)?;
-        warnings.extend(aliasing_warning(settings));
         let band_limit = match (settings.algorithm, settings.grid) {
             (Algorithm::Window { .. }, GridChoice::Auto) => window_band_limit(settings),
             _ => cell_limit,
@@ -84,6 +78,10 @@ impl Plan {
             }
             _ => (grid, grid),
         };
+        warnings.extend(aliasing_warning(settings));
+        warnings.extend(same_slice_warning(settings, &record_after, &slices));
+        let wave = wave_grid.extent_angstrom;
+        warnings.extend(probe_width::narrow_crop(settings, extent, wave, slices.thickness()));
         let (potential_grid, core_cutoff) = match smooths_potentials(settings) {
             true => {
                 let (grid, cutoff) = smoothed_grid(extent, band_limit);
@@ -100,7 +98,7 @@ impl Plan {
             wave_grid,
             band_limit,
             band_limit_mrad: (band_limit - settings.band_taper * grid.nyquist()) * wavelength * 1e3,
-            record_after: record_after(&settings.thicknesses_angstrom, &slices)?,
+            record_after,
             slices,
             beams: 0,
             exit_grid: None,
@@ -112,6 +110,15 @@ impl Plan {
         }
         plan.check_aperture()?;
         Ok(plan)
+    }
+
+    /// What to say of a cell that is narrower than the probe inside the specimen. Plane waves have no such limit.
+    pub fn narrow_cell(&self) -> Option<String> {
+        let crops = matches!(self.settings.algorithm, Algorithm::Window { .. });
+        let cell = self.transmission_grid.extent_angstrom;
+        (!crops)
+            .then(|| probe_width::narrow_cell(&self.settings, cell, self.slices.thickness()))
+            .flatten()
     }
 
     /// Whether waves are propagated in windows rather than over the whole cell.
@@ -233,6 +240,14 @@ impl Plan {
     }
 }
 
+fn check_edges(cell_angstrom: [f64; 3]) -> Result<()> {
+    if cell_angstrom.iter().all(|l| *l > 0.0 && l.is_finite()) {
+        return Ok(());
+    }
+    let value = format!("{cell_angstrom:?}");
+    Err(Error::invalid(crate::Setting::CellAngstrom, value, "edges must be positive"))
+}
+
 /// Whether potentials are smoothed and the cores of atoms added in closed form.
 fn smooths_potentials(settings: &Settings) -> bool {
     settings.oversampling.is_none()
@@ -254,6 +269,25 @@ fn aliasing_warning(settings: &Settings) -> Option<String> {
              at the highest angles; the error was not measured"
         )
     })
+}
+
+/// What to say of thicknesses that end with one slice: they have one image.
+fn same_slice_warning(settings: &Settings, after: &[usize], slices: &Slices) -> Option<String> {
+    let asked = &settings.thicknesses_angstrom;
+    if asked.len() <= after.len() || asked.is_empty() {
+        return None;
+    }
+    let entrance = slices.entrance();
+    let found: Vec<String> = after
+        .iter()
+        .map(|&last| format!("{:.3}", slices.boundaries[last + 1] - entrance))
+        .collect();
+    Some(format!(
+        "{} thicknesses were asked for, and some end with the same slice: images are recorded at {} A only; thinner slices \
+         tell more apart",
+        asked.len(),
+        found.join(", ")
+    ))
 }
 
 /// After which slices images of these thicknesses (Angstrom) are recorded.
@@ -347,6 +381,11 @@ mod tests {
         let plan = Plan::new(&settings, CELL, &heights()).unwrap();
         assert_eq!(plan.record_after, vec![4, 19]);
         assert!((plan.thicknesses_angstrom()[0] - 9.7625).abs() < 1e-6);
+        assert!(
+            plan.warnings[0].contains("recorded at 9.762, 39.050 A only"),
+            "{:?}",
+            plan.warnings
+        );
         let bad = Settings { thicknesses_angstrom: vec![50.0], ..Settings::default() };
         assert!(Plan::new(&bad, CELL, &heights()).is_err());
     }

@@ -12,7 +12,8 @@
 //!   `/entry/NAME/data`, `thickness`, `y`, `x`; the attributes `default` lead to the first;
 //! - `/exit_wave` of a plane wave: complex64, (configuration, y, x), with `sampling_angstrom`;
 //! - `/specimen`: `cell` (rows are vectors) and `positions` in Angstrom, `numbers`,
-//!   `sigma_angstrom`; mean positions of the atoms that were simulated.
+//!   `sigma_angstrom`; mean positions of the atoms that were simulated. The attribute `strain_percent` is the largest principal strain
+//!   that made the box orthogonal, if there was any.
 
 use std::path::Path;
 
@@ -53,6 +54,8 @@ pub struct Origin<'a> {
     pub accuracy: Option<String>,
     /// Edges of the box in Angstrom.
     pub box_angstrom: [f64; 3],
+    /// The largest principal strain in per cent that made the box orthogonal.
+    pub strain_percent: Option<f64>,
     /// The atoms.
     pub sites: &'a [Site],
 }
@@ -154,6 +157,9 @@ fn write_origin(file: &File, o: &Origin) -> hdf5::Result<()> {
 }
 
 fn write_specimen(group: &Group, o: &Origin) -> hdf5::Result<()> {
+    if let Some(strain) = o.strain_percent {
+        number(group, "strain_percent", strain)?;
+    }
     let [x, y, z] = o.box_angstrom;
     let cell = ndarray::arr2(&[[x, 0.0, 0.0], [0.0, y, 0.0], [0.0, 0.0, z]]);
     let cell = group.new_dataset_builder().with_data(&cell).create("cell")?;

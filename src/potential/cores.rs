@@ -168,7 +168,7 @@ impl Cores {
         let cell = [[self.extent[0], 0.0, 0.0], [0.0, self.extent[1], 0.0], [0.0, 0.0, height]];
         let flat = |a: &PlacedAtom| {
             let position = [a.position[0], a.position[1], 0.5 * height];
-            Atom { number: a.number, position, occupancy: 1.0 }
+            Atom::new(a.number, position)
         };
         Structure { cell, atoms: atoms.iter().map(flat).collect() }
     }

@@ -38,6 +38,8 @@ const MOST_SLICES: f64 = 1e6;
 const SAME_PLANE_ANGSTROM: f64 = 0.25;
 /// Atoms linked into a group wider than this, in Angstrom, form no plane.
 const MAX_PLANE_SPREAD_ANGSTROM: f64 = 0.7;
+/// Atoms within this of a face along the beam, in Angstrom, are on that face.
+const ON_FACE_ANGSTROM: f64 = 1e-3;
 /// An atom nearer than this to a face of the cell, in Angstrom, may cross it by thermal motion.
 const FACE_ROOM_ANGSTROM: f64 = 0.5;
 
@@ -73,8 +75,7 @@ impl Slices {
                 "must be positive",
             ));
         }
-        let mut z: Vec<f64> = z.iter().map(|z| wrap(*z, 0.0, height)).collect();
-        z.sort_by(f64::total_cmp);
+        let mut z = on_faces(z, height);
         let entrance = entrance(&z, height);
         z.iter_mut().for_each(|v| *v = wrap(*v, entrance, height));
         z.sort_by(f64::total_cmp);
@@ -168,6 +169,33 @@ fn wrap(z: f64, start: f64, period: f64) -> f64 {
     let r = (z - start).rem_euclid(period);
     // rounding may give r = period for tiny negative arguments
     start + if r >= period { 0.0 } else { r }
+}
+
+/// Sorted heights in [0, height]. What lies within rounding of a face is on that face, though the cell is periodic: a height of
+/// -1e-12 is no atom of the exit surface. A plane on both faces is on the entrance.
+fn on_faces(z: &[f64], height: f64) -> Vec<f64> {
+    let placed = |z: &f64| {
+        if z.abs() <= ON_FACE_ANGSTROM {
+            z.max(0.0)
+        } else if (z - height).abs() <= ON_FACE_ANGSTROM {
+            z.min(height)
+        } else {
+            wrap(*z, 0.0, height)
+        }
+    };
+    let mut z: Vec<f64> = z.iter().map(placed).collect();
+    z.sort_by(f64::total_cmp);
+    let within = |room: f64| {
+        let last = z.len() - z.partition_point(|v| *v < height - room);
+        [z.partition_point(|v| *v <= room), last]
+    };
+    let [first, last] = within(ON_FACE_ANGSTROM);
+    // In specimens without planes, atoms at the faces are there by chance.
+    if first > 0 && last > 0 && first < z.len() && [first, last] == within(SAME_PLANE_ANGSTROM) {
+        z.truncate(z.len() - last);
+        z.splice(0..0, std::iter::repeat_n(0.0, last));
+    }
+    z
 }
 
 /// Vacuum at least so thick above the first atom stays there, in Angstrom.
@@ -289,6 +317,24 @@ mod tests {
         // six atoms span 0.4985 A
         assert_eq!(Slices::new(Slicing::Planes, 50.0, &z).unwrap().len(), 84);
         assert_eq!(Slices::new(Slicing::Planes, 5.0, &[]).unwrap().len(), 5);
+    }
+
+    #[test]
+    fn rounding_moves_no_atom_to_the_other_face() {
+        let of = |z: &[f64]| Slices::new(Slicing::Planes, 20.0, z).unwrap();
+        assert_eq!(of(&[-1e-12; 4]), of(&[0.0; 4]));
+        assert_eq!(of(&[0.0, -1e-12, 2.0]), of(&[0.0, 0.0, 2.0]));
+        assert_eq!(of(&[-5e-4, 2.0]).entrance(), of(&[0.0, 2.0]).entrance());
+        // On the exit face of a slab below vacuum.
+        for z in [20.0, 20.0 + 1e-12, 20.0 - 1e-12] {
+            let s = of(&[16.0, 18.0, z]);
+            assert!((s.entrance() - 0.5).abs() < 1e-9 && s.index(s.wrap(z)) == 2, "{z}");
+        }
+        // One plane of a crystal, half of it rounded to the other face.
+        let planes: Vec<f64> = (1..10).map(|i| 2.0 * f64::from(i)).collect();
+        let with = |face: &[f64]| of(&[face, &planes].concat());
+        assert_eq!(with(&[0.0, 20.0 - 1e-9]).boundaries, with(&[0.0, 0.0]).boundaries);
+        assert_eq!(with(&[0.0, 20.0 - 1e-9]).planes[0], 0.0);
     }
 
     #[test]

@@ -46,6 +46,17 @@ impl CrystalSource {
         Ok(())
     }
 
+    /// What there is to say of a file of the user's: what was left out of it, and where it contradicts itself.
+    ///
+    /// # Errors
+    /// As [`CrystalSource::structure`].
+    pub fn notes(&self) -> Result<Vec<String>> {
+        let Some(text) = &self.text else { return Ok(Vec::new()) };
+        let path = Path::new(&self.name);
+        let read = structure::parse_noted(Format::from_path(path)?, text.as_bytes(), path)?;
+        Ok(read.notes.into_iter().map(|note| format!("{}: {note}", self.name)).collect())
+    }
+
     /// The crystal.
     ///
     /// # Errors

@@ -86,6 +86,13 @@ pub struct Recipe {
 }
 
 impl Recipe {
+    /// All crystals that it names: the first, and the second phase or end member.
+    pub fn crystals(&self) -> impl Iterator<Item = &CrystalSource> {
+        let second = self.domains.as_ref().map(|domains| &domains.crystal);
+        let end_member = self.alloy.as_ref().map(|alloy| &alloy.end_member);
+        std::iter::once(&self.crystal).chain(second).chain(end_member)
+    }
+
     /// The same specimen and pixel, but only the central `rows` x `columns` tiles. Where the
     /// difference is odd, the part lies half a tile up and left of the centre.
     ///

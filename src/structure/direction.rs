@@ -19,14 +19,31 @@ pub fn parse(text: &str) -> Result<[i32; 3], String> {
     };
     let three = match indices.ok_or(expected)?[..] {
         [u, v, w] => [u, v, w],
-        [u, v, t, w] if u + v + t == 0 => [2 * u + v, u + 2 * v, w],
-        [_, _, _, _] => return Err("the first three of four indices must add to 0".into()),
+        [u, v, t, w] => of_four([u, v, t, w])?,
         _ => return Err(expected.into()),
     };
     let divisor = three.iter().fold(0, |a, &b| gcd(a, b));
     match divisor {
         0 => Err(expected.into()),
         _ => Ok(three.map(|n| n / divisor)),
+    }
+}
+
+/// The three indices \[2U+V U+2V W\], reduced, of the direction \[UVTW\] of a hexagonal lattice.
+///
+/// # Errors
+/// A sentence, for indices that are of no direction or beyond 1000.
+pub fn of_four([u, v, t, w]: [i32; 4]) -> Result<[i32; 3], String> {
+    if [u, v, t, w].iter().any(|n| !(-1000..=1000).contains(n)) {
+        return Err("indices beyond 1000".into());
+    }
+    if u + v + t != 0 {
+        return Err("the first three of four indices must add to 0".into());
+    }
+    let three = [2 * u + v, u + 2 * v, w];
+    match three.iter().fold(0, |a, &b| gcd(a, b)) {
+        0 => Err("all indices are 0".into()),
+        divisor => Ok(three.map(|n| n / divisor)),
     }
 }
 

@@ -1,14 +1,17 @@
-//! Frames of a trajectory in extended XYZ: each is a structure of its own.
+//! Frames of a trajectory in extended XYZ or XDATCAR: each is a structure of its own.
 
 use crate::files::whole_file;
 use std::path::Path;
 
+use super::poscar::begins_frame;
 use super::read::{Format, parse};
 use super::{Structure, elements};
 use crate::error::{Error, Result};
 
 /// Most frames that are read.
 const MOST_FRAMES: usize = 100_000;
+/// Lines of the head of an XDATCAR: a comment, the scale, the cell, symbols and counts.
+const XDATCAR_HEAD: usize = 7;
 /// Cells that differ by less than this in Angstrom are one.
 const SAME_CELL_ANGSTROM: f64 = 1e-4;
 
@@ -30,48 +33,102 @@ impl FrameRange {
     }
 }
 
-/// Reads some frames of a trajectory. They have one cell and the same elements.
+/// Reads some frames of a trajectory: extended XYZ, or XDATCAR of VASP. They have one cell and the same elements.
 ///
 /// # Errors
 /// [`Error::Io`], [`Error::Parse`] with the line, [`Error::Invalid`] for another format.
 pub fn read_frames(path: &Path, range: FrameRange) -> Result<Vec<Structure>> {
-    if Format::from_path(path)? != Format::ExtXyz {
-        return Err(Error::parse(
-            path,
-            0,
-            "holds one structure; frames are read from extended XYZ",
-        ));
-    }
-    let text = whole_file::read_text(path, Format::ExtXyz.most_bytes())?;
-    let lines: Vec<&str> = text.lines().collect();
-    let (mut at, mut number) = (0, 0);
-    let mut frames: Vec<Structure> = Vec::new();
-    while at < lines.len() && frames.len() <= MOST_FRAMES {
-        if lines[at].trim().is_empty() {
-            at += 1;
-            continue;
-        }
-        let atoms: usize = lines[at].trim().parse().map_err(|_| {
-            let found = lines[at].trim().chars().take(40).collect::<String>();
-            Error::parse(path, at + 1, format!("expected the number of atoms, found `{found}`"))
-        })?;
-        let end = at.saturating_add(2).saturating_add(atoms).min(lines.len());
-        if range.holds(number) {
-            let body = lines[at..end].join("\n");
-            let frame = parse(Format::ExtXyz, body.as_bytes(), path).map_err(|e| shifted(e, at))?;
-            if let Some(first) = frames.first() {
-                check_alike(path, at, first, &frame)?;
-            }
-            frames.push(frame);
-        }
-        at = end;
-        number += 1;
-    }
-    if frames.is_empty() {
-        let message = format!("holds {number} frames, and none of those asked for");
+    let format = Format::from_path(path)?;
+    if format == Format::Cif {
+        let message = "holds one structure; frames are read from extended XYZ and XDATCAR";
         return Err(Error::parse(path, 0, message));
     }
-    Ok(frames)
+    let text = whole_file::read_text(path, format.most_bytes())?;
+    let lines: Vec<&str> = text.lines().collect();
+    let mut chosen = ChosenFrames { path, format, range, frames: Vec::new(), passed: 0 };
+    match format {
+        Format::ExtXyz => chosen.take_xyz(&lines)?,
+        Format::Poscar | Format::Cif => chosen.take_xdatcar(&lines)?,
+    }
+    if chosen.frames.is_empty() {
+        let message = format!("holds {} frames, and none of those asked for", chosen.passed);
+        return Err(Error::parse(path, 0, message));
+    }
+    Ok(chosen.frames)
+}
+
+/// The frames of a trajectory that were asked for.
+struct ChosenFrames<'a> {
+    path: &'a Path,
+    format: Format,
+    range: FrameRange,
+    frames: Vec<Structure>,
+    /// Frames of the file so far.
+    passed: usize,
+}
+
+impl ChosenFrames<'_> {
+    fn take_xyz(&mut self, lines: &[&str]) -> Result<()> {
+        let mut at = 0;
+        while at < lines.len() && self.frames.len() <= MOST_FRAMES {
+            if lines[at].trim().is_empty() {
+                at += 1;
+                continue;
+            }
+            let atoms: usize = lines[at].trim().parse().map_err(|_| {
+                let found = lines[at].trim().chars().take(40).collect::<String>();
+                let message = format!("expected the number of atoms, found `{found}`");
+                Error::parse(self.path, at + 1, message)
+            })?;
+            let end = at.saturating_add(2).saturating_add(atoms).min(lines.len());
+            self.take(at, || lines[at..end].join("\n"))?;
+            at = end;
+        }
+        Ok(())
+    }
+
+    /// Each frame has the head of the file before it, or one of its own where the cell changes.
+    fn take_xdatcar(&mut self, lines: &[&str]) -> Result<()> {
+        let begins: Vec<usize> = (0..lines.len()).filter(|&at| begins_frame(lines[at])).collect();
+        let Some(&first) = begins.first() else {
+            let message = "holds one structure; frames are read from extended XYZ and XDATCAR";
+            return Err(Error::parse(self.path, 0, message));
+        };
+        let mut head = &lines[..first];
+        for (number, &at) in begins.iter().enumerate() {
+            let end = begins.get(number + 1).copied().unwrap_or(lines.len());
+            let mut rows = &lines[at..end];
+            // The head of the next frame stands at the end of this one.
+            let next = rows.len().checked_sub(XDATCAR_HEAD).filter(|&next| {
+                number + 1 < begins.len() && rows[next + 1].split_whitespace().count() == 1
+            });
+            let next_head = next.map_or(head, |next| &rows[next..]);
+            rows = next.map_or(rows, |next| &rows[..next]);
+            self.take(at.saturating_sub(head.len()), || {
+                let frame: Vec<&str> = head.iter().chain(rows).copied().collect();
+                frame.join("\n")
+            })?;
+            head = next_head;
+            if self.frames.len() > MOST_FRAMES {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Takes the next frame, which begins after so many lines, if it was asked for.
+    fn take(&mut self, lines_before: usize, body: impl FnOnce() -> String) -> Result<()> {
+        if self.range.holds(self.passed) {
+            let frame = parse(self.format, body().as_bytes(), self.path)
+                .map_err(|e| shifted(e, lines_before))?;
+            if let Some(first) = self.frames.first() {
+                check_alike(self.path, lines_before, first, &frame)?;
+            }
+            self.frames.push(frame);
+        }
+        self.passed += 1;
+        Ok(())
+    }
 }
 
 /// The error with the line in the whole file.
@@ -128,5 +185,30 @@ mod tests {
         let other = all.replacen("4 0 0 0 4\"", "4 0 0 0 5\"", 2).replacen("0 5\"", "0 4\"", 1);
         std::fs::write(&path, other).unwrap();
         assert!(read(0, None, 1).unwrap_err().to_string().contains("another cell"));
+    }
+
+    #[test]
+    fn an_xdatcar_has_frames() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("XDATCAR");
+        let head = "x\n1\n4 0 0\n0 4 0\n0 0 4\nCu O\n1 1\n";
+        let frame = |n: usize| format!("Direct configuration= {n}\n0.{n} 0 0\n.5 .5 .5\n");
+        let all: String = (1..=4).map(frame).collect();
+        std::fs::write(&path, format!("{head}{all}")).unwrap();
+        let read = |start, step| {
+            let frames = read_frames(&path, FrameRange { start, end: None, step })?;
+            Ok::<_, Error>(frames.iter().map(|f| f.atoms[0].position[0]).collect::<Vec<_>>())
+        };
+        let found = read(0, 2).unwrap();
+        assert!(found.len() == 2 && (found[0] - 0.4).abs() + (found[1] - 1.2).abs() < 1e-12);
+        let told = super::super::read(&path).unwrap_err().to_string();
+        assert!(told.contains("XDATCAR:8: a trajectory of 4 frames"), "{told}");
+        // With a head for each frame, where the cell may change.
+        let all: String = (1..=3).map(|n| format!("{head}{}", frame(n))).collect();
+        std::fs::write(&path, &all).unwrap();
+        assert_eq!(read(1, 1).unwrap().len(), 2);
+        let other = all.replacen("0 0 4\n", "0 0 5\n", 3).replacen("0 0 5\n", "0 0 4\n", 2);
+        std::fs::write(&path, other).unwrap();
+        assert!(read(0, 1).unwrap_err().to_string().contains("another cell"));
     }
 }

@@ -1,22 +1,27 @@
 //! Which atom stands on a partially occupied site.
 
-use super::source_text::FULLEST_SITE;
-use super::{Structure, neighbors};
+use super::exclusive_sites::{ExclusiveSites, SiteUnit, units};
+use super::overlap::FULLEST_SITE;
+use super::{Atom, Structure};
 use crate::error::{Error, Result};
 use crate::rng::{Purpose, uniform};
 use crate::setting::Setting;
 
-/// Atoms nearer than this, in Angstrom, share one site.
-const SAME_SITE: f64 = 0.01;
+/// Draws of a place: which of its ways it is filled in ...
+const WAY: u32 = 0;
+/// ... and which atoms stand on the sites of that way.
+const WITHIN_WAY: u32 = 1;
 
 impl Structure {
     /// Draws one atom, or none, for every site according to the occupancies. Atoms within 0.01 A
     /// of each other share a site, and what their occupancies lack to 1 is the probability of a
-    /// vacancy. The draw of a site depends on `seed` and on the index of its first atom only, so
+    /// vacancy. Sites that exclude each other share one draw: those of one place of [`super::Alternative`], and partly
+    /// occupied ones that are closer than any bond (1.2 A; less between C, N, O and H) and whose occupancies add to at
+    /// most 1. A draw depends on `seed` and on the index of the first of these atoms only, so
     /// build the supercell first: otherwise all its cells look alike.
     ///
     /// # Errors
-    /// [`Error::Invalid`] if an occupancy is outside (0, 1] or those of a site exceed 1.
+    /// [`Error::Invalid`] if an occupancy is outside (0, 1] or those of a site or place exceed 1.
     pub fn resolve_occupancy(&self, seed: u64) -> Result<Structure> {
         for (index, atom) in self.atoms.iter().enumerate() {
             if !(atom.occupancy > 0.0 && atom.occupancy <= 1.0) {
@@ -28,58 +33,66 @@ impl Structure {
                 ));
             }
         }
-        let first = self.first_of_site();
-        let mut members: Vec<Vec<usize>> = vec![Vec::new(); self.atoms.len()];
-        for (index, &site) in first.iter().enumerate() {
-            members[site].push(index);
+        if self.atoms.iter().all(|a| a.occupancy == 1.0 && a.alternative.is_none()) {
+            return Ok(self.clone());
         }
-        let mut atoms = Vec::with_capacity(self.atoms.len());
-        for (site, members) in members.iter().enumerate() {
-            if let Some(chosen) = self.choose(seed, site, members)? {
-                let mut atom = self.atoms[chosen];
-                atom.occupancy = 1.0;
-                atoms.push(atom);
+        let exclusive = ExclusiveSites::of(self);
+        let mut chosen = Vec::with_capacity(self.atoms.len());
+        for (first, members) in exclusive.members().iter().enumerate() {
+            if let Some(unit) = self.choose(seed, first, units(self, &exclusive.site, members))? {
+                self.fill(seed, &unit, &exclusive.site, &mut chosen);
             }
         }
-        Ok(Structure { cell: self.cell, atoms })
+        chosen.sort_by_key(|&(order, _)| order);
+        let full = |(_, atom): (usize, usize)| Atom {
+            occupancy: 1.0,
+            alternative: None,
+            ..self.atoms[atom]
+        };
+        Ok(Structure { cell: self.cell, atoms: chosen.into_iter().map(full).collect() })
     }
 
-    /// For every atom the smallest index on its site.
-    fn first_of_site(&self) -> Vec<usize> {
-        let mut first: Vec<usize> = (0..self.atoms.len()).collect();
-        if self.atoms.iter().all(|a| a.occupancy == 1.0) {
-            return first;
-        }
-        // `i` never falls, so that `first[i]` is final when it is copied to j.
-        neighbors::for_each_pair(self, SAME_SITE, |i, j, _| first[j] = first[j].min(first[i]));
-        first
-    }
-
-    fn choose(&self, seed: u64, site: usize, members: &[usize]) -> Result<Option<usize>> {
-        if let &[only] = members
-            && self.atoms[only].occupancy == 1.0
-        {
-            return Ok(Some(only));
-        }
-        let total: f64 = members.iter().map(|&m| self.atoms[m].occupancy).sum();
+    fn choose(&self, seed: u64, first: usize, units: Vec<SiteUnit>) -> Result<Option<SiteUnit>> {
+        let total: f64 = units.iter().map(|unit| unit.occupancy).sum();
         if total > FULLEST_SITE {
-            let value = format!("{total:.4} (site of atom {})", site + 1);
+            let value = format!("{total:.4} (site of atom {})", first + 1);
             return Err(Error::invalid(
                 Setting::SiteOccupancy,
                 value,
                 "expected at most 1; lower them or remove an atom",
             ));
         }
-        let draw = uniform(seed, Purpose::Occupancy, 0, site as u64) * total.max(1.0);
-        let mut below = 0.0;
-        for &member in members {
-            below += self.atoms[member].occupancy;
+        let draw = uniform(seed, Purpose::Occupancy, WAY, first as u64) * total.max(1.0);
+        let (mut below, mut last) = (0.0, None);
+        for unit in units {
+            below += unit.occupancy;
             if draw < below {
-                return Ok(Some(member));
+                return Ok(Some(unit));
             }
+            last = Some(unit);
         }
         // Rounding must not leave a hole in a full site.
-        Ok(members.last().copied().filter(|_| total > 1.0 - 1e-9))
+        Ok(last.filter(|_| total > 1.0 - 1e-9))
+    }
+
+    /// Fills the sites of a unit: each with one of its atoms, or none where they are there less often than the unit.
+    /// Atoms stand in the order of their sites, as the first of each.
+    fn fill(&self, seed: u64, unit: &SiteUnit, site: &[usize], chosen: &mut Vec<(usize, usize)>) {
+        if let &[only] = unit.atoms.as_slice() {
+            return chosen.push((site[only], only));
+        }
+        let mut sites: Vec<usize> = unit.atoms.iter().map(|&atom| site[atom]).collect();
+        sites.sort_unstable();
+        sites.dedup();
+        for place in sites {
+            let draw = uniform(seed, Purpose::Occupancy, WITHIN_WAY, place as u64) * unit.occupancy;
+            let mut below = 0.0;
+            let found = unit.atoms.iter().filter(|&&atom| site[atom] == place).find(|&&atom| {
+                below += self.atoms[atom].occupancy;
+                draw < below
+            });
+            chosen.extend(found.map(|&atom| (place, atom)));
+        }
     }
 }
 
@@ -93,9 +106,9 @@ mod tests {
         let mut atoms = Vec::new();
         for i in 0..n {
             let z = 4.0 * i as f64;
-            atoms.push(Atom { number: 38, position: [0.0, 0.0, z], occupancy: 0.6 });
-            atoms.push(Atom { number: 8, position: [2.0, 2.0, z], occupancy: 1.0 });
-            atoms.push(Atom { number: 56, position: [4.0, 0.0, z + 0.004], occupancy: 0.3 });
+            atoms.push(Atom { occupancy: 0.6, ..Atom::new(38, [0.0, 0.0, z]) });
+            atoms.push(Atom::new(8, [2.0, 2.0, z]));
+            atoms.push(Atom { occupancy: 0.3, ..Atom::new(56, [4.0, 0.0, z + 0.004]) });
         }
         let cell = [[4.0, 0.0, 0.0], [0.0, 4.0, 0.0], [0.0, 0.0, 4.0 * n as f64]];
         Structure { cell, atoms }

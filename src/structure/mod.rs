@@ -4,6 +4,8 @@
 //! the beam runs along a zone axis; [`Structure::resolve_occupancy`] draws mixed sites; and
 //! [`Structure::sites`] makes of the atoms the sites that the engine simulates.
 
+mod alternatives;
+mod atom_check;
 pub mod carbon;
 mod cif;
 pub mod coincidence;
@@ -11,25 +13,32 @@ pub mod columns;
 pub mod crystals;
 pub mod direction;
 pub mod elements;
+mod exclusive_sites;
+mod foreign_formats;
 mod frames;
 pub mod lattice;
 mod mixed_sites;
 mod neighbors;
 mod orient;
+mod overlap;
 pub mod particles;
 mod poscar;
+mod preparation;
 mod read;
 mod site;
 mod source_text;
 mod supercell;
 mod xyz;
 
+pub use alternatives::Alternative;
 pub use frames::{FrameRange, read_frames};
 pub(crate) use neighbors::for_each_pair;
 pub use neighbors::{min_pair_distance, shortest_distances};
+pub use orient::OrientedBox;
+pub use preparation::{Preparation, PreparedStructure};
 #[cfg(all(test, feature = "hdf5"))]
 pub(crate) use read::PARSED;
-pub use read::{Format, parse, read, sigmas_of_file};
+pub use read::{Format, ReadStructure, parse, parse_noted, read, read_noted, sigmas_of_file};
 pub use site::{LARGEST_SIGMA_ANGSTROM, Sigmas, Site};
 pub use xyz::write_extxyz;
 
@@ -48,6 +57,15 @@ pub struct Atom {
     pub position: [f64; 3],
     /// Fraction of the site that this atom occupies, in (0, 1].
     pub occupancy: f64,
+    /// Where a place can be filled in several ways: the place, and the way that this atom belongs to.
+    pub alternative: Option<Alternative>,
+}
+
+impl Atom {
+    /// An atom that occupies its site alone, at a position in Angstrom.
+    pub fn new(number: u8, position: [f64; 3]) -> Self {
+        Atom { number, position, occupancy: 1.0, alternative: None }
+    }
 }
 
 /// Atoms in a (triclinic) cell; the beam runs along +z.

@@ -227,7 +227,7 @@ mod tests {
     use crate::rng::{Purpose, normal3, uniform};
 
     fn atom(position: Vec3) -> Atom {
-        Atom { number: 14, position, occupancy: 1.0 }
+        Atom::new(14, position)
     }
 
     /// Every pair through every image within three cells.

@@ -1,5 +1,6 @@
 //! Orthogonal supercells that look along a zone axis.
 
+use super::alternatives::CopiedPlaces;
 use super::lattice::{Mat3, Vec3, cross, determinant, dot, inverse, norm, row_times, wrap_unit};
 use super::supercell::check_size;
 use super::{Atom, Structure};
@@ -15,34 +16,101 @@ const LARGEST_INDEX: i64 = 24;
 const LARGEST_GIVEN: i32 = 100;
 /// Deviation from a right angle that counts as none, in radian.
 const TOLERANCE: f64 = 1e-3;
+/// Largest strain that may be asked for.
+const MOST_STRAIN: f64 = 0.1;
+/// The vectors of the cell.
+const CELL_AXES: [Indices; 3] = [[1, 0, 0], [0, 1, 0], [0, 0, 1]];
 /// Largest index of the directions among which the best failure is looked for.
 const REPORT_INDEX: i64 = 6;
+
+/// A crystal in an orthogonal box, and what that took.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OrientedBox {
+    /// The atoms in the box.
+    pub structure: Structure,
+    /// The largest principal strain by which the cell was made orthogonal: 0.01 is one per cent.
+    pub strain: f64,
+}
+
+/// Which boxes are accepted.
+#[derive(Clone, Copy)]
+struct BoxLimits {
+    /// Largest deviation from a right angle in radian.
+    angle: f64,
+    /// Largest principal strain.
+    strain: f64,
+}
+
+impl BoxLimits {
+    const USUAL: Self = BoxLimits { angle: TOLERANCE, strain: f64::INFINITY };
+}
 
 impl Structure {
     /// The orthogonal supercell whose z axis is the lattice direction `zone` and whose y axis is
     /// `up`, or else the shortest lattice vector perpendicular to the zone; x completes a
     /// right-handed box. Indices refer to the vectors of this cell, so that the direction `[11-20]` of a
     /// hexagonal crystal is `[110]`. Angles within 1 mrad of 90 degrees are taken as right, and the atoms are
-    /// strained accordingly. A cell that is such a box already is returned as it is.
+    /// strained accordingly; [`Structure::oriented_within`] tells by how much. A cell that is such a box already is
+    /// returned as it is.
     ///
     /// # Errors
     /// [`Error::Invalid`] if no such box has indices up to 24; it names the best angles.
     pub fn oriented(&self, zone: [i32; 3], up: Option<[i32; 3]>) -> Result<Structure> {
+        Ok(self.oriented_within(zone, up, None)?.structure)
+    }
+
+    /// As [`Structure::oriented`], with a limit for the strain: the largest principal strain (0.01 is one per cent) that may make
+    /// the angles of the box right. With a limit, the cell itself is the box where it is within.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a limit outside 0 to 0.1, and if no such box has indices up to 24.
+    pub fn oriented_within(
+        &self,
+        zone: [i32; 3],
+        up: Option<[i32; 3]>,
+        max_strain: Option<f64>,
+    ) -> Result<OrientedBox> {
         let z = reduced(Setting::Zone, zone)?;
         let y = up.map(|up| reduced(Setting::Up, up)).transpose()?;
         if z == [0, 0, 1] && y.is_none_or(|y| y == [0, 1, 0]) && self.orthogonal_box().is_ok() {
-            return Ok(self.clone());
+            return Ok(OrientedBox { structure: self.clone(), strain: 0.0 });
         }
-        let [x, y] = match y {
-            Some(y) => [self.find_x(z, y)?, y],
-            None => self.find_axes(z)?,
+        let limits = match max_strain {
+            None => BoxLimits::USUAL,
+            // Shear by an angle strains by half of it.
+            Some(strain) if (0.0..=MOST_STRAIN).contains(&strain) => {
+                BoxLimits { angle: 2.0 * strain, strain }
+            }
+            Some(strain) => {
+                let expected =
+                    format!("expected a strain from 0 to {} per cent", 100.0 * MOST_STRAIN);
+                return Err(Error::invalid(Setting::MaxStrain, 100.0 * strain, expected));
+            }
         };
-        self.in_box([x, y, z])
+        let axes = match y {
+            _ if max_strain.is_some() && self.is_box_of_its_own(z, y, limits) => CELL_AXES,
+            Some(y) => [self.find_x(z, y, limits)?, y, z],
+            None => self.find_axes(z, limits)?,
+        };
+        let strain = self.strain_of(axes);
+        Ok(OrientedBox { structure: self.in_box(axes)?, strain })
     }
 
-    fn find_x(&self, z: Indices, y: Indices) -> Result<Indices> {
+    /// Whether the vectors of the cell are axes within the limits, in their order and right-handed.
+    fn is_box_of_its_own(&self, z: Indices, y: Option<Indices>, limits: BoxLimits) -> bool {
+        let [x, up, along] = CELL_AXES;
+        let asked = z == along && y.is_none_or(|y| y == up);
+        asked
+            && determinant(&self.cell) > 0.0
+            && [[x, up], [x, z], [up, z]]
+                .iter()
+                .all(|[a, b]| fits(&self.cell, *a, *b, limits.angle))
+            && self.strain_of(CELL_AXES) <= limits.strain
+    }
+
+    fn find_x(&self, z: Indices, y: Indices, limits: BoxLimits) -> Result<Indices> {
         let off = deviation(&self.cell, y, z);
-        if off > TOLERANCE {
+        if off > limits.angle {
             return Err(Error::invalid(
                 Setting::Up,
                 format!("{y:?}"),
@@ -53,21 +121,44 @@ impl Structure {
                 ),
             ));
         }
-        let candidates = perpendicular(&self.cell, z);
-        match candidates.iter().find(|&&x| fits(&self.cell, x, y)) {
+        let candidates = perpendicular(&self.cell, z, limits.angle);
+        let found = candidates.iter().find(|&&x| self.fits_both(x, y, z, limits));
+        match found {
             Some(&x) => Ok(right_handed(&self.cell, x, y, z)),
             None => Err(self.no_box(z, Some(y))),
         }
     }
 
-    fn find_axes(&self, z: Indices) -> Result<[Indices; 2]> {
-        let candidates = perpendicular(&self.cell, z);
+    fn find_axes(&self, z: Indices, limits: BoxLimits) -> Result<[Indices; 3]> {
+        let candidates = perpendicular(&self.cell, z, limits.angle);
         for &y in &candidates {
-            if let Some(&x) = candidates.iter().find(|&&x| fits(&self.cell, x, y)) {
-                return Ok([right_handed(&self.cell, x, y, z), y]);
+            if let Some(&x) = candidates.iter().find(|&&x| self.fits_both(x, y, z, limits)) {
+                return Ok([right_handed(&self.cell, x, y, z), y, z]);
             }
         }
         Err(self.no_box(z, None))
+    }
+
+    fn fits_both(&self, x: Indices, y: Indices, z: Indices, limits: BoxLimits) -> bool {
+        fits(&self.cell, x, y, limits.angle)
+            && (limits.strain == f64::INFINITY || self.strain_of([x, y, z]) <= limits.strain)
+    }
+
+    /// The largest principal strain that turns the lattice vectors into edges at right angles of the same lengths.
+    fn strain_of(&self, axes: [Indices; 3]) -> f64 {
+        let [x, y, z] = axes.map(|n| cartesian(&self.cell, n));
+        let cosine = |a: Vec3, b: Vec3| dot(a, b) / (norm(a) * norm(b));
+        let [a, b, c] = [cosine(x, y), cosine(x, z), cosine(y, z)];
+        // The metric of unit vectors, 1 + m, has the squares of the stretches; m has three eigenvalues, with the sum 0.
+        let size = ((a * a + b * b + c * c) / 3.0).sqrt();
+        if size == 0.0 {
+            return 0.0;
+        }
+        let turn = libm::acos((a * b * c / size.powi(3)).clamp(-1.0, 1.0)) / 3.0;
+        let eigenvalue =
+            |k: f64| 2.0 * size * libm::cos(turn + 2.0 * std::f64::consts::PI * k / 3.0);
+        let strain = |k: f64| (1.0 / (1.0 + eigenvalue(k)).max(0.0).sqrt() - 1.0).abs();
+        [0.0, 1.0, 2.0].map(strain).into_iter().fold(0.0, f64::max)
     }
 
     /// The error, with the axes among small indices that come nearest to right angles.
@@ -99,7 +190,7 @@ impl Structure {
             format!("{z:?}"),
             format!(
                 "no orthogonal box with indices up to {LARGEST_INDEX} has this z axis{nearest}; \
-                 choose another zone, or strain the cell to a right angle"
+                 choose another zone, or allow more strain, which makes the angles right"
             ),
         )
     }
@@ -117,7 +208,9 @@ impl Structure {
             ));
         };
         let lengths = vectors.map(norm);
+        let places = CopiedPlaces::of(self);
         let mut atoms = Vec::with_capacity(self.atoms.len());
+        let mut copy = 0;
         for i in 0..cells[0] {
             for j in 0..cells[1] {
                 for k in 0..cells[2] {
@@ -126,8 +219,9 @@ impl Structure {
                         let moved = std::array::from_fn(|a| atom.position[a] + shift[a]);
                         let fraction = row_times(moved, &to_fraction).map(wrap_unit);
                         let position = std::array::from_fn(|a| fraction[a] * lengths[a]);
-                        Atom { position, ..*atom }
+                        places.atom(&Atom { position, ..*atom }, copy)
                     }));
+                    copy += 1;
                 }
             }
         }
@@ -172,8 +266,8 @@ fn deviation(cell: &Mat3, a: Indices, b: Indices) -> f64 {
     (dot(a, b) / (norm(a) * norm(b))).clamp(-1.0, 1.0).asin().abs()
 }
 
-fn fits(cell: &Mat3, a: Indices, b: Indices) -> bool {
-    deviation(cell, a, b) <= TOLERANCE
+fn fits(cell: &Mat3, a: Indices, b: Indices, tolerance: f64) -> bool {
+    deviation(cell, a, b) <= tolerance
 }
 
 /// `x` or its opposite.
@@ -202,10 +296,10 @@ fn directions(bound: i64) -> Vec<Indices> {
 
 /// The directions perpendicular to `z` within the tolerance, shortest first; of equal ones that
 /// with fewer negative indices, then that along the later cell vector.
-fn perpendicular(cell: &Mat3, z: Indices) -> Vec<Indices> {
+fn perpendicular(cell: &Mat3, z: Indices, tolerance: f64) -> Vec<Indices> {
     let mut list: Vec<(f64, Indices)> = directions(LARGEST_INDEX)
         .into_iter()
-        .filter(|&n| fits(cell, n, z))
+        .filter(|&n| fits(cell, n, z, tolerance))
         .map(|n| (norm(cartesian(cell, n)), n))
         .collect();
     let unit = determinant(cell).abs().cbrt() * 1e-6;
@@ -261,6 +355,37 @@ mod tests {
         assert_eq!(list.len(), (125 - 27) / 2);
         assert!(list.contains(&[0, 1, 0]) && !list.contains(&[0, -1, 0]));
         assert!(!list.contains(&[2, 0, 0]));
+    }
+
+    #[test]
+    fn a_nearly_orthogonal_cell_is_strained_within_the_limit() {
+        let relaxed = Structure {
+            cell: [[7.8102, 0.0021, -0.0013], [0.0034, 7.8098, 0.0008], [-0.0011, 0.0005, 7.8121]],
+            atoms: vec![Atom::new(38, [0.0; 3])],
+        };
+        assert!(relaxed.orthogonal_box().is_err());
+        let made = relaxed.oriented_within([0, 0, 1], None, Some(0.001)).unwrap();
+        assert_eq!(made.structure.atoms.len(), 1);
+        let [x, y, z] = made.structure.orthogonal_box().unwrap();
+        assert!(
+            (x - 7.8102).abs() < 1e-5 && (y - 7.8098).abs() < 1e-5 && (z - 7.8121).abs() < 1e-5
+        );
+        // Half of the largest shear, (0.0021 + 0.0034) / 7.81, and a little for the others.
+        assert!((3.5e-4..4.5e-4).contains(&made.strain), "{}", made.strain);
+        assert!(relaxed.oriented_within([0, 0, 1], None, Some(1e-4)).is_err());
+        let told = relaxed.oriented_within([0, 0, 1], None, Some(0.5)).unwrap_err().to_string();
+        assert!(told.contains("from 0 to 10 per cent"), "{told}");
+    }
+
+    #[test]
+    fn pure_shear_strains_by_half_its_angle() {
+        let shear = 0.02_f64;
+        let cell = [[4.0, 0.0, 0.0], [4.0 * shear.sin(), 4.0 * shear.cos(), 0.0], [0.0, 0.0, 5.0]];
+        let s = Structure { cell, atoms: vec![] };
+        assert!((s.strain_of(CELL_AXES) - 0.5 * shear).abs() < 2e-4);
+        let orthogonal =
+            Structure { cell: [[4.0, 0.0, 0.0], [0.0, 4.0, 0.0], [0.0, 0.0, 5.0]], atoms: vec![] };
+        assert_eq!(orthogonal.strain_of(CELL_AXES), 0.0);
     }
 
     #[test]

@@ -20,10 +20,24 @@ impl<'a> PoscarLines<'a> {
     fn take(&mut self, what: &str) -> Result<(usize, &'a str)> {
         self.next += 1;
         match self.lines.next() {
-            Some(line) => Ok((self.next, line.trim())),
+            Some(line) if self.next == 1 => Ok((1, line.trim())),
+            Some(line) => Ok((self.next, without_comment(line))),
             None => Err(self.text.error(self.next, format!("the file ends before {what}"))),
         }
     }
+}
+
+/// A line up to `!` or `#`.
+fn without_comment(line: &str) -> &str {
+    line.split(['!', '#']).next().unwrap_or_default().trim()
+}
+
+/// The first word that begins each further frame of an XDATCAR.
+const FRAME: &str = "direct configuration";
+
+/// Whether a line begins a frame of an XDATCAR.
+pub(super) fn begins_frame(line: &str) -> bool {
+    line.trim().get(..FRAME.len()).is_some_and(|begin| begin.eq_ignore_ascii_case(FRAME))
 }
 
 /// Reads a POSCAR; velocities and whatever else follows a blank line are ignored.
@@ -43,7 +57,15 @@ pub(super) fn parse(text: &SourceText) -> Result<Structure> {
         } else {
             std::array::from_fn(|axis| raw[axis] * scale[axis])
         };
-        atoms.push((line, Atom { number, position, occupancy: 1.0 }));
+        atoms.push((line, Atom::new(number, position)));
+    }
+    let frames = text.body.lines().filter(|line| begins_frame(line)).count();
+    if frames > 1 {
+        let message = format!(
+            "a trajectory of {frames} frames (XDATCAR) begins here, and a structure is one of them; choose frames, or keep \
+             the one to be simulated"
+        );
+        return Err(text.error(lines.next - numbers.len(), message));
     }
     if let Some(row) = lines.lines.peek()
         && vector(text, 0, row, "").is_ok()
@@ -58,7 +80,11 @@ pub(super) fn parse(text: &SourceText) -> Result<Structure> {
 /// The scaled cell, and the scale of each Cartesian axis.
 fn cell(lines: &mut PoscarLines) -> Result<([[f64; 3]; 3], [f64; 3])> {
     let (scale_line, row) = lines.take("the scale factor")?;
-    let words: Vec<&str> = row.split_whitespace().collect();
+    // VASP reads no further than the numbers.
+    let words: Vec<&str> = row
+        .split_whitespace()
+        .take_while(|w| w.starts_with(|c: char| !c.is_alphabetic()))
+        .collect();
     if words.len() != 1 && words.len() != 3 {
         let message = format!("expected the scale factor (one number or three), found `{row}`");
         return Err(lines.text.error(scale_line, message));
@@ -104,6 +130,10 @@ fn species(lines: &mut PoscarLines) -> Result<Vec<u8>> {
     for word in symbols.split_whitespace() {
         // `Sr_sv` and `Sr/5a8f...` name the potential, too.
         let symbol = word.split(['_', '/']).next().unwrap_or(word);
+        if symbol.parse::<f64>().is_ok() {
+            let message = format!("expected an element symbol, found the number `{symbol}`");
+            return Err(lines.text.error(line, message));
+        }
         kinds.push(lines.text.element(line, symbol)?);
     }
     let (line, counts) = lines.take("the line of counts")?;
@@ -187,6 +217,22 @@ mod tests {
         .unwrap();
         assert_eq!(s.atoms.len(), 1);
         assert_eq!(s.atoms[0].position, [1.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn comments_end_lines() {
+        let s = read(
+            "c\n1.0 ! scale\n4 0 0 # a\n0 4 0\n0 0 4\nSr O ! kinds\n1 1 ! counts\nDirect\n0 0 0\n.5 .5 .5 O\n",
+        )
+        .unwrap();
+        assert_eq!((s.atoms.len(), s.cell[0][0]), (2, 4.0));
+        assert_eq!(
+            read("c\n2 scale\n2 0 0\n0 2 0\n0 0 2\nO\n1\nD\n0 0 0\n").unwrap().cell[0][0],
+            4.0
+        );
+        for bad in ["", "scale", "1.0 2.0 ! two", "1 2 3 4", "1.0.0"] {
+            assert!(read(&format!("c\n{bad}\n4 0 0\n0 4 0\n0 0 4\nO\n1\nD\n0 0 0\n")).is_err());
+        }
     }
 
     #[test]

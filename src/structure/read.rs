@@ -1,7 +1,7 @@
 //! Chooses the reader of a structure's file.
 
 use super::source_text::SourceText;
-use super::{Sigmas, Structure, cif, poscar, xyz};
+use super::{Sigmas, Structure, cif, foreign_formats, poscar, xyz};
 use crate::error::{Error, Result};
 use crate::files::whole_file;
 use crate::setting::Setting;
@@ -20,7 +20,7 @@ pub enum Format {
     ExtXyz,
     /// Crystallographic Information File.
     Cif,
-    /// VASP POSCAR or CONTCAR, version 5 (with element symbols).
+    /// VASP POSCAR or CONTCAR, version 5 (with element symbols), and XDATCAR with frames.
     Poscar,
 }
 
@@ -35,7 +35,7 @@ impl Format {
     }
 
     /// The format that the file's name stands for: `.xyz`, `.extxyz`, `.cif`, `.vasp`, `.poscar`,
-    /// `.contcar`, or a name that begins with `POSCAR` or `CONTCAR`.
+    /// `.contcar`, or a name that begins with `POSCAR`, `CONTCAR` or `XDATCAR`.
     ///
     /// # Errors
     /// [`Error::Invalid`] for any other name.
@@ -48,15 +48,37 @@ impl Format {
             "xyz" | "extxyz" => Ok(Format::ExtXyz),
             "cif" => Ok(Format::Cif),
             "vasp" | "poscar" | "contcar" => Ok(Format::Poscar),
-            _ if name.starts_with("poscar") || name.starts_with("contcar") => Ok(Format::Poscar),
+            _ if ["poscar", "contcar", "xdatcar"].iter().any(|n| name.starts_with(n)) => {
+                Ok(Format::Poscar)
+            }
+            _ if let Some(told) = foreign_formats::by_name(path) => {
+                Err(Error::invalid(Setting::StructureFile, path.display(), told))
+            }
             _ => Err(Error::invalid(
                 Setting::StructureFile,
                 path.display(),
-                "the name must end in .cif, .xyz, .extxyz, .vasp or .poscar, or begin with POSCAR \
-                 or CONTCAR; rename or convert the file",
+                "the name must end in .cif, .xyz, .extxyz, .vasp or .poscar, or begin with POSCAR, \
+                 CONTCAR or XDATCAR; rename or convert the file",
             )),
         }
     }
+}
+
+/// A structure, and what there is to say of its file: what was left out, and where the file contradicts itself.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReadStructure {
+    /// The atoms in their cell.
+    pub structure: Structure,
+    /// Sentences for the user, each a warning.
+    pub notes: Vec<String>,
+}
+
+/// Reads a structure as [`read_noted`] does, and leaves out what there is to say of it.
+///
+/// # Errors
+/// As [`read_noted`].
+pub fn read(path: &Path) -> Result<Structure> {
+    Ok(read_noted(path)?.structure)
 }
 
 /// Reads a structure; the file's name tells the format (see [`Format::from_path`]).
@@ -66,9 +88,9 @@ impl Format {
 ///
 /// # Errors
 /// [`Error::Io`], [`Error::Invalid`] for an unknown format, [`Error::Parse`] with the line.
-pub fn read(path: &Path) -> Result<Structure> {
+pub fn read_noted(path: &Path) -> Result<ReadStructure> {
     let format = Format::from_path(path)?;
-    parse(format, &whole_file::read(path, format.most_bytes())?, path)
+    parse_noted(format, &whole_file::read(path, format.most_bytes())?, path)
 }
 
 /// The thermal displacements that a CIF lists (U or B of its sites), in the mean of each element.
@@ -85,13 +107,24 @@ pub fn sigmas_of_file(path: &Path) -> Result<Sigmas> {
     Ok(Sigmas::ByElement(cif::displacements(&text)?))
 }
 
-/// Reads a structure from memory; `path` only names it in errors.
+/// Reads a structure from memory as [`parse_noted`] does, and leaves out what there is to say of it.
 ///
 /// # Errors
 /// [`Error::Parse`] with the line.
 pub fn parse(format: Format, bytes: &[u8], path: &Path) -> Result<Structure> {
+    Ok(parse_noted(format, bytes, path)?.structure)
+}
+
+/// Reads a structure from memory; `path` only names it in errors.
+///
+/// # Errors
+/// [`Error::Parse`] with the line.
+pub fn parse_noted(format: Format, bytes: &[u8], path: &Path) -> Result<ReadStructure> {
     #[cfg(test)]
     PARSED.set(PARSED.get() + 1);
+    if let Some(told) = foreign_formats::by_bytes(bytes) {
+        return Err(Error::parse(path, 0, told));
+    }
     let text = std::str::from_utf8(bytes).map_err(|e| {
         let line = 1 + bytes[..e.valid_up_to()].iter().filter(|&&b| b == b'\n').count();
         Error::parse(path, line, "not UTF-8 text; save the file as plain text in UTF-8")
@@ -100,12 +133,17 @@ pub fn parse(format: Format, bytes: &[u8], path: &Path) -> Result<Structure> {
     if text.body.trim().is_empty() {
         return Err(text.error(0, "the file is empty"));
     }
-    text.check_lines()?;
-    match format {
-        Format::ExtXyz => xyz::parse(&text),
-        Format::Cif => cif::parse(&text),
-        Format::Poscar => poscar::parse(&text),
+    if let Some(told) = foreign_formats::by_text(text.body, format == Format::ExtXyz) {
+        return Err(text.error(1, told));
     }
+    text.check_lines()?;
+    let (structure, mut notes) = match format {
+        Format::ExtXyz => (xyz::parse(&text)?, Vec::new()),
+        Format::Cif => cif::parse(&text)?,
+        Format::Poscar => (poscar::parse(&text)?, Vec::new()),
+    };
+    notes.extend(structure.crowded_sites());
+    Ok(ReadStructure { structure, notes })
 }
 
 #[cfg(test)]
@@ -120,7 +158,8 @@ mod tests {
         assert_eq!(of("POSCAR").unwrap(), Format::Poscar);
         assert_eq!(of("CONTCAR_relaxed").unwrap(), Format::Poscar);
         assert_eq!(of("x.extxyz").unwrap(), Format::ExtXyz);
-        assert!(of("x.pdb").unwrap_err().to_string().contains(".cif, .xyz"));
+        assert!(of("x.abc").unwrap_err().to_string().contains(".cif, .xyz"));
+        assert!(of("x.pdb").unwrap_err().to_string().contains("a PDB file"));
     }
 
     #[test]

@@ -88,7 +88,7 @@ mod tests {
     use super::*;
 
     fn structure() -> Structure {
-        let atom = |number, x| Atom { number, position: [x, 1.0, 2.0], occupancy: 1.0 };
+        let atom = |number, x| Atom::new(number, [x, 1.0, 2.0]);
         let cell = [[4.0, 0.0, 0.0], [0.0, 4.0, 0.0], [0.0, 0.0, 4.0]];
         Structure { cell, atoms: vec![atom(38, 0.5), atom(8, 2.5)] }
     }

@@ -2,25 +2,43 @@
 //! passes.
 
 use super::lattice::{determinant, face_distances, norm};
-use super::{Atom, Structure, elements, neighbors};
+use super::overlap::{FULLEST_SITE, OVERLAP, Overlap};
+use super::{Atom, Structure, elements};
 use crate::error::{Error, Result};
-use std::ops::ControlFlow;
 use std::path::Path;
 
 /// Shortest and longest cell vector accepted, in Angstrom.
 const CELL_LIMITS: [f64; 2] = [0.5, 1e6];
 /// Smallest accepted ratio of a cell's volume to the product of its edges.
 const FLATTEST_CELL: f64 = 1e-3;
-/// Atoms closer than this, in Angstrom, must share one site by their occupancies.
-const OVERLAP: f64 = 0.3;
-/// More atoms than this within the distance of an overlap are no site.
-const MOST_ON_A_SITE: usize = 200;
+/// Positions beyond this, in Angstrom, are absurd.
+pub(super) const FARTHEST: f64 = 1e7;
 /// Most atoms that a file may hold.
 pub(super) const MOST_ATOMS: usize = 4_000_000;
 /// Longest line in bytes.
 const LONGEST_LINE: usize = 1 << 16;
-/// Sum of occupancies accepted on one site; above 1 for the sake of rounded thirds.
-pub(super) const FULLEST_SITE: f64 = 1.005;
+
+/// Checks a cell; the error says what is wrong with it.
+pub(super) fn check_cell(cell: &[[f64; 3]; 3]) -> std::result::Result<(), String> {
+    let lengths = cell.map(norm);
+    let [low, high] = CELL_LIMITS;
+    if let Some(length) = lengths.iter().find(|l| !(low..=high).contains(*l)) {
+        return Err(format!(
+            "a cell vector is {length} A long, expected {low} to {high} A; check the unit"
+        ));
+    }
+    let flatness = determinant(cell).abs() / lengths.iter().product::<f64>();
+    if flatness < FLATTEST_CELL {
+        return Err("the cell has no volume: its three vectors must not lie in one plane".into());
+    }
+    let thinnest = face_distances(cell).into_iter().fold(f64::INFINITY, f64::min);
+    if thinnest < OVERLAP {
+        return Err(format!(
+            "two opposite faces of the cell are {thinnest:.2e} A apart, expected at least {OVERLAP} A"
+        ));
+    }
+    Ok(())
+}
 
 /// A file's text, and its name for errors.
 pub(super) struct SourceText<'a> {
@@ -88,27 +106,7 @@ impl<'a> SourceText<'a> {
 
     /// Checks the cell; `line` is where it stands.
     pub fn check_cell(&self, line: usize, cell: &[[f64; 3]; 3]) -> Result<()> {
-        let lengths = cell.map(norm);
-        let [low, high] = CELL_LIMITS;
-        if let Some(length) = lengths.iter().find(|l| !(low..=high).contains(*l)) {
-            let message = format!(
-                "a cell vector is {length} A long, expected {low} to {high} A; check the unit"
-            );
-            return Err(self.error(line, message));
-        }
-        let flatness = determinant(cell).abs() / lengths.iter().product::<f64>();
-        if flatness < FLATTEST_CELL {
-            let message = "the cell has no volume: its three vectors must not lie in one plane";
-            return Err(self.error(line, message));
-        }
-        let thinnest = face_distances(cell).into_iter().fold(f64::INFINITY, f64::min);
-        if thinnest < OVERLAP {
-            let message = format!(
-                "two opposite faces of the cell are {thinnest:.2e} A apart, expected at least {OVERLAP} A"
-            );
-            return Err(self.error(line, message));
-        }
-        Ok(())
+        check_cell(cell).map_err(|message| self.error(line, message))
     }
 
     /// Checks the atoms, each with the line it came from, and builds the structure. Sites with
@@ -116,7 +114,7 @@ impl<'a> SourceText<'a> {
     pub fn finish(&self, cell: [[f64; 3]; 3], atoms: Vec<(usize, Atom)>) -> Result<Structure> {
         self.check_count(0, atoms.len())?;
         if let Some((line, atom)) =
-            atoms.iter().find(|(_, a)| a.position.iter().any(|x| x.is_nan() || x.abs() > 1e7))
+            atoms.iter().find(|(_, a)| a.position.iter().any(|x| x.is_nan() || x.abs() > FARTHEST))
         {
             let message = format!("position {:?} A is absurdly far away", atom.position);
             return Err(self.error(*line, message));
@@ -132,39 +130,8 @@ impl<'a> SourceText<'a> {
     }
 
     fn check_overlap(&self, structure: &Structure, lines: &[usize]) -> Result<()> {
-        let mut fault: Option<(usize, usize, f64)> = None;
-        let (mut first, mut near) = (0, 0);
-        // What is wrong with one atom is found before the next: a million atoms in one place have too many pairs.
-        let _ = neighbors::try_each_pair(structure, OVERLAP, |i, j, distance| {
-            if i != first {
-                (first, near) = (i, 0);
-            }
-            near += 1;
-            if fault.is_some_and(|(a, _, _)| a < i) || near > MOST_ON_A_SITE && fault.is_none() {
-                return ControlFlow::Break(());
-            }
-            let together = structure.atoms[i].occupancy + structure.atoms[j].occupancy;
-            if together > FULLEST_SITE && fault.is_none_or(|(a, b, _)| (i, j) < (a, b)) {
-                fault = Some((i, j, distance));
-            }
-            ControlFlow::Continue(())
-        });
-        if near > MOST_ON_A_SITE && fault.is_none() {
-            let message = format!(
-                "more than {MOST_ON_A_SITE} atoms (or their periodic images) lie within {OVERLAP} A of this one"
-            );
-            return Err(self.error(lines[first], message));
-        }
-        let Some((i, j, distance)) = fault else { return Ok(()) };
-        let name = |k: usize| elements::symbol(structure.atoms[k].number);
-        let message = format!(
-            "this {} and the {} of line {} (or their periodic images) are {distance:.3} A apart, \
-             and together occupy more than one site; remove one, or give coordinates on special \
-             positions with more digits",
-            name(j),
-            name(i),
-            lines[i]
-        );
-        Err(self.error(lines[j], message))
+        let Some(overlap) = Overlap::of(structure) else { return Ok(()) };
+        let message = overlap.told(structure, "this", |first| format!("line {}", lines[first]));
+        Err(self.error(lines[overlap.atom()], message))
     }
 }

@@ -1,5 +1,6 @@
 //! Repeated cells.
 
+use super::alternatives::CopiedPlaces;
 use super::lattice::{Vec3, row_times};
 use super::{Atom, Structure};
 use crate::error::{Error, Result};
@@ -33,11 +34,13 @@ impl Structure {
         let cells = count.iter().try_fold(1u128, |n, &c| n.checked_mul(c as u128));
         check_size(cells.unwrap_or(u128::MAX), self.atoms.len())?;
         let mut atoms = Vec::with_capacity(count.iter().product::<usize>() * self.atoms.len());
+        let places = CopiedPlaces::of(self);
         for i in 0..count[0] {
             for j in 0..count[1] {
                 for k in 0..count[2] {
                     let shift = row_times([i, j, k].map(|n| n as f64), &self.cell);
-                    atoms.extend(self.atoms.iter().map(|a| moved(a, shift)));
+                    let copy = (i * count[1] + j) * count[2] + k;
+                    atoms.extend(self.atoms.iter().map(|a| places.atom(&moved(a, shift), copy)));
                 }
             }
         }
@@ -59,7 +62,7 @@ mod tests {
     fn repeats_and_refuses() {
         let s = Structure {
             cell: [[3.0, 0.0, 0.0], [1.0, 4.0, 0.0], [0.0, 0.0, 5.0]],
-            atoms: vec![Atom { number: 6, position: [0.5, 0.0, 0.0], occupancy: 0.5 }],
+            atoms: vec![Atom { occupancy: 0.5, ..Atom::new(6, [0.5, 0.0, 0.0]) }],
         };
         let r = s.repeat([1, 2, 2]).unwrap();
         assert_eq!(r.cell, [[3.0, 0.0, 0.0], [2.0, 8.0, 0.0], [0.0, 0.0, 10.0]]);

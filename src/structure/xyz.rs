@@ -2,6 +2,7 @@
 //! line of `key=value`, one line per atom.
 
 use super::elements::symbol;
+use super::lattice::{Vec3, subtract};
 use super::source_text::SourceText;
 use super::{Atom, Structure};
 use crate::error::Result;
@@ -15,6 +16,8 @@ const VACANT: &str = "X";
 /// Where the columns of an atom's line stand.
 struct XyzColumns {
     element: usize,
+    /// Whether the element stands there as an atomic number.
+    numbers: bool,
     position: usize,
     occupancy: Option<usize>,
     count: usize,
@@ -44,6 +47,7 @@ pub(super) fn parse(text: &SourceText) -> Result<Structure> {
     }
     let cell = lattice(text, &pairs)?;
     let columns = columns(text, &pairs)?;
+    let origin = origin(text, &pairs)?;
     let mut atoms = Vec::new();
     for index in 0..count {
         let Some((line, row)) = lines.next().filter(|(_, row)| !row.trim().is_empty()) else {
@@ -52,7 +56,11 @@ pub(super) fn parse(text: &SourceText) -> Result<Structure> {
             );
             return Err(text.error(index + 3, message));
         };
-        atoms.extend(atom(text, &columns, line, row)?.map(|atom| (line, atom)));
+        let mut found = atom(text, &columns, line, row)?;
+        if let Some(atom) = &mut found {
+            atom.position = subtract(atom.position, origin);
+        }
+        atoms.extend(found.map(|atom| (line, atom)));
     }
     if let Some((line, row)) = lines.find(|(_, row)| !row.trim().is_empty()) {
         return Err(text.error(line, surplus(row, count)));
@@ -91,6 +99,21 @@ fn lattice(text: &SourceText, pairs: &[(String, String)]) -> Result<[[f64; 3]; 3
     Ok(cell)
 }
 
+/// Where the cell begins, in Angstrom: `Origin="x y z"`, as OVITO writes it.
+fn origin(text: &SourceText, pairs: &[(String, String)]) -> Result<Vec3> {
+    let Some(value) = find(pairs, "origin") else { return Ok([0.0; 3]) };
+    let words: Vec<&str> = value.split_whitespace().collect();
+    if words.len() != 3 {
+        let message = format!("Origin has {} numbers, expected 3", words.len());
+        return Err(text.error(2, message));
+    }
+    let mut origin = [0.0; 3];
+    for (x, word) in origin.iter_mut().zip(words) {
+        *x = text.number(2, "Origin", word)?;
+    }
+    Ok(origin)
+}
+
 fn columns(text: &SourceText, pairs: &[(String, String)]) -> Result<XyzColumns> {
     let properties = find(pairs, "properties").unwrap_or("species:S:1:pos:R:3");
     let fields: Vec<&str> = properties.split(':').collect();
@@ -117,14 +140,19 @@ fn columns(text: &SourceText, pairs: &[(String, String)]) -> Result<XyzColumns> 
             other => Ok(other.map(|(_, start, _)| *start)),
         }
     };
-    let element =
-        column(&["species", "element", "symbol", "z", "numbers", "atomic_numbers"], 1)?
-            .ok_or_else(|| wrong("no elements; expected `species:S:1` or `Z:I:1`".to_owned()))?;
+    let symbols = column(&["species", "element", "symbol"], 1)?;
+    let numbers = symbols.is_none();
+    let element = match symbols {
+        Some(column) => Some(column),
+        None => column(&["z", "numbers", "atomic_numbers"], 1)?,
+    };
+    let element = element
+        .ok_or_else(|| wrong("no elements; expected `species:S:1` or `Z:I:1`".to_owned()))?;
     let position = column(&["pos", "positions"], 3)?
         .ok_or_else(|| wrong("no positions; expected `pos:R:3`".to_owned()))?;
     let occupancy = column(&["occupancy", "occupancies"], 1)?;
     let announced = find(pairs, "properties").is_some();
-    Ok(XyzColumns { element, position, occupancy, count, announced })
+    Ok(XyzColumns { element, numbers, position, occupancy, count, announced })
 }
 
 /// The atom of a line; none for a vacant site of the species `X`.
@@ -148,7 +176,18 @@ fn atom(text: &SourceText, columns: &XyzColumns, line: usize, row: &str) -> Resu
     if occupancy == 0.0 && species == VACANT {
         return Ok(None);
     }
-    Ok(Some(Atom { number: text.element(line, species)?, position, occupancy }))
+    if !columns.numbers && species.parse::<f64>().is_ok() {
+        return Err(text.error(line, number_of_species(species)));
+    }
+    Ok(Some(Atom { occupancy, ..Atom::new(text.element(line, species)?, position) }))
+}
+
+/// What to say of a number where a symbol is expected.
+fn number_of_species(species: &str) -> String {
+    format!(
+        "the species is the number `{species}`: if it is an atomic number, name the column in line 2, as in \
+         Properties=Z:I:1:pos:R:3; if it is a type (of LAMMPS, say), write the symbol of its element"
+    )
 }
 
 fn find<'a>(pairs: &'a [(String, String)], key: &str) -> Option<&'a str> {
@@ -243,8 +282,16 @@ mod tests {
         )
         .unwrap();
         assert_eq!(s.cell, [[4.0, 0.0, 0.0], [0.0, 5.0, 0.0], [0.0, 0.0, 6.0]]);
-        assert_eq!(s.atoms[0], Atom { number: 38, position: [1.0, 2.0, 3.0], occupancy: 0.5 });
+        assert_eq!(s.atoms[0], Atom { occupancy: 0.5, ..Atom::new(38, [1.0, 2.0, 3.0]) });
         assert_eq!(s.atoms[1].number, 8);
+    }
+
+    #[test]
+    fn the_cell_begins_at_the_origin() {
+        let head = "Lattice=\"4 0 0 0 4 0 0 0 4\" Properties=species:S:1:pos:R:3 Origin=";
+        let of = |origin: &str| read(&format!("1\n{head}{origin}\nCu -2 -1 0\n"));
+        assert_eq!(of("\"-2 -2 -2\"").unwrap().atoms[0].position, [0.0, 1.0, 2.0]);
+        assert!(of("\"1 2\"").unwrap_err().to_string().contains("Origin has 2 numbers"));
     }
 
     #[test]
@@ -259,8 +306,8 @@ mod tests {
         let s = Structure {
             cell: [[3.9050000000000002, 0.0, 0.1], [0.0, 4.0, 0.0], [-1.0 / 3.0, 0.0, 5.0]],
             atoms: vec![
-                Atom { number: 38, position: [0.1 + 0.2, 1.0 / 3.0, 1e-17], occupancy: 1.0 },
-                Atom { number: 8, position: [2.0, -1.0, 1.5], occupancy: 0.1 + 0.2 },
+                Atom::new(38, [0.1 + 0.2, 1.0 / 3.0, 1e-17]),
+                Atom { occupancy: 0.1 + 0.2, ..Atom::new(8, [2.0, -1.0, 1.5]) },
             ],
         };
         assert_eq!(read(&to_extxyz(&s)).unwrap(), s);

@@ -2,7 +2,7 @@
 
 use ndarray::Array2;
 
-use super::noise::Noise;
+use super::noise::{Noise, check_countable};
 use super::region_truth::{ColumnTruth, SiteTruth, boundary_parts, list, phase_map};
 use crate::error::{Error, Result};
 use crate::imaging::{PixelRect, RegionImager};
@@ -127,6 +127,9 @@ fn check(recipe: &Recipe, pixels: &PixelRect, dose: Option<f64>) -> Result<()> {
             let expected = "expected 0.001 to 1e12 electrons per square Angstrom";
             Err(Error::invalid(crate::Setting::Dose, dose, expected))
         }
-        None => Ok(()),
+        None => {
+            let pixel = 10.0 * recipe.field.pixel_nm();
+            dose.map_or(Ok(()), |dose| check_countable(dose, pixel * pixel))
+        }
     }
 }

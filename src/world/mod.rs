@@ -62,7 +62,7 @@ pub use field_recording::{
 pub(crate) use field_recording::{record_over, scan_of};
 pub(crate) use field_tile::tile_of_image;
 pub use field_tile::{FieldTile, field_tile};
-pub use noise::Noise;
+pub use noise::{MOST_ELECTRONS_PER_PIXEL, Noise, check_countable};
 pub use noise_free::{ImagerSource, NoiseFree};
 #[cfg(feature = "hdf5")]
 pub use publish::Companion;

@@ -4,6 +4,7 @@ use ndarray::Array2;
 use rand_distr::{Distribution, Poisson};
 use rayon::prelude::*;
 
+use crate::error::{Error, Result};
 use crate::recipe::Recipe;
 use crate::rng::{ItemRng, Purpose};
 
@@ -24,6 +25,27 @@ pub struct Noise {
 
 /// A field has fewer pixels than 2 to this power.
 const PIXEL_BITS: u32 = 48;
+
+/// Electrons on a pixel at most: counts are 32-bit numbers, and pixels of a plane wave get several times the mean.
+pub const MOST_ELECTRONS_PER_PIXEL: f64 = 1e9;
+
+/// Refuses a dose, in electrons per square Angstrom, whose electrons on a pixel of `area_angstrom2` cannot be counted.
+///
+/// # Errors
+/// [`Error::Invalid`], with the greatest dose that can be.
+pub fn check_countable(dose: f64, area_angstrom2: f64) -> Result<()> {
+    // (not "> most", so that no NaN passes)
+    if dose * area_angstrom2 <= MOST_ELECTRONS_PER_PIXEL {
+        return Ok(());
+    }
+    let expected = format!(
+        "{:.3e} electrons on a pixel of {area_angstrom2:.3e} square Angstrom are more than can be counted; expected at most \
+         {:.2e} electrons per square Angstrom",
+        dose * area_angstrom2,
+        MOST_ELECTRONS_PER_PIXEL / area_angstrom2
+    );
+    Err(Error::invalid(crate::Setting::Dose, format!("{dose:e}"), expected))
+}
 
 impl Noise {
     /// The noise of an image at a dose in electrons per square Angstrom; pixel (0, 0) of the image is pixel `first` (row, column) of

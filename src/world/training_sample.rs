@@ -3,7 +3,7 @@
 use ndarray::{Array2, arr2};
 
 use super::column_labels::{REACH_SIGMAS, class_of, draw_column, facts_of};
-use super::noise::Noise;
+use super::noise::{Noise, check_countable};
 use super::region_truth::{list, phases_of_points};
 use crate::error::{Error, Result};
 use crate::imaging::{RegionImager, TurnedRaster, turned_image};
@@ -88,6 +88,7 @@ impl SampleOptions {
             let expected = "expected 0.001 to 1e12 electrons per square Angstrom, the lower first";
             return refuse(Setting::Dose, format!("{low}, {high}"), expected.into());
         }
+        check_countable(high, (10.0 * self.pixel_nm[1]).powi(2))?;
         if !rises(self.angle_rad) {
             let expected = "expected two angles, the lower first".into();
             return refuse(Setting::RecordedRegionNm, format!("{:?}", self.angle_rad), expected);

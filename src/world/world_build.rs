@@ -127,7 +127,7 @@ impl WorldBuild {
         &self.policy
     }
 
-    /// What is to be said of the accuracy.
+    /// What is to be said of the accuracy, and of the files of crystals.
     ///
     /// # Errors
     /// Those of the settings.
@@ -139,6 +139,9 @@ impl WorldBuild {
             && self.chosen()?.shares()
         {
             warnings.push(warning);
+        }
+        for crystal in self.layout.recipe.crystals() {
+            warnings.extend(crystal.notes()?);
         }
         Ok(warnings)
     }

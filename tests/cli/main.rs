@@ -13,6 +13,7 @@ mod import;
 mod info;
 #[path = "../common/python.rs"]
 mod interpreter;
+mod likely_slips;
 mod live;
 mod outputs;
 #[path = "../common/points.rs"]

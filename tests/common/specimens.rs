@@ -62,11 +62,7 @@ pub fn shortest(specimen: &dyn Specimen, region: &Region) -> f64 {
     let atoms: Vec<Atom> = specimen
         .sites(region)
         .iter()
-        .map(|s| Atom {
-            number: s.number,
-            position: s.position_nm.map(|v| 10.0 * v),
-            occupancy: 1.0,
-        })
+        .map(|s| Atom::new(s.number, s.position_nm.map(|v| 10.0 * v)))
         .collect();
     let cell = [[5000.0, 0.0, 0.0], [0.0, 5000.0, 0.0], [0.0, 0.0, 5000.0]];
     min_pair_distance(&Structure { cell, atoms }).unwrap()

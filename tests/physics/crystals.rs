@@ -157,7 +157,7 @@ fn zone_axes_of_hexagonal_crystals() {
     let magnesium = Structure {
         cell: [[a, 0.0, 0.0], [-a / 2.0, a * r3 / 2.0, 0.0], [0.0, 0.0, c]],
         atoms: [[0.0, 0.0, 0.0], [0.0, a / r3, c / 2.0]]
-            .map(|position| Atom { number: 12, position, occupancy: 1.0 })
+            .map(|position| Atom::new(12, position))
             .to_vec(),
     };
     check_oriented(&magnesium, [0, 0, 1], 2, [a * r3, a, c]);
@@ -200,7 +200,7 @@ fn chirality_survives() {
     let atoms: Vec<Atom> = positions
         .iter()
         .enumerate()
-        .map(|(i, &position)| Atom { number: i as u8 + 1, position, occupancy: 1.0 })
+        .map(|(i, &position)| Atom::new(i as u8 + 1, position))
         .collect();
     let right = Structure { cell, atoms };
     let left_handed_vectors = Structure { cell: [cell[1], cell[0], cell[2]], ..right.clone() };
@@ -234,7 +234,7 @@ fn chiral_volume(o: &Structure) -> f64 {
 fn cells_without_right_angles_say_how_near_they_come() {
     let beta = 100f64.to_radians();
     let cell = [[5.1, 0.0, 0.0], [0.0, 6.3, 0.0], [7.3 * beta.cos(), 0.0, 7.3 * beta.sin()]];
-    let atoms = vec![Atom { number: 40, position: [0.0; 3], occupancy: 1.0 }];
+    let atoms = vec![Atom::new(40, [0.0; 3])];
     let s = Structure { cell, atoms };
     let error = s.oriented([0, 0, 1], None).unwrap_err().to_string();
     assert!(error.contains("no orthogonal box") && error.contains("degrees off"), "{error}");
@@ -247,7 +247,7 @@ fn angles_within_the_tolerance_are_made_right() {
     let beta = 90.03f64.to_radians();
     let cell = [[5.1, 0.0, 0.0], [0.0, 6.3, 0.0], [7.3 * beta.cos(), 0.0, 7.3 * beta.sin()]];
     let position = lattice::row_times([0.5, 0.25, 0.75], &cell);
-    let s = Structure { cell, atoms: vec![Atom { number: 40, position, occupancy: 0.5 }] };
+    let s = Structure { cell, atoms: vec![Atom { occupancy: 0.5, ..Atom::new(40, position) }] };
     let o = s.oriented([0, 0, 1], None).unwrap();
     assert_eq!(o.atoms.len(), 1);
     let edges = o.orthogonal_box().unwrap();

@@ -180,11 +180,7 @@ fn the_recipe_of_the_documentation_needs_only_a_crystal() {
     assert!((1.98..2.01).contains(&ratio), "{ratio}");
     assert_eq!(ceria.boundaries().len(), 1);
     let atoms = ceria.sites(&Region { x: [24.0, 26.0], y: [10.0, 13.0] }).into_iter();
-    let atoms = atoms.map(|s| Atom {
-        number: s.number,
-        position: s.position_nm.map(|v| 10.0 * v),
-        occupancy: 1.0,
-    });
+    let atoms = atoms.map(|s| Atom::new(s.number, s.position_nm.map(|v| 10.0 * v)));
     let cell = [[2000.0, 0.0, 0.0], [0.0, 2000.0, 0.0], [0.0, 0.0, 2000.0]];
     let shortest = shortest_distances(&Structure { cell, atoms: atoms.collect() }, 4.0);
     let least =
@@ -228,11 +224,7 @@ fn other_crystals_make_grains() {
             let lost = 1.0 - density / perfect;
             let most = if x < 20.0 { 0.05 } else { 0.12 };
             assert!((-0.05..most).contains(&lost), "{crystal} {zone} at {x}: {lost}");
-            let atoms = sites.iter().map(|s| Atom {
-                number: s.number,
-                position: s.position_nm.map(|v| 10.0 * v),
-                occupancy: 1.0,
-            });
+            let atoms = sites.iter().map(|s| Atom::new(s.number, s.position_nm.map(|v| 10.0 * v)));
             let box_ = [[2000.0, 0.0, 0.0], [0.0, 2000.0, 0.0], [0.0, 0.0, 2000.0]];
             let found =
                 min_pair_distance(&Structure { cell: box_, atoms: atoms.collect() }).unwrap();

@@ -7,24 +7,19 @@
 //! and 33 A), two phonon configurations each, on SrTiO3 \[001\], BaTiO3, Si0.9Ge0.1 \[110\], GaN \[11-20\] and a Pt
 //! sphere; the table holds the largest.
 
+use super::super::probe_width::{
+    MEASURED_THICKNESS_ANGSTROM, SPREAD, geometric_radius, relative_size,
+};
 use super::super::settings::Settings;
 use crate::error::{Error, Result};
 
 /// (error in per cent, width of the window in Angstrom)
 const MEASURED: [(f64, f64); 3] = [(3.3, 5.9), (0.8, 7.8), (0.4, 11.7)];
-/// Semiangle and wavelength (Angstrom) of the measurements.
-const MEASURED_SEMIANGLE_MRAD: f64 = 21.0;
-const MEASURED_WAVELENGTH_ANGSTROM: f64 = 0.025_08;
-/// Thickness in Angstrom up to which the errors were measured.
-const MEASURED_THICKNESS_ANGSTROM: f64 = 102.0;
 /// Mistilt in mrad up to which the error of a mosaic was measured: SrTiO3, 10 nm, one phonon configuration, 0.67 % at bright columns
 /// and 0.46 % of the brightest over all pixels with windows of 7.8 A; 0.43 and 0.43 % with 11.7 A.
 const MEASURED_MISTILT_MRAD: f64 = 5.0;
 /// A window grows by this many times the way that a tilted beam goes across the specimen: by 3.9 A for 5 mrad and 100 A.
 const MISTILT_GROWTH: f64 = 7.8;
-/// Beyond the measured thickness a window grows by this share of the probe's geometric spread, semiangle times additional
-/// thickness: the errors of SrTiO3 of 195 A then stay below those of 100 A.
-const SPREAD: f64 = 1.2;
 /// Windows are for detectors that begin at this many semiangles or more. At smaller angles the pixels of their diffraction
 /// pattern are too coarse, and detectors would see the tail of the probe itself.
 pub(in crate::engine) const LEAST_INNER_SEMIANGLES: f64 = 2.0;
@@ -110,39 +105,6 @@ pub fn window_for(
     let inner = settings.detectors.iter().map(|d| d.inner_mrad).fold(f64::INFINITY, f64::min);
     note(inner < 60.0, format!("inner angle {inner} mrad (measured: 68 mrad)"));
     Ok(WindowChoice { width_angstrom, beyond_measured: notes })
-}
-
-/// The size of the probe, which is proportional to wavelength over semiangle, in units of that of the measurements.
-pub(super) fn relative_size(settings: &Settings) -> f64 {
-    let optics = &settings.optics;
-    optics.wavelength_angstrom()
-        / optics.semiangle_mrad
-        / (MEASURED_WAVELENGTH_ANGSTROM / MEASURED_SEMIANGLE_MRAD)
-}
-
-/// Largest distance in Angstrom by which aberrations, defocus included, displace rays within the aperture: `|grad chi| / 2 pi` with
-/// respect to k; and two standard deviations of the focus more.
-pub(super) fn geometric_radius(settings: &Settings) -> f64 {
-    let optics = &settings.optics;
-    let wavelength = optics.wavelength_angstrom();
-    let k_max = optics.semiangle_mrad * 1e-3 / wavelength;
-    let chi = |kx: f64, ky: f64| {
-        optics.aberrations.chi(wavelength, kx.hypot(ky) * wavelength, ky.atan2(kx))
-    };
-    let step = 1e-4 * k_max;
-    let mut most = 0.0_f64;
-    for ring in 1..=10 {
-        for spoke in 0..48 {
-            let (sin, cos) = (std::f64::consts::TAU * f64::from(spoke) / 48.0).sin_cos();
-            let k = k_max * f64::from(ring) / 10.0;
-            let (x, y) = (k * cos, k * sin);
-            let slope_x = chi(x + step, y) - chi(x - step, y);
-            let slope_y = chi(x, y + step) - chi(x, y - step);
-            most = most.max(slope_x.hypot(slope_y) / (2.0 * step));
-        }
-    }
-    let spread = 2.0 * optics.focal_spread_angstrom * optics.semiangle_mrad * 1e-3;
-    most / std::f64::consts::TAU + spread
 }
 
 #[cfg(test)]

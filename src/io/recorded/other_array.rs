@@ -62,9 +62,26 @@ fn beside(source: &Hdf5Source, name: &str) -> StatedPixel {
     }
 }
 
+/// What a file is by its name, where HyperSpy reads it and this program does not.
+fn converted_by_hyperspy(ending: &str) -> Option<&'static str> {
+    match ending {
+        "mrc" | "mrcs" | "map" | "rec" | "st" => Some("an MRC file"),
+        "ser" | "emi" => Some("a SER or EMI file of TIA"),
+        "blo" | "tvips" | "bcf" | "rpl" | "prz" => Some("a file of another program"),
+        _ => None,
+    }
+}
+
 /// Reads an image of a TIFF, NumPy or zarr file.
 pub(super) fn read_plain(path: &Path, choice: &ImageChoice) -> Result<RecordedImage> {
     let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+    if let Some(what) = ending.as_deref().and_then(converted_by_hyperspy) {
+        let message = format!(
+            "{what}, which is not read; HyperSpy converts it (pip install hyperspy rosettasciio): \
+             hyperspy.api.load(\"FILE\").save(\"image.hspy\")"
+        );
+        return Err(Error::parse(path, 0, message));
+    }
     if !ending.is_some_and(|ending| ENDINGS.contains(&ending.as_str())) {
         let message = "is no recorded image that is known here: DM3, DM4, HDF5 (Velox EMD, HyperSpy, py4DSTEM and \
                        others), TIFF, .npy, .npz or zarr; is it whole?";

@@ -54,7 +54,7 @@ impl Network {
             let free = ends[1] - ends[0] + margin;
             cell[k][k] = if self.period[k].is_finite() { self.period[k] } else { free };
         }
-        let atom = |&position: &Vec3| Atom { number: CARBON, position, occupancy: 1.0 };
+        let atom = |&position: &Vec3| Atom::new(CARBON, position);
         Structure { cell, atoms: self.positions.iter().map(atom).collect() }
     }
 }

@@ -3,40 +3,60 @@
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
 
-use super::{COORDINATES, sites, with_uncertainty};
+use super::atom_tables::CifSite;
+use super::cif_numbers::with_uncertainty;
+use super::tokens::{DataBlock, Loop};
 use crate::error::Result;
-use crate::structure::cif::tokens::{self, Loop};
+use crate::structure::lattice::{Mat3, dot, inverse, norm};
 use crate::structure::source_text::SourceText;
 
 const U: &str = "_atom_site_u_iso_or_equiv";
 const B: &str = "_atom_site_b_iso_or_equiv";
-const LABEL: &str = "_atom_site_label";
 const ANISOTROPIC_LABEL: &str = "_atom_site_aniso_label";
-const ANISOTROPIC: [[&str; 3]; 2] = [
-    ["_atom_site_aniso_u_11", "_atom_site_aniso_u_22", "_atom_site_aniso_u_33"],
-    ["_atom_site_aniso_b_11", "_atom_site_aniso_b_22", "_atom_site_aniso_b_33"],
-];
+/// Components of a symmetric tensor, in the order of the columns.
+const COMPONENTS: [[usize; 2]; 6] = [[0, 0], [1, 1], [2, 2], [0, 1], [0, 2], [1, 2]];
+
+/// How an anisotropic displacement is written.
+#[derive(Clone, Copy)]
+enum Notation {
+    /// U in square Angstrom, on the reciprocal axes.
+    U,
+    /// B = 8 pi^2 U.
+    B,
+    /// beta_ij = 2 pi^2 a*_i a*_j U_ij.
+    Beta,
+}
+
+impl Notation {
+    const ALL: [(Self, &str); 3] = [(Self::U, "u"), (Self::B, "b"), (Self::Beta, "beta")];
+
+    /// What a component with the unit value contributes to U on the axes of the cell: `U_ij a*_i a*_j`.
+    fn scale(self, reciprocal: [f64; 2]) -> f64 {
+        match self {
+            Notation::U => reciprocal[0] * reciprocal[1],
+            Notation::B => reciprocal[0] * reciprocal[1] / (8.0 * PI * PI),
+            Notation::Beta => 1.0 / (2.0 * PI * PI),
+        }
+    }
+}
 
 /// The standard deviation of each Cartesian component in Angstrom, by element: the root of the mean U of its sites. Sites without a
-/// value of their own take a third of the trace of their anisotropic one, which is exact in cells with right angles.
-pub fn displacements(text: &SourceText) -> Result<BTreeMap<u8, f64>> {
-    let blocks = tokens::blocks(text)?;
-    let table = |block: &tokens::DataBlock| block.table(&COORDINATES).is_some();
-    let Some(block) = blocks.iter().find(|b| table(b)) else {
-        return Err(text.error(0, "no data block has a loop of atoms"));
-    };
-    let Some(table) = block.table(&COORDINATES) else { return Ok(BTreeMap::new()) };
-    let anisotropic = block.table(&[ANISOTROPIC_LABEL]);
+/// value of their own take the equivalent one of their anisotropic displacement.
+pub fn displacements(
+    text: &SourceText,
+    block: &DataBlock,
+    cell: &Mat3,
+    sites: &[CifSite],
+) -> Result<BTreeMap<u8, f64>> {
+    let anisotropic = block.tables(&[ANISOTROPIC_LABEL]);
     let mut means: BTreeMap<u8, (f64, usize)> = BTreeMap::new();
-    for site in sites(text, table)? {
-        let Some(row) = table.rows().find(|r| r[0].line == site.line) else { continue };
-        let value = |tag: &str| table.column(&[tag]).and_then(|c| row[c].known());
-        let u = match (value(U), value(B)) {
+    for site in sites {
+        let u = match (site.value(&[U]), site.value(&[B])) {
             (Some(u), _) => Some(with_uncertainty(text, site.line, U, u)?),
             (None, Some(b)) => Some(of_b(with_uncertainty(text, site.line, B, b)?)),
-            (None, None) => match (anisotropic, value(LABEL)) {
-                (Some(table), Some(label)) => of_trace(text, table, label)?,
-                _ => None,
+            (None, None) => match site.label() {
+                Some(label) => equivalent(text, &anisotropic, cell, label)?,
+                None => None,
             },
         };
         let Some(u) = u else {
@@ -59,24 +79,42 @@ fn of_b(b: f64) -> f64 {
     b / (8.0 * PI * PI)
 }
 
-fn of_trace(text: &SourceText, table: &Loop, label: &str) -> Result<Option<f64>> {
-    let labels = table.column(&[ANISOTROPIC_LABEL]);
-    let row = table.rows().find(|r| labels.and_then(|c| r[c].known()) == Some(label));
-    let Some(row) = row else { return Ok(None) };
-    for (tags, convert) in ANISOTROPIC.iter().zip([std::convert::identity as fn(f64) -> f64, of_b])
-    {
-        let mut trace = Some(0.0);
-        for tag in tags {
-            let word = table.column(&[tag]).and_then(|c| row[c].known());
-            trace = match (trace, word) {
+/// The equivalent isotropic U of a label in square Angstrom: `U_eq = 1/3 sum_ij U_ij a*_i a*_j (a_i . a_j)`, a third of the trace
+/// in a Cartesian frame (R. X. Fischer, E. Tillmanns, Acta Cryst. C 44 (1988) 775).
+fn equivalent(
+    text: &SourceText,
+    tables: &[&Loop],
+    cell: &Mat3,
+    label: &str,
+) -> Result<Option<f64>> {
+    let found = tables.iter().find_map(|table| {
+        let labels = table.column(&[ANISOTROPIC_LABEL])?;
+        table.rows().find(|r| r[labels].known() == Some(label)).map(|row| (table, row))
+    });
+    let Some((table, row)) = found else { return Ok(None) };
+    let Some(inverse) = inverse(cell) else { return Ok(None) };
+    // The columns of the inverse are the reciprocal vectors.
+    let reciprocal = [0, 1, 2].map(|i| norm([inverse[0][i], inverse[1][i], inverse[2][i]]));
+    for (notation, letter) in Notation::ALL {
+        let mut sum = Some(0.0);
+        for [i, j] in COMPONENTS {
+            let tag = format!("_atom_site_aniso_{letter}_{}{}", i + 1, j + 1);
+            let word = table.column(&[&tag]).and_then(|c| row[c].known());
+            let angle = dot(cell[i], cell[j]);
+            let twice = if i == j { 1.0 } else { 2.0 };
+            sum = match (sum, word) {
                 (Some(sum), Some(word)) => {
-                    Some(sum + with_uncertainty(text, row[0].line, tag, word)?)
+                    let value = with_uncertainty(text, row[0].line, &tag, word)?;
+                    let scale = notation.scale([reciprocal[i], reciprocal[j]]);
+                    Some(sum + twice * value * scale * angle)
                 }
+                // Axes at right angles do not ask for this component.
+                (sum, None) if i != j && angle == 0.0 => sum,
                 _ => None,
             };
         }
-        if let Some(trace) = trace {
-            return Ok(Some(convert(trace / 3.0)));
+        if let Some(sum) = sum {
+            return Ok(Some(sum / 3.0));
         }
     }
     Ok(None)

@@ -48,8 +48,13 @@ impl Operation {
         std::array::from_fn(|i| dot(self.rotation[i].map(f64::from), x) + self.translation[i])
     }
 
+    /// Whether both move every atom alike.
+    pub fn moves_alike(&self, other: &Self) -> bool {
+        self.rotation == other.rotation && same_translation(self.translation, other.translation)
+    }
+
     /// First `other`, then `self`.
-    fn after(&self, other: &Self) -> Self {
+    pub fn after(&self, other: &Self) -> Self {
         let rotation = std::array::from_fn(|i| {
             std::array::from_fn(|j| {
                 (0..3).map(|k| self.rotation[i][k] * other.rotation[k][j]).sum()
@@ -75,6 +80,14 @@ impl Operation {
         }
         worst
     }
+}
+
+/// Whether translations differ by whole cells.
+fn same_translation(a: Vec3, b: Vec3) -> bool {
+    (0..3).all(|i| {
+        let d = a[i] - b[i];
+        (d - d.round()).abs() < SAME_TRANSLATION
+    })
 }
 
 /// One part such as `1/2-x`: the coefficients of x, y, z and the constant.
@@ -126,14 +139,9 @@ pub fn missing_product(operations: &[Operation]) -> Option<(usize, usize)> {
         known.entry(operation.rotation).or_default().push(operation.translation);
     }
     let has = |product: &Operation| {
-        known.get(&product.rotation).is_some_and(|list| {
-            list.iter().any(|t| {
-                (0..3).all(|i| {
-                    let d = product.translation[i] - t[i];
-                    (d - d.round()).abs() < SAME_TRANSLATION
-                })
-            })
-        })
+        known
+            .get(&product.rotation)
+            .is_some_and(|list| list.iter().any(|t| same_translation(product.translation, *t)))
     };
     (0..operations.len())
         .flat_map(|i| (0..operations.len()).map(move |j| (i, j)))

@@ -62,6 +62,11 @@ impl<'a> DataBlock<'a> {
         })
     }
 
+    /// The loops that have one of the columns.
+    pub fn tables(&self, tags: &[&str]) -> Vec<&Loop<'a>> {
+        self.loops.iter().filter(|l| l.column(tags).is_some()).collect()
+    }
+
     /// The loop that has one of the columns.
     pub fn table(&self, tags: &[&str]) -> Option<&Loop<'a>> {
         self.loops.iter().find(|l| l.column(tags).is_some())
@@ -106,7 +111,25 @@ pub fn blocks<'a>(text: &SourceText<'a>) -> Result<Vec<DataBlock<'a>>> {
             Token::Loop => block.loops.push(take_loop(text, line, &mut tokens)?),
         }
     }
+    blocks.iter_mut().for_each(rows_of_pairs);
     Ok(blocks)
+}
+
+/// Pairs of a tag and a value are loops of one row: CIF knows no difference.
+fn rows_of_pairs(block: &mut DataBlock) {
+    const SITES: &str = "_atom_site_";
+    const ANISOTROPIC: &str = "_atom_site_aniso_";
+    for anisotropic in [false, true] {
+        let of_category =
+            |tag: &str| tag.starts_with(SITES) && tag.starts_with(ANISOTROPIC) == anisotropic;
+        let mut pairs: Vec<(&String, &CifValue)> =
+            block.items.iter().filter(|(tag, _)| of_category(tag)).collect();
+        pairs.sort_by_key(|(tag, value)| (value.line, *tag));
+        let Some((_, first)) = pairs.first() else { continue };
+        let (tags, values) = pairs.iter().map(|(tag, value)| ((*tag).clone(), **value)).unzip();
+        let row = Loop { line: first.line, tags, values };
+        block.loops.push(row);
+    }
 }
 
 /// The first line of a value, cut where it is long.

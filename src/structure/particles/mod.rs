@@ -147,7 +147,7 @@ impl Cluster {
         let reach = NEIGHBOUR * metal.bond();
         let size = self.radius() * 2.0 + 2.0 * reach;
         let cell = [[size, 0.0, 0.0], [0.0, size, 0.0], [0.0, 0.0, size]];
-        let atom = |&position: &Vec3| Atom { number: 1, position, occupancy: 1.0 };
+        let atom = |&position: &Vec3| Atom::new(1, position);
         let structure = Structure { cell, atoms: self.positions.iter().map(atom).collect() };
         let mut counts = vec![0; self.positions.len()];
         for_each_pair(&structure, reach, |i, j, _| {

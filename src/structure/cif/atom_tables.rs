@@ -1,0 +1,168 @@
+//! The sites that a data block lists: where, of which element, how full.
+
+use super::atom_labels::{self, Formula, NamedAtom};
+use super::cartesian_sites::{CARTESIAN, CartesianFrame};
+use super::cif_numbers::{coordinate, with_uncertainty};
+use super::tokens::{CifValue, DataBlock, Loop};
+use crate::error::Result;
+use crate::structure::Atom;
+use crate::structure::lattice::{Mat3, Vec3};
+use crate::structure::source_text::SourceText;
+
+/// Fractional coordinates.
+pub const FRACTIONAL: [&str; 3] =
+    ["_atom_site_fract_x", "_atom_site_fract_y", "_atom_site_fract_z"];
+/// Columns that change what an atom is; without coordinates beside them they cannot be used.
+const ATTRIBUTES: [&str; 6] = [
+    "_atom_site_type_symbol",
+    "_atom_site_occupancy",
+    "_atom_site_disorder_group",
+    "_atom_site_disorder_assembly",
+    "_atom_site_u_iso_or_equiv",
+    "_atom_site_b_iso_or_equiv",
+];
+const LABEL: &str = "_atom_site_label";
+
+/// One row of a loop of atoms.
+pub struct CifSite<'t, 'a> {
+    pub line: usize,
+    /// The position is fractional.
+    pub atom: Atom,
+    table: &'t Loop<'a>,
+    row: &'t [CifValue<'a>],
+}
+
+impl<'a> CifSite<'_, 'a> {
+    /// The known value of the first of these columns that is there.
+    pub fn value(&self, tags: &[&str]) -> Option<&'a str> {
+        tags.iter().find_map(|tag| self.table.column(&[tag]).and_then(|c| self.row[c].known()))
+    }
+
+    /// The label, or where there is none the number of the line.
+    pub fn name(&self) -> String {
+        self.value(&[LABEL]).map_or_else(|| format!("of line {}", self.line), str::to_owned)
+    }
+
+    pub fn label(&self) -> Option<&'a str> {
+        self.value(&[LABEL])
+    }
+}
+
+/// Whether a data block lists atoms.
+pub fn holds_atoms(block: &DataBlock) -> bool {
+    block.table(&FRACTIONAL).is_some() || block.table(&CARTESIAN).is_some()
+}
+
+/// The sites of all loops of atoms, in the order of the file.
+pub fn sites<'t, 'a>(
+    text: &SourceText,
+    block: &'t DataBlock<'a>,
+    cell: &Mat3,
+    formula: Option<&Formula>,
+    notes: &mut Vec<String>,
+) -> Result<Vec<CifSite<'t, 'a>>> {
+    let tags = match block.table(&FRACTIONAL) {
+        Some(_) => FRACTIONAL,
+        None => CARTESIAN,
+    };
+    let mut tables = block.tables(&tags);
+    tables.sort_by_key(|table| table.line);
+    check_stray(text, block)?;
+    let frame = match tags == CARTESIAN {
+        true => Some(CartesianFrame::of(text, block, cell, notes)?),
+        false => None,
+    };
+    let (mut found, mut bare) = (Vec::new(), Vec::new());
+    for table in tables {
+        if let Some(tag) = tags.iter().find(|tag| table.column(&[tag]).is_none()) {
+            return Err(text.error(table.line, format!("the atoms have no column `{tag}`")));
+        }
+        for row in table.rows() {
+            let raw = CifSite { line: row[0].line, atom: Atom::new(1, [0.0; 3]), table, row };
+            if let Some((site, named)) = site(text, raw, &tags, frame.as_ref(), formula)? {
+                if named.without_hydrogen {
+                    bare.push(site.name());
+                }
+                found.push(site);
+            }
+        }
+    }
+    if found.iter().all(|site| site.atom.number != 1) {
+        notes.extend(left_out(&bare));
+    }
+    Ok(found)
+}
+
+/// Refuses loops that tell of atoms, but not where they are.
+fn check_stray(text: &SourceText, block: &DataBlock) -> Result<()> {
+    let without = |l: &&Loop| l.column(&FRACTIONAL).or(l.column(&CARTESIAN)).is_none();
+    for stray in block.loops.iter().filter(without) {
+        let told = |tag: &&&str| {
+            let column = stray.column(&[**tag]);
+            column.is_some_and(|c| stray.rows().any(|row| row[c].known().is_some()))
+        };
+        if let Some(tag) = ATTRIBUTES.iter().find(told) {
+            let message = format!(
+                "`{tag}` stands here without coordinates; put it into the loop that has the coordinates"
+            );
+            return Err(text.error(stray.line, message));
+        }
+    }
+    Ok(())
+}
+
+/// What to say of hydrogen that only a name tells of.
+fn left_out(bare: &[String]) -> Option<String> {
+    let first = bare.first()?;
+    Some(format!(
+        "{} sites are named as water or hydroxyl (`{first}`): read as O, their hydrogen is left out",
+        bare.len()
+    ))
+}
+
+/// A site with its atom; none for dummies.
+fn site<'t, 'a>(
+    text: &SourceText,
+    raw: CifSite<'t, 'a>,
+    tags: &[&str; 3],
+    frame: Option<&CartesianFrame>,
+    formula: Option<&Formula>,
+) -> Result<Option<(CifSite<'t, 'a>, NamedAtom)>> {
+    if raw.value(&["_atom_site_calc_flag"]).is_some_and(|flag| flag.eq_ignore_ascii_case("dum")) {
+        return Ok(None);
+    }
+    let limit = match frame {
+        None => (1000.0, "a fraction of the cell"),
+        Some(_) => (1e7, "a length in A"),
+    };
+    let mut place: Vec3 = [0.0; 3];
+    for (axis, tag) in tags.iter().enumerate() {
+        // Every table was asked for these columns.
+        let column = raw.table.column(&[tag]).unwrap_or(0);
+        place[axis] = coordinate(text, &raw.row[column], tag, limit)?;
+    }
+    let position = frame.map_or(place, |frame| frame.fractions(place));
+    let named = named(text, &raw, formula)?;
+    let occupancy = match raw.value(&["_atom_site_occupancy"]) {
+        Some(word) => text
+            .occupancy(raw.line, with_uncertainty(text, raw.line, "_atom_site_occupancy", word)?)?,
+        None => 1.0,
+    };
+    let atom = Atom { occupancy, ..Atom::new(named.number, position) };
+    Ok(Some((CifSite { atom, ..raw }, named)))
+}
+
+fn named(text: &SourceText, site: &CifSite, formula: Option<&Formula>) -> Result<NamedAtom> {
+    match (site.value(&["_atom_site_type_symbol"]), site.label()) {
+        (Some(symbol), _) => atom_labels::from_type_symbol(symbol).ok_or_else(|| {
+            text.error(site.line, format!("`{symbol}` is no element symbol, such as Sr or Sr2+"))
+        }),
+        (None, Some(label)) => {
+            atom_labels::from_label(label, formula).map_err(|why| text.error(site.line, why))
+        }
+        (None, None) => {
+            let message = "the atom has neither _atom_site_type_symbol nor _atom_site_label";
+            Err(text.error(site.line, message))
+        }
+    }
+}
