@@ -409,7 +409,7 @@ mod tests {
         assert!(signed(&|b| b[20] += 1).contains("another size"));
         assert!(signed(&|b| b[37] ^= 1).contains("another image"));
         // Whole, and no image.
-        for value in [-0.1, 1.1, f32::NAN, f32::INFINITY] {
+        for value in [-0.1, 1.2, f32::NAN, f32::INFINITY] {
             let odd = Array2::from_elem((2, 2), value);
             cache.save("a", &key(0), &note(NUMERICS_VERSION), &odd).unwrap();
             let told = export(&cache, None, &path, &Silent).unwrap_err().to_string();

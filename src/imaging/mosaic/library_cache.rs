@@ -294,8 +294,9 @@ impl Cache {
     }
 }
 
-/// Rounding beyond the bounds of a fraction of the beam.
-const ROUNDING: f32 = 1e-4;
+/// Values of an image are fractions of the beam, but for rounding below 0, and above 1 where a bright-field image was scaled so that
+/// vacuum reads 1.
+const FRACTIONS: std::ops::RangeInclusive<f32> = -1e-4..=1.1;
 
 /// An image, if all its values can be fractions of the beam: a file may be whole, and still be none of this program's images.
 ///
@@ -303,7 +304,7 @@ const ROUNDING: f32 = 1e-4;
 /// What is wrong.
 pub(super) fn possible(image: Array2<f32>) -> std::result::Result<Array2<f32>, &'static str> {
     // Not a number is in no range.
-    match image.iter().all(|v| (-ROUNDING..=1.0 + ROUNDING).contains(v)) {
+    match image.iter().all(|v| FRACTIONS.contains(v)) {
         true => Ok(image),
         false => Err("holds values below 0 or above 1, which no fraction of the beam has"),
     }
@@ -332,7 +333,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let cache = Cache::at(folder.path().join("cache"));
         assert!(cache.holdings().unwrap().is_empty());
-        let image = Array2::from_shape_fn((3, 4), |(i, j)| (i * 4 + j) as f32 * 0.1);
+        let image = Array2::from_shape_fn((3, 4), |(i, j)| (i * 4 + j) as f32 * 0.05);
         cache.save("a", "k", "note", &image).unwrap();
         cache.save("b", "k", "", &image).unwrap();
         assert_eq!(cache.load("a", "k", [3, 4], &Silent), Some(image.clone()));
@@ -352,7 +353,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("file");
         fs::write(&file, "").unwrap();
-        let image = Array2::from_elem((2, 2), 1.5);
+        let image = Array2::from_elem((2, 2), 0.75);
         for (name, cache) in [("none", Cache::none()), ("broken", Cache::at(file))] {
             let cache = cache.with_fallback(folder.path().join(name));
             assert_eq!(cache.save("a", "k", "", &image).is_err(), name == "broken");
