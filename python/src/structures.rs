@@ -79,16 +79,6 @@ pub struct SpecimenOptions {
 }
 
 impl AtomsSource {
-    /// Name of the file, for results.
-    pub fn name(&self) -> String {
-        match self {
-            AtomsSource::File(path) => {
-                path.file_name().unwrap_or_default().to_string_lossy().into_owned()
-            }
-            AtomsSource::Arrays(_) => "atoms".into(),
-        }
-    }
-
     fn read(&self) -> Result<ReadStructure, Fault> {
         match self {
             AtomsSource::File(path) => Ok(read_noted(path)?),

@@ -109,7 +109,7 @@ fn killed_parts_and_missing_ones_do_no_harm() {
     ] {
         let mut part = build(here, &MOSAIC);
         part.args(["--shard", "1/3", "--threads", "1", "--quiet"]);
-        let ended = meets(&mut part, point, "signal=SIGKILL");
+        let ended = meets(&part, point, "signal=SIGKILL");
         assert_eq!(ended.status.code(), None, "{}", stderr(&ended));
     }
     // Parts of another number of them, out of order, one of them never.

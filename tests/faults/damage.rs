@@ -37,7 +37,7 @@ fn with_ending(folder: &Path, ending: &str) -> Vec<PathBuf> {
 
 /// A build that was killed at a point.
 fn killed(folder: &Path, method: Method, point: Point) {
-    let ended = meets(&mut build(folder, method), point, "signal=SIGKILL");
+    let ended = meets(&build(folder, method), point, "signal=SIGKILL");
     assert_eq!(ended.status.code(), None, "{}", stderr(&ended));
 }
 

@@ -80,7 +80,7 @@ fn what_is_written_was_counted() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     let whole = Point::on("the world gets its name", "rename", "w.h5.partial");
-    meets(&mut build(here, Method::Subtiles), whole, "signal=SIGKILL");
+    meets(&build(here, Method::Subtiles), whole, "signal=SIGKILL");
     let size = |path: &PathBuf| fs::metadata(path).unwrap().len().next_multiple_of(4096);
     let work: u64 = files(&here.join("w.h5.work")).iter().map(size).sum();
     let [world, picture] = Method::Subtiles.expected().each_ref().map(|bytes| bytes.len() as u64);

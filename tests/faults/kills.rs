@@ -94,7 +94,7 @@ fn hit_builds(method: Method, points: &[Point]) {
             let what = format!("{signal} while {}, {method:?}", point.name);
             let folder = copy(begun.path());
             let here = folder.path();
-            let met = meets(&mut build(here, method), *point, &format!("signal={signal}"));
+            let met = meets(&build(here, method), *point, &format!("signal={signal}"));
             assert_ended(&met, signal, &what);
             if signal == "SIGTERM" {
                 assert_nothing_half_written(begun.path(), here, &what);
@@ -206,7 +206,7 @@ fn simulations_that_are_ended_leave_whole_files_only() {
         for signal in ["SIGTERM", "SIGKILL"] {
             let what = format!("{signal} while {}", point.name);
             let folder = tempfile::tempdir().unwrap();
-            let met = meets(&mut simulate(folder.path()), point, &format!("signal={signal}"));
+            let met = meets(&simulate(folder.path()), point, &format!("signal={signal}"));
             assert_ended(&met, signal, &what);
             assert_images(folder.path(), &expected, signal == "SIGKILL", &what);
         }

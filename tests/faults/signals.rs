@@ -72,7 +72,7 @@ fn a_hang_up_that_is_ignored_stays_ignored() {
     // as nohup does
     command.args(["-c", "trap '' HUP; exec \"$@\"", "sh"]).arg(plain.get_program());
     command.args(plain.get_args()).current_dir(here).env("STEMGEN_CACHE", here.join("cache"));
-    let ended = meets(&mut command, subtile(0), "signal=SIGHUP");
+    let ended = meets(&command, subtile(0), "signal=SIGHUP");
     assert!(ended.status.success(), "{}", stderr(&ended));
     assert_done(here, Method::Subtiles, "hang-up");
 }
@@ -84,7 +84,7 @@ fn the_hint_names_what_is_there() {
     }
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
-    let ended = meets(&mut build(here, Method::NoCache), FIRST_IMAGE, "signal=SIGTERM");
+    let ended = meets(&build(here, Method::NoCache), FIRST_IMAGE, "signal=SIGTERM");
     let told = stderr(&ended);
     assert_eq!(ended.status.code(), Some(143), "{told}");
     assert!(told.contains("goes on from"), "{told}");

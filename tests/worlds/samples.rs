@@ -25,7 +25,7 @@ const RECIPE: &str = r#"
     field = { fov_nm = [6.2, 6.2], grid = [3, 3], tile_px = 106, overlap_px = 4, thickness_nm = 0.8 }
     boundaries = { count = 1, misorientation_deg = 36.87, sigma = 5, min_distance_angstrom = { Sr-Sr = 2.2 } }
     vacancies = { element = "O", rate = 0.1, cluster_fraction = 0.0, cluster_sigma_nm = 1.0, max_probability = 0.3 }
-    phonons = { configurations = 1, sigma_angstrom = { Sr = 0.084, Ti = 0.060, O = 0.085 } }
+    phonons = { configurations = 2, sigma_angstrom = { Sr = 0.084, Ti = 0.060, O = 0.085 } }
     optics = { energy_kv = 200.0, convergence_mrad = 21.0 }
     detector = { inner_mrad = 50.0, outer_mrad = 90.0 }
     dose = { electrons_per_angstrom2 = 1e5 }
