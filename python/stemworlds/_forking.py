@@ -21,6 +21,8 @@ _Result = TypeVar("_Result")
 _changed = threading.Condition(threading.RLock())
 #: Reads that go on, by thread.
 _reads: dict[int, int] = {}
+#: Forks that wait for reads. No read begins meanwhile, or threads that read again and again would keep a fork waiting for ever.
+_forks = 0
 
 
 def reading(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
@@ -29,6 +31,7 @@ def reading(function: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Re
     def read(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Result:
         me = threading.get_ident()
         with _changed:
+            _changed.wait_for(lambda: not _forks or me in _reads)
             _reads[me] = _reads.get(me, 0) + 1
         try:
             return function(*args, **kwargs)
@@ -89,19 +92,25 @@ _used: weakref.WeakSet[Used] = weakref.WeakSet()
 
 
 def _before() -> None:
+    global _forks
     _changed.acquire()
+    _forks += 1
     me = threading.get_ident()
     _changed.wait_for(lambda: all(thread == me for thread in _reads))
 
 
 def _in_parent() -> None:
+    global _forks
+    _forks -= 1
+    _changed.notify_all()
     _changed.release()
 
 
 def _in_child() -> None:
-    global _changed
+    global _changed, _forks
     # Threads that waited for the old one are not here.
     _changed = threading.Condition(threading.RLock())
+    _forks = 0
     _reads.clear()
     for used in list(_used):
         used.forked()
