@@ -136,6 +136,7 @@ fn at_focus(settings: &Settings, defocus: f64) -> Settings {
 
 /// Every engine gives the weighted mean of its own images at the foci; and that of 61 even foci, the quadrature's stated error off.
 #[test]
+#[ignore = "long"]
 fn focal_spread_is_the_mean_over_foci() {
     let specimen = crystal([4, 4, 4]);
     let windows = Algorithm::Window { width_angstrom: 7.8 };

@@ -201,6 +201,7 @@ fn overviews_show_particles_without_simulations() {
 
 /// Sub-tiles are made one by one: what they share has to agree.
 #[test]
+#[ignore = "long"]
 fn an_image_does_not_depend_on_how_it_is_cut() {
     let Central { film, first, image: whole, .. } = &*CENTRAL;
     let part = film
@@ -249,6 +250,7 @@ fn carbon_in_a_particle_is_no_film() {
 
 /// Threads and restarts change nothing.
 #[test]
+#[ignore = "long"]
 fn bytes_depend_on_the_recipe_only() {
     let recipe = recipe(1.0, 2);
     let specimen = specimen(&recipe).unwrap();

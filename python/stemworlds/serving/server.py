@@ -106,7 +106,9 @@ class Server(socketserver.ThreadingTCPServer):
         message_s: float = MESSAGE_S,
     ) -> None:
         super().__init__(address, _Handler, bind_and_activate=False)
-        self.most_clients, self.idle_s, self.message_s = most_clients, idle_s, message_s
+        self.most_clients: int = most_clients
+        self.idle_s: float = idle_s
+        self.message_s: float = message_s
         self._clients: set[socket.socket] = set()
         self._guard = threading.Lock()
         self._begun = False
