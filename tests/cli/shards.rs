@@ -37,8 +37,14 @@ fn build(folder: &Path, method: &[&str]) -> Command {
     command
 }
 
-fn start(mut command: Command, shard: &str) -> Child {
+/// A command for a part of its work.
+fn part_of(mut command: Command, shard: &str) -> Command {
     command.args(["--shard", shard, "--threads", "1", "--quiet"]);
+    command
+}
+
+fn start(command: Command, shard: &str) -> Child {
+    let mut command = part_of(command, shard);
     command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
 }
 
@@ -107,8 +113,7 @@ fn killed_parts_and_missing_ones_do_no_harm() {
         Point { name: "a later image is kept", call: "renameat", path: "", count: 3 },
         Point { name: "the lock is taken", call: "openat", path: "w.h5.lock", count: 1 },
     ] {
-        let mut part = build(here, &MOSAIC);
-        part.args(["--shard", "1/3", "--threads", "1", "--quiet"]);
+        let part = part_of(build(here, &MOSAIC), "1/3");
         let ended = meets(&part, point, "signal=SIGKILL");
         assert_eq!(ended.status.code(), None, "{}", stderr(&ended));
     }
