@@ -13,6 +13,7 @@ const MOST_MRAD: f64 = 1570.0;
 
 /// An annular detector: `inner <= theta < outer`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Detector {
     /// Name of the image it gives.
     pub name: String,

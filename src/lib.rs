@@ -115,6 +115,7 @@
 //! - [`recipe`]: what a world is made of, read from TOML and checked
 //! - [`specimen`]: every site of a large field, asked for region by region
 //! - [`imaging`]: the image of any rectangle of a field, and its error
+//! - [`simulation`]: images of a user's atoms: the request, and the job that does it
 //! - [`io`]: files of images, worlds and atoms
 //! - [`render`]: PNG pictures, drawings of specimens, HTML pages
 //! - [`world`]: tiles with their truth, and whole worlds
@@ -158,6 +159,7 @@ pub mod resample;
 pub mod rng;
 pub mod setting;
 mod simd;
+pub mod simulation;
 pub mod specimen;
 pub mod structure;
 #[cfg(feature = "report")]

@@ -34,6 +34,8 @@ settings! {
     SemiangleMrad = "semiangle (mrad)",
     /// A coefficient of the aberration function.
     Aberration = "aberration",
+    /// The defocus, or one of a series.
+    Defocus = "defocus (A)",
     /// The mistilt of the specimen.
     MistiltMrad = "mistilt (mrad)",
     /// The standard deviation of the focus.
@@ -61,6 +63,8 @@ settings! {
     Up = "up",
     /// The strain that may make a cell orthogonal.
     MaxStrain = "largest strain (%)",
+    /// Frames of a trajectory.
+    Frames = "frames",
     /// How often a cell is repeated.
     Repeat = "repeat",
     /// The number of atoms that a repeated or turned cell would have.
@@ -112,6 +116,10 @@ settings! {
     AccuracyPercent = "accuracy (%)",
     /// A diffraction pattern.
     Pattern = "pattern",
+    /// Where probes stand.
+    Scan = "scan",
+    /// Whether a plane wave is imaged in place of probes.
+    PlaneWave = "plane wave",
     /// The distance of samples that are interpolated.
     SampleStepAngstrom = "step between samples (A)",
     // Worlds
@@ -186,6 +194,8 @@ settings! {
     // Files
     /// The file that will be written.
     Output = "output",
+    /// The name of the file that will be written: its ending.
+    OutputName = "name of the output",
     /// A file with a world.
     WorldFile = "world file",
     /// A score of an agent.
@@ -219,6 +229,8 @@ settings! {
     /// A recorded image that becomes a world.
     ReplayImage = "recorded image",
     // Pictures and reports
+    /// What is drawn over a picture.
+    Overlay = "overlay",
     /// The colours of a picture.
     Colormap = "colormap",
     /// The values drawn as black and white.

@@ -1,15 +1,10 @@
-//! `--accuracy`: asks the library for settings, and tells what it found.
+//! `--accuracy`: tells what the library found.
 
-use super::estimate;
 use super::plan_report::Lines;
-use super::progress_bar::Reporter;
-use super::structure_args::Prepared;
 use super::text;
 use serde::Serialize;
-use std::time::Instant;
-use stemgen::engine::{
-    AccuracyFound, Algorithm, Cost, Plan, Scan, Settings, settings_for_accuracy,
-};
+use stemgen::engine::{AccuracyFound, Algorithm, Cost, Plan, Scan};
+use stemgen::simulation;
 
 /// What was found, and the time that finding it took.
 #[derive(Debug, Clone, Serialize)]
@@ -20,35 +15,18 @@ pub struct AccuracyReport {
 }
 
 impl AccuracyReport {
-    /// Changes the settings to those that are as accurate as asked for a scan; nothing where nothing is asked.
-    pub fn choose(
-        asked_percent: Option<f64>,
-        settings: &mut Settings,
-        specimen: &Prepared,
-        scan: &Scan,
-        reporter: &Reporter,
-    ) -> anyhow::Result<Option<Self>> {
-        let Some(asked) = asked_percent else { return Ok(None) };
-        let begun = Instant::now();
-        let frames = specimen.frames();
-        let (chosen, found) =
-            settings_for_accuracy(asked, settings, specimen.size, &frames, scan, reporter)?;
-        *settings = chosen;
-        Ok(Some(AccuracyReport { found, measured_in_s: begun.elapsed().as_secs_f64() }))
+    /// What was found in so many seconds.
+    pub fn new(found: AccuracyFound, measured_in_s: f64) -> Self {
+        AccuracyReport { found, measured_in_s }
     }
 
     /// What is to be said before the exact engine runs: why, and how long.
     pub fn warning(&self, plan: &Plan, scan: &Scan) -> Option<String> {
         let exact = !matches!(self.found.algorithm, Algorithm::Window { .. });
         (exact && !self.found.tried.is_empty()).then(|| {
-            let seconds = estimate::seconds(plan, &Cost::new(plan, scan), 1);
+            let seconds = simulation::seconds(plan, &Cost::new(plan, scan), 1);
             format!("{}; this takes {}", self.found.text(), text::duration_range(seconds))
         })
-    }
-
-    /// What was found, in a sentence.
-    pub fn text(&self) -> String {
-        self.found.text()
     }
 
     /// Those of a run as one value: alone, or a list for a series; nothing where no accuracy was asked for.

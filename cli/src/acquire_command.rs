@@ -1,11 +1,10 @@
 //! `stemgen acquire`.
 
-use super::audit_command::imaging_of;
 use super::common::{CacheArgs, Common};
 use super::hints::hinted;
 use super::plan_report::Lines;
-use super::recipe_args::{RecipeArgs, WorldEngine};
-use super::{output, pictures, text, values};
+use super::recipe_args::RecipeArgs;
+use super::{output, text, values};
 use anyhow::{anyhow, bail};
 use clap::{Args, ValueEnum};
 use ndarray::Axis;
@@ -17,10 +16,12 @@ use stemgen::acquisition::{Acquisition, Profile, clipping_warning};
 use stemgen::files::outputs::check_outputs;
 use stemgen::io::WorldFile;
 use stemgen::recipe::CheckedRecipe;
+use stemgen::render::image_pictures;
 use stemgen::specimen::{Specimen, specimen};
 use stemgen::world::noise_free::{refined, refinement};
 use stemgen::world::{
-    Electrons, FieldRecording, ImagerSource, RecordedPart, RecordingOptions, WorldSource, record,
+    Electrons, FieldRecording, ImagerSource, RecordedPart, RecordingOptions, WorldEngine,
+    WorldSource, imaging_of, record,
 };
 
 const EXAMPLES: &str = "\
@@ -185,7 +186,7 @@ impl Acquire {
         recording.write(&self.output, self.overwrite, recipe, &**specimen, &command_line)?;
         if let Some(path) = &picture {
             let image = recording.data.index_axis(Axis(0), 0).mapv(|v| v as f32);
-            pictures::write(path, image.view(), [10.0 * recording.frame.pixel_nm; 2], true)?;
+            image_pictures::write(path, image.view(), [10.0 * recording.frame.pixel_nm; 2], true)?;
         }
         self.warn_of_clipping(&recording);
         let summary = self.summary(&recording, source, begun);

@@ -1,19 +1,15 @@
 //! `stemgen audit`.
 
 use super::common::{CacheArgs, Common, Force};
-use super::estimate;
 use super::plan_report::Lines;
-use super::recipe_args::{RecipeArgs, WorldEngine};
+use super::recipe_args::RecipeArgs;
 use super::values;
 use anyhow::bail;
 use clap::Args;
-use stemgen::imaging::{
-    AUDIT_REMEDY, Audit, AuditOptions, Cache, ImagingChoice, MethodChoice, Simulator, audit,
-    audit_cost,
-};
-use stemgen::recipe::CheckedRecipe;
+use stemgen::imaging::{AUDIT_REMEDY, Audit, AuditOptions, audit, audit_cost};
+use stemgen::simulation;
 use stemgen::specimen::specimen;
-use stemgen::world::BuildOptions;
+use stemgen::world::{imaging_of, planned_imaging};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -88,49 +84,19 @@ impl AuditCommand {
         let cache = self.kept.cache();
         let choice = match &made {
             Some(_) => imaging_of(&recipe, made.as_ref(), cache)?,
-            None => planned(&recipe, cache, self.window)?,
+            None => planned_imaging(&recipe, cache, self.window)?,
         };
         if made.is_some() && self.window.is_some() {
             bail!("--window: the world was made with a window of its own; name its recipe instead");
         }
         let cost = audit_cost(&recipe, &*specimen, &options)?.cost;
-        let bytes = cost.memory_bytes(estimate::threads());
+        let bytes = cost.memory_bytes(simulation::threads());
         self.force.check_memory(bytes, AUDIT_REMEDY, &reporter)?;
         let mut imager = choice.imager(&recipe, &specimen)?;
         imager.prepare(&reporter)?;
         let found = audit(&recipe, &*specimen, &*imager, &options, &reporter)?;
         self.common.print(&found, &text(&found))
     }
-}
-
-/// How the images of a world were made, or how those of a recipe are to be made.
-pub fn imaging_of(
-    recipe: &CheckedRecipe,
-    made: Option<&WorldEngine>,
-    cache: Cache,
-) -> anyhow::Result<ImagingChoice> {
-    let Some(made) = made else {
-        return Ok(BuildOptions { cache, ..BuildOptions::default() }.policy(recipe)?.imaging);
-    };
-    let method = match made.engine.as_str() {
-        "mosaic" | "film" => MethodChoice::Mosaic,
-        _ => MethodChoice::Direct,
-    };
-    Ok(ImagingChoice { simulator: Simulator::of(made.settings.clone()), method, cache })
-}
-
-/// The imager of a world that is not there yet: a mosaic, or a film, with windows as `stemgen build` chooses them.
-pub fn planned(
-    recipe: &CheckedRecipe,
-    cache: Cache,
-    window_angstrom: Option<f64>,
-) -> anyhow::Result<ImagingChoice> {
-    let options = BuildOptions { cache, window_angstrom, ..BuildOptions::default() };
-    let policy = options.policy(recipe)?;
-    Ok(match policy.imaging.method {
-        MethodChoice::Auto => ImagingChoice { method: MethodChoice::Mosaic, ..policy.imaging },
-        _ => policy.imaging,
-    })
 }
 
 /// All detectors, one after the other.

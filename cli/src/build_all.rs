@@ -7,7 +7,6 @@ use anyhow::Context;
 use serde::Serialize;
 
 use super::build_command::{Build, Built};
-use super::build_plan::DryRun;
 use super::hdf5_check;
 use super::progress_bar::Reporter;
 use super::recipe_choice::recipes;
@@ -18,7 +17,7 @@ use stemgen::io::WorldFile;
 use stemgen::numerics::NUMERICS_VERSION;
 use stemgen::progress::Progress;
 use stemgen::recipe::CheckedRecipe;
-use stemgen::world::{WorldBuild, remove_leftovers};
+use stemgen::world::{WorldBuild, WorldPlan, remove_leftovers};
 
 /// One of the worlds.
 struct Target {
@@ -72,7 +71,7 @@ pub fn run(build: &Build, reporter: &Reporter) -> anyhow::Result<()> {
             return Err(stemgen::Error::Interrupted.into());
         }
         let world = WorldBuild::new(&target.recipe, &build.options())?;
-        let report = DryRun::new(&target.recipe, &world, target.path.clone())?;
+        let report = WorldPlan::new(&target.recipe, &world, target.path.clone())?;
         target.expected_s = report.expected_s() / build.shard.map_or(1, |s| s.count()) as f64;
         reporter.advance(1);
     }

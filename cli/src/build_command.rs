@@ -2,7 +2,7 @@
 
 use super::acquire_command::AcquisitionName;
 use super::build_all;
-use super::build_plan::DryRun;
+use super::build_plan;
 use super::build_shard::ShardReport;
 use super::common::{CacheArgs, Common, Force};
 use super::hints::{self, hinted};
@@ -10,7 +10,7 @@ use super::plan_report::Lines;
 use super::progress_bar::Reporter;
 use super::recipe_args::RecipeArgs;
 use super::values::{self, EngineName as Engine};
-use super::{estimate, output, pictures, slips, text, world_hspy};
+use super::{output, text, world_hspy};
 use clap::{Arg, Args, ValueEnum};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -22,10 +22,11 @@ use stemgen::imaging::Audit;
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
 use stemgen::recipe::{CheckedRecipe, Difficulty, Recipe};
+use stemgen::render::image_pictures;
 use stemgen::world::footprint::PICTURE;
 use stemgen::world::{
-    BuildMethod, BuildOptions, BuildProfile, BuildSummary, Companion, WorldBuild, remove_leftovers,
-    work_folder,
+    BuildMethod, BuildOptions, BuildProfile, BuildSummary, Companion, WorldBuild, WorldPlan,
+    remove_leftovers, work_folder,
 };
 
 const EXAMPLES: &str = "\
@@ -202,9 +203,9 @@ impl Build {
         build.warnings()?.iter().for_each(|w| reporter.warn(w));
         let path = self.output(&recipe);
         if self.common.dry_run {
-            slips::check_hdf5_name(&path)?;
-            let report = DryRun::new(&recipe, &build, path)?;
-            return self.common.print(&report, &report.text());
+            stemgen::simulation::check_hdf5_name(&path)?;
+            let report = WorldPlan::new(&recipe, &build, path)?;
+            return self.common.print(&report, &build_plan::text_of(&report));
         }
         if let Some(shard) = self.shard {
             let part = self.part((&recipe, build), &path, shard, &reporter)?;
@@ -222,7 +223,7 @@ impl Build {
         shard: Shard,
         reporter: &Reporter,
     ) -> anyhow::Result<ShardReport> {
-        slips::check_hdf5_name(path)?;
+        stemgen::simulation::check_hdf5_name(path)?;
         check_outputs([path], self.recipe.files(recipe), false)
             .inspect_err(|_| remove_leftovers(path))?;
         self.check_memory(&build, reporter)?;
@@ -242,15 +243,15 @@ impl Build {
         let complete = build.is_complete(path);
         check_outputs(outputs, self.recipe.files(recipe), self.overwrite || complete)
             .inspect_err(|_| remove_leftovers(path))?;
-        slips::check_hdf5_name(path)?;
+        stemgen::simulation::check_hdf5_name(path)?;
         let companion = picture.as_deref().map(|path| Companion {
             path,
             most_bytes: PICTURE,
-            content: &pictures::of_world,
+            content: &image_pictures::of_world,
         });
         if !complete {
             build.check_disk(path, companion.as_ref())?;
-            DryRun::warnings(&build)?.iter().for_each(|w| reporter.warn(w));
+            WorldPlan::warnings(&build)?.iter().for_each(|w| reporter.warn(w));
             self.check_memory(&build, reporter)?;
         }
         let summary = build
@@ -269,14 +270,14 @@ impl Build {
     }
 
     /// What it would do and take.
-    pub fn planned(&self) -> anyhow::Result<DryRun> {
+    pub fn planned(&self) -> anyhow::Result<WorldPlan> {
         let recipe = self.recorded(self.recipe.resolve()?)?;
         let build = WorldBuild::new(&recipe, &self.options())?;
-        DryRun::new(&recipe, &build, self.output(&recipe))
+        Ok(WorldPlan::new(&recipe, &build, self.output(&recipe))?)
     }
 
     fn check_memory(&self, build: &WorldBuild, reporter: &Reporter) -> anyhow::Result<()> {
-        let (needed, remedy) = build.memory(&build.cost()?, estimate::threads())?;
+        let (needed, remedy) = build.memory(&build.cost()?, stemgen::simulation::threads())?;
         Ok(self.force.check_memory(needed, remedy, reporter)?)
     }
 

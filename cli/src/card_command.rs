@@ -7,12 +7,12 @@ use clap::Args;
 
 use super::build_again::BuildAgain;
 use super::common::Common;
-use super::view_picture::{ColormapName, Overlay, PictureArgs, WorldPart};
 use super::{hdf5_check, text};
 use stemgen::error::Error;
 use stemgen::files::outputs::folder;
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
+use stemgen::render::{Overlay, WorldPart, WorldPicture};
 use stemgen::world::card::{
     Card, CardAbout, CardPictures, CardSummary, CardWorld, DataCreator, DataLicense,
 };
@@ -237,19 +237,15 @@ fn picture(file: &WorldFile, world: &CardWorld, part: WorldPart) -> stemgen::Res
         (Overlay::Particles, facts.particles > 0),
     ];
     let overlay = there.into_iter().filter(|(_, there)| *there).map(|(overlay, _)| overlay);
-    let view = PictureArgs {
-        clean: false,
-        colormap: ColormapName::Gray,
-        contrast: [0.1, 99.9],
-        overlay: overlay.collect(),
-        size: PICTURE,
+    let view = WorldPicture {
+        overlays: overlay.collect(),
+        longest_side_px: PICTURE,
+        ..WorldPicture::default()
     };
     let fault = |e: &dyn std::fmt::Display| {
         Error::parse(file.path(), 0, format!("cannot be drawn: {e}; copy or build it again"))
     };
-    let drawn = part.picture(&view, file);
-    let drawn = drawn.map_err(|e| e.downcast::<Error>().unwrap_or_else(|e| fault(&e)))?;
-    drawn.encode().map_err(|e| fault(&e))
+    part.picture(&view, file)?.encode().map_err(|e| fault(&e))
 }
 
 fn told(summary: &CardSummary, worlds: usize) -> String {

@@ -119,12 +119,17 @@ fn io_hint(source: &std::io::Error, action: &str) -> Option<&'static str> {
 
 /// The options that mend a setting of the library, if there are any. Exhaustive, so that the compiler
 /// finds a setting that was forgotten.
-fn options(setting: Setting) -> Option<&'static str> {
+pub fn options(setting: Setting) -> Option<&'static str> {
     use Setting as S;
     match setting {
         S::EnergyKev => Some("--energy"),
         S::SemiangleMrad => Some("--semiangle, or --sampling for a finer grid"),
         S::Aberration => Some("--aberration"),
+        S::Defocus => Some("--defocus"),
+        S::Frames => Some("--frames"),
+        S::Scan => Some("--scan-start, --scan-end, --scan-step and --scan-points"),
+        S::PlaneWave => Some("--plane-wave"),
+        S::OutputName => Some("--output"),
         S::MistiltMrad => Some("--tilt"),
         S::FocalSpreadAngstrom => Some("--focal-spread"),
         S::SourceSizeAngstrom => Some("--source-size"),
@@ -169,7 +174,7 @@ fn options(setting: Setting) -> Option<&'static str> {
         | S::ParticleDiameterNm
         | S::VacancyRate => Some("--set, which changes a value of the recipe"),
         S::BuildProfile => Some("--profile"),
-        S::Dose => Some("--set dose.electrons_per_angstrom2=..."),
+        S::Dose => Some("--dose, and --set dose.electrons_per_angstrom2=... of worlds"),
         S::Shard => Some("--shard"),
         S::Manifest => Some("--manifest"),
         S::SubtileNm => Some("--subtile and --subtile-overlap"),
@@ -196,6 +201,7 @@ fn options(setting: Setting) -> Option<&'static str> {
             "`stemgen build`, which writes worlds; `stemgen simulate` draws its images with --png and --html",
         ),
         S::Region => Some("--region"),
+        S::Overlay => Some("--overlay, --region and --size"),
         S::LongestSidePixels => Some("--size"),
         S::Colormap => Some("--colormap"),
         S::ContrastPercentiles => Some("--contrast"),

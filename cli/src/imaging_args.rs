@@ -1,40 +1,30 @@
-//! Options of the microscope and of the engine.
+//! Options of the microscope and of the engine: what is given goes into a request, which has the defaults.
 
-use super::slips;
 use super::values::{
     self, EngineName, NumberSeries, ParametrizationName, ProbeBoxName, ProjectionName,
 };
 use anyhow::bail;
 use clap::Args;
 use stemgen::detect::Detector;
-use stemgen::engine::settings::{AUTO_ANGLE_MARGIN, DEFAULT_BAND_FRACTION};
-use stemgen::engine::{
-    Algorithm, BeyondLimit, Expansion, GridChoice, Phonons, ProbeStep, Settings, Source,
-};
-use stemgen::optics::{Aberration, Aberrations, Optics};
-use stemgen::potential::slices::Slicing;
-
-/// Window of `simulate --algorithm window` in Angstrom.
-const WINDOW_ANGSTROM: f64 = 11.7;
+use stemgen::engine::{Expansion, Phonons, ProbeStep, Settings};
+use stemgen::optics::Aberration;
+use stemgen::simulation::{Engine, MicroscopeRequest, NumericsRequest};
 
 /// The microscope.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Microscope")]
 pub struct MicroscopeArgs {
-    /// Beam energy in keV (the accelerating voltage in kV)
-    #[arg(long, value_name = "KV", default_value_t = 200.0, value_parser = values::energy)]
-    #[arg(allow_negative_numbers = true)]
-    pub energy: f64,
-    /// Convergence semiangle; the objective aperture with --plane-wave
-    #[arg(long, value_name = "MRAD", default_value_t = 21.0, value_parser = values::semiangle)]
-    #[arg(allow_negative_numbers = true)]
-    pub semiangle: f64,
+    /// Beam energy in keV (the accelerating voltage in kV) [default: 200]
+    #[arg(long, value_name = "KV", value_parser = values::energy, allow_negative_numbers = true)]
+    pub energy: Option<f64>,
+    /// Convergence semiangle; the objective aperture with --plane-wave [default: 21]
+    #[arg(long, value_name = "MRAD", value_parser = values::semiangle, allow_negative_numbers = true)]
+    pub semiangle: Option<f64>,
     /// Defocus from the entrance surface of the box (z = 0), where the focus lies by default; positive is
     /// underfocus, with the focus deeper in the specimen
-    /// `simulate` takes a series, START:END:STEP, and makes an image for each value
-    #[arg(long, value_name = "A", default_value = "0", value_parser = values::series)]
-    #[arg(allow_hyphen_values = true)]
-    pub defocus: NumberSeries,
+    /// `simulate` takes a series, START:END:STEP, and makes an image for each value [default: 0]
+    #[arg(long, value_name = "A", value_parser = values::series, allow_hyphen_values = true)]
+    pub defocus: Option<NumberSeries>,
     /// Aberration coefficient in A, with azimuth in rad: C12=30@0.3, C30=1e5 (repeatable)
     #[arg(long, value_name = "Cnm=A[@RAD]", value_parser = values::aberration)]
     pub aberration: Vec<Aberration>,
@@ -92,39 +82,36 @@ pub struct NumericsArgs {
     /// without planes, atoms within 0.5 A share one]
     #[arg(long, value_name = "A", value_parser = values::finite, allow_negative_numbers = true)]
     pub slice_thickness: Option<f64>,
-    /// How an atom is distributed over slices
-    #[arg(long, value_name = "NAME", default_value = "infinite")]
-    pub projection: ProjectionName,
-    /// Table of scattering factors
-    #[arg(long, value_name = "NAME", default_value = "lobato")]
-    pub parametrization: ParametrizationName,
+    /// How an atom is distributed over slices [default: infinite]
+    #[arg(long, value_name = "NAME")]
+    pub projection: Option<ProjectionName>,
+    /// Table of scattering factors [default: lobato]
+    #[arg(long, value_name = "NAME")]
+    pub parametrization: Option<ParametrizationName>,
     /// Radius of the anti-aliasing disk, in units of Nyquist [default: 0.8; 2/3 excludes
     /// aliasing altogether]
     #[arg(long, value_name = "F", value_parser = values::finite, allow_negative_numbers = true)]
     pub band_fraction: Option<f64>,
-    /// Width of the soft edge inside that disk, in units of Nyquist
-    #[arg(long, value_name = "F", default_value_t = 0.0, value_parser = values::finite)]
-    #[arg(allow_negative_numbers = true)]
-    pub band_taper: f64,
+    /// Width of the soft edge inside that disk, in units of Nyquist [default: 0]
+    #[arg(long, value_name = "F", value_parser = values::finite, allow_negative_numbers = true)]
+    pub band_taper: Option<f64>,
     /// Exponentiate potentials on a grid so many times finer [default: smoothed potentials, with the
     /// cores of the atoms put back in closed form]
     #[arg(long, value_name = "N")]
     pub oversampling: Option<usize>,
-    /// The grid carries so many times the outermost detector angle
-    #[arg(long, value_name = "F", default_value_t = AUTO_ANGLE_MARGIN, value_parser = values::finite)]
-    #[arg(allow_negative_numbers = true)]
-    pub angle_margin: f64,
+    /// The grid carries so many times the outermost detector angle [default: 1.2]
+    #[arg(long, value_name = "F", value_parser = values::finite, allow_negative_numbers = true)]
+    pub angle_margin: Option<f64>,
     /// How far apart probes are propagated, in A, at most; images are interpolated to the scan. `scan`: at every
     /// scan position; `auto`: that, but in windows at 0.94 of the image's Nyquist distance (0.28 A at 200 kV,
-    /// 21 mrad), where that takes fewer probes
-    #[arg(long, value_name = "A|scan|auto", default_value = "auto", value_parser = values::probe_step)]
-    #[arg(allow_negative_numbers = true)]
-    pub probe_step: ProbeStep,
+    /// 21 mrad), where that takes fewer probes [default: auto]
+    #[arg(long, value_name = "A|scan|auto", value_parser = values::probe_step, allow_negative_numbers = true)]
+    pub probe_step: Option<ProbeStep>,
     /// Windows: expand probes that share one in fewer waves, each right to so many per cent of its amplitude. `off`
     /// propagates every probe; `auto`: 1 % in 7.8 A, less in wider windows, where that takes fewer waves
-    #[arg(long, value_name = "PERCENT|off|auto", default_value = "auto", value_parser = values::expansion)]
-    #[arg(allow_negative_numbers = true)]
-    pub expansion: Expansion,
+    /// [default: auto]
+    #[arg(long, value_name = "PERCENT|off|auto", value_parser = values::expansion, allow_negative_numbers = true)]
+    pub expansion: Option<Expansion>,
     /// Where the probe has norm 1: in the cell, as is usual, though a small cell makes bright columns too bright
     /// (by 1 % in 20 A), or in a large box, as in an infinite specimen [default: cell; windows: large]
     #[arg(long, value_name = "NAME")]
@@ -137,151 +124,94 @@ pub struct NumericsArgs {
     pub no_tail: bool,
 }
 
-impl NumericsArgs {
-    /// The algorithm that the options stand for.
-    pub fn algorithm(&self) -> anyhow::Result<Algorithm> {
-        check_accuracy(self.accuracy, self.algorithm)?;
-        if self.algorithm == Some(EngineName::Mosaic) {
-            bail!(
-                "--engine mosaic is for worlds (`stemgen build`); take window, prism or multislice"
-            );
-        }
-        algorithm(
-            self.algorithm,
-            self.window,
-            self.interpolation,
-            EngineName::Multislice,
-            WINDOW_ANGSTROM,
-            [1, 1],
-        )
+/// Puts a value that is given in the place of another.
+fn put<T: Clone>(given: &Option<T>, to: &mut T) {
+    if let Some(given) = given {
+        to.clone_from(given);
     }
 }
 
-/// The algorithm `named`, or else the one that `--window` or `--interpolation` implies, or else
-/// `default`. `factors` are the interpolation factors unless given.
-pub fn algorithm(
-    named: Option<EngineName>,
-    window: Option<f64>,
-    interpolation: Option<[usize; 2]>,
-    default: EngineName,
-    width_angstrom: f64,
-    factors: [usize; 2],
-) -> anyhow::Result<Algorithm> {
-    let implied = match (window, interpolation) {
-        (Some(_), _) => EngineName::Window,
-        (None, Some(_)) => EngineName::Prism,
-        (None, None) => named.unwrap_or(default),
-    };
-    let engine = named.unwrap_or(implied);
-    if window.is_some() && !matches!(engine, EngineName::Window | EngineName::Mosaic) {
-        bail!("--window belongs to the algorithm `window`, not to `{}`", name(engine));
-    }
-    if interpolation.is_some() && engine != EngineName::Prism {
-        bail!("--interpolation belongs to the algorithm `prism`, not to `{}`", name(engine));
-    }
-    Ok(match engine {
-        EngineName::Multislice => Algorithm::Multislice,
-        EngineName::Prism => Algorithm::Prism { interpolation: interpolation.unwrap_or(factors) },
-        EngineName::Window | EngineName::Mosaic => {
-            Algorithm::Window { width_angstrom: window.unwrap_or(width_angstrom) }
-        }
-    })
-}
-
-fn name(engine: EngineName) -> &'static str {
-    match engine {
-        EngineName::Multislice => "multislice",
-        EngineName::Prism => "prism",
-        EngineName::Window => "window",
-        EngineName::Mosaic => "mosaic",
+/// Puts a value that is given in the place of another, or of none.
+pub fn put_some<T: Clone>(given: &Option<T>, to: &mut Option<T>) {
+    if given.is_some() {
+        to.clone_from(given);
     }
 }
 
 impl MicroscopeArgs {
-    /// The source; `None` for a point.
-    pub fn source(&self) -> Option<Source> {
-        let lorentz_share = self.source_lorentz.unwrap_or_default();
-        self.source_size.map(|fwhm_angstrom| Source { fwhm_angstrom, lorentz_share })
+    /// Puts what is given into a request.
+    pub fn apply(&self, to: &mut MicroscopeRequest) {
+        put(&self.energy, &mut to.energy_kev);
+        put(&self.semiangle, &mut to.semiangle_mrad);
+        put(&self.defocus.as_ref().map(|series| series.0.clone()), &mut to.defocus_angstrom);
+        put(&Some(&self.aberration).filter(|a| !a.is_empty()).cloned(), &mut to.aberrations);
+        put(&self.tilt, &mut to.tilt_mrad);
+        put(&self.focal_spread, &mut to.focal_spread_angstrom);
+        put_some(&self.source_size, &mut to.source_size_angstrom);
+        put(&self.source_lorentz, &mut to.source_lorentz_share);
+        put(&Some(&self.detector).filter(|d| !d.is_empty()).cloned(), &mut to.detectors);
+        to.allow_empty_angles |= self.allow_empty_angles;
     }
+}
 
-    fn optics(&self, defocus: f64) -> Optics {
-        let mut aberrations = Aberrations::defocus(defocus);
-        aberrations.0.extend(self.aberration.iter().copied());
-        Optics {
-            energy_ev: self.energy * 1e3,
-            semiangle_mrad: self.semiangle,
-            aberrations,
-            mistilt_mrad: self.tilt.unwrap_or_default(),
-            focal_spread_angstrom: self.focal_spread.unwrap_or_default(),
-            ..Optics::default()
+impl NumericsArgs {
+    /// Puts what is given into a request; what excludes it is taken out there.
+    pub fn apply(&self, to: &mut NumericsRequest) -> anyhow::Result<()> {
+        put_some(&self.algorithm.map(simulation_engine).transpose()?, &mut to.engine);
+        if self.accuracy.is_some() {
+            (to.window_angstrom, to.interpolation) = (None, None);
         }
+        if self.window.is_some() || self.interpolation.is_some() {
+            (to.window_angstrom, to.interpolation, to.accuracy_percent) = (None, None, None);
+        }
+        put_some(&self.accuracy, &mut to.accuracy_percent);
+        put_some(&self.interpolation, &mut to.interpolation);
+        put_some(&self.window, &mut to.window_angstrom);
+        if self.sampling.is_some() || self.gpts.is_some() {
+            (to.sampling_angstrom, to.gpts) = (self.sampling, self.gpts);
+        }
+        put_some(&self.slice_thickness, &mut to.slice_thickness_angstrom);
+        put(&self.projection.map(Into::into), &mut to.projection);
+        put(&self.parametrization.map(Into::into), &mut to.parametrization);
+        put(&self.band_fraction, &mut to.band_fraction);
+        put(&self.band_taper, &mut to.band_taper);
+        put_some(&self.oversampling, &mut to.oversampling);
+        put(&self.angle_margin, &mut to.angle_margin);
+        put(&self.probe_step, &mut to.probe_step);
+        put(&self.expansion, &mut to.expansion);
+        put_some(&self.probe_box.map(Into::into), &mut to.probe_box);
+        to.full_exit_grid |= self.full_exit_grid;
+        to.tail_correction &= !self.no_tail;
+        Ok(())
     }
 }
 
-/// Refuses an accuracy for engines that have no windows.
-pub fn check_accuracy(accuracy: Option<f64>, engine: Option<EngineName>) -> anyhow::Result<()> {
-    if accuracy.is_some() && !matches!(engine, None | Some(EngineName::Window | EngineName::Mosaic))
-    {
-        bail!("--accuracy chooses a window; leave out --engine, or take --engine window");
+/// The engine of a simulation; that of worlds is none.
+fn simulation_engine(name: EngineName) -> anyhow::Result<Engine> {
+    match name {
+        EngineName::Multislice => Ok(Engine::Multislice),
+        EngineName::Prism => Ok(Engine::Prism),
+        EngineName::Window => Ok(Engine::Window),
+        EngineName::Mosaic => bail!(
+            "--engine mosaic is for worlds (`stemgen build`); take window, prism or multislice"
+        ),
     }
-    Ok(())
 }
 
-/// The settings of the engine for a scan.
+/// The settings of the engine for an image of one defocus and a point source.
 pub fn settings(
     microscope: &MicroscopeArgs,
-    numerics: &NumericsArgs,
+    numerics: &NumericsRequest,
     phonons: Option<Phonons>,
-    thicknesses_angstrom: Vec<f64>,
 ) -> anyhow::Result<Settings> {
-    let [defocus] = microscope.defocus.0[..] else {
+    let mut request = MicroscopeRequest::default();
+    microscope.apply(&mut request);
+    request.check()?;
+    let [defocus] = request.defocus_angstrom[..] else {
         bail!("--defocus: a series is for `stemgen simulate`; give one value");
     };
-    if microscope.source_size.is_some() {
+    if request.source_size_angstrom.is_some() {
         bail!("--source-size is for `stemgen simulate`; leave it out");
     }
-    settings_at(defocus, microscope, numerics, phonons, thicknesses_angstrom)
-}
-
-/// The same for one value of a series of defocus, in Angstrom.
-pub fn settings_at(
-    defocus: f64,
-    microscope: &MicroscopeArgs,
-    numerics: &NumericsArgs,
-    phonons: Option<Phonons>,
-    thicknesses_angstrom: Vec<f64>,
-) -> anyhow::Result<Settings> {
-    let grid = match (numerics.sampling, numerics.gpts) {
-        (_, Some(points)) => GridChoice::Points(points),
-        (Some(sampling), None) => GridChoice::Sampling(sampling),
-        (None, None) => GridChoice::Auto,
-    };
-    slips::check_aberrations(defocus, &microscope.aberration)?;
-    let given = &microscope.detector;
-    let default = Settings::default();
-    Ok(Settings {
-        optics: microscope.optics(defocus),
-        detectors: if given.is_empty() { default.detectors.clone() } else { given.clone() },
-        parametrization: numerics.parametrization.into(),
-        projection: numerics.projection.into(),
-        slicing: numerics.slice_thickness.map_or(Slicing::Planes, Slicing::Thickness),
-        grid,
-        algorithm: numerics.algorithm()?,
-        probe_step: numerics.probe_step,
-        expansion: numerics.expansion,
-        angle_margin: numerics.angle_margin,
-        probe_box: numerics.probe_box.map(Into::into),
-        full_exit_grid: numerics.full_exit_grid,
-        tail_correction: !numerics.no_tail,
-        band_fraction: numerics.band_fraction.unwrap_or(DEFAULT_BAND_FRACTION),
-        band_taper: numerics.band_taper,
-        oversampling: numerics.oversampling,
-        phonons,
-        thicknesses_angstrom,
-        beyond_limit: match microscope.allow_empty_angles {
-            true => BeyondLimit::Warn,
-            false => BeyondLimit::Error,
-        },
-        ..default
-    })
+    Ok(numerics.settings(&request, defocus, phonons, Vec::new())?)
 }

@@ -86,6 +86,9 @@ pub struct ImagesInfo {
     pub images: Vec<String>,
     /// The command that made it, as it was typed.
     pub command: Option<String>,
+    /// The request that made simulated images.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub request: Option<serde_json::Value>,
 }
 
 impl ImagesInfo {
@@ -98,6 +101,12 @@ impl ImagesInfo {
         }
         lines.add("images", self.images.join(", "));
         lines.add("made by", self.command.clone().unwrap_or_else(|| "no command known".into()));
+        if self.request.is_some() {
+            lines.add(
+                "again",
+                format!("stemgen rerun {}", text::quoted(&self.file.to_string_lossy())),
+            );
+        }
         lines.text()
     }
 }
@@ -157,6 +166,7 @@ impl Info {
             },
             images: stored.names,
             command: stored.command_line,
+            request: stored.request.and_then(|text| serde_json::from_str(&text).ok()),
         })
     }
 

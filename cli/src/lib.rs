@@ -13,7 +13,6 @@ mod cache_transfer;
 mod card_command;
 mod common;
 mod compare_command;
-mod estimate;
 mod hdf5_check;
 mod hints;
 mod imaging_args;
@@ -25,23 +24,20 @@ mod list_command;
 mod live_command;
 mod not_offered;
 mod output;
-mod pictures;
+mod picture_args;
 mod plan_report;
-mod plane_wave;
 mod progress_bar;
 mod recipe_args;
 mod recipe_choice;
 mod reference_scan;
 mod regenerate_command;
+mod rerun_command;
 mod scan_args;
-#[doc(hidden)]
-pub mod shared;
 mod show_recipe_command;
 mod signals;
 mod simulate_command;
 mod simulate_parts;
 mod simulate_results;
-mod slips;
 mod slurm_command;
 mod specimen_command;
 mod structure_args;
@@ -53,13 +49,13 @@ mod values;
 mod verify_command;
 mod view_command;
 mod view_images;
-mod view_picture;
 mod world_hspy;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::ffi::OsString;
 use std::process::ExitCode;
 
+pub use hdf5_check::survive;
 pub use invocation::Invocation;
 
 /// Simulates STEM images and generates whole annotated specimens (worlds).
@@ -90,6 +86,7 @@ const GLOSSARY: &str = include_str!("../../docs/glossary.md");
 #[derive(Debug, Subcommand)]
 enum Command {
     Simulate(Box<simulate_command::Simulate>),
+    Rerun(Box<rerun_command::Rerun>),
     Build(Box<build_command::Build>),
     Specimen(Box<specimen_command::SpecimenCommand>),
     View(Box<view_command::View>),
@@ -139,6 +136,7 @@ pub fn run(invocation: Invocation) -> u8 {
     };
     let (name, result) = match command {
         Command::Simulate(command) => ("simulate", command.run().map(done)),
+        Command::Rerun(command) => ("rerun", command.run()),
         Command::Build(command) => ("build", command.run().map(done)),
         Command::Specimen(command) => ("specimen", command.run().map(done)),
         Command::View(command) => ("view", command.run().map(done)),

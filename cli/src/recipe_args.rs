@@ -4,12 +4,12 @@ use super::hdf5_check;
 use super::hints::hinted;
 use super::recipe_choice::world_name;
 use super::values::{self, Tier};
-use anyhow::{Context, anyhow};
+use anyhow::anyhow;
 use clap::Args;
 use std::path::{Path, PathBuf};
-use stemgen::engine::Settings;
 use stemgen::io::WorldFile;
 use stemgen::recipe::{CheckedRecipe, Difficulty, Override, Recipe};
+use stemgen::world::WorldEngine;
 
 /// The recipe.
 #[derive(Debug, Args)]
@@ -37,14 +37,6 @@ pub struct RecipeArgs {
     /// Seed of all random numbers [default: that of the recipe]
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
-}
-
-/// How a world was made.
-pub struct WorldEngine {
-    /// Name of the engine.
-    pub engine: String,
-    /// Its settings.
-    pub settings: Settings,
 }
 
 impl RecipeArgs {
@@ -101,21 +93,8 @@ impl RecipeArgs {
         }
         hdf5_check::check(&file)?;
         let world = WorldFile::open(&file)?;
-        let metadata = world.metadata();
-        let Some(text) = &metadata.recipe else {
-            anyhow::bail!(
-                "{}: holds no recipe, so nothing can be simulated of it: it was recorded, or made by another program",
-                file.display()
-            );
-        };
-        let recipe = Recipe::from_toml_str(&file.display().to_string(), text, None)?;
-        let recipe = recipe.with_overrides(&self.changes()?)?.checked()?;
-        let settings = metadata.engine_parameters.as_deref().map(serde_json::from_str).transpose();
-        let settings = settings.with_context(|| {
-            format!("{}: engine_parameters are not those of this program", file.display())
-        })?;
-        let made = metadata.engine.clone().zip(settings);
-        Ok((recipe, made.map(|(engine, settings)| WorldEngine { engine, settings })))
+        let (recipe, made) = WorldEngine::of_world(&world)?;
+        Ok((recipe.with_overrides(&self.changes()?)?.checked()?, made))
     }
 
     /// The world that stands in place of a material, if its file holds no recipe: an image that was recorded, or one of another

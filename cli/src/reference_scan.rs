@@ -5,6 +5,7 @@ use super::scan_args::ScanArgs;
 use stemgen::engine::Scan;
 use stemgen::io::arrays::ForeignArray;
 use stemgen::optics::Optics;
+use stemgen::simulation::ScanRequest;
 use stemgen::validate::user::Reference;
 
 /// How far pixels of a file and of the options may differ.
@@ -17,7 +18,7 @@ pub fn asked_pixels(args: &ScanArgs, optics: &Optics) -> anyhow::Result<Option<[
     }
     match (args.scan_start, args.scan_end, args.scan_step) {
         (Some(_), Some(end), Some(_)) => {
-            let [rows, columns] = args.scan(end, optics)?.shape;
+            let [rows, columns] = ScanRequest::from(args).scan(end, optics)?.shape;
             Ok(Some([columns, rows]))
         }
         _ => Ok(None),
@@ -54,7 +55,8 @@ pub fn reference_scan(
     let scan = match (start, args.scan_end, pixel) {
         (Some(_), Some(end), _) => {
             let points = args.scan_points.or(args.scan_step.is_none().then_some([columns, rows]));
-            ScanArgs { scan_start: start, scan_points: points, ..args.clone() }.scan(end, optics)?
+            let scan = ScanArgs { scan_start: start, scan_points: points, ..args.clone() };
+            ScanRequest::from(&scan).scan(end, optics)?
         }
         (Some(origin_angstrom), None, Some(step_angstrom)) => {
             Scan { origin_angstrom, step_angstrom, shape: [rows, columns] }

@@ -7,7 +7,6 @@ use clap::Args;
 use serde::Serialize;
 
 use super::common::{CacheArgs, Common, Force};
-use super::estimate;
 use super::hdf5_check;
 use super::progress_bar::Reporter;
 use super::recipe_choice::{recipes, world_name};
@@ -185,7 +184,7 @@ impl Regenerate {
             made.engine = "was there".into();
         } else {
             std::fs::create_dir_all(folder).map_err(|e| stemgen::Error::io(folder, "create", e))?;
-            let (needed, remedy) = build.memory(&build.cost()?, estimate::threads())?;
+            let (needed, remedy) = build.memory(&build.cost()?, stemgen::simulation::threads())?;
             self.force.check_memory(needed, remedy, reporter)?;
             let began = Instant::now();
             let summary = build.run(&path, reporter)?;

@@ -2,27 +2,28 @@
 
 use super::accuracy_report::AccuracyReport;
 use super::common::{Common, Force};
-use super::imaging_args::{self, MicroscopeArgs, NumericsArgs};
-use super::plan_report::{self, Lines, PlanReport};
-use super::plane_wave;
+use super::imaging_args::{MicroscopeArgs, NumericsArgs};
+use super::plan_report::{self, Lines};
 use super::progress_bar::Reporter;
 use super::scan_args::ScanArgs;
 use super::simulate_parts::ScanParts;
 use super::simulate_results::SideFiles;
-use super::structure_args::{Prepared, StructureArgs};
+use super::structure_args::{StructureArgs, file_name, stem, with_frames};
 use super::values::{self, Bits};
-use super::{estimate, output, slips};
+use super::{hints, output};
 use anyhow::bail;
 use clap::Args;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
-use stemgen::engine::{Cost, Plan, ProbeRaster, Scan, check_memory};
-use stemgen::files::Shard;
+use std::time::Instant;
+use stemgen::engine::{Cost, ProbeRaster};
 use stemgen::files::outputs::check_outputs;
+use stemgen::files::{Shard, atomic_write};
+use stemgen::io::StoredImages;
 use stemgen::progress::Progress;
-
-/// Edge of a cell in Angstrom below which a probe meets its own periodic images.
-const NARROW_CELL_ANGSTROM: f64 = 10.0;
+use stemgen::simulation::{
+    self, PlanReport, SimulationJob, SimulationRequest, Warning, noisy_name,
+};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -41,12 +42,16 @@ Examples:
   In parts, on machines that see the same files; then the images from them:
     stemgen simulate md.xyz --frames 10:200:5 --shard 0/4    # ... and 1/4, 2/4, 3/4
     stemgen simulate md.xyz --frames 10:200:5
+  Everything that decides the images in a file, to be changed by hand and run:
+    stemgen simulate si.cif --repeat 3,3,10 --write-request si.toml
+    stemgen simulate si.toml --defocus 50
   High-resolution TEM image at Scherzer-like defocus:
     stemgen simulate si.cif --repeat 2,2,5 --plane-wave --semiangle 12 --aberration C30=1.2e7 \\
       --defocus 650
 
 The file (HDF5) holds /images/NAME as float32 (thickness, y, x) in fractions of the incident beam,
-the atoms that were simulated below /specimen, and the settings as attributes. NeXus readers open
+the atoms that were simulated below /specimen, and the settings and the request as attributes:
+`stemgen rerun FILE.h5` makes it again. NeXus readers open
 the images with their axes (/entry). Diffraction patterns (4D-STEM) and segmented detectors are not
 offered: several annuli in one run come nearest.";
 
@@ -55,23 +60,26 @@ offered: several annuli in one run come nearest.";
 #[command(after_help = EXAMPLES)]
 pub struct Simulate {
     #[command(flatten)]
-    pub(super) specimen: StructureArgs,
+    specimen: StructureArgs,
     #[command(flatten)]
-    pub(super) microscope: MicroscopeArgs,
+    microscope: MicroscopeArgs,
     #[command(flatten)]
     scan: ScanArgs,
     #[command(flatten)]
     numerics: NumericsArgs,
     #[command(flatten)]
-    pub(super) results: Results,
+    results: Results,
+    /// Write everything that decides the images to a file, and simulate nothing; `stemgen simulate FILE.toml` does
+    #[arg(long, value_name = "FILE.toml", conflicts_with = "shard", help_heading = "Running")]
+    write_request: Option<PathBuf>,
     #[command(flatten)]
-    pub(super) common: Common,
+    common: Common,
     #[command(flatten)]
     force: Force,
 }
 
 /// What is written.
-#[derive(Debug, Args)]
+#[derive(Debug, Default, Args)]
 #[command(next_help_heading = "Results")]
 pub struct Results {
     /// Thicknesses in A at which images are recorded, moved to slice boundaries [default: the whole]
@@ -137,183 +145,165 @@ struct ScanReport {
     columns: usize,
 }
 
-/// The plans of a run: one for each defocus of a series.
-pub struct PlannedSeries {
-    /// At least one; they differ in defocus, and in what the accuracy asked for takes at each.
-    pub plans: Vec<Plan>,
-    /// The values of defocus in Angstrom.
-    defocus_angstrom: Vec<f64>,
-    /// What is known of the accuracy of each, where one is asked for.
-    pub accuracies: Vec<AccuracyReport>,
+/// A simulation with what is written of it.
+pub struct SimulateRun {
+    pub(super) job: SimulationJob,
+    /// What was found for each defocus, where an accuracy is asked for.
+    pub(super) accuracies: Vec<AccuracyReport>,
+    pub(super) results: Results,
+    pub(super) output: PathBuf,
+    pub(super) common: Common,
+    /// A file with images of the same request, to compare with.
+    pub(super) again_of: Option<StoredImages>,
+    force: Force,
+}
+
+#[derive(Serialize)]
+struct WrittenRequest {
+    request: PathBuf,
 }
 
 impl Simulate {
     /// Runs the subcommand.
     pub fn run(self) -> anyhow::Result<()> {
         let reporter = self.common.start()?;
-        let specimen = self.specimen.prepare()?;
-        if self.results.plane_wave && !specimen.more_frames.is_empty() {
-            bail!("--plane-wave images one structure; leave --frames out");
+        let request = self.request()?;
+        if let Some(path) = &self.write_request {
+            return self.write(path, request);
         }
-        let (mut planned, scan) = self.plan(&specimen)?;
-        self.check_noise(&planned, &scan)?;
-        let files = self.side_files(&planned);
-        let output = self.output();
+        let given = self.results.output.clone();
+        // Of a request, in the current folder and with its name; of a structure the same.
+        let output = given.unwrap_or_else(|| {
+            let mut name = stem(&self.specimen.structure).into_os_string();
+            name.push(".h5");
+            PathBuf::from(name)
+        });
+        let inputs = [self.specimen.structure.clone()];
+        let Simulate { results, common, force, .. } = self;
+        let run = SimulateRun::new(request, results, output, (common, force))?;
+        run.run(&inputs, &reporter).map(drop)
+    }
+
+    /// What is asked for.
+    fn request(&self) -> anyhow::Result<SimulationRequest> {
+        let mut request = self.specimen.request()?;
+        self.microscope.apply(&mut request.microscope);
+        self.scan.apply(&mut request.scan);
+        self.numerics.apply(&mut request.numerics)?;
+        let Results { thicknesses, plane_wave, dose, .. } = &self.results;
+        if !thicknesses.is_empty() {
+            request.thicknesses_angstrom.clone_from(thicknesses);
+        }
+        request.plane_wave |= plane_wave;
+        request.electrons_per_angstrom2 = dose.or(request.electrons_per_angstrom2);
+        Ok(request)
+    }
+
+    fn write(&self, path: &Path, request: SimulationRequest) -> anyhow::Result<()> {
+        if !path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("toml")) {
+            bail!(
+                "--write-request {}: a request is known by its ending; did you mean {}?",
+                path.display(),
+                path.with_extension("toml").display()
+            );
+        }
+        check_outputs([path], [&self.specimen.structure], self.results.overwrite)?;
+        let folder = path.parent().unwrap_or(Path::new("."));
+        let job = SimulationJob::new(request).map_err(with_frames)?;
+        let words = format!(
+            "# What `stemgen simulate {}` simulates. Lengths in Angstrom, angles in mrad.\n",
+            path.file_name().unwrap_or_default().display()
+        );
+        atomic_write::write(path, (words + &job.request().to_toml(folder)?).as_bytes())?;
+        let mut lines = Lines::default();
+        lines.add("request", path.display().to_string());
+        self.common.print(&WrittenRequest { request: path.to_owned() }, &lines.text())
+    }
+}
+
+impl SimulateRun {
+    /// Prepares a run that writes `output`.
+    pub fn new(
+        request: SimulationRequest,
+        results: Results,
+        output: PathBuf,
+        (common, force): (Common, Force),
+    ) -> anyhow::Result<Self> {
+        let job = SimulationJob::new(request).map_err(with_frames)?;
+        let (accuracies, again_of) = (Vec::new(), None);
+        Ok(SimulateRun { job, accuracies, results, output, common, again_of, force })
+    }
+
+    /// Compares the images with those of a file.
+    #[must_use]
+    pub fn again_of(self, stored: StoredImages) -> Self {
+        SimulateRun { again_of: Some(stored), ..self }
+    }
+
+    /// Checks, and simulates; or tells what would be simulated. `inputs` are files that must not be replaced. Returns whether the
+    /// images are those of the file that they are compared with, if there is one.
+    pub fn run(mut self, inputs: &[PathBuf], reporter: &Reporter) -> anyhow::Result<bool> {
+        let files = self.side_files();
         if !self.common.dry_run {
-            let outputs = std::iter::once(&output).chain(files.paths());
-            check_outputs(outputs, [&self.specimen.structure], self.results.overwrite)?;
+            let outputs = std::iter::once(&self.output).chain(files.paths());
+            check_outputs(outputs, inputs, self.results.overwrite)?;
         }
-        slips::check_hdf5_name(&output)?;
-        self.make_accurate(&mut planned, &specimen, &scan, &reporter)?;
-        let plan = &planned.plans[0];
-        let mut warnings = plan.warnings.clone();
-        let accuracies = planned.accuracies.iter().zip(&planned.plans);
-        warnings.extend(accuracies.filter_map(|(a, plan)| a.warning(plan, &scan)));
-        warnings.extend(specimen.warnings.clone());
-        warnings.extend(self.warnings(plan, &specimen, &scan));
+        simulation::check_hdf5_name(&self.output)?;
+        self.choose_accuracy(reporter)?;
+        let warnings = self.warnings();
         if self.common.dry_run {
-            return self.dry_run(&planned, &specimen, &scan, warnings);
+            return self.dry_run(warnings).map(|()| true);
         }
         warnings.iter().for_each(|w| reporter.warn(w));
-        for plan in &planned.plans {
-            let (needed, remedy) = self.memory(plan, &scan);
-            self.force.check_memory(needed, remedy, &reporter)?;
-        }
+        self.check_memory(reporter)?;
         if let Some(shard) = self.results.shard {
-            let blur = self.source_blur(&scan, [specimen.size[0], specimen.size[1]])?;
-            let wide = blur.as_ref().map_or(&scan, |b| b.scan());
-            let parts = Self::parts(&planned, &specimen, wide, &output);
-            let (told, report) = parts.make(shard, &reporter)?;
-            return self.common.print(&report, &told);
+            let parts = self.parts()?;
+            let (told, report) = parts.make(shard, reporter)?;
+            return self.common.print(&report, &told).map(|()| true);
         }
-        self.execute(&planned, &specimen, &scan, &files, &reporter)
+        self.execute(&files, reporter)
     }
 
     /// What several processes may share.
-    pub(super) fn parts<'a>(
-        planned: &'a PlannedSeries,
-        specimen: &'a Prepared,
-        scan: &Scan,
-        output: &'a Path,
-    ) -> ScanParts<'a> {
-        let more = specimen.more_frames.iter().map(Vec::as_slice);
-        let frames = std::iter::once(specimen.sites.as_slice()).chain(more).collect();
-        ScanParts { plans: &planned.plans, frames, scan: *scan, output }
+    pub(super) fn parts(&self) -> anyhow::Result<ScanParts<'_>> {
+        let (plans, frames) = (self.job.plans(), self.job.specimen().frames());
+        Ok(ScanParts { plans, frames, scan: self.job.simulated_scan()?, output: &self.output })
     }
 
-    /// The plans before any accuracy is asked for, and the scan.
-    fn plan(&self, specimen: &Prepared) -> anyhow::Result<(PlannedSeries, Scan)> {
-        let defocus_angstrom = self.microscope.defocus.0.clone();
-        let mut plans = Vec::new();
-        for defocus in &defocus_angstrom {
-            let thicknesses = self.results.thicknesses.clone();
-            let phonons = self.specimen.options.phonons();
-            let (microscope, numerics) = (&self.microscope, &self.numerics);
-            let mut settings =
-                imaging_args::settings_at(*defocus, microscope, numerics, phonons, thicknesses)?;
-            if self.results.plane_wave {
-                settings = plane_wave::settings(settings)?;
-            }
-            plans.push(Plan::new(&settings, specimen.size, &specimen.heights)?);
-        }
-        let scan = self.scan(&plans[0], specimen)?;
-        Ok((PlannedSeries { plans, defocus_angstrom, accuracies: Vec::new() }, scan))
+    fn choose_accuracy(&mut self, reporter: &Reporter) -> anyhow::Result<()> {
+        let begun = Instant::now();
+        self.job.choose_accuracy(reporter)?;
+        let each_s = begun.elapsed().as_secs_f64() / self.job.accuracies().len().max(1) as f64;
+        let found = self.job.accuracies().iter().cloned();
+        self.accuracies = found.map(|found| AccuracyReport::new(found, each_s)).collect();
+        Ok(())
     }
 
-    /// Makes the plans as accurate as asked.
-    fn make_accurate(
-        &self,
-        planned: &mut PlannedSeries,
-        specimen: &Prepared,
-        scan: &Scan,
-        reporter: &Reporter,
-    ) -> anyhow::Result<()> {
-        let asked = self.numerics.accuracy;
-        for plan in &mut planned.plans {
-            let mut settings = plan.settings.clone();
-            let found = AccuracyReport::choose(asked, &mut settings, specimen, scan, reporter)?;
-            if let Some(found) = found {
-                *plan = Plan::new(&settings, specimen.size, &specimen.heights)?;
-                planned.accuracies.push(found);
-            }
+    fn warnings(&self) -> Vec<String> {
+        let mut warnings: Vec<String> = self.job.warnings().iter().map(with_option).collect();
+        let accuracies = self.accuracies.iter().zip(self.job.plans());
+        warnings.extend(accuracies.filter_map(|(a, plan)| a.warning(plan, self.job.scan())));
+        warnings
+    }
+
+    fn check_memory(&self, reporter: &Reporter) -> anyhow::Result<()> {
+        for plan in self.job.plans() {
+            let scan = self.job.scan();
+            let probes = if self.job.request().plane_wave { 1 } else { scan.len() };
+            let (cost, threads) = (Cost::new(plan, scan).for_probes(probes), simulation::threads());
+            let needed = cost.memory_bytes(threads);
+            self.force.check_memory(needed, cost.memory_remedy(threads), reporter)?;
         }
         Ok(())
     }
 
-    pub(super) fn output(&self) -> PathBuf {
-        let stem = self.specimen.stem();
-        self.results.output.clone().unwrap_or_else(|| {
-            let mut name = stem.into_os_string();
-            name.push(".h5");
-            PathBuf::from(name)
-        })
-    }
-
-    /// Probe positions; the pixels of the grid for a plane wave.
-    fn scan(&self, plan: &Plan, specimen: &Prepared) -> anyhow::Result<Scan> {
-        let [x, y, _] = specimen.size;
-        if self.results.plane_wave {
-            let [nx, ny] = plan.wave_grid.points;
-            let step_angstrom = plan.wave_grid.sampling_angstrom();
-            return Ok(Scan { origin_angstrom: [0.0; 2], step_angstrom, shape: [ny, nx] });
-        }
-        let scan = self.scan.scan([x, y], &plan.settings.optics)?;
-        slips::check_scan(scan.origin_angstrom, extent(&scan), [x, y])?;
-        Ok(scan)
-    }
-
-    /// Warnings about the specimen.
-    fn warnings(&self, plan: &Plan, specimen: &Prepared, scan: &Scan) -> Vec<String> {
-        let aberrations = &self.microscope.aberration;
-        let mut warnings: Vec<String> =
-            aberrations.iter().filter_map(slips::azimuth_in_degrees).collect();
-        let [x, y, _] = specimen.size;
-        if !self.results.plane_wave {
-            warnings.extend(plan.narrow_cell());
-            let left = slips::check_scan(scan.origin_angstrom, extent(scan), [x, y]);
-            warnings.extend(left.ok().flatten());
-        }
-        if !self.results.plane_wave && x.min(y) < NARROW_CELL_ANGSTROM {
-            let times = [x, y].map(|l| (1.5 * NARROW_CELL_ANGSTROM / l).ceil());
-            let given = self.specimen.options.repeat.unwrap_or([1; 3]);
-            let [nx, ny] = [0, 1].map(|i| times[i] * given[i] as f64);
-            warnings.push(format!(
-                "the cell of {x:.2} x {y:.2} A is narrow: a probe meets its own periodic images; \
-                 --repeat {nx},{ny},{} --scan-end {x:.4},{y:.4} scans the same area of a wider cell",
-                given[2]
-            ));
-        }
-        warnings
-    }
-
-    /// Bytes that the run takes, and what takes less.
-    fn memory(&self, plan: &Plan, scan: &Scan) -> (u64, &'static str) {
-        let threads = estimate::threads();
-        let probes = if self.results.plane_wave { 1 } else { scan.len() };
-        let cost = Cost::new(plan, scan).for_probes(probes);
-        (cost.memory_bytes(threads), cost.memory_remedy(threads))
-    }
-
-    fn dry_run(
-        &self,
-        planned: &PlannedSeries,
-        specimen: &Prepared,
-        scan: &Scan,
-        warnings: Vec<String>,
-    ) -> anyhow::Result<()> {
-        let plan = &planned.plans[0];
-        let [x, y, _] = specimen.size;
-        let blur = self.source_blur(scan, [x, y])?;
-        let scan = blur.as_ref().map_or(scan, |b| b.scan());
-        let raster = ProbeRaster::new(plan, scan)?;
-        let waves = if self.results.plane_wave { 1 } else { raster.scan().len() };
-        let cost = Cost::with_atoms(plan, scan, &specimen.sites).for_probes(waves);
-        let mut warnings = warnings;
-        let (needed, remedy) = self.memory(plan, scan);
-        warnings.extend(check_memory(needed, remedy).err().map(|e| e.to_string()));
-        let frames = 1 + specimen.more_frames.len();
-        let runs = if self.results.plane_wave { 1 } else { planned.plans.len() * frames };
-        let report = PlanReport { warnings, ..PlanReport::new(plan, &cost, runs) };
+    fn dry_run(&self, warnings: Vec<String>) -> anyhow::Result<()> {
+        let (job, specimen) = (&self.job, self.job.specimen());
+        let mut plan = job.report()?;
+        let memory = plan.warnings.split_off(job.warnings().len());
+        plan.warnings = warnings.into_iter().chain(memory).collect();
+        let plane_wave = job.request().plane_wave;
+        let scan = job.simulated_scan()?;
         let scan_report = ScanReport {
             origin_angstrom: scan.origin_angstrom,
             step_angstrom: scan.step_angstrom,
@@ -321,15 +311,15 @@ impl Simulate {
             columns: scan.shape[1],
         };
         let all = SimulateDryRun {
-            structure: self.specimen.file_name(),
+            structure: self.structure_name(),
             atoms: specimen.sites.len(),
             composition: specimen.composition(),
-            box_angstrom: specimen.size,
-            scan: (!self.results.plane_wave).then_some(scan_report),
-            defocus_angstrom: planned.defocus_angstrom.clone(),
-            plan: report,
-            accuracy: AccuracyReport::value(&planned.accuracies)?,
-            output: self.output(),
+            box_angstrom: specimen.size_angstrom,
+            scan: (!plane_wave).then_some(scan_report),
+            defocus_angstrom: job.request().microscope.defocus_angstrom.clone(),
+            plan,
+            accuracy: AccuracyReport::value(&self.accuracies)?,
+            output: self.output.clone(),
         };
         let mut lines = Lines::default();
         let parts = all.composition.iter().map(|(symbol, n)| format!("{symbol} {n}"));
@@ -337,31 +327,45 @@ impl Simulate {
         lines.add("structure", format!("{}: {} atoms ({parts})", all.structure, all.atoms));
         let [x, y, z] = all.box_angstrom;
         lines.add("box", format!("{x:.3} x {y:.3} x {z:.3} A"));
-        all.plan.lines(&mut lines);
-        planned.accuracies.iter().for_each(|a| a.line(&mut lines));
-        match self.results.plane_wave {
+        plan_report::all(&all.plan, &mut lines);
+        self.accuracies.iter().for_each(|a| a.line(&mut lines));
+        let raster = ProbeRaster::new(&job.plans()[0], &scan)?;
+        match plane_wave {
             true => lines.add("beam", "a plane wave along the beam axis"),
             false => lines.add("probes", plan_report::scan(raster.scan())),
         }
-        if !self.results.plane_wave && raster.interpolates() {
-            lines.add("interpolated to", plan_report::scan(scan));
+        if !plane_wave && raster.interpolates() {
+            lines.add("interpolated to", plan_report::scan(&scan));
         }
-        if planned.plans.len() > 1 {
+        if job.plans().len() > 1 {
             let values = all.defocus_angstrom.iter().map(f64::to_string);
             lines.add("defocus", format!("{} A", values.collect::<Vec<_>>().join(", ")));
         }
-        all.plan.costs(&mut lines);
+        plan_report::costs(&all.plan, &mut lines);
         lines.add("output", format!("{} (nothing was simulated or written)", all.output.display()));
         self.common.print(&all, &lines.text())
     }
 
+    /// Name of the file of the structure.
+    pub(super) fn structure_name(&self) -> String {
+        self.job.request().structure.file().map(file_name).unwrap_or_default()
+    }
+
+    /// Names of the images: those without noise, then with.
+    fn image_names(&self) -> Vec<String> {
+        let names = self.job.image_names();
+        let noisy = names.iter().filter(|_| self.job.electrons_per_pixel().is_some());
+        let noisy: Vec<String> = noisy.map(|name| noisy_name(name)).collect();
+        names.into_iter().chain(noisy).collect()
+    }
+
     /// The files beside the one with all images.
-    fn side_files(&self, planned: &PlannedSeries) -> SideFiles {
-        let thicknesses = planned.plans[0].thicknesses_angstrom();
+    fn side_files(&self) -> SideFiles {
+        let thicknesses = self.job.plans()[0].thicknesses_angstrom();
         let series = thicknesses.len() > 1;
         let beside =
-            |name: &str, ending: &str| output::sibling(&self.output(), &format!("_{name}{ending}"));
-        let names = self.image_names(planned);
+            |name: &str, ending: &str| output::sibling(&self.output, &format!("_{name}{ending}"));
+        let names = self.image_names();
         let picture = |name: &String, (n, thickness): (usize, &f64)| {
             let at = if series { format!("_{thickness:.1}A") } else { String::new() };
             (name.clone(), n, beside(name, &format!("{at}.png")))
@@ -374,19 +378,16 @@ impl Simulate {
                 Some(_) => names.iter().map(|n| (n.clone(), beside(n, ".tif"))).collect(),
                 None => Vec::new(),
             },
-            hspy: results.hspy.then(|| self.output().with_extension("hspy")),
-            page: results.html.then(|| self.output().with_extension("html")),
+            hspy: results.hspy.then(|| self.output.with_extension("hspy")),
+            page: results.html.then(|| self.output.with_extension("html")),
         }
-    }
-
-    /// The defocus of a plan, where there is a series.
-    pub(super) fn series_defocus(&self, planned: &PlannedSeries, plan: &Plan) -> Option<f64> {
-        let number = planned.plans.iter().position(|p| std::ptr::eq(p, plan))?;
-        planned.defocus_angstrom.get(number).copied().filter(|_| planned.plans.len() > 1)
     }
 }
 
-/// Width and height of a scan in Angstrom.
-fn extent(scan: &Scan) -> [f64; 2] {
-    [0, 1].map(|k| scan.step_angstrom[k] * scan.shape[1 - k] as f64)
+/// A warning, with the option that it is about.
+fn with_option(warning: &Warning) -> String {
+    match warning.setting.and_then(hints::options) {
+        Some(option) => format!("{}; see {option}", warning.message),
+        None => warning.message.clone(),
+    }
 }

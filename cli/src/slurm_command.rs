@@ -8,9 +8,9 @@ use clap::{Args, Parser};
 use serde::Serialize;
 
 use super::build_command::Build;
-use super::build_plan::DryRun;
 use super::invocation::Invocation;
 use super::text::{self, quoted};
+use stemgen::world::WorldPlan;
 
 /// Jobs get this many times the longest time that is expected, and this much more in s: a node may be slower than this machine, or busy.
 const MARGIN: f64 = 2.0;
@@ -132,7 +132,7 @@ impl Slurm {
         Ok(words)
     }
 
-    fn jobs(&self, plan: &DryRun, words: &[String]) -> ClusterJobs {
+    fn jobs(&self, plan: &WorldPlan, words: &[String]) -> ClusterJobs {
         let (memory, seconds, threads) = plan.takes(usize::from(self.cpus));
         let tasks = f64::from(self.shards) * f64::from(self.cpus);
         let share = seconds * threads as f64 / tasks;
@@ -142,7 +142,7 @@ impl Slurm {
             memory_bytes: (MEMORY_MARGIN * memory as f64 + MEMORY_BYTES) as u64,
             time_s: MARGIN * share + START_S,
             arrays: if plan.has_library() { 2 } else { 1 },
-            output: plan.output().to_owned(),
+            output: plan.output.clone(),
             script: String::new(),
         };
         jobs.script = self.script(&jobs, words);

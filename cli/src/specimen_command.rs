@@ -2,17 +2,16 @@
 
 use super::common::Common;
 use super::plan_report::Lines;
-use super::progress_bar::Reporter;
 use super::recipe_args::RecipeArgs;
 use super::{output, text, values};
 use clap::Args;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 use stemgen::files::outputs::check_outputs;
 use stemgen::io::writable;
-use stemgen::recipe::{CheckedRecipe, Recipe};
+use stemgen::recipe::Recipe;
 use stemgen::specimen::{Specimen, specimen};
 use stemgen::structure::Format;
 use stemgen::world::footprint::atoms_bytes;
@@ -156,18 +155,6 @@ impl SpecimenCommand {
         let default = || PathBuf::from(self.recipe.stem(recipe) + ".extxyz");
         self.output.clone().unwrap_or_else(default)
     }
-}
-
-/// Draws the projected specimen of a recipe; its atoms are listed beside, and not kept.
-pub fn draw_specimen(recipe: &CheckedRecipe, picture: &Path, quiet: bool) -> anyhow::Result<()> {
-    let reporter = Reporter::new(quiet);
-    let specimen = specimen(recipe)?;
-    let mut drawing = Drawing::new(&*specimen, recipe);
-    let folder = tempfile::tempdir()?;
-    let options = ExportOptions { vacancies: true, vacuum_angstrom: 2.0, overwrite: false };
-    let atoms = folder.path().join("atoms.extxyz");
-    let summary = export(&*specimen, recipe, &atoms, &options, &reporter, |s| drawing.add(s))?;
-    Ok(drawing.finish(&summary).write_png(picture)?)
 }
 
 /// What would be written.

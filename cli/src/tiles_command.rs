@@ -1,6 +1,5 @@
 //! `stemgen tiles`.
 
-use super::audit_command::imaging_of;
 use super::common::{CacheArgs, Common};
 use super::plan_report::Lines;
 use super::progress_bar::Reporter;
@@ -17,7 +16,7 @@ use stemgen::io::WorldFile;
 use stemgen::io::npz_file::write_npz;
 use stemgen::specimen::specimen;
 use stemgen::world::replay::stored_training_set;
-use stemgen::world::{TrainingOptions, TrainingSet, training_set};
+use stemgen::world::{TrainingOptions, TrainingSet, imaging_of, training_set};
 
 const EXAMPLES: &str = "\
 Examples:

@@ -1,22 +1,24 @@
 //! Comparison with an image of another program.
 
-use super::accuracy_report::AccuracyReport;
 use super::hdf5_check;
 use super::hints::hinted;
 use super::imaging_args::{self, MicroscopeArgs, NumericsArgs};
-use super::plan_report::{self, Lines, PlanReport};
+use super::plan_report::{self, Lines};
 use super::progress_bar::Reporter;
 use super::reference_scan::{asked_pixels, reference_scan};
 use super::scan_args::ScanArgs;
-use super::structure_args::{Prepared, SpecimenArgs};
+use super::structure_args::{SpecimenArgs, file_name, with_frames};
 use super::values;
 use anyhow::{anyhow, bail};
 use clap::{Args, ValueEnum};
-use std::path::{Path, PathBuf};
-use stemgen::engine::{Cost, GridChoice, Plan, Scan, Settings};
+use std::path::PathBuf;
+use stemgen::engine::{Cost, GridChoice, Plan, Scan, Settings, settings_for_accuracy};
 use stemgen::io::arrays::{self, ForeignArray};
 use stemgen::potential::slices::Slicing;
 use stemgen::progress::Progress as _;
+use stemgen::simulation::{
+    AtomsSource, NumericsRequest, PlanReport, PreparedSpecimen, SpecimenRequest,
+};
 use stemgen::validate::golden::like_abtem;
 use stemgen::validate::image_comparison::{ImageComparison, compare};
 use stemgen::validate::user::{self, Order, Reference, ValueUnits};
@@ -90,7 +92,7 @@ pub struct PreparedReference {
     name: String,
     structure: String,
     reference: Reference,
-    specimen: Prepared,
+    specimen: PreparedSpecimen,
     plan: Plan,
     /// See [`ImageComparison::converged`].
     converged: Option<Plan>,
@@ -134,11 +136,16 @@ impl ReferenceArgs {
         let options = |given: Option<SpecimenArgs>| given.map_or_else(defaults, Ok);
         let specimen_args = options(self.specimen)?;
         let microscope: MicroscopeArgs = self.microscope.map_or_else(defaults, Ok)?;
-        let numerics: NumericsArgs = self.numerics.map_or_else(defaults, Ok)?;
-        let specimen = specimen_args.prepare(structure)?;
-        specimen.warnings.iter().for_each(|w| reporter.warn(w));
-        let phonons = specimen_args.phonons();
-        let mut settings = imaging_args::settings(&microscope, &numerics, phonons, Vec::new())?;
+        let numerics_args: NumericsArgs = self.numerics.map_or_else(defaults, Ok)?;
+        let mut specimen = SpecimenRequest::default();
+        specimen_args.apply(&mut specimen);
+        let phonons = specimen.phonons();
+        let atoms = AtomsSource::File(structure.clone());
+        let specimen = specimen.prepare(&atoms).map_err(with_frames)?;
+        specimen.notes.iter().for_each(|w| reporter.warn(w));
+        let mut numerics = NumericsRequest::default();
+        numerics_args.apply(&mut numerics)?;
+        let mut settings = imaging_args::settings(&microscope, &numerics, phonons)?;
         if settings.detectors.len() > 1 {
             let fault = anyhow!("{} detectors for one reference", settings.detectors.len());
             return Err(hinted(
@@ -149,7 +156,7 @@ impl ReferenceArgs {
         agree(&array, &settings)?;
         let converged = self.like_abtem.then(|| converged_settings(&settings));
         if self.like_abtem {
-            settings = abtem_settings(&settings, &numerics, specimen.size)?;
+            settings = abtem_settings(&settings, &numerics, specimen.size_angstrom)?;
         }
         let scan_args = self.scan.as_ref();
         let pixels = scan_args.map(|args| asked_pixels(args, &settings.optics)).transpose()?;
@@ -162,13 +169,19 @@ impl ReferenceArgs {
         };
         user::in_fractions(&array, &mut reference.data, units)?;
         let scan = reference_scan(scan_args, &settings.optics, &array, &reference)?;
-        let accuracy =
-            AccuracyReport::choose(numerics.accuracy, &mut settings, &specimen, &scan, reporter)?;
-        let plan = Plan::new(&settings, specimen.size, &specimen.heights)?;
+        let mut found = None;
+        if let Some(asked) = numerics.accuracy_percent {
+            let (size, frames) = (specimen.size_angstrom, specimen.frames());
+            let chosen = settings_for_accuracy(asked, &settings, size, &frames, &scan, reporter)?;
+            settings = chosen.0;
+            found = Some(chosen.1);
+        }
+        let plan = Plan::new(&settings, specimen.size_angstrom, &specimen.heights_angstrom)?;
         plan.warnings.iter().for_each(|w| reporter.warn(w));
-        let planned = |s: Settings| Plan::new(&s, specimen.size, &specimen.heights);
+        let planned =
+            |s: Settings| Plan::new(&s, specimen.size_angstrom, &specimen.heights_angstrom);
         let converged = converged.map(planned).transpose()?;
-        let accuracy = accuracy.map_or_else(String::new, |a| format!("; ours: {}", a.text()));
+        let accuracy = found.map_or_else(String::new, |a| format!("; ours: {}", a.text()));
         Ok(Some(PreparedReference {
             name: file_name(path),
             structure: file_name(structure),
@@ -203,10 +216,6 @@ impl ReferenceArgs {
     }
 }
 
-fn file_name(path: &Path) -> String {
-    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
-}
-
 /// Refuses settings that the file contradicts.
 fn agree(array: &ForeignArray, settings: &Settings) -> anyhow::Result<()> {
     let optics = &settings.optics;
@@ -233,10 +242,10 @@ fn converged_settings(settings: &Settings) -> Settings {
 
 fn abtem_settings(
     settings: &Settings,
-    numerics: &NumericsArgs,
+    numerics: &NumericsRequest,
     size: [f64; 3],
 ) -> anyhow::Result<Settings> {
-    let points = match (numerics.gpts, numerics.sampling) {
+    let points = match (numerics.gpts, numerics.sampling_angstrom) {
         (Some(points), _) => points,
         (None, Some(sampling)) => [0, 1].map(|i| (size[i] / sampling - 1e-9).ceil() as usize),
         (None, None) => {
@@ -247,7 +256,7 @@ fn abtem_settings(
             ));
         }
     };
-    let thickness = numerics.slice_thickness.unwrap_or(ABTEM_SLICE_ANGSTROM);
+    let thickness = numerics.slice_thickness_angstrom.unwrap_or(ABTEM_SLICE_ANGSTROM);
     // Slices of equal thickness; the focus moves by half of one.
     let slice = size[2] / (size[2] / thickness - 1e-9).ceil().max(1.0);
     Ok(like_abtem(settings, GridChoice::Points(points), slice))
@@ -260,9 +269,9 @@ impl PreparedReference {
         let mut lines = Lines::default();
         lines.add("reference", self.source.clone());
         lines.add("atoms", self.specimen.sites.len().to_string());
-        report.lines(&mut lines);
+        plan_report::all(&report, &mut lines);
         lines.add("probes", plan_report::scan(&self.scan));
-        report.costs(&mut lines);
+        plan_report::costs(&report, &mut lines);
         (report, lines.text())
     }
 
@@ -273,14 +282,14 @@ impl PreparedReference {
     /// What ours is computed with.
     fn settings(&self) -> Vec<NamedSetting> {
         let settings = &self.plan.settings;
-        let [x, y, z] = self.specimen.size;
+        let [x, y, z] = self.specimen.size_angstrom;
         let mut lines = Lines::default();
         lines.add("atoms", format!("{} in {x:.3} x {y:.3} x {z:.3} A", self.specimen.sites.len()));
         lines.add("beam", plan_report::beam(&settings.optics));
         let d = &settings.detectors[0];
         lines.add("detector", format!("{}, {} to {} mrad", d.name, d.inner_mrad, d.outer_mrad));
         lines.add("probes", plan_report::scan(&self.scan));
-        self.report().numerics(&mut lines);
+        plan_report::numerics(&self.report(), &mut lines);
         if self.converged.is_some() {
             lines.add("numerics", "abTEM's: potentials on the grid of the wave, even slices");
         }

@@ -1,7 +1,6 @@
 //! Parsers of option values. Their messages follow clap's `invalid value '...' for '...': `.
 
 use super::not_offered::not_offered;
-use super::slips;
 use clap::ValueEnum;
 use std::collections::BTreeMap;
 use std::str::FromStr;
@@ -13,7 +12,8 @@ use stemgen::optics::Aberration;
 use stemgen::potential::projected::Projection;
 use stemgen::potential::scattering::Parametrization;
 use stemgen::recipe::Difficulty;
-use stemgen::structure::{FrameRange, LARGEST_SIGMA_ANGSTROM, Sigmas, direction, elements};
+use stemgen::simulation::{self, FromFile, SigmaChoice};
+use stemgen::structure::{FrameRange, LARGEST_SIGMA_ANGSTROM, direction, elements};
 
 type Parsed<T> = Result<T, String>;
 
@@ -195,36 +195,35 @@ pub fn detector(text: &str) -> Parsed<Detector> {
     if !detector.name.contains(|c: char| c.is_ascii_alphanumeric()) {
         return Err("the name needs a letter or digit".into());
     }
-    let angles = [detector.inner_mrad, detector.outer_mrad];
-    slips::detector_in_radians(&detector.name, angles).map_or(Ok(detector), Err)
+    plausible(simulation::check_detector(&detector), detector)
 }
 
 /// A semiangle in mrad.
 pub fn semiangle(text: &str) -> Parsed<f64> {
     let value = finite(text)?;
-    slips::semiangle_in_radians(value).map_or(Ok(value), Err)
+    plausible(simulation::check_semiangle(value), value)
 }
 
 /// An energy in keV.
 pub fn energy(text: &str) -> Parsed<f64> {
     let value = finite(text)?;
-    slips::energy_in_ev(value).map_or(Ok(value), Err)
+    plausible(simulation::check_energy(value), value)
 }
 
-/// Standard deviations of thermal displacements.
-#[derive(Debug, Clone, PartialEq)]
-pub enum SigmaSource {
-    /// As given.
-    Given(Sigmas),
-    /// Those that the file of the structure lists.
-    FromFile,
+/// The value, unless it is hardly meant; clap names the value itself.
+fn plausible<T>(checked: stemgen::Result<()>, value: T) -> Parsed<T> {
+    match checked {
+        Ok(()) => Ok(value),
+        Err(stemgen::Error::Invalid { expected, .. }) => Err(expected),
+        Err(other) => Err(other.to_string()),
+    }
 }
 
-/// `from-file`, `0.08` or `Sr=0.084,O=0.085`.
-pub fn sigma_source(text: &str) -> Parsed<SigmaSource> {
+/// Standard deviations of thermal displacements: `from-file`, `0.08` or `Sr=0.084,O=0.085`.
+pub fn sigma_choice(text: &str) -> Parsed<SigmaChoice> {
     match text.trim() {
-        "from-file" => Ok(SigmaSource::FromFile),
-        given => sigmas(given).map(SigmaSource::Given),
+        "from-file" => Ok(SigmaChoice::FromFile(FromFile::FromFile)),
+        given => sigmas(given),
     }
 }
 
@@ -241,25 +240,26 @@ pub fn frames(text: &str) -> Parsed<FrameRange> {
 }
 
 /// Standard deviations of thermal displacements in Angstrom: `0.08` or `Sr=0.084,O=0.085`.
-fn sigmas(text: &str) -> Parsed<Sigmas> {
+fn sigmas(text: &str) -> Parsed<SigmaChoice> {
     let sigma = |text: &str| {
         let value = finite(text).ok().filter(|v| (0.0..=LARGEST_SIGMA_ANGSTROM).contains(v));
         value
             .ok_or_else(|| format!("`{text}`: write a length from 0 to {LARGEST_SIGMA_ANGSTROM} A"))
     };
     if !text.contains('=') {
-        return Ok(Sigmas::All(sigma(text)?));
+        return Ok(SigmaChoice::All(sigma(text)?));
     }
     let mut map = BTreeMap::new();
     for part in text.split(',').filter(|p| !p.trim().is_empty()) {
         let (symbol, value) =
             part.split_once('=').ok_or_else(|| format!("`{part}`: write Sr=0.084,O=0.085"))?;
         let number = elements::atomic_number(symbol).map_err(|e| e.to_string())?;
-        if map.insert(number, sigma(value)?).is_some() {
-            return Err(format!("{} is given twice", elements::symbol(number)));
+        let symbol = elements::symbol(number);
+        if map.insert(symbol.to_owned(), sigma(value)?).is_some() {
+            return Err(format!("{symbol} is given twice"));
         }
     }
-    Ok(Sigmas::ByElement(map))
+    Ok(SigmaChoice::ByElement(map))
 }
 
 /// Engines.
@@ -374,9 +374,9 @@ mod tests {
         assert_eq!(percentiles("1,99"), Ok([1.0, 99.0]));
         assert!(percentiles("99,1").is_err() && percentiles("0,101").is_err());
         assert!(point("1,nan").is_err() && finite("inf").is_err());
-        assert_eq!(sigmas("0.08"), Ok(Sigmas::All(0.08)));
-        let both = BTreeMap::from([(8, 0.085), (38, 0.084)]);
-        assert_eq!(sigmas("Sr=0.084, O=0.085"), Ok(Sigmas::ByElement(both)));
+        assert_eq!(sigmas("0.08"), Ok(SigmaChoice::All(0.08)));
+        let both = [("O", 0.085), ("Sr", 0.084)].map(|(symbol, a)| (symbol.to_owned(), a)).into();
+        assert_eq!(sigmas("Sr=0.084, O=0.085"), Ok(SigmaChoice::ByElement(both)));
         for bad in ["", "-1", "Xx=0.1", "Sr=", "Sr=0.1,Sr=0.2", "Sr=0.1,O", "5"] {
             assert!(sigmas(bad).is_err(), "{bad}");
         }
@@ -385,7 +385,7 @@ mod tests {
         assert!(percent("50%%").is_err() && expansion("0.5%%").is_err());
         assert_eq!(frames("10:200:5"), Ok(FrameRange { start: 10, end: Some(200), step: 5 }));
         assert!(["5:5", "3", "0:9:0", "-1:4"].iter().all(|f| frames(f).is_err()));
-        assert_eq!(sigma_source("from-file"), Ok(SigmaSource::FromFile));
+        assert_eq!(sigma_choice("from-file"), Ok(SigmaChoice::FromFile(FromFile::FromFile)));
         assert_eq!(series("30").unwrap().0, [30.0]);
         assert_eq!(series("0:100:20").unwrap().0, [0.0, 20.0, 40.0, 60.0, 80.0, 100.0]);
         assert_eq!(series("10:-10:-10").unwrap().0, [10.0, 0.0, -10.0]);

@@ -1,22 +1,20 @@
 //! `stemgen view`.
 
 use super::hdf5_check;
-use super::hints::hinted;
+use super::picture_args::PictureArgs;
+use super::progress_bar::Reporter;
 use super::recipe_args::is_recipe_file;
-use super::specimen_command::draw_specimen;
 use super::values::{self, Tier};
 use super::view_images::{self, ViewedImage};
-use super::view_picture::{
-    Overlay, PictureArgs, WorldPart, boundaries, boundaries_or_phases, particles,
-};
 use super::{output, text};
-use anyhow::{anyhow, bail};
+use anyhow::bail;
 use clap::Args;
 use std::path::{Path, PathBuf};
 use stemgen::files::outputs::check_outputs;
 use stemgen::io::{StoredImages, WorldFile};
 use stemgen::recipe::{CheckedRecipe, Difficulty, Recipe};
-use stemgen::render::html::WorldPage;
+use stemgen::render::WorldPart;
+use stemgen::world::draw_specimen;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -98,11 +96,11 @@ impl View {
         let ending = if self.html { "html" } else { "view.png" };
         let path = self.output.clone().unwrap_or_else(|| self.world.with_extension(ending));
         check_outputs([&path], [&self.world], self.overwrite)?;
-        let part = self.part(&world)?;
+        let part = WorldPart::of_region(&world, self.region)?;
         if self.html {
             return self.write_page(&world, &path);
         }
-        let picture = part.picture(&self.picture, &world)?;
+        let picture = part.picture(&self.picture.picture(), &world)?;
         picture.write_png(&path)?;
         let [h, w] = [&part.rows, &part.columns].map(|r| r.len() as f64 * part.pixel_nm);
         self.tell(&format!("{}: {w:.2} x {h:.2} nm", path.display()))
@@ -143,7 +141,7 @@ impl View {
         let usual = || PathBuf::from(format!("{}.view.png", recipe.id));
         let path = self.output.clone().unwrap_or_else(usual);
         check_outputs([&path], [&self.world], self.overwrite)?;
-        draw_specimen(recipe, &path, self.quiet)?;
+        draw_specimen(recipe, &path, &Reporter::new(self.quiet))?;
         self.tell(&path.display().to_string())
     }
 
@@ -158,7 +156,7 @@ impl View {
         let path = self.output.clone().unwrap_or_else(|| self.world.with_extension("view.png"));
         check_outputs([&path], [&self.world], self.overwrite)?;
         let choice = ViewedImage { name: self.detector.as_deref(), index: self.index };
-        let (picture, what) = view_images::picture(images, &choice, &self.picture)?;
+        let (picture, what) = view_images::picture(images, &choice, &self.picture.picture())?;
         picture.write_png(&path)?;
         self.tell(&format!("{}: {what}", path.display()))
     }
@@ -168,58 +166,9 @@ impl View {
     }
 
     fn write_page(&self, world: &WorldFile, path: &Path) -> anyhow::Result<()> {
-        if self.picture.clean && !world.has_clean() {
-            // The reader's own words about it.
-            world.stitched_clean(0..1, 0..1)?;
-        }
-        if self.picture.overlay.contains(&Overlay::Phases) {
-            boundaries_or_phases(world)?;
-        }
-        if self.picture.overlay.contains(&Overlay::Boundaries) {
-            boundaries(world)?;
-        }
-        if self.picture.overlay.contains(&Overlay::Particles) {
-            particles(world)?;
-        }
         let title = self.world.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let names = |overlay: &Overlay| match overlay {
-            Overlay::Defects => vec!["defects"],
-            Overlay::Phases => vec!["phases", "boundaries"],
-            Overlay::Boundaries => vec!["boundaries"],
-            Overlay::Particles => vec!["particles"],
-            Overlay::Columns => vec!["columns"],
-        };
-        let page = WorldPage {
-            title,
-            colormap: self.picture.colormap.into(),
-            contrast: self.picture.contrast,
-            overlays: self.picture.overlay.iter().flat_map(names).map(str::to_owned).collect(),
-            region: self.region,
-            clean: self.picture.clean,
-        };
-        page.page(world)?.write(path)?;
+        self.picture.picture().page(world, title, self.region)?.write(path)?;
         let size = text::bytes(output::size(path));
         self.tell(&format!("{} ({size}); open it in a browser", path.display()))
-    }
-
-    /// The pixels of the region.
-    fn part(&self, world: &WorldFile) -> anyhow::Result<WorldPart> {
-        let [height, width] = world.shape();
-        let pixel_nm = world.metadata().pixel_size_nm;
-        let Some([x0, y0, x1, y1]) = self.region else {
-            return Ok(WorldPart { rows: 0..height, columns: 0..width, pixel_nm });
-        };
-        let range = |low: f64, high: f64, size: usize| {
-            let clamp = |v: f64| v.clamp(0.0, size as f64) as usize;
-            clamp((low / pixel_nm + 0.5).floor())..clamp((high / pixel_nm + 0.5).ceil())
-        };
-        let (rows, columns) = (range(y0, y1, height), range(x0, x1, width));
-        if rows.is_empty() || columns.is_empty() {
-            let [h, w] = [height, width].map(|n| n as f64 * pixel_nm);
-            let fault = anyhow!("--region {x0},{y0},{x1},{y1} lies outside the world");
-            let hint = format!("the field goes from 0,0 to {w:.2},{h:.2} nm");
-            return Err(hinted(fault, hint));
-        }
-        Ok(WorldPart { rows, columns, pixel_nm })
     }
 }

@@ -1,11 +1,10 @@
 //! `stemgen view` of simulated images and recordings.
 
 use super::hints::hinted;
-use super::pictures;
-use super::view_picture::PictureArgs;
+
 use anyhow::anyhow;
 use stemgen::io::{ImageKind, StoredImages};
-use stemgen::render::{Contrast, Picture, RgbImage};
+use stemgen::render::{Contrast, Picture, RgbImage, WorldPicture, image_pictures};
 
 /// Which image of a file is drawn.
 pub struct ViewedImage<'a> {
@@ -22,7 +21,7 @@ pub struct ViewedImage<'a> {
 pub fn picture(
     images: &StoredImages,
     choice: &ViewedImage<'_>,
-    view: &PictureArgs,
+    view: &WorldPicture,
 ) -> anyhow::Result<(RgbImage, String)> {
     let name = match (view.clean, choice.name, images.kind) {
         (true, None, ImageKind::Recording) => "ideal",
@@ -38,14 +37,14 @@ pub fn picture(
     let (rows, columns) = image.values.dim();
     let size = [columns, rows].map(|n| n as f64);
     let [width, height] = [0, 1].map(|k| 0.1 * size[k] * image.step_angstrom[k]);
-    let (values, pixel) = pictures::resampled(image.values.view(), image.step_angstrom);
+    let (values, pixel) = image_pictures::resampled(image.values.view(), image.step_angstrom);
     let shape = values.dim();
     let values: Vec<f32> = values.into_iter().collect();
     let mut picture = Picture::new(&values, [shape.0, shape.1])?;
     picture.pixel_angstrom = Some(pixel);
-    picture.max_side = view.size as usize;
-    picture.colormap = view.colormap.into();
-    let [low, high] = view.contrast;
+    picture.max_side = view.longest_side_px as usize;
+    picture.colormap = view.colormap;
+    let [low, high] = view.contrast_percentiles;
     picture.contrast = Contrast::Percentile { low, high };
     let number = match image.of {
         1 => String::new(),

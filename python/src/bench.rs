@@ -3,8 +3,8 @@
 use crate::builds::CacheChoice;
 use crate::errors::{Fault, Told};
 use crate::guest::{Guest, Running, run};
-use crate::microscope::choice;
 use crate::recipes::checked;
+use crate::words::choice;
 use ndarray::{Array1, Array2, Array3, Axis};
 use numpy::IntoPyArray;
 use pyo3::prelude::*;

@@ -2,8 +2,8 @@
 
 use crate::errors::Fault;
 use crate::guest::{Guest, Running, run};
-use crate::microscope::{WordOrNumber, choice, expansion};
 use crate::recipes::checked;
+use crate::words::{WordOrNumber, choice, expansion};
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use stemgen::Setting;
@@ -12,9 +12,10 @@ use stemgen::files::Shard;
 use stemgen::files::outputs::check_outputs;
 use stemgen::imaging::Cache;
 use stemgen::progress::Progress;
+use stemgen::render::image_pictures::of_world;
+use stemgen::simulation;
 use stemgen::world::footprint::PICTURE;
-use stemgen::world::{BuildMethod, BuildOptions, BuildProfile, Companion, WorldBuild};
-use stemgen_cli::shared::{DryRun, of_world, threads};
+use stemgen::world::{BuildMethod, BuildOptions, BuildProfile, Companion, WorldBuild, WorldPlan};
 
 /// Regions that a build may audit.
 const MOST_REGIONS: usize = 1000;
@@ -119,9 +120,9 @@ impl Building {
         });
         if !complete {
             build.check_disk(&self.out, companion.as_ref())?;
-            let warnings = DryRun::warnings(&build)?;
+            let warnings = WorldPlan::warnings(&build)?;
             warnings.iter().for_each(|warning| guest.warn(warning));
-            let (needed, remedy) = build.memory(&build.cost()?, threads())?;
+            let (needed, remedy) = build.memory(&build.cost()?, simulation::threads())?;
             match check_memory(needed, remedy) {
                 Err(e) if self.force => guest.warn(&e.to_string()),
                 checked => checked?,
@@ -135,7 +136,7 @@ impl Building {
         let shard = Shard::new(shard[0], shard[1])?;
         let build = WorldBuild::new(&checked(&self.toml)?, &self.options()?)?;
         check_outputs([&self.out], [] as [&PathBuf; 0], false)?;
-        let (needed, remedy) = build.memory(&build.cost()?, threads())?;
+        let (needed, remedy) = build.memory(&build.cost()?, simulation::threads())?;
         match check_memory(needed, remedy) {
             Err(e) if self.force => guest.warn(&e.to_string()),
             checked => checked?,
@@ -167,8 +168,9 @@ pub fn plan_build(py: Python<'_>, options: Building, running: Running) -> PyResu
     run(py, running, move |_| {
         let recipe = checked(&options.toml)?;
         let build = WorldBuild::new(&recipe, &options.options()?)?;
-        let mut report = serde_json::to_value(DryRun::new(&recipe, &build, options.out.clone())?)?;
-        let more = DryRun::warnings(&build)?.into_iter().chain(build.warnings()?);
+        let mut report =
+            serde_json::to_value(WorldPlan::new(&recipe, &build, options.out.clone())?)?;
+        let more = WorldPlan::warnings(&build)?.into_iter().chain(build.warnings()?);
         if let Some(warnings) = report["warnings"].as_array_mut() {
             let known = warnings.clone();
             warnings.extend(more.map(Into::into).filter(|text| !known.contains(text)));

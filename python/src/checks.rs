@@ -5,19 +5,20 @@ use crate::errors::{Fault, Told};
 use crate::guest::{Running, run};
 use crate::recipes::checked;
 use pyo3::prelude::*;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use stemgen::engine::check_memory;
 use stemgen::files::{atomic_write, outputs::check_outputs};
 use stemgen::imaging::{AUDIT_REMEDY, AuditOptions, Cache, ImagingChoice, audit, audit_cost};
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
 use stemgen::recipe::CheckedRecipe;
+use stemgen::simulation;
 use stemgen::specimen::specimen;
 use stemgen::validate::report::{Report, ReportOrigin, sentence, suite_page, worlds_page};
 use stemgen::validate::soundness::check_world;
 use stemgen::validate::suite::{Case, selected};
 use stemgen::validate::worlds::compare;
-use stemgen_cli::shared::{WorldEngine, imaging_of, planned, threads};
+use stemgen::world::{WorldEngine, imaging_of, planned_imaging};
 
 /// A recipe, or a world and with it how it was made.
 #[derive(FromPyObject)]
@@ -35,11 +36,13 @@ impl Field {
     /// # Errors
     /// Those of recipe and file.
     pub fn resolve(&self) -> Result<(CheckedRecipe, Option<WorldEngine>), Fault> {
-        let (text, made) = match (&self.world, &self.toml) {
-            (Some(path), _) => made(path)?,
-            (None, toml) => (toml.clone().unwrap_or_default(), None),
+        let (recipe, made) = match (&self.world, &self.toml) {
+            (Some(path), _) => {
+                let (recipe, made) = WorldEngine::of_world(&WorldFile::open(path)?)?;
+                (recipe.checked()?, made)
+            }
+            (None, toml) => (checked(toml.as_deref().unwrap_or_default())?, None),
         };
-        let recipe = checked(&text)?;
         if self.acquisition.is_empty() {
             return Ok((recipe, made));
         }
@@ -59,21 +62,6 @@ impl Field {
     ) -> Result<ImagingChoice, Fault> {
         Ok(imaging_of(recipe, made, cache)?)
     }
-}
-
-/// The recipe of a world, and how it was made.
-fn made(path: &Path) -> Result<(String, Option<WorldEngine>), Fault> {
-    let world = WorldFile::open(path)?;
-    let metadata = world.metadata();
-    let foreign = |why: &str| Fault::File(path.to_owned(), why.to_owned());
-    let Some(text) = metadata.recipe.clone() else {
-        return Err(foreign("holds no recipe; it was not built by stemgen"));
-    };
-    let settings = metadata.engine_parameters.as_deref().map(serde_json::from_str).transpose();
-    let settings = settings
-        .map_err(|e| foreign(&format!("engine_parameters are not those of this program: {e}")))?;
-    let made = metadata.engine.clone().zip(settings);
-    Ok((text, made.map(|(engine, settings)| WorldEngine { engine, settings })))
 }
 
 /// What is audited.
@@ -112,10 +100,10 @@ pub fn audit_field(py: Python<'_>, options: Auditing, running: Running) -> PyRes
         let cache = options.cache.cache();
         let choice = match &made {
             Some(_) => Field::imaging(&recipe, made.as_ref(), cache)?,
-            None => planned(&recipe, cache, None)?,
+            None => planned_imaging(&recipe, cache, None)?,
         };
         let cost = audit_cost(&recipe, &*specimen, &asked)?.cost;
-        match check_memory(cost.memory_bytes(threads()), AUDIT_REMEDY) {
+        match check_memory(cost.memory_bytes(simulation::threads()), AUDIT_REMEDY) {
             Err(e) if options.force => guest.warn(&e.to_string()),
             checked => checked?,
         }

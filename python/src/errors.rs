@@ -35,16 +35,6 @@ impl From<serde_json::Error> for Fault {
     }
 }
 
-/// Parts of the command line tell of errors in its own way.
-impl From<stemgen_cli::shared::CommandError> for Fault {
-    fn from(error: stemgen_cli::shared::CommandError) -> Self {
-        match error.downcast::<Error>() {
-            Ok(error) => error.into(),
-            Err(other) => Fault::Words(format!("{other:#}")),
-        }
-    }
-}
-
 /// What `stemworlds.errors` needs to know.
 #[derive(Default)]
 struct Facts {

@@ -11,7 +11,7 @@ use stemgen::io::hspy_file::write_hspy;
 use stemgen::io::image_file::ImageStack;
 use stemgen::io::tiff_file::{TiffDepth, write_tiff};
 
-use crate::microscope::choice;
+use crate::words::choice;
 
 /// An image with its axes.
 #[derive(FromPyObject)]

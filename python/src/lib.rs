@@ -12,14 +12,14 @@ mod errors;
 mod files;
 mod guest;
 mod live;
-mod microscope;
 mod recipes;
 mod recordings;
 mod replays;
+mod request;
 mod simulate;
 mod specimens;
-mod structures;
 mod tiles;
+mod words;
 mod worlds;
 
 use pyo3::prelude::*;

@@ -7,7 +7,7 @@ use stemgen::acquisition::{AcquisitionTable, Profile};
 use stemgen::recipe::{CheckedRecipe, Difficulty, Override, Recipe};
 use stemgen::{Error, Setting};
 
-use crate::microscope::choice;
+use crate::words::choice;
 
 /// Where a recipe is.
 #[derive(FromPyObject)]

@@ -12,8 +12,8 @@ use stemgen::io::atom_type;
 use stemgen::recipe::Region;
 use stemgen::specimen::stripes::for_each_stripe;
 use stemgen::specimen::{Sites, SurfaceLayers, specimen};
+use stemgen::world::draw_specimen;
 use stemgen::{Error, Setting};
-use stemgen_cli::shared::draw_specimen;
 
 /// Sites one after the other.
 #[derive(Default)]
@@ -135,5 +135,5 @@ pub fn region_of(
 /// Draws the projected specimen of a recipe as PNG.
 #[pyfunction]
 pub fn draw_recipe(py: Python<'_>, toml: String, out: PathBuf, running: Running) -> PyResult<()> {
-    run(py, running, move |_| Ok(draw_specimen(&checked(&toml)?, &out, true)?))
+    run(py, running, move |guest| Ok(draw_specimen(&checked(&toml)?, &out, guest)?))
 }

@@ -8,13 +8,12 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use stemgen::Setting;
 use stemgen::files::{atomic_write, outputs::check_outputs};
 use stemgen::io::WorldFile;
-use stemgen::render::html::WorldPage;
-use stemgen::{Error, Setting};
-use stemgen_cli::shared::{ColormapName, Overlay, PictureArgs, WorldPart, of_world};
+use stemgen::render::{Colormap, Overlay, WorldPart, WorldPicture, image_pictures};
 
-use crate::microscope::choice;
+use crate::words::choice;
 
 /// Bytes of the name of a defect, and of a composition.
 const DEFECT_NAME: usize = 16;
@@ -306,8 +305,8 @@ pub struct ViewOptions {
 }
 
 impl ViewOptions {
-    fn picture(&self) -> Result<PictureArgs, Fault> {
-        use ColormapName::{Gray, Inferno, Magma, Viridis};
+    fn picture(&self) -> Result<WorldPicture, Fault> {
+        use Colormap::{Gray, Inferno, Magma, Viridis};
         let colors = [("gray", Gray), ("viridis", Viridis), ("inferno", Inferno), ("magma", Magma)];
         let overlays = [
             ("defects", Overlay::Defects),
@@ -316,44 +315,14 @@ impl ViewOptions {
             ("particles", Overlay::Particles),
             ("columns", Overlay::Columns),
         ];
-        let [low, high] = self.contrast;
-        if !(0.0 <= low && low < high && high <= 100.0) {
-            let expected = "two percentages that rise, from 0 to 100".to_owned();
-            let value = format!("{low}, {high}");
-            return Err(Fault::Value(Setting::ContrastPercentiles, value, expected));
-        }
-        if !(64..=16_384).contains(&self.size) {
-            let expected = "expected 64 to 16384".to_owned();
-            return Err(Fault::Value(Setting::LongestSidePixels, self.size.to_string(), expected));
-        }
-        let overlay = |name: &String| choice(Setting::Page, name, &overlays);
-        Ok(PictureArgs {
+        let overlay = |name: &String| choice(Setting::Overlay, name, &overlays);
+        Ok(WorldPicture {
             clean: self.clean,
             colormap: choice(Setting::Colormap, &self.colormap, &colors)?,
-            contrast: self.contrast,
-            overlay: self.overlays.iter().map(overlay).collect::<Result<_, _>>()?,
-            size: self.size,
+            contrast_percentiles: self.contrast,
+            overlays: self.overlays.iter().map(overlay).collect::<Result<_, _>>()?,
+            longest_side_px: self.size,
         })
-    }
-
-    fn part(&self, world: &WorldFile) -> Result<WorldPart, Fault> {
-        let [height, width] = world.shape();
-        let pixel_nm = world.metadata().pixel_size_nm;
-        let Some([x0, y0, x1, y1]) = self.region_nm else {
-            return Ok(WorldPart { rows: 0..height, columns: 0..width, pixel_nm });
-        };
-        let range = |low: f64, high: f64, size: usize| {
-            let clamp = |v: f64| v.clamp(0.0, size as f64) as usize;
-            clamp((low / pixel_nm + 0.5).floor())..clamp((high / pixel_nm + 0.5).ceil())
-        };
-        let (rows, columns) = (range(y0, y1, height), range(x0, x1, width));
-        if rows.is_empty() || columns.is_empty() {
-            let [h, w] = [height, width].map(|n| n as f64 * pixel_nm);
-            let expected = format!("the field goes from 0, 0 to {w:.2}, {h:.2} nm");
-            let value = format!("{x0}, {y0}, {x1}, {y1}");
-            return Err(Error::invalid(Setting::Region, value, expected).into());
-        }
-        Ok(WorldPart { rows, columns, pixel_nm })
     }
 }
 
@@ -364,27 +333,12 @@ pub fn view_world(py: Python<'_>, options: ViewOptions, running: Running) -> PyR
         let world = WorldFile::open(&options.world)?;
         let picture = options.picture()?;
         check_outputs([&options.out], [&options.world], options.overwrite)?;
-        let part = options.part(&world)?;
         if !options.html {
+            let part = WorldPart::of_region(&world, options.region_nm)?;
             return Ok(part.picture(&picture, &world)?.write_png(&options.out)?);
         }
-        if options.clean {
-            world.stitched_clean(0..1, 0..1)?;
-        }
-        let mut overlays = options.overlays.clone();
-        if overlays.iter().any(|name| name == "phases") {
-            overlays.push("boundaries".into());
-        }
         let title = options.world.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let page = WorldPage {
-            title,
-            colormap: picture.colormap.into(),
-            contrast: picture.contrast,
-            overlays,
-            region: options.region_nm,
-            clean: options.clean,
-        };
-        Ok(page.page(&world)?.write(&options.out)?)
+        Ok(picture.page(&world, title, options.region_nm)?.write(&options.out)?)
     })
 }
 
@@ -397,7 +351,7 @@ pub fn png<'py>(
     scale_bar: bool,
 ) -> PyResult<Bound<'py, PyBytes>> {
     let image: Array2<f32> = image.as_array().to_owned();
-    let bytes = py.detach(|| stemgen_cli::shared::png(image.view(), step_angstrom, scale_bar));
+    let bytes = py.detach(|| image_pictures::png(image.view(), step_angstrom, scale_bar));
     Ok(PyBytes::new(py, &bytes.told(py)?))
 }
 

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +15,110 @@ _Region = tuple[float, float, float, float]
 _Rows = tuple[int, int]
 
 __version__: str
+
+class AtomArrays(TypedDict):
+    numbers: list[int]
+    positions: npt.NDArray[np.float64]
+    cell: list[list[float]]
+    occupancies: list[float] | None
+
+class SpecimenRequest(TypedDict, total=False):
+    zone: tuple[int, ...]
+    up: tuple[int, ...]
+    max_strain_percent: float
+    repeat: tuple[int, ...]
+    phonons: int
+    sigma_angstrom: float | str | dict[str, float]
+    frames: dict[str, int]
+    seed: int
+
+class MicroscopeRequest(TypedDict, total=False):
+    energy_kev: float
+    semiangle_mrad: float
+    defocus_angstrom: list[float]
+    aberrations: list[dict[str, Any]]
+    tilt_mrad: tuple[float, float]
+    focal_spread_angstrom: float
+    source_size_angstrom: float
+    source_lorentz_share: float
+    detectors: list[dict[str, Any]]
+    allow_empty_angles: bool
+
+class ScanRequest(TypedDict, total=False):
+    start: tuple[float, float]
+    end: tuple[float, float]
+    unit: str
+    step_angstrom: float
+    points: tuple[int, ...]
+
+class NumericsRequest(TypedDict, total=False):
+    engine: str
+    accuracy_percent: float
+    interpolation: tuple[int, ...]
+    window_angstrom: float
+    sampling_angstrom: float
+    gpts: tuple[int, ...]
+    slice_thickness_angstrom: float
+    projection: str
+    parametrization: str
+    band_fraction: float
+    band_taper: float
+    oversampling: int
+    angle_margin: float
+    probe_step: str | float
+    expansion_percent: str | float
+    probe_box: str
+    full_exit_grid: bool
+    tail_correction: bool
+
+class _SimulationRequest(TypedDict):
+    structure: str
+
+class SimulationRequest(_SimulationRequest, total=False):
+    """What ``stemgen::simulation::SimulationRequest`` reads; the library has the defaults of what is not given."""
+
+    thicknesses_angstrom: list[float]
+    plane_wave: bool
+    electrons_per_angstrom2: float
+    specimen: SpecimenRequest
+    microscope: MicroscopeRequest
+    scan: ScanRequest
+    numerics: NumericsRequest
+
+class _SharedFacts(TypedDict):
+    thicknesses_angstrom: list[float]
+    box_angstrom: list[float]
+    settings: str
+    band_limit_mrad: float
+
+class SimulatedImage(TypedDict):
+    name: str
+    data: npt.NDArray[np.float32]
+    counts: npt.NDArray[np.uint32] | None
+    defocus_angstrom: float
+    annulus_mrad: list[float]
+
+class SimulatedImages(_SharedFacts):
+    images: list[SimulatedImage]
+    electrons_per_pixel: float | None
+    strain_percent: float | None
+    step_angstrom: list[float]
+    origin_angstrom: list[float]
+    accuracy: list[str]
+
+class ProbeValues(_SharedFacts):
+    values: list[tuple[str, npt.NDArray[np.float32]]]
+    places_angstrom: list[list[float]]
+
+class PlaneWaveImages(TypedDict):
+    exit_waves: npt.NDArray[np.complex64]
+    images: list[npt.NDArray[np.float32]]
+    step_angstrom: list[float]
+
+class DiffractionPattern(TypedDict):
+    data: npt.NDArray[np.float32]
+    step_mrad: list[float]
+    band_limit_mrad: float
 
 class Episodes:
     def __new__(cls, scene: _Options, rules: _Options, count: int, running: Running) -> Episodes: ...
@@ -91,12 +195,27 @@ def recipes() -> list[tuple[str, list[str]]]: ...
 def resolve_recipe(source: _Options, changes: _Options) -> str: ...
 def record_field(options: _Options, running: Running) -> dict[str, Any]: ...
 def diffraction(
-    options: _Options, position_angstrom: tuple[float, float], running: Running
-) -> dict[str, Any]: ...
-def plan_simulation(options: _Options, running: Running) -> str: ...
-def simulate(options: _Options, running: Running) -> dict[str, Any]: ...
-def simulate_places(options: _Options, places: list[tuple[float, float]], unit: str, running: Running) -> dict[str, Any]: ...
-def simulate_plane_wave(options: _Options, running: Running) -> dict[str, Any]: ...
+    request: SimulationRequest,
+    atoms: AtomArrays | None,
+    position_angstrom: tuple[float, float],
+    force: bool,
+    running: Running,
+) -> DiffractionPattern: ...
+def plan_simulation(request: SimulationRequest, atoms: AtomArrays | None, running: Running) -> str: ...
+def simulate(
+    request: SimulationRequest, atoms: AtomArrays | None, force: bool, running: Running
+) -> SimulatedImages: ...
+def simulate_places(
+    request: SimulationRequest,
+    atoms: AtomArrays | None,
+    places: list[tuple[float, float]],
+    unit: str,
+    force: bool,
+    running: Running,
+) -> ProbeValues: ...
+def simulate_plane_wave(
+    request: SimulationRequest, atoms: AtomArrays | None, force: bool, running: Running
+) -> PlaneWaveImages: ...
 def draw_recipe(toml: str, out: _Path, running: Running) -> None: ...
 def specimen_sites(
     toml: str, region_nm: tuple[float, float, float, float] | None, running: Running

@@ -10,6 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
+from . import _core
 from .errors import _invalid
 
 
@@ -59,7 +60,7 @@ class AtomArrays:
 Atoms = AseAtoms | AtomArrays | str | os.PathLike[str]
 
 
-def atoms_source(atoms: Atoms) -> str | dict[str, Any]:
+def atoms_source(atoms: Atoms) -> str | _core.AtomArrays:
     """As the extension takes it: a path, or a dict of arrays."""
     if isinstance(atoms, (str, os.PathLike)):
         return os.fspath(atoms)
@@ -70,7 +71,7 @@ def atoms_source(atoms: Atoms) -> str | dict[str, Any]:
     raise _invalid("atoms", f"atoms = {type(atoms).__name__}: expected ase.Atoms, AtomArrays or the path of a file")
 
 
-def _of_ase(atoms: Any) -> dict[str, Any]:
+def _of_ase(atoms: Any) -> _core.AtomArrays:
     """Atoms of ASE, with what they say of mixed sites and of where the cell begins."""
     numbers, positions = np.asarray(atoms.get_atomic_numbers()), np.asarray(atoms.get_positions(), dtype=np.float64)
     if hasattr(atoms, "get_celldisp"):
@@ -103,7 +104,7 @@ def _of_ase(atoms: Any) -> dict[str, Any]:
     return _arrays(np.asarray(drawn, dtype=np.int64), positions[sites], atoms.get_cell(), shares)
 
 
-def _arrays(numbers: Any, positions: Any, cell: Any, occupancies: Any = None) -> dict[str, Any]:
+def _arrays(numbers: Any, positions: Any, cell: Any, occupancies: Any = None) -> _core.AtomArrays:
     found = np.asarray(numbers)
     if found.ndim != 1 or (found.size and (found.min() < 0 or not np.issubdtype(found.dtype, np.integer))):
         raise _invalid("atoms", "atomic numbers are a list of whole numbers")

@@ -89,6 +89,11 @@ _KEYWORDS: dict[str, str | None] = {
     "EnergyKev": "energy_kv",
     "SemiangleMrad": "semiangle_mrad",
     "Aberration": "aberrations or defocus_angstrom",
+    "Defocus": "defocus_angstrom",
+    "Frames": "frames",
+    "Scan": "scan",
+    "PlaneWave": None,
+    "OutputName": "out",
     "MistiltMrad": "tilt_mrad",
     "FocalSpreadAngstrom": "focal_spread_angstrom",
     "SourceLorentzShare": "source_lorentz",
@@ -179,6 +184,7 @@ _KEYWORDS: dict[str, str | None] = {
     "ReplayPixelNm": "pixel_nm",
     "ReplaySpacingNm": "spacing_nm",
     "ReplayImage": None,
+    "Overlay": "overlays",
     "Colormap": "colormap",
     "ContrastRange": "contrast",
     "ContrastPercentiles": "contrast",
@@ -250,6 +256,27 @@ def _of_library(
     if isinstance(error, OSError):
         error.errno = errno
         error.filename = None if path is None else _os.fspath(path)
+    return error
+
+
+#: The argument for a key of the request that has another name.
+_KEYS: dict[str, str] = {
+    "energy_kev": "energy_kv",
+    "source_lorentz_share": "source_lorentz",
+    "sigma_angstrom": "sigma",
+    "electrons_per_angstrom2": "dose",
+}
+
+
+def _of_request(place: str, message: str, wrong_type: bool) -> StemworldsError:
+    """The exception for a value at ``place`` that no request has; the extension calls this."""
+    tables = {"specimen", "microscope", "numerics", ""}
+    words = [word for word in place.split(".") if word not in tables] or [place]
+    key = words[0].partition("[")[0]
+    keyword = _KEYS.get(key, key)
+    family = WrongType if wrong_type else InvalidValue
+    error = family(f"{keyword}: {message}")
+    error.keyword = keyword
     return error
 
 

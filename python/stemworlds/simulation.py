@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypedDict, Unpack
 
@@ -21,8 +21,6 @@ Engine = Literal["multislice", "prism", "window"]
 Sigma = float | Mapping[str, float] | Literal["from-file"]
 Detectors = Mapping[str, tuple[float, float]]
 Aberrations = Mapping[str, float | tuple[float, float]]
-
-_HAADF: Detectors = {"HAADF": (68.0, 200.0)}
 
 
 @dataclass(frozen=True)
@@ -45,14 +43,15 @@ class Scan:
     step_angstrom: float | None = None
     points: tuple[int, int] | None = None
 
-    def _options(self) -> dict[str, Any]:
-        return {
-            "start": _pair("scan", self.start),
-            "end": None if self.end is None else _pair("scan", self.end),
-            "unit": self.unit,
-            "step_angstrom": self.step_angstrom,
-            "points": None if self.points is None else _counts("scan", self.points, 2),
-        }
+    def _request(self) -> _core.ScanRequest:
+        request: _core.ScanRequest = {"start": _pair("scan", self.start), "unit": self.unit}
+        if self.end is not None:
+            request["end"] = _pair("scan", self.end)
+        if self.step_angstrom is not None:
+            request["step_angstrom"] = self.step_angstrom
+        if self.points is not None:
+            request["points"] = _counts("scan", self.points, 2)
+        return request
 
 
 class SimulationOptions(TypedDict, total=False):
@@ -196,8 +195,7 @@ def simulate(atoms: Atoms, **options: Unpack[SimulationOptions]) -> Images:
         NotEnoughMemory: unless ``force``.
         KeyboardInterrupt: after Ctrl-C.
     """
-    simulation = _simulation(atoms, options)
-    found = call(_core.simulate, simulation, _run(options))
+    found = call(_core.simulate, *_request(atoms, options), options.get("force", False), _run(options))
     (dx, dy), (x, y) = found["step_angstrom"], found["origin_angstrom"]
     metadata = {
         "settings": json.loads(found["settings"]),
@@ -291,7 +289,8 @@ def simulate_probes(
     if not np.isfinite(places).all():
         raise _invalid("positions", f"positions: {places[~np.isfinite(places).all(axis=1)][0]} are no finite numbers")
     pairs = [(float(x), float(y)) for x, y in places]
-    found = call(_core.simulate_places, _simulation(atoms, options), pairs, unit, _run(options))
+    request, arrays = _request(atoms, options)
+    found = call(_core.simulate_places, request, arrays, pairs, unit, options.get("force", False), _run(options))
     thicknesses = tuple(found["thicknesses_angstrom"])
     return ProbeValues(
         values_of={name: data[0] if len(thicknesses) == 1 else data for name, data in found["values"]},
@@ -307,7 +306,7 @@ def simulate_probes(
 
 def plan_simulation(atoms: Atoms, **options: Unpack[SimulationOptions]) -> SimulationPlan:
     """What :func:`simulate` would do and take with the same arguments; nothing is simulated."""
-    report = json.loads(call(_core.plan_simulation, _simulation(atoms, options), _run(options)))
+    report = json.loads(call(_core.plan_simulation, *_request(atoms, options), _run(options)))
     x, y, z = report["box_angstrom"]
     rows, columns = report["scan_shape"]
     least, most = report["estimated_range_s"]
@@ -340,7 +339,9 @@ def plane_wave(atoms: Atoms, **options: Unpack[SimulationOptions]) -> PlaneWave:
     if unused:
         name = sorted(unused)[0]
         raise _invalid(name, f"{name} is for scanned images; a plane wave has no such thing")
-    found = call(_core.simulate_plane_wave, _simulation(atoms, options), _run(options))
+    request, arrays = _request(atoms, options)
+    request["plane_wave"] = True
+    found = call(_core.simulate_plane_wave, request, arrays, options.get("force", False), _run(options))
     dx, dy = found["step_angstrom"]
     sampling = (dy / 10, dx / 10)
     images = (
@@ -360,9 +361,9 @@ def diffraction(
         position_angstrom: where the probe stands, ``(x, y)``.
         **options: see :class:`SimulationOptions`. The grid carries the outermost detector angle.
     """
-    found = call(
-        _core.diffraction, _simulation(atoms, options), _pair("position_angstrom", position_angstrom), _run(options)
-    )
+    request, arrays = _request(atoms, options)
+    place = _pair("position_angstrom", position_angstrom)
+    found = call(_core.diffraction, request, arrays, place, options.get("force", False), _run(options))
     dx, dy = found["step_mrad"]
     return DiffractionPattern(
         array=np.fft.fftshift(found["data"]),
@@ -375,98 +376,128 @@ def _run(options: SimulationOptions) -> Any:
     return running(options.get("threads"), options.get("progress"))
 
 
-def _simulation(atoms: Atoms, options: SimulationOptions) -> dict[str, Any]:
-    """All options, as the extension takes them."""
+#: Options that the request takes as they are: table and key.
+_AS_GIVEN: dict[str, tuple[str, str]] = {
+    **{key: ("specimen", key) for key in ("max_strain_percent",)},
+    **{
+        key: ("microscope", key)
+        for key in ("semiangle_mrad", "focal_spread_angstrom", "source_size_angstrom", "allow_empty_angles")
+    },
+    "energy_kv": ("microscope", "energy_kev"),
+    "source_lorentz": ("microscope", "source_lorentz_share"),
+    **{
+        key: ("numerics", key)
+        for key in (
+            "engine",
+            "accuracy_percent",
+            "window_angstrom",
+            "sampling_angstrom",
+            "slice_thickness_angstrom",
+            "projection",
+            "parametrization",
+            "band_fraction",
+            "band_taper",
+            "oversampling",
+            "angle_margin",
+            "probe_step",
+            "expansion_percent",
+            "probe_box",
+            "full_exit_grid",
+            "tail_correction",
+        )
+    },
+}
+
+
+def _request(atoms: Atoms, options: SimulationOptions) -> tuple[_core.SimulationRequest, _core.AtomArrays | None]:
+    """What was given, as the library's request has it, and atoms at hand. The library has the defaults."""
     unknown = options.keys() - SimulationOptions.__annotations__.keys()
     if unknown:
         raise TypeError(f"unexpected keyword argument {sorted(unknown)[0]!r}")
-    return {
-        "atoms": atoms_source(atoms),
-        "specimen": _specimen(options),
-        "microscope": _microscope(options),
-        "numerics": _numerics(options),
-        "scan": (options.get("scan") or Scan())._options(),
-        "dose": options.get("dose"),
-        "force": options.get("force", False),
-    }
+    source = atoms_source(atoms)
+    tables: dict[str, dict[str, Any]] = {"specimen": {}, "microscope": {}, "numerics": {}}
+    given = {key: value for key, value in options.items() if value is not None}
+    for keyword, value in given.items():
+        if keyword in _AS_GIVEN:
+            table, key = _AS_GIVEN[keyword]
+            tables[table][key] = value
+        elif keyword in _READERS:
+            table, key, read = _READERS[keyword]
+            tables[table][key] = read(value)
+    request: Any = {"structure": source if isinstance(source, str) else "", **tables}
+    if "scan" in given:
+        request["scan"] = given["scan"]._request()
+    if "thicknesses_angstrom" in given:
+        request["thicknesses_angstrom"] = [float(t) for t in given["thicknesses_angstrom"]]
+    if "dose" in given:
+        request["electrons_per_angstrom2"] = given["dose"]
+    return request, None if isinstance(source, str) else source
 
 
-def _specimen(options: SimulationOptions) -> dict[str, Any]:
-    frames = options.get("frames")
-    sigma = options.get("sigma")
-    if frames is not None and (not isinstance(frames, range) or frames.start < 0 or frames.step < 1):
+def _frames(frames: Any) -> dict[str, int]:
+    if not isinstance(frames, range) or frames.start < 0 or frames.step < 1:
         raise _invalid("frames", f"frames = {frames!r}: expected range(start, end, step)")
-    phonons = options.get("phonons")
-    if phonons is not None:
-        _whole("phonons", phonons, 0, 2**32 - 1)
-    return {
-        "zone": _directions("zone", options.get("zone")),
-        "up": _directions("up", options.get("up")),
-        "max_strain_percent": options.get("max_strain_percent"),
-        "repeat": None if options.get("repeat") is None else _counts("repeat", options["repeat"], 3),
-        "phonons": phonons,
-        "sigma": dict(sigma) if isinstance(sigma, Mapping) else sigma,
-        "frames": None if frames is None else (frames.start, frames.stop, frames.step),
-        "seed": _whole("seed", options.get("seed", 1), 0, 2**64 - 1),
-    }
+    return {"start": frames.start, "end": frames.stop, "step": frames.step}
 
 
-def _microscope(options: SimulationOptions) -> dict[str, Any]:
-    detectors = options.get("detectors", _HAADF)
+def _sigma(sigma: Any) -> Any:
+    if isinstance(sigma, Mapping):
+        return {str(symbol): float(value) for symbol, value in sigma.items()}
+    return sigma if isinstance(sigma, str) else float(sigma)
+
+
+def _detectors(detectors: Any) -> list[dict[str, Any]]:
     listed = []
     for name, angles in detectors.items():
         inner, outer = _pair("detectors", angles)
-        listed.append((name, inner, outer))
-    return {
-        "energy_kv": options.get("energy_kv", 200.0),
-        "semiangle_mrad": options.get("semiangle_mrad", 21.0),
-        "defocus_angstrom": _defoci(options),
-        "aberrations": [_aberration(*item) for item in options.get("aberrations", {}).items()],
-        "tilt_mrad": _pair("tilt_mrad", options.get("tilt_mrad", (0.0, 0.0))),
-        "focal_spread_angstrom": options.get("focal_spread_angstrom", 0.0),
-        "source_size_angstrom": options.get("source_size_angstrom"),
-        "source_lorentz": options.get("source_lorentz", 0.0),
-        "detectors": listed,
-        "allow_empty_angles": options.get("allow_empty_angles", False),
-    }
+        listed.append({"name": name, "inner_mrad": inner, "outer_mrad": outer})
+    return listed
 
 
-def _numerics(options: SimulationOptions) -> dict[str, Any]:
-    interpolation = options.get("interpolation")
-    if isinstance(interpolation, int):
-        interpolation = (interpolation, interpolation)
-    gpts = options.get("gpts")
-    return {
-        "engine": options.get("engine"),
-        "accuracy_percent": options.get("accuracy_percent"),
-        "interpolation": None if interpolation is None else _counts("interpolation", interpolation, 2),
-        "window_angstrom": options.get("window_angstrom"),
-        "sampling_angstrom": options.get("sampling_angstrom"),
-        "gpts": None if gpts is None else _counts("gpts", gpts, 2),
-        "slice_thickness_angstrom": options.get("slice_thickness_angstrom"),
-        "projection": options.get("projection", "infinite"),
-        "parametrization": options.get("parametrization", "lobato"),
-        "band_fraction": options.get("band_fraction"),
-        "band_taper": options.get("band_taper", 0.0),
-        "oversampling": options.get("oversampling"),
-        "angle_margin": options.get("angle_margin", 1.2),
-        "probe_step": options.get("probe_step", "auto"),
-        "expansion_percent": options.get("expansion_percent", "auto"),
-        "probe_box": options.get("probe_box"),
-        "full_exit_grid": options.get("full_exit_grid", False),
-        "tail_correction": options.get("tail_correction", True),
-        "thicknesses_angstrom": [float(t) for t in options.get("thicknesses_angstrom", ())],
-    }
+def _interpolation(factors: Any) -> tuple[int, ...]:
+    return _counts("interpolation", (factors, factors) if isinstance(factors, int) else factors, 2)
+
+
+def _aberrations(aberrations: Any) -> list[dict[str, Any]]:
+    """Coefficients by their names, C12: order 1, symmetry 2."""
+    listed = []
+    for name, value in aberrations.items():
+        magnitude, azimuth = value if isinstance(value, (tuple, list)) else (value, 0.0)
+        letter, *digits = str(name)
+        if letter != "C" or len(digits) != 2 or not all(digit.isdecimal() for digit in digits):
+            raise _invalid("aberrations", f"aberrations has {name!r}: expected names such as C12 or C30")
+        listed.append(
+            {
+                "order": int(digits[0]),
+                "symmetry": int(digits[1]),
+                "magnitude_angstrom": float(magnitude),
+                "azimuth_rad": float(azimuth),
+            }
+        )
+    return listed
+
+
+#: Options that are read before the request takes them: table, key, reader.
+_READERS: dict[str, tuple[str, str, Callable[[Any], Any]]] = {
+    "zone": ("specimen", "zone", lambda value: _directions("zone", value)),
+    "up": ("specimen", "up", lambda value: _directions("up", value)),
+    "repeat": ("specimen", "repeat", lambda value: _counts("repeat", value, 3)),
+    "phonons": ("specimen", "phonons", lambda value: _whole("phonons", value, 0, 2**32 - 1)),
+    "sigma": ("specimen", "sigma_angstrom", _sigma),
+    "frames": ("specimen", "frames", _frames),
+    "seed": ("specimen", "seed", lambda value: _whole("seed", value, 0, 2**64 - 1)),
+    "defocus_angstrom": ("microscope", "defocus_angstrom", lambda value: _defoci({"defocus_angstrom": value})),
+    "aberrations": ("microscope", "aberrations", _aberrations),
+    "tilt_mrad": ("microscope", "tilt_mrad", lambda value: _pair("tilt_mrad", value)),
+    "detectors": ("microscope", "detectors", _detectors),
+    "interpolation": ("numerics", "interpolation", _interpolation),
+    "gpts": ("numerics", "gpts", lambda value: _counts("gpts", value, 2)),
+}
 
 
 def _defoci(options: SimulationOptions) -> list[float]:
     defocus = options.get("defocus_angstrom", 0.0)
     return [float(d) for d in defocus] if isinstance(defocus, (Sequence, np.ndarray)) else [float(defocus)]
-
-
-def _aberration(name: str, value: float | tuple[float, float]) -> str:
-    magnitude, azimuth = value if isinstance(value, (tuple, list)) else (value, 0.0)
-    return f"{name}={float(magnitude)!r}@{float(azimuth)!r}"
 
 
 def _pair(keyword: str, values: Any) -> tuple[float, float]:

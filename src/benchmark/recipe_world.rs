@@ -12,6 +12,7 @@ use super::in_use::InUse;
 use super::overview_blocks::OverviewBlocks;
 use super::view::{FieldFacts, TileView};
 use crate::error::{Error, Result};
+use crate::imaging::Noise;
 use crate::imaging::{
     MethodChoice, PixelRect, RegionImager, SharedSheets, TurnedRaster, overview_image, turned_image,
 };
@@ -22,7 +23,7 @@ use crate::setting::Setting;
 use crate::specimen::{ParticleOutline, SiteKind, Specimen, outlines_in, specimen};
 use crate::world::noise_free::band_limit;
 use crate::world::region_truth::{list, phases_of_points};
-use crate::world::{BuildOptions, ColumnTruth, Noise, SiteTruth};
+use crate::world::{BuildOptions, ColumnTruth, SiteTruth};
 
 /// Above this share of an image's band limit there is less than 0.01 % of its power (see [`crate::resample::Kernel`]).
 const HIGHEST_SHARE: f64 = 0.9;

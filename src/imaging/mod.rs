@@ -13,6 +13,7 @@ pub mod displaced_atoms;
 pub mod film;
 pub mod imaging_cost;
 pub mod mosaic;
+mod noise;
 pub mod one_detector;
 pub mod pixels;
 pub mod region_imager;
@@ -37,6 +38,7 @@ pub use mosaic::mosaic_imager::MosaicImager;
 pub use mosaic::shared_sheets::SharedSheets;
 #[cfg(feature = "hdf5")]
 pub use mosaic::supplied_library::{LIBRARY_VARIABLE, SuppliedLibrary};
+pub use noise::{MOST_ELECTRONS_PER_PIXEL, Noise, check_countable};
 pub use one_detector::OneDetector;
 pub use pixels::{PixelBox, PixelRect};
 pub use region_imager::RegionImager;

@@ -1,7 +1,7 @@
 //! Files of simulated images. Their schema is here only.
 //!
 //! - `/` attributes: `format` ("stemgen images"), `format_version`, `stemgen_version`,
-//!   `command_line`, `settings` (JSON), `structure_file`, `wavelength_angstrom`, `band_limit_mrad`,
+//!   `command_line`, `request` (JSON) and `structure_sha256` of what was asked for, `settings` (JSON), `structure_file`, `wavelength_angstrom`, `band_limit_mrad`,
 //!   `accuracy` (JSON: asked and found) if one was asked for; `source_fwhm_angstrom` and
 //!   `source_lorentz_share` if the source is no point;
 //! - `/images/NAME`: float32, always (thickness, y, x), with `units`, `axes`, `sampling_angstrom` and
@@ -40,6 +40,10 @@ const AXES: [&str; 3] = ["thickness", "y", "x"];
 pub struct Origin<'a> {
     /// The command as typed.
     pub command_line: String,
+    /// The request as JSON.
+    pub request: Option<String>,
+    /// SHA-256 of the structure file.
+    pub structure_sha256: Option<String>,
     /// Settings as JSON.
     pub settings: String,
     /// Name of the file of the structure.
@@ -142,6 +146,12 @@ fn write_origin(file: &File, o: &Origin) -> hdf5::Result<()> {
     number(file, "format_version", FORMAT_VERSION)?;
     text(file, "stemgen_version", env!("CARGO_PKG_VERSION"))?;
     text(file, "command_line", &o.command_line)?;
+    if let Some(request) = &o.request {
+        text(file, "request", request)?;
+    }
+    if let Some(digest) = &o.structure_sha256 {
+        text(file, "structure_sha256", digest)?;
+    }
     text(file, "settings", &o.settings)?;
     text(file, "structure_file", &o.structure_file)?;
     number(file, "wavelength_angstrom", o.wavelength_angstrom)?;

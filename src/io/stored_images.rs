@@ -30,6 +30,10 @@ pub struct StoredImages {
     pub kind: ImageKind,
     /// The command that made it, as typed.
     pub command_line: Option<String>,
+    /// The request that made simulated images, as JSON.
+    pub request: Option<String>,
+    /// SHA-256 of the structure file that simulated images were made from.
+    pub structure_sha256: Option<String>,
     /// The names of its images, in the order of the file.
     pub names: Vec<String>,
 }
@@ -75,8 +79,16 @@ impl StoredImages {
         if names.is_empty() {
             return Err(refused("holds no images".into()));
         }
-        let command_line = text(&file, "command_line");
-        Ok(Some(StoredImages { path: path.to_owned(), file, bytes, kind, command_line, names }))
+        Ok(Some(StoredImages {
+            path: path.to_owned(),
+            bytes,
+            kind,
+            command_line: text(&file, "command_line"),
+            request: text(&file, "request"),
+            structure_sha256: text(&file, "structure_sha256"),
+            file,
+            names,
+        }))
     }
 
     /// Image number `index` of the stack of this name; the last one if there is no number.

@@ -13,6 +13,7 @@ pub use focal_spread::{Focus, foci};
 
 /// One aberration coefficient `C_nm` in polar notation.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Aberration {
     /// Order n: the phase grows as angle^(n + 1).
     pub order: u8,

@@ -9,10 +9,14 @@ mod font;
 #[cfg(feature = "report")]
 pub mod html;
 mod image;
+#[cfg(feature = "report")]
+pub mod image_pictures;
 mod letters;
 mod overlay;
 mod scene;
 mod strokes;
+#[cfg(feature = "report")]
+mod world_picture;
 
 pub use animation::{FRAME_S, animated_png};
 pub use canvas::RgbImage;
@@ -21,3 +25,5 @@ pub use enlarge::Enlarge;
 pub use image::{Contrast, Picture};
 pub use overlay::{Marker, MarkerShape};
 pub use scene::{Scene, Swatch, palette};
+#[cfg(feature = "report")]
+pub use world_picture::{Overlay, WorldPart, WorldPicture};

@@ -1,12 +1,14 @@
 //! Frames of a trajectory in extended XYZ or XDATCAR: each is a structure of its own.
 
-use crate::files::whole_file;
 use std::path::Path;
+
+use serde::{Deserialize, Serialize};
 
 use super::poscar::begins_frame;
 use super::read::{Format, parse};
 use super::{Structure, elements};
 use crate::error::{Error, Result};
+use crate::files::whole_file;
 
 /// Most frames that are read.
 const MOST_FRAMES: usize = 100_000;
@@ -16,14 +18,22 @@ const XDATCAR_HEAD: usize = 7;
 const SAME_CELL_ANGSTROM: f64 = 1e-4;
 
 /// Which frames: the first, the first that is none of them, and the step. Frames count from 0.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct FrameRange {
     /// First.
+    #[serde(default)]
     pub start: usize,
     /// The first that is not read; `None` for all to the end.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub end: Option<usize>,
     /// Every how many-th.
+    #[serde(default = "one")]
     pub step: usize,
+}
+
+fn one() -> usize {
+    1
 }
 
 impl FrameRange {

@@ -5,12 +5,12 @@ use std::ops::Range;
 use ndarray::{Array2, ArrayView2, s};
 
 use crate::error::{Error, Result};
+use crate::imaging::Noise;
 use crate::io::WorldWriter;
 use crate::io::schema::OVERVIEW_FACTOR;
 use crate::progress::{Progress, Silent};
 use crate::recipe::resolved_recipe::Recipe;
 use crate::world::field_scan::{FieldScan, FieldScanRows, ScannedRows};
-use crate::world::noise::Noise;
 use crate::world::subtile_store::SubtileStore;
 use crate::world::subtiles::Partition;
 

@@ -2,9 +2,9 @@
 
 use ndarray::Array2;
 
-use super::noise::{Noise, check_countable};
 use super::region_truth::{ColumnTruth, SiteTruth, boundary_parts, list, phase_map};
 use crate::error::{Error, Result};
+use crate::imaging::{Noise, check_countable};
 use crate::imaging::{PixelRect, RegionImager};
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Recipe};

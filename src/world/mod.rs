@@ -8,6 +8,8 @@ pub mod atoms_export;
 pub mod blended_image;
 pub mod build_options;
 #[cfg(feature = "hdf5")]
+mod build_plan;
+#[cfg(feature = "hdf5")]
 mod build_summary;
 #[cfg(feature = "report")]
 pub mod card;
@@ -18,7 +20,8 @@ mod field_recording;
 mod field_scan;
 mod field_tile;
 pub mod footprint;
-pub mod noise;
+#[cfg(feature = "hdf5")]
+mod made_world;
 pub mod noise_free;
 #[cfg(feature = "hdf5")]
 mod options_of_world;
@@ -54,6 +57,8 @@ mod world_source;
 pub use atoms_export::{ExportOptions, ExportSummary, estimated_rows, export};
 pub use build_options::{BuildMethod, BuildOptions, BuildPolicy, BuildProfile};
 #[cfg(feature = "hdf5")]
+pub use build_plan::WorldPlan;
+#[cfg(feature = "hdf5")]
 pub use build_summary::BuildSummary;
 pub(crate) use contamination::{CarbonBefore, expose_frame, grown};
 pub use field_recording::{
@@ -62,13 +67,14 @@ pub use field_recording::{
 pub(crate) use field_recording::{record_over, scan_of};
 pub(crate) use field_tile::tile_of_image;
 pub use field_tile::{FieldTile, field_tile};
-pub use noise::{MOST_ELECTRONS_PER_PIXEL, Noise, check_countable};
+#[cfg(feature = "hdf5")]
+pub use made_world::{WorldEngine, imaging_of, planned_imaging};
 pub use noise_free::{ImagerSource, NoiseFree};
 #[cfg(feature = "hdf5")]
 pub use publish::Companion;
 pub use region_truth::{ColumnTruth, SiteTruth};
 #[cfg(feature = "render")]
-pub use specimen_drawing::Drawing;
+pub use specimen_drawing::{Drawing, draw_specimen};
 #[cfg(feature = "hdf5")]
 pub use subtile_store::work_folder;
 pub use training_sample::{SampleOptions, TrainingSample, training_sample};

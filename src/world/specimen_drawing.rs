@@ -1,15 +1,20 @@
 //! Draws the specimen of a recipe, seen along the beam.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
+use crate::error::{Error, Result};
+use crate::progress::Progress;
+use crate::recipe::CheckedRecipe;
 use crate::recipe::region::Region;
 use crate::recipe::resolved_recipe::Recipe;
 use crate::render::{RgbImage, Scene, Swatch, palette};
 use crate::specimen::atom_columns::Sites;
 use crate::specimen::sites::SiteKind;
+use crate::specimen::specimen;
 use crate::specimen::specimen_trait::{Specimen, outlines_in};
 use crate::structure::elements;
-use crate::world::atoms_export::ExportSummary;
+use crate::world::atoms_export::{ExportOptions, ExportSummary, export};
 
 /// Pixels along the longer side of the field.
 const SIDE: usize = 1600;
@@ -127,4 +132,21 @@ impl<'a> Drawing<'a> {
 /// Colour of the ground of a phase.
 fn ground(code: usize) -> [u8; 3] {
     palette::PHASES[code % palette::PHASES.len()]
+}
+/// Draws the projected specimen of a recipe; its atoms are listed for that in a temporary folder.
+///
+/// # Errors
+/// Those of the specimen and of the file.
+pub fn draw_specimen(
+    recipe: &CheckedRecipe,
+    picture: &Path,
+    progress: &dyn Progress,
+) -> Result<()> {
+    let specimen = specimen(recipe)?;
+    let mut drawing = Drawing::new(&*specimen, recipe);
+    let folder = tempfile::tempdir().map_err(|e| Error::io(&std::env::temp_dir(), "create", e))?;
+    let options = ExportOptions { vacancies: true, vacuum_angstrom: 2.0, overwrite: false };
+    let atoms = folder.path().join("atoms.extxyz");
+    let summary = export(&*specimen, recipe, &atoms, &options, progress, |s| drawing.add(s))?;
+    drawing.finish(&summary).write_png(picture)
 }

@@ -3,9 +3,9 @@
 use ndarray::{Array2, arr2};
 
 use super::column_labels::{REACH_SIGMAS, class_of, draw_column, facts_of};
-use super::noise::{Noise, check_countable};
 use super::region_truth::{list, phases_of_points};
 use crate::error::{Error, Result};
+use crate::imaging::{Noise, check_countable};
 use crate::imaging::{RegionImager, TurnedRaster, turned_image};
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Field};

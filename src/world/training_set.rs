@@ -5,9 +5,9 @@ use std::collections::HashMap;
 use ndarray::{Array1, Array2, Array3, Axis, s};
 
 use super::column_labels::{REACH_SIGMAS, class_of, draw_column, facts_of};
-use super::noise::Noise;
 use super::region_truth::{list, phase_map};
 use crate::error::{Error, Result};
+use crate::imaging::Noise;
 use crate::imaging::{PixelRect, RegionImager};
 use crate::progress::{InterruptOnly, Progress};
 use crate::recipe::CheckedRecipe;

@@ -1,14 +1,17 @@
 //! PNG files and pages beside the results.
 
-use ndarray::{Array2, ArrayView2};
 use std::f64::consts::PI;
 use std::path::Path;
-use stemgen::files::atomic_write;
-use stemgen::io::WorldFile;
-use stemgen::io::image_file::ImageStack;
-use stemgen::io::schema::OVERVIEW_FACTOR;
-use stemgen::render::Picture;
-use stemgen::render::html::{ImageOfStack, StackPage};
+
+use ndarray::{Array2, ArrayView2};
+
+use super::Picture;
+use super::html::{ImageOfStack, StackPage};
+use crate::error::Result;
+use crate::files::atomic_write;
+use crate::io::WorldFile;
+use crate::io::image_file::ImageStack;
+use crate::io::schema::OVERVIEW_FACTOR;
 
 /// Pixels that are not square by more than this are resampled.
 const SQUARE: f64 = 1.005;
@@ -19,22 +22,23 @@ const ENLARGED: usize = 1024;
 const WHOLE_WORLD: usize = 3000;
 
 /// Writes an image with pixels of `step` (x, y) Angstrom.
-pub fn write(
-    path: &Path,
-    image: ArrayView2<f32>,
-    step: [f64; 2],
-    scale_bar: bool,
-) -> anyhow::Result<()> {
-    Ok(atomic_write::write(path, &png(image, step, scale_bar)?)?)
+///
+/// # Errors
+/// Those of the file; values that cannot be drawn.
+pub fn write(path: &Path, image: ArrayView2<f32>, step: [f64; 2], scale_bar: bool) -> Result<()> {
+    atomic_write::write(path, &png(image, step, scale_bar)?)
 }
 
 /// Writes a page of images of one scan.
+///
+/// # Errors
+/// Those of the file; values that cannot be drawn.
 pub fn write_page(
     path: &Path,
     title: &str,
     facts: Vec<(String, String)>,
     stacks: &[ImageStack],
-) -> anyhow::Result<()> {
+) -> Result<()> {
     let Some(first) = stacks.first() else { return Ok(()) };
     let page = StackPage {
         title: title.to_owned(),
@@ -47,11 +51,14 @@ pub fn write_page(
             .map(|s| ImageOfStack { name: s.name, quantity: s.units, data: s.data.view() })
             .collect(),
     };
-    Ok(page.page()?.write(path)?)
+    page.page()?.write(path)
 }
 
 /// The whole of a world as a PNG.
-pub fn of_world(world: &WorldFile) -> stemgen::Result<Vec<u8>> {
+///
+/// # Errors
+/// Those of the file; values that cannot be drawn.
+pub fn of_world(world: &WorldFile) -> Result<Vec<u8>> {
     let [rows, columns] = world.shape();
     let pixel = 10.0 * world.metadata().pixel_size_nm;
     if rows.max(columns) <= WHOLE_WORLD {
@@ -61,7 +68,10 @@ pub fn of_world(world: &WorldFile) -> stemgen::Result<Vec<u8>> {
 }
 
 /// An image with pixels of `step` (x, y) Angstrom as a PNG.
-pub fn png(image: ArrayView2<f32>, step: [f64; 2], scale_bar: bool) -> stemgen::Result<Vec<u8>> {
+///
+/// # Errors
+/// Those of the file; values that cannot be drawn.
+pub fn png(image: ArrayView2<f32>, step: [f64; 2], scale_bar: bool) -> Result<Vec<u8>> {
     let (image, pixel) = resampled(image, step);
     let (rows, columns) = image.dim();
     let values: Vec<f32> = image.into_iter().collect();

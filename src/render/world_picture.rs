@@ -1,14 +1,16 @@
-//! The pictures of `stemgen view`: a part of a world, and what the truth knows of it.
+//! Pictures of worlds: a part of the image, and what the truth knows of it.
 
-use super::hints::hinted;
-use super::{pictures, values};
-use anyhow::anyhow;
-use clap::{Args, ValueEnum};
-use ndarray::Array2;
 use std::collections::BTreeMap;
 use std::ops::Range;
-use stemgen::io::{ParticleBatch, WorldColumn, WorldFile};
-use stemgen::render::{Colormap, Contrast, Picture, RgbImage, Scene, Swatch, palette};
+
+use ndarray::Array2;
+
+use super::html::{Page, WorldPage};
+use super::image_pictures::interpolate;
+use super::{Colormap, Contrast, Picture, RgbImage, Scene, Swatch, palette};
+use crate::error::{Error, Result};
+use crate::io::{ParticleBatch, WorldColumn, WorldFile};
+use crate::setting::Setting;
 
 /// Rows that are read at a time.
 const ROWS_AT_ONCE: usize = 512;
@@ -18,67 +20,112 @@ const CYAN: [u8; 3] = [86, 220, 233];
 const YELLOW: [u8; 3] = [240, 228, 66];
 
 /// Longest side of a picture in pixels.
-const SIDES: std::ops::RangeInclusive<i64> = 64..=16_384;
+const SIDES: std::ops::RangeInclusive<u32> = 64..=16_384;
 
 /// What a picture of a world shows, and how.
-#[derive(Debug, Args)]
-pub struct PictureArgs {
-    /// The noiseless image: of a world built with --keep-clean, or what a recording was meant to show
-    #[arg(long)]
+#[derive(Debug, Clone, PartialEq)]
+pub struct WorldPicture {
+    /// The noiseless image.
     pub clean: bool,
-    /// Colours
-    #[arg(long, value_name = "NAME", default_value = "gray")]
-    pub colormap: ColormapName,
-    /// Percentiles of the image that become the first and the last colour
-    #[arg(long, value_name = "LOW,HIGH", default_value = "0.1,99.9")]
-    #[arg(value_parser = values::percentiles)]
-    pub contrast: Values,
-    /// What is drawn over the image (comma between several)
-    #[arg(long, value_name = "WHAT", value_delimiter = ',')]
-    pub overlay: Vec<Overlay>,
-    /// Longest side of the picture in pixels, without the legend
-    #[arg(long, value_name = "PIXELS", default_value_t = 1600, conflicts_with = "html")]
-    #[arg(value_parser = clap::value_parser!(u32).range(SIDES))]
-    pub size: u32,
+    /// Colours.
+    pub colormap: Colormap,
+    /// Percentiles of the image that become the first and the last colour.
+    pub contrast_percentiles: [f64; 2],
+    /// What is drawn over the image.
+    pub overlays: Vec<Overlay>,
+    /// Longest side of the picture in pixels, without the legend.
+    pub longest_side_px: u32,
 }
 
-/// Two numbers of one option.
-pub type Values = [f64; 2];
-
-/// Colours of a picture.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-#[expect(missing_docs, reason = "the help shows the names alone")]
-pub enum ColormapName {
-    Gray,
-    Viridis,
-    Inferno,
-    Magma,
-}
-
-impl From<ColormapName> for Colormap {
-    fn from(name: ColormapName) -> Self {
-        match name {
-            ColormapName::Gray => Colormap::Gray,
-            ColormapName::Viridis => Colormap::Viridis,
-            ColormapName::Inferno => Colormap::Inferno,
-            ColormapName::Magma => Colormap::Magma,
+impl Default for WorldPicture {
+    fn default() -> Self {
+        WorldPicture {
+            clean: false,
+            colormap: Colormap::Gray,
+            contrast_percentiles: [0.1, 99.9],
+            overlays: Vec::new(),
+            longest_side_px: 1600,
         }
     }
 }
 
 /// What is drawn over an image.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Overlay {
-    /// Columns with vacant or substituted sites: rings, or a tint where columns are too small
+    /// Columns with vacant or substituted sites: rings, or a tint where columns are too small.
     Defects,
-    /// Phases, and the boundaries of phases and grains
+    /// Phases, and the boundaries of phases and grains.
     Phases,
-    /// The boundaries of phases and grains alone
+    /// The boundaries of phases and grains alone.
     Boundaries,
-    /// Particles
+    /// Particles.
     Particles,
-    /// All atomic columns
+    /// All atomic columns.
     Columns,
+}
+
+impl Overlay {
+    /// Its name, and those of what it brings along.
+    fn names(self) -> &'static [&'static str] {
+        match self {
+            Overlay::Defects => &["defects"],
+            Overlay::Phases => &["phases", "boundaries"],
+            Overlay::Boundaries => &["boundaries"],
+            Overlay::Particles => &["particles"],
+            Overlay::Columns => &["columns"],
+        }
+    }
+}
+
+impl WorldPicture {
+    /// The page (HTML) of a world that shows this first, at a region x0, y0, x1, y1 in nm.
+    ///
+    /// # Errors
+    /// Those of the file; overlays that the world has nothing for.
+    pub fn page(&self, world: &WorldFile, title: String, region: Option<[f64; 4]>) -> Result<Page> {
+        self.check()?;
+        if self.clean && !world.has_clean() {
+            // The reader's own words about it.
+            world.stitched_clean(0..1, 0..1)?;
+        }
+        for overlay in &self.overlays {
+            match overlay {
+                Overlay::Phases => drop(boundaries_or_phases(world)?),
+                Overlay::Boundaries => drop(boundaries(world)?),
+                Overlay::Particles => drop(particles(world)?),
+                Overlay::Columns | Overlay::Defects => {}
+            }
+        }
+        let names = self.overlays.iter().flat_map(|overlay| overlay.names());
+        let page = WorldPage {
+            title,
+            colormap: self.colormap,
+            contrast: self.contrast_percentiles,
+            overlays: names.map(|name| (*name).to_owned()).collect(),
+            region,
+            clean: self.clean,
+        };
+        page.page(world)
+    }
+
+    fn check(&self) -> Result<()> {
+        let [low, high] = self.contrast_percentiles;
+        if !(0.0 <= low && low < high && high <= 100.0) {
+            let expected = "two percentages that rise, from 0 to 100";
+            let value = format!("{low}, {high}");
+            return Err(Error::invalid(Setting::ContrastPercentiles, value, expected));
+        }
+        if !SIDES.contains(&self.longest_side_px) {
+            let expected = "expected 64 to 16384";
+            return Err(Error::invalid(Setting::LongestSidePixels, self.longest_side_px, expected));
+        }
+        Ok(())
+    }
+}
+
+/// A file that has nothing for an overlay.
+fn none(overlay: &str, why: &str) -> Error {
+    Error::invalid(Setting::Overlay, overlay, why)
 }
 
 /// A column and its position from the upper left corner of the picture in nm.
@@ -95,17 +142,42 @@ pub struct WorldPart {
 }
 
 impl WorldPart {
+    /// The pixels of a region x0, y0, x1, y1 in nm; all of them where there is none.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a region outside the world.
+    pub fn of_region(world: &WorldFile, region_nm: Option<[f64; 4]>) -> Result<Self> {
+        let [height, width] = world.shape();
+        let pixel_nm = world.metadata().pixel_size_nm;
+        let Some([x0, y0, x1, y1]) = region_nm else {
+            return Ok(WorldPart { rows: 0..height, columns: 0..width, pixel_nm });
+        };
+        let range = |low: f64, high: f64, size: usize| {
+            let clamp = |v: f64| v.clamp(0.0, size as f64) as usize;
+            clamp((low / pixel_nm + 0.5).floor())..clamp((high / pixel_nm + 0.5).ceil())
+        };
+        let (rows, columns) = (range(y0, y1, height), range(x0, x1, width));
+        if rows.is_empty() || columns.is_empty() {
+            let [h, w] = [height, width].map(|n| n as f64 * pixel_nm);
+            let expected =
+                format!("lies outside the world; the field goes from 0,0 to {w:.2},{h:.2} nm");
+            return Err(Error::invalid(Setting::Region, format!("{x0},{y0},{x1},{y1}"), expected));
+        }
+        Ok(WorldPart { rows, columns, pixel_nm })
+    }
+
     /// The picture of these pixels.
     ///
     /// # Errors
     /// Those of the file, and overlays that the world has nothing for.
-    pub fn picture(&self, view: &PictureArgs, world: &WorldFile) -> anyhow::Result<RgbImage> {
+    pub fn picture(&self, view: &WorldPicture, world: &WorldFile) -> Result<RgbImage> {
+        view.check()?;
         let (image, pixel_nm, contrast) = self.image(view, world)?;
         let (rows, columns) = image.dim();
         let values: Vec<f32> = image.into_iter().collect();
         let mut picture = Picture::new(&values, [rows, columns])?;
         picture.max_side = rows.max(columns).max(16);
-        picture.colormap = view.colormap.into();
+        picture.colormap = view.colormap;
         picture.contrast = contrast;
         let mut scene = Scene::over(picture.render()?, 1.0 / pixel_nm);
         let columns = self.placed_columns(view, world)?;
@@ -118,7 +190,7 @@ impl WorldPart {
             Overlay::Particles,
         ];
         for overlay in order {
-            if view.overlay.contains(&overlay) {
+            if view.overlays.contains(&overlay) {
                 self.draw(overlay, world, &columns, &mut scene)?;
             }
         }
@@ -128,12 +200,13 @@ impl WorldPart {
     /// The image, averaged or enlarged to about the wanted size, its pixel in nm, and its contrast.
     fn image(
         &self,
-        view: &PictureArgs,
+        view: &WorldPicture,
         world: &WorldFile,
-    ) -> anyhow::Result<(Array2<f32>, f64, Contrast)> {
-        let [low, high] = view.contrast;
+    ) -> Result<(Array2<f32>, f64, Contrast)> {
+        let [low, high] = view.contrast_percentiles;
         let percentiles = Contrast::Percentile { low, high };
-        let (height, width, size) = (self.rows.len(), self.columns.len(), view.size as usize);
+        let (height, width, size) =
+            (self.rows.len(), self.columns.len(), view.longest_side_px as usize);
         let longest = height.max(width);
         let n = longest.div_ceil(size);
         let columns = self.columns.clone();
@@ -171,8 +244,8 @@ impl WorldPart {
             _ => percentiles,
         };
         let enlarged = |n: usize| (n as f64 * factor).round() as usize;
-        let wide = pictures::interpolate(image.view(), enlarged(width));
-        let large = pictures::interpolate(wide.t(), enlarged(height)).reversed_axes();
+        let wide = interpolate(image.view(), enlarged(width));
+        let large = interpolate(wide.t(), enlarged(height)).reversed_axes();
         Ok((large, self.pixel_nm / factor, contrast))
     }
 
@@ -187,8 +260,8 @@ impl WorldPart {
     }
 
     /// The columns in the picture, if they are to be drawn.
-    fn placed_columns(&self, view: &PictureArgs, world: &WorldFile) -> anyhow::Result<Vec<Placed>> {
-        if !view.overlay.iter().any(|o| matches!(o, Overlay::Columns | Overlay::Defects)) {
+    fn placed_columns(&self, view: &WorldPicture, world: &WorldFile) -> Result<Vec<Placed>> {
+        if !view.overlays.iter().any(|o| matches!(o, Overlay::Columns | Overlay::Defects)) {
             return Ok(Vec::new());
         }
         let placed = world.columns()?.into_iter().map(|c| (self.place(c.position_nm), c));
@@ -201,7 +274,7 @@ impl WorldPart {
         world: &WorldFile,
         columns: &[Placed],
         scene: &mut Scene,
-    ) -> anyhow::Result<()> {
+    ) -> Result<()> {
         match overlay {
             Overlay::Defects => draw_defects(columns, scene),
             Overlay::Columns => draw_columns(columns, scene)?,
@@ -212,7 +285,7 @@ impl WorldPart {
         Ok(())
     }
 
-    fn draw_phases(&self, world: &WorldFile, scene: &mut Scene) -> anyhow::Result<()> {
+    fn draw_phases(&self, world: &WorldFile, scene: &mut Scene) -> Result<()> {
         let lines = boundaries_or_phases(world)?;
         let map = world.phase_map(self.rows.clone(), self.columns.clone())?;
         if let Some(map) = map {
@@ -250,7 +323,7 @@ impl WorldPart {
         }
     }
 
-    fn draw_particles(&self, world: &WorldFile, scene: &mut Scene) -> anyhow::Result<()> {
+    fn draw_particles(&self, world: &WorldFile, scene: &mut Scene) -> Result<()> {
         let particles = particles(world)?;
         let sizes = [self.columns.len(), self.rows.len()].map(|n| n as f64 * self.pixel_nm);
         let mut seen: BTreeMap<String, usize> = BTreeMap::new();
@@ -305,10 +378,10 @@ fn draw_defects(columns: &[Placed], scene: &mut Scene) {
     }
 }
 
-fn draw_columns(columns: &[Placed], scene: &mut Scene) -> anyhow::Result<()> {
+fn draw_columns(columns: &[Placed], scene: &mut Scene) -> Result<()> {
     if !scene.has_rings() {
-        let fault = anyhow!("the atomic columns are too small to be drawn");
-        return Err(hinted(fault, "choose a smaller --region, or a larger --size"));
+        let why = "the atomic columns are too small to be drawn; choose a smaller region, or a larger picture";
+        return Err(none("columns", why));
     }
     columns.iter().for_each(|(at, _)| scene.mark(*at, 1, 1, CYAN));
     scene.legend(Swatch::Ring(CYAN), format!("{} columns", columns.len()));
@@ -321,31 +394,37 @@ fn over_grey(color: [u8; 3]) -> [u8; 3] {
 }
 
 /// The boundaries of a world that has some.
-pub fn boundaries(world: &WorldFile) -> anyhow::Result<Vec<Vec<[f32; 2]>>> {
+///
+/// # Errors
+/// Those of the file; [`Error::Invalid`] for a world that has none.
+fn boundaries(world: &WorldFile) -> Result<Vec<Vec<[f32; 2]>>> {
     let lines = [world.phase_boundaries()?, world.boundaries()?].concat();
     if lines.is_empty() {
-        let fault = anyhow!("the world has no boundaries");
-        return Err(hinted(fault, "leave out --overlay boundaries"));
+        return Err(none("boundaries", "the world has no boundaries; leave it out"));
     }
     Ok(lines)
 }
 
 /// The boundaries of a world that has some, or phases.
-pub fn boundaries_or_phases(world: &WorldFile) -> anyhow::Result<Vec<Vec<[f32; 2]>>> {
+///
+/// # Errors
+/// Those of the file; [`Error::Invalid`] for a world that has none.
+fn boundaries_or_phases(world: &WorldFile) -> Result<Vec<Vec<[f32; 2]>>> {
     let lines = [world.phase_boundaries()?, world.boundaries()?].concat();
     if lines.is_empty() && world.phase_map(0..1, 0..1)?.is_none() {
-        let fault = anyhow!("the world has no phases and no boundaries");
-        return Err(hinted(fault, "leave out --overlay phases"));
+        return Err(none("phases", "the world has no phases and no boundaries; leave it out"));
     }
     Ok(lines)
 }
 
 /// The particles of a world that has some.
-pub fn particles(world: &WorldFile) -> anyhow::Result<ParticleBatch> {
+///
+/// # Errors
+/// Those of the file; [`Error::Invalid`] for a world that has none.
+fn particles(world: &WorldFile) -> Result<ParticleBatch> {
     let particles = world.particles()?;
     if particles.centres.is_empty() {
-        let fault = anyhow!("the world has no particles");
-        return Err(hinted(fault, "leave out --overlay particles"));
+        return Err(none("particles", "the world has no particles; leave it out"));
     }
     Ok(particles)
 }

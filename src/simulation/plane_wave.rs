@@ -1,34 +1,37 @@
 //! Conventional imaging: a plane wave and an objective lens.
 
-use super::structure_args::Prepared;
-use anyhow::bail;
-use ndarray::{Array3, Axis};
+use ndarray::{Array2, Array3, Axis};
 use num_complex::Complex32;
-use stemgen::Error;
-use stemgen::detect::Detector;
-use stemgen::engine::settings::AUTO_ANGLE_MARGIN;
-use stemgen::engine::{Algorithm, GridChoice, Plan, Settings, exit_wave, lens_image};
-use stemgen::optics::Optics;
-use stemgen::progress::Progress;
+
+use crate::detect::Detector;
+use crate::engine::settings::AUTO_ANGLE_MARGIN;
+use crate::engine::{Algorithm, GridChoice, Plan, Settings, Site, exit_wave, lens_image};
+use crate::error::{Error, Result};
+use crate::optics::Optics;
+use crate::progress::Progress;
+use crate::setting::Setting;
 
 /// Angle in mrad that grids chosen by the program carry; as for scans with the default detector.
 const ANGLE_MRAD: f64 = 200.0;
 
-/// Exit waves and their image.
-pub struct Conventional {
+/// Exit waves and their images.
+#[derive(Debug, Clone)]
+pub struct PlaneWaveImages {
     /// (configuration, y, x)
     pub exit_waves: Array3<Complex32>,
-    /// Images through each lens, (1, y, x), averaged over configurations.
+    /// Images through each lens, (1, y, x), averaged over configurations; the intensity of the incident wave is 1.
     pub images: Vec<Array3<f32>>,
 }
 
 /// The settings for a plane wave: no detector decides about the grid.
-pub fn settings(scan: Settings) -> anyhow::Result<Settings> {
+pub(super) fn settings(scan: Settings) -> Result<Settings> {
     if scan.algorithm != Algorithm::Multislice {
-        bail!("--plane-wave is computed by multislice; leave --algorithm out");
+        let expected = "a plane wave is propagated by multislice; leave the engine out";
+        return Err(Error::invalid(Setting::Algorithm, scan.algorithm, expected));
     }
-    if !scan.thicknesses_angstrom.is_empty() {
-        bail!("--plane-wave gives the wave at the exit surface only; leave --thicknesses out");
+    if let Some(thickness) = scan.thicknesses_angstrom.first() {
+        let expected = "a plane wave is known at the exit surface only; leave the thicknesses out";
+        return Err(Error::invalid(Setting::ThicknessAngstrom, thickness, expected));
     }
     let grid = match scan.grid {
         GridChoice::Auto => {
@@ -43,22 +46,22 @@ pub fn settings(scan: Settings) -> anyhow::Result<Settings> {
 }
 
 /// Propagates the wave through every configuration, and images it through each lens.
-pub fn run(
+pub(super) fn run(
     plan: &Plan,
-    lenses: &[Optics],
-    specimen: &Prepared,
+    lenses: &[&Optics],
+    sites: &[Site],
     progress: &dyn Progress,
-) -> stemgen::Result<Conventional> {
+) -> Result<PlaneWaveImages> {
     let n = plan.settings.configurations();
     let (ny, nx) = plan.wave_grid.shape();
     let mut exit_waves = Array3::zeros((n as usize, ny, nx));
-    let mut sums = vec![ndarray::Array2::<f32>::zeros((ny, nx)); lenses.len()];
+    let mut sums = vec![Array2::<f32>::zeros((ny, nx)); lenses.len()];
     progress.start("simulating", "wave", u64::from(n));
     for configuration in 0..n {
         if progress.interrupted() {
             return Err(Error::Interrupted);
         }
-        let wave = exit_wave(plan, &specimen.sites, configuration, progress)?;
+        let wave = exit_wave(plan, sites, configuration, progress)?;
         for (sum, lens) in sums.iter_mut().zip(lenses) {
             *sum += &lens_image(&wave, plan.wave_grid.extent_angstrom, lens);
         }
@@ -67,5 +70,5 @@ pub fn run(
     }
     progress.finish();
     let images = sums.into_iter().map(|sum| (sum / n as f32).insert_axis(Axis(0))).collect();
-    Ok(Conventional { exit_waves, images })
+    Ok(PlaneWaveImages { exit_waves, images })
 }

@@ -1,9 +1,11 @@
 //! Speed of this machine, and how long a plan will take.
 
-use rayon::prelude::*;
 use std::time::{Duration, Instant};
-use stemgen::engine::{Cost, Plan};
-use stemgen::fft::{Fft2, good_size};
+
+use rayon::prelude::*;
+
+use crate::engine::{Cost, Plan};
+use crate::fft::{Fft2, good_size};
 
 /// How long the speed is measured.
 const MEASURED: Duration = Duration::from_millis(200);
@@ -80,7 +82,7 @@ pub fn threads() -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use stemgen::engine::{Scan, Settings};
+    use crate::engine::{Scan, Settings};
 
     /// What else runs makes the most longer, and leaves the least alone.
     #[test]

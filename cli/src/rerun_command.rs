@@ -1,0 +1,149 @@
+//! `stemgen rerun`.
+
+use super::common::{Common, Force};
+use super::simulate_command::{Results, SimulateRun};
+use super::validate_command::DIFFERENT;
+use super::{hdf5_check, output};
+use anyhow::{Context, bail};
+use clap::Args;
+use std::path::{Path, PathBuf};
+use stemgen::files::file_digest::sha256_of_file;
+use stemgen::io::StoredImages;
+use stemgen::simulation::{AtomsSource, SimulatedImage, SimulationRequest};
+
+const EXAMPLES: &str = "\
+Examples:
+  The images of a file, made again and compared with those it holds:
+    stemgen rerun si.h5
+  The same where the structure file has moved, with pictures:
+    stemgen rerun si.h5 --structure data/si.cif -o again.h5 --png
+
+Pixels are the same bits with the same version of the numerics on the same kind of processor. The exit code is 3 if a
+pixel differs.";
+
+/// Make the images of a file again, from the request that it holds, and compare them
+#[derive(Debug, Args)]
+#[command(after_help = EXAMPLES)]
+pub struct Rerun {
+    /// A file that `stemgen simulate` wrote
+    #[arg(value_name = "FILE.h5", help_heading = None)]
+    file: PathBuf,
+    /// The structure file, where it is not where the request says
+    #[arg(long, value_name = "FILE")]
+    structure: Option<PathBuf>,
+    /// File to write [default: FILE_rerun.h5]
+    #[arg(short, long, value_name = "FILE.h5")]
+    output: Option<PathBuf>,
+    /// Replace existing files
+    #[arg(long)]
+    overwrite: bool,
+    /// Also write a picture of every image, beside the file
+    #[arg(long)]
+    png: bool,
+    #[command(flatten)]
+    common: Common,
+    #[command(flatten)]
+    force: Force,
+}
+
+impl Rerun {
+    /// Runs the subcommand; the exit code tells whether the images are the same.
+    pub fn run(self) -> anyhow::Result<u8> {
+        let reporter = self.common.start()?;
+        hdf5_check::check(&self.file)?;
+        let Some(stored) = StoredImages::open(&self.file)? else {
+            bail!(
+                "{}: holds no simulated images; `stemgen simulate` writes such files",
+                self.file.display()
+            );
+        };
+        let request = self.request(&stored)?;
+        let given = self.output.clone();
+        let output = given.unwrap_or_else(|| output::sibling(&self.file, "_rerun.h5"));
+        let mut inputs = vec![self.file.clone()];
+        inputs.extend(request.structure.file().map(Path::to_owned));
+        let results = Results { overwrite: self.overwrite, png: self.png, ..Results::default() };
+        let run = SimulateRun::new(request, results, output, (self.common, self.force))?;
+        let same = run.again_of(stored).run(&inputs, &reporter)?;
+        Ok(if same { 0 } else { DIFFERENT })
+    }
+
+    /// The request of the file, with the structure file that it was made from.
+    fn request(&self, stored: &StoredImages) -> anyhow::Result<SimulationRequest> {
+        let file = self.file.display();
+        let Some(text) = &stored.request else {
+            bail!(
+                "{file}: holds no request: it was not written by `stemgen simulate`, or by an older version"
+            );
+        };
+        let mut request: SimulationRequest = serde_json::from_str(text)
+            .with_context(|| format!("{file}: its request is not one of this version"))?;
+        if let Some(structure) = &self.structure {
+            request.structure = AtomsSource::File(structure.clone());
+        }
+        let Some(structure) = request.structure.file() else {
+            bail!("{file}: its request names no structure file; give --structure FILE");
+        };
+        if !structure.exists() {
+            bail!("{}: is not there; give --structure FILE, where it is now", structure.display());
+        }
+        let (digest, _) = sha256_of_file(structure)?;
+        if stored.structure_sha256.as_ref().is_some_and(|known| *known != digest) {
+            bail!(
+                "{}: is not the file that {file} was made from (SHA-256 differs); give --structure FILE with that file",
+                structure.display()
+            );
+        }
+        Ok(request)
+    }
+}
+
+/// How an image that was made again differs from the one in a file.
+#[derive(Debug, serde::Serialize)]
+pub struct ImageDifference {
+    name: String,
+    /// Pixels that have other bits, at all thicknesses; nothing where the file has no such image.
+    pixels: Option<usize>,
+    /// The largest difference in units of the image's maximum.
+    largest: Option<f32>,
+}
+
+impl ImageDifference {
+    /// Compares an image, at every thickness, with that of a file.
+    pub fn of(image: &SimulatedImage, stored: &StoredImages) -> stemgen::Result<Self> {
+        let none = ImageDifference { name: image.name.clone(), pixels: None, largest: None };
+        if !stored.names.contains(&image.name) {
+            return Ok(none);
+        }
+        let (mut pixels, mut largest) = (0, 0.0_f32);
+        let highest = image.data.iter().copied().fold(f32::MIN_POSITIVE, f32::max);
+        for (n, made) in image.data.outer_iter().enumerate() {
+            let known = stored.image(&image.name, Some(n))?;
+            if known.values.dim() != made.dim() || known.of != image.data.shape()[0] {
+                return Ok(none);
+            }
+            for (a, b) in made.iter().zip(&known.values) {
+                pixels += usize::from(a.to_bits() != b.to_bits());
+                largest = largest.max((a - b).abs() / highest);
+            }
+        }
+        Ok(ImageDifference { pixels: Some(pixels), largest: Some(largest), ..none })
+    }
+
+    /// Whether all bits are the same.
+    pub fn same(&self) -> bool {
+        self.pixels == Some(0)
+    }
+
+    /// What to tell.
+    pub fn text(&self) -> String {
+        match (self.pixels, self.largest) {
+            (Some(0), _) => format!("{}: the same bits", self.name),
+            (Some(n), Some(most)) => format!(
+                "{}: DIFFERS in {n} pixels, by at most {most:.1e} of its maximum",
+                self.name
+            ),
+            _ => format!("{}: DIFFERS: the file has no such image of this size", self.name),
+        }
+    }
+}

@@ -1,0 +1,102 @@
+//! What Python asks to be simulated: the request of the library, read from a dict, and atoms in arrays.
+
+use crate::errors::Fault;
+use ndarray::Array2;
+use numpy::PyReadonlyArray2;
+use pyo3::exceptions::PyTypeError;
+use pyo3::prelude::*;
+use pythonize::Depythonizer;
+use stemgen::Setting;
+use stemgen::simulation::{AtomsSource, SimulationJob, SimulationRequest};
+use stemgen::structure::{Atom, Structure, elements};
+
+/// A [`SimulationRequest`] as a dict of dicts; what is not given has the library's default.
+pub struct Request(SimulationRequest);
+
+impl<'a, 'py> FromPyObject<'a, 'py> for Request {
+    type Error = PyErr;
+    fn extract(object: Borrowed<'a, 'py, PyAny>) -> PyResult<Self> {
+        let py = object.py();
+        let object = object.to_owned();
+        let mut source = Depythonizer::from_object(&object);
+        serde_path_to_error::deserialize(&mut source).map(Request).map_err(|error| {
+            let place = error.path().to_string();
+            let inner = PyErr::from(error.into_inner());
+            let wrong_type = inner.is_instance_of::<PyTypeError>(py);
+            let message = inner.value(py).to_string();
+            let make = || {
+                let module = py.import("stemworlds.errors")?;
+                module.call_method1("_of_request", (place, message, wrong_type))
+            };
+            make().map_or(inner, PyErr::from_value)
+        })
+    }
+}
+
+impl Request {
+    /// The simulation of the file that the request names, or of atoms at hand.
+    ///
+    /// # Errors
+    /// Those of the request and of the atoms.
+    pub fn job(self, atoms: Option<&AtomArrays>) -> Result<SimulationJob, Fault> {
+        let mut request = self.0;
+        if let Some(atoms) = atoms {
+            request.structure = AtomsSource::Given(atoms.structure()?);
+        }
+        Ok(SimulationJob::new(request)?)
+    }
+}
+
+/// Atoms as arrays.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct AtomArrays {
+    numbers: Vec<u32>,
+    /// (atom, 3) in Angstrom.
+    positions: Positions,
+    /// Rows are the vectors, in Angstrom.
+    cell: [[f64; 3]; 3],
+    /// Share of each site that is occupied; all of it when `None`.
+    occupancies: Option<Vec<f64>>,
+}
+
+/// (atom, 3).
+pub struct Positions(Array2<f64>);
+
+impl<'a, 'py> FromPyObject<'a, 'py> for Positions {
+    type Error = PyErr;
+    fn extract(object: Borrowed<'a, 'py, PyAny>) -> PyResult<Self> {
+        let array: PyReadonlyArray2<'py, f64> = object.extract()?;
+        Ok(Positions(array.as_array().to_owned()))
+    }
+}
+
+impl AtomArrays {
+    fn structure(&self) -> Result<Structure, Fault> {
+        let positions = &self.positions.0;
+        let refuse = |value: String, expected: &str| {
+            Err(Fault::Value(Setting::StructureFile, value, expected.to_owned()))
+        };
+        if positions.dim() != (self.numbers.len(), 3) {
+            let value = format!("{:?} positions of {} atoms", positions.dim(), self.numbers.len());
+            return refuse(value, "positions have the shape (atoms, 3)");
+        }
+        if let Some(shares) = self.occupancies.as_ref().filter(|o| o.len() != self.numbers.len()) {
+            let value = format!("{} occupancies of {} atoms", shares.len(), self.numbers.len());
+            return refuse(value, "expected one for each atom");
+        }
+        let finite = |values: &[f64; 3]| values.iter().all(|v| v.is_finite());
+        if !positions.iter().all(|v| v.is_finite()) || !self.cell.iter().all(finite) {
+            return refuse("nan or inf".into(), "positions and cell are finite, in A");
+        }
+        let mut atoms = Vec::with_capacity(self.numbers.len());
+        for (n, number) in self.numbers.iter().enumerate() {
+            let occupancy = self.occupancies.as_ref().and_then(|o| o.get(n).copied());
+            // Known elements only.
+            let number = elements::atomic_number(&number.to_string())?;
+            let position = [positions[(n, 0)], positions[(n, 1)], positions[(n, 2)]];
+            atoms.push(Atom { occupancy: occupancy.unwrap_or(1.0), ..Atom::new(number, position) });
+        }
+        Ok(Structure { cell: self.cell, atoms })
+    }
+}

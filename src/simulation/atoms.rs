@@ -1,0 +1,332 @@
+//! The atoms of a request, in their box.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::engine::{Phonons, Site, mean_heights};
+use crate::error::{Error, Result};
+use crate::setting::Setting;
+use crate::structure::{
+    self, FrameRange, Preparation, ReadStructure, Sigmas, Structure, elements, read_frames,
+};
+
+/// Where atoms come from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum AtomsSource {
+    /// A structure file: CIF, extended XYZ, POSCAR.
+    File(PathBuf),
+    /// Atoms at hand; a request with them cannot be written.
+    #[serde(skip)]
+    Given(Structure),
+}
+
+/// Standard deviations of thermal displacements.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum SigmaChoice {
+    /// One for all elements, in Angstrom.
+    All(f64),
+    /// One for each element, by symbol, in Angstrom.
+    ByElement(BTreeMap<String, f64>),
+    /// The mean U or B of each element in the structure file.
+    FromFile(FromFile),
+}
+
+/// `"from-file"`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum FromFile {
+    /// The mean U or B of each element in the structure file.
+    #[serde(rename = "from-file")]
+    FromFile,
+}
+
+/// What is made of the atoms.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SpecimenRequest {
+    /// Lattice direction along the beam; builds an orthogonal box.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub zone: Option<[i32; 3]>,
+    /// Lattice direction along +y, perpendicular to the zone.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub up: Option<[i32; 3]>,
+    /// Make a box of a cell whose angles are nearly right, with at most so much strain in per cent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub max_strain_percent: Option<f64>,
+    /// How often the cell, after the zone, is repeated along x, y and the beam.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub repeat: Option<[usize; 3]>,
+    /// Number of frozen-phonon configurations; `None`: atoms exactly as given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub phonons: Option<u32>,
+    /// Standard deviation of each Cartesian component of the thermal displacement.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sigma_angstrom: Option<SigmaChoice>,
+    /// Frames of a trajectory, over which images are averaged.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frames: Option<FrameRange>,
+    /// Seed of thermal displacements, mixed sites and counted electrons.
+    pub seed: u64,
+}
+
+impl Default for SpecimenRequest {
+    fn default() -> Self {
+        SpecimenRequest {
+            zone: None,
+            up: None,
+            max_strain_percent: None,
+            repeat: None,
+            phonons: None,
+            sigma_angstrom: None,
+            frames: None,
+            seed: 1,
+        }
+    }
+}
+
+/// Atoms in an orthogonal box, ready for the engine.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PreparedSpecimen {
+    /// Edges of the box in Angstrom.
+    pub size_angstrom: [f64; 3],
+    /// The atoms; of a trajectory, those of the first frame.
+    pub sites: Vec<Site>,
+    /// Mean heights of the atoms in Angstrom.
+    pub heights_angstrom: Vec<f64>,
+    /// The atoms of further frames of a trajectory.
+    pub more_frames: Vec<Vec<Site>>,
+    /// What a user should know of the atoms, in sentences.
+    pub notes: Vec<String>,
+    /// The largest principal strain in per cent that made the box orthogonal.
+    pub strain_percent: Option<f64>,
+}
+
+impl PreparedSpecimen {
+    /// The atoms of each frame: one, unless there is a trajectory.
+    pub fn frames(&self) -> Vec<&[Site]> {
+        std::iter::once(&self.sites).chain(&self.more_frames).map(Vec::as_slice).collect()
+    }
+
+    /// Number of atoms of each element, by symbol.
+    pub fn composition(&self) -> BTreeMap<&'static str, usize> {
+        let mut counts = BTreeMap::new();
+        for site in &self.sites {
+            *counts.entry(elements::symbol(site.number)).or_insert(0) += 1;
+        }
+        counts
+    }
+}
+
+impl AtomsSource {
+    /// The structure file, where there is one.
+    pub fn file(&self) -> Option<&Path> {
+        match self {
+            AtomsSource::File(path) => Some(path),
+            AtomsSource::Given(_) => None,
+        }
+    }
+
+    fn read(&self) -> Result<ReadStructure> {
+        match self {
+            AtomsSource::File(path) => structure::read_noted(path),
+            AtomsSource::Given(structure) => {
+                let notes = structure.crowded_sites().into_iter().collect();
+                Ok(ReadStructure { structure: structure.clone().checked()?, notes })
+            }
+        }
+    }
+}
+
+impl SpecimenRequest {
+    /// The settings of the phonons.
+    pub fn phonons(&self) -> Option<Phonons> {
+        self.phonons.map(|configurations| Phonons { configurations, seed: self.seed })
+    }
+
+    /// Reads, turns and repeats the atoms, and draws those of mixed sites.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for parts of the request that exclude each other; those of the structure.
+    pub fn prepare(&self, source: &AtomsSource) -> Result<PreparedSpecimen> {
+        self.check()?;
+        if let Some(range) = self.frames {
+            return self.prepare_frames(source, range);
+        }
+        let preparation = Preparation {
+            zone: self.zone,
+            up: self.up,
+            max_strain_percent: self.max_strain_percent,
+            repeat: self.repeat,
+            seed: self.seed,
+        };
+        let made = preparation.prepare(source.read()?)?;
+        let sites = made.structure.sites(&self.sigmas(source)?)?;
+        Ok(PreparedSpecimen {
+            size_angstrom: made.size_angstrom,
+            heights_angstrom: sites.iter().map(|s| s.position[2]).collect(),
+            sites,
+            notes: made.notes,
+            more_frames: Vec::new(),
+            strain_percent: made.strain_percent,
+        })
+    }
+
+    fn check(&self) -> Result<()> {
+        let refuse =
+            |setting, value: &str, expected: &str| Err(Error::invalid(setting, value, expected));
+        match (self.phonons, &self.sigma_angstrom, self.frames) {
+            (Some(_), None, None) => refuse(
+                Setting::ThermalSigma,
+                "none",
+                "phonons need the standard deviation of each displacement in A, such as 0.08, or one for each element",
+            ),
+            (None, Some(_), _) => refuse(
+                Setting::PhononConfigurations,
+                "none",
+                "sigma is for frozen phonons: say how many",
+            ),
+            (Some(n), _, Some(_)) => refuse(
+                Setting::PhononConfigurations,
+                &n.to_string(),
+                "frames of a trajectory are phonons; leave one of them out",
+            ),
+            (_, _, Some(range))
+                if range.step == 0 || range.end.is_some_and(|end| end <= range.start) =>
+            {
+                refuse(
+                    Setting::Frames,
+                    "none",
+                    "expected a start, an end and a step with frames in it",
+                )
+            }
+            (_, _, Some(_))
+                if self.zone.is_some()
+                    || self.up.is_some()
+                    || self.max_strain_percent.is_some() =>
+            {
+                let expected = "frames are taken as they are; leave zone, up and the strain out";
+                refuse(Setting::Frames, "given", expected)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn sigmas(&self, source: &AtomsSource) -> Result<Sigmas> {
+        Ok(match (&self.sigma_angstrom, source) {
+            (None, _) => Sigmas::None,
+            (Some(SigmaChoice::All(sigma)), _) => Sigmas::All(*sigma),
+            (Some(SigmaChoice::ByElement(by_symbol)), _) => {
+                let mut by_number = BTreeMap::new();
+                for (symbol, sigma) in by_symbol {
+                    if by_number.insert(elements::atomic_number(symbol)?, *sigma).is_some() {
+                        return Err(Error::invalid(
+                            Setting::ThermalSigma,
+                            symbol,
+                            "is given twice",
+                        ));
+                    }
+                }
+                Sigmas::ByElement(by_number)
+            }
+            (Some(SigmaChoice::FromFile(_)), AtomsSource::File(path)) => {
+                structure::sigmas_of_file(path)?
+            }
+            (Some(SigmaChoice::FromFile(_)), AtomsSource::Given(_)) => {
+                let expected =
+                    "atoms at hand have no file; expected a length in A, or one for each element";
+                return Err(Error::invalid(Setting::ThermalSigma, "from-file", expected));
+            }
+        })
+    }
+
+    /// Reads frames. Slices are those of the mean heights, where all frames have as many atoms.
+    fn prepare_frames(&self, source: &AtomsSource, range: FrameRange) -> Result<PreparedSpecimen> {
+        let AtomsSource::File(path) = source else {
+            let expected = "frames are read from a file, extended XYZ or XDATCAR";
+            return Err(Error::invalid(Setting::Frames, "atoms at hand", expected));
+        };
+        let (mut frames, mut size_angstrom): (Vec<Vec<Site>>, _) = (Vec::new(), [0.0; 3]);
+        for frame in read_frames(path, range)? {
+            let frame =
+                frame.repeat(self.repeat.unwrap_or([1; 3]))?.resolve_occupancy(self.seed)?;
+            size_angstrom = frame.orthogonal_box()?;
+            frames.push(frame.sites(&Sigmas::None)?);
+        }
+        let more_frames = frames.split_off(1);
+        let mut prepared = PreparedSpecimen {
+            size_angstrom,
+            heights_angstrom: Vec::new(),
+            sites: frames.remove(0),
+            notes: Vec::new(),
+            more_frames,
+            strain_percent: None,
+        };
+        prepared.heights_angstrom = mean_heights(&prepared.frames());
+        Ok(prepared)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::structure::Atom;
+
+    fn silicon() -> AtomsSource {
+        let cell = [[5.431, 0.0, 0.0], [0.0, 5.431, 0.0], [0.0, 0.0, 5.431]];
+        let at = |x: f64, y, z| Atom::new(14, [x, y, z].map(|v: f64| 5.431 * v));
+        AtomsSource::Given(Structure { cell, atoms: vec![at(0.0, 0.0, 0.0), at(0.25, 0.25, 0.25)] })
+    }
+
+    #[test]
+    fn atoms_at_hand_are_prepared_as_those_of_files_are() {
+        let request = SpecimenRequest {
+            repeat: Some([2, 1, 1]),
+            phonons: Some(3),
+            sigma_angstrom: Some(SigmaChoice::ByElement([("Si".to_owned(), 0.08)].into())),
+            ..SpecimenRequest::default()
+        };
+        let given = request.prepare(&silicon()).unwrap();
+        assert_eq!(given.size_angstrom, [2.0 * 5.431, 5.431, 5.431]);
+        assert_eq!(given.composition(), BTreeMap::from([("Si", 4)]));
+        assert!(given.sites.iter().all(|site| site.sigma_angstrom == 0.08));
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("si.xyz");
+        let AtomsSource::Given(structure) = silicon() else { unreachable!() };
+        structure::write_extxyz(&path, &structure).unwrap();
+        assert_eq!(request.prepare(&AtomsSource::File(path)).unwrap(), given);
+    }
+
+    #[test]
+    fn parts_that_exclude_each_other_are_refused() {
+        let none = SpecimenRequest::default;
+        let all = Some(SigmaChoice::All(0.1));
+        let frames = Some(FrameRange { start: 0, end: Some(3), step: 1 });
+        let refused = [
+            (SpecimenRequest { phonons: Some(2), ..none() }, Setting::ThermalSigma),
+            (
+                SpecimenRequest { sigma_angstrom: all.clone(), ..none() },
+                Setting::PhononConfigurations,
+            ),
+            (SpecimenRequest { frames, phonons: Some(2), ..none() }, Setting::PhononConfigurations),
+            (SpecimenRequest { frames, zone: Some([1, 1, 0]), ..none() }, Setting::Frames),
+            (SpecimenRequest { frames, ..none() }, Setting::Frames),
+            (
+                SpecimenRequest {
+                    phonons: Some(2),
+                    sigma_angstrom: Some(SigmaChoice::FromFile(FromFile::FromFile)),
+                    ..none()
+                },
+                Setting::ThermalSigma,
+            ),
+        ];
+        for (request, expected) in refused {
+            match request.prepare(&silicon()).unwrap_err() {
+                Error::Invalid { setting, .. } => assert_eq!(setting, expected, "{request:?}"),
+                other => panic!("{other}"),
+            }
+        }
+    }
+}

@@ -1,0 +1,522 @@
+//! A simulation that is prepared: plans, warnings, memory and time, and the run.
+
+use ndarray::{Array2, Axis};
+
+use super::atoms::PreparedSpecimen;
+use super::images::{self, SimulatedImage};
+use super::plan_report::PlanReport;
+use super::plane_wave::{self, PlaneWaveImages};
+use super::plausibility::{self, Warning};
+use super::request::SimulationRequest;
+use super::time_estimate::threads;
+use crate::engine::{
+    AccuracyFound, Cost, Images, Plan, ProbeRaster, Scan, ScanPart, SourceBlur, check_memory,
+    mean_diffraction, settings_for_accuracy, simulate_part, simulate_places, simulate_series_from,
+};
+use crate::error::{Error, Result};
+use crate::files::Shard;
+use crate::imaging::check_countable;
+use crate::progress::Progress;
+use crate::setting::Setting;
+
+/// A simulation that is ready to run: the atoms are read, and what will be done is planned.
+#[derive(Debug)]
+pub struct SimulationJob {
+    request: SimulationRequest,
+    specimen: PreparedSpecimen,
+    /// One for each defocus.
+    plans: Vec<Plan>,
+    /// Probe positions; the pixels of the grid for a plane wave.
+    scan: Scan,
+    /// What is known of the accuracy of each plan, where one is asked for.
+    accuracies: Vec<AccuracyFound>,
+    warnings: Vec<Warning>,
+}
+
+impl SimulationJob {
+    /// Checks the request, reads the atoms, and plans. Nothing is simulated.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] with the [`Setting`] that is wrong; those of the structure file.
+    pub fn new(request: SimulationRequest) -> Result<Self> {
+        request.microscope.check()?;
+        check_plane_wave(&request)?;
+        let specimen = request.specimen.prepare(&request.structure)?;
+        if request.plane_wave && !specimen.more_frames.is_empty() {
+            let expected = "a plane wave images one structure; leave the frames out";
+            return Err(Error::invalid(Setting::Frames, specimen.frames().len(), expected));
+        }
+        let mut plans = Vec::new();
+        for defocus in &request.microscope.defocus_angstrom {
+            plans.push(plan(&request, &specimen, *defocus)?);
+        }
+        let (scan, mut warnings) = scan(&request, &specimen, &plans[0])?;
+        let mut all: Vec<Warning> = plans[0].warnings.iter().cloned().map(Warning::from).collect();
+        all.extend(specimen.notes.iter().cloned().map(Warning::from));
+        all.extend(request.microscope.warnings());
+        all.append(&mut warnings);
+        let job =
+            SimulationJob { request, specimen, plans, scan, accuracies: Vec::new(), warnings: all };
+        job.check_dose()?;
+        Ok(job)
+    }
+
+    /// Makes the plans as accurate as the request asks, by simulating samples; nothing where it does not ask.
+    ///
+    /// # Errors
+    /// Those of [`settings_for_accuracy`].
+    pub fn choose_accuracy(&mut self, progress: &dyn Progress) -> Result<()> {
+        let Some(asked) = self.request.numerics.accuracy_percent else { return Ok(()) };
+        if !self.accuracies.is_empty() {
+            return Ok(());
+        }
+        let frames = self.specimen.frames();
+        let size = self.specimen.size_angstrom;
+        for plan in &mut self.plans {
+            let (settings, found) =
+                settings_for_accuracy(asked, &plan.settings, size, &frames, &self.scan, progress)?;
+            *plan = Plan::new(&settings, size, &self.specimen.heights_angstrom)?;
+            self.accuracies.push(found);
+        }
+        Ok(())
+    }
+
+    /// What was asked for.
+    pub fn request(&self) -> &SimulationRequest {
+        &self.request
+    }
+
+    /// The atoms in their box.
+    pub fn specimen(&self) -> &PreparedSpecimen {
+        &self.specimen
+    }
+
+    /// The plans: one for each defocus.
+    pub fn plans(&self) -> &[Plan] {
+        &self.plans
+    }
+
+    /// Probe positions; the pixels of the grid for a plane wave.
+    pub fn scan(&self) -> &Scan {
+        &self.scan
+    }
+
+    /// What was found about the accuracy, for each defocus; empty where none is asked for.
+    pub fn accuracies(&self) -> &[AccuracyFound] {
+        &self.accuracies
+    }
+
+    /// What a user should know before the run.
+    pub fn warnings(&self) -> &[Warning] {
+        &self.warnings
+    }
+
+    /// The defocus in the name of an image: of a series only.
+    pub fn series_defocus(&self, plan: usize) -> Option<f64> {
+        let defocus = &self.request.microscope.defocus_angstrom;
+        defocus.get(plan).copied().filter(|_| defocus.len() > 1)
+    }
+
+    /// Names of the images, in their order; without those of noisy images.
+    pub fn image_names(&self) -> Vec<String> {
+        let mut names = Vec::new();
+        for (n, plan) in self.plans.iter().enumerate() {
+            let defocus = self.series_defocus(n);
+            match self.request.plane_wave {
+                true => names.push(images::name_of("lens", defocus)),
+                false => {
+                    let detectors = plan.settings.detectors.iter();
+                    names.extend(detectors.map(|d| images::name_of(&d.name, defocus)));
+                }
+            }
+        }
+        names
+    }
+
+    /// Electrons that fall on one pixel, where a dose is asked for.
+    pub fn electrons_per_pixel(&self) -> Option<f64> {
+        let [x, y] = self.scan.step_angstrom;
+        self.request.electrons_per_angstrom2.map(|dose| dose * x * y)
+    }
+
+    /// Refuses a dose that is none, one whose electrons cannot be counted, and names that those of noisy images repeat.
+    fn check_dose(&self) -> Result<()> {
+        let Some(dose) = self.request.electrons_per_angstrom2 else { return Ok(()) };
+        if !(dose > 0.0 && dose.is_finite()) {
+            let expected = "expected electrons per square Angstrom, above 0";
+            return Err(Error::invalid(Setting::Dose, dose, expected));
+        }
+        let [x, y] = self.scan.step_angstrom;
+        check_countable(dose, x * y)?;
+        let names = self.image_names();
+        match names.iter().find(|name| names.contains(&images::noisy_name(name))) {
+            None => Ok(()),
+            Some(name) => {
+                let expected =
+                    "is the name of another's noisy image; give one of them another name";
+                Err(Error::invalid(Setting::DetectorName, images::noisy_name(name), expected))
+            }
+        }
+    }
+
+    /// The scan with the margin that the source takes, and the blur; none for a point source.
+    fn source_blur(&self) -> Result<Option<SourceBlur>> {
+        let [x, y, _] = self.specimen.size_angstrom;
+        let source = self.request.microscope.source();
+        source.map(|source| SourceBlur::new(source, &self.scan, [x, y])).transpose()
+    }
+
+    /// The scan that is simulated: with the margin that the source takes.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a scan whose margin is larger than the cell.
+    pub fn simulated_scan(&self) -> Result<Scan> {
+        Ok(self.source_blur()?.map_or(self.scan, |blur| *blur.scan()))
+    }
+
+    /// Refuses what takes more memory than is free, for each plan.
+    ///
+    /// # Errors
+    /// [`Error::Memory`] with what takes less.
+    pub fn check_memory(&self) -> Result<()> {
+        for plan in &self.plans {
+            let probes = if self.request.plane_wave { 1 } else { self.scan.len() };
+            let cost = Cost::new(plan, &self.scan).for_probes(probes);
+            check_memory(cost.memory_bytes(threads()), cost.memory_remedy(threads()))?;
+        }
+        Ok(())
+    }
+
+    /// What the run will do and take. The speed of the machine is measured, in 0.2 s.
+    ///
+    /// # Errors
+    /// Those of [`SimulationJob::simulated_scan`].
+    pub fn report(&self) -> Result<PlanReport> {
+        let plan = &self.plans[0];
+        let scan = self.simulated_scan()?;
+        let raster = ProbeRaster::new(plan, &scan)?;
+        let waves = if self.request.plane_wave { 1 } else { raster.scan().len() };
+        let cost = Cost::with_atoms(plan, &scan, &self.specimen.sites).for_probes(waves);
+        let frames = self.specimen.frames().len();
+        let runs = if self.request.plane_wave { 1 } else { self.plans.len() * frames };
+        let mut report = PlanReport::new(plan, &cost, runs);
+        report.warnings = self.warnings.iter().map(|warning| warning.message.clone()).collect();
+        report.warnings.extend(self.check_memory().err().map(|e| e.to_string()));
+        Ok(report)
+    }
+
+    /// The images of the scan, for each defocus those of all detectors; electrons are counted where a dose is asked for.
+    ///
+    /// # Errors
+    /// Those of the engine, and [`Error::Interrupted`].
+    pub fn run(&self, progress: &dyn Progress) -> Result<Vec<SimulatedImage>> {
+        self.run_from(&[], progress)
+    }
+
+    /// As [`SimulationJob::run`], with the same bytes, from parts that other processes have made.
+    ///
+    /// # Errors
+    /// As [`SimulationJob::run`]; parts of other images.
+    pub fn run_from(
+        &self,
+        parts: &[ScanPart],
+        progress: &dyn Progress,
+    ) -> Result<Vec<SimulatedImage>> {
+        self.needs_probes()?;
+        let blur = self.source_blur()?;
+        let wide = blur.as_ref().map_or(&self.scan, |blur| blur.scan());
+        let series =
+            simulate_series_from(&self.plans, &self.specimen.frames(), wide, parts, progress)?;
+        let mut made = Vec::new();
+        for (p, (plan, found)) in self.plans.iter().zip(&series).enumerate() {
+            for (d, detector) in plan.settings.detectors.iter().enumerate() {
+                let sharp = found.data.index_axis(Axis(1), d);
+                made.push(SimulatedImage {
+                    name: images::name_of(&detector.name, self.series_defocus(p)),
+                    data: match &blur {
+                        None => sharp.to_owned(),
+                        Some(blur) => images::blurred(blur, sharp)?,
+                    },
+                    units: images::FRACTION_OF_BEAM,
+                    defocus_angstrom: self.request.microscope.defocus_angstrom[p],
+                    annulus_mrad: Some([detector.inner_mrad, detector.outer_mrad]),
+                    counts: None,
+                });
+            }
+        }
+        self.count(&mut made);
+        Ok(made)
+    }
+
+    /// The part of one of several processes that share the probes of the scan.
+    ///
+    /// # Errors
+    /// As [`SimulationJob::run`]; PRISM, whose waves are of all probes.
+    pub fn run_part(&self, shard: Shard, progress: &dyn Progress) -> Result<ScanPart> {
+        self.needs_probes()?;
+        let scan = self.simulated_scan()?;
+        simulate_part(&self.plans, &self.specimen.frames(), &scan, shard, progress)
+    }
+
+    /// The exit waves of a plane wave, and the images of the lens for each defocus.
+    ///
+    /// # Errors
+    /// Those of the engine; a request for probes.
+    pub fn plane_wave(
+        &self,
+        progress: &dyn Progress,
+    ) -> Result<(Vec<SimulatedImage>, PlaneWaveImages)> {
+        if !self.request.plane_wave {
+            let expected = "set `plane_wave` of the request";
+            return Err(Error::invalid(Setting::PlaneWave, "a request for probes", expected));
+        }
+        let lenses: Vec<_> = self.plans.iter().map(|plan| &plan.settings.optics).collect();
+        let found = plane_wave::run(&self.plans[0], &lenses, &self.specimen.sites, progress)?;
+        let each = |(p, data): (usize, &ndarray::Array3<f32>)| SimulatedImage {
+            name: images::name_of("lens", self.series_defocus(p)),
+            data: data.clone(),
+            units: images::OF_INCIDENT_WAVE,
+            defocus_angstrom: self.request.microscope.defocus_angstrom[p],
+            annulus_mrad: None,
+            counts: None,
+        };
+        let mut made: Vec<_> = found.images.iter().enumerate().map(each).collect();
+        self.count(&mut made);
+        Ok((made, found))
+    }
+
+    /// Single probes, each at a place (x, y) in Angstrom: for each defocus (thickness, detector, 0, place).
+    ///
+    /// # Errors
+    /// Places far outside the cell; what needs a raster of probes; [`Error::Memory`] unless `force`.
+    pub fn probes(
+        &self,
+        places_angstrom: &[[f64; 2]],
+        force: bool,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Images>> {
+        self.needs_probes()?;
+        let [x, y, _] = self.specimen.size_angstrom;
+        plausibility::check_places(places_angstrom, [x, y])?;
+        // As many probes that share no waves, for an estimate of memory.
+        let apart =
+            Scan { step_angstrom: [1e3, 0.0], shape: [1, places_angstrom.len()], ..self.scan };
+        for plan in self.plans.iter().filter(|_| !force) {
+            let cost = Cost::new(plan, &apart);
+            check_memory(cost.memory_bytes(threads()), cost.memory_remedy(threads()))?;
+        }
+        simulate_places(&self.plans, &self.specimen.frames(), places_angstrom, progress)
+    }
+
+    /// The diffraction pattern of a probe at a place (x, y) in Angstrom, in FFT order, and the step (x, y) of its pixels in mrad.
+    ///
+    /// # Errors
+    /// A place far outside the cell; those of the engine.
+    pub fn diffraction(
+        &self,
+        place_angstrom: [f64; 2],
+        progress: &dyn Progress,
+    ) -> Result<(Array2<f32>, [f64; 2])> {
+        self.needs_probes()?;
+        let [x, y, _] = self.specimen.size_angstrom;
+        plausibility::check_places(&[place_angstrom], [x, y])?;
+        let plan = &self.plans[0];
+        let pattern = mean_diffraction(plan, &self.specimen.sites, place_angstrom, progress)?;
+        let wavelength = plan.settings.optics.wavelength_angstrom();
+        Ok((pattern, plan.wave_grid.extent_angstrom.map(|extent| 1e3 * wavelength / extent)))
+    }
+
+    fn needs_probes(&self) -> Result<()> {
+        match self.request.plane_wave {
+            false => Ok(()),
+            true => {
+                let expected = "a plane wave has no probes; leave `plane_wave` of the request out";
+                Err(Error::invalid(Setting::PlaneWave, "true", expected))
+            }
+        }
+    }
+
+    fn count(&self, made: &mut [SimulatedImage]) {
+        let Some(electrons_per_pixel) = self.electrons_per_pixel() else { return };
+        for (n, image) in made.iter_mut().enumerate() {
+            image.count(n, self.request.specimen.seed, electrons_per_pixel, &self.scan);
+        }
+    }
+}
+
+/// Refuses what a plane wave has not.
+fn check_plane_wave(request: &SimulationRequest) -> Result<()> {
+    if !request.plane_wave {
+        return Ok(());
+    }
+    if let Some(source) = request.microscope.source_size_angstrom {
+        let expected = "is the size of a probe's source; a plane wave has none";
+        return Err(Error::invalid(Setting::SourceSizeAngstrom, source, expected));
+    }
+    if let Some(percent) = request.numerics.accuracy_percent {
+        let expected = "chooses a window for probes; a plane wave has none";
+        return Err(Error::invalid(Setting::AccuracyPercent, percent, expected));
+    }
+    if request.scan != super::ScanRequest::default() {
+        let expected = "a plane wave has no probe positions; leave the scan out";
+        return Err(Error::invalid(Setting::Scan, "given", expected));
+    }
+    Ok(())
+}
+
+fn plan(request: &SimulationRequest, specimen: &PreparedSpecimen, defocus: f64) -> Result<Plan> {
+    let thicknesses = request.thicknesses_angstrom.clone();
+    let phonons = request.specimen.phonons();
+    let mut settings =
+        request.numerics.settings(&request.microscope, defocus, phonons, thicknesses)?;
+    if request.plane_wave {
+        settings = plane_wave::settings(settings)?;
+    }
+    Plan::new(&settings, specimen.size_angstrom, &specimen.heights_angstrom)
+}
+
+/// Where probes stand, and what is to be said of it and of the cell.
+fn scan(
+    request: &SimulationRequest,
+    specimen: &PreparedSpecimen,
+    plan: &Plan,
+) -> Result<(Scan, Vec<Warning>)> {
+    let [x, y, _] = specimen.size_angstrom;
+    if request.plane_wave {
+        let [nx, ny] = plan.wave_grid.points;
+        let step_angstrom = plan.wave_grid.sampling_angstrom();
+        return Ok((
+            Scan { origin_angstrom: [0.0; 2], step_angstrom, shape: [ny, nx] },
+            Vec::new(),
+        ));
+    }
+    let scan = request.scan.scan([x, y], &plan.settings.optics)?;
+    let mut warnings: Vec<Warning> = plan.narrow_cell().into_iter().map(Warning::from).collect();
+    warnings.extend(plausibility::check_scan(&scan, [x, y])?);
+    warnings.extend(plausibility::check_cell([x, y], request.specimen.repeat.unwrap_or([1; 3])));
+    Ok((scan, warnings))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::engine::Algorithm;
+    use crate::progress::Silent;
+    use crate::simulation::AtomsSource;
+    use crate::structure::{Atom, Structure};
+
+    /// A thin film of one gold atom in a cell of 12 A.
+    fn gold() -> SimulationRequest {
+        let cell = [[12.0, 0.0, 0.0], [0.0, 12.0, 0.0], [0.0, 0.0, 4.0]];
+        let atoms = vec![Atom::new(79, [6.0, 6.0, 2.0])];
+        let mut request = SimulationRequest::new(AtomsSource::Given(Structure { cell, atoms }));
+        request.scan.points = Some([4, 3]);
+        request
+    }
+
+    fn setting(request: SimulationRequest) -> Setting {
+        match SimulationJob::new(request).unwrap_err() {
+            Error::Invalid { setting, .. } => setting,
+            other => panic!("{other}"),
+        }
+    }
+
+    #[test]
+    fn images_are_those_of_the_engine() {
+        let job = SimulationJob::new(gold()).unwrap();
+        let made = job.run(&Silent).unwrap();
+        let sites = job.specimen().frames();
+        let alone =
+            crate::engine::simulate(&job.plans()[0], sites[0], job.scan(), &Silent).unwrap();
+        assert_eq!(made[0].data.view(), alone.data.index_axis(Axis(1), 0));
+        assert_eq!((made.len(), made[0].name.as_str()), (1, "HAADF"));
+        let parts = [0, 1].map(|n| job.run_part(Shard::new(n, 2).unwrap(), &Silent).unwrap());
+        assert_eq!(job.run_from(&parts, &Silent).unwrap(), made);
+    }
+
+    #[test]
+    fn series_have_names_and_counts_of_their_own() {
+        let mut request = gold();
+        request.microscope.defocus_angstrom = vec![0.0, 40.0];
+        request.electrons_per_angstrom2 = Some(1e5);
+        let job = SimulationJob::new(request).unwrap();
+        let made = job.run(&Silent).unwrap();
+        assert_eq!(job.image_names(), ["HAADF_defocus_0A", "HAADF_defocus_40A"]);
+        let counts = |n: usize| made[n].counts.clone().unwrap();
+        assert_ne!(counts(0), counts(1));
+        let per_pixel = job.electrons_per_pixel().unwrap();
+        let noisy = made[0].noisy(per_pixel).unwrap();
+        assert_eq!(noisy.name, "HAADF_defocus_0A_noisy");
+        let mean = |a: &ndarray::Array3<f32>| {
+            a.iter().map(|v| f64::from(*v)).sum::<f64>() / a.len() as f64
+        };
+        let sigma = (mean(&made[0].data) / per_pixel / made[0].data.len() as f64).sqrt();
+        assert!((mean(&noisy.data) - mean(&made[0].data)).abs() < 5.0 * sigma);
+    }
+
+    #[test]
+    fn plane_waves_keep_their_electrons() {
+        let request = SimulationRequest { plane_wave: true, scan: Default::default(), ..gold() };
+        let job = SimulationJob::new(request.clone()).unwrap();
+        let (made, waves) = job.plane_wave(&Silent).unwrap();
+        assert_eq!(made[0].name, "lens");
+        let wave = &waves.exit_waves;
+        let mean = wave.iter().map(|v| f64::from(v.norm_sqr())).sum::<f64>() / wave.len() as f64;
+        assert!((mean - 1.0).abs() < 0.01, "{mean}");
+        assert!(job.run(&Silent).is_err());
+        let with = |change: &dyn Fn(&mut SimulationRequest)| {
+            let mut request = request.clone();
+            change(&mut request);
+            setting(request)
+        };
+        assert_eq!(with(&|r| r.thicknesses_angstrom = vec![2.0]), Setting::ThicknessAngstrom);
+        assert_eq!(with(&|r| r.numerics.interpolation = Some([2, 2])), Setting::Algorithm);
+        assert_eq!(with(&|r| r.scan.points = Some([2, 2])), Setting::Scan);
+        assert_eq!(
+            with(&|r| r.microscope.source_size_angstrom = Some(1.0)),
+            Setting::SourceSizeAngstrom
+        );
+        assert_eq!(with(&|r| r.numerics.accuracy_percent = Some(1.0)), Setting::AccuracyPercent);
+        assert!(SimulationJob::new(gold()).unwrap().plane_wave(&Silent).is_err());
+    }
+
+    #[test]
+    fn doses_beyond_what_can_be_counted_are_refused() {
+        for dose in [1e12, 1e15, 0.0, -1.0, f64::NAN, f64::INFINITY] {
+            assert_eq!(
+                setting(SimulationRequest { electrons_per_angstrom2: Some(dose), ..gold() }),
+                Setting::Dose
+            );
+        }
+        let mut names = gold();
+        names.electrons_per_angstrom2 = Some(1.0);
+        names.microscope.detectors =
+            ["A", "A_noisy"].map(|name| crate::detect::Detector::new(name, 60.0, 200.0)).to_vec();
+        assert_eq!(setting(names), Setting::DetectorName);
+    }
+
+    #[test]
+    fn warnings_carry_their_setting() {
+        let mut request = gold();
+        let AtomsSource::Given(structure) = &mut request.structure else { unreachable!() };
+        structure.cell[0][0] = 8.0;
+        request.scan.start = Some([-1.0, 0.0]);
+        let warnings = SimulationJob::new(request).unwrap().warnings().to_vec();
+        let about = |setting| warnings.iter().any(|w| w.setting == Some(setting));
+        assert!(about(Setting::Repeat) && about(Setting::Scan), "{warnings:?}");
+    }
+
+    #[test]
+    fn an_accuracy_chooses_once() {
+        let mut request = gold();
+        request.numerics.accuracy_percent = Some(5.0);
+        let mut job = SimulationJob::new(request).unwrap();
+        job.choose_accuracy(&Silent).unwrap();
+        let chosen: Vec<Algorithm> =
+            job.plans().iter().map(|plan| plan.settings.algorithm).collect();
+        assert_eq!(job.accuracies().len(), 1);
+        assert_eq!(job.accuracies()[0].algorithm, chosen[0]);
+        job.choose_accuracy(&Silent).unwrap();
+        assert_eq!(job.accuracies().len(), 1);
+    }
+}

@@ -1,0 +1,157 @@
+//! The lens, the source and the detectors.
+
+use serde::{Deserialize, Serialize};
+
+use super::plausibility::{self, Warning};
+use crate::detect::Detector;
+use crate::engine::{Settings, Source};
+use crate::error::{Error, Result};
+use crate::optics::{Aberration, Aberrations, Optics};
+use crate::setting::Setting;
+
+/// The lens, the source and the detectors.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MicroscopeRequest {
+    /// Beam energy in keV.
+    pub energy_kev: f64,
+    /// Semiangle of the probe-forming aperture in mrad; of the objective aperture for a plane wave.
+    pub semiangle_mrad: f64,
+    /// Defocus in Angstrom from the entrance surface; positive is underfocus, with the focus deeper in the specimen. Several make a
+    /// series.
+    pub defocus_angstrom: Vec<f64>,
+    /// Coefficients of the aberration function but for the defocus.
+    pub aberrations: Vec<Aberration>,
+    /// Mistilt of the specimen (x, y) in mrad: the beam runs along (tan x, tan y, 1) of the box.
+    pub tilt_mrad: [f64; 2],
+    /// Standard deviation of the focus in Angstrom, over which images are averaged.
+    pub focal_spread_angstrom: f64,
+    /// Full width of the source at half maximum in Angstrom, at the specimen; `None`: a point.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub source_size_angstrom: Option<f64>,
+    /// Share of the source in long tails (Lorentz profile), from 0 to 1.
+    pub source_lorentz_share: f64,
+    /// Detectors, in the order of the images.
+    pub detectors: Vec<Detector>,
+    /// Go on when a detector reaches beyond what the grid carries.
+    pub allow_empty_angles: bool,
+}
+
+impl Default for MicroscopeRequest {
+    fn default() -> Self {
+        let Settings { optics, detectors, .. } = Settings::default();
+        MicroscopeRequest {
+            energy_kev: 1e-3 * optics.energy_ev,
+            semiangle_mrad: optics.semiangle_mrad,
+            defocus_angstrom: vec![0.0],
+            aberrations: Vec::new(),
+            tilt_mrad: optics.mistilt_mrad,
+            focal_spread_angstrom: optics.focal_spread_angstrom,
+            source_size_angstrom: None,
+            source_lorentz_share: 0.0,
+            detectors,
+            allow_empty_angles: false,
+        }
+    }
+}
+
+impl MicroscopeRequest {
+    /// The source; `None` for a point.
+    pub fn source(&self) -> Option<Source> {
+        let lorentz_share = self.source_lorentz_share;
+        self.source_size_angstrom.map(|fwhm_angstrom| Source { fwhm_angstrom, lorentz_share })
+    }
+
+    /// Refuses what no microscope has, and what is hardly meant.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] with what is expected.
+    pub fn check(&self) -> Result<()> {
+        plausibility::check_energy(self.energy_kev)?;
+        plausibility::check_semiangle(self.semiangle_mrad)?;
+        let [first, ..] = self.defocus_angstrom[..] else {
+            return Err(Error::invalid(
+                Setting::Defocus,
+                "none",
+                "expected a length in A, or several",
+            ));
+        };
+        for defocus in &self.defocus_angstrom {
+            if !defocus.is_finite() {
+                return Err(Error::invalid(Setting::Defocus, defocus, "expected a length in A"));
+            }
+        }
+        let series = self.defocus_angstrom.len() > 1;
+        plausibility::check_aberrations(first, series, &self.aberrations)?;
+        self.detectors.iter().try_for_each(plausibility::check_detector)?;
+        if self.source_lorentz_share != 0.0 && self.source_size_angstrom.is_none() {
+            let expected = "is a share of a source that has a size; give the size too";
+            return Err(Error::invalid(
+                Setting::SourceLorentzShare,
+                self.source_lorentz_share,
+                expected,
+            ));
+        }
+        self.source().map_or(Ok(()), |source| source.validate())
+    }
+
+    /// What is possible, but hardly meant.
+    pub fn warnings(&self) -> Vec<Warning> {
+        self.aberrations.iter().filter_map(plausibility::check_azimuth).collect()
+    }
+
+    /// The optics at one value of the defocus, in Angstrom.
+    pub fn optics(&self, defocus_angstrom: f64) -> Optics {
+        let mut aberrations = Aberrations::defocus(defocus_angstrom);
+        aberrations.0.extend(self.aberrations.iter().copied());
+        Optics {
+            energy_ev: self.energy_kev * 1e3,
+            semiangle_mrad: self.semiangle_mrad,
+            aberrations,
+            mistilt_mrad: self.tilt_mrad,
+            focal_spread_angstrom: self.focal_spread_angstrom,
+            ..Optics::default()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refused(change: impl Fn(&mut MicroscopeRequest)) -> (Setting, String) {
+        let mut request = MicroscopeRequest::default();
+        change(&mut request);
+        match request.check().unwrap_err() {
+            Error::Invalid { setting, expected, .. } => (setting, expected),
+            other => panic!("{other}"),
+        }
+    }
+
+    #[test]
+    fn the_default_is_that_of_the_engine() {
+        let request = MicroscopeRequest::default();
+        request.check().unwrap();
+        assert_eq!(request.optics(0.0), Optics::default());
+    }
+
+    #[test]
+    fn what_is_hardly_meant_is_refused_with_its_setting() {
+        assert_eq!(refused(|m| m.energy_kev = 200e3).0, Setting::EnergyKev);
+        assert_eq!(refused(|m| m.semiangle_mrad = 0.021).0, Setting::SemiangleMrad);
+        assert_eq!(refused(|m| m.defocus_angstrom = Vec::new()).0, Setting::Defocus);
+        assert_eq!(refused(|m| m.defocus_angstrom = vec![0.0, f64::NAN]).0, Setting::Defocus);
+        assert_eq!(refused(|m| m.source_lorentz_share = 0.5).0, Setting::SourceLorentzShare);
+        assert_eq!(refused(|m| m.source_size_angstrom = Some(-1.0)).0, Setting::SourceSizeAngstrom);
+        let (setting, expected) = refused(|m| m.detectors = vec![Detector::new("H", 0.068, 0.2)]);
+        assert_eq!(setting, Setting::Detector);
+        assert!(expected.contains("did you mean H=68-200?"), "{expected}");
+        let twice = || vec![Aberration::parse("C30=1").unwrap(); 2];
+        assert_eq!(refused(|m| m.aberrations = twice()).0, Setting::Aberration);
+        let defocus = |m: &mut MicroscopeRequest| {
+            m.aberrations = vec![Aberration::parse("C10=5").unwrap()];
+            m.defocus_angstrom = vec![20.0];
+        };
+        assert!(refused(defocus).1.contains("C10 is minus the defocus"));
+    }
+}

@@ -1,0 +1,52 @@
+//! Images of a user's atoms: what is asked for, as one value, and the job that does it.
+//!
+//! A [`SimulationRequest`] holds everything that decides an image, and every default. The command line, Python and Rust fill
+//! the same request; TOML files hold it ([`SimulationRequest::from_toml`]), and image files keep the one that made them.
+//!
+//! - [`SimulationRequest`] and its parts: [`SpecimenRequest`], [`MicroscopeRequest`], [`ScanRequest`], [`NumericsRequest`];
+//! - `plausibility`: values that are possible, but hardly meant, as errors and [`Warning`]s;
+//! - [`PreparedSpecimen`]: the atoms in their box;
+//! - [`SimulationJob`]: plans, warnings, memory and time, and the run: images, single probes, plane waves, diffraction patterns.
+//!
+//! ```
+//! use stemgen::simulation::{SimulationJob, SimulationRequest};
+//!
+//! # fn main() -> stemgen::Result<()> {
+//! let mut request = SimulationRequest::of_file("structures/silicon.cif");
+//! request.specimen.repeat = Some([4, 4, 1]);
+//! request.scan.end = Some([5.431, 5.431]);
+//! request.scan.points = Some([4, 4]);
+//! let job = SimulationJob::new(request)?;
+//! let images = job.run(&stemgen::progress::Silent)?;
+//! assert_eq!(images[0].name, "HAADF");
+//! assert_eq!(images[0].data.shape(), [1, 4, 4]); // [thickness, y, x], fractions of the incident beam
+//! # Ok(())
+//! # }
+//! ```
+
+mod atoms;
+mod images;
+mod job;
+mod microscope;
+mod numerics;
+mod plan_report;
+mod plane_wave;
+mod plausibility;
+mod request;
+mod scan;
+mod time_estimate;
+
+pub use atoms::{AtomsSource, FromFile, PreparedSpecimen, SigmaChoice, SpecimenRequest};
+pub use images::{FRACTION_OF_BEAM, SimulatedImage, noisy_name};
+pub use job::SimulationJob;
+pub use microscope::MicroscopeRequest;
+pub use numerics::{Engine, NumericsRequest, WINDOW_ANGSTROM, algorithm};
+pub use plan_report::{GridReport, PlanReport, SliceReport};
+pub use plane_wave::PlaneWaveImages;
+pub use plausibility::{
+    Warning, check_aberrations, check_azimuth, check_detector, check_energy, check_hdf5_name,
+    check_semiangle,
+};
+pub use request::SimulationRequest;
+pub use scan::{LengthUnit, ScanRequest};
+pub use time_estimate::{seconds, threads};

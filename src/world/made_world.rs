@@ -1,0 +1,75 @@
+//! How the images of a world were made, and how those of a recipe would be.
+
+use crate::engine::Settings;
+use crate::error::{Error, Result};
+use crate::imaging::{Cache, ImagingChoice, MethodChoice, Simulator};
+use crate::io::WorldFile;
+use crate::recipe::{CheckedRecipe, Recipe};
+use crate::world::BuildOptions;
+
+/// How a world was made.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WorldEngine {
+    /// Name of the engine.
+    pub engine: String,
+    /// Its settings.
+    pub settings: Settings,
+}
+
+impl WorldEngine {
+    /// The recipe of a world, not yet checked, and how the world was made.
+    ///
+    /// # Errors
+    /// [`Error::Parse`] for a world without a recipe, and for settings of another program.
+    pub fn of_world(world: &WorldFile) -> Result<(Recipe, Option<Self>)> {
+        let refused = |why: String| Error::parse(world.path(), 0, why);
+        let metadata = world.metadata();
+        let Some(text) = &metadata.recipe else {
+            let why = "holds no recipe, so nothing can be simulated of it: it was recorded, or made by another program";
+            return Err(refused(why.into()));
+        };
+        let recipe = Recipe::from_toml_str(&world.path().display().to_string(), text, None)?;
+        let settings = metadata.engine_parameters.as_deref().map(serde_json::from_str).transpose();
+        let settings = settings.map_err(|e| {
+            refused(format!("engine_parameters are not those of this program: {e}"))
+        })?;
+        let made = metadata.engine.clone().zip(settings);
+        Ok((recipe, made.map(|(engine, settings)| WorldEngine { engine, settings })))
+    }
+}
+
+/// How the images of a world were made, or how those of a recipe are to be made.
+///
+/// # Errors
+/// Those of the policy of builds.
+pub fn imaging_of(
+    recipe: &CheckedRecipe,
+    made: Option<&WorldEngine>,
+    cache: Cache,
+) -> Result<ImagingChoice> {
+    let Some(made) = made else {
+        return Ok(BuildOptions { cache, ..BuildOptions::default() }.policy(recipe)?.imaging);
+    };
+    let method = match made.engine.as_str() {
+        "mosaic" | "film" => MethodChoice::Mosaic,
+        _ => MethodChoice::Direct,
+    };
+    Ok(ImagingChoice { simulator: Simulator::of(made.settings.clone()), method, cache })
+}
+
+/// The imaging of a world that is not there yet: a mosaic, or a film, with windows as builds choose them.
+///
+/// # Errors
+/// Those of the policy of builds.
+pub fn planned_imaging(
+    recipe: &CheckedRecipe,
+    cache: Cache,
+    window_angstrom: Option<f64>,
+) -> Result<ImagingChoice> {
+    let options = BuildOptions { cache, window_angstrom, ..BuildOptions::default() };
+    let policy = options.policy(recipe)?;
+    Ok(match policy.imaging.method {
+        MethodChoice::Auto => ImagingChoice { method: MethodChoice::Mosaic, ..policy.imaging },
+        _ => policy.imaging,
+    })
+}
