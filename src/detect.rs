@@ -50,17 +50,34 @@ impl Detector {
         let (Some(inner_mrad), Some(outer_mrad)) = (number(inner), number(outer)) else {
             return Err(bad("write NAME=INNER-OUTER in mrad, HAADF=68-200"));
         };
+        let detector = Detector { name, inner_mrad, outer_mrad, response: Vec::new() };
+        detector.fault().map_or(Ok(detector), |fault| Err(bad(fault)))
+    }
+
+    /// Checks name and angles.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a name that no file can have, and for angles that are no annulus.
+    pub fn validate(&self) -> Result<()> {
+        let value = || format!("{}={}-{}", self.name, self.inner_mrad, self.outer_mrad);
+        self.fault().map_or(Ok(()), |fault| Err(Error::invalid(Setting::Detector, value(), fault)))
+    }
+
+    /// What is wrong with the name or the angles.
+    fn fault(&self) -> Option<&'static str> {
         let plain = |c: char| c.is_ascii_alphanumeric() || "_-.".contains(c);
-        if name.is_empty() || !name.chars().all(plain) {
-            return Err(bad("the name may hold letters, digits, _ - and . only"));
+        if self.name.is_empty() || !self.name.chars().all(plain) {
+            return Some("the name may hold letters, digits, _ - and . only");
         }
-        if inner_mrad < 0.0 || outer_mrad <= inner_mrad {
-            return Err(bad("the outer angle must exceed the inner, which must not be negative"));
+        if !self.name.contains(|c: char| c.is_ascii_alphanumeric()) {
+            return Some("the name needs a letter or digit");
         }
-        if outer_mrad > MOST_MRAD {
-            return Err(bad("the outer angle is at most 1570 mrad, a right angle"));
+        // (not "inner < 0", so that no NaN passes)
+        if !(self.inner_mrad >= 0.0 && self.outer_mrad > self.inner_mrad) {
+            return Some("the outer angle must exceed the inner, which must not be negative");
         }
-        Ok(Detector { name, inner_mrad, outer_mrad, response: Vec::new() })
+        (self.outer_mrad > MOST_MRAD)
+            .then_some("the outer angle is at most 1570 mrad, a right angle")
     }
 
     /// Whether `theta_mrad` falls on the detector.

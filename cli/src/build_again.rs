@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::invocation::Invocation;
+use super::invocation::PROGRAM;
 use super::text::quoted;
 use stemgen::engine::Expansion;
 use stemgen::io::WorldFile;
@@ -60,7 +60,7 @@ impl BuildAgain {
 
     /// The command as it is typed.
     pub fn line(&self) -> Option<String> {
-        self.line_of(Invocation::now().name)
+        self.line_of(PROGRAM)
     }
 
     /// The same for the program `name`.

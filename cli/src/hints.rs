@@ -1,6 +1,5 @@
 //! Errors on standard error, with a hint where that helps.
 
-use super::invocation::Invocation;
 use super::{signals, text};
 use stemgen::{Error, Setting};
 
@@ -51,9 +50,9 @@ pub fn report(error: &anyhow::Error, subcommand: &str) -> u8 {
         Some(Error::Set { .. }) => "--set ",
         _ => "",
     };
-    text::complain(&format!("error: {option}{}", Invocation::now().named(&message)));
+    text::complain(&format!("error: {option}{message}"));
     if let Some(hint) = hint.or_else(fallback) {
-        text::complain(&format!("hint: {}", Invocation::now().named(&hint)));
+        text::complain(&format!("hint: {hint}"));
     }
     match known {
         Some(Error::Interrupted) => signals::exit_code(),

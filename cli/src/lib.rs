@@ -57,6 +57,7 @@ use std::process::ExitCode;
 
 pub use hdf5_check::survive;
 pub use invocation::Invocation;
+use invocation::PROGRAM;
 
 /// Simulates STEM images and generates whole annotated specimens (worlds).
 #[derive(Debug, Parser)]
@@ -155,19 +156,15 @@ pub fn run(invocation: Invocation) -> u8 {
         Command::Card(command) => ("card", command.run().map(done)),
         Command::List(command) => ("list", command.run().map(done)),
         Command::ShowRecipe(command) => ("show-recipe", command.run().map(done)),
-        Command::Glossary => ("glossary", text::print(&glossary(invocation)).map(done)),
+        Command::Glossary => ("glossary", text::print(GLOSSARY.trim_end()).map(done)),
     };
     result.unwrap_or_else(|error| hints::report(&error, name))
 }
 
-fn glossary(invocation: &Invocation) -> String {
-    invocation.named(GLOSSARY.trim_end()).into_owned()
-}
-
 /// Reads the arguments.
 fn parse(invocation: &Invocation) -> Result<Cli, clap::Error> {
-    let mut definition = invocation.named_in(Cli::command().name(invocation.name));
-    let program = OsString::from(invocation.name);
+    let mut definition = Cli::command();
+    let program = OsString::from(PROGRAM);
     let words = std::iter::once(&program).chain(&invocation.arguments);
     let matches = definition.try_get_matches_from_mut(words).map_err(not_offered::advised)?;
     Cli::from_arg_matches(&matches).map_err(|error| error.format(&mut definition))

@@ -8,7 +8,7 @@ use clap::{Args, Parser};
 use serde::Serialize;
 
 use super::build_command::Build;
-use super::invocation::Invocation;
+use super::invocation::PROGRAM;
 use super::text::{self, quoted};
 use stemgen::world::WorldPlan;
 
@@ -110,7 +110,7 @@ impl Slurm {
             anyhow::bail!(
                 "`{}` is no build: write the options of this command first, then `build` and its own, as in `{} slurm --shards 16 build srtio3 --difficulty hard`",
                 words[0],
-                Invocation::now().name
+                PROGRAM
             );
         }
         let is = |word: &str, name: &str| word == name || word.starts_with(&format!("{name}="));
@@ -150,7 +150,7 @@ impl Slurm {
     }
 
     fn script(&self, jobs: &ClusterJobs, words: &[String]) -> String {
-        let program = Invocation::now().name;
+        let program = PROGRAM;
         let build = words.iter().map(|w| quoted(w)).collect::<Vec<_>>().join(" ");
         let line = format!("{build} --threads {}", self.cpus);
         let name = jobs.output.file_stem().unwrap_or_default().to_string_lossy();

@@ -1,6 +1,6 @@
 //! Standard output, and numbers for people.
 
-use super::invocation::Invocation;
+use super::invocation::{Invocation, PROGRAM};
 use anyhow::Context;
 use std::io::{ErrorKind, Write};
 pub use stemgen::progress::duration;
@@ -82,10 +82,13 @@ pub fn count(n: u64) -> String {
 
 /// The command line as typed, quoted for a shell where need be, without the number of threads: what a file holds does not depend on it.
 pub fn command_line() -> String {
-    let Invocation { name, arguments, .. } = Invocation::now();
-    let words = arguments.iter().map(|word| word.to_string_lossy().into_owned()).collect();
+    let words = Invocation::now()
+        .arguments
+        .iter()
+        .map(|word| word.to_string_lossy().into_owned())
+        .collect();
     let words = without_threads(words).into_iter().map(|word| quoted(&word));
-    std::iter::once((*name).to_owned()).chain(words).collect::<Vec<_>>().join(" ")
+    std::iter::once(PROGRAM.to_owned()).chain(words).collect::<Vec<_>>().join(" ")
 }
 
 /// Words of a command line without `--threads N`.

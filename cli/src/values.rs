@@ -192,9 +192,6 @@ pub fn detector(text: &str) -> Parsed<Detector> {
         return Err(told.into());
     }
     let detector = Detector::parse(text).map_err(|e| e.to_string())?;
-    if !detector.name.contains(|c: char| c.is_ascii_alphanumeric()) {
-        return Err("the name needs a letter or digit".into());
-    }
     plausible(simulation::check_detector(&detector), detector)
 }
 

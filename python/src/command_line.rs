@@ -1,4 +1,4 @@
-//! The whole command line, as the console script `stemworlds`.
+//! The program `stemgen`, in a process of Python.
 
 use pyo3::prelude::*;
 use std::ffi::OsString;
@@ -9,7 +9,7 @@ use stemgen_cli::{Invocation, run};
 /// start it once more.
 #[pyfunction]
 pub fn main(py: Python<'_>, arguments: Vec<OsString>, again: Vec<OsString>) -> u8 {
-    py.detach(|| run(Invocation { name: "stemworlds", arguments, again }))
+    py.detach(|| run(Invocation { arguments, again }))
 }
 
 /// Reads through an HDF5 file in a process of its own, which `again` starts: damaged files may end or hang it.
@@ -19,6 +19,6 @@ pub fn main(py: Python<'_>, arguments: Vec<OsString>, again: Vec<OsString>) -> u
 #[pyfunction]
 pub fn check_file(py: Python<'_>, path: PathBuf, again: Vec<OsString>) -> PyResult<()> {
     use crate::errors::Told;
-    Invocation { name: "stemworlds", arguments: Vec::new(), again }.remember();
+    Invocation { arguments: Vec::new(), again }.remember();
     py.detach(|| stemgen_cli::survive(&path)).told(py)
 }

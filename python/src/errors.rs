@@ -17,8 +17,6 @@ pub enum Fault {
     Value(Setting, String, String),
     /// What was asked for cannot be done.
     Words(String),
-    /// A file that is no input for this: path, and why.
-    File(PathBuf, String),
     /// A fault of the program.
     Internal(String),
 }
@@ -60,12 +58,6 @@ impl Facts {
             Fault::Words(message) => {
                 Facts { kind: "value", message: message.clone(), ..Facts::default() }
             }
-            Fault::File(path, why) => Facts {
-                kind: "format",
-                message: format!("{}: {why}", path.display()),
-                path: Some(path.clone()),
-                ..Facts::default()
-            },
             Fault::Internal(message) => {
                 Facts { kind: "internal", message: message.clone(), ..Facts::default() }
             }

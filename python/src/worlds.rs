@@ -251,7 +251,7 @@ impl WorldReader {
 
     /// The whole world as PNG.
     fn png<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
-        let bytes = self.with(py, |world| Ok(of_world(world)?))?;
+        let bytes = self.with(py, |world| Ok(image_pictures::of_world(world)?))?;
         Ok(PyBytes::new(py, &bytes))
     }
 }

@@ -1,4 +1,4 @@
-"""The command line: ``stemworlds`` on the path, or ``python -m stemworlds``."""
+"""The programs that the package installs: ``stemgen``, and ``stemworlds`` for what only Python has; ``python -m stemworlds`` is both."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ _COMMANDS = {
 
 
 def main() -> int:
-    """Runs the command line with the arguments of this process; returns the exit code."""
+    """Runs ``stemworlds`` with the arguments of this process; returns the exit code."""
     words = sys.argv[1:]
     if words and words[0] in _COMMANDS:
         module = importlib.import_module(_COMMANDS[words[0]][0], __package__)
         code: int = module.main(words[1:])
         return code
     if words in ([], ["help"], ["-h"], ["--help"]):
-        code = _run(words)
-        print("\nAlso, in this package:")
-        print("\n".join(f"  {name:<12} {about}" for name, (_, about) in _COMMANDS.items()))
-        return code
-    return _run(words)
+        print("The Python package's own commands; `stemworlds COMMAND --help` explains each:")
+        print("\n".join(f"  {name:<8} {about}" for name, (_, about) in _COMMANDS.items()))
+        print("\nWorlds and images are made by `stemgen` (or, where another program has that name, `python -m stemworlds`).")
+        return 0 if words else 2
+    return program(words)
 
 
-def _run(words: list[str]) -> int:
-    """The command line of the program."""
+def program(words: list[str] | None = None) -> int:
+    """Runs ``stemgen`` with these arguments, or those of this process; returns the exit code."""
     # This process is the program, which listens to signals itself.
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    return _core.main(words, [sys.executable, "-m", "stemworlds"])
+    return _core.main(sys.argv[1:] if words is None else words, [sys.executable, "-m", "stemworlds"])
 
 
 if __name__ == "__main__":

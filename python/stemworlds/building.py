@@ -101,7 +101,7 @@ class BuildPlan:
         memory_bytes, disk_bytes: about, at most.
         time_range_s: at least and at most, from a short measurement.
         warnings: what should be known.
-        details: everything, as ``stemworlds build --dry-run --json`` has it.
+        details: everything, as ``stemgen build --dry-run --json`` has it.
     """
 
     grid: tuple[int, int]
@@ -122,7 +122,7 @@ def build(recipe: RecipeLike, *, out: str | os.PathLike[str], **options: Unpack[
     """Builds a world: the image of a whole specimen, and the truth about each of its atoms.
 
     The same recipe, seed and version give the same image and truth, byte for byte, for any number of threads, and the same as
-    ``stemworlds build``. After Ctrl-C or a crash the same call goes on where it was.
+    ``stemgen build``. After Ctrl-C or a crash the same call goes on where it was.
 
     Args:
         recipe: name, path, TOML, dict or :class:`Recipe`.

@@ -26,7 +26,7 @@ class Audit:
         all_rms_percent: rms error of all pixels, in per cent of the brightest column.
         worst_percent: the greatest of them.
         regions: number of regions that were simulated again.
-        details: everything, as ``stemworlds audit --json`` has it.
+        details: everything, as ``stemgen audit --json`` has it.
     """
 
     bright_rms_percent: float

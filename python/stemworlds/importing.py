@@ -29,7 +29,7 @@ def import_image(
 ) -> World:
     """Makes a world of a recorded image: DM3, DM4, Velox EMD, HyperSpy, other HDF5, TIFF, NumPy, zarr.
 
-    ``summary`` of the world says what was found, as ``stemworlds import --json`` does.
+    ``summary`` of the world says what was found, as ``stemgen import --json`` does.
 
     Args:
         path: the file.

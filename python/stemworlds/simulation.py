@@ -97,7 +97,7 @@ class SimulationOptions(TypedDict, total=False):
         projection: ``"infinite"`` (default) or ``"finite"``.
         parametrization: ``"lobato"`` (default), ``"kirkland"``, ``"peng"``.
         band_fraction, band_taper, oversampling, probe_step, expansion_percent, probe_box, full_exit_grid, tail_correction: as
-            ``stemworlds simulate --help`` explains.
+            ``stemgen simulate --help`` explains.
         force: go on though more memory is needed than is free.
 
     Running:
@@ -160,7 +160,7 @@ class SimulationPlan:
         band_limit_mrad: scattering is carried to this angle.
         memory_bytes: about; time_range_s: at least and at most, from a short measurement.
         warnings: what should be known.
-        details: everything, as ``stemworlds simulate --dry-run --json`` has it.
+        details: everything, as ``stemgen simulate --dry-run --json`` has it.
     """
 
     atoms: int
@@ -409,6 +409,9 @@ _AS_GIVEN: dict[str, tuple[str, str]] = {
 }
 
 
+_NULLABLE = {key for key, kind in SimulationOptions.__annotations__.items() if "None" in str(kind)}
+
+
 def _request(atoms: Atoms, options: SimulationOptions) -> tuple[_core.SimulationRequest, _core.AtomArrays | None]:
     """What was given, as the library's request has it, and atoms at hand. The library has the defaults."""
     unknown = options.keys() - SimulationOptions.__annotations__.keys()
@@ -416,7 +419,8 @@ def _request(atoms: Atoms, options: SimulationOptions) -> tuple[_core.Simulation
         raise TypeError(f"unexpected keyword argument {sorted(unknown)[0]!r}")
     source = atoms_source(atoms)
     tables: dict[str, dict[str, Any]] = {"specimen": {}, "microscope": {}, "numerics": {}}
-    given = {key: value for key, value in options.items() if value is not None}
+    # None stands for the default where the type says so; elsewhere the library tells what is wrong with it.
+    given = {key: value for key, value in options.items() if value is not None or key not in _NULLABLE}
     for keyword, value in given.items():
         if keyword in _AS_GIVEN:
             table, key = _AS_GIVEN[keyword]

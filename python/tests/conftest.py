@@ -104,7 +104,8 @@ def silicon() -> Any:
 
 
 def command(*arguments: object, cwd: Path, check: bool = True) -> subprocess.CompletedProcess[str]:
-    """Runs the console script of the package."""
-    program = Path(sys.executable).with_name("stemworlds")
+    """Runs a program that the package installs: that of its own commands, or `stemgen`."""
+    own = arguments and arguments[0] in ("bench", "serve")
+    program = Path(sys.executable).with_name("stemworlds" if own else "stemgen")
     words = [str(program), *map(str, arguments)]
     return subprocess.run(words, cwd=cwd, check=check, text=True, capture_output=True, timeout=LONGEST_S)

@@ -150,4 +150,4 @@ def test_the_same_worlds_make_the_same_card(hub: Path, tmp_path: Path) -> None:
     assert len(files) > 15
     assert [name for name in files if (hub / name).read_bytes() != (tmp_path / "copy" / name).read_bytes()] == []
     told = command("card", tmp_path, cwd=tmp_path, check=False)
-    assert told.returncode == 1 and "holds no worlds" in told.stderr and "`stemworlds build`" in told.stderr
+    assert told.returncode == 1 and "holds no worlds" in told.stderr and "`stemgen build`" in told.stderr

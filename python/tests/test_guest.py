@@ -146,20 +146,23 @@ def test_lines_without_tqdm(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
     assert capsys.readouterr().err == "simulating: 25 %, 2 of 8 probes\nsimulating: 50 %, 4 of 8 probes\n"
 
 
-def test_the_command_line_follows_its_name(tmp_path: Path) -> None:
-    assert command("--version", cwd=tmp_path).stdout == f"stemworlds {sw.__version__}\n"
+def test_the_package_installs_the_program_and_its_own_commands(tmp_path: Path) -> None:
+    assert command("--version", cwd=tmp_path).stdout == f"stemgen {sw.__version__}\n"
     help_text = command("build", "--help", cwd=tmp_path).stdout
-    assert "stemworlds build srtio3" in help_text and "stemgen build" not in help_text
+    assert "stemgen build srtio3" in help_text and "stemworlds" not in help_text
+    own = Path(sys.executable).with_name("stemworlds")
+    told = subprocess.run([own, "--help"], text=True, capture_output=True, cwd=tmp_path)
+    assert told.returncode == 0 and "bench" in told.stdout and "serve" in told.stdout and "`stemgen`" in told.stdout
     bad = command("build", "srtio", cwd=tmp_path, check=False)
     assert bad.returncode == 1 and "did you mean `srtio3`" in bad.stderr
     usage = command("simulate", "--nothing", cwd=tmp_path, check=False)
-    assert usage.returncode == 2 and "stemworlds simulate" in usage.stderr
+    assert usage.returncode == 2 and "stemgen simulate" in usage.stderr
     module = subprocess.run([sys.executable, "-m", "stemworlds", "list", "test"], text=True, capture_output=True, cwd=tmp_path)
     assert module.returncode == 0 and "test" in module.stdout
 
 
 def test_the_command_line_ends_at_ctrl_c(tmp_path: Path) -> None:
-    program = Path(sys.executable).with_name("stemworlds")
+    program = Path(sys.executable).with_name("stemgen")
     # Minutes of work on any machine, and a file of it early.
     words = [str(program), "build", "test", "--set", "field.thickness_nm=8", "--set", "phonons.configurations=16", "--no-cache", "--audit", "0"]
     running = subprocess.Popen(words, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)

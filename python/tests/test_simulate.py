@@ -48,7 +48,7 @@ def test_bytes_are_those_of_the_command_line(tmp_path: Path) -> None:
             assert file[f"images/{name}_noisy"][:].tobytes() == image.noisy.array.tobytes()
             np.testing.assert_allclose(stored.attrs["sampling_angstrom"], np.multiply(10, image.sampling_nm))
             np.testing.assert_allclose(stored.attrs["thicknesses_angstrom"], image.thicknesses_angstrom)
-        assert file.attrs["command_line"].startswith("stemworlds simulate ")
+        assert file.attrs["command_line"].startswith("stemgen simulate ")
 
 
 def test_any_number_of_threads_gives_the_same_bytes(silicon: Any) -> None:

@@ -78,6 +78,15 @@ impl Aberration {
             azimuth_rad: number(azimuth).ok_or_else(bad)?,
         })
     }
+
+    /// Checks that there is such a coefficient, with finite values.
+    ///
+    /// # Errors
+    /// As [`Aberration::parse`].
+    pub fn validate(&self) -> Result<()> {
+        let Aberration { order, symmetry, magnitude_angstrom, azimuth_rad } = *self;
+        Self::parse(&format!("C{order}{symmetry}={magnitude_angstrom}@{azimuth_rad}")).map(drop)
+    }
 }
 
 impl Aberrations {

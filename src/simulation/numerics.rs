@@ -158,7 +158,11 @@ impl NumericsRequest {
         let grid = match (self.sampling_angstrom, self.gpts) {
             (Some(sampling), Some(_)) => {
                 let expected = "sampling and gpts both set the grid; give one";
-                return Err(Error::invalid(Setting::SamplingAngstrom, sampling, expected));
+                return Err(Error::invalid(
+                    Setting::Gpts,
+                    format!("given, with a sampling of {sampling} A"),
+                    expected,
+                ));
             }
             (None, Some(points)) => GridChoice::Points(points),
             (Some(sampling), None) => GridChoice::Sampling(sampling),
@@ -375,7 +379,7 @@ mod tests {
             ),
             (
                 NumericsRequest { sampling_angstrom: Some(0.1), gpts: Some([9, 9]), ..none() },
-                Setting::SamplingAngstrom,
+                Setting::Gpts,
             ),
         ];
         for (request, expected) in refused {

@@ -41,13 +41,14 @@ impl From<String> for Warning {
     }
 }
 
-/// Refuses detectors whose angles look like radians.
+/// Refuses detectors that no file can name, and those whose angles look like radians.
 ///
 /// # Errors
 /// [`Error::Invalid`] with the angles that are meant.
 pub fn check_detector(detector: &Detector) -> Result<()> {
+    detector.validate()?;
     let Detector { name, inner_mrad: inner, outer_mrad: outer, .. } = detector;
-    if !(0.0 < *outer && *outer < LEAST_ANGLE_MRAD) {
+    if *outer >= LEAST_ANGLE_MRAD {
         return Ok(());
     }
     let [a, b] = [rounded(1e3 * inner), rounded(1e3 * outer)];
@@ -108,6 +109,7 @@ pub fn check_aberrations(
     aberrations: &[Aberration],
 ) -> Result<()> {
     for (n, a) in aberrations.iter().enumerate() {
+        a.validate()?;
         let Aberration { order, symmetry, magnitude_angstrom, .. } = *a;
         let value = format!("C{order}{symmetry}={magnitude_angstrom}");
         if (order, symmetry) == (1, 0) && (defocus_angstrom != 0.0 || series) {

@@ -88,7 +88,7 @@ impl ScanRequest {
                 if step.is_nan() || step <= 0.0 {
                     return refuse(
                         format!("step of {step} A"),
-                        "the distance of probes must be positive",
+                        "the distance of probes is above 0",
                     );
                 }
                 extent.map(|w| (w / step - SAME_ANGSTROM).ceil().max(1.0))

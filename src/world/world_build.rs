@@ -27,6 +27,7 @@ use crate::imaging::{
 use crate::numerics::NUMERICS_VERSION;
 use crate::progress::Progress;
 use crate::recipe::CheckedRecipe;
+use crate::simulation::check_hdf5_name;
 use crate::specimen::{Specimen, estimated_sites, specimen};
 
 /// Builds the world of `recipe` into the file `output`, as `stemgen build` does. Finished sub-tiles are kept in the folder
@@ -265,6 +266,7 @@ impl WorldBuild {
         companion: Option<&Companion>,
         progress: &dyn Progress,
     ) -> Result<BuildSummary> {
+        check_hdf5_name(output)?;
         let (started, work, request) = (Instant::now(), WorkFolder::of(output), self.request());
         self.check_output(output, work.completed(&request).is_some())?;
         let _lock = OutputLock::hold(output)?;

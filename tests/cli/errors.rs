@@ -23,8 +23,11 @@ fn bad_input_is_explained() {
         (&[si, "--scan-end", "5,500"], &["500.0 A long along y", "--scan-end"]),
         (&[si, "-o", "x.tif"], &["HDF5", "did you mean x.h5?"]),
         (&[si, "-o", "x.tif", "--dry-run"], &["did you mean x.h5?"]),
-        (&[si, "--defocus", "30", "--aberration", "C10=5"], &["both set the defocus"]),
-        (&[si, "--aberration", "C12=30", "--aberration", "C12=3@1"], &["C12 is given twice"]),
+        (
+            &[si, "--defocus", "30", "--aberration", "C10=5"],
+            &["C10 is minus the defocus", "give one of them"],
+        ),
+        (&[si, "--aberration", "C12=30", "--aberration", "C12=3@1"], &["C12=3: is given twice"]),
         (&["none.cif"], &["none.cif", "check the name"]),
         (&["there.h5"], &["there.h5", ".cif"]),
         (&["odd.xyz"], &["odd.xyz:3", "Xx"]),

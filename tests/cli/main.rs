@@ -22,6 +22,7 @@ mod points;
 mod process;
 mod recipes;
 mod released;
+mod requests;
 mod shards;
 mod simulate;
 #[path = "../common/skipped.rs"]
