@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypedDict, Unpack
@@ -346,7 +347,7 @@ def plane_wave(atoms: Atoms, **options: Unpack[SimulationOptions]) -> PlaneWave:
     sampling = (dy / 10, dx / 10)
     images = (
         Image("lens", array, sampling, units="intensity; that of the incident wave is 1", metadata={"defocus_angstrom": defocus})
-        for array, defocus in zip(found["images"], _defoci(options), strict=True)
+        for array, defocus in zip(found["images"], _defoci(options.get("defocus_angstrom", 0.0)), strict=True)
     )
     return PlaneWave(exit_waves=found["exit_waves"], images=tuple(images), sampling_nm=sampling)
 
@@ -420,7 +421,7 @@ def _request(atoms: Atoms, options: SimulationOptions) -> tuple[_core.Simulation
     source = atoms_source(atoms)
     tables: dict[str, dict[str, Any]] = {"specimen": {}, "microscope": {}, "numerics": {}}
     # None stands for the default where the type says so; elsewhere the library tells what is wrong with it.
-    given = {key: value for key, value in options.items() if value is not None or key not in _NULLABLE}
+    given: dict[str, Any] = {key: value for key, value in options.items() if value is not None or key not in _NULLABLE}
     for keyword, value in given.items():
         if keyword in _AS_GIVEN:
             table, key = _AS_GIVEN[keyword]
@@ -467,13 +468,12 @@ def _aberrations(aberrations: Any) -> list[dict[str, Any]]:
     listed = []
     for name, value in aberrations.items():
         magnitude, azimuth = value if isinstance(value, (tuple, list)) else (value, 0.0)
-        letter, *digits = str(name)
-        if letter != "C" or len(digits) != 2 or not all(digit.isdecimal() for digit in digits):
+        if not re.fullmatch("C[0-9]{2}", str(name)):
             raise _invalid("aberrations", f"aberrations has {name!r}: expected names such as C12 or C30")
         listed.append(
             {
-                "order": int(digits[0]),
-                "symmetry": int(digits[1]),
+                "order": int(name[1]),
+                "symmetry": int(name[2]),
                 "magnitude_angstrom": float(magnitude),
                 "azimuth_rad": float(azimuth),
             }
@@ -490,7 +490,7 @@ _READERS: dict[str, tuple[str, str, Callable[[Any], Any]]] = {
     "sigma": ("specimen", "sigma_angstrom", _sigma),
     "frames": ("specimen", "frames", _frames),
     "seed": ("specimen", "seed", lambda value: _whole("seed", value, 0, 2**64 - 1)),
-    "defocus_angstrom": ("microscope", "defocus_angstrom", lambda value: _defoci({"defocus_angstrom": value})),
+    "defocus_angstrom": ("microscope", "defocus_angstrom", lambda value: _defoci(value)),
     "aberrations": ("microscope", "aberrations", _aberrations),
     "tilt_mrad": ("microscope", "tilt_mrad", lambda value: _pair("tilt_mrad", value)),
     "detectors": ("microscope", "detectors", _detectors),
@@ -499,8 +499,7 @@ _READERS: dict[str, tuple[str, str, Callable[[Any], Any]]] = {
 }
 
 
-def _defoci(options: SimulationOptions) -> list[float]:
-    defocus = options.get("defocus_angstrom", 0.0)
+def _defoci(defocus: Any) -> list[float]:
     return [float(d) for d in defocus] if isinstance(defocus, (Sequence, np.ndarray)) else [float(defocus)]
 
 

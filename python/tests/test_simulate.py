@@ -11,6 +11,7 @@ import pytest
 from conftest import ROOT, command
 
 import stemworlds as sw
+from stemworlds import simulation
 
 SCAN = sw.Scan(end=(0.25, 0.5), points=(5, 7))
 
@@ -154,6 +155,22 @@ def test_plane_waves(silicon: Any) -> None:
     power = (np.abs(wave.exit_waves) ** 2).mean()
     assert power == pytest.approx(1.0, abs=0.01)
     assert wave.images[0].array.std() != pytest.approx(wave.images[1].array.std())
+
+
+def test_only_what_is_given_is_passed_on(silicon: Any) -> None:
+    request, arrays = simulation._request("si.cif", {})
+    assert arrays is None and request == {"structure": "si.cif", "specimen": {}, "microscope": {}, "numerics": {}}
+    given: Any = {"energy_kv": 300, "gpts": None, "aberrations": {"C12": (30, 0.3)}, "dose": 5.0}
+    request, arrays = simulation._request(silicon, given)
+    coefficient = {"order": 1, "symmetry": 2, "magnitude_angstrom": 30.0, "azimuth_rad": 0.3}
+    assert arrays is not None and request["microscope"] == {"energy_kev": 300, "aberrations": [coefficient]}
+    assert request["numerics"] == {} and request["electrons_per_angstrom2"] == 5.0
+
+
+def test_narrow_cells_are_told_as_on_the_command_line() -> None:
+    warnings = sw.plan_simulation(ROOT / "structures/si.cif").warnings
+    [told] = [text for text in warnings if "is narrow" in text]
+    assert "repeated 3,3,1 times" in told and "--" not in told
 
 
 def test_sources_blur(silicon: Any) -> None:

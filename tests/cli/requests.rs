@@ -189,3 +189,52 @@ fn the_command_line_refuses_and_warns_as_the_library_does() {
         "{told}"
     );
 }
+
+/// The help says defaults in words; the library has them. Both agree.
+#[test]
+fn defaults_in_the_help_are_those_of_the_request() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let si = file("structures/si.cif");
+    let run = stemgen(here).args(["simulate", &si, "--write-request", "r.toml"]).output().unwrap();
+    assert!(run.status.success(), "{}", stderr(&run));
+    let request: toml::Table =
+        std::fs::read_to_string(here.join("r.toml")).unwrap().parse().unwrap();
+    let help = stdout(&stemgen(here).args(["simulate", "--help"]).output().unwrap());
+    let told = |option: &str| {
+        let from = help
+            .find(&format!("--{option} <"))
+            .unwrap_or_else(|| panic!("--{option} is not in the help"));
+        let text = help[from..].split_whitespace().collect::<Vec<_>>().join(" ");
+        let (_, value) = text.split_once("[default: ").unwrap();
+        value.split_once(']').unwrap().0.to_owned()
+    };
+    for (option, table, key) in [
+        ("energy", "microscope", "energy_kev"),
+        ("semiangle", "microscope", "semiangle_mrad"),
+        ("seed", "specimen", "seed"),
+        ("projection", "numerics", "projection"),
+        ("parametrization", "numerics", "parametrization"),
+        ("band-taper", "numerics", "band_taper"),
+        ("angle-margin", "numerics", "angle_margin"),
+        ("probe-step", "numerics", "probe_step"),
+        ("expansion", "numerics", "expansion_percent"),
+    ] {
+        let known = match &request[table][key] {
+            toml::Value::String(word) => word.clone(),
+            toml::Value::Float(number) => number.to_string(),
+            other => other.to_string(),
+        };
+        assert_eq!(told(option), known, "--{option}");
+    }
+    let defocus = request["microscope"]["defocus_angstrom"].as_array().unwrap();
+    assert_eq!((told("defocus"), defocus.len(), defocus[0].as_float()), ("0".into(), 1, Some(0.0)));
+    let [detector] = &request["microscope"]["detectors"].as_array().unwrap()[..] else {
+        panic!("{request:?}")
+    };
+    let annulus = ["inner_mrad", "outer_mrad"].map(|key| detector[key].as_float().unwrap());
+    assert_eq!(
+        told("detector"),
+        format!("{}={}-{}", detector["name"].as_str().unwrap(), annulus[0], annulus[1])
+    );
+}
