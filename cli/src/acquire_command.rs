@@ -1,28 +1,19 @@
 //! `stemgen acquire`.
 
 use super::common::{CacheArgs, Common};
-use super::hints::hinted;
 use super::plan_report::Lines;
 use super::recipe_args::RecipeArgs;
 use super::{output, text, values};
-use anyhow::{anyhow, bail};
+use anyhow::bail;
 use clap::{Args, ValueEnum};
 use ndarray::Axis;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::time::Instant;
 use stemgen::acquisition::{Acquisition, Profile, clipping_warning};
 use stemgen::files::outputs::check_outputs;
-use stemgen::io::WorldFile;
-use stemgen::recipe::CheckedRecipe;
 use stemgen::render::image_pictures;
-use stemgen::specimen::{Specimen, specimen};
-use stemgen::world::noise_free::{refined, refinement};
-use stemgen::world::{
-    Electrons, FieldRecording, ImagerSource, RecordedPart, RecordingOptions, WorldEngine,
-    WorldSource, imaging_of, record,
-};
+use stemgen::world::{FieldRecording, RecordedFrom, RecordingJob, RecordingRequest};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -152,14 +143,6 @@ struct AcquireSummary {
     wall_time_s: f64,
 }
 
-/// A place, and what stands there.
-struct AcquiredPlace {
-    recipe: CheckedRecipe,
-    specimen: Arc<dyn Specimen>,
-    /// How the world was made, if there is one.
-    made: Option<WorldEngine>,
-}
-
 impl Acquire {
     /// Runs the subcommand.
     pub fn run(self) -> anyhow::Result<()> {
@@ -175,86 +158,41 @@ impl Acquire {
             bail!("--output {}: did you mean {}?", self.output.display(), name.display());
         }
         let (recipe, made) = self.recipe.resolve_or_world_with("acquisition")?;
-        let recipe = self.with_options(recipe)?;
         let picture = self.png.then(|| self.output.with_extension("png"));
         let outputs = std::iter::once(&self.output).chain(&picture);
         check_outputs(outputs, self.recipe.inputs(&recipe), self.overwrite)?;
-        let place = AcquiredPlace { specimen: specimen(&recipe)?, recipe, made };
-        let (recording, source) = self.record(&place, &reporter)?;
-        let command_line = text::command_line();
-        let AcquiredPlace { recipe, specimen, .. } = &place;
-        recording.write(&self.output, self.overwrite, recipe, &**specimen, &command_line)?;
+        let job = RecordingJob::new(&recipe, (self.recipe.world(), made), &self.request())?;
+        let (recording, from) = job.run(self.kept.cache(), &reporter)?;
+        let (recipe, specimen) = (job.recipe(), job.specimen());
+        recording.write(&self.output, self.overwrite, recipe, specimen, &text::command_line())?;
         if let Some(path) = &picture {
             let image = recording.data.index_axis(Axis(0), 0).mapv(|v| v as f32);
             image_pictures::write(path, image.view(), [10.0 * recording.frame.pixel_nm; 2], true)?;
         }
         self.warn_of_clipping(&recording);
+        let source = match from {
+            RecordedFrom::World => "the noise-free image of the world",
+            RecordedFrom::Recipe => "made from the recipe",
+        };
         let summary = self.summary(&recording, source, begun);
         self.common.print(&summary, &summary.text())
     }
 
-    /// The recipe with the values that were typed.
-    fn with_options(&self, recipe: CheckedRecipe) -> anyhow::Result<CheckedRecipe> {
-        let mut changed = recipe.recipe().clone();
-        let mut table = changed.acquisition.unwrap_or_default();
-        table.profile = self.profile.map(Profile::from).or(table.profile);
-        table.dwell_us = self.dwell_us.or(table.dwell_us);
-        table.frames = self.frames.or(table.frames);
-        changed.acquisition = Some(table);
-        if self.recipe.world().is_none() {
-            changed.detector = changed.detector.main_alone();
-        }
-        Ok(changed.checked()?)
-    }
-
-    fn record(
-        &self,
-        place: &AcquiredPlace,
-        reporter: &super::progress_bar::Reporter,
-    ) -> anyhow::Result<(FieldRecording, &'static str)> {
-        let AcquiredPlace { recipe, specimen, made } = place;
-        let (part, options) = (self.part(recipe)?, self.options(recipe));
-        let parts = refinement(recipe);
-        if let Some(world) = self.recipe.world().filter(|_| parts == 1) {
-            let world = WorldFile::open(&world)?;
-            if world.has_clean() {
-                let source = WorldSource { world: &world, recipe };
-                let recording = record(recipe, &**specimen, &source, &part, &options, reporter)?;
-                return Ok((recording, "the noise-free image of the world"));
-            }
-        }
-        let fine = refined(recipe, parts)?;
-        let cache = self.kept.cache();
-        let mut imager = imaging_of(&fine, made.as_ref(), cache)?.imager(&fine, specimen)?;
-        imager.prepare(reporter)?;
-        let source = ImagerSource { imager: &*imager, recipe: &fine };
-        let recording = record(recipe, &**specimen, &source, &part, &options, reporter)?;
-        Ok((recording, "made from the recipe"))
-    }
-
-    fn part(&self, recipe: &CheckedRecipe) -> anyhow::Result<RecordedPart> {
-        let field = &recipe.field;
-        let own = field.pixel_nm();
-        let pixel_nm = self.pixel_nm.unwrap_or(own / self.zoom.unwrap_or(1.0));
-        if let Some([x0, y0, x1, y1]) = self.region {
-            if x1 <= x0 || y1 <= y0 {
-                let fault = anyhow!("--region {x0},{y0},{x1},{y1} is empty");
-                return Err(hinted(fault, "left, upper, right and lower edge in nm"));
-            }
-            let centre_nm = [0.5 * (x0 + x1), 0.5 * (y0 + y1)];
-            return Ok(RecordedPart { centre_nm, size_nm: [x1 - x0, y1 - y0], pixel_nm });
-        }
-        Ok(RecordedPart::tile_at(recipe, self.at, pixel_nm))
-    }
-
-    fn options(&self, recipe: &CheckedRecipe) -> RecordingOptions {
-        let dose = self.dose.unwrap_or(recipe.dose.electrons_per_angstrom2);
-        RecordingOptions {
-            acquisition: recipe.acquisition.unwrap_or_default().resolved(),
-            electrons: self.current_pa.map_or(Electrons::Dose(dose), Electrons::CurrentPa),
-            seed: self.scan_seed,
+    /// What is asked for.
+    fn request(&self) -> RecordingRequest {
+        RecordingRequest {
+            region_nm: self.region,
+            at_nm: self.at,
+            zoom: self.zoom,
+            pixel_nm: self.pixel_nm,
+            profile: self.profile.map(Profile::from),
+            electrons_per_angstrom2: self.dose,
+            current_pa: self.current_pa,
+            dwell_us: self.dwell_us,
+            frames: self.frames,
             keep_frames: self.keep_frames,
             keep_stages: self.stages,
+            seed: self.scan_seed,
         }
     }
 

@@ -6,10 +6,9 @@ use super::recipe_args::RecipeArgs;
 use super::values;
 use anyhow::bail;
 use clap::Args;
-use stemgen::imaging::{AUDIT_REMEDY, Audit, AuditOptions, audit, audit_cost};
+use stemgen::imaging::{Audit, AuditOptions};
 use stemgen::simulation;
-use stemgen::specimen::specimen;
-use stemgen::world::{imaging_of, planned_imaging};
+use stemgen::world::AuditJob;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -77,24 +76,10 @@ impl AuditCommand {
             at_nm: self.at.clone(),
             configurations: self.configurations.map(usize::from),
         };
-        if let Some(made) = made.as_ref().filter(|m| m.engine == "multislice") {
-            bail!("the world was made with `{}`, which is what audits compare with", made.engine);
-        }
-        let specimen = specimen(&recipe)?;
-        let cache = self.kept.cache();
-        let choice = match &made {
-            Some(_) => imaging_of(&recipe, made.as_ref(), cache)?,
-            None => planned_imaging(&recipe, cache, self.window)?,
-        };
-        if made.is_some() && self.window.is_some() {
-            bail!("--window: the world was made with a window of its own; name its recipe instead");
-        }
-        let cost = audit_cost(&recipe, &*specimen, &options)?.cost;
-        let bytes = cost.memory_bytes(simulation::threads());
-        self.force.check_memory(bytes, AUDIT_REMEDY, &reporter)?;
-        let mut imager = choice.imager(&recipe, &specimen)?;
-        imager.prepare(&reporter)?;
-        let found = audit(&recipe, &*specimen, &*imager, &options, &reporter)?;
+        let job = AuditJob::new(recipe, made.as_ref(), options, self.kept.cache(), self.window)?;
+        let (bytes, remedy) = job.memory(simulation::threads())?;
+        self.force.check_memory(bytes, remedy, &reporter)?;
+        let found = job.run(&reporter)?;
         self.common.print(&found, &text(&found))
     }
 }

@@ -8,17 +8,16 @@ use pyo3::prelude::*;
 use std::path::PathBuf;
 use stemgen::engine::check_memory;
 use stemgen::files::{atomic_write, outputs::check_outputs};
-use stemgen::imaging::{AUDIT_REMEDY, AuditOptions, Cache, ImagingChoice, audit, audit_cost};
+use stemgen::imaging::AuditOptions;
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
 use stemgen::recipe::CheckedRecipe;
 use stemgen::simulation;
-use stemgen::specimen::specimen;
 use stemgen::validate::report::{Report, ReportOrigin, sentence, suite_page, worlds_page};
 use stemgen::validate::soundness::check_world;
 use stemgen::validate::suite::{Case, selected};
 use stemgen::validate::worlds::compare;
-use stemgen::world::{WorldEngine, imaging_of, planned_imaging};
+use stemgen::world::{AuditJob, WorldEngine};
 
 /// A recipe, or a world and with it how it was made.
 #[derive(FromPyObject)]
@@ -50,18 +49,6 @@ impl Field {
         let changes = changes.collect::<stemgen::Result<Vec<_>>>()?;
         Ok((recipe.recipe().with_overrides(&changes)?.checked()?, made))
     }
-
-    /// How its images are made.
-    ///
-    /// # Errors
-    /// Those of the policy of builds.
-    pub fn imaging(
-        recipe: &CheckedRecipe,
-        made: Option<&WorldEngine>,
-        cache: Cache,
-    ) -> Result<ImagingChoice, Fault> {
-        Ok(imaging_of(recipe, made, cache)?)
-    }
 }
 
 /// What is audited.
@@ -92,24 +79,13 @@ pub fn audit_field(py: Python<'_>, options: Auditing, running: Running) -> PyRes
             at_nm: options.at_nm.clone(),
             configurations: options.configurations,
         };
-        if made.as_ref().is_some_and(|made| made.engine == "multislice") {
-            let words = "the world was made by multislice, which is what audits compare with";
-            return Err(Fault::Words(words.into()));
-        }
-        let specimen = specimen(&recipe)?;
-        let cache = options.cache.cache();
-        let choice = match &made {
-            Some(_) => Field::imaging(&recipe, made.as_ref(), cache)?,
-            None => planned_imaging(&recipe, cache, None)?,
-        };
-        let cost = audit_cost(&recipe, &*specimen, &asked)?.cost;
-        match check_memory(cost.memory_bytes(simulation::threads()), AUDIT_REMEDY) {
+        let job = AuditJob::new(recipe, made.as_ref(), asked, options.cache.cache(), None)?;
+        let (bytes, remedy) = job.memory(simulation::threads())?;
+        match check_memory(bytes, remedy) {
             Err(e) if options.force => guest.warn(&e.to_string()),
             checked => checked?,
         }
-        let mut imager = choice.imager(&recipe, &specimen)?;
-        imager.prepare(guest)?;
-        Ok(serde_json::to_string(&audit(&recipe, &*specimen, &*imager, &asked, guest)?)?)
+        Ok(serde_json::to_string(&job.run(guest)?)?)
     })
 }
 

@@ -4,7 +4,8 @@ use crate::builds::CacheChoice;
 use crate::errors::{Fault, Told};
 use crate::guest::{Running, run};
 use crate::recipes::checked;
-use crate::recordings::{Place, ScanChoice, tell_columns, told, warn_of_clipping};
+use crate::recordings::{tell_columns, told, warn_of_clipping};
+use crate::request::Parsed;
 use ndarray::Array1;
 use numpy::IntoPyArray;
 use pyo3::prelude::*;
@@ -15,7 +16,7 @@ use stemgen::imaging::PixelRect;
 use stemgen::live::{LiveOptions, LiveRequest, LiveSnapshot, LiveWorld};
 use stemgen::recipe::{CheckedRecipe, Region};
 use stemgen::specimen::SiteKind;
-use stemgen::world::{BuildOptions, ColumnTruth, SiteTruth};
+use stemgen::world::{BuildOptions, ColumnTruth, RecordingRequest, SiteTruth};
 
 /// What a live world is made of.
 #[derive(FromPyObject)]
@@ -24,14 +25,6 @@ pub struct Living {
     toml: String,
     most_dose: f64,
     cache: CacheChoice,
-}
-
-/// What is recorded, and how.
-#[derive(FromPyObject)]
-#[pyo3(from_item_all)]
-pub struct LiveScan {
-    place: Place,
-    scan: ScanChoice,
 }
 
 /// A live world. One call at a time works on it.
@@ -131,16 +124,21 @@ impl LiveField {
     }
 
     /// Records a place, and changes it: as `record_field`.
-    fn acquire(&self, py: Python<'_>, options: LiveScan, running: Running) -> PyResult<Py<PyDict>> {
+    fn acquire(
+        &self,
+        py: Python<'_>,
+        asked: Parsed<RecordingRequest>,
+        running: Running,
+    ) -> PyResult<Py<PyDict>> {
         let world = Arc::clone(&self.world);
         let recording = run(py, running, move |guest| {
             let mut world = locked(&world);
             let recipe = world.recipe().clone();
             let request = LiveRequest {
-                part: options.place.part(&recipe)?,
-                electrons: options.scan.electrons(&recipe)?,
-                acquisition: options.scan.table(&recipe)?.resolved(),
-                keep_frames: options.scan.keep_frames,
+                part: asked.0.part(&recipe)?,
+                electrons: asked.0.electrons(&recipe)?,
+                acquisition: asked.0.table(&recipe).resolved(),
+                keep_frames: asked.0.keep_frames,
             };
             let recording = world.acquire(&request, guest)?;
             warn_of_clipping(&recording, guest);

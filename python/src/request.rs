@@ -6,20 +6,24 @@ use numpy::PyReadonlyArray2;
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pythonize::Depythonizer;
+use serde::de::DeserializeOwned;
 use stemgen::Setting;
 use stemgen::simulation::{AtomsSource, SimulationJob, SimulationRequest};
 use stemgen::structure::{Atom, Structure, elements};
 
-/// A [`SimulationRequest`] as a dict of dicts; what is not given has the library's default.
-pub struct Request(SimulationRequest);
+/// A value of the library as a dict; what is not given has the library's default.
+pub struct Parsed<T>(pub T);
 
-impl<'a, 'py> FromPyObject<'a, 'py> for Request {
+/// What is to be simulated.
+pub type Request = Parsed<SimulationRequest>;
+
+impl<'a, 'py, T: DeserializeOwned> FromPyObject<'a, 'py> for Parsed<T> {
     type Error = PyErr;
     fn extract(object: Borrowed<'a, 'py, PyAny>) -> PyResult<Self> {
         let py = object.py();
         let object = object.to_owned();
         let mut source = Depythonizer::from_object(&object);
-        serde_path_to_error::deserialize(&mut source).map(Request).map_err(|error| {
+        serde_path_to_error::deserialize(&mut source).map(Parsed).map_err(|error| {
             let place = error.path().to_string();
             let inner = PyErr::from(error.into_inner());
             let wrong_type = inner.is_instance_of::<PyTypeError>(py);

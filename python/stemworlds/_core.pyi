@@ -120,6 +120,29 @@ class DiffractionPattern(TypedDict):
     step_mrad: list[float]
     band_limit_mrad: float
 
+class RecordingRequest(TypedDict, total=False):
+    """What ``stemgen::world::RecordingRequest`` reads; the library has the defaults of what is not given."""
+
+    region_nm: tuple[float, float, float, float]
+    at_nm: tuple[float, float]
+    zoom: float
+    pixel_nm: float
+    profile: str
+    electrons_per_angstrom2: float
+    current_pa: float
+    dwell_us: float
+    frames: int
+    keep_frames: bool
+    keep_stages: bool
+    seed: int
+
+class RecordingOptions(TypedDict):
+    field: dict[str, Any]
+    request: RecordingRequest
+    cache: bool | str
+    out: str | None
+    overwrite: bool
+
 class Episodes:
     def __new__(cls, scene: _Options, rules: _Options, count: int, running: Running) -> Episodes: ...
     def facts(self) -> str: ...
@@ -132,7 +155,7 @@ class Episodes:
 class LiveField:
     def __new__(cls, options: _Options, running: Running) -> LiveField: ...
     def look(self, region: _Region, running: Running) -> dict[str, Any]: ...
-    def acquire(self, options: _Options, running: Running) -> dict[str, Any]: ...
+    def acquire(self, asked: RecordingRequest, running: Running) -> dict[str, Any]: ...
     def truth(self, region: _Region) -> dict[str, Any]: ...
     def dose(self, region: _Region) -> float: ...
     def history(self) -> str: ...
@@ -193,7 +216,7 @@ def save_tiff(path: _Path, image: _Options, bits: int, overwrite: bool) -> None:
 def describe_recipe(toml: str) -> str: ...
 def recipes() -> list[tuple[str, list[str]]]: ...
 def resolve_recipe(source: _Options, changes: _Options) -> str: ...
-def record_field(options: _Options, running: Running) -> dict[str, Any]: ...
+def record_field(options: RecordingOptions, running: Running) -> dict[str, Any]: ...
 def diffraction(
     request: SimulationRequest,
     atoms: AtomArrays | None,

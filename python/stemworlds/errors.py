@@ -265,6 +265,7 @@ _KEYS: dict[str, str] = {
     "source_lorentz_share": "source_lorentz",
     "sigma_angstrom": "sigma",
     "electrons_per_angstrom2": "dose",
+    "keep_stages": "stages",
 }
 
 

@@ -15,7 +15,7 @@ from ._forking import Used
 from ._running import Progress, call, running
 from .images import Image
 from .recipes import Acquisition, Difficulty, Recipe, RecipeLike
-from .recording import Recording, _recording
+from .recording import Recording, _recording, recording_request
 from .worlds import COLUMN_DTYPE, SITE_DTYPE, StructuredArray
 
 #: Left, upper, right and lower edge in nm.
@@ -104,18 +104,19 @@ class LiveWorld:
         Raises:
             InvalidValue: for a place that the beam leaves, and a dose beyond ``most_dose``. The world is then as it was.
         """
-        options = {
-            "place": {"region_nm": region_nm, "at_nm": at_nm, "zoom": zoom, "pixel_nm": pixel_nm},
-            "scan": {
-                "profile": profile,
-                "dose": dose,
-                "current_pa": current_pa,
-                "dwell_us": dwell_us,
-                "frames": frames,
-                "keep_frames": keep_frames,
-            },
-        }
-        recorded = self._used.by(call)(self._field.acquire, options, running(self._threads, progress))
+        request = recording_request(
+            region_nm=region_nm,
+            at_nm=at_nm,
+            zoom=zoom,
+            pixel_nm=pixel_nm,
+            profile=profile,
+            electrons_per_angstrom2=dose,
+            current_pa=current_pa,
+            dwell_us=dwell_us,
+            frames=frames,
+            keep_frames=keep_frames,
+        )
+        recorded = self._used.by(call)(self._field.acquire, request, running(self._threads, progress))
         return _recording(recorded, keep_frames)
 
     def columns(self, region_nm: Region) -> StructuredArray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -105,24 +105,33 @@ def acquire(
     """
     if frames is not None and frames < 1:
         raise _invalid("frames", f"frames = {frames}: expected a whole number above 0")
-    options = {
+    request = recording_request(
+        region_nm=region_nm,
+        at_nm=at_nm,
+        zoom=zoom,
+        pixel_nm=pixel_nm,
+        profile=profile,
+        electrons_per_angstrom2=dose,
+        current_pa=current_pa,
+        dwell_us=dwell_us,
+        frames=frames,
+        keep_frames=keep_frames,
+        keep_stages=stages,
+        seed=scan_seed,
+    )
+    options: _core.RecordingOptions = {
         "field": field_options(field, recipe, acquisition),
-        "place": {"region_nm": region_nm, "at_nm": at_nm, "zoom": zoom, "pixel_nm": pixel_nm},
-        "scan": {
-            "profile": profile,
-            "dose": dose,
-            "current_pa": current_pa,
-            "dwell_us": dwell_us,
-            "frames": frames,
-            "keep_frames": keep_frames,
-        },
-        "stages": stages,
-        "seed": scan_seed,
+        "request": request,
         "cache": cache if isinstance(cache, bool) else os.fspath(cache),
         "out": None if out is None else os.fspath(out),
         "overwrite": overwrite,
     }
     return _recording(call(_core.record_field, options, running(threads, progress)), keep_frames)
+
+
+def recording_request(**given: Any) -> _core.RecordingRequest:
+    """What was given, as the library's request has it; the library has the defaults."""
+    return cast("_core.RecordingRequest", {key: value for key, value in given.items() if value is not None})
 
 
 def _recording(found: Mapping[str, Any], keep_frames: bool) -> Recording:

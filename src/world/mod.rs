@@ -5,6 +5,8 @@
 
 pub mod atoms_export;
 #[cfg(feature = "hdf5")]
+mod audit_job;
+#[cfg(feature = "hdf5")]
 pub mod blended_image;
 pub mod build_options;
 #[cfg(feature = "hdf5")]
@@ -27,6 +29,8 @@ pub mod noise_free;
 mod options_of_world;
 #[cfg(feature = "hdf5")]
 mod publish;
+#[cfg(feature = "hdf5")]
+mod recording_job;
 #[cfg(feature = "hdf5")]
 mod recording_writer;
 pub mod region_truth;
@@ -55,6 +59,8 @@ mod world_shard;
 mod world_source;
 
 pub use atoms_export::{ExportOptions, ExportSummary, estimated_rows, export};
+#[cfg(feature = "hdf5")]
+pub use audit_job::AuditJob;
 pub use build_options::{BuildMethod, BuildOptions, BuildPolicy, BuildProfile};
 #[cfg(feature = "hdf5")]
 pub use build_plan::WorldPlan;
@@ -72,6 +78,8 @@ pub use made_world::{WorldEngine, imaging_of, planned_imaging};
 pub use noise_free::{ImagerSource, NoiseFree};
 #[cfg(feature = "hdf5")]
 pub use publish::Companion;
+#[cfg(feature = "hdf5")]
+pub use recording_job::{RecordedFrom, RecordingJob, RecordingRequest};
 pub use region_truth::{ColumnTruth, SiteTruth};
 #[cfg(feature = "render")]
 pub use specimen_drawing::{Drawing, draw_specimen};

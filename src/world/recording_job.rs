@@ -1,0 +1,279 @@
+//! A place of a world or of a recipe that is recorded: what is asked for, and the job that does it.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use super::made_world::{WorldEngine, imaging_of};
+use super::noise_free::{refined, refinement};
+use super::{
+    Electrons, FieldRecording, ImagerSource, RecordedPart, RecordingOptions, WorldSource, record,
+};
+use crate::acquisition::{AcquisitionTable, Profile};
+use crate::error::{Error, Result};
+use crate::imaging::Cache;
+use crate::io::WorldFile;
+use crate::progress::Progress;
+use crate::recipe::{CheckedRecipe, Recipe};
+use crate::setting::Setting;
+use crate::specimen::{Specimen, specimen};
+
+/// What is recorded, and how; the recipe of the field has the values of the microscope that are not given.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RecordingRequest {
+    /// Left, upper, right and lower edge of the part in nm.
+    pub region_nm: Option<[f64; 4]>,
+    /// Middle of the part in nm, which has as many pixels as a tile; `None`, without a region: the middle of the field.
+    pub at_nm: Option<[f64; 2]>,
+    /// How many times finer the pixels are than those of the world.
+    pub zoom: Option<f64>,
+    /// Edge of a pixel in nm, in place of the zoom.
+    pub pixel_nm: Option<f64>,
+    /// Set of values for the microscope.
+    pub profile: Option<Profile>,
+    /// Electrons per square Angstrom, all frames together; `None`: the dose of the recipe.
+    pub electrons_per_angstrom2: Option<f64>,
+    /// Current of the beam in pA, in place of the dose.
+    pub current_pa: Option<f64>,
+    /// Time on each pixel in microseconds.
+    pub dwell_us: Option<f64>,
+    /// Number of frames.
+    pub frames: Option<usize>,
+    /// Keep the frames one by one, in place of their sum.
+    pub keep_frames: bool,
+    /// Keep what lies between the noise-free image and the recording.
+    pub keep_stages: bool,
+    /// Seed of electrons, noise, jitter and random drift.
+    pub seed: u64,
+}
+
+impl Default for RecordingRequest {
+    fn default() -> Self {
+        RecordingRequest {
+            region_nm: None,
+            at_nm: None,
+            zoom: None,
+            pixel_nm: None,
+            profile: None,
+            electrons_per_angstrom2: None,
+            current_pa: None,
+            dwell_us: None,
+            frames: None,
+            keep_frames: false,
+            keep_stages: false,
+            seed: 1,
+        }
+    }
+}
+
+impl RecordingRequest {
+    /// The part of the field of a recipe.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a region that is empty, and for two values that set the same.
+    pub fn part(&self, recipe: &CheckedRecipe) -> Result<RecordedPart> {
+        let own = recipe.field.pixel_nm();
+        let refuse =
+            |setting, value: String, expected: &str| Err(Error::invalid(setting, value, expected));
+        let pixel_nm = match (self.zoom, self.pixel_nm) {
+            (Some(zoom), Some(_)) => {
+                let expected = "zoom and pixel both set it; give one";
+                return refuse(Setting::RecordedPixelNm, format!("zoom {zoom}"), expected);
+            }
+            (Some(zoom), None) if zoom > 0.0 && zoom.is_finite() => own / zoom,
+            (Some(zoom), None) => {
+                return refuse(
+                    Setting::RecordedPixelNm,
+                    format!("zoom {zoom}"),
+                    "expected above 0",
+                );
+            }
+            (None, pixel_nm) => pixel_nm.unwrap_or(own),
+        };
+        let Some([x0, y0, x1, y1]) = self.region_nm else {
+            return Ok(RecordedPart::tile_at(recipe, self.at_nm, pixel_nm));
+        };
+        let value = || format!("{x0}, {y0}, {x1}, {y1}");
+        if self.at_nm.is_some() {
+            let expected = "a region and a middle both set the place; give one";
+            return refuse(Setting::RecordedRegionNm, value(), expected);
+        }
+        if !(x1 > x0 && y1 > y0) {
+            let expected = "is empty; expected left, upper, right and lower edge in nm";
+            return refuse(Setting::RecordedRegionNm, value(), expected);
+        }
+        let centre_nm = [0.5 * (x0 + x1), 0.5 * (y0 + y1)];
+        Ok(RecordedPart { centre_nm, size_nm: [x1 - x0, y1 - y0], pixel_nm })
+    }
+
+    /// The table `[acquisition]` of a recipe with the values that are given.
+    pub fn table(&self, recipe: &CheckedRecipe) -> AcquisitionTable {
+        let mut table = recipe.acquisition.unwrap_or_default();
+        table.profile = self.profile.or(table.profile);
+        table.dwell_us = self.dwell_us.or(table.dwell_us);
+        table.frames = self.frames.or(table.frames);
+        table
+    }
+
+    /// How many electrons: the dose or the current, or the dose of the recipe.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for both at once.
+    pub fn electrons(&self, recipe: &CheckedRecipe) -> Result<Electrons> {
+        if let (Some(_), Some(current)) = (self.electrons_per_angstrom2, self.current_pa) {
+            let expected = "dose and current both set the electrons; give one";
+            return Err(Error::invalid(Setting::BeamCurrentPa, current, expected));
+        }
+        let dose = self.electrons_per_angstrom2.unwrap_or(recipe.dose.electrons_per_angstrom2);
+        Ok(self.current_pa.map_or(Electrons::Dose(dose), Electrons::CurrentPa))
+    }
+
+    /// What the recording takes of it.
+    ///
+    /// # Errors
+    /// Those of [`RecordingRequest::electrons`].
+    pub fn options(&self, recipe: &CheckedRecipe) -> Result<RecordingOptions> {
+        Ok(RecordingOptions {
+            acquisition: self.table(recipe).resolved(),
+            electrons: self.electrons(recipe)?,
+            seed: self.seed,
+            keep_frames: self.keep_frames,
+            keep_stages: self.keep_stages,
+        })
+    }
+}
+
+/// Where the noise-free image of a recording comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RecordedFrom {
+    /// The world holds it.
+    World,
+    /// It is simulated from the recipe.
+    Recipe,
+}
+
+/// A recording that is ready to be made.
+pub struct RecordingJob {
+    recipe: CheckedRecipe,
+    made: Option<WorldEngine>,
+    world: Option<PathBuf>,
+    specimen: Arc<dyn Specimen>,
+    part: RecordedPart,
+    options: RecordingOptions,
+}
+
+impl RecordingJob {
+    /// Prepares a recording of a recipe's field; `world` is a file with that field, and `made` tells how it was made.
+    ///
+    /// # Errors
+    /// Those of recipe, request and specimen.
+    pub fn new(
+        recipe: &CheckedRecipe,
+        (world, made): (Option<PathBuf>, Option<WorldEngine>),
+        request: &RecordingRequest,
+    ) -> Result<Self> {
+        let table = request.table(recipe);
+        let mut changed = Recipe { acquisition: Some(table), ..recipe.recipe().clone() };
+        if world.is_none() {
+            changed.detector = changed.detector.main_alone();
+        }
+        let recipe = changed.checked()?;
+        let (part, options) = (request.part(&recipe)?, request.options(&recipe)?);
+        Ok(RecordingJob { specimen: specimen(&recipe)?, recipe, made, world, part, options })
+    }
+
+    /// The recipe with the values that were asked for.
+    pub fn recipe(&self) -> &CheckedRecipe {
+        &self.recipe
+    }
+
+    /// The specimen that is recorded.
+    pub fn specimen(&self) -> &dyn Specimen {
+        &*self.specimen
+    }
+
+    /// Records: from the noise-free image that the world holds, or from one that is simulated now.
+    ///
+    /// # Errors
+    /// Those of the file, of the imaging and of the recording.
+    pub fn run(
+        &self,
+        cache: Cache,
+        progress: &dyn Progress,
+    ) -> Result<(FieldRecording, RecordedFrom)> {
+        let RecordingJob { recipe, specimen, part, options, .. } = self;
+        let parts = refinement(recipe);
+        if let Some(path) = self.world.as_ref().filter(|_| parts == 1) {
+            let world = WorldFile::open(path)?;
+            if world.has_clean() {
+                let source = WorldSource { world: &world, recipe };
+                let recording = record(recipe, &**specimen, &source, part, options, progress)?;
+                return Ok((recording, RecordedFrom::World));
+            }
+        }
+        let fine = refined(recipe, parts)?;
+        let mut imager = imaging_of(&fine, self.made.as_ref(), cache)?.imager(&fine, specimen)?;
+        imager.prepare(progress)?;
+        let source = ImagerSource { imager: &*imager, recipe: &fine };
+        let recording = record(recipe, &**specimen, &source, part, options, progress)?;
+        Ok((recording, RecordedFrom::Recipe))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_set_twice_or_empty_is_refused() {
+        let recipe = Recipe::load("test", None).unwrap().checked().unwrap();
+        let none = RecordingRequest::default;
+        let refused = [
+            (
+                RecordingRequest { zoom: Some(2.0), pixel_nm: Some(0.01), ..none() },
+                Setting::RecordedPixelNm,
+            ),
+            (RecordingRequest { zoom: Some(f64::NAN), ..none() }, Setting::RecordedPixelNm),
+            (
+                RecordingRequest { region_nm: Some([1.0, 1.0, 1.0, 2.0]), ..none() },
+                Setting::RecordedRegionNm,
+            ),
+            (
+                RecordingRequest {
+                    region_nm: Some([0.0, 0.0, 1.0, 1.0]),
+                    at_nm: Some([1.0; 2]),
+                    ..none()
+                },
+                Setting::RecordedRegionNm,
+            ),
+            (
+                RecordingRequest {
+                    electrons_per_angstrom2: Some(1e3),
+                    current_pa: Some(1.0),
+                    ..none()
+                },
+                Setting::BeamCurrentPa,
+            ),
+        ];
+        for (request, expected) in refused {
+            match RecordingJob::new(&recipe, (None, None), &request).map(drop).unwrap_err() {
+                Error::Invalid { setting, .. } => assert_eq!(setting, expected, "{request:?}"),
+                other => panic!("{other}"),
+            }
+        }
+    }
+
+    #[test]
+    fn values_of_the_recipe_stand_where_none_are_given() {
+        let recipe = Recipe::load("test", None).unwrap().checked().unwrap();
+        let request = RecordingRequest { frames: Some(3), ..RecordingRequest::default() };
+        let options = request.options(&recipe).unwrap();
+        assert_eq!(options.electrons, Electrons::Dose(recipe.dose.electrons_per_angstrom2));
+        assert_eq!(options.acquisition.frames, 3);
+        let zoomed = RecordingRequest { zoom: Some(4.0), ..RecordingRequest::default() };
+        let part = zoomed.part(&recipe).unwrap();
+        assert!((part.pixel_nm - 0.25 * recipe.field.pixel_nm()).abs() < 1e-15);
+    }
+}
