@@ -1,7 +1,7 @@
 """The extension module. Its functions take what the package's own modules give them; use those."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, TypedDict
 
 import numpy as np
@@ -10,7 +10,6 @@ import numpy.typing as npt
 from ._running import Running
 
 _Path = str | os.PathLike[str]
-_Options = Mapping[str, Any]
 _Region = tuple[float, float, float, float]
 _Rows = tuple[int, int]
 
@@ -137,23 +136,147 @@ class RecordingRequest(TypedDict, total=False):
     seed: int
 
 class RecordingOptions(TypedDict):
-    field: dict[str, Any]
+    field: FieldOptions
     request: RecordingRequest
     cache: bool | str
     out: str | None
     overwrite: bool
 
+class FieldOptions(TypedDict):
+    """A recipe, or a world and with it how it was made."""
+
+    toml: str | None
+    world: str | None
+    acquisition: list[str]
+
+class BuildOptions(TypedDict):
+    toml: str
+    out: str
+    noise: bool
+    keep_clean: bool
+    overwrite: bool
+    engine: str | None
+    profile: str | None
+    window_angstrom: float | None
+    accuracy_percent: float | None
+    expansion_percent: str | float
+    interpolation: tuple[int, ...] | None
+    audit: int | None
+    max_error_percent: float | None
+    cache: bool | str
+    subtile_nm: float | None
+    subtile_overlap_nm: float | None
+    png: bool
+    force: bool
+
+class AuditOptions(TypedDict):
+    field: FieldOptions
+    regions: int
+    at_nm: Sequence[tuple[float, float]]
+    size_nm: float
+    stride: int | None
+    configurations: int | None
+    seed: int
+    cache: bool | str
+    force: bool
+
+class LiveOptions(TypedDict):
+    toml: str
+    most_dose: float
+    cache: bool | str
+
+class SampleOptions(TypedDict):
+    toml: str
+    size_px: int
+    pixel_nm: tuple[float, float] | None
+    angle_rad: tuple[float, float]
+    dose: tuple[float, float] | None
+    sigma_px: float
+    seed: int
+    per_specimen: int | None
+    cache: bool | str
+
+class RecipeSource(TypedDict):
+    name: str | None
+    path: str | None
+    text: str | None
+    difficulty: str | None
+
+class RecipeChanges(TypedDict):
+    set: list[str]
+    grid: tuple[int, ...] | None
+    seed: int | None
+    acquisition: str | None
+
+class ImportOptions(TypedDict):
+    path: str
+    out: str
+    overwrite: bool
+    dataset: str | None
+    index: int | None
+    pixel_nm: float | None
+    spacing_nm: float | None
+    contrast: tuple[float, float]
+
+class ImageStack(TypedDict):
+    name: str
+    data: npt.NDArray[np.float32]
+    units: str
+    step_angstrom: tuple[float, float]
+    origin_angstrom: tuple[float, float]
+    thicknesses_angstrom: list[float]
+
+class ViewOptions(TypedDict):
+    world: str
+    out: str
+    html: bool
+    region_nm: _Region | None
+    clean: bool
+    colormap: str
+    contrast: tuple[float, float]
+    overlays: list[str]
+    size: int
+    overwrite: bool
+
+class Scene(TypedDict):
+    world: str | None
+    toml: str | None
+    damage: bool
+    split: str
+    cache: bool | str
+
+class Rules(TypedDict):
+    task: str
+    strict: bool
+    target: str | None
+    budget: float
+    horizon: int
+    cadence: int
+    exposure: str
+    noise: str | None
+    reward: str
+    phase_stride_px: int
+    overview: bool
+
+class Moves(TypedDict):
+    begin: list[tuple[int, int] | None]
+    kinds: npt.NDArray[np.int64] | list[int]
+    positions: npt.NDArray[np.float64] | list[tuple[float, float]]
+    zooms: npt.NDArray[np.float64] | list[float]
+    doses: npt.NDArray[np.float64] | list[float]
+    reports: list[str | None]
+
 class Episodes:
-    def __new__(cls, scene: _Options, rules: _Options, count: int, running: Running) -> Episodes: ...
+    def __new__(cls, scene: Scene, rules: Rules, count: int, running: Running) -> Episodes: ...
     def facts(self) -> str: ...
-    def step(self, moves: Mapping[str, Any], running: Running) -> dict[str, Any]: ...
+    def step(self, moves: Moves, running: Running) -> dict[str, Any]: ...
     def record(self, slot: int, running: Running) -> str: ...
     def score(self, slot: int, running: Running) -> float: ...
     def truth_seen(self, slot: int, running: Running) -> str: ...
     def overview(self, slot: int, size: int, running: Running) -> npt.NDArray[np.float32]: ...
 
 class LiveField:
-    def __new__(cls, options: _Options, running: Running) -> LiveField: ...
+    def __new__(cls, options: LiveOptions, running: Running) -> LiveField: ...
     def look(self, region: _Region, running: Running) -> dict[str, Any]: ...
     def acquire(self, asked: RecordingRequest, running: Running) -> dict[str, Any]: ...
     def truth(self, region: _Region) -> dict[str, Any]: ...
@@ -164,7 +287,7 @@ class LiveField:
     def recipe(self) -> str: ...
 
 class TileSource:
-    def __new__(cls, options: _Options, running: Running) -> TileSource: ...
+    def __new__(cls, options: SampleOptions, running: Running) -> TileSource: ...
     def prepare(self, index: int, running: Running) -> None: ...
     def samples(self, indices: Sequence[int], running: Running) -> list[dict[str, Any]]: ...
 
@@ -183,10 +306,10 @@ class WorldReader:
     def boundaries(self) -> list[tuple[str, npt.NDArray[np.float32]]]: ...
     def png(self) -> bytes: ...
 
-def build_part(options: _Options, shard: tuple[int, int], running: Running) -> str: ...
-def build_world(options: _Options, running: Running) -> str: ...
-def plan_build(options: _Options, running: Running) -> str: ...
-def audit_field(options: _Options, running: Running) -> str: ...
+def build_part(options: BuildOptions, shard: tuple[int, int], running: Running) -> str: ...
+def build_world(options: BuildOptions, running: Running) -> str: ...
+def plan_build(options: BuildOptions, running: Running) -> str: ...
+def audit_field(options: AuditOptions, running: Running) -> str: ...
 def cache_clear(material: str | None) -> list[tuple[str, int, int]]: ...
 def cache_export(out: _Path, material: str | None, overwrite: bool, running: Running) -> str: ...
 def cache_import(path: _Path, running: Running) -> str: ...
@@ -207,15 +330,15 @@ def validate_suite(
     cases: Sequence[str], quick: bool, out: _Path | None, overwrite: bool, running: Running
 ) -> str: ...
 def validation_cases() -> list[tuple[str, str, bool, float]]: ...
-def import_image(options: _Options, running: Running) -> str: ...
+def import_image(options: ImportOptions, running: Running) -> str: ...
 def check_file(path: _Path, again: Sequence[str]) -> None: ...
 def main(arguments: Sequence[str], again: Sequence[str]) -> int: ...
 def settings() -> list[str]: ...
-def save_hspy(path: _Path, images: Sequence[_Options], overwrite: bool) -> None: ...
-def save_tiff(path: _Path, image: _Options, bits: int, overwrite: bool) -> None: ...
+def save_hspy(path: _Path, images: Sequence[ImageStack], overwrite: bool) -> None: ...
+def save_tiff(path: _Path, image: ImageStack, bits: int, overwrite: bool) -> None: ...
 def describe_recipe(toml: str) -> str: ...
 def recipes() -> list[tuple[str, list[str]]]: ...
-def resolve_recipe(source: _Options, changes: _Options) -> str: ...
+def resolve_recipe(source: RecipeSource, changes: RecipeChanges) -> str: ...
 def record_field(options: RecordingOptions, running: Running) -> dict[str, Any]: ...
 def diffraction(
     request: SimulationRequest,
@@ -246,5 +369,5 @@ def specimen_sites(
 def png(
     image: npt.NDArray[np.float32], step_angstrom: tuple[float, float], scale_bar: bool
 ) -> bytes: ...
-def view_world(options: _Options, running: Running) -> None: ...
+def view_world(options: ViewOptions, running: Running) -> None: ...
 def write_file(path: _Path, bytes: bytes, overwrite: bool) -> None: ...

@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
+from . import _core
 from .errors import _invalid
 from .recipes import Recipe, RecipeLike, _assignment
 from .worlds import World
@@ -27,7 +28,7 @@ def world_path(field: FieldLike) -> str | None:
 
 def field_options(
     field: FieldLike, changes: Mapping[str, Any], acquisition: Mapping[str, Any] | None = None
-) -> dict[str, Any]:
+) -> _core.FieldOptions:
     """As the extension takes it. ``changes`` are those of a recipe; ``acquisition`` changes values of the recording."""
     recording = [_assignment(f"acquisition.{key}", value) for key, value in (acquisition or {}).items()]
     world = world_path(field)

@@ -196,7 +196,7 @@ def _run(options: BuildOptions) -> Any:
     return running(options.get("threads"), options.get("progress"))
 
 
-def _building(recipe: RecipeLike, out: str | os.PathLike[str], options: BuildOptions) -> dict[str, Any]:
+def _building(recipe: RecipeLike, out: str | os.PathLike[str], options: BuildOptions) -> _core.BuildOptions:
     unknown = options.keys() - BuildOptions.__annotations__.keys()
     if unknown:
         raise TypeError(f"unexpected keyword argument {sorted(unknown)[0]!r}")

@@ -68,10 +68,10 @@ def audit(
     path = None if isinstance(field, World) else world_path(field)
     if check and path is not None:
         check_file(path)
-    options = {
+    options: _core.AuditOptions = {
         "field": field_options(field, recipe),
         "regions": regions,
-        "at_nm": [tuple(place) for place in at_nm],
+        "at_nm": [(x, y) for x, y in at_nm],
         "size_nm": size_nm,
         "stride": stride,
         "configurations": configurations,

@@ -89,7 +89,7 @@ class Image:
         array: npt.NDArray[Any] = self.array if dtype is None else self.array.astype(dtype)
         return array.copy() if copy else array
 
-    def _stack(self) -> dict[str, Any]:
+    def _stack(self) -> _core.ImageStack:
         data = self.array if self.array.ndim == 3 else self.array[np.newaxis]
         (dy, dx), (y, x) = self.sampling_nm, self.origin_nm
         return {

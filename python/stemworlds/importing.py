@@ -49,7 +49,7 @@ def import_image(
     """
     if check:
         check_file(os.fspath(path))
-    options = {
+    options: _core.ImportOptions = {
         "path": os.fspath(path),
         "out": os.fspath(out),
         "overwrite": overwrite,

@@ -68,7 +68,7 @@ class LiveWorld:
         self._threads = threads
         toml = Recipe(recipe, difficulty, **changes).toml
         kept = cache if isinstance(cache, bool) else os.fspath(cache)
-        options = {"toml": toml, "most_dose": most_dose, "cache": kept}
+        options: _core.LiveOptions = {"toml": toml, "most_dose": most_dose, "cache": kept}
         self._field = call(_core.LiveField, options, running(threads, progress))
         self._used = Used("this live world", "make another LiveWorld in the child (restore takes it to a snapshot)")
 

@@ -55,7 +55,7 @@ class Recipe(Mapping[str, Any]):
         changes = [*unset, *(_assignment(key, value) for key, value in (set or {}).items())]
         if isinstance(unset, str):
             raise _invalid("unset", f"unset = {unset!r}: expected a list of keys")
-        made = {
+        made: _core.RecipeChanges = {
             "set": changes,
             "grid": None if grid is None else _grid(grid),
             "seed": seed,
@@ -171,8 +171,8 @@ def recipes() -> dict[str, tuple[str, ...]]:
     return {name: tuple(tiers) for name, tiers in _core.recipes()}
 
 
-def _source(source: RecipeLike, difficulty: Difficulty | None) -> dict[str, Any]:
-    out: dict[str, Any] = {"name": None, "path": None, "text": None, "difficulty": difficulty}
+def _source(source: RecipeLike, difficulty: Difficulty | None) -> _core.RecipeSource:
+    out: _core.RecipeSource = {"name": None, "path": None, "text": None, "difficulty": difficulty}
     if isinstance(source, Recipe):
         if difficulty is not None:
             raise _invalid("difficulty", "the recipe has been resolved; leave the difficulty out")

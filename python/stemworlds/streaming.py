@@ -88,7 +88,7 @@ class Sample:
 class Stream:
     """Samples by their numbers; see :func:`stream`. It can be pickled: spawned processes make it anew from its recipes."""
 
-    def __init__(self, fields: Sequence[Mapping[str, Any]], weights: Sequence[float], seed: int, batch: int, threads: int | None) -> None:
+    def __init__(self, fields: Sequence[_core.SampleOptions], weights: Sequence[float], seed: int, batch: int, threads: int | None) -> None:
         self._made = (tuple(fields), tuple(weights))
         self._sources = [call(_core.TileSource, field, running(threads, False)) for field in fields]
         self._used = Used("this stream", "make another one in the child")
@@ -175,10 +175,12 @@ def stream(
     Returns:
         A :class:`Stream`. Iterate over it, or ask for a sample by its number.
     """
-    options = {
+    first, last = (math.radians(angle) for angle in _range("angle_deg", angle_deg))
+    options: _core.SampleOptions = {
+        "toml": "",
         "size_px": size,
         "pixel_nm": None if pixel_nm is None else _range("pixel_nm", pixel_nm),
-        "angle_rad": tuple(math.radians(angle) for angle in _range("angle_deg", angle_deg)),
+        "angle_rad": (first, last),
         "dose": None if dose is None else _range("dose", dose),
         "sigma_px": heat_sigma_px,
         "seed": seed,
@@ -192,7 +194,8 @@ def stream(
         if not weight > 0:
             raise _invalid("recipe", f"weight {weight}: expected a number above 0")
         resolved = one if isinstance(one, Recipe) and not changes else Recipe(one, _tier(one, difficulty), **changes)
-        fields.append({**options, "toml": resolved.toml})
+        drawn: _core.SampleOptions = {**options, "toml": resolved.toml}
+        fields.append(drawn)
         weights.append(weight)
     return Stream(fields, weights, seed, batch, threads)
 

@@ -63,7 +63,7 @@ def view(
     if recipe:
         name = sorted(recipe)[0]
         raise _invalid(name, f"{world}: a world has its recipe; leave {name} out")
-    options = {
+    options: _core.ViewOptions = {
         "world": world,
         "out": path,
         "html": html,

@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -198,14 +198,14 @@ class Episodes:
         self._threads = threads
         self._of_file = world is not None
         self._whole: npt.NDArray[np.float32] | None = None
-        scene = {
+        scene: _core.Scene = {
             "world": None if world is None else os.fspath(world),
             "toml": None if recipe is None else Recipe(recipe, difficulty, **changes).toml,
             "damage": damage,
             "split": split or "train",
             "cache": cache if isinstance(cache, bool) else os.fspath(cache),
         }
-        rules = {
+        rules: _core.Rules = {
             "task": task,
             "strict": strict,
             "target": target,
@@ -243,7 +243,7 @@ class Episodes:
 
     def step(self, moves: Moves) -> dict[str, Any]:
         """One step of all: arrays of observations and lists of what happened."""
-        found: dict[str, Any] = self._used.by(call)(self._core.step, vars(moves), running(self._threads, False))
+        found: dict[str, Any] = self._used.by(call)(self._core.step, cast("_core.Moves", vars(moves)), running(self._threads, False))
         return found
 
     def record(self, slot: int) -> dict[str, Any]:
