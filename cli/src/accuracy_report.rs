@@ -1,6 +1,6 @@
 //! `--accuracy`: tells what the library found.
 
-use super::plan_report::Lines;
+use super::plan_text::Lines;
 use super::text;
 use serde::Serialize;
 use stemgen::engine::{AccuracyFound, Algorithm, Cost, Plan, Scan};

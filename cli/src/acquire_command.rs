@@ -1,7 +1,7 @@
 //! `stemgen acquire`.
 
 use super::common::{CacheArgs, Common};
-use super::plan_report::Lines;
+use super::plan_text::Lines;
 use super::recipe_args::RecipeArgs;
 use super::{output, text, values};
 use anyhow::bail;

@@ -1,7 +1,7 @@
 //! `stemgen audit`.
 
 use super::common::{CacheArgs, Common, Force};
-use super::plan_report::Lines;
+use super::plan_text::Lines;
 use super::recipe_args::RecipeArgs;
 use super::values;
 use anyhow::bail;

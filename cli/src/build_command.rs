@@ -2,14 +2,14 @@
 
 use super::acquire_command::AcquisitionName;
 use super::build_all;
-use super::build_plan;
 use super::build_shard::ShardReport;
 use super::common::{CacheArgs, Common, Force};
 use super::hints::{self, hinted};
-use super::plan_report::Lines;
+use super::plan_text::Lines;
 use super::progress_bar::Reporter;
 use super::recipe_args::RecipeArgs;
 use super::values::{self, EngineName as Engine};
+use super::world_plan_text;
 use super::{output, text, world_hspy};
 use clap::{Arg, Args, ValueEnum};
 use serde::Serialize;
@@ -205,7 +205,7 @@ impl Build {
         if self.common.dry_run {
             stemgen::simulation::check_hdf5_name(&path)?;
             let report = WorldPlan::new(&recipe, &build, path)?;
-            return self.common.print(&report, &build_plan::text_of(&report));
+            return self.common.print(&report, &world_plan_text::text_of(&report));
         }
         if let Some(shard) = self.shard {
             let part = self.part((&recipe, build), &path, shard, &reporter)?;

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use super::plan_report::Lines;
+use super::plan_text::Lines;
 use super::progress_bar::Reporter;
 use super::text;
 use stemgen::files::Shard;

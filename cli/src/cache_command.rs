@@ -1,7 +1,7 @@
 //! `stemgen cache`.
 
 use super::cache_transfer::{Export, Fill, Import, VerifyCache};
-use super::plan_report::Lines;
+use super::plan_text::Lines;
 use super::text;
 use clap::{Args, Subcommand};
 use std::path::PathBuf;

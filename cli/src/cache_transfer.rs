@@ -6,7 +6,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::common::Common;
-use super::plan_report::Lines;
+use super::plan_text::Lines;
 use super::recipe_args::is_recipe_file;
 use super::recipe_choice::{recipes, world_name};
 use super::text;

@@ -2,7 +2,7 @@
 
 use super::common::Common;
 use super::hdf5_check;
-use super::plan_report::Lines;
+use super::plan_text::Lines;
 use super::{output, text, values};
 use clap::Args;
 use serde::Serialize;

@@ -7,7 +7,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::build_again::{BuildAgain, recipe_file};
-use super::plan_report::Lines;
+use super::plan_text::Lines;
 use super::{hdf5_check, output, text};
 use stemgen::files::atomic_write;
 use stemgen::files::file_digest::sha256_of_file;

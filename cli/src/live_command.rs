@@ -3,7 +3,7 @@
 use super::acquire_command::AcquisitionName;
 use super::common::{CacheArgs, Common};
 use super::hints::hinted;
-use super::plan_report::Lines;
+use super::plan_text::Lines;
 use super::recipe_args::RecipeArgs;
 use super::{output, text, values};
 use anyhow::{anyhow, bail};

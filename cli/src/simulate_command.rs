@@ -3,7 +3,7 @@
 use super::accuracy_report::AccuracyReport;
 use super::common::{Common, Force};
 use super::imaging_args::{MicroscopeArgs, NumericsArgs};
-use super::plan_report::{self, Lines};
+use super::plan_text::{self, Lines};
 use super::progress_bar::Reporter;
 use super::scan_args::ScanArgs;
 use super::simulate_parts::ScanParts;
@@ -327,21 +327,21 @@ impl SimulateRun {
         lines.add("structure", format!("{}: {} atoms ({parts})", all.structure, all.atoms));
         let [x, y, z] = all.box_angstrom;
         lines.add("box", format!("{x:.3} x {y:.3} x {z:.3} A"));
-        plan_report::all(&all.plan, &mut lines);
+        plan_text::all(&all.plan, &mut lines);
         self.accuracies.iter().for_each(|a| a.line(&mut lines));
         let raster = ProbeRaster::new(&job.plans()[0], &scan)?;
         match plane_wave {
             true => lines.add("beam", "a plane wave along the beam axis"),
-            false => lines.add("probes", plan_report::scan(raster.scan())),
+            false => lines.add("probes", plan_text::scan(raster.scan())),
         }
         if !plane_wave && raster.interpolates() {
-            lines.add("interpolated to", plan_report::scan(&scan));
+            lines.add("interpolated to", plan_text::scan(&scan));
         }
         if job.plans().len() > 1 {
             let values = all.defocus_angstrom.iter().map(f64::to_string);
             lines.add("defocus", format!("{} A", values.collect::<Vec<_>>().join(", ")));
         }
-        plan_report::costs(&all.plan, &mut lines);
+        plan_text::costs(&all.plan, &mut lines);
         lines.add("output", format!("{} (nothing was simulated or written)", all.output.display()));
         self.common.print(&all, &lines.text())
     }

@@ -7,7 +7,7 @@ use anyhow::{Context, bail};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
-use super::plan_report::Lines;
+use super::plan_text::Lines;
 use super::progress_bar::Reporter;
 use super::text;
 use stemgen::engine::{Plan, Scan, ScanPart, Site, simulate_part};

@@ -1,7 +1,7 @@
 //! What `stemgen simulate` makes and writes.
 
 use super::accuracy_report::AccuracyReport;
-use super::plan_report::Lines;
+use super::plan_text::Lines;
 use super::progress_bar::Reporter;
 use super::rerun_command::ImageDifference;
 use super::simulate_command::SimulateRun;

@@ -1,7 +1,7 @@
 //! `stemgen specimen`.
 
 use super::common::Common;
-use super::plan_report::Lines;
+use super::plan_text::Lines;
 use super::recipe_args::RecipeArgs;
 use super::{output, text, values};
 use clap::Args;

@@ -3,7 +3,7 @@
 use super::hdf5_check;
 use super::hints::hinted;
 use super::imaging_args::{self, MicroscopeArgs, NumericsArgs};
-use super::plan_report::{self, Lines};
+use super::plan_text::{self, Lines};
 use super::progress_bar::Reporter;
 use super::reference_scan::{asked_pixels, reference_scan};
 use super::scan_args::ScanArgs;
@@ -269,9 +269,9 @@ impl PreparedReference {
         let mut lines = Lines::default();
         lines.add("reference", self.source.clone());
         lines.add("atoms", self.specimen.sites.len().to_string());
-        plan_report::all(&report, &mut lines);
-        lines.add("probes", plan_report::scan(&self.scan));
-        plan_report::costs(&report, &mut lines);
+        plan_text::all(&report, &mut lines);
+        lines.add("probes", plan_text::scan(&self.scan));
+        plan_text::costs(&report, &mut lines);
         (report, lines.text())
     }
 
@@ -285,11 +285,11 @@ impl PreparedReference {
         let [x, y, z] = self.specimen.size_angstrom;
         let mut lines = Lines::default();
         lines.add("atoms", format!("{} in {x:.3} x {y:.3} x {z:.3} A", self.specimen.sites.len()));
-        lines.add("beam", plan_report::beam(&settings.optics));
+        lines.add("beam", plan_text::beam(&settings.optics));
         let d = &settings.detectors[0];
         lines.add("detector", format!("{}, {} to {} mrad", d.name, d.inner_mrad, d.outer_mrad));
-        lines.add("probes", plan_report::scan(&self.scan));
-        plan_report::numerics(&self.report(), &mut lines);
+        lines.add("probes", plan_text::scan(&self.scan));
+        plan_text::numerics(&self.report(), &mut lines);
         if self.converged.is_some() {
             lines.add("numerics", "abTEM's: potentials on the grid of the wave, even slices");
         }

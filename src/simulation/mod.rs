@@ -28,7 +28,7 @@ mod atoms;
 mod images;
 mod job;
 mod microscope;
-mod numerics;
+mod numerics_request;
 mod plan_report;
 mod plane_wave;
 mod plausibility;
@@ -40,7 +40,7 @@ pub use atoms::{AtomsSource, FromFile, PreparedSpecimen, SigmaChoice, SpecimenRe
 pub use images::{FRACTION_OF_BEAM, SimulatedImage, noisy_name};
 pub use job::SimulationJob;
 pub use microscope::MicroscopeRequest;
-pub use numerics::{Engine, NumericsRequest, WINDOW_ANGSTROM, algorithm};
+pub use numerics_request::{Engine, NumericsRequest, WINDOW_ANGSTROM, algorithm};
 pub use plan_report::{GridReport, PlanReport, SliceReport};
 pub use plane_wave::PlaneWaveImages;
 pub use plausibility::{

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::atoms::{AtomsSource, SpecimenRequest};
 use super::microscope::MicroscopeRequest;
-use super::numerics::NumericsRequest;
+use super::numerics_request::NumericsRequest;
 use super::scan::ScanRequest;
 use crate::error::{Error, Result};
 use crate::files::whole_file;
@@ -105,6 +105,8 @@ impl SimulationRequest {
 }
 
 fn absolute(path: &Path) -> PathBuf {
+    // The folder of a bare name is the current one.
+    let path = if path.as_os_str().is_empty() { Path::new(".") } else { path };
     std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
 }
 

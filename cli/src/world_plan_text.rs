@@ -1,6 +1,6 @@
 //! What `stemgen build` would do and take, in words.
 
-use super::plan_report::{self, Lines};
+use super::plan_text::{self, Lines};
 use super::text;
 use stemgen::imaging::MosaicCost;
 use stemgen::world::WorldPlan;
@@ -21,7 +21,7 @@ pub fn text_of(plan: &WorldPlan) -> String {
         None => format!("{} per sub-tile", text::count(plan.plan.probes as u64)),
     };
     lines.add("probes", format!("{number}, {x:.4} x {y:.4} A apart"));
-    plan_report::numerics(&plan.plan, &mut lines);
+    plan_text::numerics(&plan.plan, &mut lines);
     if let Some(mosaic) = &plan.mosaic {
         lines.add("mosaic", mosaic_line(mosaic, plan.mosaic_used));
         for new in mosaic.new.iter().filter(|_| plan.mosaic_used) {
@@ -31,7 +31,7 @@ pub fn text_of(plan: &WorldPlan) -> String {
     } else if plan.particle_probes.is_some() {
         lines.add("film", "each atom by itself");
     }
-    plan_report::costs(&plan.plan, &mut lines);
+    plan_text::costs(&plan.plan, &mut lines);
     if plan.audit_range_s[1] > 0.0 {
         let time = text::duration_range(plan.audit_range_s);
         lines.add("audit", format!("{time} of that"));
