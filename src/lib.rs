@@ -105,6 +105,7 @@
 //! - [`files`]: files that are there as a whole or not at all, locks, disk space
 //! - [`fft`]: Fourier transforms in two dimensions
 //! - [`structure`]: atoms in a cell; CIF, XYZ and POSCAR; zone axes, supercells, columns
+//! - [`models`]: atoms that the program makes itself: carbon films, particles
 //! - [`potential`]: scattering factors, slices, projected potentials
 //! - [`optics`]: the lens: aperture and aberrations; mistilt and focal spread
 //! - [`resample`]: interpolation of images between probes
@@ -119,6 +120,8 @@
 //! - [`io`]: files of images, worlds and atoms
 //! - [`render`]: PNG pictures, drawings of specimens, HTML pages
 //! - [`world`]: tiles with their truth, and whole worlds
+//! - [`replay`]: worlds of recorded images
+//! - [`publish`]: folders of worlds for data hubs
 //! - [`live`]: worlds in memory that change under the beam
 //! - [`benchmark`]: scores of what agents found in a world, and of the dose it took
 //! - [`validate`]: checks against published numbers and other programs, and their reports
@@ -148,13 +151,18 @@ pub mod imaging;
 pub mod io;
 pub mod live;
 mod matrix;
+pub mod models;
 pub mod numerics;
 pub mod optics;
 pub mod potential;
 pub mod progress;
+#[cfg(feature = "report")]
+pub mod publish;
 pub mod recipe;
 #[cfg(feature = "render")]
 pub mod render;
+#[cfg(feature = "report")]
+pub mod replay;
 pub mod resample;
 pub mod rng;
 pub mod setting;

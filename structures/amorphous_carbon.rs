@@ -3,8 +3,8 @@
 //!
 //!     cargo run --release --example amorphous_carbon structures/amorphous-carbon.bin
 
-use stemgen::structure::carbon::block;
-use stemgen::structure::carbon::melt::Melt;
+use stemgen::models::carbon::block;
+use stemgen::models::carbon::melt::Melt;
 
 /// Steps of molecular dynamics, 0.7 fs each.
 const STEPS: usize = 10_000;

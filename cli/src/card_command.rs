@@ -12,10 +12,10 @@ use stemgen::error::Error;
 use stemgen::files::outputs::folder;
 use stemgen::io::WorldFile;
 use stemgen::progress::Progress;
-use stemgen::render::{Overlay, WorldPart, WorldPicture};
-use stemgen::world::card::{
+use stemgen::publish::{
     Card, CardAbout, CardPictures, CardSummary, CardWorld, DataCreator, DataLicense,
 };
+use stemgen::render::{Overlay, WorldPart, WorldPicture};
 
 /// Longest side of a picture in pixels.
 const PICTURE: u32 = 700;

@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use stemgen::files::outputs::check_outputs;
 use stemgen::io::recorded::{self, ImageChoice};
 use stemgen::progress::Progress;
-use stemgen::world::replay::{PixelOrigin, ReplayFacts, ReplayOptions, ReplayWorld};
+use stemgen::replay::{PixelOrigin, ReplayFacts, ReplayOptions, ReplayWorld};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -135,7 +135,7 @@ impl ImportSummary {
         lines.add("tiles", format!("{rows} x {columns}, of its first {height} x {width} pixels"));
         lines.add("pixel", self.pixel());
         if let Some(c) = &f.calibration {
-            let peak = |p: &stemgen::world::replay::CalibrationPeak| {
+            let peak = |p: &stemgen::replay::CalibrationPeak| {
                 format!("{:.3} px at {:.1} degrees", p.spacing_px, p.direction_deg)
             };
             let peaks: Vec<String> = c.peaks.iter().map(peak).collect();

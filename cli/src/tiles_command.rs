@@ -14,8 +14,8 @@ use stemgen::files::outputs::check_outputs;
 use stemgen::imaging::OneDetector;
 use stemgen::io::WorldFile;
 use stemgen::io::npz_file::write_npz;
+use stemgen::replay::stored_training_set;
 use stemgen::specimen::specimen;
-use stemgen::world::replay::stored_training_set;
 use stemgen::world::{TrainingOptions, TrainingSet, imaging_of, training_set};
 
 const EXAMPLES: &str = "\

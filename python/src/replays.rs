@@ -5,7 +5,7 @@ use pyo3::prelude::*;
 use std::path::PathBuf;
 use stemgen::files::outputs::check_outputs;
 use stemgen::io::recorded::{self, ImageChoice};
-use stemgen::world::replay::{ReplayOptions, ReplayWorld};
+use stemgen::replay::{ReplayOptions, ReplayWorld};
 
 /// What becomes a world, and how.
 #[derive(FromPyObject)]

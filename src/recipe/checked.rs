@@ -11,9 +11,9 @@ use super::oriented_crystals::OrientedCrystals;
 use super::origin::RecipeText;
 use super::resolved_recipe::Recipe;
 use crate::error::{Error, Result};
+use crate::models::particles::Metal;
 use crate::structure::Structure;
 use crate::structure::columns::ColumnCrystal;
-use crate::structure::particles::Metal;
 
 /// A recipe whose values are within their limits, with its crystals read and turned: the only way to a specimen.
 ///

@@ -5,9 +5,9 @@ use super::fault::{Checked, crystal_fault, fault, needed, within};
 use super::oriented_crystals::OrientedCrystals;
 use super::resolved_recipe::Recipe;
 use super::tables::Particles;
-use crate::structure::carbon::block;
+use crate::models::carbon::block;
+use crate::models::particles::Metal;
 use crate::structure::elements;
-use crate::structure::particles::Metal;
 
 /// Share of the field that circles can be strewn over in reasonable time; random strewing ends at 0.547.
 const MOST_COVERED: f64 = 0.4;

@@ -2,8 +2,8 @@
 
 use super::crystal_source::CrystalSource;
 use crate::error::{Error, Result};
+use crate::models::particles::Metal;
 use crate::structure::columns::ColumnCrystal;
-use crate::structure::particles::Metal;
 use crate::structure::{Structure, direction};
 
 /// The crystals of a recipe, each in the form that its specimen needs.

@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use crate::models::particles::Morphology;
 use crate::recipe::crystal_source::CrystalSource;
 use crate::recipe::region::Region;
 use crate::structure::elements;
-use crate::structure::particles::Morphology;
 
 /// Specimen builders.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

@@ -11,6 +11,11 @@ use std::sync::OnceLock;
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
+use crate::models::carbon::block::atoms_per_nm2;
+use crate::models::carbon::carbon_film::{Film, FilmAtom};
+use crate::models::carbon::network::CARBON;
+use crate::models::particles::rotation::Rotation;
+use crate::models::particles::{Metal, Morphology, build};
 use crate::recipe::CheckedRecipe;
 use crate::recipe::limits::BEYOND_FIELD_NM;
 use crate::recipe::region::Region;
@@ -20,11 +25,6 @@ use crate::specimen::atom_columns::{AtomColumn, Sites};
 use crate::specimen::defects::rules::{Defects, LocalDefects};
 use crate::specimen::sites::{DISPLACED_NM, SiteKind, SpecimenSite};
 use crate::specimen::specimen_trait::{ParticleOutline, ParticleTruth, Specimen, ThinFilm};
-use crate::structure::carbon::block::atoms_per_nm2;
-use crate::structure::carbon::carbon_film::{Film, FilmAtom};
-use crate::structure::carbon::network::CARBON;
-use crate::structure::particles::rotation::Rotation;
-use crate::structure::particles::{Metal, Morphology, build};
 
 /// Rows of atoms this near to the beam are columns: more than the tilt of the particles on the easy tier.
 pub const ROW_TILT_DEG: f64 = 3.0;

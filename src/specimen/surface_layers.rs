@@ -5,12 +5,12 @@
 
 use super::specimen_trait::ThinFilm;
 use crate::engine::Site;
+use crate::models::carbon::block::atoms_per_nm2;
+use crate::models::carbon::carbon_film::{Film, FilmAtom};
+use crate::models::carbon::network::CARBON;
 use crate::potential::slices::GROUP_ANGSTROM;
 use crate::recipe::{Recipe, Region};
 use crate::rng::{Purpose, words};
-use crate::structure::carbon::block::atoms_per_nm2;
-use crate::structure::carbon::carbon_film::{Film, FilmAtom};
-use crate::structure::carbon::network::CARBON;
 
 /// From the outermost plane of the specimen to the carbon, in Angstrom: between a bond and the distance of graphite's layers.
 const CONTACT_ANGSTROM: f64 = 2.0;

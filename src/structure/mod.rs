@@ -6,7 +6,6 @@
 
 mod alternatives;
 mod atom_check;
-pub mod carbon;
 mod cif;
 pub mod coincidence;
 pub mod columns;
@@ -21,7 +20,6 @@ mod mixed_sites;
 mod neighbors;
 mod orient;
 mod overlap;
-pub mod particles;
 mod poscar;
 mod preparation;
 mod read;

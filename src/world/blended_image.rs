@@ -197,19 +197,19 @@ fn stop_if_asked(progress: &dyn Progress) -> Result<()> {
 }
 
 /// Area average; the last block of a row or column may be partial.
-pub(super) struct Overview {
+pub(crate) struct Overview {
     sums: Array2<f64>,
     shape: [usize; 2],
 }
 
 impl Overview {
-    pub(super) fn new(shape: [usize; 2]) -> Self {
+    pub(crate) fn new(shape: [usize; 2]) -> Self {
         let [rows, columns] = shape.map(|n| n.div_ceil(OVERVIEW_FACTOR));
         Overview { sums: Array2::zeros((rows, columns)), shape }
     }
 
     /// Adds rows from `first_row` on.
-    pub(super) fn add(&mut self, first_row: usize, band: ArrayView2<f32>) {
+    pub(crate) fn add(&mut self, first_row: usize, band: ArrayView2<f32>) {
         for ((row, column), value) in band.indexed_iter() {
             let block = [(first_row + row) / OVERVIEW_FACTOR, column / OVERVIEW_FACTOR];
             self.sums[block] += f64::from(*value);
@@ -217,7 +217,7 @@ impl Overview {
     }
 
     /// The means.
-    pub(super) fn mean(&self) -> Array2<f32> {
+    pub(crate) fn mean(&self) -> Array2<f32> {
         let edge = |i: usize, n: usize| (n - i * OVERVIEW_FACTOR).min(OVERVIEW_FACTOR) as f64;
         Array2::from_shape_fn(self.sums.dim(), |(i, j)| {
             (self.sums[(i, j)] / (edge(i, self.shape[0]) * edge(j, self.shape[1]))) as f32

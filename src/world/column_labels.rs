@@ -5,22 +5,22 @@ use ndarray::ArrayViewMut2;
 use super::region_truth::ColumnTruth;
 
 /// Columns outside a tile show in its labels up to so many standard deviations.
-pub(super) const REACH_SIGMAS: f64 = 4.0;
+pub(crate) const REACH_SIGMAS: f64 = 4.0;
 /// Class masks hold the pixels where the heat map is above this.
 const IN_MASK: f32 = 0.5;
 
 /// Index of a column into [`COLUMN_CLASSES`](super::COLUMN_CLASSES).
-pub(super) fn class_of(column: &ColumnTruth) -> u8 {
+pub(crate) fn class_of(column: &ColumnTruth) -> u8 {
     class_of_counts(column.vacancies as i32, column.substitutions as i32)
 }
 
 /// The same of its numbers of vacancies and substitutions.
-pub(super) fn class_of_counts(vacancies: i32, substitutions: i32) -> u8 {
+pub(crate) fn class_of_counts(vacancies: i32, substitutions: i32) -> u8 {
     1 + u8::from(vacancies > 0) + 2 * u8::from(substitutions > 0)
 }
 
 /// Draws a column at (row, column) in pixels: a Gaussian of height 1 in the heat map, its class where that is above one half.
-pub(super) fn draw_column(
+pub(crate) fn draw_column(
     at: [f64; 2],
     class: u8,
     sigma_px: f64,
@@ -51,7 +51,7 @@ pub(super) fn draw_column(
 }
 
 /// Class, sites, vacancies, substitutions and atomic number of the heaviest atom of a column.
-pub(super) fn facts_of(column: &ColumnTruth) -> [i32; 5] {
+pub(crate) fn facts_of(column: &ColumnTruth) -> [i32; 5] {
     let heaviest = column.atoms.iter().map(|(z, _)| i32::from(*z)).max().unwrap_or(0);
     let ColumnTruth { sites, vacancies, substitutions, .. } = *column;
     let [sites, vacancies, substitutions] = [sites, vacancies, substitutions].map(|n| n as i32);

@@ -13,9 +13,7 @@ pub mod build_options;
 mod build_plan;
 #[cfg(feature = "hdf5")]
 mod build_summary;
-#[cfg(feature = "report")]
-pub mod card;
-mod column_labels;
+pub(crate) mod column_labels;
 mod contamination;
 mod field_recording;
 #[cfg(feature = "hdf5")]
@@ -34,15 +32,13 @@ mod recording_job;
 #[cfg(feature = "hdf5")]
 mod recording_writer;
 pub mod region_truth;
-#[cfg(feature = "report")]
-pub mod replay;
 #[cfg(feature = "render")]
 pub mod specimen_drawing;
 #[cfg(feature = "hdf5")]
 mod subtile_store;
 pub mod subtiles;
 mod training_sample;
-mod training_set;
+pub(crate) mod training_set;
 #[cfg(feature = "hdf5")]
 pub mod truth;
 #[cfg(feature = "hdf5")]

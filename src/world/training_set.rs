@@ -123,7 +123,7 @@ fn check(recipe: &CheckedRecipe, options: &TrainingOptions) -> Result<()> {
 }
 
 /// Checks the lengths in pixels, for a field of so many rows and columns.
-pub(super) fn check_sizes(shape: [usize; 2], options: &TrainingOptions) -> Result<()> {
+pub(crate) fn check_sizes(shape: [usize; 2], options: &TrainingOptions) -> Result<()> {
     let least = shape[0].min(shape[1]);
     let refuse =
         |setting, value: String, expected: String| Err(Error::invalid(setting, value, expected));
@@ -147,7 +147,7 @@ fn draw(recipe: &CheckedRecipe, options: &TrainingOptions, tile: u64) -> ([usize
 }
 
 /// First pixel (row, column) of a tile in a field of so many rows and columns.
-pub(super) fn corner(shape: [usize; 2], options: &TrainingOptions, tile: u64) -> [usize; 2] {
+pub(crate) fn corner(shape: [usize; 2], options: &TrainingOptions, tile: u64) -> [usize; 2] {
     [0, 1].map(|k| {
         let room = shape[k] - options.size_px + 1;
         let share = rng::uniform(options.seed, Purpose::Tile, k as u32, tile);
@@ -205,7 +205,7 @@ impl TileBlocks<'_> {
 
 /// The columns of all tiles, one after the other.
 #[derive(Default)]
-pub(super) struct ColumnLists {
+pub(crate) struct ColumnLists {
     tiles: Vec<i32>,
     positions: Vec<[f32; 2]>,
     facts: Vec<[i32; 5]>,
@@ -213,13 +213,13 @@ pub(super) struct ColumnLists {
 
 impl ColumnLists {
     /// A column of a tile, at (row, column) in pixels, with its facts.
-    pub(super) fn add(&mut self, tile: usize, at: [f64; 2], facts: [i32; 5]) {
+    pub(crate) fn add(&mut self, tile: usize, at: [f64; 2], facts: [i32; 5]) {
         self.tiles.push(tile as i32);
         self.positions.push(at.map(|v| v as f32));
         self.facts.push(facts);
     }
 
-    pub(super) fn into_set(self, mut set: TrainingSet) -> TrainingSet {
+    pub(crate) fn into_set(self, mut set: TrainingSet) -> TrainingSet {
         set.column_tiles = Array1::from(self.tiles);
         set.column_positions_px = ndarray::arr2(&self.positions);
         set.columns = ndarray::arr2(&self.facts);
@@ -228,7 +228,7 @@ impl ColumnLists {
 }
 
 impl TrainingSet {
-    pub(super) fn empty(n: usize, size: usize, pixel_angstrom: f64) -> Self {
+    pub(crate) fn empty(n: usize, size: usize, pixel_angstrom: f64) -> Self {
         TrainingSet {
             images: Array3::zeros((n, size, size)),
             clean: Array3::zeros((n, size, size)),

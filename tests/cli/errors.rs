@@ -20,7 +20,7 @@ fn bad_input_is_explained() {
         (&[si, "--detector", "HAADF=0.068-0.2"], &["did you mean HAADF=68-200?"]),
         (&[si, "--semiangle", "0.03"], &["did you mean 30?"]),
         (&[si, "--energy", "200000"], &["did you mean 200?"]),
-        (&[si, "--scan-end", "5,500"], &["500.0 A long along y", "--scan-end"]),
+        (&[si, "--scan-end", "5,500"], &["500.0 A along y", "--scan-end"]),
         (&[si, "-o", "x.tif"], &["HDF5", "did you mean x.h5?"]),
         (&[si, "-o", "x.tif", "--dry-run"], &["did you mean x.h5?"]),
         (

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use stemgen::io::recorded::ImageChoice;
 use stemgen::io::{self, arrays};
 use stemgen::recipe::{Difficulty, Override, Recipe};
+use stemgen::replay::{ReplayOptions, ReplayWorld};
 use stemgen::structure::{Format, parse};
-use stemgen::world::replay::{ReplayOptions, ReplayWorld};
 
 use super::dm_bytes::{DM3, DM3_BIG, DM4};
 use super::hdf5_files::{odd_world, read_world, reference, world};

@@ -4,7 +4,7 @@ use super::cases::cases;
 use std::collections::BTreeMap;
 
 use proptest::prelude::*;
-use stemgen::structure::particles::{
+use stemgen::models::particles::{
     Candidate, Cluster, Decahedron, Icosahedron, Metal, Morphology, Wulff, build,
 };
 

@@ -8,14 +8,14 @@ use std::sync::LazyLock;
 use crate::common::{Spots, build, specimen};
 use proptest::prelude::*;
 use stemgen::io::WorldFile;
+use stemgen::models::particles::rotation::Rotation;
+use stemgen::models::particles::{Metal, Morphology};
 use stemgen::progress::Silent;
 use stemgen::recipe::{Difficulty, Recipe, Region};
 use stemgen::specimen::particles::ROW_TILT_DEG;
 use stemgen::specimen::{
     DISPLACED_NM, ParticleOutline, ParticleTruth, SiteKind, Specimen, SpecimenSite,
 };
-use stemgen::structure::particles::rotation::Rotation;
-use stemgen::structure::particles::{Metal, Morphology};
 use stemgen::world::BuildOptions;
 
 const PLATINUM: u8 = 78;

@@ -11,9 +11,9 @@ use stemgen::io::recorded::{ImageChoice, RecordedFormat, RecordedImage, read};
 use stemgen::io::{WorldFile, schema};
 use stemgen::progress::Silent;
 use stemgen::recipe::Recipe;
+use stemgen::replay::{PixelOrigin, ReplayOptions, ReplayWorld, calibrate};
 use stemgen::validate::soundness::{CheckOutcome, check_world};
 use stemgen::world::BuildOptions;
-use stemgen::world::replay::{PixelOrigin, ReplayOptions, ReplayWorld, calibrate};
 
 fn named(name: &str) -> ImageChoice {
     ImageChoice { dataset: Some(name.to_owned()), index: None }

@@ -14,13 +14,13 @@ use crate::engine::single_scattering::SingleScattering;
 use crate::engine::{Algorithm, Scan, Settings, Site, SourceBlur};
 use crate::error::{Error, Result};
 use crate::imaging::simulator::Simulator;
+use crate::models::carbon::carbon_film::Film;
+use crate::models::carbon::network::CARBON;
 use crate::recipe::{CheckedRecipe, Region};
 use crate::resample::{Kernel, TAPS, image_band_limit};
 use crate::rng::{Purpose, words};
 use crate::setting::Setting;
 use crate::specimen::{DoseMap, SurfaceLayers};
-use crate::structure::carbon::carbon_film::Film;
-use crate::structure::carbon::network::CARBON;
 
 /// The thickest layer in Angstrom.
 pub const MOST_GROWN_ANGSTROM: f64 = 60.0;
@@ -131,7 +131,7 @@ impl GrownCarbon {
         let margin = self.reach() as f64 * self.step;
         let Region { x, y } = Samples::block(index, BLOCK).region(self.step, margin);
         let [x, y] = [x, y].map(|range| range.map(|nm| 10.0 * nm));
-        let site = |atom: crate::structure::carbon::carbon_film::FilmAtom| Site {
+        let site = |atom: crate::models::carbon::carbon_film::FilmAtom| Site {
             position: atom.position,
             number: CARBON,
             sigma_angstrom: self.sigma_angstrom,

@@ -20,11 +20,11 @@ use crate::imaging::displaced_atoms::{DisplacedAtoms, with_layers};
 use crate::imaging::pixels::PixelRect;
 use crate::imaging::region_imager::{RegionImager, told_by_inner};
 use crate::imaging::turned_raster::{ScannedSamples, TurnedRaster};
+use crate::models::carbon::network::CARBON;
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Region};
 use crate::resample::{Edge, Kernel, image_band_limit};
 use crate::specimen::{CarbonLayer, Specimen, SurfaceLayers};
-use crate::structure::carbon::network::CARBON;
 
 /// Edge in samples of the blocks that are made at once.
 const BLOCK: i64 = 256;

@@ -12,11 +12,11 @@ mod wulff;
 use std::collections::HashMap;
 use std::sync::{LazyLock, Mutex, PoisonError};
 
-use super::lattice::Vec3;
-use super::neighbors::for_each_pair;
-use super::{Atom, Structure};
 use crate::error::{Error, Result};
 use crate::setting::Setting;
+use crate::structure::for_each_pair;
+use crate::structure::lattice::Vec3;
+use crate::structure::{Atom, Structure};
 
 pub use decahedron::Decahedron;
 pub use icosahedron::Icosahedron;

@@ -1,7 +1,7 @@
 //! Carbon atoms in a periodic box, and their neighbours.
 
 use super::Vec3;
-use crate::structure::neighbors::for_each_pair;
+use crate::structure::for_each_pair;
 use crate::structure::{Atom, Structure};
 
 /// Atomic number of carbon.

@@ -3,7 +3,7 @@
 //! [`block`] is a periodic cube quenched from the melt ([`melt`]) in Tersoff's potential; it comes with the program.
 //! [`carbon_film`] makes a film of any extent of it. [`dynamics`] moves the atoms of a [`network`].
 
-use super::lattice::Vec3;
+use crate::structure::lattice::Vec3;
 
 pub mod block;
 pub mod carbon_film;

@@ -1,0 +1,7 @@
+//! Models: atoms that the program makes itself.
+//!
+//! [`carbon`] grows amorphous films by molecular dynamics; [`particles`] builds clusters of metals by Wulff's construction, as
+//! decahedra and as icosahedra.
+
+pub mod carbon;
+pub mod particles;
