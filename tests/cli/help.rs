@@ -20,6 +20,7 @@ fn compare(name: &str, arguments: &[&str]) {
 fn help_is_as_stored() {
     compare("stemgen", &[]);
     compare("simulate", &["simulate"]);
+    compare("rerun", &["rerun"]);
     compare("build", &["build"]);
     compare("specimen", &["specimen"]);
     compare("view", &["view"]);
