@@ -14,7 +14,8 @@ Agents need ``pip install 'stemworlds[agents]'``; what else they need is importe
 """
 
 from .agents import Agent, CompressedSensing, Plays, play
-from .analysts import ColumnOracle, Heuristic, Nothing, Oracle, TileByTile
+from .analysts import Heuristic, Nothing, Oracle, TileByTile
+from .blind import Usual
 from .catalogue import agent_names, agent_specification, make_agent
 from .endpoint import Endpoint, EndpointError, Unparsable
 from .environment import MicroscopeEnv
@@ -46,7 +47,6 @@ __all__ = [
     "Agent",
     "Analyst",
     "ByteImages",
-    "ColumnOracle",
     "CompressedSensing",
     "DiscreteGrid",
     "Endpoint",
@@ -83,6 +83,7 @@ __all__ = [
     "TargetBox",
     "TileByTile",
     "Unparsable",
+    "Usual",
     "VisionLanguageAnalyst",
     "agent_names",
     "agent_specification",

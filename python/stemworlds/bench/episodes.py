@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 from collections.abc import Mapping, Sequence
@@ -14,8 +15,9 @@ import numpy.typing as npt
 from .. import _core
 from .._forking import Used
 from .._running import Progress, call, running
-from ..errors import _invalid
+from ..errors import StemworldsError, _invalid
 from ..recipes import Difficulty, Recipe, RecipeLike
+from ..worlds import World
 from .findings import Findings
 
 Task = Literal["defect-census", "phase-mapping", "targeted", "particle-census"]
@@ -198,9 +200,11 @@ class Episodes:
         self._threads = threads
         self._of_file = world is not None
         self._whole: npt.NDArray[np.float32] | None = None
+        self._world_file = None if world is None else os.fspath(world)
+        self._recipe = None if recipe is None else Recipe(recipe, difficulty, **changes)
         scene = {
-            "world": None if world is None else os.fspath(world),
-            "toml": None if recipe is None else Recipe(recipe, difficulty, **changes).toml,
+            "world": self._world_file,
+            "toml": None if self._recipe is None else self._recipe.toml,
             "damage": damage,
             "split": split or "train",
             "cache": cache if isinstance(cache, bool) else os.fspath(cache),
@@ -240,6 +244,21 @@ class Episodes:
             scale=field["scaling"][0],
             offset=field["scaling"][1],
         )
+
+    @property
+    def recipe(self) -> Recipe | None:
+        """The recipe, of a file that of its build; ``None`` of recorded data and files of other programs."""
+        if self._recipe is None and self._world_file is not None:
+            with World(self._world_file) as world, contextlib.suppress(StemworldsError):
+                self._recipe = world.recipe
+        return self._recipe
+
+    def specimen(self, slot: int) -> Recipe | None:
+        """The recipe with the seed of the specimen that an episode is in."""
+        if self._world_file is not None or self.recipe is None:
+            return self.recipe
+        # Worlds of a recipe have the seed of their specimen in their name.
+        return self.recipe.with_seed(int(self.record(slot)["world"].rpartition(", seed ")[2]))
 
     def step(self, moves: Moves) -> dict[str, Any]:
         """One step of all: arrays of observations and lists of what happened."""

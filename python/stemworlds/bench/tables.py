@@ -20,8 +20,10 @@ from .results import METRICS, Row, read_failures, read_results
 from .statistics import Equivalence, bootstrap_interval, dec_auc, on_checkpoints, paired_wilcoxon, rank_agreement, tost
 
 Values = npt.NDArray[np.float64]
-Role = Literal["floor", "agent", "ceiling"]
+#: An agent that says nothing; one that never reads a pixel; agents; the ideal observer; agents that know the truth.
+Role = Literal["floor", "blind", "agent", "ideal", "ceiling"]
 Case = tuple[str, int]
+ROLES: tuple[Role, ...] = ("floor", "blind", "agent", "ideal", "ceiling")
 
 DIFFICULTIES = ("easy", "medium", "hard")
 #: The metrics beside DEC-AUC.
@@ -225,12 +227,14 @@ def files(paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) -> l
 
 def _role(row: Row) -> Role:
     analyst = row.get("specification", {}).get("analyst", {}).get("kind")
-    return "floor" if analyst == "nothing" else "ceiling" if analyst in ("oracle", "columns") else "agent"
+    # Files of older versions hold agents that know the columns with defects: "columns".
+    roles: dict[Any, Role] = {"nothing": "floor", "prior": "blind", "ideal": "ideal", "oracle": "ceiling", "columns": "ceiling"}
+    return roles.get(analyst, "agent")
 
 
 def _agent_place(name: str, role: Role) -> tuple[Any, ...]:
     known = agent_names()
-    return ("floor", "agent", "ceiling").index(role), known.index(name) if name in known else len(known), name
+    return ROLES.index(role), known.index(name) if name in known else len(known), name
 
 
 def _task_place(task: str) -> tuple[bool, int]:
