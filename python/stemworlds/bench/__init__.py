@@ -22,6 +22,8 @@ from .environment import MicroscopeEnv
 from .episodes import ACQUIRE, DECLARE, DONE, NAVIGATE, Acquired, FieldFacts
 from .experiments import Episode, Experiment, packaged_experiments, read_experiment
 from .findings import NO_PHASE, Findings
+from .forecasts import ForecastScore, score_forecasts
+from .ideal import Ideal
 from .navigators import GaussianProcess, RandomMask, RandomTiles, Raster
 from .onnx import OnnxAnalyst
 from .planners import LanguageModelPlanner, ModePlanner, NoPlanner, PlannerLimits
@@ -56,9 +58,11 @@ __all__ = [
     "Experiment",
     "FieldFacts",
     "Findings",
+    "ForecastScore",
     "GaussianProcess",
     "GridChoice",
     "Heuristic",
+    "Ideal",
     "LanguageModelPlanner",
     "Look",
     "MicroscopeEnv",
@@ -101,6 +105,7 @@ __all__ = [
     "read_results",
     "register",
     "run_experiment",
+    "score_forecasts",
     "tost",
     "train_policy",
     "write_report",

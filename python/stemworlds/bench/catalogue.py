@@ -13,6 +13,7 @@ from .agents import Agent, CompressedSensing, Plays
 from .analysts import Heuristic, Nothing, Oracle
 from .blind import Usual
 from .endpoint import Endpoint
+from .ideal import Ideal
 from .navigators import GaussianProcess, RandomMask, RandomTiles, Raster
 from .onnx import OnnxAnalyst
 from .own_agents import PYTHON_KEYS, check_options, found_at, is_path, table_of, unpickled
@@ -53,6 +54,7 @@ _ANALYSTS: dict[str, Callable[..., Any]] = {
     "nothing": Nothing,
     "oracle": Oracle,
     "prior": Usual,
+    "ideal": Ideal,
     "heuristic": Heuristic,
     "onnx": OnnxAnalyst,
     "vlm": _vlm,
@@ -87,6 +89,9 @@ _PRESETS: dict[str, Table] = {
     "STEMAgent": {"navigator": "gp", "analyst": "heuristic", "planner": "modes"},
     "STEMAgent without planner": {"navigator": "gp", "analyst": "heuristic", "planner": "none"},
     "STEMAgent rule planner": {"navigator": "gp", "analyst": "heuristic", "planner": "rules"},
+    "Ideal": {"navigator": "raster", "analyst": "ideal"},
+    "Ideal mixture": {"navigator": "raster", "analyst": {"kind": "ideal", "grade": "mixture"}},
+    "Ideal known image": {"navigator": "raster", "analyst": {"kind": "ideal", "grade": "known"}},
     "Random+Oracle": {"navigator": "random", "analyst": "oracle"},
     "Raster+Oracle": {"navigator": "raster", "analyst": "oracle"},
     "GP-UCB+Oracle": {"navigator": "gp", "analyst": "oracle"},

@@ -144,6 +144,10 @@ class MicroscopeEnv(gym.Env[Observation, Action]):
         """The recipe of the world, of a file that of its build; ``None`` of recorded data and files of other programs."""
         return self._episodes.recipe
 
+    def specimen(self) -> Recipe | None:
+        """The recipe with the seed of the specimen of this episode: the truth, for agents that mark the ceiling of others."""
+        return self._episodes.specimen(0)
+
     @property
     def episode_seed(self) -> tuple[int, int]:
         """Seed, and number of the episode under it."""
