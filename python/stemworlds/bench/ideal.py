@@ -140,7 +140,7 @@ class Ideal:
             return Findings()
         places = np.array(keys, dtype=np.float64) / 1e5
         posterior = np.array([self._posterior(key) for key in keys])
-        expected = posterior @ np.arange(posterior.shape[1])
+        expected: Values = posterior @ np.arange(posterior.shape[1], dtype=np.float64)
         shares = np.array([self._facts[key][1] for key in keys])
         defects = {}
         for n, kind in enumerate(DEFECT_TYPES):

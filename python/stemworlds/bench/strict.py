@@ -16,9 +16,8 @@ from .columns import columns_of
 from .findings import Findings
 from .forecasts import ForecastScore, score_forecasts
 from .prior import prior_of
+from .statistics import CHECKPOINTS
 
-#: Checkpoints of the curve, those of the paper.
-_CHECKPOINTS = 50
 
 
 @dataclass(eq=False)
@@ -124,5 +123,5 @@ class ColumnLedger:
                 del scores["close"]
         more: dict[str, Any] = {"scores": scores}
         if self.scored:
-            more |= {"curve": self.curve, "metrics": json.loads(_core.dose_metrics([(a, b) for a, b in self.curve], _CHECKPOINTS))}
+            more |= {"curve": self.curve, "metrics": json.loads(_core.dose_metrics([(a, b) for a, b in self.curve], CHECKPOINTS))}
         return {**record, **more}

@@ -80,7 +80,7 @@ def _patches(recipe: Recipe, target: str | None) -> tuple[dict[str, Values], dic
     samples = stream(recipe, angle_deg=0.0, seed=LEARNED_SEED).samples(range(_TILES))
     every: dict[str, list[Values]] = {}
     counts: dict[str, list[Whole]] = {}
-    radius = half = 0
+    radius, half = 0.0, 0
     for sample in samples:
         edge = sample.clean.shape[0] * sample.pixel_nm
         corner = np.array(sample.centre_nm) - edge / 2 + sample.pixel_nm / 2
