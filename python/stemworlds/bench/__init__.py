@@ -14,13 +14,16 @@ Agents need ``pip install 'stemworlds[agents]'``; what else they need is importe
 """
 
 from .agents import Agent, CompressedSensing, Plays, play
-from .analysts import ColumnOracle, Heuristic, Nothing, Oracle, TileByTile
+from .analysts import Heuristic, Nothing, Oracle, TileByTile
+from .blind import Usual
 from .catalogue import agent_names, agent_specification, make_agent
 from .endpoint import Endpoint, EndpointError, Unparsable
 from .environment import MicroscopeEnv
 from .episodes import ACQUIRE, DECLARE, DONE, NAVIGATE, Acquired, FieldFacts
 from .experiments import Episode, Experiment, packaged_experiments, read_experiment
 from .findings import NO_PHASE, Findings
+from .forecasts import ForecastScore, score_forecasts
+from .ideal import Ideal
 from .navigators import GaussianProcess, RandomMask, RandomTiles, Raster
 from .onnx import OnnxAnalyst
 from .planners import LanguageModelPlanner, ModePlanner, NoPlanner, PlannerLimits
@@ -46,7 +49,6 @@ __all__ = [
     "Agent",
     "Analyst",
     "ByteImages",
-    "ColumnOracle",
     "CompressedSensing",
     "DiscreteGrid",
     "Endpoint",
@@ -56,9 +58,11 @@ __all__ = [
     "Experiment",
     "FieldFacts",
     "Findings",
+    "ForecastScore",
     "GaussianProcess",
     "GridChoice",
     "Heuristic",
+    "Ideal",
     "LanguageModelPlanner",
     "Look",
     "MicroscopeEnv",
@@ -83,6 +87,7 @@ __all__ = [
     "TargetBox",
     "TileByTile",
     "Unparsable",
+    "Usual",
     "VisionLanguageAnalyst",
     "agent_names",
     "agent_specification",
@@ -100,6 +105,7 @@ __all__ = [
     "read_results",
     "register",
     "run_experiment",
+    "score_forecasts",
     "tost",
     "train_policy",
     "write_report",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -18,7 +17,7 @@ from .protocols import needed
 if TYPE_CHECKING:
     from .episodes import Acquired, FieldFacts
 
-__all__ = ["ColumnOracle", "Heuristic", "Nothing", "Oracle", "TileByTile"]
+__all__ = ["Heuristic", "Nothing", "Oracle", "TileByTile"]
 
 Values = npt.NDArray[np.float64]
 
@@ -57,15 +56,6 @@ class Oracle:
         if self._world is None:
             raise _invalid("analyst", "Oracle: no environment; play it by stemworlds.bench.play, or call attach first")
         return self._world.truth_seen()
-
-
-class ColumnOracle(Oracle):
-    """Declares each column that holds a defect, once: the ceiling of what an image shows, as it does not tell how many are in a column."""
-
-    def findings(self, tiles: Sequence[Acquired]) -> Findings:
-        truth = super().findings(tiles)
-        once = {kind: np.unique(np.round(np.asarray(places, dtype=np.float64), 3), axis=0) for kind, places in (truth.defects or {}).items()}
-        return replace(truth, counts=None, defects=once)
 
 
 class TileByTile:

@@ -10,10 +10,13 @@ from typing import Any
 
 from ..errors import InvalidValue, _invalid
 from .agents import Agent, CompressedSensing, Plays
-from .analysts import ColumnOracle, Heuristic, Nothing, Oracle
+from .analysts import Heuristic, Nothing, Oracle
+from .blind import Usual
 from .endpoint import Endpoint
+from .ideal import Ideal
 from .navigators import GaussianProcess, RandomMask, RandomTiles, Raster
 from .onnx import OnnxAnalyst
+from .own_agents import PYTHON_KEYS, check_options, found_at, is_path, table_of, unpickled
 from .planners import LanguageModelPlanner, ModePlanner, NoPlanner, PlannerLimits
 from .vlm import VisionLanguageAnalyst
 
@@ -50,7 +53,8 @@ _NAVIGATORS: dict[str, Callable[..., Any]] = {"random": RandomTiles, "raster": R
 _ANALYSTS: dict[str, Callable[..., Any]] = {
     "nothing": Nothing,
     "oracle": Oracle,
-    "columns": ColumnOracle,
+    "prior": Usual,
+    "ideal": Ideal,
     "heuristic": Heuristic,
     "onnx": OnnxAnalyst,
     "vlm": _vlm,
@@ -70,6 +74,8 @@ _KEYS = ("name", "navigator", "analyst", "planner", "policy", "declare_every")
 #: Agents by name: no network and no service is needed for these.
 _PRESETS: dict[str, Table] = {
     "Nothing": {"navigator": "raster", "analyst": "nothing"},
+    "Prior": {"navigator": "raster", "analyst": "prior"},
+    "Prior places": {"navigator": "raster", "analyst": {"kind": "prior", "places": True}},
     "Random": {"navigator": "random", "analyst": "heuristic"},
     "Raster": {"navigator": "raster", "analyst": "heuristic"},
     "GP-UCB": {"navigator": "gp", "analyst": "heuristic"},
@@ -83,9 +89,11 @@ _PRESETS: dict[str, Table] = {
     "STEMAgent": {"navigator": "gp", "analyst": "heuristic", "planner": "modes"},
     "STEMAgent without planner": {"navigator": "gp", "analyst": "heuristic", "planner": "none"},
     "STEMAgent rule planner": {"navigator": "gp", "analyst": "heuristic", "planner": "rules"},
+    "Ideal": {"navigator": "raster", "analyst": "ideal"},
+    "Ideal mixture": {"navigator": "raster", "analyst": {"kind": "ideal", "grade": "mixture"}},
+    "Ideal known image": {"navigator": "raster", "analyst": {"kind": "ideal", "grade": "known"}},
     "Random+Oracle": {"navigator": "random", "analyst": "oracle"},
     "Raster+Oracle": {"navigator": "raster", "analyst": "oracle"},
-    "Raster+Columns": {"navigator": "raster", "analyst": "columns"},
     "GP-UCB+Oracle": {"navigator": "gp", "analyst": "oracle"},
     "STEMAgent+Oracle": {"navigator": "gp", "analyst": "oracle", "planner": "modes"},
 }
@@ -96,14 +104,22 @@ def agent_names() -> list[str]:
     return list(_PRESETS)
 
 
-def agent_specification(given: str | Table) -> dict[str, Any]:
-    """A name or a table as a whole table, checked: ``{"name": "Raster", "navigator": {"kind": "raster"}, ...}``.
+def agent_specification(given: str | Table | Plays, folder: str | None = None) -> dict[str, Any]:
+    """An agent as a whole table, checked: ``{"name": "Raster", "navigator": {"kind": "raster"}, ...}``.
+
+    Args:
+        given: a name; ``"package.module:Class"``, which is called without arguments and gives an agent; a table; or an agent.
+        folder: where modules are looked for besides Python's own path.
 
     Raises:
-        InvalidValue: for unknown names, keys and options.
+        InvalidValue: for unknown names, keys and options, and modules that cannot be imported.
     """
     if not isinstance(given, str | Mapping):
-        raise _invalid("agent", f"agent {reprlib.repr(given)}: expected a name or a table")
+        return table_of(given)
+    if isinstance(given, str) and is_path(given):
+        given = {"name": given, "python": given}
+    if isinstance(given, Mapping) and "python" in given:
+        return _python_agent(given, folder)
     if isinstance(given, str):
         if given not in _PRESETS:
             raise _invalid("agent", f"agent {given!r}: {unknown(given, _PRESETS)}")
@@ -132,14 +148,45 @@ def agent_specification(given: str | Table) -> dict[str, Any]:
     return whole
 
 
-def make_agent(given: str | Table) -> Plays:
+def _python_agent(given: Table, folder: str | None) -> dict[str, Any]:
+    """The table of an agent of another package."""
+    whole = {"name": given["python"], **given} if folder is None else {"name": given["python"], "folder": folder, **given}
+    for key in whole:
+        if key not in PYTHON_KEYS:
+            raise _invalid("agent", f"agent {whole['name']!r}: key {key!r}: {unknown(key, PYTHON_KEYS)}")
+    path, options = whole["python"], whole.get("options", {})
+    if not isinstance(whole["name"], str) or not whole["name"]:
+        raise _invalid("agent", f"an agent has no name: {reprlib.repr(dict(given))}")
+    if not isinstance(path, str) or not is_path(path):
+        raise _invalid("agent", f"agent {whole['name']!r}: python = {reprlib.repr(path)}: expected 'package.module:Class'")
+    if not isinstance(options, Mapping):
+        raise _invalid("agent", f"agent {whole['name']!r}: options = {reprlib.repr(options)}: expected a table")
+    check_options(whole["name"], path, found_at(path, whole.get("folder")), options)
+    return {**whole, "options": dict(options)}
+
+
+def _python_made(whole: Table) -> Plays:
+    made: Plays = found_at(whole["python"], whole.get("folder"))(**whole["options"])
+    if not callable(getattr(made, "run", None)):
+        raise _invalid("agent", f"agent {whole['name']!r}: {whole['python']!r} gave {made!r}, which has no method run(env, seed)")
+    return made
+
+
+def make_agent(given: str | Table | Plays) -> Plays:
     """An agent by its name, or from a table as in TOML files of experiments.
 
     >>> agent = make_agent("GP-UCB")
     >>> agent = make_agent({"name": "mine", "navigator": {"kind": "gp", "beta": 1.0}, "analyst": "heuristic"})
     """
+    if isinstance(given, Mapping) and "pickle" in given:
+        # As an experiment holds it; files cannot.
+        return unpickled(given)
+    if not isinstance(given, str | Mapping):
+        return given
     whole = agent_specification(given)
     name = whole["name"]
+    if "python" in whole:
+        return _python_made(whole)
     if "policy" in whole:
         from .rl import PolicyAgent
 
@@ -147,7 +194,7 @@ def make_agent(given: str | Table) -> Plays:
     parts = {part: _made(name, part, whole[part], kinds) for part, kinds in _KINDS.items() if part in whole}
     every = {"declare_every": whole["declare_every"]} if "declare_every" in whole else {}
     if isinstance(parts["navigator"], RandomMask) and "planner" not in parts:
-        oracle = whole["analyst"]["kind"] in ("oracle", "columns")
+        oracle = whole["analyst"]["kind"] == "oracle"
         second = None if oracle else _made(name, "analyst", whole["analyst"], _ANALYSTS)
         return CompressedSensing(name, parts["navigator"], parts["analyst"], second, **every)
     return Agent(name, **parts, **every)

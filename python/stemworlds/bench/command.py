@@ -47,7 +47,8 @@ _REPORT_EXAMPLES = """examples:
   stemworlds bench report main.jsonl -o main.html
   stemworlds bench report main.jsonl rl.jsonl -o both.html"""
 _LEADERBOARD = """Ranks agents of one file of results or several, by task and budget: mean DEC-AUC with its 95 % interval, and the share of the
-way from the floor (an agent that declares nothing) to the ceiling (one that knows the truth), where the results hold both."""
+way from the floor (an agent that declares nothing) to the ceiling (one that knows the truth), where the results hold both. Skill is the
+share of the way from a blind agent (Prior: 0) to the ideal observer (Ideal: 1), where the results hold both and the two differ by 0.005."""
 _LEADERBOARD_EXAMPLES = """examples:
   stemworlds bench leaderboard main.jsonl
   stemworlds bench leaderboard main.jsonl mine.jsonl --json"""
@@ -154,14 +155,15 @@ def _leaderboard(options: argparse.Namespace) -> int:
         print(f"{table['task']}, {table['budget']:g} e/A2")
         names = {line["agent"]: printable(line["agent"]) for line in table["agents"]}
         width = max(map(len, names.values()))
-        print(f"  {'':3} {'agent':<{width}}  DEC-AUC  95 % interval     of the way  episodes")
+        print(f"  {'':3} {'agent':<{width}}  DEC-AUC  95 % interval     of the way    skill  episodes")
         for line in table["agents"]:
             way = "" if line["of_the_way"] is None else f"{line['of_the_way']:.0%}"
+            skill = "" if line["skill"] is None else f"{line['skill']:.2f}"
             low, high = line["interval"]
-            mark = {"floor": "  floor", "ceiling": "  ceiling"}.get(line["role"], "")
+            mark = "" if line["role"] == "agent" else f"  {line['role']}"
             rank = "" if line["rank"] is None else str(line["rank"])
             print(
-                f"  {rank:>3} {names[line['agent']]:<{width}}  {line['mean']:7.3f}  {low:6.3f} to {high:5.3f}  {way:>10}  {line['episodes']:8d}{mark}"
+                f"  {rank:>3} {names[line['agent']]:<{width}}  {line['mean']:7.3f}  {low:6.3f} to {high:5.3f}  {way:>10}  {skill:>7}  {line['episodes']:8d}{mark}"
             )
         if table["note"]:
             print(f"  {table['note']}")

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from ..errors import _invalid
+from ..recipes import Recipe
 from . import rendering
 from .episodes import ACQUIRE, DECLARE, DOSE, NAVIGATE, OVERVIEW_PX, ZOOM, Acquired, Episodes, FieldFacts, Moves, Task, kinds, observation, reported, type_of
 from .findings import Findings
@@ -137,6 +138,15 @@ class MicroscopeEnv(gym.Env[Observation, Action]):
     def field(self) -> FieldFacts:
         """What is known of the field before anything is looked at."""
         return self._episodes.field
+
+    @property
+    def recipe(self) -> Recipe | None:
+        """The recipe of the world, of a file that of its build; ``None`` of recorded data and files of other programs."""
+        return self._episodes.recipe
+
+    def specimen(self) -> Recipe | None:
+        """The recipe with the seed of the specimen of this episode: the truth, for agents that mark the ceiling of others."""
+        return self._episodes.specimen(0)
 
     @property
     def episode_seed(self) -> tuple[int, int]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import json
 import os
 from collections.abc import Mapping, Sequence
@@ -14,9 +16,11 @@ import numpy.typing as npt
 from .. import _core
 from .._forking import Used
 from .._running import Progress, call, running
-from ..errors import _invalid
+from ..errors import StemworldsError, _invalid
 from ..recipes import Difficulty, Recipe, RecipeLike
-from .findings import Findings
+from ..worlds import World
+from .findings import Findings, forecasts_of
+from .strict import ColumnLedger
 
 Task = Literal["defect-census", "phase-mapping", "targeted", "particle-census"]
 Exposure = Literal["tier", "physical"]
@@ -24,6 +28,8 @@ Noise = Literal["poisson", "stored"]
 Reward = Literal["none", "score_gain", "sparse"]
 Split = Literal["train", "test"]
 
+#: Tasks whose truth is of columns.
+COLUMN_TASKS = ("defect-census", "targeted")
 #: Kinds of actions.
 NAVIGATE, ACQUIRE, DECLARE, DONE = range(4)
 #: The same in words.
@@ -132,6 +138,19 @@ def reported(report: Any) -> str:
     return report.report() if isinstance(report, Findings) else str(report) or "{}"
 
 
+def _apart(report: str | None) -> tuple[str | None, Any]:
+    """A report as the extension reads it, and its forecasts, which only Python knows."""
+    if report is None or '"forecasts"' not in report:
+        return report, ()
+    try:
+        found = json.loads(report)
+        forecasts = forecasts_of(found.pop("forecasts", ()))
+    except (ValueError, AttributeError, StemworldsError) as error:
+        # The extension says that it cannot read this, and what is wrong.
+        return json.dumps({"forecasts": str(error)}), ()
+    return json.dumps(found, separators=(",", ":")), forecasts
+
+
 def kinds(given: Sequence[Any]) -> list[int]:
     """Types of actions, as integers."""
     for kind in given:
@@ -198,9 +217,11 @@ class Episodes:
         self._threads = threads
         self._of_file = world is not None
         self._whole: npt.NDArray[np.float32] | None = None
+        self._world_file = None if world is None else os.fspath(world)
+        self._recipe = None if recipe is None else Recipe(recipe, difficulty, **changes)
         scene: _core.Scene = {
-            "world": None if world is None else os.fspath(world),
-            "toml": None if recipe is None else Recipe(recipe, difficulty, **changes).toml,
+            "world": self._world_file,
+            "toml": None if self._recipe is None else self._recipe.toml,
             "damage": damage,
             "split": split or "train",
             "cache": cache if isinstance(cache, bool) else os.fspath(cache),
@@ -220,6 +241,9 @@ class Episodes:
         }
         self._core = call(_core.Episodes, scene, rules, count, running(threads, progress))
         self._used = Used("this environment", "make another one in the child")
+        self._cadence = cadence
+        self._reward = reward
+        self._ledgers: dict[int, ColumnLedger] = {}
         told = json.loads(self._core.facts())
         field, settings, asked = told["field"], told["settings"], told["task"]
         rows, columns = (n * (field["tile_px"] - field["overlap_px"]) + field["overlap_px"] for n in field["grid"])
@@ -241,24 +265,87 @@ class Episodes:
             offset=field["scaling"][1],
         )
 
+    @property
+    def recipe(self) -> Recipe | None:
+        """The recipe, of a file that of its build; ``None`` of recorded data and files of other programs."""
+        if self._recipe is None and self._world_file is not None:
+            with World(self._world_file) as world, contextlib.suppress(StemworldsError):
+                self._recipe = world.recipe
+        return self._recipe
+
+    def specimen(self, slot: int) -> Recipe | None:
+        """The recipe with the seed of the specimen that an episode is in."""
+        if self._world_file is not None or self.recipe is None:
+            return self.recipe
+        # Worlds of a recipe have the seed of their specimen in their name.
+        return self.recipe.with_seed(int(self._record(slot)["world"].rpartition(", seed ")[2]))
+
+    def _known_specimen(self, slot: int) -> Recipe:
+        found = self.specimen(slot)
+        assert found is not None, "the world has a recipe"
+        return found
+
     def step(self, moves: Moves) -> dict[str, Any]:
         """One step of all: arrays of observations and lists of what happened."""
-        found: dict[str, Any] = self._used.by(call)(self._core.step, cast("_core.Moves", vars(moves)), running(self._threads, False))
+        texts, forecasts = zip(*(_apart(report) for report in moves.reports), strict=True)
+        asked: Any = {**vars(moves), "reports": list(texts)}
+        found: dict[str, Any] = self._used.by(call)(self._core.step, asked, running(self._threads, False))
+        if self.field.task in COLUMN_TASKS:
+            for slot, kind in enumerate(moves.kinds):
+                if moves.begin[slot] is not None:
+                    self._ledgers.pop(slot, None)
+                else:
+                    self._keep(slot, kind, (texts[slot], forecasts[slot]), found)
         return found
+
+    def _keep(self, slot: int, kind: int, said: tuple[str | None, Any], found: dict[str, Any]) -> None:
+        """Follows what a step was to the columns of a slot, and pays for it in the strict tasks."""
+        ledger = self._ledger(slot)
+        if ledger is None:
+            return
+        declared = None
+        if kind == DECLARE and found["fault"][slot] is None:
+            declared = Findings(forecasts=forecasts_of(said[1]))
+        acquired, ended = found["acquired"][slot], found["ended"][slot] is not None
+        ledger.took(acquired, declared, ended, found["spent"][slot], self.field.tile_px)
+        if ledger.scored and self._reward != "none":
+            pays = ended if self._reward == "sparse" else declared is not None or acquired is not None
+            found["reward"][slot] = (ledger.share() if self._reward == "sparse" else ledger.gain()) if pays else 0.0
+
+    def _ledger(self, slot: int) -> ColumnLedger | None:
+        """That of the episode of a slot; ``None`` for tasks that do not ask for columns, and worlds without a recipe."""
+        if self.field.task not in COLUMN_TASKS:
+            return None
+        if slot not in self._ledgers:
+            if self.recipe is None:
+                return None
+            target = self.field.target if self.field.task == "targeted" else None
+            self._ledgers[slot] = ColumnLedger(lambda: self._known_specimen(slot), target, self.field.budget, self._cadence, self.field.strict)
+        return self._ledgers[slot]
 
     def record(self, slot: int) -> dict[str, Any]:
         """The record of an episode so far."""
+        record = self._record(slot)
+        ledger = self._ledger(slot)
+        return record if ledger is None else ledger.told(record)
+
+    def _record(self, slot: int) -> dict[str, Any]:
         found: dict[str, Any] = json.loads(self._used.by(call)(self._core.record, slot, running(self._threads, False)))
         return found
 
     def score(self, slot: int) -> float:
         """The score of what was declared last."""
+        ledger = self._ledger(slot)
+        if ledger is not None and ledger.scored:
+            return ledger.share()
         score: float = self._used.by(call)(self._core.score, slot, running(self._threads, False))
         return score
 
     def truth_seen(self, slot: int) -> Findings:
         """The truth of what was seen."""
-        return Findings.read(self._used.by(call)(self._core.truth_seen, slot, running(self._threads, False)))
+        truth = Findings.read(self._used.by(call)(self._core.truth_seen, slot, running(self._threads, False)))
+        ledger = self._ledger(slot)
+        return truth if ledger is None or not ledger.scored else dataclasses.replace(truth, forecasts=ledger.truth())
 
     def overview(self, slot: int, size: int) -> npt.NDArray[np.float32]:
         """The overview, or the middle of it: ``size`` pixels along each axis."""

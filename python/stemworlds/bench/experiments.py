@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import hashlib
 import itertools
@@ -11,14 +12,14 @@ import os
 import reprlib
 import sys
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from ..errors import FileError, FileMissing, FormatError, InvalidValue, _invalid
-from . import registration
+from . import own_agents, registration
 from .catalogue import agent_specification, unknown
 
 __all__ = ["Episode", "Experiment", "packaged_experiments", "read_experiment"]
@@ -101,6 +102,12 @@ class Experiment:
     worlds: tuple[Mapping[str, Any], ...]
     environment: Mapping[str, Any]
 
+    def with_agents(self, agents: Iterable[Any]) -> Experiment:
+        """The same with these agents after its own: names, tables, or objects with a name and a method ``run``, as :class:`Agent`."""
+        every = (*self.agents, *(agent_specification(agent) for agent in agents))
+        _apart("agent", [agent["name"] for agent in every])
+        return dataclasses.replace(self, agents=every)
+
     def __iter__(self) -> Iterator[Episode]:
         for world in self.worlds:
             tasks = [task for task in self.tasks if task.removesuffix("-strict") in world.get("tasks", TASKS)]
@@ -160,12 +167,10 @@ def _experiment(table: Mapping[str, Any], folder: Path, stem: str) -> Experiment
         raise _invalid("strict", f"strict = {strict!r}: expected true or false")
     options = table.get("environment", {})
     _known("environment", options, _OPTIONS)
-    agents = [_located(agent_specification(given), folder) for given in _listed(table, "agents", None)]
+    agents = [_located(agent_specification(given, str(folder.resolve())), folder) for given in _listed(table, "agents", None)]
     worlds = [_world(given, folder) for given in _listed(table, "worlds", None)]
     for kind, names in (("agent", [agent["name"] for agent in agents]), ("world", [world["name"] for world in worlds])):
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            raise _invalid(f"{kind}s", f"{kind} {twice[0]!r} is there twice: give each a name of its own")
+        _apart(kind, names)
     for key in ("name", "about"):
         _text(key, table.get(key, ""))
     made = Experiment(
@@ -182,6 +187,12 @@ def _experiment(table: Mapping[str, Any], folder: Path, stem: str) -> Experiment
     if most > _MOST_EPISODES:
         raise _invalid("seeds", f"{most} episodes: expected {_MOST_EPISODES} at most; take fewer seeds, or several experiments")
     return made
+
+
+def _apart(kind: str, names: list[str]) -> None:
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise _invalid(f"{kind}s", f"{kind} {twice[0]!r} is there twice: give each a name of its own")
 
 
 def _text(key: str, given: Any) -> str:
@@ -286,6 +297,8 @@ def _located(agent: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 def _agent_essence(agent: Mapping[str, Any]) -> dict[str, Any]:
     """What makes an agent: of networks their contents, wherever they lie."""
+    if "python" in agent or "pickle" in agent:
+        return own_agents.essence(agent)
     kept = dict(agent)
     for part, key in _NETWORKS:
         if key in kept.get(part, {}):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..errors import _invalid
+from ..errors import InvalidValue, _invalid
 
 #: Phase maps hold this where nothing is predicted.
 NO_PHASE = -1
@@ -32,6 +32,8 @@ class Findings:
         particles: ``(N, 3)``: x, y and diameter in nm.
         morphologies: their shapes: ``"wulff"``, ``"icosahedral"``, ``"decahedral"``.
         columns: ``(N, 3)``: x, y in nm, and a number that is greater where a defect is more likely; for the scores by column.
+        forecasts: ``(N, 2 + K)``: x, y in nm of a column, and the chances of 0, 1, ... defects in it, all types together or of the target; the
+            last one is that of ``K - 1`` or more. The strict tasks about defects are scored by them.
     """
 
     counts: Mapping[str, int] | None = None
@@ -40,6 +42,7 @@ class Findings:
     particles: npt.NDArray[np.float64] = field(default_factory=lambda: _places(3))
     morphologies: Sequence[str] = ()
     columns: npt.NDArray[np.float64] = field(default_factory=lambda: _places(3))
+    forecasts: npt.NDArray[np.float64] = field(default_factory=lambda: _places(4))
 
     def report(self) -> str:
         """The text (JSON) that a declaration takes.
@@ -57,6 +60,8 @@ class Findings:
         out["particles"] = _listed("particles", self.particles, 3)
         out["morphologies"] = list(self.morphologies)
         out["columns"] = _listed("columns", self.columns, 3)
+        if len(self.forecasts):
+            out["forecasts"] = forecasts_of(self.forecasts).tolist()
         return json.dumps(out, separators=(",", ":"))
 
     @staticmethod
@@ -76,13 +81,28 @@ class Findings:
                 particles=_array(found.get("particles", ()), 3),
                 morphologies=tuple(found.get("morphologies", ())),
                 columns=_array(found.get("columns", ()), 3),
+                forecasts=forecasts_of(found.get("forecasts", ())),
             )
+        except InvalidValue:
+            raise
         except (ValueError, TypeError, AttributeError) as error:
             raise _invalid("findings", f"findings: the text is no report: {error}") from None
 
 
 def _array(values: Any, width: int) -> npt.NDArray[np.float64]:
     return np.asarray(values, dtype=np.float64).reshape(-1, width)
+
+
+def forecasts_of(values: Any) -> npt.NDArray[np.float64]:
+    """Checked: two classes at least, chances that are not negative."""
+    array = np.asarray(values, dtype=np.float64)
+    if array.size == 0:
+        return _places(4)
+    if array.ndim != 2 or array.shape[1] < 4:
+        raise _invalid("findings", f"forecasts have shape {array.shape}: expected (N, 2 + K): x, y, and chances of 0, 1, ... defects, K = 2 at least")
+    if not np.isfinite(array).all() or (array[:, 2:] < 0).any() or (array[:, 2:].sum(axis=1) <= 0).any():
+        raise _invalid("findings", "forecasts: expected finite places, and chances that are not negative and not all 0")
+    return array
 
 
 def _listed(name: str, values: npt.ArrayLike, width: int) -> list[list[float]]:

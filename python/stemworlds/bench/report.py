@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from .._text import table_cell
 from ..errors import DiskFull, FileError, _invalid
-from . import sections
+from . import sections, seeing
 from .paper import told
 from .tables import ALTERNATIVES, Results, cell, files, ranking
 
@@ -31,6 +31,7 @@ class _Section(NamedTuple):
 
 
 _SECTIONS = (
+    _Section("Seeing and guessing", seeing.seeing, "a blind agent and an ideal observer in the same world and seed, or forecasts"),
     _Section("Agents and tasks", sections.main_table, "an episode at the main budget"),
     _Section("Score over dose", sections.curves, "an episode at the main budget"),
     _Section("Where agents looked", sections.maps, "the grid of a world"),
@@ -101,8 +102,8 @@ def leaderboard(results: Paths) -> list[dict[str, Any]]:
     """Agents of each task and budget, the best first, in the worlds and seeds that all of them played.
 
     Returns:
-        For each task and budget ``task``, ``budget``, ``note`` and ``agents``: ``rank``, ``agent``, ``role`` (floor, agent, ceiling), ``mean``
-        and ``deviation`` of DEC-AUC, ``interval`` (95 %, bootstrap), ``of_the_way`` from floor to ceiling, ``episodes``.
+        For each task and budget ``task``, ``budget``, ``note`` and ``agents``: ``rank``, ``agent``, ``role`` (floor, blind, agent, ideal, ceiling), ``mean``
+        and ``deviation`` of DEC-AUC, ``interval`` (95 %, bootstrap), ``of_the_way`` from floor to ceiling, ``skill`` from blind to ideal, ``episodes``.
     """
     read = Results(files(results))
     tables = (ranking(read, task, budget) for task in read.tasks for budget in read.budgets)
@@ -123,6 +124,7 @@ def _page(results: Results, name: str) -> str:
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{html.escape(name)}</title><style>{_STYLE}</style></head><body><main>
 <h1>{html.escape(name)}</h1>
+{seeing.first_lines(results)}
 {sections.summary(results)}
 {"".join(body)}
 </main></body></html>
@@ -188,14 +190,14 @@ p{max-width:76ch;margin:6px 0 12px}.soft,small{color:var(--soft)}small{font-size
 .wide{overflow-x:auto}table{border-collapse:collapse;font-variant-numeric:tabular-nums;font-size:14px}
 th,td{padding:5px 12px 5px 0;text-align:left;vertical-align:top;border-bottom:1px solid var(--rule);white-space:nowrap}
 thead th{font-weight:600;color:var(--soft);font-size:13px;white-space:normal}tbody th{font-weight:500;padding-right:20px}
-tr.floor th,tr.ceiling th{color:var(--soft)}i.role{font-style:normal;font-size:11px;color:var(--soft);border:1px solid var(--rule);
+tr.floor th,tr.blind th,tr.ideal th,tr.ceiling th{color:var(--soft)}i.role{font-style:normal;font-size:11px;color:var(--soft);border:1px solid var(--rule);
 border-radius:8px;padding:0 6px}
 table.matrix{font-size:12px}table.matrix td,table.matrix th{padding:3px 6px}td.same{background:var(--good)}td.differ{background:var(--bad)}
 table.matrix thead th{writing-mode:vertical-rl;transform:rotate(180deg);vertical-align:bottom;padding:6px 3px}
 .panels{display:grid;grid-template-columns:repeat(auto-fill,minmax(210px,1fr));gap:14px 18px;margin:10px 0}
 figure{margin:0}figcaption{font-size:13px;margin-bottom:2px}svg{display:block;width:100%;height:auto}svg.shared{position:absolute;width:0;height:0}
 .tick{font:10px system-ui,sans-serif;fill:var(--soft)}.axis{fill:none;stroke:var(--soft);stroke-width:.8}.grid{fill:none;stroke:var(--rule);stroke-width:.6}
-.other,.floor,.ceiling{fill:none}.other{stroke:var(--other);stroke-width:.9}path.floor,path.ceiling{stroke:var(--soft);stroke-width:1.1;stroke-dasharray:4 3}
+.other,.floor,.blind,.ideal,.ceiling{fill:none}.other{stroke:var(--other);stroke-width:.9}path.floor,path.blind,path.ideal,path.ceiling{stroke:var(--soft);stroke-width:1.1;stroke-dasharray:4 3}
 path.floor{stroke-dasharray:1.5 2.5}.own{fill:none;stroke:var(--own);stroke-width:2}.band{fill:var(--own);fill-opacity:.2}.dot{fill:var(--own)}
 .map{background:var(--field)}.field{fill:none}.tile{fill:var(--own)}
 """

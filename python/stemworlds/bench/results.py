@@ -185,8 +185,9 @@ def _fault_of_the_rest(row: Row) -> str:
     if row.get("wall") and not {"seconds", "seconds_per_tile"} <= row["wall"].keys():
         return "wall has not seconds and seconds_per_tile"
     scores = dict(row.get("scores") or {})
-    columns = scores.pop("columns", None)
-    if not isinstance(columns or {}, dict) or not all(score is None or _number(score) for score in (*scores.values(), *(columns or {}).values())):
+    parts = [scores.pop(name, None) or {} for name in ("columns", "forecasts")]
+    tables = all(isinstance(part, dict) for part in parts)
+    if not tables or not all(score is None or _number(score) for part in (scores, *parts) for score in part.values()):
         return "scores hold something else than numbers"
     if not _whole(row.get("unreadable", 0), 0, 2**53):
         return "unreadable is no number"

@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from ..errors import StemworldsError, _invalid
+from . import own_agents
 from .agents import play
 from .catalogue import make_agent
 from .experiments import OF_THE_MACHINE, Episode, Experiment
@@ -345,7 +346,7 @@ def _combination(episode: Episode, experiment: str) -> Row:
         **facts,
         "seed": episode.seed,
         "budget": episode.budget,
-        "specification": _plain(dict(episode.agent)),
+        "specification": _plain(own_agents.essence(episode.agent) if {"python", "pickle"} & episode.agent.keys() else dict(episode.agent)),
         "environment": _plain({key: value for key, value in episode.environment.items() if key not in OF_THE_MACHINE}),
     }
 

@@ -34,8 +34,8 @@ def summary(results: Results) -> str:
     budgets = " and ".join(f"{budget:g}" for budget in results.budgets) if len(results.budgets) < 3 else _range(results.budgets)
     return (
         f'<p class="soft">{html.escape(experiments)}; {counts}; budget {budgets} e/Å²; stemworlds {html.escape(versions)}.</p>'
-        "<p>Numbers are DEC-AUC, the area below score over dose, unless a table says otherwise. An agent's score means "
-        "something only between the <b>floor</b>, an agent that says nothing is there, and the <b>ceiling</b>, the same navigators with the truth of "
+        "<p>Numbers are DEC-AUC, the area below score over dose, unless a table says otherwise. The <b>floor</b> is an agent that says nothing is "
+        "there, the <b>ceiling</b> the same navigators with the truth of "
         f"what they saw. Mean ± standard deviation is over worlds and seeds, at {results.budget:g} e/Å² where nothing else is said.</p>"
     )
 
@@ -176,8 +176,8 @@ def strict(results: Results) -> str:
     if not out:
         return ""
     return (
-        "<p>Scores of what was declared last. 5 nm are wider than a tile, so the paper's rule takes almost any guess for a hit. Strictly, places "
-        "have to be right to 0.1 nm, of particles to 0.5 nm. Precision, recall and average precision are by column, of agents that list "
+        "<p>Scores of what was declared last. 5 nm are wider than a tile, so the paper's rule takes almost any guess for a hit. Strictly, defects are "
+        "scored by forecasts of each column: the share of the prior's ignorance that they take away. Particles have to be right to 0.5 nm. Precision, recall and average precision are by column, of agents that list "
         f"columns.</p>{''.join(out)}"
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import os
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -17,11 +18,14 @@ from ..errors import _invalid
 from .catalogue import agent_names
 from .experiments import TASKS
 from .results import METRICS, Row, read_failures, read_results
+from .skill import Scale, scale
 from .statistics import Equivalence, bootstrap_interval, dec_auc, on_checkpoints, paired_wilcoxon, rank_agreement, tost
 
 Values = npt.NDArray[np.float64]
-Role = Literal["floor", "agent", "ceiling"]
+#: An agent that says nothing; one that never reads a pixel; agents; the ideal observer; agents that know the truth.
+Role = Literal["floor", "blind", "agent", "ideal", "ceiling"]
 Case = tuple[str, int]
+ROLES: tuple[Role, ...] = ("floor", "blind", "agent", "ideal", "ceiling")
 
 DIFFICULTIES = ("easy", "medium", "hard")
 #: The metrics beside DEC-AUC.
@@ -124,8 +128,8 @@ class Results:
         return curves.mean(axis=0), low, high
 
     def pairs(self, task: str) -> list[Pair]:
-        """All pairs of agents, but for ceilings, that share five cases or more."""
-        tables = {agent: self.by_case(agent, task) for agent in self.in_task(task) if self.role[agent] != "ceiling"}
+        """All pairs of agents, but for ideal observers and ceilings, that share five cases or more."""
+        tables = {agent: self.by_case(agent, task) for agent in self.in_task(task) if self.role[agent] not in ("ideal", "ceiling")}
         found = []
         for a, b in itertools.combinations(tables, 2):
             cases = [case for case in tables[a] if case in tables[b]]
@@ -197,6 +201,7 @@ def ranking(results: Results, task: str, budget: float) -> dict[str, Any] | None
         means[agent] = made
     floor = max((means[agent].mean for agent in means if results.role[agent] == "floor"), default=None)
     ceiling = max((means[agent].mean for agent in means if results.role[agent] == "ceiling"), default=None)
+    between = scale(results, task, budget)
     lines, rank = [], 0
     for agent in sorted(means, key=lambda name: (-means[name].mean, name)):
         own, role = means[agent], results.role[agent]
@@ -212,10 +217,20 @@ def ranking(results: Results, task: str, budget: float) -> dict[str, Any] | None
                 "deviation": own.deviation,
                 "interval": [own.low, own.high],
                 "of_the_way": way,
+                "skill": _skill(between, agent),
                 "episodes": own.count,
             }
         )
     return {"task": task, "budget": budget, "agents": lines, "note": note}
+
+
+def _skill(between: Scale | None, agent: str) -> float | None:
+    if between is None or not between.room:
+        return None
+    if agent in (between.blind[0], between.ideal[0]):
+        return float(agent == between.ideal[0])
+    stand = between.stands.get(agent)
+    return None if stand is None or math.isnan(stand.skill) else stand.skill
 
 
 def files(paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) -> list[Path]:
@@ -225,12 +240,14 @@ def files(paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) -> l
 
 def _role(row: Row) -> Role:
     analyst = row.get("specification", {}).get("analyst", {}).get("kind")
-    return "floor" if analyst == "nothing" else "ceiling" if analyst in ("oracle", "columns") else "agent"
+    # Files of older versions hold agents that know the columns with defects: "columns".
+    roles: dict[Any, Role] = {"nothing": "floor", "prior": "blind", "ideal": "ideal", "oracle": "ceiling", "columns": "ceiling"}
+    return roles.get(analyst, "agent")
 
 
 def _agent_place(name: str, role: Role) -> tuple[Any, ...]:
     known = agent_names()
-    return ("floor", "agent", "ceiling").index(role), known.index(name) if name in known else len(known), name
+    return ROLES.index(role), known.index(name) if name in known else len(known), name
 
 
 def _task_place(task: str) -> tuple[bool, int]:

@@ -1,0 +1,155 @@
+"""Scores of forecasts by column: what an agent knows of each column beyond what is known without looking."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from .findings import Findings
+
+Values = npt.NDArray[np.float64]
+Whole = npt.NDArray[np.int64]
+
+#: A forecast is that of the nearest column within so many nm: half the distance of two columns.
+RADIUS_NM = 0.1
+#: The least chance that counts: a forecast that says "never" of what is there costs 20 bits, and not infinitely many.
+LEAST_CHANCE = 2.0**-20
+
+
+@dataclass(frozen=True)
+class ForecastScore:
+    """How much a declaration tells of the columns that were seen.
+
+    Attributes:
+        columns: how many were seen.
+        bits: gained over the prior, all columns together; below 0 if the forecasts are worse than it.
+        prior_bits: what the prior lacks: bits of who knows the truth.
+        average_precision: of the columns with a defect, the likeliest first.
+        prior_average_precision: the same by the prior's chances.
+        count_error: expected less true number of defects.
+        count_sigma: standard deviation of that number by the forecasts, columns taken apart.
+    """
+
+    columns: int
+    bits: float
+    prior_bits: float
+    average_precision: float
+    prior_average_precision: float
+    count_error: float
+    count_sigma: float
+
+    @property
+    def share(self) -> float:
+        """Share of the prior's ignorance that is gone, from 0 to 1: the score of the strict tasks. Where nothing was unknown it is 0."""
+        return min(max(self.bits / self.prior_bits, 0.0), 1.0) if self.prior_bits > 0 else 0.0
+
+    def numbers(self, electrons: float) -> dict[str, float]:
+        """For records; ``electrons`` is how many were spent on what was seen."""
+        return {
+            "share": self.share,
+            "columns": self.columns,
+            "bits": self.bits,
+            "bits_per_column": self.bits / self.columns if self.columns else 0.0,
+            "bits_per_million_electrons": 1e6 * self.bits / electrons if electrons > 0 else 0.0,
+            "prior_bits": self.prior_bits,
+            "average_precision": self.average_precision,
+            "average_precision_gain": self.average_precision - self.prior_average_precision,
+            "count_error": self.count_error,
+            "count_sigma": self.count_sigma,
+        }
+
+
+def score_forecasts(findings: Findings | None, places_nm: Values, counts: Whole, prior: Values) -> ForecastScore:
+    """Scores forecasts against the columns that were seen.
+
+    Where nothing is forecast the prior stands, which gains no bit. A forecast of fewer classes than the prior has says of its last class
+    "that many or more", and within it follows the prior.
+
+    Args:
+        findings: what was declared.
+        places_nm: (N, 2), of the columns.
+        counts: (N,), their numbers of defects.
+        prior: (N, K), chances of 0, 1, ... defects; the last class is "that many or more".
+    """
+    said = np.zeros((0, 4)) if findings is None else findings.forecasts
+    chances = prior
+    owner = nearest_columns(said[:, :2], places_nm)
+    if len(said):
+        chances = prior.copy()
+        own = np.flatnonzero(owner >= 0)
+        chances[owner[own]] = _spread(_fair(said[own, 2:]), prior[owner[own]])
+    true = np.minimum(counts, prior.shape[1] - 1)
+    each = np.arange(len(true))
+    gained = np.log2(np.maximum(chances[each, true], LEAST_CHANCE)) - np.log2(np.maximum(prior[each, true], LEAST_CHANCE))
+    # A chance that the prior itself puts below the least one is no fault of the forecast.
+    gained[(chances == prior).all(axis=1)] = 0.0
+    number = np.arange(prior.shape[1])
+    mean = chances @ number
+    stray = _fair(said[owner < 0, 2:])
+    sure = np.concatenate([1 - chances[:, 0], 1 - stray[:, 0] if len(stray) else np.zeros(0)])
+    there = np.concatenate([counts > 0, np.zeros(len(stray), dtype=bool)])
+    return ForecastScore(
+        columns=len(true),
+        bits=math.fsum(gained),
+        prior_bits=math.fsum(-np.log2(np.maximum(prior[each, true], LEAST_CHANCE))),
+        average_precision=average_precision(there, sure),
+        prior_average_precision=average_precision(counts > 0, 1 - prior[:, 0]),
+        count_error=float(mean.sum() - counts.sum()),
+        count_sigma=math.sqrt(max(float((chances @ number**2 - mean**2).sum()), 0.0)),
+    )
+
+
+def _fair(chances: Values) -> Values:
+    """Chances that sum to 1."""
+    total = chances.sum(axis=1, keepdims=True)
+    result: Values = np.divide(chances, total, out=np.full_like(chances, 1 / max(chances.shape[1], 1)), where=total > 0)
+    return result
+
+
+def _spread(said: Values, prior: Values) -> Values:
+    """Forecasts in the classes of the prior."""
+    classes, known = said.shape[1], prior.shape[1]
+    if classes >= known:
+        return np.column_stack([said[:, : known - 1], said[:, known - 1 :].sum(axis=1)])
+    tail = prior[:, classes - 1 :]
+    within = tail / np.maximum(tail.sum(axis=1, keepdims=True), 1e-300)
+    return np.column_stack([said[:, : classes - 1], said[:, classes - 1 :] * within])
+
+
+def nearest_columns(said_nm: Values, places_nm: Values) -> Whole:
+    """For each place that was said the column within :data:`RADIUS_NM`, nearest pairs first, each once; -1 where there is none."""
+    owner = np.full(len(said_nm), -1, dtype=np.int64)
+    if not len(said_nm) or not len(places_nm):
+        return owner
+    cells: dict[tuple[int, int], list[int]] = {}
+    for n, (x, y) in enumerate(places_nm.tolist()):
+        cells.setdefault((math.floor(x / RADIUS_NM), math.floor(y / RADIUS_NM)), []).append(n)
+    pairs = []
+    for n, (x, y) in enumerate(said_nm.tolist()):
+        column, row = math.floor(x / RADIUS_NM), math.floor(y / RADIUS_NM)
+        for c in (column - 1, column, column + 1):
+            for r in (row - 1, row, row + 1):
+                for m in cells.get((c, r), ()):
+                    apart = math.hypot(x - places_nm[m, 0], y - places_nm[m, 1])
+                    if apart <= RADIUS_NM:
+                        pairs.append((apart, n, m))
+    taken: set[int] = set()
+    for _, n, m in sorted(pairs):
+        if owner[n] < 0 and m not in taken:
+            owner[n] = m
+            taken.add(m)
+    return owner
+
+
+def average_precision(there: npt.NDArray[np.bool_], sure: Values) -> float:
+    """Sum over thresholds of precision times the recall that each adds; equal values are one threshold. 0 where nothing is there."""
+    if not there.any():
+        return 0.0
+    order = np.argsort(-sure, kind="stable")
+    hits = np.cumsum(there[order])
+    last = np.append(np.flatnonzero(np.diff(sure[order])), len(order) - 1)
+    precision, recall = hits[last] / (last + 1), hits[last] / hits[-1]
+    return float((np.diff(recall, prepend=0.0) * precision).sum())

@@ -1,0 +1,127 @@
+"""Episodes of the strict tasks about defects: what was seen, column by column, and the curve of their score."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .. import _core
+from ..recipes import Recipe
+from .columns import columns_of
+from .findings import Findings
+from .forecasts import ForecastScore, score_forecasts
+from .prior import prior_of
+from .statistics import CHECKPOINTS
+
+
+
+@dataclass(eq=False)
+class ColumnLedger:
+    """What one episode has seen of columns, and what was last declared of them.
+
+    Attributes:
+        specimen: gives the recipe with the seed of the episode's specimen. Columns are as they were at the start of the episode.
+        target: the type of defect that is asked for; ``None`` for all.
+        budget, cadence: of the episode.
+        scored: whether the curve is kept, as in the strict tasks.
+    """
+
+    specimen: Callable[[], Recipe]
+    target: str | None
+    budget: float
+    cadence: int
+    scored: bool
+    findings: Findings | None = None
+    curve: list[list[float]] = field(default_factory=list)
+    electrons: float = 0.0
+    _spent: float = 0.0
+    _paid: float = 0.0
+    _acquired: int = 0
+    _due: bool = False
+    _views: list[tuple[float, float, float, float]] = field(default_factory=list)
+    _looked: int = 0
+    _toml: str | None = None
+    _held: dict[tuple[int, int], tuple[tuple[float, float], int, npt.NDArray[np.float64]]] = field(default_factory=dict)
+
+    def took(self, acquired: Mapping[str, Any] | None, declared: Findings | None, ended: bool, spent: float, tile_px: int) -> None:
+        """Follows one step. The record that is due is made before more dose is spent, as of the other tasks."""
+        if acquired is not None:
+            if self._due:
+                self._note()
+            (x, y), half = acquired["centre_nm"], acquired["size_nm"] / 2
+            self._views.append((x - half, y - half, x + half, y + half))
+            self.electrons += acquired["electrons_per_pixel"] * tile_px**2
+            self._acquired += 1
+            self._due = self._acquired % self.cadence == 0
+        if declared is not None:
+            self.findings = declared
+        self._spent = spent
+        if ended:
+            self._note()
+
+    def _note(self) -> None:
+        self._due = False
+        if self.scored and self.findings is not None:
+            self.curve.append([min(self._spent / self.budget, 1.0), self.share()])
+
+    def gain(self) -> float:
+        """The change of the score since the last call."""
+        score = self.share()
+        gained, self._paid = score - self._paid, score
+        return gained
+
+    def share(self) -> float:
+        """The score of what was declared last; 0 while nothing was forecast."""
+        if self.findings is None or not len(self.findings.forecasts) or not self._views:
+            return 0.0
+        return self.score().share
+
+    def score(self) -> ForecastScore:
+        """All numbers of what was declared last."""
+        places, counts, prior = self._seen()
+        return score_forecasts(self.findings, places, counts, prior)
+
+    def _seen(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+        """Places, numbers of defects and the prior's chances of the columns in what was acquired, each once."""
+        if self._toml is None:
+            self._toml = self.specimen().toml
+        prior = prior_of(Recipe(self._toml))
+        for view in self._views[self._looked :]:
+            columns = columns_of(self._toml, view)
+            counts, chances = columns.counts(self.target), prior.of(columns, self.target)
+            for n, (x, y) in enumerate(columns.places_nm.tolist()):
+                self._held.setdefault((round(x * 1e5), round(y * 1e5)), ((x, y), int(counts[n]), chances[n]))
+        self._looked = len(self._views)
+        found = [self._held[key] for key in sorted(self._held)]
+        classes = prior.chances[self.target].shape[2]
+        places = np.array([place for place, _, _ in found], dtype=np.float64).reshape(-1, 2)
+        counted = np.array([count for _, count, _ in found], dtype=np.int64)
+        return places, counted, np.array([chances for _, _, chances in found]).reshape(-1, classes)
+
+    def truth(self) -> npt.NDArray[np.float64]:
+        """The forecasts of who knows the truth of what was seen."""
+        places, counts, prior = self._seen()
+        sure = np.zeros_like(prior)
+        sure[np.arange(len(counts)), np.minimum(counts, prior.shape[1] - 1)] = 1.0
+        return np.column_stack([places, sure])
+
+    def told(self, record: dict[str, Any]) -> dict[str, Any]:
+        """The record of the episode with the scores by column."""
+        scores = record.get("scores")
+        if scores is not None and self.findings is not None:
+            forecast = bool(len(self.findings.forecasts)) and bool(self._views)
+            scores = {**scores, "close": scores["strict"], "strict": self.share()}
+            if forecast:
+                scores["forecasts"] = self.score().numbers(self.electrons)
+            if self.target is None:
+                # By counts alone the census of a blind agent is right.
+                del scores["close"]
+        more: dict[str, Any] = {"scores": scores}
+        if self.scored:
+            more |= {"curve": self.curve, "metrics": json.loads(_core.dose_metrics([(a, b) for a, b in self.curve], CHECKPOINTS))}
+        return {**record, **more}

@@ -1,0 +1,130 @@
+"""What a column's image looks like with 0, 1, 2 ... defects, learned from noise-free images of the library."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ..recipes import Recipe
+from ..streaming import stream
+from .columns import columns_of
+from .protocols import needed
+
+Values = npt.NDArray[np.float64]
+Whole = npt.NDArray[np.int64]
+
+#: Seed of the specimen that is learned from: even as those of the split for training, and none that the prior counts.
+LEARNED_SEED = 10
+#: Tiles that are learned from.
+_TILES = 64
+#: Columns are looked at within half the distance of neighbours and a little more, from and to so many nm.
+_BEYOND_NM, _RADIUS_NM = 0.02, (0.06, 0.12)
+#: Ways in which images of equal columns differ: principal components beyond the mean. What is left is taken for noise of each pixel.
+MODES = 8
+#: Fewest columns from which a template is made.
+_LEAST_COLUMNS = 40
+#: Most of them that a mixture remembers.
+_MOST_SAMPLES = 400
+
+
+@dataclass(frozen=True, eq=False)
+class Template:
+    """Images about the columns of one kind, on a square grid of the field's pixels with the column in its middle.
+
+    Attributes:
+        layers: spline coefficients ``[layer, y, x]``: the mean without a defect, the change by one defect, the modes, each as large as its
+            standard deviation, and last the standard deviation of what is left.
+        modes: how many modes.
+        samples: the modes' sizes in the columns that were learned from, ``[column, mode]``.
+        pixel_nm: edge of a pixel of the grid.
+        radius_nm: how far from the column it is meant for.
+    """
+
+    layers: Values
+    modes: int
+    samples: Values
+    pixel_nm: float
+    radius_nm: float
+
+    def at(self, x_nm: Values, y_nm: Values) -> Values:
+        """All layers at distances from the column, ``[layer, ...]``."""
+        ndimage = needed("scipy.ndimage")
+        middle = (self.layers.shape[1] - 1) / 2
+        places = np.stack([y_nm / self.pixel_nm + middle, x_nm / self.pixel_nm + middle])
+        return np.stack([ndimage.map_coordinates(layer, places, order=3, prefilter=False, mode="nearest") for layer in self.layers])
+
+
+@functools.lru_cache(maxsize=16)
+def templates_of(toml: str, target: str | None) -> dict[str, Template]:
+    """Templates by kind of column, for defects of a type or of all; kinds that hold no defect have none.
+
+    A kind of which too few columns were seen has none either: its posterior is its prior.
+    """
+    recipe = Recipe(toml).with_seed(LEARNED_SEED)
+    patches, counts, pixel_nm, radius_nm = _patches(recipe, target)
+    made = {}
+    for name, own in patches.items():
+        number = counts[name]
+        if len(own) >= _LEAST_COLUMNS and np.ptp(number) > 0:
+            made[name] = _template(own, number, pixel_nm, radius_nm)
+    return made
+
+
+def _patches(recipe: Recipe, target: str | None) -> tuple[dict[str, Values], dict[str, Whole], float, float]:
+    """Noise-free images about columns by kind, ``[column, y, x]``, and their numbers of defects."""
+    ndimage, spatial = needed("scipy.ndimage"), needed("scipy.spatial")
+    samples = stream(recipe, angle_deg=0.0, seed=LEARNED_SEED).samples(range(_TILES))
+    every: dict[str, list[Values]] = {}
+    counts: dict[str, list[Whole]] = {}
+    radius, half = 0.0, 0
+    for sample in samples:
+        edge = sample.clean.shape[0] * sample.pixel_nm
+        corner = np.array(sample.centre_nm) - edge / 2 + sample.pixel_nm / 2
+        x, y = sample.centre_nm
+        columns = columns_of(recipe.toml, (x - edge / 2, y - edge / 2, x + edge / 2, y + edge / 2))
+        if len(columns.kinds) < 2:
+            continue
+        if not half:
+            apart = float(np.median(spatial.cKDTree(columns.places_nm).query(columns.places_nm, k=2)[0][:, 1]))
+            radius = float(np.clip(apart / 2 + _BEYOND_NM, *_RADIUS_NM))
+            half = int(np.ceil(radius / sample.pixel_nm)) + 2
+        places = (columns.places_nm - corner) / sample.pixel_nm
+        inside = (places >= half + 2).all(axis=1) & (places <= sample.clean.shape[0] - half - 3).all(axis=1)
+        offset = np.arange(-half, half + 1)
+        at = [places[inside, axis][:, None, None] + grid for axis, grid in ((1, offset[:, None]), (0, offset[None, :]))]
+        spline = ndimage.spline_filter(sample.clean.astype(np.float64), 3)
+        found = ndimage.map_coordinates(spline, np.broadcast_arrays(*at), order=3, prefilter=False)
+        for kind, name in enumerate(columns.names):
+            own = columns.kinds[inside] == kind
+            every.setdefault(name, []).append(found[own])
+            counts.setdefault(name, []).append(columns.counts(target)[inside][own])
+    names = sorted(every)
+    return {name: np.concatenate(every[name]) for name in names}, {name: np.concatenate(counts[name]) for name in names}, samples[0].pixel_nm, radius
+
+
+def _template(patches: Values, counts: Whole, pixel_nm: float, radius_nm: float) -> Template:
+    """The template of one kind: a straight line in the number of defects, and what deviates from it."""
+    ndimage = needed("scipy.ndimage")
+    shape, flat = patches.shape[1:], patches.reshape(len(patches), -1)
+    lines = np.column_stack([np.ones(len(counts)), counts])
+    (mean, change), *_ = np.linalg.lstsq(lines, flat, rcond=None)
+    off = flat - lines @ np.stack([mean, change])
+    # The modes of what the template is meant for, not of the margin for interpolation.
+    y, x = np.mgrid[: shape[0], : shape[1]] - (shape[0] - 1) / 2
+    inside = (np.hypot(x, y) * pixel_nm <= radius_nm + pixel_nm).ravel()
+    modes = min(MODES, int(inside.sum()))
+    scores, sizes, _ = np.linalg.svd(off[:, inside], full_matrices=False)
+    # The sign of a mode is free: the greatest weight is positive, so that a template is the same on each machine.
+    weights = scores[:, :modes] * np.sqrt(len(off))
+    shapes = weights.T @ off / len(off)
+    signs = np.sign(shapes[np.arange(modes), np.abs(shapes).argmax(axis=1)])
+    shapes, weights = shapes * signs[:, None], weights * signs
+    left = np.sqrt(np.maximum(off.var(axis=0) - (shapes**2).sum(axis=0), 0))
+    layers = np.stack([mean, change, *shapes, left]).reshape(-1, *shape)
+    coefficients = np.stack([ndimage.spline_filter(layer, 3) for layer in layers])
+    step = max(len(weights) // _MOST_SAMPLES, 1)
+    return Template(coefficients, modes, np.stack(list(itertools.islice(weights, 0, None, step))), pixel_nm, radius_nm)
