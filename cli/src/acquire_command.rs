@@ -14,8 +14,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 use stemgen::acquisition::{Acquisition, Profile, clipping_warning};
+use stemgen::files::OutputSet;
 use stemgen::files::outputs::check_outputs;
 use stemgen::io::WorldFile;
+use stemgen::progress::Progress;
 use stemgen::recipe::CheckedRecipe;
 use stemgen::specimen::{Specimen, specimen};
 use stemgen::world::noise_free::{refined, refinement};
@@ -177,16 +179,22 @@ impl Acquire {
         let recipe = self.with_options(recipe)?;
         let picture = self.png.then(|| self.output.with_extension("png"));
         let outputs = std::iter::once(&self.output).chain(&picture);
-        check_outputs(outputs, self.recipe.inputs(&recipe), self.overwrite)?;
+        let command_line = text::command_line();
+        let mut set = OutputSet::of(&self.output, &command_line, self.overwrite);
+        set.told().iter().for_each(|told| reporter.warn(told));
+        check_outputs(outputs, self.recipe.inputs(&recipe), set.replaces())?;
         let place = AcquiredPlace { specimen: specimen(&recipe)?, recipe, made };
         let (recording, source) = self.record(&place, &reporter)?;
-        let command_line = text::command_line();
         let AcquiredPlace { recipe, specimen, .. } = &place;
-        recording.write(&self.output, self.overwrite, recipe, &**specimen, &command_line)?;
+        if picture.is_some() {
+            set.begin()?;
+        }
+        recording.write(&self.output, set.replaces(), recipe, &**specimen, &command_line)?;
         if let Some(path) = &picture {
             let image = recording.data.index_axis(Axis(0), 0).mapv(|v| v as f32);
             pictures::write(path, image.view(), [10.0 * recording.frame.pixel_nm; 2], true)?;
         }
+        set.finish()?;
         self.warn_of_clipping(&recording);
         let summary = self.summary(&recording, source, begun);
         self.common.print(&summary, &summary.text())

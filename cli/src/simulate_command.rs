@@ -11,14 +11,14 @@ use super::simulate_parts::ScanParts;
 use super::simulate_results::SideFiles;
 use super::structure_args::{Prepared, StructureArgs};
 use super::values::{self, Bits};
-use super::{estimate, output, slips};
+use super::{estimate, output, slips, text};
 use anyhow::bail;
 use clap::Args;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use stemgen::engine::{Cost, Plan, ProbeRaster, Scan, check_memory};
-use stemgen::files::Shard;
 use stemgen::files::outputs::check_outputs;
+use stemgen::files::{OutputSet, Shard};
 use stemgen::progress::Progress;
 
 /// Edge of a cell in Angstrom below which a probe meets its own periodic images.
@@ -161,7 +161,9 @@ impl Simulate {
         let output = self.output();
         if !self.common.dry_run {
             let outputs = std::iter::once(&output).chain(files.paths());
-            check_outputs(outputs, [&self.specimen.structure], self.results.overwrite)?;
+            let set = OutputSet::of(&output, &text::command_line(), self.results.overwrite);
+            set.told().iter().for_each(|told| reporter.warn(told));
+            check_outputs(outputs, [&self.specimen.structure], set.replaces())?;
         }
         slips::check_hdf5_name(&output)?;
         self.make_accurate(&mut planned, &specimen, &scan, &reporter)?;

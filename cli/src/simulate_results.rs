@@ -14,7 +14,7 @@ use serde::Serialize;
 use std::path::PathBuf;
 use std::time::Instant;
 use stemgen::engine::{Scan, SourceBlur, simulate_series_from};
-use stemgen::files::OutputLock;
+use stemgen::files::{OutputLock, OutputSet};
 use stemgen::io::hspy_file::write_hspy;
 use stemgen::io::image_file::{ExitWaves, ImageCounts, ImageStack, Origin, write_images};
 use stemgen::io::tiff_file::write_tiff;
@@ -150,8 +150,13 @@ impl Simulate {
         let waves = waves.map(|w| ExitWaves { data: w.view(), step_angstrom: scan.step_angstrom });
         let wall_time_s = begun.elapsed().as_secs_f64();
         let origin = self.origin(planned, specimen)?;
-        write_images(&path, self.results.overwrite, &origin, &all, &counted, waves)?;
-        self.write_beside(planned, specimen, files, &all)?;
+        let mut set = OutputSet::of(&path, &text::command_line(), self.results.overwrite);
+        if files.paths().next().is_some() {
+            set.begin()?;
+        }
+        write_images(&path, set.replaces(), &origin, &all, &counted, waves)?;
+        self.write_beside(planned, specimen, files, &all, set.replaces())?;
+        set.finish()?;
         Self::parts(planned, specimen, scan, &path).remove()?;
         let electrons: Vec<u64> = counts.iter().flat_map(electrons).collect();
         let summary = SimulateSummary {
@@ -271,8 +276,8 @@ impl Simulate {
         specimen: &Prepared,
         files: &SideFiles,
         stacks: &[ImageStack],
+        overwrite: bool,
     ) -> anyhow::Result<()> {
-        let overwrite = self.results.overwrite;
         let named = |name: &str| stacks.iter().find(|s| s.name == name);
         for (name, thickness, path) in &files.pictures {
             let Some(stack) = named(name) else { continue };

@@ -172,7 +172,7 @@ impl Slurm {
              program=${{STEMGEN:-$(command -v {program} || true)}}\n\
              [ -n \"$program\" ] || {{ echo \"{program} is not in PATH: set STEMGEN to its path\" >&2; exit 1; }}\n\
              job() {{ sbatch {} \"$@\"; }}\n",
-            jobs.output.display(),
+            text::one_line(&jobs.output.display().to_string()),
             jobs.shards,
             jobs.cpus,
             options.join(" "),
@@ -192,7 +192,7 @@ impl Slurm {
         script += &format!(
             "# The world from all parts.\nlast=$(job {after}--wrap \"'$program' {}\")\necho \"job $last writes {}\"\n",
             escaped(&line),
-            escaped(&jobs.output.display().to_string())
+            escaped(&text::one_line(&jobs.output.display().to_string()))
         );
         script
     }
