@@ -101,11 +101,18 @@ impl Slurm {
 
     /// What was typed from `build` on, as texts.
     fn words(&self) -> anyhow::Result<Vec<String>> {
-        let text = |word: &OsString| {
+        let as_text = |word: &OsString| {
             let text = word.to_str().map(str::to_owned);
             text.ok_or_else(|| anyhow::anyhow!("{}: is no text in UTF-8", word.display()))
         };
-        let words: Vec<String> = self.build.iter().map(text).collect::<anyhow::Result<_>>()?;
+        let words: Vec<String> = self.build.iter().map(as_text).collect::<anyhow::Result<_>>()?;
+        // A script that is looked at and then run has to show what it does.
+        if let Some(word) = words.iter().find(|word| text::one_line(word) != **word) {
+            anyhow::bail!(
+                "{}: holds a line end or another letter that does not show, which has no place in a script; name it otherwise",
+                text::one_line(word)
+            );
+        }
         if words[0] != "build" {
             anyhow::bail!(
                 "`{}` is no build: write the options of this command first, then `build` and its own, as in `{} slurm --shards 16 build srtio3 --difficulty hard`",
