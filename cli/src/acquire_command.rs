@@ -11,7 +11,9 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 use stemgen::acquisition::{Acquisition, Profile, clipping_warning};
+use stemgen::files::OutputSet;
 use stemgen::files::outputs::check_outputs;
+use stemgen::progress::Progress;
 use stemgen::render::image_pictures;
 use stemgen::world::{FieldRecording, RecordedFrom, RecordingJob, RecordingRequest};
 
@@ -160,15 +162,22 @@ impl Acquire {
         let (recipe, made) = self.recipe.resolve_or_world_with("acquisition")?;
         let picture = self.png.then(|| self.output.with_extension("png"));
         let outputs = std::iter::once(&self.output).chain(&picture);
-        check_outputs(outputs, self.recipe.inputs(&recipe), self.overwrite)?;
+        let command_line = text::command_line();
+        let mut set = OutputSet::of(&self.output, &command_line, self.overwrite);
+        set.told().iter().for_each(|told| reporter.warn(told));
+        check_outputs(outputs, self.recipe.inputs(&recipe), set.replaces())?;
         let job = RecordingJob::new(&recipe, (self.recipe.world(), made), &self.request())?;
         let (recording, from) = job.run(self.kept.cache(), &reporter)?;
         let (recipe, specimen) = (job.recipe(), job.specimen());
-        recording.write(&self.output, self.overwrite, recipe, specimen, &text::command_line())?;
+        if picture.is_some() {
+            set.begin()?;
+        }
+        recording.write(&self.output, set.replaces(), recipe, specimen, &command_line)?;
         if let Some(path) = &picture {
             let image = recording.data.index_axis(Axis(0), 0).mapv(|v| v as f32);
             image_pictures::write(path, image.view(), [10.0 * recording.frame.pixel_nm; 2], true)?;
         }
+        set.finish()?;
         self.warn_of_clipping(&recording);
         let source = match from {
             RecordedFrom::World => "the noise-free image of the world",

@@ -1,5 +1,6 @@
 //! `stemgen audit`.
 
+use super::audit_verdict;
 use super::common::{CacheArgs, Common, Force};
 use super::plan_text::Lines;
 use super::recipe_args::RecipeArgs;
@@ -16,11 +17,15 @@ Examples:
     stemgen audit worlds/srtio3_hard.h5
   A region at a place of interest, such as a boundary, 5 nm from the left and 2.5 nm from the upper edge:
     stemgen audit worlds/srtio3_hard.h5 --at 5,2.5
+  Whether the errors are below 1 %, for a script:
+    stemgen audit worlds/srtio3_hard.h5 --max-error 1 --quiet || echo far off
   What the error of a world would be, before it is built:
     stemgen audit srtio3 --difficulty easy --configurations 1
 
 Each region is simulated again by plain multislice on the full grid, with the very same atoms in each phonon
-configuration. Errors are those of the method: noise is left out.";
+configuration. Errors are those of the method: noise is left out.
+
+Exit code: 0 if the errors are at most --max-error, 3 if not, 1 on errors.";
 
 /// Check a world against the exact engine, with the same atoms
 #[derive(Debug, Args)]
@@ -44,6 +49,11 @@ pub struct AuditCommand {
     /// Phonon configurations to average [default: as many as the world]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     configurations: Option<u16>,
+    /// Largest error in per cent, at bright columns and over all pixels of the brightest column: above it the audit warns,
+    /// also with --quiet, and the exit code is 3
+    #[arg(long, value_name = "PERCENT", default_value = "5", value_parser = values::percent)]
+    #[arg(allow_negative_numbers = true)]
+    max_error: f64,
     /// Seed of the places
     #[arg(long, value_name = "N", default_value_t = 1)]
     audit_seed: u64,
@@ -59,8 +69,8 @@ pub struct AuditCommand {
 }
 
 impl AuditCommand {
-    /// Runs the subcommand.
-    pub fn run(self) -> anyhow::Result<()> {
+    /// Runs the subcommand; the exit code tells whether the errors are small enough.
+    pub fn run(self) -> anyhow::Result<u8> {
         let reporter = self.common.start()?;
         let (recipe, made) = self.recipe.resolve_or_world()?;
         if self.common.dry_run {
@@ -80,7 +90,8 @@ impl AuditCommand {
         let (bytes, remedy) = job.memory(simulation::threads())?;
         self.force.check_memory(bytes, remedy, &reporter)?;
         let found = job.run(&reporter)?;
-        self.common.print(&found, &text(&found))
+        self.common.print(&found, &text(&found))?;
+        Ok(audit_verdict::exit_code("the audit", &found, Some(self.max_error)))
     }
 }
 

@@ -60,8 +60,8 @@ enum WorldResult {
     },
 }
 
-/// Builds all worlds that the arguments name.
-pub fn run(build: &Build, reporter: &Reporter) -> anyhow::Result<()> {
+/// Builds all worlds that the arguments name; the exit code tells whether an audit found one far off.
+pub fn run(build: &Build, reporter: &Reporter) -> anyhow::Result<u8> {
     let mut targets = targets(build, reporter)?;
     let mut outcomes = Vec::new();
     let planned = targets.iter().filter(|t| !t.kept).count();
@@ -96,7 +96,7 @@ pub fn run(build: &Build, reporter: &Reporter) -> anyhow::Result<()> {
                 ));
                 let result = one(build, target, reporter);
                 if reporter.interrupted() {
-                    return result.map(|_| ()).context("the same command goes on from there");
+                    return result.map(|_| 0).context("the same command goes on from there");
                 }
                 clock.passed(target);
                 result.unwrap_or_else(|e| {
@@ -116,7 +116,11 @@ pub fn run(build: &Build, reporter: &Reporter) -> anyhow::Result<()> {
             outcomes.len()
         );
     }
-    Ok(())
+    let verdict = |outcome: &WorldOutcome| match &outcome.result {
+        WorldResult::Built(built) => build.verdict(built),
+        _ => 0,
+    };
+    Ok(outcomes.iter().map(verdict).max().unwrap_or(0))
 }
 
 /// What is left to do, and how much slower this machine is than expected.

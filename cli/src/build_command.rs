@@ -1,6 +1,7 @@
 //! `stemgen build`.
 
 use super::acquire_command::AcquisitionName;
+use super::audit_verdict;
 use super::build_all;
 use super::build_shard::ShardReport;
 use super::common::{CacheArgs, Common, Force};
@@ -45,7 +46,9 @@ Examples:
 
 What is done (simulations of the library, the audit, sub-tiles) is kept in the cache and in
 FILE.work until the world and its picture are complete: after Ctrl-C or a power failure the same
-command goes on from there. `stemgen glossary` explains window, mosaic, library, sub-tile and audit.";
+command goes on from there. `stemgen glossary` explains window, mosaic, library, sub-tile and audit.
+
+Exit code: 0 if the world is written, 3 if it is and its audit found an error above 5 % (or --max-error), 1 on errors.";
 
 /// Build a world: a whole annotated specimen and its image
 #[derive(Debug, Args)]
@@ -192,8 +195,8 @@ fn with_all(argument: Arg) -> Arg {
 }
 
 impl Build {
-    /// Runs the subcommand.
-    pub fn run(self) -> anyhow::Result<()> {
+    /// Runs the subcommand; the exit code tells whether the audit found the world far off.
+    pub fn run(self) -> anyhow::Result<u8> {
         let reporter = self.common.start()?;
         if self.all {
             return build_all::run(&self, &reporter);
@@ -205,14 +208,24 @@ impl Build {
         if self.common.dry_run {
             stemgen::simulation::check_hdf5_name(&path)?;
             let report = WorldPlan::new(&recipe, &build, path)?;
-            return self.common.print(&report, &world_plan_text::text_of(&report));
+            self.common.print(&report, &world_plan_text::text_of(&report))?;
+            return Ok(0);
         }
         if let Some(shard) = self.shard {
             let part = self.part((&recipe, build), &path, shard, &reporter)?;
-            return self.common.print(&part, &part.text());
+            self.common.print(&part, &part.text())?;
+            return Ok(0);
         }
         let built = self.make((&recipe, build), &path, &reporter)?;
-        self.common.print(&built, &built.text())
+        self.common.print(&built, &built.text())?;
+        Ok(self.verdict(&built))
+    }
+
+    /// Warns where the audit found a world far off; returns the exit code.
+    pub fn verdict(&self, built: &Built) -> u8 {
+        let subject = built.output.display().to_string();
+        let limit = self.method.max_error;
+        built.audit.as_ref().map_or(0, |audit| audit_verdict::exit_code(&subject, audit, limit))
     }
 
     /// Makes a part of a world.

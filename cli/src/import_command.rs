@@ -141,6 +141,9 @@ impl ImportSummary {
             let peaks: Vec<String> = c.peaks.iter().map(peak).collect();
             lines.add("measured on", format!("{} nm: {}", c.spacing_nm, peaks.join(", ")));
         }
+        for note in &f.notes {
+            lines.add("note", note.clone());
+        }
         let [low, high] = f.range.map(|v| text::significant(v, 5));
         let [below, above] = f.cut_off.map(|share| text::significant(100.0 * share, 2));
         lines.add(

@@ -3,6 +3,7 @@
 mod accuracy_report;
 mod acquire_command;
 mod audit_command;
+mod audit_verdict;
 mod build_again;
 mod build_all;
 mod build_command;
@@ -138,14 +139,14 @@ pub fn run(invocation: Invocation) -> u8 {
     let (name, result) = match command {
         Command::Simulate(command) => ("simulate", command.run().map(done)),
         Command::Rerun(command) => ("rerun", command.run()),
-        Command::Build(command) => ("build", command.run().map(done)),
+        Command::Build(command) => ("build", command.run()),
         Command::Specimen(command) => ("specimen", command.run().map(done)),
         Command::View(command) => ("view", command.run().map(done)),
         Command::Acquire(command) => ("acquire", command.run().map(done)),
         Command::Live(command) => ("live", command.run().map(done)),
         Command::Import(command) => ("import", command.run().map(done)),
         Command::Tiles(command) => ("tiles", command.run().map(done)),
-        Command::Audit(command) => ("audit", command.run().map(done)),
+        Command::Audit(command) => ("audit", command.run()),
         Command::Regenerate(command) => ("regenerate", command.run()),
         Command::Slurm(command) => ("slurm", command.run().map(done)),
         Command::Cache(command) => ("cache", command.run()),

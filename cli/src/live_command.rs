@@ -14,6 +14,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Instant;
 use stemgen::acquisition::{Acquisition, Profile, clipping_warning};
+use stemgen::files::OutputSet;
 use stemgen::files::atomic_write;
 use stemgen::files::outputs::check_outputs;
 use stemgen::live::{
@@ -132,7 +133,10 @@ impl Live {
         let recipe = self.recipe.resolve()?;
         let animation = self.animation.then(|| self.output.with_extension("png"));
         let outputs = std::iter::once(&self.output).chain(&animation);
-        check_outputs(outputs, self.recipe.inputs(&recipe), self.overwrite)?;
+        let command_line = text::command_line();
+        let mut set = OutputSet::of(&self.output, &command_line, self.overwrite);
+        set.told().iter().for_each(|told| reporter.warn(told));
+        check_outputs(outputs, self.recipe.inputs(&recipe), set.replaces())?;
         let request = self.request(&recipe);
         let options = self.options(&request)?;
         let mut world = LiveWorld::new(&recipe, recipe.seed, &options, &reporter)?;
@@ -147,10 +151,14 @@ impl Live {
         if let Some(warning) = clipping_warning(series.clipped, pixels, bits) {
             reporter.warn(&warning);
         }
-        series.write(&self.output, self.overwrite, &world, &text::command_line())?;
+        if animation.is_some() {
+            set.begin()?;
+        }
+        series.write(&self.output, set.replaces(), &world, &command_line)?;
         if let Some(path) = &animation {
             atomic_write::write(path, &self.animated(&series)?)?;
         }
+        set.finish()?;
         let summary = self.summary(series, animation, begun);
         self.common.print(&summary, &summary.text())
     }

@@ -90,9 +90,9 @@ pub fn beam(optics: &stemgen::optics::Optics) -> String {
 pub struct Lines(Vec<(String, String)>);
 
 impl Lines {
-    /// Adds a line.
-    pub fn add(&mut self, name: impl Into<String>, value: impl Into<String>) {
-        self.0.push((name.into(), value.into()));
+    /// Adds a line. Names and values may be those of a file: each stays one line.
+    pub fn add(&mut self, name: impl AsRef<str>, value: impl AsRef<str>) {
+        self.0.push((text::one_line(name.as_ref()), text::one_line(value.as_ref())));
     }
 
     /// Names and values.

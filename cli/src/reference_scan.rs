@@ -50,7 +50,7 @@ pub fn reference_scan(
         same_count([y, x])?;
     }
     let told = reference.step_angstrom;
-    let start = args.scan_start.or(told.map(|_| reference.origin_angstrom));
+    let start = args.scan_start.or(told.and(reference.origin_angstrom));
     let pixel = told.or(args.scan_step.map(|step| [step; 2]));
     let scan = match (start, args.scan_end, pixel) {
         (Some(_), Some(end), _) => {
@@ -61,7 +61,7 @@ pub fn reference_scan(
         (Some(origin_angstrom), None, Some(step_angstrom)) => {
             Scan { origin_angstrom, step_angstrom, shape: [rows, columns] }
         }
-        _ => return Err(untold(args, array, [columns, rows])),
+        _ => return Err(untold(args, array, [columns, rows], told.is_some())),
     };
     same_count(scan.shape)?;
     same_pixels(&scan, told, array)?;
@@ -69,8 +69,14 @@ pub fn reference_scan(
 }
 
 /// Nothing is guessed: abTEM's arrays say neither where a scan began nor where it ended.
-fn untold(args: &ScanArgs, array: &ForeignArray, [x, y]: [usize; 2]) -> anyhow::Error {
+fn untold(
+    args: &ScanArgs,
+    array: &ForeignArray,
+    [x, y]: [usize; 2],
+    tells_pixels: bool,
+) -> anyhow::Error {
     let missing = match (args.scan_start.is_some(), args.scan_end.is_some()) {
+        (false, _) if tells_pixels => "--scan-start X,Y",
         (true, _) => "--scan-end X,Y, or --scan-step A for square pixels",
         (false, true) => "--scan-start X,Y",
         (false, false) => "--scan-start X,Y and --scan-end X,Y",

@@ -10,7 +10,7 @@ use super::simulate_parts::ScanParts;
 use super::simulate_results::SideFiles;
 use super::structure_args::{StructureArgs, file_name, stem, with_frames};
 use super::values::{self, Bits};
-use super::{hints, output};
+use super::{hints, output, text};
 use anyhow::bail;
 use clap::Args;
 use serde::Serialize;
@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 use stemgen::engine::{Cost, ProbeRaster};
 use stemgen::files::outputs::check_outputs;
-use stemgen::files::{Shard, atomic_write};
+use stemgen::files::{OutputSet, Shard, atomic_write};
 use stemgen::io::StoredImages;
 use stemgen::progress::Progress;
 use stemgen::simulation::{
@@ -246,7 +246,9 @@ impl SimulateRun {
         let files = self.side_files();
         if !self.common.dry_run {
             let outputs = std::iter::once(&self.output).chain(files.paths());
-            check_outputs(outputs, inputs, self.results.overwrite)?;
+            let set = OutputSet::of(&self.output, &text::command_line(), self.results.overwrite);
+            set.told().iter().for_each(|told| reporter.warn(told));
+            check_outputs(outputs, inputs, set.replaces())?;
         }
         simulation::check_hdf5_name(&self.output)?;
         self.choose_accuracy(reporter)?;

@@ -11,7 +11,7 @@ use num_complex::Complex32;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::time::Instant;
-use stemgen::files::{OutputLock, file_digest};
+use stemgen::files::{OutputLock, OutputSet, file_digest};
 use stemgen::io::hspy_file::write_hspy;
 use stemgen::io::image_file::{ExitWaves, ImageCounts, ImageStack, Origin, write_images};
 use stemgen::io::tiff_file::write_tiff;
@@ -105,8 +105,13 @@ impl SimulateRun {
         let waves = waves.as_ref().map(|w| ExitWaves { data: w.view(), step_angstrom });
         let wall_time_s = begun.elapsed().as_secs_f64();
         let origin = self.origin()?;
-        write_images(&path, self.results.overwrite, &origin, &all, &counted, waves)?;
-        self.write_beside(files, &all)?;
+        let mut set = OutputSet::of(&path, &text::command_line(), self.results.overwrite);
+        if files.paths().next().is_some() {
+            set.begin()?;
+        }
+        write_images(&path, set.replaces(), &origin, &all, &counted, waves)?;
+        self.write_beside(files, &all, set.replaces())?;
+        set.finish()?;
         self.parts()?.remove()?;
         let counts = images.iter().filter_map(|image| image.counts.as_ref());
         let electrons: Vec<u64> = counts.flat_map(electrons).collect();
@@ -164,8 +169,12 @@ impl SimulateRun {
         }
     }
 
-    fn write_beside(&self, files: &SideFiles, stacks: &[ImageStack]) -> anyhow::Result<()> {
-        let overwrite = self.results.overwrite;
+    fn write_beside(
+        &self,
+        files: &SideFiles,
+        stacks: &[ImageStack],
+        overwrite: bool,
+    ) -> anyhow::Result<()> {
         let named = |name: &str| stacks.iter().find(|s| s.name == name);
         for (name, thickness, path) in &files.pictures {
             let Some(stack) = named(name) else { continue };

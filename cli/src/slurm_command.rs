@@ -101,11 +101,18 @@ impl Slurm {
 
     /// What was typed from `build` on, as texts.
     fn words(&self) -> anyhow::Result<Vec<String>> {
-        let text = |word: &OsString| {
+        let as_text = |word: &OsString| {
             let text = word.to_str().map(str::to_owned);
             text.ok_or_else(|| anyhow::anyhow!("{}: is no text in UTF-8", word.display()))
         };
-        let words: Vec<String> = self.build.iter().map(text).collect::<anyhow::Result<_>>()?;
+        let words: Vec<String> = self.build.iter().map(as_text).collect::<anyhow::Result<_>>()?;
+        // A script that is looked at and then run has to show what it does.
+        if let Some(word) = words.iter().find(|word| text::one_line(word) != **word) {
+            anyhow::bail!(
+                "{}: holds a line end or another letter that does not show, which has no place in a script; name it otherwise",
+                text::one_line(word)
+            );
+        }
         if words[0] != "build" {
             anyhow::bail!(
                 "`{}` is no build: write the options of this command first, then `build` and its own, as in `{} slurm --shards 16 build srtio3 --difficulty hard`",
@@ -172,7 +179,7 @@ impl Slurm {
              program=${{STEMGEN:-$(command -v {program} || true)}}\n\
              [ -n \"$program\" ] || {{ echo \"{program} is not in PATH: set STEMGEN to its path\" >&2; exit 1; }}\n\
              job() {{ sbatch {} \"$@\"; }}\n",
-            jobs.output.display(),
+            text::one_line(&jobs.output.display().to_string()),
             jobs.shards,
             jobs.cpus,
             options.join(" "),
@@ -192,7 +199,7 @@ impl Slurm {
         script += &format!(
             "# The world from all parts.\nlast=$(job {after}--wrap \"'$program' {}\")\necho \"job $last writes {}\"\n",
             escaped(&line),
-            escaped(&jobs.output.display().to_string())
+            escaped(&text::one_line(&jobs.output.display().to_string()))
         );
         script
     }

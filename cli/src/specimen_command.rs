@@ -9,8 +9,10 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Instant;
+use stemgen::files::OutputSet;
 use stemgen::files::outputs::check_outputs;
 use stemgen::io::writable;
+use stemgen::progress::Progress;
 use stemgen::recipe::Recipe;
 use stemgen::specimen::{Specimen, specimen};
 use stemgen::structure::Format;
@@ -101,9 +103,11 @@ impl SpecimenCommand {
         let path = self.output(&recipe);
         let format = writable(&path)?;
         let picture = self.png.then(|| path.with_extension("png"));
+        let mut set = OutputSet::of(&path, &text::command_line(), self.overwrite);
         if !self.common.dry_run {
+            set.told().iter().for_each(|told| reporter.warn(told));
             let outputs = [Some(&path), picture.as_ref()].into_iter().flatten();
-            check_outputs(outputs, self.recipe.files(&recipe), self.overwrite)?;
+            check_outputs(outputs, self.recipe.files(&recipe), set.replaces())?;
         }
         let specimen = specimen(&recipe)?;
         if self.common.dry_run {
@@ -113,8 +117,11 @@ impl SpecimenCommand {
         let options = ExportOptions {
             vacancies: self.vacancies,
             vacuum_angstrom: self.vacuum,
-            overwrite: self.overwrite,
+            overwrite: set.replaces(),
         };
+        if picture.is_some() {
+            set.begin()?;
+        }
         let mut drawing = picture.as_ref().map(|_| Drawing::new(&*specimen, &recipe));
         let summary = export(&*specimen, &recipe, &path, &options, &reporter, |sites| {
             if let Some(drawing) = &mut drawing {
@@ -124,6 +131,7 @@ impl SpecimenCommand {
         if let (Some(picture), Some(drawing)) = (&picture, drawing) {
             drawing.finish(&summary).write_png(picture)?;
         }
+        set.finish()?;
         let field = &recipe.field;
         let shape = field.pixels(field.built_grid());
         let ExportSummary { sites, rows, columns, layer_atoms, atoms, defects, cell_angstrom } =

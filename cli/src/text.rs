@@ -2,13 +2,15 @@
 
 use super::invocation::{Invocation, PROGRAM};
 use anyhow::Context;
+use std::borrow::Cow;
 use std::io::{ErrorKind, Write};
+use std::ops::RangeInclusive;
 pub use stemgen::progress::duration;
 
-/// Prints a line on standard output. A reader that has closed the pipe (`| head`) is no fault.
+/// Prints a line on standard output, without what would command a terminal. A reader that has closed the pipe (`| head`) is no fault.
 pub fn print(text: &str) -> anyhow::Result<()> {
     let mut out = std::io::stdout().lock();
-    match writeln!(out, "{text}").and_then(|()| out.flush()) {
+    match writeln!(out, "{}", printable(text)).and_then(|()| out.flush()) {
         Err(e) if e.kind() == ErrorKind::BrokenPipe => Ok(()),
         other => other.context("cannot write to standard output"),
     }
@@ -17,7 +19,45 @@ pub fn print(text: &str) -> anyhow::Result<()> {
 /// Prints a line on standard error, if anybody is there.
 pub fn complain(text: &str) {
     // Nothing is left to tell the failure to.
-    let _ = writeln!(std::io::stderr().lock(), "{text}");
+    let _ = writeln!(std::io::stderr().lock(), "{}", printable(text));
+}
+
+/// A text that shows on a terminal what it holds, and does nothing else to it: what files and names of files hold may command a
+/// terminal, or turn the order of what is shown. Such letters are written as in JSON, so that JSON stays what it was.
+pub fn printable(text: &str) -> Cow<'_, str> {
+    if !text.chars().any(|c| c != '\n' && commands(c)) {
+        return Cow::Borrowed(text);
+    }
+    let mut out = String::with_capacity(text.len());
+    for c in text.chars() {
+        if c != '\n' && commands(c) { push_code(&mut out, c) } else { out.push(c) }
+    }
+    Cow::Owned(out)
+}
+
+/// The same in one line, for what stands in a line with other things: a text of a file cannot add lines of its own.
+pub fn one_line(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for c in text.chars() {
+        if commands(c) { push_code(&mut out, c) } else { out.push(c) }
+    }
+    out
+}
+
+/// Whether a letter is shown by doing something: controls, ends of lines, and those that turn or hide what follows.
+fn commands(c: char) -> bool {
+    const TURN_OR_HIDE: [RangeInclusive<char>; 5] = [
+        '\u{200b}'..='\u{200f}',
+        '\u{2028}'..='\u{202e}',
+        '\u{2060}'..='\u{206f}',
+        '\u{feff}'..='\u{feff}',
+        '\u{fff9}'..='\u{fffb}',
+    ];
+    c.is_control() || TURN_OR_HIDE.iter().any(|range| range.contains(&c))
+}
+
+fn push_code(out: &mut String, c: char) {
+    *out += &format!("\\u{:04x}", u32::from(c));
 }
 
 /// Rows of cells as a table: columns as wide as their widest cell.
@@ -117,6 +157,29 @@ pub fn quoted(word: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    proptest::proptest! {
+        #[test]
+        fn texts_of_files_only_show_what_they_hold(text in "(\\PC|\\pC|[a-z<>\\n\\t\\x1b\\u{9b}\\u{202e}]){0,40}") {
+            let line = one_line(&text);
+            proptest::prop_assert!(!line.chars().any(commands), "{line:?}");
+            let whole = printable(&text);
+            proptest::prop_assert!(whole.chars().all(|c| c == '\n' || !commands(c)), "{whole:?}");
+            proptest::prop_assert_eq!(whole.matches('\n').count(), text.matches('\n').count());
+            // JSON says the same.
+            let json = serde_json::to_string_pretty(&text).unwrap();
+            let back: String = serde_json::from_str(&printable(&json)).unwrap();
+            proptest::prop_assert_eq!(back, text);
+        }
+    }
+
+    #[test]
+    fn plain_texts_are_printed_as_they_are() {
+        for text in ["SrTiO\u{2083}, 0.5 \u{c5}\nHAADF \u{b5}m", "a\\b `c` <d>"] {
+            assert_eq!(printable(text), text);
+        }
+        assert_eq!(one_line("a\nb\u{1b}[31mc"), "a\\u000ab\\u001b[31mc");
+    }
 
     #[test]
     fn numbers_are_readable() {

@@ -13,6 +13,7 @@ use sha2::{Digest, Sha256};
 
 use crate::error::{Error, Result};
 use crate::files::atomic_write;
+use crate::files::outputs::set_aside;
 
 const MAGIC: &[u8; 8] = b"STEMARR1";
 /// Bytes before the key: magic, rows, columns, lengths of key and note.
@@ -76,7 +77,9 @@ impl ArrayStore {
     /// [`Error::Io`].
     pub fn save(&self, name: &str, key: &str, note: &str, array: &Array2<f32>) -> Result<()> {
         fs::create_dir_all(&self.folder).map_err(|e| Error::io(&self.folder, "create", e))?;
-        atomic_write::write(&self.path(name), &encoded(key, note, array))
+        let path = self.path(name);
+        set_aside(&path)?;
+        atomic_write::write(&path, &encoded(key, note, array))
     }
 
     /// Puts the bytes of a file that [`checked`] found whole under a name, unless a whole one of this key is there. Returns whether it
@@ -91,6 +94,7 @@ impl ArrayStore {
             return Ok(false);
         }
         fs::create_dir_all(&self.folder).map_err(|e| Error::io(&self.folder, "create", e))?;
+        set_aside(&path)?;
         atomic_write::write(&path, file)?;
         Ok(true)
     }

@@ -6,10 +6,12 @@ pub mod atomic_write;
 pub mod disk_space;
 pub mod file_digest;
 mod output_lock;
+mod output_set;
 pub mod outputs;
 mod shard;
 pub mod unfinished;
 pub mod whole_file;
 
 pub use output_lock::OutputLock;
+pub use output_set::OutputSet;
 pub use shard::Shard;

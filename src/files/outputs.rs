@@ -78,6 +78,24 @@ pub const LOCK: &str = ".lock";
 /// Ending of the folder in which a build keeps its work until its output is complete.
 pub const WORK: &str = ".work";
 
+/// Ending of the note that tells which command is about to put several outputs in place.
+pub const UNFINISHED: &str = ".unfinished";
+/// Ending of a folder that lay where a file of this program goes.
+const ASIDE: &str = ".aside";
+
+/// Makes room for a file of this program where a folder lies: an empty one goes, one that holds something gets another name.
+///
+/// # Errors
+/// [`Error::Io`].
+pub fn set_aside(path: &Path) -> Result<()> {
+    if !fs::symlink_metadata(path).is_ok_and(|there| there.is_dir()) || fs::remove_dir(path).is_ok()
+    {
+        return Ok(());
+    }
+    let aside = beside(path, ASIDE);
+    fs::rename(path, &aside).map_err(|e| Error::io(path, "move aside", e))
+}
+
 /// `path` with something after its name.
 pub fn beside(path: &Path, ending: &str) -> PathBuf {
     let mut name = path.as_os_str().to_owned();

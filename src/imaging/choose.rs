@@ -303,9 +303,10 @@ impl ImagingCheck {
 
     /// Whether what was found for one detector is.
     fn accepts_one(&self, found: &Audit, progress: &dyn Progress) -> bool {
-        let columns = found.bright_rms_percent.max(found.all_rms_percent);
-        let asked =
-            [(columns, self.max_error_percent), (found.mean_rms_percent, self.accuracy_percent)];
+        let asked = [
+            (found.error_percent(), self.max_error_percent),
+            (found.mean_rms_percent, self.accuracy_percent),
+        ];
         let over =
             asked.into_iter().find(|(error, limit)| limit.is_some_and(|limit| *error > limit));
         let Some((_, Some(limit))) = over else { return true };

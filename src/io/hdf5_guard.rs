@@ -4,14 +4,20 @@
 use std::collections::HashSet;
 
 use hdf5::plist::dataset_create::Layout;
-use hdf5::types::{FixedAscii, FixedUnicode, VarLenAscii, VarLenUnicode};
-use hdf5::{Dataset, File, Group, H5Type, LinkType, Location, LocationType};
+use hdf5::types::{FixedAscii, FixedUnicode, VarLenArray, VarLenAscii, VarLenUnicode};
+use hdf5::{
+    Dataset, File, Group, H5Type, LinkType, Location, LocationType, ObjectReference1,
+    ReferencedObject,
+};
 
 /// Bytes of the largest numbers that values are read as.
 const LARGEST_NUMBER_BYTES: usize = 8;
 
 /// Bytes of the longest text of fixed length that is read.
 const LONGEST_TEXT: usize = 256;
+
+/// Texts that an attribute may hold: one for each axis of an array.
+pub(super) const MOST_TEXTS: usize = 64;
 
 /// Why a file is refused.
 pub(super) type Guarded<T> = std::result::Result<T, String>;
@@ -202,9 +208,11 @@ pub(super) fn check_bytes(shape: &[usize], value_bytes: usize, file_bytes: u64) 
     let product = |n: u128, length: &usize| n.saturating_mul((*length).max(1) as u128);
     let announced = shape.iter().fold(value_bytes as u128, product);
     if announced > allowed {
+        let packed = announced / u128::from(file_bytes.max(1));
         return Err(format!(
-            "announces {shape:?} values, {announced} bytes, in a file of {file_bytes}; at most {allowed} bytes are \
-             read from it ({LARGEST_EXPANSION} times its size up to 896 MiB, {PLAIN_EXPANSION} times beyond)"
+            "announces {shape:?} values, {announced} bytes, in a file of {file_bytes}: packed {packed} : 1; at most {allowed} \
+             bytes are read from it ({LARGEST_EXPANSION} times its size up to 896 MiB, {PLAIN_EXPANSION} times beyond); if it is \
+             whole, save it without compression (h5repack -f NONE)"
         ));
     }
     Ok(())
@@ -243,6 +251,41 @@ pub(super) fn texts(at: &Location, name: &str, count: usize) -> Option<Vec<Strin
     let attribute = at.attr(name).ok().filter(|a| a.size() == count)?;
     let texts: Vec<VarLenUnicode> = attribute.read_raw().ok()?;
     texts.iter().map(string).collect()
+}
+
+/// An attribute that is `count` texts, of any kind of texts.
+pub(super) fn any_texts(at: &Location, name: &str, count: usize) -> Option<Vec<String>> {
+    fn of<T: H5Type>(
+        at: &Location,
+        name: &str,
+        count: usize,
+        bytes: impl Fn(&T) -> &[u8],
+    ) -> Option<Vec<String>> {
+        let attribute = at.attr(name).ok().filter(|a| a.size() == count)?;
+        let texts: Vec<T> = attribute.read_raw().ok()?;
+        let plain = |text| String::from_utf8_lossy(bytes(text)).trim_end_matches('\0').to_owned();
+        Some(texts.iter().map(plain).collect())
+    }
+    if count > MOST_TEXTS {
+        return None;
+    }
+    of::<VarLenUnicode>(at, name, count, |t| t.as_bytes())
+        .or_else(|| of::<VarLenAscii>(at, name, count, |t| t.as_bytes()))
+        .or_else(|| of::<FixedUnicode<LONGEST_TEXT>>(at, name, count, |t| t.as_bytes()))
+        .or_else(|| of::<FixedAscii<LONGEST_TEXT>>(at, name, count, |t| t.as_bytes()))
+}
+
+/// The paths of the first scale of each dimension of an array, as `H5DSattach_scale` writes them.
+pub(super) fn scale_paths(dataset: &Dataset) -> Vec<Option<String>> {
+    let count = dataset.ndim();
+    let attribute = dataset.attr("DIMENSION_LIST").ok().filter(|a| a.size() == count);
+    let lists = attribute.and_then(|a| a.read_raw::<VarLenArray<ObjectReference1>>().ok());
+    let path =
+        |list: &VarLenArray<ObjectReference1>| match dataset.dereference(list.first()?).ok()? {
+            ReferencedObject::Dataset(scale) => Some(scale.name()),
+            _ => None,
+        };
+    lists.unwrap_or_default().iter().map(path).collect()
 }
 
 fn string(text: &VarLenUnicode) -> Option<String> {

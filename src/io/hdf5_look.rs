@@ -4,13 +4,13 @@ use std::path::Path;
 
 use hdf5::{File, Location};
 
-use super::hdf5_guard::{any_text, check_storage, damaged, first_line, number, pair, texts, walk};
+use super::hdf5_guard::{
+    MOST_TEXTS, any_text, any_texts, check_storage, damaged, first_line, number, pair, scale_paths,
+    texts, walk,
+};
 use super::hdf5_values;
 use super::world_file::regular_file;
 use crate::error::{Error, Result};
-
-/// Texts that an attribute may hold: one for each axis of an array.
-const MOST_TEXTS: usize = 64;
 
 /// Has the library read everything of a file that it reads for this program, the values of chunks aside: what the file holds, what
 /// is said of it, and where its values lie. Of some damaged files the library does not come back (1.10.8 hangs, dies or takes all
@@ -32,6 +32,10 @@ pub fn read_through(path: &Path) -> Result<()> {
         let Ok(dataset) = file.dataset(name) else { continue };
         read_attributes(&dataset);
         let stored = check_storage(&dataset, bytes);
+        // Asking a virtual dataset for its shape opens other files.
+        if stored.is_ok() {
+            let _ = scale_paths(&dataset);
+        }
         let _ = stored.and_then(|()| hdf5_values::look_through(&dataset, path));
     }
     Ok(())
@@ -43,7 +47,7 @@ fn read_attributes(at: &Location) {
         let _ = (number::<f64>(at, &name), pair(at, &name), any_text(at, &name));
         let count = at.attr(&name).map_or(0, |a| a.size());
         if count <= MOST_TEXTS {
-            let _ = texts(at, &name, count);
+            let _ = (texts(at, &name, count), any_texts(at, &name, count));
         }
     }
 }

@@ -4,6 +4,8 @@
 pub mod arrays;
 pub mod atom_type;
 mod atoms_file;
+#[cfg(feature = "report")]
+mod hdf5_axes;
 #[cfg(feature = "hdf5")]
 mod hdf5_create;
 #[cfg(feature = "hdf5")]
@@ -20,6 +22,10 @@ mod hdf5_values;
 pub mod hspy_file;
 #[cfg(feature = "hdf5")]
 pub mod image_file;
+#[cfg(feature = "report")]
+mod length_units;
+#[cfg(feature = "report")]
+mod named_axes;
 #[cfg(feature = "report")]
 pub mod npz_file;
 #[cfg(feature = "report")]

@@ -3,8 +3,10 @@
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
 
 use crate::specimen::DoseMap;
+use crate::structure::elements;
 
 /// One recording of a live world. Places are (x, y) in nm from the centre of the first built pixel of the field.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -51,4 +53,94 @@ pub struct LiveSnapshot {
     pub carbon_angstrom: DoseMap,
     /// All recordings.
     pub history: Vec<LiveAcquisition>,
+    /// SHA-256 of all that; empty in snapshots of version 1.
+    #[serde(default)]
+    pub digest: String,
+}
+
+/// Recordings that a live world may have; each takes seconds on a microscope.
+const MOST_RECORDINGS: usize = 1_000_000;
+/// Pixels along an edge of a recording.
+const LONGEST_EDGE_PX: usize = 1 << 16;
+
+impl LiveSnapshot {
+    /// The snapshot with the digest of what it holds.
+    #[must_use]
+    pub(super) fn sealed(mut self) -> Self {
+        self.digest = self.computed_digest();
+        self
+    }
+
+    /// SHA-256 of everything but the digest.
+    fn computed_digest(&self) -> String {
+        let plain = LiveSnapshot { digest: String::new(), ..self.clone() };
+        let text = serde_json::to_string(&plain).unwrap_or_default();
+        Sha256::digest(text).iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+
+    /// What is wrong with a snapshot that may have been damaged or made by hand.
+    pub(super) fn fault(&self) -> Option<String> {
+        if self.version > 1 && self.digest != self.computed_digest() {
+            return Some("it is damaged: it is not what its digest says".into());
+        }
+        if !(self.most_dose.is_finite() && self.most_dose > 0.0) {
+            return Some(format!(
+                "its `most_dose` is {}, expected a positive dose",
+                self.most_dose
+            ));
+        }
+        if self.history.len() > MOST_RECORDINGS {
+            let found = self.history.len();
+            return Some(format!(
+                "it lists {found} recordings; at most {MOST_RECORDINGS} are read"
+            ));
+        }
+        let mut ended_s = 0.0;
+        for (number, recording) in self.history.iter().enumerate() {
+            if let Some(what) = recording.fault(number, ended_s) {
+                return Some(format!("recording {number} of its history has {what}"));
+            }
+            ended_s = recording.begun_s + recording.duration_s;
+        }
+        None
+    }
+}
+
+/// Times that are the same but for rounding, as a share.
+const SAME_TIME: f64 = 1e-9;
+
+impl LiveAcquisition {
+    /// What cannot be of recording `number`, which begins when the one before it has ended.
+    fn fault(&self, number: usize, ended_s: f64) -> Option<String> {
+        let positive = |value: f64| value.is_finite() && value > 0.0;
+        let checks = [
+            (self.number == number, format!("the number {}", self.number)),
+            (
+                self.begun_s.is_finite() && self.begun_s >= ended_s * (1.0 - SAME_TIME),
+                format!("begun at {} s, before {ended_s} s", self.begun_s),
+            ),
+            (positive(self.duration_s), format!("lasted {} s", self.duration_s)),
+            (
+                self.centre_nm.iter().all(|v| v.is_finite()),
+                format!("its centre at {:?} nm", self.centre_nm),
+            ),
+            (self.size_nm.into_iter().all(positive), format!("a size of {:?} nm", self.size_nm)),
+            (
+                self.shape.iter().all(|n| (1..=LONGEST_EDGE_PX).contains(n)),
+                format!("{:?} pixels", self.shape),
+            ),
+            (positive(self.dose), format!("a dose of {} electrons/A^2", self.dose)),
+            (positive(self.current_pa), format!("a current of {} pA", self.current_pa)),
+            (positive(self.electrons), format!("{} electrons", self.electrons)),
+            (
+                self.carbon_nm.is_finite() && self.carbon_nm >= 0.0,
+                format!("carbon of {} nm", self.carbon_nm),
+            ),
+        ];
+        if let Some((_, what)) = checks.into_iter().find(|(right, _)| !right) {
+            return Some(what);
+        }
+        let unknown = self.lost.keys().find(|symbol| elements::atomic_number(symbol).is_err());
+        unknown.map(|symbol| format!("lost atoms of `{symbol}`, which is no element"))
+    }
 }

@@ -30,8 +30,8 @@ pub const MOST_DOSE: f64 = 1e6;
 const ROUNDING: f64 = 1e-9;
 /// How many times the greatest mean dose a single place may have.
 const UNEVEN: f64 = 2.0;
-/// Version of snapshots.
-const SNAPSHOT_VERSION: u32 = 1;
+/// Version of snapshots. Those of version 1 have no digest.
+const SNAPSHOT_VERSION: u32 = 2;
 
 /// How a live world is made.
 #[derive(Debug, Clone)]
@@ -353,7 +353,9 @@ impl LiveWorld {
             dose: self.specimen.dose().clone(),
             carbon_angstrom: self.carbon.clone(),
             history: self.history.clone(),
+            digest: String::new(),
         }
+        .sealed()
     }
 
     /// Goes back (or on) to a moment of a world of the same recipe and seed.
@@ -364,12 +366,15 @@ impl LiveWorld {
         let refuse = |value: &str, expected: &str| {
             Err(Error::invalid(Setting::Snapshot, value.to_owned(), expected))
         };
-        if snapshot.version != SNAPSHOT_VERSION {
+        if !(1..=SNAPSHOT_VERSION).contains(&snapshot.version) {
             let value = format!("version {}", snapshot.version);
-            return refuse(&value, "this program reads snapshots of version 1");
+            return refuse(&value, "this program reads snapshots of version 1 and 2");
         }
         if snapshot.recipe != self.recipe.to_toml() {
             return refuse("another recipe or seed", "expected a snapshot of this world");
+        }
+        if let Some(fault) = snapshot.fault() {
+            return refuse("the text", &format!("{fault}; take another snapshot, or record again"));
         }
         let most = UNEVEN * self.most_dose * (1.0 + ROUNDING);
         if !snapshot.dose.is_sound() || snapshot.dose.greatest() > most {

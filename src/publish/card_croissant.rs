@@ -88,7 +88,7 @@ pub(super) fn croissant(
         ["http://mlcommons.org/croissant/1.1", "http://mlcommons.org/croissant/RAI/1.0"];
     put("conformsTo", json!(standards));
     put("name", json!(about.title));
-    put("description", json!(description(about, words)));
+    put("description", json!(description(about, &words.summary)));
     put("version", json!(about.version));
     put("keywords", json!(KEYWORDS));
     put("isLiveDataset", json!(false));
@@ -112,10 +112,10 @@ pub(super) fn croissant(
 }
 
 /// What the publisher says, and what the files do.
-pub(super) fn description(about: &CardAbout, words: &CardWords) -> String {
+pub(super) fn description(about: &CardAbout, summary: &str) -> String {
     match &about.description {
-        Some(own) => format!("{own}\n\n{}", words.summary),
-        None => words.summary.clone(),
+        Some(own) => format!("{own}\n\n{summary}"),
+        None => summary.to_owned(),
     }
 }
 

@@ -28,9 +28,13 @@ impl Markdown {
         items.iter().for_each(|item| self.line(format!("- {item}")));
     }
 
-    /// Adds code.
+    /// Adds code. Its fence is longer than any row of backticks in it, so that it cannot end before.
     pub(super) fn code(&mut self, language: &str, code: &str) {
-        self.paragraph(format!("```{language}\n{}\n```", code.trim_end()));
+        let code: String =
+            code.trim_end().chars().map(|c| if c == '\n' { c } else { shown(c) }).collect();
+        let rows = code.split(|c| c != '`').map(str::len);
+        let fence = "`".repeat(rows.max().unwrap_or(0).max(2) + 1);
+        self.paragraph(format!("{fence}{language}\n{code}\n{fence}"));
     }
 
     /// Adds a table.
@@ -52,13 +56,26 @@ impl Markdown {
 pub(super) fn printable(text: &str) -> String {
     let mut out = String::new();
     for c in text.chars() {
-        match c {
-            c if c.is_control() => out.push(' '),
-            '|' | '<' | '>' | '[' | ']' | '*' | '\\' => out.extend(['\\', c]),
+        match shown(c) {
+            c @ ('|' | '<' | '>' | '[' | ']' | '*' | '\\' | '`' | '&' | '$' | '~') => {
+                out.extend(['\\', c]);
+            }
             c => out.push(c),
         }
     }
     out
+}
+
+/// A letter, or a blank for one that does something else than show: controls, and those that turn or hide what follows.
+fn shown(c: char) -> char {
+    match c {
+        '\u{200b}'..='\u{200f}'
+        | '\u{2028}'..='\u{202e}'
+        | '\u{2060}'..='\u{206f}'
+        | '\u{feff}' => ' ',
+        c if c.is_control() => ' ',
+        c => c,
+    }
 }
 
 /// Text as YAML: JSON is YAML.
@@ -92,6 +109,10 @@ mod tests {
     #[test]
     fn what_a_file_holds_is_no_markup() {
         assert_eq!(printable("a|b<script>\nc"), "a\\|b\\<script\\> c");
+        assert_eq!(printable("`a` &lt; $b$ \u{202e}\u{1b}[0m"), "\\`a\\` \\&lt; \\$b\\$   \\[0m");
+        let mut page = Markdown::new();
+        page.code("sh", "a ```` b\n```\n# c\u{1b}");
+        assert_eq!(page.text(), "`````sh\na ```` b\n```\n# c \n`````\n");
         assert_eq!(quoted("a: \"b\""), "\"a: \\\"b\\\"\"");
     }
 

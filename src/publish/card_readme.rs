@@ -60,7 +60,8 @@ pub(super) fn readme(about: &CardAbout, words: &CardWords, worlds: &[ReadmeWorld
     head(about, words, worlds, &mut page);
     page.paragraph(MARK);
     page.paragraph(format!("# {}", printable(&about.title)));
-    page.paragraph(description(about, words));
+    // The publisher's own words may be Markdown; what the files say may not.
+    page.paragraph(description(about, &printable(&words.summary)));
     pictures(worlds, &mut page);
     table_of_worlds(worlds, &mut page);
     loading(worlds, &mut page);
@@ -292,6 +293,6 @@ fn publication(about: &CardAbout, words: &CardWords, page: &mut Markdown) {
     page.list(&lines);
     if let Some(citation) = &about.citation {
         page.paragraph("To be cited as:");
-        page.code("", &citation.replace("```", "'''"));
+        page.code("", citation);
     }
 }

@@ -12,6 +12,7 @@ use super::card_tables::{CardTable, TABLES, WorldLine, write_table, write_worlds
 use super::card_words::{CardWords, DefectShare};
 use super::card_world::{CardPictures, CardWorld};
 use crate::error::{Error, Result};
+use crate::files::OutputLock;
 use crate::files::atomic_write;
 use crate::files::disk_space::check_places;
 use crate::files::file_digest::sha256_of_file;
@@ -22,6 +23,10 @@ use crate::setting::Setting;
 
 /// No card is longer.
 const LARGEST_README: u64 = 16 << 20;
+/// Beginning of the name of the folder in which a card is made.
+const STAGING: &str = ".stemgen-card-";
+/// Says that a card is being put in place; hidden, so that it does not go to a hub.
+const NOTE: &str = ".stemgen-unfinished-card";
 /// Files of each world, for progress: tables, picture, world.
 const FILES_EACH: usize = TABLES.len() + 2;
 /// Folders whose files belong to a card.
@@ -106,14 +111,18 @@ impl Card<'_> {
         self.about.check()?;
         self.check_worlds()?;
         let added = Added::below(self.folder);
-        let ours = is_a_card(&self.folder.join("README.md"))?;
+        let note = self.folder.join(NOTE);
+        let ours = is_a_card(&self.folder.join("README.md"))? || is_a_card(&note)?;
         let inputs = self.worlds.iter().map(|w| &w.path);
         check_outputs(self.outputs(), inputs, ours || self.overwrite)?;
+        // Two that write one card at the same time would take each other's files away.
+        let lock = OutputLock::hold(&self.folder.join("README.md"))?;
+        self.remove_staging()?;
         let copied = self.copied()?;
         let bytes: u64 = copied.iter().map(|w| fs::metadata(&w.path).map_or(0, |m| m.len())).sum();
         check_places(&[(self.folder, bytes + bytes / 8)])?;
         let staging = tempfile::Builder::new()
-            .prefix(".stemgen-card-")
+            .prefix(STAGING)
             .tempdir_in(self.folder)
             .map_err(|e| Error::io(self.folder, "create a folder in", e))?;
         for folder in FOLDERS {
@@ -121,7 +130,11 @@ impl Card<'_> {
             fs::create_dir(&folder).map_err(|e| Error::io(&folder, "create", e))?;
         }
         let summary = self.prepare(staging.path(), &copied, progress)?;
+        // From here on files that are there are the card's own, also if this is ended half-way.
+        atomic_write::write(&note, MARK.as_bytes())?;
         self.put_in_place(staging.path(), &summary, &copied)?;
+        remove(&note)?;
+        drop(lock);
         added.keep();
         self.warn_of_strangers(&summary, progress);
         Ok(summary)
@@ -143,6 +156,18 @@ impl Card<'_> {
                 Err(Error::invalid(Setting::WorldFile, pair[1].1.display(), expected))
             }
         }
+    }
+
+    /// Removes what a run that was killed had made and not put in place.
+    fn remove_staging(&self) -> Result<()> {
+        for entry in fs::read_dir(self.folder).into_iter().flatten().flatten() {
+            let path = entry.path();
+            let ours = entry.file_name().to_string_lossy().starts_with(STAGING);
+            if ours && entry.file_type().is_ok_and(|kind| kind.is_dir()) {
+                fs::remove_dir_all(&path).map_err(|e| Error::io(&path, "remove", e))?;
+            }
+        }
+        Ok(())
     }
 
     /// The worlds that do not lie in the folder yet.

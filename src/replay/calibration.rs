@@ -145,10 +145,7 @@ fn peaks(power: &Array2<f64>, [low, high]: [f64; 2]) -> Vec<CalibrationPeak> {
             found.push((*value, [kx, ky]));
         }
     }
-    if about.is_empty() {
-        return Vec::new();
-    }
-    let [median] = percentiles(&mut about, [50.0]);
+    let Some([median]) = percentiles(&about, [50.0]) else { return Vec::new() };
     found.retain(|(value, _)| *value > LEAST_CONTRAST * median);
     found.sort_by(|a, b| b.0.total_cmp(&a.0));
     let mut peaks: Vec<CalibrationPeak> = Vec::new();

@@ -96,6 +96,8 @@ pub struct ReplayFacts {
     pub energy_kev: Option<f64>,
     /// Name of the detector, if the file tells it.
     pub detector: Option<String>,
+    /// What was done to the image so that it lies as its file means it, in words.
+    pub notes: Vec<String>,
 }
 
 /// A world of a recorded image, before it is written.
@@ -164,6 +166,7 @@ impl ReplayWorld {
             phases: phases(&quadrants),
             energy_kev: recorded.energy_kev,
             detector: recorded.detector,
+            notes: recorded.notes,
         };
         // Those of zarr are folders.
         let sha256 = path.is_file().then(|| sha256_of_file(&path)).transpose()?;
@@ -221,6 +224,9 @@ impl ReplayWorld {
                 "gaps",
                 format!("{} pixels without a finite value {gaps}", f.invalid_pixels),
             ));
+        }
+        if !f.notes.is_empty() {
+            texts.push(("source_notes", f.notes.join("; ")));
         }
         texts.extend(self.sha256.clone().map(|digest| ("source_sha256", digest)));
         texts.extend(f.detector.clone().map(|name| ("recorded_detector", name)));
@@ -394,11 +400,10 @@ impl FilledImage {
         let refuse =
             |message: &str| Err(Error::choice(&recorded.path, Setting::ReplayImage, message));
         let valid = image.mapv(f64::is_finite);
-        let mut values: Vec<f64> = image.iter().copied().filter(|v| v.is_finite()).collect();
-        if values.is_empty() {
+        let values = image.as_slice_memory_order().unwrap_or_default();
+        let Some([low, median, high]) = percentiles(values, [low, 50.0, high]) else {
             return refuse("its image has no pixel with a finite value");
-        }
-        let [low, median, high] = percentiles(&mut values, [low, 50.0, high]);
+        };
         if !(low < high && (high - low).is_finite()) {
             return refuse(
                 "its image has one value at both percentiles: it is empty, or nearly so; percentiles further apart may help",

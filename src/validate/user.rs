@@ -36,8 +36,8 @@ pub struct Reference {
     pub data: Array2<f64>,
     /// Distance of pixels along x and y in Angstrom, if the file tells it.
     pub step_angstrom: Option<[f64; 2]>,
-    /// Position of the first pixel, (x, y) in Angstrom; zero if the file tells none.
-    pub origin_angstrom: [f64; 2],
+    /// Position of the first pixel, (x, y) in Angstrom, if the file tells it.
+    pub origin_angstrom: Option<[f64; 2]>,
     /// How the orientation was known.
     pub orientation: &'static str,
 }
@@ -106,20 +106,18 @@ pub fn reference(
         (None, Order::Yx) => [plane[1], plane[0]],
     };
     let step = |of: usize| axis(of).and_then(|a| a.sampling_angstrom).filter(|s| *s > 0.0);
-    let origin = |of: usize| axis(of).map_or(0.0, |a: &ArrayAxis| a.origin_angstrom);
+    let origin = |of: usize| axis(of).and_then(|a: &ArrayAxis| a.origin_angstrom);
     Ok(Reference {
         data,
         step_angstrom: step(x).zip(step(y)).map(|(x, y)| [x, y]),
-        origin_angstrom: [origin(x), origin(y)],
+        origin_angstrom: origin(x).zip(origin(y)).map(|(x, y)| [x, y]),
         orientation,
     })
 }
 
 /// The dimensions called x and y.
 fn labelled(array: &ForeignArray) -> Option<[usize; 2]> {
-    let axes = array.axes.as_ref()?;
-    let find = |name: &str| axes.iter().position(|a| a.label.trim().eq_ignore_ascii_case(name));
-    Some([find("x")?, find("y")?])
+    ArrayAxis::x_and_y(array.axes.as_ref()?)
 }
 
 /// The order in which `(first, second)` pixels are those of the scan, where only one is.
@@ -210,7 +208,7 @@ mod tests {
         let axis = |l: &&str| ArrayAxis {
             label: (*l).into(),
             sampling_angstrom: matches!(*l, "x" | "y").then_some(if *l == "x" { 0.1 } else { 0.2 }),
-            origin_angstrom: 0.5,
+            origin_angstrom: Some(0.5),
         };
         ForeignArray {
             path: PathBuf::from("r.npy"),
@@ -219,6 +217,8 @@ mod tests {
             axes: labels.map(|l| l.iter().map(axis).collect()),
             energy_ev: None,
             semiangle_mrad: None,
+            notes: Vec::new(),
+            pixel_unsaid: None,
         }
     }
 
@@ -244,7 +244,7 @@ mod tests {
         let labelled = array(counted(3, 5), Some(&["x", "y"]));
         let r = reference(&labelled, None, &[], Some([5, 3])).unwrap();
         assert_eq!((r.data.dim(), r.data[[4, 2]]), ((5, 3), 24.0));
-        assert_eq!((r.step_angstrom, r.origin_angstrom), (Some([0.1, 0.2]), [0.5; 2]));
+        assert_eq!((r.step_angstrom, r.origin_angstrom), (Some([0.1, 0.2]), Some([0.5; 2])));
         let r = reference(&array(counted(3, 5), Some(&["y", "x"])), None, &[], None).unwrap();
         assert_eq!((r.data.dim(), r.step_angstrom), ((3, 5), Some([0.1, 0.2])));
         assert!(reference(&labelled, Some(Order::Yx), &[], None).is_err(), "against the file");

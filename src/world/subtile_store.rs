@@ -10,7 +10,7 @@ use sha2::{Digest, Sha256};
 use crate::error::{Error, Result};
 use crate::files::array_store::{ArrayStore, Stored};
 use crate::files::atomic_write;
-use crate::files::outputs::{WORK, beside};
+use crate::files::outputs::{WORK, beside, set_aside};
 use crate::progress::Progress;
 use crate::setting::Setting;
 
@@ -26,7 +26,8 @@ pub struct SubtileStore {
 
 impl SubtileStore {
     /// Opens the work folder of `output` for a build that `key` (JSON) describes. Sub-tiles of another
-    /// build that lie there are kept and refused; with `replace` they are removed, with a warning.
+    /// build that lie there are kept and refused; with `replace` they are removed, with a warning. Where a damaged file does not tell
+    /// whose they are, each tells it itself ([`Self::load`]).
     ///
     /// # Errors
     /// [`Error::Invalid`] for sub-tiles of another build, [`Error::Io`] when the folder cannot be made, read or written.
@@ -37,6 +38,12 @@ impl SubtileStore {
         fs::create_dir_all(folder).map_err(|e| Error::io(folder, "create", e))?;
         let key_path = folder.join(KEY_FILE);
         if fs::read(&key_path).is_ok_and(|found| found == key.as_bytes()) {
+            return Ok(store);
+        }
+        if is_damaged(&key_path) {
+            say_damaged(&key_path, progress);
+            set_aside(&key_path)?;
+            atomic_write::write(&key_path, key.as_bytes())?;
             return Ok(store);
         }
         let left = store.arrays.files()?;
@@ -59,12 +66,18 @@ impl SubtileStore {
     ///
     /// # Errors
     /// [`Error::Invalid`] for a folder of another build, [`Error::Io`] when it cannot be made, read or written.
-    pub fn join(output: &Path, key: &str) -> Result<Self> {
+    pub fn join(output: &Path, key: &str, progress: &dyn Progress) -> Result<Self> {
         let folder = &work_folder(output);
         fs::create_dir_all(folder).map_err(|e| Error::io(folder, "create", e))?;
         let build = format!("{:x?}", Sha256::digest(key).as_slice());
         let store = SubtileStore { arrays: arrays(folder), build };
         let key_path = folder.join(KEY_FILE);
+        if is_damaged(&key_path) {
+            say_damaged(&key_path, progress);
+            set_aside(&key_path)?;
+            atomic_write::write(&key_path, key.as_bytes())?;
+            return Ok(store);
+        }
         match fs::read_to_string(&key_path) {
             Ok(found) if found == key => Ok(store),
             Ok(found) => {
@@ -86,7 +99,11 @@ impl SubtileStore {
     /// [`Error::Invalid`], [`Error::Io`].
     pub fn check_recipe(output: &Path, recipe: &str) -> Result<()> {
         let folder = work_folder(output);
-        let Ok(found) = fs::read_to_string(folder.join(KEY_FILE)) else { return Ok(()) };
+        let key_path = folder.join(KEY_FILE);
+        if is_damaged(&key_path) {
+            return Ok(());
+        }
+        let Ok(found) = fs::read_to_string(key_path) else { return Ok(()) };
         let number = arrays(&folder).files()?.arrays.len();
         let other = value(&found, "recipe");
         match other == recipe || number == 0 {
@@ -142,6 +159,22 @@ impl SubtileStore {
     fn key(&self, index: usize) -> String {
         format!("{} {index}", self.build)
     }
+}
+
+/// Whether something lies where a build is described, and describes none.
+fn is_damaged(key_path: &Path) -> bool {
+    if fs::symlink_metadata(key_path).is_err() {
+        return false;
+    }
+    let text = fs::read_to_string(key_path).unwrap_or_default();
+    serde_json::from_str::<serde_json::Value>(&text).ok().is_none_or(|key| key["recipe"].is_null())
+}
+
+fn say_damaged(key_path: &Path, progress: &dyn Progress) {
+    progress.warn(&format!(
+        "{}: is damaged; made again, and of the sub-tiles beside it those that are of this build are used",
+        key_path.display()
+    ));
 }
 
 fn arrays(folder: &Path) -> ArrayStore {

@@ -111,7 +111,7 @@ impl WorldBuild {
             }
         };
         let job = Job { layout: &layout, imager: &*imager, audit, progress };
-        let store = SubtileStore::join(output, &job.key())?;
+        let store = SubtileStore::join(output, &job.key(), progress)?;
         [summary.subtiles, summary.subtiles_resumed] = job.simulate_part(&store, shard)?;
         Ok(summary)
     }

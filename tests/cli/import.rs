@@ -1,10 +1,7 @@
 //! `stemgen import`: worlds of recorded images.
 
-#[path = "../common/dm_bytes.rs"]
-mod dm_bytes;
-
+use super::dm_bytes::{DM4, document, floats, image};
 use super::{fails, json, stderr, stdout, stemgen};
-use dm_bytes::{DM4, document, floats, image};
 use std::path::Path;
 
 /// Rows and columns of the image, which is a lattice of 16 pixels.

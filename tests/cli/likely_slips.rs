@@ -102,6 +102,32 @@ fn files_of_other_programs_are_named() {
     }
 }
 
+/// Whether by its name or by what it holds: a file of LAMMPS or a PDB file is named, with the line of Python that converts it.
+#[test]
+fn files_of_lammps_and_of_proteins_are_named_with_the_way_to_convert_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let bad = |name: &str| std::fs::read(file(&format!("tests/structures/bad/{name}"))).unwrap();
+    let data =
+        ["a data file of LAMMPS", "read(\"FILE.data\", format=\"lammps-data\"", "Z_of_type="];
+    let dump =
+        ["a dump file of LAMMPS", "read(\"FILE.dump\", format=\"lammps-dump-text\"", "specorder="];
+    let pdb = ["a PDB file", "read(\"FILE.pdb\")", "write(\"atoms.xyz\""];
+    for (names, content, parts) in [
+        (["a.lmp", "a.data", "a.xyz"], bad("lammps_data.xyz"), data),
+        (["b.dump", "b.lammpstrj", "b.xyz"], bad("dump.xyz"), dump),
+        (["c.pdb", "c.ent", "c.xyz"], bad("protein.xyz"), pdb),
+    ] {
+        for name in names {
+            std::fs::write(here.join(name), &content).unwrap();
+            let refused = fails(stemgen(here).args(["simulate", name]));
+            for part in parts.iter().chain(&[name, "from ase.io import read, write"]) {
+                assert!(refused.contains(part), "{name}: no `{part}` in {refused}");
+            }
+        }
+    }
+}
+
 #[test]
 fn frames_of_an_xdatcar_are_simulated() {
     let folder = tempfile::tempdir().unwrap();

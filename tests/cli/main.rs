@@ -6,6 +6,8 @@ mod cache;
 mod card;
 mod checks;
 mod compare;
+#[path = "../common/dm_bytes.rs"]
+mod dm_bytes;
 mod docs;
 mod errors;
 mod help;
@@ -28,6 +30,8 @@ mod simulate;
 #[path = "../common/skipped.rs"]
 mod skipped;
 mod specimen;
+#[cfg(unix)]
+mod strangers;
 mod tiles;
 mod validate;
 mod verify;

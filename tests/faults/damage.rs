@@ -76,6 +76,59 @@ fn damaged_sub_tiles_are_made_again() {
     assert_done(here, Method::Subtiles, "damaged sub-tiles");
 }
 
+/// What describes the build is damaged, or is a folder: it is said, and the sub-tiles, which tell themselves whose they are, are used.
+#[test]
+fn a_damaged_key_is_made_again_and_its_sub_tiles_are_used() {
+    if !can_trace() {
+        return;
+    }
+    for text in [Some(""), Some("{\"recipe\": \"cut off"), Some("[1, 2]"), None] {
+        let folder = tempfile::tempdir().unwrap();
+        let here = folder.path();
+        killed(here, Method::Subtiles, subtile(4));
+        let key = here.join("w.h5.work/key.json");
+        fs::remove_file(&key).unwrap();
+        match text {
+            Some(text) => fs::write(&key, text).unwrap(),
+            None => fs::create_dir(&key).unwrap(),
+        }
+        let mut again = build(here, Method::Subtiles);
+        let output = again.arg("--json").stdout(std::process::Stdio::piped()).output().unwrap();
+        let told = stderr(&output);
+        assert!(output.status.success() && told.contains("key.json: is damaged"), "{told}");
+        let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(summary["subtiles_resumed"], 4, "{text:?}: {summary}");
+        assert_done(here, Method::Subtiles, "damaged key");
+    }
+}
+
+#[test]
+fn a_folder_in_place_of_a_sub_tile_makes_room() {
+    if !can_trace() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    killed(here, Method::Subtiles, subtile(4));
+    let work = here.join("w.h5.work");
+    for (name, inside) in [("subtile_000001.bin", None), ("subtile_000006.bin", Some("mine"))] {
+        let place = work.join(name);
+        let _ = fs::remove_file(&place);
+        fs::create_dir(&place).unwrap();
+        inside.iter().for_each(|inside| fs::write(place.join(inside), "a text").unwrap());
+    }
+    let told = succeeds(&mut build(here, Method::Subtiles));
+    for name in ["subtile_000001.bin", "subtile_000006.bin"] {
+        let said = format!("{name}: is no regular file; simulated again");
+        assert!(told.contains(&said), "no `{said}` in {told}");
+    }
+    // What somebody had put there is not lost.
+    let aside = work.join("subtile_000006.bin.aside");
+    assert_eq!(fs::read_to_string(aside.join("mine")).unwrap(), "a text");
+    fs::remove_dir_all(&work).unwrap();
+    assert_done(here, Method::Subtiles, "a folder in the way");
+}
+
 #[test]
 fn audits_and_libraries_are_kept_in_the_work_folder() {
     if !can_trace() {

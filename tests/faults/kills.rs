@@ -38,15 +38,17 @@ const LIBRARY: [Point; 4] = [
 ];
 
 /// Stages of a simulation with a picture and other files, in their order.
-const SIMULATION: [Point; 8] = [
+const SIMULATION: [Point; 10] = [
+    Point::on("the note of its files gets its name", "renameat", "s.h5.unfinished"),
     Point::on("the images get their name", "renameat2", "s.h5"),
-    Point { name: "the images are in their folder", call: "fsync", path: "", count: 2 },
-    Point { name: "the picture is synced", call: "fsync", path: "", count: 3 },
+    Point { name: "the images are in their folder", call: "fsync", path: "", count: 4 },
+    Point { name: "the picture is synced", call: "fsync", path: "", count: 5 },
     Point::on("the picture gets its name", "renameat", "s_HAADF.png"),
-    Point { name: "the TIFF is synced", call: "fsync", path: "", count: 5 },
+    Point { name: "the TIFF is synced", call: "fsync", path: "", count: 7 },
     Point::on("the TIFF gets its name", "renameat2", "s_HAADF.tif"),
-    Point { name: "the .hspy is synced", call: "fsync", path: "", count: 7 },
+    Point { name: "the .hspy is synced", call: "fsync", path: "", count: 9 },
     Point::on("the .hspy gets its name", "renameat2", "s.hspy"),
+    Point::on("the note is removed", "unlink", "s.h5.unfinished"),
 ];
 
 /// A copy of all that lies in a folder.
@@ -149,6 +151,8 @@ fn builds_that_are_ended_while_their_library_grows_end_in_the_same_bytes() {
     hit_builds(Method::NoCache, &LIBRARY[..1]);
 }
 
+/// Tells that a simulation was ended between its files.
+const NOTE: &str = "s.h5.unfinished";
 /// Files that a simulation writes.
 const IMAGES: [&str; 4] = ["s.h5", "s_HAADF.png", "s_HAADF.tif", "s.hspy"];
 
@@ -187,10 +191,17 @@ fn assert_images(folder: &Path, expected: &[Vec<u8>; 4], killed: bool, what: &st
     for name in names(folder) {
         match IMAGES.iter().position(|known| *known == name) {
             Some(i) => assert!(content(folder, &name) == expected[i], "{what}: {name}"),
+            None if name == NOTE => {}
             None => assert!(killed && name.ends_with(".partial"), "{what}: {name}"),
         }
     }
-    succeeds(simulate(folder).arg("--overwrite"));
+    let left = names(folder);
+    if left.contains(NOTE) || !IMAGES.iter().any(|name| left.contains(*name)) {
+        succeeds(&mut simulate(folder));
+        assert!(!names(folder).contains(NOTE), "{what}");
+    }
+    // All are there, and no other run replaces them.
+    assert!(fails(&mut simulate(folder)).contains("exists"), "{what}");
     for (name, expected) in IMAGES.iter().zip(expected) {
         assert!(content(folder, name) == *expected, "{what}: {name}");
     }

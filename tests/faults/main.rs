@@ -14,6 +14,7 @@ mod paths;
 mod points;
 #[path = "../common/process.rs"]
 mod process;
+mod several_outputs;
 mod signals;
 #[path = "../common/skipped.rs"]
 mod skipped;

@@ -226,6 +226,49 @@ fn a_world_goes_on_from_a_snapshot() {
     }
 }
 
+/// What was damaged on its way is refused, and so is what no world can have done; the world stays as it was.
+#[test]
+fn damaged_snapshots_are_refused() {
+    let mut live = world(&[]);
+    live.acquire(&request([3.0, 3.0], 1.0, 3e5), &Silent).unwrap();
+    let before = live.snapshot();
+    assert_eq!((before.version, before.digest.len()), (2, 64));
+    let value = serde_json::to_value(&before).unwrap();
+    let told = |value: serde_json::Value| {
+        let snapshot: LiveSnapshot = serde_json::from_value(value).unwrap();
+        world(&[]).restore(&snapshot).unwrap_err().to_string()
+    };
+    type Change = fn(&mut serde_json::Value);
+    let changes: [(Change, &str); 7] = [
+        (|v| v["history"][0]["duration_s"] = (-1.0).into(), "lasted -1 s"),
+        (|v| v["history"][0]["number"] = 4.into(), "the number 4"),
+        (|v| v["history"][0]["begun_s"] = (-5.0).into(), "begun at -5 s"),
+        (|v| v["history"][0]["shape"] = serde_json::json!([0, 5]), "[0, 5] pixels"),
+        (|v| v["history"][0]["lost"] = serde_json::json!({ "Qq": 3 }), "`Qq`, which is no element"),
+        (|v| v["history"][0]["dose"] = 0.0.into(), "a dose of 0"),
+        (|v| v["most_dose"] = 0.0.into(), "`most_dose` is 0"),
+    ];
+    for (change, part) in changes {
+        let mut changed = value.clone();
+        change(&mut changed);
+        let found = told(changed.clone());
+        assert!(found.contains("not what its digest says"), "{found}");
+        // Snapshots of version 1 have none.
+        changed["version"] = 1.into();
+        changed["digest"] = "".into();
+        let found = told(changed);
+        assert!(found.contains(part), "no `{part}` in {found}");
+    }
+    let mut old = value.clone();
+    old["version"] = 1.into();
+    old.as_object_mut().unwrap().remove("digest");
+    live.restore(&serde_json::from_value(old).unwrap()).unwrap();
+    assert_eq!(live.snapshot(), before);
+    let mut later = value;
+    later["version"] = 3.into();
+    assert!(told(later).contains("version 3"));
+}
+
 /// Places that overlap add up to more than the mean of any recording: such a moment can be gone back to as well. And what is told of
 /// a place is what it was given.
 #[test]

@@ -25,6 +25,7 @@ mod process;
 #[path = "../common/python.rs"]
 mod python;
 mod recipes;
+mod recorded_axes;
 mod regions;
 mod replay;
 mod samples;

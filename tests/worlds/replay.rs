@@ -112,6 +112,25 @@ fn an_image_or_a_frame_is_chosen_and_a_thumbnail_never() {
 }
 
 #[test]
+fn transforms_and_coloured_pictures_are_not_offered() {
+    let folder = tempfile::tempdir().unwrap();
+    for style in [DM3, DM3_BIG, DM4] {
+        let six = || floats(style, (0..6).map(|k| k as f32));
+        let twelve = floats(style, (0..12).map(|k| k as f32));
+        let transform = image("FFT of HAADF", &[3, 2], 3, 6, twelve, (0.2, "1/nm"));
+        let grey = image("HAADF", &[3, 2], 2, 6, six(), (0.2, "nm"));
+        let coloured = image("overlay", &[3, 2], 23, 5, vec![0; 24], (0.2, "nm"));
+        let all = document(vec![transform.clone(), grey, coloured]);
+        let path = stored(folder.path(), "a.dm", &style.file(all));
+        assert_eq!(only(&path).name, "HAADF");
+        assert!(refused(&path, &named("FFT of HAADF")).contains("complex numbers"));
+        assert!(refused(&path, &named("overlay")).contains("colours"));
+        let alone = stored(folder.path(), "b.dm", &style.file(document(vec![transform])));
+        assert!(refused(&alone, &ImageChoice::default()).contains("complex numbers"));
+    }
+}
+
+#[test]
 fn damaged_dm_files_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     for style in [DM3, DM3_BIG, DM4] {

@@ -101,6 +101,12 @@ impl Audit {
     pub fn all(&self) -> impl Iterator<Item = &Audit> {
         std::iter::once(self).chain(&self.others)
     }
+
+    /// The error that `--max-error` limits, in per cent: that at bright columns or that over all pixels, whichever is larger.
+    #[must_use]
+    pub fn error_percent(&self) -> f64 {
+        self.bright_rms_percent.max(self.all_rms_percent)
+    }
 }
 
 /// Audits an imager: compares its images of some regions with multislice on the full grid, with those very atoms. The imager

@@ -3,6 +3,7 @@
 use serde_json::Value;
 
 use super::{ArrayAxis, ForeignArray};
+use crate::io::named_axes::NamedAxis;
 
 /// Whether this is abTEM's description, and not one of another program.
 pub fn describes(metadata: &Value) -> bool {
@@ -23,15 +24,10 @@ pub fn describe(array: &mut ForeignArray, metadata: &Value) {
 
 fn axis(value: &Value) -> Option<ArrayAxis> {
     // Labels of reciprocal space say so in their unit, and have no place in an image.
-    let unit = match value["units"].as_str() {
-        Some("\u{c5}" | "A" | "Angstrom") => Some(1.0),
-        Some("nm") => Some(10.0),
-        _ => None,
-    };
-    let length = |key: &str| Some(value[key].as_f64()? * unit?);
-    Some(ArrayAxis {
-        label: value["label"].as_str()?.to_owned(),
-        sampling_angstrom: length("sampling"),
-        origin_angstrom: length("offset").unwrap_or(0.0),
-    })
+    Some(ArrayAxis::named(&NamedAxis {
+        name: value["label"].as_str()?.to_owned(),
+        step: value["sampling"].as_f64(),
+        first: Some(value["offset"].as_f64().unwrap_or(0.0)),
+        unit: value["units"].as_str().unwrap_or_default().to_owned(),
+    }))
 }

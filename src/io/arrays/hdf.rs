@@ -7,7 +7,8 @@ use hdf5::{Dataset, File};
 
 use super::{ArrayAxis, ForeignArray, choose, held};
 use crate::error::{Error, Result};
-use crate::io::hdf5_guard::{check_storage, datasets, first_line, pair, texts};
+use crate::io::hdf5_axes::AxisSource;
+use crate::io::hdf5_guard::{check_storage, datasets, first_line};
 use crate::io::hdf5_values;
 use crate::io::{At, regular_file};
 
@@ -18,11 +19,12 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     })?;
     let refused = |fault: String| Error::parse(path, 0, fault);
     let mut names = Vec::new();
-    for name in datasets(&file).map_err(refused)? {
-        let dataset = file.dataset(&name).at(path)?;
+    let all = datasets(&file).map_err(refused)?;
+    for name in &all {
+        let dataset = file.dataset(name).at(path)?;
         check_storage(&dataset, bytes).map_err(|fault| refused(format!("{name} {fault}")))?;
         if may_be_image(&dataset) {
-            names.push(name);
+            names.push(name.clone());
         }
     }
     // The atoms of our own files are arrays too.
@@ -37,7 +39,9 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     let data =
         hdf5_values::all(&dataset, path).map_err(|fault| refused(format!("{chosen} {fault}")))?;
     let mut array = ForeignArray::plain(path, chosen, data);
-    array.axes = axes(&dataset, array.data.ndim());
+    let source = AxisSource { file: &file, path, bytes, names: &all };
+    let axes = source.axes(&dataset.name(), &dataset);
+    array.axes = axes.map(|axes| axes.iter().map(ArrayAxis::named).collect());
     Ok(array)
 }
 
@@ -48,20 +52,4 @@ fn may_be_image(dataset: &Dataset) -> bool {
         Ok(TypeDescriptor::Float(_) | TypeDescriptor::Integer(_) | TypeDescriptor::Unsigned(_))
     );
     real && dataset.ndim() >= 2
-}
-
-/// The axes that `stemgen simulate` writes: names of all, pixel and origin of the last two.
-fn axes(dataset: &Dataset, count: usize) -> Option<Vec<ArrayAxis>> {
-    let labels = texts(dataset, "axes", count)?;
-    let (sampling, origin) =
-        (pair(dataset, "sampling_angstrom")?, pair(dataset, "origin_angstrom")?);
-    let axis = |(i, label): (usize, String)| {
-        let place = (i + 2).checked_sub(count);
-        ArrayAxis {
-            label,
-            sampling_angstrom: place.map(|p| sampling[p]),
-            origin_angstrom: place.map_or(0.0, |p| origin[p]),
-        }
-    };
-    Some(labels.into_iter().enumerate().map(axis).collect())
 }

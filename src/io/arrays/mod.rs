@@ -3,15 +3,16 @@
 //! | file | what tells the axes |
 //! |---|---|
 //! | `.npy`, `.npz` | nothing |
-//! | zarr, format 2 or 3 (`measurement.to_zarr`) | abTEM's metadata |
-//! | `.tif`, `.tiff` (`measurement.to_tiff`) | abTEM's metadata in one of the descriptions |
-//! | `.h5`, `.hdf5` | the attributes of [`super::image_file`]; nothing in other files |
+//! | zarr, format 2 or 3 (`measurement.to_zarr`) | abTEM's metadata; names of dimensions |
+//! | `.tif`, `.tiff` (`measurement.to_tiff`) | abTEM's metadata in one of the descriptions; pixels of ImageJ, OME, and by the resolution |
+//! | `.h5`, `.hdf5`, `.emd`, `.nxs` | see [`super::hdf5_axes`] |
 
 mod abtem_metadata;
 mod hdf;
 mod number_type;
 mod numpy;
 mod tagged;
+mod tiff_calibration;
 mod tiff_descriptions;
 mod zarr;
 
@@ -19,6 +20,8 @@ use std::path::{Path, PathBuf};
 
 use ndarray::ArrayD;
 
+use super::length_units::unit_nm;
+use super::named_axes::{NamedAxis, x_and_y};
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 pub(super) use number_type::NumberType;
@@ -32,7 +35,7 @@ pub struct ArrayAxis {
     /// Distance of neighbouring entries in Angstrom.
     pub sampling_angstrom: Option<f64>,
     /// Position of the first entry in Angstrom.
-    pub origin_angstrom: f64,
+    pub origin_angstrom: Option<f64>,
 }
 
 /// An array of another program.
@@ -50,9 +53,13 @@ pub struct ForeignArray {
     pub energy_ev: Option<f64>,
     /// Convergence semiangle, if the file tells it.
     pub semiangle_mrad: Option<f64>,
+    /// What was done to the values so that they are what the file means, in words.
+    pub notes: Vec<String>,
+    /// Why the file tells no size of a pixel, where there is more to say than that.
+    pub pixel_unsaid: Option<String>,
 }
 
-const HDF5_ENDINGS: [&str; 5] = ["h5", "hdf5", "hdf", "he5", "emd"];
+const HDF5_ENDINGS: [&str; 8] = ["h5", "hdf5", "hdf", "he5", "emd", "nxs", "nx", "nc"];
 
 /// Whether a file is read as HDF5.
 pub fn is_hdf5(path: &Path) -> bool {
@@ -110,6 +117,24 @@ pub(super) fn held(shape: &[usize]) -> std::result::Result<usize, String> {
     })
 }
 
+impl ArrayAxis {
+    /// An axis whose step and first place are in a unit of length; of others only the name is kept.
+    fn named(axis: &NamedAxis) -> Self {
+        let angstrom = unit_nm(&axis.unit).map(|nm| 10.0 * nm);
+        let length = |value: Option<f64>| Some(value? * angstrom?);
+        ArrayAxis {
+            label: axis.name.clone(),
+            sampling_angstrom: length(axis.step).filter(|step| *step != 0.0),
+            origin_angstrom: length(axis.first),
+        }
+    }
+
+    /// The dimensions called x and y.
+    pub fn x_and_y(axes: &[ArrayAxis]) -> Option<[usize; 2]> {
+        x_and_y(axes.iter().map(|axis| axis.label.as_str()))
+    }
+}
+
 impl ForeignArray {
     fn plain(path: &Path, name: &str, data: ArrayD<f64>) -> Self {
         ForeignArray {
@@ -119,6 +144,8 @@ impl ForeignArray {
             axes: None,
             energy_ev: None,
             semiangle_mrad: None,
+            notes: Vec::new(),
+            pixel_unsaid: None,
         }
     }
 

@@ -6,13 +6,25 @@ use std::path::Path;
 
 use ndarray::{ArrayD, IxDyn};
 use tiff::ColorType;
-use tiff::decoder::{Decoder, DecodingResult};
+use tiff::decoder::ifd::Value;
+use tiff::decoder::{Decoder, DecodingResult, Limits};
+use tiff::tags::Tag;
 
-use super::{ForeignArray, abtem_metadata, held, nameless, tiff_descriptions};
+use super::tiff_calibration::{self, Resolution};
+use super::{
+    ArrayAxis, ForeignArray, MOST_VALUES, abtem_metadata, held, nameless, tiff_descriptions,
+};
 use crate::error::{Error, Result};
 
 /// Pixels that a byte of a file may stand for: LZW and deflate pack up to some thousands of equal ones in one.
 const LARGEST_EXPANSION: u64 = 4096;
+
+/// Bytes that the values of a page may take as they are stored.
+const LARGEST_PAGE_BYTES: usize = 8 * MOST_VALUES;
+/// The code of a photometric interpretation whose zero is white, and of formats of samples.
+const WHITE_IS_ZERO: u16 = 0;
+const UNSIGNED: u16 = 1;
+const COMPLEX_FORMATS: [u16; 2] = [5, 6];
 
 pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     nameless(path, name)?;
@@ -25,14 +37,21 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
             format!("is no readable TIFF ({})", e.to_string().replace("error: ", "")),
         )
     };
-    let mut decoder = Decoder::new(BufReader::new(file)).map_err(bad)?;
+    let limits = {
+        let mut limits = Limits::default();
+        limits.decoding_buffer_size = LARGEST_PAGE_BYTES;
+        limits
+    };
+    let decoder = Decoder::new(BufReader::new(file)).map_err(bad)?;
+    let mut decoder = decoder.with_limits(limits);
+    let resolution = resolution(&mut decoder);
+    let inverted = photometric(&mut decoder) == Some(WHITE_IS_ZERO);
     let (mut pages, mut values, mut shape) = (0, Vec::new(), (0, 0));
     loop {
         let page = page(&mut decoder, bytes).map_err(bad)?;
-        let Some((size, content)) = page else {
-            let message = "holds colours; expected grey values. tifffile takes a last axis of 3 or 4 for \
-                           colours: save one image at a time, or photometric=\"minisblack\"";
-            return Err(Error::parse(path, 0, message));
+        let (size, content) = match page {
+            TiffPage::Grey(size, content) => (size, content),
+            TiffPage::Refused(reason) => return Err(Error::parse(path, 0, reason)),
         };
         held(&[pages + 1, size.1 as usize, size.0 as usize])
             .map_err(|reason| Error::parse(path, 0, reason))?;
@@ -40,7 +59,12 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
             return Err(Error::parse(path, 0, "holds images of different sizes"));
         }
         shape = size;
-        values.extend(content);
+        // The values of a large image are not copied.
+        if pages == 0 {
+            values = content
+        } else {
+            values.extend(content)
+        }
         pages += 1;
         if !decoder.more_images() {
             break;
@@ -55,28 +79,84 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     let data = ArrayD::from_shape_vec(dimensions, values)
         .map_err(|e| Error::parse(path, 0, format!("is a damaged TIFF ({e})")))?;
     let mut array = ForeignArray::plain(path, "", data);
-    let descriptions = tiff_descriptions::all(path);
-    let told = descriptions.iter().filter_map(|text| serde_json::from_str(text).ok());
-    if let Some(metadata) = told.into_iter().find(abtem_metadata::describes) {
-        abtem_metadata::describe(&mut array, &metadata);
+    if inverted {
+        array.notes.push("the file says that its zero is white: values count from black".into());
     }
+    describe(&mut array, &tiff_descriptions::all(path), resolution);
     Ok(array)
 }
 
-type TiffPage = ((u32, u32), Vec<f64>);
+/// Takes over what the descriptions and the resolution say. Only abTEM names axes.
+fn describe(array: &mut ForeignArray, descriptions: &[String], resolution: Resolution) {
+    let told = descriptions.iter().filter_map(|text| serde_json::from_str(text).ok());
+    if let Some(metadata) = told.into_iter().find(abtem_metadata::describes) {
+        abtem_metadata::describe(array, &metadata);
+        return;
+    }
+    match tiff_calibration::sides(descriptions, resolution) {
+        Ok([x, y]) => {
+            let pages = array.data.ndim().saturating_sub(2);
+            let side = |side| ArrayAxis { sampling_angstrom: Some(side), ..ArrayAxis::default() };
+            let pages = std::iter::repeat_n(ArrayAxis::default(), pages);
+            array.axes = Some(pages.chain([side(y), side(x)]).collect());
+        }
+        Err(why) => array.pixel_unsaid = why,
+    }
+}
 
-/// Size and values of the current page; `None` for colours.
-fn page<R: Read + Seek>(
-    decoder: &mut Decoder<R>,
-    file_bytes: u64,
-) -> tiff::TiffResult<Option<TiffPage>> {
+fn photometric<R: Read + Seek>(decoder: &mut Decoder<R>) -> Option<u16> {
+    decoder.find_tag_unsigned(Tag::PhotometricInterpretation).ok().flatten()
+}
+
+fn resolution<R: Read + Seek>(decoder: &mut Decoder<R>) -> Resolution {
+    let mut side = |tag| match decoder.find_tag(tag).ok()?? {
+        Value::Rational(n, d) => Some(f64::from(n) / f64::from(d)),
+        _ => None,
+    };
+    let sides = side(Tag::XResolution).zip(side(Tag::YResolution));
+    let per_unit = sides.map(|(x, y)| [x, y]).filter(|sides| sides.iter().all(|s| *s > 0.0));
+    let unit = decoder.find_tag_unsigned(Tag::ResolutionUnit).ok().flatten();
+    Resolution { per_unit, unit }
+}
+
+/// A page of a TIFF.
+enum TiffPage {
+    /// Width and height, and the values.
+    Grey((u32, u32), Vec<f64>),
+    /// Why it is refused.
+    Refused(&'static str),
+}
+
+const COLOURS: &str = "holds colours; expected grey values. tifffile takes a last axis of 3 or 4 for \
+                       colours: save one image at a time, or photometric=\"minisblack\"";
+const COMPLEX: &str =
+    "holds complex numbers; expected grey values: save their modulus, or the image itself";
+const WHITE_FRACTIONS: &str = "says that its zero is white (PhotometricInterpretation 0), of values that have no \
+                               black: only unsigned whole numbers have; save it with photometric=\"minisblack\"";
+
+/// Reads the current page.
+fn page<R: Read + Seek>(decoder: &mut Decoder<R>, file_bytes: u64) -> tiff::TiffResult<TiffPage> {
+    let formats = decoder.find_tag_unsigned_vec::<u16>(Tag::SampleFormat)?.unwrap_or_default();
+    if formats.iter().any(|format| COMPLEX_FORMATS.contains(format)) {
+        return Ok(TiffPage::Refused(COMPLEX));
+    }
     if !matches!(decoder.colortype()?, ColorType::Gray(_)) {
-        return Ok(None);
+        return Ok(TiffPage::Refused(COLOURS));
+    }
+    if photometric(decoder) == Some(WHITE_IS_ZERO)
+        && formats.iter().any(|format| *format != UNSIGNED)
+    {
+        return Ok(TiffPage::Refused(WHITE_FRACTIONS));
     }
     let size = decoder.dimensions()?;
     let announced = u64::from(size.0) * u64::from(size.1);
     if announced > file_bytes.saturating_mul(LARGEST_EXPANSION) {
         let reason = "its header announces more pixels than it can hold";
+        return Err(tiff::TiffError::IoError(std::io::Error::other(reason)));
+    }
+    if announced > MOST_VALUES as u64 {
+        let (width, height) = size;
+        let reason = format!("{width} x {height} pixels; at most {MOST_VALUES} are read");
         return Err(tiff::TiffError::IoError(std::io::Error::other(reason)));
     }
     macro_rules! widened {
@@ -97,5 +177,5 @@ fn page<R: Read + Seek>(
         DecodingResult::F32(v) => widened!(v),
         DecodingResult::F64(v) => v,
     };
-    Ok(Some((size, values)))
+    Ok(TiffPage::Grey(size, values))
 }

@@ -76,7 +76,10 @@ fn collect(input: &mut (impl Read + Seek), found: &mut Vec<String>) -> std::io::
             }
             let mut text = vec![0; length as usize];
             input.read_exact(&mut text)?;
-            found.push(String::from_utf8_lossy(&text).trim_end_matches('\0').to_owned());
+            // ImageJ writes Latin-1.
+            let text = String::from_utf8(text)
+                .unwrap_or_else(|e| e.into_bytes().into_iter().map(char::from).collect());
+            found.push(text.trim_end_matches('\0').to_owned());
         }
         input.seek(SeekFrom::Start(value + layout.offset_bytes() as u64))?;
     }

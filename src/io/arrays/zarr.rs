@@ -1,14 +1,15 @@
 //! zarr folders, formats 2 and 3 (<https://zarr-specs.readthedocs.io>), as far as abTEM writes them: regular
 //! chunks, uncompressed or by zstd, gzip or zlib.
 
-use std::io::Read;
+use std::fs::File;
+use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use ndarray::{ArrayD, Dimension, IxDyn};
 use serde_json::Value;
 
 use super::number_type::NumberType;
-use super::{ForeignArray, abtem_metadata, choose, held};
+use super::{ArrayAxis, ForeignArray, abtem_metadata, choose, held};
 use crate::error::{Error, Result};
 
 const REMEDY: &str = "export the image with np.save(\"image.npy\", measurement.array) instead";
@@ -47,7 +48,9 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     if is_array(path) {
         super::nameless(path, name)?;
         let data = ZarrLayout::read(path)?.data()?;
-        return Ok(ForeignArray::plain(path, "", data));
+        let mut array = ForeignArray::plain(path, "", data);
+        array.axes = dimension_names(path, array.data.ndim());
+        return Ok(array);
     }
     if !["zarr.json", ".zgroup"].iter().any(|f| path.join(f).is_file()) {
         let message =
@@ -61,6 +64,11 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
         .map(|e| e.file_name().to_string_lossy().into_owned())
         .collect();
     names.sort();
+    // One that is asked for and no image has a reason of its own, and so has an only one.
+    let asked = name.filter(|name| names.iter().any(|n| n == name));
+    if names.len() > 1 && asked.is_none() {
+        names.retain(|name| !is_complex(&path.join(name)));
+    }
     let chosen = choose(path, &names, name)?;
     let data = ZarrLayout::read(&path.join(chosen))?.data()?;
     let mut array = ForeignArray::plain(path, chosen, data);
@@ -68,6 +76,9 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     let key = chosen.replacen("array", "metadata", 1);
     let attributes = attributes(path)?;
     abtem_metadata::describe(&mut array, &attributes[key]);
+    if array.axes.is_none() {
+        array.axes = dimension_names(&path.join(chosen), array.data.ndim());
+    }
     if array.data.ndim() < 2 {
         return Err(array.error("is no image: the array has fewer than two dimensions"));
     }
@@ -79,6 +90,28 @@ fn is_array(folder: &Path) -> bool {
     folder.join(".zarray").is_file() || v3()
 }
 
+/// Names of the dimensions of an array: zarr's own in format 3, and xarray's. They say nothing of its pixels.
+fn dimension_names(folder: &Path, count: usize) -> Option<Vec<ArrayAxis>> {
+    let own = json(&folder.join("zarr.json")).unwrap_or_default();
+    let attributes = attributes(folder).ok()?;
+    let lists = [&own["dimension_names"], &attributes["_ARRAY_DIMENSIONS"]];
+    let names = lists.into_iter().filter_map(Value::as_array).find(|names| names.len() == count)?;
+    let axis = |name: &Value| {
+        let label = name.as_str().unwrap_or_default().to_owned();
+        ArrayAxis { label, ..ArrayAxis::default() }
+    };
+    Some(names.iter().map(axis).collect())
+}
+
+/// Whether an array holds complex numbers.
+fn is_complex(folder: &Path) -> bool {
+    let v2 = json(&folder.join(".zarray")).unwrap_or_default();
+    let v3 = json(&folder.join("zarr.json")).unwrap_or_default();
+    let described =
+        v2["dtype"].as_str().unwrap_or_default().trim_start_matches(['<', '>', '|', '=']);
+    described.starts_with('c') || v3["data_type"].as_str().is_some_and(|t| t.starts_with("complex"))
+}
+
 fn attributes(folder: &Path) -> Result<Value> {
     match folder.join("zarr.json") {
         file if file.is_file() => Ok(json(&file)?["attributes"].take()),
@@ -88,7 +121,10 @@ fn attributes(folder: &Path) -> Result<Value> {
 
 fn json(path: &Path) -> Result<Value> {
     let missing = || Error::io(path, "read", std::io::ErrorKind::NotFound.into());
-    let bytes = small_file(path, LARGEST_JSON_BYTES)?.ok_or_else(missing)?;
+    let file = small_file(path, LARGEST_JSON_BYTES)?.ok_or_else(missing)?;
+    let mut bytes = Vec::new();
+    let read = file.take(LARGEST_JSON_BYTES as u64).read_to_end(&mut bytes);
+    read.map_err(|e| Error::io(path, "read", e))?;
     serde_json::from_slice(&bytes).map_err(|e| Error::parse(path, e.line(), e.to_string()))
 }
 
@@ -212,6 +248,7 @@ impl ZarrLayout {
         let Some(packed) = small_file(&path, expected + expected / 8 + 4096)? else {
             return Ok(None);
         };
+        let packed = BufReader::new(packed);
         let bytes = unpack(self.codec, packed, expected).map_err(bad)?;
         if bytes.len() != expected {
             let more = if bytes.len() > expected { "more than " } else { "" };
@@ -222,8 +259,8 @@ impl ZarrLayout {
     }
 }
 
-/// The bytes of a file that is neither a link to another place, nor larger than `most`; `None` if it is not there.
-fn small_file(path: &Path, most: usize) -> Result<Option<Vec<u8>>> {
+/// A file that is neither a link to another place, nor larger than `most`; `None` if it is not there.
+fn small_file(path: &Path, most: usize) -> Result<Option<File>> {
     let about = match std::fs::symlink_metadata(path) {
         Ok(about) => about,
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
@@ -240,13 +277,16 @@ fn small_file(path: &Path, most: usize) -> Result<Option<Vec<u8>>> {
         let message = format!("has {} bytes; at most {most} are expected here", about.len());
         return Err(Error::parse(path, 0, message));
     }
-    std::fs::read(path).map(Some).map_err(|e| Error::io(path, "read", e))
+    File::open(path).map(Some).map_err(|e| Error::io(path, "read", e))
 }
 
-/// Unpacks up to one byte more than expected.
-fn unpack(codec: Codec, packed: Vec<u8>, expected: usize) -> std::result::Result<Vec<u8>, String> {
-    let (mut out, most) = (Vec::new(), expected as u64 + 1);
-    let packed = &packed[..];
+/// Unpacks up to one byte more than expected. A chunk is not in memory as it is packed.
+fn unpack(
+    codec: Codec,
+    packed: impl Read,
+    expected: usize,
+) -> std::result::Result<Vec<u8>, String> {
+    let (mut out, most) = (Vec::with_capacity(expected), expected as u64 + 1);
     let read = match codec {
         Codec::None => packed.take(most).read_to_end(&mut out),
         Codec::Zstd => {

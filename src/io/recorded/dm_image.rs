@@ -5,11 +5,13 @@ use std::path::Path;
 use ndarray::Array2;
 
 use super::dm_tags::{DmArray, DmFile, DmTag, Tagged};
-use super::length_units::square_nm;
 use super::{ImageChoice, RecordedFormat, RecordedImage, frame_of};
 use crate::error::Result;
 use crate::io::arrays::{NumberType, choose, held};
+use crate::io::length_units::square_nm;
 
+/// Values that are decoded at a time: a large image is not in memory twice.
+const VALUES_AT_ONCE: u64 = 1 << 20;
 /// Kind of the values of thumbnails.
 const COLOURS: f64 = 23.0;
 
@@ -34,7 +36,19 @@ pub(super) fn read(path: &Path, choice: &ImageChoice) -> Result<RecordedImage> {
     let tree = file.tree().map_err(|reason| file.refused(path, &reason))?;
     let mut images = images(&tree, &mut file);
     let names: Vec<String> = images.iter().map(|image| image.name.clone()).collect();
-    let name = choose(path, &names, choice.dataset.as_deref())?.to_owned();
+    let asked = choice.dataset.as_ref().filter(|name| names.contains(name));
+    let name = match asked {
+        // One that is asked for and no image has a reason of its own, and so has an only one.
+        Some(name) => name.clone(),
+        None => {
+            let grey = |image: &&DmImage| number_type(image.kind, false).is_ok();
+            let offered: Vec<String> = match images.len() {
+                1 => names.clone(),
+                _ => images.iter().filter(grey).map(|image| image.name.clone()).collect(),
+            };
+            choose(path, &offered, choice.dataset.as_deref())?.to_owned()
+        }
+    };
     let at = names.iter().position(|n| *n == name).unwrap_or(0);
     let mut image = images.swap_remove(at);
     while image.lengths.len() > 2 && image.lengths.last() == Some(&1) {
@@ -72,6 +86,7 @@ pub(super) fn read(path: &Path, choice: &ImageChoice) -> Result<RecordedImage> {
         cells: None,
         energy_kev: voltage.map(|v| v * 1e-3).filter(|v| v.is_finite() && *v > 0.0),
         detector: file.text(signal).filter(|name| !name.is_empty()),
+        notes: Vec::new(),
     })
 }
 
@@ -136,9 +151,16 @@ impl DmImage {
                 self.lengths, data.count, data.entry_bytes
             ));
         }
-        let bytes = file.part(data.at + frame as u64 * values * size, values * size)?;
-        let values = bytes.chunks_exact(number.bytes).map(|b| number.decode(b)).collect();
-        Array2::from_shape_vec((rows, columns), values).map_err(|e| e.to_string())
+        let mut at = data.at + frame as u64 * values * size;
+        let end = at + values * size;
+        let mut decoded = Vec::with_capacity(rows * columns);
+        while at < end {
+            let length = (end - at).min(size * VALUES_AT_ONCE);
+            let bytes = file.part(at, length)?;
+            decoded.extend(bytes.chunks_exact(number.bytes).map(|b| number.decode(b)));
+            at += length;
+        }
+        Array2::from_shape_vec((rows, columns), decoded).map_err(|e| e.to_string())
     }
 }
 

@@ -10,8 +10,10 @@ use ndarray::{Array2, ArrayD, Axis, IxDyn};
 use super::{ImageChoice, frame_of};
 use crate::error::{Error, Result};
 use crate::io::arrays::held;
+use crate::io::hdf5_axes::AxisSource;
 use crate::io::hdf5_guard::{check_storage, datasets, first_line};
 use crate::io::hdf5_values::{self, Plain, is_float};
+use crate::io::named_axes::NamedAxis;
 use crate::io::regular_file;
 
 /// An HDF5 file.
@@ -68,38 +70,67 @@ impl Hdf5Source {
         values.map_err(|f| self.refused(format!("{name} {f}")))
     }
 
-    /// The two-dimensional image of a data set of two axes, or the chosen frame of one of three, whose axis `frame_axis` counts
-    /// frames. An axis of length 1 may be anywhere.
+    /// The image of a data set, [row, column], whose dimensions `[y, x]` count rows and columns; without them, the two that are not
+    /// `frames`, which counts the frames of a data set of three. A third dimension counts frames; more may be of length 1.
     pub fn image(
         &self,
         name: &str,
-        frame_axis: usize,
+        plane: Option<[usize; 2]>,
+        frames: usize,
         choice: &ImageChoice,
     ) -> Result<Array2<f64>> {
         let dataset = self.dataset(name)?;
         self.check_real(name, &dataset)?;
         let shape = dataset.shape();
-        let frames = match shape.len() {
-            2 => 1,
-            3 => shape[frame_axis],
-            n => {
-                let found = format!(
-                    "{name} has {n} axes, {shape:?}; an image has two, and a third for its frames"
-                );
-                return Err(self.refused(found));
-            }
+        let [y, x] = match (plane, shape.len()) {
+            (Some(plane), _) => plane,
+            (None, 3) => [usize::from(frames == 0), 2 - usize::from(frames == 2)],
+            (None, n @ 2..) => [n - 2, n - 1],
+            (None, _) => return Err(self.no_image(name, &shape)),
         };
-        let frame = frame_of(&self.path, name, frames, choice.index)?;
+        let others: Vec<usize> = (0..shape.len()).filter(|d| *d != y && *d != x).collect();
+        let counting: Vec<usize> = others.iter().copied().filter(|d| shape[*d] != 1).collect();
+        let count = match counting[..] {
+            [] => 1,
+            [axis] => shape[axis],
+            _ => return Err(self.no_image(name, &shape)),
+        };
+        let frame = frame_of(&self.path, name, count, choice.index)?;
         let mut ranges: Vec<Range<usize>> = shape.iter().map(|n| 0..*n).collect();
-        if shape.len() == 3 {
-            ranges[frame_axis] = frame..frame + 1;
-        }
+        counting.iter().for_each(|axis| ranges[*axis] = frame..frame + 1);
         let mut values = self.part::<f64>(name, &ranges)?;
-        if shape.len() == 3 {
-            values = values.index_axis_move(Axis(frame_axis), 0);
+        for axis in others.into_iter().rev() {
+            values = values.index_axis_move(Axis(axis), 0);
         }
-        let values = values.as_standard_layout().into_owned();
-        values.into_dimensionality().map_err(|e| self.refused(e.to_string()))
+        let image: Array2<f64> =
+            values.into_dimensionality().map_err(|e| self.refused(e.to_string()))?;
+        let image = if x < y { image.reversed_axes() } else { image };
+        // A large image is not copied where it lies in order.
+        Ok(if image.is_standard_layout() { image } else { image.as_standard_layout().into_owned() })
+    }
+
+    fn no_image(&self, name: &str, shape: &[usize]) -> Error {
+        let n = shape.len();
+        self.refused(format!(
+            "{name} has {n} axes, {shape:?}; an image has two, and a third for its frames"
+        ))
+    }
+
+    /// What the file says of the axes of a data set, in its order.
+    pub fn axes(&self, name: &str) -> Option<Vec<NamedAxis>> {
+        let dataset = self.dataset(name).ok()?;
+        let source = AxisSource {
+            file: &self.file,
+            path: &self.path,
+            bytes: self.bytes,
+            names: &self.names,
+        };
+        source.axes(name, &dataset)
+    }
+
+    /// Whether a data set holds real numbers, and may be an image.
+    pub fn is_real(&self, name: &str) -> bool {
+        self.file.dataset(name).is_ok_and(|dataset| value_kind(&dataset) == ValueKind::Real)
     }
 
     /// Refuses complex numbers, colours and texts.

@@ -1,11 +1,11 @@
 //! HDF5 files of HyperSpy (`.hspy`, `.hdf5`): signals at `/Experiments/NAME/data`, with a group for each axis beside them.
 
 use super::hdf5_source::Hdf5Source;
-use super::length_units::{StatedPixel, square_nm};
-use super::{ImageChoice, RecordedFormat, RecordedImage};
+use super::{ImageAxes, ImageChoice, RecordedFormat, RecordedImage};
 use crate::error::Result;
 use crate::io::arrays::choose;
 use crate::io::hdf5_guard::{any_text, number};
+use crate::io::named_axes::NamedAxis;
 
 const SIGNALS: &str = "/Experiments/";
 /// Energies in keV below its metadata, for images of either kind of microscope.
@@ -27,10 +27,22 @@ fn signals(source: &Hdf5Source) -> Vec<String> {
 /// Reads a signal, or one image of a stack of them.
 pub(super) fn read(source: &Hdf5Source, choice: &ImageChoice) -> Result<RecordedImage> {
     let names = signals(source);
-    let name = choose(&source.path, &names, choice.dataset.as_deref())?;
+    let data = |name: &str| format!("{SIGNALS}{name}/data");
+    // One that is asked for and no image has a reason of its own.
+    let asked = choice.dataset.as_deref().filter(|name| source.has(&data(name)));
+    let offered: Vec<String> = match names.len() {
+        1 => names,
+        _ => names.into_iter().filter(|name| source.is_real(&data(name))).collect(),
+    };
+    let name = match asked {
+        Some(name) => name,
+        None => choose(&source.path, &offered, choice.dataset.as_deref())?,
+    };
     let group = format!("{SIGNALS}{name}");
-    let pixels = source.image(&format!("{group}/data"), 0, choice)?;
-    let axes = source.dataset(&format!("{group}/data"))?.ndim();
+    let count = source.dataset(&data(name))?.ndim();
+    let axes: Vec<NamedAxis> = (0..count).map(|at| axis(source, &group, at)).collect();
+    let axes = ImageAxes::of(&axes);
+    let pixels = source.image(&data(name), axes.plane, 0, choice)?;
     let metadata = format!("{group}/metadata/Acquisition_instrument");
     let energy = ENERGIES.iter().find_map(|kind| {
         let about = source.file.group(&format!("{metadata}/{kind}")).ok()?;
@@ -41,20 +53,23 @@ pub(super) fn read(source: &Hdf5Source, choice: &ImageChoice) -> Result<Recorded
         format: RecordedFormat::HyperSpy,
         name: name.to_owned(),
         pixels,
-        pixel_nm: pixel_nm(source, &group, axes),
+        notes: axes.notes(),
+        pixel_nm: axes.pixel_nm,
         cells: None,
         energy_kev: energy,
         detector: None,
     })
 }
 
-/// Of the last two axes, which are y and x.
-fn pixel_nm(source: &Hdf5Source, group: &str, axes: usize) -> StatedPixel {
-    let side = |axis: usize| {
-        let about = source.file.group(&format!("{group}/axis-{axis}")).ok();
-        let scale = about.as_ref().and_then(|about| number::<f64>(about, "scale")).unwrap_or(0.0);
-        (scale, about.and_then(|about| any_text(&about, "units")).unwrap_or_default())
+/// What a signal says of one of its dimensions.
+fn axis(source: &Hdf5Source, group: &str, at: usize) -> NamedAxis {
+    let Ok(about) = source.file.group(&format!("{group}/axis-{at}")) else {
+        return NamedAxis::default();
     };
-    let (y, x) = (side(axes - 2), side(axes - 1));
-    square_nm([(x.0, &x.1), (y.0, &y.1)])
+    NamedAxis {
+        name: any_text(&about, "name").unwrap_or_default(),
+        step: Some(number::<f64>(&about, "scale").unwrap_or(0.0)),
+        first: number::<f64>(&about, "offset"),
+        unit: any_text(&about, "units").unwrap_or_default(),
+    }
 }

@@ -4,21 +4,25 @@
 //! |---|---|
 //! | DM3, DM4 (DigitalMicrograph) | size and unit of each image |
 //! | EMD of Velox | size, detector and energy of each image |
-//! | HDF5 of HyperSpy | size and unit of each axis, as far as they were set |
+//! | HDF5 of HyperSpy | name, size and unit of each axis, as far as they were set |
 //! | HDF5 of the atomically resolved BiFeO3 images of the STEMGym paper | its scale, the places and polarisations of unit cells |
-//! | any other HDF5 (py4DSTEM, Berkeley EMD ...) | what stands beside its image, where that is known |
-//! | `.tif`, `.npy`, `.npz`, zarr | nothing, but in TIFF and zarr of abTEM |
+//! | any other HDF5 (Berkeley EMD, Prismatic, NeXus, dimension scales, py4DSTEM ...) | names, steps and units of axes |
+//! | TIFF | abTEM's metadata; calibrations of ImageJ and OME; the resolution |
+//! | zarr | abTEM's metadata |
+//! | `.npy`, `.npz` | nothing |
 //!
-//! The kind of a file is found in its first bytes. Values are read as they are stored; none are scaled.
+//! The kind of a file is found in its first bytes. Axes that are named x and y say how the image lies; without names the last
+//! but one dimension counts rows. Values are read as they are stored; none are scaled, and those of a TIFF whose zero is white are
+//! counted from black.
 
 mod dm_image;
 mod dm_tags;
 mod hdf5_source;
 mod hyperspy_signal;
-mod length_units;
 mod other_array;
 mod unit_cells;
 mod velox_image;
+mod velox_titles;
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -26,9 +30,11 @@ use std::path::{Path, PathBuf};
 use ndarray::Array2;
 
 use crate::error::{Error, Result};
+pub use crate::io::length_units::StatedPixel;
+use crate::io::length_units::square_nm;
+use crate::io::named_axes::{NamedAxis, x_and_y};
 use crate::setting::Setting;
 use hdf5_source::Hdf5Source;
-pub use length_units::StatedPixel;
 pub use unit_cells::RecordedCells;
 
 /// Kinds of files with recorded images.
@@ -94,7 +100,45 @@ pub struct RecordedImage {
     pub energy_kev: Option<f64>,
     /// Name of the detector, if the file tells it.
     pub detector: Option<String>,
+    /// What was done to the image so that it lies as its file means it, in words.
+    pub notes: Vec<String>,
 }
+
+/// What axes say of an image.
+#[derive(Debug, Clone, PartialEq)]
+struct ImageAxes {
+    /// The dimensions of rows and columns, where x and y are named.
+    plane: Option<[usize; 2]>,
+    pixel_nm: StatedPixel,
+}
+
+impl ImageAxes {
+    /// Of the axes that a file names; otherwise of its last two.
+    fn of(axes: &[NamedAxis]) -> Self {
+        let named = x_and_y(axes.iter().map(|axis| axis.name.as_str()));
+        let plane = named.map(|[x, y]| [y, x]);
+        let last = || Some([axes.len().checked_sub(2)?, axes.len() - 1]);
+        let Some([y, x]) = plane.or_else(last) else {
+            return ImageAxes { plane: None, pixel_nm: Err(UNSAID.into()) };
+        };
+        let pixel_nm = match (axes[x].step, axes[y].step) {
+            (Some(along_x), Some(along_y)) => {
+                square_nm([(along_x, &axes[x].unit), (along_y, &axes[y].unit)])
+            }
+            _ => Err(UNSAID.into()),
+        };
+        ImageAxes { plane, pixel_nm }
+    }
+
+    /// What is said where the file holds its image as [x, y].
+    fn notes(&self) -> Vec<String> {
+        let turned = self.plane.is_some_and(|[y, x]| x < y);
+        let note = "the file names its axes x, y in that order: the image is transposed, so that rows count y";
+        turned.then(|| note.to_owned()).into_iter().collect()
+    }
+}
+
+const UNSAID: &str = "it says nothing of its pixels";
 
 /// First bytes of an HDF5 file.
 const HDF5_MARK: &[u8] = b"\x89HDF\r\n\x1a\n";

@@ -2,16 +2,14 @@
 
 use std::path::Path;
 
-use ndarray::{ArrayD, Axis};
+use ndarray::{Array2, Axis};
 
 use super::hdf5_source::Hdf5Source;
-use super::length_units::{StatedPixel, square_nm};
-use super::{ImageChoice, RecordedFormat, RecordedImage, frame_of};
+use super::{ImageAxes, ImageChoice, RecordedFormat, RecordedImage, UNSAID, frame_of};
 use crate::error::{Error, Result};
-use crate::io::arrays::{self, ArrayAxis, choose};
-use crate::io::hdf5_guard::{any_text, pair};
+use crate::io::arrays::{self, ArrayAxis, ForeignArray, choose};
+use crate::io::named_axes::NamedAxis;
 
-const UNSAID: &str = "it says nothing of its pixels";
 /// Endings of the arrays that are no HDF5.
 const ENDINGS: [&str; 5] = ["npy", "npz", "tif", "tiff", "zarr"];
 
@@ -24,42 +22,20 @@ pub(super) fn read_hdf5(source: &Hdf5Source, choice: &ImageChoice) -> Result<Rec
         Some(name) => name,
         None => choose(&source.path, &source.images(), choice.dataset.as_deref())?.to_owned(),
     };
-    let pixels = source.image(&name, 0, choice)?;
+    let axes = source.axes(&name).unwrap_or_default();
+    let axes = ImageAxes::of(&axes);
+    let pixels = source.image(&name, axes.plane, 0, choice)?;
     Ok(RecordedImage {
         path: source.path.clone(),
         format: RecordedFormat::Hdf5,
-        pixel_nm: beside(source, &name),
+        notes: axes.notes(),
+        pixel_nm: axes.pixel_nm,
         name: name.trim_start_matches('/').to_owned(),
         pixels,
         cells: None,
         energy_kev: None,
         detector: None,
     })
-}
-
-/// What attributes of an image, or lists of places along its axes beside it, say of its pixels: our own images, py4DSTEM
-/// (`dim0`, `dim1`) and Berkeley EMD (`dim1`, `dim2`).
-fn beside(source: &Hdf5Source, name: &str) -> StatedPixel {
-    let dataset = source.dataset(name).map_err(|e| e.to_string())?;
-    if let Some([x, y]) = pair(&dataset, "sampling_angstrom") {
-        return square_nm([(x, "A"), (y, "A")]);
-    }
-    let (group, _) = name.rsplit_once('/').ok_or(UNSAID)?;
-    let axes = dataset.ndim();
-    let first = usize::from(!source.has(&format!("{group}/dim0")));
-    let side = |axis: usize| -> Option<(f64, String)> {
-        let list = format!("{group}/dim{}", axis + first);
-        let about = source.file.dataset(&list).ok()?;
-        let unit = any_text(&about, "units")?;
-        let places = source.all::<f64>(&list).ok()?;
-        let places: Vec<f64> = places.into_iter().collect();
-        let steps = places.len().checked_sub(1).filter(|n| *n > 0)?;
-        Some(((places[steps] - places[0]) / steps as f64, unit))
-    };
-    match (side(axes - 2), side(axes - 1)) {
-        (Some(y), Some(x)) => square_nm([(x.0, &x.1), (y.0, &y.1)]),
-        _ => Err(UNSAID.into()),
-    }
 }
 
 /// What a file is by its name, where HyperSpy reads it and this program does not.
@@ -88,43 +64,66 @@ pub(super) fn read_plain(path: &Path, choice: &ImageChoice) -> Result<RecordedIm
         return Err(Error::parse(path, 0, message));
     }
     let array = arrays::read(path, choice.dataset.as_deref())?;
-    let name = array.name.clone();
-    let shape = array.data.shape().to_owned();
-    let frames = match shape[..] {
-        [_, _] => 1,
-        [frames, _, _] => frames,
-        _ => {
-            let found = format!(
-                "has the shape {shape:?}; an image has two axes, and a third for its frames"
-            );
-            return Err(array.error(found));
+    let named: Vec<NamedAxis> = array.axes.iter().flatten().map(named).collect();
+    let axes = match (&array.axes, &array.pixel_unsaid) {
+        (Some(_), _) => ImageAxes::of(&named),
+        (None, why) => {
+            let why = why.clone().unwrap_or_else(|| UNSAID.into());
+            ImageAxes { plane: None, pixel_nm: Err(why) }
         }
     };
-    let shown = if name.is_empty() { "the file" } else { &name };
-    let frame = frame_of(path, shown, frames, choice.index)?;
-    let plane: ArrayD<f64> = match shape.len() {
-        3 => array.data.index_axis_move(Axis(0), frame),
-        _ => array.data,
-    };
-    let plane = plane.as_standard_layout().into_owned().into_dimensionality();
-    let pixels = plane.map_err(|e| Error::parse(path, 0, e.to_string()))?;
+    let name = array.name.clone();
+    let notes = [array.notes.clone(), axes.notes()].concat();
+    let energy_kev = array.energy_ev.map(|ev| ev * 1e-3);
+    let pixels = image_of(array, axes.plane, choice)?;
     Ok(RecordedImage {
         path: path.to_owned(),
         format: RecordedFormat::Array,
         name,
         pixels,
-        pixel_nm: array.axes.as_deref().map_or_else(|| Err(UNSAID.into()), sampling),
+        pixel_nm: axes.pixel_nm,
         cells: None,
-        energy_kev: array.energy_ev.map(|ev| ev * 1e-3),
+        energy_kev,
         detector: None,
+        notes,
     })
 }
 
-/// Of the last two axes, where the file describes them.
-fn sampling(axes: &[ArrayAxis]) -> StatedPixel {
-    let [.., first, last] = axes else { return Err(UNSAID.into()) };
-    match (first.sampling_angstrom, last.sampling_angstrom) {
-        (Some(first), Some(last)) => square_nm([(last, "A"), (first, "A")]),
-        _ => Err(UNSAID.into()),
+/// The image of an array whose dimensions `[y, x]` count rows and columns; without them, its last two. A third counts frames.
+fn image_of(
+    array: ForeignArray,
+    plane: Option<[usize; 2]>,
+    choice: &ImageChoice,
+) -> Result<Array2<f64>> {
+    let path = array.path.clone();
+    let shape = array.data.shape().to_owned();
+    if !(2..=3).contains(&shape.len()) {
+        let found =
+            format!("has the shape {shape:?}; an image has two axes, and a third for its frames");
+        return Err(array.error(found));
+    }
+    let [y, x] = plane.unwrap_or([shape.len() - 2, shape.len() - 1]);
+    let shown = if array.name.is_empty() { "the file" } else { &array.name };
+    let others = (0..shape.len()).find(|axis| *axis != y && *axis != x);
+    let frame = frame_of(&path, shown, others.map_or(1, |axis| shape[axis]), choice.index)?;
+    let image = match others {
+        Some(axis) => array.data.index_axis_move(Axis(axis), frame),
+        None => array.data,
+    };
+    let image: Array2<f64> =
+        image.into_dimensionality().map_err(|e| Error::parse(&path, 0, e.to_string()))?;
+    let image = if x < y { image.reversed_axes() } else { image };
+    let whole = others.is_none() && image.is_standard_layout();
+    // A large image is not copied; one of many frames does not keep the others.
+    Ok(if whole { image } else { image.as_standard_layout().to_owned() })
+}
+
+/// An axis of an array of another program.
+fn named(axis: &ArrayAxis) -> NamedAxis {
+    NamedAxis {
+        name: axis.label.clone(),
+        step: axis.sampling_angstrom,
+        first: axis.origin_angstrom,
+        unit: "A".into(),
     }
 }

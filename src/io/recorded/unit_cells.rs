@@ -4,8 +4,7 @@
 use ndarray::{Array2, ArrayD};
 
 use super::hdf5_source::Hdf5Source;
-use super::length_units::StatedPixel;
-use super::{ImageChoice, RecordedFormat, RecordedImage};
+use super::{ImageChoice, RecordedFormat, RecordedImage, StatedPixel};
 use crate::error::Result;
 
 /// Lists of intensities that a file may have.
@@ -44,7 +43,7 @@ pub(super) fn is_one(source: &Hdf5Source, choice: &ImageChoice) -> bool {
 pub(super) fn read(source: &Hdf5Source, choice: &ImageChoice) -> Result<RecordedImage> {
     let path = |name: &str| find(source, name).unwrap_or_default().to_owned();
     let image = path("main image");
-    let pixels = source.image(&image, 0, choice)?;
+    let pixels = source.image(&image, None, 0, choice)?;
     let positions_px = pairs(source, &path("xy_COM"))?;
     let polarisations = match find(source, "Pxy") {
         Some(name) => pairs(source, name)?,
@@ -72,6 +71,7 @@ pub(super) fn read(source: &Hdf5Source, choice: &ImageChoice) -> Result<Recorded
         cells: Some(RecordedCells { positions_px, polarisations, intensities }),
         energy_kev: None,
         detector: None,
+        notes: Vec::new(),
     })
 }
 

@@ -3,15 +3,15 @@
 use serde_json::Value;
 
 use super::hdf5_source::Hdf5Source;
-use super::length_units::{StatedPixel, square_nm};
-use super::{ImageChoice, RecordedFormat, RecordedImage};
+use super::{ImageChoice, RecordedFormat, RecordedImage, StatedPixel, velox_titles};
 use crate::error::Result;
 use crate::io::arrays::choose;
+use crate::io::length_units::square_nm;
 
 const IMAGES: &str = "/Data/Image/";
 /// The axis of the frames.
 const FRAMES: usize = 2;
-/// Letters of an identifier that tell images of one detector apart.
+/// Letters of an identifier that tell images of one title apart.
 const SHORT_ID: usize = 8;
 
 /// Whether a file has the layout of Velox.
@@ -30,27 +30,36 @@ fn identifiers(source: &Hdf5Source) -> Vec<&str> {
     found.filter(has_metadata).collect()
 }
 
-/// Reads an image, chosen by its detector, by detector and the beginning of its identifier, or by its path.
+/// Reads an image, chosen by its title, by title and the beginning of its identifier, or by its path.
 pub(super) fn read(source: &Hdf5Source, choice: &ImageChoice) -> Result<RecordedImage> {
-    let ids = identifiers(source);
+    let all = identifiers(source);
+    let by_path =
+        |wanted: &str| all.iter().position(|id| wanted.split('/').any(|part| part == *id));
+    let asked = choice.dataset.as_deref().and_then(by_path);
+    // Fourier transforms are complex; one that is asked for, and an only one, has a reason of its own.
+    let real = |id: &&str| source.is_real(&format!("{IMAGES}{id}/Data"));
+    let ids: Vec<&str> = match (asked, all.len()) {
+        (Some(_), _) | (None, 1) => all,
+        (None, _) => all.into_iter().filter(real).collect(),
+    };
     let described: Vec<Value> = ids.iter().map(|id| metadata(source, id, 0)).collect();
     let detectors: Vec<&str> = described.iter().map(detector).collect();
+    let titles = velox_titles::read(source);
+    let plain = |k: usize| titles.get(ids[k]).map_or(detectors[k], String::as_str);
     let name_of = |k: usize| {
-        let alone = detectors.iter().filter(|d| **d == detectors[k]).count() == 1;
+        let alone = (0..ids.len()).filter(|other| plain(*other) == plain(k)).count() == 1;
         let short: String = ids[k].chars().take(SHORT_ID).collect();
-        if alone { detectors[k].to_owned() } else { format!("{}:{short}", detectors[k]) }
+        if alone { plain(k).to_owned() } else { format!("{}:{short}", plain(k)) }
     };
     let names: Vec<String> = (0..ids.len()).map(name_of).collect();
-    let by_path =
-        |wanted: &str| ids.iter().position(|id| wanted.split('/').any(|part| part == *id));
-    let at = match choice.dataset.as_deref().and_then(by_path) {
+    let at = match asked {
         Some(at) => at,
         None => {
             let chosen = choose(&source.path, &names, choice.dataset.as_deref())?;
             names.iter().position(|name| name == chosen).unwrap_or(0)
         }
     };
-    let pixels = source.image(&format!("{IMAGES}{}/Data", ids[at]), FRAMES, choice)?;
+    let pixels = source.image(&format!("{IMAGES}{}/Data", ids[at]), None, FRAMES, choice)?;
     let told = metadata(source, ids[at], choice.index.unwrap_or(0));
     let volts = told["Optics"]["AccelerationVoltage"].as_str().and_then(|v| v.parse::<f64>().ok());
     Ok(RecordedImage {
@@ -62,6 +71,7 @@ pub(super) fn read(source: &Hdf5Source, choice: &ImageChoice) -> Result<Recorded
         cells: None,
         energy_kev: volts.map(|v| v * 1e-3).filter(|v| v.is_finite() && *v > 0.0),
         detector: Some(detectors[at].to_owned()).filter(|d| d != NAMELESS),
+        notes: Vec::new(),
     })
 }
 

@@ -7,10 +7,12 @@ pub type StatedPixel = std::result::Result<f64, String>;
 const SQUARE: f64 = 1e-3;
 
 /// A unit of length in nm, as programs write it.
-fn unit_nm(unit: &str) -> Option<f64> {
+pub(super) fn unit_nm(unit: &str) -> Option<f64> {
     let plain = unit.trim().trim_matches(['[', ']', '(', ')']).replace('_', "");
     Some(match plain.as_str() {
         "m" | "meter" | "metre" | "meters" => 1e9,
+        "inch" | "in" => 2.54e7,
+        "cm" | "centimeter" => 1e7,
         "mm" | "millimeter" => 1e6,
         "um" | "\u{b5}m" | "\u{3bc}m" | "micron" | "microns" | "micrometer" => 1e3,
         "nm" | "nanometer" | "nanometre" | "nanometers" => 1.0,
