@@ -20,7 +20,7 @@ mkdir -p "$place" target/docs
 rm -rf "$place/venv"
 "${PYTHON:-python3}" -m venv "$place/venv"
 python="$place/venv/bin/python"
-"$python" -m pip install -q pytest ase h5py mypy tqdm matplotlib tifffile pycocotools nbclient nbformat ipykernel \
+"$python" -m pip install -q pytest ase gymnasium h5py mypy tqdm matplotlib tifffile pycocotools nbclient nbformat ipykernel \
     "mlcroissant>=1.1.1,<1.2" pyyaml "scipy>=1.15,<2" "scikit-learn>=1.5,<2" "scikit-image>=0.24,<1" "onnx>=1.17,<2" "onnxruntime>=1.20,<2"
 if ! timeout 240 "$python" -m pip install -q hyperspy; then
     echo "SKIPPED: hyperspy cannot be installed; its reader of our files is not tested" >&2

@@ -30,6 +30,12 @@ rm -rf "$place/bare"
 import stemworlds as sw
 print('stemworlds', sw.__version__, 'from', sw.__file__)
 assert sw.Recipe('test').grid == (2, 3)
+try:
+    import stemworlds.bench
+except ModuleNotFoundError as error:
+    assert 'stemworlds[bench]' in str(error), error
+else:
+    raise SystemExit('the wheel brings more than NumPy')
 ")
 python="$top/$place/venv/bin/python"
 "$python" -m pip install -q "$wheel" ./library

@@ -10,8 +10,13 @@ Agents play episodes, and experiments are many of them:
     >>> from stemworlds.bench import make_agent, play
     >>> record = play(env, make_agent("GP-UCB"), seed=0)                                   # doctest: +SKIP
 
-Agents need ``pip install 'stemworlds[agents]'``; what else they need is imported when it is used.
+It needs ``pip install 'stemworlds[bench]'``, agents ``'stemworlds[agents]'``; what else they need is imported when it is used.
 """
+
+try:
+    import gymnasium as _gymnasium  # noqa: F401
+except ModuleNotFoundError as _missing:
+    raise ModuleNotFoundError("stemworlds.bench needs Gymnasium: pip install 'stemworlds[bench]'", name=_missing.name) from None
 
 from .agents import Agent, CompressedSensing, Plays, play
 from .analysts import Heuristic, Nothing, Oracle, TileByTile
