@@ -259,7 +259,7 @@ impl AcquireSummary {
         lines.add("recording", pixels);
         let [x, y] = self.origin_nm;
         lines.add("first pixel", format!("{x:.3}, {y:.3} nm"));
-        lines.add("image", self.source.to_owned());
+        lines.add("image", self.source);
         let numbers =
             [self.dose_electrons_per_angstrom2, self.beam_current_pa, self.electrons_per_pixel];
         let [dose, current, per_pixel] = numbers.map(|v| text::significant(v, 4));
