@@ -80,7 +80,7 @@ pub fn png(image: ArrayView2<f32>, step: [f64; 2], scale_bar: bool) -> Result<Ve
     picture.png()
 }
 
-/// The image with square pixels, enlarged to about [`ENLARGED`] if it is small, and that pixel.
+/// The image with square pixels, enlarged to about 1024 pixels if it is small, and that pixel.
 pub fn resampled(image: ArrayView2<f32>, [x, y]: [f64; 2]) -> (Array2<f32>, f64) {
     let (rows, columns) = image.dim();
     if x.max(y) / x.min(y) < SQUARE && rows.max(columns) > SMALL {

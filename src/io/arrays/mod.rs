@@ -5,7 +5,7 @@
 //! | `.npy`, `.npz` | nothing |
 //! | zarr, format 2 or 3 (`measurement.to_zarr`) | abTEM's metadata; names of dimensions |
 //! | `.tif`, `.tiff` (`measurement.to_tiff`) | abTEM's metadata in one of the descriptions; pixels of ImageJ, OME, and by the resolution |
-//! | `.h5`, `.hdf5`, `.emd`, `.nxs` | see [`super::hdf5_axes`] |
+//! | `.h5`, `.hdf5`, `.emd`, `.nxs` | see `hdf5_axes` |
 
 mod abtem_metadata;
 mod hdf;
