@@ -19,6 +19,7 @@ import stemworlds as sw
 from stemworlds import bench
 from stemworlds.bench.blind import fresh_areas_nm2
 from stemworlds.bench.columns import Columns, columns_of
+from stemworlds.bench.command import main
 from stemworlds.bench.forecasts import average_precision, nearest_columns
 from stemworlds.bench.ideal import evidence, log_likelihood
 from stemworlds.bench.prior import _best_axis, _counted, prior_of
@@ -352,6 +353,26 @@ def test_agents_of_other_packages_take_part(tmp_path: Path) -> None:
     assert again.skipped == 4
     (tmp_path / "mine_of_test.py").write_text(OWN + "# changed\n")
     assert len({episode.key for episode in experiment} - {row["key"] for row in rows.values()}) == 2
+
+
+def test_a_dry_run_tells_the_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = 'tasks = ["defect-census"]\nseeds = 3\nbudgets = [1000]\nagents = ["Nothing", "Raster", "Prior"]\nworlds = [{recipe = "test"}]\n'
+    (tmp_path / "e.toml").write_text(text)
+    out, words = tmp_path / "r.jsonl", ["run", str(tmp_path / "e.toml"), "--processes", "2", "--dry-run", "--out", str(tmp_path / "r.jsonl")]
+    main(words)
+    assert "9 are left; how long they take is known when" in capsys.readouterr().out and not out.exists()
+    rows = []
+    for episode in bench.read_experiment(tmp_path / "e.toml"):
+        if episode.seed < 2 and episode.agent["name"] != "Prior":
+            seconds = {"Nothing": 2.0, "Raster": 10.0}[episode.agent["name"]] + episode.seed
+            row = {"key": episode.key, "agent": episode.agent["name"], "task": episode.task, "world": "test", "seed": episode.seed, "budget": 1000.0}
+            numbers = dict.fromkeys(("dec_auc", "final_score", "time_to_threshold", "early_weighted", "late_weighted", "half_budget"), 0.5)
+            rows.append({**row, "metrics": numbers, "curve": [], "wall": {"seconds": seconds, "seconds_per_tile": 0.1}})
+    out.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    main([*words, "--json"])
+    told = json.loads(capsys.readouterr().out)
+    # One of 2.5 s, one of 10.5 s, and three as slow as the two are on average, on two processes.
+    assert told["left"] == 5 and told["seconds"] == pytest.approx((2.5 + 10.5 + 3 * 6.5) / 2) and told["guessed"] == ["Prior"]
 
 
 @pytest.mark.parametrize(
