@@ -281,7 +281,7 @@ def test_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert len(json.loads(capsys.readouterr().out)["written"]) == 4
     assert main(["experiments"]) == 0 and "main " in capsys.readouterr().out
     assert main(["run", "main", "--out", str(tmp_path / "o"), "--dry-run", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["episodes"] == 6600
+    assert json.loads(capsys.readouterr().out)["episodes"] == 7200
     assert main([]) == 0 and "examples:" in capsys.readouterr().out
     for words, said in (
         (["leaderboard", str(tmp_path / "none.jsonl")], "no such file of results"),

@@ -19,6 +19,7 @@ import stemworlds as sw
 from stemworlds import bench
 from stemworlds.bench.blind import fresh_areas_nm2
 from stemworlds.bench.columns import Columns, columns_of
+from stemworlds.bench.command import main
 from stemworlds.bench.forecasts import average_precision, nearest_columns
 from stemworlds.bench.ideal import evidence, log_likelihood
 from stemworlds.bench.prior import _best_axis, _counted, prior_of
@@ -64,7 +65,7 @@ def test_bits_are_gained_over_the_prior() -> None:
     places, counts = np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([2, 0])
     prior = np.array([[0.5, 0.25, 0.25], [0.8, 0.1, 0.1]])
     whole = bench.score_forecasts(forecasts([[0, 0, 0, 0, 1], [1, 0, 1, 0, 0]]), places, counts, prior)
-    assert whole.share == 1.0 and whole.bits == pytest.approx(whole.prior_bits) == pytest.approx(2 - math.log2(0.8))
+    assert whole.share == 1.0 and whole.bits == whole.prior_bits == pytest.approx(2 - math.log2(0.8))
     assert whole.average_precision == 1.0 and whole.count_error == pytest.approx(0) and whole.count_sigma == 0.0
     # Who says nothing of columns, says the prior, or speaks of other places gains nothing.
     for said in (None, bench.Findings(), forecasts([[0, 0, 0.5, 0.25, 0.25]]), forecasts([[3, 3, 0, 1]])):
@@ -114,7 +115,7 @@ def test_columns_are_those_of_the_file(field_path: Path) -> None:
 
 
 def test_priors_are_counted_on_specimens_for_training() -> None:
-    recipe = sw.Recipe(**RECIPE, seed=7)
+    recipe = sw.Recipe("test", set=RECIPE["set"], seed=7)
     prior = prior_of(recipe)
     assert all(np.allclose(table.sum(axis=-1), 1) and (table > 0).all() for table in prior.chances.values())
     held = sum(int(columns_of(recipe.with_seed(seed).toml).defects.sum()) for seed in (2, 4, 6, 8))
@@ -172,12 +173,13 @@ def test_posteriors_are_those_of_counted_electrons() -> None:
     random = np.random.default_rng(5)
     learned = random.choice(3, 600, p=[0.6, 0.3, 0.1])
     template = _template(spots(learned, random.standard_normal(600)), learned, 0.02, 0.14)
-    counts, electrons = random.choice(3, 1500, p=[0.6, 0.3, 0.1]), 300.0
-    images = spots(counts, random.standard_normal(1500))
+    counts, electrons = random.choice(3, 800, p=[0.6, 0.3, 0.1]), 300.0
+    images = spots(counts, random.standard_normal(800))
+    seen = observed(template, images, electrons, 1)
     prior, number = np.array([0.6, 0.3, 0.1]), np.arange(3.0)
     said = {}
     for grade in ("linear", "mixture"):
-        logs = np.array([log_likelihood(t, s, template, number, grade) for t, s in observed(template, images, electrons, 1)])  # type: ignore[arg-type]
+        logs = np.array([log_likelihood(t, s, template, number, grade) for t, s in seen])  # type: ignore[arg-type]
         chances = prior * np.exp(logs - logs.max(axis=1, keepdims=True))
         said[grade] = chances / chances.sum(axis=1, keepdims=True)
         # Calibrated: as many defects as are said, to four standard deviations.
@@ -187,14 +189,14 @@ def test_posteriors_are_those_of_counted_electrons() -> None:
     # The Hotelling observer of others, trained on the same kind of recordings, orders columns no better.
     analysis = pytest.importorskip("sklearn.discriminant_analysis")
     noisy = np.random.default_rng(2).poisson(images * electrons).reshape(len(images), -1)
-    other = analysis.LinearDiscriminantAnalysis(solver="lsqr", shrinkage="auto").fit(noisy[:750], counts[:750] > 0).decision_function(noisy[750:])
-    theirs = metrics.roc_auc_score(counts[750:] > 0, other)
-    ours = {grade: metrics.roc_auc_score(counts[750:] > 0, 1 - chances[750:, 0]) for grade, chances in said.items()}
+    other = analysis.LinearDiscriminantAnalysis(solver="lsqr", shrinkage="auto").fit(noisy[:400], counts[:400] > 0).decision_function(noisy[400:])
+    theirs = metrics.roc_auc_score(counts[400:] > 0, other)
+    ours = {grade: metrics.roc_auc_score(counts[400:] > 0, 1 - chances[400:, 0]) for grade, chances in said.items()}
     assert 0.75 < theirs - 0.03 < ours["linear"] and theirs - 0.03 < ours["mixture"], (theirs, ours)
-    # Each grade is the better the more electrons there are.
-    more = np.array([log_likelihood(t, s, template, number, "linear")[1] for t, s in observed(template, images[:300], 10 * electrons, 3)])
-    few = np.array([log_likelihood(t, s, template, number, "linear")[1] for t, s in observed(template, images[:300], electrons, 3)])
-    assert metrics.roc_auc_score(counts[:300] > 0, more) > metrics.roc_auc_score(counts[:300] > 0, few)
+    # More electrons tell more.
+    more = np.array([log_likelihood(t, s, template, number, "linear")[1] for t, s in observed(template, images[:150], 10 * electrons, 3)])
+    few = np.array([log_likelihood(t, s, template, number, "linear")[1] for t, s in seen[:150]])
+    assert metrics.roc_auc_score(counts[:150] > 0, more) > metrics.roc_auc_score(counts[:150] > 0, few)
 
 
 def test_known_images_are_judged_by_poissons_law() -> None:
@@ -351,6 +353,26 @@ def test_agents_of_other_packages_take_part(tmp_path: Path) -> None:
     assert again.skipped == 4
     (tmp_path / "mine_of_test.py").write_text(OWN + "# changed\n")
     assert len({episode.key for episode in experiment} - {row["key"] for row in rows.values()}) == 2
+
+
+def test_a_dry_run_tells_the_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = 'tasks = ["defect-census"]\nseeds = 3\nbudgets = [1000]\nagents = ["Nothing", "Raster", "Prior"]\nworlds = [{recipe = "test"}]\n'
+    (tmp_path / "e.toml").write_text(text)
+    out, words = tmp_path / "r.jsonl", ["run", str(tmp_path / "e.toml"), "--processes", "2", "--dry-run", "--out", str(tmp_path / "r.jsonl")]
+    main(words)
+    assert "9 are left; how long they take is known when" in capsys.readouterr().out and not out.exists()
+    rows = []
+    for episode in bench.read_experiment(tmp_path / "e.toml"):
+        if episode.seed < 2 and episode.agent["name"] != "Prior":
+            seconds = {"Nothing": 2.0, "Raster": 10.0}[episode.agent["name"]] + episode.seed
+            row = {"key": episode.key, "agent": episode.agent["name"], "task": episode.task, "world": "test", "seed": episode.seed, "budget": 1000.0}
+            numbers = dict.fromkeys(("dec_auc", "final_score", "time_to_threshold", "early_weighted", "late_weighted", "half_budget"), 0.5)
+            rows.append({**row, "metrics": numbers, "curve": [], "wall": {"seconds": seconds, "seconds_per_tile": 0.1}})
+    out.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    main([*words, "--json"])
+    told = json.loads(capsys.readouterr().out)
+    # One of 2.5 s, one of 10.5 s, and three as slow as the two are on average, on two processes.
+    assert told["left"] == 5 and told["seconds"] == pytest.approx((2.5 + 10.5 + 3 * 6.5) / 2) and told["guessed"] == ["Prior"]
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from .experiments import packaged_experiments, read_experiment
 from .progress import in_words
 from .report import leaderboard, write_report
 from .runner import RunSummary, run_experiment
+from .time_left import forecast_of_time
 
 _INTERRUPTED = 130
 
@@ -89,7 +90,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("experiment", metavar="EXPERIMENT", help="a TOML file, or the name of an experiment of the package")
     run.add_argument("--out", required=True, metavar="RESULTS", help="file of results, JSON lines; what it holds is not played again")
     run.add_argument("--processes", type=int, metavar="N", help="how many episodes play at once [default: as many as processors]")
-    run.add_argument("--dry-run", action="store_true", help="only tell what would be played")
+    run.add_argument("--dry-run", action="store_true", help="only tell what would be played, and how long it takes by the times in RESULTS")
     report = add("report", _report, "make a page of results", _REPORT, _REPORT_EXAMPLES)
     report.add_argument("results", nargs="+", metavar="RESULTS", help="files of results")
     report.add_argument("-o", "--out", required=True, metavar="PAGE", help="the page, with .html behind it")
@@ -110,7 +111,8 @@ def _run(options: argparse.Namespace) -> int:
         counts = {"agents": len(experiment.agents), "tasks": len(experiment.tasks), "worlds": len(experiment.worlds)}
         counts |= {"seeds": len(experiment.seeds), "budgets": len(experiment.budgets), "episodes": episodes}
         words = ", ".join(f"{count} {name if count != 1 else name.removesuffix('s')}" for name, count in counts.items())
-        print(json.dumps({"experiment": experiment.name, **counts}) if options.json else f"{experiment.name}: {words}")
+        left = forecast_of_time(experiment, options.out, options.processes)
+        print(json.dumps({"experiment": experiment.name, **counts, **dataclasses.asdict(left)}) if options.json else f"{experiment.name}: {words}; {left}")
         return 0
     summary = run_experiment(experiment, options.out, processes=options.processes)
     if options.json:

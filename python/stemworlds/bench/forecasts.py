@@ -74,7 +74,7 @@ def score_forecasts(findings: Findings | None, places_nm: Values, counts: Whole,
         counts: (N,), their numbers of defects.
         prior: (N, K), chances of 0, 1, ... defects; the last class is "that many or more".
     """
-    said = np.zeros((0, 4)) if findings is None else findings.forecasts
+    said = np.zeros((0, 4)) if findings is None else np.asarray(findings.forecasts, dtype=np.float64)
     chances = prior
     owner = nearest_columns(said[:, :2], places_nm)
     if len(said):

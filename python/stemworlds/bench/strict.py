@@ -115,12 +115,11 @@ class ColumnLedger:
         scores = record.get("scores")
         if scores is not None and self.findings is not None:
             forecast = bool(len(self.findings.forecasts)) and bool(self._views)
-            scores = {**scores, "close": scores["strict"], "strict": self.share()}
+            # The library's strict census takes counts, which a blind agent has right: it is not passed on.
+            close = {} if self.target is None else {"close": scores["strict"]}
+            scores = {**scores, **close, "strict": self.share() if forecast or self.scored else None}
             if forecast:
                 scores["forecasts"] = self.score().numbers(self.electrons)
-            if self.target is None:
-                # By counts alone the census of a blind agent is right.
-                del scores["close"]
         more: dict[str, Any] = {"scores": scores}
         if self.scored:
             more |= {"curve": self.curve, "metrics": json.loads(_core.dose_metrics([(a, b) for a, b in self.curve], CHECKPOINTS))}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+import tomllib
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,8 +63,11 @@ class Template:
 def templates_of(toml: str, target: str | None) -> dict[str, Template]:
     """Templates by kind of column, for defects of a type or of all; kinds that hold no defect have none.
 
-    A kind of which too few columns were seen has none either: its posterior is its prior.
+    A kind of which too few columns were seen has none either, and so have particles, which lie as they like and show no columns: there the
+    posterior is the prior.
     """
+    if "particles" in tomllib.loads(toml):
+        return {}
     recipe = Recipe(toml).with_seed(LEARNED_SEED)
     patches, counts, pixel_nm, radius_nm = _patches(recipe, target)
     made = {}
