@@ -32,7 +32,7 @@ const ASKED: &[&str] = &[
 ];
 
 fn digest(path: &Path) -> String {
-    python("digest.py", &[&path])
+    python("digest.py", &[path])
 }
 
 #[test]
