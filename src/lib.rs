@@ -98,6 +98,7 @@
 //! - [`setting`]: names of settings, for errors
 //! - [`error`]: errors that say what was wrong, and what to do
 //! - [`rng`]: random numbers that depend on names, not on the order of drawing
+//! - `made_once`: values that are made at their first request and kept
 //! - `simd`: vector instructions of the machine
 //! - `matrix`: products of complex matrices
 //! - [`progress`]: what long computations report, and how they are stopped
@@ -150,6 +151,7 @@ pub mod files;
 pub mod imaging;
 pub mod io;
 pub mod live;
+mod made_once;
 mod matrix;
 pub mod models;
 pub mod numerics;

@@ -13,10 +13,12 @@ pub(crate) fn multiply<T: MatrixElement>(
     if m == 0 || n == 0 || k == 0 {
         return;
     }
-    assert!(out.len() >= (m - 1) * out_stride + n);
-    assert!(a.len() > (m - 1) * a_row + (k - 1) * a_column);
-    assert!(b.len() >= (k - 1) * b_stride + n);
-    // The assertions cover every element that dimensions and strides reach.
+    let last = |count: usize, stride: usize| (count - 1).saturating_mul(stride);
+    assert!(out.len() >= last(m, out_stride).saturating_add(n));
+    assert!(a.len() > last(m, a_row).saturating_add(last(k, a_column)));
+    assert!(b.len() >= last(k, b_stride).saturating_add(n));
+    // SAFETY: the assertions cover every element that dimensions and strides reach; `out` is borrowed mutably, so it is neither of
+    // the others.
     unsafe {
         gemm::gemm(
             m,
@@ -51,7 +53,8 @@ pub(crate) fn gram(n: usize, a: &[Complex32], out: &mut [Complex32]) {
     assert!(a.len() == n * k && out.len() >= n * n);
     for first in (0..n).step_by(GRAM_ROWS) {
         let rows = GRAM_ROWS.min(n - first);
-        // Rows `first..first + rows` of `out`, columns from `first` on: all within `out`, as asserted.
+        // SAFETY: rows `first..first + rows` of `out`, columns from `first` on, and rows of `a` of `k` elements: all within them, as
+        // asserted.
         unsafe {
             gemm::gemm(
                 rows,

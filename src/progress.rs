@@ -108,8 +108,8 @@ impl Progress for ProgressShare<'_> {
     }
 }
 
-/// Passes on only the wish to stop: pixels are counted elsewhere.
-pub(crate) struct InterruptOnly<'a>(pub &'a dyn Progress);
+/// Passes on warnings and the wish to stop, and nothing of the stages: these are counted elsewhere.
+pub struct InterruptOnly<'a>(pub &'a dyn Progress);
 
 impl Progress for InterruptOnly<'_> {
     fn start(&self, _: &str, _: &str, _: u64) {}

@@ -1,4 +1,4 @@
-//! The names of all settings that the library checks.
+//! The names of all settings that the library checks, and values outside their limits.
 
 /// Declares [`Setting`] from lines `Variant = "name with unit"`.
 macro_rules! settings {
@@ -24,6 +24,38 @@ macro_rules! settings {
             }
         }
     };
+}
+
+/// A value of a table outside its limits.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Fault {
+    /// Its key, with dots.
+    pub key: String,
+    /// The value.
+    pub value: String,
+    /// What is allowed, and what to do.
+    pub expected: String,
+}
+
+impl Fault {
+    /// The same, of a table that is part of another one.
+    #[must_use]
+    pub fn in_table(self, table: &str) -> Self {
+        Fault { key: format!("{table}.{}", self.key), ..self }
+    }
+}
+
+/// Checks a value against the least and the greatest that are allowed; NaN is never allowed.
+pub(crate) fn check_range(
+    key: impl Into<String>,
+    value: f64,
+    [low, high]: [f64; 2],
+) -> Result<(), Fault> {
+    if (low..=high).contains(&value) {
+        return Ok(());
+    }
+    let expected = format!("expected {low} to {high}");
+    Err(Fault { key: key.into(), value: value.to_string(), expected })
 }
 
 settings! {

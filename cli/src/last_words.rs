@@ -42,7 +42,7 @@ mod unix {
 
     pub fn listen() {
         // SAFETY: the handler calls nothing but `write` and `_exit`, which handlers may call. It runs on the stack that each thread
-        // has for handlers, since its own may be full.
+        // has for handlers, since its own may be full. All zeros are a valid action, with no flags and an empty mask.
         unsafe {
             let mut action: libc::sigaction = std::mem::zeroed();
             action.sa_sigaction = speak as extern "C" fn(i32) as libc::sighandler_t;

@@ -10,7 +10,7 @@ use pyo3::types::PyDict;
 use rayon::prelude::*;
 use std::sync::{Arc, Mutex, PoisonError};
 use stemgen::imaging::{Cache, RegionImager};
-use stemgen::progress::{Progress, Silent};
+use stemgen::progress::{InterruptOnly, Progress};
 use stemgen::recipe::CheckedRecipe;
 use stemgen::rng::{Purpose, words};
 use stemgen::specimen::{Specimen, specimen};
@@ -115,28 +115,11 @@ impl Source {
                 return Err(stemgen::Error::Interrupted.into());
             }
             let Laid { recipe, specimen, imager, .. } = &**laid;
-            let quiet = Quiet(guest);
+            let quiet = InterruptOnly(guest);
             let (specimen, imager) = (&**specimen, &**imager);
             Ok(training_sample(recipe, specimen, imager, &self.options, *index, &quiet)?)
         };
         of_each.par_iter().map(make).collect()
-    }
-}
-
-/// Passes on only the wish to stop.
-struct Quiet<'a>(&'a Guest);
-
-impl Progress for Quiet<'_> {
-    fn start(&self, stage: &str, unit: &str, total: u64) {
-        Silent.start(stage, unit, total);
-    }
-    fn advance(&self, _: u64) {}
-    fn finish(&self) {}
-    fn warn(&self, message: &str) {
-        self.0.warn(message);
-    }
-    fn interrupted(&self) -> bool {
-        self.0.interrupted()
     }
 }
 

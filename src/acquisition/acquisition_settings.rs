@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::profiles::Profile;
+use crate::setting::{Fault, check_range};
 
 /// Declares [`Acquisition`] and [`AcquisitionTable`], the same with every value left open.
 macro_rules! acquisition {
@@ -124,16 +125,19 @@ impl Acquisition {
         ]
     }
 
-    /// The first value outside its limits: its key, the value, and what is allowed.
-    pub fn fault(&self) -> Option<(&'static str, String, String)> {
-        for (value, (key, [low, high])) in self.limited() {
-            if !(low..=high).contains(&value) {
-                return Some((key, value.to_string(), format!("expected {low} to {high}")));
-            }
+    /// Checks every value against its limits.
+    ///
+    /// # Errors
+    /// The first value outside them.
+    pub fn check(&self) -> Result<(), Fault> {
+        for (value, (key, limits)) in self.limited() {
+            check_range(key, value, limits)?;
         }
-        let known = BITS.contains(&self.bits);
+        if BITS.contains(&self.bits) {
+            return Ok(());
+        }
         let expected = "expected 8, 12 or 16, or 32 for numbers that are not rounded".to_owned();
-        (!known).then(|| ("bits", self.bits.to_string(), expected))
+        Err(Fault { key: "bits".into(), value: self.bits.to_string(), expected })
     }
 
     /// Time from the beginning of one line of so many pixels to that of the next, in s.
@@ -169,16 +173,16 @@ mod tests {
         let fault = |change: fn(&mut Acquisition)| {
             let mut changed = ideal;
             change(&mut changed);
-            changed.fault().map(|(key, ..)| key)
+            changed.check().err().map(|fault| fault.key)
         };
         assert_eq!(fault(|_| {}), None);
-        assert_eq!(fault(|a| a.dwell_us = -1.0), Some("dwell_us"));
-        assert_eq!(fault(|a| a.frames = 0), Some("frames"));
-        assert_eq!(fault(|a| a.drift_nm_per_s[1] = f64::NAN), Some("drift_nm_per_s"));
-        assert_eq!(fault(|a| a.dqe = 0.0), Some("dqe"));
+        assert_eq!(fault(|a| a.dwell_us = -1.0).as_deref(), Some("dwell_us"));
+        assert_eq!(fault(|a| a.frames = 0).as_deref(), Some("frames"));
+        assert_eq!(fault(|a| a.drift_nm_per_s[1] = f64::NAN).as_deref(), Some("drift_nm_per_s"));
+        assert_eq!(fault(|a| a.dqe = 0.0).as_deref(), Some("dqe"));
         let key = Some("contamination_angstrom3_per_electron");
-        assert_eq!(fault(|a| a.contamination_angstrom3_per_electron = -1e-3), key);
-        assert_eq!(fault(|a| a.contamination_angstrom3_per_electron = 11.0), key);
-        assert_eq!(fault(|a| a.bits = 10), Some("bits"));
+        assert_eq!(fault(|a| a.contamination_angstrom3_per_electron = -1e-3).as_deref(), key);
+        assert_eq!(fault(|a| a.contamination_angstrom3_per_electron = 11.0).as_deref(), key);
+        assert_eq!(fault(|a| a.bits = 10).as_deref(), Some("bits"));
     }
 }

@@ -133,7 +133,7 @@ mod tests {
     #[test]
     fn profiles_are_within_the_limits() {
         for profile in Profile::ALL {
-            assert_eq!(profile.acquisition().fault(), None, "{}", profile.name());
+            assert_eq!(profile.acquisition().check(), Ok(()), "{}", profile.name());
         }
     }
 }

@@ -1,6 +1,5 @@
 //! A world file as a world of the benchmark.
 
-use std::collections::HashMap;
 use std::ops::Range;
 use std::path::Path;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -15,6 +14,7 @@ use super::view::{FieldFacts, TileView};
 use crate::error::{Error, Result};
 use crate::imaging::TurnedRaster;
 use crate::io::{WorldFile, schema::atom_type};
+use crate::made_once::MadeOnce;
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Recipe, Region};
 use crate::resample::{HALF_WIDTH, Kernel};
@@ -28,8 +28,8 @@ const REPLAY: &str = "replay";
 /// Rows of pixels of the phase map that are read at a time.
 const PHASE_ROWS: usize = 256;
 
-/// ReadTiles that were read, by row and column.
-type ReadTiles = Mutex<HashMap<[usize; 2], Arc<Array2<f32>>>>;
+/// Tiles read so far, by \[row, column\].
+type ReadTiles = MadeOnce<[usize; 2], Array2<f32>>;
 
 /// A world file. What was read once is kept.
 ///
@@ -45,8 +45,10 @@ pub struct FileWorld {
     defects: ByPlace<SiteKind>,
     columns: OnceLock<ByPlace<bool>>,
     particles: Vec<FoundParticle>,
-    phases: Mutex<HashMap<usize, Arc<PhaseSamples>>>,
-    again: Mutex<Option<Arc<RecipeWorld>>>,
+    /// By the distance of the samples in pixels.
+    phases: MadeOnce<usize, PhaseSamples>,
+    /// The same specimen, made from the recipe.
+    again: MadeOnce<(), RecipeWorld>,
 }
 
 impl FileWorld {
@@ -84,8 +86,8 @@ impl FileWorld {
             defects: ByPlace::new(sites.into_iter()),
             columns: OnceLock::new(),
             particles: (0..batch.diameters.len()).map(particle).collect(),
-            phases: Mutex::default(),
-            again: Mutex::default(),
+            phases: MadeOnce::default(),
+            again: MadeOnce::default(),
             file: Mutex::new(file),
         })
     }
@@ -130,40 +132,55 @@ impl FileWorld {
 
     fn tile(&self, clean: bool, at: [usize; 2]) -> Result<Arc<Array2<f32>>> {
         let kept = if clean { &self.clean } else { &self.tiles };
-        let lock = || kept.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(found) = lock().get(&at) {
-            return Ok(Arc::clone(found));
+        kept.get(at, || {
+            let [row, column] = at;
+            let tile = self.with_file(|file| match clean {
+                true => file.clean_tile(row, column),
+                false => file.tile(row, column),
+            })?;
+            if let Some(odd) = tile.iter().find(|v| !v.is_finite()) {
+                let expected = format!("tile {row}, {column} holds {odd}: the file is damaged");
+                return Err(Error::invalid(Setting::CleanImage, "an image", expected));
+            }
+            Ok(tile)
+        })
+    }
+
+    /// Phases of every `stride_px`-th pixel.
+    fn read_phases(&self, stride_px: usize) -> Result<PhaseSamples> {
+        let [height, width] = self.facts.shape_px();
+        let shape = PhaseSamples::shape([height, width], stride_px);
+        let mut phases = Array2::zeros(shape);
+        for first in (0..height).step_by(PHASE_ROWS) {
+            let rows = first..height.min(first + PHASE_ROWS);
+            let Some(band) = self.with_file(|f| f.phase_map(rows.clone(), 0..width))? else {
+                break;
+            };
+            for (row, mut line) in phases.outer_iter_mut().enumerate() {
+                let at = row * stride_px + stride_px / 2;
+                if rows.contains(&at) {
+                    for (column, phase) in line.iter_mut().enumerate() {
+                        *phase = band[[at - first, column * stride_px + stride_px / 2]];
+                    }
+                }
+            }
         }
-        let [row, column] = at;
-        let tile = self.with_file(|file| match clean {
-            true => file.clean_tile(row, column),
-            false => file.tile(row, column),
-        })?;
-        if let Some(odd) = tile.iter().find(|v| !v.is_finite()) {
-            let expected = format!("tile {row}, {column} holds {odd}: the file is damaged");
-            return Err(Error::invalid(Setting::CleanImage, "an image", expected));
-        }
-        let tile = Arc::new(tile);
-        lock().insert(at, Arc::clone(&tile));
-        Ok(tile)
+        Ok(PhaseSamples { phases, stride_px })
     }
 
     /// The same specimen, made anew.
     fn again(&self, progress: &dyn Progress) -> Result<Arc<RecipeWorld>> {
-        let lock = || self.again.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(found) = &*lock() {
-            return Ok(Arc::clone(found));
-        }
-        let text = self.with_file(|file| {
-            file.metadata().recipe.clone().ok_or_else(|| {
-                let message = "holds neither a noise-free image nor a recipe: take its tiles as they are stored";
-                Error::choice(file.path(), Setting::CleanImage, message)
-            })
-        })?;
-        let recipe = recipe(&text)?;
-        let source = RecipeSource::new(&recipe, &self.options, progress)?;
-        let world = Arc::new(source.world(recipe.seed)?);
-        Ok(Arc::clone(lock().get_or_insert(world)))
+        self.again.get((), || {
+            let text = self.with_file(|file| {
+                file.metadata().recipe.clone().ok_or_else(|| {
+                    let message = "holds neither a noise-free image nor a recipe: take its tiles as they are stored";
+                    Error::choice(file.path(), Setting::CleanImage, message)
+                })
+            })?;
+            let recipe = recipe(&text)?;
+            let source = RecipeSource::new(&recipe, &self.options, progress)?;
+            source.world(recipe.seed)
+        })
     }
 
     /// A view between the pixels of an image.
@@ -327,29 +344,6 @@ impl BenchmarkWorld for FileWorld {
     }
 
     fn phases(&self, stride_px: usize) -> Result<Arc<PhaseSamples>> {
-        let lock = || self.phases.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(found) = lock().get(&stride_px) {
-            return Ok(Arc::clone(found));
-        }
-        let [height, width] = self.facts.shape_px();
-        let shape = PhaseSamples::shape([height, width], stride_px);
-        let mut phases = Array2::zeros(shape);
-        for first in (0..height).step_by(PHASE_ROWS) {
-            let rows = first..height.min(first + PHASE_ROWS);
-            let Some(band) = self.with_file(|f| f.phase_map(rows.clone(), 0..width))? else {
-                break;
-            };
-            for (row, mut line) in phases.outer_iter_mut().enumerate() {
-                let at = row * stride_px + stride_px / 2;
-                if rows.contains(&at) {
-                    for (column, phase) in line.iter_mut().enumerate() {
-                        *phase = band[[at - first, column * stride_px + stride_px / 2]];
-                    }
-                }
-            }
-        }
-        let samples = Arc::new(PhaseSamples { phases, stride_px });
-        lock().insert(stride_px, Arc::clone(&samples));
-        Ok(samples)
+        self.phases.get(stride_px, || self.read_phases(stride_px))
     }
 }

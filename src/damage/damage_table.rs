@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::knock_on::knock_on_angstrom2;
+use crate::setting::{Fault, check_range};
 
 /// A barn in square Angstrom.
 pub const BARN_ANGSTROM2: f64 = 1e-8;
@@ -42,16 +43,18 @@ impl DamageTable {
         first.chain(self.radiolysis_barn.keys().map(of("radiolysis_barn")))
     }
 
-    /// The first value outside its limits: its key, the value, and what is allowed.
-    pub fn fault(&self) -> Option<(String, f64, String)> {
-        let tables = [
-            ("threshold_ev", &self.threshold_ev, THRESHOLD_EV),
-            ("radiolysis_barn", &self.radiolysis_barn, RADIOLYSIS_BARN),
-        ];
-        tables.into_iter().find_map(|(name, values, [low, high])| {
-            let wrong = values.iter().find(|(_, v)| !(low..=high).contains(*v))?;
-            Some((format!("{name}.{}", wrong.0), *wrong.1, format!("expected {low} to {high}")))
-        })
+    /// Checks every value against its limits.
+    ///
+    /// # Errors
+    /// The first value outside them.
+    pub fn check(&self) -> Result<(), Fault> {
+        for (element, threshold) in &self.threshold_ev {
+            check_range(format!("threshold_ev.{element}"), *threshold, THRESHOLD_EV)?;
+        }
+        for (element, barn) in &self.radiolysis_barn {
+            check_range(format!("radiolysis_barn.{element}"), *barn, RADIOLYSIS_BARN)?;
+        }
+        Ok(())
     }
 }
 
@@ -67,8 +70,8 @@ mod tests {
         let knock_on = knock_on_angstrom2(6, 200e3, 17.0);
         assert!(knock_on > 0.0 && (both - knock_on - 5e-8).abs() < 1e-15);
         assert_eq!(table.cross_section_angstrom2("O", 8, 200.0), 0.0);
-        assert!(table.fault().is_none());
-        let (key, value, _) = DamageTable { threshold_ev: one(-3.0), ..table }.fault().unwrap();
-        assert_eq!((key.as_str(), value), ("threshold_ev.C", -3.0));
+        assert_eq!(table.check(), Ok(()));
+        let fault = DamageTable { threshold_ev: one(-3.0), ..table }.check().unwrap_err();
+        assert_eq!((fault.key.as_str(), fault.value.as_str()), ("threshold_ev.C", "-3"));
     }
 }

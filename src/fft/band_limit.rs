@@ -67,6 +67,11 @@ impl BandLimitedMultiplier {
         }
     }
 
+    /// Whether it is for so many rows and has factors, or zeros, for the columns up to `end`.
+    pub(super) fn reaches(&self, rows: usize, end: usize) -> bool {
+        self.row.len() == rows && end <= self.column.len()
+    }
+
     /// Multiplies column `x`, whose elements are in this multiplier's order.
     pub fn apply(&self, x: usize, column: &mut [Complex32]) {
         let [re, im] = self.column[x];

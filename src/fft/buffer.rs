@@ -23,13 +23,14 @@ impl Buffer {
 impl Deref for Buffer {
     type Target = [Complex32];
     fn deref(&self) -> &[Complex32] {
-        // CacheLine is repr(C) of eight Complex32, without padding.
+        // SAFETY: CacheLine is repr(C) of eight Complex32, without padding.
         unsafe { std::slice::from_raw_parts(self.lines.as_ptr().cast(), self.lines.len() * 8) }
     }
 }
 
 impl DerefMut for Buffer {
     fn deref_mut(&mut self) -> &mut [Complex32] {
+        // SAFETY: as in `deref`.
         unsafe {
             std::slice::from_raw_parts_mut(self.lines.as_mut_ptr().cast(), self.lines.len() * 8)
         }
@@ -38,11 +39,12 @@ impl DerefMut for Buffer {
 
 /// Real and imaginary parts in turn.
 pub(super) fn floats(data: &mut [Complex32]) -> &mut [f32] {
-    // Complex32 is repr(C) of two f32.
+    // SAFETY: Complex32 is repr(C) of two f32.
     unsafe { std::slice::from_raw_parts_mut(data.as_mut_ptr().cast(), data.len() * 2) }
 }
 
 /// Real and imaginary parts in turn, to read.
 pub(super) fn const_floats(data: &[Complex32]) -> &[f32] {
+    // SAFETY: Complex32 is repr(C) of two f32.
     unsafe { std::slice::from_raw_parts(data.as_ptr().cast(), data.len() * 2) }
 }

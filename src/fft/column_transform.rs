@@ -38,6 +38,9 @@ impl ColumnPlan {
     /// Forward transform of `columns` of every wave (rows of length `stride`), multiplication, inverse
     /// transform; unnormalised. The range is rounded up to whole vectors, so rows must be padded (see
     /// [`lanes`]). The multiplier is worked out once for all waves.
+    ///
+    /// # Panics
+    /// If the columns, so rounded, do not lie within the rows, or the multiplier is for arrays of another shape.
     pub fn convolve<W: DerefMut<Target = [Complex32]>>(
         &self,
         waves: &mut [W],
@@ -46,6 +49,8 @@ impl ColumnPlan {
         multiplier: &BandLimitedMultiplier,
         scratch: &mut [f32],
     ) {
+        let fits = multiplier.reaches(self.plan.points(), in_vectors(&columns));
+        assert!(fits, "the multiplier is for another shape");
         for waves in waves.chunks_mut(MOST_WAVES) {
             let mut at = [std::ptr::null_mut(); MOST_WAVES];
             for (at, wave) in at.iter_mut().zip(&mut *waves) {
@@ -79,12 +84,18 @@ impl ColumnPlan {
         columns: &Range<usize>,
         scratch: &[f32],
     ) -> *mut f32 {
-        let end = columns.start + columns.len().next_multiple_of(lanes());
-        assert!(end <= stride && data.len() >= self.plan.points() * stride, "rows are not padded");
+        let end = in_vectors(columns);
+        let all = self.plan.points().saturating_mul(stride);
+        assert!(columns.end <= stride && end <= stride && data.len() >= all, "rows are not padded");
         assert!(scratch.len() >= self.scratch_len());
         // Complex32 is repr(C) of two f32.
         data.as_mut_ptr().cast()
     }
+}
+
+/// The end of columns that are rounded up to whole vectors.
+fn in_vectors(columns: &Range<usize>) -> usize {
+    columns.start.saturating_add(columns.len().next_multiple_of(lanes()))
 }
 
 /// Waves that one call of the kernel handles.
@@ -106,8 +117,9 @@ impl WithSimd for Convolve<'_> {
         let (scratch, _) = S::as_mut_simd_f32s(self.scratch);
         let data: *mut Lanes<S> = scratch.as_mut_ptr().cast();
         let kernel = RadixPasses { simd, plan: self.plan, data };
-        // Bounds were checked by ColumnPlan::checked for all rows and for whole vectors, and scratch has room
-        // for two blocks.
+        // SAFETY: ColumnPlan::checked found all rows of every wave long enough for whole vectors, and room in scratch for the plan's
+        // numbers twice; the second half holds the factors. ColumnPlan::convolve found the multiplier to be for this shape. The waves
+        // are borrowed for the call and distinct, since each was lent as `&mut`.
         unsafe {
             let factors = data.add(self.plan.points());
             for first in self.columns.step_by(S::F32_LANES) {
@@ -143,7 +155,7 @@ impl WithSimd for Transform<'_> {
         for first in self.columns.step_by(S::F32_LANES) {
             let stride = 2 * self.stride;
             let mut block = ColumnBlock { kernel: &kernel, data: self.data, stride, first };
-            // Bounds were checked by ColumnPlan::checked for all rows and for whole vectors.
+            // SAFETY: ColumnPlan::checked found all rows long enough for whole vectors, and room in scratch for the plan's numbers.
             unsafe {
                 match self.inverse {
                     false => block.transform::<false>(),
@@ -154,7 +166,10 @@ impl WithSimd for Transform<'_> {
     }
 }
 
-/// One block of columns of the matrix at `data`.
+/// One block of columns of the matrix at `data`: as many from `first` on as a vector has lanes, in rows `stride` floats apart.
+///
+/// Every method needs the matrix to have these columns in as many rows as the kernel's plan has numbers, the kernel's scratch to have
+/// room for those, and nothing else to read or write either meanwhile. All rows that are read and written are numbers of the plan.
 struct ColumnBlock<'a, S: Simd> {
     kernel: &'a RadixPasses<'a, S>,
     data: *mut f32,
@@ -163,24 +178,33 @@ struct ColumnBlock<'a, S: Simd> {
 }
 
 impl<S: Simd> ColumnBlock<'_, S> {
+    /// # Safety
+    /// The matrix must have the block's columns in this row.
     #[inline(always)]
     unsafe fn load(&self, row: usize) -> Lanes<S> {
+        // SAFETY: two vectors of floats are a complex number in each of the block's columns.
         unsafe {
             let at = self.data.add(row * self.stride + 2 * self.first).cast::<[S::f32s; 2]>();
             tile::split(self.kernel.simd, at.read_unaligned())
         }
     }
 
+    /// # Safety
+    /// As for [`Self::load`].
     #[inline(always)]
     unsafe fn store(&self, row: usize, v: Lanes<S>) {
+        // SAFETY: as in `load`.
         unsafe {
             let at = self.data.add(row * self.stride + 2 * self.first).cast::<[S::f32s; 2]>();
             at.write_unaligned(tile::join(self.kernel.simd, v));
         }
     }
 
+    /// # Safety
+    /// Matrix and scratch must be there, and a factor for each of the plan's numbers.
     #[inline(always)]
     unsafe fn convolve(&mut self, factors: &Factors<S>) {
+        // SAFETY: the radix is the first stage's; the caller vouches for the rest.
         unsafe {
             let first = self.kernel.plan.stages()[0].radix;
             by_radix!(first, self.first_forward(false));
@@ -189,8 +213,11 @@ impl<S: Simd> ColumnBlock<'_, S> {
         }
     }
 
+    /// # Safety
+    /// Matrix and scratch must be there.
     #[inline(always)]
     unsafe fn transform<const INVERSE: bool>(&mut self) {
+        // SAFETY: the radix is the first stage's, and positions and rows of `order` are below the plan's length.
         unsafe {
             let plan = self.kernel.plan;
             by_radix!(plan.stages()[0].radix, self.first_forward(INVERSE));
@@ -203,8 +230,12 @@ impl<S: Simd> ColumnBlock<'_, S> {
     }
 
     /// First pass: matrix to scratch. `swapped` exchanges real and imaginary parts.
+    ///
+    /// # Safety
+    /// Matrix and scratch must be there, and `R` must be the first stage's radix.
     #[inline(always)]
     unsafe fn first_forward<const R: usize>(&mut self, swapped: bool) {
+        // SAFETY: j < sub and q < R, so all rows are numbers of the plan.
         unsafe {
             let stage = &self.kernel.plan.stages()[0];
             let sub = stage.len / R;
@@ -227,8 +258,12 @@ impl<S: Simd> ColumnBlock<'_, S> {
     }
 
     /// Last pass: scratch to matrix.
+    ///
+    /// # Safety
+    /// As for [`Self::first_forward`].
     #[inline(always)]
     unsafe fn last_inverse<const R: usize>(&mut self) {
+        // SAFETY: as in `first_forward`.
         unsafe {
             let stage = &self.kernel.plan.stages()[0];
             let sub = stage.len / R;
@@ -250,8 +285,11 @@ struct InBand<'a, S: Simd> {
 }
 
 impl<'a, S: Simd> InBand<'a, S> {
+    /// # Safety
+    /// The multiplier must reach to the end of the vector that begins at column `first`.
     #[inline(always)]
     unsafe fn new(simd: S, m: &'a BandLimitedMultiplier, first: usize) -> Self {
+        // SAFETY: both arrays of the multiplier's columns reach as far as it does.
         let values = |values: &[[f32; 2]]| unsafe {
             let at = values.as_ptr().add(first).cast::<[S::f32s; 2]>();
             tile::split(simd, at.read_unaligned())
@@ -261,8 +299,11 @@ impl<'a, S: Simd> InBand<'a, S> {
 }
 
 impl<S: Simd> InBand<'_, S> {
+    /// # Safety
+    /// `position` must be a row of the multiplier.
     #[inline(always)]
     unsafe fn factor(&self, s: S, position: usize) -> Lanes<S> {
+        // SAFETY: `row` and `row_room` have an element for every row.
         unsafe {
             let (zero, one) = (s.splat_f32s(0.0), s.splat_f32s(1.0));
             let (two, three) = (s.splat_f32s(2.0), s.splat_f32s(3.0));
@@ -277,7 +318,7 @@ impl<S: Simd> InBand<'_, S> {
     }
 }
 
-/// Multiplication by prepared factors.
+/// Multiplication by prepared factors, as many as the plan has numbers.
 struct Factors<S: Simd> {
     factors: *const Lanes<S>,
 }
@@ -285,6 +326,7 @@ struct Factors<S: Simd> {
 impl<S: Simd> Middle<S> for Factors<S> {
     #[inline(always)]
     unsafe fn apply(&self, simd: S, position: usize, v: Lanes<S>) -> Lanes<S> {
+        // SAFETY: there is a factor for every position of the plan.
         unsafe { mul(simd, v, *self.factors.add(position)) }
     }
 }

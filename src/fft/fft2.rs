@@ -310,6 +310,29 @@ mod tests {
     }
 
     #[test]
+    #[should_panic(expected = "the multiplier is for another shape")]
+    fn multipliers_of_another_shape_are_refused() {
+        let (fft, narrow) = (Fft2::new(16, 400), Fft2::new(16, 16));
+        let disk = BandLimit::hard(1.0);
+        let ones = [Complex32::ONE; 16];
+        let other = narrow.multiplier(&ones, &[0.0; 16], &ones, &[0.0; 16], disk);
+        let mut data = fft.buffer();
+        let all = fft.band_columns(200);
+        fft.convolve_columns(&mut [&mut *data], &all, &other, &mut fft.scratch());
+    }
+
+    /// Columns up to the first live one are zeros in scratch, which has no room for these.
+    #[test]
+    #[should_panic(expected = "is not within 16 columns")]
+    fn live_columns_beyond_the_rows_are_refused() {
+        let fft = Fft2::new(16, 16);
+        let mut rows = Buffer::zeros(lanes() * fft.stride());
+        let by = Buffer::zeros(fft.arranged_len());
+        let beyond = 100_000..100_016;
+        fft.convolve_block(&mut rows, std::slice::from_ref(&beyond), &by, &mut fft.scratch());
+    }
+
+    #[test]
     fn band_columns_cover_the_band_without_overlap() {
         for nx in [16, 33, 100, 192, 480] {
             let fft = Fft2::new(16, nx);

@@ -16,10 +16,14 @@ pub trait Middle<S: Simd> {
 }
 
 /// The numbers under transformation.
+///
+/// `data` is raw because passes read and write with strides that slices would check at every access. Every method needs `data` to
+/// point to as many numbers as the plan has, which nothing else reads or writes meanwhile. A stage that splits transforms of `len`
+/// numbers into `radix` parts then stays within them: `base` is a multiple of `len`, which divides the plan's length, so
+/// `base + j + q len / radix` with `j < len / radix` and `q < radix` is below it, and `twiddles` has `radix - 1` elements for each j.
 pub struct RadixPasses<'a, S: Simd> {
     pub simd: S,
     pub plan: &'a RadixPlan,
-    /// As many elements as the plan has numbers.
     pub data: *mut Lanes<S>,
 }
 
@@ -49,13 +53,14 @@ macro_rules! by_radix_with {
 }
 pub(super) use by_radix;
 
-/// `data` is raw because passes read and write with strides that slices would check at every access:
-/// every method needs it to hold the plan's numbers.
-#[allow(clippy::missing_safety_doc)]
 impl<S: Simd> RadixPasses<'_, S> {
     /// Stages `from..` forward.
+    ///
+    /// # Safety
+    /// `data` must point to the plan's numbers.
     #[inline(always)]
     pub unsafe fn forward_from(&self, from: usize) {
+        // SAFETY: the stages are the plan's, and `at` counts in steps of their length.
         unsafe {
             for stage in &self.plan.stages()[from..] {
                 let mut at = 0;
@@ -68,33 +73,50 @@ impl<S: Simd> RadixPasses<'_, S> {
     }
 
     /// All stages after the first forward, `middle`, and back to the first.
+    ///
+    /// # Safety
+    /// `data` must point to the plan's numbers.
     #[inline(always)]
     pub unsafe fn convolve_inner<M: Middle<S>>(&self, middle: &M) {
         let first = self.plan.stages()[0].radix;
         let sub = self.plan.points() / first;
         for part in 0..first {
+            // SAFETY: a plan has at least two stages, and the second splits transforms of `sub` numbers.
             unsafe { self.convolve_part(1, part * sub, middle) };
         }
     }
 
     /// The first stage, in place.
+    ///
+    /// # Safety
+    /// `data` must point to the plan's numbers.
     #[inline(always)]
     pub unsafe fn first_forward(&self) {
         let stage = &self.plan.stages()[0];
+        // SAFETY: the first stage splits the whole transform, which begins at 0.
         unsafe { by_radix!(stage.radix, self.forward(stage, 0)) }
     }
 
     /// The last inverse stage, in place.
+    ///
+    /// # Safety
+    /// `data` must point to the plan's numbers.
     #[inline(always)]
     pub unsafe fn last_inverse(&self) {
         let stage = &self.plan.stages()[0];
+        // SAFETY: as in `first_forward`.
         unsafe { by_radix!(stage.radix, self.inverse(stage, 0)) }
     }
 
+    /// Stages `level..` forward, `middle`, and back, for one of the transforms that stage `level` splits.
+    ///
+    /// # Safety
+    /// `data` must point to the plan's numbers, and `base` to the first number of such a transform.
     #[inline(always)]
     unsafe fn convolve_part<M: Middle<S>>(&self, level: usize, base: usize, middle: &M) {
         // At most 7 levels below the first; written as loops over positions rather than by
         // recursion, which could not be inlined into the SIMD context.
+        // SAFETY: the lengths of later stages divide `len`, so `at` and the last stage stay in `base..base + len`.
         unsafe {
             let stages = self.plan.stages();
             let last = stages.len() - 1;
@@ -118,6 +140,9 @@ impl<S: Simd> RadixPasses<'_, S> {
     }
 
     /// Butterfly and twiddle factors of a forward stage.
+    ///
+    /// # Safety
+    /// `R` must be the stage's radix, and `j` below its length over its radix.
     #[inline(always)]
     pub unsafe fn twiddled<const R: usize>(
         &self,
@@ -125,6 +150,7 @@ impl<S: Simd> RadixPasses<'_, S> {
         stage: &RadixStage,
         j: usize,
     ) {
+        // SAFETY: there are R - 1 twiddle factors for each j.
         unsafe {
             dft::<S, R>(self.simd, x);
             let w = stage.twiddles.as_ptr().add(j * (R - 1));
@@ -134,8 +160,13 @@ impl<S: Simd> RadixPasses<'_, S> {
         }
     }
 
+    /// A forward stage of the transform that begins at `base`.
+    ///
+    /// # Safety
+    /// `data` must point to the plan's numbers, `R` must be the stage's radix, and `base` and its length must lie within the plan.
     #[inline(always)]
     unsafe fn forward<const R: usize>(&self, stage: &RadixStage, base: usize) {
+        // SAFETY: j < sub and q < R, so all numbers are in `base..base + len`.
         unsafe {
             let sub = stage.len / R;
             for j in 0..sub {
@@ -153,6 +184,9 @@ impl<S: Simd> RadixPasses<'_, S> {
     }
 
     /// Twiddle factors and butterfly of an inverse stage.
+    ///
+    /// # Safety
+    /// Those of a forward stage and of [`Self::twiddled`].
     #[inline(always)]
     pub unsafe fn untwiddled<const R: usize>(
         &self,
@@ -160,6 +194,7 @@ impl<S: Simd> RadixPasses<'_, S> {
         base: usize,
         j: usize,
     ) -> [Lanes<S>; R] {
+        // SAFETY: j < sub and q < R, so all numbers are in `base..base + len`; there are R - 1 twiddle factors for each j.
         unsafe {
             let sub = stage.len / R;
             let p = self.data.add(base + j);
@@ -173,8 +208,13 @@ impl<S: Simd> RadixPasses<'_, S> {
         }
     }
 
+    /// An inverse stage of the transform that begins at `base`.
+    ///
+    /// # Safety
+    /// As for [`Self::forward`].
     #[inline(always)]
     unsafe fn inverse<const R: usize>(&self, stage: &RadixStage, base: usize) {
+        // SAFETY: as in `forward`.
         unsafe {
             let sub = stage.len / R;
             for j in 0..sub {
@@ -187,12 +227,16 @@ impl<S: Simd> RadixPasses<'_, S> {
     }
 
     /// Final forward stage, multiplication and first inverse stage without leaving registers.
+    ///
+    /// # Safety
+    /// `data` must point to the plan's numbers, and `range` must lie among them and be whole transforms of `R`.
     #[inline(always)]
     unsafe fn innermost<const R: usize, M: Middle<S>>(
         &self,
         range: std::ops::Range<usize>,
         middle: &M,
     ) {
+        // SAFETY: `base + q` is within `range`, and so within the plan.
         unsafe {
             for base in range.step_by(R) {
                 let p = self.data.add(base);

@@ -55,10 +55,8 @@ impl RowPlan {
 
     /// Puts a block of rows of real-space factors into the order of [`RowPlan::convolve`].
     pub fn arrange(&self, rows: &[Complex32], stride: usize, out: &mut Arranged) {
-        assert!(
-            rows.len() >= (lanes() - 1) * stride + self.padded()
-                && out.len() >= self.arranged_len()
-        );
+        let read = (lanes() - 1).saturating_mul(stride).saturating_add(self.padded());
+        assert!(rows.len() >= read && out.len() >= self.arranged_len());
         let rows = rows.as_ptr().cast::<f32>();
         Arch::new().dispatch(Arrange { plan: self, rows, stride: 2 * stride, out });
     }
@@ -66,6 +64,9 @@ impl RowPlan {
     /// Inverse transform of a block of rows, multiplication by `by`, forward transform; unnormalised.
     /// Columns outside `live` count as zero and are not written; `live` ranges are rounded up to whole
     /// vectors.
+    ///
+    /// # Panics
+    /// If a range, so rounded, ends beyond the padded columns.
     pub fn convolve(
         &self,
         rows: &mut [Complex32],
@@ -76,16 +77,28 @@ impl RowPlan {
     ) {
         self.check(rows, stride, scratch);
         assert!(by.len() >= self.arranged_len());
+        let (padded, tile) = (self.padded(), self.tile_columns());
+        for range in live {
+            let columns = range.end.min(padded).saturating_sub(range.start);
+            let end = range.start.saturating_add(columns.next_multiple_of(tile));
+            assert!(end <= padded, "{range:?} is not within {padded} columns");
+        }
         self.dispatch(rows, stride, RowTask::Convolve { live, by }, scratch);
     }
 
     /// Columns, rounded up to whole tiles.
     fn padded(&self) -> usize {
-        self.plan.points().next_multiple_of((lanes() / 2).max(1))
+        self.plan.points().next_multiple_of(self.tile_columns())
+    }
+
+    /// [`tile::columns`] on this processor.
+    fn tile_columns(&self) -> usize {
+        (lanes() / 2).max(1)
     }
 
     fn check(&self, rows: &[Complex32], stride: usize, scratch: &[f32]) {
-        assert!(self.padded() <= stride && rows.len() >= lanes() * stride, "rows are not padded");
+        let all = lanes().saturating_mul(stride);
+        assert!(self.padded() <= stride && rows.len() >= all, "rows are not padded");
         assert!(scratch.len() >= self.scratch_len());
     }
 
@@ -96,7 +109,7 @@ impl RowPlan {
         task: RowTask<'_>,
         scratch: &mut [f32],
     ) {
-        // Complex32 is repr(C) of two f32.
+        // Complex32 is repr(C) of two f32, so rows are twice as long in floats.
         let data = rows.as_mut_ptr().cast::<f32>();
         Arch::new().dispatch(RowPass { plan: self, data, stride: 2 * stride, task, scratch });
     }
@@ -116,9 +129,10 @@ impl WithSimd for Arrange<'_> {
         let out: *mut Lanes<S> = self.out.as_mut_ptr().cast();
         let position = &self.plan.position;
         for first in (0..position.len()).step_by(tile::columns::<S>()) {
-            // RowPlan::arrange checked the lengths.
+            // SAFETY: RowPlan::arrange checked that all rows are readable to the end of the last tile.
             let values = unsafe { tile::load(simd, self.rows.add(2 * first), self.stride) };
             for (v, &at) in values.iter().zip(&position[first..]).take(tile::columns::<S>()) {
+                // SAFETY: `at` is a column of the plan, and RowPlan::arrange checked that `out` has room for all.
                 unsafe { out.add(at).write_unaligned(*v) };
             }
         }
@@ -149,7 +163,8 @@ impl WithSimd for RowPass<'_> {
             data: scratch.as_mut_ptr().cast::<Lanes<S>>(),
         };
         let block = RowBlock { kernel: &kernel, rows: self.data, stride: self.stride };
-        // Bounds were checked by RowPlan's methods.
+        // SAFETY: RowPlan's methods checked that the rows and `by` are as long as `RowBlock` needs, that `live` lies within the padded
+        // columns, and that scratch has room for the plan's numbers and a tile beyond them. `position` is the plan's.
         unsafe {
             match self.task {
                 RowTask::Convolve { live, by } => block.convolve(live, by),
@@ -159,6 +174,8 @@ impl WithSimd for RowPass<'_> {
     }
 }
 
+/// A block of rows, `stride` floats apart and as long as the plan's columns in whole tiles, and scratch for the plan's numbers and a
+/// tile beyond them. Every method needs both to be there, and nothing else to read or write them meanwhile.
 struct RowBlock<'a, S: Simd> {
     kernel: &'a RadixPasses<'a, S>,
     rows: *mut f32,
@@ -173,9 +190,13 @@ fn swap<S: Simd>(v: Lanes<S>) -> Lanes<S> {
 
 impl<S: Simd> RowBlock<'_, S> {
     /// Transposes columns into scratch, `swapped` or not.
+    ///
+    /// # Safety
+    /// Rows and scratch must be there, and `columns` in whole tiles within the padded columns.
     #[inline(always)]
     unsafe fn load(&self, columns: Range<usize>, swapped: bool) {
         for first in columns.step_by(tile::columns::<S>()) {
+            // SAFETY: the tile lies within the padded columns, for which there is room in the rows and in scratch.
             unsafe {
                 let tile = tile::load(self.kernel.simd, self.rows.add(2 * first), self.stride);
                 for c in 0..tile::columns::<S>() {
@@ -186,8 +207,13 @@ impl<S: Simd> RowBlock<'_, S> {
         }
     }
 
+    /// Inverse transform, multiplication, forward transform.
+    ///
+    /// # Safety
+    /// Rows and scratch must be there, `live` in whole tiles within the padded columns, and `by` as long as the plan.
     #[inline(always)]
     unsafe fn convolve(&self, live: &[Range<usize>], by: &Arranged) {
+        // SAFETY: all tiles and all zeros between them lie within the padded columns, and scratch holds the plan's numbers.
         unsafe {
             let (simd, n) = (self.kernel.simd, self.kernel.plan.points());
             let zero = simd.splat_f32s(0.0);
@@ -219,8 +245,13 @@ impl<S: Simd> RowBlock<'_, S> {
         }
     }
 
+    /// Transform in place, natural order to natural order.
+    ///
+    /// # Safety
+    /// Rows and scratch must be there, and `position` must be a column's position for each of the plan's columns.
     #[inline(always)]
     unsafe fn transform(&self, position: &[usize], inverse: bool) {
+        // SAFETY: tiles begin at columns of the plan and so lie within the padded ones; positions are below the plan's length.
         unsafe {
             let n = self.kernel.plan.points();
             self.load(0..n, inverse);
@@ -238,7 +269,7 @@ impl<S: Simd> RowBlock<'_, S> {
     }
 }
 
-/// Multiplication by arranged factors, between an inverse and a forward transform.
+/// Multiplication by arranged factors, as many as the plan has numbers, between an inverse and a forward transform.
 struct Multiply<S: Simd> {
     by: *const Lanes<S>,
 }
@@ -246,6 +277,7 @@ struct Multiply<S: Simd> {
 impl<S: Simd> Middle<S> for Multiply<S> {
     #[inline(always)]
     unsafe fn apply(&self, simd: S, position: usize, v: Lanes<S>) -> Lanes<S> {
+        // SAFETY: there is a factor for every position of the plan.
         unsafe { swap::<S>(mul(simd, swap::<S>(v), self.by.add(position).read_unaligned())) }
     }
 }

@@ -6,6 +6,7 @@
 
 use super::butterfly::Lanes;
 use pulp::Simd;
+use std::mem::size_of;
 
 /// Most columns of a tile.
 pub const MOST_COLUMNS: usize = 8;
@@ -15,9 +16,17 @@ pub const fn columns<S: Simd>() -> usize {
     if S::F32_LANES < 2 { 1 } else { S::F32_LANES / 2 }
 }
 
+/// What pointers to the floats of lanes take for granted: lanes are two vectors of floats and nothing else, and there is room for
+/// all columns of a tile.
+const fn check_layout<S: Simd>() {
+    assert!(size_of::<Lanes<S>>() == 2 * S::F32_LANES * size_of::<f32>());
+    assert!(columns::<S>() <= MOST_COLUMNS);
+}
+
 /// Splits two vectors of interleaved complex numbers.
 #[inline(always)]
 pub fn split<S: Simd>(simd: S, pair: [S::f32s; 2]) -> Lanes<S> {
+    // SAFETY: `simd` is there only on processors that have its instructions.
     #[cfg(target_arch = "x86_64")]
     if let Some(lanes) = unsafe { x86::split::<S>(pair) } {
         return lanes;
@@ -29,6 +38,7 @@ pub fn split<S: Simd>(simd: S, pair: [S::f32s; 2]) -> Lanes<S> {
 /// Undoes [`split`].
 #[inline(always)]
 pub fn join<S: Simd>(simd: S, v: Lanes<S>) -> [S::f32s; 2] {
+    // SAFETY: `simd` is there only on processors that have its instructions.
     #[cfg(target_arch = "x86_64")]
     if let Some(pair) = unsafe { x86::join::<S>(v) } {
         return pair;
@@ -40,22 +50,24 @@ pub fn join<S: Simd>(simd: S, v: Lanes<S>) -> [S::f32s; 2] {
 /// holds column `c` of [`columns`].
 ///
 /// # Safety
-/// `tile` must be readable over `columns` complex numbers in each of the rows.
+/// `tile` must be readable over [`columns`] complex numbers in each of the rows.
 #[inline(always)]
 pub unsafe fn load<S: Simd>(simd: S, tile: *const f32, stride: usize) -> [Lanes<S>; MOST_COLUMNS] {
+    // SAFETY: `simd` is there only on processors that have its instructions, and the caller vouches for the tile.
     #[cfg(target_arch = "x86_64")]
     if let Some(lanes) = unsafe { x86::load::<S>(tile, stride) } {
         return lanes;
     }
     let zero = simd.splat_f32s(0.0);
     let mut out = [(zero, zero); MOST_COLUMNS];
+    const { check_layout::<S>() };
     let lanes: *mut f32 = out.as_mut_ptr().cast();
     for row in 0..S::F32_LANES {
         for column in 0..columns::<S>() {
             for part in 0..2 {
-                // out is an array of pairs of vectors of F32_LANES floats
+                let at = (column * 2 + part) * S::F32_LANES + row;
+                // SAFETY: `out` has this float (`check_layout`); the caller vouches for the tile.
                 unsafe {
-                    let at = (column * 2 + part) * S::F32_LANES + row;
                     *lanes.add(at) = *tile.add(row * stride + 2 * column + part);
                 }
             }
@@ -67,19 +79,22 @@ pub unsafe fn load<S: Simd>(simd: S, tile: *const f32, stride: usize) -> [Lanes<
 /// Undoes [`load`].
 ///
 /// # Safety
-/// As for [`load`], with `tile` writable.
+/// As for [`load`], with `tile` writable; the processor must have the instructions of `S`.
 #[inline(always)]
 pub unsafe fn store<S: Simd>(v: &[Lanes<S>; MOST_COLUMNS], tile: *mut f32, stride: usize) {
+    // SAFETY: the caller vouches for the processor and for the tile.
     #[cfg(target_arch = "x86_64")]
     if unsafe { x86::store::<S>(v, tile, stride) } {
         return;
     }
+    const { check_layout::<S>() };
     let lanes: *const f32 = v.as_ptr().cast();
     for row in 0..S::F32_LANES {
         for column in 0..columns::<S>() {
             for part in 0..2 {
+                let at = (column * 2 + part) * S::F32_LANES + row;
+                // SAFETY: `v` has this float (`check_layout`); the caller vouches for the tile.
                 unsafe {
-                    let at = (column * 2 + part) * S::F32_LANES + row;
                     *tile.add(row * stride + 2 * column + part) = *lanes.add(at);
                 }
             }
@@ -102,9 +117,12 @@ mod x86 {
         TypeId::of::<S>() == TypeId::of::<T>()
     }
 
+    /// # Safety
+    /// The processor must have the instructions of `S`.
     #[inline(always)]
     pub unsafe fn split<S: Simd>(pair: [S::f32s; 2]) -> Option<Lanes<S>> {
-        // In each branch S::f32s is the vector type that the function takes.
+        // SAFETY: in each branch S::f32s are as many floats as the vector type that the function takes, any floats are valid in
+        // either, and S has the function's instructions.
         unsafe {
             if is::<S, V4>() {
                 return Some(transmute_copy(&split512(transmute_copy(&pair))));
@@ -116,9 +134,12 @@ mod x86 {
         None
     }
 
+    /// # Safety
+    /// The processor must have the instructions of `S`.
     #[inline(always)]
     pub unsafe fn join<S: Simd>(v: Lanes<S>) -> Option<[S::f32s; 2]> {
         let v = [v.0, v.1];
+        // SAFETY: as in `split`.
         unsafe {
             if is::<S, V4>() {
                 return Some(transmute_copy(&join512(transmute_copy(&v))));
@@ -130,12 +151,14 @@ mod x86 {
         None
     }
 
+    /// # Safety
+    /// As for [`super::load`]; the processor must have the instructions of `S`.
     #[inline(always)]
     pub unsafe fn load<S: Simd>(
         tile: *const f32,
         stride: usize,
     ) -> Option<[Lanes<S>; MOST_COLUMNS]> {
-        // Lanes<S> is a pair of vectors; an array of two is laid out alike.
+        // SAFETY: as in `split`; the caller vouches for the tile.
         unsafe {
             if is::<S, V4>() {
                 return Some(transmute_copy(&load512(tile, stride)));
@@ -149,12 +172,15 @@ mod x86 {
         None
     }
 
+    /// # Safety
+    /// As for [`super::store`].
     #[inline(always)]
     pub unsafe fn store<S: Simd>(
         v: &[Lanes<S>; MOST_COLUMNS],
         tile: *mut f32,
         stride: usize,
     ) -> bool {
+        // SAFETY: as in `split`; the caller vouches for the tile.
         unsafe {
             if is::<S, V4>() {
                 store512(transmute_copy(v), tile, stride);
@@ -169,36 +195,47 @@ mod x86 {
         false
     }
 
+    /// # Safety
+    /// The processor must have AVX-512F.
     #[inline]
     #[target_feature(enable = "avx512f")]
     fn split512([a, b]: [__m512; 2]) -> [__m512; 2] {
         [_mm512_shuffle_ps::<0x88>(a, b), _mm512_shuffle_ps::<0xDD>(a, b)]
     }
 
+    /// # Safety
+    /// The processor must have AVX-512F.
     #[inline]
     #[target_feature(enable = "avx512f")]
     fn join512([re, im]: [__m512; 2]) -> [__m512; 2] {
         [_mm512_unpacklo_ps(re, im), _mm512_unpackhi_ps(re, im)]
     }
 
+    /// # Safety
+    /// The processor must have AVX2.
     #[inline]
     #[target_feature(enable = "avx2")]
     fn split256([a, b]: [__m256; 2]) -> [__m256; 2] {
         [_mm256_shuffle_ps::<0x88>(a, b), _mm256_shuffle_ps::<0xDD>(a, b)]
     }
 
+    /// # Safety
+    /// The processor must have AVX2.
     #[inline]
     #[target_feature(enable = "avx2")]
     fn join256([re, im]: [__m256; 2]) -> [__m256; 2] {
         [_mm256_unpacklo_ps(re, im), _mm256_unpackhi_ps(re, im)]
     }
 
+    /// # Safety
+    /// `tile` must be readable over 8 complex numbers in each of 16 rows.
     #[inline]
     #[target_feature(enable = "avx512f")]
     unsafe fn load512(tile: *const f32, stride: usize) -> [[__m512; 2]; 8] {
         let mut halves = [[_mm512_setzero_pd(); 8]; 2];
         for (h, half) in halves.iter_mut().enumerate() {
             for (r, row) in half.iter_mut().enumerate() {
+                // SAFETY: 8 complex numbers of row 8 h + r < 16.
                 *row = unsafe { _mm512_loadu_pd(tile.add((8 * h + r) * stride).cast()) };
             }
             *half = transpose8(*half);
@@ -210,6 +247,8 @@ mod x86 {
         out
     }
 
+    /// # Safety
+    /// `tile` must be writable over 8 complex numbers in each of 16 rows.
     #[inline]
     #[target_feature(enable = "avx512f")]
     unsafe fn store512(v: [[__m512; 2]; 8], tile: *mut f32, stride: usize) {
@@ -220,17 +259,21 @@ mod x86 {
         }
         for (h, half) in halves.into_iter().enumerate() {
             for (r, row) in transpose8(half).into_iter().enumerate() {
+                // SAFETY: 8 complex numbers of row 8 h + r < 16.
                 unsafe { _mm512_storeu_pd(tile.add((8 * h + r) * stride).cast(), row) };
             }
         }
     }
 
+    /// # Safety
+    /// `tile` must be readable over 4 complex numbers in each of 8 rows.
     #[inline]
     #[target_feature(enable = "avx2")]
     unsafe fn load256(tile: *const f32, stride: usize) -> [[__m256; 2]; 4] {
         let mut halves = [[_mm256_setzero_pd(); 4]; 2];
         for (h, half) in halves.iter_mut().enumerate() {
             for (r, row) in half.iter_mut().enumerate() {
+                // SAFETY: 4 complex numbers of row 4 h + r < 8.
                 *row = unsafe { _mm256_loadu_pd(tile.add((4 * h + r) * stride).cast()) };
             }
             *half = transpose4(*half);
@@ -242,6 +285,8 @@ mod x86 {
         out
     }
 
+    /// # Safety
+    /// `tile` must be writable over 4 complex numbers in each of 8 rows.
     #[inline]
     #[target_feature(enable = "avx2")]
     unsafe fn store256(v: [[__m256; 2]; 4], tile: *mut f32, stride: usize) {
@@ -252,12 +297,16 @@ mod x86 {
         }
         for (h, half) in halves.into_iter().enumerate() {
             for (r, row) in transpose4(half).into_iter().enumerate() {
+                // SAFETY: 4 complex numbers of row 4 h + r < 8.
                 unsafe { _mm256_storeu_pd(tile.add((4 * h + r) * stride).cast(), row) };
             }
         }
     }
 
     /// Transposes eight rows of eight 64-bit elements.
+    ///
+    /// # Safety
+    /// The processor must have AVX-512F.
     #[inline]
     #[target_feature(enable = "avx512f")]
     fn transpose8(r: [__m512d; 8]) -> [__m512d; 8] {
@@ -282,6 +331,9 @@ mod x86 {
     }
 
     /// Transposes four rows of four 64-bit elements.
+    ///
+    /// # Safety
+    /// The processor must have AVX2.
     #[inline]
     #[target_feature(enable = "avx2")]
     fn transpose4(r: [__m256d; 4]) -> [__m256d; 4] {
@@ -311,6 +363,8 @@ mod tests {
             let data: Vec<f32> = (0..rows * stride).map(|i| i as f32).collect();
             let mut back = vec![0.0; data.len()];
             let first_row: *const f32 = data.as_ptr();
+            // SAFETY: both arrays have as many rows as a tile, `stride` apart, and a tile's row is shorter; `column` holds two
+            // vectors.
             unsafe {
                 let tile = load(simd, first_row, stride);
                 store::<S>(&tile, back.as_mut_ptr(), stride);

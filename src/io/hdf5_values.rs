@@ -30,11 +30,16 @@ const NOWHERE: u64 = u64::MAX;
 /// Every pattern of bytes is a valid value.
 pub(super) unsafe trait Plain: H5Type + Copy {}
 
-// SAFETY: numbers, and an array of bytes.
+// SAFETY: a number without bits that are not its own.
 unsafe impl Plain for u8 {}
+// SAFETY: as above.
 unsafe impl Plain for i32 {}
+// SAFETY: as above.
 unsafe impl Plain for f32 {}
+// SAFETY: as above.
 unsafe impl Plain for f64 {}
+// SAFETY: an array of bytes and nothing else. Its text (`as_str`) takes them for ASCII unseen: who reads such values looks at
+// `as_bytes` first.
 unsafe impl<const N: usize> Plain for FixedAscii<N> {}
 
 /// All values of a dataset of the file at `path`.
@@ -121,7 +126,7 @@ fn check_kind(stored: &Datatype) -> Guarded<()> {
 
 /// Whether values are floating-point numbers, of the widths too that have no name here: those of two bytes.
 pub(super) fn is_float(stored: &Datatype) -> bool {
-    // SAFETY: the type is open.
+    // SAFETY: the type is open for as long as `stored` is there.
     let class = hdf5::sync::sync(|| unsafe { H5Tget_class(stored.id()) });
     class == H5T_class_t::H5T_FLOAT && stored.size() <= size_of::<f64>()
 }
@@ -181,11 +186,14 @@ impl<'a> Chunks<'a> {
         lengths: &[usize],
         stored: &Datatype,
     ) -> Guarded<Vec<T>> {
-        let count: usize = lengths.iter().product();
-        let room = (count * size_of::<T>().max(self.value_bytes)).div_ceil(size_of::<T>());
+        let largest = size_of::<T>().max(self.value_bytes);
+        let bytes = lengths.iter().try_fold(largest, |n, length| n.checked_mul(*length));
+        let bytes = bytes.ok_or_else(|| format!("announces {lengths:?} values, more than fit"))?;
+        let (count, room): (usize, usize) =
+            (lengths.iter().product(), bytes.div_ceil(size_of::<T>()));
         // SAFETY: zeros are a value as any other bytes are (`Plain`).
         let mut values = vec![unsafe { MaybeUninit::<T>::zeroed().assume_init() }; room];
-        // SAFETY: all bytes of the values, which may become any others (`Plain`).
+        // SAFETY: all bytes of the values, which may become any others (`Plain`) and are reached by nothing else while `out` is.
         let out = unsafe {
             std::slice::from_raw_parts_mut(
                 values.as_mut_ptr().cast::<u8>(),
@@ -222,7 +230,7 @@ impl<'a> Chunks<'a> {
     fn place(&self, offset: &[usize]) -> Guarded<Option<ChunkPlace>> {
         let place: Vec<u64> = offset.iter().map(|n| *n as u64).collect();
         let (mut skipped, mut address, mut bytes) = (0, NOWHERE, 0);
-        // SAFETY: the dataset has as many axes as `place`, and the others are single values.
+        // SAFETY: `place` has a number for each axis of the dataset, as chunks do; the library writes one value to each of the others.
         let found = hdf5::sync::sync(|| unsafe {
             H5Dget_chunk_info_by_coord(
                 self.dataset.id(),
@@ -307,7 +315,8 @@ fn convert<T: Plain>(bytes: &mut [u8], stored: &Datatype, count: usize) -> Guard
         return Ok(());
     }
     assert!(bytes.len() >= count * size_of::<T>().max(stored.size()), "room for either type");
-    // SAFETY: the buffer has room for the values of either type, and neither refers to other places.
+    // SAFETY: the buffer has room for the values of either type, as asserted. Neither refers to other places (`check_kind`) nor is
+    // made of several, which would take a second buffer.
     let done = hdf5::sync::sync(|| unsafe {
         let at = bytes.as_mut_ptr().cast();
         H5Tconvert(stored.id(), wanted.id(), count, at, std::ptr::null_mut(), H5P_DEFAULT)
@@ -315,5 +324,23 @@ fn convert<T: Plain>(bytes: &mut [u8], stored: &Datatype, count: usize) -> Guard
     match done {
         done if done < 0 => Err(format!("holds values of another kind than {wanted:?}")),
         _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::Ix1;
+
+    /// None of them is written, so there is nothing to read that could fail first.
+    #[test]
+    fn more_values_than_can_be_counted_in_bytes_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("wide.h5");
+        let file = hdf5::File::create(&path).unwrap();
+        let shape = file.new_dataset::<u8>().chunk(1024).shape(1_usize << 61);
+        let dataset = shape.create("values").unwrap();
+        let fault = all::<f64, Ix1>(&dataset, &path).unwrap_err();
+        assert!(fault.contains("more than fit"), "{fault}");
     }
 }

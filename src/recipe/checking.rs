@@ -33,12 +33,11 @@ pub fn check(recipe: &Recipe) -> Checked<OrientedCrystals> {
     check_optics(&recipe.optics)?;
     check_detectors(&recipe.detector)?;
     within("dose.electrons_per_angstrom2", recipe.dose.electrons_per_angstrom2, 1e-3, 1e12)?;
-    let recorded = recipe.acquisition.and_then(|table| table.resolved().fault());
-    if let Some((key, value, expected)) = recorded {
-        return fault(&format!("acquisition.{key}"), value, expected);
+    if let Some(table) = recipe.acquisition {
+        table.resolved().check().map_err(|fault| fault.in_table("acquisition"))?;
     }
-    if let Some((key, value, expected)) = recipe.surface.and_then(|table| table.fault()) {
-        return fault(&format!("surface.{key}"), value, expected);
+    if let Some(table) = recipe.surface {
+        table.check().map_err(|fault| fault.in_table("surface"))?;
     }
     check_damage(recipe, &elements)?;
     Ok(crystals)
@@ -56,10 +55,7 @@ fn check_damage(recipe: &Recipe, elements: &[String]) -> Checked {
     for (name, symbol) in damage.elements() {
         one_of(&format!("damage.{name}"), symbol, elements)?;
     }
-    match damage.fault() {
-        Some((key, value, expected)) => fault(&format!("damage.{key}"), value, expected),
-        None => Ok(()),
-    }
+    damage.check().map_err(|fault| fault.in_table("damage"))
 }
 
 /// Longest id and source.

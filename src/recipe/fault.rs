@@ -1,18 +1,8 @@
 //! Values outside their limits.
 
 use crate::error::Error;
+pub use crate::setting::Fault;
 use crate::structure::elements;
-
-/// A value outside its limits.
-#[derive(Debug)]
-pub struct Fault {
-    /// Its key, with dots.
-    pub key: String,
-    /// The value.
-    pub value: String,
-    /// What is allowed, and what to do.
-    pub expected: String,
-}
 
 /// What a check returns.
 pub type Checked<T = ()> = std::result::Result<T, Fault>;

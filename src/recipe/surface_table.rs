@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::setting::{Fault, check_range};
+
 /// Greatest thickness of a layer in nm.
 const MOST_NM: f64 = 6.0;
 /// Greatest standard deviation of its atoms' displacements in Angstrom.
@@ -27,14 +29,13 @@ fn sigma_of_carbon() -> f64 {
 }
 
 impl SurfaceTable {
-    /// The first value outside its limits: its key, the value, and what is allowed.
-    pub fn fault(&self) -> Option<(&'static str, f64, String)> {
-        let values = [
-            ("entrance_nm", self.entrance_nm, MOST_NM),
-            ("exit_nm", self.exit_nm, MOST_NM),
-            ("sigma_angstrom", self.sigma_angstrom, MOST_SIGMA_ANGSTROM),
-        ];
-        let wrong = values.into_iter().find(|(_, v, most)| !(0.0..=*most).contains(v))?;
-        Some((wrong.0, wrong.1, format!("expected 0 to {}", wrong.2)))
+    /// Checks every value against its limits.
+    ///
+    /// # Errors
+    /// The first value outside them.
+    pub fn check(&self) -> Result<(), Fault> {
+        check_range("entrance_nm", self.entrance_nm, [0.0, MOST_NM])?;
+        check_range("exit_nm", self.exit_nm, [0.0, MOST_NM])?;
+        check_range("sigma_angstrom", self.sigma_angstrom, [0.0, MOST_SIGMA_ANGSTROM])
     }
 }

@@ -3,6 +3,8 @@
 //! For the boundary plane (h k 0), tan(theta / 2) = k / h and, h and k having no common divisor,
 //! Sigma = h^2 + k^2, or half of that when both are odd.
 
+use super::lattice::gcd;
+
 /// Largest h that is searched.
 const MAX_INDEX: u32 = 60;
 /// How far a stated angle may be from the coincidence angle, in degrees.
@@ -61,10 +63,6 @@ fn index(plane: HalfAngle) -> Option<u32> {
     let HalfAngle { h, k } = plane;
     let sum = h * h + k * k;
     (gcd(h, k) == 1 && h != k).then_some(if h % 2 == 1 && k % 2 == 1 { sum / 2 } else { sum })
-}
-
-fn gcd(a: u32, b: u32) -> u32 {
-    if b == 0 { a } else { gcd(b, a % b) }
 }
 
 #[cfg(test)]

@@ -1,5 +1,7 @@
 //! Lattice directions as text: `[001]`, `[1-10]`, `[11-20]`, `[3 0 -12]`.
 
+use super::lattice::gcd;
+
 /// The indices of a direction. Single digits stand together, others with spaces or commas between;
 /// four indices \[UVTW\] of a hexagonal lattice become the three \[2U+V U+2V W\] (reduced).
 ///
@@ -22,10 +24,9 @@ pub fn parse(text: &str) -> Result<[i32; 3], String> {
         [u, v, t, w] => of_four([u, v, t, w])?,
         _ => return Err(expected.into()),
     };
-    let divisor = three.iter().fold(0, |a, &b| gcd(a, b));
-    match divisor {
+    match three.into_iter().fold(0, gcd).abs() {
         0 => Err(expected.into()),
-        _ => Ok(three.map(|n| n / divisor)),
+        divisor => Ok(three.map(|n| n / divisor)),
     }
 }
 
@@ -41,7 +42,7 @@ pub fn of_four([u, v, t, w]: [i32; 4]) -> Result<[i32; 3], String> {
         return Err("the first three of four indices must add to 0".into());
     }
     let three = [2 * u + v, u + 2 * v, w];
-    match three.iter().fold(0, |a, &b| gcd(a, b)) {
+    match three.into_iter().fold(0, gcd).abs() {
         0 => Err("all indices are 0".into()),
         divisor => Ok(three.map(|n| n / divisor)),
     }
@@ -62,10 +63,6 @@ fn digits(text: &str) -> Option<Vec<i32>> {
         }
     }
     (sign == 1).then_some(out)
-}
-
-fn gcd(a: i32, b: i32) -> i32 {
-    if b == 0 { a.abs() } else { gcd(b, a % b) }
 }
 
 #[cfg(test)]

@@ -1,4 +1,6 @@
-//! Three-vectors, and cells whose vectors are the rows of a matrix.
+//! Three-vectors, cells whose vectors are the rows of a matrix, and common divisors of indices.
+
+use std::ops::Rem;
 
 /// A Cartesian or fractional vector.
 pub type Vec3 = [f64; 3];
@@ -57,9 +59,21 @@ pub fn wrap_unit(x: f64) -> f64 {
     if wrapped >= 1.0 - 1e-9 { 0.0 } else { wrapped }
 }
 
+/// Greatest common divisor of two integers; of negative ones, with either sign.
+pub(crate) fn gcd<T: Copy + Default + PartialEq + Rem<Output = T>>(a: T, b: T) -> T {
+    if b == T::default() { a } else { gcd(b, a % b) }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn greatest_common_divisors() {
+        assert_eq!(gcd(12_u32, 18), 6);
+        assert_eq!(gcd(0_usize, 7), 7);
+        assert_eq!([-4, 0, 10].into_iter().fold(0_i32, gcd).abs(), 2);
+    }
 
     #[test]
     fn inverse_undoes_the_cell() {

@@ -1,7 +1,9 @@
 //! Orthogonal supercells that look along a zone axis.
 
 use super::alternatives::CopiedPlaces;
-use super::lattice::{Mat3, Vec3, cross, determinant, dot, inverse, norm, row_times, wrap_unit};
+use super::lattice::{
+    Mat3, Vec3, cross, determinant, dot, gcd, inverse, norm, row_times, wrap_unit,
+};
 use super::supercell::check_size;
 use super::{Atom, Structure};
 use crate::error::{Error, Result};
@@ -242,12 +244,8 @@ fn reduced(setting: Setting, given: [i32; 3]) -> Result<Indices> {
         return Err(fault("expected indices from -100 to 100"));
     }
     let indices = given.map(i64::from);
-    let divisor = indices.iter().fold(0, |a, &b| gcd(a, b));
+    let divisor = indices.into_iter().fold(0, gcd).abs();
     Ok(indices.map(|i| i / divisor))
-}
-
-fn gcd(a: i64, b: i64) -> i64 {
-    if b == 0 { a.abs() } else { gcd(b, a % b) }
 }
 
 fn cartesian(cell: &Mat3, n: Indices) -> Vec3 {
@@ -285,7 +283,7 @@ fn directions(bound: i64) -> Vec<Indices> {
             for u in range.clone() {
                 // The last index that is not zero is positive, so [010] stands for [0-10].
                 let first = [w, v, u].into_iter().find(|&i| i != 0).unwrap_or(0);
-                if first > 0 && gcd(gcd(u, v), w) == 1 {
+                if first > 0 && gcd(gcd(u, v), w).abs() == 1 {
                     list.push([u, v, w]);
                 }
             }

@@ -12,7 +12,7 @@ use crate::imaging::GrownCarbon;
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Recipe, Region};
 use crate::resample::MARGIN;
-use crate::setting::Setting;
+use crate::setting::{Fault, Setting};
 use crate::specimen::{DoseMap, Specimen};
 
 /// Rows that are recorded at a time.
@@ -277,9 +277,9 @@ pub(crate) fn scan_of(
 /// The recorder of a frame.
 fn recorder(frame: &ScanFrame, options: &RecordingOptions) -> Result<Recorder> {
     let acquisition = &options.acquisition;
-    if let Some((key, value, expected)) = acquisition.fault() {
-        return Err(Error::invalid(Setting::Acquisition, format!("{key} = {value}"), expected));
-    }
+    acquisition.check().map_err(|Fault { key, value, expected }| {
+        Error::invalid(Setting::Acquisition, format!("{key} = {value}"), expected)
+    })?;
     let (dwell, frames, pixel) = (acquisition.dwell_us, acquisition.frames, 10.0 * frame.pixel_nm);
     let exposure = match options.electrons {
         Electrons::Dose(dose) => Exposure::of_dose(dose, dwell, frames, pixel)?,

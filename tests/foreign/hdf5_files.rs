@@ -428,6 +428,7 @@ fn pipes_are_not_waited_for() {
 
 /// Writes the packed bytes of the only chunk of a dataset of two axes.
 fn pack(dataset: &Dataset, packed: &[u8], skipped: u32) {
+    // SAFETY: an offset for each of the two axes, and as many bytes as are announced.
     let written = hdf5::sync::sync(|| unsafe {
         hdf5_sys::h5d::H5Dwrite_chunk(
             dataset.id(),

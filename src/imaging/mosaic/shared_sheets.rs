@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use crate::engine::Settings;
 use crate::error::Result;
 use crate::imaging::mosaic::cell_images::CellImages;
+use crate::made_once::MadeOnce;
 use crate::specimen::units::library_cell::LibraryCell;
 use crate::specimen::units::unit_tag::TurnedFamily;
 
@@ -13,7 +14,7 @@ use crate::specimen::units::unit_tag::TurnedFamily;
 #[derive(Default)]
 pub struct SharedSheets {
     /// By all that decides the images of a sheet.
-    filled: Mutex<HashMap<String, Arc<CellImages>>>,
+    filled: MadeOnce<String, CellImages>,
     /// The same by family, to be found without that name, which takes long to make.
     by_family: Mutex<HashMap<TurnedFamily, Vec<FilledCell>>>,
 }
@@ -55,18 +56,12 @@ impl SharedSheets {
         known.entry(family).or_default().push(filled);
     }
 
-    /// Sheets of this name, from those that are there or else from `fill`. Two that ask at once may both fill them: a lock that is held
-    /// during work in threads would wait for itself.
+    /// Sheets of this name, from those that are there or else from `fill`.
     pub(super) fn get(
         &self,
         name: String,
         fill: impl FnOnce() -> Result<CellImages>,
     ) -> Result<Arc<CellImages>> {
-        let lock = || self.filled.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(found) = lock().get(&name) {
-            return Ok(Arc::clone(found));
-        }
-        let made = Arc::new(fill()?);
-        Ok(Arc::clone(lock().entry(name).or_insert(made)))
+        self.filled.get(name, fill)
     }
 }

@@ -13,6 +13,7 @@ use std::sync::OnceLock;
 
 use super::binomial::{binomial, drawn_within};
 use crate::rng::{self, Purpose};
+use crate::structure::lattice::gcd;
 
 /// Rates of the bins of the pool. UnitKinds take the bin whose rate is nearest in its square root.
 const RATES: [f64; 14] =
@@ -233,12 +234,6 @@ impl DefectPatterns {
 
 /// Step through the sites that meets all of them.
 fn stride(sites: usize) -> usize {
-    let gcd = |mut a: usize, mut b: usize| {
-        while b > 0 {
-            (a, b) = (b, a % b);
-        }
-        a
-    };
     (sites * 3 / 8 + 1..).find(|s| gcd(*s, sites) == 1).unwrap_or(1)
 }
 

@@ -73,10 +73,6 @@ fn limit(g: &Golden) -> Result<ndarray::Array3<f64>> {
     Ok((&fine * 4.0 - &coarse) / 3.0)
 }
 
-fn rms(image: &Array2<f64>, reference: &Array2<f64>) -> f64 {
-    Difference::between(image.view(), reference.view()).rms
-}
-
 fn largest(image: &Array2<f64>, reference: &Array2<f64>) -> f64 {
     Difference::between(image.view(), reference.view()).largest
 }
@@ -94,7 +90,7 @@ fn image(lab: &Lab) -> Result<Findings> {
         if d == HAADF {
             f.checks.push(percent(
                 "HAADF: rms difference, of the mean",
-                rms(&ours, &reference),
+                Difference::between(ours.view(), reference.view()).rms,
                 2e-3,
             ));
             let title = "HAADF: ours against the refined answer";
