@@ -84,11 +84,16 @@ impl LiveSnapshot {
             return Some("it is damaged: it is not what its digest says".into());
         }
         if !(self.most_dose.is_finite() && self.most_dose > 0.0) {
-            return Some(format!("its `most_dose` is {}, expected a positive dose", self.most_dose));
+            return Some(format!(
+                "its `most_dose` is {}, expected a positive dose",
+                self.most_dose
+            ));
         }
         if self.history.len() > MOST_RECORDINGS {
             let found = self.history.len();
-            return Some(format!("it lists {found} recordings; at most {MOST_RECORDINGS} are read"));
+            return Some(format!(
+                "it lists {found} recordings; at most {MOST_RECORDINGS} are read"
+            ));
         }
         let mut ended_s = 0.0;
         for (number, recording) in self.history.iter().enumerate() {

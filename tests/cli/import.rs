@@ -1,7 +1,7 @@
 //! `stemgen import`: worlds of recorded images.
 
-use super::{fails, json, stderr, stdout, stemgen};
 use super::dm_bytes::{DM4, document, floats, image};
+use super::{fails, json, stderr, stdout, stemgen};
 use std::path::Path;
 
 /// Rows and columns of the image, which is a lattice of 16 pixels.

@@ -108,8 +108,10 @@ fn files_of_lammps_and_of_proteins_are_named_with_the_way_to_convert_them() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     let bad = |name: &str| std::fs::read(file(&format!("tests/structures/bad/{name}"))).unwrap();
-    let data = ["a data file of LAMMPS", "read(\"FILE.data\", format=\"lammps-data\"", "Z_of_type="];
-    let dump = ["a dump file of LAMMPS", "read(\"FILE.dump\", format=\"lammps-dump-text\"", "specorder="];
+    let data =
+        ["a data file of LAMMPS", "read(\"FILE.data\", format=\"lammps-data\"", "Z_of_type="];
+    let dump =
+        ["a dump file of LAMMPS", "read(\"FILE.dump\", format=\"lammps-dump-text\"", "specorder="];
     let pdb = ["a PDB file", "read(\"FILE.pdb\")", "write(\"atoms.xyz\""];
     for (names, content, parts) in [
         (["a.lmp", "a.data", "a.xyz"], bad("lammps_data.xyz"), data),

@@ -13,11 +13,14 @@ const HOSTILE: &str = "a\u{1b}[2J\u{1b}]0;b\u{7}\u{9b}1m\u{202e}c\r\n# d\n<scrip
 #[track_caller]
 fn only_shows(output: &Output, what: &str) {
     for text in [stdout(output), stderr(output)] {
-        let obeyed = text.chars().find(|c| {
-            (c.is_control() && *c != '\n') || ('\u{2028}'..='\u{202e}').contains(c)
-        });
+        let obeyed = text
+            .chars()
+            .find(|c| (c.is_control() && *c != '\n') || ('\u{2028}'..='\u{202e}').contains(c));
         assert_eq!(obeyed, None, "{what}: {text:?}");
-        assert!(!text.contains("\n# d"), "{what}: a text of the file has a line of its own: {text}");
+        assert!(
+            !text.contains("\n# d"),
+            "{what}: a text of the file has a line of its own: {text}"
+        );
         assert!(!text.contains("panicked"), "{what}: {text}");
     }
 }
@@ -64,13 +67,16 @@ fn attributes_of_a_world_are_shown_and_do_nothing() {
             shown += usize::from(told.contains("\\u001b[2J"));
         }
         let out = format!("card of {name}");
-        let card = stemgen(here).args(["card", "w.h5", "-o", &out, "--title", "A world"]).output().unwrap();
+        let card = stemgen(here)
+            .args(["card", "w.h5", "-o", &out, "--title", "A world"])
+            .output()
+            .unwrap();
         only_shows(&card, &name);
         let Ok(page) = std::fs::read_to_string(here.join(&out).join("README.md")) else { continue };
         assert!(!page.chars().any(|c| (c.is_control() && c != '\n') || c == '\u{202e}'), "{name}");
         // Outside of blocks of code.
         let prose: String = page.split("```").step_by(2).collect();
-        for markup in ["<script>", "\n# d", "](h)"] {
+        for markup in ["<script>", "\n# d", "[g](h)"] {
             assert!(!prose.contains(markup), "{name}: `{markup}` in\n{prose}");
         }
     }
@@ -95,7 +101,10 @@ fn names_in_recorded_files_are_shown_and_do_nothing() {
     only_shows(&run(&["info", "w.h5"]), "info");
     // The list of images in an error may have several lines.
     let told = stderr(&run(&["import", "two.dm4", "-o", "u.h5"]));
-    assert!(told.contains("plain") && !told.contains('\u{1b}') && !told.contains('\u{202e}'), "{told}");
+    assert!(
+        told.contains("plain") && !told.contains('\u{1b}') && !told.contains('\u{202e}'),
+        "{told}"
+    );
     let page = run(&["view", "w.h5", "--html", "-o", "w.html", "--quiet"]);
     assert!(page.status.success(), "{}", stderr(&page));
     let page = std::fs::read_to_string(here.join("w.html")).unwrap();
@@ -113,7 +122,9 @@ fn no_name_of_an_output_runs_in_the_script_of_a_cluster() {
         slurm.args(["-o", name]);
         slurm
     };
-    for name in ["a\ntouch ran\n.h5", "a\r\ntouch ran #.h5", "a\u{1b}[2J.h5", "a\u{2028}touch ran.h5"] {
+    for name in
+        ["a\ntouch ran\n.h5", "a\r\ntouch ran #.h5", "a\u{1b}[2J.h5", "a\u{2028}touch ran.h5"]
+    {
         let told = fails(&mut script(name));
         assert!(told.contains("no place in a script"), "{told}");
         only_shows(&script(name).output().unwrap(), name);
