@@ -24,9 +24,10 @@ Examples:
     stemgen import scan.emd --dataset HAADF --index 3 -o world.h5
     stemgen import reconstruction.h5 --dataset /object/phase --pixel-size 0.02 -o world.h5
 
-It reads DM3 and DM4, Velox EMD, HyperSpy (.hspy, .hdf5), any other HDF5 (py4DSTEM ...), TIFF, .npy,
-.npz, zarr, and the HDF5 files of the BiFeO3 images of the STEMGym paper with their unit cells. Noise
-stays as it was recorded. Values that are no numbers become the median of the image, and are marked
+It reads DM3 and DM4, Velox EMD, HyperSpy (.hspy, .hdf5), any other HDF5 (Berkeley EMD, Prismatic,
+NeXus, py4DSTEM ...), TIFF, .npy, .npz, zarr, and the HDF5 files of the BiFeO3 images of the STEMGym
+paper with their unit cells. Axes that a file names x and y decide how the image lies. Noise stays as
+it was recorded. Values that are no numbers become the median of the image, and are marked
 in /valid_region. docs/replay.md tells the rest.";
 
 /// Make a world of a recorded image

@@ -29,7 +29,8 @@ def import_image(
 ) -> World:
     """Makes a world of a recorded image: DM3, DM4, Velox EMD, HyperSpy, other HDF5, TIFF, NumPy, zarr.
 
-    ``summary`` of the world says what was found, as ``stemgen import --json`` does.
+    Axes that the file calls x and y decide how the image lies; it is transposed where the file holds it as ``[x, y]``. ``summary`` of the
+    world says what was found (``notes``: what was done to it), as ``stemgen import --json`` does.
 
     Args:
         path: the file.

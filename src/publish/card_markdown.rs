@@ -57,7 +57,7 @@ pub(super) fn printable(text: &str) -> String {
     let mut out = String::new();
     for c in text.chars() {
         match shown(c) {
-            c @ ('|' | '<' | '>' | '[' | ']' | '*' | '\\' | '`' | '&' | '$' | '~') => {
+            c @ ('|' | '<' | '>' | '[' | ']' | '*' | '\\' | '&' | '$' | '~') => {
                 out.extend(['\\', c]);
             }
             c => out.push(c),
@@ -109,7 +109,7 @@ mod tests {
     #[test]
     fn what_a_file_holds_is_no_markup() {
         assert_eq!(printable("a|b<script>\nc"), "a\\|b\\<script\\> c");
-        assert_eq!(printable("`a` &lt; $b$ \u{202e}\u{1b}[0m"), "\\`a\\` \\&lt; \\$b\\$   \\[0m");
+        assert_eq!(printable("`a` &lt; $b$ \u{202e}\u{1b}[0m"), "`a` \\&lt; \\$b\\$   \\[0m");
         let mut page = Markdown::new();
         page.code("sh", "a ```` b\n```\n# c\u{1b}");
         assert_eq!(page.text(), "`````sh\na ```` b\n```\n# c \n`````\n");

@@ -76,7 +76,7 @@ fn attributes_of_a_world_are_shown_and_do_nothing() {
         assert!(!page.chars().any(|c| (c.is_control() && c != '\n') || c == '\u{202e}'), "{name}");
         // Outside of blocks of code.
         let prose: String = page.split("```").step_by(2).collect();
-        for markup in ["<script>", "\n# d", "](h)"] {
+        for markup in ["<script>", "\n# d", "[g](h)"] {
             assert!(!prose.contains(markup), "{name}: `{markup}` in\n{prose}");
         }
     }

@@ -10,9 +10,11 @@ use sha2::{Digest, Sha256};
 use stemgen::imaging::Cache;
 use stemgen::imaging::mosaic::library_archive::import;
 use stemgen::io::arrays;
+use stemgen::io::recorded::{self, ImageChoice};
 use stemgen::numerics::NUMERICS_VERSION;
 use stemgen::progress::Silent;
 use stemgen::structure::{Format, parse};
+use stemgen::world::replay::{ReplayOptions, ReplayWorld};
 
 use super::allocation::watch;
 use super::fuzz::processor_seconds;
@@ -173,4 +175,91 @@ fn arrays_at_the_limit() {
     assert_eq!(within(|| arrays::read(&path, None)).unwrap().data.len(), 1 << 26);
     std::fs::write(&path, header("(8193, 8192)", "|u1")).unwrap();
     assert!(within(|| arrays::read(&path, None)).unwrap_err().to_string().contains("at most"));
+}
+
+/// A file of a head and so many bytes of which the last rows are not zero; the rest takes no room on the disk.
+fn sparse(path: &Path, head: &[u8], row: &[u8], rows: u64) {
+    use std::io::{Seek, SeekFrom};
+    const FILLED: u64 = 200;
+    let mut file = std::fs::File::create(path).unwrap();
+    file.write_all(head).unwrap();
+    file.seek(SeekFrom::Start(head.len() as u64 + (rows - FILLED) * row.len() as u64)).unwrap();
+    (0..FILLED).for_each(|_| file.write_all(row).unwrap());
+}
+
+/// The largest image that is read becomes a world below 1 GB, whatever its numbers are.
+#[test]
+fn the_import_of_the_largest_image_stays_below_one_gigabyte() {
+    const EDGE: u64 = 8192;
+    let folder = tempfile::tempdir().unwrap();
+    let npy = |kind: &str| {
+        let text =
+            format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': ({EDGE}, {EDGE}), }}\n");
+        [b"\x93NUMPY\x01\x00", &(text.len() as u16).to_le_bytes()[..], text.as_bytes()].concat()
+    };
+    // One strip of single precision, as tifffile writes it.
+    let tiff = |kind: u32, bits: u32| {
+        let mut head = b"II*\0\x08\0\0\0\x09\0".to_vec();
+        let size = EDGE as u32;
+        let at = 8 + 2 + 9 * 12 + 4;
+        for (tag, value) in [
+            (256_u16, size),
+            (257, size),
+            (258, bits),
+            (259, 1),
+            (262, 1),
+            (273, at),
+            (278, size),
+            (279, size * size * bits / 8),
+            (339, kind),
+        ] {
+            head.extend([tag, 4].map(u16::to_le_bytes).as_flattened());
+            head.extend([1, value].map(u32::to_le_bytes).as_flattened());
+        }
+        head.extend([0; 4]);
+        head
+    };
+    let ramp =
+        |bytes: fn(u64) -> Vec<u8>| (0..EDGE).flat_map(|k| bytes(k + 1)).collect::<Vec<u8>>();
+    let double = ramp(|k| (k as f64).to_le_bytes().into());
+    let single = ramp(|k| (k as f32).to_le_bytes().into());
+    let short = ramp(|k| (k as u16).to_le_bytes().into());
+    let options = ReplayOptions { pixel_nm: Some(0.02), ..ReplayOptions::default() };
+    for (name, head, row) in [
+        ("double.npy", npy("<f8"), &double),
+        ("single.tif", tiff(3, 32), &single),
+        ("short.tif", tiff(1, 16), &short),
+    ] {
+        let path = folder.path().join(name);
+        sparse(&path, &head, row, EDGE);
+        let (world, bytes) = watch(|| {
+            let image = recorded::read(&path, &ImageChoice::default()).unwrap();
+            ReplayWorld::new(image, &options).unwrap()
+        });
+        assert!(bytes < 1_000_000_000, "{name}: {bytes} bytes");
+        assert_eq!((world.facts().recorded_px, world.facts().range[0]), ([8192; 2], 0.0), "{name}");
+        assert!(world.facts().range[1] > 7000.0, "{name}: {:?}", world.facts().range);
+        std::fs::remove_file(&path).unwrap();
+    }
+}
+
+/// What comes to more than a file of its size may is refused for that reason, with the way out.
+#[test]
+fn an_image_that_is_packed_too_much_is_refused_for_that_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("packed.h5");
+    let file = hdf5::File::create(&path).unwrap();
+    let builder = file.new_dataset::<u16>().shape((8192, 8192)).chunk((512, 8192)).deflate(9);
+    let dataset = builder.create("image").unwrap();
+    let band = ndarray::Array2::<u16>::from_shape_fn((512, 8192), |(i, _)| i as u16);
+    for first in (0..8192).step_by(512) {
+        dataset.write_slice(&band, ndarray::s![first..first + 512, ..]).unwrap();
+    }
+    file.close().unwrap();
+    let bytes = std::fs::metadata(&path).unwrap().len();
+    assert!(bytes < (8192 * 8192 * 2) / 400, "{bytes} bytes: packed too little for this test");
+    let told = recorded::read(&path, &ImageChoice::default()).unwrap_err().to_string();
+    for part in ["packed", ": 1; at most", "save it without compression (h5repack -f NONE)"] {
+        assert!(told.contains(part), "no `{part}` in {told}");
+    }
 }

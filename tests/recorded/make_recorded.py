@@ -116,7 +116,8 @@ def tiffs() -> None:
     tifffile.imwrite(HERE / "white_is_zero_float.tif", IMAGE, photometric="miniswhite")
 
 
-emd.file_writer(str(HERE / "berkeley_xy.emd"), signal(["x", "y"]))
+# It stores the axes of a signal in the opposite order.
+emd.file_writer(str(HERE / "berkeley_xy.emd"), signal(["y", "x"]))
 hspy.file_writer(str(HERE / "hyperspy_xy.hspy"), signal(["x", "y"]), compression=None)
 nexus()
 dimension_scales()

@@ -155,6 +155,14 @@ impl Hdf5Source {
         };
         self.names.iter().filter(may_be).cloned().collect()
     }
+
+    /// Why the first data set of real numbers that is refused is: packed too much, cut off, in another file.
+    pub fn refusal(&self) -> Option<Error> {
+        self.names
+            .iter()
+            .filter(|name| self.is_real(name))
+            .find_map(|name| self.dataset(name).err())
+    }
 }
 
 /// What the values of a data set are.

@@ -20,7 +20,13 @@ pub(super) fn read_hdf5(source: &Hdf5Source, choice: &ImageChoice) -> Result<Rec
     // One that is there and no image has a reason of its own.
     let name = match wanted.filter(|name| source.has(name)) {
         Some(name) => name,
-        None => choose(&source.path, &source.images(), choice.dataset.as_deref())?.to_owned(),
+        None => {
+            let offered = source.images();
+            if let (true, Some(refusal)) = (offered.is_empty(), source.refusal()) {
+                return Err(refusal);
+            }
+            choose(&source.path, &offered, choice.dataset.as_deref())?.to_owned()
+        }
     };
     let axes = source.axes(&name).unwrap_or_default();
     let axes = ImageAxes::of(&axes);
