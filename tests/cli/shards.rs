@@ -12,7 +12,7 @@ const MOSAIC: [&str; 10] = [
     "--window",
     "5",
     "--audit",
-    "1",
+    "0",
     "--subtile",
     "0.6",
     "--subtile-overlap",
