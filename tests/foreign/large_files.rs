@@ -13,8 +13,8 @@ use stemgen::io::arrays;
 use stemgen::io::recorded::{self, ImageChoice};
 use stemgen::numerics::NUMERICS_VERSION;
 use stemgen::progress::Silent;
+use stemgen::replay::{ReplayOptions, ReplayWorld};
 use stemgen::structure::{Format, parse};
-use stemgen::world::replay::{ReplayOptions, ReplayWorld};
 
 use super::allocation::watch;
 use super::fuzz::processor_seconds;
