@@ -7,7 +7,7 @@ use hdf5::types::TypeDescriptor;
 use hdf5::{Dataset, File};
 use ndarray::{Array2, ArrayD, Axis, IxDyn};
 
-use super::{ImageChoice, frame_of};
+use super::image_choice::{ImageChoice, frame_of};
 use crate::error::{Error, Result};
 use crate::io::arrays::held;
 use crate::io::hdf5_axes::AxisSource;

@@ -19,6 +19,7 @@ mod dm_image;
 mod dm_tags;
 mod hdf5_source;
 mod hyperspy_signal;
+mod image_choice;
 mod other_array;
 mod unit_cells;
 mod velox_image;
@@ -33,8 +34,9 @@ use crate::error::{Error, Result};
 pub use crate::io::length_units::StatedPixel;
 use crate::io::length_units::square_nm;
 use crate::io::named_axes::{NamedAxis, x_and_y};
-use crate::setting::Setting;
 use hdf5_source::Hdf5Source;
+pub use image_choice::ImageChoice;
+use image_choice::frame_of;
 pub use unit_cells::RecordedCells;
 
 /// Kinds of files with recorded images.
@@ -69,15 +71,6 @@ impl RecordedFormat {
             RecordedFormat::Array => "array",
         }
     }
-}
-
-/// Which image of a file that holds several.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct ImageChoice {
-    /// Name of the image, or path of its data set.
-    pub dataset: Option<String>,
-    /// Number of the frame, from 0.
-    pub index: Option<usize>,
 }
 
 /// A recorded image, with what its file says of it.
@@ -202,19 +195,5 @@ pub fn read(path: &Path, choice: &ImageChoice) -> Result<RecordedImage> {
     match image.pixels.is_empty() {
         true => Err(Error::parse(path, 0, format!("`{}` holds no pixels", image.name))),
         false => Ok(image),
-    }
-}
-
-/// The frame to read of so many, from 0.
-fn frame_of(path: &Path, name: &str, frames: usize, index: Option<usize>) -> Result<usize> {
-    let last = frames.saturating_sub(1);
-    let choice = |message: String| Err(Error::choice(path, Setting::ImageIndex, message));
-    match index {
-        None if frames == 1 => Ok(0),
-        None => choice(format!("`{name}` holds {frames} frames; choose one, from 0 to {last}")),
-        Some(index) if index < frames => Ok(index),
-        Some(index) => {
-            choice(format!("`{name}` has no frame {index}; it has those from 0 to {last}"))
-        }
     }
 }

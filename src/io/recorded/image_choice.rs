@@ -1,0 +1,34 @@
+//! Which image of a file is read.
+
+use std::path::Path;
+
+use crate::error::{Error, Result};
+use crate::setting::Setting;
+
+/// Which image of a file that holds several.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct ImageChoice {
+    /// Name of the image, or path of its data set.
+    pub dataset: Option<String>,
+    /// Number of the frame, from 0.
+    pub index: Option<usize>,
+}
+
+/// The frame to read of so many, from 0.
+pub(super) fn frame_of(
+    path: &Path,
+    name: &str,
+    frames: usize,
+    index: Option<usize>,
+) -> Result<usize> {
+    let last = frames.saturating_sub(1);
+    let choice = |message: String| Err(Error::choice(path, Setting::ImageIndex, message));
+    match index {
+        None if frames == 1 => Ok(0),
+        None => choice(format!("`{name}` holds {frames} frames; choose one, from 0 to {last}")),
+        Some(index) if index < frames => Ok(index),
+        Some(index) => {
+            choice(format!("`{name}` has no frame {index}; it has those from 0 to {last}"))
+        }
+    }
+}
