@@ -183,6 +183,15 @@ fn an_audit_takes_the_settings_of_the_world() {
     assert!(error > 0.0 && error < 3.0, "{found}");
     let refused = fails(&mut audit(&["--seed", "3"]));
     assert!(refused.contains("a world has its recipe"), "{refused}");
+    // An error above what is allowed is said, also if nothing else is, and has an exit code of its own.
+    for (limit, code) in [("99", 0), ("0.0001", 3)] {
+        let mut command = audit(&["--regions", "1", "--quiet", "--max-error", limit]);
+        let run = command.output().unwrap();
+        let told = stderr(&run);
+        assert_eq!((run.status.code(), stdout(&run).as_str()), (Some(code), ""), "{limit}: {told}");
+        assert_eq!(told.contains("warning: the audit: far off"), code == 3, "{limit}: {told}");
+        assert!(code == 0 || told.contains("at most 0.0001 % are allowed"), "{told}");
+    }
 }
 
 #[test]
