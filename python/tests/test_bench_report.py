@@ -22,7 +22,9 @@ from stemworlds.bench.command import main
 pytest.importorskip("scipy")
 
 AGENTS = {"Nothing": "nothing", "Random": "heuristic", "Raster": "heuristic", "STEMAgent": "heuristic", "Raster+Oracle": "oracle"}
-SKILL = {"Nothing": 0.0, "Random": 0.1, "Raster": 0.4, "STEMAgent": 0.41, "Raster+Oracle": 1.0}
+#: Agents of the scale from guessing to seeing, for tests that ask for them.
+SCALE = {"Prior": "prior", "Ideal": "ideal"}
+SKILL = {"Prior": 0.2, "Ideal": 0.9, "Nothing": 0.0, "Random": 0.1, "Raster": 0.4, "STEMAgent": 0.41, "Raster+Oracle": 1.0}
 
 
 def row(agent: str, task: str, world: tuple[str, str], seed: int, budget: float = 5000.0) -> dict[str, Any]:
@@ -43,7 +45,7 @@ def row(agent: str, task: str, world: tuple[str, str], seed: int, budget: float 
         "difficulty": world[1],
         "seed": seed,
         "budget": budget,
-        "specification": {"name": agent, "navigator": {"kind": "raster"}, "analyst": {"kind": AGENTS[agent]}},
+        "specification": {"name": agent, "navigator": {"kind": "raster"}, "analyst": {"kind": {**AGENTS, **SCALE}[agent]}},
         "environment": {},
         "metrics": metrics,
         "curve": curve,
@@ -104,13 +106,13 @@ class Page(HTMLParser):
 
 def test_the_page_has_every_section_that_the_results_support(tmp_path: Path) -> None:
     failed = {**row("Random", "targeted", ("srtio3", "easy"), 77), "error": "Random, seed 77: <no beam>"}
-    path = written(tmp_path / "r.jsonl", [*made(), failed])
+    path = written(tmp_path / "r.jsonl", [*made(), *made(agents=SCALE), failed])
     files = bench.write_report(path, tmp_path / "page.html")
     assert [file.name for file in files] == ["page.html", "page-agents.csv", "page-episodes.csv", "page-pairs.csv"]
     text = files[0].read_text()
     page = Page(text)
     sections = [heading for heading in page.headings if heading not in ("defect-census", "targeted")]
-    assert sections[0] == "Agents and tasks" and len(sections) == 12 and "Left out" not in text
+    assert sections[:2] == ["Seeing and guessing", "Agents and tasks"] and len(sections) == 13 and "Left out" not in text
     # Nothing is fetched from anywhere.
     assert all(address.startswith("#") for address in page.addresses) and "http" not in text and "@import" not in text and "url(#" in text
     for words in ("paper 0.052 ± 0.038", "paper 0.278 ± 0.120*", "prefers-color-scheme:dark", "&lt;no beam&gt;", "model unparsable 128", "paper 0.097"):

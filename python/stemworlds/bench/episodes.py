@@ -138,17 +138,17 @@ def reported(report: Any) -> str:
     return report.report() if isinstance(report, Findings) else str(report) or "{}"
 
 
-def _apart(report: str | None) -> tuple[str | None, Any]:
-    """A report as the extension reads it, and its forecasts, which only Python knows."""
+def _apart(report: str | None) -> tuple[str | None, Any, str | None]:
+    """A report as the extension reads it; its forecasts, which only Python knows; and what is wrong with them."""
     if report is None or '"forecasts"' not in report:
-        return report, ()
+        return report, (), None
     try:
         found = json.loads(report)
         forecasts = forecasts_of(found.pop("forecasts", ()))
-    except (ValueError, AttributeError, StemworldsError) as error:
-        # The extension says that it cannot read this, and what is wrong.
-        return json.dumps({"forecasts": str(error)}), ()
-    return json.dumps(found, separators=(",", ":")), forecasts
+    except (ValueError, TypeError, AttributeError, StemworldsError) as error:
+        # No report either, so the extension counts it as unreadable.
+        return '{"forecasts": []}', (), f"findings: {error}"
+    return json.dumps(found, separators=(",", ":")), forecasts, None
 
 
 def kinds(given: Sequence[Any]) -> list[int]:
@@ -287,9 +287,12 @@ class Episodes:
 
     def step(self, moves: Moves) -> dict[str, Any]:
         """One step of all: arrays of observations and lists of what happened."""
-        texts, forecasts = zip(*(_apart(report) for report in moves.reports), strict=True)
+        texts, forecasts, faults = zip(*(_apart(report) for report in moves.reports), strict=True)
         asked: Any = {**vars(moves), "reports": list(texts)}
         found: dict[str, Any] = self._used.by(call)(self._core.step, asked, running(self._threads, False))
+        for slot, fault in enumerate(faults):
+            if fault is not None and found["fault"][slot] is not None:
+                found["fault"][slot] = fault
         if self.field.task in COLUMN_TASKS:
             for slot, kind in enumerate(moves.kinds):
                 if moves.begin[slot] is not None:

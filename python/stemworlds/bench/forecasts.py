@@ -128,12 +128,13 @@ def nearest_columns(said_nm: Values, places_nm: Values) -> Whole:
     for n, (x, y) in enumerate(places_nm.tolist()):
         cells.setdefault((math.floor(x / RADIUS_NM), math.floor(y / RADIUS_NM)), []).append(n)
     pairs = []
+    columns = places_nm.tolist()
     for n, (x, y) in enumerate(said_nm.tolist()):
         column, row = math.floor(x / RADIUS_NM), math.floor(y / RADIUS_NM)
         for c in (column - 1, column, column + 1):
             for r in (row - 1, row, row + 1):
                 for m in cells.get((c, r), ()):
-                    apart = math.hypot(x - places_nm[m, 0], y - places_nm[m, 1])
+                    apart = math.hypot(x - columns[m][0], y - columns[m][1])
                     if apart <= RADIUS_NM:
                         pairs.append((apart, n, m))
     taken: set[int] = set()

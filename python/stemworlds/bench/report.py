@@ -159,9 +159,9 @@ def _episodes_csv(results: Results) -> str:
     rows = []
     for row in results.rows:
         metrics, wall = row["metrics"], row.get("wall") or {}
-        strict = (row.get("scores") or {}).get("strict", "")
+        strict = (row.get("scores") or {}).get("strict")
         names = [row["task"], row["budget"], row["agent"], row["world"], row.get("recipe", ""), row.get("difficulty", ""), row["seed"]]
-        numbers = [metrics["dec_auc"], *(metrics[name] for name in ALTERNATIVES), strict]
+        numbers = [metrics["dec_auc"], *(metrics[name] for name in ALTERNATIVES), "" if strict is None else strict]
         ends = [len(row.get("tiles", ())), row.get("ended", ""), row.get("unreadable", 0)]
         rows.append([*names, *numbers, *ends, wall.get("seconds", ""), 1e3 * wall.get("seconds_per_tile", float("nan"))])
     return _csv(head, rows)
