@@ -40,6 +40,8 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     let limits = {
         let mut limits = Limits::default();
         limits.decoding_buffer_size = LARGEST_PAGE_BYTES;
+        // A page may be one strip.
+        limits.intermediate_buffer_size = LARGEST_PAGE_BYTES;
         limits
     };
     let decoder = Decoder::new(BufReader::new(file)).map_err(bad)?;
