@@ -332,7 +332,7 @@ def test_a_combination_has_the_same_name_wherever_it_lies(tmp_path: Path) -> Non
         ("seeds = -3", "expected 1 to 100000"),
         ("seeds = 100000\nbudgets = [1,2,3,4,5,6,7,8,9,10,11]", "4400000 episodes: expected 1000000 at most"),
         ('tasks = [["defect-census"]]', "task .'defect-census'.: unknown"),
-        ("agents = [5]", "agent 5: expected a name or a table"),
+        ("agents = [5]", "agent 5: expected a name, a table, or an object"),
         ('agents = [{name = "x", policy = 5}]', "policy = 5: expected a table"),
         ('agents = [{name = "x", navigator = "gp", analyst = "nothing", declare_every = "x"}]', "declare_every = 'x': expected a whole number"),
         ('worlds = [{recipe = "test", tasks = 5}]', "tasks of a world = 5: expected a list"),

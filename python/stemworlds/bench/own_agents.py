@@ -105,7 +105,7 @@ def table_of(agent: Any) -> dict[str, Any]:
     kind = type(agent)
     name = getattr(agent, "name", None)
     if not isinstance(name, str) or not name or not callable(getattr(agent, "run", None)):
-        raise _invalid("agent", f"{agent!r}: expected a name, a table, or an object with a name and a method run(env, seed), as bench.Agent")
+        raise _invalid("agent", f"agent {agent!r}: expected a name, a table, or an object with a name and a method run(env, seed), as bench.Agent")
     try:
         # A protocol of its own, so that the key of an episode does not depend on the version of Python.
         held = pickle.dumps(agent, protocol=4)
