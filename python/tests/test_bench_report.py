@@ -301,7 +301,6 @@ def test_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
 
 
 def test_the_program_knows_its_commands(tmp_path: Path) -> None:
-    assert "Run agents in worlds" in command("--help", cwd=tmp_path).stdout
     assert "leaderboard" in command("bench", "--help", cwd=tmp_path).stdout
     failed = command("bench", "leaderboard", "none.jsonl", cwd=tmp_path, check=False)
     assert failed.returncode == 1 and failed.stderr.startswith("error: none.jsonl: ") and failed.stdout == ""
