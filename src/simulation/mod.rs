@@ -12,7 +12,7 @@
 //! use stemgen::simulation::{SimulationJob, SimulationRequest};
 //!
 //! # fn main() -> stemgen::Result<()> {
-//! let mut request = SimulationRequest::of_file("structures/silicon.cif");
+//! let mut request = SimulationRequest::of_file("structures/si.cif");
 //! request.specimen.repeat = Some([4, 4, 1]);
 //! request.scan.end = Some([5.431, 5.431]);
 //! request.scan.points = Some([4, 4]);
