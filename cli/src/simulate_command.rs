@@ -16,7 +16,7 @@ use clap::Args;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-use stemgen::engine::{Cost, ProbeRaster};
+use stemgen::engine::ProbeRaster;
 use stemgen::files::outputs::check_outputs;
 use stemgen::files::{OutputSet, Shard, atomic_write};
 use stemgen::io::StoredImages;
@@ -257,7 +257,9 @@ impl SimulateRun {
             return self.dry_run(warnings).map(|()| true);
         }
         warnings.iter().for_each(|w| reporter.warn(w));
-        self.check_memory(reporter)?;
+        for (bytes, remedy) in self.job.memory() {
+            self.force.check_memory(bytes, remedy, reporter)?;
+        }
         if let Some(shard) = self.results.shard {
             let parts = self.parts()?;
             let (told, report) = parts.make(shard, reporter)?;
@@ -286,17 +288,6 @@ impl SimulateRun {
         let accuracies = self.accuracies.iter().zip(self.job.plans());
         warnings.extend(accuracies.filter_map(|(a, plan)| a.warning(plan, self.job.scan())));
         warnings
-    }
-
-    fn check_memory(&self, reporter: &Reporter) -> anyhow::Result<()> {
-        for plan in self.job.plans() {
-            let scan = self.job.scan();
-            let probes = if self.job.request().plane_wave { 1 } else { scan.len() };
-            let (cost, threads) = (Cost::new(plan, scan).for_probes(probes), simulation::threads());
-            let needed = cost.memory_bytes(threads);
-            self.force.check_memory(needed, cost.memory_remedy(threads), reporter)?;
-        }
-        Ok(())
     }
 
     fn dry_run(&self, warnings: Vec<String>) -> anyhow::Result<()> {

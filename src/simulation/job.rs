@@ -174,17 +174,21 @@ impl SimulationJob {
         Ok(self.source_blur()?.map_or(self.scan, |blur| *blur.scan()))
     }
 
+    /// Bytes of memory that each plan takes on the threads of this process, and what takes less.
+    pub fn memory(&self) -> impl Iterator<Item = (u64, &'static str)> + '_ {
+        let probes = if self.request.plane_wave { 1 } else { self.scan.len() };
+        self.plans.iter().map(move |plan| {
+            let cost = Cost::new(plan, &self.scan).for_probes(probes);
+            (cost.memory_bytes(threads()), cost.memory_remedy(threads()))
+        })
+    }
+
     /// Refuses what takes more memory than is free, for each plan.
     ///
     /// # Errors
     /// [`Error::Memory`] with what takes less.
     pub fn check_memory(&self) -> Result<()> {
-        for plan in &self.plans {
-            let probes = if self.request.plane_wave { 1 } else { self.scan.len() };
-            let cost = Cost::new(plan, &self.scan).for_probes(probes);
-            check_memory(cost.memory_bytes(threads()), cost.memory_remedy(threads()))?;
-        }
-        Ok(())
+        self.memory().try_for_each(|(bytes, remedy)| check_memory(bytes, remedy))
     }
 
     /// What the run will do and take. The speed of the machine is measured, in 0.2 s.

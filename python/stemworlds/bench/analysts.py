@@ -12,7 +12,7 @@ import numpy.typing as npt
 from ..errors import _invalid
 from .findings import Findings
 from .peaks import Peaks, find_peaks
-from .protocols import needed
+from .extras import needed
 
 if TYPE_CHECKING:
     from .episodes import Acquired, FieldFacts

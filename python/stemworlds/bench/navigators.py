@@ -12,7 +12,8 @@ import numpy.typing as npt
 
 from ..errors import _invalid
 from .peaks import find_peaks
-from .protocols import Look, Seen, needed
+from .extras import needed
+from .protocols import Look, Seen
 
 if TYPE_CHECKING:
     from .episodes import Acquired, FieldFacts

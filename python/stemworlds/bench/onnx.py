@@ -13,7 +13,7 @@ from ..errors import FileMissing, FormatError, _invalid
 from .analysts import PlacedDefects, TileByTile, entropy_bits, places_nm
 from .findings import Findings
 from .peaks import Peaks, find_peaks
-from .protocols import needed
+from .extras import needed
 
 if TYPE_CHECKING:
     from .episodes import Acquired

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from .protocols import needed
+from .extras import needed
 
 Values = npt.NDArray[np.float64]
 

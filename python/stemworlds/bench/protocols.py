@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
@@ -11,34 +10,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from ..errors import StemworldsError
-
 if TYPE_CHECKING:
     from .episodes import Acquired, FieldFacts
     from .findings import Findings
 
 __all__ = ["Analyst", "Look", "Navigator", "Plan", "Planner", "Seen"]
-
-#: Of the packages that the agents use: the extra that brings them.
-_EXTRAS = {
-    "scipy": "agents",
-    "sklearn": "agents",
-    "skimage": "agents",
-    "matplotlib": "agents",
-    "onnxruntime": "analyst",
-    "stable_baselines3": "rl",
-    "sb3_contrib": "rl",
-}
-
-
-def needed(module: str) -> Any:
-    """Imports a module of an optional package, or says how to get it."""
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        package = module.partition(".")[0]
-        extra = _EXTRAS.get(package, "agents")
-        raise StemworldsError(f"{package} is not installed ({error}); pip install 'stemworlds[{extra}]' brings it") from error
 
 
 class Look(NamedTuple):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from .protocols import needed
+from .extras import needed
 
 if TYPE_CHECKING:
     from .episodes import Acquired, FieldFacts

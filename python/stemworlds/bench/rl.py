@@ -10,7 +10,8 @@ import numpy as np
 
 from ..errors import FileMissing, _invalid
 from .agents import random_of
-from .protocols import Analyst, needed
+from .extras import needed
+from .protocols import Analyst
 
 if TYPE_CHECKING:
     import gymnasium as gym

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import _invalid
-from .protocols import needed
+from .extras import needed
 
 __all__ = ["Equivalence", "bootstrap_interval", "dec_auc", "on_checkpoints", "paired_wilcoxon", "rank_agreement", "tost"]
 

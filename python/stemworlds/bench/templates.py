@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ..recipes import Recipe
 from ..streaming import stream
 from .columns import columns_of
-from .protocols import needed
+from .extras import needed
 
 Values = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]

@@ -1,0 +1,29 @@
+"""Packages that are imported when they are used: the extras of the package."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from ..errors import StemworldsError
+
+#: Of the packages that the agents use: the extra that brings them.
+_EXTRAS = {
+    "scipy": "agents",
+    "sklearn": "agents",
+    "skimage": "agents",
+    "matplotlib": "agents",
+    "onnxruntime": "analyst",
+    "stable_baselines3": "rl",
+    "sb3_contrib": "rl",
+}
+
+
+def needed(module: str) -> Any:
+    """Imports a module of an optional package, or says how to get it."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        package = module.partition(".")[0]
+        extra = _EXTRAS.get(package, "agents")
+        raise StemworldsError(f"{package} is not installed ({error}); pip install 'stemworlds[{extra}]' brings it") from error
