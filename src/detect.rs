@@ -1,9 +1,13 @@
-//! Annular detectors.
+//! Detectors: annuli, and pixelated ones.
+
+mod pixelated;
 
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 use num_complex::Complex32;
 use serde::{Deserialize, Serialize};
+
+pub use pixelated::{MOST_PIXELS, PixelatedDetector};
 
 /// Thin annuli between two angles of a response.
 const ANNULI: usize = 16;

@@ -80,6 +80,10 @@ settings! {
     Detector = "detector",
     /// The name of a detector, which no other may have.
     DetectorName = "detector name",
+    /// The number of pixels along an edge of a diffraction pattern.
+    PatternPixels = "pixels of a pattern",
+    /// The largest angle along the axes of a diffraction pattern.
+    MaxAngleMrad = "largest angle of a pattern (mrad)",
     /// The list of detectors.
     Detectors = "detectors",
     // The specimen of a simulation

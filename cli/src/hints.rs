@@ -134,6 +134,8 @@ pub fn options(setting: Setting) -> Option<&'static str> {
         S::SourceSizeAngstrom => Some("--source-size"),
         S::SourceLorentzShare => Some("--source-lorentz"),
         S::Detector | S::DetectorName | S::Detectors => Some("--detector"),
+        S::PatternPixels => Some("--patterns"),
+        S::MaxAngleMrad => Some("--max-angle, and --sampling for a finer grid"),
         S::Zone => Some("--zone and --up, and --max-strain PERCENT"),
         S::MaxStrain => Some("--max-strain"),
         S::Cell => Some(

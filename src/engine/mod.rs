@@ -18,6 +18,7 @@ mod grid;
 mod grid_choice;
 mod lens;
 mod multislice;
+pub mod patterns;
 mod phase_grating;
 pub mod phonons;
 mod plan;

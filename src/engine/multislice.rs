@@ -7,7 +7,7 @@ use super::probe_patches::{Patch, ProbePatches, amplitude_nyquist};
 use super::probe_scan::{ProbePlaces, Scan};
 use super::slice_coverage::LocalSlice;
 use super::stepper::{SliceStep, StepWorkspace, Stepper, TransmissionView};
-use super::transmission::Transmission;
+use super::transmission::{Transmission, TransmissionLayout};
 use super::workspace_pool::WorkspacePool;
 use crate::detect::DetectorMap;
 use crate::error::{Error, Result};
@@ -49,8 +49,17 @@ pub(super) struct MultisliceWorkspace {
 /// cache still.
 const STEPS_TOGETHER: usize = 16;
 
-/// The steps up to each recorded thickness, from the one before it.
-type SlicePath = Vec<Vec<SliceStep>>;
+/// The way to a recorded thickness from the one before it.
+pub(super) struct PathPart {
+    pub steps: Vec<SliceStep>,
+    /// Where waves are after the last step, in Angstrom.
+    pub height_angstrom: f64,
+    /// How many pixels (x, y) windows have moved there.
+    pub moved: [i64; 2],
+}
+
+/// The way through the specimen, a part for each recorded thickness.
+type SlicePath = Vec<PathPart>;
 
 impl<'a> Multislice<'a> {
     pub fn new(plan: &'a Plan) -> Self {
@@ -177,7 +186,7 @@ impl<'a> Multislice<'a> {
     fn each_probe(
         &self,
         w: &mut MultisliceWorkspace,
-        path: &SlicePath,
+        path: &[PathPart],
         view: TransmissionView<'_>,
         group: &Patch,
     ) -> Vec<f64> {
@@ -199,7 +208,7 @@ impl<'a> Multislice<'a> {
     fn expanded(
         &self,
         MultisliceWorkspace { waves, copy, step, amplitudes, transmissions }: &mut MultisliceWorkspace,
-        path: &SlicePath,
+        path: &[PathPart],
         view: TransmissionView<'_>,
         group: &Patch,
         basis: &Basis,
@@ -217,16 +226,9 @@ impl<'a> Multislice<'a> {
         }
         let mut values = vec![0.0; probes * per_probe];
         let scale = self.scale();
-        for (r, steps) in path.iter().enumerate() {
+        for (r, part) in path.iter().enumerate() {
             amplitudes.iter_mut().for_each(Vec::clear);
-            for steps in steps.chunks(STEPS_TOGETHER) {
-                self.stepper.arrange(steps, view, transmissions, step);
-                for waves in waves.chunks_mut(self.stepper.waves_together()) {
-                    for (slice_step, t) in steps.iter().zip(&*transmissions) {
-                        self.stepper.propagate_through(waves, *slice_step, t, step);
-                    }
-                }
-            }
+            self.step_waves(waves, &part.steps, view, (transmissions, step));
             for wave in &*waves {
                 copy.copy_from_slice(wave);
                 self.stepper.transform_columns(copy, false, &mut step.fft);
@@ -243,6 +245,24 @@ impl<'a> Multislice<'a> {
             }
         }
         values
+    }
+
+    /// Passes all waves through some steps, whose transmission functions are put in order once for all of them.
+    fn step_waves(
+        &self,
+        waves: &mut [Buffer],
+        steps: &[SliceStep],
+        view: TransmissionView<'_>,
+        (transmissions, w): (&mut Vec<Buffer>, &mut StepWorkspace),
+    ) {
+        for steps in steps.chunks(STEPS_TOGETHER) {
+            self.stepper.arrange(steps, view, transmissions, w);
+            for waves in waves.chunks_mut(self.stepper.waves_together()) {
+                for (slice_step, t) in steps.iter().zip(&*transmissions) {
+                    self.stepper.propagate_through(waves, *slice_step, t, w);
+                }
+            }
+        }
     }
 
     /// The first `n` of a thread's waves.
@@ -285,7 +305,7 @@ impl<'a> Multislice<'a> {
     }
 
     /// The distinct paths of groups of probes, and the index of the path of each group.
-    fn paths(&mut self, t: &Transmission, groups: &[Patch]) -> (Vec<SlicePath>, Vec<usize>) {
+    pub(super) fn paths(&mut self, t: &Transmission, groups: &[Patch]) -> (Vec<SlicePath>, Vec<usize>) {
         let within: Vec<Vec<LocalSlice>> =
             groups.par_iter().map(|g| t.coverage.within(g.origin)).collect();
         let mut paths = Vec::new();
@@ -312,7 +332,7 @@ impl<'a> Multislice<'a> {
         for last in &self.plan.record_after {
             let (passed, others) = rest.split_at(rest.partition_point(|step| step.last <= *last));
             let (steps, end) = self.stepper.path(at, passed.iter().copied());
-            path.push(steps);
+            path.push(PathPart { steps, height_angstrom: end.0, moved: end.1 });
             (at, rest) = (end, others);
         }
         path
@@ -323,7 +343,7 @@ impl<'a> Multislice<'a> {
     fn propagate(
         &self,
         MultisliceWorkspace { waves, copy, step, .. }: &mut MultisliceWorkspace,
-        path: &SlicePath,
+        path: &[PathPart],
         view: TransmissionView<'_>,
         (probes, focus): (&[(usize, [f64; 2])], usize),
         mut record: impl FnMut(usize, usize, &[Complex32], f64),
@@ -332,8 +352,8 @@ impl<'a> Multislice<'a> {
         for (wave, (_, position)) in waves.iter_mut().zip(probes) {
             self.start(wave, (*position, focus), step);
         }
-        for (r, steps) in path.iter().enumerate() {
-            for slice_step in steps {
+        for (r, part) in path.iter().enumerate() {
+            for slice_step in &part.steps {
                 self.stepper.propagate(waves, *slice_step, view, step);
             }
             for (probe, wave) in waves.iter().enumerate() {
@@ -375,6 +395,81 @@ impl<'a> Multislice<'a> {
             });
         }
         out
+    }
+}
+
+/// Waves that others read.
+impl Multislice<'_> {
+    /// Elements from row to row of a wave.
+    pub(super) fn stride(&self) -> usize {
+        self.stepper.fft().stride()
+    }
+
+    /// How many waves should step together.
+    pub(super) fn waves_together(&self) -> usize {
+        self.stepper.waves_together()
+    }
+
+    /// Bins (row, column) of the wave grid that hold probes.
+    pub(super) fn bins(&self) -> &[(usize, usize)] {
+        &self.probes[0].1.bins
+    }
+
+    /// Number of foci.
+    pub(super) fn foci(&self) -> usize {
+        self.probes.len()
+    }
+
+    /// The weight of a focus.
+    pub(super) fn weight(&self, focus: usize) -> f64 {
+        self.probes[focus].0
+    }
+
+    /// The coefficients, in the order of [`Multislice::bins`], of the probe at a place in Angstrom.
+    pub(super) fn probe(&self, focus: usize, position: [f64; 2]) -> Vec<Complex32> {
+        self.probes[focus].1.at(self.plan, position)
+    }
+
+    /// Sets a thread's waves to these coefficients, in the order of [`Multislice::bins`].
+    pub(super) fn begin_all<'c>(
+        &self,
+        MultisliceWorkspace { waves, step, .. }: &mut MultisliceWorkspace,
+        coefficients: impl ExactSizeIterator<Item = &'c [Complex32]>,
+    ) {
+        let waves = self.at_least(waves, coefficients.len());
+        for (wave, coefficients) in waves.iter_mut().zip(coefficients) {
+            self.begin(wave, coefficients.iter().copied(), step);
+        }
+    }
+
+    /// Passes a thread's first `n` waves through some steps.
+    pub(super) fn step_all(
+        &self,
+        w: &mut MultisliceWorkspace,
+        n: usize,
+        steps: &[SliceStep],
+        view: TransmissionView<'_>,
+    ) {
+        let MultisliceWorkspace { waves, step, transmissions, .. } = w;
+        match view.transmission.layout {
+            TransmissionLayout::Padded { .. } => {
+                self.step_waves(&mut waves[..n], steps, view, (transmissions, step));
+            }
+            TransmissionLayout::Arranged => steps.iter().for_each(|slice_step| {
+                self.stepper.propagate(&mut waves[..n], *slice_step, view, step);
+            }),
+        }
+    }
+
+    /// The Fourier coefficients of a thread's wave between steps, times the number of pixels; beyond the band limit they mean nothing.
+    pub(super) fn spectrum<'w>(
+        &self,
+        MultisliceWorkspace { waves, copy, step, .. }: &'w mut MultisliceWorkspace,
+        wave: usize,
+    ) -> &'w [Complex32] {
+        copy.copy_from_slice(&waves[wave]);
+        self.stepper.transform_columns(copy, false, &mut step.fft);
+        copy
     }
 }
 

@@ -93,7 +93,8 @@ pub(super) struct CroppedProbe {
 const BEYOND_ANGSTROM: f64 = 1.0;
 
 impl CroppedProbe {
-    fn new(plan: &Plan, bins: &[(usize, usize)]) -> Self {
+    /// For the bins (row, column) of the plan's wave grid.
+    pub(super) fn new(plan: &Plan, bins: &[(usize, usize)]) -> Self {
         let window = plan.wave_grid;
         let pixel = window.sampling_angstrom();
         let half = largest_half(plan);
@@ -156,7 +157,7 @@ impl CroppedProbe {
     }
 
     /// The window's coefficients, bin by bin, of the probe at `position` (Angstrom, from the first pixel of the window).
-    fn at(&self, position: [f64; 2]) -> Vec<Complex64> {
+    pub(super) fn at(&self, position: [f64; 2]) -> Vec<Complex64> {
         let [x, y] = self.phases(self.offset(position));
         self.moved(&x, &y)
     }
@@ -276,7 +277,7 @@ fn distinct(values: impl Iterator<Item = usize>) -> Vec<usize> {
 }
 
 /// The bins (row, column) of low frequency that cropped probes are limited to, sorted by row.
-fn low_bins(plan: &Plan, grid: &Grid) -> Vec<(usize, usize)> {
+pub(super) fn low_bins(plan: &Plan, grid: &Grid) -> Vec<(usize, usize)> {
     let optics = &plan.settings.optics;
     let keep = (optics.semiangle_mrad * 2.0).max(optics.semiangle_mrad + 20.0) * 1e-3
         / optics.wavelength_angstrom();

@@ -1,0 +1,195 @@
+//! Diffraction patterns of every probe of a scan (4D-STEM), from the exit waves of multislice, on the full grid or in windows.
+//!
+//! Patterns are made for some rows of the scan at a time and handed on, so that memory does not grow with the scan. Windows are
+//! padded, and what they cut off the probe is added coherently (see `padded_box`).
+
+mod padded_box;
+mod pixel_matrices;
+mod run;
+
+use super::plan::Plan;
+use super::probe_patches::Patch;
+use super::probe_scan::Scan;
+use super::settings::Algorithm;
+use super::simulate::elements;
+use super::stepper::TransmissionView;
+use super::transmission::TransmissionBuilder;
+use super::workspace_pool::WorkspacePool;
+use crate::detect::PixelatedDetector;
+use crate::error::{Error, Result};
+use crate::progress::Progress;
+use crate::setting::Setting;
+use crate::structure::Site;
+use ndarray::{Array5, ArrayView5};
+use rayon::prelude::*;
+use run::{GroupPath, PatternReader, SharedWaves};
+use std::ops::Range;
+
+/// Patterns that are held at a time take about so many bytes, or those of one row of windows.
+const HELD_BYTES: usize = 256 << 20;
+
+/// How patterns are read from exit waves.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PatternSettings {
+    /// The detector.
+    pub detector: PixelatedDetector,
+    /// Adds what a window cuts off the probe, as propagated through the mean potential (windows only). Without it the bright field of
+    /// windows of 11.7 A is 1 % too dark, and its pattern off by 2 % (SrTiO3, 39 A).
+    pub coherent_tail: bool,
+}
+
+/// Patterns of neighbouring rows of a scan.
+#[derive(Debug)]
+pub struct PatternRows<'a> {
+    /// The first row of the scan.
+    pub first_row: usize,
+    /// Fractions of the beam for each pixel: (thickness, row, column, ky, kx).
+    pub data: ArrayView5<'a, f32>,
+}
+
+/// Simulates the pattern of every probe of a scan, averaged over phonon configurations and frames, and hands them to `take` by rows, from
+/// the first to the last. The bytes are the same for any number of threads.
+///
+/// # Errors
+/// Those of [`simulate()`](super::simulate()); [`Error::Invalid`] for PRISM, and for a detector beyond what the plan carries; what
+/// `take` returns.
+pub fn simulate_patterns(
+    plan: &Plan,
+    frames: &[&[Site]],
+    scan: &Scan,
+    settings: PatternSettings,
+    take: &mut dyn FnMut(PatternRows<'_>) -> Result<()>,
+    progress: &dyn Progress,
+) -> Result<()> {
+    check(plan, &settings)?;
+    let all: Vec<Site> = frames.iter().flat_map(|sites| sites.iter().copied()).collect();
+    let builder = TransmissionBuilder::new(plan, &elements(&all))?;
+    let mut reader = PatternReader::new(plan, settings);
+    let (groups, shared) = reader.groups(scan);
+    let each = plan.record_after.len() * reader.pixels();
+    let configurations = plan.settings.configurations();
+    let runs = configurations as usize * frames.len();
+    progress.start("simulating", "patterns", (scan.len() * runs) as u64);
+    for band in bands(&groups, scan, each) {
+        let groups = &groups[band.groups.clone()];
+        let mut sums: Vec<Vec<f32>> =
+            groups.iter().map(|group| vec![0.0; group.probes.len() * each]).collect();
+        for sites in frames {
+            for configuration in 0..configurations {
+                let transmission = builder.build(sites, configuration, progress)?;
+                let (paths, path_of) = reader.paths(&transmission, groups);
+                let (reader, workspaces) = (&reader, WorkspacePool::new());
+                let run = |((group, path), sum): ((&Patch, usize), &mut Vec<f32>)| {
+                    if progress.interrupted() {
+                        return Err(Error::Interrupted);
+                    }
+                    let view =
+                        TransmissionView { transmission: &transmission, origin: group.origin };
+                    let at = GroupPath { path: &paths[path], view, group };
+                    let add = |w: &mut _| reader.add(w, &at, shared.as_ref(), sum);
+                    workspaces.with(|| reader.workspace(), add);
+                    progress.advance(group.probes.len() as u64);
+                    Ok(())
+                };
+                let each = groups.par_iter().zip(path_of).zip(sums.par_iter_mut());
+                each.map(run).collect::<Result<Vec<()>>>()?;
+                builder.reclaim(transmission);
+            }
+        }
+        let data = in_order(&band, groups, &sums, (plan, scan, &settings), runs);
+        take(PatternRows { first_row: band.rows.start, data: data.view() })?;
+    }
+    progress.finish();
+    Ok(())
+}
+
+/// Refuses what has no patterns.
+fn check(plan: &Plan, settings: &PatternSettings) -> Result<()> {
+    settings.detector.check()?;
+    if matches!(plan.settings.algorithm, Algorithm::Prism { .. }) {
+        let expected = "patterns are made by multislice and windows; leave PRISM out";
+        return Err(Error::invalid(Setting::Algorithm, "prism", expected));
+    }
+    let limit = plan.band_limit_mrad;
+    if settings.detector.max_angle_mrad > limit * (1.0 + 1e-9) {
+        let expected = format!("at most {limit:.1} mrad, what the grid carries; a finer grid carries more");
+        return Err(Error::invalid(Setting::MaxAngleMrad, settings.detector.max_angle_mrad, expected));
+    }
+    Ok(())
+}
+
+/// Neighbouring rows of a scan, and the groups of their probes.
+struct Band {
+    rows: Range<usize>,
+    groups: Range<usize>,
+}
+
+/// Divides groups, which stand row by row, into bands of whole rows whose patterns of `each` values take about [`HELD_BYTES`].
+fn bands(groups: &[Patch], scan: &Scan, each: usize) -> Vec<Band> {
+    let columns = scan.shape[1];
+    let row = |group: &Patch| group.probes.first().map_or(0, |(i, _)| i / columns);
+    let mut bands: Vec<Band> = Vec::new();
+    let mut last_row = usize::MAX;
+    for (g, group) in groups.iter().enumerate() {
+        let end = 1 + group.probes.iter().map(|(i, _)| i / columns).max().unwrap_or(0);
+        let starts = row(group) != last_row && bands.last().is_none_or(|b| row(group) >= b.rows.end);
+        last_row = row(group);
+        match bands.last_mut() {
+            Some(band) if !starts => {
+                band.rows.end = band.rows.end.max(end);
+                band.groups.end = g + 1;
+            }
+            Some(band) if held(&band.rows, end, columns, each) <= HELD_BYTES => {
+                band.rows.end = end;
+                band.groups.end = g + 1;
+            }
+            _ => bands.push(Band { rows: row(group)..end, groups: g..g + 1 }),
+        }
+    }
+    bands
+}
+
+/// Bytes of the patterns from the first of some rows to `end`.
+fn held(rows: &Range<usize>, end: usize, columns: usize, each: usize) -> usize {
+    (end - rows.start) * columns * each * size_of::<f32>()
+}
+
+/// The means of the patterns of a band, (thickness, row, column, ky, kx), from sums in the order of groups.
+fn in_order(
+    band: &Band,
+    groups: &[Patch],
+    sums: &[Vec<f32>],
+    (plan, scan, settings): (&Plan, &Scan, &PatternSettings),
+    runs: usize,
+) -> Array5<f32> {
+    let (n, records, columns) =
+        (settings.detector.pixels, plan.record_after.len(), scan.shape[1]);
+    let mut data = Array5::zeros((records, band.rows.len(), columns, n, n));
+    let scale = 1.0 / runs as f32;
+    for (group, sums) in groups.iter().zip(sums) {
+        for ((i, _), values) in group.probes.iter().zip(sums.chunks_exact(records * n * n)) {
+            let (row, column) = (i / columns - band.rows.start, i % columns);
+            for (r, pattern) in values.chunks_exact(n * n).enumerate() {
+                let mut to = data.slice_mut(ndarray::s![r, row, column, .., ..]);
+                to.iter_mut().zip(pattern).for_each(|(to, v)| *to = v * scale);
+            }
+        }
+    }
+    data
+}
+
+/// About how many bytes patterns take beside what [`super::Cost`] counts, on `threads` threads.
+pub fn pattern_memory_bytes(
+    plan: &Plan,
+    scan: &Scan,
+    settings: &PatternSettings,
+    threads: usize,
+) -> u64 {
+    let reader = PatternReader::new(plan, *settings);
+    let (groups, shared) = reader.groups(scan);
+    let each = plan.record_after.len() * reader.pixels();
+    let most = |band: &Band| held(&band.rows, band.rows.end, scan.shape[1], each);
+    let bands = bands(&groups, scan, each).iter().map(most).max().unwrap_or(0);
+    let waves = shared.as_ref().map_or(1, SharedWaves::len);
+    2 * bands as u64 + reader.thread_bytes(waves) * threads as u64
+}

@@ -1,0 +1,338 @@
+//! Waves of a window, and what surrounds them, in a box twice as wide.
+//!
+//! A window of width W samples diffraction patterns at steps of 1 / W, and lacks what it cuts off the probe. In a box of twice the
+//! width the step is half of that, and there is room for the *coherent tail*: the part of the probe outside the window, which is
+//! propagated through free space, multiplied by the mean transmission of the slices, and added to the wave of the window. Waves beyond
+//! the tail's angle are left out of the sum: electrons scattered that far reach the window's edge inside the specimen, and come in
+//! again at the other side.
+
+use super::super::grid::Grid;
+use super::super::single_precision::single;
+use crate::fft::{Buffer, Fft2, Scratch, good_size};
+use num_complex::{Complex32, Complex64};
+use std::f64::consts::PI;
+use std::ops::Range;
+
+/// Relative to the angle up to which waves are kept in full, the angle beyond which none are.
+const LOW_PASS_ENDS: f64 = 1.15;
+
+/// The box around a window, and where its frequencies are.
+pub(super) struct PaddedBox {
+    window: Grid,
+    /// Points of a grid over the window that is just fine enough for the frequencies that are kept; even.
+    coarse: [usize; 2],
+    coarse_fft: Fft2,
+    coarse_columns: Vec<Range<usize>>,
+    box_fft: Fft2,
+    box_columns: Vec<Range<usize>>,
+    /// Frequencies `-reach..=reach` (x, y) of the box are kept.
+    pub reach: [usize; 2],
+    /// For each frequency of the window that is kept: its element in the array of a wave and in a coarse array, and its weight.
+    inside: Vec<(usize, usize, f32)>,
+    /// The weights of the frequencies of the box, [`PaddedBox::samples`] row-major.
+    low_pass: Vec<f32>,
+}
+
+/// One thread's arrays.
+pub(super) struct PaddedWorkspace {
+    coarse: Buffer,
+    padded: Buffer,
+    scratch: (Scratch, Scratch),
+}
+
+impl PaddedBox {
+    /// The box around `window`; waves are kept up to `full_k` (1/Angstrom), and the box's frequencies up to `most_k` along each axis.
+    /// `stride` is that of waves on the window's grid.
+    pub fn new(window: Grid, stride: usize, full_k: f64, most_k: f64) -> Self {
+        let end = LOW_PASS_ENDS * full_k;
+        let along = window.extent_angstrom;
+        let highest = |k: usize| ((end * along[k]) as usize).min((window.points[k] - 1) / 2);
+        let coarse = [0, 1].map(|k| good_size(2 * highest(k) + 2, 2));
+        let reach = [0, 1].map(|k| ((2.0 * along[k] * most_k.min(end)) as usize).min(coarse[k] - 1));
+        let weight = |k2: f64| match k2.sqrt() {
+            k if k <= full_k => 1.0,
+            k if k >= end => 0.0,
+            k => 0.5 + 0.5 * (PI * (k - full_k) / (end - full_k)).cos(),
+        };
+        let coarse_fft = Fft2::new(coarse[1], coarse[0]);
+        let box_fft = Fft2::new(2 * coarse[1], 2 * coarse[0]);
+        let pixels = (window.points[0] * window.points[1]) as f64;
+        let mut inside = Vec::new();
+        let [hx, hy] = [highest(0) as i64, highest(1) as i64];
+        let bin = |f: i64, n: usize| f.rem_euclid(n as i64) as usize;
+        for fy in -hy..=hy {
+            for fx in -hx..=hx {
+                let w = weight((fx as f64 / along[0]).powi(2) + (fy as f64 / along[1]).powi(2));
+                if w > 0.0 {
+                    let from = bin(fy, window.points[1]) * stride + bin(fx, window.points[0]);
+                    let to = bin(fy, coarse[1]) * coarse_fft.stride() + bin(fx, coarse[0]);
+                    inside.push((from, to, (w / pixels) as f32));
+                }
+            }
+        }
+        let mut padded = PaddedBox {
+            window,
+            coarse,
+            coarse_columns: coarse_fft.band_columns(highest(0)),
+            coarse_fft,
+            box_columns: box_fft.band_columns(reach[0]),
+            box_fft,
+            reach,
+            inside,
+            low_pass: Vec::new(),
+        };
+        let weights = padded.frequencies().map(|[kx, ky]| weight(kx * kx + ky * ky) as f32);
+        padded.low_pass = weights.collect();
+        padded
+    }
+
+    /// Kept frequencies along x and y.
+    pub fn samples(&self) -> [usize; 2] {
+        self.reach.map(|reach| 2 * reach + 1)
+    }
+
+    /// Number of kept frequencies.
+    pub fn len(&self) -> usize {
+        let [x, y] = self.samples();
+        x * y
+    }
+
+    /// Width (x, y) of the box in Angstrom.
+    pub fn extent_angstrom(&self) -> [f64; 2] {
+        self.window.extent_angstrom.map(|l| 2.0 * l)
+    }
+
+    /// Points (x, y) of the grid over the box on which its waves are held.
+    pub fn points(&self) -> [usize; 2] {
+        self.coarse.map(|n| 2 * n)
+    }
+
+    /// The kept frequencies (kx, ky) in 1/Angstrom, row by row.
+    fn frequencies(&self) -> impl Iterator<Item = [f64; 2]> + use<> {
+        let (reach, extent) = (self.reach.map(|n| n as i64), self.extent_angstrom());
+        (-reach[1]..=reach[1]).flat_map(move |y| {
+            (-reach[0]..=reach[0]).map(move |x| [x as f64 / extent[0], y as f64 / extent[1]])
+        })
+    }
+
+    pub fn workspace(&self) -> PaddedWorkspace {
+        PaddedWorkspace {
+            coarse: self.coarse_fft.buffer(),
+            padded: self.box_fft.buffer(),
+            scratch: (self.coarse_fft.scratch(), self.box_fft.scratch()),
+        }
+    }
+
+    /// Writes the kept frequencies of a wave in the box to `out`, row by row; their squared moduli add to the fraction of the beam.
+    /// `wave` holds Fourier coefficients of the window times its pixels. Where the window is a periodic cell, what stands at `centre`
+    /// (Angstrom) comes to the middle of the box.
+    pub fn sample(
+        &self,
+        wave: &[Complex32],
+        centre: Option<[f64; 2]>,
+        w: &mut PaddedWorkspace,
+        out: &mut [Complex32],
+    ) {
+        let PaddedWorkspace { coarse, padded, scratch } = w;
+        coarse.fill(Complex32::ZERO);
+        for &(from, to, weight) in &self.inside {
+            coarse[to] = wave[from] * weight;
+        }
+        for columns in &self.coarse_columns {
+            self.coarse_fft.some_columns(coarse, columns.clone(), true, &mut scratch.0);
+        }
+        self.coarse_fft.all_rows(coarse, true, &mut scratch.0);
+        let [nx, ny] = self.coarse;
+        let first = centre.map_or([0; 2], |centre| self.first_of(centre));
+        let (from, to) = (self.coarse_fft.stride(), self.box_fft.stride());
+        padded.fill(Complex32::ZERO);
+        for y in 0..ny {
+            let row = &coarse[(y + first[1]) % ny * from..][..nx];
+            let line = &mut padded[(y + ny / 2) * to + nx / 2..][..nx];
+            let (left, right) = row.split_at(first[0]);
+            line[..right.len()].copy_from_slice(right);
+            line[right.len()..].copy_from_slice(left);
+        }
+        self.box_fft.all_rows(padded, false, &mut scratch.1);
+        for columns in &self.box_columns {
+            self.box_fft.some_columns(padded, columns.clone(), false, &mut scratch.1);
+        }
+        // The box has twice the window's width along both axes, and four times its pixels.
+        let scale = 2.0 / (4 * nx * ny) as f32;
+        self.keep(padded, to, self.points(), |v, _| v * scale, out);
+    }
+
+    /// The pixel (x, y) of the coarse grid at which a window around `centre` (Angstrom) begins.
+    fn first_of(&self, centre: [f64; 2]) -> [usize; 2] {
+        [0, 1].map(|k| {
+            let n = self.coarse[k];
+            let pixel = self.window.extent_angstrom[k] / n as f64;
+            ((centre[k] / pixel).round() as i64 - n as i64 / 2).rem_euclid(n as i64) as usize
+        })
+    }
+
+    /// Writes the kept frequencies of an array of the box in FFT order, of `points` (x, y), to `out`.
+    fn keep(
+        &self,
+        array: &[Complex32],
+        stride: usize,
+        points: [usize; 2],
+        value: impl Fn(Complex32, usize) -> Complex32,
+        out: &mut [Complex32],
+    ) {
+        let reach = self.reach.map(|n| n as i64);
+        let bin = |f: i64, n: usize| f.rem_euclid(n as i64) as usize;
+        let mut at = 0;
+        for fy in -reach[1]..=reach[1] {
+            let row = &array[bin(fy, points[1]) * stride..];
+            for fx in -reach[0]..=reach[0] {
+                out[at] = value(row[bin(fx, points[0])], at);
+                at += 1;
+            }
+        }
+    }
+}
+
+/// Splits probes in the box into what the window holds and what lies outside.
+pub(super) struct ProbeSplit {
+    /// Points (x, y) of the box before the window.
+    pub lead: [usize; 2],
+    /// The box on the window's pixels.
+    pub grid: Grid,
+    fft: Fft2,
+    window_fft: Fft2,
+    /// Bins (row, column) of the box and of the window that hold probes.
+    bins: Vec<(usize, usize)>,
+    window_bins: Vec<(usize, usize)>,
+    /// How far (x, y) the window lies further from the box's first point on the grid of [`PaddedBox`], in Angstrom.
+    shift: [f64; 2],
+}
+
+/// One thread's arrays.
+pub(super) struct SplitWorkspace {
+    around: Buffer,
+    inside: Buffer,
+    scratch: (Scratch, Scratch),
+}
+
+impl ProbeSplit {
+    /// The box twice as wide as the window, on its pixels.
+    pub fn grid_around(window: &Grid) -> Grid {
+        Grid {
+            points: window.points.map(|n| 2 * n),
+            extent_angstrom: window.extent_angstrom.map(|l| 2.0 * l),
+        }
+    }
+
+    pub fn new(
+        padded: &PaddedBox,
+        bins: Vec<(usize, usize)>,
+        window_bins: Vec<(usize, usize)>,
+    ) -> Self {
+        let window = padded.window;
+        let grid = Self::grid_around(&window);
+        // The middle of the box is that of the window, as probes know it.
+        let lead = window.points.map(|n| n - n / 2);
+        let pixel = window.sampling_angstrom();
+        let shift = [0, 1].map(|k| 0.5 * window.extent_angstrom[k] - lead[k] as f64 * pixel[k]);
+        ProbeSplit {
+            lead,
+            grid,
+            fft: Fft2::new(grid.points[1], grid.points[0]),
+            window_fft: Fft2::new(window.points[1], window.points[0]),
+            bins,
+            window_bins,
+            shift,
+        }
+    }
+
+    pub fn workspace(&self) -> SplitWorkspace {
+        SplitWorkspace {
+            around: self.fft.buffer(),
+            inside: self.window_fft.buffer(),
+            scratch: (self.fft.scratch(), self.window_fft.scratch()),
+        }
+    }
+
+    /// The coefficients of a wave on the window's bins, and the kept frequencies in the box of what lies outside. `wave` holds its
+    /// coefficients on the box's bins.
+    pub fn split(
+        &self,
+        padded: &PaddedBox,
+        wave: &[Complex32],
+        w: &mut SplitWorkspace,
+    ) -> (Vec<Complex32>, Vec<Complex32>) {
+        let SplitWorkspace { around, inside, scratch } = w;
+        let ([nx, ny], [lx, ly]) = (padded.window.points, self.lead);
+        let (stride, narrow) = (self.fft.stride(), self.window_fft.stride());
+        around.fill(Complex32::ZERO);
+        for (&(y, x), value) in self.bins.iter().zip(wave) {
+            around[y * stride + x] = *value;
+        }
+        self.fft.inverse(around, &mut scratch.0);
+        inside.fill(Complex32::ZERO);
+        // The same wave has half the amplitude in the window, whose area is a fourth.
+        for y in 0..ny {
+            let row = &around[(y + ly) * stride + lx..][..nx];
+            inside[y * narrow..][..nx].iter_mut().zip(row).for_each(|(to, v)| *to = v * 0.5);
+        }
+        self.window_fft.forward(inside, &mut scratch.1);
+        let pixels = 1.0 / (nx * ny) as f32;
+        let bins = self.window_bins.iter();
+        let held: Vec<Complex32> = bins.map(|&(y, x)| inside[y * narrow + x] * pixels).collect();
+        inside.fill(Complex32::ZERO);
+        for (&(y, x), value) in self.window_bins.iter().zip(&held) {
+            inside[y * narrow + x] = *value;
+        }
+        self.window_fft.inverse(inside, &mut scratch.1);
+        for y in 0..ny {
+            let row = &mut around[(y + ly) * stride + lx..][..nx];
+            row.iter_mut().zip(&inside[y * narrow..][..nx]).for_each(|(to, v)| *to -= v * 2.0);
+        }
+        self.fft.forward(around, &mut scratch.0);
+        let scale = pixels * 0.25;
+        let shift = padded.phases(self.shift.map(|d| [0.0, d]), 0.0);
+        let columns = padded.samples()[0];
+        let value = |v: Complex32, at: usize| {
+            v * shift[0][at % columns] * shift[1][at / columns] * (padded.low_pass[at] * scale)
+        };
+        let mut outside = vec![Complex32::ZERO; padded.len()];
+        padded.keep(around, stride, self.grid.points, value, &mut outside);
+        (held, outside)
+    }
+}
+
+impl PaddedBox {
+    /// For the kept frequencies along x and y, `exp(-i pi a k^2 - 2 pi i k (t s + d))`: a is wavelength times distance in Angstrom^2,
+    /// `ways` holds (t s, d) along x and y in Angstrom.
+    pub fn phases(&self, ways: [[f64; 2]; 2], fresnel_angstrom2: f64) -> [Vec<Complex32>; 2] {
+        let extent = self.extent_angstrom();
+        [0, 1].map(|axis| {
+            let reach = self.reach[axis] as i64;
+            let way = ways[axis][0] + ways[axis][1];
+            let phase = |f: i64| {
+                let k = f as f64 / extent[axis];
+                single(Complex64::from_polar(1.0, -PI * fresnel_angstrom2 * k * k - 2.0 * PI * way * k))
+            };
+            (-reach..=reach).map(phase).collect()
+        })
+    }
+
+    /// Adds `outside`, multiplied by `factor` and by the phases along x and y, to the samples of a wave.
+    pub fn add_tail(
+        &self,
+        samples: &mut [Complex32],
+        outside: &[Complex32],
+        factor: Complex32,
+        [across, down]: &[Vec<Complex32>; 2],
+    ) {
+        let columns = across.len();
+        let rows = samples.chunks_exact_mut(columns).zip(outside.chunks_exact(columns));
+        for ((row, tail), phase) in rows.zip(down) {
+            let by = factor * phase;
+            for ((to, v), x) in row.iter_mut().zip(tail).zip(across) {
+                *to += v * x * by;
+            }
+        }
+    }
+}

@@ -1,0 +1,97 @@
+//! From intensities at frequencies of a box, or of a window, to the pixels of a detector.
+
+use super::padded_box::PaddedBox;
+use crate::detect::PixelatedDetector;
+use crate::fft::frequency;
+use crate::matrix::multiply;
+use std::f64::consts::PI;
+
+/// Intensities at the kept frequencies of a box, integrated over pixels: `P = D I A`. Between the frequencies of the box intensities are
+/// interpolated by their Fourier series (the autocorrelation of the exit wave), so that the integral is exact for waves within
+/// half of the box.
+pub(super) struct PixelMatrices {
+    pixels: usize,
+    /// Frequencies along x and y.
+    samples: [usize; 2],
+    /// (frequency along x, pixel)
+    across: Vec<f32>,
+    /// (pixel, frequency along y)
+    down: Vec<f32>,
+}
+
+impl PixelMatrices {
+    /// For the kept frequencies of a box.
+    pub fn of_box(detector: &PixelatedDetector, wavelength: f64, padded: &PaddedBox) -> Self {
+        let width = detector.pixel_k(wavelength);
+        let (extent, points) = (padded.extent_angstrom(), padded.points());
+        let axis = |k: usize| Axis {
+            pixel: Box::new(move |p| (p as f64 - (detector.pixels / 2) as f64) * width),
+            frequencies: (-(padded.reach[k] as i64)..=padded.reach[k] as i64).collect(),
+        };
+        let weight = |k: usize, pixel: f64, frequency: i64| {
+            let (n, step) = (points[k] as i64, extent[k] / points[k] as f64);
+            let offset = pixel - frequency as f64 / extent[k];
+            let term = |lag: i64| {
+                let r = lag as f64 * step;
+                sinc(width * r) * (2.0 * PI * offset * r).cos()
+            };
+            // The first and the last lag of the series are one, taken by halves.
+            let middle: f64 = (1..n / 2).map(term).sum();
+            width * extent[k] / n as f64 * (1.0 + 2.0 * middle + term(n / 2))
+        };
+        Self::new(detector.pixels, [axis(0), axis(1)], weight)
+    }
+
+    /// For all frequencies of a window with `points` over `extent` (x, y; Angstrom), each spread over pixels by area.
+    pub fn by_area(
+        detector: &PixelatedDetector,
+        wavelength: f64,
+        (points, extent): ([usize; 2], [f64; 2]),
+    ) -> Self {
+        let width = detector.pixel_k(wavelength);
+        let axis = |k: usize| Axis {
+            pixel: Box::new(move |p| (p as f64 - (detector.pixels / 2) as f64) * width),
+            frequencies: (0..points[k]).map(|i| frequency(i, points[k])).collect(),
+        };
+        let weight = |k: usize, pixel: f64, frequency: i64| {
+            let (at, dk) = (frequency as f64 / extent[k], 1.0 / extent[k]);
+            let low = (pixel - 0.5 * width).max(at - 0.5 * dk);
+            let high = (pixel + 0.5 * width).min(at + 0.5 * dk);
+            (high - low).max(0.0) / dk
+        };
+        Self::new(detector.pixels, [axis(0), axis(1)], weight)
+    }
+
+    fn new(pixels: usize, axes: [Axis<'_>; 2], weight: impl Fn(usize, f64, i64) -> f64) -> Self {
+        let [x, y] = axes;
+        let mut across = Vec::with_capacity(pixels * x.frequencies.len());
+        for f in &x.frequencies {
+            across.extend((0..pixels).map(|p| weight(0, (x.pixel)(p), *f) as f32));
+        }
+        let mut down = Vec::with_capacity(pixels * y.frequencies.len());
+        for p in 0..pixels {
+            down.extend(y.frequencies.iter().map(|f| weight(1, (y.pixel)(p), *f) as f32));
+        }
+        let samples = [x.frequencies.len(), y.frequencies.len()];
+        PixelMatrices { pixels, samples, across, down }
+    }
+
+    /// The pattern, row-major, of intensities (frequency along y, along x) row-major. `half` is work space.
+    pub fn pattern(&self, intensities: &[f32], half: &mut Vec<f32>, out: &mut [f32]) {
+        let (n, [x, y]) = (self.pixels, self.samples);
+        half.resize(y * n, 0.0);
+        multiply((y, n, x), (half, n), (intensities, [x, 1]), (&self.across, n));
+        multiply((n, n, y), (out, n), (&self.down, [y, 1]), (half, n));
+    }
+}
+
+/// An axis of a detector and of the frequencies that fall on it.
+struct Axis<'a> {
+    /// The middle of a pixel in 1/Angstrom.
+    pixel: Box<dyn Fn(usize) -> f64 + 'a>,
+    frequencies: Vec<i64>,
+}
+
+fn sinc(x: f64) -> f64 {
+    if x.abs() < 1e-12 { 1.0 } else { (PI * x).sin() / (PI * x) }
+}

@@ -1,0 +1,448 @@
+//! Propagates the probes of a scan, and reads their patterns.
+
+use super::super::basis::Basis;
+use super::super::multislice::{Multislice, MultisliceWorkspace, PathPart};
+use super::super::plan::Plan;
+use super::super::probe::{CroppedProbe, low_bins};
+use super::super::probe_patches::{Patch, ProbePatches, amplitude_nyquist};
+use super::super::probe_scan::Scan;
+use super::super::single_precision::single;
+use super::super::stepper::TransmissionView;
+use super::super::transmission::{Transmission, TransmissionLayout};
+use super::padded_box::{PaddedBox, PaddedWorkspace, ProbeSplit, SplitWorkspace};
+use super::pixel_matrices::PixelMatrices;
+use super::PatternSettings;
+use crate::matrix::multiply;
+use num_complex::{Complex32, Complex64};
+
+/// Patterns of so many probes are put together from their waves at a time.
+const PROBES_TOGETHER: usize = 16;
+/// The tail is added up to the angle at which electrons move by this share of the window's width inside the specimen.
+const TAIL_REACH: f64 = 0.4;
+/// Beyond the pixels so many frequencies of the box are kept, since intensities are interpolated between them.
+const MARGIN: f64 = 12.0;
+
+/// Everything that turns probes into patterns, for one plan.
+pub(super) struct PatternReader<'a> {
+    plan: &'a Plan,
+    engine: Multislice<'a>,
+    settings: PatternSettings,
+    padded: PaddedBox,
+    fine: PixelMatrices,
+    /// What lies beyond the angles of the padded box.
+    outer: Option<OuterPixels>,
+    /// Probes in the box around a window, for each focus with its weight; `None` on the full grid.
+    around: Option<Around>,
+}
+
+/// Pixels that are read from the window's own frequencies.
+struct OuterPixels {
+    matrices: PixelMatrices,
+    /// For each pixel, whether it is one of them.
+    taken: Vec<bool>,
+}
+
+struct Around {
+    split: ProbeSplit,
+    probes: Vec<(f64, CroppedProbe)>,
+}
+
+/// Waves that are propagated in place of the probes of a patch, the same in all patches.
+pub(super) struct SharedWaves {
+    /// Coefficients on the bins of the window's probes.
+    inside: Vec<Vec<Complex32>>,
+    /// Kept frequencies in the box of what lies outside the window.
+    outside: Vec<Vec<Complex32>>,
+    basis: Basis,
+}
+
+/// One thread's arrays.
+pub(super) struct ReaderWorkspace {
+    multislice: MultisliceWorkspace,
+    padded: PaddedWorkspace,
+    split: Option<SplitWorkspace>,
+    /// Kept frequencies of all waves, (wave, frequency).
+    fine: Vec<Complex32>,
+    /// The window's own frequencies of all waves, (wave, frequency).
+    own: Vec<Complex32>,
+    amplitudes: Vec<Complex32>,
+    intensities: Vec<f32>,
+    half: Vec<f32>,
+    pattern: Vec<f32>,
+}
+
+/// What waves of a group meet.
+pub(super) struct GroupPath<'p> {
+    pub path: &'p [PathPart],
+    pub view: TransmissionView<'p>,
+    pub group: &'p Patch,
+}
+
+impl<'a> PatternReader<'a> {
+    pub fn new(plan: &'a Plan, settings: PatternSettings) -> Self {
+        let engine = Multislice::new(plan);
+        let (window, stride) = (plan.wave_grid, engine.stride());
+        let wavelength = plan.settings.optics.wavelength_angstrom();
+        let detector = &settings.detector;
+        let width = window.extent_angstrom[0].min(window.extent_angstrom[1]);
+        let edge = (0.5 * detector.pixels as f64 + 0.5) * detector.pixel_k(wavelength);
+        let margin = MARGIN / (2.0 * width);
+        let full_k = match plan.has_windows() {
+            true => tail_angle(plan, width) / wavelength,
+            false => plan.band_limit,
+        };
+        let full_k = full_k.min(plan.band_limit);
+        let padded = PaddedBox::new(window, stride, full_k, edge + margin);
+        let fine = PixelMatrices::of_box(detector, wavelength, &padded);
+        let outer = (full_k < plan.band_limit).then(|| {
+            let matrices = PixelMatrices::by_area(
+                detector,
+                wavelength,
+                (window.points, window.extent_angstrom),
+            );
+            let n = detector.pixels;
+            let middle = |i: usize| (i as f64 - (n / 2) as f64) * detector.pixel_k(wavelength);
+            let beyond = |y: usize, x: usize| {
+                let half = detector.pixel_k(wavelength);
+                middle(x).hypot(middle(y)) + half > full_k
+            };
+            let taken = (0..n * n).map(|i| beyond(i / n, i % n)).collect();
+            OuterPixels { matrices, taken }
+        });
+        let outer = outer.filter(|outer: &OuterPixels| outer.taken.contains(&true));
+        let around = plan.has_windows().then(|| Around::new(plan, &padded, &engine));
+        PatternReader { plan, engine, settings, padded, fine, outer, around }
+    }
+
+    pub fn workspace(&self) -> ReaderWorkspace {
+        ReaderWorkspace {
+            multislice: self.engine.workspace(),
+            padded: self.padded.workspace(),
+            split: self.around.as_ref().map(|around| around.split.workspace()),
+            fine: Vec::new(),
+            own: Vec::new(),
+            amplitudes: Vec::new(),
+            intensities: Vec::new(),
+            half: Vec::new(),
+            pattern: vec![0.0; self.pixels()],
+        }
+    }
+
+    /// Pixels of a pattern.
+    pub fn pixels(&self) -> usize {
+        self.settings.detector.pixels * self.settings.detector.pixels
+    }
+
+    /// How probes are propagated together: patches row by row, and the waves that all patches share, if there are any.
+    pub fn groups(&self, scan: &Scan) -> (Vec<Patch>, Option<SharedWaves>) {
+        let most = self.engine.waves_together();
+        if !self.plan.has_windows() {
+            let [rows, columns] = scan.shape;
+            let row = |y: usize| {
+                let at = |x: usize| (y * columns + x, scan.position(y * columns + x));
+                Patch { origin: (0, 0), probes: (0..columns).map(at).collect() }
+            };
+            return ((0..rows).map(row).flat_map(|patch| patch.split(most)).collect(), None);
+        }
+        let patches = ProbePatches::new(self.plan, scan);
+        match (patches.error, &self.around) {
+            (Some(error), Some(around)) => {
+                let waves = around.shared(self.plan, &self.padded, patches.half(self.plan), error);
+                (patches.patches, Some(waves))
+            }
+            _ => (patches.patches.into_iter().flat_map(|patch| patch.split(most)).collect(), None),
+        }
+    }
+
+    /// The paths of groups in one configuration; see [`Multislice::paths`].
+    pub fn paths(
+        &mut self,
+        transmission: &Transmission,
+        groups: &[Patch],
+    ) -> (Vec<Vec<PathPart>>, Vec<usize>) {
+        self.engine.paths(transmission, groups)
+    }
+
+    /// Adds the patterns of a group in one configuration to `out`, (probe, recorded thickness, ky, kx) row-major.
+    pub fn add(
+        &self,
+        w: &mut ReaderWorkspace,
+        at: &GroupPath<'_>,
+        shared: Option<&SharedWaves>,
+        out: &mut [f32],
+    ) {
+        let means = self.mean_transmissions(at);
+        match (shared, &self.around) {
+            (Some(waves), Some(around)) => self.add_expanded(w, at, (waves, around), &means, out),
+            _ => self.add_each(w, at, &means, out),
+        }
+    }
+
+    /// From waves that the probes are expanded in.
+    fn add_expanded(
+        &self,
+        w: &mut ReaderWorkspace,
+        at: &GroupPath<'_>,
+        (shared, around): (&SharedWaves, &Around),
+        means: &[Complex32],
+        out: &mut [f32],
+    ) {
+        let (n, probes) = (shared.inside.len(), at.group.probes.len());
+        let places: Vec<(usize, [f64; 2])> =
+            at.group.probes.iter().map(|(i, p)| (*i, around.in_box(*p))).collect();
+        let coefficients: Vec<(f32, Vec<Complex32>)> = around
+            .probes
+            .iter()
+            .map(|(weight, probe)| (*weight as f32, shared.basis.coefficients(probe, &places)))
+            .collect();
+        let (kept, own) = (self.padded.len(), self.own_len());
+        w.fine.resize(n * kept, Complex32::ZERO);
+        w.own.resize(n * own, Complex32::ZERO);
+        let inside = shared.inside.iter().map(Vec::as_slice);
+        self.engine.begin_all(&mut w.multislice, inside);
+        for (r, part) in at.path.iter().enumerate() {
+            self.engine.step_all(&mut w.multislice, n, &part.steps, at.view);
+            let phases = self.tail_phases(part);
+            for j in 0..n {
+                let psi = self.engine.spectrum(&mut w.multislice, j);
+                let fine = &mut w.fine[j * kept..][..kept];
+                self.padded.sample(psi, None, &mut w.padded, fine);
+                if self.settings.coherent_tail {
+                    self.padded.add_tail(fine, &shared.outside[j], means[r], &phases);
+                }
+                self.own_frequencies(psi, &mut w.own[j * own..][..own]);
+            }
+            for (weight, c) in &coefficients {
+                for first in (0..probes).step_by(PROBES_TOGETHER) {
+                    let some = PROBES_TOGETHER.min(probes - first);
+                    let c = (&c[first..], [1, probes]);
+                    let to = |i: usize| ((first + i) * at.path.len() + r) * self.pixels();
+                    let fine = std::mem::take(&mut w.fine);
+                    let own_waves = std::mem::take(&mut w.own);
+                    w.amplitudes.resize(some * kept.max(own), Complex32::ZERO);
+                    multiply((some, kept, n), (&mut w.amplitudes, kept), c, (&fine, kept));
+                    for i in 0..some {
+                        self.read_fine(w, i * kept, *weight, &mut out[to(i)..][..self.pixels()]);
+                    }
+                    if own > 0 {
+                        multiply((some, own, n), (&mut w.amplitudes, own), c, (&own_waves, own));
+                        for i in 0..some {
+                            self.read_own(w, i * own, *weight, &mut out[to(i)..][..self.pixels()]);
+                        }
+                    }
+                    (w.fine, w.own) = (fine, own_waves);
+                }
+            }
+        }
+    }
+
+    /// From the probes themselves.
+    fn add_each(
+        &self,
+        w: &mut ReaderWorkspace,
+        at: &GroupPath<'_>,
+        means: &[Complex32],
+        out: &mut [f32],
+    ) {
+        let probes = &at.group.probes;
+        let (kept, own) = (self.padded.len(), self.own_len());
+        w.amplitudes.resize(kept.max(own), Complex32::ZERO);
+        for focus in 0..self.engine.foci() {
+            let weight = self.engine.weight(focus) as f32;
+            let (mut inside, mut outside) = (Vec::new(), Vec::new());
+            for (_, position) in probes {
+                match (&self.around, &mut w.split) {
+                    (Some(around), Some(split)) => {
+                        let wave = around.probes[focus].1.at(around.in_box(*position));
+                        let wave: Vec<Complex32> = wave.into_iter().map(single).collect();
+                        let (held, rest) = around.split.split(&self.padded, &wave, split);
+                        inside.push(held);
+                        outside.push(rest);
+                    }
+                    _ => inside.push(self.engine.probe(focus, *position)),
+                }
+            }
+            self.engine.begin_all(&mut w.multislice, inside.iter().map(Vec::as_slice));
+            for (r, part) in at.path.iter().enumerate() {
+                self.engine.step_all(&mut w.multislice, probes.len(), &part.steps, at.view);
+                let phases = self.tail_phases(part);
+                for (j, (_, position)) in probes.iter().enumerate() {
+                    let to = (j * at.path.len() + r) * self.pixels();
+                    let psi = self.engine.spectrum(&mut w.multislice, j);
+                    // On the full grid the probe comes to the middle, and leaves where the tilted beam does.
+                    let centre = self.around.is_none().then(|| {
+                        let way = self.plan.beam_shift(part.height_angstrom);
+                        [0, 1].map(|k| position[k] + way[k])
+                    });
+                    self.padded.sample(psi, centre, &mut w.padded, &mut w.amplitudes[..kept]);
+                    if let Some(rest) = outside.get(j).filter(|_| self.settings.coherent_tail) {
+                        let fine = &mut w.amplitudes[..kept];
+                        self.padded.add_tail(fine, rest, means[r], &phases);
+                    }
+                    self.read_fine(w, 0, weight, &mut out[to..][..self.pixels()]);
+                    if own > 0 {
+                        let psi = self.engine.spectrum(&mut w.multislice, j);
+                        self.own_frequencies(psi, &mut w.amplitudes[..own]);
+                        self.read_own(w, 0, weight, &mut out[to..][..self.pixels()]);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Adds what the kept frequencies of the box, which stand in `amplitudes` from `at` on, give to a pattern.
+    fn read_fine(&self, w: &mut ReaderWorkspace, at: usize, weight: f32, out: &mut [f32]) {
+        let amplitudes = &w.amplitudes[at..][..self.padded.len()];
+        w.intensities.clear();
+        w.intensities.extend(amplitudes.iter().map(|v| v.norm_sqr() * weight));
+        self.fine.pattern(&w.intensities, &mut w.half, &mut w.pattern);
+        let taken = self.outer.as_ref().map(|outer| outer.taken.as_slice());
+        for (i, (to, v)) in out.iter_mut().zip(&w.pattern).enumerate() {
+            if taken.is_none_or(|taken| !taken[i]) {
+                *to += v;
+            }
+        }
+    }
+
+    /// The same for the window's own frequencies.
+    fn read_own(&self, w: &mut ReaderWorkspace, at: usize, weight: f32, out: &mut [f32]) {
+        let Some(outer) = &self.outer else { return };
+        let amplitudes = &w.amplitudes[at..][..self.own_len()];
+        w.intensities.clear();
+        w.intensities.extend(amplitudes.iter().map(|v| v.norm_sqr() * weight));
+        outer.matrices.pattern(&w.intensities, &mut w.half, &mut w.pattern);
+        for ((to, v), taken) in out.iter_mut().zip(&w.pattern).zip(&outer.taken) {
+            if *taken {
+                *to += v;
+            }
+        }
+    }
+
+    /// Number of the window's own frequencies that are read; 0 where all pixels are read from the box.
+    fn own_len(&self) -> usize {
+        let [x, y] = self.plan.wave_grid.points;
+        self.outer.as_ref().map_or(0, |_| x * y)
+    }
+
+    /// Copies the window's own frequencies within the band limit, as fractions of the beam's amplitude.
+    fn own_frequencies(&self, psi: &[Complex32], out: &mut [Complex32]) {
+        if out.is_empty() {
+            return;
+        }
+        let grid = &self.plan.wave_grid;
+        let ([nx, ny], stride) = (grid.points, self.engine.stride());
+        let scale = 1.0 / (nx * ny) as f32;
+        for iy in 0..ny {
+            for ix in 0..nx {
+                let [kx, ky] = grid.k(iy, ix);
+                let held = kx.hypot(ky) < self.plan.band_limit;
+                let value = psi[iy * stride + ix];
+                out[iy * nx + ix] = if held { value * scale } else { Complex32::ZERO };
+            }
+        }
+    }
+
+    /// The propagation of the tail through free space to the end of a part of a path.
+    fn tail_phases(&self, part: &PathPart) -> [Vec<Complex32>; 2] {
+        let plan = self.plan;
+        let distance = part.height_angstrom - plan.slices.entrance();
+        let (way, pixel) =
+            (plan.beam_shift(part.height_angstrom), plan.wave_grid.sampling_angstrom());
+        let ways = [0, 1].map(|k| [way[k], -(part.moved[k] as f64) * pixel[k]]);
+        self.padded.phases(ways, plan.settings.optics.wavelength_angstrom() * distance)
+    }
+
+    /// The product of the slices' mean transmission around a window, up to the end of each part of the path.
+    fn mean_transmissions(&self, at: &GroupPath<'_>) -> Vec<Complex32> {
+        let TransmissionLayout::Padded { stride } = at.view.transmission.layout else {
+            return vec![Complex32::ONE; at.path.len()];
+        };
+        let cell = self.plan.transmission_grid.points;
+        let window = self.plan.wave_grid.points;
+        // The box around the window, but no part of the cell twice.
+        let lines = |k: usize, origin: usize| {
+            let first = origin as i64 - window[k] as i64 / 2;
+            let n = (2 * window[k]).min(cell[k]);
+            (0..n).map(move |i| (first + i as i64).rem_euclid(cell[k] as i64) as usize)
+        };
+        let (row, column) = at.view.origin;
+        let columns: Vec<usize> = lines(0, column).collect();
+        let mean = |t: &[Complex32]| {
+            let of_row = |y: usize| {
+                let line = &t[y * stride..][..cell[0]];
+                columns.iter().map(|x| line[*x]).sum::<Complex32>()
+            };
+            let sum: Complex64 = lines(1, row).map(of_row).map(wide).sum();
+            sum / (columns.len() * lines(1, row).count()) as f64
+        };
+        let mut product = Complex64::ONE;
+        let mut first = 0;
+        let mut means = Vec::new();
+        for last in &self.plan.record_after {
+            for slice in &at.view.transmission.slices[first..=*last] {
+                product *= slice.as_deref().map_or(Complex64::ONE, mean);
+            }
+            first = last + 1;
+            means.push(single(product));
+        }
+        means
+    }
+}
+
+impl SharedWaves {
+    /// Number of waves.
+    pub fn len(&self) -> usize {
+        self.inside.len()
+    }
+}
+
+impl PatternReader<'_> {
+    /// Bytes of a thread that reads so many waves.
+    pub fn thread_bytes(&self, waves: usize) -> u64 {
+        let together = waves + PROBES_TOGETHER;
+        let values = together * (self.padded.len() + self.own_len()) + 8 * self.padded.len();
+        (values * size_of::<Complex32>()) as u64
+    }
+}
+
+impl Around {
+    fn new(plan: &Plan, padded: &PaddedBox, engine: &Multislice<'_>) -> Self {
+        let grid = ProbeSplit::grid_around(&plan.wave_grid);
+        let bins = low_bins(plan, &grid);
+        let split = ProbeSplit::new(padded, bins.clone(), engine.bins().to_vec());
+        let probe = |(weight, at): (f64, Plan)| {
+            let boxed = Plan { wave_grid: grid, ..at };
+            (weight, CroppedProbe::new(&boxed, &bins))
+        };
+        let probes = plan.at_foci().into_iter().map(probe).collect();
+        Around { split, probes }
+    }
+
+    /// The place (Angstrom) in the box of a place in the window.
+    fn in_box(&self, position: [f64; 2]) -> [f64; 2] {
+        let pixel = self.split.grid.sampling_angstrom();
+        [0, 1].map(|k| position[k] + self.split.lead[k] as f64 * pixel[k])
+    }
+
+    /// The waves for probes at most `half` (Angstrom, x and y) from the middle of the window, each right to the share `error`.
+    fn shared(&self, plan: &Plan, padded: &PaddedBox, half: [f64; 2], error: f64) -> SharedWaves {
+        let probes: Vec<&CroppedProbe> = self.probes.iter().map(|(_, probe)| probe).collect();
+        let basis = Basis::new(&probes, half, amplitude_nyquist(plan), error);
+        let mut w = self.split.workspace();
+        let split = |j: usize| self.split.split(padded, basis.wave(j), &mut w);
+        let (inside, outside) = (0..basis.len()).map(split).unzip();
+        SharedWaves { inside, outside, basis }
+    }
+}
+
+/// The angle in radians up to which the coherent tail of a window of `width` (Angstrom) is added.
+fn tail_angle(plan: &Plan, width: f64) -> f64 {
+    let thickness = plan.thicknesses_angstrom().into_iter().fold(0.0, f64::max);
+    let least = 1.5e-3 * plan.settings.optics.semiangle_mrad;
+
+    (TAIL_REACH * width / thickness.max(1e-3)).max(least)
+}
+
+fn wide(c: Complex32) -> Complex64 {
+    Complex64::new(f64::from(c.re), f64::from(c.im))
+}
