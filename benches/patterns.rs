@@ -23,8 +23,16 @@ fn main() {
     let table = [(38, 0.084), (22, 0.060), (8, 0.085)].into();
     let sites = specimen.sites(&Sigmas::ByElement(table)).expect("sites");
     let size = specimen.orthogonal_box().expect("a box");
-    let scan = Scan { origin_angstrom: [8.0 * EDGE, 8.0 * EDGE + 0.1], step_angstrom: [0.45, 0.5], shape: [3, 5] };
-    let dense = Scan { origin_angstrom: [8.0 * EDGE, 8.0 * EDGE + 0.1], step_angstrom: [0.225, 0.25], shape: [5, 9] };
+    let scan = Scan {
+        origin_angstrom: [8.0 * EDGE, 8.0 * EDGE + 0.1],
+        step_angstrom: [0.45, 0.5],
+        shape: [3, 5],
+    };
+    let dense = Scan {
+        origin_angstrom: [8.0 * EDGE, 8.0 * EDGE + 0.1],
+        step_angstrom: [0.225, 0.25],
+        shape: [5, 9],
+    };
     let run = |algorithm, coherent_tail, expansion, dense_scan: bool, probe_box| {
         let settings = Settings {
             algorithm,
@@ -85,7 +93,8 @@ fn patterns(
 }
 
 fn report(name: &str, (found, seconds): &(Vec<Array2<f32>>, f64), exact: &[Array2<f32>]) {
-    let most = exact.iter().map(|p| p.iter().copied().fold(0.0, f32::max)).sum::<f32>() / exact.len() as f32;
+    let most = exact.iter().map(|p| p.iter().copied().fold(0.0, f32::max)).sum::<f32>()
+        / exact.len() as f32;
     let (mut square, mut count) = (0.0, 0.0);
     let (mut off, mut centre, mut norm) = (0.0, 0.0, 0.0);
     let (mut bright, mut bright_sum) = ([0.0; 2], 0.0);

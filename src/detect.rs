@@ -1,6 +1,7 @@
 //! Detectors: annuli, and pixelated ones.
 
 mod pixelated;
+mod virtual_detector;
 
 use crate::error::{Error, Result};
 use crate::setting::Setting;
@@ -8,6 +9,9 @@ use num_complex::Complex32;
 use serde::{Deserialize, Serialize};
 
 pub use pixelated::{MOST_PIXELS, PixelatedDetector};
+pub use virtual_detector::{
+    VirtualDetector, centre_of_mass_mrad, integrated_centre_of_mass, weighted_sum,
+};
 
 /// Thin annuli between two angles of a response.
 const ANNULI: usize = 16;

@@ -134,7 +134,7 @@ pub fn options(setting: Setting) -> Option<&'static str> {
         S::SourceSizeAngstrom => Some("--source-size"),
         S::SourceLorentzShare => Some("--source-lorentz"),
         S::Detector | S::DetectorName | S::Detectors => Some("--detector"),
-        S::PatternPixels => Some("--patterns"),
+        S::PatternPixels => Some("--pixels, of `stemgen patterns`"),
         S::MaxAngleMrad => Some("--max-angle, and --sampling for a finer grid"),
         S::Zone => Some("--zone and --up, and --max-strain PERCENT"),
         S::MaxStrain => Some("--max-strain"),

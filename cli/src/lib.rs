@@ -18,12 +18,14 @@ mod hints;
 mod imaging_args;
 mod import_command;
 mod info_command;
+mod integrate_command;
 mod invocation;
 mod last_words;
 mod list_command;
 mod live_command;
 mod not_offered;
 mod output;
+mod patterns_command;
 mod picture_args;
 mod plan_text;
 mod progress_bar;
@@ -71,6 +73,7 @@ struct Cli {
 const EXAMPLES: &str = "\
 Examples:
   stemgen simulate si.cif --repeat 3,3,10 --scan-end 5.431,5.431 --png
+  stemgen patterns si.cif --repeat 8,8,10 --scan-end 5.431,5.431 --png
   stemgen list
   stemgen specimen srtio3 --difficulty easy --grid 2x2 -o atoms.extxyz --png
   stemgen build srtio3 --difficulty easy --grid 2x2
@@ -88,6 +91,8 @@ const GLOSSARY: &str = include_str!("../../docs/glossary.md");
 #[derive(Debug, Subcommand)]
 enum Command {
     Simulate(Box<simulate_command::Simulate>),
+    Patterns(Box<patterns_command::Patterns>),
+    Integrate(Box<integrate_command::Integrate>),
     Rerun(Box<rerun_command::Rerun>),
     Build(Box<build_command::Build>),
     Specimen(Box<specimen_command::SpecimenCommand>),
@@ -138,6 +143,8 @@ pub fn run(invocation: Invocation) -> u8 {
     };
     let (name, result) = match command {
         Command::Simulate(command) => ("simulate", command.run().map(done)),
+        Command::Patterns(command) => ("patterns", command.run().map(done)),
+        Command::Integrate(command) => ("integrate", command.run().map(done)),
         Command::Rerun(command) => ("rerun", command.run()),
         Command::Build(command) => ("build", command.run()),
         Command::Specimen(command) => ("specimen", command.run().map(done)),

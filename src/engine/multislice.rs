@@ -305,7 +305,11 @@ impl<'a> Multislice<'a> {
     }
 
     /// The distinct paths of groups of probes, and the index of the path of each group.
-    pub(super) fn paths(&mut self, t: &Transmission, groups: &[Patch]) -> (Vec<SlicePath>, Vec<usize>) {
+    pub(super) fn paths(
+        &mut self,
+        t: &Transmission,
+        groups: &[Patch],
+    ) -> (Vec<SlicePath>, Vec<usize>) {
         let within: Vec<Vec<LocalSlice>> =
             groups.par_iter().map(|g| t.coverage.within(g.origin)).collect();
         let mut paths = Vec::new();

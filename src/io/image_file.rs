@@ -123,8 +123,10 @@ pub fn write_images(
     atomic_write::write_with(path, overwrite, |temporary| {
         let write = || -> hdf5::Result<()> {
             let file = hdf5_create::file(temporary)?;
-            write_origin(&file, origin)?;
-            write_specimen(&hdf5_create::group(&file, "specimen")?, origin)?;
+            write_origin(&file, "stemgen images", FORMAT_VERSION, origin)?;
+            if !origin.sites.is_empty() {
+                write_specimen(&hdf5_create::group(&file, "specimen")?, origin)?;
+            }
             let group = hdf5_create::group(&file, "images")?;
             images.iter().try_for_each(|stack| write_stack(&group, stack))?;
             if !counts.is_empty() {
@@ -141,9 +143,14 @@ pub fn write_images(
     })
 }
 
-fn write_origin(file: &File, o: &Origin) -> hdf5::Result<()> {
-    text(file, "format", "stemgen images")?;
-    number(file, "format_version", FORMAT_VERSION)?;
+pub(super) fn write_origin(
+    file: &File,
+    format: &str,
+    version: i64,
+    o: &Origin,
+) -> hdf5::Result<()> {
+    text(file, "format", format)?;
+    number(file, "format_version", version)?;
     text(file, "stemgen_version", env!("CARGO_PKG_VERSION"))?;
     text(file, "command_line", &o.command_line)?;
     if let Some(request) = &o.request {
@@ -166,7 +173,7 @@ fn write_origin(file: &File, o: &Origin) -> hdf5::Result<()> {
     Ok(())
 }
 
-fn write_specimen(group: &Group, o: &Origin) -> hdf5::Result<()> {
+pub(super) fn write_specimen(group: &Group, o: &Origin) -> hdf5::Result<()> {
     if let Some(strain) = o.strain_percent {
         number(group, "strain_percent", strain)?;
     }
@@ -234,7 +241,7 @@ fn write_nxdata(file: &File, data: &str, name: &str, stack: &ImageStack) -> hdf5
     let group = hdf5_create::group(file, &format!("entry/{name}"))?;
     text(&group, "NX_class", "NXdata")?;
     text(&group, "signal", "data")?;
-    axes(&group, AXES)?;
+    axes(&group, &AXES)?;
     for (n, axis) in AXES.iter().enumerate() {
         number(&group, &format!("{axis}_indices"), n as i64)?;
     }
@@ -256,7 +263,7 @@ fn write_nxdata(file: &File, data: &str, name: &str, stack: &ImageStack) -> hdf5
 
 /// Axes, pixel and detector of an image.
 fn describe(dataset: &Dataset, stack: &ImageStack) -> hdf5::Result<()> {
-    axes(dataset, AXES)?;
+    axes(dataset, &AXES)?;
     // what NeXus readers show at once
     text(dataset, "interpretation", "image")?;
     let [x, y] = stack.step_angstrom;
@@ -280,12 +287,12 @@ fn write_waves(file: &File, waves: ExitWaves) -> hdf5::Result<()> {
     let data = waves.data.as_standard_layout();
     let dataset = file.new_dataset_builder().with_data(&data).create("exit_wave")?;
     text(&dataset, "units", "amplitude; that of the incident wave is 1")?;
-    axes(&dataset, ["configuration", "y", "x"])?;
+    axes(&dataset, &["configuration", "y", "x"])?;
     let [x, y] = waves.step_angstrom;
     array(&dataset, "sampling_angstrom", &[y, x])
 }
 
-fn axes(at: &hdf5::Location, names: [&str; 3]) -> hdf5::Result<()> {
+pub(super) fn axes(at: &hdf5::Location, names: &[&str]) -> hdf5::Result<()> {
     let bad = |_| hdf5::Error::Internal("axis holds a NUL".into());
     let names = names.iter().map(|n| n.parse().map_err(bad));
     let names = names.collect::<hdf5::Result<Vec<VarLenUnicode>>>()?;

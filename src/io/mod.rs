@@ -28,6 +28,8 @@ mod length_units;
 mod named_axes;
 #[cfg(feature = "report")]
 pub mod npz_file;
+#[cfg(feature = "hdf5")]
+pub mod pattern_file;
 #[cfg(feature = "report")]
 pub mod recorded;
 #[cfg(feature = "hdf5")]

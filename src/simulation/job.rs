@@ -4,6 +4,7 @@ use ndarray::{Array2, Axis};
 
 use super::atoms::PreparedSpecimen;
 use super::images::{self, SimulatedImage};
+use super::patterns;
 use super::plan_report::PlanReport;
 use super::plane_wave::{self, PlaneWaveImages};
 use super::plausibility::{self, Warning};
@@ -41,6 +42,7 @@ impl SimulationJob {
     pub fn new(request: SimulationRequest) -> Result<Self> {
         request.microscope.check()?;
         check_plane_wave(&request)?;
+        patterns::check(&request)?;
         let specimen = request.specimen.prepare(&request.structure)?;
         if request.plane_wave && !specimen.more_frames.is_empty() {
             let expected = "a plane wave images one structure; leave the frames out";
@@ -226,7 +228,7 @@ impl SimulationJob {
         parts: &[ScanPart],
         progress: &dyn Progress,
     ) -> Result<Vec<SimulatedImage>> {
-        self.needs_probes()?;
+        self.needs_images()?;
         let blur = self.source_blur()?;
         let wide = blur.as_ref().map_or(&self.scan, |blur| blur.scan());
         let series =
@@ -257,7 +259,7 @@ impl SimulationJob {
     /// # Errors
     /// As [`SimulationJob::run`]; PRISM, whose waves are of all probes.
     pub fn run_part(&self, shard: Shard, progress: &dyn Progress) -> Result<ScanPart> {
-        self.needs_probes()?;
+        self.needs_images()?;
         let scan = self.simulated_scan()?;
         simulate_part(&self.plans, &self.specimen.frames(), &scan, shard, progress)
     }
@@ -299,7 +301,7 @@ impl SimulationJob {
         force: bool,
         progress: &dyn Progress,
     ) -> Result<Vec<Images>> {
-        self.needs_probes()?;
+        self.needs_images()?;
         let [x, y, _] = self.specimen.size_angstrom;
         plausibility::check_places(places_angstrom, [x, y])?;
         // As many probes that share no waves, for an estimate of memory.
@@ -328,6 +330,16 @@ impl SimulationJob {
         let pattern = mean_diffraction(plan, &self.specimen.sites, place_angstrom, progress)?;
         let wavelength = plan.settings.optics.wavelength_angstrom();
         Ok((pattern, plan.wave_grid.extent_angstrom.map(|extent| 1e3 * wavelength / extent)))
+    }
+
+    fn needs_images(&self) -> Result<()> {
+        match self.request.patterns {
+            None => self.needs_probes(),
+            Some(_) => {
+                let expected = "is a request for patterns; leave `patterns` out for images";
+                Err(Error::invalid(Setting::PatternPixels, "patterns", expected))
+            }
+        }
     }
 
     fn needs_probes(&self) -> Result<()> {
@@ -371,8 +383,14 @@ fn check_plane_wave(request: &SimulationRequest) -> Result<()> {
 fn plan(request: &SimulationRequest, specimen: &PreparedSpecimen, defocus: f64) -> Result<Plan> {
     let thicknesses = request.thicknesses_angstrom.clone();
     let phonons = request.specimen.phonons();
-    let mut settings =
-        request.numerics.settings(&request.microscope, defocus, phonons, thicknesses)?;
+    let numerics = match request.patterns {
+        None => request.numerics.clone(),
+        Some(_) => patterns::numerics(request, specimen.size_angstrom)?,
+    };
+    let mut settings = numerics.settings(&request.microscope, defocus, phonons, thicknesses)?;
+    if let Some(asked) = &request.patterns {
+        settings = patterns::settings(asked, settings)?;
+    }
     if request.plane_wave {
         settings = plane_wave::settings(settings)?;
     }

@@ -6,7 +6,8 @@
 //! - [`SimulationRequest`] and its parts: [`SpecimenRequest`], [`MicroscopeRequest`], [`ScanRequest`], [`NumericsRequest`];
 //! - `plausibility`: values that are possible, but hardly meant, as errors and [`Warning`]s;
 //! - [`PreparedSpecimen`]: the atoms in their box;
-//! - [`SimulationJob`]: plans, warnings, memory and time, and the run: images, single probes, plane waves, diffraction patterns.
+//! - [`SimulationJob`]: plans, warnings, memory and time, and the run: images, single probes, plane waves, diffraction patterns
+//!   of single probes and of whole scans ([`PatternsRequest`]).
 //!
 //! ```
 //! use stemgen::simulation::{SimulationJob, SimulationRequest};
@@ -29,6 +30,7 @@ mod images;
 mod job;
 mod microscope;
 mod numerics_request;
+mod patterns;
 mod plan_report;
 mod plane_wave;
 mod plausibility;
@@ -41,6 +43,7 @@ pub use images::{FRACTION_OF_BEAM, SimulatedImage, noisy_name};
 pub use job::SimulationJob;
 pub use microscope::MicroscopeRequest;
 pub use numerics_request::{Engine, NumericsRequest, WINDOW_ANGSTROM, algorithm};
+pub use patterns::{PatternBand, PatternValues, PatternsRequest};
 pub use plan_report::{GridReport, PlanReport, SliceReport};
 pub use plane_wave::PlaneWaveImages;
 pub use plausibility::{

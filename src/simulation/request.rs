@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::atoms::{AtomsSource, SpecimenRequest};
 use super::microscope::MicroscopeRequest;
 use super::numerics_request::NumericsRequest;
+use super::patterns::PatternsRequest;
 use super::scan::ScanRequest;
 use crate::error::{Error, Result};
 use crate::files::whole_file;
@@ -29,6 +30,9 @@ pub struct SimulationRequest {
     /// Electrons per square Angstrom, which are then counted; `None`: images without noise.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub electrons_per_angstrom2: Option<f64>,
+    /// The diffraction pattern of every probe, in place of images; `None`: images.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub patterns: Option<PatternsRequest>,
     /// What is made of the atoms.
     #[serde(default)]
     pub specimen: SpecimenRequest,
@@ -51,6 +55,7 @@ impl SimulationRequest {
             thicknesses_angstrom: Vec::new(),
             plane_wave: false,
             electrons_per_angstrom2: None,
+            patterns: None,
             specimen: SpecimenRequest::default(),
             microscope: MicroscopeRequest::default(),
             scan: ScanRequest::default(),
@@ -121,6 +126,7 @@ mod tests {
         let mut request = SimulationRequest::of_file("/data/si.cif");
         request.thicknesses_angstrom = vec![20.0, 40.5];
         request.electrons_per_angstrom2 = Some(1e4);
+        request.patterns = Some(super::PatternsRequest { pixels: 32, ..Default::default() });
         let specimen = &mut request.specimen;
         specimen.zone = Some([1, 1, 0]);
         specimen.phonons = Some(8);

@@ -112,8 +112,13 @@ fn check(plan: &Plan, settings: &PatternSettings) -> Result<()> {
     }
     let limit = plan.band_limit_mrad;
     if settings.detector.max_angle_mrad > limit * (1.0 + 1e-9) {
-        let expected = format!("at most {limit:.1} mrad, what the grid carries; a finer grid carries more");
-        return Err(Error::invalid(Setting::MaxAngleMrad, settings.detector.max_angle_mrad, expected));
+        let expected =
+            format!("at most {limit:.1} mrad, what the grid carries; a finer grid carries more");
+        return Err(Error::invalid(
+            Setting::MaxAngleMrad,
+            settings.detector.max_angle_mrad,
+            expected,
+        ));
     }
     Ok(())
 }
@@ -132,7 +137,8 @@ fn bands(groups: &[Patch], scan: &Scan, each: usize) -> Vec<Band> {
     let mut last_row = usize::MAX;
     for (g, group) in groups.iter().enumerate() {
         let end = 1 + group.probes.iter().map(|(i, _)| i / columns).max().unwrap_or(0);
-        let starts = row(group) != last_row && bands.last().is_none_or(|b| row(group) >= b.rows.end);
+        let starts =
+            row(group) != last_row && bands.last().is_none_or(|b| row(group) >= b.rows.end);
         last_row = row(group);
         match bands.last_mut() {
             Some(band) if !starts => {
@@ -162,8 +168,7 @@ fn in_order(
     (plan, scan, settings): (&Plan, &Scan, &PatternSettings),
     runs: usize,
 ) -> Array5<f32> {
-    let (n, records, columns) =
-        (settings.detector.pixels, plan.record_after.len(), scan.shape[1]);
+    let (n, records, columns) = (settings.detector.pixels, plan.record_after.len(), scan.shape[1]);
     let mut data = Array5::zeros((records, band.rows.len(), columns, n, n));
     let scale = 1.0 / runs as f32;
     for (group, sums) in groups.iter().zip(sums) {

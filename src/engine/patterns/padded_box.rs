@@ -48,7 +48,8 @@ impl PaddedBox {
         let along = window.extent_angstrom;
         let highest = |k: usize| ((end * along[k]) as usize).min((window.points[k] - 1) / 2);
         let coarse = [0, 1].map(|k| good_size(2 * highest(k) + 2, 2));
-        let reach = [0, 1].map(|k| ((2.0 * along[k] * most_k.min(end)) as usize).min(coarse[k] - 1));
+        let reach =
+            [0, 1].map(|k| ((2.0 * along[k] * most_k.min(end)) as usize).min(coarse[k] - 1));
         let weight = |k2: f64| match k2.sqrt() {
             k if k <= full_k => 1.0,
             k if k >= end => 0.0,
@@ -312,7 +313,10 @@ impl PaddedBox {
             let way = ways[axis][0] + ways[axis][1];
             let phase = |f: i64| {
                 let k = f as f64 / extent[axis];
-                single(Complex64::from_polar(1.0, -PI * fresnel_angstrom2 * k * k - 2.0 * PI * way * k))
+                single(Complex64::from_polar(
+                    1.0,
+                    -PI * fresnel_angstrom2 * k * k - 2.0 * PI * way * k,
+                ))
             };
             (-reach..=reach).map(phase).collect()
         })

@@ -9,9 +9,9 @@ use super::super::probe_scan::Scan;
 use super::super::single_precision::single;
 use super::super::stepper::TransmissionView;
 use super::super::transmission::{Transmission, TransmissionLayout};
+use super::PatternSettings;
 use super::padded_box::{PaddedBox, PaddedWorkspace, ProbeSplit, SplitWorkspace};
 use super::pixel_matrices::PixelMatrices;
-use super::PatternSettings;
 use crate::matrix::multiply;
 use num_complex::{Complex32, Complex64};
 

@@ -1,0 +1,231 @@
+//! Diffraction patterns of every probe of a scan (4D-STEM).
+
+use ndarray::{Array2, Array5, ArrayView5, Axis};
+use serde::{Deserialize, Serialize};
+
+use super::job::SimulationJob;
+use super::numerics_request::NumericsRequest;
+use super::request::SimulationRequest;
+use super::time_estimate::threads;
+use crate::detect::{Detector, PixelatedDetector};
+use crate::engine::patterns::{
+    PatternRows, PatternSettings, pattern_memory_bytes, simulate_patterns,
+};
+use crate::engine::{Plan, Scan, Settings};
+use crate::error::{Error, Result};
+use crate::imaging::Noise;
+use crate::progress::{Progress, Silent};
+use crate::setting::Setting;
+
+/// A pixelated detector, and how it is read.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PatternsRequest {
+    /// Pixels along each edge.
+    pub pixels: usize,
+    /// Half the width of the detector in mrad.
+    pub max_angle_mrad: f64,
+    /// Adds what windows cut off the probe (see [`PatternSettings`]).
+    pub coherent_tail: bool,
+}
+
+impl Default for PatternsRequest {
+    /// 64 x 64 pixels to 100 mrad.
+    fn default() -> Self {
+        PatternsRequest { pixels: 64, max_angle_mrad: 100.0, coherent_tail: true }
+    }
+}
+
+/// Values of patterns.
+#[derive(Debug, Clone)]
+pub enum PatternValues<'a> {
+    /// Fractions of the beam for each pixel.
+    Fractions(ArrayView5<'a, f32>),
+    /// Electrons counted.
+    Counts(Array5<u32>),
+}
+
+/// Patterns of neighbouring rows of the scan, (thickness, row, column, ky, kx).
+#[derive(Debug, Clone)]
+pub struct PatternBand<'a> {
+    /// The first row.
+    pub first_row: usize,
+    /// The patterns.
+    pub values: PatternValues<'a>,
+}
+
+/// Most width in Angstrom of a window that the program chooses; the full grid then takes less.
+const MOST_WINDOW_ANGSTROM: f64 = 40.0;
+/// Width in Angstrom of the window for a probe in focus at the surface of a thin specimen: patterns of SrTiO3 (39 to 98 A) are then off
+/// by less than 0.1 % of their maximum.
+const LEAST_WINDOW_ANGSTROM: f64 = 13.0;
+
+impl PatternsRequest {
+    /// The detector.
+    pub fn detector(&self) -> PixelatedDetector {
+        PixelatedDetector { pixels: self.pixels, max_angle_mrad: self.max_angle_mrad }
+    }
+
+    fn settings(&self) -> PatternSettings {
+        PatternSettings { detector: self.detector(), coherent_tail: self.coherent_tail }
+    }
+}
+
+/// The numerics for patterns: where no engine is asked for, windows that hold the probe throughout the specimen, as far as they are
+/// narrower than the cell.
+pub(super) fn numerics(
+    request: &SimulationRequest,
+    size_angstrom: [f64; 3],
+) -> Result<NumericsRequest> {
+    let mut numerics = request.numerics.clone();
+    if let Some(percent) = numerics.accuracy_percent {
+        let expected =
+            "chooses windows for annular detectors; give the window of patterns by its width";
+        return Err(Error::invalid(Setting::AccuracyPercent, percent, expected));
+    }
+    let free = numerics.engine.is_none()
+        && numerics.window_angstrom.is_none()
+        && numerics.interpolation.is_none();
+    let semiangle = 1e-3 * request.microscope.semiangle_mrad;
+    let defocus = request.microscope.defocus_angstrom.iter().map(|d| d.abs()).fold(0.0, f64::max);
+    let reach = semiangle * (defocus + size_angstrom[2]);
+    let width = (10.0 * (2.0 * reach + LEAST_WINDOW_ANGSTROM)).ceil() / 10.0;
+    let cell = size_angstrom[0].min(size_angstrom[1]);
+    if free && width <= MOST_WINDOW_ANGSTROM && width < 0.9 * cell {
+        numerics.window_angstrom = Some(width);
+    }
+    Ok(numerics)
+}
+
+/// The settings for patterns: the grid carries the detector, and every probe is propagated.
+pub(super) fn settings(request: &PatternsRequest, scan: Settings) -> Result<Settings> {
+    request.detector().check()?;
+    let whole = Detector::new("pattern", 0.0, request.max_angle_mrad);
+    Ok(Settings { detectors: vec![whole], probe_step: crate::engine::ProbeStep::Scan, ..scan })
+}
+
+/// Refuses what patterns have not.
+pub(super) fn check(request: &SimulationRequest) -> Result<()> {
+    if request.patterns.is_none() {
+        return Ok(());
+    }
+    if request.plane_wave {
+        let expected = "has no probes, and so no patterns; leave one of the two out";
+        return Err(Error::invalid(Setting::PlaneWave, "true", expected));
+    }
+    if let Some(size) = request.microscope.source_size_angstrom {
+        let expected = "blurs images, not patterns; leave it out, and blur the images that are made of the patterns";
+        return Err(Error::invalid(Setting::SourceSizeAngstrom, size, expected));
+    }
+    Ok(())
+}
+
+impl SimulationJob {
+    /// The pixelated detector and how it is read; `None` for a request for images.
+    pub fn pattern_settings(&self) -> Option<PatternSettings> {
+        self.request().patterns.as_ref().map(PatternsRequest::settings)
+    }
+
+    /// Bytes of all patterns of one thickness and defocus.
+    pub fn pattern_bytes(&self) -> u64 {
+        let pixels = self.request().patterns.as_ref().map_or(0, |p| p.pixels as u64);
+        self.scan().len() as u64 * pixels * pixels * size_of::<f32>() as u64
+    }
+
+    /// Bytes of memory that the patterns take beside [`SimulationJob::memory`].
+    pub fn pattern_memory(&self) -> u64 {
+        let settings = self.pattern_settings();
+        settings.map_or(0, |settings| {
+            pattern_memory_bytes(&self.plans()[0], self.scan(), &settings, threads())
+        })
+    }
+
+    /// The patterns of all probes at one defocus, number `plan`, handed to `take` by rows; electrons are counted where a dose is asked for.
+    ///
+    /// # Errors
+    /// Those of [`simulate_patterns`]; a request without patterns; what `take` returns.
+    pub fn patterns(
+        &self,
+        plan: usize,
+        take: &mut dyn FnMut(PatternBand<'_>) -> Result<()>,
+        progress: &dyn Progress,
+    ) -> Result<()> {
+        let settings = self.asked()?;
+        let records = self.plans()[plan].record_after.len();
+        let mut hand_on = |rows: PatternRows<'_>| {
+            let values = match self.electrons_per_pixel() {
+                None => PatternValues::Fractions(rows.data),
+                Some(electrons) => {
+                    let first = (plan * records * self.scan().len(), electrons);
+                    PatternValues::Counts(self.counted(&rows, first))
+                }
+            };
+            take(PatternBand { first_row: rows.first_row, values })
+        };
+        let frames = self.specimen().frames();
+        simulate_patterns(
+            &self.plans()[plan],
+            &frames,
+            self.scan(),
+            settings,
+            &mut hand_on,
+            progress,
+        )
+    }
+
+    /// The pattern of the beam without a specimen, at the first defocus.
+    ///
+    /// # Errors
+    /// A request without patterns.
+    pub fn vacuum_pattern(&self) -> Result<Array2<f32>> {
+        let settings = self.asked()?;
+        let n = settings.detector.pixels;
+        let mut found = Array2::zeros((n, n));
+        let mut take = |rows: PatternRows<'_>| {
+            found.assign(
+                &rows.data.index_axis(Axis(0), 0).index_axis(Axis(0), 0).index_axis(Axis(0), 0),
+            );
+            Ok(())
+        };
+        let plan = &self.plans()[0];
+        let single =
+            Settings { phonons: None, thicknesses_angstrom: Vec::new(), ..plan.settings.clone() };
+        let plan =
+            Plan::new(&single, self.specimen().size_angstrom, &self.specimen().heights_angstrom)?;
+        let [x, y, _] = self.specimen().size_angstrom;
+        let middle =
+            Scan { origin_angstrom: [0.5 * x, 0.5 * y], step_angstrom: [1.0; 2], shape: [1, 1] };
+        simulate_patterns(&plan, &[&[]], &middle, settings, &mut take, &Silent)?;
+        Ok(found)
+    }
+
+    fn asked(&self) -> Result<PatternSettings> {
+        self.pattern_settings().ok_or_else(|| {
+            let expected = "set `patterns` of the request";
+            Error::invalid(Setting::PatternPixels, "a request for images", expected)
+        })
+    }
+
+    /// Electrons on every pixel of some rows; `first` is the number of the first pattern of all, and the electrons of a probe.
+    fn counted(&self, rows: &PatternRows<'_>, (first, electrons): (usize, f64)) -> Array5<u32> {
+        let mut counts = Array5::zeros(rows.data.dim());
+        let (probes, columns) = (self.scan().len(), self.scan().shape[1]);
+        for (t, by_row) in rows.data.outer_iter().enumerate() {
+            for (r, by_column) in by_row.outer_iter().enumerate() {
+                for (c, pattern) in by_column.outer_iter().enumerate() {
+                    let number = first + t * probes + (rows.first_row + r) * columns + c;
+                    let noise = Noise {
+                        seed: self.request().specimen.seed,
+                        electrons_per_pixel: electrons,
+                        origin_px: [number * pattern.nrows(), 0],
+                        full_width_px: pattern.ncols(),
+                        detector: 0,
+                    };
+                    let counted = noise.counted(&pattern.to_owned());
+                    counts.slice_mut(ndarray::s![t, r, c, .., ..]).assign(&counted);
+                }
+            }
+        }
+        counts
+    }
+}
