@@ -9,22 +9,16 @@ use super::structure_args::{StructureArgs, file_name, stem, with_frames};
 use super::{hints, output, text, values};
 use anyhow::bail;
 use clap::Args;
-use ndarray::{Array2, ArrayView4, Axis};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 use stemgen::files::disk_space::check_places;
-use stemgen::files::file_digest;
 use stemgen::files::outputs::check_outputs;
-use stemgen::io::image_file::Origin;
-use stemgen::io::pattern_file::{
-    PatternHeader, PatternOrigin, PatternWriter, data_bytes, write_patterns,
-};
+use stemgen::io::pattern_file::data_bytes;
+use stemgen::io::pattern_run::{PatternRun, WrittenPatterns};
 use stemgen::progress::Progress;
 use stemgen::render::image_pictures;
-use stemgen::simulation::{
-    PatternBand, PatternValues, PlanReport, SimulationJob, SimulationRequest,
-};
+use stemgen::simulation::{PlanReport, SimulationJob, SimulationRequest};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -160,7 +154,7 @@ impl Patterns {
         if self.common.dry_run {
             return run.dry_run(&self.common);
         }
-        let files: Vec<PathBuf> = run.files().into_iter().map(|(path, _)| path).collect();
+        let files: Vec<PathBuf> = run.run("").files().into_iter().map(|(path, _)| path).collect();
         let pictures = files.iter().filter(|_| run.png).map(|path| picture_of(path));
         let outputs: Vec<PathBuf> = files.iter().cloned().chain(pictures).collect();
         check_outputs(&outputs, [&self.specimen.structure], self.results.overwrite)?;
@@ -208,39 +202,9 @@ struct PatternsRun {
 }
 
 impl PatternsRun {
-    /// The files, in the order of defocus, then thickness, and what describes them.
-    fn files(&self) -> Vec<(PathBuf, PatternHeader)> {
-        let (job, request) = (&self.job, self.job.request());
-        let Some(settings) = job.pattern_settings() else { return Vec::new() };
-        let mut files = Vec::new();
-        for (n, plan) in job.plans().iter().enumerate() {
-            let thicknesses = plan.thicknesses_angstrom();
-            for thickness_angstrom in &thicknesses {
-                let mut suffix = String::new();
-                if let Some(defocus) = job.series_defocus(n) {
-                    suffix += &format!("_defocus_{defocus}A");
-                }
-                if thicknesses.len() > 1 {
-                    suffix += &format!("_{thickness_angstrom:.1}A");
-                }
-                let path = match suffix.is_empty() {
-                    true => self.output.clone(),
-                    false => output::sibling(&self.output, &format!("{suffix}.emd")),
-                };
-                let header = PatternHeader {
-                    detector: settings.detector,
-                    scan: *job.scan(),
-                    thickness_angstrom: *thickness_angstrom,
-                    defocus_angstrom: request.microscope.defocus_angstrom[n],
-                    energy_kev: request.microscope.energy_kev,
-                    semiangle_mrad: request.microscope.semiangle_mrad,
-                    wavelength_angstrom: plan.settings.optics.wavelength_angstrom(),
-                    counted: job.electrons_per_pixel().map(|e| (e, request.specimen.seed)),
-                };
-                files.push((path, header));
-            }
-        }
-        files
+    /// What is simulated, and where it goes.
+    fn run<'a>(&'a self, command_line: &'a str) -> PatternRun<'a> {
+        PatternRun { job: &self.job, output: &self.output, command_line }
     }
 
     fn warnings(&self) -> Vec<String> {
@@ -264,7 +228,7 @@ impl PatternsRun {
         let mut plan = self.job.report()?;
         plan.memory_bytes += self.job.pattern_memory();
         plan.warnings = self.warnings();
-        let files = self.files();
+        let files = self.run("").files();
         let Some((_, header)) = files.first() else { bail!("there is nothing to simulate") };
         let all = PatternsDryRun {
             structure: self.job.request().structure.file().map(file_name).unwrap_or_default(),
@@ -300,39 +264,13 @@ impl PatternsRun {
 
     /// Simulates and writes.
     fn write(&self, overwrite: bool, reporter: &Reporter) -> anyhow::Result<Vec<WrittenFile>> {
-        let vacuum = self.job.vacuum_pattern()?;
-        let origin = self.origin()?;
-        let plan = &self.job.plans()[0];
-        let origin = PatternOrigin {
-            origin: &origin,
-            engine: plan.settings.algorithm.to_string(),
-            coherent_tail: self.job.pattern_settings().is_some_and(|s| s.coherent_tail),
-            vacuum: &vacuum,
-        };
-        let files = self.files();
-        let each = files.len() / self.job.plans().len();
-        let mut written = Vec::new();
-        for (n, files) in files.chunks(each.max(1)).enumerate() {
-            let mut sums: Vec<Array2<f64>> = vec![Array2::zeros(vacuum.dim()); files.len()];
-            let mut fill = |writers: &mut [PatternWriter]| {
-                let mut take = |band: PatternBand<'_>| take(writers, &mut sums, band);
-                self.job.patterns(n, &mut take, reporter)
-            };
-            write_patterns(files, overwrite, &origin, &mut fill)?;
-            for ((path, header), sum) in files.iter().zip(sums) {
-                written.push(self.written(path, header, sum / header.scan.len() as f64)?);
-            }
-        }
-        Ok(written)
+        let written = self.run(&text::command_line()).write(overwrite, reporter)?;
+        written.into_iter().map(|file| self.written(file)).collect()
     }
 
-    fn written(
-        &self,
-        path: &Path,
-        header: &PatternHeader,
-        mean: Array2<f64>,
-    ) -> anyhow::Result<WrittenFile> {
-        let picture = self.png.then(|| picture_of(path));
+    fn written(&self, file: WrittenPatterns) -> anyhow::Result<WrittenFile> {
+        let WrittenPatterns { path, header, mean } = file;
+        let picture = self.png.then(|| picture_of(&path));
         if let Some(picture) = &picture {
             let shown = mean.mapv(|v| v.max(0.0).powf(0.25) as f32);
             let pixel = header.detector.pixel_k(header.wavelength_angstrom);
@@ -340,8 +278,8 @@ impl PatternsRun {
         }
         let [rows, columns] = header.scan.shape;
         Ok(WrittenFile {
-            output: path.to_owned(),
-            file_bytes: output::size(path),
+            file_bytes: output::size(&path),
+            output: path,
             picture,
             thickness_angstrom: header.thickness_angstrom,
             defocus_angstrom: header.defocus_angstrom,
@@ -352,57 +290,6 @@ impl PatternsRun {
             counted: header.counted.is_some(),
         })
     }
-
-    fn origin(&self) -> anyhow::Result<Origin<'_>> {
-        let (plan, specimen) = (&self.job.plans()[0], self.job.specimen());
-        let request = self.job.request();
-        let file = request.structure.file();
-        let digest = file.map(file_digest::sha256_of_file).transpose()?;
-        Ok(Origin {
-            command_line: text::command_line(),
-            request: Some(serde_json::to_string(request)?),
-            structure_sha256: digest.map(|(digest, _)| digest),
-            settings: serde_json::to_string(&plan.settings)?,
-            structure_file: file.map(file_name).unwrap_or_default(),
-            wavelength_angstrom: plan.settings.optics.wavelength_angstrom(),
-            band_limit_mrad: plan.band_limit_mrad,
-            source: None,
-            accuracy: None,
-            box_angstrom: specimen.size_angstrom,
-            strain_percent: specimen.strain_percent,
-            sites: &specimen.sites,
-        })
-    }
-}
-
-/// Writes rows to the files of the thicknesses, and adds the patterns up.
-fn take(
-    writers: &mut [PatternWriter],
-    sums: &mut [Array2<f64>],
-    band: PatternBand<'_>,
-) -> stemgen::Result<()> {
-    fn add<T: Copy + Into<f64>>(sum: &mut Array2<f64>, rows: ArrayView4<'_, T>) {
-        for patterns in rows.outer_iter() {
-            for pattern in patterns.outer_iter() {
-                sum.zip_mut_with(&pattern, |sum, v| *sum += (*v).into());
-            }
-        }
-    }
-    for (t, (writer, sum)) in writers.iter().zip(sums).enumerate() {
-        match &band.values {
-            PatternValues::Fractions(values) => {
-                let rows = values.index_axis(Axis(0), t);
-                add(sum, rows);
-                writer.fractions(band.first_row, rows)?;
-            }
-            PatternValues::Counts(values) => {
-                let rows = values.index_axis(Axis(0), t);
-                add(sum, rows);
-                writer.counts(band.first_row, rows)?;
-            }
-        }
-    }
-    Ok(())
 }
 
 fn picture_of(path: &Path) -> PathBuf {

@@ -12,6 +12,7 @@ mod errors;
 mod files;
 mod guest;
 mod live;
+mod patterns;
 mod recipes;
 mod recordings;
 mod replays;
@@ -30,6 +31,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add_class::<bench::Episodes>()?;
     module.add_class::<live::LiveField>()?;
+    module.add_class::<patterns::PatternReader>()?;
     module.add_class::<tiles::TileSource>()?;
     module.add_class::<worlds::WorldReader>()?;
     module.add_function(wrap_pyfunction!(bench::dose_metrics, module)?)?;
@@ -56,6 +58,10 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(errors::settings, module)?)?;
     module.add_function(wrap_pyfunction!(files::save_hspy, module)?)?;
     module.add_function(wrap_pyfunction!(files::save_tiff, module)?)?;
+    module.add_function(wrap_pyfunction!(patterns::detector_weights, module)?)?;
+    module.add_function(wrap_pyfunction!(patterns::integrated_centre_of_mass, module)?)?;
+    module.add_function(wrap_pyfunction!(patterns::simulate_patterns, module)?)?;
+    module.add_function(wrap_pyfunction!(patterns::write_patterns, module)?)?;
     module.add_function(wrap_pyfunction!(recipes::describe_recipe, module)?)?;
     module.add_function(wrap_pyfunction!(recipes::recipes, module)?)?;
     module.add_function(wrap_pyfunction!(recipes::resolve_recipe, module)?)?;

@@ -27,6 +27,7 @@ from .exporting import export
 from .images import DiffractionPattern, Image, Images, PlaneWave
 from .importing import import_image
 from .live import LiveView, LiveWorld
+from .patterns import Axes4D, DataCube, simulate_pattern_series, simulate_patterns
 from .recipes import Recipe, recipes
 from .recording import Recording, acquire
 from .simulation import (
@@ -50,10 +51,12 @@ __all__ = [
     "COLUMN_CLASSES",
     "AtomArrays",
     "Audit",
+    "Axes4D",
     "BuildOptions",
     "BuildPart",
     "BuildPlan",
     "Comparison",
+    "DataCube",
     "DiffractionPattern",
     "FileError",
     "FormatError",
@@ -95,6 +98,8 @@ __all__ = [
     "plane_wave",
     "recipes",
     "simulate",
+    "simulate_pattern_series",
+    "simulate_patterns",
     "simulate_probes",
     "specimen",
     "specimen_arrays",

@@ -73,12 +73,20 @@ class NumericsRequest(TypedDict, total=False):
 class _SimulationRequest(TypedDict):
     structure: str
 
+class PatternsRequest(TypedDict, total=False):
+    """A pixelated detector, and how it is read."""
+
+    pixels: int
+    max_angle_mrad: float
+    coherent_tail: bool
+
 class SimulationRequest(_SimulationRequest, total=False):
     """What ``stemgen::simulation::SimulationRequest`` reads; the library has the defaults of what is not given."""
 
     thicknesses_angstrom: list[float]
     plane_wave: bool
     electrons_per_angstrom2: float
+    patterns: PatternsRequest
     specimen: SpecimenRequest
     microscope: MicroscopeRequest
     scan: ScanRequest
@@ -363,6 +371,53 @@ def simulate_places(
 def simulate_plane_wave(
     request: SimulationRequest, atoms: AtomArrays | None, force: bool, running: Running
 ) -> PlaneWaveImages: ...
+class PatternHeader(TypedDict):
+    shape: tuple[int, int, int]
+    step_angstrom: list[float]
+    origin_angstrom: list[float]
+    max_angle_mrad: float
+    thickness_angstrom: float
+    defocus_angstrom: float
+    energy_kev: float
+    semiangle_mrad: float
+    wavelength_angstrom: float
+    electrons_per_pattern: float | None
+    vacuum: npt.NDArray[np.float32] | None
+
+class Patterns(PatternHeader):
+    data: npt.NDArray[Any]
+
+class PatternReader:
+    """A file of patterns, read row by row."""
+
+    def __init__(self, path: _Path) -> None: ...
+    def header(self) -> PatternHeader: ...
+    def rows(self, first: int, end: int) -> npt.NDArray[np.float32]: ...
+
+def simulate_patterns(
+    request: SimulationRequest, atoms: AtomArrays | None, force: bool, running: Running
+) -> list[Patterns]: ...
+def write_patterns(
+    request: SimulationRequest,
+    atoms: AtomArrays | None,
+    out: _Path,
+    overwrite: bool,
+    force: bool,
+    running: Running,
+) -> list[_Path]: ...
+def integrated_centre_of_mass(
+    x: npt.NDArray[np.float32],
+    y: npt.NDArray[np.float32],
+    step_angstrom: tuple[float, float],
+    wavelength_angstrom: float,
+) -> npt.NDArray[np.float32]: ...
+def detector_weights(
+    pixels: int,
+    max_angle_mrad: float,
+    annulus_mrad: tuple[float, float],
+    sector_degrees: tuple[float, float] | None,
+    centre_mrad: tuple[float, float],
+) -> npt.NDArray[np.float32]: ...
 def draw_recipe(toml: str, out: _Path, running: Running) -> None: ...
 def specimen_sites(
     toml: str, region_nm: tuple[float, float, float, float] | None, running: Running

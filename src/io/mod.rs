@@ -30,6 +30,8 @@ mod named_axes;
 pub mod npz_file;
 #[cfg(feature = "hdf5")]
 pub mod pattern_file;
+#[cfg(feature = "hdf5")]
+pub mod pattern_run;
 #[cfg(feature = "report")]
 pub mod recorded;
 #[cfg(feature = "hdf5")]

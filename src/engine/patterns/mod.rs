@@ -176,7 +176,8 @@ fn in_order(
             let (row, column) = (i / columns - band.rows.start, i % columns);
             for (r, pattern) in values.chunks_exact(n * n).enumerate() {
                 let mut to = data.slice_mut(ndarray::s![r, row, column, .., ..]);
-                to.iter_mut().zip(pattern).for_each(|(to, v)| *to = v * scale);
+                // Interpolation can undershoot beside a sharp edge.
+                to.iter_mut().zip(pattern).for_each(|(to, v)| *to = (v * scale).max(0.0));
             }
         }
     }

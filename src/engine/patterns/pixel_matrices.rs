@@ -6,9 +6,11 @@ use crate::fft::frequency;
 use crate::matrix::multiply;
 use std::f64::consts::PI;
 
-/// Intensities at the kept frequencies of a box, integrated over pixels: `P = D I A`. Between the frequencies of the box intensities are
-/// interpolated by their Fourier series (the autocorrelation of the exit wave), so that the integral is exact for waves within
-/// half of the box.
+/// Between the frequencies of a box, intensities are interpolated by their Fourier series, the autocorrelation of the exit wave. Its lags
+/// are tapered from this share of the longest on: else the edge of the bright field would ring through the dark field.
+const TAPER: f64 = 0.4;
+
+/// Intensities at frequencies, integrated over pixels: `P = D I A`.
 pub(super) struct PixelMatrices {
     pixels: usize,
     /// Frequencies along x and y.
@@ -20,7 +22,7 @@ pub(super) struct PixelMatrices {
 }
 
 impl PixelMatrices {
-    /// For the kept frequencies of a box.
+    /// For the kept frequencies of a box: interpolated by their series of lags.
     pub fn of_box(detector: &PixelatedDetector, wavelength: f64, padded: &PaddedBox) -> Self {
         let width = detector.pixel_k(wavelength);
         let (extent, points) = (padded.extent_angstrom(), padded.points());
@@ -29,15 +31,18 @@ impl PixelMatrices {
             frequencies: (-(padded.reach[k] as i64)..=padded.reach[k] as i64).collect(),
         };
         let weight = |k: usize, pixel: f64, frequency: i64| {
-            let (n, step) = (points[k] as i64, extent[k] / points[k] as f64);
+            let (half, step) = (points[k] as i64 / 2, extent[k] / points[k] as f64);
             let offset = pixel - frequency as f64 / extent[k];
             let term = |lag: i64| {
-                let r = lag as f64 * step;
-                sinc(width * r) * (2.0 * PI * offset * r).cos()
+                let (r, share) = (lag as f64 * step, lag as f64 / half as f64);
+                let taper = match (share - TAPER) / (1.0 - TAPER) {
+                    rest if rest <= 0.0 => 1.0,
+                    rest => (0.5 * PI * rest).cos().powi(2),
+                };
+                taper * sinc(width * r) * (2.0 * PI * offset * r).cos()
             };
-            // The first and the last lag of the series are one, taken by halves.
-            let middle: f64 = (1..n / 2).map(term).sum();
-            width * extent[k] / n as f64 * (1.0 + 2.0 * middle + term(n / 2))
+            let sum: f64 = (1..half).map(term).sum();
+            width * extent[k] / points[k] as f64 * (1.0 + 2.0 * sum)
         };
         Self::new(detector.pixels, [axis(0), axis(1)], weight)
     }
@@ -55,9 +60,7 @@ impl PixelMatrices {
         };
         let weight = |k: usize, pixel: f64, frequency: i64| {
             let (at, dk) = (frequency as f64 / extent[k], 1.0 / extent[k]);
-            let low = (pixel - 0.5 * width).max(at - 0.5 * dk);
-            let high = (pixel + 0.5 * width).min(at + 0.5 * dk);
-            (high - low).max(0.0) / dk
+            overlap([pixel, width], [at, dk]) / dk
         };
         Self::new(detector.pixels, [axis(0), axis(1)], weight)
     }
@@ -90,6 +93,13 @@ struct Axis<'a> {
     /// The middle of a pixel in 1/Angstrom.
     pixel: Box<dyn Fn(usize) -> f64 + 'a>,
     frequencies: Vec<i64>,
+}
+
+/// The length that two intervals, given by middle and width, have in common.
+fn overlap([a, width]: [f64; 2], [b, other]: [f64; 2]) -> f64 {
+    let low = (a - 0.5 * width).max(b - 0.5 * other);
+    let high = (a + 0.5 * width).min(b + 0.5 * other);
+    (high - low).max(0.0)
 }
 
 fn sinc(x: f64) -> f64 {

@@ -1,0 +1,222 @@
+//! Diffraction patterns of scans.
+
+use crate::errors::{Fault, Told};
+use crate::guest::{Guest, Running, run};
+use crate::request::{AtomArrays, Request};
+use ndarray::{Array2, Array4, Axis, s};
+use numpy::IntoPyArray;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::path::{Path, PathBuf};
+use stemgen::files::disk_space::check_places;
+use stemgen::files::outputs::check_outputs;
+use stemgen::io::pattern_file::{PatternFile, PatternHeader};
+use stemgen::io::pattern_run::PatternRun;
+use stemgen::progress::Progress;
+use stemgen::simulation::{PatternBand, PatternValues, SimulationJob};
+
+/// Patterns of one defocus and thickness; electrons where they were counted.
+enum Cube {
+    Fractions(Array4<f32>),
+    Counts(Array4<u32>),
+}
+
+fn prepared(
+    request: Request,
+    atoms: Option<&AtomArrays>,
+    force: bool,
+    guest: &Guest,
+) -> Result<SimulationJob, Fault> {
+    let job = request.job(atoms)?;
+    job.warnings().iter().for_each(|warning| guest.warn(&warning.message));
+    if !force {
+        job.check_memory()?;
+    }
+    Ok(job)
+}
+
+/// Simulates the patterns of a scan: a list of dicts, by defocus, then thickness, with `data` (y, x, ky, kx) and what describes it.
+#[pyfunction]
+pub fn simulate_patterns(
+    py: Python<'_>,
+    request: Request,
+    atoms: Option<AtomArrays>,
+    force: bool,
+    running: Running,
+) -> PyResult<Vec<Py<PyDict>>> {
+    let work = move |guest: &Guest| -> Result<(Vec<(PatternHeader, Cube)>, Array2<f32>), Fault> {
+        let job = prepared(request, atoms.as_ref(), force, guest)?;
+        let run = PatternRun { job: &job, output: Path::new(""), command_line: "" };
+        let headers = run.headers();
+        if !force {
+            let bytes = job.pattern_bytes() * headers.len() as u64;
+            let remedy = "most of it is patterns: write them to a file (`out`), or take fewer probes or pixels";
+            stemgen::engine::check_memory(bytes + job.pattern_memory(), remedy)?;
+        }
+        let vacuum = job.vacuum_pattern()?;
+        let mut cubes: Vec<Cube> = headers.iter().map(empty).collect();
+        let each = headers.len() / job.plans().len();
+        for (n, cubes) in cubes.chunks_mut(each).enumerate() {
+            let mut take = |band: PatternBand<'_>| {
+                cubes.iter_mut().enumerate().for_each(|(t, cube)| cube.put(&band, t));
+                Ok(())
+            };
+            job.patterns(n, &mut take, guest)?;
+        }
+        Ok((headers.into_iter().zip(cubes).collect(), vacuum))
+    };
+    let (cubes, vacuum) = run(py, running, work)?;
+    let dict = |(header, cube): (PatternHeader, Cube)| {
+        let out = described(py, &header)?;
+        match cube {
+            Cube::Fractions(data) => out.set_item("data", data.into_pyarray(py))?,
+            Cube::Counts(data) => out.set_item("data", data.into_pyarray(py))?,
+        }
+        out.set_item("vacuum", vacuum.clone().into_pyarray(py))?;
+        Ok(out.unbind())
+    };
+    cubes.into_iter().map(dict).collect()
+}
+
+/// Simulates the patterns of a scan into files; returns their paths.
+#[pyfunction]
+pub fn write_patterns(
+    py: Python<'_>,
+    request: Request,
+    atoms: Option<AtomArrays>,
+    out: PathBuf,
+    overwrite: bool,
+    force: bool,
+    running: Running,
+) -> PyResult<Vec<PathBuf>> {
+    let work = move |guest: &Guest| -> Result<Vec<PathBuf>, Fault> {
+        let job = prepared(request, atoms.as_ref(), force, guest)?;
+        let asked = "stemworlds.simulate_patterns";
+        let run = PatternRun { job: &job, output: &out, command_line: asked };
+        let files: Vec<PathBuf> = run.files().into_iter().map(|(path, _)| path).collect();
+        let inputs = job.request().structure.file().map(Path::to_path_buf);
+        check_outputs(&files, inputs, overwrite)?;
+        let needed: Vec<(&Path, u64)> =
+            files.iter().map(|path| (path.as_path(), job.pattern_bytes())).collect();
+        check_places(&needed)?;
+        run.write(overwrite, guest)?;
+        Ok(files)
+    };
+    run(py, running, work)
+}
+
+/// A file of patterns, read row by row.
+#[pyclass(frozen, module = "stemworlds._core")]
+pub struct PatternReader(PatternFile);
+
+#[pymethods]
+impl PatternReader {
+    /// Opens a file that was written by this program.
+    #[new]
+    fn new(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+        let read = || -> Result<PatternReader, Fault> {
+            match PatternFile::open(&path)? {
+                Some(file) => Ok(PatternReader(file)),
+                None => {
+                    let fault = "is no file of patterns that stemgen wrote";
+                    Err(stemgen::Error::parse(&path, 0, fault).into())
+                }
+            }
+        };
+        read().told(py)
+    }
+
+    /// What describes the patterns, and `vacuum`.
+    fn header<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let out = described(py, self.0.header())?;
+        let vacuum = self.0.vacuum().map_err(Fault::from).told(py)?;
+        out.set_item("vacuum", vacuum.map(|vacuum| vacuum.into_pyarray(py)))?;
+        Ok(out)
+    }
+
+    /// The patterns of rows `first` to `end`, itself not read.
+    fn rows<'py>(
+        &self,
+        py: Python<'py>,
+        first: usize,
+        end: usize,
+    ) -> PyResult<Bound<'py, numpy::PyArray4<f32>>> {
+        let rows = py.detach(|| self.0.rows(first..end).map_err(Fault::from)).told(py)?;
+        Ok(rows.into_pyarray(py))
+    }
+}
+
+fn described<'py>(py: Python<'py>, h: &PatternHeader) -> PyResult<Bound<'py, PyDict>> {
+    let out = PyDict::new(py);
+    out.set_item("shape", (h.scan.shape[0], h.scan.shape[1], h.detector.pixels))?;
+    out.set_item("step_angstrom", h.scan.step_angstrom)?;
+    out.set_item("origin_angstrom", h.scan.origin_angstrom)?;
+    out.set_item("max_angle_mrad", h.detector.max_angle_mrad)?;
+    out.set_item("thickness_angstrom", h.thickness_angstrom)?;
+    out.set_item("defocus_angstrom", h.defocus_angstrom)?;
+    out.set_item("energy_kev", h.energy_kev)?;
+    out.set_item("semiangle_mrad", h.semiangle_mrad)?;
+    out.set_item("wavelength_angstrom", h.wavelength_angstrom)?;
+    out.set_item("electrons_per_pattern", h.counted.map(|(electrons, _)| electrons))?;
+    Ok(out)
+}
+
+fn empty(h: &PatternHeader) -> Cube {
+    let ([rows, columns], n) = (h.scan.shape, h.detector.pixels);
+    match h.counted {
+        None => Cube::Fractions(Array4::zeros((rows, columns, n, n))),
+        Some(_) => Cube::Counts(Array4::zeros((rows, columns, n, n))),
+    }
+}
+
+impl Cube {
+    /// Puts the rows of a thickness where they belong.
+    fn put(&mut self, band: &PatternBand<'_>, thickness: usize) {
+        match (self, &band.values) {
+            (Cube::Fractions(data), PatternValues::Fractions(values)) => {
+                let rows = values.index_axis(Axis(0), thickness);
+                let at = band.first_row..band.first_row + rows.dim().0;
+                data.slice_mut(s![at, .., .., ..]).assign(&rows);
+            }
+            (Cube::Counts(data), PatternValues::Counts(values)) => {
+                let rows = values.index_axis(Axis(0), thickness);
+                let at = band.first_row..band.first_row + rows.dim().0;
+                data.slice_mut(s![at, .., .., ..]).assign(&rows);
+            }
+            // A job counts all of its patterns, or none.
+            _ => {}
+        }
+    }
+}
+
+/// The integrated centre of mass in radians of images of it (x, y) in mrad.
+#[pyfunction]
+pub fn integrated_centre_of_mass<'py>(
+    py: Python<'py>,
+    x: numpy::PyReadonlyArray2<'py, f32>,
+    y: numpy::PyReadonlyArray2<'py, f32>,
+    step_angstrom: [f64; 2],
+    wavelength_angstrom: f64,
+) -> PyResult<Bound<'py, numpy::PyArray2<f32>>> {
+    let (x, y) = (x.as_array().to_owned(), y.as_array().to_owned());
+    let found =
+        stemgen::detect::integrated_centre_of_mass([&x, &y], step_angstrom, wavelength_angstrom);
+    Ok(found.map_err(Fault::from).told(py)?.into_pyarray(py))
+}
+
+/// The share of each pixel's area on a ring, or on a sector of one.
+#[pyfunction]
+pub fn detector_weights<'py>(
+    py: Python<'py>,
+    pixels: usize,
+    max_angle_mrad: f64,
+    annulus_mrad: [f64; 2],
+    sector_degrees: Option<[f64; 2]>,
+    centre_mrad: [f64; 2],
+) -> PyResult<Bound<'py, numpy::PyArray2<f32>>> {
+    let name = "detector".to_owned();
+    let detector =
+        stemgen::detect::VirtualDetector { name, annulus_mrad, sector_degrees, centre_mrad };
+    let on = stemgen::detect::PixelatedDetector { pixels, max_angle_mrad };
+    Ok(detector.weights(&on).map_err(Fault::from).told(py)?.into_pyarray(py))
+}

@@ -1,0 +1,351 @@
+"""Diffraction patterns of every probe of a scan (4D-STEM)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path as _FilePath
+from typing import Any, Unpack
+
+import numpy as np
+import numpy.typing as npt
+
+from . import _core
+from ._running import call
+from .atoms import Atoms
+from .errors import _invalid
+from .images import Float32Array, Image, Path
+from .simulation import SimulationOptions, _request, _run
+
+#: Rows of a file are read together up to about so many bytes.
+_TOGETHER_BYTES = 64 << 20
+
+
+@dataclass(frozen=True)
+class Axes4D:
+    """Where the patterns of a scan stand, and what their pixels are.
+
+    Attributes:
+        shape: probes along ``(y, x)``, and pixels along ``(ky, kx)``.
+        step_angstrom: distance of probes along ``(y, x)``.
+        origin_angstrom: place of the first probe ``(y, x)``.
+        max_angle_mrad: half the width of the detector. Pixel ``n // 2`` of each axis has its middle on the optical axis.
+        thickness_angstrom, defocus_angstrom, energy_kv, semiangle_mrad: of specimen and probe; underfocus is positive.
+        wavelength_angstrom: of the electrons.
+        electrons_per_pattern: electrons that fell on the specimen for each pattern, where they were counted.
+    """
+
+    shape: tuple[int, int, int, int]
+    step_angstrom: tuple[float, float]
+    origin_angstrom: tuple[float, float]
+    max_angle_mrad: float
+    thickness_angstrom: float
+    defocus_angstrom: float
+    energy_kv: float
+    semiangle_mrad: float
+    wavelength_angstrom: float
+    electrons_per_pattern: float | None = None
+
+    @property
+    def pixel_mrad(self) -> float:
+        """Edge of a pixel in mrad."""
+        return 2 * self.max_angle_mrad / self.shape[2]
+
+    @property
+    def pixel_k(self) -> float:
+        """Edge of a pixel in 1/A."""
+        return 1e-3 * self.pixel_mrad / self.wavelength_angstrom
+
+    @property
+    def angles_mrad(self) -> npt.NDArray[np.float64]:
+        """Angles of the middles of the pixels along an axis."""
+        return (np.arange(self.shape[2], dtype=np.float64) - self.shape[2] // 2) * np.float64(self.pixel_mrad)
+
+
+class DataCube:
+    """The diffraction patterns of a scan: in memory, or in a file that is read row by row.
+
+    Attributes:
+        axes: where the patterns stand, and what their pixels are.
+        vacuum: the pattern of the beam without a specimen, ``[ky, kx]``; ``None`` where the file has none.
+    """
+
+    def __init__(
+        self, axes: Axes4D, data: npt.NDArray[Any] | None, vacuum: Float32Array | None, path: Path | None = None
+    ) -> None:
+        self.axes = axes
+        self.vacuum = vacuum
+        self._data = data
+        self._path = path
+        self._reader: _core.PatternReader | None = None
+
+    @classmethod
+    def open(cls, path: Path) -> DataCube:
+        """Opens a file (``.emd``) of ``stemgen patterns`` or :func:`simulate_patterns`; patterns are read when they are asked for.
+
+        Raises:
+            FileError, FormatError: for a file that cannot be read, or is none of these.
+        """
+        header = call(_core.PatternReader, os.fspath(path)).header()
+        return cls(_axes(header), None, header["vacuum"], path)
+
+    @property
+    def data(self) -> npt.NDArray[Any]:
+        """All patterns, ``[y, x, ky, kx]``: float32 fractions of the beam, or electrons. Those of a file are read at once."""
+        if self._data is None:
+            self._data = np.concatenate([rows for _, rows in self._rows()])
+        return self._data
+
+    def __getitem__(self, at: tuple[int, int]) -> npt.NDArray[Any]:
+        """The pattern of the probe ``[y, x]``, ``[ky, kx]``."""
+        y, x = at
+        rows, columns = self.axes.shape[:2]
+        if not (-rows <= y < rows and -columns <= x < columns):
+            raise IndexError(f"there are {rows} x {columns} probes")
+        if self._data is not None:
+            kept: npt.NDArray[Any] = self._data[y, x]
+            return kept
+        first = y % rows
+        read: npt.NDArray[Any] = call(self._file().rows, first, first + 1)[0, x]
+        return read
+
+    def __repr__(self) -> str:
+        rows, columns, ky, kx = self.axes.shape
+        return f"<DataCube: {columns} x {rows} probes, {kx} x {ky} pixels to {self.axes.max_angle_mrad:g} mrad>"
+
+    def _file(self) -> _core.PatternReader:
+        if self._reader is None:
+            assert self._path is not None
+            self._reader = call(_core.PatternReader, os.fspath(self._path))
+        return self._reader
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_reader": None}
+
+    def _rows(self) -> Iterator[tuple[int, npt.NDArray[Any]]]:
+        """The patterns, some rows at a time, with the number of the first."""
+        if self._data is not None:
+            yield 0, self._data
+            return
+        rows, columns, ky, kx = self.axes.shape
+        together = max(1, _TOGETHER_BYTES // (4 * columns * ky * kx))
+        for first in range(0, rows, together):
+            yield first, call(self._file().rows, first, min(first + together, rows))
+
+    def _image(self, name: str, array: npt.NDArray[Any], units: str) -> Image:
+        (dy, dx), (y, x) = self.axes.step_angstrom, self.axes.origin_angstrom
+        return Image(
+            name=name,
+            array=array.astype(np.float32),
+            sampling_nm=(dy / 10, dx / 10),
+            origin_nm=(y / 10, x / 10),
+            units=units,
+            thicknesses_angstrom=(self.axes.thickness_angstrom,),
+            metadata={"defocus_angstrom": self.axes.defocus_angstrom},
+        )
+
+    def detector(
+        self,
+        inner_mrad: float,
+        outer_mrad: float,
+        *,
+        sector_degrees: tuple[float, float] | None = None,
+        centre_mrad: tuple[float, float] = (0.0, 0.0),
+    ) -> Float32Array:
+        """The share of each pixel's area on a ring or on a sector of it, ``[ky, kx]``.
+
+        Args:
+            inner_mrad, outer_mrad: angles of the ring.
+            sector_degrees: from and to which azimuth it reaches, from +x towards +y, which runs down.
+            centre_mrad: where its middle is, ``(x, y)``.
+
+        Raises:
+            InvalidValue: for a ring that reaches beyond the patterns, or lies between their pixels.
+        """
+        annulus, pixels = (float(inner_mrad), float(outer_mrad)), self.axes.shape[2]
+        return call(_core.detector_weights, pixels, self.axes.max_angle_mrad, annulus, sector_degrees, centre_mrad)
+
+    def virtual_image(
+        self,
+        inner_mrad: float = 0.0,
+        outer_mrad: float | None = None,
+        *,
+        mask: npt.ArrayLike | None = None,
+        sector_degrees: tuple[float, float] | None = None,
+        centre_mrad: tuple[float, float] = (0.0, 0.0),
+        name: str = "virtual",
+    ) -> Image:
+        """The image that a detector makes of the patterns.
+
+        Args:
+            inner_mrad, outer_mrad, sector_degrees, centre_mrad: as :meth:`detector` takes them.
+            mask: weights of the pixels ``[ky, kx]``, in place of a ring.
+            name: of the image.
+
+        Raises:
+            InvalidValue: as :meth:`detector`; for a mask of another shape, and for neither ring nor mask.
+        """
+        if mask is not None:
+            weights = np.asarray(mask, dtype=np.float32)
+            if weights.shape != self.axes.shape[2:]:
+                raise _invalid("mask", f"a mask of shape {weights.shape}: expected {self.axes.shape[2:]}")
+        elif outer_mrad is None:
+            raise _invalid("outer_mrad", "give the angles of a ring, or a mask")
+        else:
+            weights = self.detector(inner_mrad, outer_mrad, sector_degrees=sector_degrees, centre_mrad=centre_mrad)
+        parts = [np.einsum("yxij,ij->yx", rows, weights, dtype=np.float64) for _, rows in self._rows()]
+        units = "electrons" if self.axes.electrons_per_pattern else "fraction of the incident beam"
+        return self._image(name, np.concatenate(parts), units)
+
+    def centre_of_mass(self) -> tuple[Image, Image]:
+        """The centre of mass of every pattern, ``(y, x)`` in mrad: the mean angle of its electrons, 0 where there are none."""
+        angles = self.axes.angles_mrad
+        found: list[list[npt.NDArray[Any]]] = [[], []]
+        for _, rows in self._rows():
+            total = rows.sum(axis=(2, 3), dtype=np.float64)
+            safe = np.where(total > 0, total, 1.0)
+            found[0].append(np.einsum("yxij,i->yx", rows, angles, dtype=np.float64) / safe)
+            found[1].append(np.einsum("yxij,j->yx", rows, angles, dtype=np.float64) / safe)
+        y, x = (np.concatenate(parts) for parts in found)
+        return self._image("com_y", y, "mrad"), self._image("com_x", x, "mrad")
+
+    def integrated_centre_of_mass(self) -> Image:
+        """The integrated centre of mass (iCOM) in radians: for thin specimens the phase. The scan is taken as periodic.
+
+        I. Lazic, E. Bosch and S. Lazar, Ultramicroscopy 160 (2016) 265.
+        """
+        y, x = self.centre_of_mass()
+        dy, dx = self.axes.step_angstrom
+        phase = call(_core.integrated_centre_of_mass, x.array, y.array, (dx, dy), self.axes.wavelength_angstrom)
+        return self._image("icom", phase, "radians")
+
+    def mean_pattern(self) -> npt.NDArray[np.float64]:
+        """The mean of all patterns (position-averaged CBED), ``[ky, kx]``."""
+        rows, columns = self.axes.shape[:2]
+        total = sum(part.sum(axis=(0, 1), dtype=np.float64) for _, part in self._rows())
+        return np.asarray(total) / (rows * columns)
+
+    def to_hyperspy(self) -> Any:
+        """The patterns as a ``hyperspy.signals.Signal2D`` over the scan. HyperSpy has to be installed."""
+        from hyperspy.signals import Signal2D
+
+        signal = Signal2D(self.data)
+        a = self.axes
+        first = -(a.shape[2] // 2) * a.pixel_k
+        places = zip("xy", a.step_angstrom[::-1], a.origin_angstrom[::-1], strict=True)
+        for axis, (name, scale, offset) in zip(signal.axes_manager.navigation_axes, places, strict=True):
+            axis.name, axis.scale, axis.offset, axis.units = name, scale, offset, "\u212b"
+        for axis, name in zip(signal.axes_manager.signal_axes, ("kx", "ky"), strict=True):
+            axis.name, axis.scale, axis.offset, axis.units = name, a.pixel_k, first, "1/\u212b"
+        signal.metadata.set_item("Acquisition_instrument.TEM.beam_energy", a.energy_kv)
+        signal.metadata.set_item("Acquisition_instrument.TEM.convergence_angle", a.semiangle_mrad)
+        return signal
+
+    def to_py4dstem(self) -> Any:
+        """The patterns as a calibrated ``py4DSTEM.DataCube``. py4DSTEM has to be installed."""
+        from py4DSTEM import DataCube as Py4dstemCube
+
+        cube = Py4dstemCube(data=self.data)
+        cube.calibration.set_Q_pixel_size(self.axes.pixel_k)
+        cube.calibration.set_Q_pixel_units("A^-1")
+        cube.calibration.set_R_pixel_size(self.axes.step_angstrom[1])
+        cube.calibration.set_R_pixel_units("A")
+        return cube
+
+
+def simulate_patterns(
+    atoms: Atoms,
+    *,
+    pixels: int | None = None,
+    max_angle_mrad: float | None = None,
+    coherent_tail: bool | None = None,
+    out: Path | None = None,
+    overwrite: bool = False,
+    **options: Unpack[SimulationOptions],
+) -> DataCube:
+    """Simulates the diffraction pattern of every probe of a scan (4D-STEM).
+
+    Args:
+        atoms: as :func:`simulate` takes them.
+        pixels: pixels along each edge of the detector. Default 64.
+        max_angle_mrad: half its width. Default 100.
+        coherent_tail: add what windows cut off the probe. Default true.
+        out: a file (``.emd``) to write the patterns to, row by row, in place of memory. py4DSTEM, LiberTEM and HyperSpy open it.
+        overwrite: replace an existing file.
+        **options: see :class:`SimulationOptions`. ``detectors``, ``source_size_angstrom`` and ``accuracy_percent`` are for images.
+            Without an engine, probes are propagated in windows that hold the beam throughout the specimen.
+
+    Returns:
+        The patterns: fractions of the beam, or with ``dose`` (electrons per square Angstrom) electrons, uint32.
+
+    Raises:
+        InvalidValue: for an option out of its limits, and for several thicknesses or values of the defocus
+            (:func:`simulate_pattern_series` takes those).
+        FormatError, FileError, NotEnoughMemory, KeyboardInterrupt: as :func:`simulate`.
+    """
+    for keyword in ("thicknesses_angstrom", "defocus_angstrom"):
+        value = options.get(keyword)
+        if isinstance(value, (Sequence, np.ndarray)) and len(value) > 1:
+            raise _invalid(keyword, f"{keyword}: several make a series; simulate_pattern_series() takes them")
+    (cube,) = _simulate(atoms, (pixels, max_angle_mrad, coherent_tail), (out, overwrite), options)
+    return cube
+
+
+def simulate_pattern_series(
+    atoms: Atoms,
+    *,
+    pixels: int | None = None,
+    max_angle_mrad: float | None = None,
+    coherent_tail: bool | None = None,
+    out: Path | None = None,
+    overwrite: bool = False,
+    **options: Unpack[SimulationOptions],
+) -> tuple[DataCube, ...]:
+    """As :func:`simulate_patterns`, for several thicknesses and values of the defocus: by defocus, then by thickness.
+
+    Files are named after each: ``NAME_defocus_50A_39.0A.emd``.
+    """
+    return _simulate(atoms, (pixels, max_angle_mrad, coherent_tail), (out, overwrite), options)
+
+
+def _simulate(
+    atoms: Atoms,
+    detector: tuple[int | None, float | None, bool | None],
+    written: tuple[Path | None, bool],
+    options: SimulationOptions,
+) -> tuple[DataCube, ...]:
+    unused = {"detectors", "source_size_angstrom", "accuracy_percent"} & options.keys()
+    if unused:
+        name = sorted(unused)[0]
+        raise _invalid(name, f"{name} is for images: DataCube.virtual_image() makes them of patterns")
+    request, arrays = _request(atoms, options)
+    names = ("pixels", "max_angle_mrad", "coherent_tail")
+    given: Any = {name: value for name, value in zip(names, detector, strict=True) if value is not None}
+    request["patterns"] = given
+    force, running = options.get("force", False), _run(options)
+    out, overwrite = written
+    if out is not None:
+        if _FilePath(out).suffix.lower() != ".emd":
+            raise _invalid("out", f"{os.fspath(out)!r}: patterns are written as .emd")
+        files = call(_core.write_patterns, request, arrays, os.fspath(out), overwrite, force, running)
+        return tuple(DataCube.open(path) for path in files)
+    found = call(_core.simulate_patterns, request, arrays, force, running)
+    return tuple(DataCube(_axes(item), item["data"], item["vacuum"]) for item in found)
+
+
+def _axes(header: _core.PatternHeader) -> Axes4D:
+    rows, columns, pixels = header["shape"]
+    (dx, dy), (x, y) = header["step_angstrom"], header["origin_angstrom"]
+    return Axes4D(
+        shape=(rows, columns, pixels, pixels),
+        step_angstrom=(dy, dx),
+        origin_angstrom=(y, x),
+        max_angle_mrad=header["max_angle_mrad"],
+        thickness_angstrom=header["thickness_angstrom"],
+        defocus_angstrom=header["defocus_angstrom"],
+        energy_kv=header["energy_kev"],
+        semiangle_mrad=header["semiangle_mrad"],
+        wavelength_angstrom=header["wavelength_angstrom"],
+        electrons_per_pattern=header["electrons_per_pattern"],
+    )

@@ -1,0 +1,164 @@
+//! Simulates the diffraction patterns of a job into files, one for each defocus and thickness.
+
+use std::path::{Path, PathBuf};
+
+use ndarray::{Array2, ArrayView4, Axis};
+
+use super::image_file::Origin;
+use super::pattern_file::{PatternHeader, PatternOrigin, PatternWriter, write_patterns};
+use crate::error::{Error, Result};
+use crate::files::file_digest;
+use crate::progress::Progress;
+use crate::simulation::{PatternBand, PatternValues, SimulationJob};
+
+/// The patterns of a job, and the files that they go to.
+#[derive(Debug, Clone, Copy)]
+pub struct PatternRun<'a> {
+    /// The simulation; its request asks for patterns.
+    pub job: &'a SimulationJob,
+    /// The file, or what names of several begin with.
+    pub output: &'a Path,
+    /// The command as typed, or whatever asked for the patterns.
+    pub command_line: &'a str,
+}
+
+/// A file that was written.
+#[derive(Debug, Clone)]
+pub struct WrittenPatterns {
+    /// The file.
+    pub path: PathBuf,
+    /// What describes its patterns.
+    pub header: PatternHeader,
+    /// The mean of its patterns.
+    pub mean: Array2<f64>,
+}
+
+impl PatternRun<'_> {
+    /// The files, in the order of defocus, then thickness, and what describes them: `NAME.emd`, or `NAME_defocus_50A_39.0A.emd`.
+    pub fn files(&self) -> Vec<(PathBuf, PatternHeader)> {
+        let headers = self.headers();
+        let thicknesses = self.job.plans()[0].record_after.len();
+        let name = |(n, header): (usize, PatternHeader)| {
+            let mut suffix = String::new();
+            if let Some(defocus) = self.job.series_defocus(n / thicknesses.max(1)) {
+                suffix += &format!("_defocus_{defocus}A");
+            }
+            if thicknesses > 1 {
+                suffix += &format!("_{:.1}A", header.thickness_angstrom);
+            }
+            let mut file = self.output.file_stem().unwrap_or_default().to_owned();
+            file.push(suffix);
+            file.push(".emd");
+            (self.output.with_file_name(file), header)
+        };
+        headers.into_iter().enumerate().map(name).collect()
+    }
+
+    /// What describes the patterns, in the order of defocus, then thickness.
+    pub fn headers(&self) -> Vec<PatternHeader> {
+        let (job, request) = (self.job, self.job.request());
+        let Some(settings) = job.pattern_settings() else { return Vec::new() };
+        let mut headers = Vec::new();
+        for (n, plan) in job.plans().iter().enumerate() {
+            for thickness_angstrom in plan.thicknesses_angstrom() {
+                headers.push(PatternHeader {
+                    detector: settings.detector,
+                    scan: *job.scan(),
+                    thickness_angstrom,
+                    defocus_angstrom: request.microscope.defocus_angstrom[n],
+                    energy_kev: request.microscope.energy_kev,
+                    semiangle_mrad: request.microscope.semiangle_mrad,
+                    wavelength_angstrom: plan.settings.optics.wavelength_angstrom(),
+                    counted: job.electrons_per_pixel().map(|e| (e, request.specimen.seed)),
+                });
+            }
+        }
+        headers
+    }
+
+    /// Simulates and writes. Files of one defocus appear together, complete.
+    ///
+    /// # Errors
+    /// Those of [`SimulationJob::patterns`] and of the files.
+    pub fn write(&self, overwrite: bool, progress: &dyn Progress) -> Result<Vec<WrittenPatterns>> {
+        let vacuum = self.job.vacuum_pattern()?;
+        let origin = self.origin()?;
+        let plans = self.job.plans();
+        let origin = PatternOrigin {
+            origin: &origin,
+            engine: plans[0].settings.algorithm.to_string(),
+            coherent_tail: self.job.pattern_settings().is_some_and(|s| s.coherent_tail),
+            vacuum: &vacuum,
+        };
+        let files = self.files();
+        let mut written = Vec::new();
+        for (n, files) in files.chunks((files.len() / plans.len()).max(1)).enumerate() {
+            let mut sums: Vec<Array2<f64>> = vec![Array2::zeros(vacuum.dim()); files.len()];
+            let mut fill = |writers: &mut [PatternWriter]| {
+                let mut take = |band: PatternBand<'_>| take(writers, &mut sums, band);
+                self.job.patterns(n, &mut take, progress)
+            };
+            write_patterns(files, overwrite, &origin, &mut fill)?;
+            for ((path, header), sum) in files.iter().zip(sums) {
+                let mean = sum / header.scan.len() as f64;
+                written.push(WrittenPatterns { path: path.clone(), header: header.clone(), mean });
+            }
+        }
+        Ok(written)
+    }
+
+    fn origin(&self) -> Result<Origin<'_>> {
+        let (plan, specimen) = (&self.job.plans()[0], self.job.specimen());
+        let request = self.job.request();
+        let file = request.structure.file();
+        let digest = file.map(file_digest::sha256_of_file).transpose()?;
+        let json = |text: serde_json::Result<String>| {
+            text.map_err(|e| Error::invalid(crate::Setting::Output, "request", e.to_string()))
+        };
+        let name = file.and_then(Path::file_name).unwrap_or_default();
+        Ok(Origin {
+            command_line: self.command_line.to_owned(),
+            request: Some(json(serde_json::to_string(request))?),
+            structure_sha256: digest.map(|(digest, _)| digest),
+            settings: json(serde_json::to_string(&plan.settings))?,
+            structure_file: name.display().to_string(),
+            wavelength_angstrom: plan.settings.optics.wavelength_angstrom(),
+            band_limit_mrad: plan.band_limit_mrad,
+            source: None,
+            accuracy: None,
+            box_angstrom: specimen.size_angstrom,
+            strain_percent: specimen.strain_percent,
+            sites: &specimen.sites,
+        })
+    }
+}
+
+/// Writes rows to the files of the thicknesses, and adds the patterns up.
+fn take(
+    writers: &mut [PatternWriter],
+    sums: &mut [Array2<f64>],
+    band: PatternBand<'_>,
+) -> Result<()> {
+    fn add<T: Copy + Into<f64>>(sum: &mut Array2<f64>, rows: ArrayView4<'_, T>) {
+        for patterns in rows.outer_iter() {
+            for pattern in patterns.outer_iter() {
+                sum.zip_mut_with(&pattern, |sum, v| *sum += (*v).into());
+            }
+        }
+    }
+    for (t, (writer, sum)) in writers.iter().zip(sums).enumerate() {
+        match &band.values {
+            PatternValues::Fractions(values) => {
+                let rows = values.index_axis(Axis(0), t);
+                add(sum, rows);
+                writer.fractions(band.first_row, rows)?;
+            }
+            PatternValues::Counts(values) => {
+                let rows = values.index_axis(Axis(0), t);
+                add(sum, rows);
+                writer.counts(band.first_row, rows)?;
+            }
+        }
+    }
+    Ok(())
+}
