@@ -1,7 +1,7 @@
 //! stemgen simulates images of scanning transmission electron microscopy (STEM), and builds *worlds*: large images of
 //! specimens with defects, with a list of every atom beside them.
 //!
-//! Electrons are propagated through the atoms by multislice or PRISM with frozen phonons; detectors are annular. Lengths of
+//! Electrons are propagated through the atoms by multislice or PRISM with frozen phonons; detectors are annuli, or pixelated. Lengths of
 //! atoms and probes are in Angstrom, those of fields and worlds in nm, and names say so. Images are arrays
 //! `[row, column] = [y, x]`, in fractions of the incident beam.
 //!
@@ -112,7 +112,7 @@
 //! - [`resample`]: interpolation of images between probes
 //! - [`acquisition`]: from the noise-free image to the recording: scan errors, doses, detectors
 //! - [`damage`]: how likely an electron displaces an atom
-//! - [`detect`]: annular detectors
+//! - [`detect`]: annular and pixelated detectors, and those that are chosen afterwards
 //! - [`engine`]: from atoms and a scan to images: plan, then simulate
 //! - [`recipe`]: what a world is made of, read from TOML and checked
 //! - [`specimen`]: every site of a large field, asked for region by region

@@ -1,4 +1,4 @@
-//! What other programs have and this one has not, and what comes nearest.
+//! What other programs have under these names: where it is here, or what comes nearest.
 
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 
@@ -6,13 +6,12 @@ use clap::error::{ContextKind, ContextValue, ErrorKind};
 const NOT_OFFERED: [(&[&str], &str); 5] = [
     (
         &["4d", "4dstem", "4d-stem", "pixelated", "cbed", "diffraction", "ptychography"],
-        "diffraction patterns (4D-STEM, CBED) are not offered; several annuli in one run, such as --detector a=0-10 \
-         --detector b=10-20, come nearest, and --plane-wave gives exit waves",
+        "`stemgen patterns` simulates diffraction patterns (4D-STEM, CBED), for a program of your own to reconstruct",
     ),
     (
         &["segmented", "segments", "dpc", "idpc", "com", "icom", "quadrant", "df4"],
-        "segmented detectors, DPC and centre of mass are not offered; annular detectors of any angles are (--detector \
-         NAME=IN-OUT)",
+        "segments, DPC and centre of mass are made of diffraction patterns: `stemgen patterns`, then `stemgen integrate \
+         FILE.emd --sectors 0-21:4 --com --icom`",
     ),
     (
         &["tilt", "mistilt", "beam-tilt"],

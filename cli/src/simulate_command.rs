@@ -52,8 +52,8 @@ Examples:
 The file (HDF5) holds /images/NAME as float32 (thickness, y, x) in fractions of the incident beam,
 the atoms that were simulated below /specimen, and the settings and the request as attributes:
 `stemgen rerun FILE.h5` makes it again. NeXus readers open
-the images with their axes (/entry). Diffraction patterns (4D-STEM) and segmented detectors are not
-offered: several annuli in one run come nearest.";
+the images with their axes (/entry). `stemgen patterns` simulates diffraction patterns (4D-STEM), and
+`stemgen integrate` makes segments and the centre of mass of them.";
 
 /// Simulate images of a structure
 #[derive(Debug, Args)]
@@ -229,6 +229,11 @@ impl SimulateRun {
         output: PathBuf,
         (common, force): (Common, Force),
     ) -> anyhow::Result<Self> {
+        if request.patterns.is_some() {
+            bail!(
+                "the request is for diffraction patterns: `stemgen patterns FILE.toml` simulates them"
+            );
+        }
         let job = SimulationJob::new(request).map_err(with_frames)?;
         let (accuracies, again_of) = (Vec::new(), None);
         Ok(SimulateRun { job, accuracies, results, output, common, again_of, force })

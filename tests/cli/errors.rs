@@ -76,8 +76,8 @@ fn hints_stand_only_where_they_help() {
     let told = fails(stemgen(here).args(["simulate", si, "--dosis", "100"]));
     assert!(told.contains("--dosis") && !told.contains("as a value"), "{told}");
     for (arguments, part) in [
-        (["--pixelated", "1"], "diffraction patterns (4D-STEM, CBED) are not offered"),
-        (["--detector", "DPC=0-20"], "annular detectors of any angles are"),
+        (["--pixelated", "1"], "`stemgen patterns` simulates diffraction patterns"),
+        (["--detector", "DPC=0-20"], "`stemgen integrate FILE.emd --sectors"),
         (["--beam-tilt", "3"], "take another --zone"),
     ] {
         let told = fails(stemgen(here).args(["simulate", si]).args(arguments));

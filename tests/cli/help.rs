@@ -20,6 +20,8 @@ fn compare(name: &str, arguments: &[&str]) {
 fn help_is_as_stored() {
     compare("stemgen", &[]);
     compare("simulate", &["simulate"]);
+    compare("patterns", &["patterns"]);
+    compare("integrate", &["integrate"]);
     compare("rerun", &["rerun"]);
     compare("build", &["build"]);
     compare("specimen", &["specimen"]);

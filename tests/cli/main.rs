@@ -18,6 +18,7 @@ mod interpreter;
 mod likely_slips;
 mod live;
 mod outputs;
+mod patterns;
 #[path = "../common/points.rs"]
 mod points;
 #[path = "../common/process.rs"]

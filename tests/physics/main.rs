@@ -15,6 +15,7 @@ mod golden;
 mod numerics;
 mod optics;
 mod particles;
+mod patterns;
 mod read_right;
 mod settings;
 mod structure_files;
