@@ -12,7 +12,7 @@ use stemgen::files::Shard;
 use stemgen::files::outputs::check_outputs;
 use stemgen::imaging::Cache;
 use stemgen::progress::Progress;
-use stemgen::render::image_pictures::of_world;
+use stemgen::render::image_pictures::write_world;
 use stemgen::simulation;
 use stemgen::world::footprint::PICTURE;
 use stemgen::world::{BuildMethod, BuildOptions, BuildProfile, Companion, WorldBuild, WorldPlan};
@@ -116,10 +116,10 @@ impl Building {
         let companion = picture.as_deref().map(|path| Companion {
             path,
             most_bytes: PICTURE,
-            content: &of_world,
+            write: &write_world,
         });
         if !complete {
-            build.check_disk(&self.out, companion.as_ref())?;
+            build.check_disk(&self.out, companion.as_slice())?;
             let warnings = WorldPlan::warnings(&build)?;
             warnings.iter().for_each(|warning| guest.warn(warning));
             let (needed, remedy) = build.memory(&build.cost()?, simulation::threads())?;
@@ -128,7 +128,7 @@ impl Building {
                 checked => checked?,
             }
         }
-        let summary = build.run_with(&self.out, companion.as_ref(), guest)?;
+        let summary = build.run_with(&self.out, companion.as_slice(), guest)?;
         Ok(serde_json::to_string(&summary)?)
     }
 

@@ -12,6 +12,7 @@ pub mod golden;
 pub mod image_comparison;
 mod lab;
 pub mod manifest;
+mod pinned_contents;
 pub mod report;
 pub mod soundness;
 pub mod statistics;
@@ -21,6 +22,7 @@ pub mod user;
 pub mod worlds;
 
 pub use lab::Lab;
+pub use pinned_contents::{NOT_COMPARED, PinnedContents};
 
 use ndarray::Array2;
 use serde::Serialize;

@@ -79,7 +79,7 @@ impl WorldBuild {
         shard: Shard,
         progress: &dyn Progress,
     ) -> Result<ShardSummary> {
-        self.check_disk(output, None)?;
+        self.check_disk(output, &[])?;
         let WorldBuild { layout, policy, own, chosen } = self;
         let mut summary = ShardSummary {
             shard: [shard.index(), shard.count()],

@@ -13,11 +13,12 @@ use crate::structure::source_text::SourceText;
 pub const FRACTIONAL: [&str; 3] =
     ["_atom_site_fract_x", "_atom_site_fract_y", "_atom_site_fract_z"];
 /// Columns that change what an atom is; without coordinates beside them they cannot be used.
-const ATTRIBUTES: [&str; 6] = [
+const ATTRIBUTES: [&str; 7] = [
     "_atom_site_type_symbol",
     "_atom_site_occupancy",
     "_atom_site_disorder_group",
     "_atom_site_disorder_assembly",
+    "_atom_site_label_alt_id",
     "_atom_site_u_iso_or_equiv",
     "_atom_site_b_iso_or_equiv",
 ];
