@@ -257,28 +257,32 @@ impl Build {
         check_outputs(outputs, self.recipe.files(recipe), self.overwrite || complete)
             .inspect_err(|_| remove_leftovers(path))?;
         stemgen::simulation::check_hdf5_name(path)?;
-        let companion = picture.as_deref().map(|path| Companion {
+        let draw = picture.as_deref().map(|path| Companion {
             path,
             most_bytes: PICTURE,
-            content: &image_pictures::of_world,
+            write: &image_pictures::write_world,
         });
+        let shape = recipe.field.pixels(recipe.field.built_grid());
+        let images = recipe.detector.count() * if self.options().keep_clean { 2 } else { 1 };
+        let detectors = recipe.detector.all();
+        let place = hspy.clone().unwrap_or_default();
+        let signals = |world: &WorldFile, path: &Path| {
+            world_hspy::write_world((path, &place), world, &detectors)
+        };
+        let signals = hspy.as_deref().map(|path| Companion {
+            path,
+            most_bytes: world_hspy::most_bytes(shape, images),
+            write: &signals,
+        });
+        let companions: Vec<Companion> = draw.into_iter().chain(signals).collect();
         if !complete {
-            build.check_disk(path, companion.as_ref())?;
+            build.check_disk(path, &companions)?;
             WorldPlan::warnings(&build)?.iter().for_each(|w| reporter.warn(w));
             self.check_memory(&build, reporter)?;
         }
-        let summary = build
-            .run_with(path, companion.as_ref(), reporter)
-            .map_err(|e| with_what_is_kept(e, path))?;
+        let summary =
+            build.run_with(path, &companions, reporter).map_err(|e| with_what_is_kept(e, path))?;
         let world = WorldFile::open(path)?;
-        if let Some(path) = &hspy {
-            world_hspy::write_world(
-                path,
-                self.overwrite || complete,
-                &world,
-                &recipe.detector.all(),
-            )?;
-        }
         Ok(Built { hspy, ..self.built(recipe, &summary, &world, picture)? })
     }
 

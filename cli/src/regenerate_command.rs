@@ -36,8 +36,9 @@ Examples:
     stemgen regenerate --manifest mine.toml -o mine/
 
 Each world is built with its image before noise, and compared with the manifest: the digests of its recipe, its
-truth and its tiles. A digest that differs is a difference. The manifest lists digests for some kinds of processors; on
-another kind images are rounded differently, so only 64 values before noise are compared, and the table says so.
+truth, its tiles, and every other dataset and attribute. What differs, is missing, or was not released is named. The
+manifest lists digests of images for some kinds of processors; on another kind images are rounded differently, so only 64
+values before noise are compared. What was not compared is listed below the table.
 The exit code is 3 if a world differs, and 1 if one could not be made or compared.";
 
 /// Make released worlds again, and check that they are what was released
@@ -236,9 +237,11 @@ fn table(all: &[Regenerated]) -> String {
         let found = match &r.sameness {
             None if r.error.is_some() => "FAILED: the error is above".into(),
             None => format!("noted, numerics {NUMERICS_VERSION}, {}", processor()),
-            Some(PinnedSameness::SameBytes) => "the same bytes".into(),
-            Some(PinnedSameness::SameValues { difference, values }) => format!(
-                "the same truth, and {values} values before noise within {difference:.1e}; all tiles are compared only on the kinds of processor that the manifest lists"
+            Some(PinnedSameness::SameBytes { compared, .. }) => {
+                format!("the same: {compared} datasets and attributes")
+            }
+            Some(PinnedSameness::SameValues { difference, values, compared, .. }) => format!(
+                "the same: {compared} datasets and attributes, and {values} values before noise within {difference:.1e}; all                  tiles are compared only on the kinds of processor that the manifest lists"
             ),
             Some(PinnedSameness::Different { what }) => format!("DIFFERS: {}", what.join(", ")),
         };
@@ -252,5 +255,27 @@ fn table(all: &[Regenerated]) -> String {
             found,
         ]);
     }
-    text::table(&rows)
+    [text::table(&rows)].into_iter().chain(not_compared(all)).collect::<Vec<_>>().join("\n")
+}
+
+/// What was not compared of the worlds that are the same, each list once with the names of its worlds.
+fn not_compared(all: &[Regenerated]) -> Vec<String> {
+    let mut lists: Vec<(&[String], Vec<&str>)> = Vec::new();
+    for r in all {
+        let Some(
+            PinnedSameness::SameBytes { not_compared: list, .. }
+            | PinnedSameness::SameValues { not_compared: list, .. },
+        ) = &r.sameness
+        else {
+            continue;
+        };
+        match lists.iter_mut().find(|(known, _)| known == list) {
+            Some((_, names)) => names.push(&r.name),
+            None => lists.push((list, vec![&r.name])),
+        }
+    }
+    let line = |(list, names): (&[String], Vec<&str>)| {
+        format!("not compared ({}): {}", names.join(", "), list.join("; "))
+    };
+    lists.into_iter().map(line).collect()
 }

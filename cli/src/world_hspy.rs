@@ -8,20 +8,27 @@ use stemgen::detect::Detector;
 use stemgen::engine::check_memory;
 use stemgen::error::Result;
 use stemgen::io::WorldFile;
-use stemgen::io::hspy_file::write_hspy;
+use stemgen::io::hspy_file::create_hspy;
 use stemgen::io::image_file::ImageStack;
 
 /// Bytes that an image takes for each of its pixels: as read, and as fractions of the beam.
 const BYTES: u64 = 8;
 
-/// Writes the images of a world as signals, in fractions of the beam: one for each of `detectors`, with `_clean` behind its name for
-/// the image without noise, where the world has that.
+/// What a file holds beside the pixels, for each image, at most.
+const AROUND: u64 = 1 << 16;
+
+/// Bytes that the file takes at most, of so many images of a shape in pixels.
+pub fn most_bytes([rows, columns]: [usize; 2], images: usize) -> u64 {
+    images as u64 * ((rows * columns * size_of::<f32>()) as u64 + AROUND)
+}
+
+/// Writes the images of a world as signals to `path`, which becomes `place`, in fractions of the beam: one for each of `detectors`, with
+/// `_clean` behind its name for the image without noise, where the world has that.
 ///
 /// # Errors
 /// [`stemgen::Error::Memory`] for a world too large to be held at once; those of reading and writing.
 pub fn write_world(
-    path: &Path,
-    overwrite: bool,
+    (path, place): (&Path, &Path),
     world: &WorldFile,
     detectors: &[Detector],
 ) -> Result<()> {
@@ -59,5 +66,5 @@ pub fn write_world(
             annulus_mrad: Some([detector.inner_mrad, detector.outer_mrad]),
         })
         .collect();
-    write_hspy(path, overwrite, &stacks)
+    create_hspy(path, place, &stacks)
 }

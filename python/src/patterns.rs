@@ -1,7 +1,7 @@
 //! Diffraction patterns of scans.
 
 use crate::errors::{Fault, Told};
-use crate::guest::{Guest, Running, run};
+use crate::long_call::{LongCall, Running, run};
 use crate::request::{AtomArrays, Request};
 use ndarray::{Array2, Array4, Axis, s};
 use numpy::IntoPyArray;
@@ -25,10 +25,10 @@ fn prepared(
     request: Request,
     atoms: Option<&AtomArrays>,
     force: bool,
-    guest: &Guest,
+    call: &LongCall,
 ) -> Result<SimulationJob, Fault> {
     let job = request.job(atoms)?;
-    job.warnings().iter().for_each(|warning| guest.warn(&warning.message));
+    job.warnings().iter().for_each(|warning| call.warn(&warning.message));
     if !force {
         job.check_memory()?;
     }
@@ -44,8 +44,8 @@ pub fn simulate_patterns(
     force: bool,
     running: Running,
 ) -> PyResult<Vec<Py<PyDict>>> {
-    let work = move |guest: &Guest| -> Result<(Vec<(PatternHeader, Cube)>, Array2<f32>), Fault> {
-        let job = prepared(request, atoms.as_ref(), force, guest)?;
+    let work = move |call: &LongCall| -> Result<(Vec<(PatternHeader, Cube)>, Array2<f32>), Fault> {
+        let job = prepared(request, atoms.as_ref(), force, call)?;
         let run = PatternRun { job: &job, output: Path::new(""), command_line: "" };
         let headers = run.headers();
         if !force {
@@ -61,7 +61,7 @@ pub fn simulate_patterns(
                 cubes.iter_mut().enumerate().for_each(|(t, cube)| cube.put(&band, t));
                 Ok(())
             };
-            job.patterns(n, &mut take, guest)?;
+            job.patterns(n, &mut take, call)?;
         }
         Ok((headers.into_iter().zip(cubes).collect(), vacuum))
     };
@@ -89,8 +89,8 @@ pub fn write_patterns(
     force: bool,
     running: Running,
 ) -> PyResult<Vec<PathBuf>> {
-    let work = move |guest: &Guest| -> Result<Vec<PathBuf>, Fault> {
-        let job = prepared(request, atoms.as_ref(), force, guest)?;
+    let work = move |call: &LongCall| -> Result<Vec<PathBuf>, Fault> {
+        let job = prepared(request, atoms.as_ref(), force, call)?;
         let asked = "stemworlds.simulate_patterns";
         let run = PatternRun { job: &job, output: &out, command_line: asked };
         let files: Vec<PathBuf> = run.files().into_iter().map(|(path, _)| path).collect();
@@ -99,7 +99,7 @@ pub fn write_patterns(
         let needed: Vec<(&Path, u64)> =
             files.iter().map(|path| (path.as_path(), job.pattern_bytes())).collect();
         check_places(&needed)?;
-        run.write(overwrite, guest)?;
+        run.write(overwrite, call)?;
         Ok(files)
     };
     run(py, running, work)

@@ -12,9 +12,11 @@ use std::path::Path;
 
 use hdf5::plist::dataset_create::Layout;
 use hdf5::types::{FixedAscii, TypeDescriptor};
-use hdf5::{Dataset, Datatype, H5Type, Hyperslab, SliceOrIndex};
-use hdf5_sys::h5d::H5Dget_chunk_info_by_coord;
+use hdf5::{Attribute, Dataset, Datatype, H5Type, Hyperslab, SliceOrIndex};
+use hdf5_sys::h5a::H5Aread;
+use hdf5_sys::h5d::{H5Dget_chunk_info_by_coord, H5Dread};
 use hdf5_sys::h5p::{H5P_DEFAULT, H5Pget_fill_value};
+use hdf5_sys::h5s::H5S_ALL;
 use hdf5_sys::h5t::{H5T_class_t, H5Tconvert, H5Tget_class};
 use ndarray::{Array, ArrayD, Dimension};
 
@@ -82,6 +84,54 @@ pub(super) fn part<T: Plain, D: Dimension>(
     let array = ArrayD::from_shape_vec(lengths, values).map_err(|e| e.to_string())?;
     let axes = array.ndim();
     array.into_dimensionality().map_err(|_| format!("has {axes} axes, another number is expected"))
+}
+
+/// All values of a dataset as the bytes of the type that the file has for them. The dataset's storage was checked
+/// ([`super::hdf5_guard::check_storage`]).
+pub(super) fn stored_bytes(dataset: &Dataset, path: &Path) -> Guarded<Vec<u8>> {
+    let stored = dataset.dtype().map_err(damaged)?;
+    check_kind(&stored)?;
+    let lengths = dataset.shape();
+    let count = lengths.iter().try_fold(stored.size(), |n, length| n.checked_mul(*length));
+    let count = count.ok_or_else(|| format!("announces {lengths:?} values, more than fit"))?;
+    let mut bytes = vec![0; count];
+    if count == 0 {
+        return Ok(bytes);
+    }
+    if dataset.dcpl().map_err(damaged)?.layout() == Layout::Chunked {
+        let chunks = Chunks::of(dataset, &stored, path)?;
+        for value in bytes.chunks_exact_mut(stored.size()) {
+            value.copy_from_slice(&chunks.fill);
+        }
+        let whole: Vec<Range<usize>> = lengths.iter().map(|n| 0..*n).collect();
+        chunks.gather(&whole, &lengths, &mut bytes)?;
+        return Ok(bytes);
+    }
+    // SAFETY: there is room for all values of the file's type, none of which refers to other places (`check_kind`).
+    let read = hdf5::sync::sync(|| unsafe {
+        let to = bytes.as_mut_ptr().cast();
+        H5Dread(dataset.id(), stored.id(), H5S_ALL, H5S_ALL, H5P_DEFAULT, to)
+    });
+    if read < 0 { Err("cannot be read".into()) } else { Ok(bytes) }
+}
+
+/// The values of an attribute as the bytes of the type that the file has for them; none where they lie elsewhere in the file, or are made
+/// of others.
+pub(super) fn attribute_bytes(attribute: &Attribute) -> Guarded<Option<Vec<u8>>> {
+    let stored = attribute.dtype().map_err(damaged)?;
+    if check_kind(&stored).is_err() {
+        return Ok(None);
+    }
+    let count = attribute.size().checked_mul(stored.size());
+    let mut bytes = vec![0; count.ok_or("announces more values than fit")?];
+    if bytes.is_empty() {
+        return Ok(Some(bytes));
+    }
+    // SAFETY: there is room for all values of the file's type, none of which refers to other places (`check_kind`).
+    let read = hdf5::sync::sync(|| unsafe {
+        H5Aread(attribute.id(), stored.id(), bytes.as_mut_ptr().cast())
+    });
+    if read < 0 { Err("cannot be read".into()) } else { Ok(Some(bytes)) }
 }
 
 /// Reads all about a dataset but its values: their type, and where each chunk lies.

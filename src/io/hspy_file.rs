@@ -22,17 +22,23 @@ const UNIT: &str = "\u{c5}";
 /// # Errors
 /// [`crate::Error::Io`], [`crate::Error::Hdf5`].
 pub fn write_hspy(path: &Path, overwrite: bool, stacks: &[ImageStack]) -> Result<()> {
-    atomic_write::write_with(path, overwrite, |temporary| {
-        let write = || -> hdf5::Result<()> {
-            let file = hdf5_create::file(temporary)?;
-            text(&file, "file_format", "HyperSpy")?;
-            text(&file, "file_format_version", FORMAT_VERSION)?;
-            let experiments = hdf5_create::group(&file, "Experiments")?;
-            stacks.iter().try_for_each(|stack| signal(&experiments, stack))?;
-            file.flush()
-        };
-        write().at(path)
-    })
+    atomic_write::write_with(path, overwrite, |temporary| create_hspy(temporary, path, stacks))
+}
+
+/// Writes images as [`write_hspy`] does, straight to `path`, of which errors say that it is `place`.
+///
+/// # Errors
+/// [`crate::Error::Hdf5`].
+pub fn create_hspy(path: &Path, place: &Path, stacks: &[ImageStack]) -> Result<()> {
+    let write = || -> hdf5::Result<()> {
+        let file = hdf5_create::file(path)?;
+        text(&file, "file_format", "HyperSpy")?;
+        text(&file, "file_format_version", FORMAT_VERSION)?;
+        let experiments = hdf5_create::group(&file, "Experiments")?;
+        stacks.iter().try_for_each(|stack| signal(&experiments, stack))?;
+        file.flush()
+    };
+    write().at(place)
 }
 
 fn signal(experiments: &Group, stack: &ImageStack) -> hdf5::Result<()> {

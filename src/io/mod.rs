@@ -45,6 +45,8 @@ pub mod tiff_file;
 #[cfg(feature = "hdf5")]
 mod truth_writer;
 #[cfg(feature = "hdf5")]
+mod world_contents;
+#[cfg(feature = "hdf5")]
 mod world_detectors;
 #[cfg(feature = "hdf5")]
 mod world_file;

@@ -7,7 +7,7 @@ use ndarray::{Array2, ArrayView2};
 
 use super::Picture;
 use super::html::{ImageOfStack, StackPage};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::files::atomic_write;
 use crate::io::WorldFile;
 use crate::io::image_file::ImageStack;
@@ -65,6 +65,14 @@ pub fn of_world(world: &WorldFile) -> Result<Vec<u8>> {
         return png(world.stitched(0..rows, 0..columns)?.view(), [pixel; 2], true);
     }
     png(world.overview()?.view(), [pixel * OVERVIEW_FACTOR as f64; 2], true)
+}
+
+/// Writes the whole of a world as a PNG.
+///
+/// # Errors
+/// Those of the file and of writing; values that cannot be drawn.
+pub fn write_world(world: &WorldFile, path: &Path) -> Result<()> {
+    std::fs::write(path, of_world(world)?).map_err(|e| Error::io(path, "write", e))
 }
 
 /// An image with pixels of `step` (x, y) Angstrom as a PNG.

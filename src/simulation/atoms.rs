@@ -249,23 +249,58 @@ impl SpecimenRequest {
             return Err(Error::invalid(Setting::Frames, "atoms at hand", expected));
         };
         let (mut frames, mut size_angstrom): (Vec<Vec<Site>>, _) = (Vec::new(), [0.0; 3]);
-        for frame in read_frames(path, range)? {
-            let frame =
-                frame.repeat(self.repeat.unwrap_or([1; 3]))?.resolve_occupancy(self.seed)?;
-            size_angstrom = frame.orthogonal_box()?;
-            frames.push(frame.sites(&Sigmas::None)?);
+        let preparation =
+            Preparation { repeat: self.repeat, seed: self.seed, ..Preparation::default() };
+        let mut notes = FrameNotes::default();
+        for (chosen, frame) in read_frames(path, range)?.into_iter().enumerate() {
+            let made = preparation.prepare(frame)?;
+            notes.add(range.number(chosen), made.notes);
+            size_angstrom = made.size_angstrom;
+            frames.push(made.structure.sites(&Sigmas::None)?);
         }
         let more_frames = frames.split_off(1);
         let mut prepared = PreparedSpecimen {
             size_angstrom,
             heights_angstrom: Vec::new(),
             sites: frames.remove(0),
-            notes: Vec::new(),
+            notes: notes.sentences(),
             more_frames,
             strain_percent: None,
         };
         prepared.heights_angstrom = mean_heights(&prepared.frames());
         Ok(prepared)
+    }
+}
+
+/// What there is to say of the frames of a trajectory. Sentences that differ in their numbers only are told once.
+#[derive(Default)]
+struct FrameNotes(Vec<FrameNote>);
+
+struct FrameNote {
+    sentence: String,
+    /// The first frame of which it was said.
+    first: usize,
+    /// Of how many frames.
+    count: usize,
+}
+
+impl FrameNotes {
+    fn add(&mut self, frame: usize, sentences: Vec<String>) {
+        let words = |s: &str| s.chars().filter(|c| !c.is_ascii_digit()).collect::<String>();
+        for sentence in sentences {
+            match self.0.iter_mut().find(|note| words(&note.sentence) == words(&sentence)) {
+                Some(known) => known.count += 1,
+                None => self.0.push(FrameNote { sentence, first: frame, count: 1 }),
+            }
+        }
+    }
+
+    fn sentences(&self) -> Vec<String> {
+        let told = |note: &FrameNote| match note.count {
+            1 => format!("frame {}: {}", note.first, note.sentence),
+            n => format!("frame {} ({n} frames in all): {}", note.first, note.sentence),
+        };
+        self.0.iter().map(told).collect()
     }
 }
 
@@ -297,6 +332,24 @@ mod tests {
         let AtomsSource::Given(structure) = silicon() else { unreachable!() };
         structure::write_extxyz(&path, &structure).unwrap();
         assert_eq!(request.prepare(&AtomsSource::File(path)).unwrap(), given);
+    }
+
+    #[test]
+    fn what_is_said_of_frames_reaches_the_user_once_for_each_kind() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("md.xyz");
+        let head = "Lattice=\"4 0 0 0 4 0 0 0 4\" Properties=species:S:1:pos:R:3:occupancy:R:1";
+        // Beyond the cell in the second frame and the last; two sites that are too full for their distance in the last.
+        let rows = ["1 1 1 1\nSi 3", "-2 1 1 1\nSi 3", "-3 1 1 0.9\nSi -2.5"];
+        let frames = rows.map(|row| format!("2\n{head}\nSi {row} 1 1 0.9\n"));
+        std::fs::write(&path, frames.concat()).unwrap();
+        let range = FrameRange { start: 1, end: None, step: 1 };
+        let request = SpecimenRequest { frames: Some(range), ..SpecimenRequest::default() };
+        let notes = request.prepare(&AtomsSource::File(path)).unwrap().notes;
+        assert_eq!(notes.len(), 2, "{notes:#?}");
+        let outside = "frame 1 (2 frames in all): 1 of 2 atoms lie outside";
+        assert!(notes[0].starts_with(outside), "{notes:#?}");
+        assert!(notes[1].starts_with("frame 2: 1 pairs of sites are closer"), "{notes:#?}");
     }
 
     #[test]

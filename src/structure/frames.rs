@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::poscar::begins_frame;
-use super::read::{Format, parse};
+use super::read::{Format, ReadStructure, parse_noted};
 use super::{Structure, elements};
 use crate::error::{Error, Result};
 use crate::files::whole_file;
@@ -37,17 +37,24 @@ fn one() -> usize {
 }
 
 impl FrameRange {
+    /// The number in its file of a frame that was chosen, both counted from 0.
+    #[must_use]
+    pub fn number(&self, chosen: usize) -> usize {
+        self.start + chosen * self.step.max(1)
+    }
+
     fn holds(&self, frame: usize) -> bool {
         let before = self.end.is_none_or(|end| frame < end);
         frame >= self.start && before && (frame - self.start).is_multiple_of(self.step.max(1))
     }
 }
 
-/// Reads some frames of a trajectory: extended XYZ, or XDATCAR of VASP. They have one cell and the same elements.
+/// Reads some frames of a trajectory, each with what there is to say of it: extended XYZ, or XDATCAR of VASP. They have one cell and the
+/// same elements.
 ///
 /// # Errors
 /// [`Error::Io`], [`Error::Parse`] with the line, [`Error::Invalid`] for another format.
-pub fn read_frames(path: &Path, range: FrameRange) -> Result<Vec<Structure>> {
+pub fn read_frames(path: &Path, range: FrameRange) -> Result<Vec<ReadStructure>> {
     let format = Format::from_path(path)?;
     if format == Format::Cif {
         let message = "holds one structure; frames are read from extended XYZ and XDATCAR";
@@ -72,7 +79,7 @@ struct ChosenFrames<'a> {
     path: &'a Path,
     format: Format,
     range: FrameRange,
-    frames: Vec<Structure>,
+    frames: Vec<ReadStructure>,
     /// Frames of the file so far.
     passed: usize,
 }
@@ -129,10 +136,10 @@ impl ChosenFrames<'_> {
     /// Takes the next frame, which begins after so many lines, if it was asked for.
     fn take(&mut self, lines_before: usize, body: impl FnOnce() -> String) -> Result<()> {
         if self.range.holds(self.passed) {
-            let frame = parse(self.format, body().as_bytes(), self.path)
+            let frame = parse_noted(self.format, body().as_bytes(), self.path)
                 .map_err(|e| shifted(e, lines_before))?;
             if let Some(first) = self.frames.first() {
-                check_alike(self.path, lines_before, first, &frame)?;
+                check_alike(self.path, lines_before, &first.structure, &frame.structure)?;
             }
             self.frames.push(frame);
         }
@@ -185,7 +192,9 @@ mod tests {
         std::fs::write(&path, &all).unwrap();
         let read = |start, end, step| {
             let frames = read_frames(&path, FrameRange { start, end, step })?;
-            Ok::<_, Error>(frames.iter().map(|f| f.atoms[0].position[0]).collect::<Vec<_>>())
+            Ok::<_, Error>(
+                frames.iter().map(|f| f.structure.atoms[0].position[0]).collect::<Vec<_>>(),
+            )
         };
         assert_eq!(read(2, Some(9), 3).unwrap(), [2.25, 5.25, 8.25]);
         assert_eq!(read(8, None, 1).unwrap(), [8.25, 9.25]);
@@ -207,12 +216,14 @@ mod tests {
         std::fs::write(&path, format!("{head}{all}")).unwrap();
         let read = |start, step| {
             let frames = read_frames(&path, FrameRange { start, end: None, step })?;
-            Ok::<_, Error>(frames.iter().map(|f| f.atoms[0].position[0]).collect::<Vec<_>>())
+            Ok::<_, Error>(
+                frames.iter().map(|f| f.structure.atoms[0].position[0]).collect::<Vec<_>>(),
+            )
         };
         let found = read(0, 2).unwrap();
         assert!(found.len() == 2 && (found[0] - 0.4).abs() + (found[1] - 1.2).abs() < 1e-12);
-        let told = super::super::read(&path).unwrap_err().to_string();
-        assert!(told.contains("XDATCAR:8: a trajectory of 4 frames"), "{told}");
+        let words = super::super::read(&path).unwrap_err().to_string();
+        assert!(words.contains("XDATCAR:8: a trajectory of 4 frames"), "{words}");
         // With a head for each frame, where the cell may change.
         let all: String = (1..=3).map(|n| format!("{head}{}", frame(n))).collect();
         std::fs::write(&path, &all).unwrap();

@@ -4,12 +4,16 @@
 use super::elements::symbol;
 use super::lattice::{Vec3, subtract};
 use super::source_text::SourceText;
-use super::{Atom, Structure};
+use super::{Alternative, Atom, Structure};
 use crate::error::Result;
 use crate::files::atomic_write;
 use std::fmt::Write;
 use std::path::Path;
 
+/// Column of the place, and of the way in which it is filled, of atoms that exclude each other ([`Alternative`]).
+const ALTERNATIVE: &str = "alternative";
+/// What stands there for atoms that exclude none.
+const NO_ALTERNATIVE: &str = "-1 -1";
 /// Species of a site without atom, as the Atomic Simulation Environment has it.
 const VACANT: &str = "X";
 
@@ -20,6 +24,7 @@ struct XyzColumns {
     numbers: bool,
     position: usize,
     occupancy: Option<usize>,
+    alternative: Option<usize>,
     count: usize,
     /// Whether the file itself announces the columns.
     announced: bool,
@@ -151,8 +156,9 @@ fn columns(text: &SourceText, pairs: &[(String, String)]) -> Result<XyzColumns> 
     let position = column(&["pos", "positions"], 3)?
         .ok_or_else(|| wrong("no positions; expected `pos:R:3`".to_owned()))?;
     let occupancy = column(&["occupancy", "occupancies"], 1)?;
+    let alternative = column(&[ALTERNATIVE], 2)?;
     let announced = find(pairs, "properties").is_some();
-    Ok(XyzColumns { element, numbers, position, occupancy, count, announced })
+    Ok(XyzColumns { element, numbers, position, occupancy, alternative, count, announced })
 }
 
 /// The atom of a line; none for a vacant site of the species `X`.
@@ -179,7 +185,29 @@ fn atom(text: &SourceText, columns: &XyzColumns, line: usize, row: &str) -> Resu
     if !columns.numbers && species.parse::<f64>().is_ok() {
         return Err(text.error(line, number_of_species(species)));
     }
-    Ok(Some(Atom { occupancy, ..Atom::new(text.element(line, species)?, position) }))
+    let alternative = match columns.alternative {
+        Some(column) => alternative(text, line, [words[column], words[column + 1]])?,
+        None => None,
+    };
+    let atom = Atom::new(text.element(line, species)?, position);
+    Ok(Some(Atom { occupancy, alternative, ..atom }))
+}
+
+/// The alternative that two words name; none for -1.
+fn alternative(text: &SourceText, line: usize, words: [&str; 2]) -> Result<Option<Alternative>> {
+    if words.join(" ") == NO_ALTERNATIVE {
+        return Ok(None);
+    }
+    match words.map(str::parse) {
+        [Ok(place), Ok(choice)] => Ok(Some(Alternative { place, choice })),
+        _ => {
+            let found = words.join(" ");
+            let message = format!(
+                "{ALTERNATIVE} is `{found}`, expected the number of a place and of the way in which it is filled, or {NO_ALTERNATIVE}"
+            );
+            Err(text.error(line, message))
+        }
+    }
 }
 
 /// What to say of a number where a symbol is expected.
@@ -238,7 +266,8 @@ fn take_value(rest: &str) -> Option<(String, &str)> {
 }
 
 /// Writes the structure as extended XYZ, through a temporary file, so that `path` is either
-/// complete or untouched. Numbers are written so that reading returns the same bits.
+/// complete or untouched. Numbers are written so that reading returns the same bits. Atoms that exclude each other have a column
+/// `alternative:I:2`, which other programs pass over.
 ///
 /// # Errors
 /// [`crate::Error::Io`].
@@ -249,9 +278,11 @@ pub fn write_extxyz(path: &Path, structure: &Structure) -> Result<()> {
 fn to_extxyz(structure: &Structure) -> String {
     let partial = structure.atoms.iter().any(|a| a.occupancy != 1.0);
     let lattice: Vec<String> = structure.cell.iter().flatten().map(f64::to_string).collect();
+    let groups = structure.atoms.iter().any(|a| a.alternative.is_some());
     let occupancy = if partial { ":occupancy:R:1" } else { "" };
+    let alternative = if groups { ":alternative:I:2" } else { "" };
     let mut out = format!(
-        "{}\nLattice=\"{}\" Properties=species:S:1:pos:R:3{occupancy} pbc=\"T T T\"\n",
+        "{}\nLattice=\"{}\" Properties=species:S:1:pos:R:3{occupancy}{alternative} pbc=\"T T T\"\n",
         structure.atoms.len(),
         lattice.join(" ")
     );
@@ -259,7 +290,14 @@ fn to_extxyz(structure: &Structure) -> String {
         let [x, y, z] = atom.position;
         // Writing to a String cannot fail.
         let _ = write!(out, "{} {x} {y} {z}", symbol(atom.number));
-        let _ = if partial { writeln!(out, " {}", atom.occupancy) } else { writeln!(out) };
+        if partial {
+            let _ = write!(out, " {}", atom.occupancy);
+        }
+        let _ = match atom.alternative {
+            Some(a) => writeln!(out, " {} {}", a.place, a.choice),
+            None if groups => writeln!(out, " {NO_ALTERNATIVE}"),
+            None => writeln!(out),
+        };
     }
     out
 }
@@ -316,6 +354,31 @@ mod tests {
         write_extxyz(&path, &s).unwrap();
         assert_eq!(super::super::read(&path).unwrap(), s);
         assert_eq!(std::fs::read_dir(directory.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn atoms_that_exclude_each_other_still_do_when_they_are_read_back() {
+        let way = |place, choice| Some(Alternative { place, choice });
+        let atom = |number, alternative, x| Atom {
+            occupancy: 0.5,
+            alternative,
+            ..Atom::new(number, [x, 0.0, 0.0])
+        };
+        let atoms = vec![
+            atom(6, way(0, 0), 1.0),
+            atom(7, way(0, 1), 3.0),
+            atom(8, None, 5.0),
+            Atom::new(14, [7.0, 0.0, 0.0]),
+        ];
+        let cell = [[9.0, 0.0, 0.0], [0.0, 9.0, 0.0], [0.0, 0.0, 9.0]];
+        let s = Structure { cell, atoms };
+        let written = to_extxyz(&s);
+        assert!(
+            written.contains(":occupancy:R:1:alternative:I:2 ") && written.contains("0.5 -1 -1\n")
+        );
+        assert_eq!(read(&written).unwrap(), s);
+        let reply = read(&written.replace("0.5 0 1\n", "0.5 0 x\n")).unwrap_err().to_string();
+        assert!(reply.contains("t.xyz:4: alternative is `0 x`"), "{reply}");
     }
 
     #[test]

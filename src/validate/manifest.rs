@@ -1,4 +1,5 @@
-//! What released worlds are known by: digests of their recipe, truth and image, and values of the image before noise.
+//! What released worlds are known by: digests of their recipe, truth and image, digests of all else that the file holds, and values of the
+//! image before noise.
 //!
 //! The truth is the same on every machine. The image is the same bytes on processors of one kind, and differs by rounding from kind to
 //! kind, which may change single counted electrons: there the values before noise tell whether it is the same.
@@ -8,6 +9,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+use super::pinned_contents::PinnedContents;
 use crate::error::{Error, Result};
 use crate::io::WorldFile;
 use crate::numerics::{NUMERICS_VERSION, processor};
@@ -58,14 +60,22 @@ pub struct PinnedWorld {
     pub samples: Vec<f32>,
     /// SHA-256 of all tiles, with noise and without, by kind of processor.
     pub image_sha256: BTreeMap<String, String>,
+    /// Digests of every dataset and attribute; none in manifests of before they were noted.
+    #[serde(default)]
+    pub contents: PinnedContents,
 }
 
 /// How a world compares with what is known of it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(tag = "sameness", rename_all = "snake_case")]
 pub enum PinnedSameness {
-    /// Truth and image.
-    SameBytes,
+    /// Truth, image, and every dataset and attribute.
+    SameBytes {
+        /// How many datasets and attributes were compared, tiles counted as one.
+        compared: usize,
+        /// What was not compared, with the reason.
+        not_compared: Vec<String>,
+    },
     /// The same truth, and near values before noise. The manifest has no digest of this kind of processor, so the other pixels are not
     /// compared.
     SameValues {
@@ -73,6 +83,10 @@ pub enum PinnedSameness {
         difference: f64,
         /// How many values were compared.
         values: usize,
+        /// How many datasets and attributes were compared, tiles counted as one.
+        compared: usize,
+        /// What was not compared, with the reason.
+        not_compared: Vec<String>,
     },
     /// Something differs.
     Different {
@@ -128,6 +142,7 @@ impl Manifest {
                     let others = std::mem::take(&mut old.image_sha256);
                     new.samples.clone_from(&old.samples);
                     new.image_sha256 = others.into_iter().chain(new.image_sha256).collect();
+                    new.contents.keep_others(std::mem::take(&mut old.contents));
                 }
                 *old = new;
             }
@@ -158,17 +173,20 @@ impl PinnedWorld {
             truth_sha256: truth(world)?,
             samples: samples(world)?,
             image_sha256: [(processor(), image(world, progress)?)].into(),
+            contents: PinnedContents::of(world)?,
         })
     }
 
     /// Compares what is known of a world with what one was found to be.
     pub fn compare(&self, found: &PinnedWorld) -> PinnedSameness {
         let mut what = Vec::new();
-        let told = [
+        let digests = [
             ("recipe", &self.recipe_sha256, &found.recipe_sha256),
             ("truth", &self.truth_sha256, &found.truth_sha256),
         ];
-        what.extend(told.iter().filter(|(_, a, b)| a != b).map(|(name, _, _)| (*name).to_owned()));
+        what.extend(
+            digests.iter().filter(|(_, a, b)| a != b).map(|(name, _, _)| (*name).to_owned()),
+        );
         let brightest = self.samples.iter().fold(0.0_f64, |m, v| m.max(f64::from(v.abs())));
         let apart = |(a, b): (&f32, &f32)| f64::from((a - b).abs()) / brightest;
         let apart: Vec<f64> = self.samples.iter().zip(&found.samples).map(apart).collect();
@@ -184,10 +202,14 @@ impl PinnedWorld {
         if whole == Some(false) && near {
             what.push("tiles, whose digest is not that of this kind of processor".to_owned());
         }
+        let contents = self.contents.compare(&found.contents);
+        what.extend(contents.differs);
+        let (compared, not_compared) = (contents.compared, contents.not_compared);
+        let values = apart.len();
         match whole {
             _ if !what.is_empty() => PinnedSameness::Different { what },
-            Some(_) => PinnedSameness::SameBytes,
-            None => PinnedSameness::SameValues { difference, values: apart.len() },
+            Some(_) => PinnedSameness::SameBytes { compared, not_compared },
+            None => PinnedSameness::SameValues { difference, values, compared, not_compared },
         }
     }
 }
@@ -290,13 +312,14 @@ mod tests {
             truth_sha256: "t".into(),
             samples: vec![0.5, 0.25],
             image_sha256: [("one".to_owned(), "i".to_owned())].into(),
+            contents: PinnedContents::default(),
         }
     }
 
     #[test]
     fn what_differs_is_named() {
         let known = world();
-        assert_eq!(known.compare(&world()), PinnedSameness::SameBytes);
+        assert!(matches!(known.compare(&world()), PinnedSameness::SameBytes { .. }));
         let other = |change: &dyn Fn(&mut PinnedWorld)| {
             let mut found = world();
             change(&mut found);
@@ -306,7 +329,9 @@ mod tests {
             w.samples[1] += 2e-6;
             w.image_sha256 = [("two".to_owned(), "j".to_owned())].into();
         };
-        let PinnedSameness::SameValues { difference, values } = other(&rounded) else { panic!() };
+        let PinnedSameness::SameValues { difference, values, .. } = other(&rounded) else {
+            panic!()
+        };
         assert!((difference - 4e-6).abs() < 1e-7 && values == 2);
         let named = |change: &dyn Fn(&mut PinnedWorld), word: &str| {
             let PinnedSameness::Different { what } = other(change) else { panic!("{word}") };
@@ -335,11 +360,11 @@ mod tests {
         changed.truth_sha256 = "u".into();
         manifest.pin(changed.clone());
         assert_eq!(manifest.worlds, [changed]);
-        let told = |text: &str| Manifest::from_toml("m.toml", text).unwrap_err().to_string();
+        let reply = |text: &str| Manifest::from_toml("m.toml", text).unwrap_err().to_string();
         let numerics = format!("numerics = {NUMERICS_VERSION}");
-        assert!(told(&text.replace(&numerics, "numerics = 1")).contains("numerics 1"));
-        assert!(told(&text.replacen("version = 1", "version = 9", 1)).contains("version 9"));
-        assert!(told(&text.replace("seed = 3", "seed = \"x\"")).contains("m.toml"));
-        assert!(told("nonsense").contains("m.toml"));
+        assert!(reply(&text.replace(&numerics, "numerics = 1")).contains("numerics 1"));
+        assert!(reply(&text.replacen("version = 1", "version = 9", 1)).contains("version 9"));
+        assert!(reply(&text.replace("seed = 3", "seed = \"x\"")).contains("m.toml"));
+        assert!(reply("nonsense").contains("m.toml"));
     }
 }

@@ -1,7 +1,6 @@
 //! Puts a finished world, and the file that belongs to it, in their places.
 
 use std::fs;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result};
@@ -16,8 +15,8 @@ pub struct Companion<'a> {
     pub path: &'a Path,
     /// What it takes on disk, at most.
     pub most_bytes: u64,
-    /// Makes what it holds.
-    pub content: &'a dyn Fn(&WorldFile) -> Result<Vec<u8>>,
+    /// Writes it to a path, which is another one beside its place: it gets its place when it is complete.
+    pub write: &'a dyn Fn(&WorldFile, &Path) -> Result<()>,
 }
 
 /// `path` with an ending that tells that the file is not finished.
@@ -33,17 +32,21 @@ pub fn place(partial: &Path, path: &Path) -> Result<()> {
 
 /// Writes a companion under another name and puts it in place when it is complete.
 pub fn publish_companion(companion: &Companion, world: &Path) -> Result<()> {
-    let content = (companion.content)(&WorldFile::open(world)?)?;
     let partial = partial(companion.path);
     let write = || {
-        let mut file = fs::File::create(&partial)?;
-        file.write_all(&content)?;
-        file.sync_all()
+        (companion.write)(&WorldFile::open(world)?, &partial)?;
+        let file = fs::File::open(&partial);
+        file.and_then(|file| file.sync_all()).map_err(|e| Error::io(&partial, "write", e))
     };
-    let written = write().map_err(|e| Error::io(companion.path, "write", e));
-    let placed = written.and_then(|()| place(&partial, companion.path));
+    let placed = write().and_then(|()| place(&partial, companion.path));
     let _ = fs::remove_file(&partial);
-    placed
+    placed.map_err(|error| match error {
+        // Users know the name that they gave.
+        Error::Io { path, action, source } if path == partial => {
+            Error::io(companion.path, action, source)
+        }
+        error => error,
+    })
 }
 
 /// Finds before any work what would keep a companion from being written at the end.

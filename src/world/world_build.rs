@@ -225,7 +225,7 @@ impl WorldBuild {
         })
     }
 
-    /// Bytes on disk that the build needs beside its output, sub-tiles included; the cache and a companion come on top.
+    /// Bytes on disk that the build needs beside its output, sub-tiles included; the cache and companions come on top.
     pub fn disk_bytes(&self) -> u64 {
         self.world_bytes() + self.work_bytes()
     }
@@ -253,17 +253,18 @@ impl WorldBuild {
     /// # Errors
     /// As [`build`].
     pub fn run(self, output: &Path, progress: &dyn Progress) -> Result<BuildSummary> {
-        self.run_with(output, None, progress)
+        self.run_with(output, &[], progress)
     }
 
-    /// Builds a world and the file that belongs to it; see [`build`]. Where the companion goes is not checked.
+    /// Builds a world and the files that belong to it; see [`build`]. Where the companions go is not checked. A build that is ended before
+    /// all are there goes on with them.
     ///
     /// # Errors
-    /// As [`build`], and those of the companion.
+    /// As [`build`], and those of the companions.
     pub fn run_with(
         self,
         output: &Path,
-        companion: Option<&Companion>,
+        companions: &[Companion],
         progress: &dyn Progress,
     ) -> Result<BuildSummary> {
         check_hdf5_name(output)?;
@@ -273,18 +274,16 @@ impl WorldBuild {
         // Again, for what another process did meanwhile.
         let completed = work.completed(&request);
         self.check_output(output, completed.is_some())?;
-        let partials = [Some(output), companion.map(|c| c.path)].into_iter().flatten();
+        let partials = std::iter::once(output).chain(companions.iter().map(|c| c.path));
         partials.clone().try_for_each(|path| work.check_partial(&partial(path)))?;
         let _unfinished: Vec<Unfinished> =
             partials.map(|path| Unfinished::at(&partial(path))).collect();
         let made = match completed {
             Some(summary) => Ok(summary),
-            None => self.make(output, (&work, &request), companion, progress),
+            None => self.make(output, (&work, &request), companions, progress),
         };
         let summary = made.inspect_err(|_| work.remove_if_empty())?;
-        if let Some(companion) = companion {
-            publish_companion(companion, output)?;
-        }
+        companions.iter().try_for_each(|companion| publish_companion(companion, output))?;
         work.remove()?;
         Ok(BuildSummary { wall_time_s: started.elapsed().as_secs_f64(), ..summary })
     }
@@ -300,7 +299,7 @@ impl WorldBuild {
         self,
         output: &Path,
         (work, request): (&WorkFolder, &str),
-        companion: Option<&Companion>,
+        companions: &[Companion],
         progress: &dyn Progress,
     ) -> Result<BuildSummary> {
         if !self.layout.options.overwrite {
@@ -309,12 +308,10 @@ impl WorldBuild {
         // First, so that unfinished files are known to be of a build.
         work.create()?;
         try_partial(output)?;
-        if let Some(companion) = companion {
-            try_companion(companion)?;
-        }
-        self.check_disk(output, companion)?;
+        companions.iter().try_for_each(try_companion)?;
+        self.check_disk(output, companions)?;
         if self.own.is_none() {
-            self.check_space(output, companion, self.library_bytes()?)?;
+            self.check_space(output, companions, self.library_bytes()?)?;
         }
         let WorldBuild { layout, policy, own, chosen } = self;
         let (imager, audit) = match own {
@@ -360,8 +357,8 @@ impl WorldBuild {
     ///
     /// # Errors
     /// [`Error::DiskSpace`].
-    pub fn check_disk(&self, output: &Path, companion: Option<&Companion>) -> Result<()> {
-        self.check_space(output, companion, 0)
+    pub fn check_disk(&self, output: &Path, companions: &[Companion]) -> Result<()> {
+        self.check_space(output, companions, 0)
     }
 
     /// Bytes on disk of the library's images that are yet to be made.
@@ -371,12 +368,7 @@ impl WorldBuild {
         Ok(mosaic.map_or(0, |m| m.missing_bytes))
     }
 
-    fn check_space(
-        &self,
-        output: &Path,
-        companion: Option<&Companion>,
-        library: u64,
-    ) -> Result<()> {
+    fn check_space(&self, output: &Path, companions: &[Companion], library: u64) -> Result<()> {
         let work = WorkFolder::of(output);
         // A cache without room is no fault: the work folder then keeps what it can.
         let cache = self.policy.imaging.cache.folder();
@@ -388,7 +380,7 @@ impl WorldBuild {
             (work.path(), (sub_tiles + kept_here).saturating_sub(work.bytes())),
             (cache.unwrap_or(work.path()), library - kept_here),
         ];
-        needed.extend(companion.map(|c| (c.path, c.most_bytes)));
+        needed.extend(companions.iter().map(|c| (c.path, c.most_bytes)));
         disk_space::check_places(&needed)
     }
 }
@@ -402,7 +394,9 @@ pub(super) fn checked(
     progress: &dyn Progress,
 ) -> Result<(Box<dyn RegionImager>, Option<Audit>)> {
     let BuildPolicy { imaging, check, .. } = policy;
-    first.imager.keep_in(&work.library());
+    if let Some(library) = first.imager.library_mut() {
+        library.keep_in(&work.library());
+    }
     let cache = imaging.cache.clone().with_fallback(work.library());
     let imaging = ImagingChoice { cache, ..imaging.clone() };
     let BuildLayout { imaged, specimen, .. } = layout;

@@ -92,6 +92,95 @@ fn regenerate(folder: &Path) -> Command {
     command
 }
 
+/// Changes one value of a dataset of numbers or of flags.
+fn change_value(world: &Path, name: &str) {
+    let file = hdf5::File::open_rw(world).unwrap();
+    let dataset = file.dataset(name).unwrap();
+    let first = || ndarray::s![0..1, 0..1];
+    if dataset.dtype().unwrap().is::<bool>() {
+        let old = dataset.read_slice_2d::<bool, _>(first()).unwrap();
+        dataset.write_slice(&old.mapv(|v| !v), first()).unwrap();
+    } else {
+        let old = dataset.read_slice_2d::<f32, _>(first()).unwrap();
+        dataset.write_slice(&old.mapv(|v| v + 1e-6), first()).unwrap();
+    }
+}
+
+/// Each kind of thing that a file holds, changed, taken out or put in, is found under its name; then it is put back.
+#[test]
+fn whatever_differs_from_a_released_world_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let pin = ["test", "--manifest", "own.toml", "--pin", "-o", "own"];
+    assert!(regenerate(here).args(pin).status().unwrap().success());
+    let world = here.join("own/test.h5");
+    let untouched = std::fs::read(&world).unwrap();
+    let own = || {
+        let mut command = regenerate(here);
+        command.args(["test", "--manifest", "own.toml", "-o", "own"]);
+        command
+    };
+    let told = json(own().args(["-q"]));
+    assert_eq!(told[0]["sameness"]["sameness"], "same_bytes");
+    assert!(told[0]["sameness"]["compared"].as_u64().unwrap() > 40, "{told}");
+    let table = stdout(&own().output().unwrap());
+    assert!(
+        table.contains("not compared (test): /metadata@stemgen_version (version of"),
+        "{table}"
+    );
+    let metadata = |file: &hdf5::File| file.group("metadata").unwrap();
+    let number = |file: &hdf5::File| {
+        let dose = metadata(file).attr("dose_electrons_per_angstrom2").unwrap();
+        dose.write_scalar(&(1.0 + dose.read_scalar::<f64>().unwrap())).unwrap();
+    };
+    let text = |file: &hdf5::File| {
+        let value: hdf5::types::VarLenUnicode = "[111]".parse().unwrap();
+        metadata(file).attr("zone_axis").unwrap().write_scalar(&value).unwrap();
+    };
+    let lost = |file: &hdf5::File| metadata(file).delete_attr("zone_axis").unwrap();
+    let version = |file: &hdf5::File| metadata(file).delete_attr("stemgen_version").unwrap();
+    let more = |file: &hdf5::File| {
+        file.new_attr::<u8>().create("mine").unwrap().write_scalar(&1).unwrap();
+    };
+    let scale = |file: &hdf5::File| {
+        let factor = file.dataset("overview").unwrap().attr("factor").unwrap();
+        factor.write_scalar(&9_u64).unwrap();
+    };
+    let group = |file: &hdf5::File| drop(file.create_group("notes").unwrap());
+    let list = |file: &hdf5::File| file.unlink("ground_truth/atom_z").unwrap();
+    type Change<'a> = &'a dyn Fn(&hdf5::File);
+    let changes: [(Change, &str); 8] = [
+        (&number, "DIFFERS: /metadata@dose_electrons_per_angstrom2\n"),
+        (&text, "DIFFERS: /metadata@zone_axis\n"),
+        (&lost, "DIFFERS: /metadata@zone_axis (missing)\n"),
+        (&version, "the same: "),
+        (&more, "DIFFERS: /@mine (not in the release)\n"),
+        (&scale, "DIFFERS: /overview@factor\n"),
+        (&group, "DIFFERS: /notes (not in the release)\n"),
+        (&list, "/ground_truth/atom_z (missing)\n"),
+    ];
+    let told = || {
+        let ended = own().output().unwrap();
+        assert!(ended.status.code().is_some_and(|c| [0, 3].contains(&c)), "{}", stderr(&ended));
+        let table = stdout(&ended) + "\n";
+        assert_eq!(ended.status.code() == Some(3), table.contains("DIFFERS"), "{table}");
+        std::fs::write(&world, &untouched).unwrap();
+        table
+    };
+    for (change, expected) in changes {
+        let file = hdf5::File::open_rw(&world).unwrap();
+        change(&file);
+        file.close().unwrap();
+        let table = told();
+        assert!(table.contains(expected), "{expected}: {table}");
+    }
+    for name in ["overview", "valid_region"] {
+        change_value(&world, name);
+        let table = told();
+        assert!(table.contains(&format!("DIFFERS: /{name}\n")), "{table}");
+    }
+}
+
 /// Exchanges two tiles of a world, with noise or without.
 fn exchange_tiles(world: &Path, group: &str) {
     let file = hdf5::File::open_rw(world).unwrap();

@@ -41,6 +41,41 @@ fn command(folder: &Path, pair: &Pair) -> Command {
     command
 }
 
+/// A build has a folder of its work beside the world, which tells that the world is finished and its other files are not.
+#[test]
+fn a_build_that_is_killed_before_its_last_file_is_finished_by_the_same_command() {
+    if !can_trace() {
+        return;
+    }
+    let tiny = ["build", "--recipe", TINY, "--set", "field.thickness_nm=0.4", "--audit", "0"];
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let build = |more: &[&str]| {
+        let mut command = stemgen(here);
+        command.args(tiny).args(["-o", "w.h5", "--hspy"]).args(more);
+        command
+    };
+    let second = Point::on("the signals get their name", "rename", "w.hspy");
+    let killed = meets(&build(&[]), second, "signal=SIGKILL");
+    assert_eq!(killed.status.code(), None, "{}", stderr(&killed));
+    let left = names(here);
+    assert!(
+        left.contains("w.h5") && left.contains("w.png") && !left.contains("w.hspy"),
+        "{left:?}"
+    );
+    let world = std::fs::read(here.join("w.h5")).unwrap();
+    let told = fails(&mut build(&["--seed", "2"]));
+    assert!(told.contains("exists"), "{told}");
+    succeeds(&mut build(&[]));
+    assert!(std::fs::read(here.join("w.h5")).unwrap() == world, "the world was made again");
+    let signals = hdf5::File::open(here.join("w.hspy")).unwrap();
+    let experiments = signals.group("Experiments").unwrap().member_names().unwrap();
+    assert_eq!(experiments.len(), 1, "{experiments:?}");
+    let left = names(here).into_iter().collect::<Vec<_>>();
+    assert_eq!(left, ["w.h5", "w.hspy", "w.png"]);
+    assert!(fails(&mut build(&[])).contains("exists"));
+}
+
 /// The bytes of a picture; of files that tell the time that they took, that they can be read.
 fn is_whole(path: &Path) -> bool {
     let bytes = std::fs::read(path).unwrap();

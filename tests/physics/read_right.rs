@@ -70,6 +70,37 @@ fn atoms_of_a_group_stand_together() {
     assert_eq!(at(6, 0, 0.1, 0.3), at(7, 1, 0.4, 0.6));
 }
 
+/// mmCIF names the alternative locations of each residue. The two residues here lie farther apart than any bond.
+#[test]
+fn alternative_locations_of_mmcif_stand_together_residue_by_residue() {
+    let columns = "_atom_site.label_alt_id\n_atom_site.auth_asym_id\n_atom_site.auth_seq_id";
+    let rows = "C1 C .1 .2 .2 .6 A X 1\nN1 N .4 .2 .2 .6 A X 1\nC2 C .1 .2 .5 .4 B X 1\n\
+                S1 S .4 .2 .5 .4 B X 1\nP1 P .6 .6 .8 .5 A X 2\nF1 F .9 .6 .8 .5 B X 2\n\
+                O1 O .6 .9 .2 1 . X 3";
+    let read = cif("", &format!("{columns}\n{rows}"));
+    assert!(read.notes.is_empty(), "{:?}", read.notes);
+    let resolved = drawn(&read, 6);
+    let of = |symbol| count(&resolved, symbol);
+    assert_eq!((of("C"), of("N") + of("S"), of("P") + of("F"), of("O")), (216, 216, 216, 216));
+    // Each carbon of the first alternative has its nitrogen, whatever the other residue does.
+    let low = |z: u8| {
+        let atoms = resolved.atoms.iter().filter(|a| a.number == z);
+        let mut cells: Vec<_> = atoms
+            .filter(|a| (a.position[2] / 5.0).fract() < 0.3)
+            .map(|a| a.position.map(|x| (x / 5.0) as usize))
+            .collect();
+        cells.sort_unstable();
+        cells
+    };
+    assert_eq!(low(6), low(7));
+    assert!(
+        (90..170).contains(&of("N")) && (75..140).contains(&of("P")),
+        "{}, {}",
+        of("N"),
+        of("P")
+    );
+}
+
 #[test]
 fn sites_closer_than_a_bond_are_alternatives_without_groups_too() {
     let read = cif("", "I1 I .5 .5 .5 .6\nI2 I .56 .5 .5 .4");
@@ -164,7 +195,7 @@ fn the_frames_of_an_xdatcar_are_read_as_such() {
     let all = FrameRange { start: 0, end: None, step: 1 };
     let frames = read_frames(&path("bad/XDATCAR_two_frames"), all).unwrap();
     assert_eq!(frames.len(), 2);
-    assert!((frames[1].atoms[0].position[0] - 0.04).abs() < 1e-12);
+    assert!((frames[1].structure.atoms[0].position[0] - 0.04).abs() < 1e-12);
 }
 
 #[test]

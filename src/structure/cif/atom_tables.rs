@@ -13,11 +13,12 @@ use crate::structure::source_text::SourceText;
 pub const FRACTIONAL: [&str; 3] =
     ["_atom_site_fract_x", "_atom_site_fract_y", "_atom_site_fract_z"];
 /// Columns that change what an atom is; without coordinates beside them they cannot be used.
-const ATTRIBUTES: [&str; 6] = [
+const ATTRIBUTES: [&str; 7] = [
     "_atom_site_type_symbol",
     "_atom_site_occupancy",
     "_atom_site_disorder_group",
     "_atom_site_disorder_assembly",
+    "_atom_site_label_alt_id",
     "_atom_site_u_iso_or_equiv",
     "_atom_site_b_iso_or_equiv",
 ];
@@ -97,11 +98,11 @@ pub fn sites<'t, 'a>(
 fn check_stray(text: &SourceText, block: &DataBlock) -> Result<()> {
     let without = |l: &&Loop| l.column(&FRACTIONAL).or(l.column(&CARTESIAN)).is_none();
     for stray in block.loops.iter().filter(without) {
-        let told = |tag: &&&str| {
+        let stated = |tag: &&&str| {
             let column = stray.column(&[**tag]);
             column.is_some_and(|c| stray.rows().any(|row| row[c].known().is_some()))
         };
-        if let Some(tag) = ATTRIBUTES.iter().find(told) {
+        if let Some(tag) = ATTRIBUTES.iter().find(stated) {
             let message = format!(
                 "`{tag}` stands here without coordinates; put it into the loop that has the coordinates"
             );

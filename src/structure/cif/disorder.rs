@@ -1,4 +1,5 @@
-//! Which sites of a CIF exclude each other: `_atom_site_disorder_assembly` and `_atom_site_disorder_group`.
+//! Which sites of a CIF exclude each other: `_atom_site_disorder_assembly` and `_atom_site_disorder_group`, or the alternative locations of
+//! mmCIF, `_atom_site.label_alt_id`, of which each residue has its own.
 
 use std::collections::BTreeMap;
 
@@ -8,6 +9,14 @@ use crate::structure::overlap::FULLEST_SITE;
 
 const GROUP: [&str; 1] = ["_atom_site_disorder_group"];
 const ASSEMBLY: [&str; 1] = ["_atom_site_disorder_assembly"];
+/// The alternative locations of mmCIF, used where the group is not given.
+const ALTERNATIVE: [&str; 1] = ["_atom_site_label_alt_id"];
+/// What names a residue of mmCIF: the chain, the number, and the code of inserted residues.
+const RESIDUE: [&[&str]; 3] = [
+    &["_atom_site_auth_asym_id", "_atom_site_label_asym_id"],
+    &["_atom_site_auth_seq_id", "_atom_site_label_seq_id"],
+    &["_atom_site_pdbx_pdb_ins_code"],
+];
 /// Occupancies that differ by less than this are one.
 const SAME_OCCUPANCY: f64 = 0.01;
 
@@ -24,10 +33,9 @@ impl DisorderGroups {
     pub fn of(sites: &[CifSite], notes: &mut Vec<String>) -> Self {
         let mut named: BTreeMap<String, BTreeMap<&str, Vec<usize>>> = BTreeMap::new();
         for (index, site) in sites.iter().enumerate() {
-            let Some(group) = site.value(&GROUP).filter(|_| site.atom.occupancy < 1.0) else {
+            let Some((assembly, group)) = group(site).filter(|_| site.atom.occupancy < 1.0) else {
                 continue;
             };
-            let assembly = site.value(&ASSEMBLY).unwrap_or("").to_owned();
             named.entry(assembly).or_default().entry(group).or_default().push(index);
         }
         if let Some(unnamed) = named.remove("") {
@@ -61,6 +69,16 @@ impl DisorderGroups {
         let place = *self.places.entry([assembly, operation as u32]).or_insert(next);
         Some(Alternative { place, choice })
     }
+}
+
+/// The assembly of a site, empty where it is not named, and the group in it.
+fn group<'a>(site: &CifSite<'_, 'a>) -> Option<(String, &'a str)> {
+    if let Some(group) = site.value(&GROUP) {
+        return Some((site.value(&ASSEMBLY).unwrap_or("").to_owned(), group));
+    }
+    let alternative = site.value(&ALTERNATIVE)?;
+    let residue: Vec<&str> = RESIDUE.iter().filter_map(|tags| site.value(tags)).collect();
+    Some((residue.join(" "), alternative))
 }
 
 /// Assemblies that are not named: one if the occupancies allow it, or else one for each pair of occupancies that add to 1.
