@@ -101,9 +101,9 @@ pub fn composition_note(block: &DataBlock, read: &Formula) -> Option<String> {
         }
         _ => format!("check {}", symbols(&differing)),
     };
-    let units = z.map_or(String::new(), |z| format!(" with _cell_formula_units_Z {z}"));
+    let stated_z = z.map_or(String::new(), |z| format!(" with _cell_formula_units_Z {z}"));
     Some(format!(
-        "the cell holds {} as read, and by _chemical_formula_sum{units} it holds {}: {cause}",
+        "the cell holds {} as read, and by _chemical_formula_sum{stated_z} it holds {}: {cause}",
         amounts(read, 1.0),
         amounts(&formula, units)
     ))
