@@ -270,8 +270,8 @@ def test_reports_carry_maps_and_rare_places() -> None:
             bench.Findings.read(json.dumps(wrong))
 
 
-@pytest.fixture(scope="module")
-def envs() -> dict[str, Any]:
+@pytest.fixture
+def envs(own_cache: None) -> dict[str, Any]:
     return {name: gym.make(f"stemworlds/{name}-v0", **OPTIONS) for name in ("FieldRecall", "FieldRecallStrict", "DensityMap", "Rare")}
 
 
@@ -305,7 +305,7 @@ def test_agents_play_the_field(envs: dict[str, Any]) -> None:
     found = {task: {name: bench.play(env, bench.make_agent(name), 1) for name in names} for task, env in envs.items()}
     final = {task: {name: record["metrics"]["final_score"] for name, record in records.items()} for task, records in found.items()}
     # All six tiles are in the budget: recall depends on nothing else.
-    assert set(final["FieldRecall"].values()) == {pytest.approx(1.0, abs=0.02)}
+    assert all(score == pytest.approx(1.0, abs=0.02) for score in final["FieldRecall"].values())
     assert final["FieldRecallStrict"]["Nothing"] == 0.0 < final["FieldRecallStrict"]["Prior map"] < final["FieldRecallStrict"]["Truth map"] == 1.0
     assert all(record["unreadable"] == 0 for records in found.values() for record in records.values())
     # Where one looks first counts: the tiles that hold most.

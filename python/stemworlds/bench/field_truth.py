@@ -21,6 +21,8 @@ View = tuple[float, float, float, float]
 
 #: A tile is rare if it holds so many times the mean number of defects, and so many standard deviations of that number more.
 RARE_TIMES, RARE_SIGMAS = 3.0, 4.0
+#: Places of a cell along an axis at which the prior is asked.
+_PLACES_A_CELL = 32
 
 
 @dataclass(frozen=True)
@@ -129,11 +131,20 @@ def field_truth(toml: str) -> FieldTruth:
 def expected_counts(recipe: Recipe, grid: Grid) -> Values:
     """Defects that the prior expects in each cell, ``[row, column]``."""
     prior: Prior = prior_of(recipe)
+    total = np.sum(list(prior.rates.values()), axis=0)
+
+    def along(axis: int, cells: int) -> Values:
+        """Mean rates of so many equal parts along an axis, each looked at in several places."""
+        if axis != prior.axis:
+            return np.ones(cells)
+        places = np.zeros((cells * _PLACES_A_CELL, 2))
+        places[:, axis] = (np.arange(len(places)) + 0.5) / len(places) * prior.size_nm[axis]
+        result: Values = total[prior.part_of(places)].reshape(cells, _PLACES_A_CELL).mean(axis=1)
+        return result
+
     width, height = grid.cell_nm
-    row, column = np.indices((grid.rows, grid.columns))
-    part = prior.part_of(np.column_stack([(column.ravel() + 0.5) * width, (row.ravel() + 0.5) * height]))
-    rates = np.sum([rate[part] for rate in prior.rates.values()], axis=0)
-    result: Values = (rates * width * height).reshape(grid.rows, grid.columns)
+    rates = np.outer(along(1, grid.rows), along(0, grid.columns)) * (total[0] if prior.axis is None else 1.0)
+    result: Values = rates * width * height
     return result
 
 
