@@ -102,7 +102,7 @@ def played(name, seeds):
                 own, counted = look(make(), truth, sigma, seed, world)
                 process = CountProcess(truth.counts.shape, None if kind == "counts, flat" else expected)
                 process.fit(own, *counted.T)
-                density = np.maximum(process.predict(own, *counted.T).mean, 0.0)
+                density = process.predict(own, *counted.T).numbers()
                 gained, most = map_bits(truth, density, float(expected.mean()), np.isin(np.arange(truth.counts.size), own).reshape(truth.counts.shape))
                 recall = float(truth.counts.ravel()[own].sum()) / truth.total
                 found.setdefault((kind, d), []).append((recall, gained / most))

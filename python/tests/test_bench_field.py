@@ -161,6 +161,9 @@ def test_processes_are_those_of_scikit_learn() -> None:
     assert np.allclose(weights, [idea.weight for idea in own._ideas])
     assert np.allclose(found.mean.ravel(), 9.0 + weights @ means, atol=1e-6)
     assert np.allclose(found.deviation.ravel() ** 2, weights @ squares - (weights @ means) ** 2, atol=1e-5)
+    # Numbers below 0 count as 0.
+    draws = found.mean + found.deviation * random.standard_normal((4000, 20, 20))
+    assert np.allclose(found.numbers(), np.maximum(draws, 0).mean(axis=0), atol=0.1 * float(found.deviation.max()))
     # And the map is nearer to the truth than what was expected.
     assert np.mean((found.mean - rates) ** 2) < 0.5 * np.mean((9.0 - rates) ** 2)
 
@@ -288,7 +291,7 @@ def test_recall_is_the_share_of_all_defects(envs: dict[str, Any]) -> None:
     for tile in env._seen:
         half = tile.size_nm / 2
         held |= (np.abs(x - tile.centre_nm[0]) <= half) & (np.abs(y - tile.centre_nm[1]) <= half)
-    assert 0 < env.score() == pytest.approx(columns.defects[held].sum() / columns.defects.sum())
+    assert env.score() == pytest.approx(columns.defects[held].sum() / columns.defects.sum()) and env.score() > 0
     # A second look finds nothing more; all tiles hold nearly all.
     before = env.score()
     env.acquire(0, 1)
@@ -337,7 +340,8 @@ def test_scores_of_the_field_are_paid_pickled_and_shared_by_many(envs: dict[str,
     copy = pickle.loads(pickle.dumps(env))
     for one in (env, copy):
         _, reward, *_, info = one.step({"type": bench.DONE})
-        assert paid + reward == pytest.approx(info["record"]["metrics"]["final_score"]) > 0
+        final = info["record"]["metrics"]["final_score"]
+        assert paid + reward == pytest.approx(final) and final > 0
         assert info["record"]["scores"]["field"]["recall"] == info["record"]["curve"][-1][1]
     many: Any = gym.make_vec("stemworlds/FieldRecall-v0", num_envs=2, vectorization_mode="vector_entry_point", **options)
     many.reset(seed=2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +33,15 @@ class CountMap:
 
     mean: Values
     deviation: Values
+
+    def numbers(self) -> Values:
+        """Expected numbers, none below 0: of a normal distribution what lies below is 0, so a tile of which little is known never gets none."""
+        deviation = np.maximum(self.deviation, 1e-12)
+        z = np.clip(self.mean / deviation, -30.0, 30.0)
+        density = np.exp(-0.5 * z**2) / math.sqrt(2 * math.pi)
+        below = 0.5 * np.vectorize(math.erfc)(z / math.sqrt(2))
+        result: Values = np.maximum(self.mean * (1 - below) + deviation * density, 0.0)
+        return result
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ def with_map(findings: Findings, field: FieldFacts, tiles: Sequence[Acquired], c
     counts, sigmas = counted[:, 0], counted[:, 1]
     process = CountProcess((rows, columns), expected)
     process.fit(own, counts, sigmas)
-    density = np.maximum(process.predict(own, counts, sigmas).mean, 0.0)
+    density = process.predict(own, counts, sigmas).numbers()
     usual = float(density.mean() if expected is None else expected.mean())
     # A tile's own count, drawn towards the map by its error.
     weight = np.where(np.isfinite(sigmas), usual / (usual + np.square(sigmas)), 1.0) if usual > 0 else np.ones(len(own))
