@@ -12,6 +12,7 @@ import numpy.typing as npt
 from ..errors import _invalid
 from .field_analysis import cell_share, with_map
 from .field_scores import BEST_COLUMNS
+from .field_truth import FIELD_TASKS
 from .findings import Findings
 from .peaks import Peaks, find_peaks
 from .extras import needed
@@ -184,7 +185,7 @@ class Heuristic(TileByTile):
             morphologies=names,
             columns=columns,
         )
-        if self.field.task in ("field-recall", "density-map", "rare") and self._counted:
+        if self.field.task in FIELD_TASKS and self._counted:
             best = columns[np.argsort(-columns[:, 2], kind="stable")[:BEST_COLUMNS]]
             return with_map(Findings(columns=best), self.field, self._looked, np.array(self._counted), None)
         return found

@@ -16,7 +16,7 @@ from ..recipes import Recipe
 from .columns import Columns
 from .field_analysis import rare_places
 from .field_scores import BEST_COLUMNS
-from .field_truth import expected_counts, field_truth, grid_of, rare_from
+from .field_truth import FIELD_TASKS, expected_counts, field_truth, grid_of, rare_from
 from .findings import NO_PHASE, Findings
 from .prior import TRAINING_SEEDS, Axis, Prior, prior_of
 
@@ -76,7 +76,7 @@ class Usual:
             return Findings(phases=usual_phases(self._recipe.toml) if self._field.phases else None)
         if task == "particle-census":
             return self._particles(tiles)
-        if task in ("field-recall", "density-map", "rare"):
+        if task in FIELD_TASKS:
             return self._field_map(tiles)
         return self._defects(tiles)
 

@@ -19,6 +19,7 @@ from ..errors import StemworldsError, _invalid
 from ..recipes import Difficulty, Recipe, RecipeLike
 from ..worlds import World
 from .field_ledger import FieldLedger
+from .field_truth import FIELD_TASKS
 from .findings import Findings
 from .ledger import Ledger
 from .strict import ColumnLedger
@@ -31,8 +32,6 @@ Split = Literal["train", "test"]
 
 #: Tasks whose truth is of columns.
 COLUMN_TASKS = ("defect-census", "targeted")
-#: Tasks that ask for the whole field. The library plays them as a census; their scores are made here.
-FIELD_TASKS = ("field-recall", "density-map", "rare")
 #: Tasks without a strict form.
 ONE_FORM = ("density-map", "rare")
 #: What of a report is known here alone.

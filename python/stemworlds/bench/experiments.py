@@ -21,7 +21,8 @@ from typing import Any
 from ..errors import FileError, FileMissing, FormatError, InvalidValue, _invalid
 from . import own_agents, registration
 from .catalogue import agent_specification, unknown
-from .episodes import FIELD_TASKS, ONE_FORM
+from .episodes import ONE_FORM
+from .field_truth import FIELD_TASKS
 
 __all__ = ["Episode", "Experiment", "packaged_experiments", "read_experiment"]
 

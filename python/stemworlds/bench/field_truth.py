@@ -19,6 +19,8 @@ Whole = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
 View = tuple[float, float, float, float]
 
+#: Tasks that ask for the whole field. The library plays them as a census; their scores are made in Python.
+FIELD_TASKS = ("field-recall", "density-map", "rare")
 #: A tile is rare if it holds so many times the mean number of defects, and so many standard deviations of that number more.
 RARE_TIMES, RARE_SIGMAS = 3.0, 4.0
 #: Places of a cell along an axis at which the prior is asked.

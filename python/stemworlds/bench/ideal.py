@@ -14,7 +14,7 @@ from .blind import recipe_of, usual_phases
 from .columns import DEFECT_TYPES, Columns, columns_of
 from .field_analysis import cell_share, with_map
 from .field_scores import BEST_COLUMNS
-from .field_truth import expected_counts, field_truth, grid_of
+from .field_truth import FIELD_TASKS, expected_counts, field_truth, grid_of
 from .findings import NO_PHASE, Findings
 from .prior import Prior, prior_of
 from .templates import Template, templates_of
@@ -27,7 +27,6 @@ __all__ = ["Ideal"]
 Values = npt.NDArray[np.float64]
 Grade = Literal["linear", "mixture", "known"]
 
-_FIELD_TASKS = ("field-recall", "density-map", "rare")
 #: Evidence below this says nothing, and a count without evidence has an error of so many times what is usual.
 _LEAST_SHARPNESS, _UNKNOWN = 1e-9, 1e3
 
@@ -83,9 +82,9 @@ class Ideal:
         self._seed = int(random.integers(2**63))
         self._counted: list[tuple[float, float]] = []
         self._usual: Values | None = None
-        if field.task in _FIELD_TASKS:
+        if field.task in FIELD_TASKS:
             self._usual = expected_counts(self._recipe, grid_of(self._recipe))
-        if field.task in ("defect-census", "targeted", *_FIELD_TASKS):
+        if field.task in ("defect-census", "targeted", *FIELD_TASKS):
             self._specimen = self._world.specimen().toml
             self._prior: Prior = prior_of(self._recipe)
             self._templates = templates_of(self._recipe.with_seed(0).toml, self._target)
