@@ -26,6 +26,7 @@ from .endpoint import Endpoint, EndpointError, Unparsable
 from .environment import MicroscopeEnv
 from .episodes import ACQUIRE, DECLARE, DONE, NAVIGATE, Acquired, FieldFacts
 from .experiments import Episode, Experiment, packaged_experiments, read_experiment
+from .field_navigators import ByCounts, ByPrior, ByTruth
 from .findings import NO_PHASE, Findings
 from .forecasts import ForecastScore, score_forecasts
 from .ideal import Ideal
@@ -53,6 +54,9 @@ __all__ = [
     "Acquired",
     "Agent",
     "Analyst",
+    "ByCounts",
+    "ByPrior",
+    "ByTruth",
     "ByteImages",
     "CompressedSensing",
     "DiscreteGrid",

@@ -127,6 +127,7 @@ class Agent:
                 part.attach(world)
             part.start(world.field, random)
         seen.uncertainty_of = getattr(self.analyst, "uncertainty", None)
+        seen.counts_of = getattr(self.analyst, "tile_counts", None)
 
     def _notes(self) -> dict[str, float]:
         notes: dict[str, float] = {}

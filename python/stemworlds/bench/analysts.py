@@ -10,6 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import _invalid
+from .field_analysis import cell_share, with_map
+from .field_scores import BEST_COLUMNS
+from .field_truth import FIELD_TASKS
 from .findings import Findings
 from .peaks import Peaks, find_peaks
 from .extras import needed
@@ -153,6 +156,7 @@ class Heuristic(TileByTile):
         self._levels: list[tuple[int, int, float]] = []
         self._found: list[tuple[float, float, float]] = []
         self._uncertain: list[float] = []
+        self._counted: list[tuple[float, float]] = []
 
     def look(self, tile: Acquired) -> None:
         intensity = tile.image.astype(np.float64) * tile.scale + tile.offset
@@ -164,6 +168,7 @@ class Heuristic(TileByTile):
         self._defects.add("substitution", places[z > self.threshold])
         self._defects.add("vacancy", places[z < -self.threshold])
         self._columns.append(np.column_stack([places, np.abs(z)]))
+        self._counted.append((float((np.abs(z) > self.threshold).sum()) * cell_share(self.field, tile), math.nan))
         self._uncertain.append(_doubt(np.abs(z) - self.threshold))
         if self.particles:
             self._found.extend(find_particles(intensity, tile))
@@ -172,7 +177,7 @@ class Heuristic(TileByTile):
         particles = np.array(self._found, dtype=np.float64).reshape(-1, 3)
         columns = np.concatenate([np.zeros((0, 3)), *self._columns])
         names = ["unknown"] * len(particles)
-        return Findings(
+        found = Findings(
             counts=None,
             defects=self._defects.arrays(),
             phases=self._phases(),
@@ -180,6 +185,15 @@ class Heuristic(TileByTile):
             morphologies=names,
             columns=columns,
         )
+        if self.field.task in FIELD_TASKS and self._counted:
+            best = columns[np.argsort(-columns[:, 2], kind="stable")[:BEST_COLUMNS]]
+            return with_map(Findings(columns=best), self.field, self._looked, np.array(self._counted), None)
+        return found
+
+    def tile_counts(self, tiles: Sequence[Acquired]) -> Values:
+        """Claims in each tile, (N, 2); their errors are not known."""
+        self._follow(tiles)
+        return np.array(self._counted, dtype=np.float64).reshape(-1, 2)
 
     def uncertainty(self, tiles: Sequence[Acquired]) -> Values:
         """Of each tile, how near its peaks are to the threshold: mean entropy of a logistic step, in bits."""

@@ -13,6 +13,10 @@ import numpy.typing as npt
 
 from ..errors import _invalid
 from ..recipes import Recipe
+from .columns import Columns
+from .field_analysis import rare_places
+from .field_scores import BEST_COLUMNS
+from .field_truth import FIELD_TASKS, expected_counts, field_truth, grid_of, rare_from
 from .findings import NO_PHASE, Findings
 from .prior import TRAINING_SEEDS, Axis, Prior, prior_of
 
@@ -47,7 +51,7 @@ class Usual:
     """Declares what specimens of the recipe usually hold where the agent has looked.
 
     Defect census: as many defects of each type as are usual there. Targeted: that many, at random places. Phases: those most often there in
-    specimens of the split for training. Particles: one of the middle size in each tile, if most tiles hold one, else none.
+    specimens of the split for training. The field: its usual map. Particles: one of the middle size in each tile, if most tiles hold one, else none.
 
     Args:
         places: in the defect census too, names random places instead of counts.
@@ -72,7 +76,41 @@ class Usual:
             return Findings(phases=usual_phases(self._recipe.toml) if self._field.phases else None)
         if task == "particle-census":
             return self._particles(tiles)
+        if task in FIELD_TASKS:
+            return self._field_map(tiles)
         return self._defects(tiles)
+
+    def tile_counts(self, tiles: Sequence[Acquired]) -> Values:
+        """What is usual in each tile, (N, 2), with its chance as error: nothing was read."""
+        usual = expected_counts(self._recipe, grid_of(self._recipe)).ravel()[[tile.row * self._field.grid[1] + tile.column for tile in tiles]]
+        return np.column_stack([usual, np.sqrt(usual) + 1])
+
+    def _field_map(self, tiles: Sequence[Acquired]) -> Findings:
+        """The usual map, the columns seen that are likeliest to hold defects by their kind and place, and tiles that are usually rare. Where the columns
+        lie, and what they are made of, is known to it as to the ideal observer; what they hold is not looked at."""
+        usual = expected_counts(self._recipe, grid_of(self._recipe))
+        if not tiles:
+            return Findings(density=usual)
+        own = np.unique([tile.row * self._field.grid[1] + tile.column for tile in tiles])
+        rare = rare_places(self._field, own[usual.ravel()[own] >= max(rare_from(float(usual.mean())), 1.0)])
+        columns = np.zeros((0, 3))
+        if self._field.task == "field-recall" and self._field.strict:
+            columns = self._likeliest(tiles)
+        return Findings(density=usual, rare=rare, columns=columns)
+
+    def _likeliest(self, tiles: Sequence[Acquired]) -> Values:
+        """The columns seen in which most defects are usual."""
+        prior, columns = prior_of(self._recipe), field_truth(self._world.specimen().toml).columns
+        x, y = columns.places_nm.T
+        seen = np.zeros(len(x), dtype=bool)
+        for tile in tiles:
+            half = tile.size_nm / 2
+            seen |= (np.abs(x - tile.centre_nm[0]) <= half) & (np.abs(y - tile.centre_nm[1]) <= half)
+        own = Columns(columns.places_nm[seen], columns.kinds[seen], columns.names, columns.defects[seen])
+        chances = prior.of(own, None)
+        expected = chances @ np.arange(chances.shape[1])
+        best = np.argsort(-expected, kind="stable")[:BEST_COLUMNS]
+        return np.column_stack([own.places_nm[best], expected[best]])
 
     def _defects(self, tiles: Sequence[Acquired]) -> Findings:
         prior, counts, named = prior_of(self._recipe), dict[str, int](), dict[str, list[Values]]()

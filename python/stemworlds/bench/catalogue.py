@@ -13,6 +13,7 @@ from .agents import Agent, CompressedSensing, Plays
 from .analysts import Heuristic, Nothing, Oracle
 from .blind import Usual
 from .endpoint import Endpoint
+from .field_navigators import ByCounts, ByPrior, ByTruth
 from .ideal import Ideal
 from .navigators import GaussianProcess, RandomMask, RandomTiles, Raster
 from .onnx import OnnxAnalyst
@@ -49,7 +50,15 @@ def _rules(**limits: Any) -> ModePlanner:
     return ModePlanner(PlannerLimits(**{**vars(rules), **limits}))
 
 
-_NAVIGATORS: dict[str, Callable[..., Any]] = {"random": RandomTiles, "raster": Raster, "gp": GaussianProcess, "mask": RandomMask}
+_NAVIGATORS: dict[str, Callable[..., Any]] = {
+    "random": RandomTiles,
+    "raster": Raster,
+    "gp": GaussianProcess,
+    "mask": RandomMask,
+    "counts": ByCounts,
+    "prior": ByPrior,
+    "truth": ByTruth,
+}
 _ANALYSTS: dict[str, Callable[..., Any]] = {
     "nothing": Nothing,
     "oracle": Oracle,
@@ -92,6 +101,12 @@ _PRESETS: dict[str, Table] = {
     "Ideal": {"navigator": "raster", "analyst": "ideal"},
     "Ideal mixture": {"navigator": "raster", "analyst": {"kind": "ideal", "grade": "mixture"}},
     "Ideal known image": {"navigator": "raster", "analyst": {"kind": "ideal", "grade": "known"}},
+    "GP counts": {"navigator": "counts", "analyst": "heuristic"},
+    "Prior map": {"navigator": "prior", "analyst": "prior"},
+    "Random+Ideal": {"navigator": "random", "analyst": "ideal"},
+    "GP-UCB+Ideal": {"navigator": "gp", "analyst": "ideal"},
+    "Ideal closed loop": {"navigator": "counts", "analyst": "ideal"},
+    "Truth map": {"navigator": "truth", "analyst": "oracle"},
     "Random+Oracle": {"navigator": "random", "analyst": "oracle"},
     "Raster+Oracle": {"navigator": "raster", "analyst": "oracle"},
     "GP-UCB+Oracle": {"navigator": "gp", "analyst": "oracle"},

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import json
 import os
 from collections.abc import Mapping, Sequence
@@ -19,10 +18,13 @@ from .._running import Progress, call, running
 from ..errors import StemworldsError, _invalid
 from ..recipes import Difficulty, Recipe, RecipeLike
 from ..worlds import World
-from .findings import Findings, forecasts_of
+from .field_ledger import FieldLedger
+from .field_truth import FIELD_TASKS
+from .findings import Findings
+from .ledger import Ledger
 from .strict import ColumnLedger
 
-Task = Literal["defect-census", "phase-mapping", "targeted", "particle-census"]
+Task = Literal["defect-census", "phase-mapping", "targeted", "particle-census", "field-recall", "density-map", "rare"]
 Exposure = Literal["tier", "physical"]
 Noise = Literal["poisson", "stored"]
 Reward = Literal["none", "score_gain", "sparse"]
@@ -30,6 +32,10 @@ Split = Literal["train", "test"]
 
 #: Tasks whose truth is of columns.
 COLUMN_TASKS = ("defect-census", "targeted")
+#: Tasks without a strict form.
+ONE_FORM = ("density-map", "rare")
+#: What of a report is known here alone.
+_OWN_KEYS = ("forecasts", "density", "rare")
 #: Kinds of actions.
 NAVIGATE, ACQUIRE, DECLARE, DONE = range(4)
 #: The same in words.
@@ -138,17 +144,19 @@ def reported(report: Any) -> str:
     return report.report() if isinstance(report, Findings) else str(report) or "{}"
 
 
-def _apart(report: str | None) -> tuple[str | None, Any, str | None]:
-    """A report as the extension reads it; its forecasts, which only Python knows; and what is wrong with them."""
-    if report is None or '"forecasts"' not in report:
-        return report, (), None
+def _apart(report: str | None, columns: bool) -> tuple[str | None, Findings, str | None]:
+    """A report as the extension reads it; what it holds that only Python knows, and the columns where asked for; and what is wrong with it."""
+    keys = (*_OWN_KEYS, "columns") if columns else _OWN_KEYS
+    if report is None or not any(f'"{key}"' in report for key in keys):
+        return report, Findings(), None
     try:
         found = json.loads(report)
-        forecasts = forecasts_of(found.pop("forecasts", ()))
+        known = Findings.read(json.dumps({key: found[key] for key in keys if key in found}))
     except (ValueError, TypeError, AttributeError, StemworldsError) as error:
         # No report either, so the extension counts it as unreadable.
-        return '{"forecasts": []}', (), f"findings: {error}"
-    return json.dumps(found, separators=(",", ":")), forecasts, None
+        return '{"forecasts": []}', Findings(), f"findings: {error}"
+    left = {key: value for key, value in found.items() if key not in _OWN_KEYS}
+    return json.dumps(left, separators=(",", ":")), known, None
 
 
 def kinds(given: Sequence[Any]) -> list[int]:
@@ -214,6 +222,8 @@ class Episodes:
             raise _invalid("split", f"split={split!r}: a world file is one specimen; splits are those of recipe=...")
         if recipe is not None and not live:
             raise _invalid("live", "live=False: worlds of a recipe are made at each reset; build a file and pass world=... instead")
+        if strict and task in ONE_FORM:
+            raise _invalid("strict", f"strict=True: the task {task} has one form, which asks for seeing")
         self._threads = threads
         self._of_file = world is not None
         self._whole: npt.NDArray[np.float32] | None = None
@@ -227,8 +237,8 @@ class Episodes:
             "cache": cache if isinstance(cache, bool) else os.fspath(cache),
         }
         rules: _core.Rules = {
-            "task": task,
-            "strict": strict,
+            "task": "defect-census" if task in FIELD_TASKS else task,
+            "strict": strict and task not in FIELD_TASKS,
             "target": target,
             "budget": budget,
             "horizon": horizon,
@@ -243,7 +253,7 @@ class Episodes:
         self._used = Used("this environment", "make another one in the child")
         self._cadence = cadence
         self._reward = reward
-        self._ledgers: dict[int, ColumnLedger] = {}
+        self._ledgers: dict[int, Ledger] = {}
         told = json.loads(self._core.facts())
         field, settings, asked = told["field"], told["settings"], told["task"]
         rows, columns = (n * (field["tile_px"] - field["overlap_px"]) + field["overlap_px"] for n in field["grid"])
@@ -256,14 +266,23 @@ class Episodes:
             pixel_nm=field["pixel_nm"],
             size_nm=(rows * field["pixel_nm"], columns * field["pixel_nm"]),
             phases=tuple(field["phases"]),
-            task=asked["kind"],
+            task=task if task in FIELD_TASKS else asked["kind"],
             target=asked["target"] or (field["target"] if asked["kind"] == "targeted" else None),
-            strict=asked["strict"],
+            strict=strict if task in FIELD_TASKS else asked["strict"],
             budget=settings["budget"],
             horizon=settings["horizon"],
             scale=field["scaling"][0],
             offset=field["scaling"][1],
         )
+        if task in FIELD_TASKS:
+            self._check_field_task()
+
+    def _check_field_task(self) -> None:
+        """Whether the whole field has a truth that can be laid out."""
+        if self.recipe is None:
+            raise _invalid("task", f"{self.field.task}: this world has no recipe, so what its whole field holds is not known")
+        if self.recipe["structure"] == "particles":
+            raise _invalid("task", f"{self.field.task}: it asks for the defects of crystals; worlds of particles have the particle census")
 
     @property
     def recipe(self) -> Recipe | None:
@@ -287,44 +306,48 @@ class Episodes:
 
     def step(self, moves: Moves) -> dict[str, Any]:
         """One step of all: arrays of observations and lists of what happened."""
-        texts, forecasts, faults = zip(*(_apart(report) for report in moves.reports), strict=True)
+        texts, known, faults = zip(*(_apart(report, self.field.task in FIELD_TASKS) for report in moves.reports), strict=True)
         asked: Any = {**vars(moves), "reports": list(texts)}
         found: dict[str, Any] = self._used.by(call)(self._core.step, asked, running(self._threads, False))
         for slot, fault in enumerate(faults):
             if fault is not None and found["fault"][slot] is not None:
                 found["fault"][slot] = fault
-        if self.field.task in COLUMN_TASKS:
+        if self.field.task in (*COLUMN_TASKS, *FIELD_TASKS):
             for slot, kind in enumerate(moves.kinds):
                 if moves.begin[slot] is not None:
                     self._ledgers.pop(slot, None)
                 else:
-                    self._keep(slot, kind, (texts[slot], forecasts[slot]), found)
+                    self._keep(slot, kind, known[slot], found)
         return found
 
-    def _keep(self, slot: int, kind: int, said: tuple[str | None, Any], found: dict[str, Any]) -> None:
-        """Follows what a step was to the columns of a slot, and pays for it in the strict tasks."""
+    def _keep(self, slot: int, kind: int, said: Findings, found: dict[str, Any]) -> None:
+        """Follows what a step was to the ledger of a slot, and pays for it where the ledger scores."""
         ledger = self._ledger(slot)
         if ledger is None:
             return
-        declared = None
-        if kind == DECLARE and found["fault"][slot] is None:
-            declared = Findings(forecasts=forecasts_of(said[1]))
+        declared = said if kind == DECLARE and found["fault"][slot] is None else None
         acquired, ended = found["acquired"][slot], found["ended"][slot] is not None
         ledger.took(acquired, declared, ended, found["spent"][slot], self.field.tile_px)
         if ledger.scored and self._reward != "none":
             pays = ended if self._reward == "sparse" else declared is not None or acquired is not None
             found["reward"][slot] = (ledger.share() if self._reward == "sparse" else ledger.gain()) if pays else 0.0
 
-    def _ledger(self, slot: int) -> ColumnLedger | None:
-        """That of the episode of a slot; ``None`` for tasks that do not ask for columns, and worlds without a recipe."""
-        if self.field.task not in COLUMN_TASKS:
+    def _ledger(self, slot: int) -> Ledger | None:
+        """That of the episode of a slot; ``None`` for tasks that the library scores, and worlds without a recipe."""
+        if self.field.task not in (*COLUMN_TASKS, *FIELD_TASKS):
             return None
         if slot not in self._ledgers:
             if self.recipe is None:
                 return None
-            target = self.field.target if self.field.task == "targeted" else None
-            self._ledgers[slot] = ColumnLedger(lambda: self._known_specimen(slot), target, self.field.budget, self._cadence, self.field.strict)
+            self._ledgers[slot] = self._new_ledger(slot)
         return self._ledgers[slot]
+
+    def _new_ledger(self, slot: int) -> Ledger:
+        common: dict[str, Any] = {"specimen": lambda: self._known_specimen(slot), "budget": self.field.budget, "cadence": self._cadence}
+        if self.field.task in FIELD_TASKS:
+            return FieldLedger(**common, scored=True, task=self.field.task, strict=self.field.strict)
+        target = self.field.target if self.field.task == "targeted" else None
+        return ColumnLedger(**common, scored=self.field.strict, target=target)
 
     def record(self, slot: int) -> dict[str, Any]:
         """The record of an episode so far."""
@@ -348,7 +371,7 @@ class Episodes:
         """The truth of what was seen."""
         truth = Findings.read(self._used.by(call)(self._core.truth_seen, slot, running(self._threads, False)))
         ledger = self._ledger(slot)
-        return truth if ledger is None or not ledger.scored else dataclasses.replace(truth, forecasts=ledger.truth())
+        return truth if ledger is None else ledger.truth(truth)
 
     def overview(self, slot: int, size: int) -> npt.NDArray[np.float32]:
         """The overview, or the middle of it: ``size`` pixels along each axis."""

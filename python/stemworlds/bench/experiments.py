@@ -21,11 +21,15 @@ from typing import Any
 from ..errors import FileError, FileMissing, FormatError, InvalidValue, _invalid
 from . import own_agents, registration
 from .catalogue import agent_specification, unknown
+from .episodes import ONE_FORM
+from .field_truth import FIELD_TASKS
 
 __all__ = ["Episode", "Experiment", "packaged_experiments", "read_experiment"]
 
 #: Tasks by the names that experiments use, and those of their environments.
 TASKS = {str(task): name for name, task in registration.TASKS.items()}
+#: Those of an experiment or world that names none: the paper's.
+_USUAL_TASKS = [task for task in TASKS if task not in FIELD_TASKS]
 _KEYS = {"name", "about", "tasks", "strict", "seeds", "budgets", "agents", "worlds", "environment"}
 _WORLD_KEYS = {"name", "file", "recipe", "difficulty", "grid", "set", "live", "split", "tasks"}
 #: Where agents name files of networks.
@@ -161,10 +165,13 @@ def read_experiment(source: str | os.PathLike[str]) -> Experiment:
 
 def _experiment(table: Mapping[str, Any], folder: Path, stem: str) -> Experiment:
     _known("experiment", table, _KEYS)
-    tasks = [_task(name) for name in _listed(table, "tasks", list(TASKS))]
+    tasks = [_task(name) for name in _listed(table, "tasks", list(_USUAL_TASKS))]
     strict = table.get("strict", False)
     if not isinstance(strict, bool):
         raise _invalid("strict", f"strict = {strict!r}: expected true or false")
+    single = [task for task in tasks if task in ONE_FORM]
+    if strict and single:
+        raise _invalid("strict", f"strict = true: {single[0]} has one form, which asks for seeing; put it into another experiment")
     options = table.get("environment", {})
     _known("environment", options, _OPTIONS)
     agents = [_located(agent_specification(given, str(folder.resolve())), folder) for given in _listed(table, "agents", None)]

@@ -14,6 +14,8 @@ from ..errors import InvalidValue, _invalid
 
 #: Phase maps hold this where nothing is predicted.
 NO_PHASE = -1
+#: Digits behind the point of a density in a report.
+_DENSITY_DIGITS = 5
 
 
 def _places(width: int) -> npt.NDArray[np.float64]:
@@ -34,6 +36,9 @@ class Findings:
         columns: ``(N, 3)``: x, y in nm, and a number that is greater where a defect is more likely; for the scores by column.
         forecasts: ``(N, 2 + K)``: x, y in nm of a column, and the chances of 0, 1, ... defects in it, all types together or of the target; the
             last one is that of ``K - 1`` or more. The strict tasks about defects are scored by them.
+        density: expected numbers of defects, all types together, ``[row, column]``, in equal parts of the whole field, as many as you like; for
+            the task ``density-map``.
+        rare: ``(N, 2)``: x, y in nm of places where far more defects are than elsewhere; for the task ``rare``.
     """
 
     counts: Mapping[str, int] | None = None
@@ -43,6 +48,8 @@ class Findings:
     morphologies: Sequence[str] = ()
     columns: npt.NDArray[np.float64] = field(default_factory=lambda: _places(3))
     forecasts: npt.NDArray[np.float64] = field(default_factory=lambda: _places(4))
+    density: npt.NDArray[np.float64] | None = None
+    rare: npt.NDArray[np.float64] = field(default_factory=lambda: _places(2))
 
     def report(self) -> str:
         """The text (JSON) that a declaration takes.
@@ -62,6 +69,10 @@ class Findings:
         out["columns"] = _listed("columns", self.columns, 3)
         if len(self.forecasts):
             out["forecasts"] = forecasts_of(self.forecasts).tolist()
+        if self.density is not None:
+            out["density"] = np.round(density_of(self.density), _DENSITY_DIGITS).tolist()
+        if len(self.rare):
+            out["rare"] = _listed("rare", self.rare, 2)
         return json.dumps(out, separators=(",", ":"))
 
     @staticmethod
@@ -82,6 +93,8 @@ class Findings:
                 morphologies=tuple(found.get("morphologies", ())),
                 columns=_array(found.get("columns", ()), 3),
                 forecasts=forecasts_of(found.get("forecasts", ())),
+                density=None if found.get("density") is None else density_of(found["density"]),
+                rare=_finite("rare", _array(found.get("rare", ()), 2)),
             )
         except InvalidValue:
             raise
@@ -102,6 +115,22 @@ def forecasts_of(values: Any) -> npt.NDArray[np.float64]:
         raise _invalid("findings", f"forecasts have shape {array.shape}: expected (N, 2 + K): x, y, and chances of 0, 1, ... defects, K = 2 at least")
     if not np.isfinite(array).all() or (array[:, 2:] < 0).any() or (array[:, 2:].sum(axis=1) <= 0).any():
         raise _invalid("findings", "forecasts: expected finite places, and chances that are not negative and not all 0")
+    return array
+
+
+def density_of(values: Any) -> npt.NDArray[np.float64]:
+    """Checked: a map with a row and a column at least, of numbers that are not negative."""
+    array = np.asarray(values, dtype=np.float64)
+    if array.ndim != 2 or array.size == 0:
+        raise _invalid("findings", f"density has shape {array.shape}: expected (rows, columns) of equal parts of the field")
+    if not np.isfinite(array).all() or (array < 0).any():
+        raise _invalid("findings", "density: expected finite numbers of defects from 0 on")
+    return array
+
+
+def _finite(name: str, array: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    if not np.isfinite(array).all():
+        raise _invalid("findings", f"{name}: expected finite places")
     return array
 
 

@@ -12,6 +12,9 @@ import numpy.typing as npt
 from ..errors import _invalid
 from .blind import recipe_of, usual_phases
 from .columns import DEFECT_TYPES, Columns, columns_of
+from .field_analysis import cell_share, with_map
+from .field_scores import BEST_COLUMNS
+from .field_truth import FIELD_TASKS, expected_counts, field_truth, grid_of
 from .findings import NO_PHASE, Findings
 from .prior import Prior, prior_of
 from .templates import Template, templates_of
@@ -23,6 +26,9 @@ __all__ = ["Ideal"]
 
 Values = npt.NDArray[np.float64]
 Grade = Literal["linear", "mixture", "known"]
+
+#: Evidence below this says nothing, and a count without evidence has an error of so many times what is usual.
+_LEAST_SHARPNESS, _UNKNOWN = 1e-9, 1e3
 
 
 @dataclass(eq=False)
@@ -41,6 +47,9 @@ class Ideal:
     library: no analyst that reads the same counts can have more bits on average, up to its approximations. These are: the mean image
     is a straight line in the number of defects; columns are judged one by one, within some 0.1 nm; Poisson counts have the variance of
     the mean image; eight modes tell how images of equal columns differ.
+
+    In the tasks that ask for the field it counts the defects of each tile, with their error: the columns' evidence together tells how many times the usual
+    number there are. The map of the field follows from that by a Gaussian process about the usual map.
 
     In phase mapping and the particle census it declares the truth of what was seen, and in phase mapping what is usual elsewhere: an upper bound.
 
@@ -71,7 +80,11 @@ class Ideal:
         self._known: dict[tuple[int, int], Values] = {}
         self._looked = 0
         self._seed = int(random.integers(2**63))
-        if field.task in ("defect-census", "targeted"):
+        self._counted: list[tuple[float, float]] = []
+        self._usual: Values | None = None
+        if field.task in FIELD_TASKS:
+            self._usual = expected_counts(self._recipe, grid_of(self._recipe))
+        if field.task in ("defect-census", "targeted", *FIELD_TASKS):
             self._specimen = self._world.specimen().toml
             self._prior: Prior = prior_of(self._recipe)
             self._templates = templates_of(self._recipe.with_seed(0).toml, self._target)
@@ -82,10 +95,22 @@ class Ideal:
             return truth
         if self._field.task == "phase-mapping":
             return self._phases()
+        self._follow(tiles)
+        found = self._declared()
+        if self._usual is None or not self._counted:
+            return found
+        likeliest = found.columns[np.argsort(-found.columns[:, 2], kind="stable")[:BEST_COLUMNS]]
+        return with_map(Findings(columns=likeliest), self._field, tiles, np.array(self._counted), self._usual)
+
+    def tile_counts(self, tiles: Sequence[Acquired]) -> Values:
+        """Defects in each tile and their standard deviations, (N, 2)."""
+        self._follow(tiles)
+        return np.array(self._counted, dtype=np.float64).reshape(-1, 2)
+
+    def _follow(self, tiles: Sequence[Acquired]) -> None:
         for number in range(self._looked, len(tiles)):
             self._look(tiles[number], number)
         self._looked = len(tiles)
-        return self._declared()
 
     def _phases(self) -> Findings:
         truth: Findings = self._world.truth_seen()
@@ -99,11 +124,13 @@ class Ideal:
         """Adds what a tile says."""
         x, y = tile.centre_nm
         half = tile.size_nm / 2
-        columns = columns_of(self._specimen, (x - half, y - half, x + half, y + half))
+        view = (x - half, y - half, x + half, y + half)
+        columns = columns_of(self._specimen, view) if self._usual is None else field_truth(self._specimen).columns.within(*view)
         chances, shares = self._prior.of(columns, self._target), _shares(self._prior, columns)
         keys = [(round(x * 1e5), round(y * 1e5)) for x, y in columns.places_nm.tolist()]
         for n, key in enumerate(keys):
             self._facts.setdefault(key, (chances[n], shares[n]))
+        pulls: list[tuple[Values, Values]] = []
         for kind, name in enumerate(columns.names):
             template = self._templates.get(name)
             own = np.flatnonzero(columns.kinds == kind)
@@ -112,6 +139,7 @@ class Ideal:
             toward, sharpness = evidence(tile, columns.places_nm[own], template)
             if self.grade == "known":
                 toward = self._of_the_known_image(number, columns, own, sharpness)
+            pulls.append(_pull(toward, sharpness, chances[own], self.grade))
             for n, index in enumerate(own):
                 known = self._evidence.get(keys[index])
                 if known is None:
@@ -120,6 +148,7 @@ class Ideal:
                     self._known.pop(keys[index], None)
                     known.toward = known.toward + toward[n]
                     known.sharpness = known.sharpness + sharpness[n]
+        self._counted.append(_count(float((chances @ np.arange(chances.shape[1])).sum()), pulls, cell_share(self._field, tile)))
 
     def _of_the_known_image(self, number: int, columns: Columns, own: npt.NDArray[np.intp], sharpness: Values) -> Values:
         """What counts would say of columns whose images are known but for the defects: the true number, and Poisson noise alone. The noise
@@ -146,7 +175,7 @@ class Ideal:
         for n, kind in enumerate(DEFECT_TYPES):
             if self._target in (None, kind):
                 defects[kind] = places[_claims(expected if self._target else expected * shares[:, n])]
-        sure = np.column_stack([places, 1 - posterior[:, 0]])
+        sure = np.column_stack([places, 1 - posterior[:, 0] if self._usual is None else expected])
         return Findings(defects=defects, columns=sure, forecasts=np.column_stack([places, posterior]))
 
     def _posterior(self, key: tuple[int, int]) -> Values:
@@ -208,6 +237,35 @@ def log_likelihood(toward: Values, sharpness: Values, template: Template, number
     most = logs.max(axis=1)
     result = most + np.log(np.exp(logs - most[:, None]).mean(axis=1)) - number**2 * sharpness[0, 0] / 2
     return result
+
+
+def _pull(toward: Values, sharpness: Values, prior: Values, grade: Grade) -> tuple[Values, Values]:
+    """Of columns, by how much their counts ask for more defects than none, and how sharply: each column's log likelihood for n defects is
+    ``slope n - curve n^2 / 2``. Both are weighted by the mean and variance that the prior gives the number, so that their sums say how
+    many times the usual number there are: ``sum of slopes / sum of curves``, with the variance ``1 / sum of curves``."""
+    if grade == "known":
+        slope, curve = toward[:, 0], sharpness[:, 0, 0]
+    else:
+        across, of_modes = sharpness[:, 0, 1:], sharpness[:, 1:, 1:]
+        solved = np.linalg.solve(np.eye(of_modes.shape[1]) + of_modes, np.stack([toward[:, 1:], across], axis=-1))
+        slope = toward[:, 0] - np.einsum("nm,nm->n", across, solved[:, :, 0])
+        curve = sharpness[:, 0, 0] - np.einsum("nm,nm->n", across, solved[:, :, 1])
+    number = np.arange(prior.shape[1], dtype=np.float64)
+    mean = prior @ number
+    variance = prior @ number**2 - mean**2
+    fading = 1 / (1 + curve * variance)
+    return mean * slope * fading, mean**2 * curve * fading
+
+
+def _count(usual: float, pulls: Sequence[tuple[Values, Values]], share: float) -> tuple[float, float]:
+    """Defects of a tile and their standard deviation, from those that are usual in what was seen of it and the evidence of its columns; ``share`` is
+    the tile's area over that of what was seen."""
+    sharp = sum(float(curves.sum()) for _, curves in pulls)
+    if usual <= 0 or sharp <= _LEAST_SHARPNESS:
+        # Nothing was told: as usual, and not known.
+        return usual * share, _UNKNOWN * max(usual * share, 1.0)
+    times = sum(float(slopes.sum()) for slopes, _ in pulls) / sharp
+    return times * usual * share, usual * share / float(np.sqrt(sharp))
 
 
 def _shares(prior: Prior, columns: Columns) -> Values:

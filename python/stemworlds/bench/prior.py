@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import tomllib
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,8 +76,8 @@ def prior_of(recipe: Recipe) -> Prior:
 @functools.lru_cache(maxsize=32)
 def _prior(toml: str) -> Prior:
     recipe = Recipe(toml)
-    height, width = tomllib.loads(toml)["field"]["fov_nm"]
-    size = (float(width), float(height))
+    height, width = recipe.fov_nm
+    size = (width, height)
     fields = [columns_of(recipe.with_seed(seed).toml) for seed in TRAINING_SEEDS]
     names = tuple(sorted({name for field in fields for name in field.names}))
     tables: dict[str | None, Values] = {target: _counted(fields, names, size, target) for target in (None, *DEFECT_TYPES)}

@@ -45,6 +45,7 @@ class Seen:
         dose_left: share of the budget that is left.
         plan: what the planner said last.
         uncertainty_of: of each acquisition, how uncertain the analyst is; ``None`` for an analyst that does not say.
+        counts_of: of each acquisition, defects that the analyst counts in its tile and their standard deviation; ``None`` as well.
     """
 
     field: FieldFacts
@@ -53,6 +54,7 @@ class Seen:
     dose_left: float = 1.0
     plan: Plan | None = None
     uncertainty_of: Callable[[Sequence[Acquired]], npt.NDArray[np.float64]] | None = None
+    counts_of: Callable[[Sequence[Acquired]], npt.NDArray[np.float64]] | None = None
 
     def visited(self) -> npt.NDArray[np.bool_]:
         """Tiles that were acquired, [row, column]."""
@@ -90,7 +92,7 @@ class Analyst(Protocol):
     """Says what the tiles show.
 
     An analyst may also have ``uncertainty(tiles)``, one number for each of the tiles, for navigators that look where it is uncertain,
-    and ``notes()``, a dict of numbers for the record of the episode.
+    ``tile_counts(tiles)``, (N, 2), defects in each tile and their standard deviations, for those that look where most are, and ``notes()``, a dict of numbers for the record of the episode.
     """
 
     def start(self, field: FieldFacts, random: np.random.Generator) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gymnasium as gym
 
-from .episodes import Task
+from .episodes import ONE_FORM, Task
 
 #: Names of the environments, and their tasks.
 TASKS: dict[str, Task] = {
@@ -12,13 +12,17 @@ TASKS: dict[str, Task] = {
     "PhaseMapping": "phase-mapping",
     "Targeted": "targeted",
     "ParticleCensus": "particle-census",
+    "FieldRecall": "field-recall",
+    "DensityMap": "density-map",
+    "Rare": "rare",
 }
 
 
 def register() -> None:
     """Registers ``stemworlds/DefectCensus-v0``, ``stemworlds/DefectCensusStrict-v0`` and so on, unless they are there."""
     for name, task in TASKS.items():
-        for suffix, strict in (("", False), ("Strict", True)):
+        forms = (("", False),) if task in ONE_FORM else (("", False), ("Strict", True))
+        for suffix, strict in forms:
             own = f"stemworlds/{name}{suffix}-v0"
             if own not in gym.registry:
                 gym.register(

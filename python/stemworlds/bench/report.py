@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from .._text import table_cell
 from ..errors import DiskFull, FileError, _invalid
-from . import sections, seeing
+from . import field_sections, sections, seeing
 from .paper import told
 from .tables import ALTERNATIVES, Results, cell, files, ranking
 
@@ -32,6 +32,7 @@ class _Section(NamedTuple):
 
 _SECTIONS = (
     _Section("Seeing and guessing", seeing.seeing, "a blind agent and an ideal observer in the same world and seed, or forecasts"),
+    _Section("The field", field_sections.field, "tasks that ask for the field"),
     _Section("Agents and tasks", sections.main_table, "an episode at the main budget"),
     _Section("Score over dose", sections.curves, "an episode at the main budget"),
     _Section("Where agents looked", sections.maps, "the grid of a world"),

@@ -185,7 +185,7 @@ def _fault_of_the_rest(row: Row) -> str:
     if row.get("wall") and not {"seconds", "seconds_per_tile"} <= row["wall"].keys():
         return "wall has not seconds and seconds_per_tile"
     scores = dict(row.get("scores") or {})
-    parts = [scores.pop(name, None) or {} for name in ("columns", "forecasts")]
+    parts = [scores.pop(name, None) or {} for name in ("columns", "forecasts", "field")]
     tables = all(isinstance(part, dict) for part in parts)
     if not tables or not all(score is None or _number(score) for part in (scores, *parts) for score in part.values()):
         return "scores hold something else than numbers"

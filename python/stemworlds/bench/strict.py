@@ -2,78 +2,33 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping
+import dataclasses
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from .. import _core
 from ..recipes import Recipe
 from .columns import columns_of
 from .findings import Findings
 from .forecasts import ForecastScore, score_forecasts
+from .ledger import Ledger
 from .prior import prior_of
-from .statistics import CHECKPOINTS
 
 
-
-@dataclass(eq=False)
-class ColumnLedger:
+@dataclass(eq=False, kw_only=True)
+class ColumnLedger(Ledger):
     """What one episode has seen of columns, and what was last declared of them.
 
     Attributes:
-        specimen: gives the recipe with the seed of the episode's specimen. Columns are as they were at the start of the episode.
         target: the type of defect that is asked for; ``None`` for all.
-        budget, cadence: of the episode.
-        scored: whether the curve is kept, as in the strict tasks.
     """
 
-    specimen: Callable[[], Recipe]
     target: str | None
-    budget: float
-    cadence: int
-    scored: bool
-    findings: Findings | None = None
-    curve: list[list[float]] = field(default_factory=list)
-    electrons: float = 0.0
-    _spent: float = 0.0
-    _paid: float = 0.0
-    _acquired: int = 0
-    _due: bool = False
-    _views: list[tuple[float, float, float, float]] = field(default_factory=list)
     _looked: int = 0
     _toml: str | None = None
     _held: dict[tuple[int, int], tuple[tuple[float, float], int, npt.NDArray[np.float64]]] = field(default_factory=dict)
-
-    def took(self, acquired: Mapping[str, Any] | None, declared: Findings | None, ended: bool, spent: float, tile_px: int) -> None:
-        """Follows one step. The record that is due is made before more dose is spent, as of the other tasks."""
-        if acquired is not None:
-            if self._due:
-                self._note()
-            (x, y), half = acquired["centre_nm"], acquired["size_nm"] / 2
-            self._views.append((x - half, y - half, x + half, y + half))
-            self.electrons += acquired["electrons_per_pixel"] * tile_px**2
-            self._acquired += 1
-            self._due = self._acquired % self.cadence == 0
-        if declared is not None:
-            self.findings = declared
-        self._spent = spent
-        if ended:
-            self._note()
-
-    def _note(self) -> None:
-        self._due = False
-        if self.scored and self.findings is not None:
-            self.curve.append([min(self._spent / self.budget, 1.0), self.share()])
-
-    def gain(self) -> float:
-        """The change of the score since the last call."""
-        score = self.share()
-        gained, self._paid = score - self._paid, score
-        return gained
 
     def share(self) -> float:
         """The score of what was declared last; 0 while nothing was forecast."""
@@ -103,12 +58,14 @@ class ColumnLedger:
         counted = np.array([count for _, count, _ in found], dtype=np.int64)
         return places, counted, np.array([chances for _, _, chances in found]).reshape(-1, classes)
 
-    def truth(self) -> npt.NDArray[np.float64]:
-        """The forecasts of who knows the truth of what was seen."""
+    def truth(self, seen: Findings) -> Findings:
+        """With the forecasts of who knows the truth of what was seen."""
+        if not self.scored:
+            return seen
         places, counts, prior = self._seen()
         sure = np.zeros_like(prior)
         sure[np.arange(len(counts)), np.minimum(counts, prior.shape[1] - 1)] = 1.0
-        return np.column_stack([places, sure])
+        return dataclasses.replace(seen, forecasts=np.column_stack([places, sure]))
 
     def told(self, record: dict[str, Any]) -> dict[str, Any]:
         """The record of the episode with the scores by column."""
@@ -122,5 +79,5 @@ class ColumnLedger:
                 scores["forecasts"] = self.score().numbers(self.electrons)
         more: dict[str, Any] = {"scores": scores}
         if self.scored:
-            more |= {"curve": self.curve, "metrics": json.loads(_core.dose_metrics([(a, b) for a, b in self.curve], CHECKPOINTS))}
+            more |= self.own_curve()
         return {**record, **more}

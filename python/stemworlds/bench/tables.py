@@ -239,7 +239,10 @@ def files(paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) -> l
 
 
 def _role(row: Row) -> Role:
-    analyst = row.get("specification", {}).get("analyst", {}).get("kind")
+    specification = row.get("specification", {})
+    analyst = specification.get("analyst", {}).get("kind")
+    if (specification.get("navigator") or {}).get("kind") == "truth":
+        return "ceiling"
     # Files of older versions hold agents that know the columns with defects: "columns".
     roles: dict[Any, Role] = {"nothing": "floor", "prior": "blind", "ideal": "ideal", "oracle": "ceiling", "columns": "ceiling"}
     return roles.get(analyst, "agent")
