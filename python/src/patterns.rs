@@ -123,13 +123,13 @@ impl PatternReader {
                 }
             }
         };
-        read().told(py)
+        read().or_raise(py)
     }
 
     /// What describes the patterns, and `vacuum`.
     fn header<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let out = described(py, self.0.header())?;
-        let vacuum = self.0.vacuum().map_err(Fault::from).told(py)?;
+        let vacuum = self.0.vacuum().map_err(Fault::from).or_raise(py)?;
         out.set_item("vacuum", vacuum.map(|vacuum| vacuum.into_pyarray(py)))?;
         Ok(out)
     }
@@ -141,7 +141,7 @@ impl PatternReader {
         first: usize,
         end: usize,
     ) -> PyResult<Bound<'py, numpy::PyArray4<f32>>> {
-        let rows = py.detach(|| self.0.rows(first..end).map_err(Fault::from)).told(py)?;
+        let rows = py.detach(|| self.0.rows(first..end).map_err(Fault::from)).or_raise(py)?;
         Ok(rows.into_pyarray(py))
     }
 }
@@ -201,7 +201,7 @@ pub fn integrated_centre_of_mass<'py>(
     let (x, y) = (x.as_array().to_owned(), y.as_array().to_owned());
     let found =
         stemgen::detect::integrated_centre_of_mass([&x, &y], step_angstrom, wavelength_angstrom);
-    Ok(found.map_err(Fault::from).told(py)?.into_pyarray(py))
+    Ok(found.map_err(Fault::from).or_raise(py)?.into_pyarray(py))
 }
 
 /// The share of each pixel's area on a ring, or on a sector of one.
@@ -218,5 +218,5 @@ pub fn detector_weights<'py>(
     let detector =
         stemgen::detect::VirtualDetector { name, annulus_mrad, sector_degrees, centre_mrad };
     let on = stemgen::detect::PixelatedDetector { pixels, max_angle_mrad };
-    Ok(detector.weights(&on).map_err(Fault::from).told(py)?.into_pyarray(py))
+    Ok(detector.weights(&on).map_err(Fault::from).or_raise(py)?.into_pyarray(py))
 }
