@@ -44,7 +44,8 @@ pub fn simulate_patterns(
     force: bool,
     running: Running,
 ) -> PyResult<Vec<Py<PyDict>>> {
-    let work = move |call: &LongCall| -> Result<(Vec<(PatternHeader, Cube)>, Array2<f32>), Fault> {
+    type Cubes = (Vec<(PatternHeader, Cube)>, Array2<f32>);
+    let work = move |call: &LongCall| -> Result<Cubes, Fault> {
         let job = prepared(request, atoms.as_ref(), force, call)?;
         let run = PatternRun { job: &job, output: Path::new(""), command_line: "" };
         let headers = run.headers();
