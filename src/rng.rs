@@ -26,7 +26,7 @@ pub enum Purpose {
     Particle = 17,
     /// Contents of the pool of units.
     Pool = 32,
-    /// Phonons of library sheets, and which of them a unit of a world takes.
+    /// Phonons of library cells, and which of them a unit of a world takes.
     Library = 33,
     /// Regions of audits.
     Audit = 34,

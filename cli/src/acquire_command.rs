@@ -164,7 +164,7 @@ impl Acquire {
         let outputs = std::iter::once(&self.output).chain(&picture);
         let command_line = text::command_line();
         let mut set = OutputSet::of(&self.output, &command_line, self.overwrite);
-        set.told().iter().for_each(|told| reporter.warn(told));
+        set.warning().iter().for_each(|warning| reporter.warn(warning));
         check_outputs(outputs, self.recipe.inputs(&recipe), set.replaces())?;
         let job = RecordingJob::new(&recipe, (self.recipe.world(), made), &self.request())?;
         let (recording, from) = job.run(self.kept.cache(), &reporter)?;

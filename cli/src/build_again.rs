@@ -90,25 +90,25 @@ fn note(world: &WorldFile) -> Option<String> {
 /// Adds what chooses the recipe; returns whether that is a file.
 fn recipe_words(recipe: &CheckedRecipe, words: &mut Vec<String>, file: &Path) -> bool {
     let mut add = |text: &[&str]| words.extend(text.iter().map(|w| (*w).to_owned()));
-    let shipped = recipe.as_shipped().filter(|told| told.changes.len() <= MOST_CHANGES);
-    let Some(told) = shipped else {
+    let near = recipe.as_shipped().filter(|near| near.changes.len() <= MOST_CHANGES);
+    let Some(shipped) = near else {
         add(&["--recipe", &file.display().to_string()]);
         return true;
     };
-    add(&[&told.material]);
-    if let Some(tier) = told.tier {
+    add(&[&shipped.material]);
+    if let Some(tier) = shipped.tier {
         add(&["--difficulty", tier.name()]);
     }
-    for change in &told.changes {
+    for change in &shipped.changes {
         match change {
             RecipeChange::Set(text) => add(&["--set", text]),
             RecipeChange::Unset(key) => add(&["--unset", key]),
         }
     }
-    if let Some([rows, columns]) = told.grid {
+    if let Some([rows, columns]) = shipped.grid {
         add(&["--grid", &format!("{rows}x{columns}")]);
     }
-    if let Some(seed) = told.seed {
+    if let Some(seed) = shipped.seed {
         add(&["--seed", &seed.to_string()]);
     }
     false

@@ -87,8 +87,9 @@ impl CacheCommand {
             materials: supplied.holdings(),
         });
         let report = CacheReport { folder: cache.folder().map(PathBuf::from), materials, library };
-        let told = if json { serde_json::to_string_pretty(&report)? } else { report.text(removed) };
-        text::print(&told)?;
+        let message =
+            if json { serde_json::to_string_pretty(&report)? } else { report.text(removed) };
+        text::print(&message)?;
         Ok(0)
     }
 }

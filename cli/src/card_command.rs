@@ -139,7 +139,7 @@ impl CardCommand {
             return self.common.print(&serde_json::json!({ "outputs": paths }), &lines.join("\n"));
         }
         let summary = card.write(&reporter)?;
-        self.common.print(&summary, &told(&summary, worlds.len()))
+        self.common.print(&summary, &summary_text(&summary, worlds.len()))
     }
 
     /// The world files.
@@ -203,10 +203,10 @@ fn pictures(file: &WorldFile, world: &CardWorld) -> stemgen::Result<CardPictures
     let (rows, columns) = (range(place[1], height), range(place[0], width));
     let nm = |pixels: usize| text::significant(pixels as f64 * pixel_nm, 3);
     let [x, y] = [columns.start, rows.start].map(|first| format!("{:.1}", first as f64 * pixel_nm));
-    let told =
+    let caption =
         format!("{} x {} nm of it, from x = {x}, y = {y} nm", nm(columns.len()), nm(rows.len()));
     let part = picture(file, world, WorldPart { rows, columns, pixel_nm })?;
-    Ok(CardPictures { whole, part: Some((told, part)) })
+    Ok(CardPictures { whole, part: Some((caption, part)) })
 }
 
 /// The particle or the defect that is nearest to the centre of the field, (x, y) in nm; the centre where there is none.
@@ -248,7 +248,7 @@ fn picture(file: &WorldFile, world: &CardWorld, part: WorldPart) -> stemgen::Res
     part.picture(&view, file)?.encode().map_err(|e| fault(&e))
 }
 
-fn told(summary: &CardSummary, worlds: usize) -> String {
+fn summary_text(summary: &CardSummary, worlds: usize) -> String {
     let folder = &summary.folder;
     let bytes: u64 = summary.files.iter().map(|f| f.bytes).sum();
     let count = |ending: &str| summary.files.iter().filter(|f| f.path.ends_with(ending)).count();

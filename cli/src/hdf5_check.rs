@@ -4,8 +4,8 @@
 //! itself once more for a file that it did not write just now; that process reads what the file holds and ends. If it ends in
 //! order, the program opens the file and says itself what is wrong with it, if anything is.
 
+use super::crash_note;
 use super::invocation::Invocation;
-use super::last_words;
 use super::signals;
 use std::ffi::{OsStr, OsString};
 use std::path::Path;
@@ -67,7 +67,7 @@ fn limit(file: &Path) {
 /// [`Error::Parse`] naming the file; [`Error::Interrupted`].
 pub fn check(file: &Path) -> stemgen::Result<()> {
     survive(file)?;
-    last_words::name(file);
+    crash_note::name(file);
     Ok(())
 }
 

@@ -37,7 +37,7 @@ pub fn report(error: &anyhow::Error, subcommand: &str) -> u8 {
     let known = error.chain().find_map(|e| e.downcast_ref::<Error>());
     let hint = own.or_else(|| known.and_then(of));
     // Errors that name an option, or the line of a file, say what to do themselves.
-    let message = told(error);
+    let message = whole_text(error);
     let advises = matches!(known, Some(Error::Parse { .. })) || message.contains("--");
     let fallback =
         || (!advises).then(|| format!("`stemgen {subcommand} --help` explains every option"));
@@ -61,14 +61,14 @@ pub fn report(error: &anyhow::Error, subcommand: &str) -> u8 {
 }
 
 /// An error and its causes, each said once: some tell their cause themselves.
-fn told(error: &anyhow::Error) -> String {
-    let mut told = error.to_string();
+fn whole_text(error: &anyhow::Error) -> String {
+    let mut whole_text = error.to_string();
     for cause in error.chain().skip(1).map(|cause| cause.to_string()) {
-        if !told.contains(&cause) {
-            told = format!("{told}: {cause}");
+        if !whole_text.contains(&cause) {
+            whole_text = format!("{whole_text}: {cause}");
         }
     }
-    told
+    whole_text
 }
 
 /// What would mend an error of the library.

@@ -101,8 +101,9 @@ impl ImportImage {
         if !self.common.dry_run {
             world.write(&self.output, self.overwrite, &reporter)?;
         }
-        let told = world.facts().pixel_size_in_file_nm;
-        let change = told.map_or(0.0, |told| 100.0 * (world.facts().pixel_size_nm / told - 1.0));
+        let in_file = world.facts().pixel_size_in_file_nm;
+        let change =
+            in_file.map_or(0.0, |in_file| 100.0 * (world.facts().pixel_size_nm / in_file - 1.0));
         if world.facts().calibration.is_some() && change.abs() > USUAL_PERCENT {
             reporter.warn(&format!(
                 "the calibration changes the file's pixel by {change:+.1} %, more than is usual: is {} nm the spacing that was found?",
@@ -174,10 +175,10 @@ impl ImportSummary {
         let f = &self.facts;
         let nm = |v: f64| text::significant(v, 5);
         let pixel = nm(f.pixel_size_nm);
-        let told = match f.pixel_size_in_file_nm {
-            Some(told) if f.pixel_size_from != PixelOrigin::File => {
-                let change = 100.0 * (f.pixel_size_nm / told - 1.0);
-                format!("; the file says {} nm ({change:+.2} % to here)", nm(told))
+        let in_file = match f.pixel_size_in_file_nm {
+            Some(in_file) if f.pixel_size_from != PixelOrigin::File => {
+                let change = 100.0 * (f.pixel_size_nm / in_file - 1.0);
+                format!("; the file says {} nm ({change:+.2} % to here)", nm(in_file))
             }
             _ => String::new(),
         };
@@ -186,6 +187,6 @@ impl ImportSummary {
             PixelOrigin::Given => ", as given",
             PixelOrigin::Calibrated => ", calibrated",
         };
-        format!("{pixel} nm{from}{told}")
+        format!("{pixel} nm{from}{in_file}")
     }
 }

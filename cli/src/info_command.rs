@@ -117,7 +117,7 @@ impl Info {
         if let (Some(out), false) = (&self.recipe_out, self.worlds.len() == 1) {
             bail!("--recipe-out {}: takes the recipe of one world; name one", out.display());
         }
-        let (mut told, mut images, mut texts) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut infos, mut images, mut texts) = (Vec::new(), Vec::new(), Vec::new());
         for path in &self.worlds {
             hdf5_check::check(path)?;
             if let Some(stored) = StoredImages::open(path)? {
@@ -129,7 +129,7 @@ impl Info {
             let world = WorldFile::open(path)?;
             let info = self.of(&world)?;
             texts.push(info.text());
-            told.push(info);
+            infos.push(info);
             if let Some(out) = &self.recipe_out {
                 let Some(recipe) = &world.metadata().recipe else {
                     bail!(
@@ -142,7 +142,7 @@ impl Info {
             }
         }
         if self.json {
-            let mut all = serde_json::json!({ "worlds": told });
+            let mut all = serde_json::json!({ "worlds": infos });
             if !images.is_empty() {
                 all["images"] = serde_json::to_value(images)?;
             }
@@ -321,13 +321,13 @@ fn recorded_lines(recorded: &RecordedSource, lines: &mut Lines) {
     let mut about: Vec<&str> = about.into_iter().filter_map(|t| t.as_deref()).collect();
     about.dedup();
     lines.add("recorded in", format!("{} ({})", recorded.file, about.join(", ")));
-    for (name, told) in [
+    for (name, value) in [
         ("pixel from", &recorded.pixel_size_from),
         ("scaling", &recorded.normalisation),
         ("gaps", &recorded.gaps),
     ] {
-        if let Some(told) = told {
-            lines.add(name, told.clone());
+        if let Some(value) = value {
+            lines.add(name, value.clone());
         }
     }
 }

@@ -13,16 +13,16 @@ mod cache_transfer;
 mod card_command;
 mod common;
 mod compare_command;
+mod crash_note;
+mod foreign_options;
 mod hdf5_check;
 mod hints;
 mod imaging_args;
 mod import_command;
 mod info_command;
 mod invocation;
-mod last_words;
 mod list_command;
 mod live_command;
-mod not_offered;
 mod output;
 mod picture_args;
 mod plan_text;
@@ -167,7 +167,7 @@ fn parse(invocation: &Invocation) -> Result<Cli, clap::Error> {
     let mut definition = Cli::command();
     let program = OsString::from(PROGRAM);
     let words = std::iter::once(&program).chain(&invocation.arguments);
-    let matches = definition.try_get_matches_from_mut(words).map_err(not_offered::advised)?;
+    let matches = definition.try_get_matches_from_mut(words).map_err(foreign_options::advised)?;
     Cli::from_arg_matches(&matches).map_err(|error| error.format(&mut definition))
 }
 

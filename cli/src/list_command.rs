@@ -108,7 +108,7 @@ impl List {
             fov_nm: field.fov_nm,
             grid: field.built_grid(),
             pixel_nm: field.pixel_nm(),
-            thickness_nm: specimen.thickness_nm(),
+            thickness_nm: specimen.facts().thickness_nm,
             sites,
             sites_counted: self.count,
             rates: rates(recipe),

@@ -135,7 +135,7 @@ impl Live {
         let outputs = std::iter::once(&self.output).chain(&animation);
         let command_line = text::command_line();
         let mut set = OutputSet::of(&self.output, &command_line, self.overwrite);
-        set.told().iter().for_each(|told| reporter.warn(told));
+        set.warning().iter().for_each(|warning| reporter.warn(warning));
         check_outputs(outputs, self.recipe.inputs(&recipe), set.replaces())?;
         let request = self.request(&recipe);
         let options = self.options(&request)?;

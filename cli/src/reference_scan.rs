@@ -49,9 +49,9 @@ pub fn reference_scan(
     if let Some([x, y]) = args.scan_points {
         same_count([y, x])?;
     }
-    let told = reference.step_angstrom;
-    let start = args.scan_start.or(told.and(reference.origin_angstrom));
-    let pixel = told.or(args.scan_step.map(|step| [step; 2]));
+    let stated = reference.step_angstrom;
+    let start = args.scan_start.or(stated.and(reference.origin_angstrom));
+    let pixel = stated.or(args.scan_step.map(|step| [step; 2]));
     let scan = match (start, args.scan_end, pixel) {
         (Some(_), Some(end), _) => {
             let points = args.scan_points.or(args.scan_step.is_none().then_some([columns, rows]));
@@ -61,10 +61,10 @@ pub fn reference_scan(
         (Some(origin_angstrom), None, Some(step_angstrom)) => {
             Scan { origin_angstrom, step_angstrom, shape: [rows, columns] }
         }
-        _ => return Err(untold(args, array, [columns, rows], told.is_some())),
+        _ => return Err(untold(args, array, [columns, rows], stated.is_some())),
     };
     same_count(scan.shape)?;
-    same_pixels(&scan, told, array)?;
+    same_pixels(&scan, stated, array)?;
     Ok(scan)
 }
 
@@ -89,15 +89,15 @@ fn untold(
     )
 }
 
-fn same_pixels(scan: &Scan, told: Option<[f64; 2]>, array: &ForeignArray) -> anyhow::Result<()> {
-    let Some(told) = told else { return Ok(()) };
+fn same_pixels(scan: &Scan, stated: Option<[f64; 2]>, array: &ForeignArray) -> anyhow::Result<()> {
+    let Some(stated) = stated else { return Ok(()) };
     let step = scan.step_angstrom;
-    if (0..2).all(|i| (step[i] / told[i] - 1.0).abs() <= SAME_PIXEL) {
+    if (0..2).all(|i| (step[i] / stated[i] - 1.0).abs() <= SAME_PIXEL) {
         return Ok(());
     }
     let fault = array.error(format!(
         "has pixels of {:.4} x {:.4} A, but the scan has {:.4} x {:.4} A",
-        told[0], told[1], step[0], step[1]
+        stated[0], stated[1], step[0], step[1]
     ));
     Err(hinted(fault, "leave --scan-end and --scan-step out: the file tells the pixels"))
 }

@@ -247,7 +247,7 @@ impl SimulateRun {
         if !self.common.dry_run {
             let outputs = std::iter::once(&self.output).chain(files.paths());
             let set = OutputSet::of(&self.output, &text::command_line(), self.results.overwrite);
-            set.told().iter().for_each(|told| reporter.warn(told));
+            set.warning().iter().for_each(|warning| reporter.warn(warning));
             check_outputs(outputs, inputs, set.replaces())?;
         }
         simulation::check_hdf5_name(&self.output)?;
@@ -262,8 +262,8 @@ impl SimulateRun {
         }
         if let Some(shard) = self.results.shard {
             let parts = self.parts()?;
-            let (told, report) = parts.make(shard, reporter)?;
-            return self.common.print(&report, &told).map(|()| true);
+            let (text, report) = parts.make(shard, reporter)?;
+            return self.common.print(&report, &text).map(|()| true);
         }
         self.execute(&files, reporter)
     }

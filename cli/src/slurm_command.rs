@@ -87,8 +87,8 @@ impl Slurm {
                 return text::print(help.render().to_string().trim_end());
             }
             Err(e) => {
-                let told = e.render().to_string();
-                anyhow::bail!("{}", told.trim().trim_start_matches("error: "));
+                let message = e.render().to_string();
+                anyhow::bail!("{}", message.trim().trim_start_matches("error: "));
             }
         };
         let plan = line.build.planned()?;

@@ -105,7 +105,7 @@ impl SpecimenCommand {
         let picture = self.png.then(|| path.with_extension("png"));
         let mut set = OutputSet::of(&path, &text::command_line(), self.overwrite);
         if !self.common.dry_run {
-            set.told().iter().for_each(|told| reporter.warn(told));
+            set.warning().iter().for_each(|warning| reporter.warn(warning));
             let outputs = [Some(&path), picture.as_ref()].into_iter().flatten();
             check_outputs(outputs, self.recipe.files(&recipe), set.replaces())?;
         }
@@ -145,7 +145,7 @@ impl SpecimenCommand {
             seed: recipe.seed,
             tiles: field.built_grid(),
             fov_nm: shape.map(|n| n as f64 * field.pixel_nm()),
-            thickness_nm: specimen.thickness_nm(),
+            thickness_nm: specimen.facts().thickness_nm,
             cell_angstrom,
             sites,
             rows,
@@ -174,7 +174,7 @@ fn planned(specimen: &dyn Specimen, recipe: &Recipe, format: Format, output: Pat
         difficulty: recipe.tier.map(|t| t.name()),
         tiles: field.built_grid(),
         fov_nm: field.pixels(field.built_grid()).map(|n| n as f64 * field.pixel_nm()),
-        thickness_nm: specimen.thickness_nm(),
+        thickness_nm: specimen.facts().thickness_nm,
         estimated_sites: sites,
         estimated_file_bytes: atoms_bytes(format, sites),
         output,

@@ -117,7 +117,7 @@ impl Tiles {
         }
         imager.prepare(&reporter)?;
         let set = training_set(&recipe, &*specimen, &*imager, &options, &reporter)?;
-        self.finish(&set, Some(options.dose), specimen.phases(), begun)
+        self.finish(&set, Some(options.dose), specimen.facts().phases.clone(), begun)
     }
 
     /// Cuts tiles from the stored image of a world without a recipe, such as a recorded image: they have its noise.

@@ -219,17 +219,17 @@ impl ReferenceArgs {
 /// Refuses settings that the file contradicts.
 fn agree(array: &ForeignArray, settings: &Settings) -> anyhow::Result<()> {
     let optics = &settings.optics;
-    let told = [
+    let stated = [
         (array.energy_ev.map(|e| e / 1e3), optics.energy_ev / 1e3, "keV", "--energy"),
         (array.semiangle_mrad, optics.semiangle_mrad, "mrad", "--semiangle"),
     ];
-    for (told, ours, unit, option) in told {
-        if let Some(told) = told.filter(|t| (t / ours - 1.0).abs() > 1e-6) {
+    for (stated, ours, unit, option) in stated {
+        if let Some(stated) = stated.filter(|t| (t / ours - 1.0).abs() > 1e-6) {
             let fault = anyhow!(
-                "{} was computed with {told} {unit}, not with {ours} {unit}",
+                "{} was computed with {stated} {unit}, not with {ours} {unit}",
                 array.path.display()
             );
-            return Err(hinted(fault, format!("{option} {told}")));
+            return Err(hinted(fault, format!("{option} {stated}")));
         }
     }
     Ok(())

@@ -1,6 +1,6 @@
 //! Parsers of option values. Their messages follow clap's `invalid value '...' for '...': `.
 
-use super::not_offered::not_offered;
+use super::foreign_options::foreign_options;
 use clap::ValueEnum;
 use std::collections::BTreeMap;
 use std::str::FromStr;
@@ -188,8 +188,8 @@ pub fn aberration(text: &str) -> Parsed<Aberration> {
 
 /// `HAADF=68-200`.
 pub fn detector(text: &str) -> Parsed<Detector> {
-    if let Some(told) = not_offered(text) {
-        return Err(told.into());
+    if let Some(message) = foreign_options(text) {
+        return Err(message.into());
     }
     let detector = Detector::parse(text).map_err(|e| e.to_string())?;
     plausible(simulation::check_detector(&detector), detector)

@@ -2,7 +2,7 @@
 
 use crate::builds::CacheChoice;
 use crate::errors::{Fault, Told};
-use crate::guest::{Guest, Running, run};
+use crate::long_call::{LongCall, Running, run};
 use crate::recipes::checked;
 use crate::words::choice;
 use ndarray::{Array1, Array2, Array3, Axis};
@@ -68,7 +68,7 @@ type FileKey = (PathBuf, Option<(u64, SystemTime)>, Cache);
 static FILES: InUse<FileKey, FileWorld> = InUse::new();
 
 impl Worlds {
-    fn new(scene: &Scene, guest: &Guest) -> Result<Self, Fault> {
+    fn new(scene: &Scene, call: &LongCall) -> Result<Self, Fault> {
         let options = BuildOptions { cache: scene.cache.cache(), ..BuildOptions::default() };
         if let Some(path) = &scene.world {
             let about = path.metadata().and_then(|about| Ok((about.len(), about.modified()?))).ok();
@@ -79,7 +79,7 @@ impl Worlds {
         let split = choice(Setting::Episode, &scene.split, &splits)?;
         let recipe = checked(scene.toml.as_deref().unwrap_or_default())?;
         let key = (recipe.recipe().clone(), options.cache.clone());
-        let source = SOURCES.get(key, || RecipeSource::new(&recipe, &options, guest))?;
+        let source = SOURCES.get(key, || RecipeSource::new(&recipe, &options, call))?;
         Ok(Worlds::Recipe { source, split, damage: scene.damage })
     }
 
@@ -95,14 +95,14 @@ impl Worlds {
         &self,
         episode: (u64, u32),
         settings: &EpisodeSettings,
-        guest: &Guest,
+        call: &LongCall,
     ) -> Result<Arc<dyn BenchmarkWorld>, Fault> {
         Ok(match self {
             Worlds::File(world) => Arc::clone(world) as Arc<dyn BenchmarkWorld>,
             Worlds::Recipe { source, split, damage } => {
                 let seed = split.seed(source.recipe(), episode);
                 match damage {
-                    true => Arc::new(ChangingWorld::new(source, seed, settings, guest)?),
+                    true => Arc::new(ChangingWorld::new(source, seed, settings, call)?),
                     false => source.shared_world(seed)?,
                 }
             }
@@ -226,7 +226,7 @@ struct Seen {
 }
 
 impl Seen {
-    fn of(slots: &[Slot], field: &FieldFacts, guest: &Guest) -> Result<Self, Fault> {
+    fn of(slots: &[Slot], field: &FieldFacts, call: &LongCall) -> Result<Self, Fault> {
         let n = slots.len();
         let overview_px = stemgen::benchmark::episode_settings::OVERVIEW_PX;
         let mut seen = Seen {
@@ -255,14 +255,14 @@ impl Seen {
         let windows: Vec<_> = slots.iter().zip(seen.overview.outer_iter_mut()).collect();
         windows.into_par_iter().try_for_each(|(slot, mut to)| -> Result<(), Error> {
             if let Some(episode) = &slot.episode {
-                to.assign(&episode.overview(guest)?);
+                to.assign(&episode.overview(call)?);
             }
             Ok(())
         })?;
         Ok(seen)
     }
 
-    fn told<'py>(self, py: Python<'py>, out: &Bound<'py, PyDict>) -> PyResult<()> {
+    fn fill<'py>(self, py: Python<'py>, out: &Bound<'py, PyDict>) -> PyResult<()> {
         out.set_item("tile", self.tile.into_pyarray(py))?;
         out.set_item("overview", self.overview.into_pyarray(py))?;
         out.set_item("position", self.position.into_pyarray(py))?;
@@ -304,8 +304,8 @@ impl Episodes {
         count: usize,
         running: Running,
     ) -> PyResult<Self> {
-        run(py, running, move |guest| {
-            let worlds = Worlds::new(&scene, guest)?;
+        run(py, running, move |call| {
+            let worlds = Worlds::new(&scene, call)?;
             let (task, settings) = (rules.task()?, rules.settings(worlds.facts())?);
             let slots = (0..count).map(|_| Slot::default()).collect();
             Ok(Episodes {
@@ -322,19 +322,19 @@ impl Episodes {
         let facts = serde_json::json!({
             "field": self.worlds.facts(), "settings": self.settings, "task": self.task,
         });
-        serde_json::to_string(&facts).map_err(Fault::from).told(py)
+        serde_json::to_string(&facts).map_err(Fault::from).or_raise(py)
     }
 
     /// One step of all slots: a dict of arrays.
     fn step(&self, py: Python<'_>, moves: Moves, running: Running) -> PyResult<Py<PyDict>> {
         let (worlds, slots) = (Arc::clone(&self.worlds), Arc::clone(&self.slots));
         let (task, settings) = (self.task.clone(), self.settings.clone());
-        let (seen, stepped, facts) = run(py, running, move |guest| {
+        let (seen, stepped, facts) = run(py, running, move |call| {
             let mut slots = locked(&slots);
             moves.check(slots.len())?;
             let act = |(n, slot): (usize, &mut Slot)| -> Result<Stepped, Fault> {
                 if let Some(which) = moves.begin[n] {
-                    let world = worlds.world(which, &settings, guest)?;
+                    let world = worlds.world(which, &settings, call)?;
                     let (task, settings) = (task.clone(), settings.clone());
                     slot.episode = Some(Episode::new(world, task, settings, which)?);
                     return Ok(Stepped::default());
@@ -344,13 +344,13 @@ impl Episodes {
                     return Err(Fault::Value(Setting::Episode, "a step".into(), expected));
                 };
                 let (action, fault) = moves.action(n);
-                let done = episode.act(action, &Quiet(guest))?;
+                let done = episode.act(action, &WithoutProgress(call))?;
                 let (reward, ended, acquired) = (done.reward, done.ended, done.acquired);
                 Ok(Stepped { reward, ended, acquired, fault })
             };
             let stepped =
                 slots.par_iter_mut().enumerate().map(act).collect::<Result<Vec<_>, _>>()?;
-            let seen = Seen::of(&slots, worlds.facts(), guest)?;
+            let seen = Seen::of(&slots, worlds.facts(), call)?;
             let facts = |slot: &Slot| {
                 let of = |e: &Episode| (e.spent(), e.acquisitions().len(), e.unreadable());
                 slot.episode.as_ref().map_or((0.0, 0, 0), of)
@@ -359,7 +359,7 @@ impl Episodes {
             Ok((seen, stepped, facts))
         })?;
         let out = PyDict::new(py);
-        seen.told(py, &out)?;
+        seen.fill(py, &out)?;
         let reward: Array1<f64> = stepped.iter().map(|s| s.reward).collect();
         out.set_item("reward", reward.into_pyarray(py))?;
         let ended: Vec<_> = stepped.iter().map(|s| s.ended.map(name_of)).collect();
@@ -431,9 +431,9 @@ impl Episodes {
 }
 
 /// Passes on only the wish to stop, and warnings.
-struct Quiet<'a>(&'a Guest);
+struct WithoutProgress<'a>(&'a LongCall);
 
-impl stemgen::progress::Progress for Quiet<'_> {
+impl stemgen::progress::Progress for WithoutProgress<'_> {
     fn start(&self, _: &str, _: &str, _: u64) {}
     fn advance(&self, _: u64) {}
     fn finish(&self) {}
@@ -459,5 +459,5 @@ pub fn dose_metrics(
         }
         serde_json::to_string(&curve.metrics_of(checkpoints)).map_err(Fault::from)
     };
-    metrics().told(py)
+    metrics().or_raise(py)
 }

@@ -1,7 +1,7 @@
 //! Worlds are built and planned.
 
 use crate::errors::Fault;
-use crate::guest::{Guest, Running, run};
+use crate::long_call::{LongCall, Running, run};
 use crate::recipes::checked;
 use crate::words::{WordOrNumber, choice, expansion};
 use pyo3::prelude::*;
@@ -105,10 +105,10 @@ impl Building {
         })
     }
 
-    fn run(&self, guest: &Guest) -> Result<String, Fault> {
+    fn run(&self, call: &LongCall) -> Result<String, Fault> {
         let recipe = checked(&self.toml)?;
         let build = WorldBuild::new(&recipe, &self.options()?)?;
-        build.warnings()?.iter().for_each(|warning| guest.warn(warning));
+        build.warnings()?.iter().for_each(|warning| call.warn(warning));
         let picture = self.png.then(|| self.out.with_extension("png"));
         let outputs = [Some(&self.out), picture.as_ref()].into_iter().flatten();
         let complete = build.is_complete(&self.out);
@@ -121,34 +121,34 @@ impl Building {
         if !complete {
             build.check_disk(&self.out, companion.as_slice())?;
             let warnings = WorldPlan::warnings(&build)?;
-            warnings.iter().for_each(|warning| guest.warn(warning));
+            warnings.iter().for_each(|warning| call.warn(warning));
             let (needed, remedy) = build.memory(&build.cost()?, simulation::threads())?;
             match check_memory(needed, remedy) {
-                Err(e) if self.force => guest.warn(&e.to_string()),
+                Err(e) if self.force => call.warn(&e.to_string()),
                 checked => checked?,
             }
         }
-        let summary = build.run_with(&self.out, companion.as_slice(), guest)?;
+        let summary = build.run_with(&self.out, companion.as_slice(), call)?;
         Ok(serde_json::to_string(&summary)?)
     }
 
-    fn run_part(&self, shard: [usize; 2], guest: &Guest) -> Result<String, Fault> {
+    fn run_part(&self, shard: [usize; 2], call: &LongCall) -> Result<String, Fault> {
         let shard = Shard::new(shard[0], shard[1])?;
         let build = WorldBuild::new(&checked(&self.toml)?, &self.options()?)?;
         check_outputs([&self.out], [] as [&PathBuf; 0], false)?;
         let (needed, remedy) = build.memory(&build.cost()?, simulation::threads())?;
         match check_memory(needed, remedy) {
-            Err(e) if self.force => guest.warn(&e.to_string()),
+            Err(e) if self.force => call.warn(&e.to_string()),
             checked => checked?,
         }
-        Ok(serde_json::to_string(&build.run_part(&self.out, shard, guest)?)?)
+        Ok(serde_json::to_string(&build.run_part(&self.out, shard, call)?)?)
     }
 }
 
 /// Builds a world; returns what was built as JSON.
 #[pyfunction]
 pub fn build_world(py: Python<'_>, options: Building, running: Running) -> PyResult<String> {
-    run(py, running, move |guest| options.run(guest))
+    run(py, running, move |call| options.run(call))
 }
 
 /// Makes part `shard[0]` (from 0) of `shard[1]` of what a world takes; returns what was done as JSON.
@@ -159,7 +159,7 @@ pub fn build_part(
     shard: [usize; 2],
     running: Running,
 ) -> PyResult<String> {
-    run(py, running, move |guest| options.run_part(shard, guest))
+    run(py, running, move |call| options.run_part(shard, call))
 }
 
 /// What a build would do and take, as JSON. Nothing is simulated or written.

@@ -1,7 +1,7 @@
 //! The cache of the simulations that worlds share, and the library that comes along.
 
 use crate::errors::{Fault, Told};
-use crate::guest::{Running, run};
+use crate::long_call::{Running, run};
 use crate::recipes::checked;
 use pyo3::prelude::*;
 use std::path::{Path, PathBuf};
@@ -21,11 +21,11 @@ pub fn cache_export(
     overwrite: bool,
     running: Running,
 ) -> PyResult<String> {
-    run(py, running, move |guest| {
+    run(py, running, move |call| {
         check_outputs([&out], [] as [&PathBuf; 0], overwrite)?;
         let cache = Cache::of_user();
         check_known(&cache, material.as_deref(), false)?;
-        let found = library_archive::export(&cache, material.as_deref(), &out, guest)?;
+        let found = library_archive::export(&cache, material.as_deref(), &out, call)?;
         Ok(serde_json::to_string(&found)?)
     })
 }
@@ -33,8 +33,8 @@ pub fn cache_export(
 /// Takes the images of a file into the user's cache; returns what it holds as JSON.
 #[pyfunction]
 pub fn cache_import(py: Python<'_>, path: PathBuf, running: Running) -> PyResult<String> {
-    run(py, running, move |guest| {
-        let found = library_archive::import(&Cache::of_user(), &path, guest)?;
+    run(py, running, move |call| {
+        let found = library_archive::import(&Cache::of_user(), &path, call)?;
         Ok(serde_json::to_string(&found)?)
     })
 }
@@ -69,7 +69,7 @@ type Holdings = Vec<(String, usize, u64)>;
 /// What the user's cache holds: material, images, bytes.
 #[pyfunction]
 pub fn cache_list(py: Python<'_>) -> PyResult<Holdings> {
-    let held = py.detach(|| Cache::of_user().holdings()).told(py)?;
+    let held = py.detach(|| Cache::of_user().holdings()).or_raise(py)?;
     Ok(held.into_iter().map(|h| (h.material, h.images, h.bytes)).collect())
 }
 
@@ -84,7 +84,7 @@ pub fn cache_clear(py: Python<'_>, material: Option<String>) -> PyResult<Holding
         }
         Ok(removed.into_iter().map(|h| (h.material, h.images, h.bytes)).collect())
     });
-    removed.told(py)
+    removed.or_raise(py)
 }
 
 /// Refuses a material of which the cache, and with `supplied` the library that comes along, has nothing.
@@ -116,14 +116,14 @@ pub fn cache_fill(
     supplied: bool,
     running: Running,
 ) -> PyResult<Option<Filling>> {
-    run(py, running, move |guest| {
+    run(py, running, move |call| {
         let shard = Shard::new(shard[0], shard[1])?;
         let cache = Cache::of_user();
         let cache = if supplied { cache } else { cache.without_supplied() };
         let build = build_of(&toml, cache)?;
         let Some(library) = build.library()? else { return Ok(None) };
         let images = library.mosaic_cost().images;
-        let simulated = library.fill_part(shard, guest)?;
+        let simulated = library.fill_part(shard, call)?;
         Ok(Some((images, simulated, library.mosaic_cost().missing)))
     })
 }
@@ -141,19 +141,19 @@ pub fn cache_verify(
     again: Option<(String, usize, u64)>,
     running: Running,
 ) -> PyResult<(usize, usize, Damaged, Again)> {
-    run(py, running, move |guest| {
+    run(py, running, move |call| {
         let cache = Cache::of_user();
         check_known(&cache, material.as_deref(), true)?;
-        let (images, damaged) = cache.verify(material.as_deref(), guest)?;
+        let (images, damaged) = cache.verify(material.as_deref(), call)?;
         let supplied = match cache.supplied_library() {
-            Some(library) => library.verified(guest)?.iter().map(|h| h.images).sum(),
+            Some(library) => library.verified(call)?.iter().map(|h| h.images).sum(),
             None => 0,
         };
         let mut recomputed = Vec::new();
         if let Some((toml, count, seed)) = again {
             let build = build_of(&toml, cache)?;
             if let Some(library) = build.library()? {
-                recomputed = library.recomputed(count, seed, guest)?;
+                recomputed = library.recomputed(count, seed, call)?;
             }
             if recomputed.is_empty() {
                 let words = "the cache holds no simulations that worlds of this recipe use; sw.cache.fill makes them";

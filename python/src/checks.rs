@@ -2,7 +2,7 @@
 
 use crate::builds::CacheChoice;
 use crate::errors::{Fault, Told};
-use crate::guest::{Running, run};
+use crate::long_call::{Running, run};
 use crate::recipes::checked;
 use pyo3::prelude::*;
 use std::path::PathBuf;
@@ -69,7 +69,7 @@ pub struct Auditing {
 /// Simulates regions of a world exactly, and compares; JSON.
 #[pyfunction]
 pub fn audit_field(py: Python<'_>, options: Auditing, running: Running) -> PyResult<String> {
-    run(py, running, move |guest| {
+    run(py, running, move |call| {
         let (recipe, made) = options.field.resolve()?;
         let asked = AuditOptions {
             regions: options.regions,
@@ -82,10 +82,10 @@ pub fn audit_field(py: Python<'_>, options: Auditing, running: Running) -> PyRes
         let job = AuditJob::new(recipe, made.as_ref(), asked, options.cache.cache(), None)?;
         let (bytes, remedy) = job.memory(simulation::threads())?;
         match check_memory(bytes, remedy) {
-            Err(e) if options.force => guest.warn(&e.to_string()),
+            Err(e) if options.force => call.warn(&e.to_string()),
             checked => checked?,
         }
-        Ok(serde_json::to_string(&job.run(guest)?)?)
+        Ok(serde_json::to_string(&job.run(call)?)?)
     })
 }
 
@@ -99,7 +99,7 @@ pub fn validate_suite(
     overwrite: bool,
     running: Running,
 ) -> PyResult<String> {
-    run(py, running, move |guest| {
+    run(py, running, move |call| {
         let subject = match (cases.is_empty(), quick) {
             (true, false) => "its shipped references",
             (true, true) => "the quick part of its shipped references",
@@ -107,9 +107,9 @@ pub fn validate_suite(
         };
         let chosen = selected(&cases, quick)?;
         check_outputs(&out, [] as [&PathBuf; 0], overwrite)?;
-        guest.start("validating", "steps", chosen.iter().map(Case::units).sum());
-        let outcomes = chosen.iter().map(|case| case.run(guest)).collect::<Result<_, _>>()?;
-        guest.finish();
+        call.start("validating", "steps", chosen.iter().map(Case::units).sum());
+        let outcomes = chosen.iter().map(|case| case.run(call)).collect::<Result<_, _>>()?;
+        call.finish();
         let report =
             Report::new(subject, ReportOrigin::now("stemworlds.validate".into()), outcomes);
         if let Some(out) = &out {
@@ -122,7 +122,7 @@ pub fn validate_suite(
 /// Cases of the validation: name, title, whether it is quick, seconds on two cores.
 #[pyfunction]
 pub fn validation_cases(py: Python<'_>) -> PyResult<Vec<(String, String, bool, f64)>> {
-    let cases = selected(&[], false).told(py)?;
+    let cases = selected(&[], false).or_raise(py)?;
     let row = |case: Case| (case.name.to_owned(), case.title.to_owned(), case.quick, case.seconds);
     Ok(cases.into_iter().map(row).collect())
 }
@@ -137,11 +137,11 @@ pub fn compare_worlds(
     overwrite: bool,
     running: Running,
 ) -> PyResult<String> {
-    run(py, running, move |guest| {
+    run(py, running, move |call| {
         let [a, b] = &paths;
         let worlds = [WorldFile::open(a)?, WorldFile::open(b)?];
         check_outputs(&out, &paths, overwrite)?;
-        let comparison = compare(a, b, alpha, guest)?;
+        let comparison = compare(a, b, alpha, call)?;
         if let Some(out) = &out {
             let origin = ReportOrigin::now("stemworlds.compare".into());
             let page = worlds_page(&comparison, [&worlds[0], &worlds[1]], &origin)?;
@@ -156,5 +156,5 @@ pub fn compare_worlds(
 /// Whether a world agrees with itself; JSON.
 #[pyfunction]
 pub fn verify_world(py: Python<'_>, path: PathBuf, running: Running) -> PyResult<String> {
-    run(py, running, move |guest| Ok(serde_json::to_string(&check_world(&path, guest)?)?))
+    run(py, running, move |call| Ok(serde_json::to_string(&check_world(&path, call)?)?))
 }

@@ -20,5 +20,5 @@ pub fn main(py: Python<'_>, arguments: Vec<OsString>, again: Vec<OsString>) -> u
 pub fn check_file(py: Python<'_>, path: PathBuf, again: Vec<OsString>) -> PyResult<()> {
     use crate::errors::Told;
     Invocation { arguments: Vec::new(), again }.remember();
-    py.detach(|| stemgen_cli::survive(&path)).told(py)
+    py.detach(|| stemgen_cli::survive(&path)).or_raise(py)
 }

@@ -138,11 +138,11 @@ pub trait Told<T> {
     ///
     /// # Errors
     /// The fault as an exception.
-    fn told(self, py: Python<'_>) -> PyResult<T>;
+    fn or_raise(self, py: Python<'_>) -> PyResult<T>;
 }
 
 impl<T, E: Into<Fault>> Told<T> for Result<T, E> {
-    fn told(self, py: Python<'_>) -> PyResult<T> {
+    fn or_raise(self, py: Python<'_>) -> PyResult<T> {
         self.map_err(|fault| error(py, fault.into()))
     }
 }

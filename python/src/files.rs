@@ -70,7 +70,7 @@ pub fn save_hspy(
         let stacks = images.iter().map(StackOptions::stack).collect::<Result<Vec<_>, _>>()?;
         Ok(write_hspy(&path, overwrite, &stacks)?)
     });
-    written.told(py)
+    written.or_raise(py)
 }
 
 /// Writes an image as TIFF of 8, 16 or 32 bits.
@@ -88,5 +88,5 @@ pub fn save_tiff(
         check_outputs([&path], [] as [&PathBuf; 0], overwrite)?;
         Ok(write_tiff(&path, overwrite, &image.stack()?, depth)?)
     });
-    written.told(py)
+    written.or_raise(py)
 }

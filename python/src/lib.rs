@@ -1,7 +1,7 @@
 //! The extension module of `stemworlds`: thin glue between Python and the library.
 //!
 //! Python gives all options, in dicts; what is told of them is in the package's own sources (`stemworlds/`). Long calls run as
-//! `guest` says; errors are made by `stemworlds.errors`.
+//! `long_call` says; errors are made by `stemworlds.errors`.
 
 mod bench;
 mod builds;
@@ -10,8 +10,8 @@ mod checks;
 mod command_line;
 mod errors;
 mod files;
-mod guest;
 mod live;
+mod long_call;
 mod recipes;
 mod recordings;
 mod replays;

@@ -2,9 +2,9 @@
 
 use crate::builds::CacheChoice;
 use crate::errors::{Fault, Told};
-use crate::guest::{Running, run};
+use crate::long_call::{Running, run};
 use crate::recipes::checked;
-use crate::recordings::{tell_columns, told, warn_of_clipping};
+use crate::recordings::{as_dict, tell_columns, warn_of_clipping};
 use crate::request::Parsed;
 use ndarray::Array1;
 use numpy::IntoPyArray;
@@ -98,12 +98,12 @@ fn truth(
 impl LiveField {
     #[new]
     fn new(py: Python<'_>, options: Living, running: Running) -> PyResult<Self> {
-        let world = run(py, running, move |guest| {
+        let world = run(py, running, move |call| {
             let recipe = checked(&options.toml)?;
             let imaging = BuildOptions { cache: options.cache.cache(), ..BuildOptions::default() };
             let live =
                 LiveOptions { imaging, most_dose: options.most_dose, ..LiveOptions::default() };
-            Ok(LiveWorld::new(&recipe, recipe.seed, &live, guest)?)
+            Ok(LiveWorld::new(&recipe, recipe.seed, &live, call)?)
         })?;
         Ok(LiveField { world: Arc::new(Mutex::new(world)) })
     }
@@ -131,7 +131,7 @@ impl LiveField {
         running: Running,
     ) -> PyResult<Py<PyDict>> {
         let world = Arc::clone(&self.world);
-        let recording = run(py, running, move |guest| {
+        let recording = run(py, running, move |call| {
             let mut world = locked(&world);
             let recipe = world.recipe().clone();
             let request = LiveRequest {
@@ -140,17 +140,17 @@ impl LiveField {
                 acquisition: asked.0.table(&recipe).resolved(),
                 keep_frames: asked.0.keep_frames,
             };
-            let recording = world.acquire(&request, guest)?;
-            warn_of_clipping(&recording, guest);
+            let recording = world.acquire(&request, call)?;
+            warn_of_clipping(&recording, call);
             Ok(recording)
         })?;
-        told(py, recording)
+        as_dict(py, recording)
     }
 
     /// What is in a region now: a dict.
     fn truth(&self, py: Python<'_>, region: [f64; 4]) -> PyResult<Py<PyDict>> {
         let [x0, y0, x1, y1] = region;
-        checked_region(region).told(py)?;
+        checked_region(region).or_raise(py)?;
         let region = Region { x: [x0, x1], y: [y0, y1] };
         let found = py.detach(|| locked(&self.world).truth(&region));
         let out = PyDict::new(py);
@@ -161,7 +161,7 @@ impl LiveField {
     /// The mean dose of a region in electrons per square Angstrom.
     fn dose(&self, py: Python<'_>, region: [f64; 4]) -> PyResult<f64> {
         let [x0, y0, x1, y1] = region;
-        checked_region(region).told(py)?;
+        checked_region(region).or_raise(py)?;
         let region = Region { x: [x0, x1], y: [y0, y1] };
         Ok(py.detach(|| locked(&self.world).mean_dose(&region)))
     }
@@ -169,13 +169,13 @@ impl LiveField {
     /// All recordings, as JSON.
     fn history(&self, py: Python<'_>) -> PyResult<String> {
         let text = py.detach(|| serde_json::to_string(locked(&self.world).history()));
-        text.map_err(Fault::from).told(py)
+        text.map_err(Fault::from).or_raise(py)
     }
 
     /// What has been done so far, as JSON.
     fn snapshot(&self, py: Python<'_>) -> PyResult<String> {
         let text = py.detach(|| serde_json::to_string(&locked(&self.world).snapshot()));
-        text.map_err(Fault::from).told(py)
+        text.map_err(Fault::from).or_raise(py)
     }
 
     /// Goes to a moment that [`LiveField::snapshot`] told.
@@ -187,7 +187,7 @@ impl LiveField {
             })?;
             Ok(locked(&self.world).restore(&snapshot)?)
         };
-        py.detach(restore).told(py)
+        py.detach(restore).or_raise(py)
     }
 
     /// The recipe, with its seed, as TOML.

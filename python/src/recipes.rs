@@ -95,7 +95,7 @@ pub fn resolve_recipe(py: Python<'_>, source: RecipeSource, changes: Changes) ->
     let resolved = py.detach(|| -> Result<String, Fault> {
         Ok(changes.apply(source.recipe()?)?.checked()?.to_toml())
     });
-    resolved.told(py)
+    resolved.or_raise(py)
 }
 
 /// A resolved recipe.
@@ -114,13 +114,13 @@ pub fn recipes(py: Python<'_>) -> PyResult<Vec<(String, Vec<String>)>> {
         Ok((name.to_owned(), tiers.iter().map(|tier| tier.name().to_owned()).collect()))
     };
     let all = Recipe::built_in().map(tiers).collect::<Result<_, Error>>();
-    all.told(py)
+    all.or_raise(py)
 }
 
 /// What follows from a recipe: a dict of pixels, field and places.
 #[pyfunction]
 pub fn describe_recipe(py: Python<'_>, toml: &str) -> PyResult<String> {
-    let recipe = checked(toml).told(py)?;
+    let recipe = checked(toml).or_raise(py)?;
     let field = &recipe.field;
     let shape = field.pixels(field.built_grid());
     let facts = serde_json::json!({

@@ -3,7 +3,7 @@
 use crate::builds::CacheChoice;
 use crate::checks::Field;
 use crate::errors::Fault;
-use crate::guest::{Guest, Running, run};
+use crate::long_call::{LongCall, Running, run};
 use crate::request::Parsed;
 use ndarray::Array2;
 use numpy::IntoPyArray;
@@ -27,17 +27,17 @@ pub struct Recording {
 }
 
 impl Recording {
-    fn record(&self, guest: &Guest) -> Result<FieldRecording, Fault> {
+    fn record(&self, call: &LongCall) -> Result<FieldRecording, Fault> {
         let (recipe, made) = self.field.resolve()?;
         check_outputs(&self.out, &self.field.world, self.overwrite)?;
         let field = (self.field.world.clone(), made);
         let job = RecordingJob::new(&recipe, field, &self.request.0)?;
-        let (recording, _) = job.run(self.cache.cache(), guest)?;
+        let (recording, _) = job.run(self.cache.cache(), call)?;
         if let Some(out) = &self.out {
             let (recipe, specimen) = (job.recipe(), job.specimen());
             recording.write(out, self.overwrite, recipe, specimen, "stemworlds.acquire")?;
         }
-        warn_of_clipping(&recording, guest);
+        warn_of_clipping(&recording, call);
         Ok(recording)
     }
 }
@@ -55,8 +55,8 @@ pub fn warn_of_clipping(recording: &FieldRecording, progress: &dyn Progress) {
 /// Records a place: a dict of arrays and numbers.
 #[pyfunction]
 pub fn record_field(py: Python<'_>, options: Recording, running: Running) -> PyResult<Py<PyDict>> {
-    let recording = run(py, running, move |guest| options.record(guest))?;
-    told(py, recording)
+    let recording = run(py, running, move |call| options.record(call))?;
+    as_dict(py, recording)
 }
 
 /// Columns: places in nm, sites, vacancies and substitutions, compositions.
@@ -75,7 +75,7 @@ pub fn tell_columns(
 }
 
 /// A recording as a dict of arrays and numbers.
-pub fn told(py: Python<'_>, recording: FieldRecording) -> PyResult<Py<PyDict>> {
+pub fn as_dict(py: Python<'_>, recording: FieldRecording) -> PyResult<Py<PyDict>> {
     let out = PyDict::new(py);
     tell_columns(py, &recording.columns, &out)?;
     let drift: Array2<f64> = ndarray::arr2(&recording.drift);

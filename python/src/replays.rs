@@ -1,6 +1,6 @@
 //! Worlds of recorded images.
 
-use crate::guest::{Running, run};
+use crate::long_call::{Running, run};
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use stemgen::files::outputs::check_outputs;
@@ -24,7 +24,7 @@ pub struct Importing {
 /// Makes a world of a recorded image; returns what it holds as JSON.
 #[pyfunction]
 pub fn import_image(py: Python<'_>, options: Importing, running: Running) -> PyResult<String> {
-    run(py, running, move |guest| {
+    run(py, running, move |call| {
         check_outputs([&options.out], [&options.path], options.overwrite)?;
         let choice = ImageChoice { dataset: options.dataset.clone(), index: options.index };
         let replay = ReplayOptions {
@@ -33,7 +33,7 @@ pub fn import_image(py: Python<'_>, options: Importing, running: Running) -> PyR
             percentiles: options.contrast,
         };
         let world = ReplayWorld::new(recorded::read(&options.path, &choice)?, &replay)?;
-        world.write(&options.out, options.overwrite, guest)?;
+        world.write(&options.out, options.overwrite, call)?;
         Ok(serde_json::to_string(world.facts())?)
     })
 }

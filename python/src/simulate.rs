@@ -1,7 +1,7 @@
 //! Images of atoms.
 
 use crate::errors::{Fault, Told};
-use crate::guest::{Guest, Running, run};
+use crate::long_call::{LongCall, Running, run};
 use crate::request::{AtomArrays, Request};
 use ndarray::{Array2, Array3, Axis};
 use num_complex::Complex32;
@@ -24,8 +24,8 @@ fn prepared(
 }
 
 /// Passes warnings on, and refuses what takes more memory than is free unless `force`.
-fn check(job: &SimulationJob, force: bool, guest: &Guest) -> Result<(), Fault> {
-    job.warnings().iter().for_each(|warning| guest.warn(&warning.message));
+fn check(job: &SimulationJob, force: bool, call: &LongCall) -> Result<(), Fault> {
+    job.warnings().iter().for_each(|warning| call.warn(&warning.message));
     if !force {
         job.check_memory()?;
     }
@@ -41,7 +41,10 @@ fn shared_facts<'py>(
     let out = PyDict::new(py);
     out.set_item("thicknesses_angstrom", plan.thicknesses_angstrom())?;
     out.set_item("box_angstrom", job.specimen().size_angstrom)?;
-    out.set_item("settings", serde_json::to_string(&plan.settings).map_err(Fault::from).told(py)?)?;
+    out.set_item(
+        "settings",
+        serde_json::to_string(&plan.settings).map_err(Fault::from).or_raise(py)?,
+    )?;
     out.set_item("band_limit_mrad", plan.band_limit_mrad)?;
     Ok(out)
 }
@@ -56,10 +59,10 @@ pub fn simulate(
     force: bool,
     running: Running,
 ) -> PyResult<Py<PyDict>> {
-    let work = move |guest: &Guest| -> Result<(Vec<SimulatedImage>, SimulationJob), Fault> {
-        let job = prepared(request, atoms.as_ref(), guest)?;
-        check(&job, force, guest)?;
-        Ok((job.run(guest)?, job))
+    let work = move |call: &LongCall| -> Result<(Vec<SimulatedImage>, SimulationJob), Fault> {
+        let job = prepared(request, atoms.as_ref(), call)?;
+        check(&job, force, call)?;
+        Ok((job.run(call)?, job))
     };
     let (images, job) = run(py, running, work)?;
     let mut listed = Vec::new();
@@ -73,7 +76,7 @@ pub fn simulate(
         listed.push(item);
     }
     let accuracy = job.accuracies().iter().map(serde_json::to_string);
-    let accuracy = accuracy.collect::<Result<Vec<_>, _>>().map_err(Fault::from).told(py)?;
+    let accuracy = accuracy.collect::<Result<Vec<_>, _>>().map_err(Fault::from).or_raise(py)?;
     let out = shared_facts(py, &job, &job.plans()[0])?;
     out.set_item("images", listed)?;
     out.set_item("electrons_per_pixel", job.electrons_per_pixel())?;
@@ -97,13 +100,13 @@ pub fn simulate_places(
     running: Running,
 ) -> PyResult<Py<PyDict>> {
     type Values = Vec<(String, Array2<f32>)>;
-    let work = move |guest: &Guest| -> Result<(Values, Vec<[f64; 2]>, SimulationJob), Fault> {
+    let work = move |call: &LongCall| -> Result<(Values, Vec<[f64; 2]>, SimulationJob), Fault> {
         let job = request.job(atoms.as_ref())?;
         let [x, y, _] = job.specimen().size_angstrom;
         let unit = unit.0.angstrom([x, y]);
         let places: Vec<_> = places.iter().map(|p| [p[0] * unit[0], p[1] * unit[1]]).collect();
-        check(&job, true, guest)?;
-        let series = job.probes(&places, force, guest)?;
+        check(&job, true, call)?;
+        let series = job.probes(&places, force, call)?;
         let mut values = Vec::new();
         let mut names = job.image_names().into_iter();
         for images in &series {
@@ -136,7 +139,7 @@ impl<'a, 'py> FromPyObject<'a, 'py> for Unit {
             ("A", LengthUnit::Angstrom),
         ];
         let found = crate::words::choice(stemgen::Setting::Region, &word, &known);
-        found.map(Unit).told(object.py())
+        found.map(Unit).or_raise(object.py())
     }
 }
 
@@ -148,8 +151,8 @@ pub fn plan_simulation(
     atoms: Option<AtomArrays>,
     running: Running,
 ) -> PyResult<String> {
-    run(py, running, move |guest| {
-        let job = prepared(request, atoms.as_ref(), guest)?;
+    run(py, running, move |call| {
+        let job = prepared(request, atoms.as_ref(), call)?;
         let (specimen, scan) = (job.specimen(), job.scan());
         let mut report = serde_json::to_value(job.report()?)?;
         report["atoms"] = specimen.sites.len().into();
@@ -173,10 +176,10 @@ pub fn simulate_plane_wave(
     running: Running,
 ) -> PyResult<Py<PyDict>> {
     type Waves = (Array3<Complex32>, Vec<Array3<f32>>, [f64; 2]);
-    let work = move |guest: &Guest| -> Result<Waves, Fault> {
+    let work = move |call: &LongCall| -> Result<Waves, Fault> {
         let job = request.job(atoms.as_ref())?;
-        check(&job, force, guest)?;
-        let (_, waves) = job.plane_wave(guest)?;
+        check(&job, force, call)?;
+        let (_, waves) = job.plane_wave(call)?;
         Ok((waves.exit_waves, waves.images, job.scan().step_angstrom))
     };
     let (waves, images, step_angstrom) = run(py, running, work)?;
@@ -201,10 +204,10 @@ pub fn diffraction(
     force: bool,
     running: Running,
 ) -> PyResult<Py<PyDict>> {
-    let work = move |guest: &Guest| -> Result<(Array2<f32>, [f64; 2], f64), Fault> {
-        let job = prepared(request, atoms.as_ref(), guest)?;
-        check(&job, force, guest)?;
-        let (pattern, step_mrad) = job.diffraction(position_angstrom, guest)?;
+    let work = move |call: &LongCall| -> Result<(Array2<f32>, [f64; 2], f64), Fault> {
+        let job = prepared(request, atoms.as_ref(), call)?;
+        check(&job, force, call)?;
+        let (pattern, step_mrad) = job.diffraction(position_angstrom, call)?;
         Ok((pattern, step_mrad, job.plans()[0].band_limit_mrad))
     };
     let (pattern, step_mrad, band_limit_mrad) = run(py, running, work)?;

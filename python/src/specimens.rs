@@ -1,7 +1,7 @@
 //! The atoms of a recipe's specimen.
 
 use crate::errors::Fault;
-use crate::guest::{Guest, Running, run};
+use crate::long_call::{LongCall, Running, run};
 use crate::recipes::checked;
 use ndarray::{Array1, Array2};
 use numpy::IntoPyArray;
@@ -65,14 +65,14 @@ pub fn specimen_sites(
     region_nm: Option<[f64; 4]>,
     running: Running,
 ) -> PyResult<Py<PyDict>> {
-    let work = move |guest: &Guest| -> Result<(SiteLists, [[f64; 2]; 2], f64), Fault> {
+    let work = move |call: &LongCall| -> Result<(SiteLists, [[f64; 2]; 2], f64), Fault> {
         let recipe = checked(&toml)?;
         let specimen = specimen(&recipe)?;
         let origin = recipe.field.origin_nm();
         let mut lists = SiteLists::default();
         let region = match region_nm {
             None => {
-                for_each_stripe(&*specimen, &recipe.field, "sites", guest, |stripe| {
+                for_each_stripe(&*specimen, &recipe.field, "sites", call, |stripe| {
                     lists.add(&stripe.sites, origin);
                     Ok(())
                 })?;
@@ -84,7 +84,7 @@ pub fn specimen_sites(
                 region
             }
         };
-        let mut thickness_nm = specimen.thickness_nm();
+        let mut thickness_nm = specimen.facts().thickness_nm;
         if let Some(layers) = SurfaceLayers::of(&recipe, thickness_nm) {
             lists.add_layers(&layers, &region, origin);
             thickness_nm = 0.1 * layers.thickness_angstrom();
@@ -135,5 +135,5 @@ pub fn region_of(
 /// Draws the projected specimen of a recipe as PNG.
 #[pyfunction]
 pub fn draw_recipe(py: Python<'_>, toml: String, out: PathBuf, running: Running) -> PyResult<()> {
-    run(py, running, move |guest| Ok(draw_specimen(&checked(&toml)?, &out, guest)?))
+    run(py, running, move |call| Ok(draw_specimen(&checked(&toml)?, &out, call)?))
 }

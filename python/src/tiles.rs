@@ -2,7 +2,7 @@
 
 use crate::builds::CacheChoice;
 use crate::errors::Fault;
-use crate::guest::{Guest, Running, run};
+use crate::long_call::{LongCall, Running, run};
 use crate::recipes::checked;
 use numpy::{IntoPyArray, PyArray1};
 use pyo3::prelude::*;
@@ -105,17 +105,17 @@ impl Source {
     }
 
     /// Samples of these numbers, in parallel.
-    fn samples(&self, indices: &[u64], guest: &Guest) -> Result<Vec<TrainingSample>, Fault> {
+    fn samples(&self, indices: &[u64], call: &LongCall) -> Result<Vec<TrainingSample>, Fault> {
         let mut of_each = Vec::with_capacity(indices.len());
         for index in indices {
-            of_each.push((*index, self.laid(self.number(*index), guest)?));
+            of_each.push((*index, self.laid(self.number(*index), call)?));
         }
         let make = |(index, laid): &(u64, Arc<Laid>)| -> Result<TrainingSample, Fault> {
-            if guest.interrupted() {
+            if call.interrupted() {
                 return Err(stemgen::Error::Interrupted.into());
             }
             let Laid { recipe, specimen, imager, .. } = &**laid;
-            let quiet = InterruptOnly(guest);
+            let quiet = InterruptOnly(call);
             let (specimen, imager) = (&**specimen, &**imager);
             Ok(training_sample(recipe, specimen, imager, &self.options, *index, &quiet)?)
         };
@@ -137,7 +137,7 @@ impl TileSource {
     /// Lays out the specimen of a sample, and fills the library of its images.
     fn prepare(&self, py: Python<'_>, index: u64, running: Running) -> PyResult<()> {
         let source = self.0.clone();
-        run(py, running, move |guest| source.laid(source.number(index), guest).map(drop))
+        run(py, running, move |call| source.laid(source.number(index), call).map(drop))
     }
 
     /// Samples of these numbers: a list of dicts.
@@ -148,8 +148,8 @@ impl TileSource {
         running: Running,
     ) -> PyResult<Vec<Bound<'py, PyDict>>> {
         let source = self.0.clone();
-        let samples = run(py, running, move |guest| {
-            let samples = source.samples(&indices, guest)?;
+        let samples = run(py, running, move |call| {
+            let samples = source.samples(&indices, call)?;
             Ok(indices.into_iter().zip(samples).collect::<Vec<_>>())
         })?;
         samples.into_iter().map(|(index, sample)| listed(py, index, sample)).collect()

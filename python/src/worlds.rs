@@ -1,7 +1,7 @@
 //! World files, open for reading.
 
 use crate::errors::{Fault, Told, error};
-use crate::guest::{Running, run};
+use crate::long_call::{Running, run};
 use ndarray::{Array1, Array2};
 use numpy::{IntoPyArray, PyArray2};
 use pyo3::prelude::*;
@@ -352,7 +352,7 @@ pub fn png<'py>(
 ) -> PyResult<Bound<'py, PyBytes>> {
     let image: Array2<f32> = image.as_array().to_owned();
     let bytes = py.detach(|| image_pictures::png(image.view(), step_angstrom, scale_bar));
-    Ok(PyBytes::new(py, &bytes.told(py)?))
+    Ok(PyBytes::new(py, &bytes.or_raise(py)?))
 }
 
 /// Writes bytes to a file that is there as a whole or not at all.
@@ -362,5 +362,5 @@ pub fn write_file(py: Python<'_>, path: PathBuf, bytes: &[u8], overwrite: bool) 
         check_outputs([&path], [] as [&PathBuf; 0], overwrite)?;
         Ok(atomic_write::write(&path, bytes)?)
     };
-    write().told(py)
+    write().or_raise(py)
 }

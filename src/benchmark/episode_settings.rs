@@ -38,7 +38,7 @@ pub enum TileDose {
 pub enum TileNoise {
     /// Electrons are counted anew in each acquisition.
     Poisson,
-    /// ReadTiles are those that the world holds, whatever the dose.
+    /// Tiles are shown as the world holds them, whatever the dose.
     Stored,
 }
 

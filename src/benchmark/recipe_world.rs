@@ -14,7 +14,7 @@ use super::view::{FieldFacts, TileView};
 use crate::error::{Error, Result};
 use crate::imaging::Noise;
 use crate::imaging::{
-    MethodChoice, PixelRect, RegionImager, SharedSheets, TurnedRaster, overview_image, turned_image,
+    MethodChoice, PixelRect, RegionImager, SharedCells, TurnedRaster, overview_image, turned_image,
 };
 use crate::progress::{InterruptOnly, Progress};
 use crate::recipe::{CheckedRecipe, OVERVIEW_FACTOR, Recipe, Region, StructureKind};
@@ -65,7 +65,7 @@ const EPISODE_DRAW: u32 = 2;
 pub struct RecipeSource {
     recipe: CheckedRecipe,
     options: BuildOptions,
-    shared: Arc<SharedSheets>,
+    shared: Arc<SharedCells>,
     facts: FieldFacts,
     in_use: InUse<u64, RecipeWorld>,
 }
@@ -97,11 +97,11 @@ impl RecipeSource {
             margin_px: 0,
         };
         let (recipe, options) = (recipe.clone(), options.clone());
-        let shared = Arc::new(SharedSheets::default());
+        let shared = Arc::new(SharedCells::default());
         let mut source = RecipeSource { recipe, options, shared, facts, in_use: InUse::new() };
         let mut first = source.world_of(source.recipe.clone())?;
         first.imager.prepare(progress)?;
-        source.facts.phases = first.specimen.phases();
+        source.facts.phases = first.specimen.facts().phases.clone();
         source.facts.scaling = source.scaling(&first, &InterruptOnly(progress))?;
         Ok(source)
     }
@@ -444,12 +444,12 @@ pub(super) fn truth_of(
 
 /// The particles that reach into such a region.
 fn particles_of(specimen: &dyn Specimen, region: &Region, origin: [f64; 2]) -> Vec<FoundParticle> {
-    let particle = |p: ParticleOutline| FoundParticle {
+    let particle = |p: &ParticleOutline| FoundParticle {
         position_nm: [0, 1].map(|k| p.centre_nm[k] - origin[k]),
         diameter_nm: p.diameter_nm,
-        morphology: p.morphology,
+        morphology: p.morphology.clone(),
     };
     let there = region.moved(origin);
-    let particles = specimen.particle_outlines().into_iter();
+    let particles = specimen.facts().particle_outlines.iter();
     particles.filter(|p| p.reaches(&there)).map(particle).collect()
 }

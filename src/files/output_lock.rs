@@ -231,16 +231,16 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let output = folder.path().join("w.h5");
         let shards: Vec<_> = (0..3).map(|_| OutputLock::share(&output).unwrap()).collect();
-        let told = OutputLock::hold(&output).unwrap_err().to_string();
-        assert!(told.contains("a shard"), "{told}");
+        let reply = OutputLock::hold(&output).unwrap_err().to_string();
+        assert!(reply.contains("a shard"), "{reply}");
         let mut shards = shards.into_iter();
         drop(shards.next());
         assert!(OutputLock::hold(&output).is_err());
         shards.for_each(drop);
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
         let end = OutputLock::hold(&output).unwrap();
-        let told = OutputLock::share(&output).unwrap_err().to_string();
-        assert!(told.contains(&format!("process {}", std::process::id())), "{told}");
+        let reply = OutputLock::share(&output).unwrap_err().to_string();
+        assert!(reply.contains(&format!("process {}", std::process::id())), "{reply}");
         drop(end);
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }
@@ -251,10 +251,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
         let refused = || {
-            let told = OutputLock::hold(&at("w.h5")).unwrap_err().to_string();
+            let reply = OutputLock::hold(&at("w.h5")).unwrap_err().to_string();
             assert!(
-                told.contains("w.h5.lock") && told.contains("no lock of this program"),
-                "{told}"
+                reply.contains("w.h5.lock") && reply.contains("no lock of this program"),
+                "{reply}"
             );
         };
         for precious in [&b"my notes"[..], b"\xff\xfe", b"\n"] {

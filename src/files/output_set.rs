@@ -45,10 +45,10 @@ impl OutputSet {
 
     /// What to tell of an earlier run that was ended between its outputs.
     #[must_use]
-    pub fn told(&self) -> Option<String> {
-        let told =
+    pub fn warning(&self) -> Option<String> {
+        let message =
             "an earlier run of this command was ended between its files; all are written again";
-        self.left.then(|| format!("{}: {told}", self.note.display()))
+        self.left.then(|| format!("{}: {message}", self.note.display()))
     }
 
     /// Notes that outputs are about to get their names.
@@ -104,8 +104,8 @@ mod tests {
         assert!(!of("a").replaces(), "nothing was written");
         fs::write(&first, "an image").unwrap();
         of("a").begin().unwrap();
-        assert!(of("a").replaces() && of("a").told().unwrap().contains("s.h5.unfinished"));
-        assert!(!of("b").replaces() && of("b").told().is_none());
+        assert!(of("a").replaces() && of("a").warning().unwrap().contains("s.h5.unfinished"));
+        assert!(!of("b").replaces() && of("b").warning().is_none());
         of("a").finish().unwrap();
         of("a").finish().unwrap();
         assert!(!of("a").replaces() && fs::read_dir(folder.path()).unwrap().count() == 1);
@@ -117,8 +117,8 @@ mod tests {
         let first = folder.path().join("s.h5");
         let note = folder.path().join("s.h5.unfinished");
         fs::write(&note, "mine").unwrap();
-        let told = OutputSet::of(&first, "a", true).begin().unwrap_err().to_string();
-        assert!(told.contains("holds something else"), "{told}");
+        let message = OutputSet::of(&first, "a", true).begin().unwrap_err().to_string();
+        assert!(message.contains("holds something else"), "{message}");
         assert_eq!(fs::read(&note).unwrap(), b"mine");
         fs::remove_file(&note).unwrap();
         fs::create_dir(&note).unwrap();

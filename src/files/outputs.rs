@@ -217,8 +217,8 @@ mod tests {
         fs::create_dir(at("w.h5.work")).unwrap();
         for name in ["w.h5.partial", "w.h5.work/key.json", "w.png.lock"] {
             fs::write(at(name), "recipe").unwrap();
-            let told = refusal(&[&at("w.h5"), &at("w.png")], &[&at(name)], true);
-            assert!(told.contains("unfinished part"), "{name}: {told}");
+            let message = refusal(&[&at("w.h5"), &at("w.png")], &[&at(name)], true);
+            assert!(message.contains("unfinished part"), "{name}: {message}");
         }
         fs::write(at("recipe.toml"), "").unwrap();
         check_outputs([at("w.h5")], [at("recipe.toml")], true).unwrap();
@@ -251,11 +251,14 @@ mod tests {
         );
         let file = folder.path().join("file");
         fs::write(&file, "").unwrap();
-        let told = refusal(&[&file.join("w.h5")], &[], true);
-        assert!(told.contains("would lie in") && told.contains("a file and no folder"), "{told}");
+        let message = refusal(&[&file.join("w.h5")], &[], true);
+        assert!(
+            message.contains("would lie in") && message.contains("a file and no folder"),
+            "{message}"
+        );
         let missing = format!("{}/missing/", folder.path().display());
-        let told = refusal(&[Path::new(&missing)], &[], true);
-        assert!(told.contains("missing/:") && told.contains("is a folder"), "{told}");
+        let message = refusal(&[Path::new(&missing)], &[], true);
+        assert!(message.contains("missing/:") && message.contains("is a folder"), "{message}");
         assert!(!folder.path().join("missing").exists());
         check_outputs([folder.path().join("deep/er/w.h5")], NOTHING, false).unwrap();
     }

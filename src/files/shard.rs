@@ -112,8 +112,8 @@ mod tests {
         for bad in ["3/3", "0/0", "-1/2", "1", "a/b", "1/2/3", ""] {
             assert!(bad.parse::<Shard>().is_err(), "{bad}");
         }
-        let told = "3/3".parse::<Shard>().unwrap_err().to_string();
-        assert!(told.contains("0/3 to 2/3"), "{told}");
+        let message = "3/3".parse::<Shard>().unwrap_err().to_string();
+        assert!(message.contains("0/3 to 2/3"), "{message}");
     }
 
     #[test]
@@ -130,7 +130,10 @@ mod tests {
         assert_eq!(array("3", "0", None).unwrap(), Shard::new(3, 4).unwrap());
         assert_eq!(array("16", "10", Some("2")).unwrap(), Shard::new(3, 4).unwrap());
         assert!(array("18", "10", Some("2")).is_err());
-        let told = Shard::of_slurm(|_| None).unwrap_err().to_string();
-        assert!(told.contains("SLURM_ARRAY_TASK_ID") && told.contains("job array"), "{told}");
+        let message = Shard::of_slurm(|_| None).unwrap_err().to_string();
+        assert!(
+            message.contains("SLURM_ARRAY_TASK_ID") && message.contains("job array"),
+            "{message}"
+        );
     }
 }

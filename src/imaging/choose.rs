@@ -12,7 +12,7 @@ use super::imaging_cost::ImagingCost;
 use super::mosaic::library_cache::Cache;
 use super::mosaic::mosaic_cost::MosaicCost;
 use super::mosaic::mosaic_imager::MosaicImager;
-use super::mosaic::shared_sheets::SharedSheets;
+use super::mosaic::shared_cells::SharedCells;
 use super::region_imager::RegionImager;
 use super::simulator::Simulator;
 use super::source_imager::SourceImager;
@@ -113,7 +113,7 @@ impl ImagingChoice {
         &self,
         recipe: &CheckedRecipe,
         specimen: &Arc<dyn Specimen>,
-        shared: &Arc<SharedSheets>,
+        shared: &Arc<SharedCells>,
     ) -> Result<Box<dyn RegionImager>> {
         if self.method == MethodChoice::Direct || !SurfaceImager::can_cover(recipe) {
             return self.blurred_direct(recipe, specimen);

@@ -7,7 +7,9 @@ use ndarray::{Array2, s};
 use super::displaced_atoms::{DisplacedAtoms, displaced_by_seed, mean_atoms, with_layers};
 use super::imaging_cost::{ImagingCost, SimulationRuns};
 use super::pixels::{PixelBox, PixelRect};
-use super::region_imager::RegionImager;
+use super::region_imager::{
+    DetectorChoice, ImageBlocks, ImagerFacts, RasterDetail, RegionImager, SharedLibrary,
+};
 use super::simulator::Simulator;
 use super::turned_raster::{TurnedRaster, between_probes};
 use crate::engine::PlannedScan;
@@ -41,7 +43,7 @@ impl DirectImager {
         simulator: Simulator,
     ) -> Result<Self> {
         simulator.check_margin()?;
-        let layers = SurfaceLayers::of(recipe, specimen.thickness_nm()).map(Arc::new);
+        let layers = SurfaceLayers::of(recipe, specimen.facts().thickness_nm).map(Arc::new);
         let before = layers.as_ref().map_or(0.0, |layers| layers.before_angstrom());
         let simulator = simulator.with_focus_deeper(before);
         let (recipe, specimen) = (recipe.clone(), Arc::clone(specimen));
@@ -59,7 +61,7 @@ impl DirectImager {
 
     /// Thickness in nm of specimen and layers.
     fn thickness_nm(&self) -> f64 {
-        let specimen = self.specimen.thickness_nm();
+        let specimen = self.specimen.facts().thickness_nm;
         self.layers.as_ref().map_or(specimen, |layers| 0.1 * layers.thickness_angstrom())
     }
 
@@ -107,8 +109,8 @@ pub fn rectangle_plan(
     let somewhere = Region::of_pixels(field.crop_origin_px(), [rows, columns], pixel);
     let mut z: Vec<f64> =
         specimen.sites(&somewhere).iter().map(|s| 10.0 * s.position_nm[2]).collect();
-    let mut thickness = 10.0 * specimen.thickness_nm();
-    if let Some(layers) = SurfaceLayers::of(recipe, specimen.thickness_nm()) {
+    let mut thickness = 10.0 * specimen.facts().thickness_nm;
+    if let Some(layers) = SurfaceLayers::of(recipe, specimen.facts().thickness_nm) {
         for layer in layers.layers() {
             let heights = layer.atoms(&somewhere).into_iter().map(|s| s.position[2]);
             z.extend(heights.map(|z| layer.slice_height_angstrom(z)));
@@ -124,30 +126,28 @@ pub fn rectangle_plan(
 }
 
 impl RegionImager for DirectImager {
-    fn name(&self) -> &'static str {
-        self.simulator.name()
+    fn facts(&self) -> ImagerFacts {
+        ImagerFacts {
+            detectors: self.simulator.detectors(),
+            stage: ["simulating", "probe"],
+            window_angstrom: self.simulator.window_angstrom(),
+            ..ImagerFacts::new(self.simulator.name(), self.simulator.parameters())
+        }
     }
 
-    fn parameters(&self) -> serde_json::Value {
-        self.simulator.parameters()
+    fn library_mut(&mut self) -> Option<&mut dyn SharedLibrary> {
+        None
     }
 
-    fn mean_of(
+    fn blocks(&self) -> Option<&dyn ImageBlocks> {
+        None
+    }
+
+    /// One simulation makes the images of all detectors.
+    fn images_of(
         &self,
         pixels: &PixelRect,
-        configurations: usize,
-        progress: &dyn Progress,
-    ) -> Result<Array2<f64>> {
-        Ok(self.means_of(pixels, configurations, progress)?.swap_remove(0))
-    }
-
-    fn detectors(&self) -> usize {
-        self.simulator.detectors()
-    }
-
-    fn means_of(
-        &self,
-        pixels: &PixelRect,
+        _: DetectorChoice,
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Vec<Array2<f64>>> {
@@ -156,7 +156,7 @@ impl RegionImager for DirectImager {
             return self.simulate(pixels, configurations, progress);
         }
         let whole = Array2::zeros((pixels.shape[0], pixels.shape[1]));
-        let mut images = vec![whole; self.detectors()];
+        let mut images = vec![whole; self.simulator.detectors()];
         for y in (0..pixels.shape[0]).step_by(rows) {
             for x in (0..pixels.shape[1]).step_by(columns) {
                 let shape = [rows.min(pixels.shape[0] - y), columns.min(pixels.shape[1] - x)];
@@ -175,6 +175,7 @@ impl RegionImager for DirectImager {
     fn image_at(
         &self,
         raster: &TurnedRaster,
+        _: RasterDetail,
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Option<Array2<f64>>> {
@@ -209,13 +210,5 @@ impl RegionImager for DirectImager {
             mosaic: None,
             particle_probes: None,
         })
-    }
-
-    fn stage(&self) -> [&'static str; 2] {
-        ["simulating", "probe"]
-    }
-
-    fn window_angstrom(&self) -> Option<f64> {
-        self.simulator.window_angstrom()
     }
 }

@@ -35,13 +35,15 @@ pub use mosaic::image_note::NewImages;
 pub use mosaic::library_cache::{CACHE_VARIABLE, Cache, CacheFault, Holding};
 pub use mosaic::mosaic_cost::MosaicCost;
 pub use mosaic::mosaic_imager::MosaicImager;
-pub use mosaic::shared_sheets::SharedSheets;
+pub use mosaic::shared_cells::SharedCells;
 #[cfg(feature = "hdf5")]
 pub use mosaic::supplied_library::{LIBRARY_VARIABLE, SuppliedLibrary};
 pub use noise::{MOST_ELECTRONS_PER_PIXEL, Noise, check_countable};
 pub use one_detector::OneDetector;
 pub use pixels::{PixelBox, PixelRect};
-pub use region_imager::RegionImager;
+pub use region_imager::{
+    DetectorChoice, ImageBlocks, ImagerFacts, RasterDetail, RegionImager, SharedLibrary,
+};
 pub use simulator::Simulator;
 pub use source_imager::SourceImager;
 pub use turned_raster::{TurnedRaster, overview_image, turned_image};

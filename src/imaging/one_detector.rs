@@ -1,14 +1,15 @@
 //! One detector of an imager that has several, in the place of the main one.
 
-use std::path::Path;
-
 use ndarray::Array2;
 
 use super::displaced_atoms::DisplacedAtoms;
+use super::imaging_cost::ImagingCost;
 use super::pixels::PixelRect;
-use super::region_imager::{RegionImager, told_by_inner};
+use super::region_imager::{
+    DetectorChoice, ImageBlocks, ImagerFacts, RasterDetail, RegionImager, SharedLibrary,
+};
+use super::turned_raster::TurnedRaster;
 use crate::error::{Error, Result};
-use crate::files::Shard;
 use crate::progress::Progress;
 use crate::recipe::{Recipe, Region};
 use crate::setting::Setting;
@@ -27,7 +28,7 @@ impl OneDetector {
     pub fn named(name: &str, recipe: &Recipe, inner: Box<dyn RegionImager>) -> Result<Self> {
         let detectors = recipe.detector.all();
         let number = detectors.iter().position(|d| d.name == name);
-        match number.filter(|n| *n < inner.detectors()) {
+        match number.filter(|n| *n < inner.facts().detectors) {
             Some(number) => Ok(OneDetector { inner, number }),
             None => {
                 let names: Vec<&str> = detectors.iter().map(|d| d.name.as_str()).collect();
@@ -39,44 +40,46 @@ impl OneDetector {
 }
 
 impl RegionImager for OneDetector {
-    fn name(&self) -> &'static str {
-        self.inner.name()
+    fn facts(&self) -> ImagerFacts {
+        let mut facts = ImagerFacts { detectors: 1, ..self.inner.facts() };
+        facts.parameters["detector"] = self.number.into();
+        facts
     }
 
-    fn parameters(&self) -> serde_json::Value {
-        let mut parameters = self.inner.parameters();
-        parameters["detector"] = self.number.into();
-        parameters
+    fn library_mut(&mut self) -> Option<&mut dyn SharedLibrary> {
+        self.inner.library_mut()
     }
 
-    fn keep_in(&mut self, folder: &Path) {
-        self.inner.keep_in(folder);
+    fn blocks(&self) -> Option<&dyn ImageBlocks> {
+        self.inner.blocks()
     }
 
-    fn prepare(&mut self, progress: &dyn Progress) -> Result<()> {
-        self.inner.prepare(progress)
-    }
-
-    fn prepare_part(&mut self, shard: Shard, progress: &dyn Progress) -> Result<usize> {
-        self.inner.prepare_part(shard, progress)
-    }
-
-    fn mean_of(
+    fn images_of(
         &self,
         pixels: &PixelRect,
+        _: DetectorChoice,
         configurations: usize,
         progress: &dyn Progress,
-    ) -> Result<Array2<f64>> {
-        Ok(self.inner.means_of(pixels, configurations, progress)?.swap_remove(self.number))
+    ) -> Result<Vec<Array2<f64>>> {
+        let mut all = self.inner.means_of(pixels, configurations, progress)?;
+        Ok(vec![all.swap_remove(self.number)])
+    }
+
+    fn image_at(
+        &self,
+        _: &TurnedRaster,
+        _: RasterDetail,
+        _: usize,
+        _: &dyn Progress,
+    ) -> Result<Option<Array2<f64>>> {
+        Ok(None)
     }
 
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
         self.inner.atoms(area, configuration)
     }
 
-    fn shown_area(&self, pixels: &PixelRect) -> Option<Region> {
-        self.inner.shown_area(pixels)
+    fn cost(&self, subtile: [usize; 2], subtiles: usize) -> Result<ImagingCost> {
+        self.inner.cost(subtile, subtiles)
     }
-
-    told_by_inner!();
 }

@@ -3,16 +3,17 @@
 //! The margin reaches as far as the source, so nothing wraps. Where it would begin before the full field, whose pixels count from
 //! 0, the image is continued by its mirror image there: this touches the outermost pixels of a full field only.
 
-use std::path::Path;
-
 use ndarray::Array2;
 
 use super::displaced_atoms::DisplacedAtoms;
+use super::imaging_cost::ImagingCost;
 use super::pixels::PixelRect;
-use super::region_imager::{RegionImager, told_by_inner};
+use super::region_imager::{
+    DetectorChoice, ImageBlocks, ImagerFacts, RasterDetail, RegionImager, SharedLibrary,
+};
+use super::turned_raster::TurnedRaster;
 use crate::engine::{Scan, Source, SourceBlur};
 use crate::error::Result;
-use crate::files::Shard;
 use crate::progress::Progress;
 use crate::recipe::{Recipe, Region};
 
@@ -83,68 +84,49 @@ fn mirrored(image: &Array2<f64>, [above, left]: [usize; 2]) -> Array2<f64> {
 }
 
 impl RegionImager for SourceImager {
-    fn name(&self) -> &'static str {
-        self.inner.name()
+    fn facts(&self) -> ImagerFacts {
+        let mut facts = self.inner.facts();
+        facts.parameters["source"] = serde_json::json!(self.source);
+        facts
     }
 
-    fn parameters(&self) -> serde_json::Value {
-        let mut parameters = self.inner.parameters();
-        parameters["source"] = serde_json::json!(self.source);
-        parameters
+    fn library_mut(&mut self) -> Option<&mut dyn SharedLibrary> {
+        self.inner.library_mut()
     }
 
-    fn keep_in(&mut self, folder: &Path) {
-        self.inner.keep_in(folder);
+    fn blocks(&self) -> Option<&dyn ImageBlocks> {
+        self.inner.blocks()
     }
 
-    fn prepare(&mut self, progress: &dyn Progress) -> Result<()> {
-        self.inner.prepare(progress)
-    }
-
-    fn prepare_part(&mut self, shard: Shard, progress: &dyn Progress) -> Result<usize> {
-        self.inner.prepare_part(shard, progress)
-    }
-
-    fn mean_of(
+    fn images_of(
         &self,
         pixels: &PixelRect,
-        configurations: usize,
-        progress: &dyn Progress,
-    ) -> Result<Array2<f64>> {
-        let images = blurred((self.source, self.pixel_angstrom), pixels, |wide| {
-            Ok(vec![self.inner.mean_of(wide, configurations, progress)?])
-        });
-        Ok(images?.swap_remove(0))
-    }
-
-    fn detectors(&self) -> usize {
-        self.inner.detectors()
-    }
-
-    fn means_of(
-        &self,
-        pixels: &PixelRect,
+        detectors: DetectorChoice,
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Vec<Array2<f64>>> {
         blurred((self.source, self.pixel_angstrom), pixels, |wide| {
-            self.inner.means_of(wide, configurations, progress)
+            self.inner.images_of(wide, detectors, configurations, progress)
         })
+    }
+
+    fn image_at(
+        &self,
+        _: &TurnedRaster,
+        _: RasterDetail,
+        _: usize,
+        _: &dyn Progress,
+    ) -> Result<Option<Array2<f64>>> {
+        Ok(None)
     }
 
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
         self.inner.atoms(area, configuration)
     }
 
-    /// That of the pixels around them from which the source takes its share.
-    fn shown_area(&self, pixels: &PixelRect) -> Option<Region> {
-        let margin = margin_px(self.source, self.pixel_angstrom).unwrap_or_default();
-        let first = pixels.first.map(|n| n.saturating_sub(margin));
-        let shape = [0, 1].map(|k| pixels.first[k] + pixels.shape[k] + margin - first[k]);
-        self.inner.shown_area(&PixelRect::new(first, shape))
+    fn cost(&self, subtile: [usize; 2], subtiles: usize) -> Result<ImagingCost> {
+        self.inner.cost(subtile, subtiles)
     }
-
-    told_by_inner!();
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use ndarray::Array2;
 
 use super::pixels::{PixelBox, PixelRect};
-use super::region_imager::RegionImager;
+use super::region_imager::{RasterDetail, RegionImager};
 use crate::engine::Scan;
 use crate::error::{Error, Result};
 use crate::optics::Optics;
@@ -99,13 +99,13 @@ pub fn turned_image(
 ) -> Result<Array2<f64>> {
     check_within(recipe, raster)?;
     let configurations = recipe.phonons.configurations.max(1);
-    match imager.image_at(raster, configurations, progress)? {
+    match imager.image_at(raster, RasterDetail::Full, configurations, progress)? {
         Some(image) => Ok(image),
         None => from_pixels(recipe, imager, raster, configurations, progress),
     }
 }
 
-/// As [`turned_image`], for an overview; see [`RegionImager::overview_at`].
+/// As [`turned_image`], for an overview; see [`RasterDetail::Overview`].
 ///
 /// # Errors
 /// As [`turned_image`].
@@ -117,7 +117,7 @@ pub fn overview_image(
 ) -> Result<Array2<f64>> {
     check_within(recipe, raster)?;
     let configurations = recipe.phonons.configurations.max(1);
-    match imager.overview_at(raster, configurations, progress)? {
+    match imager.image_at(raster, RasterDetail::Overview, configurations, progress)? {
         Some(image) => Ok(image),
         None => from_pixels(recipe, imager, raster, configurations, progress),
     }

@@ -35,14 +35,14 @@ impl AxisSource<'_> {
     pub fn axes(&self, name: &str, dataset: &Dataset) -> Option<Vec<NamedAxis>> {
         let (group, own) = name.rsplit_once('/')?;
         let count = dataset.ndim();
-        let told = |axes: &Vec<NamedAxis>| axes.iter().any(|axis| *axis != NamedAxis::default());
+        let named = |axes: &Vec<NamedAxis>| axes.iter().any(|axis| *axis != NamedAxis::default());
         let found = [
             stemgen(dataset, count),
             self.lists(group, count),
             self.nexus(group, own, dataset, count),
             self.scales(dataset, count),
         ];
-        found.into_iter().flatten().find(told)
+        found.into_iter().flatten().find(named)
     }
 
     /// `dim1` ... beside the array, or from `dim0`.

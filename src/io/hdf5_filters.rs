@@ -96,9 +96,9 @@ fn unshuffled(bytes: &[u8], value_bytes: usize) -> Vec<u8> {
 /// The bytes before a checksum that holds.
 fn checked(mut bytes: Vec<u8>) -> Guarded<Vec<u8>> {
     let end = bytes.len().checked_sub(CHECKSUM).ok_or("is too short for its checksum")?;
-    let told = u32::from_le_bytes([bytes[end], bytes[end + 1], bytes[end + 2], bytes[end + 3]]);
+    let stored = u32::from_le_bytes([bytes[end], bytes[end + 1], bytes[end + 2], bytes[end + 3]]);
     bytes.truncate(end);
-    match fletcher32(&bytes) == told {
+    match fletcher32(&bytes) == stored {
         true => Ok(bytes),
         false => Err("is damaged: its checksum is another".into()),
     }

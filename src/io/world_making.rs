@@ -50,16 +50,16 @@ pub struct RecordedSource {
 
 impl RecordedSource {
     fn of(group: &hdf5::Group) -> Option<Self> {
-        let told = |name: &str| text(group, name).filter(|value| !value.is_empty());
+        let stated = |name: &str| text(group, name).filter(|value| !value.is_empty());
         Some(RecordedSource {
-            file: told("source_file")?,
-            sha256: told("source_sha256"),
-            format: told("source_format"),
-            image: told("source_image"),
-            pixel_size_from: told("pixel_size_from"),
-            normalisation: told("normalisation"),
-            gaps: told("gaps"),
-            detector: told("recorded_detector"),
+            file: stated("source_file")?,
+            sha256: stated("source_sha256"),
+            format: stated("source_format"),
+            image: stated("source_image"),
+            pixel_size_from: stated("pixel_size_from"),
+            normalisation: stated("normalisation"),
+            gaps: stated("gaps"),
+            detector: stated("recorded_detector"),
             energy_kev: number(group, "recorded_energy_kev").filter(|v: &f64| v.is_finite()),
         })
     }

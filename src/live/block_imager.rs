@@ -2,15 +2,16 @@
 
 use std::collections::HashMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
-use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use ndarray::{Array2, s};
 
 use crate::error::Result;
-use crate::imaging::region_imager::told_by_inner;
+use crate::imaging::region_imager::{
+    DetectorChoice, ImageBlocks, ImagerFacts, RasterDetail, SharedLibrary,
+};
 use crate::imaging::source_imager::margin_px;
-use crate::imaging::{DisplacedAtoms, PixelRect, RegionImager};
+use crate::imaging::{DisplacedAtoms, ImagingCost, PixelRect, RegionImager, TurnedRaster};
 use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Region};
 use crate::specimen::{DamagedSpecimen, Specimen};
@@ -32,6 +33,8 @@ pub struct BlockImager {
     /// Blocks that are kept at most.
     most: usize,
     reach_nm: f64,
+    /// Pixels around an image from which the source takes its share.
+    margin_px: usize,
     kept: Mutex<ImagedBlocks>,
 }
 
@@ -62,13 +65,14 @@ impl BlockImager {
     ) -> Result<Self> {
         let pixel_nm = recipe.field.pixel_nm();
         let blurred = |source| margin_px(source, 10.0 * pixel_nm);
-        let more = recipe.optics.source().map(blurred).transpose()?.unwrap_or(0) as f64 * pixel_nm;
+        let margin_px = recipe.optics.source().map(blurred).transpose()?.unwrap_or(0);
         Ok(BlockImager {
             inner,
             recipe: recipe.clone(),
             specimen: Arc::clone(specimen),
             most: (bytes / (4 * BLOCK_PX * BLOCK_PX)).max(16),
-            reach_nm: REACH_NM + more,
+            reach_nm: REACH_NM + margin_px as f64 * pixel_nm,
+            margin_px,
             kept: Mutex::default(),
         })
     }
@@ -79,12 +83,14 @@ impl BlockImager {
             return;
         }
         let region = region.grown(EDGE_NM);
-        self.inner.doubt(&region);
+        if let Some(blocks) = self.inner.blocks() {
+            blocks.mark_stale(&region);
+        }
         self.kept().exposed.push(region);
     }
 
     /// Number of blocks that are kept.
-    pub fn blocks(&self) -> usize {
+    pub fn block_count(&self) -> usize {
         self.kept().blocks.len()
     }
 
@@ -97,6 +103,13 @@ impl BlockImager {
         let full = self.recipe.field.pixels(self.recipe.field.grid);
         let first = block.map(|b| b * BLOCK_PX);
         PixelRect::new(first, [0, 1].map(|k| BLOCK_PX.min(full[k] - first[k])))
+    }
+
+    /// Pixels, and those around them from which the source takes its share.
+    fn with_margin(&self, pixels: &PixelRect) -> PixelRect {
+        let first = pixels.first.map(|n| n.saturating_sub(self.margin_px));
+        let end = [0, 1].map(|k| pixels.first[k] + pixels.shape[k] + self.margin_px);
+        PixelRect::new(first, [0, 1].map(|k| end[k] - first[k]))
     }
 
     /// Pixels and what lies within a window of them, in nm of the full field.
@@ -121,7 +134,7 @@ impl BlockImager {
     /// A block, from what is kept where that is still right.
     fn block(&self, block: [usize; 2], progress: &dyn Progress) -> Result<Array2<f32>> {
         let pixels = self.rect(block);
-        let shown = self.inner.shown_area(&pixels);
+        let shown = self.inner.blocks().map(|own| own.shown_area(&self.with_margin(&pixels)));
         let area = shown.unwrap_or_else(|| self.around(&pixels));
         let mut kept = self.kept();
         kept.clock += 1;
@@ -170,27 +183,27 @@ impl BlockImager {
 }
 
 impl RegionImager for BlockImager {
-    fn name(&self) -> &'static str {
-        self.inner.name()
-    }
-    fn parameters(&self) -> serde_json::Value {
-        self.inner.parameters()
-    }
-    fn keep_in(&mut self, folder: &Path) {
-        self.inner.keep_in(folder);
-    }
-    fn prepare(&mut self, progress: &dyn Progress) -> Result<()> {
-        self.inner.prepare(progress)
+    fn facts(&self) -> ImagerFacts {
+        ImagerFacts { detectors: 1, ..self.inner.facts() }
     }
 
-    fn mean_of(
+    fn library_mut(&mut self) -> Option<&mut dyn SharedLibrary> {
+        self.inner.library_mut()
+    }
+
+    fn blocks(&self) -> Option<&dyn ImageBlocks> {
+        self.inner.blocks()
+    }
+
+    fn images_of(
         &self,
         pixels: &PixelRect,
+        _: DetectorChoice,
         configurations: usize,
         progress: &dyn Progress,
-    ) -> Result<Array2<f64>> {
+    ) -> Result<Vec<Array2<f64>>> {
         if configurations != self.recipe.phonons.configurations.max(1) {
-            return self.inner.mean_of(pixels, configurations, progress);
+            return Ok(vec![self.inner.mean_of(pixels, configurations, progress)?]);
         }
         let PixelRect { first, shape, .. } = *pixels;
         let mut image = Array2::zeros(shape);
@@ -210,11 +223,24 @@ impl RegionImager for BlockImager {
                 image.slice_mut(s![to_rows, to_columns]).assign(&from);
             }
         }
-        Ok(pixels.sampled(image))
+        Ok(vec![pixels.sampled(image)])
+    }
+
+    fn image_at(
+        &self,
+        _: &TurnedRaster,
+        _: RasterDetail,
+        _: usize,
+        _: &dyn Progress,
+    ) -> Result<Option<Array2<f64>>> {
+        Ok(None)
     }
 
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
         self.inner.atoms(area, configuration)
     }
-    told_by_inner!();
+
+    fn cost(&self, subtile: [usize; 2], subtiles: usize) -> Result<ImagingCost> {
+        self.inner.cost(subtile, subtiles)
+    }
 }

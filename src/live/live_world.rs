@@ -167,7 +167,7 @@ impl LiveWorld {
 
     /// Number of blocks of the image that are kept.
     pub fn kept_blocks(&self) -> usize {
-        self.imager.blocks()
+        self.imager.block_count()
     }
 
     /// The noise-free image of some pixels of the field and what is there, without an electron spent.
@@ -185,7 +185,8 @@ impl LiveWorld {
             true => {
                 let fine = PixelRect::new(finer(pixels.first), finer(pixels.shape));
                 let all = self.recipe.phonons.configurations.max(1);
-                let image = self.imager.mean_of(&fine.every(self.parts), all, &Silent)?;
+                let imager: &dyn RegionImager = &self.imager;
+                let image = imager.mean_of(&fine.every(self.parts), all, &Silent)?;
                 self.with_carbon(pixels, image.mapv(|v| v as f32))?
             }
             // refused there
@@ -211,7 +212,8 @@ impl LiveWorld {
     /// The film of which the carbon is, if there is some or an electron adds to it.
     fn make_carbon_film(&mut self, per_electron: f64) -> Result<()> {
         if self.carbon_film.is_none() && (per_electron > 0.0 || self.carbon.greatest() > 0.0) {
-            self.carbon_film = Some(GrownCarbon::on(&self.recipe, self.specimen.thickness_nm())?);
+            self.carbon_film =
+                Some(GrownCarbon::on(&self.recipe, self.specimen.layout().facts().thickness_nm)?);
         }
         Ok(())
     }
@@ -230,7 +232,7 @@ impl LiveWorld {
             let [u, v, z] = p.centre_nm;
             ParticleTruth { centre_nm: [u - x, v - y, z], ..p }
         };
-        let mut particles = self.specimen.particles_reaching(&region);
+        let mut particles = self.specimen.layout().particles_reaching(&region);
         particles.retain(|p| region.contains(p.outline().centre_nm));
         LiveTruth { sites, columns, particles: particles.into_iter().map(particle).collect() }
     }
@@ -336,7 +338,7 @@ impl LiveWorld {
             return atoms;
         }
         // The dose of a unit is that of its centre.
-        for site in self.specimen.sites(&area.grown(0.3)) {
+        for site in self.specimen.query(&area.grown(0.3)).sites {
             if site.kind != SiteKind::Vacancy {
                 *atoms.entry(site.number).or_default() += 1;
             }

@@ -203,8 +203,8 @@ mod tests {
         assert_eq!(known.url, "https://spdx.org/licenses/CC-BY-4.0.html");
         let own = DataLicense::parse("https://example.org/my-licence").unwrap();
         assert_eq!((own.hub_name, own.url.as_str()), (None, "https://example.org/my-licence"));
-        let told = DataLicense::parse("free").unwrap_err().to_string();
-        assert!(told.contains("CC-BY-4.0") && told.contains("https://"), "{told}");
+        let message = DataLicense::parse("free").unwrap_err().to_string();
+        assert!(message.contains("CC-BY-4.0") && message.contains("https://"), "{message}");
     }
 
     #[test]

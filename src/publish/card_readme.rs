@@ -143,7 +143,7 @@ fn pictures(worlds: &[ReadmeWorld], page: &mut Markdown) {
     );
 }
 
-fn told<T: ToString>(value: Option<T>) -> String {
+fn or_dash<T: ToString>(value: Option<T>) -> String {
     value.map_or_else(|| "-".into(), |v| printable(&v.to_string()))
 }
 
@@ -169,13 +169,13 @@ fn table_of_worlds(worlds: &[ReadmeWorld], page: &mut Markdown) {
         let noise = if f.noise == Some(false) { " (no noise)" } else { "" };
         [
             w.name(),
-            told(f.material.as_ref()),
-            told(f.tier.map(|t| t.name())),
-            told(f.seed),
+            or_dash(f.material.as_ref()),
+            or_dash(f.tier.map(|t| t.name())),
+            or_dash(f.seed),
             f.fov_nm.map(|nm| short(nm, 2)).join(" x "),
             f.tiles.map(|n| n.to_string()).join(" x "),
             short(f.pixel_size_nm, 5),
-            told(f.dose_electrons_per_angstrom2) + noise,
+            or_dash(f.dose_electrons_per_angstrom2) + noise,
             f.sites.to_string(),
             w.contents(),
         ]
@@ -231,12 +231,12 @@ fn simulation(words: &CardWords, worlds: &[ReadmeWorld], page: &mut Markdown) {
         let audit = f.audit.as_ref().map(|a| a.bright_rms_percent).filter(|p| p.is_finite());
         [
             w.name(),
-            told(f.engine.as_ref()),
-            told(probe(w.line.world)),
+            or_dash(f.engine.as_ref()),
+            or_dash(probe(w.line.world)),
             printable(&detectors(w.line.world)),
-            told(f.thickness_nm.map(|t| short(t, 2))),
-            told(f.phonon_configurations),
-            told(audit.map(|p| format!("{p:.2} %"))),
+            or_dash(f.thickness_nm.map(|t| short(t, 2))),
+            or_dash(f.phonon_configurations),
+            or_dash(audit.map(|p| format!("{p:.2} %"))),
         ]
     };
     page.table(head, worlds.iter().map(row));

@@ -93,8 +93,8 @@ mod tests {
     fn names_can_stand_in_addresses() {
         assert_eq!(card_name(Path::new("a/srtio3_1x1.h5")).unwrap(), "srtio3_1x1");
         for bad in ["a b.h5", "ä.h5", "-a.h5", ".h5", "a,b.h5", "x/a\nb.h5"] {
-            let told = card_name(Path::new(bad)).unwrap_err().to_string();
-            assert!(told.contains("rename it"), "{told}");
+            let message = card_name(Path::new(bad)).unwrap_err().to_string();
+            assert!(message.contains("rename it"), "{message}");
         }
     }
 }

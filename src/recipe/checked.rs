@@ -193,9 +193,9 @@ mod tests {
             let with_seed = recipe.with_seed(77).unwrap();
             assert_eq!(format!("{with_seed:?}"), format!("{again:?}"), "{material}");
             other.seed = u64::MAX;
-            let told = recipe.with_seed(u64::MAX).unwrap_err().to_string();
-            assert_eq!(told, other.checked().unwrap_err().to_string());
-            assert!(told.contains("seed = 18446744073709551615"), "{told}");
+            let message = recipe.with_seed(u64::MAX).unwrap_err().to_string();
+            assert_eq!(message, other.checked().unwrap_err().to_string());
+            assert!(message.contains("seed = 18446744073709551615"), "{message}");
         }
     }
 }

@@ -45,14 +45,14 @@ impl Recipe {
         let mut changes = Vec::new();
         differences("", &base, &wanted, &mut changes)?;
         changes.sort_by_key(|change| matches!(change, RecipeChange::Set(_)));
-        let told = ShippedRecipe {
+        let shipped = ShippedRecipe {
             material: self.id.clone(),
             tier: self.tier,
             changes,
             seed: (self.seed != shipped.seed).then_some(self.seed),
             grid: self.field.crop,
         };
-        (told.recipe().ok()? == *self).then_some(told)
+        (shipped.recipe().ok()? == *self).then_some(shipped)
     }
 }
 
@@ -138,32 +138,32 @@ fn means(change: &str, value: &Value) -> bool {
 mod tests {
     use super::*;
 
-    fn told(material: &str, tier: Option<Difficulty>, changes: &[&str]) -> ShippedRecipe {
+    fn shipped(material: &str, tier: Option<Difficulty>, changes: &[&str]) -> ShippedRecipe {
         let changes: Vec<Override> = changes.iter().map(|c| c.parse().unwrap()).collect();
         let recipe = Recipe::load(material, tier).unwrap().with_overrides(&changes).unwrap();
-        let told = recipe.as_shipped().unwrap();
-        assert_eq!(told.recipe().unwrap(), recipe);
-        told
+        let shipped = recipe.as_shipped().unwrap();
+        assert_eq!(shipped.recipe().unwrap(), recipe);
+        shipped
     }
 
     #[test]
     fn recipes_are_told_by_their_differences() {
         let easy = Some(Difficulty::Easy);
-        assert_eq!(told("srtio3", easy, &[]).changes, []);
+        assert_eq!(shipped("srtio3", easy, &[]).changes, []);
         let set = |text: &str| RecipeChange::Set(text.into());
         let changed =
-            told("srtio3", easy, &["vacancies.rate=0.02", "vacancies.element=Ti", "seed=9"]);
+            shipped("srtio3", easy, &["vacancies.rate=0.02", "vacancies.element=Ti", "seed=9"]);
         assert_eq!(changed.changes, [set("vacancies.element=Ti"), set("vacancies.rate=0.02")]);
         assert_eq!((changed.seed, changed.grid), (Some(9), None));
-        let surface = told("srtio3", easy, &["surface.entrance_nm=1.0"]);
+        let surface = shipped("srtio3", easy, &["surface.entrance_nm=1.0"]);
         assert!(surface.changes.contains(&set("surface.entrance_nm=1.0")), "{surface:?}");
         let two = "detector=[{name=\"A\", inner_mrad=68.0, outer_mrad=200.0}, {name=\"B\", inner_mrad=10.0, outer_mrad=21.0}]";
-        assert_eq!(told("gan", easy, &[two]).changes.len(), 1);
+        assert_eq!(shipped("gan", easy, &[two]).changes.len(), 1);
         let recipe = Recipe::load("test", None).unwrap().with_grid(1, 2).unwrap();
         let recipe = recipe.with_overrides(&[Override::without("vacancies").unwrap()]).unwrap();
-        let told = recipe.as_shipped().unwrap();
-        assert_eq!(told.changes, [RecipeChange::Unset("vacancies".into())]);
-        assert_eq!((told.grid, told.recipe().unwrap()), (Some([1, 2]), recipe));
+        let shipped = recipe.as_shipped().unwrap();
+        assert_eq!(shipped.changes, [RecipeChange::Unset("vacancies".into())]);
+        assert_eq!((shipped.grid, shipped.recipe().unwrap()), (Some([1, 2]), recipe));
     }
 
     #[test]

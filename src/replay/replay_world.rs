@@ -236,7 +236,7 @@ impl ReplayWorld {
             // HDF5 ends texts there.
             value.retain(|c| c != '\0');
         }
-        let told = [
+        let stated = [
             ("recorded_black", Some(f.range[0])),
             ("recorded_white", Some(f.range[1])),
             ("share_below_black", Some(f.cut_off[0])),
@@ -251,7 +251,7 @@ impl ReplayWorld {
             grid_shape: f.tiles,
             fov_nm: f.pixels.map(|n| n as f64 * f.pixel_size_nm),
             texts,
-            numbers: told.into_iter().filter_map(|(name, v)| Some((name, v?))).collect(),
+            numbers: stated.into_iter().filter_map(|(name, v)| Some((name, v?))).collect(),
             ..Header::default()
         }
     }

@@ -26,6 +26,13 @@ pub struct Sites {
 }
 
 impl Sites {
+    /// The columns, none with its sites.
+    pub(super) fn into_columns(self) -> Vec<AtomColumn> {
+        let mut columns = self.columns;
+        columns.iter_mut().for_each(|column| column.sites = 0..0);
+        columns
+    }
+
     /// Adds a column and its sites.
     pub fn push_column(
         &mut self,

@@ -19,8 +19,8 @@ const SAMPLE_NM: f64 = 2.5;
 /// even.
 pub fn estimated_sites(specimen: &dyn Specimen, field: &Field) -> u64 {
     let built = field.built_region();
-    if let Some(known) = specimen.expected_sites(&built) {
-        return known;
+    if let Some(expected) = &specimen.facts().expected_sites {
+        return expected.within(&built);
     }
     let extent = [built.x[1] - built.x[0], built.y[1] - built.y[0]];
     let width = SAMPLE_NM * SAMPLES as f64;

@@ -18,7 +18,9 @@ use crate::specimen::column_index::ColumnIndex;
 use crate::specimen::defects::rules::Defects;
 use crate::specimen::defects::vacancies::DistanceHistogram;
 use crate::specimen::sites::SpecimenSite;
-use crate::specimen::specimen_trait::{Boundary, BoundaryKind, Specimen};
+use crate::specimen::specimen_trait::{
+    Boundary, BoundaryKind, ParticleTruth, Specimen, SpecimenFacts, SpecimenLayout,
+};
 use crate::specimen::units::known_tags::KnownTags;
 use crate::specimen::units::library_cell::LibraryCell;
 use crate::specimen::units::occupation::UnitOccupation;
@@ -35,7 +37,7 @@ const LARGEST_STRETCH: f64 = 0.1;
 /// Rounding leads less far across an edge.
 const EDGE_NM: f64 = 1e-6;
 
-/// Steps of the order parameter in which the library has sheets: between them atoms are less than 0.02 A off.
+/// Steps of the order parameter in which the library has library cells: between them atoms are less than 0.02 A off.
 const ORDER_STEPS: f64 = 4.0;
 
 /// See the module.
@@ -45,10 +47,10 @@ pub struct Domains {
     shifts: Vec<[f64; 3]>,
     /// Mean displacement of the sites of each kind of column.
     column_shifts: Vec<[f64; 2]>,
-    phases: [String; 2],
     defects: Defects,
     /// What units hold; `None` draws each site by itself.
     contents: Option<UnitOccupation>,
+    facts: SpecimenFacts,
 }
 
 impl Domains {
@@ -80,9 +82,9 @@ impl Domains {
             lattice: Coherent::new(crystal, &recipe.field, order),
             shifts,
             column_shifts,
-            phases: domains.phases.clone(),
             defects: Defects::default(),
             contents: None,
+            facts: SpecimenFacts::default(),
         };
         specimen.contents = UnitOccupation::new(recipe, &specimen.lattice.crystal)?;
         specimen.defects = Defects::fit(recipe, |element, histogram| {
@@ -106,6 +108,11 @@ impl Domains {
             *histogram =
                 lattice.tally(&lattice.field, kinds, place, add, DistanceHistogram::merged);
         })?;
+        specimen.facts = SpecimenFacts {
+            thickness_nm: specimen.lattice.thickness_nm(),
+            phases: domains.phases.to_vec(),
+            ..SpecimenFacts::default()
+        };
         Ok(specimen)
     }
 
@@ -186,13 +193,26 @@ impl Domains {
     }
 }
 
-impl Specimen for Domains {
-    fn query(&self, region: &Region) -> Sites {
-        self.listed(region, true)
+impl SpecimenLayout for Domains {
+    fn facts(&self) -> &SpecimenFacts {
+        &self.facts
     }
 
-    fn columns(&self, region: &Region) -> Vec<AtomColumn> {
-        self.listed(region, false).columns
+    fn boundaries(&self) -> Vec<Boundary> {
+        let order = &self.lattice.stretch;
+        let boundary = |(k, line): (usize, &WavyLine)| Boundary {
+            line_nm: line.polyline(self.lattice.field.y),
+            kind: BoundaryKind::Phase {
+                sides: [k % 2, (k + 1) % 2],
+                sharpness_sigma_nm: order.sigma,
+            },
+        };
+        order.lines.iter().enumerate().map(boundary).collect()
+    }
+
+    fn phase_at(&self, position_nm: [f64; 2]) -> usize {
+        let lines = &self.lattice.stretch.lines;
+        lines.iter().filter(|line| line.is_left_of(position_nm)).count() % 2
     }
 
     fn library_cell(&self, family: UnitFamily) -> Option<LibraryCell> {
@@ -212,29 +232,30 @@ impl Specimen for Domains {
         Some(LibraryCell::lattice(contents, crystal, (cell, family.bin), depth, place))
     }
 
-    fn thickness_nm(&self) -> f64 {
-        self.lattice.thickness_nm()
+    fn particles_reaching(&self, _: &Region) -> Vec<ParticleTruth> {
+        Vec::new()
+    }
+}
+
+impl Specimen for Domains {
+    fn layout(&self) -> &dyn SpecimenLayout {
+        self
     }
 
-    fn boundaries(&self) -> Vec<Boundary> {
-        let order = &self.lattice.stretch;
-        let boundary = |(k, line): (usize, &WavyLine)| Boundary {
-            line_nm: line.polyline(self.lattice.field.y),
-            kind: BoundaryKind::Phase {
-                sides: [k % 2, (k + 1) % 2],
-                sharpness_sigma_nm: order.sigma,
-            },
-        };
-        order.lines.iter().enumerate().map(boundary).collect()
+    fn query(&self, region: &Region) -> Sites {
+        self.listed(region, true)
     }
 
-    fn phases(&self) -> Vec<String> {
-        self.phases.to_vec()
+    fn columns(&self, region: &Region) -> Vec<AtomColumn> {
+        self.listed(region, false).columns
     }
 
-    fn phase_at(&self, position_nm: [f64; 2]) -> usize {
-        let lines = &self.lattice.stretch.lines;
-        lines.iter().filter(|line| line.is_left_of(position_nm)).count() % 2
+    fn particles_on_a_plane(&self, _: &Region) -> Sites {
+        Sites::default()
+    }
+
+    fn reached_families(&self, family: UnitFamily) -> Vec<UnitFamily> {
+        vec![family]
     }
 }
 

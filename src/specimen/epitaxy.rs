@@ -18,7 +18,9 @@ use crate::specimen::column_index::ColumnIndex;
 use crate::specimen::composition::{Composition, InterfacesAlongBeam};
 use crate::specimen::defects::rules::Defects;
 use crate::specimen::sites::{SiteKind, SpecimenSite};
-use crate::specimen::specimen_trait::{Boundary, BoundaryKind, Specimen};
+use crate::specimen::specimen_trait::{
+    Boundary, BoundaryKind, ParticleTruth, Specimen, SpecimenFacts, SpecimenLayout,
+};
 use crate::specimen::units::known_tags::KnownTags;
 use crate::specimen::units::library_cell::LibraryCell;
 use crate::specimen::units::occupation::UnitOccupation;
@@ -43,6 +45,7 @@ pub struct Epitaxy {
     spacing: Spacing,
     /// What units hold; `None` draws each site by itself.
     contents: Option<UnitOccupation>,
+    facts: SpecimenFacts,
 }
 
 impl Epitaxy {
@@ -77,6 +80,7 @@ impl Epitaxy {
             seed: recipe.seed,
             spacing,
             contents: None,
+            facts: SpecimenFacts::default(),
         };
         specimen.contents = UnitOccupation::new(recipe, &specimen.lattice.crystal)?;
         if let (CompositionProfile::Wells, Some(wells)) = (alloy.profile, wells) {
@@ -86,6 +90,11 @@ impl Epitaxy {
             let sites = specimen.lattice.crystal.chains().filter(|c| c.number == element).count();
             histogram.add(f64::INFINITY, sites as u64);
         })?;
+        specimen.facts = SpecimenFacts {
+            thickness_nm: specimen.lattice.thickness_nm(),
+            phases: specimen.composition.phases(),
+            ..SpecimenFacts::default()
+        };
         Ok(specimen)
     }
 
@@ -327,13 +336,22 @@ struct OpenSites {
     allowed: Vec<bool>,
 }
 
-impl Specimen for Epitaxy {
-    fn query(&self, region: &Region) -> Sites {
-        self.listed(region, true)
+impl SpecimenLayout for Epitaxy {
+    fn facts(&self) -> &SpecimenFacts {
+        &self.facts
     }
 
-    fn columns(&self, region: &Region) -> Vec<AtomColumn> {
-        self.listed(region, false).columns
+    fn boundaries(&self) -> Vec<Boundary> {
+        let line = |(n, line_nm): (usize, Vec<[f64; 2]>)| Boundary {
+            line_nm,
+            kind: BoundaryKind::Phase { sides: [n % 2, (n + 1) % 2], sharpness_sigma_nm: 0.0 },
+        };
+        let y = self.lattice.field.y;
+        self.composition.interfaces(y).into_iter().enumerate().map(line).collect()
+    }
+
+    fn phase_at(&self, position_nm: [f64; 2]) -> usize {
+        usize::from(self.composition.is_well(position_nm))
     }
 
     fn library_cell(&self, family: UnitFamily) -> Option<LibraryCell> {
@@ -351,25 +369,30 @@ impl Specimen for Epitaxy {
         Some(LibraryCell::lattice(contents, crystal, (cell, family.bin), depth, place))
     }
 
-    fn thickness_nm(&self) -> f64 {
-        self.lattice.thickness_nm()
+    fn particles_reaching(&self, _: &Region) -> Vec<ParticleTruth> {
+        Vec::new()
+    }
+}
+
+impl Specimen for Epitaxy {
+    fn layout(&self) -> &dyn SpecimenLayout {
+        self
     }
 
-    fn boundaries(&self) -> Vec<Boundary> {
-        let line = |(n, line_nm): (usize, Vec<[f64; 2]>)| Boundary {
-            line_nm,
-            kind: BoundaryKind::Phase { sides: [n % 2, (n + 1) % 2], sharpness_sigma_nm: 0.0 },
-        };
-        let y = self.lattice.field.y;
-        self.composition.interfaces(y).into_iter().enumerate().map(line).collect()
+    fn query(&self, region: &Region) -> Sites {
+        self.listed(region, true)
     }
 
-    fn phases(&self) -> Vec<String> {
-        self.composition.phases()
+    fn columns(&self, region: &Region) -> Vec<AtomColumn> {
+        self.listed(region, false).columns
     }
 
-    fn phase_at(&self, position_nm: [f64; 2]) -> usize {
-        usize::from(self.composition.is_well(position_nm))
+    fn particles_on_a_plane(&self, _: &Region) -> Sites {
+        Sites::default()
+    }
+
+    fn reached_families(&self, family: UnitFamily) -> Vec<UnitFamily> {
+        vec![family]
     }
 }
 

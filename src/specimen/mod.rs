@@ -33,6 +33,7 @@ pub(crate) use factory::LAID_OUT;
 pub use factory::specimen;
 pub use sites::{DISPLACED_NM, SiteKind, SpecimenSite};
 pub use specimen_trait::{
-    Boundary, BoundaryKind, ParticleOutline, ParticleTruth, Specimen, ThinFilm, outlines_in,
+    Boundary, BoundaryKind, ExpectedSites, ParticleOutline, ParticleTruth, Specimen, SpecimenFacts,
+    SpecimenLayout, ThinFilm, outlines_in,
 };
 pub use surface_layers::{CarbonLayer, SurfaceLayers};

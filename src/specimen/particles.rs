@@ -24,7 +24,12 @@ use crate::rng::{Purpose, uniform, words};
 use crate::specimen::atom_columns::{AtomColumn, Sites};
 use crate::specimen::defects::rules::{Defects, LocalDefects};
 use crate::specimen::sites::{DISPLACED_NM, SiteKind, SpecimenSite};
-use crate::specimen::specimen_trait::{ParticleOutline, ParticleTruth, Specimen, ThinFilm};
+use crate::specimen::specimen_trait::{
+    Boundary, ExpectedSites, ParticleOutline, ParticleTruth, Specimen, SpecimenFacts,
+    SpecimenLayout, ThinFilm,
+};
+use crate::specimen::units::library_cell::LibraryCell;
+use crate::specimen::units::unit_tag::UnitFamily;
 
 /// Rows of atoms this near to the beam are columns: more than the tilt of the particles on the easy tier.
 pub const ROW_TILT_DEG: f64 = 3.0;
@@ -45,15 +50,13 @@ const PARTICLE_KEY: u64 = 1 << 60;
 pub struct ParticlesOnCarbon {
     particles: Vec<PlacedParticle>,
     film: Film,
-    /// Depth of the film's upper face and of the box in Angstrom.
+    /// Depth of the film's upper face in Angstrom.
     face: f64,
-    depth: f64,
-    /// Of the film.
-    thickness: f64,
     contact: f64,
     number: u8,
     defects: LocalDefects,
     extent: Region,
+    facts: SpecimenFacts,
 }
 
 /// A particle; lengths in Angstrom.
@@ -103,11 +106,10 @@ impl ParticlesOnCarbon {
         let face = VACUUM + tallest + table.contact_angstrom;
         let thickness = recipe.field.thickness_nm / NM;
         Ok(ParticlesOnCarbon {
+            facts: facts(&particles, face, thickness),
             particles,
             film: Film::new(recipe.seed, thickness),
             face,
-            depth: face + thickness + VACUUM,
-            thickness,
             contact: table.contact_angstrom,
             number,
             defects: Defects::fit(recipe, |_, _| {})?.at(f64::INFINITY),
@@ -177,7 +179,34 @@ impl ParticlesOnCarbon {
     }
 }
 
+impl SpecimenLayout for ParticlesOnCarbon {
+    fn facts(&self) -> &SpecimenFacts {
+        &self.facts
+    }
+
+    fn boundaries(&self) -> Vec<Boundary> {
+        Vec::new()
+    }
+
+    fn phase_at(&self, _: [f64; 2]) -> usize {
+        0
+    }
+
+    fn library_cell(&self, _: UnitFamily) -> Option<LibraryCell> {
+        None
+    }
+
+    fn particles_reaching(&self, region: &Region) -> Vec<ParticleTruth> {
+        let reaching = self.particles.iter().filter(|p| p.outline().reaches(region));
+        reaching.map(|p| self.truth(p)).collect()
+    }
+}
+
 impl Specimen for ParticlesOnCarbon {
+    fn layout(&self) -> &dyn SpecimenLayout {
+        self
+    }
+
     fn query(&self, region: &Region) -> Sites {
         let region = region.intersection(&self.extent);
         let mut out = Sites::default();
@@ -211,35 +240,8 @@ impl Specimen for ParticlesOnCarbon {
         out
     }
 
-    fn expected_sites(&self, region: &Region) -> Option<u64> {
-        let area = (region.x[1] - region.x[0]) * (region.y[1] - region.y[0]);
-        let inside = |p: &&PlacedParticle| region.contains(p.centre.map(|c| c * NM));
-        let metal: usize = self.particles.iter().filter(inside).map(|p| p.atoms.len()).sum();
-        let carbon = atoms_per_nm2(self.thickness * NM) * area;
-        Some(carbon.round() as u64 + metal as u64)
-    }
-
-    fn thickness_nm(&self) -> f64 {
-        self.depth * NM
-    }
-
-    fn film(&self) -> Option<ThinFilm> {
-        let depth_nm = [self.face, self.face + self.thickness].map(|z| z * NM);
-        let atoms_per_nm2 = atoms_per_nm2(self.thickness * NM);
-        Some(ThinFilm { number: CARBON, depth_nm, atoms_per_nm2, other_keys: PARTICLE_KEY })
-    }
-
-    fn particles(&self) -> Vec<ParticleTruth> {
-        self.particles.iter().map(|p| self.truth(p)).collect()
-    }
-
-    fn particles_reaching(&self, region: &Region) -> Vec<ParticleTruth> {
-        let reaching = self.particles.iter().filter(|p| p.outline().reaches(region));
-        reaching.map(|p| self.truth(p)).collect()
-    }
-
-    fn particle_outlines(&self) -> Vec<ParticleOutline> {
-        self.particles.iter().map(PlacedParticle::outline).collect()
+    fn columns(&self, region: &Region) -> Vec<AtomColumn> {
+        self.query(region).into_columns()
     }
 
     fn particles_on_a_plane(&self, region: &Region) -> Sites {
@@ -249,6 +251,30 @@ impl Specimen for ParticlesOnCarbon {
             self.push_particle(index, region, height, &mut out);
         }
         out
+    }
+
+    fn reached_families(&self, family: UnitFamily) -> Vec<UnitFamily> {
+        vec![family]
+    }
+}
+
+/// What is the same for all of particles on a film, whose upper face and thickness are in Angstrom.
+fn facts(particles: &[PlacedParticle], face: f64, thickness: f64) -> SpecimenFacts {
+    let per_nm2 = atoms_per_nm2(thickness * NM);
+    let outlines: Vec<ParticleOutline> = particles.iter().map(PlacedParticle::outline).collect();
+    let sites = particles.iter().map(|p| p.atoms.len() as u64);
+    let particles = outlines.iter().map(|p| p.centre_nm).zip(sites).collect();
+    SpecimenFacts {
+        thickness_nm: (face + thickness + VACUUM) * NM,
+        phases: Vec::new(),
+        film: Some(ThinFilm {
+            number: CARBON,
+            depth_nm: [face, face + thickness].map(|z| z * NM),
+            atoms_per_nm2: per_nm2,
+            other_keys: PARTICLE_KEY,
+        }),
+        particle_outlines: outlines,
+        expected_sites: Some(ExpectedSites { per_nm2, particles }),
     }
 }
 
@@ -342,7 +368,7 @@ fn rows(atoms: &mut Vec<[f64; 3]>, a: f64) -> Vec<Range<usize>> {
         p[2].total_cmp(&q[2]).then(p[0].total_cmp(&q[0])).then(p[1].total_cmp(&q[1]))
     });
     let slope = libm::tan(ROW_TILT_DEG.to_radians());
-    let near = Laterally::new(atoms, slope * ROW_STEP * a + ROW_STRAIN);
+    let near = AtomCells::new(atoms, slope * ROW_STEP * a + ROW_STRAIN);
     let mut before = vec![None; atoms.len()];
     let mut after = vec![None; atoms.len()];
     for i in 0..atoms.len() {
@@ -377,8 +403,8 @@ fn rows(atoms: &mut Vec<[f64; 3]>, a: f64) -> Vec<Range<usize>> {
     rows
 }
 
-/// Atoms in cells of (x, y).
-struct Laterally {
+/// Atoms in square cells of (x, y), for looking up those near a place.
+struct AtomCells {
     edge: f64,
     first: [f64; 2],
     shape: [usize; 2],
@@ -386,7 +412,7 @@ struct Laterally {
     cells: Vec<Vec<usize>>,
 }
 
-impl Laterally {
+impl AtomCells {
     fn new(atoms: &[[f64; 3]], edge: f64) -> Self {
         let ends = |k: usize| {
             let all = atoms.iter().map(|p| p[k]);
@@ -395,7 +421,7 @@ impl Laterally {
         let ends = [ends(0), ends(1)];
         let shape = ends.map(|[low, high]| ((high - low).max(0.0) / edge) as usize + 1);
         let cells = vec![Vec::new(); shape[0] * shape[1]];
-        let mut out = Laterally { edge, first: ends.map(|e| e[0]), shape, cells };
+        let mut out = AtomCells { edge, first: ends.map(|e| e[0]), shape, cells };
         for (n, p) in atoms.iter().enumerate() {
             let [x, y] = out.cell(p);
             out.cells[y * shape[0] + x].push(n);

@@ -7,9 +7,7 @@ use crate::recipe::CheckedRecipe;
 use crate::recipe::region::Region;
 use crate::specimen::atom_columns::{AtomColumn, Sites};
 use crate::specimen::sites::{DISPLACED_NM, SiteKind, SpecimenSite};
-use crate::specimen::specimen_trait::ThinFilm;
-use crate::specimen::specimen_trait::{Boundary, ParticleOutline, ParticleTruth, Specimen};
-use crate::specimen::units::library_cell::LibraryCell;
+use crate::specimen::specimen_trait::{Specimen, SpecimenLayout};
 use crate::specimen::units::unit_tag::UnitFamily;
 use crate::structure::{PAIR_CUTOFF_ANGSTROM, elements, shortest_distances};
 
@@ -51,41 +49,17 @@ impl Specimen for Relaxed {
         outward(&mut sites.sites, &vacant, self.distance_nm, &self.reach);
         sites
     }
+    fn layout(&self) -> &dyn SpecimenLayout {
+        self.inner.layout()
+    }
     fn columns(&self, region: &Region) -> Vec<AtomColumn> {
         self.inner.columns(region)
     }
-    fn expected_sites(&self, region: &Region) -> Option<u64> {
-        self.inner.expected_sites(region)
-    }
-    fn library_cell(&self, family: UnitFamily) -> Option<LibraryCell> {
-        self.inner.library_cell(family)
-    }
-    fn thickness_nm(&self) -> f64 {
-        self.inner.thickness_nm()
-    }
-    fn boundaries(&self) -> Vec<Boundary> {
-        self.inner.boundaries()
-    }
-    fn phases(&self) -> Vec<String> {
-        self.inner.phases()
-    }
-    fn phase_at(&self, position_nm: [f64; 2]) -> usize {
-        self.inner.phase_at(position_nm)
-    }
-    fn film(&self) -> Option<ThinFilm> {
-        self.inner.film()
-    }
-    fn particles(&self) -> Vec<ParticleTruth> {
-        self.inner.particles()
-    }
-    fn particles_reaching(&self, region: &Region) -> Vec<ParticleTruth> {
-        self.inner.particles_reaching(region)
-    }
-    fn particle_outlines(&self) -> Vec<ParticleOutline> {
-        self.inner.particle_outlines()
-    }
     fn particles_on_a_plane(&self, region: &Region) -> Sites {
         self.inner.particles_on_a_plane(region)
+    }
+    fn reached_families(&self, family: UnitFamily) -> Vec<UnitFamily> {
+        self.inner.reached_families(family)
     }
 }
 
@@ -152,12 +126,34 @@ pub fn outward(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::specimen::{BoundaryKind, SpecimenSite};
+    use crate::specimen::units::library_cell::LibraryCell;
+    use crate::specimen::{Boundary, ParticleTruth, SpecimenFacts};
 
-    /// Knows something of everything that a specimen can be asked for.
-    struct KnowsAll;
+    /// One site, and a layout of its own.
+    struct OneSite(SpecimenFacts);
 
-    impl Specimen for KnowsAll {
+    impl SpecimenLayout for OneSite {
+        fn facts(&self) -> &SpecimenFacts {
+            &self.0
+        }
+        fn boundaries(&self) -> Vec<Boundary> {
+            Vec::new()
+        }
+        fn phase_at(&self, _: [f64; 2]) -> usize {
+            1
+        }
+        fn library_cell(&self, _: UnitFamily) -> Option<LibraryCell> {
+            None
+        }
+        fn particles_reaching(&self, _: &Region) -> Vec<ParticleTruth> {
+            Vec::new()
+        }
+    }
+
+    impl Specimen for OneSite {
+        fn layout(&self) -> &dyn SpecimenLayout {
+            self
+        }
         fn query(&self, _: &Region) -> Sites {
             let position_nm = [0.0; 3];
             let site = SpecimenSite { key: 1, position_nm, number: 8, kind: SiteKind::Pristine };
@@ -165,72 +161,33 @@ mod tests {
             sites.push_column(1, [0.0; 2], None, std::iter::once(site));
             sites
         }
-        fn expected_sites(&self, _: &Region) -> Option<u64> {
-            Some(7)
-        }
-        fn thickness_nm(&self) -> f64 {
-            3.0
-        }
-        fn boundaries(&self) -> Vec<Boundary> {
-            let kind = BoundaryKind::Grain { misorientation_deg: 1.0, sigma: None };
-            vec![Boundary { line_nm: vec![[0.0; 2]; 2], kind }]
-        }
-        fn phases(&self) -> Vec<String> {
-            vec!["a".into(), "b".into()]
-        }
-        fn phase_at(&self, _: [f64; 2]) -> usize {
-            1
-        }
-        fn library_cell(&self, family: UnitFamily) -> Option<LibraryCell> {
-            Some(LibraryCell {
-                box_angstrom: [1.0; 3],
-                scanned: [1.0; 2],
-                scan_origin: [0.0; 2],
-                cell: [1.0; 2],
-                periodic: [true; 2],
-                cells: 1,
-                count: family.bin,
-                process: None,
-                rate: 0.0,
-                units: Vec::new(),
-                surroundings: Vec::new(),
-            })
-        }
-        fn film(&self) -> Option<ThinFilm> {
-            Some(ThinFilm { number: 6, depth_nm: [0.0, 1.0], atoms_per_nm2: 1.0, other_keys: 1 })
-        }
-        fn particles(&self) -> Vec<ParticleTruth> {
-            let morphology = "wulff".into();
-            let (centre_nm, orientation) = ([0.0; 3], [1.0, 0.0, 0.0, 0.0]);
-            vec![ParticleTruth { centre_nm, diameter_nm: 1.0, morphology, orientation }]
-        }
-        fn particles_reaching(&self, _: &Region) -> Vec<ParticleTruth> {
-            [self.particles(), self.particles()].concat()
-        }
-        fn particle_outlines(&self) -> Vec<ParticleOutline> {
-            vec![self.particles()[0].outline(); 3]
+        fn columns(&self, _: &Region) -> Vec<AtomColumn> {
+            Vec::new()
         }
         fn particles_on_a_plane(&self, region: &Region) -> Sites {
             self.query(region)
         }
+        fn reached_families(&self, family: UnitFamily) -> Vec<UnitFamily> {
+            vec![family, UnitFamily { bin: family.bin + 1, ..family }]
+        }
     }
 
-    /// A default of the trait in place of what the rigid specimen knows would be a silent fault.
+    /// Everything that is no atom comes from the layout, which is that of the rigid specimen itself and no copy; the trait has no defaults
+    /// for the rest. A fact that is added to [`SpecimenFacts`] or [`SpecimenLayout`] is passed on, too.
     #[test]
-    fn everything_that_the_rigid_specimen_knows_is_passed_on() {
-        let relaxed =
-            Relaxed { inner: Box::new(KnowsAll), distance_nm: 0.01, reach: Reach::default() };
+    fn a_relaxed_specimen_loses_no_fact() {
+        let facts = SpecimenFacts { thickness_nm: 3.0, ..SpecimenFacts::default() };
+        let inner: Box<dyn Specimen> = Box::new(OneSite(facts));
+        let layout = std::ptr::from_ref(inner.layout()).cast::<()>();
+        let relaxed = Relaxed { inner, distance_nm: 0.01, reach: Reach::default() };
+        let relaxed: &dyn Specimen = &relaxed;
+        assert!(std::ptr::addr_eq(relaxed.layout(), layout));
+        assert_eq!((relaxed.facts().thickness_nm, relaxed.phase_at([0.0; 2])), (3.0, 1));
         let region = Region { x: [0.0, 1.0], y: [0.0, 1.0] };
         assert_eq!(relaxed.sites(&region).len(), 1);
-        assert_eq!(relaxed.expected_sites(&region), Some(7));
-        assert_eq!(relaxed.thickness_nm(), 3.0);
-        assert_eq!(relaxed.boundaries().len(), 1);
-        assert_eq!((relaxed.phases().len(), relaxed.phase_at([0.0; 2])), (2, 1));
-        let family = UnitFamily { motif: 0, structure: 0, bin: 5 };
-        assert_eq!(relaxed.library_cell(family).map(|cell| cell.count), Some(5));
-        assert_eq!(relaxed.film().map(|film| film.number), Some(6));
-        assert_eq!((relaxed.particles().len(), relaxed.particles_reaching(&region).len()), (1, 2));
-        assert_eq!(relaxed.particle_outlines().len(), 3);
+        assert!(relaxed.columns(&region).is_empty());
         assert_eq!(relaxed.particles_on_a_plane(&region).sites.len(), 1);
+        let family = UnitFamily { motif: 0, structure: 0, bin: 5 };
+        assert_eq!(relaxed.reached_families(family).len(), 2);
     }
 }

@@ -1,4 +1,4 @@
-//! What every specimen can tell: its sites region by region, boundaries, phases and particles.
+//! What every specimen is asked for: its sites region by region, boundaries, phases and particles.
 
 use super::atom_columns::{AtomColumn, Sites};
 use super::sites::SpecimenSite;
@@ -27,7 +27,7 @@ pub enum BoundaryKind {
     },
     /// Two phases.
     Phase {
-        /// The phases left and right of the line, as in [`Specimen::phases`].
+        /// The phases left and right of the line, as in [`SpecimenFacts::phases`].
         sides: [usize; 2],
         /// Standard deviation of the transition in nm (see [`crate::recipe::DomainTable`]): 0 if abrupt.
         sharpness_sigma_nm: f64,
@@ -76,9 +76,8 @@ impl ParticleOutline {
 
 /// The particles of a specimen with their centre in a region.
 pub fn outlines_in(specimen: &dyn Specimen, region: &Region) -> Vec<ParticleOutline> {
-    let mut outlines = specimen.particle_outlines();
-    outlines.retain(|p| region.contains(p.centre_nm));
-    outlines
+    let all = specimen.facts().particle_outlines.iter();
+    all.filter(|p| region.contains(p.centre_nm)).cloned().collect()
 }
 
 /// A thin film of weakly scattering atoms behind everything else.
@@ -110,71 +109,100 @@ impl ThinFilm {
     }
 }
 
-/// A specimen of the full field.
+/// How many sites a specimen has that takes long to make them, to within a few percent.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ExpectedSites {
+    /// Sites of what is the same everywhere.
+    pub per_nm2: f64,
+    /// Centre (x, y) in nm and number of sites of each particle.
+    pub particles: Vec<([f64; 2], u64)>,
+}
+
+impl ExpectedSites {
+    /// Those in a region; particles count where their centre lies.
+    pub fn within(&self, region: &Region) -> u64 {
+        let area = (region.x[1] - region.x[0]) * (region.y[1] - region.y[0]);
+        let inside = self.particles.iter().filter(|(centre, _)| region.contains(*centre));
+        (self.per_nm2 * area).round() as u64 + inside.map(|(_, sites)| sites).sum::<u64>()
+    }
+}
+
+/// What is the same for all of a specimen, and stays so while it relaxes or loses atoms.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct SpecimenFacts {
+    /// Thickness in nm.
+    pub thickness_nm: f64,
+    /// Names of the phases; empty when there is only one. Their indices are the codes of the phase map.
+    pub phases: Vec<String>,
+    /// The film behind everything else, for specimens that have one.
+    pub film: Option<ThinFilm>,
+    /// All particles as they are seen along the beam: how deep they lie is not found out.
+    pub particle_outlines: Vec<ParticleOutline>,
+    /// How many sites there are, where making them takes long.
+    pub expected_sites: Option<ExpectedSites>,
+}
+
+/// How a specimen is laid out, whatever becomes of single atoms.
+pub trait SpecimenLayout: Send + Sync {
+    /// What is the same for all of it.
+    fn facts(&self) -> &SpecimenFacts;
+    /// Boundaries between grains and phases.
+    fn boundaries(&self) -> Vec<Boundary>;
+    /// The phase at a point (x, y) in nm, as an index into [`SpecimenFacts::phases`].
+    fn phase_at(&self, position_nm: [f64; 2]) -> usize;
+    /// The cell in which units of a family are simulated, for specimens that tag columns with units.
+    fn library_cell(&self, family: UnitFamily) -> Option<LibraryCell>;
+    /// Particles that reach into a region. How deep the others lie is not found out, which may take long.
+    fn particles_reaching(&self, region: &Region) -> Vec<ParticleTruth>;
+}
+
+/// A specimen of the full field. No method has a default: one that changes another specimen passes on its layout, and has to say what
+/// becomes of everything else.
 pub trait Specimen: Send + Sync {
+    /// How it is laid out; one that changes another specimen has the layout of that one.
+    fn layout(&self) -> &dyn SpecimenLayout;
     /// The columns whose position lies in a region. The specimen ends [`BEYOND_FIELD_NM`](crate::recipe::BEYOND_FIELD_NM) outside
     /// the field; a region has the same sites whichever way it is asked for.
     fn query(&self, region: &Region) -> Sites;
     /// The same columns in the same order, none with its sites. Takes less time where units say what columns are.
-    fn columns(&self, region: &Region) -> Vec<AtomColumn> {
-        let mut columns = self.query(region).columns;
-        columns.iter_mut().for_each(|column| column.sites = 0..0);
-        columns
-    }
-    /// The sites of those columns.
-    fn sites(&self, region: &Region) -> Vec<SpecimenSite> {
-        self.query(region).sites
-    }
-    /// Number of sites in a region, of a specimen that knows it to within a few percent without making
-    /// them, and takes long to make them.
-    fn expected_sites(&self, _region: &Region) -> Option<u64> {
-        None
-    }
-    /// Thickness in nm.
-    fn thickness_nm(&self) -> f64;
-    /// Boundaries between grains and phases.
-    fn boundaries(&self) -> Vec<Boundary> {
-        Vec::new()
-    }
-    /// Names of the phases; empty when there is only one. Their indices are the codes of the
-    /// phase map.
-    fn phases(&self) -> Vec<String> {
-        Vec::new()
-    }
-    /// The phase at a point (x, y) in nm, as an index into [`Specimen::phases`].
-    fn phase_at(&self, _position_nm: [f64; 2]) -> usize {
-        0
-    }
-    /// The sheet in which units of a family are simulated, for specimens that tag columns with units.
-    fn library_cell(&self, _family: UnitFamily) -> Option<LibraryCell> {
-        None
-    }
-    /// The families that units of a family may come to belong to while the specimen changes; itself among them.
-    fn reached_families(&self, family: UnitFamily) -> Vec<UnitFamily> {
-        vec![family]
-    }
-    /// The film behind everything else, for specimens that have one.
-    fn film(&self) -> Option<ThinFilm> {
-        None
-    }
-    /// Particles whose centre lies in the specimen.
-    fn particles(&self) -> Vec<ParticleTruth> {
-        Vec::new()
-    }
-    /// Those of them that reach into a region. How deep the others lie is not found out, which may take long.
-    fn particles_reaching(&self, region: &Region) -> Vec<ParticleTruth> {
-        let mut particles = self.particles();
-        particles.retain(|p| p.outline().reaches(region));
-        particles
-    }
-    /// All particles as they are seen along the beam: how deep they lie is not found out.
-    fn particle_outlines(&self) -> Vec<ParticleOutline> {
-        self.particles().iter().map(ParticleTruth::outline).collect()
-    }
+    fn columns(&self, region: &Region) -> Vec<AtomColumn>;
     /// The columns of particles in a region, on a film that is as flat as a plane: for overviews, since no atom of the film has to be
     /// made. Nothing of specimens without a film.
-    fn particles_on_a_plane(&self, _region: &Region) -> Sites {
-        Sites::default()
+    fn particles_on_a_plane(&self, region: &Region) -> Sites;
+    /// The families that units of a family may come to belong to while the specimen changes; itself among them.
+    fn reached_families(&self, family: UnitFamily) -> Vec<UnitFamily>;
+}
+
+/// Shorthands.
+impl dyn Specimen + '_ {
+    /// See [`SpecimenLayout::facts`].
+    pub fn facts(&self) -> &SpecimenFacts {
+        self.layout().facts()
+    }
+    /// See [`SpecimenLayout::boundaries`].
+    pub fn boundaries(&self) -> Vec<Boundary> {
+        self.layout().boundaries()
+    }
+    /// See [`SpecimenLayout::phase_at`].
+    pub fn phase_at(&self, position_nm: [f64; 2]) -> usize {
+        self.layout().phase_at(position_nm)
+    }
+    /// See [`SpecimenLayout::library_cell`].
+    pub fn library_cell(&self, family: UnitFamily) -> Option<LibraryCell> {
+        self.layout().library_cell(family)
+    }
+    /// See [`SpecimenLayout::particles_reaching`].
+    pub fn particles_reaching(&self, region: &Region) -> Vec<ParticleTruth> {
+        self.layout().particles_reaching(region)
+    }
+    /// All particles. How deep each lies is found out, which may take long.
+    pub fn particles(&self) -> Vec<ParticleTruth> {
+        let all = [f64::NEG_INFINITY, f64::INFINITY];
+        self.particles_reaching(&Region { x: all, y: all })
+    }
+    /// The sites of the columns whose position lies in a region.
+    pub fn sites(&self, region: &Region) -> Vec<SpecimenSite> {
+        self.query(region).sites
     }
 }
 

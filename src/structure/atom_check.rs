@@ -37,7 +37,7 @@ impl Structure {
         match Overlap::of(&self) {
             None => Ok(self),
             Some(overlap) => {
-                let message = overlap.told(&self, "this", |first| format!("atoms[{first}]"));
+                let message = overlap.describe(&self, "this", |first| format!("atoms[{first}]"));
                 fault(format!("atoms[{}]", overlap.atom()), message)
             }
         }
@@ -57,8 +57,8 @@ mod tests {
         };
         let at = |x: f64| Atom::new(14, [x, 1.0, 1.0]);
         assert_eq!(of(cell, vec![at(1.0), at(3.0)]), "");
-        let told = of(cell, vec![at(1.0), at(3.0), at(1.0)]);
-        assert!(told.contains("atoms[2]: this Si and the Si of atoms[0]"), "{told}");
+        let text = of(cell, vec![at(1.0), at(3.0), at(1.0)]);
+        assert!(text.contains("atoms[2]: this Si and the Si of atoms[0]"), "{text}");
         let half = Atom { occupancy: 0.5, ..at(1.0) };
         assert_eq!(of(cell, vec![half, half]), "");
         assert!(of(cell, vec![Atom { occupancy: 0.0, ..at(1.0) }]).contains("occupancy 0"));

@@ -147,9 +147,9 @@ mod tests {
         assert!(text("LAMMPS data\n\n2 atoms\n0 4 xlo xhi\n").unwrap().contains("data file"));
         assert!(text("REMARK x\nATOM      1  N   MET A   1\n").unwrap().contains("PDB"));
         let sto = "STO\n3.9 3.9 4\n38 0 0 0 1 0.08\n22 1 1 1 1 0.08\n-1\n";
-        let told = text(sto).unwrap();
-        assert!(told.contains("Prismatic") && told.contains("by `2` and"), "{told}");
-        assert!(told.contains("Lattice=\"3.9 0 0 0 3.9 0 0 0 4\""), "{told}");
+        let message = text(sto).unwrap();
+        assert!(message.contains("Prismatic") && message.contains("by `2` and"), "{message}");
+        assert!(message.contains("Lattice=\"3.9 0 0 0 3.9 0 0 0 4\""), "{message}");
         for other in ["1\nLattice\nSi 0 0 0\n", "data_x\nATOM 1 2\n", "", "x\ny\nz"] {
             assert_eq!(text(other), None, "{other}");
         }

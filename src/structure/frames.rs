@@ -222,8 +222,8 @@ mod tests {
         };
         let found = read(0, 2).unwrap();
         assert!(found.len() == 2 && (found[0] - 0.4).abs() + (found[1] - 1.2).abs() < 1e-12);
-        let told = super::super::read(&path).unwrap_err().to_string();
-        assert!(told.contains("XDATCAR:8: a trajectory of 4 frames"), "{told}");
+        let words = super::super::read(&path).unwrap_err().to_string();
+        assert!(words.contains("XDATCAR:8: a trajectory of 4 frames"), "{words}");
         // With a head for each frame, where the cell may change.
         let all: String = (1..=3).map(|n| format!("{head}{}", frame(n))).collect();
         std::fs::write(&path, &all).unwrap();

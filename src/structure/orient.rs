@@ -371,8 +371,8 @@ mod tests {
         // Half of the largest shear, (0.0021 + 0.0034) / 7.81, and a little for the others.
         assert!((3.5e-4..4.5e-4).contains(&made.strain), "{}", made.strain);
         assert!(relaxed.oriented_within([0, 0, 1], None, Some(1e-4)).is_err());
-        let told = relaxed.oriented_within([0, 0, 1], None, Some(0.5)).unwrap_err().to_string();
-        assert!(told.contains("from 0 to 10 per cent"), "{told}");
+        let message = relaxed.oriented_within([0, 0, 1], None, Some(0.5)).unwrap_err().to_string();
+        assert!(message.contains("from 0 to 10 per cent"), "{message}");
     }
 
     #[test]

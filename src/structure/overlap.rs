@@ -54,7 +54,7 @@ impl Overlap {
     }
 
     /// What is wrong: `this` stands for that atom, and `place` says where another one is listed.
-    pub fn told(
+    pub fn describe(
         &self,
         structure: &Structure,
         this: &str,

@@ -107,8 +107,8 @@ mod tests {
         let inside = Structure { cell: CELL, atoms: vec![atom(-0.3), atom(5.4)] };
         assert_eq!(atoms_outside(&inside), None);
         let outside = Structure { cell: CELL, atoms: vec![atom(1.0), atom(-2.0), atom(6.5)] };
-        let told = atoms_outside(&outside).unwrap();
-        assert!(told.starts_with("2 of 3 atoms lie outside the cell, up to 2.0 A"), "{told}");
+        let message = atoms_outside(&outside).unwrap();
+        assert!(message.starts_with("2 of 3 atoms lie outside the cell, up to 2.0 A"), "{message}");
     }
 
     #[test]

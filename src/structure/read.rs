@@ -51,8 +51,8 @@ impl Format {
             _ if ["poscar", "contcar", "xdatcar"].iter().any(|n| name.starts_with(n)) => {
                 Ok(Format::Poscar)
             }
-            _ if let Some(told) = foreign_formats::by_name(path) => {
-                Err(Error::invalid(Setting::StructureFile, path.display(), told))
+            _ if let Some(advice) = foreign_formats::by_name(path) => {
+                Err(Error::invalid(Setting::StructureFile, path.display(), advice))
             }
             _ => Err(Error::invalid(
                 Setting::StructureFile,
@@ -122,8 +122,8 @@ pub fn parse(format: Format, bytes: &[u8], path: &Path) -> Result<Structure> {
 pub fn parse_noted(format: Format, bytes: &[u8], path: &Path) -> Result<ReadStructure> {
     #[cfg(test)]
     PARSED.set(PARSED.get() + 1);
-    if let Some(told) = foreign_formats::by_bytes(bytes) {
-        return Err(Error::parse(path, 0, told));
+    if let Some(advice) = foreign_formats::by_bytes(bytes) {
+        return Err(Error::parse(path, 0, advice));
     }
     let text = std::str::from_utf8(bytes).map_err(|e| {
         let line = 1 + bytes[..e.valid_up_to()].iter().filter(|&&b| b == b'\n').count();
@@ -133,8 +133,8 @@ pub fn parse_noted(format: Format, bytes: &[u8], path: &Path) -> Result<ReadStru
     if text.body.trim().is_empty() {
         return Err(text.error(0, "the file is empty"));
     }
-    if let Some(told) = foreign_formats::by_text(text.body, format == Format::ExtXyz) {
-        return Err(text.error(1, told));
+    if let Some(advice) = foreign_formats::by_text(text.body, format == Format::ExtXyz) {
+        return Err(text.error(1, advice));
     }
     text.check_lines()?;
     let (structure, mut notes) = match format {

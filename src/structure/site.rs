@@ -111,17 +111,17 @@ mod tests {
 
     #[test]
     fn what_cannot_be_simulated_is_named() {
-        let told = |structure: &Structure, sigmas: Sigmas| {
+        let message = |structure: &Structure, sigmas: Sigmas| {
             structure.sites(&sigmas).unwrap_err().to_string()
         };
         let only_sr = Sigmas::ByElement(BTreeMap::from([(38, 0.084)]));
-        let missing = told(&structure(), only_sr);
+        let missing = message(&structure(), only_sr);
         assert!(missing.contains("none for O") && missing.contains("sigma (A)"), "{missing}");
         for wrong in [-0.1, 1.5, f64::NAN] {
-            assert!(told(&structure(), Sigmas::All(wrong)).contains("from 0 to 1 A"));
+            assert!(message(&structure(), Sigmas::All(wrong)).contains("from 0 to 1 A"));
         }
         let mut mixed = structure();
         mixed.atoms[1].occupancy = 0.5;
-        assert!(told(&mixed, Sigmas::None).contains("0.5 (atom 2)"));
+        assert!(message(&mixed, Sigmas::None).contains("0.5 (atom 2)"));
     }
 }

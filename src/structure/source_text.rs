@@ -131,7 +131,7 @@ impl<'a> SourceText<'a> {
 
     fn check_overlap(&self, structure: &Structure, lines: &[usize]) -> Result<()> {
         let Some(overlap) = Overlap::of(structure) else { return Ok(()) };
-        let message = overlap.told(structure, "this", |first| format!("line {}", lines[first]));
+        let message = overlap.describe(structure, "this", |first| format!("line {}", lines[first]));
         Err(self.error(lines[overlap.atom()], message))
     }
 }

@@ -377,8 +377,8 @@ mod tests {
             written.contains(":occupancy:R:1:alternative:I:2 ") && written.contains("0.5 -1 -1\n")
         );
         assert_eq!(read(&written).unwrap(), s);
-        let told = read(&written.replace("0.5 0 1\n", "0.5 0 x\n")).unwrap_err().to_string();
-        assert!(told.contains("t.xyz:4: alternative is `0 x`"), "{told}");
+        let reply = read(&written.replace("0.5 0 1\n", "0.5 0 x\n")).unwrap_err().to_string();
+        assert!(reply.contains("t.xyz:4: alternative is `0 x`"), "{reply}");
     }
 
     #[test]

@@ -8,7 +8,7 @@ use super::difference::{Difference, best_gain};
 use super::explain::{Explanation, MUCH_BETTER, WideImage, explanations, likely_shifts};
 use super::user::{Reference, ValueUnits};
 use super::{
-    Check, Figure, Findings, ImagePair, Lab, Limit, NamedSetting, Outcome, Verdict, overall,
+    Check, CheckRunner, Figure, Findings, ImagePair, Limit, NamedSetting, Outcome, Verdict, overall,
 };
 use crate::engine::{Plan, Scan, Site};
 use crate::error::Result;
@@ -59,9 +59,9 @@ pub fn compare(progress: &dyn Progress, c: &ImageComparison) -> Result<Outcome> 
     let begun = Instant::now();
     let stages = 1 + usize::from(c.converged.is_some());
     progress.start("simulating", "probes", (c.scan.len() * stages) as u64);
-    let lab = Lab::new(progress, c.scan.len());
+    let runner = CheckRunner::new(progress, c.scan.len());
     let image = |plan, scan| -> Result<Array2<f64>> {
-        Ok(lab.execute(plan, c.sites, scan)?.image(0, 0).mapv(f64::from))
+        Ok(runner.execute(plan, c.sites, scan)?.image(0, 0).mapv(f64::from))
     };
     let ours = image(c.plan, c.scan)?;
     let converged = c.converged.map(|plan| image(plan, c.scan)).transpose()?;
@@ -234,7 +234,7 @@ fn at_scan(
     stage: &str,
 ) -> Result<Array2<f64>> {
     progress.start(stage, "probes", scan.len() as u64);
-    let images = Lab::new(progress, scan.len()).execute(c.plan, c.sites, scan)?;
+    let images = CheckRunner::new(progress, scan.len()).execute(c.plan, c.sites, scan)?;
     progress.finish();
     Ok(images.image(0, 0).mapv(f64::from))
 }

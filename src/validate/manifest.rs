@@ -180,11 +180,13 @@ impl PinnedWorld {
     /// Compares what is known of a world with what one was found to be.
     pub fn compare(&self, found: &PinnedWorld) -> PinnedSameness {
         let mut what = Vec::new();
-        let told = [
+        let digests = [
             ("recipe", &self.recipe_sha256, &found.recipe_sha256),
             ("truth", &self.truth_sha256, &found.truth_sha256),
         ];
-        what.extend(told.iter().filter(|(_, a, b)| a != b).map(|(name, _, _)| (*name).to_owned()));
+        what.extend(
+            digests.iter().filter(|(_, a, b)| a != b).map(|(name, _, _)| (*name).to_owned()),
+        );
         let brightest = self.samples.iter().fold(0.0_f64, |m, v| m.max(f64::from(v.abs())));
         let apart = |(a, b): (&f32, &f32)| f64::from((a - b).abs()) / brightest;
         let apart: Vec<f64> = self.samples.iter().zip(&found.samples).map(apart).collect();
@@ -358,11 +360,11 @@ mod tests {
         changed.truth_sha256 = "u".into();
         manifest.pin(changed.clone());
         assert_eq!(manifest.worlds, [changed]);
-        let told = |text: &str| Manifest::from_toml("m.toml", text).unwrap_err().to_string();
+        let reply = |text: &str| Manifest::from_toml("m.toml", text).unwrap_err().to_string();
         let numerics = format!("numerics = {NUMERICS_VERSION}");
-        assert!(told(&text.replace(&numerics, "numerics = 1")).contains("numerics 1"));
-        assert!(told(&text.replacen("version = 1", "version = 9", 1)).contains("version 9"));
-        assert!(told(&text.replace("seed = 3", "seed = \"x\"")).contains("m.toml"));
-        assert!(told("nonsense").contains("m.toml"));
+        assert!(reply(&text.replace(&numerics, "numerics = 1")).contains("numerics 1"));
+        assert!(reply(&text.replacen("version = 1", "version = 9", 1)).contains("version 9"));
+        assert!(reply(&text.replace("seed = 3", "seed = \"x\"")).contains("m.toml"));
+        assert!(reply("nonsense").contains("m.toml"));
     }
 }

@@ -5,12 +5,12 @@
 //! returns [`Findings`]: numbers with their limits, and figures. [`user`] reads an image that somebody else
 //! computed, [`image_comparison`] compares it and [`explain`] says what a difference may come from; [`worlds`] compares two world files by statistics, [`soundness`] checks one; [`manifest`] knows released ones by their digests. [`report`] makes one HTML page of any.
 
+mod check_runner;
 pub mod difference;
 pub mod explain;
 pub mod field_waves;
 pub mod golden;
 pub mod image_comparison;
-mod lab;
 pub mod manifest;
 mod pinned_contents;
 pub mod report;
@@ -21,7 +21,7 @@ mod truth_soundness;
 pub mod user;
 pub mod worlds;
 
-pub use lab::Lab;
+pub use check_runner::CheckRunner;
 pub use pinned_contents::{NOT_COMPARED, PinnedContents};
 
 use ndarray::Array2;

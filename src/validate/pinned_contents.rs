@@ -149,12 +149,15 @@ mod tests {
         let known = contents("one", &IMAGE);
         let rounded = known.compare(&contents("two", &[("/tiles/*", "u"), ("/overview", "p")]));
         assert!(rounded.differs.is_empty() && rounded.compared == 2);
-        let told = rounded.not_compared.last().unwrap();
-        assert!(told.starts_with("/overview, /tiles/* (the manifest lists no digests"), "{told}");
+        let message = rounded.not_compared.last().unwrap();
+        assert!(
+            message.starts_with("/overview, /tiles/* (the manifest lists no digests"),
+            "{message}"
+        );
         let lost = known.compare(&contents("two", &[("/tiles/*", "u")]));
         assert_eq!(lost.differs, ["/overview (missing)"]);
-        let told = PinnedContents::default().compare(&known).not_compared;
-        assert!(told.len() == 1 && told[0].contains("does not list"), "{told:?}");
+        let message = PinnedContents::default().compare(&known).not_compared;
+        assert!(message.len() == 1 && message[0].contains("does not list"), "{message:?}");
     }
 
     #[test]

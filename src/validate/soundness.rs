@@ -186,7 +186,7 @@ fn check_attributes(world: &WorldFile) -> Result<FoundOrFault> {
     let field = &recipe.field;
     let dose = recipe.dose.electrons_per_angstrom2;
     let near = |a: f64, b: f64| (a - b).abs() <= SAME * b.abs();
-    let told = [
+    let rules = [
         ("material", m.material.as_ref() == Some(&recipe.id)),
         ("seed", m.seed == Some(recipe.seed)),
         (
@@ -204,7 +204,7 @@ fn check_attributes(world: &WorldFile) -> Result<FoundOrFault> {
         ),
         ("factor of /overview", world.overview_factor() == Some(OVERVIEW_FACTOR as u64)),
     ];
-    Ok(match told.iter().find(|(_, same)| !same) {
+    Ok(match rules.iter().find(|(_, same)| !same) {
         Some((name, _)) => Err(format!("`{name}` is missing, or not that of the recipe")),
         None => Ok("those of the recipe".to_owned()),
     })
@@ -251,12 +251,12 @@ fn check_counts(world: &WorldFile, progress: &dyn Progress) -> Result<FoundOrFau
         return Ok(Ok("whole numbers of electrons".into()));
     }
     let [mean, scatter] = noise.standard_errors();
-    let told = format!(
+    let message = format!(
         "mean and scatter are off by {mean:+.1} and {scatter:+.1} standard errors from those of the noise-free image"
     );
     Ok(match mean.abs().max(scatter.abs()) <= STANDARD_ERRORS {
-        true => Ok(format!("whole numbers of electrons; {told}")),
-        false => Err(told),
+        true => Ok(format!("whole numbers of electrons; {message}")),
+        false => Err(message),
     })
 }
 

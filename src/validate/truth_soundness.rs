@@ -133,11 +133,11 @@ impl SitesOfColumn {
 pub fn check_columns(world: &WorldFile) -> Result<FoundOrFault> {
     let columns = world.columns()?;
     let mut found = vec![SitesOfColumn::default(); columns.len()];
-    let (mut fault, mut told, mut numbered) = (None, false, false);
+    let (mut fault, mut listed, mut numbered) = (None, false, false);
     world.for_each_chunk_of_sites(|first, truth| {
         numbered |= !truth.numbers.is_empty();
         for (i, number) in truth.columns.iter().enumerate() {
-            told = true;
+            listed = true;
             let (site, n) = (first + i, usize::try_from(*number).unwrap_or(usize::MAX));
             let Some((own, column)) = found.get_mut(n).zip(columns.get(n)) else {
                 fault.get_or_insert(format!(
@@ -152,7 +152,7 @@ pub fn check_columns(world: &WorldFile) -> Result<FoundOrFault> {
             }
         }
     })?;
-    if !told {
+    if !listed {
         return Ok(Ok(format!("{SKIPPED}the file does not say to which columns sites belong")));
     }
     let wrong = columns.iter().zip(&found).enumerate();

@@ -70,8 +70,8 @@ pub fn reference(
         (Some([x, y]), None, _) if x < y => (Order::Xy, "the file says that its axes are x, y"),
         (Some(_), None, _) => (Order::Yx, "the file says that its axes are y, x"),
         (Some([x, y]), Some(given), _) => {
-            let told = if x < y { Order::Xy } else { Order::Yx };
-            if told != given {
+            let by_steps = if x < y { Order::Xy } else { Order::Yx };
+            if by_steps != given {
                 let names = if x < y { "x, y" } else { "y, x" };
                 return Err(array.choice(
                     Setting::ImageAxes,
@@ -230,8 +230,8 @@ mod tests {
     #[test]
     fn the_order_is_told_given_or_found_but_not_guessed() {
         let plain = array(counted(3, 3), None);
-        let told = reference(&plain, None, &[], None).unwrap_err().to_string();
-        assert!(told.contains("xy or yx") && told.contains("r.npy"), "{told}");
+        let text = reference(&plain, None, &[], None).unwrap_err().to_string();
+        assert!(text.contains("xy or yx") && text.contains("r.npy"), "{text}");
         assert!(reference(&plain, None, &[], Some([3, 3])).is_err(), "square: sizes say nothing");
         let yx = reference(&plain, Some(Order::Yx), &[], None).unwrap().data;
         let xy = reference(&plain, Some(Order::Xy), &[], None).unwrap().data;
@@ -267,9 +267,9 @@ mod tests {
     fn values_are_checked() {
         let mut bad = counted(2, 2);
         bad[[1, 0]] = f64::NAN;
-        let told =
+        let text =
             reference(&array(bad, None), Some(Order::Xy), &[], None).unwrap_err().to_string();
-        assert!(told.contains("NaN at index [1, 0]"), "{told}");
+        assert!(text.contains("NaN at index [1, 0]"), "{text}");
         let file = array(counted(2, 2), None);
         let mut image = Array2::from_elem((2, 2), 3.0);
         assert!(in_fractions(&file, &mut image, ValueUnits::Fraction).is_err());

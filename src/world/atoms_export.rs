@@ -89,7 +89,7 @@ pub fn export(
         ));
     }
     let _lock = OutputLock::hold(path)?;
-    let layers = SurfaceLayers::of(recipe, specimen.thickness_nm());
+    let layers = SurfaceLayers::of(recipe, specimen.facts().thickness_nm);
     let sites = estimated_rows(specimen, recipe);
     disk_space::check_space(path, footprint::atoms_bytes(writable(path)?, sites))?;
     let frame = Frame::new(specimen, recipe, options, layers.as_ref());
@@ -122,7 +122,7 @@ pub fn export(
 /// About how many rows [`export`] writes.
 pub fn estimated_rows(specimen: &dyn Specimen, recipe: &Recipe) -> u64 {
     let built = recipe.field.built_region();
-    let layers = SurfaceLayers::of(recipe, specimen.thickness_nm());
+    let layers = SurfaceLayers::of(recipe, specimen.facts().thickness_nm);
     let of_layers = layers.iter().flat_map(SurfaceLayers::layers);
     estimated_sites(specimen, &recipe.field)
         + of_layers.map(|layer| layer.estimated_atoms(&built)).sum::<u64>()
@@ -202,7 +202,7 @@ impl Frame {
         let built = recipe.field.built_region();
         let vacuum = options.vacuum_angstrom;
         let edge = |range: [f64; 2]| 10.0 * (range[1] - range[0]) + vacuum;
-        let specimen_angstrom = 10.0 * specimen.thickness_nm();
+        let specimen_angstrom = 10.0 * specimen.facts().thickness_nm;
         let thickness = layers.map_or(specimen_angstrom, SurfaceLayers::thickness_angstrom);
         Frame {
             cell: [edge(built.x), edge(built.y), thickness + vacuum],

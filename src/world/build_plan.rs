@@ -93,7 +93,7 @@ impl WorldPlan {
             pixels,
             pixel_nm: pixel,
             fov_nm: pixels.map(|n| n as f64 * pixel),
-            thickness_nm: build.specimen().thickness_nm(),
+            thickness_nm: build.specimen().facts().thickness_nm,
             dose_electrons_per_angstrom2: recipe.dose.electrons_per_angstrom2,
             subtiles,
             subtile_nm: shape.map(|n| n as f64 * pixel),

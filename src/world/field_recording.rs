@@ -162,7 +162,7 @@ pub fn record(
     progress: &dyn Progress,
 ) -> Result<FieldRecording> {
     let rate = options.acquisition.contamination_angstrom3_per_electron;
-    let film = (rate > 0.0).then(|| GrownCarbon::on(recipe, specimen.thickness_nm()));
+    let film = (rate > 0.0).then(|| GrownCarbon::on(recipe, specimen.facts().thickness_nm));
     let film = film.transpose()?;
     let none = DoseMap::default();
     let carbon = film.as_ref().map(|film| CarbonBefore { film, angstrom: &none });

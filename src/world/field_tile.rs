@@ -83,7 +83,7 @@ pub(crate) fn tile_of_image(
     let region = pixels.region(pixel);
     let counts = dose.map(|dose| Noise::new(recipe, dose, pixels.first).counted(&clean));
     let (sites, columns) = list(&specimen.query(&region), built, 0);
-    let phase_names = specimen.phases();
+    let phase_names = specimen.facts().phases.clone();
     let relative = |[x, y]: [f64; 2]| [x - built[0], y - built[1]];
     let boundaries = specimen.boundaries().into_iter().flat_map(|boundary| {
         let parts = boundary_parts(&boundary, &region).into_iter();

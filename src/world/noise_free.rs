@@ -129,7 +129,7 @@ impl NoiseFree for ImagerSource<'_> {
     }
 
     fn pixels(&self, pixels: &PixelRect, progress: &dyn Progress) -> Result<Array2<f32>> {
-        let [stage, unit] = self.imager.stage();
+        let [stage, unit] = self.imager.facts().stage;
         progress.start(stage, unit, self.imager.work(pixels) as u64);
         let configurations = self.recipe.phonons.configurations.max(1);
         let image = self.imager.mean_of(pixels, configurations, progress)?;

@@ -33,7 +33,7 @@ impl<'a> Drawing<'a> {
     pub fn new(specimen: &'a dyn Specimen, recipe: &'a Recipe) -> Self {
         let built = recipe.field.built_region();
         let mut scene = Scene::new([built.x[1] - built.x[0], built.y[1] - built.y[0]], SIDE);
-        if specimen.phases().len() > 1 {
+        if specimen.facts().phases.len() > 1 {
             scene.tint(|[x, y]| ground(specimen.phase_at([x + built.x[0], y + built.y[0]])));
         }
         let symbols = recipe.phonons.sigma_angstrom.keys();
@@ -77,7 +77,7 @@ impl<'a> Drawing<'a> {
                 boundary.line_nm.iter().map(|[x, y]| [x - corner[0], y - corner[1]]).collect();
             self.scene.line(&points, palette::LINE);
         }
-        for particle in self.specimen.particle_outlines() {
+        for particle in &self.specimen.facts().particle_outlines {
             let [x, y] = particle.centre_nm;
             let centre = [x - corner[0], y - corner[1]];
             self.scene.circle(centre, 0.5 * particle.diameter_nm, palette::LINE);
@@ -93,7 +93,7 @@ impl<'a> Drawing<'a> {
         scene.legend(Swatch::None, format!("{}{tier}", recipe.id));
         scene.legend(Swatch::None, format!("{}, seed {}", recipe.zone_axis, recipe.seed));
         scene.legend(Swatch::None, format!("{:.1} x {:.1} nm", size[0], size[1]));
-        scene.legend(Swatch::None, format!("{:.1} nm thick", self.specimen.thickness_nm()));
+        scene.legend(Swatch::None, format!("{:.1} nm thick", self.specimen.facts().thickness_nm));
         scene.legend(Swatch::None, "");
         for (number, color) in self.colors.iter().rev() {
             scene.legend(Swatch::Disc(*color), elements::symbol(*number));
@@ -115,7 +115,7 @@ impl<'a> Drawing<'a> {
             let swatch = if scene.has_rings() { Swatch::Ring(color) } else { Swatch::Area(color) };
             scene.legend(swatch, text);
         }
-        for (code, name) in self.specimen.phases().iter().enumerate() {
+        for (code, name) in self.specimen.facts().phases.iter().enumerate() {
             scene.legend(Swatch::Area(ground(code)), name.replace('_', " "));
         }
         if !self.specimen.boundaries().is_empty() {

@@ -208,8 +208,9 @@ impl TrainingSample {
         }
         self.positions_px = arr2(&positions);
         self.columns = arr2(&facts);
-        let particles = specimen.particle_outlines().into_iter().filter(|p| p.reaches(&region));
-        for ParticleOutline { centre_nm, diameter_nm, morphology } in particles {
+        let all = specimen.facts().particle_outlines.iter();
+        for particle in all.filter(|p| p.reaches(&region)) {
+            let ParticleOutline { centre_nm, diameter_nm, morphology } = particle.clone();
             let [row, column] = raster.place_px(centre_nm);
             let radius = 0.5 * diameter_nm / raster.pixel_nm;
             let beyond = |at: f64, size: f64| at < -0.5 - radius || at > size + radius;

@@ -43,9 +43,9 @@ pub fn write(
     let width = field.pixels(field.built_grid())[1];
     let (first, pixel) = (field.crop_origin_px(), field.pixel_nm());
     let origin = field.origin_nm();
-    let phases = specimen.phases();
+    let phases = &specimen.facts().phases;
     if phases.len() > 1 {
-        writer.create_phase_map(&phases)?;
+        writer.create_phase_map(phases)?;
     }
     let mut counts = Counts::default();
     for_each_stripe(specimen, field, "ground truth", progress, |stripe| {
@@ -104,9 +104,9 @@ pub fn write_recorded(
         }
     }
     writer.drift(&recording.drift)?;
-    let phases = specimen.phases();
+    let phases = &specimen.facts().phases;
     if phases.len() > 1 {
-        writer.create_phase_map(&phases)?;
+        writer.create_phase_map(phases)?;
         let map = phases_of_points(specimen, shape, |row, column| {
             [origin_nm[0] + column as f64 * pixel_nm, origin_nm[1] + row as f64 * pixel_nm]
         });
@@ -122,9 +122,9 @@ fn write_lines_and_particles(
     origin: [f64; 2],
     writer: &TruthWriter,
 ) -> Result<()> {
-    let phases = specimen.phases();
+    let phases = &specimen.facts().phases;
     for boundary in specimen.boundaries() {
-        write_boundary(&boundary, &phases, region, origin, writer)?;
+        write_boundary(&boundary, phases, region, origin, writer)?;
     }
     write_particles(specimen, region, origin, writer)
 }
@@ -170,7 +170,7 @@ fn write_particles(
     origin: [f64; 2],
     writer: &TruthWriter,
 ) -> Result<()> {
-    if specimen.particle_outlines().is_empty() {
+    if specimen.facts().particle_outlines.is_empty() {
         return Ok(());
     }
     let mut batch = ParticleBatch::default();

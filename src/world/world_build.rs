@@ -394,7 +394,9 @@ pub(super) fn checked(
     progress: &dyn Progress,
 ) -> Result<(Box<dyn RegionImager>, Option<Audit>)> {
     let BuildPolicy { imaging, check, .. } = policy;
-    first.imager.keep_in(&work.library());
+    if let Some(library) = first.imager.library_mut() {
+        library.keep_in(&work.library());
+    }
     let cache = imaging.cache.clone().with_fallback(work.library());
     let imaging = ImagingChoice { cache, ..imaging.clone() };
     let BuildLayout { imaged, specimen, .. } = layout;

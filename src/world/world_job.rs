@@ -47,8 +47,8 @@ impl Job<'_> {
         let key = serde_json::json!({
             "numerics": NUMERICS_VERSION,
             "recipe": self.layout.recipe.to_toml(),
-            "engine": self.imager.name(),
-            "parameters": self.imager.parameters(),
+            "engine": self.imager.facts().name,
+            "parameters": self.imager.facts().parameters,
             "partition": format!("{:?}", self.layout.partition),
         });
         key.to_string()
@@ -65,7 +65,7 @@ impl Job<'_> {
         let partition = &self.layout.partition;
         let tiles: Vec<SubTile> = partition.subtiles().filter(|t| shard.does(t.index)).collect();
         let work: Vec<usize> = tiles.iter().map(|t| self.imager.work(&self.pixels(t))).collect();
-        let [stage, unit] = self.imager.stage();
+        let [stage, unit] = self.imager.facts().stage;
         self.progress.start(stage, unit, work.iter().sum::<usize>() as u64);
         let (mut resumed, detectors) = (0, self.layout.recipe.detector.count());
         for (tile, work) in tiles.iter().zip(work) {
@@ -105,7 +105,7 @@ impl Job<'_> {
         }
         match images.iter().flatten().find(|v| !v.is_finite()) {
             Some(bad) => {
-                let place = format!("sub-tile {} of {}", tile.index, self.imager.name());
+                let place = format!("sub-tile {} of {}", tile.index, self.imager.facts().name);
                 Err(Error::invalid(
                     crate::Setting::Intensity,
                     bad,
@@ -165,9 +165,9 @@ impl Job<'_> {
             grid: field.built_grid(),
             fov_nm: field.pixels(field.built_grid()).map(|n| n as f64 * field.pixel_nm()),
             counts,
-            engine: self.imager.name().to_owned(),
+            engine: self.imager.facts().name.to_owned(),
             audit: self.audit.clone(),
-            library: self.imager.library(),
+            library: self.imager.facts().library,
             subtiles: partition.len(),
             subtiles_resumed: resumed,
             range,
@@ -185,8 +185,8 @@ impl Job<'_> {
             ("recipe", recipe.to_toml()),
             ("stemgen_version", env!("CARGO_PKG_VERSION").into()),
             ("numerics_version", NUMERICS_VERSION.to_string()),
-            ("engine", self.imager.name().to_owned()),
-            ("engine_parameters", self.imager.parameters().to_string()),
+            ("engine", self.imager.facts().name.to_owned()),
+            ("engine_parameters", self.imager.facts().parameters.to_string()),
         ];
         let audit = self.audit.as_ref().and_then(|a| serde_json::to_string(a).ok());
         texts.extend(audit.map(|audit| ("audit", audit)));
@@ -198,7 +198,7 @@ impl Job<'_> {
             grid_shape: field.built_grid(),
             fov_nm: shape.map(|n| n as f64 * field.pixel_nm()),
             origin_px: field.crop_origin_px(),
-            thickness_nm: Some(self.layout.specimen.thickness_nm()),
+            thickness_nm: Some(self.layout.specimen.facts().thickness_nm),
             dose: Some(recipe.dose.electrons_per_angstrom2),
             noise: Some(self.layout.options.noise),
             seed: Some(recipe.seed),

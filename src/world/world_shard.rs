@@ -97,8 +97,10 @@ impl WorldBuild {
             None => {
                 let again = || policy.imaging.chosen(&layout.imaged, &layout.specimen);
                 let mut first = chosen.into_inner().map_or_else(again, Ok)?;
-                first.imager.keep_in(&work.library());
-                summary.library_lacks = first.imager.prepare_part(shard, progress)?;
+                if let Some(library) = first.imager.library_mut() {
+                    library.keep_in(&work.library());
+                    summary.library_lacks = library.prepare_part(shard, progress)?;
+                }
                 if summary.library_lacks > 0 {
                     return Ok(summary);
                 }

@@ -222,7 +222,7 @@ fn the_plan_of_a_mosaic_tells_what_is_new_and_what_the_audit_takes() {
     assert_eq!(plan["mosaic"]["new"][0]["images"], plan["mosaic"]["images"]);
     assert!(plan["audit_range_s"][1].as_f64().unwrap() > 0.0, "{plan}");
     assert!(mosaic(&["--no-png", "--audit", "0"]).status().unwrap().success());
-    // The same sheets, each in one configuration more: half of what is needed is there.
+    // The same library cells, each in one configuration more: half of what is needed is there.
     let more = ["--dry-run", "--set", "phonons.configurations=2", "--audit", "0"];
     let plan = json(mosaic(&more).arg("--quiet"));
     assert_eq!((&plan["configurations"], &plan["audit_range_s"][1]), (&2.into(), &0.0.into()));

@@ -9,7 +9,10 @@ use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
 use ndarray::Array2;
 use stemgen::engine::Site;
-use stemgen::imaging::{DisplacedAtoms, ImagingCost, PixelBox, PixelRect, RegionImager};
+use stemgen::imaging::{
+    DetectorChoice, DisplacedAtoms, ImageBlocks, ImagerFacts, ImagingCost, PixelBox, PixelRect,
+    RasterDetail, RegionImager, SharedLibrary, TurnedRaster,
+};
 use stemgen::progress::Progress;
 use stemgen::recipe::{CheckedRecipe, Recipe, Region};
 use stemgen::specimen::{DISPLACED_NM, Specimen, SpecimenSite};
@@ -51,14 +54,23 @@ struct StandInImager<E> {
 }
 
 impl<E: StandIn> RegionImager for StandInImager<E> {
-    fn name(&self) -> &'static str {
-        E::NAME
+    fn facts(&self) -> ImagerFacts {
+        ImagerFacts::new(E::NAME, self.engine.parameters())
     }
-    fn parameters(&self) -> serde_json::Value {
-        self.engine.parameters()
+    fn library_mut(&mut self) -> Option<&mut dyn SharedLibrary> {
+        None
     }
-    fn mean_of(&self, pixels: &PixelRect, _: usize, _: &dyn Progress) -> Result<Array2<f64>> {
-        let thickness = self.specimen.thickness_nm();
+    fn blocks(&self) -> Option<&dyn ImageBlocks> {
+        None
+    }
+    fn images_of(
+        &self,
+        pixels: &PixelRect,
+        _: DetectorChoice,
+        _: usize,
+        _: &dyn Progress,
+    ) -> Result<Vec<Array2<f64>>> {
+        let thickness = self.specimen.facts().thickness_nm;
         let pixels = PixelBox::new(pixels, self.recipe.field.pixel_nm(), 2.0, thickness);
         let area = pixels.area;
         let mut sites = self.specimen.sites(&area.grown(DISPLACED_NM));
@@ -66,7 +78,16 @@ impl<E: StandIn> RegionImager for StandInImager<E> {
         let corner = [area.x[0], area.y[0]];
         let atom = |s: &SpecimenSite| s.atom(corner, &self.recipe.phonons);
         let sites: Vec<Site> = sites.iter().filter_map(atom).collect();
-        self.engine.image(&sites, &pixels)
+        Ok(vec![self.engine.image(&sites, &pixels)?])
+    }
+    fn image_at(
+        &self,
+        _: &TurnedRaster,
+        _: RasterDetail,
+        _: usize,
+        _: &dyn Progress,
+    ) -> Result<Option<Array2<f64>>> {
+        Ok(None)
     }
     fn atoms(&self, _: &Region, _: usize) -> DisplacedAtoms {
         DisplacedAtoms::default()

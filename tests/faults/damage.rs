@@ -46,17 +46,17 @@ fn damaged_images_of_the_cache_are_made_again() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     succeeds(&mut build(here, Method::Library));
-    let sheets = with_ending(&here.join("cache"), "sheet");
-    assert!(sheets.len() >= 12, "{sheets:?}");
-    let whole: Vec<Vec<u8>> = sheets.iter().map(|s| fs::read(s).unwrap()).collect();
-    damage(&sheets);
+    let library_cells = with_ending(&here.join("cache"), "sheet");
+    assert!(library_cells.len() >= 12, "{library_cells:?}");
+    let whole: Vec<Vec<u8>> = library_cells.iter().map(|s| fs::read(s).unwrap()).collect();
+    damage(&library_cells);
     let told = succeeds(build(here, Method::Library).arg("--overwrite"));
-    assert_eq!(told.matches("; simulated again").count(), sheets.len(), "{told}");
+    assert_eq!(told.matches("; simulated again").count(), library_cells.len(), "{told}");
     for why in ["is damaged", "is cut off", "holds another image", "is no array of this program"] {
         assert!(told.contains(why), "no `{why}` in {told}");
     }
     assert_done(here, Method::Library, "damaged cache");
-    let after: Vec<Vec<u8>> = sheets.iter().map(|s| fs::read(s).unwrap()).collect();
+    let after: Vec<Vec<u8>> = library_cells.iter().map(|s| fs::read(s).unwrap()).collect();
     assert!(whole == after, "the cache is whole again");
 }
 

@@ -11,7 +11,7 @@ use std::sync::LazyLock;
 use proptest::prelude::*;
 use rustfft::num_complex::Complex;
 use stemgen::models::carbon::block;
-use stemgen::models::carbon::carbon_film::{CELL, Film, LEAST_DISTANCE, upright};
+use stemgen::models::carbon::carbon_film::{CELL, Film, LEAST_DISTANCE, unfolded};
 use stemgen::models::carbon::network::{Neighbours, Network};
 
 /// Atoms in A^3 at 1 g/cm3.
@@ -123,7 +123,7 @@ fn the_film_keeps_density_and_distances_across_its_seams() {
     assert!((all - 2.0).abs() < 0.04, "{all}");
     let inner = |p: &[f64; 3]| p[2] > 4.0 && p[2] < THICKNESS - 4.0;
     let from_line = |v: f64| (v - CELL * (v / CELL).round()).abs();
-    let seam = |p: &[f64; 3]| upright(p).into_iter().any(|v| from_line(v) < 2.5);
+    let seam = |p: &[f64; 3]| unfolded(p).into_iter().any(|v| from_line(v) < 2.5);
     let away = |p: &[f64; 3]| (0..2).all(|k| (p[k] - 1.5 * CELL).abs() < CELL - 3.0);
     let network = free(atoms);
     let whole = Measured::new(&network, |_| true);
@@ -168,7 +168,7 @@ fn repetition(atoms: &[[f64; 3]], edge: f64) -> f64 {
 }
 
 /// Where cells are joined, atoms keep off the cut. Measured: strips of 1 A along the lines of the cells hold up to 2.1 % more or
-/// less than the mean; with upright cuts, over 60 nm, those beside the line 8.7 % more.
+/// less than the mean; with unfolded cuts, over 60 nm, those beside the line 8.7 % more.
 #[test]
 fn seams_do_not_show_in_projection() {
     const STRIPS: usize = 65;

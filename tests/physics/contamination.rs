@@ -4,8 +4,8 @@ use ndarray::{Array2, Axis, s};
 use stemgen::acquisition::{Acquisition, Profile, SourceImage};
 use stemgen::engine::Algorithm;
 use stemgen::imaging::{
-    Cache, DisplacedAtoms, GrownCarbon, ImagingCost, PixelRect, RegionImager, Simulator,
-    SurfaceImager,
+    Cache, DetectorChoice, DisplacedAtoms, GrownCarbon, ImageBlocks, ImagerFacts, ImagingCost,
+    PixelRect, RasterDetail, RegionImager, SharedLibrary, Simulator, SurfaceImager, TurnedRaster,
 };
 use stemgen::live::{LiveOptions, LiveRequest, LiveSnapshot, LiveWorld};
 use stemgen::progress::{Progress, Silent};
@@ -29,21 +29,36 @@ fn recipe(changes: &[&str]) -> CheckedRecipe {
 struct Vacuum;
 
 impl RegionImager for Vacuum {
-    fn name(&self) -> &'static str {
-        "vacuum"
+    fn facts(&self) -> ImagerFacts {
+        ImagerFacts::new("vacuum", serde_json::json!({}))
     }
 
-    fn parameters(&self) -> serde_json::Value {
-        serde_json::json!({})
+    fn library_mut(&mut self) -> Option<&mut dyn SharedLibrary> {
+        None
     }
 
-    fn mean_of(
+    fn blocks(&self) -> Option<&dyn ImageBlocks> {
+        None
+    }
+
+    fn images_of(
         &self,
         pixels: &PixelRect,
+        _: DetectorChoice,
         _: usize,
         _: &dyn Progress,
-    ) -> stemgen::Result<Array2<f64>> {
-        Ok(Array2::zeros(pixels.sampled_shape()))
+    ) -> stemgen::Result<Vec<Array2<f64>>> {
+        Ok(vec![Array2::zeros(pixels.sampled_shape())])
+    }
+
+    fn image_at(
+        &self,
+        _: &TurnedRaster,
+        _: RasterDetail,
+        _: usize,
+        _: &dyn Progress,
+    ) -> stemgen::Result<Option<Array2<f64>>> {
+        Ok(None)
     }
 
     fn atoms(&self, _: &Region, _: usize) -> DisplacedAtoms {

@@ -5,8 +5,9 @@ use std::sync::Arc;
 use ndarray::Array2;
 use stemgen::engine::{Algorithm, Phonons, Plan, Site};
 use stemgen::imaging::{
-    DirectImager, DisplacedAtoms, ImagingCost, PixelBox, PixelRect, RegionImager, Simulator,
-    SurfaceImager, TurnedRaster, turned_image,
+    DetectorChoice, DirectImager, DisplacedAtoms, ImageBlocks, ImagerFacts, ImagingCost, PixelBox,
+    PixelRect, RasterDetail, RegionImager, SharedLibrary, Simulator, SurfaceImager, TurnedRaster,
+    turned_image,
 };
 use stemgen::progress::{Progress, Silent};
 use stemgen::recipe::{CheckedRecipe, Override, Recipe, Region};
@@ -36,26 +37,32 @@ fn covered(
 struct Empty;
 
 impl RegionImager for Empty {
-    fn name(&self) -> &'static str {
-        "empty"
+    fn facts(&self) -> ImagerFacts {
+        ImagerFacts::new("empty", serde_json::json!({}))
     }
 
-    fn parameters(&self) -> serde_json::Value {
-        serde_json::json!({})
+    fn library_mut(&mut self) -> Option<&mut dyn SharedLibrary> {
+        None
     }
 
-    fn mean_of(
+    fn blocks(&self) -> Option<&dyn ImageBlocks> {
+        None
+    }
+
+    fn images_of(
         &self,
         pixels: &PixelRect,
+        _: DetectorChoice,
         _: usize,
         _: &dyn Progress,
-    ) -> stemgen::Result<Array2<f64>> {
-        Ok(Array2::zeros(pixels.sampled_shape()))
+    ) -> stemgen::Result<Vec<Array2<f64>>> {
+        Ok(vec![Array2::zeros(pixels.sampled_shape())])
     }
 
     fn image_at(
         &self,
         raster: &TurnedRaster,
+        _: RasterDetail,
         _: usize,
         _: &dyn Progress,
     ) -> stemgen::Result<Option<Array2<f64>>> {
@@ -105,7 +112,7 @@ fn layers_add_what_the_exact_engine_shows() {
         let specimen = specimen(&recipe).unwrap();
         let crystal = exact_imager(&bare, &specimen);
         let imager = covered(&recipe, &specimen, Box::new(crystal.clone()));
-        let layers = SurfaceLayers::of(&recipe, specimen.thickness_nm()).unwrap();
+        let layers = SurfaceLayers::of(&recipe, specimen.facts().thickness_nm).unwrap();
         let simulator = Simulator::new(&recipe, Algorithm::Multislice).with_large_probe_box();
         let exact = |imager: &dyn RegionImager, focus: f64, thickness: f64| {
             let simulator = simulator.with_focus_deeper(focus);
@@ -115,7 +122,7 @@ fn layers_add_what_the_exact_engine_shows() {
             simulator.means(&pixels, 1, atoms, &Silent).unwrap().remove(0)
         };
         let with = exact(&*imager, layers.before_angstrom(), layers.thickness_angstrom());
-        let without = exact(&crystal, 0.0, 10.0 * specimen.thickness_nm());
+        let without = exact(&crystal, 0.0, 10.0 * specimen.facts().thickness_nm);
         let ours = imager.mean_of(&place(), 1, &Silent).unwrap();
         let error = error_at_bright(&ours, &with, 0.5);
         let added = mean(&ours) - mean(&without);
@@ -135,12 +142,12 @@ fn direct_simulation_has_the_layers_where_they_belong() {
     let specimen = specimen(&recipe).unwrap();
     let imager = exact_imager(&recipe, &specimen);
     let rectangle = PixelRect::new([30, 30], [12, 12]).every(3);
-    let ours = imager.mean_of(&rectangle, 1, &Silent).unwrap();
+    let ours = (&imager as &dyn RegionImager).mean_of(&rectangle, 1, &Silent).unwrap();
     let mut settings = Simulator::new(&recipe, Algorithm::Multislice).settings().clone();
     // 6 A of carbon and the distance of 2 A to the specimen
     settings.optics.aberrations.add_defocus(8.0);
     let by_hand = Simulator::of(settings.clone());
-    let thickness_nm = 0.8 + specimen.thickness_nm() + 0.6;
+    let thickness_nm = 0.8 + specimen.facts().thickness_nm + 0.6;
     let pixel = recipe.field.pixel_nm();
     let pixels = PixelBox::new(&rectangle, pixel, by_hand.margin_angstrom(), thickness_nm);
     let corner = [pixels.area.x[0], pixels.area.y[0]];
@@ -151,7 +158,7 @@ fn direct_simulation_has_the_layers_where_they_belong() {
     let mut atoms: Vec<Site> =
         sites.iter().filter(inside).filter_map(|s| s.atom(corner, &recipe.phonons)).collect();
     let mut heights: Vec<f64> = atoms.iter().map(|s| s.position[2]).collect();
-    let layers = SurfaceLayers::of(&recipe, specimen.thickness_nm()).unwrap();
+    let layers = SurfaceLayers::of(&recipe, specimen.facts().thickness_nm).unwrap();
     for layer in layers.layers() {
         let carbon = layer.atoms(&pixels.area);
         heights.extend(carbon.iter().map(|s| layer.slice_height_angstrom(s.position[2])));
@@ -180,7 +187,8 @@ fn the_focus_stays_on_the_specimen() {
     let image = |changes: &[&str]| {
         let recipe = recipe(changes);
         let specimen = specimen(&recipe).unwrap();
-        exact_imager(&recipe, &specimen).mean_of(&rectangle, 1, &Silent).unwrap()
+        let imager: &dyn RegionImager = &exact_imager(&recipe, &specimen);
+        imager.mean_of(&rectangle, 1, &Silent).unwrap()
     };
     let (bare, moved) = (image(&[]), image(&["surface.entrance_nm=0.001"]));
     let top = bare.iter().fold(0.0, |a: f64, b| a.max(*b));

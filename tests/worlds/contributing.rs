@@ -56,7 +56,7 @@ fn the_material_is_laid_out_and_imaged() {
         let field = recipe.field.full_region();
         let area = (field.x[1] - field.x[0]) * (field.y[1] - field.y[0]);
         let specimen = specimen(&recipe).unwrap();
-        let density = specimen.sites(&field).len() as f64 / (area * specimen.thickness_nm());
+        let density = specimen.sites(&field).len() as f64 / (area * specimen.facts().thickness_nm);
         let perfect = 8.0 / 0.4211f64.powi(3);
         assert!((density / perfect - 1.0).abs() < 0.02, "{density}, expected {perfect}");
     }

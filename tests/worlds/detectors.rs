@@ -7,7 +7,7 @@ use ndarray::Array2;
 use stemgen::engine::{Algorithm, Plan, simulate};
 use stemgen::imaging::{
     AuditOptions, Cache, DirectImager, MethodChoice, MosaicImager, PixelBox, PixelRect,
-    RegionImager, Simulator, audit, displaced_atoms::mean_atoms,
+    RegionImager, SharedLibrary, Simulator, audit, displaced_atoms::mean_atoms,
 };
 use stemgen::io::WorldFile;
 use stemgen::progress::Silent;
@@ -57,19 +57,20 @@ fn windows_and_the_exact_engine_give_the_images_of_a_simulation_with_these_detec
     for algorithm in [Algorithm::Window { width_angstrom: 6.0 }, Algorithm::Multislice] {
         let simulator = Simulator::new(&recipe, algorithm);
         let imager = DirectImager::new(&recipe, &specimen, simulator.clone()).unwrap();
+        let imager: &dyn RegionImager = &imager;
         let pixels = PixelRect::new([3, 5], [12, 9]);
         let ours = imager.means_of(&pixels, 2, &Silent).unwrap();
         let pixel_box = PixelBox::new(
             &pixels,
             recipe.field.pixel_nm(),
             simulator.margin_angstrom(),
-            specimen.thickness_nm(),
+            specimen.facts().thickness_nm,
         );
         let atoms = mean_atoms(&*specimen, &pixel_box.area, &recipe.phonons);
         let heights: Vec<f64> = atoms.iter().map(|a| a.position[2]).collect();
         let plan = Plan::new(simulator.settings(), pixel_box.size_angstrom, &heights).unwrap();
         let expected = simulate(&plan, &atoms, &pixel_box.scan, &Silent).unwrap();
-        assert_eq!((ours.len(), imager.detectors()), (3, 3));
+        assert_eq!((ours.len(), imager.facts().detectors), (3, 3));
         for (n, image) in ours.iter().enumerate().take(2) {
             assert_eq!(image.mapv(|v| v as f32), expected.image(0, n), "{algorithm:?} {n}");
         }

@@ -168,7 +168,7 @@ fn domains_have_the_lattice_of_their_phase_and_nothing_jumps() {
             }
         }
         assert!(seen[0] > 20 && seen[1] > 20, "{}: {seen:?}", case.name);
-        assert!((case.specimen.thickness_nm() - 25.0 * 0.4009).abs() < 1e-9);
+        assert!((case.specimen.facts().thickness_nm - 25.0 * 0.4009).abs() < 1e-9);
         for x in [20.0, 49.0, 51.0, 73.0] {
             let distance = shortest(&*case.specimen, &Region { x: [x, x + 3.0], y: [30.0, 33.0] });
             assert!(distance > 1.8, "{}: {distance} A at {x} nm", case.name);

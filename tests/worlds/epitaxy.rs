@@ -36,7 +36,7 @@ fn germanium_rises_linearly_to_twice_the_rate() {
             let expected = 2.0 * rate * (k as f64 + 0.5) / 20.0;
             assert_rate(*bin, expected, 4.0, &format!("{}, part {k}", case.name));
         }
-        assert!(case.specimen.phases().is_empty() && case.specimen.boundaries().is_empty());
+        assert!(case.specimen.facts().phases.is_empty() && case.specimen.boundaries().is_empty());
     }
 }
 
@@ -103,7 +103,7 @@ fn indium_has_its_mean_and_stays_in_the_wells() {
     for (case, (rate, count, width, roughness, in_wells)) in cases("gan").zip(WELLS) {
         let all = guests(case, number("Ga"), number("In"), 1)[0];
         assert_rate(all, rate, 3.0, &case.name);
-        assert_eq!(case.specimen.phases(), ["barrier", "well"]);
+        assert_eq!(case.specimen.facts().phases, ["barrier", "well"]);
         let mut inside = [0u64; 2];
         let centres: Vec<f64> =
             (0..count).map(|k| -0.0161 + 80.0 * (k as f64 + 0.5) / count as f64).collect();
@@ -233,7 +233,7 @@ fn wells_are_strained_along_c_and_coherent_across() {
         let units = step / (3.189 * 3f64.sqrt() / 6.0);
         assert!((units - units.round()).abs() < 0.02, "{step} A");
     }
-    assert!((case.specimen.thickness_nm() - 31.0 * 0.3189).abs() < 1e-6);
+    assert!((case.specimen.facts().thickness_nm - 31.0 * 0.3189).abs() < 1e-6);
     for case in cases("gan") {
         let distance = shortest(&*case.specimen, &Region { x: [4.0, 12.0], y: [20.0, 22.0] });
         assert!((1.93..1.96).contains(&distance), "{}: {distance}", case.name);

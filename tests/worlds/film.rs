@@ -6,8 +6,8 @@ use crate::common::specimen;
 use ndarray::{Array2, s};
 use stemgen::engine::Algorithm;
 use stemgen::imaging::{
-    Audit, AuditOptions, FilmImager, PixelBox, PixelRect, RegionImager, Simulator, TurnedRaster,
-    audit,
+    Audit, AuditOptions, FilmImager, PixelBox, PixelRect, RasterDetail, RegionImager, Simulator,
+    TurnedRaster, audit,
 };
 use stemgen::progress::Silent;
 use stemgen::recipe::{Difficulty, Recipe};
@@ -30,11 +30,16 @@ fn recipe(carbon_nm: f64, configurations: usize) -> Recipe {
     // The first seed that puts it near the middle.
     let central = |seed: &u64| {
         let recipe = Recipe { seed: *seed, ..small.clone() };
-        let centre_nm = specimen(&recipe).unwrap().particle_outlines()[0].centre_nm;
+        let centre_nm = specimen(&recipe).unwrap().facts().particle_outlines[0].centre_nm;
         centre_nm.iter().all(|v| (3.2..4.8).contains(v))
     };
     small.seed = (1..).find(central).unwrap();
     small
+}
+
+/// The image on the main detector.
+fn main_image(imager: &dyn RegionImager, pixels: &PixelRect, configurations: usize) -> Array2<f64> {
+    imager.mean_of(pixels, configurations, &Silent).unwrap()
 }
 
 fn film(recipe: &Recipe, specimen: &Arc<dyn Specimen>) -> FilmImager {
@@ -83,10 +88,10 @@ fn the_probe_is_focused_on_the_same_plane_whatever_the_thickness_of_the_film() {
         let first = [1, 0].map(|k| (centre[k] / pixel) as usize - 12);
         let pixels = PixelRect::new(first, [24, 24]).every(4);
         let film = film(&recipe, &specimen);
-        let ours = film.mean_of(&pixels, 1, &Silent).unwrap();
+        let ours = main_image(&film, &pixels, 1);
         let simulator = Simulator::new(&recipe, Algorithm::Window { width_angstrom: 7.8 });
         let margin = simulator.margin_angstrom();
-        let window = PixelBox::new(&pixels, pixel, margin, specimen.thickness_nm());
+        let window = PixelBox::new(&pixels, pixel, margin, specimen.facts().thickness_nm);
         // Vacuum at the exit, where no probe is changed, keeps all atoms from the faces.
         let mut roomy = window.clone();
         roomy.size_angstrom[2] += 5.0;
@@ -124,7 +129,7 @@ fn whole(
     specimen: &dyn Specimen,
     configurations: usize,
 ) -> Array2<f64> {
-    let (margin, thickness) = (simulator.margin_angstrom() + 10.0, specimen.thickness_nm());
+    let (margin, thickness) = (simulator.margin_angstrom() + 10.0, specimen.facts().thickness_nm);
     let pixels =
         PixelBox::new(&PixelRect::new(first, shape), recipe.field.pixel_nm(), margin, thickness);
     let atoms = |configuration| film.atoms(&pixels.area, configuration);
@@ -146,7 +151,7 @@ fn a_film_of_50_angstrom_is_right_in_the_mean() {
     let simulator = Simulator::new(&recipe, Algorithm::Window { width_angstrom: 7.8 });
     let simulator = simulator.with_large_probe_box();
     for (configurations, most) in [(1, 0.07), (2, 0.055)] {
-        let ours = film.mean_of(&PixelRect::new(first, shape), configurations, &Silent).unwrap();
+        let ours = main_image(&film, &PixelRect::new(first, shape), configurations);
         let exact = whole(&film, &simulator, (first, shape), &recipe, &*specimen, configurations);
         let [mean, rms] = difference(&ours, &exact);
         println!("{configurations} configurations: mean {mean:+.4}, rms {rms:.4}");
@@ -170,7 +175,7 @@ static CENTRAL: LazyLock<Central> = LazyLock::new(|| {
     let centre = specimen.particles()[0].centre_nm;
     let pixel_nm = recipe.field.pixel_nm();
     let first = [1, 0].map(|k| (centre[k] / pixel_nm) as usize - 60);
-    let image = film.mean_of(&PixelRect::new(first, [120, 120]), 1, &Silent).unwrap();
+    let image = main_image(&film, &PixelRect::new(first, [120, 120]), 1);
     Central { film, pixel_nm, first, image }
 });
 
@@ -189,7 +194,7 @@ fn overviews_show_particles_without_simulations() {
         angle_rad: 0.0,
         shape: [30, 30],
     };
-    let fine = film.overview_at(&raster, 1, &Silent).unwrap().unwrap();
+    let fine = film.image_at(&raster, RasterDetail::Overview, 1, &Silent).unwrap().unwrap();
     let ours = Array2::from_shape_fn([15, 15], |(i, j)| {
         fine.slice(s![2 * i..2 * i + 2, 2 * j..2 * j + 2]).mean().unwrap()
     });
@@ -204,9 +209,7 @@ fn overviews_show_particles_without_simulations() {
 #[ignore = "long"]
 fn an_image_does_not_depend_on_how_it_is_cut() {
     let Central { film, first, image: whole, .. } = &*CENTRAL;
-    let part = film
-        .mean_of(&PixelRect::new([first[0] + 40, first[1] + 20], [60, 70]), 1, &Silent)
-        .unwrap();
+    let part = main_image(film, &PixelRect::new([first[0] + 40, first[1] + 20], [60, 70]), 1);
     let top = whole.iter().copied().fold(0.0, f64::max);
     let mut worst: f64 = 0.0;
     for ((i, j), v) in part.indexed_iter() {
@@ -227,7 +230,7 @@ fn carbon_in_a_particle_is_no_film() {
     recipe = recipe.with_overrides(&[change]).unwrap();
     let specimen = specimen(&recipe).unwrap();
     let centre = specimen.particles()[0].centre_nm;
-    let film = specimen.film().unwrap();
+    let film = specimen.facts().film.unwrap();
     let sites = specimen.sites(&stemgen::recipe::Region {
         x: [centre[0] - 0.6, centre[0] + 0.6],
         y: [centre[1] - 0.6, centre[1] + 0.6],
@@ -257,7 +260,7 @@ fn bytes_depend_on_the_recipe_only() {
     let film = film(&recipe, &specimen);
     let centre = specimen.particles()[0].centre_nm;
     let first = [1, 0].map(|k| (centre[k] / recipe.field.pixel_nm()) as usize - 10);
-    let image = || film.mean_of(&PixelRect::new(first, [30, 30]), 2, &Silent).unwrap();
+    let image = || main_image(&film, &PixelRect::new(first, [30, 30]), 2);
     let on = |threads: usize| {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(image)
     };

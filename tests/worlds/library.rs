@@ -7,7 +7,9 @@ use std::path::Path;
 use ndarray::{Array2, ArrayView2, s};
 use stemgen::benchmark::{BenchmarkWorld, RecipeSource, TileView};
 use stemgen::imaging::mosaic::supplied_images::digest;
-use stemgen::imaging::{Cache, MosaicImager, RegionImager, SuppliedLibrary, TurnedRaster};
+use stemgen::imaging::{
+    Cache, MosaicImager, RasterDetail, RegionImager, SharedLibrary, SuppliedLibrary, TurnedRaster,
+};
 use stemgen::numerics::NUMERICS_VERSION;
 use stemgen::progress::Silent;
 use stemgen::recipe::{Difficulty, Recipe};
@@ -122,8 +124,8 @@ fn overviews_are_the_image_but_for_details() {
             angle_rad: 0.0,
             shape: [20 * places as usize; 2],
         };
-        let exact = mosaic.image_at(&raster, 16, &Silent).unwrap().unwrap();
-        let overview = mosaic.overview_at(&raster, 16, &Silent).unwrap().unwrap();
+        let made = |detail| mosaic.image_at(&raster, detail, 16, &Silent).unwrap().unwrap();
+        let (exact, overview) = (made(RasterDetail::Full), made(RasterDetail::Overview));
         let of_places = rms_percent(overview.view(), exact.view());
         let [overview, exact] = [overview, exact].map(|i| means(i.view(), places as usize));
         let of_pixels = rms_percent(overview.view(), exact.view());

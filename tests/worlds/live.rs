@@ -81,7 +81,7 @@ fn a_dose_takes_the_share_that_its_cross_section_says() {
         assert!((lost - expected).abs() < 4.0 * error, "{dose}: {lost} of {expected} +- {error}");
         assert!(now >= last);
         last = now;
-        let sites = damaged.sites(&field);
+        let sites = damaged.query(&field).sites;
         assert_eq!(sites.len(), all.len());
         let moved =
             |(a, b): (&stemgen::specimen::SpecimenSite, &stemgen::specimen::SpecimenSite)| {
@@ -386,7 +386,8 @@ fn films_show_the_atoms_that_are_left() {
     let recipe = film();
     let mut live = LiveWorld::new(&recipe, 7, &options(BuildMethod::Auto), &Silent).unwrap();
     let pixel = live.imaged_recipe().field.pixel_nm();
-    let at = live.specimen().particles()[0].centre_nm;
+    let specimen: &dyn Specimen = live.specimen();
+    let at = specimen.particles()[0].centre_nm;
     let around = |x: f64, y: f64| {
         let first = [y, x].map(|nm| ((nm / pixel) as usize).saturating_sub(40));
         PixelRect::new(first, [80, 80])

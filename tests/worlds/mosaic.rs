@@ -7,8 +7,9 @@ use crate::common::specimen;
 use ndarray::Array2;
 use stemgen::engine::Algorithm;
 use stemgen::imaging::{
-    AuditOptions, Cache, DisplacedAtoms, ImagingCost, MosaicImager, PixelRect, RegionImager,
-    Simulator, TurnedRaster, audit,
+    AuditOptions, Cache, DetectorChoice, DisplacedAtoms, ImageBlocks, ImagerFacts, ImagingCost,
+    MosaicImager, PixelRect, RasterDetail, RegionImager, SharedLibrary, Simulator, TurnedRaster,
+    audit,
 };
 use stemgen::io::WorldFile;
 use stemgen::progress::{Progress, Silent};
@@ -58,19 +59,32 @@ struct OtherAtoms<'a> {
 }
 
 impl RegionImager for OtherAtoms<'_> {
-    fn name(&self) -> &'static str {
-        "other atoms"
+    fn facts(&self) -> ImagerFacts {
+        ImagerFacts { name: "other atoms", ..self.images.facts() }
     }
-    fn parameters(&self) -> serde_json::Value {
-        self.images.parameters()
+    fn library_mut(&mut self) -> Option<&mut dyn SharedLibrary> {
+        None
     }
-    fn mean_of(
+    fn blocks(&self) -> Option<&dyn ImageBlocks> {
+        None
+    }
+    fn images_of(
         &self,
         pixels: &PixelRect,
+        detectors: DetectorChoice,
         configurations: usize,
         progress: &dyn Progress,
-    ) -> stemgen::Result<Array2<f64>> {
-        self.images.mean_of(pixels, configurations, progress)
+    ) -> stemgen::Result<Vec<Array2<f64>>> {
+        self.images.images_of(pixels, detectors, configurations, progress)
+    }
+    fn image_at(
+        &self,
+        _: &TurnedRaster,
+        _: RasterDetail,
+        _: usize,
+        _: &dyn Progress,
+    ) -> stemgen::Result<Option<Array2<f64>>> {
+        Ok(None)
     }
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
         self.atoms.atoms(area, configuration)
@@ -154,7 +168,8 @@ fn places_that_the_library_does_not_know_are_simulated() {
     let [all, some] = &*WHOLE_AND_PART;
     assert!(some.survey().families.len() < all.survey().families.len());
     let pixels = PixelRect::new([30, 225], [40, 30]);
-    let [known, unknown] = [all, some].map(|m| m.mean_of(&pixels, 1, &Silent).unwrap());
+    let [known, unknown] =
+        [all, some].map(|m| (m as &dyn RegionImager).mean_of(&pixels, 1, &Silent).unwrap());
     let ratio = unknown.mean().unwrap() / known.mean().unwrap();
     assert!((ratio - 1.0).abs() < 0.1, "{ratio}");
 }
@@ -167,8 +182,8 @@ fn overviews_simulate_no_column_of_their_own() {
     let raster =
         TurnedRaster { centre_nm: [4.8, 1.0], pixel_nm: 0.04, angle_rad: 0.0, shape: [32, 40] };
     let images = |mosaic: &MosaicImager| {
-        let exact = mosaic.image_at(&raster, 1, &Silent).unwrap().unwrap();
-        (exact, mosaic.overview_at(&raster, 1, &Silent).unwrap().unwrap())
+        let made = |detail| mosaic.image_at(&raster, detail, 1, &Silent).unwrap().unwrap();
+        (made(RasterDetail::Full), made(RasterDetail::Overview))
     };
     let brightest = |image: &Array2<f64>| image.iter().fold(0.0f64, |m, v| m.max(*v));
     let overviews = [all, some].map(|mosaic| {
@@ -223,7 +238,7 @@ fn bytes_depend_neither_on_threads_nor_on_the_cache() {
 }
 
 #[test]
-fn what_a_column_holds_is_what_its_sheet_shows() {
+fn what_a_column_holds_is_what_its_library_cell_shows() {
     for (material, difficulty) in [
         ("srtio3", Difficulty::Easy),
         ("batio3", Difficulty::Hard),
@@ -239,15 +254,17 @@ fn what_a_column_holds_is_what_its_sheet_shows() {
         let region =
             Region { x: [centre[0] - 4.0, centre[0] + 4.0], y: [centre[1] - 1.0, centre[1] + 1.0] };
         let sites = specimen.query(&region);
-        let mut sheets = HashMap::new();
+        let mut library_cells = HashMap::new();
         let (mut compared, mut defects) = (0, 0);
         for column in &sites.columns {
             let Some(tag) = column.unit else { continue };
-            let sheet = sheets
+            let library_cell = library_cells
                 .entry(tag.family)
                 .or_insert_with(|| specimen.library_cell(tag.family).unwrap().rounded());
-            let (number, cell) = (tag.entry.cell / sheet.cells, tag.entry.cell % sheet.cells);
-            let unit = sheet.units.iter().find(|u| u.kind == tag.entry.kind && u.cell == cell);
+            let (number, cell) =
+                (tag.entry.cell / library_cell.cells, tag.entry.cell % library_cell.cells);
+            let unit =
+                library_cell.units.iter().find(|u| u.kind == tag.entry.kind && u.cell == cell);
             let unit = unit.unwrap();
             let shown = &unit.members[tag.member];
             let held = &sites.sites[column.sites.clone()];

@@ -142,7 +142,7 @@ fn particles_are_those_of_the_tables() {
 fn particles_do_not_overlap_and_lie_on_the_carbon() {
     for case in CASES.iter() {
         let field = case.recipe.field.full_region();
-        let depth = case.specimen.thickness_nm();
+        let depth = case.specimen.facts().thickness_nm;
         for (n, p) in case.particles.iter().enumerate() {
             for site in &p.atoms {
                 let [x, y, z] = site.position_nm;
@@ -294,7 +294,7 @@ fn about_85_percent_of_the_easy_tiles_hold_no_particle() {
 fn outlines_and_parts_are_those_of_all_particles() {
     for case in CASES.iter() {
         let expected: Vec<_> = case.particles.iter().map(|p| p.truth.outline()).collect();
-        assert_eq!(specimen(&case.recipe).unwrap().particle_outlines(), expected);
+        assert_eq!(specimen(&case.recipe).unwrap().facts().particle_outlines, expected);
     }
     // A specimen that was not asked for all of them before.
     let case = &CASES[2];
@@ -396,7 +396,7 @@ fn a_part_of_the_field_lists_the_particles_that_reach_into_it() {
     let particles = world.particles().unwrap();
     // The default seed has a particle in the middle, so that the smallest world shows one.
     assert_eq!(particles.centres.len(), 1);
-    let all = specimen(&recipe).unwrap().particle_outlines();
+    let all = specimen(&recipe).unwrap().facts().particle_outlines.clone();
     let pixel = recipe.field.pixel_nm();
     let same = |p: &&ParticleOutline| {
         let [x, y, _] = particles.centres[0].map(f64::from);

@@ -173,7 +173,7 @@ fn the_recipe_of_the_documentation_needs_only_a_crystal() {
     near(vacant / (oxygen + vacant), 0.025, oxygen + vacant);
     // Four formula units per cell, but for the little that a boundary costs.
     let field = recipe.field.full_region();
-    let volume = (field.x[1] - field.x[0]) * (field.y[1] - field.y[0]) * ceria.thickness_nm();
+    let volume = (field.x[1] - field.x[0]) * (field.y[1] - field.y[0]) * ceria.facts().thickness_nm;
     let density = (cerium + gadolinium) / volume * 0.54113f64.powi(3) / 4.0;
     assert!((0.99..1.001).contains(&density), "{density}");
     let ratio = (oxygen + vacant) / (cerium + gadolinium);
@@ -217,7 +217,7 @@ fn other_crystals_make_grains() {
         for x in [10.0, 24.0] {
             let region = Region { x: [x, x + 2.0], y: [8.0, 14.0] };
             let sites = grains.sites(&region);
-            let density = sites.len() as f64 / (12.0 * grains.thickness_nm());
+            let density = sites.len() as f64 / (12.0 * grains.facts().thickness_nm);
             let cell = stemgen::structure::lattice::determinant(&structure.cell) * 1e-3;
             let perfect = structure.atoms.len() as f64 / cell;
             // Two nanometres about a boundary lack a few columns.

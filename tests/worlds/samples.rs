@@ -5,8 +5,8 @@ use std::sync::{Arc, LazyLock};
 use ndarray::Array2;
 use stemgen::engine::{Algorithm, Expansion};
 use stemgen::imaging::{
-    Cache, DirectImager, MosaicImager, PixelRect, RegionImager, Simulator, TurnedRaster,
-    turned_image,
+    Cache, DirectImager, MosaicImager, PixelRect, RegionImager, SharedLibrary, Simulator,
+    TurnedRaster, turned_image,
 };
 use stemgen::progress::Silent;
 use stemgen::recipe::{CheckedRecipe, Recipe};
@@ -79,14 +79,14 @@ fn a_straight_raster_has_the_pixels_of_the_field_and_a_turned_one_its_places() {
         let ours = image(&straight);
         let field_pixels = imager.mean_of(&pixels, 2, &Silent).unwrap();
         let worst = difference(&ours, &field_pixels);
-        assert!(worst < most, "{}: {worst} %", imager.name());
+        assert!(worst < most, "{}: {worst} %", imager.facts().name);
         // By a quarter turn rows become columns; the places are the same but for rounding.
         let shape = [straight.shape[1], straight.shape[0]];
         let quarter = TurnedRaster { angle_rad: 0.5 * std::f64::consts::PI, shape, ..straight };
         let mut turned = image(&quarter).reversed_axes();
         turned.invert_axis(ndarray::Axis(1));
         let worst = difference(&turned, &ours);
-        assert!(worst < 1e-3, "{}, turned: {worst} %", imager.name());
+        assert!(worst < 1e-3, "{}, turned: {worst} %", imager.facts().name);
         // Every second pixel of a raster twice as fine.
         let fine = TurnedRaster {
             pixel_nm: 0.5 * straight.pixel_nm,
@@ -97,7 +97,7 @@ fn a_straight_raster_has_the_pixels_of_the_field_and_a_turned_one_its_places() {
         let coarse = image(&TurnedRaster { angle_rad: 0.3, ..straight });
         let every_second = image(&fine).slice(ndarray::s![..;2, ..;2]).to_owned();
         let worst = difference(&every_second, &coarse);
-        assert!(worst < 1e-3, "{}, fine: {worst} %", imager.name());
+        assert!(worst < 1e-3, "{}, fine: {worst} %", imager.facts().name);
     }
 }
 

@@ -94,7 +94,7 @@ fn rates_clusters_and_boundaries_are_those_of_the_tables() {
         assert_rate(tally.all, rate, name);
         assert_rate(tally.far, (1.0 - clustered) * rate, name);
         assert!(!tally.above_cap, "{name}");
-        assert!((case.specimen.thickness_nm() - 26.0 * 0.3905).abs() < 1e-9);
+        assert!((case.specimen.facts().thickness_nm - 26.0 * 0.3905).abs() < 1e-9);
     }
 }
 

@@ -4,7 +4,8 @@ use std::sync::{Arc, Mutex};
 
 use ndarray::Array2;
 use stemgen::imaging::{
-    Cache, DisplacedAtoms, ImagingChoice, ImagingCost, PixelRect, RegionImager,
+    Cache, DetectorChoice, DisplacedAtoms, ImageBlocks, ImagerFacts, ImagingChoice, ImagingCost,
+    PixelRect, RasterDetail, RegionImager, SharedLibrary, TurnedRaster,
 };
 use stemgen::io::WorldFile;
 use stemgen::progress::{Progress, Silent};
@@ -204,15 +205,33 @@ fn rectangles_outside_the_field_are_refused() {
 struct Noting(Mutex<Vec<PixelRect>>);
 
 impl RegionImager for Noting {
-    fn name(&self) -> &'static str {
-        "noting"
+    fn facts(&self) -> ImagerFacts {
+        ImagerFacts::new("noting", serde_json::Value::Null)
     }
-    fn parameters(&self) -> serde_json::Value {
-        serde_json::Value::Null
+    fn library_mut(&mut self) -> Option<&mut dyn SharedLibrary> {
+        None
     }
-    fn mean_of(&self, p: &PixelRect, _: usize, _: &dyn Progress) -> stemgen::Result<Array2<f64>> {
+    fn blocks(&self) -> Option<&dyn ImageBlocks> {
+        None
+    }
+    fn images_of(
+        &self,
+        p: &PixelRect,
+        _: DetectorChoice,
+        _: usize,
+        _: &dyn Progress,
+    ) -> stemgen::Result<Vec<Array2<f64>>> {
         self.0.lock().unwrap().push(*p);
-        Ok(Array2::from_elem(p.shape, 0.1))
+        Ok(vec![Array2::from_elem(p.shape, 0.1)])
+    }
+    fn image_at(
+        &self,
+        _: &TurnedRaster,
+        _: RasterDetail,
+        _: usize,
+        _: &dyn Progress,
+    ) -> stemgen::Result<Option<Array2<f64>>> {
+        unreachable!("tiles ask for no raster")
     }
     fn atoms(&self, _: &Region, _: usize) -> DisplacedAtoms {
         unreachable!("tiles ask for no displaced atoms")

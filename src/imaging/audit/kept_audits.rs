@@ -86,8 +86,8 @@ fn key(recipe: &Recipe, imager: &dyn RegionImager, options: &AuditOptions) -> St
         "numerics": NUMERICS_VERSION,
         "version": env!("CARGO_PKG_VERSION"),
         "recipe": recipe.to_toml(),
-        "engine": imager.name(),
-        "parameters": imager.parameters(),
+        "engine": imager.facts().name,
+        "parameters": imager.facts().parameters,
         "audit": format!("{options:?}"),
     });
     key.to_string()

@@ -128,9 +128,9 @@ pub fn audit(
     let stride = stride(options, pixel);
     let step_angstrom = pixel * stride as f64;
     let places = places(recipe, specimen, options, stride)?;
-    let layers = SurfaceLayers::of(recipe, specimen.thickness_nm());
+    let layers = SurfaceLayers::of(recipe, specimen.facts().thickness_nm);
     let thickness =
-        layers.map_or(specimen.thickness_nm(), |layers| 0.1 * layers.thickness_angstrom());
+        layers.map_or(specimen.facts().thickness_nm, |layers| 0.1 * layers.thickness_angstrom());
     let points =
         |p: &AuditPlace| p.pixels.sampled_shape().iter().product::<usize>() * configurations;
     progress.start("auditing", "probe", places.iter().map(points).sum::<usize>() as u64);
@@ -157,7 +157,7 @@ pub fn audit(
         let name = detectors.get(n).filter(|_| detectors.len() > 1).map(|d| d.name.clone());
         Audit { detector: name, ..summary(imager, [configurations, all], found, step_angstrom) }
     };
-    let others = (1..imager.detectors()).map(of_detector).collect();
+    let others = (1..imager.facts().detectors).map(of_detector).collect();
     Ok(Audit { others, ..of_detector(0) })
 }
 
@@ -188,7 +188,7 @@ fn compared(
 
 /// The exact engine.
 fn reference(recipe: &Recipe, specimen: &dyn Specimen) -> Simulator {
-    let layers = SurfaceLayers::of(recipe, specimen.thickness_nm());
+    let layers = SurfaceLayers::of(recipe, specimen.facts().thickness_nm);
     let before = layers.map_or(0.0, |layers| layers.before_angstrom());
     let mut reference = Simulator::new(recipe, Algorithm::Multislice)
         .with_large_probe_box()
@@ -197,7 +197,7 @@ fn reference(recipe: &Recipe, specimen: &dyn Specimen) -> Simulator {
         // All pixels are needed, not every so many-th: probes at the Nyquist distance carry them.
         reference = reference.with_probe_step(ProbeStep::Angstrom(NYQUIST_SHARE * nyquist(recipe)));
     }
-    match specimen.film() {
+    match specimen.facts().film {
         Some(_) => reference.with_slices(Slicing::Grouped(PARTICLE_SPAN_ANGSTROM)),
         None => reference,
     }
@@ -302,8 +302,8 @@ fn summary(
     let images: Vec<[&Array2<f64>; 2]> = regions.iter().map(|r| [&r.ours, &r.exact]).collect();
     Audit {
         detector: None,
-        engine: imager.name().into(),
-        window_angstrom: imager.window_angstrom(),
+        engine: imager.facts().name.into(),
+        window_angstrom: imager.facts().window_angstrom,
         reference: "multislice".into(),
         configurations,
         bright_rms_percent: weighted(&|r| {

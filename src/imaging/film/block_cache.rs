@@ -64,9 +64,9 @@ impl<T: Clone> BlockCache<T> {
     }
 
     /// Tells that blocks for whose number `concerned` is true may have changed.
-    pub fn doubt(&self, concerned: impl Fn([i64; 2]) -> bool) {
-        for ((index, _), (_, doubtful)) in &mut self.kept().blocks {
-            *doubtful |= concerned(*index);
+    pub fn mark_stale(&self, concerned: impl Fn([i64; 2]) -> bool) {
+        for ((index, _), (_, stale)) in &mut self.kept().blocks {
+            *stale |= concerned(*index);
         }
     }
 
@@ -80,15 +80,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn blocks_in_doubt_are_made_again_unless_they_hold() {
+    fn stale_blocks_are_made_again_unless_they_hold() {
         let cache = BlockCache::new(2);
         let get = |n: i64, value: i64, holds: bool| {
             cache.get_unless_changed(([n, 0], 1), |_| holds, || Ok(value)).unwrap()
         };
         assert_eq!([get(0, 1, false), get(1, 2, false)], [1, 2]);
-        cache.doubt(|index| index == [0, 0]);
+        cache.mark_stale(|index| index == [0, 0]);
         assert_eq!([get(0, 3, true), get(1, 4, false)], [1, 2]);
-        cache.doubt(|index| index == [0, 0]);
+        cache.mark_stale(|index| index == [0, 0]);
         assert_eq!([get(0, 5, false), get(1, 6, false)], [5, 2]);
         assert_eq!([get(0, 7, false), cache.get(([1, 0], 1), || Ok(8)).unwrap()], [5, 2]);
         // a third one takes the place of the first

@@ -76,8 +76,8 @@ impl FilmBlocks {
     }
 
     /// Tells that atoms of an area may have changed.
-    pub fn doubt(&self, area: &Region) {
-        self.kept.doubt(|index| self.area(index).meets(area));
+    pub fn mark_stale(&self, area: &Region) {
+        self.kept.mark_stale(|index| self.area(index).meets(area));
     }
 
     fn block(&self, index: [i64; 2], configurations: usize) -> Result<[Array2<f64>; 2]> {

@@ -24,7 +24,9 @@ use crate::imaging::direct::rectangle_plan;
 use crate::imaging::displaced_atoms::{DisplacedAtoms, displaced_by_seed};
 use crate::imaging::imaging_cost::{ImagingCost, SimulationRuns};
 use crate::imaging::pixels::PixelRect;
-use crate::imaging::region_imager::RegionImager;
+use crate::imaging::region_imager::{
+    DetectorChoice, ImageBlocks, ImagerFacts, RasterDetail, RegionImager, SharedLibrary,
+};
 use crate::imaging::simulator::Simulator;
 use crate::imaging::turned_raster::TurnedRaster;
 use crate::potential::slices::{GROUP_ANGSTROM, Slicing};
@@ -73,7 +75,7 @@ impl FilmImager {
         simulator.check_margin()?;
         let settings = simulator.settings();
         let (Some(film), Algorithm::Window { width_angstrom }) =
-            (specimen.film(), settings.algorithm)
+            (specimen.facts().film, settings.algorithm)
         else {
             return Ok(None);
         };
@@ -97,11 +99,7 @@ impl FilmImager {
 }
 
 impl RegionImager for FilmImager {
-    fn name(&self) -> &'static str {
-        "film"
-    }
-
-    fn parameters(&self) -> serde_json::Value {
+    fn facts(&self) -> ImagerFacts {
         let mut settings = self.scene.simulator.parameters();
         settings["film"] = serde_json::json!({
             "number": self.scene.film.number,
@@ -109,15 +107,28 @@ impl RegionImager for FilmImager {
             "reach_angstrom": REACH_ANGSTROM,
             "slice_angstrom": FILM_SLICE_ANGSTROM,
         });
-        settings
+        ImagerFacts {
+            stage: ["assembling", "step"],
+            window_angstrom: Some(self.scene.window_angstrom),
+            ..ImagerFacts::new("film", settings)
+        }
     }
 
-    fn mean_of(
+    fn library_mut(&mut self) -> Option<&mut dyn SharedLibrary> {
+        None
+    }
+
+    fn blocks(&self) -> Option<&dyn ImageBlocks> {
+        Some(self)
+    }
+
+    fn images_of(
         &self,
         pixels: &PixelRect,
+        _: DetectorChoice,
         configurations: usize,
         progress: &dyn Progress,
-    ) -> Result<Array2<f64>> {
+    ) -> Result<Vec<Array2<f64>>> {
         if progress.interrupted() {
             return Err(Error::Interrupted);
         }
@@ -137,38 +148,23 @@ impl RegionImager for FilmImager {
         }
         let at = [0, 1].map(|k| first[k] as f64 * pixel - samples.first[k] as f64);
         let image = self.kernel.raster(image.view(), at, [pixel; 2], shape, [Edge::Open; 2]);
-        Ok(pixels.sampled(image.mapv(|v| v.max(0.0))))
+        Ok(vec![pixels.sampled(image.mapv(|v| v.max(0.0)))])
     }
 
-    fn overview_at(
+    fn image_at(
         &self,
         raster: &TurnedRaster,
+        detail: RasterDetail,
         _configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Option<Array2<f64>>> {
+        if detail == RasterDetail::Full {
+            return Ok(None);
+        }
         if progress.interrupted() {
             return Err(Error::Interrupted);
         }
         film_overview(&self.scene, raster).map(Some)
-    }
-
-    fn stage(&self) -> [&'static str; 2] {
-        ["assembling", "step"]
-    }
-
-    /// That of the film's blocks: particles have smaller ones.
-    fn shown_area(&self, &PixelRect { first, shape, .. }: &PixelRect) -> Option<Region> {
-        let pixel = 10.0 * self.scene.recipe.field.pixel_nm() / self.scene.step;
-        Some(self.film.shown_area(&Samples::under(first, shape, pixel)))
-    }
-
-    fn doubt(&self, area: &Region) {
-        self.film.doubt(area);
-        self.particles.doubt(area);
-    }
-
-    fn window_angstrom(&self) -> Option<f64> {
-        Some(self.scene.window_angstrom)
     }
 
     fn cost(&self, subtile: [usize; 2], subtiles: usize) -> Result<ImagingCost> {
@@ -192,10 +188,36 @@ impl RegionImager for FilmImager {
         })
     }
 
+    /// Mean heights of the film's atoms are those of slices as thick as in any specimen without planes: particles need thinner ones.
+    fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
+        let seed = (self.scene.recipe.seed, configuration);
+        let phonons = &self.scene.recipe.phonons;
+        let mut atoms = displaced_by_seed(&*self.scene.specimen, area, seed, phonons);
+        for (site, z) in atoms.sites.iter().zip(&mut atoms.heights) {
+            if self.scene.film.holds(site.key) {
+                *z = self.scene.film.slice_height_angstrom(*z, GROUP_ANGSTROM);
+            }
+        }
+        atoms
+    }
+}
+
+impl ImageBlocks for FilmImager {
+    /// That of the film's blocks: particles have smaller ones.
+    fn shown_area(&self, &PixelRect { first, shape, .. }: &PixelRect) -> Region {
+        let pixel = 10.0 * self.scene.recipe.field.pixel_nm() / self.scene.step;
+        self.film.shown_area(&Samples::under(first, shape, pixel))
+    }
+
+    fn mark_stale(&self, area: &Region) {
+        self.film.mark_stale(area);
+        self.particles.mark_stale(area);
+    }
+
     fn work(&self, &PixelRect { first, shape: [rows, columns], .. }: &PixelRect) -> usize {
         // The way of probes through particles, from one pixel in 64.
         let pixel = self.scene.recipe.field.pixel_nm();
-        let particles = self.scene.specimen.particle_outlines();
+        let particles = &self.scene.specimen.facts().particle_outlines;
         let spheres: Vec<([f64; 2], f64)> =
             particles.iter().map(|p| (p.centre_nm, self.particles.reach_nm(p))).collect();
         let chord = |x: f64, y: f64| {
@@ -214,19 +236,6 @@ impl RegionImager for FilmImager {
         let configurations = self.scene.recipe.phonons.configurations.max(1) as f64;
         let probes_nm = 64.0 * way * per_pixel * configurations;
         rows * columns + (PIXELS_PER_PROBE_NM * probes_nm) as usize
-    }
-
-    /// Mean heights of the film's atoms are those of slices as thick as in any specimen without planes: particles need thinner ones.
-    fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
-        let seed = (self.scene.recipe.seed, configuration);
-        let phonons = &self.scene.recipe.phonons;
-        let mut atoms = displaced_by_seed(&*self.scene.specimen, area, seed, phonons);
-        for (site, z) in atoms.sites.iter().zip(&mut atoms.heights) {
-            if self.scene.film.holds(site.key) {
-                *z = self.scene.film.slice_height_angstrom(*z, GROUP_ANGSTROM);
-            }
-        }
-        atoms
     }
 }
 

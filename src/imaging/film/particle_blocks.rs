@@ -101,7 +101,7 @@ impl ParticleBlocks {
     /// # Errors
     /// Those of the settings.
     pub fn block_plan(&self) -> Result<Option<PlannedScan>> {
-        let mut particles = self.scene.specimen.particle_outlines();
+        let mut particles = self.scene.specimen.facts().particle_outlines.clone();
         let moment = |n: i32| particles.iter().map(|p| p.diameter_nm.powi(n)).sum::<f64>();
         let mean = moment(3) / moment(2);
         let off = |p: &ParticleOutline| (p.diameter_nm - mean).abs();
@@ -110,7 +110,7 @@ impl ParticleBlocks {
         let half = 0.05 * BLOCK as f64 * self.scene.step + 0.1 * self.margin();
         let [x, y] = [0, 1].map(|k| [particle.centre_nm[k] - half, particle.centre_nm[k] + half]);
         let atoms = self.scene.atoms(&Region { x, y });
-        let size = [20.0 * half, 20.0 * half, 10.0 * self.scene.specimen.thickness_nm()];
+        let size = [20.0 * half, 20.0 * half, 10.0 * self.scene.specimen.facts().thickness_nm];
         let plan = Plan::new(self.scene.simulator.settings(), size, &self.heights(&atoms))?;
         let scan = Scan {
             origin_angstrom: [self.margin(); 2],
@@ -131,8 +131,8 @@ impl ParticleBlocks {
     }
 
     /// Tells that atoms of an area may have changed: blocks are simulated again if they hold others than before.
-    pub fn doubt(&self, area: &Region) {
-        self.kept.doubt(|index| self.area(index).meets(area));
+    pub fn mark_stale(&self, area: &Region) {
+        self.kept.mark_stale(|index| self.area(index).meets(area));
     }
 
     /// The image of a block in the mean over some configurations; `None` where windows hold no atoms of particles.
@@ -256,7 +256,7 @@ impl ParticleBlocks {
             step_angstrom: [self.scene.step; 2],
             shape: samples.shape,
         };
-        let pixels = PixelBox::of_area(area, scan, 10.0 * self.scene.specimen.thickness_nm());
+        let pixels = PixelBox::of_area(area, scan, 10.0 * self.scene.specimen.facts().thickness_nm);
         // Films have one detector.
         Ok(self.scene.simulator.means(&pixels, configurations, moved, progress)?.swap_remove(0))
     }

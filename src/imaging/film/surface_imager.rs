@@ -3,7 +3,6 @@
 //! Atoms of a layer make their images independently of each other and of the specimen ([`crate::engine::single_scattering`]), which are
 //! added to that of the specimen. What a layer before the specimen does to the probe is left out.
 
-use std::path::Path;
 use std::sync::Arc;
 
 use ndarray::{Array2, s};
@@ -15,10 +14,12 @@ use crate::detect::Detector;
 use crate::engine::Settings;
 use crate::engine::single_scattering::SingleScattering;
 use crate::error::Result;
-use crate::files::Shard;
 use crate::imaging::displaced_atoms::{DisplacedAtoms, with_layers};
+use crate::imaging::imaging_cost::ImagingCost;
 use crate::imaging::pixels::PixelRect;
-use crate::imaging::region_imager::{RegionImager, told_by_inner};
+use crate::imaging::region_imager::{
+    DetectorChoice, ImageBlocks, ImagerFacts, RasterDetail, RegionImager, SharedLibrary,
+};
 use crate::imaging::turned_raster::{ScannedSamples, TurnedRaster};
 use crate::models::carbon::network::CARBON;
 use crate::progress::Progress;
@@ -62,7 +63,7 @@ impl SurfaceImager {
         specimen: &dyn Specimen,
         settings: &Settings,
     ) -> Result<Box<dyn RegionImager>> {
-        let Some(layers) = SurfaceLayers::of(recipe, specimen.thickness_nm()) else {
+        let Some(layers) = SurfaceLayers::of(recipe, specimen.facts().thickness_nm) else {
             return Ok(inner);
         };
         let band_limit = image_band_limit(&settings.optics);
@@ -108,34 +109,27 @@ impl SurfaceImager {
 }
 
 impl RegionImager for SurfaceImager {
-    fn name(&self) -> &'static str {
-        self.inner.name()
+    fn facts(&self) -> ImagerFacts {
+        let mut facts = self.inner.facts();
+        facts.parameters["surface"] = serde_json::json!({ "reach_angstrom": REACH_ANGSTROM });
+        facts
     }
 
-    fn parameters(&self) -> serde_json::Value {
-        let mut parameters = self.inner.parameters();
-        parameters["surface"] = serde_json::json!({ "reach_angstrom": REACH_ANGSTROM });
-        parameters
+    fn library_mut(&mut self) -> Option<&mut dyn SharedLibrary> {
+        self.inner.library_mut()
     }
 
-    fn keep_in(&mut self, folder: &Path) {
-        self.inner.keep_in(folder);
+    fn blocks(&self) -> Option<&dyn ImageBlocks> {
+        self.inner.blocks()
     }
 
-    fn prepare(&mut self, progress: &dyn Progress) -> Result<()> {
-        self.inner.prepare(progress)
-    }
-
-    fn prepare_part(&mut self, shard: Shard, progress: &dyn Progress) -> Result<usize> {
-        self.inner.prepare_part(shard, progress)
-    }
-
-    fn mean_of(
+    fn images_of(
         &self,
         pixels: &PixelRect,
+        _: DetectorChoice,
         configurations: usize,
         progress: &dyn Progress,
-    ) -> Result<Array2<f64>> {
+    ) -> Result<Vec<Array2<f64>>> {
         let image = self.inner.mean_of(pixels, configurations, progress)?;
         let PixelRect { first, shape, .. } = *pixels;
         let pixel = 10.0 * self.recipe.field.pixel_nm() / self.step;
@@ -143,16 +137,20 @@ impl RegionImager for SurfaceImager {
         let layers = self.layers_at(&samples, configurations)?;
         let at = [0, 1].map(|k| first[k] as f64 * pixel - samples.first[k] as f64);
         let layers = self.kernel.raster(layers.view(), at, [pixel; 2], shape, [Edge::Open; 2]);
-        Ok(image + pixels.sampled(layers.mapv(|v| v.max(0.0))))
+        Ok(vec![image + pixels.sampled(layers.mapv(|v| v.max(0.0)))])
     }
 
+    /// Overviews too show the layers on the image in full detail.
     fn image_at(
         &self,
         raster: &TurnedRaster,
+        _: RasterDetail,
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Option<Array2<f64>>> {
-        let Some(mut image) = self.inner.image_at(raster, configurations, progress)? else {
+        let Some(mut image) =
+            self.inner.image_at(raster, RasterDetail::Full, configurations, progress)?
+        else {
             return Ok(None);
         };
         let samples = Samples::around(&raster.region(), self.step);
@@ -170,9 +168,7 @@ impl RegionImager for SurfaceImager {
         with_layers(&self.layers, atoms, area, which, self.settings.optics.slope())
     }
 
-    fn shown_area(&self, pixels: &PixelRect) -> Option<Region> {
-        self.inner.shown_area(pixels)
+    fn cost(&self, subtile: [usize; 2], subtiles: usize) -> Result<ImagingCost> {
+        self.inner.cost(subtile, subtiles)
     }
-
-    told_by_inner!();
 }

@@ -193,12 +193,12 @@ impl Assembly {
         self.families.iter().copied().collect()
     }
 
-    /// The sheets of each of its families.
+    /// The library cells of each of its families.
     fn cells<'a>(&self, library: &'a ImageLibrary) -> Vec<Option<&'a CellImages>> {
         self.families.iter().map(|family| library.cell_images(*family)).collect()
     }
 
-    /// Whether the library has the sheets of each unit.
+    /// Whether the library has the library cells of each unit.
     fn held_by(&self, library: &ImageLibrary) -> Vec<bool> {
         let cells = self.cells(library);
         let held = |unit: &PlacedUnit| unit.tag.is_some() && cells[unit.family].is_some();
@@ -270,7 +270,7 @@ impl Assembly {
         image
     }
 
-    /// Where a pixel lies in the sheet, from the unit's centre, in samples (x, y).
+    /// Where a pixel lies in the library cell, from the unit's centre, in samples (x, y).
     fn offset(
         &self,
         pixel: usize,
@@ -366,7 +366,7 @@ fn values(
     let centres: Vec<[f64; 2]> = realisations.iter().map(|s| cell.position(s.unit)).collect();
     let Some(&centre) = centres.first() else { return vec![0.0; offsets.len()] };
     // Samples of all configurations lie at the same places about the centre, so they are summed first.
-    let (samples, periodic) = ([cell.shape[1], cell.shape[0]], cell.sheet.periodic);
+    let (samples, periodic) = ([cell.shape[1], cell.shape[0]], cell.library_cell.periodic);
     let weights = |k: usize, at: f64| -> Weights {
         if periodic[k] { kernel.weights(at) } else { kernel.weights_within(at, samples[k]) }
     };
@@ -392,11 +392,11 @@ fn values(
         }
     };
     if whole {
-        add(cell.mean(detector, realisations[0].sheet), [0, 0], 1.0);
+        add(cell.mean(detector, realisations[0].library_cell), [0, 0], 1.0);
     } else {
         for (realisation, at) in realisations.iter().zip(&centres) {
             let shift = [0, 1].map(|k| (at[k] - centre[k]).round() as i64);
-            let image = cell.image(detector, realisation.sheet, realisation.configuration);
+            let image = cell.image(detector, realisation.library_cell, realisation.configuration);
             add(image, shift, 1.0 / realisations.len() as f64);
         }
     }
@@ -458,5 +458,5 @@ fn shelf_configurations(cell: &CellImages, realisations: &[Realisation]) -> usiz
         .iter()
         .enumerate()
         .all(|(n, s)| *s == Realisation { configuration: n, ..first });
-    if same { cell.configurations(first.sheet) } else { 0 }
+    if same { cell.configurations(first.library_cell) } else { 0 }
 }

@@ -1,4 +1,4 @@
-//! The images of one family of sheets: what they show, where their samples lie, and by what they are known.
+//! The images of one family of library cells: what they show, where their samples lie, and by what they are known.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -24,31 +24,31 @@ const DRAWS_VERSION: u32 = 7;
 /// Draw of [`Purpose::Library`] for the contents of surroundings.
 const SURROUNDINGS_DRAW: u32 = 1 << 20;
 
-/// Sheets of one family, and where their samples lie.
+/// Library cells of one family, and where their samples lie.
 pub struct CellImages {
     /// Geometry.
-    pub sheet: LibraryCell,
-    /// Settings of the engine, with optics as seen from the sheet.
+    pub library_cell: LibraryCell,
+    /// Settings of the engine, with optics as seen from the library cell.
     settings: Settings,
     /// Distance of the samples of images along x and y in Angstrom: cells hold a whole number.
     pub step_angstrom: [f64; 2],
     /// Samples (rows, columns).
     pub shape: [usize; 2],
-    /// The probes that are propagated for an image: along axes on which sheets repeat no more than it takes.
+    /// The probes that are propagated for an image: along axes on which library cells repeat no more than it takes.
     pub(super) scan: Scan,
-    /// What makes samples (rows, columns) of what the probes gave, along axes on which sheets repeat.
+    /// What makes samples (rows, columns) of what the probes gave, along axes on which library cells repeat.
     resampling: [Option<PeriodicResampling>; 2],
-    /// Seed of the phonons of each sheet.
+    /// Seed of the phonons of each library cell.
     seeds: Vec<u64>,
-    /// Digest of the geometry and contents of each sheet.
+    /// Digest of the geometry and contents of each library cell.
     digests: Vec<String>,
     /// Index of the unit of each kind and cell.
     index: BTreeMap<(usize, usize), usize>,
     /// Entries without defects, by kind.
     pristine: BTreeMap<usize, Vec<usize>>,
-    /// Images by detector, sheet and configuration; empty until simulated or read.
+    /// Images by detector, library cell and configuration; empty until simulated or read.
     images: Vec<Vec<Vec<Array2<f32>>>>,
-    /// Their means over the configurations, by detector and sheet.
+    /// Their means over the configurations, by detector and library cell.
     means: Vec<Vec<Array2<f32>>>,
 }
 
@@ -56,31 +56,35 @@ pub struct CellImages {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Realisation {
     /// LibraryCell.
-    pub sheet: usize,
-    /// Index of the unit in the sheet.
+    pub library_cell: usize,
+    /// Index of the unit in the library cell.
     pub unit: usize,
-    /// Phonon configuration of the sheet.
+    /// Phonon configuration of the library cell.
     pub configuration: usize,
 }
 
 impl CellImages {
-    /// The sheets of a family, yet without images.
-    pub(super) fn new(sheet: LibraryCell, family: UnitFamily, settings: Settings) -> Self {
-        let (scan, step_angstrom, shape) = samples(&sheet, &settings.optics);
-        let index = sheet.units.iter().enumerate().map(|(n, u)| ((u.kind, u.cell), n)).collect();
+    /// The library cells of a family, yet without images.
+    pub(super) fn new(library_cell: LibraryCell, family: UnitFamily, settings: Settings) -> Self {
+        let (scan, step_angstrom, shape) = samples(&library_cell, &settings.optics);
+        let index =
+            library_cell.units.iter().enumerate().map(|(n, u)| ((u.kind, u.cell), n)).collect();
         let mut pristine = BTreeMap::<usize, Vec<usize>>::new();
-        for number in 0..sheet.count {
-            for unit in sheet.units.iter().filter(|u| u.patterns[number].is_empty()) {
-                pristine.entry(unit.kind).or_default().push(number * sheet.cells + unit.cell);
+        for number in 0..library_cell.count {
+            for unit in library_cell.units.iter().filter(|u| u.patterns[number].is_empty()) {
+                pristine
+                    .entry(unit.kind)
+                    .or_default()
+                    .push(number * library_cell.cells + unit.cell);
             }
         }
-        let digests: Vec<String> = (0..sheet.count)
-            .map(|n| hex(&Sha256::digest(description(&sheet, family, n))))
+        let digests: Vec<String> = (0..library_cell.count)
+            .map(|n| hex(&Sha256::digest(description(&library_cell, family, n))))
             .collect();
         let seed = |d: &String| u64::from_str_radix(&d[..16], 16).unwrap_or_default();
         let resampling = [(0, 1), (1, 0)].map(|(axis, k)| {
             let new = || PeriodicResampling::new(scan.shape[axis], shape[axis]);
-            sheet.periodic[k].then(new)
+            library_cell.periodic[k].then(new)
         });
         CellImages {
             resampling,
@@ -91,16 +95,16 @@ impl CellImages {
             digests,
             index,
             pristine,
-            images: vec![vec![Vec::new(); sheet.count]; settings.detectors.len()],
+            images: vec![vec![Vec::new(); library_cell.count]; settings.detectors.len()],
             means: Vec::new(),
-            sheet,
+            library_cell,
             settings,
         }
     }
 
-    /// Whether its images are those of such a sheet with such settings.
-    pub(super) fn shows(&self, sheet: &LibraryCell, settings: &Settings) -> bool {
-        self.sheet == *sheet && self.settings == *settings
+    /// Whether its images are those of such a library cell with such settings.
+    pub(super) fn shows(&self, library_cell: &LibraryCell, settings: &Settings) -> bool {
+        self.library_cell == *library_cell && self.settings == *settings
     }
 
     /// Probes of one image.
@@ -113,13 +117,13 @@ impl CellImages {
         [self.images.len() * self.scan.shape[0], self.scan.shape[1]]
     }
 
-    /// Takes the next configuration of a sheet, as the probes gave it (see [`CellImages::probe_shape`]).
-    pub(super) fn add(&mut self, sheet: usize, probes: &Array2<f32>) {
+    /// Takes the next configuration of a library cell, as the probes gave it (see [`CellImages::probe_shape`]).
+    pub(super) fn add(&mut self, library_cell: usize, probes: &Array2<f32>) {
         let rows = self.scan.shape[0];
         for detector in 0..self.images.len() {
             let part = probes.slice(s![detector * rows..(detector + 1) * rows, ..]);
             let image = self.resampled(part.to_owned());
-            self.images[detector][sheet].push(image);
+            self.images[detector][library_cell].push(image);
         }
     }
 
@@ -132,31 +136,36 @@ impl CellImages {
         })
     }
 
-    /// The image of one configuration of a sheet on a detector: (row = y, column = x), fractions of the beam.
-    pub fn image(&self, detector: usize, sheet: usize, configuration: usize) -> &Array2<f32> {
-        &self.images[detector][sheet][configuration]
+    /// The image of one configuration of a library cell on a detector: (row = y, column = x), fractions of the beam.
+    pub fn image(
+        &self,
+        detector: usize,
+        library_cell: usize,
+        configuration: usize,
+    ) -> &Array2<f32> {
+        &self.images[detector][library_cell][configuration]
     }
 
-    /// The mean over all configurations of a sheet on a detector.
-    pub fn mean(&self, detector: usize, sheet: usize) -> &Array2<f32> {
-        &self.means[detector][sheet]
+    /// The mean over all configurations of a library cell on a detector.
+    pub fn mean(&self, detector: usize, library_cell: usize) -> &Array2<f32> {
+        &self.means[detector][library_cell]
     }
 
-    /// Number of configurations of a sheet.
-    pub fn configurations(&self, sheet: usize) -> usize {
-        self.images[0][sheet].len()
+    /// Number of configurations of a library cell.
+    pub fn configurations(&self, library_cell: usize) -> usize {
+        self.images[0][library_cell].len()
     }
 
-    /// The unit of an entry, and its sheet.
+    /// The unit of an entry, and its library cell.
     fn locate(&self, kind: usize, cell: usize) -> (usize, usize) {
-        let at = (kind, cell % self.sheet.cells);
-        (cell / self.sheet.cells, self.index.get(&at).copied().unwrap_or_default())
+        let at = (kind, cell % self.library_cell.cells);
+        (cell / self.library_cell.cells, self.index.get(&at).copied().unwrap_or_default())
     }
 
     /// Position of a unit in samples (x, y).
     pub fn position(&self, unit: usize) -> [f64; 2] {
-        let centre = self.sheet.units[unit].centre;
-        [0, 1].map(|k| (centre[k] - self.sheet.scan_origin[k]) / self.step_angstrom[k])
+        let centre = self.library_cell.units[unit].centre;
+        [0, 1].map(|k| (centre[k] - self.library_cell.scan_origin[k]) / self.step_angstrom[k])
     }
 
     /// The configurations that the unit `id` of a world is averaged over. UnitKinds without defects take
@@ -168,8 +177,8 @@ impl CellImages {
         configurations: usize,
     ) -> Vec<Realisation> {
         let own = |cell: usize| self.locate(entry.kind, cell);
-        let (sheet, unit) = own(entry.cell);
-        let pristine = self.sheet.units[unit].patterns[sheet].is_empty();
+        let (library_cell, unit) = own(entry.cell);
+        let pristine = self.library_cell.units[unit].patterns[library_cell].is_empty();
         let Some(alike) = self.pristine.get(&entry.kind).filter(|_| pristine) else {
             return self.own_realisations(entry, configurations);
         };
@@ -186,43 +195,43 @@ impl CellImages {
             draw += 1;
         }
         let realisation = |pick: usize| {
-            let (sheet, unit) = own(alike[pick / configurations]);
-            Realisation { sheet, unit, configuration: pick % configurations }
+            let (library_cell, unit) = own(alike[pick / configurations]);
+            Realisation { library_cell, unit, configuration: pick % configurations }
         };
         taken.into_iter().map(realisation).collect()
     }
 
     /// So many configurations of the unit of an entry itself.
     pub fn own_realisations(&self, entry: PatternIndex, configurations: usize) -> Vec<Realisation> {
-        let (sheet, unit) = self.locate(entry.kind, entry.cell);
-        let realisation = |configuration| Realisation { sheet, unit, configuration };
+        let (library_cell, unit) = self.locate(entry.kind, entry.cell);
+        let realisation = |configuration| Realisation { library_cell, unit, configuration };
         (0..configurations).map(realisation).collect()
     }
 
-    /// Displacement, in standard deviations and along the axes of the sheet, of site `site` of column
+    /// Displacement, in standard deviations and along the axes of the library cell, of site `site` of column
     /// `member` of a unit.
     pub fn displacement(&self, realisation: Realisation, member: usize, site: usize) -> [f64; 3] {
         let key = unit_key(realisation.unit, member, site);
         rng::normal3(
-            self.seeds[realisation.sheet],
+            self.seeds[realisation.library_cell],
             Purpose::Library,
             realisation.configuration as u32,
             key,
         )
     }
 
-    /// The atoms of one configuration of a sheet, displaced; `sigma` gives the standard deviation in
+    /// The atoms of one configuration of a library cell, displaced; `sigma` gives the standard deviation in
     /// Angstrom of each element.
     pub(super) fn atoms(
         &self,
-        sheet: usize,
+        library_cell: usize,
         configuration: usize,
         sigma: &dyn Fn(u8) -> f64,
     ) -> Vec<Site> {
         let mut atoms = Vec::new();
-        let seed = self.seeds[sheet];
+        let seed = self.seeds[library_cell];
         let mut add = |site: &LibrarySite, key: u64, defect: bool| {
-            let process = self.sheet.process.filter(|_| defect);
+            let process = self.library_cell.process.filter(|_| defect);
             let (kind, number) = process.map_or((SiteKind::Pristine, site.number), |p| p.defect());
             if kind == SiteKind::Vacancy {
                 return;
@@ -231,8 +240,8 @@ impl CellImages {
             let position = std::array::from_fn(|k| site.position[k] + sigma(number) * n[k]);
             atoms.push(Site { position, number, sigma_angstrom: 0.0, key });
         };
-        for (n, unit) in self.sheet.units.iter().enumerate() {
-            let pattern = &unit.patterns[sheet];
+        for (n, unit) in self.library_cell.units.iter().enumerate() {
+            let pattern = &unit.patterns[library_cell];
             for (member, sites) in unit.members.iter().enumerate() {
                 for (i, site) in sites.iter().enumerate() {
                     let defect = site.defect.is_some_and(|d| pattern.contains(&(d as u16)));
@@ -240,32 +249,32 @@ impl CellImages {
                 }
             }
         }
-        for (n, column) in self.sheet.surroundings.iter().enumerate() {
+        for (n, column) in self.library_cell.surroundings.iter().enumerate() {
             for (i, site) in column.iter().enumerate() {
                 let key = 1 << 48 | unit_key(n, 0, i);
                 let drawn = || rng::uniform(seed, Purpose::Library, SURROUNDINGS_DRAW, key);
-                add(site, key, site.defect.is_some() && drawn() < self.sheet.rate);
+                add(site, key, site.defect.is_some() && drawn() < self.library_cell.rate);
             }
         }
         atoms
     }
 
     pub(super) fn plan(&self) -> Result<Plan> {
-        let heights = self.sheet.units.iter().flat_map(|u| u.members.iter().flatten());
+        let heights = self.library_cell.units.iter().flat_map(|u| u.members.iter().flatten());
         let heights: Vec<f64> = heights.map(|s| s.position[2]).collect();
-        Plan::new(&self.settings, self.sheet.box_angstrom, &heights)
+        Plan::new(&self.settings, self.library_cell.box_angstrom, &heights)
     }
 
-    /// What an image (sheet, configuration) shows.
+    /// What an image (library cell, configuration) shows.
     pub(super) fn note(&self, sigma: &dyn Fn(u8) -> f64, image: [usize; 2]) -> ImageNote {
-        ImageNote::new(&self.sheet, &self.elements(), (&self.settings, sigma), image)
+        ImageNote::new(&self.library_cell, &self.elements(), (&self.settings, sigma), image)
     }
 
-    /// All that decides one image (sheet, configuration).
+    /// All that decides one image (library cell, configuration).
     pub(super) fn key(
         &self,
         sigma: &dyn Fn(u8) -> f64,
-        [sheet, configuration]: [usize; 2],
+        [library_cell, configuration]: [usize; 2],
     ) -> String {
         let sigmas: Vec<_> =
             self.elements().into_iter().map(|n| (elements::symbol(n), sigma(n))).collect();
@@ -273,7 +282,7 @@ impl CellImages {
             "numerics": NUMERICS_VERSION,
             "settings": self.settings,
             "sigma_angstrom": sigmas,
-            "sheet": self.digests[sheet],
+            "sheet": self.digests[library_cell],
             "step_angstrom": self.scan.step_angstrom,
             "shape": self.scan.shape,
             "configuration": configuration,
@@ -292,43 +301,43 @@ impl CellImages {
         hex(&Sha256::digest(format!("{first} {configurations} {}", self.digests.join(" "))))
     }
 
-    /// Takes the images that were simulated or read, sheet by sheet, for those of all its configurations.
+    /// Takes the images that were simulated or read, library cell by library cell, for those of all its configurations.
     pub(super) fn average(&mut self) {
-        let means = |sheets: &Vec<Vec<Array2<f32>>>| {
-            sheets.iter().map(|images| mean(images, self.shape)).collect()
+        let means = |library_cells: &Vec<Vec<Array2<f32>>>| {
+            library_cells.iter().map(|images| mean(images, self.shape)).collect()
         };
         self.means = self.images.iter().map(means).collect();
     }
 
-    /// All elements that its sheets may hold, ascending.
+    /// All elements that its library cells may hold, ascending.
     pub(super) fn elements(&self) -> Vec<u8> {
-        let units = self.sheet.units.iter().flat_map(|u| u.members.iter().flatten());
-        let sites = units.chain(self.sheet.surroundings.iter().flatten());
+        let units = self.library_cell.units.iter().flat_map(|u| u.members.iter().flatten());
+        let sites = units.chain(self.library_cell.surroundings.iter().flatten());
         let mut numbers: BTreeSet<u8> = sites.map(|s| s.number).collect();
-        numbers.extend(self.sheet.process.map(|p| p.defect().1));
+        numbers.extend(self.library_cell.process.map(|p| p.defect().1));
         numbers.into_iter().collect()
     }
 }
 
-/// The probes for an image of a sheet, and the distance (x, y) and number (rows, columns) of the samples as which it is kept.
-fn samples(sheet: &LibraryCell, optics: &Optics) -> (Scan, [f64; 2], [usize; 2]) {
+/// The probes for an image of a library cell, and the distance (x, y) and number (rows, columns) of the samples as which it is kept.
+fn samples(library_cell: &LibraryCell, optics: &Optics) -> (Scan, [f64; 2], [usize; 2]) {
     let band_limit = image_band_limit(optics);
     let kept = Kernel::default_step(band_limit);
-    let step_angstrom = sheet.cell.map(|edge| edge / (edge / kept - 1e-9).ceil());
+    let step_angstrom = library_cell.cell.map(|edge| edge / (edge / kept - 1e-9).ceil());
     let count = |k: usize, step: f64| {
-        let n = (sheet.scanned[k] / step).round() as usize;
-        if sheet.periodic[k] { n } else { n + 1 }
+        let n = (library_cell.scanned[k] / step).round() as usize;
+        if library_cell.periodic[k] { n } else { n + 1 }
     };
-    let probes = [0, 1].map(|k| match sheet.periodic[k] {
-        true => (sheet.scanned[k] / nyquist_step(band_limit)).ceil() as usize,
+    let probes = [0, 1].map(|k| match library_cell.periodic[k] {
+        true => (library_cell.scanned[k] / nyquist_step(band_limit)).ceil() as usize,
         false => count(k, step_angstrom[k]),
     });
-    let step = |k: usize| match sheet.periodic[k] {
-        true => sheet.scanned[k] / probes[k] as f64,
+    let step = |k: usize| match library_cell.periodic[k] {
+        true => library_cell.scanned[k] / probes[k] as f64,
         false => step_angstrom[k],
     };
     let scan = Scan {
-        origin_angstrom: sheet.scan_origin,
+        origin_angstrom: library_cell.scan_origin,
         step_angstrom: [step(0), step(1)],
         shape: [probes[1], probes[0]],
     };
@@ -354,23 +363,26 @@ fn process_text(process: Option<DefectKind>) -> String {
     process.map_or_else(|| "None".to_owned(), text)
 }
 
-/// All that decides the atoms of a sheet, but their displacements.
-fn description(sheet: &LibraryCell, family: UnitFamily, number: usize) -> String {
+/// All that decides the atoms of a library cell, but their displacements.
+fn description(library_cell: &LibraryCell, family: UnitFamily, number: usize) -> String {
     use std::fmt::Write;
-    let process = process_text(sheet.process);
-    let mut text = format!("{DRAWS_VERSION} {:?} {process} {:?} ", sheet.box_angstrom, sheet.rate);
-    let _ = write!(text, "{} {number} {:?} ", family.motif > 0, sheet.scan_origin);
+    let process = process_text(library_cell.process);
+    let mut text = format!(
+        "{DRAWS_VERSION} {:?} {process} {:?} ",
+        library_cell.box_angstrom, library_cell.rate
+    );
+    let _ = write!(text, "{} {number} {:?} ", family.motif > 0, library_cell.scan_origin);
     let column = |text: &mut String, sites: &Vec<LibrarySite>| {
         for s in sites {
             let [x, y, z] = s.position;
             let _ = write!(text, "{x:.5} {y:.5} {z:.5} {} {:?};", s.number, s.defect);
         }
     };
-    for LibraryUnit { members, patterns, .. } in &sheet.units {
+    for LibraryUnit { members, patterns, .. } in &library_cell.units {
         members.iter().for_each(|m| column(&mut text, m));
         let _ = write!(text, "{:?}|", patterns[number]);
     }
-    sheet.surroundings.iter().for_each(|c| column(&mut text, c));
+    library_cell.surroundings.iter().for_each(|c| column(&mut text, c));
     text
 }
 

@@ -1,4 +1,4 @@
-//! The library: images of the sheets, one for each sheet and phonon configuration; which of them are missing, and what those take.
+//! The library: an image of each library cell in each phonon configuration; which of them are missing, and what those take.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -12,7 +12,7 @@ use crate::imaging::beam_share::beam_factors;
 use crate::imaging::mosaic::cell_images::CellImages;
 use crate::imaging::mosaic::image_note::{ImageNote, NewImages};
 use crate::imaging::mosaic::library_cache::Cache;
-use crate::imaging::mosaic::shared_sheets::SharedSheets;
+use crate::imaging::mosaic::shared_cells::SharedCells;
 use crate::imaging::mosaic::supplied_images::is_supplied;
 use crate::progress::{Progress, ProgressShare};
 use crate::rng::{Purpose, words};
@@ -28,19 +28,19 @@ pub struct MissingImage {
     pub bytes: u64,
 }
 
-/// All sheets that a world needs.
+/// All library cells that a world needs.
 #[derive(Clone)]
 pub struct ImageLibrary {
     cells: BTreeMap<TurnedFamily, Arc<CellImages>>,
     settings: Settings,
-    /// Whether images do not change when turned, so that turned sheets share them.
+    /// Whether images do not change when turned, so that turned library cells share them.
     round: bool,
     configurations: usize,
     detectors: usize,
 }
 
 impl ImageLibrary {
-    /// The sheets of some families of a specimen, yet without images.
+    /// The library cells of some families of a specimen, yet without images.
     ///
     /// # Errors
     /// [`Error::Invalid`] for a family that the specimen lacks.
@@ -58,7 +58,7 @@ impl ImageLibrary {
         Ok(library)
     }
 
-    /// Without any sheet.
+    /// Without any library cell.
     pub fn empty(settings: &Settings) -> Self {
         ImageLibrary {
             cells: BTreeMap::new(),
@@ -69,26 +69,26 @@ impl ImageLibrary {
         }
     }
 
-    /// The family whose sheets serve another one too.
+    /// The family whose library cells serve another one too.
     fn shared(&self, turned: TurnedFamily) -> TurnedFamily {
         if self.round { turned.straight() } else { turned }
     }
 
-    /// The sheets of a family, yet without images.
+    /// The library cells of a family, yet without images.
     fn cell(&self, specimen: &dyn Specimen, turned: TurnedFamily) -> Result<CellImages> {
-        let (sheet, settings) = self.source(specimen, turned)?;
-        Ok(CellImages::new(sheet, turned.family, settings))
+        let (library_cell, settings) = self.source(specimen, turned)?;
+        Ok(CellImages::new(library_cell, turned.family, settings))
     }
 
-    /// The sheets of a family, and the settings of their images.
+    /// The library cells of a family, and the settings of their images.
     fn source(
         &self,
         specimen: &dyn Specimen,
         turned: TurnedFamily,
     ) -> Result<(LibraryCell, Settings)> {
         let family = turned.family;
-        let sheet = specimen.library_cell(family).ok_or_else(|| {
-            let expected = "the specimen has no sheet of this family";
+        let library_cell = specimen.library_cell(family).ok_or_else(|| {
+            let expected = "the specimen has no library cell of this family";
             Error::invalid(crate::Setting::Library, format!("{family:?}"), expected)
         })?;
         let settings = match self.round {
@@ -98,7 +98,7 @@ impl ImageLibrary {
                 ..self.settings.clone()
             },
         };
-        Ok((sheet.rounded(), settings))
+        Ok((library_cell.rounded(), settings))
     }
 
     /// The families of these that are not there.
@@ -107,14 +107,14 @@ impl ImageLibrary {
         shared.into_iter().filter(|f| !self.cells.contains_key(f)).collect()
     }
 
-    /// Takes in the sheets of some families with their images: from those that are shared, from the cache, or by simulations.
+    /// Takes in the library cells of some families with their images: from those that are shared, from the cache, or by simulations.
     ///
     /// # Errors
     /// As [`ImageLibrary::new`] and [`ImageLibrary::fill`].
     pub fn add(
         &mut self,
         (specimen, families): (&dyn Specimen, &[TurnedFamily]),
-        shared: &SharedSheets,
+        shared: &SharedCells,
         (material, sigma, cache): (&str, &dyn Fn(u8) -> f64, &Cache),
         progress: &dyn Progress,
     ) -> Result<()> {
@@ -122,13 +122,15 @@ impl ImageLibrary {
         let with = (sigma, configurations);
         let mut cells = Vec::new();
         for turned in families {
-            let (sheet, settings) = self.source(specimen, *turned)?;
-            match shared.of_family(*turned, (&sheet, &settings), with) {
+            let (library_cell, settings) = self.source(specimen, *turned)?;
+            match shared.of_family(*turned, (&library_cell, &settings), with) {
                 Some(filled) => drop(self.cells.insert(*turned, filled)),
-                None => cells.push((*turned, CellImages::new(sheet, turned.family, settings))),
+                None => {
+                    cells.push((*turned, CellImages::new(library_cell, turned.family, settings)))
+                }
             }
         }
-        let probes = |(_, cell): &(_, CellImages)| cell.probes() * cell.sheet.count;
+        let probes = |(_, cell): &(_, CellImages)| cell.probes() * cell.library_cell.count;
         let all = configurations * cells.iter().map(probes).sum::<usize>();
         progress.start("library", "probe", all as u64);
         for (turned, mut cell) in cells {
@@ -145,26 +147,26 @@ impl ImageLibrary {
         Ok(())
     }
 
-    /// Takes in the sheets that another library of the same specimen has.
+    /// Takes in the library cells that another library of the same specimen has.
     pub fn merge(&mut self, other: &Self) {
         for (family, cell) in &other.cells {
             self.cells.entry(*family).or_insert_with(|| Arc::clone(cell));
         }
     }
 
-    /// The sheets of a family.
+    /// The library cells of a family.
     pub fn cell_images(&self, family: TurnedFamily) -> Option<&CellImages> {
         self.cells.get(&self.shared(family)).map(|cell| &**cell)
     }
 
-    /// Phonon configurations of each sheet.
+    /// Phonon configurations of each library cell.
     pub fn configurations(&self) -> usize {
         self.configurations
     }
 
     /// Probes that all its images take.
     pub fn probes(&self) -> usize {
-        let of = |s: &Arc<CellImages>| s.probes() * s.sheet.count * self.configurations;
+        let of = |s: &Arc<CellImages>| s.probes() * s.library_cell.count * self.configurations;
         self.cells.values().map(of).sum()
     }
 
@@ -177,7 +179,7 @@ impl ImageLibrary {
         self.cells.values().map(of).sum()
     }
 
-    /// The plan for the image with the most samples; `None` for a library without sheets.
+    /// The plan for the image with the most samples; `None` for a library without library cells.
     ///
     /// # Errors
     /// Those of the settings.
@@ -190,7 +192,7 @@ impl ImageLibrary {
     /// Bytes that the images will take.
     pub fn image_bytes(&self) -> u64 {
         let of = |s: &Arc<CellImages>| {
-            let images = s.sheet.count * (self.configurations + 1) * self.detectors;
+            let images = s.library_cell.count * (self.configurations + 1) * self.detectors;
             s.shape[0] * s.shape[1] * images * 4
         };
         self.cells.values().map(of).sum::<usize>() as u64
@@ -198,10 +200,10 @@ impl ImageLibrary {
 
     /// Number of images.
     pub fn image_count(&self) -> usize {
-        self.cells.values().map(|s| s.sheet.count * self.configurations).sum()
+        self.cells.values().map(|s| s.library_cell.count * self.configurations).sum()
     }
 
-    /// The images that the cache lacks: their sheets, and which they are of them.
+    /// The images that the cache lacks: their library cells, and which they are of them.
     fn lacking<'a>(
         &'a self,
         material: &'a str,
@@ -433,9 +435,9 @@ fn fill_cell(
     Ok((missing, keep))
 }
 
-/// All images (sheet, configuration) of a cell.
+/// All images (library cell, configuration) of a family.
 fn images_of(cell: &CellImages, configurations: usize) -> impl Iterator<Item = [usize; 2]> + use<> {
-    (0..cell.sheet.count).flat_map(move |s| (0..configurations).map(move |c| [s, c]))
+    (0..cell.library_cell.count).flat_map(move |s| (0..configurations).map(move |c| [s, c]))
 }
 
 /// Simulates images of one cell; made ready by the first of them.
@@ -450,7 +452,7 @@ impl<'a> CellSimulator<'a> {
         CellSimulator { plan, sigma, ready: None }
     }
 
-    /// An image (sheet, configuration) of the cell, as it is kept.
+    /// An image (library cell, configuration) of the cell, as it is kept.
     fn simulated(
         &mut self,
         cell: &CellImages,

@@ -20,13 +20,13 @@ pub struct ImageNote {
     pub settings: String,
     /// Standard deviations of displacements.
     pub sigma: String,
-    /// Digest of the sites of the sheet: crystal, thickness, strain, boundary.
+    /// Digest of the sites of the library cell: crystal, thickness, strain, boundary.
     pub sites: String,
     /// The kind of defect.
     pub process: String,
     /// Rate of defects among the neighbours.
     pub rate: f64,
-    /// Sheet and phonon configuration.
+    /// Library cell and phonon configuration.
     pub image: [usize; 2],
 }
 
@@ -48,10 +48,10 @@ impl NewImages {
 }
 
 impl ImageNote {
-    /// What an image (sheet, configuration) of sheets that hold these elements shows; `sigma` gives the standard deviation in
+    /// What an image (library cell, configuration) of library cells that hold these elements shows; `sigma` gives the standard deviation in
     /// Angstrom of each.
     pub fn new(
-        sheet: &LibraryCell,
+        library_cell: &LibraryCell,
         numbers: &[u8],
         (settings, sigma): (&Settings, &dyn Fn(u8) -> f64),
         image: [usize; 2],
@@ -61,9 +61,9 @@ impl ImageNote {
             numerics: NUMERICS_VERSION,
             settings: digest(serde_json::to_string(settings).unwrap_or_default()),
             sigma: sigmas.collect::<Vec<_>>().join(", "),
-            sites: digest(sites(sheet)),
-            process: sheet.process.map_or_else(|| "none".to_owned(), in_words),
-            rate: sheet.rate,
+            sites: digest(sites(library_cell)),
+            process: library_cell.process.map_or_else(|| "none".to_owned(), in_words),
+            rate: library_cell.rate,
             image,
         }
     }
@@ -130,12 +130,12 @@ fn in_words(process: DefectKind) -> String {
     }
 }
 
-/// The sites of a sheet, whatever they hold.
-fn sites(sheet: &LibraryCell) -> String {
-    let members = sheet.units.iter().flat_map(|u| &u.members);
-    let sites = members.chain(&sheet.surroundings).flatten();
+/// The sites of a library cell, whatever they hold.
+fn sites(library_cell: &LibraryCell) -> String {
+    let members = library_cell.units.iter().flat_map(|u| &u.members);
+    let sites = members.chain(&library_cell.surroundings).flatten();
     let text = sites.map(|s| format!("{:.5?} {};", s.position, s.number));
-    format!("{:?} {}", sheet.box_angstrom, text.collect::<String>())
+    format!("{:?} {}", library_cell.box_angstrom, text.collect::<String>())
 }
 
 #[cfg(test)]
@@ -161,8 +161,8 @@ mod tests {
         let old = ImageNote { numerics: 0, ..note() };
         assert!(new.difference(std::slice::from_ref(&old)).contains("another version"));
         let rate = |rate| ImageNote { rate, ..note() };
-        let told = new.difference(&[old.clone(), rate(0.04), rate(0.08)]);
-        assert_eq!(told, "neighbours with defects on about 1.5 %; kept are some for 4 %, 8 %");
+        let message = new.difference(&[old.clone(), rate(0.04), rate(0.08)]);
+        assert_eq!(message, "neighbours with defects on about 1.5 %; kept are some for 4 %, 8 %");
         let more = ImageNote { image: [3, 1], ..note() };
         assert!(new.difference(&[rate(0.04), more]).contains("more contents"));
         let thicker = ImageNote { sites: "c".into(), ..note() };

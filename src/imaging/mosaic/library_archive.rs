@@ -346,10 +346,10 @@ mod tests {
         let old = Array2::from_elem((2, 2), 1.0);
         cache.save("b", &key(9), &note(NUMERICS_VERSION - 1), &old).unwrap();
         let path = folder.join("all.stemlib");
-        let told = export(&cache, None, &path, &Silent).unwrap();
-        assert_eq!((told.added, told.outdated), (3, 1));
-        assert_eq!(told.materials.iter().map(|m| m.images).collect::<Vec<_>>(), [2, 1]);
-        assert_eq!(told.archive_bytes, fs::metadata(&path).unwrap().len());
+        let words = export(&cache, None, &path, &Silent).unwrap();
+        assert_eq!((words.added, words.outdated), (3, 1));
+        assert_eq!(words.materials.iter().map(|m| m.images).collect::<Vec<_>>(), [2, 1]);
+        assert_eq!(words.archive_bytes, fs::metadata(&path).unwrap().len());
         (cache, path)
     }
 
@@ -381,17 +381,20 @@ mod tests {
         let (cache, path) = archive(folder.path());
         let whole = fs::read(&path).unwrap();
         let other = Cache::at(folder.path().join("other"));
-        let told = |bytes: &[u8]| {
+        let words = |bytes: &[u8]| {
             fs::write(&path, bytes).unwrap();
-            let told = import(&other, &path, &Silent).unwrap_err().to_string();
-            assert!(told.contains("all.stemlib") && other.holdings().unwrap().is_empty(), "{told}");
-            told
+            let words = import(&other, &path, &Silent).unwrap_err().to_string();
+            assert!(
+                words.contains("all.stemlib") && other.holdings().unwrap().is_empty(),
+                "{words}"
+            );
+            words
         };
         for at in 0..whole.len() {
             let mut bytes = whole.clone();
             bytes[at] ^= 1;
-            told(&bytes);
-            told(&whole[..at]);
+            words(&bytes);
+            words(&whole[..at]);
         }
         // Changed by someone who knows how.
         let signed = |change: &dyn Fn(&mut Vec<u8>)| {
@@ -399,7 +402,7 @@ mod tests {
             change(&mut bytes);
             let digest = Sha256::digest(&bytes);
             bytes.extend(digest);
-            told(&bytes)
+            words(&bytes)
         };
         assert!(signed(&|b| b[8] += 1).contains("version"));
         assert!(signed(&|b| b[12] += 1).contains("more than it does"));
@@ -412,8 +415,8 @@ mod tests {
         for value in [-0.1, 1.2, f32::NAN, f32::INFINITY] {
             let odd = Array2::from_elem((2, 2), value);
             cache.save("a", &key(0), &note(NUMERICS_VERSION), &odd).unwrap();
-            let told = export(&cache, None, &path, &Silent).unwrap_err().to_string();
-            assert!(told.contains("below 0 or above 1"), "{value}: {told}");
+            let words = export(&cache, None, &path, &Silent).unwrap_err().to_string();
+            assert!(words.contains("below 0 or above 1"), "{value}: {words}");
             assert!(cache.load("a", &key(0), [2, 2], &Silent).is_none(), "{value}");
             assert_eq!(cache.verify(None, &Silent).unwrap().1.len(), 1, "{value}");
             let file = fs::read(folder.path().join("cache/a").join(format!("{}.sheet", key(0))));

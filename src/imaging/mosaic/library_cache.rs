@@ -15,6 +15,7 @@ use crate::files::array_store::decoded;
 use crate::files::array_store::{ArrayStore, Stored, array_of, note_of};
 use crate::progress::Progress;
 
+/// Of files of images, from before library cells had their name.
 const EXTENSION: &str = "sheet";
 /// Environment variable that names another folder for the cache.
 pub const CACHE_VARIABLE: &str = "STEMGEN_CACHE";

@@ -21,7 +21,7 @@ pub mod library_cache;
 pub mod missing_blocks;
 pub mod mosaic_cost;
 pub mod mosaic_imager;
-pub mod shared_sheets;
+pub mod shared_cells;
 pub mod supplied_images;
 #[cfg(feature = "hdf5")]
 pub mod supplied_library;

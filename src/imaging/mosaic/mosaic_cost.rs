@@ -11,7 +11,7 @@ pub struct MosaicCost {
     pub pays: bool,
     /// Whether all its images come along with the program.
     pub supplied: bool,
-    /// Images of sheets.
+    /// Images of library cells.
     pub images: usize,
     /// Those that the cache lacks.
     pub missing: usize,

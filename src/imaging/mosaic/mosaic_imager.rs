@@ -11,7 +11,7 @@ use super::image_library::{ImageLibrary, RecomputedImage};
 use super::library_cache::Cache;
 use super::missing_blocks::{BLOCK_ANGSTROM, BLOCK_PX, blocks};
 use super::mosaic_cost::MosaicCost;
-use super::shared_sheets::SharedSheets;
+use super::shared_cells::SharedCells;
 use super::survey::{FieldSurvey, survey};
 use crate::error::{Error, Result};
 use crate::files::Shard;
@@ -19,7 +19,9 @@ use crate::imaging::direct::rectangle_plan;
 use crate::imaging::displaced_atoms::{DisplacedAtoms, displaced_atoms};
 use crate::imaging::imaging_cost::{ImagingCost, SimulationRuns};
 use crate::imaging::pixels::{PixelBox, PixelRect};
-use crate::imaging::region_imager::RegionImager;
+use crate::imaging::region_imager::{
+    DetectorChoice, ImageBlocks, ImagerFacts, RasterDetail, RegionImager, SharedLibrary,
+};
 use crate::imaging::simulator::Simulator;
 use crate::imaging::turned_raster::{TurnedRaster, between_probes};
 use crate::progress::{InterruptOnly, Progress, Silent};
@@ -48,14 +50,14 @@ pub struct MosaicImager {
     growing: Option<GrowingLibrary>,
 }
 
-/// A library that takes sheets in when an image first needs them.
+/// A library that takes library cells in when an image first needs them.
 struct GrowingLibrary {
-    shared: Arc<SharedSheets>,
+    shared: Arc<SharedCells>,
     so_far: Mutex<Arc<ImageLibrary>>,
 }
 
 impl MosaicImager {
-    /// Surveys the field and lays out the library, which [`RegionImager::prepare`] fills: from the cache, and by
+    /// Surveys the field and lays out the library, which [`SharedLibrary::prepare`] fills: from the cache, and by
     /// simulations with `simulator`.
     ///
     /// # Errors
@@ -87,7 +89,7 @@ impl MosaicImager {
         })
     }
 
-    /// Surveys nothing: sheets are taken from `shared`, the cache or a simulation when an image first needs them. Images are the same
+    /// Surveys nothing: library cells are taken from `shared`, the cache or a simulation when an image first needs them. Images are the same
     /// as those of [`MosaicImager::new`].
     ///
     /// # Errors
@@ -97,7 +99,7 @@ impl MosaicImager {
         specimen: &Arc<dyn Specimen>,
         simulator: Simulator,
         cache: Cache,
-        shared: &Arc<SharedSheets>,
+        shared: &Arc<SharedCells>,
     ) -> Result<Self> {
         simulator.check_margin()?;
         let settings = simulator.settings();
@@ -119,7 +121,7 @@ impl MosaicImager {
         })
     }
 
-    /// The library with the sheets of these families. What an image lacks is simulated quietly.
+    /// The library with the library cells of these families. What an image lacks is simulated quietly.
     fn library_with(
         &self,
         families: BTreeSet<TurnedFamily>,
@@ -236,7 +238,8 @@ impl MosaicImager {
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Vec<Array2<f32>>> {
-        let (margin, thickness) = (self.simulator.margin_angstrom(), self.specimen.thickness_nm());
+        let (margin, thickness) =
+            (self.simulator.margin_angstrom(), self.specimen.facts().thickness_nm);
         let pixels = PixelBox::new(pixels, self.recipe.field.pixel_nm(), margin, thickness);
         let atoms = |configuration| self.atoms(&pixels.area, configuration);
         let quiet = InterruptOnly(progress);
@@ -251,7 +254,7 @@ impl MosaicImager {
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Vec<f64>> {
-        let around = (self.simulator.margin_angstrom(), self.specimen.thickness_nm());
+        let around = (self.simulator.margin_angstrom(), self.specimen.facts().thickness_nm);
         let band_limit = image_band_limit(&self.simulator.settings().optics);
         between_probes(places, band_limit, around, |pixels| {
             let atoms = |configuration| self.atoms(&pixels.area, configuration);
@@ -292,7 +295,7 @@ impl MosaicImager {
 
     /// How far (x, y) a tilted beam has moved at half thickness, in Angstrom.
     fn way(&self) -> [f64; 2] {
-        let half = 5.0 * self.specimen.thickness_nm();
+        let half = 5.0 * self.specimen.facts().thickness_nm;
         self.simulator.settings().optics.slope().map(|s| s * half)
     }
 
@@ -337,21 +340,30 @@ impl MosaicImager {
         Ok(images.into_iter().map(|image| pixels.sampled(image)).collect())
     }
 
+    /// See [`RasterDetail::Overview`].
+    fn overview_at(
+        &self,
+        raster: &TurnedRaster,
+        configurations: usize,
+        progress: &dyn Progress,
+    ) -> Result<Array2<f64>> {
+        self.check_prepared(progress)?;
+        let assembly = self.assembly_at(raster, NO_RAMPS);
+        let library = self.library_with(assembly.families(), progress)?;
+        let assembly = assembly.with_stand_ins(&*self.specimen, &library);
+        let image = assembly.overview(&library, &self.kernel);
+        // Without any column that could stand in, all are missing.
+        let made = (&assembly, &*library);
+        self.with_missing(image, made, raster, configurations, progress)
+    }
+
     fn rectangle(&self, edge: usize, runs: usize) -> Result<SimulationRuns> {
         let shape = [edge; 2];
         Ok(rectangle_plan(&self.recipe, &*self.specimen, &self.simulator, shape, runs)?.0)
     }
 }
 
-impl RegionImager for MosaicImager {
-    fn name(&self) -> &'static str {
-        "mosaic"
-    }
-
-    fn parameters(&self) -> serde_json::Value {
-        self.simulator.parameters()
-    }
-
+impl SharedLibrary for MosaicImager {
     fn keep_in(&mut self, folder: &Path) {
         self.cache = self.cache.clone().with_fallback(folder.to_owned());
     }
@@ -376,60 +388,55 @@ impl RegionImager for MosaicImager {
         self.fill_part(shard, progress)?;
         Ok(self.library.missing(&self.recipe.id, &self.sigma(), &self.cache).len())
     }
+}
 
-    fn library(&self) -> Option<[usize; 2]> {
-        Some([self.library.image_count(), self.simulated?])
+impl RegionImager for MosaicImager {
+    fn facts(&self) -> ImagerFacts {
+        ImagerFacts {
+            detectors: self.simulator.detectors(),
+            window_angstrom: self.simulator.window_angstrom(),
+            library: self.simulated.map(|simulated| [self.library.image_count(), simulated]),
+            ..ImagerFacts::new("mosaic", self.simulator.parameters())
+        }
     }
 
-    fn mean_of(
+    fn library_mut(&mut self) -> Option<&mut dyn SharedLibrary> {
+        Some(self)
+    }
+
+    fn blocks(&self) -> Option<&dyn ImageBlocks> {
+        None
+    }
+
+    fn images_of(
         &self,
         pixels: &PixelRect,
-        configurations: usize,
-        progress: &dyn Progress,
-    ) -> Result<Array2<f64>> {
-        Ok(self.images(1, pixels, configurations, progress)?.swap_remove(0))
-    }
-
-    fn detectors(&self) -> usize {
-        self.simulator.detectors()
-    }
-
-    fn means_of(
-        &self,
-        pixels: &PixelRect,
+        detectors: DetectorChoice,
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Vec<Array2<f64>>> {
-        self.images(self.detectors(), pixels, configurations, progress)
+        let count = match detectors {
+            DetectorChoice::Main => 1,
+            DetectorChoice::All => self.simulator.detectors(),
+        };
+        self.images(count, pixels, configurations, progress)
     }
 
     fn image_at(
         &self,
         raster: &TurnedRaster,
+        detail: RasterDetail,
         configurations: usize,
         progress: &dyn Progress,
     ) -> Result<Option<Array2<f64>>> {
+        if detail == RasterDetail::Overview {
+            return self.overview_at(raster, configurations, progress).map(Some);
+        }
         self.check_prepared(progress)?;
         let assembly = self.assembly_at(raster, RAMPS);
         let library = self.library_with(assembly.families(), progress)?;
         let seed = self.recipe.seed;
         let image = assembly.image((&library, 0), &self.kernel, seed, configurations);
-        let made = (&assembly, &*library);
-        self.with_missing(image, made, raster, configurations, progress).map(Some)
-    }
-
-    fn overview_at(
-        &self,
-        raster: &TurnedRaster,
-        configurations: usize,
-        progress: &dyn Progress,
-    ) -> Result<Option<Array2<f64>>> {
-        self.check_prepared(progress)?;
-        let assembly = self.assembly_at(raster, NO_RAMPS);
-        let library = self.library_with(assembly.families(), progress)?;
-        let assembly = assembly.with_stand_ins(&*self.specimen, &library);
-        let image = assembly.overview(&library, &self.kernel);
-        // Without any column that could stand in, all are missing.
         let made = (&assembly, &*library);
         self.with_missing(image, made, raster, configurations, progress).map(Some)
     }
@@ -491,9 +498,5 @@ impl RegionImager for MosaicImager {
             mosaic: Some(mosaic),
             particle_probes: None,
         })
-    }
-
-    fn window_angstrom(&self) -> Option<f64> {
-        self.simulator.window_angstrom()
     }
 }

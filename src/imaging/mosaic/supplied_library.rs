@@ -27,7 +27,7 @@ pub struct SuppliedLibrary {
 struct Opened {
     archive: std::result::Result<Archive, String>,
     /// Whether that was told.
-    told: AtomicBool,
+    warned: AtomicBool,
 }
 
 /// By path: each is read once by a process.
@@ -135,7 +135,7 @@ impl SuppliedLibrary {
             }
             read => read.map_err(|e| e.to_string()),
         };
-        let new = Arc::new(Opened { archive, told: AtomicBool::new(false) });
+        let new = Arc::new(Opened { archive, warned: AtomicBool::new(false) });
         Some(Arc::clone(opened.entry(path).or_insert(new)))
     }
 
@@ -153,7 +153,7 @@ impl SuppliedLibrary {
         let found = match &opened.archive {
             Ok(archive) => archive.file(material, key)?,
             Err(why) => {
-                if !opened.told.swap(true, Ordering::Relaxed) {
+                if !opened.warned.swap(true, Ordering::Relaxed) {
                     progress.warn(&format!("{why}; nothing of it is used"));
                 }
                 return None;

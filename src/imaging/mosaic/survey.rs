@@ -9,7 +9,7 @@ use crate::recipe::tables::Field;
 use crate::specimen::specimen_trait::Specimen;
 use crate::specimen::units::unit_tag::TurnedFamily;
 
-/// UnitKinds whose patches reach into the field lie no further outside it than this, in nm.
+/// Units whose patches reach into the field lie no further outside it than this, in nm.
 pub const BEYOND_NM: f64 = 0.6;
 /// Width of the stripes that are looked at at a time, in nm.
 const STRIPE_NM: f64 = 2.5;
@@ -17,7 +17,7 @@ const STRIPE_NM: f64 = 2.5;
 /// What a field holds.
 #[derive(Debug, Default)]
 pub struct FieldSurvey {
-    /// Families of units, and how their sheets are turned.
+    /// Families of units, and how their library cells are turned.
     pub families: BTreeSet<TurnedFamily>,
     /// Columns with a place in the library.
     pub tagged: u64,

@@ -185,18 +185,18 @@ mod tests {
 
     #[test]
     fn headers_are_held_against_the_file() {
-        let told = |shape: &str, values: usize| {
+        let message = |shape: &str, values: usize| {
             let header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}");
             read(&file(&header, &vec![0; values])).unwrap_err()
         };
         // 128 bytes that claim 20 GB, and axes of length 0 that hide others
-        assert!(told("(50000, 50000)", 40).contains("at most"));
-        assert!(told("(1099511627776, 0, 1099511627776)", 0).contains("at most"));
-        assert!(told("(18446744073709551615, 3)", 0).contains("at most"));
-        assert!(told("(99999999999999999999999, 3)", 0).contains("its header is"));
-        assert!(told("(3, 4)", 95).contains("95 bytes follow"));
-        assert!(told("(3, 4)", 97).contains("97 bytes follow"));
-        assert!(told(&"(".repeat(60_000), 0).contains("its header is"));
+        assert!(message("(50000, 50000)", 40).contains("at most"));
+        assert!(message("(1099511627776, 0, 1099511627776)", 0).contains("at most"));
+        assert!(message("(18446744073709551615, 3)", 0).contains("at most"));
+        assert!(message("(99999999999999999999999, 3)", 0).contains("its header is"));
+        assert!(message("(3, 4)", 95).contains("95 bytes follow"));
+        assert!(message("(3, 4)", 97).contains("97 bytes follow"));
+        assert!(message(&"(".repeat(60_000), 0).contains("its header is"));
         let mut long = file("", &[]);
         (long[6], long[8], long[9]) = (2, 255, 255);
         long.extend([255, 255]);

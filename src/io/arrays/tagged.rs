@@ -90,8 +90,8 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
 
 /// Takes over what the descriptions and the resolution say. Only abTEM names axes.
 fn describe(array: &mut ForeignArray, descriptions: &[String], resolution: Resolution) {
-    let told = descriptions.iter().filter_map(|text| serde_json::from_str(text).ok());
-    if let Some(metadata) = told.into_iter().find(abtem_metadata::describes) {
+    let parsed = descriptions.iter().filter_map(|text| serde_json::from_str(text).ok());
+    if let Some(metadata) = parsed.into_iter().find(abtem_metadata::describes) {
         abtem_metadata::describe(array, &metadata);
         return;
     }

@@ -138,8 +138,8 @@ mod tests {
             let [x, y] = sides.unwrap();
             assert!((x / angstrom - 1.0).abs() < 1e-12 && x == y, "{unit}: {x}");
         }
-        let told = of("ImageJ=1.54f\nunit=pixel\n", 1.0, 1).unwrap_err().unwrap();
-        assert!(told.contains("`pixel`, which is no length"), "{told}");
+        let message = of("ImageJ=1.54f\nunit=pixel\n", 1.0, 1).unwrap_err().unwrap();
+        assert!(message.contains("`pixel`, which is no length"), "{message}");
         assert_eq!(of("ImageJ=1.54f\n", 1.0, 1), Err(None));
     }
 
@@ -169,8 +169,8 @@ mod tests {
         let [x, _] = of("", 5e8, CENTIMETRE).unwrap();
         assert!((x - 0.2).abs() < 1e-12, "{x}");
         for (per_unit, unit) in [(72.0, INCH), (300.0, INCH), (118.0, CENTIMETRE)] {
-            let told = of("", per_unit, unit).unwrap_err().unwrap();
-            assert!(told.contains("one for a printer"), "{told}");
+            let message = of("", per_unit, unit).unwrap_err().unwrap();
+            assert!(message.contains("one for a printer"), "{message}");
         }
         assert_eq!(of("", 1.0, 1), Err(None));
         assert_eq!(of("", 0.0, INCH), Err(None));

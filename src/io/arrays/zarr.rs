@@ -355,7 +355,7 @@ mod tests {
     #[test]
     fn what_is_announced_is_held_against_caps() {
         let folder = tempfile::tempdir().unwrap();
-        let told = |from: &str, to: &str| {
+        let text = |from: &str, to: &str| {
             array(folder.path(), "null", <[u8]>::to_vec);
             let file = folder.path().join(".zarray");
             let meta = std::fs::read_to_string(&file).unwrap().replace(from, to);
@@ -365,18 +365,18 @@ mod tests {
         let shape = "\"shape\":[3,5]";
         for huge in ["[1099511627776,0,1099511627776]", "[50000,50000]", "[18446744073709551615,2]"]
         {
-            let found = told(shape, &format!("\"shape\":{huge}"));
+            let found = text(shape, &format!("\"shape\":{huge}"));
             assert!(found.contains("at most 67108864 values"), "{found}");
         }
-        assert!(told("[2,4]", "[30000,30000]").contains("at most"));
-        let wide = told("[2,4],\"dtype\":\"<f4\"", "[8192,8192],\"dtype\":\"<f8\"");
+        assert!(text("[2,4]", "[30000,30000]").contains("at most"));
+        let wide = text("[2,4],\"dtype\":\"<f4\"", "[8192,8192],\"dtype\":\"<f8\"");
         assert!(wide.contains("at most 268435456 bytes"), "{wide}");
-        assert!(told("[2,4]", "[0,4]").contains("chunks of shape"));
-        let many = told("[3,5],\"chunks\":[2,4]", "[1000,1000],\"chunks\":[1,1]");
+        assert!(text("[2,4]", "[0,4]").contains("chunks of shape"));
+        let many = text("[3,5],\"chunks\":[2,4]", "[1000,1000],\"chunks\":[1,1]");
         assert!(many.contains("at most 262144 are read"), "{many}");
-        let nested = told("null", &format!("{}1{}", "[".repeat(100_000), "]".repeat(100_000)));
+        let nested = text("null", &format!("{}1{}", "[".repeat(100_000), "]".repeat(100_000)));
         assert!(nested.contains("recursion limit"), "{nested}");
-        let out = told("\"order\"", "\"dimension_separator\":\"/../../\",\"order\"");
+        let out = text("\"order\"", "\"dimension_separator\":\"/../../\",\"order\"");
         assert!(out.contains("separator"), "{out}");
     }
 
@@ -388,8 +388,8 @@ mod tests {
         array(&inside, "null", <[u8]>::to_vec);
         std::fs::rename(inside.join("0.0"), folder.path().join("secret")).unwrap();
         std::os::unix::fs::symlink("../secret", inside.join("0.0")).unwrap();
-        let told = read(&inside, None).unwrap_err().to_string();
-        assert!(told.contains("no regular file"), "{told}");
+        let text = read(&inside, None).unwrap_err().to_string();
+        assert!(text.contains("no regular file"), "{text}");
     }
 
     #[test]
@@ -421,7 +421,7 @@ mod tests {
         let bomb = read(&gzipped, None).unwrap_err().to_string();
         assert!(bomb.contains("more than 32 bytes instead of 32"), "{bomb}");
         array(&path, "{\"id\":\"blosc\"}", <[u8]>::to_vec);
-        let told = read(&path, None).unwrap_err().to_string();
-        assert!(told.contains("blosc") && told.contains("np.save"), "{told}");
+        let text = read(&path, None).unwrap_err().to_string();
+        assert!(text.contains("blosc") && text.contains("np.save"), "{text}");
     }
 }

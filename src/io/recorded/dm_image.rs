@@ -107,8 +107,8 @@ fn images(tree: &DmTag, file: &mut DmFile) -> Vec<DmImage> {
         if thumbnails.contains(&(number as f64)) || first {
             continue;
         }
-        let told = file.text(tags.get(&["Name"])).filter(|name| !name.is_empty());
-        let mut name = told.unwrap_or_else(|| format!("image {number}"));
+        let stated = file.text(tags.get(&["Name"])).filter(|name| !name.is_empty());
+        let mut name = stated.unwrap_or_else(|| format!("image {number}"));
         if images.iter().any(|image| image.name == name) {
             name += &format!(" {number}");
         }

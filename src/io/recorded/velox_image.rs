@@ -60,14 +60,15 @@ pub(super) fn read(source: &Hdf5Source, choice: &ImageChoice) -> Result<Recorded
         }
     };
     let pixels = source.image(&format!("{IMAGES}{}/Data", ids[at]), None, FRAMES, choice)?;
-    let told = metadata(source, ids[at], choice.index.unwrap_or(0));
-    let volts = told["Optics"]["AccelerationVoltage"].as_str().and_then(|v| v.parse::<f64>().ok());
+    let metadata = metadata(source, ids[at], choice.index.unwrap_or(0));
+    let volts =
+        metadata["Optics"]["AccelerationVoltage"].as_str().and_then(|v| v.parse::<f64>().ok());
     Ok(RecordedImage {
         path: source.path.clone(),
         format: RecordedFormat::VeloxEmd,
         name: names[at].clone(),
         pixels,
-        pixel_nm: pixel_nm(&told),
+        pixel_nm: pixel_nm(&metadata),
         cells: None,
         energy_kev: volts.map(|v| v * 1e-3).filter(|v| v.is_finite() && *v > 0.0),
         detector: Some(detectors[at].to_owned()).filter(|d| d != NAMELESS),
@@ -78,12 +79,15 @@ pub(super) fn read(source: &Hdf5Source, choice: &ImageChoice) -> Result<Recorded
 /// Stands for a detector that the file does not name.
 const NAMELESS: &str = "image";
 
-fn detector(told: &Value) -> &str {
-    told["BinaryResult"]["Detector"].as_str().filter(|name| !name.is_empty()).unwrap_or(NAMELESS)
+fn detector(metadata: &Value) -> &str {
+    metadata["BinaryResult"]["Detector"]
+        .as_str()
+        .filter(|name| !name.is_empty())
+        .unwrap_or(NAMELESS)
 }
 
-fn pixel_nm(told: &Value) -> StatedPixel {
-    let about = &told["BinaryResult"];
+fn pixel_nm(metadata: &Value) -> StatedPixel {
+    let about = &metadata["BinaryResult"];
     let number = |value: &Value| value.as_str().and_then(|v| v.parse::<f64>().ok()).unwrap_or(0.0);
     let unit = |name: &str| about[name].as_str().unwrap_or_default().to_owned();
     let size = &about["PixelSize"];

@@ -6,7 +6,7 @@
 //! nodes between four. A piece depends on its few neighbours only, so the film is the same whichever area is asked for first.
 //!
 //! Atoms keep off the plane of a cut: some 1 A of it holds fewer of them, and more stand to both sides. Cuts are therefore folded
-//! along the beam ([`upright`]), or images would show their lines (5 % too bright beside them, 7 % too dark on them).
+//! along the beam ([`unfolded`]), or images would show their lines (5 % too bright beside them, 7 % too dark on them).
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, OnceLock};
@@ -39,7 +39,7 @@ const STEPS: usize = 60;
 const FOLD: f64 = 5.0;
 /// Height from one top of a fold to the next, in Angstrom.
 const FOLD_PERIOD: f64 = 50.0;
-/// Atoms stand apart by less than this times as much in [`upright`] coordinates, sqrt(1 + 2 slope^2).
+/// Atoms stand apart by less than this times as much in [`unfolded`] coordinates, sqrt(1 + 2 slope^2).
 const STRETCH: f64 = 1.15;
 /// Pieces kept in memory; about 100 MB.
 const KEPT: usize = 1024;
@@ -86,8 +86,8 @@ struct Kept {
 /// A rectangle `[[x0, x1], [y0, y1]]` in Angstrom.
 pub type Rectangle = [[f64; 2]; 2];
 
-/// x and y where the folded cuts are upright: shifted with the height, to and fro.
-pub fn upright(p: &Vec3) -> [f64; 2] {
+/// x and y in coordinates in which the folded cuts run along the beam: shifted with the height, to and fro.
+pub fn unfolded(p: &Vec3) -> [f64; 2] {
     [0, 1].map(|k| {
         // The folds along y are a quarter of a period ahead.
         let turn = p[2] / FOLD_PERIOD + [0.0, 0.25][k];
@@ -95,9 +95,9 @@ pub fn upright(p: &Vec3) -> [f64; 2] {
     })
 }
 
-/// How far an atom was cut from a rectangle of upright coordinates.
+/// How far an atom was cut from a rectangle of [`unfolded`] coordinates.
 fn distance(rectangle: &Rectangle, p: &Vec3) -> f64 {
-    let at = upright(p);
+    let at = unfolded(p);
     let [dx, dy] = [0, 1].map(|k| {
         let [low, high] = rectangle[k];
         f64::max(low - at[k], at[k] - high).max(0.0)
@@ -107,7 +107,7 @@ fn distance(rectangle: &Rectangle, p: &Vec3) -> f64 {
 
 /// The piece to which an atom cut at a place belongs.
 fn owner(p: &Vec3) -> Piece {
-    let p = upright(p);
+    let p = unfolded(p);
     let nearest = p.map(|v| (v / CELL).round());
     let depth = [0, 1].map(|k| (p[k] - nearest[k] * CELL).abs());
     let cell = p.map(|v| (v / CELL).floor() as i64);
@@ -123,7 +123,7 @@ fn owner(p: &Vec3) -> Piece {
     }
 }
 
-/// Where the atoms of a piece were cut, in [`upright`] coordinates.
+/// Where the atoms of a piece were cut, in [`unfolded`] coordinates.
 fn rectangle((zone, i, j): Piece) -> Rectangle {
     let (x, y) = (i as f64 * CELL, j as f64 * CELL);
     let along = |v: f64| [v + NODE, v + CELL - NODE];
@@ -194,7 +194,7 @@ impl Film {
                 let v = mirror * (from[1] + f64::from(image / 2) * EDGE_ANGSTROM);
                 let local =
                     [cosine * u - sine * v + 0.5 * CELL, sine * u + cosine * v + 0.5 * CELL];
-                let place = upright(&[local[0], local[1], z]);
+                let place = unfolded(&[local[0], local[1], z]);
                 if place.iter().all(|l| (-OVERLAP..CELL + OVERLAP).contains(l)) {
                     atoms.push([corner[0] + local[0], corner[1] + local[1], z]);
                 }

@@ -18,10 +18,7 @@ use crate::recipe::resolved_recipe::Recipe;
 use crate::rng::{Purpose, uniform};
 use crate::specimen::atom_columns::{AtomColumn, Sites};
 use crate::specimen::sites::{SiteKind, SpecimenSite};
-use crate::specimen::specimen_trait::{
-    Boundary, ParticleOutline, ParticleTruth, Specimen, ThinFilm,
-};
-use crate::specimen::units::library_cell::LibraryCell;
+use crate::specimen::specimen_trait::{Specimen, SpecimenLayout};
 use crate::specimen::units::patterns::{bin_of, nearest_bins, rate_of};
 use crate::specimen::units::unit_tag::{PatternIndex, UnitFamily, UnitTag};
 use crate::structure::elements;
@@ -44,7 +41,7 @@ pub struct DamagedSpecimen {
 }
 
 /// What became of a unit.
-enum Fate {
+enum UnitOutcome {
     /// It has lost nothing.
     Whole,
     /// The library shows a unit with so many vacancies.
@@ -108,11 +105,11 @@ impl DamagedSpecimen {
     }
 
     /// What a dose has made of a unit.
-    fn fate(&self, tag: &UnitTag, dose: f64) -> Fate {
-        let Some(family) = self.patterns(tag.family) else { return Fate::Whole };
-        let Some(kind) = family.kind(tag.entry.kind) else { return Fate::Whole };
+    fn outcome(&self, tag: &UnitTag, dose: f64) -> UnitOutcome {
+        let Some(family) = self.patterns(tag.family) else { return UnitOutcome::Whole };
+        let Some(kind) = family.kind(tag.entry.kind) else { return UnitOutcome::Whole };
         let (Some(before), process) = (kind.cells.get(&tag.entry.cell), family.process) else {
-            return Fate::Whole;
+            return UnitOutcome::Whole;
         };
         let lost = |(n, site): (usize, &super::unit_patterns::UnitSite)| {
             let defect = site.defect.is_some_and(|d| before.binary_search(&d).is_ok());
@@ -125,13 +122,13 @@ impl DamagedSpecimen {
         };
         let lost: Vec<bool> = kind.sites.iter().enumerate().map(lost).collect();
         if !lost.contains(&true) {
-            return Fate::Whole;
+            return UnitOutcome::Whole;
         }
         let shown = process.filter(|p| p.by.is_none()).and_then(|process| {
             let vacant = vacancies(kind, before, &lost)?;
             self.shown(tag, &vacant, self.lost_share(process.element, dose))
         });
-        shown.map_or(Fate::Lost(lost), Fate::Pattern)
+        shown.map_or(UnitOutcome::Lost(lost), UnitOutcome::Pattern)
     }
 
     /// The unit of the library that has such vacancies, where a share of all atoms of the kind has been lost.
@@ -177,9 +174,9 @@ impl DamagedSpecimen {
             let kind = patterns.kind(tag.entry.kind)?;
             Some((*kind.members.get(tag.member)?, patterns))
         };
-        match self.fate(&tag, dose) {
-            Fate::Whole => {}
-            Fate::Lost(lost) => {
+        match self.outcome(&tag, dose) {
+            UnitOutcome::Whole => {}
+            UnitOutcome::Lost(lost) => {
                 let Some((first, _)) = members(tag.family) else { return };
                 for (site, lost) in sites.iter_mut().zip(&lost[first..]).filter(|(_, lost)| **lost)
                 {
@@ -188,7 +185,7 @@ impl DamagedSpecimen {
                 }
                 column.unit = None;
             }
-            Fate::Pattern(new) => {
+            UnitOutcome::Pattern(new) => {
                 let Some((first, patterns)) = members(new.family) else { return };
                 let Some(kind) = patterns.kind(new.entry.kind) else { return };
                 let pattern = &kind.cells[&new.entry.cell];
@@ -232,43 +229,19 @@ fn vacancies(kind: &KindPatterns, before: &[u16], lost: &[bool]) -> Option<Vec<u
 }
 
 impl Specimen for DamagedSpecimen {
+    fn layout(&self) -> &dyn SpecimenLayout {
+        self.inner.layout()
+    }
     fn query(&self, region: &Region) -> Sites {
         self.with_losses(self.inner.query(region))
     }
-    fn expected_sites(&self, region: &Region) -> Option<u64> {
-        self.inner.expected_sites(region)
-    }
-    fn thickness_nm(&self) -> f64 {
-        self.inner.thickness_nm()
-    }
-    fn boundaries(&self) -> Vec<Boundary> {
-        self.inner.boundaries()
-    }
-    fn phases(&self) -> Vec<String> {
-        self.inner.phases()
-    }
-    fn phase_at(&self, position_nm: [f64; 2]) -> usize {
-        self.inner.phase_at(position_nm)
-    }
-    fn library_cell(&self, family: UnitFamily) -> Option<LibraryCell> {
-        self.inner.library_cell(family)
-    }
-    fn reached_families(&self, family: UnitFamily) -> Vec<UnitFamily> {
-        self.bins(family).map(|bin| UnitFamily { bin, ..family }).collect()
-    }
-    fn film(&self) -> Option<ThinFilm> {
-        self.inner.film()
-    }
-    fn particles(&self) -> Vec<ParticleTruth> {
-        self.inner.particles()
-    }
-    fn particles_reaching(&self, region: &Region) -> Vec<ParticleTruth> {
-        self.inner.particles_reaching(region)
-    }
-    fn particle_outlines(&self) -> Vec<ParticleOutline> {
-        self.inner.particle_outlines()
+    fn columns(&self, region: &Region) -> Vec<AtomColumn> {
+        self.query(region).into_columns()
     }
     fn particles_on_a_plane(&self, region: &Region) -> Sites {
         self.with_losses(self.inner.particles_on_a_plane(region))
+    }
+    fn reached_families(&self, family: UnitFamily) -> Vec<UnitFamily> {
+        self.bins(family).map(|bin| UnitFamily { bin, ..family }).collect()
     }
 }

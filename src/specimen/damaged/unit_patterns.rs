@@ -14,14 +14,14 @@ pub struct UnitSite {
     pub defect: Option<u16>,
 }
 
-/// A kind of unit in the sheets of one family.
+/// A kind of unit in the library cells of one family.
 #[derive(Debug, Default)]
 pub struct KindPatterns {
     /// Sites of all members, one member after the other, as the specimen lists them.
     pub sites: Vec<UnitSite>,
     /// Where the sites of each member begin.
     pub members: Vec<usize>,
-    /// Defective sites (ascending) of each cell, by number of the cell among all sheets.
+    /// Defective sites (ascending) of each lattice cell, by its number among those of all library cells.
     pub cells: BTreeMap<usize, Vec<u16>>,
     /// Cells by their number of defects.
     pub by_count: BTreeMap<usize, Vec<usize>>,
@@ -36,10 +36,10 @@ pub struct UnitPatterns {
 }
 
 impl UnitPatterns {
-    /// The patterns that the sheets of a family show.
-    pub fn of(sheet: &LibraryCell) -> Self {
+    /// The patterns that the library cells of a family show.
+    pub fn of(library_cell: &LibraryCell) -> Self {
         let mut kinds = BTreeMap::<usize, KindPatterns>::new();
-        for unit in &sheet.units {
+        for unit in &library_cell.units {
             let kind = kinds.entry(unit.kind).or_default();
             if kind.sites.is_empty() {
                 for member in &unit.members {
@@ -52,12 +52,12 @@ impl UnitPatterns {
                 }
             }
             for (number, pattern) in unit.patterns.iter().enumerate() {
-                let cell = number * sheet.cells + unit.cell;
+                let cell = number * library_cell.cells + unit.cell;
                 kind.by_count.entry(pattern.len()).or_default().push(cell);
                 kind.cells.insert(cell, pattern.clone());
             }
         }
-        UnitPatterns { process: sheet.process, kinds }
+        UnitPatterns { process: library_cell.process, kinds }
     }
 
     /// A kind of unit.

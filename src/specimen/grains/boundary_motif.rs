@@ -7,7 +7,7 @@
 use std::collections::HashMap;
 
 use crate::specimen::units::library_cell::{LibraryCell, LibrarySite, LibraryUnit};
-use crate::specimen::units::occupation::{DefectKind, SHEET_ANGSTROM, sheets};
+use crate::specimen::units::occupation::{DefectKind, LIBRARY_CELL_ANGSTROM, library_cells};
 use crate::specimen::units::patterns;
 use crate::specimen::units::patterns::{DefectPatterns, bin_of};
 use crate::specimen::units::unit_tag::PatternIndex;
@@ -43,7 +43,7 @@ pub struct BoundaryMotif {
     slots: Vec<BoundaryColumn>,
     lookup: HashMap<[i64; 2], usize>,
     others: Vec<BoundaryColumn>,
-    /// PatternTable of the slots.
+    /// Patterns of defects of the slots.
     pub pool: DefectPatterns,
     periods: usize,
     process: Option<DefectKind>,
@@ -67,14 +67,14 @@ impl BoundaryMotif {
     ) -> Self {
         let near = |c: &BoundaryColumn| c.position[0].abs() <= SLOT_REACH_ANGSTROM;
         let (slots, others): (Vec<_>, Vec<_>) = columns.into_iter().partition(near);
-        let periods = (SHEET_ANGSTROM / period).ceil().max(1.0) as usize;
+        let periods = (LIBRARY_CELL_ANGSTROM / period).ceil().max(1.0) as usize;
         let defects = |c: &BoundaryColumn| {
             c.chains.iter().filter(|(_, n)| process.is_some_and(|p| p.element == n.number)).count()
         };
         let sites = slots.iter().map(|s| depth * defects(s)).collect();
         // Each slot has several contents, however long the period is.
         let least = LEAST_CONTENTS.div_ceil(periods);
-        let count = sheets(slots.len() * periods, configurations).max(least);
+        let count = library_cells(slots.len() * periods, configurations).max(least);
         let lookup = slots.iter().enumerate().map(|(n, s)| (rounded(s.position), n)).collect();
         let pool = DefectPatterns::new(sites, [count, periods], 1 + stream);
         BoundaryMotif { period, slots, lookup, others, pool, periods, process, seed }
@@ -114,7 +114,7 @@ impl BoundaryMotif {
         site(&self.slots[slot], self.process, chain, depth)
     }
 
-    /// Its sheets.
+    /// Its library cells.
     pub fn library_cell(&self, crystal: &ColumnCrystal, depth: usize, bin: usize) -> LibraryCell {
         let count = self.pool.cells() / self.periods;
         let centre_x = reach_angstrom();

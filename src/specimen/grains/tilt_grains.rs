@@ -19,7 +19,9 @@ use crate::specimen::grains::boundary_motif::{
 };
 use crate::specimen::grains::grain::Grain;
 use crate::specimen::sites::SpecimenSite;
-use crate::specimen::specimen_trait::{Boundary, BoundaryKind, Specimen};
+use crate::specimen::specimen_trait::{
+    Boundary, BoundaryKind, ParticleTruth, Specimen, SpecimenFacts, SpecimenLayout,
+};
 use crate::specimen::units::library_cell::LibraryCell;
 use crate::specimen::units::occupation::UnitOccupation;
 use crate::specimen::units::unit_tag::UnitFamily;
@@ -49,6 +51,7 @@ pub struct Grains {
     /// For each boundary that repeats: its motif, the directions of the motif's axes, and a lattice point on
     /// the plane.
     repeating: Vec<Option<Repeat>>,
+    facts: SpecimenFacts,
 }
 
 /// How a boundary shows a motif.
@@ -92,7 +95,10 @@ impl Grains {
             contents: None,
             motifs: Vec::new(),
             repeating: Vec::new(),
+            facts: SpecimenFacts::default(),
         };
+        specimen.facts.thickness_nm =
+            specimen.cells_along_beam as f64 * specimen.crystal.cell[2] * NM;
         specimen.lay_out(recipe.boundaries.as_ref(), &shortest)?;
         specimen.defects = Defects::fit(recipe, |element, histogram| {
             specimen.for_each_column(&specimen.field, |column| {
@@ -306,7 +312,7 @@ impl Grains {
         let mut columns = Vec::new();
         self.for_each_column(&region, |column| {
             let position = [column.position[0] - x, column.position[1] - origin];
-            // Rounded, so that worlds of other seeds and fields have the same sheets.
+            // Rounded, so that worlds of other seeds and fields have the same library cells.
             let position = position.map(|v| (v * 1e6).round() * 1e-6);
             let chains = self.chains(&column).map(|(n, c)| (n, *c)).collect();
             columns.push(BoundaryColumn { position, chains });
@@ -396,13 +402,19 @@ impl Grains {
     }
 }
 
-impl Specimen for Grains {
-    fn query(&self, region: &Region) -> Sites {
-        self.listed(region, true)
+impl SpecimenLayout for Grains {
+    fn facts(&self) -> &SpecimenFacts {
+        &self.facts
     }
 
-    fn columns(&self, region: &Region) -> Vec<AtomColumn> {
-        self.listed(region, false).columns
+    fn boundaries(&self) -> Vec<Boundary> {
+        let line = |&plane: &f64| self.field.y.map(|y| [plane * NM, y]).to_vec();
+        let boundary = |plane| Boundary { line_nm: line(plane), kind: self.kind.clone() };
+        self.planes.iter().map(boundary).collect()
+    }
+
+    fn phase_at(&self, _: [f64; 2]) -> usize {
+        0
     }
 
     fn library_cell(&self, family: UnitFamily) -> Option<LibraryCell> {
@@ -421,14 +433,30 @@ impl Specimen for Grains {
         Some(LibraryCell::lattice(contents, &self.crystal, cell, self.cells_along_beam, place))
     }
 
-    fn thickness_nm(&self) -> f64 {
-        self.cells_along_beam as f64 * self.crystal.cell[2] * NM
+    fn particles_reaching(&self, _: &Region) -> Vec<ParticleTruth> {
+        Vec::new()
+    }
+}
+
+impl Specimen for Grains {
+    fn layout(&self) -> &dyn SpecimenLayout {
+        self
     }
 
-    fn boundaries(&self) -> Vec<Boundary> {
-        let line = |&plane: &f64| self.field.y.map(|y| [plane * NM, y]).to_vec();
-        let boundary = |plane| Boundary { line_nm: line(plane), kind: self.kind.clone() };
-        self.planes.iter().map(boundary).collect()
+    fn query(&self, region: &Region) -> Sites {
+        self.listed(region, true)
+    }
+
+    fn columns(&self, region: &Region) -> Vec<AtomColumn> {
+        self.listed(region, false).columns
+    }
+
+    fn particles_on_a_plane(&self, _: &Region) -> Sites {
+        Sites::default()
+    }
+
+    fn reached_families(&self, family: UnitFamily) -> Vec<UnitFamily> {
+        vec![family]
     }
 }
 

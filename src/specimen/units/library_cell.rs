@@ -1,13 +1,13 @@
-//! Sheets: small specimens in which the units of a family are simulated for the mosaic's library.
+//! Library cells: small specimens in which the units of a family are simulated for the mosaic's library.
 //!
-//! A sheet shows cells of one lattice, or of one boundary, side by side. Each cell holds its own entry of the
+//! A library cell shows cells of one lattice, or of one boundary, side by side. Each of these holds its own entry of the
 //! pool, in an order without pattern, so that every unit has random neighbours of the same rate.
 
 use crate::specimen::units::occupation::{DefectKind, UnitOccupation};
 use crate::specimen::units::patterns;
 use crate::structure::columns::ColumnCrystal;
 
-/// A lattice site of a sheet.
+/// A lattice site of a library cell.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LibrarySite {
     /// Mean position in Angstrom.
@@ -18,22 +18,22 @@ pub struct LibrarySite {
     pub defect: Option<usize>,
 }
 
-/// A unit of a sheet.
+/// A unit of a library cell.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LibraryUnit {
     /// Kind of unit.
     pub kind: usize,
-    /// Cell of the sheet.
+    /// Its lattice cell within the library cell.
     pub cell: usize,
     /// Centre (x, y) in Angstrom.
     pub centre: [f64; 2],
     /// Sites of each member, in the order in which the specimen lists them.
     pub members: Vec<Vec<LibrarySite>>,
-    /// For each sheet, which of its sites are defects.
+    /// For each library cell, which of its sites are defects.
     pub patterns: Vec<Vec<u16>>,
 }
 
-/// The geometry of a family's sheets; they differ in contents and phonons only.
+/// The geometry of a family's library cells; they differ in contents and phonons only.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LibraryCell {
     /// Periodic box in Angstrom; the beam runs along its third edge.
@@ -46,9 +46,9 @@ pub struct LibraryCell {
     pub cell: [f64; 2],
     /// Whether the scan ends where it begins.
     pub periodic: [bool; 2],
-    /// Cells of a sheet.
+    /// Lattice cells of a library cell.
     pub cells: usize,
-    /// Number of sheets.
+    /// Number of library cells.
     pub count: usize,
     /// The kind of defect, and its rate.
     pub process: Option<DefectKind>,
@@ -70,7 +70,7 @@ impl LibraryCell {
         depth: usize,
         place: impl Fn(usize, usize, usize) -> [f64; 3],
     ) -> LibraryCell {
-        let [nx, ny] = contents.sheet_cells;
+        let [nx, ny] = contents.lattice_cells;
         let (cells, count) = (nx * ny, contents.pool.cells() / (nx * ny));
         let mut units = Vec::new();
         for n in 0..nx * ny {
@@ -92,8 +92,8 @@ impl LibraryCell {
                 });
                 let members: Vec<Vec<LibrarySite>> = columns.collect();
                 let centre = centre(&members);
-                let of = |sheet: usize| {
-                    contents.pool.patterns(kind, bin).cells[sheet * cells + n].clone()
+                let of = |library_cell: usize| {
+                    contents.pool.patterns(kind, bin).cells[library_cell * cells + n].clone()
                 };
                 let patterns = (0..count).map(of).collect();
                 units.push(LibraryUnit { kind, cell: n, centre, members, patterns });
@@ -115,7 +115,7 @@ impl LibraryCell {
         }
     }
 
-    /// Rounds all lengths, so that specimens of other seeds and fields have the same sheets to the last bit.
+    /// Rounds all lengths, so that specimens of other seeds and fields have the same library cells to the last bit.
     #[must_use]
     pub fn rounded(mut self) -> Self {
         let round = |v: &mut f64| *v = (*v * 1e5).round() * 1e-5;

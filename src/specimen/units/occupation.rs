@@ -1,4 +1,4 @@
-//! What the units of a lattice hold, drawn from a pool, and how the pool is laid out in sheets.
+//! What the units of a lattice hold, drawn from a pool, and how the pool is laid out in library cells.
 
 use crate::error::Result;
 use crate::recipe::resolved_recipe::Recipe;
@@ -11,9 +11,9 @@ use crate::specimen::units::unit_tag::PatternIndex;
 use crate::structure::columns::ColumnCrystal;
 use crate::structure::elements;
 
-/// Least width of the periodic part of a sheet in Angstrom: more than twice the reach of a probe.
-pub const SHEET_ANGSTROM: f64 = 19.0;
-/// Patches that the sheets of a bin hold, all kinds of units and phonon configurations together. The mean
+/// Least width of the periodic part of a library cell in Angstrom: more than twice the reach of a probe.
+pub const LIBRARY_CELL_ANGSTROM: f64 = 19.0;
+/// Patches that the library cells of a bin hold, all kinds of units and phonon configurations together. The mean
 /// square of the phonon spread of one kind of four is then known to 7 % in each bin.
 const PATCHES_PER_BIN: usize = 1800;
 
@@ -36,17 +36,17 @@ impl DefectKind {
     }
 }
 
-/// UnitOccupation of the units of a crystal.
+/// What the units of a crystal hold.
 #[derive(Debug)]
 pub struct UnitOccupation {
     /// The units of the crystal's cell.
     pub units: UnitKinds,
     /// The kind of defect, if any.
     pub process: Option<DefectKind>,
-    /// PatternTable of defects.
+    /// Patterns of defects, by kind of unit and bin of rates.
     pub pool: DefectPatterns,
-    /// Cells of a sheet along x and y.
-    pub sheet_cells: [usize; 2],
+    /// Lattice cells of a library cell along x and y.
+    pub lattice_cells: [usize; 2],
     /// For each kind of column, the defective chains' place among those of its unit.
     places: Vec<Vec<Option<usize>>>,
     /// Chains of each kind of unit that may be defects.
@@ -74,15 +74,15 @@ impl UnitOccupation {
                 }
             }
         }
-        let sheet_cells =
-            [0, 1].map(|k| (SHEET_ANGSTROM / crystal.cell[k]).ceil().max(1.0) as usize);
-        let per_sheet = sheet_cells[0] * sheet_cells[1];
+        let lattice_cells =
+            [0, 1].map(|k| (LIBRARY_CELL_ANGSTROM / crystal.cell[k]).ceil().max(1.0) as usize);
+        let per_library_cell = lattice_cells[0] * lattice_cells[1];
         let configurations = recipe.phonons.configurations.max(1);
-        let sheets = sheets(per_sheet * units.kinds.len(), configurations);
+        let library_cells = library_cells(per_library_cell * units.kinds.len(), configurations);
         let sites = per_cell.iter().map(|n| n * depth).collect();
-        let pool = DefectPatterns::new(sites, [sheets, per_sheet], 0);
+        let pool = DefectPatterns::new(sites, [library_cells, per_library_cell], 0);
         let seed = recipe.seed;
-        Ok(Some(UnitOccupation { units, process, pool, sheet_cells, places, per_cell, seed }))
+        Ok(Some(UnitOccupation { units, process, pool, lattice_cells, places, per_cell, seed }))
     }
 
     /// The unit to which a column belongs: its kind, which member the column is, and the index of its first
@@ -190,8 +190,8 @@ fn bins(rate: f64, around: f64) -> Vec<usize> {
     bins
 }
 
-/// Sheets of a bin that hold `units` units each.
-pub fn sheets(units: usize, configurations: usize) -> usize {
+/// Library cells of a bin that hold `units` units each.
+pub fn library_cells(units: usize, configurations: usize) -> usize {
     PATCHES_PER_BIN.div_ceil(units.max(1) * configurations)
 }
 

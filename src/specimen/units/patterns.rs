@@ -6,7 +6,7 @@
 //! likely, in the pool as in a random alloy; so every statistic of single sites and of numbers per column is that
 //! of independent sites, and only the repetition of depth patterns tells the difference.
 //!
-//! The pool is laid out as the sheets of the mosaic's library: bin of rates, sheet, cell of the sheet.
+//! The pool is laid out as the library cells of the mosaic's library: bin of rates, library cell, lattice cell in it.
 
 use std::borrow::Cow;
 use std::sync::OnceLock;
@@ -52,7 +52,7 @@ fn span(bin: usize) -> [f64; 2] {
     [low, high]
 }
 
-/// The patterns of one kind of unit in one bin, one for each cell of the bin's sheets.
+/// The patterns of one kind of unit in one bin, one for each lattice cell of the bin's library cells.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PatternTable {
     /// Defective sites of the unit in each cell, ascending.
@@ -64,17 +64,23 @@ pub struct PatternTable {
 }
 
 impl PatternTable {
-    /// PatternTable for units with `sites` sites in `sheets` sheets of `per_sheet` cells. `stream` tells kinds of units
-    /// apart. More sheets begin with those of fewer, so that worlds with other numbers of phonon configurations share them.
-    pub fn new(sites: usize, bin: usize, [sheets, per_sheet]: [usize; 2], stream: u64) -> Self {
-        let cells = sheets * per_sheet;
-        let counts = (0..sheets).flat_map(|sheet| counts(sites, bin, per_sheet, sheet));
-        // A random order of the cells of each sheet, so that neighbours have nothing in common.
+    /// Patterns of units with `sites` sites, for `library_cells` library cells of `per_library_cell` lattice cells. `stream` tells kinds
+    /// of units apart. More library cells begin with those of fewer, so that worlds with other numbers of phonon configurations share them.
+    pub fn new(
+        sites: usize,
+        bin: usize,
+        [library_cells, per_library_cell]: [usize; 2],
+        stream: u64,
+    ) -> Self {
+        let cells = library_cells * per_library_cell;
+        let counts = (0..library_cells)
+            .flat_map(|library_cell| counts(sites, bin, per_library_cell, library_cell));
+        // A random order of the lattice cells of each library cell, so that neighbours have nothing in common.
         let mut order: Vec<usize> = (0..cells).collect();
         let word = |n: u64, draw: u32| {
             rng::words(SEED ^ stream.rotate_left(32), Purpose::Pool, draw, (bin as u64) << 32 | n)
         };
-        order.sort_by_key(|&n| (n / per_sheet, word(n as u64, 0), n));
+        order.sort_by_key(|&n| (n / per_library_cell, word(n as u64, 0), n));
         let mut patterns = vec![Vec::new(); cells];
         let mut by_count = vec![Vec::new(); sites + 1];
         // The patterns of one defect take each site once before any twice.
@@ -163,14 +169,14 @@ impl PatternTable {
 pub struct DefectPatterns {
     /// Sites of each kind of unit that may be defects.
     sites: Vec<usize>,
-    /// Number of sheets, and of cells in each.
+    /// Number of library cells, and of lattice cells in each.
     layout: [usize; 2],
     stream: u64,
     tables: Vec<OnceLock<PatternTable>>,
 }
 
 impl DefectPatterns {
-    /// A pool of as many patterns for each bin and kind of unit as there are cells in `layout`: so many sheets, and so many
+    /// A pool of as many patterns for each bin and kind of unit as there are cells in `layout`: so many library cells, and so many lattice
     /// cells in each.
     pub fn new(sites: Vec<usize>, layout: [usize; 2], stream: u64) -> Self {
         let tables = (0..sites.len() * RATES.len()).map(|_| OnceLock::new()).collect();
@@ -189,7 +195,7 @@ impl DefectPatterns {
         self.sites[kind]
     }
 
-    /// PatternTable for each bin and kind.
+    /// The patterns of each bin and kind.
     pub fn cells(&self) -> usize {
         self.layout[0] * self.layout[1]
     }
@@ -237,9 +243,9 @@ fn stride(sites: usize) -> usize {
     (sites * 3 / 8 + 1..).find(|s| gcd(*s, sites) == 1).unwrap_or(1)
 }
 
-/// Numbers of defects for the cells of a sheet: shares go with the root of the probability within the bin, so that
+/// Numbers of defects for the lattice cells of a library cell: shares go with the root of the probability within the bin, so that
 /// rare numbers have several patterns too.
-fn counts(sites: usize, bin: usize, cells: usize, sheet: usize) -> Vec<usize> {
+fn counts(sites: usize, bin: usize, cells: usize, library_cell: usize) -> Vec<usize> {
     let [low, high] = span(bin);
     let tables = [low, RATES[bin], high].map(|rate| binomial(sites, rate));
     let likely = |n: usize| tables.iter().map(|t| t[n]).fold(0.0, f64::max);
@@ -249,8 +255,8 @@ fn counts(sites: usize, bin: usize, cells: usize, sheet: usize) -> Vec<usize> {
     };
     let weights: Vec<f64> = (0..=sites).map(weight).collect();
     let total: f64 = weights.iter().sum();
-    // Cell c takes the number at the quantile (c + offset) / cells; the offsets of all sheets fill the steps evenly.
-    let offset = halved(sheet);
+    // Cell c takes the number at the quantile (c + offset) / cells; the offsets of all library cells fill the steps evenly.
+    let offset = halved(library_cell);
     let mut out = Vec::with_capacity(cells);
     let (mut number, mut below) = (0, weights[0]);
     for cell in 0..cells {
@@ -342,7 +348,7 @@ mod tests {
     }
 
     #[test]
-    fn more_sheets_begin_with_those_of_fewer() {
+    fn more_library_cells_begin_with_those_of_fewer() {
         for rate in [0.01, 0.12] {
             let few = PatternTable::new(26, bin_of(rate), [2, 25], 3);
             let more = PatternTable::new(26, bin_of(rate), [5, 25], 3);

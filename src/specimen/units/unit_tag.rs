@@ -2,7 +2,7 @@
 
 use crate::specimen::column_index::ColumnIndex;
 
-/// UnitKinds whose surroundings are alike.
+/// Units whose surroundings are alike.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct UnitFamily {
     /// Which lattice or boundary of the specimen.
@@ -20,7 +20,7 @@ pub struct PatternIndex {
     pub bin: usize,
     /// Kind of unit.
     pub kind: usize,
-    /// Cell among all sheets of the bin.
+    /// Lattice cell among those of all library cells of the bin.
     pub cell: usize,
 }
 
@@ -33,15 +33,15 @@ pub struct UnitTag {
     pub member: usize,
     /// Centre (x, y) of the unit in nm.
     pub centre_nm: [f64; 2],
-    /// Sheets that show units with such surroundings.
+    /// Library cells that show units with such surroundings.
     pub family: UnitFamily,
-    /// Its contents, and where they are in the sheets.
+    /// Its contents, and where they are in the library cells.
     pub entry: PatternIndex,
-    /// Carries directions in the sheet over to the field: rows of an orthogonal matrix.
+    /// Carries directions in the library cell over to the field: rows of an orthogonal matrix.
     pub frame: [[f64; 2]; 2],
 }
 
-/// A family whose sheets lie in the field in one way.
+/// A family whose library cells lie in the field in one way.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct TurnedFamily {
     /// The family.
@@ -60,14 +60,14 @@ impl TurnedFamily {
         TurnedFamily { family: tag.family, frame: parts }
     }
 
-    /// The family as if its sheets were not turned.
+    /// The family as if its library cells were not turned.
     #[must_use]
     pub fn straight(self) -> Self {
         let one = FRAME_PARTS as i64;
         TurnedFamily { frame: [[one, 0], [0, one]], ..self }
     }
 
-    /// Another family whose sheets lie in the field in the same way.
+    /// Another family whose library cells lie in the field in the same way.
     #[must_use]
     pub fn with_family(self, family: UnitFamily) -> Self {
         TurnedFamily { family, ..self }

@@ -98,11 +98,11 @@ pub fn sites<'t, 'a>(
 fn check_stray(text: &SourceText, block: &DataBlock) -> Result<()> {
     let without = |l: &&Loop| l.column(&FRACTIONAL).or(l.column(&CARTESIAN)).is_none();
     for stray in block.loops.iter().filter(without) {
-        let told = |tag: &&&str| {
+        let stated = |tag: &&&str| {
             let column = stray.column(&[**tag]);
             column.is_some_and(|c| stray.rows().any(|row| row[c].known().is_some()))
         };
-        if let Some(tag) = ATTRIBUTES.iter().find(told) {
+        if let Some(tag) = ATTRIBUTES.iter().find(stated) {
             let message = format!(
                 "`{tag}` stands here without coordinates; put it into the loop that has the coordinates"
             );

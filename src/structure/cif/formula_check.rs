@@ -49,16 +49,16 @@ fn parse(word: &str) -> Option<Formula> {
 /// What to say of sites whose number of images is not what the file says. `counts` are those of the sites.
 pub fn multiplicity_note(sites: &[CifSite], counts: &[usize]) -> Option<String> {
     let mut wrong = sites.iter().zip(counts).filter_map(|(site, &count)| {
-        let told: usize = site.value(&MULTIPLICITY)?.parse().ok()?;
-        (told != count).then(|| (site.name(), told, count))
+        let stated: usize = site.value(&MULTIPLICITY)?.parse().ok()?;
+        (stated != count).then(|| (site.name(), stated, count))
     });
-    let (name, told, count) = wrong.next()?;
+    let (name, stated, count) = wrong.next()?;
     let more = match wrong.count() {
         0 => String::new(),
         n => format!(" (and {n} more sites)"),
     };
     Some(format!(
-        "site `{name}`{more}: its multiplicity in the file is {told}, and the symmetry operations make {count} of it; check the \
+        "site `{name}`{more}: its multiplicity in the file is {stated}, and the symmetry operations make {count} of it; check the \
          symmetry operations and the coordinates"
     ))
 }
@@ -101,9 +101,9 @@ pub fn composition_note(block: &DataBlock, read: &Formula) -> Option<String> {
         }
         _ => format!("check {}", symbols(&differing)),
     };
-    let told = z.map_or(String::new(), |z| format!(" with _cell_formula_units_Z {z}"));
+    let stated_z = z.map_or(String::new(), |z| format!(" with _cell_formula_units_Z {z}"));
     Some(format!(
-        "the cell holds {} as read, and by _chemical_formula_sum{told} it holds {}: {cause}",
+        "the cell holds {} as read, and by _chemical_formula_sum{stated_z} it holds {}: {cause}",
         amounts(read, 1.0),
         amounts(&formula, units)
     ))

@@ -219,23 +219,23 @@ fn is_p1(tag: &str, name: &str) -> bool {
 
 /// A group's name or number alone does not fix setting and origin, so nothing is guessed.
 fn check_group_is_p1(text: &SourceText, block: &DataBlock) -> Result<()> {
-    let mut told: Vec<(usize, &str, &str)> = Vec::new();
+    let mut stated: Vec<(usize, &str, &str)> = Vec::new();
     for (tag, value) in &block.items {
-        told.extend(value.known().map(|known| (value.line, tag.as_str(), known)));
+        stated.extend(value.known().map(|known| (value.line, tag.as_str(), known)));
     }
     for table in &block.loops {
         for (column, tag) in table.tags.iter().enumerate() {
             if symmetry_tag(tag) != SymmetryTag::Other {
                 let values = table.rows().filter_map(|row| row[column].known());
-                told.extend(values.map(|known| (table.line, tag.as_str(), known)));
+                stated.extend(values.map(|known| (table.line, tag.as_str(), known)));
             }
         }
     }
-    told.retain(|(_, tag, _)| symmetry_tag(tag) != SymmetryTag::Other);
-    told.sort_unstable();
+    stated.retain(|(_, tag, _)| symmetry_tag(tag) != SymmetryTag::Other);
+    stated.sort_unstable();
     let is_system = |tag: &str| symmetry_tag(tag) == SymmetryTag::System;
-    let named = told.iter().any(|(_, tag, name)| !is_system(tag) && is_p1(tag, name));
-    let fault = told.iter().find(|(_, tag, name)| !(is_p1(tag, name) || is_system(tag) && named));
+    let named = stated.iter().any(|(_, tag, name)| !is_system(tag) && is_p1(tag, name));
+    let fault = stated.iter().find(|(_, tag, name)| !(is_p1(tag, name) || is_system(tag) && named));
     let Some((line, tag, name)) = fault else { return Ok(()) };
     let what = if is_system(tag) { "crystal system" } else { "space group" };
     let message = format!(

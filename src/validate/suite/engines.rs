@@ -6,7 +6,7 @@ use crate::engine::settings::EXACT_BAND_FRACTION;
 use crate::engine::{Algorithm, ProbeBox, Settings, window_for};
 use crate::error::Result;
 use crate::validate::difference::{Difference, extrapolated};
-use crate::validate::{Figure, Findings, Lab, Plot, Series, Style};
+use crate::validate::{CheckRunner, Figure, Findings, Plot, Series, Style};
 
 const EXACT: &str =
     "Multislice of this program on the full grid, which the cases above compare with abTEM.";
@@ -68,19 +68,19 @@ pub fn cases() -> Vec<Case> {
 
 const WINDOWS: [f64; 3] = [3.3, 0.8, 0.4];
 
-fn windows(lab: &Lab) -> Result<Findings> {
+fn windows(runner: &CheckRunner) -> Result<Findings> {
     let (sites, cell) = srtio3([6, 6, 10])?;
     let (base, scan) = (displaced(2), unit_cell(10));
     // Probes of windows are those of an infinite specimen, not of a periodic one.
     let alike = Settings { probe_box: Some(ProbeBox::Large), ..base.clone() };
-    let exact = widened(lab.simulate(&alike, &sites, cell, &scan)?.image(0, 0));
+    let exact = widened(runner.simulate(&alike, &sites, cell, &scan)?.image(0, 0));
     let mut f = Findings::default();
     let mut points = Vec::new();
     for accuracy in WINDOWS {
         let width_angstrom = window_for(accuracy, &base, cell[2])?.width_angstrom;
         let algorithm = Algorithm::Window { width_angstrom };
         let settings = Settings { algorithm, ..base.clone() };
-        let ours = widened(lab.simulate(&settings, &sites, cell, &scan)?.image(0, 0));
+        let ours = widened(runner.simulate(&settings, &sites, cell, &scan)?.image(0, 0));
         let difference = Difference::between(ours.view(), exact.view());
         let what = format!("windows of {width_angstrom:.1} A: rms difference, of the mean");
         f.checks.push(percent(what, difference.rms, accuracy / 100.0));
@@ -104,15 +104,15 @@ fn windows(lab: &Lab) -> Result<Findings> {
     Ok(f)
 }
 
-fn prism(lab: &Lab) -> Result<Findings> {
+fn prism(runner: &CheckRunner) -> Result<Findings> {
     let mut f = Findings::default();
     for (cells, factor, limit) in [(3, 1, Some(1e-5)), (6, 2, Some(0.03)), (6, 3, None)] {
         let (sites, cell) = srtio3([cells, cells, 3])?;
         let (base, scan) = (displaced(3), unit_cell(6));
-        let exact = widened(lab.simulate(&base, &sites, cell, &scan)?.image(0, 0));
+        let exact = widened(runner.simulate(&base, &sites, cell, &scan)?.image(0, 0));
         let algorithm = Algorithm::Prism { interpolation: [factor; 2] };
         let settings = Settings { algorithm, ..base.clone() };
-        let ours = widened(lab.simulate(&settings, &sites, cell, &scan)?.image(0, 0));
+        let ours = widened(runner.simulate(&settings, &sites, cell, &scan)?.image(0, 0));
         let largest = Difference::between(ours.view(), exact.view()).largest;
         let window = cell[0] / factor as f64;
         let what =
@@ -127,12 +127,12 @@ fn prism(lab: &Lab) -> Result<Findings> {
     Ok(f)
 }
 
-fn band(lab: &Lab) -> Result<Findings> {
+fn band(runner: &CheckRunner) -> Result<Findings> {
     let (sites, cell) = srtio3([5, 5, 10])?;
     let (base, scan) = (displaced(2), unit_cell(6));
     let wide = Settings { band_fraction: EXACT_BAND_FRACTION, ..base.clone() };
     let run = |settings| -> Result<_> {
-        Ok(widened(lab.simulate(settings, &sites, cell, &scan)?.image(0, 0)))
+        Ok(widened(runner.simulate(settings, &sites, cell, &scan)?.image(0, 0)))
     };
     let (ours, exact) = (run(&base)?, run(&wide)?);
     let largest = Difference::between(ours.view(), exact.view()).largest;
@@ -142,12 +142,12 @@ fn band(lab: &Lab) -> Result<Findings> {
     })
 }
 
-fn cores(lab: &Lab) -> Result<Findings> {
+fn cores(runner: &CheckRunner) -> Result<Findings> {
     let (sites, cell) = srtio3([3, 3, 4])?;
     let scan = unit_cell(6);
     let run = |oversampling| -> Result<_> {
         let settings = Settings { oversampling, ..Settings::default() };
-        Ok(widened(lab.simulate(&settings, &sites, cell, &scan)?.image(0, 0)))
+        Ok(widened(runner.simulate(&settings, &sites, cell, &scan)?.image(0, 0)))
     };
     let (ours, coarse, fine) = (run(None)?, run(Some(3))?, run(Some(6))?);
     let limit = extrapolated(&coarse, &fine, 2.0);

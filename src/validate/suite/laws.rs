@@ -6,9 +6,9 @@ use crate::detect::Detector;
 use crate::engine::{Algorithm, Images, Scan, Settings, Site, diffraction};
 use crate::error::Result;
 use crate::potential::slices::Slicing;
+use crate::validate::check_runner::plan;
 use crate::validate::difference::Difference;
-use crate::validate::lab::plan;
-use crate::validate::{Check, Figure, Findings, Lab, Limit, Plot, Series, Style};
+use crate::validate::{Check, CheckRunner, Figure, Findings, Limit, Plot, Series, Style};
 
 pub fn cases() -> Vec<Case> {
     let case = |name, title, about, quick, seconds, simulations, run| Case {
@@ -91,7 +91,7 @@ fn largest(a: &Images, b: &Images, detector: usize) -> f64 {
 
 const VACUUM_SLICES: [usize; 4] = [4, 20, 100, 200];
 
-fn vacuum(lab: &Lab) -> Result<Findings> {
+fn vacuum(runner: &CheckRunner) -> Result<Findings> {
     let scan = Scan { origin_angstrom: [3.3, 4.4], step_angstrom: [0.7; 2], shape: [2, 2] };
     let mut findings = Findings::default();
     let mut series = Vec::new();
@@ -105,7 +105,7 @@ fn vacuum(lab: &Lab) -> Result<Findings> {
                 slicing: Slicing::Thickness(100.0 / slices as f64),
                 ..Settings::default()
             };
-            let images = lab.simulate(&settings, &[], [12.0, 13.0, 100.0], &scan)?;
+            let images = runner.simulate(&settings, &[], [12.0, 13.0, 100.0], &scan)?;
             let error = images.data.iter().map(|v| f64::from((v - 1.0).abs())).fold(0.0, f64::max);
             let limit = 1e-6_f64.max(1.5e-7 * slices as f64);
             let what = format!("{name}, {slices} slices: intensity lost or gained");
@@ -130,7 +130,7 @@ fn prism() -> Algorithm {
     Algorithm::Prism { interpolation: [1, 1] }
 }
 
-fn intensity(lab: &Lab) -> Result<Findings> {
+fn intensity(runner: &CheckRunner) -> Result<Findings> {
     let (sites, cell) = srtio3([3, 3, 3])?;
     let settings = Settings {
         detectors: vec![Detector::new("HAADF", 68.0, 200.0), Detector::new("all", 0.0, 200.0)],
@@ -139,8 +139,8 @@ fn intensity(lab: &Lab) -> Result<Findings> {
     let plan = plan(&settings, &sites, cell)?;
     let at = [SRTIO3_ANGSTROM; 2];
     let scan = Scan { origin_angstrom: at, step_angstrom: [1.0; 2], shape: [1, 1] };
-    let all = f64::from(lab.execute(&plan, &sites, &scan)?.data[[0, 1, 0, 0]]);
-    let share = lab.share();
+    let all = f64::from(runner.execute(&plan, &sites, &scan)?.data[[0, 1, 0, 0]]);
+    let share = runner.share();
     let pattern = diffraction(&plan, &sites, at, &share)?;
     share.complete();
     let wavelength = settings.optics.wavelength_angstrom();
@@ -176,7 +176,7 @@ fn four() -> Vec<Detector> {
         .to_vec()
 }
 
-fn translation(lab: &Lab) -> Result<Findings> {
+fn translation(runner: &CheckRunner) -> Result<Findings> {
     let (sites, cell) = srtio3([3, 3, 3])?;
     let shift = [1.234, -2.777];
     let moved = |s: &Site| {
@@ -191,8 +191,8 @@ fn translation(lab: &Lab) -> Result<Findings> {
     for (name, algorithm) in [("multislice", Algorithm::Multislice), ("PRISM", prism())] {
         let settings = Settings { detectors: four(), algorithm, ..displaced(9) };
         let plan = plan(&settings, &sites, cell)?;
-        let a = lab.execute(&plan, &sites, &scan)?;
-        let b = lab.execute(&plan, &moved, &moved_scan)?;
+        let a = runner.execute(&plan, &sites, &scan)?;
+        let b = runner.execute(&plan, &moved, &moved_scan)?;
         for (d, detector) in a.detectors.iter().enumerate() {
             let what = format!("{name}, {detector}: largest change, of the maximum");
             findings.checks.push(percent(what, largest(&b, &a, d), 2e-3));
@@ -204,9 +204,9 @@ fn translation(lab: &Lab) -> Result<Findings> {
     Ok(findings)
 }
 
-fn origin(lab: &Lab) -> Result<Findings> {
+fn origin(runner: &CheckRunner) -> Result<Findings> {
     let (sites, cell) = srtio3([3, 3, 3])?;
-    let a = lab.simulate(&displaced(5), &sites, cell, &unit_cell(3))?;
+    let a = runner.simulate(&displaced(5), &sites, cell, &unit_cell(3))?;
     let elsewhere = |(i, s): (usize, &Site)| {
         let [x, y, z] = s.position;
         let z = z - 0.25 * SRTIO3_ANGSTROM;
@@ -216,12 +216,12 @@ fn origin(lab: &Lab) -> Result<Findings> {
         }
     };
     let elsewhere: Vec<Site> = sites.iter().enumerate().map(elsewhere).collect();
-    let b = lab.simulate(&displaced(5), &elsewhere, cell, &unit_cell(3))?;
+    let b = runner.simulate(&displaced(5), &elsewhere, cell, &unit_cell(3))?;
     let what = "largest change of HAADF, of the maximum";
     Ok(Findings { checks: vec![percent(what, largest(&b, &a, 0), 1e-5)], figures: Vec::new() })
 }
 
-fn slices(lab: &Lab) -> Result<Findings> {
+fn slices(runner: &CheckRunner) -> Result<Findings> {
     let (sites, cell) = srtio3([3, 3, 3])?;
     let reference = plan(&displaced(5), &sites, cell)?;
     let mut moved = reference.clone();
@@ -229,12 +229,12 @@ fn slices(lab: &Lab) -> Result<Findings> {
         *b += if i % 2 == 0 { 0.4 } else { -0.45 };
     }
     let scan = unit_cell(3);
-    let a = lab.execute(&reference, &sites, &scan)?;
-    let b = lab.execute(&moved, &sites, &scan)?;
+    let a = runner.execute(&reference, &sites, &scan)?;
+    let b = runner.execute(&moved, &sites, &scan)?;
     for (boundary, by) in [(2, 2.0), (3, 2.0), (4, 1.2)] {
         moved.slices.boundaries[boundary] += by;
     }
-    let c = lab.execute(&moved, &sites, &scan)?;
+    let c = runner.execute(&moved, &sites, &scan)?;
     Ok(Findings {
         checks: vec![
             Check::new("pixels that change within gaps", differing(&a, &b), "", Limit::AtMost(0.0)),
@@ -254,7 +254,7 @@ fn differing(a: &Images, b: &Images) -> f64 {
     a.data.iter().zip(&b.data).filter(|(a, b)| a.to_bits() != b.to_bits()).count() as f64
 }
 
-fn threads(lab: &Lab) -> Result<Findings> {
+fn threads(runner: &CheckRunner) -> Result<Findings> {
     let (sites, cell) = srtio3([3, 3, 2])?;
     let mut findings = Findings::default();
     let window = Algorithm::Window { width_angstrom: 7.8 };
@@ -264,7 +264,7 @@ fn threads(lab: &Lab) -> Result<Findings> {
         let plan = plan(&Settings { algorithm, ..displaced(1) }, &sites, cell)?;
         let run = |count| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(count).build();
-            let run = || lab.execute(&plan, &sites, &unit_cell(4));
+            let run = || runner.execute(&plan, &sites, &unit_cell(4));
             // Where no threads can be started the case runs on those there are.
             pool.map_or_else(|_| run(), |pool| pool.install(run))
         };

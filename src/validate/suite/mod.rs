@@ -13,7 +13,7 @@ use std::time::Instant;
 use ndarray::{Array2, ArrayView2};
 
 use super::difference::Difference;
-use super::{Check, Figure, Findings, ImagePair, Lab, Limit, Outcome, overall};
+use super::{Check, CheckRunner, Figure, Findings, ImagePair, Limit, Outcome, overall};
 use crate::engine::{Images, Scan};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
@@ -37,7 +37,7 @@ pub struct Case {
     pub seconds: f64,
     /// How many simulations it runs.
     pub simulations: usize,
-    run: fn(&Lab) -> Result<Findings>,
+    run: fn(&CheckRunner) -> Result<Findings>,
 }
 
 /// Kinds of cases.
@@ -110,8 +110,8 @@ impl Case {
     /// Those of the engine; [`Error::Interrupted`].
     pub fn run(&self, progress: &dyn Progress) -> Result<Outcome> {
         let begun = Instant::now();
-        let lab = Lab::new(progress, self.units_per_simulation());
-        let findings = (self.run)(&lab)?;
+        let runner = CheckRunner::new(progress, self.units_per_simulation());
+        let findings = (self.run)(&runner)?;
         if self.simulations == 0 {
             progress.advance(self.units());
         }
@@ -232,8 +232,8 @@ mod tests {
         let quick = selected(&[], true).unwrap();
         assert!(!quick.is_empty() && quick.len() < all.len());
         assert_eq!(selected(&[all[3].name.to_owned()], true).unwrap()[0].name, all[3].name);
-        let told = selected(&["nonsense".into()], false).err().unwrap().to_string();
-        assert!(told.contains(all[0].name), "{told}");
+        let message = selected(&["nonsense".into()], false).err().unwrap().to_string();
+        assert!(message.contains(all[0].name), "{message}");
     }
 
     /// The same comparison passes and fails.

@@ -8,8 +8,8 @@ use crate::engine::{GridChoice, Scan, Settings, Site, exit_wave, lens_image};
 use crate::error::Result;
 use crate::optics::{Aberration, Aberrations, ApertureEdge, Optics};
 use crate::potential::scattering::Parametrization;
-use crate::validate::lab::plan;
-use crate::validate::{Check, Figure, Findings, Lab, Limit, Plot, Series, Style};
+use crate::validate::check_runner::plan;
+use crate::validate::{Check, CheckRunner, Figure, Findings, Limit, Plot, Series, Style};
 
 pub fn cases() -> Vec<Case> {
     vec![
@@ -40,7 +40,7 @@ pub fn cases() -> Vec<Case> {
     ]
 }
 
-fn kirkland(lab: &Lab) -> Result<Findings> {
+fn kirkland(runner: &CheckRunner) -> Result<Findings> {
     let site = |(i, number): (usize, &u8)| Site {
         position: [5.0 + 10.0 * i as f64, 25.0, 1.0],
         number: *number,
@@ -62,7 +62,7 @@ fn kirkland(lab: &Lab) -> Result<Findings> {
     let mut plan = plan(&settings, &sites, [50.0, 50.0, 2.0])?;
     // The book focuses on the atoms.
     plan.slices.boundaries = vec![1.0 - 1e-9, 1.0 + 1e-9];
-    let share = lab.share();
+    let share = runner.share();
     let exit = exit_wave(&plan, &sites, 0, &share)?;
     share.complete();
     let image = lens_image(&exit, [50.0, 50.0], &optics).mapv(f64::from);
@@ -96,13 +96,13 @@ fn kirkland(lab: &Lab) -> Result<Findings> {
 
 const NUMBERS: [u8; 7] = [6, 8, 14, 22, 38, 47, 79];
 
-fn exponent(lab: &Lab) -> Result<Findings> {
+fn exponent(runner: &CheckRunner) -> Result<Findings> {
     let settings = specimens::displaced(0);
     let scan = Scan { origin_angstrom: [4.5; 2], step_angstrom: [0.3; 2], shape: [11, 11] };
     let mut points = Vec::new();
     for number in NUMBERS {
         let site = Site { position: [6.0, 6.0, 1.0], number, sigma_angstrom: 0.08, key: 0 };
-        let images = lab.simulate(&settings, &[site], [12.0, 12.0, 2.0], &scan)?;
+        let images = runner.simulate(&settings, &[site], [12.0, 12.0, 2.0], &scan)?;
         let sum: f64 = images.data.iter().map(|v| f64::from(*v)).sum();
         // square Angstrom
         points.push((f64::from(number), sum * scan.step_angstrom[0] * scan.step_angstrom[1]));

@@ -10,7 +10,7 @@ use crate::optics::Aberrations;
 use crate::potential::slices::Slicing;
 use crate::validate::difference::{Difference, extrapolated};
 use crate::validate::golden::Golden;
-use crate::validate::{Check, Figure, Findings, Lab, Limit, Plot, Series, Style};
+use crate::validate::{Check, CheckRunner, Figure, Findings, Limit, Plot, Series, Style};
 
 pub fn cases() -> Vec<Case> {
     vec![
@@ -77,10 +77,10 @@ fn largest(image: &Array2<f64>, reference: &Array2<f64>) -> f64 {
     Difference::between(image.view(), reference.view()).largest
 }
 
-fn image(lab: &Lab) -> Result<Findings> {
+fn image(runner: &CheckRunner) -> Result<Findings> {
     let g = Golden::load("displaced_image")?;
     let limit = limit(&g)?;
-    let images = lab.execute(&g.plan(&g.converged_settings())?, &g.sites, &g.scan())?;
+    let images = runner.execute(&g.plan(&g.converged_settings())?, &g.sites, &g.scan())?;
     let mut f = Findings::default();
     for (d, name) in images.detectors.iter().enumerate() {
         let ours = widened(images.image(0, d));
@@ -115,7 +115,7 @@ fn image(lab: &Lab) -> Result<Findings> {
     Ok(f)
 }
 
-fn positions(lab: &Lab) -> Result<Findings> {
+fn positions(runner: &CheckRunner) -> Result<Findings> {
     let g = Golden::load("displaced_refined")?;
     let haadf =
         |name: &str| -> Result<Array1<f64>> { Ok(g.matrix(name)?.column(HAADF).to_owned()) };
@@ -126,7 +126,7 @@ fn positions(lab: &Lab) -> Result<Findings> {
     let mut ours = Array1::zeros(limit.len());
     for (value, origin_angstrom) in ours.iter_mut().zip(g.positions()) {
         let scan = Scan { origin_angstrom, step_angstrom: [1.0; 2], shape: [1, 1] };
-        *value = f64::from(lab.execute(&plan, &g.sites, &scan)?.data[[0, 0, 0, 0]]);
+        *value = f64::from(runner.execute(&plan, &g.sites, &scan)?.data[[0, 0, 0, 0]]);
     }
     let errors = |values: &Array1<f64>| (values / &limit - 1.0).mapv(|e| 100.0 * e);
     let largest = |values: &Array1<f64>| errors(values).iter().fold(0.0_f64, |m, e| m.max(e.abs()));
@@ -184,7 +184,7 @@ fn numbered(name: &str, values: &Array1<f64>) -> Series {
     Series { name: name.into(), points, style: Style::Both }
 }
 
-fn boundaries(lab: &Lab) -> Result<Findings> {
+fn boundaries(runner: &CheckRunner) -> Result<Findings> {
     let g = Golden::load("displaced_image")?;
     let reference = limit(&g)?.index_axis(Axis(0), HAADF).to_owned();
     let slice = g.slice_angstrom();
@@ -205,7 +205,7 @@ fn boundaries(lab: &Lab) -> Result<Findings> {
         let plane = |s: &Site| first + ((s.position[2] - first) / slice).round() * slice;
         let heights: Vec<f64> = sites.iter().map(plane).collect();
         let plan = Plan::new(&settings, [x, y, height], &heights)?;
-        Ok(widened(lab.execute(&plan, sites, &g.scan())?.image(0, 0)))
+        Ok(widened(runner.execute(&plan, sites, &g.scan())?.image(0, 0)))
     };
     let centred = run(&g.sites, z, slice / 2.0, slice / 2.0)?;
     let shifted = run(&moved, z + slice, slice, slice)?;

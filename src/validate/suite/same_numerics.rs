@@ -12,7 +12,7 @@ use crate::potential::projected::{PlacedAtom, PotentialFilter, Projector};
 use crate::potential::scattering::Parametrization;
 use crate::validate::difference::Difference;
 use crate::validate::golden::{Golden, like_abtem};
-use crate::validate::{Figure, Findings, ImagePair, Lab};
+use crate::validate::{CheckRunner, Figure, Findings, ImagePair};
 
 /// What is promised of images with the same numerics, of the maximum.
 const SAME: f64 = 2e-4;
@@ -125,21 +125,21 @@ const DIFFRACTION: &str =
 const POTENTIALS: &str =
     "Single planes of SrTiO3 by three parametrizations, and atoms off the grid on an oblong grid.";
 
-fn srtio3(lab: &Lab) -> Result<Findings> {
-    multislice(lab, "srtio3_001")
+fn srtio3(runner: &CheckRunner) -> Result<Findings> {
+    multislice(runner, "srtio3_001")
 }
 
-fn si110(lab: &Lab) -> Result<Findings> {
-    multislice(lab, "si_110")
+fn si110(runner: &CheckRunner) -> Result<Findings> {
+    multislice(runner, "si_110")
 }
 
 /// Exact potentials, and abTEM as shipped.
-fn multislice(lab: &Lab, name: &str) -> Result<Findings> {
-    let mut f = against(lab, name, &[("multislice", "", Algorithm::Multislice, [SAME; 4])])?;
+fn multislice(runner: &CheckRunner, name: &str) -> Result<Findings> {
+    let mut f = against(runner, name, &[("multislice", "", Algorithm::Multislice, [SAME; 4])])?;
     let g = Golden::load(name)?;
     let shipped = g.images("multislice_as_shipped")?;
     let sharpened = Settings { abtem_placement: true, ..g.settings() };
-    let images = lab.execute(&g.plan(&sharpened)?, &g.sites, &g.scan())?;
+    let images = runner.execute(&g.plan(&sharpened)?, &g.sites, &g.scan())?;
     compare_all(&mut f, "as shipped, ", &images, shipped.outer_iter(), &g.scan(), [SAME; 4]);
     let exact = g.images("multislice")?;
     let effect = Difference::between(shipped.index_axis(Axis(0), 3), exact.index_axis(Axis(0), 3));
@@ -149,7 +149,7 @@ fn multislice(lab: &Lab, name: &str) -> Result<Findings> {
 }
 
 /// abTEM as shipped, of atoms between grid points.
-fn displaced(lab: &Lab) -> Result<Findings> {
+fn displaced(runner: &CheckRunner) -> Result<Findings> {
     let g = Golden::load("displaced_image")?;
     let slice = g.slice_angstrom();
     let mut findings = Findings::default();
@@ -171,7 +171,7 @@ fn displaced(lab: &Lab) -> Result<Findings> {
         };
         let sites: Vec<Site> = g.sites.iter().map(shifted).collect();
         let [x, y, z] = g.cell_angstrom;
-        let images = lab.simulate(&settings, &sites, [x, y, z + 2.0 * moved], &g.scan())?;
+        let images = runner.simulate(&settings, &sites, [x, y, z + 2.0 * moved], &g.scan())?;
         let theirs = g.images(key)?;
         let label = format!("{key}, ");
         compare_all(&mut findings, &label, &images, theirs.outer_iter(), &g.scan(), [SAME; 4]);
@@ -179,20 +179,20 @@ fn displaced(lab: &Lab) -> Result<Findings> {
     Ok(findings)
 }
 
-fn prism_f1(lab: &Lab) -> Result<Findings> {
-    against(lab, "srtio3_001", &[("prism_f1", "", prism(1), [SAME; 4])])
+fn prism_f1(runner: &CheckRunner) -> Result<Findings> {
+    against(runner, "srtio3_001", &[("prism_f1", "", prism(1), [SAME; 4])])
 }
 
-fn prism_f2(lab: &Lab) -> Result<Findings> {
+fn prism_f2(runner: &CheckRunner) -> Result<Findings> {
     let runs = [
         ("multislice", "multislice, ", Algorithm::Multislice, [SAME; 4]),
         ("prism_f2", "PRISM f = 2, ", prism(2), [2e-4; 4]),
     ];
-    against(lab, "srtio3_prism_f2", &runs)
+    against(runner, "srtio3_prism_f2", &runs)
 }
 
-fn prism_f2_si(lab: &Lab) -> Result<Findings> {
-    against(lab, "si_110_prism_f2", &[("prism_f2", "", prism(2), [2e-4; 4])])
+fn prism_f2_si(runner: &CheckRunner) -> Result<Findings> {
+    against(runner, "si_110_prism_f2", &[("prism_f2", "", prism(2), [2e-4; 4])])
 }
 
 fn prism(f: usize) -> Algorithm {
@@ -201,19 +201,19 @@ fn prism(f: usize) -> Algorithm {
 
 type EngineRun = (&'static str, &'static str, Algorithm, [f64; 4]);
 
-fn against(lab: &Lab, name: &str, runs: &[EngineRun]) -> Result<Findings> {
+fn against(runner: &CheckRunner, name: &str, runs: &[EngineRun]) -> Result<Findings> {
     let g = Golden::load(name)?;
     let mut findings = Findings::default();
     for &(array, label, algorithm, tolerances) in runs {
         let settings = Settings { algorithm, full_exit_grid: true, ..g.settings() };
-        let images = lab.execute(&g.plan_from_plane(&settings)?, &g.sites, &g.scan())?;
+        let images = runner.execute(&g.plan_from_plane(&settings)?, &g.sites, &g.scan())?;
         let references = g.images(array)?;
         compare_all(&mut findings, label, &images, references.outer_iter(), &g.scan(), tolerances);
     }
     Ok(findings)
 }
 
-fn aberrated(lab: &Lab) -> Result<Findings> {
+fn aberrated(runner: &CheckRunner) -> Result<Findings> {
     let g = Golden::load("srtio3_001_aberrated")?;
     let mut findings = Findings::default();
     for (set, label) in [
@@ -223,14 +223,14 @@ fn aberrated(lab: &Lab) -> Result<Findings> {
     ] {
         let mut settings = g.settings();
         settings.optics.aberrations.0.extend(coefficients(&g, set)?);
-        let images = lab.execute(&g.plan(&settings)?, &g.sites, &g.scan())?;
+        let images = runner.execute(&g.plan(&settings)?, &g.sites, &g.scan())?;
         let references = g.images(set)?;
         compare_all(&mut findings, label, &images, references.outer_iter(), &g.scan(), [SAME; 4]);
     }
     Ok(findings)
 }
 
-fn optics(lab: &Lab) -> Result<Findings> {
+fn optics(runner: &CheckRunner) -> Result<Findings> {
     let g = Golden::load("srtio3_001_optics")?;
     let mut findings = Findings::default();
     let spread = g.json["focal_spread_A"].as_f64().unwrap_or(f64::NAN);
@@ -249,15 +249,15 @@ fn optics(lab: &Lab) -> Result<Findings> {
         settings.optics.mistilt_mrad = tilt;
         settings.optics.focal_spread_angstrom = sigma;
         settings.optics.aberrations.add_defocus(defocus);
-        let images = lab.execute(&g.plan_from_plane(&settings)?, &g.sites, &g.scan())?;
+        let images = runner.execute(&g.plan_from_plane(&settings)?, &g.sites, &g.scan())?;
         let references = g.images(name)?;
         compare_all(&mut findings, label, &images, references.outer_iter(), &g.scan(), [SAME; 4]);
     }
-    source(lab, &g, &mut findings)?;
+    source(runner, &g, &mut findings)?;
     Ok(findings)
 }
 
-fn source(lab: &Lab, g: &Golden, findings: &mut Findings) -> Result<()> {
+fn source(runner: &CheckRunner, g: &Golden, findings: &mut Findings) -> Result<()> {
     let references = g.images("source")?;
     let (ny, nx) = (references.dim().1, references.dim().2);
     let [x, y] = Golden::pair(&g.json["scan"]["end_A"]);
@@ -266,7 +266,7 @@ fn source(lab: &Lab, g: &Golden, findings: &mut Findings) -> Result<()> {
     let fwhm = g.json["source_fwhm_A"].as_f64().unwrap_or(f64::NAN);
     // One cell of the crystal is a period of the image.
     let blur = SourceBlur::new(Source::gaussian(fwhm), &scan, [x, y])?;
-    let mut images = lab.execute(&g.plan_from_plane(&g.settings())?, &g.sites, blur.scan())?;
+    let mut images = runner.execute(&g.plan_from_plane(&g.settings())?, &g.sites, blur.scan())?;
     for mut image in images.data.index_axis_mut(Axis(0), 0).outer_iter_mut() {
         let blurred = blur.image(image.view());
         image.assign(&blurred);
@@ -286,10 +286,10 @@ fn coefficients(g: &Golden, set: &str) -> Result<Vec<Aberration>> {
     names.map(one).collect()
 }
 
-fn pattern(lab: &Lab) -> Result<Findings> {
+fn pattern(runner: &CheckRunner) -> Result<Findings> {
     let g = Golden::load("exit_intensity")?;
     let reference = g.matrix("intensity")?;
-    let share = lab.share();
+    let share = runner.share();
     let at = Golden::pair(&g.json["position_A"]);
     let plan = g.plan(&g.settings())?;
     let pattern = diffraction(&plan, &g.sites, at, &share)?;
@@ -320,7 +320,7 @@ fn pattern(lab: &Lab) -> Result<Findings> {
     })
 }
 
-fn potentials(_: &Lab) -> Result<Findings> {
+fn potentials(_: &CheckRunner) -> Result<Findings> {
     let g = Golden::load("potential_srtio3")?;
     let plane = |upper: bool| -> Vec<PlacedAtom> {
         let atoms = g.sites.iter().filter(|s| (s.position[2] > 2.0) == upper);

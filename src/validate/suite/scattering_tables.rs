@@ -6,7 +6,7 @@ use crate::potential::scattering::{Parametrization, ScatteringFactor};
 use crate::setting::Setting;
 use crate::structure::elements;
 use crate::validate::golden::SCATTERING_FACTORS;
-use crate::validate::{Check, Figure, Findings, Lab, Limit, Plot, Series, Style};
+use crate::validate::{Check, CheckRunner, Figure, Findings, Limit, Plot, Series, Style};
 
 pub fn cases() -> Vec<Case> {
     vec![Case {
@@ -58,7 +58,7 @@ fn rows() -> Result<Vec<FactorRow>> {
     lines.map(row).collect()
 }
 
-fn factors(_: &Lab) -> Result<Findings> {
+fn factors(_: &CheckRunner) -> Result<Findings> {
     let rows = rows()?;
     let [mut tables, mut published] = [(0.0_f64, 0); 2];
     let mut series: Vec<Series> = Vec::new();

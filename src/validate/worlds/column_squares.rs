@@ -97,7 +97,7 @@ mod tests {
             assert!((f64::from(found) - expected).abs() < 1e-6, "{i}: {found} {expected}");
         }
         assert_eq!(nearest(&[[0.0, 0.0]]).unwrap(), [1.0]);
-        let told = nearest(&[[0.5, 0.5]; 257]).unwrap_err().to_string();
-        assert!(told.contains("w.h5") && told.contains("more than 256"), "{told}");
+        let text = nearest(&[[0.5, 0.5]; 257]).unwrap_err().to_string();
+        assert!(text.contains("w.h5") && text.contains("more than 256"), "{text}");
     }
 }

@@ -169,7 +169,7 @@ pub fn measure(
         pixel_nm: metadata.pixel_size_nm,
         blocks: blocks.len(),
         grid: blocks.count,
-        variation: Variation::told_by(recipe(world).as_ref(), blocks.extent_nm()),
+        variation: Variation::of_recipe(recipe(world).as_ref(), blocks.extent_nm()),
         elements: sites.elements,
         defects: sites.defects.iter().map(|(name, counts)| (name.clone(), rates(counts))).collect(),
         sites: per_area(&sites.counts),
@@ -205,7 +205,7 @@ fn recipe(world: &WorldFile) -> Option<toml::Table> {
 /// Spatial frequency (1/nm) above which an incoherent image holds noise only: twice the semiangle over the
 /// wavelength. Infinite where the file does not tell.
 fn optical_limit(world: &WorldFile) -> f64 {
-    let told = || {
+    let measured = || {
         let recipe = recipe(world)?;
         let optics = recipe.get("optics")?;
         let number = |key: &str| {
@@ -215,7 +215,7 @@ fn optical_limit(world: &WorldFile) -> f64 {
         let wavelength_nm = wavelength_angstrom(number("energy_kv")? * 1e3) / 10.0;
         Some(2e-3 * number("convergence_mrad")? / wavelength_nm)
     };
-    told().unwrap_or(f64::INFINITY)
+    measured().unwrap_or(f64::INFINITY)
 }
 
 #[derive(Default)]

@@ -205,11 +205,11 @@ fn common_detectors([a, b]: &[WorldFile; 2]) -> Vec<String> {
 
 /// Whether both have the same detectors; nothing where neither has names for them.
 fn detectors_line([a, b]: &[WorldFile; 2]) -> Option<Line> {
-    let told = |w: &WorldFile| -> Vec<String> {
+    let names = |w: &WorldFile| -> Vec<String> {
         let all = w.detectors().iter();
         all.map(|d| format!("{} {}-{} mrad", d.name, d.inner_mrad, d.outer_mrad)).collect()
     };
-    let (a, b) = (told(a), told(b));
+    let (a, b) = (names(a), names(b));
     let text = |names: &[String]| match names.is_empty() {
         true => "one without a name".to_owned(),
         false => names.join(", "),

@@ -29,7 +29,7 @@ pub enum Variation {
 
 impl Variation {
     /// What the recipe of a world tells, whose height and width are `extent_nm`.
-    pub fn told_by(recipe: Option<&toml::Table>, extent_nm: [f64; 2]) -> Self {
+    pub fn of_recipe(recipe: Option<&toml::Table>, extent_nm: [f64; 2]) -> Self {
         let value = |keys: [&str; 2]| recipe?.get(keys[0])?.get(keys[1]);
         let as_number = |v: &toml::Value| v.as_float().or_else(|| v.as_integer().map(|i| i as f64));
         let number = |keys: [&str; 2]| value(keys).and_then(as_number);
@@ -90,14 +90,14 @@ mod tests {
 
     #[test]
     fn recipes_tell_how_their_worlds_vary() {
-        let told = |text: &str, extent| Variation::told_by(Some(&text.parse().unwrap()), extent);
+        let of = |text: &str, extent| Variation::of_recipe(Some(&text.parse().unwrap()), extent);
         let wells = "[wells]\nroughness_nm = 0.5\nroughness_correlation_nm = 3.0";
-        assert_eq!(told(wells, [16.0, 16.0]), Variation::AlongY(3.0));
-        assert_eq!(told("[wells]\nroughness_nm = 0.0", [16.0, 16.0]), Variation::Local);
+        assert_eq!(of(wells, [16.0, 16.0]), Variation::AlongY(3.0));
+        assert_eq!(of("[wells]\nroughness_nm = 0.0", [16.0, 16.0]), Variation::Local);
         let domains = "[field]\nfov_nm = [100.0, 100]\n[domains]\nwaviness = 0.1";
-        assert_eq!(told(domains, [99.5, 100.1]), Variation::FullHeight);
-        assert_eq!(told(domains, [10.0, 100.0]), Variation::Beyond(100.0));
-        assert_eq!(Variation::told_by(None, [1.0, 1.0]), Variation::Local);
+        assert_eq!(of(domains, [99.5, 100.1]), Variation::FullHeight);
+        assert_eq!(of(domains, [10.0, 100.0]), Variation::Beyond(100.0));
+        assert_eq!(Variation::of_recipe(None, [1.0, 1.0]), Variation::Local);
         let most = Variation::AlongY(3.0).most(Variation::Local);
         assert_eq!(most, Variation::AlongY(3.0));
         assert_eq!((most.waves(16.1), most.waves(80.0)), (Some([2, 5]), Some([5, 5])));

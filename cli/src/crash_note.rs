@@ -33,7 +33,7 @@ pub fn name(file: &Path) {
 
 #[cfg(unix)]
 mod unix {
-    use crate::last_words::WORDS;
+    use crate::crash_note::WORDS;
     use std::sync::atomic::Ordering;
 
     /// What a process dies of that read or wrote where it should not.

@@ -6,16 +6,16 @@ use crate::progress::Progress;
 use crate::progress::ProgressShare;
 
 /// Runs simulations, and reports each as a share of the whole.
-pub struct Lab<'a> {
+pub struct CheckRunner<'a> {
     progress: &'a dyn Progress,
     /// Units of progress that one simulation stands for.
     units: usize,
 }
 
-impl<'a> Lab<'a> {
+impl<'a> CheckRunner<'a> {
     /// Each simulation counts `units` towards `progress`.
     pub fn new(progress: &'a dyn Progress, units: usize) -> Self {
-        Lab { progress, units }
+        CheckRunner { progress, units }
     }
 
     /// Progress of one simulation; call [`ProgressShare::complete`] at its end.

@@ -29,10 +29,10 @@ const NOT_OFFERED: [(&[&str], &str); 5] = [
 ];
 
 /// What to say of an option or a detector that looks like one of those.
-pub fn not_offered(word: &str) -> Option<&'static str> {
+pub fn foreign_options(word: &str) -> Option<&'static str> {
     let word = word.trim_start_matches('-').to_ascii_lowercase().replace('_', "-");
     let word = word.split('=').next().unwrap_or_default();
-    NOT_OFFERED.iter().find(|(words, _)| words.contains(&word)).map(|(_, told)| *told)
+    NOT_OFFERED.iter().find(|(words, _)| words.contains(&word)).map(|(_, advice)| *advice)
 }
 
 /// An error of the command line without advice that misleads, and with what is not offered.
@@ -46,9 +46,9 @@ pub fn advised(mut error: clap::Error) -> clap::Error {
         Some(ContextValue::String(word)) => word.clone(),
         _ => return error,
     };
-    if let Some(told) = not_offered(&word) {
-        let told = vec![told.into()];
-        error.insert(ContextKind::Suggested, ContextValue::StyledStrs(told));
+    if let Some(advice) = foreign_options(&word) {
+        let advice = vec![advice.into()];
+        error.insert(ContextKind::Suggested, ContextValue::StyledStrs(advice));
         error.remove(ContextKind::SuggestedArg);
     }
     error

@@ -1,4 +1,4 @@
-//! Long calls: a guest in the process of somebody else.
+//! Long calls from Python, in a process that belongs to somebody else.
 //!
 //! Work runs on a thread of its own in a pool of its own, which both end with the call: nothing of the process is touched, and
 //! nothing outlives a fork. Meanwhile the calling thread, without the interpreter's lock, looks ten times a second whether the
@@ -37,20 +37,20 @@ enum Event {
 }
 
 /// Passes on what the library reports, and the wish to stop.
-pub struct Guest {
+pub struct LongCall {
     stop: AtomicBool,
     done: AtomicU64,
     events: Sender<Event>,
 }
 
-impl Guest {
+impl LongCall {
     fn tell(&self, event: Event) {
         // Nobody listens any more after an interrupt.
         let _ = self.events.send(event);
     }
 }
 
-impl Progress for Guest {
+impl Progress for LongCall {
     fn start(&self, stage: &str, unit: &str, total: u64) {
         self.done.store(0, Relaxed);
         self.tell(Event::Start { stage: stage.to_owned(), unit: unit.to_owned(), total });
@@ -70,7 +70,7 @@ impl Progress for Guest {
 }
 
 /// The stage that is told of.
-struct Told {
+struct StageText {
     stage: String,
     unit: String,
     total: u64,
@@ -78,10 +78,10 @@ struct Told {
 
 /// What the calling thread does meanwhile.
 struct Listener {
-    guest: Arc<Guest>,
+    call: Arc<LongCall>,
     events: Receiver<Event>,
     running: Running,
-    told: Option<Told>,
+    stage: Option<StageText>,
 }
 
 impl Listener {
@@ -90,13 +90,13 @@ impl Listener {
         while let Ok(event) = self.events.try_recv() {
             match event {
                 Event::Start { stage, unit, total } => {
-                    self.told = Some(Told { stage, unit, total });
+                    self.stage = Some(StageText { stage, unit, total });
                     self.report(py, Some(0))?;
                 }
                 Event::Finish => {
-                    let total = self.told.as_ref().map(|told| told.total);
+                    let total = self.stage.as_ref().map(|stage| stage.total);
                     self.report(py, total)?;
-                    self.told = None;
+                    self.stage = None;
                 }
                 Event::Warning(message) => warn(py, &message)?,
             }
@@ -105,11 +105,11 @@ impl Listener {
     }
 
     fn report(&self, py: Python<'_>, done: Option<u64>) -> PyResult<()> {
-        let (Some(told), Some(callback)) = (&self.told, &self.running.progress) else {
+        let (Some(stage), Some(callback)) = (&self.stage, &self.running.progress) else {
             return Ok(());
         };
-        let done = done.unwrap_or_else(|| self.guest.done.load(Relaxed)).min(told.total);
-        callback.call1(py, (&told.stage, &told.unit, done, told.total)).map(drop)
+        let done = done.unwrap_or_else(|| self.call.done.load(Relaxed)).min(stage.total);
+        callback.call1(py, (&stage.stage, &stage.unit, done, stage.total)).map(drop)
     }
 }
 
@@ -124,13 +124,13 @@ type Outcome<T> = Result<Result<T, Fault>, Box<dyn Any + Send>>;
 pub fn run<T, W>(py: Python<'_>, running: Running, work: W) -> PyResult<T>
 where
     T: Send + 'static,
-    W: FnOnce(&Guest) -> Result<T, Fault> + Send + 'static,
+    W: FnOnce(&LongCall) -> Result<T, Fault> + Send + 'static,
 {
     let (events, heard) = channel();
-    let guest = Arc::new(Guest { stop: AtomicBool::new(false), done: AtomicU64::new(0), events });
+    let call = Arc::new(LongCall { stop: AtomicBool::new(false), done: AtomicU64::new(0), events });
     // Only so that the interpreter's lock can be given up around it.
-    let ended = Mutex::new(start(guest.clone(), running.threads, work)?);
-    let mut listener = Listener { guest, events: heard, running, told: None };
+    let ended = Mutex::new(start(call.clone(), running.threads, work)?);
+    let mut listener = Listener { call, events: heard, running, stage: None };
     let mut asked: Option<(PyErr, Instant)> = None;
     loop {
         let received =
@@ -138,7 +138,7 @@ where
         if asked.is_none() {
             let heard = py.check_signals().and_then(|()| listener.listen(py));
             if let Err(wish) = heard {
-                listener.guest.stop.store(true, Relaxed);
+                listener.call.stop.store(true, Relaxed);
                 asked = Some((wish, Instant::now()));
             }
         }
@@ -157,10 +157,14 @@ where
 }
 
 /// Starts the work; what it comes to is sent when it ends.
-fn start<T, W>(guest: Arc<Guest>, threads: Option<usize>, work: W) -> PyResult<Receiver<Outcome<T>>>
+fn start<T, W>(
+    call: Arc<LongCall>,
+    threads: Option<usize>,
+    work: W,
+) -> PyResult<Receiver<Outcome<T>>>
 where
     T: Send + 'static,
-    W: FnOnce(&Guest) -> Result<T, Fault> + Send + 'static,
+    W: FnOnce(&LongCall) -> Result<T, Fault> + Send + 'static,
 {
     let (send, ended) = channel();
     let body = move || {
@@ -168,7 +172,7 @@ where
             .num_threads(threads.unwrap_or(0))
             .thread_name(|n| format!("stemworlds-{n}"));
         let outcome = match pool.build() {
-            Ok(pool) => catch_unwind(AssertUnwindSafe(|| pool.install(|| work(&guest)))),
+            Ok(pool) => catch_unwind(AssertUnwindSafe(|| pool.install(|| work(&call)))),
             Err(e) => Ok(Err(Fault::Internal(format!("cannot start threads: {e}")))),
         };
         let _ = send.send(outcome);
