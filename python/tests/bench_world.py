@@ -8,8 +8,11 @@ import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 
-from stemworlds.bench import Acquired, Episode, FieldFacts, Findings
+from stemworlds.bench import TASKS, Acquired, Episode, FieldFacts, Findings
+from stemworlds.bench.field_truth import FIELD_TASKS
 
+#: Names of the environments of the paper's tasks; those about the whole field have tests of their own.
+PAPER_TASKS = [name for name, task in TASKS.items() if task not in FIELD_TASKS]
 PIXEL_NM = 0.02
 APART_PX = 16
 STRIDE_PX = 124
