@@ -406,5 +406,6 @@ def test_odd_agents_of_others_are_told(tmp_path: Path, agent: str, words: str) -
 
 
 def test_gymnasium_imports_the_package_by_itself() -> None:
-    program = "import gymnasium; print(gymnasium.make('stemworlds.bench:stemworlds/TargetedStrict-v0', recipe='test').unwrapped.field.strict)"
+    # The library of this recipe is there already.
+    program = "import gymnasium; print(gymnasium.make('stemworlds.bench:stemworlds/TargetedStrict-v0', recipe='test', set={'field.thickness_nm': 0.4}).unwrapped.field.strict)"
     assert subprocess.run([sys.executable, "-c", program], check=True, text=True, capture_output=True).stdout.strip() == "True"
