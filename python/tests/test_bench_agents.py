@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-from bench_world import PAPER_TASKS, PIXEL_NM, Lattice, acquired, facts
+from bench_world import PAPER_TASKS, PIXEL_NM, Lattice, acquired, facts, few_tiles
 
 import stemworlds as sw
 from stemworlds import bench
@@ -19,6 +19,7 @@ from stemworlds.errors import FileMissing, FormatError
 pytest.importorskip("sklearn")
 pytest.importorskip("skimage")
 
+__all__ = ["few_tiles"]
 RECIPE: dict[str, Any] = {"recipe": "test", "set": {"field.thickness_nm": 0.4}}
 
 
