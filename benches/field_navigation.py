@@ -20,7 +20,7 @@ from stemworlds.bench.count_maps import CountProcess
 from stemworlds.bench.field_scores import map_bits
 from stemworlds.bench.field_truth import expected_counts, field_truth, grid_of
 
-#: The worlds: recipe, changes, and the d' of a defect (spec of the ideal observer: at the tier's dose, and above and below it).
+#: The worlds: recipe, changes, and the d' of a defect: about that of an ideal observer at the tier's dose, below it and above.
 WORLDS = {
     "sige": (("sige", {}), (0.2, 0.61, 1.3)),
     "gan": (("gan", {}), (0.12, 0.36, 0.72)),

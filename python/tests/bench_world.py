@@ -2,13 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
+import pytest
 
-from stemworlds.bench import Acquired, Episode, FieldFacts, Findings
+from stemworlds.bench import TASKS, Acquired, Episode, FieldFacts, Findings, templates
+from stemworlds.bench.field_truth import FIELD_TASKS
+
+#: Names of the environments of the paper's tasks; those about the whole field have tests of their own.
+PAPER_TASKS = [name for name, task in TASKS.items() if task not in FIELD_TASKS]
+#: Tiles that templates are learned from in tests. Columns of one or two atoms show enough in a fifth of the 64 that thick specimens take.
+FEW_TILES = 12
+
+
+@pytest.fixture(autouse=True, scope="module")
+def few_tiles() -> Iterator[None]:
+    """For files whose agents learn templates, which takes most of the time of their tests; they import it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(templates, "_TILES", FEW_TILES)
+        yield
+    templates.templates_of.cache_clear()
+
 
 PIXEL_NM = 0.02
 APART_PX = 16

@@ -57,8 +57,8 @@ class Grid:
     def summed(self, places_nm: Values, weights: npt.ArrayLike) -> Values:
         """Sums of weights by cell, ``[row, column]``."""
         row, column = self.cells_of(places_nm)
-        total = np.bincount(row * self.columns + column, np.asarray(weights, dtype=np.float64), self.rows * self.columns)
-        result: Values = total.reshape(self.rows, self.columns)
+        result = np.zeros((self.rows, self.columns))
+        np.add.at(result, (row, column), np.asarray(weights, dtype=np.float64))
         return result
 
     def touched(self, view: View) -> Mask:
