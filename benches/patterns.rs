@@ -60,7 +60,8 @@ fn main() {
         ] {
             let mut found = run(window, tail, expansion, is_dense, None);
             if is_dense {
-                let every_other = |i: &usize| (i / 9) % 2 == 0 && (i % 9) % 2 == 0;
+                let every_other =
+                    |i: &usize| (i / 9).is_multiple_of(2) && (i % 9).is_multiple_of(2);
                 found.0 = (0..45).filter(every_other).map(|i| found.0[i].clone()).collect();
             }
             report(&format!("{width} A, {name}"), &found, &exact.0);
