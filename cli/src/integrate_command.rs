@@ -68,7 +68,7 @@ pub struct Integrate {
 }
 
 /// An image, what its values are, and the ring that it is of.
-struct Made {
+struct VirtualImage {
     name: String,
     units: &'static str,
     annulus_mrad: Option<[f64; 2]>,
@@ -166,7 +166,7 @@ impl Integrate {
         patterns: &PatternFile,
         detectors: &[VirtualDetector],
         progress: &dyn Progress,
-    ) -> stemgen::Result<Vec<Made>> {
+    ) -> stemgen::Result<Vec<VirtualImage>> {
         let header = patterns.header();
         let pixels = &header.detector;
         let weights: Vec<Array2<f32>> =
@@ -194,13 +194,13 @@ impl Integrate {
         progress.finish();
         let units =
             if header.counted.is_some() { "electrons" } else { "fraction of the incident beam" };
-        let of_detector = |(d, data): (&VirtualDetector, Array2<f32>)| Made {
+        let of_detector = |(d, data): (&VirtualDetector, Array2<f32>)| VirtualImage {
             name: d.name.clone(),
             units,
             annulus_mrad: Some(d.annulus_mrad),
             data,
         };
-        let mut made: Vec<Made> = detectors.iter().zip(sums).map(of_detector).collect();
+        let mut made: Vec<VirtualImage> = detectors.iter().zip(sums).map(of_detector).collect();
         let phase = match self.icom {
             true => {
                 let (step, wavelength) = (header.scan.step_angstrom, header.wavelength_angstrom);
@@ -208,7 +208,7 @@ impl Integrate {
             }
             false => None,
         };
-        let plain = |name: &str, units, data| Made {
+        let plain = |name: &str, units, data| VirtualImage {
             name: name.to_owned(),
             units,
             annulus_mrad: None,
@@ -225,7 +225,7 @@ impl Integrate {
     fn write(
         &self,
         patterns: &PatternFile,
-        made: &[Made],
+        made: &[VirtualImage],
         (output, pictures, tiffs): (&PathBuf, &[PathBuf], &[PathBuf]),
     ) -> stemgen::Result<()> {
         let header = patterns.header();
@@ -233,7 +233,7 @@ impl Integrate {
             made.iter().map(|image| image.data.clone().insert_axis(Axis(0))).collect();
         let thicknesses = [header.thickness_angstrom];
         let stack = |(image, data)| {
-            let (image, data): (&Made, &Array3<f32>) = (image, data);
+            let (image, data): (&VirtualImage, &Array3<f32>) = (image, data);
             ImageStack {
                 name: &image.name,
                 data: data.view(),
@@ -272,7 +272,7 @@ impl Integrate {
 }
 
 impl ImageLine {
-    fn of(image: &Made) -> Self {
+    fn of(image: &VirtualImage) -> Self {
         let data = &image.data;
         ImageLine {
             name: image.name.clone(),

@@ -241,7 +241,7 @@ fn table(all: &[Regenerated]) -> String {
                 format!("the same: {compared} datasets and attributes")
             }
             Some(PinnedSameness::SameValues { difference, values, compared, .. }) => format!(
-                "the same: {compared} datasets and attributes, and {values} values before noise within {difference:.1e}; all                  tiles are compared only on the kinds of processor that the manifest lists"
+                "the same: {compared} datasets and attributes, and {values} values before noise within {difference:.1e}; all tiles are compared only on the kinds of processor that the manifest lists"
             ),
             Some(PinnedSameness::Different { what }) => format!("DIFFERS: {}", what.join(", ")),
         };

@@ -4,7 +4,7 @@ use ndarray::{Array2, Axis};
 
 use super::atoms::PreparedSpecimen;
 use super::images::{self, SimulatedImage};
-use super::patterns;
+use super::pattern_job;
 use super::plan_report::PlanReport;
 use super::plane_wave::{self, PlaneWaveImages};
 use super::plausibility::{self, Warning};
@@ -42,7 +42,7 @@ impl SimulationJob {
     pub fn new(request: SimulationRequest) -> Result<Self> {
         request.microscope.check()?;
         check_plane_wave(&request)?;
-        patterns::check(&request)?;
+        pattern_job::check(&request)?;
         let specimen = request.specimen.prepare(&request.structure)?;
         if request.plane_wave && !specimen.more_frames.is_empty() {
             let expected = "a plane wave images one structure; leave the frames out";
@@ -385,11 +385,11 @@ fn plan(request: &SimulationRequest, specimen: &PreparedSpecimen, defocus: f64) 
     let phonons = request.specimen.phonons();
     let numerics = match request.patterns {
         None => request.numerics.clone(),
-        Some(_) => patterns::numerics(request, specimen.size_angstrom)?,
+        Some(_) => pattern_job::numerics(request, specimen.size_angstrom)?,
     };
     let mut settings = numerics.settings(&request.microscope, defocus, phonons, thicknesses)?;
     if let Some(asked) = &request.patterns {
-        settings = patterns::settings(asked, settings)?;
+        settings = pattern_job::settings(asked, settings)?;
     }
     if request.plane_wave {
         settings = plane_wave::settings(settings)?;

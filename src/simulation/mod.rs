@@ -30,7 +30,7 @@ mod images;
 mod job;
 mod microscope;
 mod numerics_request;
-mod patterns;
+mod pattern_job;
 mod plan_report;
 mod plane_wave;
 mod plausibility;
@@ -43,7 +43,7 @@ pub use images::{FRACTION_OF_BEAM, SimulatedImage, noisy_name};
 pub use job::SimulationJob;
 pub use microscope::MicroscopeRequest;
 pub use numerics_request::{Engine, NumericsRequest, WINDOW_ANGSTROM, algorithm};
-pub use patterns::{PatternBand, PatternValues, PatternsRequest};
+pub use pattern_job::{PatternBand, PatternValues, PatternsRequest};
 pub use plan_report::{GridReport, PlanReport, SliceReport};
 pub use plane_wave::PlaneWaveImages;
 pub use plausibility::{

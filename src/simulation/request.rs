@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::atoms::{AtomsSource, SpecimenRequest};
 use super::microscope::MicroscopeRequest;
 use super::numerics_request::NumericsRequest;
-use super::patterns::PatternsRequest;
+use super::pattern_job::PatternsRequest;
 use super::scan::ScanRequest;
 use crate::error::{Error, Result};
 use crate::files::whole_file;
