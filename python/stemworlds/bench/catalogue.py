@@ -15,6 +15,7 @@ from .blind import Usual
 from .endpoint import Endpoint
 from .ideal import Ideal
 from .navigators import GaussianProcess, RandomMask, RandomTiles, Raster
+from .neural import NeuralAnalyst
 from .onnx import OnnxAnalyst
 from .own_agents import PYTHON_KEYS, check_options, found_at, is_path, table_of, unpickled
 from .planners import LanguageModelPlanner, ModePlanner, NoPlanner, PlannerLimits
@@ -56,6 +57,7 @@ _ANALYSTS: dict[str, Callable[..., Any]] = {
     "prior": Usual,
     "ideal": Ideal,
     "heuristic": Heuristic,
+    "neural": NeuralAnalyst,
     "onnx": OnnxAnalyst,
     "vlm": _vlm,
 }
