@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from .config import Config, NetworkTable, OptimiserTable, RunTable, StreamTable, packaged_configs, read_config
 
 if TYPE_CHECKING:
     from .training import TrainingSummary
 
-__all__ = ["Config", "NetworkTable", "OptimiserTable", "RunTable", "StreamTable", "packaged_configs", "read_config", "train"]
+__all__ = ["Config", "NetworkTable", "OptimiserTable", "RunTable", "StreamTable", "export", "packaged_configs", "read_config", "train"]
 
 
 def train(
@@ -37,10 +37,28 @@ def train(
         StemworldsError: without PyTorch, onnx and onnxscript; it says how to install them.
         InvalidValue: for the config, and where the folder holds a checkpoint of another one.
     """
+    whole, training = _ready(config)
+    return training.train(whole, out, progress=progress, until=until)
+
+
+def export(config: Config | str | os.PathLike[str], out: str | os.PathLike[str]) -> list[str]:
+    """Writes ``member-0.onnx`` ... of the last checkpoint in the folder ``out``, for who does not wait for the end.
+
+    Raises:
+        StemworldsError: without PyTorch, onnx and onnxscript.
+        InvalidValue: where the checkpoint is of another config.
+        FileMissing: without a checkpoint.
+    """
+    whole, training = _ready(config)
+    return training.export(whole, out)
+
+
+def _ready(config: Config | str | os.PathLike[str]) -> tuple[Config, Any]:
+    """The config, checked, and the module that needs PyTorch."""
     whole = config if isinstance(config, Config) else read_config(config)
     from . import needed
 
     needed.check()
     from . import training
 
-    return training.train(whole, out, progress=progress, until=until)
+    return whole, training

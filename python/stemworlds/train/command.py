@@ -12,7 +12,7 @@ from pathlib import Path
 from .._text import printable
 from ..bench.progress import in_words
 from ..errors import StemworldsError
-from . import packaged_configs, read_config, train
+from . import export, packaged_configs, read_config, train
 
 _INTERRUPTED = 130
 
@@ -51,6 +51,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--processes", type=int, metavar="N", help="processes that make tiles, in place of the config's")
     parser.add_argument("--minutes", type=float, metavar="T", help="stop at a checkpoint after so long; the same command goes on")
     parser.add_argument("--show", action="store_true", help="print the config and train nothing")
+    parser.add_argument("--export", action="store_true", help="write the networks of the last checkpoint, and train nothing")
     parser.add_argument("--json", action="store_true", help="print what was done as JSON")
     return parser
 
@@ -64,6 +65,10 @@ def _run(options: argparse.Namespace) -> int:
     if options.processes is not None:
         config = dataclasses.replace(config, run=dataclasses.replace(config.run, processes=options.processes))
     out = options.out if options.out is not None else Path(options.config).stem
+    if options.export:
+        networks = export(config, out)
+        print(json.dumps({"networks": networks}) if options.json else "\n".join(networks))
+        return 0
     summary = train(config, out, until=None if options.minutes is None else 60 * options.minutes)
     if options.json:
         print(json.dumps(dataclasses.asdict(summary)))

@@ -14,13 +14,11 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from ..bench.network_format import INPUTS, KEY, OUTPUTS, Card
 from .contents import Contents
-from .losses import WEIGHTS
 from .needed import onnx
 from .network import CONDITIONS, Network
 from .saving import write_whole
-
-__all__ = ["WEIGHTS", "write_network"]
 
 
 class _AsUsed(nn.Module):
@@ -38,8 +36,6 @@ class _AsUsed(nn.Module):
 
 def write_network(path: Path, network: Network, contents: Contents, size: int, about: Mapping[str, Any]) -> None:
     """Writes a network as ONNX: tiles of any number, whose edges are ``size`` pixels."""
-    from ..bench.network_format import INPUTS, KEY, OUTPUTS, Card
-
     example = (torch.ones(2, 1, size, size), torch.ones(2, CONDITIONS))
     used = _AsUsed(network).cpu().eval()
     tiles = torch.export.Dim("tiles")

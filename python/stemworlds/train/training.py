@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from .. import _core
-from ..errors import StemworldsError, _invalid
+from ..errors import FileMissing, StemworldsError, _invalid
 from .config import Config
 from .exporting import write_network
 from .losses import WEIGHTS
@@ -27,7 +27,7 @@ from .recording import Recorder
 from .saving import Log, read_checkpoint, write_checkpoint
 from .tiles import Batch, TileBatches
 
-__all__ = ["TrainingSummary", "train"]
+__all__ = ["TrainingSummary", "export", "train"]
 
 CHECKPOINT, LOG = "checkpoint.pt", "log.jsonl"
 
@@ -78,6 +78,7 @@ def train(
     *,
     progress: Callable[[str], object] | None = None,
     until: float | None = None,
+    tiles: TileBatches | None = None,
 ) -> TrainingSummary:
     """Trains what a config says in a folder: ``checkpoint.pt``, ``log.jsonl``, and at the end ``member-0.onnx`` ...
 
@@ -89,6 +90,7 @@ def train(
         out: the folder; it is made.
         progress: is told how far it is; by default a line on standard error.
         until: stop after so many seconds, at a checkpoint, as after Ctrl-C.
+        tiles: of this config, where they are at hand.
 
     Raises:
         InvalidValue: where the folder holds a checkpoint of another config.
@@ -99,8 +101,9 @@ def train(
     folder.mkdir(parents=True, exist_ok=True)
     device = _device(config.run.device)
     shown = Progress(config.optimiser.steps, progress)
-    shown.note("laying out specimens")
-    tiles = TileBatches(config)
+    if tiles is None:
+        shown.note("laying out specimens")
+        tiles = TileBatches(config)
     contents = tiles.contents
     held = {
         "log_chances": torch.from_numpy(contents.log_chances).to(device),
@@ -115,9 +118,8 @@ def train(
         tiles.prepare()
     first = 0 if found is None else found[0]
     batches = _batches(config, tiles, first, processes, device)
-    types = contents.log_chances.shape[1]
     ensemble = Ensemble(
-        lambda: Network(config.network, len(contents.kinds), int(tiles.phases.max()), types),
+        _maker(config, tiles),
         config.optimiser,
         held,
         device,
@@ -132,7 +134,7 @@ def train(
     interrupted = run.all(batches, None if until is None else began + until)
     networks: list[str] = []
     if not interrupted:
-        networks = _exported(config, folder, ensemble, tiles)
+        networks = _exported(config, folder, ensemble.averaged, tiles)
     shown.close()
     return TrainingSummary(
         tuple(networks), (run.done, config.optimiser.steps), first, time.monotonic() - began, run.latest, interrupted
@@ -232,10 +234,35 @@ def _batches(config: Config, tiles: TileBatches, first: int, processes: int, dev
     return each()
 
 
-def _exported(config: Config, folder: Path, ensemble: Ensemble, tiles: TileBatches) -> list[str]:
-    """Writes the averaged networks; those that are there are replaced."""
+def export(config: Config, out: str | os.PathLike[str], tiles: TileBatches | None = None) -> list[str]:
+    """Writes the networks of a training's last checkpoint, which may be far from its end; returns their files.
+
+    Raises:
+        FileMissing: without a checkpoint.
+    """
+    folder = Path(out)
+    found = read_checkpoint(folder / CHECKPOINT, config, torch.device("cpu"))
+    if found is None:
+        raise FileMissing(f"{folder / CHECKPOINT}: there is no checkpoint")
+    tiles = TileBatches(config) if tiles is None else tiles
+    networks = []
+    for values in found[1]["averaged"]:
+        network = _maker(config, tiles)()
+        network.load_state_dict(values)
+        networks.append(network)
+    return _exported(config, folder, networks, tiles)
+
+
+def _maker(config: Config, tiles: TileBatches) -> Callable[[], Network]:
+    """Makes networks that tell apart what the tiles hold."""
+    contents = tiles.contents
+    return lambda: Network(config.network, len(contents.kinds), int(tiles.phases.max()), contents.log_chances.shape[1])
+
+
+def _exported(config: Config, folder: Path, networks: Sequence[Network], tiles: TileBatches) -> list[str]:
+    """Writes networks; those that are there are replaced."""
     written = []
-    for member, network in enumerate(ensemble.averaged):
+    for member, network in enumerate(networks):
         path = folder / f"member-{member}.onnx"
         about = {"config": config.essence(), "member": member, "program": _core.__version__, "torch": str(torch.__version__)}
         write_network(path, network, tiles.contents, config.stream.size, about)
