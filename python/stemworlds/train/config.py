@@ -59,7 +59,7 @@ class NetworkTable:
     """
 
     channels: tuple[int, ...] = (24, 48, 96, 128)
-    blocks: tuple[int, ...] = (2, 1, 1, 1)
+    blocks: tuple[int, ...] = (1, 1, 1, 1)
 
 
 @dataclass(frozen=True)

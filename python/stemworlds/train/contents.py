@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import tomllib
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,7 +56,8 @@ class Contents:
 
 def contents_of(recipes: Sequence[Recipe]) -> Contents:
     """The contents of recipes, counted on specimens of the split for training: seconds each."""
-    priors = [prior_of(recipe) for recipe in recipes]
+    with ThreadPoolExecutor(processors()) as pool:
+        priors = list(pool.map(prior_of, recipes))
     kinds = tuple(sorted({name for prior in priors for name in prior.names}))
     classes = max(table.shape[2] for prior in priors for table in prior.chances.values())
     logs, kind_of_row, most, possible, first = [], list[int](), [], [], list[int]()
@@ -85,3 +88,8 @@ def contents_of(recipes: Sequence[Recipe]) -> Contents:
         tuple(kind_by_number(prior.names, tomllib.loads(recipe.toml)) for prior, recipe in zip(priors, recipes, strict=True)),
         tuple(first),
     )
+
+
+def processors() -> int:
+    """How many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from .._running import call, running
 from ..recipes import Recipe
 from ..streaming import Sample, Stream, stream
 from .config import Config
-from .contents import Contents, contents_of
+from .contents import Contents, contents_of, processors
 
 #: What a batch holds, by name: arrays whose first axis is the tile.
 Batch = dict[str, npt.NDArray[Any]]
@@ -53,16 +55,11 @@ class TileBatches:
             threads=1,
         )
 
-    def prepare(self) -> None:
-        """Lays out all specimens, so that processes that are forked share them."""
-        drawn: set[int] = set()
-        index = 0
-        while len(drawn) < len(self.facts) and index < 10_000:
-            source = self._stream._source(index)
-            if source not in drawn:
-                drawn.add(source)
-                self._stream.sample(index)
-            index += 1
+    def prepare(self, first: int = 0) -> None:
+        """Lays out the specimens of batches from ``first`` on, so that processes that are forked share them."""
+        index = first * self.batch
+        with ThreadPoolExecutor(processors()) as pool:
+            list(pool.map(lambda source: call(source.prepare, index, running(1, False)), self._stream._sources))
 
     def __getitem__(self, number: int) -> Batch:
         first = number * self.batch

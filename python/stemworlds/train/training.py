@@ -18,6 +18,7 @@ from torch.utils.data import DataLoader, Dataset
 from .. import _core
 from ..errors import FileMissing, StemworldsError, _invalid
 from .config import Config
+from .contents import processors
 from .exporting import write_network
 from .losses import WEIGHTS
 from .network import Network
@@ -113,10 +114,9 @@ def train(
     }
     found = read_checkpoint(folder / CHECKPOINT, config, device)
     processes = _processes(config)
-    if processes:
-        # Before a GPU is used: a process that has used one cannot be forked.
-        tiles.prepare()
     first = 0 if found is None else found[0]
+    if processes:
+        tiles.prepare(first // config.stream.repeats)
     batches = _batches(config, tiles, first, processes, device)
     ensemble = Ensemble(
         _maker(config, tiles),
@@ -217,7 +217,7 @@ def _batches(config: Config, tiles: TileBatches, first: int, processes: int, dev
         batch_size=None,
         num_workers=processes,
         pin_memory=gpu and processes > 0,
-        prefetch_factor=4 if processes else None,
+        prefetch_factor=2 if processes else None,
         multiprocessing_context="fork" if processes else None,
     )
     used = first % repeats
@@ -281,5 +281,4 @@ def _processes(config: Config) -> int:
     wanted = config.run.processes
     if sys.platform == "win32":
         return 0
-    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(processors - 1, 1) if wanted < 0 else wanted
+    return max(processors() - 1, 1) if wanted < 0 else wanted
