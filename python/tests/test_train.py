@@ -91,7 +91,7 @@ def test_configs_name_recipes(tmp_path: Path) -> None:
     (first, one), (second, three) = read_config(tmp_path / "c.toml").recipes()
     assert (first.id, first.tier, one, second.id, three) == ("srtio3", "easy", 1.0, "test", 3.0)
     assert first.seed % 2 == second.seed % 2 == 0
-    with pytest.raises(sw.FileMissing, match="crystals"):
+    with pytest.raises(sw.errors.FileMissing, match="crystals"):
         read_config(tmp_path / "none.toml")
     for wrong in (3, {"recipe": "test", "tier": "easy"}, {"recipe": "test", "weight": 0}):
         with pytest.raises(sw.InvalidValue):
@@ -120,7 +120,7 @@ def test_profiles_are_those_of_the_docs() -> None:
     for line in (ROOT / "docs" / "acquisition.md").read_text().splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
         if len(cells) == 4:
-            table[cells[0].split(" (")[0].split(":")[0]] = [[float(number) for number in re.findall(r"-?\d+\.?\d*", cell)] for cell in cells[1:]]
+            table.setdefault(cells[0].split(" (")[0].split(":")[0], [[float(number) for number in re.findall(r"-?\d+\.?\d*", cell)] for cell in cells[1:]])
     for n, name in enumerate(("routine", "poor"), 1):
         profile = VALUES[name]
         found = {
