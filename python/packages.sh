@@ -22,6 +22,10 @@ rm -rf "$place/venv"
 python="$place/venv/bin/python"
 "$python" -m pip install -q pytest ase gymnasium h5py mypy tqdm matplotlib tifffile pycocotools nbclient nbformat ipykernel \
     "mlcroissant>=1.1.1,<1.2" pyyaml "scipy>=1.15,<2" "scikit-learn>=1.5,<2" "scikit-image>=0.24,<1" "onnx>=1.17,<2" "onnxruntime>=1.20,<2"
+# PyTorch brings 3 GB for GPUs, so only the long suite trains a network.
+if [ -n "${STEMWORLDS_TRAIN:-}" ] && ! "$python" -m pip install -q "torch>=2.6" "onnxscript>=0.5"; then
+    echo "SKIPPED: PyTorch cannot be installed; no network is trained" >&2
+fi
 if ! timeout 240 "$python" -m pip install -q hyperspy; then
     echo "SKIPPED: hyperspy cannot be installed; its reader of our files is not tested" >&2
 fi

@@ -12,6 +12,7 @@ from . import _core
 _COMMANDS = {
     "bench": (".bench.command", "Run agents in worlds, and report what they found for their dose"),
     "serve": (".serving.command", "Serve a microscope that other programs drive over a socket"),
+    "train": (".train.command", "Train networks that see columns and what they hold"),
 }
 
 

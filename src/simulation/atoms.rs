@@ -340,7 +340,7 @@ mod tests {
         let path = folder.path().join("md.xyz");
         let head = "Lattice=\"4 0 0 0 4 0 0 0 4\" Properties=species:S:1:pos:R:3:occupancy:R:1";
         // Beyond the cell in the second frame and the last; two sites that are too full for their distance in the last.
-        let rows = ["1 1 1 1\nSi 3", "-2 1 1 1\nSi 3", "-3 1 1 0.9\nSi -2.5"];
+        let rows = ["1 1 1 1\nSi 3", "-1 1 1 1\nSi 1", "-3 1 1 0.9\nSi -2.5"];
         let frames = rows.map(|row| format!("2\n{head}\nSi {row} 1 1 0.9\n"));
         std::fs::write(&path, frames.concat()).unwrap();
         let range = FrameRange { start: 1, end: None, step: 1 };

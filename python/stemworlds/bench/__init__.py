@@ -31,6 +31,7 @@ from .findings import NO_PHASE, Findings
 from .forecasts import ForecastScore, score_forecasts
 from .ideal import Ideal
 from .navigators import GaussianProcess, RandomMask, RandomTiles, Raster
+from .neural import NeuralAnalyst
 from .onnx import OnnxAnalyst
 from .planners import LanguageModelPlanner, ModePlanner, NoPlanner, PlannerLimits
 from .protocols import Analyst, Look, Navigator, Plan, Planner, Seen
@@ -78,6 +79,7 @@ __all__ = [
     "MicroscopeVectorEnv",
     "ModePlanner",
     "Navigator",
+    "NeuralAnalyst",
     "NoPlanner",
     "Nothing",
     "OnnxAnalyst",

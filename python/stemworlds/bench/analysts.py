@@ -251,7 +251,7 @@ def find_particles(intensity: Values, tile: Acquired, *, least_nm: float = 0.5) 
 
     Otsu's threshold of the image smoothed by 0.1 nm; no region if the two sides of it are less than 4 deviations apart.
     """
-    filters, measure, ndimage = needed("skimage.filters"), needed("skimage.measure"), needed("scipy.ndimage")
+    filters, ndimage = needed("skimage.filters"), needed("scipy.ndimage")
     smooth: Values = ndimage.gaussian_filter(intensity, max(0.1 / tile.pixel_nm, 1.0), mode="nearest")
     if float(np.ptp(smooth)) == 0:
         return []
@@ -259,17 +259,22 @@ def find_particles(intensity: Values, tile: Acquired, *, least_nm: float = 0.5) 
     bright, dark = smooth[smooth > level], smooth[smooth <= level]
     if min(bright.size, dark.size) < 2 or float(bright.mean() - dark.mean()) < 4 * math.sqrt((bright.var() + dark.var()) / 2):
         return []
-    regions: list[Any] = measure.regionprops(measure.label(smooth > level))
     height, width = intensity.shape
     found = []
-    for region in regions:
-        row, column = region.centroid
-        diameter = float(region.equivalent_diameter_area) * tile.pixel_nm
+    for row, column, across in find_regions(smooth > level):
+        diameter = across * tile.pixel_nm
         if diameter >= least_nm:
             x = tile.centre_nm[0] + (column - (width - 1) / 2) * tile.pixel_nm
             y = tile.centre_nm[1] + (row - (height - 1) / 2) * tile.pixel_nm
             found.append((float(x), float(y), diameter))
     return found
+
+
+def find_regions(mask: npt.NDArray[np.bool_]) -> list[tuple[float, float, float]]:
+    """Regions of pixels that touch: row and column of the middle, and the diameter of a circle of the same area, in pixels."""
+    measure = needed("skimage.measure")
+    regions: list[Any] = measure.regionprops(measure.label(mask))
+    return [(*map(float, region.centroid), float(region.equivalent_diameter_area)) for region in regions]  # type: ignore[misc]
 
 
 def _doubt(beyond: Values) -> float:

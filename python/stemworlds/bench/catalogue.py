@@ -16,6 +16,7 @@ from .endpoint import Endpoint
 from .field_navigators import ByCounts, ByPrior, ByTruth
 from .ideal import Ideal
 from .navigators import GaussianProcess, RandomMask, RandomTiles, Raster
+from .neural import NeuralAnalyst
 from .onnx import OnnxAnalyst
 from .own_agents import PYTHON_KEYS, check_options, found_at, is_path, table_of, unpickled
 from .planners import LanguageModelPlanner, ModePlanner, NoPlanner, PlannerLimits
@@ -65,6 +66,7 @@ _ANALYSTS: dict[str, Callable[..., Any]] = {
     "prior": Usual,
     "ideal": Ideal,
     "heuristic": Heuristic,
+    "neural": NeuralAnalyst,
     "onnx": OnnxAnalyst,
     "vlm": _vlm,
 }

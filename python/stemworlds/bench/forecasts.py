@@ -74,18 +74,10 @@ def score_forecasts(findings: Findings | None, places_nm: Values, counts: Whole,
         counts: (N,), their numbers of defects.
         prior: (N, K), chances of 0, 1, ... defects; the last class is "that many or more".
     """
-    said = np.zeros((0, 4)) if findings is None else np.asarray(findings.forecasts, dtype=np.float64)
-    chances = prior
-    owner = nearest_columns(said[:, :2], places_nm)
-    if len(said):
-        chances = prior.copy()
-        own = np.flatnonzero(owner >= 0)
-        chances[owner[own]] = _spread(_fair(said[own, 2:]), prior[owner[own]])
+    said, owner, chances = _matched(findings, places_nm, prior)
     true = np.minimum(counts, prior.shape[1] - 1)
     each = np.arange(len(true))
-    gained = np.log2(np.maximum(chances[each, true], LEAST_CHANCE)) - np.log2(np.maximum(prior[each, true], LEAST_CHANCE))
-    # A chance that the prior itself puts below the least one is no fault of the forecast.
-    gained[(chances == prior).all(axis=1)] = 0.0
+    gained = _bits(chances, prior, true)
     number = np.arange(prior.shape[1])
     mean = chances @ number
     stray = _fair(said[owner < 0, 2:])
@@ -100,6 +92,32 @@ def score_forecasts(findings: Findings | None, places_nm: Values, counts: Whole,
         count_error=float(mean.sum() - counts.sum()),
         count_sigma=math.sqrt(max(float((chances @ number**2 - mean**2).sum()), 0.0)),
     )
+
+
+def bits_by_column(findings: Findings | None, places_nm: Values, counts: Whole, prior: Values) -> Values:
+    """Bits that forecasts gain over the prior in each column, (N,); arguments as those of :func:`score_forecasts`."""
+    _, _, chances = _matched(findings, places_nm, prior)
+    return _bits(chances, prior, np.minimum(counts, prior.shape[1] - 1))
+
+
+def _matched(findings: Findings | None, places_nm: Values, prior: Values) -> tuple[Values, Whole, Values]:
+    """What was said, the column of each forecast (-1 for none), and chances of all columns: forecasts, or the prior."""
+    said = np.zeros((0, 4)) if findings is None else np.asarray(findings.forecasts, dtype=np.float64)
+    owner = nearest_columns(said[:, :2], places_nm)
+    chances = prior
+    if len(said):
+        chances = prior.copy()
+        own = np.flatnonzero(owner >= 0)
+        chances[owner[own]] = _spread(_fair(said[own, 2:]), prior[owner[own]])
+    return said, owner, chances
+
+
+def _bits(chances: Values, prior: Values, true: Whole) -> Values:
+    each = np.arange(len(true))
+    gained: Values = np.log2(np.maximum(chances[each, true], LEAST_CHANCE)) - np.log2(np.maximum(prior[each, true], LEAST_CHANCE))
+    # A chance that the prior itself puts below the least one is no fault of the forecast.
+    gained[(chances == prior).all(axis=1)] = 0.0
+    return gained
 
 
 def _fair(chances: Values) -> Values:

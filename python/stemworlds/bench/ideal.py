@@ -174,7 +174,7 @@ class Ideal:
         defects = {}
         for n, kind in enumerate(DEFECT_TYPES):
             if self._target in (None, kind):
-                defects[kind] = places[_claims(expected if self._target else expected * shares[:, n])]
+                defects[kind] = places[claims(expected if self._target else expected * shares[:, n])]
         sure = np.column_stack([places, 1 - posterior[:, 0] if self._usual is None else expected])
         return Findings(defects=defects, columns=sure, forecasts=np.column_stack([places, posterior]))
 
@@ -275,7 +275,7 @@ def _shares(prior: Prior, columns: Columns) -> Values:
     return result
 
 
-def _claims(expected: Values) -> npt.NDArray[np.intp]:
+def claims(expected: Values) -> npt.NDArray[np.intp]:
     """Indices of columns, each as often as defects are claimed in it: as many in all as are to be expected, where most are."""
     whole = np.floor(expected).astype(np.int64)
     more = int(round(float(expected.sum()))) - int(whole.sum())

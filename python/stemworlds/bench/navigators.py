@@ -164,7 +164,7 @@ def _hand_made(navigator: GaussianProcess, seen: Seen) -> Values:
 
 def _uncertainty(_navigator: GaussianProcess, seen: Seen) -> Values:
     if seen.uncertainty_of is None:
-        raise _invalid("interest", "interest = 'uncertainty': this analyst does not say how uncertain it is; heuristic and onnx do")
+        raise _invalid("interest", "interest = 'uncertainty': this analyst does not say how uncertain it is; heuristic, neural and onnx do")
     return np.asarray(seen.uncertainty_of(seen.tiles), dtype=np.float64)
 
 
