@@ -44,8 +44,9 @@ class TileBatches:
         )
         self.phases: npt.NDArray[np.int64] = np.array([phases_of(recipe) for recipe, _ in recipes])
         self.columns: int = max(math.ceil(table.size**2 * _COLUMNS_PER_PIXEL), 16)
+        shares: dict[Any, float] = dict(recipes)
         self._stream: Stream = stream(
-            dict(recipes),
+            shares,
             dose=1.0,
             size=table.size,
             pixel_nm=table.pixel_nm,
