@@ -227,6 +227,7 @@ impl PatternsRun {
     fn dry_run(&self, common: &Common) -> anyhow::Result<()> {
         let mut plan = self.job.report()?;
         plan.memory_bytes += self.job.pattern_memory();
+        plan.add_time(self.job.pattern_seconds());
         plan.warnings = self.warnings();
         let files = self.run("").files();
         let Some((_, header)) = files.first() else { bail!("there is nothing to simulate") };

@@ -9,7 +9,7 @@ use super::request::SimulationRequest;
 use super::time_estimate::threads;
 use crate::detect::{Detector, PixelatedDetector};
 use crate::engine::patterns::{
-    PatternRows, PatternSettings, pattern_memory_bytes, simulate_patterns,
+    PatternRows, PatternSettings, pattern_flops, pattern_memory_bytes, simulate_patterns,
 };
 use crate::engine::{Plan, Scan, Settings};
 use crate::error::{Error, Result};
@@ -54,6 +54,8 @@ pub struct PatternBand<'a> {
     pub values: PatternValues<'a>,
 }
 
+/// Operations in a second by which a thread reads patterns: on a machine that does nothing else, and on a busy one.
+const READ_FLOPS: [f64; 2] = [8e9, 2e9];
 /// Most width in Angstrom of a window that the program chooses; the full grid then takes less.
 const MOST_WINDOW_ANGSTROM: f64 = 40.0;
 /// Width in Angstrom of the window for a probe in focus at the surface of a thin specimen: patterns of SrTiO3 (39 to 98 A) are then off
@@ -130,6 +132,14 @@ impl SimulationJob {
     pub fn pattern_bytes(&self) -> u64 {
         let pixels = self.request().patterns.as_ref().map_or(0, |p| p.pixels as u64);
         self.scan().len() as u64 * pixels * pixels * size_of::<f32>() as u64
+    }
+
+    /// The least and the most time in seconds that reading the patterns takes, beside that of the waves.
+    pub fn pattern_seconds(&self) -> [f64; 2] {
+        let Some(settings) = self.pattern_settings() else { return [0.0; 2] };
+        let runs = self.plans().len() * self.specimen().frames().len();
+        let flops = pattern_flops(&self.plans()[0], self.scan(), &settings) * runs as f64;
+        READ_FLOPS.map(|speed| flops / speed / threads() as f64)
     }
 
     /// Bytes of memory that the patterns take beside [`SimulationJob::memory`].

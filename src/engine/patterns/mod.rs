@@ -184,6 +184,15 @@ fn in_order(
     data
 }
 
+/// About how many operations it takes to read the patterns of a scan from its waves, in all configurations.
+pub fn pattern_flops(plan: &Plan, scan: &Scan, settings: &PatternSettings) -> f64 {
+    let reader = PatternReader::new(plan, *settings);
+    let (_, shared) = reader.groups(scan);
+    let waves = shared.as_ref().map_or(1, SharedWaves::len);
+    let runs = f64::from(plan.settings.configurations()) * plan.record_after.len() as f64;
+    runs * scan.len() as f64 * reader.flops(waves)
+}
+
 /// About how many bytes patterns take beside what [`super::Cost`] counts, on `threads` threads.
 pub fn pattern_memory_bytes(
     plan: &Plan,

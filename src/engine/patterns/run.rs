@@ -397,6 +397,13 @@ impl SharedWaves {
 }
 
 impl PatternReader<'_> {
+    /// Operations that read one pattern from so many waves.
+    pub fn flops(&self, waves: usize) -> f64 {
+        let ([x, y], n) = (self.padded.samples(), self.settings.detector.pixels);
+        let sums = 8 * waves * (self.padded.len() + self.own_len());
+        (sums + 2 * n * (x * y + n * y)) as f64
+    }
+
     /// Bytes of a thread that reads so many waves.
     pub fn thread_bytes(&self, waves: usize) -> u64 {
         let together = waves + PROBES_TOGETHER;
