@@ -71,6 +71,18 @@ impl ProbeWidth {
 
 /// What to say of windows, or of the crops of PRISM, that are narrower than the probe. `cell` and `wave` are the edges (x, y) of the
 /// cell and of the grid of waves, in Angstrom.
+///
+/// Measured about the threshold, as the rms difference from the full grid in per cent of the mean: SrTiO3 of 39 x 39 x 16 A without
+/// phonons, 200 kV, 21 mrad, HAADF, 4 x 4 probes in a unit cell. Windows as wide as the probe are right to 2 %; narrower crops may be off
+/// by several times that:
+///
+/// | defocus (A) | probe (A) | windows of 0.7, 1, 1.4 probes | PRISM, crops of 0.9, 1.4 probes |
+/// |---|---|---|---|
+/// | 100 | 5.7 | 1.8, 1.2, 1.8 | (2.3 probes: 1.2) |
+/// | 200 | 9.9 | 7.1, 0.7, 1.1 | (1.3 probes: 2.8) |
+/// | 300 | 14.1 | 4.4, 2.0, 1.3 | 7.5, 1.9 |
+///
+/// PRISM with crops of 0.7 probes at 300 A is 84 % too bright.
 pub(super) fn narrow_crop(
     settings: &Settings,
     cell: [f64; 2],

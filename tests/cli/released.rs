@@ -157,7 +157,7 @@ fn whatever_differs_from_a_released_world_is_named() {
         (&more, "DIFFERS: /@mine (not in the release)\n"),
         (&scale, "DIFFERS: /overview@factor\n"),
         (&group, "DIFFERS: /notes (not in the release)\n"),
-        (&list, "/ground_truth/atom_z (missing)\n"),
+        (&list, "/ground_truth/atom_z (missing)"),
     ];
     let told = || {
         let ended = own().output().unwrap();
