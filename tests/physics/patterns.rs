@@ -114,9 +114,9 @@ fn windows_with_the_coherent_tail_are_nearer_to_the_full_grid() {
     let all = patterns(&plan_of(&window), &sites, &dense, true);
     let third = all.slice(ndarray::s![..;3, ..;3, .., ..]).to_owned();
     let expanded = errors(&third, &exact);
-    assert!((expanded[0] - with[0]).abs() < 0.0008, "{expanded:?} {with:?}");
+    assert!((expanded[0] - with[0]).abs() < 0.001, "{expanded:?} {with:?}");
     let off = errors(&third, &patterns(&plan_of(&each), &sites, &scan, true));
-    assert!(off[0] < 0.0008, "{off:?}");
+    assert!(off[0] < 0.002, "{off:?}");
 }
 
 /// Sums over pixels are what the engine's own detectors see, and a pattern keeps the beam.
