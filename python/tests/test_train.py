@@ -31,10 +31,10 @@ RECIPE: dict[str, Any] = {"recipe": "sige", "difficulty": "easy"}
 def config(**optimiser: Any) -> Config:
     """Two members of some thousand weights; seconds."""
     return Config(
-        StreamTable(recipes=(RECIPE,), pixel_nm=(0.018, 0.024), dose=(1e4, 1e6), repeats=2),
+        StreamTable(recipes=(RECIPE,), pixel_nm=(0.018, 0.024), dose=(1e4, 1e6), repeats=3),
         NetworkTable(channels=(8, 16), blocks=(1, 1)),
-        OptimiserTable(**{"steps": 24, "batch": 8, "members": 2, "rate": 3e-3, "average": 0.9, **optimiser}),
-        RunTable(processes=0, device="cpu", checkpoint_every=7, log_every=3),
+        OptimiserTable(**{"steps": 72, "batch": 8, "members": 2, "rate": 5e-3, "average": 0.9, **optimiser}),
+        RunTable(processes=0, device="cpu", checkpoint_every=20, log_every=6),
     )
 
 
@@ -51,7 +51,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     torch_or_skip()
     folder = tmp_path_factory.mktemp("trained")
     summary = train(config(), folder, progress=lambda _text: None)
-    assert summary.steps == (24, 24) and len(summary.networks) == 2 and not summary.interrupted
+    assert summary.steps == (72, 72) and len(summary.networks) == 2 and not summary.interrupted
     return folder
 
 
@@ -207,8 +207,8 @@ def test_recordings_have_the_noise_of_their_detector() -> None:
 
 def test_the_loss_falls(trained: Path) -> None:
     found = rows(trained)
-    assert [row["step"] for row in found] == list(range(3, 25, 3)) and found[-1]["tiles"] == 192
-    for part in ("heat", "offset", "particle"):
+    assert [row["step"] for row in found] == list(range(6, 73, 6)) and found[-1]["tiles"] == 576
+    for part in ("heat", "offset"):
         assert found[-1]["losses"][part] < 0.8 * found[0]["losses"][part], part
     assert len(found[0]["members"]) == 2 and found[0]["members"][0] != found[0]["members"][1]
     assert found[0]["rate"] < found[1]["rate"] or found[0]["rate"] > found[-1]["rate"] == pytest.approx(0, abs=1e-4)
@@ -221,27 +221,27 @@ def test_training_goes_on_where_it_was(trained: Path, tmp_path: Path, monkeypatc
 
     said: list[str] = []
     first = train(config(), tmp_path, progress=said.append, until=0.0)
-    assert first.interrupted and first.steps == (1, 24) and not first.networks
+    assert first.interrupted and first.steps == (1, 72) and not first.networks
 
     step = Ensemble.step
 
     def killed(self: Ensemble, batch: Any, number: int) -> Any:
-        if number == 17:
+        if number == 50:
             raise RuntimeError("killed")
         return step(self, batch, number)
 
-    # What comes after the last checkpoint, step 14, is lost, and made again.
+    # What comes after the last checkpoint, step 40, is lost, and made again.
     with monkeypatch.context() as patched, pytest.raises(RuntimeError, match="killed"):
         patched.setattr(Ensemble, "step", killed)
         train(config(), tmp_path, progress=said.append)
     summary = train(config(), tmp_path, progress=said.append)
-    assert summary.before == 14 and "14 steps are done already" in said
+    assert summary.before == 40 and "40 steps are done already" in said
     mine, other = (read_checkpoint(folder / "checkpoint.pt", config(), torch.device("cpu")) for folder in (tmp_path, trained))
-    assert mine is not None and other is not None and mine[0] == other[0] == 24
+    assert mine is not None and other is not None and mine[0] == other[0] == 72
     for name in ("networks", "averaged"):
         for a, b in zip(mine[1][name], other[1][name], strict=True):
             assert a.keys() == b.keys() and all(torch.equal(a[key], b[key]) for key in a)
-    essence = [[{key: row[key] for key in row if key != "seconds"} for row in rows(folder) if row["step"] > 15] for folder in (tmp_path, trained)]
+    essence = [[{key: row[key] for key in row if key != "seconds"} for row in rows(folder) if row["step"] > 42] for folder in (tmp_path, trained)]
     assert essence[0] == essence[1]
     assert [row["step"] for row in rows(tmp_path)] == sorted({row["step"] for row in rows(tmp_path)})
     with pytest.raises(sw.InvalidValue, match=r"another config: \[optimiser\] rate"):
@@ -277,8 +277,8 @@ def test_onnx_says_what_pytorch_says(trained: Path) -> None:
             "column": torch.sigmoid(seen.heat),
             "offset": seen.offset,
             "kind": torch.softmax(seen.kind, dim=1),
-            "number": seen.number,
-            "precision": torch.exp(seen.log_precision),
+            "toward": seen.toward,
+            "sharpness": torch.exp(seen.log_sharpness),
             "phase": torch.softmax(seen.phase, dim=1),
             "particle": torch.sigmoid(seen.particle),
         }
@@ -334,10 +334,10 @@ def test_training_and_use_agree_about_forecasts() -> None:
     from stemworlds.train.losses import log_chances
 
     random = np.random.default_rng(2)
-    number, precision = random.normal(1, 2, (50, 1)), random.lognormal(0, 2, (50, 1))
+    toward, sharpness = random.normal(1, 2, (50, 1)), random.lognormal(0, 2, (50, 1))
     prior = random.dirichlet(np.ones(5), 50)
-    mine = torch.exp(log_chances(*(torch.from_numpy(value) for value in (number[:, 0], np.log(precision[:, 0]), np.log(prior))))).numpy()
-    np.testing.assert_allclose(posterior(prior, number * precision, precision), mine, rtol=1e-9)
+    mine = torch.exp(log_chances(*(torch.from_numpy(value) for value in (toward[:, 0], np.log(sharpness[:, 0]), np.log(prior))))).numpy()
+    np.testing.assert_allclose(posterior(prior, toward, sharpness), mine, rtol=1e-9)
 
 
 def test_forecasts_add_evidence_to_what_is_usual() -> None:

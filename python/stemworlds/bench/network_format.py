@@ -15,8 +15,9 @@ from ..errors import FormatError
 #: (nm), inner and outer angle of the detector (mrad), thickness (nm).
 INPUTS = ("counts", "conditions")
 #: float32 ``[tile, channel, y / 2, x / 2]``: chance of a column's middle in a cell of two pixels; its offset (x, y) from the cell's middle in
-#: cells; chances of kinds; number of defects by type, as if all were as likely beforehand; one over its variance; chances of phases, of a particle.
-OUTPUTS = ("column", "offset", "kind", "number", "precision", "phase", "particle")
+#: cells; chances of kinds; evidence by type of defect, the log likelihood of k of them being ``k toward - k^2 sharpness / 2``; chances of phases, of a
+#: particle.
+OUTPUTS = ("column", "offset", "kind", "toward", "sharpness", "phase", "particle")
 #: Key of the card in the metadata of an ONNX file.
 KEY = "stemworlds"
 _VERSION = 1

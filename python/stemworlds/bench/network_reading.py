@@ -79,9 +79,7 @@ class Reader:
         conditions = np.array([[electrons / (10 * pixel_nm) ** 2, electrons, pixel_nm, *facts]], dtype=np.float32)
         given = dict(zip(INPUTS, (shown[None, None].astype(np.float32), conditions), strict=True))
         every = [[np.asarray(one[0], dtype=np.float64) for one in session.run(list(OUTPUTS), given)] for session in self._sessions]
-        column, offset, kind, number, precision, phase, particle = (np.mean([one[n] for one in every], axis=0) for n in range(len(OUTPUTS)))
-        # Evidence is averaged where it adds: precision, and precision times number.
-        weighted = np.mean([one[3] * one[4] for one in every], axis=0)
+        column, offset, kind, toward, sharpness, phase, particle = (np.mean([one[n] for one in every], axis=0) for n in range(len(OUTPUTS)))
         inner = slice(margin // 2, (margin + size // together + 1) // 2)
         rows, columns = _maxima(column[0], self._least)
         sure = column[0, rows, columns]
@@ -93,8 +91,8 @@ class Reader:
             places_px=places,
             sure=sure[there],
             kinds=kind[:, rows, columns].T,
-            toward=_between(weighted, x, y),
-            sharpness=_between(precision, x, y),
+            toward=_between(toward, x, y),
+            sharpness=_between(sharpness, x, y),
             phases=phase[:, inner, inner],
             particles=particle[0, inner, inner],
             cell_px=2 * together,
@@ -141,12 +139,12 @@ def _maxima(heat: Values, least: float) -> tuple[npt.NDArray[np.intp], npt.NDArr
     """Cells that are not below ``least`` nor any of their neighbours; of equal ones the first."""
     wide = np.pad(heat, 1, constant_values=-1.0)
     height, width = heat.shape
-    top = (heat >= least)
+    top = heat >= least
     for dy in (-1, 0, 1):
         for dx in (-1, 0, 1):
             if (dy, dx) != (0, 0):
                 other = wide[1 + dy : 1 + dy + height, 1 + dx : 1 + dx + width]
-                top &= heat > other if (dy, dx) > (0, 0) else heat >= other
+                top &= heat >= other if (dy, dx) > (0, 0) else heat > other
     rows, columns = np.nonzero(top)
     return rows, columns
 

@@ -38,7 +38,8 @@ def train(
         InvalidValue: for the config, and where the folder holds a checkpoint of another one.
     """
     whole, training = _ready(config)
-    return training.train(whole, out, progress=progress, until=until)
+    summary: TrainingSummary = training.train(whole, out, progress=progress, until=until)
+    return summary
 
 
 def export(config: Config | str | os.PathLike[str], out: str | os.PathLike[str]) -> list[str]:
@@ -50,7 +51,8 @@ def export(config: Config | str | os.PathLike[str], out: str | os.PathLike[str])
         FileMissing: without a checkpoint.
     """
     whole, training = _ready(config)
-    return training.export(whole, out)
+    networks: list[str] = training.export(whole, out)
+    return networks
 
 
 def _ready(config: Config | str | os.PathLike[str]) -> tuple[Config, Any]:

@@ -31,7 +31,7 @@ class _AsUsed(nn.Module):
     def forward(self, counts: Tensor, conditions: Tensor) -> tuple[Tensor, ...]:
         seen = self.network(counts, conditions)
         kinds, phases = torch.softmax(seen.kind, dim=1), torch.softmax(seen.phase, dim=1)
-        return torch.sigmoid(seen.heat), seen.offset, kinds, seen.number, torch.exp(seen.log_precision), phases, torch.sigmoid(seen.particle)
+        return torch.sigmoid(seen.heat), seen.offset, kinds, seen.toward, torch.exp(seen.log_sharpness), phases, torch.sigmoid(seen.particle)
 
 
 def write_network(path: Path, network: Network, contents: Contents, size: int, about: Mapping[str, Any]) -> None:

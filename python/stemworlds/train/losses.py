@@ -39,23 +39,23 @@ def losses(seen: Seen, batch: Mapping[str, Tensor], contents: Mapping[str, Tenso
     }
 
 
-def log_chances(number: Tensor, log_precision: Tensor, log_prior: Tensor) -> Tensor:
-    """Log posterior of 0, 1, ... defects: the prior, times a normal likelihood of the number. Last axis: the number of defects."""
-    counts = torch.arange(log_prior.shape[-1], dtype=number.dtype, device=number.device)
-    log = log_prior - 0.5 * torch.exp(log_precision)[..., None] * (counts - number[..., None]) ** 2
+def log_chances(toward: Tensor, log_sharpness: Tensor, log_prior: Tensor) -> Tensor:
+    """Log posterior of 0, 1, ... defects: the prior, times the likelihood. Last axis: the number of defects."""
+    number = torch.arange(log_prior.shape[-1], dtype=toward.dtype, device=toward.device)
+    log = log_prior + number * toward[..., None] - 0.5 * torch.exp(log_sharpness)[..., None] * number**2
     return torch.log_softmax(log, dim=-1)
 
 
 def _defects(seen: Seen, batch: Mapping[str, Tensor], contents: Mapping[str, Tensor]) -> Tensor:
     """Nats that forecasts of columns lack, less those that the prior lacks."""
     row, true = batch["row"].long(), batch["defects"].long()[..., None]
-    maps = torch.cat([seen.number, seen.log_precision], dim=1)
+    maps = torch.cat([seen.toward, seen.log_sharpness], dim=1)
     height, width = maps.shape[2:]
     # Numbers from Python cannot become tensors while a step is recorded on a GPU.
     places = batch["places"] + 0.5
     grid = torch.stack([places[..., 0] / width - 1, places[..., 1] / height - 1], dim=-1)[:, :, None]
     at = functional.grid_sample(maps, grid, mode="bilinear", padding_mode="border", align_corners=False)[..., 0].transpose(1, 2)
-    types = seen.number.shape[1]
+    types = seen.toward.shape[1]
     prior = contents["log_chances"][row]
     log = log_chances(at[..., :types], at[..., types:], prior)
     weight = (batch["there"][..., None] & contents["possible"][row]).float()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -16,8 +16,10 @@ CONDITIONS = 6
 _MIDDLE = (4.2, 2.5, -1.65, 1.8, 2.3, 0.8)
 _WIDTH = (1.5, 1.5, 0.25, 0.3, 0.3, 0.5)
 _EMBEDDED = 64
-#: Widest logs of precisions, so that no step runs away.
+#: Widest logarithms of scales, so that no step runs away.
 _LEAST_LOG, _MOST_LOG = -12.0, 8.0
+#: Electrons a pixel at which ``toward`` begins with the scale 1. What noise leaves of a signal grows as their root.
+_USUAL_ELECTRONS = 400.0
 
 
 class Seen(NamedTuple):
@@ -27,8 +29,7 @@ class Seen(NamedTuple):
         heat: logit of a column's middle in the cell.
         offset: how far the middle is from the cell's, x and y in cells.
         kind: scores of kinds of columns.
-        number: of defects of each type, the likeliest if all were as likely beforehand; any real number.
-        log_precision: of each number, natural logarithm of one over its variance.
+        toward, log_sharpness: what the counts say of k defects of each type: the log likelihood is ``k toward - k^2 exp(log_sharpness) / 2``.
         phase: scores of phases.
         particle: logit of a particle.
     """
@@ -36,8 +37,8 @@ class Seen(NamedTuple):
     heat: Tensor
     offset: Tensor
     kind: Tensor
-    number: Tensor
-    log_precision: Tensor
+    toward: Tensor
+    log_sharpness: Tensor
     phase: Tensor
     particle: Tensor
 
@@ -79,12 +80,12 @@ class Network(nn.Module):
         self.stem = nn.Conv2d(2, channels[0], 6, stride=2, padding=2)
         self.down = nn.ModuleList(nn.Conv2d(a, b, 2, stride=2) for a, b in zip(channels, channels[1:], strict=False))
         self.up = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in zip(channels, channels[1:], strict=False))
-        self.before = nn.ModuleList(nn.ModuleList(_Block(size) for _ in range(count)) for size, count in zip(channels, blocks, strict=True))
-        self.after = nn.ModuleList(nn.ModuleList(_Block(size) for _ in range(count)) for size, count in zip(channels[:-1], blocks, strict=False))
+        self.before: Any = nn.ModuleList(nn.ModuleList(_Block(size) for _ in range(count)) for size, count in zip(channels, blocks, strict=True))
+        self.after: Any = nn.ModuleList(nn.ModuleList(_Block(size) for _ in range(count)) for size, count in zip(channels[:-1], blocks, strict=False))
         self.mix = nn.Conv2d(channels[0], 2 * channels[0], 1)
         self.heads = nn.Conv2d(2 * channels[0], sum(self.sizes), 1)
-        #: How much the conditions alone say of precisions.
-        self.gain = nn.Linear(_EMBEDDED, types)
+        #: How much the conditions alone say of the scales of both.
+        self.gain = nn.Linear(_EMBEDDED, 2 * types)
         nn.init.normal_(self.heads.weight, std=0.01)
         with torch.no_grad():
             assert self.heads.bias is not None
@@ -106,15 +107,16 @@ class Network(nn.Module):
         for level, blocks in enumerate(self.before):
             if level:
                 image = self.down[level - 1](functional.relu(image))
-            for block in blocks:  # type: ignore[union-attr]
+            for block in blocks:
                 image = block(image, embedded)
             kept.append(image)
         for level in reversed(range(len(self.up))):
             coarse = functional.interpolate(self.up[level](functional.relu(image)), scale_factor=2.0, mode="nearest")
             image = kept[level] + coarse
-            for block in self.after[level]:  # type: ignore[union-attr]
+            for block in self.after[level]:
                 image = block(image, embedded)
         said = self.heads(functional.relu(self.mix(functional.relu(image))))
-        heat, offset, kind, number, log_precision, phase, particle = said.split(self.sizes, dim=1)
-        precise = (log_precision + self.gain(embedded)[:, :, None, None]).clamp(_LEAST_LOG, _MOST_LOG)
-        return Seen(heat, offset, kind, number, precise, phase, particle)
+        heat, offset, kind, toward, log_sharpness, phase, particle = said.split(self.sizes, dim=1)
+        of_toward, of_sharpness = self.gain(embedded)[:, :, None, None].chunk(2, dim=1)
+        scale = torch.exp((0.5 * torch.log(electrons / _USUAL_ELECTRONS) + of_toward).clamp(_LEAST_LOG, _MOST_LOG))
+        return Seen(heat, offset, kind, scale * toward, (log_sharpness + of_sharpness).clamp(_LEAST_LOG, _MOST_LOG), phase, particle)

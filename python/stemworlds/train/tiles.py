@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .._running import call, running
-from ..recipes import Recipe
+from ..recipes import Recipe, RecipeLike
 from ..streaming import Sample, Stream, stream
 from .config import Config
 from .contents import Contents, contents_of, processors
@@ -44,9 +44,9 @@ class TileBatches:
         )
         self.phases: npt.NDArray[np.int64] = np.array([phases_of(recipe) for recipe, _ in recipes])
         self.columns: int = max(math.ceil(table.size**2 * _COLUMNS_PER_PIXEL), 16)
-        shares: dict[Any, float] = dict(recipes)
+        weights: dict[RecipeLike, float] = dict(recipes)
         self._stream: Stream = stream(
-            shares,
+            weights,
             dose=1.0,
             size=table.size,
             pixel_nm=table.pixel_nm,
