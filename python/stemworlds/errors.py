@@ -101,6 +101,8 @@ _KEYWORDS: dict[str, str | None] = {
     "Detector": "detectors",
     "DetectorName": "detectors",
     "Detectors": "detectors",
+    "PatternPixels": "pixels",
+    "MaxAngleMrad": "max_angle_mrad",
     "StructureFile": "atoms",
     "Crystal": None,
     "Cell": "zone",
