@@ -103,7 +103,7 @@ pub fn list(
     (listed, columns)
 }
 
-/// Phases at the centres of pixels, [row, column] = [y, x]: indices into [`Specimen::phases`].
+/// Phases at the centres of pixels, [row, column] = [y, x]: indices into the phases of the specimen.
 pub fn phase_map(specimen: &dyn Specimen, pixels: &PixelRect, pixel_nm: f64) -> Array2<i32> {
     let PixelRect { first, stride, .. } = *pixels;
     phases_of_points(specimen, pixels.sampled_shape(), |row, column| {
