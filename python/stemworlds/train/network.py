@@ -18,8 +18,9 @@ _WIDTH = (1.5, 1.5, 0.25, 0.3, 0.3, 0.5)
 _EMBEDDED = 64
 #: Widest logarithms of scales, so that no step runs away.
 _LEAST_LOG, _MOST_LOG = -12.0, 8.0
-#: Electrons a pixel at which ``toward`` begins with the scale 1. What noise leaves of a signal grows as their root.
-_USUAL_ELECTRONS = 400.0
+#: Electrons a pixel at which ``toward`` begins with the scale 1: what noise leaves of a signal grows as their root. So many that a step of
+#: the greatest rate does not throw it about.
+_USUAL_ELECTRONS = 40_000.0
 
 
 class Seen(NamedTuple):
