@@ -1,6 +1,7 @@
 //! Errors on standard error, with a hint where that helps.
 
 use super::{signals, text};
+use stemgen::simulation::Warning;
 use stemgen::{Error, Setting};
 
 /// Exit code of a failure.
@@ -113,6 +114,14 @@ fn io_hint(source: &std::io::Error, action: &str) -> Option<&'static str> {
         PermissionDenied => Some("you may not write there; --output names another place"),
         StorageFull => Some("free some space, or name another place with --output"),
         _ => None,
+    }
+}
+
+/// A warning, with the option that it is about.
+pub fn with_option(warning: &Warning) -> String {
+    match warning.setting.and_then(options) {
+        Some(option) => format!("{}; see {option}", warning.message),
+        None => warning.message.clone(),
     }
 }
 

@@ -12,7 +12,6 @@ use clap::Args;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-use stemgen::files::disk_space::check_places;
 use stemgen::files::outputs::check_outputs;
 use stemgen::io::pattern_file::data_bytes;
 use stemgen::io::pattern_run::{PatternRun, WrittenPatterns};
@@ -160,11 +159,9 @@ impl Patterns {
         check_outputs(&outputs, [&self.specimen.structure], self.results.overwrite)?;
         run.warnings().iter().for_each(|warning| reporter.warn(warning));
         for (bytes, remedy) in run.job.memory() {
-            self.force.check_memory(bytes + run.job.pattern_memory(), remedy, &reporter)?;
+            self.force.check_memory(bytes, remedy, &reporter)?;
         }
-        let needed: Vec<(&Path, u64)> =
-            files.iter().map(|path| (path.as_path(), run.job.pattern_bytes())).collect();
-        check_places(&needed)?;
+        run.run("").check_space()?;
         let begun = Instant::now();
         let files = run.write(self.results.overwrite, &reporter)?;
         let summary = PatternsSummary { files, wall_time_s: begun.elapsed().as_secs_f64() };
@@ -208,12 +205,8 @@ impl PatternsRun {
     }
 
     fn warnings(&self) -> Vec<String> {
-        let option = |setting| hints::options(setting);
-        let with_option = |w: &stemgen::simulation::Warning| match w.setting.and_then(option) {
-            Some(option) => format!("{}; see {option}", w.message),
-            None => w.message.clone(),
-        };
-        let mut warnings: Vec<String> = self.job.warnings().iter().map(with_option).collect();
+        let mut warnings: Vec<String> =
+            self.job.warnings().iter().map(hints::with_option).collect();
         let [x, y] = self.job.scan().step_angstrom;
         if (x / y - 1.0).abs() > 1e-3 {
             warnings.push(format!(
@@ -226,8 +219,6 @@ impl PatternsRun {
 
     fn dry_run(&self, common: &Common) -> anyhow::Result<()> {
         let mut plan = self.job.report()?;
-        plan.memory_bytes += self.job.pattern_memory();
-        plan.add_time(self.job.pattern_seconds());
         plan.warnings = self.warnings();
         let files = self.run("").files();
         let Some((_, header)) = files.first() else { bail!("there is nothing to simulate") };

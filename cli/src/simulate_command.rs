@@ -21,9 +21,7 @@ use stemgen::files::outputs::check_outputs;
 use stemgen::files::{OutputSet, Shard, atomic_write};
 use stemgen::io::StoredImages;
 use stemgen::progress::Progress;
-use stemgen::simulation::{
-    self, PlanReport, SimulationJob, SimulationRequest, Warning, noisy_name,
-};
+use stemgen::simulation::{self, PlanReport, SimulationJob, SimulationRequest, noisy_name};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -289,7 +287,8 @@ impl SimulateRun {
     }
 
     fn warnings(&self) -> Vec<String> {
-        let mut warnings: Vec<String> = self.job.warnings().iter().map(with_option).collect();
+        let mut warnings: Vec<String> =
+            self.job.warnings().iter().map(hints::with_option).collect();
         let accuracies = self.accuracies.iter().zip(self.job.plans());
         warnings.extend(accuracies.filter_map(|(a, plan)| a.warning(plan, self.job.scan())));
         warnings
@@ -379,13 +378,5 @@ impl SimulateRun {
             hspy: results.hspy.then(|| self.output.with_extension("hspy")),
             page: results.html.then(|| self.output.with_extension("html")),
         }
-    }
-}
-
-/// A warning, with the option that it is about.
-fn with_option(warning: &Warning) -> String {
-    match warning.setting.and_then(hints::options) {
-        Some(option) => format!("{}; see {option}", warning.message),
-        None => warning.message.clone(),
     }
 }

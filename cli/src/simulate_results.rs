@@ -11,7 +11,7 @@ use num_complex::Complex32;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::time::Instant;
-use stemgen::files::{OutputLock, OutputSet, file_digest};
+use stemgen::files::{OutputLock, OutputSet};
 use stemgen::io::hspy_file::write_hspy;
 use stemgen::io::image_file::{ExitWaves, ImageCounts, ImageStack, Origin, write_images};
 use stemgen::io::tiff_file::write_tiff;
@@ -233,23 +233,8 @@ impl SimulateRun {
     }
 
     fn origin(&self) -> anyhow::Result<Origin<'_>> {
-        let (plan, specimen) = (&self.job.plans()[0], self.job.specimen());
-        let request = self.job.request();
-        let digest = request.structure.file().map(file_digest::sha256_of_file).transpose()?;
-        Ok(Origin {
-            command_line: text::command_line(),
-            request: Some(serde_json::to_string(request)?),
-            structure_sha256: digest.map(|(digest, _)| digest),
-            settings: serde_json::to_string(&plan.settings)?,
-            structure_file: self.structure_name(),
-            wavelength_angstrom: plan.settings.optics.wavelength_angstrom(),
-            band_limit_mrad: plan.band_limit_mrad,
-            source: request.microscope.source(),
-            accuracy: AccuracyReport::json_of(&self.accuracies)?,
-            box_angstrom: specimen.size_angstrom,
-            strain_percent: specimen.strain_percent,
-            sites: &specimen.sites,
-        })
+        let accuracy = AccuracyReport::json_of(&self.accuracies)?;
+        Ok(Origin { accuracy, ..Origin::of_simulation(&self.job, &text::command_line())? })
     }
 }
 

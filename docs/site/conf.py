@@ -65,6 +65,24 @@ def _plain(_app: Any, _what: str, _name: str, _object: Any, _options: Any, signa
     return next(names), next(names)
 
 
+def _apart(_app: Any, _what: str, _name: str, _object: Any, _options: Any, lines: list[str]) -> None:
+    """Fields told together, ``a, b: text``, apart: Sphinx takes ``a,`` for the type of ``b``, and links it."""
+    apart: list[str] = []
+    place = 0
+    while place < len(lines):
+        end = place + 1
+        if together := re.match(r"( +)(\w+(?:, \w+)+)(:.*)", lines[place]):
+            indent, names, rest = together.groups()
+            while end < len(lines) and lines[end].startswith(indent + " "):
+                end += 1
+            for name in names.split(", "):
+                apart += [indent + name + rest, *lines[place + 1 : end]]
+        else:
+            apart.append(lines[place])
+        place = end
+    lines[:] = apart
+
+
 def _whole(app: Any, error: Exception | None) -> None:
     """Every public name of the package stands in the reference."""
     if error is not None or app.builder.name != "html":
@@ -78,5 +96,6 @@ def _whole(app: Any, error: Exception | None) -> None:
 
 def setup(app: Any) -> None:
     app.add_html_math_renderer("mathml", (_inline, None), (_displayed, None))
+    app.connect("autodoc-process-docstring", _apart, priority=400)
     app.connect("autodoc-process-signature", _plain)
     app.connect("build-finished", _whole)

@@ -3,36 +3,21 @@
 use crate::errors::{Fault, Told};
 use crate::long_call::{LongCall, Running, run};
 use crate::request::{AtomArrays, Request};
+use crate::simulate::check;
 use ndarray::{Array2, Array4, Axis, s};
 use numpy::IntoPyArray;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::{Path, PathBuf};
-use stemgen::files::disk_space::check_places;
 use stemgen::files::outputs::check_outputs;
-use stemgen::io::pattern_file::{PatternFile, PatternHeader};
+use stemgen::io::pattern_file::{PatternFile, PatternHeader, data_bytes};
 use stemgen::io::pattern_run::PatternRun;
-use stemgen::progress::Progress;
-use stemgen::simulation::{PatternBand, PatternValues, SimulationJob};
+use stemgen::simulation::{PatternBand, PatternValues};
 
 /// Patterns of one defocus and thickness; electrons where they were counted.
 enum Cube {
     Fractions(Array4<f32>),
     Counts(Array4<u32>),
-}
-
-fn prepared(
-    request: Request,
-    atoms: Option<&AtomArrays>,
-    force: bool,
-    call: &LongCall,
-) -> Result<SimulationJob, Fault> {
-    let job = request.job(atoms)?;
-    job.warnings().iter().for_each(|warning| call.warn(&warning.message));
-    if !force {
-        job.check_memory()?;
-    }
-    Ok(job)
 }
 
 /// Simulates the patterns of a scan: a list of dicts, by defocus, then thickness, with `data` (y, x, ky, kx) and what describes it.
@@ -46,13 +31,15 @@ pub fn simulate_patterns(
 ) -> PyResult<Vec<Py<PyDict>>> {
     type Cubes = (Vec<(PatternHeader, Cube)>, Array2<f32>);
     let work = move |call: &LongCall| -> Result<Cubes, Fault> {
-        let job = prepared(request, atoms.as_ref(), force, call)?;
+        let job = request.job(atoms.as_ref())?;
+        check(&job, force, call)?;
         let run = PatternRun { job: &job, output: Path::new(""), command_line: "" };
         let headers = run.headers();
         if !force {
-            let bytes = job.pattern_bytes() * headers.len() as u64;
+            let work = job.memory().map(|(bytes, _)| bytes).max().unwrap_or(0);
+            let bytes = work + headers.iter().map(data_bytes).sum::<u64>();
             let remedy = "most of it is patterns: write them to a file (`out`), or take fewer probes or pixels";
-            stemgen::engine::check_memory(bytes + job.pattern_memory(), remedy)?;
+            stemgen::engine::check_memory(bytes, remedy)?;
         }
         let vacuum = job.vacuum_pattern()?;
         let mut cubes: Vec<Cube> = headers.iter().map(empty).collect();
@@ -91,15 +78,14 @@ pub fn write_patterns(
     running: Running,
 ) -> PyResult<Vec<PathBuf>> {
     let work = move |call: &LongCall| -> Result<Vec<PathBuf>, Fault> {
-        let job = prepared(request, atoms.as_ref(), force, call)?;
+        let job = request.job(atoms.as_ref())?;
+        check(&job, force, call)?;
         let asked = "stemworlds.simulate_patterns";
         let run = PatternRun { job: &job, output: &out, command_line: asked };
         let files: Vec<PathBuf> = run.files().into_iter().map(|(path, _)| path).collect();
         let inputs = job.request().structure.file().map(Path::to_path_buf);
         check_outputs(&files, inputs, overwrite)?;
-        let needed: Vec<(&Path, u64)> =
-            files.iter().map(|path| (path.as_path(), job.pattern_bytes())).collect();
-        check_places(&needed)?;
+        run.check_space()?;
         run.write(overwrite, call)?;
         Ok(files)
     };

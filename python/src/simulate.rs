@@ -24,7 +24,7 @@ fn prepared(
 }
 
 /// Passes warnings on, and refuses what takes more memory than is free unless `force`.
-fn check(job: &SimulationJob, force: bool, call: &LongCall) -> Result<(), Fault> {
+pub(crate) fn check(job: &SimulationJob, force: bool, call: &LongCall) -> Result<(), Fault> {
     job.warnings().iter().for_each(|warning| call.warn(&warning.message));
     if !force {
         job.check_memory()?;

@@ -46,6 +46,11 @@ impl PixelatedDetector {
         1e-3 * self.pixel_mrad() / wavelength_angstrom
     }
 
+    /// Frequency (1/Angstrom) of the middle of pixel `i` along an axis.
+    pub fn k(&self, i: usize, wavelength_angstrom: f64) -> f64 {
+        1e-3 * self.angle_mrad(i) / wavelength_angstrom
+    }
+
     /// Angle (mrad) of the middle of pixel `i` along an axis.
     pub fn angle_mrad(&self, i: usize) -> f64 {
         (i as f64 - (self.pixels / 2) as f64) * self.pixel_mrad()

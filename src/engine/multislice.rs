@@ -1,5 +1,7 @@
 //! Plain multislice of probes, on the full grid or in windows.
 
+mod lent_waves;
+
 use super::basis::Basis;
 use super::plan::Plan;
 use super::probe::{CroppedProbe, Probe};
@@ -7,7 +9,7 @@ use super::probe_patches::{Patch, ProbePatches, amplitude_nyquist};
 use super::probe_scan::{ProbePlaces, Scan};
 use super::slice_coverage::LocalSlice;
 use super::stepper::{SliceStep, StepWorkspace, Stepper, TransmissionView};
-use super::transmission::{Transmission, TransmissionLayout};
+use super::transmission::Transmission;
 use super::workspace_pool::WorkspacePool;
 use crate::detect::DetectorMap;
 use crate::error::{Error, Result};
@@ -399,81 +401,6 @@ impl<'a> Multislice<'a> {
             });
         }
         out
-    }
-}
-
-/// Waves that others read.
-impl Multislice<'_> {
-    /// Elements from row to row of a wave.
-    pub(super) fn stride(&self) -> usize {
-        self.stepper.fft().stride()
-    }
-
-    /// How many waves should step together.
-    pub(super) fn waves_together(&self) -> usize {
-        self.stepper.waves_together()
-    }
-
-    /// Bins (row, column) of the wave grid that hold probes.
-    pub(super) fn bins(&self) -> &[(usize, usize)] {
-        &self.probes[0].1.bins
-    }
-
-    /// Number of foci.
-    pub(super) fn foci(&self) -> usize {
-        self.probes.len()
-    }
-
-    /// The weight of a focus.
-    pub(super) fn weight(&self, focus: usize) -> f64 {
-        self.probes[focus].0
-    }
-
-    /// The coefficients, in the order of [`Multislice::bins`], of the probe at a place in Angstrom.
-    pub(super) fn probe(&self, focus: usize, position: [f64; 2]) -> Vec<Complex32> {
-        self.probes[focus].1.at(self.plan, position)
-    }
-
-    /// Sets a thread's waves to these coefficients, in the order of [`Multislice::bins`].
-    pub(super) fn begin_all<'c>(
-        &self,
-        MultisliceWorkspace { waves, step, .. }: &mut MultisliceWorkspace,
-        coefficients: impl ExactSizeIterator<Item = &'c [Complex32]>,
-    ) {
-        let waves = self.at_least(waves, coefficients.len());
-        for (wave, coefficients) in waves.iter_mut().zip(coefficients) {
-            self.begin(wave, coefficients.iter().copied(), step);
-        }
-    }
-
-    /// Passes a thread's first `n` waves through some steps.
-    pub(super) fn step_all(
-        &self,
-        w: &mut MultisliceWorkspace,
-        n: usize,
-        steps: &[SliceStep],
-        view: TransmissionView<'_>,
-    ) {
-        let MultisliceWorkspace { waves, step, transmissions, .. } = w;
-        match view.transmission.layout {
-            TransmissionLayout::Padded { .. } => {
-                self.step_waves(&mut waves[..n], steps, view, (transmissions, step));
-            }
-            TransmissionLayout::Arranged => steps.iter().for_each(|slice_step| {
-                self.stepper.propagate(&mut waves[..n], *slice_step, view, step);
-            }),
-        }
-    }
-
-    /// The Fourier coefficients of a thread's wave between steps, times the number of pixels; beyond the band limit they mean nothing.
-    pub(super) fn spectrum<'w>(
-        &self,
-        MultisliceWorkspace { waves, copy, step, .. }: &'w mut MultisliceWorkspace,
-        wave: usize,
-    ) -> &'w [Complex32] {
-        copy.copy_from_slice(&waves[wave]);
-        self.stepper.transform_columns(copy, false, &mut step.fft);
-        copy
     }
 }
 

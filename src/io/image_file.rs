@@ -26,8 +26,10 @@ use super::At;
 use super::hdf5_create;
 use super::world_writer::{number, text};
 use crate::engine::{Site, Source};
-use crate::error::Result;
-use crate::files::atomic_write;
+use crate::error::{Error, Result};
+use crate::files::{atomic_write, file_digest};
+use crate::setting::Setting;
+use crate::simulation::SimulationJob;
 
 /// Version of this schema.
 const FORMAT_VERSION: i64 = 1;
@@ -62,6 +64,36 @@ pub struct Origin<'a> {
     pub strain_percent: Option<f64>,
     /// The atoms.
     pub sites: &'a [Site],
+}
+
+impl<'a> Origin<'a> {
+    /// That of the results of a simulation, without an accuracy.
+    ///
+    /// # Errors
+    /// [`Error::Io`] for the structure file, whose digest is taken.
+    pub fn of_simulation(job: &'a SimulationJob, command_line: &str) -> Result<Self> {
+        let (plan, specimen, request) = (&job.plans()[0], job.specimen(), job.request());
+        let file = request.structure.file();
+        let digest = file.map(file_digest::sha256_of_file).transpose()?;
+        let json = |text: serde_json::Result<String>| {
+            text.map_err(|e| Error::invalid(Setting::Output, "request", e.to_string()))
+        };
+        let name = |file: &'a Path| file.file_name().map_or(file, Path::new).display().to_string();
+        Ok(Origin {
+            command_line: command_line.to_owned(),
+            request: Some(json(serde_json::to_string(request))?),
+            structure_sha256: digest.map(|(digest, _)| digest),
+            settings: json(serde_json::to_string(&plan.settings))?,
+            structure_file: file.map(name).unwrap_or_default(),
+            wavelength_angstrom: plan.settings.optics.wavelength_angstrom(),
+            band_limit_mrad: plan.band_limit_mrad,
+            source: request.microscope.source(),
+            accuracy: None,
+            box_angstrom: specimen.size_angstrom,
+            strain_percent: specimen.strain_percent,
+            sites: &specimen.sites,
+        })
+    }
 }
 
 /// One image per thickness.

@@ -78,8 +78,6 @@ pub struct PatternWriter {
     path: PathBuf,
     file: File,
     data: Dataset,
-    /// In place of what the file would hold, for tests of its readers.
-    header: PatternHeader,
 }
 
 /// Writes files of patterns, each of which appears complete or not at all: `fill` gets a writer for each. Existing files are replaced
@@ -135,7 +133,7 @@ impl PatternWriter {
             Ok((file, data))
         };
         let (file, data) = write().at(path)?;
-        Ok(PatternWriter { path: path.to_owned(), file, data, header: header.clone() })
+        Ok(PatternWriter { path: path.to_owned(), file, data })
     }
 
     /// Writes rows of fractions of the beam, from `first_row` on, (row, column, ky, kx).
@@ -152,11 +150,6 @@ impl PatternWriter {
     /// [`Error::Hdf5`].
     pub fn counts(&self, first_row: usize, rows: ArrayView4<'_, u32>) -> Result<()> {
         self.rows(first_row, rows)
-    }
-
-    /// What describes its patterns.
-    pub fn header(&self) -> &PatternHeader {
-        &self.header
     }
 
     fn rows<T: hdf5::H5Type + Clone>(

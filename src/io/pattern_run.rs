@@ -5,9 +5,11 @@ use std::path::{Path, PathBuf};
 use ndarray::{Array2, ArrayView4, Axis};
 
 use super::image_file::Origin;
-use super::pattern_file::{PatternHeader, PatternOrigin, PatternWriter, write_patterns};
-use crate::error::{Error, Result};
-use crate::files::file_digest;
+use super::pattern_file::{
+    PatternHeader, PatternOrigin, PatternWriter, data_bytes, write_patterns,
+};
+use crate::error::Result;
+use crate::files::disk_space::check_places;
 use crate::progress::Progress;
 use crate::simulation::{PatternBand, PatternValues, SimulationJob};
 
@@ -76,13 +78,23 @@ impl PatternRun<'_> {
         headers
     }
 
+    /// Refuses patterns that their disk has no room for.
+    ///
+    /// # Errors
+    /// [`Error::DiskSpace`](crate::Error::DiskSpace).
+    pub fn check_space(&self) -> Result<()> {
+        let files = self.files();
+        let needed = files.iter().map(|(path, header)| (path.as_path(), data_bytes(header)));
+        check_places(&needed.collect::<Vec<_>>())
+    }
+
     /// Simulates and writes. Files of one defocus appear together, complete.
     ///
     /// # Errors
     /// Those of [`SimulationJob::patterns`] and of the files.
     pub fn write(&self, overwrite: bool, progress: &dyn Progress) -> Result<Vec<WrittenPatterns>> {
         let vacuum = self.job.vacuum_pattern()?;
-        let origin = self.origin()?;
+        let origin = Origin::of_simulation(self.job, self.command_line)?;
         let plans = self.job.plans();
         let origin = PatternOrigin {
             origin: &origin,
@@ -105,31 +117,6 @@ impl PatternRun<'_> {
             }
         }
         Ok(written)
-    }
-
-    fn origin(&self) -> Result<Origin<'_>> {
-        let (plan, specimen) = (&self.job.plans()[0], self.job.specimen());
-        let request = self.job.request();
-        let file = request.structure.file();
-        let digest = file.map(file_digest::sha256_of_file).transpose()?;
-        let json = |text: serde_json::Result<String>| {
-            text.map_err(|e| Error::invalid(crate::Setting::Output, "request", e.to_string()))
-        };
-        let name = file.and_then(Path::file_name).unwrap_or_default();
-        Ok(Origin {
-            command_line: self.command_line.to_owned(),
-            request: Some(json(serde_json::to_string(request))?),
-            structure_sha256: digest.map(|(digest, _)| digest),
-            settings: json(serde_json::to_string(&plan.settings))?,
-            structure_file: name.display().to_string(),
-            wavelength_angstrom: plan.settings.optics.wavelength_angstrom(),
-            band_limit_mrad: plan.band_limit_mrad,
-            source: None,
-            accuracy: None,
-            box_angstrom: specimen.size_angstrom,
-            strain_percent: specimen.strain_percent,
-            sites: &specimen.sites,
-        })
     }
 }
 

@@ -181,7 +181,8 @@ impl SimulationJob {
         let probes = if self.request.plane_wave { 1 } else { self.scan.len() };
         self.plans.iter().map(move |plan| {
             let cost = Cost::new(plan, &self.scan).for_probes(probes);
-            (cost.memory_bytes(threads()), cost.memory_remedy(threads()))
+            let patterns = self.pattern_cost(plan).map_or(0, |cost| cost.memory_bytes(threads()));
+            (cost.memory_bytes(threads()) + patterns, cost.memory_remedy(threads()))
         })
     }
 
@@ -206,6 +207,10 @@ impl SimulationJob {
         let frames = self.specimen.frames().len();
         let runs = if self.request.plane_wave { 1 } else { self.plans.len() * frames };
         let mut report = PlanReport::new(plan, &cost, runs);
+        if let Some(cost) = self.pattern_cost(plan) {
+            report.memory_bytes += cost.memory_bytes(threads());
+            report.add_time(pattern_job::seconds(&cost, threads()).map(|s| s * runs as f64));
+        }
         report.warnings = self.warnings.iter().map(|warning| warning.message.clone()).collect();
         report.warnings.extend(self.check_memory().err().map(|e| e.to_string()));
         Ok(report)

@@ -6,11 +6,8 @@ use serde::{Deserialize, Serialize};
 use super::job::SimulationJob;
 use super::numerics_request::NumericsRequest;
 use super::request::SimulationRequest;
-use super::time_estimate::threads;
 use crate::detect::{Detector, PixelatedDetector};
-use crate::engine::patterns::{
-    PatternRows, PatternSettings, pattern_flops, pattern_memory_bytes, simulate_patterns,
-};
+use crate::engine::patterns::{PatternCost, PatternRows, PatternSettings, simulate_patterns};
 use crate::engine::{Plan, Scan, Settings};
 use crate::error::{Error, Result};
 use crate::imaging::Noise;
@@ -52,6 +49,11 @@ pub struct PatternBand<'a> {
     pub first_row: usize,
     /// The patterns.
     pub values: PatternValues<'a>,
+}
+
+/// The least and the most seconds that reading patterns takes on so many threads.
+pub(super) fn seconds(cost: &PatternCost, threads: usize) -> [f64; 2] {
+    READ_FLOPS.map(|speed| cost.flops / speed / threads as f64)
 }
 
 /// Operations in a second by which a thread reads patterns: on a machine that does nothing else, and on a busy one.
@@ -128,28 +130,6 @@ impl SimulationJob {
         self.request().patterns.as_ref().map(PatternsRequest::settings)
     }
 
-    /// Bytes of all patterns of one thickness and defocus.
-    pub fn pattern_bytes(&self) -> u64 {
-        let pixels = self.request().patterns.as_ref().map_or(0, |p| p.pixels as u64);
-        self.scan().len() as u64 * pixels * pixels * size_of::<f32>() as u64
-    }
-
-    /// The least and the most time in seconds that reading the patterns takes, beside that of the waves.
-    pub fn pattern_seconds(&self) -> [f64; 2] {
-        let Some(settings) = self.pattern_settings() else { return [0.0; 2] };
-        let runs = self.plans().len() * self.specimen().frames().len();
-        let flops = pattern_flops(&self.plans()[0], self.scan(), &settings) * runs as f64;
-        READ_FLOPS.map(|speed| flops / speed / threads() as f64)
-    }
-
-    /// Bytes of memory that the patterns take beside [`SimulationJob::memory`].
-    pub fn pattern_memory(&self) -> u64 {
-        let settings = self.pattern_settings();
-        settings.map_or(0, |settings| {
-            pattern_memory_bytes(&self.plans()[0], self.scan(), &settings, threads())
-        })
-    }
-
     /// The patterns of all probes at one defocus, number `plan`, handed to `take` by rows; electrons are counted where a dose is asked for.
     ///
     /// # Errors
@@ -207,6 +187,11 @@ impl SimulationJob {
             Scan { origin_angstrom: [0.5 * x, 0.5 * y], step_angstrom: [1.0; 2], shape: [1, 1] };
         simulate_patterns(&plan, &[&[]], &middle, settings, &mut take, &Silent)?;
         Ok(found)
+    }
+
+    /// What the patterns of a plan take beside its waves; nothing for images.
+    pub(super) fn pattern_cost(&self, plan: &Plan) -> Option<PatternCost> {
+        Some(PatternCost::new(plan, self.scan(), &self.pattern_settings()?))
     }
 
     fn asked(&self) -> Result<PatternSettings> {

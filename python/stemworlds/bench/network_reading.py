@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..errors import FileMissing, FormatError, _invalid
-from .extras import needed
+from ..errors import FormatError, _invalid
 from .network_format import INPUTS, KEY, OUTPUTS, Card
+from .onnx_session import opened
 
 Values = npt.NDArray[np.float64]
 
@@ -101,15 +101,7 @@ class Reader:
 
 def _opened(path: str) -> tuple[Any, Card]:
     """A session on one thread, and the network's card."""
-    runtime = needed("onnxruntime")
-    if not os.path.exists(path):
-        raise FileMissing(f"{path}: there is no such network")
-    options = runtime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    try:
-        session = runtime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
-    except Exception as error:
-        raise FormatError(f"{path}: onnxruntime cannot read this network: {error}") from error
+    session = opened(path)
     card = Card.read(path, session.get_modelmeta().custom_metadata_map.get(KEY))
     names = {one.name for one in session.get_outputs()}
     if not names.issuperset(OUTPUTS):

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from ..errors import FileMissing, FormatError, _invalid
+from ..errors import _invalid
 from .analysts import PlacedDefects, TileByTile, entropy_bits, places_nm
 from .findings import Findings
 from .peaks import Peaks, find_peaks
-from .extras import needed
+from .onnx_session import opened
 
 if TYPE_CHECKING:
     from .episodes import Acquired
@@ -138,15 +138,7 @@ def _softmax(scores: Values) -> Values:
 
 def _network(path: str, output: str | None, phase_output: str | None) -> tuple[Any, list[str]]:
     """A session on one thread, and the outputs that are asked for."""
-    runtime = needed("onnxruntime")
-    if not os.path.exists(path):
-        raise FileMissing(f"{path}: there is no such network")
-    options = runtime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    try:
-        session = runtime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
-    except Exception as error:
-        raise FormatError(f"{path}: onnxruntime cannot read this network: {error}") from error
+    session = opened(path)
     names = [given.name for given in session.get_outputs()]
     wanted = [names[0] if output is None else output, *([] if phase_output is None else [phase_output])]
     for name in wanted:

@@ -4,6 +4,7 @@
 //! padded, and what they cut off the probe is added coherently (see `padded_box`).
 
 mod padded_box;
+mod pattern_cost;
 mod pixel_matrices;
 mod run;
 
@@ -21,8 +22,9 @@ use crate::progress::Progress;
 use crate::setting::Setting;
 use crate::structure::Site;
 use ndarray::{Array5, ArrayView5};
+pub use pattern_cost::PatternCost;
 use rayon::prelude::*;
-use run::{GroupPath, PatternReader, SharedWaves};
+use run::{GroupPath, PatternReader};
 use std::ops::Range;
 
 /// Patterns that are held at a time take about so many bytes, or those of one row of windows.
@@ -70,6 +72,7 @@ pub fn simulate_patterns(
     let configurations = plan.settings.configurations();
     let runs = configurations as usize * frames.len();
     progress.start("simulating", "patterns", (scan.len() * runs) as u64);
+    let workspaces = WorkspacePool::new();
     for band in bands(&groups, scan, each) {
         let groups = &groups[band.groups.clone()];
         let mut sums: Vec<Vec<f32>> =
@@ -78,7 +81,7 @@ pub fn simulate_patterns(
             for configuration in 0..configurations {
                 let transmission = builder.build(sites, configuration, progress)?;
                 let (paths, path_of) = reader.paths(&transmission, groups);
-                let (reader, workspaces) = (&reader, WorkspacePool::new());
+                let reader = &reader;
                 let run = |((group, path), sum): ((&Patch, usize), &mut Vec<f32>)| {
                     if progress.interrupted() {
                         return Err(Error::Interrupted);
@@ -182,29 +185,4 @@ fn in_order(
         }
     }
     data
-}
-
-/// About how many operations it takes to read the patterns of a scan from its waves, in all configurations.
-pub fn pattern_flops(plan: &Plan, scan: &Scan, settings: &PatternSettings) -> f64 {
-    let reader = PatternReader::new(plan, *settings);
-    let (_, shared) = reader.groups(scan);
-    let waves = shared.as_ref().map_or(1, SharedWaves::len);
-    let runs = f64::from(plan.settings.configurations()) * plan.record_after.len() as f64;
-    runs * scan.len() as f64 * reader.flops(waves)
-}
-
-/// About how many bytes patterns take beside what [`super::Cost`] counts, on `threads` threads.
-pub fn pattern_memory_bytes(
-    plan: &Plan,
-    scan: &Scan,
-    settings: &PatternSettings,
-    threads: usize,
-) -> u64 {
-    let reader = PatternReader::new(plan, *settings);
-    let (groups, shared) = reader.groups(scan);
-    let each = plan.record_after.len() * reader.pixels();
-    let most = |band: &Band| held(&band.rows, band.rows.end, scan.shape[1], each);
-    let bands = bands(&groups, scan, each).iter().map(most).max().unwrap_or(0);
-    let waves = shared.as_ref().map_or(1, SharedWaves::len);
-    2 * bands as u64 + reader.thread_bytes(waves) * threads as u64
 }

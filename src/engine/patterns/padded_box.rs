@@ -292,7 +292,7 @@ impl ProbeSplit {
         }
         self.fft.forward(around, &mut scratch.0);
         let scale = pixels * 0.25;
-        let shift = padded.phases(self.shift.map(|d| [0.0, d]), 0.0);
+        let shift = padded.phases(self.shift, 0.0);
         let columns = padded.samples()[0];
         let value = |v: Complex32, at: usize| {
             v * shift[0][at % columns] * shift[1][at / columns] * (padded.low_pass[at] * scale)
@@ -304,18 +304,17 @@ impl ProbeSplit {
 }
 
 impl PaddedBox {
-    /// For the kept frequencies along x and y, `exp(-i pi a k^2 - 2 pi i k (t s + d))`: a is wavelength times distance in Angstrom^2,
-    /// `ways` holds (t s, d) along x and y in Angstrom.
-    pub fn phases(&self, ways: [[f64; 2]; 2], fresnel_angstrom2: f64) -> [Vec<Complex32>; 2] {
+    /// For the kept frequencies along x and y, `exp(-i pi a k^2 - 2 pi i k d)`: a is wavelength times distance in Angstrom^2, d the
+    /// `way` along x and y in Angstrom.
+    pub fn phases(&self, way: [f64; 2], fresnel_angstrom2: f64) -> [Vec<Complex32>; 2] {
         let extent = self.extent_angstrom();
         [0, 1].map(|axis| {
             let reach = self.reach[axis] as i64;
-            let way = ways[axis][0] + ways[axis][1];
             let phase = |f: i64| {
                 let k = f as f64 / extent[axis];
                 single(Complex64::from_polar(
                     1.0,
-                    -PI * fresnel_angstrom2 * k * k - 2.0 * PI * way * k,
+                    -PI * fresnel_angstrom2 * k * k - 2.0 * PI * way[axis] * k,
                 ))
             };
             (-reach..=reach).map(phase).collect()

@@ -26,10 +26,7 @@ impl PixelMatrices {
     pub fn of_box(detector: &PixelatedDetector, wavelength: f64, padded: &PaddedBox) -> Self {
         let width = detector.pixel_k(wavelength);
         let (extent, points) = (padded.extent_angstrom(), padded.points());
-        let axis = |k: usize| Axis {
-            pixel: Box::new(move |p| (p as f64 - (detector.pixels / 2) as f64) * width),
-            frequencies: (-(padded.reach[k] as i64)..=padded.reach[k] as i64).collect(),
-        };
+        let frequencies = padded.reach.map(|n| (-(n as i64)..=n as i64).collect());
         let weight = |k: usize, pixel: f64, frequency: i64| {
             let (half, step) = (points[k] as i64 / 2, extent[k] / points[k] as f64);
             let offset = pixel - frequency as f64 / extent[k];
@@ -44,7 +41,7 @@ impl PixelMatrices {
             let sum: f64 = (1..half).map(term).sum();
             width * extent[k] / points[k] as f64 * (1.0 + 2.0 * sum)
         };
-        Self::new(detector.pixels, [axis(0), axis(1)], weight)
+        Self::new((detector, wavelength), frequencies, weight)
     }
 
     /// For all frequencies of a window with `points` over `extent` (x, y; Angstrom), each spread over pixels by area.
@@ -54,29 +51,30 @@ impl PixelMatrices {
         (points, extent): ([usize; 2], [f64; 2]),
     ) -> Self {
         let width = detector.pixel_k(wavelength);
-        let axis = |k: usize| Axis {
-            pixel: Box::new(move |p| (p as f64 - (detector.pixels / 2) as f64) * width),
-            frequencies: (0..points[k]).map(|i| frequency(i, points[k])).collect(),
-        };
+        let frequencies = points.map(|n| (0..n).map(|i| frequency(i, n)).collect());
         let weight = |k: usize, pixel: f64, frequency: i64| {
             let (at, dk) = (frequency as f64 / extent[k], 1.0 / extent[k]);
             overlap([pixel, width], [at, dk]) / dk
         };
-        Self::new(detector.pixels, [axis(0), axis(1)], weight)
+        Self::new((detector, wavelength), frequencies, weight)
     }
 
-    fn new(pixels: usize, axes: [Axis<'_>; 2], weight: impl Fn(usize, f64, i64) -> f64) -> Self {
-        let [x, y] = axes;
-        let mut across = Vec::with_capacity(pixels * x.frequencies.len());
-        for f in &x.frequencies {
-            across.extend((0..pixels).map(|p| weight(0, (x.pixel)(p), *f) as f32));
+    /// From the frequencies along x and y; `weight(axis, pixel, frequency)` takes the middle of a pixel in 1/Angstrom.
+    fn new(
+        (detector, wavelength): (&PixelatedDetector, f64),
+        [x, y]: [Vec<i64>; 2],
+        weight: impl Fn(usize, f64, i64) -> f64,
+    ) -> Self {
+        let middles: Vec<f64> = (0..detector.pixels).map(|i| detector.k(i, wavelength)).collect();
+        let mut across = Vec::with_capacity(middles.len() * x.len());
+        for f in &x {
+            across.extend(middles.iter().map(|pixel| weight(0, *pixel, *f) as f32));
         }
-        let mut down = Vec::with_capacity(pixels * y.frequencies.len());
-        for p in 0..pixels {
-            down.extend(y.frequencies.iter().map(|f| weight(1, (y.pixel)(p), *f) as f32));
+        let mut down = Vec::with_capacity(middles.len() * y.len());
+        for pixel in &middles {
+            down.extend(y.iter().map(|f| weight(1, *pixel, *f) as f32));
         }
-        let samples = [x.frequencies.len(), y.frequencies.len()];
-        PixelMatrices { pixels, samples, across, down }
+        PixelMatrices { pixels: detector.pixels, samples: [x.len(), y.len()], across, down }
     }
 
     /// The pattern, row-major, of intensities (frequency along y, along x) row-major. `half` is work space.
@@ -86,13 +84,6 @@ impl PixelMatrices {
         multiply((y, n, x), (half, n), (intensities, [x, 1]), (&self.across, n));
         multiply((n, n, y), (out, n), (&self.down, [y, 1]), (half, n));
     }
-}
-
-/// An axis of a detector and of the frequencies that fall on it.
-struct Axis<'a> {
-    /// The middle of a pixel in 1/Angstrom.
-    pixel: Box<dyn Fn(usize) -> f64 + 'a>,
-    frequencies: Vec<i64>,
 }
 
 /// The length that two intervals, given by middle and width, have in common.

@@ -12,11 +12,12 @@ use super::super::transmission::{Transmission, TransmissionLayout};
 use super::PatternSettings;
 use super::padded_box::{PaddedBox, PaddedWorkspace, ProbeSplit, SplitWorkspace};
 use super::pixel_matrices::PixelMatrices;
+use crate::detect::PixelatedDetector;
 use crate::matrix::multiply;
 use num_complex::{Complex32, Complex64};
 
 /// Patterns of so many probes are put together from their waves at a time.
-const PROBES_TOGETHER: usize = 16;
+pub(super) const PROBES_TOGETHER: usize = 16;
 /// The tail is added up to the angle at which electrons move by this share of the window's width inside the specimen.
 const TAIL_REACH: f64 = 0.4;
 /// Beyond the pixels so many frequencies of the box are kept, since intensities are interpolated between them.
@@ -66,6 +67,12 @@ pub(super) struct ReaderWorkspace {
     /// The window's own frequencies of all waves, (wave, frequency).
     own: Vec<Complex32>,
     amplitudes: Vec<Complex32>,
+    pixels: PixelWorkspace,
+}
+
+/// Work space from amplitudes to pixels.
+#[derive(Default)]
+struct PixelWorkspace {
     intensities: Vec<f32>,
     half: Vec<f32>,
     pattern: Vec<f32>,
@@ -78,38 +85,59 @@ pub(super) struct GroupPath<'p> {
     pub group: &'p Patch,
 }
 
+/// Which frequencies patterns are read from.
+pub(super) struct PatternReach {
+    pub padded: PaddedBox,
+    /// Whether each pixel is read from the window's own frequencies; `None` where none is.
+    pub outer: Option<Vec<bool>>,
+}
+
+impl PatternReach {
+    /// `stride` is that of waves on the plan's wave grid.
+    pub fn new(plan: &Plan, detector: &PixelatedDetector, stride: usize) -> Self {
+        let wavelength = plan.settings.optics.wavelength_angstrom();
+        let window = plan.wave_grid;
+        let width = window.extent_angstrom[0].min(window.extent_angstrom[1]);
+        let pixel = detector.pixel_k(wavelength);
+        let edge = (0.5 * detector.pixels as f64 + 0.5) * pixel;
+        let full_k = match plan.has_windows() {
+            true => (tail_angle(plan, width) / wavelength).min(plan.band_limit),
+            false => plan.band_limit,
+        };
+        let padded = PaddedBox::new(window, stride, full_k, edge + MARGIN / (2.0 * width));
+        let middle = |i: usize| detector.k(i, wavelength);
+        let n = detector.pixels;
+        let beyond = |i: usize| middle(i % n).hypot(middle(i / n)) + pixel > full_k;
+        let outer = (full_k < plan.band_limit).then(|| (0..n * n).map(beyond).collect());
+        PatternReach { padded, outer: outer.filter(|taken: &Vec<bool>| taken.contains(&true)) }
+    }
+}
+
+/// The probes of a scan in patches, row by row; each row is one on the full grid.
+pub(super) fn patches(plan: &Plan, scan: &Scan) -> ProbePatches {
+    if plan.has_windows() {
+        return ProbePatches::new(plan, scan);
+    }
+    let [rows, columns] = scan.shape;
+    let row = |y: usize| {
+        let at = |x: usize| (y * columns + x, scan.position(y * columns + x));
+        Patch { origin: (0, 0), probes: (0..columns).map(at).collect() }
+    };
+    ProbePatches { patches: (0..rows).map(row).collect(), error: None }
+}
+
 impl<'a> PatternReader<'a> {
     pub fn new(plan: &'a Plan, settings: PatternSettings) -> Self {
         let engine = Multislice::new(plan);
-        let (window, stride) = (plan.wave_grid, engine.stride());
         let wavelength = plan.settings.optics.wavelength_angstrom();
         let detector = &settings.detector;
-        let width = window.extent_angstrom[0].min(window.extent_angstrom[1]);
-        let edge = (0.5 * detector.pixels as f64 + 0.5) * detector.pixel_k(wavelength);
-        let margin = MARGIN / (2.0 * width);
-        let full_k = match plan.has_windows() {
-            true => tail_angle(plan, width) / wavelength,
-            false => plan.band_limit,
-        };
-        let full_k = full_k.min(plan.band_limit);
-        let padded = PaddedBox::new(window, stride, full_k, edge + margin);
+        let PatternReach { padded, outer } = PatternReach::new(plan, detector, engine.stride());
         let fine = PixelMatrices::of_box(detector, wavelength, &padded);
-        let outer = (full_k < plan.band_limit).then(|| {
-            let matrices = PixelMatrices::by_area(
-                detector,
-                wavelength,
-                (window.points, window.extent_angstrom),
-            );
-            let n = detector.pixels;
-            let middle = |i: usize| (i as f64 - (n / 2) as f64) * detector.pixel_k(wavelength);
-            let beyond = |y: usize, x: usize| {
-                let half = detector.pixel_k(wavelength);
-                middle(x).hypot(middle(y)) + half > full_k
-            };
-            let taken = (0..n * n).map(|i| beyond(i / n, i % n)).collect();
-            OuterPixels { matrices, taken }
+        let window = (plan.wave_grid.points, plan.wave_grid.extent_angstrom);
+        let outer = outer.map(|taken| OuterPixels {
+            matrices: PixelMatrices::by_area(detector, wavelength, window),
+            taken,
         });
-        let outer = outer.filter(|outer: &OuterPixels| outer.taken.contains(&true));
         let around = plan.has_windows().then(|| Around::new(plan, &padded, &engine));
         PatternReader { plan, engine, settings, padded, fine, outer, around }
     }
@@ -122,9 +150,7 @@ impl<'a> PatternReader<'a> {
             fine: Vec::new(),
             own: Vec::new(),
             amplitudes: Vec::new(),
-            intensities: Vec::new(),
-            half: Vec::new(),
-            pattern: vec![0.0; self.pixels()],
+            pixels: PixelWorkspace::default(),
         }
     }
 
@@ -135,22 +161,16 @@ impl<'a> PatternReader<'a> {
 
     /// How probes are propagated together: patches row by row, and the waves that all patches share, if there are any.
     pub fn groups(&self, scan: &Scan) -> (Vec<Patch>, Option<SharedWaves>) {
-        let most = self.engine.waves_together();
-        if !self.plan.has_windows() {
-            let [rows, columns] = scan.shape;
-            let row = |y: usize| {
-                let at = |x: usize| (y * columns + x, scan.position(y * columns + x));
-                Patch { origin: (0, 0), probes: (0..columns).map(at).collect() }
-            };
-            return ((0..rows).map(row).flat_map(|patch| patch.split(most)).collect(), None);
-        }
-        let patches = ProbePatches::new(self.plan, scan);
+        let patches = patches(self.plan, scan);
         match (patches.error, &self.around) {
             (Some(error), Some(around)) => {
                 let waves = around.shared(self.plan, &self.padded, patches.half(self.plan), error);
                 (patches.patches, Some(waves))
             }
-            _ => (patches.patches.into_iter().flat_map(|patch| patch.split(most)).collect(), None),
+            _ => {
+                let most = self.engine.waves_together();
+                (patches.patches.into_iter().flat_map(|patch| patch.split(most)).collect(), None)
+            }
         }
     }
 
@@ -217,20 +237,21 @@ impl<'a> PatternReader<'a> {
                     let some = PROBES_TOGETHER.min(probes - first);
                     let c = (&c[first..], [1, probes]);
                     let to = |i: usize| ((first + i) * at.path.len() + r) * self.pixels();
-                    let fine = std::mem::take(&mut w.fine);
-                    let own_waves = std::mem::take(&mut w.own);
                     w.amplitudes.resize(some * kept.max(own), Complex32::ZERO);
-                    multiply((some, kept, n), (&mut w.amplitudes, kept), c, (&fine, kept));
-                    for i in 0..some {
-                        self.read_fine(w, i * kept, *weight, &mut out[to(i)..][..self.pixels()]);
+                    let amplitudes = &mut w.amplitudes;
+                    multiply((some, kept, n), (amplitudes, kept), c, (&w.fine, kept));
+                    for (i, fine) in amplitudes.chunks_exact(kept).take(some).enumerate() {
+                        let out = &mut out[to(i)..][..self.pixels()];
+                        self.read_fine(fine, *weight, &mut w.pixels, out);
                     }
-                    if own > 0 {
-                        multiply((some, own, n), (&mut w.amplitudes, own), c, (&own_waves, own));
-                        for i in 0..some {
-                            self.read_own(w, i * own, *weight, &mut out[to(i)..][..self.pixels()]);
-                        }
+                    if own == 0 {
+                        continue;
                     }
-                    (w.fine, w.own) = (fine, own_waves);
+                    multiply((some, own, n), (amplitudes, own), c, (&w.own, own));
+                    for (i, own) in amplitudes.chunks_exact(own).take(some).enumerate() {
+                        let out = &mut out[to(i)..][..self.pixels()];
+                        self.read_own(own, *weight, &mut w.pixels, out);
+                    }
                 }
             }
         }
@@ -246,7 +267,8 @@ impl<'a> PatternReader<'a> {
     ) {
         let probes = &at.group.probes;
         let (kept, own) = (self.padded.len(), self.own_len());
-        w.amplitudes.resize(kept.max(own), Complex32::ZERO);
+        w.fine.resize(kept, Complex32::ZERO);
+        w.own.resize(own, Complex32::ZERO);
         for focus in 0..self.engine.foci() {
             let weight = self.engine.weight(focus) as f32;
             let (mut inside, mut outside) = (Vec::new(), Vec::new());
@@ -274,47 +296,42 @@ impl<'a> PatternReader<'a> {
                         let way = self.plan.beam_shift(part.height_angstrom);
                         [0, 1].map(|k| position[k] + way[k])
                     });
-                    self.padded.sample(psi, centre, &mut w.padded, &mut w.amplitudes[..kept]);
+                    self.own_frequencies(psi, &mut w.own[..own]);
+                    self.padded.sample(psi, centre, &mut w.padded, &mut w.fine[..kept]);
                     if let Some(rest) = outside.get(j).filter(|_| self.settings.coherent_tail) {
-                        let fine = &mut w.amplitudes[..kept];
-                        self.padded.add_tail(fine, rest, means[r], &phases);
+                        self.padded.add_tail(&mut w.fine[..kept], rest, means[r], &phases);
                     }
-                    self.read_fine(w, 0, weight, &mut out[to..][..self.pixels()]);
-                    if own > 0 {
-                        let psi = self.engine.spectrum(&mut w.multislice, j);
-                        self.own_frequencies(psi, &mut w.amplitudes[..own]);
-                        self.read_own(w, 0, weight, &mut out[to..][..self.pixels()]);
-                    }
+                    let out = &mut out[to..][..self.pixels()];
+                    self.read_fine(&w.fine[..kept], weight, &mut w.pixels, out);
+                    self.read_own(&w.own[..own], weight, &mut w.pixels, out);
                 }
             }
         }
     }
 
-    /// Adds what the kept frequencies of the box, which stand in `amplitudes` from `at` on, give to a pattern.
-    fn read_fine(&self, w: &mut ReaderWorkspace, at: usize, weight: f32, out: &mut [f32]) {
-        let amplitudes = &w.amplitudes[at..][..self.padded.len()];
-        w.intensities.clear();
-        w.intensities.extend(amplitudes.iter().map(|v| v.norm_sqr() * weight));
-        self.fine.pattern(&w.intensities, &mut w.half, &mut w.pattern);
+    /// Adds what the kept frequencies of the box give to a pattern.
+    fn read_fine(
+        &self,
+        amplitudes: &[Complex32],
+        weight: f32,
+        w: &mut PixelWorkspace,
+        out: &mut [f32],
+    ) {
         let taken = self.outer.as_ref().map(|outer| outer.taken.as_slice());
-        for (i, (to, v)) in out.iter_mut().zip(&w.pattern).enumerate() {
-            if taken.is_none_or(|taken| !taken[i]) {
-                *to += v;
-            }
-        }
+        let wanted = |i: usize| taken.is_none_or(|taken| !taken[i]);
+        w.read(&self.fine, (amplitudes, weight), wanted, out);
     }
 
-    /// The same for the window's own frequencies.
-    fn read_own(&self, w: &mut ReaderWorkspace, at: usize, weight: f32, out: &mut [f32]) {
-        let Some(outer) = &self.outer else { return };
-        let amplitudes = &w.amplitudes[at..][..self.own_len()];
-        w.intensities.clear();
-        w.intensities.extend(amplitudes.iter().map(|v| v.norm_sqr() * weight));
-        outer.matrices.pattern(&w.intensities, &mut w.half, &mut w.pattern);
-        for ((to, v), taken) in out.iter_mut().zip(&w.pattern).zip(&outer.taken) {
-            if *taken {
-                *to += v;
-            }
+    /// The same for the window's own frequencies, if they are read.
+    fn read_own(
+        &self,
+        amplitudes: &[Complex32],
+        weight: f32,
+        w: &mut PixelWorkspace,
+        out: &mut [f32],
+    ) {
+        if let Some(outer) = &self.outer {
+            w.read(&outer.matrices, (amplitudes, weight), |i| outer.taken[i], out);
         }
     }
 
@@ -348,8 +365,8 @@ impl<'a> PatternReader<'a> {
         let distance = part.height_angstrom - plan.slices.entrance();
         let (way, pixel) =
             (plan.beam_shift(part.height_angstrom), plan.wave_grid.sampling_angstrom());
-        let ways = [0, 1].map(|k| [way[k], -(part.moved[k] as f64) * pixel[k]]);
-        self.padded.phases(ways, plan.settings.optics.wavelength_angstrom() * distance)
+        let way = [0, 1].map(|k| way[k] - part.moved[k] as f64 * pixel[k]);
+        self.padded.phases(way, plan.settings.optics.wavelength_angstrom() * distance)
     }
 
     /// The product of the slices' mean transmission around a window, up to the end of each part of the path.
@@ -389,26 +406,24 @@ impl<'a> PatternReader<'a> {
     }
 }
 
-impl SharedWaves {
-    /// Number of waves.
-    pub fn len(&self) -> usize {
-        self.inside.len()
-    }
-}
-
-impl PatternReader<'_> {
-    /// Operations that read one pattern from so many waves.
-    pub fn flops(&self, waves: usize) -> f64 {
-        let ([x, y], n) = (self.padded.samples(), self.settings.detector.pixels);
-        let sums = 8 * waves * (self.padded.len() + self.own_len());
-        (sums + 2 * n * (x * y + n * y)) as f64
-    }
-
-    /// Bytes of a thread that reads so many waves.
-    pub fn thread_bytes(&self, waves: usize) -> u64 {
-        let together = waves + PROBES_TOGETHER;
-        let values = together * (self.padded.len() + self.own_len()) + 8 * self.padded.len();
-        (values * size_of::<Complex32>()) as u64
+impl PixelWorkspace {
+    /// Adds the intensities of amplitudes, times a weight, to the pixels that are wanted.
+    fn read(
+        &mut self,
+        matrices: &PixelMatrices,
+        (amplitudes, weight): (&[Complex32], f32),
+        wanted: impl Fn(usize) -> bool,
+        out: &mut [f32],
+    ) {
+        self.intensities.clear();
+        self.intensities.extend(amplitudes.iter().map(|v| v.norm_sqr() * weight));
+        self.pattern.resize(out.len(), 0.0);
+        matrices.pattern(&self.intensities, &mut self.half, &mut self.pattern);
+        for (i, (to, v)) in out.iter_mut().zip(&self.pattern).enumerate() {
+            if wanted(i) {
+                *to += v;
+            }
+        }
     }
 }
 

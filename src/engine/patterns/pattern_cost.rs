@@ -1,0 +1,49 @@
+//! What patterns take beside the waves, estimated without making any.
+
+use super::super::grid::Grid;
+use super::super::plan::Plan;
+use super::super::probe_patches::waves_of_patch;
+use super::super::probe_scan::Scan;
+use super::run::{PROBES_TOGETHER, PatternReach, patches};
+use super::{Band, PatternSettings, bands, held};
+use num_complex::Complex32;
+
+/// What it takes to read the patterns of a scan from its waves.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct PatternCost {
+    /// Operations, of all phonon configurations and thicknesses.
+    pub flops: f64,
+    /// Bytes of the patterns that are held at a time.
+    held_bytes: u64,
+    thread_bytes: u64,
+}
+
+impl PatternCost {
+    /// The cost of all patterns of a scan.
+    pub fn new(plan: &Plan, scan: &Scan, settings: &PatternSettings) -> Self {
+        let Grid { points: [nx, ny], .. } = plan.wave_grid;
+        let reach = PatternReach::new(plan, &settings.detector, nx);
+        let patches = patches(plan, scan);
+        let waves = patches.error.map_or(1, |_| waves_of_patch(plan));
+        let own = reach.outer.as_ref().map_or(0, |_| nx * ny);
+        let ([x, y], n) = (reach.padded.samples(), settings.detector.pixels);
+        let each = 8 * waves * (x * y + own) + 2 * n * (x * y + n * y);
+        let records = plan.record_after.len();
+        let runs = f64::from(plan.settings.configurations()) * (records * scan.len()) as f64;
+        let values = (waves + PROBES_TOGETHER) * (x * y + own) + 8 * x * y;
+        let bytes = |band: &Band| held(&band.rows, band.rows.end, scan.shape[1], records * n * n);
+        let bands = bands(&patches.patches, scan, records * n * n);
+        PatternCost {
+            flops: runs * each as f64,
+            // Once as sums, once in the order of the scan.
+            held_bytes: 2 * bands.iter().map(bytes).max().unwrap_or(0) as u64,
+            thread_bytes: (values * size_of::<Complex32>()) as u64,
+        }
+    }
+
+    /// Bytes that the largest arrays take on `threads` threads.
+    pub fn memory_bytes(&self, threads: usize) -> u64 {
+        self.held_bytes + self.thread_bytes * threads as u64
+    }
+}
