@@ -3,7 +3,7 @@
 use super::plan_text::Lines;
 use super::text;
 use serde::Serialize;
-use stemgen::engine::{AccuracyFound, Algorithm, Cost, Plan, Scan};
+use stemgen::engine::{AccuracyFound, Cost, Plan, Scan};
 use stemgen::simulation;
 
 /// What was found, and the time that finding it took.
@@ -22,8 +22,7 @@ impl AccuracyReport {
 
     /// What is to be said before the exact engine runs: why, and how long.
     pub fn warning(&self, plan: &Plan, scan: &Scan) -> Option<String> {
-        let exact = !matches!(self.found.algorithm, Algorithm::Window { .. });
-        (exact && !self.found.tried.is_empty()).then(|| {
+        (!self.found.holds && !self.found.tried.is_empty()).then(|| {
             let seconds = simulation::seconds(plan, &Cost::new(plan, scan), 1);
             format!("{}; this takes {}", self.found.text(), text::duration_range(seconds))
         })

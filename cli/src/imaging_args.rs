@@ -56,11 +56,11 @@ pub struct MicroscopeArgs {
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Numerics")]
 pub struct NumericsArgs {
-    /// How probes are propagated [default: multislice]
+    /// How probes are propagated [default: the fastest way that keeps --accuracy]
     #[arg(long = "engine", visible_alias = "algorithm", value_name = "NAME")]
     pub algorithm: Option<EngineName>,
     /// Take the narrowest window whose error is at most so many per cent of the mean image (rms), measured beforehand
-    /// on a sample of probes; where no window saves time, the exact engine
+    /// on a sample of probes; where no window saves time, the exact engine [default: 0.5, unless an engine is named]
     #[arg(long, value_name = "PERCENT", value_parser = values::percent, allow_negative_numbers = true)]
     #[arg(conflicts_with_all = ["window", "interpolation"])]
     pub accuracy: Option<f64>,
@@ -103,8 +103,8 @@ pub struct NumericsArgs {
     #[arg(long, value_name = "F", value_parser = values::finite, allow_negative_numbers = true)]
     pub angle_margin: Option<f64>,
     /// How far apart probes are propagated, in A, at most; images are interpolated to the scan. `scan`: at every
-    /// scan position; `auto`: that, but in windows at 0.94 of the image's Nyquist distance (0.28 A at 200 kV,
-    /// 21 mrad), where that takes fewer probes [default: auto]
+    /// scan position; `auto`: with an --engine that, but in windows at 0.94 of the image's Nyquist distance (0.28 A at
+    /// 200 kV, 21 mrad); without, at 0.84 of it; where that takes fewer probes [default: auto]
     #[arg(long, value_name = "A|scan|auto", value_parser = values::probe_step, allow_negative_numbers = true)]
     pub probe_step: Option<ProbeStep>,
     /// Windows: expand probes that share one in fewer waves, each right to so many per cent of its amplitude. `off`
@@ -113,7 +113,8 @@ pub struct NumericsArgs {
     #[arg(long, value_name = "PERCENT|off|auto", value_parser = values::expansion, allow_negative_numbers = true)]
     pub expansion: Option<Expansion>,
     /// Where the probe has norm 1: in the cell, as is usual, though a small cell makes bright columns too bright
-    /// (by 1 % in 20 A), or in a large box, as in an infinite specimen [default: cell; windows: large]
+    /// (by 1 % in 20 A), or in a large box, as in an infinite specimen [default: large; with the engines multislice and
+    /// prism: cell]
     #[arg(long, value_name = "NAME")]
     pub probe_box: Option<ProbeBoxName>,
     /// PRISM: keep exit waves on the grid of the simulation [default: on one that holds the band limit]

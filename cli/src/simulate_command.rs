@@ -279,7 +279,10 @@ impl SimulateRun {
 
     fn choose_accuracy(&mut self, reporter: &Reporter) -> anyhow::Result<()> {
         let begun = Instant::now();
-        self.job.choose_accuracy(reporter)?;
+        match self.common.dry_run {
+            true => self.job.choose_quickly(reporter)?,
+            false => self.job.choose_accuracy(reporter)?,
+        }
         let each_s = begun.elapsed().as_secs_f64() / self.job.accuracies().len().max(1) as f64;
         let found = self.job.accuracies().iter().cloned();
         self.accuracies = found.map(|found| AccuracyReport::new(found, each_s)).collect();

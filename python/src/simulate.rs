@@ -9,19 +9,7 @@ use numpy::{IntoPyArray, PyArray2, PyArray3};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use stemgen::engine::Plan;
-use stemgen::progress::Progress;
 use stemgen::simulation::{LengthUnit, SimulatedImage, SimulationJob};
-
-/// Prepares the simulation: with the accuracy that is asked for.
-fn prepared(
-    request: Request,
-    atoms: Option<&AtomArrays>,
-    progress: &dyn Progress,
-) -> Result<SimulationJob, Fault> {
-    let mut job = request.job(atoms)?;
-    job.choose_accuracy(progress)?;
-    Ok(job)
-}
 
 /// Passes warnings on, and refuses what takes more memory than is free unless `force`.
 pub(crate) fn check(job: &SimulationJob, force: bool, call: &LongCall) -> Result<(), Fault> {
@@ -60,7 +48,8 @@ pub fn simulate(
     running: Running,
 ) -> PyResult<Py<PyDict>> {
     let work = move |call: &LongCall| -> Result<(Vec<SimulatedImage>, SimulationJob), Fault> {
-        let job = prepared(request, atoms.as_ref(), call)?;
+        let mut job = request.job(atoms.as_ref())?;
+        job.choose_accuracy(call)?;
         check(&job, force, call)?;
         Ok((job.run(call)?, job))
     };
@@ -143,7 +132,8 @@ impl<'a, 'py> FromPyObject<'a, 'py> for Unit {
     }
 }
 
-/// What a simulation would do and take, as JSON. Nothing is simulated but what an accuracy needs.
+/// What a simulation would do and take, as JSON. Nothing is simulated but a sample of probes that
+/// chooses the engine, where that takes no more than two seconds.
 #[pyfunction]
 pub fn plan_simulation(
     py: Python<'_>,
@@ -152,7 +142,8 @@ pub fn plan_simulation(
     running: Running,
 ) -> PyResult<String> {
     run(py, running, move |call| {
-        let job = prepared(request, atoms.as_ref(), call)?;
+        let mut job = request.job(atoms.as_ref())?;
+        job.choose_quickly(call)?;
         let (specimen, scan) = (job.specimen(), job.scan());
         let mut report = serde_json::to_value(job.report()?)?;
         report["atoms"] = specimen.sites.len().into();
@@ -205,7 +196,7 @@ pub fn diffraction(
     running: Running,
 ) -> PyResult<Py<PyDict>> {
     let work = move |call: &LongCall| -> Result<(Array2<f32>, [f64; 2], f64), Fault> {
-        let job = prepared(request, atoms.as_ref(), call)?;
+        let job = request.job(atoms.as_ref())?;
         check(&job, force, call)?;
         let (pattern, step_mrad) = job.diffraction(position_angstrom, call)?;
         Ok((pattern, step_mrad, job.plans()[0].band_limit_mrad))

@@ -88,8 +88,10 @@ class SimulationOptions(TypedDict, total=False):
         dose: electrons per square Angstrom; electrons are then counted.
 
     Numerics:
-        engine: ``"multislice"`` (exact, default), ``"prism"`` (exact with interpolation 1), ``"window"``.
-        accuracy_percent: takes the narrowest window whose error (rms, per cent of the mean image) is at most this.
+        engine: ``"multislice"`` (exact), ``"prism"`` (exact with interpolation 1), ``"window"``; by default the fastest way that keeps
+            ``accuracy_percent``, in a specimen without end (``probe_box="large"``).
+        accuracy_percent: takes the narrowest window whose error (rms, per cent of the mean image) is at most this, or the exact engine.
+            0.5 where neither an engine nor this is given.
         interpolation: of PRISM, one number or one for x and y.
         window_angstrom: width of the window that follows each probe. Default 11.7.
         sampling_angstrom, gpts: pixel of the grid at most, or grid points along ``(x, y)``; by default the grid carries the outermost

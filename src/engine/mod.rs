@@ -7,12 +7,13 @@
 //! - waves: `stepper` (one slice after the other), `probe`, `basis` (probes expanded in fewer waves);
 //! - the algorithms: `multislice`, `prism` with `prism_reduce`, `probe_tail` and [`single_scattering`];
 //! - [`simulate()`], [`simulate_series`], [`simulate_part`] and [`ScanPart`] (shared by several processes), [`simulate_places`], [`lens_image`], [`SourceBlur`], [`measure_speed`], [`check_memory`];
-//! - `accuracy`: the window for an error that is asked for, measured on a sample of probes.
+//! - `accuracy`: the engine for an error that is asked for, measured on a sample of probes; `direct_beam`: what cropped probes lack.
 
 mod accuracy;
 mod basis;
 mod cost;
 mod detector_images;
+mod direct_beam;
 mod free_memory;
 mod grid;
 mod grid_choice;
@@ -45,10 +46,12 @@ mod workspace_pool;
 
 pub use crate::structure::Site;
 pub use accuracy::{
-    AccuracyFound, TriedWindow, WindowChoice, mean_heights, settings_for_accuracy, window_for,
+    AccuracyFound, ExactEngine, TriedWindow, WindowChoice, mean_heights, settings_for_accuracy,
+    window_for,
 };
 pub use cost::{Cost, PlannedScan};
 pub use detector_images::Images;
+pub(crate) use direct_beam::direct_share;
 pub use free_memory::{check_memory, free_memory};
 pub use grid::Grid;
 pub use lens::lens_image;

@@ -166,8 +166,13 @@ pub struct Settings {
     #[serde(default, skip_serializing_if = "Expansion::is_auto")]
     pub expansion: Expansion,
     /// Adds what the part of a probe outside its window would have scattered onto the detectors
-    /// (windows only), as from free atoms; see the source of `engine::probe_tail`.
+    /// (windows and large boxes), as from free atoms; see the source of `engine::probe_tail`.
     pub tail_correction: bool,
+    /// Where tails are corrected, images on detectors that see the beam itself are made right without a specimen: what is cropped off a
+    /// probe falls on them too; see the source of `engine::direct_beam`. `Settings::default` is without, since worlds do the same to their
+    /// tiles.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub direct_beam: bool,
     /// Radius of the anti-aliasing aperture in units of the Nyquist frequency. 2/3
     /// ([`EXACT_BAND_FRACTION`]) excludes aliasing altogether; since transmission functions are
     /// band-limited beforehand, [`DEFAULT_BAND_FRACTION`] changes HAADF by less than 0.1 % on the
@@ -223,6 +228,7 @@ impl Default for Settings {
             probe_step: ProbeStep::Auto,
             expansion: Expansion::Auto,
             tail_correction: true,
+            direct_beam: false,
             band_fraction: DEFAULT_BAND_FRACTION,
             band_taper: 0.0,
             oversampling: None,

@@ -1,6 +1,7 @@
 //! Executes a plan: simulates phonon configurations and averages their images.
 
 use super::detector_images::Images;
+use super::direct_beam::direct_beam_factors;
 use super::multislice::Multislice;
 use super::plan::Plan;
 use super::prism::Prism;
@@ -46,6 +47,8 @@ pub(super) struct LensEngine<'a> {
     plan: &'a Plan,
     engine: WaveEngine<'a>,
     tail: Option<ProbeTail<'a>>,
+    /// What images on each detector are multiplied by.
+    factors: Vec<f64>,
 }
 
 enum WaveEngine<'a> {
@@ -59,7 +62,7 @@ impl<'a> LensEngine<'a> {
             Algorithm::Prism { .. } => WaveEngine::Prism(Box::new(Prism::new(plan))),
             _ => WaveEngine::Multislice(Box::new(Multislice::new(plan))),
         };
-        LensEngine { plan, engine, tail: ProbeTail::new(plan) }
+        LensEngine { plan, engine, tail: ProbeTail::new(plan), factors: direct_beam_factors(plan) }
     }
 
     /// The images of probes at these places, averaged over phonon configurations, through each of these
@@ -136,7 +139,7 @@ impl<'a> LensEngine<'a> {
         }
         let [rows, columns] = places.shape();
         let data = Array4::from_shape_fn((records, detectors, rows, columns), |(t, d, y, x)| {
-            (sum[((y * columns + x) * records + t) * detectors + d] / n) as f32
+            (sum[((y * columns + x) * records + t) * detectors + d] / n * self.factors[d]) as f32
         });
         if let Some(bad) = data.iter().find(|v| !v.is_finite()) {
             let expected =
@@ -220,7 +223,9 @@ impl<'a> Simulation<'a> {
             values.iter_mut().zip(tails).for_each(|(v, t)| *v += t);
         }
         let plan = self.lens.plan;
-        let each = plan.settings.detectors.len() * plan.record_after.len();
+        let detectors = plan.settings.detectors.len();
+        let each = detectors * plan.record_after.len();
+        values.iter_mut().enumerate().for_each(|(i, v)| *v *= self.lens.factors[i % detectors]);
         Ok(indices.iter().flat_map(|i| values[i * each..][..each].iter().copied()).collect())
     }
 }

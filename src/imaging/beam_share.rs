@@ -5,7 +5,7 @@
 //! to 0.4 % when multiplied by the factor that makes it right without a specimen.
 
 use crate::detect::Detector;
-use crate::engine::{Plan, Scan, Settings, Simulation};
+use crate::engine::{Plan, Scan, Settings, Simulation, direct_share};
 use crate::error::Result;
 use crate::progress::Silent;
 
@@ -38,14 +38,8 @@ pub fn beam_factors(plan: &Plan) -> Result<Vec<f64>> {
 
 /// The share of the beam on a detector without a specimen; 0 for one that reaches out of the aperture.
 fn seen_directly(settings: &Settings, detector: &Detector) -> f64 {
-    let semiangle = settings.optics.semiangle_mrad;
-    match detector.outer_mrad <= semiangle {
-        true => {
-            let part = |([inner, outer], share): ([f64; 2], f64)| {
-                share * (outer * outer - inner * inner) / semiangle.powi(2)
-            };
-            detector.annuli(semiangle).into_iter().map(part).sum()
-        }
+    match detector.outer_mrad <= settings.optics.semiangle_mrad {
+        true => direct_share(settings, detector),
         false => 0.0,
     }
 }

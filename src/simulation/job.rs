@@ -12,7 +12,7 @@ use super::request::SimulationRequest;
 use super::time_estimate::threads;
 use crate::engine::{
     AccuracyFound, Cost, Images, Plan, ProbeRaster, Scan, ScanPart, SourceBlur, check_memory,
-    mean_diffraction, settings_for_accuracy, simulate_part, simulate_places, simulate_series_from,
+    mean_diffraction, simulate_part, simulate_places, simulate_series_from,
 };
 use crate::error::{Error, Result};
 use crate::files::Shard;
@@ -26,11 +26,11 @@ pub struct SimulationJob {
     request: SimulationRequest,
     specimen: PreparedSpecimen,
     /// One for each defocus.
-    plans: Vec<Plan>,
+    pub(super) plans: Vec<Plan>,
     /// Probe positions; the pixels of the grid for a plane wave.
-    scan: Scan,
+    pub(super) scan: Scan,
     /// What is known of the accuracy of each plan, where one is asked for.
-    accuracies: Vec<AccuracyFound>,
+    pub(super) accuracies: Vec<AccuracyFound>,
     warnings: Vec<Warning>,
 }
 
@@ -61,26 +61,6 @@ impl SimulationJob {
             SimulationJob { request, specimen, plans, scan, accuracies: Vec::new(), warnings: all };
         job.check_dose()?;
         Ok(job)
-    }
-
-    /// Makes the plans as accurate as the request asks, by simulating samples; nothing where it does not ask.
-    ///
-    /// # Errors
-    /// Those of [`settings_for_accuracy`].
-    pub fn choose_accuracy(&mut self, progress: &dyn Progress) -> Result<()> {
-        let Some(asked) = self.request.numerics.accuracy_percent else { return Ok(()) };
-        if !self.accuracies.is_empty() {
-            return Ok(());
-        }
-        let frames = self.specimen.frames();
-        let size = self.specimen.size_angstrom;
-        for plan in &mut self.plans {
-            let (settings, found) =
-                settings_for_accuracy(asked, &plan.settings, size, &frames, &self.scan, progress)?;
-            *plan = Plan::new(&settings, size, &self.specimen.heights_angstrom)?;
-            self.accuracies.push(found);
-        }
-        Ok(())
     }
 
     /// What was asked for.
@@ -234,12 +214,11 @@ impl SimulationJob {
         progress: &dyn Progress,
     ) -> Result<Vec<SimulatedImage>> {
         self.needs_images()?;
-        let blur = self.source_blur()?;
+        let (plans, blur) = (self.chosen_plans(progress)?, self.source_blur()?);
         let wide = blur.as_ref().map_or(&self.scan, |blur| blur.scan());
-        let series =
-            simulate_series_from(&self.plans, &self.specimen.frames(), wide, parts, progress)?;
+        let series = simulate_series_from(&plans, &self.specimen.frames(), wide, parts, progress)?;
         let mut made = Vec::new();
-        for (p, (plan, found)) in self.plans.iter().zip(&series).enumerate() {
+        for (p, (plan, found)) in plans.iter().zip(&series).enumerate() {
             for (d, detector) in plan.settings.detectors.iter().enumerate() {
                 let sharp = found.data.index_axis(Axis(1), d);
                 made.push(SimulatedImage {
@@ -266,7 +245,13 @@ impl SimulationJob {
     pub fn run_part(&self, shard: Shard, progress: &dyn Progress) -> Result<ScanPart> {
         self.needs_images()?;
         let scan = self.simulated_scan()?;
-        simulate_part(&self.plans, &self.specimen.frames(), &scan, shard, progress)
+        simulate_part(
+            &self.chosen_plans(progress)?,
+            &self.specimen.frames(),
+            &scan,
+            shard,
+            progress,
+        )
     }
 
     /// The exit waves of a plane wave, and the images of the lens for each defocus.
@@ -312,11 +297,12 @@ impl SimulationJob {
         // As many probes that share no waves, for an estimate of memory.
         let apart =
             Scan { step_angstrom: [1e3, 0.0], shape: [1, places_angstrom.len()], ..self.scan };
-        for plan in self.plans.iter().filter(|_| !force) {
+        let plans = self.plans_of_single_probes()?;
+        for plan in plans.iter().filter(|_| !force) {
             let cost = Cost::new(plan, &apart);
             check_memory(cost.memory_bytes(threads()), cost.memory_remedy(threads()))?;
         }
-        simulate_places(&self.plans, &self.specimen.frames(), places_angstrom, progress)
+        simulate_places(&plans, &self.specimen.frames(), places_angstrom, progress)
     }
 
     /// The diffraction pattern of a probe at a place (x, y) in Angstrom, in FFT order, and the step (x, y) of its pixels in mrad.

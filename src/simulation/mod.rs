@@ -6,6 +6,7 @@
 //! - [`SimulationRequest`] and its parts: [`SpecimenRequest`], [`MicroscopeRequest`], [`ScanRequest`], [`NumericsRequest`];
 //! - `plausibility`: values that are possible, but hardly meant, as errors and [`Warning`]s;
 //! - [`PreparedSpecimen`]: the atoms in their box;
+//! - `engine_choice`: the fastest engine that keeps an accuracy, where the request leaves it open;
 //! - [`SimulationJob`]: plans, warnings, memory and time, and the run: images, single probes, plane waves, diffraction patterns
 //!   of single probes and of whole scans ([`PatternsRequest`]).
 //!
@@ -26,6 +27,7 @@
 //! ```
 
 mod atoms;
+mod engine_choice;
 mod images;
 mod job;
 mod microscope;
@@ -39,6 +41,7 @@ mod scan;
 mod time_estimate;
 
 pub use atoms::{AtomsSource, FromFile, PreparedSpecimen, SigmaChoice, SpecimenRequest};
+pub use engine_choice::DEFAULT_ACCURACY_PERCENT;
 pub use images::{FRACTION_OF_BEAM, SimulatedImage, noisy_name};
 pub use job::SimulationJob;
 pub use microscope::MicroscopeRequest;

@@ -42,10 +42,11 @@ impl Engine {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct NumericsRequest {
-    /// The engine; `None`: the one that a window or an interpolation implies, or else multislice.
+    /// The engine; `None`: the one that a window or an interpolation implies, or else the fastest whose images are right to
+    /// [`DEFAULT_ACCURACY_PERCENT`](super::DEFAULT_ACCURACY_PERCENT).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub engine: Option<Engine>,
-    /// Take the narrowest window whose rms error is at most so many per cent of the mean image.
+    /// Take the narrowest window whose rms error is at most so many per cent of the mean image, or the exact engine.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub accuracy_percent: Option<f64>,
     /// PRISM's interpolation factors along x and y.
@@ -118,7 +119,7 @@ impl Default for NumericsRequest {
 }
 
 impl NumericsRequest {
-    /// The algorithm.
+    /// The algorithm; multislice where it is left open.
     ///
     /// # Errors
     /// [`Error::Invalid`] for an accuracy, a window or an interpolation that belongs to another engine.
@@ -182,6 +183,7 @@ impl NumericsRequest {
             probe_box: self.probe_box,
             full_exit_grid: self.full_exit_grid,
             tail_correction: self.tail_correction,
+            direct_beam: self.tail_correction,
             band_fraction: self.band_fraction,
             band_taper: self.band_taper,
             oversampling: self.oversampling,
@@ -318,7 +320,7 @@ mod tests {
     fn the_defaults_are_those_of_the_engine() {
         let microscope = MicroscopeRequest::default();
         let settings = NumericsRequest::default().settings(&microscope, 0.0, None, Vec::new());
-        assert_eq!(settings.unwrap(), Settings::default());
+        assert_eq!(settings.unwrap(), Settings { direct_beam: true, ..Settings::default() });
     }
 
     #[test]

@@ -181,6 +181,40 @@ fn the_accuracy_asked_for_is_kept_with_phonons() {
     assert!(tried.len() == 1 && tried[0].probes >= 32, "{tried:?}");
 }
 
+/// What windows crop off a probe falls on detectors that see the beam itself. The reference crops nothing: probes are in the cell.
+#[test]
+fn detectors_in_the_beam_are_right_in_windows() {
+    let specimen = crystal("srtio3.cif", [0, 0, 1], [7, 7, 4], 0.0);
+    let detectors = vec![Detector::new("ABF", 10.5, 21.0), Detector::new("BF", 0.0, 15.0)];
+    let base = Settings { detectors, ..Settings::default() };
+    let scan = scan([7.0, 7.0], 0.5, [8, 8]);
+    let cell = image(&base, &specimen, &scan);
+    let window = Algorithm::Window { width_angstrom: 11.7 };
+    let error = |direct_beam| {
+        let settings = Settings { algorithm: window, direct_beam, ..base.clone() };
+        error_percent(&image(&settings, &specimen, &scan), &cell)
+    };
+    let (with, without) = (error(true), error(false));
+    println!("with {with:.2} %, without {without:.2} %");
+    assert!(with < 1.0 && without > 2.0 && without > 3.0 * with, "{with} {without}");
+    // Without a specimen they see their share of the beam.
+    let nothing = Specimen { sites: Vec::new(), cell: [27.0, 27.0, 4.0] };
+    for algorithm in [window, Algorithm::Multislice] {
+        let settings = Settings {
+            algorithm,
+            probe_box: Some(ProbeBox::Large),
+            direct_beam: true,
+            ..base.clone()
+        };
+        let images = image(&settings, &nothing, &scan);
+        for (d, share) in [0.75, (15.0_f64 / 21.0).powi(2)].into_iter().enumerate() {
+            let worst = images.image(0, d).iter().map(|v| (f64::from(*v) / share - 1.0).abs());
+            let worst = worst.fold(0.0, f64::max);
+            assert!(worst < 5e-3, "{algorithm:?} {d}: {worst}");
+        }
+    }
+}
+
 /// Of a trajectory all frames count: here the first, of carbon in the places of gallium and arsenic, would be content with a narrow
 /// window.
 #[test]
@@ -222,8 +256,12 @@ fn what_windows_cannot_do_is_done_exactly() {
         Settings { detectors: vec![Detector::new("BF", 0.0, 10.0)], ..Settings::default() };
     let (settings, found) = of(0.1, &bright, &scan).unwrap();
     assert_eq!(settings.algorithm, Algorithm::Multislice);
-    assert_eq!(settings.probe_box, Some(ProbeBox::Cell));
-    assert!(found.text().contains("exact engine, multislice, since"), "{}", found.text());
+    assert_eq!(settings.probe_box, Some(ProbeBox::Large));
+    let told = found.text();
+    assert!(
+        told.contains("exact engine, multislice with the probe of a large box, since"),
+        "{told}"
+    );
     // A few probes are simulated exactly at once.
     let few = Scan { shape: [3, 3], ..scan };
     let (settings, found) = of(1.0, &Settings::default(), &few).unwrap();

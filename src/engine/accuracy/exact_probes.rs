@@ -1,59 +1,93 @@
-//! What the exact engine makes of single probes of a scan: in the whole cell, or, where the cell is wide, in a piece cut out
-//! around them.
+//! The exact engine of a specimen without end: multislice over the whole cell, with the probe of a large box; in a wide cell, windows so
+//! wide that they give the same; in a narrow one, which crops too much off a probe, with the probe in the cell, as periodic codes have it.
 
 use super::super::cost::Cost;
 use super::super::elements;
 use super::super::plan::Plan;
 use super::super::probe_scan::Scan;
 use super::super::probe_width::{geometric_radius, relative_size};
-use super::super::settings::{Algorithm, ProbeStep, Settings};
+use super::super::settings::{Algorithm, Expansion, ProbeBox, ProbeStep, Settings};
 use super::super::simulate::Simulation;
 use super::probe_sample::DrawnCluster;
 use crate::error::Result;
 use crate::progress::Progress;
+use crate::resample::image_band_limit;
 use crate::structure::Site;
 
-/// Width of the piece in Angstrom for a thin specimen in focus, at 200 kV and 21 mrad. GaAs \[110\] of 104 A in a cell 28 A wide
+/// Width of the windows in Angstrom for a thin specimen in focus, at 200 kV and 21 mrad. GaAs \[110\] of 104 A in a cell 28 A wide
 /// differs by 0.04 % rms from one of 45 A.
-const PIECE_ANGSTROM: f64 = 26.0;
+const WIDE_ANGSTROM: f64 = 26.0;
 /// It grows by this share of semiangle times thickness.
 const SPREAD: f64 = 2.0;
-/// A cell is cut if it is wider than the piece by this factor: cutting has a price.
+/// A cell is wide if it is wider than the windows by this factor: windows have a price.
 const WORTH: f64 = 1.3;
+/// A cell narrower than this, at 200 kV and 21 mrad, is narrow: more than 2.6 % of a probe lie outside, which only large angles can be
+/// corrected for.
+const NARROW_ANGSTROM: f64 = 15.0;
+/// Step times band limit of probes that a scan is interpolated from. The interpolation's error is then 0.01 % of the image's
+/// contrast, and 0.03 % at its edges ([`crate::resample::Kernel`]).
+const PROBE_STEP: f64 = 0.42;
 
-/// The plan of the exact engine for the whole cell, and that for single probes.
+/// The plan of the exact engine for a scan, and that for single probes.
 pub struct ExactEngine {
-    /// For the whole cell.
+    /// For a scan: it is interpolated where that takes fewer probes, unless the settings say where probes are.
     pub plan: Plan,
-    piece: Plan,
-    cell_angstrom: [f64; 3],
+    /// Every probe by itself.
+    pub each: Plan,
 }
 
 impl ExactEngine {
-    /// Multislice with these settings otherwise, for atoms at these heights.
+    /// The engine with these settings otherwise, for atoms at these heights.
     ///
     /// # Errors
     /// Those of [`Plan::new`].
     pub fn new(settings: &Settings, cell_angstrom: [f64; 3], heights: &[f64]) -> Result<Self> {
-        let settings = Settings { algorithm: Algorithm::Multislice, ..settings.clone() };
-        let plan = Plan::new(&settings, cell_angstrom, heights)?;
-        let width = PIECE_ANGSTROM * relative_size(&settings).max(1.0)
-            + 2.0 * geometric_radius(&settings)
-            + SPREAD * 1e-3 * settings.optics.semiangle_mrad * cell_angstrom[2];
-        let [x, y, z] = cell_angstrom;
-        let cut = |l: f64| if l > WORTH * width { width } else { l };
-        let each = Settings { probe_step: ProbeStep::Scan, ..settings };
-        let piece = Plan::new(&each, [cut(x), cut(y), z], heights)?;
-        Ok(ExactEngine { plan, piece, cell_angstrom })
+        let [x, y, thickness] = cell_angstrom;
+        let width = WIDE_ANGSTROM * relative_size(settings).max(1.0)
+            + 2.0 * geometric_radius(settings)
+            + SPREAD * 1e-3 * settings.optics.semiangle_mrad * thickness;
+        let narrow = x.min(y) < NARROW_ANGSTROM * relative_size(settings).max(1.0);
+        let natural = if narrow { ProbeBox::Cell } else { ProbeBox::Large };
+        let probe_box = settings.probe_box.unwrap_or(natural);
+        let wide = x.min(y) > WORTH * width && probe_box == ProbeBox::Large;
+        let algorithm = match wide {
+            true => Algorithm::Window { width_angstrom: width },
+            false => Algorithm::Multislice,
+        };
+        let whole = Settings {
+            algorithm,
+            probe_box: Some(probe_box),
+            probe_step: match settings.probe_step {
+                ProbeStep::Auto => interpolated_step(settings),
+                given => given,
+            },
+            ..settings.clone()
+        };
+        let each =
+            Settings { probe_step: ProbeStep::Scan, expansion: Expansion::Off, ..whole.clone() };
+        let plan = |settings| Plan::new(settings, cell_angstrom, heights);
+        Ok(ExactEngine { plan: plan(&whole)?, each: plan(&each)? })
     }
 
-    /// Nominal operations of one probe of a sample in one phonon configuration.
-    pub fn probe_flops(&self, scan: &Scan) -> f64 {
-        let cost = Cost::new(&self.piece, scan);
-        cost.nominal_flops() / (scan.len() as f64 * f64::from(self.piece.settings.configurations()))
+    /// What it is called.
+    pub fn name(&self) -> String {
+        let settings = &self.plan.settings;
+        match (settings.algorithm, settings.probe_box) {
+            (Algorithm::Window { width_angstrom }, _) => {
+                format!("multislice in {width_angstrom:.0} A about each probe")
+            }
+            (_, Some(ProbeBox::Large)) => "multislice with the probe of a large box".to_owned(),
+            _ => "multislice".to_owned(),
+        }
     }
 
-    /// Intensities of the probes of some clusters in one phonon configuration of some atoms: for each, (probe, thickness, detector).
+    /// Nominal operations of so many probes in one phonon configuration, potentials included.
+    pub fn flops(&self, scan: &Scan, probes: usize) -> f64 {
+        let cost = Cost::new(&self.each, scan).for_probes(probes);
+        cost.nominal_flops() / f64::from(self.each.settings.configurations())
+    }
+
+    /// Intensities of some probes of a scan in one phonon configuration of some atoms: (cluster, probe, thickness, detector).
     ///
     /// # Errors
     /// Those of the engine.
@@ -65,46 +99,16 @@ impl ExactEngine {
         configuration: u32,
         progress: &dyn Progress,
     ) -> Result<Vec<Vec<f64>>> {
-        let mut simulation = Simulation::new(&self.piece, &elements(sites))?;
-        if self.piece.transmission_grid == self.plan.transmission_grid {
-            let indices: Vec<usize> = clusters.iter().flat_map(|c| c.indices.clone()).collect();
-            let all = simulation.some_probes(sites, scan, &indices, configuration, progress)?;
-            return Ok(by_cluster(&all, clusters));
-        }
-        let mut out = Vec::with_capacity(clusters.len());
-        for cluster in clusters {
-            let (sites, scan) = self.cut_out(sites, scan, cluster);
-            out.push(simulation.some_probes(
-                &sites,
-                &scan,
-                &cluster.indices,
-                configuration,
-                progress,
-            )?);
-        }
-        Ok(out)
+        let mut simulation = Simulation::new(&self.each, &elements(sites))?;
+        let indices: Vec<usize> = clusters.iter().flat_map(|c| c.indices.clone()).collect();
+        let all = simulation.some_probes(sites, scan, &indices, configuration, progress)?;
+        Ok(by_cluster(&all, clusters))
     }
+}
 
-    /// The atoms of the piece around a cluster, and the scan as it lies in the piece.
-    fn cut_out(&self, sites: &[Site], scan: &Scan, cluster: &DrawnCluster) -> (Vec<Site>, Scan) {
-        let piece = self.piece.transmission_grid.extent_angstrom;
-        let n = cluster.indices.len() as f64;
-        let middle =
-            [0, 1].map(|k| cluster.indices.iter().map(|&i| scan.position(i)[k]).sum::<f64>() / n);
-        let corner = [0, 1].map(|k| middle[k] - 0.5 * piece[k]);
-        let inside = |site: &Site| {
-            let mut site = *site;
-            for k in 0..2 {
-                site.position[k] = (site.position[k] - corner[k]).rem_euclid(self.cell_angstrom[k]);
-                if site.position[k] >= piece[k] {
-                    return None;
-                }
-            }
-            Some(site)
-        };
-        let origin_angstrom = [0, 1].map(|k| scan.origin_angstrom[k] - corner[k]);
-        (sites.iter().filter_map(inside).collect(), Scan { origin_angstrom, ..*scan })
-    }
+/// How far apart the probes are that a scan is interpolated from.
+pub fn interpolated_step(settings: &Settings) -> ProbeStep {
+    ProbeStep::Angstrom(PROBE_STEP / image_band_limit(&settings.optics))
 }
 
 /// Values of the probes of all clusters, cluster by cluster.

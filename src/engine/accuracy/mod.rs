@@ -7,6 +7,7 @@ mod probe_sample;
 mod settings_choice;
 mod window_table;
 
+pub use exact_probes::ExactEngine;
 pub use settings_choice::{AccuracyFound, TriedWindow, mean_heights, settings_for_accuracy};
 pub(super) use window_table::LEAST_INNER_SEMIANGLES;
 pub use window_table::{WindowChoice, window_for};

@@ -1,7 +1,7 @@
 //! The settings that have the error that is asked for, measured on the specimen itself.
 //!
-//! A sample of the scan's probes is simulated by the exact engine, and again in windows exactly as the whole scan would be. The
-//! narrowest window whose error is small enough is taken; where none is, the exact engine.
+//! A sample of the scan's probes is simulated by the exact engine ([`ExactEngine`]), and again in windows exactly as the whole scan would
+//! be. The narrowest window whose error is small enough is taken; where none is, the exact engine.
 
 use super::super::cost::Cost;
 use super::super::elements;
@@ -9,15 +9,13 @@ use super::super::plan::Plan;
 use super::super::probe_raster::ProbeRaster;
 use super::super::probe_scan::Scan;
 use super::super::probe_width::{geometric_radius, relative_size};
-use super::super::settings::{Algorithm, ProbeBox, ProbeStep, Settings};
+use super::super::settings::{Algorithm, ProbeStep, Settings};
 use super::super::simulate::Simulation;
 use super::error_estimate::{AccuracyVerdict, ErrorEstimate};
-use super::exact_probes::{ExactEngine, by_cluster};
+use super::exact_probes::{ExactEngine, by_cluster, interpolated_step};
 use super::probe_sample::{DrawnCluster, ProbeSample};
-use super::window_table::LEAST_INNER_SEMIANGLES;
 use crate::error::{Error, Result};
 use crate::progress::{InterruptOnly, Progress};
-use crate::resample::image_band_limit;
 use crate::structure::Site;
 use serde::Serialize;
 use std::collections::BTreeSet;
@@ -37,9 +35,6 @@ const ROUNDS: u32 = 4;
 const FRAMES: usize = 4;
 /// A round should take no more than this share of the operations of the whole scan.
 const SHARE: f64 = 0.02;
-/// Step times band limit of probes that a scan is interpolated from. The interpolation's error is then 0.01 % of the image's
-/// contrast, and 0.03 % at its edges ([`crate::resample::Kernel`]).
-const PROBE_STEP: f64 = 0.42;
 
 /// A window that was tried.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -63,26 +58,41 @@ pub struct AccuracyFound {
     pub asked_percent: f64,
     /// What was chosen.
     pub algorithm: Algorithm,
+    /// Whether the last of the windows that were tried is taken; otherwise the exact engine.
+    pub holds: bool,
+    /// Nothing was tried yet: the engine is chosen when the simulation runs.
+    pub chosen_later: bool,
     /// The windows that were tried, in turn; if one holds, it is the last. Empty if the exact engine takes no longer.
     pub tried: Vec<TriedWindow>,
     /// The exact engine that they were compared with.
-    pub reference: &'static str,
+    pub reference: String,
 }
 
 impl AccuracyFound {
     /// The error that was found for the window that was taken; `None` for the exact engine.
     pub fn window(&self) -> Option<&TriedWindow> {
-        match self.algorithm {
-            Algorithm::Window { .. } => self.tried.last(),
-            _ => None,
-        }
+        self.tried.last().filter(|_| self.holds)
+    }
+
+    /// Nothing tried: the exact engine at once.
+    pub fn exact(asked_percent: f64, exact: &ExactEngine) -> Self {
+        let algorithm = exact.plan.settings.algorithm;
+        let (tried, reference) = (Vec::new(), exact.name());
+        let (holds, chosen_later) = (false, false);
+        AccuracyFound { asked_percent, algorithm, holds, chosen_later, tried, reference }
     }
 
     /// What was found, in a sentence.
     pub fn text(&self) -> String {
-        let against = self.reference;
+        let against = &self.reference;
         let each =
             |t: &TriedWindow| format!("{:.1} A: {}", t.width_angstrom, percent(t.found_percent));
+        if self.chosen_later {
+            return format!(
+                "{} asked; the engine is chosen when this runs, on a sample of probes: what is told here is that of the exact engine, {against}",
+                percent(self.asked_percent)
+            );
+        }
         match (self.window(), self.tried.is_empty()) {
             (Some(t), _) => format!(
                 "{} asked; found {} (at most {} is likely) on {} probes, against {against}",
@@ -115,9 +125,8 @@ fn percent(value: f64) -> String {
 }
 
 /// Settings for the images of a scan whose rms error against the exact engine is at most `accuracy_percent` of the mean image,
-/// for every detector and thickness. The exact engine is multislice over the whole cell with the same settings otherwise.
-/// Probes have norm 1 in a large box in both (see [`ProbeBox`]), unless the settings say where, or a detector sees the probe
-/// itself.
+/// for every detector and thickness. The exact engine is [`ExactEngine`] with the same settings otherwise. Probes have norm 1 in a large
+/// box in both (see [`ProbeBox`](super::super::settings::ProbeBox)), unless the settings say where.
 ///
 /// `frames` are the atoms; of a trajectory, whose images are averaged, those of each frame. The sample is spread over them.
 ///
@@ -135,19 +144,10 @@ pub fn settings_for_accuracy(
         let expected = "must be above 0";
         return Err(Error::invalid(crate::Setting::AccuracyPercent, accuracy_percent, expected));
     }
-    let probe_box = settings.probe_box.unwrap_or(natural_box(settings));
-    let base = Settings { probe_box: Some(probe_box), ..settings.clone() };
     let heights = mean_heights(frames);
-    let exact = ExactEngine::new(&base, cell_angstrom, &heights)?;
-    let mut found = AccuracyFound {
-        asked_percent: accuracy_percent,
-        algorithm: Algorithm::Multislice,
-        tried: Vec::new(),
-        reference: match probe_box {
-            ProbeBox::Large => "multislice with the probe of a large box",
-            ProbeBox::Cell => "multislice",
-        },
-    };
+    let exact = ExactEngine::new(settings, cell_angstrom, &heights)?;
+    let mut found = AccuracyFound::exact(accuracy_percent, &exact);
+    let base = Settings { probe_box: exact.plan.settings.probe_box, ..settings.clone() };
     let search = Search {
         base: &base,
         exact,
@@ -157,8 +157,9 @@ pub fn settings_for_accuracy(
         accuracy_percent,
         cell_angstrom,
     };
-    let chosen = search.window(&mut found.tried, progress)?;
-    let chosen = chosen.unwrap_or_else(|| search.exact.plan.settings.clone());
+    let window = search.window(&mut found.tried, progress)?;
+    found.holds = window.is_some();
+    let chosen = window.unwrap_or_else(|| search.exact.plan.settings.clone());
     found.algorithm = chosen.algorithm;
     Ok((chosen, found))
 }
@@ -180,15 +181,6 @@ fn frames_of_round(round: u32, count: usize) -> Vec<usize> {
         false => (0..FRAMES)
             .map(|k| (ROUNDS as usize * k + round as usize) * count / (ROUNDS as usize * FRAMES))
             .collect(),
-    }
-}
-
-/// A large box, but the cell for detectors that see the probe itself: its part outside of the cell would be missing there.
-fn natural_box(settings: &Settings) -> ProbeBox {
-    let least = LEAST_INNER_SEMIANGLES * settings.optics.semiangle_mrad;
-    match settings.detectors.iter().any(|d| d.inner_mrad < least) {
-        true => ProbeBox::Cell,
-        false => ProbeBox::Large,
     }
 }
 
@@ -223,7 +215,9 @@ impl Search<'_> {
         tried: &mut Vec<TriedWindow>,
         progress: &dyn Progress,
     ) -> Result<Option<Settings>> {
-        let exact_flops = Cost::new(&self.exact.plan, self.asked).nominal_flops();
+        let exact_raster = *ProbeRaster::new(&self.exact.plan, self.asked)?.scan();
+        let exact_flops =
+            Cost::with_atoms(&self.exact.plan, &exact_raster, self.frames[0]).nominal_flops();
         let mut sample = None;
         let mut rounds = Vec::new();
         for settings in self.candidates()? {
@@ -274,7 +268,7 @@ impl Search<'_> {
         if self.base.probe_step == ProbeStep::Auto {
             let raster = ProbeRaster::new(&self.plan(&candidates[0])?, self.asked)?;
             let probe_step = match raster.interpolates() {
-                true => ProbeStep::Angstrom(PROBE_STEP / image_band_limit(&self.base.optics)),
+                true => interpolated_step(self.base),
                 false => ProbeStep::Scan,
             };
             candidates.iter_mut().for_each(|c| c.probe_step = probe_step);
@@ -295,7 +289,8 @@ impl Search<'_> {
 
     /// Clusters of a round and probes of each, for a scan of so many operations.
     fn sample_shape(&self, sample: &ProbeSample, flops: f64) -> [usize; 2] {
-        let probes = SHARE * flops / self.exact.probe_flops(self.asked);
+        let probe_flops = self.exact.flops(self.asked, 1) - self.exact.flops(self.asked, 0);
+        let probes = SHARE * flops / probe_flops;
         let clusters = (probes as usize / PROBES).clamp(CLUSTERS.0, CLUSTERS.1);
         // Small scans have few clusters.
         let clusters = clusters.min(sample.clusters());

@@ -1,0 +1,245 @@
+//! Which engine makes the images of a scan, where the request leaves it open: the fastest that keeps an accuracy.
+
+use std::borrow::Cow;
+
+use super::job::SimulationJob;
+use super::numerics_request::NumericsRequest;
+use crate::engine::{
+    AccuracyFound, Algorithm, Cost, ExactEngine, Plan, ProbeBox, ProbeRaster, Settings,
+    mean_heights, settings_for_accuracy,
+};
+use crate::error::Result;
+use crate::progress::Progress;
+
+/// The rms error in per cent of the mean image that images keep where neither an engine nor an accuracy is asked for.
+pub const DEFAULT_ACCURACY_PERCENT: f64 = 0.5;
+/// Images that take the exact engine fewer operations, a second or two, or fewer probes, those of all configurations counted, are simulated
+/// exactly at once: a round of measuring errors would take more than a tenth of that.
+const LITTLE_FLOPS: f64 = 3e10;
+const FEW_PROBES: usize = 320;
+/// A plan that is told and not run samples what takes no more operations, a second or two.
+const QUICK_FLOPS: f64 = 3e10;
+/// Probes that the choice samples of each image, about (`engine::accuracy`).
+const SAMPLED: usize = 64;
+
+/// Plans, and what was found about each.
+type Chosen = (Vec<Plan>, Vec<AccuracyFound>);
+
+impl NumericsRequest {
+    /// Whether nothing says how waves are propagated, so that the program chooses. A probe in the cell is for the exact engine.
+    pub fn leaves_engine_open(&self) -> bool {
+        let chosen = self.engine.is_some()
+            || self.window_angstrom.is_some()
+            || self.interpolation.is_some()
+            || self.accuracy_percent.is_some();
+        !chosen && self.probe_box != Some(ProbeBox::Cell)
+    }
+}
+
+impl SimulationJob {
+    /// The rms error in per cent of the mean image that the images keep against the exact engine; `None` where an engine is asked for.
+    pub fn accuracy_asked(&self) -> Option<f64> {
+        let request = self.request();
+        if request.plane_wave || request.patterns.is_some() {
+            return None;
+        }
+        let open = request.numerics.leaves_engine_open();
+        request.numerics.accuracy_percent.or(open.then_some(DEFAULT_ACCURACY_PERCENT))
+    }
+
+    /// Makes the plans as accurate as the request asks, by simulating samples; nothing where it names an engine. All images of a series
+    /// get the same engine.
+    ///
+    /// # Errors
+    /// Those of [`settings_for_accuracy`].
+    pub fn choose_accuracy(&mut self, progress: &dyn Progress) -> Result<()> {
+        if let Some((plans, found)) = self.choice(progress)? {
+            (self.plans, self.accuracies) = (plans, found);
+        }
+        Ok(())
+    }
+
+    /// As [`SimulationJob::choose_accuracy`] for a plan that is told and not run: unless an accuracy is asked for, samples that would take
+    /// some seconds are left out, and the plans are those of the exact engine ([`AccuracyFound::chosen_later`]).
+    ///
+    /// # Errors
+    /// As [`SimulationJob::choose_accuracy`].
+    pub fn choose_quickly(&mut self, progress: &dyn Progress) -> Result<()> {
+        let exact = self.exact_engines()?;
+        let sampled = |exact: &ExactEngine| exact.flops(&self.scan, SAMPLED);
+        let quick = exact.iter().map(sampled).sum::<f64>() <= QUICK_FLOPS;
+        let asked = self.accuracy_asked().filter(|_| self.request().numerics.leaves_engine_open());
+        match asked {
+            Some(asked) if !quick && !self.takes_little(&exact)? => {
+                let later = |exact: &ExactEngine| AccuracyFound {
+                    chosen_later: true,
+                    ..AccuracyFound::exact(asked, exact)
+                };
+                self.accuracies = exact.iter().map(later).collect();
+                self.plans = exact.into_iter().map(|exact| exact.plan).collect();
+                Ok(())
+            }
+            _ => self.choose_accuracy(progress),
+        }
+    }
+
+    /// The plans that images are made by: the chosen ones.
+    pub(super) fn chosen_plans(&self, progress: &dyn Progress) -> Result<Cow<'_, [Plan]>> {
+        let chosen = self.choice(progress)?;
+        Ok(chosen.map_or(Cow::Borrowed(self.plans()), |(plans, _)| Cow::Owned(plans)))
+    }
+
+    /// The plans for single probes, which nothing is chosen for: the exact engine where the request leaves the engine open.
+    pub(super) fn plans_of_single_probes(&self) -> Result<Cow<'_, [Plan]>> {
+        match self.request().numerics.leaves_engine_open() {
+            false => Ok(Cow::Borrowed(self.plans())),
+            true => {
+                let exact = self.exact_engines()?;
+                Ok(Cow::Owned(exact.into_iter().map(|exact| exact.each).collect()))
+            }
+        }
+    }
+
+    /// What is chosen; `None` where nothing is to be, or was already.
+    fn choice(&self, progress: &dyn Progress) -> Result<Option<Chosen>> {
+        let Some(asked) = self.accuracy_asked().filter(|_| self.accuracies.is_empty()) else {
+            return Ok(None);
+        };
+        let exact = self.exact_engines()?;
+        let at_once = |found: Vec<AccuracyFound>| {
+            let plans = exact.iter().map(|exact| exact.plan.clone()).collect();
+            Ok(Some((plans, found)))
+        };
+        if self.request().numerics.accuracy_percent.is_none() && self.takes_little(&exact)? {
+            return at_once(exact.iter().map(|e| AccuracyFound::exact(asked, e)).collect());
+        }
+        let (frames, size) = (self.specimen().frames(), self.specimen().size_angstrom);
+        let (mut all, mut found) = (Vec::new(), Vec::new());
+        for plan in self.plans() {
+            let scan = self.scan();
+            let (settings, one) =
+                settings_for_accuracy(asked, &plan.settings, size, &frames, scan, progress)?;
+            all.push(settings);
+            found.push(one);
+        }
+        if found.iter().any(|one| !one.holds) {
+            for (one, exact) in found.iter_mut().zip(&exact) {
+                (one.holds, one.algorithm) = (false, exact.plan.settings.algorithm);
+            }
+            return at_once(found);
+        }
+        // The widest window of the series is wide enough for each.
+        let width_angstrom = all.iter().map(width).fold(0.0, f64::max);
+        let algorithm = Algorithm::Window { width_angstrom };
+        found.iter_mut().for_each(|one| one.algorithm = algorithm);
+        let plan = |settings: Settings| {
+            let settings = Settings { algorithm, ..settings };
+            Plan::new(&settings, size, &self.specimen().heights_angstrom)
+        };
+        Ok(Some((all.into_iter().map(plan).collect::<Result<_>>()?, found)))
+    }
+
+    /// The exact engine for each plan.
+    fn exact_engines(&self) -> Result<Vec<ExactEngine>> {
+        let heights = mean_heights(&self.specimen().frames());
+        let size = self.specimen().size_angstrom;
+        let of = |plan: &Plan| ExactEngine::new(&plan.settings, size, &heights);
+        self.plans().iter().map(of).collect()
+    }
+
+    /// Whether the exact engine takes so little that nothing is measured.
+    fn takes_little(&self, exact: &[ExactEngine]) -> Result<bool> {
+        let (mut flops, mut probes) = (0.0, 0);
+        for ExactEngine { plan, .. } in exact {
+            let raster = *ProbeRaster::new(plan, self.scan())?.scan();
+            flops += Cost::new(plan, &raster).nominal_flops();
+            probes += raster.len() * plan.settings.configurations() as usize;
+        }
+        let frames = self.specimen().frames().len();
+        Ok(flops * (frames as f64) < LITTLE_FLOPS || probes * frames < FEW_PROBES)
+    }
+}
+
+fn width(settings: &Settings) -> f64 {
+    match settings.algorithm {
+        Algorithm::Window { width_angstrom } => width_angstrom,
+        _ => 0.0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::engine::ProbeStep;
+    use crate::progress::Silent;
+    use crate::simulation::{Engine, SimulationRequest};
+
+    fn request(change: &dyn Fn(&mut SimulationRequest)) -> SimulationRequest {
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/structures/si.cif");
+        let mut request = SimulationRequest::of_file(file);
+        request.specimen.repeat = Some([3, 3, 1]);
+        request.scan.end = Some([5.431, 5.431]);
+        request.scan.points = Some([3, 3]);
+        change(&mut request);
+        request
+    }
+
+    #[test]
+    fn what_is_left_open_is_the_exact_engine_where_that_takes_little() {
+        let mut job = SimulationJob::new(request(&|_| ())).unwrap();
+        assert_eq!(job.accuracy_asked(), Some(DEFAULT_ACCURACY_PERCENT));
+        let at_once = job.run(&Silent).unwrap();
+        job.choose_accuracy(&Silent).unwrap();
+        let settings = &job.plans()[0].settings;
+        assert_eq!(settings.algorithm, Algorithm::Multislice);
+        assert_eq!(settings.probe_box, Some(ProbeBox::Large));
+        assert!(matches!(settings.probe_step, ProbeStep::Angstrom(_)), "{settings:?}");
+        let [found] = job.accuracies() else { panic!("{:?}", job.accuracies()) };
+        assert!(!found.holds && found.tried.is_empty());
+        // Whoever runs without choosing gets the same.
+        assert_eq!(job.run(&Silent).unwrap()[0].data, at_once[0].data);
+        // So do single probes, but for what is interpolated.
+        let probe = job.probes(&[[0.0, 0.0]], true, &Silent).unwrap();
+        let (one, of_scan) = (probe[0].image(0, 0)[[0, 0]], at_once[0].data[[0, 0, 0]]);
+        assert!((one / of_scan - 1.0).abs() < 1e-3, "{one} {of_scan}");
+    }
+
+    #[test]
+    fn a_named_engine_is_taken_as_it_is() {
+        let named: [&dyn Fn(&mut SimulationRequest); 4] = [
+            &|r| r.numerics.engine = Some(Engine::Multislice),
+            &|r| r.numerics.window_angstrom = Some(9.0),
+            &|r| r.numerics.interpolation = Some([1, 1]),
+            &|r| r.numerics.probe_box = Some(ProbeBox::Cell),
+        ];
+        for change in named {
+            let mut job = SimulationJob::new(request(change)).unwrap();
+            let before = job.plans().to_vec();
+            job.choose_accuracy(&Silent).unwrap();
+            assert!(job.accuracy_asked().is_none() && job.accuracies().is_empty());
+            assert_eq!(job.plans(), before);
+        }
+        let plane_wave = request(&|r| {
+            r.plane_wave = true;
+            r.scan = super::super::ScanRequest::default();
+        });
+        assert_eq!(SimulationJob::new(plane_wave).unwrap().accuracy_asked(), None);
+    }
+
+    #[test]
+    fn a_series_has_one_engine() {
+        let mut job = SimulationJob::new(request(&|r| {
+            r.specimen.repeat = Some([6, 6, 1]);
+            r.scan = super::super::ScanRequest::default();
+            (r.scan.start, r.scan.end) = (Some([8.0; 2]), Some([14.4; 2]));
+            r.scan.step_angstrom = Some(0.4);
+            r.numerics.accuracy_percent = Some(3.0);
+            r.microscope.defocus_angstrom = vec![0.0, 100.0];
+        }))
+        .unwrap();
+        job.choose_accuracy(&Silent).unwrap();
+        let algorithms: Vec<_> = job.plans().iter().map(|p| p.settings.algorithm).collect();
+        assert!(matches!(algorithms[0], Algorithm::Window { .. }), "{algorithms:?}");
+        assert_eq!(algorithms[0], algorithms[1]);
+    }
+}
