@@ -3,7 +3,7 @@
 use super::common::{CacheArgs, Common};
 use super::plan_text::Lines;
 use super::recipe_args::RecipeArgs;
-use super::{output, text, values};
+use super::{image_plan_text, output, text, values};
 use anyhow::bail;
 use clap::{Args, ValueEnum};
 use ndarray::Axis;
@@ -15,7 +15,7 @@ use stemgen::files::OutputSet;
 use stemgen::files::outputs::check_outputs;
 use stemgen::progress::Progress;
 use stemgen::render::image_pictures;
-use stemgen::world::{FieldRecording, RecordedFrom, RecordingJob, RecordingRequest};
+use stemgen::world::{FieldRecording, ImagePlan, RecordedFrom, RecordingJob, RecordingRequest};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -145,16 +145,21 @@ struct AcquireSummary {
     wall_time_s: f64,
 }
 
+/// What a recording would take.
+#[derive(Serialize)]
+struct AcquirePlan {
+    shape: [usize; 2],
+    pixel_nm: f64,
+    /// `null` where the world holds the image.
+    image: Option<ImagePlan>,
+    output: PathBuf,
+}
+
 impl Acquire {
     /// Runs the subcommand.
     pub fn run(self) -> anyhow::Result<()> {
         let begun = Instant::now();
         let reporter = self.common.start()?;
-        if self.common.dry_run {
-            bail!(
-                "--dry-run: a recording has no plan; `stemgen build --dry-run` of its recipe tells what the image takes"
-            );
-        }
         if !self.output.extension().is_some_and(|e| e == "h5" || e == "hdf5") {
             let name = self.output.with_extension("h5");
             bail!("--output {}: did you mean {}?", self.output.display(), name.display());
@@ -165,8 +170,13 @@ impl Acquire {
         let command_line = text::command_line();
         let mut set = OutputSet::of(&self.output, &command_line, self.overwrite);
         set.warning().iter().for_each(|warning| reporter.warn(warning));
-        check_outputs(outputs, self.recipe.inputs(&recipe), set.replaces())?;
+        if !self.common.dry_run {
+            check_outputs(outputs, self.recipe.inputs(&recipe), set.replaces())?;
+        }
         let job = RecordingJob::new(&recipe, (self.recipe.world(), made), &self.request())?;
+        if self.common.dry_run {
+            return self.dry_run(&job);
+        }
         let (recording, from) = job.run(self.kept.cache(), &reporter)?;
         let (recipe, specimen) = (job.recipe(), job.specimen());
         if picture.is_some() {
@@ -185,6 +195,26 @@ impl Acquire {
         };
         let summary = self.summary(&recording, source, begun);
         self.common.print(&summary, &summary.text())
+    }
+
+    /// What the recording would take.
+    fn dry_run(&self, job: &RecordingJob) -> anyhow::Result<()> {
+        let plan = AcquirePlan {
+            shape: job.part().pixels_of(job.part().pixel_nm),
+            pixel_nm: job.part().pixel_nm,
+            image: job.plan(self.kept.cache())?,
+            output: self.output.clone(),
+        };
+        let mut lines = Lines::default();
+        let [rows, columns] = plan.shape;
+        let pixels = format!("{rows} x {columns} pixels of {:.5} nm", plan.pixel_nm);
+        lines.add("recording", pixels);
+        match &plan.image {
+            Some(image) => image_plan_text::add(image, &mut lines),
+            None => lines.add("image", "the world holds it; nothing has to be simulated"),
+        }
+        image_plan_text::output(&plan.output, &mut lines);
+        self.common.print(&plan, &lines.text())
     }
 
     /// What is asked for.

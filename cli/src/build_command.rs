@@ -264,11 +264,9 @@ impl Build {
         });
         let shape = recipe.field.pixels(recipe.field.built_grid());
         let images = recipe.detector.count() * if self.options().keep_clean { 2 } else { 1 };
-        let detectors = recipe.detector.all();
         let place = hspy.clone().unwrap_or_default();
-        let signals = |world: &WorldFile, path: &Path| {
-            world_hspy::write_world((path, &place), world, &detectors)
-        };
+        let signals =
+            |world: &WorldFile, path: &Path| world_hspy::write_world((path, &place), world, recipe);
         let signals = hspy.as_deref().map(|path| Companion {
             path,
             most_bytes: world_hspy::most_bytes(shape, images),

@@ -13,6 +13,7 @@ use stemgen::detect::{
 };
 use stemgen::files::outputs::check_outputs;
 use stemgen::io::image_file::{ImageStack, Origin, write_images};
+use stemgen::io::image_series::ImageSeries;
 use stemgen::io::pattern_file::PatternFile;
 use stemgen::io::tiff_file::write_tiff;
 use stemgen::progress::Progress;
@@ -243,6 +244,7 @@ impl Integrate {
                 thicknesses_angstrom: &thicknesses,
                 defocus_angstrom: Some(header.defocus_angstrom),
                 annulus_mrad: image.annulus_mrad,
+                electrons_per_pixel: None,
             }
         };
         let stacks: Vec<ImageStack> = made.iter().zip(&stored).map(stack).collect();
@@ -265,7 +267,7 @@ impl Integrate {
             image_pictures::write(path, image.data.view(), header.scan.step_angstrom, true)?;
         }
         for ((path, stack), depth) in tiffs.iter().zip(&stacks).zip(self.tiff.iter().cycle()) {
-            write_tiff(path, self.overwrite, stack, (*depth).into())?;
+            write_tiff(path, self.overwrite, &ImageSeries::of_one(stack), (*depth).into())?;
         }
         Ok(())
     }

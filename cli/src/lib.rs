@@ -17,6 +17,7 @@ mod crash_note;
 mod foreign_options;
 mod hdf5_check;
 mod hints;
+mod image_plan_text;
 mod imaging_args;
 mod import_command;
 mod info_command;

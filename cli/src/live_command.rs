@@ -5,7 +5,7 @@ use super::common::{CacheArgs, Common};
 use super::hints::hinted;
 use super::plan_text::Lines;
 use super::recipe_args::RecipeArgs;
-use super::{output, text, values};
+use super::{image_plan_text, output, text, values};
 use anyhow::{anyhow, bail};
 use clap::Args;
 use ndarray::Axis;
@@ -23,7 +23,7 @@ use stemgen::live::{
 use stemgen::progress::Progress;
 use stemgen::recipe::CheckedRecipe;
 use stemgen::render::{Contrast, FRAME_S, Picture, animated_png};
-use stemgen::world::{BuildOptions, Electrons, RecordedPart};
+use stemgen::world::{BuildOptions, Electrons, ImagePlan, RecordedPart};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -111,16 +111,22 @@ struct LiveSummary {
     wall_time_s: f64,
 }
 
+/// What a series would take.
+#[derive(Serialize)]
+struct LivePlan {
+    recordings: usize,
+    shape: [usize; 2],
+    pixel_nm: f64,
+    /// The library and the image when the series begins; the image of a place whose atoms have moved is put together again.
+    image: ImagePlan,
+    output: PathBuf,
+}
+
 impl Live {
     /// Runs the subcommand.
     pub fn run(self) -> anyhow::Result<()> {
         let begun = Instant::now();
         let reporter = self.common.start()?;
-        if self.common.dry_run {
-            bail!(
-                "--dry-run: a series has no plan; `stemgen build --dry-run` of its recipe tells what the image takes"
-            );
-        }
         if !self.output.extension().is_some_and(|e| e == "h5" || e == "hdf5") {
             let name = self.output.with_extension("h5");
             bail!("--output {}: did you mean {}?", self.output.display(), name.display());
@@ -136,9 +142,15 @@ impl Live {
         let command_line = text::command_line();
         let mut set = OutputSet::of(&self.output, &command_line, self.overwrite);
         set.warning().iter().for_each(|warning| reporter.warn(warning));
-        check_outputs(outputs, self.recipe.inputs(&recipe), set.replaces())?;
+        if !self.common.dry_run {
+            check_outputs(outputs, self.recipe.inputs(&recipe), set.replaces())?;
+        }
         let request = self.request(&recipe);
         let options = self.options(&request)?;
+        if self.common.dry_run {
+            let image = LiveWorld::plan(&recipe, recipe.seed, &options, &request.part)?;
+            return self.planned(image, &request);
+        }
         let mut world = LiveWorld::new(&recipe, recipe.seed, &options, &reporter)?;
         if world.specimen().is_lasting() {
             text::complain(
@@ -161,6 +173,24 @@ impl Live {
         set.finish()?;
         let summary = self.summary(series, animation, begun);
         self.common.print(&summary, &summary.text())
+    }
+
+    /// Tells what the series would take.
+    fn planned(&self, image: ImagePlan, request: &LiveRequest) -> anyhow::Result<()> {
+        let plan = LivePlan {
+            recordings: self.dose_series,
+            shape: request.part.pixels_of(request.part.pixel_nm),
+            pixel_nm: request.part.pixel_nm,
+            image,
+            output: self.output.clone(),
+        };
+        let mut lines = Lines::default();
+        let [rows, columns] = plan.shape;
+        let pixels = format!("{rows} x {columns} pixels of {:.5} nm", plan.pixel_nm);
+        lines.add("recordings", format!("{} of {pixels}", plan.recordings));
+        image_plan_text::add(&plan.image, &mut lines);
+        image_plan_text::output(&plan.output, &mut lines);
+        self.common.print(&plan, &lines.text())
     }
 
     fn request(&self, recipe: &CheckedRecipe) -> LiveRequest {

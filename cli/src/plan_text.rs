@@ -72,9 +72,13 @@ pub fn scan(scan: &Scan) -> String {
 /// One line about the beam and the lens.
 pub fn beam(optics: &stemgen::optics::Optics) -> String {
     let mut text = format!("{} keV, {} mrad", optics.energy_ev / 1e3, optics.semiangle_mrad);
-    for a in &optics.aberrations.0 {
+    // Several are one: abTEM's numerics move the focus by half a slice.
+    let defocus = optics.aberrations.defocus_angstrom();
+    if defocus != 0.0 {
+        text += &format!(", defocus {defocus} A");
+    }
+    for a in optics.aberrations.0.iter().filter(|a| (a.order, a.symmetry) != (1, 0)) {
         text += &match (a.order, a.symmetry) {
-            (1, 0) => format!(", defocus {} A", -a.magnitude_angstrom),
             (n, 0) => format!(", C{n}0 {} A", a.magnitude_angstrom),
             (n, m) => {
                 let degrees = a.azimuth_rad.to_degrees();

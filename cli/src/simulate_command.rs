@@ -99,9 +99,12 @@ pub struct Results {
     #[arg(long, value_name = "K/N|slurm", value_parser = values::shard, conflicts_with = "plane_wave")]
     #[arg(help_heading = "Running")]
     pub shard: Option<Shard>,
-    /// Also write a picture of every image, beside the file
+    /// Also write a picture of every image, beside the file; those of a series have one grey scale
     #[arg(long)]
     pub png: bool,
+    /// Draw the grey values into pictures, with the numbers that black and white stand for
+    #[arg(long, requires = "png")]
+    pub grey_bar: bool,
     /// Leave the scale bar out of pictures
     #[arg(long, requires = "png")]
     pub no_scale_bar: bool,
@@ -109,7 +112,7 @@ pub struct Results {
     /// (NAME_noisy); --seed seeds the noise
     #[arg(long, value_name = "E/A^2", value_parser = values::positive)]
     pub dose: Option<f64>,
-    /// Also write every image as TIFF of 8, 16 or 32 bits, with pixels and values calibrated for ImageJ
+    /// Also write TIFF of 8, 16 or 32 bits, one for each detector, with pixels and values calibrated for ImageJ; a series is a stack
     #[arg(long, value_name = "BITS")]
     pub tiff: Option<Bits>,
     /// Also write a file for HyperSpy (.hspy), beside the file
@@ -359,6 +362,15 @@ impl SimulateRun {
         names.into_iter().chain(noisy).collect()
     }
 
+    /// Names of the series: those of the images without their defocus.
+    fn series_names(&self) -> Vec<String> {
+        let job = &self.job;
+        let names = job.detector_names();
+        let noisy = names.iter().filter(|_| job.electrons_per_pixel().is_some());
+        let noisy: Vec<String> = noisy.map(|name| noisy_name(name)).collect();
+        names.into_iter().chain(noisy).collect()
+    }
+
     /// The files beside the one with all images.
     fn side_files(&self) -> SideFiles {
         let thicknesses = self.job.plans()[0].thicknesses_angstrom();
@@ -375,7 +387,10 @@ impl SimulateRun {
         SideFiles {
             pictures: names.iter().filter(|_| results.png).flat_map(each).collect(),
             tiffs: match results.tiff {
-                Some(_) => names.iter().map(|n| (n.clone(), beside(n, ".tif"))).collect(),
+                Some(_) => {
+                    let series = self.series_names().into_iter();
+                    series.map(|name| (name.clone(), beside(&name, ".tif"))).collect()
+                }
                 None => Vec::new(),
             },
             hspy: results.hspy.then(|| self.output.with_extension("hspy")),

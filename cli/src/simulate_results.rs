@@ -11,11 +11,13 @@ use num_complex::Complex32;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::time::Instant;
+use stemgen::files::atomic_write;
 use stemgen::files::{OutputLock, OutputSet};
-use stemgen::io::hspy_file::write_hspy;
+use stemgen::io::hspy_file::{HspyFacts, write_hspy};
 use stemgen::io::image_file::{ExitWaves, ImageCounts, ImageStack, Origin, write_images};
+use stemgen::io::image_series::ImageSeries;
 use stemgen::io::tiff_file::write_tiff;
-use stemgen::render::image_pictures;
+use stemgen::render::image_pictures::{self, GreyScale};
 use stemgen::simulation::SimulatedImage;
 use stemgen::world::work_folder;
 
@@ -23,7 +25,7 @@ use stemgen::world::work_folder;
 pub struct SideFiles {
     /// Pictures: image, thickness (index), file.
     pub pictures: Vec<(String, usize, PathBuf)>,
-    /// TIFF: image and file.
+    /// TIFF: series of images and file.
     pub tiffs: Vec<(String, PathBuf)>,
     /// For HyperSpy.
     pub hspy: Option<PathBuf>,
@@ -40,11 +42,23 @@ impl SideFiles {
     }
 }
 
+/// What a picture shows.
+#[derive(Serialize)]
+struct PictureLine {
+    file: PathBuf,
+    /// The values of black and white; those of a series are the same.
+    grey_from_to: [f32; 2],
+    /// The share of pixels in percent whose values lie beyond.
+    clipped_percent: f64,
+}
+
 #[derive(Serialize)]
 struct SimulateSummary {
     output: PathBuf,
     file_bytes: u64,
     pictures: Vec<PathBuf>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    grey_scales: Vec<PictureLine>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     tiffs: Vec<PathBuf>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -110,7 +124,7 @@ impl SimulateRun {
             set.begin()?;
         }
         write_images(&path, set.replaces(), &origin, &all, &counted, waves)?;
-        self.write_beside(files, &all, set.replaces())?;
+        let grey_scales = self.write_beside(files, &all, set.replaces())?;
         set.finish()?;
         self.parts()?.remove()?;
         let counts = images.iter().filter_map(|image| image.counts.as_ref());
@@ -119,6 +133,7 @@ impl SimulateRun {
             file_bytes: super::output::size(&path),
             output: path,
             pictures: files.pictures.iter().map(|p| p.2.clone()).collect(),
+            grey_scales,
             tiffs: files.tiffs.iter().map(|p| p.1.clone()).collect(),
             hspy: files.hspy.clone(),
             page: files.page.clone(),
@@ -166,6 +181,7 @@ impl SimulateRun {
             thicknesses_angstrom,
             defocus_angstrom: (self.job.plans().len() > 1).then_some(image.defocus_angstrom),
             annulus_mrad: image.annulus_mrad,
+            electrons_per_pixel: self.job.electrons_per_pixel().filter(|_| image.noisy),
         }
     }
 
@@ -174,24 +190,40 @@ impl SimulateRun {
         files: &SideFiles,
         stacks: &[ImageStack],
         overwrite: bool,
-    ) -> anyhow::Result<()> {
-        let named = |name: &str| stacks.iter().find(|s| s.name == name);
-        for (name, thickness, path) in &files.pictures {
-            let Some(stack) = named(name) else { continue };
-            let image = stack.data.index_axis(Axis(0), *thickness);
-            image_pictures::write(path, image, stack.step_angstrom, !self.results.no_scale_bar)?;
+    ) -> anyhow::Result<Vec<PictureLine>> {
+        let series = ImageSeries::group(stacks);
+        let mut pictures = Vec::new();
+        for series in &series {
+            let of_series = |name: &String| series.stacks.iter().find(|s| s.name == name);
+            let mut own = files.pictures.iter().filter_map(|p| Some((of_series(&p.0)?, p.1, &p.2)));
+            let Some(first) = own.next() else { continue };
+            let scale = GreyScale {
+                scale_bar: !self.results.no_scale_bar,
+                grey_bar: self.results.grey_bar,
+                ..GreyScale::of_series(series)?
+            };
+            for (stack, thickness, path) in std::iter::once(first).chain(own) {
+                let image = stack.data.index_axis(Axis(0), thickness);
+                atomic_write::write(path, &scale.png(image, stack.step_angstrom)?)?;
+                pictures.push(PictureLine {
+                    file: path.clone(),
+                    grey_from_to: scale.limits.unwrap_or_default(),
+                    clipped_percent: 100.0 * scale.clipped(image),
+                });
+            }
         }
         for ((name, path), depth) in files.tiffs.iter().zip(self.results.tiff.iter().cycle()) {
-            let Some(stack) = named(name) else { continue };
-            write_tiff(path, overwrite, stack, (*depth).into())?;
+            let Some(series) = series.iter().find(|s| s.name == *name) else { continue };
+            write_tiff(path, overwrite, series, (*depth).into())?;
         }
         if let Some(path) = &files.hspy {
-            write_hspy(path, overwrite, stacks)?;
+            let facts = HspyFacts::of_simulation(&self.job, &text::command_line());
+            write_hspy(path, overwrite, stacks, &facts)?;
         }
         if let Some(page) = &files.page {
             image_pictures::write_page(page, &self.structure_name(), self.facts(), stacks)?;
         }
-        Ok(())
+        Ok(pictures)
     }
 
     /// What the page says about the images.
@@ -266,6 +298,17 @@ fn summaries(stacks: &[ImageStack], electrons: &[u64]) -> Vec<ImageSummary> {
     images.enumerate().map(each).collect()
 }
 
+impl PictureLine {
+    fn text(&self) -> String {
+        let [from, to] = self.grey_from_to.map(|v| text::significant(f64::from(v), 3));
+        let clipped = match self.clipped_percent {
+            0.0 => "no pixel is clipped".to_owned(),
+            percent => format!("{} % of its pixels are clipped", text::significant(percent, 2)),
+        };
+        format!("{}: grey from {from} to {to}; {clipped}", self.file.display())
+    }
+}
+
 impl SimulateSummary {
     fn text(&self) -> String {
         let mut lines = Lines::default();
@@ -291,7 +334,7 @@ impl SimulateSummary {
         lines.add("time", text::duration(self.wall_time_s));
         let size = text::bytes(self.file_bytes);
         lines.add("file", format!("{} ({size})", self.output.display()));
-        self.pictures.iter().for_each(|p| lines.add("picture", p.display().to_string()));
+        self.grey_scales.iter().for_each(|p| lines.add("picture", p.text()));
         self.tiffs.iter().for_each(|p| lines.add("TIFF", p.display().to_string()));
         self.hspy.iter().for_each(|p| lines.add("HyperSpy", p.display().to_string()));
         self.page.iter().for_each(|p| lines.add("page", p.display().to_string()));

@@ -47,8 +47,8 @@ pub struct SpecimenArgs {
     /// in a CIF
     #[arg(long, value_name = "A", value_parser = values::sigma_choice, requires = "phonons")]
     pub sigma: Option<SigmaChoice>,
-    /// Frozen phonons from a trajectory, extended XYZ or XDATCAR: the mean over these frames, counted from 0, the last
-    /// excluded
+    /// Frozen phonons from a trajectory, extended XYZ or XDATCAR: the mean over these frames, counted from 0, END
+    /// among them
     #[arg(long, value_name = "START:END[:STEP]|all", value_parser = values::frames)]
     #[arg(conflicts_with_all = ["phonons", "zone", "up"])]
     pub frames: Option<FrameRange>,

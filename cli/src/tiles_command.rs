@@ -4,7 +4,7 @@ use super::common::{CacheArgs, Common};
 use super::plan_text::Lines;
 use super::progress_bar::Reporter;
 use super::recipe_args::RecipeArgs;
-use super::{output, text, values};
+use super::{image_plan_text, output, text, values};
 use anyhow::bail;
 use clap::Args;
 use serde::Serialize;
@@ -13,10 +13,12 @@ use std::time::Instant;
 use stemgen::files::outputs::check_outputs;
 use stemgen::imaging::OneDetector;
 use stemgen::io::WorldFile;
-use stemgen::io::npz_file::write_npz;
+use stemgen::progress::Progress;
 use stemgen::replay::stored_training_set;
 use stemgen::specimen::specimen;
-use stemgen::world::{TrainingOptions, TrainingSet, imaging_of, training_set};
+use stemgen::world::{
+    ImagePlan, TrainingOptions, TrainingSet, imaging_of, training_set, write_training_set,
+};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -28,14 +30,17 @@ Examples:
     import numpy as np
     train = np.load(\"train.npz\")
     train[\"images\"], train[\"heat_maps\"], train[\"class_masks\"]    # each (200, 128, 128)
+    train[\"columns\"][\"x_px\"]                                     # of all columns of all tiles
 
 The file holds images (with noise, fractions of the beam), clean (without), heat_maps (Gaussians of
 height 1 about columns), class_masks (0 background, 1 pristine column, 2 with vacancies, 3 with
-substitutions, 4 with both), phase_masks, dose, origins_px (row, column), column_tiles,
-column_positions_px (row, column), columns (class, sites, vacancies, substitutions, heaviest atomic
-number) and pixel_angstrom. The noise-free image is made again from the recipe, from the cache where a
-mosaic was built before; every part of the field is made once. A world without a recipe (`stemgen import`)
-gives tiles of its stored image, from 0 to 1, with the noise that it has; clean and dose are left out.";
+substitutions, 4 with both) and phase_masks, all (N, H, W); dose, pixel_nm, angle_deg, centre_nm
+(x, y in the full field), index and source of each tile; recipes (TOML, by source); and columns, one
+record for each: sample, x_px, y_px, class, number (of the heaviest atom), occupancy, sites,
+vacancies, substitutions. stemworlds.export writes the same layout. The noise-free image is made again
+from the recipe, from the cache where a mosaic was built before; every part of the field is made once.
+A world without a recipe (`stemgen import`) gives tiles of its stored image, from 0 to 1, with the noise
+that it has; clean and dose are left out.";
 
 /// Write tiles at random places with labels, for training (NumPy .npz)
 #[derive(Debug, Args)]
@@ -88,16 +93,21 @@ struct TilesSummary {
     wall_time_s: f64,
 }
 
+/// What tiles would take.
+#[derive(Serialize)]
+struct TilesPlan {
+    tiles: usize,
+    size_px: usize,
+    /// `null` where they are cut from a stored image.
+    image: Option<ImagePlan>,
+    output: PathBuf,
+}
+
 impl Tiles {
     /// Runs the subcommand.
     pub fn run(self) -> anyhow::Result<()> {
         let begun = Instant::now();
         let reporter = self.common.start()?;
-        if self.common.dry_run {
-            bail!(
-                "--dry-run: `stemgen build --dry-run` of the same recipe tells what its image takes"
-            );
-        }
         if !self.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("npz")) {
             let name = self.output.with_extension("npz");
             bail!("--output {}: did you mean {}?", self.output.display(), name.display());
@@ -106,7 +116,9 @@ impl Tiles {
             return self.cut(&world, begun, &reporter);
         }
         let (recipe, made) = self.recipe.resolve_or_world()?;
-        check_outputs([&self.output], self.recipe.inputs(&recipe), self.overwrite)?;
+        if !self.common.dry_run {
+            check_outputs([&self.output], self.recipe.inputs(&recipe), self.overwrite)?;
+        }
         let dose = recipe.dose.electrons_per_angstrom2;
         let options = self.options(self.random_dose.unwrap_or([dose; 2]));
         let cache = self.kept.cache();
@@ -115,9 +127,16 @@ impl Tiles {
         if let Some(name) = &self.detector {
             imager = Box::new(OneDetector::named(name, &recipe, imager)?);
         }
+        let shape = recipe.field.pixels(recipe.field.built_grid());
+        options.crowding(shape).iter().for_each(|warning| reporter.warn(warning));
+        if self.common.dry_run {
+            let image = ImagePlan::new(&*imager, [self.size; 2], self.number as usize)?;
+            return self.planned(Some(image));
+        }
         imager.prepare(&reporter)?;
         let set = training_set(&recipe, &*specimen, &*imager, &options, &reporter)?;
-        self.finish(&set, Some(options.dose), specimen.facts().phases.clone(), begun)
+        let made_of = (Some(options.dose), Some(recipe.to_toml()));
+        self.finish(&set, made_of, specimen.facts().phases.clone(), begun)
     }
 
     /// Cuts tiles from the stored image of a world without a recipe, such as a recorded image: they have its noise.
@@ -133,9 +152,33 @@ impl Tiles {
             Some(name) => world.on_detector(name)?,
             None => WorldFile::open(path)?,
         };
+        let options = self.options([1.0; 2]);
+        options.crowding(world.shape()).iter().for_each(|warning| reporter.warn(warning));
+        if self.common.dry_run {
+            return self.planned(None);
+        }
         check_outputs([&self.output], [path], self.overwrite)?;
-        let set = stored_training_set(&world, &self.options([1.0; 2]), reporter)?;
-        self.finish(&set, None, world.phase_names()?, begun)
+        let set = stored_training_set(&world, &options, reporter)?;
+        self.finish(&set, (None, None), world.phase_names()?, begun)
+    }
+
+    /// Tells what the tiles would take; those of a stored image take no simulation.
+    fn planned(&self, image: Option<ImagePlan>) -> anyhow::Result<()> {
+        let plan = TilesPlan {
+            tiles: self.number as usize,
+            size_px: self.size,
+            image,
+            output: self.output.clone(),
+        };
+        let mut lines = Lines::default();
+        let tiles = text::count(plan.tiles as u64);
+        lines.add("tiles", format!("{tiles} of {0} x {0} pixels", plan.size_px));
+        match &plan.image {
+            Some(image) => image_plan_text::add(image, &mut lines),
+            None => lines.add("image", "the stored one; nothing has to be simulated"),
+        }
+        image_plan_text::output(&plan.output, &mut lines);
+        self.common.print(&plan, &lines.text())
     }
 
     fn options(&self, dose: [f64; 2]) -> TrainingOptions {
@@ -152,27 +195,11 @@ impl Tiles {
     fn finish(
         &self,
         set: &TrainingSet,
-        dose: Option<[f64; 2]>,
+        (dose, recipe): (Option<[f64; 2]>, Option<String>),
         phases: Vec<String>,
         begun: Instant,
     ) -> anyhow::Result<()> {
-        write_npz(&self.output, self.overwrite, |npz| {
-            npz.add("images", &set.images)?;
-            if dose.is_some() {
-                npz.add("clean", &set.clean)?;
-            }
-            npz.add("heat_maps", &set.heat_maps)?;
-            npz.add("class_masks", &set.class_masks)?;
-            npz.add("phase_masks", &set.phase_masks)?;
-            if dose.is_some() {
-                npz.add("dose", &set.dose)?;
-            }
-            npz.add("origins_px", &set.origins_px)?;
-            npz.add("column_tiles", &set.column_tiles)?;
-            npz.add("column_positions_px", &set.column_positions_px)?;
-            npz.add("columns", &set.columns)?;
-            npz.add("pixel_angstrom", &ndarray::arr1(&[set.pixel_angstrom]))
-        })?;
+        write_training_set(&self.output, self.overwrite, set, recipe.as_deref())?;
         let summary = TilesSummary {
             file_bytes: output::size(&self.output),
             output: self.output.clone(),

@@ -308,6 +308,8 @@ impl PreparedReference {
         let comparison = ImageComparison {
             plan: &self.plan,
             sites: &self.specimen.sites,
+            box_angstrom: self.specimen.size_angstrom,
+            heights_angstrom: &self.specimen.heights_angstrom,
             scan: &self.scan,
             reference: &self.reference,
             units: self.units,

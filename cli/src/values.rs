@@ -224,7 +224,7 @@ pub fn sigma_choice(text: &str) -> Parsed<SigmaChoice> {
     }
 }
 
-/// `all`, `START:END` or `START:END:STEP`.
+/// `all`, `START:END` or `START:END:STEP`, both ends among them.
 pub fn frames(text: &str) -> Parsed<FrameRange> {
     let form = "all, START:END or START:END:STEP, such as 10:200:5; frames count from 0";
     if text.trim() == "all" {
@@ -233,7 +233,7 @@ pub fn frames(text: &str) -> Parsed<FrameRange> {
     let whole = if text.matches(':').count() == 1 { format!("{text}:1") } else { text.into() };
     let [start, end, step]: [usize; 3] = numbers(&whole, ':', form)?;
     let range = FrameRange { start, end: Some(end), step };
-    (start < end && step > 0).then_some(range).ok_or_else(|| format!("write {form}"))
+    (start <= end && step > 0).then_some(range).ok_or_else(|| format!("write {form}"))
 }
 
 /// Standard deviations of thermal displacements in Angstrom: `0.08` or `Sr=0.084,O=0.085`.
@@ -381,7 +381,8 @@ mod tests {
         assert_eq!(percent(" 50% "), Ok(50.0));
         assert!(percent("50%%").is_err() && expansion("0.5%%").is_err());
         assert_eq!(frames("10:200:5"), Ok(FrameRange { start: 10, end: Some(200), step: 5 }));
-        assert!(["5:5", "3", "0:9:0", "-1:4"].iter().all(|f| frames(f).is_err()));
+        assert_eq!(frames("5:5"), Ok(FrameRange { start: 5, end: Some(5), step: 1 }));
+        assert!(["5:4", "3", "0:9:0", "-1:4"].iter().all(|f| frames(f).is_err()));
         assert_eq!(sigma_choice("from-file"), Ok(SigmaChoice::FromFile(FromFile::FromFile)));
         assert_eq!(series("30").unwrap().0, [30.0]);
         assert_eq!(series("0:100:20").unwrap().0, [0.0, 20.0, 40.0, 60.0, 80.0, 100.0]);

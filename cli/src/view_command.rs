@@ -33,7 +33,8 @@ Examples:
   A page for the browser that zooms to single atoms and shows what the truth says of each:
     stemgen view worlds/srtio3_easy_1x1.h5 --html
 
-The page is one file that needs no network: overlays, values and columns under the pointer, line profiles.
+The page is one file that needs no network: overlays, values and columns under the pointer, line profiles. Without
+--overlay it shows what the truth marks (defects, boundaries, particles; else all columns).
 x grows to the right and y down, from the centre of pixel (0, 0), as in the world's ground truth.";
 
 /// Draw a world, an image or a recording as PNG, or make a page of a world for the browser

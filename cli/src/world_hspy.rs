@@ -8,8 +8,14 @@ use stemgen::detect::Detector;
 use stemgen::engine::check_memory;
 use stemgen::error::Result;
 use stemgen::io::WorldFile;
-use stemgen::io::hspy_file::create_hspy;
+use stemgen::io::hspy_file::{HspyFacts, create_hspy};
 use stemgen::io::image_file::ImageStack;
+use stemgen::recipe::CheckedRecipe;
+
+use super::text;
+
+/// What stands behind the name of an image without noise.
+const CLEAN: &str = "_clean";
 
 /// Bytes that an image takes for each of its pixels: as read, and as fractions of the beam.
 const BYTES: u64 = 8;
@@ -22,22 +28,23 @@ pub fn most_bytes([rows, columns]: [usize; 2], images: usize) -> u64 {
     images as u64 * ((rows * columns * size_of::<f32>()) as u64 + AROUND)
 }
 
-/// Writes the images of a world as signals to `path`, which becomes `place`, in fractions of the beam: one for each of `detectors`, with
-/// `_clean` behind its name for the image without noise, where the world has that.
+/// Writes the images of a world as signals to `path`, which becomes `place`, in fractions of the beam: one for each detector of its
+/// recipe, with `_clean` behind its name for the image without noise, where the world has that.
 ///
 /// # Errors
 /// [`stemgen::Error::Memory`] for a world too large to be held at once; those of reading and writing.
 pub fn write_world(
     (path, place): (&Path, &Path),
     world: &WorldFile,
-    detectors: &[Detector],
+    recipe: &CheckedRecipe,
 ) -> Result<()> {
+    let detectors = recipe.detector.all();
     let [rows, columns] = world.shape();
     let each = if world.has_clean() { 2 } else { 1 };
     let bytes = (rows * columns * each * detectors.len()) as u64 * BYTES;
     check_memory(bytes, "leave --hspy out: the world's own file opens in h5py, part by part")?;
     let mut images: Vec<(String, Array2<f32>, &Detector)> = Vec::new();
-    for detector in detectors {
+    for detector in &detectors {
         let own = match world.detectors().is_empty() {
             true => None,
             false => Some(world.on_detector(&detector.name)?),
@@ -49,10 +56,12 @@ pub fn write_world(
         images.push((detector.name.clone(), image, detector));
         if world.has_clean() {
             let clean = world.stitched_clean(0..rows, 0..columns)?;
-            images.push((format!("{}_clean", detector.name), clean, detector));
+            images.push((format!("{}{CLEAN}", detector.name), clean, detector));
         }
     }
     let pixel = 10.0 * world.metadata().pixel_size_nm;
+    let metadata = world.metadata();
+    let dose = metadata.dose_electrons_per_angstrom2.filter(|_| metadata.noise == Some(true));
     let stacks: Vec<ImageStack> = images
         .iter()
         .map(|(name, image, detector)| ImageStack {
@@ -64,7 +73,24 @@ pub fn write_world(
             thicknesses_angstrom: &[],
             defocus_angstrom: None,
             annulus_mrad: Some([detector.inner_mrad, detector.outer_mrad]),
+            electrons_per_pixel: dose
+                .map(|dose| dose * pixel * pixel)
+                .filter(|_| !name.ends_with(CLEAN)),
         })
         .collect();
-    create_hspy(path, place, &stacks)
+    create_hspy(path, place, &stacks, &facts(recipe, dose))
+}
+
+fn facts(recipe: &CheckedRecipe, dose: Option<f64>) -> HspyFacts {
+    let optics = &recipe.optics;
+    HspyFacts {
+        command_line: text::command_line(),
+        plane_wave: false,
+        energy_kev: Some(optics.energy_kv),
+        semiangle_mrad: Some(optics.convergence_mrad),
+        defocus_angstrom: Some(optics.defocus_angstrom),
+        tilt_mrad: Some(optics.mistilt_mrad),
+        dose,
+        texts: vec![("recipe", recipe.to_toml())],
+    }
 }

@@ -7,8 +7,9 @@ use pyo3::prelude::*;
 use std::path::PathBuf;
 use stemgen::Setting;
 use stemgen::files::outputs::check_outputs;
-use stemgen::io::hspy_file::write_hspy;
+use stemgen::io::hspy_file::{HspyFacts, write_hspy};
 use stemgen::io::image_file::ImageStack;
+use stemgen::io::image_series::ImageSeries;
 use stemgen::io::tiff_file::{TiffDepth, write_tiff};
 
 use crate::words::choice;
@@ -23,6 +24,21 @@ pub struct StackOptions {
     step_angstrom: [f64; 2],
     origin_angstrom: [f64; 2],
     thicknesses_angstrom: Vec<f64>,
+    defocus_angstrom: Option<f64>,
+    annulus_mrad: Option<[f64; 2]>,
+    electrons_per_pixel: Option<f64>,
+}
+
+/// What a file for HyperSpy says of its images.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct HspyOptions {
+    energy_kev: Option<f64>,
+    semiangle_mrad: Option<f64>,
+    tilt_mrad: Option<[f64; 2]>,
+    defocus_angstrom: Option<f64>,
+    dose: Option<f64>,
+    settings: Option<String>,
 }
 
 /// (thickness, y, x).
@@ -51,8 +67,9 @@ impl StackOptions {
             step_angstrom: self.step_angstrom,
             origin_angstrom: self.origin_angstrom,
             thicknesses_angstrom: &self.thicknesses_angstrom,
-            defocus_angstrom: None,
-            annulus_mrad: None,
+            defocus_angstrom: self.defocus_angstrom,
+            annulus_mrad: self.annulus_mrad,
+            electrons_per_pixel: self.electrons_per_pixel,
         })
     }
 }
@@ -63,22 +80,32 @@ pub fn save_hspy(
     py: Python<'_>,
     path: PathBuf,
     images: Vec<StackOptions>,
+    about: HspyOptions,
     overwrite: bool,
 ) -> PyResult<()> {
+    let facts = HspyFacts {
+        energy_kev: about.energy_kev,
+        semiangle_mrad: about.semiangle_mrad,
+        tilt_mrad: about.tilt_mrad,
+        defocus_angstrom: about.defocus_angstrom,
+        dose: about.dose,
+        texts: about.settings.into_iter().map(|settings| ("settings", settings)).collect(),
+        ..HspyFacts::default()
+    };
     let written = py.detach(|| -> Result<(), Fault> {
         check_outputs([&path], [] as [&PathBuf; 0], overwrite)?;
         let stacks = images.iter().map(StackOptions::stack).collect::<Result<Vec<_>, _>>()?;
-        Ok(write_hspy(&path, overwrite, &stacks)?)
+        Ok(write_hspy(&path, overwrite, &stacks, &facts)?)
     });
     written.or_raise(py)
 }
 
-/// Writes an image as TIFF of 8, 16 or 32 bits.
+/// Writes images as one TIFF of 8, 16 or 32 bits: one image, or those of a series.
 #[pyfunction]
 pub fn save_tiff(
     py: Python<'_>,
     path: PathBuf,
-    image: StackOptions,
+    images: Vec<StackOptions>,
     bits: u8,
     overwrite: bool,
 ) -> PyResult<()> {
@@ -86,7 +113,14 @@ pub fn save_tiff(
     let written = py.detach(|| -> Result<(), Fault> {
         let depth = choice(Setting::Output, &bits.to_string(), &depths)?;
         check_outputs([&path], [] as [&PathBuf; 0], overwrite)?;
-        Ok(write_tiff(&path, overwrite, &image.stack()?, depth)?)
+        let stacks = images.iter().map(StackOptions::stack).collect::<Result<Vec<_>, _>>()?;
+        match &ImageSeries::group(&stacks)[..] {
+            [series] => Ok(write_tiff(&path, overwrite, series, depth)?),
+            several => {
+                let expected = "expected one image, or the images of one series".to_owned();
+                Err(Fault::Value(Setting::Output, several.len().to_string(), expected))
+            }
+        }
     });
     written.or_raise(py)
 }

@@ -11,7 +11,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use stemgen::Setting;
 use stemgen::files::{atomic_write, outputs::check_outputs};
 use stemgen::io::WorldFile;
-use stemgen::render::{Colormap, Overlay, WorldPart, WorldPicture, image_pictures};
+use stemgen::render::image_pictures::{self, GreyScale};
+use stemgen::render::{Colormap, Overlay, WorldPart, WorldPicture};
 
 use crate::words::choice;
 
@@ -349,9 +350,11 @@ pub fn png<'py>(
     image: numpy::PyReadonlyArray2<'py, f32>,
     step_angstrom: [f64; 2],
     scale_bar: bool,
+    grey_bar: bool,
 ) -> PyResult<Bound<'py, PyBytes>> {
     let image: Array2<f32> = image.as_array().to_owned();
-    let bytes = py.detach(|| image_pictures::png(image.view(), step_angstrom, scale_bar));
+    let scale = GreyScale { scale_bar, grey_bar, limits: None };
+    let bytes = py.detach(|| scale.png(image.view(), step_angstrom));
     Ok(PyBytes::new(py, &bytes.or_raise(py)?))
 }
 

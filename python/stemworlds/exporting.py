@@ -6,8 +6,10 @@ import csv
 import io
 import json
 import os
+import struct
 import tarfile
 import zipfile
+import zlib
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -31,14 +33,17 @@ def export(
     """Writes samples to a file; its ending says which.
 
     ============ ================================================================================================
-    ``.npz``     stacks ``images``, ``clean``, ``heat_maps`` (N, H, W) float32, ``masks``, ``phase_masks`` (N, H, W); as AtomAI's
-                 ``Segmentor.fit(images, masks)`` takes them
+    ``.npz``     stacks ``images``, ``clean``, ``heat_maps``, ``class_masks``, ``phase_masks`` (N, H, W); ``dose``, ``pixel_nm``,
+                 ``angle_deg``, ``centre_nm`` (x, y), ``index`` and ``source`` of each sample; ``recipes`` (TOML, by source); ``columns``.
+                 ``stemgen tiles`` writes the same
     ``.h5``      the same as HDF5; h5py has to be installed
-    ``.csv``     columns: sample, x and y in pixels, class, number, occupancy, sites, vacancies, substitutions
+    ``.csv``     ``columns``: sample (its index), x_px, y_px, class, number, occupancy, sites, vacancies, substitutions
     ``.parquet`` the same; pyarrow has to be installed
-    ``.json``    COCO: outlines of particles, one category for each shape
-    ``.tar``     WebDataset: for each sample ``image.npy``, ``heat_map.npy``, ``mask.npy``, ``columns.json``
+    ``.json``    COCO: outlines of particles, one category for each shape, and the images as PNG in the folder ``NAME_images``
+    ``.tar``     WebDataset: for each sample ``image.npy``, ``heat_map.npy``, ``class_mask.npy``, ``columns.json``
     ============ ================================================================================================
+
+    Places are (x, y) in pixels, from the centre of the first pixel; y runs down, as the rows of the images do.
 
     Args:
         samples: a :class:`Stream`, or samples.
@@ -59,10 +64,48 @@ def export(
         chosen = list(samples)[:count]
     if not chosen:
         raise _invalid("samples", "there are no samples to write")
-    if os.path.exists(path) and not overwrite:
-        _core.write_file(path, b"", False)
-    _core.write_file(path, _WRITERS[ending](chosen), overwrite)
+    folder = f"{os.path.splitext(path)[0]}_images"
+    taken = [name for name in (path, folder if ending == ".json" else path) if os.path.exists(name)]
+    if taken and not overwrite:
+        _core.write_file(taken[0], b"", False)
+    if ending == ".json":
+        data = _coco(chosen, os.path.basename(folder))
+        _write_pictures(folder, chosen)
+    else:
+        data = _WRITERS[ending](chosen)
+    _core.write_file(path, data, overwrite)
     return path
+
+
+def _write_pictures(folder: str, samples: list[Sample]) -> None:
+    os.makedirs(folder, exist_ok=True)
+    for sample in samples:
+        _core.write_file(os.path.join(folder, _picture(sample)), _png(sample.image), True)
+
+
+def _picture(sample: Sample) -> str:
+    return f"{sample.index:08d}.png"
+
+
+def _grey(image: Any) -> tuple[float, float]:
+    """Values of black and white: the percentiles 0.1 and 99.9."""
+    low, high = np.percentile(image, (0.1, 99.9))
+    return float(low), float(high)
+
+
+def _png(image: Any) -> bytes:
+    """The image with its own pixels, 8 bits of grey."""
+    low, high = _grey(image)
+    grey = np.clip((image - low) / (high - low or 1) * 255, 0, 255).round().astype(np.uint8)
+    height, width = grey.shape
+    # each row begins with its filter, none
+    rows = np.concatenate([np.zeros((height, 1), np.uint8), grey], axis=1).tobytes()
+
+    def part(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + part(b"IHDR", head) + part(b"IDAT", zlib.compress(rows, 6)) + part(b"IEND", b"")
 
 
 def _stacks(samples: list[Sample]) -> dict[str, Any]:
@@ -70,12 +113,39 @@ def _stacks(samples: list[Sample]) -> dict[str, Any]:
         "images": np.stack([sample.image for sample in samples]),
         "clean": np.stack([sample.clean for sample in samples]),
         "heat_maps": np.stack([sample.targets.heat_map for sample in samples]),
-        "masks": np.stack([sample.targets.class_mask for sample in samples]),
+        "class_masks": np.stack([sample.targets.class_mask for sample in samples]),
         "phase_masks": np.stack([sample.targets.phase_mask for sample in samples]),
         "dose": np.array([sample.dose for sample in samples]),
         "pixel_nm": np.array([sample.pixel_nm for sample in samples]),
+        "angle_deg": np.array([sample.angle_deg for sample in samples]),
+        "centre_nm": np.array([sample.centre_nm for sample in samples]),
         "index": np.array([sample.index for sample in samples]),
+        "source": np.array([sample.source for sample in samples]),
+        "recipes": _recipes(samples),
+        "columns": _columns(samples),
     }
+
+
+def _recipes(samples: list[Sample]) -> Any:
+    """The recipes by :attr:`Sample.source`; empty where no sample is of one."""
+    recipes = [""] * (1 + max(sample.source for sample in samples))
+    for sample in samples:
+        recipes[sample.source] = sample.recipe
+    return np.array(recipes)
+
+
+def _columns(samples: list[Sample]) -> Any:
+    """The columns of all samples, one after the other, with the index of their sample."""
+    fields = [("sample", "<i4"), *samples[0].targets.columns.dtype.descr]
+    columns = np.zeros(sum(len(sample.targets.columns) for sample in samples), fields)
+    first = 0
+    for sample in samples:
+        own = columns[first : first + len(sample.targets.columns)]
+        own["sample"] = sample.index
+        for name in sample.targets.columns.dtype.names or ():
+            own[name] = sample.targets.columns[name]
+        first += len(own)
+    return columns
 
 
 def _npz(samples: list[Sample]) -> bytes:
@@ -94,14 +164,15 @@ def _hdf5(samples: list[Sample]) -> bytes:
     file = io.BytesIO()
     with h5py.File(file, "w") as stacks:
         for name, stack in _stacks(samples).items():
+            if name == "recipes":
+                stack = stack.astype(object)
             stacks.create_dataset(name, data=stack, compression="gzip" if stack.ndim == 3 else None)
     return file.getvalue()
 
 
 def _table(samples: list[Sample]) -> tuple[list[str], list[tuple[Any, ...]]]:
-    names = ["sample", *(samples[0].targets.columns.dtype.names or ())]
-    rows = [(sample.index, *row) for sample in samples for row in sample.targets.columns.tolist()]
-    return names, rows
+    columns = _columns(samples)
+    return list(columns.dtype.names), columns.tolist()
 
 
 def _csv(samples: list[Sample]) -> bytes:
@@ -124,13 +195,15 @@ def _parquet(samples: list[Sample]) -> bytes:
     return file.getvalue()
 
 
-def _coco(samples: list[Sample]) -> bytes:
+def _coco(samples: list[Sample], folder: str = "") -> bytes:
     shapes = sorted({str(name) for sample in samples for name in sample.targets.particles["morphology"]})
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
     for sample in samples:
         height, width = sample.image.shape
-        images.append({"id": sample.index, "file_name": f"{sample.index:08d}.tif", "height": height, "width": width})
+        image: dict[str, Any] = {"id": sample.index, "file_name": f"{folder}/{_picture(sample)}", "height": height, "width": width}
+        about = {"dose": sample.dose, "pixel_nm": sample.pixel_nm, "angle_deg": sample.angle_deg, "centre_nm": list(sample.centre_nm)}
+        images.append({**image, **about, "source": sample.source, "grey_from_to": list(_grey(sample.image))})
         for particle in sample.targets.particles:
             outline = _outline(particle, width, height)
             if outline is None:
@@ -149,8 +222,13 @@ def _coco(samples: list[Sample]) -> bytes:
                     "iscrowd": 0,
                 }
             )
+    if not annotations:
+        raise _invalid(
+            "samples", "no sample shows a particle, and COCO holds outlines of particles; columns go to .csv, .parquet, .npz, .h5 or .tar"
+        )
     categories = [{"id": 1 + n, "name": name, "supercategory": "particle"} for n, name in enumerate(shapes)]
-    return json.dumps({"images": images, "annotations": annotations, "categories": categories}).encode()
+    info = {"recipes": _recipes(samples).tolist()}
+    return json.dumps({"info": info, "images": images, "annotations": annotations, "categories": categories}).encode()
 
 
 def _outline(particle: Any, width: int, height: int) -> Any:
@@ -168,9 +246,10 @@ def _webdataset(samples: list[Sample]) -> bytes:
         for sample in samples:
             targets = sample.targets
             about: dict[str, Any] = {"index": sample.index, "dose": sample.dose, "pixel_nm": sample.pixel_nm, "angle_deg": sample.angle_deg}
+            about |= {"centre_nm": list(sample.centre_nm), "source": sample.source, "recipe": sample.recipe}
             names = targets.columns.dtype.names or ()
             about["columns"] = [dict(zip(names, row, strict=True)) for row in targets.columns.tolist()]
-            arrays = {"image.npy": sample.image, "heat_map.npy": targets.heat_map, "mask.npy": targets.class_mask}
+            arrays = {"image.npy": sample.image, "heat_map.npy": targets.heat_map, "class_mask.npy": targets.class_mask}
             members = {name: _npy(array) for name, array in arrays.items()}
             members["columns.json"] = json.dumps(about).encode()
             for name, data in members.items():

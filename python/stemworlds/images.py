@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
+import json
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -99,19 +100,47 @@ class Image:
             "step_angstrom": (10 * dx, 10 * dy),
             "origin_angstrom": (10 * x, 10 * y),
             "thicknesses_angstrom": list(self.thicknesses_angstrom) or [0.0] * len(data),
+            "defocus_angstrom": self.metadata.get("defocus_angstrom"),
+            "annulus_mrad": self.metadata.get("annulus_mrad"),
+            "electrons_per_pixel": self.electrons_per_pixel if self._is_noisy else None,
+        }
+
+    @property
+    def _is_noisy(self) -> bool:
+        """Whether the array holds counts over the electrons of a pixel."""
+        return self.counts is not None and self.name.endswith("_noisy")
+
+    def _about(self, series: bool) -> _core.HspyOptions:
+        """What a file for HyperSpy says of the microscope."""
+        settings = self.metadata.get("settings", {})
+        optics = settings.get("optics", {})
+        tilt = optics.get("mistilt_mrad", (0.0, 0.0)) if optics else None
+        (dy, dx), electrons = self.sampling_nm, self.electrons_per_pixel
+        return {
+            "energy_kev": optics["energy_ev"] / 1e3 if optics else None,
+            "semiangle_mrad": optics.get("semiangle_mrad"),
+            "tilt_mrad": None if tilt is None else (tilt[0], tilt[1]),
+            "defocus_angstrom": None if series else self.metadata.get("defocus_angstrom"),
+            "dose": None if electrons is None else electrons / (100 * dx * dy),
+            "settings": json.dumps(settings) if settings else None,
         }
 
     def to_hspy(self, path: Path, *, overwrite: bool = False) -> None:
-        """Writes a file for HyperSpy (``.hspy``), with axes in Angstrom. HyperSpy is not needed."""
-        _core.save_hspy(os.fspath(path), [self._stack()], overwrite)
+        """Writes a file for HyperSpy (``.hspy``), with axes in Angstrom and the microscope in its metadata. HyperSpy is not needed."""
+        _core.save_hspy(os.fspath(path), [self._stack()], self._about(False), overwrite)
 
     def to_tiff(self, path: Path, *, bits: int = 32, overwrite: bool = False) -> None:
         """Writes a TIFF of 8, 16 or 32 bits, with pixels and values calibrated for ImageJ."""
-        _core.save_tiff(os.fspath(path), self._stack(), bits, overwrite)
+        _core.save_tiff(os.fspath(path), [self._stack()], bits, overwrite)
 
-    def to_png(self, path: Path, *, scale_bar: bool = True, overwrite: bool = False) -> None:
-        """Writes a picture; of several thicknesses, the last."""
-        _core.write_file(os.fspath(path), self._png(scale_bar), overwrite)
+    def to_png(
+        self, path: Path, *, scale_bar: bool = True, grey_bar: bool = False, overwrite: bool = False
+    ) -> None:
+        """Writes a picture; of several thicknesses, the last.
+
+        ``grey_bar`` draws the grey values with the numbers that black and white stand for: the percentiles 0.1 and 99.9.
+        """
+        _core.write_file(os.fspath(path), self._png(scale_bar, grey_bar), overwrite)
 
     def to_hyperspy(self) -> Any:
         """The image as a ``hyperspy.signals.Signal2D``, with axes in nm. HyperSpy has to be installed."""
@@ -137,20 +166,26 @@ class Image:
         return AbtemImages(array, sampling=(10 * dx, 10 * dy), metadata={"label": self.name})
 
     def plot(self, ax: Any = None, **options: Any) -> Any:
-        """Draws the image with matplotlib, and returns the axes. ``options`` go to ``imshow``."""
+        """Draws the image with matplotlib, and returns the axes. ``options`` go to ``imshow``.
+
+        y runs down, as the rows of the array do; ``origin="lower"`` draws it upwards.
+        """
         import matplotlib.pyplot as plt
 
         if ax is None:
             _, ax = plt.subplots()
         image = self.at(-1)
-        ax.imshow(image.array, **{"cmap": "gray", "extent": self.extent_nm, **options})
+        left, right, bottom, top = self.extent_nm
+        if options.get("origin") == "lower":
+            bottom, top = top, bottom
+        ax.imshow(image.array, **{"cmap": "gray", "extent": (left, right, bottom, top), **options})
         ax.set(title=self.name, xlabel="x (nm)", ylabel="y (nm)")
         return ax
 
-    def _png(self, scale_bar: bool = True) -> bytes:
+    def _png(self, scale_bar: bool = True, grey_bar: bool = False) -> bytes:
         array = np.ascontiguousarray(self.at(-1).array, dtype=np.float32)
         dy, dx = self.sampling_nm
-        return _core.png(array, (10 * dx, 10 * dy), scale_bar)
+        return _core.png(array, (10 * dx, 10 * dy), scale_bar, grey_bar)
 
     def _repr_png_(self) -> bytes:
         return self._png()
@@ -218,16 +253,23 @@ class Images(Mapping[str, Image]):
         return self.only.__array__(dtype, copy)
 
     def to_hspy(self, path: Path, *, overwrite: bool = False) -> None:
-        """Writes all images to one file for HyperSpy (``.hspy``); ``hyperspy.api.load`` returns them."""
-        _core.save_hspy(os.fspath(path), [image._stack() for image in self.values()], overwrite)
+        """Writes all images to one file for HyperSpy (``.hspy``); ``hyperspy.api.load`` returns one signal for each detector.
+
+        The images of a defocus series are one signal with the axis ``defocus``.
+        """
+        images = list(self.values())
+        series = len({image.metadata.get("defocus_angstrom") for image in images}) > 1
+        _core.save_hspy(os.fspath(path), [image._stack() for image in images], images[0]._about(series), overwrite)
 
     def to_tiff(self, path: Path, *, bits: int = 32, overwrite: bool = False) -> None:
-        """Writes the only image as TIFF."""
-        self.only.to_tiff(path, bits=bits, overwrite=overwrite)
+        """Writes the only image, or the images of a defocus series of one detector, as one TIFF."""
+        _core.save_tiff(os.fspath(path), [image._stack() for image in self.values()], bits, overwrite)
 
-    def to_png(self, path: Path, *, scale_bar: bool = True, overwrite: bool = False) -> None:
+    def to_png(
+        self, path: Path, *, scale_bar: bool = True, grey_bar: bool = False, overwrite: bool = False
+    ) -> None:
         """Writes a picture of the only image."""
-        self.only.to_png(path, scale_bar=scale_bar, overwrite=overwrite)
+        self.only.to_png(path, scale_bar=scale_bar, grey_bar=grey_bar, overwrite=overwrite)
 
     def to_hyperspy(self) -> Any:
         """The only image as a signal of HyperSpy."""

@@ -189,7 +189,7 @@ def simulate(atoms: Atoms, **options: Unpack[SimulationOptions]) -> Images:
 
     Returns:
         One :class:`Image` for each detector, ``[y, x]`` in fractions of the incident beam; ``[thickness, y, x]`` where several
-        thicknesses are asked for. Of a defocus series, each for itself: ``"HAADF_defocus_20A"``. Where there is one image only, the
+        thicknesses are asked for. Of a defocus series, each for itself: ``"HAADF_defocus_20A"``; files hold them as one stack. Where there is one image only, the
         result can be used as that.
 
     Raises:
@@ -444,7 +444,9 @@ def _request(atoms: Atoms, options: SimulationOptions) -> tuple[_core.Simulation
 def _frames(frames: Any) -> dict[str, int]:
     if not isinstance(frames, range) or frames.start < 0 or frames.step < 1:
         raise _invalid("frames", f"frames = {frames!r}: expected range(start, end, step)")
-    return {"start": frames.start, "end": frames.stop, "step": frames.step}
+    if not frames:
+        raise _invalid("frames", f"frames = {frames!r}: holds no frame")
+    return {"start": frames.start, "end": frames[-1], "step": frames.step}
 
 
 def _sigma(sigma: Any) -> Any:

@@ -61,13 +61,14 @@ class Sample:
     Attributes:
         index: its number.
         source: index of its recipe.
+        recipe: its recipe as TOML.
         image: float32 ``[y, x]``, counts over the electrons of a pixel: fractions of the beam with noise.
         counts: uint32, electrons counted.
         clean: float32, the image without noise, in fractions of the beam.
         dose: electrons per square Angstrom.
         pixel_nm: edge of a pixel.
         angle_deg: by which it is turned against the specimen.
-        centre_nm: its middle ``(x, y)`` in the field.
+        centre_nm: its middle ``(x, y)`` in the full field.
     """
 
     index: int
@@ -80,6 +81,7 @@ class Sample:
     pixel_nm: float
     angle_deg: float
     centre_nm: tuple[float, float]
+    recipe: str = ""
 
     def __iter__(self) -> Iterator[Any]:
         return iter((self.image, self.targets))
@@ -118,7 +120,8 @@ class Stream:
             mine = [index for index, chosen in wanted if chosen == number]
             if mine:
                 made = self._used.by(call)(source.samples, mine, running(self.threads, False))
-                found.update((item["index"], _sample(item, number)) for item in made)
+                toml = self._made[0][number]["toml"]
+                found.update((item["index"], _sample(item, number, toml)) for item in made)
         return [found[index] for index, _ in wanted]
 
     def iterate(self, first: int = 0, step: int = 1, count: int | None = None) -> Iterator[Sample]:
@@ -226,7 +229,7 @@ def _range(keyword: str, value: Any) -> tuple[float, float]:
         raise _invalid(keyword, f"{keyword} = {value!r}: expected a number, or (low, high)") from None
 
 
-def _sample(item: Mapping[str, Any], source: int) -> Sample:
+def _sample(item: Mapping[str, Any], source: int, recipe: str) -> Sample:
     counts = item["counts"]
     facts = item["columns"].reshape(-1, 5)
     columns = np.zeros(len(facts), SAMPLE_COLUMN_DTYPE)
@@ -249,4 +252,5 @@ def _sample(item: Mapping[str, Any], source: int) -> Sample:
         pixel_nm=item["pixel_nm"],
         angle_deg=math.degrees(item["angle_rad"]),
         centre_nm=tuple(item["centre_nm"]),
+        recipe=recipe,
     )

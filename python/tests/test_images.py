@@ -46,6 +46,31 @@ def test_hspy_files_have_the_layout(images: sw.Images, tmp_path: Path) -> None:
         np.testing.assert_allclose(axis["offset"], 10 * images["BF"].origin_nm[1])
 
 
+def test_a_defocus_series_is_one_stack(silicon: Any, tmp_path: Path) -> None:
+    scan = sw.Scan(points=(3, 2))
+    series = sw.simulate(silicon, scan=scan, detectors={"BF": (0, 20)}, defocus_angstrom=(0, 30), dose=1e5, energy_kev=80)
+    series.to_hspy(tmp_path / "all.hspy")
+    with h5py.File(tmp_path / "all.hspy") as file:
+        assert list(file["Experiments"]) == ["BF"]
+        signal = file["Experiments/BF"]
+        np.testing.assert_array_equal(signal["data"][:], [image.array for image in series.values()])
+        assert signal["axis-0"].attrs["name"] == "defocus" and signal["axis-0"].attrs["scale"] == 30
+        instrument = signal["metadata/Acquisition_instrument/TEM"]
+        assert instrument.attrs["beam_energy"] == 80 and instrument.attrs["convergence_angle"] == 21
+        assert tuple(instrument["Detector"].attrs.values())[0] == "BF"
+    series["BF_defocus_30A"].noisy.to_hspy(tmp_path / "noisy.hspy")
+    with h5py.File(tmp_path / "noisy.hspy") as file:
+        instrument = file["Experiments/BF_defocus_30A_noisy/metadata/Acquisition_instrument/TEM"]
+        assert instrument.attrs["dose_electrons_per_angstrom2"] == pytest.approx(1e5)
+        assert instrument.attrs["defocus_angstrom"] == 30
+    series.to_tiff(tmp_path / "all.tif")
+    assert b"axes=defocus,y,x\ndefocus_angstrom=0,30\n" in (tmp_path / "all.tif").read_bytes()
+    with pytest.raises(sw.InvalidValue, match="one series"):
+        sw.simulate(silicon, scan=scan, detectors={"A": (0, 20), "B": (40, 80)}).to_tiff(tmp_path / "no.tif")
+    image = series["BF_defocus_0A"]
+    assert image._png(grey_bar=True) != image._png()
+
+
 def test_hyperspy_opens_our_files(images: sw.Images, tmp_path: Path) -> None:
     hs = pytest.importorskip("hyperspy.api")
     image = images["HAADF"].at(1)
@@ -73,6 +98,11 @@ def test_plots(images: sw.Images, world_path: Path) -> None:
     matplotlib.use("Agg")
     ax = images["HAADF"].plot()
     assert ax.get_images()[0].get_extent() == pytest.approx(images["HAADF"].extent_nm)
+    # y upwards: row 0, which has the smallest y, is at the bottom
+    turned = images["HAADF"].plot(origin="lower")
+    left, right, bottom, top = turned.get_images()[0].get_extent()
+    assert (left, right, top, bottom) == pytest.approx(images["HAADF"].extent_nm)
+    assert turned.get_ylim()[0] < turned.get_ylim()[1] and ax.get_ylim()[0] > ax.get_ylim()[1]
     ax = sw.World(world_path).plot((1, 1, 2, 2), overlay="columns")
     assert len(ax.lines[0].get_xdata()) > 3
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 import json
 import multiprocessing
+import struct
 import tarfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +110,19 @@ def test_particles_have_outlines(tmp_path: Path) -> None:
     sw.export(samples, tmp_path / "coco.json")
     coco = json.loads((tmp_path / "coco.json").read_text())
     assert len(coco["images"]) == 2 and len(coco["annotations"]) > 0
+    for sample, about in zip(samples, coco["images"], strict=True):
+        # a whole grey image with the pixels of the sample
+        data = (tmp_path / about["file_name"]).read_bytes()
+        width, height, bits, colour = struct.unpack(">IIBB", data[16:26])
+        assert (height, width, bits, colour) == (*sample.image.shape, 8, 0)
+        start = data.index(b"IDAT") + 4
+        rows = np.frombuffer(zlib.decompress(data[start:]), np.uint8).reshape(height, width + 1)
+        low, high = about["grey_from_to"]
+        grey = np.clip((sample.image - low) / (high - low) * 255, 0, 255)
+        assert np.abs(rows[:, 1:] - grey).max() <= 0.51 and not rows[:, 0].any()
+        assert about["dose"] == sample.dose and coco["info"]["recipes"][about["source"]] == sample.recipe
+    with pytest.raises(FileExistsError):
+        sw.export(samples, tmp_path / "coco.json")
     tools = pytest.importorskip("pycocotools.coco")
     read = tools.COCO(str(tmp_path / "coco.json"))
     for annotation in read.loadAnns(read.getAnnIds()):
@@ -118,14 +133,25 @@ def test_files_for_training(stream: sw.Stream, tmp_path: Path) -> None:
     samples = list(stream.iterate(count=3))
     sw.export(stream, tmp_path / "a.npz", count=3)
     stacks = np.load(tmp_path / "a.npz")
-    for name in ("images", "clean", "heat_maps", "masks", "phase_masks"):
+    for name in ("images", "clean", "heat_maps", "class_masks", "phase_masks"):
         assert stacks[name].shape == (3, 48, 48)
+    for n, sample in enumerate(samples):
+        own = stacks["columns"][stacks["columns"]["sample"] == sample.index]
+        np.testing.assert_array_equal(own["x_px"], sample.targets.columns["x_px"])
+        assert stacks["angle_deg"][n] == sample.angle_deg and tuple(stacks["centre_nm"][n]) == sample.centre_nm
+        assert str(stacks["recipes"][stacks["source"][n]]) == sample.recipe and "[field]" in sample.recipe
+    # as `stemgen tiles` has it
+    assert stacks["columns"].dtype.names == ("sample", *sw.SAMPLE_COLUMN_DTYPE.names)
     np.testing.assert_array_equal(stacks["images"][1], samples[1].image)
     sw.export(samples, tmp_path / "b.npz")
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
     sw.export(samples, tmp_path / "a.h5")
     with h5py.File(tmp_path / "a.h5") as file:
-        np.testing.assert_array_equal(file["masks"][2], samples[2].targets.class_mask)
+        np.testing.assert_array_equal(file["class_masks"][2], samples[2].targets.class_mask)
+        assert file["recipes"].asstr()[0] == samples[0].recipe and file["columns"].dtype == stacks["columns"].dtype
+    with pytest.raises(sw.InvalidValue, match="no sample shows a particle"):
+        sw.export(samples, tmp_path / "none.json")
+    assert not (tmp_path / "none.json").exists() and not (tmp_path / "none_images").exists()
     sw.export(samples, tmp_path / "a.csv")
     with open(tmp_path / "a.csv") as text:
         rows = list(csv.DictReader(text))

@@ -6,10 +6,12 @@
 //!   `source_lorentz_share` if the source is no point;
 //! - `/images/NAME`: float32, always (thickness, y, x), with `units`, `axes`, `sampling_angstrom` and
 //!   `origin_angstrom` as (y, x), `thicknesses_angstrom`, and `inner_mrad`, `outer_mrad` of a
-//!   detector, `defocus_angstrom` of a series; `NAME_noisy`: counts over `electrons_per_pixel`;
+//!   detector, `defocus_angstrom` of a series; `NAME_noisy`: counts over its `electrons_per_pixel`;
 //! - `/counts/NAME`: uint32, the electrons counted, with the same attributes and `electrons_per_pixel`, `seed`;
-//! - `/entry` (NXentry) holds each of these once more, by links, as NXdata that NeXus readers open with its axes:
-//!   `/entry/NAME/data`, `thickness`, `y`, `x`; the attributes `default` lead to the first;
+//! - `/entry` (NXentry) shows the images once more, as NXdata that NeXus readers open with its axes. All images of a detector are one
+//!   stack `/entry/NAME/data` (defocus, thickness, y, x), without the axes that have one value; counts are at
+//!   `/entry/NAME_counts`. `data` is a link, or a virtual dataset, of the images above: no value is stored twice. The attributes
+//!   `default` lead to the first;
 //! - `/exit_wave` of a plane wave: complex64, (configuration, y, x), with `sampling_angstrom`;
 //! - `/specimen`: `cell` (rows are vectors) and `positions` in Angstrom, `numbers`,
 //!   `sigma_angstrom`; mean positions of the atoms that were simulated. The attribute `strain_percent` is the largest principal strain
@@ -18,12 +20,13 @@
 use std::path::Path;
 
 use hdf5::types::VarLenUnicode;
-use hdf5::{Dataset, File, Group};
+use hdf5::{Dataset, File, Group, Hyperslab, Selection, SliceOrIndex};
 use ndarray::{ArrayView1, ArrayView2, ArrayView3};
 use num_complex::Complex32;
 
 use super::At;
 use super::hdf5_create;
+use super::image_series::ImageSeries;
 use super::world_writer::{number, text};
 use crate::engine::{Site, Source};
 use crate::error::{Error, Result};
@@ -36,6 +39,8 @@ const FORMAT_VERSION: i64 = 1;
 const DEFLATE: u8 = 1;
 /// Axes of images.
 const AXES: [&str; 3] = ["thickness", "y", "x"];
+/// The file itself, as virtual datasets name it.
+const THIS_FILE: &str = ".";
 
 /// What is stored besides images.
 #[derive(Debug, Clone)]
@@ -115,6 +120,8 @@ pub struct ImageStack<'a> {
     pub defocus_angstrom: Option<f64>,
     /// Inner and outer angle of the detector in mrad.
     pub annulus_mrad: Option<[f64; 2]>,
+    /// Electrons that fell on a pixel, of an image with their noise.
+    pub electrons_per_pixel: Option<f64>,
 }
 
 /// The electrons counted for an image.
@@ -236,7 +243,7 @@ fn write_counts(group: &Group, counts: &ImageCounts) -> hdf5::Result<()> {
     text(&dataset, "units", "electrons")?;
     number(&dataset, "electrons_per_pixel", counts.electrons_per_pixel)?;
     number(&dataset, "seed", counts.seed)?;
-    describe(&dataset, counts.stack)
+    describe(&dataset, &ImageStack { electrons_per_pixel: None, ..counts.stack.clone() })
 }
 
 fn write_array<T: hdf5::H5Type + Clone>(
@@ -251,60 +258,107 @@ fn write_array<T: hdf5::H5Type + Clone>(
 
 /// The images once more, as NeXus has them, and as Berkeley's EMD (version 0.2) does: `dim1` is another name of the first axis.
 fn write_entry(file: &File, images: &[ImageStack], counts: &[ImageCounts]) -> hdf5::Result<()> {
-    let Some(first) = images.first() else { return Ok(()) };
+    let series = ImageSeries::group(images);
+    let Some(first) = series.first() else { return Ok(()) };
     text(file, "NX_class", "NXroot")?;
     text(file, "default", "entry")?;
     number(file, "version_major", 0_i64)?;
     number(file, "version_minor", 2_i64)?;
     let entry = hdf5_create::group(file, "entry")?;
     text(&entry, "NX_class", "NXentry")?;
-    text(&entry, "default", first.name)?;
-    for stack in images {
-        write_nxdata(file, &format!("images/{}", stack.name), stack.name, stack)?;
+    text(&entry, "default", &first.name)?;
+    for series in &series {
+        let shown = ShownSeries { series, folder: "images", units: series.first().units };
+        shown.write::<f32>(&entry, &series.name)?;
     }
-    for counts in counts {
-        let name = counts.stack.name;
-        write_nxdata(file, &format!("counts/{name}"), &format!("{name}_counts"), counts.stack)?;
+    let counted: Vec<ImageStack> = counts.iter().map(|counts| counts.stack.clone()).collect();
+    for series in &ImageSeries::group(&counted) {
+        let shown = ShownSeries { series, folder: "counts", units: "electrons" };
+        shown.write::<u32>(&entry, &format!("{}_counts", series.name))?;
     }
     Ok(())
 }
 
-fn write_nxdata(file: &File, data: &str, name: &str, stack: &ImageStack) -> hdf5::Result<()> {
-    let group = hdf5_create::group(file, &format!("entry/{name}"))?;
-    text(&group, "NX_class", "NXdata")?;
-    text(&group, "signal", "data")?;
-    axes(&group, &AXES)?;
-    for (n, axis) in AXES.iter().enumerate() {
-        number(&group, &format!("{axis}_indices"), n as i64)?;
+/// A series as readers of NeXus see it.
+struct ShownSeries<'x, 's, 'a> {
+    series: &'x ImageSeries<'s, 'a>,
+    /// The group with its images.
+    folder: &'static str,
+    units: &'x str,
+}
+
+impl ShownSeries<'_, '_, '_> {
+    fn write<T: hdf5::H5Type>(&self, entry: &Group, name: &str) -> hdf5::Result<()> {
+        let group = hdf5_create::group(entry, name)?;
+        text(&group, "NX_class", "NXdata")?;
+        text(&group, "signal", "data")?;
+        text(&group, "title", name)?;
+        number(&group, "emd_group_type", 1_i64)?;
+        self.write_data::<T>(&group)?;
+        let stack = self.series.first();
+        let (_, rows, columns) = stack.data.dim();
+        let along = |k: usize, n: usize| -> Vec<f64> {
+            (0..n).map(|i| stack.origin_angstrom[k] + i as f64 * stack.step_angstrom[k]).collect()
+        };
+        let series = self.series.axes().into_iter().map(|axis| (axis.name, axis.values_angstrom));
+        let places = series.chain([("y", along(1, rows)), ("x", along(0, columns))]);
+        let places: Vec<(&str, Vec<f64>)> = places.collect();
+        axes(&group, &places.iter().map(|(axis, _)| *axis).collect::<Vec<_>>())?;
+        for (n, (axis, values)) in places.iter().enumerate() {
+            number(&group, &format!("{axis}_indices"), n as i64)?;
+            let dataset = group.new_dataset_builder().with_data(values).create(*axis)?;
+            text(&dataset, "units", "angstrom")?;
+            text(&dataset, "name", axis)?;
+            group.link_soft(axis, &format!("dim{}", n + 1))?;
+        }
+        Ok(())
     }
-    group.link_soft(&format!("/{data}"), "data")?;
-    number(&group, "emd_group_type", 1_i64)?;
-    let (_, rows, columns) = stack.data.dim();
-    let along = |k: usize, n: usize| -> Vec<f64> {
-        (0..n).map(|i| stack.origin_angstrom[k] + i as f64 * stack.step_angstrom[k]).collect()
-    };
-    let places = [stack.thicknesses_angstrom.to_vec(), along(1, rows), along(0, columns)];
-    for (n, (axis, values)) in AXES.iter().zip(places).enumerate() {
-        let dataset = group.new_dataset_builder().with_data(&values).create(*axis)?;
-        text(&dataset, "units", "angstrom")?;
-        text(&dataset, "name", axis)?;
-        group.link_soft(axis, &format!("dim{}", n + 1))?;
+
+    /// A link where the stored image has these axes already, else a view of the stored images.
+    fn write_data<T: hdf5::H5Type>(&self, group: &Group) -> hdf5::Result<()> {
+        let shape = self.series.shape();
+        let stored = |stack: &ImageStack| format!("/{}/{}", self.folder, stack.name);
+        let stack = self.series.first();
+        let (images, rows, columns) = stack.data.dim();
+        let source = [images, rows, columns];
+        if shape == source && self.series.stacks.len() == 1 {
+            return group.link_soft(&stored(stack), "data");
+        }
+        let mut builder = group.new_dataset_builder().empty::<T>().shape(shape.clone());
+        for (n, stack) in self.series.stacks.iter().enumerate() {
+            let place = match self.series.stacks.len() {
+                1 => Selection::from(..),
+                _ => {
+                    let all = shape.iter().skip(1).map(|_| SliceOrIndex::from(..));
+                    let one = std::iter::once(SliceOrIndex::from(n..n + 1));
+                    Selection::from(Hyperslab::from(one.chain(all).collect::<Vec<_>>()))
+                }
+            };
+            builder = builder.virtual_map(
+                THIS_FILE,
+                stored(stack),
+                source,
+                Selection::from(..),
+                shape.clone(),
+                place,
+            );
+        }
+        let data = builder.create("data")?;
+        text(&data, "units", self.units)?;
+        describe_pixel(&data, stack)
     }
-    Ok(())
 }
 
 /// Axes, pixel and detector of an image.
 fn describe(dataset: &Dataset, stack: &ImageStack) -> hdf5::Result<()> {
     axes(dataset, &AXES)?;
-    // what NeXus readers show at once
-    text(dataset, "interpretation", "image")?;
-    let [x, y] = stack.step_angstrom;
-    array(dataset, "sampling_angstrom", &[y, x])?;
-    let [x, y] = stack.origin_angstrom;
-    array(dataset, "origin_angstrom", &[y, x])?;
+    describe_pixel(dataset, stack)?;
     array(dataset, "thicknesses_angstrom", stack.thicknesses_angstrom)?;
     if let Some(defocus) = stack.defocus_angstrom {
         number(dataset, "defocus_angstrom", defocus)?;
+    }
+    if let Some(electrons) = stack.electrons_per_pixel {
+        number(dataset, "electrons_per_pixel", electrons)?;
     }
     match stack.annulus_mrad {
         None => Ok(()),
@@ -313,6 +367,15 @@ fn describe(dataset: &Dataset, stack: &ImageStack) -> hdf5::Result<()> {
             number(dataset, "outer_mrad", outer)
         }
     }
+}
+
+fn describe_pixel(dataset: &Dataset, stack: &ImageStack) -> hdf5::Result<()> {
+    // NeXus readers show an image at once.
+    text(dataset, "interpretation", "image")?;
+    let [x, y] = stack.step_angstrom;
+    array(dataset, "sampling_angstrom", &[y, x])?;
+    let [x, y] = stack.origin_angstrom;
+    array(dataset, "origin_angstrom", &[y, x])
 }
 
 fn write_waves(file: &File, waves: ExitWaves) -> hdf5::Result<()> {

@@ -22,6 +22,8 @@ mod hdf5_values;
 pub mod hspy_file;
 #[cfg(feature = "hdf5")]
 pub mod image_file;
+#[cfg(feature = "hdf5")]
+pub mod image_series;
 #[cfg(feature = "report")]
 mod length_units;
 #[cfg(feature = "report")]

@@ -22,12 +22,53 @@ impl NpzWriter {
     /// # Errors
     /// [`Error::Io`] of what could not be written.
     pub fn add<T: WriteNpyExt>(&mut self, name: &str, array: &T) -> std::io::Result<()> {
-        let options = SimpleFileOptions::default().large_file(true);
         let mut bytes = Vec::new();
         array.write_npy(&mut bytes).map_err(std::io::Error::other)?;
-        self.zip.start_file(format!("{name}.npy"), options).map_err(std::io::Error::other)?;
-        self.zip.write_all(&bytes)
+        self.member(name, &bytes)
     }
+
+    /// Adds records: `fields` is NumPy's list of names and types, `values` the bytes of one record after the other.
+    ///
+    /// # Errors
+    /// [`Error::Io`] of what could not be written.
+    pub fn add_records(
+        &mut self,
+        name: &str,
+        fields: &str,
+        count: usize,
+        values: &[u8],
+    ) -> std::io::Result<()> {
+        self.member(name, &[&head(fields, count)[..], values].concat())
+    }
+
+    /// Adds an array of texts.
+    ///
+    /// # Errors
+    /// [`Error::Io`] of what could not be written.
+    pub fn add_texts(&mut self, name: &str, texts: &[&str]) -> std::io::Result<()> {
+        let length = texts.iter().map(|text| text.chars().count()).max().unwrap_or(0).max(1);
+        let padded = |text: &&str| {
+            let letters = text.chars().map(u32::from).chain(std::iter::repeat(0));
+            letters.take(length).flat_map(u32::to_le_bytes).collect::<Vec<u8>>()
+        };
+        let values: Vec<u8> = texts.iter().flat_map(padded).collect();
+        self.add_records(name, &format!("'<U{length}'"), texts.len(), &values)
+    }
+
+    fn member(&mut self, name: &str, bytes: &[u8]) -> std::io::Result<()> {
+        let options = SimpleFileOptions::default().large_file(true);
+        self.zip.start_file(format!("{name}.npy"), options).map_err(std::io::Error::other)?;
+        self.zip.write_all(bytes)
+    }
+}
+
+/// The head of an array of NumPy (format 1.0) with one axis: its length is a multiple of 64.
+fn head(descr: &str, count: usize) -> Vec<u8> {
+    let text = format!("{{'descr': {descr}, 'fortran_order': False, 'shape': ({count},), }}");
+    let length = (10 + text.len() + 1).next_multiple_of(64);
+    let padding = " ".repeat(length - 10 - text.len() - 1);
+    let size = ((length - 10) as u16).to_le_bytes();
+    [b"\x93NUMPY\x01\x00", &size[..], text.as_bytes(), padding.as_bytes(), b"\n"].concat()
 }
 
 /// Writes an `.npz` that `fill` adds arrays to. It appears complete or not at all.

@@ -179,6 +179,8 @@ fn write_counts<T: H5Type + Clone>(
         }
     };
     text(&dataset, "units", "counts")?;
+    // NeXus readers show an image at once.
+    text(&dataset, "interpretation", "image")?;
     number(&dataset, "pixel_size_nm", r.frame.pixel_nm)
 }
 

@@ -2,15 +2,21 @@
 
 use std::path::Path;
 
-use super::image_file::ImageStack;
+use super::image_series::{ImageSeries, rounded};
 use crate::error::{Error, Result};
 use crate::files::atomic_write;
 use crate::setting::Setting;
 
 /// Digits of the resolution behind the point.
 const PER_MILLION: f64 = 1e6;
-/// Entries of a page.
+/// Entries of a page; the first has two more where its images have labels.
 const TAGS: usize = 14;
+const LABEL_TAGS: usize = 2;
+/// Bytes of the two resolutions.
+const RESOLUTION_BYTES: usize = 16;
+/// Tags of ImageJ: lengths of the parts of its metadata, and these.
+const METADATA_COUNTS: u16 = 50838;
+const METADATA: u16 = 50839;
 /// Kinds of values.
 const UNSIGNED: u16 = 1;
 const FLOAT: u16 = 3;
@@ -28,44 +34,47 @@ pub enum TiffDepth {
     Bits32,
 }
 
-/// Writes a stack as one TIFF, a page for each thickness. `ImageDescription` and resolution tell ImageJ the pixel in Angstrom, and
-/// the values that whole numbers stand for.
+/// Writes a series as one TIFF, a page for each image: one for each thickness, and in a defocus series for each defocus. `ImageDescription`
+/// and resolution tell ImageJ the pixel in Angstrom, the values that whole numbers stand for, and what each image shows. In ImageJ one
+/// axis is that of the slices; of two, the thickness is that of the slices, and the defocus that of the frames.
 ///
 /// # Errors
 /// [`Error::Invalid`] for more than a TIFF can hold, [`Error::Io`].
 pub fn write_tiff(
     path: &Path,
     overwrite: bool,
-    stack: &ImageStack,
+    series: &ImageSeries,
     depth: TiffDepth,
 ) -> Result<()> {
-    let values = stack.data.len().saturating_mul(4);
+    let values = series.shape().iter().fold(4_usize, |n, length| n.saturating_mul(*length));
     if values > LARGEST {
         let expected =
             format!("TIFF holds up to 4 GB, and this stack has {values} bytes; take HDF5");
         return Err(Error::invalid(Setting::Output, path.display(), expected));
     }
     atomic_write::write_with(path, overwrite, |temporary| {
-        std::fs::write(temporary, bytes(stack, depth)).map_err(|e| Error::io(path, "write", e))
+        std::fs::write(temporary, bytes(series, depth)).map_err(|e| Error::io(path, "write", e))
     })
 }
 
 /// All pages: first the values of all, then what each page is. ImageJ takes the values of a stack from behind those of its first page,
 /// other readers go from page to page.
-fn bytes(stack: &ImageStack, depth: TiffDepth) -> Vec<u8> {
+fn bytes(series: &ImageSeries, depth: TiffDepth) -> Vec<u8> {
     let ends = |(a, b): (f32, f32), v: &f32| (a.min(*v), b.max(*v));
-    let (low, high) = stack.data.iter().fold((f32::INFINITY, f32::NEG_INFINITY), ends);
+    let all = || series.stacks.iter().flat_map(|stack| stack.data.iter());
+    let (low, high) = all().fold((f32::INFINITY, f32::NEG_INFINITY), ends);
     let (levels, bits, format) = match depth {
         TiffDepth::Bits8 => (255.0, 8u16, UNSIGNED),
         TiffDepth::Bits16 => (65535.0, 16, UNSIGNED),
         TiffDepth::Bits32 => (0.0, 32, FLOAT),
     };
     let slope = if levels > 0.0 && high > low { (high - low) / levels } else { 1.0 };
-    let description = description(stack, (levels > 0.0).then_some([low, slope]), [low, high]);
+    let description = description(series, (levels > 0.0).then_some([low, slope]), [low, high]);
+    let labels = Labels::new(&series.labels());
     let level = |v: f32| ((v - low) / slope).round();
     let mut out = b"II*\0\0\0\0\0".to_vec();
     let mut starts = Vec::new();
-    for image in stack.data.outer_iter() {
+    for image in series.stacks.iter().flat_map(|stack| stack.data.outer_iter()) {
         starts.push(out.len());
         for v in image {
             match depth {
@@ -75,14 +84,15 @@ fn bytes(stack: &ImageStack, depth: TiffDepth) -> Vec<u8> {
             }
         }
     }
-    let (_, rows, columns) = stack.data.dim();
+    let (_, rows, columns) = series.first().data.dim();
     let size = rows * columns * usize::from(bits) / 8;
     let mut link = 4;
-    for start in starts {
+    for (n, start) in starts.into_iter().enumerate() {
         out.resize(out.len().next_multiple_of(2), 0);
         let page = Directory { at: out.len(), columns, rows, bits, format, start, size };
         out[link..link + 4].copy_from_slice(&(page.at as u32).to_le_bytes());
-        link = page.write(&mut out, &description, stack.step_angstrom);
+        let labels = labels.as_ref().filter(|_| n == 0);
+        link = page.write(&mut out, (&description, labels), series.first().step_angstrom);
     }
     out
 }
@@ -100,10 +110,17 @@ struct Directory {
 
 impl Directory {
     /// Appends it; returns where the place of the next has to be written.
-    fn write(&self, out: &mut Vec<u8>, description: &str, step_angstrom: [f64; 2]) -> usize {
+    fn write(
+        &self,
+        out: &mut Vec<u8>,
+        (description, labels): (&str, Option<&Labels>),
+        step_angstrom: [f64; 2],
+    ) -> usize {
         let text = [description.as_bytes(), b"\0"].concat();
-        let beyond = self.at + 2 + 12 * TAGS + 4;
+        let tags = TAGS + labels.map_or(0, |_| LABEL_TAGS);
+        let beyond = self.at + 2 + 12 * tags + 4;
         let resolution = beyond + text.len().next_multiple_of(2);
+        let counts = resolution + RESOLUTION_BYTES;
         let (long, short) =
             (|tag, n: usize| (tag, 4u16, 1, n), |tag, n: u16| (tag, 3u16, 1, usize::from(n)));
         let entries: [(u16, u16, usize, usize); TAGS] = [
@@ -123,8 +140,16 @@ impl Directory {
             short(296, 1),
             short(339, self.format),
         ];
-        out.extend((TAGS as u16).to_le_bytes());
-        for (tag, kind, count, value) in entries {
+        let of_labels = labels.map(|labels| {
+            let lengths = labels.counts.len();
+            [
+                (METADATA_COUNTS, 4, lengths, counts),
+                (METADATA, 1, labels.bytes.len(), counts + 4 * lengths),
+            ]
+        });
+        out.extend((tags as u16).to_le_bytes());
+        for (tag, kind, count, value) in entries.into_iter().chain(of_labels.into_iter().flatten())
+        {
             out.extend(tag.to_le_bytes());
             out.extend(kind.to_le_bytes());
             out.extend((count as u32).to_le_bytes());
@@ -138,31 +163,87 @@ impl Directory {
             out.extend(((PER_MILLION / step).round() as u32).to_le_bytes());
             out.extend((PER_MILLION as u32).to_le_bytes());
         }
+        if let Some(labels) = labels {
+            labels.counts.iter().for_each(|n| out.extend((*n as u32).to_le_bytes()));
+            out.extend(&labels.bytes);
+        }
         next
     }
 }
 
+/// What ImageJ shows above each image of a stack, in its own tags.
+struct Labels {
+    /// Bytes of the head and of each label.
+    counts: Vec<usize>,
+    bytes: Vec<u8>,
+}
+
+impl Labels {
+    /// `None` for one image.
+    fn new(labels: &[String]) -> Option<Self> {
+        if labels.len() < 2 {
+            return None;
+        }
+        // "IJIJ" and "labl", read as numbers of this byte order.
+        let head = [&b"JIJI"[..], b"lbal", &(labels.len() as u32).to_le_bytes()].concat();
+        let mut all = Labels { counts: vec![head.len()], bytes: head };
+        for label in labels {
+            let text: Vec<u8> = label.encode_utf16().flat_map(u16::to_le_bytes).collect();
+            all.counts.push(text.len());
+            all.bytes.extend(text);
+        }
+        Some(all)
+    }
+}
+
 /// The text that ImageJ reads: line by line, a key and a value.
-fn description(stack: &ImageStack, calibration: Option<[f32; 2]>, [low, high]: [f32; 2]) -> String {
-    let pages = stack.data.len_of(ndarray::Axis(0));
+fn description(
+    series: &ImageSeries,
+    calibration: Option<[f32; 2]>,
+    [low, high]: [f32; 2],
+) -> String {
+    let axes = series.axes();
+    let pages: usize = axes.iter().map(|axis| axis.values_angstrom.len()).product();
     let mut lines = vec!["ImageJ=1.54f".to_owned(), format!("images={pages}")];
-    if pages > 1 {
-        lines.push(format!("slices={pages}"));
+    match &axes[..] {
+        [] => {}
+        [only] => {
+            lines.push(format!("slices={pages}"));
+            lines.extend(only.even().map(|[_, step]| format!("spacing={}", rounded(step))));
+        }
+        [outer, inner, ..] => {
+            lines.push(format!("slices={}", inner.values_angstrom.len()));
+            lines.push(format!("frames={}\nhyperstack=true", outer.values_angstrom.len()));
+            lines.extend(inner.even().map(|[_, step]| format!("spacing={}", rounded(step))));
+        }
     }
     lines.push("unit=Angstrom".into());
+    let stack = series.first();
     if let Some([offset, slope]) = calibration {
         lines.push(format!("cf=0\nc0={offset}\nc1={slope}\nvunit={}", stack.units));
     } else {
         lines.push(format!("min={low}\nmax={high}"));
     }
-    let at = stack.thicknesses_angstrom.iter().map(|t| format!("{t:.2}")).collect::<Vec<_>>();
-    lines.push(format!("image={}\nthicknesses_angstrom={}", stack.name, at.join(",")));
+    let [x, y] = stack.origin_angstrom;
+    lines.push(format!("image={}\norigin_angstrom={x},{y}", series.name));
+    let names: Vec<&str> = axes.iter().map(|axis| axis.name).chain(["y", "x"]).collect();
+    lines.push(format!("axes={}", names.join(",")));
+    let list = |values: &[f64]| {
+        values.iter().map(|v| rounded(*v).to_string()).collect::<Vec<_>>().join(",")
+    };
+    for axis in &axes {
+        lines.push(format!("{}_angstrom={}", axis.name, list(&axis.values_angstrom)));
+    }
+    if !axes.iter().any(|axis| axis.name == "thickness") {
+        lines.push(format!("thickness_angstrom={}", list(stack.thicknesses_angstrom)));
+    }
     lines.join("\n") + "\n"
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::io::image_file::ImageStack;
     use ndarray::Array3;
     use std::fs::File;
     use tiff::decoder::{Decoder, DecodingResult};
@@ -181,18 +262,25 @@ mod tests {
             thicknesses_angstrom: &[10.0, 20.0],
             defocus_angstrom: None,
             annulus_mrad: None,
+            electrons_per_pixel: None,
         };
         for depth in [TiffDepth::Bits8, TiffDepth::Bits16, TiffDepth::Bits32] {
             let path = folder.path().join(format!("{depth:?}.tif"));
-            write_tiff(&path, false, &stack, depth).unwrap();
+            write_tiff(&path, false, &ImageSeries::of_one(&stack), depth).unwrap();
             let mut decoder = Decoder::new(File::open(&path).unwrap()).unwrap();
             let text = decoder.get_tag_ascii_string(Tag::ImageDescription).unwrap();
             assert!(
                 text.starts_with("ImageJ=")
                     && text.contains("unit=Angstrom")
+                    && text.contains("axes=thickness,y,x\nthickness_angstrom=10,20")
                     && text.contains("images=2"),
                 "{text}"
             );
+            let labels = decoder.get_tag_u8_vec(Tag::Unknown(METADATA)).unwrap();
+            let counts = decoder.get_tag_u64_vec(Tag::Unknown(METADATA_COUNTS)).unwrap();
+            let utf16: Vec<u8> = "thickness 10 A".bytes().flat_map(|b| [b, 0]).collect();
+            assert_eq!(counts, [12, 28, 28]);
+            assert_eq!(labels[12..40], utf16[..]);
             let resolution = decoder.get_tag_u64_vec(Tag::XResolution).unwrap();
             assert_eq!(resolution, [4_000_000, 1_000_000]);
             let number = |key: &str| -> f32 {

@@ -19,9 +19,9 @@ use crate::structure::elements;
 use crate::world::noise_free::{refined, refinement};
 use crate::world::region_truth::list;
 use crate::world::{
-    BuildOptions, CarbonBefore, ColumnTruth, Electrons, FieldRecording, FieldTile, ImagerSource,
-    RecordedPart, RecordingOptions, SiteTruth, expose_frame, grown, record_over, scan_of,
-    tile_of_image,
+    BuildOptions, CarbonBefore, ColumnTruth, Electrons, FieldRecording, FieldTile, ImagePlan,
+    ImagerSource, RecordedPart, RecordingOptions, SiteTruth, expose_frame, grown, record_over,
+    scan_of, tile_of_image,
 };
 
 /// The greatest dose that a live world is made for unless another is asked for, in electrons per square Angstrom.
@@ -96,18 +96,17 @@ pub struct LiveWorld {
     history: Vec<LiveAcquisition>,
 }
 
-impl LiveWorld {
-    /// Lays out the specimen of a recipe with this seed, and fills the library of its mosaic: from the cache, or by
-    /// simulations, which take minutes.
-    ///
-    /// # Errors
-    /// [`Error::Invalid`] for a greatest dose out of limits; those of the specimen and the engine; [`Error::Interrupted`].
-    pub fn new(
-        recipe: &CheckedRecipe,
-        seed: u64,
-        options: &LiveOptions,
-        progress: &dyn Progress,
-    ) -> Result<Self> {
+/// A world whose library is not filled yet.
+struct Unprepared {
+    recipe: CheckedRecipe,
+    fine: CheckedRecipe,
+    parts: usize,
+    damaged: Arc<DamagedSpecimen>,
+    imager: Box<dyn RegionImager>,
+}
+
+impl Unprepared {
+    fn new(recipe: &CheckedRecipe, seed: u64, options: &LiveOptions) -> Result<Self> {
         let recipe = own_recipe(recipe, seed)?;
         if !(1e-3..=1e12).contains(&options.most_dose) {
             let expected = "expected 0.001 to 1e12 electrons per square Angstrom";
@@ -123,7 +122,39 @@ impl LiveWorld {
             // A library serves the specimen again and again while it changes.
             imaging.method = MethodChoice::Mosaic;
         }
-        let mut imager = imaging.imager(&fine, &seen)?;
+        let imager = imaging.imager(&fine, &seen)?;
+        Ok(Unprepared { recipe, fine, parts, damaged, imager })
+    }
+}
+
+impl LiveWorld {
+    /// What filling the library takes, and the image of a part. Nothing is simulated.
+    ///
+    /// # Errors
+    /// As [`LiveWorld::new`], and those of the plan.
+    pub fn plan(
+        recipe: &CheckedRecipe,
+        seed: u64,
+        options: &LiveOptions,
+        part: &RecordedPart,
+    ) -> Result<ImagePlan> {
+        let made = Unprepared::new(recipe, seed, options)?;
+        ImagePlan::new(&*made.imager, part.pixels_of(made.fine.field.pixel_nm()), 1)
+    }
+
+    /// Lays out the specimen of a recipe with this seed, and fills the library of its mosaic: from the cache, or by
+    /// simulations, which take minutes.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for a greatest dose out of limits; those of the specimen and the engine; [`Error::Interrupted`].
+    pub fn new(
+        recipe: &CheckedRecipe,
+        seed: u64,
+        options: &LiveOptions,
+        progress: &dyn Progress,
+    ) -> Result<Self> {
+        let Unprepared { recipe, fine, parts, damaged, mut imager } =
+            Unprepared::new(recipe, seed, options)?;
         imager.prepare(progress)?;
         let imager = BlockImager::new(imager, &fine, &damaged, options.image_bytes)?;
         let most_dose = options.most_dose;

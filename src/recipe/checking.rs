@@ -114,9 +114,13 @@ fn check_tables(recipe: &Recipe) -> Checked {
     ];
     for (name, given, kinds) in tables {
         if given && !kinds.contains(&recipe.structure) {
-            let kinds: Vec<&str> = kinds.iter().map(|k| k.name()).collect();
-            let expected = format!("structure = \"{}\" has no such table", recipe.structure.name());
-            return fault(name, "[table]", format!("{expected}; {} has", kinds.join(", ")));
+            let kinds: Vec<String> = kinds.iter().map(|k| format!("\"{}\"", k.name())).collect();
+            let expected = format!(
+                "expected structure = {} for this table, not \"{}\"",
+                kinds.join(" or "),
+                recipe.structure.name()
+            );
+            return fault(name, "[table]", expected);
         }
     }
     Ok(())
@@ -184,7 +188,9 @@ fn check_crystal(recipe: &Recipe) -> Checked<(Structure, ColumnCrystal)> {
     if diagonal / crystal.cell[0].min(crystal.cell[1]) > MOST_CELLS_ACROSS as f64 {
         let most =
             MOST_CELLS_ACROSS as f64 * 0.1 * crystal.cell[0].min(crystal.cell[1]) / 1.5 - 50.0;
-        let expected = format!("this crystal can fill at most {most:.0} nm");
+        let expected = format!(
+            "expected a field of at most {most:.0} nm: it may be {MOST_CELLS_ACROSS} cells of this crystal wide"
+        );
         return fault("field.fov_nm", format!("{:?}", recipe.field.fov_nm), expected);
     }
     Ok((structure, crystal))
@@ -233,7 +239,9 @@ fn check_boundaries(
 fn check_count(key: &str, count: usize, field: &Field, room_nm: f64) -> Checked {
     if count > 200 || (count + 1) as f64 * room_nm > field.fov_nm[1] {
         let most = ((field.fov_nm[1] / room_nm) as usize).clamp(1, 201) - 1;
-        let expected = format!("the parts between need {room_nm} nm of width: at most {most}");
+        let expected = format!(
+            "expected at most {most}: the parts between boundaries need {room_nm} nm of the width each"
+        );
         return fault(key, count, expected);
     }
     Ok(())
@@ -262,7 +270,11 @@ fn check_alloy(alloy: &Alloy, crystal: &[String]) -> Checked {
     let most = if alloy.profile == CompositionProfile::Linear { 0.5 } else { 1.0 };
     within("alloy.rate", alloy.rate, 0.0, most)?;
     if alloy.c13_gpa.is_some() != alloy.c33_gpa.is_some() {
-        return fault("alloy.c13_gpa", "(alone)", "c13_gpa and c33_gpa are given together");
+        return fault(
+            "alloy.c13_gpa",
+            "(alone)",
+            "expected c13_gpa and c33_gpa together, or neither",
+        );
     }
     for (c13, c33) in alloy.c13_gpa.into_iter().flatten().zip(alloy.c33_gpa.into_iter().flatten()) {
         within("alloy.c33_gpa", c33, 1.0, 2000.0)?;
@@ -311,11 +323,18 @@ fn check_elements(
     high: f64,
 ) -> Checked {
     if let Some(missing) = needed.iter().find(|n| !table.contains_key(*n)) {
-        return fault(key, "(incomplete)", format!("`{missing}` is missing"));
+        return fault(
+            key,
+            "(incomplete)",
+            format!(
+                "expected a value for each element of the specimen ({}); `{missing}` is missing",
+                needed.join(", ")
+            ),
+        );
     }
     for (name, &value) in table {
         if !needed.contains(name) {
-            let expected = format!("the specimen holds {}", needed.join(", "));
+            let expected = format!("expected only elements of the specimen: {}", needed.join(", "));
             return fault(&format!("{key}.{name}"), value, expected);
         }
         within(&format!("{key}.{name}"), value, low, high)?;

@@ -21,14 +21,18 @@ pub fn fault<T>(key: &str, value: impl ToString, expected: impl Into<String>) ->
 pub fn needed<'t, T>(key: &str, table: Option<&'t T>) -> Checked<&'t T> {
     match table {
         Some(table) => Ok(table),
-        None => fault(key, "(missing)", "this structure needs the table"),
+        None => fault(key, "(missing)", "this kind of structure needs the table"),
     }
 }
 
 pub fn one_of(key: &str, symbol: &String, elements: &[String]) -> Checked {
     match elements.contains(symbol) {
         true => Ok(()),
-        false => fault(key, symbol, format!("the crystal holds {}", elements.join(", "))),
+        false => fault(
+            key,
+            symbol,
+            format!("expected an element of the crystal: {}", elements.join(", ")),
+        ),
     }
 }
 

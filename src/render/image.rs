@@ -3,7 +3,7 @@
 use super::canvas::RgbImage;
 use super::colormap::Colormap;
 use super::enlarge::{Enlarge, Matrix, SizeChange, check_finite, enlarge, shrink};
-use super::overlay::{Marker, draw_bar, draw_caption, draw_marker};
+use super::overlay::{Marker, draw_bar, draw_caption, draw_grey_bar, draw_marker};
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 use std::path::Path;
@@ -58,6 +58,8 @@ pub struct Picture<'a> {
     pub markers: Vec<Marker>,
     /// A line of text in the upper left corner, where it fits.
     pub caption: Option<String>,
+    /// Draw the colours with the first and the last value, where they fit.
+    pub grey_bar: bool,
 }
 
 impl<'a> Picture<'a> {
@@ -84,6 +86,7 @@ impl<'a> Picture<'a> {
             pixel_angstrom: None,
             markers: Vec::new(),
             caption: None,
+            grey_bar: false,
         })
     }
 
@@ -128,6 +131,9 @@ impl<'a> Picture<'a> {
                 ));
             }
             image.bar_angstrom = draw_bar(&mut image, pixel / scale.factor());
+        }
+        if self.grey_bar {
+            draw_grey_bar(&mut image, &colors, [min, max]);
         }
         if let Some(caption) = &self.caption {
             draw_caption(&mut image, caption);

@@ -5,12 +5,13 @@ use std::path::Path;
 
 use ndarray::{Array2, ArrayView2};
 
-use super::Picture;
 use super::html::{ImageOfStack, StackPage};
+use super::{Contrast, Picture};
 use crate::error::{Error, Result};
 use crate::files::atomic_write;
 use crate::io::WorldFile;
 use crate::io::image_file::ImageStack;
+use crate::io::image_series::ImageSeries;
 use crate::io::schema::OVERVIEW_FACTOR;
 
 /// Pixels that are not square by more than this are resampled.
@@ -20,6 +21,54 @@ const SMALL: usize = 512;
 const ENLARGED: usize = 1024;
 /// Worlds up to this many pixels wide are drawn from all their pixels, others from the overview.
 const WHOLE_WORLD: usize = 3000;
+
+/// What is drawn over an image, and which values are black and white.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct GreyScale {
+    /// Draw a scale bar.
+    pub scale_bar: bool,
+    /// Draw the grey values with the numbers that black and white stand for.
+    pub grey_bar: bool,
+    /// Values of black and white; `None`: the percentiles 0.1 and 99.9 of the image.
+    pub limits: Option<[f32; 2]>,
+}
+
+impl GreyScale {
+    /// One scale for all images of a series: black and white are the percentiles 0.1 and 99.9 of all their values.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for values that cannot be drawn.
+    pub fn of_series(series: &ImageSeries) -> Result<Self> {
+        let values: Vec<f32> = series.data().into_iter().collect();
+        let limits = Picture::new(&values, [1, values.len()])?.limits()?;
+        Ok(GreyScale { limits: Some(limits), ..GreyScale::default() })
+    }
+
+    /// The share of values below black or above white, from 0 to 1.
+    pub fn clipped(&self, image: ArrayView2<f32>) -> f64 {
+        let Some([low, high]) = self.limits else { return 0.0 };
+        let beyond = image.iter().filter(|v| **v < low || **v > high).count();
+        beyond as f64 / image.len().max(1) as f64
+    }
+
+    /// An image with pixels of `step` (x, y) Angstrom as a PNG.
+    ///
+    /// # Errors
+    /// Values that cannot be drawn.
+    pub fn png(&self, image: ArrayView2<f32>, step: [f64; 2]) -> Result<Vec<u8>> {
+        let (image, pixel) = resampled(image, step);
+        let (rows, columns) = image.dim();
+        let values: Vec<f32> = image.into_iter().collect();
+        let mut picture = Picture::new(&values, [rows, columns])?;
+        picture.pixel_angstrom = self.scale_bar.then_some(pixel);
+        picture.grey_bar = self.grey_bar;
+        // An image of one value has no contrast.
+        if let Some([min, max]) = self.limits.filter(|[min, max]| min < max) {
+            picture.contrast = Contrast::Range { min, max };
+        }
+        picture.png()
+    }
+}
 
 /// Writes an image with pixels of `step` (x, y) Angstrom.
 ///
@@ -80,12 +129,7 @@ pub fn write_world(world: &WorldFile, path: &Path) -> Result<()> {
 /// # Errors
 /// Those of the file; values that cannot be drawn.
 pub fn png(image: ArrayView2<f32>, step: [f64; 2], scale_bar: bool) -> Result<Vec<u8>> {
-    let (image, pixel) = resampled(image, step);
-    let (rows, columns) = image.dim();
-    let values: Vec<f32> = image.into_iter().collect();
-    let mut picture = Picture::new(&values, [rows, columns])?;
-    picture.pixel_angstrom = scale_bar.then_some(pixel);
-    picture.png()
+    GreyScale { scale_bar, ..GreyScale::default() }.png(image, step)
 }
 
 /// The image with square pixels, enlarged to about 1024 pixels if it is small, and that pixel.
@@ -128,6 +172,35 @@ fn lanczos(x: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// One scale for a series: the image with the larger values is brighter, and what lies beyond the scale is counted.
+    #[test]
+    fn images_of_a_series_share_one_scale() {
+        let dark = ndarray::Array3::from_shape_fn((1, 40, 40), |(_, i, j)| (40 * i + j) as f32);
+        let bright = dark.mapv(|v| v + 1600.0);
+        let stack = |name, data, defocus| ImageStack {
+            name,
+            data,
+            units: "",
+            step_angstrom: [0.2; 2],
+            origin_angstrom: [0.0; 2],
+            thicknesses_angstrom: &[10.0],
+            defocus_angstrom: Some(defocus),
+            annulus_mrad: None,
+            electrons_per_pixel: None,
+        };
+        let both =
+            [stack("A_defocus_0A", dark.view(), 0.0), stack("A_defocus_10A", bright.view(), 10.0)];
+        let series = ImageSeries::group(&both);
+        let scale = GreyScale::of_series(&series[0]).unwrap();
+        assert_eq!(scale.limits, Some([3.0, 3196.0]));
+        let images = [&dark, &bright].map(|d| d.index_axis(ndarray::Axis(0), 0));
+        assert!((scale.clipped(images[0]) - 3.0 / 1600.0).abs() < 1e-12);
+        let pictures = images.map(|image| scale.png(image, [0.2; 2]).unwrap());
+        let own = GreyScale::default();
+        let alone = images.map(|image| own.png(image, [0.2; 2]).unwrap());
+        assert!(pictures[0] != pictures[1] && alone[0] == alone[1]);
+    }
 
     #[test]
     fn pixels_become_square() {

@@ -121,6 +121,55 @@ pub(super) fn draw_bar(image: &mut RgbImage, angstrom_per_pixel: f64) -> Option<
     Some(length)
 }
 
+/// Draws the colours from the first to the last with their values, in the lower right corner; whether there is room for it.
+pub(super) fn draw_grey_bar(
+    image: &mut RgbImage,
+    colors: &[[u8; 3]; 256],
+    [min, max]: [f32; 2],
+) -> bool {
+    let at = ScaleBar::new(image);
+    let labels = [min, max].map(|value| value_label(f64::from(value)));
+    let widths = [0, 1].map(|k| font::width(&labels[k], at.digit));
+    let length = (0.24 * image.width as f64).max(widths[0] + widths[1] + 2.0 * at.gap).round();
+    let height = (1.2 * at.digit).round();
+    let box_size = [length + 2.0 * at.padding, at.digit + at.gap + height + 2.0 * at.padding];
+    // The scale bar takes up to a third of the width.
+    if box_size[0] + 2.0 * at.margin > 0.6 * image.width as f64
+        || box_size[1] + 2.0 * at.margin > image.height as f64
+    {
+        return false;
+    }
+    let high = [image.width as f64 - 0.5 - at.margin, image.height as f64 - 0.5 - at.margin];
+    let low = [0, 1].map(|k| high[k] - box_size[k]);
+    image.fill(low, high, 0.35 * at.digit, BLACK, 0.6);
+    let left = (low[0] + at.padding).round() as usize;
+    let bottom = (high[1] - at.padding).round() as usize;
+    for x in 0..length as usize {
+        let color = colors[x * 255 / (length as usize - 1).max(1)];
+        (bottom - height as usize..bottom).for_each(|y| image.blend(left + x, y, color, 1.0));
+    }
+    let text_bottom = bottom as f64 - height - at.gap;
+    let starts = [left as f64, left as f64 + length - widths[1]];
+    for (label, start) in labels.iter().zip(starts) {
+        let lines = font::lines(label, [start, text_bottom], at.digit);
+        image.stroke(&lines, 0.135 * at.digit, WHITE, 1.0);
+    }
+    true
+}
+
+/// A value with three digits.
+fn value_label(value: f64) -> String {
+    let size = value.abs();
+    match size {
+        0.0 => "0".into(),
+        1e-3..1e5 => {
+            let decimals = (2 - size.log10().floor() as i32).max(0) as usize;
+            format!("{value:.decimals$}")
+        }
+        _ => format!("{value:.2e}"),
+    }
+}
+
 /// Writes a line of text in the upper left corner, on a box as that of the scale bar; nothing where it does not fit.
 pub(super) fn draw_caption(image: &mut RgbImage, caption: &str) {
     let at = ScaleBar::new(image);
@@ -165,6 +214,25 @@ fn label(angstrom: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn values_have_three_digits() {
+        let labels = [0.0, 0.012_345, 1.0, 123.4, 54_321.0, 1.5e-6, -0.5].map(value_label);
+        assert_eq!(labels, ["0", "0.0123", "1.00", "123", "54321", "1.50e-6", "-0.500"]);
+    }
+
+    #[test]
+    fn a_grey_bar_shows_the_first_and_the_last_colour() {
+        let colors = std::array::from_fn(|n| [n as u8; 3]);
+        let mut image = RgbImage::filled(512, 512, [90, 0, 0]);
+        assert!(draw_grey_bar(&mut image, &colors, [0.0, 0.25]));
+        // A row through the gradient.
+        let row = image.pixels.chunks(3).skip(512 * (512 - 13 - 9 - 8)).take(512);
+        let grey: Vec<u8> = row.filter(|p| p[0] == p[1] && p[0] == p[2]).map(|p| p[0]).collect();
+        assert_eq!((grey.first(), grey.last()), (Some(&0), Some(&255)), "{grey:?}");
+        assert!(grey.is_sorted());
+        assert!(!draw_grey_bar(&mut RgbImage::filled(40, 40, [0; 3]), &colors, [0.0, 1.0]));
+    }
 
     #[test]
     fn lengths_are_round_and_have_a_unit() {

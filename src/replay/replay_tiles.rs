@@ -1,6 +1,6 @@
 //! Tiles for training from the stored image of a world without a recipe.
 
-use ndarray::{Array1, Axis, s};
+use ndarray::{Axis, s};
 
 use crate::error::{Error, Result};
 use crate::io::WorldFile;
@@ -36,7 +36,7 @@ pub fn stored_training_set(
         let image = world.stitched(rows.clone(), places.clone())?;
         world.check_finite(&image, [row, column], false)?;
         set.images.slice_mut(s![tile, .., ..]).assign(&image);
-        set.origins_px.row_mut(tile).assign(&Array1::from(vec![row as i64, column as i64]));
+        set.place(tile, [row, column]);
         if let Some(map) = world.phase_map(rows, places)? {
             set.phase_masks.index_axis_mut(Axis(0), tile).assign(&map);
         }

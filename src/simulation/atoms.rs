@@ -194,7 +194,7 @@ impl SpecimenRequest {
                 "frames of a trajectory are phonons; leave one of them out",
             ),
             (_, _, Some(range))
-                if range.step == 0 || range.end.is_some_and(|end| end <= range.start) =>
+                if range.step == 0 || range.end.is_some_and(|end| end < range.start) =>
             {
                 refuse(
                     Setting::Frames,

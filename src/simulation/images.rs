@@ -26,6 +26,8 @@ pub struct SimulatedImage {
     pub annulus_mrad: Option<[f64; 2]>,
     /// Electrons counted, where a dose is asked for: (thickness, y, x).
     pub counts: Option<Array3<u32>>,
+    /// Whether it is what counted electrons say of another image.
+    pub noisy: bool,
 }
 
 /// The name of an image: that of its detector, with the defocus in a series.
@@ -44,7 +46,8 @@ impl SimulatedImage {
     pub fn noisy(&self, electrons_per_pixel: f64) -> Option<SimulatedImage> {
         let share = |n: &u32| (f64::from(*n) / electrons_per_pixel) as f32;
         let data = self.counts.as_ref()?.map(share);
-        Some(SimulatedImage { name: noisy_name(&self.name), data, counts: None, ..self.clone() })
+        let name = noisy_name(&self.name);
+        Some(SimulatedImage { name, data, counts: None, noisy: true, ..self.clone() })
     }
 
     /// Counts electrons, as image number `n`; each image and thickness has draws of its own.

@@ -99,6 +99,19 @@ impl SimulationJob {
         defocus.get(plan).copied().filter(|_| defocus.len() > 1)
     }
 
+    /// Names of the detectors, or of the lens for a plane wave.
+    pub fn detector_names(&self) -> Vec<String> {
+        match self.request.plane_wave {
+            true => vec!["lens".to_owned()],
+            false => self.plans[0]
+                .settings
+                .detectors
+                .iter()
+                .map(|detector| detector.name.clone())
+                .collect(),
+        }
+    }
+
     /// Names of the images, in their order; without those of noisy images.
     pub fn image_names(&self) -> Vec<String> {
         let mut names = Vec::new();
@@ -231,6 +244,7 @@ impl SimulationJob {
                     defocus_angstrom: self.request.microscope.defocus_angstrom[p],
                     annulus_mrad: Some([detector.inner_mrad, detector.outer_mrad]),
                     counts: None,
+                    noisy: false,
                 });
             }
         }
@@ -275,6 +289,7 @@ impl SimulationJob {
             defocus_angstrom: self.request.microscope.defocus_angstrom[p],
             annulus_mrad: None,
             counts: None,
+            noisy: false,
         };
         let mut made: Vec<_> = found.images.iter().enumerate().map(each).collect();
         self.count(&mut made);

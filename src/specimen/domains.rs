@@ -6,7 +6,7 @@
 //! and the beam the second phase is strained to the period of the first.
 
 use std::cell::LazyCell;
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 
 use crate::error::{Error, Result};
 use crate::recipe::CheckedRecipe;
@@ -380,6 +380,9 @@ impl Stretch for OrderParameter {
     }
 }
 
+/// The rule that sites of the second phase break.
+const SAME_SITES: &str = "both crystals of `domains` need the same elements at the same sites";
+
 /// How far each site of the first phase is from its counterpart in the second, in nm; the lengths of
 /// the second cell count along x, those of the first elsewhere.
 fn shifts(first: &Structure, second: &Structure) -> Result<Vec<[f64; 3]>> {
@@ -389,13 +392,29 @@ fn shifts(first: &Structure, second: &Structure) -> Result<Vec<[f64; 3]>> {
     };
     if first.atoms.len() != second.atoms.len() {
         let value = format!("{} sites in the cell along its zone axis", second.atoms.len());
-        let expected = format!("the first phase has {} along its own", first.atoms.len());
+        let expected = format!(
+            "{SAME_SITES} in cells of the same number of sites; the first has {} along its own; choose zone_axis and y_axis of both so \
+             that the cells match",
+            first.atoms.len()
+        );
         return fault(value, &expected);
+    }
+    let elements = |structure: &Structure| {
+        let numbers: BTreeSet<u8> = structure.atoms.iter().map(|atom| atom.number).collect();
+        numbers.into_iter().map(crate::structure::elements::symbol).collect::<Vec<_>>().join(", ")
+    };
+    let (own, other) = (elements(first), elements(second));
+    if own != other {
+        return fault(other, &format!("{SAME_SITES}; the first holds {own}"));
     }
     if let Some(k) = (0..3).find(|&k| (b[k] / a[k] - 1.0).abs() > LARGEST_STRETCH) {
         let axis = ["x", "y", "the beam"][k];
         let value = format!("{:.4} A along {axis}", b[k]);
-        return fault(value, &format!("within 10 % of the first phase, {:.4} A", a[k]));
+        let expected = format!(
+            "both crystals of `domains` need cells of nearly the same edges, within 10 %: the first has {:.4} A",
+            a[k]
+        );
+        return fault(value, &expected);
     }
     let mut taken = vec![false; second.atoms.len()];
     let mut out = Vec::with_capacity(first.atoms.len());
@@ -414,9 +433,11 @@ fn shifts(first: &Structure, second: &Structure) -> Result<Vec<[f64; 3]>> {
         let Some((n, other)) = found else {
             let symbol = crate::structure::elements::symbol(atom.number);
             let value = format!("no {symbol} near {:.3?} A", atom.position);
-            let expected = "every site of the first phase within a tenth of the cell; check \
-                            zone_axis and y_axis of both, and the origins of the files";
-            return fault(value, expected);
+            let expected = format!(
+                "{SAME_SITES}, each within a tenth of the cell of its counterpart; check zone_axis and y_axis of both, and the origins of \
+                 the files"
+            );
+            return fault(value, &expected);
         };
         taken[n] = true;
         let s = shift(other);

@@ -17,14 +17,14 @@ const XDATCAR_HEAD: usize = 7;
 /// Cells that differ by less than this in Angstrom are one.
 const SAME_CELL_ANGSTROM: f64 = 1e-4;
 
-/// Which frames: the first, the first that is none of them, and the step. Frames count from 0.
+/// Which frames: the first, the last, and the step, as in any series START:END:STEP. Frames count from 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FrameRange {
     /// First.
     #[serde(default)]
     pub start: usize,
-    /// The first that is not read; `None` for all to the end.
+    /// The last that may be read; `None` for all to the end.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub end: Option<usize>,
     /// Every how many-th.
@@ -44,7 +44,7 @@ impl FrameRange {
     }
 
     fn holds(&self, frame: usize) -> bool {
-        let before = self.end.is_none_or(|end| frame < end);
+        let before = self.end.is_none_or(|end| frame <= end);
         frame >= self.start && before && (frame - self.start).is_multiple_of(self.step.max(1))
     }
 }
@@ -196,7 +196,7 @@ mod tests {
                 frames.iter().map(|f| f.structure.atoms[0].position[0]).collect::<Vec<_>>(),
             )
         };
-        assert_eq!(read(2, Some(9), 3).unwrap(), [2.25, 5.25, 8.25]);
+        assert_eq!(read(2, Some(8), 3).unwrap(), [2.25, 5.25, 8.25]);
         assert_eq!(read(8, None, 1).unwrap(), [8.25, 9.25]);
         assert!(read(10, None, 1).unwrap_err().to_string().contains("holds 10 frames"));
         std::fs::write(&path, all.replace("Si 3.25", "Xx 3.25")).unwrap();

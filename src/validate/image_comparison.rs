@@ -6,6 +6,7 @@ use ndarray::Array2;
 
 use super::difference::{Difference, best_gain};
 use super::explain::{Explanation, MUCH_BETTER, WideImage, explanations, likely_shifts};
+use super::likely_settings::{LikelySettings, TriedChange, likely_settings};
 use super::user::{Reference, ValueUnits};
 use super::{
     Check, CheckRunner, Figure, Findings, ImagePair, Limit, NamedSetting, Outcome, Verdict, overall,
@@ -23,12 +24,19 @@ const MOST_REFINED: usize = 2;
 /// A rms difference, of the mean, at which nothing better is looked for.
 const FOUND: f64 = 1e-3;
 
+/// How many times smaller a setting has to make a difference that it does not explain to be named.
+const PARTLY: f64 = 1.5;
+
 /// What a comparison needs to know.
 pub struct ImageComparison<'a> {
     /// Plan of the simulation, with one detector.
     pub plan: &'a Plan,
     /// The atoms.
     pub sites: &'a [Site],
+    /// Edges of their box, and the heights at which slices may be cut, in Angstrom.
+    pub box_angstrom: [f64; 3],
+    /// See [`crate::simulation::PreparedSpecimen::heights_angstrom`].
+    pub heights_angstrom: &'a [f64],
     /// Probes on the pixels of the reference.
     pub scan: &'a Scan,
     /// The reference.
@@ -97,7 +105,7 @@ pub fn compare(progress: &dyn Progress, c: &ImageComparison) -> Result<Outcome> 
         ]);
     }
     if verdict == Verdict::Fail {
-        notes.push(explained(progress, c, &reference, &mut findings)?);
+        notes.push(explained(progress, c, (&ours, &reference), &mut findings)?);
         notes.extend(c.remedy.clone());
     }
     notes.extend(converged.map(|off| told_by_both(verdict == Verdict::Pass, &off, c.tolerance)));
@@ -149,9 +157,67 @@ fn figure(
     }))
 }
 
-/// Looks for a factor, an orientation or a shift of the scan that explains a difference; what was tried becomes
-/// numbers of the report. A shift is simulated: pixels between pixels are not guessed.
+/// Looks for what explains a difference, the likeliest and cheapest first: a factor or another orientation; a setting that is often
+/// wrong, at a few probes; a shift of the scan. What was tried becomes numbers of the report.
 fn explained(
+    progress: &dyn Progress,
+    c: &ImageComparison,
+    (ours, reference): (&Array2<f64>, &Array2<f64>),
+    findings: &mut Findings,
+) -> Result<String> {
+    let still = WideImage { data: ours.clone(), margin: [0; 2] };
+    let in_place = explanations(&still, reference).best.filter(|best| best.shift.is_none());
+    let mut partly = None;
+    if in_place.is_none() {
+        let fitted = c.units == ValueUnits::Fitted;
+        if let Some(likely) = likely_settings(progress, c, ours, reference, fitted)? {
+            findings.checks.extend(checks_of(&likely));
+            match likely.tried.first() {
+                Some(best) if best.rms * MUCH_BETTER < likely.now => {
+                    return Ok(told(&likely, best));
+                }
+                best => partly = best.filter(|b| b.rms * PARTLY < likely.now).cloned(),
+            }
+        }
+    }
+    let shifted = explained_by_place(progress, c, reference, findings)?;
+    Ok(match partly {
+        None => shifted,
+        Some(part) => format!(
+            "{shifted}; of the settings that were tried, {} leaves least: {:.2} % of the mean",
+            part.words,
+            100.0 * part.rms
+        ),
+    })
+}
+
+fn checks_of(likely: &LikelySettings) -> Vec<Check> {
+    let at = format!("at {} probes, of the mean", likely.probes);
+    let one = |change: &TriedChange| {
+        let what = format!("rms difference left by {}, {at}", change.words);
+        Check::shown(what, 100.0 * change.rms, "%")
+    };
+    let now = Check::shown(format!("rms difference {at}"), 100.0 * likely.now, "%");
+    std::iter::once(now).chain(likely.tried.iter().map(one)).collect()
+}
+
+/// What a setting explains, and what the others would.
+fn told(likely: &LikelySettings, best: &TriedChange) -> String {
+    let mut text = format!(
+        "{} explains the difference: rms {:.2} % of the mean in place of {:.2} %, at {} probes",
+        best.words,
+        100.0 * best.rms,
+        100.0 * likely.now,
+        likely.probes
+    );
+    if let Some(next) = likely.tried.get(1) {
+        text += &format!("; next to it, {} leaves {:.2} %", next.words, 100.0 * next.rms);
+    }
+    text
+}
+
+/// Looks for a factor, an orientation or a shift of the scan. A shift is simulated: pixels between pixels are not guessed.
+fn explained_by_place(
     progress: &dyn Progress,
     c: &ImageComparison,
     reference: &Array2<f64>,

@@ -11,6 +11,7 @@ pub mod explain;
 pub mod field_waves;
 pub mod golden;
 pub mod image_comparison;
+pub mod likely_settings;
 pub mod manifest;
 mod pinned_contents;
 pub mod report;

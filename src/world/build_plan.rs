@@ -139,6 +139,6 @@ impl WorldPlan {
 }
 
 /// Like simulations as a report; each with an estimate measures the speed.
-fn report(simulations: &SimulationRuns) -> PlanReport {
+pub(super) fn report(simulations: &SimulationRuns) -> PlanReport {
     PlanReport::new(&simulations.plan, &simulations.cost, simulations.runs)
 }

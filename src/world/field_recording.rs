@@ -36,6 +36,12 @@ pub struct RecordedPart {
 }
 
 impl RecordedPart {
+    /// Rows and columns of pixels of another edge in nm that cover it.
+    pub fn pixels_of(&self, pixel_nm: f64) -> [usize; 2] {
+        let [width, height] = self.size_nm;
+        [height, width].map(|edge| (edge / pixel_nm).round().max(1.0) as usize)
+    }
+
     /// As many pixels of an edge of `pixel_nm` as a tile of the recipe, about a place or else the middle of the field. Without a place, the
     /// edges of a single tile are left out, where nothing can be recorded.
     pub fn tile_at(recipe: &Recipe, at_nm: Option<[f64; 2]>, pixel_nm: f64) -> Self {

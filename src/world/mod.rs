@@ -21,6 +21,8 @@ mod field_scan;
 mod field_tile;
 pub mod footprint;
 #[cfg(feature = "hdf5")]
+mod image_plan;
+#[cfg(feature = "hdf5")]
 mod made_world;
 pub mod noise_free;
 #[cfg(feature = "hdf5")]
@@ -37,6 +39,8 @@ pub mod specimen_drawing;
 #[cfg(feature = "hdf5")]
 mod subtile_store;
 pub mod subtiles;
+#[cfg(feature = "report")]
+mod training_file;
 mod training_sample;
 pub(crate) mod training_set;
 #[cfg(feature = "hdf5")]
@@ -70,6 +74,8 @@ pub(crate) use field_recording::{record_over, scan_of};
 pub(crate) use field_tile::tile_of_image;
 pub use field_tile::{FieldTile, field_tile};
 #[cfg(feature = "hdf5")]
+pub use image_plan::ImagePlan;
+#[cfg(feature = "hdf5")]
 pub use made_world::{WorldEngine, imaging_of, planned_imaging};
 pub use noise_free::{ImagerSource, NoiseFree};
 #[cfg(feature = "hdf5")]
@@ -81,6 +87,8 @@ pub use region_truth::{ColumnTruth, SiteTruth};
 pub use specimen_drawing::{Drawing, draw_specimen};
 #[cfg(feature = "hdf5")]
 pub use subtile_store::work_folder;
+#[cfg(feature = "report")]
+pub use training_file::write_training_set;
 pub use training_sample::{SampleOptions, TrainingSample, training_sample};
 pub use training_set::{COLUMN_CLASSES, TrainingOptions, TrainingSet, training_set};
 #[cfg(feature = "hdf5")]

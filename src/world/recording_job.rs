@@ -8,7 +8,8 @@ use serde::{Deserialize, Serialize};
 use super::made_world::{WorldEngine, imaging_of};
 use super::noise_free::{refined, refinement};
 use super::{
-    Electrons, FieldRecording, ImagerSource, RecordedPart, RecordingOptions, WorldSource, record,
+    Electrons, FieldRecording, ImagePlan, ImagerSource, RecordedPart, RecordingOptions,
+    WorldSource, record,
 };
 use crate::acquisition::{AcquisitionTable, Profile};
 use crate::error::{Error, Result};
@@ -192,6 +193,28 @@ impl RecordingJob {
     /// The specimen that is recorded.
     pub fn specimen(&self) -> &dyn Specimen {
         &*self.specimen
+    }
+
+    /// What the noise-free image of the part takes; `None` where the world holds it.
+    ///
+    /// # Errors
+    /// Those of the file and of the plan.
+    pub fn plan(&self, cache: Cache) -> Result<Option<ImagePlan>> {
+        let RecordingJob { recipe, specimen, part, .. } = self;
+        let parts = refinement(recipe);
+        if let Some(path) = self.world.as_ref().filter(|_| parts == 1)
+            && WorldFile::open(path)?.has_clean()
+        {
+            return Ok(None);
+        }
+        let fine = refined(recipe, parts)?;
+        let imager = imaging_of(&fine, self.made.as_ref(), cache)?.imager(&fine, specimen)?;
+        Ok(Some(ImagePlan::new(&*imager, part.pixels_of(fine.field.pixel_nm()), 1)?))
+    }
+
+    /// The part that is recorded.
+    pub fn part(&self) -> &RecordedPart {
+        &self.part
     }
 
     /// Records: from the noise-free image that the world holds, or from one that is simulated now.

@@ -32,6 +32,25 @@ pub struct TrainingOptions {
     pub seed: u64,
 }
 
+impl TrainingOptions {
+    /// What is to be said where tiles of a field of so many rows and columns have to overlap.
+    pub fn crowding(&self, shape: [usize; 2]) -> Option<String> {
+        let room: usize = shape.map(|n| n / self.size_px.max(1)).iter().product();
+        let shown = self.tiles as f64 * (self.size_px as f64).powi(2);
+        let times = shown / (shape[0] as f64 * shape[1] as f64);
+        (self.tiles > room && times > 1.0).then(|| {
+            format!(
+                "{} tiles are asked for, and the field of {} x {} pixels has room for {room} of {size} x {size} side by side: each pixel \
+                 is in {times:.1} tiles on average; a larger field (--grid) shows more",
+                self.tiles,
+                shape[0],
+                shape[1],
+                size = self.size_px
+            )
+        })
+    }
+}
+
 /// What a column is, as class masks and lists have it; 0 is background.
 pub const COLUMN_CLASSES: [&str; 5] =
     ["background", "pristine", "vacancies", "substitutions", "vacancies and substitutions"];
@@ -52,11 +71,11 @@ pub struct TrainingSet {
     pub phase_masks: Array3<i32>,
     /// Dose of each tile in electrons per square Angstrom; NaN where it is not known.
     pub dose: Array1<f64>,
-    /// Row and column of each tile's first pixel in the built field.
-    pub origins_px: Array2<i64>,
+    /// Middle of each tile, (x, y) in nm of the full field.
+    pub centres_nm: Array2<f64>,
     /// Tile of each column.
     pub column_tiles: Array1<i32>,
-    /// Row and column of each column in its tile, in pixels.
+    /// (x, y) of each column in its tile, in pixels from the centre of the first.
     pub column_positions_px: Array2<f32>,
     /// Class, sites, vacancies, substitutions and atomic number of the heaviest atom of each column.
     pub columns: Array2<i32>,
@@ -102,7 +121,7 @@ pub fn training_set(
         set.images.index_axis_mut(Axis(0), tile).assign(&noisy);
         set.clean.index_axis_mut(Axis(0), tile).assign(&clean);
         set.dose[tile] = dose;
-        set.origins_px.row_mut(tile).assign(&Array1::from(corner.map(|v| v as i64).to_vec()));
+        set.place(tile, pixels.first);
         let phases = phase_map(specimen, &pixels, recipe.field.pixel_nm());
         set.phase_masks.index_axis_mut(Axis(0), tile).assign(&phases);
         set.label(tile, recipe, specimen, &pixels, options.sigma_px, &mut lists);
@@ -215,7 +234,7 @@ impl ColumnLists {
     /// A column of a tile, at (row, column) in pixels, with its facts.
     pub(crate) fn add(&mut self, tile: usize, at: [f64; 2], facts: [i32; 5]) {
         self.tiles.push(tile as i32);
-        self.positions.push(at.map(|v| v as f32));
+        self.positions.push([1, 0].map(|k| at[k] as f32));
         self.facts.push(facts);
     }
 
@@ -236,12 +255,19 @@ impl TrainingSet {
             class_masks: Array3::zeros((n, size, size)),
             phase_masks: Array3::zeros((n, size, size)),
             dose: Array1::zeros(n),
-            origins_px: Array2::zeros((n, 2)),
+            centres_nm: Array2::zeros((n, 2)),
             column_tiles: Array1::zeros(0),
             column_positions_px: Array2::zeros((0, 2)),
             columns: Array2::zeros((0, 5)),
             pixel_angstrom,
         }
+    }
+
+    /// Notes where a tile lies, by its first pixel (row, column) in the full field.
+    pub(crate) fn place(&mut self, tile: usize, first: [usize; 2]) {
+        let half = 0.5 * (self.images.len_of(Axis(1)) as f64 - 1.0);
+        let centre = [1, 0].map(|k| (first[k] as f64 + half) * 0.1 * self.pixel_angstrom);
+        self.centres_nm.row_mut(tile).assign(&Array1::from(centre.to_vec()));
     }
 
     /// Draws the columns of a tile, and lists those in it.

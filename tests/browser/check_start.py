@@ -17,7 +17,7 @@ with Browser() as browser:
     middle = [(left + page.x + page.width) / 2, (page.y + bottom) / 2]
     close(page.place((x0 + x1) / 2, (y0 + y1) / 2), middle, 1.5, "middle of the region")
     fits = min((page.x + page.width - left) / (x1 - x0), (bottom - page.y) / (y1 - y0))
-    close(page.scale[0] / fits, 0.96, 0.01, "the region fills the view")
+    close(page.scale[0] / fits, 1.0, 0.01, "the region fills the view")
     value = "return document.getElementById(arguments[0]).value"
     assert browser.run(value, "colormap") == colors
     assert [float(browser.run(value, k)) for k in ("low", "high")] == [float(v) for v in contrast.split(",")]

@@ -65,6 +65,21 @@ class World:
         return image[distance <= COLUMN_RADIUS_NM].mean()
 
 
+def check_opening(page, world):
+    """A page opens with the whole field as large as it fits, what the truth marks, and no empty panel."""
+    assert page.empty_panel < 5, page.empty_panel
+    rows, columns = world.stored.shape
+    room = [(page.width - 52) / (columns * world.pixel), (page.height - 24) / (rows * world.pixel)]
+    close(page.scale[0] / min(room), 1.0, 0.01, "the field fills the view")
+    run = page.browser.run
+    there = run("return [...document.querySelectorAll('#overlays button')].map((b) => b.textContent)")
+    pressed = run("return [...document.querySelectorAll('#overlays [aria-pressed=true]')].map((b) => b.textContent)")
+    marks = [name for name in there if name not in ("phases", "columns")]
+    assert pressed == (marks or there) and "columns" in there, (pressed, there)
+    for name in pressed:
+        page.toggle(name)
+
+
 def check_values(page, world):
     """Values under the pointer, with the whole field on the screen and near."""
     rows, columns = world.stored.shape
@@ -289,6 +304,7 @@ def main():
     folder = sys.argv[3] if len(sys.argv) > 3 else None
     with Browser() as browser:
         page = Page(browser, path)
+        check_opening(page, world)
         check_values(page, world)
         sites, vacancies, substitutions = world.counts
         defective = world.lonely((vacancies + substitutions > 0) & (sites > 1))

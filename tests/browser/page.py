@@ -14,6 +14,8 @@ class Page:
         browser.still()
         rect = "const r = document.getElementById('field').getBoundingClientRect(); return [r.x, r.y, r.width, r.height]"
         self.x, self.y, self.width, self.height = browser.run(rect)
+        # Before anything is pointed at.
+        self.empty_panel = browser.run("return document.getElementById('readout').getBoundingClientRect().height")
         self.calibrate()
 
     def calibrate(self):

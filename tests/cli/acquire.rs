@@ -39,6 +39,13 @@ fn every_effect_is_measured_back() {
     let here = folder.path();
     world(here);
     acquire(here, "ideal.h5", &["--dose", "1e4", "--stages"]);
+    // The world holds the image; of its recipe alone it has to be made.
+    let plan = json(stemgen(here).args(["acquire", "w.h5", "-o", "p.h5", "--dry-run"]));
+    assert!(plan["image"].is_null() && plan["shape"][0] == 128, "{plan}");
+    let recipe = ["acquire", "test", "--set", "field.thickness_nm=0.4", "-o", "p.h5", "--dry-run"];
+    let plan = json(stemgen(here).args(recipe).arg("--no-cache"));
+    assert!(plan["image"]["estimated_range_s"][1].as_f64().unwrap() > 0.0, "{plan}");
+    assert!(!here.join("p.h5").exists());
     let set = |key: &str| format!("acquisition.{key}");
     let with = |name: &str, keys: &[&str], more: &[&str]| {
         let keys: Vec<String> = keys.iter().map(|k| set(k)).collect();

@@ -116,6 +116,54 @@ fn the_snippets_of_the_readme_run() {
     }
 }
 
+/// Whether a word of a command is the name of a file.
+fn is_file_name(word: &str) -> bool {
+    let endings = ["cif", "xyz", "extxyz", "toml", "h5", "npz", "npy", "emd", "zarr", "sh", "hspy"];
+    Path::new(word).extension().is_some_and(|e| endings.iter().any(|ending| e == *ending))
+}
+
+/// The world that a line of shell builds, by its usual name.
+fn built(words: &[&str]) -> Option<String> {
+    if words.contains(&"generate/first-world.sh") {
+        return Some("worlds/srtio3_easy_1x1.h5".into());
+    }
+    let value = |option: &str| Some(*words.get(words.iter().position(|w| *w == option)? + 1)?);
+    let material = words.strip_prefix(&["stemgen", "build"])?.first()?;
+    let tier = value("--difficulty")?;
+    let grid = value("--grid").map_or(String::new(), |grid| format!("_{grid}"));
+    Some(format!("worlds/{material}_{tier}{grid}.h5"))
+}
+
+/// Who types the commands of the README in their order finds each file: it comes along, or a command before has written it.
+#[test]
+fn files_that_the_readme_names_are_there() {
+    let readme = text(Path::new(&file("README.md")));
+    let shell = blocks(&readme, "sh").concat().replace("\\\n", " ");
+    assert!(shell.contains("export PATH=\"$PWD/target/release:$PATH\""), "stemgen is on the path");
+    let mut made: Vec<String> = Vec::new();
+    let mut checked = 0;
+    for line in shell.lines() {
+        let words: Vec<&str> = line.split(" #").next().unwrap().split_whitespace().collect();
+        let mut before = "";
+        for word in &words {
+            if is_file_name(word) {
+                match before {
+                    "-o" | "--output" | "--write-request" | "--out" => made.push((*word).into()),
+                    _ => {
+                        let there =
+                            made.iter().any(|m| m == word) || Path::new(&file(word)).is_file();
+                        assert!(there, "{word} is nowhere: {line}");
+                        checked += 1;
+                    }
+                }
+            }
+            before = word;
+        }
+        made.extend(built(&words));
+    }
+    assert!(checked > 8, "{checked}");
+}
+
 #[test]
 fn commands_of_the_pages_are_accepted() {
     let folder = tempfile::tempdir().unwrap();

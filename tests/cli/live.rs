@@ -81,3 +81,23 @@ fn nothing_lost_is_said_and_nonsense_is_refused() {
     assert!(told.contains("damage.threshold_ev") && told.contains("holds"), "{told}");
     assert!(!here.join("s.h5").exists());
 }
+
+/// No option that the help lists is refused for being there; a plan says what the library takes, and writes nothing.
+#[test]
+fn a_plan_says_what_the_library_takes() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let plan = json(stemgen(here).args(SERIES).args(["-o", "s.h5", "--dry-run", "--no-library"]));
+    assert_eq!((&plan["recordings"], &plan["shape"][0]), (&3.into(), &128.into()), "{plan}");
+    let image = &plan["image"];
+    assert!(image["library"]["missing"].as_u64().unwrap() > 0, "{plan}");
+    let [least, most] = [0, 1].map(|k| image["estimated_range_s"][k].as_f64().unwrap());
+    assert!(0.0 < least && least < most, "{plan}");
+    let mut again = stemgen(here);
+    again.args(SERIES).args(["-o", "s.h5", "--dry-run", "--no-library"]);
+    let words = super::stdout(&again.output().unwrap());
+    for part in ["to simulate first", "time ", "nothing was simulated or written"] {
+        assert!(words.contains(part), "no `{part}` in {words}");
+    }
+    assert!(!here.join("s.h5").exists());
+}

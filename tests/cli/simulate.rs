@@ -116,11 +116,44 @@ fn series_source_dose_and_formats() {
     assert!(summary["images"][0]["electrons"].as_u64().unwrap() > 1000, "{summary}");
     let told = python("check_results.py", &[&folder.path().join("si.h5")]);
     assert_eq!(told, "4 images\n");
-    for name in ["ADF_defocus_0A", "ADF_defocus_50A_noisy"] {
-        for ending in ["tif", "png"] {
-            assert!(folder.path().join(format!("si_{name}.{ending}")).exists(), "{name}");
-        }
+    for name in ["ADF.tif", "ADF_noisy.tif", "ADF_defocus_0A.png", "ADF_defocus_50A_noisy.png"] {
+        assert!(folder.path().join(format!("si_{name}")).exists(), "{name}");
     }
+    // The images of the series have one grey scale, those with noise another.
+    let scales = summary["grey_scales"].as_array().unwrap();
+    let of = |n: usize| &scales[n]["grey_from_to"];
+    assert_eq!(scales.len(), 4, "{summary}");
+    assert_eq!((of(0), of(2)), (of(1), of(3)), "{summary}");
+    assert!(scales.iter().any(|s| s["clipped_percent"].as_f64().unwrap() > 0.0), "{summary}");
+    let stack = tiff_description(&folder.path().join("si_ADF.tif"));
+    for part in ["images=2\nslices=2\nspacing=50\n", "axes=defocus,y,x\ndefocus_angstrom=0,50\n"] {
+        assert!(stack.contains(part), "no `{part}` in {stack}");
+    }
+}
+
+/// The first text that begins as those that ImageJ reads.
+fn tiff_description(path: &Path) -> String {
+    let bytes = std::fs::read(path).unwrap();
+    let start = bytes.windows(7).position(|w| w == b"ImageJ=").unwrap();
+    let text = bytes[start..].split(|b| *b == 0).next().unwrap();
+    String::from_utf8(text.to_vec()).unwrap()
+}
+
+/// NeXus readers get an image as an image: no axis has one value.
+#[test]
+fn one_image_has_two_axes_for_readers_of_nexus() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = silicon(folder.path()).args(["--png", "--grey-bar"]).output().unwrap();
+    assert!(run.status.success(), "{}", stderr(&run));
+    let file = hdf5::File::open(folder.path().join("si.h5")).unwrap();
+    let (stored, shown) = (file.dataset("images/ADF"), file.dataset("entry/ADF/data"));
+    let (stored, shown) = (stored.unwrap(), shown.unwrap());
+    assert_eq!((stored.shape(), shown.shape()), (vec![1, 10, 10], vec![10, 10]));
+    assert_eq!(stored.read_raw::<f32>().unwrap(), shown.read_raw::<f32>().unwrap());
+    let bars = std::fs::read(folder.path().join("si_ADF.png")).unwrap();
+    let plain = silicon(folder.path()).args(["--png", "--overwrite"]).output().unwrap();
+    assert!(plain.status.success());
+    assert!(bars != std::fs::read(folder.path().join("si_ADF.png")).unwrap());
 }
 
 #[test]
@@ -143,7 +176,7 @@ fn frames_and_displacements_come_from_files() {
         let file = hdf5::File::open(here.join("o.h5")).unwrap();
         file.dataset("images/ADF").unwrap().read_raw().unwrap()
     };
-    let mean = image(&["md.xyz", "--frames", "1:4:2"]);
+    let mean = image(&["md.xyz", "--frames", "1:3:2"]);
     let (one, three) = (image(&["f1.xyz"]), image(&["f3.xyz"]));
     assert!(one != three);
     for ((m, a), b) in mean.iter().zip(&one).zip(&three) {

@@ -1,6 +1,6 @@
 //! `stemgen tiles`.
 
-use super::{fails, file, python, stderr, stemgen};
+use super::{fails, file, json, python, stderr, stemgen};
 use std::path::Path;
 use std::process::Command;
 
@@ -28,6 +28,15 @@ fn tiles_come_with_labels_and_are_those_of_the_world() {
     assert!(tiles(here, &["w.h5", "-o", "b.npz"]).status().unwrap().success());
     let read = |name: &str| std::fs::read(here.join(name)).unwrap();
     assert!(read("a.npz") == read("b.npz"), "the tiles differ");
+    // 28 x 28 pixels have room for one tile of 16.
+    let mut many = stemgen(here);
+    many.args(["tiles", "w.h5", "-o", "d.npz", "--size", "16", "-n", "5", "--dry-run"]);
+    let told = stderr(&many.output().unwrap());
+    assert!(told.contains("5 tiles are asked for") && told.contains("has room for 1 of"), "{told}");
+    let plan = json(&mut tiles(here, &[&own[..], &["-o", "p.npz", "--dry-run"]].concat()));
+    assert_eq!((&plan["tiles"], &plan["size_px"]), (&6.into(), &16.into()), "{plan}");
+    assert!(plan["image"]["estimated_range_s"][1].as_f64().unwrap() > 0.0, "{plan}");
+    assert!(!here.join("p.npz").exists());
     let told = fails(&mut tiles(here, &["w.h5", "-o", "b.h5"]));
     assert!(told.contains("did you mean b.npz?"), "{told}");
     let told = fails(tiles(here, &["w.h5", "-o", "c.npz"]).args(["--heat-sigma", "999"]));

@@ -165,6 +165,32 @@ fn a_different_image_fails_with_3_and_says_what_may_be_wrong() {
     assert_eq!(command.args(HALF_CELL).status().unwrap().code(), Some(3));
 }
 
+/// What is wrong most often is tried first, on a few probes.
+#[test]
+fn a_wrong_setting_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let scan = ["--scan-end", "3.905,3.905", "--scan-points", "6,6", "--detector", "ADF=40-90"];
+    let structure = reference("srtio3.xyz");
+    let mut simulate = stemgen(folder.path());
+    simulate.args(["simulate", &structure, "-o", "s.h5", "--defocus", "60", "--quiet"]);
+    assert!(simulate.args(scan).status().unwrap().success());
+    let compared = |more: &[&str]| {
+        let mut command = stemgen(folder.path());
+        command.args(["validate", "--reference", "s.h5", "--structure", &structure]);
+        command.args(["--overwrite"]).args(more);
+        told_of_a_failure(&mut command)
+    };
+    let (note, numbers) = compared(&["--detector", "ADF=40-90", "--defocus=-60"]);
+    let explained = "defocus 60 A in place of -60 A explains the difference: rms 0.00 %";
+    assert!(note.starts_with(explained), "{note}");
+    assert!(numbers.iter().any(|(what, _)| what.contains("keV in place of 200 keV, at 24")));
+    let wrong = ["--detector", "ADF=40-90", "--defocus", "60", "--energy", "100"];
+    let (note, _) = compared(&wrong);
+    assert!(note.starts_with("energy 200 keV in place of 100 keV explains"), "{note}");
+    let (note, _) = compared(&["--detector", "ADF=80-180", "--defocus", "60"]);
+    assert!(note.starts_with("a detector from 40.0 to 90.0 mrad in place of 80"), "{note}");
+}
+
 /// Ours with a scan that starts at 0.31, 0.2 A, in abTEM's numerics.
 fn moved_scan(folder: &Path) {
     let arguments = ["simulate", &reference("srtio3.xyz"), "-o", "moved.h5", "--quiet"];

@@ -462,7 +462,7 @@ fn what_makes_no_sense_is_refused_with_what_is_allowed() {
 #[test]
 fn damage_of_elements_that_are_not_there_is_refused() {
     for (change, part) in [
-        ("damage.threshold_ev.Fe=20", "the crystal holds"),
+        ("damage.threshold_ev.Fe=20", "expected an element of the crystal"),
         ("damage.threshold_ev.O=-3", "1 to 1000"),
         ("damage.radiolysis_barn.O=1e12", "0 to 1000000000"),
         ("damage.threshold=3", "threshold_ev"),

@@ -457,7 +457,11 @@ fn recipes_that_cannot_be_are_told_why() {
         ),
         ("zone_axis = \"none\"", "zone_axis = \"[001]\"", "zone_axis = [001]"),
         ("crystal = \"pt\"", "crystal = \"si\"", "particles need a face-centred cubic metal"),
-        ("element = \"Pt\"", "element = \"C\"", "vacancies.element = C: the crystal holds Pt"),
+        (
+            "element = \"Pt\"",
+            "element = \"C\"",
+            "vacancies.element = C: expected an element of the crystal: Pt",
+        ),
         ("rate = 0.05", "rate = -0.05", "vacancies.rate = -0.05: expected a value from 0"),
         ("cluster_fraction = 0.0", "cluster_fraction = 0.5", "vacancies.cluster_fraction = 0.5"),
         ("[phonons]", "[boundaries]\ncount = 1\nmisorientation_deg = 3.0\n[phonons]", "boundaries"),

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::common::{Spots, build};
 use crate::dm_bytes::{DM3, DM3_BIG, DM4, Dm, DmStyle, document, floats, image};
 use ndarray::{Array2, Array3, arr2, s};
-use stemgen::io::hspy_file::write_hspy;
+use stemgen::io::hspy_file::{HspyFacts, write_hspy};
 use stemgen::io::image_file::ImageStack;
 use stemgen::io::recorded::{ImageChoice, RecordedFormat, RecordedImage, read};
 use stemgen::io::{WorldFile, schema};
@@ -200,10 +200,11 @@ fn signals_of_hyperspy_are_read_with_their_axes() {
         thicknesses_angstrom,
         defocus_angstrom: None,
         annulus_mrad: None,
+        electrons_per_pixel: None,
     };
     let one = data.slice(s![..1, .., ..]);
     let both = [stack("HAADF", one, &[10.0]), stack("BF", data.view(), &[10.0, 20.0])];
-    write_hspy(&path, true, &both).unwrap();
+    write_hspy(&path, true, &both, &HspyFacts::default()).unwrap();
     let told = refused(&path, &ImageChoice::default());
     assert!(told.contains("choose one of:") && told.contains("HAADF"), "{told}");
     let found = read(&path, &named("HAADF")).unwrap();
@@ -211,7 +212,7 @@ fn signals_of_hyperspy_are_read_with_their_axes() {
     assert!((found.pixel_nm.unwrap() - 0.02).abs() < 1e-12);
     let second = read(&path, &ImageChoice { index: Some(1), ..named("BF") }).unwrap();
     assert_eq!(second.pixels, data.slice(s![1, .., ..]).mapv(f64::from));
-    write_hspy(&path, true, &both[..1]).unwrap();
+    write_hspy(&path, true, &both[..1], &HspyFacts::default()).unwrap();
     assert_eq!(only(&path).format, RecordedFormat::HyperSpy);
 }
 

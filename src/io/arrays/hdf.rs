@@ -8,9 +8,12 @@ use hdf5::{Dataset, File};
 use super::{ArrayAxis, ForeignArray, choose, held};
 use crate::error::{Error, Result};
 use crate::io::hdf5_axes::AxisSource;
-use crate::io::hdf5_guard::{check_storage, datasets, first_line};
+use crate::io::hdf5_guard::{check_storage, datasets, first_line, text};
 use crate::io::hdf5_values;
 use crate::io::{At, regular_file};
+
+/// Where files of this program have their images.
+const IMAGES: &str = "/images/";
 
 pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     let bytes = regular_file(path)?;
@@ -20,7 +23,9 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     let refused = |fault: String| Error::parse(path, 0, fault);
     let mut names = Vec::new();
     let all = datasets(&file).map_err(refused)?;
-    for name in &all {
+    // Files of this program show their images once more there.
+    let own = text(&file, "format").as_deref() == Some("stemgen images");
+    for name in all.iter().filter(|name| !(own && name.starts_with("/entry/"))) {
         let dataset = file.dataset(name).at(path)?;
         check_storage(&dataset, bytes).map_err(|fault| refused(format!("{name} {fault}")))?;
         if may_be_image(&dataset) {
@@ -28,12 +33,12 @@ pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
         }
     }
     // The atoms of our own files are arrays too.
-    if names.iter().any(|n| n.starts_with("/images/")) {
-        names.retain(|n| n.starts_with("/images/"));
-        names.iter_mut().for_each(|n| *n = n.trim_start_matches("/images/").to_owned());
+    if names.iter().any(|n| n.starts_with(IMAGES)) {
+        names.retain(|n| n.starts_with(IMAGES));
+        names.iter_mut().for_each(|n| *n = n.trim_start_matches(IMAGES).to_owned());
     }
     let chosen = choose(path, &names, name)?;
-    let dataset = file.dataset(&format!("/images/{chosen}")).or_else(|_| file.dataset(chosen));
+    let dataset = file.dataset(&format!("{IMAGES}{chosen}")).or_else(|_| file.dataset(chosen));
     let dataset = dataset.at(path)?;
     held(&dataset.shape()).map_err(refused)?;
     let data =

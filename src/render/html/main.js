@@ -358,7 +358,8 @@ listen(view, {
 async function open() {
   fillControls();
   connectControls();
-  HEADER.start.overlays.forEach((name) => toggleOverlay(name, true));
+  const { overlays: asked } = HEADER.start;
+  (asked.length > 0 ? asked : overlays.usual).forEach((name) => toggleOverlay(name, true));
   if (HEADER.start.region) view.show(HEADER.start.region);
   readStyle();
   queue.arrived = redraw;

@@ -145,6 +145,12 @@ class Overlays {
     ].filter(([, there]) => there).map(([name]) => name);
   }
 
+  /** What is switched on where nothing is asked for: marks that leave the image to be seen; all columns where there is nothing else. */
+  get usual() {
+    const marks = this.available.filter((name) => !["phases", "columns"].includes(name));
+    return marks.length > 0 ? marks : this.available;
+  }
+
   /** Whether columns are far enough apart for rings. */
   near(view) {
     return this.columns?.loaded && view.scale >= APART * this.columns.perUnit;

@@ -56,6 +56,7 @@ class Readout {
   /** Writes the list; `image` is the one that is shown. */
   update(image) {
     const lines = this.position ? this.lines(image) : [];
+    if (lines.length > 0) this.list.classList.add("used");
     this.list.replaceChildren(...lines.flatMap(([key, name, text, value]) => {
       const dt = Object.assign(document.createElement("dt"), { textContent: name });
       const dd = Object.assign(document.createElement("dd"), { textContent: text });

@@ -8,11 +8,12 @@ class View {
     this.canvas = canvas;
     /** Left, upper, right and lower edge of the field. */
     this.bounds = bounds;
-    /** CSS pixels to a unit of length, at the most. */
-    this.most = 48 / finest;
+    /** Edge of a pixel in units of length. */
+    this.finest = finest;
     this.goal = null;
+    /** Whether the whole field is shown as large as it fits, also after the window has changed. */
+    this.fitted = true;
     this.resize();
-    this.show(bounds);
   }
 
   resize() {
@@ -24,11 +25,17 @@ class View {
     this.canvas.height = Math.round(this.height * this.ratio);
     /** Middle of what lies between the rulers. */
     this.middle = [(this.width + RULER.left) / 2, (this.height - RULER.bottom) / 2];
+    if (this.fitted) this.show(this.bounds);
   }
 
   scaleToShow([x0, y0, x1, y1]) {
     const [width, height] = [this.width - RULER.left, this.height - RULER.bottom];
-    return 0.96 * Math.min(width / (x1 - x0), height / (y1 - y0));
+    return Math.min(width / (x1 - x0), height / (y1 - y0));
+  }
+
+  /** CSS pixels to a unit of length, at the most: 48 to a pixel, or more where the field fits with more. */
+  get most() {
+    return Math.max(48 / this.finest, this.scaleToShow(this.bounds));
   }
 
   get least() {
@@ -42,6 +49,7 @@ class View {
     this.y = (y0 + y1) / 2;
     this.scale = Math.min(this.scaleToShow(part), this.most);
     this.goal = null;
+    this.fitted = part === this.bounds;
   }
 
   toScreen(x, y) {
@@ -66,6 +74,7 @@ class View {
 
   moveBy(dx, dy) {
     this.goal = null;
+    this.fitted = false;
     this.x -= dx / this.scale;
     this.y -= dy / this.scale;
     this.keepInside();
@@ -73,6 +82,7 @@ class View {
 
   /** Zooms about a point of the screen, at once. */
   zoomNow(factor, px, py) {
+    this.fitted = false;
     const [x, y] = this.toField(px, py);
     this.scale = Math.min(Math.max(this.scale * factor, this.least), this.most);
     this.x = x - (px - this.middle[0]) / this.scale;
@@ -88,6 +98,7 @@ class View {
 
   /** Moves by parts of what is seen, gently. */
   glide(across, down) {
+    this.fitted = false;
     const from = this.goal?.x === undefined ? this : this.goal;
     this.goal = {
       x: from.x + (across * this.width) / this.scale,
