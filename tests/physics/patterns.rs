@@ -325,7 +325,7 @@ fn the_source_averages_patterns_as_it_blurs_images() {
         let ring = Detector::new("ADF", 30.0, 60.0);
         let mut images = asked.clone();
         images.microscope.detectors = vec![ring];
-        images.scan.points = Some([18; 2]);
+        images.scan.points = Some([36; 2]);
         images.numerics.probe_step = ProbeStep::Scan;
         let sharp = SimulationRequest {
             microscope: stemgen::simulation::MicroscopeRequest {
@@ -336,7 +336,7 @@ fn the_source_averages_patterns_as_it_blurs_images() {
         };
         let image = |request| {
             let made = SimulationJob::new(request).unwrap().run(&Silent).unwrap();
-            let every = 18 / points;
+            let every = 36 / points;
             made[0].data.slice(ndarray::s![0, ..;every, ..;every]).to_owned()
         };
         let (blurred, sharp) = (image(images), image(sharp));
