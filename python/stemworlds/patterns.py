@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path as _FilePath
-from typing import Any, Unpack
+from typing import Any, Unpack, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -351,10 +351,20 @@ def _detector(
     """The table of the request with what is given."""
     if pixels is not None and radial_mrad is not None:
         raise _invalid("radial_mrad", "rings take the place of pixels: leave one of the two out")
-    asked: Any = {"pixels": pixels, "max_angle_mrad": max_angle_mrad, "radial_mrad": radial_mrad}
-    asked |= {"mtf": None if mtf is None else np.asarray(mtf, dtype=np.float64).tolist(), "coherent_tail": coherent_tail}
-    given: _core.PatternsRequest = {name: value for name, value in asked.items() if value is not None}  # type: ignore[assignment]
-    return given
+    asked: dict[str, Any] = {"pixels": pixels, "max_angle_mrad": max_angle_mrad, "radial_mrad": radial_mrad}
+    asked |= {"mtf": None if mtf is None else _transfer(mtf), "coherent_tail": coherent_tail}
+    return cast("_core.PatternsRequest", {name: value for name, value in asked.items() if value is not None})
+
+
+def _transfer(mtf: float | npt.ArrayLike) -> Any:
+    """A number, or the rows of a table."""
+    try:
+        array = np.asarray(mtf, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.ndim != 0 and (array.ndim != 2 or array.shape[1] != 2):
+        raise _invalid("mtf", "mtf: expected a number, or rows of (cycles per pixel, transfer)")
+    return array.tolist()
 
 
 def _simulate(

@@ -136,6 +136,8 @@ def test_mistakes_are_refused(cube: sw.DataCube, tmp_path: Path) -> None:
     refused("99 mrad is", radial_mrad=3)
     refused("rings have none", radial_mrad=1, mtf=1)
     refused("0 to 50 pixels", mtf=-1)
+    refused("rows of", mtf=[0.1, 0.5])
+    refused("rows of", mtf="sharp")
     refused("frequency 0", mtf=[(0.1, 1), (0.5, 0.5)])
     refused("Gaussian", source_size_angstrom=0.8, source_lorentz=0.3)
     refused("virtual_image", detectors={"HAADF": (68, 200)})
