@@ -88,7 +88,7 @@ fn patterns(
         }
         Ok(())
     };
-    let settings = PatternSettings { detector, coherent_tail };
+    let settings = PatternSettings { detector: detector.into(), coherent_tail };
     simulate_patterns(&plan, &[sites], scan, settings, &mut take, &Silent).expect("patterns");
     (all, started.elapsed().as_secs_f64())
 }

@@ -1,6 +1,9 @@
 //! Detectors: annuli, and pixelated ones.
 
+mod detector_mtf;
+mod pattern_detector;
 mod pixelated;
+mod radial_bins;
 mod virtual_detector;
 
 use crate::error::{Error, Result};
@@ -8,7 +11,10 @@ use crate::setting::Setting;
 use num_complex::Complex32;
 use serde::{Deserialize, Serialize};
 
+pub use detector_mtf::{DetectorMtf, MtfFilter, MtfWorkspace};
+pub use pattern_detector::PatternDetector;
 pub use pixelated::{MOST_PIXELS, PixelatedDetector};
+pub use radial_bins::{MOST_RINGS, RadialBins};
 pub use virtual_detector::{
     VirtualDetector, centre_of_mass_mrad, integrated_centre_of_mass, weighted_sum,
 };

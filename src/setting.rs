@@ -84,6 +84,10 @@ settings! {
     PatternPixels = "pixels of a pattern",
     /// The largest angle along the axes of a diffraction pattern.
     MaxAngleMrad = "largest angle of a pattern (mrad)",
+    /// The width of the rings over which diffraction patterns are summed.
+    RingWidthMrad = "width of the rings (mrad)",
+    /// The modulation transfer function of a pixelated detector.
+    DetectorMtf = "transfer function of the detector",
     /// The list of detectors.
     Detectors = "detectors",
     // The specimen of a simulation

@@ -144,6 +144,8 @@ pub fn options(setting: Setting) -> Option<&'static str> {
         S::SourceLorentzShare => Some("--source-lorentz"),
         S::Detector | S::DetectorName | S::Detectors => Some("--detector"),
         S::PatternPixels => Some("--pixels, of `stemgen patterns`"),
+        S::RingWidthMrad => Some("--radial and --max-angle"),
+        S::DetectorMtf => Some("--mtf"),
         S::MaxAngleMrad => Some("--max-angle, and --sampling for a finer grid"),
         S::Zone => Some("--zone and --up, and --max-strain PERCENT"),
         S::MaxStrain => Some("--max-strain"),

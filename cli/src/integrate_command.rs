@@ -27,11 +27,14 @@ Examples:
     stemgen integrate srtio3.emd --annulus ABF=10-21 --annulus ADF=40-90 --png
   A quadrant detector, turned by 45 degrees, and the centre of mass of every pattern:
     stemgen integrate srtio3.emd --sectors DPC=0-21:4@45 --com
+  Any annulus, from a file of rings (`stemgen patterns --radial 1 --max-angle 200`):
+    stemgen integrate rings.emd --annulus HAADF=68-200 --annulus 90-150
   The integrated centre of mass (the phase of a thin specimen), as TIFF for ImageJ:
     stemgen integrate srtio3.emd --icom --tiff 32
 
 The file (HDF5) has the schema of `stemgen simulate`: /images/NAME, (thickness, y, x). Azimuths are counted from +x, to the
-right, towards +y, down. Sums over pixels take the share of each pixel's area that lies on the detector.";
+right, towards +y, down. Sums over pixels take the share of each pixel's area that lies on the detector; an annulus of
+rings has to begin and end at edges of rings.";
 
 /// Make images from the diffraction patterns of a scan: rings, sectors, centre of mass
 #[derive(Debug, Args)]
@@ -104,6 +107,12 @@ impl Integrate {
             bail!("{}: is no file of patterns that `stemgen patterns` wrote", self.file.display());
         };
         let detectors = self.detectors()?;
+        if patterns.header().detector.pixels().is_none() && (self.com || self.icom) {
+            bail!(
+                "{}: holds sums over rings, which have no centre of mass; simulate pixels: `stemgen patterns` without --radial",
+                self.file.display()
+            );
+        }
         if detectors.is_empty() && !self.com && !self.icom {
             bail!("give --annulus, --sectors, --com or --icom: what shall the images be of?");
         }
@@ -169,9 +178,8 @@ impl Integrate {
         progress: &dyn Progress,
     ) -> stemgen::Result<Vec<VirtualImage>> {
         let header = patterns.header();
-        let pixels = &header.detector;
         let weights: Vec<Array2<f32>> =
-            detectors.iter().map(|d| d.weights(pixels)).collect::<stemgen::Result<_>>()?;
+            detectors.iter().map(|d| header.detector.weights(d)).collect::<stemgen::Result<_>>()?;
         let [rows, columns] = header.scan.shape;
         let mut sums = vec![Array2::zeros((rows, columns)); weights.len()];
         let mut com = [Array2::zeros((rows, columns)), Array2::zeros((rows, columns))];
@@ -185,7 +193,7 @@ impl Integrate {
                 for (sum, weights) in sums.iter_mut().zip(&weights) {
                     sum[[y, x]] = weighted_sum(pattern, weights);
                 }
-                if self.com || self.icom {
+                if let Some(pixels) = header.detector.pixels().filter(|_| self.com || self.icom) {
                     let [cx, cy] = centre_of_mass_mrad(pattern, pixels);
                     (com[0][[y, x]], com[1][[y, x]]) = (cx, cy);
                 }
@@ -255,7 +263,7 @@ impl Integrate {
             settings: String::from("{}"),
             structure_file: self.file.file_name().unwrap_or_default().display().to_string(),
             wavelength_angstrom: header.wavelength_angstrom,
-            band_limit_mrad: header.detector.max_angle_mrad,
+            band_limit_mrad: header.detector.max_angle_mrad(),
             source: None,
             accuracy: None,
             box_angstrom: [0.0; 3],

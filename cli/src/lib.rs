@@ -34,6 +34,7 @@ mod recipe_args;
 mod recipe_choice;
 mod reference_scan;
 mod regenerate_command;
+mod request_file;
 mod rerun_command;
 mod scan_args;
 mod show_recipe_command;

@@ -1,9 +1,10 @@
 //! `stemgen patterns`.
 
 use super::common::{Common, Force};
-use super::imaging_args::{MicroscopeArgs, NumericsArgs};
+use super::imaging_args::{MicroscopeArgs, NumericsArgs, put_some};
 use super::plan_text::{self, Lines};
 use super::progress_bar::Reporter;
+use super::request_file::RequestFile;
 use super::scan_args::ScanArgs;
 use super::structure_args::{StructureArgs, file_name, stem, with_frames};
 use super::{hints, output, text, values};
@@ -12,8 +13,10 @@ use clap::Args;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
+use stemgen::detect::{DetectorMtf, PatternDetector};
 use stemgen::files::outputs::check_outputs;
-use stemgen::io::pattern_file::data_bytes;
+use stemgen::files::whole_file::read_text;
+use stemgen::io::pattern_format::PatternFormat;
 use stemgen::io::pattern_run::{PatternRun, WrittenPatterns};
 use stemgen::progress::Progress;
 use stemgen::render::image_pictures;
@@ -27,6 +30,10 @@ Examples:
   Counted electrons on a finer detector, eight phonon configurations, at two thicknesses (two files):
     stemgen patterns srtio3.cif --repeat 8,8,20 --pixels 128 --max-angle 60 --dose 1e5 \\
       --phonons 8 --sigma 0.08 --thicknesses 39,78
+  Rings of 1 mrad in place of pixels, for any annulus afterwards (`stemgen integrate srtio3.emd --annulus 68-200`):
+    stemgen patterns srtio3.cif --repeat 8,8,10 --radial 1 --max-angle 200
+  A finite source, and a detector that spreads electrons over its pixels:
+    stemgen patterns srtio3.cif --repeat 8,8,10 --source-size 0.8 --mtf 0.6 --dose 1e5
   What would it take?
     stemgen patterns mos2.xyz --energy 80 --semiangle 25 --dry-run
   Images from the patterns, afterwards:
@@ -34,7 +41,8 @@ Examples:
 
 The file (.emd, HDF5) opens in py4DSTEM, LiberTEM and HyperSpy: fractions of the beam, or electrons, (y, x, ky, kx); k = 0 is
 at pixel n / 2, x runs right and y down. Probes are propagated in windows that hold the beam, unless --engine or --window say
-otherwise; what a window cuts off the probe is added coherently.";
+otherwise; what a window cuts off the probe is added coherently. `stemgen rerun FILE.emd` makes the patterns of a file
+again.";
 
 /// Simulate the diffraction pattern of every probe (4D-STEM)
 #[derive(Debug, Args)]
@@ -52,6 +60,9 @@ pub struct Patterns {
     numerics: NumericsArgs,
     #[command(flatten)]
     results: PatternResults,
+    /// Write everything that decides the patterns to a file, and simulate nothing; `stemgen patterns FILE.toml` does
+    #[arg(long, value_name = "FILE.toml", help_heading = "Running")]
+    write_request: Option<PathBuf>,
     #[command(flatten)]
     common: Common,
     #[command(flatten)]
@@ -65,9 +76,17 @@ pub struct PatternArgs {
     /// Pixels along each edge of the detector [default: 64]
     #[arg(long, value_name = "N")]
     pixels: Option<usize>,
-    /// Half the width of the detector in mrad [default: 100]
+    /// Half the width of the detector, or the outer angle of the last ring, in mrad [default: 100]
     #[arg(long, value_name = "MRAD", value_parser = values::positive)]
     max_angle: Option<f64>,
+    /// Sum patterns over rings of this width, up to --max-angle, in place of pixels: `stemgen integrate` makes any annulus of
+    /// them, and the file is small
+    #[arg(long, value_name = "MRAD", value_parser = values::positive, conflicts_with = "pixels")]
+    radial: Option<f64>,
+    /// How the detector spreads the electrons of a pixel over its neighbours: the standard deviation of a Gaussian in pixels, or
+    /// a file with its modulation transfer function, in lines of cycles per pixel and transfer, from 0, 1 on
+    #[arg(long, value_name = "PIXELS|FILE", value_parser = mtf, conflicts_with = "radial")]
+    mtf: Option<DetectorMtf>,
     /// Leave out what windows cut off the probe
     #[arg(long)]
     no_coherent_tail: bool,
@@ -81,8 +100,10 @@ pub struct PatternResults {
     #[arg(long, value_name = "A,A,...", value_delimiter = ',', value_parser = values::finite)]
     #[arg(allow_negative_numbers = true)]
     thicknesses: Vec<f64>,
-    /// File to write [default: name of the structure with .emd, in the current folder]
-    #[arg(short, long, value_name = "FILE.emd")]
+    /// File to write, whose ending says what it is: .emd; .hspy for HyperSpy; .toml for sparse counts (raw CSR of LiberTEM, with
+    /// three files beside it); .raw for frames of the EMPAD (with .json and .xml) [default: name of the structure with .emd, in
+    /// the current folder]
+    #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     /// Replace existing files
     #[arg(long)]
@@ -100,7 +121,10 @@ struct PatternsDryRun {
     structure: String,
     atoms: usize,
     scan: [usize; 2],
-    pixels: usize,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pixels: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    rings: Option<usize>,
     max_angle_mrad: f64,
     file_bytes: u64,
     outputs: Vec<PathBuf>,
@@ -108,8 +132,9 @@ struct PatternsDryRun {
     plan: PlanReport,
 }
 
+/// What was written.
 #[derive(Serialize)]
-struct PatternsSummary {
+pub struct PatternsSummary {
     files: Vec<WrittenFile>,
     wall_time_s: f64,
 }
@@ -123,48 +148,58 @@ struct WrittenFile {
     defocus_angstrom: f64,
     rows: usize,
     columns: usize,
-    pixels: usize,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pixels: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    rings: Option<usize>,
     /// The mean share of the beam on the detector, or the mean number of electrons.
     mean_sum: f64,
     #[serde(skip)]
     counted: bool,
 }
 
+/// A number, or a table in a file.
+fn mtf(text: &str) -> Result<DetectorMtf, String> {
+    let found = match text.trim().parse::<f64>() {
+        Ok(_) => DetectorMtf::parse(text),
+        Err(_) => read_text(Path::new(text), MOST_MTF_BYTES).and_then(|t| DetectorMtf::parse(&t)),
+    };
+    found.map_err(|e| e.to_string())
+}
+
+/// Most bytes of a file with a transfer function.
+const MOST_MTF_BYTES: usize = 1 << 20;
+
 impl Patterns {
     /// Runs the subcommand.
     pub fn run(self) -> anyhow::Result<()> {
         let reporter = self.common.start()?;
-        let job = SimulationJob::new(self.request()?).map_err(with_frames)?;
+        let request = self.request()?;
+        if let Some(path) = &self.write_request {
+            let inputs = [self.specimen.structure.clone()];
+            let written =
+                RequestFile { path, command: "patterns", overwrite: self.results.overwrite };
+            return written.write(request, &inputs, &self.common);
+        }
+        let job = SimulationJob::new(request).map_err(with_frames)?;
         let given = self.results.output.clone();
         let output = given.unwrap_or_else(|| {
             let mut name = stem(&self.specimen.structure).into_os_string();
             name.push(".emd");
             PathBuf::from(name)
         });
-        if !output.extension().is_some_and(|e| e.eq_ignore_ascii_case("emd")) {
+        let rings = job.pattern_settings().is_some_and(|s| s.detector.rings().is_some());
+        if rings && self.results.png {
             bail!(
-                "--output {}: patterns are written as .emd, which py4DSTEM, LiberTEM and HyperSpy know by its ending; did you \
-                 mean {}?",
-                output.display(),
-                output.with_extension("emd").display()
+                "--png: sums over rings have no picture; `stemgen integrate` makes images of them"
             );
         }
         let run = PatternsRun { job, output, png: self.results.png };
         if self.common.dry_run {
             return run.dry_run(&self.common);
         }
-        let files: Vec<PathBuf> = run.run("").files().into_iter().map(|(path, _)| path).collect();
-        let pictures = files.iter().filter(|_| run.png).map(|path| picture_of(path));
-        let outputs: Vec<PathBuf> = files.iter().cloned().chain(pictures).collect();
-        check_outputs(&outputs, [&self.specimen.structure], self.results.overwrite)?;
-        run.warnings().iter().for_each(|warning| reporter.warn(warning));
-        for (bytes, remedy) in run.job.memory() {
-            self.force.check_memory(bytes, remedy, &reporter)?;
-        }
-        run.run("").check_space()?;
-        let begun = Instant::now();
-        let files = run.write(self.results.overwrite, &reporter)?;
-        let summary = PatternsSummary { files, wall_time_s: begun.elapsed().as_secs_f64() };
+        let inputs = [self.specimen.structure.clone()];
+        let summary = run.execute(&inputs, self.results.overwrite, (&self.force, &reporter))?;
         self.common.print(&summary, &summary.text())
     }
 
@@ -186,19 +221,43 @@ impl Patterns {
         let patterns = request.patterns.get_or_insert_default();
         patterns.pixels = self.detector.pixels.unwrap_or(patterns.pixels);
         patterns.max_angle_mrad = self.detector.max_angle.unwrap_or(patterns.max_angle_mrad);
+        put_some(&self.detector.radial, &mut patterns.radial_mrad);
+        put_some(&self.detector.mtf, &mut patterns.mtf);
         patterns.coherent_tail &= !self.detector.no_coherent_tail;
         Ok(request)
     }
 }
 
 /// A simulation of patterns, with where they go.
-struct PatternsRun {
-    job: SimulationJob,
-    output: PathBuf,
-    png: bool,
+pub struct PatternsRun {
+    pub job: SimulationJob,
+    pub output: PathBuf,
+    pub png: bool,
 }
 
 impl PatternsRun {
+    /// Checks, simulates and writes. `inputs` are files that must not be replaced.
+    pub fn execute(
+        &self,
+        inputs: &[PathBuf],
+        overwrite: bool,
+        (force, reporter): (&Force, &Reporter),
+    ) -> anyhow::Result<PatternsSummary> {
+        let files = self.run("").files();
+        let pictures = files.iter().filter(|_| self.png).map(|(path, _)| picture_of(path));
+        let mut outputs = self.run("").outputs()?;
+        outputs.extend(pictures);
+        check_outputs(&outputs, inputs, overwrite)?;
+        self.warnings().iter().for_each(|warning| reporter.warn(warning));
+        for (bytes, remedy) in self.job.memory() {
+            force.check_memory(bytes, remedy, reporter)?;
+        }
+        self.run("").check_space()?;
+        let begun = Instant::now();
+        let files = self.write(overwrite, reporter)?;
+        Ok(PatternsSummary { files, wall_time_s: begun.elapsed().as_secs_f64() })
+    }
+
     /// What is simulated, and where it goes.
     fn run<'a>(&'a self, command_line: &'a str) -> PatternRun<'a> {
         PatternRun { job: &self.job, output: &self.output, command_line }
@@ -217,18 +276,21 @@ impl PatternsRun {
         warnings
     }
 
-    fn dry_run(&self, common: &Common) -> anyhow::Result<()> {
+    /// Says what would be done.
+    pub fn dry_run(&self, common: &Common) -> anyhow::Result<()> {
         let mut plan = self.job.report()?;
         plan.warnings = self.warnings();
+        self.run("").outputs()?;
         let files = self.run("").files();
         let Some((_, header)) = files.first() else { bail!("there is nothing to simulate") };
         let all = PatternsDryRun {
             structure: self.job.request().structure.file().map(file_name).unwrap_or_default(),
             atoms: self.job.specimen().sites.len(),
             scan: header.scan.shape,
-            pixels: header.detector.pixels,
-            max_angle_mrad: header.detector.max_angle_mrad,
-            file_bytes: data_bytes(header),
+            pixels: header.detector.pixels().map(|detector| detector.pixels),
+            rings: header.detector.rings().map(|detector| detector.rings),
+            max_angle_mrad: header.detector.max_angle_mrad(),
+            file_bytes: PatternFormat::of(&self.output)?.bytes(header),
             outputs: files.iter().map(|(path, _)| path.clone()).collect(),
             plan,
         };
@@ -236,15 +298,11 @@ impl PatternsRun {
         lines.add("structure", format!("{}: {} atoms", all.structure, all.atoms));
         plan_text::all(&all.plan, &mut lines);
         lines.add("probes", plan_text::scan(self.job.scan()));
-        lines.add(
-            "patterns",
-            format!(
-                "{0} x {0} pixels to {1} mrad, {2:.3} mrad each",
-                all.pixels,
-                all.max_angle_mrad,
-                header.detector.pixel_mrad()
-            ),
-        );
+        lines.add("patterns", detector_text(&header.detector));
+        let simulated = self.job.simulated_scan()?;
+        if simulated != header.scan {
+            lines.add("for the source", plan_text::scan(&simulated));
+        }
         plan_text::costs(&all.plan, &mut lines);
         for path in &all.outputs {
             let size = text::bytes(all.file_bytes);
@@ -263,9 +321,9 @@ impl PatternsRun {
     fn written(&self, file: WrittenPatterns) -> anyhow::Result<WrittenFile> {
         let WrittenPatterns { path, header, mean } = file;
         let picture = self.png.then(|| picture_of(&path));
-        if let Some(picture) = &picture {
+        if let (Some(picture), Some(detector)) = (&picture, header.detector.pixels()) {
             let shown = mean.mapv(|v| v.max(0.0).powf(0.25) as f32);
-            let pixel = header.detector.pixel_k(header.wavelength_angstrom);
+            let pixel = detector.pixel_k(header.wavelength_angstrom);
             image_pictures::write(picture, shown.view(), [pixel; 2], false)?;
         }
         let [rows, columns] = header.scan.shape;
@@ -277,10 +335,25 @@ impl PatternsRun {
             defocus_angstrom: header.defocus_angstrom,
             rows,
             columns,
-            pixels: header.detector.pixels,
+            pixels: header.detector.pixels().map(|detector| detector.pixels),
+            rings: header.detector.rings().map(|detector| detector.rings),
             mean_sum: mean.sum(),
             counted: header.counted.is_some(),
         })
+    }
+}
+
+fn detector_text(detector: &PatternDetector) -> String {
+    match detector {
+        PatternDetector::Pixels(d) => format!(
+            "{0} x {0} pixels to {1} mrad, {2:.3} mrad each",
+            d.pixels,
+            d.max_angle_mrad,
+            d.pixel_mrad()
+        ),
+        PatternDetector::Rings(d) => {
+            format!("{} rings of {} mrad to {} mrad", d.rings, d.width_mrad, d.max_angle_mrad())
+        }
     }
 }
 
@@ -289,18 +362,28 @@ fn picture_of(path: &Path) -> PathBuf {
 }
 
 impl PatternsSummary {
-    fn text(&self) -> String {
+    /// The files.
+    pub fn paths(&self) -> impl Iterator<Item = &Path> {
+        self.files.iter().map(|file| file.output.as_path())
+    }
+
+    /// What to print.
+    pub fn text(&self) -> String {
         let mut lines = Lines::default();
         for file in &self.files {
             let sum = match file.counted {
                 true => format!("{:.1} electrons in the mean", file.mean_sum),
                 false => format!("{:.2} % of the beam in the mean", 100.0 * file.mean_sum),
             };
+            let values = match (file.pixels, file.rings) {
+                (Some(pixels), _) => format!("{pixels} x {pixels} pixels"),
+                (None, rings) => format!("{} rings", rings.unwrap_or(0)),
+            };
             lines.add(
                 "patterns",
                 format!(
-                    "{} x {} probes, {} x {} pixels, at {:.2} A: {sum}",
-                    file.columns, file.rows, file.pixels, file.pixels, file.thickness_angstrom
+                    "{} x {} probes, {values}, at {:.2} A: {sum}",
+                    file.columns, file.rows, file.thickness_angstrom
                 ),
             );
             let size = text::bytes(file.file_bytes);

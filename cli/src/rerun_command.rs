@@ -1,7 +1,10 @@
 //! `stemgen rerun`.
 
 use super::common::{Common, Force};
+use super::patterns_command::PatternsRun;
+use super::progress_bar::Reporter;
 use super::simulate_command::{Results, SimulateRun};
+use super::structure_args::with_frames;
 use super::validate_command::DIFFERENT;
 use super::{hdf5_check, output};
 use anyhow::{Context, bail};
@@ -9,30 +12,33 @@ use clap::Args;
 use std::path::{Path, PathBuf};
 use stemgen::files::file_digest::sha256_of_file;
 use stemgen::io::StoredImages;
-use stemgen::simulation::{AtomsSource, SimulatedImage, SimulationRequest};
+use stemgen::io::pattern_file::PatternFile;
+use stemgen::simulation::{AtomsSource, SimulatedImage, SimulationJob, SimulationRequest};
 
 const EXAMPLES: &str = "\
 Examples:
   The images of a file, made again and compared with those it holds:
     stemgen rerun si.h5
+  The diffraction patterns of a file, made again:
+    stemgen rerun srtio3.emd
   The same where the structure file has moved, with pictures:
     stemgen rerun si.h5 --structure data/si.cif -o again.h5 --png
 
 Pixels are the same bits with the same version of the numerics on the same kind of processor. The exit code is 3 if a
 pixel differs.";
 
-/// Make the images of a file again, from the request that it holds, and compare them
+/// Make the images or patterns of a file again, from the request that it holds, and compare them
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Rerun {
-    /// A file that `stemgen simulate` wrote
-    #[arg(value_name = "FILE.h5", help_heading = None)]
+    /// A file that `stemgen simulate` or `stemgen patterns` wrote
+    #[arg(value_name = "FILE", help_heading = None)]
     file: PathBuf,
     /// The structure file, where it is not where the request says
     #[arg(long, value_name = "FILE")]
     structure: Option<PathBuf>,
-    /// File to write [default: FILE_rerun.h5]
-    #[arg(short, long, value_name = "FILE.h5")]
+    /// File to write [default: FILE_rerun.h5, or FILE_rerun.emd for patterns]
+    #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
     /// Replace existing files
     #[arg(long)]
@@ -47,17 +53,21 @@ pub struct Rerun {
 }
 
 impl Rerun {
-    /// Runs the subcommand; the exit code tells whether the images are the same.
+    /// Runs the subcommand; the exit code tells whether the values are the same.
     pub fn run(self) -> anyhow::Result<u8> {
         let reporter = self.common.start()?;
         hdf5_check::check(&self.file)?;
+        if let Some(stored) = PatternFile::open(&self.file)? {
+            return self.patterns(&stored, &reporter);
+        }
         let Some(stored) = StoredImages::open(&self.file)? else {
             bail!(
-                "{}: holds no simulated images; `stemgen simulate` writes such files",
+                "{}: holds no simulated images or patterns; `stemgen simulate` and `stemgen patterns` write such files",
                 self.file.display()
             );
         };
-        let request = self.request(&stored)?;
+        let request =
+            self.request(stored.request.as_deref(), stored.structure_sha256.as_deref())?;
         let given = self.output.clone();
         let output = given.unwrap_or_else(|| output::sibling(&self.file, "_rerun.h5"));
         let mut inputs = vec![self.file.clone()];
@@ -68,12 +78,54 @@ impl Rerun {
         Ok(if same { 0 } else { DIFFERENT })
     }
 
+    /// Makes the patterns of a file again, with those of its series, and compares those of its thickness and defocus.
+    fn patterns(self, stored: &PatternFile, reporter: &Reporter) -> anyhow::Result<u8> {
+        // Windows depend on the whole series of thicknesses and defocus, and so do the draws of electrons: all of it is made again.
+        let request =
+            self.request(stored.request.as_deref(), stored.structure_sha256.as_deref())?;
+        let header = stored.header();
+        let mut inputs = vec![self.file.clone()];
+        inputs.extend(request.structure.file().map(Path::to_owned));
+        let given = self.output.clone();
+        let output = given.unwrap_or_else(|| output::sibling(&self.file, "_rerun.emd"));
+        if !output.extension().is_some_and(|e| e.eq_ignore_ascii_case("emd")) {
+            bail!("--output {}: patterns are written as .emd", output.display());
+        }
+        let job = SimulationJob::new(request).map_err(with_frames)?;
+        let run = PatternsRun { job, output, png: self.png };
+        if self.common.dry_run {
+            run.dry_run(&self.common)?;
+            return Ok(0);
+        }
+        let summary = run.execute(&inputs, self.overwrite, (&self.force, reporter))?;
+        let mut found = None;
+        for path in summary.paths() {
+            let Some(made) = PatternFile::open(path)? else { continue };
+            let of = made.header();
+            if of.thickness_angstrom == header.thickness_angstrom
+                && of.defocus_angstrom == header.defocus_angstrom
+            {
+                found = Some(PatternDifference::between(&made, stored)?);
+            }
+        }
+        let Some(difference) = found else {
+            bail!("{}: its request makes no such thickness and defocus", self.file.display());
+        };
+        let words = format!("{}{}\n", summary.text(), difference.text());
+        self.common.print(&difference, &words)?;
+        Ok(if difference.same() { 0 } else { DIFFERENT })
+    }
+
     /// The request of the file, with the structure file that it was made from.
-    fn request(&self, stored: &StoredImages) -> anyhow::Result<SimulationRequest> {
+    fn request(
+        &self,
+        text: Option<&str>,
+        sha256: Option<&str>,
+    ) -> anyhow::Result<SimulationRequest> {
         let file = self.file.display();
-        let Some(text) = &stored.request else {
+        let Some(text) = text else {
             bail!(
-                "{file}: holds no request: it was not written by `stemgen simulate`, or by an older version"
+                "{file}: holds no request: it was not written by this program, or by an older version"
             );
         };
         let mut request: SimulationRequest = serde_json::from_str(text)
@@ -88,13 +140,56 @@ impl Rerun {
             bail!("{}: is not there; give --structure FILE, where it is now", structure.display());
         }
         let (digest, _) = sha256_of_file(structure)?;
-        if stored.structure_sha256.as_ref().is_some_and(|known| *known != digest) {
+        if sha256.is_some_and(|known| known != digest) {
             bail!(
                 "{}: is not the file that {file} was made from (SHA-256 differs); give --structure FILE with that file",
                 structure.display()
             );
         }
         Ok(request)
+    }
+}
+
+/// How patterns that were made again differ from those of a file.
+#[derive(Debug, serde::Serialize)]
+struct PatternDifference {
+    /// Values that have other bits; nothing where the patterns have another size.
+    values: Option<u64>,
+    /// The largest difference in units of the maximum.
+    largest: f32,
+}
+
+impl PatternDifference {
+    fn between(made: &PatternFile, stored: &PatternFile) -> stemgen::Result<Self> {
+        let (a, b) = (made.header(), stored.header());
+        if a.detector != b.detector || a.scan.shape != b.scan.shape {
+            return Ok(PatternDifference { values: None, largest: f32::INFINITY });
+        }
+        let (mut values, mut off, mut highest) = (0, 0.0_f32, f32::MIN_POSITIVE);
+        for row in 0..a.scan.shape[0] {
+            let [ours, theirs] = [made.rows(row..row + 1)?, stored.rows(row..row + 1)?];
+            for (x, y) in ours.iter().zip(&theirs) {
+                values += u64::from(x.to_bits() != y.to_bits());
+                off = off.max((x - y).abs());
+                highest = highest.max(*x);
+            }
+        }
+        Ok(PatternDifference { values: Some(values), largest: off / highest })
+    }
+
+    fn same(&self) -> bool {
+        self.values == Some(0)
+    }
+
+    fn text(&self) -> String {
+        match self.values {
+            Some(0) => "patterns: the same bits".to_owned(),
+            Some(n) => format!(
+                "patterns: {n} values DIFFER, by at most {:.1e} of the maximum",
+                self.largest
+            ),
+            None => "patterns: DIFFER in their size".to_owned(),
+        }
     }
 }
 

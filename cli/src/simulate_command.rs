@@ -5,6 +5,7 @@ use super::common::{Common, Force};
 use super::imaging_args::{MicroscopeArgs, NumericsArgs};
 use super::plan_text::{self, Lines};
 use super::progress_bar::Reporter;
+use super::request_file::RequestFile;
 use super::scan_args::ScanArgs;
 use super::simulate_parts::ScanParts;
 use super::simulate_results::SideFiles;
@@ -14,11 +15,11 @@ use super::{hints, output, text};
 use anyhow::bail;
 use clap::Args;
 use serde::Serialize;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 use stemgen::engine::ProbeRaster;
 use stemgen::files::outputs::check_outputs;
-use stemgen::files::{OutputSet, Shard, atomic_write};
+use stemgen::files::{OutputSet, Shard};
 use stemgen::io::StoredImages;
 use stemgen::progress::Progress;
 use stemgen::simulation::{self, PlanReport, SimulationJob, SimulationRequest, noisy_name};
@@ -159,18 +160,16 @@ pub struct SimulateRun {
     force: Force,
 }
 
-#[derive(Serialize)]
-struct WrittenRequest {
-    request: PathBuf,
-}
-
 impl Simulate {
     /// Runs the subcommand.
     pub fn run(self) -> anyhow::Result<()> {
         let reporter = self.common.start()?;
         let request = self.request()?;
         if let Some(path) = &self.write_request {
-            return self.write(path, request);
+            let inputs = [self.specimen.structure.clone()];
+            let written =
+                RequestFile { path, command: "simulate", overwrite: self.results.overwrite };
+            return written.write(request, &inputs, &self.common);
         }
         let given = self.results.output.clone();
         // Of a request, in the current folder and with its name; of a structure the same.
@@ -198,27 +197,6 @@ impl Simulate {
         request.plane_wave |= plane_wave;
         request.electrons_per_angstrom2 = dose.or(request.electrons_per_angstrom2);
         Ok(request)
-    }
-
-    fn write(&self, path: &Path, request: SimulationRequest) -> anyhow::Result<()> {
-        if !path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("toml")) {
-            bail!(
-                "--write-request {}: a request is known by its ending; did you mean {}?",
-                path.display(),
-                path.with_extension("toml").display()
-            );
-        }
-        check_outputs([path], [&self.specimen.structure], self.results.overwrite)?;
-        let folder = path.parent().unwrap_or(Path::new("."));
-        let job = SimulationJob::new(request).map_err(with_frames)?;
-        let words = format!(
-            "# What `stemgen simulate {}` simulates. Lengths in Angstrom, angles in mrad.\n",
-            path.file_name().unwrap_or_default().display()
-        );
-        atomic_write::write(path, (words + &job.request().to_toml(folder)?).as_bytes())?;
-        let mut lines = Lines::default();
-        lines.add("request", path.display().to_string());
-        self.common.print(&WrittenRequest { request: path.to_owned() }, &lines.text())
     }
 }
 

@@ -9,6 +9,7 @@ use numpy::IntoPyArray;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::{Path, PathBuf};
+use stemgen::detect::{PatternDetector, PixelatedDetector, RadialBins, VirtualDetector};
 use stemgen::files::outputs::check_outputs;
 use stemgen::io::pattern_file::{PatternFile, PatternHeader, data_bytes};
 use stemgen::io::pattern_run::PatternRun;
@@ -84,7 +85,7 @@ pub fn write_patterns(
         let run = PatternRun { job: &job, output: &out, command_line: asked };
         let files: Vec<PathBuf> = run.files().into_iter().map(|(path, _)| path).collect();
         let inputs = job.request().structure.file().map(Path::to_path_buf);
-        check_outputs(&files, inputs, overwrite)?;
+        check_outputs(&run.outputs()?, inputs, overwrite)?;
         run.check_space()?;
         run.write(overwrite, call)?;
         Ok(files)
@@ -135,10 +136,12 @@ impl PatternReader {
 
 fn described<'py>(py: Python<'py>, h: &PatternHeader) -> PyResult<Bound<'py, PyDict>> {
     let out = PyDict::new(py);
-    out.set_item("shape", (h.scan.shape[0], h.scan.shape[1], h.detector.pixels))?;
+    let [ky, kx] = h.detector.shape();
+    out.set_item("shape", (h.scan.shape[0], h.scan.shape[1], ky, kx))?;
     out.set_item("step_angstrom", h.scan.step_angstrom)?;
     out.set_item("origin_angstrom", h.scan.origin_angstrom)?;
-    out.set_item("max_angle_mrad", h.detector.max_angle_mrad)?;
+    out.set_item("max_angle_mrad", h.detector.max_angle_mrad())?;
+    out.set_item("ring_mrad", h.detector.rings().map(|rings| rings.width_mrad))?;
     out.set_item("thickness_angstrom", h.thickness_angstrom)?;
     out.set_item("defocus_angstrom", h.defocus_angstrom)?;
     out.set_item("energy_kev", h.energy_kev)?;
@@ -149,10 +152,10 @@ fn described<'py>(py: Python<'py>, h: &PatternHeader) -> PyResult<Bound<'py, PyD
 }
 
 fn empty(h: &PatternHeader) -> Cube {
-    let ([rows, columns], n) = (h.scan.shape, h.detector.pixels);
+    let ([rows, columns], [ky, kx]) = (h.scan.shape, h.detector.shape());
     match h.counted {
-        None => Cube::Fractions(Array4::zeros((rows, columns, n, n))),
-        Some(_) => Cube::Counts(Array4::zeros((rows, columns, n, n))),
+        None => Cube::Fractions(Array4::zeros((rows, columns, ky, kx))),
+        Some(_) => Cube::Counts(Array4::zeros((rows, columns, ky, kx))),
     }
 }
 
@@ -191,19 +194,23 @@ pub fn integrated_centre_of_mass<'py>(
     Ok(found.map_err(Fault::from).or_raise(py)?.into_pyarray(py))
 }
 
-/// The share of each pixel's area on a ring, or on a sector of one.
+/// The share of each pixel's area on a ring, or on a sector of one; of `detector` pixels along an edge, the largest angle, and the width
+/// of rings that are in their place.
 #[pyfunction]
 pub fn detector_weights<'py>(
     py: Python<'py>,
-    pixels: usize,
-    max_angle_mrad: f64,
+    detector: (usize, f64, Option<f64>),
     annulus_mrad: [f64; 2],
     sector_degrees: Option<[f64; 2]>,
     centre_mrad: [f64; 2],
 ) -> PyResult<Bound<'py, numpy::PyArray2<f32>>> {
     let name = "detector".to_owned();
-    let detector =
-        stemgen::detect::VirtualDetector { name, annulus_mrad, sector_degrees, centre_mrad };
-    let on = stemgen::detect::PixelatedDetector { pixels, max_angle_mrad };
-    Ok(detector.weights(&on).map_err(Fault::from).or_raise(py)?.into_pyarray(py))
+    let wanted = VirtualDetector { name, annulus_mrad, sector_degrees, centre_mrad };
+    let (pixels, max_angle_mrad, ring_mrad) = detector;
+    let on = || match ring_mrad {
+        None => Ok(PixelatedDetector { pixels, max_angle_mrad }.into()),
+        Some(width) => RadialBins::new(width, max_angle_mrad).map(PatternDetector::Rings),
+    };
+    let weights = on().and_then(|on| on.weights(&wanted));
+    Ok(weights.map_err(Fault::from).or_raise(py)?.into_pyarray(py))
 }

@@ -79,6 +79,8 @@ class PatternsRequest(TypedDict, total=False):
     pixels: int
     max_angle_mrad: float
     coherent_tail: bool
+    radial_mrad: float
+    mtf: float | list[list[float]]
 
 class SimulationRequest(_SimulationRequest, total=False):
     """What ``stemgen::simulation::SimulationRequest`` reads; the library has the defaults of what is not given."""
@@ -383,7 +385,7 @@ def simulate_plane_wave(
     request: SimulationRequest, atoms: AtomArrays | None, force: bool, running: Running
 ) -> PlaneWaveImages: ...
 class PatternHeader(TypedDict):
-    shape: tuple[int, int, int]
+    shape: tuple[int, int, int, int]
     step_angstrom: list[float]
     origin_angstrom: list[float]
     max_angle_mrad: float
@@ -393,6 +395,7 @@ class PatternHeader(TypedDict):
     semiangle_mrad: float
     wavelength_angstrom: float
     electrons_per_pattern: float | None
+    ring_mrad: float | None
     vacuum: npt.NDArray[np.float32] | None
 
 class Patterns(PatternHeader):
@@ -423,8 +426,7 @@ def integrated_centre_of_mass(
     wavelength_angstrom: float,
 ) -> npt.NDArray[np.float32]: ...
 def detector_weights(
-    pixels: int,
-    max_angle_mrad: float,
+    detector: tuple[int, float, float | None],
     annulus_mrad: tuple[float, float],
     sector_degrees: tuple[float, float] | None,
     centre_mrad: tuple[float, float],

@@ -103,6 +103,8 @@ _KEYWORDS: dict[str, str | None] = {
     "Detectors": "detectors",
     "PatternPixels": "pixels",
     "MaxAngleMrad": "max_angle_mrad",
+    "RingWidthMrad": "radial_mrad",
+    "DetectorMtf": "mtf",
     "StructureFile": "atoms",
     "Crystal": None,
     "Cell": "zone",

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path as _FilePath
-from typing import Any, Unpack
+from typing import Any, Unpack, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -30,10 +30,12 @@ class Axes4D:
         shape: probes along ``(y, x)``, and pixels along ``(ky, kx)``.
         step_angstrom: distance of probes along ``(y, x)``.
         origin_angstrom: place of the first probe ``(y, x)``.
-        max_angle_mrad: half the width of the detector. Pixel ``n // 2`` of each axis has its middle on the optical axis.
+        max_angle_mrad: half the width of the detector. Pixel ``n // 2`` of each axis has its middle on the optical axis. Of rings: the
+            outer angle of the last.
         thickness_angstrom, defocus_angstrom, energy_kv, semiangle_mrad: of specimen and probe; underfocus is positive.
         wavelength_angstrom: of the electrons.
         electrons_per_pattern: electrons that fell on the specimen for each pattern, where they were counted.
+        ring_mrad: width of the rings, where patterns are sums over rings; their shape is then ``(y, x, 1, ring)``.
     """
 
     shape: tuple[int, int, int, int]
@@ -46,10 +48,13 @@ class Axes4D:
     semiangle_mrad: float
     wavelength_angstrom: float
     electrons_per_pattern: float | None = None
+    ring_mrad: float | None = None
 
     @property
     def pixel_mrad(self) -> float:
-        """Edge of a pixel in mrad."""
+        """Edge of a pixel, or width of a ring, in mrad."""
+        if self.ring_mrad is not None:
+            return self.ring_mrad
         return 2 * self.max_angle_mrad / self.shape[2]
 
     @property
@@ -59,7 +64,9 @@ class Axes4D:
 
     @property
     def angles_mrad(self) -> npt.NDArray[np.float64]:
-        """Angles of the middles of the pixels along an axis."""
+        """Angles of the middles of the pixels along an axis, or of the rings."""
+        if self.ring_mrad is not None:
+            return (np.arange(self.shape[3], dtype=np.float64) + 0.5) * np.float64(self.ring_mrad)
         return (np.arange(self.shape[2], dtype=np.float64) - self.shape[2] // 2) * np.float64(self.pixel_mrad)
 
 
@@ -112,6 +119,8 @@ class DataCube:
 
     def __repr__(self) -> str:
         rows, columns, ky, kx = self.axes.shape
+        if self.axes.ring_mrad is not None:
+            return f"<DataCube: {columns} x {rows} probes, {kx} rings of {self.axes.ring_mrad:g} mrad>"
         return f"<DataCube: {columns} x {rows} probes, {kx} x {ky} pixels to {self.axes.max_angle_mrad:g} mrad>"
 
     def _file(self) -> _core.PatternReader:
@@ -161,10 +170,12 @@ class DataCube:
             centre_mrad: where its middle is, ``(x, y)``.
 
         Raises:
-            InvalidValue: for a ring that reaches beyond the patterns, or lies between their pixels.
+            InvalidValue: for a ring that reaches beyond the patterns, or lies between their pixels; of patterns that are sums over
+                rings, for one that begins or ends inside a ring, and for sectors.
         """
-        annulus, pixels = (float(inner_mrad), float(outer_mrad)), self.axes.shape[2]
-        return call(_core.detector_weights, pixels, self.axes.max_angle_mrad, annulus, sector_degrees, centre_mrad)
+        annulus, a = (float(inner_mrad), float(outer_mrad)), self.axes
+        detector = (a.shape[2], a.max_angle_mrad, a.ring_mrad)
+        return call(_core.detector_weights, detector, annulus, sector_degrees, centre_mrad)
 
     def virtual_image(
         self,
@@ -199,7 +210,12 @@ class DataCube:
         return self._image(name, np.concatenate(parts), units)
 
     def centre_of_mass(self) -> tuple[Image, Image]:
-        """The centre of mass of every pattern, ``(y, x)`` in mrad: the mean angle of its electrons, 0 where there are none."""
+        """The centre of mass of every pattern, ``(y, x)`` in mrad: the mean angle of its electrons, 0 where there are none.
+
+        Raises:
+            InvalidValue: for sums over rings, which have none.
+        """
+        self._needs_pixels("have no centre of mass")
         angles = self.axes.angles_mrad
         found: list[list[npt.NDArray[Any]]] = [[], []]
         for _, rows in self._rows():
@@ -220,6 +236,10 @@ class DataCube:
         phase = call(_core.integrated_centre_of_mass, x.array, y.array, (dx, dy), self.axes.wavelength_angstrom)
         return self._image("icom", phase, "radians")
 
+    def _needs_pixels(self, why: str) -> None:
+        if self.axes.ring_mrad is not None:
+            raise _invalid("radial_mrad", f"sums over rings {why}; simulate pixels")
+
     def mean_pattern(self) -> npt.NDArray[np.float64]:
         """The mean of all patterns (position-averaged CBED), ``[ky, kx]``."""
         rows, columns = self.axes.shape[:2]
@@ -228,6 +248,7 @@ class DataCube:
 
     def to_hyperspy(self) -> Any:
         """The patterns as a ``hyperspy.signals.Signal2D`` over the scan. HyperSpy has to be installed."""
+        self._needs_pixels("make no images")
         from hyperspy.signals import Signal2D
 
         signal = Signal2D(self.data)
@@ -244,6 +265,7 @@ class DataCube:
 
     def to_py4dstem(self) -> Any:
         """The patterns as a calibrated ``py4DSTEM.DataCube``. py4DSTEM has to be installed."""
+        self._needs_pixels("make no images")
         from py4DSTEM import DataCube as Py4dstemCube
 
         cube = Py4dstemCube(data=self.data)
@@ -259,6 +281,8 @@ def simulate_patterns(
     *,
     pixels: int | None = None,
     max_angle_mrad: float | None = None,
+    radial_mrad: float | None = None,
+    mtf: float | npt.ArrayLike | None = None,
     coherent_tail: bool | None = None,
     out: Path | None = None,
     overwrite: bool = False,
@@ -269,11 +293,15 @@ def simulate_patterns(
     Args:
         atoms: as :func:`simulate` takes them.
         pixels: pixels along each edge of the detector. Default 64.
-        max_angle_mrad: half its width. Default 100.
+        max_angle_mrad: half its width, or the outer angle of the last ring. Default 100.
+        radial_mrad: sum over rings of this width in place of pixels: :meth:`DataCube.virtual_image` makes any annulus of whole rings
+            of them.
+        mtf: how the detector spreads the electrons of a pixel over its neighbours: the standard deviation of a Gaussian in pixels, or a
+            table of its modulation transfer function, rows of (cycles per pixel, transfer) from (0, 1) on. Default: not at all.
         coherent_tail: add what windows cut off the probe. Default true.
         out: a file (``.emd``) to write the patterns to, row by row, in place of memory. py4DSTEM, LiberTEM and HyperSpy open it.
         overwrite: replace an existing file.
-        **options: see :class:`SimulationOptions`. ``detectors``, ``source_size_angstrom`` and ``accuracy_percent`` are for images.
+        **options: see :class:`SimulationOptions`. ``detectors``, ``source_lorentz`` and ``accuracy_percent`` are for images.
             Without an engine, probes are propagated in windows that hold the beam throughout the specimen.
 
     Returns:
@@ -288,7 +316,8 @@ def simulate_patterns(
         value = options.get(keyword)
         if isinstance(value, (Sequence, np.ndarray)) and len(value) > 1:
             raise _invalid(keyword, f"{keyword}: several make a series; simulate_pattern_series() takes them")
-    (cube,) = _simulate(atoms, (pixels, max_angle_mrad, coherent_tail), (out, overwrite), options)
+    detector = _detector(pixels, max_angle_mrad, radial_mrad, mtf, coherent_tail)
+    (cube,) = _simulate(atoms, detector, (out, overwrite), options)
     return cube
 
 
@@ -297,6 +326,8 @@ def simulate_pattern_series(
     *,
     pixels: int | None = None,
     max_angle_mrad: float | None = None,
+    radial_mrad: float | None = None,
+    mtf: float | npt.ArrayLike | None = None,
     coherent_tail: bool | None = None,
     out: Path | None = None,
     overwrite: bool = False,
@@ -306,28 +337,53 @@ def simulate_pattern_series(
 
     Files are named after each: ``NAME_defocus_50A_39.0A.emd``.
     """
-    return _simulate(atoms, (pixels, max_angle_mrad, coherent_tail), (out, overwrite), options)
+    detector = _detector(pixels, max_angle_mrad, radial_mrad, mtf, coherent_tail)
+    return _simulate(atoms, detector, (out, overwrite), options)
+
+
+def _detector(
+    pixels: int | None,
+    max_angle_mrad: float | None,
+    radial_mrad: float | None,
+    mtf: float | npt.ArrayLike | None,
+    coherent_tail: bool | None,
+) -> _core.PatternsRequest:
+    """The table of the request with what is given."""
+    if pixels is not None and radial_mrad is not None:
+        raise _invalid("radial_mrad", "rings take the place of pixels: leave one of the two out")
+    asked: dict[str, Any] = {"pixels": pixels, "max_angle_mrad": max_angle_mrad, "radial_mrad": radial_mrad}
+    asked |= {"mtf": None if mtf is None else _transfer(mtf), "coherent_tail": coherent_tail}
+    return cast("_core.PatternsRequest", {name: value for name, value in asked.items() if value is not None})
+
+
+def _transfer(mtf: float | npt.ArrayLike) -> Any:
+    """A number, or the rows of a table."""
+    try:
+        array = np.asarray(mtf, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.ndim != 0 and (array.ndim != 2 or array.shape[1] != 2):
+        raise _invalid("mtf", "mtf: expected a number, or rows of (cycles per pixel, transfer)")
+    return array.tolist()
 
 
 def _simulate(
     atoms: Atoms,
-    detector: tuple[int | None, float | None, bool | None],
+    detector: _core.PatternsRequest,
     written: tuple[Path | None, bool],
     options: SimulationOptions,
 ) -> tuple[DataCube, ...]:
-    unused = {"detectors", "source_size_angstrom", "accuracy_percent"} & options.keys()
+    unused = {"detectors", "accuracy_percent"} & options.keys()
     if unused:
         name = sorted(unused)[0]
         raise _invalid(name, f"{name} is for images: DataCube.virtual_image() makes them of patterns")
     request, arrays = _request(atoms, options)
-    names = ("pixels", "max_angle_mrad", "coherent_tail")
-    given: Any = {name: value for name, value in zip(names, detector, strict=True) if value is not None}
-    request["patterns"] = given
+    request["patterns"] = detector
     force, running = options.get("force", False), _run(options)
     out, overwrite = written
     if out is not None:
         if _FilePath(out).suffix.lower() != ".emd":
-            raise _invalid("out", f"{os.fspath(out)!r}: patterns are written as .emd")
+            raise _invalid("out", f"{os.fspath(out)!r}: patterns are written as .emd; the command `stemgen patterns` writes other files")
         files = call(_core.write_patterns, request, arrays, os.fspath(out), overwrite, force, running)
         return tuple(DataCube.open(path) for path in files)
     found = call(_core.simulate_patterns, request, arrays, force, running)
@@ -335,10 +391,10 @@ def _simulate(
 
 
 def _axes(header: _core.PatternHeader) -> Axes4D:
-    rows, columns, pixels = header["shape"]
+    rows, columns, ky, kx = header["shape"]
     (dx, dy), (x, y) = header["step_angstrom"], header["origin_angstrom"]
     return Axes4D(
-        shape=(rows, columns, pixels, pixels),
+        shape=(rows, columns, ky, kx),
         step_angstrom=(dy, dx),
         origin_angstrom=(y, x),
         max_angle_mrad=header["max_angle_mrad"],
@@ -348,4 +404,5 @@ def _axes(header: _core.PatternHeader) -> Axes4D:
         semiangle_mrad=header["semiangle_mrad"],
         wavelength_angstrom=header["wavelength_angstrom"],
         electrons_per_pattern=header["electrons_per_pattern"],
+        ring_mrad=header["ring_mrad"],
     )

@@ -66,6 +66,40 @@ def test_images_are_sums_over_pixels(cube: sw.DataCube, tmp_path: Path) -> None:
     assert np.allclose(images["icom"], cube.integrated_centre_of_mass().array, atol=1e-5)
 
 
+def test_rings_make_any_annulus(tmp_path: Path) -> None:
+    full: Any = {**SMALL, "engine": "multislice"}
+    rings = sw.simulate_patterns(ATOMS, radial_mrad=1, max_angle_mrad=200, **full)
+    assert rings.axes.ring_mrad == 1 and rings.data.shape == (5, 6, 1, 200)
+    assert rings.axes.angles_mrad[:2] == pytest.approx([0.5, 1.5])
+    images = sw.simulate(ATOMS, detectors={"HAADF": (68, 200)}, probe_step="scan", **full)
+    haadf = rings.virtual_image(68, 200)
+    assert np.allclose(haadf.array, images["HAADF"].array, rtol=1e-5)
+    written = sw.simulate_patterns(ATOMS, radial_mrad=1, max_angle_mrad=200, out=tmp_path / "r.emd", **full)
+    assert written.axes == rings.axes and np.array_equal(written.data, rings.data)
+    assert np.array_equal(written[1, 2], rings.data[1, 2]) and "200 rings of 1 mrad" in repr(written)
+    for refused in (rings.centre_of_mass, rings.to_hyperspy, rings.to_py4dstem, rings.integrated_centre_of_mass):
+        with pytest.raises(sw.InvalidValue, match="radial_mrad"):
+            refused()
+    with pytest.raises(sw.InvalidValue, match="68-200 is made of whole ones"):
+        rings.virtual_image(68.5, 199.7)
+    with pytest.raises(sw.InvalidValue, match="sectors need pixels"):
+        rings.virtual_image(10, 20, sector_degrees=(0, 90))
+
+
+def test_source_and_detector_spread_patterns(cube: sw.DataCube) -> None:
+    options: Any = {"pixels": 32, "max_angle_mrad": 50, **SMALL}
+    table = [(0, 1), (0.25, 0.7), (0.5, 0.3)]
+    spread = sw.simulate_patterns(ATOMS, mtf=np.array(table), **options)
+    assert np.allclose(spread.data.sum(axis=(2, 3)), cube.data.sum(axis=(2, 3)), rtol=1e-5)
+    assert spread.data.max() < 0.97 * cube.data.max()
+    blurred = sw.simulate_patterns(ATOMS, source_size_angstrom=1.5, **options)
+    assert blurred.data.shape == cube.data.shape
+    sharp, soft = (c.virtual_image(0, 10).array.std() for c in (cube, blurred))
+    assert soft < 0.8 * sharp
+    same = sw.simulate_patterns(ATOMS, mtf=0, **options)
+    assert np.allclose(same.data, cube.data, atol=1e-7)
+
+
 def test_a_cube_of_a_file_is_sent_to_other_processes(cube: sw.DataCube, tmp_path: Path) -> None:
     written = sw.simulate_patterns(ATOMS, pixels=32, max_angle_mrad=50, out=tmp_path / "w.emd", **SMALL)
     assert written[0, 0].shape == (32, 32)
@@ -98,6 +132,14 @@ def test_mistakes_are_refused(cube: sw.DataCube, tmp_path: Path) -> None:
             sw.simulate_patterns(ATOMS, **{**SMALL, **options})
 
     refused("2 to 4096", pixels=1)
+    refused("one of the two", pixels=32, radial_mrad=1)
+    refused("99 mrad is", radial_mrad=3)
+    refused("rings have none", radial_mrad=1, mtf=1)
+    refused("0 to 50 pixels", mtf=-1)
+    refused("rows of", mtf=[0.1, 0.5])
+    refused("rows of", mtf="sharp")
+    refused("frequency 0", mtf=[(0.1, 1), (0.5, 0.5)])
+    refused("Gaussian", source_size_angstrom=0.8, source_lorentz=0.3)
     refused("virtual_image", detectors={"HAADF": (68, 200)})
     refused("series", thicknesses_angstrom=[3.9, 7.8])
     refused("PRISM", engine="prism")

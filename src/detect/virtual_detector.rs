@@ -67,6 +67,11 @@ impl VirtualDetector {
         Ok((0..number).map(sector).collect())
     }
 
+    /// Whether it is a whole ring around the optical axis.
+    pub fn is_annulus(&self) -> bool {
+        self.sector_degrees.is_none() && self.centre_mrad == [0.0; 2]
+    }
+
     /// The share of each pixel's area on the detector, `[ky, kx]`.
     ///
     /// # Errors

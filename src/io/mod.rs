@@ -21,6 +21,8 @@ mod hdf5_values;
 #[cfg(feature = "hdf5")]
 pub mod hspy_file;
 #[cfg(feature = "hdf5")]
+mod hspy_patterns;
+#[cfg(feature = "hdf5")]
 pub mod image_file;
 #[cfg(feature = "hdf5")]
 pub mod image_series;
@@ -33,7 +35,11 @@ pub mod npz_file;
 #[cfg(feature = "hdf5")]
 pub mod pattern_file;
 #[cfg(feature = "hdf5")]
+pub mod pattern_format;
+#[cfg(feature = "hdf5")]
 pub mod pattern_run;
+#[cfg(feature = "hdf5")]
+mod raw_patterns;
 #[cfg(feature = "report")]
 pub mod recorded;
 #[cfg(feature = "hdf5")]

@@ -3,20 +3,21 @@
 //! One HDF5 file that py4DSTEM, LiberTEM and HyperSpy open (end its name in `.emd`), laid out as EMD 1.0 (emdfile 0.0.16):
 //! - `/datacube_root/datacube/data`: float32 fractions of the beam, or uint32 electrons, (y, x, ky, kx), uncompressed; k = 0 is at pixel
 //!   n / 2 of each axis, x runs right and y down; `dim0` to `dim3` hold the axes in A and 1/A;
+//! - in place of it, of sums over rings: `/datacube_root/radial/data`, (y, x, ring), with the angles of the rings' middles in mrad;
 //! - `/datacube_root/metadatabundle/calibration`: what py4DSTEM calibrates by;
 //! - `/entry/diffraction` (NXdata) leads to the same array by a link;
 //! - `/vacuum/data`: the pattern of the beam without a specimen;
 //! - `/` attributes: `format` ("stemgen patterns"), `format_version`, those of image files (request, settings, command), `energy_kev`,
 //!   `semiangle_mrad`, `defocus_angstrom` (positive: underfocus) and `c10_angstrom` (its negative), `thickness_angstrom`,
 //!   `pixel_mrad`, `max_angle_mrad`, `step_angstrom` and `origin_angstrom` (x, y), `coherent_tail`, `engine`,
-//!   `electrons_per_pattern` and `seed` of counted electrons;
+//!   `ring_mrad` of rings, `electrons_per_pattern` and `seed` of counted electrons;
 //! - `/specimen`: the atoms, as in image files.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use hdf5::{Dataset, Extents, File, Group};
-use ndarray::{Array2, Array4, ArrayView4};
+use ndarray::{Array2, Array3, Array4, ArrayView4, Axis};
 
 use super::At;
 use super::hdf5_create;
@@ -24,18 +25,23 @@ use super::hdf5_guard::{
     Guarded, check_storage, damaged, number as number_of, pair, text as text_of,
 };
 use super::hdf5_values;
+use super::hspy_patterns;
 use super::image_file::{Origin, axes, write_origin, write_specimen};
+use super::pattern_format::PatternFormat;
+use super::raw_patterns::{CsrWriter, EmpadWriter};
 use super::world_file::regular_file;
 use super::world_writer::{number, text};
-use crate::detect::{MOST_PIXELS, PixelatedDetector};
+use crate::detect::{MOST_PIXELS, PatternDetector, PixelatedDetector, RadialBins};
 use crate::engine::Scan;
 use crate::error::{Error, Result};
 use crate::files::atomic_write;
+use crate::setting::Setting;
 
 /// Version of this schema.
 const FORMAT_VERSION: i64 = 1;
 const FORMAT: &str = "stemgen patterns";
 const DATA: &str = "datacube_root/datacube/data";
+const RINGS: &str = "datacube_root/radial/data";
 /// A chunk holds neighbouring patterns of one row, up to about so many bytes.
 const CHUNK_BYTES: usize = 1 << 20;
 
@@ -43,7 +49,7 @@ const CHUNK_BYTES: usize = 1 << 20;
 #[derive(Debug, Clone)]
 pub struct PatternHeader {
     /// The detector.
-    pub detector: PixelatedDetector,
+    pub detector: PatternDetector,
     /// Where probes stand.
     pub scan: Scan,
     /// Thickness of the specimen in Angstrom.
@@ -76,12 +82,18 @@ pub struct PatternOrigin<'a> {
 /// A file of patterns that is being written.
 pub struct PatternWriter {
     path: PathBuf,
-    file: File,
-    data: Dataset,
+    sink: PatternSink,
+}
+
+/// What takes the patterns.
+enum PatternSink {
+    Hdf5(File, Dataset),
+    SparseCsr(CsrWriter),
+    Empad(EmpadWriter),
 }
 
 /// Writes files of patterns, each of which appears complete or not at all: `fill` gets a writer for each. Existing files are replaced
-/// only if `overwrite`.
+/// only if `overwrite`. The endings of their names decide what they are ([`PatternFormat`]).
 ///
 /// # Errors
 /// [`Error::Io`], [`Error::Hdf5`], and those of `fill`.
@@ -91,82 +103,154 @@ pub fn write_patterns(
     origin: &PatternOrigin<'_>,
     fill: &mut dyn FnMut(&mut [PatternWriter]) -> Result<()>,
 ) -> Result<()> {
-    next_file(files, overwrite, origin, Vec::new(), fill)
+    next_file((files, overwrite, origin), Vec::new(), fill)
 }
 
 fn next_file(
-    files: &[(PathBuf, PatternHeader)],
-    overwrite: bool,
-    origin: &PatternOrigin<'_>,
+    (files, overwrite, origin): (&[(PathBuf, PatternHeader)], bool, &PatternOrigin<'_>),
     mut open: Vec<PatternWriter>,
     fill: &mut dyn FnMut(&mut [PatternWriter]) -> Result<()>,
 ) -> Result<()> {
     let Some(((path, header), rest)) = files.split_first() else {
         fill(&mut open)?;
-        return open.iter().try_for_each(|writer| writer.file.flush().at(&writer.path));
+        return open.iter_mut().try_for_each(PatternWriter::end);
     };
+    let mut parts = vec![path.clone()];
+    parts.extend(PatternFormat::of(path)?.companions(path));
+    together(&parts, overwrite, Vec::new(), &mut |temporaries| {
+        let mut open = std::mem::take(&mut open);
+        open.push(PatternWriter::new(temporaries, path, header, origin)?);
+        next_file((rest, overwrite, origin), open, fill)
+    })
+}
+
+/// Has `write` fill temporary files in place of several, which then get their names, the first last.
+fn together(
+    paths: &[PathBuf],
+    overwrite: bool,
+    mut temporaries: Vec<PathBuf>,
+    write: &mut dyn FnMut(&[PathBuf]) -> Result<()>,
+) -> Result<()> {
+    let Some((path, rest)) = paths.split_first() else { return write(&temporaries) };
     atomic_write::write_with(path, overwrite, |temporary| {
-        open.push(PatternWriter::new(temporary, path, header, origin)?);
-        next_file(rest, overwrite, origin, open, fill)
+        temporaries.push(temporary.to_owned());
+        together(rest, overwrite, temporaries, write)
     })
 }
 
 impl PatternWriter {
     fn new(
-        temporary: &Path,
+        temporaries: &[PathBuf],
         path: &Path,
         header: &PatternHeader,
         origin: &PatternOrigin<'_>,
     ) -> Result<Self> {
-        let write = || -> hdf5::Result<(File, Dataset)> {
-            let file = hdf5_create::file(temporary)?;
-            write_origin(&file, FORMAT, FORMAT_VERSION, origin.origin)?;
-            describe(&file, header, origin)?;
-            if !origin.origin.sites.is_empty() {
-                write_specimen(&hdf5_create::group(&file, "specimen")?, origin.origin)?;
-            }
-            let data = datacube(&file, header)?;
-            write_entry(&file, header)?;
-            let vacuum = hdf5_create::group(&file, "vacuum")?;
-            let vacuum = vacuum.new_dataset_builder().with_data(origin.vacuum).create("data")?;
-            text(&vacuum, "units", "fraction of the beam")?;
-            Ok((file, data))
+        let temporary = &temporaries[0];
+        let hdf5 = |write: &dyn Fn() -> hdf5::Result<(File, Dataset)>| {
+            write().at(path).map(|(file, data)| PatternSink::Hdf5(file, data))
         };
-        let (file, data) = write().at(path)?;
-        Ok(PatternWriter { path: path.to_owned(), file, data })
+        let sink = match PatternFormat::of(path)? {
+            PatternFormat::Emd => hdf5(&|| emd(temporary, header, origin))?,
+            PatternFormat::Hspy => hdf5(&|| hspy(temporary, path, header, origin))?,
+            PatternFormat::SparseCsr => {
+                PatternSink::SparseCsr(CsrWriter::new(temporaries, path, header, origin)?)
+            }
+            PatternFormat::Empad => {
+                PatternSink::Empad(EmpadWriter::new(temporaries, path, header, origin)?)
+            }
+        };
+        Ok(PatternWriter { path: path.to_owned(), sink })
     }
 
-    /// Writes rows of fractions of the beam, from `first_row` on, (row, column, ky, kx).
+    /// Writes rows of fractions of the beam, from `first_row` on, (row, column, ky, kx). Rows come from the first to the last.
     ///
     /// # Errors
-    /// [`Error::Hdf5`].
-    pub fn fractions(&self, first_row: usize, rows: ArrayView4<'_, f32>) -> Result<()> {
-        self.rows(first_row, rows)
+    /// [`Error::Io`], [`Error::Hdf5`]; a sparse file, which holds counted electrons.
+    pub fn fractions(&mut self, first_row: usize, rows: ArrayView4<'_, f32>) -> Result<()> {
+        match &mut self.sink {
+            PatternSink::Hdf5(_, data) => put_rows(data, first_row, rows).at(&self.path),
+            PatternSink::Empad(frames) => frames.put(rows, |v| v),
+            PatternSink::SparseCsr(_) => {
+                let expected = "holds counted electrons";
+                Err(Error::invalid(Setting::OutputName, self.path.display(), expected))
+            }
+        }
     }
 
     /// The same for counted electrons.
     ///
     /// # Errors
-    /// [`Error::Hdf5`].
-    pub fn counts(&self, first_row: usize, rows: ArrayView4<'_, u32>) -> Result<()> {
-        self.rows(first_row, rows)
+    /// [`Error::Io`], [`Error::Hdf5`].
+    pub fn counts(&mut self, first_row: usize, rows: ArrayView4<'_, u32>) -> Result<()> {
+        match &mut self.sink {
+            PatternSink::Hdf5(_, data) => put_rows(data, first_row, rows).at(&self.path),
+            PatternSink::Empad(frames) => frames.put(rows, |v| v as f32),
+            PatternSink::SparseCsr(arrays) => arrays.counts(rows),
+        }
     }
 
-    fn rows<T: hdf5::H5Type + Clone>(
-        &self,
-        first_row: usize,
-        rows: ArrayView4<'_, T>,
-    ) -> Result<()> {
-        let end = first_row + rows.dim().0;
-        let at = ndarray::s![first_row..end, .., .., ..];
-        self.data.write_slice(&rows.as_standard_layout(), at).at(&self.path)
+    fn end(&mut self) -> Result<()> {
+        match &mut self.sink {
+            PatternSink::Hdf5(file, _) => file.flush().at(&self.path),
+            PatternSink::Empad(frames) => frames.end(),
+            PatternSink::SparseCsr(arrays) => arrays.end(),
+        }
     }
+}
+
+fn put_rows<T: hdf5::H5Type + Clone>(
+    data: &Dataset,
+    first_row: usize,
+    rows: ArrayView4<'_, T>,
+) -> hdf5::Result<()> {
+    let end = first_row + rows.dim().0;
+    match data.ndim() {
+        3 => {
+            let rings = rows.index_axis(Axis(2), 0);
+            let at = ndarray::s![first_row..end, .., ..];
+            data.write_slice(&rings.as_standard_layout(), at)
+        }
+        _ => {
+            let at = ndarray::s![first_row..end, .., .., ..];
+            data.write_slice(&rows.as_standard_layout(), at)
+        }
+    }
+}
+
+fn emd(
+    temporary: &Path,
+    header: &PatternHeader,
+    origin: &PatternOrigin<'_>,
+) -> hdf5::Result<(File, Dataset)> {
+    let file = hdf5_create::file(temporary)?;
+    write_origin(&file, FORMAT, FORMAT_VERSION, origin.origin)?;
+    describe(&file, header, origin)?;
+    if !origin.origin.sites.is_empty() {
+        write_specimen(&hdf5_create::group(&file, "specimen")?, origin.origin)?;
+    }
+    let data = datacube(&file, header)?;
+    write_entry(&file, header)?;
+    let vacuum = hdf5_create::group(&file, "vacuum")?;
+    let vacuum = vacuum.new_dataset_builder().with_data(origin.vacuum).create("data")?;
+    text(&vacuum, "units", "fraction of the beam")?;
+    Ok((file, data))
+}
+
+fn hspy(
+    temporary: &Path,
+    path: &Path,
+    header: &PatternHeader,
+    origin: &PatternOrigin<'_>,
+) -> hdf5::Result<(File, Dataset)> {
+    let (file, group) = hspy_patterns::begin(temporary, path, header, origin)?;
+    let data = dataset(&group, header)?;
+    Ok((file, data))
 }
 
 /// Bytes of the largest part of a file: its patterns.
 pub fn data_bytes(header: &PatternHeader) -> u64 {
-    let n = header.detector.pixels as u64;
-    header.scan.len() as u64 * n * n * size_of::<f32>() as u64
+    let values = header.detector.values() as u64;
+    header.scan.len() as u64 * values * size_of::<f32>() as u64
 }
 
 fn describe(file: &File, h: &PatternHeader, o: &PatternOrigin<'_>) -> hdf5::Result<()> {
@@ -181,8 +265,11 @@ fn describe(file: &File, h: &PatternHeader, o: &PatternOrigin<'_>) -> hdf5::Resu
     number(file, "defocus_angstrom", h.defocus_angstrom)?;
     number(file, "c10_angstrom", -h.defocus_angstrom)?;
     number(file, "thickness_angstrom", h.thickness_angstrom)?;
-    number(file, "pixel_mrad", h.detector.pixel_mrad())?;
-    number(file, "max_angle_mrad", h.detector.max_angle_mrad)?;
+    match h.detector {
+        PatternDetector::Pixels(pixels) => number(file, "pixel_mrad", pixels.pixel_mrad())?,
+        PatternDetector::Rings(rings) => number(file, "ring_mrad", rings.width_mrad)?,
+    }
+    number(file, "max_angle_mrad", h.detector.max_angle_mrad())?;
     array(file, "step_angstrom", &h.scan.step_angstrom)?;
     array(file, "origin_angstrom", &h.scan.origin_angstrom)?;
     text(file, "engine", &o.engine)?;
@@ -194,19 +281,36 @@ fn describe(file: &File, h: &PatternHeader, o: &PatternOrigin<'_>) -> hdf5::Resu
     Ok(())
 }
 
-/// Name, unit, step, first value and length of the axes of an array of patterns.
-fn axes_of(h: &PatternHeader) -> [(&'static str, &'static str, [f64; 2], usize); 4] {
-    let n = h.detector.pixels;
-    let k = h.detector.pixel_k(h.wavelength_angstrom);
-    let first = -((n / 2) as f64) * k;
+/// An axis of an array of patterns.
+pub(super) struct PatternAxis {
+    /// Its name in EMD, and in NeXus and HyperSpy.
+    pub names: [&'static str; 2],
+    /// Its unit in EMD.
+    pub unit: &'static str,
+    /// First value and step.
+    pub line: [f64; 2],
+    pub count: usize,
+}
+
+/// The axes of an array of patterns.
+pub(super) fn axes_of(h: &PatternHeader) -> Vec<PatternAxis> {
     let ([x, y], [x0, y0]) = (h.scan.step_angstrom, h.scan.origin_angstrom);
     let [rows, columns] = h.scan.shape;
-    [
-        ("Ry", "A", [y0, y], rows),
-        ("Rx", "A", [x0, x], columns),
-        ("Qy", "A^-1", [first, k], n),
-        ("Qx", "A^-1", [first, k], n),
-    ]
+    let axis = |names, unit, line, count| PatternAxis { names, unit, line, count };
+    let mut axes =
+        vec![axis(["Ry", "y"], "A", [y0, y], rows), axis(["Rx", "x"], "A", [x0, x], columns)];
+    match h.detector {
+        PatternDetector::Pixels(pixels) => {
+            let (n, k) = (pixels.pixels, pixels.pixel_k(h.wavelength_angstrom));
+            let line = [-((n / 2) as f64) * k, k];
+            axes.extend([["Qy", "ky"], ["Qx", "kx"]].map(|names| axis(names, "A^-1", line, n)));
+        }
+        PatternDetector::Rings(rings) => {
+            let width = rings.width_mrad;
+            axes.push(axis(["theta", "angle"], "mrad", [0.5 * width, width], rings.rings));
+        }
+    }
+    axes
 }
 
 /// The array and its calibration, as EMD has them.
@@ -214,28 +318,42 @@ fn datacube(file: &File, h: &PatternHeader) -> hdf5::Result<Dataset> {
     let root = hdf5_create::group(file, "datacube_root")?;
     text(&root, "emd_group_type", "root")?;
     text(&root, "python_class", "Root")?;
-    let group = hdf5_create::group(&root, "datacube")?;
-    text(&group, "emd_group_type", "array")?;
-    text(&group, "python_class", "DataCube")?;
-    let all = axes_of(h);
-    let shape = all.map(|axis| axis.3);
-    let n = h.detector.pixels;
-    let together = (CHUNK_BYTES / (n * n * size_of::<f32>())).clamp(1, h.scan.shape[1].max(1));
-    let extents = Extents::from(shape.to_vec());
-    let chunk = vec![1, together, n, n];
-    let data = match h.counted {
-        None => group.new_dataset::<f32>().shape(extents).chunk(chunk).create("data")?,
-        Some(_) => group.new_dataset::<u32>().shape(extents).chunk(chunk).create("data")?,
+    let (name, class) = match h.detector {
+        PatternDetector::Pixels(_) => ("datacube", "DataCube"),
+        PatternDetector::Rings(_) => ("radial", "Array"),
     };
-    text(&data, "units", if h.counted.is_some() { "electrons" } else { "fraction of the beam" })?;
-    for (i, (name, unit, [first, step], count)) in all.into_iter().enumerate() {
-        let dim = places([first, step], count);
+    let group = hdf5_create::group(&root, name)?;
+    text(&group, "emd_group_type", "array")?;
+    text(&group, "python_class", class)?;
+    let data = dataset(&group, h)?;
+    text(&data, "units", units_of(h))?;
+    for (i, axis) in axes_of(h).into_iter().enumerate() {
+        let dim = places(axis.line, axis.count);
         let dim = group.new_dataset_builder().with_data(&dim).create(format!("dim{i}").as_str())?;
-        text(&dim, "name", name)?;
-        text(&dim, "units", unit)?;
+        text(&dim, "name", axis.names[0])?;
+        text(&dim, "units", axis.unit)?;
     }
     calibration(&root, h)?;
     Ok(data)
+}
+
+/// What the values of a file are.
+pub(super) fn units_of(h: &PatternHeader) -> &'static str {
+    if h.counted.is_some() { "electrons" } else { "fraction of the beam" }
+}
+
+/// The array itself, in chunks of neighbouring patterns of a row.
+fn dataset(group: &Group, h: &PatternHeader) -> hdf5::Result<Dataset> {
+    let shape: Vec<usize> = axes_of(h).iter().map(|axis| axis.count).collect();
+    let bytes = h.detector.values() * size_of::<f32>();
+    let mut chunk = shape.clone();
+    chunk[0] = 1;
+    chunk[1] = (CHUNK_BYTES / bytes).clamp(1, shape[1].max(1));
+    let extents = Extents::from(shape);
+    match h.counted {
+        None => group.new_dataset::<f32>().shape(extents).chunk(chunk).create("data"),
+        Some(_) => group.new_dataset::<u32>().shape(extents).chunk(chunk).create("data"),
+    }
 }
 
 fn calibration(root: &Group, h: &PatternHeader) -> hdf5::Result<()> {
@@ -249,7 +367,11 @@ fn calibration(root: &Group, h: &PatternHeader) -> hdf5::Result<()> {
         dataset.write_scalar(&value)?;
         text(&dataset, "type", "number")
     };
-    put("Q_pixel_size", h.detector.pixel_k(h.wavelength_angstrom))?;
+    let k = match h.detector {
+        PatternDetector::Pixels(pixels) => pixels.pixel_k(h.wavelength_angstrom),
+        PatternDetector::Rings(rings) => 1e-3 * rings.width_mrad / h.wavelength_angstrom,
+    };
+    put("Q_pixel_size", k)?;
     put("R_pixel_size", h.scan.step_angstrom[0])?;
     put("energy", 1e3 * h.energy_kev)?;
     put("convergence_semiangle", h.semiangle_mrad)?;
@@ -269,7 +391,9 @@ fn calibration(root: &Group, h: &PatternHeader) -> hdf5::Result<()> {
     text(&targets, "type", "list_of_strings")?;
     let target = targets.new_dataset::<hdf5::types::VarLenUnicode>().create("0")?;
     let value: hdf5::types::VarLenUnicode =
-        "/datacube".parse().map_err(|_| hdf5::Error::Internal("a NUL".into()))?;
+        (if h.detector.pixels().is_some() { "/datacube" } else { "/radial" })
+            .parse()
+            .map_err(|_| hdf5::Error::Internal("a NUL".into()))?;
     target.write_scalar(&value)
 }
 
@@ -282,12 +406,19 @@ fn write_entry(file: &File, h: &PatternHeader) -> hdf5::Result<()> {
     let group = hdf5_create::group(&entry, "diffraction")?;
     text(&group, "NX_class", "NXdata")?;
     text(&group, "signal", "data")?;
-    axes(&group, &["y", "x", "ky", "kx"])?;
-    group.link_soft(&format!("/{DATA}"), "data")?;
-    let names = ["y", "x", "ky", "kx"];
-    for (name, (_, unit, line, count)) in names.into_iter().zip(axes_of(h)) {
-        let dataset = group.new_dataset_builder().with_data(&places(line, count)).create(name)?;
-        text(&dataset, "units", if unit == "A" { "angstrom" } else { "1/angstrom" })?;
+    let all = axes_of(h);
+    axes(&group, &all.iter().map(|axis| axis.names[1]).collect::<Vec<_>>())?;
+    let data = if h.detector.pixels().is_some() { DATA } else { RINGS };
+    group.link_soft(&format!("/{data}"), "data")?;
+    for axis in all {
+        let values = places(axis.line, axis.count);
+        let dataset = group.new_dataset_builder().with_data(&values).create(axis.names[1])?;
+        let unit = match axis.unit {
+            "A" => "angstrom",
+            "A^-1" => "1/angstrom",
+            other => other,
+        };
+        text(&dataset, "units", unit)?;
     }
     Ok(())
 }
@@ -326,7 +457,8 @@ impl PatternFile {
             return Ok(None);
         }
         let read = || -> Guarded<Self> {
-            let data = file.dataset(DATA).map_err(damaged)?;
+            let rings = number_of::<f64>(&file, "ring_mrad").is_some();
+            let data = file.dataset(if rings { RINGS } else { DATA }).map_err(damaged)?;
             check_storage(&data, bytes)?;
             let vacuum = file.dataset("vacuum/data").ok();
             if let Some(vacuum) = &vacuum {
@@ -350,19 +482,32 @@ impl PatternFile {
         &self.header
     }
 
-    /// The patterns of some rows, (row, column, ky, kx): fractions of the beam, or electrons.
+    /// The patterns of some rows, (row, column, ky, kx): fractions of the beam, or electrons. Of rings: (row, column, 1, ring).
     ///
     /// # Errors
     /// [`Error::Parse`] for damaged values.
     pub fn rows(&self, rows: Range<usize>) -> Result<Array4<f32>> {
-        let shape = self.data.shape();
-        let ranges = [rows, 0..shape[1], 0..shape[2], 0..shape[3]];
-        let found = match self.header.counted {
-            None => hdf5_values::part(&self.data, &self.path, &ranges),
-            Some(_) => hdf5_values::part::<u32, ndarray::Ix4>(&self.data, &self.path, &ranges)
-                .map(|counts| counts.mapv(|n| n as f32)),
+        let mut ranges: Vec<Range<usize>> = self.data.shape().iter().map(|n| 0..*n).collect();
+        ranges[0] = rows;
+        let found = match self.header.detector {
+            PatternDetector::Pixels(_) => self.part::<ndarray::Ix4>(&ranges),
+            PatternDetector::Rings(_) => {
+                let found: Guarded<Array3<f32>> = self.part(&ranges);
+                found.map(|rings| rings.insert_axis(Axis(2)))
+            }
         };
-        found.map_err(|fault| Error::parse(&self.path, 0, format!("/{DATA}: {fault}")))
+        found.map_err(|fault| Error::parse(&self.path, 0, format!("patterns: {fault}")))
+    }
+
+    fn part<D: ndarray::Dimension>(
+        &self,
+        ranges: &[Range<usize>],
+    ) -> Guarded<ndarray::Array<f32, D>> {
+        match self.header.counted {
+            None => hdf5_values::part(&self.data, &self.path, ranges),
+            Some(_) => hdf5_values::part::<u32, D>(&self.data, &self.path, ranges)
+                .map(|counts| counts.mapv(|n| n as f32)),
+        }
     }
 
     /// The beam without a specimen, if the file has it.
@@ -378,17 +523,28 @@ impl PatternFile {
 
 /// What describes the patterns of a file.
 fn header(file: &File, data: &Dataset) -> Guarded<PatternHeader> {
-    let [rows, columns, ky, kx] = data.shape()[..] else {
-        return Err("holds no patterns of a scan".into());
-    };
-    if ky != kx || !(2..=MOST_PIXELS).contains(&kx) || rows == 0 || columns == 0 {
-        return Err(format!("holds {rows} x {columns} patterns of {ky} x {kx} pixels"));
-    }
     let value = |name: &str, range: Range<f64>| {
         let found: Option<f64> = number_of(file, name);
         let inside = found.filter(|v| range.contains(v));
         inside.ok_or_else(|| format!("its attribute `{name}` is missing, or no such value"))
     };
+    let max_angle_mrad = value("max_angle_mrad", 1e-6..2e3)?;
+    let (rows, columns, detector) = match data.shape()[..] {
+        [rows, columns, ky, kx] if ky == kx && (2..=MOST_PIXELS).contains(&kx) => {
+            let pixels = PixelatedDetector { pixels: kx, max_angle_mrad };
+            (rows, columns, PatternDetector::Pixels(pixels))
+        }
+        [rows, columns, rings] => {
+            let found = RadialBins::new(value("ring_mrad", 1e-6..2e3)?, max_angle_mrad);
+            let found = found.ok().filter(|found| found.rings == rings);
+            let found = found.ok_or_else(|| format!("holds {rings} rings of no such width"))?;
+            (rows, columns, PatternDetector::Rings(found))
+        }
+        _ => return Err(format!("holds no patterns of a scan, but {:?}", data.shape())),
+    };
+    if rows == 0 || columns == 0 {
+        return Err(format!("holds {rows} x {columns} patterns"));
+    }
     let energy_kev = value("energy_kev", 1.0..1e4)?;
     let pairs = |name: &str| {
         let found = pair(file, name).filter(|p| p.iter().all(|v| v.is_finite()));
@@ -397,10 +553,7 @@ fn header(file: &File, data: &Dataset) -> Guarded<PatternHeader> {
     let electrons: Option<f64> = number_of(file, "electrons_per_pattern");
     let seed: Option<u64> = number_of(file, "seed");
     Ok(PatternHeader {
-        detector: PixelatedDetector {
-            pixels: kx,
-            max_angle_mrad: value("max_angle_mrad", 1e-6..2e3)?,
-        },
+        detector,
         scan: Scan {
             origin_angstrom: pairs("origin_angstrom")?,
             step_angstrom: pairs("step_angstrom")?,

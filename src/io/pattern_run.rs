@@ -5,9 +5,8 @@ use std::path::{Path, PathBuf};
 use ndarray::{Array2, ArrayView4, Axis};
 
 use super::image_file::Origin;
-use super::pattern_file::{
-    PatternHeader, PatternOrigin, PatternWriter, data_bytes, write_patterns,
-};
+use super::pattern_file::{PatternHeader, PatternOrigin, PatternWriter, write_patterns};
+use super::pattern_format::PatternFormat;
 use crate::error::Result;
 use crate::files::disk_space::check_places;
 use crate::progress::Progress;
@@ -40,6 +39,7 @@ impl PatternRun<'_> {
     pub fn files(&self) -> Vec<(PathBuf, PatternHeader)> {
         let headers = self.headers();
         let thicknesses = self.job.plans()[0].record_after.len();
+        let ending = PatternFormat::of(self.output).unwrap_or(PatternFormat::Emd).ending();
         let name = |(n, header): (usize, PatternHeader)| {
             let mut suffix = String::new();
             if let Some(defocus) = self.job.series_defocus(n / thicknesses.max(1)) {
@@ -50,7 +50,7 @@ impl PatternRun<'_> {
             }
             let mut file = self.output.file_stem().unwrap_or_default().to_owned();
             file.push(suffix);
-            file.push(".emd");
+            file.push(ending);
             (self.output.with_file_name(file), header)
         };
         headers.into_iter().enumerate().map(name).collect()
@@ -78,13 +78,28 @@ impl PatternRun<'_> {
         headers
     }
 
+    /// All files that will be written: those of the patterns, and what belongs to them.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`](crate::Error::Invalid) for a name that says no kind of file, and for patterns that such files do not hold.
+    pub fn outputs(&self) -> Result<Vec<PathBuf>> {
+        let format = PatternFormat::of(self.output)?;
+        let mut all = Vec::new();
+        for (path, header) in self.files() {
+            format.check(&header)?;
+            all.extend(format.companions(&path));
+            all.push(path);
+        }
+        Ok(all)
+    }
+
     /// Refuses patterns that their disk has no room for.
     ///
     /// # Errors
     /// [`Error::DiskSpace`](crate::Error::DiskSpace).
     pub fn check_space(&self) -> Result<()> {
-        let files = self.files();
-        let needed = files.iter().map(|(path, header)| (path.as_path(), data_bytes(header)));
+        let (format, files) = (PatternFormat::of(self.output)?, self.files());
+        let needed = files.iter().map(|(path, header)| (path.as_path(), format.bytes(header)));
         check_places(&needed.collect::<Vec<_>>())
     }
 
@@ -133,7 +148,7 @@ fn take(
             }
         }
     }
-    for (t, (writer, sum)) in writers.iter().zip(sums).enumerate() {
+    for (t, (writer, sum)) in writers.iter_mut().zip(sums).enumerate() {
         match &band.values {
             PatternValues::Fractions(values) => {
                 let rows = values.index_axis(Axis(0), t);

@@ -166,7 +166,10 @@ impl SimulationJob {
     /// # Errors
     /// [`Error::Invalid`] for a scan whose margin is larger than the cell.
     pub fn simulated_scan(&self) -> Result<Scan> {
-        Ok(self.source_blur()?.map_or(self.scan, |blur| *blur.scan()))
+        match self.pattern_scan() {
+            Some(scan) => Ok(scan),
+            None => Ok(self.source_blur()?.map_or(self.scan, |blur| *blur.scan())),
+        }
     }
 
     /// Bytes of memory that each plan takes on the threads of this process, and what takes less.
@@ -174,8 +177,8 @@ impl SimulationJob {
         let probes = if self.request.plane_wave { 1 } else { self.scan.len() };
         self.plans.iter().map(move |plan| {
             let cost = Cost::new(plan, &self.scan).for_probes(probes);
-            let patterns = self.pattern_cost(plan).map_or(0, |cost| cost.memory_bytes(threads()));
-            (cost.memory_bytes(threads()) + patterns, cost.memory_remedy(threads()))
+            let bytes = cost.memory_bytes(threads()) + self.pattern_bytes(plan);
+            (bytes, cost.memory_remedy(threads()))
         })
     }
 
@@ -201,7 +204,7 @@ impl SimulationJob {
         let runs = if self.request.plane_wave { 1 } else { self.plans.len() * frames };
         let mut report = PlanReport::new(plan, &cost, runs);
         if let Some(cost) = self.pattern_cost(plan) {
-            report.memory_bytes += cost.memory_bytes(threads());
+            report.memory_bytes += self.pattern_bytes(plan);
             report.add_time(pattern_job::seconds(&cost, threads()).map(|s| s * runs as f64));
         }
         report.warnings = self.warnings.iter().map(|warning| warning.message.clone()).collect();

@@ -38,6 +38,7 @@ mod plane_wave;
 mod plausibility;
 mod request;
 mod scan;
+mod source_patterns;
 mod time_estimate;
 
 pub use atoms::{AtomsSource, FromFile, PreparedSpecimen, SigmaChoice, SpecimenRequest};

@@ -1,12 +1,17 @@
 //! Diffraction patterns of every probe of a scan (4D-STEM).
 
 use ndarray::{Array2, Array5, ArrayView5, Axis};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::job::SimulationJob;
 use super::numerics_request::NumericsRequest;
 use super::request::SimulationRequest;
-use crate::detect::{Detector, PixelatedDetector};
+use super::source_patterns::SourceRaster;
+use super::time_estimate::threads;
+use crate::detect::{
+    Detector, DetectorMtf, MtfFilter, PatternDetector, PixelatedDetector, RadialBins,
+};
 use crate::engine::patterns::{PatternCost, PatternRows, PatternSettings, simulate_patterns};
 use crate::engine::{Plan, Scan, Settings};
 use crate::error::{Error, Result};
@@ -24,12 +29,24 @@ pub struct PatternsRequest {
     pub max_angle_mrad: f64,
     /// Adds what windows cut off the probe (see [`PatternSettings`]).
     pub coherent_tail: bool,
+    /// Sums over rings of this width in mrad up to `max_angle_mrad`, in place of pixels.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub radial_mrad: Option<f64>,
+    /// How the detector spreads the electrons of a pixel over its neighbours; `None`: not at all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mtf: Option<DetectorMtf>,
 }
 
 impl Default for PatternsRequest {
     /// 64 x 64 pixels to 100 mrad.
     fn default() -> Self {
-        PatternsRequest { pixels: 64, max_angle_mrad: 100.0, coherent_tail: true }
+        PatternsRequest {
+            pixels: 64,
+            max_angle_mrad: 100.0,
+            coherent_tail: true,
+            radial_mrad: None,
+            mtf: None,
+        }
     }
 }
 
@@ -66,12 +83,28 @@ const LEAST_WINDOW_ANGSTROM: f64 = 13.0;
 
 impl PatternsRequest {
     /// The detector.
-    pub fn detector(&self) -> PixelatedDetector {
-        PixelatedDetector { pixels: self.pixels, max_angle_mrad: self.max_angle_mrad }
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for what is no detector, and for a transfer function of rings.
+    pub fn detector(&self) -> Result<PatternDetector> {
+        if let Some(mtf) = &self.mtf {
+            mtf.check()?;
+        }
+        let Some(width) = self.radial_mrad else {
+            let pixels =
+                PixelatedDetector { pixels: self.pixels, max_angle_mrad: self.max_angle_mrad };
+            pixels.check()?;
+            return Ok(pixels.into());
+        };
+        if self.mtf.is_some() {
+            let expected = "spreads electrons over pixels; rings have none";
+            return Err(Error::invalid(Setting::DetectorMtf, "given", expected));
+        }
+        Ok(PatternDetector::Rings(RadialBins::new(width, self.max_angle_mrad)?))
     }
 
-    fn settings(&self) -> PatternSettings {
-        PatternSettings { detector: self.detector(), coherent_tail: self.coherent_tail }
+    fn settings(&self) -> Result<PatternSettings> {
+        Ok(PatternSettings { detector: self.detector()?, coherent_tail: self.coherent_tail })
     }
 }
 
@@ -103,8 +136,7 @@ pub(super) fn numerics(
 
 /// The settings for patterns: the grid carries the detector, and every probe is propagated.
 pub(super) fn settings(request: &PatternsRequest, scan: Settings) -> Result<Settings> {
-    request.detector().check()?;
-    let whole = Detector::new("pattern", 0.0, request.max_angle_mrad);
+    let whole = Detector::new("pattern", 0.0, request.detector()?.max_angle_mrad());
     Ok(Settings { detectors: vec![whole], probe_step: crate::engine::ProbeStep::Scan, ..scan })
 }
 
@@ -117,9 +149,11 @@ pub(super) fn check(request: &SimulationRequest) -> Result<()> {
         let expected = "has no probes, and so no patterns; leave one of the two out";
         return Err(Error::invalid(Setting::PlaneWave, "true", expected));
     }
-    if let Some(size) = request.microscope.source_size_angstrom {
-        let expected = "blurs images, not patterns; leave it out, and blur the images that are made of the patterns";
-        return Err(Error::invalid(Setting::SourceSizeAngstrom, size, expected));
+    let share = request.microscope.source_lorentz_share;
+    if share != 0.0 {
+        let expected =
+            "is the share of long tails, which images have; the source of patterns is a Gaussian";
+        return Err(Error::invalid(Setting::SourceLorentzShare, share, expected));
     }
     Ok(())
 }
@@ -127,7 +161,7 @@ pub(super) fn check(request: &SimulationRequest) -> Result<()> {
 impl SimulationJob {
     /// The pixelated detector and how it is read; `None` for a request for images.
     pub fn pattern_settings(&self) -> Option<PatternSettings> {
-        self.request().patterns.as_ref().map(PatternsRequest::settings)
+        self.request().patterns.as_ref().and_then(|patterns| patterns.settings().ok())
     }
 
     /// The patterns of all probes at one defocus, number `plan`, handed to `take` by rows; electrons are counted where a dose is asked for.
@@ -141,8 +175,17 @@ impl SimulationJob {
         progress: &dyn Progress,
     ) -> Result<()> {
         let settings = self.asked()?;
+        let filter = self.mtf_filter(&settings);
         let records = self.plans()[plan].record_after.len();
         let mut hand_on = |rows: PatternRows<'_>| {
+            let first_row = rows.first_row;
+            let spread = filter.as_ref().map(|filter| {
+                let mut data = rows.data.to_owned();
+                spread(filter, &mut data);
+                data
+            });
+            let data = spread.as_ref().map_or(rows.data, |data| data.view());
+            let rows = PatternRows { first_row, data };
             let values = match self.electrons_per_pixel() {
                 None => PatternValues::Fractions(rows.data),
                 Some(electrons) => {
@@ -150,17 +193,35 @@ impl SimulationJob {
                     PatternValues::Counts(self.counted(&rows, first))
                 }
             };
-            take(PatternBand { first_row: rows.first_row, values })
+            take(PatternBand { first_row, values })
         };
-        let frames = self.specimen().frames();
-        simulate_patterns(
-            &self.plans()[plan],
-            &frames,
-            self.scan(),
-            settings,
-            &mut hand_on,
-            progress,
-        )
+        let raster = self.source_raster();
+        let scan = raster.as_ref().map_or(self.scan(), SourceRaster::scan);
+        let mut of_source = raster.as_ref().map(SourceRaster::rows);
+        let mut take_rows = |rows: PatternRows<'_>| match &mut of_source {
+            None => hand_on(rows),
+            Some(source) => source.push(&rows, &mut hand_on),
+        };
+        let (plan, frames) = (&self.plans()[plan], self.specimen().frames());
+        simulate_patterns(plan, &frames, scan, settings, &mut take_rows, progress)
+    }
+
+    /// The raster of probes that the source takes; `None` for a point source, and for images.
+    fn source_raster(&self) -> Option<SourceRaster> {
+        self.request().patterns.as_ref()?;
+        Some(SourceRaster::new(self.request().microscope.source()?, self.scan()))
+    }
+
+    /// The scan that is simulated for patterns; `None` for images.
+    pub(super) fn pattern_scan(&self) -> Option<Scan> {
+        self.request().patterns.as_ref()?;
+        Some(self.source_raster().map_or(*self.scan(), |raster| *raster.scan()))
+    }
+
+    /// What spreads electrons over pixels, where that is asked for.
+    fn mtf_filter(&self, settings: &PatternSettings) -> Option<MtfFilter> {
+        let mtf = self.request().patterns.as_ref()?.mtf.as_ref()?;
+        Some(MtfFilter::new(mtf, settings.detector.pixels()?.pixels))
     }
 
     /// The pattern of the beam without a specimen, at the first defocus.
@@ -169,8 +230,8 @@ impl SimulationJob {
     /// A request without patterns.
     pub fn vacuum_pattern(&self) -> Result<Array2<f32>> {
         let settings = self.asked()?;
-        let n = settings.detector.pixels;
-        let mut found = Array2::zeros((n, n));
+        let [ny, nx] = settings.detector.shape();
+        let mut found = Array2::zeros((ny, nx));
         let mut take = |rows: PatternRows<'_>| {
             found.assign(
                 &rows.data.index_axis(Axis(0), 0).index_axis(Axis(0), 0).index_axis(Axis(0), 0),
@@ -186,12 +247,26 @@ impl SimulationJob {
         let middle =
             Scan { origin_angstrom: [0.5 * x, 0.5 * y], step_angstrom: [1.0; 2], shape: [1, 1] };
         simulate_patterns(&plan, &[&[]], &middle, settings, &mut take, &Silent)?;
+        if let Some(filter) = self.mtf_filter(&settings) {
+            filter.apply(found.view_mut(), &mut filter.workspace());
+        }
         Ok(found)
     }
 
     /// What the patterns of a plan take beside its waves; nothing for images.
     pub(super) fn pattern_cost(&self, plan: &Plan) -> Option<PatternCost> {
-        Some(PatternCost::new(plan, self.scan(), &self.pattern_settings()?))
+        Some(PatternCost::new(plan, &self.pattern_scan()?, &self.pattern_settings()?))
+    }
+
+    /// Bytes of memory that the patterns of a plan take beside its waves; 0 for images.
+    pub(super) fn pattern_bytes(&self, plan: &Plan) -> u64 {
+        let (Some(cost), Some(settings)) = (self.pattern_cost(plan), self.pattern_settings())
+        else {
+            return 0;
+        };
+        let values = plan.record_after.len() * settings.detector.values();
+        let held = self.source_raster().map_or(0, |raster| raster.held_bytes(values));
+        cost.memory_bytes(threads()) + held
     }
 
     fn asked(&self) -> Result<PatternSettings> {
@@ -223,4 +298,17 @@ impl SimulationJob {
         }
         counts
     }
+}
+
+/// Spreads the electrons of all patterns.
+fn spread(filter: &MtfFilter, data: &mut Array5<f32>) {
+    let mut patterns: Vec<_> = data
+        .outer_iter_mut()
+        .flat_map(|rows| rows.into_outer_iter_mut())
+        .flat_map(|row| row.into_outer_iter_mut())
+        .collect();
+    patterns.par_iter_mut().for_each_init(
+        || filter.workspace(),
+        |workspace, pattern| filter.apply(pattern.view_mut(), workspace),
+    );
 }

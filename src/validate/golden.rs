@@ -38,7 +38,7 @@ macro_rules! atoms {
     };
 }
 
-const FILES: [File; 11] = golden![
+const FILES: [File; 12] = golden![
     "srtio3_001",
     "srtio3_001_aberrated",
     "srtio3_001_optics",
@@ -46,6 +46,7 @@ const FILES: [File; 11] = golden![
     "si_110",
     "si_110_prism_f2",
     "exit_intensity",
+    "srtio3_patterns",
     "potential_srtio3",
     "displaced_refined",
     "displaced_bandlimit",

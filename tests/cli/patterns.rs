@@ -106,6 +106,162 @@ fn electrons_are_counted_at_every_thickness_and_defocus() {
     assert_eq!(images["images"][0]["units"], "electrons");
 }
 
+/// A file of rings is small, and any annulus of whole rings is made of it: that of `simulate`, to the rounding of float32.
+#[test]
+fn rings_make_any_annulus() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    silicon(here);
+    let scan = &SMALL[..8];
+    let full = ["--engine", "multislice", "--thicknesses", "5.4,10.8"];
+    let made = done(
+        here,
+        &[&["patterns", "si.cif"], scan, &full, &["--radial", "1", "--max-angle", "200"]].concat(),
+    );
+    assert_eq!(made["files"][1]["rings"].as_u64(), Some(200));
+    let held = python("check_rings.py", &[&here.join("si_10.9A.emd")]);
+    assert!(held.starts_with("float32 3 4 200"), "{held}");
+    assert!(made["files"][1]["file_bytes"].as_u64() < Some(200_000));
+    done(
+        here,
+        &[
+            "integrate",
+            "si_10.9A.emd",
+            "--annulus",
+            "HAADF=68-200",
+            "--annulus",
+            "BF=0-21",
+            "-o",
+            "i.h5",
+        ],
+    );
+    let detectors = ["--detector", "HAADF=68-200", "--detector", "BF=0-21", "-o", "s.h5"];
+    let probes = ["--probe-step", "scan"];
+    done(here, &[&["simulate", "si.cif"], scan, &full, &detectors, &probes].concat());
+    let off = python("compare_images.py", &[&here.join("i.h5"), &here.join("s.h5")]);
+    assert!(off.trim_end() == "HAADF BF", "{off}");
+    // Electrons are counted on each ring.
+    done(
+        here,
+        &[&["patterns", "si.cif"], scan, &["--radial", "2", "--dose", "1e4", "-o", "n.emd"]]
+            .concat(),
+    );
+    assert!(python("check_rings.py", &[&here.join("n.emd")]).starts_with("uint32 3 4 50"));
+    let refused = |arguments: &[&str], words: &str| {
+        let told = fails(stemgen(here).args(arguments));
+        assert!(told.contains(words), "{arguments:?}: {told}");
+    };
+    refused(&["integrate", "n.emd", "--annulus", "67-90"], "66-90 is made of whole ones");
+    refused(&["integrate", "n.emd", "--annulus", "68-200"], "reach to 100.0 mrad");
+    refused(&["integrate", "n.emd", "--com"], "without --radial");
+    refused(&["integrate", "n.emd", "--sectors", "0-20:4"], "sectors need pixels");
+    let rings = |more: &[&str], words: &str| {
+        refused(&[&["patterns", "si.cif", "-o", "x.emd"], scan, more].concat(), words);
+    };
+    rings(&["--radial", "3"], "99 mrad is");
+    rings(&["--radial", "1", "--pixels", "32"], "--pixels");
+    rings(&["--radial", "1", "--mtf", "1"], "--mtf");
+    rings(&["--radial", "1", "--png"], "have no picture");
+    rings(&["--radial", "0.001"], "4096");
+}
+
+/// The same electrons in every kind of file.
+#[test]
+fn other_files_hold_the_same_electrons() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    silicon(here);
+    let scan = [&["patterns", "si.cif"], &SMALL[..8], &["--max-angle", "50"]].concat();
+    let counted = [&scan[..], &["--pixels", "128", "--dose", "3e3"]].concat();
+    for name in ["a.emd", "a.hspy", "a.toml", "a.raw"] {
+        let made = done(here, &[&counted[..], &["-o", name]].concat());
+        assert_eq!(made["files"][0]["output"], name);
+    }
+    let held = python("check_pattern_files.py", &[&here.join("a")]);
+    assert!(held.starts_with("3 4 128 128"), "{held}");
+    // Fractions of the beam for the EMPAD.
+    done(here, &[&scan[..], &["--pixels", "128", "-o", "f.raw"]].concat());
+    let bytes = std::fs::read(here.join("f.raw")).unwrap();
+    assert_eq!(bytes.len(), 12 * 130 * 128 * 4);
+    let mut files: Vec<_> = std::fs::read_dir(here)
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    files.sort();
+    let expected = [
+        "a.emd",
+        "a.hspy",
+        "a.json",
+        "a.raw",
+        "a.toml",
+        "a.xml",
+        "a_indices.dat",
+        "a_indptr.dat",
+        "a_values.dat",
+        "f.json",
+        "f.raw",
+        "f.xml",
+        "si.cif",
+    ];
+    assert_eq!(files, expected);
+    let refused = |more: &[&str], words: &str| {
+        let told = fails(stemgen(here).args(&scan).args(more));
+        assert!(told.contains(words), "{more:?}: {told}");
+    };
+    refused(&["-o", "b.toml"], "give a dose");
+    refused(&["-o", "b.raw"], "128 x 128");
+    refused(&["-o", "b.hspy", "--radial", "1"], "rings are written as .emd");
+    refused(&["-o", "b.zarr"], "did you mean b.emd?");
+    refused(&["-o", "a.toml", "--dose", "10"], "--overwrite");
+    std::fs::remove_file(here.join("a.raw")).unwrap();
+    refused(&["-o", "a.raw", "--pixels", "128"], "a.json");
+}
+
+/// A source and a transfer function change the patterns, and go into the request.
+#[test]
+fn patterns_are_made_again_from_their_request() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    silicon(here);
+    std::fs::write(here.join("mtf.csv"), "# cycles per pixel, transfer\n0,1\n0.25,0.8\n0.5,0.4\n")
+        .unwrap();
+    let more =
+        ["--source-size", "0.8", "--mtf", "mtf.csv", "--dose", "1e5", "--defocus", "0:20:20"];
+    let asked = [&["patterns", "si.cif"], SMALL, &more].concat();
+    let plan = done(here, &[&asked[..], &["--dry-run"]].concat());
+    assert_eq!(plan["scan"][1].as_u64(), Some(4), "{plan}");
+    done(here, &[&asked[..], &["--write-request", "r.toml"]].concat());
+    let text = std::fs::read_to_string(here.join("r.toml")).unwrap();
+    assert!(text.contains("stemgen patterns r.toml") && text.contains("mtf = [["), "{text}");
+    std::fs::remove_file(here.join("mtf.csv")).unwrap();
+    done(here, &["patterns", "r.toml"]);
+    let again = done(here, &["rerun", "r_defocus_20A.emd"]);
+    assert_eq!(again["values"].as_u64(), Some(0), "{again}");
+    assert!(here.join("r_defocus_20A_rerun_defocus_20A.emd").exists());
+    done(here, &["patterns", "r.toml", "--mtf", "0", "-o", "sharp.emd"]);
+    let values = |name: &str| {
+        let all = python("digest.py", &[&here.join(name)]);
+        all.lines().find(|line| line.contains("datacube/data")).map(str::to_owned)
+    };
+    assert_ne!(values("sharp_defocus_0A.emd"), values("r_defocus_0A.emd"));
+    // A file whose numbers are others.
+    python("change_pattern.py", &[&here.join("r_defocus_20A.emd")]);
+    let told = stemgen(here).args(["rerun", "r_defocus_20A.emd", "--overwrite"]).output().unwrap();
+    assert_eq!(told.status.code(), Some(3));
+    assert!(String::from_utf8_lossy(&told.stdout).contains("1 values DIFFER"));
+    let refused = |arguments: &[&str], words: &str| {
+        let told = fails(stemgen(here).args(arguments));
+        assert!(told.contains(words), "{arguments:?}: {told}");
+    };
+    refused(&["patterns", "r.toml", "--write-request", "r.txt"], "did you mean r.toml?");
+    refused(&["patterns", "r.toml", "--mtf", "none.csv"], "none.csv");
+    refused(&["patterns", "r.toml", "--mtf", "-1"], "0 to 50 pixels");
+    refused(&["patterns", "r.toml", "--source-lorentz", "0.3"], "Gaussian");
+    refused(&["rerun", "r_defocus_0A.emd", "-o", "x.h5"], "written as .emd");
+    std::fs::remove_file(here.join("si.cif")).unwrap();
+    refused(&["rerun", "r_defocus_0A.emd"], "--structure FILE");
+}
+
 #[test]
 fn a_plan_says_what_patterns_take() {
     let folder = tempfile::tempdir().unwrap();
@@ -134,7 +290,6 @@ fn mistakes_are_refused_with_the_remedy() {
     };
     patterns(&["-o", "x.h5"], "did you mean x.emd?");
     patterns(&["--detector", "HAADF=68-200"], "stemgen integrate");
-    patterns(&["--source-size", "0.8"], "blurs images");
     patterns(&["--accuracy", "1"], "give the window of patterns by its width");
     patterns(&["--engine", "prism"], "PRISM");
     patterns(&["--sampling", "0.4"], "--sampling");

@@ -381,6 +381,55 @@ def case_exit_intensity():
     save(name, arrays, described, settings_for(atoms, gpts, dz, n, position_A=at), atoms)
 
 
+def pixel_integrals(wave, at, extent, pixels, max_mrad):
+    """A diffraction pattern [ky, kx] integrated over square detector pixels, k = 0 in the middle of pixel n // 2, of an exit wave [y, x].
+
+    The wave is cut half a cell from `at` (x, y). Around it there is nothing, so the intensity is the Fourier series of its
+    autocorrelation, and its integral over a pixel is exact: each lag times sinc(width lag)."""
+    n = wave.shape[0]
+    middle = [round(float(p / length * n)) for p, length in zip(at, extent)]
+    box = np.zeros((2 * n, 2 * n), complex)
+    box[:n, :n] = np.roll(wave, (n // 2 - middle[1], n // 2 - middle[0]), axis=(0, 1))
+    lags = np.fft.ifft2(abs(np.fft.fft2(box)) ** 2)
+    width = 2e-3 * max_mrad / pixels / WAVELENGTH
+    k = (np.arange(pixels) - pixels // 2) * width
+    steps = [np.fft.fftfreq(2 * n, 1 / (2 * n)) * length / n for length in extent]
+    x, y = (width * length * np.exp(-2j * np.pi * np.outer(k, r)) * np.sinc(width * r) for r, length in zip(steps, extent))
+    return (y @ lags @ x.T).real
+
+
+def case_srtio3_patterns():
+    """Diffraction patterns of three probes in the atoms of srtio3_prism_f2 (a quarter of Sr is missing, so that no probe stands on an axis
+    of symmetry): integrals over pixels, sums over rings, and the centre of mass."""
+    name, dz, gpts, n = "srtio3_patterns", A_STO / 2, (300, 300), 20
+    atoms = ase.io.read(HERE / "srtio3_prism_f2.xyz")
+    pixels, most, ring, rings = 32, 60.0, 2.0, 50
+    step = A_STO / 50
+    places = [(126 * step, 139 * step), (150 * step, 150 * step), (173 * step, 157 * step)]
+    exact, _ = potentials(atoms, gpts, dz, n)
+    probe = abtem.Probe(energy=ENERGY, semiangle_cutoff=SEMIANGLE)
+    extent = atoms.cell.lengths()[:2]
+    kx, ky = (np.fft.fftfreq(g, length / g) * WAVELENGTH * 1e3 for g, length in zip(gpts, extent))
+    angle = np.hypot(ky[:, None], kx[None])
+    arrays = {"patterns": [], "rings": [], "centre_of_mass_mrad": []}
+    for at in places:
+        wave = probe.multislice(exact, scan=np.array(at), lazy=False).array.reshape(gpts).T
+        spectrum = abs(np.fft.fft2(wave)) ** 2
+        arrays["patterns"].append(pixel_integrals(wave, at, extent, pixels, most))
+        arrays["rings"].append([spectrum[(i * ring <= angle) & (angle < (i + 1) * ring)].sum() for i in range(rings)])
+        held = np.where(angle < most, spectrum, 0)
+        arrays["centre_of_mass_mrad"].append([(held * kx[None]).sum() / held.sum(), (held * ky[:, None]).sum() / held.sum()])
+    described = {
+        "patterns": f"[probe, ky, kx], integrals over {pixels} x {pixels} pixels to {most:g} mrad, k = 0 in the middle of pixel {pixels // 2}; "
+        "fraction of the beam",
+        "rings": f"[probe, ring], {rings} rings of {ring:g} mrad from 0 on, each pixel of the Fourier grid whole; fraction of the beam",
+        "centre_of_mass_mrad": f"[probe, (x, y)], of the pixels of the Fourier grid below {most:g} mrad",
+    }
+    extra = {"positions_A": places, "pixels": pixels, "max_angle_mrad": most, "ring_mrad": ring}
+    same = {"atoms": "srtio3_prism_f2.xyz", "cell_A": atoms.cell.lengths().tolist()}
+    save(name, arrays, described, {**same, **settings_for(atoms, gpts, dz, n, **extra)})
+
+
 def case_potential_srtio3():
     """Projected potentials of single planes (V A) on the grid of one cell, and of atoms off the grid on an oblong grid."""
     name, dz = "potential_srtio3", A_STO / 2

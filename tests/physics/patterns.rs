@@ -2,13 +2,19 @@
 
 use ndarray::{Array2, Array4, Axis};
 use stemgen::detect::{
-    Detector, PixelatedDetector, VirtualDetector, centre_of_mass_mrad, weighted_sum,
+    Detector, DetectorMtf, PatternDetector, PixelatedDetector, RadialBins, VirtualDetector,
+    centre_of_mass_mrad, weighted_sum,
 };
 use stemgen::engine::patterns::{PatternRows, PatternSettings, simulate_patterns};
 use stemgen::engine::{
     Algorithm, Expansion, Phonons, Plan, ProbeBox, ProbeStep, Scan, Settings, Site, simulate,
 };
 use stemgen::progress::Silent;
+use stemgen::simulation::{
+    AtomsSource, Engine, PatternBand, PatternValues, PatternsRequest, SimulationJob,
+    SimulationRequest,
+};
+use stemgen::validate::golden::Golden;
 
 const EDGE: f64 = 3.905;
 const DETECTOR: PixelatedDetector = PixelatedDetector { pixels: 40, max_angle_mrad: 60.0 };
@@ -52,7 +58,11 @@ fn plan(settings: &Settings, sites: &[Site], size: [f64; 3]) -> Plan {
 
 /// The patterns at the last thickness, (row, column, ky, kx).
 fn patterns(plan: &Plan, sites: &[Site], scan: &Scan, coherent_tail: bool) -> Array4<f32> {
-    let settings = PatternSettings { detector: DETECTOR, coherent_tail };
+    recorded(plan, sites, scan, PatternSettings { detector: DETECTOR.into(), coherent_tail })
+}
+
+/// What a detector records of every pattern at the exit surface, (row, column, ky, kx), or (row, column, 1, ring).
+fn recorded(plan: &Plan, sites: &[Site], scan: &Scan, settings: PatternSettings) -> Array4<f32> {
     let mut all = Vec::new();
     let mut next = 0;
     let mut take = |rows: PatternRows<'_>| {
@@ -63,8 +73,8 @@ fn patterns(plan: &Plan, sites: &[Site], scan: &Scan, coherent_tail: bool) -> Ar
         Ok(())
     };
     simulate_patterns(plan, &[sites], scan, settings, &mut take, &Silent).unwrap();
-    let n = DETECTOR.pixels;
-    Array4::from_shape_vec((scan.shape[0], scan.shape[1], n, n), all).unwrap()
+    let [ny, nx] = settings.detector.shape();
+    Array4::from_shape_vec((scan.shape[0], scan.shape[1], ny, nx), all).unwrap()
 }
 
 /// The rms difference in units of the mean of the patterns' maxima, that of the bright field, relative, and that of the centre of mass in
@@ -192,7 +202,7 @@ fn what_has_no_patterns_is_refused() {
     let scan = Scan { origin_angstrom: [0.0; 2], step_angstrom: [1.0; 2], shape: [1, 1] };
     let refused = |algorithm: Algorithm, detector: PixelatedDetector| {
         let settings = Settings { probe_box: None, ..settings(algorithm) };
-        let asked = PatternSettings { detector, coherent_tail: true };
+        let asked = PatternSettings { detector: detector.into(), coherent_tail: true };
         let plan = plan(&settings, &sites, size);
         let never = &mut |_: PatternRows<'_>| -> stemgen::Result<()> { panic!("a pattern") };
         simulate_patterns(&plan, &[&sites], &scan, asked, never, &Silent).unwrap_err().to_string()
@@ -203,4 +213,217 @@ fn what_has_no_patterns_is_refused() {
     assert!(refused(Algorithm::Multislice, wide).contains("finer grid"));
     let none = PixelatedDetector { pixels: 0, ..DETECTOR };
     assert!(refused(Algorithm::Multislice, none).contains("2 to 4096"));
+}
+
+fn rings(width_mrad: f64, max_angle_mrad: f64) -> PatternSettings {
+    let bins = RadialBins::new(width_mrad, max_angle_mrad).unwrap();
+    PatternSettings { detector: PatternDetector::Rings(bins), coherent_tail: true }
+}
+
+/// The sum over an annulus of rings for every probe.
+fn ring_image(found: &Array4<f32>, settings: &PatternSettings, annulus: &str) -> Array2<f32> {
+    let weights = settings.detector.weights(&VirtualDetector::annulus(annulus).unwrap()).unwrap();
+    Array2::from_shape_fn((found.shape()[0], found.shape()[1]), |(y, x)| {
+        weighted_sum(found.slice(ndarray::s![y, x, .., ..]), &weights)
+    })
+}
+
+fn largest_off(found: &Array2<f32>, exact: ndarray::ArrayView2<'_, f32>) -> f32 {
+    assert_eq!(found.dim(), exact.dim());
+    found.iter().zip(exact).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f32::max)
+}
+
+/// On the full grid, rings of 1 mrad add to what the annular detector of `simulate` reads, at a tilt, two foci and phonons.
+#[test]
+fn rings_add_to_annular_images() {
+    let (sites, size) = srtio3(6, 4);
+    let scan = Scan { origin_angstrom: [11.7, 11.9], step_angstrom: [0.9, 0.7], shape: [2, 3] };
+    let mut ring = Settings {
+        detectors: vec![Detector::new("HAADF", 68.0, 200.0), Detector::new("ABF", 10.0, 21.0)],
+        probe_box: None,
+        phonons: Some(Phonons { configurations: 2, seed: 3 }),
+        ..settings(Algorithm::Multislice)
+    };
+    ring.optics.focal_spread_angstrom = 20.0;
+    ring.optics.mistilt_mrad = [5.0, -2.0];
+    let plan = plan(&ring, &sites, size);
+    let images = simulate(&plan, &sites, &scan, &Silent).unwrap();
+    let read = rings(1.0, 200.0);
+    let found = recorded(&plan, &sites, &scan, read);
+    for (d, annulus) in ["HAADF=68-200", "ABF=10-21"].into_iter().enumerate() {
+        let off = largest_off(&ring_image(&found, &read, annulus), images.image(0, d));
+        assert!(off < 1e-5, "{annulus}: {off}");
+    }
+    let whole = found.sum_axis(Axis(3));
+    assert!(whole.iter().all(|v| *v > 0.98 && *v < 1.001), "{whole}");
+}
+
+/// In windows, rings of the bright field gain the coherent tail, and those beyond it are what windows of `simulate` read.
+#[test]
+fn rings_of_windows_have_the_coherent_tail() {
+    let (sites, size) = srtio3(12, 5);
+    let middle = 6.0 * EDGE;
+    let scan =
+        Scan { origin_angstrom: [middle, middle + 0.1], step_angstrom: [0.6, 0.5], shape: [3, 3] };
+    let exact_plan = plan(&settings(Algorithm::Multislice), &sites, size);
+    let read = rings(3.0, 60.0);
+    let exact = recorded(&exact_plan, &sites, &scan, read);
+    let window = Settings {
+        expansion: Expansion::Off,
+        ..settings(Algorithm::Window { width_angstrom: 11.7 })
+    };
+    let window = plan(&window, &sites, size);
+    let with = recorded(&window, &sites, &scan, read);
+    let without =
+        recorded(&window, &sites, &scan, PatternSettings { coherent_tail: false, ..read });
+    let error = |found: &Array4<f32>, annulus: &str| {
+        let [a, b] = [found, &exact].map(|p| ring_image(p, &read, annulus).sum());
+        (a / b - 1.0).abs()
+    };
+    println!("BF {} {}", error(&with, "0-18"), error(&without, "0-18"));
+    println!("ADF {} {}", error(&with, "30-60"), error(&without, "30-60"));
+    assert!(error(&with, "0-18") < 0.005 && error(&with, "30-60") < 0.02);
+    assert!(error(&with, "0-18") < 0.7 * error(&without, "0-18"));
+}
+
+/// A request for SrTiO3 on the full grid, without phonons.
+fn request(cells: usize) -> SimulationRequest {
+    let mut request = SimulationRequest::new(AtomsSource::File("structures/srtio3.cif".into()));
+    request.specimen.repeat = Some([cells, cells, 2]);
+    request.numerics.engine = Some(Engine::Multislice);
+    request
+}
+
+/// All patterns of a job at its first defocus, (row, column, ky, kx).
+fn of_job(request: &SimulationRequest) -> (Array4<f32>, SimulationJob) {
+    let job = SimulationJob::new(request.clone()).unwrap();
+    let [ny, nx] = job.pattern_settings().unwrap().detector.shape();
+    let [rows, columns] = job.scan().shape;
+    let mut all = Array4::zeros((rows, columns, ny, nx));
+    let mut take = |band: PatternBand<'_>| {
+        let values = match &band.values {
+            PatternValues::Fractions(values) => values.to_owned(),
+            PatternValues::Counts(counts) => counts.mapv(|n| n as f32),
+        };
+        for (n, row) in values.index_axis(Axis(0), 0).outer_iter().enumerate() {
+            all.index_axis_mut(Axis(0), band.first_row + n).assign(&row);
+        }
+        Ok(())
+    };
+    job.patterns(0, &mut take, &Silent).unwrap();
+    (all, job)
+}
+
+/// The source blurs patterns as it blurs images: the whole cell, scanned finely and coarsely.
+#[test]
+fn the_source_averages_patterns_as_it_blurs_images() {
+    for points in [18, 6] {
+        let mut asked = request(2);
+        asked.scan.end = Some([2.0 * EDGE; 2]);
+        asked.scan.points = Some([points; 2]);
+        asked.microscope.source_size_angstrom = Some(0.8);
+        let ring = Detector::new("ADF", 30.0, 60.0);
+        let mut images = asked.clone();
+        images.microscope.detectors = vec![ring];
+        images.scan.points = Some([36; 2]);
+        images.numerics.probe_step = ProbeStep::Scan;
+        let sharp = SimulationRequest {
+            microscope: stemgen::simulation::MicroscopeRequest {
+                source_size_angstrom: None,
+                ..images.microscope.clone()
+            },
+            ..images.clone()
+        };
+        let image = |request| {
+            let made = SimulationJob::new(request).unwrap().run(&Silent).unwrap();
+            let every = 36 / points;
+            made[0].data.slice(ndarray::s![0, ..;every, ..;every]).to_owned()
+        };
+        let (blurred, sharp) = (image(images), image(sharp));
+        asked.patterns = Some(PatternsRequest {
+            radial_mrad: Some(2.0),
+            max_angle_mrad: 60.0,
+            ..Default::default()
+        });
+        let (found, job) = of_job(&asked);
+        let found = ring_image(&found, &job.pattern_settings().unwrap(), "30-60");
+        let (off, moved) =
+            (largest_off(&found, blurred.view()), largest_off(&sharp, blurred.view()));
+        println!("{points}: {off}, without a source {moved}");
+        assert!(off < 2e-3 && moved > 0.03, "{points}: {off} {moved}");
+    }
+}
+
+/// The transfer function spreads electrons over pixels, before they are counted; each pattern keeps its sum.
+#[test]
+fn the_detector_spreads_electrons() {
+    let mut asked = request(2);
+    asked.scan.end = Some([EDGE; 2]);
+    asked.scan.points = Some([2; 2]);
+    let sharp = PatternsRequest { pixels: 32, max_angle_mrad: 48.0, ..Default::default() };
+    asked.patterns = Some(sharp.clone());
+    let (exact, _) = of_job(&asked);
+    asked.patterns = Some(PatternsRequest { mtf: Some(DetectorMtf::Gaussian(1.0)), ..sharp });
+    let (spread, job) = of_job(&asked);
+    for (a, b) in spread.outer_iter().zip(exact.outer_iter()) {
+        for (a, b) in a.outer_iter().zip(b.outer_iter()) {
+            assert!((a.sum() / b.sum() - 1.0).abs() < 1e-5);
+            // From the edge of the bright field, at 7 pixels, into the dark.
+            assert!(a[[16, 16 + 8]] > 1.3 * b[[16, 16 + 8]], "{} {}", a[[16, 24]], b[[16, 24]]);
+            let [p, q] = [a, b].map(|p| {
+                centre_of_mass_mrad(p, &PixelatedDetector { pixels: 32, max_angle_mrad: 48.0 })
+            });
+            assert!((p[0] - q[0]).abs() < 0.05 && (p[1] - q[1]).abs() < 0.05, "{p:?} {q:?}");
+        }
+    }
+    let vacuum = job.vacuum_pattern().unwrap();
+    assert!(vacuum[[16, 24]] > 0.0005 * vacuum.sum(), "{}", vacuum[[16, 24]]);
+    asked.electrons_per_angstrom2 = Some(1e4);
+    let (counts, _) = of_job(&asked);
+    let electrons = 1e4 * f64::from((EDGE / 2.0).powi(2) as f32);
+    let share = f64::from(counts.sum()) / (4.0 * electrons);
+    assert!(share > 0.97 && share < 1.02, "{share}");
+    assert!(counts.iter().all(|n| n.fract() == 0.0));
+}
+
+/// Patterns, rings and centres of mass of abTEM 1.0.11 (see `golden/README.md`): the patterns' rms is below 0.1 % of the maximum, rings and
+/// centres of mass below 0.2 %.
+#[test]
+fn patterns_are_those_of_abtem() {
+    let g = Golden::load("srtio3_patterns").unwrap();
+    let number = |name: &str| g.json[name].as_f64().unwrap();
+    let pixels = PixelatedDetector {
+        pixels: number("pixels") as usize,
+        max_angle_mrad: number("max_angle_mrad"),
+    };
+    let settings = Settings { probe_step: ProbeStep::Scan, ..g.settings() };
+    let settings = Settings { detectors: vec![Detector::new("whole", 0.0, 100.0)], ..settings };
+    let plan = g.plan(&settings).unwrap();
+    let reference: ndarray::Array3<f64> = g.array("patterns").unwrap();
+    let (of_rings, centres) =
+        (g.matrix("rings").unwrap(), g.matrix("centre_of_mass_mrad").unwrap());
+    let on_rings = rings(number("ring_mrad"), 100.0);
+    for (n, at) in g.positions().into_iter().enumerate() {
+        let scan = Scan { origin_angstrom: at, step_angstrom: [1.0; 2], shape: [1, 1] };
+        let on_pixels = PatternSettings { detector: pixels.into(), coherent_tail: true };
+        let found = recorded(&plan, &g.sites, &scan, on_pixels);
+        let (mut squares, mut highest) = (0.0, 0.0_f64);
+        for (a, b) in found.iter().zip(reference.index_axis(Axis(0), n)) {
+            squares += (f64::from(*a) - b).powi(2);
+            highest = highest.max(*b);
+        }
+        let rms = (squares / found.len() as f64).sqrt() / highest;
+        let sums = recorded(&plan, &g.sites, &scan, on_rings);
+        let off = sums.iter().zip(of_rings.row(n)).map(|(a, b)| (f64::from(*a) / b - 1.0).abs());
+        let off = off.fold(0.0, f64::max);
+        let round = VirtualDetector::annulus("held=0-58").unwrap().weights(&pixels).unwrap();
+        let held = found.slice(ndarray::s![0, 0, .., ..]).to_owned() * &round;
+        let [x, y] = centre_of_mass_mrad(held.view(), &pixels);
+        let moved = (f64::from(x) - centres[[n, 0]]).hypot(f64::from(y) - centres[[n, 1]]);
+        println!("{n}: pattern {rms:.2e}, rings {off:.2e}, centre of mass {moved:.2e} mrad");
+        assert!(rms < 1e-3, "{n}: {rms}");
+        assert!(off < 2e-3, "{n}: {off}");
+        // Of 2.2 mrad, the largest.
+        assert!(moved < 0.005, "{n}: {moved}");
+    }
 }

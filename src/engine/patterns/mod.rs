@@ -6,6 +6,7 @@
 mod padded_box;
 mod pattern_cost;
 mod pixel_matrices;
+mod ring_sums;
 mod run;
 
 use super::plan::Plan;
@@ -16,7 +17,7 @@ use super::simulate::elements;
 use super::stepper::TransmissionView;
 use super::transmission::TransmissionBuilder;
 use super::workspace_pool::WorkspacePool;
-use crate::detect::PixelatedDetector;
+use crate::detect::PatternDetector;
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use crate::setting::Setting;
@@ -34,7 +35,7 @@ const HELD_BYTES: usize = 256 << 20;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PatternSettings {
     /// The detector.
-    pub detector: PixelatedDetector,
+    pub detector: PatternDetector,
     /// Adds what a window cuts off the probe, as propagated through the mean potential (windows only). Without it the bright field of
     /// windows of 11.7 A is 1 % too dark, and its pattern off by 2 % (SrTiO3, 39 A).
     pub coherent_tail: bool,
@@ -45,7 +46,7 @@ pub struct PatternSettings {
 pub struct PatternRows<'a> {
     /// The first row of the scan.
     pub first_row: usize,
-    /// Fractions of the beam for each pixel: (thickness, row, column, ky, kx).
+    /// Fractions of the beam for each pixel: (thickness, row, column, ky, kx); for rings: (thickness, row, column, 1, ring).
     pub data: ArrayView5<'a, f32>,
 }
 
@@ -68,7 +69,7 @@ pub fn simulate_patterns(
     let builder = TransmissionBuilder::new(plan, &elements(&all))?;
     let mut reader = PatternReader::new(plan, settings);
     let (groups, shared) = reader.groups(scan);
-    let each = plan.record_after.len() * reader.pixels();
+    let each = plan.record_after.len() * settings.detector.values();
     let configurations = plan.settings.configurations();
     let runs = configurations as usize * frames.len();
     progress.start("simulating", "patterns", (scan.len() * runs) as u64);
@@ -108,20 +109,19 @@ pub fn simulate_patterns(
 
 /// Refuses what has no patterns.
 fn check(plan: &Plan, settings: &PatternSettings) -> Result<()> {
-    settings.detector.check()?;
+    if let Some(pixels) = settings.detector.pixels() {
+        pixels.check()?;
+    }
     if matches!(plan.settings.algorithm, Algorithm::Prism { .. }) {
         let expected = "patterns are made by multislice and windows; leave PRISM out";
         return Err(Error::invalid(Setting::Algorithm, "prism", expected));
     }
     let limit = plan.band_limit_mrad;
-    if settings.detector.max_angle_mrad > limit * (1.0 + 1e-9) {
+    let most = settings.detector.max_angle_mrad();
+    if most > limit * (1.0 + 1e-9) {
         let expected =
             format!("at most {limit:.1} mrad, what the grid carries; a finer grid carries more");
-        return Err(Error::invalid(
-            Setting::MaxAngleMrad,
-            settings.detector.max_angle_mrad,
-            expected,
-        ));
+        return Err(Error::invalid(Setting::MaxAngleMrad, most, expected));
     }
     Ok(())
 }
@@ -171,13 +171,14 @@ fn in_order(
     (plan, scan, settings): (&Plan, &Scan, &PatternSettings),
     runs: usize,
 ) -> Array5<f32> {
-    let (n, records, columns) = (settings.detector.pixels, plan.record_after.len(), scan.shape[1]);
-    let mut data = Array5::zeros((records, band.rows.len(), columns, n, n));
+    let ([ny, nx], values) = (settings.detector.shape(), settings.detector.values());
+    let (records, columns) = (plan.record_after.len(), scan.shape[1]);
+    let mut data = Array5::zeros((records, band.rows.len(), columns, ny, nx));
     let scale = 1.0 / runs as f32;
     for (group, sums) in groups.iter().zip(sums) {
-        for ((i, _), values) in group.probes.iter().zip(sums.chunks_exact(records * n * n)) {
+        for ((i, _), all) in group.probes.iter().zip(sums.chunks_exact(records * values)) {
             let (row, column) = (i / columns - band.rows.start, i % columns);
-            for (r, pattern) in values.chunks_exact(n * n).enumerate() {
+            for (r, pattern) in all.chunks_exact(values).enumerate() {
                 let mut to = data.slice_mut(ndarray::s![r, row, column, .., ..]);
                 // Interpolation can undershoot beside a sharp edge.
                 to.iter_mut().zip(pattern).for_each(|(to, v)| *to = (v * scale).max(0.0));

@@ -109,7 +109,7 @@ impl PaddedBox {
     }
 
     /// The kept frequencies (kx, ky) in 1/Angstrom, row by row.
-    fn frequencies(&self) -> impl Iterator<Item = [f64; 2]> + use<> {
+    pub fn frequencies(&self) -> impl Iterator<Item = [f64; 2]> + use<> {
         let (reach, extent) = (self.reach.map(|n| n as i64), self.extent_angstrom());
         (-reach[1]..=reach[1]).flat_map(move |y| {
             (-reach[0]..=reach[0]).map(move |x| [x as f64 / extent[0], y as f64 / extent[1]])

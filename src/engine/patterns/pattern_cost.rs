@@ -4,8 +4,10 @@ use super::super::grid::Grid;
 use super::super::plan::Plan;
 use super::super::probe_patches::waves_of_patch;
 use super::super::probe_scan::Scan;
+use super::ring_sums::RingSums;
 use super::run::{PROBES_TOGETHER, PatternReach, patches};
 use super::{Band, PatternSettings, bands, held};
+use crate::detect::{PatternDetector, PixelatedDetector};
 use num_complex::Complex32;
 
 /// What it takes to read the patterns of a scan from its waves.
@@ -27,13 +29,21 @@ impl PatternCost {
         let patches = patches(plan, scan);
         let waves = patches.error.map_or(1, |_| waves_of_patch(plan));
         let own = reach.outer.as_ref().map_or(0, |_| nx * ny);
-        let ([x, y], n) = (reach.padded.samples(), settings.detector.pixels);
-        let each = 8 * waves * (x * y + own) + 2 * n * (x * y + n * y);
+        let ([x, y], n) = (reach.padded.samples(), settings.detector.values());
+        let reading = match &settings.detector {
+            PatternDetector::Pixels(PixelatedDetector { pixels, .. }) => {
+                2 * pixels * (x * y + pixels * y)
+            }
+            PatternDetector::Rings(bins) => {
+                reach.ring_sums(plan, bins).iter().map(RingSums::flops).sum()
+            }
+        };
+        let each = 8 * waves * (x * y + own) + reading;
         let records = plan.record_after.len();
         let runs = f64::from(plan.settings.configurations()) * (records * scan.len()) as f64;
         let values = (waves + PROBES_TOGETHER) * (x * y + own) + 8 * x * y;
-        let bytes = |band: &Band| held(&band.rows, band.rows.end, scan.shape[1], records * n * n);
-        let bands = bands(&patches.patches, scan, records * n * n);
+        let bytes = |band: &Band| held(&band.rows, band.rows.end, scan.shape[1], records * n);
+        let bands = bands(&patches.patches, scan, records * n);
         PatternCost {
             flops: runs * each as f64,
             // Once as sums, once in the order of the scan.

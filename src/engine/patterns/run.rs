@@ -12,7 +12,8 @@ use super::super::transmission::{Transmission, TransmissionLayout};
 use super::PatternSettings;
 use super::padded_box::{PaddedBox, PaddedWorkspace, ProbeSplit, SplitWorkspace};
 use super::pixel_matrices::PixelMatrices;
-use crate::detect::PixelatedDetector;
+use super::ring_sums::RingSums;
+use crate::detect::{PatternDetector, RadialBins};
 use crate::matrix::multiply;
 use num_complex::{Complex32, Complex64};
 
@@ -29,11 +30,24 @@ pub(super) struct PatternReader<'a> {
     engine: Multislice<'a>,
     settings: PatternSettings,
     padded: PaddedBox,
-    fine: PixelMatrices,
-    /// What lies beyond the angles of the padded box.
-    outer: Option<OuterPixels>,
+    values: ValueReader,
+    /// Whether any value is read from the padded box.
+    from_box: bool,
+    /// Whether any value is read from the window's own frequencies.
+    from_window: bool,
     /// Probes in the box around a window, for each focus with its weight; `None` on the full grid.
     around: Option<Around>,
+}
+
+/// From amplitudes to the values of a pattern.
+enum ValueReader {
+    Pixels {
+        fine: PixelMatrices,
+        /// What lies beyond the angles of the padded box.
+        outer: Option<OuterPixels>,
+    },
+    /// Rings that are read from the padded box, and those of the window's own frequencies.
+    Rings { fine: RingSums, own: RingSums },
 }
 
 /// Pixels that are read from the window's own frequencies.
@@ -76,6 +90,7 @@ struct PixelWorkspace {
     intensities: Vec<f32>,
     half: Vec<f32>,
     pattern: Vec<f32>,
+    rings: Vec<f64>,
 }
 
 /// What waves of a group meet.
@@ -88,28 +103,73 @@ pub(super) struct GroupPath<'p> {
 /// Which frequencies patterns are read from.
 pub(super) struct PatternReach {
     pub padded: PaddedBox,
-    /// Whether each pixel is read from the window's own frequencies; `None` where none is.
+    /// Whether each value is read from the window's own frequencies; `None` where none is.
     pub outer: Option<Vec<bool>>,
 }
 
 impl PatternReach {
     /// `stride` is that of waves on the plan's wave grid.
-    pub fn new(plan: &Plan, detector: &PixelatedDetector, stride: usize) -> Self {
+    pub fn new(plan: &Plan, detector: &PatternDetector, stride: usize) -> Self {
         let wavelength = plan.settings.optics.wavelength_angstrom();
         let window = plan.wave_grid;
         let width = window.extent_angstrom[0].min(window.extent_angstrom[1]);
-        let pixel = detector.pixel_k(wavelength);
-        let edge = (0.5 * detector.pixels as f64 + 0.5) * pixel;
         let full_k = match plan.has_windows() {
             true => (tail_angle(plan, width) / wavelength).min(plan.band_limit),
             false => plan.band_limit,
         };
-        let padded = PaddedBox::new(window, stride, full_k, edge + MARGIN / (2.0 * width));
-        let middle = |i: usize| detector.k(i, wavelength);
-        let n = detector.pixels;
-        let beyond = |i: usize| middle(i % n).hypot(middle(i / n)) + pixel > full_k;
-        let outer = (full_k < plan.band_limit).then(|| (0..n * n).map(beyond).collect());
-        PatternReach { padded, outer: outer.filter(|taken: &Vec<bool>| taken.contains(&true)) }
+        let boxed = |full_k: f64, edge: f64| {
+            PaddedBox::new(window, stride, full_k, edge + MARGIN / (2.0 * width))
+        };
+        match detector {
+            PatternDetector::Pixels(detector) => {
+                let pixel = detector.pixel_k(wavelength);
+                let edge = (0.5 * detector.pixels as f64 + 0.5) * pixel;
+                let middle = |i: usize| detector.k(i, wavelength);
+                let n = detector.pixels;
+                let beyond = |i: usize| middle(i % n).hypot(middle(i / n)) + pixel > full_k;
+                let outer = (full_k < plan.band_limit).then(|| (0..n * n).map(beyond).collect());
+                PatternReach {
+                    padded: boxed(full_k, edge),
+                    outer: outer.filter(|taken: &Vec<bool>| taken.contains(&true)),
+                }
+            }
+            // The frequencies of the full grid are those that its annular detectors sum; the box is not read.
+            PatternDetector::Rings(bins) if !plan.has_windows() => PatternReach {
+                padded: boxed(1.0 / width, 0.0),
+                outer: Some(vec![true; bins.rings]),
+            },
+            PatternDetector::Rings(bins) => {
+                let end = |ring: usize| 1e-3 * bins.edge_mrad(ring + 1) / wavelength;
+                let beyond = |ring: usize| end(ring) + 0.5 / width > full_k;
+                let outer: Vec<bool> = (0..bins.rings).map(beyond).collect();
+                PatternReach {
+                    padded: boxed(full_k, 1e-3 * bins.max_angle_mrad() / wavelength),
+                    outer: Some(outer).filter(|taken| taken.contains(&true)),
+                }
+            }
+        }
+    }
+
+    /// Whether any value is read from the padded box.
+    pub fn from_box(&self) -> bool {
+        self.outer.as_ref().is_none_or(|taken| taken.contains(&false))
+    }
+
+    /// The sums over rings that are read from the padded box, and those of the window's own frequencies.
+    pub fn ring_sums(&self, plan: &Plan, bins: &RadialBins) -> [RingSums; 2] {
+        let per_k = 1e3 * plan.settings.optics.wavelength_angstrom();
+        let taken = |ring: usize| self.outer.as_ref().is_some_and(|outer| outer[ring]);
+        let angles = self.padded.frequencies().map(|[kx, ky]| per_k * kx.hypot(ky));
+        let ramp = 0.5 * plan.detector_ramp_mrad();
+        let fine = RingSums::new(bins, ramp, angles, |ring| !taken(ring));
+        let grid = plan.wave_grid;
+        let [nx, ny] = grid.points;
+        let angle = |i: usize| {
+            let [kx, ky] = grid.k(i / nx, i % nx);
+            kx.hypot(ky) * plan.settings.optics.wavelength_angstrom() * 1e3
+        };
+        let own = RingSums::new(bins, plan.detector_ramp_mrad(), (0..nx * ny).map(angle), taken);
+        [fine, own]
     }
 }
 
@@ -130,16 +190,25 @@ impl<'a> PatternReader<'a> {
     pub fn new(plan: &'a Plan, settings: PatternSettings) -> Self {
         let engine = Multislice::new(plan);
         let wavelength = plan.settings.optics.wavelength_angstrom();
-        let detector = &settings.detector;
-        let PatternReach { padded, outer } = PatternReach::new(plan, detector, engine.stride());
-        let fine = PixelMatrices::of_box(detector, wavelength, &padded);
+        let reach = PatternReach::new(plan, &settings.detector, engine.stride());
+        let (from_box, from_window) = (reach.from_box(), reach.outer.is_some());
         let window = (plan.wave_grid.points, plan.wave_grid.extent_angstrom);
-        let outer = outer.map(|taken| OuterPixels {
-            matrices: PixelMatrices::by_area(detector, wavelength, window),
-            taken,
-        });
+        let values = match &settings.detector {
+            PatternDetector::Pixels(detector) => ValueReader::Pixels {
+                fine: PixelMatrices::of_box(detector, wavelength, &reach.padded),
+                outer: reach.outer.map(|taken| OuterPixels {
+                    matrices: PixelMatrices::by_area(detector, wavelength, window),
+                    taken,
+                }),
+            },
+            PatternDetector::Rings(bins) => {
+                let [fine, own] = reach.ring_sums(plan, bins);
+                ValueReader::Rings { fine, own }
+            }
+        };
+        let padded = reach.padded;
         let around = plan.has_windows().then(|| Around::new(plan, &padded, &engine));
-        PatternReader { plan, engine, settings, padded, fine, outer, around }
+        PatternReader { plan, engine, settings, padded, values, from_box, from_window, around }
     }
 
     pub fn workspace(&self) -> ReaderWorkspace {
@@ -154,9 +223,9 @@ impl<'a> PatternReader<'a> {
         }
     }
 
-    /// Pixels of a pattern.
-    pub fn pixels(&self) -> usize {
-        self.settings.detector.pixels * self.settings.detector.pixels
+    /// Values of a pattern.
+    fn pattern_len(&self) -> usize {
+        self.settings.detector.values()
     }
 
     /// How probes are propagated together: patches row by row, and the waves that all patches share, if there are any.
@@ -225,31 +294,36 @@ impl<'a> PatternReader<'a> {
             let phases = self.tail_phases(part);
             for j in 0..n {
                 let psi = self.engine.spectrum(&mut w.multislice, j);
+                self.own_frequencies(psi, &mut w.own[j * own..][..own]);
+                if !self.from_box {
+                    continue;
+                }
                 let fine = &mut w.fine[j * kept..][..kept];
                 self.padded.sample(psi, None, &mut w.padded, fine);
                 if self.settings.coherent_tail {
                     self.padded.add_tail(fine, &shared.outside[j], means[r], &phases);
                 }
-                self.own_frequencies(psi, &mut w.own[j * own..][..own]);
             }
             for (weight, c) in &coefficients {
                 for first in (0..probes).step_by(PROBES_TOGETHER) {
                     let some = PROBES_TOGETHER.min(probes - first);
                     let c = (&c[first..], [1, probes]);
-                    let to = |i: usize| ((first + i) * at.path.len() + r) * self.pixels();
+                    let to = |i: usize| ((first + i) * at.path.len() + r) * self.pattern_len();
                     w.amplitudes.resize(some * kept.max(own), Complex32::ZERO);
                     let amplitudes = &mut w.amplitudes;
-                    multiply((some, kept, n), (amplitudes, kept), c, (&w.fine, kept));
-                    for (i, fine) in amplitudes.chunks_exact(kept).take(some).enumerate() {
-                        let out = &mut out[to(i)..][..self.pixels()];
-                        self.read_fine(fine, *weight, &mut w.pixels, out);
+                    if self.from_box {
+                        multiply((some, kept, n), (amplitudes, kept), c, (&w.fine, kept));
+                        for (i, fine) in amplitudes.chunks_exact(kept).take(some).enumerate() {
+                            let out = &mut out[to(i)..][..self.pattern_len()];
+                            self.read_fine(fine, *weight, &mut w.pixels, out);
+                        }
                     }
                     if own == 0 {
                         continue;
                     }
                     multiply((some, own, n), (amplitudes, own), c, (&w.own, own));
                     for (i, own) in amplitudes.chunks_exact(own).take(some).enumerate() {
-                        let out = &mut out[to(i)..][..self.pixels()];
+                        let out = &mut out[to(i)..][..self.pattern_len()];
                         self.read_own(own, *weight, &mut w.pixels, out);
                     }
                 }
@@ -289,21 +363,24 @@ impl<'a> PatternReader<'a> {
                 self.engine.step_all(&mut w.multislice, probes.len(), &part.steps, at.view);
                 let phases = self.tail_phases(part);
                 for (j, (_, position)) in probes.iter().enumerate() {
-                    let to = (j * at.path.len() + r) * self.pixels();
+                    let to = (j * at.path.len() + r) * self.pattern_len();
                     let psi = self.engine.spectrum(&mut w.multislice, j);
                     // On the full grid the probe comes to the middle, and leaves where the tilted beam does.
                     let centre = self.around.is_none().then(|| {
                         let way = self.plan.beam_shift(part.height_angstrom);
                         [0, 1].map(|k| position[k] + way[k])
                     });
+                    let out = &mut out[to..][..self.pattern_len()];
                     self.own_frequencies(psi, &mut w.own[..own]);
+                    self.read_own(&w.own[..own], weight, &mut w.pixels, out);
+                    if !self.from_box {
+                        continue;
+                    }
                     self.padded.sample(psi, centre, &mut w.padded, &mut w.fine[..kept]);
                     if let Some(rest) = outside.get(j).filter(|_| self.settings.coherent_tail) {
                         self.padded.add_tail(&mut w.fine[..kept], rest, means[r], &phases);
                     }
-                    let out = &mut out[to..][..self.pixels()];
                     self.read_fine(&w.fine[..kept], weight, &mut w.pixels, out);
-                    self.read_own(&w.own[..own], weight, &mut w.pixels, out);
                 }
             }
         }
@@ -317,9 +394,14 @@ impl<'a> PatternReader<'a> {
         w: &mut PixelWorkspace,
         out: &mut [f32],
     ) {
-        let taken = self.outer.as_ref().map(|outer| outer.taken.as_slice());
-        let wanted = |i: usize| taken.is_none_or(|taken| !taken[i]);
-        w.read(&self.fine, (amplitudes, weight), wanted, out);
+        match &self.values {
+            ValueReader::Pixels { fine, outer } => {
+                let taken = outer.as_ref().map(|outer| outer.taken.as_slice());
+                let wanted = |i: usize| taken.is_none_or(|taken| !taken[i]);
+                w.read(fine, (amplitudes, weight), wanted, out);
+            }
+            ValueReader::Rings { fine, .. } => fine.add(amplitudes, weight, &mut w.rings, out),
+        }
     }
 
     /// The same for the window's own frequencies, if they are read.
@@ -330,15 +412,23 @@ impl<'a> PatternReader<'a> {
         w: &mut PixelWorkspace,
         out: &mut [f32],
     ) {
-        if let Some(outer) = &self.outer {
-            w.read(&outer.matrices, (amplitudes, weight), |i| outer.taken[i], out);
+        match &self.values {
+            ValueReader::Pixels { outer: Some(outer), .. } => {
+                w.read(&outer.matrices, (amplitudes, weight), |i| outer.taken[i], out);
+            }
+            ValueReader::Pixels { outer: None, .. } => {}
+            ValueReader::Rings { own, .. } => {
+                if self.from_window {
+                    own.add(amplitudes, weight, &mut w.rings, out);
+                }
+            }
         }
     }
 
-    /// Number of the window's own frequencies that are read; 0 where all pixels are read from the box.
+    /// Number of the window's own frequencies that are read; 0 where all values are read from the box.
     fn own_len(&self) -> usize {
         let [x, y] = self.plan.wave_grid.points;
-        self.outer.as_ref().map_or(0, |_| x * y)
+        if self.from_window { x * y } else { 0 }
     }
 
     /// Copies the window's own frequencies within the band limit, as fractions of the beam's amplitude.

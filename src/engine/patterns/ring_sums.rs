@@ -1,0 +1,48 @@
+//! From intensities at frequencies to sums over rings.
+
+use crate::detect::RadialBins;
+use num_complex::Complex32;
+
+/// Intensities at frequencies, summed over rings.
+pub(super) struct RingSums {
+    rings: usize,
+    /// A frequency, a ring, and the share of the frequency's pixel on it.
+    shares: Vec<(u32, u32, f32)>,
+}
+
+impl RingSums {
+    /// For frequencies at some angles (mrad), in their order, with edges of rings `ramp_mrad` wide; only rings that are `wanted` are summed.
+    pub fn new(
+        bins: &RadialBins,
+        ramp_mrad: f64,
+        angles_mrad: impl Iterator<Item = f64>,
+        wanted: impl Fn(usize) -> bool,
+    ) -> Self {
+        let mut shares = Vec::new();
+        for (at, theta) in angles_mrad.enumerate() {
+            bins.shares(theta, ramp_mrad, |ring, share| {
+                if wanted(ring) {
+                    shares.push((at as u32, ring as u32, share as f32));
+                }
+            });
+        }
+        RingSums { rings: bins.rings, shares }
+    }
+
+    /// Adds the intensities of amplitudes, times a weight, to `out`; `sums` is work space.
+    pub fn add(&self, amplitudes: &[Complex32], weight: f32, sums: &mut Vec<f64>, out: &mut [f32]) {
+        sums.clear();
+        sums.resize(self.rings, 0.0);
+        for (at, ring, share) in &self.shares {
+            sums[*ring as usize] += f64::from(share * amplitudes[*at as usize].norm_sqr());
+        }
+        for (to, sum) in out.iter_mut().zip(sums) {
+            *to += (*sum * f64::from(weight)) as f32;
+        }
+    }
+
+    /// Operations for one pattern.
+    pub fn flops(&self) -> usize {
+        5 * self.shares.len()
+    }
+}
