@@ -57,7 +57,7 @@ def test_a_defocus_series_is_one_stack(silicon: Any, tmp_path: Path) -> None:
         assert signal["axis-0"].attrs["name"] == "defocus" and signal["axis-0"].attrs["scale"] == 30
         instrument = signal["metadata/Acquisition_instrument/TEM"]
         assert instrument.attrs["beam_energy"] == 80 and instrument.attrs["convergence_angle"] == 21
-        assert tuple(instrument["Detector"].attrs.values())[0] == "BF"
+        assert instrument["Detector"].attrs["name"] == "BF"
     series["BF_defocus_30A"].noisy.to_hspy(tmp_path / "noisy.hspy")
     with h5py.File(tmp_path / "noisy.hspy") as file:
         instrument = file["Experiments/BF_defocus_30A_noisy/metadata/Acquisition_instrument/TEM"]

@@ -197,7 +197,7 @@ fn write_instrument(metadata: &Group, series: &ImageSeries, facts: &HspyFacts) -
     }
     if let Some([inner, outer]) = stack.annulus_mrad {
         let detector = hdf5_create::group(&tem, "Detector")?;
-        text(&detector, "name", &series.name)?;
+        text(&detector, "name", series.name.strip_suffix("_noisy").unwrap_or(&series.name))?;
         number(&detector, "inner_angle_mrad", inner)?;
         number(&detector, "outer_angle_mrad", outer)?;
     }

@@ -293,6 +293,8 @@ impl ShownSeries<'_, '_, '_> {
         text(&group, "NX_class", "NXdata")?;
         text(&group, "signal", "data")?;
         text(&group, "title", name)?;
+        // HyperSpy looks for it here: the last two axes are those of an image.
+        text(&group, "interpretation", "image")?;
         number(&group, "emd_group_type", 1_i64)?;
         self.write_data::<T>(&group)?;
         let stack = self.series.first();

@@ -209,6 +209,8 @@ fn write_entry(file: &File, r: &RecordingFile) -> hdf5::Result<()> {
     let group = hdf5_create::group(&entry, "recording")?;
     text(&group, "NX_class", "NXdata")?;
     text(&group, "signal", "data")?;
+    // HyperSpy looks for it here: the last two axes are those of an image.
+    text(&group, "interpretation", "image")?;
     group.link_soft("/recording", "data")?;
     let along = |k: usize, n: usize| -> Vec<f64> {
         (0..n).map(|i| r.frame.origin_nm[k] + i as f64 * r.frame.pixel_nm).collect()

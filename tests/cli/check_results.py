@@ -29,7 +29,7 @@ with h5py.File(sys.argv[1]) as f:
             assert group[axis].shape == (data.shape[n],) and group[axis].attrs["units"] == "angstrom"
         y, x = data.attrs["sampling_angstrom"]
         assert np.allclose(np.diff(group["x"]), x) and np.allclose(np.diff(group["y"]), y)
-        assert data.attrs["interpretation"] == "image"
+        assert data.attrs["interpretation"] == group.attrs["interpretation"] == "image"
         assert group["y"][0] == data.attrs["origin_angstrom"][0]
     for name in names:
         sharp, noisy, counts = f["images"][name], f["images"][name + "_noisy"], f["counts"][name]
