@@ -60,7 +60,7 @@ pub struct LikelySettings {
 }
 
 /// Some pixels of an image with the values of both.
-struct Sample {
+struct SampledPixels {
     places: Vec<[f64; 2]>,
     reference: Vec<f64>,
     mean: f64,
@@ -121,7 +121,7 @@ fn sample(
     ours: &Array2<f64>,
     reference: &Array2<f64>,
     fitted: bool,
-) -> (Sample, Vec<f64>) {
+) -> (SampledPixels, Vec<f64>) {
     let mut pixels: Vec<((usize, usize), f64)> =
         reference.indexed_iter().map(|(at, v)| (at, *v)).collect();
     pixels.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.cmp(&b.0)));
@@ -133,7 +133,7 @@ fn sample(
     let place = |(row, column): (usize, usize)| {
         [origin[0] + column as f64 * step[0], origin[1] + row as f64 * step[1]]
     };
-    let sample = Sample {
+    let sample = SampledPixels {
         places: chosen.iter().map(|(at, _)| place(*at)).collect(),
         reference: chosen.iter().map(|(_, v)| *v).collect(),
         mean: reference.mean().unwrap_or(f64::NAN).abs(),
@@ -142,7 +142,7 @@ fn sample(
     (sample, chosen.iter().map(|(at, _)| ours[*at]).collect())
 }
 
-impl Sample {
+impl SampledPixels {
     fn rms(&self, values: &[f64]) -> f64 {
         let row = |values: &[f64]| Array2::from_shape_fn((1, values.len()), |(_, n)| values[n]);
         let (ours, reference) = (row(values), row(&self.reference));
