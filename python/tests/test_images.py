@@ -48,7 +48,7 @@ def test_hspy_files_have_the_layout(images: sw.Images, tmp_path: Path) -> None:
 
 def test_a_defocus_series_is_one_stack(silicon: Any, tmp_path: Path) -> None:
     scan = sw.Scan(points=(3, 2))
-    series = sw.simulate(silicon, scan=scan, detectors={"BF": (0, 20)}, defocus_angstrom=(0, 30), dose=1e5, energy_kev=80)
+    series = sw.simulate(silicon, scan=scan, detectors={"BF": (0, 20)}, defocus_angstrom=(0, 30), dose=1e5, energy_kv=80)
     series.to_hspy(tmp_path / "all.hspy")
     with h5py.File(tmp_path / "all.hspy") as file:
         assert list(file["Experiments"]) == ["BF"]

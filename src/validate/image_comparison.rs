@@ -24,6 +24,8 @@ const MOST_REFINED: usize = 2;
 /// A rms difference, of the mean, at which nothing better is looked for.
 const FOUND: f64 = 1e-3;
 
+/// A rms difference, of the mean, below which a factor or an orientation explains an image for good.
+const CLEAR: f64 = 0.02;
 /// How many times smaller a setting has to make a difference that it does not explain to be named.
 const PARTLY: f64 = 1.5;
 
@@ -167,13 +169,15 @@ fn explained(
 ) -> Result<String> {
     let still = WideImage { data: ours.clone(), margin: [0; 2] };
     let in_place = explanations(&still, reference).best.filter(|best| best.shift.is_none());
+    // What a factor leaves of a wrong energy may be much less, and is no explanation.
+    let left_in_place = in_place.map_or(f64::INFINITY, |best| best.rms);
     let mut partly = None;
-    if in_place.is_none() {
+    if left_in_place > CLEAR {
         let fitted = c.units == ValueUnits::Fitted;
         if let Some(likely) = likely_settings(progress, c, ours, reference, fitted)? {
             findings.checks.extend(checks_of(&likely));
             match likely.tried.first() {
-                Some(best) if best.rms * MUCH_BETTER < likely.now => {
+                Some(best) if best.rms * MUCH_BETTER < likely.now.min(left_in_place) => {
                     return Ok(told(&likely, best));
                 }
                 best => partly = best.filter(|b| b.rms * PARTLY < likely.now).cloned(),
