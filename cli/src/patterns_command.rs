@@ -30,7 +30,7 @@ Examples:
   Counted electrons on a finer detector, eight phonon configurations, at two thicknesses (two files):
     stemgen patterns srtio3.cif --repeat 8,8,20 --pixels 128 --max-angle 60 --dose 1e5 \\
       --phonons 8 --sigma 0.08 --thicknesses 39,78
-  Rings of 1 mrad in place of pixels, for any annulus afterwards (`stemgen integrate srtio3.emd --annulus 68-200`):
+  Rings of 1 mrad in place of pixels, of which any annulus is made afterwards:
     stemgen patterns srtio3.cif --repeat 8,8,10 --radial 1 --max-angle 200
   A finite source, and a detector that spreads electrons over its pixels:
     stemgen patterns srtio3.cif --repeat 8,8,10 --source-size 0.8 --mtf 0.6 --dose 1e5

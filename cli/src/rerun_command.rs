@@ -27,7 +27,7 @@ Examples:
 Pixels are the same bits with the same version of the numerics on the same kind of processor. The exit code is 3 if a
 pixel differs.";
 
-/// Make the images or patterns of a file again, from the request that it holds, and compare them
+/// Make the images or patterns of a file again, and compare them
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Rerun {

@@ -209,7 +209,9 @@ impl SimulationJob {
     /// The raster of probes that the source takes; `None` for a point source, and for images.
     fn source_raster(&self) -> Option<SourceRaster> {
         self.request().patterns.as_ref()?;
-        Some(SourceRaster::new(self.request().microscope.source()?, self.scan()))
+        let optics = &self.plans()[0].settings.optics;
+        let highest_k = 2e-3 * optics.semiangle_mrad / optics.wavelength_angstrom();
+        Some(SourceRaster::new(self.request().microscope.source()?, self.scan(), highest_k))
     }
 
     /// The scan that is simulated for patterns; `None` for images.

@@ -13,8 +13,9 @@ use crate::engine::patterns::PatternRows;
 use crate::engine::{Scan, Source};
 use crate::error::Result;
 
-/// Widest step of the raster in standard deviations of the source: the sum is then off by less than 0.1 % of the maximum (tests).
-const WIDEST_STEP: f64 = 0.8;
+/// The raster resolves the finest waves of the patterns along the scan, and this over the standard deviation of the source beyond: what is
+/// folded over is then below 0.03 %, and the sum is off by less than 0.1 % of the maximum (tests).
+const FOLDED: f64 = 0.65;
 /// Standard deviations after which the source ends; 0.01 % of it is left out, and the rest has the sum 1.
 const REACH: f64 = 4.0;
 
@@ -39,10 +40,12 @@ pub(super) struct SourceRows<'a> {
 }
 
 impl SourceRaster {
-    /// For a Gaussian source.
-    pub fn new(source: Source, scan: &Scan) -> Self {
+    /// For a Gaussian source, and patterns that hold waves up to `highest_k` (1/Angstrom) along the scan: twice the probe's semiangle over the
+    /// wavelength.
+    pub fn new(source: Source, scan: &Scan, highest_k: f64) -> Self {
         let sigma = source.fwhm_angstrom / (8.0 * LN_2).sqrt();
-        let times = scan.step_angstrom.map(|step| (step / (WIDEST_STEP * sigma)).ceil().max(1.0));
+        let finest = highest_k + FOLDED / sigma;
+        let times = scan.step_angstrom.map(|step| (step * finest).ceil().max(1.0));
         let step = [0, 1].map(|k| scan.step_angstrom[k] / times[k]);
         let weights = step.map(|step| {
             let reach = (REACH * sigma / step).ceil() as i64;
@@ -144,7 +147,7 @@ mod tests {
 
     /// A wave in the plane of the scan, damped by the Gaussian in closed form; rows come in bands of three.
     fn error(scan: &Scan, fwhm: f64, k: [f64; 2]) -> f64 {
-        let raster = SourceRaster::new(Source::gaussian(fwhm), scan);
+        let raster = SourceRaster::new(Source::gaussian(fwhm), scan, 1.67);
         let fine = raster.scan();
         let wave = |[x, y]: [f64; 2], height: f64| {
             1.0 + height * (2.0 * PI * (k[0] * x + k[1] * y) + 0.3).cos()
