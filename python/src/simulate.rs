@@ -9,6 +9,7 @@ use numpy::{IntoPyArray, PyArray2, PyArray3};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use stemgen::engine::Plan;
+use stemgen::progress::Progress;
 use stemgen::simulation::{LengthUnit, SimulatedImage, SimulationJob};
 
 /// Passes warnings on, and refuses what takes more memory than is free unless `force`.

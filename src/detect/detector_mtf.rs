@@ -80,7 +80,8 @@ impl DetectorMtf {
                     let first = format!("{}, {}", rows[0][0], rows[0][1]);
                     return bad(first, "a table begins at frequency 0 with transfer 1");
                 }
-                if let Some(pair) = rows.windows(2).find(|pair| !(pair[0][0] < pair[1][0])) {
+                let falls = |pair: &&[[f64; 2]]| pair[1][0].is_nan() || pair[0][0] >= pair[1][0];
+                if let Some(pair) = rows.windows(2).find(falls) {
                     let at = pair[1][0].to_string();
                     return bad(at, "frequencies (cycles per pixel) have to rise from row to row");
                 }

@@ -32,7 +32,7 @@ pub(super) struct PatternReader<'a> {
     padded: PaddedBox,
     values: ValueReader,
     /// Whether any value is read from the padded box.
-    from_box: bool,
+    read_from_box: bool,
     /// Whether any value is read from the window's own frequencies.
     from_window: bool,
     /// Probes in the box around a window, for each focus with its weight; `None` on the full grid.
@@ -151,7 +151,7 @@ impl PatternReach {
     }
 
     /// Whether any value is read from the padded box.
-    pub fn from_box(&self) -> bool {
+    pub fn read_from_box(&self) -> bool {
         self.outer.as_ref().is_none_or(|taken| taken.contains(&false))
     }
 
@@ -191,7 +191,7 @@ impl<'a> PatternReader<'a> {
         let engine = Multislice::new(plan);
         let wavelength = plan.settings.optics.wavelength_angstrom();
         let reach = PatternReach::new(plan, &settings.detector, engine.stride());
-        let (from_box, from_window) = (reach.from_box(), reach.outer.is_some());
+        let (read_from_box, from_window) = (reach.read_from_box(), reach.outer.is_some());
         let window = (plan.wave_grid.points, plan.wave_grid.extent_angstrom);
         let values = match &settings.detector {
             PatternDetector::Pixels(detector) => ValueReader::Pixels {
@@ -208,7 +208,7 @@ impl<'a> PatternReader<'a> {
         };
         let padded = reach.padded;
         let around = plan.has_windows().then(|| Around::new(plan, &padded, &engine));
-        PatternReader { plan, engine, settings, padded, values, from_box, from_window, around }
+        PatternReader { plan, engine, settings, padded, values, read_from_box, from_window, around }
     }
 
     pub fn workspace(&self) -> ReaderWorkspace {
@@ -295,7 +295,7 @@ impl<'a> PatternReader<'a> {
             for j in 0..n {
                 let psi = self.engine.spectrum(&mut w.multislice, j);
                 self.own_frequencies(psi, &mut w.own[j * own..][..own]);
-                if !self.from_box {
+                if !self.read_from_box {
                     continue;
                 }
                 let fine = &mut w.fine[j * kept..][..kept];
@@ -311,7 +311,7 @@ impl<'a> PatternReader<'a> {
                     let to = |i: usize| ((first + i) * at.path.len() + r) * self.pattern_len();
                     w.amplitudes.resize(some * kept.max(own), Complex32::ZERO);
                     let amplitudes = &mut w.amplitudes;
-                    if self.from_box {
+                    if self.read_from_box {
                         multiply((some, kept, n), (amplitudes, kept), c, (&w.fine, kept));
                         for (i, fine) in amplitudes.chunks_exact(kept).take(some).enumerate() {
                             let out = &mut out[to(i)..][..self.pattern_len()];
@@ -373,7 +373,7 @@ impl<'a> PatternReader<'a> {
                     let out = &mut out[to..][..self.pattern_len()];
                     self.own_frequencies(psi, &mut w.own[..own]);
                     self.read_own(&w.own[..own], weight, &mut w.pixels, out);
-                    if !self.from_box {
+                    if !self.read_from_box {
                         continue;
                     }
                     self.padded.sample(psi, centre, &mut w.padded, &mut w.fine[..kept]);
