@@ -85,7 +85,7 @@ pub struct PatternArgs {
     radial: Option<f64>,
     /// How the detector spreads the electrons of a pixel over its neighbours: the standard deviation of a Gaussian in pixels, or
     /// a file with its modulation transfer function, in lines of cycles per pixel and transfer, from 0, 1 on
-    #[arg(long, value_name = "PIXELS|FILE", value_parser = mtf, conflicts_with = "radial")]
+    #[arg(long, value_name = "PIXELS|FILE", value_parser = mtf, conflicts_with = "radial", allow_negative_numbers = true)]
     mtf: Option<DetectorMtf>,
     /// Leave out what windows cut off the probe
     #[arg(long)]

@@ -41,7 +41,7 @@ impl TrainingOptions {
         (self.tiles > room && times > 1.0).then(|| {
             format!(
                 "{} tiles are asked for, and the field of {} x {} pixels has room for {room} of {size} x {size} side by side: each pixel \
-                 is in {times:.1} tiles on average; a larger field (--grid) shows more",
+                 is in {times:.1} tiles on average; a larger field shows more",
                 self.tiles,
                 shape[0],
                 shape[1],

@@ -173,7 +173,6 @@ fn what_cannot_be_recorded_is_refused() {
     );
     refused(&["--dose", "1e30"], &["dose"]);
     refused(&["--current-pa", "1e9"], &["pA"]);
-    refused(&["--dry-run"], &["build --dry-run"]);
     let told = fails(stemgen(here).args(["acquire", "test", "-o", "x.png"]));
     assert!(told.contains("did you mean x.h5"), "{told}");
 }
