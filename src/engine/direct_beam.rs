@@ -1,8 +1,9 @@
 //! The share of the beam that detectors at low angles miss because probes are cropped.
 //!
 //! Windows and large boxes crop the tail of a probe. What of it passes the specimen falls on detectors within the aperture, so that their
-//! images lack a few per cent, nearly the same everywhere: ABF 10-21 mrad of SrTiO3 (10 nm, windows of 7.8 A) lacks 4.5 %, and is right
-//! to 0.4 % when multiplied by the factor that makes it right without a specimen. Patterns add the tail itself (`engine::patterns`).
+//! images lack a few per cent, nearly the same everywhere: 10.5-21 mrad of SrTiO3 (39 A, windows of 15.6 A) lacks 3.3 %, and is right
+//! to 0.6 % when multiplied by the factor that makes it right without a specimen (docs/accuracy.md has more). Patterns add the tail
+//! itself (`engine::patterns`).
 
 use super::plan::Plan;
 use super::probe::Probe;

@@ -256,7 +256,8 @@ fn patterns_are_made_again_from_their_request() {
     refused(&["patterns", "r.toml", "--write-request", "r.txt"], "did you mean r.toml?");
     refused(&["patterns", "r.toml", "--mtf", "none.csv"], "none.csv");
     refused(&["patterns", "r.toml", "--mtf", "-1"], "0 to 50 pixels");
-    refused(&["patterns", "r.toml", "--source-lorentz", "0.3"], "Gaussian");
+    let lorentz = ["patterns", "r.toml", "--source-size", "0.8", "--source-lorentz", "0.3"];
+    refused(&lorentz, "Gaussian");
     refused(&["rerun", "r_defocus_0A.emd", "-o", "x.h5"], "written as .emd");
     std::fs::remove_file(here.join("si.cif")).unwrap();
     refused(&["rerun", "r_defocus_0A.emd"], "--structure FILE");

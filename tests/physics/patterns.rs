@@ -288,7 +288,9 @@ fn rings_of_windows_have_the_coherent_tail() {
 
 /// A request for SrTiO3 on the full grid, without phonons.
 fn request(cells: usize) -> SimulationRequest {
-    let mut request = SimulationRequest::new(AtomsSource::File("structures/srtio3.cif".into()));
+    let mut request = SimulationRequest::new(AtomsSource::File(
+        concat!(env!("CARGO_MANIFEST_DIR"), "/../structures/srtio3.cif").into(),
+    ));
     request.specimen.repeat = Some([cells, cells, 2]);
     request.numerics.engine = Some(Engine::Multislice);
     request
