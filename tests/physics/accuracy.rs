@@ -5,8 +5,8 @@ use std::time::Instant;
 
 use stemgen::detect::Detector;
 use stemgen::engine::{
-    AccuracyFound, Algorithm, Expansion, Images, Phonons, Plan, ProbeBox, ProbeStep, Scan,
-    Settings, Simulation, Site, settings_for_accuracy, simulate,
+    AccuracyFound, Algorithm, Expansion, GridChoice, Images, Phonons, Plan, ProbeBox, ProbeStep,
+    Scan, Settings, Simulation, Site, settings_for_accuracy, simulate,
 };
 use stemgen::progress::Silent;
 use stemgen::structure;
@@ -185,7 +185,7 @@ fn the_accuracy_asked_for_is_kept_with_phonons() {
 #[test]
 fn detectors_in_the_beam_are_right_where_probes_are_cropped() {
     let detectors = vec![Detector::new("ABF", 10.5, 25.0), Detector::new("BF", 0.0, 30.0)];
-    let base = Settings { detectors, ..Settings::default() };
+    let base = Settings { detectors, grid: GridChoice::Sampling(0.05), ..Settings::default() };
     let scan = scan([7.81, 7.81], 0.9, [2, 2]);
     let wide = image(&base, &crystal("srtio3.cif", [0, 0, 1], [21, 21, 10], 0.0), &scan);
     let specimen = crystal("srtio3.cif", [0, 0, 1], [7, 7, 10], 0.0);
