@@ -17,6 +17,7 @@ import pytest
 from conftest import TINY
 
 import stemworlds as sw
+from stemworlds.streaming import SAMPLE_COLUMN_DTYPE
 
 OPTIONS: dict[str, Any] = {"size": 48, "dose": (1e3, 1e5), "pixel_nm": (0.02, 0.03), "seed": 7, "batch": 4}
 
@@ -141,7 +142,7 @@ def test_files_for_training(stream: sw.Stream, tmp_path: Path) -> None:
         assert stacks["angle_deg"][n] == sample.angle_deg and tuple(stacks["centre_nm"][n]) == sample.centre_nm
         assert str(stacks["recipes"][stacks["source"][n]]) == sample.recipe and "[field]" in sample.recipe
     # as `stemgen tiles` has it
-    assert stacks["columns"].dtype.names == ("sample", *sw.SAMPLE_COLUMN_DTYPE.names)
+    assert stacks["columns"].dtype.names == ("sample", *SAMPLE_COLUMN_DTYPE.names)
     np.testing.assert_array_equal(stacks["images"][1], samples[1].image)
     sw.export(samples, tmp_path / "b.npz")
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
