@@ -18,14 +18,14 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import h5py
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
-#: Of a specimen without end, each probe by itself: 0.34 A is finer than the aperture asks for in all cases.
+#: Of a specimen without end, each probe by itself.
 EXACT = ["--engine", "multislice", "--probe-box", "large"]
 FOUR = ["BF=0-20", "ABF=12-24", "MAADF=40-80", "HAADF=80-200"]
 
@@ -37,7 +37,7 @@ class Case:
     structure: str | Callable[[], tuple[list[str], np.ndarray, np.ndarray]]
     options: list[str]
     best: list[str]
-    exact: list[str] = field(default_factory=lambda: EXACT)
+    exact: list[str]
     phonons: int = 0
 
 

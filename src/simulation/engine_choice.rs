@@ -129,7 +129,9 @@ impl SimulationJob {
             return at_once(found);
         }
         // The widest window of the series is wide enough for each.
-        let width_angstrom = all.iter().map(width).fold(0.0, f64::max);
+        let widths =
+            found.iter().filter_map(|one| one.window()).map(|window| window.width_angstrom);
+        let width_angstrom = widths.fold(0.0, f64::max);
         let algorithm = Algorithm::Window { width_angstrom };
         found.iter_mut().for_each(|one| one.algorithm = algorithm);
         let plan = |settings: Settings| {
@@ -157,13 +159,6 @@ impl SimulationJob {
         }
         let frames = self.specimen().frames().len();
         Ok(flops * (frames as f64) < LITTLE_FLOPS || probes * frames < FEW_PROBES)
-    }
-}
-
-fn width(settings: &Settings) -> f64 {
-    match settings.algorithm {
-        Algorithm::Window { width_angstrom } => width_angstrom,
-        _ => 0.0,
     }
 }
 
