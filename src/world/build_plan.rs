@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use super::WorldBuild;
 use super::footprint::PICTURE;
+use super::image_plan::report;
 use crate::engine::check_memory;
 use crate::error::Result;
 use crate::imaging::{MethodChoice, MosaicCost, SimulationRuns};
@@ -136,9 +137,4 @@ impl WorldPlan {
     pub fn has_library(&self) -> bool {
         self.mosaic_used && self.mosaic.as_ref().is_some_and(|m| m.missing > 0)
     }
-}
-
-/// Like simulations as a report; each with an estimate measures the speed.
-pub(super) fn report(simulations: &SimulationRuns) -> PlanReport {
-    PlanReport::new(&simulations.plan, &simulations.cost, simulations.runs)
 }

@@ -2,9 +2,8 @@
 
 use serde::Serialize;
 
-use super::build_plan::report;
 use crate::error::Result;
-use crate::imaging::{MosaicCost, RegionImager};
+use crate::imaging::{MosaicCost, RegionImager, SimulationRuns};
 use crate::simulation::PlanReport;
 
 /// What the image takes before it can be recorded or cut into tiles.
@@ -42,4 +41,9 @@ impl ImagePlan {
     pub fn missing(&self) -> usize {
         self.library.as_ref().map_or(0, |library| library.missing)
     }
+}
+
+/// Like simulations as a report; each with an estimate measures the speed.
+pub(super) fn report(simulations: &SimulationRuns) -> PlanReport {
+    PlanReport::new(&simulations.plan, &simulations.cost, simulations.runs)
 }

@@ -20,7 +20,6 @@ mod field_recording;
 mod field_scan;
 mod field_tile;
 pub mod footprint;
-#[cfg(feature = "hdf5")]
 mod image_plan;
 #[cfg(feature = "hdf5")]
 mod made_world;
@@ -73,7 +72,6 @@ pub use field_recording::{
 pub(crate) use field_recording::{record_over, scan_of};
 pub(crate) use field_tile::tile_of_image;
 pub use field_tile::{FieldTile, field_tile};
-#[cfg(feature = "hdf5")]
 pub use image_plan::ImagePlan;
 #[cfg(feature = "hdf5")]
 pub use made_world::{WorldEngine, imaging_of, planned_imaging};
