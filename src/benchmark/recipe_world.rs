@@ -217,8 +217,9 @@ fn name_of(recipe: &Recipe) -> String {
 
 /// The kind of defect that a recipe has most of.
 fn target(recipe: &Recipe) -> Option<String> {
-    let substituted = recipe.alloy.is_some() || recipe.substitutions.is_some();
-    match (recipe.structure, recipe.vacancies.is_some(), substituted) {
+    let further = |vacant: bool| recipe.defects.iter().any(|d| d.by.is_none() == vacant);
+    let substituted = recipe.alloy.is_some() || recipe.substitutions.is_some() || further(false);
+    match (recipe.structure, recipe.vacancies.is_some() || further(true), substituted) {
         (StructureKind::Particles, ..) => None,
         (_, true, _) => type_name(SiteKind::Vacancy).map(str::to_owned),
         (_, false, true) => type_name(SiteKind::Substitution).map(str::to_owned),

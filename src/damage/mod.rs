@@ -5,4 +5,4 @@ mod damage_table;
 mod knock_on;
 
 pub use damage_table::{BARN_ANGSTROM2, DamageTable};
-pub use knock_on::{greatest_transfer_ev, knock_on_angstrom2};
+pub use knock_on::{greatest_transfer_ev, knock_on_angstrom2, vibrating_knock_on_angstrom2};

@@ -14,6 +14,7 @@ use super::tables::{
     Alloy, Boundaries, CompositionProfile, DomainTable, Field, StructureKind, Wells,
 };
 use crate::structure::coincidence;
+use crate::structure::coincidence::PlaneLattice;
 use crate::structure::columns::ColumnCrystal;
 use crate::structure::{PAIR_CUTOFF_ANGSTROM, Structure, elements, shortest_distances};
 
@@ -111,6 +112,7 @@ fn check_tables(recipe: &Recipe) -> Checked {
         ("particles", recipe.particles.is_some(), &[Particles]),
         ("vacancies", recipe.vacancies.is_some(), &[Grains, Domains, Epitaxy, Particles]),
         ("substitutions", recipe.substitutions.is_some(), &[Grains, Domains, Epitaxy, Particles]),
+        ("defects", !recipe.defects.is_empty(), &[Grains]),
     ];
     for (name, given, kinds) in tables {
         if given && !kinds.contains(&recipe.structure) {
@@ -205,12 +207,9 @@ fn check_boundaries(
     within("boundaries.misorientation_deg", b.misorientation_deg, 0.1, 90.0)?;
     check_count("boundaries.count", b.count, field, 2.0)?;
     if let Some(sigma) = b.sigma {
-        if (crystal.cell[0] / crystal.cell[1] - 1.0).abs() > 1e-3 {
-            let expected = "a coincidence index needs a crystal that is square along the zone axis; \
-                            leave it out and give misorientation_deg alone";
-            return fault("boundaries.sigma", sigma, expected);
-        }
-        if let Err(expected) = coincidence::half_angle(sigma, b.misorientation_deg) {
+        let found = PlaneLattice::of(crystal.cell)
+            .and_then(|lattice| coincidence::half_angle(lattice, sigma, b.misorientation_deg));
+        if let Err(expected) = found {
             return fault("boundaries.sigma", sigma, expected);
         }
     }

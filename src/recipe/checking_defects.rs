@@ -2,7 +2,7 @@
 
 use super::fault::{Checked, check_guest, fault, one_of, within};
 use super::resolved_recipe::Recipe;
-use super::tables::{StructureKind, Substitutions, Vacancies};
+use super::tables::{MOST_POINT_DEFECTS, PointDefect, StructureKind, Substitutions, Vacancies};
 
 /// Defects of a crystal that holds the elements `symbols`; adds those that come in by substitution.
 pub fn check_defects(recipe: &Recipe, symbols: &mut Vec<String>) -> Checked {
@@ -19,6 +19,29 @@ pub fn check_defects(recipe: &Recipe, symbols: &mut Vec<String>) -> Checked {
     if let Some(substitutions) = &recipe.substitutions {
         check_substitutions(substitutions, symbols)?;
         symbols.push(substitutions.by.clone());
+    }
+    check_point_defects(&recipe.defects, symbols)
+}
+
+fn check_point_defects(defects: &[PointDefect], symbols: &mut Vec<String>) -> Checked {
+    if defects.len() > MOST_POINT_DEFECTS {
+        let expected = format!("expected at most {MOST_POINT_DEFECTS} tables [[defects]]");
+        return fault("defects", format!("{} tables", defects.len()), expected);
+    }
+    let hosts = symbols.clone();
+    for (n, defect) in defects.iter().enumerate() {
+        one_of("defects.element", &defect.element, &hosts)?;
+        within("defects.rate", defect.rate, 0.0, 1.0)?;
+        if let Some(by) = &defect.by {
+            check_guest("defects.by", by, &defect.element)?;
+            symbols.push(by.clone());
+        }
+        let same = |d: &&PointDefect| (&d.element, &d.by) == (&defect.element, &defect.by);
+        if defects[..n].iter().any(|d| same(&d)) {
+            let kind = defect.by.as_ref().map_or("vacancies".to_owned(), |by| format!("by {by}"));
+            let expected = "every [[defects]] needs a kind of its own: add the rates in one table";
+            return fault("defects", format!("{} {kind} twice", defect.element), expected);
+        }
     }
     Ok(())
 }

@@ -28,17 +28,19 @@ impl PartialEq for RecipeOrigin {
 /// What is said of an array that stands where a table is expected.
 pub(super) const NO_ARRAY: &str = "expected a table of keys and values, found an array";
 
-/// The one key of a recipe that may be an array of tables.
-const ARRAY: &str = "detector";
+/// The keys of a recipe that may be arrays of tables.
+const ARRAYS: [&str; 2] = ["detector", "defects"];
 
-/// The first key of a recipe that has an array as its value. Arrays stand in tables only, but those of detectors; serde would take
+/// The first key of a recipe that has an array as its value. Arrays stand in tables only, but those of detectors and defects; serde would take
 /// one for a table whose values stand in the order of the source.
 pub(super) fn array_for_table(table: &toml::Table) -> Option<&str> {
     table
         .iter()
         .find(|(key, value)| match value {
             // Of tables; what else stands in it is told where it is read.
-            toml::Value::Array(list) if *key == ARRAY => list.iter().any(toml::Value::is_array),
+            toml::Value::Array(list) if ARRAYS.contains(&key.as_str()) => {
+                list.iter().any(toml::Value::is_array)
+            }
             value => value.is_array(),
         })
         .map(|(key, _)| key.as_str())

@@ -21,6 +21,9 @@ const BUILT_IN: &[(&str, &str)] = &[
     ("sige", include_str!("../../generate/sige.toml")),
     ("gan", include_str!("../../generate/gan.toml")),
     ("pt", include_str!("../../generate/pt.toml")),
+    ("mos2", include_str!("../../generate/mos2.toml")),
+    ("wse2", include_str!("../../generate/wse2.toml")),
+    ("graphene", include_str!("../../generate/graphene.toml")),
     ("replay", include_str!("../../generate/replay.toml")),
     ("test", include_str!("../../generate/test.toml")),
 ];

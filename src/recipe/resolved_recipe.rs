@@ -63,6 +63,9 @@ pub struct Recipe {
     /// Random substitutions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub substitutions: Option<Substitutions>,
+    /// Further kinds of point defects (`grains`).
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub defects: Vec<PointDefect>,
     /// Thermal vibration.
     pub phonons: PhononTable,
     /// The probe.

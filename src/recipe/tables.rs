@@ -204,6 +204,22 @@ pub struct Substitutions {
     pub rate: f64,
 }
 
+/// A further kind of point defect, on sites drawn at random.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PointDefect {
+    /// Symbol of the element concerned.
+    pub element: String,
+    /// Symbol of the element that replaces it; the site is vacant without.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub by: Option<String>,
+    /// Fraction of all sites of the element that are such defects.
+    pub rate: f64,
+}
+
+/// Kinds of point defects in `[[defects]]`, at most.
+pub const MOST_POINT_DEFECTS: usize = 6;
+
 /// Thermal vibration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -11,8 +11,20 @@ macro_rules! library {
     };
 }
 
-const LIBRARY: [(&str, &str); 9] =
-    library!["srtio3", "batio3_cubic", "batio3_tetragonal", "si", "ge", "gaas", "gan", "inn", "pt"];
+const LIBRARY: [(&str, &str); 12] = library![
+    "srtio3",
+    "batio3_cubic",
+    "batio3_tetragonal",
+    "si",
+    "ge",
+    "gaas",
+    "gan",
+    "inn",
+    "pt",
+    "mos2",
+    "wse2",
+    "graphene"
+];
 
 /// Names of the crystals: `srtio3`, `batio3_cubic` ...
 pub fn names() -> impl Iterator<Item = &'static str> + Clone {

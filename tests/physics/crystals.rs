@@ -11,6 +11,7 @@ fn crystal(name: &str) -> Structure {
 /// Standard atomic weights in u.
 fn weight(number: u8) -> f64 {
     match elements::symbol(number) {
+        "C" => 12.011,
         "N" => 14.007,
         "O" => 15.999,
         "Si" => 28.085,
@@ -21,6 +22,10 @@ fn weight(number: u8) -> f64 {
         "Sr" => 87.62,
         "In" => 114.818,
         "Ba" => 137.327,
+        "S" => 32.06,
+        "Se" => 78.971,
+        "Mo" => 95.95,
+        "W" => 183.84,
         "Pt" => 195.084,
         other => panic!("no weight for {other}"),
     }
@@ -44,8 +49,8 @@ fn composition(s: &Structure) -> String {
 }
 
 /// File, cell content, density (g/cm3) and nearest distance (A) from handbooks. Handbook densities
-/// of GaN and InN differ by 1 % from those of their cells.
-const CRYSTALS: [(&str, &str, f64, f64); 9] = [
+/// of GaN and InN differ by 1 % from those of their cells; those of MoS2, WSe2 and graphite are for layers as far apart as in the bulk.
+const CRYSTALS: [(&str, &str, f64, f64); 12] = [
     ("srtio3.cif", "O3 Sr1 Ti1", 5.12, 1.953),
     ("batio3_cubic.cif", "Ba1 O3 Ti1", 6.01, 2.005),
     ("batio3_tetragonal.cif", "Ba1 O3 Ti1", 6.02, 1.872),
@@ -55,6 +60,9 @@ const CRYSTALS: [(&str, &str, f64, f64); 9] = [
     ("gan.cif", "Ga2 N2", 6.15, 1.949),
     ("inn.cif", "In2 N2", 6.81, 2.150),
     ("pt.cif", "Pt4", 21.45, 2.774),
+    ("mos2.cif", "Mo1 S2", 5.06, 2.410),
+    ("wse2.cif", "Se2 W1", 9.32, 2.526),
+    ("graphene.cif", "C2", 2.266, 1.421),
 ];
 
 #[test]

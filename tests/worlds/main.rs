@@ -14,6 +14,7 @@ mod episodes;
 mod epitaxy;
 mod examples;
 mod film;
+mod layers;
 mod library;
 mod live;
 mod mosaic;

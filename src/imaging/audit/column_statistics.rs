@@ -46,9 +46,10 @@ pub struct ColumnPoint {
 fn kind(sites: &[SpecimenSite], recipe: &Recipe) -> String {
     let host = |number: u8| {
         let by = recipe.substitutions.as_ref().map(|s| (&s.by, &s.element));
+        let further = recipe.defects.iter().filter_map(|d| Some((d.by.as_ref()?, &d.element)));
         let alloy = recipe.alloy.as_ref().map(|a| (&a.guest, &a.host));
         let symbol = elements::symbol(number);
-        let pair = by.into_iter().chain(alloy).find(|(guest, _)| *guest == symbol);
+        let pair = by.into_iter().chain(further).chain(alloy).find(|(guest, _)| *guest == symbol);
         pair.map_or(symbol, |(_, host)| host.as_str()).to_owned()
     };
     let mut symbols: Vec<String> = sites

@@ -2,15 +2,18 @@
 
 use crate::error::Result;
 use crate::recipe::resolved_recipe::Recipe;
+use crate::recipe::tables::MOST_POINT_DEFECTS;
 use crate::rng::{self, Purpose};
 use crate::specimen::defects::vacancies::{DistanceHistogram, VacancyProfile};
 use crate::specimen::sites::SiteKind;
+use crate::specimen::units::occupation::DefectKind;
 use crate::structure::elements;
 
 /// Independent draws for one site.
 mod draw {
     pub const VACANCY: u32 = 0;
     pub const SUBSTITUTION: u32 = 1;
+    pub const FURTHER: u32 = 2;
 }
 
 /// Rules by which sites become defects. What a site holds depends on the seed and its key only.
@@ -20,7 +23,11 @@ pub struct Defects {
     vacancies: Option<(u8, VacancyProfile)>,
     /// Element, what replaces it, and how often.
     substitutions: Option<(u8, u8, f64)>,
+    further: FurtherDefects,
 }
+
+/// Further kinds of defects, and how often each is.
+type FurtherDefects = [Option<(DefectKind, f64)>; MOST_POINT_DEFECTS];
 
 impl Defects {
     /// Fits the rules to the sites of the full field; `count` adds the sites of the element that it
@@ -45,13 +52,18 @@ impl Defects {
             }
             None => None,
         };
-        Ok(Defects { seed: recipe.seed, vacancies, substitutions })
+        let mut further = FurtherDefects::default();
+        for (place, defect) in further.iter_mut().zip(&recipe.defects) {
+            *place = Some((DefectKind::of(defect)?, defect.rate));
+        }
+        Ok(Defects { seed: recipe.seed, vacancies, substitutions, further })
     }
 
     /// The rule for sites at `distance_nm` from the nearest boundary.
     pub fn at(&self, distance_nm: f64) -> LocalDefects {
         let vacancies = self.vacancies.map(|(e, profile)| (e, profile.probability(distance_nm)));
-        LocalDefects { seed: self.seed, vacancies, substitutions: self.substitutions }
+        let Defects { seed, substitutions, further, .. } = *self;
+        LocalDefects { seed, vacancies, substitutions, further }
     }
 }
 
@@ -61,6 +73,7 @@ pub struct LocalDefects {
     seed: u64,
     vacancies: Option<(u8, f64)>,
     substitutions: Option<(u8, u8, f64)>,
+    further: FurtherDefects,
 }
 
 impl LocalDefects {
@@ -68,7 +81,20 @@ impl LocalDefects {
     pub fn rate(&self, element: u8) -> f64 {
         let vacant = self.vacancies.filter(|(e, _)| *e == element).map_or(0.0, |(_, p)| p);
         let replaced = self.substitutions.filter(|(e, _, _)| *e == element);
-        vacant + (1.0 - vacant) * replaced.map_or(0.0, |(_, _, rate)| rate)
+        let first = vacant + (1.0 - vacant) * replaced.map_or(0.0, |(_, _, rate)| rate);
+        let further = self.further.iter().flatten().filter(|(kind, _)| kind.element == element);
+        further.fold(first, |rate, (_, more)| rate + (1.0 - rate) * more)
+    }
+
+    /// How often a site where the element of a kind belongs is drawn to be such a defect, whatever else it is drawn to be.
+    pub fn rate_of(&self, kind: DefectKind) -> f64 {
+        let vacant = self.vacancies.filter(|(e, _)| kind == DefectKind { element: *e, by: None });
+        let replaced = self
+            .substitutions
+            .filter(|(element, by, _)| kind == DefectKind { element: *element, by: Some(*by) });
+        let further = self.further.iter().flatten().filter(|(k, _)| *k == kind);
+        let first = vacant.map(|(_, rate)| rate).or(replaced.map(|(_, _, rate)| rate));
+        further.fold(first.unwrap_or(0.0), |rate, (_, more)| rate + (1.0 - rate) * more)
     }
 
     /// Kind of the site `key` where element `number` belongs, and the element that it holds (of a
@@ -80,9 +106,15 @@ impl LocalDefects {
         }
         match self.substitutions {
             Some((element, by, rate)) if element == number && drawn(draw::SUBSTITUTION) < rate => {
-                (SiteKind::Substitution, by)
+                return (SiteKind::Substitution, by);
             }
-            _ => (SiteKind::Pristine, number),
+            _ => {}
         }
+        for (substream, (kind, rate)) in (draw::FURTHER..).zip(self.further.iter().flatten()) {
+            if kind.element == number && drawn(substream) < *rate {
+                return kind.defect();
+            }
+        }
+        (SiteKind::Pristine, number)
     }
 }

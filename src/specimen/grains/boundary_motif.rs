@@ -62,7 +62,7 @@ impl BoundaryMotif {
         period: f64,
         depth: usize,
         process: Option<DefectKind>,
-        configurations: usize,
+        [patches, configurations]: [usize; 2],
         (seed, stream): (u64, u64),
     ) -> Self {
         let near = |c: &BoundaryColumn| c.position[0].abs() <= SLOT_REACH_ANGSTROM;
@@ -74,7 +74,7 @@ impl BoundaryMotif {
         let sites = slots.iter().map(|s| depth * defects(s)).collect();
         // Each slot has several contents, however long the period is.
         let least = LEAST_CONTENTS.div_ceil(periods);
-        let count = library_cells(slots.len() * periods, configurations).max(least);
+        let count = library_cells(patches, slots.len() * periods, configurations).max(least);
         let lookup = slots.iter().enumerate().map(|(n, s)| (rounded(s.position), n)).collect();
         let pool = DefectPatterns::new(sites, [count, periods], 1 + stream);
         BoundaryMotif { period, slots, lookup, others, pool, periods, process, seed }

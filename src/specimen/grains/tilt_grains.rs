@@ -7,7 +7,7 @@ use crate::error::{Error, Result};
 use crate::recipe::CheckedRecipe;
 use crate::recipe::limits::BEYOND_FIELD_NM;
 use crate::recipe::region::Region;
-use crate::recipe::tables::Boundaries;
+use crate::recipe::tables::{Boundaries, MOST_POINT_DEFECTS};
 use crate::specimen::atom_columns::{AtomColumn, Sites};
 use crate::specimen::coherent::NM;
 use crate::specimen::column_index::ColumnIndex;
@@ -18,7 +18,7 @@ use crate::specimen::grains::boundary_motif::{
     BoundaryColumn, BoundaryMotif, SLOT_REACH_ANGSTROM, reach_angstrom,
 };
 use crate::specimen::grains::grain::Grain;
-use crate::specimen::sites::SpecimenSite;
+use crate::specimen::sites::{SiteKind, SpecimenSite};
 use crate::specimen::specimen_trait::{
     Boundary, BoundaryKind, ParticleTruth, Specimen, SpecimenFacts, SpecimenLayout,
 };
@@ -27,7 +27,7 @@ use crate::specimen::units::occupation::UnitOccupation;
 use crate::specimen::units::unit_tag::UnitFamily;
 use crate::specimen::units::unit_tag::UnitTag;
 use crate::structure::coincidence;
-use crate::structure::coincidence::HalfAngle;
+use crate::structure::coincidence::{HalfAngle, PlaneLattice};
 use crate::structure::columns::{Chain, ColumnCrystal};
 use crate::structure::{PAIR_CUTOFF_ANGSTROM, shortest_distances};
 
@@ -45,8 +45,9 @@ pub struct Grains {
     field: Region,
     kind: BoundaryKind,
     defects: Defects,
-    /// What units hold; `None` draws each site by itself.
-    contents: Option<UnitOccupation>,
+    /// What units hold of each kind of defect; none draws each site by itself.
+    contents: Vec<UnitOccupation>,
+    /// Each pattern of boundaries once for each kind of defect.
     motifs: Vec<BoundaryMotif>,
     /// For each boundary that repeats: its motif, the directions of the motif's axes, and a lattice point on
     /// the plane.
@@ -57,6 +58,7 @@ pub struct Grains {
 /// How a boundary shows a motif.
 #[derive(Debug, Clone, Copy)]
 struct Repeat {
+    /// The first of its kinds of defects.
     motif: usize,
     flip: [f64; 2],
     /// y in Angstrom of a lattice point on the plane.
@@ -69,6 +71,22 @@ struct Present {
     /// Angstrom.
     position: [f64; 2],
     kept: u64,
+}
+
+/// Kinds of defects that a column may hold, at most.
+const MOST_KINDS: usize = MOST_POINT_DEFECTS + 2;
+
+/// What a column holds.
+enum Held {
+    /// Each site is drawn by itself.
+    EachSite,
+    /// Patterns of kinds of defects; of several that name a site, the first counts.
+    Patterns {
+        /// Where the like of the column is in the library, which shows columns of one kind of defect only.
+        tag: Option<UnitTag>,
+        /// Where its patterns are, for each kind of defect that it holds.
+        defective: [Option<UnitTag>; MOST_KINDS],
+    },
 }
 
 impl Grains {
@@ -92,7 +110,7 @@ impl Grains {
             field,
             kind: BoundaryKind::Grain { misorientation_deg: 0.0, sigma: None },
             defects: Defects::default(),
-            contents: None,
+            contents: Vec::new(),
             motifs: Vec::new(),
             repeating: Vec::new(),
             facts: SpecimenFacts::default(),
@@ -106,7 +124,7 @@ impl Grains {
                 histogram.add(specimen.distance_nm(column.position[0]), chains as u64);
             });
         })?;
-        specimen.contents = UnitOccupation::new(recipe, &specimen.crystal)?;
+        specimen.contents = UnitOccupation::each(recipe, &specimen.crystal)?;
         specimen.find_motifs(recipe);
         Ok(specimen)
     }
@@ -131,13 +149,7 @@ impl Grains {
                             perpendicular to x; choose another y_axis, or count = 0";
             return Err(Error::invalid(crate::Setting::BoundaryCount, boundaries.count, expected));
         }
-        let coincidence = match boundaries.sigma {
-            Some(sigma) => Some(
-                coincidence::half_angle(sigma, boundaries.misorientation_deg)
-                    .map_err(|e| Error::invalid(crate::Setting::BoundarySigma, sigma, e))?,
-            ),
-            None => None,
-        };
+        let coincidence = coincidence_of(boundaries, self.crystal.cell)?;
         let half = coincidence
             .map_or(0.5 * boundaries.misorientation_deg.to_radians(), HalfAngle::radians);
         self.kind = BoundaryKind::Grain {
@@ -179,9 +191,56 @@ impl Grains {
         chains.iter().enumerate().filter(move |(n, _)| kept >> n & 1 == 1)
     }
 
-    /// Place of a column in the library.
-    fn tag(&self, column: &Present) -> Option<UnitTag> {
-        let contents = self.contents.as_ref()?;
+    /// What a column holds. The library has no columns of several kinds of defects: those are simulated by themselves.
+    fn held(&self, column: &Present) -> Held {
+        let mut defective = [None; MOST_KINDS];
+        let (mut count, mut pristine) = (0, None);
+        for kind in 0..self.contents.len() {
+            let Some(tag) = self.tag(column, kind) else { return Held::EachSite };
+            if self.pattern(&tag).is_empty() {
+                pristine = pristine.or(Some(tag));
+            } else {
+                defective[count] = Some(tag);
+                count += 1;
+            }
+        }
+        match count {
+            0 if pristine.is_none() => Held::EachSite,
+            0 => Held::Patterns { tag: pristine, defective },
+            1 => Held::Patterns { tag: defective[0], defective },
+            _ => Held::Patterns { tag: None, defective },
+        }
+    }
+
+    /// What a site of a column holds: the atom of a chain, given by its number in the kind of column and among the chains that are
+    /// there, in cell `depth` along the beam.
+    fn site_of(
+        &self,
+        defective: &[Option<UnitTag>],
+        column: ColumnIndex,
+        chains: [usize; 2],
+        (depth, number): (usize, u8),
+    ) -> (SiteKind, u8) {
+        let drawn = defective.iter().map_while(|tag| *tag).find_map(|tag| {
+            let contents = &self.contents[self.kind_of(tag.family)];
+            let site = self.site(contents, &tag, column.kind, chains, depth);
+            let held = contents.held(self.pattern(&tag), site, number);
+            (held.0 != SiteKind::Pristine).then_some(held)
+        });
+        drawn.unwrap_or((SiteKind::Pristine, number))
+    }
+
+    /// The kind of defect that a family shows.
+    fn kind_of(&self, family: UnitFamily) -> usize {
+        match family.motif {
+            0 => family.structure,
+            motif => (motif - 1) % self.contents.len(),
+        }
+    }
+
+    /// Place of a column in the library among those with a kind of defect.
+    fn tag(&self, column: &Present, process: usize) -> Option<UnitTag> {
+        let contents = self.contents.get(process)?;
         let (kind, member, first) = contents.unit_of(column.index);
         let members = &contents.units.kinds[kind];
         let grain = &self.grains[column.index.grain];
@@ -190,14 +249,16 @@ impl Grains {
             let at = |k: usize| (first.cell[k] + m.cell[k]) as f64 + xy[k];
             grain.position(self.crystal.cell, at(0), at(1))
         }));
-        let element = contents.process.map_or(0, |p| p.element);
-        let rate_at = |x: f64| self.defects.at(self.distance_nm(x)).rate(element);
+        let rate_at = |x: f64| {
+            let local = || self.defects.at(self.distance_nm(x));
+            contents.process.map_or(0.0, |kind| local().rate_of(kind))
+        };
         let nearest = self.nearest_plane(centre[0]);
         if let Some(plane) =
             nearest.filter(|n| (centre[0] - self.planes[*n]).abs() <= SLOT_REACH_ANGSTROM)
         {
             let repeat = self.repeating.get(plane).copied().flatten()?;
-            let motif = &self.motifs[repeat.motif];
+            let motif = &self.motifs[repeat.motif + process];
             let [x, y] = column.position;
             let seen =
                 [repeat.flip[0] * (x - self.planes[plane]), repeat.flip[1] * (y - repeat.origin)];
@@ -208,7 +269,11 @@ impl Grains {
                 id: column.index.id(),
                 member: 0,
                 centre_nm: column.position.map(|v| v * NM),
-                family: UnitFamily { motif: 1 + repeat.motif, structure: 0, bin: entry.bin },
+                family: UnitFamily {
+                    motif: 1 + repeat.motif + process,
+                    structure: 0,
+                    bin: entry.bin,
+                },
                 entry,
                 frame: [[repeat.flip[0], 0.0], [0.0, repeat.flip[1]]],
             });
@@ -219,7 +284,7 @@ impl Grains {
             id: first.id(),
             member,
             centre_nm: centre.map(|v| v * NM),
-            family: UnitFamily { motif: 0, structure: 0, bin: entry.bin },
+            family: UnitFamily { motif: 0, structure: process, bin: entry.bin },
             entry,
             frame: [[x * c, -x * s], [s, c]],
         })
@@ -230,9 +295,9 @@ impl Grains {
         (0..self.planes.len()).min_by(|a, b| distance(a).total_cmp(&distance(b)))
     }
 
-    fn pattern<'a>(&'a self, contents: &'a UnitOccupation, tag: &UnitTag) -> &'a [u16] {
+    fn pattern(&self, tag: &UnitTag) -> &[u16] {
         match tag.family.motif {
-            0 => contents.pattern(tag.entry),
+            0 => self.contents[tag.family.structure].pattern(tag.entry),
             motif => {
                 let patterns = self.motifs[motif - 1].pool.patterns(tag.entry.kind, tag.entry.bin);
                 &patterns.cells[tag.entry.cell]
@@ -258,11 +323,9 @@ impl Grains {
 
     /// Finds the repeating patterns of the boundaries.
     fn find_motifs(&mut self, recipe: &CheckedRecipe) {
-        let Some(contents) = &self.contents else { return };
-        let coincidence = recipe
-            .boundaries
-            .as_ref()
-            .and_then(|b| coincidence::half_angle(b.sigma?, b.misorientation_deg).ok());
+        let Some(contents) = self.contents.first() else { return };
+        let coincidence =
+            recipe.boundaries.as_ref().and_then(|b| coincidence_of(b, self.crystal.cell).ok()?);
         let single = contents.units.kinds.iter().all(|m| m.len() == 1);
         let Some(half) = coincidence.filter(|_| single && self.reach < SLOT_REACH_ANGSTROM) else {
             return;
@@ -273,16 +336,23 @@ impl Grains {
             let found = self.origin_on(plane, period).map(|origin| {
                 let columns = self.period_of(plane, origin, period);
                 let flips = [[1.0, 1.0], [-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0]];
-                let known = motifs.iter().enumerate().find_map(|(motif, m)| {
+                let kinds = self.contents.len();
+                let known = motifs.iter().enumerate().step_by(kinds).find_map(|(motif, m)| {
                     let flip = flips.into_iter().find(|flip| shows(m, &columns, *flip))?;
                     Some(Repeat { motif, flip, origin })
                 });
                 known.unwrap_or_else(|| {
-                    let (depth, process) = (self.cells_along_beam, contents.process);
-                    let stream = (recipe.seed, motifs.len() as u64);
-                    let n = recipe.phonons.configurations;
-                    motifs.push(BoundaryMotif::new(columns, period, depth, process, n, stream));
-                    Repeat { motif: motifs.len() - 1, flip: [1.0; 2], origin }
+                    let motif = motifs.len();
+                    for contents in &self.contents {
+                        let (depth, process) = (self.cells_along_beam, contents.process);
+                        let stream = (contents.seed(), (motif / kinds) as u64);
+                        let size = [contents.patches, recipe.phonons.configurations];
+                        let columns = columns.clone();
+                        motifs.push(BoundaryMotif::new(
+                            columns, period, depth, process, size, stream,
+                        ));
+                    }
+                    Repeat { motif, flip: [1.0; 2], origin }
                 })
             });
             self.repeating.push(found);
@@ -295,7 +365,8 @@ impl Grains {
         let (grain, x) = (&self.grains[plane], self.planes[plane]);
         let middle = 0.5 * (self.field.y[0] + self.field.y[1]) / NM;
         let cell = self.crystal.cell;
-        let [is, js] = grain.cells(cell, [[x, x], [middle, middle + period]]);
+        // Of a centred lattice every other point on the plane may be the corner of a cell.
+        let [is, js] = grain.cells(cell, [[x, x], [middle, middle + 2.0 * period]]);
         let points = is.flat_map(|i| js.clone().map(move |j| (i, j)));
         let points = points.map(|(i, j)| grain.position(cell, i as f64, j as f64));
         let on = points.filter(|p| (p[0] - x).abs() < ON_PLANE && p[1] >= middle - ON_PLANE);
@@ -375,9 +446,7 @@ impl Grains {
         let mut out = Sites::default();
         self.for_each_column(region, |column| {
             let [x, y] = column.position.map(|v| v * NM);
-            let tag = self.tag(&column);
-            let held = self.contents.as_ref().zip(tag);
-            let held = held.map(|(c, t)| (c, t, self.pattern(c, &t)));
+            let held = self.held(&column);
             let defects = self.defects.at(self.distance_nm(column.position[0]));
             let cells = 0..if with_sites { self.cells_along_beam } else { 0 };
             let sites = cells.flat_map(|cell| {
@@ -387,15 +456,18 @@ impl Grains {
                 let z = (cell as f64 + chain.z) * self.crystal.cell[2] * NM;
                 let key = column.index.key(chain, cell);
                 let (kind, number) = match &held {
-                    Some((contents, tag, pattern)) => {
-                        let chains = [number, there];
-                        let site = self.site(contents, tag, column.index.kind, chains, cell);
-                        contents.held(pattern, site, chain.number)
+                    Held::Patterns { defective, .. } => {
+                        let (chains, atom) = ([number, there], (cell, chain.number));
+                        self.site_of(defective, column.index, chains, atom)
                     }
-                    None => defects.of(key, chain.number),
+                    Held::EachSite => defects.of(key, chain.number),
                 };
                 SpecimenSite { key, position_nm: [x, y, z], number, kind }
             });
+            let tag = match &held {
+                Held::Patterns { tag, .. } => *tag,
+                Held::EachSite => None,
+            };
             out.push_column(column.index.id(), [x, y], tag, sites);
         });
         out
@@ -418,7 +490,7 @@ impl SpecimenLayout for Grains {
     }
 
     fn library_cell(&self, family: UnitFamily) -> Option<LibraryCell> {
-        let contents = self.contents.as_ref()?;
+        let contents = self.contents.get(self.kind_of(family))?;
         if family.motif > 0 {
             let motif = self.motifs.get(family.motif - 1)?;
             return Some(motif.library_cell(&self.crystal, self.cells_along_beam, family.bin));
@@ -470,6 +542,14 @@ fn shows(motif: &BoundaryMotif, columns: &[BoundaryColumn], flip: [f64; 2]) -> b
         motif.slot(seen, c.chains.iter().map(|(n, _)| *n)).is_some()
     });
     all && count == motif.slot_count()
+}
+
+/// The coincidence of boundaries that a recipe names.
+fn coincidence_of(boundaries: &Boundaries, cell: [f64; 3]) -> Result<Option<HalfAngle>> {
+    let Some(sigma) = boundaries.sigma else { return Ok(None) };
+    let found = PlaneLattice::of(cell)
+        .and_then(|lattice| coincidence::half_angle(lattice, sigma, boundaries.misorientation_deg));
+    found.map(Some).map_err(|e| Error::invalid(crate::Setting::BoundarySigma, sigma, e))
 }
 
 fn centre(positions: impl ExactSizeIterator<Item = [f64; 2]>) -> [f64; 2] {

@@ -2,6 +2,7 @@
 
 use crate::error::Result;
 use crate::recipe::resolved_recipe::Recipe;
+use crate::recipe::tables::PointDefect;
 use crate::specimen::column_index::ColumnIndex;
 use crate::specimen::sites::SiteKind;
 use crate::specimen::units::patterns;
@@ -16,8 +17,12 @@ pub const LIBRARY_CELL_ANGSTROM: f64 = 19.0;
 /// Patches that the library cells of a bin hold, all kinds of units and phonon configurations together. The mean
 /// square of the phonon spread of one kind of four is then known to 7 % in each bin.
 const PATCHES_PER_BIN: usize = 1800;
+/// The same for columns of at most [`THIN_SITES`] atoms, which have few contents, and for all kinds of defects but the first.
+const FEW_PATCHES_PER_BIN: usize = 450;
+/// Sites of columns in layers.
+const THIN_SITES: usize = 2;
 
-/// The one kind of defect in a specimen.
+/// A kind of point defect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DefectKind {
     /// Atomic number of the element concerned.
@@ -27,6 +32,15 @@ pub struct DefectKind {
 }
 
 impl DefectKind {
+    /// That of a table of a recipe.
+    ///
+    /// # Errors
+    /// [`crate::Error::UnknownElement`].
+    pub fn of(defect: &PointDefect) -> Result<Self> {
+        let by = defect.by.as_ref().map(|by| elements::atomic_number(by)).transpose()?;
+        Ok(DefectKind { element: elements::atomic_number(&defect.element)?, by })
+    }
+
     /// What a defective site holds (of a vacancy, the element that is missing).
     pub fn defect(self) -> (SiteKind, u8) {
         match self.by {
@@ -35,6 +49,9 @@ impl DefectKind {
         }
     }
 }
+
+/// Tells the seeds of kinds of defects apart.
+const KIND_SEED: u64 = 0x9E37_79B9_7F4A_7C15;
 
 /// What the units of a crystal hold.
 #[derive(Debug)]
@@ -47,6 +64,8 @@ pub struct UnitOccupation {
     pub pool: DefectPatterns,
     /// Lattice cells of a library cell along x and y.
     pub lattice_cells: [usize; 2],
+    /// Patches that the library cells of a bin hold.
+    pub patches: usize,
     /// For each kind of column, the defective chains' place among those of its unit.
     places: Vec<Vec<Option<usize>>>,
     /// Chains of each kind of unit that may be defects.
@@ -60,7 +79,35 @@ impl UnitOccupation {
     /// # Errors
     /// [`crate::Error::UnknownElement`].
     pub fn new(recipe: &Recipe, crystal: &ColumnCrystal) -> Result<Option<Self>> {
-        let Ok(process) = process(recipe)? else { return Ok(None) };
+        match &kinds(recipe)?[..] {
+            [] => Ok(None),
+            [kind] => UnitOccupation::of_kind(recipe, crystal, *kind, PATCHES_PER_BIN).map(Some),
+            [_, _, ..] => Ok(None),
+        }
+    }
+
+    /// For each kind of defect of a recipe what units hold of it, one by one; nothing for recipes whose sites are drawn one by one.
+    ///
+    /// # Errors
+    /// As [`UnitOccupation::new`].
+    pub fn each(recipe: &Recipe, crystal: &ColumnCrystal) -> Result<Vec<Self>> {
+        let mut all = Vec::new();
+        for (number, kind) in (0u64..).zip(kinds(recipe)?) {
+            let patches = patches_per_bin(recipe, crystal, number > 0);
+            let mut contents = UnitOccupation::of_kind(recipe, crystal, kind, patches)?;
+            // Kinds are drawn independently of each other.
+            contents.seed ^= number.wrapping_mul(KIND_SEED);
+            all.push(contents);
+        }
+        Ok(all)
+    }
+
+    fn of_kind(
+        recipe: &Recipe,
+        crystal: &ColumnCrystal,
+        process: Option<DefectKind>,
+        patches: usize,
+    ) -> Result<Self> {
         let depth = crystal.cells_along_beam(recipe.field.thickness_nm);
         let units = UnitKinds::new(crystal);
         let mut per_cell = vec![0; units.kinds.len()];
@@ -78,11 +125,17 @@ impl UnitOccupation {
             [0, 1].map(|k| (LIBRARY_CELL_ANGSTROM / crystal.cell[k]).ceil().max(1.0) as usize);
         let per_library_cell = lattice_cells[0] * lattice_cells[1];
         let configurations = recipe.phonons.configurations.max(1);
-        let library_cells = library_cells(per_library_cell * units.kinds.len(), configurations);
+        let units_per_cell = per_library_cell * units.kinds.len();
+        let library_cells = library_cells(patches, units_per_cell, configurations);
         let sites = per_cell.iter().map(|n| n * depth).collect();
         let pool = DefectPatterns::new(sites, [library_cells, per_library_cell], 0);
         let seed = recipe.seed;
-        Ok(Some(UnitOccupation { units, process, pool, lattice_cells, places, per_cell, seed }))
+        Ok(UnitOccupation { units, process, pool, lattice_cells, patches, places, per_cell, seed })
+    }
+
+    /// Seed of what units hold of this kind of defect.
+    pub fn seed(&self) -> u64 {
+        self.seed
     }
 
     /// The unit to which a column belongs: its kind, which member the column is, and the index of its first
@@ -190,9 +243,16 @@ fn bins(rate: f64, around: f64) -> Vec<usize> {
     bins
 }
 
-/// Library cells of a bin that hold `units` units each.
-pub fn library_cells(units: usize, configurations: usize) -> usize {
-    PATCHES_PER_BIN.div_ceil(units.max(1) * configurations)
+/// Library cells of a bin that hold `units` units each, for so many patches.
+pub fn library_cells(patches: usize, units: usize, configurations: usize) -> usize {
+    patches.div_ceil(units.max(1) * configurations)
+}
+
+/// Patches of a bin, for the first kind of defect or a `further` one.
+fn patches_per_bin(recipe: &Recipe, crystal: &ColumnCrystal, further: bool) -> usize {
+    let depth = crystal.cells_along_beam(recipe.field.thickness_nm);
+    let thin = crystal.columns.iter().all(|c| c.chains.len() * depth <= THIN_SITES);
+    if thin || further { FEW_PATCHES_PER_BIN } else { PATCHES_PER_BIN }
 }
 
 /// Of a specimen without defects, what the beam makes of it: vacancies of the one element that it displaces.
@@ -212,8 +272,13 @@ fn displaced_element(recipe: &Recipe) -> Result<Option<DefectKind>> {
     })
 }
 
-/// The only kind of defect of a recipe, if there is one; `Err` for several.
-fn process(recipe: &Recipe) -> Result<std::result::Result<Option<DefectKind>, ()>> {
+/// The kinds of defects of a recipe, vacancies first; `[None]` where there are none, and nothing where atoms are not on their lattice
+/// sites, so that units cannot be drawn.
+fn kinds(recipe: &Recipe) -> Result<Vec<Option<DefectKind>>> {
+    // Atoms that move away from vacancies are not on their lattice sites.
+    if recipe.vacancies.as_ref().is_some_and(|v| v.relaxation_angstrom > 0.0) {
+        return Ok(Vec::new());
+    }
     let number = elements::atomic_number;
     let mut found = Vec::new();
     if let Some(v) = recipe.vacancies.as_ref().filter(|v| v.rate > 0.0) {
@@ -225,13 +290,15 @@ fn process(recipe: &Recipe) -> Result<std::result::Result<Option<DefectKind>, ()
     if let Some(a) = recipe.alloy.as_ref().filter(|a| a.rate > 0.0) {
         found.push(DefectKind { element: number(&a.host)?, by: Some(number(&a.guest)?) });
     }
+    for defect in recipe.defects.iter().filter(|d| d.rate > 0.0) {
+        let kind = DefectKind::of(defect)?;
+        if !found.contains(&kind) {
+            found.push(kind);
+        }
+    }
     if found.is_empty() {
         found.extend(displaced_element(recipe)?);
     }
-    // Atoms that move away from vacancies are not on their lattice sites.
-    let relaxed = recipe.vacancies.as_ref().is_some_and(|v| v.relaxation_angstrom > 0.0);
-    Ok(match (found.len(), relaxed) {
-        (0 | 1, false) => Ok(found.pop()),
-        _ => Err(()),
-    })
+    let found: Vec<_> = found.into_iter().map(Some).collect();
+    Ok(if found.is_empty() { vec![None] } else { found })
 }

@@ -20,6 +20,8 @@ const RATES: [f64; 14] =
     [0.0, 0.004, 0.015, 0.04, 0.08, 0.14, 0.22, 0.30, 0.40, 0.50, 0.60, 0.70, 0.85, 1.0];
 /// Numbers of defects less likely than this everywhere in a bin are not in the pool.
 const LEAST_PROBABILITY: f64 = 3e-4;
+/// Of pools that would have no defect, one cell in so many has one.
+const FEW_CELLS: usize = 4;
 /// Seed of the patterns: they are the same in all worlds, so that worlds share libraries.
 const SEED: u64 = 0x5354_454d_504f_4f4c;
 
@@ -73,8 +75,13 @@ impl PatternTable {
         stream: u64,
     ) -> Self {
         let cells = library_cells * per_library_cell;
-        let counts = (0..library_cells)
-            .flat_map(|library_cell| counts(sites, bin, per_library_cell, library_cell));
+        let mut counts: Vec<usize> = (0..library_cells)
+            .flat_map(|library_cell| counts(sites, bin, per_library_cell, library_cell))
+            .collect();
+        // A small pool of units with one or two sites would have none with a defect.
+        if bin > 0 && sites > 0 && counts.iter().all(|n| *n == 0) {
+            counts.iter_mut().rev().step_by(FEW_CELLS).for_each(|n| *n = 1);
+        }
         // A random order of the lattice cells of each library cell, so that neighbours have nothing in common.
         let mut order: Vec<usize> = (0..cells).collect();
         let word = |n: u64, draw: u32| {
