@@ -115,6 +115,8 @@ settings! {
     SiteOccupancy = "sum of occupancies on one site",
     /// The standard deviation of thermal displacements.
     ThermalSigma = "sigma (A)",
+    /// Temperature of the specimen.
+    Temperature = "temperature (K)",
     /// The diameter of a cluster.
     ClusterDiameterNm = "diameter_nm",
     // The numerics of a simulation

@@ -44,9 +44,12 @@ pub struct SpecimenArgs {
     pub phonons: Option<u32>,
     /// Standard deviation of each Cartesian component of the thermal displacement in A: one
     /// number, or one for each element (Sr=0.084,O=0.085), or from-file: the mean U or B of each element
-    /// in a CIF
+    /// in a CIF, or table: that of each element in a crystal of its own (see --temperature)
     #[arg(long, value_name = "A", value_parser = values::sigma_choice, requires = "phonons")]
     pub sigma: Option<SigmaChoice>,
+    /// Temperature for --sigma table, 200 to 400 [default: 293]
+    #[arg(long, value_name = "K", value_parser = values::finite, requires = "sigma")]
+    pub temperature: Option<f64>,
     /// Frozen phonons from a trajectory, extended XYZ or XDATCAR: the mean over these frames, counted from 0, END
     /// among them
     #[arg(long, value_name = "START:END[:STEP]|all", value_parser = values::frames)]
@@ -79,6 +82,7 @@ impl SpecimenArgs {
         put_some(&self.repeat, &mut to.repeat);
         put_some(&self.phonons, &mut to.phonons);
         put_some(&self.sigma, &mut to.sigma_angstrom);
+        put_some(&self.temperature, &mut to.temperature_k);
         put_some(&self.frames, &mut to.frames);
         to.seed = self.seed.unwrap_or(to.seed);
     }

@@ -12,7 +12,7 @@ use stemgen::optics::Aberration;
 use stemgen::potential::projected::Projection;
 use stemgen::potential::scattering::Parametrization;
 use stemgen::recipe::Difficulty;
-use stemgen::simulation::{self, FromFile, SigmaChoice};
+use stemgen::simulation::{self, FromFile, FromTable, SigmaChoice};
 use stemgen::structure::{FrameRange, LARGEST_SIGMA_ANGSTROM, direction, elements};
 
 type Parsed<T> = Result<T, String>;
@@ -216,10 +216,11 @@ fn plausible<T>(checked: stemgen::Result<()>, value: T) -> Parsed<T> {
     }
 }
 
-/// Standard deviations of thermal displacements: `from-file`, `0.08` or `Sr=0.084,O=0.085`.
+/// Standard deviations of thermal displacements: `from-file`, `table`, `0.08` or `Sr=0.084,O=0.085`.
 pub fn sigma_choice(text: &str) -> Parsed<SigmaChoice> {
     match text.trim() {
         "from-file" => Ok(SigmaChoice::FromFile(FromFile::FromFile)),
+        "table" => Ok(SigmaChoice::FromTable(FromTable::FromTable)),
         given => sigmas(given),
     }
 }

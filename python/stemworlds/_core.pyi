@@ -28,6 +28,7 @@ class SpecimenRequest(TypedDict, total=False):
     repeat: tuple[int, ...]
     phonons: int
     sigma_angstrom: float | str | dict[str, float]
+    temperature_k: float
     frames: dict[str, int]
     seed: int
 

@@ -19,7 +19,7 @@ from .errors import _invalid
 from .images import DiffractionPattern, Image, Images, PlaneWave
 
 Engine = Literal["multislice", "prism", "window"]
-Sigma = float | Mapping[str, float] | Literal["from-file"]
+Sigma = float | Mapping[str, float] | Literal["from-file", "table"]
 Detectors = Mapping[str, tuple[float, float]]
 Aberrations = Mapping[str, float | tuple[float, float]]
 
@@ -66,7 +66,8 @@ class SimulationOptions(TypedDict, total=False):
         repeat: how often the cell (after ``zone``) is repeated along x, y and the beam.
         phonons: number of frozen-phonon configurations to average; needs ``sigma``. Default: atoms exactly as given.
         sigma: standard deviation of each Cartesian component of the thermal displacement in A: one for all, one for each element, or
-            ``"from-file"``, the U or B of a CIF.
+            ``"from-file"``, the U or B of a CIF, or ``"table"``, that of each element in a crystal of its own (Peng et al. 1996).
+        temperature_k: temperature of ``sigma="table"``, 200 to 400; 293 by default.
         frames: frames of a trajectory (extended XYZ, XDATCAR) to average, ``range(10, 200, 5)``.
         seed: of thermal displacements, mixed sites and counted electrons. Default 1.
 
@@ -114,6 +115,7 @@ class SimulationOptions(TypedDict, total=False):
     repeat: tuple[int, int, int] | None
     phonons: int | None
     sigma: Sigma | None
+    temperature_k: float | None
     frames: range | None
     seed: int
     energy_kv: float
@@ -381,7 +383,7 @@ def _run(options: SimulationOptions) -> Any:
 
 #: Options that the request takes as they are: table and key.
 _AS_GIVEN: dict[str, tuple[str, str]] = {
-    **{key: ("specimen", key) for key in ("max_strain_percent",)},
+    **{key: ("specimen", key) for key in ("max_strain_percent", "temperature_k")},
     **{
         key: ("microscope", key)
         for key in ("semiangle_mrad", "focal_spread_angstrom", "source_size_angstrom", "allow_empty_angles")

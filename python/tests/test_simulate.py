@@ -211,3 +211,13 @@ def test_strain_is_told(silicon: Any, caplog: pytest.LogCaptureFixture) -> None:
     images = sw.simulate(sheared, scan=SCAN, sampling_angstrom=0.1, detectors={"ADF": (40, 80)}, max_strain_percent=1)
     assert "strained by 0.15" in caplog.text
     assert images.metadata["strain_percent"] == pytest.approx(0.153, abs=0.01)
+
+
+def test_displacements_come_from_a_table(silicon: Any) -> None:
+    options: dict[str, Any] = {"scan": SCAN, "phonons": 2}
+    # B of silicon at 280 K in the table of Peng et al.
+    given = sw.simulate(silicon, sigma=float(np.sqrt(0.4630 / (8 * np.pi**2))), **options)
+    assert np.array_equal(sw.simulate(silicon, sigma="table", temperature_k=280, **options).array, given.array)
+    with pytest.raises(sw.InvalidValue, match="200 to 400 K") as told:
+        sw.simulate(silicon, sigma="table", temperature_k=1e3, **options)
+    assert told.value.keyword == "temperature_k"

@@ -1,6 +1,7 @@
 //! The atoms of a request, in their box.
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -9,7 +10,8 @@ use crate::engine::{Phonons, Site, mean_heights};
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 use crate::structure::{
-    self, FrameRange, Preparation, ReadStructure, Sigmas, Structure, elements, read_frames,
+    self, FrameRange, Preparation, ROOM_TEMPERATURE_K, ReadStructure, Sigmas, Structure, elements,
+    read_frames, tabulated_sigma_angstrom,
 };
 
 /// Where atoms come from.
@@ -33,6 +35,16 @@ pub enum SigmaChoice {
     ByElement(BTreeMap<String, f64>),
     /// The mean U or B of each element in the structure file.
     FromFile(FromFile),
+    /// That of each element in a crystal of its own, at [`SpecimenRequest::temperature_k`].
+    FromTable(FromTable),
+}
+
+/// `"table"`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum FromTable {
+    /// See [`structure::tabulated_sigma_angstrom`].
+    #[serde(rename = "table")]
+    FromTable,
 }
 
 /// `"from-file"`.
@@ -65,6 +77,9 @@ pub struct SpecimenRequest {
     /// Standard deviation of each Cartesian component of the thermal displacement.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sigma_angstrom: Option<SigmaChoice>,
+    /// Temperature in K at which displacements are taken from a table; room temperature when absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub temperature_k: Option<f64>,
     /// Frames of a trajectory, over which images are averaged.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frames: Option<FrameRange>,
@@ -81,6 +96,7 @@ impl Default for SpecimenRequest {
             repeat: None,
             phonons: None,
             sigma_angstrom: None,
+            temperature_k: None,
             frames: None,
             seed: 1,
         }
@@ -163,12 +179,20 @@ impl SpecimenRequest {
             seed: self.seed,
         };
         let made = preparation.prepare(source.read()?)?;
-        let sites = made.structure.sites(&self.sigmas(source)?)?;
+        let mut notes = made.notes;
+        let sigmas = match self.tabulated(&made.structure)? {
+            Some((sigmas, note)) => {
+                notes.push(note);
+                sigmas
+            }
+            None => self.sigmas(source)?,
+        };
+        let sites = made.structure.sites(&sigmas)?;
         Ok(PreparedSpecimen {
             size_angstrom: made.size_angstrom,
             heights_angstrom: sites.iter().map(|s| s.position[2]).collect(),
             sites,
-            notes: made.notes,
+            notes,
             more_frames: Vec::new(),
             strain_percent: made.strain_percent,
         })
@@ -183,6 +207,12 @@ impl SpecimenRequest {
                 "none",
                 "phonons need the standard deviation of each displacement in A, such as 0.08, or one for each element",
             ),
+            _ if self.temperature_k.is_some()
+                && !matches!(self.sigma_angstrom, Some(SigmaChoice::FromTable(_))) =>
+            {
+                let expected = "a temperature is for displacements from the table only";
+                refuse(Setting::Temperature, "given", expected)
+            }
             (None, Some(_), _) => refuse(
                 Setting::PhononConfigurations,
                 "none",
@@ -214,9 +244,30 @@ impl SpecimenRequest {
         }
     }
 
+    /// Displacements of a table for the elements that there are, and what to say of them.
+    fn tabulated(&self, structure: &Structure) -> Result<Option<(Sigmas, String)>> {
+        if !matches!(self.sigma_angstrom, Some(SigmaChoice::FromTable(_))) {
+            return Ok(None);
+        }
+        let kelvin = self.temperature_k.unwrap_or(ROOM_TEMPERATURE_K);
+        let mut by_number = BTreeMap::new();
+        for number in structure.atoms.iter().map(|atom| atom.number) {
+            if let Entry::Vacant(place) = by_number.entry(number) {
+                place.insert(tabulated_sigma_angstrom(number, kelvin)?);
+            }
+        }
+        let all = by_number.iter().map(|(n, sigma)| format!("{} {sigma:.4}", elements::symbol(*n)));
+        let note = format!(
+            "displacements of crystals of one element at {kelvin} K (Peng et al. 1996): {} A",
+            all.collect::<Vec<_>>().join(", ")
+        );
+        Ok(Some((Sigmas::ByElement(by_number), note)))
+    }
+
     fn sigmas(&self, source: &AtomsSource) -> Result<Sigmas> {
         Ok(match (&self.sigma_angstrom, source) {
-            (None, _) => Sigmas::None,
+            // A table is read once the elements are known.
+            (None | Some(SigmaChoice::FromTable(_)), _) => Sigmas::None,
             (Some(SigmaChoice::All(sigma)), _) => Sigmas::All(*sigma),
             (Some(SigmaChoice::ByElement(by_symbol)), _) => {
                 let mut by_number = BTreeMap::new();

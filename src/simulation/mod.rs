@@ -41,7 +41,7 @@ mod scan;
 mod source_patterns;
 mod time_estimate;
 
-pub use atoms::{AtomsSource, FromFile, PreparedSpecimen, SigmaChoice, SpecimenRequest};
+pub use atoms::{AtomsSource, FromFile, FromTable, PreparedSpecimen, SigmaChoice, SpecimenRequest};
 pub use engine_choice::DEFAULT_ACCURACY_PERCENT;
 pub use images::{FRACTION_OF_BEAM, SimulatedImage, noisy_name};
 pub use job::SimulationJob;

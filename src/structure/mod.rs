@@ -10,6 +10,7 @@ mod cif;
 pub mod coincidence;
 pub mod columns;
 pub mod crystals;
+mod debye_waller;
 pub mod direction;
 pub mod elements;
 mod exclusive_sites;
@@ -29,6 +30,7 @@ mod supercell;
 mod xyz;
 
 pub use alternatives::Alternative;
+pub use debye_waller::{ROOM_TEMPERATURE_K, TABLE_TEMPERATURES_K, tabulated_sigma_angstrom};
 pub use frames::{FrameRange, read_frames};
 pub(crate) use neighbors::for_each_pair;
 pub use neighbors::{min_pair_distance, shortest_distances};

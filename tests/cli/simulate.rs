@@ -204,6 +204,18 @@ fn frames_and_displacements_come_from_files() {
     let si = file("structures/si.cif");
     let told = super::fails(none.args(["simulate", &si, "--phonons", "2", "--sigma", "from-file"]));
     assert!(told.contains("_atom_site_u_iso_or_equiv"), "{told}");
+    // B is 0.4630 at 280 K in the table.
+    let expected = (0.4630 / (8.0 * std::f64::consts::PI.powi(2))).sqrt().to_string();
+    let table = ["u.cif", "--phonons", "2", "--sigma", "table", "--temperature", "280"];
+    assert_eq!(image(&table), sigma(&expected));
+    let mut lacks = stemgen(here);
+    let oxide = file("structures/srtio3.cif");
+    let told = super::fails(lacks.args(["simulate", &oxide, "--phonons", "2", "--sigma", "table"]));
+    assert!(told.contains("O is not among them"), "{told}");
+    let mut cold = stemgen(here);
+    let table = ["--phonons", "2", "--sigma", "table", "--temperature", "77"];
+    let told = super::fails(cold.args(["simulate", &si]).args(table));
+    assert!(told.contains("200 to 400 K") && told.contains("--temperature"), "{told}");
 }
 
 /// The same command gives the same bytes, at any time.
