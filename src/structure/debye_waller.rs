@@ -73,7 +73,7 @@ pub fn tabulated_sigma_angstrom(number: u8, temperature_k: f64) -> Result<f64> {
         return Err(Error::invalid(Setting::ThermalSigma, "table", expected));
     };
     let share = (temperature_k - COLUMNS_K[0]) / (COLUMNS_K[1] - COLUMNS_K[0]);
-    let b = low + share * (high - low);
+    let b = (1.0 - share) * low + share * high;
     Ok((b / (8.0 * std::f64::consts::PI.powi(2))).sqrt())
 }
 
