@@ -12,6 +12,9 @@ MATERIALS = {
     "batio3": ({8, 22, 56}, {b"vacancy_O"}, {0, 1}, 56),
     "sige": ({14, 32}, {b"substitution_Ge"}, None, 14),
     "gan": ({7, 31, 49}, {b"substitution_In"}, {0, 1}, 31),
+    "mos2": ({16, 42}, {b"vacancy_S", b"vacancy_Mo", b"substitution_Mo"}, None, 42),
+    "wse2": ({16, 23, 34, 74}, {b"vacancy_Se", b"substitution_V", b"substitution_S"}, None, 74),
+    "graphene": ({5, 6, 7, 14}, {b"vacancy_C", b"substitution_Si", b"substitution_N", b"substitution_B"}, None, 6),
     "pt": ({6, 78}, {b"vacancy_Pt"}, None, 78),
 }
 MATERIALS["test"] = MATERIALS["replay"] = MATERIALS["srtio3"]
