@@ -206,28 +206,29 @@ fn empad_xml(path: &Path, header: &PatternHeader) -> String {
     let ([x, y], [rows, columns]) = (header.scan.step_angstrom, header.scan.shape);
     let escaped =
         |text: String| text.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;");
-    let name = escaped(path.file_stem().unwrap_or_default().display().to_string());
     let raw = escaped(file_name(path));
     let (width, height) = (1e-10 * x * columns as f64, 1e-10 * y * rows as f64);
+    // In one line: HyperSpy takes white space for the content of an element.
     format!(
-        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n\
-         <root name=\"{name}\">\n\
-         <raw_file filename=\"{raw}\"/>\n\
-         <type>scan</type>\n\
-         <timestamp isoformat=\"1970-01-01T00:00:00+00:00\" timestamp=\"0\"/>\n\
-         <exposure_time>0</exposure_time>\n\
-         <post_exposure_time>0</post_exposure_time>\n\
-         <scan_parameters mode=\"acquire\">\n\
-         <scan_resolution_x>{columns}</scan_resolution_x>\n\
-         <scan_resolution_y>{rows}</scan_resolution_y>\n\
-         <scan_size>1</scan_size>\n\
-         </scan_parameters>\n\
-         <iom_measurements>\n\
-         <high_voltage>{voltage}</high_voltage>\n\
-         <scan_rotation>0</scan_rotation>\n\
-         <nominal_camera_length>0</nominal_camera_length>\n\
-         <full_scan_field_of_view><x>{width:e}</x><y>{height:e}</y><scale_factor>1</scale_factor></full_scan_field_of_view>\n\
-         </iom_measurements>\n\
+        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\
+         <root>\
+         <raw_file filename=\"{raw}\"/>\
+         <pix_x>{columns}</pix_x><pix_y>{rows}</pix_y>\
+         <type>scan</type>\
+         <timestamp isoformat=\"1970-01-01T00:00:00+00:00\" timestamp=\"0\"/>\
+         <exposure_time>0</exposure_time>\
+         <post_exposure_time>0</post_exposure_time>\
+         <scan_parameters mode=\"acquire\">\
+         <scan_resolution_x>{columns}</scan_resolution_x>\
+         <scan_resolution_y>{rows}</scan_resolution_y>\
+         <scan_size>1</scan_size>\
+         </scan_parameters>\
+         <iom_measurements>\
+         <high_voltage>{voltage}</high_voltage>\
+         <scan_rotation>0</scan_rotation>\
+         <nominal_camera_length>0</nominal_camera_length>\
+         <full_scan_field_of_view><x>{width:e}</x><y>{height:e}</y><scale_factor>1</scale_factor></full_scan_field_of_view>\
+         </iom_measurements>\
          </root>\n",
         voltage = 1e3 * header.energy_kev
     )

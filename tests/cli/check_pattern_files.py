@@ -52,6 +52,9 @@ assert about["scan_shape"] == [exact.shape[1], exact.shape[0]] and about["voltag
 assert np.isclose(about["diff_step"], attributes["pixel_mrad"]) and np.isclose(about["scan_step"][0], 1e-10 * attributes["step_angstrom"][0])
 root = tree.parse(name.with_suffix(".xml")).getroot()
 assert root.find("raw_file").attrib["filename"] == name.name + ".raw"
+# HyperSpy reads these two, and no element with white space in it.
+assert [int(root.find(key).text) for key in ("pix_x", "pix_y")] == [exact.shape[1], exact.shape[0]]
+assert root.text is None and all(part.tail is None for part in root)
 acquired = root.find("scan_parameters[@mode='acquire']")
 assert int(acquired.find("scan_resolution_x").text) == exact.shape[1] and int(acquired.find("scan_resolution_y").text) == exact.shape[0]
 print(*exact.shape, exact.sum())
