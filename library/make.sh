@@ -7,7 +7,7 @@ cd "$(dirname "$0")/.."
 cargo build --release
 STEMGEN_CACHE=${1:-$(pwd)/target/library-cache}
 export STEMGEN_CACHE
-for material in batio3 gan sige srtio3; do
+for material in batio3 gan graphene mos2 sige srtio3 wse2; do
     target/release/stemgen cache fill "$material" --no-library
     target/release/stemgen cache export "$material" --overwrite -o "library/$material.stemlib"
 done

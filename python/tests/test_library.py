@@ -19,7 +19,7 @@ pytestmark = pytest.mark.skipif(data is None, reason="stemworlds-library is not 
 
 def test_the_package_of_data_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     held = {holding.material: holding.images for holding in sw.cache.library()}
-    assert set(held) == {"batio3", "gan", "sige", "srtio3"}
+    assert set(held) == {"batio3", "gan", "graphene", "mos2", "sige", "srtio3", "wse2"}
     assert min(held.values()) > 100
     folder = sw.cache.library_path()
     assert data is not None and data.submodule_search_locations is not None

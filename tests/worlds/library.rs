@@ -15,9 +15,9 @@ use stemgen::progress::Silent;
 use stemgen::recipe::{Difficulty, Recipe};
 use stemgen::world::{BuildOptions, WorldBuild};
 
-const MATERIALS: [&str; 4] = ["batio3", "gan", "sige", "srtio3"];
+const MATERIALS: [&str; 7] = ["batio3", "gan", "graphene", "mos2", "sige", "srtio3", "wse2"];
 const REMEDY: &str = "the library is not that of this version of the numerics, or of these recipes: `sh library/make.sh`";
-const MOST_BYTES: u64 = 30_000_000;
+const MOST_BYTES: u64 = 40_000_000;
 
 fn supplied() -> SuppliedLibrary {
     SuppliedLibrary::at(Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/..")).join("library"))
