@@ -8,14 +8,14 @@ use anyhow::anyhow;
 use clap::Args;
 use std::path::{Path, PathBuf};
 use stemgen::io::WorldFile;
-use stemgen::recipe::{CheckedRecipe, Difficulty, Override, Recipe};
+use stemgen::recipe::{CheckedRecipe, Difficulty, Override, Recipe, is_atoms_file};
 use stemgen::world::WorldEngine;
 
 /// The recipe.
 #[derive(Debug, Args)]
 pub struct RecipeArgs {
-    /// Material or other recipe that comes with the program (`stemgen list` shows them), or a file of one's own
-    /// (.toml)
+    /// Material or other recipe that comes with the program (`stemgen list` shows them), or a file of one's own: a recipe
+    /// (.toml), or atoms (.xyz, .extxyz, .cif, POSCAR)
     #[arg(value_name = "MATERIAL", required_unless_present = "recipe")]
     material: Option<String>,
     /// How many defects and how much dose, where the recipe has tiers
@@ -133,7 +133,8 @@ impl RecipeArgs {
 
     /// The file of the recipe, if it is none of the program's own.
     fn file(&self) -> Option<PathBuf> {
-        let named = || self.material.as_deref().filter(|m| is_recipe_file(m)).map(PathBuf::from);
+        let own = |name: &&str| is_recipe_file(name) || is_atoms_file(Path::new(name));
+        let named = || self.material.as_deref().filter(own).map(PathBuf::from);
         self.recipe.clone().or_else(named)
     }
 
@@ -154,7 +155,7 @@ impl RecipeArgs {
         Ok(Recipe::load(material, difficulty)?)
     }
 
-    /// The files that a recipe is read from: its own, and those of its crystals.
+    /// The files that a recipe is read from: its own, and those of its crystals and atoms.
     pub fn files(&self, recipe: &Recipe) -> Vec<PathBuf> {
         let Some(file) = self.file() else { return Vec::new() };
         let folder = file.parent().unwrap_or(Path::new(""));
@@ -162,7 +163,8 @@ impl RecipeArgs {
         let end = recipe.alloy.iter().map(|a| &a.end_member);
         let crystals = std::iter::once(&recipe.crystal).chain(second).chain(end);
         let crystals = crystals.filter(|c| c.text.is_some()).map(|c| folder.join(&c.name));
-        std::iter::once(file.clone()).chain(crystals).collect()
+        let atoms = recipe.atoms.iter().map(|atoms| PathBuf::from(&atoms.file));
+        std::iter::once(file.clone()).chain(crystals).chain(atoms).collect()
     }
 
     /// The same, and a world that stands in place of a material.

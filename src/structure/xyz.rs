@@ -4,6 +4,7 @@
 use super::elements::symbol;
 use super::lattice::{Vec3, subtract};
 use super::source_text::SourceText;
+use super::xyz_labels::LabelReader;
 use super::{Alternative, Atom, Structure};
 use crate::error::Result;
 use crate::files::atomic_write;
@@ -32,6 +33,14 @@ struct XyzColumns {
 
 /// Reads a file of exactly one frame.
 pub(super) fn parse(text: &SourceText) -> Result<Structure> {
+    read_frame(text, None)
+}
+
+/// Reads a file of exactly one frame; `labels` takes what it says of each atom besides.
+pub(super) fn read_frame(
+    text: &SourceText,
+    mut labels: Option<&mut LabelReader>,
+) -> Result<Structure> {
     let mut lines = text.lines();
     let (_, first) = lines.next().unwrap_or((1, ""));
     let count: usize = first.trim().parse().map_err(|_| {
@@ -51,7 +60,11 @@ pub(super) fn parse(text: &SourceText) -> Result<Structure> {
         }
     }
     let cell = lattice(text, &pairs)?;
-    let columns = columns(text, &pairs)?;
+    let (named, count_of_columns) = properties(text, &pairs)?;
+    let columns = columns(text, &pairs, &named, count_of_columns)?;
+    if let Some(labels) = labels.as_deref_mut() {
+        labels.begin(text, &named)?;
+    }
     let origin = origin(text, &pairs)?;
     let mut atoms = Vec::new();
     for index in 0..count {
@@ -61,9 +74,11 @@ pub(super) fn parse(text: &SourceText) -> Result<Structure> {
             );
             return Err(text.error(index + 3, message));
         };
-        let mut found = atom(text, &columns, line, row)?;
-        if let Some(atom) = &mut found {
-            atom.position = subtract(atom.position, origin);
+        let words = words(text, &columns, line, row)?;
+        let position = subtract(position(text, &columns, line, &words)?, origin);
+        let found = atom(text, &columns, line, &words, position)?;
+        if let Some(labels) = labels.as_deref_mut() {
+            labels.take(text, line, &words, position, found.as_ref())?;
         }
         atoms.extend(found.map(|atom| (line, atom)));
     }
@@ -119,8 +134,17 @@ fn origin(text: &SourceText, pairs: &[(String, String)]) -> Result<Vec3> {
     Ok(origin)
 }
 
-fn columns(text: &SourceText, pairs: &[(String, String)]) -> Result<XyzColumns> {
-    let properties = find(pairs, "properties").unwrap_or("species:S:1:pos:R:3");
+/// The columns that the file announces, or those of plain XYZ.
+fn announced(pairs: &[(String, String)]) -> &str {
+    find(pairs, "properties").unwrap_or("species:S:1:pos:R:3")
+}
+
+/// Name in lower case, first column and number of columns of each property, and the number of all columns.
+fn properties(
+    text: &SourceText,
+    pairs: &[(String, String)],
+) -> Result<(Vec<(String, usize, usize)>, usize)> {
+    let properties = announced(pairs);
     let fields: Vec<&str> = properties.split(':').collect();
     let wrong = |why: String| text.error(2, format!("Properties={properties}: {why}"));
     let (mut named, mut count) = (Vec::new(), 0usize);
@@ -136,6 +160,17 @@ fn columns(text: &SourceText, pairs: &[(String, String)]) -> Result<XyzColumns> 
         named.push((triple[0].to_ascii_lowercase(), count, width));
         count += width;
     }
+    Ok((named, count))
+}
+
+fn columns(
+    text: &SourceText,
+    pairs: &[(String, String)],
+    named: &[(String, usize, usize)],
+    count: usize,
+) -> Result<XyzColumns> {
+    let properties = announced(pairs);
+    let wrong = |why: String| text.error(2, format!("Properties={properties}: {why}"));
     let column = |names: &[&str], width: usize| -> Result<Option<usize>> {
         let found = names.iter().find_map(|n| named.iter().find(|(name, _, _)| name == n));
         match found {
@@ -161,19 +196,39 @@ fn columns(text: &SourceText, pairs: &[(String, String)]) -> Result<XyzColumns> 
     Ok(XyzColumns { element, numbers, position, occupancy, alternative, count, announced })
 }
 
-/// The atom of a line; none for a vacant site of the species `X`.
-fn atom(text: &SourceText, columns: &XyzColumns, line: usize, row: &str) -> Result<Option<Atom>> {
+/// The words of an atom's line.
+fn words<'a>(
+    text: &SourceText,
+    columns: &XyzColumns,
+    line: usize,
+    row: &'a str,
+) -> Result<Vec<&'a str>> {
     let words: Vec<&str> = row.split_whitespace().collect();
     // Plain XYZ files may have anything after the position.
     if words.len() < columns.count || (columns.announced && words.len() > columns.count) {
         let message = format!("this atom has {} columns, expected {}", words.len(), columns.count);
         return Err(text.error(line, message));
     }
+    Ok(words)
+}
+
+fn position(text: &SourceText, columns: &XyzColumns, line: usize, words: &[&str]) -> Result<Vec3> {
     let mut position = [0.0; 3];
     for (axis, x) in position.iter_mut().enumerate() {
         let name = ["position x", "position y", "position z"][axis];
         *x = text.number(line, name, words[columns.position + axis])?;
     }
+    Ok(position)
+}
+
+/// The atom of a line; none for a vacant site of the species `X`.
+fn atom(
+    text: &SourceText,
+    columns: &XyzColumns,
+    line: usize,
+    words: &[&str],
+    position: Vec3,
+) -> Result<Option<Atom>> {
     let occupancy = match columns.occupancy {
         Some(column) => text.occupancy(line, text.number(line, "occupancy", words[column])?)?,
         None => 1.0,
