@@ -133,8 +133,7 @@ impl RecipeArgs {
 
     /// The file of the recipe, if it is none of the program's own.
     fn file(&self) -> Option<PathBuf> {
-        let own = |name: &&str| is_recipe_file(name) || is_atoms_file(Path::new(name));
-        let named = || self.material.as_deref().filter(own).map(PathBuf::from);
+        let named = || self.material.as_deref().filter(|m| is_recipe_file(m)).map(PathBuf::from);
         self.recipe.clone().or_else(named)
     }
 
@@ -190,9 +189,10 @@ impl RecipeArgs {
     }
 }
 
-/// Whether a name is that of a recipe's file.
+/// Whether a name is that of a recipe's file, or of a file of atoms, for which there is a recipe too.
 pub fn is_recipe_file(name: &str) -> bool {
-    Path::new(name).extension().is_some_and(|e| e.eq_ignore_ascii_case("toml"))
+    let path = Path::new(name);
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml")) || is_atoms_file(path)
 }
 
 fn is_world(file: &Path) -> bool {

@@ -17,6 +17,7 @@ mod film;
 mod library;
 mod live;
 mod mosaic;
+mod own_atoms;
 mod pages;
 mod particles;
 mod pictures;
