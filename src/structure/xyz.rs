@@ -18,6 +18,16 @@ const NO_ALTERNATIVE: &str = "-1 -1";
 /// Species of a site without atom, as the Atomic Simulation Environment has it.
 const VACANT: &str = "X";
 
+/// Neighbouring columns of an atom's line that have a name.
+pub(super) struct XyzProperty {
+    /// In lower case.
+    pub name: String,
+    /// The first of its columns.
+    pub first: usize,
+    /// The number of its columns.
+    pub width: usize,
+}
+
 /// Where the columns of an atom's line stand.
 struct XyzColumns {
     element: usize,
@@ -60,8 +70,8 @@ pub(super) fn read_frame(
         }
     }
     let cell = lattice(text, &pairs)?;
-    let (named, count_of_columns) = properties(text, &pairs)?;
-    let columns = columns(text, &pairs, &named, count_of_columns)?;
+    let named = properties(text, &pairs)?;
+    let columns = columns(text, &pairs, &named)?;
     if let Some(labels) = labels.as_deref_mut() {
         labels.begin(text, &named)?;
     }
@@ -139,11 +149,8 @@ fn announced(pairs: &[(String, String)]) -> &str {
     find(pairs, "properties").unwrap_or("species:S:1:pos:R:3")
 }
 
-/// Name in lower case, first column and number of columns of each property, and the number of all columns.
-fn properties(
-    text: &SourceText,
-    pairs: &[(String, String)],
-) -> Result<(Vec<(String, usize, usize)>, usize)> {
+/// The properties of an atom's line, in their order.
+fn properties(text: &SourceText, pairs: &[(String, String)]) -> Result<Vec<XyzProperty>> {
     let properties = announced(pairs);
     let fields: Vec<&str> = properties.split(':').collect();
     let wrong = |why: String| text.error(2, format!("Properties={properties}: {why}"));
@@ -157,27 +164,25 @@ fn properties(
             let part = triple.join(":");
             return Err(wrong(format!("`{part}` is not name:kind:columns, kind S, I, R or L")));
         };
-        named.push((triple[0].to_ascii_lowercase(), count, width));
+        named.push(XyzProperty { name: triple[0].to_ascii_lowercase(), first: count, width });
         count += width;
     }
-    Ok((named, count))
+    Ok(named)
 }
 
 fn columns(
     text: &SourceText,
     pairs: &[(String, String)],
-    named: &[(String, usize, usize)],
-    count: usize,
+    named: &[XyzProperty],
 ) -> Result<XyzColumns> {
     let properties = announced(pairs);
     let wrong = |why: String| text.error(2, format!("Properties={properties}: {why}"));
     let column = |names: &[&str], width: usize| -> Result<Option<usize>> {
-        let found = names.iter().find_map(|n| named.iter().find(|(name, _, _)| name == n));
-        match found {
-            Some((name, _, w)) if *w != width => {
+        match names.iter().find_map(|name| named.iter().find(|p| p.name == *name)) {
+            Some(XyzProperty { name, width: w, .. }) if *w != width => {
                 Err(wrong(format!("`{name}` has {w} columns, expected {width}")))
             }
-            other => Ok(other.map(|(_, start, _)| *start)),
+            other => Ok(other.map(|property| property.first)),
         }
     };
     let symbols = column(&["species", "element", "symbol"], 1)?;
@@ -193,6 +198,7 @@ fn columns(
     let occupancy = column(&["occupancy", "occupancies"], 1)?;
     let alternative = column(&[ALTERNATIVE], 2)?;
     let announced = find(pairs, "properties").is_some();
+    let count = named.iter().map(|property| property.width).sum();
     Ok(XyzColumns { element, numbers, position, occupancy, alternative, count, announced })
 }
 

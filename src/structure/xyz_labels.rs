@@ -8,6 +8,7 @@ use std::collections::HashMap;
 
 use super::labelled_atoms::{LabelledAtom, LabelledAtoms, SiteLabel, partly_occupied};
 use super::source_text::SourceText;
+use super::xyz::XyzProperty;
 use super::{Atom, elements};
 use crate::error::Result;
 
@@ -37,13 +38,13 @@ pub(super) struct LabelReader {
 }
 
 impl LabelReader {
-    /// Finds the columns of labels; `named` has the name, first column and width of each property.
-    pub fn begin(&mut self, text: &SourceText, named: &[(String, usize, usize)]) -> Result<()> {
-        let column = |name: &str| match named.iter().find(|(known, _, _)| known == name) {
-            Some((_, _, width)) if *width != 1 => {
+    /// Finds the columns of labels.
+    pub fn begin(&mut self, text: &SourceText, named: &[XyzProperty]) -> Result<()> {
+        let column = |name: &str| match named.iter().find(|property| property.name == name) {
+            Some(XyzProperty { width, .. }) if *width != 1 => {
                 Err(text.error(2, format!("`{name}` has {width} columns, expected 1")))
             }
-            other => Ok(other.map(|(_, start, _)| *start)),
+            other => Ok(other.map(|property| property.first)),
         };
         self.defect = column("defect")?.or(column("defect_type")?);
         let (phase, grain) = (column("phase")?, column("grain")?);

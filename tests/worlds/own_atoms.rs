@@ -10,7 +10,7 @@ use stemgen::io::WorldFile;
 use stemgen::live::{LiveOptions, LiveWorld};
 use stemgen::progress::Silent;
 use stemgen::recipe::{CheckedRecipe, Override, Recipe, Region};
-use stemgen::specimen::{DISPLACED_NM, SiteKind, Specimen};
+use stemgen::specimen::{DISPLACED_NM, SiteKind};
 use stemgen::world::{
     BuildMethod, BuildOptions, ExportOptions, SampleOptions, WorldBuild, WorldPlan, export,
     training_sample,
