@@ -257,7 +257,7 @@ fn labels_of_the_file_are_the_truth_of_the_world() {
 #[test]
 fn everything_that_worlds_are_made_for_takes_own_atoms() {
     let folder = tempfile::tempdir().unwrap();
-    let changes = ["field.fov_nm=[7.2, 7.2]", "field.grid=[1, 1]", "field.tile_px=48"];
+    let changes = ["field.fov_nm=[7.2, 7.2]", "field.grid=[1, 1]", "field.tile_px=96"];
     let recipe = changed(labelled_recipe(folder.path()), &changes).checked().unwrap();
     let options = BuildOptions { audit_regions: 1, audit_direct: true, ..direct() };
     let path = folder.path().join("world.h5");
