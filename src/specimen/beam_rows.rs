@@ -26,7 +26,7 @@ pub fn beam_rows(positions: &[[f64; 3]]) -> Vec<u32> {
 }
 
 /// Rows by the square in which their first atom lies.
-type Squares = HashMap<[i64; 2], Vec<u32>>;
+type RowSquares = HashMap<[i64; 2], Vec<u32>>;
 
 /// Rows while they are put together.
 struct Rows<'a> {
@@ -54,8 +54,8 @@ fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
 
 impl<'a> Rows<'a> {
     /// Rows of the atoms about their first ones.
-    fn first(positions: &'a [[f64; 3]]) -> (Self, Squares) {
-        let mut squares = Squares::new();
+    fn first(positions: &'a [[f64; 3]]) -> (Self, RowSquares) {
+        let mut squares = RowSquares::new();
         let mut rows = Rows {
             positions,
             first: Vec::new(),
@@ -114,7 +114,7 @@ impl<'a> Rows<'a> {
     }
 
     /// Joins rows whose means have come near each other.
-    fn join(&mut self, squares: &Squares) {
+    fn join(&mut self, squares: &RowSquares) {
         let mut order: Vec<u32> = (0..self.first.len() as u32).collect();
         order.sort_by_key(|row| (self.count[*row as usize], std::cmp::Reverse(*row)));
         for row in order.into_iter().map(|row| row as usize) {
