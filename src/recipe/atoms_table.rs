@@ -40,7 +40,9 @@ static LAST_READ: Mutex<Option<(ReadKey, Arc<LabelledAtoms>)>> = Mutex::new(None
 
 /// Whether a name is that of a file of atoms.
 pub fn is_atoms_file(path: &Path) -> bool {
-    Format::from_path(path).is_ok()
+    // A POSCAR may have any ending, but those of recipes and worlds.
+    let ending = path.extension().map(|ending| ending.to_ascii_lowercase()).unwrap_or_default();
+    !["toml", "h5", "hdf5"].iter().any(|other| ending == *other) && Format::from_path(path).is_ok()
 }
 
 impl AtomsTable {
@@ -130,5 +132,28 @@ impl AtomsTable {
                 }
             )),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn recipes_and_worlds_are_no_files_of_atoms() {
+        for name in ["a.xyz", "b/a.CIF", "POSCAR", "POSCAR_relaxed", "a.vasp"] {
+            assert!(is_atoms_file(Path::new(name)), "{name}");
+        }
+        for name in ["poscar.toml", "POSCAR.h5", "srtio3", "a.pdb"] {
+            assert!(!is_atoms_file(Path::new(name)), "{name}");
+        }
+    }
+
+    #[test]
+    fn the_file_may_lie_beside_the_recipe() {
+        let places = |file: &str, folder: &str| AtomsTable::new(file).places(Path::new(folder));
+        let paths = |names: &[&str]| names.iter().map(PathBuf::from).collect::<Vec<_>>();
+        assert_eq!(places("a/b.xyz", "w"), paths(&["a/b.xyz", "w/a/b.xyz", "w/b.xyz"]));
+        assert_eq!(places("b.xyz", ""), paths(&["b.xyz"]));
     }
 }
