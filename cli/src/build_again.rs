@@ -43,9 +43,15 @@ impl BuildAgain {
             return none("the file holds no recipe; it was not built by stemgen");
         };
         let name = world.path().display().to_string();
-        let read = Recipe::from_toml_str(&name, text, None).and_then(Recipe::checked);
-        let Ok(recipe) = read else {
+        let Ok(recipe) = Recipe::from_toml_str(&name, text, None) else {
             return none("its recipe is none that this version of stemgen takes");
+        };
+        // A recipe for a file of atoms depends on that file.
+        let own = recipe.atoms.is_some();
+        let recipe = match recipe.checked() {
+            Ok(recipe) => recipe,
+            Err(error) if own => return none(&error.to_string()),
+            Err(_) => return none("its recipe is none that this version of stemgen takes"),
         };
         let Some(options) = BuildOptions::of_world(world, &recipe)? else {
             return none("no options of build lead to its engine settings");

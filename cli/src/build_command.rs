@@ -43,6 +43,8 @@ Examples:
     stemgen build gan --difficulty hard
   From a recipe of your own, with the settings of the published worlds:
     stemgen build --recipe mine.toml --difficulty easy --profile published
+  Of atoms of your own (extended XYZ with labels of defects and phases, CIF, POSCAR): what would it take?
+    stemgen build atoms.xyz --dry-run
 
 What is done (simulations of the library, the audit, sub-tiles) is kept in the cache and in
 FILE.work until the world and its picture are complete: after Ctrl-C or a power failure the same

@@ -8,14 +8,14 @@ use anyhow::anyhow;
 use clap::Args;
 use std::path::{Path, PathBuf};
 use stemgen::io::WorldFile;
-use stemgen::recipe::{CheckedRecipe, Difficulty, Override, Recipe};
+use stemgen::recipe::{CheckedRecipe, Difficulty, Override, Recipe, is_atoms_file};
 use stemgen::world::WorldEngine;
 
 /// The recipe.
 #[derive(Debug, Args)]
 pub struct RecipeArgs {
-    /// Material or other recipe that comes with the program (`stemgen list` shows them), or a file of one's own
-    /// (.toml)
+    /// Material or other recipe that comes with the program (`stemgen list` shows them), or a file of one's own: a recipe
+    /// (.toml), or atoms (.xyz, .extxyz, .cif, POSCAR)
     #[arg(value_name = "MATERIAL", required_unless_present = "recipe")]
     material: Option<String>,
     /// How many defects and how much dose, where the recipe has tiers
@@ -154,7 +154,7 @@ impl RecipeArgs {
         Ok(Recipe::load(material, difficulty)?)
     }
 
-    /// The files that a recipe is read from: its own, and those of its crystals.
+    /// The files that a recipe is read from: its own, and those of its crystals and atoms.
     pub fn files(&self, recipe: &Recipe) -> Vec<PathBuf> {
         let Some(file) = self.file() else { return Vec::new() };
         let folder = file.parent().unwrap_or(Path::new(""));
@@ -162,7 +162,8 @@ impl RecipeArgs {
         let end = recipe.alloy.iter().map(|a| &a.end_member);
         let crystals = std::iter::once(&recipe.crystal).chain(second).chain(end);
         let crystals = crystals.filter(|c| c.text.is_some()).map(|c| folder.join(&c.name));
-        std::iter::once(file.clone()).chain(crystals).collect()
+        let atoms = recipe.atoms.iter().map(|atoms| PathBuf::from(&atoms.file));
+        std::iter::once(file.clone()).chain(crystals).chain(atoms).collect()
     }
 
     /// The same, and a world that stands in place of a material.
@@ -188,9 +189,10 @@ impl RecipeArgs {
     }
 }
 
-/// Whether a name is that of a recipe's file.
+/// Whether a name is that of a recipe's file, or of a file of atoms, for which there is a recipe too.
 pub fn is_recipe_file(name: &str) -> bool {
-    Path::new(name).extension().is_some_and(|e| e.eq_ignore_ascii_case("toml"))
+    let path = Path::new(name);
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("toml")) || is_atoms_file(path)
 }
 
 fn is_world(file: &Path) -> bool {

@@ -15,7 +15,7 @@ use crate::words::choice;
 pub struct RecipeSource {
     /// Of a recipe that comes with the library.
     name: Option<String>,
-    /// Of a TOML file.
+    /// Of a TOML file, or of a file of atoms.
     path: Option<PathBuf>,
     /// TOML; files of crystals are looked for in the current folder.
     text: Option<String>,

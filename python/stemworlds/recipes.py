@@ -19,6 +19,9 @@ from .errors import _invalid
 Difficulty = Literal["easy", "medium", "hard"]
 Acquisition = Literal["ideal", "routine", "poor"]
 
+#: Endings of files of atoms, for which there is a recipe of their own.
+_ATOMS = (".xyz", ".extxyz", ".cif", ".vasp", ".poscar", ".contcar")
+
 
 class Recipe(Mapping[str, Any]):
     """What a world is made of: resolved, and checked as the command line checks it.
@@ -27,8 +30,8 @@ class Recipe(Mapping[str, Any]):
     return another one.
 
     Args:
-        source: name of a recipe that comes with the package (:func:`recipes`), path of a TOML file, TOML text, a dict, or
-            another recipe.
+        source: name of a recipe that comes with the package (:func:`recipes`), path of a TOML file or of a file of atoms
+            (``.xyz``, ``.extxyz``, ``.cif``, ``.vasp``, ``.poscar``), TOML text, a dict, or another recipe.
         difficulty: the tier, where the recipe has some.
         set: values to change, ``{"vacancies.rate": 0.02}``; ``None`` takes a key out.
         unset: keys or tables to take out.
@@ -185,7 +188,7 @@ def _source(source: RecipeLike, difficulty: Difficulty | None) -> _core.RecipeSo
         raise _invalid("recipe", f"recipe = {type(source).__name__}: expected a name, a path, TOML, a dict or a Recipe")
     elif "\n" in source or "=" in source:
         out["text"] = source
-    elif source.lower().endswith(".toml"):
+    elif source.lower().endswith((".toml", *_ATOMS)):
         out["path"] = source
     else:
         out["name"] = source

@@ -27,6 +27,17 @@ def test_a_recipe_comes_as_name_path_text_dict_and_recipe(tmp_path: Path) -> Non
     assert all(sw.Recipe(source) == recipe for source in same)
 
 
+def test_a_file_of_atoms_has_a_recipe(tmp_path: Path) -> None:
+    path = tmp_path / "own.xyz"
+    path.write_text('2\nLattice="9 0 0 0 9 0 0 0 9"\nAu 2 2 2\nAu 2 2 5\n')
+    recipe = sw.Recipe(path)
+    assert (recipe.id, recipe["structure"], recipe["atoms.file"]) == ("own", "atoms", str(path))
+    assert sw.Recipe(str(path)) == recipe and sw.Recipe(recipe.toml) == recipe
+    assert recipe.set("phonons.sigma_angstrom.Au", 0.08)["phonons.sigma_angstrom.Au"] == 0.08
+    with pytest.raises(sw.InvalidValue, match="no tiers"):
+        sw.Recipe(path, "easy")
+
+
 def test_changes_give_another_recipe() -> None:
     recipe = sw.Recipe("test")
     changed = recipe.set({"vacancies.rate": np.float64(0.1), "field": {**recipe["field"], "thickness_nm": 0.4}}).unset("boundaries.sigma")

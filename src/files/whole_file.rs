@@ -9,6 +9,15 @@ use crate::error::{Error, Result};
 /// # Errors
 /// [`Error::Io`]; [`Error::Parse`] for what is no file, or a larger one.
 pub fn read(path: &Path, most: usize) -> Result<Vec<u8>> {
+    check(path, most)?;
+    std::fs::read(path).map_err(|e| Error::io(path, "read", e))
+}
+
+/// Refuses what [`read`] refuses.
+///
+/// # Errors
+/// As [`read`].
+pub fn check(path: &Path, most: usize) -> Result<()> {
     let about = std::fs::metadata(path).map_err(|e| Error::io(path, "read", e))?;
     if about.is_dir() {
         return Err(Error::io(path, "read", std::io::ErrorKind::IsADirectory.into()));
@@ -25,7 +34,7 @@ pub fn read(path: &Path, most: usize) -> Result<Vec<u8>> {
             format!("has {} bytes; at most {most} are read from such a file", about.len());
         return Err(Error::parse(path, 0, message));
     }
-    std::fs::read(path).map_err(|e| Error::io(path, "read", e))
+    Ok(())
 }
 
 /// As [`read`], for text in UTF-8.

@@ -106,9 +106,19 @@ pub fn rectangle_plan(
 ) -> Result<(SimulationRuns, [f64; 2])> {
     let field = &recipe.field;
     let pixel = field.pixel_nm();
-    let somewhere = Region::of_pixels(field.crop_origin_px(), [rows, columns], pixel);
-    let mut z: Vec<f64> =
-        specimen.sites(&somewhere).iter().map(|s| 10.0 * s.position_nm[2]).collect();
+    let first = field.crop_origin_px();
+    let mut somewhere = Region::of_pixels(first, [rows, columns], pixel);
+    let heights = |region: &Region| -> Vec<f64> {
+        specimen.sites(region).iter().map(|s| 10.0 * s.position_nm[2]).collect()
+    };
+    let mut z = heights(&somewhere);
+    if z.is_empty() {
+        // A specimen with empty corners is there in the middle.
+        let built = field.pixels(field.built_grid());
+        let half = [built[0].saturating_sub(rows) / 2, built[1].saturating_sub(columns) / 2];
+        somewhere = Region::of_pixels([0, 1].map(|k| first[k] + half[k]), [rows, columns], pixel);
+        z = heights(&somewhere);
+    }
     let mut thickness = 10.0 * specimen.facts().thickness_nm;
     if let Some(layers) = SurfaceLayers::of(recipe, specimen.facts().thickness_nm) {
         for layer in layers.layers() {

@@ -12,8 +12,8 @@ use super::origin::RecipeText;
 use super::resolved_recipe::Recipe;
 use crate::error::{Error, Result};
 use crate::models::particles::Metal;
-use crate::structure::Structure;
 use crate::structure::columns::ColumnCrystal;
+use crate::structure::{LabelledAtoms, Structure};
 
 /// A recipe whose values are within their limits, with its crystals read and turned: the only way to a specimen.
 ///
@@ -76,11 +76,11 @@ impl CheckedRecipe {
     /// The crystal in a box whose z axis is the zone axis; lengths in Angstrom.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for particles, which have orientations of their own.
+    /// [`Error::Invalid`] for particles, which have orientations of their own, and for the atoms of a file.
     pub fn structure(&self) -> Result<&Structure> {
         match &*self.0.crystals {
             OrientedCrystals::Columns { structure, .. } => Ok(structure),
-            OrientedCrystals::Particles { .. } => Err(self.lacks("crystal along a zone axis")),
+            _ => Err(self.lacks("crystal along a zone axis")),
         }
     }
 
@@ -91,7 +91,7 @@ impl CheckedRecipe {
     pub fn columns(&self) -> Result<&ColumnCrystal> {
         match &*self.0.crystals {
             OrientedCrystals::Columns { columns, .. } => Ok(columns),
-            OrientedCrystals::Particles { .. } => Err(self.lacks("crystal along a zone axis")),
+            _ => Err(self.lacks("crystal along a zone axis")),
         }
     }
 
@@ -113,8 +113,45 @@ impl CheckedRecipe {
     pub fn metal(&self) -> Result<(u8, &Metal)> {
         match &*self.0.crystals {
             OrientedCrystals::Particles { number, metal } => Ok((*number, metal)),
-            OrientedCrystals::Columns { .. } => Err(self.lacks("particles")),
+            _ => Err(self.lacks("particles")),
         }
+    }
+
+    /// The atoms of the file.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] for other specimens.
+    pub fn atoms(&self) -> Result<&Arc<LabelledAtoms>> {
+        match &*self.0.crystals {
+            OrientedCrystals::Atoms(atoms) => Ok(atoms),
+            _ => Err(self.lacks("file of atoms")),
+        }
+    }
+
+    /// What there is to say of the files that it is made of: sentences for the user, each a warning.
+    ///
+    /// # Errors
+    /// Those of the files of crystals.
+    pub fn notes(&self) -> Result<Vec<String>> {
+        let mut notes = Vec::new();
+        for crystal in self.crystals() {
+            notes.extend(crystal.notes()?);
+        }
+        let (Some(table), OrientedCrystals::Atoms(atoms)) =
+            (&self.0.recipe.atoms, &*self.0.crystals)
+        else {
+            return Ok(notes);
+        };
+        notes.extend(atoms.notes.iter().map(|note| format!("{}: {note}", table.file)));
+        if self.phonons.sigma_angstrom.values().all(|sigma| *sigma == 0.0) {
+            notes.push(format!(
+                "{}: no atom vibrates, since phonons.sigma_angstrom is 0 for all elements: the image lacks the thermal diffuse \
+                 scattering, most of what an annular detector sees at high angles. Give the standard deviations in A, and \
+                 phonons.configurations of 8 or more",
+                table.file
+            ));
+        }
+        Ok(notes)
     }
 
     fn lacks(&self, what: &str) -> Error {

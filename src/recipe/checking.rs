@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use super::checking_atoms::check_atoms;
 use super::checking_defects::check_defects;
 use super::checking_particles::check_particles;
 use super::detector_tables::check_detectors;
@@ -103,13 +104,14 @@ fn check_field(field: &Field) -> Checked {
 
 /// A table that the specimen builder does not read would be silently without effect.
 fn check_tables(recipe: &Recipe) -> Checked {
-    use StructureKind::{Domains, Epitaxy, Grains, Particles};
+    use StructureKind::{Atoms, Domains, Epitaxy, Grains, Particles};
     let tables = [
         ("boundaries", recipe.boundaries.is_some(), &[Grains][..]),
         ("domains", recipe.domains.is_some(), &[Domains]),
         ("alloy", recipe.alloy.is_some(), &[Epitaxy]),
         ("wells", recipe.wells.is_some(), &[Epitaxy]),
         ("particles", recipe.particles.is_some(), &[Particles]),
+        ("atoms", recipe.atoms.is_some(), &[Atoms]),
         ("vacancies", recipe.vacancies.is_some(), &[Grains, Domains, Epitaxy, Particles]),
         ("substitutions", recipe.substitutions.is_some(), &[Grains, Domains, Epitaxy, Particles]),
         ("defects", !recipe.defects.is_empty(), &[Grains]),
@@ -133,6 +135,9 @@ fn check_specimen(recipe: &Recipe) -> Checked<(OrientedCrystals, Vec<String>)> {
     if recipe.structure == StructureKind::Particles {
         return check_particles(recipe);
     }
+    if recipe.structure == StructureKind::Atoms {
+        return check_atoms(recipe);
+    }
     let (structure, columns) = check_crystal(recipe)?;
     let mut elements: Vec<u8> = columns.chains().map(|c| c.number).collect();
     elements.sort_unstable();
@@ -141,7 +146,7 @@ fn check_specimen(recipe: &Recipe) -> Checked<(OrientedCrystals, Vec<String>)> {
     let second = match recipe.structure {
         StructureKind::Domains => Some(second_phase(recipe)?),
         StructureKind::Epitaxy => Some(end_member(recipe, &symbols)?),
-        StructureKind::Grains | StructureKind::Particles => None,
+        StructureKind::Grains | StructureKind::Particles | StructureKind::Atoms => None,
     };
     if let Some(boundaries) = &recipe.boundaries {
         check_boundaries(boundaries, &recipe.field, &structure, &columns)?;

@@ -3,8 +3,11 @@
 //! A [`Recipe`] holds what is written; a [`CheckedRecipe`] has been held against all limits, with its crystals read, and is
 //! the only way to a specimen.
 
+mod atoms_recipe;
+pub mod atoms_table;
 mod checked;
 mod checking;
+mod checking_atoms;
 mod checking_defects;
 mod checking_particles;
 pub mod crystal_source;
@@ -24,6 +27,7 @@ pub mod surface_table;
 pub mod tables;
 mod toml_errors;
 
+pub use atoms_table::{AtomsTable, is_atoms_file};
 pub use checked::CheckedRecipe;
 pub use crystal_source::CrystalSource;
 pub use detector_tables::{DetectorTable, DetectorTables, NamedDetectorTable};

@@ -1,10 +1,12 @@
 //! The crystals of a recipe, read and turned: what checking has found and specimens are built from.
 
+use std::sync::Arc;
+
 use super::crystal_source::CrystalSource;
 use crate::error::{Error, Result};
 use crate::models::particles::Metal;
 use crate::structure::columns::ColumnCrystal;
-use crate::structure::{Structure, direction};
+use crate::structure::{LabelledAtoms, Structure, direction};
 
 /// The crystals of a recipe, each in the form that its specimen needs.
 #[derive(Debug, Clone)]
@@ -26,6 +28,8 @@ pub enum OrientedCrystals {
         /// Its lattice and surface.
         metal: Metal,
     },
+    /// The atoms of a file.
+    Atoms(Arc<LabelledAtoms>),
 }
 
 /// A crystal turned so that the beam runs along `zone_axis`.

@@ -3,8 +3,10 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use super::atoms_table::NO_CRYSTAL;
 use super::difficulty::Difficulty;
 use super::overrides::{Override, merge};
+use super::tables::StructureKind;
 use super::toml_errors::{explain, unknown_key};
 use crate::error::Error;
 use crate::error::Result;
@@ -17,6 +19,8 @@ pub struct RecipeOrigin {
     pub(super) text: Option<Arc<RecipeText>>,
     /// The changes, in their order.
     pub(super) changes: Vec<Override>,
+    /// The folder that the text was read from; files that it names may lie there.
+    pub(super) folder: PathBuf,
 }
 
 impl PartialEq for RecipeOrigin {
@@ -75,6 +79,13 @@ impl RecipeText {
         }
         if let Some(difficulty) = self.difficulty {
             table.insert("tier".into(), difficulty.name().into());
+        }
+        if table.get("structure").and_then(toml::Value::as_str) == Some(StructureKind::Atoms.name())
+        {
+            // Atoms of a file have no crystal and lie as they lie.
+            for key in ["zone_axis", "crystal"] {
+                table.entry(key).or_insert_with(|| NO_CRYSTAL.into());
+            }
         }
         Ok(table)
     }

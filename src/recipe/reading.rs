@@ -3,10 +3,12 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use super::atoms_table::is_atoms_file;
 use super::difficulty::Difficulty;
 use super::origin::{NO_ARRAY, RecipeText, array_for_table};
 use super::overrides::Override;
 use super::resolved_recipe::Recipe;
+use super::tables::StructureKind;
 use super::toml_errors::{explain, nearest};
 use crate::error::{Error, Result};
 use crate::files::whole_file;
@@ -70,15 +72,27 @@ impl Recipe {
     /// # Errors
     /// As [`Recipe::tiers_in`], and those of reading.
     pub fn tiers_of_file(path: &Path) -> Result<Vec<Difficulty>> {
+        if is_atoms_file(path) {
+            return Ok(Vec::new());
+        }
         let text = whole_file::read_text(path, LARGEST_FILE)?;
         Recipe::tiers_in(&path.display().to_string(), &text)
     }
 
-    /// Reads a recipe from a file.
+    /// Reads a recipe from a file; of a file of atoms, the recipe [`Recipe::of_atoms_file`].
     ///
     /// # Errors
-    /// [`Error::Io`], or as [`Recipe::from_toml_str`].
+    /// [`Error::Io`], or as [`Recipe::from_toml_str`] and [`Recipe::of_atoms_file`].
     pub fn from_file(path: &Path, difficulty: Option<Difficulty>) -> Result<Self> {
+        if is_atoms_file(path) {
+            return match difficulty {
+                None => Recipe::of_atoms_file(path),
+                Some(tier) => {
+                    let expected = "a file of atoms has no tiers; give no difficulty";
+                    Err(Error::invalid(crate::Setting::Difficulty, tier.name(), expected))
+                }
+            };
+        }
         let text = whole_file::read_text(path, LARGEST_FILE)?;
         Recipe::from_toml_str(&path.display().to_string(), &text, difficulty)
     }
@@ -93,16 +107,18 @@ impl Recipe {
         let source = RecipeText { path: PathBuf::from(name), text: text.to_owned(), difficulty };
         let mut recipe: Recipe =
             source.table()?.try_into().map_err(|e: toml::de::Error| source.value_error(&e))?;
-        recipe.read_crystals(source.path.parent().unwrap_or(Path::new(""))).map_err(
-            |e| match e {
-                Error::Invalid { value, expected, .. } => {
-                    let line = source.line_of("crystal");
-                    Error::parse(&source.path, line, format!("crystal = {value}: {expected}"))
-                }
-                other => other,
-            },
-        )?;
+        let folder = source.path.parent().unwrap_or(Path::new("")).to_owned();
+        let named = |key: &str, last: &str, error: Error| match error {
+            Error::Invalid { value, expected, .. } => {
+                let line = source.line_of(last);
+                Error::parse(&source.path, line, format!("{key} = {value}: {expected}"))
+            }
+            other => other,
+        };
+        recipe.read_crystals(&folder).map_err(|e| named("crystal", "crystal", e))?;
+        recipe.find_atoms(&folder).map_err(|e| named("atoms.file", "file", e))?;
         recipe.origin.text = Some(Arc::new(source));
+        recipe.origin.folder = folder;
         Ok(recipe)
     }
 
@@ -111,6 +127,9 @@ impl Recipe {
     /// # Errors
     /// [`Error::Invalid`] for an unknown crystal, [`Error::Io`].
     pub fn read_crystals(&mut self, folder: &Path) -> Result<()> {
+        if self.structure == StructureKind::Atoms {
+            return Ok(());
+        }
         self.crystal.read(folder)?;
         if let Some(domains) = &mut self.domains {
             domains.crystal.read(folder)?;
@@ -119,6 +138,11 @@ impl Recipe {
             Some(alloy) => alloy.end_member.read(folder),
             None => Ok(()),
         }
+    }
+
+    /// Finds the file of atoms relative to `folder`, and says what it holds.
+    fn find_atoms(&mut self, folder: &Path) -> Result<()> {
+        self.atoms.as_mut().map_or(Ok(()), |atoms| atoms.find(folder))
     }
 
     /// The recipe with some values changed, in the order given.
@@ -140,6 +164,10 @@ impl Recipe {
             at_fault(changes, key, message)
         })?;
         recipe.read_crystals(Path::new(""))?;
+        if let (Some(atoms), Some(before)) = (&mut recipe.atoms, &self.atoms) {
+            atoms.forget_another(before);
+        }
+        recipe.find_atoms(Path::new(""))?;
         recipe.origin = self.origin.clone();
         recipe.origin.changes.extend(changes.iter().cloned());
         Ok(recipe)

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::atoms_table::AtomsTable;
 use super::crystal_source::CrystalSource;
 use super::detector_tables::DetectorTables;
 use super::difficulty::Difficulty;
@@ -31,14 +32,15 @@ pub struct Recipe {
     pub source: Option<String>,
     /// Which specimen builder the recipe is for.
     pub structure: StructureKind,
-    /// Direction of the beam in the crystal, as text: `[001]`, `[11-20]`; `none` for particles.
+    /// Direction of the beam in the crystal, as text: `[001]`, `[11-20]`; `none` for particles and for
+    /// the atoms of a file.
     pub zone_axis: String,
     /// Direction along +y, perpendicular to the zone; the shortest such when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub y_axis: Option<String>,
     /// Seed of all random numbers.
     pub seed: u64,
-    /// The crystal.
+    /// The crystal; `none` for the atoms of a file.
     pub crystal: CrystalSource,
     /// Field of view, tiles and thickness.
     pub field: Field,
@@ -57,6 +59,9 @@ pub struct Recipe {
     /// Particles on a film (`particles`).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub particles: Option<Particles>,
+    /// The atoms of a file (`atoms`).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub atoms: Option<AtomsTable>,
     /// Vacancies.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vacancies: Option<Vacancies>,

@@ -22,6 +22,8 @@ pub enum StructureKind {
     Epitaxy,
     /// Metal particles on a film of amorphous carbon.
     Particles,
+    /// The atoms of a file.
+    Atoms,
 }
 
 impl StructureKind {
@@ -32,6 +34,7 @@ impl StructureKind {
             StructureKind::Domains => "domains",
             StructureKind::Epitaxy => "epitaxy",
             StructureKind::Particles => "particles",
+            StructureKind::Atoms => "atoms",
         }
     }
 }
@@ -55,7 +58,7 @@ pub struct Field {
     /// Pixels shared by neighbouring tiles.
     pub overlap_px: usize,
     /// Thickness along the beam in nm, rounded to whole cells of a crystal; of particles on a film, that of
-    /// the film.
+    /// the film; of the atoms of a file, at least their extent.
     pub thickness_nm: f64,
 }
 

@@ -1,5 +1,6 @@
 //! Errors of TOML in the words of recipes.
 
+use super::atoms_table::AtomsTable;
 use super::detector_tables::{DetectorTable, NamedDetectorTable};
 use super::optics_table::OpticsTable;
 use super::tables::*;
@@ -69,6 +70,7 @@ fn keys_of(name: &str) -> Vec<String> {
         "Alloy" => known::<Alloy>(),
         "Wells" => known::<Wells>(),
         "Particles" => known::<Particles>(),
+        "AtomsTable" => known::<AtomsTable>(),
         "Vacancies" => known::<Vacancies>(),
         "Substitutions" => known::<Substitutions>(),
         "PhononTable" => known::<PhononTable>(),

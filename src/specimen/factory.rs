@@ -5,6 +5,7 @@ use std::sync::Arc;
 use super::domains::Domains;
 use super::epitaxy::Epitaxy;
 use super::grains::tilt_grains::Grains;
+use super::own_atoms::OwnAtoms;
 use super::particles::ParticlesOnCarbon;
 use super::relax::Relaxed;
 use super::specimen_trait::Specimen;
@@ -30,6 +31,7 @@ pub fn specimen(recipe: &CheckedRecipe) -> Result<Arc<dyn Specimen>> {
         StructureKind::Domains => Box::new(Domains::new(recipe)?),
         StructureKind::Epitaxy => Box::new(Epitaxy::new(recipe)?),
         StructureKind::Particles => Box::new(ParticlesOnCarbon::new(recipe)?),
+        StructureKind::Atoms => Box::new(OwnAtoms::new(recipe)?),
     };
     Ok(Arc::from(Relaxed::of(rigid, recipe)?))
 }

@@ -5,8 +5,10 @@
 
 pub(crate) mod alloy_spacing;
 pub mod atom_columns;
+pub(crate) mod beam_rows;
 pub mod census;
 pub(crate) mod coherent;
+pub(crate) mod column_grid;
 pub(crate) mod column_index;
 pub(crate) mod composition;
 pub mod damaged;
@@ -15,6 +17,7 @@ pub mod domains;
 pub mod epitaxy;
 mod factory;
 pub mod grains;
+pub mod own_atoms;
 pub mod particles;
 pub mod relax;
 pub(crate) mod roughness;

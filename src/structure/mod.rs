@@ -16,6 +16,7 @@ pub mod elements;
 mod exclusive_sites;
 mod foreign_formats;
 mod frames;
+mod labelled_atoms;
 pub mod lattice;
 mod mixed_sites;
 mod neighbors;
@@ -28,17 +29,21 @@ mod site;
 mod source_text;
 mod supercell;
 mod xyz;
+mod xyz_labels;
 
 pub use alternatives::Alternative;
 pub use debye_waller::{ROOM_TEMPERATURE_K, TABLE_TEMPERATURES_K, tabulated_sigma_angstrom};
 pub use frames::{FrameRange, read_frames};
+pub use labelled_atoms::{LabelledAtom, LabelledAtoms, SiteLabel};
 pub(crate) use neighbors::for_each_pair;
 pub use neighbors::{min_pair_distance, shortest_distances};
 pub use orient::OrientedBox;
 pub use preparation::{Preparation, PreparedStructure};
 #[cfg(all(test, feature = "hdf5"))]
 pub(crate) use read::PARSED;
-pub use read::{Format, ReadStructure, parse, parse_noted, read, read_noted, sigmas_of_file};
+pub use read::{
+    Format, ReadStructure, parse, parse_labelled, parse_noted, read, read_noted, sigmas_of_file,
+};
 pub use site::{LARGEST_SIGMA_ANGSTROM, Sigmas, Site};
 pub use xyz::write_extxyz;
 

@@ -1,6 +1,8 @@
 //! Chooses the reader of a structure's file.
 
+use super::labelled_atoms::LabelledAtoms;
 use super::source_text::SourceText;
+use super::xyz_labels::LabelReader;
 use super::{Sigmas, Structure, cif, foreign_formats, poscar, xyz};
 use crate::error::{Error, Result};
 use crate::files::whole_file;
@@ -30,7 +32,8 @@ impl Format {
         match self {
             // Its words are all kept until the end.
             Format::Cif => 32 << 20,
-            Format::ExtXyz | Format::Poscar => 256 << 20,
+            // Ten million atoms with labels.
+            Format::ExtXyz | Format::Poscar => 1 << 30,
         }
     }
 
@@ -120,6 +123,18 @@ pub fn parse(format: Format, bytes: &[u8], path: &Path) -> Result<Structure> {
 /// # Errors
 /// [`Error::Parse`] with the line.
 pub fn parse_noted(format: Format, bytes: &[u8], path: &Path) -> Result<ReadStructure> {
+    let text = source_text(format, bytes, path)?;
+    let (structure, mut notes) = match format {
+        Format::ExtXyz => (xyz::parse(&text)?, Vec::new()),
+        Format::Cif => cif::parse(&text)?,
+        Format::Poscar => (poscar::parse(&text)?, Vec::new()),
+    };
+    notes.extend(structure.crowded_sites());
+    Ok(ReadStructure { structure, notes })
+}
+
+/// The text of a file, once it is known to be of a format that is read.
+fn source_text<'a>(format: Format, bytes: &'a [u8], path: &'a Path) -> Result<SourceText<'a>> {
     #[cfg(test)]
     PARSED.set(PARSED.get() + 1);
     if let Some(advice) = foreign_formats::by_bytes(bytes) {
@@ -137,13 +152,24 @@ pub fn parse_noted(format: Format, bytes: &[u8], path: &Path) -> Result<ReadStru
         return Err(text.error(1, advice));
     }
     text.check_lines()?;
-    let (structure, mut notes) = match format {
-        Format::ExtXyz => (xyz::parse(&text)?, Vec::new()),
-        Format::Cif => cif::parse(&text)?,
-        Format::Poscar => (poscar::parse(&text)?, Vec::new()),
-    };
-    notes.extend(structure.crowded_sites());
-    Ok(ReadStructure { structure, notes })
+    Ok(text)
+}
+
+/// Reads atoms from memory with what the file says of each besides: extended XYZ has labels, other formats have none. `path` only
+/// names the file in errors.
+///
+/// # Errors
+/// As [`parse`]; [`Error::Parse`] with the line of a label that is not understood, and for sites that are partly occupied.
+pub fn parse_labelled(format: Format, bytes: &[u8], path: &Path) -> Result<LabelledAtoms> {
+    if format != Format::ExtXyz {
+        let ReadStructure { structure, notes } = parse_noted(format, bytes, path)?;
+        return LabelledAtoms::of(&structure, notes)
+            .map_err(|message| Error::parse(path, 0, message));
+    }
+    let text = source_text(format, bytes, path)?;
+    let mut labels = LabelReader::default();
+    let structure = xyz::read_frame(&text, Some(&mut labels))?;
+    Ok(labels.finish(structure.cell))
 }
 
 #[cfg(test)]

@@ -14,7 +14,7 @@ const FLATTEST_CELL: f64 = 1e-3;
 /// Positions beyond this, in Angstrom, are absurd.
 pub(super) const FARTHEST: f64 = 1e7;
 /// Most atoms that a file may hold.
-pub(super) const MOST_ATOMS: usize = 4_000_000;
+pub(super) const MOST_ATOMS: usize = 10_000_000;
 /// Longest line in bytes.
 const LONGEST_LINE: usize = 1 << 16;
 

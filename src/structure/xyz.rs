@@ -4,6 +4,7 @@
 use super::elements::symbol;
 use super::lattice::{Vec3, subtract};
 use super::source_text::SourceText;
+use super::xyz_labels::LabelReader;
 use super::{Alternative, Atom, Structure};
 use crate::error::Result;
 use crate::files::atomic_write;
@@ -16,6 +17,16 @@ const ALTERNATIVE: &str = "alternative";
 const NO_ALTERNATIVE: &str = "-1 -1";
 /// Species of a site without atom, as the Atomic Simulation Environment has it.
 const VACANT: &str = "X";
+
+/// Neighbouring columns of an atom's line that have a name.
+pub(super) struct XyzProperty {
+    /// In lower case.
+    pub name: String,
+    /// The first of its columns.
+    pub first: usize,
+    /// The number of its columns.
+    pub width: usize,
+}
 
 /// Where the columns of an atom's line stand.
 struct XyzColumns {
@@ -32,6 +43,14 @@ struct XyzColumns {
 
 /// Reads a file of exactly one frame.
 pub(super) fn parse(text: &SourceText) -> Result<Structure> {
+    read_frame(text, None)
+}
+
+/// Reads a file of exactly one frame; `labels` takes what it says of each atom besides.
+pub(super) fn read_frame(
+    text: &SourceText,
+    mut labels: Option<&mut LabelReader>,
+) -> Result<Structure> {
     let mut lines = text.lines();
     let (_, first) = lines.next().unwrap_or((1, ""));
     let count: usize = first.trim().parse().map_err(|_| {
@@ -51,7 +70,11 @@ pub(super) fn parse(text: &SourceText) -> Result<Structure> {
         }
     }
     let cell = lattice(text, &pairs)?;
-    let columns = columns(text, &pairs)?;
+    let named = properties(text, &pairs)?;
+    let columns = columns(text, &pairs, &named)?;
+    if let Some(labels) = labels.as_deref_mut() {
+        labels.begin(text, &named)?;
+    }
     let origin = origin(text, &pairs)?;
     let mut atoms = Vec::new();
     for index in 0..count {
@@ -61,9 +84,11 @@ pub(super) fn parse(text: &SourceText) -> Result<Structure> {
             );
             return Err(text.error(index + 3, message));
         };
-        let mut found = atom(text, &columns, line, row)?;
-        if let Some(atom) = &mut found {
-            atom.position = subtract(atom.position, origin);
+        let words = words(text, &columns, line, row)?;
+        let position = subtract(position(text, &columns, line, &words)?, origin);
+        let found = atom(text, &columns, line, &words, position)?;
+        if let Some(labels) = labels.as_deref_mut() {
+            labels.take(text, line, &words, position, found.as_ref())?;
         }
         atoms.extend(found.map(|atom| (line, atom)));
     }
@@ -119,8 +144,14 @@ fn origin(text: &SourceText, pairs: &[(String, String)]) -> Result<Vec3> {
     Ok(origin)
 }
 
-fn columns(text: &SourceText, pairs: &[(String, String)]) -> Result<XyzColumns> {
-    let properties = find(pairs, "properties").unwrap_or("species:S:1:pos:R:3");
+/// The columns that the file announces, or those of plain XYZ.
+fn announced(pairs: &[(String, String)]) -> &str {
+    find(pairs, "properties").unwrap_or("species:S:1:pos:R:3")
+}
+
+/// The properties of an atom's line, in their order.
+fn properties(text: &SourceText, pairs: &[(String, String)]) -> Result<Vec<XyzProperty>> {
+    let properties = announced(pairs);
     let fields: Vec<&str> = properties.split(':').collect();
     let wrong = |why: String| text.error(2, format!("Properties={properties}: {why}"));
     let (mut named, mut count) = (Vec::new(), 0usize);
@@ -133,16 +164,25 @@ fn columns(text: &SourceText, pairs: &[(String, String)]) -> Result<XyzColumns> 
             let part = triple.join(":");
             return Err(wrong(format!("`{part}` is not name:kind:columns, kind S, I, R or L")));
         };
-        named.push((triple[0].to_ascii_lowercase(), count, width));
+        named.push(XyzProperty { name: triple[0].to_ascii_lowercase(), first: count, width });
         count += width;
     }
+    Ok(named)
+}
+
+fn columns(
+    text: &SourceText,
+    pairs: &[(String, String)],
+    named: &[XyzProperty],
+) -> Result<XyzColumns> {
+    let properties = announced(pairs);
+    let wrong = |why: String| text.error(2, format!("Properties={properties}: {why}"));
     let column = |names: &[&str], width: usize| -> Result<Option<usize>> {
-        let found = names.iter().find_map(|n| named.iter().find(|(name, _, _)| name == n));
-        match found {
-            Some((name, _, w)) if *w != width => {
+        match names.iter().find_map(|name| named.iter().find(|p| p.name == *name)) {
+            Some(XyzProperty { name, width: w, .. }) if *w != width => {
                 Err(wrong(format!("`{name}` has {w} columns, expected {width}")))
             }
-            other => Ok(other.map(|(_, start, _)| *start)),
+            other => Ok(other.map(|property| property.first)),
         }
     };
     let symbols = column(&["species", "element", "symbol"], 1)?;
@@ -158,22 +198,43 @@ fn columns(text: &SourceText, pairs: &[(String, String)]) -> Result<XyzColumns> 
     let occupancy = column(&["occupancy", "occupancies"], 1)?;
     let alternative = column(&[ALTERNATIVE], 2)?;
     let announced = find(pairs, "properties").is_some();
+    let count = named.iter().map(|property| property.width).sum();
     Ok(XyzColumns { element, numbers, position, occupancy, alternative, count, announced })
 }
 
-/// The atom of a line; none for a vacant site of the species `X`.
-fn atom(text: &SourceText, columns: &XyzColumns, line: usize, row: &str) -> Result<Option<Atom>> {
+/// The words of an atom's line.
+fn words<'a>(
+    text: &SourceText,
+    columns: &XyzColumns,
+    line: usize,
+    row: &'a str,
+) -> Result<Vec<&'a str>> {
     let words: Vec<&str> = row.split_whitespace().collect();
     // Plain XYZ files may have anything after the position.
     if words.len() < columns.count || (columns.announced && words.len() > columns.count) {
         let message = format!("this atom has {} columns, expected {}", words.len(), columns.count);
         return Err(text.error(line, message));
     }
+    Ok(words)
+}
+
+fn position(text: &SourceText, columns: &XyzColumns, line: usize, words: &[&str]) -> Result<Vec3> {
     let mut position = [0.0; 3];
     for (axis, x) in position.iter_mut().enumerate() {
         let name = ["position x", "position y", "position z"][axis];
         *x = text.number(line, name, words[columns.position + axis])?;
     }
+    Ok(position)
+}
+
+/// The atom of a line; none for a vacant site of the species `X`.
+fn atom(
+    text: &SourceText,
+    columns: &XyzColumns,
+    line: usize,
+    words: &[&str],
+    position: Vec3,
+) -> Result<Option<Atom>> {
     let occupancy = match columns.occupancy {
         Some(column) => text.occupancy(line, text.number(line, "occupancy", words[column])?)?,
         None => 1.0,

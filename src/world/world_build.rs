@@ -128,7 +128,7 @@ impl WorldBuild {
         &self.policy
     }
 
-    /// What is to be said of the accuracy, and of the files of crystals.
+    /// What is to be said of the accuracy, and of the files of crystals and atoms.
     ///
     /// # Errors
     /// Those of the settings.
@@ -141,9 +141,7 @@ impl WorldBuild {
         {
             warnings.push(warning);
         }
-        for crystal in self.layout.recipe.crystals() {
-            warnings.extend(crystal.notes()?);
-        }
+        warnings.extend(self.layout.recipe.notes()?);
         Ok(warnings)
     }
 

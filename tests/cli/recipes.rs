@@ -44,6 +44,37 @@ fn files_of_recipes_stand_where_names_do() {
     assert_eq!(clean["defects"], serde_json::json!({}));
 }
 
+/// Atoms of one's own: planned, listed, written and drawn without a recipe; what does not fit is told.
+#[test]
+fn files_of_atoms_stand_where_recipes_do() {
+    let folder = tempfile::tempdir().unwrap();
+    let head =
+        "Lattice=\"12 0 0 0 12 0 0 0 9\" Properties=species:S:1:pos:R:3:occupancy:R:1:defect:S:1";
+    let rows = "Au 2 2 2 1 none\nAu 2 2 5 1 none\nAg 6 6 2 1 substitution_Ag\nX 9 9 2 0 vacancy_Au";
+    let text = format!("4\n{head}\n{rows}\n");
+    let write = |text: &str| std::fs::write(folder.path().join("own.xyz"), text).unwrap();
+    write(&text);
+    let run = |arguments: &[&str]| json(stemgen(folder.path()).args(arguments));
+    let written = run(&["specimen", "own.xyz"]);
+    assert_eq!(written["output"], "own.extxyz");
+    assert_eq!((&written["sites"], &written["columns"]), (&4.into(), &3.into()));
+    assert_eq!(written["defects"], serde_json::json!({"substitution_Ag": 1, "vacancy_Au": 1}));
+    let planned = stemgen(folder.path()).args(["build", "own.xyz", "--dry-run"]).output().unwrap();
+    assert!(planned.status.success() && stderr(&planned).contains("no atom vibrates"));
+    assert_eq!(run(&["list", "own.xyz"]).as_array().unwrap().len(), 1);
+    let shown = stemgen(folder.path()).args(["show-recipe", "own.xyz"]).output().unwrap();
+    std::fs::write(folder.path().join("own.toml"), &shown.stdout).unwrap();
+    let again = run(&["specimen", "own.toml", "-o", "again.extxyz"]);
+    assert_eq!((&again["sites"], &again["atoms"]), (&4.into(), &written["atoms"]));
+    let told = fails(stemgen(folder.path()).args(["build", "own.xyz", "--difficulty", "easy"]));
+    assert!(told.contains("a file of atoms has no tiers"), "{told}");
+    write(&text.replace("vacancy_Au", "hole"));
+    let told = fails(stemgen(folder.path()).args(["build", "own.xyz"]));
+    assert!(told.contains("own.xyz:6: defect is `hole`"), "{told}");
+    let told = fails(stemgen(folder.path()).args(["build", "own.toml"]));
+    assert!(told.contains("own.xyz has changed since the recipe was resolved"), "{told}");
+}
+
 #[test]
 fn counted_sites_are_those_that_are_written() {
     let folder = tempfile::tempdir().unwrap();

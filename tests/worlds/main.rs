@@ -18,6 +18,7 @@ mod layers;
 mod library;
 mod live;
 mod mosaic;
+mod own_atoms;
 mod pages;
 mod particles;
 mod pictures;

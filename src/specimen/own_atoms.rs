@@ -1,0 +1,284 @@
+//! The atoms of a file of the user's.
+//!
+//! All of them are held in memory, in the columns that [`beam_rows`] finds. Without labels in the file no atom is a defect: which
+//! atoms do not belong where they are cannot be told from any arrangement.
+
+use rayon::prelude::*;
+
+use super::beam_rows::beam_rows;
+use super::column_grid::ColumnGrid;
+use crate::error::{Error, Result};
+use crate::recipe::CheckedRecipe;
+use crate::recipe::atoms_table::AtomsTable;
+use crate::recipe::limits::BEYOND_FIELD_NM;
+use crate::recipe::region::Region;
+use crate::setting::Setting;
+use crate::specimen::atom_columns::{AtomColumn, Sites};
+use crate::specimen::sites::{DISPLACED_NM, SiteKind, SpecimenSite};
+use crate::specimen::specimen_trait::{
+    Boundary, ExpectedSites, ParticleTruth, Specimen, SpecimenFacts, SpecimenLayout,
+};
+use crate::specimen::units::library_cell::LibraryCell;
+use crate::specimen::units::unit_tag::UnitFamily;
+use crate::structure::{LabelledAtom, LabelledAtoms, SiteLabel};
+
+/// Most atoms of a specimen that is held in memory.
+const MOST_ATOMS: usize = 10_000_000;
+const NM: f64 = 0.1;
+
+/// See the module.
+pub struct OwnAtoms {
+    /// Column after column, each by ascending z.
+    sites: Vec<SpecimenSite>,
+    /// Mean (x, y) of each column in nm, sorted as the grid has them.
+    positions_nm: Vec<[f64; 2]>,
+    /// Where the sites of each column begin, and the end of the last.
+    starts: Vec<u32>,
+    /// The phase of each column.
+    phases: Vec<u16>,
+    grid: ColumnGrid,
+    extent: Region,
+    facts: SpecimenFacts,
+}
+
+/// A site in the field, and the phase that its file says.
+type PlacedSite = (SpecimenSite, u16);
+
+impl OwnAtoms {
+    /// Lays the atoms of the recipe's file into the field.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] if none lies in the field, or too many do.
+    pub fn new(recipe: &CheckedRecipe) -> Result<Self> {
+        let atoms = recipe.atoms()?;
+        let Some(table) = &recipe.atoms else {
+            return Err(Error::invalid(
+                Setting::Recipe,
+                "atoms",
+                "(missing): this structure needs the table",
+            ));
+        };
+        let extent = recipe.field.full_region().grown(BEYOND_FIELD_NM);
+        let sites = placed(atoms, table, recipe)?;
+        let built = recipe.field.full_region();
+        if !sites.iter().any(|(site, _)| built.contains([site.position_nm[0], site.position_nm[1]]))
+        {
+            let expected = "no atom of it lies in the field; correct atoms.origin_angstrom, or leave it out to have the atoms in the middle";
+            return Err(Error::invalid(Setting::StructureFile, &table.file, expected));
+        }
+        let thickness_nm = recipe.field.thickness_nm;
+        let phases = if atoms.groups.len() > 1 { atoms.groups.clone() } else { Vec::new() };
+        let facts = SpecimenFacts { thickness_nm, phases, ..SpecimenFacts::default() };
+        Ok(Self::in_columns(sites, extent, facts))
+    }
+
+    /// Finds the columns of sites that are sorted by depth.
+    fn in_columns(sites: Vec<PlacedSite>, extent: Region, facts: SpecimenFacts) -> Self {
+        let places: Vec<[f64; 3]> = sites.iter().map(|(site, _)| site.position_nm).collect();
+        let rows = beam_rows(&places);
+        let count = rows.iter().max().map_or(0, |last| *last as usize + 1);
+        let (members, starts) = by_row(&rows, count);
+        let of_row = |row: usize| &members[starts[row] as usize..starts[row + 1] as usize];
+        let mean = |row: usize| {
+            let sum = of_row(row)
+                .iter()
+                .fold([0.0; 2], |sum, n| [0, 1].map(|k| sum[k] + places[*n as usize][k]));
+            sum.map(|s| s / of_row(row).len() as f64)
+        };
+        let means: Vec<[f64; 2]> = (0..count).into_par_iter().map(mean).collect();
+        let kept: Vec<usize> = (0..count).filter(|row| extent.contains(means[*row])).collect();
+        let positions: Vec<[f64; 2]> = kept.iter().map(|row| means[*row]).collect();
+        let (grid, order) = ColumnGrid::new(&extent, &positions);
+        let mut own = OwnAtoms {
+            sites: Vec::with_capacity(sites.len()),
+            positions_nm: order.iter().map(|n| positions[*n as usize]).collect(),
+            starts: vec![0],
+            phases: Vec::with_capacity(order.len()),
+            grid,
+            extent,
+            facts,
+        };
+        for column in order {
+            let row = of_row(kept[column as usize]);
+            own.sites.extend(row.iter().map(|n| sites[*n as usize].0));
+            own.starts.push(own.sites.len() as u32);
+            own.phases.push(most_frequent(row.iter().map(|n| sites[*n as usize].1)));
+        }
+        own.facts.expected_sites = Some(own.expected_sites());
+        own
+    }
+
+    fn expected_sites(&self) -> ExpectedSites {
+        let sites = |columns: std::ops::Range<usize>| {
+            u64::from(self.starts[columns.end] - self.starts[columns.start])
+        };
+        let particles =
+            self.grid.filled().map(|(columns, centre)| (centre, sites(columns))).collect();
+        ExpectedSites { per_nm2: 0.0, particles }
+    }
+
+    /// The numbers of the columns whose position lies in a region.
+    fn inside<'a>(&'a self, region: &'a Region) -> impl Iterator<Item = usize> + 'a {
+        let part = region.intersection(&self.extent);
+        let some = part.x[0] < part.x[1] && part.y[0] < part.y[1];
+        let ranges = some.then(|| self.grid.about(part)).into_iter().flatten();
+        ranges.flatten().filter(|column| region.contains(self.positions_nm[*column]))
+    }
+
+    fn range(&self, column: usize) -> std::ops::Range<usize> {
+        self.starts[column] as usize..self.starts[column + 1] as usize
+    }
+}
+
+/// The sites in and about the field, sorted by depth, with keys of their own.
+fn placed(
+    atoms: &LabelledAtoms,
+    table: &AtomsTable,
+    recipe: &CheckedRecipe,
+) -> Result<Vec<PlacedSite>> {
+    let field = recipe.field.full_region();
+    // A column may have its position inside, and atoms outside.
+    let around = field.grown(BEYOND_FIELD_NM + 2.0 * DISPLACED_NM);
+    let [x, y, [first, _]] = atoms.extent();
+    let middle = [(x, field.x), (y, field.y)]
+        .map(|(ends, field)| 0.5 * (ends[0] + ends[1]) - 0.5 * (field[0] + field[1]) / NM);
+    let origin = table.origin_angstrom.unwrap_or(middle);
+    let edges = [atoms.cell[0][0], atoms.cell[1][1]];
+    let ranges = [around.x, around.y];
+    // The shifts, in cells, with which an atom's coordinate comes to lie about the field.
+    let shifts = |k: usize, coordinate: f64| {
+        if !table.repeat {
+            return 0..=0;
+        }
+        let cells = |nm: f64| (nm / NM + origin[k] - coordinate) / edges[k];
+        cells(ranges[k][0]).ceil() as i64..=cells(ranges[k][1]).floor() as i64
+    };
+    if table.repeat {
+        let cells = [0, 1].map(|k| (ranges[k][1] - ranges[k][0]) / NM / edges[k] + 1.0);
+        check_count(cells[0] * cells[1] * atoms.atoms.len() as f64)?;
+    }
+    let site = |atom: &LabelledAtom, shift: [i64; 2]| {
+        let [x, y, z] = atom.position;
+        let across = |k: usize, v: f64| NM * (v + shift[k] as f64 * edges[k] - origin[k]);
+        let position_nm = [across(0, x), across(1, y), NM * (z - first)];
+        let kind = match atom.label {
+            SiteLabel::Pristine => SiteKind::Pristine,
+            SiteLabel::Vacancy => SiteKind::Vacancy,
+            SiteLabel::Substitution => SiteKind::Substitution,
+        };
+        (SpecimenSite { key: 0, position_nm, number: atom.number, kind }, atom.group)
+    };
+    let images = |atom: &LabelledAtom| {
+        let mut found = Vec::new();
+        for j in shifts(1, atom.position[1]) {
+            found.extend(shifts(0, atom.position[0]).map(|i| site(atom, [i, j])));
+        }
+        found.retain(|(site, _)| around.contains([site.position_nm[0], site.position_nm[1]]));
+        found
+    };
+    let mut sites: Vec<PlacedSite> = atoms.atoms.par_iter().flat_map_iter(images).collect();
+    check_count(sites.len() as f64)?;
+    sites.par_sort_by(|(a, _), (b, _)| {
+        let along = |k: usize| a.position_nm[k].total_cmp(&b.position_nm[k]);
+        along(2).then(along(1)).then(along(0)).then(a.number.cmp(&b.number))
+    });
+    sites.iter_mut().enumerate().for_each(|(key, (site, _))| site.key = key as u64);
+    Ok(sites)
+}
+
+fn check_count(atoms: f64) -> Result<()> {
+    if atoms <= MOST_ATOMS as f64 {
+        return Ok(());
+    }
+    let expected = format!(
+        "about {atoms:.0} atoms lie in the field and {BEYOND_FIELD_NM} nm around it, and at most {MOST_ATOMS} are held in memory; \
+         take a smaller field (field.fov_nm)"
+    );
+    Err(Error::invalid(Setting::Recipe, "atoms", expected))
+}
+
+/// The atoms of each row, one row after the other, and where rows begin.
+fn by_row(rows: &[u32], count: usize) -> (Vec<u32>, Vec<u32>) {
+    let mut starts = vec![0u32; count + 1];
+    rows.iter().for_each(|row| starts[*row as usize + 1] += 1);
+    for n in 1..=count {
+        starts[n] += starts[n - 1];
+    }
+    let mut next = starts.clone();
+    let mut members = vec![0u32; rows.len()];
+    for (atom, row) in rows.iter().enumerate() {
+        let place = &mut next[*row as usize];
+        members[*place as usize] = atom as u32;
+        *place += 1;
+    }
+    (members, starts)
+}
+
+/// The most frequent of some numbers; the least of those that are as frequent.
+fn most_frequent(numbers: impl Iterator<Item = u16>) -> u16 {
+    let mut sorted: Vec<u16> = numbers.collect();
+    sorted.sort_unstable();
+    let runs = sorted.chunk_by(|a, b| a == b);
+    runs.max_by_key(|run| (run.len(), std::cmp::Reverse(run[0]))).map_or(0, |run| run[0])
+}
+
+impl SpecimenLayout for OwnAtoms {
+    fn facts(&self) -> &SpecimenFacts {
+        &self.facts
+    }
+
+    fn boundaries(&self) -> Vec<Boundary> {
+        Vec::new()
+    }
+
+    /// That of the nearest column.
+    fn phase_at(&self, position_nm: [f64; 2]) -> usize {
+        if self.facts.phases.is_empty() {
+            return 0;
+        }
+        let column = self.grid.nearest(&self.positions_nm, position_nm);
+        column.map_or(0, |column| usize::from(self.phases[column]))
+    }
+
+    fn library_cell(&self, _: UnitFamily) -> Option<LibraryCell> {
+        None
+    }
+
+    fn particles_reaching(&self, _: &Region) -> Vec<ParticleTruth> {
+        Vec::new()
+    }
+}
+
+impl Specimen for OwnAtoms {
+    fn layout(&self) -> &dyn SpecimenLayout {
+        self
+    }
+
+    fn query(&self, region: &Region) -> Sites {
+        let mut out = Sites::default();
+        for column in self.inside(region) {
+            let sites = &self.sites[self.range(column)];
+            let id = sites[0].key;
+            out.push_column(id, self.positions_nm[column], None, sites.iter().copied());
+        }
+        out
+    }
+
+    fn columns(&self, region: &Region) -> Vec<AtomColumn> {
+        let column = |n: usize| AtomColumn {
+            id: self.sites[self.range(n).start].key,
+            position_nm: self.positions_nm[n],
+            sites: 0..0,
+            unit: None,
+        };
+        self.inside(region).map(column).collect()
+    }
+
+    fn particles_on_a_plane(&self, _: &Region) -> Sites {
+        Sites::default()
+    }
+
+    fn reached_families(&self, family: UnitFamily) -> Vec<UnitFamily> {
+        vec![family]
+    }
+}

@@ -1,0 +1,91 @@
+//! Atoms with what their file says of each besides: whether it is a defect, and the phase or grain that it belongs to.
+
+use super::{Structure, elements};
+
+/// What a file says of a site.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default)]
+pub enum SiteLabel {
+    /// The atom belongs there, or nothing is said.
+    #[default]
+    Pristine,
+    /// The atom is missing.
+    Vacancy,
+    /// The atom is a defect.
+    Substitution,
+}
+
+/// A site of a file.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LabelledAtom {
+    /// Cartesian position in Angstrom.
+    pub position: [f64; 3],
+    /// Atomic number; of a vacancy, that of the missing atom.
+    pub number: u8,
+    /// What the site holds.
+    pub label: SiteLabel,
+    /// Index into [`LabelledAtoms::groups`]; 0 where there are none.
+    pub group: u16,
+}
+
+/// The sites of a file.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct LabelledAtoms {
+    /// Cell vectors as rows, in Angstrom.
+    pub cell: [[f64; 3]; 3],
+    /// The sites, in the order of the file.
+    pub atoms: Vec<LabelledAtom>,
+    /// Names of the phases that the file tells apart, or of the grains where it names no phases.
+    pub groups: Vec<String>,
+    /// What there is to say of the file: sentences for the user, each a warning.
+    pub notes: Vec<String>,
+}
+
+impl LabelledAtoms {
+    /// Atoms without labels.
+    ///
+    /// # Errors
+    /// What to say of a site that is partly occupied.
+    pub(super) fn of(structure: &Structure, notes: Vec<String>) -> Result<Self, String> {
+        let site = |(n, atom): (usize, &super::Atom)| {
+            if atom.occupancy != 1.0 {
+                return Err(partly_occupied(&format!("atom {}", n + 1), atom.occupancy));
+            }
+            let (position, number) = (atom.position, atom.number);
+            Ok(LabelledAtom { position, number, label: SiteLabel::Pristine, group: 0 })
+        };
+        let atoms = structure.atoms.iter().enumerate().map(site).collect::<Result<_, _>>()?;
+        Ok(LabelledAtoms { cell: structure.cell, atoms, groups: Vec::new(), notes })
+    }
+
+    /// The least and the greatest coordinate along each axis, in Angstrom.
+    pub fn extent(&self) -> [[f64; 2]; 3] {
+        let ends = |mut ends: [f64; 2], x: f64| {
+            ends = [ends[0].min(x), ends[1].max(x)];
+            ends
+        };
+        let along = |k: usize| {
+            self.atoms.iter().map(|a| a.position[k]).fold([f64::INFINITY, f64::NEG_INFINITY], ends)
+        };
+        [along(0), along(1), along(2)]
+    }
+
+    /// Symbols of the elements of which there are atoms, sorted.
+    pub fn elements(&self) -> Vec<String> {
+        let mut there = [false; 256];
+        for atom in self.atoms.iter().filter(|a| a.label != SiteLabel::Vacancy) {
+            there[usize::from(atom.number)] = true;
+        }
+        let numbers = (1..=u8::MAX).filter(|n| there[usize::from(*n)]);
+        let mut symbols: Vec<String> = numbers.map(|n| elements::symbol(n).to_owned()).collect();
+        symbols.sort();
+        symbols
+    }
+}
+
+/// What to say of a site that may hold an atom or not.
+pub(super) fn partly_occupied(which: &str, occupancy: f64) -> String {
+    format!(
+        "{which} has the occupancy {occupancy}: atoms of a world are there or not; expected 1, or 0 for a vacant site. Draw the \
+         atoms of mixed sites first"
+    )
+}
