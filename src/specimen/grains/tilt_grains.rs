@@ -7,7 +7,7 @@ use crate::error::{Error, Result};
 use crate::recipe::CheckedRecipe;
 use crate::recipe::limits::BEYOND_FIELD_NM;
 use crate::recipe::region::Region;
-use crate::recipe::tables::{Boundaries, MOST_POINT_DEFECTS};
+use crate::recipe::tables::Boundaries;
 use crate::specimen::atom_columns::{AtomColumn, Sites};
 use crate::specimen::coherent::NM;
 use crate::specimen::column_index::ColumnIndex;
@@ -73,20 +73,12 @@ struct Present {
     kept: u64,
 }
 
-/// Kinds of defects that a column may hold, at most.
-const MOST_KINDS: usize = MOST_POINT_DEFECTS + 2;
-
-/// What a column holds.
-enum Held {
-    /// Each site is drawn by itself.
-    EachSite,
-    /// Patterns of kinds of defects; of several that name a site, the first counts.
-    Patterns {
-        /// Where the like of the column is in the library, which shows columns of one kind of defect only.
-        tag: Option<UnitTag>,
-        /// Where its patterns are, for each kind of defect that it holds.
-        defective: [Option<UnitTag>; MOST_KINDS],
-    },
+/// What a column holds of each kind of defect.
+struct Held {
+    /// Where the like of the column is in the library, which shows columns of one kind of defect only.
+    tag: Option<UnitTag>,
+    /// Where its patterns are, for each kind of defect that it holds; of several that name a site, the first counts.
+    defective: Vec<UnitTag>,
 }
 
 impl Grains {
@@ -191,40 +183,39 @@ impl Grains {
         chains.iter().enumerate().filter(move |(n, _)| kept >> n & 1 == 1)
     }
 
-    /// What a column holds. The library has no columns of several kinds of defects: those are simulated by themselves.
-    fn held(&self, column: &Present) -> Held {
-        let mut defective = [None; MOST_KINDS];
-        let (mut count, mut pristine) = (0, None);
+    /// What a column holds; none where each site is drawn by itself. The library has no columns of several kinds of defects: those are
+    /// simulated by themselves.
+    fn held(&self, column: &Present) -> Option<Held> {
+        let (mut defective, mut pristine) = (Vec::new(), None);
         for kind in 0..self.contents.len() {
-            let Some(tag) = self.tag(column, kind) else { return Held::EachSite };
+            let tag = self.tag(column, kind)?;
             if self.pattern(&tag).is_empty() {
                 pristine = pristine.or(Some(tag));
             } else {
-                defective[count] = Some(tag);
-                count += 1;
+                defective.push(tag);
             }
         }
-        match count {
-            0 if pristine.is_none() => Held::EachSite,
-            0 => Held::Patterns { tag: pristine, defective },
-            1 => Held::Patterns { tag: defective[0], defective },
-            _ => Held::Patterns { tag: None, defective },
-        }
+        let tag = match defective[..] {
+            [] => Some(pristine?),
+            [only] => Some(only),
+            _ => None,
+        };
+        Some(Held { tag, defective })
     }
 
     /// What a site of a column holds: the atom of a chain, given by its number in the kind of column and among the chains that are
     /// there, in cell `depth` along the beam.
     fn site_of(
         &self,
-        defective: &[Option<UnitTag>],
+        defective: &[UnitTag],
         column: ColumnIndex,
         chains: [usize; 2],
         (depth, number): (usize, u8),
     ) -> (SiteKind, u8) {
-        let drawn = defective.iter().map_while(|tag| *tag).find_map(|tag| {
+        let drawn = defective.iter().find_map(|tag| {
             let contents = &self.contents[self.kind_of(tag.family)];
-            let site = self.site(contents, &tag, column.kind, chains, depth);
-            let held = contents.held(self.pattern(&tag), site, number);
+            let site = self.site(contents, tag, column.kind, chains, depth);
+            let held = contents.held(self.pattern(tag), site, number);
             (held.0 != SiteKind::Pristine).then_some(held)
         });
         drawn.unwrap_or((SiteKind::Pristine, number))
@@ -456,18 +447,15 @@ impl Grains {
                 let z = (cell as f64 + chain.z) * self.crystal.cell[2] * NM;
                 let key = column.index.key(chain, cell);
                 let (kind, number) = match &held {
-                    Held::Patterns { defective, .. } => {
+                    Some(Held { defective, .. }) => {
                         let (chains, atom) = ([number, there], (cell, chain.number));
                         self.site_of(defective, column.index, chains, atom)
                     }
-                    Held::EachSite => defects.of(key, chain.number),
+                    None => defects.of(key, chain.number),
                 };
                 SpecimenSite { key, position_nm: [x, y, z], number, kind }
             });
-            let tag = match &held {
-                Held::Patterns { tag, .. } => *tag,
-                Held::EachSite => None,
-            };
+            let tag = held.as_ref().and_then(|held| held.tag);
             out.push_column(column.index.id(), [x, y], tag, sites);
         });
         out
