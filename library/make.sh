@@ -1,5 +1,5 @@
 #!/bin/sh
-# Simulates the library again, for another version of the numerics: about an hour on two cores.
+# Simulates the library again, for another version of the numerics: about an hour and a half on two cores.
 #
 #     sh library/make.sh [FOLDER OF THE CACHE, to go on from or to keep]
 set -eu
