@@ -15,6 +15,8 @@ const PIXEL_NM: f64 = 0.02;
 /// Edge of a tile in pixels, and pixels that neighbours share.
 const TILE_PX: usize = 128;
 const OVERLAP_PX: usize = 4;
+/// Vacuum about the atoms at least, so that the columns at the edge are seen whole, in nm.
+const MARGIN_NM: f64 = 0.25;
 /// Room for the potential of the last atom, in nm.
 const BEHIND_NM: f64 = 0.2;
 /// Phonon configurations where the file tells displacements.
@@ -55,7 +57,7 @@ fn field_of(atoms: &LabelledAtoms) -> Field {
     let extent = atoms.extent().map(|[low, high]| 0.1 * (high - low));
     let stride = TILE_PX - OVERLAP_PX;
     let tiles = |nm: f64| {
-        let pixels = (nm / PIXEL_NM).ceil() + 1.0;
+        let pixels = ((nm + 2.0 * MARGIN_NM) / PIXEL_NM).ceil() + 1.0;
         (((pixels - OVERLAP_PX as f64) / stride as f64).ceil() as usize).max(1)
     };
     let grid = [tiles(extent[1]), tiles(extent[0])];

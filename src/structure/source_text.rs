@@ -62,9 +62,14 @@ impl<'a> SourceText<'a> {
 
     /// Refuses more atoms than are read.
     pub fn check_count(&self, line: usize, atoms: usize) -> Result<()> {
-        if atoms > MOST_ATOMS {
+        self.check_count_to(line, atoms, MOST_ATOMS)
+    }
+
+    /// The same for another limit.
+    pub fn check_count_to(&self, line: usize, atoms: usize, most: usize) -> Result<()> {
+        if atoms > most {
             let message = format!(
-                "{atoms} atoms are announced, at most {MOST_ATOMS} are read from a file; take a smaller cell and \
+                "{atoms} atoms are announced, at most {most} are read from a file; take a smaller cell and \
                  repeat it"
             );
             return Err(self.error(line, message));

@@ -17,7 +17,8 @@ pub const LIBRARY_CELL_ANGSTROM: f64 = 19.0;
 /// Patches that the library cells of a bin hold, all kinds of units and phonon configurations together. The mean
 /// square of the phonon spread of one kind of four is then known to 7 % in each bin.
 const PATCHES_PER_BIN: usize = 1800;
-/// The same for columns of at most [`THIN_SITES`] atoms, which have few contents, and for all kinds of defects but the first.
+/// The same for layers with `[[defects]]`, whose columns of at most [`THIN_SITES`] atoms have few contents, and for all kinds of defects but the
+/// first.
 const FEW_PATCHES_PER_BIN: usize = 450;
 /// Sites of columns in layers.
 const THIN_SITES: usize = 2;
@@ -252,7 +253,9 @@ pub fn library_cells(patches: usize, units: usize, configurations: usize) -> usi
 fn patches_per_bin(recipe: &Recipe, crystal: &ColumnCrystal, further: bool) -> usize {
     let depth = crystal.cells_along_beam(recipe.field.thickness_nm);
     let thin = crystal.columns.iter().all(|c| c.chains.len() * depth <= THIN_SITES);
-    if thin || further { FEW_PATCHES_PER_BIN } else { PATCHES_PER_BIN }
+    // Worlds with one kind of defect keep the libraries that they have.
+    let layer = thin && !recipe.defects.is_empty();
+    if layer || further { FEW_PATCHES_PER_BIN } else { PATCHES_PER_BIN }
 }
 
 /// Of a specimen without defects, what the beam makes of it: vacancies of the one element that it displaces.

@@ -29,6 +29,8 @@ use tokens::DataBlock;
 const SAME_FRACTION: f64 = 1e-3;
 /// ... and so are those nearer than this, in Angstrom.
 const SAME_DISTANCE: f64 = 0.01;
+/// Most atoms that the symmetry of a file may make: a small file can announce as many as it likes.
+const MOST_ATOMS: usize = 4_000_000;
 
 /// Reads the one data block that has atoms. What there is to say of it comes with the structure.
 pub(super) fn parse(text: &SourceText) -> Result<(Structure, Vec<String>)> {
@@ -39,7 +41,8 @@ pub(super) fn parse(text: &SourceText) -> Result<(Structure, Vec<String>)> {
     let operations = group_operations::operations(text, block, &cell, &mut notes)?;
     let formula = formula_check::formula(block);
     let sites = sites(text, block, &cell, formula.as_ref(), &mut notes)?;
-    text.check_count(block.line, sites.len().saturating_mul(operations.len()))?;
+    let count = sites.len().saturating_mul(operations.len());
+    text.check_count_to(block.line, count, MOST_ATOMS)?;
     let mut groups = DisorderGroups::of(&sites, &mut notes);
     let (mut atoms, mut counts, mut composition) = (Vec::new(), Vec::new(), BTreeMap::new());
     for (index, site) in sites.iter().enumerate() {
