@@ -191,7 +191,7 @@ impl Grains {
             let tag = self.tag(column, kind)?;
             if self.pattern(&tag).is_empty() {
                 pristine = pristine.or(Some(tag));
-            } else {
+            } else if !defective.iter().any(|first| self.covers(first, &tag)) {
                 defective.push(tag);
             }
         }
@@ -201,6 +201,14 @@ impl Grains {
             _ => None,
         };
         Some(Held { tag, defective })
+    }
+
+    /// Whether one kind of defect leaves a later one no site in a column.
+    fn covers(&self, first: &UnitTag, later: &UnitTag) -> bool {
+        let element =
+            |tag: &UnitTag| self.contents[self.kind_of(tag.family)].process.map(|p| p.element);
+        let taken = self.pattern(first);
+        element(first) == element(later) && self.pattern(later).iter().all(|s| taken.contains(s))
     }
 
     /// What a site of a column holds: the atom of a chain, given by its number in the kind of column and among the chains that are
