@@ -1,6 +1,6 @@
 //! The atoms of a file of the user's.
 //!
-//! All of them are held in memory, in the columns that [`beam_rows`] finds. Without labels in the file no atom is a defect: which
+//! All of them are held in memory, in the columns that `beam_rows` finds. Without labels in the file no atom is a defect: which
 //! atoms do not belong where they are cannot be told from any arrangement.
 
 use rayon::prelude::*;
