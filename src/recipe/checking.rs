@@ -15,7 +15,6 @@ use super::tables::{
     Alloy, Boundaries, CompositionProfile, DomainTable, Field, StructureKind, Wells,
 };
 use crate::structure::coincidence;
-use crate::structure::coincidence::PlaneLattice;
 use crate::structure::columns::ColumnCrystal;
 use crate::structure::{PAIR_CUTOFF_ANGSTROM, Structure, elements, shortest_distances};
 
@@ -212,8 +211,7 @@ fn check_boundaries(
     within("boundaries.misorientation_deg", b.misorientation_deg, 0.1, 90.0)?;
     check_count("boundaries.count", b.count, field, 2.0)?;
     if let Some(sigma) = b.sigma {
-        let found = PlaneLattice::of(crystal.cell)
-            .and_then(|lattice| coincidence::half_angle(lattice, sigma, b.misorientation_deg));
+        let found = coincidence::half_angle_in(crystal.cell, sigma, b.misorientation_deg);
         if let Err(expected) = found {
             return fault("boundaries.sigma", sigma, expected);
         }

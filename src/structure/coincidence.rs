@@ -126,6 +126,14 @@ impl HalfAngle {
     }
 }
 
+/// [`half_angle`] of the lattice of a crystal's cell, whose edges are in Angstrom.
+///
+/// # Errors
+/// As [`PlaneLattice::of`] and [`half_angle`].
+pub fn half_angle_in(cell: [f64; 3], sigma: u32, degrees: f64) -> Result<HalfAngle, String> {
+    half_angle(PlaneLattice::of(cell)?, sigma, degrees)
+}
+
 /// The boundary of coincidence index `sigma` whose misorientation is `degrees`.
 ///
 /// # Errors

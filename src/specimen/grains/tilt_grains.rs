@@ -27,7 +27,7 @@ use crate::specimen::units::occupation::UnitOccupation;
 use crate::specimen::units::unit_tag::UnitFamily;
 use crate::specimen::units::unit_tag::UnitTag;
 use crate::structure::coincidence;
-use crate::structure::coincidence::{HalfAngle, PlaneLattice};
+use crate::structure::coincidence::HalfAngle;
 use crate::structure::columns::{Chain, ColumnCrystal};
 use crate::structure::{PAIR_CUTOFF_ANGSTROM, shortest_distances};
 
@@ -543,8 +543,7 @@ fn shows(motif: &BoundaryMotif, columns: &[BoundaryColumn], flip: [f64; 2]) -> b
 /// The coincidence of boundaries that a recipe names.
 fn coincidence_of(boundaries: &Boundaries, cell: [f64; 3]) -> Result<Option<HalfAngle>> {
     let Some(sigma) = boundaries.sigma else { return Ok(None) };
-    let found = PlaneLattice::of(cell)
-        .and_then(|lattice| coincidence::half_angle(lattice, sigma, boundaries.misorientation_deg));
+    let found = coincidence::half_angle_in(cell, sigma, boundaries.misorientation_deg);
     found.map(Some).map_err(|e| Error::invalid(crate::Setting::BoundarySigma, sigma, e))
 }
 
