@@ -2,12 +2,13 @@
 
 use std::path::Path;
 
-use hdf5::{File, Location};
+use hdf5::Location;
 
 use super::hdf5_guard::{
     MOST_TEXTS, any_text, any_texts, check_storage, damaged, first_line, number, pair, scale_paths,
     texts, walk,
 };
+use super::hdf5_open;
 use super::hdf5_values;
 use super::world_file::regular_file;
 use crate::error::{Error, Result};
@@ -21,7 +22,7 @@ use crate::error::{Error, Result};
 pub fn read_through(path: &Path) -> Result<()> {
     let bytes = regular_file(path)?;
     let refused = |fault: String| Error::parse(path, 0, fault);
-    let file = File::open(path).map_err(|e| refused(first_line(&e)))?;
+    let file = hdf5_open::open(path).map_err(|e| refused(first_line(&e)))?;
     let walk = walk(&file).map_err(refused)?;
     for name in std::iter::once("/").chain(walk.groups.iter().map(String::as_str)) {
         let group = file.group(name).map_err(|e| refused(damaged(e)))?;

@@ -17,6 +17,8 @@ mod hdf5_guard;
 #[cfg(feature = "hdf5")]
 mod hdf5_look;
 #[cfg(feature = "hdf5")]
+mod hdf5_open;
+#[cfg(feature = "hdf5")]
 mod hdf5_values;
 #[cfg(feature = "hdf5")]
 pub mod hspy_file;

@@ -24,6 +24,7 @@ use super::hdf5_create;
 use super::hdf5_guard::{
     Guarded, check_storage, damaged, number as number_of, pair, text as text_of,
 };
+use super::hdf5_open;
 use super::hdf5_values;
 use super::hspy_patterns;
 use super::image_file::{Origin, axes, write_origin, write_specimen};
@@ -452,7 +453,13 @@ impl PatternFile {
     /// [`Error::Io`]; [`Error::Parse`] for a file that is damaged.
     pub fn open(path: &Path) -> Result<Option<Self>> {
         let bytes = regular_file(path)?;
-        let Ok(file) = File::open(path) else { return Ok(None) };
+        let file = match hdf5_open::open(path) {
+            Ok(file) => file,
+            Err(e) if hdf5_open::is_locked(&e) => {
+                return Err(Error::parse(path, 0, hdf5_open::reason(&e, "")));
+            }
+            Err(_) => return Ok(None),
+        };
         if text_of(&file, "format").as_deref() != Some(FORMAT) {
             return Ok(None);
         }

@@ -8,6 +8,7 @@ use ndarray::{Array2, Axis, Ix3};
 use super::hdf5_guard::{
     Guarded, check_bytes, check_storage, damaged, datasets, number, pair, text,
 };
+use super::hdf5_open;
 use super::hdf5_values;
 use super::world_file::regular_file;
 use crate::error::{Error, Result};
@@ -61,7 +62,13 @@ impl StoredImages {
         let bytes = regular_file(path)?;
         let refused = |fault: String| Error::parse(path, 0, fault);
         // Whoever opens it as a world says what is wrong with it.
-        let Ok(file) = File::open(path) else { return Ok(None) };
+        let file = match hdf5_open::open(path) {
+            Ok(file) => file,
+            Err(e) if hdf5_open::is_locked(&e) => {
+                return Err(Error::parse(path, 0, hdf5_open::reason(&e, "")));
+            }
+            Err(_) => return Ok(None),
+        };
         let kind = match text(&file, "format").as_deref() {
             Some("stemgen images") => ImageKind::Simulated,
             Some("stemgen recording") => ImageKind::Recording,

@@ -3,12 +3,12 @@
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::slice;
-use std::time::{Duration, Instant};
 
 use hdf5::{Dataset, File, H5Type};
 use ndarray::{Array, Array1, Array2, Dimension, s};
 
-use super::hdf5_guard::{self, check_storage, first_line};
+use super::hdf5_guard::{self, check_storage};
+use super::hdf5_open;
 use super::hdf5_values::{self, Plain};
 use super::schema::{self, DefectName};
 use super::world_metadata::{WorldMetadata, not_a_world, read_metadata};
@@ -46,31 +46,11 @@ pub struct WorldFile {
     pub(super) images: String,
 }
 
-/// How long to wait for a lock. HDF5 locks what it writes, and a process that is being started at that
-/// moment by another thread holds the lock for an instant longer.
-const LOCK_PATIENCE: Duration = Duration::from_secs(5);
-
 /// Lists of the ground truth with one entry for each site.
 const SITE_LISTS: [&str; 6] =
     ["defect_mask", "atom_z", "atomic_numbers", "defect_types", "atom_columns", "atom_types"];
 /// Relative difference of lengths that are the same.
 const SAME_FIELD: f64 = 1e-6;
-
-fn is_locked(error: &hdf5::Error) -> bool {
-    error.to_string().contains("unable to lock file")
-}
-
-fn open_unlocked(path: &Path) -> hdf5::Result<File> {
-    let start = Instant::now();
-    loop {
-        match File::open(path) {
-            Err(e) if is_locked(&e) && start.elapsed() < LOCK_PATIENCE => {
-                std::thread::sleep(Duration::from_millis(20));
-            }
-            result => return result,
-        }
-    }
-}
 
 impl WorldFile {
     /// Opens a world and checks that it is one, and whole. All that a world holds is in its file: links to other
@@ -80,14 +60,9 @@ impl WorldFile {
     /// [`Error::Io`], or [`Error::Invalid`] for a foreign, truncated or incomplete file.
     pub fn open(path: &Path) -> Result<Self> {
         let bytes = regular_file(path)?;
-        let file = open_unlocked(path).map_err(|e| {
-            let reason = if is_locked(&e) {
-                "is locked by another program that writes it; try again when that has ended"
-            } else {
-                "is not HDF5, or is truncated; copy or build it again"
-            };
-            not_a_world(path, format!("{reason} ({})", first_line(&e)))
-        })?;
+        let broken = "is not HDF5, or is truncated; copy or build it again";
+        let file =
+            hdf5_open::open(path).map_err(|e| not_a_world(path, hdf5_open::reason(&e, broken)))?;
         hdf5_guard::datasets(&file).map_err(|fault| not_a_world(path, fault))?;
         let metadata = read_metadata(path, &file)?;
         let images = String::new();

@@ -102,6 +102,32 @@ fn a_file_that_hangs_the_library_is_refused() {
     assert_eq!(left, ["bad.h5", "r.h5", "w.h5"]);
 }
 
+/// Locks are switched off for other tests (.cargo/config.toml).
+#[test]
+fn a_file_that_another_program_writes_is_refused_for_that_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    world(&here.join("w.h5")).close().unwrap();
+    reference(&here.join("r.h5")).close().unwrap();
+    let files = ["w.h5", "r.h5"].map(|name| std::fs::File::open(here.join(name)).unwrap());
+    files.iter().for_each(|file| file.lock().unwrap());
+    let commands: [&[&str]; 3] = [
+        &["view", "w.h5"],
+        &["import", "r.h5", "-o", "i.h5", "--pixel-size", "0.1"],
+        &["integrate", "r.h5", "--annulus", "68-200"],
+    ];
+    let children = commands.map(|arguments| {
+        let mut command = stemgen(here, arguments);
+        command.env_remove("HDF5_USE_FILE_LOCKING").spawn().unwrap()
+    });
+    for (arguments, child) in commands.iter().zip(children) {
+        let ended = child.wait_with_output().unwrap();
+        let told = told(&ended);
+        assert_eq!(ended.status.code(), Some(1), "{arguments:?}: {told}");
+        assert!(told.contains("is locked by another program"), "{arguments:?}: {told}");
+    }
+}
+
 #[test]
 fn a_signal_ends_the_look_at_a_file() {
     if !can_trace() {

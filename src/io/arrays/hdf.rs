@@ -2,23 +2,23 @@
 
 use std::path::Path;
 
+use hdf5::Dataset;
 use hdf5::types::TypeDescriptor;
-use hdf5::{Dataset, File};
 
 use super::{ArrayAxis, ForeignArray, choose, held};
 use crate::error::{Error, Result};
 use crate::io::hdf5_axes::AxisSource;
-use crate::io::hdf5_guard::{check_storage, datasets, first_line, text};
-use crate::io::hdf5_values;
+use crate::io::hdf5_guard::{check_storage, datasets, text};
 use crate::io::{At, regular_file};
+use crate::io::{hdf5_open, hdf5_values};
 
 /// Where files of this program have their images.
 const IMAGES: &str = "/images/";
 
 pub fn read(path: &Path, name: Option<&str>) -> Result<ForeignArray> {
     let bytes = regular_file(path)?;
-    let file = File::open(path).map_err(|e| {
-        Error::parse(path, 0, format!("is not HDF5, or is truncated ({})", first_line(&e)))
+    let file = hdf5_open::open(path).map_err(|e| {
+        Error::parse(path, 0, hdf5_open::reason(&e, "is not HDF5, or is truncated"))
     })?;
     let refused = |fault: String| Error::parse(path, 0, fault);
     let mut names = Vec::new();

@@ -12,6 +12,7 @@ use crate::error::{Error, Result};
 use crate::io::arrays::held;
 use crate::io::hdf5_axes::AxisSource;
 use crate::io::hdf5_guard::{check_storage, datasets, first_line};
+use crate::io::hdf5_open;
 use crate::io::hdf5_values::{self, Plain, is_float};
 use crate::io::named_axes::NamedAxis;
 use crate::io::regular_file;
@@ -29,8 +30,8 @@ impl Hdf5Source {
     pub fn open(path: &Path) -> Result<Self> {
         let bytes = regular_file(path)?;
         let refused = |fault: String| Error::parse(path, 0, fault);
-        let file = File::open(path)
-            .map_err(|e| refused(format!("is damaged or truncated HDF5 ({})", first_line(&e))))?;
+        let file = hdf5_open::open(path)
+            .map_err(|e| refused(hdf5_open::reason(&e, "is damaged or truncated HDF5")))?;
         let names = datasets(&file).map_err(refused)?;
         Ok(Hdf5Source { path: path.to_owned(), file, bytes, names })
     }

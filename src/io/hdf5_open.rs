@@ -1,0 +1,39 @@
+//! Opening HDF5 files for reading, also while another program ends writing them.
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use hdf5::File;
+
+use super::hdf5_guard::first_line;
+
+/// How long to wait for a lock. HDF5 locks what it writes, and a process that another thread starts at that moment inherits the lock.
+const LOCK_PATIENCE: Duration = Duration::from_secs(5);
+
+/// Opens a file for reading, and waits for a lock that another program holds on it.
+pub(super) fn open(path: &Path) -> hdf5::Result<File> {
+    let start = Instant::now();
+    loop {
+        match File::open(path) {
+            Err(e) if is_locked(&e) && start.elapsed() < LOCK_PATIENCE => {
+                std::thread::sleep(Duration::from_millis(20));
+            }
+            result => return result,
+        }
+    }
+}
+
+/// Whether a file did not open since another program writes it.
+pub(super) fn is_locked(error: &hdf5::Error) -> bool {
+    error.to_string().contains("unable to lock file")
+}
+
+/// Why a file did not open: that it is locked, or `otherwise`; and the library's own words.
+pub(super) fn reason(error: &hdf5::Error, otherwise: &str) -> String {
+    let reason = if is_locked(error) {
+        "is locked by another program that writes it; try again when that has ended"
+    } else {
+        otherwise
+    };
+    format!("{reason} ({})", first_line(error))
+}
