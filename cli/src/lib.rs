@@ -53,6 +53,7 @@ mod values;
 mod verify_command;
 mod view_command;
 mod view_images;
+mod view_patterns;
 mod world_hspy;
 mod world_plan_text;
 

@@ -6,11 +6,13 @@ use super::progress_bar::Reporter;
 use super::recipe_args::is_recipe_file;
 use super::values::{self, Tier};
 use super::view_images::{self, ViewedImage};
+use super::view_patterns;
 use super::{output, text};
-use anyhow::bail;
+use anyhow::{Context, bail};
 use clap::Args;
 use std::path::{Path, PathBuf};
 use stemgen::files::outputs::check_outputs;
+use stemgen::io::pattern_file::PatternFile;
 use stemgen::io::{StoredImages, WorldFile};
 use stemgen::recipe::{CheckedRecipe, Difficulty, Recipe};
 use stemgen::render::WorldPart;
@@ -32,17 +34,19 @@ Examples:
     stemgen view tile.h5
   A page for the browser that zooms to single atoms and shows what the truth says of each:
     stemgen view worlds/srtio3_easy_1x1.h5 --html
+  The same for diffraction patterns: move over the scan, draw detectors:
+    stemgen view srtio3.emd --html
 
 The page is one file that needs no network: overlays, values and columns under the pointer, line profiles. Without
 --overlay it shows what the truth marks (defects, boundaries, particles; else all columns).
 x grows to the right and y down, from the centre of pixel (0, 0), as in the world's ground truth.";
 
-/// Draw a world, an image or a recording as PNG, or make a page of a world for the browser
+/// Draw a world, an image, a recording or a mean diffraction pattern as PNG, or make a page for the browser
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct View {
-    /// World file; a file of `simulate`, `acquire` or `live`; or a recipe, by its name or its file (.toml), of which the
-    /// specimen is drawn
+    /// World file; a file of `simulate`, `acquire`, `live` or `patterns`; or a recipe, by its name or its file (.toml), of which
+    /// the specimen is drawn
     #[arg(value_name = "FILE|RECIPE")]
     world: PathBuf,
     /// The tier of a recipe that has some
@@ -86,6 +90,9 @@ impl View {
         hdf5_check::check(&self.world)?;
         if let Some(images) = StoredImages::open(&self.world)? {
             return self.draw_image(&images);
+        }
+        if let Some(patterns) = PatternFile::open(&self.world)? {
+            return self.draw_patterns(&patterns);
         }
         if self.index.is_some() {
             bail!("--index: a world is one image; leave it out");
@@ -162,6 +169,41 @@ impl View {
         self.tell(&format!("{}: {what}", path.display()))
     }
 
+    /// Draws the mean of diffraction patterns, or makes a page of all.
+    fn draw_patterns(&self, patterns: &PatternFile) -> anyhow::Result<()> {
+        let picture = &self.picture;
+        if self.region.is_some()
+            || self.detector.is_some()
+            || self.index.is_some()
+            || picture.clean
+            || !picture.overlay.is_empty()
+        {
+            bail!(
+                "{}: holds diffraction patterns; leave out --region, --detector, --index, --clean and --overlay (`stemgen integrate` makes images of detectors)",
+                self.world.display()
+            );
+        }
+        let ending = if self.html { "html" } else { "view.png" };
+        let path = self.output.clone().unwrap_or_else(|| self.world.with_extension(ending));
+        check_outputs([&path], [&self.world], self.overwrite)?;
+        let reporter = Reporter::new(self.quiet);
+        let file = || self.world.display().to_string();
+        if self.html {
+            let title = self.world.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            view_patterns::page(patterns, title, &reporter).with_context(file)?.write(&path)?;
+            return self.tell_page(&path);
+        }
+        let (drawn, what) =
+            view_patterns::picture(patterns, &picture.picture(), &reporter).with_context(file)?;
+        drawn.write_png(&path)?;
+        self.tell(&format!("{}: {what}", path.display()))
+    }
+
+    fn tell_page(&self, path: &Path) -> anyhow::Result<()> {
+        let size = text::bytes(output::size(path));
+        self.tell(&format!("{} ({size}); open it in a browser", path.display()))
+    }
+
     fn tell(&self, line: &str) -> anyhow::Result<()> {
         if self.quiet { Ok(()) } else { text::print(line) }
     }
@@ -169,7 +211,6 @@ impl View {
     fn write_page(&self, world: &WorldFile, path: &Path) -> anyhow::Result<()> {
         let title = self.world.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         self.picture.picture().page(world, title, self.region)?.write(path)?;
-        let size = text::bytes(output::size(path));
-        self.tell(&format!("{} ({size}); open it in a browser", path.display()))
+        self.tell_page(path)
     }
 }

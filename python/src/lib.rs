@@ -61,6 +61,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(pattern_cubes::detector_weights, module)?)?;
     module.add_function(wrap_pyfunction!(pattern_cubes::integrated_centre_of_mass, module)?)?;
     module.add_function(wrap_pyfunction!(pattern_cubes::simulate_patterns, module)?)?;
+    module.add_function(wrap_pyfunction!(pattern_cubes::write_pattern_page, module)?)?;
     module.add_function(wrap_pyfunction!(pattern_cubes::write_patterns, module)?)?;
     module.add_function(wrap_pyfunction!(recipes::describe_recipe, module)?)?;
     module.add_function(wrap_pyfunction!(recipes::recipes, module)?)?;

@@ -8,11 +8,16 @@ use ndarray::{Array2, Array4, Axis, s};
 use numpy::IntoPyArray;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use stemgen::detect::{PatternDetector, PixelatedDetector, RadialBins, VirtualDetector};
+use stemgen::engine::Scan;
 use stemgen::files::outputs::check_outputs;
 use stemgen::io::pattern_file::{PatternFile, PatternHeader, data_bytes};
 use stemgen::io::pattern_run::PatternRun;
+use stemgen::render::html::CubePage;
+use stemgen::setting::Setting;
 use stemgen::simulation::{PatternBand, PatternValues};
 
 /// Patterns of one defocus and thickness; electrons where they were counted.
@@ -95,7 +100,7 @@ pub fn write_patterns(
 
 /// A file of patterns, read row by row.
 #[pyclass(frozen, module = "stemworlds._core")]
-pub struct PatternReader(PatternFile);
+pub struct PatternReader(Arc<PatternFile>);
 
 #[pymethods]
 impl PatternReader {
@@ -104,7 +109,7 @@ impl PatternReader {
     fn new(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         let read = || -> Result<PatternReader, Fault> {
             match PatternFile::open(&path)? {
-                Some(file) => Ok(PatternReader(file)),
+                Some(file) => Ok(PatternReader(Arc::new(file))),
                 None => {
                     let fault = "is no file of patterns that stemgen wrote";
                     Err(stemgen::Error::parse(&path, 0, fault).into())
@@ -120,6 +125,22 @@ impl PatternReader {
         let vacuum = self.0.vacuum().map_err(Fault::from).or_raise(py)?;
         out.set_item("vacuum", vacuum.map(|vacuum| vacuum.into_pyarray(py)))?;
         Ok(out)
+    }
+
+    /// Writes a page (HTML) of the patterns.
+    fn page(
+        &self,
+        py: Python<'_>,
+        title: String,
+        out: PathBuf,
+        overwrite: bool,
+        running: Running,
+    ) -> PyResult<()> {
+        let file = Arc::clone(&self.0);
+        run(py, running, move |call| {
+            let read = |rows: Range<usize>| file.rows(rows);
+            write_page(file.header(), title, &read, (&out, overwrite), call)
+        })
     }
 
     /// The patterns of rows `first` to `end`, itself not read.
@@ -177,6 +198,69 @@ impl Cube {
             _ => {}
         }
     }
+}
+
+fn write_page(
+    header: &PatternHeader,
+    title: String,
+    rows: &dyn Fn(Range<usize>) -> stemgen::Result<Array4<f32>>,
+    (out, overwrite): (&PathBuf, bool),
+    call: &LongCall,
+) -> Result<(), Fault> {
+    check_outputs([out], [] as [&PathBuf; 0], overwrite)?;
+    let Some(page) = CubePage::of(header, title) else {
+        let expected = "expected pixels; sums over rings have no page";
+        return Err(stemgen::Error::invalid(Setting::PatternPixels, "rings", expected).into());
+    };
+    Ok(page.page(rows, call)?.write(out)?)
+}
+
+/// Where patterns in memory stand, and what they are; lengths and places are (x, y).
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct CubeAxes {
+    title: String,
+    step_angstrom: [f64; 2],
+    origin_angstrom: [f64; 2],
+    max_angle_mrad: f64,
+    thickness_angstrom: f64,
+    defocus_angstrom: f64,
+    energy_kev: f64,
+    semiangle_mrad: f64,
+    wavelength_angstrom: f64,
+    electrons_per_pattern: Option<f64>,
+}
+
+/// Writes a page (HTML) of patterns in memory, `[y, x, ky, kx]`.
+#[pyfunction]
+pub fn write_pattern_page(
+    py: Python<'_>,
+    data: numpy::PyReadonlyArray4<'_, f32>,
+    axes: CubeAxes,
+    out: PathBuf,
+    overwrite: bool,
+    running: Running,
+) -> PyResult<()> {
+    let data = data.as_array().to_owned();
+    let (rows, columns, _, pixels) = data.dim();
+    let header = PatternHeader {
+        detector: PixelatedDetector { pixels, max_angle_mrad: axes.max_angle_mrad }.into(),
+        scan: Scan {
+            origin_angstrom: axes.origin_angstrom,
+            step_angstrom: axes.step_angstrom,
+            shape: [rows, columns],
+        },
+        thickness_angstrom: axes.thickness_angstrom,
+        defocus_angstrom: axes.defocus_angstrom,
+        energy_kev: axes.energy_kev,
+        semiangle_mrad: axes.semiangle_mrad,
+        wavelength_angstrom: axes.wavelength_angstrom,
+        counted: axes.electrons_per_pattern.map(|electrons| (electrons, 0)),
+    };
+    run(py, running, move |call| {
+        let read = |rows: Range<usize>| Ok(data.slice(s![rows, .., .., ..]).to_owned());
+        write_page(&header, axes.title, &read, (&out, overwrite), call)
+    })
 }
 
 /// The integrated centre of mass in radians of images of it (x, y) in mrad.

@@ -408,7 +408,23 @@ class PatternReader:
     def __init__(self, path: _Path) -> None: ...
     def header(self) -> PatternHeader: ...
     def rows(self, first: int, end: int) -> npt.NDArray[np.float32]: ...
+    def page(self, title: str, out: _Path, overwrite: bool, running: Running) -> None: ...
 
+class CubeAxes(TypedDict):
+    title: str
+    step_angstrom: tuple[float, float]
+    origin_angstrom: tuple[float, float]
+    max_angle_mrad: float
+    thickness_angstrom: float
+    defocus_angstrom: float
+    energy_kev: float
+    semiangle_mrad: float
+    wavelength_angstrom: float
+    electrons_per_pattern: float | None
+
+def write_pattern_page(
+    data: npt.NDArray[np.float32], axes: CubeAxes, out: _Path, overwrite: bool, running: Running
+) -> None: ...
 def simulate_patterns(
     request: SimulationRequest, atoms: AtomArrays | None, force: bool, running: Running
 ) -> list[Patterns]: ...

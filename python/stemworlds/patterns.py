@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import _core
-from ._running import call
+from ._running import call, running
 from .atoms import Atoms
 from .errors import _invalid
 from .images import Float32Array, Image, Path
@@ -245,6 +245,47 @@ class DataCube:
         rows, columns = self.axes.shape[:2]
         total = sum(part.sum(axis=(0, 1), dtype=np.float64) for _, part in self._rows())
         return np.asarray(total) / (rows * columns)
+
+    def page(self, out: Path, *, overwrite: bool = False) -> str:
+        """Writes a page (HTML) for the browser: point at the scan to see a pattern, draw a detector to see its image.
+
+        The page is one file and needs no network. It holds at most 16.8 million intensities: pixels of larger cubes are summed 2 x 2 until they
+        fit, then probes are averaged, and the page says so.
+
+        Args:
+            out: the file, ``.html``.
+            overwrite: replace an existing file.
+
+        Returns:
+            The path of the file.
+
+        Raises:
+            InvalidValue: for another ending, and for sums over rings.
+            FileError: where the file cannot be written, or exists.
+        """
+        self._needs_pixels("have no page")
+        path, run = os.fspath(out), running(None, False)
+        if not path.lower().endswith((".html", ".htm")):
+            raise _invalid("out", f"{path}: a page ends in .html")
+        if self._data is None:
+            assert self._path is not None
+            call(self._file().page, _FilePath(self._path).stem, path, overwrite, run)
+            return path
+        a = self.axes
+        axes: _core.CubeAxes = {
+            "title": _FilePath(path).stem,
+            "step_angstrom": (a.step_angstrom[1], a.step_angstrom[0]),
+            "origin_angstrom": (a.origin_angstrom[1], a.origin_angstrom[0]),
+            "max_angle_mrad": a.max_angle_mrad,
+            "thickness_angstrom": a.thickness_angstrom,
+            "defocus_angstrom": a.defocus_angstrom,
+            "energy_kev": a.energy_kv,
+            "semiangle_mrad": a.semiangle_mrad,
+            "wavelength_angstrom": a.wavelength_angstrom,
+            "electrons_per_pattern": a.electrons_per_pattern,
+        }
+        call(_core.write_pattern_page, self._data.astype(np.float32), axes, path, overwrite, run)
+        return path
 
     def to_hyperspy(self) -> Any:
         """The patterns as a ``hyperspy.signals.Signal2D`` over the scan. HyperSpy has to be installed."""

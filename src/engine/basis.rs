@@ -18,8 +18,8 @@ use std::f64::consts::PI;
 pub(super) struct Basis {
     /// (wave, bin of the window), row-major.
     waves: Vec<Complex32>,
-    /// (wave, bin of the surroundings), row-major: its product with the coefficients of a probe in the surroundings gives
-    /// the coefficients on the waves.
+    /// Matrix (wave, bin of the surroundings), row-major. Its product with the coefficients of a probe in the surroundings gives the
+    /// coefficients on the waves.
     project: Vec<Complex32>,
     /// Number of bins of the window.
     bins: usize,
@@ -27,12 +27,12 @@ pub(super) struct Basis {
 
 /// Candidate positions in a patch, along an axis for each Nyquist distance of the amplitude (0.6 A).
 const CANDIDATES_PER_NYQUIST: f64 = 3.0;
-/// The first reduction of the candidates is right to this share of the error allowed.
+/// The first reduction of the candidates has this share of the allowed error.
 const REDUCED: f64 = 0.3;
 
 impl Basis {
-    /// The waves for probes, which differ in focus, at most `half` (Angstrom, along x and y) from the middle of a window, each right to the share
-    /// `error` of its amplitude; `nyquist` is the Nyquist distance of the amplitude in Angstrom.
+    /// Chooses the waves for probes with different foci, at most `half` (Angstrom, along x and y) from the middle of a window. Each probe
+    /// has at most the error `error`, as a share of its amplitude. `nyquist` is the Nyquist distance of the amplitude in Angstrom.
     pub fn new(probes: &[&CroppedProbe], half: [f64; 2], nyquist: f64, error: f64) -> Self {
         let candidates = Candidates::new(probes, half, nyquist / CANDIDATES_PER_NYQUIST);
         let allowed: Vec<f64> = candidates.norms.iter().map(|n| error * error * n).collect();
@@ -101,8 +101,8 @@ fn singles(values: Vec<Complex64>) -> Vec<Complex32> {
     values.into_iter().map(single).collect()
 }
 
-/// The least number of leading components with which no candidate lacks more than `allowed` of its squared norm; `on` holds
-/// the coefficients, (candidate, wave) row-major.
+/// The smallest number of leading components with which no candidate lacks more than `allowed` of its squared norm. `on` holds the
+/// coefficients, (candidate, wave) row-major.
 fn fewest(on: &[Complex64], waves: usize, norms: &[f64], allowed: &[f64]) -> usize {
     let needed = |(row, (norm, allowed)): (&[Complex64], (&f64, &f64))| {
         let mut left = *norm;
@@ -116,13 +116,13 @@ fn fewest(on: &[Complex64], waves: usize, norms: &[f64], allowed: &[f64]) -> usi
     rows.map(needed).max().unwrap_or(1)
 }
 
-/// Probes on a raster over a patch, denser towards its edges, by which the waves are chosen.
+/// Probes on a raster over a patch, denser towards its edges. The waves are chosen to represent them.
 struct Candidates<'a> {
-    /// One for each focus; all have the same bins.
+    /// The probe at each focus; all have equal bins.
     probes: &'a [&'a CroppedProbe],
-    /// Phases along x and y: for each position, those of the frequencies of the surroundings.
+    /// Phases along x and y, at the frequencies of the surroundings, for each position.
     phases: [Vec<Vec<Complex64>>; 2],
-    /// Squared norms in the window.
+    /// Squared norms of the candidates in the window.
     norms: Vec<f64>,
 }
 
@@ -130,7 +130,7 @@ impl<'a> Candidates<'a> {
     fn new(probes: &'a [&'a CroppedProbe], half: [f64; 2], step: f64) -> Self {
         let places = [0, 1].map(|k| {
             let n = (2.0 * half[k] / step).ceil() as usize + 1;
-            // Chebyshev points: the errors at the edges are then as small as those inside.
+            // Chebyshev points make the errors at the edges as small as inside.
             let place = |i: usize| match n {
                 1 => 0.0,
                 _ => half[k] * (PI * (i as f64 / (n - 1) as f64 - 0.5)).sin(),
@@ -186,9 +186,9 @@ impl<'a> Candidates<'a> {
         out
     }
 
-    /// Orthonormal waves, (wave, bin) row-major, that hold all candidates to the share `error` of their amplitude, and the
-    /// candidates' coefficients, (candidate, wave) row-major. Each wave is made from the candidate of which the waves
-    /// before it hold the least.
+    /// Orthonormal waves, (wave, bin) row-major, that represent all candidates up to the share `error` of their amplitude, and the
+    /// candidates' coefficients, (candidate, wave) row-major. Each wave is made from the candidate that the waves before it represent
+    /// worst.
     fn reduced(&self, error: f64) -> (Vec<Complex64>, Vec<Complex64>) {
         let bins = self.get(0).len();
         let mut span: Vec<Complex64> = Vec::new();
@@ -200,7 +200,7 @@ impl<'a> Candidates<'a> {
                 break;
             }
             let mut wave = self.get(worst);
-            // Orthogonalised twice, against rounding.
+            // Orthogonalised twice, because of rounding.
             for q in span.chunks_exact(bins).chain(span.chunks_exact(bins)) {
                 let c: Complex64 = q.iter().zip(&wave).map(|(q, w)| q.conj() * w).sum();
                 wave.iter_mut().zip(q).for_each(|(w, q)| *w -= c * q);
@@ -225,7 +225,7 @@ mod tests {
     use super::super::{Algorithm, Settings};
     use super::*;
 
-    /// Probes between the positions by which waves are chosen; 1.02 % at most where 1 % is allowed.
+    /// Measures probes between the positions by which waves are chosen: at most 1.02 % where 1 % is allowed.
     #[test]
     fn probes_are_held_as_well_as_asked() {
         let algorithm = Algorithm::Window { width_angstrom: 7.8 };
@@ -252,7 +252,7 @@ mod tests {
             worst = worst.max((lacks / norm).sqrt());
         }
         assert!(worst > 0.3 * error as f32 && worst < 1.1 * error as f32, "{worst}");
-        // 22 by the area of patch and aperture, and what the edges of the patch take; 52 measured
+        // 22 waves by the areas of patch and aperture, and more for the edges of the patch; 52 measured.
         assert!((45..58).contains(&basis.len()), "{}", basis.len());
     }
 }

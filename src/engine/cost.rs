@@ -1,4 +1,4 @@
-//! What a simulation takes: waves, steps, operations and memory, estimated without running it.
+//! The cost of a simulation: waves, steps, operations and memory, estimated without running it.
 
 use super::grid::Grid;
 use super::plan::Plan;
@@ -10,15 +10,15 @@ use super::stepper::waves_together;
 use crate::optics::foci;
 use crate::structure::Site;
 
-/// At most so many windows are looked at to estimate how many slices a wave passes.
+/// Largest number of windows that are examined to estimate how many slices a wave passes.
 const SAMPLED_WINDOWS: usize = 400;
 /// Bytes of a complex number.
 const COMPLEX_BYTES: usize = 8;
-/// Arrays of the potential grid that each thread holds.
+/// Number of arrays of the potential grid that each thread holds.
 const POTENTIAL_ARRAYS: u64 = 5;
-/// Arrays of the wave grid that each thread holds besides the waves that step together.
+/// Number of arrays of the wave grid that each thread holds besides the waves that step together.
 const EXTRA_WAVES: u64 = 2;
-/// Bytes that an image takes for each probe, detector and thickness.
+/// Bytes of an image for each probe, detector and thickness.
 const IMAGE_BYTES: usize = 16;
 
 /// The cost of simulating a scan.
@@ -27,8 +27,8 @@ const IMAGE_BYTES: usize = 16;
 pub struct Cost {
     /// Number of probes.
     pub probes: usize,
-    /// Waves propagated for each probe; fewer than 1 where probes are expanded in fewer waves. PRISM propagates
-    /// its beams instead, whatever the number of probes.
+    /// Waves propagated for each probe; fewer than 1 where probes are expanded in fewer waves. PRISM propagates its beams instead, for any
+    /// number of probes.
     pub waves_per_probe: f64,
     /// Slices that a wave passes: all, or the mean over windows, which skip slices without atoms.
     pub steps_per_wave: f64,
@@ -37,19 +37,19 @@ pub struct Cost {
     configurations: u32,
     /// Nominal operations of one step of one wave.
     step_flops: f64,
-    /// Those of the potentials of one configuration.
+    /// Nominal operations of the potentials of one configuration.
     potential_flops: f64,
-    /// Those of the reduction of PRISM, for each probe.
+    /// Nominal operations of the reduction of PRISM, for each probe.
     reduction_flops: f64,
-    /// Memory that threads share.
+    /// Bytes of the memory that threads share.
     shared_bytes: u64,
-    /// Memory of each thread.
+    /// Bytes of memory of each thread.
     thread_bytes: u64,
-    /// Memory of the images, for each probe.
+    /// Bytes of memory of the images, for each probe.
     probe_bytes: usize,
 }
 
-/// A plan with the scan that it is made for, and what that takes.
+/// A plan, with its scan and the cost of both.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct PlannedScan {
@@ -57,7 +57,7 @@ pub struct PlannedScan {
     pub plan: Plan,
     /// The probes.
     pub scan: Scan,
-    /// What it takes.
+    /// The cost of this scan.
     pub cost: Cost,
 }
 
@@ -82,7 +82,7 @@ impl Cost {
         }
     }
 
-    /// As [`Cost::new`], with the mean number of slices in which windows of this scan meet atoms.
+    /// Estimates the cost as [`Cost::new`] does, with the mean number of slices in which windows of this scan meet atoms.
     pub fn with_atoms(plan: &Plan, scan: &Scan, sites: &[Site]) -> Self {
         let cost = Cost::new(plan, scan);
         if !plan.has_windows() || scan.is_empty() {
@@ -99,7 +99,7 @@ impl Cost {
         Cost { steps_per_wave, ..cost }
     }
 
-    /// The cost of another number of probes, which take as many waves for each probe.
+    /// The cost of another number of probes, with equally many waves for each probe.
     #[must_use]
     pub fn for_probes(self, probes: usize) -> Self {
         Cost { probes, ..self }
@@ -120,7 +120,7 @@ impl Cost {
         f64::from(self.configurations) * (propagation + self.potential_flops + reduction)
     }
 
-    /// What most of the memory goes to on `threads` threads, and what takes less.
+    /// Advice for too little memory on `threads` threads: what most of it is used for, and what needs less.
     pub fn memory_remedy(&self, threads: usize) -> &'static str {
         let images = (self.probes * self.probe_bytes) as u64;
         let waves = self.thread_bytes * threads as u64;
@@ -135,7 +135,7 @@ impl Cost {
         }
     }
 
-    /// Bytes that the largest arrays take on `threads` threads.
+    /// Memory in bytes of the largest arrays on `threads` threads.
     pub fn memory_bytes(&self, threads: usize) -> u64 {
         let images = (self.probes * self.probe_bytes) as u64;
         self.shared_bytes + self.thread_bytes * threads as u64 + images
@@ -174,9 +174,9 @@ fn grid_bytes(grid: &Grid) -> u64 {
     (grid.points[0] * grid.points[1] * COMPLEX_BYTES) as u64
 }
 
-/// Transmission functions and exit waves.
+/// Bytes of transmission functions and exit waves.
 fn shared_bytes(plan: &Plan) -> u64 {
-    // Transmission functions go on beyond the cell, so that no window leaves them.
+    // Transmission functions continue beyond the cell, so that no window reaches past them.
     let padding = if plan.has_windows() { plan.wave_grid.points } else { [0, 0] };
     let [nx, ny] = [0, 1].map(|i| plan.transmission_grid.points[i] + padding[i]);
     let transmission = (nx * ny * COMPLEX_BYTES * plan.slices.len()) as u64;
@@ -184,10 +184,10 @@ fn shared_bytes(plan: &Plan) -> u64 {
     transmission + exit
 }
 
-/// Waves and potentials of one thread.
+/// Bytes of the waves and potentials of one thread.
 fn thread_bytes(plan: &Plan) -> u64 {
     let wave = grid_bytes(&plan.wave_grid);
-    // Expanded probes: the waves of a patch, and as much for their amplitudes on detectors.
+    // Expanded probes need the waves of a patch, and equally many amplitudes on detectors.
     let together = waves_together(wave as usize).max(2 * waves_of_patch(plan));
     wave * (together as u64 + EXTRA_WAVES) + grid_bytes(&plan.potential_grid) * POTENTIAL_ARRAYS
 }

@@ -1,9 +1,9 @@
-//! The share of the beam that detectors at low angles miss because probes are cropped.
+//! Corrects the share of the beam that low-angle detectors miss because probes are cropped.
 //!
-//! Windows and large boxes crop the tail of a probe. What of it passes the specimen falls on detectors within the aperture, so that their
-//! images lack a few per cent, nearly the same everywhere: 10.5-21 mrad of SrTiO3 (39 A, windows of 15.6 A) lacks 3.3 %, and is right
-//! to 0.6 % when multiplied by the factor that makes it right without a specimen (docs/accuracy.md has more). Patterns add the tail
-//! itself (`engine::patterns`).
+//! Windows and large boxes crop the tail of a probe. The electrons of the tail that pass the specimen unscattered belong on detectors
+//! within the aperture, so their images lack a few per cent, nearly the same everywhere. Example: 10.5-21 mrad of SrTiO3 (39 A, windows of
+//! 15.6 A) lacks 3.3 %. Its error is 0.6 % after scaling with the factor that makes vacuum right (docs/accuracy.md has more). Patterns add
+//! the tail's wave instead (`engine::patterns`).
 
 use super::plan::Plan;
 use super::probe::Probe;
@@ -11,11 +11,11 @@ use super::settings::Settings;
 use crate::detect::Detector;
 use num_complex::Complex32;
 
-/// A detector on which less of the beam falls without a specimen is left as it is: what it sees is scattered.
+/// Smallest share of the beam, without a specimen, on a detector that is corrected. Detectors with less see scattered electrons.
 const LEAST_SHARE: f64 = 0.05;
 
-/// What the images on each detector are multiplied by, so that they are right without a specimen; 1 where nothing is cropped, where the
-/// settings do not ask for it, and for detectors that see little of the beam itself.
+/// The factors by which the images on each detector are multiplied, so that vacuum is right. A factor is 1 where nothing is cropped, where
+/// the settings do not ask for the correction, and for detectors that see little of the direct beam.
 pub(super) fn direct_beam_factors(plan: &Plan) -> Vec<f64> {
     let settings = &plan.settings;
     let shares: Vec<f64> = settings.detectors.iter().map(|d| direct_share(settings, d)).collect();
@@ -41,7 +41,7 @@ pub fn direct_share(settings: &Settings, detector: &Detector) -> f64 {
     detector.annuli(semiangle).into_iter().map(part).sum()
 }
 
-/// What each detector finds, without a specimen, of a probe in the middle of its window or box.
+/// The share of a probe in the middle of its window or box that falls on each detector without a specimen.
 fn found_in_the_middle(plan: &Plan) -> Vec<f64> {
     let grid = plan.wave_grid;
     let [columns, rows] = grid.points;

@@ -1,17 +1,17 @@
-//! How much memory a simulation may take: what the machine has free, and what limits allow.
+//! The memory that a simulation may use: the machine's free memory, and limits on the process.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result};
 
-/// Limits of version 1 of control groups that mean that there is none are about 2^63.
+/// Limits above this value mean no limit. Version 1 of control groups writes about 2^63.
 const NO_LIMIT: u64 = 1 << 60;
 
 /// Fails if fewer bytes are free than are needed.
 ///
 /// # Errors
-/// [`Error::Memory`], with `remedy`: what would take less.
+/// [`Error::Memory`], with `remedy` as advice.
 pub fn check_memory(needed_bytes: u64, remedy: &str) -> Result<()> {
     match free_memory() {
         Some(free_bytes) if free_bytes < needed_bytes => {
@@ -21,8 +21,9 @@ pub fn check_memory(needed_bytes: u64, remedy: &str) -> Result<()> {
     }
 }
 
-/// Bytes of memory that this process may still take; unknown where the system does not say. The least of what the machine has free,
-/// of what the process's control groups (containers, batch systems) leave, and of its limit of addresses (`ulimit -v`).
+/// Bytes of memory that this process may still allocate, or `None` where the system does not report it. It is the least of the machine's
+/// free memory, the rest in the process's control groups (containers, batch systems), and the rest below its limit of addresses (`ulimit
+/// -v`).
 pub fn free_memory() -> Option<u64> {
     [machine(), of_groups(Path::new("/")), of_addresses()].into_iter().flatten().min()
 }
@@ -42,7 +43,7 @@ fn of_addresses() -> Option<u64> {
     None
 }
 
-/// What the control groups of this process leave, below `root` of the file system. A group may take no more than those it is in.
+/// Bytes left in the control groups of this process, below `root` of the file system. A group is limited by the groups that contain it.
 fn of_groups(root: &Path) -> Option<u64> {
     let groups = fs::read_to_string(root.join("proc/self/cgroup")).ok()?;
     let mounted = root.join("sys/fs/cgroup");
@@ -63,20 +64,20 @@ fn of_groups(root: &Path) -> Option<u64> {
     groups.lines().filter_map(of_line).flatten().min()
 }
 
-/// What is left in each group from `path` up to the top of a tree, where there is a limit.
+/// Bytes left in each group from `path` up to the top of a tree, for groups with a limit.
 fn chain(top: &Path, path: &str, [limit, taken]: [&str; 2]) -> Vec<u64> {
     let groups: Vec<PathBuf> = Path::new(path).ancestors().map(|group| top.join(group)).collect();
     let left = |group: &PathBuf| {
         let limit = number(&group.join(limit)).filter(|l| *l < NO_LIMIT)?;
         let taken = number(&group.join(taken))?;
-        // Pages of files are given back when memory is asked for.
+        // The system frees pages of files when memory is needed.
         let cached = statistic(&group.join("memory.stat"), "inactive_file").unwrap_or_default();
         Some(limit.saturating_sub(taken.saturating_sub(cached)))
     };
     groups.iter().filter_map(left).collect()
 }
 
-/// The number in a file; none for `max`.
+/// The number in a file; `None` for `max`.
 fn number(path: &Path) -> Option<u64> {
     fs::read_to_string(path).ok()?.trim().parse().ok()
 }

@@ -18,7 +18,7 @@ impl Grid {
         [0, 1].map(|i| self.extent_angstrom[i] / self.points[i] as f64)
     }
 
-    /// Shape of arrays on it: (rows, columns).
+    /// Shape of the grid's arrays: (rows, columns).
     pub fn shape(&self) -> (usize, usize) {
         (self.points[1], self.points[0])
     }
@@ -42,8 +42,8 @@ impl Grid {
         0.5 / x.max(y)
     }
 
-    /// The largest frequency index (x, y) within `limit` (1/Angstrom) that is held both by this grid and by
-    /// another one of `points` over the same extent.
+    /// The largest frequency index (x, y) within `limit` (1/Angstrom) that both this grid and another one of `points` over the same extent
+    /// contain.
     pub(super) fn common_reach(&self, points: [usize; 2], limit: f64) -> [usize; 2] {
         let dk = self.dk();
         [0, 1].map(|i| {

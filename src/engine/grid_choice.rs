@@ -1,4 +1,4 @@
-//! Which grids and which band limit a simulation gets.
+//! Chooses the grids and the band limit of a simulation.
 
 use super::grid::Grid;
 use super::settings::{BeyondLimit, GridChoice, POTENTIAL_SAMPLING_ANGSTROM, Settings};
@@ -6,17 +6,17 @@ use crate::detect::Detector;
 use crate::error::{Error, Result};
 use crate::fft::good_size;
 
-/// Band limit of windows in units of their Nyquist frequency. So high a fraction is safe there, since transmission
-/// functions are band-limited on the fine grid beforehand.
+/// Band limit of windows in units of their Nyquist frequency. This high fraction is safe in windows, since transmission functions are
+/// band-limited on the fine grid beforehand.
 const WINDOW_BAND_FRACTION: f64 = 0.98;
-/// Windows may be narrower than asked for by this factor if that allows a faster transform.
+/// Windows may be narrower than requested by this factor if this allows a faster transform.
 const WINDOW_WIDTH_TOLERANCE: f64 = 0.985;
 /// Most points of a grid along an axis.
 const MOST_POINTS: usize = 1 << 16;
-/// Factor by which the samplings that error messages advise carry more than the outermost detector angle.
+/// Error messages recommend samplings that carry the outermost detector angle times this factor.
 const BAND_MARGIN: f64 = 1.0005;
 
-/// The angle in mrad that grids of the program's choice carry.
+/// The angle in mrad that automatic grids carry.
 pub(super) fn carried_mrad(settings: &Settings) -> f64 {
     let outermost = settings.detectors.iter().map(|d| d.outer_mrad).fold(0.0, f64::max);
     outermost.max(settings.optics.semiangle_mrad) * settings.angle_margin.max(BAND_MARGIN)
@@ -40,7 +40,7 @@ pub(super) fn cell_grid(
     Ok(Grid { points, extent_angstrom: extent })
 }
 
-/// Refuses grids that no machine holds.
+/// Refuses grids that are too large for any machine.
 fn check_count(points: [usize; 2]) -> Result<()> {
     if points.iter().any(|&n| n > MOST_POINTS) {
         let value = format!("{},{}", points[0], points[1]);
@@ -76,13 +76,12 @@ fn sampled_points(sampling: f64, extent: [f64; 2], multiple: [usize; 2]) -> Resu
         return Err(Error::invalid(crate::Setting::SamplingAngstrom, sampling, expected));
     }
     let least = [0, 1].map(|i| (extent[i] / sampling - 1e-3).ceil() as usize);
-    // Before a good size is looked for: good ones are rare among large numbers.
+    // The check comes before the search for a good size: good sizes are rare among large numbers.
     check_count(least)?;
     Ok([0, 1].map(|i| good_size(least[i], multiple[i])))
 }
 
-/// A grid `factor` times finer along each axis; by default as many times as brings its pixels down to
-/// [`POTENTIAL_SAMPLING_ANGSTROM`].
+/// A grid `factor` times finer along each axis. By default the factor brings its pixels down to [`POTENTIAL_SAMPLING_ANGSTROM`].
 pub(super) fn oversampled(grid: &Grid, factor: Option<usize>) -> Grid {
     let [x, y] = grid.sampling_angstrom();
     let finer = (x.max(y) / POTENTIAL_SAMPLING_ANGSTROM - 1e-3).ceil().max(1.0) as usize;
@@ -102,10 +101,10 @@ pub(super) fn smoothed_grid(extent: [f64; 2], band_limit: f64) -> (Grid, f64) {
     (grid, ((2.0 * grid.nyquist() - band_limit) / CUTOFFS).min(MOST_CUTOFF))
 }
 
-/// The radius of the band limit on `grid` in 1/Angstrom, and warnings about detectors beyond it.
+/// The radius of the band limit on `grid` in 1/Angstrom, and warnings about detectors that reach beyond it.
 ///
 /// # Errors
-/// A detector beyond it, unless the settings only ask for a warning and part of the annulus is carried.
+/// [`crate::Error::DetectorBeyondBandLimit`], unless the settings ask only for a warning and part of the annulus is carried.
 pub(super) fn band_limit(settings: &Settings, grid: &Grid) -> Result<(f64, Vec<String>)> {
     let wavelength = settings.optics.wavelength_angstrom();
     let limit = settings.band_fraction * grid.nyquist();
@@ -129,7 +128,7 @@ pub(super) fn band_limit(settings: &Settings, grid: &Grid) -> Result<(f64, Vec<S
     Ok((limit, warnings))
 }
 
-/// A warning that a detector is empty beyond `limit_mrad`, and which sampling (Angstrom) would fill it.
+/// Warns that a detector is empty beyond `limit_mrad`, and names the sampling (Angstrom) that would fill it.
 fn empty_annulus(d: &Detector, limit_mrad: f64, needed_angstrom: f64) -> String {
     let area = |r: f64| r * r;
     let empty = (area(d.outer_mrad) - area(limit_mrad)) / (area(d.outer_mrad) - area(d.inner_mrad));
@@ -153,8 +152,8 @@ fn smooth(mut n: usize) -> bool {
     n == 1
 }
 
-/// The coarse grid of the whole cell, and the window with the same pixels. The window is transformed for every probe and
-/// the cell once for each slice, so the window gets a fast length and the cell any product of 2, 3 and 5.
+/// The coarse grid of the whole cell, and the window with equal pixels. The window is transformed for every probe and the cell once for
+/// each slice, so the window gets a fast length and the cell any product of 2, 3 and 5.
 pub(super) fn window_grids(extent: [f64; 2], band_limit: f64, width: f64) -> (Grid, Grid) {
     let coarsest = WINDOW_BAND_FRACTION / (2.0 * band_limit);
     let mut cell = Grid { points: [0; 2], extent_angstrom: extent };

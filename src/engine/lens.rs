@@ -6,8 +6,8 @@ use crate::optics::{Focus, Optics, foci};
 use ndarray::Array2;
 use num_complex::Complex32;
 
-/// The image that an objective lens makes of an exit wave: `|F^-1[F(psi) A exp(-i chi)]|^2`, with the aperture and aberrations of
-/// `optics`, in the mean over its focal spread.
+/// The image of an exit wave through an objective lens: `|F^-1[F(psi) A exp(-i chi)]|^2`, with the aperture and aberrations of `optics`, in
+/// the mean over its focal spread.
 ///
 /// `exit` has rows = y and columns = x over `extent_angstrom` (x, y). The image has the same shape and is in the unit of
 /// `|exit|^2`: 1 is the intensity of the incident wave.
@@ -38,7 +38,7 @@ pub fn lens_image(
     image
 }
 
-/// Multiplies Fourier coefficients by the transfer of a lens, over the number of pixels.
+/// Multiplies Fourier coefficients by the transfer function of a lens, and divides by the number of pixels.
 fn through(optics: &Optics, grid: &Grid, fft: &Fft2, wave: &mut [Complex32]) {
     let (ny, nx) = grid.shape();
     let scale = 1.0 / (nx * ny) as f64;

@@ -1,13 +1,13 @@
 //! Simulation of detector images from atoms: plan, then execute.
 //!
 //! From the ground up:
-//! - what is given: [`Settings`], [`Site`], [`Scan`], [`phonons`];
+//! - inputs: [`Settings`], [`Site`], [`Scan`], [`phonons`];
 //! - the plan: [`Grid`], `grid_choice`, [`Plan`], `probe_patches` (which probes share a window), [`Cost`];
 //! - potentials to transmission functions: `slice_coverage`, `phase_grating`, `transmission`;
 //! - waves: `stepper` (one slice after the other), `probe`, `basis` (probes expanded in fewer waves);
 //! - the algorithms: `multislice`, `prism` with `prism_reduce`, `probe_tail` and [`single_scattering`];
 //! - [`simulate()`], [`simulate_series`], [`simulate_part`] and [`ScanPart`] (shared by several processes), [`simulate_places`], [`lens_image`], [`SourceBlur`], [`measure_speed`], [`check_memory`];
-//! - `accuracy`: the engine for an error that is asked for, measured on a sample of probes; `direct_beam`: what cropped probes lack.
+//! - `accuracy`: settings for a requested error, from a sample of probes; `direct_beam`: the beam's share that cropped probes lack.
 
 mod accuracy;
 mod basis;

@@ -28,9 +28,9 @@ pub(super) struct Multislice<'a> {
     plan: &'a Plan,
     stepper: Stepper,
     map: DetectorMap,
-    /// The probe at each focus, with its weight; without focal spread there is one.
+    /// The probe at each focus, with its weight. Without focal spread there is one.
     probes: Vec<(f64, Probe)>,
-    /// Columns that hold the spectrum of the probe.
+    /// Columns that contain the spectrum of the probe.
     probe_columns: Vec<Range<usize>>,
     /// The last basis, with the largest distance (x, y) in Angstrom of its probes from the middle of their window.
     basis: Option<([f64; 2], Arc<Basis>)>,
@@ -47,20 +47,20 @@ pub(super) struct MultisliceWorkspace {
     transmissions: Vec<Buffer>,
 }
 
-/// All waves of a patch pass so many steps before the next: their transmission functions are put in order once for all waves, and are in a
-/// cache still.
+/// Number of steps that all waves of a patch pass before the next ones. The steps' transmission functions are then arranged once for all
+/// waves, and stay in a cache.
 const STEPS_TOGETHER: usize = 16;
 
-/// The way to a recorded thickness from the one before it.
+/// The path to a recorded thickness from the one before it.
 pub(super) struct PathPart {
     pub steps: Vec<SliceStep>,
-    /// Where waves are after the last step, in Angstrom.
+    /// Height of the waves after the last step, in Angstrom.
     pub height_angstrom: f64,
-    /// How many pixels (x, y) windows have moved there.
+    /// Pixels (x, y) by which windows have moved there.
     pub moved: [i64; 2],
 }
 
-/// The way through the specimen, a part for each recorded thickness.
+/// The path through the specimen, with a part for each recorded thickness.
 type SlicePath = Vec<PathPart>;
 
 impl<'a> Multislice<'a> {
@@ -72,7 +72,7 @@ impl<'a> Multislice<'a> {
             plan.at_foci().iter().map(|(weight, at)| (*weight, Probe::new(at))).collect();
         let nx = grid.points[0];
         let column = |b: &(usize, usize)| frequency(b.1, nx).unsigned_abs() as usize;
-        // Aberrations do not change which bins hold the probe.
+        // Aberrations do not change the probe's bins.
         let reach = probes[0].1.bins.iter().map(column).max().unwrap_or(0);
         let probe_columns = stepper.fft().band_columns(reach);
         Multislice { plan, stepper, map, probes, probe_columns, basis: None }
@@ -92,7 +92,7 @@ impl<'a> Multislice<'a> {
         self.run_groups(transmission, places.len(), groups, progress)
     }
 
-    /// As [`Multislice::run`], with the same bytes, for the probes that are wanted; zeros stand for some of the others.
+    /// Computes the bytes of [`Multislice::run`] for the wanted probes only. Some of the others are zero.
     ///
     /// # Errors
     /// [`Error::Interrupted`].
@@ -105,7 +105,7 @@ impl<'a> Multislice<'a> {
     ) -> Result<Vec<f64>> {
         let (mut groups, basis) = self.groups(places);
         if basis.is_none() {
-            // The waves of a group do not depend on each other.
+            // Waves of a group do not depend on each other, so unwanted ones are left out.
             groups.iter_mut().for_each(|g| g.probes.retain(|(i, _)| wanted[*i]));
         }
         groups.retain(|g| g.probes.iter().any(|(i, _)| wanted[*i]));
@@ -159,8 +159,8 @@ impl<'a> Multislice<'a> {
         }
     }
 
-    /// The patches of probes: whole, with the basis of their probes, if probes are expanded; otherwise in parts whose
-    /// waves step together.
+    /// The patches of probes. If probes are expanded, patches are whole, with the basis of their probes. Otherwise they are divided into
+    /// parts whose waves step together.
     fn groups(&mut self, places: ProbePlaces<'_>) -> (Vec<Patch>, Option<Arc<Basis>>) {
         let patches = ProbePatches::new(self.plan, places);
         if let Some(basis) = self.basis(&patches) {
@@ -170,7 +170,7 @@ impl<'a> Multislice<'a> {
         (patches.patches.into_iter().flat_map(|patch| patch.split(most)).collect(), None)
     }
 
-    /// The basis for the probes of these patches, if they are expanded; scans of one shape share it.
+    /// The basis for the probes of these patches, if they are expanded. Scans of equal shape share it.
     fn basis(&mut self, patches: &ProbePatches) -> Option<Arc<Basis>> {
         let error = patches.error?;
         let probes: Vec<&CroppedProbe> =
@@ -184,7 +184,7 @@ impl<'a> Multislice<'a> {
         Some(basis)
     }
 
-    /// Intensities of probes, each of which is propagated: (probe, recorded thickness, detector).
+    /// Intensities of a group's probes, each propagated as a wave: (probe, recorded thickness, detector).
     fn each_probe(
         &self,
         w: &mut MultisliceWorkspace,
@@ -206,7 +206,7 @@ impl<'a> Multislice<'a> {
         values
     }
 
-    /// The same from the waves of a basis, which alone are propagated.
+    /// Intensities of a group's probes from the waves of a basis; only these waves are propagated.
     fn expanded(
         &self,
         MultisliceWorkspace { waves, copy, step, amplitudes, transmissions }: &mut MultisliceWorkspace,
@@ -249,7 +249,7 @@ impl<'a> Multislice<'a> {
         values
     }
 
-    /// Passes all waves through some steps, whose transmission functions are put in order once for all of them.
+    /// Passes all waves through some steps. The steps' transmission functions are arranged once for all waves.
     fn step_waves(
         &self,
         waves: &mut [Buffer],
@@ -291,7 +291,7 @@ impl<'a> Multislice<'a> {
         self.begin(wave, self.probes[focus].1.at(self.plan, position).into_iter(), w);
     }
 
-    /// Sets a wave to these coefficients, in the order of the probe's bins, in the form that steps work on.
+    /// Sets a wave to these coefficients, in the order of the probe's bins, in the form that steps need.
     fn begin(
         &self,
         wave: &mut [Complex32],
@@ -306,7 +306,7 @@ impl<'a> Multislice<'a> {
         self.stepper.start(wave, &self.probe_columns, &mut w.fft);
     }
 
-    /// The distinct paths of groups of probes, and the index of the path of each group.
+    /// The distinct paths of groups of probes, and the index of each group's path.
     pub(super) fn paths(
         &mut self,
         t: &Transmission,
@@ -404,14 +404,14 @@ impl<'a> Multislice<'a> {
     }
 }
 
-/// What a detector sees of `n` waves, `M_ij` of `engine::basis`, from their amplitudes there, (wave, pixel) row-major.
+/// The matrix `M_ij` of `engine::basis` for `n` waves on a detector, from their amplitudes there, (wave, pixel) row-major.
 fn detected(amplitudes: &[Complex32], n: usize) -> Vec<Complex32> {
     let mut matrix = vec![Complex32::ZERO; n * n];
     gram(n, amplitudes, &mut matrix);
     matrix
 }
 
-/// Intensities of probes on a detector, from what it sees of the waves that they are expanded in, and their coefficients on
+/// Intensities of probes on a detector, from the detector's matrix ([`detected`]) for the waves of a basis, and the probes' coefficients on
 /// these waves, (wave, probe) row-major. `scale` turns squared moduli into fractions of the beam.
 fn intensities(
     matrix: &[Complex32],
@@ -460,8 +460,8 @@ mod tests {
         sites
     }
 
-    /// Slices without atoms in a window are passed in one step there. Measured error: 0.0008 % of the maximum, and 0.05 % if
-    /// atoms just outside the window do not count.
+    /// Slices without atoms in a window are passed in one step there. Measured error: 0.0008 % of the maximum, and 0.05 % if atoms just
+    /// outside the window are not counted.
     #[test]
     fn windows_skip_slices_without_atoms() {
         let settings = Settings {
@@ -497,8 +497,8 @@ mod tests {
         assert!(off < 5e-5 * most, "{off} of {most}");
     }
 
-    /// Slices act where their atoms in a window are, and join there, also where an image is recorded on the way. Measured: probes are
-    /// 0.07 % off rms, and 0.13 % at one height.
+    /// Slices act at the height of their atoms in a window, and join there, also where an image is recorded on the way. Measured: probes
+    /// are 0.07 % off rms, and 0.13 % with slices at one height.
     #[test]
     fn local_slices_are_nearer_to_thin_ones_than_slices_at_one_height() {
         let cell = 28.0;

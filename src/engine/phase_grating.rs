@@ -13,18 +13,18 @@ use num_complex::Complex32;
 /// Makes phase gratings on one grid of potentials.
 pub(super) struct PhaseGrating {
     projector: Projector,
-    /// The cores that smoothing takes from the potentials; `None` if they are not smoothed.
+    /// The cores that smoothing removes from the potentials; `None` if they are not smoothed.
     cores: Option<Cores>,
     sigma: f32,
-    /// Frequencies `-reach..=reach` (x, y) hold the band limit.
+    /// Frequencies `-reach..=reach` (x, y) contain the band limit.
     reach: [usize; 2],
-    /// Weights of the anti-aliasing aperture there: rows of ky, columns of kx, from the most negative frequency.
+    /// Weights of the anti-aliasing aperture at these frequencies: rows of ky, columns of kx, from the most negative frequency.
     weights: Vec<f32>,
 }
 
 /// One thread's arrays.
 pub(super) struct GratingWorkspace {
-    /// Holds the potential, then its exponential, then the transform of that.
+    /// Holds the potential, then its exponential, then the exponential's transform.
     data: Buffer,
     projector: ProjectorScratch,
     fft: Scratch,
@@ -32,21 +32,21 @@ pub(super) struct GratingWorkspace {
     core_scratch: CoreScratch,
 }
 
-/// The atoms that make a slice.
+/// The atoms whose potential makes a slice.
 #[derive(Clone, Copy)]
 pub(super) enum SliceAtoms<'a> {
-    /// They belong to it wholly.
+    /// Atoms that belong to the slice wholly.
     Whole(&'a [PlacedAtom]),
-    /// The parts of all atoms that lie in it.
+    /// All atoms; the parts of them inside the slice count.
     Parts { all: &'a [PlacedAtom], slice: usize },
 }
 
 impl PhaseGrating {
-    /// With `core_cutoff` (1/Angstrom), potentials are smoothed and cores added in closed form; without, they
-    /// are exponentiated on the grid as they are.
+    /// Prepares the potentials. With `core_cutoff` (1/Angstrom) they are smoothed and cores are added in closed form. Without it they are
+    /// exponentiated on the grid unsmoothed.
     ///
     /// # Errors
-    /// An element that the tables lack.
+    /// [`crate::Error::UnknownElement`] for an element that the tables lack.
     pub fn new(plan: &Plan, grid: Grid, core_cutoff: Option<f64>, elements: &[u8]) -> Result<Self> {
         let (settings, extent) = (&plan.settings, grid.extent_angstrom);
         let shape = match core_cutoff {
@@ -85,13 +85,12 @@ impl PhaseGrating {
         }
     }
 
-    /// The frequency index (x, y) up to which there are coefficients.
+    /// The largest frequency index (x, y) of the coefficients.
     pub fn reach(&self) -> [usize; 2] {
         self.reach
     }
 
-    /// Writes the coefficients within [`PhaseGrating::reach`] to `out`, an array of `fft` in FFT order; the others are
-    /// left as they are.
+    /// Writes the coefficients within [`PhaseGrating::reach`] to `out`, an array of `fft` in FFT order. Other elements are not changed.
     pub fn coefficients(
         &self,
         plan: &Plan,
@@ -127,7 +126,7 @@ impl PhaseGrating {
         let from = self.projector.fft();
         let [rx, ry] = self.reach;
         let wide = 2 * rx + 1;
-        // Divided, not multiplied by a rounded reciprocal: vacuum then transmits exactly 1.
+        // Division instead of a rounded reciprocal: vacuum then transmits exactly 1.
         let pixels = (from.shape().0 * from.shape().1) as f32;
         let bin = |i: usize, n: usize, reach: usize| (i + n - reach) % n;
         for i in 0..=2 * ry {
@@ -135,7 +134,7 @@ impl PhaseGrating {
             let target = &mut out[bin(i, fft.shape().0, ry) * fft.stride()..];
             let at = i * wide;
             let (cores, weights) = (&w.cores[at..][..wide], &self.weights[at..][..wide]);
-            // Frequencies below 0 and the others lie apart in FFT order.
+            // Negative frequencies and the others are apart in FFT order.
             for (first, count) in [(0, rx), (rx, rx + 1)] {
                 let source = &source[bin(first, from.shape().1, rx)..][..count];
                 let target = &mut target[bin(first, fft.shape().1, rx)..][..count];

@@ -15,12 +15,11 @@ use crate::potential::projected::Projection;
 use crate::potential::slices::Slices;
 use serde::Serialize;
 
-/// What will be computed, and on which grids. A plan is final when [`Plan::new`] returns it: nothing changes it
-/// afterwards.
+/// Computations of a simulation, and their grids. A plan is final when [`Plan::new`] returns it: nothing changes it afterwards.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Plan {
-    /// The settings it was made from.
+    /// The settings that the plan was made from.
     #[serde(skip)]
     pub settings: Settings,
     /// Grid of the potentials, over the whole cell: fine enough for smoothed potentials, or finer than the
@@ -30,7 +29,7 @@ pub struct Plan {
     pub core_cutoff: Option<f64>,
     /// Grid of the transmission functions, over the whole cell.
     pub transmission_grid: Grid,
-    /// Grid in which waves are propagated: the whole cell or a window.
+    /// Grid on which waves are propagated: the whole cell or a window.
     pub wave_grid: Grid,
     /// Radius of the anti-aliasing aperture in 1/Angstrom.
     pub band_limit: f64,
@@ -38,24 +37,23 @@ pub struct Plan {
     pub band_limit_mrad: f64,
     /// Slices.
     pub slices: Slices,
-    /// After which slices images are recorded (0-based, increasing; the last is usually the last
-    /// slice).
+    /// Indices of the slices after which images are recorded (0-based, increasing). The last is usually the last slice.
     pub record_after: Vec<usize>,
     /// Number of plane waves propagated with PRISM, 0 with other algorithms.
     pub beams: usize,
     /// Grid on which PRISM keeps exit waves: the whole cell, with just the points that the band limit needs.
     pub exit_grid: Option<Grid>,
-    /// Things to tell the user.
+    /// Warnings for the user.
     pub warnings: Vec<String>,
 }
 
-/// Up to this band fraction HAADF images were found to change by less than 0.1 %.
+/// Up to this band fraction, tests found that HAADF images change by less than 0.1 %.
 const WELL_TRIED_BAND_FRACTION: f64 = 0.9;
 impl Plan {
     /// Plans the simulation of a cell of `cell_angstrom` (x, y, z) with atoms at mean heights `z` (Angstrom).
     ///
     /// # Errors
-    /// Settings out of range; a detector beyond the band limit.
+    /// Settings out of range ([`Error::Invalid`]); [`Error::DetectorBeyondBandLimit`].
     pub fn new(settings: &Settings, cell_angstrom: [f64; 3], z: &[f64]) -> Result<Self> {
         settings.validate()?;
         check_edges(cell_angstrom)?;
@@ -112,7 +110,7 @@ impl Plan {
         Ok(plan)
     }
 
-    /// What to say of a cell that is narrower than the probe inside the specimen. Plane waves have no such limit.
+    /// A warning about a cell that is narrower than the probe inside the specimen. Plane waves have no such limit.
     pub fn narrow_cell(&self) -> Option<String> {
         let crops = matches!(self.settings.algorithm, Algorithm::Window { .. });
         let cell = self.transmission_grid.extent_angstrom;
@@ -121,17 +119,17 @@ impl Plan {
             .flatten()
     }
 
-    /// Whether waves are propagated in windows rather than over the whole cell.
+    /// Whether waves are propagated in windows instead of the whole cell.
     pub fn has_windows(&self) -> bool {
         self.wave_grid != self.transmission_grid
     }
 
-    /// How far (x, y) the beam has moved, in Angstrom, at a height in Angstrom: by the mistilt, from the entrance surface on.
+    /// Displacement (x, y) of the beam in Angstrom at a height in Angstrom, caused by the mistilt from the entrance surface on.
     pub(super) fn beam_shift(&self, height: f64) -> [f64; 2] {
         self.settings.optics.slope().map(|s| s * (height - self.slices.entrance()))
     }
 
-    /// How many pixels (x, y) windows have moved at a height (Angstrom) to follow the beam.
+    /// Pixels (x, y) by which windows have moved at a height (Angstrom) to follow the beam.
     pub(super) fn window_shift(&self, height: f64) -> [i64; 2] {
         if !self.has_windows() || self.settings.optics.mistilt_mrad == [0.0; 2] {
             return [0; 2];
@@ -140,9 +138,9 @@ impl Plan {
         [0, 1].map(|k| (shift[k] / pixel[k]).round() as i64)
     }
 
-    /// The plans for each focus of the focal spread, and their weights: this one alone without.
+    /// The plans for each focus of the focal spread, with their weights. Without focal spread there is only this one.
     pub(super) fn at_foci(&self) -> Vec<(f64, Plan)> {
-        // Plans are made of settings that were checked, so there are foci.
+        // Plans are made from checked settings, so there are foci.
         let foci = foci(&self.settings.optics).unwrap_or_default();
         let at = |focus: Focus| {
             let mut plan = self.clone();
@@ -163,7 +161,7 @@ impl Plan {
         BandLimit { limit_k2: self.band_limit * self.band_limit, full_k2: full * full }
     }
 
-    /// The angle in mrad beyond which nothing is carried.
+    /// The angle in mrad beyond which no scattering is carried.
     pub fn cutoff_mrad(&self) -> f64 {
         self.band_limit * self.settings.optics.wavelength_angstrom() * 1e3
     }
@@ -179,8 +177,7 @@ impl Plan {
         })
     }
 
-    /// Width of the detectors' soft edges in mrad: one Fourier pixel in windows, whose pixels are coarse, and 0
-    /// on the full grid.
+    /// Width of the detectors' soft edges in mrad: one Fourier pixel in windows, whose pixels are coarse, and 0 on the full grid.
     pub fn detector_ramp_mrad(&self) -> f64 {
         if !self.has_windows() {
             return 0.0;
@@ -248,14 +245,14 @@ fn check_edges(cell_angstrom: [f64; 3]) -> Result<()> {
     Err(Error::invalid(crate::Setting::CellAngstrom, value, "edges must be positive"))
 }
 
-/// Whether potentials are smoothed and the cores of atoms added in closed form.
+/// Whether potentials are smoothed and the cores of atoms are added in closed form.
 fn smooths_potentials(settings: &Settings) -> bool {
     settings.oversampling.is_none()
         && settings.projection == Projection::Infinite
         && !settings.abtem_placement
 }
 
-/// The band limit of windows on a grid of the program's choice in 1/Angstrom: just what the settings ask for.
+/// The band limit of windows on an automatic grid in 1/Angstrom: just the requested one.
 fn window_band_limit(settings: &Settings) -> f64 {
     let taper = settings.band_fraction / (settings.band_fraction - settings.band_taper);
     carried_mrad(settings) * 1e-3 / settings.optics.wavelength_angstrom() * taper
@@ -271,7 +268,7 @@ fn aliasing_warning(settings: &Settings) -> Option<String> {
     })
 }
 
-/// What to say of thicknesses that end with one slice: they have one image.
+/// A warning about thicknesses that end with the same slice: they share one image.
 fn same_slice_warning(settings: &Settings, after: &[usize], slices: &Slices) -> Option<String> {
     let asked = &settings.thicknesses_angstrom;
     if asked.len() <= after.len() || asked.is_empty() {
@@ -290,7 +287,7 @@ fn same_slice_warning(settings: &Settings, after: &[usize], slices: &Slices) -> 
     ))
 }
 
-/// After which slices images of these thicknesses (Angstrom) are recorded.
+/// Indices of the slices after which images of these thicknesses (Angstrom) are recorded.
 fn record_after(thicknesses: &[f64], slices: &Slices) -> Result<Vec<usize>> {
     let last = slices.len() - 1;
     if thicknesses.is_empty() {

@@ -1,4 +1,4 @@
-//! PRISM: probes put together from plane waves.
+//! PRISM: probes assembled from plane waves.
 //!
 //! C. Ophus, "A fast image simulation algorithm for scanning transmission electron microscopy",
 //! Adv. Struct. Chem. Imaging 3 (2017) 13. Exit waves are kept on a grid that just holds the band limit. The reduction is
@@ -43,7 +43,7 @@ struct PrismWorkspace {
     exit: Scratch,
 }
 
-/// Slices between two recorded thicknesses.
+/// The slices between two recorded thicknesses.
 struct PrismSection {
     /// Whether it begins at the entrance surface.
     first: bool,
@@ -89,9 +89,9 @@ impl<'a> Prism<'a> {
         self.exit_fft.stride() * self.exit.points[1]
     }
 
-    /// Propagates all beams through the given slices to the exit boundary of the last. `waves` holds the exit waves in
-    /// real space, one array of [`Prism::exit_plane`] elements after the other: on entry those of the slices before, on
-    /// return those of the last slice.
+    /// Propagates all beams through the given slices to the exit boundary of the last. `waves` holds the exit waves in real space, one
+    /// array of [`Prism::exit_plane`] elements after the other: on entry the waves of the slices before, on return the waves of the last
+    /// slice.
     ///
     /// # Errors
     /// [`Error::Interrupted`].
@@ -175,7 +175,7 @@ impl<'a> Prism<'a> {
         factors
     }
 
-    /// Sets a wave to `exp(2 pi i k.r)` in the form that steps work on: one column is not zero.
+    /// Sets a wave to `exp(2 pi i k.r)` in the form that steps need: one column is not zero.
     fn plane_wave(&self, wave: &mut [Complex32], beam: [i64; 2]) {
         let [nx, ny] = self.plan.wave_grid.points;
         let column = beam[0].rem_euclid(nx as i64) as usize;
@@ -187,7 +187,7 @@ impl<'a> Prism<'a> {
         }
     }
 
-    /// Propagates a wave between steps to the exit boundary and keeps it in real space on the exit grid.
+    /// Propagates a wave between steps to the exit boundary and stores it in real space on the exit grid.
     fn compress(
         &self,
         wave: &mut [Complex32],
@@ -208,7 +208,7 @@ impl<'a> Prism<'a> {
         self.exit_fft.inverse(kept, exit);
     }
 
-    /// Undoes [`Prism::compress`], apart from the propagation, to go on with further slices.
+    /// Inverts [`Prism::compress`], except for the propagation, so that the wave can pass further slices.
     fn expand(
         &self,
         wave: &mut [Complex32],

@@ -1,4 +1,4 @@
-//! From exit waves of plane waves to images: the reduction of PRISM.
+//! The reduction of PRISM: images from the exit waves of plane waves.
 //!
 //! A probe at (x, y) is `sum_k A(k) exp(-2 pi i (kx x + ky y)) S_k`, cut to a window; S_k are the exit waves. On a raster the
 //! sum separates: first over kx for each column of the raster, then over ky for each probe. With n beams across the
@@ -20,9 +20,9 @@ use std::ops::Range;
 
 /// Memory in bytes that one thread may use for sums over kx.
 const PARTIAL_SUM_BYTES: usize = 192 << 20;
-/// The windows of raster columns, or rows, that are summed together start at most this many pixels apart.
+/// Largest distance in pixels between the first pixels of windows whose raster columns, or rows, are summed together.
 const SPREAD_PIXELS: i64 = 16;
-/// At most so many raster columns, or rows, are summed together.
+/// Largest number of raster columns, or rows, that are summed together.
 const MOST_TOGETHER: usize = 16;
 
 /// Neighbouring lines of the raster (columns or rows), and the pixels that their windows cover.
@@ -31,35 +31,35 @@ struct LineBand {
     lines: Range<usize>,
     /// First pixel of the union of the windows on the exit grid, not wrapped.
     first: i64,
-    /// Pixels of that union.
+    /// Number of pixels of that union.
     len: usize,
 }
 
-/// One thread's sums, kept from band to band, since getting fresh memory takes as long as the products.
+/// One thread's sums, kept from band to band, since allocating memory takes as long as the products.
 #[derive(Default)]
 struct Sums {
     partial: Vec<Complex32>,
     region: Vec<Complex32>,
 }
 
-/// The exit waves of all beams, and how much of each a probe holds.
+/// The exit waves of all beams, with the amplitude of each in a probe.
 struct LensBeams<'w> {
     waves: &'w [Complex32],
     amplitudes: &'w [Complex64],
-    /// How far (x, y) in Angstrom a tilted beam leaves the specimen from where it enters.
+    /// Displacement (x, y) in Angstrom of a tilted beam between entrance and exit of the specimen.
     shift: [f64; 2],
 }
 
 impl LensBeams<'_> {
-    /// Where along `axis` the probe at `position` leaves the specimen.
+    /// Position along `axis` where the probe at `position` leaves the specimen.
     fn leaves(&self, position: [f64; 2], axis: usize) -> f64 {
         position[axis] + self.shift[axis]
     }
 }
 
 impl Prism<'_> {
-    /// Intensities as fractions of the beam, (probe, recorded thickness, detector) row-major, through each of several lenses,
-    /// given by the amplitudes of their beams at each focus: the specimen does not know the lens, so beams are propagated once.
+    /// Intensities as fractions of the beam, (probe, recorded thickness, detector) row-major, through each of several lenses. A lens is
+    /// given by the amplitudes of its beams at each focus. Beams are propagated once, because the specimen does not depend on the lens.
     ///
     /// # Errors
     /// [`Error::Interrupted`].
@@ -116,7 +116,7 @@ impl Prism<'_> {
         Ok(per_band.into_iter().flatten().collect())
     }
 
-    /// Ranges of beams with the same ky.
+    /// Ranges of beams with equal ky.
     fn runs(&self) -> Vec<Range<usize>> {
         let mut runs: Vec<Range<usize>> = Vec::new();
         for (i, beam) in self.beams.iter().enumerate() {
@@ -137,7 +137,7 @@ impl Prism<'_> {
         (position / pixel).round() as i64 - self.window.points[axis] as i64 / 2
     }
 
-    /// Groups neighbouring lines of the raster; a function of the raster alone, whatever the number of threads.
+    /// Groups neighbouring lines of the raster. The result depends on the raster only, not on the number of threads.
     fn bands(
         &self,
         axis: usize,

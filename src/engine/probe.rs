@@ -11,7 +11,7 @@ use std::f64::consts::PI;
 
 /// The probe as Fourier coefficients on the wave grid, for any position.
 pub(super) struct Probe {
-    /// Bins (row, column) of the wave grid that hold it, sorted by row.
+    /// Bins (row, column) of the wave grid that contain the probe, sorted by row.
     pub bins: Vec<(usize, usize)>,
     form: ProbeForm,
 }
@@ -69,8 +69,8 @@ impl Probe {
     }
 }
 
-/// A probe that is cropped to a window in two steps: once from the large box to surroundings that hold the window wherever
-/// the probe stands in it, and from these, which have few coefficients, to the window for each position.
+/// A probe that is cropped to a window in two steps: once from the large box to surroundings that contain the window for every position of
+/// the probe in it, and from these, which have few coefficients, to the window for each position.
 pub(super) struct CroppedProbe {
     /// The middle of the window in Angstrom.
     centre: [f64; 2],
@@ -88,12 +88,12 @@ pub(super) struct CroppedProbe {
     low: (usize, usize),
 }
 
-/// Width in Angstrom that the surroundings have on all sides beyond every position of the window, so that their own
-/// edges do not matter.
+/// Width in Angstrom of the surroundings beyond the window at every position of the probe. It keeps the edges of the surroundings from
+/// having an effect.
 const BEYOND_ANGSTROM: f64 = 1.0;
 
 impl CroppedProbe {
-    /// For the bins (row, column) of the plan's wave grid.
+    /// Crops the probe for the bins (row, column) of the plan's wave grid.
     pub(super) fn new(plan: &Plan, bins: &[(usize, usize)]) -> Self {
         let window = plan.wave_grid;
         let pixel = window.sampling_angstrom();
@@ -103,7 +103,7 @@ impl CroppedProbe {
         let grid = Grid { points, extent_angstrom: [0, 1].map(|k| points[k] as f64 * pixel[k]) };
         let around = low_bins(plan, &grid);
         let amplitudes = in_box(plan, &grid, beyond, &around);
-        // Low frequencies from the most negative on.
+        // The frequencies are counted from the most negative low one.
         let reach = |bins: &[(usize, usize)], grid: &Grid| {
             [0, 1].map(|k| {
                 let of =
@@ -167,7 +167,7 @@ impl CroppedProbe {
         self.cut_window(self.around.iter().map(|((row, column), a)| a * x[*column] * y[*row]))
     }
 
-    /// The window's coefficients, bin by bin, from those of the surroundings.
+    /// Computes the window's coefficients, bin by bin, from the coefficients of the surroundings.
     pub fn cut_window(&self, around: impl Iterator<Item = Complex64>) -> Vec<Complex64> {
         let [columns, rows] = [self.k[0].len(), self.k[1].len()];
         let (low_rows, low_columns) = self.low;
@@ -222,8 +222,8 @@ fn on_both_sides(
     out
 }
 
-/// `sum exp(2 pi i x (from - to))` over the first `n` pixels, x being their distance from pixel `centre`, times
-/// the phase that `to` has in transforms that begin at pixel 0.
+/// `sum exp(2 pi i x (from - to))` over the first `n` pixels, x being their distance from pixel `centre`, times the phase of `to` in
+/// transforms that begin at pixel 0.
 fn crop_kernel(from: f64, to: f64, n: usize, centre: usize, pixel: f64) -> Complex64 {
     let turn = PI * (from - to) * pixel;
     let sum = match turn.sin() {
@@ -236,8 +236,8 @@ fn crop_kernel(from: f64, to: f64, n: usize, centre: usize, pixel: f64) -> Compl
     Complex64::from_polar(sum, phase)
 }
 
-/// Coefficients at `bins` on `grid` of the probe in its middle, relative to that middle, cropped from the large box. The
-/// middle is that of a window with `beyond` pixels before and after it.
+/// Coefficients at `bins` on `grid` of the probe in the grid's middle, relative to this middle, cropped from the large box. The middle is
+/// that of a window with `beyond` pixels before and after it.
 fn in_box(plan: &Plan, grid: &Grid, beyond: [usize; 2], bins: &[(usize, usize)]) -> Vec<Complex64> {
     let large = probe_grid(plan);
     let lens = aperture(plan, &large);
@@ -268,7 +268,7 @@ fn in_box(plan: &Plan, grid: &Grid, beyond: [usize; 2], bins: &[(usize, usize)])
     bins.iter().map(|(y, x)| out[find(&wanted[1], *y) * nx + find(&wanted[0], *x)]).collect()
 }
 
-/// The distinct values, ascending.
+/// The distinct values in ascending order.
 fn distinct(values: impl Iterator<Item = usize>) -> Vec<usize> {
     let mut all: Vec<usize> = values.collect();
     all.sort_unstable();
@@ -291,8 +291,8 @@ pub(super) fn low_bins(plan: &Plan, grid: &Grid) -> Vec<(usize, usize)> {
     rows.flat_map(|iy| (0..nx).map(move |ix| (iy, ix))).filter(low).collect()
 }
 
-/// The probe at the origin and the entrance surface on `grid`, with the norm that the settings ask for: bins (row, column)
-/// within the aperture, and amplitudes.
+/// The probe at the origin and the entrance surface on `grid`, normalised by the settings: bins (row, column) within the aperture, and
+/// amplitudes.
 fn aperture(plan: &Plan, grid: &Grid) -> Vec<((usize, usize), Complex64)> {
     let optics = &plan.settings.optics;
     let (ny, nx) = grid.shape();
@@ -305,7 +305,7 @@ fn aperture(plan: &Plan, grid: &Grid) -> Vec<((usize, usize), Complex64)> {
             }
         }
     }
-    // The edge of the aperture is soft: its amplitudes add to the area of the aperture, their squares to less.
+    // The edge of the aperture is soft: its amplitudes add to the aperture's area, their squares to less.
     let large = plan.settings.large_probe_box();
     let share = |a: Complex64| if large { a.norm() } else { a.norm_sqr() };
     let norm = lens.iter().map(|e| share(e.1)).sum::<f64>().sqrt();
@@ -337,8 +337,8 @@ pub(super) fn repeated(plan: &Plan, cell: &Grid) -> Grid {
     }
 }
 
-/// The probe in real space at `position` (Angstrom) on `grid`, the box in which it is made: an array of `fft`, the
-/// transform of that grid.
+/// The probe in real space at `position` (Angstrom) on `grid`, the box in which it is made. The result is an array of `fft`, the transform
+/// of this grid.
 pub(super) fn probe_in_box(
     plan: &Plan,
     grid: &Grid,
@@ -367,7 +367,7 @@ mod tests {
     use super::*;
     use crate::optics::Aberrations;
 
-    /// Against the probe in real space, cut and transformed: 0.0007 of its amplitude.
+    /// Compares with the probe in real space, cut and transformed: the error is 0.0007 of its amplitude.
     #[test]
     fn windows_cut_probes_where_they_stand() {
         let mut settings = Settings {

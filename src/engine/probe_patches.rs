@@ -1,4 +1,4 @@
-//! Patches of probes that share a window: where the window lies, and whether the probes are expanded in fewer waves.
+//! Patches of probes that share a window. They decide the window's place, and whether the probes are expanded in fewer waves.
 
 use super::plan::Plan;
 use super::probe_scan::{ProbePlaces, Scan};
@@ -6,23 +6,23 @@ use super::settings::Expansion;
 use crate::resample::image_band_limit;
 use std::ops::Range;
 
-/// Probes that are propagated one by one share a window if they are within this distance in Angstrom (four probes along
-/// each axis), so that transmission functions are read from memory once for all of them. 0.9 A takes 20 % less time than
-/// 0.4 A, and 1.2 A 8 % less than that. Errors hardly change (SrTiO3, 39 A, rms / mean: 7.8 A windows 0.70 % with 0.4 A, 0.72 % with 0.6, 0.9 and 1.2 A; 5.9 A
-/// 0.96, 0.71, 0.76 and 0.80 %).
+/// Distance in Angstrom within which probes that are propagated one by one share a window (four probes along each axis). Transmission
+/// functions are then read from memory once for all of them. 0.9 A takes 20 % less time than 0.4 A, and 1.2 A takes 8 % less than 0.9 A.
+/// Errors hardly change (SrTiO3, 39 A, rms / mean: 7.8 A windows 0.70 % with 0.4 A, 0.72 % with 0.6, 0.9 and 1.2 A; 5.9 A windows 0.96,
+/// 0.71, 0.76 and 0.80 %).
 const TOGETHER_ANGSTROM: f64 = 1.2;
-/// Expanded probes share a window up to this distance in Angstrom, at 200 kV and 21 mrad, and up to this share of its
-/// width. Wider patches take fewer waves, but come nearer to the window's edge.
+/// Largest width in Angstrom of a patch of expanded probes, at 200 kV and 21 mrad, and largest share of the window's width. Wider patches
+/// need fewer waves, but come nearer to the window's edge.
 const PATCH: (f64, f64) = (3.6, 0.5);
 /// The Nyquist distance of the amplitude in Angstrom at 200 kV and 21 mrad.
 const USUAL_NYQUIST_ANGSTROM: f64 = 0.597;
 /// Error of the amplitudes of expanded probes, as a share, in a window of this width (Angstrom), and the power of the
 /// width by which it falls in wider ones.
 const USUAL_ERROR: (f64, f64, i32) = (0.01, 7.8, 3);
-/// An estimate of the waves that hold the probes of a patch, along an axis: so many, and so many more for each Nyquist
-/// distance of the amplitude. Right to 2 % for errors of 1 % and square patches of 2 to 4 A.
+/// Estimates the number of waves of a patch along an axis: a constant, and a number for each Nyquist distance of the amplitude. Accurate to
+/// 2 % for errors of 1 % and square patches of 2 to 4 A.
 const WAVES: (f64, f64) = (2.8, 0.96);
-/// Probes are expanded if that takes less than this share of the waves, since expanding takes time too.
+/// Probes are expanded if this needs less than this share of the waves, since the expansion takes time too.
 const WORTH: f64 = 0.9;
 
 /// Probes that are propagated through the same part of the specimen.
@@ -30,12 +30,12 @@ const WORTH: f64 = 0.9;
 pub(super) struct Patch {
     /// Pixel (row, column) of the cell's grid under the window's first pixel.
     pub origin: (usize, usize),
-    /// Index in the scan, and position within the window in Angstrom.
+    /// Index of each probe in the scan, and its position within the window in Angstrom.
     pub probes: Vec<(usize, [f64; 2])>,
 }
 
 impl Patch {
-    /// Divides a patch into even parts of at most `most` probes with the same window.
+    /// Divides a patch into even parts of at most `most` probes; all keep the window.
     pub fn split(self, most: usize) -> impl Iterator<Item = Patch> {
         let Patch { origin, probes } = self;
         let even = probes.len().div_ceil(probes.len().div_ceil(most).max(1)).max(1);
@@ -48,13 +48,12 @@ impl Patch {
 /// The patches of a scan.
 pub(super) struct ProbePatches {
     pub patches: Vec<Patch>,
-    /// The error in amplitude, as a share, to which the probes of a patch are expanded in fewer waves; `None` if each
-    /// is propagated.
+    /// Error in amplitude, as a share, with which the probes of a patch are expanded in fewer waves; `None` if each is propagated.
     pub error: Option<f64>,
 }
 
 impl ProbePatches {
-    /// A function of the plan and the places alone, whatever the number of threads.
+    /// Divides the probes into patches. The result depends on the plan and the positions only, not on the number of threads.
     pub fn new<'a>(plan: &Plan, places: impl Into<ProbePlaces<'a>>) -> Self {
         let scan = match places.into() {
             ProbePlaces::Raster(scan) => scan,
@@ -76,7 +75,7 @@ impl ProbePatches {
     }
 }
 
-/// About how many waves the probes of a scan are expanded in; `None` if each is propagated.
+/// Approximate number of waves in which the probes of a scan are expanded; `None` if each is propagated.
 pub(super) fn expanded_waves(plan: &Plan, scan: &Scan) -> Option<usize> {
     expansion_error(plan)?;
     let most = patch_angstrom(plan);
@@ -93,7 +92,7 @@ pub(super) fn expanded_waves(plan: &Plan, scan: &Scan) -> Option<usize> {
     (waves < WORTH * scan.len() as f64).then_some(waves as usize)
 }
 
-/// About how many waves the probes of one patch are expanded in, at most; 0 if each is propagated.
+/// Approximate largest number of waves in which the probes of one patch are expanded; 0 if each is propagated.
 pub(super) fn waves_of_patch(plan: &Plan) -> usize {
     let along = WAVES.0 + WAVES.1 * patch_angstrom(plan) / amplitude_nyquist(plan);
     expansion_error(plan).map_or(0, |_| (along * along) as usize)
@@ -104,7 +103,7 @@ pub(super) fn amplitude_nyquist(plan: &Plan) -> f64 {
     1.0 / image_band_limit(&plan.settings.optics)
 }
 
-/// The error in amplitude that the settings allow expanded probes; `None` without windows or with expansion off.
+/// The amplitude error that the settings allow for expanded probes; `None` without windows or with expansion off.
 fn expansion_error(plan: &Plan) -> Option<f64> {
     if !plan.has_windows() {
         return None;
@@ -117,13 +116,13 @@ fn expansion_error(plan: &Plan) -> Option<f64> {
     }
 }
 
-/// How wide patches of expanded probes may be, in Angstrom.
+/// Largest width of patches of expanded probes in Angstrom.
 fn patch_angstrom(plan: &Plan) -> f64 {
     let most = PATCH.0 * amplitude_nyquist(plan) / USUAL_NYQUIST_ANGSTROM;
     most.min(PATCH.1 * width(plan))
 }
 
-/// The largest distance (x, y) in Angstrom of a probe from the middle of its window, whatever the scan.
+/// The largest distance (x, y) in Angstrom of a probe from the middle of its window, in any scan.
 pub(super) fn largest_half(plan: &Plan) -> [f64; 2] {
     let most = patch_angstrom(plan).max(TOGETHER_ANGSTROM);
     // Windows begin at pixels.
@@ -189,13 +188,13 @@ fn patches(plan: &Plan, scan: &Scan, most: f64) -> Vec<Patch> {
     patches
 }
 
-/// Divides so many lines `step` apart into even blocks of less than `most`.
+/// Divides lines with a distance `step` into even blocks narrower than `most`.
 pub(super) fn blocks(lines: usize, step: f64, most: f64) -> Vec<Range<usize>> {
     let number = ((lines as f64 * step.abs() / most - 1e-9).ceil() as usize).clamp(1, lines.max(1));
     (0..number).map(|i| i * lines / number..(i + 1) * lines / number).collect()
 }
 
-/// The middle of a window in Angstrom, from its first pixel.
+/// The middle of a window in Angstrom, counted from its first pixel.
 pub(super) fn window_centre(plan: &Plan) -> [f64; 2] {
     let pixel = plan.wave_grid.sampling_angstrom();
     [0, 1].map(|i| (plan.wave_grid.points[i] / 2) as f64 * pixel[i])

@@ -10,23 +10,23 @@ use crate::error::Result;
 use crate::resample::{Edge, Kernel, MARGIN, TAPS, image_band_limit};
 use ndarray::Array4;
 
-/// Up to so many expanded probes for each wave cost little, so that the scan is not interpolated.
+/// Up to this number of expanded probes for each wave, probes cost little, and the scan is not interpolated.
 const PROBES_PER_WAVE: usize = 16;
 
-/// The probes that are propagated for a scan, and how the values of the scan are interpolated from theirs.
+/// The probes that are propagated for a scan, and the interpolation of the scan's values from theirs.
 #[derive(Debug, Clone)]
 pub struct ProbeRaster {
     scan: Scan,
     asked: Scan,
-    /// `None` if every scan position has its probe.
+    /// `None` if a probe is propagated at every scan position.
     kernel: Option<Kernel>,
-    /// Position of the first scan point and distance of scan points: (row, column), counted in probes.
+    /// Position of the first scan point, and distance of scan points: (row, column), in units of the probes' distance.
     first: [f64; 2],
     step: [f64; 2],
     edges: [Edge; 2],
 }
 
-/// Probes along one axis: how many, how far apart, and how many of them before the first scan point.
+/// The probes along one axis: their number and distance, and how many of them lie before the first scan point.
 struct ProbeAxis {
     points: usize,
     step: f64,
@@ -36,10 +36,10 @@ struct ProbeAxis {
 }
 
 impl ProbeRaster {
-    /// The raster for a scan of the plan's cell, coarser than the scan along each axis where that takes fewer probes.
+    /// Chooses the raster for a scan of the plan's cell. It is coarser than the scan along an axis where this needs fewer probes.
     ///
     /// # Errors
-    /// [`crate::Error::Invalid`] for a step that does not carry the image.
+    /// [`crate::Error::Invalid`] for a step that is too coarse for the image.
     pub fn new(plan: &Plan, asked: &Scan) -> Result<Self> {
         let cell = plan.transmission_grid.extent_angstrom;
         let band_limit = image_band_limit(&plan.settings.optics);
@@ -87,7 +87,7 @@ impl ProbeRaster {
         self.kernel.is_some()
     }
 
-    /// The images of the scan, interpolated from those of the probes.
+    /// Interpolates the images of the scan from the images of the probes.
     pub(super) fn images(&self, images: Images) -> Images {
         let Some(kernel) = &self.kernel else { return images };
         let (thicknesses, detectors, _, _) = images.data.dim();
@@ -107,7 +107,7 @@ impl ProbeRaster {
 }
 
 impl ProbeAxis {
-    /// For `n` scan points `step` apart in a periodic cell, probes at most `most` apart.
+    /// Places probes at most `most` apart for `n` scan points with distance `step` in a periodic cell.
     fn new(n: usize, step: f64, cell: f64, most: f64) -> Self {
         let span = n as f64 * step;
         let spans_cell = (span - cell).abs() < 1e-6 * cell;
@@ -130,7 +130,7 @@ impl ProbeAxis {
     }
 }
 
-/// The largest distance of probes in Angstrom; `None`: a probe at every scan position.
+/// The largest distance of probes in Angstrom; `None` if there is a probe at every scan position.
 fn step_angstrom(settings: &Settings) -> Option<f64> {
     let windows = matches!(settings.algorithm, Algorithm::Window { .. });
     match settings.probe_step {
@@ -142,7 +142,7 @@ fn step_angstrom(settings: &Settings) -> Option<f64> {
     }
 }
 
-/// The largest distance in Angstrom of probes beyond the scanned area.
+/// The largest distance in Angstrom from the scanned area to a probe outside it.
 pub fn probe_margin_angstrom(settings: &Settings) -> f64 {
     MARGIN as f64 * step_angstrom(settings).unwrap_or(0.0)
 }

@@ -1,4 +1,4 @@
-//! Where the probes of a scan stand.
+//! Positions of the probes of a scan.
 
 /// A rectangular raster of probe positions: `origin + (column, row) * step`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -32,7 +32,7 @@ impl Scan {
     }
 }
 
-/// Probes of a scan, or each at a place of its own.
+/// Positions of probes: on the raster of a scan, or listed.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum ProbePlaces<'a> {
     Raster(&'a Scan),
@@ -48,7 +48,7 @@ impl ProbePlaces<'_> {
         }
     }
 
-    /// Rows and columns of the image; places of their own stand in one row.
+    /// Rows and columns of the image; listed probes are in one row.
     pub fn shape(&self) -> [usize; 2] {
         match self {
             ProbePlaces::Raster(scan) => scan.shape,

@@ -1,10 +1,9 @@
-//! What the part of a probe outside its window would have scattered onto the detectors.
+//! Scattering of the part of a probe outside its window onto the detectors.
 //!
-//! One or two per cent of the probe lie outside its window. This tail, far from the probe's axis, comes from the edge of the
-//! aperture. It does not channel, and each atom scatters it as if alone: `I_tail = sum_a P(r_a) s_a`, P being the
-//! intensity of the tail (1/Angstrom^2) after half the thickness of free space, s_a the cross section of the atom for the
-//! detector. Without it, windows of 7.8 A are too dark everywhere by 0.8 % of the mean image, which is 3-5 % between
-//! columns.
+//! One or two per cent of the probe lie outside its window. This tail, far from the probe's axis, comes from the edge of the aperture. It
+//! does not channel, and each atom scatters it independently: `I_tail = sum_a P(r_a) s_a`. P is the intensity of the tail (1/Angstrom^2)
+//! after half the thickness of free space, s_a the cross section of the atom for the detector. Without this correction, windows of 7.8 A
+//! are too dark everywhere by 0.8 % of the mean image, which is 3-5 % between columns.
 
 use super::accuracy::LEAST_INNER_SEMIANGLES;
 use super::grid::Grid;
@@ -25,7 +24,7 @@ use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::PI;
 
-/// Whether the detector begins at angles large enough to see only what atoms scatter of the tail, not the tail itself.
+/// Whether the detector begins at angles large enough to see only electrons of the tail that atoms scatter, not the tail directly.
 fn applies(detector: &Detector, plan: &Plan) -> bool {
     detector.inner_mrad >= LEAST_INNER_SEMIANGLES * plan.settings.optics.semiangle_mrad
 }
@@ -43,11 +42,11 @@ pub(super) struct ProbeTail<'a> {
 
 /// Largest pixel of the grid of tails in Angstrom: their intensity holds no detail below 0.3 A.
 const PIXEL_ANGSTROM: f64 = 0.15;
-/// Probes share one tail if their positions in their windows differ by less than this along an axis, in Angstrom.
+/// Probes share one tail if their positions in their windows differ by less than this distance along an axis, in Angstrom.
 const ALIKE_ANGSTROM: f64 = 1.2;
 
 impl<'a> ProbeTail<'a> {
-    /// `None` if nothing of the probes lies outside, or the correction is off.
+    /// Prepares the tails; `None` if no part of the probes lies outside, or the correction is off.
     pub fn new(plan: &'a Plan) -> Option<Self> {
         let all = !plan.has_windows() && !plan.settings.large_probe_box();
         if all || !plan.settings.tail_correction {
@@ -60,10 +59,10 @@ impl<'a> ProbeTail<'a> {
         Some(ProbeTail { plan, foci: plan.at_foci(), cell, around })
     }
 
-    /// What the tails add, as fractions of the beam: (probe, recorded thickness, detector), row-major.
+    /// The intensities that the tails add, as fractions of the beam: (probe, recorded thickness, detector), row-major.
     ///
     /// # Errors
-    /// An element that the tables lack.
+    /// [`crate::Error::UnknownElement`] for an element that the tables lack.
     pub fn values(&self, sites: &[Site], places: ProbePlaces<'_>) -> Result<Vec<f64>> {
         let plan = self.plan;
         let detectors = &plan.settings.detectors;
@@ -107,8 +106,8 @@ impl<'a> ProbeTail<'a> {
         Ok(self.plan.record_after.iter().map(up_to).collect())
     }
 
-    /// Transform of the intensity of a tail after `distance` (Angstrom) of free space, folded into the cell; `outside` holds
-    /// its Fourier coefficients before, for each focus with its weight.
+    /// Transform of the intensity of a tail after `distance` (Angstrom) of free space, folded into the cell. `outside` holds the tail's
+    /// Fourier coefficients at the entrance, for each focus with its weight.
     fn intensity(
         &self,
         outside: &[(f64, Buffer)],
@@ -150,8 +149,8 @@ impl<'a> ProbeTail<'a> {
         classes.into_iter().map(|(class, probes)| (offset(class), probes)).collect()
     }
 
-    /// Fourier coefficients of the tail of a probe at the origin: the part outside a window from whose middle the probe is
-    /// `offset` (Angstrom) away.
+    /// Fourier coefficients of the tail of a probe at the origin: the part outside a window whose middle is at a distance of `offset`
+    /// (Angstrom) from the probe.
     fn outside(&self, plan: &Plan, offset: [f64; 2], scratch: &mut Scratch) -> Buffer {
         let around = &self.around;
         let (window, centre) = (&plan.wave_grid, window_centre(plan));
@@ -198,8 +197,8 @@ impl TailGrid {
         TailGrid { grid, fft: Fft2::new(ny, nx) }
     }
 
-    /// Of each column (axis 0) or row (axis 1) of pixels, the share that lies in a window that begins at the origin.
-    /// Pixels are centred on their points.
+    /// The share of each column (axis 0) or row (axis 1) of pixels that lies in a window beginning at the origin. Pixels are centred on
+    /// their points.
     fn share_within(&self, window: &Grid, axis: usize) -> Vec<f32> {
         let (n, extent) = (self.grid.points[axis], self.grid.extent_angstrom[axis]);
         let pixel = self.grid.sampling_angstrom()[axis];
@@ -227,13 +226,13 @@ impl TailGrid {
         }
     }
 
-    /// Moves what is at `position` (Angstrom) to the origin.
+    /// Moves the point at `position` (Angstrom) to the origin.
     fn shift(&self, wave: &mut [Complex32], position: [f64; 2]) {
         self.multiply(wave, |axis, k| Complex64::from_polar(1.0, 2.0 * PI * k * position[axis]));
     }
 
-    /// Propagates a wave, given as Fourier coefficients times the number of pixels, through free space, and leaves its
-    /// intensity in real space, which sums to its share of the beam.
+    /// Propagates a wave, given as Fourier coefficients times the number of pixels, through free space. Leaves its intensity in real space,
+    /// which sums to the wave's share of the beam.
     fn propagate(&self, wave: &mut [Complex32], distance: f64, plan: &Plan, scratch: &mut Scratch) {
         let (ny, nx) = self.fft.shape();
         let wavelength = plan.settings.optics.wavelength_angstrom();
@@ -249,7 +248,7 @@ impl TailGrid {
         wave.iter_mut().for_each(|v| *v = Complex32::new(v.norm_sqr() * scale, 0.0));
     }
 
-    /// Folds an array of a larger box of several cells into this cell: the sum over the cells.
+    /// Folds an array of a box of several cells into this cell: the sum over the cells.
     fn folded(&self, large: &[Complex32], of: &TailGrid) -> Buffer {
         let mut out = self.fft.buffer();
         let ((ny, nx), (my, mx)) = (self.fft.shape(), of.fft.shape());

@@ -1,4 +1,4 @@
-//! How wide the probe is inside the specimen, and whether the room that each probe gets holds it.
+//! The width of the probe inside the specimen, compared with the width of windows, crops and cells.
 
 use super::settings::{Algorithm, Settings};
 
@@ -15,7 +15,7 @@ pub(super) const SPREAD: f64 = 1.2;
 /// Diameter of the Airy disk in units of the wavelength over the semiangle.
 const AIRY: f64 = 1.22;
 
-/// The size of the probe, which is proportional to wavelength over semiangle, in units of that of the measurements.
+/// The size of the probe, which is proportional to wavelength over semiangle, in units of the probe's size in the measurements.
 pub(super) fn relative_size(settings: &Settings) -> f64 {
     let optics = &settings.optics;
     optics.wavelength_angstrom()
@@ -23,8 +23,8 @@ pub(super) fn relative_size(settings: &Settings) -> f64 {
         / (MEASURED_WAVELENGTH_ANGSTROM / MEASURED_SEMIANGLE_MRAD)
 }
 
-/// Largest distance in Angstrom by which aberrations, defocus included, displace rays within the aperture: `|grad chi| / 2 pi` with
-/// respect to k; and two standard deviations of the focus more.
+/// Largest distance in Angstrom by which aberrations, including defocus, displace rays within the aperture: `|grad chi| / 2 pi` with
+/// respect to k, plus two standard deviations of the focus.
 pub(super) fn geometric_radius(settings: &Settings) -> f64 {
     let optics = &settings.optics;
     let wavelength = optics.wavelength_angstrom();
@@ -50,9 +50,9 @@ pub(super) fn geometric_radius(settings: &Settings) -> f64 {
 
 /// Widths in Angstrom.
 struct ProbeWidth {
-    /// Of the probe inside the specimen: rays and the Airy disk.
+    /// Width of the probe inside the specimen: rays and the Airy disk.
     probe: f64,
-    /// Of a crop that holds it.
+    /// Width of a crop that contains the probe.
     needed: f64,
 }
 
@@ -69,12 +69,12 @@ impl ProbeWidth {
     }
 }
 
-/// What to say of windows, or of the crops of PRISM, that are narrower than the probe. `cell` and `wave` are the edges (x, y) of the
-/// cell and of the grid of waves, in Angstrom.
+/// A warning about windows, or crops of PRISM, that are narrower than the probe. `cell` and `wave` are the edges (x, y) of the cell and of
+/// the grid of waves, in Angstrom.
 ///
-/// Measured about the threshold, as the rms difference from the full grid in per cent of the mean: SrTiO3 of 39 x 39 x 16 A without
-/// phonons, 200 kV, 21 mrad, HAADF, 4 x 4 probes in a unit cell. Windows as wide as the probe are right to 2 %; narrower crops may be off
-/// by several times that:
+/// The threshold was tested by the rms difference from the full grid, in per cent of the mean: SrTiO3 of 39 x 39 x 16 A without phonons,
+/// 200 kV, 21 mrad, HAADF, 4 x 4 probes in a unit cell. Windows as wide as the probe have an error of up to 2 %. Narrower crops may have
+/// several times this error:
 ///
 /// | defocus (A) | probe (A) | windows of 0.7, 1, 1.4 probes | PRISM, crops of 0.9, 1.4 probes |
 /// |---|---|---|---|
@@ -123,7 +123,7 @@ pub(super) fn narrow_crop(
     ))
 }
 
-/// What to say of a cell that is narrower than the probe, which then meets its own periodic images.
+/// A warning about a cell that is narrower than the probe, which then meets its own periodic images.
 pub(super) fn narrow_cell(settings: &Settings, cell: [f64; 2], thickness: f64) -> Option<String> {
     let width = ProbeWidth::of(settings, thickness);
     let narrow = cell[0].min(cell[1]);

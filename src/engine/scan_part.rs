@@ -1,7 +1,7 @@
-//! A part of a simulated scan, for several processes that share it.
+//! One process's part of a simulated scan, for several processes that share the scan.
 //!
-//! Which probes a process simulates depends on the plan, the scan and its number alone. A probe has the same value in every part as in the
-//! whole, so the image has the same bytes however it was divided.
+//! The plan, the scan and the number of a process decide which probes it simulates. A probe has the same value in every part as in the
+//! whole, so the bytes of the image do not depend on the division.
 
 use ndarray::{Array2, Array4};
 
@@ -13,7 +13,7 @@ use crate::error::{Error, Result};
 use crate::files::Shard;
 use crate::setting::Setting;
 
-/// What one of several processes simulated of a series of images.
+/// The values that one of several processes simulated of a series of images.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ScanPart {
     shard: Shard,
@@ -22,7 +22,7 @@ pub struct ScanPart {
 }
 
 impl ScanPart {
-    /// The part of a process, yet without values.
+    /// The part of a process, still without values.
     pub(super) fn new(shard: Shard) -> Self {
         ScanPart { shard, values: Vec::new() }
     }
@@ -39,7 +39,7 @@ impl ScanPart {
         Array2::from_shape_vec([rows, columns], values).unwrap_or_default()
     }
 
-    /// The part of a process from the array that [`ScanPart::to_array`] gave, for these plans, so many frames, and this scan.
+    /// Restores the part of a process from the array of [`ScanPart::to_array`], for these plans, this number of frames, and this scan.
     ///
     /// # Errors
     /// [`Error::Invalid`] for an array of another shape.
@@ -65,10 +65,10 @@ impl ScanPart {
         if first == array.nrows() { Ok(part) } else { Err(other_series(shard)) }
     }
 
-    /// Rows and columns of its array, for these plans, so many frames, and this scan.
+    /// Rows and columns of the part's array, for these plans, this number of frames, and this scan.
     ///
     /// # Errors
-    /// Those of the plans.
+    /// Errors of [`super::ProbeRaster::new`].
     pub fn shape(shard: Shard, plans: &[Plan], frames: usize, scan: &Scan) -> Result<[usize; 2]> {
         let mut rows = 0;
         for plan in plans {
@@ -87,7 +87,7 @@ fn per_probe(plan: &Plan) -> usize {
     plan.record_after.len() * plan.settings.detectors.len()
 }
 
-/// Which probes of a raster a process simulates: whole patches where those of a patch are expanded in common waves, else rows.
+/// The probes of a raster that a process simulates: whole patches where the probes of a patch are expanded in common waves, else rows.
 pub(super) fn probes_of(plan: &Plan, raster: &Scan, shard: Shard) -> Vec<bool> {
     let patches = ProbePatches::new(plan, raster);
     let mut wanted = vec![false; raster.len()];
@@ -104,7 +104,7 @@ pub(super) fn probes_of(plan: &Plan, raster: &Scan, shard: Shard) -> Vec<bool> {
     wanted
 }
 
-/// Images of so many probes, without values.
+/// Images for probes at these places, filled with zeros.
 pub(super) fn blank(plan: &Plan, places: ProbePlaces<'_>) -> Images {
     let [rows, columns] = places.shape();
     let shape = (plan.record_after.len(), plan.settings.detectors.len(), rows, columns);
@@ -124,12 +124,12 @@ pub(super) fn values_of(images: &Images, wanted: &[bool]) -> Array2<f32> {
     })
 }
 
-/// What other processes have made of a series.
+/// The parts of a series that processes have made.
 pub(super) struct Known<'a> {
     pub parts: &'a [ScanPart],
-    /// Index, among the arrays of a part, of the first one of the plans at hand.
+    /// Index, among the arrays of a part, of the first array of the current plans.
     pub first: usize,
-    /// How many there are of each plan.
+    /// Number of arrays of each plan.
     pub frames: usize,
 }
 
@@ -145,7 +145,7 @@ impl Known<'_> {
         Some(missing)
     }
 
-    /// Puts the values of all parts into the images through a lens, of a frame.
+    /// Copies the values of all parts into the images of one plan and frame.
     pub fn put(
         &self,
         images: &mut Images,

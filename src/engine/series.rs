@@ -1,8 +1,8 @@
 //! Images of one specimen through several lenses: a defocus series.
 //!
-//! The specimen does not know the lens. Plans that differ in nothing but aberrations share the transmission functions,
-//! and with PRISM the propagated waves, which is nearly all of the work. Every image has the bytes that
-//! [`simulate()`](super::simulate()) gives it alone.
+//! The specimen does not depend on the lens. Plans that differ only in aberrations share the transmission functions, and with PRISM the
+//! propagated waves, which is nearly all of the work. Every image has the bytes that [`simulate()`](super::simulate()) computes for it
+//! alone.
 
 use super::detector_images::Images;
 use super::plan::Plan;
@@ -16,10 +16,10 @@ use crate::files::Shard;
 use crate::progress::{Progress, ProgressShare};
 use crate::structure::Site;
 
-/// The images of a scan by each plan, averaged over frames (sites) of a trajectory, of which there is at least one.
+/// Simulates the images of a scan by each plan, averaged over the frames (sites) of a trajectory. There is at least one frame.
 ///
 /// # Errors
-/// Those of [`simulate()`](super::simulate()).
+/// Errors of [`simulate()`](super::simulate()).
 pub fn simulate_series(
     plans: &[Plan],
     frames: &[&[Site]],
@@ -29,10 +29,10 @@ pub fn simulate_series(
     series(plans, frames, scan.into(), &[], progress)
 }
 
-/// As [`simulate_series`], with the same bytes, from parts that other processes have made; what none of them has is simulated.
+/// Computes the bytes of [`simulate_series`] from parts that other processes have made; probes that no part has are simulated.
 ///
 /// # Errors
-/// Those of [`simulate()`](super::simulate()); parts of another series.
+/// Errors of [`simulate()`](super::simulate()); [`Error::Invalid`] for parts of another series.
 pub fn simulate_series_from(
     plans: &[Plan],
     frames: &[&[Site]],
@@ -43,10 +43,10 @@ pub fn simulate_series_from(
     series(plans, frames, scan.into(), parts, progress)
 }
 
-/// The part of one of several processes that share a series.
+/// Simulates one process's part of a series that several processes share.
 ///
 /// # Errors
-/// Those of [`simulate()`](super::simulate()); plans for PRISM, whose waves are of all probes.
+/// Errors of [`simulate()`](super::simulate()); [`Error::Invalid`] for plans for PRISM, whose waves contain all probes.
 pub fn simulate_part(
     plans: &[Plan],
     frames: &[&[Site]],
@@ -89,11 +89,12 @@ pub fn simulate_part(
     Ok(part)
 }
 
-/// As [`simulate_series`], of single probes, each at a place (x, y) in Angstrom. A probe is propagated at every place, in a window
-/// of its own where the plan has windows; their values are in one row, (thickness, detector, 0, place).
+/// Simulates single probes as [`simulate_series`] does, each at a place (x, y) in Angstrom. A probe is propagated at every place, in a
+/// window of its own where the plan has windows. The values are in one row, (thickness, detector, 0, place).
 ///
 /// # Errors
-/// Those of [`simulate()`](super::simulate()); places that are no finite numbers; plans for PRISM, which has no single probes.
+/// Errors of [`simulate()`](super::simulate()); [`Error::Invalid`] for places that are not finite, and for plans for PRISM, which has no
+/// single probes.
 pub fn simulate_places(
     plans: &[Plan],
     frames: &[&[Site]],
@@ -129,7 +130,7 @@ fn series(
     Ok(all)
 }
 
-/// Of one image of one frame, for the bar.
+/// Number of probes in the progress of one image of one frame.
 fn probes(plan: &Plan, places: ProbePlaces<'_>) -> usize {
     places.len() * plan.settings.configurations() as usize
 }
@@ -141,7 +142,7 @@ fn differ_in_the_lens(one: &Plan, other: &Plan) -> bool {
     alike == *one
 }
 
-/// Lenses of plans that differ in nothing but aberrations, made ready.
+/// Engines for plans that differ only in aberrations, ready to run.
 struct LensGroup<'a> {
     plans: &'a [Plan],
     builder: TransmissionBuilder<'a>,
@@ -155,7 +156,7 @@ impl<'a> LensGroup<'a> {
         Ok(LensGroup { plans, builder, lenses: plans.iter().map(LensEngine::new).collect() })
     }
 
-    /// As [`LensEngine::images`].
+    /// The images of a frame, from [`LensEngine::images`].
     fn images(
         &mut self,
         sites: &[Site],
@@ -171,7 +172,7 @@ impl<'a> LensGroup<'a> {
     }
 }
 
-/// Of plans that differ in nothing but aberrations.
+/// The images of plans that differ only in aberrations.
 fn group_images(
     plans: &[Plan],
     frames: &[&[Site]],
@@ -243,7 +244,7 @@ mod tests {
     fn plans(algorithm: Algorithm) -> Vec<Plan> {
         let plan = |defocus: f64| {
             let mut settings = Settings { algorithm, ..Settings::default() };
-            // Narrow, so that the waves are small.
+            // A small probe box keeps the waves small.
             settings.detectors = vec![Detector::new("ADF", 40.0, 80.0)];
             settings.optics.aberrations = Aberrations::defocus(defocus);
             settings.phonons = Some(Phonons { configurations: 2, seed: 3 });
@@ -252,7 +253,7 @@ mod tests {
         [0.0, 40.0, -25.0].map(plan).to_vec()
     }
 
-    /// Records what a bar would show.
+    /// Records the totals and steps that a progress bar would show.
     #[derive(Default)]
     struct Bars(std::sync::Mutex<(Vec<u64>, u64)>);
 
@@ -299,7 +300,7 @@ mod tests {
 
     #[test]
     fn parts_of_several_processes_make_the_same_bytes() {
-        // Dense enough for windows to be expanded, and for the scan to be interpolated.
+        // The scan is dense enough for windows to be expanded, and for interpolation.
         let dense = Scan { origin_angstrom: [0.5, 0.2], step_angstrom: [0.3; 2], shape: [17, 19] };
         let coarse = Scan { origin_angstrom: [0.5, 0.2], step_angstrom: [1.7; 2], shape: [5, 4] };
         let (first, mut second) = (sites(), sites());
@@ -338,7 +339,7 @@ mod tests {
                 assert!(from(&parts) == whole, "{algorithm:?} in {count}");
                 parts.remove(0);
                 assert!(from(&parts) == whole, "{algorithm:?} in {count}, one missing");
-                // One that stands for another is noticed by what it holds.
+                // A part of other atoms is noticed by its values.
                 let other =
                     [simulate_part(&plans, &[&second], &scan, Shard::WHOLE, &Silent).unwrap()];
                 assert!(simulate_series_from(&plans, &frames, &scan, &other, &Silent).is_err());

@@ -1,4 +1,4 @@
-//! What is to be simulated.
+//! Settings of a simulation.
 
 use crate::detect::Detector;
 use crate::error::{Error, Result};
@@ -56,7 +56,7 @@ pub enum GridChoice {
     Points([usize; 2]),
 }
 
-/// Room above the outermost detector angle on grids that the program chooses.
+/// Factor of the angle that automatic grids carry, over the outermost detector angle.
 pub const AUTO_ANGLE_MARGIN: f64 = 1.2;
 
 /// Where the probe has norm 1.
@@ -131,7 +131,7 @@ pub struct Phonons {
     pub seed: u64,
 }
 
-/// Everything but the atoms and the probe positions.
+/// All inputs of a simulation except the atoms and the probe positions.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
     /// Probe-forming optics.
@@ -151,26 +151,25 @@ pub struct Settings {
     pub angle_margin: f64,
     /// Algorithm.
     pub algorithm: Algorithm,
-    /// Where the probe has norm 1; `None`: in a large box with windows, in the cell with the other algorithms.
+    /// Box in which the probe has norm 1; `None`: a large box with windows, the cell with the other algorithms.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub probe_box: Option<ProbeBox>,
-    /// PRISM keeps its exit waves on the grid of the simulation, not on the coarser one that just holds the band limit.
-    /// Without interpolation both give the same. With it, probes are cut out at pixels of that grid, and high angles
-    /// that the cut adds are folded back at its limit: HAADF of Si \[110\] with f = 2 changes by up to 0.20 % of the
-    /// maximum, that of SrTiO3 by 0.02 %.
+    /// Keeps the exit waves of PRISM on the grid of the simulation, not on the coarser one that just holds the band limit. Without
+    /// interpolation both give equal images. With it, probes are cut out at pixels of that grid, and high angles that the cut adds are
+    /// folded back at its limit: HAADF of Si \[110\] with f = 2 changes by up to 0.20 % of the maximum, HAADF of SrTiO3 by 0.02 %.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub full_exit_grid: bool,
-    /// How far apart probes are propagated.
+    /// Distance of the propagated probes.
     pub probe_step: ProbeStep,
     /// Whether probes that share a window are expanded in fewer waves.
     #[serde(default, skip_serializing_if = "Expansion::is_auto")]
     pub expansion: Expansion,
-    /// Adds what the part of a probe outside its window would have scattered onto the detectors
-    /// (windows and large boxes), as from free atoms; see the source of `engine::probe_tail`.
+    /// Adds the intensity that the part of a probe outside its window would have scattered onto the detectors (windows and large boxes), as
+    /// from free atoms; see the source of `engine::probe_tail`.
     pub tail_correction: bool,
-    /// Where tails are corrected, images on detectors that see the beam itself are made right without a specimen: what is cropped off a
-    /// probe falls on them too; see the source of `engine::direct_beam`. `Settings::default` is without, since worlds do the same to their
-    /// tiles.
+    /// Scales images on detectors that see the direct beam so that vacuum is right, where tails are corrected: the cropped part of a probe
+    /// belongs on these detectors too. See the source of `engine::direct_beam`. `Settings::default` has it off, since worlds scale their
+    /// tiles in this way.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub direct_beam: bool,
     /// Radius of the anti-aliasing aperture in units of the Nyquist frequency. 2/3
@@ -193,22 +192,22 @@ pub struct Settings {
     /// that. High angles lose up to half their amplitude for atoms between grid points and gain a little for those on them.
     /// To reproduce abTEM's images, with `oversampling` 1 and its grid.
     pub abtem_placement: bool,
-    /// Phonons; `None` takes the atoms exactly as given.
+    /// Phonons; `None`: atoms stay at the given positions.
     pub phonons: Option<Phonons>,
     /// Thicknesses in Angstrom at which images are recorded, each moved to the nearest slice
     /// boundary; empty: at the exit surface only.
     pub thicknesses_angstrom: Vec<f64>,
-    /// What happens to detectors beyond the band limit.
+    /// Treatment of detectors beyond the band limit.
     pub beyond_limit: BeyondLimit,
 }
 
 /// Largest interpolation factor: the grid has multiples of it as points.
 const MOST_INTERPOLATION: usize = 1024;
-/// Sampling of the potentials unless another is asked for, in Angstrom.
+/// Default sampling of the potentials in Angstrom.
 pub const POTENTIAL_SAMPLING_ANGSTROM: f64 = 0.0125;
 /// The exact anti-aliasing limit (Kirkland 2010, sec. 6.8).
 pub const EXACT_BAND_FRACTION: f64 = 2.0 / 3.0;
-/// The limit used unless another is asked for: grids 1.44 times smaller for an error below 0.1 %.
+/// Default anti-aliasing limit: grids are 1.44 times smaller, for an error below 0.1 %.
 pub const DEFAULT_BAND_FRACTION: f64 = 0.8;
 
 impl Default for Settings {
@@ -241,7 +240,7 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// Checks what does not depend on the specimen.
+    /// Checks all limits that do not depend on the specimen.
     ///
     /// # Errors
     /// [`Error::Invalid`] naming the setting and its limits.

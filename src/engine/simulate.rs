@@ -18,14 +18,14 @@ use ndarray::{Array2, Array4};
 use num_complex::Complex32;
 use std::collections::BTreeSet;
 
-/// Simulates the images of a scan: fractions of the incident beam as (thickness, detector, row = y, column = x), averaged over
-/// phonon configurations. Probes stand as far apart as [`Settings::probe_step`](super::Settings::probe_step) says.
+/// Simulates the images of a scan: fractions of the incident beam as (thickness, detector, row = y, column = x), averaged over phonon
+/// configurations. [`Settings::probe_step`](super::Settings::probe_step) decides the distance of the propagated probes.
 ///
-/// The cell is periodic along x and y; sites outside are wrapped. The result has the same bytes for any number of
-/// threads.
+/// The cell is periodic along x and y; sites outside are wrapped. The bytes of the result do not depend on the number of threads.
 ///
 /// # Errors
-/// An element that the tables lack, a probe step too coarse for the image, or [`Error::Interrupted`].
+/// [`Error::UnknownElement`] for an element that the tables lack, [`Error::Invalid`] for a probe step too coarse for the image, or
+/// [`Error::Interrupted`].
 pub fn simulate(
     plan: &Plan,
     sites: &[Site],
@@ -35,19 +35,19 @@ pub fn simulate(
     Simulation::new(plan, &elements(sites))?.images(sites, scan, progress)
 }
 
-/// A plan made ready to run, for several specimens with the same box, mean heights and elements: all that does not depend on
-/// where exactly the atoms are is prepared once.
+/// A plan that is ready to run, for several specimens with equal box, mean heights and elements. Everything that does not depend on the
+/// exact positions of the atoms is prepared once.
 pub struct Simulation<'a> {
     builder: TransmissionBuilder<'a>,
     lens: LensEngine<'a>,
 }
 
-/// What makes probes through one lens, and their images.
+/// Propagates probes through one lens, and makes their images.
 pub(super) struct LensEngine<'a> {
     plan: &'a Plan,
     engine: WaveEngine<'a>,
     tail: Option<ProbeTail<'a>>,
-    /// What images on each detector are multiplied by.
+    /// Factors by which images on each detector are multiplied.
     factors: Vec<f64>,
 }
 
@@ -65,12 +65,12 @@ impl<'a> LensEngine<'a> {
         LensEngine { plan, engine, tail: ProbeTail::new(plan), factors: direct_beam_factors(plan) }
     }
 
-    /// The images of probes at these places, averaged over phonon configurations, through each of these
-    /// lenses. Their plans differ in nothing but aberrations, and `builder` is of one of them: transmission functions, and
-    /// with PRISM the waves, are made once for all. Where only some are `wanted`, the values of others mean nothing.
+    /// The images of probes at these places, averaged over phonon configurations, through each of these lenses. The lenses' plans differ
+    /// only in aberrations, and `builder` is of one of them: transmission functions, and with PRISM the waves, are made once for all. Where
+    /// only some probes are `wanted`, the values of the others are meaningless.
     ///
     /// # Errors
-    /// Those of [`simulate()`]; some probes of PRISM.
+    /// Errors of [`simulate()`]; [`Error::Invalid`] for some probes of PRISM.
     pub fn images(
         lenses: &mut [Self],
         builder: &TransmissionBuilder<'a>,
@@ -128,7 +128,7 @@ impl<'a> LensEngine<'a> {
         each.collect()
     }
 
-    /// The mean of sums over configurations, with the tail of the probe.
+    /// The mean of sums over configurations, with the contribution of the probe's tail.
     fn mean(&self, mut sum: Vec<f64>, sites: &[Site], places: ProbePlaces<'_>) -> Result<Images> {
         let plan = self.plan;
         let (records, detectors) = (plan.record_after.len(), plan.settings.detectors.len());
@@ -154,13 +154,13 @@ impl<'a> LensEngine<'a> {
     }
 }
 
-/// Beams are summed for whole rows and columns of probes.
+/// The error for single probes with PRISM: it sums beams for whole rows and columns of probes.
 fn single_probes_of_prism() -> Error {
     let expected = "its waves are of all probes; use multislice or windows for single probes, and for parts of a scan";
     Error::invalid(crate::Setting::Algorithm, "prism", expected)
 }
 
-/// What one configuration counts as progress, through so many lenses.
+/// Progress units of one configuration through several lenses, and their name.
 fn units(plan: &Plan, places: ProbePlaces<'_>, lenses: usize) -> (u64, &'static str) {
     let probes = places.len() * lenses;
     match plan.beams {
@@ -173,16 +173,16 @@ impl<'a> Simulation<'a> {
     /// Prepares simulations of specimens that hold no other elements (atomic numbers) than these.
     ///
     /// # Errors
-    /// An element that the tables lack.
+    /// [`crate::Error::UnknownElement`] for an element that the tables lack.
     pub fn new(plan: &'a Plan, elements: &[u8]) -> Result<Self> {
         let builder = TransmissionBuilder::new(plan, elements)?;
         Ok(Simulation { builder, lens: LensEngine::new(plan) })
     }
 
-    /// The images of a scan, as [`simulate()`] gives them.
+    /// Simulates the images of a scan, as [`simulate()`] does.
     ///
     /// # Errors
-    /// Those of [`simulate()`].
+    /// Errors of [`simulate()`].
     pub fn images(
         &mut self,
         sites: &[Site],
@@ -196,12 +196,12 @@ impl<'a> Simulation<'a> {
         Ok(raster.images(images.remove(0)))
     }
 
-    /// Intensities of the probes of these indices (row-major in the scan) in one phonon configuration, as fractions of the beam:
-    /// (index, recorded thickness, detector), row-major. They are those that [`Simulation::images`] has for a scan with a
-    /// probe at every position, but only what these probes need is propagated.
+    /// Intensities of the probes with these indices (row-major in the scan) in one phonon configuration, as fractions of the beam: (index,
+    /// recorded thickness, detector), row-major. They are equal to the intensities of [`Simulation::images`] for a scan with a probe at
+    /// every position, but only waves that these probes need are propagated.
     ///
     /// # Errors
-    /// Those of [`simulate()`]; plans for PRISM, which has no single probes.
+    /// Errors of [`simulate()`]; [`Error::Invalid`] for plans for PRISM, which has no single probes.
     pub fn some_probes(
         &mut self,
         sites: &[Site],
@@ -235,8 +235,8 @@ impl<'a> Simulation<'a> {
 /// The array has the shape of the plan's wave grid, rows = ky and columns = kx in FFT order, and holds fractions of the beam
 /// per pixel; beyond the band limit they are 0.
 ///
-/// # Errors
-/// Those of [`simulate()`]; plans for PRISM, which have no single probes.
+/// Errors of [`simulate()`]; [`Error::Invalid`] for plans for PRISM, which has no single probes.
+/// Errors of [`simulate()`]; [`Error::Invalid`] for plans for PRISM, which has no single probes.
 pub fn diffraction(
     plan: &Plan,
     sites: &[Site],
@@ -246,10 +246,10 @@ pub fn diffraction(
     diffraction_of(plan, sites, position_angstrom, 0..1, progress)
 }
 
-/// The same, the mean over all configurations.
+/// The diffraction pattern of [`diffraction()`] in the mean over all configurations.
 ///
 /// # Errors
-/// Those of [`diffraction()`].
+/// Errors of [`diffraction()`].
 pub fn mean_diffraction(
     plan: &Plan,
     sites: &[Site],
@@ -291,12 +291,12 @@ fn diffraction_of(
     Ok(sum * share)
 }
 
-/// The wave at the exit surface that a plane wave along the beam becomes in one phonon configuration.
+/// The wave at the exit surface in one phonon configuration, for an incident plane wave along the beam.
 ///
 /// The array has the shape of the plan's wave grid, rows = y and columns = x; 1 is the amplitude of the incident wave.
 ///
 /// # Errors
-/// Those of [`simulate()`]; plans with windows.
+/// Errors of [`simulate()`]; [`Error::Invalid`] for plans with windows.
 pub fn exit_wave(
     plan: &Plan,
     sites: &[Site],
@@ -343,7 +343,7 @@ pub fn exit_wave(
     Ok(out)
 }
 
-/// The atomic numbers of the elements of some sites, ascending.
+/// The atomic numbers of the elements in some sites, ascending.
 pub(crate) fn elements(sites: &[Site]) -> Vec<u8> {
     sites.iter().map(|s| s.number).collect::<BTreeSet<u8>>().into_iter().collect()
 }

@@ -1,4 +1,4 @@
-//! Complex numbers are worked out in double precision and kept in single precision.
+//! Rounds complex numbers from double precision, in which they are computed, to single precision, in which they are stored.
 
 use num_complex::{Complex32, Complex64};
 

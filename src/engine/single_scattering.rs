@@ -1,14 +1,14 @@
-//! Images in single scattering: every atom scatters the probe as if it were alone. For thin films of light atoms, and for what
-//! atoms scatter of the far tail of a probe.
+//! Images in single scattering: every atom scatters the probe independently. Used for thin films of light atoms, and for the scattering of
+//! the probe's far tail.
 //!
 //! Each atom adds `s (P_z * v)(r)` to the image: P_z is the intensity of the probe in free space at the depth of the atom, s
 //! the cross section of the atom for the detector, and v the blur of its scattering, with integral 1. Three things are
 //! neglected. Interference between different atoms: it is random in an amorphous film and averages out over phonon
 //! configurations. Multiple scattering. The curvature of the probe's phase within an atom.
 //!
-//! For 50 A of amorphous carbon (2.0 g/cm3, 68-200 mrad, 200 kV) the mean is right to 1 %. Pixels deviate by 5 % rms of the
-//! film's mean intensity in one configuration, by 3.0 % in the mean of 4 and by 2.5 % in that of 7
-//! (tests/worlds/film.rs). The film is 1 % as bright as a Pt column.
+//! For 50 A of amorphous carbon (2.0 g/cm3, 68-200 mrad, 200 kV) the error of the mean is 1 %. Pixels deviate by 5 % rms of the film's mean
+//! intensity in one configuration, by 3.0 % in the mean of 4 and by 2.5 % in the mean of 7 (tests/worlds/film.rs). The film is 1 % as
+//! bright as a Pt column.
 
 use super::settings::Settings;
 use crate::constants::interaction_parameter;
@@ -24,8 +24,7 @@ use num_complex::{Complex32, Complex64};
 use rayon::prelude::*;
 use std::f64::consts::{PI, TAU};
 
-/// Distance in Angstrom of the depths for which the probe's intensity is computed; between them it is interpolated
-/// linearly.
+/// Distance in Angstrom of the depths at which the probe's intensity is computed. Between them it is interpolated linearly.
 const LAYER_ANGSTROM: f64 = 5.0;
 /// Points of the integrals over the detector and the aperture.
 const RADII: usize = 96;
@@ -43,17 +42,17 @@ pub struct SingleScattering<'a> {
     step: f64,
 }
 
-/// Where the atoms of one element are: their density on the raster, depth by depth.
+/// The positions of the atoms of one element: their density on the raster at several depths.
 pub struct ScatteringMap<'a> {
     raster: &'a SingleScattering<'a>,
     atom: Scatterer,
-    /// In Angstrom, ascending.
+    /// Depths in Angstrom, ascending.
     depths: Vec<f64>,
-    /// One for each depth: rows = y, columns = x, row-major.
+    /// The density at each depth: rows = y, columns = x, row-major.
     layers: Vec<Vec<f64>>,
 }
 
-/// How an atom of an element scatters onto the detector.
+/// Scattering of an atom of an element onto the detector.
 struct Scatterer {
     /// Cross section in Angstrom^2, mean over the directions of the probe.
     section: f64,
@@ -62,10 +61,10 @@ struct Scatterer {
 }
 
 impl<'a> SingleScattering<'a> {
-    /// A raster of at least `least` (rows, columns) samples, `step` Angstrom apart.
+    /// Makes a raster of at least `least` (rows, columns) samples, `step` Angstrom apart.
     ///
     /// # Errors
-    /// [`crate::Error::Invalid`] for a step that does not carry images.
+    /// [`crate::Error::Invalid`] for a step that is too coarse for images.
     pub fn new(settings: &'a Settings, step: f64, least: [usize; 2]) -> Result<Self> {
         let kernel = Kernel::new(step, image_band_limit(&settings.optics))?;
         let [ny, nx] = least.map(|n| good_size(n, 1));
@@ -75,7 +74,7 @@ impl<'a> SingleScattering<'a> {
     /// An empty map for atoms of element `number` at depths from `first` to `last` Angstrom.
     ///
     /// # Errors
-    /// An element that the tables lack.
+    /// [`crate::Error::UnknownElement`] for an element that the tables lack.
     pub fn map(&'a self, number: u8, [first, last]: [f64; 2]) -> Result<ScatteringMap<'a>> {
         let count = ((last - first) / LAYER_ANGSTROM).ceil().max(1.0) as usize;
         let depth = |i| first + (last - first) * i as f64 / count as f64;
@@ -94,7 +93,7 @@ impl<'a> SingleScattering<'a> {
         let foci = foci(&self.settings.optics).unwrap_or_default();
         let mut sum = self.fft.buffer();
         for Focus { offset_angstrom, weight } in foci {
-            // Underfocus by a distance moves the probe as much deeper.
+            // Underfocus moves the focus deeper by this distance, which acts as a smaller depth.
             let probe = self.probe_in_focus(depth - offset_angstrom, beyond);
             sum.iter_mut().zip(&*probe).for_each(|(s, p)| *s += p * weight as f32);
         }
@@ -102,7 +101,7 @@ impl<'a> SingleScattering<'a> {
         sum
     }
 
-    /// Multiplies Fourier coefficients so that what they stand for moves by so many Angstrom (x, y).
+    /// Multiplies Fourier coefficients by the phases that move their image by `way` Angstrom (x, y).
     fn move_by(&self, spectrum: &mut [Complex32], way: [f64; 2]) {
         if way == [0.0; 2] {
             return;
@@ -119,7 +118,7 @@ impl<'a> SingleScattering<'a> {
         }
     }
 
-    /// The same at one focus, and without mistilt.
+    /// As [`SingleScattering::probe`], at one focus and without mistilt.
     fn probe_in_focus(&self, depth: f64, beyond: f64) -> Buffer {
         let (ny, nx) = self.fft.shape();
         let (mut wave, norm) = self.probe_spectrum(depth);
@@ -180,7 +179,7 @@ impl ScatteringMap<'_> {
                 if share <= 0.0 {
                     continue;
                 }
-                // The transpose of interpolation, since images are interpolated from the samples.
+                // Atoms are added by the transpose of interpolation, since images are interpolated from the samples.
                 let (across, down) = (kernel.weights(x / step), kernel.weights(y / step));
                 for (i, wy) in down.values.iter().enumerate() {
                     let row = (down.first + i as i64).rem_euclid(ny as i64) as usize;
@@ -196,7 +195,7 @@ impl ScatteringMap<'_> {
     }
 
     /// The image: the fraction of the beam on the detector for a probe at each sample, rows = y and columns = x of the raster.
-    /// Only atoms further than `beyond` Angstrom from the probe, along x or y, count.
+    /// Atoms within `beyond` Angstrom of the probe, along x and y, are left out.
     pub fn image(&self, beyond: f64) -> Array2<f64> {
         let SingleScattering { fft, step, settings, .. } = self.raster;
         let (ny, nx) = fft.shape();
@@ -226,21 +225,21 @@ impl ScatteringMap<'_> {
             }
         }
         fft.inverse(&mut sum, &mut fft.scratch());
-        // The probe sums to its share over samples of step^2 each.
+        // The probe's intensity sums to its share of the beam over samples of step^2 each.
         let scale = self.atom.section / (step * step * (nx * ny) as f64);
         Array2::from_shape_fn((ny, nx), |(i, j)| f64::from(sum[i * fft.stride() + j].re) * scale)
     }
 }
 
-/// The cross section of an atom of an element for the first detector, in square Angstrom: the mean over the directions of the probe.
+/// The cross section of an atom of an element for the first detector, in square Angstrom, averaged over the directions of the probe.
 ///
 /// # Errors
-/// An element that the tables lack.
+/// [`crate::Error::UnknownElement`] for an element that the tables lack.
 pub fn cross_section_angstrom2(settings: &Settings, number: u8) -> Result<f64> {
     Ok(Integrals::new(settings, &settings.detectors[0], number)?.over_detector(0.0))
 }
 
-/// What an atom scatters, and the detector that it is integrated over; angles are in 1/Angstrom.
+/// The scattering amplitudes of an atom, and the detector over which they are integrated; angles are in 1/Angstrom.
 struct Integrals<'a> {
     detector: &'a Detector,
     per_mrad: f64,
@@ -272,8 +271,8 @@ impl<'a> Integrals<'a> {
         self.amplitudes[i] * (1.0 - t) + self.amplitudes[i + 1] * t
     }
 
-    /// The product of the waves that are scattered from two directions of the probe, `2 half` apart, over the detector: mean over
-    /// such pairs of directions. With `half` 0 the cross section in square Angstrom.
+    /// The product of the waves that are scattered from two directions of the probe, `2 half` apart, integrated over the detector and
+    /// averaged over pairs of directions. With `half` = 0 this is the cross section in square Angstrom.
     fn over_detector(&self, half: f64) -> f64 {
         let Integrals { detector, per_mrad, aperture, .. } = *self;
         let [inner, outer] = [detector.inner_mrad, detector.outer_mrad].map(|a| a * per_mrad);
@@ -312,7 +311,7 @@ impl Scatterer {
     }
 }
 
-/// Means of two directions within the aperture that are `2 half` apart along x: even over the overlap of the two shifted
+/// Midpoints of two directions within the aperture that are `2 half` apart along x: evenly distributed over the overlap of the two shifted
 /// apertures.
 fn directions(aperture: f64, half: f64) -> Vec<[f64; 2]> {
     let edge = |i: usize| ((i as f64 + 0.5) / DIRECTIONS as f64 * 2.0 - 1.0) * aperture;
@@ -322,7 +321,7 @@ fn directions(aperture: f64, half: f64) -> Vec<[f64; 2]> {
     if found.is_empty() { vec![[0.0; 2]] } else { found }
 }
 
-/// The share of the directions from which scattering by `p` leads onto the detector.
+/// The share of the directions from which scattering by `p` reaches the detector.
 fn seen(p: [f64; 2], directions: &[[f64; 2]], detector: &Detector, per_mrad: f64) -> f64 {
     let [inner, outer] = [detector.inner_mrad, detector.outer_mrad].map(|a| a * per_mrad);
     let square = |k: &[f64; 2]| (p[0] + k[0]).powi(2) + (p[1] + k[1]).powi(2);
@@ -385,7 +384,7 @@ mod tests {
         assert!((far[[100, 130]] / all[[100, 130]] - 1.0).abs() < 0.05);
         assert!(far[[100, 100]].abs() < 1e-3 * all[[100, 100]]);
         let share = far.sum() / all.sum();
-        // encircled energy of the Airy pattern outside 3 A: J0^2 + J1^2 at 15.8, 4.1 %, less what lies in the corners
+        // The encircled energy of the Airy pattern outside 3 A, J0^2 + J1^2 at 15.8, is 4.1 %, less the corners.
         assert!((0.025..0.05).contains(&share), "{share}");
     }
 }

@@ -1,7 +1,7 @@
-//! Which slices hold atoms near a window, and at which heights they act there: the others are passed in one step.
+//! Finds the slices with atoms near a window, and the heights at which they act there. Other slices are passed in one step.
 //!
-//! Particles, edges, tilted crystals and amorphous specimens have thin slices, and a window meets few atoms in each of
-//! them, or none. So a slice can act where the atoms are that its probes meet, not where all of its atoms are in the mean.
+//! Particles, edges, tilted crystals and amorphous specimens have thin slices, and a window meets few atoms in each of them, or none. So a
+//! slice can act at the height of its atoms near the window, not at the mean height of all its atoms.
 
 use super::grid::Grid;
 use super::phonons::displaced;
@@ -10,21 +10,21 @@ use crate::potential::projected::{PlacedAtom, Projection};
 use crate::potential::slices::Slicing;
 use crate::structure::Site;
 
-/// A slice without an atom so near to a window, in Angstrom, is empty there. On a tilted Pt particle of 2.8 nm, windows of
-/// 5.9 A and slices of 0.5 A, that changes bright pixels by 0.002 % rms (no pixel by more than 0.006 % of the maximum) and
-/// takes 0.38 times as long; with 0.5 A it would be 0.004 and 0.009 %, with 0 A 0.03 and 0.11 %.
+/// A slice is empty in a window if it has no atom within this distance from the window, in Angstrom. On a tilted Pt particle of 2.8 nm with
+/// windows of 5.9 A and slices of 0.5 A, this changes bright pixels by 0.002 % rms (no pixel by more than 0.006 % of the maximum) and takes
+/// 0.38 times as long. With 0.5 A the changes would be 0.004 and 0.009 %, with 0 A 0.03 and 0.11 %.
 const NEAR_ANGSTROM: f64 = 1.0;
-/// Atoms at this distance from the middle of a window, in Angstrom, count 1/e for the height at which their slice acts in it
-/// ([`Slicing::Local`]). Bright pixels of `cargo bench --bench slices`, slices of 0.5 A that do not join: 0.25 / 0.20 / 0.15 / 0.11 /
-/// 0.11 % off with equal weights and 4 / 2.5 / 1.5 / 1 A; 0.46 % where slices act at one height.
+/// Distance in Angstrom from the middle of a window at which an atom's weight is 1/e, for the height at which its slice acts in the window
+/// ([`Slicing::Local`]). Bright pixels of `cargo bench --bench slices`, with slices of 0.5 A that do not join, are off by 0.25 % with equal
+/// weights, and by 0.20 / 0.15 / 0.11 / 0.11 % with 4 / 2.5 / 1.5 / 1 A; by 0.46 % where slices act at one height.
 const MIDDLE_ANGSTROM: f64 = 1.5;
-/// Slices join while the weighted squares of their atoms' distances from where they act add to no more than that of this, in Angstrom.
-/// A Pt particle of 2.4 nm in any orientation, slices of 0.35 A, windows of 7.8 A, one configuration: bright pixels are 0.13 / 0.16 /
-/// 0.24 / 0.31 / 0.60 % off with 0.05 / 0.07 / 0.15 / 0.2 / 0.3 A, and a window passes a fifth fewer slices with 0.07 A than if none join.
+/// Slices join while the weighted sum of their atoms' squared distances from the common height is at most the square of this, in Angstrom.
+/// A Pt particle of 2.4 nm in any orientation, slices of 0.35 A, windows of 7.8 A, one configuration: bright pixels are 0.13 / 0.16 / 0.24
+/// / 0.31 / 0.60 % off with 0.05 / 0.07 / 0.15 / 0.2 / 0.3 A. With 0.07 A a window passes a fifth fewer slices than if none join.
 const JOINED_ANGSTROM: f64 = 0.07;
-/// Atoms further apart along the beam, in Angstrom, never act in one step, however far they are from the middle.
+/// Atoms further apart along the beam than this, in Angstrom, never act in one step, even far from the middle.
 const MOST_JOINED_ANGSTROM: f64 = 2.0;
-/// What an atom far from the middle counts at least, so that there is always a mean height.
+/// Least weight of an atom far from the middle, so that there is always a mean height.
 const LEAST_WEIGHT: f64 = 1e-9;
 /// Local heights are multiples of this, in Angstrom, so that few propagators serve all windows.
 const HEIGHT_STEP_ANGSTROM: f64 = 0.01;
@@ -34,12 +34,12 @@ const HEIGHT_STEP_ANGSTROM: f64 = 0.01;
 pub(super) struct LocalSlice {
     pub first: usize,
     pub last: usize,
-    /// Where their potentials act, in Angstrom.
+    /// Height at which the slices' potentials act, in Angstrom.
     pub height_angstrom: f64,
 }
 
 impl LocalSlice {
-    /// A number for each slice and height.
+    /// A key that is different for each slice and height.
     pub fn key(&self) -> (usize, usize, u64) {
         (self.first, self.last, self.height_angstrom.to_bits())
     }
@@ -59,7 +59,7 @@ struct Together {
 }
 
 impl Together {
-    /// The atoms of a slice, given with the squares of their distances from the middle of the window; `None` without any.
+    /// Joins the atoms of a slice, given as squared distance from the middle of the window, and height; `None` without atoms.
     fn new(slice: usize, atoms: impl Iterator<Item = (f64, f64)>) -> Option<Self> {
         let one = |(square, z): (f64, f64)| {
             let weight = LEAST_WEIGHT + (-square / MIDDLE_ANGSTROM.powi(2)).exp();
@@ -100,12 +100,12 @@ pub(super) struct SliceCoverage {
     grid: Grid,
     /// Points (x, y) of a window.
     window: [usize; 2],
-    /// x and y of the atoms in pixels within the cell, seen from windows that follow the beam, and their heights in Angstrom, by
+    /// x and y in pixels within the cell, seen from windows that follow the beam, and heights in Angstrom of each slice's atoms, by
     /// ascending y.
     slices: Vec<Vec<[f64; 3]>>,
-    /// Where slices act in the mean of the cell, in Angstrom.
+    /// Heights at which slices act in the mean of the cell, in Angstrom.
     planes: Vec<f64>,
-    /// Whether slices act where their atoms in a window are, and join others there.
+    /// Whether slices act at the height of their atoms in a window, and join others there.
     local: bool,
     /// Slices after which images are recorded, ascending: a step ends there.
     record_after: Vec<usize>,
@@ -118,7 +118,7 @@ impl SliceCoverage {
         let grid = plan.transmission_grid;
         let pixel = grid.sampling_angstrom();
         let sorted = |(atoms, plane): (&Vec<PlacedAtom>, &f64)| {
-            // Windows follow the beam; seen from them, slices move.
+            // Windows follow the beam, so slices move relative to them.
             let moved = plan.window_shift(*plane);
             let at = |a: &PlacedAtom| {
                 let [x, y] = [0, 1].map(|k| {
@@ -153,7 +153,7 @@ impl SliceCoverage {
             off[0].powi(2) + off[1].powi(2)
         };
         let met = |slice: usize| {
-            // From the window's first row on, around the edge of the cell: large fields have many atoms.
+            // The search begins at the window's first row and wraps around the edge of the cell, because large fields have many atoms.
             let atoms = &self.slices[slice];
             let (before, after) = atoms.split_at(atoms.partition_point(|a| a[1] < start[1]));
             let rows = after.iter().chain(before).take_while(|a| from(a, 1) <= most[1]);
@@ -166,7 +166,7 @@ impl SliceCoverage {
         self.joined((0..self.slices.len()).filter_map(|i| Together::new(i, met(i))))
     }
 
-    /// Steps for the atoms of slices, which join as long as little is lost by it.
+    /// Joins slices into steps as long as the error stays small.
     fn joined(&self, slices: impl Iterator<Item = Together>) -> Vec<LocalSlice> {
         let mut steps: Vec<Together> = Vec::new();
         for slice in slices {
@@ -189,12 +189,12 @@ impl SliceCoverage {
         steps.iter().map(Together::slice).collect()
     }
 
-    /// A slice where it acts in the mean of the cell.
+    /// A slice at its mean height in the cell.
     pub fn in_the_mean(&self, slice: usize) -> LocalSlice {
         LocalSlice { first: slice, last: slice, height_angstrom: self.planes[slice] }
     }
 
-    /// Makes every slice count as filled everywhere.
+    /// Makes every slice filled everywhere.
     #[cfg(test)]
     pub fn spread(&mut self) {
         self.spread = true;

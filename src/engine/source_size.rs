@@ -1,11 +1,11 @@
 //! The size of the electron source: images blurred by its intensity.
 //!
-//! An incoherent image is the convolution of that of a point source with the intensity of the source, demagnified to
-//! the specimen. Images of a scan are band-limited, so the convolution is exact as a product in Fourier space. A scan over
-//! the whole periodic cell is periodic itself; any other is made with a margin, which is cut off afterwards.
+//! An incoherent image is the convolution of the image of a point source with the intensity of the source, demagnified to the specimen.
+//! Images of a scan are band-limited, so the convolution is exact as a product in Fourier space. A scan over the whole periodic cell is
+//! periodic too. Any other scan is made with a margin, which is cut off afterwards.
 //!
 //! The source is a Gaussian, of which a share may be replaced by long tails: `(1 + r^2 / g^2)^(-3/2)`, the Lorentz profile in two
-//! dimensions (its projection onto a line is a Lorentzian), of the same full width at half maximum.
+//! dimensions (its projection onto a line is a Lorentzian), with equal full width at half maximum.
 
 use std::f64::consts::{LN_2, PI};
 
@@ -18,18 +18,18 @@ use crate::error::{Error, Result};
 use crate::fft::{Fft2, frequency};
 use crate::setting::Setting;
 
-/// What of the source may lie beyond the margin, at any distance, of its whole.
+/// Largest value of the normalised kernel at any pixel beyond the margin.
 const BEYOND_MARGIN: f64 = 5e-5;
 /// Largest source in Angstrom.
 const LARGEST_ANGSTROM: f64 = 10.0;
-/// A scan ends where the cell does if it does so to this part of a step.
+/// A scan ends at the edge of the cell if the difference is below this part of a step.
 const WHOLE: f64 = 1e-6;
-/// Lengths in pixels at which the margin is sought.
+/// Largest margin in pixels.
 const LONGEST_MARGIN: usize = 400;
-/// Lorentz tails end so many full widths from the middle, falling to nothing over the last half of the way, and their
-/// integral is 1: what a tail without end would have further out, 8 % of it, cannot be told from a larger share of the Gaussian.
+/// Lorentz tails end at this number of full widths from the middle. They fall to zero over the last half of the way and have integral 1.
+/// An infinite tail would have 8 % of its intensity further out; images cannot distinguish this from a larger share of the Gaussian.
 const TAIL_WIDTHS: f64 = 5.0;
-/// Points of the integral over a tail, and of its transfer function.
+/// Number of points of the integral over a tail, and of its transfer function.
 const TAIL_POINTS: usize = 800;
 
 /// An electron source, demagnified to the specimen.
@@ -59,7 +59,7 @@ impl Source {
         Source { fwhm_angstrom, lorentz_share: 0.0 }
     }
 
-    /// Checks that there are such sources.
+    /// Checks the ranges of width and share.
     ///
     /// # Errors
     /// [`Error::Invalid`] with the range.
@@ -76,7 +76,7 @@ impl Source {
         Ok(())
     }
 
-    /// Pixels of `step` Angstrom beyond which the source is nothing.
+    /// Distance in pixels of `step` Angstrom beyond which the source has no intensity.
     fn reach(&self, step: f64) -> usize {
         let gaussian = reach(self.fwhm_angstrom / (8.0 * LN_2).sqrt() / step);
         if self.lorentz_share == 0.0 {
@@ -90,7 +90,7 @@ impl Source {
         let end = TAIL_WIDTHS * self.fwhm_angstrom;
         let width = 0.5 * self.fwhm_angstrom / (2.0_f64.powf(2.0 / 3.0) - 1.0).sqrt();
         let step = end / TAIL_POINTS as f64;
-        // the trapezoidal rule: the integrand is even, and flat where it ends
+        // The trapezoidal rule is accurate: the integrand is even, and flat at its end.
         let ring = |i: usize| {
             let r = i as f64 * step;
             let beyond = (2.0 * r / end - 1.0).max(0.0);
@@ -108,10 +108,10 @@ impl Source {
 }
 
 impl SourceBlur {
-    /// For a source and a scan in a periodic cell (x, y).
+    /// Prepares the blur for a source and a scan in a periodic cell (x, y).
     ///
     /// # Errors
-    /// Those of [`Source::validate`].
+    /// Errors of [`Source::validate`].
     pub fn new(source: Source, scan: &Scan, cell_angstrom: [f64; 2]) -> Result<Self> {
         source.validate()?;
         let margin = [0, 1].map(|k| {
@@ -139,12 +139,12 @@ impl SourceBlur {
         self.margin
     }
 
-    /// The blurred image, [row = y, column = x], without margin, from that of the wide scan for a point source.
+    /// Blurs the image of the wide scan for a point source and cuts off the margin. The result is [row = y, column = x].
     pub fn image(&self, image: ArrayView2<'_, f32>) -> Array2<f32> {
         self.blurred(image.mapv(f64::from)).mapv(|v| v as f32)
     }
 
-    /// The same in double precision.
+    /// Blurs an image as [`SourceBlur::image`] does, in double precision.
     pub fn blurred(&self, sharp: Array2<f64>) -> Array2<f64> {
         let tails = (self.source.lorentz_share > 0.0).then(|| self.tails(&sharp));
         let mut data = sharp;
@@ -168,7 +168,7 @@ impl SourceBlur {
         data.slice_move(s![y..rows - y, x..columns - x])
     }
 
-    /// The image blurred by the Lorentz profile alone, with its margin.
+    /// The image blurred by the Lorentz profile only, with its margin.
     fn tails(&self, sharp: &Array2<f64>) -> Array2<f64> {
         let (ny, nx) = sharp.dim();
         let [dx, dy] = self.wide.step_angstrom;
@@ -208,7 +208,7 @@ fn kernel(sigma: f64, n: usize) -> Vec<f64> {
     (0..n).map(value).collect()
 }
 
-/// Pixels beyond which the kernel is nothing.
+/// Distance in pixels beyond which the kernel is zero.
 fn reach(sigma: f64) -> usize {
     let far = kernel(sigma, 2 * LONGEST_MARGIN);
     let beyond = (1..LONGEST_MARGIN).rev().find(|i| far[*i].abs() > BEYOND_MARGIN);
@@ -268,7 +268,7 @@ mod tests {
         assert!(SourceBlur::new(share, &part, CELL).is_err());
     }
 
-    /// A wave of the cell is damped by the transform of the profile, known in closed form for tails without end: `exp(-2 pi g k)`.
+    /// A wave of the cell is damped by the transform of the profile, which has a closed form for infinite tails: `exp(-2 pi g k)`.
     #[test]
     fn lorentz_tails_damp_as_their_transform() {
         let fwhm_angstrom = 0.8;
@@ -278,7 +278,7 @@ mod tests {
         assert!((table[0] - 1.0).abs() < 1e-12);
         for (i, value) in table.iter().enumerate().skip(TAIL_POINTS / 4) {
             let k = 2.0 * i as f64 / TAIL_POINTS as f64;
-            // what the end of the tails leaves out is a disk of 9 A, seen at k = 0 only
+            // The end of the tails removes a contribution as wide as a disk of 9 A, which is seen at k = 0 only.
             let expected = libm::exp(-2.0 * PI * g * k);
             assert!(
                 (value - expected * table_norm(&source)).abs() < 4e-3,
@@ -287,14 +287,14 @@ mod tests {
         }
     }
 
-    /// One over the integral of the profile within its end, over that without end.
+    /// The integral of the infinite profile over its integral within the end.
     fn table_norm(source: &Source) -> f64 {
         let g = 0.5 * source.fwhm_angstrom / (2.0_f64.powf(2.0 / 3.0) - 1.0).sqrt();
         let end = 0.75 * TAIL_WIDTHS * source.fwhm_angstrom;
         1.0 / (1.0 - 1.0 / (1.0 + (end / g).powi(2)).sqrt())
     }
 
-    /// With its margin, a part of the cell is what the whole cell shows there.
+    /// With its margin, a part of the cell looks as in an image of the whole cell.
     #[test]
     fn tails_do_not_wrap() {
         let source = Source { fwhm_angstrom: 0.8, lorentz_share: 0.3 };

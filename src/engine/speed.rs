@@ -1,4 +1,4 @@
-//! How fast this machine propagates waves.
+//! Measures how fast this machine propagates waves.
 
 use super::plan::Plan;
 use super::stepper::{StepWorkspace, Stepper};
@@ -13,10 +13,9 @@ use std::time::{Duration, Instant};
 pub struct Speed {
     /// Multislice steps per second, all threads together.
     pub steps_per_s: f64,
-    /// The same in nominal operations, `2 * 5 N log2 N` a step, in GFLOP/s.
+    /// Multislice steps in nominal operations, `2 * 5 N log2 N` a step, in GFLOP/s.
     pub step_gflops: f64,
-    /// Forward and inverse transforms of the same arrays with nothing between them, in nominal
-    /// GFLOP/s.
+    /// Forward and inverse transforms of the same arrays without other work, in nominal GFLOP/s.
     pub fft_gflops: f64,
 }
 

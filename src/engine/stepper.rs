@@ -24,16 +24,16 @@ pub(super) struct Stepper {
     wavelength: f64,
     /// Points (x, y) of the cell that windows move over.
     cell: [usize; 2],
-    /// How far the beam moves (x, y), in Angstrom, on its way down by one Angstrom.
+    /// Displacement of the beam (x, y) in Angstrom for each Angstrom of depth.
     slope: [f64; 2],
     anti_aliasing: BandLimit,
     /// Columns within the band limit.
     band: Vec<Range<usize>>,
-    /// How many pixels (x, y) windows have moved at each slice.
+    /// Pixels (x, y) by which windows have moved at each slice.
     window_moves: Vec<[i64; 2]>,
     /// Propagators for the distances met so far.
     propagators: Vec<BandLimitedMultiplier>,
-    /// The index of the propagator for a distance in 1e-9 Angstrom, in which windows move so many pixels (x, y).
+    /// Index of the propagator for a distance in 1e-9 Angstrom over which windows move by these pixels (x, y).
     by_distance: HashMap<(i64, [i64; 2]), usize>,
 }
 
@@ -44,7 +44,7 @@ pub(super) struct SliceStep {
     last: usize,
     /// Index of the propagator to its plane.
     propagator: usize,
-    /// How many pixels (x, y) windows have moved there.
+    /// Pixels (x, y) by which windows have moved there.
     moved: [i64; 2],
 }
 
@@ -61,18 +61,18 @@ pub(super) struct StepWorkspace {
     pub fft: Scratch,
     /// A block of rows of a transmission function.
     block: Buffer,
-    /// The same row by row, as a product.
+    /// The block row by row, as a product.
     product: Buffer,
 }
 
-/// Waves of so many bytes in all stay in a core's cache.
+/// Waves of this total size in bytes stay in a core's cache.
 const GROUP_BYTES: usize = 1 << 20;
-/// Larger waves step in groups of so many: reading the transmission function from memory then takes little of the time.
+/// Number of larger waves that step together: reading the transmission function from memory then takes little of the time.
 const LARGE_GROUP: usize = 4;
-/// More waves together gain nothing.
+/// Largest number of waves that step together. More do not make it faster.
 const MOST_TOGETHER: usize = 16;
 
-/// How many waves of `wave_bytes` each should step together.
+/// Number of waves, of `wave_bytes` each, that should step together.
 pub(super) fn waves_together(wave_bytes: usize) -> usize {
     (GROUP_BYTES / wave_bytes.max(1)).clamp(LARGE_GROUP, MOST_TOGETHER)
 }
@@ -99,8 +99,8 @@ impl Stepper {
         }
     }
 
-    /// The steps of a wave that starts at `start` and passes the given slices, and the plane where it ends: heights in
-    /// Angstrom, and how many pixels (x, y) windows have moved there. Slices left out are crossed in one step.
+    /// The steps of a wave that starts at `start` and passes the given slices, and the plane where it ends: heights in Angstrom, and pixels
+    /// (x, y) by which windows have moved there. Omitted slices are crossed in one step.
     pub fn path(
         &mut self,
         start: (f64, [i64; 2]),
@@ -109,7 +109,7 @@ impl Stepper {
         let mut at = start;
         let mut steps = Vec::new();
         for LocalSlice { first, last, height_angstrom } in slices {
-            // Windows move with the beam's place at the first slice of a step; the propagator knows.
+            // Windows move with the beam's place at the first slice of a step; the propagator includes this.
             let plane = (height_angstrom, self.window_moves[first]);
             let pixels = [0, 1].map(|k| plane.1[k] - at.1[k]);
             let propagator = self.propagator_index(plane.0 - at.0, pixels);
@@ -119,7 +119,7 @@ impl Stepper {
         (steps, at)
     }
 
-    /// How many waves should step together.
+    /// Number of waves that should step together.
     pub fn waves_together(&self) -> usize {
         waves_together(self.fft.buffer_len() * size_of::<Complex32>())
     }
@@ -133,7 +133,7 @@ impl Stepper {
         }
     }
 
-    /// Propagates waves to where a step acts, and transmits them.
+    /// Propagates waves to the plane of a step, and transmits them.
     pub fn propagate(
         &self,
         waves: &mut [Buffer],
@@ -173,7 +173,7 @@ impl Stepper {
         }
     }
 
-    /// [`Stepper::propagate`] with the transmission function as [`Stepper::arrange`] made it.
+    /// Steps waves as [`Stepper::propagate`] does, with a transmission function from [`Stepper::arrange`].
     pub fn propagate_through(
         &self,
         waves: &mut [Buffer],
@@ -185,8 +185,8 @@ impl Stepper {
         self.transmit(waves, transmission, w);
     }
 
-    /// A block of rows of the transmission function of a step in a window, in the order of [`Fft2::arrange_block`]: the product of
-    /// those of its slices, of which those without atoms are 1.
+    /// A block of rows of the transmission function of a step in a window, in the order of [`Fft2::arrange_block`]. It is the product of
+    /// the functions of its slices; slices without atoms are 1.
     fn arrange_rows(
         &self,
         (step, b): (SliceStep, usize),
@@ -221,7 +221,7 @@ impl Stepper {
         self.fft.arrange_block(product, width, out);
     }
 
-    /// The pixel (row, column) of the cell under the first of a window that began at `origin` and moved so many pixels (x, y).
+    /// The pixel (row, column) of the cell under the first pixel of a window that began at `origin` and moved by these pixels (x, y).
     fn moved(&self, origin: (usize, usize), by: [i64; 2]) -> (usize, usize) {
         let along =
             |from: usize, k: usize| (from as i64 + by[k]).rem_euclid(self.cell[k] as i64) as usize;
@@ -248,8 +248,8 @@ impl Stepper {
         self.propagators.len() - 1
     }
 
-    /// The propagator `exp(-i pi lambda dz k^2 - 2 pi i k.s)` over `distance` dz (Angstrom) within the band limit, divided by
-    /// the number of pixels. s is the way of the tilted beam, less the `pixels` (x, y) that windows follow it.
+    /// The propagator `exp(-i pi lambda dz k^2 - 2 pi i k.s)` over `distance` dz (Angstrom) within the band limit, divided by the number of
+    /// pixels. s is the displacement of the tilted beam, less the `pixels` (x, y) by which windows follow it.
     pub fn propagator(&self, distance: f64, pixels: [i64; 2]) -> BandLimitedMultiplier {
         let (ny, nx) = self.grid.shape();
         let (dk, pixel) = (self.grid.dk(), self.grid.sampling_angstrom());
@@ -304,8 +304,7 @@ impl Stepper {
         self.fft.convolve_columns(waves, &self.band, propagator, scratch);
     }
 
-    /// Turns Fourier coefficients into the form that steps work on. Columns outside `live` (see
-    /// [`Fft2::band_columns`]) must be zero.
+    /// Turns Fourier coefficients into the form that steps need. Columns outside `live` (from [`Fft2::band_columns`]) must be zero.
     pub fn start(&self, wave: &mut [Complex32], live: &[Range<usize>], scratch: &mut Scratch) {
         let row_length = self.fft.shape().1 as f32;
         for range in live {

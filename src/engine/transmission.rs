@@ -40,13 +40,13 @@ pub(super) struct TransmissionBuilder<'a> {
     plan: &'a Plan,
     elements: Vec<u8>,
     usual: PhaseGrating,
-    /// For slices with atoms too close for [`crate::potential::cores`]; made when first needed.
+    /// For slices with atoms that are too close for [`crate::potential::cores`]; made when first needed.
     oversampled: OnceLock<PhaseGrating>,
     /// Transform of the transmission grid.
     coarse: Fft2,
     layout: TransmissionLayout,
     workspaces: WorkspacePool<TransmissionWorkspace>,
-    /// Arrays of transmission functions of earlier configurations, to be written anew.
+    /// Arrays of transmission functions of earlier configurations, which are overwritten.
     arrays: WorkspacePool<Buffer>,
 }
 
@@ -86,7 +86,7 @@ impl<'a> TransmissionBuilder<'a> {
     /// The transmission functions of one phonon configuration.
     ///
     /// # Errors
-    /// [`Error::Interrupted`], and an element that the tables lack.
+    /// [`Error::Interrupted`], and [`crate::Error::UnknownElement`] for an element that the tables lack.
     pub fn build(
         &self,
         sites: &[Site],
@@ -134,7 +134,7 @@ impl<'a> TransmissionBuilder<'a> {
         self.arrays.give(transmission.slices.into_iter().flatten());
     }
 
-    /// An array of `len` elements with any contents.
+    /// An array of `len` elements with arbitrary contents.
     fn array(&self, len: usize) -> Buffer {
         self.arrays.take(|| Buffer::zeros(len))
     }
@@ -186,7 +186,7 @@ impl<'a> TransmissionBuilder<'a> {
 }
 
 impl Transmission {
-    /// Of these slices, those that hold atoms, where they act in the mean of the cell.
+    /// The slices of a range that contain atoms, at their mean heights in the cell.
     pub fn filled(&self, slices: Range<usize>) -> impl Iterator<Item = LocalSlice> {
         slices.filter(|&i| self.slices[i].is_some()).map(|i| self.coverage.in_the_mean(i))
     }

@@ -1,9 +1,8 @@
-//! Work spaces that threads take turns with.
+//! A pool of work spaces that threads share.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// The work spaces that no thread uses at the moment. However finely work is split, there are never more work
-/// spaces than threads.
+/// The work spaces that no thread uses at the moment. There are never more than threads, however finely the work is divided.
 pub(super) struct WorkspacePool<T>(Mutex<Vec<T>>);
 
 impl<T> WorkspacePool<T> {
@@ -25,7 +24,7 @@ impl<T> WorkspacePool<T> {
         free.unwrap_or_else(make)
     }
 
-    /// Gives work spaces back.
+    /// Returns work spaces to the pool.
     pub fn give(&self, workspaces: impl IntoIterator<Item = T>) {
         self.free().extend(workspaces);
     }

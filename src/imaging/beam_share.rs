@@ -1,28 +1,28 @@
-//! The share of the beam that low-angle detectors miss because probes are cropped.
+//! Corrects the share of the beam that low-angle detectors miss because probes are cropped.
 //!
-//! Windows and large boxes crop the tail of a probe. What of it passes the specimen falls on detectors within the aperture, so that their
-//! images lack a few per cent, nearly the same everywhere: ABF 10-21 mrad of SrTiO3 (10 nm, windows of 7.8 A) lacks 4.5 %, and is right
-//! to 0.4 % when multiplied by the factor that makes it right without a specimen.
+//! Windows and large boxes crop the tail of a probe. The electrons of the tail that pass the specimen unscattered belong on detectors
+//! within the aperture, so their images lack a few per cent, nearly the same everywhere. Example: ABF 10-21 mrad of SrTiO3
+//! (10 nm, windows of 7.8 A) lacks 4.5 %. Its error is 0.4 % after scaling with the factor that makes vacuum right.
 
 use crate::detect::Detector;
 use crate::engine::{Plan, Scan, Settings, Simulation, direct_share};
 use crate::error::Result;
 use crate::progress::Silent;
 
-/// Version of the factors, part of the keys of images that they scale.
+/// Version of the factors. It is part of the keys of scaled images.
 pub const VERSION: u32 = 1;
 
-/// What the images on each detector are multiplied by. Recipes with one detector have 1: their images stay as they are.
+/// The factors by which the images on each detector are multiplied. With one detector the factor is 1: its image is not scaled.
 ///
 /// # Errors
-/// Those of the engine.
+/// Errors of the engine.
 pub fn beam_factors(plan: &Plan) -> Result<Vec<f64>> {
     let settings = &plan.settings;
     let wanted = |d: &Detector| settings.detectors.len() > 1 && seen_directly(settings, d) > 0.0;
     if !settings.large_probe_box() || !settings.detectors.iter().any(wanted) {
         return Ok(vec![1.0; settings.detectors.len()]);
     }
-    // One probe in the middle, without a specimen.
+    // The factor comes from one probe in the middle, without a specimen.
     let middle = [0, 1].map(|k| 0.5 * plan.transmission_grid.extent_angstrom[k]);
     let scan = Scan { origin_angstrom: middle, step_angstrom: [1.0; 2], shape: [1, 1] };
     let images = Simulation::new(plan, &[])?.images(&[], &scan, &Silent)?;
@@ -36,7 +36,7 @@ pub fn beam_factors(plan: &Plan) -> Result<Vec<f64>> {
     Ok(settings.detectors.iter().enumerate().map(factor).collect())
 }
 
-/// The share of the beam on a detector without a specimen; 0 for one that reaches out of the aperture.
+/// The share of the beam on a detector without a specimen; 0 for a detector that reaches beyond the aperture.
 fn seen_directly(settings: &Settings, detector: &Detector) -> f64 {
     match detector.outer_mrad <= settings.optics.semiangle_mrad {
         true => direct_share(settings, detector),

@@ -1,4 +1,4 @@
-//! Which imager makes a field, and whether it is as right as asked.
+//! Chooses the imager of a field, and checks that its error is as small as requested.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -22,80 +22,80 @@ use crate::progress::{Progress, duration};
 use crate::recipe::CheckedRecipe;
 use crate::specimen::Specimen;
 
-/// Windows in Angstrom that are tried in turn for a requested error.
+/// Widths of windows in Angstrom, tried in this order when the error is larger than requested.
 const WIDER: [f64; 2] = [11.7, 15.6];
-/// How long the speed of the exact engine is measured before it takes the place of windows.
+/// Duration of the measurement of the exact engine's speed, before this engine replaces windows.
 const SPEED_MEASURED: Duration = Duration::from_millis(300);
 
-/// What may be made of a field besides simulating all of it.
+/// Which imagers may replace the direct simulation of the whole field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MethodChoice {
-    /// Films with particles by their parts, mosaics where they take less, else direct simulation.
+    /// The film imager for particles on films, a mosaic where it is cheaper, else direct simulation.
     Auto,
-    /// A mosaic wherever anything repeats, whether it pays or not.
+    /// A mosaic wherever anything repeats, cheaper or not.
     Mosaic,
     /// Direct simulation.
     Direct,
 }
 
-/// How images of a field are to be made.
+/// How the images of a field are made.
 #[derive(Debug, Clone)]
 pub struct ImagingChoice {
-    /// Simulates the library of a mosaic, the particles on a film, or all.
+    /// Simulates the library of a mosaic, the particles on a film, or the whole field.
     pub simulator: Simulator,
-    /// What else may be done.
+    /// The allowed alternatives to direct simulation.
     pub method: MethodChoice,
-    /// Where images of the library are kept.
+    /// The cache of the library's images.
     pub cache: Cache,
 }
 
-/// The imager of a field, yet to be prepared.
+/// The imager of a field, not yet prepared.
 pub struct ChosenImager {
-    /// It.
+    /// The imager.
     pub imager: Box<dyn RegionImager>,
-    /// Whether it takes less than simulating the whole field.
+    /// Whether the imager is cheaper than a simulation of the whole field.
     shares: bool,
-    /// Whether it is a mosaic whose images were audited when they were made.
+    /// Whether the imager is a mosaic whose library was audited when it was made.
     known: bool,
-    /// A mosaic that would not pay.
+    /// The cost of a mosaic that was not chosen because it would not be cheaper.
     declined: Option<MosaicCost>,
 }
 
 impl ChosenImager {
-    /// Whether it takes less than simulating the whole field.
+    /// Whether the imager is cheaper than a simulation of the whole field.
     pub fn shares(&self) -> bool {
         self.shares
     }
 
-    /// What making a field takes, of which each of `subtiles` parts has `subtile` (rows, columns) pixels.
+    /// The cost of a field of `subtiles` parts, each of `subtile` (rows, columns) pixels.
     ///
     /// # Errors
-    /// Those of the plan.
+    /// Errors of [`crate::engine::Plan::new`].
     pub fn cost(&self, subtile: [usize; 2], subtiles: usize) -> Result<ImagingCost> {
         let cost = self.imager.cost(subtile, subtiles)?;
         Ok(ImagingCost { mosaic: cost.mosaic.or_else(|| self.declined.clone()), ..cost })
     }
 }
 
-/// How right an imager has to be before a world is made with it.
+/// How accurate an imager has to be before it makes a world.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ImagingCheck {
-    /// What is compared; nothing when `None`.
+    /// The audit; no audit when `None`.
     pub audit: Option<AuditOptions>,
-    /// Largest error that is accepted, in per cent: rms at bright columns of their intensity, and of all pixels of
-    /// the brightest column.
+    /// Largest accepted error in per cent. It limits both the rms error at bright columns, relative to their intensity, and the rms error
+    /// of all pixels, relative to the brightest column.
     pub max_error_percent: Option<f64>,
-    /// Largest rms error of all pixels that is accepted, in per cent of the mean image.
+    /// Largest accepted rms error of all pixels, in per cent of the mean image.
     pub accuracy_percent: Option<f64>,
-    /// Audit fields that are simulated directly too.
+    /// Whether fields that are simulated directly are audited too.
     pub direct: bool,
 }
 
 impl ImagingChoice {
-    /// The imager of a field, yet to be prepared.
+    /// The imager of a field, not yet prepared.
     ///
     /// # Errors
-    /// Those of the settings.
+    /// Invalid settings.
     pub fn imager(
         &self,
         recipe: &CheckedRecipe,
@@ -104,11 +104,11 @@ impl ImagingChoice {
         Ok(self.chosen(recipe, specimen)?.imager)
     }
 
-    /// The imager of one of many specimens that differ in little but their seed. It shares the library of a mosaic with the others,
-    /// and need not be prepared: what an image needs first is then read from the cache, or simulated.
+    /// The imager of one of many specimens that differ in little but their seed. It shares the library of a mosaic with the others and need
+    /// not be prepared: a library cell is read from the cache, or simulated, when an image first needs it.
     ///
     /// # Errors
-    /// Those of the settings.
+    /// Invalid settings.
     pub fn imager_of_many(
         &self,
         recipe: &CheckedRecipe,
@@ -129,10 +129,10 @@ impl ImagingChoice {
         self.finished(imager, recipe, &**specimen)
     }
 
-    /// The imager of a field, yet to be prepared, and why it was chosen.
+    /// The imager of a field, not yet prepared, with the facts that led to its choice.
     ///
     /// # Errors
-    /// Those of the settings.
+    /// Invalid settings.
     pub fn chosen(
         &self,
         recipe: &CheckedRecipe,
@@ -158,10 +158,10 @@ impl ImagingChoice {
         Ok(ChosenImager { imager, shares: false, known: false, declined })
     }
 
-    /// The mosaic of a field, if its images are made from one.
+    /// The mosaic of a field, or `None` if its images are made otherwise.
     ///
     /// # Errors
-    /// Those of the settings.
+    /// Invalid settings.
     pub fn mosaic(
         &self,
         recipe: &CheckedRecipe,
@@ -178,7 +178,7 @@ impl ImagingChoice {
         Ok(Some(mosaic).filter(|m| self.method == MethodChoice::Mosaic || m.pays()))
     }
 
-    /// An imager of the specimen alone for a point source, with the layers on its faces, and blurred by the source.
+    /// Adds the layers on the faces, and then the blur of the source, to an imager of the bare specimen for a point source.
     fn finished(
         &self,
         imager: Box<dyn RegionImager>,
@@ -202,7 +202,7 @@ impl ImagingChoice {
         DirectImager::new(recipe, specimen, self.simulator.clone())
     }
 
-    /// This, and if `more` the same with wider windows.
+    /// This choice, and if `more`, copies of it with wider windows.
     fn widening(&self, more: bool) -> Vec<ImagingChoice> {
         let mut choices = vec![self.clone()];
         let Some(now) = self.simulator.window_angstrom() else { return choices };
@@ -213,13 +213,13 @@ impl ImagingChoice {
         choices
     }
 
-    /// Prepares the imager of a field, `first` if it is right enough; returns the audit of what was chosen, if one was asked
-    /// for. Imagers that simulate the field itself, and mosaics of nothing but the library that comes along, are audited only where
-    /// that or a largest error is asked for. Where the error
-    /// is too large, wider windows are tried, then direct simulation in windows, and then the exact engine takes their place.
+    /// Prepares the imager of a field and audits it. Takes `first` if its error is accepted. Otherwise tries wider windows, then direct
+    /// simulation in windows, then the exact engine. Returns the imager and its audit, if one was requested. Imagers that simulate the
+    /// field directly, and mosaics made from the supplied library alone, are audited only where [`ImagingCheck`] asks for it or limits the
+    /// error.
     ///
     /// # Errors
-    /// Those of the engine, and [`crate::Error::Interrupted`].
+    /// Errors of the engine, and [`crate::Error::Interrupted`].
     pub fn checked_imager(
         &self,
         recipe: &CheckedRecipe,
@@ -271,7 +271,7 @@ impl ImagingChoice {
         Ok((exact.blurred_direct(recipe, specimen)?, None))
     }
 
-    /// The time that simulating the whole field takes, from a short measurement.
+    /// Estimates the time of a simulation of the whole field, from a short measurement.
     fn time(&self, recipe: &CheckedRecipe, specimen: &Arc<dyn Specimen>) -> Result<String> {
         let shape = recipe.field.pixels(recipe.field.built_grid());
         let block = self.direct(recipe, specimen)?.block(shape);
@@ -285,23 +285,23 @@ impl ImagingChoice {
 }
 
 impl ImagingCheck {
-    /// Whether an error is asked for.
+    /// Whether the error is limited.
     pub fn limited(&self) -> bool {
         self.max_error_percent.is_some() || self.accuracy_percent.is_some()
     }
 
-    /// Whether an audit is asked for, whatever the imager.
+    /// Whether an audit is requested for any kind of imager.
     pub fn asked(&self) -> bool {
         self.direct || self.limited()
     }
 
-    /// Whether what an audit found is as right as asked.
+    /// Whether the errors in an audit are within the limits, on all detectors.
     fn accepts(&self, found: Option<&Audit>, progress: &dyn Progress) -> bool {
         let Some(found) = found else { return true };
         found.all().all(|found| self.accepts_one(found, progress))
     }
 
-    /// Whether what was found for one detector is.
+    /// Whether the errors on one detector are within the limits.
     fn accepts_one(&self, found: &Audit, progress: &dyn Progress) -> bool {
         let asked = [
             (found.error_percent(), self.max_error_percent),

@@ -1,4 +1,4 @@
-//! Simulates the atoms of each rectangle as they lie.
+//! Direct simulation: every rectangle is simulated with its own atoms.
 
 use std::sync::Arc;
 
@@ -19,16 +19,16 @@ use crate::recipe::{CheckedRecipe, Region};
 use crate::resample::image_band_limit;
 use crate::specimen::{Specimen, SurfaceLayers};
 
-/// Edge in nm of the blocks in which the exact engine makes a rectangle: each probe takes as long as its cell is large.
+/// Edge in nm of the blocks in which the exact engine makes a rectangle. The time of a probe grows with the area of its cell.
 const EXACT_BLOCK_NM: f64 = 1.0;
 
-/// See the module.
+/// Simulates each rectangle with the atoms that lie there.
 #[derive(Clone)]
 pub struct DirectImager {
     recipe: CheckedRecipe,
     specimen: Arc<dyn Specimen>,
     layers: Option<Arc<SurfaceLayers>>,
-    /// Focused as the recipe says, counted from the specimen's face, not from that of a layer before it.
+    /// Its defocus is the recipe's, counted from the face of the specimen, also where a layer lies before it.
     simulator: Simulator,
 }
 
@@ -50,7 +50,7 @@ impl DirectImager {
         Ok(DirectImager { recipe, specimen, layers, simulator })
     }
 
-    /// Rows and columns of the pixels of a rectangle that are simulated in one cell.
+    /// Rows and columns of the pixels that are simulated in one cell, for a rectangle of this shape.
     pub fn block(&self, shape: [usize; 2]) -> [usize; 2] {
         let most = (EXACT_BLOCK_NM / self.recipe.field.pixel_nm()).ceil() as usize;
         match self.simulator.is_exact() {
@@ -59,7 +59,7 @@ impl DirectImager {
         }
     }
 
-    /// Thickness in nm of specimen and layers.
+    /// Thickness in nm of the specimen with the layers on its faces.
     fn thickness_nm(&self) -> f64 {
         let specimen = self.specimen.facts().thickness_nm;
         self.layers.as_ref().map_or(specimen, |layers| 0.1 * layers.thickness_angstrom())
@@ -93,10 +93,10 @@ impl DirectImager {
     }
 }
 
-/// The plan for a rectangle of `shape` (rows, columns) pixels somewhere in the built field.
+/// Plans the simulation of a rectangle of `shape` (rows, columns) pixels somewhere in the built field.
 ///
 /// # Errors
-/// Those of [`crate::engine::Plan::new`].
+/// Errors of [`crate::engine::Plan::new`].
 pub fn rectangle_plan(
     recipe: &CheckedRecipe,
     specimen: &dyn Specimen,
@@ -113,7 +113,7 @@ pub fn rectangle_plan(
     };
     let mut z = heights(&somewhere);
     if z.is_empty() {
-        // A specimen with empty corners is there in the middle.
+        // Specimens with empty corners have atoms in the middle.
         let built = field.pixels(field.built_grid());
         let half = [built[0].saturating_sub(rows) / 2, built[1].saturating_sub(columns) / 2];
         somewhere = Region::of_pixels([0, 1].map(|k| first[k] + half[k]), [rows, columns], pixel);

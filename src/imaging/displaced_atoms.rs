@@ -1,4 +1,4 @@
-//! The atoms of a field, phonon configuration by configuration.
+//! The displaced atoms of a field in each phonon configuration.
 
 use crate::engine::Site;
 use crate::engine::phonons::displaced;
@@ -12,16 +12,16 @@ use crate::specimen::surface_layers::SurfaceLayers;
 /// Displaced atoms of an area.
 #[derive(Debug, Default)]
 pub struct DisplacedAtoms {
-    /// The atoms where they are, in Angstrom from the area's corner.
+    /// Displaced positions in Angstrom from the area's corner.
     pub sites: Vec<Site>,
-    /// Their mean heights in Angstrom, which decide where slices are cut.
+    /// Mean heights of the atoms in Angstrom. They decide where slices are cut.
     pub heights: Vec<f64>,
 }
 
 /// The atoms of an area at their mean positions, in Angstrom from its corner.
 pub fn mean_atoms(specimen: &dyn Specimen, area: &Region, phonons: &PhononTable) -> Vec<Site> {
     let corner = [area.x[0], area.y[0]];
-    // A site may lie on the other side of the edge than its column.
+    // A site may lie on the other side of the area's edge than its column.
     let mut sites = specimen.sites(&area.grown(DISPLACED_NM));
     sites.retain(|s| area.contains([s.position_nm[0], s.position_nm[1]]));
     sites.iter().filter_map(|s| s.atom(corner, phonons)).collect()
@@ -37,8 +37,8 @@ pub fn displaced_by_seed(
     displaced_atoms(specimen, area, which, phonons, |_| None::<fn(usize) -> [f64; 3]>)
 }
 
-/// The same, but for columns that move otherwise: `of_column` gives, for such a column, the displacement of its n-th site in
-/// standard deviations along the axes of the field.
+/// Displaces atoms as [`displaced_by_seed`] does, except in columns for which `of_column` gives displacements: it returns the displacement
+/// of the column's n-th site, in standard deviations along the axes of the field.
 pub fn displaced_atoms<M: Fn(usize) -> [f64; 3]>(
     specimen: &dyn Specimen,
     area: &Region,
@@ -70,8 +70,8 @@ pub fn displaced_atoms<M: Fn(usize) -> [f64; 3]>(
     atoms
 }
 
-/// The atoms of a specimen's area with those of the layers on its faces, in Angstrom from the face that the beam enters first. A beam
-/// that moves by `slope` (x, y) on each Angstrom of its way meets the specimen where it would without layers.
+/// Adds the atoms of the layers on the faces to the atoms of a specimen's area. Heights are in Angstrom from the face that the beam enters
+/// first. A beam that moves by `slope` (x, y) per Angstrom of depth meets the specimen at the places where it would meet it without layers.
 pub fn with_layers(
     layers: &SurfaceLayers,
     mut atoms: DisplacedAtoms,

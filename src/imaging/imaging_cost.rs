@@ -1,59 +1,59 @@
-//! What making the image of a field will take.
+//! The cost of the image of a field.
 
 use super::mosaic::mosaic_cost::MosaicCost;
 use crate::engine::{Cost, Plan, PlannedScan};
 
-/// Simulations that are alike.
+/// A number of similar simulations.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SimulationRuns {
-    /// The plan of each.
+    /// The plan of each simulation.
     pub plan: Plan,
-    /// What each takes.
+    /// The cost of each simulation.
     pub cost: Cost,
-    /// How many there are.
+    /// The number of simulations.
     pub runs: usize,
 }
 
 impl SimulationRuns {
-    /// So many simulations as planned.
+    /// A number of simulations with this plan and cost.
     pub fn new(planned: PlannedScan, runs: usize) -> Self {
         SimulationRuns { plan: planned.plan, cost: planned.cost, runs }
     }
 
-    /// The same with another number of probes in each.
+    /// Replaces the number of probes in each simulation.
     #[must_use]
     pub fn for_probes(self, probes: usize) -> Self {
         SimulationRuns { cost: self.cost.for_probes(probes), ..self }
     }
 }
 
-/// What making the image of a field will take.
+/// The cost of the image of a field.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ImagingCost {
     /// The simulations that decide memory and time.
     pub main: SimulationRuns,
-    /// Others that take time, of columns like no other.
+    /// Further simulations, of columns like no other, that take time.
     pub more: Option<SimulationRuns>,
-    /// A plan whose memory is needed at another time than that of `main`.
+    /// A plan whose memory is not needed at the same time as that of `main`.
     pub largest_block: Option<SimulationRuns>,
     /// Distance (x, y) of probes in Angstrom.
     pub probe_step_angstrom: [f64; 2],
-    /// Memory of images that are kept.
+    /// Memory of the images that are kept.
     pub image_bytes: u64,
-    /// What is known of a mosaic, also of one that does not pay.
+    /// The cost of the mosaic, also of one that is not cheaper than direct simulation.
     pub mosaic: Option<MosaicCost>,
-    /// Probes of each configuration that the particles on a film take.
+    /// Probes that the particles on a film need in each configuration.
     pub particle_probes: Option<usize>,
 }
 
 impl ImagingCost {
-    /// Bytes of memory that the largest arrays take on so many threads.
+    /// Memory in bytes of the largest arrays on this number of threads.
     pub fn memory_bytes(&self, threads: usize) -> u64 {
         let largest = self.largest(threads).cost;
         self.image_bytes + largest.memory_bytes(threads)
     }
 
-    /// What most of the memory goes to, and what takes less.
+    /// Advice for too little memory: what most of it is used for, and what needs less.
     pub fn memory_remedy(&self, threads: usize) -> &'static str {
         let largest = self.largest(threads).cost;
         match self.image_bytes > largest.memory_bytes(threads) {

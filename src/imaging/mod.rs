@@ -1,9 +1,9 @@
 //! Imaging: the noise-free image of any rectangle of a field.
 //!
-//! specimen -> slices -> engine -> detector image. A [`RegionImager`] makes it, in one of three ways: [`direct`] simulates the
-//! atoms that are there, [`mosaic`] shares simulations among columns that are alike, [`film`] treats the light atoms of a
-//! thin film each by itself. [`choose`] picks one, and [`mod@audit`] tells its error. [`turned_raster`] asks for the image at places between pixels. [`source_imager`] blurs any of them by the
-//! electron source.
+//! specimen -> slices -> engine -> detector image. A [`RegionImager`] makes the image in one of three ways: [`direct`] simulates each
+//! rectangle with its own atoms, [`mosaic`] shares simulations among similar columns, [`film`] lets the light atoms of a thin film scatter
+//! independently. [`choose`] picks the imager, and [`mod@audit`] measures its error. [`turned_raster`] makes images at places between
+//! pixels. [`source_imager`] blurs an image by the electron source.
 
 pub mod audit;
 pub mod beam_share;

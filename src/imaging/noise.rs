@@ -8,7 +8,7 @@ use crate::error::{Error, Result};
 use crate::recipe::Recipe;
 use crate::rng::{ItemRng, Purpose};
 
-/// Draws the electrons of each pixel.
+/// Draws the counted electrons of each pixel.
 #[derive(Debug, Clone, Copy)]
 pub struct Noise {
     /// Seed of the world.
@@ -19,22 +19,22 @@ pub struct Noise {
     pub origin_px: [usize; 2],
     /// Width of the full field in pixels.
     pub full_width_px: usize,
-    /// Number of the detector: each draws numbers of its own.
+    /// Number of the detector. Each detector draws its own random numbers.
     pub detector: u16,
 }
 
 /// A field has fewer pixels than 2 to this power.
 const PIXEL_BITS: u32 = 48;
 
-/// Electrons on a pixel at most: counts are 32-bit numbers, and pixels of a plane wave get several times the mean.
+/// Largest number of electrons per pixel. Counts are 32-bit numbers, and some pixels of a plane wave get several times the mean.
 pub const MOST_ELECTRONS_PER_PIXEL: f64 = 1e9;
 
-/// Refuses a dose, in electrons per square Angstrom, whose electrons on a pixel of `area_angstrom2` cannot be counted.
+/// Refuses a dose, in electrons per square Angstrom, whose electrons per pixel of `area_angstrom2` cannot be counted.
 ///
 /// # Errors
-/// [`Error::Invalid`], with the greatest dose that can be.
+/// [`Error::Invalid`], with the greatest possible dose.
 pub fn check_countable(dose: f64, area_angstrom2: f64) -> Result<()> {
-    // (not "> most", so that no NaN passes)
+    // The comparison is not `> most`, so that NaN is refused too.
     if dose * area_angstrom2 <= MOST_ELECTRONS_PER_PIXEL {
         return Ok(());
     }
@@ -48,8 +48,8 @@ pub fn check_countable(dose: f64, area_angstrom2: f64) -> Result<()> {
 }
 
 impl Noise {
-    /// The noise of an image at a dose in electrons per square Angstrom; pixel (0, 0) of the image is pixel `first` (row, column) of
-    /// the full field.
+    /// Noise of an image at a dose in electrons per square Angstrom. Pixel (0, 0) of the image is pixel `first` (row, column) of the full
+    /// field.
     pub fn new(recipe: &Recipe, dose: f64, first: [usize; 2]) -> Self {
         let field = &recipe.field;
         let pixel_angstrom = 10.0 * field.pixel_nm();
@@ -62,13 +62,13 @@ impl Noise {
         }
     }
 
-    /// The same on another detector of the recipe; 0 is the main one.
+    /// Noise on another detector of the recipe; 0 is the main one.
     #[must_use]
     pub fn of_detector(self, detector: u16) -> Self {
         Noise { detector, ..self }
     }
 
-    /// The electrons that are counted in an image of fractions of the beam; both [row, column]. Counts beyond 2^32 are cut off.
+    /// Counts the electrons of an image of fractions of the beam; both arrays are [row, column]. Counts are limited to 32 bits.
     pub fn counted(&self, image: &Array2<f32>) -> Array2<u32> {
         let mut counts = Array2::zeros(image.dim());
         let lines: Vec<_> = counts.outer_iter_mut().zip(image.outer_iter()).collect();
@@ -82,13 +82,13 @@ impl Noise {
         counts
     }
 
-    /// Number in the full field of the first pixel of a row.
+    /// Number of a row's first pixel in the full field.
     fn place(&self, row: usize) -> u64 {
         ((self.origin_px[0] + row) * self.full_width_px + self.origin_px[1]) as u64
     }
 
-    /// Replaces fractions of the beam by counted electrons over the electrons of a pixel. The
-    /// numbers of a pixel depend on the seed and its place in the full field only.
+    /// Replaces fractions of the beam by counted electrons divided by the mean electrons of a pixel. The random numbers of a pixel depend
+    /// on the seed and its place in the full field only.
     pub fn apply(&self, band: &mut Array2<f32>, first_row: usize) {
         let lines: Vec<_> = band.outer_iter_mut().collect();
         lines.into_par_iter().enumerate().for_each(|(k, mut line)| {
@@ -107,7 +107,7 @@ impl Noise {
                 let item = pixel | u64::from(self.detector) << PIXEL_BITS;
                 poisson.sample(&mut ItemRng::new(self.seed, Purpose::Dose, item))
             }
-            // More than can be drawn: their scatter is less than a part in a billion.
+            // Too many electrons for the distribution: their scatter is less than a part in a billion.
             Err(_) if expected > 0.0 => expected,
             // No electrons.
             Err(_) => 0.0,
@@ -173,7 +173,8 @@ mod tests {
         let n = a.len() as f64;
         for (a, b) in [(&a, &b), (&b, &c), (&a, &c)] {
             let covariance = (a * b).sum() / n;
-            // Independent: 100 electrons of variance over the square root of the pixels, four times.
+            // The covariance of independent counts scatters by their variance, 100, over the square root of the number of pixels. Four
+            // times that is allowed.
             assert!(covariance.abs() < 4.0 * 100.0 / n.sqrt(), "{covariance}");
         }
     }

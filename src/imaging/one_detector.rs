@@ -1,4 +1,4 @@
-//! One detector of an imager that has several, in the place of the main one.
+//! One detector of an imager with several, in place of the main one.
 
 use ndarray::Array2;
 
@@ -14,17 +14,17 @@ use crate::progress::Progress;
 use crate::recipe::{Recipe, Region};
 use crate::setting::Setting;
 
-/// See the module.
+/// Shows one detector of another imager as the main one.
 pub struct OneDetector {
     inner: Box<dyn RegionImager>,
     number: usize,
 }
 
 impl OneDetector {
-    /// The images of the recipe's detector `name`, of which `inner` makes all.
+    /// Selects the recipe's detector `name` from the images of `inner`, which makes all of them.
     ///
     /// # Errors
-    /// [`Error::Invalid`] naming the detectors that there are.
+    /// [`Error::Invalid`] with the names of the recipe's detectors.
     pub fn named(name: &str, recipe: &Recipe, inner: Box<dyn RegionImager>) -> Result<Self> {
         let detectors = recipe.detector.all();
         let number = detectors.iter().position(|d| d.name == name);

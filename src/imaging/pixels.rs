@@ -5,14 +5,14 @@ use ndarray::Array2;
 use crate::engine::Scan;
 use crate::recipe::region::Region;
 
-/// A rectangle of pixels of the full field, or every so many-th of them.
+/// A rectangle of pixels of the full field, or every `stride`-th pixel of it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PixelRect {
     /// Row and column of the first pixel in the full field.
     pub first: [usize; 2],
     /// Rows and columns that it spans.
     pub shape: [usize; 2],
-    /// Every how many-th row and column is meant: 1 for all.
+    /// Only every `stride`-th row and column is imaged: 1 for all.
     pub stride: usize,
 }
 
@@ -28,7 +28,7 @@ impl PixelRect {
         PixelRect { stride, ..self }
     }
 
-    /// Rows and columns of the pixels that are meant.
+    /// Rows and columns of the imaged pixels.
     pub fn sampled_shape(&self) -> [usize; 2] {
         self.shape.map(|n| n.div_ceil(self.stride))
     }
@@ -38,7 +38,7 @@ impl PixelRect {
         Region::of_pixels(self.first, self.shape, pixel_nm)
     }
 
-    /// The pixels that are meant, [row, column], of an image of all.
+    /// Picks the imaged pixels, [row, column], from an image of all pixels.
     pub fn sampled(&self, image: Array2<f64>) -> Array2<f64> {
         if self.stride == 1 {
             return image;
@@ -49,14 +49,14 @@ impl PixelRect {
     }
 }
 
-/// Pixels to be simulated, with as much specimen around them as an engine needs.
+/// Pixels to be simulated, with the specimen around them that an engine needs.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PixelBox {
-    /// The specimen, in nm of the full field.
+    /// The area of the specimen, in nm of the full field.
     pub area: Region,
-    /// Its extent along x, y and the beam in Angstrom.
+    /// Extent of the specimen along x, y and the beam in Angstrom.
     pub size_angstrom: [f64; 3],
-    /// The pixels, in Angstrom from the corner of the area.
+    /// The scan of the pixels, in Angstrom from the corner of the area.
     pub scan: Scan,
 }
 

@@ -1,4 +1,4 @@
-//! The one way to an image of a field: imagers make that of any rectangle of it.
+//! The interface of all imagers: they make the image of any rectangle of a field.
 
 use std::path::Path;
 
@@ -13,25 +13,25 @@ use crate::files::Shard;
 use crate::progress::Progress;
 use crate::recipe::region::Region;
 
-/// What an imager is, whatever it is asked for. One around another imager changes of them what it changes.
+/// Fixed properties of an imager. An imager around another one changes some of them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ImagerFacts {
     /// Name of the method, as world files give it: `mosaic`, `film`, `window`, `prism`, `multislice`.
     pub name: &'static str,
-    /// Settings that decide the image. A build goes on from an earlier one only under the same.
+    /// Settings that decide the image. An interrupted build is continued only with identical parameters.
     pub parameters: serde_json::Value,
-    /// How many images there are of each rectangle: one for each detector.
+    /// Number of images of each rectangle: one for each detector.
     pub detectors: usize,
-    /// What progress calls the work on an image, and its unit.
+    /// Name of the work on an image in progress reports, and its unit.
     pub stage: [&'static str; 2],
-    /// Width in Angstrom of the windows that follow the probe, where there are any.
+    /// Width in Angstrom of the windows that follow the probe, for imagers with windows.
     pub window_angstrom: Option<f64>,
-    /// Images of the library that it draws on, and how many of them had to be simulated: of an imager that has one, and was prepared.
+    /// Number of images in the library, and how many of them were simulated; `None` for imagers without a library or before it is filled.
     pub library: Option<[usize; 2]>,
 }
 
 impl ImagerFacts {
-    /// Those of an imager of one detector without windows and library.
+    /// Properties of an imager of one detector without windows and library.
     pub fn new(name: &'static str, parameters: serde_json::Value) -> Self {
         ImagerFacts {
             name,
@@ -44,7 +44,7 @@ impl ImagerFacts {
     }
 }
 
-/// Of which detectors images are made.
+/// The detectors whose images are made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DetectorChoice {
     /// The main one.
@@ -53,67 +53,67 @@ pub enum DetectorChoice {
     All,
 }
 
-/// How an image at the places of a raster is made.
+/// Detail of an image at the places of a raster.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RasterDetail {
-    /// Interpolated once, from the probes that were simulated.
+    /// Interpolated once, from the simulated probes.
     Full,
-    /// For an overview, whose pixels are wider than a column: columns that only a simulation of their own would show may look like others
-    /// nearby, and pixels may show the mean of their area.
+    /// For an overview, whose pixels are wider than a column. Columns that the library lacks may look like similar columns nearby, and
+    /// pixels may show the mean of their area.
     Overview,
 }
 
 /// A library of simulations that all images of an imager share.
 pub trait SharedLibrary {
-    /// Keeps simulations in a folder where they are kept nowhere else, for the same build to go on from. The folder is made when first
-    /// written to.
+    /// Sets a folder for simulations that are stored nowhere else, so that a later run of this build can read them. The folder is made at
+    /// the first write.
     fn keep_in(&mut self, folder: &Path);
 
     /// Fills the library; a second call does nothing.
     ///
     /// # Errors
-    /// Those of the engine, and [`crate::Error::Interrupted`].
+    /// Errors of the engine, and [`crate::Error::Interrupted`].
     fn prepare(&mut self, progress: &dyn Progress) -> Result<()>;
 
-    /// Does a part of what [`SharedLibrary::prepare`] does, for other processes to find where this one keeps it. Returns how many things the
-    /// parts of others still lack.
+    /// Does one process's part of [`SharedLibrary::prepare`] and stores it for the other processes. Returns the number of simulations that
+    /// are missing in the parts of the others.
     ///
     /// # Errors
-    /// Those of the engine, [`crate::Error::Interrupted`], and those of files: what is not kept is lost.
+    /// Errors of the engine, [`crate::Error::Interrupted`], and errors of files: a simulation that is not stored is lost.
     fn prepare_part(&mut self, shard: Shard, progress: &dyn Progress) -> Result<usize>;
 }
 
-/// Of an imager that makes blocks of a field as a whole, and keeps them.
+/// Cached blocks of a field. Some imagers make whole blocks and keep them.
 pub trait ImageBlocks {
-    /// The area (nm of the full field) of all atoms that have a part in the image of some pixels.
+    /// The area (nm of the full field) of all atoms that add to the image of some pixels.
     fn shown_area(&self, pixels: &PixelRect) -> Region;
 
     /// Marks blocks that show atoms of an area (nm of the full field) as stale. A stale block is made again if its atoms have changed.
     fn mark_stale(&self, area: &Region);
 
-    /// What the image of such pixels takes, in units of like cost: for progress.
+    /// The work for the image of these pixels, in units of about equal time, for progress reports.
     fn work(&self, pixels: &PixelRect) -> usize;
 }
 
 /// Makes the noise-free image of any rectangle of one field.
 ///
-/// Pixels that two rectangles share are the same in both, up to the error that the imager states: a field can be made
-/// piece by piece, in any order. No method has a default, so that an imager around another one says what it does with each.
+/// Two rectangles agree in the pixels that they share, up to the error that the imager states. So a field can be made in pieces, in any
+/// order. No method has a default: an imager around another one must decide about each.
 pub trait RegionImager: Send + Sync {
-    /// What it is.
+    /// Fixed properties of the imager.
     fn facts(&self) -> ImagerFacts;
 
-    /// The library that all images share, where there is one. It has to be filled before any image is made.
+    /// The library that all images share, where there is one. It has to be filled before the first image is made.
     fn library_mut(&mut self) -> Option<&mut dyn SharedLibrary>;
 
-    /// The blocks that it keeps; none of imagers whose pixels show what is within a window of them.
+    /// The cached blocks; `None` for imagers whose pixels show only atoms within a window.
     fn blocks(&self) -> Option<&dyn ImageBlocks>;
 
     /// The noise-free images of the pixels, [row, column] = [y, x] of shape [`PixelRect::sampled_shape`], as fraction of the beam: the mean
-    /// over the first `configurations` phonon configurations. Those of several detectors come from the same simulation of the same atoms.
+    /// over the first `configurations` phonon configurations. The images of several detectors come from one simulation of one set of atoms.
     ///
     /// # Errors
-    /// Those of the engine, and [`crate::Error::Interrupted`].
+    /// Errors of the engine, and [`crate::Error::Interrupted`].
     fn images_of(
         &self,
         pixels: &PixelRect,
@@ -122,11 +122,11 @@ pub trait RegionImager: Send + Sync {
         progress: &dyn Progress,
     ) -> Result<Vec<Array2<f64>>>;
 
-    /// The noise-free image on the main detector at the places of a raster, [row, column], as fraction of the beam. `None` of imagers that
-    /// have none of their own; see [`turned_image`](super::turned_raster::turned_image).
+    /// The noise-free image on the main detector at the places of a raster, [row, column], as fraction of the beam. `None` for imagers
+    /// without a method for rasters: [`turned_image`](super::turned_raster::turned_image) then interpolates the pixels of the field.
     ///
     /// # Errors
-    /// Those of the engine, and [`crate::Error::Interrupted`].
+    /// Errors of the engine, and [`crate::Error::Interrupted`].
     fn image_at(
         &self,
         raster: &TurnedRaster,
@@ -135,19 +135,19 @@ pub trait RegionImager: Send + Sync {
         progress: &dyn Progress,
     ) -> Result<Option<Array2<f64>>>;
 
-    /// The displaced atoms of an area (nm of the full field) in one phonon configuration: those that the image shows.
+    /// The displaced atoms of an area (nm of the full field) in one phonon configuration, as the image shows them.
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms;
 
-    /// What making a field takes, of which each of `subtiles` parts has `subtile` (rows, columns) pixels. Nothing is simulated.
+    /// The cost of a field of `subtiles` parts, each of `subtile` (rows, columns) pixels. Nothing is simulated.
     ///
     /// # Errors
-    /// Those of the plan.
+    /// Errors of [`crate::engine::Plan::new`].
     fn cost(&self, subtile: [usize; 2], subtiles: usize) -> Result<ImagingCost>;
 }
 
-/// Shorthands.
+/// Shorthands for common calls.
 impl dyn RegionImager + '_ {
-    /// Fills the library, if it has one: see [`SharedLibrary::prepare`].
+    /// Fills the library, if there is one, with [`SharedLibrary::prepare`].
     ///
     /// # Errors
     /// As [`SharedLibrary::prepare`].
@@ -155,7 +155,7 @@ impl dyn RegionImager + '_ {
         self.library_mut().map_or(Ok(()), |library| library.prepare(progress))
     }
 
-    /// The image on the main detector: see [`RegionImager::images_of`].
+    /// The image on the main detector, from [`RegionImager::images_of`].
     ///
     /// # Errors
     /// As [`RegionImager::images_of`].
@@ -169,7 +169,7 @@ impl dyn RegionImager + '_ {
         Ok(images.swap_remove(0))
     }
 
-    /// The images on all detectors: see [`RegionImager::images_of`].
+    /// The images on all detectors, from [`RegionImager::images_of`].
     ///
     /// # Errors
     /// As [`RegionImager::images_of`].
@@ -182,7 +182,7 @@ impl dyn RegionImager + '_ {
         self.images_of(pixels, DetectorChoice::All, configurations, progress)
     }
 
-    /// What the image of such pixels takes, in units of like cost: for progress.
+    /// The work for the image of these pixels, in units of about equal time, for progress reports.
     pub fn work(&self, pixels: &PixelRect) -> usize {
         self.blocks().map_or(pixels.shape[0] * pixels.shape[1], |blocks| blocks.work(pixels))
     }

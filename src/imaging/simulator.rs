@@ -1,4 +1,4 @@
-//! The engine behind a world.
+//! The engine and its settings for a world.
 
 use crate::engine::settings::EXACT_BAND_FRACTION;
 use crate::engine::{
@@ -24,17 +24,16 @@ pub struct Simulator {
     settings: Settings,
 }
 
-/// Window of the default engine in Angstrom: right to 0.8 % rms of the mean image on five structures up to
-/// 10 nm, see [`crate::engine::window_for`].
+/// Window of the default engine in Angstrom. Its error is 0.8 % rms of the mean image on five structures up to 10 nm
+/// ([`crate::engine::window_for`]).
 pub const WINDOW_ANGSTROM: f64 = 7.8;
-/// Error in per cent of the mean image for which the windows of a world are chosen unless another is asked for (see
-/// [`crate::engine::window_for`]).
+/// Error in per cent of the mean image for which [`crate::engine::window_for`] chooses the windows of a world by default.
 const ACCURACY_PERCENT: f64 = 0.8;
 
-/// The window of a world unless another is asked for.
+/// The window of a world by default.
 ///
 /// # Errors
-/// Those of [`window_for`].
+/// Errors of [`window_for`].
 pub fn default_window(recipe: &Recipe) -> Result<WindowChoice> {
     let algorithm = Algorithm::Window { width_angstrom: WINDOW_ANGSTROM };
     let simulator = Simulator::new(recipe, algorithm);
@@ -42,22 +41,22 @@ pub fn default_window(recipe: &Recipe) -> Result<WindowChoice> {
     window_for(ACCURACY_PERCENT, simulator.settings(), thickness_angstrom)
 }
 
-/// Specimen beyond the scanned area for engines without windows: as far as a probe spreads.
+/// Specimen beyond the scanned area in Angstrom for engines without windows: as far as a probe spreads.
 const SPREAD_ANGSTROM: f64 = 6.0;
-/// Reach of an atom's potential, which must not come in from the other side of the periodic box.
+/// Reach in Angstrom of an atom's potential, which must not come in from the other side of the periodic box.
 const POTENTIAL_REACH_ANGSTROM: f64 = 1.5;
 
 impl Simulator {
-    /// With settings of its own.
+    /// Simulates with these settings.
     pub fn of(settings: Settings) -> Self {
         Simulator { settings }
     }
 
-    /// The default profile: a grid that carries scattering beyond the detector, slices at the atomic
-    /// planes, the given algorithm.
+    /// Default settings for a recipe: a grid that carries scattering beyond the detector, slices at the atomic planes, and the given
+    /// algorithm.
     pub fn new(recipe: &Recipe, algorithm: Algorithm) -> Self {
         let optics = recipe.optics.optics();
-        // Pixels that need no probes between them need none beyond the edge of what is simulated either.
+        // Where pixels need no probes between them, they need no probes beyond the edge of the area either.
         let coarse =
             10.0 * recipe.field.pixel_nm() >= Kernel::default_step(image_band_limit(&optics));
         let settings = Settings {
@@ -74,8 +73,8 @@ impl Simulator {
         Simulator { settings }
     }
 
-    /// The published settings of the STEMGym worlds: PRISM f = 2, 0.05 A, 1 A slices. The grid then
-    /// carries scattering to 167 mrad only, which a warning says.
+    /// Published settings of the STEMGym worlds: PRISM f = 2, 0.05 A, 1 A slices. This grid carries scattering to 167 mrad only, and a
+    /// warning says so.
     pub fn published(recipe: &Recipe) -> Self {
         let mut simulator = Self::new(recipe, Algorithm::Prism { interpolation: [2, 2] });
         simulator.settings.grid = GridChoice::Sampling(0.05);
@@ -86,8 +85,8 @@ impl Simulator {
         simulator
     }
 
-    /// The mean image on each detector, in their order, over some phonon configurations; `atoms` gives those of each, displaced.
-    /// They have the same elements and mean heights in all.
+    /// The mean image on each detector, in the detectors' order, over some phonon configurations. `atoms` returns the displaced atoms of a
+    /// configuration. Elements and mean heights are equal in all configurations.
     ///
     /// # Errors
     /// As [`Simulator::images`].
@@ -118,37 +117,37 @@ impl Simulator {
         Ok(sums.into_iter().zip(beam_factors(&plan)?).map(mean).collect())
     }
 
-    /// How many detectors there are.
+    /// Number of detectors.
     pub fn detectors(&self) -> usize {
         self.settings.detectors.len()
     }
 
-    /// The same with probes as in an infinite specimen (see [`ProbeBox`]).
+    /// Sets large probe boxes, which act as an infinite specimen (see [`ProbeBox`]).
     #[must_use]
     pub fn with_large_probe_box(&self) -> Self {
         let probe_box = Some(ProbeBox::Large);
         Simulator { settings: Settings { probe_box, ..self.settings.clone() } }
     }
 
-    /// The exact engine with the same settings otherwise: multislice on the full grid, with probes as in an infinite specimen.
+    /// The exact engine with otherwise equal settings: multislice on the full grid, with probes as in an infinite specimen.
     #[must_use]
     pub fn exact(&self) -> Self {
         let settings = Settings { algorithm: Algorithm::Multislice, ..self.settings.clone() };
         Simulator { settings }.with_large_probe_box()
     }
 
-    /// Whether this is [`Simulator::exact`].
+    /// Whether this engine is as [`Simulator::exact`] makes it.
     pub fn is_exact(&self) -> bool {
         self.settings.algorithm == Algorithm::Multislice && self.settings.large_probe_box()
     }
 
-    /// The same with other slices.
+    /// Replaces the slices.
     #[must_use]
     pub fn with_slices(&self, slicing: Slicing) -> Self {
         Simulator { settings: Settings { slicing, ..self.settings.clone() } }
     }
 
-    /// The same with the mean over so many phonon configurations.
+    /// Replaces the number of phonon configurations.
     #[must_use]
     pub fn with_configurations(&self, configurations: usize) -> Self {
         let of = |phonons: Phonons| Phonons { configurations: configurations as u32, ..phonons };
@@ -157,7 +156,7 @@ impl Simulator {
         }
     }
 
-    /// The same with the focus so many Angstrom deeper.
+    /// Moves the focus deeper, by this distance in Angstrom.
     #[must_use]
     pub fn with_focus_deeper(&self, angstrom: f64) -> Self {
         let mut settings = self.settings.clone();
@@ -167,35 +166,35 @@ impl Simulator {
         Simulator { settings }
     }
 
-    /// The same with windows of another width.
+    /// Replaces the width of the windows.
     #[must_use]
     pub fn with_window(&self, width_angstrom: f64) -> Self {
         let algorithm = Algorithm::Window { width_angstrom };
         Simulator { settings: Settings { algorithm, ..self.settings.clone() } }
     }
 
-    /// The same with the probes of windows expanded as told.
+    /// Replaces the expansion of the windows' probes.
     #[must_use]
     pub fn with_expansion(&self, expansion: Expansion) -> Self {
         Simulator { settings: Settings { expansion, ..self.settings.clone() } }
     }
 
-    /// The same with probes as far apart as told.
+    /// Replaces the distance of probes.
     #[must_use]
     pub fn with_probe_step(&self, probe_step: ProbeStep) -> Self {
         Simulator { settings: Settings { probe_step, ..self.settings.clone() } }
     }
 
-    /// The engine settings.
+    /// Settings of the engine.
     pub fn settings(&self) -> &Settings {
         &self.settings
     }
 
-    /// The plan for a sub-tile of `scanned_angstrom` (x, y) in a specimen of the given thickness
-    /// whose atoms have mean heights `z` (Angstrom): for showing grids and memory.
+    /// The plan for a sub-tile of `scanned_angstrom` (x, y) in a specimen of the given thickness, whose atoms have mean heights `z`
+    /// (Angstrom). It shows grids and memory.
     ///
     /// # Errors
-    /// As [`Plan::new`].
+    /// Errors of [`Plan::new`].
     pub fn plan(
         &self,
         scanned_angstrom: [f64; 2],
@@ -206,10 +205,10 @@ impl Simulator {
         Plan::new(&self.settings, [side[0], side[1], thickness_angstrom], z)
     }
 
-    /// The probes that are propagated for a sub-tile of such a plan, of so many pixels (rows, columns).
+    /// The probes that are propagated for a sub-tile of this plan, with this number of pixels (rows, columns).
     ///
     /// # Errors
-    /// As [`ProbeRaster::new`].
+    /// Errors of [`ProbeRaster::new`].
     pub fn probes(
         &self,
         plan: &Plan,
@@ -234,7 +233,7 @@ impl Simulator {
         serde_json::to_value(&self.settings).unwrap_or_default()
     }
 
-    /// Width of the windows in Angstrom, if it has any.
+    /// Width of the windows in Angstrom, if the algorithm has windows.
     pub fn window_angstrom(&self) -> Option<f64> {
         match self.settings.algorithm {
             Algorithm::Window { width_angstrom } => Some(width_angstrom),
@@ -242,7 +241,7 @@ impl Simulator {
         }
     }
 
-    /// Specimen that is needed beyond the scanned area on each side, in Angstrom.
+    /// Width in Angstrom of the specimen that is needed beyond the scanned area on each side.
     pub fn margin_angstrom(&self) -> f64 {
         let half_window = self.window_angstrom().map_or(SPREAD_ANGSTROM, |width| width / 2.0);
         half_window + POTENTIAL_REACH_ANGSTROM + probe_margin_angstrom(&self.settings)
@@ -261,11 +260,11 @@ impl Simulator {
         Err(Error::invalid(crate::Setting::EngineMarginAngstrom, margin, expected))
     }
 
-    /// The image of some atoms at their mean positions on each detector, [row, column] = [y, x], as fraction of the beam: the mean
+    /// The image of some atoms, given by their mean positions, on each detector, [row, column] = [y, x], as fraction of the beam: the mean
     /// over the phonon configurations of the settings. The box holds the specimen from the entrance surface z = 0 to its exit surface.
     ///
     /// # Errors
-    /// Those of [`Plan::new`] and [`simulate`]; [`Error::Interrupted`] when asked to stop.
+    /// Errors of [`Plan::new`] and [`simulate`]; [`Error::Interrupted`] when asked to stop.
     pub fn images(
         &self,
         sites: &[Site],

@@ -1,7 +1,7 @@
-//! The size of the electron source in fields: images of any rectangle, made with a margin and blurred.
+//! The size of the electron source in images of a field: rectangles are made with a margin and blurred.
 //!
-//! The margin reaches as far as the source, so nothing wraps. Where it would begin before the full field, whose pixels count from
-//! 0, the image is continued by its mirror image there: this touches the outermost pixels of a full field only.
+//! The margin is as wide as the blur's reach, so nothing wraps around. A margin that would begin before the full field, whose pixels count
+//! from 0, is filled with the mirror image of the field. This touches only the outermost pixels of a full field.
 
 use ndarray::Array2;
 
@@ -25,7 +25,7 @@ pub struct SourceImager {
 }
 
 impl SourceImager {
-    /// The imager as it is for a point source, or blurred by that of the recipe.
+    /// Blurs an imager by the recipe's source, or returns it unchanged for a point source.
     pub fn blurring(inner: Box<dyn RegionImager>, recipe: &Recipe) -> Box<dyn RegionImager> {
         let pixel_angstrom = 10.0 * recipe.field.pixel_nm();
         match recipe.optics.source() {
@@ -35,10 +35,10 @@ impl SourceImager {
     }
 }
 
-/// The images of a rectangle for a source, from `sharp`, which makes those of a wider one for a point source.
+/// The images of a rectangle for a source. `sharp` makes images of a wider rectangle for a point source.
 ///
 /// # Errors
-/// Those of `sharp`, and of the source.
+/// Errors of `sharp` and of the source.
 pub fn blurred(
     (source, pixel_angstrom): (Source, f64),
     pixels: &PixelRect,
@@ -62,17 +62,17 @@ pub fn blurred(
     Ok(sharp(&wide)?.into_iter().map(blurred).collect())
 }
 
-/// Pixels that images need around them on every side for a source.
+/// Number of pixels that images need on every side for a source.
 ///
 /// # Errors
-/// Those of the source.
+/// Errors of the source.
 pub fn margin_px(source: Source, pixel_angstrom: f64) -> Result<usize> {
     let step_angstrom = [pixel_angstrom; 2];
     let scan = Scan { origin_angstrom: [0.0; 2], step_angstrom, shape: [1, 1] };
     Ok(SourceBlur::new(source, &scan, [f64::INFINITY; 2])?.margin()[0])
 }
 
-/// An image continued by so many rows and columns before its first.
+/// Continues an image beyond its first rows and columns by its mirror image. The numbers of added rows and columns are given.
 fn mirrored(image: &Array2<f64>, [above, left]: [usize; 2]) -> Array2<f64> {
     let (rows, columns) = image.dim();
     let at = |i: usize, before: usize, n: usize| {
@@ -140,8 +140,8 @@ mod tests {
         Array2::from_shape_fn((shape[0], shape[1]), at)
     }
 
-    /// Waves are damped by the transform of the Gaussian, in the middle of the field and at its edge, and every other pixel is
-    /// one of all.
+    /// Waves are damped by the Fourier transform of the Gaussian, in the middle of the field and at its edge. Every other pixel agrees with
+    /// the image of all.
     #[test]
     fn rectangles_are_blurred_with_a_margin() {
         let (source, pixel) = (Source::gaussian(0.9), 0.2);
@@ -160,7 +160,7 @@ mod tests {
         }
         let every = made([40, 30], 3);
         assert_eq!(every[[2, 4]], image[[6, 12]]);
-        // far from the edge it is the same there
+        // Far from the edge, the image is as inside the field.
         let edge = made([0, 0], 1);
         let inside =
             2.0 + damped(0.9) * (0.9_f64 * 11.0).cos() + damped(0.7) * (0.7_f64 * 14.0 + 0.3).sin();

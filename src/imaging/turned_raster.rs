@@ -1,4 +1,4 @@
-//! Rasters that may be turned against the pixels of the field, and the image at their places.
+//! Rasters that may be turned against the pixels of the field, and images at their places.
 
 use ndarray::Array2;
 
@@ -12,13 +12,13 @@ use crate::recipe::{CheckedRecipe, Region};
 use crate::resample::{HALF_WIDTH, Kernel, TAPS, image_band_limit};
 use crate::setting::Setting;
 
-/// Places are right to this, in nm.
+/// Places are accurate to this distance, in nm.
 const ROUNDING_NM: f64 = 1e-9;
 
-/// Places on a square raster of any pixel, turned by any angle. Places are (x, y) in nm of the full field.
+/// A square raster of any pixel size, turned by any angle. Places are (x, y) in nm of the full field.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TurnedRaster {
-    /// The middle of the raster.
+    /// Centre of the raster.
     pub centre_nm: [f64; 2],
     /// Edge of a pixel.
     pub pixel_nm: f64,
@@ -34,7 +34,7 @@ impl TurnedRaster {
         self.places_nm()(row, column)
     }
 
-    /// What [`TurnedRaster::place_nm`] gives, for many pixels.
+    /// Places of pixels, as [`TurnedRaster::place_nm`] returns them, for many pixels.
     pub fn places_nm(self) -> impl Fn(f64, f64) -> [f64; 2] + Sync {
         let [middle_row, middle_column] = self.middle();
         let (sine, cosine) = (libm::sin(self.angle_rad), libm::cos(self.angle_rad));
@@ -55,7 +55,7 @@ impl TurnedRaster {
         [middle_row + down / self.pixel_nm, middle_column + across / self.pixel_nm]
     }
 
-    /// The least rectangle of the field around the raster's pixels.
+    /// The smallest rectangle of the field around the raster's pixels.
     pub fn region(&self) -> Region {
         let [rows, columns] = self.shape.map(|n| n as f64 - 0.5);
         let corners = [[-0.5, -0.5], [-0.5, columns], [rows, -0.5], [rows, columns]];
@@ -83,13 +83,13 @@ impl TurnedRaster {
 }
 
 /// The noise-free image at the places of a raster, [row, column], as fraction of the beam: the mean over the recipe's phonon
-/// configurations. The imager has been prepared.
+/// configurations. The imager has to be prepared.
 ///
-/// Mosaics and direct simulations are interpolated once, from the probes that were simulated; other images from the pixels of
-/// the field, which are many times finer than the image's Nyquist distance. The error is that of [`Kernel`].
+/// Mosaics and direct simulations are interpolated once, from the simulated probes. Other images are interpolated from the pixels of the
+/// field, which are many times finer than the image's Nyquist distance. The interpolation error is the error of [`Kernel`].
 ///
 /// # Errors
-/// [`Error::Invalid`] for a raster that reaches out of the full field, or a field of too coarse pixels; those of the engine, and
+/// [`Error::Invalid`] for a raster that reaches out of the full field, or a field of too coarse pixels; errors of the engine, and
 /// [`Error::Interrupted`].
 pub fn turned_image(
     recipe: &CheckedRecipe,
@@ -105,10 +105,10 @@ pub fn turned_image(
     }
 }
 
-/// As [`turned_image`], for an overview; see [`RasterDetail::Overview`].
+/// As [`turned_image`], with [`RasterDetail::Overview`].
 ///
 /// # Errors
-/// As [`turned_image`].
+/// Errors of [`turned_image`].
 pub fn overview_image(
     recipe: &CheckedRecipe,
     imager: &dyn RegionImager,
@@ -125,7 +125,7 @@ pub fn overview_image(
 
 fn check_within(recipe: &CheckedRecipe, raster: &TurnedRaster) -> Result<()> {
     let (inside, region) = (recipe.field.full_region(), raster.region());
-    // Rounding does not lead out of the field.
+    // Rounding must not place a raster outside the field.
     let within = region.grown(-ROUNDING_NM);
     if within.intersection(&inside) != within || raster.shape.contains(&0) {
         let ([x0, x1], [y0, y1]) = (region.x, region.y);
@@ -174,17 +174,17 @@ fn band_limit(recipe: &CheckedRecipe) -> f64 {
     })
 }
 
-/// Samples of an image, [row, column].
+/// Samples of an image, [row, column], in Angstrom of the full field.
 pub(super) struct ScannedSamples {
     pub(super) values: Array2<f64>,
-    /// Place (x, y) of the first in Angstrom.
+    /// Place (x, y) of the first sample in Angstrom.
     pub(super) first: [f64; 2],
-    /// Their distance in Angstrom.
+    /// Distance of the samples in Angstrom.
     pub(super) step: f64,
 }
 
 impl ScannedSamples {
-    /// Values at places (x, y) in Angstrom. There are at least [`TAPS`] samples along each axis.
+    /// Interpolates values at places (x, y) in Angstrom. There are at least [`TAPS`] samples along each axis.
     pub(super) fn at(&self, places: &[[f64; 2]], kernel: &Kernel) -> Vec<f64> {
         let (rows, columns) = self.values.dim();
         let value = |place: &[f64; 2]| {
@@ -202,11 +202,11 @@ impl ScannedSamples {
     }
 }
 
-/// The image at places (x, y) in Angstrom of the full field from probes around them, which `simulate` propagates: a scan as fine as the
-/// image's band limit (1/Angstrom) asks for, with `margin_angstrom` of specimen around.
+/// The image at places (x, y) in Angstrom of the full field, interpolated from probes that `simulate` propagates around them. The scan is
+/// as fine as the image's band limit (1/Angstrom) needs, with `margin_angstrom` of specimen around it.
 ///
 /// # Errors
-/// Those of `simulate`.
+/// Errors of `simulate`.
 pub(super) fn between_probes(
     places: &[[f64; 2]],
     band_limit: f64,

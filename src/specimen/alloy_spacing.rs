@@ -1,4 +1,4 @@
-//! How far apart the planes of an alloy are that is coherent with its substrate: the stretch along x.
+//! The spacing of planes in an alloy that is coherent with its substrate: the stretch along x.
 //!
 //! Along x the cell has the length of Vegard's law at the mean composition there. If stiffness constants
 //! are given, the biaxial strain that coherence imposes lengthens it by Poisson's effect,
@@ -22,16 +22,16 @@ const LARGEST_MISFIT: f64 = 0.2;
 
 /// Lattice parameters of the alloy.
 pub struct Spacing {
-    /// Edge along x of the end member over that of the host crystal.
+    /// Edge along x of the end member divided by that edge of the host crystal.
     along: f64,
-    /// The same across x, in the mean of y and the beam.
+    /// The ratio of the edges across x: the mean over y and the beam.
     across: f64,
     c13: [f64; 2],
     c33: [f64; 2],
 }
 
 impl Spacing {
-    /// From the crystals of host and end member.
+    /// Derives the spacing from the crystals of host and end member.
     ///
     /// # Errors
     /// [`Error::Invalid`] for an end member of another structure.
@@ -55,7 +55,7 @@ impl Spacing {
         })
     }
 
-    /// Edge along x where `fraction` of the hosts are guests, over that of the host crystal.
+    /// Edge along x where `fraction` of the hosts are guests, divided by that edge of the host crystal.
     pub fn relative(&self, fraction: f64) -> f64 {
         let vegard = |end: f64| 1.0 + fraction * (end - 1.0);
         let mix = |[host, end]: [f64; 2]| host + fraction * (end - host);
@@ -63,7 +63,7 @@ impl Spacing {
         vegard(self.along) * (1.0 - 2.0 * mix(self.c13) / mix(self.c33) * strain)
     }
 
-    /// The stretch of a field of this composition, with this fraction in its wells (see [`Composition::fraction`]).
+    /// Returns the stretch of a field of this composition, with this fraction in its wells (see [`Composition::fraction`]).
     pub fn stretch(&self, composition: &TabulatedComposition, fraction: f64) -> TabulatedStretch {
         let TabulatedComposition { field_start, start, beyond, shares } = composition;
         let step = |share: &f64| STEP_NM / self.relative(fraction * share);
@@ -81,20 +81,20 @@ impl Spacing {
     }
 }
 
-/// Mean compositions over the fraction in the wells, which may yet change.
+/// Mean compositions divided by the fraction in the wells, which is fitted later.
 pub struct TabulatedComposition {
     /// Left edge of the field in nm.
     field_start: f64,
     /// First x in nm.
     start: f64,
-    /// Steps before the field.
+    /// Number of steps before the field.
     beyond: usize,
-    /// Of the middles of all steps.
+    /// Values at the middles of all steps.
     shares: Vec<f64>,
 }
 
 impl TabulatedComposition {
-    /// Of a field.
+    /// Tabulates the composition of a field.
     pub fn new(composition: &Composition, field: &Region) -> Self {
         let beyond = ((BEYOND_FIELD_NM + 2.0) / STEP_NM).ceil();
         let start = field.x[0] - beyond * STEP_NM;

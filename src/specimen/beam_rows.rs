@@ -1,24 +1,24 @@
 //! Rows of atoms along the beam, found among any atoms.
 //!
-//! In the order of their depth, atoms join the nearest row whose first atom lies within [`ROW_RADIUS_NM`] of them, seen along the beam,
-//! or else begin one. Rows whose means come as near as that are then joined, the smallest first, where no atom of both lies
-//! farther than [`DISPLACED_NM`] from the mean: so a few atoms that vibrate, or lean out of a row, make no row of their own.
+//! In the order of their depth, atoms join the nearest row whose first atom lies within [`ROW_RADIUS_NM`] of them in projection along the
+//! beam, or else begin a row. Rows whose means lie that near to each other are then joined, the smallest first, unless an atom of either
+//! lies farther than [`DISPLACED_NM`] from the common mean. So a few atoms that vibrate, or lean out of a row, make no separate row.
 
 use std::collections::HashMap;
 
 use super::sites::DISPLACED_NM;
 
-/// Atoms this near to the first atom of a row, seen along the beam, are part of it, in nm.
+/// Atoms whose distance from the first atom of a row is below this, in projection along the beam, belong to the row; in nm.
 pub const ROW_RADIUS_NM: f64 = 0.048;
-/// How far the atoms of joined rows may lie from their mean.
+/// Largest distance of the atoms of joined rows from their mean.
 const REACH_NM: f64 = 0.99 * DISPLACED_NM;
-/// Edge of the squares in which rows are looked up.
+/// Edge of the squares by which rows are looked up.
 const SQUARE_NM: f64 = 2.0 * ROW_RADIUS_NM;
 /// Stands for no atom.
 const NONE: u32 = u32::MAX;
 
-/// The row of each atom; rows are numbered in the order of their first atoms. `positions` (x, y, z) in nm are sorted by depth, and the
-/// result is the same for all orders of the atoms that have the same depth, but for atoms in one place.
+/// Returns the row of each atom; rows are numbered in the order of their first atoms. `positions` (x, y, z) in nm are sorted by depth. The
+/// result does not depend on the order of atoms at equal depth, except for atoms at the same position.
 pub fn beam_rows(positions: &[[f64; 3]]) -> Vec<u32> {
     let (mut rows, squares) = Rows::first(positions);
     rows.join(&squares);
@@ -28,19 +28,19 @@ pub fn beam_rows(positions: &[[f64; 3]]) -> Vec<u32> {
 /// Rows by the square in which their first atom lies.
 type RowSquares = HashMap<[i64; 2], Vec<u32>>;
 
-/// Rows while they are put together.
+/// Rows under construction.
 struct Rows<'a> {
     positions: &'a [[f64; 3]],
-    /// Atoms of each row as a list: the first and the last of the row, and the next of each atom.
+    /// Atoms of each row as a linked list: the first and the last of the row, and the next of each atom.
     first: Vec<u32>,
     last: Vec<u32>,
     next: Vec<u32>,
-    /// Sums of x and y, and numbers of atoms; 0 for rows that have become part of others.
+    /// Sums of x and y, and numbers of atoms; the number is 0 for rows that have been joined to others.
     sum: Vec<[f64; 2]>,
     count: Vec<u32>,
 }
 
-/// The squares that come within `radius` of a place.
+/// Lists the squares that lie within `radius` of a place.
 fn squares_about([x, y]: [f64; 2], radius: f64) -> impl Iterator<Item = [i64; 2]> {
     let square = |v: f64| (v / SQUARE_NM).floor() as i64;
     let [left, right] = [square(x - radius), square(x + radius)];
@@ -53,7 +53,7 @@ fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
 }
 
 impl<'a> Rows<'a> {
-    /// Rows of the atoms about their first ones.
+    /// Groups the atoms into rows about the rows' first atoms.
     fn first(positions: &'a [[f64; 3]]) -> (Self, RowSquares) {
         let mut squares = RowSquares::new();
         let mut rows = Rows {
@@ -113,13 +113,13 @@ impl<'a> Rows<'a> {
         std::iter::successors(Some(self.first[row]), step)
     }
 
-    /// Joins rows whose means have come near each other.
+    /// Joins rows whose means lie near each other.
     fn join(&mut self, squares: &RowSquares) {
         let mut order: Vec<u32> = (0..self.first.len() as u32).collect();
         order.sort_by_key(|row| (self.count[*row as usize], std::cmp::Reverse(*row)));
         for row in order.into_iter().map(|row| row as usize) {
             let at = self.mean(row);
-            // The first atom of a row may lie so far from the row's mean.
+            // The first atom of a row may lie at this distance from the row's mean.
             let near = squares_about(at, ROW_RADIUS_NM + REACH_NM)
                 .filter_map(|square| squares.get(&square));
             let others = near.flatten().map(|other| *other as usize).filter(|other| {
@@ -136,7 +136,7 @@ impl<'a> Rows<'a> {
         }
     }
 
-    /// Whether no atom of two rows lies far from the mean of both.
+    /// Whether all atoms of two rows lie near the mean of both.
     fn fit(&self, a: usize, b: usize) -> bool {
         let count = f64::from(self.count[a] + self.count[b]);
         let mean = [0, 1].map(|k| (self.sum[a][k] + self.sum[b][k]) / count);
@@ -188,7 +188,7 @@ mod tests {
         let mut positions: Vec<[f64; 3]> =
             (0..20).map(|n| [0.0, 0.0, 0.2 * f64::from(n)]).collect();
         positions[7][0] = 0.04;
-        // The first atom decides where a row is looked for; the mean, whether rows are joined.
+        // The first atom decides where a row is looked up; the mean decides whether rows are joined.
         positions[0][0] = -0.02;
         assert!(beam_rows(&positions).iter().all(|row| *row == 0));
     }

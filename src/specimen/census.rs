@@ -1,4 +1,4 @@
-//! How many sites a specimen has in the built field.
+//! Counts the sites of a specimen in the built field.
 
 use rayon::prelude::*;
 
@@ -9,14 +9,13 @@ use crate::recipe::tables::Field;
 use crate::specimen::specimen_trait::Specimen;
 use crate::specimen::stripes::for_each_stripe;
 
-/// Samples along each axis.
+/// Number of samples along each axis.
 const SAMPLES: usize = 8;
 /// Width of a sample in nm.
 const SAMPLE_NM: f64 = 2.5;
 
-/// Number of lattice sites in the built field: what the specimen expects, or else from samples that
-/// cover 400 nm2 of it (exact where the field is not larger). Within about 1 % where the density is
-/// even.
+/// Estimates the number of lattice sites in the built field: the number that the specimen expects, or else a count in samples that cover
+/// 400 nm2 of the field (exact where the field is not larger). The error is about 1 % where the density is even.
 pub fn estimated_sites(specimen: &dyn Specimen, field: &Field) -> u64 {
     let built = field.built_region();
     if let Some(expected) = &specimen.facts().expected_sites {
@@ -27,7 +26,7 @@ pub fn estimated_sites(specimen: &dyn Specimen, field: &Field) -> u64 {
     if extent.iter().any(|e| *e <= width) {
         return specimen.query(&built).sites.len() as u64;
     }
-    // Each sample lies in the middle of its cell, moved a little so that no lattice falls in step.
+    // Each sample lies near the middle of its cell; the small shift keeps the samples out of step with any lattice.
     let place = |k: usize, other: usize, range: [f64; 2], extent: f64| {
         let shift = 0.3 * ((k * 5 + other * 3) % SAMPLES) as f64 / SAMPLES as f64 - 0.15;
         let middle = range[0] + extent * (k as f64 + 0.5 + shift) / SAMPLES as f64;
@@ -44,7 +43,7 @@ pub fn estimated_sites(specimen: &dyn Specimen, field: &Field) -> u64 {
     (density * extent[0] * extent[1]).round() as u64
 }
 
-/// Number of lattice sites in the built field, counted one by one.
+/// Counts the lattice sites in the built field one by one.
 ///
 /// # Errors
 /// [`crate::Error::Interrupted`].

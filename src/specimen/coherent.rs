@@ -17,33 +17,32 @@ use crate::structure::columns::{Chain, ColumnCrystal};
 
 pub(super) const NM: f64 = 0.1;
 
-/// How far apart neighbouring planes are, as a map from the field to the reference lattice that rises
-/// with x. All in nm.
+/// The spacing of planes, as a map from the field to the reference lattice that rises with x. All lengths are in nm.
 pub trait Stretch {
-    /// What all points of one y share.
+    /// The values that all points of one y share.
     type Row: Send + Sync;
-    /// See [`Stretch::Row`].
+    /// Returns the values that all points of one y share.
     fn row(&self, y: f64) -> Self::Row;
-    /// x of the reference lattice at the point x of a row of the field.
+    /// Maps the point x of a row of the field to x in the reference lattice.
     fn to_reference(&self, x: f64, row: &Self::Row) -> f64;
-    /// The x of a row of the field at which [`Stretch::to_reference`] is `reference`.
+    /// Maps x in the reference lattice to the x of a row of the field: the inverse of [`Stretch::to_reference`].
     fn to_field(&self, reference: f64, row: &Self::Row) -> f64;
-    /// How much [`Stretch::to_reference`] may differ between two values of y, and columns from their
-    /// undeformed position in the cell.
+    /// Largest difference of [`Stretch::to_reference`] between two values of y, and largest distance of columns from their undeformed
+    /// position in the cell.
     fn spread(&self) -> f64;
 }
 
-/// Cells with one index across x, and what their columns of each kind share.
+/// The index of cells across x, and for each kind of column the cell's row in the stretch.
 type RowOfCells<R> = (i64, Vec<(usize, R)>);
 
-/// See the module.
+/// One crystal lattice through the whole field, stretched along x.
 pub struct Coherent<S> {
     pub crystal: ColumnCrystal,
     pub cells_along_beam: usize,
     pub field: Region,
     pub stretch: S,
     extent: Region,
-    /// A lattice point of the reference in nm.
+    /// A lattice point of the reference lattice in nm.
     origin: [f64; 2],
 }
 
@@ -60,7 +59,7 @@ impl<S: Stretch> Coherent<S> {
         self.cells_along_beam as f64 * self.crystal.cell[2] * NM
     }
 
-    /// Centre in nm of a unit whose first member lies in the cell of `first`; `place` gives the position of a column.
+    /// Returns the centre in nm of a unit whose first member lies in the cell of `first`; `place` gives the position of a column.
     pub fn centre(
         &self,
         members: &[UnitMember],
@@ -81,8 +80,8 @@ impl<S: Stretch> Coherent<S> {
         (cell as f64 + chain.z) * self.crystal.cell[2] * NM
     }
 
-    /// Calls `f(column, position, more, row)` for the columns of the specimen whose position lies in `region`;
-    /// `place` tells it, and more, from the position in the reference lattice and its row.
+    /// Calls `f(column, position, more, row)` for the columns of the specimen whose position lies in `region`; `place` computes the
+    /// position and `more` from the position in the reference lattice and its row.
     pub fn for_each_column<T>(
         &self,
         region: &Region,
@@ -96,8 +95,8 @@ impl<S: Stretch> Coherent<S> {
         }
     }
 
-    /// Counts over the columns of a region whose `kinds` are wanted, on all threads: `add` counts one, `merge` puts two counts
-    /// together, in any order.
+    /// Counts over the columns of a region, of the kinds that `kinds` selects, on all threads: `add` counts one column, `merge` joins two
+    /// counts, in any order.
     pub fn tally<T, A: Default + Send>(
         &self,
         region: &Region,
@@ -123,7 +122,7 @@ impl<S: Stretch> Coherent<S> {
         cells.fold(A::default, counted).reduce(A::default, &merge)
     }
 
-    /// Cells of the reference lattice along an axis whose columns may lie in a part of the specimen.
+    /// Returns the cells of the reference lattice along an axis whose columns may lie in a part of the specimen.
     pub fn cells(&self, region: &Region, axis: usize) -> Range<i64> {
         if region.x[0] >= region.x[1] || region.y[0] >= region.y[1] {
             return 0..0;
@@ -145,7 +144,7 @@ impl<S: Stretch> Coherent<S> {
         cell(ends[0]) - 1..cell(ends[1]) + 1
     }
 
-    /// The rows of cells across x that may lie in a part of the specimen, and what each kind of column shares in one.
+    /// Returns the rows of cells across x that may lie in a part of the specimen, with the rows of the stretch for each kind of column.
     fn rows(&self, region: &Region) -> Vec<RowOfCells<S::Row>> {
         let of_kind = |kind: usize, j: i64| {
             let index = ColumnIndex { grain: 0, kind, cell: [0, j] };
@@ -156,7 +155,7 @@ impl<S: Stretch> Coherent<S> {
         self.cells(region, 1).map(row).collect()
     }
 
-    /// The columns with this index along x.
+    /// Calls `f` for the columns with this index along x.
     fn for_each_at<T>(
         &self,
         i: i64,
@@ -176,7 +175,7 @@ impl<S: Stretch> Coherent<S> {
         }
     }
 
-    /// Place of a column in the reference lattice, in nm.
+    /// Returns the place of a column in the reference lattice, in nm.
     pub fn reference(&self, index: ColumnIndex) -> [f64; 2] {
         let xy = self.crystal.columns[index.kind].xy;
         [0, 1].map(|k| self.origin[k] + (index.cell[k] as f64 + xy[k]) * self.crystal.cell[k] * NM)

@@ -1,4 +1,4 @@
-//! Columns of a specimen that is held in memory, looked up by place.
+//! A grid in which the columns of a specimen that is held in memory are looked up by place.
 
 use std::ops::Range;
 
@@ -6,7 +6,7 @@ use crate::recipe::region::Region;
 
 /// Least edge of a cell in nm.
 const LEAST_EDGE_NM: f64 = 0.5;
-/// Most cells.
+/// Largest number of cells.
 const MOST_CELLS: f64 = 4e6;
 
 /// Columns sorted by the cells of a grid, row by row; each cell is a range of their numbers.
@@ -15,14 +15,14 @@ pub struct ColumnGrid {
     edge_nm: f64,
     /// Cells along x and y.
     shape: [usize; 2],
-    /// Where each cell begins, and the end of the last.
+    /// Number of the first column of each cell, and the number of columns.
     starts: Vec<u32>,
     /// Steps (along x, y, or both) from each cell to the nearest that holds a column.
     steps: Vec<u32>,
 }
 
 impl ColumnGrid {
-    /// Sorts columns at (x, y) in nm within a region; also returns their order: the columns of the grid by the numbers that they had.
+    /// Sorts columns at (x, y) in nm within a region; also returns their order: the old number of each column in the grid.
     pub fn new(region: &Region, positions_nm: &[[f64; 2]]) -> (Self, Vec<u32>) {
         let [width, height] = [region.x, region.y].map(|[low, high]| high - low);
         let edge_nm = LEAST_EDGE_NM.max((width * height / MOST_CELLS).sqrt());
@@ -59,20 +59,20 @@ impl ColumnGrid {
         y * self.shape[0] + x
     }
 
-    /// The columns of the cells from `left` to `right` of a row of cells.
+    /// Returns the columns in the cells from `left` to `right` of a row of cells.
     fn columns(&self, row: usize, [left, right]: [usize; 2]) -> Range<usize> {
         let start = |cell: usize| self.starts[cell] as usize;
         start(self.number([left, row]))..start(self.number([right, row]) + 1)
     }
 
-    /// Ranges of columns that hold all of a region, and some beside it.
+    /// Returns ranges of columns that contain all columns of a region, and some columns beside it.
     pub fn about(&self, region: Region) -> impl Iterator<Item = Range<usize>> {
         let first = self.cell([region.x[0], region.y[0]]);
         let last = self.cell([region.x[1], region.y[1]]);
         (first[1]..=last[1]).map(move |row| self.columns(row, [first[0], last[0]]))
     }
 
-    /// Number of columns, and the centre (x, y) in nm, of each cell that holds some.
+    /// For each cell that holds columns: their numbers, and the centre (x, y) of the cell in nm.
     pub fn filled(&self) -> impl Iterator<Item = (Range<usize>, [f64; 2])> {
         let cells = (0..self.shape[1]).flat_map(|y| (0..self.shape[0]).map(move |x| [x, y]));
         let centre = |cell: [usize; 2]| {
@@ -82,7 +82,7 @@ impl ColumnGrid {
         found.filter(|(columns, _)| !columns.is_empty())
     }
 
-    /// The nearest of the columns `positions_nm` (sorted as the grid has them) to a place; none where there are no columns.
+    /// Finds the column nearest to a place; `positions_nm` are sorted as in the grid. `None` if there are no columns.
     pub fn nearest(&self, positions_nm: &[[f64; 2]], at: [f64; 2]) -> Option<usize> {
         let centre = self.cell(at);
         let most = self.shape[0].max(self.shape[1]);
@@ -97,7 +97,7 @@ impl ColumnGrid {
                     nearest = Some((square, column));
                 }
             }
-            // The next ring begins at least so far away.
+            // The next ring begins at least this far away.
             let reach = ring as f64 * self.edge_nm;
             if nearest.is_some_and(|(square, _)| square <= reach * reach) {
                 break;
@@ -106,7 +106,7 @@ impl ColumnGrid {
         nearest.map(|(_, column)| column)
     }
 
-    /// The columns of the cells that are just so many steps away.
+    /// Returns the columns of the cells that are exactly `steps` steps away.
     fn ring(&self, [x, y]: [usize; 2], steps: usize) -> impl Iterator<Item = Range<usize>> {
         let span = |c: usize, size: usize| c.saturating_sub(steps)..(c + steps + 1).min(size);
         let (across, down) = (span(x, self.shape[0]), span(y, self.shape[1]));
@@ -118,7 +118,7 @@ impl ColumnGrid {
         })
     }
 
-    /// See [`ColumnGrid::steps`]: two sweeps over the cells find the distance of a king on a chess board.
+    /// Computes [`ColumnGrid::steps`] in two sweeps over the cells; distances are the moves of a king on a chess board.
     fn steps_to_columns(&self) -> Vec<u32> {
         let [width, height] = self.shape;
         let empty = |cell: &usize| self.starts[*cell] == self.starts[*cell + 1];

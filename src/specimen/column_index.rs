@@ -1,4 +1,4 @@
-//! Names of columns and atoms: numbers that are unique in a specimen.
+//! Identifiers of columns and atoms: numbers that are unique in a specimen.
 
 use crate::recipe::limits::{MOST_CELLS_ACROSS, MOST_CELLS_ALONG_BEAM};
 use crate::structure::columns::{Chain, MOST_SITES};
@@ -10,10 +10,10 @@ const DEPTH_BITS: u32 = MOST_CELLS_ALONG_BEAM.next_power_of_two().ilog2();
 /// Bits for the site of a cell.
 const SITE_BITS: u32 = MOST_SITES.ilog2();
 
-/// Which column of a specimen: grain, kind of column, and unit cell.
+/// Address of a column in a specimen: grain, kind of column, and unit cell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ColumnIndex {
-    /// Grain, from the left.
+    /// Number of the grain, from the left.
     pub grain: usize,
     /// Index into [`columns`](crate::structure::columns::ColumnCrystal::columns).
     pub kind: usize,
@@ -22,12 +22,12 @@ pub struct ColumnIndex {
 }
 
 impl ColumnIndex {
-    /// A number that is unique in the specimen.
+    /// Returns a number that is unique in the specimen.
     pub fn id(self) -> u64 {
         self.pack(self.kind)
     }
 
-    /// The key of the atom of `chain` in cell `depth` along the beam; unique in the specimen.
+    /// Returns the key of the atom of `chain` in cell `depth` along the beam; it is unique in the specimen.
     pub fn key(self, chain: &Chain, depth: usize) -> u64 {
         self.pack(chain.site) << DEPTH_BITS | depth as u64
     }

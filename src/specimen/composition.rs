@@ -7,17 +7,17 @@ use crate::simd::vectorised;
 use crate::specimen::roughness::Roughness;
 use crate::specimen::wave::{normal_cdf, normal_cdf_or_zero};
 
-/// Fraction of guests on host sites as a function of the position, all lengths in nm.
+/// Fraction of guests on host sites as a function of the position. All lengths are in nm.
 #[derive(Debug)]
 pub enum Composition {
-    /// From 0 at `x[0]` to `highest` at `x[1]`.
+    /// A gradient from 0 at `x[0]` to `highest` at `x[1]`.
     Linear {
         /// Left and right edge of the field.
         x: [f64; 2],
         /// Fraction at the right edge.
         highest: f64,
     },
-    /// Wells of one composition.
+    /// Wells that all have one composition.
     Wells {
         /// Fraction in the wells.
         fraction: f64,
@@ -32,7 +32,7 @@ pub enum Composition {
 #[derive(Debug)]
 pub struct Interface {
     x: f64,
-    /// `None` when it is plane.
+    /// Deviation from a plane; `None` for a plane interface.
     deviation: Option<Roughness>,
 }
 
@@ -40,30 +40,30 @@ impl Interface {
     fn at(&self, y: f64, z: f64) -> f64 {
         self.x + self.deviation.as_ref().map_or(0.0, |d| d.at(y, z))
     }
-    /// The same at some heights.
+    /// Positions of the interface along x at y and some heights.
     fn along_beam(&self, y: f64, heights: &[f64]) -> Vec<f64> {
         match &self.deviation {
             None => vec![self.x; heights.len()],
             Some(rough) => rough.along_beam(y, heights).map(|d| self.x + d).collect(),
         }
     }
-    /// Mean along the beam.
+    /// Mean position along the beam.
     fn projected(&self, y: f64) -> f64 {
         self.x + self.deviation.as_ref().map_or(0.0, |d| d.mean_along_beam(y))
     }
-    /// Farthest deviation.
+    /// Largest deviation.
     fn reach(&self) -> f64 {
         self.deviation.as_ref().map_or(0.0, Roughness::greatest)
     }
 
-    /// Whether all points at `x` lie beyond it, or none; nothing where it is near.
+    /// Whether all points at `x` lie beyond the interface (`true`) or before it (`false`); `None` where it is near.
     fn passed_anywhere(&self, x: f64) -> Option<bool> {
-        // Rounding does not lead across.
+        // Rounding moves no point across the interface.
         let reach = self.reach() + ROUNDING_NM;
         ((x - self.x).abs() > reach).then_some(x > self.x)
     }
 
-    /// The same for the points at x and y.
+    /// Whether all points at x and y lie beyond the interface (`true`) or before it (`false`); `None` where it is near.
     fn passed_along_beam(&self, [x, y]: [f64; 2]) -> Option<bool> {
         self.passed_anywhere(x).or_else(|| {
             let [low, high] = self.deviation.as_ref()?.range(y).map(|d| self.x + d);
@@ -77,7 +77,7 @@ impl Interface {
     }
 }
 
-/// Whether what has passed the left side of a well or not, and so its right side, lies in it.
+/// Whether a point lies in a well, from whether it has passed the well's left and right side.
 fn between([left, right]: [Option<bool>; 2]) -> Option<bool> {
     match [left, right] {
         [Some(true), Some(false)] => Some(true),
@@ -86,7 +86,7 @@ fn between([left, right]: [Option<bool>; 2]) -> Option<bool> {
     }
 }
 
-/// Whether something lies in any of several wells.
+/// Whether a point lies in any of several wells.
 fn in_any(wells: impl Iterator<Item = Option<bool>>) -> Option<bool> {
     let mut inside = false;
     for well in wells {
@@ -95,12 +95,11 @@ fn in_any(wells: impl Iterator<Item = Option<bool>>) -> Option<bool> {
     Some(inside)
 }
 
-/// Distances from interfaces are known better than this.
+/// Distances from interfaces are exact to better than this.
 const ROUNDING_NM: f64 = 1e-6;
 
 impl Composition {
-    /// That of a recipe, with a first guess of the fraction in the wells (see
-    /// [`Composition::set_fraction`]).
+    /// Builds the composition of a recipe, with a first guess of the fraction in the wells (see [`Composition::set_fraction`]).
     pub fn new(
         alloy: &Alloy,
         wells: Option<&Wells>,
@@ -135,7 +134,7 @@ impl Composition {
         }
     }
 
-    /// The fraction in the wells; 1 of a gradient.
+    /// Returns the fraction in the wells; 1 for a gradient.
     pub fn fraction(&self) -> f64 {
         match self {
             Composition::Linear { .. } => 1.0,
@@ -143,18 +142,18 @@ impl Composition {
         }
     }
 
-    /// The mean over y and the beam.
+    /// Returns the mean fraction over y and the beam.
     pub fn mean(&self, x: f64) -> f64 {
         self.fraction() * self.share(x, normal_cdf)
     }
 
-    /// [`Composition::mean`] over [`Composition::fraction`] to within 1e-23: 0 where only interfaces more than ten standard
-    /// deviations away would add to it.
+    /// Returns [`Composition::mean`] divided by [`Composition::fraction`] to within 1e-23: 0 where only interfaces more than ten standard
+    /// deviations away would contribute.
     pub fn share_of_near(&self, x: f64) -> f64 {
         self.share(x, normal_cdf_or_zero)
     }
 
-    /// The mean over the fraction, with the normal distribution.
+    /// Returns the mean divided by the fraction; `normal` is the cumulative normal distribution.
     fn share(&self, x: f64, normal: impl Fn(f64) -> f64) -> f64 {
         match self {
             Composition::Linear { x: [left, right], highest } => {
@@ -170,7 +169,7 @@ impl Composition {
         }
     }
 
-    /// The fraction at a point.
+    /// Returns the fraction at a point.
     pub fn at(&self, [x, y, z]: [f64; 3]) -> f64 {
         match self {
             Composition::Linear { .. } => self.mean(x),
@@ -184,7 +183,7 @@ impl Composition {
         }
     }
 
-    /// The fraction at all points at x and y; nothing where an interface is near.
+    /// Returns the fraction if it is the same at all points at x and y; `None` where an interface is near.
     pub fn along_beam(&self, at: [f64; 2]) -> Option<f64> {
         match self {
             Composition::Linear { .. } => Some(self.mean(at[0])),
@@ -195,13 +194,13 @@ impl Composition {
         }
     }
 
-    /// Whether all points at x and y lie in a well, or none; nothing where an interface is near.
+    /// Whether all points at x and y lie in a well (`true`) or none (`false`); `None` where an interface is near.
     fn well_along_beam(&self, at: [f64; 2]) -> Option<bool> {
         let Composition::Wells { sides, .. } = self else { return Some(false) };
         in_any(sides.iter().map(|sides| between(sides.each_ref().map(|s| s.passed_along_beam(at)))))
     }
 
-    /// Where the interfaces lie at y and some heights.
+    /// Returns the positions of the interfaces at y and some heights.
     pub fn interfaces_at(&self, y: f64, heights: &[f64]) -> InterfacesAlongBeam {
         let Composition::Wells { sides, .. } = self else { return InterfacesAlongBeam::default() };
         let one = |side: &Interface| OneInterface::new(side.along_beam(y, heights));
@@ -209,7 +208,7 @@ impl Composition {
         InterfacesAlongBeam { wells: sides.collect(), heights: heights.len() }
     }
 
-    /// Whether all points at `x` lie in a well for sure, and the wells of which some points may.
+    /// Returns whether all points at `x` certainly lie in a well, and the wells in which some points may lie.
     pub fn wells_near(&self, x: f64) -> (bool, Vec<usize>) {
         let Composition::Wells { sides, .. } = self else { return (false, Vec::new()) };
         let (mut surely, mut near) = (false, Vec::new());
@@ -228,7 +227,7 @@ impl Composition {
         sides.iter().any(|[left, right]| left.passed(at) && !right.passed(at))
     }
 
-    /// Names of the phases, if there are two.
+    /// Returns the names of the phases, if there are two.
     pub fn phases(&self) -> Vec<String> {
         match self {
             Composition::Linear { .. } => Vec::new(),
@@ -236,7 +235,7 @@ impl Composition {
         }
     }
 
-    /// Whether more than half of the way along the beam lies in a well.
+    /// Whether more than half of the path along the beam lies in a well.
     pub fn is_well(&self, [x, y]: [f64; 2]) -> bool {
         let Composition::Wells { sides, .. } = self else { return false };
         let near = |[l, r]: &[Interface; 2]| x >= l.x - l.reach() && x < r.x + r.reach();
@@ -244,7 +243,7 @@ impl Composition {
         sides.iter().any(|sides| near(sides) && inside(sides))
     }
 
-    /// The sides of the wells from left to right, in the mean along the beam, as polylines.
+    /// Returns the sides of the wells from left to right, averaged along the beam, as polylines.
     pub fn interfaces(&self, y: [f64; 2]) -> Vec<Vec<[f64; 2]>> {
         let Composition::Wells { sides, .. } = self else { return Vec::new() };
         let line = |side: &Interface| match &side.deviation {
@@ -255,14 +254,14 @@ impl Composition {
     }
 }
 
-/// Where the interfaces of all wells lie at one y and some heights.
+/// Positions of the interfaces of all wells at one y and some heights.
 #[derive(Debug, Default)]
 pub struct InterfacesAlongBeam {
     wells: Vec<[OneInterface; 2]>,
     heights: usize,
 }
 
-/// Where one interface lies at some heights.
+/// Positions of one interface at some heights.
 #[derive(Debug)]
 struct OneInterface {
     at: Vec<f64>,
@@ -277,14 +276,14 @@ impl OneInterface {
         OneInterface { at, least, greatest }
     }
 
-    /// Whether a point at `x` is beyond it at all heights, or at none; nothing in between.
+    /// Whether a point at `x` is beyond the interface at all heights (`true`) or at none (`false`); `None` otherwise.
     fn passed(&self, x: f64) -> Option<bool> {
         (x < self.least || x >= self.greatest).then_some(x >= self.greatest)
     }
 }
 
 impl InterfacesAlongBeam {
-    /// How many of the heights lie in one of these wells at `x`.
+    /// Counts the heights that lie in one of these wells at `x`.
     pub fn count_in(&self, wells: &[usize], x: f64) -> usize {
         let mut unsure = None;
         for well in wells.iter().map(|n| &self.wells[*n]) {
@@ -303,7 +302,7 @@ impl InterfacesAlongBeam {
         )
     }
 
-    /// The same, height by height: a height may lie in two wells that overlap.
+    /// Counts height by height, since a height may lie in two wells that overlap.
     fn count_each(&self, wells: &[usize], x: f64) -> usize {
         let inside = |height: &usize| {
             let well = |n: &usize| self.wells[*n].each_ref().map(|side| side.at[*height]);

@@ -1,9 +1,8 @@
 //! A crystal in domains of two phases, such as cubic and tetragonal barium titanate.
 //!
-//! Both phases have the same sites; in the second they are moved a little within the cell, and the cell
-//! has another length along x. An order parameter from 0 to 1, the cumulative normal distribution of the
-//! distance from a boundary, carries both across: the lattice stays coherent, and nothing jumps. Along y
-//! and the beam the second phase is strained to the period of the first.
+//! Both phases have the same sites. In the second phase they are moved a little within the cell, and the cell has another length along x.
+//! An order parameter from 0 to 1, the cumulative normal distribution of the distance from a boundary, interpolates both changes: the
+//! lattice stays coherent, without a step. Along y and the beam the second phase is strained to the period of the first.
 
 use std::cell::LazyCell;
 use std::collections::{BTreeSet, HashMap};
@@ -29,18 +28,18 @@ use crate::specimen::units::unit_tag::UnitTag;
 use crate::specimen::wave::{WavyLine, normal_cdf_and_integral, normal_cdf_or_zero};
 use crate::structure::Structure;
 
-/// Sites of the two phases may differ by less than this fraction of the cell along each edge.
+/// Largest difference between sites of the two phases, as a fraction of the cell along each edge.
 const LARGEST_SHIFT: f64 = 0.1;
-/// Ratio of the edges of the two cells.
+/// Largest relative difference between the edges of the two cells.
 const LARGEST_STRETCH: f64 = 0.1;
 
-/// Rounding leads less far across an edge.
+/// Rounding moves a position across an edge by less than this.
 const EDGE_NM: f64 = 1e-6;
 
-/// Steps of the order parameter in which the library has library cells: between them atoms are less than 0.02 A off.
+/// Steps of the order parameter for which there are library cells: between the steps atoms are less than 0.02 A off.
 const ORDER_STEPS: f64 = 4.0;
 
-/// See the module.
+/// A crystal in domains of two phases.
 pub struct Domains {
     lattice: Coherent<OrderParameter>,
     /// Displacement of each site in the second phase, in nm.
@@ -48,7 +47,7 @@ pub struct Domains {
     /// Mean displacement of the sites of each kind of column.
     column_shifts: Vec<[f64; 2]>,
     defects: Defects,
-    /// What units hold; `None` draws each site by itself.
+    /// The contents of units; with `None` each site is drawn separately.
     contents: Option<UnitOccupation>,
     facts: SpecimenFacts,
 }
@@ -98,7 +97,7 @@ impl Domains {
                     counts.add(lattice.stretch.distance(ideal, row), holding(index.kind));
                 };
             let kinds = |kind: usize| holding(kind) > 0;
-            // Near the edges of the field displacements decide whether a column is in it.
+            // Near the edges of the field displacements decide whether a column lies in it.
             let surely = lattice.field.grown(-largest - EDGE_NM);
             let place = |index: ColumnIndex, at: [f64; 2], row: &Row| {
                 let ideal = [lattice.stretch.to_field(at[0], row), at[1]];
@@ -116,7 +115,7 @@ impl Domains {
         Ok(specimen)
     }
 
-    /// Calls `f(column, its position, and that before displacement with the order parameter there, its row)`.
+    /// Calls `f(column, position, (position before displacement, order parameter there), row)`.
     fn for_each_column(
         &self,
         region: &Region,
@@ -126,8 +125,8 @@ impl Domains {
         self.lattice.for_each_column(region, place, f);
     }
 
-    /// Position of a column from its place in the reference lattice and its row, that before displacement, and the order
-    /// parameter there.
+    /// Computes the position of a column from its place in the reference lattice and its row, with the position before displacement and the
+    /// order parameter there.
     fn place(
         &self,
         index: ColumnIndex,
@@ -140,7 +139,7 @@ impl Domains {
         ([0, 1].map(|k| ideal[k] + order * shift[k]), (ideal, order))
     }
 
-    /// Place in the library of a unit of a kind, by its first column.
+    /// Returns the place in the library of a unit of a kind, by its first column.
     fn tag(&self, kind: usize, first: ColumnIndex, rows: &mut KnownRows) -> Option<UnitTag> {
         let contents = self.contents.as_ref()?;
         let members = &contents.units.kinds[kind];
@@ -158,7 +157,7 @@ impl Domains {
         Some(UnitTag::unrotated((first, 0), centre, structure, entry))
     }
 
-    /// The columns of a region; no sites if not `with_sites`.
+    /// Lists the columns of a region; without sites if `with_sites` is false.
     fn listed(&self, region: &Region, with_sites: bool) -> Sites {
         let mut out = Sites::default();
         let mut tags = KnownTags::default();
@@ -168,7 +167,7 @@ impl Domains {
                 let (kind, member, first) = contents.unit_of(index);
                 tags.get((first, member), || self.tag(kind, first, &mut rows))
             });
-            // Nobody asks where units say what they hold.
+            // The rules are not needed where the units decide the contents.
             let defects =
                 LazyCell::new(|| self.defects.at(self.lattice.stretch.distance([x, y], row)));
             let contents = self.contents.as_ref().zip(tag);
@@ -259,10 +258,10 @@ impl Specimen for Domains {
     }
 }
 
-/// The boundaries where they cross a row: their x, and the width of the transition along x, in nm.
+/// For each boundary, its x where it crosses a row, and the width of the transition along x, in nm.
 type Row = Vec<[f64; 2]>;
 
-/// Rows that were asked for before: many units have the same y.
+/// Rows that were computed before: many units have the same y.
 struct KnownRows<'a> {
     stretch: &'a OrderParameter,
     rows: HashMap<u64, Row>,
@@ -274,11 +273,11 @@ impl KnownRows<'_> {
     }
 }
 
-/// How much of the second phase there is at a point, from 0 to 1.
+/// The share of the second phase at a point, from 0 to 1.
 struct OrderParameter {
     lines: Vec<WavyLine>,
     sigma: f64,
-    /// 1 - (edge of the first cell) / (edge of the second), along x.
+    /// 1 - (edge of the first cell) / (edge of the second cell), along x.
     strain: f64,
     spread: f64,
 }
@@ -307,11 +306,11 @@ impl OrderParameter {
         }
     }
 
-    /// Distance of a point of a row from the nearest boundary in nm.
+    /// Returns the distance of a point of a row from the nearest boundary in nm.
     fn distance(&self, position: [f64; 2], row: &Row) -> f64 {
         let across = |n: &usize| (position[0] - row[*n][0]).abs();
         let lines = 0..self.lines.len();
-        // Where the likely one comes first, the others are seldom looked at.
+        // If the line that is probably nearest is measured first, the others can mostly be skipped.
         let Some(likely) = lines.clone().min_by(|a, b| across(a).total_cmp(&across(b))) else {
             return f64::INFINITY;
         };
@@ -321,7 +320,7 @@ impl OrderParameter {
     }
 }
 
-/// The order parameter at `x` of a row.
+/// Returns the order parameter at `x` of a row.
 fn order(row: &Row, x: f64) -> f64 {
     let mut sum = 0.0;
     for (k, [middle, sigma]) in row.iter().enumerate() {
@@ -330,7 +329,7 @@ fn order(row: &Row, x: f64) -> f64 {
     sum.clamp(0.0, 1.0)
 }
 
-/// The same, and its integral over x.
+/// Returns the order parameter at `x` of a row, and its integral over x.
 fn order_and_integral(row: &Row, x: f64) -> [f64; 2] {
     let mut sums = [0.0; 2];
     for (k, [middle, sigma]) in row.iter().enumerate() {
@@ -341,7 +340,7 @@ fn order_and_integral(row: &Row, x: f64) -> [f64; 2] {
     [sums[0].clamp(0.0, 1.0), sums[1]]
 }
 
-/// Every second boundary leads back to the first phase.
+/// Sign of a boundary's step: every second boundary leads back to the first phase.
 fn sign(boundary: usize) -> f64 {
     if boundary.is_multiple_of(2) { 1.0 } else { -1.0 }
 }
@@ -362,7 +361,7 @@ impl Stretch for OrderParameter {
     }
 
     fn to_field(&self, reference: f64, row: &Row) -> f64 {
-        // Newton's method on a function whose slope is 1 but for a few per cent.
+        // Newton's method on a function whose slope differs from 1 by a few per cent.
         let mut x = reference;
         for _ in 0..20 {
             let [order, integral] = order_and_integral(row, x);
@@ -380,11 +379,11 @@ impl Stretch for OrderParameter {
     }
 }
 
-/// The rule that sites of the second phase break.
+/// The rule that is broken if the sites of the second phase do not match.
 const SAME_SITES: &str = "both crystals of `domains` need the same elements at the same sites";
 
-/// How far each site of the first phase is from its counterpart in the second, in nm; the lengths of
-/// the second cell count along x, those of the first elsewhere.
+/// Computes the distance of each site of the first phase from its counterpart in the second, in nm; lengths along x are those of the second
+/// cell, other lengths those of the first.
 fn shifts(first: &Structure, second: &Structure) -> Result<Vec<[f64; 3]>> {
     let (a, b) = (first.orthogonal_box()?, second.orthogonal_box()?);
     let fault = |value: String, expected: &str| {

@@ -1,5 +1,5 @@
-//! An alloy grown along +x, coherent with a substrate of its pure host crystal: a composition gradient,
-//! or quantum wells. `alloy_spacing` tells how far apart its planes are.
+//! An alloy grown along +x, coherent with a substrate of its pure host crystal: a composition gradient, or quantum wells. `alloy_spacing`
+//! computes the spacing of its planes.
 
 use std::cell::LazyCell;
 use std::collections::HashMap;
@@ -31,10 +31,10 @@ use crate::structure::elements;
 
 /// Draw of [`Purpose::Defect`] that decides about guests (see [`super::defects`]).
 const GUEST_DRAW: u32 = 2;
-/// Most rounds of filling the wells; two or three suffice.
+/// Largest number of rounds in which the wells are filled; two or three suffice.
 const FILLINGS: usize = 12;
 
-/// See the module.
+/// An alloy grown along +x, coherent with its substrate.
 pub struct Epitaxy {
     lattice: Coherent<TabulatedStretch>,
     composition: Composition,
@@ -43,7 +43,7 @@ pub struct Epitaxy {
     defects: Defects,
     seed: u64,
     spacing: Spacing,
-    /// What units hold; `None` draws each site by itself.
+    /// The contents of units; with `None` each site is drawn separately.
     contents: Option<UnitOccupation>,
     facts: SpecimenFacts,
 }
@@ -98,9 +98,8 @@ impl Epitaxy {
         Ok(specimen)
     }
 
-    /// Sets the fraction of guests in the wells to that which makes the mean over the field's host sites
-    /// the rate. The lattice depends on the fraction, and the number of planes in the wells on the
-    /// lattice, hence the iteration.
+    /// Sets the fraction of guests in the wells so that the mean over the field's host sites is the rate. The lattice depends on the
+    /// fraction, and the number of planes in the wells on the lattice, so the fraction is iterated.
     fn fill_wells(
         &mut self,
         alloy: &Alloy,
@@ -126,12 +125,12 @@ impl Epitaxy {
             last = fraction;
             self.lattice.stretch = self.spacing.stretch(table, fraction);
         }
-        // Where the last lattice moved a plane across an interface, the share is that of this lattice.
+        // If the last lattice moved a plane across an interface, the share is taken from that lattice.
         self.composition.set_fraction((alloy.rate / self.share_of_wells(&lines)).min(1.0));
         Ok(())
     }
 
-    /// The columns of the field with host sites as lines along y, one for each kind.
+    /// Returns the columns of the field with host sites as lines along y, one for each kind.
     fn host_lines(&self) -> Vec<HostLine> {
         let lattice = &self.lattice;
         let line = |kind: usize| {
@@ -150,7 +149,7 @@ impl Epitaxy {
         lines.filter(|line| line.sites > 0).collect()
     }
 
-    /// Share of the field's host sites that lie in wells.
+    /// Returns the share of the field's host sites that lie in wells.
     fn share_of_wells(&self, lines: &[HostLine]) -> f64 {
         let (lattice, wells) = (&self.lattice, &self.composition);
         // All columns of one kind and one index along x have the same x.
@@ -173,7 +172,7 @@ impl Epitaxy {
         inside as f64 / all.max(1) as f64
     }
 
-    /// Place in the library of a unit of a kind, by its first column; `mean` is [`Composition::mean`].
+    /// Returns the place in the library of a unit of a kind, by its first column; `mean` is [`Composition::mean`].
     fn tag(
         &self,
         kind: usize,
@@ -198,8 +197,8 @@ impl Epitaxy {
                 let open = self.open_sites(contents, (kind, first), position);
                 let rates = (open.rate, around);
                 let drawn = contents.draw_among(kind, first, open.rate, around, &open.allowed);
-                // Where few sites are open the pool may lack what could be there, but seldom what is: nothing. Else the number of guests
-                // is right, and some lie above or below the well.
+                // Where few sites are open the pool may lack the drawn number, but it usually has the most frequent draw: no guest.
+                // Otherwise the number of guests is right, and some of them lie above or below the well.
                 let guests = LazyCell::new(|| self.guests(contents, (kind, first), position));
                 let found = || contents.find(kind, first, open.rate, around, &guests);
                 let nearest = || contents.nearest(kind, first, rates, (&guests, &open.allowed));
@@ -209,7 +208,7 @@ impl Epitaxy {
         Some(UnitTag::unrotated((first, 0), centre, 0, entry))
     }
 
-    /// The sites of a unit that guests may take; `position` is that of a column.
+    /// Returns the sites of a unit that guests may take; `position` computes the position of a column.
     fn open_sites(
         &self,
         contents: &UnitOccupation,
@@ -225,7 +224,7 @@ impl Epitaxy {
         open
     }
 
-    /// The sites of a unit that hold a guest if each is drawn by itself, ascending.
+    /// Draws each site of a unit separately, and returns the sites that hold a guest, ascending.
     fn guests(
         &self,
         contents: &UnitOccupation,
@@ -266,12 +265,12 @@ impl Epitaxy {
         }
     }
 
-    /// Whether a site drawn by itself holds a guest.
+    /// Whether a site that is drawn separately holds a guest.
     fn draws_guest(&self, fraction: f64, key: u64) -> bool {
         fraction > 0.0 && rng::uniform(self.seed, Purpose::Defect, GUEST_DRAW, key) < fraction
     }
 
-    /// The columns of a region; no sites if not `with_sites`.
+    /// Lists the columns of a region; without sites if `with_sites` is false.
     fn listed(&self, region: &Region, with_sites: bool) -> Sites {
         let mut out = Sites::default();
         let defects = self.defects.at(f64::INFINITY);
@@ -310,7 +309,7 @@ impl Epitaxy {
         out
     }
 
-    /// Calls `f(column, position)`.
+    /// Calls `f(column, position)` for the columns whose position lies in `region`.
     fn for_each_column(&self, region: &Region, mut f: impl FnMut(ColumnIndex, [f64; 2])) {
         let stretch = &self.lattice.stretch;
         let place = |_, at: [f64; 2], row: &()| ([stretch.to_field(at[0], row), at[1]], ());
@@ -318,21 +317,21 @@ impl Epitaxy {
     }
 }
 
-/// Columns of one kind with one index along x, whichever.
+/// All columns of one kind with the same index along x, at any such index.
 struct HostLine {
     /// Kind of the columns.
     kind: usize,
     /// Host sites of a column.
     sites: usize,
-    /// Where the interfaces lie at the y of each and the heights of the sites.
+    /// Positions of the interfaces at the y of each column and the heights of its sites.
     rows: Vec<InterfacesAlongBeam>,
 }
 
-/// What a unit may hold.
+/// The sites of a unit that guests may take.
 struct OpenSites {
-    /// How often guests take each open site.
+    /// Rate of guests on the open sites.
     rate: f64,
-    /// Which sites are open.
+    /// Whether each site is open.
     allowed: Vec<bool>,
 }
 
@@ -401,7 +400,8 @@ mod tests {
     use super::*;
     use crate::recipe::Difficulty;
 
-    /// At rough interfaces the pool holds what is nearest: nothing has to be simulated by itself, and few guests leave the wells.
+    /// At rough interfaces the pool gives the nearest pattern that it has: no column is simulated separately, and few guests leave the
+    /// wells.
     #[test]
     fn all_columns_are_in_the_library_and_few_guests_beside_the_wells() {
         for difficulty in [Difficulty::Medium, Difficulty::Hard] {

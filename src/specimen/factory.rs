@@ -1,4 +1,4 @@
-//! From a checked recipe to its specimen.
+//! Lays out the specimen of a checked recipe.
 
 use std::sync::Arc;
 
@@ -15,14 +15,14 @@ use crate::recipe::tables::StructureKind;
 
 #[cfg(test)]
 thread_local! {
-    /// Specimens that this thread has laid out.
+    /// Number of specimens that this thread has laid out.
     pub(crate) static LAID_OUT: std::cell::Cell<usize> = const { std::cell::Cell::new(0) };
 }
 
-/// The specimen that a recipe describes.
+/// Lays out the specimen that a recipe describes.
 ///
 /// # Errors
-/// [`crate::Error::Invalid`] where defects or particles find no room, which limits of single values cannot tell.
+/// [`crate::Error::Invalid`] where defects or particles find no room, which limits of single values cannot show.
 pub fn specimen(recipe: &CheckedRecipe) -> Result<Arc<dyn Specimen>> {
     #[cfg(test)]
     LAID_OUT.set(LAID_OUT.get() + 1);

@@ -1,7 +1,7 @@
-//! Specimens: every lattice site of a full field, asked for region by region.
+//! Specimens: every lattice site of a full field, computed region by region.
 //!
-//! recipe -> specimen. A specimen is never held in memory as a whole: [`Specimen::query`] works out the columns and sites of
-//! any region, the same whichever way it is asked for.
+//! recipe -> specimen. A specimen is never held in memory as a whole: [`Specimen::query`] computes the columns and sites of any region, and
+//! the result does not depend on how the field is divided into regions.
 
 pub(crate) mod alloy_spacing;
 pub mod atom_columns;

@@ -1,7 +1,7 @@
-//! The atoms of a file of the user's.
+//! Specimens from a file of atoms that the user supplies.
 //!
-//! All of them are held in memory, in the columns that `beam_rows` finds. Without labels in the file no atom is a defect: which
-//! atoms do not belong where they are cannot be told from any arrangement.
+//! All atoms are held in memory, in the columns that `beam_rows` finds. Without labels in the file no atom is a defect: an arrangement of
+//! atoms alone does not show which atoms are out of place.
 
 use rayon::prelude::*;
 
@@ -22,17 +22,17 @@ use crate::specimen::units::library_cell::LibraryCell;
 use crate::specimen::units::unit_tag::UnitFamily;
 use crate::structure::{LabelledAtom, LabelledAtoms, SiteLabel};
 
-/// Most atoms of a specimen that is held in memory.
+/// Largest number of atoms of a specimen that is held in memory.
 const MOST_ATOMS: usize = 10_000_000;
 const NM: f64 = 0.1;
 
-/// See the module.
+/// A specimen made of the atoms of the user's file.
 pub struct OwnAtoms {
-    /// Column after column, each by ascending z.
+    /// All sites, column after column, each column by ascending z.
     sites: Vec<SpecimenSite>,
-    /// Mean (x, y) of each column in nm, sorted as the grid has them.
+    /// Mean (x, y) of each column in nm, in the order of the grid.
     positions_nm: Vec<[f64; 2]>,
-    /// Where the sites of each column begin, and the end of the last.
+    /// Index of the first site of each column, and the number of sites.
     starts: Vec<u32>,
     /// The phase of each column.
     phases: Vec<u16>,
@@ -41,14 +41,14 @@ pub struct OwnAtoms {
     facts: SpecimenFacts,
 }
 
-/// A site in the field, and the phase that its file says.
+/// A site in the field, and the phase that its file gives.
 type PlacedSite = (SpecimenSite, u16);
 
 impl OwnAtoms {
     /// Lays the atoms of the recipe's file into the field.
     ///
     /// # Errors
-    /// [`Error::Invalid`] if none lies in the field, or too many do.
+    /// [`Error::Invalid`] if no atom lies in the field, or too many do.
     pub fn new(recipe: &CheckedRecipe) -> Result<Self> {
         let atoms = recipe.atoms()?;
         let Some(table) = &recipe.atoms else {
@@ -117,7 +117,7 @@ impl OwnAtoms {
         ExpectedSites { per_nm2: 0.0, particles }
     }
 
-    /// The numbers of the columns whose position lies in a region.
+    /// Returns the numbers of the columns whose position lies in a region.
     fn inside<'a>(&'a self, region: &'a Region) -> impl Iterator<Item = usize> + 'a {
         let part = region.intersection(&self.extent);
         let some = part.x[0] < part.x[1] && part.y[0] < part.y[1];
@@ -130,14 +130,14 @@ impl OwnAtoms {
     }
 }
 
-/// The sites in and about the field, sorted by depth, with keys of their own.
+/// Returns the sites in and about the field, sorted by depth, with unique keys.
 fn placed(
     atoms: &LabelledAtoms,
     table: &AtomsTable,
     recipe: &CheckedRecipe,
 ) -> Result<Vec<PlacedSite>> {
     let field = recipe.field.full_region();
-    // A column may have its position inside, and atoms outside.
+    // A column may have its position inside the field and atoms outside.
     let around = field.grown(BEYOND_FIELD_NM + 2.0 * DISPLACED_NM);
     let [x, y, [first, _]] = atoms.extent();
     let middle = [(x, field.x), (y, field.y)]
@@ -145,7 +145,7 @@ fn placed(
     let origin = table.origin_angstrom.unwrap_or(middle);
     let edges = [atoms.cell[0][0], atoms.cell[1][1]];
     let ranges = [around.x, around.y];
-    // The shifts, in cells, with which an atom's coordinate comes to lie about the field.
+    // Shifts, in cells, that move a coordinate of an atom into or near the field.
     let shifts = |k: usize, coordinate: f64| {
         if !table.repeat {
             return 0..=0;
@@ -197,7 +197,7 @@ fn check_count(atoms: f64) -> Result<()> {
     Err(Error::invalid(Setting::Recipe, "atoms", expected))
 }
 
-/// The atoms of each row, one row after the other, and where rows begin.
+/// Returns the atoms of each row, one row after the other, and the index of the first atom of each row.
 fn by_row(rows: &[u32], count: usize) -> (Vec<u32>, Vec<u32>) {
     let mut starts = vec![0u32; count + 1];
     rows.iter().for_each(|row| starts[*row as usize + 1] += 1);
@@ -214,7 +214,7 @@ fn by_row(rows: &[u32], count: usize) -> (Vec<u32>, Vec<u32>) {
     (members, starts)
 }
 
-/// The most frequent of some numbers; the least of those that are as frequent.
+/// Returns the most frequent number; among equally frequent ones the least.
 fn most_frequent(numbers: impl Iterator<Item = u16>) -> u16 {
     let mut sorted: Vec<u16> = numbers.collect();
     sorted.sort_unstable();
@@ -231,7 +231,7 @@ impl SpecimenLayout for OwnAtoms {
         Vec::new()
     }
 
-    /// That of the nearest column.
+    /// Returns the phase of the nearest column.
     fn phase_at(&self, position_nm: [f64; 2]) -> usize {
         if self.facts.phases.is_empty() {
             return 0;

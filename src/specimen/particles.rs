@@ -1,9 +1,8 @@
 //! Metal particles on a film of amorphous carbon.
 //!
-//! The particles lie on the film's side towards the gun. A column of the ground truth is a row of atoms of a particle that runs
-//! along the beam to within [`ROW_TILT_DEG`], with steps of at most [`ROW_STEP`] cell edges, and of which no atom lies farther
-//! than [`DISPLACED_NM`] from the mean, seen along the beam. Atoms in no such row, and those of the carbon, are columns by
-//! themselves.
+//! The particles lie on the film's side towards the gun. A column of the ground truth is a row of atoms of a particle that runs along the
+//! beam to within [`ROW_TILT_DEG`], with steps of at most [`ROW_STEP`] cell edges, and of which no atom lies farther than [`DISPLACED_NM`]
+//! from the mean in projection along the beam. Each atom in no such row, and each atom of the carbon, is a column of one atom.
 
 use std::ops::Range;
 use std::sync::OnceLock;
@@ -31,22 +30,22 @@ use crate::specimen::specimen_trait::{
 use crate::specimen::units::library_cell::LibraryCell;
 use crate::specimen::units::unit_tag::UnitFamily;
 
-/// Rows of atoms this near to the beam are columns: more than the tilt of the particles on the easy tier.
+/// Largest angle in degrees between the beam and a row of atoms that is a column: more than the tilt of the particles on the easy tier.
 pub const ROW_TILT_DEG: f64 = 3.0;
-/// Longest step in a row, in cell edges: that of \[111\].
+/// Longest step in a row, in cell edges: the step along \[111\].
 pub const ROW_STEP: f64 = 1.75;
 /// Deviation of an atom from a straight row by strain, in Angstrom.
 const ROW_STRAIN: f64 = 0.1;
 
 /// Vacuum above the highest particle and below the film, in Angstrom.
 const VACUUM: f64 = 1.0;
-/// Places tried for a particle.
+/// Number of places tried for a particle.
 const TRIES: u64 = 100_000;
 const NM: f64 = 0.1;
-/// Set in the keys of particles' atoms.
+/// Bit that is set in the keys of particles' atoms.
 const PARTICLE_KEY: u64 = 1 << 60;
 
-/// See the module.
+/// A specimen of metal particles on a film of amorphous carbon.
 pub struct ParticlesOnCarbon {
     particles: Vec<PlacedParticle>,
     film: Film,
@@ -66,16 +65,16 @@ struct PlacedParticle {
     rotation: Rotation,
     /// Centre (x, y) in the specimen.
     centre: [f64; 2],
-    /// Atoms about the centre, rotated.
+    /// Atoms relative to the centre, rotated.
     atoms: Vec<[f64; 3]>,
-    /// Radius of the circle around it.
+    /// Radius of the circle around the particle.
     radius: f64,
     /// Height of the centre, and columns as ranges of `atoms` (sorted accordingly); known once it lies on the film.
     height: OnceLock<f64>,
     rows: Vec<Range<usize>>,
 }
 
-/// Draws about particles.
+/// Numbers of the random draws for particles.
 mod draw {
     pub const DIAMETER: u32 = 0;
     pub const ORIENTATION: u32 = 1;
@@ -83,10 +82,10 @@ mod draw {
 }
 
 impl ParticlesOnCarbon {
-    /// Builds the particles and strews them over the field.
+    /// Builds the particles and places them at random in the field.
     ///
     /// # Errors
-    /// [`Error::Invalid`] if they do not fit into the field, or no particle has such a diameter.
+    /// [`Error::Invalid`] if the particles do not fit into the field, or no particle has the requested diameter.
     pub fn new(recipe: &CheckedRecipe) -> Result<Self> {
         let Some(table) = &recipe.particles else {
             return Err(Error::invalid(
@@ -123,12 +122,12 @@ impl ParticlesOnCarbon {
         atoms
     }
 
-    /// Depth of a particle's centre in Angstrom: as deep as it can lie.
+    /// Returns the depth of a particle's centre in Angstrom: the greatest depth at which it rests on the film.
     fn height(&self, particle: &PlacedParticle) -> f64 {
         *particle.height.get_or_init(|| {
             let reach = particle.radius + self.contact;
             let area = particle.centre.map(|c| [c - reach, c + reach]);
-            // The film is deeper than any particle can sink.
+            // The film reaches deeper than any particle can sink.
             let top = self.face + 3.0 * self.contact;
             let mut carbon = self.film_atoms(area);
             carbon.retain(|a| a.position[2] < top);
@@ -142,7 +141,7 @@ impl ParticlesOnCarbon {
         ParticleTruth { centre_nm, diameter_nm, morphology, orientation: particle.rotation.0 }
     }
 
-    /// Adds the columns of a particle in a region; `height` tells the depth of its centre in Angstrom if there are any.
+    /// Adds the columns of a particle in a region; `height` computes the depth of its centre in Angstrom if there are any.
     fn push_particle(
         &self,
         index: usize,
@@ -216,7 +215,7 @@ impl Specimen for ParticlesOnCarbon {
         for index in 0..self.particles.len() {
             self.push_particle(index, &region, |p| self.height(p), &mut out);
         }
-        // A little more than the region: whether an atom lies inside is decided in nm.
+        // The area is slightly larger than the region: the comparison in nm decides whether an atom lies inside.
         let area = [region.x, region.y].map(|[low, high]| [low / NM - 1e-6, high / NM + 1e-6]);
         for FilmAtom { key, position } in self.film_atoms(area) {
             let position_nm = position.map(|v| v * NM);
@@ -258,7 +257,7 @@ impl Specimen for ParticlesOnCarbon {
     }
 }
 
-/// What is the same for all of particles on a film, whose upper face and thickness are in Angstrom.
+/// Collects the facts of particles on a film, whose upper face and thickness are in Angstrom.
 fn facts(particles: &[PlacedParticle], face: f64, thickness: f64) -> SpecimenFacts {
     let per_nm2 = atoms_per_nm2(thickness * NM);
     let outlines: Vec<ParticleOutline> = particles.iter().map(PlacedParticle::outline).collect();
@@ -314,7 +313,7 @@ impl PlacedParticle {
         }
     }
 
-    /// Extent along the beam.
+    /// Returns the extent along the beam.
     fn tall(&self) -> f64 {
         let ends = self
             .atoms
@@ -323,12 +322,12 @@ impl PlacedParticle {
         ends[1] - ends[0]
     }
 
-    /// Depth below the centre of the atom that lies lowest.
+    /// Returns the depth of the lowest atom below the centre.
     fn lowest(&self) -> f64 {
         self.atoms.iter().map(|p| p[2]).fold(f64::NEG_INFINITY, f64::max)
     }
 
-    /// The greatest depth of the centre at which no atom is nearer than `contact` to one of the carbon.
+    /// Returns the greatest depth of the centre at which no atom is nearer than `contact` to an atom of the carbon.
     fn resting_height(&self, carbon: &[FilmAtom], contact: f64, face: f64) -> f64 {
         let lowest = self.lowest();
         let mut height = face + 2.0 * contact - lowest;
@@ -346,7 +345,7 @@ impl PlacedParticle {
     }
 }
 
-/// A zone axis within `max_tilt_deg` of the beam and any turn about it; from 90 degrees on, any orientation.
+/// Draws a zone axis within `max_tilt_deg` of the beam and any rotation about it; from 90 degrees on, any orientation.
 fn orientation(morphology: Morphology, max_tilt_deg: f64, seed: u64, index: u64) -> Rotation {
     let unit = |w: u32| (f64::from(w) + 0.5) / 4_294_967_296.0;
     let [a, b, c, tilted] = words(seed, Purpose::Particle, draw::ORIENTATION, index).map(unit);
@@ -355,7 +354,7 @@ fn orientation(morphology: Morphology, max_tilt_deg: f64, seed: u64, index: u64)
     }
     let axis = morphology.zone_axes()[((3.0 * a) as usize).min(2)];
     let turn = |v: f64| 2.0 * std::f64::consts::PI * v;
-    // Uniform on the cap of the sphere.
+    // Directions are uniform on the cap of the sphere.
     let cosine = 1.0 - tilted * (1.0 - libm::cos(max_tilt_deg.to_radians()));
     let direction = [libm::cos(turn(c)), libm::sin(turn(c)), 0.0];
     let tilt = Rotation::about(direction, libm::acos(cosine));
@@ -403,7 +402,7 @@ fn rows(atoms: &mut Vec<[f64; 3]>, a: f64) -> Vec<Range<usize>> {
     rows
 }
 
-/// Atoms in square cells of (x, y), for looking up those near a place.
+/// Atoms in square cells of (x, y), to look up the atoms near a place.
 struct AtomCells {
     edge: f64,
     first: [f64; 2],
@@ -433,7 +432,7 @@ impl AtomCells {
         [0, 1].map(|k| ((p[k] - self.first[k]) / self.edge) as usize)
     }
 
-    /// The cells about a place, in which all atoms within an edge of it lie.
+    /// Returns the cells about a place; they contain all atoms within one cell edge of it.
     fn about(&self, p: &[f64; 3]) -> impl Iterator<Item = &[usize]> {
         let [x, y] = self.cell(p);
         let near = |k: usize, at: usize| at.saturating_sub(1)..(at + 2).min(self.shape[k]);
@@ -444,7 +443,7 @@ impl AtomCells {
     }
 }
 
-/// Adds a row; one that runs too far to the side for a column is cut in halves.
+/// Adds a row; a row that runs too far to the side for one column is split into halves.
 fn push_row(row: Range<usize>, atoms: &[[f64; 3]], rows: &mut Vec<Range<usize>>) {
     let members = &atoms[row.clone()];
     let mean = |k: usize| members.iter().map(|p| p[k]).sum::<f64>() / members.len() as f64;
@@ -460,7 +459,7 @@ fn push_row(row: Range<usize>, atoms: &[[f64; 3]], rows: &mut Vec<Range<usize>>)
     push_row(middle..row.end, atoms, rows);
 }
 
-/// Strews the particles over the field, the largest first, so that their circles keep the gap.
+/// Places the particles at random in the field, the largest first, so that their circles keep the gap.
 fn place(
     particles: &mut [PlacedParticle],
     field: &Region,

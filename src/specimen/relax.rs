@@ -11,8 +11,8 @@ use crate::specimen::specimen_trait::{Specimen, SpecimenLayout};
 use crate::specimen::units::unit_tag::UnitFamily;
 use crate::structure::{PAIR_CUTOFF_ANGSTROM, elements, shortest_distances};
 
-/// Neighbours up to this many times the shortest distance of their pair of elements move: more than
-/// the nearest shell, less than the next.
+/// Neighbours up to this multiple of the shortest distance of their pair of elements move: the factor includes the nearest shell and
+/// excludes the next.
 const SHELL: f64 = 1.15;
 
 /// A specimen whose atoms move away from the vacancies beside them.
@@ -23,7 +23,7 @@ pub struct Relaxed {
 }
 
 impl Relaxed {
-    /// Relaxes `inner` by `vacancies.relaxation_angstrom` of the recipe; returns it as it is if that is 0.
+    /// Relaxes `inner` by `vacancies.relaxation_angstrom` of the recipe; returns `inner` unchanged if that is 0.
     ///
     /// # Errors
     /// As [`CheckedRecipe::structure`].
@@ -43,7 +43,7 @@ impl Relaxed {
 impl Specimen for Relaxed {
     fn query(&self, region: &Region) -> Sites {
         let mut sites = self.inner.query(region);
-        // The columns whose vacancies reach into the region, wherever their sites lie.
+        // Columns whose vacancies reach into the region, including columns with sites outside it.
         let around = self.inner.sites(&region.grown(self.reach.greatest_nm() + DISPLACED_NM));
         let vacant: Vec<_> = around.into_iter().filter(|s| s.kind == SiteKind::Vacancy).collect();
         outward(&mut sites.sites, &vacant, self.distance_nm, &self.reach);
@@ -63,12 +63,12 @@ impl Specimen for Relaxed {
     }
 }
 
-/// How far from a vacancy of one element atoms of the others move.
+/// The reach of a vacancy of one element: the distance up to which atoms of each other element move.
 #[derive(Debug, Clone, Default)]
 pub struct Reach(BTreeMap<u8, f64>);
 
 impl Reach {
-    /// For vacancies of `element`; `shortest` are the shortest distances in the crystal in Angstrom.
+    /// Computes the reach for vacancies of `element`; `shortest` are the shortest distances in the crystal in Angstrom.
     pub fn new(element: u8, shortest: &BTreeMap<(u8, u8), f64>) -> Self {
         let of = |(&(a, b), d): (&(u8, u8), &f64)| {
             let other = if a == element { b } else { a };
@@ -76,11 +76,11 @@ impl Reach {
         };
         Reach(shortest.iter().filter_map(of).collect())
     }
-    /// For atoms of `number`, in nm.
+    /// Returns the reach for atoms of `number`, in nm.
     fn of(&self, number: u8) -> f64 {
         self.0.get(&number).copied().unwrap_or(0.0)
     }
-    /// The greatest, in nm.
+    /// Returns the greatest reach, in nm.
     pub fn greatest_nm(&self) -> f64 {
         self.0.values().copied().fold(0.0, f64::max)
     }
@@ -129,7 +129,7 @@ mod tests {
     use crate::specimen::units::library_cell::LibraryCell;
     use crate::specimen::{Boundary, ParticleTruth, SpecimenFacts};
 
-    /// One site, and a layout of its own.
+    /// A specimen of one site, with a layout that has its own values.
     struct OneSite(SpecimenFacts);
 
     impl SpecimenLayout for OneSite {
@@ -172,8 +172,8 @@ mod tests {
         }
     }
 
-    /// Everything that is no atom comes from the layout, which is that of the rigid specimen itself and no copy; the trait has no defaults
-    /// for the rest. A fact that is added to [`SpecimenFacts`] or [`SpecimenLayout`] is passed on, too.
+    /// All facts except the atoms come from the layout, which is the layout of the rigid specimen itself and no copy. The trait has no
+    /// defaults, so a fact that is added to [`SpecimenFacts`] or [`SpecimenLayout`] is passed on, too.
     #[test]
     fn a_relaxed_specimen_loses_no_fact() {
         let facts = SpecimenFacts { thickness_nm: 3.0, ..SpecimenFacts::default() };

@@ -5,9 +5,9 @@ use rayon::prelude::*;
 use crate::rng::{Purpose, normal3, uniform};
 use crate::simd::vectorised;
 
-/// Waves that are summed; their wave vectors are normally distributed.
+/// Number of waves in the sum; their wave vectors are normally distributed.
 const WAVES: u64 = 64;
-/// First item of the random phases, beyond those of the wave vectors.
+/// First item of the random phases, beyond the items of the wave vectors.
 const PHASES: u64 = 1 << 32;
 /// Grid steps per correlation length.
 const STEPS: f64 = 6.0;
@@ -17,9 +17,9 @@ const STEPS: f64 = 6.0;
 pub struct Roughness {
     start: f64,
     step: [f64; 2],
-    /// Points along z.
+    /// Number of points along z.
     depth: usize,
-    /// Row by row: y, then z.
+    /// Heights row by row: y, then z.
     heights: Vec<f64>,
     means: Vec<f64>,
     /// Least and greatest height of each row.
@@ -28,9 +28,8 @@ pub struct Roughness {
 }
 
 impl Roughness {
-    /// Interface number `number` for `y` within `range` and `z` within `0..thickness`: correlation
-    /// exp(-r^2 / 2 length^2), and within `field` and the thickness a mean of 0 and a standard deviation of
-    /// `rms`.
+    /// Makes interface `number` for `y` within `range` and `z` within `0..thickness`: its correlation is exp(-r^2 / 2 length^2), and within
+    /// `field` and the thickness its mean is 0 and its standard deviation `rms`.
     pub fn new(
         range: [f64; 2],
         field: [f64; 2],
@@ -52,7 +51,7 @@ impl Roughness {
             .collect();
         let rows = across as usize + 1;
         let depth = along as usize + 1;
-        // cos(a + b) = cos a cos b - sin a sin b: a depends on y alone and b on z alone, which leaves few cosines to work out.
+        // cos(a + b) = cos a cos b - sin a sin b: a depends on y alone and b on z alone, so few cosines have to be computed.
         let turn = |angle: f64| {
             let (sin, cos) = libm::sincos(angle);
             [cos, sin]
@@ -104,12 +103,12 @@ impl Roughness {
         Roughness { start: range[0], step, depth, heights, means, ranges, greatest }
     }
 
-    /// The deviation at a point, between the points of the grid by linear interpolation.
+    /// Returns the deviation at a point, interpolated linearly between the points of the grid.
     pub fn at(&self, y: f64, z: f64) -> f64 {
         self.along_beam(y, &[z]).sum()
     }
 
-    /// The deviations at one y and some z.
+    /// Returns the deviations at one y and some z.
     pub fn along_beam<'a>(&'a self, y: f64, z: &'a [f64]) -> impl Iterator<Item = f64> + 'a {
         let (i, s) = split((y - self.start) / self.step[0], self.means.len());
         let rows = self.heights[i * self.depth..(i + 2) * self.depth].split_at(self.depth);
@@ -121,25 +120,25 @@ impl Roughness {
         })
     }
 
-    /// Its mean along the beam.
+    /// Returns the mean deviation along the beam.
     pub fn mean_along_beam(&self, y: f64) -> f64 {
         let (i, s) = split((y - self.start) / self.step[0], self.means.len());
         self.means[i] + s * (self.means[i + 1] - self.means[i])
     }
 
-    /// No deviation at this y is below the first or above the second, but for rounding.
+    /// Returns the least and the greatest deviation at this y, up to rounding.
     pub fn range(&self, y: f64) -> [f64; 2] {
         let (i, _) = split((y - self.start) / self.step[0], self.means.len());
         let [a, b] = [self.ranges[i], self.ranges[i + 1]];
         [a[0].min(b[0]), a[1].max(b[1])]
     }
 
-    /// The greatest deviation.
+    /// Returns the greatest deviation.
     pub fn greatest(&self) -> f64 {
         self.greatest
     }
 
-    /// The values of y in a range at which [`Roughness::mean_along_beam`] has its corners, and its ends.
+    /// Returns the values of y in a range at which [`Roughness::mean_along_beam`] has its corners, and the ends of the range.
     pub fn corners(&self, [first, last]: [f64; 2]) -> Vec<f64> {
         let grid = (0..self.means.len()).map(|i| self.start + i as f64 * self.step[0]);
         let mut out = vec![first];
@@ -149,7 +148,7 @@ impl Roughness {
     }
 }
 
-/// Interval and place in it, of `count` points.
+/// Returns the interval of `count` points that contains `at`, and the place in it.
 fn split(at: f64, count: usize) -> (usize, f64) {
     let at = at.clamp(0.0, (count - 1) as f64);
     let n = (at as usize).min(count - 2);
@@ -162,7 +161,7 @@ mod tests {
 
     #[test]
     fn statistics_are_those_asked_for() {
-        // Many correlation lengths, so that the realised correlation is near its mean.
+        // The field spans many correlation lengths, so the realised correlation is near its mean.
         let (rms, length) = (0.5, 1.0);
         let (mut covariance, mut count) = ([0.0; 2], 0.0);
         for number in 0..40 {

@@ -3,10 +3,10 @@
 use crate::engine::Site;
 use crate::recipe::tables::PhononTable;
 
-/// Sites are never further than this from the position of their column, in nm.
+/// Largest distance of a site from the position of its column, in nm.
 pub const DISPLACED_NM: f64 = 0.1;
 
-/// What a lattice site holds.
+/// The contents of a lattice site.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SiteKind {
     /// The atom that belongs there.
@@ -20,19 +20,19 @@ pub enum SiteKind {
 /// A lattice site of the specimen.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SpecimenSite {
-    /// Unique in the specimen, whichever region is asked for.
+    /// Number that is unique in the specimen and does not depend on the queried region.
     pub key: u64,
     /// Mean position in nm: x and y from the centre of pixel (0, 0) of the full field, z from the
     /// entrance surface.
     pub position_nm: [f64; 3],
-    /// Atomic number; of a vacancy, that of the missing atom.
+    /// Atomic number; of a vacancy, the atomic number of the missing atom.
     pub number: u8,
     /// What the site holds.
     pub kind: SiteKind,
 }
 
 impl SpecimenSite {
-    /// The atom here, in Angstrom from `corner_nm` (x, y) of the entrance surface; `None` for a vacancy.
+    /// Returns the atom of the site, in Angstrom from `corner_nm` (x, y) of the entrance surface; `None` for a vacancy.
     pub fn atom(&self, corner_nm: [f64; 2], phonons: &PhononTable) -> Option<Site> {
         let [x, y, z] = self.position_nm;
         (self.kind != SiteKind::Vacancy).then(|| Site {

@@ -1,4 +1,4 @@
-//! What every specimen is asked for: its sites region by region, boundaries, phases and particles.
+//! The interface of every specimen: its sites region by region, boundaries, phases and particles.
 
 use super::atom_columns::{AtomColumn, Sites};
 use super::sites::SpecimenSite;
@@ -11,11 +11,11 @@ use crate::recipe::region::Region;
 pub struct Boundary {
     /// Corners (x, y) in nm of the full field.
     pub line_nm: Vec<[f64; 2]>,
-    /// What it separates.
+    /// The parts that the boundary separates.
     pub kind: BoundaryKind,
 }
 
-/// What a boundary separates.
+/// The parts that a boundary separates.
 #[derive(Debug, Clone, PartialEq)]
 pub enum BoundaryKind {
     /// Two grains.
@@ -48,7 +48,7 @@ pub struct ParticleTruth {
 }
 
 impl ParticleTruth {
-    /// The particle as it is seen along the beam.
+    /// Returns the projection of the particle along the beam.
     pub fn outline(&self) -> ParticleOutline {
         let [x, y, _] = self.centre_nm;
         let morphology = self.morphology.clone();
@@ -56,7 +56,7 @@ impl ParticleTruth {
     }
 }
 
-/// A particle as it is seen along the beam.
+/// The projection of a particle along the beam.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ParticleOutline {
     /// Centre (x, y) in nm of the full field.
@@ -74,7 +74,7 @@ impl ParticleOutline {
     }
 }
 
-/// The particles of a specimen with their centre in a region.
+/// Returns the particles of a specimen whose centre lies in a region.
 pub fn outlines_in(specimen: &dyn Specimen, region: &Region) -> Vec<ParticleOutline> {
     let all = specimen.facts().particle_outlines.iter();
     all.filter(|p| region.contains(p.centre_nm)).cloned().collect()
@@ -85,22 +85,22 @@ pub fn outlines_in(specimen: &dyn Specimen, region: &Region) -> Vec<ParticleOutl
 pub struct ThinFilm {
     /// Atomic number of its atoms. Other atoms of the specimen may be of the same element.
     pub number: u8,
-    /// Where it begins and ends along the beam, in nm.
+    /// First and last depth along the beam, in nm.
     pub depth_nm: [f64; 2],
-    /// Its atoms in the mean.
+    /// Mean number of atoms per square nm.
     pub atoms_per_nm2: f64,
-    /// Bits of keys that all atoms but those of the film have.
+    /// Bits of keys that are set in all atoms except those of the film.
     pub other_keys: u64,
 }
 
 impl ThinFilm {
-    /// Whether the atom of this key is part of the film.
+    /// Whether the atom with this key is part of the film.
     pub fn holds(&self, key: u64) -> bool {
         key & self.other_keys == 0
     }
 
-    /// The height in Angstrom of an atom of the film at `z_angstrom`, with the film in equal slices of at most this
-    /// thickness: the middle of its slice.
+    /// Returns the height in Angstrom of the slice that an atom of the film at `z_angstrom` belongs to: the middle of the slice. The film
+    /// is divided into equal slices of at most `thickness_angstrom`.
     pub fn slice_height_angstrom(&self, z_angstrom: f64, thickness_angstrom: f64) -> f64 {
         let [start, end] = self.depth_nm.map(|z| 10.0 * z);
         let slices = ((end - start) / thickness_angstrom).ceil().max(1.0);
@@ -109,17 +109,17 @@ impl ThinFilm {
     }
 }
 
-/// How many sites a specimen has that takes long to make them, to within a few percent.
+/// The expected number of sites, to within a few percent, of a specimen that takes long to make them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ExpectedSites {
-    /// Sites of what is the same everywhere.
+    /// Mean number of sites per square nm without particles.
     pub per_nm2: f64,
     /// Centre (x, y) in nm and number of sites of each particle.
     pub particles: Vec<([f64; 2], u64)>,
 }
 
 impl ExpectedSites {
-    /// Those in a region; particles count where their centre lies.
+    /// Returns the number of sites in a region; particles count where their centre lies.
     pub fn within(&self, region: &Region) -> u64 {
         let area = (region.x[1] - region.x[0]) * (region.y[1] - region.y[0]);
         let inside = self.particles.iter().filter(|(centre, _)| region.contains(*centre));
@@ -127,80 +127,80 @@ impl ExpectedSites {
     }
 }
 
-/// What is the same for all of a specimen, and stays so while it relaxes or loses atoms.
+/// Facts about a whole specimen that do not change while it relaxes or loses atoms.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct SpecimenFacts {
     /// Thickness in nm.
     pub thickness_nm: f64,
     /// Names of the phases; empty when there is only one. Their indices are the codes of the phase map.
     pub phases: Vec<String>,
-    /// The film behind everything else, for specimens that have one.
+    /// The film behind everything else, if the specimen has one.
     pub film: Option<ThinFilm>,
-    /// All particles as they are seen along the beam: how deep they lie is not found out.
+    /// Projections of all particles along the beam; the depth of particles is not computed for them.
     pub particle_outlines: Vec<ParticleOutline>,
-    /// How many sites there are, where making them takes long.
+    /// Expected number of sites, for specimens that take long to make them.
     pub expected_sites: Option<ExpectedSites>,
 }
 
-/// How a specimen is laid out, whatever becomes of single atoms.
+/// The layout of a specimen, which does not change when single atoms do.
 pub trait SpecimenLayout: Send + Sync {
-    /// What is the same for all of it.
+    /// Returns the facts about the whole specimen.
     fn facts(&self) -> &SpecimenFacts;
-    /// Boundaries between grains and phases.
+    /// Returns the boundaries between grains and phases.
     fn boundaries(&self) -> Vec<Boundary>;
-    /// The phase at a point (x, y) in nm, as an index into [`SpecimenFacts::phases`].
+    /// Returns the phase at a point (x, y) in nm, as an index into [`SpecimenFacts::phases`].
     fn phase_at(&self, position_nm: [f64; 2]) -> usize;
-    /// The cell in which units of a family are simulated, for specimens that tag columns with units.
+    /// Returns the cell in which units of a family are simulated, for specimens that tag columns with units.
     fn library_cell(&self, family: UnitFamily) -> Option<LibraryCell>;
-    /// Particles that reach into a region. How deep the others lie is not found out, which may take long.
+    /// Returns the particles that reach into a region. The depth of other particles, which may take long, is not computed.
     fn particles_reaching(&self, region: &Region) -> Vec<ParticleTruth>;
 }
 
-/// A specimen of the full field. No method has a default: one that changes another specimen passes on its layout, and has to say what
-/// becomes of everything else.
+/// A specimen of the full field. No method has a default: a specimen that changes another specimen passes on its layout, and must implement
+/// all other methods.
 pub trait Specimen: Send + Sync {
-    /// How it is laid out; one that changes another specimen has the layout of that one.
+    /// Returns the layout; a specimen that changes another specimen returns the layout of that one.
     fn layout(&self) -> &dyn SpecimenLayout;
-    /// The columns whose position lies in a region. The specimen ends [`BEYOND_FIELD_NM`](crate::recipe::BEYOND_FIELD_NM) outside
-    /// the field; a region has the same sites whichever way it is asked for.
+    /// Returns the columns whose position lies in a region. The specimen ends [`BEYOND_FIELD_NM`](crate::recipe::BEYOND_FIELD_NM) outside
+    /// the field. A region has the same sites in every query.
     fn query(&self, region: &Region) -> Sites;
-    /// The same columns in the same order, none with its sites. Takes less time where units say what columns are.
+    /// Returns the columns of [`Specimen::query`] in the same order, without their sites. Faster where units describe the columns.
     fn columns(&self, region: &Region) -> Vec<AtomColumn>;
-    /// The columns of particles in a region, on a film that is as flat as a plane: for overviews, since no atom of the film has to be
-    /// made. Nothing of specimens without a film.
+    /// Returns the columns of particles in a region on a plane film, for overviews: no atom of the film has to be made. Empty for specimens
+    /// without a film.
     fn particles_on_a_plane(&self, region: &Region) -> Sites;
-    /// The families that units of a family may come to belong to while the specimen changes; itself among them.
+    /// Returns the families that units of a family may belong to while the specimen changes, the family itself included.
     fn reached_families(&self, family: UnitFamily) -> Vec<UnitFamily>;
 }
 
-/// Shorthands.
+/// Methods of the layout, for convenience.
 impl dyn Specimen + '_ {
-    /// See [`SpecimenLayout::facts`].
+    /// Returns [`SpecimenLayout::facts`].
     pub fn facts(&self) -> &SpecimenFacts {
         self.layout().facts()
     }
-    /// See [`SpecimenLayout::boundaries`].
+    /// Returns [`SpecimenLayout::boundaries`].
     pub fn boundaries(&self) -> Vec<Boundary> {
         self.layout().boundaries()
     }
-    /// See [`SpecimenLayout::phase_at`].
+    /// Returns [`SpecimenLayout::phase_at`].
     pub fn phase_at(&self, position_nm: [f64; 2]) -> usize {
         self.layout().phase_at(position_nm)
     }
-    /// See [`SpecimenLayout::library_cell`].
+    /// Returns [`SpecimenLayout::library_cell`].
     pub fn library_cell(&self, family: UnitFamily) -> Option<LibraryCell> {
         self.layout().library_cell(family)
     }
-    /// See [`SpecimenLayout::particles_reaching`].
+    /// Returns [`SpecimenLayout::particles_reaching`].
     pub fn particles_reaching(&self, region: &Region) -> Vec<ParticleTruth> {
         self.layout().particles_reaching(region)
     }
-    /// All particles. How deep each lies is found out, which may take long.
+    /// Returns all particles. Computing the depth of each may take long.
     pub fn particles(&self) -> Vec<ParticleTruth> {
         let all = [f64::NEG_INFINITY, f64::INFINITY];
         self.particles_reaching(&Region { x: all, y: all })
     }
-    /// The sites of the columns whose position lies in a region.
+    /// Returns the sites of the columns whose position lies in a region.
     pub fn sites(&self, region: &Region) -> Vec<SpecimenSite> {
         self.query(region).sites
     }

@@ -11,19 +11,19 @@ use crate::progress::Progress;
 use crate::recipe::region::Region;
 use crate::recipe::tables::Field;
 
-/// Rows of pixels that are listed at a time.
+/// Number of rows of pixels that are listed at a time.
 const STRIPE_PX: usize = 124;
 
-/// Some rows of pixels of the built field and the sites there.
+/// Some rows of pixels of the built field, and the sites in them.
 pub struct Stripe {
     /// Rows of the built field.
     pub rows: Range<usize>,
-    /// What lies there.
+    /// Columns and sites in these rows.
     pub sites: Sites,
 }
 
-/// Calls `visit` with the sites of the built field, stripe by stripe from the top: the order of the
-/// ground truth. Some stripes are made at once, so memory holds that many for each thread.
+/// Calls `visit` with the sites of the built field, stripe by stripe from the top: the order of the ground truth. Several stripes are made
+/// in parallel, so memory holds several for each thread.
 ///
 /// # Errors
 /// Those of `visit`, and [`Error::Interrupted`].

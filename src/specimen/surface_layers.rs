@@ -1,7 +1,7 @@
 //! Amorphous carbon on the faces of a specimen.
 //!
-//! The layers are no part of a [`Specimen`](super::Specimen), whose sites are the ground truth: they stand before and behind it, and
-//! whatever makes images adds their atoms.
+//! The layers are no part of a [`Specimen`](super::Specimen), whose sites are the ground truth. They stand before and behind it, and
+//! imaging adds their atoms.
 
 use super::specimen_trait::ThinFilm;
 use crate::engine::Site;
@@ -12,11 +12,11 @@ use crate::potential::slices::GROUP_ANGSTROM;
 use crate::recipe::{Recipe, Region};
 use crate::rng::{Purpose, words};
 
-/// From the outermost plane of the specimen to the carbon, in Angstrom: between a bond and the distance of graphite's layers.
+/// Distance in Angstrom from the outermost plane of the specimen to the carbon: between a bond and the layer distance of graphite.
 const CONTACT_ANGSTROM: f64 = 2.0;
-/// Bits in the keys of the atoms of the layers before and behind the specimen, which no other atoms have.
+/// Bits in the keys of the atoms of the layers before and behind the specimen, which no other keys have.
 const KEYS: [u64; 2] = [1 << 62, 1 << 61];
-/// Edge in nm along y of the parts of a layer that are listed at a time.
+/// Edge in nm along y of the parts in which a layer is listed.
 const PART_NM: f64 = 13.0;
 /// Number of the draw that gives each layer a seed.
 const SEED: u32 = 16;
@@ -26,19 +26,19 @@ pub struct CarbonLayer {
     film: Film,
     key: u64,
     sigma_angstrom: f64,
-    /// Where it begins and ends along the beam, in Angstrom from the specimen's entrance face: negative before it.
+    /// First and last depth along the beam, in Angstrom from the specimen's entrance face: negative before it.
     pub depth_angstrom: [f64; 2],
 }
 
 /// The layers on both faces.
 pub struct SurfaceLayers {
     layers: Vec<CarbonLayer>,
-    /// From the face that the beam enters first to the specimen, and from there to the last, in Angstrom.
+    /// Distances in Angstrom from the first face to the specimen's entrance face, and from there to the last face.
     extent: [f64; 2],
 }
 
 impl SurfaceLayers {
-    /// Those of a recipe on a specimen of this thickness, if it has any.
+    /// Returns the layers of a recipe on a specimen of this thickness, if it has any.
     pub fn of(recipe: &Recipe, thickness_nm: f64) -> Option<Self> {
         let table = recipe.surface?;
         let thickness = 10.0 * thickness_nm;
@@ -70,12 +70,12 @@ impl SurfaceLayers {
         (!layers.is_empty()).then_some(SurfaceLayers { layers, extent })
     }
 
-    /// The layers, in the order of the beam.
+    /// Returns the layers in the order of the beam.
     pub fn layers(&self) -> &[CarbonLayer] {
         &self.layers
     }
 
-    /// The layers in parts of a region, in the order in which lists of atoms have them: layer by layer, from the top of the region down.
+    /// Returns the layers in parts of a region, in the order of lists of atoms: layer by layer, from the top of the region down.
     pub fn parts(&self, region: &Region) -> Vec<(&CarbonLayer, Region)> {
         let [top, bottom] = region.y;
         let count = ((bottom - top) / PART_NM).ceil().max(1.0) as usize;
@@ -84,26 +84,27 @@ impl SurfaceLayers {
         self.layers.iter().flat_map(|layer| (0..count).map(move |n| (layer, part(n)))).collect()
     }
 
-    /// From the face that the beam enters to that of the specimen, in Angstrom.
+    /// Returns the distance in Angstrom from the face that the beam enters to the face of the specimen.
     pub fn before_angstrom(&self) -> f64 {
         self.extent[0]
     }
 
-    /// Thickness of specimen and layers in Angstrom.
+    /// Returns the thickness of specimen and layers in Angstrom.
     pub fn thickness_angstrom(&self) -> f64 {
         self.extent[0] + self.extent[1]
     }
 }
 
 impl CarbonLayer {
-    /// About how many atoms it has in an area.
+    /// Estimates the number of atoms in an area.
     pub fn estimated_atoms(&self, area: &Region) -> u64 {
         let [width, height] = [area.x, area.y].map(|[low, high]| high - low);
         let [begin, end] = self.depth_angstrom;
         (atoms_per_nm2(0.1 * (end - begin)) * width * height).round() as u64
     }
 
-    /// The height in Angstrom of an atom at `z_angstrom`, with the layer in equal slices as thick as in any specimen without planes.
+    /// Returns the height in Angstrom of the slice of an atom at `z_angstrom`. The layer is divided into equal slices, as thick as in any
+    /// specimen without planes.
     pub fn slice_height_angstrom(&self, z_angstrom: f64) -> f64 {
         let depth_nm = self.depth_angstrom.map(|z| 0.1 * z);
         let atoms_per_nm2 = atoms_per_nm2(depth_nm[1] - depth_nm[0]);
@@ -111,7 +112,7 @@ impl CarbonLayer {
         film.slice_height_angstrom(z_angstrom, GROUP_ANGSTROM)
     }
 
-    /// Its atoms in an area at their mean positions, in Angstrom from the area's corner and from the specimen's entrance face.
+    /// Returns the atoms in an area at their mean positions, in Angstrom from the area's corner and from the specimen's entrance face.
     pub fn atoms(&self, area: &Region) -> Vec<Site> {
         let [x, y] = [area.x, area.y].map(|range| range.map(|nm| 10.0 * nm));
         let site = |atom: FilmAtom| Site {

@@ -5,13 +5,13 @@ use crate::rng::{Purpose, uniform};
 use crate::recipe::region::Region;
 use crate::simd::vectorised;
 
-/// Waves on one boundary, of which the field holds 1, 2 ... whole periods.
+/// Number of waves on one boundary; the field holds 1, 2 ... whole periods of them.
 const HARMONICS: u32 = 3;
 /// Distance between the corners of the polyline in nm.
 const STEP_NM: f64 = 0.5;
-/// Steps of a block, which is passed over as a whole where it is too far away.
+/// Number of steps in a block; a block that is too far away is skipped as a whole.
 const BLOCK: usize = 8;
-/// Bounds of distances are taken so much wider than they are.
+/// Bounds of distances are widened by this much against rounding.
 const ROUNDING_NM: f64 = 1e-6;
 const TURN: f64 = 2.0 * std::f64::consts::PI;
 
@@ -19,11 +19,11 @@ const TURN: f64 = 2.0 * std::f64::consts::PI;
 #[derive(Debug, Clone)]
 pub struct WavyLine {
     mean_x: f64,
-    /// No less than any excursion.
+    /// Upper bound of all excursions.
     amplitude: f64,
-    /// No more than the cosine of the angle between y and any part of the line.
+    /// Lower bound of the cosine of the angle between y and any part of the line.
     least_cosine: f64,
-    /// No part of the polyline is further from the line along x.
+    /// Largest distance along x of the polyline from the line.
     sag: f64,
     y0: f64,
     height: f64,
@@ -34,19 +34,19 @@ pub struct WavyLine {
     blocks: Vec<SegmentBlock>,
 }
 
-/// Some segments between neighbouring corners.
+/// Several segments between neighbouring corners.
 #[derive(Debug, Clone)]
 struct SegmentBlock {
-    /// Least and greatest x.
+    /// Least and greatest x of the segments.
     range: [f64; 2],
-    /// Their first corners: x of all, then y.
+    /// First corners of the segments: x of all, then y.
     from: [[f64; BLOCK]; 2],
-    /// From those to their second corners.
+    /// Vectors from the first corners to the second corners.
     along: [[f64; BLOCK]; 2],
 }
 
 impl SegmentBlock {
-    /// Of at least two corners and at most [`BLOCK`] + 1; the last segment fills the block.
+    /// Makes a block of at least two and at most [`BLOCK`] + 1 corners; the last segment is repeated to fill the block.
     fn new(corners: &[[f64; 2]]) -> Self {
         let segment = |n: usize| {
             let n = n.min(corners.len() - 2);
@@ -64,7 +64,7 @@ impl SegmentBlock {
         SegmentBlock { range, from, along }
     }
 
-    /// Square of the distance of a point from the nearest of them.
+    /// Returns the square of the distance of a point from the nearest segment.
     #[inline(always)]
     fn square(&self, [x, y]: [f64; 2]) -> f64 {
         let mut squares = [0.0; BLOCK];
@@ -76,7 +76,7 @@ impl SegmentBlock {
             let (x, y) = (q[0] - t * d[0], q[1] - t * d[1]);
             *square = x * x + y * y;
         }
-        // Half and half, as vector units do it.
+        // The least square is found by halving, as vector units do it.
         let mut half = BLOCK / 2;
         while half > 0 {
             let (low, high) = squares.split_at_mut(half);
@@ -87,20 +87,20 @@ impl SegmentBlock {
     }
 }
 
-/// As `min` of numbers, which takes more instructions since it looks for what is none.
+/// Returns the lesser number. `f64::min` takes more instructions, since it handles NaN.
 #[inline(always)]
 fn lesser(a: f64, b: f64) -> f64 {
     if a < b { a } else { b }
 }
 
-/// As `max`; see [`lesser`].
+/// Returns the greater number; faster than `f64::max` (see [`lesser`]).
 #[inline(always)]
 fn greater(a: f64, b: f64) -> f64 {
     if a > b { a } else { b }
 }
 
 impl WavyLine {
-    /// Line number `number` about `mean_x`, whose greatest excursion in the field is `amplitude`.
+    /// Draws line `number` about `mean_x`, whose greatest excursion in the field is `amplitude`.
     pub fn new(
         mean_x: f64,
         amplitude: f64,
@@ -113,7 +113,7 @@ impl WavyLine {
         let harmonic = |n: u32| {
             let weight = 0.5 + uniform(seed, Purpose::Interface, number, 2 * u64::from(n));
             let phase = TURN * uniform(seed, Purpose::Interface, number, 2 * u64::from(n) + 1);
-            // As 1/n^2, all harmonics bend the line equally.
+            // With amplitudes of 1/n^2 all harmonics bend the line equally.
             [weight / f64::from(n * n), phase]
         };
         let harmonics = (1..=HARMONICS).map(harmonic).collect();
@@ -152,7 +152,7 @@ impl WavyLine {
         line
     }
 
-    /// The waves at y: amplitude, wave number and phase of each.
+    /// Returns the waves at y: amplitude, wave number and phase of each.
     fn waves(&self, y: f64) -> impl Iterator<Item = [f64; 3]> + '_ {
         (1..).zip(&self.harmonics).map(move |(n, [amplitude, phase])| {
             let k = TURN * f64::from(n) / self.height;
@@ -164,13 +164,13 @@ impl WavyLine {
         self.waves(y).fold(0.0, |sum, [amplitude, _, angle]| sum + amplitude * libm::cos(angle))
     }
 
-    /// Derivative of the excursion.
+    /// Returns the derivative of the excursion.
     fn slope(&self, y: f64) -> f64 {
         let add = |sum, [amplitude, k, angle]: [f64; 3]| sum - amplitude * k * libm::sin(angle);
         self.waves(y).fold(0.0, add)
     }
 
-    /// x of the line.
+    /// Returns x of the line.
     pub fn x(&self, y: f64) -> f64 {
         self.mean_x + self.excursion(y)
     }
@@ -183,13 +183,13 @@ impl WavyLine {
         }
     }
 
-    /// x of the line, and the cosine of the angle between its normal and x.
+    /// Returns x of the line, and the cosine of the angle between its normal and x.
     pub fn x_and_cosine(&self, y: f64) -> [f64; 2] {
         let slope = self.slope(y);
         [self.x(y), 1.0 / (1.0 + slope * slope).sqrt()]
     }
 
-    /// Corners of the line between `y[0]` and `y[1]`, those two included.
+    /// Returns the corners of the line between `y[0]` and `y[1]`, both ends included.
     pub fn polyline(&self, y: [f64; 2]) -> Vec<[f64; 2]> {
         let apart = 0.01 * STEP_NM;
         let inside = self.corners.iter().filter(|c| y[0] + apart < c[1] && c[1] < y[1] - apart);
@@ -199,10 +199,9 @@ impl WavyLine {
         line
     }
 
-    /// Distance of a point from the line, which crosses its y at `crossing`; or `known` where the line is no nearer than that.
+    /// Returns the distance of a point from the line, which crosses the point's y at `crossing`; returns `known` if the line is not nearer.
     pub fn nearer(&self, [x, y]: [f64; 2], crossing: f64, known: f64) -> f64 {
-        // All of the line is at least so far away along x, and so far at right angles to its steepest part; rounding is less than a
-        // femtometre.
+        // Lower bounds of the distance: along x, and at right angles to the line's steepest part. Rounding is less than a femtometre.
         let along_x = ((x - self.mean_x).abs() - self.amplitude - ROUNDING_NM).max(0.0);
         let steepest = self.least_cosine * ((x - crossing).abs() - self.sag) - ROUNDING_NM;
         if along_x.max(steepest) >= known {
@@ -217,9 +216,9 @@ impl WavyLine {
         let square = vectorised(
             #[inline(always)]
             || {
-                // The block beside the point is likely to be the nearest, which spares a look at others.
+                // The block beside the point is probably the nearest, so others can be skipped.
                 let mut square = lesser(nearest * nearest, self.blocks[beside].square([x, y]));
-                // Nothing farther along y than this can be nearer.
+                // Nothing farther away along y than this can be nearer.
                 let along = greater(square - along_x * along_x, 0.0).sqrt() + ROUNDING_NM;
                 let [lowest, highest] = [y - along, y + along].map(block);
                 for n in (lowest..beside).chain(beside + 1..highest + 1) {
@@ -239,9 +238,9 @@ impl WavyLine {
     }
 }
 
-/// Above, the normal distribution and its integral are 1 and z to the last bit; below minus this, both are less than 1e-16.
+/// Above this, the normal distribution and its integral are 1 and z to the last bit; below its negative, both are less than 1e-16.
 const ALL_Z: f64 = 8.5;
-/// Below minus this, the normal distribution is less than 1e-23.
+/// Below the negative of this, the normal distribution is less than 1e-23.
 const NO_Z: f64 = 10.0;
 
 /// Standard normal cumulative distribution.
@@ -249,12 +248,12 @@ pub fn normal_cdf(z: f64) -> f64 {
     0.5 * libm::erfc(-z * std::f64::consts::FRAC_1_SQRT_2)
 }
 
-/// The same, and 0 where it is less than 1e-23: further than [`NO_Z`] below the mean.
+/// Standard normal cumulative distribution, but 0 where it is less than 1e-23: further than [`NO_Z`] below the mean.
 pub fn normal_cdf_or_zero(z: f64) -> f64 {
     if z < -NO_Z { 0.0 } else { normal_cdf(z) }
 }
 
-/// The same, and its integral from minus infinity.
+/// Standard normal cumulative distribution, and its integral from minus infinity.
 pub fn normal_cdf_and_integral(z: f64) -> [f64; 2] {
     if z > ALL_Z {
         return [1.0, z];
@@ -312,7 +311,7 @@ mod tests {
             let fine =
                 (-1000..9000).map(|n| far(0.01 * f64::from(n))).fold(f64::INFINITY, f64::min);
             assert!((distance(line, p) - fine).abs() < 0.01, "{} {fine}", distance(line, p));
-            // What is left out for speed is never what is nearest, to the last bit.
+            // The segments and blocks that are skipped for speed never change the nearest distance, to the last bit.
             let across = (p[0] - line.x(p[1])).abs();
             let all = line.corners.windows(2).map(|s| square_to_segment(p, s[0], s[1]).sqrt());
             let all = all.fold(across, f64::min);

@@ -1,29 +1,29 @@
-//! The simulations of the cases, under one progress bar.
+//! Runs the simulations of the cases under one progress bar.
 
 use crate::engine::{Images, Plan, Scan, Settings, Site, simulate};
 use crate::error::Result;
 use crate::progress::Progress;
 use crate::progress::ProgressShare;
 
-/// Runs simulations, and reports each as a share of the whole.
+/// Runs simulations, and reports each as a share of the total progress.
 pub struct CheckRunner<'a> {
     progress: &'a dyn Progress,
-    /// Units of progress that one simulation stands for.
+    /// Units of progress for one simulation.
     units: usize,
 }
 
 impl<'a> CheckRunner<'a> {
-    /// Each simulation counts `units` towards `progress`.
+    /// Makes a runner whose simulations each count `units` towards `progress`.
     pub fn new(progress: &'a dyn Progress, units: usize) -> Self {
         CheckRunner { progress, units }
     }
 
-    /// Progress of one simulation; call [`ProgressShare::complete`] at its end.
+    /// Returns the progress of one simulation; call [`ProgressShare::complete`] at its end.
     pub(crate) fn share(&self) -> ProgressShare<'a> {
         ProgressShare::new(self.progress, self.units)
     }
 
-    /// Plans and simulates.
+    /// Plans and runs a simulation.
     ///
     /// # Errors
     /// As [`Plan::new`] and [`simulate`].
@@ -37,7 +37,7 @@ impl<'a> CheckRunner<'a> {
         self.execute(&plan(settings, sites, cell_angstrom)?, sites, scan)
     }
 
-    /// Simulates.
+    /// Runs a planned simulation.
     ///
     /// # Errors
     /// As [`simulate`].
@@ -49,7 +49,7 @@ impl<'a> CheckRunner<'a> {
     }
 }
 
-/// A plan for the mean heights of the sites.
+/// Plans a simulation for the mean heights of the sites.
 pub fn plan(settings: &Settings, sites: &[Site], cell_angstrom: [f64; 3]) -> Result<Plan> {
     let z: Vec<f64> = sites.iter().map(|s| s.position[2]).collect();
     Plan::new(settings, cell_angstrom, &z)

@@ -1,18 +1,18 @@
-//! Numbers that say how different two images are.
+//! Measures of the difference of two images.
 
 use ndarray::{Array2, ArrayView2};
 use serde::Serialize;
 
-/// How different an image is from a reference.
+/// The difference of an image from a reference.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Difference {
-    /// Largest absolute difference over the largest value of the reference.
+    /// Largest absolute difference, divided by the largest value of the reference.
     pub largest: f64,
-    /// Root mean square difference over the mean of the reference.
+    /// Root mean square difference, divided by the mean of the reference.
     pub rms: f64,
-    /// Mean of the image over the mean of the reference, less one.
+    /// Mean of the image divided by the mean of the reference, less one.
     pub bias: f64,
-    /// Correlation coefficient (Pearson); 1 where the images agree but for brightness and contrast.
+    /// Correlation coefficient (Pearson); 1 where the images differ only in brightness and contrast.
     pub correlation: f64,
 }
 
@@ -45,15 +45,14 @@ impl Difference {
     }
 }
 
-/// The factor that brings an image nearest to the reference of the same shape (least squares).
+/// Returns the factor that brings an image nearest to the reference of the same shape (least squares).
 pub fn best_gain(image: ArrayView2<f64>, reference: ArrayView2<f64>) -> f64 {
     let product: f64 = image.iter().zip(&reference).map(|(a, b)| a * b).sum();
     product / image.iter().map(|a| a * a).sum::<f64>()
 }
 
-/// What two grids say of an infinitely fine one, where the error falls with the square of the pixel:
-/// `(r^2 fine - coarse) / (r^2 - 1)` for pixels in the ratio `r`. All three images have one shape
-/// (rows = y, columns = x) and one unit. Panics where the shapes differ.
+/// Extrapolates two grids to an infinitely fine one, if the error falls with the square of the pixel: `(r^2 fine - coarse) / (r^2 - 1)` for
+/// pixels in the ratio `r`. All three images have one shape [row, column] = [y, x] and one unit. Panics where the shapes differ.
 pub fn extrapolated(coarse: &Array2<f64>, fine: &Array2<f64>, ratio: f64) -> Array2<f64> {
     let square = ratio * ratio;
     (fine * square - coarse) / (square - 1.0)

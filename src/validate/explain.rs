@@ -1,9 +1,9 @@
-//! What would explain the difference of two images: a factor, another orientation, a shift of the scan.
+//! Explanations of the difference of two images: a factor, another orientation, a shift of the scan.
 //!
-//! Images are row = y, column = x. A shift `d` (x, y, in pixels) says that the reference at pixel `i` is our image at `i + d`:
-//! its scan began so much further than ours. Our image has to reach beyond the reference by as much as is to be found. Whole
-//! pixels come from the correlation of the two images, fitted in brightness; the rest from interpolation. Interpolation of
-//! coarse scans is inexact, so a shift that matters should be simulated ([`super::image_comparison`] does).
+//! Images are row = y, column = x. With a shift `d` (x, y, in pixels) the reference at pixel `i` equals our image at `i + d`: its scan
+//! began `d` further than ours. Our image must extend beyond the reference by the largest shift that is to be found. Whole pixels come from
+//! the correlation of the two images, with their brightness fitted; fractions come from interpolation. Interpolation of coarse scans is
+//! inexact, so a shift that matters should be simulated, as [`super::image_comparison`] does.
 
 use std::sync::Arc;
 
@@ -13,27 +13,27 @@ use rustfft::{Fft, FftPlanner};
 
 use super::difference::{Difference, best_gain};
 
-/// How many times smaller a difference must become for a further change to be believed.
+/// A further change is accepted if it makes the difference smaller by this factor.
 pub const MUCH_BETTER: f64 = 3.0;
-/// The last step of the search for a shift, in pixels.
+/// Last step of the search for a shift, in pixels.
 const FINEST: f64 = 1.0 / 256.0;
-/// Shifts as good as the best up to this share of its fault are the same: crystals repeat.
+/// Shifts whose fault is at most this multiple of the best fault count as equally good: crystals repeat.
 const AS_GOOD: f64 = 1.2;
-/// Places of the best match by whole pixels that are looked at more closely.
+/// Number of matches by whole pixels that are refined.
 const LOOKED_AT: usize = 6;
-/// A rms difference, of the mean, that needs no further explanation.
+/// Rms difference, as a fraction of the mean, that needs no further explanation.
 const ENOUGH: f64 = 2e-3;
 
-/// How the pixels of a reference are turned, before anything else.
+/// Orientation of the pixels of a reference, applied before any other change.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Turn {
     transposed: bool,
-    /// Along x and y.
+    /// Whether the image is mirrored along x and along y.
     mirrored: [bool; 2],
 }
 
 impl Turn {
-    /// All but none; transpositions only for images that keep their shape.
+    /// Returns all orientations but the original one; transpositions only for square images, whose shape they keep.
     fn others(square: bool) -> impl Iterator<Item = Turn> {
         let all = (1..8_u8).map(|bits| Turn {
             transposed: bits & 4 != 0,
@@ -42,7 +42,7 @@ impl Turn {
         all.filter(move |turn| square || !turn.transposed)
     }
 
-    /// The image turned so.
+    /// Returns the image in this orientation.
     pub fn apply(self, image: &Array2<f64>) -> Array2<f64> {
         let mut view = if self.transposed { image.t() } else { image.view() };
         for (axis, mirrored) in [(1, self.mirrored[0]), (0, self.mirrored[1])] {
@@ -66,21 +66,21 @@ impl Turn {
     }
 }
 
-/// A change that brings a reference nearer to ours.
+/// A change that brings a reference nearer to our image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Explanation {
-    /// How the reference is turned.
+    /// Orientation of the reference.
     pub turn: Turn,
-    /// How much further its scan began, (x, y) in pixels, if that was looked for.
+    /// Shift of the reference's scan, (x, y) in pixels, if a shift was searched.
     pub shift: Option<[f64; 2]>,
-    /// What the reference is multiplied by, if that was fitted.
+    /// Factor that multiplies the reference, if it was fitted.
     pub factor: Option<f64>,
-    /// The rms difference that is left, of the mean of the reference.
+    /// Rms difference that is left, divided by the mean of the reference.
     pub rms: f64,
 }
 
 impl Explanation {
-    /// In words, with pixels of `step` (x, y) in Angstrom.
+    /// Describes the change in words, with pixels of `step` (x, y) in Angstrom.
     pub fn words(&self, step: [f64; 2]) -> String {
         let mut words = Vec::new();
         if self.turn != Turn::default() {
@@ -97,28 +97,28 @@ impl Explanation {
     }
 }
 
-/// What was tried.
+/// The changes that were tried.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Explanations {
-    /// The rms difference as it is, of the mean of the reference.
+    /// Rms difference without a change, divided by the mean of the reference.
     pub now: f64,
-    /// The best of each kind alone: factor, orientation, shift. Orientation is missing where none can be tried.
+    /// The best change of each single kind: factor, orientation, shift. Orientation is missing if none can be tried.
     pub alone: Vec<Explanation>,
-    /// The simplest change after which nothing else helps much; `None` if nothing does.
+    /// The simplest change after which no other helps much; `None` if no change does.
     pub best: Option<Explanation>,
 }
 
-/// Our image, reaching beyond the reference on each side.
+/// Our image, which extends beyond the reference on each side.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WideImage {
     /// The values.
     pub data: Array2<f64>,
-    /// Pixels (x, y) beyond the reference on either side.
+    /// Number of pixels (x, y) beyond the reference on each side.
     pub margin: [usize; 2],
 }
 
 impl WideImage {
-    /// The part that should be the reference.
+    /// Returns the part at the place of the reference.
     pub fn inner(&self) -> Array2<f64> {
         let [x, y] = self.margin;
         let (rows, columns) = self.data.dim();
@@ -159,7 +159,7 @@ pub fn explanations(wide: &WideImage, reference: &Array2<f64>) -> Explanations {
     Explanations { now, alone, best }
 }
 
-/// Shifts (x, y) in pixels at which the reference may be found, the best first: crystals nearly repeat.
+/// Returns shifts (x, y) in pixels at which the reference may lie, the best first: crystals nearly repeat, so there are several.
 pub fn likely_shifts(wide: &WideImage, reference: &Array2<f64>) -> Vec<[f64; 2]> {
     Matcher::new(wide).likely(reference)
 }
@@ -168,7 +168,7 @@ fn rms(ours: &Array2<f64>, reference: &Array2<f64>) -> f64 {
     Difference::between(ours.view(), reference.view()).rms
 }
 
-/// The reference with the best factor.
+/// Fits a factor to the reference.
 fn fitted(ours: &Array2<f64>, reference: &Array2<f64>, turn: Turn) -> Explanation {
     let factor = best_gain(reference.view(), ours.view());
     Explanation { turn, shift: None, factor: Some(factor), rms: rms(ours, &(reference * factor)) }
@@ -181,7 +181,7 @@ struct Matcher<'a> {
     spectrum: Array2<Complex64>,
 }
 
-/// Sums over the pixels of the reference.
+/// Sums over the pixels of the reference: squares of our image, products, squares of the reference.
 #[derive(Default)]
 struct Shared {
     ours: f64,
@@ -190,7 +190,7 @@ struct Shared {
 }
 
 impl Shared {
-    /// The share of the reference's power that no factor brings to ours.
+    /// Returns the share of power that remains different after the best factor.
     fn fault(&self) -> f64 {
         let fault = 1.0 - self.both * self.both / (self.ours * self.reference);
         if fault.is_finite() { fault.max(0.0) } else { f64::INFINITY }
@@ -205,7 +205,7 @@ impl<'a> Matcher<'a> {
         Matcher { wide, fourier, spectrum }
     }
 
-    /// The best shift, with or without a factor.
+    /// Finds the best shift, with or without a factor.
     fn explanation(&self, turn: Turn, reference: &Array2<f64>, fit: bool) -> Explanation {
         let shift = self.likely(reference).first().copied().unwrap_or_default();
         let sums = self.sums(reference, shift);
@@ -220,7 +220,7 @@ impl<'a> Matcher<'a> {
         }
     }
 
-    /// Shifts at which the fault is least about them, the best first; of those as good the smallest.
+    /// Returns shifts with the least fault in their surroundings, the best first; equally good ones by their size, the smallest first.
     fn likely(&self, reference: &Array2<f64>) -> Vec<[f64; 2]> {
         let near = self.whole_pixels(reference);
         let mut found: Vec<_> = near.into_iter().map(|at| self.refined(reference, at)).collect();
@@ -231,7 +231,7 @@ impl<'a> Matcher<'a> {
         found.into_iter().map(|f| f.1).collect()
     }
 
-    /// Shifts by whole pixels (x, y) that are better than those about them, the best first.
+    /// Returns shifts by whole pixels (x, y) that are better than their neighbours, the best first.
     fn whole_pixels(&self, reference: &Array2<f64>) -> Vec<[i64; 2]> {
         let both = self.fourier.correlation(&self.spectrum, reference.view());
         let squares = Squares::new(&self.wide.data);
@@ -255,7 +255,7 @@ impl<'a> Matcher<'a> {
         found.into_iter().take(LOOKED_AT).map(shift).collect()
     }
 
-    /// A search with ever smaller steps about a whole number of pixels: the fault, and where it is.
+    /// Searches about a whole number of pixels with ever smaller steps; returns the least fault and its shift.
     fn refined(&self, reference: &Array2<f64>, start: [i64; 2]) -> (f64, [f64; 2]) {
         let start = start.map(|v| v as f64);
         let within = |at: [f64; 2]| {
@@ -274,7 +274,7 @@ impl<'a> Matcher<'a> {
                     continue;
                 }
                 let found = self.sums(reference, next).fault();
-                // Rounding is no improvement.
+                // A difference within rounding is no improvement.
                 if found < least - 1e-13 {
                     (least, better) = (found, Some(next));
                 }
@@ -287,7 +287,7 @@ impl<'a> Matcher<'a> {
         (least, at)
     }
 
-    /// Sums with our image interpolated at a shift (x, y) within the margin.
+    /// Computes the sums with our image interpolated at a shift (x, y) within the margin.
     fn sums(&self, reference: &Array2<f64>, shift: [f64; 2]) -> Shared {
         let (rows, columns) = reference.dim();
         let [mx, my] = self.wide.margin;
@@ -312,11 +312,11 @@ impl<'a> Matcher<'a> {
     }
 }
 
-/// The pixels, of `n`, with their weights, from which the value at a position is interpolated.
+/// Returns the pixels, of `n`, and the weights from which the value at a position is interpolated.
 fn taps(position: f64, n: usize) -> [(usize, f64); 4] {
     let first = position.floor();
     let t = position - first;
-    // R. G. Keys's cubic convolution, a = -1/2.
+    // Cubic convolution of R. G. Keys, a = -1/2.
     let weights = [
         -0.5 * t + t * t - 0.5 * t * t * t,
         1.0 - 2.5 * t * t + 1.5 * t * t * t,
@@ -349,7 +349,7 @@ impl Squares {
     }
 }
 
-/// Transforms of arrays of one shape, in double precision.
+/// Fourier transforms of arrays of one shape, in double precision.
 struct Fourier {
     shape: [usize; 2],
     forward: [Arc<dyn Fft<f64>>; 2],
@@ -364,7 +364,7 @@ impl Fourier {
         Fourier { shape, forward, inverse }
     }
 
-    /// Of an image with zeros after it.
+    /// Transforms an image that is padded with zeros.
     fn forward(&self, image: ArrayView2<f64>) -> Array2<Complex64> {
         let mut out = Array2::zeros(self.shape);
         let (rows, columns) = image.dim();
@@ -372,7 +372,7 @@ impl Fourier {
         transform(out, &self.forward)
     }
 
-    /// `sum over i of ours[i + shift] reference[i]` at each shift.
+    /// Computes `sum over i of ours[i + shift] reference[i]` at each shift.
     fn correlation(&self, ours: &Array2<Complex64>, reference: ArrayView2<f64>) -> Array2<f64> {
         let mut product = self.forward(reference);
         product.zip_mut_with(ours, |r, o| *r = r.conj() * o);
@@ -395,7 +395,7 @@ fn transform(array: Array2<Complex64>, plans: &[Arc<dyn Fft<f64>>; 2]) -> Array2
 mod tests {
     use super::*;
 
-    /// Some waves without symmetry, at pixels from `start`.
+    /// An image of some waves without symmetry, at pixels from `start`.
     fn image((rows, columns): (usize, usize), start: [f64; 2]) -> Array2<f64> {
         Array2::from_shape_fn((rows, columns), |(y, x)| {
             let (x, y) = (x as f64 + start[0], y as f64 + start[1]);
@@ -406,7 +406,7 @@ mod tests {
         })
     }
 
-    /// Our image, with a margin of five pixels.
+    /// Our image with a margin of five pixels.
     fn wide((rows, columns): (usize, usize)) -> WideImage {
         WideImage { data: image((rows + 10, columns + 10), [-5.0; 2]), margin: [5; 2] }
     }
@@ -437,7 +437,7 @@ mod tests {
         assert_eq!(of(&ours), None);
         assert_eq!(of(&(&ours * 0.5)).unwrap(), "the reference times 2.0000");
         let transposed = "the reference transposed (x and y exchanged)";
-        // what little is left is not explained further
+        // A small remaining difference is not explained further.
         let noise = |(y, x): (usize, usize)| 1.0 + 1e-3 * ((7 * x + 5 * y) % 3) as f64;
         let noisy = Array2::from_shape_fn((18, 18), noise) * ours.t();
         assert_eq!(of(&noisy).unwrap(), transposed);
@@ -445,7 +445,7 @@ mod tests {
         assert_eq!(of(&mirrored).unwrap(), "the reference mirrored along y");
         let moved = of(&image((18, 18), [2.0, 0.0])).unwrap();
         assert_eq!(moved, "a scan that starts 2.000, 0.000 A further along x, y");
-        // something else altogether
+        // A completely different image.
         let other = Array2::from_shape_fn((18, 18), |(y, x)| ((7 * x * x + 3 * y) % 11) as f64);
         assert_eq!(of(&other), None);
     }
@@ -459,7 +459,7 @@ mod tests {
             })
         };
         let ours = WideImage { data: crystal(42, 0.0), margin: [6; 2] };
-        // A crystal that is its own mirror image may also be mirrored: look at the shift alone.
+        // A crystal that equals its mirror image may also be found mirrored, so only the shift is checked.
         let shift = explanations(&ours, &crystal(30, 1.0)).alone[2].shift.unwrap();
         assert!((shift[0] - 1.0).abs() < 0.02 && shift[1].abs() < 0.02, "{shift:?}");
         let likely = likely_shifts(&ours, &crystal(30, 1.0));

@@ -1,38 +1,39 @@
-//! How far the means of two fields differ by chance, where neighbouring parts of a field are not independent: a difference that
-//! is the same everywhere is held against slow waves over the field.
+//! Tests whether the means of two fields differ by more than chance, where neighbouring parts of a field are not independent: the mean
+//! difference is compared with slow waves over the field.
 //!
-//! What varies from place to place over less than half a wave adds as much to each of the slow waves as to the mean. So the power of
-//! the waves is the variance of the mean (U. K. Muller, Econometrica 72 (2004) 3055; E. Lazarus, D. Lewis, J. Stock and M. Watson,
-//! J. Bus. Econ. Stat. 36 (2018) 541), and the mean in units of its root is distributed like Student's t. Single blocks
-//! would tell too small an error where what they hold gathers over several of them. For the largest of several numbers, mean and waves
-//! are turned into each other at random (O. Langsrud, Stat. Comput. 15 (2005) 53); of a single number that is the test by Student's t.
+//! Random differences that vary over less than half a wave contribute as much to each of the slow waves as to the mean. So the power of the
+//! waves is the variance of the mean (U. K. Muller, Econometrica 72 (2004) 3055; E. Lazarus, D. Lewis, J. Stock and M. Watson, J. Bus.
+//! Econ. Stat. 36 (2018) 541), and the mean divided by the root of that power is distributed like Student's t. The scatter of single blocks
+//! would give too small an error where their contents are correlated over several blocks. For the largest of several numbers, mean and
+//! waves are rotated into each other at random (O. Langsrud, Stat. Comput. 15 (2005) 53); for a single number that is the test by Student's
+//! t.
 
 use super::statistics::{Ratio, share, student_two_sided};
 use crate::rng::philox4x32_10;
 
-/// Cosines over a field in places, that is rows and columns of blocks.
+/// Cosine waves over the places of a field: its rows and columns of blocks.
 #[derive(Debug, Clone)]
 pub struct FieldWaves {
     places: usize,
-    /// Values of each wave at all places; their mean square is 1, their mean 0.
+    /// Values of each wave at all places; their mean square is 1 and their mean 0.
     waves: Vec<Vec<f64>>,
 }
 
 /// A difference of two means.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MeanDifference {
-    /// Its value.
+    /// The difference.
     pub value: f64,
-    /// Its standard error.
+    /// Standard error of the difference.
     pub error: f64,
-    /// In standard errors.
+    /// The difference in standard errors.
     pub t: f64,
-    /// Probability of one at least as large between fields of one kind.
+    /// Probability of a difference at least as large between fields of one kind.
     pub p: f64,
 }
 
 impl FieldWaves {
-    /// Waves over so many rows and columns of places: so many along y and along x, counting the one that is constant.
+    /// Makes the waves over `rows` x `columns` places: `down` waves along y times `across` along x, the constant one included.
     pub fn new([rows, columns]: [usize; 2], [down, across]: [usize; 2]) -> Self {
         let wave = |m: usize, i: usize, n: usize| match m {
             0 => 1.0,
@@ -60,7 +61,7 @@ impl FieldWaves {
         self.waves.len()
     }
 
-    /// The difference of two ratios of sums over the same places.
+    /// Returns the difference of two ratios of sums over the same places.
     pub fn difference(&self, a: &[(f64, f64)], b: &[(f64, f64)]) -> MeanDifference {
         let residuals = |blocks: &[(f64, f64)]| {
             let (top, bottom) = blocks.iter().fold((0.0, 0.0), |s, b| (s.0 + b.0, s.1 + b.1));
@@ -78,8 +79,8 @@ impl FieldWaves {
         MeanDifference { value, error, t, p: student_two_sided(t, self.count()) }
     }
 
-    /// The largest of several sums over all places, and the share of turns of sum and waves with one at least as large. `values`
-    /// holds a row for each place.
+    /// Returns the largest of several sums over all places, and the share of random rotations of sum and waves with a sum at least as
+    /// large. `values` holds a row for each place.
     pub fn largest<R: AsRef<[f64]>>(&self, values: &[R]) -> (f64, f64) {
         let amplitudes = self.amplitudes(values);
         let largest = |sums: &[f64]| sums.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
@@ -98,7 +99,7 @@ impl FieldWaves {
         (found, p)
     }
 
-    /// The same with each sum in standard errors.
+    /// Returns the largest sum in units of its standard error, and its share of random rotations.
     pub fn largest_in_errors(&self, values: &[Vec<f64>]) -> (f64, f64) {
         let amplitudes = self.amplitudes(values);
         let columns = amplitudes[0].len();
@@ -109,12 +110,12 @@ impl FieldWaves {
             usable.map(|(v, s)| v * s).collect()
         };
         let (share_of_power, p) = self.largest(&values.iter().map(scaled).collect::<Vec<_>>());
-        // What is a share of the power in sum and waves is this in errors told by the waves.
+        // Converts a share of the power in sum and waves to standard errors, with the error from the waves.
         let left = 1.0 - share_of_power * share_of_power;
         (share_of_power * (self.count() as f64 / left.max(f64::MIN_POSITIVE)).sqrt(), p)
     }
 
-    /// Sums over all places, and with the weights of each wave.
+    /// Returns the sums over all places, and the sums with the weights of each wave.
     fn amplitudes<R: AsRef<[f64]>>(&self, values: &[R]) -> Vec<Vec<f64>> {
         let columns = values.first().map_or(0, |v| v.as_ref().len());
         let mut amplitudes = vec![vec![0.0; columns]; 1 + self.count()];
@@ -128,7 +129,7 @@ impl FieldWaves {
     }
 }
 
-/// A random direction in so many dimensions.
+/// Returns a random direction in `dimensions` dimensions.
 fn direction(dimensions: usize, number: u32) -> Vec<f64> {
     let unit = |word: u32| (f64::from(word) + 0.5) / 4_294_967_296.0;
     let pair = |i: u32| {
@@ -157,7 +158,7 @@ mod tests {
         (0..n).map(|i| f64::from(word(i)) / 4_294_967_296.0).collect()
     }
 
-    /// What places have in common, over so many of them along y, with a variance of 1/12: a moving mean.
+    /// Correlated contribution of places, a moving mean over `over` places along y, with a variance of 1/12.
     fn common(seed: u32, over: usize) -> Vec<f64> {
         let own = noise((SIDE + over) * SIDE, seed);
         let mean = |y: usize, x: usize| {
@@ -166,8 +167,8 @@ mod tests {
         (0..SIDE * SIDE).map(|i| mean(i / SIDE, i % SIDE)).collect()
     }
 
-    /// 20 columns at each of 144 places: every other place is 20 % brighter in all worlds, as at a boundary, and what places have in
-    /// common scatters from world to world.
+    /// 20 columns at each of 144 places. Every other place is brighter by `brighter` in all worlds, as at a boundary; the correlated
+    /// contribution scatters from world to world.
     fn world(seed: u32, over: usize, brighter: f64) -> Vec<(u32, f32)> {
         let (common, own) = (common(seed, over), noise(SIDE * SIDE * 20, seed + 10_000));
         let value = |i: usize| {
@@ -200,8 +201,8 @@ mod tests {
         ]
     }
 
-    /// Probabilities are uniform between worlds of one kind, also where neighbouring places have much in common. 3 % are found, and
-    /// 6 % where fewer places are independent.
+    /// Probabilities are uniform between worlds of one kind, also where neighbouring places are strongly correlated: 3 % are called
+    /// different, and 6 % where fewer places are independent.
     #[test]
     fn worlds_of_one_kind_are_called_different_at_the_rate_asked_for() {
         for (over, waves, brighter) in [(1, [5, 5], 1.03), (4, [2, 5], 1.06)] {
@@ -214,7 +215,7 @@ mod tests {
                 let mean = p().sum::<f64>() / 120.0;
                 let below = |limit: f64| p().filter(|p| *p < limit).count();
                 println!("{over} {test}: {mean}, {}, {}", below(0.05), below(0.5));
-                // A uniform number: mean 0.5 with an error of 0.026; 6 of 120 below 0.05 with one of 2.4.
+                // A uniform number has mean 0.5 with an error of 0.026; 6 of 120 lie below 0.05, with an error of 2.4.
                 assert!((mean - 0.5).abs() < 0.09, "{over}, test {test}: {mean}");
                 assert!((1..=14).contains(&below(0.05)), "{over}, test {test}: {}", below(0.05));
                 assert!((42..=78).contains(&below(0.5)), "{over}, test {test}: {}", below(0.5));
@@ -225,7 +226,7 @@ mod tests {
         }
     }
 
-    /// What blocks have in common makes errors told by single blocks too small: this is the fault that waves mend.
+    /// Correlated contributions make errors from the scatter of single blocks too small; waves correct this fault.
     #[test]
     fn single_blocks_take_what_gathers_for_a_difference() {
         let waves = FieldWaves::new([SIDE, SIDE], [2, 5]);
@@ -239,7 +240,7 @@ mod tests {
             squares.iter_mut().zip(all).for_each(|(s, v)| *s += v * v);
         }
         assert!(below > 20, "{below} of 120");
-        // The scatter of the differences themselves, of which 120 tell 6.5 %.
+        // Reference: the scatter of the differences themselves, which 120 worlds give to 6.5 %.
         let [_, by_waves, by_blocks] = squares.map(|s| (s / squares[0]).sqrt());
         println!(
             "errors told, in units of the scatter: {by_waves} by waves, {by_blocks} by blocks"
@@ -247,7 +248,7 @@ mod tests {
         assert!((0.75..1.25).contains(&by_waves) && by_blocks < 0.75, "{by_waves} {by_blocks}");
     }
 
-    /// Of one number, turning is Student's test.
+    /// For a single number, random rotation is Student's test.
     #[test]
     fn turning_one_number_is_the_test_of_student() {
         let waves = FieldWaves::new([4, 4], [2, 3]);

@@ -1,5 +1,4 @@
-//! References computed by abTEM 1.0.11, part of the program: the files of `tests/golden`, which tells
-//! how they were made.
+//! References computed by abTEM 1.0.11, built into the program: the files of `tests/golden`, where their origin is described.
 
 use std::path::Path;
 
@@ -65,17 +64,17 @@ const ATOMS: [(&str, &str); 9] = atoms![
     "displaced_image"
 ];
 
-/// Scattering factors as abTEM evaluates them, and published ones.
+/// Scattering factors as abTEM evaluates them, and published values.
 pub const SCATTERING_FACTORS: &str = include_str!("../../tests/golden/scattering_factors.csv");
 
-/// Detectors of the images, in their order.
+/// Detectors of the images, in the order of the images.
 pub const DETECTORS: [&str; 4] = ["bf", "abf", "adf", "haadf"];
 
 /// A reference: settings, atoms and arrays.
 pub struct Golden {
-    /// Every setting, as the script wrote it.
+    /// All settings, as the script wrote them.
     pub json: Value,
-    /// The atoms as computed.
+    /// The atoms of the simulation.
     pub sites: Vec<Site>,
     /// Edges of the cell in Angstrom.
     pub cell_angstrom: [f64; 3],
@@ -104,10 +103,10 @@ impl Golden {
         })
     }
 
-    /// An array of any shape: row = y, column = x.
+    /// Returns an array of any shape: row = y, column = x.
     ///
     /// # Errors
-    /// [`Error::Invalid`] if there is none of this name and number of dimensions.
+    /// [`Error::Invalid`] if no array has this name and number of dimensions.
     pub fn array<D: Dimension>(&self, name: &str) -> Result<ndarray::Array<f64, D>> {
         let found = self.arrays.iter().find(|(n, _)| n == name).map(|(_, a)| a.clone());
         let array = found.and_then(|a| a.into_dimensionality().ok());
@@ -115,7 +114,7 @@ impl Golden {
             .ok_or_else(|| Error::invalid(Setting::Reference, name, "is no array of the reference"))
     }
 
-    /// Images in fractions of the beam: (detector, row = y, column = x).
+    /// Returns images in fractions of the beam: [detector, row, column] = [detector, y, x].
     ///
     /// # Errors
     /// As [`Golden::array`].
@@ -123,7 +122,7 @@ impl Golden {
         self.array(name)
     }
 
-    /// A table, or a single image (row = y, column = x) in fractions of the beam.
+    /// Returns a table, or a single image [row, column] = [y, x] in fractions of the beam.
     ///
     /// # Errors
     /// As [`Golden::array`].
@@ -131,17 +130,17 @@ impl Golden {
         self.array(name)
     }
 
-    /// A pair of numbers of the settings.
+    /// Reads a pair of numbers from the settings.
     pub fn pair(value: &Value) -> [f64; 2] {
         [0, 1].map(|i| value[i].as_f64().unwrap_or(f64::NAN))
     }
 
-    /// Thickness of abTEM's slices in Angstrom.
+    /// Returns the thickness of abTEM's slices in Angstrom.
     pub fn slice_angstrom(&self) -> f64 {
         self.json["slice_thickness_A"].as_f64().unwrap_or(f64::NAN)
     }
 
-    /// The four detectors.
+    /// Returns the four detectors.
     pub fn detectors(&self) -> Vec<Detector> {
         let detector = |name: &str| {
             let [inner, outer] = Golden::pair(&self.json["detectors_mrad"][name]);
@@ -150,7 +149,7 @@ impl Golden {
         DETECTORS.map(detector).to_vec()
     }
 
-    /// abTEM's own numerics on its grid but for its placement of atoms, see [`like_abtem`].
+    /// Returns settings with abTEM's numerics on its grid, except for its placement of atoms (see [`like_abtem`]).
     pub fn settings(&self) -> Settings {
         let points = Golden::pair(&self.json["gpts_xy"]).map(|n| n as usize);
         let base = Settings { detectors: self.detectors(), ..Settings::default() };
@@ -158,7 +157,7 @@ impl Golden {
         Settings { abtem_placement: false, ..like }
     }
 
-    /// Our defaults with abTEM's slices and focus.
+    /// Returns our default settings with abTEM's slices and focus.
     pub fn converged_settings(&self) -> Settings {
         let slice = self.slice_angstrom();
         let mut settings = Settings {
@@ -170,11 +169,11 @@ impl Golden {
         settings
     }
 
-    /// The raster of the images.
+    /// Returns the raster of the images.
     pub fn scan(&self) -> Scan {
         let scan = &self.json["scan"];
         let [nx, ny] = Golden::pair(&scan["points_xy"]).map(|n| n as usize);
-        // Specimens are periodic in whole cells: a scan from the origin is as good as any.
+        // Specimens are periodic in whole cells, so the scan may begin at the origin.
         Scan {
             origin_angstrom: Golden::pair(&scan["start_A"]),
             step_angstrom: Golden::pair(&scan["step_xy_A"]),
@@ -182,15 +181,15 @@ impl Golden {
         }
     }
 
-    /// Positions (x, y) of single probes in Angstrom.
+    /// Returns the positions (x, y) of single probes in Angstrom.
     pub fn positions(&self) -> Vec<[f64; 2]> {
         let list = self.json["positions_A"].as_array();
         list.into_iter().flatten().map(Golden::pair).collect()
     }
 
-    /// The same, but with every slice acting at its entrance and the probe in focus there, as in abTEM: waves then leave the
-    /// specimen one slice behind the last plane, where PRISM with interpolation cuts probes from them. Half a slice
-    /// (0.96 A) less changes HAADF of Si \[110\] with f = 2 by up to 0.9 % of the maximum.
+    /// Plans the simulation with every slice acting at its entrance and the probe in focus there, as in abTEM. Waves then leave the
+    /// specimen one slice behind the last plane, where PRISM with interpolation cuts probes from them. A distance shorter by half a slice
+    /// (0.96 A) changes HAADF of Si \[110\] with f = 2 by up to 0.9 % of the maximum.
     ///
     /// # Errors
     /// As [`Plan::new`].
@@ -203,7 +202,7 @@ impl Golden {
         Ok(plan)
     }
 
-    /// A plan for the atoms.
+    /// Plans the simulation of the atoms.
     ///
     /// # Errors
     /// As [`Plan::new`].
@@ -213,9 +212,9 @@ impl Golden {
     }
 }
 
-/// The numerics of abTEM 1.0.11: `exp(i sigma V)` on the grid of the wave, slices of equal thickness, the
-/// anti-aliasing disk with its taper, its placement of atoms, and the focus on the plane of the first slice, where we have the
-/// entrance surface half a slice before it.
+/// Returns settings with the numerics of abTEM 1.0.11: `exp(i sigma V)` on the grid of the wave, slices of equal thickness, the
+/// anti-aliasing disk with its taper, its placement of atoms, and the focus on the plane of the first slice. Our focus is on the entrance
+/// surface, half a slice before it.
 pub fn like_abtem(base: &Settings, grid: GridChoice, slice_angstrom: f64) -> Settings {
     let mut settings = Settings {
         grid,

@@ -1,4 +1,4 @@
-//! Our image of a structure against one that somebody else computed.
+//! Compares our image of a structure with an image of another program.
 
 use std::time::Instant;
 
@@ -15,53 +15,54 @@ use crate::engine::{Plan, Scan, Site};
 use crate::error::Result;
 use crate::progress::Progress;
 
-/// How far from where it is said to be a scan is looked for, along x and y; crystals repeat within that.
+/// Largest distance along x and y at which the start of a scan is searched, from the start that its file gives; crystals repeat within that
+/// distance.
 const SEARCHED_ANGSTROM: f64 = 3.0;
-/// Most places at which a moved scan is simulated.
+/// Largest number of places at which a shifted scan is simulated.
 const MOST_SCANS: usize = 3;
-/// How often the best of them is found more exactly.
+/// Largest number of refinements of the best place.
 const MOST_REFINED: usize = 2;
-/// A rms difference, of the mean, at which nothing better is looked for.
+/// Rms difference, as a fraction of the mean, at which the search ends.
 const FOUND: f64 = 1e-3;
 
-/// A rms difference, of the mean, below which a factor or an orientation explains an image for good.
+/// Rms difference, as a fraction of the mean, below which a factor or an orientation counts as the explanation.
 const CLEAR: f64 = 0.02;
-/// How many times smaller a setting has to make a difference that it does not explain to be named.
+/// A setting that does not explain a difference is still named if it makes the difference smaller by this factor.
 const PARTLY: f64 = 1.5;
 
-/// What a comparison needs to know.
+/// The inputs of a comparison.
 pub struct ImageComparison<'a> {
     /// Plan of the simulation, with one detector.
     pub plan: &'a Plan,
     /// The atoms.
     pub sites: &'a [Site],
-    /// Edges of their box, and the heights at which slices may be cut, in Angstrom.
+    /// Edges of the box of the atoms, in Angstrom.
     pub box_angstrom: [f64; 3],
-    /// See [`crate::simulation::PreparedSpecimen::heights_angstrom`].
+    /// Heights in Angstrom at which slices may be cut (see [`crate::simulation::PreparedSpecimen::heights_angstrom`]).
     pub heights_angstrom: &'a [f64],
     /// Probes on the pixels of the reference.
     pub scan: &'a Scan,
     /// The reference.
     pub reference: &'a Reference,
-    /// What its values are.
+    /// Unit of the reference's values.
     pub units: ValueUnits,
     /// Largest difference allowed, as a fraction of the reference's maximum.
     pub tolerance: f64,
     /// Name of the case.
     pub name: String,
-    /// What is compared, for the report.
+    /// Description of the comparison, for the report.
     pub about: String,
-    /// With which settings.
+    /// Settings of our simulation, for the report.
     pub settings: Vec<NamedSetting>,
-    /// The file.
+    /// Path of the reference's file.
     pub source: String,
-    /// With the numerics of abTEM in `plan`: the same converged, so that the report tells what abTEM's grid and slices do.
+    /// Where `plan` has abTEM's numerics: a converged plan, so that the report shows the effect of abTEM's grid and slices.
     pub converged: Option<&'a Plan>,
-    /// What to try if the images differ.
+    /// Advice for the case that the images differ.
     pub remedy: Option<String>,
 }
 
-/// Simulates and compares.
+/// Simulates our image and compares it with the reference.
 ///
 /// # Errors
 /// Those of the engine.
@@ -128,7 +129,7 @@ pub fn compare(progress: &dyn Progress, c: &ImageComparison) -> Result<Outcome> 
     })
 }
 
-/// The images, with the difference in colours up to the tolerance, or to the largest difference if that is beyond.
+/// Draws the images and their difference, in colours up to the tolerance, or up to the largest difference if that is greater.
 fn figure(
     c: &ImageComparison,
     detector: &str,
@@ -159,8 +160,8 @@ fn figure(
     }))
 }
 
-/// Looks for what explains a difference, the likeliest and cheapest first: a factor or another orientation; a setting that is often
-/// wrong, at a few probes; a shift of the scan. What was tried becomes numbers of the report.
+/// Searches an explanation of a difference, the likeliest and cheapest first: a factor or another orientation; a setting that is often
+/// wrong, at a few probes; a shift of the scan. All trials become numbers of the report.
 fn explained(
     progress: &dyn Progress,
     c: &ImageComparison,
@@ -169,7 +170,7 @@ fn explained(
 ) -> Result<String> {
     let still = WideImage { data: ours.clone(), margin: [0; 2] };
     let in_place = explanations(&still, reference).best.filter(|best| best.shift.is_none());
-    // What a factor leaves of a wrong energy may be much less, and is no explanation.
+    // A factor may make the difference from a wrong energy much smaller without being its explanation.
     let left_in_place = in_place.map_or(f64::INFINITY, |best| best.rms);
     let mut partly = None;
     if left_in_place > CLEAR {
@@ -205,7 +206,7 @@ fn checks_of(likely: &LikelySettings) -> Vec<Check> {
     std::iter::once(now).chain(likely.tried.iter().map(one)).collect()
 }
 
-/// What a setting explains, and what the others would.
+/// Describes the setting that explains the difference, and the difference that the next best setting leaves.
 fn told(likely: &LikelySettings, best: &TriedChange) -> String {
     let mut text = format!(
         "{} explains the difference: rms {:.2} % of the mean in place of {:.2} %, at {} probes",
@@ -220,7 +221,7 @@ fn told(likely: &LikelySettings, best: &TriedChange) -> String {
     text
 }
 
-/// Looks for a factor, an orientation or a shift of the scan. A shift is simulated: pixels between pixels are not guessed.
+/// Searches a factor, an orientation or a shift of the scan. A shift is simulated, since interpolation between pixels is inexact.
 fn explained_by_place(
     progress: &dyn Progress,
     c: &ImageComparison,
@@ -234,7 +235,7 @@ fn explained_by_place(
         let what = format!("rms difference left by {}{how}, of the mean", e.words(step));
         Check::shown(what, 100.0 * e.rms, "%")
     };
-    // A shift by interpolation is only good for finding it.
+    // Interpolation only finds a shift; its image is not exact.
     let alone = |e: &Explanation| left(e, if e.shift.is_some() { ", interpolated" } else { "" });
     findings.checks.extend(found.alone.iter().map(alone));
     let now = 100.0 * found.now;
@@ -269,7 +270,7 @@ fn explained_by_place(
     ))
 }
 
-/// Pixels (x, y) by which our image has to reach beyond the reference.
+/// Returns the number of pixels (x, y) by which our image must extend beyond the reference.
 fn margin(scan: &Scan) -> [usize; 2] {
     let along = |k: usize| match scan.shape[1 - k] {
         1 => 0,
@@ -278,7 +279,7 @@ fn margin(scan: &Scan) -> [usize; 2] {
     [along(0), along(1)]
 }
 
-/// Our image with a margin about it.
+/// Simulates our image with a margin about it.
 fn ours_beyond(progress: &dyn Progress, c: &ImageComparison) -> Result<WideImage> {
     beyond(progress, c, c.scan, margin(c.scan), "simulating about the scan")
 }
@@ -309,7 +310,7 @@ fn at_scan(
     Ok(images.image(0, 0).mapv(f64::from))
 }
 
-/// The same with the scan where it is likely to be: crystals nearly repeat, so several places are simulated.
+/// Simulates the scan at its likely shifts: crystals nearly repeat, so several shifts are simulated.
 fn simulated(
     progress: &dyn Progress,
     c: &ImageComparison,
@@ -318,7 +319,7 @@ fn simulated(
     guess: Explanation,
 ) -> Result<Explanation> {
     let turned = guess.turn.apply(reference);
-    // The margin is there to find what interpolation was off by: near no shift at all it is exact.
+    // The margin covers the error of interpolation; a remaining shift near zero is found exactly.
     let narrow = margin(c.scan).map(|n| n.min(2));
     let look = |shift: [f64; 2]| -> Result<(Explanation, WideImage)> {
         let step = c.scan.step_angstrom;
@@ -354,7 +355,7 @@ fn simulated(
     Ok(best)
 }
 
-/// What the two comparisons, in abTEM's numerics and converged, say together.
+/// Describes the result of both comparisons: with abTEM's numerics, and converged.
 fn told_by_both(same_numerics: bool, converged: &Difference, tolerance: f64) -> String {
     let off = format!("{:.2} % of the maximum", 100.0 * converged.largest);
     match (same_numerics, converged.largest <= tolerance) {

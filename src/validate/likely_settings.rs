@@ -1,4 +1,4 @@
-//! What is most often wrong where two images differ: one setting at a time is changed, and a few probes are simulated.
+//! Finds settings that are often wrong where two images differ: one setting at a time is changed, and a few probes are simulated.
 
 use ndarray::Array2;
 
@@ -11,23 +11,23 @@ use crate::optics::Aberrations;
 use crate::potential::slices::Slicing;
 use crate::progress::Progress;
 
-/// Probes that are simulated for each change.
+/// Number of probes that are simulated for each change.
 const PROBES: usize = 24;
-/// Beam energies of usual microscopes in keV.
+/// Beam energies of common microscopes in keV.
 const ENERGIES_KEV: [f64; 8] = [30.0, 40.0, 60.0, 80.0, 100.0, 120.0, 200.0, 300.0];
-/// Tilts in mrad that are tried where none is set.
+/// Tilts in mrad that are tried if no tilt is set.
 const TILT_MRAD: f64 = 5.0;
-/// Thicknesses of even slices in Angstrom.
+/// Thicknesses of equal slices in Angstrom.
 const SLICES_ANGSTROM: [f64; 3] = [0.5, 1.0, 2.0];
 
 /// A setting that is tried.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Suspect {
-    /// The defocus, above all its sign.
+    /// The defocus, mainly its sign.
     Defocus,
     /// The energy of the beam.
     Energy,
-    /// The convergence semiangle: given as a full angle, or in degrees.
+    /// The convergence semiangle, which may have been given as a full angle, or in degrees.
     Semiangle,
     /// The edges of the detector.
     Detector,
@@ -37,29 +37,29 @@ pub enum Suspect {
     Tilt,
 }
 
-/// A change, and how much of the difference it leaves.
+/// A change of a setting, and the difference that it leaves.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TriedChange {
-    /// Which setting.
+    /// The setting.
     pub suspect: Suspect,
     /// The change in words: `defocus -50 A in place of 50 A`.
     pub words: String,
-    /// The rms difference that is left at the probes, of the mean.
+    /// Rms difference that is left at the probes, divided by the mean.
     pub rms: f64,
 }
 
-/// What the changes leave.
+/// The differences that the changes leave.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LikelySettings {
     /// Number of probes.
     pub probes: usize,
-    /// The rms difference at the probes as things are, of the mean.
+    /// Rms difference at the probes without a change, divided by the mean.
     pub now: f64,
     /// The best change of each setting, the best first.
     pub tried: Vec<TriedChange>,
 }
 
-/// Some pixels of an image with the values of both.
+/// Some pixels of an image, with the values of the reference.
 struct SampledPixels {
     places: Vec<[f64; 2]>,
     reference: Vec<f64>,
@@ -68,17 +68,17 @@ struct SampledPixels {
     fitted: bool,
 }
 
-/// A change of the settings with its words; one simulation may show several detectors.
+/// A change of the settings, described in words; one simulation may show several detectors, with one description each.
 struct Change {
     suspect: Suspect,
     settings: Settings,
     words: Vec<String>,
 }
 
-/// Tries the settings that are most often wrong. `ours` is the image as things are, `reference` the other one, with its factor.
+/// Tries the settings that are most often wrong. `ours` is our image with the present settings, `reference` the other one with its factor.
 ///
 /// # Errors
-/// Those of the engine. Changes that the grid cannot carry are left out.
+/// Errors of the engine. Changes that the grid cannot carry are left out.
 pub fn likely_settings(
     progress: &dyn Progress,
     c: &ImageComparison,
@@ -86,7 +86,7 @@ pub fn likely_settings(
     reference: &Array2<f64>,
     fitted: bool,
 ) -> Result<Option<LikelySettings>> {
-    // PRISM has no single probes.
+    // PRISM does not simulate single probes.
     if matches!(c.plan.settings.algorithm, Algorithm::Prism { .. }) {
         return Ok(None);
     }
@@ -115,7 +115,7 @@ pub fn likely_settings(
     Ok(Some(LikelySettings { probes: own.len(), now: sample.rms(&own), tried: best }))
 }
 
-/// Pixels whose values are spread as those of the whole image, and our values there.
+/// Selects pixels whose values are distributed like the values of the whole image; also returns our values there.
 fn sample(
     c: &ImageComparison,
     ours: &Array2<f64>,
@@ -152,7 +152,7 @@ impl SampledPixels {
     }
 }
 
-/// All changes, those that cost least first.
+/// Lists all changes, the cheapest first.
 fn changes(settings: &Settings, band_limit_mrad: f64) -> Vec<Change> {
     let mut changes = vec![detectors(settings, band_limit_mrad)];
     let mut add = |suspect, words: String, change: &dyn Fn(&mut Settings)| {
@@ -202,7 +202,7 @@ fn changes(settings: &Settings, band_limit_mrad: f64) -> Vec<Change> {
     changes
 }
 
-/// Other edges of the detector, all in one simulation.
+/// Returns a change to other edges of the detector, all in one simulation.
 fn detectors(settings: &Settings, band_limit_mrad: f64) -> Change {
     let own = &settings.detectors[0];
     let (inner, outer) = (own.inner_mrad, own.outer_mrad);
@@ -237,7 +237,7 @@ fn detectors(settings: &Settings, band_limit_mrad: f64) -> Change {
     }
 }
 
-/// The same aberrations with another defocus.
+/// Replaces the defocus; all other aberrations stay.
 fn set_defocus(aberrations: &mut Aberrations, defocus_angstrom: f64) {
     aberrations.0.retain(|a| (a.order, a.symmetry) != (1, 0));
     aberrations.add_defocus(defocus_angstrom);

@@ -1,8 +1,8 @@
-//! What released worlds are known by: digests of their recipe, truth and image, digests of all else that the file holds, and values of the
-//! image before noise.
+//! Manifests of released worlds: digests of recipe, truth and image, digests of all other contents of the file, and values of the image
+//! before noise.
 //!
-//! The truth is the same on every machine. The image is the same bytes on processors of one kind, and differs by rounding from kind to
-//! kind, which may change single counted electrons: there the values before noise tell whether it is the same.
+//! The truth is identical on every machine. The image is identical in all bytes on processors of one kind. Between kinds it differs by
+//! rounding, which may change single counted electrons: there the values before noise show whether the image agrees.
 
 use std::collections::BTreeMap;
 
@@ -18,93 +18,93 @@ use crate::recipe::Difficulty;
 use crate::rng::{Purpose, words};
 use crate::setting::Setting;
 
-/// Version of the form of manifests.
+/// Version of the format of manifests.
 const VERSION: u32 = 1;
-/// Values of an image that a manifest holds.
+/// Number of values of an image in a manifest.
 const SAMPLES: usize = 64;
-/// Seed of their places.
+/// Seed of the places of those values.
 const SEED: u64 = 1;
-/// Images of two processors differ by at most so much before noise, in parts of the brightest of the values.
+/// Largest difference of the values before noise on two processors, as a fraction of the brightest value.
 const SAME: f64 = 1e-5;
 
-/// Worlds by name.
+/// A list of released worlds with their digests.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Manifest {
     version: u32,
-    /// That of the program which made them.
+    /// Numerics version of the program that made the worlds.
     pub numerics: u32,
     /// The worlds.
     #[serde(default, rename = "world")]
     pub worlds: Vec<PinnedWorld>,
 }
 
-/// What one world is known by.
+/// Digests and values by which a world is recognised.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PinnedWorld {
-    /// `srtio3_hard`.
+    /// Name of the world: `srtio3_hard`.
     pub name: String,
-    /// Recipe that comes with the program.
+    /// Recipe that is installed with the program.
     pub material: String,
-    /// Its tier.
+    /// Tier of the recipe.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub difficulty: Option<Difficulty>,
     /// Seed.
     pub seed: u64,
     /// SHA-256 of the whole recipe as TOML.
     pub recipe_sha256: String,
-    /// SHA-256 of all that the truth lists.
+    /// SHA-256 of all lists of the truth.
     pub truth_sha256: String,
-    /// Values before noise, fractions of the beam, at places that are drawn the same for all worlds of a size.
+    /// Values before noise, as fractions of the beam, at random places that are equal for all worlds of a size.
     pub samples: Vec<f32>,
     /// SHA-256 of all tiles, with noise and without, by kind of processor.
     pub image_sha256: BTreeMap<String, String>,
-    /// Digests of every dataset and attribute; none in manifests of before they were noted.
+    /// Digests of every dataset and attribute; empty in manifests of earlier versions.
     #[serde(default)]
     pub contents: PinnedContents,
 }
 
-/// How a world compares with what is known of it.
+/// Result of comparing a world with its manifest.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(tag = "sameness", rename_all = "snake_case")]
 pub enum PinnedSameness {
-    /// Truth, image, and every dataset and attribute.
+    /// Truth, image, and every dataset and attribute agree.
     SameBytes {
-        /// How many datasets and attributes were compared, tiles counted as one.
+        /// Number of datasets and attributes compared, tiles counted as one.
         compared: usize,
-        /// What was not compared, with the reason.
+        /// Contents that were not compared, with the reason.
         not_compared: Vec<String>,
     },
-    /// The same truth, and near values before noise. The manifest has no digest of this kind of processor, so the other pixels are not
-    /// compared.
+    /// The truth agrees, and the values before noise are close. The manifest has no digest of this kind of processor, so the other pixels
+    /// are not compared.
     SameValues {
-        /// Greatest difference of the values before noise, in parts of the brightest one.
+        /// Greatest difference of the values before noise, as a fraction of the brightest value.
         difference: f64,
-        /// How many values were compared.
+        /// Number of values compared.
         values: usize,
-        /// How many datasets and attributes were compared, tiles counted as one.
+        /// Number of datasets and attributes compared, tiles counted as one.
         compared: usize,
-        /// What was not compared, with the reason.
+        /// Contents that were not compared, with the reason.
         not_compared: Vec<String>,
     },
     /// Something differs.
     Different {
-        /// What.
+        /// Names of the contents that differ.
         what: Vec<String>,
     },
 }
 
 impl Manifest {
-    /// One without worlds, of this version of the numerics.
+    /// Returns a manifest without worlds, of this version of the numerics.
     pub fn empty() -> Self {
         Manifest { version: VERSION, numerics: NUMERICS_VERSION, worlds: Vec::new() }
     }
 
-    /// Reads a manifest; `name` stands in errors.
+    /// Reads a manifest; `name` is used in errors.
     ///
     /// # Errors
-    /// [`Error::Parse`] for a text that is none, [`Error::Invalid`] for one of another version of the program.
+    /// [`Error::Parse`] for a text that is no manifest, [`Error::Invalid`] for a manifest of another version of the program.
     pub fn from_toml(name: &str, text: &str) -> Result<Self> {
         let manifest: Manifest = toml::from_str(text).map_err(|e| {
             let line = e.span().map_or(0, |s| 1 + text[..s.start].matches('\n').count());
@@ -127,13 +127,13 @@ impl Manifest {
         Ok(manifest)
     }
 
-    /// The same as text.
+    /// Returns the manifest as TOML.
     pub fn to_toml(&self) -> String {
-        // Strings and numbers always have a form in TOML.
+        // Strings and numbers can always be written as TOML.
         toml::to_string(self).unwrap_or_default()
     }
 
-    /// Puts a world in the place of what was known of it; digests of other kinds of processors stay while truth and values agree.
+    /// Replaces the entry of a world. Digests of other kinds of processors are kept if truth and values agree.
     pub fn pin(&mut self, world: PinnedWorld) {
         match self.worlds.iter_mut().find(|w| w.name == world.name) {
             Some(old) => {
@@ -152,10 +152,11 @@ impl Manifest {
 }
 
 impl PinnedWorld {
-    /// What a world is known by; it has to hold the image before noise.
+    /// Computes the digests and values of a world, which must hold the image before noise.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a world without recipe, [`Error::Choice`] for one without image before noise; those of the file, [`Error::Interrupted`].
+    /// [`Error::Invalid`] for a world without recipe, [`Error::Choice`] for a world without an image before noise; errors of the file,
+    /// [`Error::Interrupted`].
     pub fn of(name: &str, world: &WorldFile, progress: &dyn Progress) -> Result<Self> {
         let m = world.metadata();
         let lacking = |what: &str| {
@@ -177,7 +178,7 @@ impl PinnedWorld {
         })
     }
 
-    /// Compares what is known of a world with what one was found to be.
+    /// Compares a released world with the digests and values of a file.
     pub fn compare(&self, found: &PinnedWorld) -> PinnedSameness {
         let mut what = Vec::new();
         let digests = [
@@ -191,7 +192,7 @@ impl PinnedWorld {
         let apart = |(a, b): (&f32, &f32)| f64::from((a - b).abs()) / brightest;
         let apart: Vec<f64> = self.samples.iter().zip(&found.samples).map(apart).collect();
         let difference = apart.iter().fold(0.0_f64, |m, d| m.max(*d));
-        // Not a number is not near.
+        // NaN is not near.
         let near = apart.iter().all(|d| *d <= SAME);
         if self.samples.len() != found.samples.len() || !near {
             what.push(format!("image before noise, by {difference:.1e} of its brightest value"));
@@ -214,7 +215,7 @@ impl PinnedWorld {
     }
 }
 
-/// The digest of all that the truth lists, value by value.
+/// Returns the digest of all lists of the truth, value by value.
 fn truth(world: &WorldFile) -> Result<String> {
     let mut hash = Sha256::new();
     let pairs = |hash: &mut Sha256, pairs: &[[f32; 2]]| {
@@ -258,7 +259,7 @@ fn truth(world: &WorldFile) -> Result<String> {
     Ok(hex(hash.finalize()))
 }
 
-/// The digest of all tiles of all detectors, with noise and before.
+/// Returns the digest of all tiles of all detectors, with and before noise.
 fn image(world: &WorldFile, progress: &dyn Progress) -> Result<String> {
     let mut hash = Sha256::new();
     let others = world.detectors().iter().skip(1).map(|d| world.on_detector(&d.name));
@@ -280,7 +281,7 @@ fn image(world: &WorldFile, progress: &dyn Progress) -> Result<String> {
     Ok(hex(hash.finalize()))
 }
 
-/// Values before noise at places that are drawn.
+/// Returns the values before noise at random places.
 fn samples(world: &WorldFile) -> Result<Vec<f32>> {
     let m = world.metadata();
     let ([rows, columns], size) = (m.grid_shape, m.tile_size_px);

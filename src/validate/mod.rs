@@ -1,9 +1,10 @@
 //! Validation: the shipped suite of checks, comparison with an image of another program, and comparison of
 //! two worlds; and the reports that show them.
 //!
-//! The suite ([`suite::cases`]) is one list that users run (`stemgen validate`) and tests run. Each case
-//! returns [`Findings`]: numbers with their limits, and figures. [`user`] reads an image that somebody else
-//! computed, [`image_comparison`] compares it and [`explain`] says what a difference may come from; [`worlds`] compares two world files by statistics, [`soundness`] checks one; [`manifest`] knows released ones by their digests. [`report`] makes one HTML page of any.
+//! The suite ([`suite::cases`]) is one list that users run (`stemgen validate`) and tests run. Each case returns [`Findings`]: numbers with
+//! their limits, and figures. [`user`] reads an image of another program, [`image_comparison`] compares it and [`explain`] searches the
+//! reason of a difference; [`worlds`] compares two world files by statistics, [`soundness`] checks one; [`manifest`] recognises released
+//! worlds by their digests. [`report`] makes one HTML page of any result.
 
 mod check_runner;
 pub mod difference;
@@ -28,7 +29,7 @@ pub use pinned_contents::{NOT_COMPARED, PinnedContents};
 use ndarray::Array2;
 use serde::Serialize;
 
-/// What a check or a case comes to.
+/// Result of a check or a case.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
@@ -36,11 +37,11 @@ pub enum Verdict {
     Pass,
     /// Beyond a limit.
     Fail,
-    /// A number without a limit.
+    /// A number without a limit, for information.
     Shown,
 }
 
-/// What a number may be.
+/// Limit of a number.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Limit {
@@ -48,29 +49,29 @@ pub enum Limit {
     AtMost(f64),
     /// At least this.
     AtLeast(f64),
-    /// From the first to the second.
+    /// Between the two values.
     Between(f64, f64),
-    /// Anything: the number is there to be known.
+    /// No limit: the number is for information.
     Open,
 }
 
 /// A number with its limit.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Check {
-    /// What was measured.
+    /// Name of the measured quantity.
     pub what: String,
     /// The number.
     pub value: f64,
     /// Its unit; empty for none.
     pub unit: &'static str,
-    /// What it may be.
+    /// Limit of the number.
     pub limit: Limit,
-    /// Whether it is.
+    /// Whether the number is within its limit.
     pub verdict: Verdict,
 }
 
 impl Check {
-    /// Judges a number. One that is not finite fails whatever the limit.
+    /// Judges a number. A number that is not finite fails with any limit.
     pub fn new(what: impl Into<String>, value: f64, unit: &'static str, limit: Limit) -> Self {
         let good = match limit {
             Limit::AtMost(high) => value <= high,
@@ -86,7 +87,7 @@ impl Check {
         Check { what: what.into(), value, unit, limit, verdict }
     }
 
-    /// How near the number is to its limit: above 1 it is beyond; 0 without a limit.
+    /// Returns how near the number is to its limit: above 1 it is beyond it; 0 without a limit.
     pub fn strain(&self) -> f64 {
         let strain = match self.limit {
             Limit::AtMost(high) if high > 0.0 => self.value.abs() / high,
@@ -98,7 +99,7 @@ impl Check {
         if strain.is_finite() { strain } else { f64::MAX }
     }
 
-    /// A number to be known, without a limit.
+    /// Makes a number for information, without a limit.
     pub fn shown(what: impl Into<String>, value: f64, unit: &'static str) -> Self {
         Check::new(what, value, unit, Limit::Open)
     }
@@ -107,7 +108,7 @@ impl Check {
 /// Two images of the same pixels.
 #[derive(Debug, Clone)]
 pub struct ImagePair {
-    /// What is shown.
+    /// Title of the figure.
     pub title: String,
     /// Our image: row = y, column = x.
     pub ours: Array2<f64>,
@@ -121,9 +122,9 @@ pub struct ImagePair {
     pub axis_unit: &'static str,
     /// Unit of the values.
     pub unit: &'static str,
-    /// Colours of the difference end at plus and minus so much.
+    /// Value at which the colours of the difference end, above and below zero.
     pub difference_scale: f64,
-    /// Whether colours follow the logarithm.
+    /// Whether colours follow the logarithm of the value.
     pub logarithmic: bool,
 }
 
@@ -143,9 +144,9 @@ pub enum Style {
 /// Points of one kind.
 #[derive(Debug, Clone)]
 pub struct Series {
-    /// For the legend.
+    /// Name in the legend.
     pub name: String,
-    /// (x, y)
+    /// Points (x, y).
     pub points: Vec<(f64, f64)>,
     /// How it is drawn.
     pub style: Style,
@@ -154,7 +155,7 @@ pub struct Series {
 /// A plot of series.
 #[derive(Debug, Clone)]
 pub struct Plot {
-    /// What is shown.
+    /// Title of the plot.
     pub title: String,
     /// Quantity and unit along x.
     pub x: String,
@@ -162,11 +163,11 @@ pub struct Plot {
     pub y: String,
     /// Whether x and y are logarithmic.
     pub logarithmic: [bool; 2],
-    /// What is drawn.
+    /// The series.
     pub series: Vec<Series>,
 }
 
-/// Something to look at.
+/// A figure of a report.
 #[derive(Debug, Clone)]
 pub enum Figure {
     /// Images with their difference and profiles.
@@ -175,54 +176,54 @@ pub enum Figure {
     Plot(Plot),
 }
 
-/// What a case found.
+/// Results of a case.
 #[derive(Debug, Clone, Default)]
 pub struct Findings {
-    /// Numbers.
+    /// The numbers.
     pub checks: Vec<Check>,
-    /// Figures.
+    /// The figures.
     pub figures: Vec<Figure>,
 }
 
-/// A line of a table of settings.
+/// A row in a table of settings.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct NamedSetting {
-    /// `wave grid`.
+    /// Name of the setting: `wave grid`.
     pub name: String,
-    /// With its unit.
+    /// Value with its unit.
     pub value: String,
 }
 
-/// A case that was run.
+/// Result of a case that was run.
 #[derive(Debug, Clone, Serialize)]
 pub struct Outcome {
-    /// Name, by which it can be chosen.
+    /// Name, by which the case can be chosen.
     pub name: String,
-    /// One line.
+    /// Title in one line.
     pub title: String,
-    /// What it belongs to.
+    /// Group of the case.
     pub group: String,
-    /// What is compared with what, and how.
+    /// Description of the comparison and its method.
     pub about: String,
-    /// What was computed with which settings, for the report.
+    /// Settings of the simulation, for the report.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub settings: Vec<NamedSetting>,
-    /// Where the reference comes from.
+    /// Origin of the reference.
     pub source: String,
-    /// Fail if any check failed.
+    /// `Fail` if any check failed.
     pub verdict: Verdict,
-    /// Numbers.
+    /// Numbers with their limits.
     pub checks: Vec<Check>,
-    /// What may explain a failure.
+    /// Possible explanations of a failure.
     pub notes: Vec<String>,
     /// Time taken in s.
     pub wall_time_s: f64,
-    /// Figures; not part of the JSON.
+    /// Figures; they are not part of the JSON.
     #[serde(skip)]
     pub figures: Vec<Figure>,
 }
 
-/// Fail if one of these failed.
+/// Returns `Fail` if one of the verdicts is `Fail`.
 pub fn overall<'a>(verdicts: impl IntoIterator<Item = &'a Verdict>) -> Verdict {
     match verdicts.into_iter().any(|v| *v == Verdict::Fail) {
         true => Verdict::Fail,

@@ -1,4 +1,4 @@
-//! What a released file holds, name by name, and how another one compares with it.
+//! Contents of a released file, name by name, and their comparison with another file.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -8,44 +8,44 @@ use crate::error::Result;
 use crate::io::{WorldFile, schema};
 use crate::numerics::processor;
 
-/// What may differ between two files of one released world, and why. Nothing else is left out of the comparison.
+/// Attributes that may differ between two files of one released world, with the reason. Everything else is compared.
 pub const NOT_COMPARED: [(&str, &str); 2] = [
     ("/metadata@stemgen_version", "version of the program"),
     ("/metadata@wall_time_s", "time that a build took, in files of earlier versions"),
 ];
 
-/// Attributes that are computed from the image, and are rounded as it is.
+/// Attributes that are computed from the image, and differ by its rounding.
 const FROM_IMAGE: [&str; 1] = ["/metadata@audit"];
 
-/// Digests by name, as [`WorldFile::contents`] gives them.
+/// Digests by name, as [`WorldFile::contents`] returns them.
 type Digests = BTreeMap<String, String>;
 
-/// Digests of all that a file holds.
+/// Digests of all contents of a file.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PinnedContents {
-    /// What is the same on every machine.
+    /// Digests that are identical on every machine.
     everywhere: Digests,
-    /// The image and what is computed from it, by kind of processor.
+    /// Digests of the image and of attributes that are computed from it, by kind of processor.
     image: BTreeMap<String, Digests>,
 }
 
-/// How the contents of a file compare with those that were released.
+/// Differences between the contents of a file and the released contents.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ContentsDifference {
-    /// What differs, is missing, or was not released.
+    /// Names that differ, are missing, or were not released.
     pub differs: Vec<String>,
-    /// What was not compared, with the reason.
+    /// Names that were not compared, with the reason.
     pub not_compared: Vec<String>,
-    /// How many names were compared.
+    /// Number of names compared.
     pub compared: usize,
 }
 
 impl PinnedContents {
-    /// Those of a file on this kind of processor.
+    /// Computes the digests of a file on this kind of processor.
     ///
     /// # Errors
-    /// Those of reading the file.
+    /// Errors of reading the file.
     pub fn of(world: &WorldFile) -> Result<Self> {
         let left_out = |name: &String| NOT_COMPARED.iter().any(|(n, _)| n == name);
         let all = world.contents()?.into_iter().filter(|(name, _)| !left_out(name));
@@ -53,14 +53,14 @@ impl PinnedContents {
         Ok(PinnedContents { everywhere, image: [(processor(), image)].into() })
     }
 
-    /// Adds what is known of other kinds of processors.
+    /// Adds the digests for other kinds of processors.
     pub(super) fn keep_others(&mut self, old: PinnedContents) {
         for (kind, digests) in old.image {
             self.image.entry(kind).or_insert(digests);
         }
     }
 
-    /// Compares what was released with what a file was found to hold.
+    /// Compares the released contents with the contents of a file.
     pub fn compare(&self, found: &PinnedContents) -> ContentsDifference {
         let mut result = ContentsDifference::default();
         let left_out = NOT_COMPARED.map(|(name, why)| format!("{name} ({why})"));
@@ -74,7 +74,7 @@ impl PinnedContents {
         for (kind, image) in &found.image {
             match (self.image.get(kind), self.image.values().next()) {
                 (Some(known), _) => result.add(known, image, true),
-                // The names are the same on every machine.
+                // The names are identical on every machine, so they can be compared without digests.
                 (None, Some(names)) => {
                     result.add(names, image, false);
                     let names: Vec<&str> = image.keys().map(String::as_str).collect();
@@ -89,7 +89,7 @@ impl PinnedContents {
 }
 
 impl ContentsDifference {
-    /// Compares names, and the digests too where `values` says so.
+    /// Compares names, and also the digests if `values` is set.
     fn add(&mut self, known: &Digests, found: &Digests, values: bool) {
         let names: BTreeSet<&String> = known.keys().chain(found.keys()).collect();
         for name in names {
@@ -103,7 +103,7 @@ impl ContentsDifference {
     }
 }
 
-/// Whether a thing is the image, or is computed from it.
+/// Whether a name belongs to the image, or to an attribute that is computed from it.
 fn is_of_image(name: &str) -> bool {
     let images = [schema::TILES, schema::CLEAN, schema::OVERVIEW];
     let object = name.split('@').next().unwrap_or_default();

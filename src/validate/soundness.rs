@@ -1,7 +1,7 @@
-//! Is a world file sound: does what it holds agree with itself?
+//! Checks whether the contents of a world file agree with each other.
 //!
-//! Tiles are held against each other and the overview, attributes against the recipe, the lists of the ground truth against each other
-//! and the field, and the noise against the noise-free image and the dose.
+//! The checks compare tiles with each other and with the overview, attributes with the recipe, the lists of the ground truth with each
+//! other and with the field, and the noise with the noise-free image and the dose.
 
 use std::path::Path;
 
@@ -15,44 +15,44 @@ use crate::io::{WorldFile, WorldMetadata};
 use crate::progress::Progress;
 use crate::recipe::Recipe;
 
-/// Pixels of the overview differ by at most so much from the mean of what they show.
+/// Largest difference of pixels of the overview from the mean of the pixels that they represent.
 const OVERVIEW_ERROR: f64 = 1e-5;
-/// Counts are whole numbers to this much, or to single precision.
+/// Largest difference of counts from whole numbers, unless single precision is coarser.
 const COUNT_ERROR: f64 = 0.02;
-/// Counts agree with the noise-free image where their mean and their scatter are nearer than so many standard errors.
+/// Counts agree with the noise-free image if their mean and their scatter differ by less than this many standard errors.
 const STANDARD_ERRORS: f64 = 6.0;
-/// Numbers of a recipe and of its attributes differ by at most this share.
+/// Largest relative difference between numbers of a recipe and its attributes.
 const SAME: f64 = 1e-9;
-/// Pixels with fewer electrons expected do not count for the scatter.
+/// Pixels with fewer expected electrons are not used for the scatter.
 const FEWEST_ELECTRONS: f64 = 0.5;
 
-/// What became of a check.
+/// Result of a check.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum CheckOutcome {
-    /// All is as it should be.
+    /// The check found no fault.
     Sound,
-    /// Something is not.
+    /// The check found a fault.
     Fault,
-    /// The file does not hold what the check needs.
+    /// The file lacks data that the check needs.
     Skipped,
 }
 
 /// One check of a world.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct WorldCheck {
-    /// What was checked.
+    /// Subject of the check.
     pub what: &'static str,
-    /// What became of it.
+    /// Result of the check.
     pub outcome: CheckOutcome,
-    /// What was found.
+    /// Description of the result.
     pub found: String,
 }
 
-/// Checks a world file; a file that cannot be opened as a world has that as its one fault.
+/// Checks a world file; a file that cannot be opened as a world has that as its only fault.
 ///
 /// # Errors
-/// [`Error::Io`] for a file that is not there, [`Error::Interrupted`].
+/// [`Error::Io`] for a missing file, [`Error::Interrupted`].
 pub fn check_world(path: &Path, progress: &dyn Progress) -> Result<Vec<WorldCheck>> {
     let opened = match WorldFile::open(path) {
         Ok(world) => world,
@@ -77,10 +77,10 @@ pub fn check_world(path: &Path, progress: &dyn Progress) -> Result<Vec<WorldChec
     Ok(checks)
 }
 
-/// What a check found: a sentence, or a fault.
+/// Result of a check: a sentence, or a fault.
 pub(super) type FoundOrFault = std::result::Result<String, String>;
 
-/// Why a check was skipped, as the beginning of what it found.
+/// Prefix that marks the result of a skipped check; the reason follows.
 pub(super) const SKIPPED: &str = "not checked: ";
 
 fn checked(what: &'static str, found: Result<FoundOrFault>) -> Result<WorldCheck> {
@@ -96,7 +96,8 @@ fn checked(what: &'static str, found: Result<FoundOrFault>) -> Result<WorldCheck
     Ok(WorldCheck { what, outcome, found })
 }
 
-/// Values are from 0 to 1 (fractions of the beam in the noise-free image), and the pixels that tiles share the same.
+/// Checks that values lie between 0 and 1 (fractions of the beam in the noise-free image), and that neighbouring tiles agree in the pixels
+/// that they share.
 fn check_tiles(world: &WorldFile, progress: &dyn Progress) -> Result<FoundOrFault> {
     let WorldMetadata { grid_shape: [rows, columns], overlap_px, tile_size_px, .. } =
         *world.metadata();
@@ -148,7 +149,7 @@ fn check_tiles(world: &WorldFile, progress: &dyn Progress) -> Result<FoundOrFaul
     Ok(Ok(format!("values from {least} to {most}; shared pixels are the same{clean}")))
 }
 
-/// Each pixel of the overview is the mean of those that it stands for.
+/// Checks that each pixel of the overview is the mean of the pixels that it represents.
 fn check_overview(world: &WorldFile, progress: &dyn Progress) -> Result<FoundOrFault> {
     let overview = world.overview()?;
     let [height, width] = world.shape();
@@ -164,7 +165,7 @@ fn check_overview(world: &WorldFile, progress: &dyn Progress) -> Result<FoundOrF
             let part = band.slice(s![.., first..(first + OVERVIEW_FACTOR).min(width)]);
             let mean = part.iter().map(|v| f64::from(*v)).sum::<f64>() / part.len() as f64;
             let off = (mean - f64::from(*value)).abs();
-            // A maximum would pass over what is no number.
+            // A maximum would ignore NaN.
             worst = if off.is_nan() { f64::INFINITY } else { worst.max(off) };
         }
     }
@@ -174,7 +175,7 @@ fn check_overview(world: &WorldFile, progress: &dyn Progress) -> Result<FoundOrF
     })
 }
 
-/// What is said of the world is what its recipe says.
+/// Checks that the attributes agree with the recipe.
 fn check_attributes(world: &WorldFile) -> Result<FoundOrFault> {
     let m = world.metadata();
     let Some(text) = &m.recipe else {
@@ -210,7 +211,7 @@ fn check_attributes(world: &WorldFile) -> Result<FoundOrFault> {
     })
 }
 
-/// Whole numbers of electrons, whose mean and scatter are those of the noise-free image at the dose.
+/// Checks that tiles hold whole numbers of electrons, whose mean and scatter fit the noise-free image at the dose.
 fn check_counts(world: &WorldFile, progress: &dyn Progress) -> Result<FoundOrFault> {
     let m = world.metadata();
     let recipe = m.recipe.as_ref().and_then(|toml| Recipe::from_toml_str("world", toml, None).ok());
@@ -232,7 +233,7 @@ fn check_counts(world: &WorldFile, progress: &dyn Progress) -> Result<FoundOrFau
             }
             let tile = world.tile(row, column)?;
             let counts = tile.mapv(|v| (f64::from(v) * scale + offset) * electrons);
-            // A value is right to half a step of single precision of the largest.
+            // A value is accurate to half a step of single precision at the largest value.
             let error = COUNT_ERROR.max(2.0 * f64::from(f32::EPSILON) * scale * electrons);
             if let Some((at, n)) =
                 counts.indexed_iter().find(|(_, n)| (*n - n.round()).abs() > error)
@@ -260,12 +261,12 @@ fn check_counts(world: &WorldFile, progress: &dyn Progress) -> Result<FoundOrFau
     })
 }
 
-/// Sums over pixels of counts n, with expectation and variance e.
+/// Sums over pixels of counts n, whose expectation and variance are e.
 #[derive(Default)]
 struct NoiseStatistics {
-    /// Of n - e, and of e.
+    /// Sums of n - e, and of e.
     difference: [f64; 2],
-    /// Of (n - e)^2 / e - 1, and of its variance 2 + 1 / e.
+    /// Sums of (n - e)^2 / e - 1, and of its variance 2 + 1 / e.
     scatter: [f64; 2],
 }
 
@@ -282,7 +283,7 @@ impl NoiseStatistics {
         }
     }
 
-    /// How far sums lie from 0.
+    /// Returns the distances of the sums from 0 in standard errors.
     fn standard_errors(&self) -> [f64; 2] {
         [self.difference, self.scatter]
             .map(|[sum, variance]| if variance > 0.0 { sum / variance.sqrt() } else { 0.0 })

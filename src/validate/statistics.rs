@@ -5,13 +5,12 @@ use serde::Serialize;
 use super::field_waves::FieldWaves;
 use crate::rng::philox4x32_10;
 
-/// Probability that a normal variable lies further from its mean than `z` standard deviations, on either
-/// side.
+/// Returns the probability that a normal variable lies further from its mean than `z` standard deviations, on either side.
 pub fn two_sided(z: f64) -> f64 {
     libm::erfc(z.abs() / std::f64::consts::SQRT_2)
 }
 
-/// A sum over blocks divided by another: defects per site, intensity per pixel.
+/// A ratio of two sums over blocks: defects per site, intensity per pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Ratio {
     /// The ratio.
@@ -21,9 +20,9 @@ pub struct Ratio {
 }
 
 impl Ratio {
-    /// Of (numerator, denominator) of each block. Neighbouring sites are not independent (defects
-    /// cluster, grains differ); whole blocks nearly are, so that the error holds all the same
-    /// (W. G. Cochran, Sampling Techniques, 3rd ed. (1977), sec. 6.3).
+    /// Computes the ratio from (numerator, denominator) of each block. Neighbouring sites are not independent (defects cluster, grains
+    /// differ), but whole blocks nearly are, so that the error is right even then (W. G. Cochran, Sampling Techniques, 3rd ed. (1977), sec.
+    /// 6.3).
     pub fn of_blocks(blocks: &[(f64, f64)]) -> Self {
         let n = blocks.len() as f64;
         let (top, bottom) = blocks.iter().fold((0.0, 0.0), |s, b| (s.0 + b.0, s.1 + b.1));
@@ -32,7 +31,7 @@ impl Ratio {
         Ratio { value, error: (square * n / (n - 1.0)).sqrt() / bottom.abs() }
     }
 
-    /// Difference in standard errors; zero for equal values.
+    /// Returns the difference in standard errors; zero for equal values.
     pub fn z(self, other: Ratio, least_error: f64) -> f64 {
         let difference = self.value - other.value;
         match difference {
@@ -42,16 +41,16 @@ impl Ratio {
     }
 }
 
-/// The standard error of a difference of two rates of independent events, `a.0` of `a.1` and `b.0` of `b.1`.
+/// Returns the standard error of the difference of two rates of independent events, `a.0` of `a.1` and `b.0` of `b.1`.
 pub fn binomial_error(a: (f64, f64), b: (f64, f64)) -> f64 {
     let rate = (a.0 + b.0) / (a.1 + b.1);
     (rate * (1.0 - rate) * (1.0 / a.1 + 1.0 / b.1)).sqrt()
 }
 
-/// Probability that Student's t with so many degrees of freedom lies further from 0 than `t`, on either side (M. Abramowitz and I.
-/// A. Stegun, Handbook of Mathematical Functions (1964), 26.7.3 and 26.7.4).
+/// Returns the probability that Student's t with `freedom` degrees of freedom lies further from 0 than `t`, on either side (M. Abramowitz
+/// and I. A. Stegun, Handbook of Mathematical Functions (1964), 26.7.3 and 26.7.4).
 pub fn student_two_sided(t: f64, freedom: usize) -> f64 {
-    // Beyond, the normal distribution is right to 1 % at 4 standard deviations.
+    // Above this number the normal distribution is right to 1 % at 4 standard deviations.
     const MANY: usize = 2000;
     if freedom == 0 || freedom > MANY || !t.is_finite() {
         return two_sided(t);
@@ -74,8 +73,8 @@ pub fn student_two_sided(t: f64, freedom: usize) -> f64 {
     (1.0 - within).clamp(0.0, 1.0)
 }
 
-/// The standard error of the difference of two ratios whose blocks lie at the same places of two fields, from the scatter of the
-/// differences, block by block: what both have at a place (a boundary, the lattice) is no scatter.
+/// Returns the standard error of the difference of two ratios whose blocks lie at the same places of two fields, from the scatter of the
+/// differences, block by block: features that both fields have at a place (a boundary, the lattice) are no scatter.
 pub fn paired_error(a: &[(f64, f64)], b: &[(f64, f64)]) -> f64 {
     let residuals = |blocks: &[(f64, f64)]| {
         let (top, bottom) = blocks.iter().fold((0.0, 0.0), |s, b| (s.0 + b.0, s.1 + b.1));
@@ -87,36 +86,36 @@ pub fn paired_error(a: &[(f64, f64)], b: &[(f64, f64)]) -> f64 {
     (pairs.map(|(a, b)| (a - b).powi(2)).sum::<f64>() * n / (n - 1.0)).sqrt()
 }
 
-/// Result of a two-sample Kolmogorov-Smirnov test.
+/// Result of a Kolmogorov-Smirnov test of two samples.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Ks {
     /// Largest distance of the cumulative distributions.
     pub distance: f64,
-    /// Share of random relabellings of the blocks with a distance at least as large.
+    /// Share of random relabellings of the blocks whose distance is at least as large.
     pub p: f64,
 }
 
 /// A sample: the block and the value of each item.
 pub type Sample = [(u32, f32)];
 
-/// Where blocks of two worlds lie.
+/// Correspondence of the blocks of two worlds.
 #[derive(Debug, Clone, Copy)]
 pub enum Places<'a> {
-    /// At the same places in both: what both worlds have there (a boundary, an edge, the lattice) is no difference. The waves over
-    /// the field tell how far worlds of one kind differ.
+    /// Blocks lie at the same places in both worlds: features that both have there (a boundary, an edge, the lattice) are no difference.
+    /// The waves over the field show how far worlds of one kind differ.
     Same(&'a FieldWaves),
-    /// Anywhere, so many in each world: any of them may be exchanged.
+    /// Blocks lie anywhere; the numbers of blocks in each world. Any blocks may be exchanged.
     Any([usize; 2]),
 }
 
-/// Classes that values are sorted into.
+/// Number of classes that values are sorted into.
 const CLASSES: usize = 400;
-/// Relabellings at most; fewer once so many were as far apart as what was found (J. Besag and P. Clifford, Biometrika 78 (1991)
-/// 301).
+/// Largest number of relabellings; fewer are made once [`ENOUGH`] of them were at least as far apart as the samples (J. Besag and P.
+/// Clifford, Biometrika 78 (1991) 301).
 const RELABELLINGS: u32 = 99_999;
 const ENOUGH: u32 = 200;
 
-/// The share of relabellings whose statistic is at least `found`.
+/// Returns the share of relabellings whose statistic is at least `found`.
 pub(super) fn share(found: f64, mut statistic: impl FnMut(u32) -> f64) -> f64 {
     let mut larger = 0;
     for n in 0..RELABELLINGS {
@@ -128,8 +127,8 @@ pub(super) fn share(found: f64, mut statistic: impl FnMut(u32) -> f64) -> f64 {
     f64::from(larger + 1) / f64::from(RELABELLINGS + 1)
 }
 
-/// Two-sample Kolmogorov-Smirnov distance whose significance comes from the waves over the field, or from exchanging whole blocks
-/// between the samples, since items of a block are not independent.
+/// Computes the Kolmogorov-Smirnov distance of two samples. Its significance comes from the waves over the field, or from exchanging whole
+/// blocks between the samples, since items of a block are not independent.
 ///
 /// Values are sorted into 400 classes that hold equal shares of both samples together.
 pub fn kolmogorov_smirnov(a: &Sample, b: &Sample, places: Places) -> Ks {
@@ -152,10 +151,10 @@ pub fn kolmogorov_smirnov(a: &Sample, b: &Sample, places: Places) -> Ks {
     }
 }
 
-/// Values of each class in a block.
+/// Number of values of each class in a block.
 type ClassCounts = [f64; CLASSES + 1];
 
-/// Differences of the cumulative distributions, place by place, their sum, and whether waves over the field do as much.
+/// Sums the differences of the cumulative distributions over all places, and compares the sum with the waves over the field.
 fn at_places(mut a: Vec<ClassCounts>, b: &[ClassCounts], waves: &FieldWaves) -> Ks {
     let total = |t: &[ClassCounts]| t.iter().flatten().sum::<f64>();
     let (all_a, all_b) = (total(&a), total(b));
@@ -170,7 +169,7 @@ fn at_places(mut a: Vec<ClassCounts>, b: &[ClassCounts], waves: &FieldWaves) -> 
     Ks { distance, p }
 }
 
-/// The distance for the blocks as they are, and with any of them exchanged.
+/// Compares the distance of the samples with the distances after random exchanges of blocks.
 fn among_all(mut table: Vec<ClassCounts>, mut other: Vec<ClassCounts>) -> Ks {
     let filled = |counts: &ClassCounts| counts.iter().any(|c| *c > 0.0);
     table.retain(filled);
@@ -195,7 +194,7 @@ fn among_all(mut table: Vec<ClassCounts>, mut other: Vec<ClassCounts>) -> Ks {
     Ks { distance: found, p }
 }
 
-/// Edges of classes with equal shares of the pooled values.
+/// Returns the edges of classes that hold equal shares of the pooled values.
 fn edges(a: &Sample, b: &Sample) -> Vec<f32> {
     let mut pooled: Vec<f32> =
         a.iter().chain(b).map(|(_, v)| *v).filter(|v| v.is_finite()).collect();
@@ -206,7 +205,7 @@ fn edges(a: &Sample, b: &Sample) -> Vec<f32> {
     edges
 }
 
-/// Distance of the distributions of a part and of the rest.
+/// Returns the largest distance between the cumulative distributions of a part and of the rest.
 fn largest_gap(part: &[f64], total: &[f64]) -> f64 {
     let (n, all): (f64, f64) = (part.iter().sum(), total.iter().sum());
     if n == 0.0 || n == all {
@@ -221,7 +220,7 @@ fn largest_gap(part: &[f64], total: &[f64]) -> f64 {
     gap
 }
 
-/// Fisher and Yates, from counters: the same order whenever it is asked for.
+/// Shuffles by Fisher and Yates with counter-based random numbers: a permutation number always gives the same order.
 fn shuffle(order: &mut [usize], permutation: u32) {
     for i in (1..order.len()).rev() {
         let word = philox4x32_10([i as u32, permutation, 0, 0], [0x5374_656d, 0x4b53]);
@@ -256,7 +255,7 @@ mod tests {
 
     #[test]
     fn the_error_of_a_ratio_is_that_of_repeated_samples() {
-        // 100 blocks of 50 trials of probability 0.3: the rate scatters by sqrt(0.3 0.7 / 5000)
+        // In 100 blocks of 50 trials of probability 0.3 the rate scatters by sqrt(0.3 0.7 / 5000).
         let expected = (0.3_f64 * 0.7 / 5000.0).sqrt();
         let of = |seed| {
             let draws = noise(5000, seed);
@@ -283,8 +282,8 @@ mod tests {
         assert_eq!(kolmogorov_smirnov(&a, &[], ANY).p, 0.0);
     }
 
-    /// Values that are the same within a block: the textbook formula takes 3000 items for independent and
-    /// finds a difference; exchanging blocks does not.
+    /// Values are equal within a block: the textbook formula takes 3000 items as independent and finds a difference; exchanging blocks does
+    /// not.
     #[test]
     fn blocks_keep_dependent_values_together() {
         let blocky = |seed| {

@@ -1,4 +1,4 @@
-//! Do the lists of a world's ground truth agree with each other and the field?
+//! Checks whether the lists of a world's ground truth agree with each other and with the field.
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 
@@ -8,14 +8,14 @@ use crate::io::schema::atom_type;
 use crate::io::{GroundTruth, WorldColumn, WorldFile};
 use crate::structure::elements;
 
-/// Positions of sites are at most so far outside the field, in nm: columns at its edge have sites that are displaced.
+/// Largest distance of a site outside the field, in nm: columns at its edge have displaced sites.
 const OUTSIDE_NM: f64 = 0.1;
-/// Sites are at most so far from the middle of their column, in nm: those of displaced and of tilted columns are 0.09.
+/// Largest distance of a site from the middle of its column, in nm: in displaced and in tilted columns it reaches 0.09.
 const BESIDE_NM: f64 = 0.15;
-/// Columns are at most so far from the mean of their sites, in nm: single precision in a field of 1 um.
+/// Largest distance of a column from the mean of its sites, in nm: single precision in a field of 1 um.
 const MEAN_ERROR_NM: f64 = 1e-3;
 
-/// Sites lie in the specimen, types are known, masks and names tell what types say, and numbers are those of elements.
+/// Checks that sites lie in the specimen, that types are known, that masks and names agree with the types, and that atomic numbers exist.
 pub fn check_sites(world: &WorldFile) -> Result<FoundOrFault> {
     let m = world.metadata();
     let [height, width] = m.fov_nm;
@@ -56,7 +56,7 @@ pub fn check_sites(world: &WorldFile) -> Result<FoundOrFault> {
     })
 }
 
-/// Whether a name of `defect_types` is one of a site of this type.
+/// Whether a name of `defect_types` fits a site of this type.
 fn fits(name: &str, kind: i32) -> bool {
     match kind {
         atom_type::VACANCY => name.starts_with("vacancy"),
@@ -65,10 +65,10 @@ fn fits(name: &str, kind: i32) -> bool {
     }
 }
 
-/// What the sites of a column come to.
+/// Sums over the sites of a column.
 #[derive(Clone, Default)]
 struct SitesOfColumn {
-    /// Sites, vacancies and substitutions.
+    /// Number of sites, vacancies and substitutions.
     counts: [i32; 3],
     /// Sums of (x, y) in nm.
     place: [f64; 2],
@@ -76,14 +76,14 @@ struct SitesOfColumn {
     atoms: u64,
 }
 
-/// A number for an element; those of different compositions have different sums.
+/// Returns a number for an element; sums of such numbers differ between compositions.
 fn key(atomic_number: i32) -> u64 {
     let mut hash = DefaultHasher::new();
     atomic_number.hash(&mut hash);
     hash.finish()
 }
 
-/// The sum of the keys of a composition as text, `O25 Ti26`; none for a text that is none.
+/// Returns the sum of the keys of a composition as text, `O25 Ti26`; `None` for a text that is no composition.
 fn atoms(composition: &str) -> Option<u64> {
     composition.split_whitespace().try_fold(0_u64, |sum, part| {
         let digits = part.find(|c: char| c.is_ascii_digit())?;
@@ -107,7 +107,7 @@ impl SitesOfColumn {
         }
     }
 
-    /// Where a column is listed with something else.
+    /// Describes how the list entry of a column differs from its sites.
     fn fault(&self, column: &WorldColumn, numbered: bool) -> Option<String> {
         let listed = [column.sites, column.vacancies, column.substitutions];
         if listed != self.counts {
@@ -123,13 +123,13 @@ impl SitesOfColumn {
             return Some(format!("is listed at x {x}, y {y} nm, its sites at {mx:.4}, {my:.4} nm"));
         }
         let text = column.composition.as_str();
-        // Texts that were too long for the file are empty.
+        // The file holds an empty text where the composition was too long.
         (numbered && !text.is_empty() && atoms(text) != Some(self.atoms))
             .then(|| format!("is listed as `{text}`, which its sites are not"))
     }
 }
 
-/// What is listed of each column is what its sites come to.
+/// Checks that the list entry of each column agrees with its sites.
 pub fn check_columns(world: &WorldFile) -> Result<FoundOrFault> {
     let columns = world.columns()?;
     let mut found = vec![SitesOfColumn::default(); columns.len()];
@@ -164,7 +164,7 @@ pub fn check_columns(world: &WorldFile) -> Result<FoundOrFault> {
     })
 }
 
-/// Lines between grains and phases have places, in the field or not far from it.
+/// Checks that lines between grains and phases have places, in the field or not far from it.
 pub fn check_boundaries(world: &WorldFile) -> Result<FoundOrFault> {
     let [height, width] = world.metadata().fov_nm;
     let near = |v: f32, size: f64| (-size..=2.0 * size).contains(&f64::from(v));

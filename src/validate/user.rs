@@ -1,7 +1,7 @@
-//! An image that somebody else computed: its orientation, its scan, its unit.
+//! Reads an image of another program: its orientation, its scan, its unit.
 //!
-//! abTEM's arrays are `[x, y]`, ours `[y, x]`. Which of the two a file holds is taken from what it says of
-//! itself, or from the caller, or from sizes that leave one possibility; never guessed.
+//! abTEM's arrays are `[x, y]`, ours `[y, x]`. The order of a file comes from the file's own labels, from the caller, or from sizes that
+//! allow only one order; it is never guessed.
 
 use ndarray::{Array2, ArrayView2, Axis as Dimension, Ix2};
 
@@ -12,20 +12,20 @@ use crate::setting::Setting;
 /// Order of the two dimensions of an image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Order {
-    /// First index along x: abTEM.
+    /// First index along x, as in abTEM.
     Xy,
-    /// First index along y: matrices, pictures, this program.
+    /// First index along y, as in matrices, pictures and this program.
     Yx,
 }
 
-/// What the values of a reference are.
+/// Unit of the values of a reference.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ValueUnits {
     /// Fractions of the beam.
     Fraction,
     /// Per cent of the beam.
     Percent,
-    /// Anything proportional: the factor is fitted.
+    /// Any unit proportional to the intensity: the factor is fitted.
     Fitted,
 }
 
@@ -34,18 +34,18 @@ pub enum ValueUnits {
 pub struct Reference {
     /// The values.
     pub data: Array2<f64>,
-    /// Distance of pixels along x and y in Angstrom, if the file tells it.
+    /// Distance of pixels along x and y in Angstrom, if the file gives it.
     pub step_angstrom: Option<[f64; 2]>,
-    /// Position of the first pixel, (x, y) in Angstrom, if the file tells it.
+    /// Position of the first pixel, (x, y) in Angstrom, if the file gives it.
     pub origin_angstrom: Option<[f64; 2]>,
-    /// How the orientation was known.
+    /// Origin of the orientation: file, caller or sizes.
     pub orientation: &'static str,
 }
 
-/// The image of an array (row = y, column = x), in the unit of the file.
+/// Extracts the image of an array (row = y, column = x), in the unit of the file.
 ///
-/// `index` chooses along the dimensions that are not x or y; those of length 1 need no choice. `expected` are
-/// the (x, y) numbers of pixels of the scan, if known: where they differ they tell the order.
+/// `index` chooses along the dimensions other than x and y; dimensions of length 1 need no choice. `expected` are the (x, y) numbers of
+/// pixels of the scan, if known: if they differ, they determine the order.
 ///
 /// # Errors
 /// [`crate::Error::Choice`] if a choice is missing or impossible, or the order is not known; [`crate::Error::Parse`]
@@ -115,12 +115,12 @@ pub fn reference(
     })
 }
 
-/// The dimensions called x and y.
+/// Returns the dimensions that are labelled x and y.
 fn labelled(array: &ForeignArray) -> Option<[usize; 2]> {
     ArrayAxis::x_and_y(array.axes.as_ref()?)
 }
 
-/// The order in which `(first, second)` pixels are those of the scan, where only one is.
+/// Returns the order in which `(first, second)` pixels fit the scan, if only one order fits.
 fn by_size((first, second): (usize, usize), expected: Option<[usize; 2]>) -> Option<Order> {
     let [x, y] = expected?;
     match ([first, second] == [x, y], [first, second] == [y, x]) {
@@ -130,7 +130,7 @@ fn by_size((first, second): (usize, usize), expected: Option<[usize; 2]>) -> Opt
     }
 }
 
-/// The two dimensions of `plane`, in their order in the file.
+/// Extracts the two dimensions of `plane`, in their order in the file.
 fn choose(array: &ForeignArray, plane: [usize; 2], index: &[usize]) -> Result<Array2<f64>> {
     let shape = array.data.shape();
     let others: Vec<usize> =
@@ -172,7 +172,7 @@ fn check_finite(array: &ForeignArray, image: ArrayView2<f64>) -> Result<()> {
     }
 }
 
-/// Values as fractions of the beam.
+/// Converts values to fractions of the beam.
 ///
 /// # Errors
 /// [`crate::Error::Choice`] for fractions above 1 or below 0.
@@ -222,7 +222,7 @@ mod tests {
         }
     }
 
-    /// Value 10 i + j at [i, j].
+    /// An array with the value 10 i + j at [i, j].
     fn counted(n: usize, m: usize) -> ArrayD<f64> {
         Array2::from_shape_fn((n, m), |(i, j)| (10 * i + j) as f64).into_dyn()
     }
@@ -238,7 +238,7 @@ mod tests {
         assert_eq!((yx[[0, 2]], xy[[0, 2]]), (2.0, 20.0));
         let oblong = array(counted(3, 5), None);
         assert!(reference(&oblong, None, &[], None).is_err());
-        // 5 along x, 3 along y
+        // The scan has 5 pixels along x and 3 along y.
         assert_eq!(reference(&oblong, None, &[], Some([5, 3])).unwrap().data.dim(), (3, 5));
         assert_eq!(reference(&oblong, None, &[], Some([3, 5])).unwrap().data.dim(), (5, 3));
         let labelled = array(counted(3, 5), Some(&["x", "y"]));

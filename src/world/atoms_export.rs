@@ -1,4 +1,4 @@
-//! Writes the atoms of a specimen to a file, with what the truth knows of them.
+//! Writes the atoms of a specimen to a file, with the column and the kind of defect of each.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -31,8 +31,8 @@ const COLUMNS_AT_ONCE: usize = 4096;
 pub struct ExportOptions {
     /// Write vacant sites as well.
     pub vacancies: bool,
-    /// Space without atoms that the cell has beside and below them, in Angstrom: the field is cut out
-    /// of a larger specimen, so what lies at opposite edges does not fit together.
+    /// Width in Angstrom of the empty space beside and below the atoms in the cell: the field is cut out of a larger specimen, so its
+    /// opposite edges do not fit together.
     pub vacuum_angstrom: f64,
     /// Replace an existing file.
     pub overwrite: bool,
@@ -44,7 +44,7 @@ impl Default for ExportOptions {
     }
 }
 
-/// What was written.
+/// Counts of what was written.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ExportSummary {
     /// Lattice sites, vacant ones included.
@@ -63,15 +63,14 @@ pub struct ExportSummary {
     pub cell_angstrom: [f64; 3],
 }
 
-/// Writes the sites of the built field to `path`; its ending says which format (`.extxyz`, `.xyz` or
-/// `.cif`). Order, and numbers of columns, are those of the ground truth of a world of this recipe.
-/// `visit` sees all sites, in the same order, with positions in nm in the full field. Atoms of layers on the specimen's faces
-/// follow, layer by layer from the top of the field down, and belong to no column; with a layer before the specimen z counts from
-/// the layer's face.
+/// Writes the sites of the built field to `path`; its ending selects the format (`.extxyz`, `.xyz` or `.cif`). Sites and columns have the
+/// order and the numbers that they have in the ground truth of a world of this recipe. `visit` receives all sites in that order, with
+/// positions in nm in the full field. Atoms of layers on the specimen's faces follow, layer by layer from the top of the field down; they
+/// belong to no column. Where a layer lies before the specimen, z counts from the layer's face.
 ///
 /// # Errors
-/// [`Error::Invalid`] for another ending or a vacuum out of limits, [`Error::Locked`],
-/// [`Error::DiskSpace`], [`Error::Interrupted`], and those of the file system. There is never half a file at `path`.
+/// [`Error::Invalid`] for another ending or a vacuum out of limits, [`Error::Locked`], [`Error::DiskSpace`], [`Error::Interrupted`], and
+/// errors of the file system. An incomplete file is never left at `path`.
 pub fn export(
     specimen: &dyn Specimen,
     recipe: &Recipe,
@@ -119,7 +118,7 @@ pub fn export(
     Ok(summary)
 }
 
-/// About how many rows [`export`] writes.
+/// Estimates the number of rows that [`export`] writes.
 pub fn estimated_rows(specimen: &dyn Specimen, recipe: &Recipe) -> u64 {
     let built = recipe.field.built_region();
     let layers = SurfaceLayers::of(recipe, specimen.facts().thickness_nm);
@@ -185,9 +184,9 @@ impl ExportSummary {
 /// Where the atoms lie in the cell of the file.
 struct Frame {
     cell: [f64; 3],
-    /// Position in nm in the full field of the corner of the cell.
+    /// Corner of the cell (x, y) in nm of the full field.
     corner_nm: [f64; 2],
-    /// From the face that the beam enters to that of the specimen, in Angstrom.
+    /// Distance in Angstrom from the face that the beam enters to the face of the specimen.
     before_angstrom: f64,
     vacancies: bool,
 }
@@ -212,7 +211,7 @@ impl Frame {
         }
     }
 
-    /// The rows of some sites; `before` counts what has been written.
+    /// Formats the rows of some sites; `before` counts the sites and rows written so far.
     fn format(&self, sites: &Sites, rows: RowFormat, before: &ExportSummary) -> Vec<Vec<u8>> {
         let chunks = sites.columns.par_chunks(COLUMNS_AT_ONCE).enumerate();
         let format = |(n, columns): (usize, &[AtomColumn])| {
@@ -252,7 +251,7 @@ impl Frame {
         rows.push(out, &row, serial);
     }
 
-    /// A place in the full field, counted from the face of the specimen, as it stands in the cell in Angstrom.
+    /// Converts a place in nm of the full field, z counted from the face of the specimen, to a position in Angstrom in the cell.
     fn place(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
         let [left, top] = self.corner_nm;
         [10.0 * (x - left), 10.0 * (y - top), 10.0 * z + self.before_angstrom]

@@ -1,4 +1,4 @@
-//! An audit of a world, or of one that is not there yet.
+//! An audit of a world, or of a world that has not been built yet.
 
 use std::sync::Arc;
 
@@ -10,7 +10,7 @@ use crate::recipe::CheckedRecipe;
 use crate::setting::Setting;
 use crate::specimen::{Specimen, specimen};
 
-/// An audit that is ready to run: regions of a field are simulated again by the exact engine, with the same atoms.
+/// An audit that is ready to run: it simulates regions of a field with the exact engine and the same atoms, and compares them.
 pub struct AuditJob {
     recipe: CheckedRecipe,
     specimen: Arc<dyn Specimen>,
@@ -19,11 +19,11 @@ pub struct AuditJob {
 }
 
 impl AuditJob {
-    /// Prepares an audit of a recipe's field. `made` tells how its world was made; without a world, it is imaged as builds would, with
-    /// windows of `window_angstrom` if any are asked for.
+    /// Prepares an audit of a recipe's field. `made` describes how its world was made. Without a world the field is imaged as a build would
+    /// image it, with windows of `window_angstrom` if a width is given.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a world of the exact engine, and for a window that a world does not have; those of the specimen.
+    /// [`Error::Invalid`] for a world of the exact engine, and for a window that a world does not have; errors of the specimen.
     pub fn new(
         recipe: CheckedRecipe,
         made: Option<&WorldEngine>,
@@ -48,7 +48,7 @@ impl AuditJob {
         Ok(AuditJob { specimen: specimen(&recipe)?, recipe, imaging, options })
     }
 
-    /// Bytes of memory that it takes on so many threads, and what takes less.
+    /// Estimates the memory in bytes that the audit takes on `threads` threads; also returns advice on how to need less.
     ///
     /// # Errors
     /// Those of the plan.
@@ -57,7 +57,7 @@ impl AuditJob {
         Ok((cost.memory_bytes(threads), AUDIT_REMEDY))
     }
 
-    /// Simulates the regions again, and compares.
+    /// Simulates the regions with the exact engine and compares them.
     ///
     /// # Errors
     /// Those of the imaging, and [`Error::Interrupted`].

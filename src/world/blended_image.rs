@@ -17,13 +17,13 @@ use crate::world::subtiles::Partition;
 /// The image of a world, computed band by band from the sub-tiles on disk.
 pub struct BlendedImage<'a> {
     partition: &'a Partition,
-    /// Pixels of the sub-tiles along the edge of one of the image.
+    /// Pixels of the sub-tiles along the edge of one pixel of the image.
     parts: usize,
     store: &'a SubtileStore,
     noise: Option<Noise>,
     /// The recording that takes the place of noise.
     scan: Option<&'a FieldScan>,
-    /// Which of how many detectors it is on.
+    /// Number of the detector, and the number of detectors.
     detector: [usize; 2],
     shape: [usize; 2],
     grid: [usize; 2],
@@ -32,7 +32,7 @@ pub struct BlendedImage<'a> {
 }
 
 impl<'a> BlendedImage<'a> {
-    /// The image of the built part of a field. Pixels of the sub-tiles of the partition may be parts of its own.
+    /// Describes the image of the built part of a field. Each of its pixels is the mean of `parts` x `parts` pixels of the partition.
     pub fn new(
         recipe: &Recipe,
         (partition, parts): (&'a Partition, usize),
@@ -56,7 +56,7 @@ impl<'a> BlendedImage<'a> {
         }
     }
 
-    /// The same image on another detector.
+    /// Returns the image of detector `number`.
     pub fn of_detector(&self, number: usize) -> Self {
         BlendedImage {
             detector: [number, self.detector[1]],
@@ -75,7 +75,7 @@ impl<'a> BlendedImage<'a> {
         Ok(Array2::from_shape_fn(size, |(row, column)| fine[(row * parts, column * parts)]))
     }
 
-    /// Rows of the sub-tiles, at their own pixel.
+    /// Rows of the sub-tiles, in the sub-tiles' pixels.
     fn fine(&self, rows: Range<usize>) -> Result<Array2<f32>> {
         let [number, count] = self.detector;
         self.partition.blend(rows, |tile| {
@@ -99,7 +99,7 @@ impl<'a> BlendedImage<'a> {
         StoredBands { image: self, scan: self.scan.map(|scan| scan.begin(clean)) }
     }
 
-    /// Least and greatest value of the image as stored.
+    /// Finds the least and the greatest value of the image as stored.
     ///
     /// # Errors
     /// [`Error::Io`], [`Error::Interrupted`].
@@ -178,7 +178,7 @@ struct StoredBands<'a> {
 }
 
 impl StoredBands<'_> {
-    /// Rows as stored, in fractions of the beam; `clean` are those rows of the noise-free image, if they are at hand.
+    /// Returns rows as stored, in fractions of the beam; `clean` are the same rows of the noise-free image, if they have been read already.
     fn rows(&mut self, rows: Range<usize>, clean: Option<Array2<f32>>) -> Result<ScannedRows> {
         if let Some(scan) = &mut self.scan {
             return scan.rows(rows);
@@ -196,7 +196,7 @@ fn stop_if_asked(progress: &dyn Progress) -> Result<()> {
     if progress.interrupted() { Err(Error::Interrupted) } else { Ok(()) }
 }
 
-/// Area average; the last block of a row or column may be partial.
+/// An area average, block by block; the last block of a row or column may be partial.
 pub(crate) struct Overview {
     sums: Array2<f64>,
     shape: [usize; 2],
@@ -216,7 +216,7 @@ impl Overview {
         }
     }
 
-    /// The means.
+    /// Returns the mean of each block.
     pub(crate) fn mean(&self) -> Array2<f32> {
         let edge = |i: usize, n: usize| (n - i * OVERVIEW_FACTOR).min(OVERVIEW_FACTOR) as f64;
         Array2::from_shape_fn(self.sums.dim(), |(i, j)| {

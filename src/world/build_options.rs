@@ -1,4 +1,4 @@
-//! How a world is built: what may be asked for, and what is taken where nothing is.
+//! How a world is built: the options, and the rules for options that are not given.
 
 use crate::engine::{Algorithm, Expansion, window_for};
 use crate::error::{Error, Result};
@@ -7,41 +7,41 @@ use crate::imaging::{AuditOptions, Cache, ImagingCheck, ImagingChoice, MethodCho
 use crate::recipe::{CheckedRecipe, DetectorTables, Recipe, StructureKind};
 use crate::setting::Setting;
 
-/// Sub-tiles in nm; 4 nm take below 2 GB of memory on two threads.
+/// Width of sub-tiles in nm; 4 nm take below 2 GB of memory on two threads.
 const SUBTILE_NM: f64 = 4.0;
-/// Sub-tiles of PRISM in nm, whose plane waves take the memory.
+/// Width of sub-tiles of PRISM in nm; the plane waves of larger ones would take too much memory.
 const PRISM_SUBTILE_NM: f64 = 2.5;
-/// Sub-tiles of the published worlds in nm.
+/// Width of sub-tiles of the published worlds in nm.
 const PUBLISHED_SUBTILE_NM: f64 = 7.0;
-/// Sub-tiles of mosaics in nm, and their overlap.
+/// Width of sub-tiles of mosaics in nm, and their overlap.
 const MOSAIC_SUBTILE_NM: f64 = 8.0;
 const MOSAIC_OVERLAP_NM: f64 = 0.5;
-/// Overlap of other sub-tiles in nm, at most.
+/// Largest overlap of other sub-tiles in nm.
 const OVERLAP_NM: f64 = 1.0;
-/// Edge of audited regions in nm; where an error is asked for, at least so many smaller ones.
+/// Edge of audited regions in nm. With a largest error the audit takes at least [`LEAST_REGIONS`] regions of [`LIMITED_AUDIT_NM`].
 const AUDIT_NM: f64 = 0.8;
 const LIMITED_AUDIT_NM: f64 = 0.6;
 const LEAST_REGIONS: usize = 4;
-/// Configurations that audits of particles average at most: slices are thin there, and multislice of sixteen would take a
-/// quarter of the time of the world. The mean of more is nearer to the exact one.
+/// Largest number of configurations that audits of particles average. Slices are thin there, and multislice of sixteen configurations would
+/// take a quarter of the time of the world. The mean of more configurations is nearer to the exact image.
 const PARTICLE_AUDIT_CONFIGURATIONS: usize = 4;
-/// The least error in per cent for which [`window_for`] has a window.
+/// Least error in per cent for which [`window_for`] has a window.
 const LEAST_OF_TABLE: f64 = 0.4;
-/// Windows in Angstrom where one of several detectors lies within the aperture. Of hard SrTiO3 (10 nm, vacancies and a boundary, 8
-/// phonon configurations, two regions of a mosaic) ABF 10-21 mrad is 0.19 % off at columns and 0.53 % over all pixels; 0.71 and
-/// 0.89 % with 7.8 A.
+/// Width of windows in Angstrom where one of several detectors lies within the aperture. In a mosaic of hard SrTiO3 (10 nm, vacancies and a
+/// boundary, 8 phonon configurations, two regions) the error of ABF 10-21 mrad is 0.19 % at columns and 0.53 % over all pixels; windows of
+/// 7.8 A give 0.71 and 0.89 %.
 const BRIGHT_FIELD_WINDOW_ANGSTROM: f64 = 15.6;
-/// Interpolation of PRISM unless another is asked for: windows of 10 A in sub-tiles of 2.5 nm.
+/// Interpolation of PRISM if none is given: windows of 10 A in sub-tiles of 2.5 nm.
 const INTERPOLATION: [usize; 2] = [4, 4];
 
-/// How images are made.
+/// How the images of a world are made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum BuildMethod {
-    /// A mosaic, or windows where a field is too small for it to pay; films with particles by their parts; PRISM for detectors
-    /// at low angles.
+    /// A mosaic, or windows where a field is too small for a mosaic to pay; films with particles by their parts; PRISM for detectors at low
+    /// angles.
     #[default]
     Auto,
-    /// A mosaic, whether it pays or not.
+    /// A mosaic, even where it does not pay.
     Mosaic,
     /// Windows that follow the probe.
     Window,
@@ -62,7 +62,7 @@ pub enum BuildProfile {
     Published,
 }
 
-/// How a world is built. The default is what `stemgen build` does, file for file.
+/// How a world is built. The defaults write the file that `stemgen build` writes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BuildOptions {
     /// Add Poisson noise.
@@ -75,27 +75,27 @@ pub struct BuildOptions {
     pub method: BuildMethod,
     /// Settings of the engine.
     pub profile: BuildProfile,
-    /// Width in Angstrom of the windows that follow the probe; by the recipe when `None`.
+    /// Width in Angstrom of the windows that follow the probe; `None` chooses it from the recipe.
     pub window_angstrom: Option<f64>,
-    /// Largest rms error of the image in per cent of its mean: windows are widened, or the mosaic left, until an audit finds it.
+    /// Largest rms error of the image in per cent of its mean: wider windows are taken, then no mosaic, until an audit finds the error.
     pub accuracy_percent: Option<f64>,
     /// Whether probes that share a window are expanded in fewer waves.
     pub expansion: Expansion,
     /// Interpolation of PRISM along x and y.
     pub interpolation: Option<[usize; 2]>,
-    /// Regions that are simulated exactly beforehand to find the error of a mosaic or film, 0 for no audit; at least four
-    /// where an error is asked for.
+    /// Number of regions that are simulated exactly beforehand to find the error of a mosaic or film; 0 makes no audit. With a largest
+    /// error at least four regions are used.
     pub audit_regions: usize,
-    /// Audit fields that are simulated in windows or by PRISM too, not only mosaics and films.
+    /// Also audits fields that are simulated in windows or by PRISM, not only mosaics and films.
     pub audit_direct: bool,
-    /// Largest error of the audit in per cent: windows are widened, or the mosaic left, until it is met; where no window meets
-    /// it, the exact engine makes the field.
+    /// Largest error of the audit in per cent: wider windows are taken, then no mosaic, until the error is met. Where no window meets it,
+    /// the exact engine makes the field.
     pub max_error_percent: Option<f64>,
-    /// Where the simulations of mosaics are kept for other worlds.
+    /// Where the simulations of mosaics are cached for other worlds.
     pub cache: Cache,
-    /// Largest width of a sub-tile in nm; by the method when `None`.
+    /// Largest width of a sub-tile in nm; `None` chooses it by the method.
     pub subtile_nm: Option<f64>,
-    /// Overlap of sub-tiles in nm; by the method when `None`.
+    /// Overlap of sub-tiles in nm; `None` chooses it by the method.
     pub subtile_overlap_nm: Option<f64>,
 }
 
@@ -121,22 +121,22 @@ impl Default for BuildOptions {
     }
 }
 
-/// What the options come to for one recipe.
+/// The method, the check and the sub-tiles that follow from the options for one recipe.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct BuildPolicy {
     /// How images are made.
     pub imaging: ImagingChoice,
-    /// How right they have to be.
+    /// The audit, and the error that it may find at most.
     pub check: ImagingCheck,
-    /// Largest width, and overlap, of sub-tiles in nm.
+    /// Largest width and overlap of sub-tiles in nm.
     pub subtile_nm: [f64; 2],
-    /// What is to be said of the accuracy.
+    /// Warnings about the accuracy.
     pub warnings: Vec<String>,
 }
 
 impl BuildOptions {
-    /// What the options come to for a recipe.
+    /// Derives the policy of a build from the options and a recipe.
     ///
     /// # Errors
     /// [`Error::Invalid`] for options that contradict each other, and those of [`window_for`].
@@ -185,7 +185,7 @@ impl BuildOptions {
         Ok(())
     }
 
-    /// The engine, and what is to be said of its accuracy.
+    /// Returns the engine, and a warning about its accuracy.
     fn simulator(&self, recipe: &CheckedRecipe) -> Result<(Simulator, Option<String>)> {
         if self.published() {
             return Ok((Simulator::published(recipe), None));
@@ -201,7 +201,7 @@ impl BuildOptions {
         if let Some(percent) = self.accuracy_percent {
             let simulator = Simulator::new(recipe, window);
             let thickness_angstrom = 10.0 * recipe.field.thickness_nm;
-            // The audit finds whether it is wide enough.
+            // The table ends at its least error; for smaller errors the audit finds whether the window is wide enough.
             let table = if percent > 0.0 { percent.max(LEAST_OF_TABLE) } else { percent };
             let choice = window_for(table, simulator.settings(), thickness_angstrom)?;
             let algorithm = Algorithm::Window { width_angstrom: choice.width_angstrom };
@@ -219,7 +219,7 @@ impl BuildOptions {
         })
     }
 
-    /// What may be done besides simulating all.
+    /// Returns the method that the build tries before it simulates the whole field.
     fn method_choice(&self, simulator: &Simulator) -> MethodChoice {
         match self.method {
             BuildMethod::Mosaic => MethodChoice::Mosaic,
@@ -230,7 +230,7 @@ impl BuildOptions {
         }
     }
 
-    /// Width and overlap of sub-tiles in nm.
+    /// Returns width and overlap of sub-tiles in nm.
     fn subtiles(&self, simulator: &Simulator, method: MethodChoice) -> [f64; 2] {
         let shares = method != MethodChoice::Direct;
         let width = match simulator.settings().algorithm {
@@ -244,7 +244,7 @@ impl BuildOptions {
         [width, self.subtile_overlap_nm.unwrap_or((0.25 * width).clamp(0.0, most))]
     }
 
-    /// How an imager is checked before the world is made with it.
+    /// Returns how an imager is checked before the world is made with it.
     fn imaging_check(&self, recipe: &CheckedRecipe) -> Result<ImagingCheck> {
         let limit = self.max_error_percent.map(|limit| (Setting::LargestErrorPercent, limit));
         let limit = limit.or(self.accuracy_percent.map(|p| (Setting::AccuracyPercent, p)));
@@ -272,8 +272,8 @@ impl BuildOptions {
     }
 }
 
-/// A recipe of several detectors without those within the aperture, and the names of these; `None` where there are none, or none
-/// besides.
+/// Removes the detectors within the aperture from a recipe of several detectors; also returns their names. `None` if no detector or every
+/// detector lies within the aperture.
 fn without_bright_field(recipe: &Recipe) -> Option<(Recipe, Vec<String>)> {
     let DetectorTables::Several(tables) = &recipe.detector else { return None };
     let semiangle = recipe.optics.convergence_mrad;
@@ -286,7 +286,7 @@ fn without_bright_field(recipe: &Recipe) -> Option<(Recipe, Vec<String>)> {
     })
 }
 
-/// Windows for recipes of several detectors of which one lies within the aperture, and what is to be said of their accuracy.
+/// Chooses windows for recipes of several detectors of which one lies within the aperture; also returns a warning about their accuracy.
 fn bright_field_window(recipe: &CheckedRecipe) -> Option<(Algorithm, Option<String>)> {
     let (others, bright) = without_bright_field(recipe)?;
     let width = default_window(&others).ok()?.width_angstrom;
@@ -299,8 +299,8 @@ fn bright_field_window(recipe: &CheckedRecipe) -> Option<(Algorithm, Option<Stri
     Some((Algorithm::Window { width_angstrom }, Some(warning)))
 }
 
-/// The algorithm where none is asked for: windows as wide as the specimen is thick, PRISM for detectors at low
-/// angles, which windows and mosaics cannot do. And what is to be said of its accuracy.
+/// Chooses the algorithm where none is given: windows as wide as the specimen is thick; PRISM for detectors at low angles, which windows
+/// and mosaics cannot simulate. Also returns a warning about its accuracy.
 fn by_rule(recipe: &CheckedRecipe) -> (Algorithm, Option<String>) {
     if let Some(choice) = bright_field_window(recipe) {
         return choice;

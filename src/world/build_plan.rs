@@ -1,4 +1,4 @@
-//! What a build would do and take.
+//! The plan of a build: its size, memory, time and disk space.
 
 use std::path::PathBuf;
 
@@ -13,23 +13,24 @@ use crate::imaging::{MethodChoice, MosaicCost, SimulationRuns};
 use crate::recipe::Recipe;
 use crate::simulation::PlanReport;
 
-/// Processor time in s that laying out, noise and writing take for each pixel of a field: SrTiO3, whole fields, 0.7e-6 to 0.9e-6.
+/// Processor time in s for each pixel of a field that laying out, noise and writing take. Measured: 0.7e-6 to 0.9e-6 (SrTiO3, whole
+/// fields).
 const PIXEL_S: [f64; 2] = [0.4e-6, 1.2e-6];
 
-/// What a build would do and take.
+/// The plan of a build: its size, memory, time and disk space.
 #[derive(Debug, Clone, Serialize)]
 pub struct WorldPlan {
     /// Name of the recipe.
     pub material: String,
     /// Zone axis along the beam.
     pub zone_axis: String,
-    /// Tiles, rows and columns.
+    /// Number of tiles: [rows, columns].
     pub tiles: [usize; 2],
-    /// Pixels, rows and columns.
+    /// Number of pixels: [rows, columns].
     pub pixels: [usize; 2],
     /// Edge of a pixel in nm.
     pub pixel_nm: f64,
-    /// Edges of the field, height and width, in nm.
+    /// Height and width of the field in nm.
     pub fov_nm: [f64; 2],
     /// Thickness of the specimen in nm.
     pub thickness_nm: f64,
@@ -37,25 +38,25 @@ pub struct WorldPlan {
     pub dose_electrons_per_angstrom2: f64,
     /// Number of sub-tiles.
     pub subtiles: usize,
-    /// Edges of a sub-tile in nm.
+    /// Height and width of a sub-tile in nm.
     pub subtile_nm: [f64; 2],
     /// Distance of probes (x, y) in Angstrom.
     pub probe_step_angstrom: [f64; 2],
-    /// The simulation of a sub-tile, or of the library; memory, time and warnings of all.
+    /// The simulation of a sub-tile or of the library; memory, time and warnings of the whole build.
     #[serde(flatten)]
     pub plan: PlanReport,
-    /// What the library of a mosaic takes.
+    /// Cost of the library of a mosaic.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mosaic: Option<MosaicCost>,
-    /// Whether the mosaic is what is built.
+    /// Whether the field is made from the mosaic.
     #[serde(skip)]
     pub mosaic_used: bool,
-    /// Probes for particles on a film.
+    /// Number of probes for particles on a film.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub particle_probes: Option<usize>,
-    /// Part of the estimated time.
+    /// Least and greatest time in s of the audit; the estimated time includes it.
     pub audit_range_s: [f64; 2],
-    /// Bytes on the disk at most.
+    /// Largest number of bytes on the disk.
     pub disk_bytes: u64,
     /// The file that would be written.
     pub output: PathBuf,
@@ -110,7 +111,7 @@ impl WorldPlan {
         })
     }
 
-    /// What is to be said before a build, without the time that an estimate takes.
+    /// Lists the warnings of a build without its estimate of time, which would measure the speed of the machine.
     ///
     /// # Errors
     /// Those of the build's plan.
@@ -119,21 +120,21 @@ impl WorldPlan {
         Ok(report(&SimulationRuns { runs: 0, ..subtile }).warnings)
     }
 
-    /// Bytes of memory on so many threads, and the longest time in s that is expected on the threads of this process; and how many
-    /// those are.
+    /// Returns the bytes of memory on `threads` threads, the longest time in s that is expected on the threads of this process, and the
+    /// number of those threads.
     pub fn takes(&self, threads: usize) -> (u64, f64, usize) {
         let more = threads as f64 / self.plan.threads as f64;
-        // What threads share is counted for each: at most a little too much.
+        // Memory that threads share is counted for each thread: the result is at most a little too large.
         let memory = self.plan.memory_bytes as f64 * more.max(1.0);
         (memory as u64, self.plan.estimated_range_s[1], self.plan.threads)
     }
 
-    /// The time in s that is expected on the threads of this process.
+    /// Returns the time in s that is expected on the threads of this process.
     pub fn expected_s(&self) -> f64 {
         self.plan.estimated_time_s
     }
 
-    /// Whether it simulates a library before the field.
+    /// Whether the build simulates a library before the field.
     pub fn has_library(&self) -> bool {
         self.mosaic_used && self.mosaic.as_ref().is_some_and(|m| m.missing > 0)
     }

@@ -1,4 +1,4 @@
-//! What a build tells of its result, before and after.
+//! What a build reports of its result, and of its accuracy beforehand.
 
 use std::path::PathBuf;
 
@@ -8,11 +8,11 @@ use super::truth::Counts;
 use crate::imaging::Audit;
 use crate::recipe::Recipe;
 
-/// Rms error in per cent at bright columns where the effect of carbon before the specimen on the probe is left out: so much, and so much
-/// more for each nm. Audits of SrTiO3 of 4 nm found 1.15, 2.0 and 3.7 with 1, 3 and 5 nm.
+/// Rms error in per cent at bright columns where the effect of carbon before the specimen on the probe is left out: a constant, and the
+/// increase for each nm of carbon. Audits of SrTiO3 of 4 nm found 1.15, 2.0 and 3.7 with 1, 3 and 5 nm.
 const LAYER_ERROR_PERCENT: [f64; 2] = [0.4, 0.65];
 
-/// What was built.
+/// The result of a build.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct BuildSummary {
@@ -22,17 +22,17 @@ pub struct BuildSummary {
     pub grid: [usize; 2],
     /// Height and width in nm.
     pub fov_nm: [f64; 2],
-    /// Lattice sites, vacancies and columns listed.
+    /// Numbers of sites, vacancies and columns in the file.
     pub counts: Counts,
     /// Name of the method.
     pub engine: String,
-    /// The audit made before, if one was asked for.
+    /// The audit before the build, if one was made.
     pub audit: Option<Audit>,
-    /// Images of the mosaic's library, and how many of them had to be simulated.
+    /// Number of images in the mosaic's library, and how many of them had to be simulated.
     pub library: Option<[usize; 2]>,
-    /// Sub-tiles in all.
+    /// Number of sub-tiles.
     pub subtiles: usize,
-    /// Sub-tiles that an earlier run had left.
+    /// Number of sub-tiles that an earlier run had left.
     pub subtiles_resumed: usize,
     /// Least and greatest value of the stored image, in fractions of the beam.
     pub range: [f32; 2],
@@ -40,7 +40,7 @@ pub struct BuildSummary {
     pub wall_time_s: f64,
 }
 
-/// What is to be said of a layer before the specimen whose effect on the probe is left out where columns share simulations.
+/// Warns of a layer before the specimen whose effect on the probe is left out because columns share simulations.
 pub(super) fn layer_warning(recipe: &Recipe) -> Option<String> {
     let nm = recipe.surface.map_or(0.0, |table| table.entrance_nm);
     let percent = LAYER_ERROR_PERCENT[0] + LAYER_ERROR_PERCENT[1] * nm;

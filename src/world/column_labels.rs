@@ -4,22 +4,22 @@ use ndarray::ArrayViewMut2;
 
 use super::region_truth::ColumnTruth;
 
-/// Columns outside a tile show in its labels up to so many standard deviations.
+/// A column outside a tile shows in its labels up to this distance, in standard deviations.
 pub(crate) const REACH_SIGMAS: f64 = 4.0;
-/// Class masks hold the pixels where the heat map is above this.
+/// Class masks hold the pixels where the heat map is above this value.
 const IN_MASK: f32 = 0.5;
 
-/// Index of a column into [`COLUMN_CLASSES`](super::COLUMN_CLASSES).
+/// Returns the index of a column's class in [`COLUMN_CLASSES`](super::COLUMN_CLASSES).
 pub(crate) fn class_of(column: &ColumnTruth) -> u8 {
     class_of_counts(column.vacancies as i32, column.substitutions as i32)
 }
 
-/// The same of its numbers of vacancies and substitutions.
+/// Returns the index of the class of a column with these numbers of vacancies and substitutions.
 pub(crate) fn class_of_counts(vacancies: i32, substitutions: i32) -> u8 {
     1 + u8::from(vacancies > 0) + 2 * u8::from(substitutions > 0)
 }
 
-/// Draws a column at (row, column) in pixels: a Gaussian of height 1 in the heat map, its class where that is above one half.
+/// Draws a column at (row, column) in pixels: a Gaussian of height 1 in the heat map, and its class where that Gaussian is above one half.
 pub(crate) fn draw_column(
     at: [f64; 2],
     class: u8,

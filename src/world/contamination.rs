@@ -1,4 +1,4 @@
-//! Carbon that grows under the beam, as recordings see it.
+//! Carbon that grows under the beam during recordings.
 
 use crate::acquisition::{Exposure, ScanPath, SourceImage};
 use crate::error::{Error, Result};
@@ -7,10 +7,10 @@ use crate::recipe::Region;
 use crate::setting::Setting;
 use crate::specimen::DoseMap;
 
-/// Thicknesses that differ by less than this share are the same.
+/// Thicknesses whose relative difference is below this value count as equal.
 const ROUNDING: f64 = 1e-9;
 
-/// The carbon on a specimen when a recording begins; thicknesses in Angstrom take the place of doses.
+/// The carbon on a specimen when a recording begins. The map holds thicknesses in Angstrom in place of doses.
 #[derive(Clone, Copy)]
 pub(crate) struct CarbonBefore<'a> {
     pub film: &'a GrownCarbon,
@@ -25,10 +25,10 @@ pub(crate) struct GrowingCarbon<'a> {
 }
 
 impl<'a> GrowingCarbon<'a> {
-    /// The carbon on what an image shows; each electron adds `per_electron` cubic Angstrom.
+    /// Describes the carbon on the area that an image shows; each electron adds `per_electron` cubic Angstrom.
     ///
     /// # Errors
-    /// Those of the settings.
+    /// Errors of the settings.
     pub fn new(before: &CarbonBefore<'a>, image: &SourceImage, per_electron: f64) -> Result<Self> {
         let [x, y] = image.extent_nm();
         let mut patch = before.film.patch(&Region { x, y });
@@ -37,17 +37,17 @@ impl<'a> GrowingCarbon<'a> {
         Ok(GrowingCarbon { patch, angstrom, per_electron })
     }
 
-    /// An image of the specimen with the carbon added.
+    /// Returns the image of the specimen with the carbon added.
     pub fn over(&self, image: &SourceImage) -> SourceImage {
         image.plus(&self.patch.image())
     }
 
-    /// Mean thickness in nm in a region (nm of the full field), but for its outermost 0.05 nm, where cells reach beyond it.
+    /// Mean thickness in nm in a region (nm of the full field) without its outermost 0.05 nm, where cells of the map reach beyond it.
     pub fn mean_nm(&self, region: &Region) -> f64 {
         0.1 * self.angstrom.mean_within(region)
     }
 
-    /// Adds what a frame leaves.
+    /// Adds the carbon that one frame deposits.
     ///
     /// # Errors
     /// Those of the settings.
@@ -63,7 +63,7 @@ impl<'a> GrowingCarbon<'a> {
     }
 }
 
-/// The carbon of a whole recording, in Angstrom, with none before.
+/// The carbon in Angstrom that a whole recording deposits on a clean specimen.
 pub(crate) fn grown(path: &ScanPath, exposure: &Exposure, per_electron: f64) -> DoseMap {
     let mut angstrom = DoseMap::default();
     if per_electron > 0.0 {
@@ -74,10 +74,10 @@ pub(crate) fn grown(path: &ScanPath, exposure: &Exposure, per_electron: f64) -> 
     angstrom
 }
 
-/// Whether carbon stays as thin as it may be.
+/// Checks that the carbon stays below its largest thickness.
 ///
 /// # Errors
-/// [`Error::Invalid`] if it does not.
+/// [`Error::Invalid`] if the carbon becomes too thick.
 pub(crate) fn check_thickness(before: &DoseMap, more: &DoseMap, per_electron: f64) -> Result<()> {
     let greatest = before.greatest_with(more);
     if greatest <= MOST_GROWN_ANGSTROM * (1.0 + ROUNDING) {
@@ -92,7 +92,7 @@ pub(crate) fn check_thickness(before: &DoseMap, more: &DoseMap, per_electron: f6
     Err(Error::invalid(Setting::Acquisition, value, expected))
 }
 
-/// Spreads what every pixel of a frame leaves, line by line; returns the area (nm of the full field) that they lie in.
+/// Deposits the dose of every pixel of a frame, line by line; returns the area (nm of the full field) that the pixels lie in.
 pub(crate) fn expose_frame(
     map: &mut DoseMap,
     path: &ScanPath,

@@ -1,4 +1,4 @@
-//! A recording of a part of a field, with the truth about it.
+//! A recording of a part of a field, with its ground truth.
 
 use ndarray::{Array2, Array3, Axis};
 
@@ -15,19 +15,19 @@ use crate::resample::MARGIN;
 use crate::setting::{Fault, Setting};
 use crate::specimen::{DoseMap, Specimen};
 
-/// Rows that are recorded at a time.
+/// Number of rows that are recorded at a time.
 const ROWS_AT_ONCE: usize = 256;
-/// Most pixels of one frame.
+/// Largest number of pixels in one frame.
 const MOST_PIXELS: f64 = 1e9;
-/// Edges of recorded pixels in nm.
+/// Allowed edges of recorded pixels in nm.
 const PIXEL_NM: std::ops::RangeInclusive<f64> = 1e-4..=10.0;
-/// Bytes that a pixel of the field takes while it is read or made.
+/// Bytes of memory for each pixel of the field while it is read or simulated.
 const SOURCE_BYTES: u64 = 16;
 
-/// What is recorded. Places are (x, y) in nm from the centre of the first built pixel of the field, as in world files.
+/// The part of a field that is recorded. Places are (x, y) in nm from the centre of the first built pixel of the field, as in world files.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RecordedPart {
-    /// The middle.
+    /// Middle of the part (x, y).
     pub centre_nm: [f64; 2],
     /// Width and height.
     pub size_nm: [f64; 2],
@@ -36,14 +36,14 @@ pub struct RecordedPart {
 }
 
 impl RecordedPart {
-    /// Rows and columns of pixels of another edge in nm that cover it.
+    /// Number of pixels [rows, columns] with an edge of `pixel_nm` nm that cover the part.
     pub fn pixels_of(&self, pixel_nm: f64) -> [usize; 2] {
         let [width, height] = self.size_nm;
         [height, width].map(|edge| (edge / pixel_nm).round().max(1.0) as usize)
     }
 
-    /// As many pixels of an edge of `pixel_nm` as a tile of the recipe, about a place or else the middle of the field. Without a place, the
-    /// edges of a single tile are left out, where nothing can be recorded.
+    /// Returns a part with as many pixels as a tile of the recipe, of edge `pixel_nm`, about `at_nm` or else the middle of the field.
+    /// Without a place the part stays clear of the margins of the field, where nothing can be recorded.
     pub fn tile_at(recipe: &Recipe, at_nm: Option<[f64; 2]>, pixel_nm: f64) -> Self {
         let (field, own) = (&recipe.field, recipe.field.pixel_nm());
         let size_nm = field.tile_px as f64 * pixel_nm;
@@ -60,10 +60,10 @@ impl RecordedPart {
         }
     }
 
-    /// The pixels of a scan of this part, in nm of the full field, whose first built pixel is at `origin_nm`.
+    /// Returns the pixels of a scan of this part in nm of the full field, whose first built pixel is at `origin_nm`.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for pixels and sizes that make no sense.
+    /// [`Error::Invalid`] for pixels or sizes out of limits, and for a centre that is not finite.
     fn frame(&self, origin_nm: [f64; 2]) -> Result<ScanFrame> {
         if !PIXEL_NM.contains(&self.pixel_nm) {
             let expected = "expected 0.0001 to 10 nm";
@@ -90,34 +90,34 @@ impl RecordedPart {
     }
 }
 
-/// How many electrons are spent.
+/// The dose of a recording.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Electrons {
     /// Electrons per square Angstrom, all frames together.
     Dose(f64),
-    /// Current of the beam in pA; the dwell time makes the dose.
+    /// Current of the beam in pA; the dose follows from the dwell time.
     CurrentPa(f64),
 }
 
-/// How a part is recorded.
+/// The settings of a recording.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RecordingOptions {
     /// The scan and the detector.
     pub acquisition: Acquisition,
     /// The dose.
     pub electrons: Electrons,
-    /// Seed of all that is random.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// Keep the frames one by one; they are added otherwise.
+    /// Keep each frame; otherwise the frames are summed.
     pub keep_frames: bool,
-    /// Keep what lies between the noise-free image and the recording.
+    /// Keep the stages between the noise-free image and the recording.
     pub keep_stages: bool,
 }
 
-/// What lies between the noise-free image and the recording: (frame, row, column).
+/// The stages between the noise-free image and the recording: arrays of [frame, row, column].
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecordingStages {
-    /// The noise-free image where the beam was, as fraction of the beam.
+    /// The noise-free image at the places where the beam was, as fraction of the beam.
     pub moved: Array3<f32>,
     /// Electrons that hit the detector.
     pub electrons: Array3<f32>,
@@ -127,37 +127,38 @@ pub struct RecordingStages {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct FieldRecording {
-    /// The pixels that were meant, in nm from the centre of the first built pixel of the field.
+    /// The pixels of the intended scan, in nm from the centre of the first built pixel of the field.
     pub frame: ScanFrame,
-    /// What it was recorded with.
+    /// The settings of the recording.
     pub options: RecordingOptions,
     /// Electrons, time and frames.
     pub exposure: Exposure,
-    /// What the file of a microscope would hold: (frame, row, column), or one frame that is the sum of all.
+    /// The recorded values, as the file of a microscope would hold them: [frame, row, column]; one frame if the frames are summed.
     pub data: Array3<f64>,
-    /// The noise-free image at the pixels that were meant, [row, column], as fraction of the beam; with the carbon that was there when
-    /// the recording began.
+    /// The noise-free image at the pixels of the intended scan, [row, column], as fraction of the beam, with the carbon that was on the
+    /// specimen when the recording began.
     pub ideal: Array2<f32>,
-    /// What lies between them, where it was asked for.
+    /// The stages between `ideal` and `data`, if they are kept.
     pub stages: Option<RecordingStages>,
-    /// Of each line of each frame: its time in s, and how far (x, y) in nm the specimen has drifted.
+    /// For each line of each frame: its time in s, and the drift (x, y) of the specimen in nm.
     pub drift: Vec<[f64; 3]>,
     /// Sites of the columns in the part.
     pub sites: Vec<SiteTruth>,
     /// Columns whose position lies in the part.
     pub columns: Vec<ColumnTruth>,
-    /// Where columns appear, in pixels (x, y) from the centre of the first: (frame, column, 2), or the mean of all frames.
+    /// Where columns appear, in pixels (x, y) from the centre of the first: [frame, column, 2]; one entry, the mean of all frames, if the
+    /// frames are summed.
     pub position_in_image: Array3<f64>,
-    /// Mean thickness in nm of the carbon on the part when each frame began; empty if there is none and none grows.
+    /// Mean thickness in nm of the carbon on the part at the beginning of each frame; empty if there is none and none grows.
     pub carbon_nm: Vec<f64>,
-    /// Pixels that the converter cut off, in all frames.
+    /// Number of pixels in all frames that the converter clipped.
     pub clipped: u64,
 }
 
 /// Records a part of the field of a recipe, on which no carbon has grown yet.
 ///
 /// # Errors
-/// [`Error::Invalid`] for a part that the beam leaves, or values out of limits; [`Error::Memory`]; those of the source, and
+/// [`Error::Invalid`] for a part whose scan leaves the field, or values out of limits; [`Error::Memory`]; errors of the source, and
 /// [`Error::Interrupted`].
 pub fn record(
     recipe: &CheckedRecipe,
@@ -175,7 +176,7 @@ pub fn record(
     record_over(recipe, specimen, source, part, options, carbon.as_ref(), progress)
 }
 
-/// The same with carbon on the specimen, or none that could grow.
+/// Records a part of the field with carbon on the specimen; with `None` no carbon is there and none grows.
 ///
 /// # Errors
 /// As [`record`]; [`Error::Invalid`] for carbon that would become too thick.
@@ -226,7 +227,7 @@ pub(crate) fn record_over(
     })
 }
 
-/// The image at the pixels that were meant.
+/// Samples the image at the pixels of the intended scan.
 fn meant_image(frame: &ScanFrame, image: &SourceImage) -> Array2<f32> {
     Array2::from_shape_fn(frame.shape, |(row, column)| {
         let at = [column, row].map(|p| p as f64 * frame.pixel_nm);
@@ -234,7 +235,8 @@ fn meant_image(frame: &ScanFrame, image: &SourceImage) -> Array2<f32> {
     })
 }
 
-/// Records all frames of an image, on which carbon may grow; returns the mean thickness in nm of that when each began, too.
+/// Records all frames of an image, on which carbon may grow; also returns the mean thickness in nm of the carbon at the beginning of each
+/// frame.
 fn all_frames(
     recorder: &Recorder,
     options: &RecordingOptions,
@@ -267,7 +269,7 @@ fn all_frames(
     Ok((lines, carbon_nm))
 }
 
-/// The path and the exposure of a scan of a part of the field, in nm of the full field.
+/// Returns the path and the exposure of a scan of a part of the field, in nm of the full field.
 ///
 /// # Errors
 /// [`Error::Invalid`] for a part or values out of limits.
@@ -311,7 +313,7 @@ fn check_size(
     check_memory(bytes, "record a smaller part, or fewer frames")
 }
 
-/// What is kept of the frames.
+/// The frames or stages of a recording that are kept.
 struct KeptFrames {
     data: Array3<f64>,
     stages: Option<RecordingStages>,
@@ -354,7 +356,7 @@ impl KeptFrames {
     }
 }
 
-/// The area that the pixels of a scan are meant to cover.
+/// Returns the area that the pixels of a scan are meant to cover.
 pub fn region_of(frame: &ScanFrame) -> Region {
     let edges = |k: usize| {
         let first = frame.origin_nm[k] - 0.5 * frame.pixel_nm;
@@ -363,7 +365,7 @@ pub fn region_of(frame: &ScanFrame) -> Region {
     Region { x: edges(0), y: edges(1) }
 }
 
-/// Where the columns appear: (frame, column, 2), or the mean of all frames.
+/// Computes where the columns appear: [frame, column, 2]; one entry, the mean of all frames, if the frames are summed.
 fn appearances(
     path: &ScanPath,
     columns: &[ColumnTruth],

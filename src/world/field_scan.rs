@@ -14,28 +14,28 @@ use crate::recipe::Recipe;
 use crate::resample::{Kernel, TAPS, samples_around};
 use crate::setting::Setting;
 
-/// The scan of a built field. Values are the counts turned back to fractions of the beam, as if the detector had no errors.
+/// The scan of a built field. Its values are the counts converted back to fractions of the beam, as if the detector had no errors.
 pub struct FieldScan {
     acquisition: Acquisition,
     recorder: Recorder,
     kernel: Arc<Kernel>,
     /// Edge of a pixel of the noise-free image.
     pixel_nm: f64,
-    /// Rows and columns of the noise-free image.
+    /// Shape of the noise-free image: [rows, columns].
     shape: [usize; 2],
 }
 
-/// Rows of a field: what is stored, and where the beam was inside the field for all frames.
+/// Rows of a field: the values that are stored, and whether the beam was inside the field in all frames.
 #[derive(Debug, Clone)]
 pub struct ScannedRows {
-    /// As fraction of the beam.
+    /// Values as fraction of the beam.
     pub values: Array2<f32>,
-    /// False where the beam left the field: the pixel then shows its edge.
+    /// False where the beam left the field: the pixel then shows the field's edge.
     pub valid: Array2<bool>,
 }
 
 impl FieldScan {
-    /// The scan of the field of a recipe; `None` if it has no recording.
+    /// Returns the scan of the field of a recipe; `None` if the recipe has no recording.
     ///
     /// # Errors
     /// [`Error::Invalid`] for fields that are too small.
@@ -66,30 +66,30 @@ impl FieldScan {
         Ok(Some(FieldScan { acquisition, recorder, kernel, pixel_nm: source_nm, shape }))
     }
 
-    /// Where the beam goes, in nm from the centre of the first built pixel.
+    /// Returns the path of the beam, in nm from the centre of the first built pixel.
     pub fn path(&self) -> &ScanPath {
         self.recorder.path()
     }
 
-    /// What the field is recorded with.
+    /// Returns the settings of scan and detector.
     pub fn acquisition(&self) -> &Acquisition {
         &self.acquisition
     }
 
-    /// How many electrons fall on each pixel.
+    /// Returns the exposure: how many electrons fall on each pixel.
     pub fn exposure(&self) -> &Exposure {
         self.recorder.exposure()
     }
 
-    /// Counts of one beam's fraction, and of none: counts = fraction * first + second, all frames together.
+    /// Returns the two coefficients of counts = fraction * first + second, all frames together.
     pub fn counts_of_fraction(&self) -> [f64; 2] {
         let Acquisition { frames, gain_counts, dark_counts, .. } = self.acquisition;
         let frames = frames as f64;
         [gain_counts * self.exposure().electrons_per_pixel * frames, dark_counts * frames]
     }
 
-    /// Starts recording from the first row on; `clean` returns rows of the noise-free image, of a [`super::noise_free::refined`] recipe where the pixel is
-    /// too coarse.
+    /// Starts a recording at the first row. `clean` returns rows of the noise-free image; where the pixel is too coarse it is the image of
+    /// a [`super::noise_free::refined`] recipe.
     pub fn begin<'a>(
         &'a self,
         clean: impl Fn(Range<usize>) -> Result<Array2<f32>> + 'a,
@@ -135,7 +135,7 @@ impl FieldScan {
         Ok(ScannedRows { values: values.mapv(|v| ((v - dark) / scale) as f32), valid })
     }
 
-    /// Whether a place is on a pixel of the field.
+    /// Whether a place lies on a pixel of the field.
     fn holds(&self, place_nm: [f64; 2]) -> bool {
         let [x, y] = place_nm.map(|nm| nm / self.pixel_nm + 0.5);
         let [rows, columns] = self.shape.map(|n| n as f64);
@@ -143,27 +143,27 @@ impl FieldScan {
     }
 }
 
-/// A recording under way. Bands are asked for from top to bottom; each may begin with rows of the one before.
+/// A recording under way. Bands are requested from top to bottom; a band may begin with rows of the band before.
 pub struct FieldScanRows<'a> {
     scan: &'a FieldScan,
     clean: Box<dyn Fn(Range<usize>) -> Result<Array2<f32>> + 'a>,
-    /// Late light of each frame.
+    /// Late light of the detector in each frame.
     late: Vec<f64>,
-    /// Pixels so far that the converter cut off.
+    /// Number of pixels so far that the converter clipped.
     clipped: u64,
     /// The band before, and its first row.
     last: Option<(usize, ScannedRows)>,
 }
 
 impl FieldScanRows<'_> {
-    /// What is to be said of pixels that the converter cut off, of all rows that were recorded.
+    /// Warns of pixels that the converter clipped in the rows recorded so far.
     pub fn clipping_warning(&self) -> Option<String> {
         let Acquisition { frames, bits, .. } = self.scan.acquisition;
         let [rows, columns] = self.scan.path().frame().shape;
         clipping_warning(self.clipped, rows * columns * frames, bits)
     }
 
-    /// Rows of the recording.
+    /// Records rows.
     ///
     /// # Errors
     /// Those of the noise-free image.
@@ -188,7 +188,7 @@ impl FieldScanRows<'_> {
     }
 }
 
-/// Rows above others.
+/// Stacks rows above other rows.
 fn stacked<T: Copy + Default>(upper: &Array2<T>, lower: &Array2<T>) -> Array2<T> {
     let (above, columns) = upper.dim();
     let mut both = Array2::from_elem((above + lower.nrows(), columns), T::default());

@@ -1,4 +1,4 @@
-//! A tile with its truth, made on the fly: what a world file would hold of a rectangle of the field.
+//! A tile with its truth, simulated on request: what a world file would hold of a rectangle of the field.
 
 use ndarray::Array2;
 
@@ -10,8 +10,7 @@ use crate::progress::Progress;
 use crate::recipe::{CheckedRecipe, Recipe};
 use crate::specimen::{BoundaryKind, ParticleTruth, Specimen};
 
-/// A rectangle of a field: its image, and all that is known of it. Positions are in nm from the centre of the first built
-/// pixel, as in world files.
+/// A rectangle of a field: its image and its ground truth. Positions are in nm from the centre of the first built pixel, as in world files.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct FieldTile {
@@ -23,7 +22,7 @@ pub struct FieldTile {
     pub origin_nm: [f64; 2],
     /// The noise-free image, [row, column] = [y, x], in fractions of the beam.
     pub clean: Array2<f32>,
-    /// Counted electrons, [row, column], where a dose was asked for.
+    /// Counted electrons, [row, column], if a dose was given.
     pub counts: Option<Array2<u32>>,
     /// Lattice sites of the columns in the tile.
     pub sites: Vec<SiteTruth>,
@@ -33,25 +32,25 @@ pub struct FieldTile {
     pub phase_map: Option<Array2<i32>>,
     /// Names of the phases.
     pub phase_names: Vec<String>,
-    /// Parts of boundaries in the tile: corners (x, y), and what they separate.
+    /// Parts of boundaries in the tile: corners (x, y), and the kind of the boundary.
     pub boundaries: Vec<(Vec<[f64; 2]>, BoundaryKind)>,
     /// Particles that reach into the tile.
     pub particles: Vec<ParticleTruth>,
 }
 
 impl FieldTile {
-    /// Where a position (x, y) in nm lies in the tile: row and column, in pixels.
+    /// Converts a position (x, y) in nm to (row, column) in pixels of the tile.
     pub fn place_px(&self, position_nm: [f64; 2]) -> [f64; 2] {
         [1, 0].map(|k| (position_nm[k] - self.origin_nm[k]) / self.pixel_nm)
     }
 }
 
-/// Makes a tile of the field of a recipe from all its phonon configurations. The imager has been prepared. `dose` in electrons per
-/// square Angstrom adds counts; they are those of a world of this recipe and dose, pixel by pixel.
+/// Makes a tile of the field of a recipe from all its phonon configurations. The imager must be prepared. `dose` in electrons per square
+/// Angstrom adds counts, which equal the counts of a world of this recipe and dose pixel by pixel.
 ///
 /// # Errors
-/// [`Error::Invalid`] for an empty rectangle, one that skips pixels or reaches beyond the full field, or a dose out of limits;
-/// those of the engine, and [`Error::Interrupted`].
+/// [`Error::Invalid`] for an empty rectangle, a rectangle that skips pixels or reaches beyond the full field, or a dose out of limits;
+/// errors of the engine, and [`Error::Interrupted`].
 pub fn field_tile(
     recipe: &CheckedRecipe,
     specimen: &dyn Specimen,
@@ -66,7 +65,7 @@ pub fn field_tile(
     tile_of_image(recipe, specimen, pixels, clean, dose)
 }
 
-/// A tile whose noise-free image is there.
+/// Makes a tile from its noise-free image `clean`.
 ///
 /// # Errors
 /// [`Error::Invalid`] as for [`field_tile`].

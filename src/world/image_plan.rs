@@ -1,4 +1,4 @@
-//! What the noise-free image of some pixels takes, for recordings and tiles that need no world on disk.
+//! The cost of the noise-free image of some pixels, for recordings and tiles that need no world on disk.
 
 use serde::Serialize;
 
@@ -6,24 +6,24 @@ use crate::error::Result;
 use crate::imaging::{MosaicCost, RegionImager, SimulationRuns};
 use crate::simulation::PlanReport;
 
-/// What the image takes before it can be recorded or cut into tiles.
+/// The cost of the image before it can be recorded or cut into tiles.
 #[derive(Debug, Clone, Serialize)]
 pub struct ImagePlan {
-    /// Rows and columns of pixels of each part.
+    /// Pixels of each part: [rows, columns].
     pub part_px: [usize; 2],
     /// Number of parts.
     pub parts: usize,
-    /// The library that is filled first, if there is one.
+    /// The library that is filled first, if the image needs one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub library: Option<MosaicCost>,
-    /// The simulation of a part, or of the library; memory, time and warnings of all.
+    /// The simulation of a part or of the library; memory, time and warnings of all parts together.
     #[serde(flatten)]
     pub plan: PlanReport,
 }
 
 impl ImagePlan {
-    /// Plans so many parts of some pixels with an imager that need not be prepared. Nothing is simulated; the speed of the machine is
-    /// measured, in 0.2 s.
+    /// Plans `parts` parts of `part_px` pixels. The imager need not be prepared: nothing is simulated, only the speed of the machine is
+    /// measured (0.2 s).
     ///
     /// # Errors
     /// Those of the plan.
@@ -37,13 +37,13 @@ impl ImagePlan {
         Ok(ImagePlan { part_px, parts, library: cost.mosaic, plan })
     }
 
-    /// Images that have to be simulated for the library first.
+    /// Number of images that have to be simulated for the library first.
     pub fn missing(&self) -> usize {
         self.library.as_ref().map_or(0, |library| library.missing)
     }
 }
 
-/// Like simulations as a report; each with an estimate measures the speed.
+/// Reports simulations of one kind; each report with an estimate measures the speed of the machine.
 pub(super) fn report(simulations: &SimulationRuns) -> PlanReport {
     PlanReport::new(&simulations.plan, &simulations.cost, simulations.runs)
 }

@@ -1,4 +1,4 @@
-//! How the images of a world were made, and how those of a recipe would be.
+//! How the images of a world were made, and how the images of a recipe would be made.
 
 use crate::engine::Settings;
 use crate::error::{Error, Result};
@@ -17,7 +17,7 @@ pub struct WorldEngine {
 }
 
 impl WorldEngine {
-    /// The recipe of a world, not yet checked, and how the world was made.
+    /// Reads the recipe of a world, not yet checked, and how the world was made.
     ///
     /// # Errors
     /// [`Error::Parse`] for a world without a recipe, and for settings of another program.
@@ -38,7 +38,7 @@ impl WorldEngine {
     }
 }
 
-/// How the images of a world were made, or how those of a recipe are to be made.
+/// Returns how the images of a world were made, or how the images of a recipe would be made.
 ///
 /// # Errors
 /// Those of the policy of builds.
@@ -57,7 +57,7 @@ pub fn imaging_of(
     Ok(ImagingChoice { simulator: Simulator::of(made.settings.clone()), method, cache })
 }
 
-/// The imaging of a world that is not there yet: a mosaic, or a film, with windows as builds choose them.
+/// Returns the imaging of a world that has not been built: a mosaic or a film, with windows as builds choose them.
 ///
 /// # Errors
 /// Those of the policy of builds.

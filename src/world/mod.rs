@@ -1,7 +1,7 @@
 //! Worlds: one file with the image of a specimen and the truth about it.
 //!
-//! imaging -> sub-tiles -> blended image -> noise -> tiles -> file. A sub-tile is saved as soon as it is computed, so an
-//! interrupted build goes on where it was.
+//! imaging -> sub-tiles -> blended image -> noise -> tiles -> file. A sub-tile is saved as soon as it is computed, so an interrupted build
+//! continues where it stopped.
 
 pub mod atoms_export;
 #[cfg(feature = "hdf5")]

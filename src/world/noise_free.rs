@@ -1,4 +1,4 @@
-//! Where recordings take the noise-free image of a field from.
+//! The sources of the noise-free image of a field, for recordings.
 
 use ndarray::Array2;
 
@@ -11,11 +11,11 @@ use crate::recipe::{CheckedRecipe, Recipe};
 use crate::resample::{MARGIN, image_band_limit, nyquist_step, samples_around};
 use crate::setting::Setting;
 
-/// Pixels of the source are at most this fraction of the inverse band limit: they are then interpolated with an error of about
-/// 0.01 % of the contrast (see [`crate::resample::Kernel`]).
+/// Largest edge of a pixel of the source as a fraction of the inverse band limit. Finer pixels are interpolated with an error of about 0.01
+/// % of the contrast (see [`crate::resample::Kernel`]).
 const FINE_ENOUGH: f64 = 0.42;
 
-/// Highest frequency in images of a recipe, in 1/Angstrom.
+/// Returns the highest frequency in images of a recipe, in 1/Angstrom.
 pub fn band_limit(recipe: &Recipe) -> f64 {
     let optics = &recipe.optics;
     image_band_limit(&Optics {
@@ -25,13 +25,13 @@ pub fn band_limit(recipe: &Recipe) -> f64 {
     })
 }
 
-/// Into how many parts along each axis the pixels of a recipe have to be divided for its image to be recorded.
+/// Returns the number of parts along each axis into which the pixels of a recipe must be divided for its image to be recorded.
 pub fn refinement(recipe: &Recipe) -> usize {
     let product = 10.0 * recipe.field.pixel_nm() * band_limit(recipe);
     ((product / FINE_ENOUGH).ceil() as usize).max(1)
 }
 
-/// Why a field cannot be recorded at its own pixel, if it cannot.
+/// Returns the reason why a field cannot be recorded at its own pixel; `None` if it can.
 pub fn too_coarse(recipe: &Recipe) -> Option<Error> {
     let pixel = recipe.field.pixel_nm();
     let needed = 0.1 * nyquist_step(band_limit(recipe));
@@ -44,8 +44,8 @@ pub fn too_coarse(recipe: &Recipe) -> Option<Error> {
     })
 }
 
-/// The recipe with every pixel divided into `parts` x `parts`. An imager made of it images the specimen of the recipe itself at that
-/// finer pixel: pixel (0, 0) stays where it was.
+/// Returns the recipe with every pixel divided into `parts` x `parts`. An imager made of it images the specimen of the original recipe at
+/// that finer pixel: pixel (0, 0) stays where it was.
 ///
 /// # Errors
 /// Those of the recipe's limits.
@@ -62,21 +62,21 @@ pub fn refined(recipe: &CheckedRecipe, parts: usize) -> Result<CheckedRecipe> {
     fine.checked()
 }
 
-/// The noise-free image of a field, wherever it comes from. Pixel (0, 0) of the full field lies at 0 nm.
+/// The noise-free image of a field, from an imager or from a file. Pixel (0, 0) of the full field lies at 0 nm.
 pub trait NoiseFree {
-    /// The recipe that tells the pixels.
+    /// Returns the recipe whose pixels the image has.
     fn recipe(&self) -> &CheckedRecipe;
 
-    /// First row and column that can be had, and those behind the last, in pixels of the full field.
+    /// Returns the first row and column that are available, and the row and column behind the last, in pixels of the full field.
     fn extent_px(&self) -> [[usize; 2]; 2];
 
-    /// The image of some of these pixels, [row, column] = [y, x], as fraction of the beam.
+    /// Returns the image of some of these pixels, [row, column] = [y, x], as fraction of the beam.
     ///
     /// # Errors
-    /// Those of the engine or of the file, and [`Error::Interrupted`].
+    /// Errors of the engine or of the file, and [`Error::Interrupted`].
     fn pixels(&self, pixels: &PixelRect, progress: &dyn Progress) -> Result<Array2<f32>>;
 
-    /// The places (x, y) in nm of the full field at which the image can be had.
+    /// Returns the least and greatest (x, y) in nm of the full field at which the image is available.
     fn inside_nm(&self) -> [[f64; 2]; 2] {
         let pixel = self.recipe().field.pixel_nm();
         let [first, end] = self.extent_px();
@@ -86,10 +86,10 @@ pub trait NoiseFree {
         })
     }
 
-    /// The image around all places that a beam reaches: the least and greatest x and y in nm of the full field.
+    /// Returns the image around all places that a beam reaches: `reach_nm` is the least and greatest x and y in nm of the full field.
     ///
     /// # Errors
-    /// [`Error::Invalid`] if the beam leaves the field, or the pixels are too coarse; those of the engine or of the file.
+    /// [`Error::Invalid`] if the beam leaves the field, or the pixels are too coarse; errors of the engine or of the file.
     fn image(&self, reach_nm: [[f64; 2]; 2], progress: &dyn Progress) -> Result<SourceImage> {
         let inside = self.inside_nm();
         let outside = |k: usize| reach_nm[k][0] < inside[k][0] || reach_nm[k][1] > inside[k][1];
@@ -98,7 +98,7 @@ pub trait NoiseFree {
         }
         let pixel = self.recipe().field.pixel_nm();
         let [low, end] = self.extent_px();
-        // nm are (x, y), pixels (row, column)
+        // Lengths in nm are (x, y), pixels are (row, column).
         let range = |k: usize| {
             let around = samples_around(reach_nm[1 - k].map(|nm| nm / pixel), low[k]..end[k]);
             [around.start, around.len()]
@@ -111,11 +111,11 @@ pub trait NoiseFree {
     }
 }
 
-/// An imager, prepared, as the source of recordings.
+/// A prepared imager as the source of recordings.
 pub struct ImagerSource<'a> {
-    /// It.
+    /// The imager.
     pub imager: &'a dyn RegionImager,
-    /// The recipe that it was made of, which may be [`refined`].
+    /// The recipe of the imager, which may be [`refined`].
     pub recipe: &'a CheckedRecipe,
 }
 
@@ -138,7 +138,7 @@ impl NoiseFree for ImagerSource<'_> {
     }
 }
 
-/// The error of a beam that leaves the field.
+/// The error for a beam that leaves the field.
 fn beyond(recipe: &Recipe, reach: [[f64; 2]; 2], inside: [[f64; 2]; 2]) -> Error {
     let origin = recipe.field.origin_nm();
     let own = |r: [[f64; 2]; 2]| [0, 1].map(|k| r[k].map(|nm| nm - origin[k]));

@@ -1,4 +1,4 @@
-//! The options that a world was built with, found again from what its file tells.
+//! The options that a world was built with, reconstructed from the metadata of its file.
 
 use crate::engine::{Algorithm, Expansion, Settings};
 use crate::error::Result;
@@ -9,13 +9,13 @@ use crate::recipe::CheckedRecipe;
 use crate::world::build_options::{BuildMethod, BuildOptions, BuildProfile};
 use crate::world::world_build::WorldBuild;
 
-/// Lengths in nm that are the same.
+/// Lengths whose difference in nm is below this value count as equal.
 const SAME_NM: f64 = 1e-9;
 
 impl BuildOptions {
-    /// The options with the fewest settings that build the same tiles and truth as those of a world, whose recipe is `recipe`.
-    /// `None` where the file does not tell its engine, or where none lead to it: after a largest error was asked for, the
-    /// exact engine may have made it. In files without the size of sub-tiles it is taken to be the usual one.
+    /// Finds the options with the fewest settings that build the tiles and the truth of a world, whose recipe is `recipe`. `None` where the
+    /// file does not name its engine, or where no options lead to that engine: with a largest error, the exact engine may have made the
+    /// world. Files without the size of sub-tiles are taken to have the usual size.
     ///
     /// # Errors
     /// Those of laying out the specimen.
@@ -51,7 +51,7 @@ impl BuildOptions {
         Ok(None)
     }
 
-    /// These with all settings that may have led to an engine, the fewest first.
+    /// Lists these options with all settings that may have led to an engine, the fewest settings first.
     fn variants(&self, engine: &str, settings: &Settings) -> Vec<BuildOptions> {
         let method = match engine {
             "mosaic" | "film" => BuildMethod::Mosaic,
@@ -79,7 +79,7 @@ impl BuildOptions {
         variants
     }
 
-    /// These with sub-tiles of that width and overlap.
+    /// Returns these options with sub-tiles of the given width and overlap.
     fn with_subtiles(self, recipe: &CheckedRecipe, wanted_nm: Option<[f64; 2]>) -> Self {
         let Some([width, overlap]) = wanted_nm else { return self };
         let gives = |options: &BuildOptions| {
@@ -93,9 +93,9 @@ impl BuildOptions {
         [self, wide].into_iter().find(gives).unwrap_or(both)
     }
 
-    /// Whether they make the images of a recipe with that engine.
+    /// Whether these options make the images of a recipe with the given engine and settings.
     fn leads_to(&self, recipe: &CheckedRecipe, engine: &str, settings: &Settings) -> Result<bool> {
-        // Options that contradict each other are none that a world was built with.
+        // Options that contradict each other cannot have built a world.
         let Ok(policy) = self.policy(recipe) else { return Ok(false) };
         let own = policy.imaging.simulator.settings();
         let own = if engine == "film" { film_settings(own) } else { own.clone() };

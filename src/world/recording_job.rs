@@ -1,4 +1,4 @@
-//! A place of a world or of a recipe that is recorded: what is asked for, and the job that does it.
+//! A recording of a place in a world or a recipe: the request, and the job that makes it.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -20,15 +20,15 @@ use crate::recipe::{CheckedRecipe, Recipe};
 use crate::setting::Setting;
 use crate::specimen::{Specimen, specimen};
 
-/// What is recorded, and how; the recipe of the field has the values of the microscope that are not given.
+/// The part and the settings of a recording; values of the microscope that are not given come from the recipe of the field.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RecordingRequest {
     /// Left, upper, right and lower edge of the part in nm.
     pub region_nm: Option<[f64; 4]>,
-    /// Middle of the part in nm, which has as many pixels as a tile; `None`, without a region: the middle of the field.
+    /// Middle of the part in nm; the part then has as many pixels as a tile. `None` without a region records the middle of the field.
     pub at_nm: Option<[f64; 2]>,
-    /// How many times finer the pixels are than those of the world.
+    /// How many times finer the recorded pixels are than the pixels of the world.
     pub zoom: Option<f64>,
     /// Edge of a pixel in nm, in place of the zoom.
     pub pixel_nm: Option<f64>,
@@ -42,9 +42,9 @@ pub struct RecordingRequest {
     pub dwell_us: Option<f64>,
     /// Number of frames.
     pub frames: Option<usize>,
-    /// Keep the frames one by one, in place of their sum.
+    /// Keep each frame, in place of their sum.
     pub keep_frames: bool,
-    /// Keep what lies between the noise-free image and the recording.
+    /// Keep the stages between the noise-free image and the recording.
     pub keep_stages: bool,
     /// Seed of electrons, noise, jitter and random drift.
     pub seed: u64,
@@ -70,10 +70,10 @@ impl Default for RecordingRequest {
 }
 
 impl RecordingRequest {
-    /// The part of the field of a recipe.
+    /// Returns the part of the field of a recipe that is recorded.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a region that is empty, and for two values that set the same.
+    /// [`Error::Invalid`] for an empty region, and for two values that set the same quantity.
     pub fn part(&self, recipe: &CheckedRecipe) -> Result<RecordedPart> {
         let own = recipe.field.pixel_nm();
         let refuse =
@@ -109,7 +109,7 @@ impl RecordingRequest {
         Ok(RecordedPart { centre_nm, size_nm: [x1 - x0, y1 - y0], pixel_nm })
     }
 
-    /// The table `[acquisition]` of a recipe with the values that are given.
+    /// Returns the table `[acquisition]` of a recipe, with the values of the request.
     pub fn table(&self, recipe: &CheckedRecipe) -> AcquisitionTable {
         let mut table = recipe.acquisition.unwrap_or_default();
         table.profile = self.profile.or(table.profile);
@@ -118,10 +118,10 @@ impl RecordingRequest {
         table
     }
 
-    /// How many electrons: the dose or the current, or the dose of the recipe.
+    /// Returns the dose or the current of the request, or else the dose of the recipe.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for both at once.
+    /// [`Error::Invalid`] if both are given.
     pub fn electrons(&self, recipe: &CheckedRecipe) -> Result<Electrons> {
         if let (Some(_), Some(current)) = (self.electrons_per_angstrom2, self.current_pa) {
             let expected = "dose and current both set the electrons; give one";
@@ -131,7 +131,7 @@ impl RecordingRequest {
         Ok(self.current_pa.map_or(Electrons::Dose(dose), Electrons::CurrentPa))
     }
 
-    /// What the recording takes of it.
+    /// Returns the settings of the recording.
     ///
     /// # Errors
     /// Those of [`RecordingRequest::electrons`].
@@ -146,7 +146,7 @@ impl RecordingRequest {
     }
 }
 
-/// Where the noise-free image of a recording comes from.
+/// The origin of the noise-free image of a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RecordedFrom {
     /// The world holds it.
@@ -166,7 +166,7 @@ pub struct RecordingJob {
 }
 
 impl RecordingJob {
-    /// Prepares a recording of a recipe's field; `world` is a file with that field, and `made` tells how it was made.
+    /// Prepares a recording of a recipe's field; `world` is a file with that field, and `made` describes how it was made.
     ///
     /// # Errors
     /// Those of recipe, request and specimen.
@@ -185,7 +185,7 @@ impl RecordingJob {
         Ok(RecordingJob { specimen: specimen(&recipe)?, recipe, made, world, part, options })
     }
 
-    /// The recipe with the values that were asked for.
+    /// Returns the recipe with the values of the request.
     pub fn recipe(&self) -> &CheckedRecipe {
         &self.recipe
     }
@@ -195,7 +195,7 @@ impl RecordingJob {
         &*self.specimen
     }
 
-    /// What the noise-free image of the part takes; `None` where the world holds it.
+    /// Plans the noise-free image of the part; `None` where the world holds it.
     ///
     /// # Errors
     /// Those of the file and of the plan.
@@ -217,7 +217,7 @@ impl RecordingJob {
         &self.part
     }
 
-    /// Records: from the noise-free image that the world holds, or from one that is simulated now.
+    /// Makes the recording, from the noise-free image in the world or from an image that is simulated now.
     ///
     /// # Errors
     /// Those of the file, of the imaging and of the recording.

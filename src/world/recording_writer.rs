@@ -11,7 +11,7 @@ use crate::recipe::CheckedRecipe;
 use crate::specimen::Specimen;
 
 impl FieldRecording {
-    /// Writes a file with the recording and all that is known of it; its schema is that of [`crate::io::recording_file`].
+    /// Writes a file with the recording and its ground truth; its schema is in [`crate::io::recording_file`].
     ///
     /// # Errors
     /// [`crate::Error::Io`], [`crate::Error::Hdf5`].
@@ -29,7 +29,7 @@ impl FieldRecording {
         })
     }
 
-    /// What a file of it holds, but for the truth.
+    /// Returns the contents of a file of the recording without the truth.
     pub(crate) fn file(&self, recipe: &CheckedRecipe, command_line: &str) -> RecordingFile<'_> {
         RecordingFile {
             command_line: command_line.to_owned(),
@@ -49,7 +49,7 @@ impl FieldRecording {
         }
     }
 
-    /// Writes the truth about it; what it does not hold itself is that of the specimen.
+    /// Writes the truth about the recording; phases, boundaries and particles come from the specimen.
     pub(crate) fn write_truth(
         &self,
         recipe: &CheckedRecipe,

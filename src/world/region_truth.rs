@@ -1,4 +1,4 @@
-//! What is known of a part of a field: its sites, columns, phases, boundaries and particles, as world files list them.
+//! The ground truth of a part of a field: its sites, columns, phases, boundaries and particles, as world files list them.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use crate::recipe::Region;
 use crate::specimen::{AtomColumn, Boundary, SiteKind, Sites, Specimen, SpecimenSite};
 use crate::structure::elements;
 
-/// A lattice site. Positions count from the centre of a pixel that the list states.
+/// A lattice site. Positions count from the centre of a pixel; each list states which pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct SiteTruth {
@@ -18,20 +18,20 @@ pub struct SiteTruth {
     pub position_nm: [f32; 3],
     /// What the site holds.
     pub kind: SiteKind,
-    /// Atomic number; of a vacancy, that of the missing atom.
+    /// Atomic number; of a vacancy, the atomic number of the missing atom.
     pub number: u8,
     /// Index of its column in the list.
     pub column: usize,
 }
 
 impl SiteTruth {
-    /// `vacancy_O`, `substitution_Ge`; empty for the atom that belongs there.
+    /// Returns `vacancy_O`, `substitution_Ge`; empty for the atom that belongs there.
     pub fn defect_name(&self) -> String {
         defect_name(self.kind, self.number)
     }
 }
 
-/// Name of a defect: `vacancy_O`, `substitution_Ge`; empty for none.
+/// Returns the name of a defect: `vacancy_O`, `substitution_Ge`; empty for none.
 pub fn defect_name(kind: SiteKind, number: u8) -> String {
     let symbol = elements::symbol(number);
     match kind {
@@ -73,15 +73,14 @@ impl ColumnTruth {
         }
     }
 
-    /// Elements and numbers of atoms, by atomic number: `O25 Ti26`.
+    /// Returns elements and numbers of atoms, by atomic number: `O25 Ti26`.
     pub fn composition(&self) -> String {
         let part = |(z, n): &(u8, u32)| format!("{}{n}", elements::symbol(*z));
         self.atoms.iter().map(part).collect::<Vec<_>>().join(" ")
     }
 }
 
-/// Sites and columns, in the order of the specimen; `origin_nm` (x, y) becomes (0, 0), and columns are counted from
-/// `first_column` on.
+/// Lists sites and columns in the order of the specimen; `origin_nm` (x, y) becomes (0, 0), and columns are counted from `first_column` on.
 pub fn list(
     sites: &Sites,
     origin_nm: [f64; 2],
@@ -103,7 +102,7 @@ pub fn list(
     (listed, columns)
 }
 
-/// Phases at the centres of pixels, [row, column] = [y, x]: indices into the phases of the specimen.
+/// Returns the phases at the centres of pixels, [row, column] = [y, x], as indices into the phases of the specimen.
 pub fn phase_map(specimen: &dyn Specimen, pixels: &PixelRect, pixel_nm: f64) -> Array2<i32> {
     let PixelRect { first, stride, .. } = *pixels;
     phases_of_points(specimen, pixels.sampled_shape(), |row, column| {
@@ -112,7 +111,7 @@ pub fn phase_map(specimen: &dyn Specimen, pixels: &PixelRect, pixel_nm: f64) -> 
     })
 }
 
-/// Phases at the points (x, y) in nm of the full field that belong to rows and columns, [row, column] = [y, x].
+/// Returns the phases at points (x, y) in nm of the full field, [row, column] = [y, x]; `point_nm` returns the point of a row and a column.
 pub fn phases_of_points(
     specimen: &dyn Specimen,
     shape: [usize; 2],
@@ -128,7 +127,7 @@ pub fn phases_of_points(
     map
 }
 
-/// The parts of a boundary that lie in a region: lines of corners (x, y) in nm of the full field.
+/// Returns the parts of a boundary that lie in a region: lines of corners (x, y) in nm of the full field.
 pub fn boundary_parts(boundary: &Boundary, region: &Region) -> Vec<Vec<[f64; 2]>> {
     let mut lines: Vec<Vec<[f64; 2]>> = Vec::new();
     for ends in boundary.line_nm.windows(2) {
@@ -141,7 +140,7 @@ pub fn boundary_parts(boundary: &Boundary, region: &Region) -> Vec<Vec<[f64; 2]>
     lines
 }
 
-/// The part of a segment inside a region (Liang and Barsky).
+/// Clips a segment to a region (Liang and Barsky).
 fn clip([a, b]: [[f64; 2]; 2], region: &Region) -> Option<[[f64; 2]; 2]> {
     let (mut from, mut to) = (0.0f64, 1.0f64);
     for (k, limits) in [region.x, region.y].into_iter().enumerate() {

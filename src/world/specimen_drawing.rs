@@ -1,4 +1,4 @@
-//! Draws the specimen of a recipe, seen along the beam.
+//! Draws the specimen of a recipe in projection along the beam.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -19,7 +19,7 @@ use crate::world::atoms_export::{ExportOptions, ExportSummary, export};
 /// Pixels along the longer side of the field.
 const SIDE: usize = 1600;
 
-/// A drawing that takes the sites of the built field piece by piece.
+/// A drawing that receives the sites of the built field piece by piece.
 pub struct Drawing<'a> {
     specimen: &'a dyn Specimen,
     recipe: &'a Recipe,
@@ -29,7 +29,7 @@ pub struct Drawing<'a> {
 }
 
 impl<'a> Drawing<'a> {
-    /// Begins with the phases.
+    /// Starts a drawing with the phases.
     pub fn new(specimen: &'a dyn Specimen, recipe: &'a Recipe) -> Self {
         let built = recipe.field.built_region();
         let mut scene = Scene::new([built.x[1] - built.x[0], built.y[1] - built.y[0]], SIDE);
@@ -45,7 +45,7 @@ impl<'a> Drawing<'a> {
         Drawing { specimen, recipe, built, scene, colors }
     }
 
-    /// Adds atoms and marks of the columns.
+    /// Adds the atoms and marks of some columns.
     pub fn add(&mut self, sites: &Sites) {
         let corner = [self.built.x[0], self.built.y[0]];
         let place = |[x, y]: [f64; 2]| [x - corner[0], y - corner[1]];
@@ -68,7 +68,7 @@ impl<'a> Drawing<'a> {
         }
     }
 
-    /// The picture, with boundaries and a legend.
+    /// Returns the picture, with boundaries and a legend.
     pub fn finish(mut self, summary: &ExportSummary) -> RgbImage {
         self.legend(summary);
         let corner = [self.built.x[0], self.built.y[0]];
@@ -129,14 +129,14 @@ impl<'a> Drawing<'a> {
     }
 }
 
-/// Colour of the ground of a phase.
+/// Colour of the background of a phase.
 fn ground(code: usize) -> [u8; 3] {
     palette::PHASES[code % palette::PHASES.len()]
 }
-/// Draws the projected specimen of a recipe; its atoms are listed for that in a temporary folder.
+/// Draws the projected specimen of a recipe. The atoms are first listed in a temporary folder.
 ///
 /// # Errors
-/// Those of the specimen and of the file.
+/// Errors of the specimen and of the file.
 pub fn draw_specimen(
     recipe: &CheckedRecipe,
     picture: &Path,

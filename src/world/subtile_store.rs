@@ -1,4 +1,4 @@
-//! The work folder of a build: its finished sub-tiles, and what the build is.
+//! The work folder of a build: its finished sub-tiles, and the key that describes the build.
 
 use std::fs;
 use std::io::ErrorKind;
@@ -25,9 +25,9 @@ pub struct SubtileStore {
 }
 
 impl SubtileStore {
-    /// Opens the work folder of `output` for a build that `key` (JSON) describes. Sub-tiles of another
-    /// build that lie there are kept and refused; with `replace` they are removed, with a warning. Where a damaged file does not tell
-    /// whose they are, each tells it itself ([`Self::load`]).
+    /// Opens the work folder of `output` for a build that `key` (JSON) describes. Sub-tiles of another build in the folder are kept and
+    /// refused; with `replace` they are removed, with a warning. Where the file of the key is damaged, each sub-tile's own key decides
+    /// whether it is used ([`Self::load`]).
     ///
     /// # Errors
     /// [`Error::Invalid`] for sub-tiles of another build, [`Error::Io`] when the folder cannot be made, read or written.
@@ -62,10 +62,10 @@ impl SubtileStore {
         Ok(store)
     }
 
-    /// Opens the same among other processes that make sub-tiles of the same build. Nothing is removed.
+    /// Opens the work folder while other processes make sub-tiles of the same build in it. Nothing is removed.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a folder of another build, [`Error::Io`] when it cannot be made, read or written.
+    /// [`Error::Invalid`] for a folder of another build, [`Error::Io`] when the folder cannot be made, read or written.
     pub fn join(output: &Path, key: &str, progress: &dyn Progress) -> Result<Self> {
         let folder = &work_folder(output);
         fs::create_dir_all(folder).map_err(|e| Error::io(folder, "create", e))?;
@@ -85,7 +85,7 @@ impl SubtileStore {
                 Err(kept(output, number, &difference(&found, key)))
             }
             Err(e) if e.kind() == ErrorKind::NotFound => {
-                // All that do this at the same time write the same.
+                // All processes that write this file at the same time write the same bytes.
                 atomic_write::write(&key_path, key.as_bytes())?;
                 Ok(store)
             }
@@ -112,8 +112,8 @@ impl SubtileStore {
         }
     }
 
-    /// The image of a sub-tile of `shape` (rows, columns), if a whole one of this build is there. A file that cannot be used is told
-    /// in a warning.
+    /// Loads the image of a sub-tile of `shape` (rows, columns), if a complete one of this build is stored. A file that cannot be used
+    /// causes a warning.
     pub fn load(
         &self,
         index: usize,
@@ -131,7 +131,7 @@ impl SubtileStore {
         }
     }
 
-    /// Saves the image of a sub-tile; it is there as a whole or not at all.
+    /// Saves the image of a sub-tile, completely or not at all.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -139,7 +139,7 @@ impl SubtileStore {
         self.arrays.save(&name(index), &self.key(index), "", image)
     }
 
-    /// The path of the file of a sub-tile.
+    /// Returns the path of the file of a sub-tile.
     pub fn path(&self, index: usize) -> PathBuf {
         self.arrays.path(&name(index))
     }
@@ -161,7 +161,7 @@ impl SubtileStore {
     }
 }
 
-/// Whether something lies where a build is described, and describes none.
+/// Whether the file of the key exists but describes no build.
 fn is_damaged(key_path: &Path) -> bool {
     if fs::symlink_metadata(key_path).is_err() {
         return false;
@@ -190,13 +190,13 @@ fn kept(output: &Path, number: usize, difference: &str) -> Error {
     Error::invalid(Setting::Output, output.display(), expected)
 }
 
-/// A value of a key, as text.
+/// Returns a value of a key as text.
 fn value(key: &str, name: &str) -> String {
     let parsed: serde_json::Value = serde_json::from_str(key).unwrap_or_default();
     parsed[name].as_str().map_or_else(|| parsed[name].to_string(), str::to_owned)
 }
 
-/// What two keys differ in.
+/// Names the first difference of two keys.
 fn difference(old: &str, new: &str) -> String {
     let differs = |name: &&str| value(old, name) != value(new, name);
     match ["recipe", "engine", "parameters", "numerics", "partition"].iter().find(|n| differs(n)) {
@@ -209,7 +209,7 @@ fn difference(old: &str, new: &str) -> String {
     }
 }
 
-/// The first value in which two recipes differ.
+/// Names the first value in which two recipes differ.
 fn changed_lines(old: &str, new: &str) -> String {
     let pair = old.lines().zip(new.lines()).find(|(a, b)| a != b);
     pair.map_or("of another recipe".into(), |(a, b)| format!("{a}, now {b}"))
@@ -219,7 +219,7 @@ fn name(index: usize) -> String {
     format!("subtile_{index:06}")
 }
 
-/// Where the build of an output keeps its work until it is complete.
+/// Returns the folder where the build of an output keeps its work until it is complete.
 pub fn work_folder(output: &Path) -> PathBuf {
     beside(output, WORK)
 }
@@ -239,7 +239,7 @@ mod tests {
         store.save(4, &image).unwrap();
         assert_eq!(store.load(4, [3, 5], &Silent), Some(image.clone()));
         assert_eq!(store.load(5, [3, 5], &Silent), None);
-        // of the same build under another index, and of another build under the same
+        // Copies of a sub-tile: of the same build under another index, and of another build under the same index.
         fs::copy(store.path(4), store.path(5)).unwrap();
         assert_eq!(store.load(5, [3, 5], &Silent), None);
         let other =

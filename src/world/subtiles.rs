@@ -11,21 +11,21 @@ use ndarray::{Array2, ArrayView2, s};
 /// One sub-tile.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SubTile {
-    /// Number of the sub-tile, by rows.
+    /// Number of the sub-tile, row by row.
     pub index: usize,
-    /// Rows of pixels.
+    /// Range of rows, in pixels.
     pub rows: Range<usize>,
-    /// Columns of pixels.
+    /// Range of columns, in pixels.
     pub columns: Range<usize>,
 }
 
 impl SubTile {
-    /// Rows and columns of pixels.
+    /// Number of pixels: [rows, columns].
     pub fn shape(&self) -> [usize; 2] {
         [self.rows.len(), self.columns.len()]
     }
 
-    /// Rows and columns of the images of several detectors, one below the other.
+    /// Shape [rows, columns] of the images of several detectors, one below the other.
     pub fn stored_shape(&self, detectors: usize) -> [usize; 2] {
         [detectors * self.rows.len(), self.columns.len()]
     }
@@ -39,12 +39,11 @@ pub struct Partition {
 }
 
 impl Partition {
-    /// Sub-tiles at most `size_nm` wide that share `overlap_nm`, on a raster of `shape` pixels. All
-    /// have the same size, the least that as few of them need.
+    /// Divides a raster of `shape` pixels into sub-tiles at most `size_nm` wide that share `overlap_nm`. All sub-tiles have the same size:
+    /// the least with which their number is as small as possible.
     ///
     /// # Errors
-    /// [`Error::Invalid`] unless a sub-tile is more than three times as wide as the overlap: no
-    /// pixel may lie in three of a row.
+    /// [`Error::Invalid`] unless a sub-tile is more than three times as wide as the overlap: no pixel may lie in three sub-tiles of a row.
     pub fn new(shape: [usize; 2], pixel_nm: f64, size_nm: f64, overlap_nm: f64) -> Result<Self> {
         let pixels = |nm: f64| (nm / pixel_nm).round() as usize;
         let (size, overlap) = (pixels(size_nm), pixels(overlap_nm));
@@ -66,11 +65,11 @@ impl Partition {
     pub fn len(&self) -> usize {
         self.rows.len() * self.columns.len()
     }
-    /// Never, in fact.
+    /// Always false: a partition has at least one sub-tile.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
-    /// All sub-tiles, by rows.
+    /// Returns all sub-tiles, row by row.
     pub fn subtiles(&self) -> impl Iterator<Item = SubTile> + '_ {
         (0..self.len()).map(|index| {
             let (r, c) = (index / self.columns.len(), index % self.columns.len());
@@ -78,8 +77,8 @@ impl Partition {
         })
     }
 
-    /// The blended image of the rows `band`, from the images that `load` returns for the sub-tiles
-    /// it needs. Sums run in the order of the sub-tiles, so the bytes do not depend on threads.
+    /// Blends the image of the rows `band` from the images that `load` returns for the sub-tiles that contribute. Sums run in the order of
+    /// the sub-tiles, so the bytes do not depend on threads.
     ///
     /// # Errors
     /// Those of `load`.
@@ -130,8 +129,7 @@ fn axis(n: usize, size: usize, overlap: usize) -> Vec<Range<usize>> {
     (0..count).map(|i| start(i)..start(i) + length).collect()
 }
 
-/// Weight of range `i` at pixel `p` inside it: 1 but for the linear ramps, where the weights of the
-/// two ranges add to 1.
+/// Returns the weight of range `i` at pixel `p` inside it: 1, except in the linear ramps, where the weights of the two ranges add to 1.
 fn weight(ranges: &[Range<usize>], i: usize, p: usize) -> f64 {
     let rising = |left: &Range<usize>, right: &Range<usize>| {
         ((p - right.start) as f64 + 0.5) / (left.end - right.start) as f64

@@ -20,7 +20,7 @@ use super::training_set::TrainingSet;
 use crate::error::Result;
 use crate::io::npz_file::write_npz;
 
-/// The fields of `columns`, as NumPy writes them.
+/// The fields of `columns` in NumPy's notation of data types.
 const COLUMN_FIELDS: &str = "[('sample', '<i4'), ('x_px', '<f4'), ('y_px', '<f4'), ('class', '<i4'), ('number', '<i4'), \
      ('occupancy', '<f4'), ('sites', '<i4'), ('vacancies', '<i4'), ('substitutions', '<i4')]";
 
@@ -56,7 +56,7 @@ pub fn write_training_set(
     })
 }
 
-/// The records of all columns, byte by byte.
+/// Returns the records of all columns as bytes.
 fn columns(set: &TrainingSet) -> Vec<u8> {
     let mut bytes = Vec::new();
     for (row, tile) in set.column_tiles.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Labelled samples at random places, turned and magnified at random: one by one, each by its number.
+//! Labelled samples at random places, with random rotation and magnification. Each is made on request from its number.
 
 use ndarray::{Array2, arr2};
 
@@ -13,15 +13,15 @@ use crate::rng::{self, Purpose};
 use crate::setting::Setting;
 use crate::specimen::{ParticleOutline, Specimen};
 
-/// How far samples stay from the edge of the full field, in nm: what interpolation and windows need around them.
+/// Distance of samples from the edge of the full field in nm, which interpolation and windows need.
 const EDGE_NM: f64 = 0.5;
-/// Numbers of the draws of a sample; those of [`training_set`](super::training_set) are 0 to 2.
+/// Numbers of the random draws of a sample; [`training_set`](super::training_set) uses 0 to 2.
 const PLACE: [u32; 2] = [8, 9];
 const ANGLE: u32 = 10;
 const PIXEL: u32 = 11;
 const DOSE: u32 = 12;
 
-/// What samples are drawn from. Each value is drawn evenly between two limits, pixel and dose evenly in their logarithm.
+/// The ranges that samples are drawn from. Angles are drawn evenly between two limits, pixel and dose evenly in their logarithm.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SampleOptions {
     /// Edge of a sample in pixels.
@@ -42,7 +42,7 @@ pub struct SampleOptions {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct TrainingSample {
-    /// Where it lies in the field.
+    /// Pixels and rotation of the sample in the field.
     pub raster: TurnedRaster,
     /// Dose in electrons per square Angstrom.
     pub dose: f64,
@@ -54,25 +54,25 @@ pub struct TrainingSample {
     pub clean: Array2<f32>,
     /// Gaussians of height 1 about columns; the nearest column counts.
     pub heat_map: Array2<f32>,
-    /// Index into [`COLUMN_CLASSES`](super::COLUMN_CLASSES) of the column whose heat map is above one half there.
+    /// Index into [`COLUMN_CLASSES`](super::COLUMN_CLASSES): the class of the nearest column where its heat map is above one half.
     pub class_mask: Array2<u8>,
     /// Phase of each pixel, as an index into the phases of the specimen.
     pub phase_mask: Array2<i32>,
     /// (x, y) in pixels of each column in the sample: (column, 2).
     pub positions_px: Array2<f32>,
-    /// Class, sites, vacancies, substitutions and atomic number of the heaviest atom of each: (column, 5).
+    /// Class, sites, vacancies, substitutions and atomic number of the heaviest atom of each column: (column, 5).
     pub columns: Array2<i32>,
     /// Particles that reach into the sample: x, y and radius of the outline in pixels.
     pub particles_px: Vec<[f64; 3]>,
-    /// Their shapes.
+    /// Shapes of the particles.
     pub morphologies: Vec<String>,
 }
 
 impl SampleOptions {
-    /// Checks what does not depend on a sample's number.
+    /// Checks all options that do not depend on a sample's number.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for values out of limits, and samples that do not fit into the field.
+    /// [`Error::Invalid`] for values out of limits, and for samples that do not fit into the field.
     pub fn check(&self, field: &Field) -> Result<()> {
         let refuse = |setting, value: String, expected: String| {
             Err(Error::invalid(setting, value, expected))
@@ -110,7 +110,7 @@ impl SampleOptions {
         Ok(())
     }
 
-    /// Where the centre (x, y) may lie, in nm of the full field: so that all corners are in the built field, however it is turned.
+    /// Returns the range of centres (x, y) in nm of the full field for which all corners of a sample lie in the built field at any angle.
     fn room_nm(&self, field: &Field, pixel_nm: f64) -> [[f64; 2]; 2] {
         let turned = self.angle_rad != [0.0; 2];
         let half =
@@ -119,7 +119,7 @@ impl SampleOptions {
         [built.x, built.y].map(|[low, high]| [low + half + EDGE_NM, high - half - EDGE_NM])
     }
 
-    /// Where sample `index` lies, and its dose in electrons per square Angstrom.
+    /// Draws the place of sample `index` and its dose in electrons per square Angstrom.
     pub fn draw(&self, field: &Field, index: u64) -> (TurnedRaster, f64) {
         let uniform = |draw: u32| rng::uniform(self.seed, Purpose::Tile, draw, index);
         let even = |[low, high]: [f64; 2], draw: u32| low + uniform(draw) * (high - low);
@@ -139,10 +139,10 @@ impl SampleOptions {
     }
 }
 
-/// Makes sample `index`. It is a function of recipe, options and index alone. The imager has been prepared.
+/// Makes sample `index`, which depends on recipe, options and index alone. The imager must be prepared.
 ///
 /// # Errors
-/// Those of [`SampleOptions::check`] and of the engine, [`Error::Interrupted`].
+/// Errors of [`SampleOptions::check`] and of the engine, [`Error::Interrupted`].
 pub fn training_sample(
     recipe: &CheckedRecipe,
     specimen: &dyn Specimen,
@@ -157,7 +157,7 @@ pub fn training_sample(
     let electrons_per_pixel = dose * (10.0 * raster.pixel_nm).powi(2);
     let size = options.size_px;
     let place_nm = raster.places_nm();
-    // Each sample has rows of its own in an endless field of noise.
+    // Each sample takes its noise from other rows of an endless field of noise.
     let origin_px = [(index as usize).wrapping_mul(size), 0];
     let noise = Noise {
         seed: options.seed,
@@ -187,7 +187,7 @@ pub fn training_sample(
 }
 
 impl TrainingSample {
-    /// Draws and lists the columns and particles.
+    /// Draws the heat map and the masks, and lists the columns and particles.
     fn label(&mut self, specimen: &dyn Specimen, sigma_px: f64) {
         let raster = self.raster;
         let region = raster.region();

@@ -14,10 +14,10 @@ use crate::recipe::CheckedRecipe;
 use crate::rng::{self, Purpose};
 use crate::specimen::Specimen;
 
-/// Edge in pixels of the blocks that images are made of, each once.
+/// Edge in pixels of the blocks that images are cut from; each block is made once.
 const BLOCK_PX: usize = 128;
 
-/// What is asked for.
+/// The options of a training set.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrainingOptions {
     /// Number of tiles.
@@ -33,7 +33,7 @@ pub struct TrainingOptions {
 }
 
 impl TrainingOptions {
-    /// What is to be said where tiles of a field of so many rows and columns have to overlap.
+    /// Warns where tiles of a field of `shape` [rows, columns] have to overlap.
     pub fn crowding(&self, shape: [usize; 2]) -> Option<String> {
         let room: usize = shape.map(|n| n / self.size_px.max(1)).iter().product();
         let shown = self.tiles as f64 * (self.size_px as f64).powi(2);
@@ -51,7 +51,7 @@ impl TrainingOptions {
     }
 }
 
-/// What a column is, as class masks and lists have it; 0 is background.
+/// The classes of columns in class masks and lists; 0 is background.
 pub const COLUMN_CLASSES: [&str; 5] =
     ["background", "pristine", "vacancies", "substitutions", "vacancies and substitutions"];
 
@@ -59,13 +59,13 @@ pub const COLUMN_CLASSES: [&str; 5] =
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct TrainingSet {
-    /// Counted electrons over those of a pixel: fractions of the beam with noise.
+    /// Images with noise, as fractions of the beam: counted electrons divided by the electrons that fell on a pixel.
     pub images: Array3<f32>,
-    /// The same without noise; no tiles where the noise is that of a recording.
+    /// The images without noise; no tiles where the noise is that of a recording.
     pub clean: Array3<f32>,
     /// Gaussians of height 1 about columns; the nearest column counts.
     pub heat_maps: Array3<f32>,
-    /// Index into [`COLUMN_CLASSES`] of the column whose heat map is above one half there.
+    /// Index into [`COLUMN_CLASSES`]: the class of the nearest column where its heat map is above one half.
     pub class_masks: Array3<u8>,
     /// Phase of each pixel, as an index into the phases of the specimen.
     pub phase_masks: Array3<i32>,
@@ -83,7 +83,7 @@ pub struct TrainingSet {
     pub pixel_angstrom: f64,
 }
 
-/// Makes the tiles. The imager has been prepared.
+/// Makes the tiles. The imager must be prepared.
 ///
 /// # Errors
 /// [`Error::Invalid`] for tiles larger than the field and options out of limits; those of the engine,
@@ -141,7 +141,7 @@ fn check(recipe: &CheckedRecipe, options: &TrainingOptions) -> Result<()> {
     Ok(())
 }
 
-/// Checks the lengths in pixels, for a field of so many rows and columns.
+/// Checks the lengths in pixels for a field of `shape` [rows, columns].
 pub(crate) fn check_sizes(shape: [usize; 2], options: &TrainingOptions) -> Result<()> {
     let least = shape[0].min(shape[1]);
     let refuse =
@@ -157,7 +157,7 @@ pub(crate) fn check_sizes(shape: [usize; 2], options: &TrainingOptions) -> Resul
     Ok(())
 }
 
-/// First pixel (row, column) in the built field, and dose, of a tile.
+/// Draws the first pixel (row, column) of a tile in the built field, and its dose.
 fn draw(recipe: &CheckedRecipe, options: &TrainingOptions, tile: u64) -> ([usize; 2], f64) {
     let shape = recipe.field.pixels(recipe.field.built_grid());
     let share = rng::uniform(options.seed, Purpose::Tile, 2, tile);
@@ -165,7 +165,7 @@ fn draw(recipe: &CheckedRecipe, options: &TrainingOptions, tile: u64) -> ([usize
     (corner(shape, options, tile), libm::exp(low + share * (high - low)))
 }
 
-/// First pixel (row, column) of a tile in a field of so many rows and columns.
+/// Draws the first pixel (row, column) of a tile in a field of `shape` [rows, columns].
 pub(crate) fn corner(shape: [usize; 2], options: &TrainingOptions, tile: u64) -> [usize; 2] {
     [0, 1].map(|k| {
         let room = shape[k] - options.size_px + 1;
@@ -174,7 +174,8 @@ pub(crate) fn corner(shape: [usize; 2], options: &TrainingOptions, tile: u64) ->
     })
 }
 
-/// Images put together from blocks of the field that is built: no block reaches beyond it, so a small world is made once.
+/// Images of tiles, cut from blocks of the built field. No block reaches beyond the field, so every pixel of a small world is simulated
+/// once.
 struct TileBlocks<'a> {
     recipe: &'a CheckedRecipe,
     imager: &'a dyn RegionImager,
@@ -222,7 +223,7 @@ impl TileBlocks<'_> {
     }
 }
 
-/// The columns of all tiles, one after the other.
+/// The columns of all tiles, tile after tile.
 #[derive(Default)]
 pub(crate) struct ColumnLists {
     tiles: Vec<i32>,
@@ -231,7 +232,7 @@ pub(crate) struct ColumnLists {
 }
 
 impl ColumnLists {
-    /// A column of a tile, at (row, column) in pixels, with its facts.
+    /// Adds a column of a tile at (row, column) in pixels, with its facts.
     pub(crate) fn add(&mut self, tile: usize, at: [f64; 2], facts: [i32; 5]) {
         self.tiles.push(tile as i32);
         self.positions.push([1, 0].map(|k| at[k] as f32));
@@ -263,14 +264,14 @@ impl TrainingSet {
         }
     }
 
-    /// Notes where a tile lies, by its first pixel (row, column) in the full field.
+    /// Records the place of a tile: its first pixel (row, column) in the full field.
     pub(crate) fn place(&mut self, tile: usize, first: [usize; 2]) {
         let half = 0.5 * (self.images.len_of(Axis(1)) as f64 - 1.0);
         let centre = [1, 0].map(|k| (first[k] as f64 + half) * 0.1 * self.pixel_angstrom);
         self.centres_nm.row_mut(tile).assign(&Array1::from(centre.to_vec()));
     }
 
-    /// Draws the columns of a tile, and lists those in it.
+    /// Draws the columns of a tile, and lists the columns in it.
     fn label(
         &mut self,
         tile: usize,
@@ -282,7 +283,7 @@ impl TrainingSet {
     ) {
         let pixel = recipe.field.pixel_nm();
         let around = pixels.region(pixel).grown(REACH_SIGMAS * sigma_px * pixel);
-        // from the centre of the tile's first pixel
+        // Positions count from the centre of the tile's first pixel.
         let origin = [1, 0].map(|k| (pixels.first[k] as f64) * pixel);
         let (_, columns) = list(&specimen.query(&around), origin, 0);
         let mut heat = self.heat_maps.index_axis_mut(Axis(0), tile);

@@ -1,4 +1,4 @@
-//! Ground truth: writes what is known of the built field, stripe by stripe.
+//! Writes the ground truth of the built field, stripe by stripe.
 
 use super::field_recording::{FieldRecording, region_of};
 use crate::acquisition::{ScanFrame, ScanPath};
@@ -14,21 +14,21 @@ use crate::world::region_truth::{
     ColumnTruth, SiteTruth, boundary_parts, list, phase_map, phases_of_points,
 };
 
-/// What was listed.
+/// Numbers of sites and columns in the ground truth.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[non_exhaustive]
 pub struct Counts {
     /// Lattice sites.
     pub sites: u64,
-    /// Vacant ones.
+    /// Vacant sites.
     pub vacancies: u64,
-    /// Those that hold another element.
+    /// Sites that hold another element.
     pub substitutions: u64,
     /// Atomic columns.
     pub columns: u64,
 }
 
-/// Writes sites, columns, boundaries, phases and particles; of a recording along `path` where columns appear, and its drift.
+/// Writes sites, columns, boundaries, phases and particles; for a recording along `path` also its drift, and where columns appear.
 ///
 /// # Errors
 /// Those of the writer, and [`crate::Error::Interrupted`].
@@ -70,7 +70,7 @@ pub fn write(
     Ok(counts)
 }
 
-/// Where a column at (x, y) in nm appears, in pixels: the mean of all frames.
+/// Computes where a column at (x, y) in nm appears, in pixels: the mean of all frames.
 fn appearance(path: &ScanPath, position_nm: [f32; 2]) -> [f32; 2] {
     let position_nm = position_nm.map(f64::from);
     let frames = path.frames();
@@ -81,8 +81,8 @@ fn appearance(path: &ScanPath, position_nm: [f32; 2]) -> [f32; 2] {
     sum.map(|s| (s / frames as f64) as f32)
 }
 
-/// Writes what is known of a recording: its sites and columns, and the phases, boundaries and particles in it. `origin_nm` is the
-/// place of its first pixel in the full field.
+/// Writes the truth of a recording: its sites and columns, and the phases, boundaries and particles in it. `origin_nm` is the place of its
+/// first pixel in the full field.
 ///
 /// # Errors
 /// Those of the writer.

@@ -1,4 +1,4 @@
-//! The work folder of a build, `<output>.work`: finished sub-tiles, and what else an interrupted build goes on from.
+//! The work folder of a build, `<output>.work`: finished sub-tiles, library and audits, from which an interrupted build continues.
 
 use std::fs::{self, File};
 use std::io::{self, Read};
@@ -16,20 +16,20 @@ use crate::files::{OutputLock, atomic_write};
 use crate::imaging::{Cache, KeptAudits};
 use crate::progress::Progress;
 
-/// Says that the world is whole.
+/// File that marks the world as complete.
 const COMPLETE_FILE: &str = "complete.json";
 
-/// See the module.
+/// The work folder of a build, `<output>.work`.
 #[derive(Debug, Clone)]
 pub struct WorkFolder {
     output: PathBuf,
     folder: PathBuf,
 }
 
-/// What [`COMPLETE_FILE`] holds.
+/// Contents of [`COMPLETE_FILE`].
 #[derive(Serialize, Deserialize)]
 struct Complete {
-    /// What was asked for.
+    /// Recipe, options and version that were built.
     request: String,
     /// SHA-256 of the world.
     sha256: String,
@@ -37,7 +37,7 @@ struct Complete {
 }
 
 impl WorkFolder {
-    /// That of an output; it may not be there.
+    /// Returns the work folder of an output; it need not exist.
     pub fn of(output: &Path) -> Self {
         WorkFolder { output: output.to_owned(), folder: work_folder(output) }
     }
@@ -46,7 +46,7 @@ impl WorkFolder {
         &self.folder
     }
 
-    /// Makes it.
+    /// Creates the folder.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -54,17 +54,17 @@ impl WorkFolder {
         fs::create_dir_all(&self.folder).map_err(|e| Error::io(&self.folder, "create", e))
     }
 
-    /// Removes it where nothing lies in it.
+    /// Removes the folder if it is empty.
     pub fn remove_if_empty(&self) {
         let _ = fs::remove_dir(&self.folder);
     }
 
-    /// Bytes that lie in it.
+    /// Counts the bytes in the folder.
     pub fn bytes(&self) -> u64 {
         footprint::folder_bytes(&self.folder)
     }
 
-    /// Where simulations of the library are kept if the cache does not.
+    /// Returns the folder for simulations of the library that the cache cannot keep.
     pub fn library(&self) -> PathBuf {
         self.folder.join("library")
     }
@@ -73,7 +73,7 @@ impl WorkFolder {
         KeptAudits::at(self.folder.join("audits"))
     }
 
-    /// The sub-tiles of a build that `key` describes; with `replace` those of another are removed.
+    /// Opens the sub-tiles of the build that `key` describes; with `replace` sub-tiles of another build are removed.
     ///
     /// # Errors
     /// As [`SubtileStore::open`].
@@ -86,7 +86,7 @@ impl WorkFolder {
         SubtileStore::open(&self.output, key, replace, progress)
     }
 
-    /// Notes that `world`, not yet in its place, is what was asked for.
+    /// Records that `world`, not yet at its final path, is the complete result of `request`.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -99,7 +99,7 @@ impl WorkFolder {
         atomic_write::write(&path, text.as_bytes())
     }
 
-    /// What an earlier run built, if the output is the world that was asked for and only what comes after it may be missing.
+    /// Returns the summary of an earlier run if `output` is the world of this request; only the steps after the world may then be missing.
     pub fn completed(&self, request: &str) -> Option<BuildSummary> {
         let text = fs::read_to_string(self.folder.join(COMPLETE_FILE)).ok()?;
         let complete: Complete = serde_json::from_str(&text).ok()?;
@@ -107,13 +107,13 @@ impl WorkFolder {
         same.then(|| BuildSummary { path: self.output.clone(), ..complete.summary })
     }
 
-    /// Refuses a file where an unfinished one of this build would go, unless an interrupted run has left it.
+    /// Refuses a file at the path of an unfinished file of this build, unless an interrupted run has left it.
     ///
     /// # Errors
     /// [`Error::Invalid`].
     pub fn check_partial(&self, partial: &Path) -> Result<()> {
         let there = fs::symlink_metadata(partial);
-        // A link would have the unfinished file written elsewhere: no run has left it.
+        // An unfinished file written through a link would land elsewhere, and no run leaves a link.
         let link = there.as_ref().is_ok_and(|there| !there.is_file());
         if there.is_err() || (self.folder.is_dir() && !link) {
             return Ok(());
@@ -122,7 +122,7 @@ impl WorkFolder {
         Err(Error::invalid(crate::Setting::Output, partial.display(), expected))
     }
 
-    /// Removes what is in it, and the folder if nothing else lies there.
+    /// Removes the contents of a build, and the folder if nothing else lies there.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -132,7 +132,7 @@ impl WorkFolder {
         let _ = fs::remove_dir(self.library());
         self.audits().clear()?;
         SubtileStore::clear(&self.folder)?;
-        // Last: as long as it is there, the world is finished and not refused.
+        // This file is removed last: while it is there, the world counts as finished and is not refused.
         let complete = self.folder.join(COMPLETE_FILE);
         match fs::remove_file(&complete) {
             Err(e) if e.kind() != io::ErrorKind::NotFound => {
@@ -145,8 +145,8 @@ impl WorkFolder {
     }
 }
 
-/// Removes what a run leaves beside a whole world if it is ended in its very last steps: an empty work folder and a lock. Both stay
-/// where another process holds the lock.
+/// Removes the empty work folder and the lock that a run leaves beside a complete world if it ends in its last steps. Both stay where
+/// another process holds the lock.
 pub fn remove_leftovers(output: &Path) {
     let work = WorkFolder::of(output);
     if !work.path().exists() && !beside(output, LOCK).exists() {

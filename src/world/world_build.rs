@@ -30,13 +30,12 @@ use crate::recipe::CheckedRecipe;
 use crate::simulation::check_hdf5_name;
 use crate::specimen::{Specimen, estimated_sites, specimen};
 
-/// Builds the world of `recipe` into the file `output`, as `stemgen build` does. Finished sub-tiles are kept in the folder
-/// `<output>.work` until the file is complete; a build that finds them goes on from there.
+/// Builds the world of `recipe` into the file `output`, as `stemgen build` does. Finished sub-tiles are kept in the folder `<output>.work`
+/// until the file is complete; a later build that finds them continues from there.
 ///
 /// # Errors
-/// [`Error::Invalid`] when `output` exists, [`Error::Locked`] when another process builds it,
-/// [`Error::DiskSpace`] when there is no room for it, [`Error::Interrupted`] when asked to stop, and
-/// those of the recipe, the engine, the file system and HDF5.
+/// [`Error::Invalid`] when `output` exists, [`Error::Locked`] when another process builds it, [`Error::DiskSpace`] when the disk has too
+/// little room, [`Error::Interrupted`] when asked to stop, and errors of the recipe, the engine, the file system and HDF5.
 pub fn build(
     recipe: &CheckedRecipe,
     output: &Path,
@@ -46,13 +45,13 @@ pub fn build(
     WorldBuild::new(recipe, options)?.run(output, progress)
 }
 
-/// A build that is laid out: what it takes can be asked before it runs.
+/// A build that is laid out but has not run: its cost is known before it runs.
 pub struct WorldBuild {
     pub(super) layout: BuildLayout,
     pub(super) policy: BuildPolicy,
-    /// An imager that takes the place of what the options choose.
+    /// An imager of the caller, in place of the imager that the options choose.
     pub(super) own: Option<Box<dyn RegionImager>>,
-    /// What the options choose: the field has to be looked at for it, once.
+    /// The imager that the options choose. Choosing it looks at the whole field, and is done once.
     pub(super) chosen: OnceLock<ChosenImager>,
 }
 
@@ -66,8 +65,7 @@ impl WorldBuild {
         WorldBuild::of_parts(recipe, options, specimen, policy, None)
     }
 
-    /// A build whose images come from an imager of one's own; `imager` makes it for the specimen that was laid out.
-    /// No audit is made.
+    /// Lays out a build with an imager of the caller; `imager` makes it for the specimen that was laid out. No audit is made.
     ///
     /// # Errors
     /// Those of the options, the specimen and `imager`.
@@ -88,7 +86,7 @@ impl WorldBuild {
         policy: BuildPolicy,
         own: Option<Box<dyn RegionImager>>,
     ) -> Result<Self> {
-        // What cannot be recorded is told before the work.
+        // A field that cannot be recorded is refused before the work.
         let scan = FieldScan::of(recipe)?;
         let detectors = recipe.detector.count();
         if scan.is_some() && detectors > 1 {
@@ -123,18 +121,18 @@ impl WorldBuild {
         &self.layout.specimen
     }
 
-    /// What the options come to.
+    /// Returns the method, the check and the sub-tiles that the options choose.
     pub fn policy(&self) -> &BuildPolicy {
         &self.policy
     }
 
-    /// What is to be said of the accuracy, and of the files of crystals and atoms.
+    /// Returns the warnings about the accuracy and about the files of crystals and atoms.
     ///
     /// # Errors
     /// Those of the settings.
     pub fn warnings(&self) -> Result<Vec<String>> {
         let mut warnings = self.policy.warnings.clone();
-        // Choosing an imager takes a look at the whole field.
+        // Only a recipe with a layer needs the imager here: choosing it looks at the whole field.
         if let Some(warning) = layer_warning(&self.layout.recipe)
             && self.own.is_none()
             && self.chosen()?.shares()
@@ -145,13 +143,13 @@ impl WorldBuild {
         Ok(warnings)
     }
 
-    /// Number of sub-tiles, and rows and columns of pixels of each.
+    /// Returns the number of sub-tiles, and their shape [rows, columns] in pixels.
     pub fn subtiles(&self) -> (usize, [usize; 2]) {
         let shape = self.layout.partition.subtiles().next().map_or([1, 1], |t| t.shape());
         (self.layout.partition.len(), shape)
     }
 
-    /// The simulation of one sub-tile, and how far apart its probes are (x, y) in Angstrom.
+    /// Returns the simulation of one sub-tile, and the distance of its probes (x, y) in Angstrom.
     ///
     /// # Errors
     /// Those of the plan.
@@ -161,7 +159,7 @@ impl WorldBuild {
         rectangle_plan(&self.layout.imaged, &*self.layout.specimen, simulator, shape, count)
     }
 
-    /// What making the image will take.
+    /// Estimates the cost of the image.
     ///
     /// # Errors
     /// Those of the plan.
@@ -182,7 +180,7 @@ impl WorldBuild {
         Ok(self.chosen.get_or_init(|| chosen))
     }
 
-    /// The mosaic that the image is made from, with its library, if it is.
+    /// Returns the mosaic that the image is made from, with its library; `None` if the image is made otherwise.
     ///
     /// # Errors
     /// Those of the settings.
@@ -191,7 +189,7 @@ impl WorldBuild {
         self.policy.imaging.mosaic(imaged, specimen)
     }
 
-    /// What the audit before the build takes, if there is one; `cost` is that of the image.
+    /// Estimates the cost of the audit before the build, if one is made; `cost` is the cost of the image.
     ///
     /// # Errors
     /// Those of the plan.
@@ -209,8 +207,8 @@ impl WorldBuild {
         audited.map(|options| audit_cost(imaged, &**specimen, options)).transpose()
     }
 
-    /// Bytes of memory that the largest arrays of the build take at a time on so many threads, those of its audit too, and what
-    /// takes less. `cost` is that of the image.
+    /// Estimates the bytes of memory of the largest arrays that the build, or its audit, holds at a time on `threads` threads; also returns
+    /// advice on how to need less. `cost` is the cost of the image.
     ///
     /// # Errors
     /// Those of the plan.
@@ -223,7 +221,7 @@ impl WorldBuild {
         })
     }
 
-    /// Bytes on disk that the build needs beside its output, sub-tiles included; the cache and companions come on top.
+    /// Estimates the bytes on disk that the build needs, output and sub-tiles included; the cache and companions come on top.
     pub fn disk_bytes(&self) -> u64 {
         self.world_bytes() + self.work_bytes()
     }
@@ -240,13 +238,13 @@ impl WorldBuild {
         footprint::world_bytes(&recipe.field, sites, images)
     }
 
-    /// Whether an earlier run of this build has finished the world `output` and was ended before it could put all in order:
-    /// [`WorldBuild::run`] then does that, and replaces nothing.
+    /// Whether an earlier run of this build has finished the world `output` but ended before its last steps. [`WorldBuild::run`] then makes
+    /// those steps, and replaces nothing.
     pub fn is_complete(&self, output: &Path) -> bool {
         WorkFolder::of(output).completed(&self.request()).is_some()
     }
 
-    /// Builds; see [`build`].
+    /// Builds the world, as [`build`] does.
     ///
     /// # Errors
     /// As [`build`].
@@ -254,8 +252,8 @@ impl WorldBuild {
         self.run_with(output, &[], progress)
     }
 
-    /// Builds a world and the files that belong to it; see [`build`]. Where the companions go is not checked. A build that is ended before
-    /// all are there goes on with them.
+    /// Builds a world as [`build`] does, and the files that belong to it. The paths of the companions are not checked. If a run ends before
+    /// all companions are written, the next run writes the others.
     ///
     /// # Errors
     /// As [`build`], and those of the companions.
@@ -269,7 +267,7 @@ impl WorldBuild {
         let (started, work, request) = (Instant::now(), WorkFolder::of(output), self.request());
         self.check_output(output, work.completed(&request).is_some())?;
         let _lock = OutputLock::hold(output)?;
-        // Again, for what another process did meanwhile.
+        // Checked once more, now under the lock: another process may have finished the world meanwhile.
         let completed = work.completed(&request);
         self.check_output(output, completed.is_some())?;
         let partials = std::iter::once(output).chain(companions.iter().map(|c| c.path));
@@ -292,7 +290,7 @@ impl WorldBuild {
             .inspect_err(|_| remove_leftovers(output))
     }
 
-    /// Makes the world, up to its place.
+    /// Makes the world and moves it to its final path.
     fn make(
         self,
         output: &Path,
@@ -303,7 +301,7 @@ impl WorldBuild {
         if !self.layout.options.overwrite {
             SubtileStore::check_recipe(output, &self.layout.recipe.to_toml())?;
         }
-        // First, so that unfinished files are known to be of a build.
+        // The work folder is made first: its presence shows that an unfinished file belongs to a build.
         work.create()?;
         try_partial(output)?;
         companions.iter().try_for_each(try_companion)?;
@@ -334,11 +332,11 @@ impl WorldBuild {
             check_outputs([output], [] as [&Path; 0], layout.options.overwrite)?;
             place(&partial, output).map(|()| summary)
         };
-        // What is left where that failed is of no use; the reason matters more.
+        // If publishing fails, the partial file is removed and the first error is returned.
         publish().inspect_err(|_| drop(fs::remove_file(&partial)))
     }
 
-    /// What decides the file, but for what the imager turns out to be.
+    /// Describes all settings that decide the bytes of the file, except the imager that will be chosen.
     fn request(&self) -> String {
         let options =
             BuildOptions { cache: Cache::none(), overwrite: false, ..self.layout.options.clone() };
@@ -351,7 +349,7 @@ impl WorldBuild {
         request.to_string()
     }
 
-    /// Finds, without looking at the field, that a disk has no room for what will be written.
+    /// Finds, without looking at the field, whether a disk has too little room for the files of the build.
     ///
     /// # Errors
     /// [`Error::DiskSpace`].
@@ -359,7 +357,7 @@ impl WorldBuild {
         self.check_space(output, companions, 0)
     }
 
-    /// Bytes on disk of the library's images that are yet to be made.
+    /// Estimates the bytes on disk of the library's images that are yet to be made.
     fn library_bytes(&self) -> Result<u64> {
         let (count, shape) = self.subtiles();
         let mosaic = self.chosen()?.imager.cost(shape, count)?.mosaic;
@@ -368,7 +366,7 @@ impl WorldBuild {
 
     fn check_space(&self, output: &Path, companions: &[Companion], library: u64) -> Result<()> {
         let work = WorkFolder::of(output);
-        // A cache without room is no fault: the work folder then keeps what it can.
+        // A cache without room is no error: the work folder then keeps the images.
         let cache = self.policy.imaging.cache.folder();
         let cache = cache.filter(|f| disk_space::free_bytes_below(f).is_none_or(|b| b > library));
         let sub_tiles = self.work_bytes();
@@ -383,7 +381,7 @@ impl WorldBuild {
     }
 }
 
-/// An imager that is right enough, ready, and its audit.
+/// Prepares an imager that passes the check of the policy; also returns its audit.
 pub(super) fn checked(
     layout: &BuildLayout,
     policy: &BuildPolicy,
@@ -422,7 +420,7 @@ mod tests {
             "domains.boundaries=0",
         ];
         let changes: Vec<Override> = changes.iter().map(|c| c.parse().unwrap()).collect();
-        // Domains have two crystals.
+        // A recipe of domains has two crystals.
         let (parsed, laid_out) = (PARSED.get(), LAID_OUT.get());
         let recipe = Recipe::load("batio3", crate::recipe::Difficulty::Easy).unwrap();
         let recipe = recipe.with_overrides(&changes).unwrap().checked().unwrap();

@@ -1,4 +1,4 @@
-//! What a world file holds, in numbers.
+//! The contents of a world file in numbers.
 
 use serde::Serialize;
 
@@ -9,7 +9,7 @@ use crate::imaging::Audit;
 use crate::io::{RecordedSource, WorldFile};
 use crate::recipe::{Difficulty, Recipe};
 
-/// What a world file holds. What the file does not tell is `None`.
+/// The contents of a world file in numbers. A value that the file does not state is `None`.
 #[derive(Debug, Clone, Serialize)]
 #[non_exhaustive]
 pub struct WorldFacts {
@@ -19,7 +19,7 @@ pub struct WorldFacts {
     pub tier: Option<Difficulty>,
     /// Seed of all random numbers.
     pub seed: Option<u64>,
-    /// Where readers should say that the data come from: `synthetic_replay`.
+    /// Origin of the data that readers should state: `synthetic_replay`.
     pub source: Option<String>,
     /// Direction of the beam in the crystal.
     pub zone_axis: Option<String>,
@@ -43,17 +43,17 @@ pub struct WorldFacts {
     pub convergence_mrad: Option<f64>,
     /// The detectors, the main one first.
     pub detectors: Vec<Detector>,
-    /// Phonon configurations that the image is the mean of.
+    /// Number of phonon configurations that the image averages.
     pub phonon_configurations: Option<usize>,
     /// Electrons per square Angstrom.
     pub dose_electrons_per_angstrom2: Option<f64>,
-    /// Whether the tiles hold the noise of that dose.
+    /// Whether the tiles hold the noise of the dose.
     pub noise: Option<bool>,
     /// Whether the file holds the noise-free image too.
     pub noise_free_image: bool,
-    /// What the tiles were recorded with.
+    /// The settings of the recording, if the tiles were recorded.
     pub recording: Option<RecordingFacts>,
-    /// Where the image comes from, if it was recorded and not simulated.
+    /// Origin of the image, if it was recorded at a microscope and not simulated.
     pub recorded: Option<RecordedSource>,
     /// Lattice sites, vacant ones included.
     pub sites: usize,
@@ -67,36 +67,36 @@ pub struct WorldFacts {
     pub grain_boundaries: usize,
     /// Lines between phases.
     pub phase_boundaries: usize,
-    /// Names of the phases, by their codes; empty where there is one.
+    /// Names of the phases, in the order of their codes; empty for a single phase.
     pub phases: Vec<String>,
     /// Particles that reach into the image.
     pub particles: usize,
-    /// Engine that simulated it.
+    /// Name of the engine that simulated the image.
     pub engine: Option<String>,
-    /// Its settings.
+    /// Settings of the engine.
     pub engine_parameters: Option<serde_json::Value>,
-    /// The error that an audit beforehand found.
+    /// The audit before the build, with the error that it found.
     pub audit: Option<Audit>,
     /// Version of stemgen that built it.
     pub stemgen_version: Option<String>,
-    /// Version of pixel values.
+    /// Version of the numerics, which changes when pixel values change.
     pub numerics_version: Option<u32>,
     /// Time that the last run of the build took, in s.
     pub wall_time_s: Option<f64>,
 }
 
-/// What the tiles of a world were recorded with.
+/// The settings that the tiles of a world were recorded with.
 #[derive(Debug, Clone, Serialize)]
 #[non_exhaustive]
 pub struct RecordingFacts {
     /// Current of the beam in pA.
     pub beam_current_pa: Option<f64>,
-    /// Everything else.
+    /// Settings of scan and detector.
     pub acquisition: Acquisition,
 }
 
 impl WorldFacts {
-    /// Reads them from a world.
+    /// Reads the facts from a world.
     ///
     /// # Errors
     /// [`crate::Error::Invalid`] for a damaged file.

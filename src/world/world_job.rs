@@ -21,11 +21,11 @@ use crate::progress::{Progress, ProgressShare};
 use crate::recipe::{CheckedRecipe, DetectorTables};
 use crate::specimen::Specimen;
 
-/// What is built, and in which parts.
+/// The recipe, specimen and options of a build, and its partition into sub-tiles.
 pub struct BuildLayout {
     pub recipe: CheckedRecipe,
-    /// The recipe that images are made of: that of the world, with its pixels divided into `parts` x `parts` where a recording needs
-    /// them finer.
+    /// The recipe that images are made of: the recipe of the world, with its pixels divided into `parts` x `parts` where a recording needs
+    /// finer pixels.
     pub imaged: CheckedRecipe,
     pub parts: usize,
     pub specimen: Arc<dyn Specimen>,
@@ -42,7 +42,7 @@ pub struct Job<'a> {
 }
 
 impl Job<'_> {
-    /// All that decides the image of a sub-tile.
+    /// Describes all settings that decide the image of a sub-tile.
     pub fn key(&self) -> String {
         let key = serde_json::json!({
             "numerics": NUMERICS_VERSION,
@@ -54,13 +54,13 @@ impl Job<'_> {
         key.to_string()
     }
 
-    /// Makes the images that are missing; returns how many sub-tiles were there.
+    /// Makes the missing images; returns the number of sub-tiles that an earlier run had made.
     pub fn simulate(&self, store: &SubtileStore) -> Result<usize> {
         let [_, resumed] = self.simulate_part(store, Shard::WHOLE)?;
         Ok(resumed)
     }
 
-    /// The same for the sub-tiles of one of several processes; returns how many those are, and how many were there.
+    /// Makes the missing sub-tiles of one of several processes; returns the number of its sub-tiles, and how many of them were made before.
     pub fn simulate_part(&self, store: &SubtileStore, shard: Shard) -> Result<[usize; 2]> {
         let partition = &self.layout.partition;
         let tiles: Vec<SubTile> = partition.subtiles().filter(|t| shard.does(t.index)).collect();
@@ -92,7 +92,7 @@ impl Job<'_> {
         PixelRect::new(first, tile.shape())
     }
 
-    /// The images of a sub-tile on all detectors, one below the other.
+    /// Simulates the images of a sub-tile on all detectors, one below the other.
     fn simulate_one(&self, tile: &SubTile, progress: &dyn Progress) -> Result<Array2<f32>> {
         let configurations = self.layout.recipe.phonons.configurations.max(1);
         let images = self.imager.means_of(&self.pixels(tile), configurations, progress)?;
@@ -120,7 +120,7 @@ impl Job<'_> {
         }
     }
 
-    /// Writes the file from the sub-tiles and reads it back; returns what was listed, and the least and greatest value.
+    /// Writes the file from the sub-tiles and reads it back; returns the counts of the truth, and the least and greatest value.
     pub fn write_file(&self, path: &Path, store: &SubtileStore) -> Result<(Counts, [f32; 2])> {
         let BuildLayout { recipe, options, partition, parts, .. } = self.layout;
         let scan = FieldScan::of(recipe)?;
@@ -150,7 +150,7 @@ impl Job<'_> {
         Ok((counts, range))
     }
 
-    /// What was built; the time is not known yet.
+    /// Summarises the build; the time is not known yet.
     pub fn summary(
         &self,
         output: &Path,
@@ -213,7 +213,7 @@ impl Job<'_> {
     }
 }
 
-/// Reads back every tile: a write that failed without a word is found here.
+/// Reads back every tile to find a write that failed without an error.
 fn verify(path: &Path, counts: Counts) -> Result<()> {
     let world = WorldFile::open(path)?;
     let others = world.detectors().iter().skip(1).map(|d| world.on_detector(&d.name));

@@ -1,7 +1,7 @@
 //! A part of a build, for several processes that share it: on the machines of a cluster, or one after the other.
 //!
-//! Each makes its part of what a build keeps, the library's simulations and the sub-tiles, under the same names and keys. The build
-//! itself finds all of that and finishes. Which process does what depends on its number alone, and nothing is ever removed.
+//! Each process makes its part of the simulations of the library and of the sub-tiles, under the names and keys that a whole build uses.
+//! The build finds them and finishes. The part of a process depends on its number alone, and nothing is ever removed.
 
 use std::path::Path;
 use std::time::Instant;
@@ -18,38 +18,38 @@ use crate::imaging::RegionImager;
 use crate::progress::Progress;
 use crate::setting::Setting;
 
-/// What one of several processes did.
+/// The result of one of several processes.
 #[derive(Debug, Clone, Serialize)]
 #[non_exhaustive]
 pub struct ShardSummary {
-    /// Its number, from 0, and how many there are.
+    /// Number of the process, from 0, and the number of processes.
     pub shard: [usize; 2],
-    /// Simulations of the library that the parts of others still lack. Sub-tiles are made when there are none.
+    /// Number of simulations of the library that other processes have still to make. Sub-tiles are made when it is 0.
     pub library_lacks: usize,
-    /// Sub-tiles of its part that are there now.
+    /// Number of sub-tiles of this part that are stored now.
     pub subtiles: usize,
-    /// Those of them that were there before.
+    /// Number of sub-tiles of this part that were stored before.
     pub subtiles_resumed: usize,
-    /// Sub-tiles of the whole field.
+    /// Number of sub-tiles of the whole field.
     pub subtiles_of_field: usize,
     /// Time in s.
     pub wall_time_s: f64,
 }
 
 impl ShardSummary {
-    /// Whether its part is done.
+    /// Whether the part is done.
     pub fn is_done(&self) -> bool {
         self.library_lacks == 0
     }
 }
 
 impl WorldBuild {
-    /// Makes one of several parts of the world `output`: its simulations of the library, and, where those of all others are there too,
-    /// its sub-tiles. [`WorldBuild::run`] then finds the parts, makes what is missing, and writes the file; its bytes do not depend on
-    /// the number of parts. The first part makes the audit too.
+    /// Makes one of several parts of the world `output`: its simulations of the library, and, once the simulations of all other parts are
+    /// stored, its sub-tiles. [`WorldBuild::run`] then finds the parts, makes what is missing, and writes the file; its bytes do not depend
+    /// on the number of parts. The first part also makes the audit.
     ///
     /// # Errors
-    /// As [`WorldBuild::run`]. [`Error::Invalid`] where an audit decides how images are made, and for parts of another world: those are
+    /// As [`WorldBuild::run`]. [`Error::Invalid`] where an audit decides how images are made, and for parts of another world, which are
     /// never removed.
     pub fn run_part(
         self,

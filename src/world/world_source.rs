@@ -11,9 +11,9 @@ use crate::recipe::CheckedRecipe;
 
 /// A world that was built with its noise-free image.
 pub struct WorldSource<'a> {
-    /// It.
+    /// The world.
     pub world: &'a WorldFile,
-    /// Its recipe.
+    /// Recipe of the world.
     pub recipe: &'a CheckedRecipe,
 }
 

@@ -147,6 +147,12 @@ fn rings_make_any_annulus() {
             .concat(),
     );
     assert!(python("check_rings.py", &[&here.join("n.emd")]).starts_with("uint32 3 4 50"));
+    for html in [&[][..], &["--html"]] {
+        let told = fails(stemgen(here).args(["view", "n.emd"]).args(html));
+        assert!(told.contains("n.emd") && told.contains("sums over rings"), "{told}");
+    }
+    let told = fails(stemgen(here).args(["view", "n.emd", "--index", "1"]));
+    assert!(told.contains("--index") && told.contains("integrate"), "{told}");
     let refused = |arguments: &[&str], words: &str| {
         let told = fails(stemgen(here).args(arguments));
         assert!(told.contains(words), "{arguments:?}: {told}");

@@ -1,4 +1,4 @@
-//! `stemgen view --html` and `stemgen simulate --html`, used in headless Chromium by the scripts in
+//! `stemgen view --html`, of worlds and of patterns, and `stemgen simulate --html`, used in headless Chromium by the scripts in
 //! `tests/browser`, which compare what the pages say with the files.
 //!
 //! Without Chromium and chromedriver these tests say that they are skipped; with
@@ -135,6 +135,41 @@ fn the_page_of_simulated_images_says_what_the_file_says() {
     ];
     stemgen(folder.path(), &arguments);
     check("check_images.py", &[&folder.path().join("si.html"), &folder.path().join("si.h5")]);
+}
+
+#[test]
+fn the_page_of_patterns_says_what_the_files_say() {
+    let temporary = tempfile::tempdir().unwrap();
+    let look = std::env::var_os("STEMGEN_LOOK").map(|look| Path::new(&look).join("patterns"));
+    let folder = look.as_deref().unwrap_or(temporary.path());
+    std::fs::create_dir_all(folder).unwrap();
+    let structure = file("structures/si.cif").display().to_string();
+    let scan = "--repeat=4,4,2 --scan-start=8,8 --scan-end=10,9.5 --scan-points=4,3";
+    let detector = "--pixels=24 --max-angle=50 --overwrite --quiet";
+    let made = |name: &str, more: &[&str]| {
+        let mut arguments = vec!["patterns", &structure, "-o", name];
+        arguments.extend(scan.split(' ').chain(detector.split(' ')).chain(more.iter().copied()));
+        stemgen(folder, &arguments);
+    };
+    made("si.emd", &[]);
+    let images = ["--annulus=ring=15-32.5", "--com", "--overwrite", "--quiet"];
+    stemgen(folder, &[&["integrate", "si.emd"], &images[..]].concat());
+    stemgen(folder, &["view", "si.emd", "--html", "--overwrite", "--quiet"]);
+    let page = folder.join("si.html");
+    let mut files = vec![page.clone(), folder.join("si.emd"), folder.join("si_images.h5")];
+    files.extend(look.iter().map(|look| look.join("si.png")));
+    check("check_patterns.py", &files);
+    let text = std::fs::read(&page).unwrap();
+    let cut = folder.join("cut.html");
+    std::fs::write(&cut, &text[..text.len() * 3 / 5]).unwrap();
+    check("check_cut.py", &[&cut]);
+    // Counted electrons are kept as they are.
+    made("counts.emd", &["--dose=1e4"]);
+    stemgen(folder, &["view", "counts.emd", "--html", "--overwrite", "--quiet"]);
+    let text = std::fs::read_to_string(folder.join("counts.html")).unwrap();
+    assert!(text.contains("\"square\":false") && text.contains("\"scale\":1.0"));
+    stemgen(folder, &["view", "counts.emd", "-o", "mean.png", "--overwrite", "--quiet"]);
+    assert!(std::fs::metadata(folder.join("mean.png")).unwrap().len() > 1000);
 }
 
 /// Builds `MATERIAL_full.h5`, the whole field of `$STEMGEN_MATERIAL` with a stand-in for the engine,

@@ -1,30 +1,30 @@
-//! What a sample of probes tells of the error of an image.
+//! Estimates the error of an image from a sample of its probes.
 
 use super::probe_sample::DrawnCluster;
 
-/// So many standard errors are added to a mean square error before it counts as small enough.
+/// Number of standard errors that are added to a mean square error before it is compared with the allowed one.
 const STANDARD_ERRORS: f64 = 2.0;
 
-/// The error of images, (thickness, detector), from clusters of their probes.
+/// The error of images, (thickness, detector), estimated from clusters of their probes.
 #[derive(Debug, Clone, Default)]
 pub struct ErrorEstimate {
-    /// Of each cluster, for each image: its estimate of the image's mean square error, and of its mean.
+    /// For each cluster and image: its estimates of the image's mean square error and of the image's mean.
     clusters: Vec<Vec<[f64; 2]>>,
 }
 
-/// What an estimate says about an error that is asked for.
+/// Compares an estimate with the requested error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AccuracyVerdict {
-    /// The error is smaller.
+    /// The error is smaller than requested.
     Holds,
-    /// It is larger.
+    /// The error is larger than requested.
     Fails,
-    /// More probes will tell.
+    /// More probes are needed.
     Unclear,
 }
 
 impl ErrorEstimate {
-    /// Adds a cluster: values of `images` images for each of its probes, ours and exact.
+    /// Adds a cluster: the values of `images` images at each of its probes, from windows (`ours`) and from the exact engine.
     pub fn add(&mut self, cluster: &DrawnCluster, images: usize, ours: &[f64], exact: &[f64]) {
         let mut sums = vec![[0.0; 2]; images];
         let each = 1.0 / cluster.indices.len() as f64;
@@ -43,7 +43,7 @@ impl ErrorEstimate {
         self.clusters.len()
     }
 
-    /// Of the worst image, in per cent of its mean: the rms error, and the largest that is likely.
+    /// The rms error of the worst image, and its largest likely error, in per cent of the image's mean.
     pub fn percent(&self) -> [f64; 2] {
         let n = self.clusters.len() as f64;
         let images = self.clusters.first().map_or(0, Vec::len);
@@ -62,7 +62,7 @@ impl ErrorEstimate {
         (0..images).map(of).fold([0.0; 2], larger)
     }
 
-    /// Whether the error is at most so many per cent.
+    /// Compares the error with a requested one in per cent.
     pub fn verdict(&self, asked_percent: f64) -> AccuracyVerdict {
         let [found, likely] = self.percent();
         match () {

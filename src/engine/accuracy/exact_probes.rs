@@ -1,5 +1,6 @@
-//! The exact engine of a specimen without end: multislice over the whole cell, with the probe of a large box; in a wide cell, windows so
-//! wide that they give the same; in a narrow one, which crops too much off a probe, with the probe in the cell, as periodic codes have it.
+//! The exact engine for an infinite specimen: multislice over the whole cell, with the probe of a large box. In a wide cell it uses windows
+//! wide enough to give equal images. In a narrow cell, which would crop too much off a probe, the probe is made in the cell, as in periodic
+//! codes.
 
 use super::super::cost::Cost;
 use super::super::elements;
@@ -17,30 +18,30 @@ use crate::structure::Site;
 /// Width of the windows in Angstrom for a thin specimen in focus, at 200 kV and 21 mrad. GaAs \[110\] of 104 A in a cell 28 A wide
 /// differs by 0.04 % rms from one of 45 A.
 const WIDE_ANGSTROM: f64 = 26.0;
-/// It grows by this share of semiangle times thickness.
+/// The width grows by this share of semiangle times thickness.
 const SPREAD: f64 = 2.0;
-/// A cell is wide if it is wider than the windows by this factor: windows have a price.
+/// Windows are used in a cell that is wider than the windows by this factor, since they cost extra work.
 const WORTH: f64 = 1.3;
-/// A cell narrower than this, at 200 kV and 21 mrad, is narrow: more than 2.6 % of a probe lie outside, which only large angles can be
-/// corrected for.
+/// A cell narrower than this, at 200 kV and 21 mrad, is narrow: more than 2.6 % of a probe lie outside, and the correction for the outside
+/// works for large angles only.
 const NARROW_ANGSTROM: f64 = 15.0;
-/// Step times band limit of probes that a scan is interpolated from. The interpolation's error is then 0.01 % of the image's
-/// contrast, and 0.03 % at its edges ([`crate::resample::Kernel`]).
+/// Step times band limit of the probes from which a scan is interpolated. The interpolation's error is then 0.01 % of the image's contrast,
+/// and 0.03 % at its edges ([`crate::resample::Kernel`]).
 const PROBE_STEP: f64 = 0.42;
 
-/// The plan of the exact engine for a scan, and that for single probes.
+/// The plans of the exact engine for a scan and for single probes.
 pub struct ExactEngine {
-    /// For a scan: it is interpolated where that takes fewer probes, unless the settings say where probes are.
+    /// Plan for a scan. The scan is interpolated where this needs fewer probes, unless the settings give the probes' distance.
     pub plan: Plan,
-    /// Every probe by itself.
+    /// Plan that propagates every probe.
     pub each: Plan,
 }
 
 impl ExactEngine {
-    /// The engine with these settings otherwise, for atoms at these heights.
+    /// Plans the exact engine with otherwise equal settings, for atoms at these heights.
     ///
     /// # Errors
-    /// Those of [`Plan::new`].
+    /// Errors of [`Plan::new`].
     pub fn new(settings: &Settings, cell_angstrom: [f64; 3], heights: &[f64]) -> Result<Self> {
         let [x, y, thickness] = cell_angstrom;
         let width = WIDE_ANGSTROM * relative_size(settings).max(1.0)
@@ -69,7 +70,7 @@ impl ExactEngine {
         Ok(ExactEngine { plan: plan(&whole)?, each: plan(&each)? })
     }
 
-    /// What it is called.
+    /// Name of the engine for messages.
     pub fn name(&self) -> String {
         let settings = &self.plan.settings;
         match (settings.algorithm, settings.probe_box) {
@@ -81,7 +82,7 @@ impl ExactEngine {
         }
     }
 
-    /// Nominal operations of so many probes in one phonon configuration, potentials included.
+    /// Nominal operations of this number of probes in one phonon configuration, including the potentials.
     pub fn flops(&self, scan: &Scan, probes: usize) -> f64 {
         let cost = Cost::new(&self.each, scan).for_probes(probes);
         cost.nominal_flops() / f64::from(self.each.settings.configurations())
@@ -90,7 +91,7 @@ impl ExactEngine {
     /// Intensities of some probes of a scan in one phonon configuration of some atoms: (cluster, probe, thickness, detector).
     ///
     /// # Errors
-    /// Those of the engine.
+    /// Errors of [`simulate()`](super::super::simulate()).
     pub fn intensities(
         &self,
         sites: &[Site],
@@ -106,12 +107,12 @@ impl ExactEngine {
     }
 }
 
-/// How far apart the probes are that a scan is interpolated from.
+/// Distance of the probes from which a scan is interpolated.
 pub fn interpolated_step(settings: &Settings) -> ProbeStep {
     ProbeStep::Angstrom(PROBE_STEP / image_band_limit(&settings.optics))
 }
 
-/// Values of the probes of all clusters, cluster by cluster.
+/// Splits the probes' values by cluster.
 pub fn by_cluster(values: &[f64], clusters: &[DrawnCluster]) -> Vec<Vec<f64>> {
     let probes: usize = clusters.iter().map(|c| c.indices.len()).sum();
     let each = values.len() / probes.max(1);

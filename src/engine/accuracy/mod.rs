@@ -1,5 +1,4 @@
-//! The window for an error that is asked for: from a table ([`window_for`]), or measured on the specimen itself
-//! ([`settings_for_accuracy`]).
+//! The window for a requested error: from a table ([`window_for`]), or measured on the specimen ([`settings_for_accuracy`]).
 
 mod error_estimate;
 mod exact_probes;

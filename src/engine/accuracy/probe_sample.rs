@@ -1,39 +1,39 @@
-//! A sample of a scan's probes: spread over the scan, more of them where the image is bright. Drawn by counters, so that the
-//! same input gives the same probes.
+//! A sample of a scan's probes, spread over the scan, with more of them where the image is bright. Counters draw the probes, so that equal
+//! input gives equal probes.
 
 use super::super::probe_patches::blocks;
 use super::super::probe_scan::Scan;
 use crate::rng::{self, Purpose};
 use crate::structure::Site;
 
-/// Probes are drawn in clusters of this width in Angstrom, since probes near each other share the waves of a window.
+/// Width in Angstrom of the clusters in which probes are drawn. Neighbouring probes share the waves of a window.
 const CLUSTER_ANGSTROM: f64 = 3.6;
-/// This share of the sample is drawn by brightness, the rest evenly.
+/// Share of the sample that is drawn by brightness; the rest is drawn evenly.
 const BY_BRIGHTNESS: f64 = 0.5;
-/// An atom is as bright as this power of its atomic number, within this distance in Angstrom along x and y.
+/// Estimated brightness of an atom: this power of its atomic number, within this distance in Angstrom along x and y.
 const BRIGHTNESS: (f64, f64) = (1.7, 0.5);
 
-/// The probes of a scan with the chance of each to be drawn.
+/// The probes of a scan, each with its chance to be drawn.
 pub struct ProbeSample {
     /// Indices in the scan of the probes of each cluster, row-major.
     clusters: Vec<Vec<usize>>,
-    /// The chance of each probe of the scan; they add to 1.
+    /// The chance of each probe of the scan; the chances add to 1.
     chances: Vec<f64>,
     /// The sum of the chances in each cluster.
     cluster_chances: Vec<f64>,
 }
 
-/// Probes of one cluster.
+/// The drawn probes of one cluster.
 #[derive(Debug, Clone)]
 pub struct DrawnCluster {
-    /// Indices in the scan; one may come twice.
+    /// Indices in the scan; an index may occur twice.
     pub indices: Vec<usize>,
-    /// What a value at each counts in a mean over the scan: 1 over its chance and the number of the scan's probes.
+    /// Weight of each probe's value in a mean over the scan: 1 / (chance x number of the scan's probes).
     pub weights: Vec<f64>,
 }
 
 impl ProbeSample {
-    /// The probes of a scan of atoms in a cell of `cell_angstrom` (x, y).
+    /// Divides a scan into clusters and computes the chances, for atoms in a cell of `cell_angstrom` (x, y).
     pub fn new<'a>(
         scan: &Scan,
         sites: impl Iterator<Item = &'a Site>,
@@ -65,8 +65,8 @@ impl ProbeSample {
         self.clusters.len()
     }
 
-    /// Draws so many clusters with so many probes each, both at even distances in the sums of the chances; another `round`
-    /// draws others.
+    /// Draws `clusters` clusters with `probes` probes each, both at even distances in the sums of the chances. Another `round` draws
+    /// others.
     pub fn draw(&self, clusters: usize, probes: usize, round: u32) -> Vec<DrawnCluster> {
         let uniform = |n: u64| rng::uniform(0, Purpose::AccuracySample, round, n);
         let chosen = systematic(&self.cluster_chances, clusters, uniform(0));
@@ -82,7 +82,8 @@ impl ProbeSample {
     }
 }
 
-/// `number` items at even distances in the running sum of their sizes, from `start` (0 to 1) of such a distance on.
+/// Picks `number` items at even distances in the running sum of their sizes. `start` (0 to 1) is the place of the first, in units of the
+/// distance.
 fn systematic(sizes: &[f64], number: usize, start: f64) -> Vec<usize> {
     let distance = sizes.iter().sum::<f64>() / number as f64;
     let (mut at, mut sum) = (0, sizes[0]);
@@ -97,7 +98,7 @@ fn systematic(sizes: &[f64], number: usize, start: f64) -> Vec<usize> {
     (0..number).map(&mut item).collect()
 }
 
-/// How bright the image is at each probe, about: what the atoms near by would scatter each by itself.
+/// Estimates the brightness of the image at each probe, as if the nearby atoms scattered independently.
 fn brightness<'a>(
     scan: &Scan,
     sites: impl Iterator<Item = &'a Site>,
@@ -106,7 +107,7 @@ fn brightness<'a>(
     let [rows, columns] = scan.shape;
     let counts = [columns, rows];
     let mut out = vec![0.0; rows * columns];
-    // Lines of probes (columns or rows) that an atom, or an image of it in another cell, is near.
+    // Lines of probes (columns or rows) that an atom, or its image in another cell, is near to.
     let lines = |x: f64, k: usize| {
         let (step, cell) = (scan.step_angstrom[k], cell_angstrom[k]);
         let reach = BRIGHTNESS.1.max(0.5 * step);

@@ -1,7 +1,7 @@
-//! The settings that have the error that is asked for, measured on the specimen itself.
+//! Settings for a requested error, measured on the specimen.
 //!
-//! A sample of the scan's probes is simulated by the exact engine ([`ExactEngine`]), and again in windows exactly as the whole scan would
-//! be. The narrowest window whose error is small enough is taken; where none is, the exact engine.
+//! A sample of the scan's probes is simulated by the exact engine ([`ExactEngine`]), and again in windows, exactly as the whole scan would
+//! be. The narrowest window with a small enough error is chosen. If there is none, the exact engine is chosen.
 
 use super::super::cost::Cost;
 use super::super::elements;
@@ -20,61 +20,61 @@ use crate::structure::Site;
 use serde::Serialize;
 use std::collections::BTreeSet;
 
-/// Windows that are tried, in Angstrom at 200 kV and 21 mrad, and the least error in per cent for which each is the first to be
-/// tried.
+/// Windows that are tried, in Angstrom at 200 kV and 21 mrad, each with a least error in per cent. The search begins at the first window
+/// whose least error is not above the requested one.
 const WINDOWS: [(f64, f64); 6] =
     [(5.9, 3.0), (7.8, 0.8), (9.8, 0.6), (11.7, 0.3), (15.6, 0.0), (23.4, f64::INFINITY)];
-/// Windows are taken if they take less than this share of the exact engine's operations.
+/// Windows are used if they need less than this share of the exact engine's operations.
 const WORTH: f64 = 0.7;
-/// Clusters of a round of the sample, at least and at most, and probes of each.
+/// Smallest and largest number of clusters in a round of the sample, and probes of each cluster.
 const CLUSTERS: (usize, usize) = (8, 24);
 const PROBES: usize = 4;
-/// Rounds, each in another phonon configuration.
+/// Number of rounds; each has its own phonon configuration.
 const ROUNDS: u32 = 4;
-/// Frames of a trajectory that a round looks at.
+/// Frames of a trajectory that a round samples.
 const FRAMES: usize = 4;
-/// A round should take no more than this share of the operations of the whole scan.
+/// Largest share of the whole scan's operations that a round should need.
 const SHARE: f64 = 0.02;
 
 /// A window that was tried.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct TriedWindow {
-    /// Its width in Angstrom.
+    /// Width of the window in Angstrom.
     pub width_angstrom: f64,
     /// Rms error on the sample, in per cent of the mean image.
     pub found_percent: f64,
-    /// The largest that is likely for the whole image: two standard errors more.
+    /// Largest likely error of the whole image: the error on the sample plus two standard errors.
     pub likely_percent: f64,
-    /// Probes of the sample.
+    /// Number of probes in the sample.
     pub probes: usize,
 }
 
-/// What was found about the accuracy that was asked for.
+/// The result of the search for settings with a requested error.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct AccuracyFound {
-    /// The rms error that was asked for, in per cent of the mean image: of each image, if there are several.
+    /// The requested rms error, in per cent of the mean image. It applies to each image, if there are several.
     pub asked_percent: f64,
-    /// What was chosen.
+    /// The chosen algorithm.
     pub algorithm: Algorithm,
-    /// Whether the last of the windows that were tried is taken; otherwise the exact engine.
+    /// Whether the last tried window is used; otherwise the exact engine is.
     pub holds: bool,
-    /// Nothing was tried yet: the engine is chosen when the simulation runs.
+    /// Whether no window was tried yet: the engine is chosen when the simulation runs.
     pub chosen_later: bool,
-    /// The windows that were tried, in turn; if one holds, it is the last. Empty if the exact engine takes no longer.
+    /// The windows that were tried, in order. If one holds, it is the last. Empty if the exact engine is not slower.
     pub tried: Vec<TriedWindow>,
-    /// The exact engine that they were compared with.
+    /// Name of the exact engine that the windows were compared with.
     pub reference: String,
 }
 
 impl AccuracyFound {
-    /// The error that was found for the window that was taken; `None` for the exact engine.
+    /// The window that is used, with its error; `None` for the exact engine.
     pub fn window(&self) -> Option<&TriedWindow> {
         self.tried.last().filter(|_| self.holds)
     }
 
-    /// Nothing tried: the exact engine at once.
+    /// The result of a search without a tried window: the exact engine.
     pub fn exact(asked_percent: f64, exact: &ExactEngine) -> Self {
         let algorithm = exact.plan.settings.algorithm;
         let (tried, reference) = (Vec::new(), exact.name());
@@ -82,7 +82,7 @@ impl AccuracyFound {
         AccuracyFound { asked_percent, algorithm, holds, chosen_later, tried, reference }
     }
 
-    /// What was found, in a sentence.
+    /// Describes the result in a sentence.
     pub fn text(&self) -> String {
         let against = &self.reference;
         let each =
@@ -114,7 +114,7 @@ impl AccuracyFound {
     }
 }
 
-/// Per cent with two digits.
+/// Formats per cent with two digits.
 fn percent(value: f64) -> String {
     match value {
         v if v >= 9.95 => format!("{v:.0} %"),
@@ -124,14 +124,14 @@ fn percent(value: f64) -> String {
     }
 }
 
-/// Settings for the images of a scan whose rms error against the exact engine is at most `accuracy_percent` of the mean image,
-/// for every detector and thickness. The exact engine is [`ExactEngine`] with the same settings otherwise. Probes have norm 1 in a large
-/// box in both (see [`ProbeBox`](super::super::settings::ProbeBox)), unless the settings say where.
+/// Chooses settings for the images of a scan whose rms error against the exact engine is at most `accuracy_percent` of the mean image, for
+/// every detector and thickness. The exact engine is [`ExactEngine`] with otherwise equal settings. Probes have norm 1 in a large box in
+/// both (see [`ProbeBox`](super::super::settings::ProbeBox)), unless the settings give another box.
 ///
-/// `frames` are the atoms; of a trajectory, whose images are averaged, those of each frame. The sample is spread over them.
+/// `frames` holds the atoms of each frame; the images of a trajectory are averaged over its frames. The sample is spread over them.
 ///
 /// # Errors
-/// [`Error::Invalid`] for an accuracy that is not above 0, those of [`Plan::new`], and [`Error::Interrupted`].
+/// [`Error::Invalid`] for an accuracy that is not above 0, errors of [`Plan::new`], and [`Error::Interrupted`].
 pub fn settings_for_accuracy(
     accuracy_percent: f64,
     settings: &Settings,
@@ -164,8 +164,8 @@ pub fn settings_for_accuracy(
     Ok((chosen, found))
 }
 
-/// The heights of the atoms of a trajectory that its slices are made for: their means, where all frames have as many atoms, and
-/// otherwise those of the first.
+/// Heights of the atoms of a trajectory for which its slices are made: the means over the frames if all have equally many atoms, else the
+/// heights in the first frame.
 pub fn mean_heights(frames: &[&[Site]]) -> Vec<f64> {
     let first = frames.first().copied().unwrap_or_default();
     let alike = frames.iter().all(|f| f.len() == first.len());
@@ -174,7 +174,7 @@ pub fn mean_heights(frames: &[&[Site]]) -> Vec<f64> {
     (0..first.len()).map(mean).collect()
 }
 
-/// Frames, of so many, that a round of the sample looks at: all rounds together look at frames at even distances.
+/// Numbers of the frames that a round of the sample uses, of `count` frames. All rounds together use frames at even distances.
 fn frames_of_round(round: u32, count: usize) -> Vec<usize> {
     match count <= FRAMES {
         true => (0..count).collect(),
@@ -201,7 +201,7 @@ struct Round {
     parts: Vec<FrameSample>,
 }
 
-/// Clusters of probes on one frame, with what the exact engine makes of them.
+/// Clusters of probes on one frame, with the exact engine's values.
 struct FrameSample {
     frame: usize,
     clusters: Vec<DrawnCluster>,
@@ -209,7 +209,7 @@ struct FrameSample {
 }
 
 impl Search<'_> {
-    /// The settings with the narrowest window that holds, if there is one that saves time.
+    /// Finds the settings with the narrowest window that holds, if there is one that saves time.
     fn window(
         &self,
         tried: &mut Vec<TriedWindow>,
@@ -234,7 +234,7 @@ impl Search<'_> {
                 (sample, shape)
             });
             let per_round = shape[0] * shape[1];
-            // A sample of much of the scan would take as long as the scan.
+            // A sample of a large share of the scan would take as long as the scan.
             if 2 * per_round > self.asked.len() {
                 break;
             }
@@ -254,7 +254,7 @@ impl Search<'_> {
         Ok(None)
     }
 
-    /// Settings with windows, narrow ones first. All have the same probes.
+    /// Settings with windows, narrow ones first. All have equal probes.
     fn candidates(&self) -> Result<Vec<Settings>> {
         let size = relative_size(self.base).max(1.0);
         let blur = 2.0 * geometric_radius(self.base);
@@ -280,14 +280,14 @@ impl Search<'_> {
         Plan::new(settings, self.cell_angstrom, &self.heights)
     }
 
-    /// The atoms of all frames that any round looks at.
+    /// The atoms of all frames that any round uses.
     fn sampled_atoms(&self) -> impl Iterator<Item = &Site> {
         let rounds = (0..ROUNDS).flat_map(|round| frames_of_round(round, self.frames.len()));
         let frames: BTreeSet<usize> = rounds.collect();
         frames.into_iter().flat_map(|frame| self.frames[frame])
     }
 
-    /// Clusters of a round and probes of each, for a scan of so many operations.
+    /// Number of clusters of a round, and of probes in each, for a scan of `flops` operations.
     fn sample_shape(&self, sample: &ProbeSample, flops: f64) -> [usize; 2] {
         let probe_flops = self.exact.flops(self.asked, 1) - self.exact.flops(self.asked, 0);
         let probes = SHARE * flops / probe_flops;
@@ -297,7 +297,7 @@ impl Search<'_> {
         [clusters, (CLUSTERS.0 * PROBES / clusters).max(PROBES)]
     }
 
-    /// The error of a plan with windows. Rounds are added to the sample until it is clear whether the error is small enough.
+    /// Measures the error of a plan with windows. Rounds are added to the sample until it is clear whether the error is small enough.
     fn estimate(
         &self,
         plan: &Plan,

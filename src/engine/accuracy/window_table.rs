@@ -1,6 +1,6 @@
-//! A window for a requested accuracy from a table, without simulating anything. It is no promise: static crystals channel more
-//! sharply than the displaced atoms that it was measured on (GaAs \[110\], 10 nm, windows of 7.8 A: 4.8 % in place of 0.8 %).
-//! [`super::settings_for_accuracy`] measures the error on the specimen itself.
+//! A window for a requested accuracy from a table, without any simulation. The accuracy is not guaranteed: static crystals channel more
+//! sharply than the displaced atoms on which the table was measured (GaAs \[110\], 10 nm, windows of 7.8 A: 4.8 % in place of 0.8 %).
+//! [`super::settings_for_accuracy`] measures the error on the specimen.
 //!
 //! Errors are rms differences from the full grid over a raster, divided by the mean image. They were measured
 //! (`cargo bench --bench accuracy`) for HAADF 68-200 mrad at 200 kV, 21 mrad, in focus, at 40 and 100 A (Pt: 13
@@ -13,15 +13,15 @@ use super::super::probe_width::{
 use super::super::settings::Settings;
 use crate::error::{Error, Result};
 
-/// (error in per cent, width of the window in Angstrom)
+/// Measured pairs: error in per cent, width of the window in Angstrom.
 const MEASURED: [(f64, f64); 3] = [(3.3, 5.9), (0.8, 7.8), (0.4, 11.7)];
-/// Mistilt in mrad up to which the error of a mosaic was measured: SrTiO3, 10 nm, one phonon configuration, 0.67 % at bright columns
-/// and 0.46 % of the brightest over all pixels with windows of 7.8 A; 0.43 and 0.43 % with 11.7 A.
+/// Mistilt in mrad up to which the error of a mosaic was measured, for SrTiO3 of 10 nm in one phonon configuration. With windows of 7.8 A
+/// the error is 0.67 % at bright columns, and 0.46 % of the brightest one over all pixels. With 11.7 A it is 0.43 and 0.43 %.
 const MEASURED_MISTILT_MRAD: f64 = 5.0;
-/// A window grows by this many times the way that a tilted beam goes across the specimen: by 3.9 A for 5 mrad and 100 A.
+/// A window grows by this many times the lateral distance that a tilted beam covers in the specimen: by 3.9 A for 5 mrad and 100 A.
 const MISTILT_GROWTH: f64 = 7.8;
-/// Windows are for detectors that begin at this many semiangles or more. At smaller angles the pixels of their diffraction
-/// pattern are too coarse, and detectors would see the tail of the probe itself.
+/// Smallest inner angle of a detector for windows, in semiangles. At smaller angles the pixels of a window's diffraction pattern are too
+/// coarse, and detectors would see the tail of the probe directly.
 pub(in crate::engine) const LEAST_INNER_SEMIANGLES: f64 = 2.0;
 
 /// A window, and why its error may differ from the measured one.
@@ -35,7 +35,7 @@ pub struct WindowChoice {
 }
 
 impl WindowChoice {
-    /// What is to be said of a window that was chosen for an error of `accuracy_percent`, if anything.
+    /// A warning about a window that was chosen for an error of `accuracy_percent`; `None` within the range of the measurements.
     pub fn warning(&self, accuracy_percent: f64) -> Option<String> {
         (!self.beyond_measured.is_empty()).then(|| {
             format!(
@@ -51,9 +51,8 @@ impl WindowChoice {
 /// The narrowest window whose error is at most `accuracy_percent`, widened for thickness, defocus, aberrations, mistilt and
 /// small apertures.
 ///
-/// # Errors
-/// [`Error::Invalid`] for an accuracy that no window was measured to have, and for detectors at angles too low for
-/// windows; both name the engine to take instead.
+/// [`Error::Invalid`] for an accuracy that no window reached in the measurements, and for detectors at angles too low for windows. Both
+/// name the engine to use instead.
 pub fn window_for(
     accuracy_percent: f64,
     settings: &Settings,
@@ -130,7 +129,7 @@ mod tests {
         assert_eq!(window_for(1.0, &defocused, 195.0).unwrap().beyond_measured.len(), 2);
         let mut tilted = plain.clone();
         tilted.optics.mistilt_mrad = [3.0, -4.0];
-        // what the audit of a mosaic passed with
+        // The window with which the audit of a mosaic passed.
         assert!((width(&tilted, 100.0) - 11.7).abs() < 1e-9);
         assert!((width(&tilted, 50.0) - 9.75).abs() < 1e-9);
         assert!(window_for(1.0, &tilted, 100.0).unwrap().beyond_measured.is_empty());

@@ -1,4 +1,4 @@
-//! Waves of multislice that others begin and read: patterns (`engine::patterns`).
+//! Access to the waves of multislice for patterns (`engine::patterns`), which begin and read them.
 
 use super::super::stepper::{SliceStep, TransmissionView};
 use super::super::transmission::TransmissionLayout;
@@ -11,12 +11,12 @@ impl Multislice<'_> {
         self.stepper.fft().stride()
     }
 
-    /// How many waves should step together.
+    /// Number of waves that should step together.
     pub(in crate::engine) fn waves_together(&self) -> usize {
         self.stepper.waves_together()
     }
 
-    /// Bins (row, column) of the wave grid that hold probes.
+    /// Bins (row, column) of the wave grid that contain probes.
     pub(in crate::engine) fn bins(&self) -> &[(usize, usize)] {
         &self.probes[0].1.bins
     }
@@ -67,7 +67,8 @@ impl Multislice<'_> {
         }
     }
 
-    /// The Fourier coefficients of a thread's wave between steps, times the number of pixels; beyond the band limit they mean nothing.
+    /// The Fourier coefficients of a thread's wave between steps, times the number of pixels. Elements beyond the band limit are
+    /// meaningless.
     pub(in crate::engine) fn spectrum<'w>(
         &self,
         MultisliceWorkspace { waves, copy, step, .. }: &'w mut MultisliceWorkspace,

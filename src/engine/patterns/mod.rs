@@ -1,7 +1,7 @@
 //! Diffraction patterns of every probe of a scan (4D-STEM), from the exit waves of multislice, on the full grid or in windows.
 //!
-//! Patterns are made for some rows of the scan at a time and handed on, so that memory does not grow with the scan. Windows are
-//! padded, and what they cut off the probe is added coherently (see `padded_box`).
+//! Patterns are made for some rows of the scan at a time and passed on, so that memory does not grow with the scan. Windows are padded, and
+//! the part of the probe that they cut off is added coherently (see `padded_box`).
 
 mod padded_box;
 mod pattern_cost;
@@ -28,7 +28,7 @@ use rayon::prelude::*;
 use run::{GroupPath, PatternReader};
 use std::ops::Range;
 
-/// Patterns that are held at a time take about so many bytes, or those of one row of windows.
+/// Approximate size in bytes of the patterns that are in memory at a time. One row of windows may need more.
 const HELD_BYTES: usize = 256 << 20;
 
 /// How patterns are read from exit waves.
@@ -36,8 +36,8 @@ const HELD_BYTES: usize = 256 << 20;
 pub struct PatternSettings {
     /// The detector.
     pub detector: PatternDetector,
-    /// Adds what a window cuts off the probe, as propagated through the mean potential (windows only). Without it the bright field of
-    /// windows of 11.7 A is 1 % too dark, and its pattern off by 2 % (SrTiO3, 39 A).
+    /// Adds the part of the probe that a window cuts off, propagated through the mean potential (windows only). Without it the bright field
+    /// of windows of 11.7 A is 1 % too dark, and its pattern off by 2 % (SrTiO3, 39 A).
     pub coherent_tail: bool,
 }
 
@@ -50,12 +50,12 @@ pub struct PatternRows<'a> {
     pub data: ArrayView5<'a, f32>,
 }
 
-/// Simulates the pattern of every probe of a scan, averaged over phonon configurations and frames, and hands them to `take` by rows, from
-/// the first to the last. The bytes are the same for any number of threads.
+/// Simulates the pattern of every probe of a scan, averaged over phonon configurations and frames, and passes them to `take` by rows, from
+/// the first to the last. The bytes do not depend on the number of threads.
 ///
 /// # Errors
-/// Those of [`simulate()`](super::simulate()); [`Error::Invalid`] for PRISM, and for a detector beyond what the plan carries; what
-/// `take` returns.
+/// Errors of [`simulate()`](super::simulate()); [`Error::Invalid`] for PRISM, and for a detector beyond the angles of the plan; errors of
+/// `take`.
 pub fn simulate_patterns(
     plan: &Plan,
     frames: &[&[Site]],
@@ -107,7 +107,7 @@ pub fn simulate_patterns(
     Ok(())
 }
 
-/// Refuses what has no patterns.
+/// Refuses plans and detectors without patterns.
 fn check(plan: &Plan, settings: &PatternSettings) -> Result<()> {
     if let Some(pixels) = settings.detector.pixels() {
         pixels.check()?;
@@ -132,7 +132,7 @@ struct Band {
     groups: Range<usize>,
 }
 
-/// Divides groups, which stand row by row, into bands of whole rows whose patterns of `each` values take about [`HELD_BYTES`].
+/// Divides groups, which are sorted by row, into bands of whole rows whose patterns of `each` values need about [`HELD_BYTES`].
 fn bands(groups: &[Patch], scan: &Scan, each: usize) -> Vec<Band> {
     let columns = scan.shape[1];
     let row = |group: &Patch| group.probes.first().map_or(0, |(i, _)| i / columns);
@@ -180,7 +180,7 @@ fn in_order(
             let (row, column) = (i / columns - band.rows.start, i % columns);
             for (r, pattern) in all.chunks_exact(values).enumerate() {
                 let mut to = data.slice_mut(ndarray::s![r, row, column, .., ..]);
-                // Interpolation can undershoot beside a sharp edge.
+                // Interpolation can fall below 0 next to a sharp edge.
                 to.iter_mut().zip(pattern).for_each(|(to, v)| *to = (v * scale).max(0.0));
             }
         }

@@ -1,10 +1,10 @@
-//! Waves of a window, and what surrounds them, in a box twice as wide.
+//! The waves of a window and its surroundings, in a box twice as wide.
 //!
-//! A window of width W samples diffraction patterns at steps of 1 / W, and lacks what it cuts off the probe. In a box of twice the
-//! width the step is half of that, and there is room for the *coherent tail*: the part of the probe outside the window, which is
-//! propagated through free space, multiplied by the mean transmission of the slices, and added to the wave of the window. Waves beyond
-//! the tail's angle are left out of the sum: electrons scattered that far reach the window's edge inside the specimen, and come in
-//! again at the other side.
+//! A window of width W samples diffraction patterns at steps of 1 / W, and lacks the part of the probe that it cuts off. In a box of twice
+//! the width the step is 1 / (2 W), and there is room for the *coherent tail*: the part of the probe outside the window. The tail is
+//! propagated through free space, multiplied by the mean transmission of the slices, and added to the wave of the window. Waves beyond the
+//! tail's angle are left out of the sum: electrons scattered that far reach the window's edge inside the specimen, and come in again at the
+//! other side.
 
 use super::super::grid::Grid;
 use super::super::single_precision::single;
@@ -13,13 +13,13 @@ use num_complex::{Complex32, Complex64};
 use std::f64::consts::PI;
 use std::ops::Range;
 
-/// Relative to the angle up to which waves are kept in full, the angle beyond which none are.
+/// Angle beyond which no waves are kept, in units of the angle up to which they are kept in full.
 const LOW_PASS_ENDS: f64 = 1.15;
 
-/// The box around a window, and where its frequencies are.
+/// The box around a window, with the positions of its frequencies in arrays.
 pub(super) struct PaddedBox {
     window: Grid,
-    /// Points of a grid over the window that is just fine enough for the frequencies that are kept; even.
+    /// Points of a grid over the window that is just fine enough for the kept frequencies; even.
     coarse: [usize; 2],
     coarse_fft: Fft2,
     coarse_columns: Vec<Range<usize>>,
@@ -27,7 +27,7 @@ pub(super) struct PaddedBox {
     box_columns: Vec<Range<usize>>,
     /// Frequencies `-reach..=reach` (x, y) of the box are kept.
     pub reach: [usize; 2],
-    /// For each frequency of the window that is kept: its element in the array of a wave and in a coarse array, and its weight.
+    /// For each kept frequency of the window: its element in the array of a wave and in a coarse array, and its weight.
     inside: Vec<(usize, usize, f32)>,
     /// The weights of the frequencies of the box, [`PaddedBox::samples`] row-major.
     low_pass: Vec<f32>,
@@ -41,8 +41,8 @@ pub(super) struct PaddedWorkspace {
 }
 
 impl PaddedBox {
-    /// The box around `window`; waves are kept up to `full_k` (1/Angstrom), and the box's frequencies up to `most_k` along each axis.
-    /// `stride` is that of waves on the window's grid.
+    /// Makes the box around `window`. Waves are kept up to `full_k` (1/Angstrom), and the box's frequencies up to `most_k` along each axis.
+    /// `stride` is the row stride of waves on the window's grid.
     pub fn new(window: Grid, stride: usize, full_k: f64, most_k: f64) -> Self {
         let end = LOW_PASS_ENDS * full_k;
         let along = window.extent_angstrom;
@@ -103,7 +103,7 @@ impl PaddedBox {
         self.window.extent_angstrom.map(|l| 2.0 * l)
     }
 
-    /// Points (x, y) of the grid over the box on which its waves are held.
+    /// Points (x, y) of the grid over the box on which its waves are stored.
     pub fn points(&self) -> [usize; 2] {
         self.coarse.map(|n| 2 * n)
     }
@@ -124,9 +124,9 @@ impl PaddedBox {
         }
     }
 
-    /// Writes the kept frequencies of a wave in the box to `out`, row by row; their squared moduli add to the fraction of the beam.
-    /// `wave` holds Fourier coefficients of the window times its pixels. Where the window is a periodic cell, what stands at `centre`
-    /// (Angstrom) comes to the middle of the box.
+    /// Writes the kept frequencies of a wave in the box to `out`, row by row; their squared moduli add to the fraction of the beam. `wave`
+    /// holds Fourier coefficients of the window times its pixels. Where the window is a periodic cell, `centre` (Angstrom) is moved to the
+    /// middle of the box.
     pub fn sample(
         &self,
         wave: &[Complex32],
@@ -194,7 +194,7 @@ impl PaddedBox {
     }
 }
 
-/// Splits probes in the box into what the window holds and what lies outside.
+/// Splits probes in the box into the part inside the window and the part outside.
 pub(super) struct ProbeSplit {
     /// Points (x, y) of the box before the window.
     pub lead: [usize; 2],
@@ -202,10 +202,10 @@ pub(super) struct ProbeSplit {
     pub grid: Grid,
     fft: Fft2,
     window_fft: Fft2,
-    /// Bins (row, column) of the box and of the window that hold probes.
+    /// Bins (row, column) of the box and of the window that contain probes.
     bins: Vec<(usize, usize)>,
     window_bins: Vec<(usize, usize)>,
-    /// How far (x, y) the window lies further from the box's first point on the grid of [`PaddedBox`], in Angstrom.
+    /// Distance (x, y) in Angstrom by which the window lies further from the box's first point on the grid of [`PaddedBox`].
     shift: [f64; 2],
 }
 
@@ -232,7 +232,7 @@ impl ProbeSplit {
     ) -> Self {
         let window = padded.window;
         let grid = Self::grid_around(&window);
-        // The middle of the box is that of the window, as probes know it.
+        // The middle of the box is the middle of the window, as probes count it.
         let lead = window.points.map(|n| n - n / 2);
         let pixel = window.sampling_angstrom();
         let shift = [0, 1].map(|k| 0.5 * window.extent_angstrom[k] - lead[k] as f64 * pixel[k]);
@@ -255,7 +255,7 @@ impl ProbeSplit {
         }
     }
 
-    /// The coefficients of a wave on the window's bins, and the kept frequencies in the box of what lies outside. `wave` holds its
+    /// The coefficients of a wave on the window's bins, and the kept frequencies in the box of the part outside. `wave` holds the
     /// coefficients on the box's bins.
     pub fn split(
         &self,
@@ -272,7 +272,7 @@ impl ProbeSplit {
         }
         self.fft.inverse(around, &mut scratch.0);
         inside.fill(Complex32::ZERO);
-        // The same wave has half the amplitude in the window, whose area is a fourth.
+        // A wave has half the amplitude in the window, whose area is a fourth of the box's.
         for y in 0..ny {
             let row = &around[(y + ly) * stride + lx..][..nx];
             inside[y * narrow..][..nx].iter_mut().zip(row).for_each(|(to, v)| *to = v * 0.5);
@@ -304,8 +304,8 @@ impl ProbeSplit {
 }
 
 impl PaddedBox {
-    /// For the kept frequencies along x and y, `exp(-i pi a k^2 - 2 pi i k d)`: a is wavelength times distance in Angstrom^2, d the
-    /// `way` along x and y in Angstrom.
+    /// The phases `exp(-i pi a k^2 - 2 pi i k d)` at the kept frequencies along x and y: a is wavelength times distance in Angstrom^2, d
+    /// the displacement `way` along x and y in Angstrom.
     pub fn phases(&self, way: [f64; 2], fresnel_angstrom2: f64) -> [Vec<Complex32>; 2] {
         let extent = self.extent_angstrom();
         [0, 1].map(|axis| {
@@ -321,7 +321,7 @@ impl PaddedBox {
         })
     }
 
-    /// Adds `outside`, multiplied by `factor` and by the phases along x and y, to the samples of a wave.
+    /// Adds `outside` to the samples of a wave, multiplied by `factor` and by the phases along x and y.
     pub fn add_tail(
         &self,
         samples: &mut [Complex32],

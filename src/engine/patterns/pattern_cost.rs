@@ -1,4 +1,4 @@
-//! What patterns take beside the waves, estimated without making any.
+//! The cost of patterns in addition to the waves, estimated without making any.
 
 use super::super::grid::Grid;
 use super::super::plan::Plan;
@@ -10,13 +10,13 @@ use super::{Band, PatternSettings, bands, held};
 use crate::detect::{PatternDetector, PixelatedDetector};
 use num_complex::Complex32;
 
-/// What it takes to read the patterns of a scan from its waves.
+/// The cost of reading the patterns of a scan from its waves.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct PatternCost {
-    /// Operations, of all phonon configurations and thicknesses.
+    /// Operations of all phonon configurations and thicknesses.
     pub flops: f64,
-    /// Bytes of the patterns that are held at a time.
+    /// Bytes of the patterns that are in memory at a time.
     held_bytes: u64,
     thread_bytes: u64,
 }
@@ -46,13 +46,13 @@ impl PatternCost {
         let bands = bands(&patches.patches, scan, records * n);
         PatternCost {
             flops: runs * each as f64,
-            // Once as sums, once in the order of the scan.
+            // The patterns are stored once as sums, and once in the order of the scan.
             held_bytes: 2 * bands.iter().map(bytes).max().unwrap_or(0) as u64,
             thread_bytes: (values * size_of::<Complex32>()) as u64,
         }
     }
 
-    /// Bytes that the largest arrays take on `threads` threads.
+    /// Memory in bytes of the largest arrays on `threads` threads.
     pub fn memory_bytes(&self, threads: usize) -> u64 {
         self.held_bytes + self.thread_bytes * threads as u64
     }

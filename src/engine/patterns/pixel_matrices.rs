@@ -1,4 +1,4 @@
-//! From intensities at frequencies of a box, or of a window, to the pixels of a detector.
+//! Converts intensities at the frequencies of a box, or of a window, to the pixels of a detector.
 
 use super::padded_box::PaddedBox;
 use crate::detect::PixelatedDetector;
@@ -6,14 +6,15 @@ use crate::fft::frequency;
 use crate::matrix::multiply;
 use std::f64::consts::PI;
 
-/// Between the frequencies of a box, intensities are interpolated by their Fourier series, the autocorrelation of the exit wave. Its lags
-/// are tapered from this share of the longest on: else the edge of the bright field would ring through the dark field.
+/// Start of the taper, as a share of the longest lag. Between the frequencies of a box, intensities are interpolated by their Fourier
+/// series, the autocorrelation of the exit wave. Without the taper on its lags, the edge of the bright field would ring through the dark
+/// field.
 const TAPER: f64 = 0.4;
 
-/// Intensities at frequencies, integrated over pixels: `P = D I A`.
+/// Integrates intensities at frequencies over pixels: `P = D I A`.
 pub(super) struct PixelMatrices {
     pixels: usize,
-    /// Frequencies along x and y.
+    /// Number of frequencies along x and y.
     samples: [usize; 2],
     /// (frequency along x, pixel)
     across: Vec<f32>,
@@ -22,7 +23,7 @@ pub(super) struct PixelMatrices {
 }
 
 impl PixelMatrices {
-    /// For the kept frequencies of a box: interpolated by their series of lags.
+    /// Matrices for the kept frequencies of a box, which interpolate by the series of lags.
     pub fn of_box(detector: &PixelatedDetector, wavelength: f64, padded: &PaddedBox) -> Self {
         let width = detector.pixel_k(wavelength);
         let (extent, points) = (padded.extent_angstrom(), padded.points());
@@ -44,7 +45,7 @@ impl PixelMatrices {
         Self::new((detector, wavelength), frequencies, weight)
     }
 
-    /// For all frequencies of a window with `points` over `extent` (x, y; Angstrom), each spread over pixels by area.
+    /// Matrices for all frequencies of a window with `points` over `extent` (x, y; Angstrom), each distributed over pixels by area.
     pub fn by_area(
         detector: &PixelatedDetector,
         wavelength: f64,
@@ -59,7 +60,7 @@ impl PixelMatrices {
         Self::new((detector, wavelength), frequencies, weight)
     }
 
-    /// From the frequencies along x and y; `weight(axis, pixel, frequency)` takes the middle of a pixel in 1/Angstrom.
+    /// Makes the matrices for frequencies along x and y. `weight(axis, pixel, frequency)` gets the middle of a pixel in 1/Angstrom.
     fn new(
         (detector, wavelength): (&PixelatedDetector, f64),
         [x, y]: [Vec<i64>; 2],
@@ -77,7 +78,7 @@ impl PixelMatrices {
         PixelMatrices { pixels: detector.pixels, samples: [x.len(), y.len()], across, down }
     }
 
-    /// The pattern, row-major, of intensities (frequency along y, along x) row-major. `half` is work space.
+    /// Computes a pattern, row-major, from intensities (frequency along y, along x) row-major. `half` is work space.
     pub fn pattern(&self, intensities: &[f32], half: &mut Vec<f32>, out: &mut [f32]) {
         let (n, [x, y]) = (self.pixels, self.samples);
         half.resize(y * n, 0.0);
@@ -86,7 +87,7 @@ impl PixelMatrices {
     }
 }
 
-/// The length that two intervals, given by middle and width, have in common.
+/// The overlap of two intervals, given by middle and width.
 fn overlap([a, width]: [f64; 2], [b, other]: [f64; 2]) -> f64 {
     let low = (a - 0.5 * width).max(b - 0.5 * other);
     let high = (a + 0.5 * width).min(b + 0.5 * other);

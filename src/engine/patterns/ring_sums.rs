@@ -1,17 +1,18 @@
-//! From intensities at frequencies to sums over rings.
+//! Sums intensities at frequencies over rings.
 
 use crate::detect::RadialBins;
 use num_complex::Complex32;
 
-/// Intensities at frequencies, summed over rings.
+/// Sums intensities at frequencies over rings.
 pub(super) struct RingSums {
     rings: usize,
-    /// A frequency, a ring, and the share of the frequency's pixel on it.
+    /// Index of a frequency, index of a ring, and the share of the frequency's pixel on the ring.
     shares: Vec<(u32, u32, f32)>,
 }
 
 impl RingSums {
-    /// For frequencies at some angles (mrad), in their order, with edges of rings `ramp_mrad` wide; only rings that are `wanted` are summed.
+    /// Computes the shares for frequencies at some angles (mrad), in their order. Edges of rings are `ramp_mrad` wide. Only the `wanted`
+    /// rings are summed.
     pub fn new(
         bins: &RadialBins,
         ramp_mrad: f64,
@@ -29,7 +30,7 @@ impl RingSums {
         RingSums { rings: bins.rings, shares }
     }
 
-    /// Adds the intensities of amplitudes, times a weight, to `out`; `sums` is work space.
+    /// Adds the intensities of amplitudes, multiplied by a weight, to `out`; `sums` is work space.
     pub fn add(&self, amplitudes: &[Complex32], weight: f32, sums: &mut Vec<f64>, out: &mut [f32]) {
         sums.clear();
         sums.resize(self.rings, 0.0);

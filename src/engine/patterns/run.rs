@@ -17,11 +17,11 @@ use crate::detect::{PatternDetector, RadialBins};
 use crate::matrix::multiply;
 use num_complex::{Complex32, Complex64};
 
-/// Patterns of so many probes are put together from their waves at a time.
+/// Number of probes whose patterns are assembled from their waves at a time.
 pub(super) const PROBES_TOGETHER: usize = 16;
 /// The tail is added up to the angle at which electrons move by this share of the window's width inside the specimen.
 const TAIL_REACH: f64 = 0.4;
-/// Beyond the pixels so many frequencies of the box are kept, since intensities are interpolated between them.
+/// Number of the box's frequencies that are kept beyond the pixels, since intensities are interpolated between them.
 const MARGIN: f64 = 12.0;
 
 /// Everything that turns probes into patterns, for one plan.
@@ -39,21 +39,21 @@ pub(super) struct PatternReader<'a> {
     around: Option<Around>,
 }
 
-/// From amplitudes to the values of a pattern.
+/// Converts amplitudes to the values of a pattern.
 enum ValueReader {
     Pixels {
         fine: PixelMatrices,
-        /// What lies beyond the angles of the padded box.
+        /// The pixels beyond the angles of the padded box.
         outer: Option<OuterPixels>,
     },
-    /// Rings that are read from the padded box, and those of the window's own frequencies.
+    /// Rings that are read from the padded box, and rings that are read from the window's own frequencies.
     Rings { fine: RingSums, own: RingSums },
 }
 
-/// Pixels that are read from the window's own frequencies.
+/// Pixels that are read from the window's frequencies instead of the box's.
 struct OuterPixels {
     matrices: PixelMatrices,
-    /// For each pixel, whether it is one of them.
+    /// For each pixel, whether it is read from the window's frequencies.
     taken: Vec<bool>,
 }
 
@@ -62,11 +62,11 @@ struct Around {
     probes: Vec<(f64, CroppedProbe)>,
 }
 
-/// Waves that are propagated in place of the probes of a patch, the same in all patches.
+/// Waves that are propagated in place of the probes of a patch; all patches share them.
 pub(super) struct SharedWaves {
     /// Coefficients on the bins of the window's probes.
     inside: Vec<Vec<Complex32>>,
-    /// Kept frequencies in the box of what lies outside the window.
+    /// Kept frequencies in the box of the waves' part outside the window.
     outside: Vec<Vec<Complex32>>,
     basis: Basis,
 }
@@ -93,14 +93,14 @@ struct PixelWorkspace {
     rings: Vec<f64>,
 }
 
-/// What waves of a group meet.
+/// The path of a group, and the transmission functions on it.
 pub(super) struct GroupPath<'p> {
     pub path: &'p [PathPart],
     pub view: TransmissionView<'p>,
     pub group: &'p Patch,
 }
 
-/// Which frequencies patterns are read from.
+/// The frequencies from which patterns are read.
 pub(super) struct PatternReach {
     pub padded: PaddedBox,
     /// Whether each value is read from the window's own frequencies; `None` where none is.
@@ -108,7 +108,7 @@ pub(super) struct PatternReach {
 }
 
 impl PatternReach {
-    /// `stride` is that of waves on the plan's wave grid.
+    /// Chooses the frequencies. `stride` is the row stride of waves on the plan's wave grid.
     pub fn new(plan: &Plan, detector: &PatternDetector, stride: usize) -> Self {
         let wavelength = plan.settings.optics.wavelength_angstrom();
         let window = plan.wave_grid;
@@ -133,7 +133,7 @@ impl PatternReach {
                     outer: outer.filter(|taken: &Vec<bool>| taken.contains(&true)),
                 }
             }
-            // The frequencies of the full grid are those that its annular detectors sum; the box is not read.
+            // On the full grid, rings sum the frequencies that annular detectors sum. The box is not read.
             PatternDetector::Rings(bins) if !plan.has_windows() => PatternReach {
                 padded: boxed(1.0 / width, 0.0),
                 outer: Some(vec![true; bins.rings]),
@@ -155,7 +155,7 @@ impl PatternReach {
         self.outer.as_ref().is_none_or(|taken| taken.contains(&false))
     }
 
-    /// The sums over rings that are read from the padded box, and those of the window's own frequencies.
+    /// Sums over the rings that are read from the padded box, and over those read from the window's own frequencies.
     pub fn ring_sums(&self, plan: &Plan, bins: &RadialBins) -> [RingSums; 2] {
         let per_k = 1e3 * plan.settings.optics.wavelength_angstrom();
         let taken = |ring: usize| self.outer.as_ref().is_some_and(|outer| outer[ring]);
@@ -173,7 +173,7 @@ impl PatternReach {
     }
 }
 
-/// The probes of a scan in patches, row by row; each row is one on the full grid.
+/// Divides a scan into patches, row by row. On the full grid each row is a patch.
 pub(super) fn patches(plan: &Plan, scan: &Scan) -> ProbePatches {
     if plan.has_windows() {
         return ProbePatches::new(plan, scan);
@@ -223,12 +223,12 @@ impl<'a> PatternReader<'a> {
         }
     }
 
-    /// Values of a pattern.
+    /// Number of values of a pattern.
     fn pattern_len(&self) -> usize {
         self.settings.detector.values()
     }
 
-    /// How probes are propagated together: patches row by row, and the waves that all patches share, if there are any.
+    /// Patches of probes that are propagated together, row by row, and the waves that all patches share, if there are any.
     pub fn groups(&self, scan: &Scan) -> (Vec<Patch>, Option<SharedWaves>) {
         let patches = patches(self.plan, scan);
         match (patches.error, &self.around) {
@@ -243,7 +243,7 @@ impl<'a> PatternReader<'a> {
         }
     }
 
-    /// The paths of groups in one configuration; see [`Multislice::paths`].
+    /// The paths of groups in one configuration, from [`Multislice::paths`].
     pub fn paths(
         &mut self,
         transmission: &Transmission,
@@ -267,7 +267,7 @@ impl<'a> PatternReader<'a> {
         }
     }
 
-    /// From waves that the probes are expanded in.
+    /// Adds patterns of probes that are expanded in waves.
     fn add_expanded(
         &self,
         w: &mut ReaderWorkspace,
@@ -331,7 +331,7 @@ impl<'a> PatternReader<'a> {
         }
     }
 
-    /// From the probes themselves.
+    /// Adds patterns of probes that are each propagated.
     fn add_each(
         &self,
         w: &mut ReaderWorkspace,
@@ -365,7 +365,7 @@ impl<'a> PatternReader<'a> {
                 for (j, (_, position)) in probes.iter().enumerate() {
                     let to = (j * at.path.len() + r) * self.pattern_len();
                     let psi = self.engine.spectrum(&mut w.multislice, j);
-                    // On the full grid the probe comes to the middle, and leaves where the tilted beam does.
+                    // On the full grid, the point where the tilted beam leaves is moved to the middle of the box.
                     let centre = self.around.is_none().then(|| {
                         let way = self.plan.beam_shift(part.height_angstrom);
                         [0, 1].map(|k| position[k] + way[k])
@@ -386,7 +386,7 @@ impl<'a> PatternReader<'a> {
         }
     }
 
-    /// Adds what the kept frequencies of the box give to a pattern.
+    /// Adds to a pattern the values that are read from the kept frequencies of the box.
     fn read_fine(
         &self,
         amplitudes: &[Complex32],
@@ -404,7 +404,7 @@ impl<'a> PatternReader<'a> {
         }
     }
 
-    /// The same for the window's own frequencies, if they are read.
+    /// Adds to a pattern the values that are read from the window's own frequencies, if there are any.
     fn read_own(
         &self,
         amplitudes: &[Complex32],
@@ -449,7 +449,7 @@ impl<'a> PatternReader<'a> {
         }
     }
 
-    /// The propagation of the tail through free space to the end of a part of a path.
+    /// The phases of the tail after free-space propagation to the end of a part of a path.
     fn tail_phases(&self, part: &PathPart) -> [Vec<Complex32>; 2] {
         let plan = self.plan;
         let distance = part.height_angstrom - plan.slices.entrance();
@@ -459,14 +459,14 @@ impl<'a> PatternReader<'a> {
         self.padded.phases(way, plan.settings.optics.wavelength_angstrom() * distance)
     }
 
-    /// The product of the slices' mean transmission around a window, up to the end of each part of the path.
+    /// The product of the slices' mean transmissions around a window, up to the end of each part of the path.
     fn mean_transmissions(&self, at: &GroupPath<'_>) -> Vec<Complex32> {
         let TransmissionLayout::Padded { stride } = at.view.transmission.layout else {
             return vec![Complex32::ONE; at.path.len()];
         };
         let cell = self.plan.transmission_grid.points;
         let window = self.plan.wave_grid.points;
-        // The box around the window, but no part of the cell twice.
+        // The mean covers the box around the window, but no part of the cell twice.
         let lines = |k: usize, origin: usize| {
             let first = origin as i64 - window[k] as i64 / 2;
             let n = (2 * window[k]).min(cell[k]);
@@ -497,7 +497,7 @@ impl<'a> PatternReader<'a> {
 }
 
 impl PixelWorkspace {
-    /// Adds the intensities of amplitudes, times a weight, to the pixels that are wanted.
+    /// Adds the intensities of amplitudes, multiplied by a weight, to the wanted pixels.
     fn read(
         &mut self,
         matrices: &PixelMatrices,
@@ -530,13 +530,14 @@ impl Around {
         Around { split, probes }
     }
 
-    /// The place (Angstrom) in the box of a place in the window.
+    /// Converts a position in the window (Angstrom) to a position in the box.
     fn in_box(&self, position: [f64; 2]) -> [f64; 2] {
         let pixel = self.split.grid.sampling_angstrom();
         [0, 1].map(|k| position[k] + self.split.lead[k] as f64 * pixel[k])
     }
 
-    /// The waves for probes at most `half` (Angstrom, x and y) from the middle of the window, each right to the share `error`.
+    /// The waves for probes at most `half` (Angstrom, x and y) from the middle of the window. `error` is each probe's error as share of its
+    /// amplitude.
     fn shared(&self, plan: &Plan, padded: &PaddedBox, half: [f64; 2], error: f64) -> SharedWaves {
         let probes: Vec<&CroppedProbe> = self.probes.iter().map(|(_, probe)| probe).collect();
         let basis = Basis::new(&probes, half, amplitude_nyquist(plan), error);

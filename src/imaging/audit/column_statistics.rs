@@ -1,4 +1,4 @@
-//! What an audit tells of columns: intensities of each, and their statistics by kind.
+//! Intensities of columns in an audit, and their statistics by kind of column.
 
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
@@ -36,9 +36,9 @@ pub struct ColumnPoint {
     pub kind: String,
     /// Position (x, y) in Angstrom from the first pixel of the region.
     pub at: [f64; 2],
-    /// In our image, fractions of the beam.
+    /// Intensity in the audited image, as fraction of the beam.
     pub ours: f64,
-    /// In the exact one.
+    /// Intensity in the exact image, as fraction of the beam.
     pub exact: f64,
 }
 
@@ -67,7 +67,7 @@ fn kind(sites: &[SpecimenSite], recipe: &Recipe) -> String {
     symbols.join(" ")
 }
 
-/// Intensities of the columns inside a region, from the two images [row, column] of the pixels that are meant.
+/// Measures the columns inside a region in the two images [row, column] of the compared pixels.
 pub fn column_points(
     recipe: &Recipe,
     specimen: &dyn Specimen,
@@ -97,7 +97,7 @@ pub fn column_points(
     }
     found
 }
-/// Statistics of the columns of one kind; each comes with the number of its region.
+/// Statistics of the columns of one kind; each column is given with the number of its region.
 pub fn kind_audit(kind: &str, points: &[(usize, &ColumnPoint)]) -> KindAudit {
     let n = points.len() as f64;
     let mean = |of: &dyn Fn(&ColumnPoint) -> f64| points.iter().map(|p| of(p.1)).sum::<f64>() / n;

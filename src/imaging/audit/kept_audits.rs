@@ -1,4 +1,4 @@
-//! Audits on disk, so that an interrupted build does not make them again.
+//! Audits on disk, so that an interrupted build that is run again reads the audits that it has made.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -17,22 +17,22 @@ use crate::specimen::Specimen;
 
 const EXTENSION: &str = "audit";
 
-/// A folder of audits; none keeps nothing.
+/// A folder of audits. Without a folder, nothing is kept.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct KeptAudits {
     folder: Option<PathBuf>,
 }
 
 impl KeptAudits {
-    /// Audits in a folder, which is made when first written to.
+    /// Keeps audits in a folder, which is made at the first write.
     pub fn at(folder: PathBuf) -> Self {
         KeptAudits { folder: Some(folder) }
     }
 
-    /// The audit of an imager that is prepared: as it is kept, or made now and kept.
+    /// The audit of a prepared imager: read from the folder, or made now and written there.
     ///
     /// # Errors
-    /// Those of [`audit`]. A folder that cannot be written is a warning.
+    /// Errors of [`audit`]. A folder that cannot be written is a warning.
     pub fn audit(
         &self,
         recipe: &Recipe,
@@ -80,7 +80,7 @@ impl KeptAudits {
     }
 }
 
-/// All that decides an audit.
+/// Everything that decides an audit, as text.
 fn key(recipe: &Recipe, imager: &dyn RegionImager, options: &AuditOptions) -> String {
     let key = serde_json::json!({
         "numerics": NUMERICS_VERSION,
@@ -103,7 +103,7 @@ enum Found {
     Damaged,
 }
 
-/// The file has three lines: a digest of the two others, the key, and the audit.
+/// Reads an audit file. It has three lines: a digest of the two others, the key, and the audit.
 fn read(path: &Path, key: &str) -> Found {
     let text = match fs::read_to_string(path) {
         Ok(text) => text,

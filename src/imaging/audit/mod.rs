@@ -1,4 +1,4 @@
-//! Audits: how far the images of an imager are from the exact ones.
+//! Audits: they measure how far the images of an imager are from the exact ones.
 
 pub mod column_statistics;
 pub mod kept_audits;

@@ -1,19 +1,19 @@
-//! What an audit looks at.
+//! Options of an audit.
 
-/// What is audited.
+/// Which regions, pixels and configurations an audit compares.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AuditOptions {
     /// Number of regions, drawn at random.
     pub regions: usize,
-    /// Their edge in nm.
+    /// Edge of the regions in nm.
     pub size_nm: f64,
-    /// Every how many-th pixel is compared, along each axis; `None`: about every 0.5 Angstrom.
+    /// Every `stride`-th pixel is compared along each axis; `None`: about every 0.5 Angstrom.
     pub stride: Option<usize>,
-    /// Seed of their places.
+    /// Seed of the places of the regions.
     pub seed: u64,
-    /// Centres (x, y) in nm of the built field, in place of random ones.
+    /// Centres (x, y) of regions in nm of the built field; they replace the random ones.
     pub at_nm: Vec<[f64; 2]>,
-    /// Phonon configurations that are compared, in the mean; all when `None`.
+    /// Number of phonon configurations whose mean is compared; all when `None`.
     pub configurations: Option<usize>,
 }
 

@@ -1,4 +1,4 @@
-//! Where an audit looks.
+//! The regions of an audit.
 
 use super::options::AuditOptions;
 use crate::error::{Error, Result};
@@ -9,14 +9,14 @@ use crate::specimen::{Specimen, outlines_in};
 
 /// A region of the field.
 pub struct AuditPlace {
-    /// Its pixels, of which some are compared.
+    /// The pixels of the region; some of them are compared.
     pub pixels: PixelRect,
-    /// Its centre (x, y) in nm of the built field.
+    /// Centre (x, y) of the region in nm of the built field.
     pub centre_nm: [f64; 2],
 }
 
-/// The regions: as given, or at random, but every other one on a particle where there are any. Every `stride`-th pixel
-/// of each is compared.
+/// Places the regions: at the given centres or at random. Where there are particles, every other random region lies on one. Every
+/// `stride`-th pixel of a region is compared.
 ///
 /// # Errors
 /// [`Error::Invalid`] for regions that do not lie in the field.
@@ -45,7 +45,7 @@ pub fn places(
     Ok(corners.into_iter().map(place).collect())
 }
 
-/// First pixels (row, column) in the built field of regions at random.
+/// First pixels (row, column) in the built field of random regions.
 fn random_corners(
     recipe: &Recipe,
     specimen: &dyn Specimen,
@@ -75,7 +75,7 @@ fn random_corners(
     (0..options.regions as u64).map(corner).collect()
 }
 
-/// First pixels (row, column) in the built field of the regions that are asked for.
+/// First pixels (row, column) in the built field of the requested regions.
 fn given_corners(recipe: &Recipe, options: &AuditOptions, edge: usize) -> Result<Vec<[usize; 2]>> {
     let (shape, pixel) = (recipe.field.pixels(recipe.field.built_grid()), recipe.field.pixel_nm());
     let corner = |at: &[f64; 2]| {

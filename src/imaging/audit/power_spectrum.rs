@@ -1,4 +1,4 @@
-//! The power spectrum of our images beside that of the exact ones.
+//! The power spectrum of audited images, compared with the exact ones.
 
 use ndarray::{Array2, Axis};
 use num_complex::Complex;
@@ -13,12 +13,12 @@ const BANDS: [f64; 4] = [0.1, 0.4, 0.8, 1.2];
 pub struct PowerBand {
     /// Limits in 1/Angstrom.
     pub band: [f64; 2],
-    /// Power of our image over that of the exact one.
+    /// Power of the audited image over the power of the exact one.
     pub ratio: f64,
 }
 
-/// Power of our images over the exact ones by bands of spatial frequency, under a Hann window. Each region has both images,
-/// [row, column], `step` Angstrom from point to point.
+/// Power of the audited images over the power of the exact ones, by bands of spatial frequency, under a Hann window. Each region has both
+/// images, [row, column], with a distance of `step` Angstrom between pixels.
 pub fn power(regions: &[[&Array2<f64>; 2]], step: f64) -> Vec<PowerBand> {
     let mut sums = vec![[0.0; 2]; BANDS.len() - 1];
     for region in regions {

@@ -1,4 +1,4 @@
-//! Audits: regions of a world simulated again, exactly, with the very same atoms.
+//! Audits: regions of a world are simulated again, exactly, with the same atoms.
 
 use std::collections::BTreeMap;
 
@@ -23,16 +23,17 @@ use crate::recipe::{CheckedRecipe, Recipe};
 use crate::resample::image_band_limit;
 use crate::specimen::{Specimen, SurfaceLayers};
 
-/// Columns as bright as this share of the brightest count as bright.
+/// A column is bright if it has more than this share of the intensity of the brightest one.
 const BRIGHT: f64 = 0.4;
-/// Distance of the pixels compared in Angstrom, about.
+/// Approximate distance in Angstrom of the compared pixels.
 const POINT_ANGSTROM: f64 = 0.5;
-/// Distance of the reference's probes where the source blurs them, in Nyquist distances of the image.
+/// Distance of the reference's probes in Nyquist distances of the image, where the source blurs the image.
 const NYQUIST_SHARE: f64 = 0.9;
-/// Slices of the reference where there are particles: thinner than the world's, so that audits show what slices make of them.
+/// Thickness in Angstrom of the reference's slices where there are particles. They are thinner than the world's slices, so that an audit
+/// shows the error of slicing.
 const PARTICLE_SPAN_ANGSTROM: f64 = 0.1;
 
-/// The two images of a region, and what they tell.
+/// The two images of a region, and the differences between them.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct RegionAudit {
@@ -40,23 +41,23 @@ pub struct RegionAudit {
     pub centre_nm: [f64; 2],
     /// Bright columns compared.
     pub bright_columns: usize,
-    /// Rms error at bright columns in per cent of their intensity; they have 40 % or more of that of the brightest column of
-    /// all regions.
+    /// Rms error at bright columns in per cent of their intensity. A column is bright if it has more than 40 % of the intensity of the
+    /// brightest column of all regions.
     pub bright_rms_percent: f64,
     /// Mean error at bright columns in per cent.
     pub bright_mean_percent: f64,
-    /// Error of the mean over the region in per cent of that mean.
+    /// Error of the mean over the region in per cent of the exact mean.
     pub mean_percent: f64,
-    /// Rms error off bright columns (more than 1 A from any), in per cent of the brightest column.
+    /// Rms error off bright columns (more than 1 Angstrom from any), in per cent of the brightest column.
     pub off_columns_rms_percent: f64,
     /// Rms error of all pixels in per cent of the brightest column.
     pub all_rms_percent: f64,
     /// Greatest error of any pixel in per cent of the brightest column.
     pub worst_percent: f64,
-    /// Our image at the pixels compared, [row, column], fractions of the beam.
+    /// The audited image at the compared pixels, [row, column], fractions of the beam.
     #[serde(skip)]
     pub ours: Array2<f64>,
-    /// The exact image there.
+    /// The exact image at the compared pixels, [row, column], fractions of the beam.
     #[serde(skip)]
     pub exact: Array2<f64>,
 }
@@ -68,30 +69,29 @@ pub struct Audit {
     /// Name of the detector, where there are several.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub detector: Option<String>,
-    /// Engine that the world was made with.
+    /// Engine that made the world.
     pub engine: String,
-    /// Width of its windows.
+    /// Width in Angstrom of this engine's windows.
     pub window_angstrom: Option<f64>,
-    /// Engine that it was compared with.
+    /// Engine of the exact images.
     pub reference: String,
-    /// Configurations averaged, of how many.
+    /// Number of averaged configurations, and number of all.
     pub configurations: [usize; 2],
-    /// Rms over all bright columns, per cent.
+    /// Rms error over all bright columns, per cent of their intensity.
     pub bright_rms_percent: f64,
-    /// Rms over all pixels, per cent of the brightest column.
+    /// Rms error over all pixels, per cent of the brightest column.
     pub all_rms_percent: f64,
-    /// Rms over all pixels, per cent of the mean image.
+    /// Rms error over all pixels, per cent of the mean image.
     pub mean_rms_percent: f64,
     /// Greatest error, per cent of the brightest column.
     pub worst_percent: f64,
-    /// By kind of column.
+    /// Statistics by kind of column.
     pub kinds: Vec<KindAudit>,
-    /// Power of the difference over that of the exact image, in bands of spatial frequency: limits in 1/A, and
-    /// the ratio of power of mosaic to exact.
+    /// Power of the audited images over the power of the exact ones, in bands of spatial frequency (1/Angstrom).
     pub power: Vec<PowerBand>,
-    /// Region by region.
+    /// The result for each region.
     pub regions: Vec<RegionAudit>,
-    /// The same of the other detectors.
+    /// The audits of the other detectors.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub others: Vec<Audit>,
 }
@@ -102,18 +102,17 @@ impl Audit {
         std::iter::once(self).chain(&self.others)
     }
 
-    /// The error that `--max-error` limits, in per cent: that at bright columns or that over all pixels, whichever is larger.
+    /// The error that `--max-error` limits, in per cent: the larger of the rms errors at bright columns and over all pixels.
     #[must_use]
     pub fn error_percent(&self) -> f64 {
         self.bright_rms_percent.max(self.all_rms_percent)
     }
 }
 
-/// Audits an imager: compares its images of some regions with multislice on the full grid, with those very atoms. The imager
-/// has been prepared.
+/// Audits a prepared imager: compares its images of some regions with multislice on the full grid, on the atoms of these images.
 ///
 /// # Errors
-/// [`crate::Error::Invalid`] for regions outside the field, those of the engine, [`crate::Error::Interrupted`].
+/// [`crate::Error::Invalid`] for regions outside the field, errors of the engine, [`crate::Error::Interrupted`].
 pub fn audit(
     recipe: &Recipe,
     specimen: &dyn Specimen,
@@ -161,10 +160,10 @@ pub fn audit(
     Ok(Audit { others, ..of_detector(0) })
 }
 
-/// Our image of a region, and the exact one.
+/// The audited image of a region, and the exact one.
 type AuditImages = (Array2<f64>, Array2<f64>);
 
-/// What the regions tell, and the columns of each.
+/// The differences in each region, and its columns.
 type ComparedRegions = (Vec<RegionAudit>, Vec<Vec<ColumnPoint>>);
 
 /// Compares the images of all regions on one detector.
@@ -186,7 +185,7 @@ fn compared(
     (regions, columns)
 }
 
-/// The exact engine.
+/// The exact engine: multislice on the full grid.
 fn reference(recipe: &Recipe, specimen: &dyn Specimen) -> Simulator {
     let layers = SurfaceLayers::of(recipe, specimen.facts().thickness_nm);
     let before = layers.map_or(0.0, |layers| layers.before_angstrom());
@@ -194,7 +193,7 @@ fn reference(recipe: &Recipe, specimen: &dyn Specimen) -> Simulator {
         .with_large_probe_box()
         .with_focus_deeper(before);
     if recipe.optics.source().is_some() {
-        // All pixels are needed, not every so many-th: probes at the Nyquist distance carry them.
+        // With a source, all pixels are needed, not every `stride`-th one. Probes at the Nyquist distance are enough for them.
         reference = reference.with_probe_step(ProbeStep::Angstrom(NYQUIST_SHARE * nyquist(recipe)));
     }
     match specimen.facts().film {
@@ -212,13 +211,13 @@ fn stride(options: &AuditOptions, pixel_angstrom: f64) -> usize {
     options.stride.unwrap_or((POINT_ANGSTROM / pixel_angstrom).round().max(1.0) as usize)
 }
 
-/// What takes less memory than an audit.
+/// Advice for an audit that needs too much memory.
 pub const AUDIT_REMEDY: &str = "most of it is the exact simulation that the audit compares with: fewer threads, smaller regions, or no audit, take less";
 
-/// What the exact simulations of an audit take.
+/// The cost of the exact simulations of an audit.
 ///
 /// # Errors
-/// Those of the plan.
+/// Errors of [`crate::engine::Plan::new`].
 pub fn audit_cost(
     recipe: &CheckedRecipe,
     specimen: &dyn Specimen,

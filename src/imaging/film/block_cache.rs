@@ -1,11 +1,11 @@
-//! What was made of the blocks of a field last, for rectangles that share them.
+//! A cache of the most recent blocks of a field, for rectangles that share blocks.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use crate::error::Result;
 
-/// Number of a block along y and x, and of phonon configurations.
+/// Number of a block along y and x, and the number of phonon configurations.
 pub type BlockKey = ([i64; 2], usize);
 
 /// Keeps the last `most` blocks.
@@ -15,7 +15,7 @@ pub struct BlockCache<T> {
 }
 
 struct KeptBlocks<T> {
-    /// Blocks, and whether what they show may have changed.
+    /// Blocks, each with a mark: `true` if its atoms may have changed.
     blocks: BTreeMap<BlockKey, (T, bool)>,
     order: VecDeque<BlockKey>,
 }
@@ -26,18 +26,18 @@ impl<T: Clone> BlockCache<T> {
         BlockCache { most, kept: Mutex::new(kept) }
     }
 
-    /// The block of this key; `make` makes it where it was not kept, or its contents may have changed.
+    /// The block of a key. `make` makes it if it is not in the cache, or if its atoms may have changed.
     ///
     /// # Errors
-    /// Those of `make`.
+    /// Errors of `make`.
     pub fn get(&self, key: BlockKey, make: impl FnOnce() -> Result<T>) -> Result<T> {
         self.get_unless_changed(key, |_| false, make)
     }
 
-    /// The same, but a block that may have changed is kept where `holds` finds that it has not.
+    /// As [`BlockCache::get`], but a block whose atoms may have changed stays if `holds` finds that they have not.
     ///
     /// # Errors
-    /// Those of `make`.
+    /// Errors of `make`.
     pub fn get_unless_changed(
         &self,
         key: BlockKey,
@@ -45,7 +45,7 @@ impl<T: Clone> BlockCache<T> {
         make: impl FnOnce() -> Result<T>,
     ) -> Result<T> {
         let found = self.kept().blocks.get(&key).cloned();
-        // Not under the lock: two threads may make the same block, and get the same.
+        // The lock is not held here. Two threads may make a block at once; they get equal ones.
         let made = match found {
             Some((found, false)) => return Ok(found),
             Some((found, true)) if holds(&found) => found,
@@ -63,7 +63,7 @@ impl<T: Clone> BlockCache<T> {
         Ok(made)
     }
 
-    /// Tells that blocks for whose number `concerned` is true may have changed.
+    /// Marks the blocks for whose number `concerned` is true as stale: their atoms may have changed.
     pub fn mark_stale(&self, concerned: impl Fn([i64; 2]) -> bool) {
         for ((index, _), (_, stale)) in &mut self.kept().blocks {
             *stale |= concerned(*index);

@@ -1,7 +1,6 @@
-//! Atoms that make their images each by itself: those of the film, and those of particles outside the windows of probes.
+//! Images of atoms that scatter independently of each other: the film's atoms, and the particles' atoms outside the windows of probes.
 //!
-//! Blocks lie at fixed places of the full field and are made as a whole, so that an image does not depend on the rectangle that is
-//! asked for.
+//! Blocks lie at fixed places of the full field and are made as a whole, so that an image does not depend on the requested rectangle.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -18,15 +17,15 @@ use crate::engine::single_scattering::{ScatteringMap, SingleScattering};
 use crate::error::Result;
 use crate::recipe::Region;
 
-/// Atoms further than this from a probe do not count, in Angstrom: a particle of 4 nm at this distance from its edge is seen with
-/// 2 % of the film's intensity.
+/// Atoms further than this from a probe are left out, in Angstrom. At this distance from the edge of a particle of 4 nm, the particle adds
+/// 2 % to the film's intensity.
 pub const REACH_ANGSTROM: f64 = 30.0;
 /// Edge in samples of the blocks.
 const BLOCK: i64 = 256;
-/// Blocks that are kept for the next rectangle: 1 MB each.
+/// Blocks that are kept for later rectangles: 1 MB each.
 const KEPT: usize = 64;
 
-/// See the module.
+/// Images of independently scattering atoms, in blocks of samples.
 pub struct FilmBlocks {
     scene: Arc<FilmScene>,
     kept: BlockCache<Arc<[Array2<f64>; 2]>>,
@@ -37,11 +36,11 @@ impl FilmBlocks {
         FilmBlocks { scene: Arc::clone(scene), kept: BlockCache::new(KEPT) }
     }
 
-    /// Images at some samples, [row, column], in the mean over some configurations: of all the film's atoms, and of those outside
-    /// the windows of probes; each with that of the particles' atoms outside.
+    /// Two images at some samples, [row, column], in the mean over some configurations. The first shows all atoms of the film, the second
+    /// the film's atoms outside the windows of probes. The particles' atoms outside the windows are added to both.
     ///
     /// # Errors
-    /// Those of the settings.
+    /// Invalid settings.
     pub fn images(&self, samples: &Samples, configurations: usize) -> Result<[Array2<f64>; 2]> {
         let mut images = [Array2::zeros(samples.shape), Array2::zeros(samples.shape)];
         for index in samples.blocks(BLOCK) {
@@ -64,7 +63,7 @@ impl FilmBlocks {
         Samples::block(index, BLOCK).region(step, (REACH_ANGSTROM / step).ceil() * step)
     }
 
-    /// The area of all atoms that have a part in the images at some samples, in nm of the full field.
+    /// The area of all atoms that add to the images at some samples, in nm of the full field.
     pub fn shown_area(&self, samples: &Samples) -> Region {
         let all = samples.blocks(BLOCK).into_iter().map(|index| self.area(index));
         let join = |a: [f64; 2], b: [f64; 2]| [a[0].min(b[0]), a[1].max(b[1])];
@@ -75,7 +74,7 @@ impl FilmBlocks {
         })
     }
 
-    /// Tells that atoms of an area may have changed.
+    /// Marks the blocks with atoms in an area as stale, because these atoms may have changed.
     pub fn mark_stale(&self, area: &Region) {
         self.kept.mark_stale(|index| self.area(index).meets(area));
     }
@@ -110,7 +109,7 @@ impl FilmBlocks {
     }
 }
 
-/// Those of some atoms that are of element `number`, in so many configurations of a seed, on a raster.
+/// The scattering of the atoms of element `number`, in the mean over some configurations of a seed, on a raster.
 pub fn scattering_map<'r>(
     raster: &'r SingleScattering<'r>,
     atoms: &[Site],

@@ -1,10 +1,9 @@
-//! Particles on a thin film of light atoms: each kind of atom in the way that it needs.
+//! Images of particles on a thin film of light atoms, with a method of its own for each kind of atom.
 //!
-//! The film scatters hardly: its atoms make their images independently of each other ([`crate::engine::single_scattering`]).
-//! Particles are simulated in windows, together with the film behind them, where the window holds any of their atoms; towards
-//! the edge of where it does, one image fades into the other. What the tail of a probe scatters outside the window is
-//! added as from independent atoms. So nearly all the time goes to particles, and the film elsewhere costs the same for any
-//! number of configurations.
+//! The film scatters weakly: its atoms make their images independently of each other ([`crate::engine::single_scattering`]). Particles are
+//! simulated in windows, together with the film behind them, wherever a window holds atoms of a particle. Towards the edge of this area the
+//! simulated image fades into the image of the film. The scattering of the probe's tail outside the window is added as from independent
+//! atoms. So nearly all the time goes to particles, and the film elsewhere takes equally long for any number of configurations.
 //!
 //! Without the film behind them, bright columns of a Pt particle of 2.8 nm on 5 nm of carbon would be off by 0.95 % rms (mean -0.15 %) in
 //! one configuration, and by 0.6 % in 4 or 16: the waves that film and particle scatter interfere.
@@ -35,15 +34,15 @@ use crate::recipe::{CheckedRecipe, Region};
 use crate::resample::{Edge, Kernel, image_band_limit};
 use crate::specimen::Specimen;
 
-/// Atoms of particles within so many Angstrom along the beam share a slice, which acts where they are in each window: tilted particles
-/// have no planes. A particle of 2.4 nm in any orientation, windows of 7.8 A, one configuration, against slices of 0.04 A: bright pixels
-/// are off by 0.16 %; by 0.27 % with the slices of 0.15 A at one height that were here before, which took 2.1 to 2.4 times as long.
+/// Thickness of the particles' slices in Angstrom. A slice acts at the height of its atoms in each window, because tilted particles have no
+/// planes. Test: a particle of 2.4 nm in any orientation, windows of 7.8 A, one configuration, against slices of 0.04 A. Bright pixels are
+/// off by 0.16 %. Slices of 0.15 A at one fixed height gave 0.27 % and took 2.1 to 2.4 times as long.
 const SPAN_ANGSTROM: f64 = 0.35;
-/// Of the film behind them a nm takes probes as long as so many nm of particle.
+/// Time of a probe in a nm of the film behind particles, in units of its time in a nm of particle.
 const FILM_SHARE: f64 = 0.4;
-/// Pixels of the film that take as long as a probe takes for a nm of particle.
+/// Number of film pixels that take as long as one probe takes for a nm of particle.
 const PIXELS_PER_PROBE_NM: f64 = 120.0;
-/// See the module.
+/// Imager of particles on a film. It joins windowed simulations of particles with the images of independent film atoms.
 pub struct FilmImager {
     scene: Arc<FilmScene>,
     film: FilmBlocks,
@@ -51,7 +50,7 @@ pub struct FilmImager {
     kernel: Kernel,
 }
 
-/// The settings of the windows of particles, where those asked for are `settings`.
+/// The settings of the windows of particles, made from the requested `settings`.
 pub fn film_settings(settings: &Settings) -> Settings {
     Settings {
         probe_box: Some(ProbeBox::Large),
@@ -63,10 +62,10 @@ pub fn film_settings(settings: &Settings) -> Settings {
 }
 
 impl FilmImager {
-    /// `None` for specimens without a film, engines without windows, and several detectors.
+    /// Makes the imager; `None` for specimens without a film, engines without windows, and several detectors.
     ///
     /// # Errors
-    /// Those of the settings.
+    /// Invalid settings.
     pub fn new(
         recipe: &CheckedRecipe,
         specimen: &Arc<dyn Specimen>,
@@ -188,7 +187,8 @@ impl RegionImager for FilmImager {
         })
     }
 
-    /// Mean heights of the film's atoms are those of slices as thick as in any specimen without planes: particles need thinner ones.
+    /// Displaces all atoms. Heights of the film's atoms are rounded to slices as thick as in any specimen without planes; particles need
+    /// thinner slices.
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
         let seed = (self.scene.recipe.seed, configuration);
         let phonons = &self.scene.recipe.phonons;
@@ -203,7 +203,7 @@ impl RegionImager for FilmImager {
 }
 
 impl ImageBlocks for FilmImager {
-    /// That of the film's blocks: particles have smaller ones.
+    /// The area of the film's blocks. It is larger than the area of the particles' blocks.
     fn shown_area(&self, &PixelRect { first, shape, .. }: &PixelRect) -> Region {
         let pixel = 10.0 * self.scene.recipe.field.pixel_nm() / self.scene.step;
         self.film.shown_area(&Samples::under(first, shape, pixel))
@@ -215,7 +215,7 @@ impl ImageBlocks for FilmImager {
     }
 
     fn work(&self, &PixelRect { first, shape: [rows, columns], .. }: &PixelRect) -> usize {
-        // The way of probes through particles, from one pixel in 64.
+        // The path of probes through particles, from one pixel in 64.
         let pixel = self.scene.recipe.field.pixel_nm();
         let particles = &self.scene.specimen.facts().particle_outlines;
         let spheres: Vec<([f64; 2], f64)> =
@@ -239,8 +239,8 @@ impl ImageBlocks for FilmImager {
     }
 }
 
-/// Puts the image of a block in the place of the film's, where it shows the particle; `outside` is what atoms outside the
-/// windows of its probes add. All are at the samples.
+/// Fades the image of a block into the film's image, by the block's share. `outside` holds the intensity from atoms outside the windows of
+/// the block's probes. All images are at the samples.
 fn add_block(
     image: &mut Array2<f64>,
     outside: &Array2<f64>,

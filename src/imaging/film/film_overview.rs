@@ -1,10 +1,10 @@
-//! Overviews of particles on a film: every atom by itself, and no atom of the film.
+//! Overviews of particles on a film: all atoms of particles scatter independently, and the film has no atoms.
 //!
-//! An atom of a particle adds its cross section on the detector, spread over a Gaussian as wide as the probe is at its depth. The
-//! film is everywhere as bright as in the mean. Particles lie on it as on a plane, since no atom of it is made.
+//! An atom of a particle adds its cross section on the detector, spread over a Gaussian as wide as the probe is at its depth. The film has
+//! its mean brightness everywhere. Particles lie on a plane instead of on the film's atoms, since none of these are made.
 //!
-//! Neglected: channelling and multiple scattering, vibrations (a twentieth of the width), interference, the grain of the film, and
-//! all aberrations but defocus. What that comes to is in tests/worlds/film.rs.
+//! Neglected: channelling and multiple scattering, vibrations (a twentieth of the width), interference, the grain of the film, and all
+//! aberrations but defocus. tests/worlds/film.rs measures the error of these approximations.
 
 use std::collections::BTreeMap;
 use std::f64::consts::SQRT_2;
@@ -20,13 +20,13 @@ use crate::specimen::SiteKind;
 
 /// Standard deviation of a Gaussian with the width at half maximum of an Airy disc, in units of wavelength over semiangle.
 const AIRY_SIGMA: f64 = 0.218;
-/// Gaussians end after so many standard deviations.
+/// Radius of a Gaussian's pixels in standard deviations.
 const CUT: f64 = 4.0;
 
-/// The means over the pixels of a raster, [row, column], as fraction of the beam.
+/// The mean intensity in each pixel of a raster, [row, column], as fraction of the beam.
 ///
 /// # Errors
-/// An element that the tables lack.
+/// [`crate::Error::UnknownElement`] for an element that the tables lack.
 pub fn film_overview(scene: &FilmScene, raster: &TurnedRaster) -> Result<Array2<f64>> {
     let settings = scene.simulator.settings();
     let section = |number: u8| cross_section_angstrom2(settings, number);
@@ -51,7 +51,7 @@ pub fn film_overview(scene: &FilmScene, raster: &TurnedRaster) -> Result<Array2<
     Ok(image)
 }
 
-/// Standard deviation in Angstrom of a probe's intensity along x or y at a depth in Angstrom: diffraction, and the disc of its cone.
+/// Standard deviation in Angstrom of a probe's intensity along x or y at a depth in Angstrom, from diffraction and the cone's disc.
 fn probe_sigma(optics: &Optics, depth: f64) -> f64 {
     let semiangle = 1e-3 * optics.semiangle_mrad;
     let airy = AIRY_SIGMA * optics.wavelength_angstrom() / semiangle;
@@ -60,7 +60,7 @@ fn probe_sigma(optics: &Optics, depth: f64) -> f64 {
     airy.hypot(disc)
 }
 
-/// Adds a Gaussian of this volume in square Angstrom at a place (x, y) in nm: to each pixel its mean there.
+/// Adds a Gaussian of this volume in square Angstrom at a place (x, y) in nm; each pixel gets the mean over its area.
 fn add_gaussian(
     image: &mut Array2<f64>,
     raster: &TurnedRaster,

@@ -1,4 +1,4 @@
-//! Particles on a film, and how they are to be imaged: what the parts of the imager share.
+//! The data that the parts of the film imager share: specimen, film, engine and samples.
 
 use std::sync::Arc;
 
@@ -8,12 +8,12 @@ use crate::imaging::simulator::Simulator;
 use crate::recipe::{CheckedRecipe, Region};
 use crate::specimen::{Specimen, ThinFilm};
 
-/// See the module.
+/// Particles on a film, and the settings of their images.
 pub struct FilmScene {
     pub recipe: CheckedRecipe,
     pub specimen: Arc<dyn Specimen>,
     pub film: ThinFilm,
-    /// For particles, and the film behind them.
+    /// Simulates the particles, and the film behind them.
     pub simulator: Simulator,
     pub window_angstrom: f64,
     /// Distance of samples in Angstrom; sample 0 is at pixel 0 of the full field.
@@ -26,7 +26,7 @@ impl FilmScene {
         mean_atoms(&*self.specimen, region, &self.recipe.phonons)
     }
 
-    /// Mean heights in Angstrom of atoms at their mean positions, those of the film in slices of this thickness.
+    /// Mean heights in Angstrom of atoms at their mean positions. The film's heights are rounded to slices of this thickness.
     pub fn heights(&self, atoms: &[Site], film_slice_angstrom: f64) -> Vec<f64> {
         let height = |s: &Site| {
             let z = s.position[2];

@@ -1,7 +1,7 @@
-//! Carbon that the beam deposits on the face that it enters.
+//! Carbon that the beam deposits on the entrance face.
 //!
-//! A film of which the atoms up to the local thickness are there: what has been seen once stays where it is, and more comes on top.
-//! Its atoms make their images as those of [`super::surface_imager`] do.
+//! The carbon is a film whose atoms are drawn once, up to the greatest thickness. Atoms up to the local thickness are there: the visible
+//! ones stay where they are, and more are added on top. Their images are made as in [`super::surface_imager`].
 
 use std::sync::Arc;
 
@@ -24,13 +24,13 @@ use crate::specimen::{DoseMap, SurfaceLayers};
 
 /// The thickest layer in Angstrom.
 pub const MOST_GROWN_ANGSTROM: f64 = 60.0;
-/// From the specimen to its carbon in Angstrom, as for layers that are there from the beginning.
+/// Distance in Angstrom from the specimen to its carbon, as for layers that are there from the beginning.
 const CONTACT_ANGSTROM: f64 = 2.0;
-/// Number of the draw that gives the film its seed, and of the layer.
+/// Number of the random draw that seeds the film, and number of the layer.
 const SEED: (u32, u64) = (16, 2);
-/// A bit in the keys of its atoms that no others have.
+/// A bit that is set in the keys of these atoms only.
 const KEY: u64 = 1 << 60;
-/// Displacements of its atoms where the recipe has no other layers, in Angstrom.
+/// Standard deviation of the atoms' displacements in Angstrom, where the recipe has no other layers.
 const SIGMA_ANGSTROM: f64 = 0.08;
 /// Edge in samples of the blocks that are made at once.
 const BLOCK: i64 = 256;
@@ -42,7 +42,7 @@ pub struct GrownCarbon {
     kernel: Arc<Kernel>,
     /// Distance of samples in Angstrom.
     step: f64,
-    /// From the specimen's entrance face to where the carbon begins, in Angstrom.
+    /// Distance in Angstrom from the specimen's entrance face to the first carbon.
     top_angstrom: f64,
     sigma_angstrom: f64,
     /// Seed and number of phonon configurations.
@@ -54,26 +54,26 @@ pub struct GrownCarbon {
 pub struct CarbonPatch<'a> {
     carbon: &'a GrownCarbon,
     samples: Samples,
-    /// Samples at every edge that the size of the source takes.
+    /// Samples (rows, columns) added at every edge for the size of the source.
     margin: [usize; 2],
     blocks: Vec<CarbonBlock>,
 }
 
-/// The part of a block.
+/// A block of the carbon's image.
 struct CarbonBlock {
     index: [i64; 2],
-    /// The corner (x, y) of the area of its atoms, in Angstrom.
+    /// The corner (x, y) of the area of the block's atoms, in Angstrom.
     corner: [f64; 2],
-    /// Atoms that are not there yet, the lowest first; z is their height above the face.
+    /// Atoms that are not deposited yet, the lowest first; z is their height above the face.
     coming: Vec<Site>,
     image: Array2<f64>,
 }
 
 impl GrownCarbon {
-    /// Carbon on a specimen of this recipe and thickness.
+    /// Carbon on a specimen of this recipe and thickness, before any is deposited.
     ///
     /// # Errors
-    /// [`Error::Invalid`] for a detector that the direct beam reaches: atoms that scatter each by itself tell nothing of it.
+    /// [`Error::Invalid`] for a detector that the direct beam reaches: independent scattering does not describe the direct beam.
     pub fn on(recipe: &CheckedRecipe, thickness_nm: f64) -> Result<Self> {
         let [detector, ..] = &recipe.detector.main_alone().all()[..] else {
             return Err(Error::invalid(Setting::Detector, "none", "expected one"));
@@ -122,7 +122,7 @@ impl GrownCarbon {
         CarbonPatch { carbon: self, samples, margin, blocks }
     }
 
-    /// Samples that atoms are seen from.
+    /// Distance in samples up to which an atom adds to the image.
     fn reach(&self) -> usize {
         (REACH_ANGSTROM / self.step).ceil() as usize
     }
@@ -143,7 +143,7 @@ impl GrownCarbon {
         CarbonBlock { index, corner: [x[0], y[0]], coming, image }
     }
 
-    /// What some atoms of a block, at heights above the face, add to its image.
+    /// The intensity that some atoms of a block, at heights above the face, add to the block's image.
     fn image_of(&self, block: &CarbonBlock, atoms: &[Site]) -> Result<Array2<f64>> {
         let margin = self.reach();
         let raster =
@@ -163,10 +163,10 @@ impl GrownCarbon {
 }
 
 impl CarbonPatch<'_> {
-    /// Adds the atoms up to a thickness: `angstrom` holds that of every place, in Angstrom. Nothing is ever taken away.
+    /// Deposits the atoms up to the local thickness, which `angstrom` maps. No atom is ever removed.
     ///
     /// # Errors
-    /// Those of the settings.
+    /// Invalid settings.
     pub fn grow(&mut self, angstrom: &DoseMap) -> Result<()> {
         for block in &mut self.blocks {
             let there = |site: &Site| {
@@ -184,7 +184,7 @@ impl CarbonPatch<'_> {
         Ok(())
     }
 
-    /// The image of the carbon that is there, as fraction of the beam.
+    /// The image of the deposited carbon, as fraction of the beam.
     pub fn image(&self) -> SourceImage {
         let mut image = Array2::zeros(self.samples.shape);
         for block in &self.blocks {

@@ -1,7 +1,7 @@
-//! Particles, and the film behind them, simulated in windows: block by block of the field's samples.
+//! Windowed simulations of particles and the film behind them, in blocks of the field's samples.
 //!
-//! Blocks lie at fixed places of the full field and are simulated as a whole, so that the image of a particle does not depend on
-//! the rectangle that is asked for.
+//! Blocks lie at fixed places of the full field and are simulated as a whole, so that the image of a particle does not depend on the
+//! requested rectangle.
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
@@ -20,47 +20,46 @@ use crate::progress::Progress;
 use crate::recipe::Region;
 use crate::specimen::{ParticleOutline, outlines_in};
 
-/// Windows hold no atoms of a particle further than half their width and this from the probe, in Angstrom.
+/// Probes are propagated up to half the window's width and this distance from atoms of particles, in Angstrom. Beyond, no window holds any.
 const BEYOND_WINDOW_ANGSTROM: f64 = 1.0;
-/// Specimen around the window for the potentials of its atoms, in Angstrom.
+/// Width of the specimen around the window that its potentials need, in Angstrom.
 const POTENTIAL_ANGSTROM: f64 = 1.5;
-/// Film behind particles is in slices of this thickness in Angstrom. An audit (7.8 A windows, 4 configurations, film there in slices of
-/// 0.5 A): bright columns 0.33 % off with 2 A, 0.34 % with 1 A, which takes a quarter more time.
+/// Thickness in Angstrom of the slices of the film behind particles. In an audit (7.8 A windows, 4 configurations, slices of 0.5 A in the
+/// reference's film) bright columns were 0.33 % off with 2 A, and 0.34 % off with 1 A, which took a quarter more time.
 pub const FILM_SLICE_ANGSTROM: f64 = 2.0;
-/// Edge in samples of the blocks in which particles are simulated: wider ones spare potentials and take memory.
+/// Edge in samples of the blocks in which particles are simulated. Wider ones save work on potentials and need more memory.
 const BLOCK: i64 = 64;
-/// Probes of such a block.
+/// Number of probes of a whole block.
 pub const BLOCK_PROBES: usize = (BLOCK * BLOCK) as usize;
-/// Blocks that are kept for the next rectangle: 64 kB each.
+/// Blocks that are kept for later rectangles: 64 kB each.
 const KEPT: usize = 1024;
 
 /// The image of a block.
 pub struct BlockImage {
-    /// The samples with atoms of particles in their windows, or a rectangle around them.
+    /// The samples whose windows hold atoms of particles, or a rectangle around them.
     pub samples: Samples,
-    /// The image there, [row, column], as fraction of the beam.
+    /// The image at these samples, [row, column], as fraction of the beam.
     pub image: Array2<f64>,
-    /// The share of it in the whole image: all where the window holds atoms of particles, and none so far from them that
-    /// no block is made.
+    /// Weight of this image in the whole image: 1 where the window holds atoms of particles, falling to 0 where no block is made.
     pub share: Array2<f64>,
 }
 
-/// A block as it is kept.
+/// A block in the cache.
 #[derive(Clone)]
 struct KeptBlock {
-    /// Digest of the atoms around it.
+    /// Digest of the atoms in and around the block.
     atoms: u64,
     /// `None` where windows hold no atoms of particles.
     image: Option<Arc<BlockImage>>,
 }
 
-/// See the module.
+/// Windowed simulations of particles, in blocks of samples.
 pub struct ParticleBlocks {
     scene: Arc<FilmScene>,
     kept: BlockCache<KeptBlock>,
 }
 
-/// Which atoms these are, as a number.
+/// Hashes the keys and elements of atoms.
 fn digest(atoms: &[Site]) -> u64 {
     let mut hasher = DefaultHasher::new();
     atoms.iter().for_each(|s| (s.key, s.number).hash(&mut hasher));
@@ -77,17 +76,17 @@ impl ParticleBlocks {
         0.5 * self.scene.window_angstrom + BEYOND_WINDOW_ANGSTROM
     }
 
-    /// Distance from the centre of a particle up to which probes are propagated, about.
+    /// Approximate distance in nm from the centre of a particle up to which probes are propagated.
     pub fn reach_nm(&self, particle: &ParticleOutline) -> f64 {
         0.5 * particle.diameter_nm + 0.1 * self.near()
     }
 
-    /// Specimen around the probes of a block, in Angstrom.
+    /// Width of the specimen around the probes of a block, in Angstrom.
     fn margin(&self) -> f64 {
         self.near() + POTENTIAL_ANGSTROM
     }
 
-    /// Probes that the particles of the built field take, for each configuration.
+    /// Number of probes that the particles of the built field need, for each configuration.
     pub fn particle_probes(&self) -> usize {
         let area = |p: &ParticleOutline| std::f64::consts::PI * self.reach_nm(p).powi(2);
         let particles = outlines_in(&*self.scene.specimen, &self.scene.recipe.field.built_region());
@@ -95,11 +94,11 @@ impl ParticleBlocks {
         (particles.iter().map(area).sum::<f64>() / (step_nm * step_nm)) as usize
     }
 
-    /// The plan for a block of samples in the middle of a particle, which is as tall as particles are in the mean over their probes;
-    /// `None` where there are none.
+    /// Plans a block of samples in the middle of a particle whose height is the mean over the probes of all particles; `None` where there
+    /// are no particles.
     ///
     /// # Errors
-    /// Those of the settings.
+    /// Invalid settings.
     pub fn block_plan(&self) -> Result<Option<PlannedScan>> {
         let mut particles = self.scene.specimen.facts().particle_outlines.clone();
         let moment = |n: i32| particles.iter().map(|p| p.diameter_nm.powi(n)).sum::<f64>();
@@ -120,7 +119,7 @@ impl ParticleBlocks {
         Ok(Some(PlannedScan::new(plan, scan, Some(&atoms))))
     }
 
-    /// The blocks that hold any of some samples.
+    /// The blocks that contain any of these samples.
     pub fn touching(samples: &Samples) -> Vec<[i64; 2]> {
         samples.blocks(BLOCK)
     }
@@ -130,15 +129,15 @@ impl ParticleBlocks {
         Samples::block(index, BLOCK).region(self.scene.step, self.margin())
     }
 
-    /// Tells that atoms of an area may have changed: blocks are simulated again if they hold others than before.
+    /// Marks the blocks with atoms in an area as stale. A stale block is simulated again if its atoms have changed.
     pub fn mark_stale(&self, area: &Region) {
         self.kept.mark_stale(|index| self.area(index).meets(area));
     }
 
-    /// The image of a block in the mean over some configurations; `None` where windows hold no atoms of particles.
+    /// The image of a block in the mean over some configurations; `None` where its windows hold no atoms of particles.
     ///
     /// # Errors
-    /// Those of the engine, and [`crate::Error::Interrupted`].
+    /// Errors of the engine, and [`crate::Error::Interrupted`].
     pub fn block(
         &self,
         index: [i64; 2],
@@ -163,12 +162,12 @@ impl ParticleBlocks {
         progress: &dyn Progress,
     ) -> Result<Option<BlockImage>> {
         let whole = Samples::block(index, BLOCK);
-        // Atoms from whose windows on samples of the block may lie.
+        // Positions of the particles' atoms in samples (row, column) from the first of the block. Windows on the block may hold them.
         let particles: Vec<[f64; 2]> = around
             .iter()
             .filter(|s| !self.scene.film.holds(s.key))
             .map(|s| {
-                // in samples from the first of the block
+                // Row and column, from y and x.
                 [1, 0].map(|k| (s.position[k] - self.margin()) / self.scene.step)
             })
             .collect();
@@ -186,8 +185,8 @@ impl ParticleBlocks {
         self.scene.heights(atoms, FILM_SLICE_ANGSTROM)
     }
 
-    /// The least rectangle in a block around the samples whose windows hold atoms of particles; these are in samples (row,
-    /// column) from the first of the block.
+    /// The smallest rectangle in a block around the samples whose windows hold atoms of particles. `particles` holds the atoms' positions
+    /// in samples (row, column) from the first of the block.
     fn near_particles(&self, block: &Samples, particles: &[[f64; 2]]) -> Option<Samples> {
         let reach = self.near() / self.scene.step;
         let mut rectangle: Option<[[i64; 2]; 2]> = None;
@@ -211,7 +210,7 @@ impl ParticleBlocks {
         })
     }
 
-    /// See [`BlockImage::share`]; particles are in samples (row, column) from the first.
+    /// The weights of [`BlockImage::share`]; `particles` holds positions in samples (row, column) from the first.
     fn share(&self, samples: &Samples, particles: &[[f64; 2]]) -> Array2<f64> {
         let mut distance = Array2::from_elem(samples.shape, f64::INFINITY);
         let reach = self.near() / self.scene.step;
@@ -223,7 +222,7 @@ impl ParticleBlocks {
             };
             for i in range(0) {
                 for j in range(1) {
-                    // as windows are square
+                    // Windows are square, so the distance is the larger of the two coordinates' distances.
                     let d =
                         (i as f64 - at[0]).abs().max((j as f64 - at[1]).abs()) * self.scene.step;
                     distance[[i, j]] = distance[[i, j]].min(d);
@@ -257,7 +256,7 @@ impl ParticleBlocks {
             shape: samples.shape,
         };
         let pixels = PixelBox::of_area(area, scan, 10.0 * self.scene.specimen.facts().thickness_nm);
-        // Films have one detector.
+        // Films are imaged on one detector.
         Ok(self.scene.simulator.means(&pixels, configurations, moved, progress)?.swap_remove(0))
     }
 }

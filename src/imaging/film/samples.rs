@@ -1,14 +1,14 @@
-//! Samples of the full field: where probes of particles stand, and the image of the film is worked out.
+//! Samples of the full field: the probe positions of particles, at which the film's image is also computed.
 
 use std::ops::Range;
 
 use crate::recipe::Region;
 use crate::resample::HALF_WIDTH;
 
-/// Samples of the full field: the first (row, column), and how many.
+/// A rectangle of samples of the full field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Samples {
-    /// The first (row, column); sample 0 is at pixel 0 of the full field.
+    /// Row and column of the first sample; sample 0 is at pixel 0 of the full field.
     pub first: [i64; 2],
     /// Rows and columns.
     pub shape: [usize; 2],
@@ -20,7 +20,7 @@ impl Samples {
         Samples { first: index.map(|n| n * edge), shape: [edge as usize; 2] }
     }
 
-    /// The blocks of `edge` samples that hold any of these.
+    /// The blocks of `edge` samples that contain any of these samples.
     pub fn blocks(&self, edge: i64) -> Vec<[i64; 2]> {
         let range = |k: usize| {
             let last = self.first[k] + self.shape[k] as i64 - 1;
@@ -29,8 +29,8 @@ impl Samples {
         range(0).flat_map(|i| range(1).map(move |j| [i, j])).collect()
     }
 
-    /// The area of the samples with `margin` Angstrom more on all sides, in nm of the full field; they are `step` Angstrom
-    /// apart.
+    /// The area of the samples, grown by `margin` Angstrom on all sides, in nm of the full field. The distance of samples is `step`
+    /// Angstrom.
     pub fn region(&self, step: f64, margin: f64) -> Region {
         let range = |k: usize| {
             let first = self.first[1 - k] as f64 * step;
@@ -40,8 +40,7 @@ impl Samples {
         Region { x: range(0), y: range(1) }
     }
 
-    /// Samples that these have in common with others, along axis `k`: their numbers among the others, and the number among
-    /// these of the first.
+    /// The samples in both rectangles, along axis `k`: their numbers in `others`, and the number of the first in `self`.
     pub fn shared(&self, others: &Samples, k: usize) -> (Range<usize>, usize) {
         let offset = others.first[k] - self.first[k];
         let end = (others.shape[k] as i64).min(self.shape[k] as i64 - offset);
@@ -49,7 +48,7 @@ impl Samples {
         (start as usize..end.max(start) as usize, (start + offset) as usize)
     }
 
-    /// Those that places in a region (nm of the full field) are interpolated from, `step` Angstrom apart.
+    /// The samples from which places in a region (nm of the full field) are interpolated. The distance of samples is `step` Angstrom.
     pub fn around(region: &Region, step: f64) -> Self {
         let margin = HALF_WIDTH as i64;
         let range = |[low, high]: [f64; 2]| {
@@ -60,9 +59,9 @@ impl Samples {
         Samples { first: [y, x], shape: [rows, columns] }
     }
 
-    /// Those that pixels `pixel` samples apart are interpolated from.
+    /// The samples from which pixels are interpolated. The distance of pixels is `pixel` samples.
     pub fn under(first: [usize; 2], shape: [usize; 2], pixel: f64) -> Self {
-        // With whole stencils on all sides, a pixel does not depend on where the samples end.
+        // With whole stencils on all sides, the value of a pixel does not depend on where the samples end.
         let margin = HALF_WIDTH as i64;
         let low = first.map(|p| (p as f64 * pixel).floor() as i64 - margin);
         let high =

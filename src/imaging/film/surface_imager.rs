@@ -1,7 +1,7 @@
-//! Layers of carbon on the faces of a specimen that an imager makes without them.
+//! Layers of carbon on the faces of a specimen, added to the image of the bare specimen.
 //!
-//! Atoms of a layer make their images independently of each other and of the specimen ([`crate::engine::single_scattering`]), which are
-//! added to that of the specimen. What a layer before the specimen does to the probe is left out.
+//! Atoms of a layer scatter independently of each other and of the specimen ([`crate::engine::single_scattering`]). Their intensities are
+//! added to the image of the specimen. The effect of a layer before the specimen on the probe is left out.
 
 use std::sync::Arc;
 
@@ -29,10 +29,10 @@ use crate::specimen::{CarbonLayer, Specimen, SurfaceLayers};
 
 /// Edge in samples of the blocks that are made at once.
 const BLOCK: i64 = 256;
-/// Blocks that are kept for the next rectangle: half a MB each.
+/// Blocks that are kept for later rectangles: half a MB each.
 const KEPT: usize = 64;
 
-/// See the module.
+/// Adds the images of surface layers to the images of another imager.
 pub struct SurfaceImager {
     inner: Box<dyn RegionImager>,
     layers: SurfaceLayers,
@@ -45,18 +45,18 @@ pub struct SurfaceImager {
 }
 
 impl SurfaceImager {
-    /// Whether the layers of a recipe, if it has any, can be added: to the image of one detector that the direct beam does not reach.
-    /// Atoms that scatter each by itself tell nothing of the others.
+    /// Whether the layers of a recipe can be added to the image. They can where there are none, or on a single detector outside the direct
+    /// beam: independent scattering does not describe any other.
     pub fn can_cover(recipe: &CheckedRecipe) -> bool {
         let detectors = recipe.detector.all();
         let dark = |d: &Detector| d.inner_mrad > recipe.optics.convergence_mrad;
         recipe.surface.is_none() || (detectors.len() == 1 && detectors.iter().all(dark))
     }
 
-    /// The imager as it is, or with the layers of the recipe; `settings` are those without them.
+    /// Adds the layers of the recipe to an imager, or returns it unchanged if there are none. `settings` are the engine's without layers.
     ///
     /// # Errors
-    /// Those of the settings.
+    /// Invalid settings.
     pub fn covering(
         inner: Box<dyn RegionImager>,
         recipe: &CheckedRecipe,
@@ -140,7 +140,7 @@ impl RegionImager for SurfaceImager {
         Ok(vec![image + pixels.sampled(layers.mapv(|v| v.max(0.0)))])
     }
 
-    /// Overviews too show the layers on the image in full detail.
+    /// Overviews show the layers in full detail too.
     fn image_at(
         &self,
         raster: &TurnedRaster,

@@ -1,4 +1,4 @@
-//! Puts the image of a rectangle of pixels together from units.
+//! Assembles the image of a rectangle of pixels from the images of units.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -17,23 +17,23 @@ use crate::specimen::sites::SiteKind;
 use crate::specimen::specimen_trait::Specimen;
 use crate::specimen::units::unit_tag::{TurnedFamily, UnitTag};
 
-/// Width of the ramps between units: weights go with exp(-d^2 / 2 s), d being the distance from the unit's nearest
-/// column in Angstrom, and this is s in square Angstrom. Halfway between columns 2 A apart the ramp is 0.3 A wide.
+/// Width of the ramps between units. A unit's weight is exp(-d^2 / 2 s): d is the distance to the unit's nearest column in Angstrom, and
+/// this constant is s in square Angstrom. Halfway between columns 2 A apart the ramp is 0.3 A wide.
 pub const RAMPS: f64 = 0.15;
-/// No ramps: a place shows the nearest unit alone.
+/// No ramps: a place shows the nearest unit only.
 pub const NO_RAMPS: f64 = 0.0;
 /// Weights below this are left out.
 const LEAST_WEIGHT: f64 = 1e-4;
-/// A column stands in for another the better the nearer it is: so far counts as much as a mean atomic number that differs by 1.
+/// Distance in Angstrom that counts as much as a difference of 1 in mean atomic number, when a column stands in for another.
 const STAND_IN_ANGSTROM: f64 = 4.0;
-/// Edge in Angstrom of the bins in which columns are looked up: those that share a pixel are nearer.
+/// Edge in Angstrom of the bins in which columns are looked up. Columns that share a pixel are closer to each other than this.
 const BIN_ANGSTROM: f64 = 3.0;
 
 /// A unit of the world.
 #[derive(Clone, Copy)]
 struct PlacedUnit {
     tag: Option<UnitTag>,
-    /// That of its tag in the list of families.
+    /// Index of the tag's family in the list of families.
     family: usize,
     /// Centre in Angstrom.
     centre: [f64; 2],
@@ -54,7 +54,7 @@ struct PixelShare {
     weight: f64,
 }
 
-/// The families of units, each once.
+/// The list of families of units, without repetition.
 #[derive(Default)]
 struct Families {
     list: Vec<TurnedFamily>,
@@ -62,7 +62,7 @@ struct Families {
 }
 
 impl Families {
-    /// The index of a unit's family. Most units are of the same family as the one before.
+    /// The index of a unit's family. The search starts with the family of the unit before, which most units share.
     fn index(&mut self, before: usize, tag: &UnitTag) -> usize {
         let family = TurnedFamily::of(tag);
         if self.list.get(before) == Some(&family) {
@@ -75,9 +75,9 @@ impl Families {
     }
 }
 
-/// Where the units' images overlap: the pixels of a rectangle and the units that make them.
+/// The overlap of the units' images: the pixels of a rectangle, and the units that each of them shows.
 pub struct Assembly {
-    /// Where its columns lie.
+    /// The area in which the columns lie.
     area: Region,
     families: Vec<TurnedFamily>,
     units: Vec<PlacedUnit>,
@@ -89,8 +89,8 @@ pub struct Assembly {
 }
 
 impl Assembly {
-    /// For `shape` pixels from pixel `first` (row, column) of the full field. A tilted beam has moved by `way` (Angstrom) at half
-    /// thickness: a pixel shows the columns that the beam meets there.
+    /// Assembles `shape` pixels from pixel `first` (row, column) of the full field. A tilted beam is displaced by `way` (Angstrom) at half
+    /// thickness, so a pixel shows the columns that the beam meets there.
     pub fn new(
         specimen: &dyn Specimen,
         first: [usize; 2],
@@ -108,8 +108,8 @@ impl Assembly {
         Self::of_places(specimen, &region, shape, places, (way, RAMPS))
     }
 
-    /// For pixels at any `places` (x, y) in Angstrom of the full field, row by row, all of them in a region; with [`RAMPS`] between
-    /// units or [`NO_RAMPS`].
+    /// Assembles pixels at any `places` (x, y) in Angstrom of the full field, row by row, all of them in `region`. `ramps` is [`RAMPS`] or
+    /// [`NO_RAMPS`].
     pub fn of_places(
         specimen: &dyn Specimen,
         region: &Region,
@@ -153,8 +153,8 @@ impl Assembly {
         Assembly { area, families: families.list, units, columns, shares, shape, places }
     }
 
-    /// With the images of other columns, those with the most similar content nearby, in place of those that the library lacks. Of
-    /// no use but for pictures that show much more than a column.
+    /// Replaces units that the library lacks by the units of nearby columns with the most similar content. Suitable only for pictures whose
+    /// pixels are much wider than a column.
     #[must_use]
     pub fn with_stand_ins(mut self, specimen: &dyn Specimen, library: &ImageLibrary) -> Self {
         let there = self.held_by(library);
@@ -183,17 +183,17 @@ impl Assembly {
         self
     }
 
-    /// Places (x, y) of its pixels in Angstrom of the full field, row by row.
+    /// Places (x, y) of the pixels in Angstrom of the full field, row by row.
     pub fn places(&self) -> &[[f64; 2]] {
         &self.places
     }
 
-    /// The families of its units.
+    /// The families of the units.
     pub fn families(&self) -> BTreeSet<TurnedFamily> {
         self.families.iter().copied().collect()
     }
 
-    /// The library cells of each of its families.
+    /// The library cells of each family.
     fn cells<'a>(&self, library: &'a ImageLibrary) -> Vec<Option<&'a CellImages>> {
         self.families.iter().map(|family| library.cell_images(*family)).collect()
     }
@@ -205,7 +205,7 @@ impl Assembly {
         self.units.iter().map(held).collect()
     }
 
-    /// Pixels that need more than the library has: by index, and the weight of what is missing.
+    /// The pixels that show units missing in the library: their index, and the weight of the missing units.
     pub fn missing(&self, library: &ImageLibrary) -> HashMap<usize, f64> {
         let there = self.held_by(library);
         let mut missing = HashMap::new();
@@ -215,7 +215,7 @@ impl Assembly {
         missing
     }
 
-    /// The image on a detector, mean over the first `configurations`, without what [`Assembly::missing`] lists.
+    /// The image on a detector, mean over the first `configurations`. The units that [`Assembly::missing`] reports add nothing.
     pub fn image(
         &self,
         (library, detector): (&ImageLibrary, usize),
@@ -230,8 +230,8 @@ impl Assembly {
         })
     }
 
-    /// As [`Assembly::image`] on the first detector, but each unit is the mean over all configurations of its entry in the library, where
-    /// that takes some for each unit, different ones. Of no use where the phonons of single columns matter.
+    /// As [`Assembly::image`] on the first detector, but each unit shows the mean over all configurations of its own entry in the library.
+    /// [`Assembly::image`] draws different configurations for each unit. Not suitable where the phonons of single columns matter.
     pub fn overview(&self, library: &ImageLibrary, kernel: &Kernel) -> Array2<f64> {
         let all = library.configurations();
         self.image_of((library, 0), kernel, |cell, tag| cell.own_realisations(tag.entry, all))
@@ -259,7 +259,7 @@ impl Assembly {
         };
         let units = 0..self.units.len();
         let values: Vec<Vec<f64>> = units.clone().into_par_iter().map(patch).collect();
-        // Summed unit by unit, so that the bytes do not depend on threads.
+        // The sum goes unit by unit, so that the bytes do not depend on the number of threads.
         let mut image = Array2::zeros(self.shape);
         let pixels = image.as_slice_mut().unwrap_or_default();
         for (n, values) in units.zip(&values) {
@@ -270,7 +270,7 @@ impl Assembly {
         image
     }
 
-    /// Where a pixel lies in the library cell, from the unit's centre, in samples (x, y).
+    /// The place of a pixel in the library cell, counted from the unit's centre, in samples (x, y).
     fn offset(
         &self,
         pixel: usize,
@@ -301,9 +301,9 @@ fn mean_numbers(found: &Sites) -> HashMap<u64, f64> {
 #[derive(Default)]
 struct NearColumns {
     units: Vec<usize>,
-    /// Their x and y.
+    /// Positions of the columns, x and y.
     at: [Vec<f64>; 2],
-    /// Squares of their distances from a pixel.
+    /// Squares of the columns' distances from a pixel.
     squares: Vec<f64>,
 }
 
@@ -318,7 +318,7 @@ impl NearColumns {
         self.squares.resize(self.units.len(), 0.0);
     }
 
-    /// Adds their shares in a pixel at `at`, with ramps of this width (see [`RAMPS`]).
+    /// Adds the columns' shares in a pixel at `at`, with ramps of this width (see [`RAMPS`]).
     fn push_shares(
         &mut self,
         pixel: usize,
@@ -345,7 +345,7 @@ impl NearColumns {
             }
             // Most pixels have one column only, whose weight is 1.
             let weight = if d2 == least { 1.0 } else { libm::exp(-(d2 - least) / (2.0 * ramps)) };
-            // A unit counts from the nearest of its columns.
+            // A unit's weight is the weight of its nearest column.
             match shares[start..].iter_mut().find(|s| s.unit == *unit) {
                 Some(share) => share.weight = share.weight.max(weight),
                 None => shares.push(PixelShare { pixel, unit: *unit, weight }),
@@ -381,7 +381,7 @@ fn values(
     let whole = realisations.len() == shelf_configurations(cell, realisations);
     let mut add = |image: &Array2<f32>, shift: [i64; 2], weight: f64| {
         let (rows, columns) = image.dim();
-        // Along axes that are not periodic, units of a kind lie at the same place.
+        // Along axes that are not periodic, all units of a kind have equal positions.
         let wrap = |i: i64, n: usize| i.rem_euclid(n as i64) as usize;
         let first = wrap(x[0] + shift[0], columns);
         let standard = image.as_standard_layout();
@@ -400,7 +400,7 @@ fn values(
             add(image, shift, 1.0 / realisations.len() as f64);
         }
     }
-    // Column by column, so that the 16 lines of a value are summed at once.
+    // The lines are summed column by column, so that the 16 lines of a value are summed at once.
     let lines = size(y);
     let mut turned = vec![0.0; patch.len()];
     for (line, row) in patch.chunks_exact(size(x)).enumerate() {

@@ -1,19 +1,19 @@
-//! Items by group, and points by square bins.
+//! Groups of items, and points sorted into square bins.
 
-/// Points by the square bins in which they lie.
+/// Points sorted into square bins.
 pub struct Bins {
     edge: f64,
-    /// Of the first bin along x and y.
+    /// Index of the first bin along x and y.
     first: [i64; 2],
-    /// Bins along x and y.
+    /// Number of bins along x and y.
     count: [usize; 2],
-    /// Where each bin begins in the list, row by row, and the end of the last.
+    /// Start of each bin in the list of points, row by row, and the end of the last bin.
     starts: Vec<usize>,
     points: Vec<usize>,
 }
 
 impl Bins {
-    /// Bins of an `edge`, in the unit of the points (x, y).
+    /// Sorts points (x, y) into bins with this `edge`, in the unit of the points.
     pub fn new(points: impl Iterator<Item = [f64; 2]>, edge: f64) -> Self {
         let bins: Vec<[i64; 2]> = points.map(|at| bin_of(at, edge)).collect();
         let first = [0, 1].map(|k| bins.iter().map(|bin| bin[k]).min().unwrap_or(0));
@@ -30,7 +30,7 @@ impl Bins {
         bin_of(at, self.edge)
     }
 
-    /// The points of a bin, by their index, ascending.
+    /// Indices of the points in a bin, ascending.
     pub fn of(&self, bin: [i64; 2]) -> &[usize] {
         let [x, y] = [0, 1].map(|k| usize::try_from(bin[k] - self.first[k]).unwrap_or(usize::MAX));
         if x >= self.count[0] || y >= self.count[1] {
@@ -45,7 +45,8 @@ fn bin_of(at: [f64; 2], edge: f64) -> [i64; 2] {
     at.map(|v| (v / edge).floor() as i64)
 }
 
-/// Where each of `groups` begins in a list, and the end of the last; and that list: the indices of the items of each group, ascending.
+/// Sorts items into groups. Returns the start of each group in a list with the end of the last, and the list: the items' indices, ascending
+/// in each group.
 pub fn grouped(
     groups: usize,
     of_item: impl Iterator<Item = usize> + Clone,

@@ -1,4 +1,4 @@
-//! The images of one family of library cells: what they show, where their samples lie, and by what they are known.
+//! The images of one family of library cells: their content, samples and names.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -19,24 +19,24 @@ use crate::specimen::units::unit_tag::PatternIndex;
 use crate::specimen::units::unit_tag::UnitFamily;
 use crate::structure::elements;
 
-/// Version of the draws: the seeds of phonons come from a text that begins with it.
+/// Version of the draws. The text from which the seeds of phonons are made begins with it.
 const DRAWS_VERSION: u32 = 7;
-/// Draw of [`Purpose::Library`] for the contents of surroundings.
+/// Number of the draw of [`Purpose::Library`] for the contents of surroundings.
 const SURROUNDINGS_DRAW: u32 = 1 << 20;
 
-/// Library cells of one family, and where their samples lie.
+/// Library cells of one family, and their images.
 pub struct CellImages {
-    /// Geometry.
+    /// The geometry.
     pub library_cell: LibraryCell,
-    /// Settings of the engine, with optics as seen from the library cell.
+    /// Settings of the engine. The optics are turned into the frame of the library cell.
     settings: Settings,
-    /// Distance of the samples of images along x and y in Angstrom: cells hold a whole number.
+    /// Distance of the images' samples along x and y in Angstrom. A cell holds a whole number of samples.
     pub step_angstrom: [f64; 2],
-    /// Samples (rows, columns).
+    /// Number of samples (rows, columns).
     pub shape: [usize; 2],
-    /// The probes that are propagated for an image: along axes on which library cells repeat no more than it takes.
+    /// The propagated probes of an image. Along periodic axes there are only as many as the band limit needs.
     pub(super) scan: Scan,
-    /// What makes samples (rows, columns) of what the probes gave, along axes on which library cells repeat.
+    /// Interpolates the samples (rows, columns) between the probes along periodic axes.
     resampling: [Option<PeriodicResampling>; 2],
     /// Seed of the phonons of each library cell.
     seeds: Vec<u64>,
@@ -46,16 +46,16 @@ pub struct CellImages {
     index: BTreeMap<(usize, usize), usize>,
     /// Entries without defects, by kind.
     pristine: BTreeMap<usize, Vec<usize>>,
-    /// Images by detector, library cell and configuration; empty until simulated or read.
+    /// Images by detector, library cell and configuration; empty until they are simulated or read.
     images: Vec<Vec<Vec<Array2<f32>>>>,
-    /// Their means over the configurations, by detector and library cell.
+    /// Means of the images over the configurations, by detector and library cell.
     means: Vec<Vec<Array2<f32>>>,
 }
 
-/// One configuration of one unit: where its image is, and its displacements.
+/// One configuration of one unit: it identifies an image and the displacements of its atoms.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Realisation {
-    /// LibraryCell.
+    /// Index of the library cell.
     pub library_cell: usize,
     /// Index of the unit in the library cell.
     pub unit: usize,
@@ -64,7 +64,7 @@ pub struct Realisation {
 }
 
 impl CellImages {
-    /// The library cells of a family, yet without images.
+    /// The library cells of a family, still without images.
     pub(super) fn new(library_cell: LibraryCell, family: UnitFamily, settings: Settings) -> Self {
         let (scan, step_angstrom, shape) = samples(&library_cell, &settings.optics);
         let index =
@@ -102,22 +102,22 @@ impl CellImages {
         }
     }
 
-    /// Whether its images are those of such a library cell with such settings.
+    /// Whether the images were made for this library cell with these settings.
     pub(super) fn shows(&self, library_cell: &LibraryCell, settings: &Settings) -> bool {
         self.library_cell == *library_cell && self.settings == *settings
     }
 
-    /// Probes of one image.
+    /// Number of probes of one image.
     pub fn probes(&self) -> usize {
         self.scan.len()
     }
 
-    /// Rows and columns of what the probes of one configuration give: the images of the detectors, one below the other.
+    /// Rows and columns of the probes' values in one configuration: the images of all detectors, one below the other.
     pub(super) fn probe_shape(&self) -> [usize; 2] {
         [self.images.len() * self.scan.shape[0], self.scan.shape[1]]
     }
 
-    /// Takes the next configuration of a library cell, as the probes gave it (see [`CellImages::probe_shape`]).
+    /// Adds the next configuration of a library cell from the values of its probes, in the shape [`CellImages::probe_shape`].
     pub(super) fn add(&mut self, library_cell: usize, probes: &Array2<f32>) {
         let rows = self.scan.shape[0];
         for detector in 0..self.images.len() {
@@ -127,7 +127,7 @@ impl CellImages {
         }
     }
 
-    /// An image as it is kept, from what the probes gave.
+    /// Interpolates an image's samples from the values of its probes.
     fn resampled(&self, probes: Array2<f32>) -> Array2<f32> {
         let axes = [Axis(0), Axis(1)].into_iter().zip(&self.resampling);
         axes.fold(probes, |image, (axis, resampling)| match resampling {
@@ -136,7 +136,7 @@ impl CellImages {
         })
     }
 
-    /// The image of one configuration of a library cell on a detector: (row = y, column = x), fractions of the beam.
+    /// The image of one configuration of a library cell on a detector, [row, column] = [y, x], fractions of the beam.
     pub fn image(
         &self,
         detector: usize,
@@ -156,7 +156,7 @@ impl CellImages {
         self.images[0][library_cell].len()
     }
 
-    /// The unit of an entry, and its library cell.
+    /// The library cell of an entry, and the entry's unit in it.
     fn locate(&self, kind: usize, cell: usize) -> (usize, usize) {
         let at = (kind, cell % self.library_cell.cells);
         (cell / self.library_cell.cells, self.index.get(&at).copied().unwrap_or_default())
@@ -168,8 +168,8 @@ impl CellImages {
         [0, 1].map(|k| (centre[k] - self.library_cell.scan_origin[k]) / self.step_angstrom[k])
     }
 
-    /// The configurations that the unit `id` of a world is averaged over. UnitKinds without defects take
-    /// different ones of all units like them; others have all those of their entry.
+    /// The configurations whose mean a unit of a world shows; `id` is the unit's number. For a unit without defects they are drawn from all
+    /// library units of its kind without defects. Any other unit shows the configurations of its entry.
     pub fn realisations(
         &self,
         entry: PatternIndex,
@@ -201,15 +201,14 @@ impl CellImages {
         taken.into_iter().map(realisation).collect()
     }
 
-    /// So many configurations of the unit of an entry itself.
+    /// The first configurations of an entry's own unit.
     pub fn own_realisations(&self, entry: PatternIndex, configurations: usize) -> Vec<Realisation> {
         let (library_cell, unit) = self.locate(entry.kind, entry.cell);
         let realisation = |configuration| Realisation { library_cell, unit, configuration };
         (0..configurations).map(realisation).collect()
     }
 
-    /// Displacement, in standard deviations and along the axes of the library cell, of site `site` of column
-    /// `member` of a unit.
+    /// Displacement of site `site` of column `member` of a unit, in standard deviations along the axes of the library cell.
     pub fn displacement(&self, realisation: Realisation, member: usize, site: usize) -> [f64; 3] {
         let key = unit_key(realisation.unit, member, site);
         rng::normal3(
@@ -220,8 +219,8 @@ impl CellImages {
         )
     }
 
-    /// The atoms of one configuration of a library cell, displaced; `sigma` gives the standard deviation in
-    /// Angstrom of each element.
+    /// The displaced atoms of one configuration of a library cell; `sigma` gives the standard deviation of each element's displacements in
+    /// Angstrom.
     pub(super) fn atoms(
         &self,
         library_cell: usize,
@@ -265,12 +264,12 @@ impl CellImages {
         Plan::new(&self.settings, self.library_cell.box_angstrom, &heights)
     }
 
-    /// What an image (library cell, configuration) shows.
+    /// Describes an image (library cell, configuration) for the notes in the cache.
     pub(super) fn note(&self, sigma: &dyn Fn(u8) -> f64, image: [usize; 2]) -> ImageNote {
         ImageNote::new(&self.library_cell, &self.elements(), (&self.settings, sigma), image)
     }
 
-    /// All that decides one image (library cell, configuration).
+    /// The name of an image (library cell, configuration): a digest of everything that decides it.
     pub(super) fn key(
         &self,
         sigma: &dyn Fn(u8) -> f64,
@@ -287,7 +286,7 @@ impl CellImages {
             "shape": self.scan.shape,
             "configuration": configuration,
         });
-        // Images of several detectors are scaled in a way of their own.
+        // Images of several detectors are scaled with factors that have a version.
         let text = match self.settings.detectors.len() {
             1 => text.to_string(),
             _ => format!("{text} {}", crate::imaging::beam_share::VERSION),
@@ -295,13 +294,13 @@ impl CellImages {
         hex(&Sha256::digest(text))
     }
 
-    /// All that decides the images of so many configurations.
+    /// The name of the images of this number of configurations: a digest of everything that decides them.
     pub(super) fn name(&self, sigma: &dyn Fn(u8) -> f64, configurations: usize) -> String {
         let first = self.key(sigma, [0, 0]);
         hex(&Sha256::digest(format!("{first} {configurations} {}", self.digests.join(" "))))
     }
 
-    /// Takes the images that were simulated or read, library cell by library cell, for those of all its configurations.
+    /// Computes the means over the configurations of each library cell, once all images are simulated or read.
     pub(super) fn average(&mut self) {
         let means = |library_cells: &Vec<Vec<Array2<f32>>>| {
             library_cells.iter().map(|images| mean(images, self.shape)).collect()
@@ -309,7 +308,7 @@ impl CellImages {
         self.means = self.images.iter().map(means).collect();
     }
 
-    /// All elements that its library cells may hold, ascending.
+    /// All elements that the library cells may hold, ascending.
     pub(super) fn elements(&self) -> Vec<u8> {
         let units = self.library_cell.units.iter().flat_map(|u| u.members.iter().flatten());
         let sites = units.chain(self.library_cell.surroundings.iter().flatten());
@@ -319,7 +318,7 @@ impl CellImages {
     }
 }
 
-/// The probes for an image of a library cell, and the distance (x, y) and number (rows, columns) of the samples as which it is kept.
+/// Chooses the probes for an image of a library cell, and the distance (x, y) in Angstrom and the number (rows, columns) of its samples.
 fn samples(library_cell: &LibraryCell, optics: &Optics) -> (Scan, [f64; 2], [usize; 2]) {
     let band_limit = image_band_limit(optics);
     let kept = Kernel::default_step(band_limit);
@@ -356,14 +355,14 @@ fn unit_key(unit: usize, member: usize, site: usize) -> u64 {
     (unit as u64) << 24 | (member as u64) << 16 | site as u64
 }
 
-/// The kind of defect as part of a description. Seeds of phonons come from it: another text is another library.
+/// Describes the kind of defect in a fixed form. Seeds of phonons depend on this text: another text would be another library.
 fn process_text(process: Option<DefectKind>) -> String {
     let text =
         |p: DefectKind| format!("Some(Process {{ element: {}, by: {:?} }})", p.element, p.by);
     process.map_or_else(|| "None".to_owned(), text)
 }
 
-/// All that decides the atoms of a library cell, but their displacements.
+/// Describes everything that decides the atoms of a library cell, except their displacements.
 fn description(library_cell: &LibraryCell, family: UnitFamily, number: usize) -> String {
     use std::fmt::Write;
     let process = process_text(library_cell.process);

@@ -1,4 +1,4 @@
-//! The library: an image of each library cell in each phonon configuration; which of them are missing, and what those take.
+//! The library: an image of each library cell in each phonon configuration. Finds the missing images and their cost.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -22,9 +22,9 @@ use crate::specimen::units::unit_tag::TurnedFamily;
 
 /// An image that has to be simulated.
 pub struct MissingImage {
-    /// Its probes.
+    /// Number of probes.
     pub probes: usize,
-    /// What its file takes.
+    /// Bytes of the image's file.
     pub bytes: u64,
 }
 
@@ -33,14 +33,14 @@ pub struct MissingImage {
 pub struct ImageLibrary {
     cells: BTreeMap<TurnedFamily, Arc<CellImages>>,
     settings: Settings,
-    /// Whether images do not change when turned, so that turned library cells share them.
+    /// Whether the optics are round. Then an image does not change when its cell is turned, and turned library cells share it.
     round: bool,
     configurations: usize,
     detectors: usize,
 }
 
 impl ImageLibrary {
-    /// The library cells of some families of a specimen, yet without images.
+    /// The library cells of some families of a specimen, still without images.
     ///
     /// # Errors
     /// [`Error::Invalid`] for a family that the specimen lacks.
@@ -58,7 +58,7 @@ impl ImageLibrary {
         Ok(library)
     }
 
-    /// Without any library cell.
+    /// A library without library cells.
     pub fn empty(settings: &Settings) -> Self {
         ImageLibrary {
             cells: BTreeMap::new(),
@@ -69,12 +69,12 @@ impl ImageLibrary {
         }
     }
 
-    /// The family whose library cells serve another one too.
+    /// The family whose library cells serve a turned family: without the turn if the optics are round.
     fn shared(&self, turned: TurnedFamily) -> TurnedFamily {
         if self.round { turned.straight() } else { turned }
     }
 
-    /// The library cells of a family, yet without images.
+    /// The library cells of a family, still without images.
     fn cell(&self, specimen: &dyn Specimen, turned: TurnedFamily) -> Result<CellImages> {
         let (library_cell, settings) = self.source(specimen, turned)?;
         Ok(CellImages::new(library_cell, turned.family, settings))
@@ -101,13 +101,13 @@ impl ImageLibrary {
         Ok((library_cell.rounded(), settings))
     }
 
-    /// The families of these that are not there.
+    /// The families whose library cells are not in the library.
     pub fn unknown(&self, families: BTreeSet<TurnedFamily>) -> Vec<TurnedFamily> {
         let shared: BTreeSet<TurnedFamily> = families.into_iter().map(|f| self.shared(f)).collect();
         shared.into_iter().filter(|f| !self.cells.contains_key(f)).collect()
     }
 
-    /// Takes in the library cells of some families with their images: from those that are shared, from the cache, or by simulations.
+    /// Adds the library cells of some families with their images: shared ones, else from the cache, else simulated.
     ///
     /// # Errors
     /// As [`ImageLibrary::new`] and [`ImageLibrary::fill`].
@@ -147,7 +147,7 @@ impl ImageLibrary {
         Ok(())
     }
 
-    /// Takes in the library cells that another library of the same specimen has.
+    /// Adds the library cells of another library of this specimen.
     pub fn merge(&mut self, other: &Self) {
         for (family, cell) in &other.cells {
             self.cells.entry(*family).or_insert_with(|| Arc::clone(cell));
@@ -164,13 +164,13 @@ impl ImageLibrary {
         self.configurations
     }
 
-    /// Probes that all its images take.
+    /// Number of probes of all images.
     pub fn probes(&self) -> usize {
         let of = |s: &Arc<CellImages>| s.probes() * s.library_cell.count * self.configurations;
         self.cells.values().map(of).sum()
     }
 
-    /// Probes that those of its images take that do not come along with the program.
+    /// Number of probes of the images that the supplied library lacks.
     pub fn probes_not_supplied(&self, material: &str, sigma: &dyn Fn(u8) -> f64) -> usize {
         let of = |cell: &Arc<CellImages>| {
             let new = |image: &[usize; 2]| !is_supplied(material, &cell.key(sigma, *image));
@@ -179,17 +179,17 @@ impl ImageLibrary {
         self.cells.values().map(of).sum()
     }
 
-    /// The plan for the image with the most samples; `None` for a library without library cells.
+    /// The plan for the image with the most probes; `None` for a library without library cells.
     ///
     /// # Errors
-    /// Those of the settings.
+    /// Errors of [`Plan::new`].
     pub fn largest_plan(&self) -> Result<Option<PlannedScan>> {
         let largest = self.cells.values().max_by_key(|s| s.probes());
         let plan = |s: &Arc<CellImages>| Ok(PlannedScan::new(s.plan()?, s.scan, None));
         largest.map(plan).transpose()
     }
 
-    /// Bytes that the images will take.
+    /// Memory of all images and their means in bytes.
     pub fn image_bytes(&self) -> u64 {
         let of = |s: &Arc<CellImages>| {
             let images = s.library_cell.count * (self.configurations + 1) * self.detectors;
@@ -203,7 +203,7 @@ impl ImageLibrary {
         self.cells.values().map(|s| s.library_cell.count * self.configurations).sum()
     }
 
-    /// The images that the cache lacks: their library cells, and which they are of them.
+    /// The images that the cache lacks: the cells of their family, and their numbers (library cell, configuration).
     fn lacking<'a>(
         &'a self,
         material: &'a str,
@@ -230,7 +230,7 @@ impl ImageLibrary {
         self.lacking(material, sigma, cache).map(|(cell, _)| missing(cell)).collect()
     }
 
-    /// The images that the cache lacks, by what they differ in from those that it has.
+    /// The number of images that the cache lacks, grouped by their difference from the images that it has.
     pub fn new_images(
         &self,
         material: &str,
@@ -248,10 +248,10 @@ impl ImageLibrary {
         new.into_iter().map(|(why, images)| NewImages::new(images, why)).collect()
     }
 
-    /// Reads the images from the cache, and simulates those that it lacks. Returns how many it lacked.
+    /// Reads the images from the cache, and simulates the images that it lacks. Returns how many it lacked.
     ///
     /// # Errors
-    /// Those of the engine, [`Error::Interrupted`]. A cache that cannot be written is a warning.
+    /// Errors of the engine, [`Error::Interrupted`]. A cache that cannot be written is a warning.
     pub fn fill(
         &mut self,
         material: &str,
@@ -263,7 +263,7 @@ impl ImageLibrary {
         let mut keep: Option<Error> = None;
         progress.start("library", "probe", self.probes() as u64);
         for cell in self.cells.values_mut() {
-            // Nobody else has it yet.
+            // No other library shares the cell yet.
             let Some(cell) = Arc::get_mut(cell) else { continue };
             let found = fill_cell(cell, self.configurations, (material, sigma, cache), progress)?;
             missing += found.0;
@@ -276,10 +276,10 @@ impl ImageLibrary {
         Ok(missing)
     }
 
-    /// Simulates those images of one of several processes that the cache lacks, and keeps them there. Returns how many.
+    /// Simulates the images of one of several processes that the cache lacks, and writes them to the cache. Returns their number.
     ///
     /// # Errors
-    /// Those of the engine, [`Error::Interrupted`], and those of the cache.
+    /// Errors of the engine and of the cache, [`Error::Interrupted`].
     pub fn fill_part(
         &self,
         shard: Shard,
@@ -311,7 +311,7 @@ impl ImageLibrary {
                 simulated += 1;
                 let values = simulator.simulated(cell, image, &share)?;
                 let kept = cache.save(material, &key, &simulator.note(cell, image), &values);
-                // It may be kept elsewhere.
+                // The image may be in the cache's other folder.
                 kept.or_else(|e| if cache.has(material, &key) { Ok(()) } else { Err(e) })?;
                 share.complete();
             }
@@ -320,7 +320,7 @@ impl ImageLibrary {
         Ok(simulated)
     }
 
-    /// The names of all its images in a cache.
+    /// The names of all images in a cache.
     pub fn keys(&self, sigma: &dyn Fn(u8) -> f64) -> Vec<String> {
         let of = |cell: &Arc<CellImages>| {
             let images = images_of(cell, self.configurations);
@@ -329,10 +329,10 @@ impl ImageLibrary {
         self.cells.values().flat_map(of).collect()
     }
 
-    /// Simulates some images again that the cache holds: `count` of them, drawn with `seed`.
+    /// Simulates `count` images of the cache again, drawn with `seed`, and compares them.
     ///
     /// # Errors
-    /// Those of the engine, [`Error::Interrupted`].
+    /// Errors of the engine, [`Error::Interrupted`].
     pub fn recomputed(
         &self,
         (count, seed): (usize, u64),
@@ -361,7 +361,7 @@ impl ImageLibrary {
             }
             let (key, plan) = (cell.key(sigma, image), cell.plan()?);
             let share = ProgressShare::new(progress, cell.probes());
-            // A damaged one was told in a warning.
+            // The cache has already warned of a damaged image.
             let Some(kept) = cache.load(material, &key, cell.probe_shape(), progress) else {
                 continue;
             };
@@ -380,25 +380,26 @@ impl ImageLibrary {
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 #[non_exhaustive]
 pub struct RecomputedImage {
-    /// Its name in the cache.
+    /// Name of the image in the cache.
     pub key: String,
-    /// The greatest difference of its values, in parts of the brightest one.
+    /// Greatest difference of the two images' values, as fraction of the brightest value.
     pub difference: f64,
 }
 
 impl RecomputedImage {
-    /// Whether the two are the same but for rounding, which differs from processor to processor.
+    /// Whether the two images differ by rounding only, which depends on the processor.
     pub fn agrees(&self) -> bool {
         self.difference <= SAME
     }
 }
 
-/// Images differ by less from processor to processor, in parts of the brightest value.
+/// Largest difference between images from different processors, as fraction of the brightest value.
 const SAME: f64 = 1e-5;
-/// Draw of [`Purpose::Library`] for the images that are simulated again.
+/// Number of the draw of [`Purpose::Library`] for the images that are simulated again.
 const RECOMPUTED_DRAW: u32 = 1 << 21;
 
-/// Reads the images of a cell from the cache, and simulates those that it lacks. Returns how many it lacked, and why they could not be kept.
+/// Reads the images of a cell from the cache, and simulates the images that it lacks. Returns their number, and why they could not be
+/// written.
 fn fill_cell(
     cell: &mut CellImages,
     configurations: usize,
@@ -440,7 +441,7 @@ fn images_of(cell: &CellImages, configurations: usize) -> impl Iterator<Item = [
     (0..cell.library_cell.count).flat_map(move |s| (0..configurations).map(move |c| [s, c]))
 }
 
-/// Simulates images of one cell; made ready by the first of them.
+/// Simulates images of one cell; the first image prepares the simulation.
 struct CellSimulator<'a> {
     plan: &'a Plan,
     sigma: &'a dyn Fn(u8) -> f64,
@@ -452,7 +453,7 @@ impl<'a> CellSimulator<'a> {
         CellSimulator { plan, sigma, ready: None }
     }
 
-    /// An image (library cell, configuration) of the cell, as it is kept.
+    /// The values of the probes of an image (library cell, configuration), as the cache stores them.
     fn simulated(
         &mut self,
         cell: &CellImages,
@@ -470,13 +471,13 @@ impl<'a> CellSimulator<'a> {
         Ok(stacked(&simulation.images(&atoms, &cell.scan, progress)?, factors))
     }
 
-    /// What is written beside it.
+    /// The note that the cache stores with the image.
     fn note(&self, cell: &CellImages, image: [usize; 2]) -> String {
         serde_json::to_string(&cell.note(self.sigma, image)).unwrap_or_default()
     }
 }
 
-/// The images of all detectors times their factors, one below the other.
+/// The images of all detectors, scaled with their factors, one below the other.
 fn stacked(images: &Images, factors: &[f64]) -> Array2<f32> {
     let (_, detectors, rows, columns) = images.data.dim();
     let of = |(n, factor): (usize, &f64)| images.image(0, n).mapv(|v| v * *factor as f32);

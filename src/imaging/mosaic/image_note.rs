@@ -1,4 +1,4 @@
-//! Why an image of the library is new: what it shows, beside what the images in the cache show.
+//! Notes on images of the library. They explain why an image is not in the cache.
 
 use std::fmt::Display;
 
@@ -11,20 +11,20 @@ use crate::specimen::units::library_cell::LibraryCell;
 use crate::specimen::units::occupation::DefectKind;
 use crate::structure::elements;
 
-/// What an image of the library shows, in words and digests. Stands in the files of the cache.
+/// Describes an image of the library, in words and digests. It is stored in the image's file in the cache.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ImageNote {
     /// Version of the numerics.
     pub numerics: u32,
     /// Digest of the settings of the engine.
     pub settings: String,
-    /// Standard deviations of displacements.
+    /// Standard deviations of the displacements.
     pub sigma: String,
     /// Digest of the sites of the library cell: crystal, thickness, strain, boundary.
     pub sites: String,
     /// The kind of defect.
     pub process: String,
-    /// Rate of defects among the neighbours.
+    /// Share of defects among the neighbours.
     pub rate: f64,
     /// Library cell and phonon configuration.
     pub image: [usize; 2],
@@ -34,22 +34,22 @@ pub struct ImageNote {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct NewImages {
-    /// How many.
+    /// Number of images.
     pub images: usize,
-    /// In what they differ from all that is kept.
+    /// Their difference from all images in the cache.
     pub why: String,
 }
 
 impl NewImages {
-    /// So many images for a reason.
+    /// A number of images, and why they are new.
     pub fn new(images: usize, why: String) -> Self {
         NewImages { images, why }
     }
 }
 
 impl ImageNote {
-    /// What an image (library cell, configuration) of library cells that hold these elements shows; `sigma` gives the standard deviation in
-    /// Angstrom of each.
+    /// Describes an image (library cell, configuration) of library cells with the elements `numbers`; `sigma` gives the standard deviation
+    /// of an element's displacements in Angstrom.
     pub fn new(
         library_cell: &LibraryCell,
         numbers: &[u8],
@@ -68,7 +68,7 @@ impl ImageNote {
         }
     }
 
-    /// In what this image differs from the nearest of those that are kept.
+    /// The difference between this image and the most similar of the kept ones, in words.
     pub fn difference(&self, kept: &[ImageNote]) -> String {
         let Some((_, nearest)) = kept.iter().map(|k| (self.likeness(k), k)).max_by_key(|n| n.0)
         else {
@@ -104,7 +104,7 @@ impl ImageNote {
         "more contents or phonon configurations of a kind that is kept".into()
     }
 
-    /// How many of the parts that decide an image are those of another, the weightiest first.
+    /// Similarity of two notes: the number of equal parts before the first different one, in the order of their weight.
     fn likeness(&self, other: &ImageNote) -> usize {
         let same = [
             self.numerics == other.numerics,
@@ -130,7 +130,7 @@ fn in_words(process: DefectKind) -> String {
     }
 }
 
-/// The sites of a library cell, whatever they hold.
+/// The sites of a library cell as text, without their occupation.
 fn sites(library_cell: &LibraryCell) -> String {
     let members = library_cell.units.iter().flat_map(|u| &u.members);
     let sites = members.chain(&library_cell.surroundings).flatten();

@@ -1,9 +1,10 @@
-//! Libraries as one file, to take to another machine.
+//! Libraries as one file, to copy to another machine.
 //!
-//! All numbers are little-endian. `STEMLIB1`, the version of the numerics (u32), the number of images (u32); for each image, by
-//! material and key: the lengths of material and key (u16 each), the bytes of its file in the cache ([`crate::files::array_store`])
-//! and those it is packed in (u64 each), material, key, and what is packed; then the SHA-256 of all that. An image is packed by zlib after
-//! its bytes are put in the order 0, 4, 8 ... 1, 5, 9 ...: nothing is lost, and the bytes of the file depend on nothing else than its images.
+//! All numbers are little-endian. The file begins with `STEMLIB1`, the version of the numerics (u32) and the number of images (u32). For
+//! each image, in the order of material and key, follow: the lengths of material and key (u16 each), the sizes of its file in the cache
+//! ([`crate::files::array_store`]) and of its packed bytes (u64 each), material, key, and the packed bytes. The SHA-256 of all this ends
+//! the file. An image is packed by zlib after its bytes are put in the order 0, 4, 8 ... 1, 5, 9 ...: nothing is lost, and the bytes of the
+//! file depend on its images only.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -28,25 +29,25 @@ use crate::progress::Progress;
 
 const MAGIC: &[u8; 8] = b"STEMLIB1";
 const DIGEST: usize = 32;
-/// Bytes of a value: its bytes lie this far apart in the order in which they are packed.
+/// Bytes of a value. The bytes of equal rank in all values are packed next to each other.
 const VALUE: usize = 4;
-/// The largest archive that is read.
+/// The largest archive that is read, in bytes.
 const MOST_ARCHIVE_BYTES: usize = 4 << 30;
-/// The largest image: the largest of the supplied libraries has a hundredth of it. Images are unpacked one after the other, in three
-/// copies, so that an archive that claims much takes less than 1 GB.
+/// The largest image in bytes; the largest image of the supplied libraries has a hundredth of it. Images are unpacked one after the other,
+/// in three copies, so that an archive that claims to be large needs less than 1 GB.
 const LARGEST_IMAGE: u64 = 256 << 20;
 
-/// What an archive holds, or what was taken from one.
+/// The content of an archive, or the result of an import.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[non_exhaustive]
 pub struct ArchiveSummary {
-    /// Images by material, with what they take in the cache.
+    /// Number of images of each material, and their size in the cache.
     pub materials: Vec<Holding>,
-    /// Images of which the cache had none before; of an export, all.
+    /// Number of images that the cache did not have before; after an export, of all images.
     pub added: usize,
-    /// Images of other versions of the program, which were left out.
+    /// Number of images of other versions of the program, which were left out.
     pub outdated: usize,
-    /// Bytes of the archive.
+    /// Size of the archive in bytes.
     pub archive_bytes: u64,
 }
 
@@ -58,11 +59,11 @@ struct Entry<'a> {
     packed: &'a [u8],
 }
 
-/// An archive in memory, to be read an image at a time.
+/// An archive in memory. Its images are unpacked one at a time.
 #[derive(Debug)]
 pub struct Archive {
     bytes: Vec<u8>,
-    /// By material and key: where an image lies, and what it takes unpacked.
+    /// The packed bytes of each image and its unpacked size, by material and key.
     images: BTreeMap<(String, String), (Range<usize>, u64)>,
 }
 
@@ -83,20 +84,20 @@ impl Archive {
         Ok(Archive { bytes, images })
     }
 
-    /// Materials and keys of its images.
+    /// Materials and keys of the images.
     pub fn names(&self) -> impl Iterator<Item = (&str, &str)> {
         self.images.keys().map(|(material, key)| (material.as_str(), key.as_str()))
     }
 
-    /// Whether it holds an image.
+    /// Whether the archive holds an image.
     pub fn has(&self, material: &str, key: &str) -> bool {
         self.images.contains_key(&(material.to_owned(), key.to_owned()))
     }
 
-    /// The bytes of an image's file in a cache; `None` where it holds none.
+    /// The bytes of an image's file in a cache; `None` if the archive lacks the image.
     ///
     /// # Errors
-    /// What is wrong with an image that an archive was written with.
+    /// The fault of the image, in words, if the archive was written with a damaged one.
     pub fn file(&self, material: &str, key: &str) -> Option<std::result::Result<Vec<u8>, String>> {
         let ((material, key), (place, image_bytes)) =
             self.images.get_key_value(&(material.to_owned(), key.to_owned()))?;
@@ -104,7 +105,7 @@ impl Archive {
         Some(unpacked(&Entry { material, key, image_bytes: *image_bytes, packed }))
     }
 
-    /// What it holds, by material, with what that takes in a cache.
+    /// The images by material, with their size in a cache.
     pub fn holdings(&self) -> Vec<Holding> {
         let mut materials = Tally::default();
         for ((material, _), (_, image_bytes)) in &self.images {
@@ -114,7 +115,7 @@ impl Archive {
     }
 }
 
-/// Writes the images of a material, or all, of a cache to a file. Those of other versions of the program are left out.
+/// Writes the images of a material, or of all, from a cache to an archive. Images of other versions of the program are left out.
 ///
 /// # Errors
 /// [`Error::Io`]; [`Error::Parse`] for a cache that holds a damaged image.
@@ -177,10 +178,10 @@ pub fn export(
     })
 }
 
-/// Puts the images of an archive into a cache. Those that are there already stay as they are.
+/// Copies the images of an archive into a cache. Images that the cache already has are not replaced.
 ///
 /// # Errors
-/// [`Error::Parse`] for a file that is no archive, is damaged, or is of another version of the numerics: then nothing is put there;
+/// [`Error::Parse`] for a file that is no archive, is damaged, or is of another version of the numerics: then no image is written.
 /// [`Error::Io`].
 pub fn import(cache: &Cache, path: &Path, progress: &dyn Progress) -> Result<ArchiveSummary> {
     let bytes = whole_file::read(path, MOST_ARCHIVE_BYTES)?;
@@ -193,7 +194,7 @@ pub fn import(cache: &Cache, path: &Path, progress: &dyn Progress) -> Result<Arc
         }
         unpacked(entry).map_err(|why| refused(format!("{}/{}: {why}", entry.material, entry.key)))
     };
-    // All are looked at before the first is written, and none is kept meanwhile.
+    // All images are checked before the first is written. They are unpacked twice, so that none stays in memory meanwhile.
     for entry in &entries {
         image(entry)?;
         progress.advance(1);
@@ -208,7 +209,7 @@ pub fn import(cache: &Cache, path: &Path, progress: &dyn Progress) -> Result<Arc
     Ok(ArchiveSummary { materials: materials.holdings(), added, outdated: 0, archive_bytes })
 }
 
-/// The images of an archive, or what is wrong with it.
+/// The images of an archive, or its fault in words.
 fn entries(bytes: &[u8]) -> std::result::Result<Vec<Entry<'_>>, String> {
     if bytes.len() < MAGIC.len() || &bytes[..MAGIC.len()] != MAGIC {
         return Err(
@@ -234,7 +235,7 @@ fn entries(bytes: &[u8]) -> std::result::Result<Vec<Entry<'_>>, String> {
         let lengths = [rest.number(2)?, rest.number(2)?];
         let [image_bytes, packed_bytes] = [rest.number(8)?, rest.number(8)?];
         let [material, key] = [rest.text(lengths[0])?, rest.text(lengths[1])?];
-        // They become names of a folder and a file.
+        // Material and key become names of a folder and a file.
         if !is_name(material) || !is_key(key) || image_bytes > LARGEST_IMAGE {
             return Err(format!(
                 "holds an image with the name {material:?}/{key:?}, which none can have"
@@ -257,7 +258,7 @@ fn is_key(key: &str) -> bool {
     key.len() == 2 * DIGEST && key.chars().all(|c| c.is_ascii_hexdigit())
 }
 
-/// What is left of a file.
+/// The unread rest of a file.
 struct Reader<'a>(&'a [u8]);
 
 impl<'a> Reader<'a> {
@@ -282,12 +283,12 @@ fn packed(bytes: &[u8]) -> Vec<u8> {
     let ordered: Vec<u8> =
         (0..VALUE).flat_map(|k| bytes.iter().skip(k).step_by(VALUE)).copied().collect();
     let mut encoder = ZlibEncoder::new(Vec::new(), Compression::best());
-    // Writing to memory does not fail.
+    // Writing to memory cannot fail.
     let _ = encoder.write_all(&ordered);
     encoder.finish().unwrap_or_default()
 }
 
-/// The bytes of an image's file, whole and of the right name.
+/// The bytes of an image's file, checked to be whole and to have the right name.
 fn unpacked(entry: &Entry) -> std::result::Result<Vec<u8>, String> {
     let mut ordered = Vec::new();
     let most = entry.image_bytes + 1;
@@ -304,7 +305,7 @@ fn unpacked(entry: &Entry) -> std::result::Result<Vec<u8>, String> {
     Ok(bytes)
 }
 
-/// Images by material.
+/// Number and size of images by material.
 #[derive(Default)]
 struct Tally(BTreeMap<String, (usize, u64)>);
 
@@ -364,7 +365,7 @@ mod tests {
             assert!(image.is_some() && image == other.load(material, &key(n), [5, 7], &Silent));
         }
         assert_eq!(import(&other, &path, &Silent).unwrap().added, 0);
-        // Damaged ones are replaced.
+        // Damaged images are replaced.
         let damaged = folder.path().join("other/a").join(format!("{}.sheet", key(0)));
         fs::write(&damaged, "no").unwrap();
         assert_eq!(import(&other, &path, &Silent).unwrap().added, 1);
@@ -396,7 +397,7 @@ mod tests {
             words(&bytes);
             words(&whole[..at]);
         }
-        // Changed by someone who knows how.
+        // An archive changed by someone who also renews its digest.
         let signed = |change: &dyn Fn(&mut Vec<u8>)| {
             let mut bytes = whole[..whole.len() - DIGEST].to_vec();
             change(&mut bytes);
@@ -411,7 +412,7 @@ mod tests {
         assert!(signed(&|b| b[36] = b'.').contains("which none can have"));
         assert!(signed(&|b| b[20] += 1).contains("another size"));
         assert!(signed(&|b| b[37] ^= 1).contains("another image"));
-        // Whole, and no image.
+        // The archive is whole, but its image is impossible.
         for value in [-0.1, 1.2, f32::NAN, f32::INFINITY] {
             let odd = Array2::from_elem((2, 2), value);
             cache.save("a", &key(0), &note(NUMERICS_VERSION), &odd).unwrap();

@@ -1,6 +1,6 @@
-//! Images of the library on disk, shared by all builds of a user, behind those that come along with the program.
+//! Images of the library on disk, shared by all builds of a user. The supplied library is read first.
 //!
-//! One file for each image, named by the SHA-256 of all that decides it, in a folder for each material.
+//! Each image has a file, in a folder for each material. The file's name is the SHA-256 of everything that decides the image.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -15,25 +15,25 @@ use crate::files::array_store::decoded;
 use crate::files::array_store::{ArrayStore, Stored, array_of, note_of};
 use crate::progress::Progress;
 
-/// Of files of images, from before library cells had their name.
+/// Extension of the images' files. It dates from before library cells had their name.
 const EXTENSION: &str = "sheet";
 /// Environment variable that names another folder for the cache.
 pub const CACHE_VARIABLE: &str = "STEMGEN_CACHE";
 
-/// What a file takes besides its values, rounded up to blocks of the disk.
+/// Bytes of a file besides its values, rounded up to blocks of the disk.
 const FILE_BYTES: u64 = 8192;
 
-/// A folder of images; none keeps nothing. Images that come along with the program are found before it.
+/// A folder of images. Images are looked up in the supplied library first. Without a folder nothing is written.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Cache {
     #[cfg(feature = "hdf5")]
     supplied: Option<SuppliedLibrary>,
     folder: Option<PathBuf>,
-    /// Where images are kept that cannot be kept in the folder.
+    /// Folder for images that cannot be written to the first one.
     fallback: Option<PathBuf>,
 }
 
-/// What a cache holds of one material.
+/// Images of one material in a cache.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 #[non_exhaustive]
 pub struct Holding {
@@ -41,7 +41,7 @@ pub struct Holding {
     pub material: String,
     /// Number of images.
     pub images: usize,
-    /// Their size.
+    /// Size of the images in bytes.
     pub bytes: u64,
 }
 
@@ -49,24 +49,24 @@ pub struct Holding {
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 #[non_exhaustive]
 pub struct CacheFault {
-    /// Its file.
+    /// File of the image.
     pub path: PathBuf,
-    /// What is wrong with it.
+    /// The fault, in words.
     pub fault: &'static str,
 }
 
 impl Cache {
-    /// The cache in a folder, which is made when first written to.
+    /// Caches images in a folder, which is made at the first write.
     pub fn at(folder: PathBuf) -> Self {
         Cache { folder: Some(folder), ..Cache::default() }
     }
 
-    /// A cache that holds and keeps nothing: all is simulated.
+    /// A cache without images that writes nothing: every image is simulated.
     pub fn none() -> Self {
         Cache::default()
     }
 
-    /// The library that comes along with the program, and no folder: nothing is kept.
+    /// The supplied library without a folder: nothing is written.
     pub fn supplied() -> Self {
         Cache {
             #[cfg(feature = "hdf5")]
@@ -75,8 +75,8 @@ impl Cache {
         }
     }
 
-    /// The library that comes along with the program, and the user's cache: `$STEMGEN_CACHE`, or `stemgen` in `$XDG_CACHE_HOME` or
-    /// `~/.cache`; none where neither is known.
+    /// The supplied library, and the user's cache: `$STEMGEN_CACHE`, or `stemgen` in `$XDG_CACHE_HOME` or `~/.cache`; no folder where none
+    /// of them is known.
     pub fn of_user() -> Self {
         let variable =
             |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
@@ -85,43 +85,43 @@ impl Cache {
         Cache { folder: variable(CACHE_VARIABLE).or_else(shared), ..Cache::supplied() }
     }
 
-    /// The same, kept in a folder.
+    /// Replaces the folder.
     #[must_use]
     pub fn in_folder(self, folder: PathBuf) -> Self {
         Cache { folder: Some(folder), ..self }
     }
 
-    /// The same without the library that comes along.
+    /// Leaves out the supplied library.
     #[must_use]
     pub fn without_supplied(self) -> Self {
         Cache { folder: self.folder, fallback: self.fallback, ..Cache::default() }
     }
 
-    /// The same with another library that is only read.
+    /// Replaces the supplied library, which is only read.
     #[cfg(feature = "hdf5")]
     #[must_use]
     pub fn with_supplied(self, supplied: SuppliedLibrary) -> Self {
         Cache { supplied: Some(supplied), ..self }
     }
 
-    /// The library that comes along, if there is one.
+    /// The supplied library, if there is one.
     #[cfg(feature = "hdf5")]
     pub fn supplied_library(&self) -> Option<&SuppliedLibrary> {
         self.supplied.as_ref()
     }
 
-    /// Its folder.
+    /// The folder of the cache.
     pub fn folder(&self) -> Option<&Path> {
         self.folder.as_deref()
     }
 
-    /// The same with another folder for images that cannot be kept in its own, or where it has none.
+    /// Sets another folder for images that cannot be written to the cache's folder, or for a cache without a folder.
     #[must_use]
     pub fn with_fallback(self, folder: PathBuf) -> Self {
         Cache { fallback: Some(folder), ..self }
     }
 
-    /// Bytes on disk of an image of this shape (rows, columns), rounded up.
+    /// Size on disk of an image of this shape (rows, columns) in bytes, rounded up.
     pub fn file_bytes([rows, columns]: [usize; 2]) -> u64 {
         4 * (rows * columns) as u64 + FILE_BYTES
     }
@@ -130,14 +130,13 @@ impl Cache {
         Some(store(self.folder.as_ref()?, material))
     }
 
-    /// Where the images of a material may lie.
+    /// The folders that may hold the images of a material.
     fn places(&self, material: &str) -> Vec<ArrayStore> {
         let folders = [self.folder.as_ref(), self.fallback.as_ref()].into_iter().flatten();
         folders.map(|folder| store(folder, material)).collect()
     }
 
-    /// The image named `key`, [row, column], if it is there, whole, and of this shape (rows, columns). A file that cannot be used
-    /// is told in a warning.
+    /// The image named `key`, [row, column], if it is there, whole, and of this shape (rows, columns). Warns of a file that cannot be used.
     pub fn load(
         &self,
         material: &str,
@@ -170,7 +169,7 @@ impl Cache {
         None
     }
 
-    /// Whether there is a file for the image named `key`; whether it can be used, only [`Cache::load`] tells.
+    /// Whether there is a file for the image named `key`. Only [`Cache::load`] finds out whether it can be used.
     pub fn has(&self, material: &str, key: &str) -> bool {
         #[cfg(feature = "hdf5")]
         if self.supplied.as_ref().is_some_and(|s| s.has(material, key)) {
@@ -179,7 +178,7 @@ impl Cache {
         self.places(material).iter().any(|store| store.path(key).is_file())
     }
 
-    /// The files of a material's images, by name.
+    /// The files of a material's images, sorted by name.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -187,7 +186,7 @@ impl Cache {
         self.of(material).map_or(Ok(Vec::new()), |store| Ok(store.files()?.arrays))
     }
 
-    /// Reads all images of a material, or of all; returns how many there are, and those that are damaged.
+    /// Reads all images of a material, or of all. Returns their number, and the damaged ones.
     ///
     /// # Errors
     /// [`Error::Io`], [`Error::Interrupted`].
@@ -223,11 +222,10 @@ impl Cache {
         Ok((paths.len(), faults))
     }
 
-    /// Puts the file of an image in its place, that was found whole, unless a whole one is there.
-    /// Returns whether it did.
+    /// Writes a checked file of an image to its place, unless a whole one is there. Returns whether it was written.
     ///
     /// # Errors
-    /// [`Error::Io`]; [`Error::Invalid`] where there is no folder for it.
+    /// [`Error::Io`]; [`Error::Invalid`] for a cache without a folder.
     pub fn add(&self, material: &str, key: &str, file: &[u8]) -> Result<bool> {
         let Some(store) = self.of(material) else {
             let expected = "there is no folder for it: name one in the environment, STEMGEN_CACHE";
@@ -245,20 +243,20 @@ impl Cache {
         notes
     }
 
-    /// Keeps an image. `note` is for people who look into the file.
+    /// Writes an image to the cache. `note` is for people who inspect the file.
     ///
     /// # Errors
-    /// [`Error::Io`] of the folder: the world can be built without.
+    /// [`Error::Io`] of the folder. The world can be built without the cache.
     pub fn save(&self, material: &str, key: &str, note: &str, image: &Array2<f32>) -> Result<()> {
         let mut places = self.places(material).into_iter();
         let Some(first) = places.next() else { return Ok(()) };
         first.save(key, key, note, image).inspect_err(|_| {
-            // Later builds will not find it; this one will, should it be interrupted.
+            // Later builds do not look into the fallback folder; this build does, if it is interrupted and run again.
             let _ = places.next().map(|fallback| fallback.save(key, key, note, image));
         })
     }
 
-    /// What it holds, by material.
+    /// The images of the cache's folder, by material.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -280,7 +278,7 @@ impl Cache {
         Ok(found)
     }
 
-    /// Removes the images of a material, or all; returns what was removed.
+    /// Removes the images of a material, or all. Returns the removed images.
     ///
     /// # Errors
     /// [`Error::Io`].
@@ -295,26 +293,26 @@ impl Cache {
     }
 }
 
-/// Values of an image are fractions of the beam, but for rounding below 0, and above 1 where a bright-field image was scaled so that
-/// vacuum reads 1.
+/// Range of an image's values. They are fractions of the beam, except for rounding below 0, and above 1 where a bright-field image was
+/// scaled so that vacuum reads 1.
 const FRACTIONS: std::ops::RangeInclusive<f32> = -1e-4..=1.1;
 
-/// An image, if all its values can be fractions of the beam: a file may be whole, and still be none of this program's images.
+/// Checks that all values of an image can be fractions of the beam. A whole file need not be an image of this program.
 ///
 /// # Errors
-/// What is wrong.
+/// The fault, in words.
 pub(super) fn possible(image: Array2<f32>) -> std::result::Result<Array2<f32>, &'static str> {
-    // Not a number is in no range.
+    // NaN is in no range.
     match image.iter().all(|v| FRACTIONS.contains(v)) {
         true => Ok(image),
         false => Err("holds values below 0 or above 1, which no fraction of the beam has"),
     }
 }
 
-/// The note of an image that the bytes of a file hold under a key.
+/// Checks an image's file and its key. Returns the note of the image.
 ///
 /// # Errors
-/// What is wrong with the file.
+/// The fault of the file, in words.
 pub(super) fn checked_image(bytes: &[u8], key: &str) -> std::result::Result<String, &'static str> {
     possible(array_of(bytes, key)?)?;
     note_of(bytes)

@@ -1,17 +1,17 @@
-//! What a library lacks, gathered for direct simulation.
+//! Pixels that the library cannot show, gathered into blocks for direct simulation.
 
 use std::collections::{BTreeMap, HashMap};
 
 use crate::imaging::pixels::PixelRect;
 
-/// Edge in pixels of the blocks in which pixels that need direct simulation are gathered.
+/// Edge in pixels of the blocks in which pixels for direct simulation are gathered.
 pub const BLOCK_PX: usize = 48;
-/// The same where pixels are coarse, in Angstrom: probes take as long as with fine ones.
+/// Edge of these blocks in Angstrom where pixels are coarse: a probe takes equally long for coarse and fine pixels.
 pub const BLOCK_ANGSTROM: f64 = 8.0;
-/// Pixels (indices in the rectangle of `shape` at `first`) and the weight of what is missing there.
+/// Pixels (indices in the rectangle of `shape` at `first`), and the weight of the units missing there.
 pub type Weighted = Vec<(usize, f64)>;
 
-/// Gathers pixels into the least rectangles within blocks of `edge_px` pixels of the full field.
+/// Gathers pixels into the smallest rectangles within blocks of `edge_px` pixels of the full field.
 pub fn blocks(
     missing: &HashMap<usize, f64>,
     first: [usize; 2],

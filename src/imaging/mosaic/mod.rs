@@ -1,14 +1,12 @@
-//! The mosaic: a world's image put together from exactly simulated units.
+//! The mosaic: a world's image assembled from exactly simulated units.
 //!
-//! The image around an atomic column depends on the displacements and the occupation of that column's own
-//! atoms; those of its neighbours change it by less than 0.5 %. So units with the same contents in the same
-//! surroundings share simulations, made once in small cells ([`image_library`]) and kept on disk ([`library_cache`]); those of
-//! the program's own recipes come along with it (`supplied_library`). Each
-//! pixel takes the image of the unit nearest to it, with narrow ramps halfway between units ([`assembly`]).
-//! What is unlike anything else is simulated where it lies.
+//! The image around an atomic column depends on the displacements and the occupation of its own atoms. The atoms of its neighbours change
+//! it by less than 0.5 %. So units with equal contents and equal surroundings share simulations, made once in small cells
+//! ([`image_library`]) and cached on disk ([`library_cache`]). The simulations for the program's own recipes are installed with it
+//! (`supplied_library`). Each pixel shows the unit nearest to it, with narrow ramps halfway between units ([`assembly`]). Columns that do
+//! not repeat are simulated at their place in the field.
 //!
-//! Configuration by configuration the world is a definite set of atoms ([`super::displaced_atoms`]), which any engine can
-//! simulate again.
+//! In each phonon configuration the world is a definite set of atoms ([`super::displaced_atoms`]), which any engine can simulate again.
 
 pub mod assembly;
 pub mod bins;

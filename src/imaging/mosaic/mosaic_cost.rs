@@ -1,36 +1,37 @@
-//! What making a mosaic will take.
+//! The cost of a mosaic.
 
 use super::image_note::NewImages;
 use crate::recipe::CheckedRecipe;
 
-/// What a mosaic will take.
+/// The cost of a mosaic.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 #[non_exhaustive]
 pub struct MosaicCost {
-    /// Whether it takes less than simulating the field itself.
+    /// Whether the mosaic is cheaper than direct simulation of the field.
     pub pays: bool,
-    /// Whether all its images come along with the program.
+    /// Whether all its images are in the supplied library.
     pub supplied: bool,
-    /// Images of library cells.
+    /// Number of images of library cells.
     pub images: usize,
-    /// Those that the cache lacks.
+    /// Number of images that the cache lacks.
     pub missing: usize,
     /// Why the cache lacks them.
     pub new: Vec<NewImages>,
-    /// Probes that they take.
+    /// Number of probes of the missing images.
     pub missing_probes: usize,
-    /// Bytes that they take on disk.
+    /// Size of the missing images on disk in bytes.
     pub missing_bytes: u64,
-    /// Columns with a place in the library.
+    /// Number of columns with a place in the library.
     pub columns: u64,
-    /// Columns that are simulated where they lie.
+    /// Number of columns that are simulated at their place in the field.
     pub unique_columns: u64,
-    /// Memory of the library's images.
+    /// Memory of the library's images in bytes.
     pub image_bytes: u64,
 }
 
 impl MosaicCost {
-    /// Whether its errors are known: those of the library that comes along, with nothing on the faces of the specimen.
+    /// Whether the errors of the mosaic are known. They are if all images are in the supplied library and nothing lies on the faces of the
+    /// specimen.
     pub fn is_known(&self, recipe: &CheckedRecipe) -> bool {
         self.supplied && recipe.surface.is_none()
     }

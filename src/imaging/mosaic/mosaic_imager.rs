@@ -1,4 +1,4 @@
-//! Library, assembly, and direct simulation of what does not repeat.
+//! The imager of a mosaic: library, assembly, and direct simulation of columns that do not repeat.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -31,12 +31,12 @@ use crate::specimen::atom_columns::AtomColumn;
 use crate::specimen::specimen_trait::Specimen;
 use crate::specimen::units::unit_tag::TurnedFamily;
 
-/// A library is worth its cost where it takes fewer probes than this share of the field's.
+/// A mosaic is used where the missing images of its library need fewer probes than this share of the field's.
 const WORTH: f64 = 0.8;
-/// Edge of the surroundings of a column that only it shows, in Angstrom.
+/// Edge in Angstrom of the surroundings of a column that only direct simulation can show.
 const UNIQUE_ANGSTROM: f64 = 3.0;
 
-/// A field's library, and images made from it.
+/// A field's library, and the images assembled from it.
 pub struct MosaicImager {
     recipe: CheckedRecipe,
     specimen: Arc<dyn Specimen>,
@@ -45,23 +45,22 @@ pub struct MosaicImager {
     library: Arc<ImageLibrary>,
     kernel: Kernel,
     survey: FieldSurvey,
-    /// Images of the library that were simulated, not read from the cache; `None` before the library is filled.
+    /// Number of the library's images that were simulated instead of read; `None` before the library is filled.
     simulated: Option<usize>,
     growing: Option<GrowingLibrary>,
 }
 
-/// A library that takes library cells in when an image first needs them.
+/// A library that adds library cells when an image first needs them.
 struct GrowingLibrary {
     shared: Arc<SharedCells>,
     so_far: Mutex<Arc<ImageLibrary>>,
 }
 
 impl MosaicImager {
-    /// Surveys the field and lays out the library, which [`SharedLibrary::prepare`] fills: from the cache, and by
-    /// simulations with `simulator`.
+    /// Surveys the field and lays out the library. [`SharedLibrary::prepare`] fills it from the cache, and by simulations with `simulator`.
     ///
     /// # Errors
-    /// Those of the settings.
+    /// Invalid settings.
     pub fn new(
         recipe: &CheckedRecipe,
         specimen: &Arc<dyn Specimen>,
@@ -89,11 +88,11 @@ impl MosaicImager {
         })
     }
 
-    /// Surveys nothing: library cells are taken from `shared`, the cache or a simulation when an image first needs them. Images are the same
-    /// as those of [`MosaicImager::new`].
+    /// Skips the survey: library cells are taken from `shared`, the cache or a simulation when an image first needs them. Images are equal
+    /// to the images of [`MosaicImager::new`].
     ///
     /// # Errors
-    /// Those of the settings.
+    /// Invalid settings.
     pub fn growing(
         recipe: &CheckedRecipe,
         specimen: &Arc<dyn Specimen>,
@@ -121,7 +120,7 @@ impl MosaicImager {
         })
     }
 
-    /// The library with the library cells of these families. What an image lacks is simulated quietly.
+    /// The library, with the library cells of these families. Simulates missing images without reporting progress.
     fn library_with(
         &self,
         families: BTreeSet<TurnedFamily>,
@@ -147,18 +146,18 @@ impl MosaicImager {
         let mut more = ImageLibrary::clone(&known);
         more.add((&*self.specimen, &unknown), &growing.shared, images, progress)?;
         let mut so_far = so_far();
-        // What others have found meanwhile stays.
+        // Cells that other threads have added meanwhile stay.
         more.merge(&so_far);
         *so_far = Arc::new(more);
         Ok(Arc::clone(&so_far))
     }
 
-    /// What the field holds.
+    /// The columns and families that the survey of the field found.
     pub fn survey(&self) -> &FieldSurvey {
         &self.survey
     }
 
-    /// Whether the images of the library that do not come along with the program take clearly fewer probes than the field.
+    /// Whether the images that the supplied library lacks need clearly fewer probes than the field.
     pub fn pays(&self) -> bool {
         let [rows, columns] = self.recipe.field.pixels(self.recipe.field.built_grid());
         let (tagged, untagged) = (self.survey.tagged, self.survey.untagged);
@@ -168,7 +167,7 @@ impl MosaicImager {
         tagged > 0 && (self.probes_not_supplied() as f64) < WORTH * repeating
     }
 
-    /// Whether all images of the library come along with the program.
+    /// Whether all images of the library are supplied.
     fn is_supplied(&self) -> bool {
         self.survey.tagged > 0 && self.probes_not_supplied() == 0
     }
@@ -182,7 +181,7 @@ impl MosaicImager {
         self.library.probes_not_supplied(&self.recipe.id, &self.sigma())
     }
 
-    /// What filling the library takes.
+    /// The cost of filling the library.
     pub fn mosaic_cost(&self) -> MosaicCost {
         let missing = self.library.missing(&self.recipe.id, &self.sigma(), &self.cache);
         MosaicCost {
@@ -199,23 +198,23 @@ impl MosaicImager {
         }
     }
 
-    /// Simulates those images of one of several processes that the cache lacks, and keeps them there. Returns how many.
+    /// Simulates the images of one of several processes that the cache lacks, and writes them to the cache. Returns their number.
     ///
     /// # Errors
-    /// Those of the engine and of the cache, [`Error::Interrupted`].
+    /// Errors of the engine and of the cache, [`Error::Interrupted`].
     pub fn fill_part(&self, shard: Shard, progress: &dyn Progress) -> Result<usize> {
         self.library.fill_part(shard, &self.recipe.id, &self.sigma(), &self.cache, progress)
     }
 
-    /// The names of all images of its library in a cache.
+    /// The names in a cache of all images of the library.
     pub fn image_keys(&self) -> Vec<String> {
         self.library.keys(&self.sigma())
     }
 
-    /// Simulates up to `count` of the images that the cache holds again; `seed` draws them.
+    /// Simulates up to `count` images of the cache again, drawn with `seed`, and compares them.
     ///
     /// # Errors
-    /// Those of the engine, [`Error::Interrupted`].
+    /// Errors of the engine, [`Error::Interrupted`].
     pub fn recomputed(
         &self,
         count: usize,
@@ -263,14 +262,14 @@ impl MosaicImager {
         })
     }
 
-    /// What makes the image at the places of a raster, with so wide ramps between units.
+    /// The assembly of the image at the places of a raster, with ramps of this width between units.
     fn assembly_at(&self, raster: &TurnedRaster, ramps: f64) -> Assembly {
         let (places, region) = (raster.places_angstrom(), raster.region());
         let how = (self.way(), ramps);
         Assembly::of_places(&*self.specimen, &region, raster.shape, places, how)
     }
 
-    /// The image at the places of a raster, with what the library lacks.
+    /// Completes an image at the places of a raster with direct simulations of the units that the library lacks.
     fn with_missing(
         &self,
         mut image: Array2<f64>,
@@ -293,7 +292,7 @@ impl MosaicImager {
         Ok(image)
     }
 
-    /// How far (x, y) a tilted beam has moved at half thickness, in Angstrom.
+    /// Displacement (x, y) of a tilted beam at half thickness, in Angstrom.
     fn way(&self) -> [f64; 2] {
         let half = 5.0 * self.specimen.facts().thickness_nm;
         self.simulator.settings().optics.slope().map(|s| s * half)
@@ -310,7 +309,7 @@ impl MosaicImager {
         Ok(())
     }
 
-    /// The images on the first `detectors`.
+    /// The images on the first `detectors` detectors.
     fn images(
         &self,
         detectors: usize,
@@ -340,7 +339,7 @@ impl MosaicImager {
         Ok(images.into_iter().map(|image| pixels.sampled(image)).collect())
     }
 
-    /// See [`RasterDetail::Overview`].
+    /// The image for [`RasterDetail::Overview`].
     fn overview_at(
         &self,
         raster: &TurnedRaster,
@@ -352,7 +351,7 @@ impl MosaicImager {
         let library = self.library_with(assembly.families(), progress)?;
         let assembly = assembly.with_stand_ins(&*self.specimen, &library);
         let image = assembly.overview(&library, &self.kernel);
-        // Without any column that could stand in, all are missing.
+        // If no column can stand in for others, all are missing.
         let made = (&assembly, &*library);
         self.with_missing(image, made, raster, configurations, progress)
     }
@@ -441,12 +440,12 @@ impl RegionImager for MosaicImager {
         self.with_missing(image, made, raster, configurations, progress).map(Some)
     }
 
-    /// Atoms of units with a place in the library move as in the simulations that their images come from, others
-    /// as in all engines.
+    /// Displaces the atoms. Atoms of units with a place in the library move as in the simulations of their images; other atoms move by the
+    /// recipe's seed, as in all engines.
     fn atoms(&self, area: &Region, configuration: usize) -> DisplacedAtoms {
         let library = match &self.growing {
             None => Arc::clone(&self.library),
-            // Atoms move as the library has it, whether an image has needed it or not.
+            // Displacements come from the library, even where no image has needed its cells yet.
             Some(_) => {
                 let columns = self.specimen.columns(area);
                 let tags = columns.iter().filter_map(|column| column.unit.as_ref());
@@ -470,7 +469,7 @@ impl RegionImager for MosaicImager {
         displaced_atoms(&*self.specimen, area, which, &self.recipe.phonons, of_column)
     }
 
-    /// The images that the library lacks, and the columns like no other, each in a block of its own.
+    /// The cost of the images that the library lacks, and of the columns like no other, each in a block of its own.
     fn cost(&self, subtile: [usize; 2], subtiles: usize) -> Result<ImagingCost> {
         let (direct, probe_step_angstrom) =
             rectangle_plan(&self.recipe, &*self.specimen, &self.simulator, subtile, subtiles)?;

@@ -1,4 +1,4 @@
-//! Library cells with their images that many libraries share.
+//! Library cells and their images, shared by many libraries.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -10,16 +10,16 @@ use crate::made_once::MadeOnce;
 use crate::specimen::units::library_cell::LibraryCell;
 use crate::specimen::units::unit_tag::TurnedFamily;
 
-/// Library cells with their images that the libraries of several specimens share, such as those of one recipe with other seeds.
+/// Library cells and their images, shared by the libraries of several specimens, for example of one recipe with different seeds.
 #[derive(Default)]
 pub struct SharedCells {
-    /// By all that decides the images of a library cell.
+    /// Filled cells, by a digest of everything that decides their images.
     filled: MadeOnce<String, CellImages>,
-    /// The same by family, to be found without that name, which takes long to make.
+    /// Filled cells by family, so that they are found without the digest, which takes long to make.
     by_family: Mutex<HashMap<TurnedFamily, Vec<FilledCell>>>,
 }
 
-/// Library cells with their images, and what decides these besides the library cells and the settings.
+/// Library cells with their images, and the parameters that decide these besides geometry and settings.
 struct FilledCell {
     cell: Arc<CellImages>,
     sigmas_angstrom: Vec<f64>,
@@ -27,7 +27,7 @@ struct FilledCell {
 }
 
 impl SharedCells {
-    /// The library cells of a family, if they were given to [`SharedCells::keep`] with all that decides their images the same.
+    /// The library cells of a family, if [`SharedCells::keep`] was called with cells whose images would be identical.
     pub(super) fn of_family(
         &self,
         family: TurnedFamily,
@@ -43,7 +43,7 @@ impl SharedCells {
         known.get(&family)?.iter().find(same).map(|f| Arc::clone(&f.cell))
     }
 
-    /// Keeps the library cells of a family for [`SharedCells::of_family`].
+    /// Stores the library cells of a family for [`SharedCells::of_family`].
     pub(super) fn keep(
         &self,
         family: TurnedFamily,
@@ -56,7 +56,7 @@ impl SharedCells {
         known.entry(family).or_default().push(filled);
     }
 
-    /// Library cells of this name, from those that are there or else from `fill`.
+    /// The library cells of this name; `fill` makes them if they are not there.
     pub(super) fn get(
         &self,
         name: String,

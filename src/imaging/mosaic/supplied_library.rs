@@ -1,6 +1,7 @@
-//! The library that comes along with the program: simulations for its own recipes, read-only, that no machine has to make again.
+//! The supplied library: simulations for the program's own recipes, installed with it and only read, so that no machine has to make them
+//! again.
 //!
-//! One archive for each material, `srtio3.stemlib`. `library/make.sh` writes new ones.
+//! There is one archive for each material, for example `srtio3.stemlib`. `library/make.sh` writes new ones.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -23,26 +24,27 @@ pub struct SuppliedLibrary {
     folder: PathBuf,
 }
 
-/// An archive that was opened, or what is wrong with it.
+/// An opened archive, or its fault.
 struct Opened {
     archive: std::result::Result<Archive, String>,
-    /// Whether that was told.
+    /// Whether a warning of the fault was given.
     warned: AtomicBool,
 }
 
-/// By path: each is read once by a process.
+/// Opened archives by path: a process reads each one once.
 static OPENED: Mutex<BTreeMap<PathBuf, Arc<Opened>>> = Mutex::new(BTreeMap::new());
 
 static OF_PROGRAM: OnceLock<PathBuf> = OnceLock::new();
 
 impl SuppliedLibrary {
-    /// The archives in a folder.
+    /// Reads archives from a folder.
     pub fn at(folder: PathBuf) -> Self {
         SuppliedLibrary { folder }
     }
 
-    /// The library of this program: `$STEMGEN_LIBRARY`; else what [`SuppliedLibrary::set_of_program`] named; else `library/` of
-    /// the clone that the program was built in, or `../share/stemgen/library` of its folder; none where there is none of these.
+    /// The library of this program: the folder in `$STEMGEN_LIBRARY`, else the folder given to [`SuppliedLibrary::set_of_program`], else
+    /// `library/` of the clone that the program was built in, or `../share/stemgen/library` relative to the program; `None` if there is
+    /// none of these.
     pub fn of_program() -> Option<Self> {
         if let Some(named) = std::env::var_os(LIBRARY_VARIABLE) {
             return (!named.is_empty()).then(|| SuppliedLibrary::at(named.into()));
@@ -58,17 +60,17 @@ impl SuppliedLibrary {
         folders.map(SuppliedLibrary::at).find(|library| !library.archives().is_empty())
     }
 
-    /// Says where the library of this program is, for all that is built afterwards; the first word holds.
+    /// Sets the folder of this program's library for everything that is built afterwards. Only the first call has an effect.
     pub fn set_of_program(folder: PathBuf) {
         let _ = OF_PROGRAM.set(folder);
     }
 
-    /// Its folder.
+    /// The folder of the archives.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
 
-    /// Its archives, by name.
+    /// The archives, sorted by name.
     fn archives(&self) -> Vec<PathBuf> {
         let entries = std::fs::read_dir(&self.folder).into_iter().flatten().flatten();
         let mut found: Vec<PathBuf> = entries
@@ -79,14 +81,14 @@ impl SuppliedLibrary {
         found
     }
 
-    /// The names in a cache of the images of a material that it holds.
+    /// The names in a cache of the images of a material that the library holds.
     pub fn keys(&self, material: &str) -> Vec<String> {
         let Some(opened) = self.archive(material) else { return Vec::new() };
         let names = opened.usable().into_iter().flat_map(Archive::names);
         names.map(|(_, key)| key.to_owned()).collect()
     }
 
-    /// What it holds, by material. Reads all of it, and finds what is damaged.
+    /// The images of the library by material. Reads all archives and finds damaged ones.
     ///
     /// # Errors
     /// [`Error::Parse`] for an archive that is damaged or of another version of the numerics; [`Error::Io`];
@@ -114,7 +116,7 @@ impl SuppliedLibrary {
         Ok(held.into_values().collect())
     }
 
-    /// What it holds, by material; archives that cannot be used are left out.
+    /// The images of the library by material, without archives that cannot be used.
     pub fn holdings(&self) -> Vec<Holding> {
         let material = |path: &PathBuf| Some(path.file_stem()?.to_str()?.to_owned());
         let materials = self.archives().iter().filter_map(material).collect::<Vec<_>>();
@@ -139,7 +141,7 @@ impl SuppliedLibrary {
         Some(Arc::clone(opened.entry(path).or_insert(new)))
     }
 
-    /// The bytes of an image's file in a cache, as [`Archive::file`] gives them. What cannot be used is told in a warning.
+    /// The bytes of an image's file in a cache, as [`Archive::file`] returns them. Warns of an archive or image that cannot be used.
     pub(super) fn file(
         &self,
         material: &str,
@@ -167,7 +169,7 @@ impl SuppliedLibrary {
         found.inspect_err(tell).ok()
     }
 
-    /// Warns, once in a process, of a folder that is not there; one without archives for a material is as it should be.
+    /// Warns once in a process of a missing folder. A folder without an archive for a material is no fault.
     fn tell_if_missing(&self, progress: &dyn Progress) {
         static TOLD: AtomicBool = AtomicBool::new(false);
         if !self.folder.is_dir() && !TOLD.swap(true, Ordering::Relaxed) {
@@ -178,7 +180,7 @@ impl SuppliedLibrary {
         }
     }
 
-    /// Whether it holds an image.
+    /// Whether the library holds an image.
     pub(super) fn has(&self, material: &str, key: &str) -> bool {
         self.archive(material).is_some_and(|a| a.usable().is_some_and(|a| a.has(material, key)))
     }

@@ -1,4 +1,4 @@
-//! Which families of units a field needs.
+//! The survey of a field: which families of units it needs.
 
 use std::collections::BTreeSet;
 
@@ -9,23 +9,23 @@ use crate::recipe::tables::Field;
 use crate::specimen::specimen_trait::Specimen;
 use crate::specimen::units::unit_tag::TurnedFamily;
 
-/// Units whose patches reach into the field lie no further outside it than this, in nm.
+/// Units that reach into the field lie at most this far outside it, in nm.
 pub const BEYOND_NM: f64 = 0.6;
-/// Width of the stripes that are looked at at a time, in nm.
+/// Width of the stripes that are surveyed one after the other, in nm.
 const STRIPE_NM: f64 = 2.5;
 
-/// What a field holds.
+/// The columns of a field, as the library sees them.
 #[derive(Debug, Default)]
 pub struct FieldSurvey {
-    /// Families of units, and how their library cells are turned.
+    /// The families of units, with the turn of their library cells.
     pub families: BTreeSet<TurnedFamily>,
-    /// Columns with a place in the library.
+    /// Number of columns with a place in the library.
     pub tagged: u64,
-    /// Columns without.
+    /// Number of columns without a place in the library.
     pub untagged: u64,
 }
 
-/// Looks at all columns of the built part of a field.
+/// Surveys all columns of the built part of a field.
 pub fn survey(specimen: &dyn Specimen, field: &Field) -> FieldSurvey {
     let area = field.built_region().grown(BEYOND_NM);
     let count = ((area.y[1] - area.y[0]) / STRIPE_NM).ceil().max(1.0) as usize;

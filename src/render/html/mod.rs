@@ -7,19 +7,24 @@
 //! images, then the truth, then single pixels.
 //!
 //! - An image is a pyramid of tiles (`pyramid`); pixels are codes, and a table gives the value of a code.
+//! - Diffraction patterns are a page of their own (`cube.rs`, `cube.html`, `cube.js`), a blob for each row of the scan.
 //! - Atomic columns are lists by cells of the field, with positions in whole pm (`column_list`).
 
 mod blobs;
 mod column_list;
+mod cube;
 mod header;
 mod pyramid;
 mod stack;
 mod world;
 
+pub use cube::CubePage;
 pub use stack::{ImageOfStack, StackPage};
 pub use world::WorldPage;
 
 use std::path::Path;
+
+use serde::Serialize;
 
 use blobs::Blobs;
 use header::PageHeader;
@@ -51,23 +56,42 @@ pub struct Page {
     pub html: String,
 }
 
+/// What a kind of page consists of, besides its header and blobs.
+struct PagePart<'a> {
+    title: &'a str,
+    /// HTML with places for the others.
+    template: &'static str,
+    styles: &'a [&'static str],
+    scripts: &'a [&'static str],
+}
+
 impl Page {
     fn new(header: &PageHeader, blobs: &Blobs) -> Result<Self> {
+        let part = PagePart {
+            title: &header.title,
+            template: TEMPLATE,
+            styles: &[STYLE],
+            scripts: &SCRIPTS,
+        };
+        Page::of(&part, header, blobs)
+    }
+
+    fn of(part: &PagePart<'_>, header: &impl Serialize, blobs: &Blobs) -> Result<Self> {
         let json = serde_json::to_string(header).map_err(|e| {
-            Error::invalid(Setting::Page, &header.title, format!("cannot be written as JSON: {e}"))
+            Error::invalid(Setting::Page, part.title, format!("cannot be written as JSON: {e}"))
         })?;
         let mut html = String::with_capacity(blobs.bytes() + (1 << 18));
-        for part in TEMPLATE.split("{{").enumerate() {
-            match part {
+        for text in part.template.split("{{").enumerate() {
+            match text {
                 (0, text) => html += text,
                 (_, text) => {
                     let (name, rest) = text.split_once("}}").unwrap_or(("", text));
                     match name {
-                        "title" => html += &escaped(&header.title),
-                        "style" => html += STYLE,
+                        "title" => html += &escaped(part.title),
+                        "style" => part.styles.iter().for_each(|s| html += s),
                         // Within a script only `</` and `<!--` could end or change it.
                         "header" => html += &json.replace('<', "\\u003c"),
-                        "scripts" => SCRIPTS.iter().for_each(|s| html += s),
+                        "scripts" => part.scripts.iter().for_each(|s| html += s),
                         _ => blobs.append_to(&mut html),
                     }
                     html += rest;

@@ -1,12 +1,12 @@
-//! A specimen that the beam takes atoms from.
+//! A specimen that loses atoms under the beam.
 //!
-//! Every atom has a random number of its own, u, and is lost when the dose D at its column has come to
-//! `1 - exp(-cross-section D) > u`: what is left depends on the seed and on the dose alone, not on the steps in which it came.
+//! Every atom has a random number u, and is lost once the dose D at its column satisfies `1 - exp(-cross-section D) > u`. Which atoms are
+//! left depends on the seed and on the total dose alone, not on the steps of the dose.
 //!
-//! A unit with a place in the library of a mosaic keeps one, as far as the library can show what it has lost: it takes the
-//! pattern with as many vacancies that has most of them where they are. Numbers of vacancies are exact, then; which of a column's sites
-//! are vacant is not always (atoms move along a column under the beam too, and are not followed here). All other columns hold just the atoms
-//! that are left, and are simulated where they lie.
+//! A unit with a place in the library of a mosaic keeps a place, as far as the library can show its losses: among the patterns with the
+//! right number of vacancies it takes the one that has most of them on the right sites. Numbers of vacancies are therefore exact; the
+//! vacant sites of a column are not always (atoms also move along a column under the beam, which is not modelled here). All other columns
+//! hold exactly the atoms that are left, and are simulated at their own place.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, RwLock, RwLockReadGuard};
@@ -23,36 +23,36 @@ use crate::specimen::units::patterns::{bin_of, nearest_bins, rate_of};
 use crate::specimen::units::unit_tag::{PatternIndex, UnitFamily, UnitTag};
 use crate::structure::elements;
 
-/// Draws of [`Purpose::Damage`] for an atom of a unit, by its place in the unit, begin here; 0 is for those of other columns.
+/// First draw of [`Purpose::Damage`] for the atoms of a unit, by their place in the unit; draw 0 is for atoms of other columns.
 const FIRST_SITE_DRAW: u32 = 16;
-/// Draw that chooses among equal patterns.
+/// Draw that chooses among equally good patterns.
 const PATTERN_DRAW: u32 = 1;
 
-/// See the module.
+/// A specimen whose atoms are lost with the dose at their column.
 pub struct DamagedSpecimen {
     inner: Arc<dyn Specimen>,
     seed: u64,
-    /// Cross-sections in square Angstrom for the loss of an atom, by atomic number; 0 for those that stay.
+    /// Cross-sections in square Angstrom for the loss of an atom, by atomic number; 0 for elements that stay.
     losses: Vec<f64>,
-    /// The greatest dose that the library of a mosaic is made for.
+    /// Greatest dose that the library of a mosaic is made for.
     most_dose: f64,
     dose: RwLock<DoseMap>,
     families: RwLock<HashMap<UnitFamily, Arc<UnitPatterns>>>,
 }
 
-/// What became of a unit.
+/// State of a unit after a dose.
 enum UnitOutcome {
     /// It has lost nothing.
     Whole,
-    /// The library shows a unit with so many vacancies.
+    /// It looks like this unit of the library, which has the right number of vacancies.
     Pattern(UnitTag),
-    /// It has lost these of its sites, one member after the other.
+    /// It has lost these sites, one member after the other, and the library does not show it.
     Lost(Vec<bool>),
 }
 
 impl DamagedSpecimen {
-    /// A specimen of a recipe, still whole, whose atoms the beam displaces as its table `[damage]` says. `most_dose` (electrons per
-    /// square Angstrom) decides how many vacancies the library of a mosaic shows.
+    /// Prepares the specimen of a recipe for damage, with no atom lost yet; the table `[damage]` gives the cross-sections. `most_dose`
+    /// (electrons per square Angstrom) decides how many vacancies the library of a mosaic shows.
     pub fn new(inner: Arc<dyn Specimen>, recipe: &Recipe, most_dose: f64) -> Self {
         let cross_section = |number: u8| {
             let symbol = elements::symbol(number);
@@ -71,12 +71,12 @@ impl DamagedSpecimen {
         }
     }
 
-    /// Whether any dose changes it.
+    /// Whether no dose changes the specimen.
     pub fn is_lasting(&self) -> bool {
         self.losses.iter().all(|loss| *loss == 0.0)
     }
 
-    /// The doses of all places.
+    /// Returns the map of doses.
     pub fn dose(&self) -> RwLockReadGuard<'_, DoseMap> {
         self.dose.read().unwrap_or_else(std::sync::PoisonError::into_inner)
     }
@@ -104,7 +104,7 @@ impl DamagedSpecimen {
         Some(Arc::clone(known.entry(family).or_insert(made)))
     }
 
-    /// What a dose has made of a unit.
+    /// Returns the state of a unit after a dose.
     fn outcome(&self, tag: &UnitTag, dose: f64) -> UnitOutcome {
         let Some(family) = self.patterns(tag.family) else { return UnitOutcome::Whole };
         let Some(kind) = family.kind(tag.entry.kind) else { return UnitOutcome::Whole };
@@ -131,7 +131,7 @@ impl DamagedSpecimen {
         shown.map_or(UnitOutcome::Lost(lost), UnitOutcome::Pattern)
     }
 
-    /// The unit of the library that has such vacancies, where a share of all atoms of the kind has been lost.
+    /// Finds the unit of the library with these vacancies; `share` is the share of atoms of the kind that is lost.
     fn shown(&self, tag: &UnitTag, vacant: &[u16], share: f64) -> Option<UnitTag> {
         let first = rate_of(tag.family.bin);
         let rate = first + (1.0 - first) * share;
@@ -146,7 +146,7 @@ impl DamagedSpecimen {
         })
     }
 
-    /// The bins that units of a family may come to, up to the greatest dose.
+    /// Returns the bins that units of a family can reach, up to the greatest dose.
     fn bins(&self, family: UnitFamily) -> std::ops::RangeInclusive<usize> {
         let process = self.patterns(family).and_then(|patterns| patterns.process);
         let Some(process) = process.filter(|p| p.by.is_none()) else {
@@ -158,7 +158,7 @@ impl DamagedSpecimen {
         family.bin..=last.max(family.bin)
     }
 
-    /// A column, and its sites, after what it has been through.
+    /// Removes the atoms of a column, and of its sites, that are lost after a dose.
     fn aged(&self, column: &mut AtomColumn, sites: &mut [SpecimenSite], dose: f64) {
         let Some(tag) = column.unit else {
             for site in sites.iter_mut().filter(|s| s.kind != SiteKind::Vacancy) {
@@ -199,10 +199,10 @@ impl DamagedSpecimen {
         }
     }
 
-    /// Columns, and their sites, after what they have been through.
+    /// Removes the lost atoms from columns and sites.
     fn with_losses(&self, mut found: Sites) -> Sites {
         let doses = self.dose();
-        // All columns of a unit have the dose of its centre.
+        // All columns of a unit take the dose of its centre.
         let mut dose_of = BTreeMap::new();
         for column in &mut found.columns {
             let dose = match &column.unit {
@@ -218,7 +218,7 @@ impl DamagedSpecimen {
     }
 }
 
-/// The vacancies of a unit (ascending) that had some before; `None` if atoms are lost that no pattern of its kind lacks.
+/// Adds the lost sites to the vacancies that a unit had before (ascending); `None` if a lost atom is vacant in no pattern of its kind.
 fn vacancies(kind: &KindPatterns, before: &[u16], lost: &[bool]) -> Option<Vec<u16>> {
     let mut vacant = before.to_vec();
     for (site, _) in kind.sites.iter().zip(lost).filter(|(_, lost)| **lost) {

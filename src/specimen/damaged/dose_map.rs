@@ -1,4 +1,4 @@
-//! How many electrons every place of a field has had.
+//! A map of the dose at every place of a field.
 
 use std::collections::BTreeMap;
 
@@ -8,25 +8,25 @@ use crate::recipe::region::Region;
 
 /// Edge of the cells in which electrons are counted, in nm: a quarter of the distance of columns, or less.
 const CELL_NM: f64 = 0.05;
-/// Cells along an edge of a block; blocks that have had no electrons take no memory.
+/// Cells along an edge of a block; blocks without electrons take no memory.
 const BLOCK_CELLS: i64 = 64;
 
 /// The dose in cells of 0.05 nm.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct DoseMap {
-    /// Doses in electrons per square Angstrom by block (x, y): rows of cells, one after the other.
+    /// Doses in electrons per square Angstrom by block (x, y): the cells of a block, row by row.
     #[serde(with = "as_list")]
     blocks: BTreeMap<[i64; 2], Vec<f64>>,
 }
 
 impl DoseMap {
-    /// Spreads `electrons` evenly over a region. Cells at its edges get their share.
+    /// Spreads `electrons` evenly over a region. Cells at its edges get the share that lies inside.
     pub fn add(&mut self, region: &Region, electrons: f64) {
         let size = [region.x[1] - region.x[0], region.y[1] - region.y[0]];
         if !(electrons > 0.0 && size[0] > 0.0 && size[1] > 0.0) {
             return;
         }
-        // per cell that lies in the region as a whole, in electrons per square Angstrom
+        // Dose of a cell that lies in the region completely, in electrons per square Angstrom.
         let dose = electrons / (100.0 * size[0] * size[1]);
         let shares = [region.x, region.y].map(shares);
         for &(row, down) in &shares[1] {
@@ -48,7 +48,7 @@ impl DoseMap {
         }
     }
 
-    /// The greatest dose, after another map is added, of the places that have electrons there.
+    /// Returns the greatest sum of both doses at the places where the other map has electrons.
     pub fn greatest_with(&self, other: &DoseMap) -> f64 {
         let sum = |(block, more): (&[i64; 2], &Vec<f64>)| {
             let before = self.blocks.get(block);
@@ -59,13 +59,13 @@ impl DoseMap {
         other.blocks.iter().map(sum).fold(0.0, f64::max)
     }
 
-    /// The dose at (x, y) in nm, in electrons per square Angstrom.
+    /// Returns the dose at (x, y) in nm, in electrons per square Angstrom.
     pub fn at(&self, position_nm: [f64; 2]) -> f64 {
         let (block, cell) = place(position_nm.map(|v| (v / CELL_NM).floor() as i64));
         self.blocks.get(&block).map_or(0.0, |cells| cells[cell])
     }
 
-    /// The mean dose of a region, in electrons per square Angstrom.
+    /// Returns the mean dose of a region, in electrons per square Angstrom.
     pub fn mean(&self, region: &Region) -> f64 {
         let [across, down] = [region.x, region.y].map(shares);
         let (mut sum, mut area) = (0.0, 0.0);
@@ -80,25 +80,25 @@ impl DoseMap {
         if area > 0.0 { sum / area } else { 0.0 }
     }
 
-    /// The same without the outermost cells of the region, some of which reach beyond what was exposed; of a region too small for
-    /// that as [`DoseMap::mean`].
+    /// Returns the mean dose without the outermost cells of the region, some of which reach beyond the exposed area. For a region that is
+    /// too small for that, returns [`DoseMap::mean`].
     pub fn mean_within(&self, region: &Region) -> f64 {
         let inner = region.grown(-CELL_NM);
         let large = [inner.x, inner.y].iter().all(|[low, high]| high - low > CELL_NM);
         self.mean(if large { &inner } else { region })
     }
 
-    /// The greatest dose anywhere, in electrons per square Angstrom.
+    /// Returns the greatest dose, in electrons per square Angstrom.
     pub fn greatest(&self) -> f64 {
         self.blocks.values().flatten().copied().fold(0.0, f64::max)
     }
 
-    /// Electrons on the whole field.
+    /// Returns the number of electrons on the whole field.
     pub fn electrons(&self) -> f64 {
         self.blocks.values().flatten().sum::<f64>() * 100.0 * CELL_NM * CELL_NM
     }
 
-    /// Whether the blocks are of the right size and hold doses that make sense: a map may come from a file.
+    /// Whether the blocks have the right size and hold finite doses that are not negative: a map may come from a file.
     pub fn is_sound(&self) -> bool {
         let cells = (BLOCK_CELLS * BLOCK_CELLS) as usize;
         let sound = |block: &Vec<f64>| {
@@ -108,7 +108,7 @@ impl DoseMap {
     }
 }
 
-/// Cells that a range in nm covers, and how much of each.
+/// Returns the cells that a range in nm covers, and the covered share of each.
 fn shares([low, high]: [f64; 2]) -> Vec<(i64, f64)> {
     let [low, high] = [low, high].map(|v| v / CELL_NM);
     let cells = low.floor() as i64..high.ceil() as i64;
@@ -116,13 +116,13 @@ fn shares([low, high]: [f64; 2]) -> Vec<(i64, f64)> {
     cells.map(share).filter(|(_, share)| *share > 0.0).collect()
 }
 
-/// The block of a cell (x, y), and its place there.
+/// Returns the block of a cell (x, y), and the place of the cell in it.
 fn place(cell: [i64; 2]) -> ([i64; 2], usize) {
     let [x, y] = cell.map(|c| c.rem_euclid(BLOCK_CELLS));
     (cell.map(|c| c.div_euclid(BLOCK_CELLS)), (y * BLOCK_CELLS + x) as usize)
 }
 
-/// Maps with keys that are no text, as lists.
+/// Serialises maps with keys that are not text as lists.
 mod as_list {
     use super::BTreeMap;
     use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -148,7 +148,7 @@ mod tests {
     #[test]
     fn electrons_are_kept_and_lie_where_they_fell() {
         let mut map = DoseMap::default();
-        // 1 nm^2 with 1000 electrons per square Angstrom, not on the raster, and over the corner of four blocks
+        // 1 nm^2 with 1000 electrons per square Angstrom, off the raster and across the corner of four blocks.
         map.add(&Region { x: [-0.512, 0.488], y: [-0.333, 0.667] }, 1e5);
         map.add(&Region { x: [-0.512, 0.488], y: [-0.333, 0.667] }, 1e5);
         assert!((map.electrons() - 2e5).abs() < 1e-6);
@@ -165,7 +165,7 @@ mod tests {
         assert!((other.greatest() - 2.5e3).abs() < 1e-9);
         assert!((other.electrons() - 2.43e5).abs() < 1e-6);
         assert!((map.greatest() - 2e3).abs() < 1e-9);
-        // the cell from -0.55 to -0.5 nm is hit on 0.012 of 0.05 nm
+        // The cell from -0.55 to -0.5 nm is exposed on 0.012 of its 0.05 nm.
         assert!((map.at([-0.52, 0.1]) - 2e3 * 0.24).abs() < 1e-6, "{}", map.at([-0.52, 0.1]));
     }
 

@@ -1,4 +1,4 @@
-//! Specimens that lose atoms under the beam: the dose at every place, and what it has left of each column.
+//! Specimens that lose atoms under the beam: the map of doses, and the atoms left in each column.
 
 pub mod damaged_specimen;
 pub mod dose_map;

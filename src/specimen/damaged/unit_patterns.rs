@@ -1,4 +1,4 @@
-//! The patterns of a family's units, sorted so that one with a given number of defects is found.
+//! The patterns of a family's units, sorted by their number of defects.
 
 use std::collections::BTreeMap;
 
@@ -8,9 +8,9 @@ use crate::specimen::units::occupation::DefectKind;
 /// A site of a unit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct UnitSite {
-    /// The atom that belongs there.
+    /// Atomic number of the atom that belongs there.
     pub number: u8,
-    /// Its number among the sites that may be defects.
+    /// Number of the site among the sites that may be defects.
     pub defect: Option<u16>,
 }
 
@@ -19,15 +19,15 @@ pub struct UnitSite {
 pub struct KindPatterns {
     /// Sites of all members, one member after the other, as the specimen lists them.
     pub sites: Vec<UnitSite>,
-    /// Where the sites of each member begin.
+    /// Index of the first site of each member.
     pub members: Vec<usize>,
-    /// Defective sites (ascending) of each lattice cell, by its number among those of all library cells.
+    /// Defective sites (ascending) of each lattice cell, by the number of the cell among the cells of all library cells.
     pub cells: BTreeMap<usize, Vec<u16>>,
     /// Cells by their number of defects.
     pub by_count: BTreeMap<usize, Vec<usize>>,
 }
 
-/// What the units of a family may hold.
+/// The patterns that the units of a family may hold.
 #[derive(Debug)]
 pub struct UnitPatterns {
     /// The kind of defect.
@@ -36,7 +36,7 @@ pub struct UnitPatterns {
 }
 
 impl UnitPatterns {
-    /// The patterns that the library cells of a family show.
+    /// Collects the patterns in the library cells of a family.
     pub fn of(library_cell: &LibraryCell) -> Self {
         let mut kinds = BTreeMap::<usize, KindPatterns>::new();
         for unit in &library_cell.units {
@@ -60,15 +60,15 @@ impl UnitPatterns {
         UnitPatterns { process: library_cell.process, kinds }
     }
 
-    /// A kind of unit.
+    /// Returns the patterns of a kind of unit.
     pub fn kind(&self, kind: usize) -> Option<&KindPatterns> {
         self.kinds.get(&kind)
     }
 }
 
 impl KindPatterns {
-    /// The cell with as many defects as `wanted` (ascending) that has most of them in common with it; `pick` (0 to 1) chooses among
-    /// equals. `None` where no cell has that number.
+    /// Finds, among the cells with as many defects as `wanted` (ascending), the cell that shares most defects with it; `pick` (0 to 1)
+    /// chooses among equals. `None` where no cell has that number.
     pub fn nearest(&self, wanted: &[u16], pick: f64) -> Option<usize> {
         let cells = self.by_count.get(&wanted.len())?;
         let common = |cell: &usize| {

@@ -1,4 +1,4 @@
-//! What a lattice site holds: vacancies and random substitutions.
+//! Rules for the defects of a lattice site: vacancies and random substitutions.
 
 use crate::error::Result;
 use crate::recipe::resolved_recipe::Recipe;
@@ -9,32 +9,32 @@ use crate::specimen::sites::SiteKind;
 use crate::specimen::units::occupation::DefectKind;
 use crate::structure::elements;
 
-/// Independent draws for one site.
+/// Numbers of the independent draws for one site.
 mod draw {
     pub const VACANCY: u32 = 0;
     pub const SUBSTITUTION: u32 = 1;
     pub const FURTHER: u32 = 2;
 }
 
-/// Rules by which sites become defects. What a site holds depends on the seed and its key only.
+/// Rules by which sites become defects. The result for a site depends on the seed and on its key only.
 #[derive(Debug, Clone, Default)]
 pub struct Defects {
     seed: u64,
     vacancies: Option<(u8, VacancyProfile)>,
-    /// Element, what replaces it, and how often.
+    /// Atomic numbers of the replaced element and of its substitute, and the rate.
     substitutions: Option<(u8, u8, f64)>,
     further: FurtherDefects,
 }
 
-/// Further kinds of defects, and how often each is.
+/// Further kinds of defects, and the rate of each.
 type FurtherDefects = [Option<(DefectKind, f64)>; MOST_POINT_DEFECTS];
 
 impl Defects {
-    /// Fits the rules to the sites of the full field; `count` adds the sites of the element that it
-    /// is given to a histogram of their distance from the boundaries.
+    /// Fits the rules to the sites of the full field; `count` adds the sites of the given element to a histogram of their distance from the
+    /// boundaries.
     ///
     /// # Errors
-    /// [`crate::Error::UnknownElement`], and those of [`VacancyProfile::fit`].
+    /// [`crate::Error::UnknownElement`], and errors of [`VacancyProfile::fit`].
     pub fn fit(recipe: &Recipe, count: impl FnOnce(u8, &mut DistanceHistogram)) -> Result<Self> {
         let vacancies = match &recipe.vacancies {
             Some(v) => {
@@ -59,7 +59,7 @@ impl Defects {
         Ok(Defects { seed: recipe.seed, vacancies, substitutions, further })
     }
 
-    /// The rule for sites at `distance_nm` from the nearest boundary.
+    /// Returns the rules for sites at `distance_nm` from the nearest boundary.
     pub fn at(&self, distance_nm: f64) -> LocalDefects {
         let vacancies = self.vacancies.map(|(e, profile)| (e, profile.probability(distance_nm)));
         let Defects { seed, substitutions, further, .. } = *self;
@@ -67,7 +67,7 @@ impl Defects {
     }
 }
 
-/// The rule at one place.
+/// The rules at one place.
 #[derive(Debug, Clone, Copy)]
 pub struct LocalDefects {
     seed: u64,
@@ -77,7 +77,7 @@ pub struct LocalDefects {
 }
 
 impl LocalDefects {
-    /// How often a site where `element` belongs is a defect.
+    /// Returns the probability that a site of `element` is a defect.
     pub fn rate(&self, element: u8) -> f64 {
         let vacant = self.vacancies.filter(|(e, _)| *e == element).map_or(0.0, |(_, p)| p);
         let replaced = self.substitutions.filter(|(e, _, _)| *e == element);
@@ -86,7 +86,7 @@ impl LocalDefects {
         further.fold(first, |rate, (_, more)| rate + (1.0 - rate) * more)
     }
 
-    /// How often a site where the element of a kind belongs is drawn to be such a defect, whatever else it is drawn to be.
+    /// Returns the probability that a site of the element of `kind` is drawn to be that defect, without regard to the other kinds.
     pub fn rate_of(&self, kind: DefectKind) -> f64 {
         let vacant = self.vacancies.filter(|(e, _)| kind == DefectKind { element: *e, by: None });
         let replaced = self
@@ -97,8 +97,8 @@ impl LocalDefects {
         further.fold(first.unwrap_or(0.0), |rate, (_, more)| rate + (1.0 - rate) * more)
     }
 
-    /// Kind of the site `key` where element `number` belongs, and the element that it holds (of a
-    /// vacancy, the one that is missing).
+    /// Returns the kind of the site `key` where element `number` belongs, and the element that it holds (of a vacancy, the missing
+    /// element).
     pub fn of(&self, key: u64, number: u8) -> (SiteKind, u8) {
         let drawn = |substream| rng::uniform(self.seed, Purpose::Defect, substream, key);
         if self.vacancies.is_some_and(|(e, p)| e == number && drawn(draw::VACANCY) < p) {

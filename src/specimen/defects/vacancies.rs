@@ -1,4 +1,4 @@
-//! Where vacancies are likely: everywhere a little, and gathered about the boundaries.
+//! The probability of vacancies: a uniform part, and a part gathered about the boundaries.
 
 use crate::error::{Error, Result};
 use crate::recipe::tables::Vacancies;
@@ -27,7 +27,7 @@ impl DistanceHistogram {
         self.counts[bin] += n;
     }
 
-    /// The sites of both.
+    /// Adds the sites of another histogram.
     pub fn merged(mut self, other: Self) -> Self {
         self.counts.resize(self.counts.len().max(other.counts.len()), 0);
         self.counts.iter_mut().zip(&other.counts).for_each(|(sum, n)| *sum += n);
@@ -35,7 +35,7 @@ impl DistanceHistogram {
         self
     }
 
-    /// The distances that there are (infinite where there is no boundary), and the number of sites at each.
+    /// Returns the distances with sites (infinite where there is no boundary), and the number of sites at each.
     fn entries(&self) -> impl Iterator<Item = (f64, u64)> + '_ {
         let distance = |(bin, n): (usize, &u64)| ((bin as f64 + 0.5) * BIN_NM, *n);
         let near = self.counts.iter().enumerate().map(distance);
@@ -46,8 +46,8 @@ impl DistanceHistogram {
 /// Probability that a site is vacant, as a function of its distance d from the nearest boundary:
 /// `min(cap, uniform + amplitude * exp(-d^2 / 2 sigma^2))`.
 ///
-/// The amplitude makes the mean over the field the rate; where the cap bites, it is greater than
-/// without, and so the excess is spread wider.
+/// The amplitude is chosen so that the mean over the field is the rate. Where the cap limits the probability, the amplitude is greater than
+/// it would be without a cap, and the vacancies spread wider.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VacancyProfile {
     /// Probability far from any boundary.
@@ -78,7 +78,7 @@ impl VacancyProfile {
             return Ok(profile);
         }
         let total = sites.entries().map(|(_, n)| n).sum::<u64>().max(1) as f64;
-        // How much is gathered at a distance does not depend on the amplitude.
+        // The gathered share at a distance does not depend on the amplitude.
         let gathered: Vec<(f64, f64)> =
             sites.entries().map(|(d, n)| (profile.gathered(d), n as f64)).collect();
         let rate_at = |amplitude| {
@@ -97,7 +97,7 @@ impl VacancyProfile {
         let mut low = 0.0;
         for _ in 0..100 {
             let middle = 0.5 * (low + high);
-            // No number lies between them.
+            // No floating-point number lies between the two bounds.
             if middle <= low || middle >= high {
                 break;
             }
@@ -107,12 +107,12 @@ impl VacancyProfile {
         Ok(profile)
     }
 
-    /// Probability at `distance_nm` from the nearest boundary.
+    /// Returns the probability at `distance_nm` from the nearest boundary.
     pub fn probability(&self, distance_nm: f64) -> f64 {
         self.with_share(self.gathered(distance_nm))
     }
 
-    /// Share of the amplitude at a distance.
+    /// Returns the share of the amplitude at a distance.
     fn gathered(&self, distance_nm: f64) -> f64 {
         let t = distance_nm / self.sigma_nm;
         libm::exp(-0.5 * t * t)

@@ -1,8 +1,8 @@
 //! The core of a symmetric tilt boundary: which columns merge, and which atoms have no room.
 //!
-//! The right grain is the mirror image of the left one. A column closer to its image than the
-//! physical minimum becomes one column on the mirror plane; where other atoms then come too close,
-//! those of lower priority go. Everything is decided once, for the whole length of a boundary.
+//! The right grain is the mirror image of the left one. A column closer to its image than the physical minimum becomes one column on the
+//! mirror plane. Where other atoms then come too close, the atoms of lower priority are removed. All of this is decided once, for the whole
+//! length of a boundary.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -12,7 +12,7 @@ use crate::specimen::grains::grain::Grain;
 use crate::structure::columns::{Chain, ColumnCrystal};
 use crate::structure::elements;
 
-/// Positions closer than this to a mirror plane lie on it, in Angstrom.
+/// Positions closer than this to a mirror plane count as on it, in Angstrom.
 pub const ON_PLANE: f64 = 1e-6;
 
 /// Least distances between atoms, in Angstrom.
@@ -20,8 +20,8 @@ pub const ON_PLANE: f64 = 1e-6;
 pub struct MinDistances(HashMap<(u8, u8), f64>);
 
 impl MinDistances {
-    /// Those of a recipe's table (`"Ti-O"`, checked before); for other pairs the default share of
-    /// `shortest`, the shortest distances in the crystal.
+    /// Takes the distances of a recipe's table (`"Ti-O"`, checked before); other pairs get the default share of `shortest`, the shortest
+    /// distances in the crystal.
     pub fn new(table: &BTreeMap<String, f64>, shortest: &BTreeMap<(u8, u8), f64>) -> Self {
         let number = |s: &str| elements::atomic_number(s).unwrap_or(0);
         let both = |a, b, d| [((a, b), d), ((b, a), d)];
@@ -32,22 +32,22 @@ impl MinDistances {
         });
         MinDistances(default.chain(given.flatten()).collect())
     }
-    /// Least distance between two elements.
+    /// Returns the least distance between two elements.
     pub fn get(&self, a: u8, b: u8) -> f64 {
         self.0.get(&(a, b)).copied().unwrap_or(0.0)
     }
-    /// The greatest of them.
+    /// Returns the greatest of the distances.
     pub fn greatest(&self) -> f64 {
         self.0.values().copied().fold(0.0, f64::max)
     }
 }
 
-/// What became of a column at a boundary.
+/// State of a column at a boundary.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ColumnOutcome {
-    /// Where it is now (x in Angstrom), if it moved.
+    /// New position (x in Angstrom), if the column moved.
     pub x: Option<f64>,
-    /// Bit `n` is set when chain `n` is still there.
+    /// Bit `n` is set if chain `n` is kept.
     pub kept: u64,
 }
 
@@ -62,13 +62,13 @@ struct MirrorPair {
 }
 
 impl MirrorPair {
-    /// Offsets of the atoms from the mirror plane.
+    /// Returns the offsets of the atoms from the mirror plane.
     fn offsets(&self) -> &'static [f64] {
         if self.merged { &[0.0] } else { &[-1.0, 1.0] }
     }
 
-    /// All others before the lightest element (the anions of an oxide), atoms at their lattice sites
-    /// before moved ones, heavy before light, far from the plane before near; then along the boundary.
+    /// Returns the order of priority: the lightest element (the anions of an oxide) after all others, atoms at their lattice sites before
+    /// moved ones, heavy before light, far from the plane before near; then along the boundary.
     fn rank(&self, lightest: Option<u8>) -> (bool, bool, u8, i64, i64) {
         let fixed = |v: f64| (v * 1e5).round() as i64;
         let moved = self.merged && self.depth > ON_PLANE;
@@ -89,8 +89,8 @@ impl MirrorPair {
     }
 }
 
-/// Decides the fate of every column near the boundary at the right edge of `grains[left]`, for
-/// `y` within `span` (Angstrom). Columns not in the map are untouched.
+/// Decides the state of every column near the boundary at the right edge of `grains[left]`, for `y` within `span` (Angstrom). Columns that
+/// are not in the map are unchanged.
 pub fn resolve(
     crystal: &ColumnCrystal,
     grain: &Grain,
@@ -131,12 +131,12 @@ pub fn resolve(
     fates
 }
 
-/// The same column of the next grain.
+/// Returns the mirror image of a column in the next grain.
 fn mirror_image(index: ColumnIndex) -> ColumnIndex {
     ColumnIndex { grain: index.grain + 1, ..index }
 }
 
-/// The chains of the left grain within reach of the boundary.
+/// Returns the chains of the left grain within reach of the boundary.
 fn units(
     crystal: &ColumnCrystal,
     grain: &Grain,

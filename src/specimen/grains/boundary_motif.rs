@@ -1,8 +1,8 @@
 //! The repeating pattern of a coincidence boundary, for the mosaic's library.
 //!
-//! Along a coincidence boundary the columns repeat with the coincidence period. The columns near the plane over
-//! one period are the slots of the motif; those farther away stand in the crystal. A boundary whose
-//! pattern is that of an earlier one, turned over perhaps, shares its motif.
+//! Along a coincidence boundary the columns repeat with the coincidence period. The columns near the plane over one period are the slots of
+//! the motif; columns farther away belong to the crystal. A boundary whose pattern equals the pattern of an earlier one, perhaps mirrored,
+//! shares its motif.
 
 use std::collections::HashMap;
 
@@ -13,29 +13,29 @@ use crate::specimen::units::patterns::{DefectPatterns, bin_of};
 use crate::specimen::units::unit_tag::PatternIndex;
 use crate::structure::columns::{Chain, ColumnCrystal};
 
-/// Columns nearer to the plane than this are slots, in Angstrom: for those beyond, the other grain is no
-/// nearer than a probe in a crystal feels.
+/// Columns nearer to the plane than this are slots, in Angstrom. For columns beyond it, the other grain is farther away than a probe in a
+/// crystal reaches.
 pub const SLOT_REACH_ANGSTROM: f64 = 5.0;
-/// Scanned beyond the slots, for the ramps to the crystal's units and for interpolation between samples
+/// Width in Angstrom that is scanned beyond the slots, for the ramps to the crystal's units and for interpolation between samples
 /// ([`crate::resample::MARGIN`]).
 const SCAN_BEYOND_ANGSTROM: f64 = 2.5;
-/// Specimen beyond the scan: half a window, and the reach of potentials.
+/// Width in Angstrom of the specimen beyond the scan: half a window, and the reach of potentials.
 const SPECIMEN_BEYOND_ANGSTROM: f64 = 7.5;
-/// Different contents of a slot, at least.
+/// Least number of different contents of a slot.
 const LEAST_CONTENTS: usize = 4;
-/// Positions that count as equal, in Angstrom.
+/// Positions closer than this count as equal, in Angstrom.
 const SAME: f64 = 0.01;
 
-/// A column of a boundary, seen from a lattice point on its plane.
+/// A column of a boundary, relative to a lattice point on its plane.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoundaryColumn {
     /// Position (x, y) in Angstrom; the plane is x = 0.
     pub position: [f64; 2],
-    /// Its chains that are there: number in the kind of column, and the chain.
+    /// The chains of the column that are kept: number in the kind of column, and the chain.
     pub chains: Vec<(usize, Chain)>,
 }
 
-/// See the module.
+/// The repeating pattern of a coincidence boundary.
 #[derive(Debug)]
 pub struct BoundaryMotif {
     /// Period along y in Angstrom.
@@ -50,13 +50,13 @@ pub struct BoundaryMotif {
     seed: u64,
 }
 
-/// How far a motif needs to know the columns around a boundary.
+/// Distance in Angstrom to which a motif needs the columns around a boundary.
 pub fn reach_angstrom() -> f64 {
     SLOT_REACH_ANGSTROM + SCAN_BEYOND_ANGSTROM + SPECIMEN_BEYOND_ANGSTROM
 }
 
 impl BoundaryMotif {
-    /// The motif of a boundary from its `columns`, of one period, out to [`reach_angstrom`].
+    /// Makes the motif of a boundary from its `columns` over one period, out to [`reach_angstrom`].
     pub fn new(
         columns: Vec<BoundaryColumn>,
         period: f64,
@@ -72,7 +72,7 @@ impl BoundaryMotif {
             c.chains.iter().filter(|(_, n)| process.is_some_and(|p| p.element == n.number)).count()
         };
         let sites = slots.iter().map(|s| depth * defects(s)).collect();
-        // Each slot has several contents, however long the period is.
+        // Each slot has several contents, even where the period is long.
         let least = LEAST_CONTENTS.div_ceil(periods);
         let count = library_cells(patches, slots.len() * periods, configurations).max(least);
         let lookup = slots.iter().enumerate().map(|(n, s)| (rounded(s.position), n)).collect();
@@ -80,10 +80,10 @@ impl BoundaryMotif {
         BoundaryMotif { period, slots, lookup, others, pool, periods, process, seed }
     }
 
-    /// The slot at `position` (relative to a lattice point on the plane), if the column there has these chains.
+    /// Finds the slot at `position` (relative to a lattice point on the plane), if the column there has these chains.
     pub fn slot(&self, [x, y]: [f64; 2], chains: impl Iterator<Item = usize>) -> Option<usize> {
         let y = y.rem_euclid(self.period);
-        // Rounding may lead to the next bin, and over the end of the period.
+        // Rounding may lead to the next bin, and across the end of the period.
         let near = (0..27).map(|n| (n % 3 - 1, n / 3 % 3 - 1, f64::from(n as i32 / 9 - 1)));
         let found = near.into_iter().find_map(|(i, j, turn)| {
             let [a, b] = rounded([x, y + turn * self.period]);
@@ -100,7 +100,7 @@ impl BoundaryMotif {
         self.slots.len()
     }
 
-    /// What the column `id` holds in `slot`; `around` is the rate at the plane.
+    /// Draws the contents of the column `id` in `slot`; `around` is the rate at the plane.
     pub fn draw(&self, slot: usize, id: u64, rate: f64, around: f64) -> Option<PatternIndex> {
         let bin = bin_of(around);
         let allowed = vec![true; self.pool.sites(slot)];
@@ -108,13 +108,13 @@ impl BoundaryMotif {
         Some(PatternIndex { bin, kind: slot, cell })
     }
 
-    /// The number among the slot's sites of an atom of its chain `chain` (counted among those there), if it may
-    /// be a defect.
+    /// Returns the number of an atom among the slot's sites, if it may be a defect. The atom belongs to chain `chain`, counted among the
+    /// chains that are kept.
     pub fn site(&self, slot: usize, chain: usize, depth: usize) -> Option<usize> {
         site(&self.slots[slot], self.process, chain, depth)
     }
 
-    /// Its library cells.
+    /// Builds the library cells of the motif.
     pub fn library_cell(&self, crystal: &ColumnCrystal, depth: usize, bin: usize) -> LibraryCell {
         let count = self.pool.cells() / self.periods;
         let centre_x = reach_angstrom();

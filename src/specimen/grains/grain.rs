@@ -7,14 +7,14 @@ pub struct Grain {
     pub origin: [f64; 2],
     /// Cosine and sine of the rotation.
     pub rotation: [f64; 2],
-    /// Whether it is the mirror image (x to -x) of the lattice so rotated.
+    /// Whether the rotated lattice is mirrored (x to -x).
     pub mirrored: bool,
     /// The grain spans `x[0] < x <= x[1]`, in Angstrom.
     pub x: [f64; 2],
 }
 
 impl Grain {
-    /// Position of the point (u, v) in Angstrom; u and v in units of the edges of `cell`.
+    /// Returns the position of the point (u, v) in Angstrom; u and v in units of the edges of `cell`.
     pub fn position(&self, cell: [f64; 3], u: f64, v: f64) -> [f64; 2] {
         let [c, s] = self.rotation;
         let (u, v) = (cell[0] * u, cell[1] * v);
@@ -23,7 +23,7 @@ impl Grain {
         [x, self.origin[1] + (s * u + c * v)]
     }
 
-    /// The mirror image about the line `x = plane`: the same cells lie at mirrored places.
+    /// Returns the mirror image about the line `x = plane`: cells with the same indices lie at mirrored places.
     pub fn mirror_image(&self, plane: f64) -> Grain {
         Grain {
             origin: [2.0 * plane - self.origin[0], self.origin[1]],
@@ -33,7 +33,7 @@ impl Grain {
         }
     }
 
-    /// Ranges of cells (i, j) that cover a rectangle `[[x0, x1], [y0, y1]]` in Angstrom.
+    /// Returns the ranges of cells (i, j) that cover a rectangle `[[x0, x1], [y0, y1]]` in Angstrom.
     pub fn cells(&self, cell: [f64; 3], rect: [[f64; 2]; 2]) -> [std::ops::RangeInclusive<i64>; 2] {
         let [c, s] = self.rotation;
         let mut low = [f64::INFINITY; 2];

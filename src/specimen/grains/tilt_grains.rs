@@ -31,7 +31,7 @@ use crate::structure::coincidence::HalfAngle;
 use crate::structure::columns::{Chain, ColumnCrystal};
 use crate::structure::{PAIR_CUTOFF_ANGSTROM, shortest_distances};
 
-/// See the module.
+/// A crystal in grains with symmetric tilt boundaries.
 pub struct Grains {
     crystal: ColumnCrystal,
     cells_along_beam: usize,
@@ -39,15 +39,15 @@ pub struct Grains {
     /// Positions of the boundaries in Angstrom.
     planes: Vec<f64>,
     fates: HashMap<u64, ColumnOutcome>,
-    /// How far from a boundary columns may have changed, in Angstrom.
+    /// Largest distance in Angstrom from a boundary at which columns may have changed.
     reach: f64,
     extent: Region,
     field: Region,
     kind: BoundaryKind,
     defects: Defects,
-    /// What units hold of each kind of defect; none draws each site by itself.
+    /// The contents of units for each kind of defect; if empty, each site is drawn separately.
     contents: Vec<UnitOccupation>,
-    /// Each pattern of boundaries once for each kind of defect.
+    /// Each pattern of boundaries, once for each kind of defect.
     motifs: Vec<BoundaryMotif>,
     /// For each boundary that repeats: its motif, the directions of the motif's axes, and a lattice point on
     /// the plane.
@@ -55,29 +55,29 @@ pub struct Grains {
     facts: SpecimenFacts,
 }
 
-/// How a boundary shows a motif.
+/// How a boundary repeats a motif.
 #[derive(Debug, Clone, Copy)]
 struct Repeat {
-    /// The first of its kinds of defects.
+    /// Index of the motif for the first kind of defect.
     motif: usize,
     flip: [f64; 2],
     /// y in Angstrom of a lattice point on the plane.
     origin: f64,
 }
 
-/// A column that is there.
+/// A column that is kept.
 struct Present {
     index: ColumnIndex,
-    /// Angstrom.
+    /// Position (x, y) in Angstrom.
     position: [f64; 2],
     kept: u64,
 }
 
-/// What a column holds of each kind of defect.
+/// The contents of a column for each kind of defect.
 struct Held {
-    /// Where the like of the column is in the library, which shows columns of one kind of defect only.
+    /// The column's place in the library, which shows columns of one kind of defect only.
     tag: Option<UnitTag>,
-    /// Where its patterns are, for each kind of defect that it holds; of several that name a site, the first counts.
+    /// The column's patterns, one for each kind of defect that it holds; where several name a site, the first counts.
     defective: Vec<UnitTag>,
 }
 
@@ -172,7 +172,7 @@ impl Grains {
         Ok(())
     }
 
-    /// Distance from the nearest boundary in nm; `x` in Angstrom.
+    /// Returns the distance from the nearest boundary in nm; `x` in Angstrom.
     fn distance_nm(&self, x: f64) -> f64 {
         self.planes.iter().map(|p| (x - p).abs() * NM).fold(f64::INFINITY, f64::min)
     }
@@ -183,8 +183,8 @@ impl Grains {
         chains.iter().enumerate().filter(move |(n, _)| kept >> n & 1 == 1)
     }
 
-    /// What a column holds; none where each site is drawn by itself. The library has no columns of several kinds of defects: those are
-    /// simulated by themselves.
+    /// Draws the contents of a column; `None` where each site is drawn separately. The library has no columns with several kinds of
+    /// defects: such columns are simulated separately.
     fn held(&self, column: &Present) -> Option<Held> {
         let (mut defective, mut pristine) = (Vec::new(), None);
         for kind in 0..self.contents.len() {
@@ -203,7 +203,7 @@ impl Grains {
         Some(Held { tag, defective })
     }
 
-    /// Whether one kind of defect leaves a later one no site in a column.
+    /// Whether the pattern of one kind of defect covers all sites of a later pattern of the same element.
     fn covers(&self, first: &UnitTag, later: &UnitTag) -> bool {
         let element =
             |tag: &UnitTag| self.contents[self.kind_of(tag.family)].process.map(|p| p.element);
@@ -211,8 +211,8 @@ impl Grains {
         element(first) == element(later) && self.pattern(later).iter().all(|s| taken.contains(s))
     }
 
-    /// What a site of a column holds: the atom of a chain, given by its number in the kind of column and among the chains that are
-    /// there, in cell `depth` along the beam.
+    /// Returns the contents of a site: the atom of a chain in cell `depth` along the beam. `chains` are the number of the chain in the kind
+    /// of column, and its number among the chains that are kept.
     fn site_of(
         &self,
         defective: &[UnitTag],
@@ -229,7 +229,7 @@ impl Grains {
         drawn.unwrap_or((SiteKind::Pristine, number))
     }
 
-    /// The kind of defect that a family shows.
+    /// Returns the number of the kind of defect that a family shows.
     fn kind_of(&self, family: UnitFamily) -> usize {
         match family.motif {
             0 => family.structure,
@@ -237,7 +237,7 @@ impl Grains {
         }
     }
 
-    /// Place of a column in the library among those with a kind of defect.
+    /// Returns the place of a column in the part of the library for one kind of defect.
     fn tag(&self, column: &Present, process: usize) -> Option<UnitTag> {
         let contents = self.contents.get(process)?;
         let (kind, member, first) = contents.unit_of(column.index);
@@ -304,8 +304,8 @@ impl Grains {
         }
     }
 
-    /// The number among the unit's sites of an atom of a chain, given by its number in the kind of column and among
-    /// the chains that are there.
+    /// Returns the number of an atom among the unit's sites. The chain is given by its number in the kind of column and its number among
+    /// the chains that are kept.
     fn site(
         &self,
         contents: &UnitOccupation,
@@ -359,12 +359,12 @@ impl Grains {
         self.motifs = motifs;
     }
 
-    /// y of the lattice point on a boundary's plane that is nearest above the middle of the field.
+    /// Returns y of the lattice point on a boundary's plane that is nearest above the middle of the field.
     fn origin_on(&self, plane: usize, period: f64) -> Option<f64> {
         let (grain, x) = (&self.grains[plane], self.planes[plane]);
         let middle = 0.5 * (self.field.y[0] + self.field.y[1]) / NM;
         let cell = self.crystal.cell;
-        // Of a centred lattice every other point on the plane may be the corner of a cell.
+        // In a centred lattice every other point on the plane may be the corner of a cell.
         let [is, js] = grain.cells(cell, [[x, x], [middle, middle + 2.0 * period]]);
         let points = is.flat_map(|i| js.clone().map(move |j| (i, j)));
         let points = points.map(|(i, j)| grain.position(cell, i as f64, j as f64));
@@ -372,17 +372,17 @@ impl Grains {
         on.map(|p| p[1]).min_by(f64::total_cmp)
     }
 
-    /// The columns around a boundary from `origin` up to one period on.
+    /// Returns the columns around a boundary over one period from `origin`.
     fn period_of(&self, plane: usize, origin: f64, period: f64) -> Vec<BoundaryColumn> {
         let (x, reach) = (self.planes[plane], reach_angstrom());
-        // A little lower, so that rounding does not count a column twice or never.
+        // The range begins a little lower, so that rounding neither counts a column twice nor skips it.
         let low = origin - 1e-3;
         let rect = [[x - reach, x + reach], [low, low + period]];
         let region = Region { x: rect[0].map(|v| v * NM), y: rect[1].map(|v| v * NM) };
         let mut columns = Vec::new();
         self.for_each_column(&region, |column| {
             let position = [column.position[0] - x, column.position[1] - origin];
-            // Rounded, so that worlds of other seeds and fields have the same library cells.
+            // Positions are rounded, so that worlds of other seeds and fields have the same library cells.
             let position = position.map(|v| (v * 1e6).round() * 1e-6);
             let chains = self.chains(&column).map(|(n, c)| (n, *c)).collect();
             columns.push(BoundaryColumn { position, chains });
@@ -422,7 +422,7 @@ impl Grains {
         }
     }
 
-    /// The column, if its grain reaches there and it is not empty.
+    /// Returns the column, if its grain reaches there and it is not empty.
     fn column(&self, grain: &Grain, index: ColumnIndex) -> Option<Present> {
         let xy = self.crystal.columns[index.kind].xy;
         let (u, v) = (index.cell[0] as f64 + xy[0], index.cell[1] as f64 + xy[1]);
@@ -440,7 +440,7 @@ impl Grains {
         (kept != 0).then_some(Present { index, position, kept })
     }
 
-    /// The columns of a region; no sites if not `with_sites`.
+    /// Lists the columns of a region; without sites if `with_sites` is false.
     fn listed(&self, region: &Region, with_sites: bool) -> Sites {
         let mut out = Sites::default();
         self.for_each_column(region, |column| {
@@ -528,7 +528,7 @@ impl Specimen for Grains {
     }
 }
 
-/// Whether all columns near a boundary are slots of a motif, and as many, when seen along its axes.
+/// Whether the columns near a boundary, in the motif's axes, are exactly the slots of the motif.
 fn shows(motif: &BoundaryMotif, columns: &[BoundaryColumn], flip: [f64; 2]) -> bool {
     let near = columns.iter().filter(|c| c.position[0].abs() <= SLOT_REACH_ANGSTROM);
     let mut count = 0;
@@ -540,7 +540,7 @@ fn shows(motif: &BoundaryMotif, columns: &[BoundaryColumn], flip: [f64; 2]) -> b
     all && count == motif.slot_count()
 }
 
-/// The coincidence of boundaries that a recipe names.
+/// Returns the coincidence that the boundaries of a recipe are based on.
 fn coincidence_of(boundaries: &Boundaries, cell: [f64; 3]) -> Result<Option<HalfAngle>> {
     let Some(sigma) = boundaries.sigma else { return Ok(None) };
     let found = coincidence::half_angle_in(cell, sigma, boundaries.misorientation_deg);
@@ -552,8 +552,8 @@ fn centre(positions: impl ExactSizeIterator<Item = [f64; 2]>) -> [f64; 2] {
     positions.fold([0.0; 2], |sum, p| [0, 1].map(|k| sum[k] + p[k] / count))
 }
 
-/// The mirror plane nearest to `target` (all in Angstrom): a lattice line of the coincidence
-/// boundary, or the line through a lattice point within 5 nm of the middle of the field.
+/// Returns the mirror plane nearest to `target` (all in Angstrom): a lattice line of the coincidence boundary, or the line through a
+/// lattice point within 5 nm of the middle of the field.
 fn snap(grain: &Grain, cell: [f64; 3], target: f64, coincidence: Option<HalfAngle>) -> f64 {
     if let Some(half) = coincidence {
         let spacing = half.line_spacing() * cell[0];

@@ -1,11 +1,11 @@
 //! Numbers of defects in a unit: the binomial distribution, and draws from it among the numbers that a pool has.
 
-/// Probability of each number of defects among `sites` independent ones.
+/// Returns the probability of each number of defects among `sites` independent sites.
 pub fn binomial(sites: usize, rate: f64) -> Vec<f64> {
     binomial_until(sites, rate, 0.0)
 }
 
-/// The same, up to a number after which all others together are less likely than `rest`.
+/// Returns the probabilities up to a number after which all others together are less likely than `rest`.
 fn binomial_until(sites: usize, rate: f64, rest: f64) -> Vec<f64> {
     if rate >= 1.0 {
         return (0..=sites).map(|n| f64::from(u8::from(n == sites))).collect();
@@ -16,7 +16,7 @@ fn binomial_until(sites: usize, rate: f64, rest: f64) -> Vec<f64> {
         let last = p[n - 1];
         let next = last * rate / (1.0 - rate) * (sites - n + 1) as f64 / n as f64;
         p.push(next);
-        // From here on each is less likely than half the one before.
+        // From here on each probability is less than half the one before.
         if next < 0.5 * rest && 2.0 * next < last {
             break;
         }
@@ -24,8 +24,8 @@ fn binomial_until(sites: usize, rate: f64, rest: f64) -> Vec<f64> {
     p
 }
 
-/// The number at which a distribution passes `u`: the binomial one among `sites` sites whose mean is that of `rate` when numbers
-/// outside `limits` become the nearest limit; that of `rate` itself where its mean lies outside.
+/// Returns the number at which a binomial distribution passes `u`. Its rate is chosen so that its mean is `sites` x `rate` when numbers
+/// outside `limits` become the nearest limit; where that mean lies outside the limits, the rate is `rate`.
 pub fn drawn_within(sites: usize, rate: f64, limits: [usize; 2], u: f64) -> usize {
     let plain = Binomial::new(sites, rate);
     let goal = sites as f64 * rate;
@@ -35,8 +35,8 @@ pub fn drawn_within(sites: usize, rate: f64, limits: [usize; 2], u: f64) -> usiz
     if plain.mean_makes_negative(limits, goal, |mean| (mean - goal).abs() - 1e-4 * goal) {
         return plain.drawn(u);
     }
-    // The number drawn grows with the rate: where both ends of a bracket give the same, all rates between do. The rate itself is one
-    // end, and nearly always the other is near.
+    // The number drawn grows with the rate: where both ends of a bracket give the same number, all rates between them do. The rate itself
+    // is one end, and nearly always the other end is near.
     let (mut low, mut high) = ((0.0, 0), (1.0, sites));
     let (mut tried, mut step) = (plain, FIRST_STEP * rate);
     for _ in 0..=40 {
@@ -50,7 +50,7 @@ pub fn drawn_within(sites: usize, rate: f64, limits: [usize; 2], u: f64) -> usiz
         if low.1 == high.1 {
             return low.1;
         }
-        // Once the other end is found, longer steps lead outside.
+        // Once both ends are found, longer steps lead outside the bracket.
         let stepped = if low.0 >= rate { rate + step } else { rate - step };
         let inside = stepped > low.0 && stepped < high.0;
         step *= 4.0;
@@ -59,14 +59,14 @@ pub fn drawn_within(sites: usize, rate: f64, limits: [usize; 2], u: f64) -> usiz
     Binomial::new(sites, 0.5 * (low.0 + high.0)).drawn(u)
 }
 
-/// First distance from a rate, in units of it, at which one is looked for whose mean makes up for what the pool lacks.
+/// First step from the rate, in units of the rate, in the search for the rate that makes up for numbers that the pool lacks.
 const FIRST_STEP: f64 = 0.02;
 
-/// A binomial distribution, of which no more is worked out than decides.
+/// A binomial distribution that computes only as many probabilities as it needs.
 struct Binomial {
     sites: usize,
     rate: f64,
-    /// Probability of each number, as far as they matter.
+    /// Probability of each number, without the unlikely ones.
     likely: Vec<f64>,
 }
 
@@ -75,7 +75,7 @@ impl Binomial {
         Binomial { sites, rate, likely: binomial_until(sites, rate, UNLIKELY) }
     }
 
-    /// The number at which it passes `u`.
+    /// Returns the number at which the distribution passes `u`.
     fn drawn(&self, u: f64) -> usize {
         let whole = self.likely.len() > self.sites;
         let passed = passes(&self.likely, u)
@@ -83,14 +83,14 @@ impl Binomial {
         passed.unwrap_or(self.sites)
     }
 
-    /// Whether `of` the mean, which lies near `goal`, is negative; numbers outside `limits` count as the nearest limit.
+    /// Whether `of(mean)` is negative; the mean lies near `goal`, and numbers outside `limits` count as the nearest limit.
     fn mean_makes_negative(&self, limits: [usize; 2], goal: f64, of: impl Fn(f64) -> f64) -> bool {
         let value = |p: &[f64]| {
             let term = |(n, p): (usize, &f64)| n.clamp(limits[0], limits[1]) as f64 * p;
             of(p.iter().enumerate().map(term).sum::<f64>())
         };
         let likely = value(&self.likely);
-        // What was left out changes the mean by less than this.
+        // The omitted probabilities change the mean by less than this.
         let doubt = 2.0 * UNLIKELY * limits[1] as f64 + 1e-12 * goal;
         match likely.abs() > doubt || self.likely.len() > self.sites {
             true => likely < 0.0,
@@ -99,10 +99,10 @@ impl Binomial {
     }
 }
 
-/// Numbers that are left out at first are less likely than this together.
+/// Largest total probability of the numbers that are omitted at first.
 const UNLIKELY: f64 = 1e-9;
 
-/// The number at which a distribution passes `u`, if it does.
+/// Returns the number at which a distribution passes `u`, if it does.
 fn passes(distribution: &[f64], u: f64) -> Option<usize> {
     let mut left = u;
     distribution.iter().position(|p| {

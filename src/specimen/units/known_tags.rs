@@ -1,16 +1,16 @@
-//! Tags of units that were asked for before.
+//! Tags of units that were computed before.
 
 use std::collections::HashMap;
 
 use super::unit_tag::UnitTag;
 use crate::specimen::column_index::ColumnIndex;
 
-/// The tags of units so far: all columns of a unit ask for the same one, but for which of them they are.
+/// The tags of the units so far: all columns of a unit have the same tag except for their member number.
 #[derive(Default)]
 pub struct KnownTags(HashMap<u64, Option<UnitTag>>);
 
 impl KnownTags {
-    /// The tag of column `member` of the unit that is named by its `first` column; `make` makes that of any member.
+    /// Returns the tag of column `member` of the unit that is named by its `first` column; `make` computes the tag of any member.
     pub fn get(
         &mut self,
         (first, member): (ColumnIndex, usize),

@@ -1,7 +1,7 @@
 //! Library cells: small specimens in which the units of a family are simulated for the mosaic's library.
 //!
-//! A library cell shows cells of one lattice, or of one boundary, side by side. Each of these holds its own entry of the
-//! pool, in an order without pattern, so that every unit has random neighbours of the same rate.
+//! A library cell shows several cells of one lattice, or of one boundary, side by side. Each of these cells holds its own entry of the
+//! pool, in a random order, so that every unit has random neighbours of the same rate.
 
 use crate::specimen::units::occupation::{DefectKind, UnitOccupation};
 use crate::specimen::units::patterns;
@@ -12,9 +12,9 @@ use crate::structure::columns::ColumnCrystal;
 pub struct LibrarySite {
     /// Mean position in Angstrom.
     pub position: [f64; 3],
-    /// The atom that belongs there.
+    /// Atomic number of the atom that belongs there.
     pub number: u8,
-    /// Its number among the unit's sites that may be defects.
+    /// Number of the site among the unit's sites that may be defects.
     pub defect: Option<usize>,
 }
 
@@ -23,45 +23,45 @@ pub struct LibrarySite {
 pub struct LibraryUnit {
     /// Kind of unit.
     pub kind: usize,
-    /// Its lattice cell within the library cell.
+    /// Number of its lattice cell within the library cell.
     pub cell: usize,
     /// Centre (x, y) in Angstrom.
     pub centre: [f64; 2],
     /// Sites of each member, in the order in which the specimen lists them.
     pub members: Vec<Vec<LibrarySite>>,
-    /// For each library cell, which of its sites are defects.
+    /// Defective sites of the unit in each library cell.
     pub patterns: Vec<Vec<u16>>,
 }
 
-/// The geometry of a family's library cells; they differ in contents and phonons only.
+/// The geometry of a family's library cells; they differ in their defects and phonons only.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LibraryCell {
     /// Periodic box in Angstrom; the beam runs along its third edge.
     pub box_angstrom: [f64; 3],
-    /// The part along x and y that is scanned, in Angstrom, from `scan_origin` on.
+    /// Width in Angstrom along x and y of the part that is scanned, which begins at `scan_origin`.
     pub scanned: [f64; 2],
     /// First scanned point in Angstrom.
     pub scan_origin: [f64; 2],
-    /// Distances that hold a whole number of samples: the edges of the cell.
+    /// Edges of the lattice cell; each holds a whole number of samples.
     pub cell: [f64; 2],
-    /// Whether the scan ends where it begins.
+    /// Whether the scan is periodic along x and y.
     pub periodic: [bool; 2],
-    /// Lattice cells of a library cell.
+    /// Number of lattice cells in a library cell.
     pub cells: usize,
     /// Number of library cells.
     pub count: usize,
-    /// The kind of defect, and its rate.
+    /// The kind of defect.
     pub process: Option<DefectKind>,
     /// Rate of defects in the surroundings.
     pub rate: f64,
-    /// UnitKinds, all kinds of all cells.
+    /// Units of all kinds in all cells.
     pub units: Vec<LibraryUnit>,
-    /// Columns around them that only serve as surroundings; site numbers of defects do not count there.
+    /// Columns around the units that only serve as surroundings; their site numbers of defects have no meaning.
     pub surroundings: Vec<Vec<LibrarySite>>,
 }
 
 impl LibraryCell {
-    /// Cells of an unstrained or uniformly deformed lattice, periodic along x and y. `place` gives the position of a
+    /// Builds the library cells of an unstrained or uniformly deformed lattice, periodic along x and y. `place` computes the position of a
     /// site of a column in Angstrom from its cell along the beam, the kind of column and the number of the chain.
     pub fn lattice(
         contents: &UnitOccupation,
@@ -115,7 +115,7 @@ impl LibraryCell {
         }
     }
 
-    /// Rounds all lengths, so that specimens of other seeds and fields have the same library cells to the last bit.
+    /// Rounds all lengths, so that specimens of other seeds and fields have bit-identical library cells.
     #[must_use]
     pub fn rounded(mut self) -> Self {
         let round = |v: &mut f64| *v = (*v * 1e5).round() * 1e-5;
@@ -134,7 +134,7 @@ impl LibraryCell {
     }
 }
 
-/// Mean over the members of the mean position of their sites.
+/// Returns the mean over the members of the mean position of their sites.
 fn centre(members: &[Vec<LibrarySite>]) -> [f64; 2] {
     let mean = |k: usize| {
         let of = |m: &Vec<LibrarySite>| {

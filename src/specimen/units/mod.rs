@@ -1,4 +1,4 @@
-//! UnitKinds: columns that share one simulation with their like, and what each of them holds.
+//! Units: columns that share one simulation with equal units, and the defects that each of them holds.
 
 pub mod binomial;
 pub mod known_tags;

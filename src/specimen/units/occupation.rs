@@ -1,4 +1,4 @@
-//! What the units of a lattice hold, drawn from a pool, and how the pool is laid out in library cells.
+//! The contents of the units of a lattice, drawn from a pool, and the layout of the pool in library cells.
 
 use crate::error::Result;
 use crate::recipe::resolved_recipe::Recipe;
@@ -14,13 +14,13 @@ use crate::structure::elements;
 
 /// Least width of the periodic part of a library cell in Angstrom: more than twice the reach of a probe.
 pub const LIBRARY_CELL_ANGSTROM: f64 = 19.0;
-/// Patches that the library cells of a bin hold, all kinds of units and phonon configurations together. The mean
-/// square of the phonon spread of one kind of four is then known to 7 % in each bin.
+/// Number of patches in the library cells of a bin, all kinds of units and phonon configurations together. The mean square of the phonon
+/// spread of one kind of four is then known to 7 % in each bin.
 const PATCHES_PER_BIN: usize = 1800;
-/// The same for layers with `[[defects]]`, whose columns of at most [`THIN_SITES`] atoms have few contents, and for all kinds of defects but the
-/// first.
+/// Number of patches for layers with `[[defects]]`, whose columns of at most [`THIN_SITES`] atoms have few contents, and for all kinds of
+/// defects but the first.
 const FEW_PATCHES_PER_BIN: usize = 450;
-/// Sites of columns in layers.
+/// Largest number of sites of a column in a layer.
 const THIN_SITES: usize = 2;
 
 /// A kind of point defect.
@@ -33,7 +33,7 @@ pub struct DefectKind {
 }
 
 impl DefectKind {
-    /// That of a table of a recipe.
+    /// Reads the kind from a table of a recipe.
     ///
     /// # Errors
     /// [`crate::Error::UnknownElement`].
@@ -42,7 +42,7 @@ impl DefectKind {
         Ok(DefectKind { element: elements::atomic_number(&defect.element)?, by })
     }
 
-    /// What a defective site holds (of a vacancy, the element that is missing).
+    /// Returns the contents of a defective site (of a vacancy, the missing element).
     pub fn defect(self) -> (SiteKind, u8) {
         match self.by {
             Some(by) => (SiteKind::Substitution, by),
@@ -51,10 +51,10 @@ impl DefectKind {
     }
 }
 
-/// Tells the seeds of kinds of defects apart.
+/// Makes the seeds of different kinds of defects different.
 const KIND_SEED: u64 = 0x9E37_79B9_7F4A_7C15;
 
-/// What the units of a crystal hold.
+/// The contents of the units of a crystal.
 #[derive(Debug)]
 pub struct UnitOccupation {
     /// The units of the crystal's cell.
@@ -65,17 +65,17 @@ pub struct UnitOccupation {
     pub pool: DefectPatterns,
     /// Lattice cells of a library cell along x and y.
     pub lattice_cells: [usize; 2],
-    /// Patches that the library cells of a bin hold.
+    /// Number of patches in the library cells of a bin.
     pub patches: usize,
-    /// For each kind of column, the defective chains' place among those of its unit.
+    /// For each kind of column and each of its chains: the place among the chains of the unit that may be defects.
     places: Vec<Vec<Option<usize>>>,
-    /// Chains of each kind of unit that may be defects.
+    /// Number of chains of each kind of unit that may be defects.
     per_cell: Vec<usize>,
     seed: u64,
 }
 
 impl UnitOccupation {
-    /// For a recipe with at most one kind of defect; `None` for others, whose sites are drawn one by one.
+    /// Prepares the units of a recipe with at most one kind of defect; `None` for others, whose sites are drawn one by one.
     ///
     /// # Errors
     /// [`crate::Error::UnknownElement`].
@@ -87,7 +87,7 @@ impl UnitOccupation {
         }
     }
 
-    /// For each kind of defect of a recipe what units hold of it, one by one; nothing for recipes whose sites are drawn one by one.
+    /// Prepares the units of a recipe for each of its kinds of defects; empty for recipes whose sites are drawn one by one.
     ///
     /// # Errors
     /// As [`UnitOccupation::new`].
@@ -134,13 +134,13 @@ impl UnitOccupation {
         Ok(UnitOccupation { units, process, pool, lattice_cells, patches, places, per_cell, seed })
     }
 
-    /// Seed of what units hold of this kind of defect.
+    /// Seed of the draws for this kind of defect.
     pub fn seed(&self) -> u64 {
         self.seed
     }
 
-    /// The unit to which a column belongs: its kind, which member the column is, and the index of its first
-    /// member, which names it.
+    /// Returns the unit of a column: the kind of unit, the number of the column among its members, and the index of the first member, which
+    /// names the unit.
     pub fn unit_of(&self, index: ColumnIndex) -> (usize, usize, ColumnIndex) {
         let (unit, number) = self.units.of_column[index.kind];
         let member = self.units.kinds[unit][number];
@@ -148,21 +148,20 @@ impl UnitOccupation {
         (unit, number, ColumnIndex { kind: self.units.kinds[unit][0].kind, cell, ..index })
     }
 
-    /// The number among the unit's sites of the atom of chain `chain` of a column in cell `depth`, if it
-    /// may be a defect.
+    /// Returns the number among the unit's sites of the atom of chain `chain` of a column in cell `depth`, if it may be a defect.
     pub fn site(&self, column: usize, chain: usize, depth: usize) -> Option<usize> {
         let place = self.places[column][chain]?;
         let (unit, _) = self.units.of_column[column];
         Some(depth * self.per_cell[unit] + place)
     }
 
-    /// Draws what the unit named by `index` holds, in the bin nearest to its rate.
+    /// Draws the contents of the unit named by `index`, from the bin nearest to its rate.
     pub fn draw(&self, kind: usize, index: ColumnIndex, rate: f64) -> Option<PatternIndex> {
         let allowed = vec![true; self.pool.sites(kind)];
         self.draw_among(kind, index, rate, rate, &allowed)
     }
 
-    /// The same where only some sites may be defects; `around` is the rate in the surroundings.
+    /// Draws the contents where only some sites may be defects; `around` is the rate in the surroundings.
     pub fn draw_among(
         &self,
         kind: usize,
@@ -173,7 +172,7 @@ impl UnitOccupation {
     ) -> Option<PatternIndex> {
         let who = (self.seed, index.id());
         let bins = bins(rate, around);
-        // Rather a bin whose numbers of defects reach as far as those of the unit, than one with the same surroundings.
+        // A bin whose numbers of defects reach as far as the unit needs is preferred to a bin with the right surroundings.
         let found = [2.0, 0.0].into_iter().find_map(|spread| {
             bins.iter().find_map(|&bin| {
                 Some((bin, self.pool.draw(kind, bin, rate, allowed, spread, who)?))
@@ -182,7 +181,7 @@ impl UnitOccupation {
         found.map(|(bin, cell)| PatternIndex { bin, kind, cell })
     }
 
-    /// The place in the library of a unit that holds these defects (ascending), if the pool happens to have them.
+    /// Finds the place in the library of a unit that holds exactly these defects (ascending), if the pool has them.
     pub fn find(
         &self,
         kind: usize,
@@ -197,7 +196,8 @@ impl UnitOccupation {
         })
     }
 
-    /// The place in the library of a unit with as many defects as `wanted`, most of them on `allowed` sites, if the pool has that number.
+    /// Finds the place in the library of a unit with as many defects as `wanted`, most of them on `allowed` sites, if the pool has that
+    /// number.
     pub fn nearest(
         &self,
         kind: usize,
@@ -212,8 +212,8 @@ impl UnitOccupation {
         })
     }
 
-    /// What a site of a unit holds: the atom of chain `chain` of a column of kind `column` in cell `depth` along
-    /// the beam, where `number` belongs.
+    /// Returns the contents of a site of a unit: the atom of chain `chain` of a column of kind `column` in cell `depth` along the beam,
+    /// where `number` belongs.
     pub fn holds(
         &self,
         entry: PatternIndex,
@@ -223,7 +223,7 @@ impl UnitOccupation {
         self.held(self.pattern(entry), self.site(column, chain, depth), number)
     }
 
-    /// The same for a site by its number among those of a unit with the defects `pattern`.
+    /// Returns the contents of a site by its number among the sites of a unit with the defects `pattern`.
     pub fn held(&self, pattern: &[u16], site: Option<usize>, number: u8) -> (SiteKind, u8) {
         match (site, self.process) {
             (Some(site), Some(process)) if pattern.contains(&(site as u16)) => process.defect(),
@@ -231,34 +231,34 @@ impl UnitOccupation {
         }
     }
 
-    /// The defective sites of an entry, ascending.
+    /// Returns the defective sites of an entry, ascending.
     pub fn pattern(&self, entry: PatternIndex) -> &[u16] {
         &self.pool.patterns(entry.kind, entry.bin).cells[entry.cell]
     }
 }
 
-/// The bins that may serve a unit of one rate in surroundings of another, the best first.
+/// Lists the bins that may serve a unit of rate `rate` in surroundings of rate `around`, the best first.
 fn bins(rate: f64, around: f64) -> Vec<usize> {
     let mut bins = [around, 0.5 * (around + rate), rate].map(patterns::bin_of).to_vec();
     bins.dedup();
     bins
 }
 
-/// Library cells of a bin that hold `units` units each, for so many patches.
+/// Returns the number of library cells of a bin that together hold `patches` patches; each cell holds `units` units.
 pub fn library_cells(patches: usize, units: usize, configurations: usize) -> usize {
     patches.div_ceil(units.max(1) * configurations)
 }
 
-/// Patches of a bin, for the first kind of defect or a `further` one.
+/// Returns the number of patches of a bin, for the first kind of defect or a `further` one.
 fn patches_per_bin(recipe: &Recipe, crystal: &ColumnCrystal, further: bool) -> usize {
     let depth = crystal.cells_along_beam(recipe.field.thickness_nm);
     let thin = crystal.columns.iter().all(|c| c.chains.len() * depth <= THIN_SITES);
-    // Worlds with one kind of defect keep the libraries that they have.
+    // Worlds with one kind of defect keep their existing libraries.
     let layer = thin && !recipe.defects.is_empty();
     if layer || further { FEW_PATCHES_PER_BIN } else { PATCHES_PER_BIN }
 }
 
-/// Of a specimen without defects, what the beam makes of it: vacancies of the one element that it displaces.
+/// For a specimen without defects, returns the defects that the beam makes: vacancies of the one element that it displaces.
 fn displaced_element(recipe: &Recipe) -> Result<Option<DefectKind>> {
     let Some(damage) = &recipe.damage else { return Ok(None) };
     let mut displaced = Vec::new();
@@ -275,7 +275,7 @@ fn displaced_element(recipe: &Recipe) -> Result<Option<DefectKind>> {
     })
 }
 
-/// The kinds of defects of a recipe, vacancies first; `[None]` where there are none, and nothing where atoms are not on their lattice
+/// Returns the kinds of defects of a recipe, vacancies first: `[None]` where there are none. Empty where atoms are not on their lattice
 /// sites, so that units cannot be drawn.
 fn kinds(recipe: &Recipe) -> Result<Vec<Option<DefectKind>>> {
     // Atoms that move away from vacancies are not on their lattice sites.

@@ -1,12 +1,11 @@
-//! A finite pool of contents for units: which of a unit's sites are defects.
+//! A finite pool of patterns for units: the sites of a unit that are defects.
 //!
-//! A specimen of 10^5 columns would hold nearly as many patterns of vacancies or guests, and each would have to
-//! be simulated. Instead the number of defects in a unit is drawn from its binomial distribution at the local
-//! rate, and where they sit from a pool of patterns with that number. Given the number, all patterns are equally
-//! likely, in the pool as in a random alloy; so every statistic of single sites and of numbers per column is that
-//! of independent sites, and only the repetition of depth patterns tells the difference.
+//! A specimen of 10^5 columns would hold nearly as many patterns of vacancies or guests, and each would have to be simulated. Instead the
+//! number of defects in a unit is drawn from its binomial distribution at the local rate, and their sites are drawn from a pool of patterns
+//! with that number. For a given number, all patterns are equally likely, in the pool as in a random alloy. So all statistics of single
+//! sites and of numbers per column equal the statistics of independent sites; only the repetition of depth patterns differs.
 //!
-//! The pool is laid out as the library cells of the mosaic's library: bin of rates, library cell, lattice cell in it.
+//! The pool is ordered as the library cells of the mosaic's library: bin of rates, library cell, lattice cell in it.
 
 use std::borrow::Cow;
 use std::sync::OnceLock;
@@ -15,17 +14,17 @@ use super::binomial::{binomial, drawn_within};
 use crate::rng::{self, Purpose};
 use crate::structure::lattice::gcd;
 
-/// Rates of the bins of the pool. UnitKinds take the bin whose rate is nearest in its square root.
+/// Rates of the bins of the pool. Units take the bin whose rate is nearest in its square root.
 const RATES: [f64; 14] =
     [0.0, 0.004, 0.015, 0.04, 0.08, 0.14, 0.22, 0.30, 0.40, 0.50, 0.60, 0.70, 0.85, 1.0];
-/// Numbers of defects less likely than this everywhere in a bin are not in the pool.
+/// Numbers of defects that are less likely than this at all rates of a bin are not in the pool.
 const LEAST_PROBABILITY: f64 = 3e-4;
-/// Of pools that would have no defect, one cell in so many has one.
+/// In pools that would have no defect, one cell in this many has one.
 const FEW_CELLS: usize = 4;
-/// Seed of the patterns: they are the same in all worlds, so that worlds share libraries.
+/// Seed of the patterns. All worlds have the same patterns, so that they share libraries.
 const SEED: u64 = 0x5354_454d_504f_4f4c;
 
-/// Index of the bin of a rate; the first is for units without defects only.
+/// Returns the bin of a rate; the first bin is for units without defects only.
 pub fn bin_of(rate: f64) -> usize {
     let distance = |n: &usize| (RATES[*n].sqrt() - rate.max(0.0).sqrt()).abs();
     (usize::from(rate > 0.0)..RATES.len())
@@ -33,7 +32,7 @@ pub fn bin_of(rate: f64) -> usize {
         .unwrap_or(0)
 }
 
-/// All bins, the nearest to a rate (in its square root) first.
+/// Returns all bins, the nearest to a rate (in its square root) first.
 pub fn nearest_bins(rate: f64) -> Vec<usize> {
     let distance = |n: &usize| (RATES[*n].sqrt() - rate.max(0.0).sqrt()).abs();
     let mut bins: Vec<usize> = (0..RATES.len()).collect();
@@ -41,12 +40,12 @@ pub fn nearest_bins(rate: f64) -> Vec<usize> {
     bins
 }
 
-/// Rate of a bin.
+/// Returns the rate of a bin.
 pub fn rate_of(bin: usize) -> f64 {
     RATES[bin]
 }
 
-/// Rates for which a bin is the nearest.
+/// Returns the range of rates for which a bin is the nearest.
 fn span(bin: usize) -> [f64; 2] {
     let middle = |a: f64, b: f64| (0.5 * (a.sqrt() + b.sqrt())).powi(2);
     let low = if bin == 0 { 0.0 } else { middle(RATES[bin - 1], RATES[bin]) };
@@ -61,13 +60,14 @@ pub struct PatternTable {
     pub cells: Vec<Vec<u16>>,
     /// Cells by their number of defects.
     by_count: Vec<Vec<u32>>,
-    /// The numbers that there are, ascending.
+    /// The numbers of defects that occur, ascending.
     numbers: Vec<usize>,
 }
 
 impl PatternTable {
-    /// Patterns of units with `sites` sites, for `library_cells` library cells of `per_library_cell` lattice cells. `stream` tells kinds
-    /// of units apart. More library cells begin with those of fewer, so that worlds with other numbers of phonon configurations share them.
+    /// Draws the patterns of units with `sites` sites, for `library_cells` library cells of `per_library_cell` lattice cells. `stream`
+    /// distinguishes kinds of units. A larger pool begins with the library cells of a smaller one, so that worlds with different numbers of
+    /// phonon configurations share them.
     pub fn new(
         sites: usize,
         bin: usize,
@@ -78,11 +78,11 @@ impl PatternTable {
         let mut counts: Vec<usize> = (0..library_cells)
             .flat_map(|library_cell| counts(sites, bin, per_library_cell, library_cell))
             .collect();
-        // A small pool of units with one or two sites would have none with a defect.
+        // A small pool of units with one or two sites would have no pattern with a defect.
         if bin > 0 && sites > 0 && counts.iter().all(|n| *n == 0) {
             counts.iter_mut().rev().step_by(FEW_CELLS).for_each(|n| *n = 1);
         }
-        // A random order of the lattice cells of each library cell, so that neighbours have nothing in common.
+        // The lattice cells of each library cell are in random order, so that neighbours are independent.
         let mut order: Vec<usize> = (0..cells).collect();
         let word = |n: u64, draw: u32| {
             rng::words(SEED ^ stream.rotate_left(32), Purpose::Pool, draw, (bin as u64) << 32 | n)
@@ -90,14 +90,14 @@ impl PatternTable {
         order.sort_by_key(|&n| (n / per_library_cell, word(n as u64, 0), n));
         let mut patterns = vec![Vec::new(); cells];
         let mut by_count = vec![Vec::new(); sites + 1];
-        // The patterns of one defect take each site once before any twice.
+        // Patterns of one defect take each site once before any site twice.
         let first = (word(u64::from(u32::MAX), 1)[0] as usize) % sites.max(1);
         let mut singles = 0;
         for (cell, count) in order.into_iter().zip(counts) {
             patterns[cell] = match count {
                 1 => {
                     singles += 1;
-                    // a step that meets all sites, far apart
+                    // A step that visits all sites, with distant sites in a row.
                     vec![((first + singles * stride(sites)) % sites) as u16]
                 }
                 _ => choose(sites, count, |n| word(cell as u64, 2 + n as u32)[0]),
@@ -110,12 +110,12 @@ impl PatternTable {
         PatternTable { cells: patterns, by_count, numbers }
     }
 
-    /// A cell whose pattern has a number of defects drawn at `rate` among the `allowed` sites, and all of
-    /// them allowed; `u` are uniform numbers. `None` when the pool has none such, or its numbers of defects do not reach
-    /// as far as `spread` standard deviations about the mean.
+    /// Draws a cell: the number of defects of its pattern is drawn at `rate` among the `allowed` sites, and all defects lie on allowed
+    /// sites; `u` are uniform numbers. `None` when the pool has no such pattern, or its numbers of defects do not reach as far as `spread`
+    /// standard deviations about the mean.
     ///
-    /// A number that the pool lacks becomes one of the nearest that it has, in the mean the same; where the
-    /// pool ends early, the rate of the binomial distribution makes up for it.
+    /// A number that the pool lacks is replaced by one of the nearest numbers that it has, with the same mean; where the pool ends early,
+    /// the rate of the binomial distribution makes up for it.
     pub fn draw(&self, rate: f64, allowed: &[bool], spread: f64, u: [f64; 3]) -> Option<usize> {
         let open = allowed.iter().filter(|a| **a).count();
         let all = open == allowed.len();
@@ -143,7 +143,7 @@ impl PatternTable {
         cells.get((u[1] * cells.len() as f64) as usize).map(|c| *c as usize)
     }
 
-    /// A cell with just these defects (ascending), if the pool has any; `u` is a uniform number.
+    /// Draws a cell with exactly these defects (ascending), if the pool has any; `u` is a uniform number.
     pub fn find(&self, defects: &[u16], u: f64) -> Option<usize> {
         let same = |c: &&u32| self.cells[**c as usize] == defects;
         let cells: Vec<u32> =
@@ -151,8 +151,8 @@ impl PatternTable {
         cells.get((u * cells.len() as f64) as usize).map(|c| *c as usize)
     }
 
-    /// A cell with as many defects as `wanted`, the most of them on `allowed` sites and then on the same sites as there; `u` is a
-    /// uniform number. `None` if the pool has no pattern of that number.
+    /// Draws a cell with as many defects as `wanted`: with the most defects on `allowed` sites, and among these with the most defects on
+    /// the sites of `wanted`. `u` is a uniform number. `None` if the pool has no pattern of that number.
     pub fn nearest(&self, wanted: &[u16], allowed: &[bool], u: f64) -> Option<usize> {
         let alike = |cell: u32| {
             let sites = || self.cells[cell as usize].iter();
@@ -165,16 +165,16 @@ impl PatternTable {
         best.get((u * best.len() as f64) as usize).map(|c| *c as usize)
     }
 
-    /// The cells in which a unit holds no defect.
+    /// Returns the cells in which a unit holds no defect.
     pub fn pristine(&self) -> &[u32] {
         &self.by_count[0]
     }
 }
 
-/// The patterns of several kinds of units, made when first asked for.
+/// The patterns of several kinds of units, made on first use.
 #[derive(Debug, Default)]
 pub struct DefectPatterns {
-    /// Sites of each kind of unit that may be defects.
+    /// Number of sites of each kind of unit that may be defects.
     sites: Vec<usize>,
     /// Number of library cells, and of lattice cells in each.
     layout: [usize; 2],
@@ -183,31 +183,30 @@ pub struct DefectPatterns {
 }
 
 impl DefectPatterns {
-    /// A pool of as many patterns for each bin and kind of unit as there are cells in `layout`: so many library cells, and so many lattice
-    /// cells in each.
+    /// Prepares a pool of patterns for each bin and kind of unit; `layout` is the number of library cells, and of lattice cells in each.
     pub fn new(sites: Vec<usize>, layout: [usize; 2], stream: u64) -> Self {
         let tables = (0..sites.len() * RATES.len()).map(|_| OnceLock::new()).collect();
         DefectPatterns { sites, layout, stream, tables }
     }
 
-    /// The patterns of a kind of unit in a bin.
+    /// Returns the patterns of a kind of unit in a bin.
     pub fn patterns(&self, kind: usize, bin: usize) -> &PatternTable {
         self.tables[kind * RATES.len() + bin].get_or_init(|| {
             PatternTable::new(self.sites[kind], bin, self.layout, self.stream << 16 | kind as u64)
         })
     }
 
-    /// Number of sites of a kind of unit that may be defects.
+    /// Returns the number of sites of a kind of unit that may be defects.
     pub fn sites(&self, kind: usize) -> usize {
         self.sites[kind]
     }
 
-    /// The patterns of each bin and kind.
+    /// Returns the number of patterns of each bin and kind.
     pub fn cells(&self) -> usize {
         self.layout[0] * self.layout[1]
     }
 
-    /// What the unit `id` of a specimen holds: the bin and the cell of its pattern.
+    /// Draws the contents of the unit `id` of a specimen: the cell of its pattern in the bin.
     pub fn draw(
         &self,
         kind: usize,
@@ -221,7 +220,7 @@ impl DefectPatterns {
         self.patterns(kind, bin).draw(rate, allowed, spread, [u(0), u(1), u(2)])
     }
 
-    /// The cell of a pattern that holds what the unit `id` of a specimen does (ascending), if there is one in the bin.
+    /// Draws a cell of the bin with the defects (ascending) of the unit `id` of a specimen, if there is one.
     pub fn find(
         &self,
         kind: usize,
@@ -232,7 +231,7 @@ impl DefectPatterns {
         self.patterns(kind, bin).find(defects, rng::uniform(seed, Purpose::Pool, 1, id))
     }
 
-    /// The cell of a pattern with as many defects as `wanted`, see [`PatternTable::nearest`].
+    /// Draws a cell with as many defects as `wanted` (see [`PatternTable::nearest`]).
     pub fn nearest(
         &self,
         kind: usize,
@@ -245,13 +244,13 @@ impl DefectPatterns {
     }
 }
 
-/// Step through the sites that meets all of them.
+/// Returns a step that visits all sites.
 fn stride(sites: usize) -> usize {
     (sites * 3 / 8 + 1..).find(|s| gcd(*s, sites) == 1).unwrap_or(1)
 }
 
-/// Numbers of defects for the lattice cells of a library cell: shares go with the root of the probability within the bin, so that
-/// rare numbers have several patterns too.
+/// Returns the numbers of defects for the lattice cells of a library cell. Their shares grow with the root of the probability within the
+/// bin, so that rare numbers have several patterns too.
 fn counts(sites: usize, bin: usize, cells: usize, library_cell: usize) -> Vec<usize> {
     let [low, high] = span(bin);
     let tables = [low, RATES[bin], high].map(|rate| binomial(sites, rate));
@@ -262,7 +261,7 @@ fn counts(sites: usize, bin: usize, cells: usize, library_cell: usize) -> Vec<us
     };
     let weights: Vec<f64> = (0..=sites).map(weight).collect();
     let total: f64 = weights.iter().sum();
-    // Cell c takes the number at the quantile (c + offset) / cells; the offsets of all library cells fill the steps evenly.
+    // Cell c takes the number at the quantile (c + offset) / cells; the offsets of all library cells are spread evenly over the steps.
     let offset = halved(library_cell);
     let mut out = Vec::with_capacity(cells);
     let (mut number, mut below) = (0, weights[0]);
@@ -277,13 +276,13 @@ fn counts(sites: usize, bin: usize, cells: usize, library_cell: usize) -> Vec<us
     out
 }
 
-/// The sequence 1/2, 1/4, 3/4, 1/8, 5/8, ..., which fills the unit interval evenly however far it goes.
+/// Returns item `n` of the sequence 1/2, 1/4, 3/4, 1/8, 5/8, ..., whose first items always fill the unit interval evenly.
 fn halved(n: usize) -> f64 {
     let digits = (0..usize::BITS).filter(|bit| (n + 1) >> bit & 1 == 1);
     digits.map(|bit| libm::exp2(-f64::from(bit + 1))).sum()
 }
 
-/// `count` of `sites` sites, all choices equally likely, ascending.
+/// Draws `count` of `sites` sites, all choices equally likely, ascending.
 fn choose(sites: usize, count: usize, word: impl Fn(usize) -> u32) -> Vec<u16> {
     let mut all: Vec<u16> = (0..sites as u16).collect();
     for n in 0..count {

@@ -1,7 +1,7 @@
-//! Units: atomic columns that lie so close together that their images cannot be told apart.
+//! Units: groups of atomic columns that lie so close together that their images overlap.
 //!
-//! What a unit holds is drawn as a whole (`super::occupation`), and its patch of the image is simulated as
-//! a whole ([`crate::imaging::mosaic`]).
+//! The contents of a unit are drawn as a whole (`super::occupation`), and its patch of the image is simulated as a whole
+//! ([`crate::imaging::mosaic`]).
 
 use crate::structure::columns::ColumnCrystal;
 
@@ -13,7 +13,7 @@ const SAME_UNIT_ANGSTROM: f64 = 1.5;
 pub struct UnitMember {
     /// Index into [`ColumnCrystal::columns`].
     pub kind: usize,
-    /// Its cell relative to that of the first member.
+    /// Cell of the column relative to the cell of the first member.
     pub cell: [i64; 2],
 }
 
@@ -22,12 +22,12 @@ pub struct UnitMember {
 pub struct UnitKinds {
     /// Members of each kind of unit; the first has the lowest kind of column.
     pub kinds: Vec<Vec<UnitMember>>,
-    /// For each kind of column: its unit, and which member of it it is.
+    /// For each kind of column: its kind of unit, and its number among the members.
     pub of_column: Vec<(usize, usize)>,
 }
 
 impl UnitKinds {
-    /// Groups the columns of a crystal. Where close columns form endless chains, each is a unit of its own.
+    /// Groups the columns of a crystal. Where close columns form endless chains, each column is a separate unit.
     pub fn new(crystal: &ColumnCrystal) -> Self {
         let count = crystal.columns.len();
         let mut taken = vec![false; count];
@@ -57,7 +57,7 @@ impl UnitKinds {
     }
 }
 
-/// The columns that hang together with column `first`; `None` when they never end.
+/// Returns the columns that are connected with column `first` by short distances; `None` when they never end.
 fn cluster(crystal: &ColumnCrystal, first: usize) -> Option<Vec<UnitMember>> {
     let mut members = vec![UnitMember { kind: first, cell: [0, 0] }];
     let mut next = 0;
@@ -109,7 +109,7 @@ mod tests {
                     (crystal.columns[m.kind].xy[k] + m.cell[k] as f64) * crystal.cell[k]
                 };
                 let d = [0, 1].map(|k| at(&members[1], k) - at(&members[0], k));
-                // 1.358 A in silicon, 1.13 A in gallium nitride
+                // Distances are 1.358 A in silicon and 1.13 A in gallium nitride.
                 assert!((1.0..1.4).contains(&d[0].hypot(d[1])), "{name} {d:?}");
             }
         }

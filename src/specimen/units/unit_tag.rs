@@ -1,11 +1,11 @@
-//! Where the like of a column is in the library of a mosaic.
+//! Tags that point from a column to its place in the library of a mosaic.
 
 use crate::specimen::column_index::ColumnIndex;
 
-/// Units whose surroundings are alike.
+/// Units with equal surroundings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct UnitFamily {
-    /// Which lattice or boundary of the specimen.
+    /// Number of the lattice or boundary in the specimen.
     pub motif: usize,
     /// Step of a parameter that the lattice depends on (strain, order parameter).
     pub structure: usize,
@@ -13,35 +13,35 @@ pub struct UnitFamily {
     pub bin: usize,
 }
 
-/// Where a unit's contents lie in the pool, and its image in the library.
+/// Place of a unit's contents in the pool, and of its image in the library.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct PatternIndex {
     /// Bin of rates.
     pub bin: usize,
     /// Kind of unit.
     pub kind: usize,
-    /// Lattice cell among those of all library cells of the bin.
+    /// Number of the lattice cell among the cells of all library cells of the bin.
     pub cell: usize,
 }
 
-/// Which unit (columns too close to be told apart) a column belongs to, and where its like is in the library.
+/// The unit (columns too close to be resolved) that a column belongs to, and its place in the library.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct UnitTag {
-    /// Unique in the specimen: the same for all columns of the unit.
+    /// Number of the unit, unique in the specimen; all columns of the unit have it.
     pub id: u64,
-    /// Which column of the unit this is.
+    /// Number of the column among the members of the unit.
     pub member: usize,
     /// Centre (x, y) of the unit in nm.
     pub centre_nm: [f64; 2],
-    /// Library cells that show units with such surroundings.
+    /// The library cells that show units with equal surroundings.
     pub family: UnitFamily,
-    /// Its contents, and where they are in the library cells.
+    /// Contents of the unit, and their place in the library cells.
     pub entry: PatternIndex,
-    /// Carries directions in the library cell over to the field: rows of an orthogonal matrix.
+    /// Rotates directions in the library cell into the field: rows of an orthogonal matrix.
     pub frame: [[f64; 2]; 2],
 }
 
-/// A family whose library cells lie in the field in one way.
+/// A family, and one orientation of its library cells in the field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct TurnedFamily {
     /// The family.
@@ -50,37 +50,37 @@ pub struct TurnedFamily {
     frame: [[i64; 2]; 2],
 }
 
-/// Parts of a number that tells frames apart.
+/// Resolution of frames that are compared: elements in parts of 1e-7.
 const FRAME_PARTS: f64 = 1e7;
 
 impl TurnedFamily {
-    /// That of a unit.
+    /// Returns the family and orientation of a unit.
     pub fn of(tag: &UnitTag) -> Self {
         let parts = tag.frame.map(|row| row.map(|v| (v * FRAME_PARTS).round() as i64));
         TurnedFamily { family: tag.family, frame: parts }
     }
 
-    /// The family as if its library cells were not turned.
+    /// Returns the family with unrotated library cells.
     #[must_use]
     pub fn straight(self) -> Self {
         let one = FRAME_PARTS as i64;
         TurnedFamily { frame: [[one, 0], [0, one]], ..self }
     }
 
-    /// Another family whose library cells lie in the field in the same way.
+    /// Returns another family in the same orientation.
     #[must_use]
     pub fn with_family(self, family: UnitFamily) -> Self {
         TurnedFamily { family, ..self }
     }
 
-    /// See [`UnitTag::frame`].
+    /// Returns the frame (see [`UnitTag::frame`]).
     pub fn frame(&self) -> [[f64; 2]; 2] {
         self.frame.map(|row| row.map(|v| v as f64 / FRAME_PARTS))
     }
 }
 
 impl UnitTag {
-    /// For a unit of an unrotated lattice; `first` is its first column.
+    /// Makes the tag of a unit of an unrotated lattice; `first` is its first column.
     pub fn unrotated(
         (first, member): (ColumnIndex, usize),
         centre_nm: [f64; 2],

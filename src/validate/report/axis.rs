@@ -3,7 +3,7 @@
 use plotters::coord::ranged1d::{DefaultFormatting, KeyPointHint, Ranged};
 use std::ops::Range;
 
-/// From `first` (left or below) to `last`, which may be less than `first`.
+/// An axis from `first` (left or below) to `last`, which may be less than `first`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlotAxis {
     pub first: f64,
@@ -12,7 +12,7 @@ pub struct PlotAxis {
 }
 
 impl PlotAxis {
-    /// Holds all values, with a little room.
+    /// Makes an axis that holds all values, with a little room.
     pub fn around(values: impl Iterator<Item = f64>, logarithmic: bool) -> Self {
         let usable = |v: &f64| v.is_finite() && (!logarithmic || *v > 0.0);
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
@@ -37,7 +37,7 @@ impl PlotAxis {
         PlotAxis { first, last, logarithmic: false }
     }
 
-    /// Where a value lies: 0 at the first end, 1 at the last.
+    /// Returns the place of a value: 0 at the first end, 1 at the last.
     fn fraction(&self, value: f64) -> f64 {
         let of = |v: f64| if self.logarithmic { v.max(f64::MIN_POSITIVE).ln() } else { v };
         (of(value) - of(self.first)) / (of(self.last) - of(self.first))
@@ -66,7 +66,7 @@ impl PlotAxis {
         (first..=last.min(first + 100)).map(|i| i as f64 * step).collect()
     }
 
-    /// Digits after the point that tell the ticks apart.
+    /// Writes a tick with enough digits after the point to distinguish the ticks.
     pub fn label(value: &f64) -> String {
         let size = value.abs();
         match size {

@@ -19,21 +19,20 @@ const TITLE: u32 = 26;
 const LEFT: u32 = 52;
 const BELOW: u32 = 40;
 const BAR: u32 = 104;
-/// Between the ticks of a colour scale and its name.
+/// Distance in pixels between the ticks of a colour scale and its name.
 const BAR_LABELS: u32 = 62;
 const BAR_WIDTH: i32 = 16;
 
 type Drawn<T> = std::result::Result<T, Box<dyn std::error::Error>>;
 
-/// A raster picture and where it goes in the drawing.
+/// A raster picture and its place in the drawing.
 struct Inset {
     x: (i32, i32),
     y: (i32, i32),
     png: Vec<u8>,
 }
 
-/// Images, colour scales and profiles, as HTML.
-/// The profiles are shown without a click if `open`.
+/// Draws images, colour scales and profiles as HTML. The profiles are open on the page if `open` is set.
 pub fn figure(pair: &ImagePair, open: bool) -> Result<String> {
     let drawing = panels(pair)?;
     let title = escape(&pair.title);
@@ -73,7 +72,7 @@ fn panels(pair: &ImagePair) -> Result<String> {
     Ok(drawing.replace("</svg>", &format!("{insets}</svg>")))
 }
 
-/// Draws the axes of an image; returns where it goes.
+/// Draws the axes of an image; returns the place of the image.
 fn image(area: &Area, pair: &ImagePair, title: &str, png: Vec<u8>) -> Drawn<Inset> {
     let (rows, columns) = pair.ours.dim();
     // Pixels are centred on their positions.
@@ -140,14 +139,14 @@ impl Inset {
     }
 }
 
-/// Values and their colours.
+/// A range of values with its colours.
 struct ColorScale {
     axis: PlotAxis,
     colors: Vec<[u8; 3]>,
 }
 
 impl ColorScale {
-    /// One for both images.
+    /// Makes one scale for both images.
     fn of(pair: &ImagePair) -> Self {
         let values = || pair.ours.iter().chain(&pair.reference).copied();
         let high = values().fold(f64::NEG_INFINITY, f64::max);
@@ -162,7 +161,7 @@ impl ColorScale {
         }
     }
 
-    /// Blue below zero, red above.
+    /// Makes a scale that is blue below zero and red above.
     fn symmetric(top: f64) -> Self {
         let color = |i: usize| {
             let c = colorous::RED_BLUE.eval_rational(255 - i, 256);
@@ -186,12 +185,12 @@ impl ColorScale {
         let (height, width) = values.dim();
         let pixels = values.iter().flat_map(color).collect();
         let image = RgbImage { width, height, pixels, bar_angstrom: None };
-        // Encoding to memory fails for images without pixels only.
+        // Encoding to memory fails only for images without pixels.
         image.encode().unwrap_or_default()
     }
 }
 
-/// Along x and y through the brightest pixel of the reference.
+/// Plots profiles along x and y through the brightest pixel of the reference.
 fn profiles(pair: &ImagePair) -> Vec<Plot> {
     let top = pair.reference.indexed_iter().max_by(|a, b| a.1.total_cmp(b.1));
     let (row, column) = top.map_or((0, 0), |(at, _)| at);

@@ -1,4 +1,4 @@
-//! One self-contained HTML page: no script, no file beside it, no network.
+//! Reports of validation: one self-contained HTML page without scripts, further files or network access.
 
 mod axis;
 mod image_pair;
@@ -13,21 +13,21 @@ pub use worlds::{sentence, value, worlds_page};
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 
-/// Where and when a report was made.
+/// Program, machine and time of a report.
 #[derive(Debug, Clone, serde::Serialize)]
 pub struct ReportOrigin {
     /// Version of stemgen.
     pub stemgen_version: &'static str,
     /// The command as typed.
     pub command_line: String,
-    /// `x86_64 linux, 8 threads`.
+    /// Machine: `x86_64 linux, 8 threads`.
     pub machine: String,
-    /// `2026-11-21 17:40 UTC`.
+    /// Date and time: `2026-11-21 17:40 UTC`.
     pub date: String,
 }
 
 impl ReportOrigin {
-    /// Here and now.
+    /// Describes this machine at the present time.
     pub fn now(command_line: String) -> Self {
         let (arch, os) = (std::env::consts::ARCH, std::env::consts::OS);
         let threads = rayon::current_num_threads();
@@ -41,7 +41,7 @@ impl ReportOrigin {
     }
 }
 
-/// Date and time of so many seconds after 1970 (H. Hinnant's `civil_from_days`).
+/// Returns date and time of a number of seconds after 1970 (H. Hinnant's `civil_from_days`).
 fn date(seconds: u64) -> String {
     let (days, rest) = (seconds / 86_400, seconds % 86_400);
     let shifted = days + 719_468;
@@ -55,7 +55,7 @@ fn date(seconds: u64) -> String {
     format!("{year}-{month:02}-{day:02} {:02}:{:02} UTC", rest / 3600, rest % 3600 / 60)
 }
 
-/// A number for people: four significant digits, an exponent where many zeros would stand.
+/// Writes a number with four significant digits, and with an exponent in place of many zeros.
 fn number(value: f64) -> String {
     let size = value.abs();
     if value == 0.0 || !value.is_finite() {
@@ -81,7 +81,7 @@ fn undrawable(reason: impl std::fmt::Display) -> Error {
     Error::invalid(Setting::Figure, reason, "could not be drawn")
 }
 
-/// The SVG that `draw` makes.
+/// Returns the SVG that `draw` draws.
 fn svg(
     size: (u32, u32),
     draw: impl FnOnce(&Area) -> std::result::Result<(), Box<dyn std::error::Error>>,

@@ -1,4 +1,4 @@
-//! What all pages share: style, tables, verdicts.
+//! Common parts of all pages: style, tables, verdicts.
 
 use super::number;
 use crate::validate::{Check, Limit, Verdict};
@@ -16,7 +16,7 @@ figure{margin:1em 0}figcaption{font-weight:600;margin-bottom:.2em}.legend span{m
 summary{cursor:pointer;color:#225}blockquote{border-left:4px solid #bbb;margin:1em 0;padding:.2em 1em;max-width:62em}
 a{color:#0a58a5}code{background:#f2f2f2;padding:0 .25em}";
 
-/// A whole page; `body` is HTML.
+/// Returns a whole page; `body` is HTML.
 pub fn page(title: &str, body: &str) -> String {
     format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
@@ -26,12 +26,12 @@ pub fn page(title: &str, body: &str) -> String {
     )
 }
 
-/// Text as HTML.
+/// Escapes a text for HTML.
 pub fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// A coloured word.
+/// Returns a verdict as a coloured word.
 pub fn verdict(verdict: Verdict) -> &'static str {
     match verdict {
         Verdict::Pass => "<span class=\"v pass\">pass</span>",
@@ -40,7 +40,7 @@ pub fn verdict(verdict: Verdict) -> &'static str {
     }
 }
 
-/// `at most 0.02 %`; empty for a number without a limit.
+/// Returns the limit in words, `at most 0.02 %`; empty for a number without a limit.
 pub fn limit(check: &Check) -> String {
     let text = match check.limit {
         Limit::AtMost(high) => format!("at most {}", number(high)),
@@ -51,7 +51,7 @@ pub fn limit(check: &Check) -> String {
     format!("{text} {}", check.unit).trim_end().to_owned()
 }
 
-/// The numbers of a case.
+/// Returns the table of a case's numbers.
 pub fn checks(checks: &[Check]) -> String {
     let row = |c: &Check| {
         format!(

@@ -9,7 +9,7 @@ use super::svg;
 use crate::error::Result;
 use crate::validate::{Plot, Style};
 
-/// Colours that most people with a colour deficiency tell apart (M. Okabe, K. Ito, 2008).
+/// Colours that most people with a colour deficiency can distinguish (M. Okabe, K. Ito, 2008).
 pub const COLORS: [RGBColor; 7] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
@@ -20,7 +20,7 @@ pub const COLORS: [RGBColor; 7] = [
     RGBColor(0, 0, 0),
 ];
 
-/// A plot with its legend, as HTML.
+/// Draws a plot with its legend as HTML.
 pub fn figure(plot: &Plot) -> Result<String> {
     let drawing = svg((560, 330), |area| {
         area.fill(&WHITE)?;

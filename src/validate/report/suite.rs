@@ -1,4 +1,4 @@
-//! The report of the suite, and of a user's image.
+//! The report of the suite, and of the comparison with an image of another program.
 
 use serde::Serialize;
 
@@ -7,24 +7,24 @@ use super::{ReportOrigin, image_pair, number, plot};
 use crate::error::Result;
 use crate::validate::{Check, Figure, NamedSetting, Outcome, Verdict, overall};
 
-/// Everything that was found, as `--json` prints it.
+/// All results, as `--json` prints them.
 #[derive(Debug, Serialize)]
 pub struct Report {
-    /// Fail if any case failed.
+    /// `Fail` if any case failed.
     pub verdict: Verdict,
-    /// A sentence or two that can be cited.
+    /// Summary in one or two sentences, for citation.
     pub summary: String,
-    /// Where and when.
+    /// Program, machine and time of the report.
     #[serde(flatten)]
     pub origin: ReportOrigin,
     /// Time taken in s.
     pub wall_time_s: f64,
-    /// The cases.
+    /// Results of the cases.
     pub cases: Vec<Outcome>,
 }
 
 impl Report {
-    /// Gathers outcomes; `subject` names what was compared: `its shipped references`.
+    /// Collects outcomes; `subject` names the references: `its shipped references`.
     pub fn new(subject: &str, origin: ReportOrigin, cases: Vec<Outcome>) -> Self {
         let failed: Vec<&str> =
             cases.iter().filter(|c| c.verdict == Verdict::Fail).map(|c| c.name.as_str()).collect();
@@ -46,7 +46,7 @@ impl Report {
         Report::with(summary, origin, cases)
     }
 
-    /// Of an image of another program: its case and what was measured, in a sentence.
+    /// Makes the report of an image of another program: its case, and a sentence with the measured difference.
     pub fn of_image(origin: ReportOrigin, case: Outcome) -> Self {
         let measured = |check: &Check| {
             let limit = match limit(check) {
@@ -80,10 +80,10 @@ impl Report {
     }
 }
 
-/// Numbers of an image that its sentence tells: the largest difference and the rms.
+/// Number of checks in the summary of an image: the largest difference and the rms difference.
 const SENTENCE: usize = 2;
 
-/// The report as one HTML page.
+/// Returns the report as one HTML page.
 ///
 /// # Errors
 /// [`crate::Error::Invalid`] for a figure that cannot be drawn.
@@ -162,7 +162,7 @@ fn section(case: &Outcome) -> Result<String> {
     Ok(html + "</section>\n")
 }
 
-/// What ours was computed with.
+/// Returns the table of the settings of our simulation.
 fn settings(settings: &[NamedSetting]) -> String {
     if settings.is_empty() {
         return String::new();
@@ -174,7 +174,7 @@ fn settings(settings: &[NamedSetting]) -> String {
     format!("<table><tr><th>computed with</th><th></th></tr>\n{rows}</table>\n")
 }
 
-/// Figures of a case that need no click.
+/// Number of figures of a case that are open on the page.
 const FIGURES_OPEN: usize = 2;
 
 fn figure(figure: &Figure, open: bool) -> Result<String> {

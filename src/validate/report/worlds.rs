@@ -14,13 +14,13 @@ use crate::validate::{Plot, Series, Style};
 
 /// Longest side of the part of each world that is shown, in pixels.
 const SHOWN_PX: usize = 256;
-/// Classes of a histogram.
+/// Number of classes in a histogram.
 const CLASSES: usize = 80;
 
-/// The comparison as one HTML page, with a part of each image.
+/// Returns the comparison as one HTML page, with a part of each image.
 ///
 /// # Errors
-/// Those of reading the images, and of drawing.
+/// Errors of reading the images, and of drawing.
 pub fn worlds_page(
     c: &WorldComparison,
     worlds: [&WorldFile; 2],
@@ -57,7 +57,7 @@ pub fn worlds_page(
     Ok(page("stemgen: two worlds", &body))
 }
 
-/// What the comparison comes to.
+/// Summarises the comparison in a sentence.
 pub fn sentence(c: &WorldComparison) -> String {
     let of = |v: Sameness| -> Vec<&str> {
         c.lines.iter().filter(|l| l.verdict == v).map(|l| l.what.as_str()).collect()
@@ -83,7 +83,7 @@ fn word(v: Sameness) -> &'static str {
     }
 }
 
-/// `0.0512 ± 0.0004`.
+/// Writes a value with its standard error: `0.0512 ± 0.0004`.
 pub fn value(ratio: Option<Ratio>) -> String {
     match ratio {
         None => String::new(),
@@ -92,7 +92,7 @@ pub fn value(ratio: Option<Ratio>) -> String {
     }
 }
 
-/// Two significant digits.
+/// Writes a number with two significant digits.
 fn number_2(value: f64) -> String {
     match value {
         1e-3..1e4 => {
@@ -149,7 +149,7 @@ fn notes(a: &Measured, b: &Measured) -> String {
     format!("<table>{rows}</table>\n")
 }
 
-/// The middle of each image, in fractions of the beam and with one scale of colours.
+/// Returns the middle of each image, in fractions of the beam and with one scale of colours.
 fn pictures(worlds: [&WorldFile; 2]) -> Result<String> {
     let mut parts: Vec<(Array2<f32>, f64)> = Vec::new();
     for world in worlds {
@@ -240,7 +240,7 @@ fn plots(c: &WorldComparison) -> Vec<Plot> {
     plots
 }
 
-/// Densities of two samples on common classes, from the 0.1th to the 99.9th percentile.
+/// Plots the densities of two samples in common classes, from the 0.1th to the 99.9th percentile.
 fn histogram(title: &str, x: &str, samples: [&Vec<(u32, f32)>; 2]) -> Option<Plot> {
     let mut all: Vec<f32> = samples.iter().flat_map(|s| s.iter().map(|(_, v)| *v)).collect();
     all.sort_unstable_by(f32::total_cmp);
@@ -261,7 +261,7 @@ fn histogram(title: &str, x: &str, samples: [&Vec<(u32, f32)>; 2]) -> Option<Plo
         }
         let total = sample.len().max(1) as f64 * width;
         let place = |i: usize| low + (i as f64 - 1.0) * width;
-        // steps
+        // The density is drawn in steps.
         let step = |(i, n): (usize, &f64)| [(place(i), n / total), (place(i + 1), n / total)];
         let points = counts.iter().enumerate().flat_map(step).collect();
         Series { name: format!("{name} ({} columns)", sample.len()), points, style: Style::Line }

@@ -71,7 +71,7 @@ const WINDOWS: [f64; 3] = [3.3, 0.8, 0.4];
 fn windows(runner: &CheckRunner) -> Result<Findings> {
     let (sites, cell) = srtio3([6, 6, 10])?;
     let (base, scan) = (displaced(2), unit_cell(10));
-    // Probes of windows are those of an infinite specimen, not of a periodic one.
+    // Windows image an infinite specimen, so the reference must not be periodic.
     let alike = Settings { probe_box: Some(ProbeBox::Large), ..base.clone() };
     let exact = widened(runner.simulate(&alike, &sites, cell, &scan)?.image(0, 0));
     let mut f = Findings::default();

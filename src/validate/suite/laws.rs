@@ -249,7 +249,7 @@ fn slices(runner: &CheckRunner) -> Result<Findings> {
     })
 }
 
-/// Number of pixels whose bytes differ.
+/// Counts the pixels whose bytes differ.
 fn differing(a: &Images, b: &Images) -> f64 {
     a.data.iter().zip(&b.data).filter(|(a, b)| a.to_bits() != b.to_bits()).count() as f64
 }
@@ -265,7 +265,7 @@ fn threads(runner: &CheckRunner) -> Result<Findings> {
         let run = |count| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(count).build();
             let run = || runner.execute(&plan, &sites, &unit_cell(4));
-            // Where no threads can be started the case runs on those there are.
+            // Where no threads can be started, the case runs on the present ones.
             pool.map_or_else(|_| run(), |pool| pool.install(run))
         };
         let one = run(1)?;

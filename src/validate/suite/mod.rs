@@ -23,44 +23,44 @@ use crate::setting::Setting;
 pub struct Case {
     /// Short name.
     pub name: &'static str,
-    /// One line.
+    /// Title in one line.
     pub title: &'static str,
-    /// What it belongs to.
+    /// Group of the case.
     pub group: Group,
-    /// What is compared with what, and how.
+    /// Description of the comparison and its method.
     pub about: &'static str,
-    /// Where the reference comes from.
+    /// Origin of the reference.
     pub source: &'static str,
-    /// Whether it is part of the quick suite.
+    /// Whether the case is part of the quick suite.
     pub quick: bool,
-    /// About how long it takes on two cores, in s; the progress bar goes by it.
+    /// Approximate time on two cores in s; the progress bar uses it.
     pub seconds: f64,
-    /// How many simulations it runs.
+    /// Number of simulations of the case.
     pub simulations: usize,
     run: fn(&CheckRunner) -> Result<Findings>,
 }
 
-/// Kinds of cases.
+/// Groups of cases.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Group {
-    /// abTEM with the same numerics.
+    /// Comparison with abTEM at equal numerics.
     Abtem,
-    /// Answers refined in the grid, where grids of the usual size are off.
+    /// Results refined in the grid, where grids of the usual size are inexact.
     Refined,
-    /// Numbers from the literature.
+    /// Values from the literature.
     Published,
-    /// What must hold whatever the specimen.
+    /// Laws that hold for any specimen.
     Laws,
-    /// Faster engines against the exact one.
+    /// Faster engines compared with the exact one.
     Engines,
 }
 
 impl Group {
-    /// In the order of the report.
+    /// All groups in the order of the report.
     pub const ALL: [Group; 5] =
         [Group::Abtem, Group::Refined, Group::Published, Group::Laws, Group::Engines];
 
-    /// A heading.
+    /// Returns the heading of the group.
     pub fn title(self) -> &'static str {
         match self {
             Group::Abtem => "abTEM 1.0.11 with the same numerics",
@@ -75,7 +75,7 @@ impl Group {
 const ABTEM: &str = "abTEM 1.0.11 (J. Madsen, T. Susi, Open Research Europe 1 (2021) 24), run once by \
                      tests/golden/make_abtem_goldens.py of the source; abTEM is not needed to compare.";
 
-/// All cases, in the order of the report.
+/// Returns all cases, in the order of the report.
 pub fn cases() -> Vec<Case> {
     [
         same_numerics::cases(),
@@ -90,11 +90,11 @@ pub fn cases() -> Vec<Case> {
     .collect()
 }
 
-/// Units of progress that a second counts.
+/// Units of progress for each second.
 const UNITS_PER_SECOND: f64 = 10.0;
 
 impl Case {
-    /// Its share of the progress bar.
+    /// Returns the case's share of the progress bar.
     pub fn units(&self) -> u64 {
         (self.simulations.max(1) * self.units_per_simulation()) as u64
     }
@@ -107,7 +107,7 @@ impl Case {
     /// Runs the case, which advances `progress` by [`Case::units`].
     ///
     /// # Errors
-    /// Those of the engine; [`Error::Interrupted`].
+    /// Errors of the engine; [`Error::Interrupted`].
     pub fn run(&self, progress: &dyn Progress) -> Result<Outcome> {
         let begun = Instant::now();
         let runner = CheckRunner::new(progress, self.units_per_simulation());
@@ -131,10 +131,10 @@ impl Case {
     }
 }
 
-/// Cases of the suite: all, the quick ones, or those named.
+/// Returns cases of the suite: all, the quick ones, or the named ones.
 ///
 /// # Errors
-/// [`Error::Invalid`] for an unknown name; it lists the known ones.
+/// [`Error::Invalid`] for an unknown name, with a list of the known ones.
 pub fn selected(names: &[String], quick: bool) -> Result<Vec<Case>> {
     let all = cases();
     for name in names {
@@ -164,13 +164,13 @@ fn shown_percent(what: impl Into<String>, value: f64) -> Check {
     Check::shown(what, 100.0 * value, "%")
 }
 
-/// Row and column of the largest value.
+/// Returns row and column of the largest value.
 fn brightest(image: &Array2<f64>) -> [usize; 2] {
     let top = image.indexed_iter().max_by(|a, b| a.1.total_cmp(b.1));
     top.map_or([0, 0], |((y, x), _)| [y, x])
 }
 
-/// A picture of two images whose difference has its colours up to `tolerance` times the maximum.
+/// Makes a figure of two images; the colours of their difference end at `tolerance` times the maximum.
 fn pair(
     title: impl Into<String>,
     ours: Array2<f64>,
@@ -193,7 +193,7 @@ fn pair(
     }))
 }
 
-/// Images of all detectors against references, each with its tolerance (of the maximum).
+/// Compares the images of all detectors with references, each with its tolerance (as a fraction of the maximum).
 fn compare_all<'a>(
     findings: &mut Findings,
     label: &str,
@@ -212,7 +212,7 @@ fn compare_all<'a>(
         let title = format!("{label}{name}");
         figures.push(pair(title, ours, reference.to_owned(), scan, tolerance));
     }
-    // HAADF, the last, is what most people look at first.
+    // HAADF is the last detector; it is shown first, since most readers want it first.
     findings.figures.extend(figures.into_iter().rev());
 }
 
@@ -236,7 +236,7 @@ mod tests {
         assert!(message.contains(all[0].name), "{message}");
     }
 
-    /// The same comparison passes and fails.
+    /// The comparison passes with its own image and fails with another one.
     #[test]
     fn another_image_fails() {
         let g = crate::validate::golden::Golden::load("srtio3_001").unwrap();

@@ -1,4 +1,4 @@
-//! Numbers from the literature.
+//! Values from the literature.
 
 use ndarray::s;
 
@@ -60,7 +60,7 @@ fn kirkland(runner: &CheckRunner) -> Result<Findings> {
         ..Settings::default()
     };
     let mut plan = plan(&settings, &sites, [50.0, 50.0, 2.0])?;
-    // The book focuses on the atoms.
+    // The book puts the focus on the atoms.
     plan.slices.boundaries = vec![1.0 - 1e-9, 1.0 + 1e-9];
     let share = runner.share();
     let exit = exit_wave(&plan, &sites, 0, &share)?;
@@ -104,7 +104,7 @@ fn exponent(runner: &CheckRunner) -> Result<Findings> {
         let site = Site { position: [6.0, 6.0, 1.0], number, sigma_angstrom: 0.08, key: 0 };
         let images = runner.simulate(&settings, &[site], [12.0, 12.0, 2.0], &scan)?;
         let sum: f64 = images.data.iter().map(|v| f64::from(*v)).sum();
-        // square Angstrom
+        // The integral is in square Angstrom.
         points.push((f64::from(number), sum * scan.step_angstrom[0] * scan.step_angstrom[1]));
     }
     let (slope, offset) = line(&points.iter().map(|(z, v)| (z.ln(), v.ln())).collect::<Vec<_>>());
@@ -128,7 +128,7 @@ fn exponent(runner: &CheckRunner) -> Result<Findings> {
     })
 }
 
-/// Slope and offset of the straight line of least squares.
+/// Fits a straight line by least squares; returns slope and offset.
 fn line(points: &[(f64, f64)]) -> (f64, f64) {
     let n = points.len() as f64;
     let mean_x = points.iter().map(|p| p.0).sum::<f64>() / n;

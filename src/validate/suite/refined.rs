@@ -1,5 +1,5 @@
-//! Displaced atoms and slice boundaries, where grids of the usual size are off: ours and abTEM's images
-//! against the same answer, refined in the grid.
+//! Displaced atoms and slice boundaries, where grids of the usual size are inexact: our images and abTEM's images are compared with one
+//! reference, refined in the grid.
 
 use ndarray::{Array1, Array2, Axis, s};
 
@@ -67,7 +67,7 @@ const BOUNDARIES: &str = "The specimen of refined-image once with its planes in 
 /// HAADF is the last of four detectors.
 const HAADF: usize = 3;
 
-/// The refined images.
+/// Returns the refined images.
 fn limit(g: &Golden) -> Result<ndarray::Array3<f64>> {
     let (coarse, fine) = (g.images("exact_576")?, g.images("exact_1152")?);
     Ok((&fine * 4.0 - &coarse) / 3.0)
@@ -197,8 +197,8 @@ fn boundaries(runner: &CheckRunner) -> Result<Findings> {
         })
         .collect();
     let [x, y, z] = g.cell_angstrom;
-    // Slices are chosen by the mean heights of the atoms: the planes one slice apart from which they were
-    // displaced, and on which the reference puts them. The focus is the first plane, as in the reference.
+    // Slices are chosen by the mean heights of the atoms: the planes, one slice apart, from which the atoms were displaced, and on which
+    // the reference puts them. The focus is on the first plane, as in the reference.
     let run = |sites: &[Site], height: f64, first: f64, focus: f64| -> Result<Array2<f64>> {
         let mut settings = Settings { slicing: Slicing::Planes, ..Settings::default() };
         settings.optics.aberrations = Aberrations::defocus(focus);
@@ -248,7 +248,7 @@ fn boundaries(runner: &CheckRunner) -> Result<Findings> {
     Ok(f)
 }
 
-/// Along x through the brightest row.
+/// Plots profiles along x through the brightest row.
 fn profile(g: &Golden, reference: &Array2<f64>, ours: &Array2<f64>) -> Result<Plot> {
     let row = super::brightest(reference)[0];
     let scan = g.scan();

@@ -1,4 +1,4 @@
-//! abTEM with the same numerics: static atoms on grid points, its grid, its slices.
+//! abTEM with equal numerics: static atoms on grid points, abTEM's grid and slices.
 
 use ndarray::{Array2, Axis};
 
@@ -14,7 +14,7 @@ use crate::validate::difference::Difference;
 use crate::validate::golden::{Golden, like_abtem};
 use crate::validate::{CheckRunner, Figure, Findings, ImagePair};
 
-/// What is promised of images with the same numerics, of the maximum.
+/// Tolerance of images with equal numerics, as a fraction of the maximum.
 const SAME: f64 = 2e-4;
 
 pub fn cases() -> Vec<Case> {
@@ -133,7 +133,7 @@ fn si110(runner: &CheckRunner) -> Result<Findings> {
     multislice(runner, "si_110")
 }
 
-/// Exact potentials, and abTEM as shipped.
+/// Compares images with abTEM's exact potentials, and with abTEM as shipped.
 fn multislice(runner: &CheckRunner, name: &str) -> Result<Findings> {
     let mut f = against(runner, name, &[("multislice", "", Algorithm::Multislice, [SAME; 4])])?;
     let g = Golden::load(name)?;
@@ -148,7 +148,7 @@ fn multislice(runner: &CheckRunner, name: &str) -> Result<Findings> {
     Ok(f)
 }
 
-/// abTEM as shipped, of atoms between grid points.
+/// Compares images of atoms between grid points with abTEM as shipped.
 fn displaced(runner: &CheckRunner) -> Result<Findings> {
     let g = Golden::load("displaced_image")?;
     let slice = g.slice_angstrom();
@@ -160,7 +160,7 @@ fn displaced(runner: &CheckRunner) -> Result<Findings> {
     ] {
         let base = Settings {
             detectors: g.settings().detectors,
-            // 288 points end at 199.4 mrad: abTEM's detector is empty beyond, and so is ours.
+            // 288 points end at 199.4 mrad: beyond, both abTEM's detector and ours are empty.
             beyond_limit: BeyondLimit::Warn,
             ..Settings::default()
         };
@@ -275,7 +275,7 @@ fn source(runner: &CheckRunner, g: &Golden, findings: &mut Findings) -> Result<(
     Ok(())
 }
 
-/// Aberrations of a set, `C12` with its angle `phi12`.
+/// Reads the aberrations of a set: `C12` with its angle `phi12`.
 fn coefficients(g: &Golden, set: &str) -> Result<Vec<Aberration>> {
     let set = &g.json["aberrations_A_rad"][set];
     let names = set.as_object().into_iter().flatten().filter(|(name, _)| name.starts_with('C'));

@@ -28,9 +28,9 @@ struct FactorRow {
     source: String,
     table: Parametrization,
     number: u8,
-    /// 1/Angstrom
+    /// Scattering vector in 1/Angstrom.
     q: f64,
-    /// Angstrom
+    /// Expected value in Angstrom.
     expected: f64,
 }
 

@@ -7,11 +7,11 @@ use crate::{Result, engine::Settings};
 /// Lattice parameter of SrTiO3 in Angstrom.
 pub const SRTIO3_ANGSTROM: f64 = 3.905;
 
-/// So many unit cells of SrTiO3 along \[001\], the first plane a quarter cell below the surface, with the
-/// thermal displacements of the worlds; and the edges of the box in Angstrom.
+/// Returns `cells` unit cells of SrTiO3 along \[001\], the first plane a quarter cell below the surface, with the thermal displacements of
+/// the worlds; and the edges of the box in Angstrom.
 ///
 /// # Errors
-/// If the crystal could not be repeated.
+/// An error if the crystal cannot be repeated.
 pub fn srtio3(cells: [usize; 3]) -> Result<(Vec<Site>, [f64; 3])> {
     let crystal = crystals::crystal("srtio3")?.repeat(cells)?;
     let size = crystal.orthogonal_box()?;
@@ -28,7 +28,7 @@ pub fn srtio3(cells: [usize; 3]) -> Result<(Vec<Site>, [f64; 3])> {
     Ok((crystal.atoms.iter().enumerate().map(site).collect(), size))
 }
 
-/// `n` x `n` probes over one unit cell, one cell from the corner.
+/// Returns a scan of `n` x `n` probes over one unit cell, one cell from the corner.
 pub fn unit_cell(n: usize) -> Scan {
     Scan {
         origin_angstrom: [SRTIO3_ANGSTROM; 2],
@@ -37,7 +37,7 @@ pub fn unit_cell(n: usize) -> Scan {
     }
 }
 
-/// Our defaults with one configuration of displaced atoms.
+/// Returns our default settings with one configuration of displaced atoms.
 pub fn displaced(seed: u64) -> Settings {
     Settings { phonons: Some(Phonons { configurations: 1, seed }), ..Settings::default() }
 }

@@ -1,4 +1,4 @@
-//! Nearest neighbours of many columns.
+//! Finds the nearest neighbours of many columns.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -6,21 +6,21 @@ use std::path::Path;
 use crate::error::{Error, Result};
 use crate::setting::Setting;
 
-/// Columns in a square of [`CELL_NM`] above which a list is no list of columns: atoms are 0.1 nm apart.
+/// Number of columns in a square of [`CELL_NM`] above which a list cannot be a list of columns: atoms are 0.1 nm apart.
 const MOST_IN_CELL: usize = 256;
-/// Edge of the squares in which neighbours are looked for.
+/// Edge of the squares in which neighbours are searched.
 const CELL_NM: f64 = 0.25;
-/// Neighbours further than this are taken for that far.
+/// Largest distance of a neighbour; farther ones count as this far.
 const FARTHEST_NEIGHBOUR_NM: f64 = 1.0;
 
-/// Points in squares.
+/// Points, sorted into squares.
 pub struct ColumnSquares<'a> {
     points: &'a [[f32; 2]],
     cells: HashMap<(i64, i64), Vec<u32>>,
 }
 
 impl<'a> ColumnSquares<'a> {
-    /// Fails where so many lie in one square that looking for neighbours would not end.
+    /// Sorts the points; fails where so many lie in one square that the search for neighbours would not end.
     pub fn new(points: &'a [[f32; 2]], path: &Path) -> Result<Self> {
         let mut cells: HashMap<(i64, i64), Vec<u32>> = HashMap::new();
         for (i, p) in points.iter().enumerate() {
@@ -40,7 +40,7 @@ impl<'a> ColumnSquares<'a> {
         ((f64::from(x) / CELL_NM).floor() as i64, (f64::from(y) / CELL_NM).floor() as i64)
     }
 
-    /// Distance of each point to the nearest other one, in nm.
+    /// Returns the distance of each point to its nearest neighbour, in nm.
     pub fn nearest(&self) -> Vec<f32> {
         (0..self.points.len()).map(|i| self.nearest_to(i)).collect()
     }
@@ -50,7 +50,7 @@ impl<'a> ColumnSquares<'a> {
         let (cx, cy) = Self::of(p);
         let mut best = FARTHEST_NEIGHBOUR_NM;
         for ring in 0_i64.. {
-            // Points of this ring are at least this far.
+            // Points of this ring are at least this far away.
             if (ring - 1) as f64 * CELL_NM >= best {
                 break;
             }

@@ -1,4 +1,4 @@
-//! What is measured of one world.
+//! Measures one world.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::Path;
@@ -17,24 +17,23 @@ use crate::progress::Progress;
 use crate::rng::philox4x32_10;
 use crate::setting::Setting;
 
-/// Blocks along an axis, and the smallest edge of one in pixels.
+/// Number of blocks along an axis, and the smallest edge of a block in pixels.
 const BLOCKS: usize = 16;
 const SMALLEST_BLOCK_PX: usize = 8;
-/// Sites read at a time.
+/// Number of sites read at a time.
 const SITES_AT_ONCE: usize = 1 << 20;
-/// Rows of the image read at a time; whole segments.
+/// Number of rows of the image read at a time; a strip holds whole segments.
 const STRIP: usize = 128;
-/// The intensity of a column is the mean of the pixels around it with Gaussian weights of this standard deviation, up to so many of
-/// them. The weights hold no detail of the size of a pixel, so that it does not matter where between pixels a column lies.
+/// The intensity of a column is the mean of the pixels around it with Gaussian weights of this standard deviation, out to [`SIGMAS`] of
+/// them. The weights have no detail of the size of a pixel, so the place of a column between pixels does not matter.
 const COLUMN_SIGMA_NM: f64 = 0.025;
 const SIGMAS: f64 = 5.0;
-/// Weights that add to less leave the nearest pixel: pixels are coarse.
+/// If the weights add to less than this, pixels are coarse and the nearest pixel is taken.
 const LEAST_WEIGHT: f64 = 0.2;
-/// Distances are spread by this much, so that those of a perfect lattice, which differ by rounding only, do not
-/// look different.
+/// Distances are spread by this much, because the distances of a perfect lattice differ by rounding only and would look different.
 const DISTANCE_RESOLUTION_NM: f32 = 1e-3;
-/// The same for intensities, as a share of their mean: where few electrons are counted, many columns have equal ones, and those of
-/// two worlds differ by rounding.
+/// Intensities are spread by this share of their mean: where few electrons are counted, many columns have equal intensities, which differ
+/// between two worlds by rounding.
 const INTENSITY_RESOLUTION: f32 = 1e-3;
 
 /// Measurements of a world. Pairs (numerator, denominator) are per block.
@@ -43,7 +42,7 @@ const INTENSITY_RESOLUTION: f32 = 1e-3;
 pub struct Measured {
     /// The file.
     pub path: String,
-    /// What the file says of its contents: material, seed, dose ...
+    /// Metadata of the file: material, seed, dose ...
     pub notes: BTreeMap<String, String>,
     /// Height and width in pixels.
     pub shape: [usize; 2],
@@ -51,9 +50,9 @@ pub struct Measured {
     pub pixel_nm: f64,
     /// Number of blocks.
     pub blocks: usize,
-    /// Their rows and columns.
+    /// Rows and columns of blocks.
     pub grid: [usize; 2],
-    /// How worlds of the recipe vary.
+    /// Length over which worlds of the recipe vary.
     pub variation: Variation,
     /// Atomic numbers of all sites; empty where the file has none.
     pub elements: BTreeSet<u8>,
@@ -89,13 +88,13 @@ impl Measured {
         self.shape.map(|n| n as f64 * self.pixel_nm)
     }
 
-    /// The rates of a defect that this world does not have.
+    /// Returns the rates of a defect that this world does not have.
     pub fn no_defects(&self) -> Vec<(f64, f64)> {
         self.site_counts.iter().map(|n| (0.0, *n)).collect()
     }
 }
 
-/// How a field is divided.
+/// The division of a field into blocks.
 #[derive(Clone, Copy)]
 struct Blocks {
     count: [usize; 2],
@@ -117,7 +116,7 @@ impl Blocks {
         self.count[0] * self.count[1]
     }
 
-    /// The block of a pixel; positions beyond the edge belong to the block there.
+    /// Returns the block of a pixel; positions beyond the edge belong to the block at the edge.
     fn of_pixel(&self, row: f64, column: f64) -> usize {
         let index = |at: f64, axis: usize| {
             let i = at * self.count[axis] as f64 / self.shape[axis] as f64;
@@ -139,7 +138,7 @@ impl Blocks {
 /// Reads and measures a world.
 ///
 /// # Errors
-/// Those of reading; [`Error::Invalid`] for an image with values that are not finite.
+/// Errors of reading; [`Error::Invalid`] for an image with values that are not finite.
 pub fn measure(
     world: &WorldFile,
     path: &Path,
@@ -202,8 +201,8 @@ fn recipe(world: &WorldFile) -> Option<toml::Table> {
     world.metadata().recipe.as_ref()?.parse().ok()
 }
 
-/// Spatial frequency (1/nm) above which an incoherent image holds noise only: twice the semiangle over the
-/// wavelength. Infinite where the file does not tell.
+/// Returns the spatial frequency (1/nm) above which an incoherent image holds noise only: twice the semiangle divided by the wavelength.
+/// Infinite if the file does not give them.
 fn optical_limit(world: &WorldFile) -> f64 {
     let measured = || {
         let recipe = recipe(world)?;
@@ -223,7 +222,7 @@ struct SiteCounts {
     counts: Vec<f64>,
     elements: BTreeSet<u8>,
     defects: BTreeMap<String, Vec<f64>>,
-    /// Positions, kept only where the file lists no columns.
+    /// Positions of sites, kept only if the file lists no columns.
     positions: Vec<[f32; 2]>,
 }
 
@@ -260,7 +259,7 @@ impl SiteCounts {
     }
 }
 
-/// Positions of the atomic columns; in a file that lists none, those of the sites.
+/// Returns the positions of the atomic columns; if the file lists none, the positions of the sites.
 fn columns(world: &WorldFile, sites: &SiteCounts) -> Result<Vec<[f32; 2]>> {
     let columns: Vec<WorldColumn> = world.columns()?;
     Ok(match columns.is_empty() {
@@ -278,7 +277,7 @@ struct ImageMeasures {
 }
 
 impl ImageMeasures {
-    /// Reads strips of rows, each with what columns at its edges need.
+    /// Reads strips of rows, each with the margin that columns at its edges need.
     fn read(
         world: &WorldFile,
         path: &Path,
@@ -331,7 +330,7 @@ impl ImageMeasures {
     }
 }
 
-/// Weighted mean of the pixels around a column (see [`COLUMN_SIGMA_NM`]), of the nearest one at least.
+/// Returns the weighted mean of the pixels around a column (see [`COLUMN_SIGMA_NM`]), or else the value of the nearest pixel.
 fn around(strip: &Array2<f64>, first: usize, [x, y]: [f32; 2], pixel_nm: f64) -> f32 {
     let (rows, columns) = strip.dim();
     let (cx, cy) = (f64::from(x) / pixel_nm, f64::from(y) / pixel_nm - first as f64);
@@ -358,7 +357,7 @@ fn around(strip: &Array2<f64>, first: usize, [x, y]: [f32; 2], pixel_nm: f64) ->
     (if count > LEAST_WEIGHT { sum / count } else { value }) as f32
 }
 
-/// Adds up to half of `resolution` to each value, up or down.
+/// Adds a random number between -1/2 and 1/2 of `resolution` to each value.
 fn spread(mut values: Vec<f32>, resolution: f32) -> Vec<f32> {
     for (i, d) in values.iter_mut().enumerate() {
         let word = philox4x32_10([i as u32, (i >> 32) as u32, 0, 0], [0x6e6e, 0])[0];
@@ -376,15 +375,15 @@ mod tests {
     #[test]
     fn columns_average_their_pixels() {
         let strip = Array2::from_shape_fn((20, 20), |(y, x)| (100 * y + x) as f64);
-        // the mean of a slope is the value at the column, wherever it lies between pixels
+        // The mean of a slope is the value at the column, at any place between pixels.
         assert!((around(&strip, 0, [0.2, 0.2], 0.02) - 1010.0).abs() < 1e-3);
         assert!((around(&strip, 5, [0.2, 0.31], 0.02) - 1060.0).abs() < 1e-2);
         assert!((around(&strip, 0, [0.2072, 0.2044], 0.02) - 1032.36).abs() < 1e-2);
-        // coarse pixels: the nearest
+        // With coarse pixels the nearest pixel is taken.
         assert_eq!(around(&strip, 0, [0.9, 0.4], 0.2), 204.0);
     }
 
-    /// Few electrons: most columns have one of a few intensities, which two files hold with different rounding.
+    /// With few electrons most columns have one of a few intensities, which two files hold with different rounding.
     #[test]
     fn equal_counts_of_electrons_are_equal_whatever_the_rounding() {
         let counts = |seed: u32| -> Vec<f32> {

@@ -1,11 +1,11 @@
-//! Are two worlds the same kind of specimen, imaged alike? Two that cannot be equal byte for byte (another
-//! seed, another processor, another program) are compared by statistics, each with a test and its threshold.
+//! Compares two worlds: whether they show specimens of one kind, imaged alike. Worlds that cannot be equal byte for byte (another seed,
+//! another processor, another program) are compared by statistics, each with a test and its threshold.
 //!
-//! A field is divided into blocks, at most 16 x 16. Where both fields have the same pixels, the blocks at one place are a pair, and slow
-//! waves over their differences tell how far two worlds of one kind differ ([`field_waves`](super::field_waves)): what both have at one
-//! place (a boundary, a well) is no difference, nor does it hide one. Other fields are compared by the scatter of all blocks of each,
-//! and by exchanging any of them. Where the recipes tell of interfaces that wander, parts are as large as those wander
-//! ([`Variation`]); a property whose variation no part of the field tells stays undecided.
+//! A field is divided into blocks, at most 16 x 16. If both fields have the same pixels, the blocks at one place are a pair, and slow waves
+//! over their differences show how far two worlds of one kind differ ([`field_waves`](super::field_waves)). A feature that both have at one
+//! place (a boundary, a well) then neither counts as a difference nor hides one. Other fields are compared by the scatter of all blocks of
+//! each, and by exchanging any of them. If the recipes have interfaces that wander, parts of the field are as large as the length over
+//! which they wander ([`Variation`]). A property whose variation no part of the field shows stays undecided.
 
 mod column_squares;
 mod measure;
@@ -32,14 +32,14 @@ use crate::progress::Progress;
 use crate::setting::Setting;
 use crate::structure::elements;
 
-/// How often worlds of one kind are called different, unless another rate is asked for.
+/// Default rate at which worlds of one kind are called different.
 pub const DEFAULT_ALPHA: f64 = 0.001;
-/// Relative difference of pixels that are still the same.
+/// Largest relative difference of pixel sizes that count as equal.
 const SAME_PIXEL: f64 = 1e-6;
-/// Segments of the image below which errors of spectra mean nothing.
+/// Number of segments of the image below which errors of spectra have no meaning.
 const FEWEST_SEGMENTS: usize = 8;
 
-/// What a line comes to.
+/// Result of a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Sameness {
@@ -58,17 +58,18 @@ pub struct Line {
     pub what: String,
     /// Its unit; empty for none.
     pub unit: &'static str,
-    /// Value in the first world, and its standard error; where slow waves tell that of the difference, a half of its square.
+    /// Value in the first world, and its standard error. Where slow waves give the error of the difference, each world takes half of its
+    /// square.
     pub a: Option<Ratio>,
     /// Value and standard error in the second world.
     pub b: Option<Ratio>,
-    /// What both are, where a number does not say it.
+    /// Values of both worlds in words, where no number describes them.
     pub text: String,
     /// The test.
     pub test: &'static str,
-    /// Its statistic.
+    /// The statistic of the test.
     pub statistic: f64,
-    /// Probability of a statistic at least as large between equal worlds.
+    /// Probability of a statistic at least as large between worlds of one kind.
     pub p: f64,
     /// The verdict.
     pub verdict: Sameness,
@@ -78,11 +79,11 @@ pub struct Line {
 #[derive(Debug, Clone, Serialize)]
 #[non_exhaustive]
 pub struct WorldComparison {
-    /// Different if any line is.
+    /// `Different` if any line is.
     pub verdict: Sameness,
-    /// How often worlds of one kind are called different.
+    /// Rate at which worlds of one kind are called different.
     pub alpha: f64,
-    /// Lines below this probability are called different: all tests together are wrong at the rate `alpha`.
+    /// Lines with a probability below this are called different, so that all tests together are wrong at the rate `alpha`.
     pub line_alpha: f64,
     /// The lines.
     pub lines: Vec<Line>,
@@ -95,7 +96,7 @@ pub struct WorldComparison {
 /// Measures and compares two worlds.
 ///
 /// # Errors
-/// [`Error::Invalid`] for an `alpha` that is no probability; those of reading, for a file that is no world.
+/// [`Error::Invalid`] for an `alpha` that is no probability; errors of reading, for a file that is no world.
 pub fn compare(a: &Path, b: &Path, alpha: f64, progress: &dyn Progress) -> Result<WorldComparison> {
     if !(alpha > 1e-4 && alpha < 0.5) {
         return Err(Error::invalid(
@@ -142,8 +143,8 @@ pub fn compare(a: &Path, b: &Path, alpha: f64, progress: &dyn Progress) -> Resul
     Ok(WorldComparison { verdict, alpha, line_alpha, lines, a, b })
 }
 
-/// Judges all lines that chance plays a part in, so that between equal worlds any of them is different at the rate `alpha` (Z.
-/// Sidak, J. Am. Stat. Assoc. 62 (1967) 626). Also the probability below which one is.
+/// Judges all lines with a random part, so that between worlds of one kind any of them is called different at the rate `alpha` (Z. Sidak,
+/// J. Am. Stat. Assoc. 62 (1967) 626). Also returns the probability below which a line is called different.
 fn judged(mut lines: Vec<Line>, alpha: f64) -> (Vec<Line>, f64) {
     let by_chance = |l: &Line| l.verdict == Sameness::Same && l.p < 1.0;
     let tests = lines.iter().filter(|l| by_chance(l)).count().max(1);
@@ -154,7 +155,7 @@ fn judged(mut lines: Vec<Line>, alpha: f64) -> (Vec<Line>, f64) {
     (lines, line_alpha)
 }
 
-/// All lines; those with a test are `Same` whatever their probability, or `Undecided`.
+/// Computes all lines; lines with a test are `Same` at any probability, or `Undecided`.
 fn lines(a: &Measured, b: &Measured) -> Vec<Line> {
     let by = comparing(a, b);
     let mut lines = vec![pixel(a, b), elements_line(a, b)];
@@ -184,7 +185,7 @@ fn comparing(a: &Measured, b: &Measured) -> Comparing {
     Comparing::new(a, b, same_pixels(a, b))
 }
 
-/// What is compared of the image on one detector.
+/// Compares the images on one detector.
 fn image_lines(a: &Measured, b: &Measured) -> [Line; 4] {
     let by = comparing(a, b);
     let (mean, unit) = ("mean of the image".to_owned(), "of the beam");
@@ -196,14 +197,14 @@ fn image_lines(a: &Measured, b: &Measured) -> [Line; 4] {
     ]
 }
 
-/// Names of the detectors besides the main ones that both worlds have.
+/// Returns the names of the detectors, without the main ones, that both worlds have.
 fn common_detectors([a, b]: &[WorldFile; 2]) -> Vec<String> {
     let there = |name: &String| b.detectors().iter().skip(1).any(|d| d.name == *name);
     let names = a.detectors().iter().skip(1).map(|d| d.name.clone());
     names.filter(there).collect()
 }
 
-/// Whether both have the same detectors; nothing where neither has names for them.
+/// Compares the detectors of both worlds; `None` if neither has names for them.
 fn detectors_line([a, b]: &[WorldFile; 2]) -> Option<Line> {
     let names = |w: &WorldFile| -> Vec<String> {
         let all = w.detectors().iter();
@@ -272,7 +273,7 @@ fn elements_line(a: &Measured, b: &Measured) -> Line {
     }
 }
 
-/// A mean over the field.
+/// Compares means over the fields.
 fn mean_line(
     what: String,
     unit: &'static str,
@@ -283,7 +284,7 @@ fn mean_line(
     let (test, t, p, [of_a, of_b]) = match by {
         Comparing::Waves { blocks, .. } => {
             let found = blocks.difference(a, b);
-            // What waves tell is the error of the difference, to which worlds of one kind add alike.
+            // Waves give the error of the difference, to which both worlds contribute alike.
             let error = found.error * std::f64::consts::FRAC_1_SQRT_2;
             let ratios = [a, b].map(|v| Ratio { error, ..Ratio::of_blocks(v) });
             ("t of the difference, error from slow waves over the field", found.t, found.p, ratios)
@@ -312,7 +313,7 @@ fn mean_line(
     }
 }
 
-/// A rate of events. From parts of each field its error is at least that of independent ones.
+/// Compares rates of events. From parts of each field the error is at least the error of independent events.
 fn rate(what: String, blocks: [&Vec<(f64, f64)>; 2], by: &Comparing) -> Line {
     let sum = |v: &[(f64, f64)]| v.iter().fold((0.0, 0.0), |s, b| (s.0 + b.0, s.1 + b.1));
     let least = binomial_error(sum(blocks[0]), sum(blocks[1]));
@@ -357,7 +358,7 @@ fn distribution(
     }
 }
 
-/// The dose that the noise beyond the optical limit tells. Electrons are counted one by one: segments are independent.
+/// Compares the doses that follow from the noise beyond the optical limit. Electrons are counted one by one, so segments are independent.
 fn noise(a: &Measured, b: &Measured) -> Line {
     let dose = |r: Ratio| Ratio { value: 1.0 / r.value, error: r.error / (r.value * r.value) };
     let enough = [a, b].iter().all(|m| m.spectrum.noise.len() >= FEWEST_SEGMENTS);
@@ -383,7 +384,7 @@ fn noise(a: &Measured, b: &Measured) -> Line {
     }
 }
 
-/// Largest difference of the spectra over all bands.
+/// Compares the spectra by their largest difference over all bands.
 fn spectra(a: &Measured, b: &Measured, by: &Comparing) -> Line {
     let few = [a, b].iter().any(|m| m.spectrum.segments.len() < FEWEST_SEGMENTS);
     let bands = a.spectrum.bands.count;

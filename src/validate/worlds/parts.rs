@@ -1,41 +1,41 @@
-//! What tells how far two worlds differ by chance: waves over both fields, or parts of each.
+//! Units of chance variation between two worlds: waves over both fields, or parts of each.
 
 use super::measure::Measured;
 use super::variation::Variation;
 use crate::validate::field_waves::FieldWaves;
 
-/// How two worlds are held against each other.
+/// The method by which two worlds are compared.
 #[derive(Debug)]
 pub enum Comparing {
-    /// Both have the same pixels: by waves over their differences.
+    /// Both worlds have the same pixels: waves over their differences.
     Waves {
-        /// Over the blocks.
+        /// Waves over the blocks.
         blocks: FieldWaves,
-        /// Over the segments of spectra.
+        /// Waves over the segments of spectra.
         segments: FieldWaves,
     },
-    /// They have not: by parts of each.
+    /// The worlds have different pixels: independent parts of each.
     Parts([FieldParts; 2]),
-    /// Worlds of the recipe vary over this length in nm, which neither field holds.
+    /// No test: worlds of the recipe vary over this length in nm, which is larger than the fields.
     Nothing(f64),
 }
 
-/// Which blocks of a field make an independent part: those of so many rows.
+/// Independent parts of a field, each of several rows of blocks in one column.
 #[derive(Debug, Clone, Copy)]
 pub struct FieldParts {
     rows: usize,
     columns: usize,
-    /// Rows of a part.
+    /// Number of rows of a part.
     at_once: usize,
 }
 
 impl FieldParts {
-    /// How many there are.
+    /// Returns the number of parts.
     pub fn count(&self) -> usize {
         (self.rows / self.at_once).max(1) * self.columns
     }
 
-    /// The part of a block. What is left over at the bottom belongs to the last.
+    /// Returns the part of a block. Remaining rows at the bottom belong to the last part.
     pub fn of(&self, block: usize) -> usize {
         let last = (self.rows / self.at_once).max(1) - 1;
         (block / self.columns / self.at_once).min(last) * self.columns + block % self.columns
@@ -51,14 +51,14 @@ impl FieldParts {
         sums
     }
 
-    /// Values with their parts in place of their blocks.
+    /// Returns values with their parts in place of their blocks.
     pub fn values(&self, sample: &[(u32, f32)]) -> Vec<(u32, f32)> {
         sample.iter().map(|(block, v)| (self.of(*block as usize) as u32, *v)).collect()
     }
 }
 
 impl Comparing {
-    /// `same` tells whether both have the same pixels.
+    /// Chooses the method; `same` is true if both worlds have the same pixels.
     pub fn new(a: &Measured, b: &Measured, same: bool) -> Self {
         let variation = a.variation.most(b.variation);
         let waves = variation.waves(a.extent_nm()[0]);
@@ -78,7 +78,7 @@ impl Comparing {
         }
     }
 
-    /// What is said of lines that have no test.
+    /// Explains lines that have no test.
     pub fn why_not(&self) -> String {
         match self {
             Comparing::Nothing(nm) => format!(

@@ -10,9 +10,9 @@ use serde::Serialize;
 
 use super::super::statistics::Ratio;
 
-/// Edges of a segment in pixels; the smaller one for small images.
+/// Edges of a segment in pixels; the smaller one is for small images.
 const SEGMENTS: [usize; 2] = [64, 32];
-/// An image has to hold so many segments of an edge.
+/// Least number of segments that an image must hold to use an edge.
 const ENOUGH: usize = 16;
 
 /// Bands of spatial frequency that two images share.
@@ -27,7 +27,7 @@ pub struct Bands {
 }
 
 impl Bands {
-    /// For images with these pixels (nm) and shapes (pixels).
+    /// Chooses bands for images with these pixels (nm) and shapes (pixels).
     pub fn common(pixels: [f64; 2], shapes: [[usize; 2]; 2]) -> Self {
         let held = |edge: usize| {
             shapes.map(|[rows, columns]| (rows / edge) * (columns / edge)).into_iter().min()
@@ -65,17 +65,17 @@ pub struct Spectrum {
 }
 
 impl Spectrum {
-    /// Centre of the highest band in 1/nm.
+    /// Returns the centre of the highest band in 1/nm.
     pub fn highest(&self) -> f64 {
         self.bands.count as f64 * self.bands.width
     }
 
-    /// Centres of the bands in 1/nm.
+    /// Returns the centres of the bands in 1/nm.
     pub fn frequencies(&self) -> impl Iterator<Item = f64> + '_ {
         (1..=self.bands.count).map(|i| i as f64 * self.bands.width)
     }
 
-    /// Ratio to another spectrum, band by band, with its relative error as `error`.
+    /// Returns the ratio to another spectrum, band by band, with its relative error as `error`.
     pub fn ratio(&self, other: &Spectrum) -> Vec<Ratio> {
         let mean = |s: &Spectrum, band: usize| {
             let values: Vec<(f64, f64)> = s.segments.iter().map(|v| (v[band], 1.0)).collect();
@@ -90,7 +90,7 @@ impl Spectrum {
     }
 }
 
-/// Collects segments.
+/// Collects the spectra of segments.
 pub struct Collector {
     bands: Bands,
     pixel_nm: f64,
@@ -107,7 +107,7 @@ impl Collector {
     pub fn new(bands: Bands, pixel_nm: f64, limit: f64) -> Self {
         let n = bands.segment;
         let hann = |i: usize| (PI * (i as f64 + 0.5) / n as f64).sin().powi(2);
-        // The noise needs frequencies of its own: the corners of the square at least.
+        // The noise is measured at the highest frequencies, at least in the corners of the square.
         let corner = 0.5 / pixel_nm * 2.0_f64.sqrt();
         Collector {
             bands,
@@ -121,7 +121,7 @@ impl Collector {
         }
     }
 
-    /// Takes the whole segments of a strip of the image.
+    /// Adds the whole segments of a strip of the image.
     pub fn add(&mut self, strip: ArrayView2<f64>) {
         let n = self.bands.segment;
         self.grid = [self.grid[0] + strip.nrows() / n, strip.ncols() / n];
@@ -159,7 +159,7 @@ impl Collector {
             }
         }
         self.segments.push(sums.iter().map(|(sum, n): &(f64, f64)| sum / n.max(1.0)).collect());
-        // nm2 to A2
+        // From nm2 to A2.
         self.noise.push((100.0 * beyond.0 / beyond.1.max(1.0), mean));
     }
 
@@ -184,7 +184,7 @@ mod tests {
 
     const PIXEL: f64 = 0.02;
 
-    /// White noise of variance 1/12 about 1, 256 x 256.
+    /// White noise of variance 1/12 about 1, 256 x 256 pixels.
     fn noise(seed: u32) -> Array2<f64> {
         let word = |y: usize, x: usize| philox4x32_10([x as u32, y as u32, 0, 0], [seed, 1])[0];
         Array2::from_shape_fn((256, 256), |(y, x)| 0.5 + f64::from(word(y, x)) / 4_294_967_296.0)
@@ -212,7 +212,7 @@ mod tests {
         for (f, p) in s.frequencies().zip(&s.power).skip(3) {
             assert!((p / expected - 1.0).abs() < 0.25, "{f}: {p} {expected}");
         }
-        // mean 1, variance 1/12 in a pixel of 0.04 A2: as if by a dose of 12 / 0.04 electrons per A2
+        // A mean of 1 and a variance of 1/12 in a pixel of 0.04 A2 correspond to a dose of 12 / 0.04 electrons per A2.
         let dose = 1.0 / Ratio::of_blocks(&s.noise).value;
         assert!((dose / 300.0 - 1.0).abs() < 0.05, "{dose}");
     }

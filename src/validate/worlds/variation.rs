@@ -1,34 +1,34 @@
-//! Over what lengths worlds of one recipe differ. Sites and electrons are drawn one by one, but interfaces and phase boundaries wander:
-//! what a field holds of them varies over their length, which no place of the field tells alone.
+//! The length over which worlds of one recipe differ. Sites and electrons are drawn one by one, but interfaces and phase boundaries wander:
+//! the part of them in a field varies over their length, which no single place of the field shows.
 
 use serde::Serialize;
 
-/// Slow waves along an axis where nothing varies over more than a fifth of the field.
+/// Number of slow waves along an axis, if nothing varies over more than a fifth of the field.
 const WAVES: usize = 5;
-/// Waves over the width where parts of the full height are all that is independent.
+/// Number of waves over the width, if only parts of the full height are independent.
 const WAVES_ACROSS: usize = 16;
 /// Number of the fastest wave along y that holds 80 % of the power of the slowest, times the correlation length (of a Gaussian
 /// correlation), in heights of the field.
 const FASTEST: f64 = 0.21;
-/// Independent parts are as high as the integral of the correlation, sqrt(2 pi) correlation lengths.
+/// Height of independent parts in correlation lengths: the integral of the correlation, sqrt(2 pi).
 const PART: f64 = 2.5;
 
-/// How worlds of one kind vary, from the least to the most.
+/// How worlds of one kind vary, in ascending order.
 #[derive(Debug, Clone, Copy, PartialEq, PartialOrd, Serialize)]
 #[serde(rename_all = "snake_case", tag = "kind", content = "nm")]
 pub enum Variation {
-    /// Places far apart vary on their own, as far as the recipe tells.
+    /// Places far apart vary independently, according to the recipe.
     Local,
     /// Interfaces along y vary over this correlation length in nm.
     AlongY(f64),
-    /// Boundaries along y wander over the height of the field, all of which is there.
+    /// Boundaries along y wander over the height of the full field, and the world holds all of it.
     FullHeight,
-    /// Boundaries wander over this length in nm, and only a part of it is there.
+    /// Boundaries wander over this length in nm, and the world holds only a part of it.
     Beyond(f64),
 }
 
 impl Variation {
-    /// What the recipe of a world tells, whose height and width are `extent_nm`.
+    /// Derives the variation from the recipe of a world with this height and width.
     pub fn of_recipe(recipe: Option<&toml::Table>, extent_nm: [f64; 2]) -> Self {
         let value = |keys: [&str; 2]| recipe?.get(keys[0])?.get(keys[1]);
         let as_number = |v: &toml::Value| v.as_float().or_else(|| v.as_integer().map(|i| i as f64));
@@ -36,7 +36,7 @@ impl Variation {
         let field = value(["field", "fov_nm"]).and_then(|v| v.as_array());
         let full: Vec<f64> = field.into_iter().flatten().filter_map(as_number).collect();
         if number(["domains", "waviness"]).is_some_and(|w| w > 0.0) {
-            // Tiles of whole pixels may leave a per cent of the field.
+            // Whole tiles may fall short of the field by a per cent.
             return match full[..] {
                 [height, width] if extent_nm[0] < 0.98 * height || extent_nm[1] < 0.98 * width => {
                     Variation::Beyond(height)
@@ -51,13 +51,13 @@ impl Variation {
         }
     }
 
-    /// The more of two.
+    /// Returns the greater variation.
     pub fn most(self, other: Self) -> Self {
         if other > self { other } else { self }
     }
 
-    /// Waves along y and x, the constant one counted, that hold as much of the variation as the mean of a field of this height does;
-    /// nothing where no part of it is independent of the others.
+    /// Returns the numbers of waves along y and x, the constant one included, that carry as much of the variation as the mean of a field of
+    /// this height does; `None` if no part of the field is independent of the others.
     pub fn waves(self, height_nm: f64) -> Option<[usize; 2]> {
         match self {
             Variation::Local => Some([WAVES, WAVES]),
@@ -70,7 +70,7 @@ impl Variation {
         }
     }
 
-    /// Of so many rows of blocks, those that make an independent part; nothing where there is no such part.
+    /// Returns the number of rows of blocks in an independent part, of `rows` in all; `None` if there is no such part.
     pub fn rows_of_part(self, rows: usize, height_nm: f64) -> Option<usize> {
         match self {
             Variation::Local => Some(1),
